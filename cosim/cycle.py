@@ -1,0 +1,309 @@
+"""One turn: every equipped vehicle sees, says, hears, judges, is judged, and makes up its mind.
+
+Reads as the detection and decision cycle of TruPercept (section "Summary"), for all vehicles at once.
+
+Within a step that begins at time t: sweeps and detections at t; detections are on the air from t and count
+until t + timeout; verdicts are on the air from then on and count until t + 2 timeout, when everybody fuses
+with the trust known by then. The trust server sees what has reached it by t, and broadcasts at t.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Int, UInt8
+from numpy import ndarray
+
+from cosim import rng
+from cosim.config import Config
+from cosim.manifest import Stopwatch
+from cosim.truth import Truth, truth_of
+from cosim.v2x import radio
+from cosim.v2x.adversary import self_reports, tamper
+from cosim.v2x.messages import FABRICATED, SELF, SENSED, Detections, detections_bytes, expand, ptr_of, verdicts_bytes
+from cosim.v2x.server import Downlink, Edition, Uplink
+from cosim.world import World
+from sensors import detector, evidence, lidar
+from sensors.boxes import Boxes, overlapping_pairs
+from sensors.scene import Scene
+from trust import evaluation, fusion, matching
+from trust.ledger import SERVER, Ledger, Standing
+from trust.page import Refusal
+from trust.tables import Detections as Claims
+from trust.tables import Told, Verdicts, Views
+
+SOURCES = ("server", "own", "default")
+"""Where a trust value that is used comes from, by code."""
+
+CLUTTER_SLOTS = 8
+"""Most false boxes that a detector can report of one sweep."""
+
+FROM_SERVER, FROM_OWN, FROM_NOWHERE = range(3)
+
+
+@dataclass(slots=True)
+class State:
+    """All that survives a step."""
+
+    ledger: Ledger
+    uplink: Uplink
+    downlink: Downlink
+    last_edition_s: float = -np.inf
+    sweeps: lidar.Sweeps | None = None
+    """Memory of the last sweeps, written over by the next."""
+
+    @staticmethod
+    def start(config: Config) -> "State":
+        return State(
+            ledger=Ledger(config.trust, config.traffic.step_s),
+            uplink=Uplink(config.server, config.seed),
+            downlink=Downlink(config.server, config.seed),
+        )
+
+    def refusals(self) -> dict[str, int]:
+        """Verdicts that the ledgers refused, by cause."""
+        return {cause.name.lower(): int(n) for cause, n in zip(Refusal, self.ledger.refused, strict=True) if n}
+
+
+@dataclass(frozen=True, slots=True)
+class Known:
+    """Trust of some subjects as some receivers know it here and now; rows as asked."""
+
+    trust: Float[ndarray, "n"]
+    source: UInt8[ndarray, "n"]  # code of `SOURCES`
+    age_s: Float[ndarray, "n"]  # of the value; read only where it is no default
+
+
+@dataclass(frozen=True, slots=True)
+class Turn:
+    """Everything that happened in one turn; `e` counts equipped vehicles, rows of `observers`."""
+
+    world: World
+    observers: Int[ndarray, "e"]  # rows of the world
+    sights: evidence.Sightings
+    said: Detections
+    truth: Truth
+    first: radio.Heard  # who heard whose detections
+    second: radio.Heard  # who heard whose verdicts
+    frames: tuple[radio.Frames, radio.Frames]  # of the two exchanges
+    sent_bytes: tuple[float, float]  # on the air, relays included
+    views: Views  # what each vehicle judged
+    verdicts: Verdicts
+    n_points: Int[ndarray, "m"]
+    plausible: Bool[ndarray, "m"]
+    matched: Bool[ndarray, "m"]
+    known: Known  # goes with `second`
+    fused: fusion.Fused
+    standing: Standing | None  # what the server just computed
+
+
+def turn(world: World, city: Scene, state: State, config: Config, watch: Stopwatch) -> Turn:
+    """The cycle, once."""
+    seed, step, time_s = config.seed, world.step, world.step * config.traffic.step_s
+    observers = np.flatnonzero(world.equipped)
+    names = world.name_key[observers]
+    ids = world.actor[observers]
+
+    with watch("server"):
+        standing = _serve(state, config, world, ids, names, time_s)
+
+    with watch("sweep"):
+        sweep_keys = rng.keys(rng.key(seed, rng.Stream.SWEEP, step), names)
+        sweeps = state.sweeps = lidar.scan(
+            world.boxes, world.shape, observers, city, config.lidar, sweep_keys, state.sweeps
+        )
+    with watch("detect"):
+        sights, seen, is_real, source = _perceive(world, observers, sweeps, config)
+    with watch("tamper"):
+        said = tamper(seen, world, time_s, seed, config.adversary)
+        truth = truth_of(said, world, sights, observers, is_real, source)
+        claims, ptr = _claims(said, observers)
+
+    with watch("radio"):
+        xy_m, talks = world.boxes.xyz_m[observers, :2], np.ones(len(observers), bool)
+        chance = rng.key(seed, rng.Stream.RADIO_DETECTIONS, step)
+        first, first_frames = radio.broadcast(xy_m, names, talks, chance, config.radio)
+    with watch("match"):
+        pairs = overlapping_pairs(said.boxes, said.label, said.observer)
+        everything = _views(first, ptr, said.said, len(observers))
+        of_member = everything.of_member()
+        inside = evidence.in_area(
+            sweeps, of_member, said.boxes.take(everything.member), config.area,
+            said.label[everything.member], world.boxes.take(observers[of_member]),
+        )  # fmt: skip
+        views = _subset(everything, inside)
+        groups = matching.match(views, claims, pairs, config.trust)
+    with watch("judge"):
+        of_member, boxes = views.of_member(), said.boxes.take(views.member)
+        n_points = evidence.points_in_boxes(sweeps, of_member, boxes)
+        plausible = np.ones(len(boxes), bool)
+        foreign = np.flatnonzero(~groups.local)
+        plausible[foreign] = evidence.plausible(sweeps, of_member[foreign], boxes.take(foreign), config.area)
+        verdicts = evaluation.evaluate(views, groups, claims, n_points, plausible, config.trust)
+
+    with watch("radio"):
+        chance = rng.key(seed, rng.Stream.RADIO_VERDICTS, step)
+        second, second_frames = radio.broadcast(xy_m, names, talks, chance, config.radio)
+    with watch("trust"):
+        told = _told(step, views, verdicts, said, ids, claims)
+        use_s = time_s + 2 * config.radio.timeout_s
+        _book(state, config, told, claims, said.said, ids, second)
+        if config.trust.where == "central":
+            state.uplink.send(told, names, time_s + config.radio.timeout_s)
+        known = knowledge(state, config, ids[second.receiver], ids[second.sender], ids, use_s)
+
+    with watch("fuse"):
+        groups_all = matching.match(everything, claims, pairs, config.trust)
+        sight = _sight(sweeps, everything, groups_all, said.boxes, config)
+        heard = fusion.Heard(ptr_of(second.receiver, len(observers)), second.sender, known.trust)
+        distance_m = np.linalg.norm(said.boxes.xyz_m - sweeps.poses.origin_m[claims.sender], axis=1)
+        fused = fusion.fuse(
+            everything, groups_all, claims, views, verdicts, heard, sight, distance_m, config.trust
+        )
+        fused = fused.take(fused.score >= config.trust.min_score)
+
+    n_said = np.bincount(claims.sender[said.said], minlength=len(observers))
+    sent_bytes = (
+        float(first_frames.n_transmissions @ detections_bytes(n_said)),
+        float(second_frames.n_transmissions @ verdicts_bytes(np.diff(told.ptr))),
+    )
+    return Turn(
+        world, observers, sights, said, truth, first, second, (first_frames, second_frames), sent_bytes, views, verdicts,
+        n_points, plausible, groups.local, known, fused, standing,
+    )  # fmt: skip
+
+
+def knowledge(
+    state: State,
+    config: Config,
+    receiver: Int[ndarray, "n"],
+    subject: Int[ndarray, "n"],
+    present: Int[ndarray, "e"],
+    time_s: float,
+) -> Known:
+    """Trust of each subject as its receiver knows it at `time_s`, wherever trust lives; actor ids."""
+    value = np.full(len(receiver), config.trust.default_trust)
+    source = np.full(len(receiver), FROM_NOWHERE, np.uint8)
+    age_s = np.zeros(len(receiver))
+    if config.trust.where == "central":
+        heard, known, age = state.downlink.known(receiver, subject, present, time_s)
+        value[known], source[known], age_s[known] = heard[known], FROM_SERVER, age[known]
+    elif config.trust.where == "local":
+        standing = state.ledger.standing()
+        at, known = standing.rows_of(receiver, subject)
+        at = at[known]
+        value[known], source[known] = standing.trust[at], FROM_OWN
+        age_s[known] = time_s - standing.newest_step[at] * config.traffic.step_s
+    return Known(value, source, age_s)
+
+
+def _serve(state: State, config: Config, world: World, ids: ndarray, names: ndarray, time_s: float) -> Standing | None:
+    """Reports come in; when it is time, the server computes everybody's trust and broadcasts it."""
+    if config.trust.where != "central":
+        return None
+    for told in state.uplink.arrived(time_s):
+        state.ledger.enter(told, np.full(len(told.evaluator), SERVER), np.arange(len(told.evaluator)))
+    if time_s - state.last_edition_s < config.trust.server_period_s - 1e-9:
+        return None
+    state.last_edition_s = time_s
+    standing = state.ledger.standing(world.step)
+    state.downlink.broadcast(Edition(time_s, standing.subject, standing.trust), world.step, ids, names)
+    return standing
+
+
+def _perceive(
+    world: World, observers: Int[ndarray, "e"], sweeps: lidar.Sweeps, config: Config
+) -> tuple[evidence.Sightings, Detections, Bool[ndarray, "s"], Int[ndarray, "s"]]:
+    """Self reports and what the detectors make of the sweeps; the truth's name is dropped here.
+
+    Returns
+    -------
+    Sightings; detections; and for the sensed ones, in order: whether a real actor, and its row.
+    """
+    step, names = world.step, world.name_key
+    sights = evidence.sightings(sweeps, world.boxes, world.shape)
+    who = names[observers[sights.o]], names[sights.actor]
+    what = np.repeat(names[observers], CLUTTER_SLOTS), np.tile(np.arange(CLUTTER_SLOTS), len(observers))
+    draws = detector.DetectorDraws(
+        rng.uniforms(rng.key(config.seed, rng.Stream.DETECTION, step), *who, n=detector.N_SIGHTING_DRAWS),
+        rng.uniforms(rng.key(config.seed, rng.Stream.CLUTTER, step), *what, n=detector.N_CLUTTER_DRAWS)
+        .reshape(len(observers), CLUTTER_SLOTS, detector.N_CLUTTER_DRAWS),
+    )  # fmt: skip
+    found = detector.detect(sweeps, sights, world.boxes, world.label, draws, config.detector)
+    n = len(found.o)
+    sensed = Detections(
+        observer=observers[found.o],
+        k=1 + np.arange(n) - np.searchsorted(found.o, found.o),
+        label=found.label,
+        boxes=found.boxes,
+        score=found.score,
+        n_points=found.n_points,
+        origin=np.full(n, SENSED, np.uint8),
+        said=np.ones(n, bool),
+    )
+    parts = [self_reports(world, observers), sensed] if config.trust.self_reports else [sensed]
+    return sights, Detections.concat(parts), ~found.is_clutter, found.actor
+
+
+def _claims(said: Detections, observers: Int[ndarray, "e"]) -> tuple[Claims, Int[ndarray, "e+1"]]:
+    """The detections as trust sees them, and where each equipped vehicle's begin."""
+    sender = np.searchsorted(observers, said.observer)
+    claims = Claims(sender, said.k, said.label, said.score, said.origin == SELF, said.origin == FABRICATED)
+    return claims, ptr_of(sender, len(observers))
+
+
+def _views(heard: radio.Heard, ptr: Int[ndarray, "e+1"], said: Bool[ndarray, "d"], n: int) -> Views:
+    """What each vehicle has before it: all its own detections, then what it heard, by (sender, k)."""
+    everyone = np.arange(n)
+    receiver = np.concatenate([everyone, heard.receiver])
+    sender = np.concatenate([everyone, heard.sender])
+    order = np.lexsort((sender, receiver != sender, receiver))
+    receiver, sender = receiver[order], sender[order]
+    member, which = expand(ptr[sender], ptr[sender + 1])
+    view, own = receiver[which], (receiver == sender)[which]
+    keep = own | said[member]
+    return Views(ptr_of(view[keep], n), member[keep], everyone)
+
+
+def _subset(views: Views, keep: Bool[ndarray, "m"]) -> Views:
+    return Views(ptr_of(views.of_member()[keep], len(views.owner)), views.member[keep], views.owner)
+
+
+def _told(
+    step: int, views: Views, verdicts: Verdicts, said: Detections, ids: Int[ndarray, "e"], claims: Claims
+) -> Told:
+    """The verdicts as messages: one per evaluator, on everything that was said."""
+    keep = said.said[views.member]
+    kept, member = _subset(views, keep), views.member[keep]
+    return Told(
+        step, ids, kept.ptr, ids[claims.sender[member]], said.k[member], verdicts.e[keep], verdicts.phi[keep]
+    )
+
+
+def _book(
+    state: State, config: Config, told: Told, claims: Claims, said: Bool[ndarray, "d"], ids: ndarray, heard: radio.Heard
+) -> None:
+    """Open the step in the ledgers; where every vehicle keeps its own, enter what it thinks and what it was told."""
+    if config.trust.where == "none":
+        return
+    state.ledger.announce(told.step, ids, claims.sender[said], claims.k[said], claims.score[said])
+    if config.trust.where == "local":
+        everyone = np.arange(len(ids))
+        state.ledger.enter(told, ids, everyone)
+        if config.trust.local_evidence == "heard":
+            state.ledger.enter(told, ids[heard.receiver], heard.sender)
+
+
+def _sight(
+    sweeps: lidar.Sweeps, views: Views, groups: matching.Groups, boxes: Boxes, config: Config
+) -> fusion.Sight:
+    """What each ego's own sweep says of the seeds that others made."""
+    seeds = groups.seeds()
+    foreign = np.flatnonzero(~groups.local[seeds])
+    view, box = views.of_member()[seeds[foreign]], boxes.take(views.member[seeds[foreign]])
+    n_points = np.zeros(len(seeds), np.int32)
+    plausible, near = np.ones(len(seeds), bool), np.ones(len(seeds), bool)
+    n_points[foreign] = evidence.points_in_boxes(sweeps, view, box)
+    plausible[foreign] = evidence.plausible(sweeps, view, box, config.area)
+    away_m = np.linalg.norm(box.xyz_m - sweeps.poses.origin_m[view], axis=1)
+    near[foreign] = away_m < config.area.range_m
+    return fusion.Sight(n_points, plausible, near)

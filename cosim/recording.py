@@ -1,0 +1,204 @@
+"""From a step's arrays to the rows of the run's tables."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Bool, Int
+from numpy import ndarray
+from scipy.spatial import cKDTree
+
+from cosim.config import Config
+from cosim.cycle import State, Turn, knowledge
+from cosim.roster import Roster
+from cosim.v2x.messages import FABRICATED, Detections
+from cosim.v2x.radio import Fate
+from cosim.world import World
+from results.encounters import EncounterLedger
+from results.recorder import Recorder
+from sensors.boxes import Boxes
+from sensors.evidence import line_of_sight
+from sensors.scene import Scene, Shape
+
+RING_M = 25
+"""Width of a ring of distance in the table `links` [m]."""
+
+
+def actors(recorder: Recorder, world: World) -> None:
+    """Poses of everybody."""
+    xyz, yaw = world.boxes.xyz_m, world.boxes.yaw_rad
+    recorder.append("actors", world.step, {
+        "actor": world.actor, "x_m": xyz[:, 0], "y_m": xyz[:, 1], "z_m": xyz[:, 2], "yaw_rad": yaw,
+        "speed_mps": world.speed_mps,
+    })  # fmt: skip
+
+
+@dataclass(slots=True)
+class Meetings:
+    """Encounters of all configured radii, told at every step, whether anybody senses in it or not."""
+
+    config: Config
+    ledgers: list[EncounterLedger] = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.ledgers = [EncounterLedger(p, self.config.traffic.step_s) for p in self.config.encounters]
+
+    def update(self, recorder: Recorder, world: World, city: Scene, state: State) -> None:
+        """Who is near whom, and what they knew of each other when they met."""
+        rows = np.flatnonzero(world.shape != Shape.PEDESTRIAN)
+        xy = world.boxes.xyz_m[rows, :2]
+        reach_m = max((ledger.params.radius_m for ledger in self.ledgers), default=0.0)
+        pairs = cKDTree(xy).query_pairs(reach_m, output_type="ndarray") if len(rows) else np.zeros((0, 2), int)
+        a, b = rows[pairs.min(axis=1)], rows[pairs.max(axis=1)]
+        order = np.lexsort((b, a))
+        a, b = a[order], b[order]
+        distance_m = np.linalg.norm(world.boxes.xyz_m[a, :2] - world.boxes.xyz_m[b, :2], axis=1)
+        sight = line_of_sight(city, world.boxes, world.shape, a, b, self.config.lidar.mount_above_roof_m)
+        equipped = world.equipped[a] & world.equipped[b]
+        for ledger in self.ledgers:
+            closed, opened = ledger.update(
+                world.step, world.actor[a], world.actor[b], distance_m, sight, world.actor[rows], equipped
+            )
+            recorder.append("encounters", world.step, closed)
+            new = opened[equipped[opened]]
+            one, other = world.actor[a[new]], world.actor[b[new]]
+            receiver, subject = np.concatenate([one, other]), np.concatenate([other, one])
+            known = knowledge(
+                state, self.config, receiver, subject, world.actor[world.equipped],
+                world.step * self.config.traffic.step_s,
+            )  # fmt: skip
+            ledger.first_contact(receiver, subject, known.trust, known.source, known.age_s)
+
+    def count(self, turn: Turn) -> None:
+        """Messages and verdicts of this turn, between those who are meeting."""
+        ids = turn.world.actor[turn.observers]
+        evaluator = turn.views.of_member()
+        observer = turn.said.observer[turn.views.member]
+        foreign = turn.observers[evaluator] != observer
+        judged = evaluator[foreign] * len(turn.world) + observer[foreign]
+        pair, n = np.unique(judged, return_counts=True)
+        for ledger in self.ledgers:
+            for heard in (turn.first, turn.second):
+                ledger.count_messages(ids[heard.sender], ids[heard.receiver])
+            ledger.count_verdicts(ids[pair // len(turn.world)], turn.world.actor[pair % len(turn.world)], n)
+
+    def close(self, recorder: Recorder, last_step: int) -> None:
+        """What is still going on when recording ends."""
+        for ledger in self.ledgers:
+            recorder.append("encounters", last_step, ledger.close(last_step + 1))
+
+
+def turn(recorder: Recorder, turn: Turn, dt_s: float) -> None:
+    """Everything that a turn says."""
+    world, step = turn.world, turn.world.step
+    ids = world.actor[turn.observers]
+    _detections(recorder, turn)
+    _radio(recorder, turn)
+    recorder.append("sightings", step, {
+        "observer": ids[turn.sights.o], "actor": world.actor[turn.sights.actor],
+        "n_points": turn.sights.n_returns, "n_unoccluded": turn.sights.n_unoccluded,
+    })  # fmt: skip
+    heard = turn.first
+    recorder.append("deliveries", step, {
+        "sender": ids[heard.sender], "receiver": ids[heard.receiver], "hops": heard.hops,
+        "latency_s": heard.latency_s, "distance_m": heard.distance_m,
+    })  # fmt: skip
+    member = turn.views.member
+    recorder.append("verdicts", step, {
+        "judged_step": np.full(len(member), step), "evaluator": ids[turn.views.of_member()], "observer": world.actor[turn.said.observer[member]],
+        "k": turn.said.k[member], "e": turn.verdicts.e, "visibility": turn.verdicts.phi,
+        "n_points": turn.n_points, "plausible": turn.plausible, "plausible__valid": ~turn.matched,
+        "matched": turn.matched,
+    })  # fmt: skip
+    standing = turn.standing
+    if standing is not None:
+        recorder.append("trust", step, {
+            "vehicle": standing.subject, "trust": standing.trust, "weight": standing.weight,
+            "n_evaluations": standing.n_verdicts, "newest_age_s": (step - standing.newest_step) * dt_s,
+            "oldest_age_s": (step - standing.oldest_step) * dt_s,
+        })  # fmt: skip
+    recorder.append("uses", step, {
+        "receiver": ids[turn.second.receiver], "subject": ids[turn.second.sender], "trust": turn.known.trust,
+        "source": turn.known.source, "age_s": turn.known.age_s, "age_s__valid": turn.known.source != 2,
+    })  # fmt: skip
+    _fused(recorder, turn)
+
+
+def _box_columns(boxes: Boxes) -> dict[str, ndarray]:
+    x, y, z = boxes.xyz_m.T
+    length, width, height = boxes.lwh_m.T
+    return {
+        "x_m": x, "y_m": y, "z_m": z, "length_m": length, "width_m": width, "height_m": height,
+        "yaw_rad": boxes.yaw_rad,
+    }  # fmt: skip
+
+
+def _truth_columns(turn: Turn, rows: Int[ndarray, "n"] | slice) -> dict[str, ndarray]:
+    real = turn.truth.is_real[rows]
+    return {
+        "truth_actor": turn.world.actor[turn.truth.actor_row[rows]], "truth_actor__valid": real,
+        "truth_iou": turn.truth.iou[rows], "truth_iou__valid": real,
+    }  # fmt: skip
+
+
+def _detections(recorder: Recorder, turn: Turn) -> None:
+    said: Detections = turn.said
+    recorder.append("detections", turn.world.step, {
+        "observer": turn.world.actor[said.observer], "k": said.k, "class": said.label, **_box_columns(said.boxes),
+        "score": said.score, "n_points": said.n_points, "kind": said.origin, "said": said.said,
+        **_truth_columns(turn, slice(None)),
+        "truth_occlusion": turn.truth.occlusion, "truth_occlusion__valid": turn.truth.is_sensed,
+    })  # fmt: skip
+
+
+def _fused(recorder: Recorder, turn: Turn) -> None:
+    fused, said = turn.fused, turn.said
+    boxes = said.boxes.take(fused.seed)
+    pose = said.boxes.take(fused.pose)
+    view = fused.view
+    recorder.append("fused", turn.world.step, {
+        "observer": turn.world.actor[turn.observers[view]],
+        "k": np.arange(len(view)) - np.searchsorted(view, view),
+        "class": said.label[fused.seed],
+        **_box_columns(Boxes(pose.xyz_m, boxes.lwh_m, pose.yaw_rad)),
+        "score": fused.score, "n_witnesses": fused.n_witnesses, "local": fused.local,
+        "source_step": np.full(len(view), turn.world.step), "source": turn.world.actor[said.observer[fused.seed]],
+        "source_k": said.k[fused.seed], "fabricated": said.origin[fused.seed] == FABRICATED,
+        **_truth_columns(turn, fused.seed),
+    })  # fmt: skip
+
+
+def _radio(recorder: Recorder, turn: Turn) -> None:
+    step = turn.world.step
+    fate = np.concatenate([f.fate for f in turn.frames])
+    ring = (np.concatenate([f.distance_m for f in turn.frames]) // RING_M).astype(int)
+    rings, at = np.unique(ring, return_inverse=True)
+    zero = np.zeros(1, int)
+    recorder.append("radio", step, {
+        "n_sent": np.array([sum(f.n_transmissions.sum() for f in turn.frames)]), "n_in_reach": np.array([len(fate)]),
+        "n_delivered": np.array([np.sum(fate == Fate.RECEIVED)]),
+        "n_lost_propagation": np.array([np.sum(fate == Fate.LOST)]), "n_lost_collision": zero,
+        "n_lost_receiver_busy": zero, "n_lost_expired": np.array([np.sum(fate == Fate.LATE)]),
+        "bytes": np.array([sum(turn.sent_bytes)]), "busy_ratio": None,
+    })  # fmt: skip
+
+    def per_ring(mask: Bool[ndarray, "f"]) -> Int[ndarray, "r"]:
+        return np.bincount(at[mask], minlength=len(rings))
+
+    recorder.append("links", step, {
+        "ring_m": rings * RING_M, "n_in_reach": np.bincount(at, minlength=len(rings)),
+        "n_delivered": per_ring(fate == Fate.RECEIVED), "n_lost_propagation": per_ring(fate == Fate.LOST),
+        "n_lost_collision": np.zeros(len(rings), int), "n_lost_receiver_busy": np.zeros(len(rings), int),
+        "n_lost_expired": per_ring(fate == Fate.LATE),
+    })  # fmt: skip
+
+
+def vehicles(recorder: Recorder, roster: Roster, first_lie_step: Int[ndarray, "n"], last_step: int) -> None:
+    """Everybody, once, at the end; `first_lie_step` is negative for who never lied."""
+    lwh = roster.lwh_m
+    recorder.append("vehicles", last_step, {
+        "vehicle": np.arange(len(roster), dtype=np.int32), "sumo_id": np.array(roster.names, object),
+        "kind": roster.shape, "length_m": lwh[:, 0], "width_m": lwh[:, 1], "height_m": lwh[:, 2],
+        "equipped": roster.equipped, "behaviour": roster.behaviour, "behaviour__valid": roster.equipped,
+        "first_step": roster.first_step, "last_step": roster.last_step,
+        "first_lie_step": first_lie_step, "first_lie_step__valid": first_lie_step >= 0,
+    })  # fmt: skip

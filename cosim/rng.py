@@ -1,0 +1,98 @@
+"""Chance as a function of who, whom, when and what for.
+
+A draw is `unit(mix(mix(key(seed, stream, step), who), whom))`: a SplitMix64 stream per prefix, walked to
+the position named by the next identifier. Nothing is shared and nothing advances, so neither order,
+membership nor threads can change a draw, and switching one stream's use off leaves all others as they were.
+
+References
+----------
+.. [1] G. L. Steele, D. Lea, C. H. Flood, "Fast splittable pseudorandom number generators", OOPSLA 2014.
+"""
+
+from enum import IntEnum
+from hashlib import blake2b
+
+import numpy as np
+from jaxtyping import Float, UInt64
+from numba import njit
+from numpy import ndarray
+
+_GOLDEN = np.uint64(0x9E3779B97F4A7C15)
+_A = np.uint64(0xBF58476D1CE4E5B9)
+_B = np.uint64(0x94D049BB133111EB)
+_S30, _S27, _S31, _S11, _ONE = np.uint64(30), np.uint64(27), np.uint64(31), np.uint64(11), np.uint64(1)
+_TO_UNIT = 2.0**-53
+
+
+class Stream(IntEnum):
+    """What a draw is for. Append only: the numbers are part of every published result."""
+
+    EQUIPPED = 1
+    BEHAVIOUR = 2
+    SWEEP = 3
+    DETECTION = 4
+    CLUTTER = 5
+    OMISSION = 6
+    FABRICATION = 7
+    RADIO_DETECTIONS = 8
+    RADIO_VERDICTS = 9
+    UPLINK = 10
+    DOWNLINK = 11
+    SHADOWING = 12
+
+
+@njit(cache=True, inline="always")
+def mix(h, x):
+    """Hash `h` of a prefix extended by one identifier `x` (both uint64)."""
+    z = h + (x + _ONE) * _GOLDEN
+    z = (z ^ (z >> _S30)) * _A
+    z = (z ^ (z >> _S27)) * _B
+    return z ^ (z >> _S31)
+
+
+@njit(cache=True, inline="always")
+def unit(h):
+    """Uniform in [0, 1) with 53 bits from a hash (uint64)."""
+    return (h >> _S11) * _TO_UNIT
+
+
+@njit(cache=True)
+def _mix_rows(h, ids):
+    out = np.empty(ids.shape[0], np.uint64)
+    for row in range(ids.shape[0]):
+        z = h
+        for column in range(ids.shape[1]):
+            z = mix(z, ids[row, column])
+        out[row] = z
+    return out
+
+
+@njit(cache=True)
+def _uniform_rows(keys, n):
+    out = np.empty((keys.shape[0], n))
+    for row in range(keys.shape[0]):
+        for column in range(n):
+            out[row, column] = unit(mix(keys[row], np.uint64(column)))
+    return out
+
+
+def key(seed: int, stream: Stream, step: int = 0) -> np.uint64:
+    """Prefix of all draws of one purpose in one step."""
+    prefix = np.array([[stream, step]], np.uint64)
+    return _mix_rows(np.uint64(seed), prefix)[0]
+
+
+def keys(prefix: np.uint64, *ids: ndarray) -> UInt64[ndarray, "n"]:
+    """One key per row of identifiers (arrays of one length, or scalars beside one)."""
+    columns = np.broadcast_arrays(*(np.atleast_1d(np.asarray(i)).astype(np.uint64) for i in ids))
+    return _mix_rows(prefix, np.ascontiguousarray(np.stack(columns, axis=1)))
+
+
+def uniforms(prefix: np.uint64, *ids: ndarray, n: int = 1) -> Float[ndarray, "rows n"]:
+    """`n` uniforms in [0, 1) for each row of identifiers."""
+    return _uniform_rows(keys(prefix, *ids), n)
+
+
+def name_key(name: str) -> int:
+    """The 64-bit identity of an actor: a hash of its name, so it depends on nobody else."""
+    return int.from_bytes(blake2b(name.encode(), digest_size=8).digest(), "little")

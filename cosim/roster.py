@@ -1,0 +1,103 @@
+"""Everyone who was ever on the road: who they are, and what part they play."""
+
+from dataclasses import dataclass, field
+from typing import Annotated, Literal
+
+import numpy as np
+from annotated_types import Ge, Le
+from jaxtyping import Bool, Float, Int, UInt8, UInt64
+from numpy import ndarray
+
+from cosim.rng import Stream, key, name_key, uniforms
+from cosim.world import HONEST, MALICIOUS, UNRELIABLE
+from sensors.scene import Shape
+
+Probability = Annotated[float, Ge(0), Le(1)]
+Kind = Literal["car", "van", "truck", "bus", "motorcycle", "bicycle"]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class FleetParams:
+    """Which vehicles sense and talk, and how many of them lie.
+
+    Each share is decided vehicle by vehicle from its name: raising a share adds vehicles and changes none.
+    """
+
+    penetration_p: Probability = 0.35
+    """Share of the vehicles of `equipped_kinds` that carry a LiDAR and a radio."""
+    equipped_kinds: tuple[Kind, ...] = ("car", "van")
+    """Kinds of vehicle that can be equipped."""
+    malicious_p: Probability = 0.10
+    """Share of the equipped that insert objects in front of a victim."""
+    unreliable_p: Probability = 0.10
+    """Share of the equipped that lose own detections and add random ones."""
+
+    def __post_init__(self) -> None:
+        if self.malicious_p + self.unreliable_p > 1:
+            raise ValueError(
+                f"fleet.malicious_p + fleet.unreliable_p = {self.malicious_p + self.unreliable_p:g} is more "
+                "than everybody. Lower one of them so that the two sum to at most 1."
+            )
+
+
+@dataclass(slots=True)
+class Roster:
+    """Actors by number, in order of first appearance; columns grow as actors appear."""
+
+    params: FleetParams
+    seed: int
+    names: list[str] = field(default_factory=list)
+    _n: int = 0
+    _name_key: UInt64[ndarray, "capacity"] = field(default_factory=lambda: np.zeros(1024, np.uint64))
+    _shape: UInt8[ndarray, "capacity"] = field(default_factory=lambda: np.zeros(1024, np.uint8))
+    _lwh_m: Float[ndarray, "capacity 3"] = field(default_factory=lambda: np.zeros((1024, 3)))
+    _equipped: Bool[ndarray, "capacity"] = field(default_factory=lambda: np.zeros(1024, bool))
+    _behaviour: UInt8[ndarray, "capacity"] = field(default_factory=lambda: np.zeros(1024, np.uint8))
+    _first_step: Int[ndarray, "capacity"] = field(default_factory=lambda: np.zeros(1024, np.int32))
+    _last_step: Int[ndarray, "capacity"] = field(default_factory=lambda: np.zeros(1024, np.int32))
+
+    def __len__(self) -> int:
+        return self._n
+
+    def enrol(self, names: list[str], namespace: str, shape: ndarray, lwh_m: ndarray, step: int) -> ndarray:
+        """Numbers for newcomers, and the part that each of them plays.
+
+        Parameters
+        ----------
+        namespace
+            Keeps a person and a vehicle of one name apart.
+        """
+        first, n = self._n, len(names)
+        while first + n > len(self._shape):
+            for column in (f for f in self.__slots__ if f.startswith("_") and f != "_n"):
+                old = getattr(self, column)
+                setattr(self, column, np.concatenate([old, np.zeros_like(old)]))
+        rows = slice(first, first + n)
+        who = np.array([name_key(namespace + name) for name in names], np.uint64)
+        kinds = np.array([Shape[k.upper()] for k in self.params.equipped_kinds], np.uint8)
+        chosen = uniforms(key(self.seed, Stream.EQUIPPED), who)[:, 0] < self.params.penetration_p
+        part = uniforms(key(self.seed, Stream.BEHAVIOUR), who)[:, 0]
+        behaviour = np.full(n, HONEST, np.uint8)
+        behaviour[part < self.params.malicious_p + self.params.unreliable_p] = UNRELIABLE
+        behaviour[part < self.params.malicious_p] = MALICIOUS
+        equipped = chosen & np.isin(shape, kinds)
+
+        self.names.extend(names)
+        self._name_key[rows], self._shape[rows], self._lwh_m[rows] = who, shape, lwh_m
+        self._equipped[rows] = equipped
+        self._behaviour[rows] = np.where(equipped, behaviour, HONEST)
+        self._first_step[rows] = self._last_step[rows] = step
+        self._n += n
+        return np.arange(first, self._n, dtype=np.int32)
+
+    def seen(self, actor: Int[ndarray, "n"], step: int) -> None:
+        """Note that these actors are on the road in this step."""
+        self._last_step[actor] = step
+
+    name_key = property(lambda self: self._name_key[: self._n])
+    shape = property(lambda self: self._shape[: self._n])
+    lwh_m = property(lambda self: self._lwh_m[: self._n])
+    equipped = property(lambda self: self._equipped[: self._n])
+    behaviour = property(lambda self: self._behaviour[: self._n])
+    first_step = property(lambda self: self._first_step[: self._n])
+    last_step = property(lambda self: self._last_step[: self._n])

@@ -1,0 +1,124 @@
+"""A run, from config to folder."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numba
+import numpy as np
+import tomli_w
+
+from cosim import recording
+from cosim.config import Config
+from cosim.cycle import State, turn
+from cosim.manifest import Manifest, Stopwatch
+from cosim.mobility.sumo import SumoTraffic
+from cosim.roster import Roster
+from cosim.scenario import Scenario, find
+from cosim.v2x.messages import FABRICATED
+from results.recorder import Recorder
+
+Advance = Callable[[str, int, int, str], None]
+"""Told of progress: phase, done, total, a note."""
+
+
+def check(config: Config) -> Scenario:
+    """The scenario that a config asks for; ValueError where it could not run."""
+    return find(config.traffic.scenario)
+
+
+def without_nulls(data: Any) -> Any:
+    """Plain data without what is not set, as TOML needs it."""
+    if isinstance(data, dict):
+        return {k: without_nulls(v) for k, v in data.items() if v is not None}
+    return [without_nulls(v) for v in data] if isinstance(data, list | tuple) else data
+
+
+def run(config: Config, out: Path | None, advance: Advance) -> Path:
+    """Drive, sense, talk, trust and record; the folder that it wrote.
+
+    Nothing is written before the config has been checked and SUMO has accepted the scenario.
+    """
+    scenario = check(config)
+    folder = _folder(out, scenario.name)
+    roster = Roster(config.fleet, config.seed)
+    traffic = SumoTraffic(config.traffic, scenario.sumocfg, roster)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        manifest = Manifest(folder, config, scenario.certificate())
+        (folder / "config.toml").write_text(tomli_w.dumps(without_nulls(config.to_dict())), encoding="utf-8")
+        manifest.write("running")
+        try:
+            _drive(config, scenario, traffic, roster, manifest, advance)
+        except KeyboardInterrupt:
+            manifest.write("interrupted")
+            raise
+        except Exception as error:
+            manifest.write("failed")
+            raise RuntimeError(f"{folder}: the run failed at step {manifest.steps}") from error
+    finally:
+        traffic.close()
+    manifest.write("finished")
+    return folder
+
+
+def _drive(
+    config: Config, scenario: Scenario, traffic: SumoTraffic, roster: Roster, manifest: Manifest, advance: Advance
+) -> None:
+    numba.set_num_threads(config.compute.threads or numba.config.NUMBA_NUM_THREADS)
+    warmup_s = scenario.warmup_s if config.traffic.warmup_s is None else config.traffic.warmup_s
+    watch, dt_s, n_steps = Stopwatch(), config.traffic.step_s, config.n_steps
+    with watch("city"):
+        city = scenario.city()
+    with watch("warm-up"):
+        for done_s in traffic.warm_up(warmup_s):
+            advance("warm-up", int(done_s), int(warmup_s), "s")
+        advance("warm-up", int(warmup_s), int(warmup_s), "s")
+    state = State.start(config)
+    meetings = recording.Meetings(config)
+    first_lie = np.zeros(0, int)
+    n_on_road = 0
+    with Recorder(manifest.folder, config.record.level, config.record.block_steps) as recorder:
+        for step in range(n_steps):
+            with watch("traffic"):
+                world = traffic.advance()
+            with watch("record"):
+                recording.actors(recorder, world)
+            with watch("encounters"):
+                meetings.update(recorder, world, city, state)
+            if step % config.sense_every_steps == 0 and world.equipped.any():
+                happened = turn(world, city, state, config, watch)
+                with watch("record"):
+                    recording.turn(recorder, happened, dt_s)
+                with watch("encounters"):
+                    meetings.count(happened)
+                first_lie = np.concatenate([first_lie, np.full(len(roster) - len(first_lie), -1)])
+                liars = world.actor[happened.said.observer[happened.said.origin == FABRICATED]]
+                first_lie[liars] = np.where(first_lie[liars] < 0, step, first_lie[liars])
+            n_on_road += int((world.shape != recording.Shape.PEDESTRIAN).sum())
+            manifest.steps = step + 1
+            advance("run", step + 1, n_steps, f"steps, {len(world)} actors")
+        first_lie = np.concatenate([first_lie, np.full(len(roster) - len(first_lie), -1)])
+        meetings.close(recorder, n_steps - 1)
+        recording.vehicles(recorder, roster, first_lie, n_steps - 1)
+    manifest.timings_s = watch.seconds
+    manifest.summary = {
+        "vehicles_on_road_mean": round(n_on_road / n_steps, 2),
+        "vehicles_waiting_to_enter_at_end": traffic.n_waiting,
+        "teleports": traffic.n_teleports,
+        "verdicts_refused": state.refusals(),
+    }
+
+
+def _folder(out: Path | None, name: str) -> Path:
+    if out is None:
+        n = 1
+        while (folder := Path("runs") / f"{name}-{n}").exists():
+            n += 1
+        return folder
+    if out.exists() and not out.is_dir():
+        raise ValueError(f"--out {out} is a file. Give a folder that is empty or does not exist.")
+    if out.is_dir() and any(out.iterdir()):
+        what = "already holds a run" if (out / "manifest.json").exists() else "is not empty"
+        raise ValueError(f"--out {out} {what}. Give a folder that is empty or does not exist.")
+    return out

@@ -1,0 +1,1 @@
+"""What vehicles say, who hears it, and who lies."""

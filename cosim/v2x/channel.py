@@ -1,0 +1,400 @@
+"""One radio channel shared by everybody: CSMA/CA broadcast, packet by packet, window after window.
+
+    state, outcome = play(state, links, packets, until_ns, chance, receiver, access)
+
+What one window leaves behind (queues, back-offs, frames on the air) is in `State`; cutting a window in two
+changes nothing. A packet is (sender's key, sequence number) and every draw depends on that, the receiver's key
+and the seed alone: neither rows, nor order, nor vehicles out of range matter.
+"""
+
+from dataclasses import dataclass, replace
+from enum import IntEnum
+from functools import lru_cache
+from typing import Annotated
+
+import numpy as np
+from annotated_types import Ge, Gt
+from jaxtyping import Float, Int, UInt8, UInt64
+from numpy import ndarray
+
+from cosim.v2x import loop
+from cosim.v2x.propagation import fading_quantiles
+from cosim.v2x.reception import CURVES, MAC_OVERHEAD_BYTES, ReceiverParams, airtime_ns
+
+SIFS_NS = 32_000
+SLOT_NS = 13_000
+EIFS_NS = 120_000
+"""Extra silence after a frame received with errors [ns]: SIFS and an acknowledgement at the lowest rate."""
+
+
+class Fate(IntEnum):
+    """What became of a frame at one receiver."""
+
+    RECEIVED = loop.RECEIVED
+    RANGE = loop.RANGE
+    """Too weak on average."""
+    FADING = loop.FADING
+    """Too weak or noisy this time, though strong enough on average."""
+    COLLISION = loop.COLLISION
+    """Destroyed by other frames."""
+    BUSY = loop.BUSY
+    """The receiver was at another frame."""
+    HALF_DUPLEX = loop.HALF_DUPLEX
+    """The receiver was sending."""
+    EXPIRED = loop.EXPIRED
+    """Never sent: out of date in the sender's queue."""
+    QUEUE = loop.QUEUE
+    """Never sent: the sender's queue was full."""
+
+
+class Access(IntEnum):
+    """ITS-G5 access categories, highest priority first (DCC profiles DP0 to DP3)."""
+
+    VO = 0
+    VI = 1
+    BE = 2
+    BK = 3
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class AccessParams:
+    """Medium access of ITS-G5 (EDCA outside the context of a BSS): broadcast, no acknowledgement, no retry."""
+
+    aifsn: tuple[int, int, int, int] = (2, 3, 6, 9)
+    """Slots of silence before access, for VO, VI, BE, BK."""
+    cw: tuple[int, int, int, int] = (3, 7, 15, 15)
+    """Largest back-off [slots], for VO, VI, BE, BK."""
+    queue_max: Annotated[int, Gt(0)] = 100
+    """Packets that one access category of one radio can hold."""
+    lifetime_s: Annotated[float, Gt(0)] = 0.1
+    """Age at which a packet that still waits is dropped [s], unless it says otherwise."""
+
+    def __post_init__(self) -> None:
+        for name in ("aifsn", "cw"):
+            value = getattr(self, name)
+            if len(value) != loop.N_ACCESS or min(value) < (2 if name == "aifsn" else 0):
+                raise ValueError(
+                    f"radio.{name} = {value} needs four whole numbers (VO, VI, BE, BK) of at least "
+                    f"{2 if name == 'aifsn' else 0}."
+                )
+
+
+@dataclass(frozen=True, slots=True)
+class Links:
+    """N radios and the mean received power of every directed link worth counting, sorted by (sender, receiver)."""
+
+    key: UInt64[ndarray, "n"]
+    ptr: Int[ndarray, "n+1"]
+    """Where each sender's links begin."""
+    receiver: Int[ndarray, "m"]
+    power_mw: Float[ndarray, "m"]
+    """Mean over fading, shadowing included."""
+    fading: UInt8[ndarray, "m"]
+    """Class of the fading's distribution: see `propagation.FADING_CLASSES`."""
+
+
+@dataclass(frozen=True, slots=True)
+class Packets:
+    """P frames to be sent; each (sender, seq) once in a run."""
+
+    sender: Int[ndarray, "p"]
+    """Row of the radio."""
+    seq: UInt64[ndarray, "p"]
+    generated_ns: Int[ndarray, "p"]
+    payload_bytes: Int[ndarray, "p"]
+    access: UInt8[ndarray, "p"]
+    lifetime_ns: Int[ndarray, "p"]
+    tag: Int[ndarray, "p"]
+    """The caller's own name for the packet; comes back with its outcome."""
+
+    def __len__(self) -> int:
+        return len(self.sender)
+
+
+@dataclass(frozen=True, slots=True)
+class State:
+    """What lasts from one window to the next; opaque."""
+
+    now_ns: int
+    phy: ndarray
+    mac: ndarray
+    packets: ndarray
+    """Waiting or on the air."""
+    receiver: ndarray
+    """Far ends of the links of the frames on the air, the power that arrives there, and how it stands."""
+    arrival_mw: ndarray
+    reception: ndarray
+
+    @staticmethod
+    def start(now_ns: int = 0) -> "State":
+        """A silent channel without radios."""
+        return State(
+            now_ns, np.zeros(0, loop.PHY), np.zeros(0, loop.MAC), np.zeros(0, loop.PACKET),
+            np.zeros(0, np.int32), np.zeros(0, np.float32), np.zeros(0, np.uint8),
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """P packets that left the sender's hands in one window, sorted by (generation, key, seq), and their receptions.
+
+    A packet that has not been sent (EXPIRED, QUEUE) has no receptions and start = end = generation.
+    """
+
+    sender_key: UInt64[ndarray, "p"]
+    seq: UInt64[ndarray, "p"]
+    tag: Int[ndarray, "p"]
+    fate: UInt8[ndarray, "p"]
+    """RECEIVED where it was sent, else EXPIRED or QUEUE."""
+    generated_ns: Int[ndarray, "p"]
+    start_ns: Int[ndarray, "p"]
+    end_ns: Int[ndarray, "p"]
+    """When it was received by whoever received it."""
+    ptr: Int[ndarray, "p+1"]
+    """Where each packet's receptions begin."""
+    receiver: Int[ndarray, "m"]
+    """Row of the radio among the window's links."""
+    reception: UInt8[ndarray, "m"]
+    """A `Fate` for each receiver."""
+    busy: Float[ndarray, "n"]
+    """Share of the window in which each radio sensed the medium busy or sent."""
+    busy_strong: Float[ndarray, "n"]
+    """Share of the window in which a frame of at least `cca_dbm` arrived: the busy ratio of DCC."""
+
+    @property
+    def latency_s(self) -> Float[ndarray, "p"]:
+        """Medium access latency of each packet [s]."""
+        return (self.start_ns - self.generated_ns) * 1e-9
+
+
+@lru_cache
+def _constants(receiver: ReceiverParams, access: AccessParams) -> loop.Constants:
+    def mw(dbm: float) -> float:
+        return float(10 ** (dbm / 10))
+
+    x0, w = CURVES[receiver.error_model][receiver.rate_mbps]
+    a, b = x0 / w, 10 / (w * np.log(10))
+    return loop.Constants(
+        noise_mw=mw(receiver.noise_dbm),
+        p_min_mw=mw(receiver.p_min_dbm),
+        sinr_min=mw(receiver.sinr_min_db),
+        detectable_mw=mw(receiver.detectable_dbm),
+        cca_mw=mw(receiver.cca_dbm),
+        floor_mw=mw(receiver.floor_dbm),
+        curve_a=a,
+        curve_b=float(b),
+        sinr_clean=float(np.exp((a + 15) / b)),
+        capture_ratio=mw(receiver.capture_margin_db),
+        capture_ns=round(receiver.capture_window_s * 1e9) if receiver.capture else -1,
+        slot_ns=SLOT_NS,
+        eifs_ns=EIFS_NS,
+        queue_max=access.queue_max,
+        overhead_bytes=MAC_OVERHEAD_BYTES,
+    )
+
+
+def _records(packets: Packets, n: int, state: State, until_ns: int, receiver: ReceiverParams) -> ndarray:
+    """The packets as the event loop wants them; refuses what cannot be."""
+    new = np.zeros(len(packets), loop.PACKET)
+    if len(packets) == 0:
+        return new
+    for name, low, high in (("sender", 0, n - 1), ("access", 0, loop.N_ACCESS - 1)):
+        column = getattr(packets, name)
+        if column.min() < low or column.max() > high:
+            raise ValueError(
+                f"packets.{name} = {column.min()} ... {column.max()} must lie in {low} ... {high}."
+            )
+    air_ns = airtime_ns(packets.payload_bytes, receiver.rate_mbps)
+    short = np.flatnonzero(packets.lifetime_ns < air_ns)
+    if len(short):
+        p = short[0]
+        raise ValueError(
+            f"lifetime = {packets.lifetime_ns[p] * 1e-6:g} ms of a packet is shorter than its transmission "
+            f"({air_ns[p] * 1e-6:g} ms). Set radio.lifetime_s higher."
+        )
+    if packets.generated_ns.min() < state.now_ns or packets.generated_ns.max() >= until_ns:
+        raise ValueError(
+            f"packets.generated_ns = {packets.generated_ns.min()} ... {packets.generated_ns.max()} lies outside "
+            f"the window {state.now_ns} ... {until_ns}. Hand each packet to the window in which it is generated."
+        )
+    for name in ("sender", "seq", "generated_ns", "payload_bytes", "access", "tag"):
+        new[name] = getattr(packets, name)
+    new["airtime_ns"] = air_ns
+    new["expires_ns"] = packets.generated_ns + packets.lifetime_ns
+    new["next"] = loop.NOBODY
+    new["fate"] = loop.WAITING
+    return new
+
+
+def _renamed(state: State, key: ndarray) -> State:
+    """A copy of the state with rows as in `key`, behind them radios that left with a frame on the air.
+
+    What waits at a radio that left is dropped as expired; what is on its way to one is received by nobody.
+    """
+    old = state.phy["key"]
+    if np.array_equal(old, key):
+        return replace(state, phy=state.phy.copy(), mac=state.mac.copy(), packets=state.packets.copy())
+    if len(np.unique(key)) < len(key):
+        raise ValueError("links.key names one radio twice. Give every radio a key of its own.")
+    order = np.argsort(key)
+    at = order[np.minimum(np.searchsorted(key, old, sorter=order), len(key) - 1)] if len(key) else np.zeros_like(old)
+    stays = key[at] == old if len(key) else np.zeros(len(old), bool)
+    ghost = np.flatnonzero(~stays & (state.phy["packet"] != loop.NOBODY))
+    row = np.full(len(old) + 1, loop.NOBODY)  # one more, so that nobody stays nobody
+    row[:-1][stays] = at[stays]
+    row[ghost] = len(key) + np.arange(len(ghost))
+
+    phy = np.zeros(len(key) + len(ghost), loop.PHY)
+    mac = np.zeros(len(phy), loop.MAC)
+    phy["key"][: len(key)] = key
+    phy["packet"] = loop.NOBODY
+    mac["armed_ns"] = loop.NEVER
+    kept = np.flatnonzero(row[:-1] >= 0)
+    phy[row[kept]], mac[row[kept]] = state.phy[kept], state.mac[kept]
+    phy["frame_from"] = np.where(phy["phase"] == loop.FREE, 0, row[phy["frame_from"]])
+    mac["rank"][np.argsort(phy["key"])] = np.arange(len(phy))
+
+    packets = state.packets.copy()
+    dropped = ~stays[packets["sender"]] & (packets["fate"] == loop.WAITING)
+    packets["fate"][dropped] = loop.EXPIRED
+    packets["sender"] = row[packets["sender"]]
+    quiet = mac[len(key) :]
+    quiet["count"] = quiet["n_queued"] = quiet["gated"] = 0
+    quiet["armed_ns"] = loop.NEVER
+
+    receiver = row[state.receiver]
+    receiver[receiver >= len(key)] = loop.NOBODY
+    arrival_mw = np.where(receiver == loop.NOBODY, np.float32(0), state.arrival_mw)
+    return State(state.now_ns, phy, mac, packets, receiver.astype(np.int32), arrival_mw, state.reception)
+
+
+def play(
+    state: State,
+    links: Links,
+    packets: Packets,
+    until_ns: int,
+    chance: np.uint64,
+    receiver: ReceiverParams,
+    access: AccessParams,
+    gap_ns: Int[ndarray, "n"] | None = None,
+) -> tuple[State, Outcome]:
+    """Everything that happens on the channel from `state.now_ns` until `until_ns`.
+
+    Parameters
+    ----------
+    links
+        Who could disturb whom now; frames already on the air keep the links they left with.
+    packets
+        Generated within the window.
+    chance
+        Key of the channel's draws, one for the whole run: packets tell windows apart.
+    gap_ns
+        Least silence between two frames of each radio, imposed by congestion control (see `dcc`).
+
+    Notes
+    -----
+    Two frames are on the same instant everywhere.   Deviations from ns-3: no propagation delay (3.3 µs/km); the signal
+    field is never lost alone; an internal collision draws a new back-off but does not widen its window.
+    """
+    n = len(links.key)
+    if until_ns <= state.now_ns:
+        raise ValueError(f"until_ns = {until_ns} is not after the state's now_ns = {state.now_ns}.")
+    new = _records(packets, n, state, until_ns, receiver)
+    new = new[np.lexsort((new["seq"], links.key[new["sender"]], new["generated_ns"]))]
+    state = _renamed(state, links.key)
+    phy, mac = state.phy, state.mac
+    phy["busy_ns"] = phy["strong_ns"] = 0
+    mac["gap_ns"][:n] = 0 if gap_ns is None else gap_ns
+    table = np.concatenate([state.packets, new])
+
+    waiting, aired = table["fate"] == loop.WAITING, table["fate"] == loop.RECEIVED
+    sender = table["sender"][waiting]
+    table["edge"][waiting] = links.ptr[sender]
+    table["degree"] = np.where(aired, table["degree"], 0)
+    table["degree"][waiting] = links.ptr[sender + 1] - links.ptr[sender]
+    old_edge = table["edge"][aired]
+    table["edge"][aired] += len(links.receiver)
+    ptr = _starts(table["degree"])
+    table["slot"] = ptr[:-1]
+    reception = np.empty(ptr[-1], np.uint8)
+    hearer = np.empty(ptr[-1], np.int32)
+    to, was = spans(table["slot"][aired], table["degree"][aired]), spans(old_edge, table["degree"][aired])
+    reception[to], hearer[to] = state.reception[was], state.receiver[was]
+    arrival_mw = np.concatenate([np.empty(len(links.receiver), np.float32), state.arrival_mw])
+    edges = (
+        np.concatenate([links.receiver.astype(np.int32, copy=False), state.receiver]),
+        links.power_mw.astype(np.float32, copy=False),
+        links.fading.astype(np.uint8, copy=False),
+        arrival_mw,
+    )
+    row_of_rank = np.empty(len(phy), np.int64)
+    row_of_rank[mac["rank"]] = np.arange(len(phy))
+    room = 16 * len(phy) + 16
+    loop.run_until(
+        until_ns, phy, mac, row_of_rank, table, len(state.packets), edges, reception, hearer,
+        SIFS_NS + SLOT_NS * np.array(access.aifsn), np.array(access.cw), fading_quantiles(),
+        _constants(receiver, access), chance, np.empty(room, np.int64), np.empty(room, np.int64),
+    )  # fmt: skip
+
+    on_air = np.zeros(len(table), bool)
+    on_air[phy["packet"][phy["packet"] != loop.NOBODY]] = True
+    done = ~on_air & (table["fate"] != loop.WAITING)
+    outcome = _outcome(table, done, phy, n, hearer, reception, until_ns - state.now_ns)
+    return _carried(phy, mac, table, ~done, on_air, edges[0], arrival_mw, reception, until_ns), outcome
+
+
+def spans(start: Int[ndarray, "r"], count: Int[ndarray, "r"]) -> Int[ndarray, "m"]:
+    """All integers of the ranges [start, start + count), range after range."""
+    before = np.cumsum(count) - count
+    return np.arange(int(count.sum())) + np.repeat(start - before, count)
+
+
+def _starts(count: ndarray) -> ndarray:
+    return np.concatenate([[0], np.cumsum(count, dtype=np.int64)])
+
+
+def _outcome(
+    table: ndarray, done: ndarray, phy: ndarray, n: int, hearer: ndarray, reception: ndarray, span_ns: int
+) -> Outcome:
+    rows = table[done]
+    sent = rows["fate"] == loop.RECEIVED
+    count = np.where(sent, rows["degree"], 0)
+    if count.sum() < len(hearer):
+        at = spans(rows["slot"], count)
+        hearer, reception = hearer[at], reception[at]
+    if np.any(hearer == loop.NOBODY):
+        there = hearer != loop.NOBODY
+        count = np.bincount(np.repeat(np.arange(len(rows)), count)[there], minlength=len(rows))
+        hearer, reception = hearer[there], reception[there]
+    start = np.where(sent, rows["start_ns"], rows["generated_ns"])
+    return Outcome(
+        sender_key=phy["key"][rows["sender"]],
+        seq=rows["seq"],
+        tag=rows["tag"],
+        fate=rows["fate"],
+        generated_ns=rows["generated_ns"],
+        start_ns=start,
+        end_ns=start + np.where(sent, rows["airtime_ns"], 0),
+        ptr=_starts(count),
+        receiver=hearer,
+        reception=reception,
+        busy=phy["busy_ns"][:n] / span_ns,
+        busy_strong=phy["strong_ns"][:n] / span_ns,
+    )
+
+
+def _carried(
+    phy: ndarray, mac: ndarray, table: ndarray, alive: ndarray, on_air: ndarray,
+    hearer: ndarray, arrival_mw: ndarray, reception: ndarray, now_ns: int,
+) -> State:  # fmt: skip
+    """The state after a window: only live packets, renumbered, and the links of the frames on the air."""
+    number = np.full(len(table) + 1, loop.NOBODY, np.int32)  # one more, so that nobody stays nobody
+    number[:-1][alive] = np.arange(np.count_nonzero(alive))
+    phy["packet"] = number[phy["packet"]]
+    for name in ("head", "tail"):
+        mac[name] = number[np.where(mac["count"] > 0, mac[name], loop.NOBODY)]
+    air = table[on_air]
+    edge, slot = spans(air["edge"], air["degree"]), spans(air["slot"], air["degree"])
+    table["edge"][on_air] = np.cumsum(air["degree"]) - air["degree"]
+    table["next"] = number[table["next"]]
+    return State(now_ns, phy, mac, table[alive], hearer[edge], arrival_mw[edge], reception[slot])

@@ -1,0 +1,440 @@
+"""The air as a sequence of events: carrier sense, back-off, interference and reception, packet by packet.
+
+One binary heap of (time, kind, rank of the radio by key); generations are merged in from the sorted packets.
+A preamble is decided 4 µs after it arrives: lazily, when the receiver is next touched. Times are integer
+nanoseconds and powers mW. A radio has one frame on the air at most, so a frame is named by its sender's row.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from cosim.rng import mix, unit
+from cosim.v2x.reception import HEADER_NS, PREAMBLE_NS
+
+N_ACCESS = 4
+NEVER = np.iinfo(np.int64).max
+NOBODY = -1
+RECEIVED, RANGE, FADING, COLLISION, BUSY, HALF_DUPLEX, EXPIRED, QUEUE, WAITING = range(9)
+_END, _GENERATE, _GATE, _ACCESS = range(4)
+FREE, DETECTING, LOCKED = range(3)
+N_QUANTILES = 4096
+_TO_QUANTILE = np.uint64(52)
+_BACKOFF = np.uint64(0xB0)
+_PAYLOAD = np.uint64(0xF0)
+
+PHY = np.dtype([
+    ("key", "u8"),
+    ("energy_mw", "f8"),  # all arrivals together
+    ("frame_mw", "f8"), ("frame_ns", "i8"), ("frame_from", "i4"), ("frame_edge", "i4"),  # at hand, by `phase`
+    ("chunk_ns", "i8"), ("log_psr", "f8"),  # of the frame at hand: up to when judged, with what success
+    ("idle_ns", "i8"), ("eifs_ns", "i8"),
+    ("busy_since_ns", "i8"), ("busy_ns", "i8"), ("strong_since_ns", "i8"), ("strong_ns", "i8"),
+    ("n_air", "i4"), ("n_strong", "i4"),
+    ("packet", "i4"),  # own packet on the air
+    ("phase", "u1"), ("busy", "u1"), ("hurt", "u1"),
+    ("active", "u1"),  # whether a back-off runs or a packet waits
+])  # fmt: skip
+"""The receiving half of a radio: two cache lines."""
+
+MAC = np.dtype([
+    ("rank", "i4"), ("n_draws", "u4"),
+    ("armed_ns", "i8"), ("gate_ns", "i8"), ("gap_ns", "i8"), ("gated", "u1"),
+    ("since_ns", "i8", N_ACCESS), ("slots", "i4", N_ACCESS),
+    ("head", "i4", N_ACCESS), ("tail", "i4", N_ACCESS), ("count", "i4", N_ACCESS), ("n_queued", "i4"),
+])  # fmt: skip
+"""The sending half of a radio: four queues with their back-offs."""
+
+PACKET = np.dtype([
+    ("generated_ns", "i8"), ("expires_ns", "i8"), ("airtime_ns", "i8"), ("start_ns", "i8"),
+    ("seq", "u8"), ("tag", "i8"), ("edge", "i8"), ("slot", "i8"),  # first edge, first outcome
+    ("sender", "i4"), ("degree", "i4"), ("payload_bytes", "i4"), ("next", "i4"),
+    ("access", "u1"), ("fate", "u1"),
+])  # fmt: skip
+"""A frame: where it stands in its queue, when it went out, where its outcomes are written."""
+
+
+class Constants(NamedTuple):
+    """Params in linear units."""
+
+    noise_mw: float
+    p_min_mw: float
+    sinr_min: float
+    detectable_mw: float
+    cca_mw: float
+    floor_mw: float
+    curve_a: float  # ln of the error exponent is a - b ln(SINR)
+    curve_b: float
+    sinr_clean: float  # above this a chunk has no errors
+    capture_ratio: float
+    capture_ns: int
+    slot_ns: int
+    eifs_ns: int
+    queue_max: int
+    overhead_bytes: int
+
+
+@njit(cache=True)
+def _push(times, codes, n, t, code):
+    i = n
+    while i > 0:
+        up = (i - 1) >> 1
+        if times[up] < t or (times[up] == t and codes[up] < code):
+            break
+        times[i], codes[i] = times[up], codes[up]
+        i = up
+    times[i], codes[i] = t, code
+    return n + 1
+
+
+@njit(cache=True)
+def _pop(times, codes, n):
+    n -= 1
+    t, code = times[n], codes[n]
+    i = 0
+    while True:
+        down = 2 * i + 1
+        if down >= n:
+            break
+        if down + 1 < n and (
+            times[down + 1] < times[down]
+            or (times[down + 1] == times[down] and codes[down + 1] < codes[down])
+        ):
+            down += 1
+        if t < times[down] or (t == times[down] and code < codes[down]):
+            break
+        times[i], codes[i] = times[down], codes[down]
+        i = down
+    times[i], codes[i] = t, code
+    return n
+
+
+@njit(cache=True)
+def _draw_slots(mac, key, chance, cw):
+    h = mix(mix(mix(chance, _BACKOFF), key), np.uint64(mac.n_draws))
+    mac.n_draws += 1
+    return np.int32(unit(h) * (cw + 1))
+
+
+@njit(cache=True)
+def _elapse(phy, mac, aifs_ns, c, t):
+    """Count back-offs down over the idle time until `t`."""
+    free_ns = max(phy.idle_ns, phy.eifs_ns)
+    phy.active = mac.n_queued > 0
+    for a in range(N_ACCESS):
+        if mac.slots[a] > 0:
+            start = max(free_ns + aifs_ns[a], mac.since_ns[a])
+            if t > start:
+                k = min((t - start) // c.slot_ns, mac.slots[a])
+                mac.slots[a] -= k
+                mac.since_ns[a] = start + k * c.slot_ns
+            if mac.slots[a] > 0:
+                phy.active = 1
+
+
+@njit(cache=True, inline="always")
+def _go_busy(phy, mac, aifs_ns, c, t):
+    if phy.busy == 0:
+        phy.busy = 1
+        phy.busy_since_ns = t
+        if phy.active:
+            _elapse(phy, mac, aifs_ns, c, t)
+
+
+@njit(cache=True)
+def _access_ns(phy, mac, aifs_ns, c, a):
+    return max(max(phy.idle_ns, phy.eifs_ns) + aifs_ns[a], mac.since_ns[a]) + mac.slots[a] * c.slot_ns
+
+
+@njit(cache=True)
+def _arm(phy, mac, aifs_ns, c, times, codes, n):
+    """Schedule the radio's next access, if it has something to send and may."""
+    if mac.n_queued == 0 or mac.gated or phy.busy:
+        return n
+    soonest = NEVER
+    for a in range(N_ACCESS):
+        if mac.count[a] > 0:
+            soonest = min(soonest, _access_ns(phy, mac, aifs_ns, c, a))
+    if soonest < mac.armed_ns:  # an earlier event looks again when it fires
+        mac.armed_ns = soonest
+        n = _push(times, codes, n, soonest, (_ACCESS << 32) | mac.rank)
+    return n
+
+
+@njit(cache=True, inline="always")
+def _go_idle(phy, mac, aifs_ns, c, times, codes, n, t):
+    phy.busy = 0
+    phy.idle_ns = t
+    phy.busy_ns += t - phy.busy_since_ns
+    if phy.active:
+        n = _arm(phy, mac, aifs_ns, c, times, codes, n)
+    return n
+
+
+@njit(cache=True)
+def _request(phy, mac, aifs_ns, cw, c, chance, t, a):
+    """A queue that was empty asks for the medium: at once if idle, else after a back-off."""
+    if phy.busy:
+        if mac.slots[a] == 0:
+            mac.slots[a] = _draw_slots(mac, phy.key, chance, cw[a])
+    else:
+        _elapse(phy, mac, aifs_ns, c, t)
+        if mac.slots[a] == 0:
+            mac.since_ns[a] = t + aifs_ns[a]
+    phy.active = 1
+
+
+@njit(cache=True, inline="always")
+def _close(phy, radios, packets, c, t):
+    """Judge the payload received since the last change of interference."""
+    if t > phy.chunk_ns:
+        if phy.n_air > 1:
+            phy.hurt = 1
+        unwanted_mw = c.noise_mw + max(phy.energy_mw - phy.frame_mw, 0.0)
+        if phy.frame_mw < c.sinr_clean * unwanted_mw:
+            p = packets[radios[phy.frame_from].packet]
+            share = (t - phy.chunk_ns) / (p.airtime_ns - HEADER_NS)
+            error = np.exp(c.curve_a - c.curve_b * np.log(phy.frame_mw / unwanted_mw))
+            phy.log_psr -= share * (p.payload_bytes + c.overhead_bytes) / 336.0 * error
+        phy.chunk_ns = t
+
+
+@njit(cache=True, inline="always")
+def _settle(phy, mac, radios, packets, cause, aifs_ns, c, t):
+    """Decide a preamble whose detection time is over: lock, or miss it."""
+    due = phy.frame_ns + PREAMBLE_NS
+    if t < due:
+        return
+    phy.phase = FREE
+    if phy.frame_mw >= c.detectable_mw:
+        if phy.frame_mw >= c.sinr_min * (c.noise_mw + max(phy.energy_mw - phy.frame_mw, 0.0)):
+            phy.phase = LOCKED
+            phy.chunk_ns = phy.frame_ns + HEADER_NS
+            phy.log_psr = 0.0
+            phy.hurt = 0
+        else:
+            cause[_slot(phy, radios, packets)] = COLLISION
+    if phy.phase == LOCKED or phy.energy_mw >= c.cca_mw:
+        _go_busy(phy, mac, aifs_ns, c, due)
+
+
+@njit(cache=True, inline="always")
+def _slot(phy, radios, packets):
+    """Where the fate of the frame at hand is written."""
+    return packets[radios[phy.frame_from].packet].slot + phy.frame_edge
+
+
+@njit(cache=True)
+def _start(radios, macs, s, packet, packets, edges, cause, receiver, aifs_ns, quantiles, c, chance, t):
+    """A frame goes on the air: what each neighbour's receiver makes of its first microseconds."""
+    ear = radios[s]
+    if ear.phase == DETECTING and ear.frame_mw >= c.detectable_mw:
+        cause[_slot(ear, radios, packets)] = HALF_DUPLEX
+    ear.phase = FREE
+    _go_busy(ear, macs[s], aifs_ns, c, t)
+    ear.packet = packet
+    frame = packets[packet]
+    frame.start_ns = t
+    frame.fate = RECEIVED
+    prefix = mix(mix(chance, ear.key), frame.seq)
+    edge_receiver, edge_mw, edge_fading, arrival_mw = edges
+    first, slot = frame.edge, frame.slot
+    for k in range(frame.degree):
+        e = first + k
+        j = edge_receiver[e]
+        phy = radios[j]
+        h = mix(prefix, phy.key)
+        mean_mw = edge_mw[e]
+        power = np.float64(mean_mw * quantiles[edge_fading[e], np.int64(h >> _TO_QUANTILE)])
+        receiver[slot + k] = j
+        detectable = power >= c.detectable_mw
+        fate = BUSY if detectable else FADING if mean_mw >= c.detectable_mw else RANGE
+        if power < c.floor_mw:
+            arrival_mw[e] = 0.0
+            cause[slot + k] = fate
+            continue
+        arrival_mw[e] = power
+        if phy.phase == DETECTING:
+            _settle(phy, macs[j], radios, packets, cause, aifs_ns, c, t)
+        if phy.phase == LOCKED:
+            _close(phy, radios, packets, c, t)
+            if detectable and t - phy.frame_ns <= c.capture_ns and power > c.capture_ratio * phy.frame_mw:
+                cause[_slot(phy, radios, packets)] = COLLISION
+                phy.phase = FREE
+        phy.energy_mw += power
+        phy.n_air += 1
+        if power >= c.cca_mw:
+            if phy.n_strong == 0:
+                phy.strong_since_ns = t
+            phy.n_strong += 1
+        if phy.packet != NOBODY:
+            if detectable:
+                fate = HALF_DUPLEX
+        elif phy.phase == FREE or (phy.phase == DETECTING and power > phy.frame_mw):
+            # A weak frame matters only where it tips carrier sense.
+            if detectable or (phy.phase == FREE and phy.busy == 0 and phy.energy_mw >= c.cca_mw):
+                if phy.phase == DETECTING and phy.frame_mw >= c.detectable_mw:
+                    cause[_slot(phy, radios, packets)] = BUSY
+                phy.phase = DETECTING
+                phy.frame_from = s
+                phy.frame_edge = k
+                phy.frame_mw = power
+                phy.frame_ns = t
+        cause[slot + k] = fate
+
+
+@njit(cache=True)
+def _end(radios, macs, s, packets, edges, cause, aifs_ns, cw, c, chance, times, codes, n, t):
+    """A frame leaves the air: payloads are decided, media fall idle."""
+    ear, mouth = radios[s], macs[s]
+    frame = packets[ear.packet]
+    prefix = mix(mix(chance, ear.key), frame.seq)
+    edge_receiver, _, _, arrival_mw = edges
+    first, slot = frame.edge, frame.slot
+    for k in range(frame.degree):
+        power = np.float64(arrival_mw[first + k])
+        if power == 0.0:
+            continue
+        j = edge_receiver[first + k]
+        phy = radios[j]
+        if phy.phase == DETECTING:
+            _settle(phy, macs[j], radios, packets, cause, aifs_ns, c, t)
+        if phy.phase == LOCKED:
+            _close(phy, radios, packets, c, t)
+            if phy.frame_from == s:
+                phy.phase = FREE
+                h = mix(mix(prefix, phy.key), _PAYLOAD)
+                if phy.log_psr == 0.0 or unit(h) < np.exp(phy.log_psr):
+                    cause[slot + k] = RECEIVED
+                    phy.eifs_ns = 0
+                else:
+                    cause[slot + k] = COLLISION if phy.hurt else FADING
+                    phy.eifs_ns = t + c.eifs_ns
+        phy.n_air -= 1
+        phy.energy_mw = phy.energy_mw - power if phy.n_air > 0 else 0.0
+        if power >= c.cca_mw:
+            phy.n_strong -= 1
+            if phy.n_strong == 0:
+                phy.strong_ns += t - phy.strong_since_ns
+        if phy.busy and phy.phase != LOCKED and phy.packet == NOBODY and phy.energy_mw < c.cca_mw:
+            n = _go_idle(phy, macs[j], aifs_ns, c, times, codes, n, t)
+    ear.packet = NOBODY
+    a = frame.access
+    mouth.slots[a] = _draw_slots(mouth, ear.key, chance, cw[a])
+    mouth.since_ns[a] = t
+    ear.active = 1
+    if mouth.gap_ns > 0:
+        mouth.gate_ns = t + mouth.gap_ns
+        if mouth.n_queued > 0:
+            mouth.gated = 1
+            n = _push(times, codes, n, mouth.gate_ns, (_GATE << 32) | mouth.rank)
+    if ear.energy_mw < c.cca_mw:
+        n = _go_idle(ear, mouth, aifs_ns, c, times, codes, n, t)
+    return n
+
+
+@njit(cache=True)
+def _take(mac, packets, a, t):
+    """Next packet of a queue that is still alive; expired ones are dropped on the way."""
+    while mac.count[a] > 0:
+        p = mac.head[a]
+        mac.head[a] = packets[p].next
+        mac.count[a] -= 1
+        mac.n_queued -= 1
+        if packets[p].expires_ns >= t:
+            return p
+        packets[p].fate = EXPIRED
+    return NOBODY
+
+
+@njit(cache=True)
+def run_until(
+    until_ns, radios, macs, row_of_rank, packets, n_carried, edges, cause, receiver,
+    aifs_ns, cw, quantiles, c, chance, times, codes,
+):  # fmt: skip
+    """Play all events before `until_ns`. Packets beyond the first `n_carried` are new, sorted by generation."""
+    n = 0
+    for j in range(len(radios)):
+        mac = macs[j]
+        if radios[j].packet != NOBODY:
+            p = packets[radios[j].packet]
+            n = _push(times, codes, n, p.start_ns + p.airtime_ns, (_END << 32) | mac.rank)
+        if mac.armed_ns != NEVER:
+            n = _push(times, codes, n, mac.armed_ns, (_ACCESS << 32) | mac.rank)
+        if mac.gated:
+            n = _push(times, codes, n, mac.gate_ns, (_GATE << 32) | mac.rank)
+    new = n_carried
+    while True:
+        t, code = (times[0], codes[0]) if n > 0 else (NEVER, 0)
+        if new < len(packets):
+            frame = packets[new]
+            generate = (_GENERATE << 32) | macs[frame.sender].rank
+            if frame.generated_ns < t or (frame.generated_ns == t and generate < code):
+                t, code = frame.generated_ns, generate
+        if t >= until_ns:
+            break
+        kind, j = code >> 32, row_of_rank[code & 0xFFFFFFFF]
+        phy, mac = radios[j], macs[j]
+        if phy.phase == DETECTING:
+            _settle(phy, mac, radios, packets, cause, aifs_ns, c, t)
+        if kind == _GENERATE:
+            a = packets[new].access
+            if mac.count[a] >= c.queue_max:
+                packets[new].fate = QUEUE
+            else:
+                if mac.count[a] == 0:
+                    mac.head[a] = new
+                else:
+                    packets[mac.tail[a]].next = new
+                mac.tail[a] = new
+                mac.count[a] += 1
+                mac.n_queued += 1
+                if mac.gap_ns > 0 and t < mac.gate_ns:
+                    if mac.gated == 0:
+                        mac.gated = 1
+                        n = _push(times, codes, n, mac.gate_ns, (_GATE << 32) | mac.rank)
+                elif mac.count[a] == 1:
+                    _request(phy, mac, aifs_ns, cw, c, chance, t, a)
+                    n = _arm(phy, mac, aifs_ns, c, times, codes, n)
+            new += 1
+            continue
+        n = _pop(times, codes, n)
+        if kind == _END:
+            n = _end(radios, macs, j, packets, edges, cause, aifs_ns, cw, c, chance, times, codes, n, t)
+        elif kind == _GATE:
+            mac.gated = 0
+            for a in range(N_ACCESS):
+                if mac.count[a] > 0:
+                    _request(phy, mac, aifs_ns, cw, c, chance, t, a)
+            n = _arm(phy, mac, aifs_ns, c, times, codes, n)
+        elif t == mac.armed_ns:
+            mac.armed_ns = NEVER
+            if phy.busy:
+                continue
+            winner = NOBODY
+            for a in range(N_ACCESS):
+                if mac.count[a] > 0 and _access_ns(phy, mac, aifs_ns, c, a) <= t:
+                    if winner == NOBODY:
+                        winner = _take(mac, packets, a, t)
+                    else:  # two queues of one radio collide: the lower one backs off
+                        mac.slots[a] = _draw_slots(mac, phy.key, chance, cw[a])
+                        mac.since_ns[a] = t
+            if winner == NOBODY:
+                n = _arm(phy, mac, aifs_ns, c, times, codes, n)
+            else:
+                frame = packets[winner]
+                _start(
+                    radios, macs, j, winner, packets, edges, cause, receiver, aifs_ns, quantiles, c, chance, t
+                )
+                n = _push(times, codes, n, t + frame.airtime_ns, (_END << 32) | mac.rank)
+    for j in range(len(radios)):
+        phy, mac = radios[j], macs[j]
+        if phy.phase == DETECTING:
+            _settle(phy, mac, radios, packets, cause, aifs_ns, c, until_ns)
+        if phy.busy:
+            phy.busy_ns += until_ns - phy.busy_since_ns
+            phy.busy_since_ns = until_ns
+        if phy.n_strong > 0:
+            phy.strong_ns += until_ns - phy.strong_since_ns
+            phy.strong_since_ns = until_ns

@@ -1,0 +1,82 @@
+"""What is perceived and said in one step."""
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+from jaxtyping import Bool, Float, Int, UInt8
+from numpy import ndarray
+
+from sensors.boxes import Boxes
+
+SENSED, SELF, FABRICATED = range(3)
+ORIGINS = ("sensed", "self", "fabricated")
+"""Where a detection comes from, by code: the detector, the vehicle's own pose, an invention."""
+
+
+@dataclass(frozen=True, slots=True)
+class Detections:
+    """D detections of one step, world frame, sorted by (observer, k): the key for life with the step.
+
+    `observer` is a row of the step's world. k = 0 is the self report, then what the detector found, then
+    inventions. A detection with `said` false is kept to itself; a fabricated one nobody believes in, not even
+    its author.
+    """
+
+    observer: Int[ndarray, "d"]
+    k: Int[ndarray, "d"]
+    label: UInt8[ndarray, "d"]
+    boxes: Boxes
+    score: Float[ndarray, "d"]
+    n_points: Int[ndarray, "d"]
+    origin: UInt8[ndarray, "d"]
+    said: Bool[ndarray, "d"]
+
+    def __len__(self) -> int:
+        return len(self.observer)
+
+    def take(self, rows: ndarray) -> "Detections":
+        """These rows, in this order."""
+        return Detections(**{
+            f.name: column.take(rows) if isinstance(column := getattr(self, f.name), Boxes) else column[rows]
+            for f in fields(self)
+        })  # fmt: skip
+
+    @staticmethod
+    def concat(parts: list["Detections"]) -> "Detections":
+        """All rows of all parts, sorted by key; with the order as second answer see `order_of`."""
+        joined = Detections(**{
+            f.name: Boxes.concat([p.boxes for p in parts]) if f.name == "boxes"
+            else np.concatenate([getattr(p, f.name) for p in parts])
+            for f in fields(Detections)
+        })  # fmt: skip
+        return joined.take(np.lexsort((joined.k, joined.observer)))
+
+
+def detections_bytes(n_objects: Int[ndarray, "n"]) -> Int[ndarray, "n"]:
+    """Length of a detection message, as a collective perception message [B].
+
+    GeoNetworking and BTP 44, signature and digest 96, header 37, one sensor 9, and 29 per object, as in Artery's
+    model of ETSI TS 103 324.
+    """
+    return 44 + 96 + 37 + 9 + 29 * n_objects
+
+
+def verdicts_bytes(n_verdicts: Int[ndarray, "n"]) -> Int[ndarray, "n"]:
+    """Length of a message of verdicts, our own format [B].
+
+    The same envelope, a header of 16, and 12 per verdict: vehicle 4, detection 2, e 1, visibility 1, time 2, flags 2.
+    """
+    return 44 + 96 + 16 + 12 * n_verdicts
+
+
+def ptr_of(sorted_rows: Int[ndarray, "m"], n: int) -> Int[ndarray, "n+1"]:
+    """Where the rows of each of `n` owners begin in an array sorted by owner."""
+    return np.searchsorted(sorted_rows, np.arange(n + 1)).astype(np.int64)
+
+
+def expand(starts: Int[ndarray, "m"], stops: Int[ndarray, "m"]) -> tuple[ndarray, ndarray]:
+    """All integers of the ranges [start, stop), range after range, and the range of each."""
+    counts = stops - starts
+    which = np.repeat(np.arange(len(starts)), counts)
+    offset = np.arange(len(which)) - np.repeat(np.cumsum(counts) - counts, counts)
+    return starts[which] + offset, which

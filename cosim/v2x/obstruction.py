@@ -1,0 +1,289 @@
+"""Line of sight by buildings: which straight lines between antennas no wall cuts.
+
+A ray is marched through a grid that knows how far the next wall may be, and tested exactly against the walls of
+the cells where there are some. The answer for two places never changes, so it can be remembered: `Sight` keeps
+what it has seen in a table of fixed size, and a forgotten answer is found again.
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from numba import njit
+from numpy import ndarray
+from scipy.ndimage import distance_transform_cdt
+
+from cosim.rng import mix
+
+_SLACK_M = 1e-6
+"""Walls are filed under every cell within this distance, so that rounding never loses one."""
+
+
+class Grid(NamedTuple):
+    """Walls by cell."""
+
+    low: Float[ndarray, "2"]
+    cell_m: float
+    step: Int[ndarray, "nx ny"]  # cells to the nearest one with a wall; 0 where there is one
+    ptr: Int[ndarray, "cells+1"]
+    wall: Int[ndarray, "m"]
+    house_ptr: Int[ndarray, "cells+1"]
+    house: Int[ndarray, "k"]
+
+
+@njit(cache=True)
+def _file(low, cell_m, shape, first, second, fill, ptr, out):
+    """List every segment under every cell that it touches (boxes first, then the separating axis)."""
+    for w in range(first.shape[0]):
+        x0, y0, x1, y1 = first[w, 0], first[w, 1], second[w, 0], second[w, 1]
+        i0 = max(int((min(x0, x1) - _SLACK_M - low[0]) / cell_m), 0)
+        i1 = min(int((max(x0, x1) + _SLACK_M - low[0]) / cell_m), shape[0] - 1)
+        j0 = max(int((min(y0, y1) - _SLACK_M - low[1]) / cell_m), 0)
+        j1 = min(int((max(y0, y1) + _SLACK_M - low[1]) / cell_m), shape[1] - 1)
+        nx, ny = y0 - y1, x1 - x0
+        reach = (0.5 * cell_m + _SLACK_M) * (abs(nx) + abs(ny))
+        for i in range(i0, i1 + 1):
+            for j in range(j0, j1 + 1):
+                cx, cy = low[0] + (i + 0.5) * cell_m, low[1] + (j + 0.5) * cell_m
+                if abs(nx * (cx - x0) + ny * (cy - y0)) <= reach:
+                    cell = i * shape[1] + j
+                    if fill:
+                        out[ptr[cell]] = w
+                    ptr[cell] += 1
+
+
+def _by_cell(low: ndarray, cell_m: float, shape: tuple[int, int], a: ndarray, b: ndarray) -> tuple[ndarray, ndarray]:
+    count = np.zeros(shape[0] * shape[1] + 1, np.int64)
+    _file(low, cell_m, shape, a, b, False, count, np.zeros(0, np.int32))
+    ptr = np.concatenate([[0], np.cumsum(count[:-1])])
+    out = np.empty(ptr[-1], np.int32)
+    _file(low, cell_m, shape, a, b, True, ptr.copy(), out)
+    return ptr, out
+
+
+@njit(cache=True)
+def _inside(xyz, grid, walls, spans, low_z, high_z):
+    """Whether each point is inside a building (even-odd over its rings)."""
+    out = np.zeros(xyz.shape[0], np.bool_)
+    nx, ny = grid.step.shape
+    for p in range(xyz.shape[0]):
+        x, y, z = xyz[p]
+        i, j = int((x - grid.low[0]) // grid.cell_m), int((y - grid.low[1]) // grid.cell_m)
+        if i < 0 or j < 0 or i >= nx or j >= ny:
+            continue
+        cell = i * ny + j
+        for h in range(grid.house_ptr[cell], grid.house_ptr[cell + 1]):
+            house = grid.house[h]
+            if z < low_z[house] or z > high_z[house]:
+                continue
+            odd = False
+            for w in range(spans[house], spans[house + 1]):
+                x0, y0, x1, y1 = walls[w, 0], walls[w, 1], walls[w, 2], walls[w, 3]
+                if (y0 > y) != (y1 > y) and x < x0 + (y - y0) / (y1 - y0) * (x1 - x0):
+                    odd = not odd
+            if odd:
+                out[p] = True
+                break
+    return out
+
+
+@njit(cache=True)
+def _cut(a, b, grid, walls):
+    """Whether a wall cuts the segment between two points outside of all buildings."""
+    dx, dy, dz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+    nx, ny = grid.step.shape
+    cell_m = grid.cell_m
+    inv = 1.0 / cell_m
+    u, v = (a[0] - grid.low[0]) * inv, (a[1] - grid.low[1]) * inv  # in cells
+    du, dv = dx * inv, dy * inv
+    inv_u = 1.0 / du if du != 0.0 else np.inf
+    inv_v = 1.0 / dv if dv != 0.0 else np.inf
+    # Only the part of the segment over the grid.
+    t, stop = 0.0, 1.0
+    for start, delta, high in ((u, du, float(nx)), (v, dv, float(ny))):
+        if delta == 0.0:
+            if start < 0.0 or start >= high:
+                return False
+        else:
+            near, far = -start / delta, (high - start) / delta
+            t, stop = max(t, min(near, far)), min(stop, max(near, far))
+    while t < stop:
+        i = min(max(int(u + t * du), 0), nx - 1)
+        j = min(max(int(v + t * dv), 0), ny - 1)
+        step = grid.step[i, j]
+        if step == 0:
+            cell = i * ny + j
+            for k in range(grid.ptr[cell], grid.ptr[cell + 1]):
+                w = grid.wall[k]
+                ex, ey = walls[w, 2] - walls[w, 0], walls[w, 3] - walls[w, 1]
+                fx, fy = walls[w, 0] - a[0], walls[w, 1] - a[1]
+                det = dx * ey - dy * ex
+                s = fx * ey - fy * ex  # along the ray, times det
+                r = fx * dy - fy * dx  # along the wall, times det
+                if det < 0.0:
+                    det, s, r = -det, -s, -r
+                if det > 0.0 and 0.0 <= s <= det and 0.0 <= r <= det:
+                    z = a[2] + s / det * dz
+                    if walls[w, 4] <= z <= walls[w, 5]:
+                        return True
+            step = 1
+        # Leave the square of cells of which nothing is closer than `step` cells.
+        edge_u = i + step if du > 0.0 else i + 1 - step
+        edge_v = j + step if dv > 0.0 else j + 1 - step
+        t_u = (edge_u - u) * inv_u if du != 0.0 else np.inf
+        t_v = (edge_v - v) * inv_v if dv != 0.0 else np.inf
+        t = max(t, min(t_u, t_v)) + 1e-12
+    return False
+
+
+@njit(cache=True)
+def _clear(xyz, indoors, a, b, grid, walls, out):
+    for m in range(len(a)):
+        p, q = a[m], b[m]
+        out[m] = not (indoors[p] or indoors[q] or _cut(xyz[p], xyz[q], grid, walls))
+
+
+@njit(cache=True)
+def _clear_remembered(xyz, indoors, place, a, b, grid, walls, memo, out):
+    mask = np.uint64(memo.shape[0] - 1)
+    for m in range(len(a)):
+        p, q = a[m], b[m]
+        if indoors[p] or indoors[q]:
+            out[m] = False
+            continue
+        if place[p] > place[q]:
+            p, q = q, p
+        slot = memo[np.int64(mix(place[p], place[q]) & mask)]
+        known = (place[p] << np.uint64(1)) | np.uint64(1)
+        if slot[0] == known and (slot[1] >> np.uint64(1)) == place[q]:
+            out[m] = slot[1] & np.uint64(1)
+        else:
+            out[m] = not _cut(xyz[p], xyz[q], grid, walls)
+            slot[0] = known
+            slot[1] = (place[q] << np.uint64(1)) | np.uint64(out[m])
+
+
+@dataclass(frozen=True, slots=True)
+class Walls:
+    """The buildings of a city as walls in a grid. Made by `Walls.of`."""
+
+    grid: Grid
+    walls: Float[ndarray, "w 6"]
+    """x, y of both ends, base and top [m]."""
+    spans: Int[ndarray, "h+1"]
+    """Where each building's walls begin."""
+    base_m: Float[ndarray, "h"]
+    top_m: Float[ndarray, "h"]
+
+    @staticmethod
+    def of(buildings: list[tuple[ndarray, list[ndarray], float, float]], cell_m: float = 5.0) -> "Walls":
+        """Index buildings given as (outer ring, holes, base z, top z); rings (k, 2), closed or not."""
+        if not cell_m > 0:
+            raise ValueError(f"cell_m = {cell_m} m must be positive.")
+        parts: list[ndarray] = []
+        sizes = np.zeros(len(buildings), np.int64)
+        for h, (outer, holes, base, top) in enumerate(buildings):
+            if not top > base:
+                raise ValueError(f"buildings[{h}]: top_z = {top} m is not above base_z = {base} m.")
+            for ring in (outer, *holes):
+                ring = np.asarray(ring, float)
+                if ring.ndim != 2 or ring.shape[1] != 2 or len(ring) < 3 or not np.all(np.isfinite(ring)):
+                    raise ValueError(f"buildings[{h}]: a ring must be (k, 2) finite numbers with k >= 3.")
+                ends = np.roll(ring, -1, axis=0)
+                walls = np.column_stack([ring, ends, np.full(len(ring), base), np.full(len(ring), top)])
+                walls = walls[np.any(ring != ends, axis=1)]
+                parts.append(walls)
+                sizes[h] += len(walls)
+        walls = np.concatenate(parts) if parts else np.zeros((0, 6))
+        spans = np.concatenate([[0], np.cumsum(sizes)])
+        ends = walls[:, :4].reshape(-1, 2)
+        low = ends.min(0) - cell_m if len(ends) else np.zeros(2)
+        high = ends.max(0) + cell_m if len(ends) else np.ones(2)
+        nx, ny = (int(k) for k in np.ceil((high - low) / cell_m))
+        ptr, wall = _by_cell(low, cell_m, (nx, ny), walls[:, :2], walls[:, 2:4])
+        house_ptr, house = _houses(low, cell_m, (nx, ny), walls, spans)
+        empty = (np.diff(ptr) == 0).reshape(nx, ny)
+        step = np.full((nx, ny), 255)
+        if not empty.all():
+            step = np.minimum(distance_transform_cdt(empty, "chessboard"), 255)
+        grid = Grid(low, float(cell_m), step.astype(np.uint8), ptr, wall, house_ptr, house)
+        base_m = np.array([b[2] for b in buildings], float)
+        return Walls(grid, walls, spans, base_m, np.array([b[3] for b in buildings], float))
+
+    def indoors(self, xyz_m: Float[ndarray, "n 3"]) -> Bool[ndarray, "n"]:
+        """Which points are inside a building: no line of sight leaves it."""
+        return _inside(
+            np.ascontiguousarray(xyz_m, float), self.grid, self.walls, self.spans, self.base_m, self.top_m
+        )
+
+    def clear(
+        self, xyz_m: Float[ndarray, "n 3"], a: Int[ndarray, "m"], b: Int[ndarray, "m"]
+    ) -> Bool[ndarray, "m"]:
+        """Which of the lines between antennas `a` and `b` (rows) no building cuts; exact."""
+        xyz_m = np.ascontiguousarray(xyz_m, float)
+        out = np.empty(len(a), np.bool_)
+        _clear(xyz_m, self.indoors(xyz_m), a, b, self.grid, self.walls, out)
+        return out
+
+
+def _houses(
+    low: ndarray, cell_m: float, shape: tuple[int, int], walls: ndarray, spans: ndarray
+) -> tuple[ndarray, ndarray]:
+    """Buildings by the cells that their bounding box touches."""
+    cells, ids = [], []
+    for h in range(len(spans) - 1):
+        ends = walls[spans[h] : spans[h + 1], :4].reshape(-1, 2)
+        if len(ends) == 0:
+            continue
+        i0, j0 = ((ends.min(0) - low) // cell_m).astype(int)
+        i1, j1 = ((ends.max(0) - low) // cell_m).astype(int)
+        i, j = np.meshgrid(np.arange(i0, i1 + 1), np.arange(j0, j1 + 1), indexing="ij")
+        cells.append((i * shape[1] + j).ravel())
+        ids.append(np.full(i.size, h))
+    cell = np.concatenate([*cells, np.zeros(0, np.int64)])
+    order = np.argsort(cell, kind="stable")
+    ptr = np.searchsorted(cell[order], np.arange(shape[0] * shape[1] + 1))
+    return ptr.astype(np.int64), np.concatenate([*ids, np.zeros(0, np.int64)])[order].astype(np.int32)
+
+
+@dataclass(frozen=True, slots=True)
+class Sight:
+    """Walls with a memory: lines of sight between places, antennas moved to the nearest point of a fine grid.
+
+    The answer depends on the two places only, not on what was asked before.
+    """
+
+    walls: Walls
+    snap_m: float
+    """Width of a place [m]; heights are rounded to the same."""
+    memo: ndarray
+
+    @staticmethod
+    def of(walls: Walls, snap_m: float = 0.5, n_remembered: int = 1 << 20) -> "Sight":
+        """A memory for at least `n_remembered` pairs."""
+        if not snap_m > 0:
+            raise ValueError(f"snap_m = {snap_m} m must be positive.")
+        return Sight(walls, snap_m, np.zeros((1 << (n_remembered - 1).bit_length(), 2), np.uint64))
+
+    def clear(
+        self, xyz_m: Float[ndarray, "n 3"], a: Int[ndarray, "m"], b: Int[ndarray, "m"]
+    ) -> Bool[ndarray, "m"]:
+        """Which of the lines between antennas `a` and `b` (rows) no building cuts."""
+        low = np.array([*self.walls.grid.low, 0.0])
+        cell = np.rint((np.asarray(xyz_m, float) - low) / self.snap_m).astype(np.int64)
+        if len(cell) and (np.ptp(cell[:, :2]) >= 1 << 25 or np.abs(cell).max() >= 1 << 25):
+            raise ValueError("antennas lie too far from the buildings to be told apart: check the coordinates.")
+        place = _place(cell)
+        xyz = cell * self.snap_m + low
+        out = np.empty(len(a), np.bool_)
+        _clear_remembered(
+            xyz, self.walls.indoors(xyz), place, a, b, self.walls.grid, self.walls.walls, self.memo, out
+        )
+        return out
+
+
+def _place(cell: Int[ndarray, "n 3"]) -> ndarray:
+    """63-bit name of a place: 25 bits each of x and y, 13 of height."""
+    x, y, z = (cell[:, k].astype(np.uint64) & np.uint64((1 << bits) - 1) for k, bits in ((0, 25), (1, 25), (2, 13)))
+    return (x << np.uint64(38)) | (y << np.uint64(13)) | z

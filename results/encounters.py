@@ -1,0 +1,308 @@
+"""The encounter ledger: meetings of pairs, followed as the simulation runs."""
+
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+import numpy as np
+from annotated_types import Ge, Gt
+from jaxtyping import Bool, Float, Int
+from numpy import ndarray
+
+from results.tables import PAIRS, SOURCES
+
+Rows = dict[str, ndarray]
+"""Columns of the table `encounters`, ready for the recorder."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class EncounterParams:
+    """What counts as a meeting."""
+
+    radius_m: Annotated[float, Gt(0)] = 100.0
+    """Largest distance that counts as contact [m]."""
+    hysteresis_s: Annotated[float, Ge(0)] = 3.0
+    """A break in contact shorter than this does not end an encounter [s]."""
+    pairs: Literal["all", "equipped", "sight"] = "equipped"
+    """Who can meet: all vehicles, equipped pairs, or equipped pairs while they see each other."""
+
+
+_LIVE: dict[str, type] = {
+    "start": np.int32,      # first step in contact
+    "end": np.int32,        # one past the last step in contact
+    "n": np.int32,          # steps in contact
+    "n_los": np.int32,
+    "sum_m": np.float64,
+    "min_m": np.float64,
+    "previous_end": np.int32,
+    "met_before": np.bool_,
+    "censored_left": np.bool_,
+    "entered": np.bool_,
+    **{f"n_{what}_{way}": np.int32 for what in ("messages", "verdicts") for way in ("ab", "ba")},
+    **{f"trust_{way}": np.float32 for way in ("ab", "ba")},
+    **{f"known_{way}": np.bool_ for way in ("ab", "ba")},
+    **{f"source_{way}": np.int8 for way in ("ab", "ba")},
+    **{f"age_{way}_s": np.float32 for way in ("ab", "ba")},
+}  # fmt: skip
+
+_PENDING = 4096
+"""Finished meetings gathered before they join the sorted memory of past ones."""
+
+
+class EncounterLedger:
+    """Encounters of one radius, told step by step; memory grows with pairs on the road, not with time.
+
+    Notes
+    -----
+    Steps are samples: a pair in contact at steps s ... t-1 met for (t - s) * dt_s, an unbiased estimate of
+    the time in continuous contact. A break is the time out of contact between two contacts; if it is
+    shorter than `hysteresis_s` the encounter goes on and the break counts in its duration.
+
+    An encounter under way at the first step told is censored on the left; one not known to be over at
+    `close` is censored on the right (also during a break that may still be bridged), and so lasts at least
+    as long as its duration says. An actor that leaves the simulation ends its encounters: that is
+    no censoring, because nobody is left to meet; `departed` marks them for those who think otherwise.
+    A pair's last meeting is remembered while both are on the road.
+    """
+
+    def __init__(self, params: EncounterParams, dt_s: float) -> None:
+        self.params = params
+        self.dt_s = dt_s
+        # A break of m steps ends the encounter once m * dt_s >= hysteresis_s (but for rounding).
+        self._patience = max(1, int(np.ceil(params.hysteresis_s / dt_s - 1e-9)))
+        self._step: int | None = None
+        self._present = np.zeros(0, np.int64)
+        self._pair = np.zeros(0, np.int64)  # a << 32 | b, sorted
+        self._live: Rows = {name: np.zeros(0, dtype) for name, dtype in _LIVE.items()}
+        self._past = (
+            np.zeros(0, np.int64),
+            np.zeros(0, np.int32),
+        )  # pairs, sorted, and ends of their last meeting
+        self._pending = (np.zeros(0, np.int64), np.zeros(0, np.int32))
+
+    def __len__(self) -> int:
+        """Pairs that are meeting."""
+        return len(self._pair)
+
+    def update(
+        self,
+        step: int,
+        a: Int[ndarray, "n"],
+        b: Int[ndarray, "n"],
+        distance_m: Float[ndarray, "n"],
+        los: Bool[ndarray, "n"],
+        present: Int[ndarray, "m"],
+        equipped: Bool[ndarray, "n"] | None = None,
+    ) -> tuple[Rows, Int[ndarray, "k"]]:
+        """Tell who is near whom.
+
+        Parameters
+        ----------
+        step
+            One more than at the last call.
+        a, b
+            Actor ids, a < b, no pair twice; at least all pairs within the radius.
+        los
+            Whether the two see each other.
+        present
+            Ids of all actors on the road.
+        equipped
+            Whether both are equipped; left out, all pairs given are.
+
+        Returns
+        -------
+        Rows of the encounters now over, and the given pairs (as indices) whose encounter begins.
+        """
+        assert self._step is None or step == self._step + 1, f"step {step} does not follow {self._step}"
+        first = self._step is None
+        contact = distance_m <= self.params.radius_m
+        if self.params.pairs != "all" and equipped is not None:
+            contact &= equipped
+        if self.params.pairs == "sight":
+            contact &= los
+        given = np.flatnonzero(contact)
+        pair = _pair(a[given], b[given])
+        assert (a[given] < b[given]).all(), "pairs must be given as a < b"
+        if (pair[1:] <= pair[:-1]).any():
+            order = np.argsort(pair, kind="stable")
+            given, pair = given[order], pair[order]
+            assert (pair[1:] > pair[:-1]).all(), "a pair is given twice"
+        present = np.sort(np.asarray(present, np.int64))
+        came = np.setdiff1d(present, self._present, assume_unique=True)
+        left = np.setdiff1d(self._present, present, assume_unique=True)
+        self._step, self._present = step, present
+
+        at, meeting = _find(self._pair, pair)
+        live, now = self._live, at[meeting]
+        metres, seen = distance_m[given], los[given]
+        live["end"][now] = step + 1
+        live["n"][now] += 1
+        live["n_los"][now] += seen[meeting]
+        live["sum_m"][now] += metres[meeting]
+        live["min_m"][now] = np.minimum(live["min_m"][now], metres[meeting])
+
+        new = ~meeting
+        gone = self._of_any(left)
+        over = np.flatnonzero(gone | (step + 1 - live["end"] >= self._patience))
+        departed = gone[over] & (live["end"][over] == step)
+        rows = self._rows(over, departed, np.zeros(len(over), bool))
+        self._remember(over)
+        keep = np.ones(len(self._pair), bool)
+        keep[over] = False
+        opened = self._opened(step, pair[new], metres[new], seen[new], came, first)
+        self._merge(keep, pair[new], opened)
+        return rows, given[new]
+
+    def close(self, step: int) -> Rows:
+        """Rows of what is still going on at the end of recording; `step` is one past the last step told."""
+        assert self._step is None or step == self._step + 1, f"step {step} does not follow {self._step}"
+        everyone = np.arange(len(self._pair))
+        rows = self._rows(everyone, np.zeros(len(self), bool), np.ones(len(self), bool))
+        self._merge(np.zeros(len(self), bool), self._pair[:0], {n: v[:0] for n, v in self._live.items()})
+        return rows
+
+    def count_messages(
+        self, sender: Int[ndarray, "n"], receiver: Int[ndarray, "n"], n: Int[ndarray, "n"] | None = None
+    ) -> None:
+        """Add messages received; those of pairs that are not meeting are left out."""
+        self._count("messages", sender, receiver, n)
+
+    def count_verdicts(
+        self, evaluator: Int[ndarray, "n"], observer: Int[ndarray, "n"], n: Int[ndarray, "n"] | None = None
+    ) -> None:
+        """Add verdicts of `evaluator` on detections of `observer`."""
+        self._count("verdicts", evaluator, observer, n)
+
+    def first_contact(
+        self,
+        receiver: Int[ndarray, "n"],
+        subject: Int[ndarray, "n"],
+        trust: Float[ndarray, "n"],
+        source: Int[ndarray, "n"],
+        age_s: Float[ndarray, "n"],
+    ) -> None:
+        """Say what `receiver` would trust `subject` with, for pairs whose encounter has just begun.
+
+        `source` holds codes of `results.tables.SOURCES`; the age of a default is ignored.
+        """
+        at, known, way = self._ordered(receiver, subject)
+        for ab, name in ((True, "ab"), (False, "ba")):
+            rows = known & (way == ab)
+            where = at[rows]
+            self._live[f"known_{name}"][where] = True
+            self._live[f"trust_{name}"][where] = trust[rows]
+            self._live[f"source_{name}"][where] = source[rows]
+            self._live[f"age_{name}_s"][where] = np.where(source[rows] == _DEFAULT, 0, age_s[rows])
+
+    def _count(self, what: str, one: ndarray, other: ndarray, n: ndarray | None) -> None:
+        at, known, way = self._ordered(one, other)
+        for ab, name in ((True, "ab"), (False, "ba")):
+            rows = known & (way == ab)
+            weights = None if n is None else np.asarray(n)[rows]
+            added = np.bincount(at[rows], weights, len(self._pair))
+            self._live[f"n_{what}_{name}"] += added.astype(np.int32)
+
+    def _ordered(self, one: ndarray, other: ndarray) -> tuple[ndarray, ndarray, ndarray]:
+        """Row of each ordered pair, whether it is meeting, and whether it runs from a to b."""
+        at, known = _find(self._pair, _pair(np.minimum(one, other), np.maximum(one, other)))
+        return at, known, np.asarray(one) < np.asarray(other)
+
+    def _of_any(self, actors: Int[ndarray, "m"]) -> Bool[ndarray, "live"]:
+        """Live pairs with one of these actors."""
+        if not len(actors):
+            return np.zeros(len(self._pair), bool)
+        return np.isin(self._pair >> 32, actors) | np.isin(self._pair & 0xFFFFFFFF, actors)
+
+    def _opened(
+        self, step: int, pair: ndarray, metres: ndarray, seen: ndarray, came: ndarray, first: bool
+    ) -> dict[str, ndarray]:
+        """Live columns of encounters that begin now."""
+        opened: Rows = {name: np.zeros(len(pair), dtype) for name, dtype in _LIVE.items()}
+        for past in (self._past, self._pending):  # the later one holds the later meeting
+            at, met = _find(past[0], pair)
+            opened["previous_end"][met] = past[1][at[met]]
+            opened["met_before"] |= met
+        opened["start"][:], opened["end"][:], opened["n"][:] = step, step + 1, 1
+        opened["n_los"][:], opened["sum_m"][:], opened["min_m"][:] = seen, metres, metres
+        opened["censored_left"][:] = first
+        if not first:
+            opened["entered"][:] = np.isin(pair >> 32, came) | np.isin(pair & 0xFFFFFFFF, came)
+        return opened
+
+    def _merge(self, keep: Bool[ndarray, "live"], pair: Int[ndarray, "k"], opened: dict[str, ndarray]) -> None:
+        """Drop encounters that are over, let new ones in, stay sorted."""
+        if keep.all() and not len(pair):
+            return
+        held = self._pair[keep]
+        at = np.searchsorted(held, pair)
+        self._pair = np.insert(held, at, pair)
+        for name, values in self._live.items():
+            self._live[name] = np.insert(values[keep], at, opened[name])
+
+    def _remember(self, over: Int[ndarray, "k"]) -> None:
+        pair, end = _latest(*self._pending, self._pair[over], self._live["end"][over])
+        if len(pair) > _PENDING:
+            pair, end = _latest(*self._past, pair, end)
+            here = np.isin(pair >> 32, self._present) & np.isin(pair & 0xFFFFFFFF, self._present)
+            self._past = (pair[here], end[here])
+            pair, end = pair[:0], end[:0]
+        self._pending = (pair, end)
+
+    def _rows(self, at: ndarray, departed: ndarray, censored_right: ndarray) -> Rows:
+        """Rows of the table `encounters`."""
+        live = {name: values[at] for name, values in self._live.items()}
+        n = len(at)
+        trust: Rows = {}
+        for way in ("ab", "ba"):
+            known = live[f"known_{way}"]
+            trust |= {
+                f"trust_{way}": live[f"trust_{way}"],
+                f"trust_{way}__valid": known,
+                f"source_{way}": live[f"source_{way}"],
+                f"source_{way}__valid": known,
+                f"age_{way}_s": live[f"age_{way}_s"],
+                f"age_{way}_s__valid": known & (live[f"source_{way}"] != _DEFAULT),
+            }
+        return {
+            "a": (self._pair[at] >> 32).astype(np.int32),
+            "b": (self._pair[at] & 0xFFFFFFFF).astype(np.int32),
+            "start_step": live["start"],
+            "radius_m": np.full(n, self.params.radius_m, np.float32),
+            "pairs": np.full(n, PAIRS.index(self.params.pairs), np.int8),
+            "end_step": live["end"],
+            "duration_s": (live["end"] - live["start"]) * self.dt_s,
+            "censored_left": live["censored_left"],
+            "censored_right": censored_right,
+            "entered": live["entered"],
+            "departed": departed,
+            "gap_s": (live["start"] - live["previous_end"]) * self.dt_s,
+            "gap_s__valid": live["met_before"],
+            "min_distance_m": live["min_m"],
+            "mean_distance_m": live["sum_m"] / np.maximum(live["n"], 1),
+            "los_share": live["n_los"] / np.maximum(live["n"], 1),
+            **{f"n_{what}_{way}": live[f"n_{what}_{way}"]
+               for what in ("messages", "verdicts") for way in ("ab", "ba")},
+            **trust,
+        }  # fmt: skip
+
+
+_DEFAULT = SOURCES.index("default")
+
+
+def _pair(a: Int[ndarray, "n"], b: Int[ndarray, "n"]) -> Int[ndarray, "n"]:
+    return (np.asarray(a, np.int64) << 32) | np.asarray(b, np.int64)
+
+
+def _find(held: Int[ndarray, "m"], wanted: Int[ndarray, "n"]) -> tuple[ndarray, ndarray]:
+    """Positions of `wanted` in sorted `held`, and whether they are there."""
+    at = np.searchsorted(held, wanted)
+    if not len(held):
+        return at, np.zeros(len(wanted), bool)
+    return at, held[np.minimum(at, len(held) - 1)] == wanted
+
+
+def _latest(pair: ndarray, end: ndarray, new_pair: ndarray, new_end: ndarray) -> tuple[ndarray, ndarray]:
+    """Both lists in one, sorted; the new one wins."""
+    at, known = _find(pair, new_pair)
+    end = end.copy()
+    end[at[known]] = new_end[known]
+    return np.insert(pair, at[~known], new_pair[~known]), np.insert(end, at[~known], new_end[~known])

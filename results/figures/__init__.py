@@ -1,0 +1,1 @@
+"""Pictures for papers, each drawn from one run or several."""

@@ -1,0 +1,17 @@
+"""All pictures by name."""
+
+from collections.abc import Callable, Mapping
+
+from matplotlib.figure import Figure
+
+from results.figures import contacts, detection, encounters, freshness, map, radio, trust
+
+FIGURES: Mapping[str, Callable[..., Figure]] = {
+    "trust": trust.draw,
+    "encounters": encounters.draw,
+    "freshness": freshness.draw,
+    "radio": radio.draw,
+    "detection": detection.draw,
+    "map": map.draw,
+    "contacts": contacts.draw,
+}

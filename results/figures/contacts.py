@@ -1,0 +1,30 @@
+"""The graph of contacts over time."""
+
+from collections.abc import Sequence
+from typing import Any
+
+from matplotlib.figure import Figure
+
+from results.archive import Run
+from results.figures import style
+from results.metrics import contacts
+
+
+@style.styled
+def draw(runs: Sequence[Run], every_s: float = 10.0, radius_m: float | None = None, pairs: str | None = None) -> Figure:
+    """Mean degree, and share of the largest component, over time."""
+    style.need(runs)
+    figure, (degree, largest) = style.sheet(columns=2, height=3.0)
+    for i, run in enumerate(runs):
+        frame = contacts.over_time(run, every_s, radius_m, pairs)
+        line: dict[str, Any] = {"color": style.ink(i), "linestyle": style.dash(i), "marker": style.marker(i)}
+        degree.plot(frame.time_s, frame.degree_mean, **line, markevery=style.sparse(len(frame)))
+        largest.plot(frame.time_s, frame.largest_share, **line, markevery=style.sparse(len(frame)))
+    style.panel(degree, "Contacts per actor in contact", style.TIME, "Mean degree")
+    style.panel(largest, "Largest component", style.TIME, "Share of actors in contact")
+    degree.set_ylim(bottom=0)
+    style.share_axis(largest)
+    for axes in (degree, largest):
+        axes.set_xlim(left=0)
+    style.legend(figure, style.series_entries(runs))
+    return figure

@@ -1,0 +1,52 @@
+"""What vehicles see and believe: average precision and awareness."""
+
+from collections.abc import Sequence
+from typing import Any
+
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from results.archive import Run
+from results.figures import style
+from results.metrics import detection
+from results.metrics.kitti import LEVELS
+from results.tables import CLASSES
+
+_LISTS = {"local": "own sensor", "fused": "fused"}
+_BROKEN: Any = (0, (4, 2))
+
+
+@style.styled
+def draw(runs: Sequence[Run], max_frames: int = 2000, range_m: float = 70.0) -> Figure:
+    """Average precision by class and level, and the share of actors known by distance: own sensor and fused."""
+    style.need(runs)
+    precisions = [detection.precision(run, max_frames=max_frames) for run in runs]
+    known = [detection.awareness(run, range_m, max_frames=max_frames) for run in runs]
+    met = {label for frame in precisions for label in frame["class"]}
+    rows = [(label, level) for label in CLASSES if label in met for level in LEVELS]
+    figure, (left, right) = style.sheet(columns=2, height=1.6 + 0.21 * len(rows))
+    for i, (precision, aware) in enumerate(zip(precisions, known, strict=True)):
+        offset = 0.0 if len(runs) == 1 else 0.5 * (i / (len(runs) - 1) - 0.5)
+        for which, filled in (("local", False), ("fused", True)):
+            frame = precision[(precision.boxes == which) & (precision.n_truth > 0)]
+            y = [rows.index(row) + offset for row in zip(frame["class"], frame.level, strict=True)]
+            face = style.ink(i) if filled else "white"
+            dots: dict[str, Any] = {"color": style.ink(i), "marker": style.marker(i), "markerfacecolor": face}
+            left.plot(frame.ap40, y, linestyle="", **dots)
+            curve = aware[aware.boxes == which]
+            right.plot(curve.distance_m, curve.share, linestyle="-" if filled else _BROKEN, **dots)
+    style.panel(left, "Average precision", "AP 3D, 40 recall points [%]", "")
+    left.set_yticks(range(len(rows)), [f"{label}, {level}" for label, level in rows])
+    left.set_ylim(len(rows) - 0.5, -0.5)
+    left.set_xlim(-3, 103)
+    for border in range(len(LEVELS), len(rows), len(LEVELS)):
+        left.axhline(border - 0.5, color="#999999", linewidth=0.7)
+    style.panel(right, "Awareness", "Distance [m]", "Share of actors known")
+    style.share_axis(right)
+    right.set_xlim(0, range_m)
+    lists = [
+        Line2D([], [], color="black", marker="o", markerfacecolor=face, linestyle=line, label=_LISTS[which])
+        for which, face, line in (("local", "white", _BROKEN), ("fused", "black", "-"))
+    ]
+    style.legend(figure, lists + style.series_entries(runs, lines=False))
+    return figure

@@ -1,0 +1,43 @@
+"""How long encounters last: survival curves with censoring in mind."""
+
+from collections.abc import Sequence
+
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from results.archive import Run
+from results.figures import style
+from results.metrics import encounters
+from results.tables import axis_label
+
+
+@style.styled
+def draw(runs: Sequence[Run], departure: encounters.Departure = "ends") -> Figure:
+    """Kaplan-Meier curves by radius and pairs, with their 95 % bands; the axis ends where 1 % is left."""
+    style.need(runs)
+    figure, (axes,) = style.sheet()
+    curves = [encounters.survival(run, departure) for run in runs]
+    kinds = sorted({kind for curve in curves for kind in zip(curve.radius_m, curve.pairs, strict=True)})
+    longest_s = 0.0
+    for i, curve in enumerate(curves):
+        for (radius_m, pairs), one in curve.groupby(["radius_m", "pairs"], observed=True):
+            code = kinds.index((radius_m, pairs))
+            axes.plot(
+                one.duration_s, one.survival, drawstyle="steps-post", color=style.ink(code), linestyle=style.dash(i),
+                marker=style.marker(code), markevery=0.08,
+            )  # fmt: skip
+            axes.fill_between(
+                one.duration_s, one.low, one.high, step="post", color=style.ink(code), alpha=0.15, linewidth=0
+            )
+            longest_s = max(longest_s, float(one.duration_s[one.survival >= 0.01].max()))
+    style.panel(
+        axes, "Encounters that last longer", axis_label("encounters", "duration_s", "Duration"), "Share of encounters"
+    )
+    style.share_axis(axes)
+    axes.set_xlim(0, max(longest_s, 1.0) * 1.02)
+    entries = [
+        Line2D([], [], color=style.ink(code), marker=style.marker(code), label=f"{pairs}, within {radius_m:g} m")
+        for code, (radius_m, pairs) in enumerate(kinds)
+    ]
+    style.legend(figure, entries + style.run_entries(runs))
+    return figure

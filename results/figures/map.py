@@ -1,0 +1,67 @@
+"""Where vehicles meet: the city, coloured by encounters."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import pandas as pd
+import pyarrow.compute as pc
+from matplotlib.colors import LogNorm
+from matplotlib.figure import Figure
+
+from results.archive import Run
+from results.figures import style
+from results.metrics import contacts
+
+_MOST = 200_000
+"""Encounters, and poses, that suffice for a picture."""
+
+
+@style.styled
+def draw(runs: Sequence[Run], cell_m: float = 25.0, radius_m: float | None = None, pairs: str | None = None) -> Figure:
+    """Encounters begun per cell and hour, at the middle of the two, over the streets as they were driven."""
+    style.need(runs)
+    begun = [_begun(run, radius_m, pairs) for run in runs]
+    streets = [_streets(run) for run in runs]
+    spans = [np.ptp(street, axis=0) for street in streets]
+    tallest = max(span[1] / max(span[0], 1) for span in spans)
+    width = 5.4 if len(runs) == 1 else 4.0 * len(runs)
+    figure, panels = style.sheet(columns=len(runs), width=width, height=min(max(width / len(runs) * tallest, 2.6), 9))
+    counts = [_cells(points, street, cell_m) for points, street in zip(begun, streets, strict=True)]
+    rates = [count / (run.manifest["steps"] * run.dt_s / 3600) for (count, _, _), run in zip(counts, runs, strict=True)]
+    top = max(rate.max() for rate in rates)
+    norm = LogNorm(min(rate[rate > 0].min() for rate in rates), top)
+    for axes, run_name, street, rate, (_, x, y) in zip(panels, style.names(runs), streets, rates, counts, strict=True):
+        axes.scatter(*street.T, s=0.3, color=style.PALE, linewidths=0, rasterized=True)
+        mesh = axes.pcolormesh(x, y, np.ma.masked_equal(rate, 0).T, norm=norm, cmap="viridis_r", rasterized=True)
+        axes.set_aspect("equal")
+        axes.grid(visible=False)
+        style.panel(axes, run_name if len(runs) > 1 else "Where encounters begin", "East [m]", "North [m]")
+    figure.colorbar(mesh, ax=panels, label=f"Encounters begun per hour in {cell_m:g} m cells", shrink=0.8)
+    return figure
+
+
+def _begun(run: Run, radius_m: float | None, pairs: str | None) -> np.ndarray:
+    """Where encounters begin [n 2]."""
+    frame = contacts.contacts(run, radius_m, pairs)
+    frame = frame.iloc[:: -(-len(frame) // _MOST)]
+    frame = frame.assign(step=np.round(frame.start_s / run.dt_s).astype(np.int32))
+    poses = run.table(
+        "actors", ["step", "actor", "x_m", "y_m"], where=pc.field("step").isin(frame.step.unique().tolist())
+    )
+    poses = poses.set_index(["step", "actor"])
+    one, other = (poses.reindex(pd.MultiIndex.from_frame(frame[["step", who]])).to_numpy() for who in ("a", "b"))
+    return (one + other) / 2
+
+
+def _streets(run: Run) -> np.ndarray:
+    """Places where someone drove or walked [n 2]."""
+    places = np.concatenate([
+        np.unique(np.round(part[["x_m", "y_m"]].to_numpy() / 2), axis=0) for part in run.parts("actors", ["x_m", "y_m"])
+    ])  # fmt: skip
+    return np.unique(places, axis=0) * 2
+
+
+def _cells(points: np.ndarray, street: np.ndarray, cell_m: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    low, high = np.floor(street.min(axis=0) / cell_m), np.ceil(street.max(axis=0) / cell_m) + 1
+    x, y = (np.arange(low[i], high[i] + 1) * cell_m for i in (0, 1))
+    return np.histogram2d(points[:, 0], points[:, 1], (x, y))[0], x, y

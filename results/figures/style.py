@@ -1,0 +1,154 @@
+"""The house style of pictures: legible in print, in greyscale, and side by side."""
+
+from collections.abc import Callable, Sequence
+from functools import wraps
+from pathlib import Path
+from typing import Any, ParamSpec
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from results.archive import Run
+
+TIME = "Time [s]"
+INKS = ("#16325c", "#c4502e", "#4a9a8d", "#e0a52b", "#8c6bb1", "#6f6f6f")
+"""Colours of what is compared within a run; dark to light, so that grey tells them apart too."""
+MARKERS = ("o", "^", "s", "D", "v", "P")
+DASHES: tuple[Any, ...] = ("-", (0, (5, 2)), (0, (1, 1.2)), (0, (5, 1.5, 1, 1.5)), (0, (8, 2)), (0, (3, 1, 1, 1, 1, 1)))
+"""Line styles, one per run."""
+HATCHES = ("", "///", "...", "xx")
+PALE = "#d5d9e0"
+FORMATS = (".png", ".svg", ".pdf")
+
+_HOUSE = {
+    "font.family": "DejaVu Sans",
+    "font.size": 9,
+    "axes.titlesize": 9.5,
+    "axes.titlelocation": "left",
+    "axes.titleweight": "bold",
+    "axes.labelsize": 9,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "axes.edgecolor": "#444444",
+    "axes.linewidth": 0.8,
+    "grid.color": "#e6e6e6",
+    "grid.linewidth": 0.7,
+    "lines.linewidth": 1.6,
+    "lines.markersize": 4.5,
+    "legend.frameon": False,
+    "legend.fontsize": 8.5,
+    "legend.handlelength": 2.8,
+    "xtick.labelsize": 8.5,
+    "ytick.labelsize": 8.5,
+    "hatch.linewidth": 0.6,
+    "svg.hashsalt": "cosim",  # the same picture is the same file
+    "svg.fonttype": "path",
+    "pdf.fonttype": 42,
+}
+
+
+P = ParamSpec("P")
+
+
+def styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
+    """In the house style, whatever the user's own Matplotlib settings are."""
+
+    @wraps(draw)
+    def drawn(*args: P.args, **kwargs: P.kwargs) -> Figure:
+        with mpl.rc_context(_HOUSE):
+            figure = draw(*args, **kwargs)
+            figure.canvas.draw()  # settles the layout while the style holds
+        return figure
+
+    return drawn
+
+
+def sheet(columns: int = 1, rows: int = 1, width: float = 7.2, height: float = 3.6) -> tuple[Figure, list[Axes]]:
+    """An empty figure (inches) and its panels."""
+    figure = Figure(figsize=(width, height), layout="constrained", dpi=150)
+    FigureCanvasAgg(figure)
+    return figure, list(np.ravel(figure.subplots(rows, columns)))
+
+
+def panel(axes: Axes, title: str, x: str, y: str) -> None:
+    axes.set_title(title)
+    axes.set_xlabel(x)
+    axes.set_ylabel(y)
+
+
+def share_axis(axes: Axes, top: float = 1.0) -> None:
+    """A vertical axis from 0 to 1, with room for the line width."""
+    axes.set_ylim(-0.02 * top, 1.03 * top)
+
+
+def legend(figure: Figure, entries: Sequence[Any], columns: int | None = None) -> None:
+    """One legend below all panels."""
+    if entries:
+        figure.legend(handles=list(entries), loc="outside lower center", ncols=columns or min(len(entries), 4))
+
+
+def run_entries(runs: Sequence[Run]) -> list[Line2D]:
+    """Legend entries that name the runs, needed only where there are several."""
+    if len(runs) < 2:
+        return []
+    return [Line2D([], [], color="black", linestyle=dash(i), label=name) for i, name in enumerate(names(runs))]
+
+
+def series_entries(runs: Sequence[Run], lines: bool = True) -> list[Line2D]:
+    """The same where each run has a colour and a marker of its own."""
+    if len(runs) < 2:
+        return []
+    return [
+        Line2D([], [], color=ink(i), marker=marker(i), linestyle=dash(i) if lines else "", label=name)
+        for i, name in enumerate(names(runs))
+    ]
+
+
+def names(runs: Sequence[Run]) -> list[str]:
+    """Names of runs, with the parent folder where two are called the same."""
+    short = [run.name for run in runs]
+    return [
+        name if short.count(name) == 1 else f"{run.path.parent.name}/{name}"
+        for run, name in zip(runs, short, strict=True)
+    ]
+
+
+def dash(i: int) -> Any:
+    return DASHES[i % len(DASHES)]
+
+
+def ink(i: int) -> str:
+    return INKS[i % len(INKS)]
+
+
+def marker(i: int) -> str:
+    return MARKERS[i % len(MARKERS)]
+
+
+def sparse(n: int, about: int = 10) -> int:
+    """Every how many points a marker stands."""
+    return max(1, n // about)
+
+
+def need(runs: Sequence[Run]) -> None:
+    if not runs:
+        raise ValueError("There is no run to draw. Name at least one run folder.")
+
+
+def save(figure: Figure, path: str | Path) -> Path:
+    """Write a picture; the suffix says the format."""
+    path = Path(path)
+    if path.suffix.lower() not in FORMATS:
+        raise ValueError(f"{path} has no picture format. End it in {', '.join(FORMATS)}.")
+    if not path.parent.is_dir():
+        raise ValueError(f"The folder {path.parent} does not exist. Make it first.")
+    metadata = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}.get(path.suffix.lower(), {})
+    with mpl.rc_context(_HOUSE):
+        figure.savefig(path, metadata=metadata)
+    return path

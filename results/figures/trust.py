@@ -1,0 +1,55 @@
+"""Trust over time: median and middle half of the vehicles of each behaviour."""
+
+from collections.abc import Sequence
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from results.archive import Run
+from results.figures import style
+from results.metrics import trust
+from results.tables import BEHAVIOURS, axis_label
+
+
+@style.styled
+def draw(runs: Sequence[Run], vehicles: Sequence[int] = ()) -> Figure:
+    """Median and band of the server's trust by behaviour; `vehicles` are drawn one by one as thin lines."""
+    style.need(runs)
+    figure, (axes,) = style.sheet()
+    shown = set()
+    for i, run in enumerate(runs):
+        for behaviour, spread in trust.over_time(run).groupby("behaviour", observed=True):
+            code = BEHAVIOURS.index(str(behaviour))
+            shown.add(code)
+            if len(runs) == 1:
+                axes.fill_between(spread.time_s, spread.q25, spread.q75, color=style.ink(code), alpha=0.18, linewidth=0)
+            axes.plot(
+                spread.time_s, spread["median"], color=style.ink(code), linestyle=style.dash(i),
+                marker=style.marker(code), markevery=(2 * code, style.sparse(len(spread))),
+            )  # fmt: skip
+        _single(axes, run, vehicles)
+    style.panel(axes, "Trust in vehicles, as the server computes it", style.TIME, axis_label("trust", "trust", "Trust"))
+    style.share_axis(axes)
+    axes.set_xlim(left=0)
+    band = " (median, middle half)" if len(runs) == 1 else " (median)"
+    entries = [
+        Line2D([], [], color=style.ink(code), marker=style.marker(code), label=BEHAVIOURS[code] + band)
+        for code in sorted(shown)
+    ]
+    style.legend(figure, entries + style.run_entries(runs))
+    return figure
+
+
+def _single(axes: Axes, run: Run, vehicles: Sequence[int]) -> None:
+    values = trust.values(run)
+    for vehicle in vehicles:
+        one = values[values.vehicle == vehicle]
+        if one.empty:
+            raise ValueError(f"The server of {run.path} never judged vehicle {vehicle}.")
+        code = BEHAVIOURS.index(one.behaviour.iloc[0])
+        axes.plot(one.time_s, one.trust, color=style.ink(code), linewidth=0.7)
+        axes.annotate(
+            str(vehicle), (one.time_s.iloc[-1], one.trust.iloc[-1]), xytext=(3, 0), textcoords="offset points",
+            fontsize=7, va="center", annotation_clip=False,
+        )  # fmt: skip

@@ -1,0 +1,117 @@
+"""The numbers of a run in one tidy table."""
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import pandas as pd
+
+from results.archive import Run
+from results.metrics import detection, encounters, freshness, radio, trust
+
+Line = tuple[str, str, float, str]
+"""Figure, of what, value, unit."""
+
+
+def measure(run: Run, threshold: float = 0.25, fresh_s: float = 10.0, max_frames: int = 1000) -> pd.DataFrame:
+    """Every figure that the run's record level allows.
+
+    Parameters
+    ----------
+    threshold
+        Trust below which a liar counts as found out.
+    fresh_s
+        Oldest age at which trust counts as fresh.
+    max_frames
+        Sample for detection quality, see `results.metrics.detection.precision`.
+
+    Returns
+    -------
+    topic, figure, of, value, unit. What the run cannot answer has the reason in `of` and no value.
+    """
+    topics: dict[str, Callable[[], Iterator[Line]]] = {
+        "traffic": lambda: _traffic(run),
+        "encounters": lambda: _encounters(run),
+        "trust": lambda: _trust(run, threshold),
+        "freshness": lambda: _freshness(run, fresh_s),
+        "radio": lambda: _radio(run),
+        "detection": lambda: _detection(run, max_frames),
+        "attack": lambda: _attack(run),
+    }
+    rows = []
+    for topic, lines in topics.items():
+        try:
+            rows += [(topic, *line) for line in lines()]
+        except ValueError as reason:
+            rows.append((topic, "not measured", str(reason), np.nan, ""))
+    return pd.DataFrame(rows, columns=["topic", "figure", "of", "value", "unit"])
+
+
+def _traffic(run: Run) -> Iterator[Line]:
+    vehicles = run.vehicles
+    time_s = run.manifest["steps"] * run.dt_s
+    on_road = (vehicles.last_step - vehicles.first_step + 1) * run.dt_s / time_s
+    yield "duration", "", time_s, "s"
+    yield "actors on the road, mean", "all", float(on_road.sum()), ""
+    yield "actors on the road, mean", "equipped", float(on_road[vehicles.equipped].sum()), ""
+    for behaviour, n in run.roles.value_counts().sort_index().items():
+        yield "equipped vehicles", str(behaviour), float(n), ""
+
+
+def _encounters(run: Run) -> Iterator[Line]:
+    for row in encounters.summary(run).itertuples():
+        of = f"{row.pairs}, {row.radius_m:g} m"
+        yield "encounters", of, float(row.n), ""
+        yield "start not seen", of, row.n_start_unseen / row.n, "1"
+        yield "end not seen", of, row.n_end_unseen / row.n, "1"
+        yield "duration, mean", of, row.mean_s, "s"
+        yield "duration, median", of, row.median_s, "s"
+        yield "duration, mean by Kaplan-Meier", of, row.km_mean_s, "s"
+        yield "duration, median by Kaplan-Meier", of, row.km_median_s, "s"
+        yield "pairs that meet again", of, row.again_share, "1"
+
+
+def _trust(run: Run, threshold: float) -> Iterator[Line]:
+    for row in trust.final(run).itertuples():
+        yield "final trust, median", row.behaviour, row.median, "1"
+        yield "final trust, mean", row.behaviour, row.mean, "1"
+    yield "honest above malicious at the end", "", trust.separation(run), "1"
+    for behaviour, delay in trust.detection_delay(run, threshold).groupby("behaviour", observed=True):
+        yield f"found out below {threshold:g}", str(behaviour), float(delay.found.mean()), "1"
+        if delay.found.any():
+            yield "time to be found out, median", str(behaviour), float(delay.delay_s[delay.found].median()), "s"
+
+
+def _freshness(run: Run, fresh_s: float) -> Iterator[Line]:
+    for row in freshness.evidence(run).itertuples():
+        yield "newest evidence, median age", row.behaviour, row.newest_age_s, "s"
+    for row in freshness.shares(run, fresh_s).itertuples():
+        yield f"trust at use (fresh: at most {fresh_s:g} s)", row.state, row.share, "1"
+    for row in freshness.at_use(run).itertuples():
+        if row.source != "default":
+            yield "age at use, mean", row.source, row.mean_s, "s"
+            yield "age at use, peak", row.source, row.peak_s, "s"
+    for row in freshness.without_trust(run).itertuples():
+        yield "encounters over before trust was known", f"{row.radius_m:g} m", row.share, "1"
+
+
+def _radio(run: Run) -> Iterator[Line]:
+    (row,) = radio.overall(run).itertuples()
+    yield "messages sent", "", float(row.n_sent), ""
+    yield "delivery ratio", "", row.delivery_ratio, "1"
+    for name in radio.LOST:
+        yield "lost", name.removeprefix("n_lost_").replace("_", " "), getattr(row, name.replace("n_lost", "lost")), "1"
+
+
+def _detection(run: Run, max_frames: int) -> Iterator[Line]:
+    for row in detection.precision(run, max_frames=max_frames).to_dict("records"):
+        if row["n_truth"]:
+            yield f"AP 3D, 40 points, {row['boxes']}", f"{row['class']}, {row['level']}", row["ap40"], "%"
+    known = detection.awareness(run, max_frames=max_frames).groupby("boxes")[["n_known", "n_present"]].sum()
+    for which, row in known.iterrows():
+        yield "awareness within 70 m", str(which), row.n_known / row.n_present, "1"
+
+
+def _attack(run: Run) -> Iterator[Line]:
+    (row,) = detection.attack_success(run).itertuples()
+    yield "boxes made up", "", float(row.n_fabricated), ""
+    yield "made-up boxes believed by someone", "", row.share, "1"

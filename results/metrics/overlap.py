@@ -1,0 +1,58 @@
+"""Overlap of upright boxes, row by row: exact, by clipping one footprint against the other."""
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+
+def corners(box: Float[ndarray, "n 7"]) -> Float[ndarray, "n 4 2"]:
+    """Footprint corners, counter-clockwise; a box is x, y, z of its centre, length, width, height, yaw."""
+    half = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) / 2
+    local = half * box[:, None, 3:5]
+    cos, sin = np.cos(box[:, 6])[:, None], np.sin(box[:, 6])[:, None]
+    x, y = local[..., 0], local[..., 1]
+    return np.stack([cos * x - sin * y, sin * x + cos * y], axis=-1) + box[:, None, :2]
+
+
+def footprint_overlap(a: Float[ndarray, "n 7"], b: Float[ndarray, "n 7"]) -> Float[ndarray, "n"]:
+    """Area common to two footprints [m2] (Sutherland and Hodgman 1974: clip by one edge after the other)."""
+    shift = np.concatenate([a[:, :2], np.zeros((len(a), 5))], axis=1)  # near the origin, for precision
+    polygon, clip = corners(a - shift), corners(b - shift)
+    for edge in range(4):
+        start, along = clip[:, edge], clip[:, (edge + 1) % 4] - clip[:, edge]
+        following = np.roll(polygon, -1, axis=1)
+        side = _side(polygon, start, along)
+        side_following = np.roll(side, -1, axis=1)
+        crosses = (side >= 0) != (side_following >= 0)
+        part = np.where(crosses, side / np.where(crosses, side - side_following, 1), 0)
+        crossing = polygon + part[..., None] * (following - polygon)
+        n, v, _ = polygon.shape
+        points = np.stack([polygon, crossing], axis=2).reshape(n, 2 * v, 2)
+        kept = np.stack([side >= 0, crosses], axis=2).reshape(n, 2 * v)
+        first = np.argsort(~kept, axis=1, kind="stable")[:, : v + 1]
+        polygon = np.take_along_axis(points, first[..., None], axis=1)
+        filled = np.take_along_axis(kept, first, axis=1)  # what is not filled repeats the first vertex
+        polygon = np.where(filled[..., None], polygon, polygon[:, :1])
+        polygon = np.where(filled[:, :1, None], polygon, 0)
+    x, y = polygon[..., 0], polygon[..., 1]
+    return np.abs((x * np.roll(y, -1, axis=1) - np.roll(x, -1, axis=1) * y).sum(axis=1)) / 2
+
+
+def _side(points: ndarray, start: ndarray, along: ndarray) -> ndarray:
+    """Positive to the left of the directed line."""
+    away = points - start[:, None]
+    return along[:, None, 0] * away[..., 1] - along[:, None, 1] * away[..., 0]
+
+
+def iou_bev(a: Float[ndarray, "n 7"], b: Float[ndarray, "n 7"]) -> Float[ndarray, "n"]:
+    """Intersection over union of footprints, in [0, 1]."""
+    common = footprint_overlap(a, b)
+    return common / (a[:, 3] * a[:, 4] + b[:, 3] * b[:, 4] - common)
+
+
+def iou_3d(a: Float[ndarray, "n 7"], b: Float[ndarray, "n 7"]) -> Float[ndarray, "n"]:
+    """Intersection over union of volumes, in [0, 1]."""
+    top = np.minimum(a[:, 2] + a[:, 5] / 2, b[:, 2] + b[:, 5] / 2)
+    bottom = np.maximum(a[:, 2] - a[:, 5] / 2, b[:, 2] - b[:, 5] / 2)
+    common = footprint_overlap(a, b) * np.maximum(top - bottom, 0)
+    return common / (a[:, 3:6].prod(axis=1) + b[:, 3:6].prod(axis=1) - common)

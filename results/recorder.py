@@ -1,0 +1,247 @@
+"""Writing a run: one Parquet dataset per table, a block of steps at a time."""
+
+import hashlib
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from types import TracebackType
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy import ndarray
+from pandas.util import hash_array
+
+from results.tables import TABLES, Column, Level, kept, schema
+
+VALID = "__valid"
+"""Suffix of the mask that goes with a column that may be null."""
+
+_PART = re.compile(r"part-(\d{5})\.parquet")
+
+
+class Recorder:
+    """Keeps what a run says, table by table, and writes it to disk block by block.
+
+    Block `i` holds what was appended in steps `i * block_steps` up to `(i + 1) * block_steps` and becomes
+    `<folder>/<table>/part-<i>.parquet`, whole or not at all: a crash loses at most the block in memory.
+    A run is resumed at the first step of a block; what was recorded from there on is dropped.
+
+    Parameters
+    ----------
+    folder
+        Run folder; must exist.
+    level
+        Which tables are kept; the others are ignored without being checked.
+    block_steps
+        Steps per block.
+    resume_at
+        First step to come, a multiple of `block_steps`; 0 starts afresh.
+    """
+
+    def __init__(self, folder: Path, level: Level, block_steps: int = 60, resume_at: int = 0) -> None:
+        if block_steps < 1:
+            raise ValueError(f"block_steps = {block_steps}: a block needs at least one step.")
+        if resume_at % block_steps:
+            raise ValueError(
+                f"resume_at = {resume_at} lies inside a block of {block_steps} steps. Resume at step "
+                f"{resume_at - resume_at % block_steps}, where the last whole block ends."
+            )
+        self.folder = Path(folder)
+        self.tables = kept(level)
+        self.block_steps = block_steps
+        self._block = resume_at // block_steps
+        self._rows: dict[str, list[dict[str, ndarray]]] = {name: [] for name in self.tables}
+        for name in self.tables:
+            (self.folder / name).mkdir(exist_ok=True)
+            for part in (self.folder / name).iterdir():
+                numbered = _PART.fullmatch(part.name)
+                if numbered is None or int(numbered[1]) >= self._block:
+                    part.unlink()
+
+    def append(self, table: str, step: int, columns: Mapping[str, ndarray | None]) -> None:
+        """Add rows of one step.
+
+        `columns` maps every column's name to an array; `step` may be left out and is then the argument. A
+        column that may be null is given with a boolean mask `<name>__valid`, or is None where all is null.
+        Categories are labels or integer codes.
+        """
+        if table not in TABLES:
+            raise ValueError(f"There is no table {table!r}. The tables are {', '.join(TABLES)}.")
+        if step // self.block_steps != self._block:
+            assert step >= self._block * self.block_steps, f"step {step} lies in a block that is on disk"
+            self.flush()
+            self._block = step // self.block_steps
+        if table not in self.tables:
+            return
+        rows = _checked(table, step, columns)
+        if len(next(iter(rows.values()))):
+            self._rows[table].append(rows)
+
+    def flush(self) -> None:
+        """Write the block in memory to disk."""
+        for name, rows in self._rows.items():
+            if rows:
+                _write(self.folder / name / f"part-{self._block:05d}.parquet", name, rows)
+                rows.clear()
+
+    def close(self) -> None:
+        """Write what is left."""
+        self.flush()
+
+    def __enter__(self) -> "Recorder":
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+def _checked(table: str, step: int, columns: Mapping[str, ndarray | None]) -> dict[str, ndarray]:
+    """The columns in their stored types, masks included."""
+    known = TABLES[table].columns
+    given = {name.removesuffix(VALID) for name in columns}
+    wanted = set(known) - ({"step"} - set(columns))
+    if given != wanted:
+        extra, missing = sorted(given - wanted), sorted(wanted - given)
+        said = [f"{word} {', '.join(names)}" for word, names in (("unknown", extra), ("missing", missing)) if names]
+        raise ValueError(f"Table {table}: {'; '.join(said)}. The columns are {', '.join(known)}.")
+    n = next((len(values) for values in columns.values() if values is not None), 0)
+    rows: dict[str, ndarray] = {}
+    for name, column in known.items():
+        values = columns.get(name) if name in columns else np.full(n, step, np.int32)
+        valid = columns.get(name + VALID)
+        if values is None:
+            values, valid = np.zeros(n, _dtype(column)), np.zeros(n, bool)
+        values = np.asarray(values)
+        if values.shape != (n,) or (valid is not None and np.shape(valid) != (n,)):
+            raise ValueError(f"{table}.{name} has shape {values.shape}, other columns have {n} rows.")
+        if valid is not None and not column.null:
+            if not np.all(valid):
+                raise ValueError(f"{table}.{name} cannot be null.")
+            valid = None
+        rows[name] = _stored(f"{table}.{name}", column, values, valid)
+        if column.null:
+            rows[name + VALID] = np.ones(n, bool) if valid is None else np.array(valid, bool)
+    return rows
+
+
+def _dtype(column: Column) -> np.dtype:
+    if column.type == "category":
+        return np.dtype(np.int8)
+    return np.dtype(object) if column.type == "string" else np.dtype(column.type)
+
+
+def _stored(name: str, column: Column, values: ndarray, valid: ndarray | None) -> ndarray:
+    """Values cast to the column's type; refuses what would change a value beyond its rounding."""
+    if column.type == "string":
+        return values.astype(object)
+    if column.type == "category" and values.dtype.kind in "OUT":
+        codes = np.full(len(values), -1, np.int8)
+        for code, label in enumerate(column.categories):
+            codes[values == label] = code
+        known = codes >= 0 if valid is None else (codes >= 0) | ~valid
+        if not known.all():
+            raise ValueError(f"{name} = {values[~known][0]!r} is none of {', '.join(column.categories)}.")
+        return codes
+    used = values if valid is None else values[valid]
+    dtype = _dtype(column)
+    if dtype.kind in "iu":
+        if values.dtype.kind not in "iu":
+            raise ValueError(f"{name} has dtype {values.dtype}; whole numbers are wanted.")
+        top = len(column.categories) - 1 if column.categories else np.iinfo(dtype).max
+        bottom = 0 if column.categories else np.iinfo(dtype).min
+        if used.size and not bottom <= int(used.min()) <= int(used.max()) <= top:
+            raise ValueError(f"{name} holds {used.min()} to {used.max()}, outside {bottom} to {top}.")
+    elif dtype.kind == "b":
+        if values.dtype.kind != "b":
+            raise ValueError(f"{name} has dtype {values.dtype}; true or false is wanted.")
+    elif values.dtype.kind not in "fiu" or not np.isfinite(used).all():
+        raise ValueError(f"{name} holds something that is not a finite number.")
+    if valid is not None:
+        values = np.where(valid, values, np.zeros((), values.dtype))
+    if column.bits is not None:
+        values = np.round(np.asarray(values, np.float64) * 2.0**column.bits) * 2.0**-column.bits
+    return values.astype(dtype)
+
+
+def _write(path: Path, table: str, rows: list[dict[str, ndarray]]) -> None:
+    """One part file, sorted by key."""
+    columns = {name: np.concatenate([row[name] for row in rows]) for name in rows[0]}
+    key = [columns[name] for name in TABLES[table].key]
+    order = np.lexsort(key[::-1])
+    same = np.ones(len(order) - 1, bool)
+    for values in key:
+        same &= values[order[1:]] == values[order[:-1]]
+    if same.any():
+        row = order[np.flatnonzero(same)[0]]
+        named = ", ".join(f"{name} = {columns[name][row]}" for name in TABLES[table].key)
+        raise ValueError(f"Table {table} has two rows with {named}.")
+    if (np.diff(order) != 1).any():
+        columns = {name: values[order] for name, values in columns.items()}
+    arrays = []
+    for name, column in TABLES[table].columns.items():
+        mask = ~columns[name + VALID] if column.null else None
+        if column.categories:
+            codes = pa.array(columns[name], pa.int8(), mask=mask)
+            arrays.append(pa.DictionaryArray.from_arrays(codes, list(column.categories)))
+        else:
+            arrays.append(pa.array(columns[name], column.arrow_type, mask=mask))
+    floats = [name for name, column in TABLES[table].columns.items() if column.type == "float32"]
+    partial = path.with_suffix(".partial")
+    pq.write_table(
+        pa.Table.from_arrays(arrays, schema=schema(table)),
+        partial,
+        compression="zstd",
+        use_dictionary=[name for name in TABLES[table].columns if name not in floats],
+        use_byte_stream_split=floats,
+    )
+    partial.replace(path)
+
+
+def fingerprint(folder: Path) -> dict[str, str]:
+    """Hash of what each table says, whatever the order, the blocks and the Parquet bytes it is written in.
+
+    Two runs say the same exactly where their fingerprints are equal.
+    """
+    folder = Path(folder)
+    return {name: _table_hash(name, folder / name) for name in TABLES if (folder / name).is_dir()}
+
+
+def _table_hash(table: str, folder: Path) -> str:
+    """Rows are hashed one by one and summed, so that neither order nor block counts."""
+    totals = np.zeros(2, np.uint64)
+    n = 0
+    for part in sorted(folder.glob("part-*.parquet")):
+        for batch in pq.ParquetFile(part).iter_batches(1 << 20):
+            rows = np.zeros(len(batch), np.uint64)
+            for name, column in TABLES[table].columns.items():
+                rows = _mix(rows ^ _cell_hash(batch.column(name), column))
+            totals += np.array([rows.sum(dtype=np.uint64), _mix(rows).sum(dtype=np.uint64)])
+            n += len(batch)
+    text = f"{schema(table).to_string()} {n} {totals[0]:x} {totals[1]:x}"
+    return hashlib.sha256(text.encode()).hexdigest()[:32]
+
+
+def _cell_hash(cells: pa.Array, column: Column) -> ndarray:
+    valid = cells.is_valid().to_numpy(zero_copy_only=False)
+    if isinstance(cells, pa.DictionaryArray):
+        cells = cells.cast(pa.string())
+    if column.type in ("category", "string"):
+        values = hash_array(cells.fill_null("").to_numpy(zero_copy_only=False), categorize=False)
+    elif column.type == "float32":
+        values = (cells.fill_null(0).to_numpy() + np.float32(0)).view(np.uint32).astype(np.uint64)
+    elif column.type == "bool":
+        values = cells.fill_null(False).to_numpy(zero_copy_only=False).astype(np.uint64)
+    else:
+        values = cells.fill_null(0).to_numpy().astype(np.int64).view(np.uint64)
+    return np.where(valid, _mix(values), np.uint64(1))
+
+
+def _mix(x: ndarray) -> ndarray:
+    """Finaliser of SplitMix64 (Steele, Lea and Flood 2014)."""
+    x = x + np.uint64(0x9E3779B97F4A7C15)
+    x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    x = (x ^ (x >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return x ^ (x >> np.uint64(31))

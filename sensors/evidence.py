@@ -1,0 +1,214 @@
+"""What an observer's own sweep says about a box: could it be seen, was it hit, is there free space instead?"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+from annotated_types import Ge, Gt, Le
+from jaxtyping import Bool, Float, Int, Int32, UInt8
+from numpy import ndarray
+
+from sensors import windows
+from sensors.boxes import Boxes
+from sensors.lidar import Sweeps
+from sensors.near import near
+from sensors.raycast import segment
+from sensors.scene import Scene, prisms
+
+CAR = 0
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class AreaParams:
+    """The neighbourhood that an observer answers for."""
+
+    range_m: Annotated[float, Gt(0)] = 70.0
+    """Distance of the bottom centre [m]."""
+    slack_m: Annotated[float, Ge(0)] = 2.0
+    """Tolerance in range and beside the field of view [m]; 0 is the paper's strict area."""
+    height_m: Annotated[float, Gt(0)] = 3.0
+    """Largest height of the bottom above or below the sensor [m]."""
+    own_radius_m: Annotated[float, Ge(0)] = 1.5
+    """A car this near to the observer's own box is kept outside the field of view: a report about the observer [m]."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class PlausibilityParams:
+    """When free space denies a box."""
+
+    margin_m: Annotated[float, Ge(0)] = 0.25
+    """Returns up to this far behind the bottom centre still count as closer [m]."""
+    min_share: Annotated[float, Ge(0), Le(1)] = 0.1
+    """Share of closer returns that a plausible box exceeds."""
+
+
+def in_area(
+    sweeps: Sweeps,
+    o: Int[ndarray, "n"],
+    boxes: Boxes,
+    params: AreaParams,
+    label: UInt8[ndarray, "n"] | None = None,
+    own: Boxes | None = None,
+) -> Bool[ndarray, "n"]:
+    """Whether each box lies in the area that observer o[k] answers for.
+
+    Parameters
+    ----------
+    label, own
+        Both given: cars within `own_radius_m` of own[k], the box of observer o[k] itself, are exempt from
+        the field of view, as when messages are evaluated.
+
+    Notes
+    -----
+    Area filter of TruPercept: |left| <= forward + slack for its 90 degrees.   Deviations: other fields of view keep
+    the slack beside their edges; 360 degrees have no edge.
+    """
+    sensed = sweeps.poses.to_sensor(o, boxes)
+    keep = _in_view(sensed, sweeps.beams.fov_rad, params)
+    if label is not None and own is not None:
+        apart = sensed.xyz_m - sweeps.poses.to_sensor(o, own).xyz_m
+        apart[:, 2] -= 0.5 * (boxes.lwh_m[:, 2] - own.lwh_m[:, 2])
+        keep |= (label == CAR) & (_norm(apart) <= params.own_radius_m)
+    bottom = _bottom(sensed)
+    return keep & (_norm(bottom) <= params.range_m + params.slack_m) & (np.abs(bottom[:, 2]) <= params.height_m)
+
+
+def _bottom(boxes: Boxes) -> Float[ndarray, "n 3"]:
+    return boxes.xyz_m - np.array([0.0, 0.0, 0.5]) * boxes.lwh_m[:, 2:]
+
+
+def _norm(xyz: Float[ndarray, "n 3"]) -> Float[ndarray, "n"]:
+    return np.sqrt((xyz * xyz).sum(axis=1))
+
+
+def _in_view(sensed: Boxes, fov_rad: float, params: AreaParams) -> Bool[ndarray, "n"]:
+    """Inside the field of view or at most the slack beside it."""
+    forward, left = sensed.xyz_m[:, 0], np.abs(sensed.xyz_m[:, 1])
+    if fov_rad <= np.pi:
+        return (forward >= 0.0) & (left <= forward * np.tan(0.5 * fov_rad) + params.slack_m)
+    return (forward >= 0.0) | (left >= -forward * np.tan(np.pi - 0.5 * fov_rad) - params.slack_m)
+
+
+def points_in_boxes(sweeps: Sweeps, o: Int[ndarray, "n"], boxes: Boxes) -> Int32[ndarray, "n"]:
+    """Returns of observer o[k] strictly inside each box.
+
+    Notes
+    -----
+    p(θ) of TruPercept, which visibility is a function of.   Deviations: none; the range image is looked at only in
+    the window that the box fills.
+    """
+    sensed = sweeps.poses.to_sensor(o, boxes)
+    return windows.points_in_boxes(sweeps.range_m, sweeps.beams, o, sensed.xyz_m, sensed.lwh_m, sensed.yaw_rad)
+
+
+def plausible(
+    sweeps: Sweeps,
+    o: Int[ndarray, "n"],
+    boxes: Boxes,
+    area: AreaParams = AreaParams(),  # noqa: B008 (frozen)
+    params: PlausibilityParams = PlausibilityParams(),  # noqa: B008 (frozen)
+) -> Bool[ndarray, "n"]:
+    """Whether the sweep of observer o[k] allows that something stands in each box.
+
+    Notes
+    -----
+    Plausibility check of TruPercept: false if no return lies in a narrow pyramid through the middle of the box, or
+    at most 10 % of those that do are nearer than the box; true where the observer cannot tell (outside its area or
+    field of view, or the box centre above the sensor).   Deviations: follows the code where the paper is silent
+    (early exits, bottom centre as distance, margin, empty pyramid); the sensor stands for the camera, and the field
+    of view is the sensor's.
+    """
+    sensed = sweeps.poses.to_sensor(o, boxes)
+    asked = tellable(sensed, sweeps.beams.fov_rad, area)
+    verdict = np.ones(len(boxes), bool)
+    xyz = sensed.xyz_m[asked]
+    corners, planes, distance = windows.frustum(xyz, sensed.lwh_m[asked])
+    seen, closer = windows.free_space(
+        sweeps.range_m, sweeps.beams, np.asarray(o)[asked], xyz, corners, planes, distance, params.margin_m
+    )
+    verdict[asked] = closer > params.min_share * seen
+    return verdict
+
+
+def tellable(sensed: Boxes, fov_rad: float, area: AreaParams) -> Bool[ndarray, "n"]:
+    """Whether the free-space test applies to each box (sensor frame)."""
+    bottom = _bottom(sensed)
+    distance = _norm(bottom)
+    forward, left = sensed.xyz_m[:, 0], np.abs(sensed.xyz_m[:, 1])
+    if fov_rad <= np.pi:
+        seen = (forward >= 0.0) & (left <= forward * np.tan(0.5 * fov_rad))
+    else:
+        seen = (forward >= 0.0) | (left >= -forward * np.tan(np.pi - 0.5 * fov_rad))
+    near_enough = (distance < area.range_m) & (np.abs(bottom[:, 2]) <= area.height_m)
+    return seen & near_enough & (sensed.xyz_m[:, 2] <= 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Sightings:
+    """Which actors each observer could have seen, and how much of them it did; sorted by (o, actor)."""
+
+    o: Int32[ndarray, "s"]
+    """Observer (index of the sweep)."""
+    actor: Int32[ndarray, "s"]
+    """Actor row."""
+    n_returns: Int32[ndarray, "s"]
+    n_unoccluded: Int32[ndarray, "s"]
+    """Returns if nothing stood in front; at least 1."""
+    range_m: Float[ndarray, "s"]
+    """Distance from the sensor to the centre of the box [m]."""
+
+    @property
+    def occlusion(self) -> Float[ndarray, "s"]:
+        """Share of the possible returns that something else took, in [0, 1]."""
+        return 1.0 - self.n_returns / self.n_unoccluded
+
+
+def sightings(sweeps: Sweeps, boxes: Boxes, shape: UInt8[ndarray, "n"]) -> Sightings:
+    """Every (observer, actor) with at least one ray that would meet the actor if nothing stood in front."""
+    ptr, row = near(sweeps.poses.origin_m, boxes, sweeps.max_range_m)
+    reach = 0.5 * np.hypot(boxes.lwh_m[:, 0], boxes.lwh_m[:, 1])
+    n_returns, n_alone = windows.returns_alone(
+        sweeps.hit, sweeps.poses.origin_m, sweeps.poses.yaw_rad, sweeps.beams, float(sweeps.max_range_m),
+        boxes.xyz_m, reach, ptr, row, sweeps.observers, prisms(shape, boxes),
+    )  # fmt: skip
+    keep = n_alone > 0
+    o = np.repeat(np.arange(len(ptr) - 1, dtype=np.int32), np.diff(ptr))[keep]
+    actor = row[keep].astype(np.int32)
+    apart = boxes.xyz_m[actor] - sweeps.poses.origin_m[o]
+    return Sightings(o, actor, n_returns[keep], n_alone[keep], _norm(apart))
+
+
+def line_of_sight(
+    scene: Scene,
+    boxes: Boxes,
+    shape: UInt8[ndarray, "n"],
+    a: Int[ndarray, "k"],
+    b: Int[ndarray, "k"],
+    above_roof_m: float = 0.23,
+) -> Bool[ndarray, "k"]:
+    """Whether nothing stands between the roofs of actors a[k] and b[k].
+
+    Parameters
+    ----------
+    above_roof_m
+        Height of both ends over the centre of the roof [m].
+
+    Notes
+    -----
+    Buildings and the bodies of third actors block. Two ends inside one building see each other.
+    """
+    roof = boxes.xyz_m.copy()
+    roof[:, 2] += 0.5 * boxes.lwh_m[:, 2]
+    a, b = np.asarray(a, dtype=np.int64), np.asarray(b, dtype=np.int64)
+    if len(a) == 0:
+        return np.zeros(0, bool)
+    start, end = roof[a], roof[b]
+    start[:, 2] += above_roof_m
+    end[:, 2] += above_roof_m
+    tall = np.flatnonzero(roof[:, 2] > min(start[:, 2].min(), end[:, 2].min()))
+    places, place = np.unique(a, return_inverse=True)
+    longest = float(np.hypot(end[:, 0] - start[:, 0], end[:, 1] - start[:, 1]).max())
+    ptr, row = near(roof[places], boxes.take(tall), longest)
+    return ~segment.blocked(start, end, a, b, place, ptr, tall[row], prisms(shape, boxes), scene.buildings)

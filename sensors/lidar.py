@@ -1,0 +1,270 @@
+"""A spinning LiDAR on each equipped roof: its beams, and one sweep of all of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Annotated, Literal, NamedTuple
+
+import numpy as np
+from annotated_types import Ge, Gt, Lt
+from jaxtyping import Float, Float32, Int, Int32, UInt8, UInt64
+from numba import njit, prange
+from numpy import ndarray
+from scipy.special import ndtri
+
+from sensors.boxes import Boxes
+from sensors.raycast import columnar, embree
+from sensors.scene import Scene, prisms
+
+
+class Hit(IntEnum):
+    """What a ray met first. Codes of ACTOR and above are actors: row = code - Hit.ACTOR."""
+
+    NOTHING = 0
+    GROUND = 1
+    BUILDING = 2
+    ACTOR = 3
+
+
+class Profile(NamedTuple):
+    """One product, as its public data sheet describes it."""
+
+    elevation_deg: tuple[float, ...]
+    n_azimuths: int
+    fov_deg: float
+    source: str
+
+
+def _even(low: float, high: float, n: int) -> tuple[float, ...]:
+    return tuple(np.linspace(low, high, n))
+
+
+_HDL64E = _even(-8.83 - 31 * 0.5, -8.83, 32) + _even(2.0 - 31 / 3, 2.0, 32)
+
+PROFILES: dict[str, Profile] = {
+    "hdl64e_front": Profile(
+        _HDL64E, 520, 90.0, "Velodyne HDL-64E S2 manual; 90 degrees in front of the car, as KITTI labels it"
+    ),
+    "hdl64e": Profile(
+        _HDL64E, 2083, 360.0, "Velodyne HDL-64E S2 manual: 32 lasers each 1/3 and 1/2 degree apart, 0.1728 degrees at 10 Hz"
+    ),
+    "vlp16": Profile(_even(-15.0, 15.0, 16), 1800, 360.0, "Velodyne VLP-16 manual 63-9243: 2 degrees apart, 0.2 at 10 Hz"),
+    "vlp32c": Profile(
+        (-25.0, -15.639, -11.31, -8.843, -7.254, -6.148, -5.333, -4.667, -4.0, -3.667, -3.333, -3.0, -2.667, -2.333,
+         -2.0, -1.667, -1.333, -1.0, -0.667, -0.333, 0.0, 0.333, 0.667, 1.0, 1.333, 1.667, 2.333, 3.333, 4.667, 7.0,
+         10.333, 15.0),
+        1800, 360.0, "Velodyne VLP-32C manual 63-9325, channel table; 0.2 degrees at 10 Hz",
+    ),
+    "os1_64": Profile(_even(-16.6, 16.6, 64), 1024, 360.0, "Ouster OS1-64 (first generation) data sheet: 33.2 degrees, 1024 columns"),
+    "os1_128": Profile(_even(-22.5, 22.5, 128), 1024, 360.0, "Ouster OS1-128 data sheet: 45 degrees, 1024 columns"),
+    "pandar64": Profile(
+        (-25.0, -19.0, *_even(-14.0, -7.0, 8), *_even(-6.0, 2.0, 49), 3.0, 5.0, 8.0, 11.0, 15.0),
+        1800, 360.0, "Hesai Pandar64 manual: 1/6 degree from -6 to +2, coarser outside; 0.2 degrees at 10 Hz",
+    ),
+}
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class LidarParams:
+    """The LiDAR that every equipped vehicle carries."""
+
+    profile: Literal["hdl64e_front", "hdl64e", "vlp16", "vlp32c", "os1_64", "os1_128", "pandar64"] = "hdl64e_front"
+    """Product whose beams are used; the next three replace parts of it."""
+    elevation_deg: tuple[float, ...] | None = None
+    """Elevation of each beam, ascending [deg]; none: the profile's."""
+    n_azimuths: Annotated[int, Gt(0)] | None = None
+    """Columns of one sweep over the field of view; none: the profile's."""
+    fov_deg: Annotated[float, Gt(0)] | None = None
+    """Horizontal field of view, centred straight ahead, at most 360 [deg]; none: the profile's."""
+    max_range_m: Annotated[float, Gt(0)] = 80.0
+    """Farthest return [m]."""
+    mount_above_roof_m: Annotated[float, Ge(0)] = 0.23
+    """Height of the sensor over the centre of the roof [m]; 1.73 m above the road on a car of 1.50 m, as KITTI's."""
+    range_sigma_m: Annotated[float, Ge(0)] = 0.02
+    """Standard deviation of one range [m]: HDL-64E S2 data sheet, < 2 cm."""
+    dropout_p: Annotated[float, Ge(0), Lt(1)] = 0.0
+    """Chance that a return is lost."""
+    engine: Literal["columnar", "embree"] = "columnar"
+    """Ray caster; both give the same sweep up to rays that graze an edge."""
+
+
+class Beams(NamedTuple):
+    """The grid of rays: azimuth columns x elevation rows, in the sensor frame (x forward, y left, z up)."""
+
+    azimuth_rad: ndarray
+    """float64 [a], ascending, evenly spaced, counter-clockwise from straight ahead."""
+    cos_az: ndarray
+    sin_az: ndarray
+    elevation_rad: ndarray
+    """float64 [e], ascending."""
+    tan_el: ndarray
+    cos_el: ndarray
+    sin_el: ndarray
+    fov_rad: float
+
+
+def beams(params: LidarParams) -> Beams:
+    """The ray grid of a LiDAR.
+
+    Errors
+    ------
+    ValueError for a beam table out of order and for a field of view beyond a full turn.
+    """
+    profile = PROFILES[params.profile]
+    elevation = np.array(profile.elevation_deg if params.elevation_deg is None else params.elevation_deg, dtype=float)
+    n = profile.n_azimuths if params.n_azimuths is None else params.n_azimuths
+    fov = profile.fov_deg if params.fov_deg is None else params.fov_deg
+    if len(elevation) == 0 or not (np.diff(elevation) > 0).all() or not (np.abs(elevation) < 90).all():
+        raise ValueError(
+            f"lidar.elevation_deg = {tuple(elevation)}: beams must be given in ascending order, each once, strictly "
+            "between -90 and 90 degrees. Sort lidar.elevation_deg."
+        )
+    if not 0 < fov <= 360 or n < 1:
+        raise ValueError(
+            f"lidar.fov_deg = {fov} with {n} columns is no sweep: set lidar.fov_deg in (0, 360] and lidar.n_azimuths >= 1."
+        )
+    el = np.radians(elevation)
+    az = np.radians(fov) * ((np.arange(n) + 0.5) / n - 0.5)
+    return Beams(az, np.cos(az), np.sin(az), el, np.tan(el), np.cos(el), np.sin(el), float(np.radians(fov)))
+
+
+@dataclass(frozen=True, slots=True)
+class Poses:
+    """Where M sensors are: level, in the world frame, each looking along its vehicle's heading."""
+
+    origin_m: Float[ndarray, "m 3"]
+    yaw_rad: Float[ndarray, "m"]
+
+    def to_sensor(self, o: Int[ndarray, "n"], boxes: Boxes) -> Boxes:
+        """Each world box in the frame of its row's sensor."""
+        d = boxes.xyz_m - self.origin_m[o]
+        cos, sin = np.cos(self.yaw_rad[o]), np.sin(self.yaw_rad[o])
+        xyz = np.column_stack([cos * d[:, 0] + sin * d[:, 1], cos * d[:, 1] - sin * d[:, 0], d[:, 2]])
+        return Boxes(xyz, boxes.lwh_m, boxes.yaw_rad - self.yaw_rad[o])
+
+    def to_world(self, o: int, xyz: Float[ndarray, "k 3"]) -> Float[ndarray, "k 3"]:
+        """Points of sensor o in the world frame."""
+        cos, sin = np.cos(self.yaw_rad[o]), np.sin(self.yaw_rad[o])
+        turned = np.column_stack([cos * xyz[:, 0] - sin * xyz[:, 1], sin * xyz[:, 0] + cos * xyz[:, 1], xyz[:, 2]])
+        return turned + self.origin_m[o]
+
+
+def mount(boxes: Boxes, observers: Int[ndarray, "m"], params: LidarParams) -> Poses:
+    """The sensors of these actors: over the centre of the roof, looking ahead."""
+    origin = boxes.xyz_m[observers].copy()
+    origin[:, 2] += 0.5 * boxes.lwh_m[observers, 2] + params.mount_above_roof_m
+    return Poses(origin, boxes.yaw_rad[observers].copy())
+
+
+@dataclass(frozen=True, slots=True)
+class Sweeps:
+    """One organised cloud (range image) per observer."""
+
+    range_m: Float32[ndarray, "m a e"]
+    """Range; inf where nothing returned [m]."""
+    hit: Int32[ndarray, "m a e"]
+    """What returned, as a `Hit` code. Truth: only truth columns may read it."""
+    poses: Poses
+    observers: Int[ndarray, "m"]
+    """Actor row that carries each sensor."""
+    ground_m: Float[ndarray, "m"]
+    """Height of the road under each sensor."""
+    beams: Beams
+    max_range_m: float
+
+    def xyz(self, o: int) -> Float[ndarray, "k 3"]:
+        """The returns of observer o in its sensor frame [m], column by column, each from the lowest beam up."""
+        column, row = np.nonzero(np.isfinite(self.range_m[o]))
+        return self.points(np.full(len(column), o), column, row)
+
+    def points(
+        self, o: Int[ndarray, "k"], column: Int[ndarray, "k"], row: Int[ndarray, "k"]
+    ) -> Float[ndarray, "k 3"]:
+        """The ends of single rays that returned, in the frame of their sensor [m]."""
+        r = self.range_m[o, column, row].astype(np.float64)
+        grid = self.beams
+        flat = r * grid.cos_el[row]
+        return np.column_stack([flat * grid.cos_az[column], flat * grid.sin_az[column], r * grid.sin_el[row]])
+
+
+ENGINES: dict[str, Callable[..., None]] = {"columnar": columnar.cast, "embree": embree.cast}
+
+
+def scan(
+    boxes: Boxes,
+    shape: UInt8[ndarray, "n"],
+    observers: Int[ndarray, "m"],
+    scene: Scene,
+    params: LidarParams,
+    keys: UInt64[ndarray, "m"],
+    out: Sweeps | None = None,
+) -> Sweeps:
+    """One sweep of every observer, all at one instant.
+
+    Parameters
+    ----------
+    boxes, shape
+        All actors, world frame. An observer's own body is transparent to its own sensor.
+    observers
+        Rows of the actors that carry a sensor.
+    keys
+        One number per observer that its range noise and dropouts are a function of.
+    out
+        An earlier result of the same size, whose arrays are written over: saves the memory traffic of a fresh one.
+
+    Notes
+    -----
+    Level sensors, no motion during the sweep, one return per ray, flat ground at the height of the observer's
+    wheels. Range noise is normal (4,096 equiprobable levels), along the ray.
+    """
+    observers = np.asarray(observers, dtype=np.int64)
+    if len(keys) != len(observers):
+        raise ValueError(f"{len(keys)} keys were given for {len(observers)} observers: each needs one of its own.")
+    grid = beams(params)
+    poses = mount(boxes, observers, params)
+    size = (len(observers), len(grid.azimuth_rad), len(grid.elevation_rad))
+    if out is not None and out.range_m.shape == size:
+        range_m, hit = out.range_m, out.hit
+    else:
+        range_m, hit = np.empty(size, np.float32), np.empty(size, np.int32)
+    ground_m = boxes.xyz_m[observers, 2] - 0.5 * boxes.lwh_m[observers, 2]
+    ENGINES[params.engine](
+        range_m, hit, poses, ground_m, observers, grid, params.max_range_m, boxes, prisms(shape, boxes), scene
+    )
+    if params.range_sigma_m > 0.0 or params.dropout_p > 0.0:
+        _disturb(range_m, hit, np.asarray(keys, np.uint64), np.float32(params.range_sigma_m), params.dropout_p, _LEVELS)
+    return Sweeps(range_m, hit, poses, observers, ground_m, grid, params.max_range_m)
+
+
+def _levels() -> Float32[ndarray, "k"]:
+    z = ndtri((np.arange(4096) + 0.5) / 4096)
+    return (z / z.std()).astype(np.float32)
+
+
+_LEVELS = _levels()
+
+
+@njit(cache=True)
+def _mix(x):
+    """SplitMix64's finaliser: a 64-bit hash."""
+    x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    x = (x ^ (x >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return x ^ (x >> np.uint64(31))
+
+
+@njit(cache=True, parallel=True)
+def _disturb(range_m, hit, keys, sigma, dropout_p, levels):
+    """Range noise and dropouts in place, each a function of (key, ray)."""
+    n_el = range_m.shape[2]
+    lost_below = np.uint64(dropout_p * 2.0**52)
+    for o in prange(len(keys)):
+        seed = _mix(keys[o] + np.uint64(0x9E3779B97F4A7C15))
+        for c in range(range_m.shape[1]):
+            for r in range(n_el):
+                bits = _mix(seed + np.uint64(c * n_el + r) * np.uint64(0x9E3779B97F4A7C15))
+                range_m[o, c, r] += sigma * levels[bits >> np.uint64(52)]
+                if (bits & np.uint64((1 << 52) - 1)) < lost_below:
+                    range_m[o, c, r] = np.inf
+                    hit[o, c, r] = 0

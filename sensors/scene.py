@@ -1,0 +1,241 @@
+"""What light can hit: actors as stacks of upright prisms, the city as building footprints with a base and a top."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+import shapely
+from jaxtyping import Float, UInt8
+from numpy import ndarray
+
+from sensors.boxes import Boxes
+
+
+class Shape(IntEnum):
+    """What an actor looks like to a laser."""
+
+    CAR = 0
+    VAN = 1
+    TRUCK = 2
+    BUS = 3
+    MOTORCYCLE = 4
+    BICYCLE = 5
+    PEDESTRIAN = 6
+
+
+LABEL_OF_SHAPE: UInt8[ndarray, "shape"] = np.array([0, 0, 3, 3, 2, 2, 1], np.uint8)
+"""Object class of each shape: 0 car, 1 pedestrian, 2 cyclist, 3 truck."""
+
+# One upright prism: (rear, front) of the length from the centre, share of the width, (bottom, top) share of the height.
+# Bodies keep a few centimetres inside the labelled box, as real ones do, and stand on the road: wheels and
+# skirts fill the clearance. Proportions: typical European vehicles, read off manufacturers' side views.
+_STACKS: dict[Shape, tuple[tuple[float, float, float, float, float], ...]] = {
+    Shape.CAR: ((-0.49, 0.49, 0.95, 0.0, 0.56), (-0.40, 0.18, 0.84, 0.56, 0.98)),
+    Shape.VAN: ((-0.49, 0.49, 0.95, 0.0, 0.50), (-0.49, 0.30, 0.92, 0.50, 0.99)),
+    Shape.TRUCK: ((0.28, 0.495, 0.96, 0.0, 0.82), (-0.495, 0.26, 0.98, 0.0, 0.99)),
+    Shape.BUS: ((-0.495, 0.495, 0.98, 0.0, 0.99),),
+    Shape.MOTORCYCLE: ((-0.48, 0.48, 0.40, 0.0, 0.55), (-0.25, 0.12, 0.80, 0.40, 0.98)),
+    Shape.BICYCLE: ((-0.48, 0.48, 0.20, 0.0, 0.50), (-0.22, 0.12, 0.80, 0.40, 0.98)),
+    Shape.PEDESTRIAN: ((-0.30, 0.30, 0.90, 0.0, 0.82), (-0.22, 0.22, 0.40, 0.82, 0.98)),
+}
+
+
+class Prisms(NamedTuple):
+    """Upright rectangular prisms, grouped by the actor they belong to; world frame."""
+
+    ptr: ndarray
+    """int64 [n+1]: the prisms of actor row a are ptr[a]..ptr[a+1]."""
+    x_m: ndarray
+    y_m: ndarray
+    cos: ndarray
+    sin: ndarray
+    """Heading of the actor."""
+    half_l_m: ndarray
+    half_w_m: ndarray
+    bottom_m: ndarray
+    top_m: ndarray
+
+
+def prisms(shape: UInt8[ndarray, "n"], boxes: Boxes) -> Prisms:
+    """The solid body of each actor inside its box.
+
+    Errors
+    ------
+    ValueError for a shape code that is no `Shape`.
+    """
+    if len(shape) != len(boxes):
+        raise ValueError(f"{len(shape)} shapes were given for {len(boxes)} boxes: each actor needs one of both.")
+    if len(shape) and int(np.max(shape)) >= len(Shape):
+        row = int(np.argmax(shape))
+        raise ValueError(f"shape[{row}] = {shape[row]} is no actor shape: use {[f'{s.value} {s.name}' for s in Shape]}.")
+    table = np.array([part for s in Shape for part in _STACKS[s]])
+    first = np.cumsum([0] + [len(_STACKS[s]) for s in Shape])
+    parts = np.diff(first)[shape]
+    ptr = np.concatenate([[0], np.cumsum(parts)])
+    actor = np.repeat(np.arange(len(boxes)), parts)
+    rear, front, width, bottom, top = table[first[shape][actor] + np.arange(ptr[-1]) - ptr[actor]].T
+    length, w, h = boxes.lwh_m[actor].T
+    x, y, z = boxes.xyz_m[actor].T
+    cos, sin = np.cos(boxes.yaw_rad)[actor], np.sin(boxes.yaw_rad)[actor]
+    ahead = 0.5 * (rear + front) * length
+    return Prisms(
+        ptr=ptr,
+        x_m=x + cos * ahead,
+        y_m=y + sin * ahead,
+        cos=cos,
+        sin=sin,
+        half_l_m=0.5 * (front - rear) * length,
+        half_w_m=0.5 * width * w,
+        bottom_m=z + (bottom - 0.5) * h,
+        top_m=z + (top - 0.5) * h,
+    )
+
+
+class Buildings(NamedTuple):
+    """Building walls, grouped by building, and a grid that finds the buildings near a place; world frame."""
+
+    ptr: ndarray
+    """int64 [b+1]: the walls of building k are ptr[k]..ptr[k+1]."""
+    ax_m: ndarray
+    ay_m: ndarray
+    bx_m: ndarray
+    by_m: ndarray
+    """A wall runs from a to b with the inside on its left."""
+    base_m: ndarray
+    top_m: ndarray
+    bounds_m: ndarray
+    """float64 [b, 4]: x min, y min, x max, y max."""
+    grid_xy_m: ndarray
+    """float64 [2]: lower left corner of the grid."""
+    grid_shape: ndarray
+    """int64 [2]: columns, rows."""
+    grid_ptr: ndarray
+    grid_item: ndarray
+    """Buildings whose bounds touch cell (column, row) = items grid_ptr[k]..grid_ptr[k+1], k = row * columns + column."""
+
+
+GRID_CELL_M = 64.0
+
+
+@dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
+class Scene:
+    """The static city: buildings as upright prisms on ground that is flat around each sensor."""
+
+    buildings: Buildings
+    footprints: ndarray
+    """Shapely polygon of each building, valid, outer ring counter-clockwise."""
+    n_repaired: int = 0
+    """Footprints that crossed themselves and were made valid."""
+    n_dropped: int = 0
+    """Footprints without area, which cannot stand."""
+
+    @staticmethod
+    def empty() -> Scene:
+        """Open, flat country."""
+        return Scene.from_footprints([], [], [])
+
+    @staticmethod
+    def from_footprints(
+        rings: Sequence[Sequence[Float[ndarray, "k 2"]]],
+        base_z_m: Float[ndarray, "n"] | Sequence[float],
+        top_z_m: Float[ndarray, "n"] | Sequence[float],
+    ) -> Scene:
+        """The scene of these buildings.
+
+        Parameters
+        ----------
+        rings
+            Per building its outer ring and then its holes, each (k, 2) in the world frame, closed or open, in any
+            orientation.
+        base_z_m, top_z_m
+            Heights of the lower and upper end of the walls. A base above the road is a passage.
+
+        Notes
+        -----
+        Footprints that cross themselves are split into valid parts (`n_repaired`), those without area are left
+        out (`n_dropped`).
+
+        Errors
+        ------
+        ValueError for coordinates that are not finite, for fewer than three corners, and for a top not above the base.
+        """
+        base, top = np.asarray(base_z_m, float), np.asarray(top_z_m, float)
+        if not len(rings) == len(base) == len(top):
+            raise ValueError(f"{len(rings)} footprints, {len(base)} bases and {len(top)} tops: one of each per building.")
+        bad = ~(np.isfinite(base) & np.isfinite(top) & (top > base))
+        if bad.any():
+            k = int(np.argmax(bad))
+            raise ValueError(f"building {k}: top = {top[k]} m is not above base = {base[k]} m. Correct its height.")
+        raw = []
+        for k, building in enumerate(rings):
+            loops = [np.asarray(ring, float) for ring in building]
+            for loop in loops:
+                if loop.ndim != 2 or loop.shape[1] != 2 or len(loop) < 3 or not np.isfinite(loop).all():
+                    raise ValueError(
+                        f"building {k}: a ring of shape {loop.shape} is no footprint. "
+                        "A ring is three or more finite (x, y) corners; a building is a sequence of rings, outer first."
+                    )
+            raw.append(shapely.Polygon(loops[0], loops[1:]))
+        polygons = np.array(raw, dtype=object)
+        broken = ~shapely.is_valid(polygons) if len(polygons) else np.zeros(0, bool)
+        polygons = np.where(broken, shapely.make_valid(polygons), polygons) if broken.any() else polygons
+        parts, owner = shapely.get_parts(polygons, return_index=True)
+        solid = shapely.area(parts) > 1e-4
+        flat = (shapely.get_type_id(parts) == 6) | (shapely.get_type_id(parts) == 7)
+        if flat.any():      # make_valid may nest a multi-polygon with stray lines in one collection
+            inner, index = shapely.get_parts(parts, return_index=True)
+            parts, owner = inner, owner[index]
+            solid = shapely.area(parts) > 1e-4
+        parts, owner = parts[solid], owner[solid]
+        parts = shapely.orient_polygons(parts) if len(parts) else parts
+        n_dropped = len(raw) - len(np.unique(owner))
+        n_repaired = len(np.unique(owner[broken[owner]])) if len(owner) else 0
+        return Scene(_walls(parts, base[owner], top[owner]), parts, n_repaired, n_dropped)
+
+
+def _walls(polygons: ndarray, base: ndarray, top: ndarray) -> Buildings:
+    """Walls and grid of valid, oriented polygons."""
+    loop, owner = shapely.get_rings(polygons, return_index=True) if len(polygons) else (polygons, np.zeros(0, int))
+    xy, ring = shapely.get_coordinates(loop, return_index=True)
+    inside = np.flatnonzero(ring[1:] == ring[:-1]) if len(ring) else np.zeros(0, int)
+    a, b, of = xy[inside], xy[inside + 1], owner[ring[inside]] if len(ring) else np.zeros(0, int)
+    real = (a != b).any(axis=1)
+    a, b, of = a[real], b[real], of[real]
+    ptr = np.searchsorted(of, np.arange(len(polygons) + 1))
+    bounds = shapely.bounds(polygons).reshape(-1, 4) if len(polygons) else np.zeros((0, 4))
+    low = bounds[:, :2].min(axis=0) if len(bounds) else np.zeros(2)
+    high = bounds[:, 2:].max(axis=0) if len(bounds) else np.zeros(2)
+    shape = (np.floor((high - low) / GRID_CELL_M)).astype(np.int64) + 1
+    c0 = np.floor((bounds[:, :2] - low) / GRID_CELL_M).astype(np.int64)
+    size = np.floor((bounds[:, 2:] - low) / GRID_CELL_M).astype(np.int64) - c0 + 1
+    count = size.prod(axis=1)
+    item = np.repeat(np.arange(len(polygons)), count)
+    k = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
+    cell = (c0[item, 1] + k // size[item, 0]) * shape[0] + c0[item, 0] + k % size[item, 0]
+    order = np.argsort(cell, kind="stable")
+    return Buildings(
+        ptr=ptr.astype(np.int64),
+        ax_m=np.ascontiguousarray(a[:, 0]),
+        ay_m=np.ascontiguousarray(a[:, 1]),
+        bx_m=np.ascontiguousarray(b[:, 0]),
+        by_m=np.ascontiguousarray(b[:, 1]),
+        base_m=np.ascontiguousarray(base),
+        top_m=np.ascontiguousarray(top),
+        bounds_m=np.ascontiguousarray(bounds),
+        grid_xy_m=low,
+        grid_shape=shape,
+        grid_ptr=np.searchsorted(cell[order], np.arange(shape.prod() + 1)).astype(np.int64),
+        grid_item=item[order].astype(np.int64),
+    )
+
+
+@lru_cache(maxsize=4)
+def roof_triangles(scene: Scene) -> tuple[Float[ndarray, "t 3 2"], ndarray]:
+    """Triangles that tile every footprint, and the building of each: for engines that want meshes."""
+    pieces, owner = shapely.get_parts(shapely.constrained_delaunay_triangles(scene.footprints), return_index=True)
+    return shapely.get_coordinates(shapely.get_exterior_ring(pieces)).reshape(-1, 4, 2)[:, :3], owner

@@ -1,0 +1,214 @@
+"""Kernels that look into a small window of a range image instead of through a whole cloud, and their plain twins.
+
+Both kinds share the test of one point to the last bit, so a window may only be too large, never wrong.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float
+from numba import njit
+from numpy import ndarray
+
+from sensors.raycast.columnar import ACTOR, below, profile, rectangle, spans
+
+MARGIN_RAD = 1e-9       # rounding of a window's limits
+
+
+@njit(cache=True, inline="always")
+def in_box(x, y, z, cx, cy, cz, cos, sin, half_l, half_w, half_h):
+    """Whether a point lies strictly inside an upright box."""
+    dx, dy, dz = x - cx, y - cy, z - cz
+    return (abs(cos * dx + sin * dy) < half_l) & (abs(cos * dy - sin * dx) < half_w) & (abs(dz) < half_h)
+
+
+@njit(cache=True)
+def points_in_boxes(range_m, beams, o, xyz, lwh, yaw):
+    """Returns of sweep o[k] strictly inside box k (sensor frame)."""
+    out = np.zeros(len(o), np.int32)
+    n, m = len(beams.azimuth_rad), len(beams.tan_el)
+    first, step = beams.azimuth_rad[0], beams.fov_rad / n
+    for k in range(len(o)):
+        x, y, z = xyz[k, 0], xyz[k, 1], xyz[k, 2]
+        half_l, half_w, half_h = 0.5 * lwh[k, 0], 0.5 * lwh[k, 1], 0.5 * lwh[k, 2]
+        cos, sin = np.cos(yaw[k]), np.sin(yaw[k])
+        reach, distance = np.hypot(half_l, half_w), np.hypot(x, y)
+        close = distance - reach
+        half = np.arcsin(reach / distance) + MARGIN_RAD if close > 0.0 else np.pi
+        a0, a1, b0, b1 = spans(np.arctan2(y, x), half, first, step, n)
+        r0, r1 = 0, m
+        if close > 1e-6:
+            low, high = z - half_h, z + half_h
+            r0 = max(0, below(beams.tan_el, low / (close if low < 0.0 else distance + reach)) - 1)
+            r1 = min(m, below(beams.tan_el, high / (close if high > 0.0 else distance + reach)) + 1)
+        count = 0
+        for turn in range(2):
+            for c in range(a0 if turn == 0 else b0, a1 if turn == 0 else b1):
+                ranges, ca, sa = range_m[o[k], c], beams.cos_az[c], beams.sin_az[c]
+                for r in range(r0, r1):
+                    d = np.float64(ranges[r])
+                    flat = d * beams.cos_el[r]
+                    count += in_box(
+                        flat * ca, flat * sa, d * beams.sin_el[r], x, y, z, cos, sin, half_l, half_w, half_h
+                    )
+        out[k] = count
+    return out
+
+
+@njit(cache=True)
+def points_in_boxes_xyz(points, xyz, lwh, yaw):
+    """Points strictly inside each box, by looking at all of them."""
+    out = np.zeros(len(xyz), np.int32)
+    for k in range(len(xyz)):
+        cos, sin = np.cos(yaw[k]), np.sin(yaw[k])
+        for i in range(len(points)):
+            out[k] += in_box(
+                points[i, 0], points[i, 1], points[i, 2], xyz[k, 0], xyz[k, 1], xyz[k, 2], cos, sin,
+                0.5 * lwh[k, 0], 0.5 * lwh[k, 1], 0.5 * lwh[k, 2],
+            )  # fmt: skip
+    return out
+
+
+def frustum(
+    xyz: Float[ndarray, "n 3"], lwh: Float[ndarray, "n 3"]
+) -> tuple[Float[ndarray, "n 4 3"], Float[ndarray, "n 4 3"], Float[ndarray, "n"]]:
+    """Corners and planes of the pyramid from the sensor through the middle of each box (sensor frame).
+
+    Returns
+    -------
+    corners (top left, top right, bottom left, bottom right), planes (a point p is inside iff p . plane < 0 for all
+    four), and the distance of the bottom centre.
+    """
+    bottom = xyz - np.array([0.0, 0.0, 0.5]) * lwh[:, 2:]
+    x, y, z = bottom.T
+    distance = np.sqrt(x * x + y * y + z * z)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        down = np.column_stack([x, y, (x * x + y * y) / z])
+    down[z == 0.0] = (0.0, 0.0, -1.0)
+    down /= np.sqrt((down * down).sum(axis=1))[:, None]
+    # the paper's axes are right x down x forward, and so are ours: only their names turn
+    right = np.cross(down, bottom / distance[:, None])
+    s = (np.minimum(lwh[:, 0], lwh[:, 1]) / 4.0)[:, None]
+    top_left, top_right = xyz - s * down - s * right, xyz - s * down + s * right
+    low_left, low_right = xyz + s * down - s * right, xyz + s * down + s * right
+    plane = np.stack(
+        [
+            np.cross(top_right, top_left),
+            -np.cross(low_right, low_left),
+            -np.cross(top_right, low_right),
+            np.cross(top_left, low_left),
+        ],
+        axis=1,
+    )
+    return np.stack([top_left, top_right, low_left, low_right], axis=1), plane, distance
+
+
+@njit(cache=True, inline="always")
+def in_frustum(x, y, z, plane):
+    """Whether a point lies strictly inside the pyramid."""
+    return (
+        (x * plane[0, 0] + y * plane[0, 1] + z * plane[0, 2] < 0.0)
+        & (x * plane[1, 0] + y * plane[1, 1] + z * plane[1, 2] < 0.0)
+        & (x * plane[2, 0] + y * plane[2, 1] + z * plane[2, 2] < 0.0)
+        & (x * plane[3, 0] + y * plane[3, 1] + z * plane[3, 2] < 0.0)
+    )
+
+
+@njit(cache=True)
+def free_space(range_m, beams, o, xyz, corners, planes, distance, margin_m):
+    """Returns of sweep o[k] in the pyramid through box k, and how many of them are nearer than the box."""
+    seen, closer = np.zeros(len(o), np.int32), np.zeros(len(o), np.int32)
+    n, m = len(beams.azimuth_rad), len(beams.tan_el)
+    first, step = beams.azimuth_rad[0], beams.fov_rad / n
+    for k in range(len(o)):
+        corner, plane, limit = corners[k], planes[k], distance[k] + margin_m
+        middle = np.arctan2(xyz[k, 1], xyz[k, 0])
+        half, low, high = 0.0, np.inf, -np.inf
+        for i in range(4):
+            off = np.arctan2(corner[i, 1], corner[i, 0]) - middle
+            half = max(half, abs(off - 2.0 * np.pi * np.round(off / (2.0 * np.pi))))
+            slope = corner[i, 2] / np.hypot(corner[i, 0], corner[i, 1])
+            low, high = min(low, slope), max(high, slope)
+        a0, a1, b0, b1 = spans(middle, half + MARGIN_RAD, first, step, n)
+        r0, r1 = 0, m
+        if half < 1.5:
+            # The side of a pyramid between two corners is a great circle: it bulges by the cosine of half its arc.
+            bulge = 1.0 / np.cos(half)
+            r0 = max(0, below(beams.tan_el, low * bulge if low < 0.0 else low / bulge) - 1)
+            r1 = min(m, below(beams.tan_el, high * bulge if high > 0.0 else high / bulge) + 1)
+        else:
+            a0, a1, b0, b1 = 0, n, 0, 0
+        n_seen = n_closer = 0
+        for turn in range(2):
+            for c in range(a0 if turn == 0 else b0, a1 if turn == 0 else b1):
+                ranges, ca, sa = range_m[o[k], c], beams.cos_az[c], beams.sin_az[c]
+                for r in range(r0, r1):
+                    d = np.float64(ranges[r])
+                    flat = d * beams.cos_el[r]
+                    x, y, z = flat * ca, flat * sa, d * beams.sin_el[r]
+                    inside = in_frustum(x, y, z, plane) & (d < np.inf)
+                    n_seen += inside
+                    n_closer += inside & (np.sqrt(x * x + y * y + z * z) < limit)
+        seen[k], closer[k] = n_seen, n_closer
+    return seen, closer
+
+
+@njit(cache=True)
+def free_space_xyz(points, planes, distance, margin_m):
+    """The same by looking at all points of one cloud."""
+    seen, closer = np.zeros(len(planes), np.int32), np.zeros(len(planes), np.int32)
+    for k in range(len(planes)):
+        for i in range(len(points)):
+            x, y, z = points[i, 0], points[i, 1], points[i, 2]
+            if in_frustum(x, y, z, planes[k]):
+                seen[k] += 1
+                closer[k] += np.sqrt(x * x + y * y + z * z) < distance[k] + margin_m
+    return seen, closer
+
+
+@njit(cache=True)
+def returns_alone(hit, origin, yaw, beams, limit, xyz, reach, ptr, row, own, bodies):
+    """Per candidate (observer, actor): returns in the sweep, and returns if the actor stood alone in the world."""
+    n_returns, n_alone = np.zeros(len(row), np.int32), np.zeros(len(row), np.int32)
+    n, m = len(beams.azimuth_rad), len(beams.tan_el)
+    first, step = beams.azimuth_rad[0], beams.fov_rad / n
+    marked = np.zeros(m, np.int64)
+    stamp = 0
+    for o in range(len(own)):
+        cos, sin = np.cos(yaw[o]), np.sin(yaw[o])
+        for i in range(ptr[o], ptr[o + 1]):
+            a = row[i]
+            if a == own[o]:
+                continue
+            dx, dy = xyz[a, 0] - origin[o, 0], xyz[a, 1] - origin[o, 1]
+            distance = np.hypot(dx, dy)
+            half = np.arcsin(reach[a] / distance) if distance > reach[a] else np.pi
+            a0, a1, b0, b1 = spans(np.arctan2(cos * dy - sin * dx, cos * dx + sin * dy), half, first, step, n)
+            for turn in range(2):
+                for c in range(a0 if turn == 0 else b0, a1 if turn == 0 else b1):
+                    stamp += 1
+                    for k in range(bodies.ptr[a], bodies.ptr[a + 1]):
+                        dx, dy = origin[o, 0] - bodies.x_m[k], origin[o, 1] - bodies.y_m[k]
+                        tc = cos * bodies.cos[k] + sin * bodies.sin[k]
+                        ts = sin * bodies.cos[k] - cos * bodies.sin[k]
+                        enter, leave = rectangle(
+                            bodies.cos[k] * dx + bodies.sin[k] * dy, bodies.cos[k] * dy - bodies.sin[k] * dx,
+                            tc * beams.cos_az[c] - ts * beams.sin_az[c], ts * beams.cos_az[c] + tc * beams.sin_az[c],
+                            bodies.half_l_m[k], bodies.half_w_m[k],
+                        )  # fmt: skip
+                        if leave <= max(enter, 0.0):
+                            continue
+                        bottom, top = bodies.bottom_m[k] - origin[o, 2], bodies.top_m[k] - origin[o, 2]
+                        lo, s0, s1, hi, t, low, high = profile(enter, leave, bottom, top, beams.tan_el)
+                        for r in range(lo, hi):
+                            if r < s0:
+                                d = np.float32(low / beams.sin_el[r])
+                            elif r < s1:
+                                d = np.float32(t * (1.0 / beams.cos_el[r]))
+                            else:
+                                d = np.float32(high / beams.sin_el[r])
+                            if d <= limit and marked[r] != stamp:
+                                marked[r] = stamp
+                                n_alone[i] += 1
+                                n_returns[i] += hit[o, c, r] == ACTOR + a
+    return n_returns, n_alone

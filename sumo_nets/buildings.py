@@ -1,0 +1,162 @@
+"""Footprints and heights of the buildings in an OpenStreetMap extract."""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import shapely
+from jaxtyping import Float
+from numpy import ndarray
+from shapely import Polygon
+
+from sumo_nets.footprints import Footprint, footprint_of, pieces_of
+from sumo_nets.heights import CLEARANCE_M, Height, height_of
+from sumo_nets.osm import Extract, Tags, Way
+
+SIMPLIFY_M = 0.15
+"""Largest distance by which a simplified wall may leave its place [m]."""
+PASSAGE_M2 = 25.0
+"""A building that covers more street than this bridges it; less is a drawing error and cut off [m²]."""
+
+Solid = tuple[str, shapely.Geometry, Height]
+Rings = dict[str, tuple[list[list[int]], list[list[int]], Tags]]
+
+
+@dataclass(frozen=True, slots=True)
+class Buildings:
+    """Named footprints, and how they came about."""
+
+    footprints: list[tuple[str, Footprint]]
+    heights: Counter[str]
+    """Number of footprints by source of their height."""
+    cut: int
+    """Footprints that lost a strip to the street."""
+    bridging: int
+    """Pieces raised over a street that runs below them."""
+
+
+def rings_of(extract: Extract) -> Rings:
+    """Outer and inner rings (node ids) and tags of every building and building part, by name."""
+    found: Rings = {}
+    for way in extract.ways.values():
+        if _is_building(way.tags) and way.nodes[0] == way.nodes[-1]:
+            ring = [node for node in way.nodes[:-1] if node in extract.place]
+            if len(ring) > 2:
+                found[f"w{way.id}"] = ([ring], [], way.tags)
+    for relation in extract.relations.values():
+        if relation.tags.get("type") != "multipolygon" or not _is_building(relation.tags):
+            continue
+        chains: dict[bool, list[list[int]]] = {True: [], False: []}
+        for kind, ref, role in relation.members:
+            if kind == "w" and ref in extract.ways:
+                nodes = [node for node in extract.ways[ref].nodes if node in extract.place]
+                if len(nodes) > 1:
+                    chains[role != "inner"].append(nodes)
+                if role != "inner":
+                    found.pop(f"w{ref}", None)
+        outer, inner = _joined(chains[True]), _joined(chains[False])
+        if outer:
+            found[f"r{relation.id}"] = (outer, inner, relation.tags)
+    return dict(sorted(found.items()))
+
+
+def build(
+    rings: Rings, project: Callable[[list[Way]], dict[int, Float[ndarray, "k 2"]]], street: shapely.Geometry
+) -> Buildings:
+    """Footprints in network coordinates, parts taking the place of the outline they refine.
+
+    `project` turns ways into rings in the network's coordinates; `street` is the ground that must stay free.
+    """
+    ways, owner = [], []
+    for name, (outer, inner, _) in rings.items():
+        for ring, is_outer in [(ring, True) for ring in outer] + [(ring, False) for ring in inner]:
+            ways.append(Way(len(ways) + 1, (*ring, ring[0]), {"building": "yes"}))
+            owner.append((name, is_outer))
+    projected = project(ways)
+    shells: dict[str, dict[bool, list[Polygon]]] = defaultdict(lambda: {True: [], False: []})
+    for way, (name, is_outer) in zip(ways, owner, strict=True):
+        if way.id in projected and len(projected[way.id]) > 3:
+            shells[name][is_outer] += pieces_of(Polygon(projected[way.id]))
+    shape = {
+        name: shapely.union_all(solid[True]).difference(shapely.union_all(solid[False]))
+        for name, solid in sorted(shells.items())
+    }
+    return _standing(_refined(shape, {name: rings[name][2] for name in shape}), street)
+
+
+def _is_building(tags: Tags) -> bool:
+    if tags.get("location") == "underground" or tags.get("layer", "0").startswith("-"):
+        return False
+    return tags.get("building", "no") != "no" or tags.get("building:part", "no") != "no"
+
+
+def _joined(chains: list[list[int]]) -> list[list[int]]:
+    """Chains of nodes joined end to end into rings; what stays open is closed by a straight wall."""
+    chains = [list(chain) for chain in chains]
+    rings = []
+    while chains:
+        ring = chains.pop(0)
+        while ring[0] != ring[-1]:
+            for i, chain in enumerate(chains):
+                if ring[-1] in (chain[0], chain[-1]):
+                    ring += (chain if chain[0] == ring[-1] else chain[::-1])[1:]
+                    del chains[i]
+                    break
+            else:
+                break
+        if ring[0] == ring[-1]:
+            ring = ring[:-1]
+        if len(ring) > 2:
+            rings.append(ring)
+    return rings
+
+
+def _refined(shape: dict[str, shapely.Geometry], tags: dict[str, Tags]) -> list[Solid]:
+    """Parts stand for themselves; of an outline stays what no part covers, and what carries raised parts."""
+    parts = [name for name in shape if tags[name].get("building", "no") == "no"]
+    solids = [(name, shape[name], height_of(tags[name], shape[name].area)) for name in parts]
+    tree = shapely.STRtree([solid for _, solid, _ in solids])
+    done = list(solids)
+    for name, outline in shape.items():
+        if name in parts:
+            continue
+        height = height_of(tags[name], outline.area)
+        inside = [solids[i] for i in sorted(tree.query(outline, predicate="intersects"))]
+        for _, part, extent in sorted(inside, key=lambda solid: solid[2].base_z_m):
+            if extent.base_z_m > height.base_z_m:
+                below = Height(height.base_z_m, extent.base_z_m, extent.source)
+                done.append((name, outline.intersection(part), below))
+            outline = outline.difference(part)
+        done.append((name, outline, height))
+    return done
+
+
+def _standing(solids: list[Solid], street: shapely.Geometry) -> Buildings:
+    shapely.prepare(street)
+    footprints: list[tuple[str, Footprint]] = []
+    heights: Counter[str] = Counter()
+    cut = bridging = 0
+    used: Counter[str] = Counter()
+    for name, solid, height in sorted(solids, key=lambda solid: (solid[0], solid[2], solid[1].wkb)):
+        layers = [(solid, height.base_z_m)]
+        if height.base_z_m < CLEARANCE_M and street.intersects(solid):
+            over = solid.intersection(street)
+            layers = [(solid.difference(street), height.base_z_m)]
+            if over.area > PASSAGE_M2 and height.top_z_m > CLEARANCE_M:
+                layers.append((over, CLEARANCE_M))
+                bridging += 1
+            cut += 1
+        for shape, base in layers:
+            for piece in pieces_of(shapely.set_precision(shape.simplify(SIMPLIFY_M), 0.01)):
+                footprints.append((f"{name}.{used[name]}", footprint_of(piece, base, height.top_z_m)))
+                heights[height.source] += 1
+                used[name] += 1
+    return Buildings(footprints, heights, cut, bridging)
+
+
+def project_with(polygons: list[tuple[str, str]]) -> dict[int, Float[ndarray, "k 2"]]:
+    """Rings from polyconvert's (id, shape) pairs."""
+    return {int(name): np.array([[float(v) for v in p.split(",")] for p in text.split()]) for name, text in polygons}

@@ -1,0 +1,125 @@
+"""An ordinary afternoon: who enters the city where, when, and where they go.
+
+Trips are drawn here; SUMO's `duarouter` turns them into routes. Chance is one `random.Random` per kind of
+traveller, of which only `random()` is used, so that a rebuild draws the same afternoon on every machine.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import accumulate
+from math import hypot, log
+from random import Random
+from typing import Any
+
+Point = tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Street:
+    """One directed edge of the network, as the demand sees it."""
+
+    id: str
+    start: str
+    end: str
+    kind: str
+    length_m: float
+    middle_m: Point
+    lanes: int
+    is_entry: bool
+    is_exit: bool
+    walkable: bool
+    cyclable: bool
+
+
+class Draw:
+    """Draws with given weights from a fixed sequence of uniform numbers."""
+
+    def __init__(self, seed: int, what: str) -> None:
+        self._random = Random(f"{seed} {what}")
+
+    def uniform(self) -> float:
+        return self._random.random()
+
+    def gap_s(self, per_hour: float) -> float:
+        return -log(1.0 - self.uniform()) * 3600.0 / per_hour
+
+    def chooser(self, streets: Sequence[Street], weight: Callable[[Street], float]) -> Callable[[], Street]:
+        chosen = [street for street in streets if weight(street) > 0.0]
+        sums = list(accumulate(weight(street) for street in chosen))
+        return lambda: chosen[min(bisect_right(sums, self.uniform() * sums[-1]), len(chosen) - 1)]
+
+
+def streets_of(net_path: str, gates: frozenset[str]) -> list[Street]:
+    """The edges of a network that a car may use, sorted by id."""
+    import sumolib
+
+    net = sumolib.net.readNet(net_path)
+    streets = []
+    for edge in sorted(net.getEdges(), key=lambda edge: edge.getID()):
+        if not edge.allows("passenger"):
+            continue
+        start, end = edge.getFromNode(), edge.getToNode()
+        (x0, y0), (x1, y1) = edge.getShape()[0][:2], edge.getShape()[-1][:2]
+        streets.append(
+            Street(
+                edge.getID(), start.getID(), end.getID(), edge.getType().removeprefix("highway."),
+                edge.getLength(), ((x0 + x1) / 2, (y0 + y1) / 2),
+                sum(lane.allows("passenger") for lane in edge.getLanes()),
+                start.getID() in gates and not edge.getIncoming(),
+                end.getID() in gates and not edge.getOutgoing(),
+                edge.allows("pedestrian"), edge.allows("bicycle"),
+            )
+        )  # fmt: skip
+    return streets
+
+
+def vehicle_trips(streets: list[Street], kind: str, recipe: dict[str, Any], seed: int, end_s: float) -> list[str]:
+    """Trips of one kind of vehicle, sorted by departure."""
+    draw = Draw(seed, kind)
+    gate = recipe["gate_weight"]
+    through = [street for street in streets if kind != "bicycle" or street.cyclable]
+
+    def at_gate(street: Street) -> float:
+        return gate.get(street.id, gate.get(street.kind, 1.0) * street.lanes)
+
+    inside = [street for street in through if not street.is_entry and not street.is_exit]
+    enter = draw.chooser([street for street in through if street.is_entry], at_gate)
+    leave = draw.chooser([street for street in through if street.is_exit], at_gate)
+    kerb = draw.chooser(inside, lambda street: street.length_m if street.length_m > 40.0 else 0.0)
+    trips, now = [], 0.0
+    while (now := now + draw.gap_s(recipe["per_hour"])) < end_s:
+        while True:
+            starts_inside, ends_inside = draw.uniform() < recipe["from_inside"], draw.uniform() < recipe["to_inside"]
+            origin = kerb() if starts_inside else enter()
+            target = kerb() if ends_inside else leave()
+            if hypot(*(a - b for a, b in zip(origin.middle_m, target.middle_m, strict=True))) >= recipe["at_least_m"]:
+                break
+        place = 'departPos="random_free" departSpeed="0"' if starts_inside else 'departPos="base" departSpeed="max"'
+        goal = ' arrivalPos="random"' if ends_inside else ""
+        trips.append(
+            f'<trip id="{kind}{len(trips)}" type="{kind}" depart="{now:.1f}" departLane="best" {place}{goal}'
+            f' from="{origin.id}" to="{target.id}"/>'
+        )
+    return trips
+
+
+def walks(streets: list[Street], recipe: dict[str, Any], seed: int, end_s: float) -> list[str]:
+    """Walks of pedestrians along pavements, sorted by departure."""
+    draw = Draw(seed, "pedestrian")
+    pavements = [street for street in streets if street.walkable and street.length_m > 15.0]
+    door = draw.chooser(pavements, lambda street: street.length_m)
+    lines, now = [], 0.0
+    while (now := now + draw.gap_s(recipe["per_hour"])) < end_s:
+        while True:
+            origin, target = door(), door()
+            far_m = hypot(*(a - b for a, b in zip(origin.middle_m, target.middle_m, strict=True)))
+            if recipe["at_least_m"] <= far_m <= recipe["at_most_m"]:
+                break
+        lines.append(
+            f'<person id="pedestrian{len(lines)}" type="pedestrian" depart="{now:.1f}" departPos="random">'
+            f'<personTrip from="{origin.id}" to="{target.id}" arrivalPos="random"/></person>'
+        )
+    return lines

@@ -1,0 +1,157 @@
+"""Building footprints: polygons with courtyards and heights, in SUMO's polygon files.
+
+SUMO's `<poly>` knows one ring. Ours carry what it lacks as parameters, which SUMO reads past:
+`base_z_m`, `top_z_m`, and one `hole.<n>` per courtyard (a shape like the poly's own). A stranger's file
+(polyconvert with `--all-attributes`) carries OpenStreetMap's tags as parameters instead.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from math import isfinite
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import shapely
+from jaxtyping import Float
+from numpy import ndarray
+from shapely import Polygon
+
+from sumo_nets.heights import height_of
+from sumo_nets.xml import Attributes, stream
+
+
+class Footprint(NamedTuple):
+    """One building's outline and vertical extent, in the network's coordinates.
+
+    Rings are closed (the last point repeats the first); the outer one runs counter-clockwise, holes clockwise.
+    """
+
+    outer: Float[ndarray, "k 2"]
+    holes: list[Float[ndarray, "h 2"]]
+    base_z_m: float
+    top_z_m: float
+
+    @property
+    def polygon(self) -> Polygon:
+        """The footprint as a Shapely polygon."""
+        return Polygon(self.outer, self.holes)
+
+
+def read_footprints(path: Path | str) -> list[Footprint]:
+    """Buildings of a SUMO polygon file (.poly.xml, gzip'ed or not), in the file's order.
+
+    Polygons count as buildings if their type starts with "building" or they carry a `building` or
+    `building:part` parameter. Heights come from `base_z_m` and `top_z_m`, else from OpenStreetMap's tags
+    (`height`, `building:levels`, ...), else from the kind and size of the building. Rings that cross
+    themselves are repaired; where that yields several pieces, each is a footprint.
+
+    Raises
+    ------
+    ValueError
+        Names the file, the polygon and the cause.
+    """
+    found: list[Footprint] = []
+    poly: Attributes | None = None
+    params: Attributes = {}
+    first = True
+
+    def start(name: str, attributes: Attributes) -> None:
+        nonlocal poly, params, first
+        if first and name not in ("additional", "shapes", "add", "polys"):
+            raise ValueError(f"{path}: not a SUMO polygon file: it starts with <{name}>, not with <additional>")
+        first = False
+        if name == "poly":
+            poly, params = attributes, {}
+        elif name == "param" and poly is not None:
+            params[attributes.get("key", "")] = attributes.get("value", "")
+
+    def end(name: str) -> None:
+        nonlocal poly
+        if name == "poly" and poly is not None:
+            kind = poly.get("type", "")
+            if kind.startswith("building") or "building" in params or "building:part" in params:
+                found.extend(_footprints(poly, params, f"{path}: polygon {poly.get('id', '?')!r}"))
+            poly = None
+
+    stream(path, start, end)
+    return found
+
+
+def pieces_of(shape: shapely.Geometry, least_area_m2: float = 1.0) -> list[Polygon]:
+    """The valid polygons of any geometry, oriented, slivers left out."""
+    parts = shapely.get_parts(shapely.make_valid(shape)) if not shape.is_valid else shapely.get_parts(shape)
+    flat = [inner for part in parts for inner in shapely.get_parts(part)]
+    return [
+        shapely.geometry.polygon.orient(part)
+        for part in flat
+        if isinstance(part, Polygon) and part.area >= least_area_m2
+    ]
+
+
+def footprint_of(polygon: Polygon, base_z_m: float, top_z_m: float) -> Footprint:
+    """A footprint from an oriented, valid polygon."""
+    holes = [np.asarray(ring.coords, dtype=float)[:, :2] for ring in polygon.interiors]
+    return Footprint(np.asarray(polygon.exterior.coords, dtype=float)[:, :2], holes, base_z_m, top_z_m)
+
+
+def write_footprints(path: Path, footprints: Iterable[tuple[str, Footprint]]) -> None:
+    """Write (id, footprint) pairs as a SUMO polygon file with centimetre coordinates."""
+    with path.open("w", encoding="utf-8", newline="\n") as out:
+        out.write('<?xml version="1.0" encoding="UTF-8"?>\n<additional>\n')
+        for name, (outer, holes, base, top) in footprints:
+            out.write(
+                f'    <poly id="{name}" type="building" color="0.72,0.66,0.58" fill="1" layer="-1"'
+                f' shape="{_shape(outer)}">\n'
+                f'        <param key="base_z_m" value="{base:.2f}"/>\n'
+                f'        <param key="top_z_m" value="{top:.2f}"/>\n'
+            )
+            for n, hole in enumerate(holes):
+                out.write(f'        <param key="hole.{n}" value="{_shape(hole)}"/>\n')
+            out.write("    </poly>\n")
+        out.write("</additional>\n")
+
+
+def _shape(ring: Float[ndarray, "k 2"]) -> str:
+    return " ".join(f"{x:.2f},{y:.2f}" for x, y in ring)
+
+
+def _footprints(poly: Attributes, params: Attributes, where: str) -> list[Footprint]:
+    outer = _ring(poly.get("shape", ""), where)
+    holes = [_ring(value, where) for key, value in params.items() if key.startswith("hole.")]
+    polygon = Polygon(outer, holes)
+    tags = dict(params)
+    tags.setdefault("building", poly.get("type", "").removeprefix("building").lstrip(".") or "yes")
+    height = height_of(tags, polygon.area)
+    base = _metres(params.get("base_z_m"), height.base_z_m, where)
+    top = _metres(params.get("top_z_m"), height.top_z_m, where)
+    if not 0.0 <= base < top:
+        raise ValueError(f"{where}: reaches from {base} m to {top} m; a building's top must lie above its base")
+    return [footprint_of(piece, base, top) for piece in pieces_of(polygon)]
+
+
+def _ring(text: str, where: str) -> Float[ndarray, "k 2"]:
+    try:
+        points = np.array([[float(value) for value in point.split(",")[:2]] for point in text.split()])
+    except ValueError:
+        raise ValueError(f"{where}: shape {text[:40]!r}... is not a list of x,y pairs") from None
+    if points.ndim != 2 or points.shape[1:] != (2,) or not np.isfinite(points).all():
+        raise ValueError(f"{where}: shape {text[:40]!r}... is not a list of finite x,y pairs")
+    if not (points[0] == points[-1]).all():
+        points = np.vstack([points, points[:1]])
+    if len(points) < 4:
+        raise ValueError(f"{where}: a ring needs three different points, this one has {len(points) - 1}")
+    return points
+
+
+def _metres(text: str | None, otherwise: float, where: str) -> float:
+    if text is None:
+        return otherwise
+    try:
+        value = float(text)
+    except ValueError:
+        value = float("nan")
+    if not isfinite(value):
+        raise ValueError(f"{where}: {text!r} is not a height in metres")
+    return value

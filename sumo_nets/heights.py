@@ -1,0 +1,64 @@
+"""How tall a building is, from its OpenStreetMap tags."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from typing import Literal, NamedTuple
+
+STOREY_M = 3.5
+"""Floor to floor in an old city centre, roof included in the top one's [m]."""
+CLEARANCE_M = 4.5
+"""Under roofs and passages that name no height of their own [m]."""
+
+_BY_KIND_M: dict[str, float] = {
+    "church": 25.0, "cathedral": 40.0, "chapel": 12.0, "tower": 25.0,
+    "kiosk": 3.0, "shed": 3.0, "hut": 3.0, "garage": 3.0, "garages": 3.0, "toilets": 3.0, "service": 3.5,
+    "underpass_entrance": 3.0, "subway_entrance": 3.0, "pavilion": 5.0, "greenhouse": 4.0, "glasshouse": 4.0,
+    "ship": 6.0, "house": 7.0, "detached": 7.0, "terrace": 8.0, "atrium": 14.0, "roof": 5.5,
+    "apartments": 21.0, "residential": 21.0, "office": 21.0, "commercial": 17.5, "retail": 14.0,
+    "hotel": 24.5, "university": 17.5, "school": 14.0, "public": 17.5, "civic": 17.5, "block": 21.0,
+}  # fmt: skip
+
+
+class Height(NamedTuple):
+    """Vertical extent above the ground, and where it comes from."""
+
+    base_z_m: float
+    top_z_m: float
+    source: Literal["measured", "storeys", "default"]
+
+
+def height_of(tags: Mapping[str, str], area_m2: float) -> Height:
+    """Vertical extent of a building or building part.
+
+    In this order: `height`; `building:levels` and `roof:levels` times 3.5 m; a default by kind; else by floor
+    area (under 40 m²: a kiosk, 3 m; under 150 m²: 7 m; larger: a five-storey block, 17.5 m).
+    """
+    kind = tags.get("building", "yes")
+    if kind == "yes":
+        kind = tags.get("building:part", "yes")
+    source: Literal["measured", "storeys", "default"]
+    if (metres := number(tags.get("height") or tags.get("building:height"))) is not None and metres > 0.0:
+        top, source = metres, "measured"
+    elif (storeys := number(tags.get("building:levels"))) is not None and storeys > 0.0:
+        top, source = STOREY_M * (storeys + (number(tags.get("roof:levels")) or 0.0)), "storeys"
+    else:
+        by_area = 3.0 if area_m2 < 40.0 else 7.0 if area_m2 < 150.0 else 5 * STOREY_M
+        top, source = _BY_KIND_M.get(kind, by_area), "default"
+    base = number(tags.get("min_height"))
+    if base is None:
+        base = STOREY_M * (number(tags.get("building:min_level")) or 0.0)
+    if base == 0.0 and kind == "roof":
+        base = min(CLEARANCE_M, top - 1.0)
+    base = max(base, 0.0)
+    return Height(base, max(top, base + 1.0), source)
+
+
+def number(text: str | None) -> float | None:
+    """The number that a tag starts with, feet turned into metres; None where there is none."""
+    match = re.match(r"\s*(\d+(?:[.,]\d+)?)\s*(m|ft|')?", text or "")
+    if match is None:
+        return None
+    value = float(match[1].replace(",", "."))
+    return value * 0.3048 if match[2] in ("ft", "'") else value

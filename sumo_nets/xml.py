@@ -1,0 +1,68 @@
+"""Reading XML that somebody else wrote: streamed, gzip'ed or not, and nothing but elements."""
+
+from __future__ import annotations
+
+import gzip
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import IO, cast
+from xml.parsers import expat
+
+Attributes = dict[str, str]
+
+_CHUNK_BYTES = 1 << 16
+
+
+class Enough(Exception):
+    """Raised by a handler that has seen all it wants."""
+
+
+def stream(
+    path: Path | str,
+    start: Callable[[str, Attributes], None],
+    end: Callable[[str], None] = lambda name: None,
+) -> None:
+    """Feed every element of an XML file to the handlers.
+
+    SUMO's files need no document type and no entities of their own; a file that declares any is refused,
+    so that a small file cannot grow into a large one nor name a file of this machine.
+
+    Raises
+    ------
+    ValueError
+        Names the file and the cause.
+    """
+    path = Path(path)
+    parser = expat.ParserCreate()
+
+    def refuse(*declaration: object) -> None:
+        raise ValueError(
+            f"{path}, line {parser.CurrentLineNumber}: declares a document type or an entity (<!DOCTYPE ...>), "
+            "which SUMO's files never need and which can hide harm. Remove the declaration."
+        )
+
+    parser.StartDoctypeDeclHandler = refuse
+    parser.EntityDeclHandler = refuse
+    parser.ExternalEntityRefHandler = refuse
+    parser.StartElementHandler = start
+    parser.EndElementHandler = end
+    try:
+        with _open(path) as file:
+            while chunk := file.read(_CHUNK_BYTES):
+                parser.Parse(chunk, False)
+        parser.Parse(b"", True)
+    except Enough:
+        return
+    except expat.ExpatError as error:
+        raise ValueError(f"{path}, line {error.lineno}: not well-formed XML ({expat.ErrorString(error.code)})") from None
+    except (gzip.BadGzipFile, EOFError, zlib.error) as error:
+        raise ValueError(f"{path}: damaged gzip file ({error})") from None
+    except OSError as error:
+        raise ValueError(f"{path}: cannot be read ({error.strerror or error})") from None
+
+
+def _open(path: Path) -> IO[bytes]:
+    with path.open("rb") as file:
+        zipped = file.read(2) == b"\x1f\x8b"
+    return cast("IO[bytes]", gzip.open(path, "rb")) if zipped else path.open("rb")

@@ -1,0 +1,17 @@
+"""One made-up run for all tests of this room that need one."""
+
+import pytest
+from synthetic import write
+
+from results.archive import open_run
+
+
+@pytest.fixture(scope="session")
+def run(tmp_path_factory):
+    return open_run(write(tmp_path_factory.mktemp("runs") / "base"))
+
+
+@pytest.fixture(scope="session")
+def other(tmp_path_factory):
+    """The same city with a shorter reach of the radio and another seed."""
+    return open_run(write(tmp_path_factory.mktemp("runs") / "reach-120", seed=1, reach_m=120.0))

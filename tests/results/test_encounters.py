@@ -1,0 +1,198 @@
+"""The encounter ledger: by hand, against closed forms, and against a brute-force twin."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from results.encounters import EncounterLedger, EncounterParams
+
+NULLS = ("gap_s", "trust_ab", "trust_ba", "source_ab", "source_ba", "age_ab_s", "age_ba_s")
+
+
+def rows_of(columns):
+    """Column arrays as a list of dicts, null as None."""
+    rows = []
+    for i in range(len(columns["a"])):
+        row = {name: columns[name][i].item() for name in columns if not name.endswith("__valid")}
+        for name in NULLS:
+            if not columns[f"{name}__valid"][i]:
+                row[name] = None
+        rows.append(row)
+    return rows
+
+
+def follow(tracks, params, dt_s=1.0, before_close=lambda ledger, step, opened, pairs: None):
+    """Encounters of tracks (step x actor x 2, NaN while not on the road), all pairs told to the ledger."""
+    ledger, rows = EncounterLedger(params, dt_s), []
+    for step, points in enumerate(tracks):
+        present = np.flatnonzero(~np.isnan(points[:, 0]))
+        a, b = (present[index] for index in np.triu_indices(len(present), 1))
+        distance = np.hypot(*(points[a] - points[b]).T)
+        closed, opened = ledger.update(step, a, b, distance, distance < params.radius_m / 2, present)
+        rows += rows_of(closed)
+        before_close(ledger, step, opened, (a, b))
+    return rows + rows_of(ledger.close(len(tracks)))
+
+
+def on_a_line(*distances):
+    """Two actors at these distances, None while the second one is away."""
+    return np.array([[(0.0, 0.0), (math.nan,) * 2 if d is None else (d, 0.0)] for d in distances])
+
+
+def brute_force(tracks, radius_m, hysteresis_s, dt_s):
+    """One pair after another, one step after another."""
+    n_steps, n_actors, _ = tracks.shape
+    rows = []
+    for a in range(n_actors):
+        for b in range(a + 1, n_actors):
+            distance = np.hypot(*(tracks[:, a] - tracks[:, b]).T)
+            there = ~np.isnan(distance)
+            contact = [s for s in range(n_steps) if there[s] and distance[s] <= radius_m]
+            meetings = []
+            for s in contact:
+                if meetings:
+                    last = meetings[-1][-1]
+                    if (s - last - 1) * dt_s < max(hysteresis_s, 1e-9) and there[last:s].all():
+                        meetings[-1].append(s)
+                        continue
+                meetings.append([s])
+            for i, steps in enumerate(meetings):
+                start, end = steps[0], steps[-1] + 1
+                gone = next((s for s in range(end, n_steps) if not there[s]), None)
+                m_over = max(1, math.ceil(hysteresis_s / dt_s - 1e-9))
+                over = end + m_over <= n_steps or gone is not None
+                away_before = start > 0 and not there[start - 1]
+                rows.append({
+                    "a": a, "b": b, "start_step": start, "end_step": end,
+                    "censored_left": start == 0, "censored_right": not over,
+                    "entered": bool(away_before), "departed": gone == end,
+                    "gap_s": None if i == 0 or not there[meetings[i - 1][-1] : start].all()
+                    else (start - meetings[i - 1][-1] - 1) * dt_s,
+                    "min_distance_m": distance[steps].min(), "mean_distance_m": distance[steps].mean(),
+                    "los_share": (distance[steps] < radius_m / 2).mean(),
+                })  # fmt: skip
+    return rows
+
+
+def by_key(rows):
+    return sorted(rows, key=lambda row: (row["a"], row["b"], row["start_step"]))
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.integers(0, 2**32 - 1), st.sampled_from([0.0, 0.5, 1.0, 2.0, 3.5]), st.sampled_from([0.5, 1.0]), st.booleans()
+)  # fmt: skip
+def test_twin_on_random_walks(seed, hysteresis_s, dt_s, leaving):
+    rng = np.random.default_rng(seed)
+    tracks = np.cumsum(rng.normal(0, 4, (40, 9, 2)), axis=0) + rng.uniform(-20, 20, (9, 2))
+    if leaving:  # every actor is on the road in one stretch, as ids are never reused
+        first, last = np.sort(rng.integers(0, 45, (2, 9)), axis=0)
+        steps = np.arange(40)[:, None]
+        tracks[(steps < first) | (steps > last)] = math.nan
+    params = EncounterParams(radius_m=25, hysteresis_s=hysteresis_s, pairs="all")
+    told, twin = by_key(follow(tracks, params, dt_s)), by_key(brute_force(tracks, 25, hysteresis_s, dt_s))
+    assert len(told) == len(twin)
+    for row, other in zip(told, twin, strict=True):
+        for name, value in other.items():
+            assert row[name] == (pytest.approx(value, rel=1e-5) if isinstance(value, float) else value), name
+        assert row["duration_s"] == pytest.approx((row["end_step"] - row["start_step"]) * dt_s)
+
+
+@pytest.mark.parametrize("lateral_m", [0.0, 30.0, 99.0])
+def test_opposite_lanes(lateral_m):
+    """Two cars at v1, v2 in opposite lanes d apart are within r for 2 sqrt(r^2 - d^2) / (v1 + v2)."""
+    dt, r, v1, v2 = 0.1, 100.0, 13.9, 8.3
+    t = np.arange(0, 60, dt)
+    zero = np.zeros_like(t)
+    tracks = np.stack([np.stack([v1 * t - 400, zero], 1), np.stack([260 - v2 * t, zero + lateral_m], 1)], axis=1)
+    (row,) = follow(tracks, EncounterParams(radius_m=r, pairs="all"), dt)
+    assert row["duration_s"] == pytest.approx(2 * math.sqrt(r**2 - lateral_m**2) / (v1 + v2), abs=dt)
+    assert row["min_distance_m"] == pytest.approx(lateral_m, abs=(v1 + v2) * dt)
+    assert not (row["censored_left"] or row["censored_right"] or row["entered"] or row["departed"])
+
+
+def test_overtaking():
+    """A car at 14 m/s overtakes one at 9 m/s in the next lane, 3.5 m aside: 2 sqrt(50^2 - 3.5^2) / 5 = 19.95 s."""
+    dt = 0.1
+    t = np.arange(0, 60, dt)
+    tracks = np.zeros((len(t), 2, 2))
+    tracks[:, 0, 0], tracks[:, 1, 0], tracks[:, 1, 1] = 14 * t - 150, 9 * t, 3.5
+    (row,) = follow(tracks, EncounterParams(radius_m=50, pairs="all"), dt)
+    assert row["duration_s"] == pytest.approx(2 * math.sqrt(50**2 - 3.5**2) / 5, abs=dt)
+    assert row["min_distance_m"] == pytest.approx(3.5, abs=0.05)
+
+
+def test_hysteresis_by_hand():
+    """Near in steps 1-3 and 6-7 (two steps away), radius 10: one encounter for h = 2.5 s, two for h = 2 s."""
+    tracks = on_a_line(50, 5, 8, 5, 20, 20, 9, 9, 50, 50, 50, 50)
+    (row,) = follow(tracks, EncounterParams(radius_m=10, hysteresis_s=2.5, pairs="all"))
+    assert (row["start_step"], row["end_step"], row["duration_s"], row["gap_s"]) == (1, 8, 7, None)
+    assert row["mean_distance_m"] == pytest.approx((5 + 8 + 5 + 9 + 9) / 5)  # steps in contact only
+    first, second = follow(tracks, EncounterParams(radius_m=10, hysteresis_s=2.0, pairs="all"))
+    assert (first["start_step"], first["end_step"], first["gap_s"]) == (1, 4, None)
+    assert (second["start_step"], second["end_step"], second["gap_s"]) == (6, 8, 2)
+
+
+def test_censoring_by_hand():
+    params = EncounterParams(radius_m=10, hysteresis_s=3, pairs="all")
+    (whole,) = follow(on_a_line(5, 5, 5), params)
+    assert whole["censored_left"] and whole["censored_right"] and whole["duration_s"] == 3
+    # Contact lost two steps before the end: it may still come back, so it counts as censored at 2 s.
+    (pause,) = follow(on_a_line(50, 5, 5, 50, 50), params)
+    assert pause["censored_right"] and pause["duration_s"] == 2 and not pause["censored_left"]
+    # Lost three steps before the end: over.
+    (over,) = follow(on_a_line(50, 5, 5, 50, 50, 50), params)
+    assert not over["censored_right"] and over["duration_s"] == 2
+
+
+def test_entering_and_leaving_by_hand():
+    params = EncounterParams(radius_m=10, hysteresis_s=3, pairs="all")
+    (row,) = follow(on_a_line(None, None, 5, 5, 5, None, None), params)
+    assert row["entered"] and row["departed"] and row["duration_s"] == 3
+    assert not row["censored_left"] and not row["censored_right"]
+    # Left the road after having left the radius: separated, not departed.
+    (row,) = follow(on_a_line(50, 5, 5, 50, None), params)
+    assert not row["departed"] and not row["entered"] and row["duration_s"] == 2
+
+
+def test_counts_and_first_contact():
+    """Messages and verdicts are kept apart by direction; trust is what was known when it began."""
+
+    def talk(ledger, step, opened, pairs):
+        a, b = (side[opened] for side in pairs)
+        if len(opened):
+            ledger.first_contact(b, a, np.full(len(a), 0.25), np.full(len(a), 0), np.full(len(a), 7.0))
+            ledger.first_contact(a, b, np.full(len(a), 0.5), np.full(len(a), 2), np.full(len(a), 0.0))
+        ledger.count_messages(np.array([0, 0, 1, 5]), np.array([1, 1, 0, 0]))
+        ledger.count_verdicts(np.array([1, 0]), np.array([0, 1]), np.array([4, 1]))
+
+    tracks = on_a_line(50, 5, 5, 50, 50)
+    (row,) = follow(tracks, EncounterParams(radius_m=10, hysteresis_s=0, pairs="all"), before_close=talk)
+    assert (row["n_messages_ab"], row["n_messages_ba"]) == (4, 2)  # two steps
+    assert (row["n_verdicts_ab"], row["n_verdicts_ba"]) == (2, 8)
+    assert (row["trust_ba"], row["source_ba"], row["age_ba_s"]) == (0.25, 0, 7)
+    assert (row["trust_ab"], row["source_ab"], row["age_ab_s"]) == (0.5, 2, None)
+
+
+def test_who_can_meet():
+    a, b = np.array([0, 0]), np.array([1, 2])
+    near, present = np.array([5.0, 5.0]), np.arange(3)
+    for pairs, expected in (("all", [1, 2]), ("equipped", [1]), ("sight", [])):
+        ledger = EncounterLedger(EncounterParams(radius_m=10, pairs=pairs), 1.0)
+        _, opened = ledger.update(0, a, b, near, np.array([False, True]), present, equipped=np.array([True, False]))
+        assert b[opened].tolist() == expected
+    assert len(ledger) == 0
+
+
+def test_memory_stays_with_the_living():
+    """Actors who come and go for long leave nothing behind."""
+    ledger = EncounterLedger(EncounterParams(radius_m=10, hysteresis_s=0, pairs="all"), 1.0)
+    for step in range(300):
+        present = np.arange(step * 20, step * 20 + 20)
+        a, b = (present[index] for index in np.triu_indices(20, 1))
+        ledger.update(step, a, b, np.ones(len(a)), np.ones(len(a), bool), present)
+    assert len(ledger) == 190
+    assert len(ledger._past[0]) + len(ledger._pending[0]) < 5000

@@ -1,0 +1,99 @@
+"""Matching by hand, by law, and against the slow transcription."""
+
+import numba
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tests.trust.worlds import make, worlds
+from tests.verification import paper
+from trust.matching import match
+from trust.params import TrustParams
+from trust.tables import Detections, Views
+
+
+def row_of(senders, pairs, one_per_vehicle=False, tau=0.1):
+    """Seeds of one view over detections given by sender, the ego's first; IoUs by pair of rows."""
+    n = len(senders)
+    k = np.array([senders[:i].count(s) for i, s in enumerate(senders)])
+    no = np.zeros(n, bool)
+    table = Detections(np.array(senders), k, np.zeros(n, np.uint8), np.ones(n), no, no)
+    i, j = (np.array([p[c] for p in pairs], np.int64) for c in (0, 1))
+    params = TrustParams(tau=tau, one_per_vehicle=one_per_vehicle)
+    views = Views(np.array([0, n]), np.arange(n), np.array([0]))
+    return match(views, table, (i, j, np.array(list(pairs.values()))), params).seed.tolist()
+
+
+def test_threshold_is_strict():
+    assert row_of([0, 1], {(0, 1): 0.1}) == [0, 1]
+    assert row_of([0, 1], {(0, 1): np.nextafter(0.1, 1)}) == [0, 0]
+    assert row_of([0, 1], {(0, 1): np.nan}) == [0, 1]
+
+
+def test_first_maximum():
+    # vehicle 1's detection overlaps both of the ego's alike: the first takes it; a larger IoU wins
+    assert row_of([0, 0, 1], {(0, 2): 0.5, (1, 2): 0.5}) == [0, 1, 0]
+    assert row_of([0, 0, 1], {(0, 2): 0.5, (1, 2): 0.6}) == [0, 1, 1]
+
+
+def test_first_vehicle_before_better_vehicle():
+    # 2 overlaps the ego's (0.2) and vehicle 1's (0.9): the ego comes first
+    assert row_of([0, 1, 2], {(0, 2): 0.2, (1, 2): 0.9}) == [0, 1, 0]
+
+
+def test_members_are_no_seeds():
+    # 1 joins the ego's group; 2 overlaps only 1, which is no seed: a group of its own
+    assert row_of([0, 1, 2], {(0, 1): 0.5, (1, 2): 0.5}) == [0, 0, 2]
+
+
+def test_one_per_vehicle():
+    several = {(0, 1): 0.3, (0, 2): 0.5, (0, 3): 0.5}
+    assert row_of([0, 1, 1, 1], several) == [0, 0, 0, 0]
+    # the largest IoU, the first of equals; the others open groups
+    assert row_of([0, 1, 1, 1], several, one_per_vehicle=True) == [0, 1, 0, 3]
+    # a loser may still join the next vehicle
+    three = {(0, 2): 0.3, (0, 3): 0.5, (1, 2): 0.4}
+    assert row_of([0, 1, 2, 2], three, one_per_vehicle=True) == [0, 1, 1, 0]
+
+
+@pytest.mark.parametrize("one_per_vehicle", [False, True])
+@given(world=worlds())
+@settings(max_examples=200, deadline=None)
+def test_twin(world, one_per_vehicle):
+    params = TrustParams(one_per_vehicle=one_per_vehicle)
+    groups = match(world.views, world.table, world.pairs, params)
+    names, truth, iou = world.names(), world.dictionary(), world.iou()
+    for view in range(world.n_vehicles):
+        expected = paper.match(world.lists(view), truth, iou, params.tau, one_per_vehicle)
+        positions = range(world.views.ptr[view], world.views.ptr[view + 1])
+        ours = {}
+        for p in positions:
+            ours.setdefault(int(groups.seed[p]), []).append(names[world.views.member[p]])
+        assert sorted(ours.values()) == sorted(expected)
+        owner = world.views.owner[view]
+        assert all(groups.local[p] == (names[world.views.member[groups.seed[p]]][0] == owner) for p in positions)
+
+
+@given(world=worlds(), seed=st.integers(0, 2**32 - 1))
+@settings(max_examples=50, deadline=None)
+def test_pairs_have_no_order(world, seed):
+    groups = match(world.views, world.table, world.pairs, TrustParams())
+    rng = np.random.default_rng(seed)
+    order = rng.permutation(world.pairs[0].size)
+    i, j, iou = (a[order] for a in world.pairs)
+    swap = rng.random(order.size) < 0.5
+    again = match(world.views, world.table, (np.where(swap, j, i), np.where(swap, i, j), iou), TrustParams())
+    np.testing.assert_array_equal(again.seed, groups.seed)
+
+
+def test_threads_do_not_matter():
+    world = make(1, 40, 12)
+    many = match(world.views, world.table, world.pairs, TrustParams(one_per_vehicle=True))
+    threads = numba.get_num_threads()
+    numba.set_num_threads(1)
+    try:
+        one = match(world.views, world.table, world.pairs, TrustParams(one_per_vehicle=True))
+    finally:
+        numba.set_num_threads(threads)
+    np.testing.assert_array_equal(one.seed, many.seed)

@@ -1,0 +1,90 @@
+"""Random worlds, at once as arrays for the fast code and as dictionaries for the slow one."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from hypothesis import strategies as st
+
+from tests.verification.paper import Detection, Name
+from trust.tables import Detections, Views
+
+GAMMAS = [(0.0, 100.0), (0.0, 40.0), (0.0, 100.0), (0.0, 100.0)]
+
+
+@dataclass
+class World:
+    """A step: who detected what, what overlaps, who considers what."""
+
+    table: Detections
+    pairs: tuple[np.ndarray, np.ndarray, np.ndarray]
+    views: Views
+    points: np.ndarray  # per position of the views
+    plausible: np.ndarray
+    distance_m: np.ndarray  # per detection
+
+    @property
+    def n_vehicles(self) -> int:
+        return self.views.owner.size
+
+    def names(self) -> list[Name]:
+        return list(zip(self.table.sender.tolist(), self.table.k.tolist(), strict=True))
+
+    def dictionary(self) -> dict[Name, Detection]:
+        t = self.table
+        columns = (t.label, t.score, t.is_self, t.is_fabricated, self.distance_m)
+        rows = zip(*(c.tolist() for c in columns), strict=True)
+        return {name: Detection(*row) for name, row in zip(self.names(), rows, strict=True)}
+
+    def iou(self):
+        """IoU by names."""
+        names, (i, j, value) = self.names(), self.pairs
+        known = {(names[a], names[b]): v for a, b, v in zip(i, j, value.tolist(), strict=True)}
+        return lambda a, b: known.get((a, b), known.get((b, a), 0.0))
+
+    def lists(self, view: int) -> list[list[Name]]:
+        """What one vehicle considers, a list per vehicle, its own first (even if empty)."""
+        names, out = self.names(), {int(self.views.owner[view]): []}
+        for row in self.views.member[self.views.ptr[view] : self.views.ptr[view + 1]]:
+            out.setdefault(names[row][0], []).append(names[row])
+        return list(out.values())
+
+
+def make(seed: int, n_vehicles: int, n_objects: int, everybody: bool = False) -> World:
+    """A world in which many IoUs tie, and some equal the threshold exactly."""
+    rng = np.random.default_rng(seed)
+    label_of = rng.integers(0, 4, n_objects)
+    rows = []  # sender, k, label, score, is_self, is_fabricated, object
+    for v in range(n_vehicles):
+        if rng.random() < 0.8:
+            rows.append((v, 0, 0, 1.0, True, False, -1 - v))
+        seen = rng.choice(n_objects, rng.integers(0, n_objects + 1))  # one object may be seen twice
+        for k, o in enumerate(seen, start=1):
+            rows.append((v, k, label_of[o], rng.integers(1, 101) / 100, False, rng.random() < 0.1, o))
+    sender, k, label, score, is_self, is_lie, thing = (
+        np.array([r[c] for r in rows]) for c in range(7)
+    ) if rows else (np.zeros(0, int),) * 7
+    table = Detections(sender, k, label.astype(np.uint8), score.astype(float), is_self.astype(bool), is_lie.astype(bool))
+    d = len(table)
+    i, j = np.triu_indices(d, 1)
+    same = (label[i] == label[j]) & (sender[i] != sender[j])
+    near = np.where(thing[i] == thing[j], 0.9, 0.15)
+    same &= rng.random(i.size) < near
+    i, j = i[same], j[same]
+    iou = rng.integers(1, 11, i.size) / 20  # 0.05, 0.1 = tau, ...
+    members, ptr = [], [0]
+    for v in range(n_vehicles):
+        heard = np.ones(d, bool) if everybody else rng.random(d) < 0.8
+        own = np.flatnonzero((sender == v) & heard)
+        members += [*own, *np.flatnonzero((sender != v) & heard)]
+        ptr.append(len(members))
+    views = Views(np.array(ptr), np.array(members, np.int64), np.arange(n_vehicles))
+    m = len(members)
+    points = rng.choice([0, 0, 1, 5, 9, 10, 11, 39, 40, 41, 99, 100, 500], m)
+    return World(table, (i, j, iou), views, points, rng.random(m) < 0.7, rng.integers(0, 30, d).astype(float))
+
+
+def worlds(everybody: bool = False) -> st.SearchStrategy[World]:
+    """Worlds of up to six vehicles and six objects."""
+    return st.builds(
+        make, st.integers(0, 2**32 - 1), st.integers(1, 6), st.integers(1, 6), st.just(everybody)
+    )

@@ -1,0 +1,1 @@
+"""Belief to trust: TruPercept as functions of arrays and params; no geometry, no chance, no names of truth."""

@@ -1,0 +1,154 @@
+"""Matching: one object, several witnesses."""
+
+import numba
+import numpy as np
+from jaxtyping import Float, Int
+from numba import njit, prange
+from numpy import ndarray
+
+from trust.params import TrustParams
+from trust.tables import Detections, Groups, Views, int64
+
+
+@njit(cache=True)
+def _adjacency(n, i, j, iou, tau):
+    """Symmetric compressed rows of the pairs above tau (False for a NaN)."""
+    ptr = np.zeros(n + 1, np.int64)
+    for p in range(i.size):
+        if iou[p] > tau:
+            ptr[i[p] + 1] += 1
+            ptr[j[p] + 1] += 1
+    for r in range(n):
+        ptr[r + 1] += ptr[r]
+    at = ptr[:-1].copy()
+    other = np.empty(ptr[n], np.int32)
+    value = np.empty(ptr[n])
+    for p in range(i.size):
+        if iou[p] > tau:
+            for a, b in ((i[p], j[p]), (j[p], i[p])):
+                other[at[a]] = b
+                value[at[a]] = iou[p]
+                at[a] += 1
+    return ptr, other, value
+
+
+@njit(cache=True)
+def _candidate(p, after, at, member, block, seed, ptr, other, value):
+    """First vehicle after block `after` with a seed for p; of its seeds the one of first maximum IoU."""
+    best, best_iou = -1, 0.0
+    for x in range(ptr[member[p]], ptr[member[p] + 1]):
+        q = at[other[x]]
+        if q < 0 or block[q] <= after or block[q] >= block[p] or seed[q] != q:
+            continue
+        if (
+            best < 0
+            or block[q] < block[best]
+            or (block[q] == block[best] and (value[x] > best_iou or (value[x] == best_iou and q < best)))
+        ):
+            best, best_iou = q, value[x]
+    return best, best_iou
+
+
+@njit(cache=True, parallel=True)
+def _stars(view_ptr, member, sender, ptr, other, value, one_per_vehicle, n_chunks):
+    m, n_views = member.size, view_ptr.size - 1
+    seed = np.full(m, -1, np.int64)
+    block = np.empty(m, np.int64)  # position at which the list of p's sender starts
+    tried = np.full(m, -1, np.int64)
+    wish = np.full(m, -1, np.int64)
+    wish_iou = np.zeros(m)
+    winner = np.full(m, -1, np.int64)
+    for chunk in prange(n_chunks):
+        at = np.full(sender.size, -1, np.int64)
+        for v in range(chunk, n_views, n_chunks):
+            a, b = view_ptr[v], view_ptr[v + 1]
+            for p in range(a, b):
+                at[member[p]] = p
+                same = p > a and sender[member[p]] == sender[member[p - 1]]
+                block[p] = block[p - 1] if same else p
+            if not one_per_vehicle:
+                for p in range(a, b):
+                    q, _ = _candidate(p, -1, at, member, block, seed, ptr, other, value)
+                    seed[p] = q if q >= 0 else p
+            else:
+                s = a
+                while s < b:
+                    t = s + 1
+                    while t < b and block[t] == s:
+                        t += 1
+                    # each vehicle before s in turn takes its seeds' best; who loses asks the next one
+                    while True:
+                        turn = s
+                        for p in range(s, t):
+                            if seed[p] >= 0:
+                                continue
+                            q, iou = _candidate(p, tried[p], at, member, block, seed, ptr, other, value)
+                            wish[p] = q
+                            wish_iou[p] = iou
+                            if q >= 0 and block[q] < turn:
+                                turn = block[q]
+                        if turn == s:
+                            break
+                        for p in range(s, t):
+                            if seed[p] < 0 and wish[p] >= 0 and block[wish[p]] == turn:
+                                w = winner[wish[p]]
+                                if w < 0 or wish_iou[p] > wish_iou[w]:
+                                    winner[wish[p]] = p
+                        for p in range(s, t):
+                            if seed[p] < 0 and wish[p] >= 0 and block[wish[p]] == turn:
+                                if winner[wish[p]] == p:
+                                    seed[p] = wish[p]
+                                else:
+                                    tried[p] = turn
+                        for p in range(s, t):
+                            if wish[p] >= 0:
+                                winner[wish[p]] = -1
+                    for p in range(s, t):
+                        if seed[p] < 0:
+                            seed[p] = p
+                    s = t
+            for p in range(a, b):
+                at[member[p]] = -1
+    return seed
+
+
+def match(
+    views: Views,
+    detections: Detections,
+    pairs: tuple[Int[ndarray, "q"], Int[ndarray, "q"], Float[ndarray, "q"]],
+    params: TrustParams,
+) -> Groups:
+    """Groups of detections that each view takes for one object.
+
+    Parameters
+    ----------
+    views
+        A vehicle appears at most once in a view: its detections are contiguous.
+    pairs
+        (i, j, IoU) of the detections of one class and different senders that overlap, each pair once.
+
+    Notes
+    -----
+    Matching of [1]_ as its published code has it: vehicle by vehicle in the order of the view, a detection
+    joins the first vehicle that has a seed with IoU > tau, there the seed of (first) maximum IoU; if there
+    is none it opens a group.
+    With `one_per_vehicle` a seed takes only the best of the detections that one vehicle has for it; the
+    others ask the next vehicle, or open groups.
+
+    Deviations: the paper matches against the ego's detections only and one per vehicle; here detections that
+    the ego lacks form groups too, which its later sections need, and one per vehicle is an option.
+    """
+    i, j, iou = pairs
+    ptr, other, value = _adjacency(len(detections), int64(i), int64(j), iou, params.tau)
+    seed = _stars(
+        int64(views.ptr),
+        int64(views.member),
+        int64(detections.sender),
+        ptr,
+        other,
+        value,
+        params.one_per_vehicle,
+        numba.get_num_threads(),
+    )
+    by_owner = detections.sender[views.member[seed]] == views.owner[views.of_member()]
+    return Groups(seed, by_owner)

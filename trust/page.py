@@ -1,0 +1,330 @@
+"""One page of a ledger: everything that is known about the detections of one step.
+
+Evidence is summed in integers, so that no order of arrival, no batching and no thread can change a sum, and
+a page is thrown away whole when it is stale, so that forgetting is exact. A *block* holds the sums of one
+(holder, subject): one slot per detection of the subject.
+"""
+
+from dataclasses import dataclass, field
+from enum import IntEnum
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+from numba import njit
+from numpy import ndarray
+
+from trust.tables import Told, int64
+
+ONE = float(1 << 44)  # fixed point of the sums: error 3e-14 per verdict, room for half a million verdicts
+_WORD = 12  # bits for the number of a 64-verdict word within a message
+_ROW = 20  # bits for a vehicle's row within its step
+MAX_VEHICLES = 1 << _ROW
+MAX_DETECTIONS = 1 << (_WORD + 6)
+
+
+class Refusal(IntEnum):
+    """Why a verdict moves nothing."""
+
+    ACCEPTED = 0
+    LATE = 1  # about a step that is forgotten
+    FUTURE = 2  # about a step that has not been
+    BAD_VALUE = 3  # e outside [-1, 1], Phi outside [0, 1], or not a number
+    UNKNOWN_EVALUATOR = 4  # was not there at that step
+    UNKNOWN_VEHICLE = 5  # its detector was not there at that step
+    UNKNOWN_DETECTION = 6  # never existed
+    DUPLICATE = 7  # this evaluator has already judged this detection
+
+
+class _News(NamedTuple):
+    """Messages in the page's own rows, a column per verdict or per message."""
+
+    code: ndarray  # per verdict: why it is refused
+    subject: ndarray  # row of its detector
+    number: ndarray  # among the verdicts of its evaluator, for good
+    weight: ndarray  # Phi, fixed point
+    value: ndarray  # Phi e, fixed point
+    row: ndarray  # per message: row of the evaluator, -1 if unknown
+    need: ndarray  # at most so many new blocks and slots
+
+
+@njit(cache=True)
+def _slot(keys, key):
+    """Where a key is, or would go, in an open-addressed table (a power of two long, -1 is free)."""
+    h = np.uint64(key) * np.uint64(0x9E3779B97F4A7C15)
+    i = np.int64(h >> np.uint64(20)) & (keys.size - 1)
+    while keys[i] != key and keys[i] != -1:
+        i = (i + 1) & (keys.size - 1)
+    return i
+
+
+@njit(cache=True)
+def _moved(keys, values, size):
+    """The same table with room for more."""
+    new_keys = np.full(size, -1, np.int64)
+    new_values = np.zeros(size, values.dtype)
+    for i in range(keys.size):
+        if keys[i] != -1:
+            s = _slot(new_keys, keys[i])
+            new_keys[s] = keys[i]
+            new_values[s] = values[i]
+    return new_keys, new_values
+
+
+@njit(cache=True)
+def _read(ids, first, score, evaluator, ptr, sender, k, e, phi, head, count, known, after, n_known):
+    """Translate messages; each (evaluator, detection) gets a number that is its for good."""
+    n, n_messages = sender.size, evaluator.size
+    code = np.zeros(n, np.uint8)
+    subject = np.zeros(n, np.int32)
+    number = np.zeros(n, np.int32)
+    weight = np.zeros(n, np.int64)
+    value = np.zeros(n, np.int64)
+    row = np.full(n_messages, -1, np.int32)
+    need = np.zeros((n_messages, 2), np.int64)
+    number_of = np.zeros(score.size, np.int32)
+    stamp = np.full(score.size, -1, np.int64)
+    for i in range(n_messages):
+        v = np.searchsorted(ids, evaluator[i])
+        if v == ids.size or ids[v] != evaluator[i]:
+            code[ptr[i] : ptr[i + 1]] = Refusal.UNKNOWN_EVALUATOR
+            continue
+        row[i] = v
+        x = head[v]
+        while x >= 0:
+            stamp[known[x, 0]] = i
+            number_of[known[x, 0]] = known[x, 1]
+            x = after[x]
+        s = -1
+        for p in range(ptr[i], ptr[i + 1]):
+            if s < 0 or s == ids.size or ids[s] != sender[p]:
+                s = np.searchsorted(ids, sender[p])
+                if s < ids.size and ids[s] == sender[p]:
+                    need[i, 0] += 1
+                    need[i, 1] += first[s + 1] - first[s]
+            if s == ids.size or ids[s] != sender[p]:
+                code[p] = Refusal.UNKNOWN_VEHICLE
+                continue
+            d = first[s] + k[p]
+            if k[p] < 0 or d >= first[s + 1] or not score[d] >= 0.0:
+                code[p] = Refusal.UNKNOWN_DETECTION
+                continue
+            if not (e[p] >= -1.0 and e[p] <= 1.0 and phi[p] >= 0.0 and phi[p] <= 1.0):
+                code[p] = Refusal.BAD_VALUE
+                continue
+            if stamp[d] != i:
+                stamp[d] = i
+                number_of[d] = count[v]
+                known[n_known, 0] = d
+                known[n_known, 1] = count[v]
+                after[n_known] = head[v]
+                head[v] = n_known
+                count[v] += 1
+                n_known += 1
+            subject[p] = s
+            number[p] = number_of[d]
+            weight[p] = np.int64(np.rint(phi[p] * ONE))
+            value[p] = np.int64(np.rint(phi[p] * e[p] * ONE))
+    return _News(code, subject, number, weight, value, row, need), n_known
+
+
+@njit(cache=True)
+def _enter(
+    start, holder, voice, ptr, k, news, count, first, block_table, blocks, dirty, mask_table, sums, n_used, refused
+):
+    """Enter deliveries from `start` on; stops early, between two of them, when a table is full."""
+    code, subject, number, weight, value, row, need = news
+    block_keys, block_at = block_table
+    mask_keys, masks = mask_table
+    n_vehicles = first.size - 1
+    base_of = np.zeros(n_vehicles, np.int64)
+    block_of = np.zeros(n_vehicles, np.int64)
+    met = np.full(n_vehicles, -1, np.int64)
+    for d in range(start, holder.size):
+        h, i = np.int64(holder[d]), voice[d]
+        v = np.int64(row[i])
+        n_words = 0 if v < 0 else (count[v] + 63) >> 6
+        if (
+            2 * (n_used[0] + need[i, 0]) > block_keys.size
+            or n_used[0] + need[i, 0] > dirty.size
+            or n_used[1] + need[i, 1] > sums.shape[0]
+            or 2 * (n_used[2] + n_words) > mask_keys.size
+        ):
+            return d
+        word, at = -1, -1
+        for p in range(ptr[i], ptr[i + 1]):
+            if code[p]:
+                refused[code[p]] += 1
+                continue
+            if number[p] >> 6 != word:
+                word = number[p] >> 6
+                key = (h << (_ROW + _WORD)) | (v << _WORD) | word
+                at = _slot(mask_keys, key)
+                if mask_keys[at] == -1:
+                    mask_keys[at] = key
+                    n_used[2] += 1
+            bit = np.uint64(1) << np.uint64(number[p] & 63)
+            if masks[at] & bit:
+                refused[Refusal.DUPLICATE] += 1
+                continue
+            masks[at] |= bit
+            s = subject[p]
+            if met[s] != h:
+                met[s] = h
+                key = (h << _ROW) | s
+                x = _slot(block_keys, key)
+                if block_keys[x] == -1:
+                    b = n_used[0]
+                    block_keys[x] = key
+                    block_at[x] = b
+                    blocks[b, 0] = h
+                    blocks[b, 1] = s
+                    blocks[b, 2] = n_used[1]
+                    n_used[0] += 1
+                    n_used[1] += first[s + 1] - first[s]
+                block_of[s] = block_at[x]
+                base_of[s] = blocks[block_of[s], 2]
+                dirty[block_of[s]] = True
+            slot = base_of[s] + k[p]
+            if s == v:  # its own opinion says that the detection was sent, nothing else
+                sums[slot, 2] |= 1
+            else:
+                sums[slot, 0] += weight[p]
+                sums[slot, 1] += value[p]
+                sums[slot, 2] |= 1
+                sums[slot, 2] += 2 * (weight[p] > 0)
+    return holder.size
+
+
+@njit(cache=True)
+def _settle(n_blocks, blocks, dirty, first, score, sums, by_score, skip_unseen, settled, n_verdicts):
+    """Equations 3 and 4 within the step, for the blocks that have news."""
+    for b in range(n_blocks):
+        if not dirty[b]:
+            continue
+        dirty[b] = False
+        s, base = blocks[b, 1], blocks[b, 2]
+        top, weight, n = 0.0, 0.0, 0
+        for d in range(first[s], first[s + 1]):
+            x = base + d - first[s]
+            phi = sums[x, 0]
+            if sums[x, 2] == 0 or (skip_unseen and phi == 0):
+                continue
+            w = score[d] if by_score else 1.0
+            if phi > 0:
+                top += w * (sums[x, 1] / phi)
+            weight += w
+            n += sums[x, 2] >> 1
+        settled[b, 0] = top
+        settled[b, 1] = weight
+        n_verdicts[b] = n
+
+
+def _room(a: ndarray, n: int) -> ndarray:
+    """The array with room for n rows, the new ones zero."""
+    if a.shape[0] >= n:
+        return a
+    return np.concatenate([a, np.zeros((max(n, 2 * a.shape[0]) - a.shape[0], *a.shape[1:]), a.dtype)])
+
+
+def _empty_table(dtype) -> tuple[ndarray, ndarray]:
+    return np.full(64, -1, np.int64), np.zeros(64, dtype)
+
+
+@dataclass(slots=True)
+class Page:
+    """What is known of one step: who was there, what they detected, and what was said about it."""
+
+    ids: Int[ndarray, "n"]  # vehicles there, ascending
+    first: Int[ndarray, "n+1"]  # detections of row r are first[r]:first[r + 1], the k-th at first[r] + k
+    score: Float[ndarray, "d"]  # NaN where a number k was never given
+    n_used: Int[ndarray, "3"] = field(default_factory=lambda: np.zeros(3, np.int64))  # blocks, slots, words
+    blocks: Int[ndarray, "b 3"] = field(default_factory=lambda: np.zeros((16, 3), np.int64))  # h, row, base
+    dirty: ndarray = field(default_factory=lambda: np.zeros(16, np.bool_))
+    settled: Float[ndarray, "b 2"] = field(default_factory=lambda: np.zeros((16, 2)))  # sum s T, sum s
+    n_verdicts: Int[ndarray, "b"] = field(default_factory=lambda: np.zeros(16, np.int64))
+    account: Int[ndarray, "b"] = field(default_factory=lambda: np.zeros(16, np.int64))
+    n_accounts: int = 0  # blocks whose account is known to the ledger
+    sums: Int[ndarray, "x 3"] = field(default_factory=lambda: np.zeros((256, 3), np.int64))
+    block_table: tuple[ndarray, ndarray] = field(default_factory=lambda: _empty_table(np.int32))
+    mask_table: tuple[ndarray, ndarray] = field(default_factory=lambda: _empty_table(np.uint64))
+    head: ndarray = field(init=False)  # chain of numbered verdicts per evaluator
+    count: ndarray = field(init=False)
+    known: ndarray = field(default_factory=lambda: np.zeros((64, 2), np.int32))  # detection, its number
+    after: ndarray = field(default_factory=lambda: np.zeros(64, np.int64))
+    n_known: int = 0
+
+    def __post_init__(self) -> None:
+        self.head = np.full(self.ids.size, -1, np.int64)
+        self.count = np.zeros(self.ids.size, np.int64)
+
+    def enter(self, told: Told, holder: Int[ndarray, "m"], voice: Int[ndarray, "m"], refused) -> None:
+        """Book deliveries: message `voice[i]` reached the ledger of `holder[i]`."""
+        more = self.n_known + told.sender.size
+        ptr, k = int64(told.ptr), int64(told.k)
+        self.known, self.after = _room(self.known, more), _room(self.after, more)
+        news, self.n_known = _read(
+            self.ids, self.first, self.score,
+            int64(told.evaluator), ptr, int64(told.sender), k, told.e, told.phi,
+            self.head, self.count, self.known, self.after, self.n_known,
+        )  # fmt: skip
+        start = 0
+        while True:
+            start = _enter(
+                start, holder, voice, ptr, k, news, self.count, self.first, self.block_table,
+                self.blocks, self.dirty, self.mask_table, self.sums, self.n_used, refused,
+            )  # fmt: skip
+            if start == holder.size:
+                return
+            self._grow(news.need[voice[start]], int(self.count.max()) // 64 + 1)
+
+    def _grow(self, need: Int[ndarray, "2"], n_words: int) -> None:
+        n_blocks, n_slots = (self.n_used[:2] + need).tolist()
+        self.blocks, self.dirty = _room(self.blocks, n_blocks), _room(self.dirty, n_blocks)
+        self.settled, self.n_verdicts = _room(self.settled, n_blocks), _room(self.n_verdicts, n_blocks)
+        self.account = _room(self.account, n_blocks)
+        self.sums = _room(self.sums, n_slots)
+        for table, n in (("block_table", n_blocks), ("mask_table", int(self.n_used[2]) + n_words)):
+            keys, values = getattr(self, table)
+            size = 1 << (2 * n - 1).bit_length()
+            if size > keys.size:
+                setattr(self, table, _moved(keys, values, 2 * size if keys.size > 64 else size))
+
+    def settle(self, by_score: bool, skip_unseen: bool) -> None:
+        """Bring the blocks' trust up to date."""
+        _settle(
+            self.n_used[0], self.blocks, self.dirty, self.first, self.score, self.sums,
+            by_score, skip_unseen, self.settled, self.n_verdicts,
+        )  # fmt: skip
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of the page [B]."""
+        arrays = (self.ids, self.first, self.score, self.blocks, self.dirty, self.settled, self.n_verdicts)
+        tables = (*self.block_table, *self.mask_table, self.account, self.sums, self.head, self.count)
+        return sum(a.nbytes for a in (*arrays, *tables, self.known, self.after))
+
+
+def open_page(
+    ids: Int[ndarray, "n"], row: Int[ndarray, "d"], k: Int[ndarray, "d"], score: Float[ndarray, "d"]
+) -> tuple[Page, int]:
+    """A page for the vehicles `ids` (ascending) and detections (row, k, score); bad ones are left out.
+
+    Returns
+    -------
+    The page, and how many detections were refused: score outside [0, 1], number out of range or given twice.
+    """
+    assert ids.size < MAX_VEHICLES
+    assert np.all(ids[1:] > ids[:-1])
+    good = (score >= 0) & (score <= 1) & (k >= 0) & (k < MAX_DETECTIONS)
+    row, k, score = row[good], k[good], score[good]
+    n_k = np.zeros(ids.size, np.int64)
+    np.maximum.at(n_k, row, k + 1)
+    first = np.concatenate([np.zeros(1, np.int64), np.cumsum(n_k)])
+    at = first[row] + k
+    kept = np.arange(at.size)
+    if np.any(at[1:] <= at[:-1]):
+        _, kept = np.unique(at, return_index=True)
+    scores = np.full(first[-1], np.nan)
+    scores[at[kept]] = score[kept]
+    return Page(int64(ids), first, scores), int((~good).sum() + at.size - kept.size)
