@@ -1,15 +1,14 @@
 """The commands."""
 
-import json
 import sys
 from pathlib import Path
 from typing import Annotated, Literal
 
-import click
 import typer
-from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeRemainingColumn
 from rich.table import Table
+
+from cosim.screen import conclude, notes, print_json, rows_of, screen, table_of
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -20,15 +19,13 @@ app = typer.Typer(
 nets = typer.Typer(no_args_is_help=True, help="The cities that ship.")
 app.add_typer(nets, name="nets")
 
-screen = Console()
-notes = Console(stderr=True)
-
 ConfigPath = Annotated[Path | None, typer.Argument(help="TOML file; without one, the shipped city.")]
 Overrides = Annotated[
     list[str] | None, typer.Option("--set", help="Change one key, e.g. radio.reach_m=150. Repeatable.")
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="Answer in JSON on standard output.")]
-RunPath = Annotated[Path, typer.Argument(help="Folder that `cosim run` wrote.")]
+RunPaths = Annotated[list[Path], typer.Argument(help="Folders that `cosim run` wrote.")]
+Picture = Literal["trust", "encounters", "freshness", "radio", "detection", "map", "contacts"]
 
 
 @app.command()
@@ -56,7 +53,7 @@ def run(
             bar.update(tasks[phase], completed=done, note=note)  # type: ignore[arg-type]
 
         folder = running.run(experiment, out, advance)
-    _show_measures(folder, as_json)
+    conclude(folder, as_json)
 
 
 @app.command()
@@ -70,29 +67,55 @@ def check(config: ConfigPath = None, overrides: Overrides = None, as_json: AsJso
     experiment = load(config, overrides)
     running.check(experiment)
     if as_json:
-        _print_json(experiment.to_dict())
+        print_json(experiment.to_dict())
     else:
         screen.print(tomli_w.dumps(running.without_nulls(experiment.to_dict())), highlight=False, markup=False)
 
 
 @app.command()
-def measure(runs: Annotated[list[Path], typer.Argument(help="Run folders.")], as_json: AsJson = False) -> None:
+def measure(runs: RunPaths, as_json: AsJson = False) -> None:
     """Print the figures that every study needs."""
-    for folder in runs:
-        _show_measures(folder, as_json)
+    from results.archive import open_run
+    from results.measure import measure as measured
+
+    tables = {str(folder): measured(open_run(folder)) for folder in runs}
+    if as_json:
+        print_json({name: rows_of(table) for name, table in tables.items()})
+        return
+    for name, table in tables.items():
+        screen.print(table_of(name, rows_of(table)))
 
 
 @app.command()
 def plot(
-    what: Annotated[str, typer.Argument(help="trust, encounters, freshness, radio, detection or map.")],
-    runs: Annotated[list[Path], typer.Argument(help="Run folders, overlaid.")],
+    what: Annotated[Picture, typer.Argument(help="Which figure.")],
+    runs: RunPaths,
     out: Annotated[Path | None, typer.Option(help="File to write: .png, .svg or .pdf.")] = None,
+    vehicle: Annotated[list[int] | None, typer.Option(help="trust only: draw this vehicle too. Repeatable.")] = None,
 ) -> None:
     """Draw a figure of one or several runs."""
-    from results import figures
     from results.archive import open_run
+    from results.figures import style
+    from results.figures.catalogue import FIGURES
 
-    path = figures.plot(what, [open_run(folder) for folder in runs], out)
+    if vehicle and what != "trust":
+        raise ValueError(f"--vehicle goes with `cosim plot trust` only, not with {what}. Leave it out.")
+    opened = [open_run(folder) for folder in runs]
+    figure = FIGURES[what](opened, vehicle) if vehicle else FIGURES[what](opened)
+    path = style.save(figure, out or runs[0] / f"{what}.png")
+    screen.print(f"wrote {path}", highlight=False, soft_wrap=True)
+
+
+@app.command()
+def report(
+    folder: Annotated[Path, typer.Argument(help="Run folder.")],
+    out: Annotated[Path | None, typer.Option(help="File to write; by default report.html in the run folder.")] = None,
+) -> None:
+    """Write one self-contained HTML page about a run."""
+    from results.archive import open_run
+    from results.report import write
+
+    path = write(open_run(folder), out or folder / "report.html")
     screen.print(f"wrote {path}", highlight=False, soft_wrap=True)
 
 
@@ -103,7 +126,7 @@ def nets_list(as_json: AsJson = False) -> None:
 
     found = [catalogue.find(name) for name in catalogue.names()]
     if as_json:
-        _print_json([{"name": n.name, "description": n.description, "licence": n.licence} for n in found])
+        print_json([{"name": n.name, "description": n.description, "licence": n.licence} for n in found])
         return
     table = Table("name", "what", "licence")
     for net in found:
@@ -111,31 +134,15 @@ def nets_list(as_json: AsJson = False) -> None:
     screen.print(table)
 
 
-def _show_measures(folder: Path, as_json: bool) -> None:
-    from results.archive import open_run
-    from results.metrics import measure as measured
-
-    figures = measured(open_run(folder))
-    if as_json:
-        _print_json({"run": str(folder)} | figures)
-        return
-    screen.print(folder, figures)
-
-
-def _print_json(content: object) -> None:
-    sys.stdout.write(json.dumps(content, indent=1, ensure_ascii=False, default=str) + "\n")
-
-
 def main() -> None:
     """Run a command; a user's mistake is one line on standard error and exit status 2."""
     try:
         status = app(standalone_mode=False)
-    except click.exceptions.Exit as stop:
-        status = stop.exit_code
-    except click.ClickException as error:
-        notes.print(f"error: {error.format_message()}", highlight=False, markup=False, soft_wrap=True)
+    except typer.TyperException as error:
+        if message := error.format_message():
+            notes.print(f"error: {message}", highlight=False, markup=False, soft_wrap=True)
         status = 2
-    except (click.Abort, KeyboardInterrupt):
+    except (typer.Abort, KeyboardInterrupt):
         notes.print("interrupted")
         status = 130
     except ValueError as error:

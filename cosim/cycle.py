@@ -167,8 +167,8 @@ def turn(world: World, city: Scene, state: State, config: Config, watch: Stopwat
         float(second_frames.n_transmissions @ verdicts_bytes(np.diff(told.ptr))),
     )
     return Turn(
-        world, observers, sights, said, truth, first, second, (first_frames, second_frames), sent_bytes, views, verdicts,
-        n_points, plausible, groups.local, known, fused, standing,
+        world, observers, sights, said, truth, first, second, (first_frames, second_frames), sent_bytes, views,
+        verdicts, n_points, plausible, groups.local, known, fused, standing,
     )  # fmt: skip
 
 

@@ -104,7 +104,8 @@ def turn(recorder: Recorder, turn: Turn, dt_s: float) -> None:
     })  # fmt: skip
     member = turn.views.member
     recorder.append("verdicts", step, {
-        "judged_step": np.full(len(member), step), "evaluator": ids[turn.views.of_member()], "observer": world.actor[turn.said.observer[member]],
+        "judged_step": np.full(len(member), step),
+        "evaluator": ids[turn.views.of_member()], "observer": world.actor[turn.said.observer[member]],
         "k": turn.said.k[member], "e": turn.verdicts.e, "visibility": turn.verdicts.phi,
         "n_points": turn.n_points, "plausible": turn.plausible, "plausible__valid": ~turn.matched,
         "matched": turn.matched,

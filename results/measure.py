@@ -7,12 +7,13 @@ import pandas as pd
 
 from results.archive import Run
 from results.metrics import detection, encounters, freshness, radio, trust
+from results.metrics.kitti import FEWEST
 
 Line = tuple[str, str, float, str]
 """Figure, of what, value, unit."""
 
 
-def measure(run: Run, threshold: float = 0.25, fresh_s: float = 10.0, max_frames: int = 1000) -> pd.DataFrame:
+def measure(run: Run, threshold: float = 0.25, fresh_s: float = 10.0, max_frames: int = 4000) -> pd.DataFrame:
     """Every figure that the run's record level allows.
 
     Parameters
@@ -104,7 +105,7 @@ def _radio(run: Run) -> Iterator[Line]:
 
 def _detection(run: Run, max_frames: int) -> Iterator[Line]:
     for row in detection.precision(run, max_frames=max_frames).to_dict("records"):
-        if row["n_truth"]:
+        if row["n_truth"] >= FEWEST:
             yield f"AP 3D, 40 points, {row['boxes']}", f"{row['class']}, {row['level']}", row["ap40"], "%"
     known = detection.awareness(run, max_frames=max_frames).groupby("boxes")[["n_known", "n_present"]].sum()
     for which, row in known.iterrows():

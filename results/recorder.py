@@ -95,7 +95,8 @@ class Recorder:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self.close()
+        if error is None:  # half a step is worth nothing: a resumed run repeats the block
+            self.close()
 
 
 def _checked(table: str, step: int, columns: Mapping[str, ndarray | None]) -> dict[str, ndarray]:
@@ -143,7 +144,7 @@ def _stored(name: str, column: Column, values: ndarray, valid: ndarray | None) -
             codes[values == label] = code
         known = codes >= 0 if valid is None else (codes >= 0) | ~valid
         if not known.all():
-            raise ValueError(f"{name} = {values[~known][0]!r} is none of {', '.join(column.categories)}.")
+            raise ValueError(f"{name} = '{values[~known][0]}' is none of {', '.join(column.categories)}.")
         return codes
     used = values if valid is None else values[valid]
     dtype = _dtype(column)

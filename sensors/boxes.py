@@ -31,7 +31,7 @@ class Boxes:
                 raise ValueError(f"boxes.{name} has shape {value.shape}; {shape} was expected: one row per box.")
             if not np.isfinite(value).all():
                 row = int(np.argmin(np.isfinite(value).reshape(len(value), -1).all(axis=1)))
-                raise ValueError(f"boxes.{name}[{row}] = {value[row]} is not finite: every box needs a pose and a size.")
+                raise ValueError(f"boxes.{name}[{row}] = {value[row]} is not finite: a box needs a pose and a size.")
             object.__setattr__(self, name, value)
         if len(self) and self.lwh_m.min() <= 0.0:
             row = int(np.argmin(self.lwh_m.min(axis=1)))
@@ -42,6 +42,11 @@ class Boxes:
 
     def __len__(self) -> int:
         return len(self.xyz_m)
+
+    @property
+    def reach_m(self) -> Float[ndarray, "n"]:
+        """Radius of the circle around each footprint [m]."""
+        return 0.5 * np.hypot(self.lwh_m[:, 0], self.lwh_m[:, 1])
 
     def take(self, rows: Int[ndarray, "m"] | slice) -> Boxes:
         """The boxes of these rows, in this order."""
@@ -86,7 +91,7 @@ def overlapping_pairs(
     i, j (int32) and their IoU (> 0), sorted by (i, j).
     """
     found_i, found_j, found_iou = [], [], []
-    reach = 0.5 * np.hypot(boxes.lwh_m[:, 0], boxes.lwh_m[:, 1])
+    reach = boxes.reach_m
     for one in np.unique(label):
         rows = np.flatnonzero(label == one)
         tree = cKDTree(boxes.xyz_m[rows, :2])

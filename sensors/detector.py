@@ -223,7 +223,7 @@ def _clutter(sweeps, sightings, u, params):
 
 @njit(cache=True)
 def _pick(hit, o, u, hidden_o, hidden_actor):
-    """A ray per draw that met a wall, the road or a hidden actor: the next such one after a random place; -1 if none."""
+    """A ray per draw that met a wall, the road or a hidden actor: the first one after a random place; -1 if none."""
     out = np.full(len(o), -1)
     n = hit.shape[1] * hit.shape[2]
     for k in range(len(o)):

@@ -107,8 +107,8 @@ def plausible(
     sweeps: Sweeps,
     o: Int[ndarray, "n"],
     boxes: Boxes,
-    area: AreaParams = AreaParams(),  # noqa: B008 (frozen)
-    params: PlausibilityParams = PlausibilityParams(),  # noqa: B008 (frozen)
+    area: AreaParams = AreaParams(),
+    params: PlausibilityParams = PlausibilityParams(),
 ) -> Bool[ndarray, "n"]:
     """Whether the sweep of observer o[k] allows that something stands in each box.
 
@@ -142,7 +142,8 @@ def tellable(sensed: Boxes, fov_rad: float, area: AreaParams) -> Bool[ndarray, "
     else:
         seen = (forward >= 0.0) | (left >= -forward * np.tan(np.pi - 0.5 * fov_rad))
     near_enough = (distance < area.range_m) & (np.abs(bottom[:, 2]) <= area.height_m)
-    return seen & near_enough & (sensed.xyz_m[:, 2] <= 0.0)
+    ahead = (forward != 0.0) | (left != 0.0)      # straight below there is no pyramid
+    return seen & near_enough & (sensed.xyz_m[:, 2] <= 0.0) & ahead
 
 
 @dataclass(frozen=True, slots=True)
@@ -168,10 +169,9 @@ class Sightings:
 def sightings(sweeps: Sweeps, boxes: Boxes, shape: UInt8[ndarray, "n"]) -> Sightings:
     """Every (observer, actor) with at least one ray that would meet the actor if nothing stood in front."""
     ptr, row = near(sweeps.poses.origin_m, boxes, sweeps.max_range_m)
-    reach = 0.5 * np.hypot(boxes.lwh_m[:, 0], boxes.lwh_m[:, 1])
     n_returns, n_alone = windows.returns_alone(
         sweeps.hit, sweeps.poses.origin_m, sweeps.poses.yaw_rad, sweeps.beams, float(sweeps.max_range_m),
-        boxes.xyz_m, reach, ptr, row, sweeps.observers, prisms(shape, boxes),
+        boxes.xyz_m, boxes.reach_m, ptr, row, sweeps.observers, prisms(shape, boxes),
     )  # fmt: skip
     keep = n_alone > 0
     o = np.repeat(np.arange(len(ptr) - 1, dtype=np.int32), np.diff(ptr))[keep]

@@ -48,17 +48,23 @@ PROFILES: dict[str, Profile] = {
         _HDL64E, 520, 90.0, "Velodyne HDL-64E S2 manual; 90 degrees in front of the car, as KITTI labels it"
     ),
     "hdl64e": Profile(
-        _HDL64E, 2083, 360.0, "Velodyne HDL-64E S2 manual: 32 lasers each 1/3 and 1/2 degree apart, 0.1728 degrees at 10 Hz"
+        _HDL64E, 2083, 360.0, "Velodyne HDL-64E S2 manual: 32 beams 1/3 and 32 beams 1/2 degree apart; 0.1728 at 10 Hz"
     ),
-    "vlp16": Profile(_even(-15.0, 15.0, 16), 1800, 360.0, "Velodyne VLP-16 manual 63-9243: 2 degrees apart, 0.2 at 10 Hz"),
+    "vlp16": Profile(
+        _even(-15.0, 15.0, 16), 1800, 360.0, "Velodyne VLP-16 manual 63-9243: 2 degrees apart; 0.2 at 10 Hz"
+    ),
     "vlp32c": Profile(
         (-25.0, -15.639, -11.31, -8.843, -7.254, -6.148, -5.333, -4.667, -4.0, -3.667, -3.333, -3.0, -2.667, -2.333,
          -2.0, -1.667, -1.333, -1.0, -0.667, -0.333, 0.0, 0.333, 0.667, 1.0, 1.333, 1.667, 2.333, 3.333, 4.667, 7.0,
          10.333, 15.0),
         1800, 360.0, "Velodyne VLP-32C manual 63-9325, channel table; 0.2 degrees at 10 Hz",
     ),
-    "os1_64": Profile(_even(-16.6, 16.6, 64), 1024, 360.0, "Ouster OS1-64 (first generation) data sheet: 33.2 degrees, 1024 columns"),
-    "os1_128": Profile(_even(-22.5, 22.5, 128), 1024, 360.0, "Ouster OS1-128 data sheet: 45 degrees, 1024 columns"),
+    "os1_64": Profile(
+        _even(-16.6, 16.6, 64), 1024, 360.0, "Ouster OS1 data sheet (first generation), 64 channels: 33.2 degrees"
+    ),
+    "os1_128": Profile(
+        _even(-22.5, 22.5, 128), 1024, 360.0, "Ouster OS1 data sheet (first generation), 128 channels: 45 degrees"
+    ),
     "pandar64": Profile(
         (-25.0, -19.0, *_even(-14.0, -7.0, 8), *_even(-6.0, 2.0, 49), 3.0, 5.0, 8.0, 11.0, 15.0),
         1800, 360.0, "Hesai Pandar64 manual: 1/6 degree from -6 to +2, coarser outside; 0.2 degrees at 10 Hz",
@@ -123,7 +129,8 @@ def beams(params: LidarParams) -> Beams:
         )
     if not 0 < fov <= 360 or n < 1:
         raise ValueError(
-            f"lidar.fov_deg = {fov} with {n} columns is no sweep: set lidar.fov_deg in (0, 360] and lidar.n_azimuths >= 1."
+            f"lidar.fov_deg = {fov} degrees in {n} columns is no sweep: set lidar.fov_deg in (0, 360] and "
+            "lidar.n_azimuths to 1 or more."
         )
     el = np.radians(elevation)
     az = np.radians(fov) * ((np.arange(n) + 0.5) / n - 0.5)
@@ -222,6 +229,8 @@ def scan(
     observers = np.asarray(observers, dtype=np.int64)
     if len(keys) != len(observers):
         raise ValueError(f"{len(keys)} keys were given for {len(observers)} observers: each needs one of its own.")
+    if len(observers) and not (0 <= observers.min() and observers.max() < len(boxes)):
+        raise ValueError(f"observers {observers.min()} .. {observers.max()} are no rows of {len(boxes)} actors.")
     grid = beams(params)
     poses = mount(boxes, observers, params)
     size = (len(observers), len(grid.azimuth_rad), len(grid.elevation_rad))

@@ -22,7 +22,7 @@ def near(
     n = len(boxes)
     if n == 0 or len(places_m) == 0:
         return np.zeros(len(places_m) + 1, np.int64), np.zeros(0, np.int64)
-    reach = within_m + 0.5 * float(np.hypot(boxes.lwh_m[:, 0], boxes.lwh_m[:, 1]).max())
+    reach = within_m + float(boxes.reach_m.max())
     pair = cKDTree(places_m[:, :2]).sparse_distance_matrix(cKDTree(boxes.xyz_m[:, :2]), reach, output_type="ndarray")
     key = np.sort(pair["i"].astype(np.int64) * n + pair["j"])
     return np.searchsorted(key, np.arange(len(places_m) + 1) * n), key % n

@@ -72,7 +72,8 @@ def prisms(shape: UInt8[ndarray, "n"], boxes: Boxes) -> Prisms:
         raise ValueError(f"{len(shape)} shapes were given for {len(boxes)} boxes: each actor needs one of both.")
     if len(shape) and int(np.max(shape)) >= len(Shape):
         row = int(np.argmax(shape))
-        raise ValueError(f"shape[{row}] = {shape[row]} is no actor shape: use {[f'{s.value} {s.name}' for s in Shape]}.")
+        known = ", ".join(f"{s.value} {s.name}" for s in Shape)
+        raise ValueError(f"shape[{row}] = {shape[row]} is no actor shape: use one of {known}.")
     table = np.array([part for s in Shape for part in _STACKS[s]])
     first = np.cumsum([0] + [len(_STACKS[s]) for s in Shape])
     parts = np.diff(first)[shape]
@@ -116,10 +117,11 @@ class Buildings(NamedTuple):
     """int64 [2]: columns, rows."""
     grid_ptr: ndarray
     grid_item: ndarray
-    """Buildings whose bounds touch cell (column, row) = items grid_ptr[k]..grid_ptr[k+1], k = row * columns + column."""
+    """Cell k = row * columns + column is touched by the bounds of buildings grid_item[grid_ptr[k]:grid_ptr[k + 1]]."""
 
 
 GRID_CELL_M = 64.0
+SMALLEST_M2 = 1e-4      # less than a square centimetre is no building
 
 
 @dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
@@ -166,7 +168,7 @@ class Scene:
         """
         base, top = np.asarray(base_z_m, float), np.asarray(top_z_m, float)
         if not len(rings) == len(base) == len(top):
-            raise ValueError(f"{len(rings)} footprints, {len(base)} bases and {len(top)} tops: one of each per building.")
+            raise ValueError(f"{len(rings)} footprints, {len(base)} bases, {len(top)} tops: one of each per building.")
         bad = ~(np.isfinite(base) & np.isfinite(top) & (top > base))
         if bad.any():
             k = int(np.argmax(bad))
@@ -182,19 +184,16 @@ class Scene:
                     )
             raw.append(shapely.Polygon(loops[0], loops[1:]))
         polygons = np.array(raw, dtype=object)
-        broken = ~shapely.is_valid(polygons) if len(polygons) else np.zeros(0, bool)
-        polygons = np.where(broken, shapely.make_valid(polygons), polygons) if broken.any() else polygons
+        broken = ~np.asarray(shapely.is_valid(polygons), bool)
+        polygons[broken] = shapely.make_valid(polygons[broken])
         parts, owner = shapely.get_parts(polygons, return_index=True)
-        solid = shapely.area(parts) > 1e-4
-        flat = (shapely.get_type_id(parts) == 6) | (shapely.get_type_id(parts) == 7)
-        if flat.any():      # make_valid may nest a multi-polygon with stray lines in one collection
-            inner, index = shapely.get_parts(parts, return_index=True)
-            parts, owner = inner, owner[index]
-            solid = shapely.area(parts) > 1e-4
+        parts, index = shapely.get_parts(parts, return_index=True)      # a repair may nest what it splits
+        owner = owner[index]
+        solid = (shapely.get_type_id(parts) == shapely.GeometryType.POLYGON) & (shapely.area(parts) > SMALLEST_M2)
         parts, owner = parts[solid], owner[solid]
-        parts = shapely.orient_polygons(parts) if len(parts) else parts
+        parts = shapely.orient_polygons(parts)
         n_dropped = len(raw) - len(np.unique(owner))
-        n_repaired = len(np.unique(owner[broken[owner]])) if len(owner) else 0
+        n_repaired = len(np.unique(owner[broken[owner]]))
         return Scene(_walls(parts, base[owner], top[owner]), parts, n_repaired, n_dropped)
 
 

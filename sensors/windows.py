@@ -10,7 +10,8 @@ from jaxtyping import Float
 from numba import njit
 from numpy import ndarray
 
-from sensors.raycast.columnar import ACTOR, below, profile, rectangle, spans
+from sensors.raycast.column import actor_columns, below, in_prism_frame, profile, rectangle, spans, surface
+from sensors.raycast.columnar import ACTOR
 
 MARGIN_RAD = 1e-9       # rounding of a window's limits
 
@@ -26,8 +27,7 @@ def in_box(x, y, z, cx, cy, cz, cos, sin, half_l, half_w, half_h):
 def points_in_boxes(range_m, beams, o, xyz, lwh, yaw):
     """Returns of sweep o[k] strictly inside box k (sensor frame)."""
     out = np.zeros(len(o), np.int32)
-    n, m = len(beams.azimuth_rad), len(beams.tan_el)
-    first, step = beams.azimuth_rad[0], beams.fov_rad / n
+    m = len(beams.tan_el)
     for k in range(len(o)):
         x, y, z = xyz[k, 0], xyz[k, 1], xyz[k, 2]
         half_l, half_w, half_h = 0.5 * lwh[k, 0], 0.5 * lwh[k, 1], 0.5 * lwh[k, 2]
@@ -35,7 +35,7 @@ def points_in_boxes(range_m, beams, o, xyz, lwh, yaw):
         reach, distance = np.hypot(half_l, half_w), np.hypot(x, y)
         close = distance - reach
         half = np.arcsin(reach / distance) + MARGIN_RAD if close > 0.0 else np.pi
-        a0, a1, b0, b1 = spans(np.arctan2(y, x), half, first, step, n)
+        a0, a1, b0, b1 = spans(np.arctan2(y, x), half, beams)
         r0, r1 = 0, m
         if close > 1e-6:
             low, high = z - half_h, z + half_h
@@ -74,6 +74,11 @@ def frustum(
 ) -> tuple[Float[ndarray, "n 4 3"], Float[ndarray, "n 4 3"], Float[ndarray, "n"]]:
     """Corners and planes of the pyramid from the sensor through the middle of each box (sensor frame).
 
+    Parameters
+    ----------
+    xyz, lwh
+        Boxes whose bottom lies below the sensor, but not straight below.
+
     Returns
     -------
     corners (top left, top right, bottom left, bottom right), planes (a point p is inside iff p . plane < 0 for all
@@ -82,9 +87,7 @@ def frustum(
     bottom = xyz - np.array([0.0, 0.0, 0.5]) * lwh[:, 2:]
     x, y, z = bottom.T
     distance = np.sqrt(x * x + y * y + z * z)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        down = np.column_stack([x, y, (x * x + y * y) / z])
-    down[z == 0.0] = (0.0, 0.0, -1.0)
+    down = np.column_stack([x, y, (x * x + y * y) / z])
     down /= np.sqrt((down * down).sum(axis=1))[:, None]
     # the paper's axes are right x down x forward, and so are ours: only their names turn
     right = np.cross(down, bottom / distance[:, None])
@@ -119,7 +122,6 @@ def free_space(range_m, beams, o, xyz, corners, planes, distance, margin_m):
     """Returns of sweep o[k] in the pyramid through box k, and how many of them are nearer than the box."""
     seen, closer = np.zeros(len(o), np.int32), np.zeros(len(o), np.int32)
     n, m = len(beams.azimuth_rad), len(beams.tan_el)
-    first, step = beams.azimuth_rad[0], beams.fov_rad / n
     for k in range(len(o)):
         corner, plane, limit = corners[k], planes[k], distance[k] + margin_m
         middle = np.arctan2(xyz[k, 1], xyz[k, 0])
@@ -129,7 +131,7 @@ def free_space(range_m, beams, o, xyz, corners, planes, distance, margin_m):
             half = max(half, abs(off - 2.0 * np.pi * np.round(off / (2.0 * np.pi))))
             slope = corner[i, 2] / np.hypot(corner[i, 0], corner[i, 1])
             low, high = min(low, slope), max(high, slope)
-        a0, a1, b0, b1 = spans(middle, half + MARGIN_RAD, first, step, n)
+        a0, a1, b0, b1 = spans(middle, half + MARGIN_RAD, beams)
         r0, r1 = 0, m
         if half < 1.5:
             # The side of a pyramid between two corners is a great circle: it bulges by the cosine of half its arc.
@@ -170,45 +172,31 @@ def free_space_xyz(points, planes, distance, margin_m):
 def returns_alone(hit, origin, yaw, beams, limit, xyz, reach, ptr, row, own, bodies):
     """Per candidate (observer, actor): returns in the sweep, and returns if the actor stood alone in the world."""
     n_returns, n_alone = np.zeros(len(row), np.int32), np.zeros(len(row), np.int32)
-    n, m = len(beams.azimuth_rad), len(beams.tan_el)
-    first, step = beams.azimuth_rad[0], beams.fov_rad / n
-    marked = np.zeros(m, np.int64)
-    stamp = 0
+    taken = np.zeros(len(beams.tan_el), np.int64)       # the last column (of all) in which a row was counted
+    column = 0
     for o in range(len(own)):
-        cos, sin = np.cos(yaw[o]), np.sin(yaw[o])
+        x, y, z, cos, sin = origin[o, 0], origin[o, 1], origin[o, 2], np.cos(yaw[o]), np.sin(yaw[o])
         for i in range(ptr[o], ptr[o + 1]):
             a = row[i]
             if a == own[o]:
                 continue
-            dx, dy = xyz[a, 0] - origin[o, 0], xyz[a, 1] - origin[o, 1]
-            distance = np.hypot(dx, dy)
-            half = np.arcsin(reach[a] / distance) if distance > reach[a] else np.pi
-            a0, a1, b0, b1 = spans(np.arctan2(cos * dy - sin * dx, cos * dx + sin * dy), half, first, step, n)
+            a0, a1, b0, b1 = actor_columns(xyz[a, 0] - x, xyz[a, 1] - y, reach[a], cos, sin, beams)
             for turn in range(2):
                 for c in range(a0 if turn == 0 else b0, a1 if turn == 0 else b1):
-                    stamp += 1
+                    column += 1
+                    ca, sa = beams.cos_az[c], beams.sin_az[c]
                     for k in range(bodies.ptr[a], bodies.ptr[a + 1]):
-                        dx, dy = origin[o, 0] - bodies.x_m[k], origin[o, 1] - bodies.y_m[k]
-                        tc = cos * bodies.cos[k] + sin * bodies.sin[k]
-                        ts = sin * bodies.cos[k] - cos * bodies.sin[k]
+                        p, q, u, v = in_prism_frame(bodies, k, x, y, cos, sin)
                         enter, leave = rectangle(
-                            bodies.cos[k] * dx + bodies.sin[k] * dy, bodies.cos[k] * dy - bodies.sin[k] * dx,
-                            tc * beams.cos_az[c] - ts * beams.sin_az[c], ts * beams.cos_az[c] + tc * beams.sin_az[c],
-                            bodies.half_l_m[k], bodies.half_w_m[k],
-                        )  # fmt: skip
+                            p, q, u * ca - v * sa, v * ca + u * sa, bodies.half_l_m[k], bodies.half_w_m[k]
+                        )
                         if leave <= max(enter, 0.0):
                             continue
-                        bottom, top = bodies.bottom_m[k] - origin[o, 2], bodies.top_m[k] - origin[o, 2]
-                        lo, s0, s1, hi, t, low, high = profile(enter, leave, bottom, top, beams.tan_el)
-                        for r in range(lo, hi):
-                            if r < s0:
-                                d = np.float32(low / beams.sin_el[r])
-                            elif r < s1:
-                                d = np.float32(t * (1.0 / beams.cos_el[r]))
-                            else:
-                                d = np.float32(high / beams.sin_el[r])
-                            if d <= limit and marked[r] != stamp:
-                                marked[r] = stamp
+                        bottom, top = bodies.bottom_m[k] - z, bodies.top_m[k] - z
+                        first, s0, s1, last, t, low, high = profile(enter, leave, bottom, top, beams.tan_el)
+                        for r in range(first, last):
+                            if taken[r] != column and surface(r, s0, s1, t, low, high, beams) <= limit:
+                                taken[r] = column
                                 n_alone[i] += 1
                                 n_returns[i] += hit[o, c, r] == ACTOR + a
     return n_returns, n_alone

@@ -6,7 +6,6 @@ from collections import Counter, defaultdict
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import numpy as np
 import shapely
 from jaxtyping import Float
 from numpy import ndarray
@@ -22,6 +21,7 @@ PASSAGE_M2 = 25.0
 """A building that covers more street than this bridges it; less is a drawing error and cut off [m²]."""
 
 Solid = tuple[str, shapely.Geometry, Height]
+Ring = Float[ndarray, "k 2"]
 Rings = dict[str, tuple[list[list[int]], list[list[int]], Tags]]
 
 
@@ -64,13 +64,14 @@ def rings_of(extract: Extract) -> Rings:
 
 
 def build(
-    rings: Rings, project: Callable[[list[Way]], dict[int, Float[ndarray, "k 2"]]], street: shapely.Geometry
+    rings: Rings, project: Callable[[list[Way]], dict[int, Ring]], street: shapely.Geometry
 ) -> Buildings:
     """Footprints in network coordinates, parts taking the place of the outline they refine.
 
     `project` turns ways into rings in the network's coordinates; `street` is the ground that must stay free.
     """
-    ways, owner = [], []
+    ways: list[Way] = []
+    owner: list[tuple[str, bool]] = []
     for name, (outer, inner, _) in rings.items():
         for ring, is_outer in [(ring, True) for ring in outer] + [(ring, False) for ring in inner]:
             ways.append(Way(len(ways) + 1, (*ring, ring[0]), {"building": "yes"}))
@@ -156,7 +157,3 @@ def _standing(solids: list[Solid], street: shapely.Geometry) -> Buildings:
                 used[name] += 1
     return Buildings(footprints, heights, cut, bridging)
 
-
-def project_with(polygons: list[tuple[str, str]]) -> dict[int, Float[ndarray, "k 2"]]:
-    """Rings from polyconvert's (id, shape) pairs."""
-    return {int(name): np.array([[float(v) for v in p.split(",")] for p in text.split()]) for name, text in polygons}

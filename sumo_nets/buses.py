@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass
 from math import inf
 from typing import Any
@@ -43,7 +43,7 @@ class Stop:
 
 
 def lines_of(
-    extract: Extract, net: Any, project: Callable[[Iterable[int]], dict[int, Point]], least_m: float
+    extract: Extract, net: Any, project: Callable[[list[int]], dict[int, Point]], least_m: float
 ) -> tuple[list[Line], list[Stop]]:
     """Daytime bus lines that run at least `least_m` through the network, and the stops they call at.
 
@@ -69,18 +69,17 @@ def lines_of(
             continue
         ways = _ways(relation, edges_of_way)
         matched = _matched(net, [edges_of_way[way] for way in ways]) if ways else []
-        metres = sum(net.getEdge(edge).getLength() for edge in matched)
-        named = sum(length_m(extract, run) for way in ways for run in pieces(extract.ways[way], extract.place))
-        if metres >= least_m and metres <= DETOUR * named:
+        driven_m = sum(net.getEdge(edge).getLength() for edge in matched)
+        named_m = sum(length_m(extract, run) for way in ways for run in pieces(extract.ways[way], extract.place))
+        if least_m <= driven_m <= DETOUR * named_m:
             calls = {ref for kind, ref, _ in relation.members if kind == "n" and ref in place}
             alike[tuple(matched)].append((relation.tags["ref"], calls))
     stops: dict[str, Stop] = {}
     lines = []
     for edges, members in sorted(alike.items()):
         refs = tuple(sorted({ref for ref, _ in members}))
-        calls = sorted(set().union(*(calls for _, calls in members)))
-        found = {}
-        for sign in calls:
+        found: dict[str, tuple[int, Stop]] = {}
+        for sign in sorted({sign for _, calls in members for sign in calls}):
             name = extract.node_tags.get(sign, {}).get("name", "")
             if (stop := _beside(net, edges, sign, name, place[sign])) is not None:
                 found.setdefault(stop.lane, (edges.index(stop.lane.rsplit("_", 1)[0]), stop))
@@ -105,7 +104,7 @@ def stops_xml(stops: list[Stop]) -> str:
 def departures(lines: list[Line], recipe: dict[str, Any], seed: int, end_s: float) -> list[str]:
     """Buses by timetable: each line at its headway from a phase of its own, dwelling at every stop."""
     draw = Draw(seed, "bus")
-    trips = []
+    trips: list[str] = []
     for n, line in enumerate(lines):
         headway_s = 3600.0 / recipe["per_hour_and_line"] / min(len(line.refs), recipe["most_lines_alike"])
         now = draw.uniform() * headway_s
@@ -141,7 +140,8 @@ def _matched(net: Any, candidates: list[list[Any]]) -> list[str]:
     cost = {edge: edge.getLength() for edge in candidates[0]}
     drive = {edge: [edge.getID()] for edge in candidates[0]}
     for options in candidates[1:]:
-        next_cost, next_drive = {}, {}
+        next_cost: dict[Any, float] = {}
+        next_drive: dict[Any, list[str]] = {}
         for edge in options:
             best, best_drive = inf, None
             for before, so_far in cost.items():
@@ -153,9 +153,10 @@ def _matched(net: Any, candidates: list[list[Any]]) -> list[str]:
                         continue
                 total = so_far + metres - before.getLength()
                 if total < best:
-                    best, best_drive = total, drive[before] + [step.getID() for step in path[1:]]
+                    best, best_drive = total, drive[before] + [leg.getID() for leg in path[1:]]
             if best_drive is not None:
-                next_cost[edge], next_drive[edge] = best, best_drive
+                next_cost[edge] = best
+                next_drive[edge] = best_drive
         if not next_cost:
             return []
         cost, drive = next_cost, next_drive

@@ -31,7 +31,7 @@ class Net:
     end_s: float
     """Time at which the demand ends."""
     vehicles_per_hour: float
-    """Vehicles that enter, bicycles and buses included."""
+    """Vehicles that the demand draws, bicycles included, buses not (they keep a timetable)."""
     pedestrians_per_hour: float
     bounds_m: tuple[float, float, float, float]
     """Least x, least y, greatest x, greatest y, in network coordinates."""
@@ -62,22 +62,26 @@ def find(name: str) -> Net:
     """
     if name not in names():
         raise ValueError(f"network = {name!r} does not ship with cosim; there are: {', '.join(names())}")
-    folder = _HERE / name
+    return open_folder(_HERE / name)
+
+
+def open_folder(folder: Path) -> Net:
+    """A network from the folder that `sumo_nets.build` made."""
     recipe = tomllib.loads((folder / "recipe.toml").read_text(encoding="utf-8"))
     demand = recipe["demand"]
     net_path = folder / "net.net.xml.gz"
     return Net(
-        name=name,
+        name=recipe["name"],
         description=recipe["description"],
         licence=recipe["licence"],
         attribution=recipe["attribution"],
         folder=folder,
-        sumocfg_path=folder / f"{name}.sumocfg",
+        sumocfg_path=folder / f"{recipe['name']}.sumocfg",
         net_path=net_path,
         buildings_path=folder / "buildings.poly.xml.gz",
         warm_up_s=float(recipe["warm_up_s"]),
         end_s=float(demand["end_s"]),
-        vehicles_per_hour=float(recipe["vehicles_per_hour"]),
+        vehicles_per_hour=float(sum(demand[kind]["per_hour"] for kind in ("car", "van", "truck", "bicycle"))),
         pedestrians_per_hour=float(demand["pedestrian"]["per_hour"]),
         bounds_m=bounds_m(net_path),
     )

@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import accumulate
 from math import hypot, log
+from pathlib import Path
 from random import Random
 from typing import Any
 
@@ -52,11 +53,8 @@ class Draw:
         return lambda: chosen[min(bisect_right(sums, self.uniform() * sums[-1]), len(chosen) - 1)]
 
 
-def streets_of(net_path: str, gates: frozenset[str]) -> list[Street]:
-    """The edges of a network that a car may use, sorted by id."""
-    import sumolib
-
-    net = sumolib.net.readNet(net_path)
+def streets_of(net: Any, gates: frozenset[str]) -> list[Street]:
+    """The edges of a sumolib network that a car may use, sorted by id."""
     streets = []
     for edge in sorted(net.getEdges(), key=lambda edge: edge.getID()):
         if not edge.allows("passenger"):
@@ -89,7 +87,8 @@ def vehicle_trips(streets: list[Street], kind: str, recipe: dict[str, Any], seed
     enter = draw.chooser([street for street in through if street.is_entry], at_gate)
     leave = draw.chooser([street for street in through if street.is_exit], at_gate)
     kerb = draw.chooser(inside, lambda street: street.length_m if street.length_m > 40.0 else 0.0)
-    trips, now = [], 0.0
+    trips: list[str] = []
+    now = 0.0
     while (now := now + draw.gap_s(recipe["per_hour"])) < end_s:
         while True:
             starts_inside, ends_inside = draw.uniform() < recipe["from_inside"], draw.uniform() < recipe["to_inside"]
@@ -111,7 +110,8 @@ def walks(streets: list[Street], recipe: dict[str, Any], seed: int, end_s: float
     draw = Draw(seed, "pedestrian")
     pavements = [street for street in streets if street.walkable and street.length_m > 15.0]
     door = draw.chooser(pavements, lambda street: street.length_m)
-    lines, now = [], 0.0
+    lines: list[str] = []
+    now = 0.0
     while (now := now + draw.gap_s(recipe["per_hour"])) < end_s:
         while True:
             origin, target = door(), door()
@@ -123,3 +123,10 @@ def walks(streets: list[Street], recipe: dict[str, Any], seed: int, end_s: float
             f'<personTrip from="{origin.id}" to="{target.id}" arrivalPos="random"/></person>'
         )
     return lines
+
+
+def write_trips(path: Path, trips: list[str]) -> None:
+    """Write trips, walks and vehicles in the order of their departures."""
+    rows = sorted(trips, key=lambda row: (float(row.split('depart="', 1)[1].split('"', 1)[0]), row))
+    text = "\n".join(["<routes>", *rows, "</routes>", ""])
+    path.write_text(text, encoding="utf-8", newline="\n")

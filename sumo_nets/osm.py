@@ -56,14 +56,16 @@ def read(path: Path) -> Extract:
     extract = Extract()
     try:
         for item in osmium.FileProcessor(str(path)):
+            if isinstance(item, osmium.osm.Changeset):
+                continue
             tags = {tag.k: tag.v for tag in item.tags}
-            if item.is_node():
+            if isinstance(item, osmium.osm.Node):
                 extract.place[item.id] = (item.location.lon, item.location.lat)
                 if tags:
                     extract.node_tags[item.id] = tags
-            elif item.is_way():
+            elif isinstance(item, osmium.osm.Way):
                 extract.ways[item.id] = Way(item.id, tuple(node.ref for node in item.nodes), tags)
-            elif item.is_relation():
+            elif isinstance(item, osmium.osm.Relation):
                 members = tuple((member.type, member.ref, member.role) for member in item.members)
                 extract.relations[item.id] = Relation(item.id, members, tags)
     except (RuntimeError, osmium.InvalidLocationError) as error:

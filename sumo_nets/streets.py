@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from collections import defaultdict
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from sumo_nets.osm import Extract, Way, pieces
 
@@ -23,8 +22,8 @@ class Streets:
     """Length of street left out because a car could not leave (or reach) it [m]."""
 
 
-def drivable(extract: Extract, classes: frozenset[str], edge_m: float) -> Streets:
-    """Surface streets of the given highway classes, without dead ends.
+def drivable(extract: Extract, classes: frozenset[str], ignored_tags: frozenset[str], edge_m: float) -> Streets:
+    """Surface streets of the given highway classes, without dead ends and without the ignored tags.
 
     A street stays if a car can come from outside the extract, drive through it and leave the extract
     without turning round on the spot. Streets cut off by the extract, or ending within `edge_m` of its
@@ -53,7 +52,7 @@ def drivable(extract: Extract, classes: frozenset[str], edge_m: float) -> Street
             both[index, a, b].append(forward)
     for (index, a, b), ways_round in sorted(both.items()):
         kept[index].append((a, b, True in ways_round, False in ways_round))
-    return _assemble(extract, runs, stubs, kept, gates)
+    return _assemble(extract, runs, stubs, kept, gates, ignored_tags)
 
 
 def length_m(extract: Extract, nodes: tuple[int, ...]) -> float:
@@ -79,7 +78,7 @@ def _directions(way: Way) -> tuple[bool, bool]:
 
 def _split(run: tuple[int, ...], use: dict[int, int]) -> list[tuple[int, int]]:
     cuts = [i for i, node in enumerate(run) if use[node] > 1]
-    return list(zip(cuts[:-1], cuts[1:], strict=True))
+    return list(pairwise(cuts))
 
 
 def _gates(extract: Extract, runs, stubs, edge_m: float) -> frozenset[int]:
@@ -100,7 +99,7 @@ def _gates(extract: Extract, runs, stubs, edge_m: float) -> frozenset[int]:
     return frozenset(gates)
 
 
-def _on_a_through_trip(runs, arcs, gates: frozenset[int]) -> np.ndarray:
+def _on_a_through_trip(runs, arcs, gates: frozenset[int]) -> list[bool]:
     """Which arcs lie on a trip from a gate to a gate; node 0 of the graph is the outside."""
     tail, head = [], []
     for index, a, b, forward in arcs:
@@ -111,20 +110,34 @@ def _on_a_through_trip(runs, arcs, gates: frozenset[int]) -> np.ndarray:
     leaving: dict[int, list[int]] = defaultdict(list)
     for i, node in enumerate(tail):
         leaving[node].append(i)
-    links = []
+    links: list[list[int]] = [[] for _ in range(len(arcs) + 1)]
     for i, node in enumerate(head):
-        back = (arcs[i][0], arcs[i][1], arcs[i][2], not arcs[i][3])
-        links += [(i + 1, j + 1) for j in leaving[node] if arcs[j] != back]
+        back = (*arcs[i][:3], not arcs[i][3])
+        links[i + 1] += [j + 1 for j in leaving[node] if arcs[j] != back]
         if node in gates:
-            links.append((i + 1, 0))
-    links += [(0, j + 1) for node in sorted(gates) for j in leaving[node]]
-    row, column = np.array(links).T
-    graph = coo_array((np.ones(len(links), np.int8), (row, column)), shape=(len(arcs) + 1,) * 2)
-    _, component = connected_components(graph.tocsr(), connection="strong")
-    return component[1:] == component[0]
+            links[i + 1].append(0)
+    links[0] += [j + 1 for node in sorted(gates) for j in leaving[node]]
+    backwards: list[list[int]] = [[] for _ in links]
+    for i, ends in enumerate(links):
+        for j in ends:
+            backwards[j].append(i)
+    return [a and b for a, b in zip(_reached(links), _reached(backwards), strict=True)][1:]
 
 
-def _assemble(extract: Extract, runs, stubs, kept, gates: frozenset[int]) -> Streets:
+def _reached(links: list[list[int]]) -> list[bool]:
+    """What can be reached from node 0."""
+    reached = [False] * len(links)
+    reached[0] = True
+    todo = [0]
+    while todo:
+        for j in links[todo.pop()]:
+            if not reached[j]:
+                reached[j] = True
+                todo.append(j)
+    return reached
+
+
+def _assemble(extract: Extract, runs, stubs, kept, gates: frozenset[int], ignored_tags: frozenset[str]) -> Streets:
     ways, dropped = [], 0.0
     for index, a, b in stubs:
         if not any(stub[:2] == (a, b) for stub in kept.get(index, ())):
@@ -139,7 +152,7 @@ def _assemble(extract: Extract, runs, stubs, kept, gates: frozenset[int]) -> Str
             else:
                 joined.append([a, b, forward, backward])
         for a, b, forward, backward in joined:
-            tags = dict(way.tags)
+            tags = {key: value for key, value in way.tags.items() if key not in ignored_tags}
             if not (forward and backward):
                 tags["oneway"] = "yes" if forward else "-1"
             name = way.id

@@ -36,7 +36,7 @@ def stream(
     path = Path(path)
     parser = expat.ParserCreate()
 
-    def refuse(*declaration: object) -> None:
+    def refuse(*declaration: object) -> int:
         raise ValueError(
             f"{path}, line {parser.CurrentLineNumber}: declares a document type or an entity (<!DOCTYPE ...>), "
             "which SUMO's files never need and which can hide harm. Remove the declaration."
@@ -55,7 +55,8 @@ def stream(
     except Enough:
         return
     except expat.ExpatError as error:
-        raise ValueError(f"{path}, line {error.lineno}: not well-formed XML ({expat.ErrorString(error.code)})") from None
+        cause = expat.ErrorString(error.code)
+        raise ValueError(f"{path}, line {error.lineno}: not well-formed XML ({cause})") from None
     except (gzip.BadGzipFile, EOFError, zlib.error) as error:
         raise ValueError(f"{path}: damaged gzip file ({error})") from None
     except OSError as error:

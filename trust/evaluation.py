@@ -78,7 +78,7 @@ def aggregated(
     the paper weighs with the evaluator's trust, see `trust.fusion`.
     """
     n = np.bincount(views.member, minlength=n_detections)
-    num = np.bincount(views.member, verdicts.phi * verdicts.e, n_detections)
+    num = np.bincount(views.member, verdicts.phi * verdicts.e, n_detections).astype(float)
     if how == "mean":
         den = np.bincount(views.member, verdicts.phi, n_detections)
         num = np.divide(num, den, out=np.zeros_like(num), where=den > 0)

@@ -77,7 +77,7 @@ class Parity:
 
 @njit(cache=True, parallel=True)
 def _accumulate(view_ptr, member, owner, n_detections, said_ptr, said, said_by, e, phi, heard_ptr, heard, trust,
-                ego_trust, default_trust, flat, sender, n_chunks, num, den, n, detector):  # fmt: skip
+                ego_trust, ego_computed, default_trust, flat, sender, n_chunks, num, den, n, detector):  # fmt: skip
     """Per position of the fusing views: sum Phi T e, sum Phi T, number of verdicts, trust of its detector."""
     n_vehicles = said_by.size
     for chunk in prange(n_chunks):
@@ -85,14 +85,10 @@ def _accumulate(view_ptr, member, owner, n_detections, said_ptr, said, said_by, 
         known = np.full(n_vehicles, default_trust)
         for x in range(chunk, owner.size, n_chunks):
             ego = owner[x]
-            own = default_trust
             for h in range(heard_ptr[x], heard_ptr[x + 1]):
                 known[heard[h]] = trust[h]
-                if heard[h] == ego:
-                    own = trust[h]
-            if ego_trust > 0.0:
-                own = ego_trust
-            known[ego] = own
+            if not ego_computed:
+                known[ego] = ego_trust
             for p in range(view_ptr[x], view_ptr[x + 1]):
                 at[member[p]] = p
                 detector[p] = known[sender[member[p]]]
@@ -255,11 +251,12 @@ def fuse(
     said_by[said.owner] = np.arange(said.owner.size)
     computed = params.code_parity or params.ego_trust_from == "computed"
     heard = _canonical(heard)
+    assert np.all(heard.trust >= 0)
     _accumulate(
         int64(views.ptr), int64(views.member), int64(views.owner), len(detections),
         int64(said.ptr), int64(said.member), said_by, verdicts.e, verdicts.phi,
         int64(heard.ptr), int64(heard.vehicle), heard.trust,
-        0.0 if computed else params.ego_trust, params.default_trust, params.code_parity,
+        params.ego_trust, computed, params.default_trust, params.code_parity,
         int64(detections.sender), numba.get_num_threads(), num, den, n, detector,
     )  # fmt: skip
 
@@ -269,7 +266,7 @@ def fuse(
     own = detections.score[member]
 
     def total(x: ndarray) -> ndarray:
-        return np.bincount(group, x, seeds.size)
+        return np.bincount(group, x, seeds.size).astype(float)  # whole numbers where there is nothing
 
     size = np.bincount(group, minlength=seeds.size)
     mean = params.method in AVERAGES if params.code_aggregate == "by_method" else params.code_aggregate == "mean"

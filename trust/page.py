@@ -72,7 +72,7 @@ def _moved(keys, values, size):
 
 
 @njit(cache=True)
-def _read(ids, first, score, evaluator, ptr, sender, k, e, phi, head, count, known, after, n_known):
+def _read(ids, first, score, evaluator, ptr, sender, k, e, phi, head, count, known, parts, n_known):
     """Translate messages; each (evaluator, detection) gets a number that is its for good."""
     n, n_messages = sender.size, evaluator.size
     code = np.zeros(n, np.uint8)
@@ -90,12 +90,13 @@ def _read(ids, first, score, evaluator, ptr, sender, k, e, phi, head, count, kno
             code[ptr[i] : ptr[i + 1]] = Refusal.UNKNOWN_EVALUATOR
             continue
         row[i] = v
-        x = head[v]
-        while x >= 0:
-            stamp[known[x, 0]] = i
-            number_of[known[x, 0]] = known[x, 1]
-            x = after[x]
-        s = -1
+        part = head[v]
+        while part >= 0:
+            start, stop, number_0, part = parts[part]
+            for x in range(start, stop):
+                stamp[known[x]] = i
+                number_of[known[x]] = number_0 + x - start
+        old, s = n_known[0], -1
         for p in range(ptr[i], ptr[i + 1]):
             if s < 0 or s == ids.size or ids[s] != sender[p]:
                 s = np.searchsorted(ids, sender[p])
@@ -115,17 +116,19 @@ def _read(ids, first, score, evaluator, ptr, sender, k, e, phi, head, count, kno
             if stamp[d] != i:
                 stamp[d] = i
                 number_of[d] = count[v]
-                known[n_known, 0] = d
-                known[n_known, 1] = count[v]
-                after[n_known] = head[v]
-                head[v] = n_known
+                known[n_known[0]] = d
                 count[v] += 1
-                n_known += 1
+                n_known[0] += 1
             subject[p] = s
             number[p] = number_of[d]
             weight[p] = np.int64(np.rint(phi[p] * ONE))
             value[p] = np.int64(np.rint(phi[p] * e[p] * ONE))
-    return _News(code, subject, number, weight, value, row, need), n_known
+        n_new = n_known[0] - old
+        if n_new:
+            parts[n_known[1]] = (old, n_known[0], count[v] - n_new, head[v])
+            head[v] = n_known[1]
+            n_known[1] += 1
+    return _News(code, subject, number, weight, value, row, need)
 
 
 @njit(cache=True)
@@ -248,11 +251,13 @@ class Page:
     sums: Int[ndarray, "x 3"] = field(default_factory=lambda: np.zeros((256, 3), np.int64))
     block_table: tuple[ndarray, ndarray] = field(default_factory=lambda: _empty_table(np.int32))
     mask_table: tuple[ndarray, ndarray] = field(default_factory=lambda: _empty_table(np.uint64))
-    head: ndarray = field(init=False)  # chain of numbered verdicts per evaluator
-    count: ndarray = field(init=False)
-    known: ndarray = field(default_factory=lambda: np.zeros((64, 2), np.int32))  # detection, its number
-    after: ndarray = field(default_factory=lambda: np.zeros(64, np.int64))
-    n_known: int = 0
+    # the detections that each evaluator has judged, in the order of their numbers, a part per message
+    head: Int[ndarray, "n"] = field(init=False)  # newest part of each evaluator, -1 for none
+    count: Int[ndarray, "n"] = field(init=False)  # verdicts of each evaluator
+    known: Int[ndarray, "v"] = field(default_factory=lambda: np.zeros(64, np.int32))  # detections
+    parts: Int[ndarray, "p 4"] = field(default_factory=lambda: np.zeros((16, 4), np.int64))
+    # of `known` from, to, first number, part before
+    n_known: Int[ndarray, "2"] = field(default_factory=lambda: np.zeros(2, np.int64))  # verdicts, parts
 
     def __post_init__(self) -> None:
         self.head = np.full(self.ids.size, -1, np.int64)
@@ -260,13 +265,14 @@ class Page:
 
     def enter(self, told: Told, holder: Int[ndarray, "m"], voice: Int[ndarray, "m"], refused) -> None:
         """Book deliveries: message `voice[i]` reached the ledger of `holder[i]`."""
-        more = self.n_known + told.sender.size
         ptr, k = int64(told.ptr), int64(told.k)
-        self.known, self.after = _room(self.known, more), _room(self.after, more)
-        news, self.n_known = _read(
+        n_verdicts, n_parts = self.n_known.tolist()
+        self.known = _room(self.known, n_verdicts + k.size)
+        self.parts = _room(self.parts, n_parts + told.evaluator.size)
+        news = _read(
             self.ids, self.first, self.score,
             int64(told.evaluator), ptr, int64(told.sender), k, told.e, told.phi,
-            self.head, self.count, self.known, self.after, self.n_known,
+            self.head, self.count, self.known, self.parts, self.n_known,
         )  # fmt: skip
         start = 0
         while True:
@@ -302,7 +308,7 @@ class Page:
         """Memory of the page [B]."""
         arrays = (self.ids, self.first, self.score, self.blocks, self.dirty, self.settled, self.n_verdicts)
         tables = (*self.block_table, *self.mask_table, self.account, self.sums, self.head, self.count)
-        return sum(a.nbytes for a in (*arrays, *tables, self.known, self.after))
+        return sum(a.nbytes for a in (*arrays, *tables, self.known, self.parts))
 
 
 def open_page(

@@ -22,8 +22,8 @@ PEDESTRIAN_LWH_M = (0.8, 0.6, 1.75)
 class AdversaryParams:
     """The two ill behaviours of TruPercept's experiments."""
 
-    start_s: Annotated[float, Ge(0)] = 0.0
-    """Recorded time from which liars lie and broken reporters break [s]."""
+    start_s: Annotated[float, Ge(0)] = 60.0
+    """Recorded time from which liars lie and broken reporters break [s]; until then they build up trust."""
     attack: Literal["car_and_pedestrian", "car", "three_cars"] = "car_and_pedestrian"
     """What a malicious vehicle inserts in front of its victim."""
     ahead_m: Annotated[float, Gt(0)] = 8.0

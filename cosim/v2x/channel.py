@@ -13,7 +13,7 @@ from functools import lru_cache
 from typing import Annotated
 
 import numpy as np
-from annotated_types import Ge, Gt
+from annotated_types import Gt
 from jaxtyping import Float, Int, UInt8, UInt64
 from numpy import ndarray
 

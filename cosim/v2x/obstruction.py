@@ -30,6 +30,7 @@ class Grid(NamedTuple):
     wall: Int[ndarray, "m"]
     house_ptr: Int[ndarray, "cells+1"]
     house: Int[ndarray, "k"]
+    solid_m: Float[ndarray, "nx ny 2"]  # base and top of the building that fills the cell; base above top if none
 
 
 @njit(cache=True)
@@ -64,8 +65,8 @@ def _by_cell(low: ndarray, cell_m: float, shape: tuple[int, int], a: ndarray, b:
 
 @njit(cache=True)
 def _inside(xyz, grid, walls, spans, low_z, high_z):
-    """Whether each point is inside a building (even-odd over its rings)."""
-    out = np.zeros(xyz.shape[0], np.bool_)
+    """The building around each point, by even-odd over its rings; -1 if none. Any height if z is not a number."""
+    out = np.full(xyz.shape[0], -1)
     nx, ny = grid.step.shape
     for p in range(xyz.shape[0]):
         x, y, z = xyz[p]
@@ -83,32 +84,37 @@ def _inside(xyz, grid, walls, spans, low_z, high_z):
                 if (y0 > y) != (y1 > y) and x < x0 + (y - y0) / (y1 - y0) * (x1 - x0):
                     odd = not odd
             if odd:
-                out[p] = True
+                out[p] = house
                 break
     return out
 
 
 @njit(cache=True)
-def _cut(a, b, grid, walls):
+def _over_grid(start, delta, high, t, stop):
+    """The part of a ray between `t` and `stop` in which one of its coordinates is on the grid."""
+    if delta == 0.0:
+        return (t, stop) if 0.0 <= start < high else (1.0, 0.0)
+    near, far = -start / delta, (high - start) / delta
+    return max(t, min(near, far)), min(stop, max(near, far))
+
+
+@njit(cache=True, inline="always")
+def _cut(xyz, p, q, grid, walls):
     """Whether a wall cuts the segment between two points outside of all buildings."""
-    dx, dy, dz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+    x, y = xyz[p, 0], xyz[p, 1]
+    dx, dy, dz = xyz[q, 0] - x, xyz[q, 1] - y, xyz[q, 2] - xyz[p, 2]
     nx, ny = grid.step.shape
     cell_m = grid.cell_m
     inv = 1.0 / cell_m
-    u, v = (a[0] - grid.low[0]) * inv, (a[1] - grid.low[1]) * inv  # in cells
+    u, v = (x - grid.low[0]) * inv, (y - grid.low[1]) * inv  # in cells
     du, dv = dx * inv, dy * inv
     inv_u = 1.0 / du if du != 0.0 else np.inf
     inv_v = 1.0 / dv if dv != 0.0 else np.inf
     # Only the part of the segment over the grid.
-    t, stop = 0.0, 1.0
-    for start, delta, high in ((u, du, float(nx)), (v, dv, float(ny))):
-        if delta == 0.0:
-            if start < 0.0 or start >= high:
-                return False
-        else:
-            near, far = -start / delta, (high - start) / delta
-            t, stop = max(t, min(near, far)), min(stop, max(near, far))
-    while t < stop:
+    t, stop = _over_grid(u, du, nx, 0.0, 1.0)
+    t, stop = _over_grid(v, dv, ny, t, stop)
+    cut = False
+    while t < stop and not cut:
         i = min(max(int(u + t * du), 0), nx - 1)
         j = min(max(int(v + t * dv), 0), ny - 1)
         step = grid.step[i, j]
@@ -117,16 +123,17 @@ def _cut(a, b, grid, walls):
             for k in range(grid.ptr[cell], grid.ptr[cell + 1]):
                 w = grid.wall[k]
                 ex, ey = walls[w, 2] - walls[w, 0], walls[w, 3] - walls[w, 1]
-                fx, fy = walls[w, 0] - a[0], walls[w, 1] - a[1]
+                fx, fy = walls[w, 0] - x, walls[w, 1] - y
                 det = dx * ey - dy * ex
                 s = fx * ey - fy * ex  # along the ray, times det
                 r = fx * dy - fy * dx  # along the wall, times det
                 if det < 0.0:
                     det, s, r = -det, -s, -r
                 if det > 0.0 and 0.0 <= s <= det and 0.0 <= r <= det:
-                    z = a[2] + s / det * dz
+                    z = xyz[p, 2] + s / det * dz
                     if walls[w, 4] <= z <= walls[w, 5]:
-                        return True
+                        cut = True
+                        break
             step = 1
         # Leave the square of cells of which nothing is closer than `step` cells.
         edge_u = i + step if du > 0.0 else i + 1 - step
@@ -134,34 +141,67 @@ def _cut(a, b, grid, walls):
         t_u = (edge_u - u) * inv_u if du != 0.0 else np.inf
         t_v = (edge_v - v) * inv_v if dv != 0.0 else np.inf
         t = max(t, min(t_u, t_v)) + 1e-12
-    return False
+    return cut
+
+
+N_PROBES = 16
+_REGION = np.uint64(255)
+
+
+@njit(cache=True, inline="always")
+def _runs_into_house(xyz, p, q, grid):
+    """Whether one of a few points of the segment lies in a cell that a building fills: cheap, and never wrong."""
+    inv = 1.0 / grid.cell_m
+    u, v = (xyz[p, 0] - grid.low[0]) * inv, (xyz[p, 1] - grid.low[1]) * inv
+    du, dv = (xyz[q, 0] - xyz[p, 0]) * inv, (xyz[q, 1] - xyz[p, 1]) * inv
+    z, dz = xyz[p, 2], xyz[q, 2] - xyz[p, 2]
+    nx, ny = grid.step.shape
+    n = min(int((abs(du) + abs(dv)) * 0.5) + 1, N_PROBES)
+    t, into = 0.5, False
+    for _ in range(n):
+        i, j = int(u + t * du), int(v + t * dv)
+        if 0 <= i < nx and 0 <= j < ny and grid.solid_m[i, j, 0] <= z + t * dz <= grid.solid_m[i, j, 1]:
+            into = True
+            break
+        t += 0.6180339887498949  # golden section: any first few are evenly spread
+        if t >= 1.0:
+            t -= 1.0
+    return into
 
 
 @njit(cache=True)
 def _clear(xyz, indoors, a, b, grid, walls, out):
     for m in range(len(a)):
         p, q = a[m], b[m]
-        out[m] = not (indoors[p] or indoors[q] or _cut(xyz[p], xyz[q], grid, walls))
+        out[m] = False
+        if not indoors[p] and not indoors[q] and not _runs_into_house(xyz, p, q, grid):
+            out[m] = not _cut(xyz, p, q, grid, walls)
 
 
 @njit(cache=True)
 def _clear_remembered(xyz, indoors, place, a, b, grid, walls, memo, out):
-    mask = np.uint64(memo.shape[0] - 1)
+    mask, one = np.uint64(memo.shape[0] - 1), np.uint64(1)
     for m in range(len(a)):
         p, q = a[m], b[m]
-        if indoors[p] or indoors[q]:
+        region = mix(place[p], one) & mask & ~_REGION  # pairs of one radio lie close together in memory
+        if indoors[p] or indoors[q] or _runs_into_house(xyz, p, q, grid):
             out[m] = False
             continue
         if place[p] > place[q]:
             p, q = q, p
-        slot = memo[np.int64(mix(place[p], place[q]) & mask)]
-        known = (place[p] << np.uint64(1)) | np.uint64(1)
-        if slot[0] == known and (slot[1] >> np.uint64(1)) == place[q]:
-            out[m] = slot[1] & np.uint64(1)
+        h = mix(place[p], place[q])
+        tag = mix(h, place[p]) | one  # 63 bits of another hash name the pair, the last bit answers
+        slot = np.int64(region | (h & _REGION))
+        other = slot ^ 1
+        if memo[slot] | one == tag:
+            out[m] = memo[slot] & one
+        elif memo[other] | one == tag:
+            out[m] = memo[other] & one
         else:
-            out[m] = not _cut(xyz[p], xyz[q], grid, walls)
-            slot[0] = known
-            slot[1] = (place[q] << np.uint64(1)) | np.uint64(out[m])
+            out[m] = not _cut(xyz, p, q, grid, walls)
+            if memo[slot] != 0:
+                memo[other] = memo[slot]
+            memo[slot] = tag if out[m] else tag ^ one
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,7 +217,7 @@ class Walls:
     top_m: Float[ndarray, "h"]
 
     @staticmethod
-    def of(buildings: list[tuple[ndarray, list[ndarray], float, float]], cell_m: float = 5.0) -> "Walls":
+    def of(buildings: list[tuple[ndarray, list[ndarray], float, float]], cell_m: float = 4.0) -> "Walls":
         """Index buildings given as (outer ring, holes, base z, top z); rings (k, 2), closed or not."""
         if not cell_m > 0:
             raise ValueError(f"cell_m = {cell_m} m must be positive.")
@@ -207,15 +247,22 @@ class Walls:
         step = np.full((nx, ny), 255)
         if not empty.all():
             step = np.minimum(distance_transform_cdt(empty, "chessboard"), 255)
-        grid = Grid(low, float(cell_m), step.astype(np.uint8), ptr, wall, house_ptr, house)
-        base_m = np.array([b[2] for b in buildings], float)
-        return Walls(grid, walls, spans, base_m, np.array([b[3] for b in buildings], float))
+        base_m, top_m = (np.array([b[k] for b in buildings], float) for k in (2, 3))
+        solid_m = np.tile(np.array([1, 0], np.float32), (nx, ny, 1))
+        grid = Grid(low, float(cell_m), step.astype(np.uint8), ptr, wall, house_ptr, house, solid_m)
+        i, j = np.nonzero(empty)
+        middle = np.column_stack([low[0] + (i + 0.5) * cell_m, low[1] + (j + 0.5) * cell_m, np.full(len(i), np.nan)])
+        owner = _inside(middle, grid, walls, spans, base_m, top_m)
+        filled = owner >= 0
+        # Rounded inwards, so that single precision never fills more than there is.
+        solid_m[i[filled], j[filled], 0] = np.nextafter(base_m[owner[filled]].astype(np.float32), np.float32(np.inf))
+        solid_m[i[filled], j[filled], 1] = np.nextafter(top_m[owner[filled]].astype(np.float32), np.float32(-np.inf))
+        return Walls(grid, walls, spans, base_m, top_m)
 
     def indoors(self, xyz_m: Float[ndarray, "n 3"]) -> Bool[ndarray, "n"]:
         """Which points are inside a building: no line of sight leaves it."""
-        return _inside(
-            np.ascontiguousarray(xyz_m, float), self.grid, self.walls, self.spans, self.base_m, self.top_m
-        )
+        xyz_m = np.ascontiguousarray(xyz_m, float)
+        return _inside(xyz_m, self.grid, self.walls, self.spans, self.base_m, self.top_m) >= 0
 
     def clear(
         self, xyz_m: Float[ndarray, "n 3"], a: Int[ndarray, "m"], b: Int[ndarray, "m"]
@@ -264,7 +311,7 @@ class Sight:
         """A memory for at least `n_remembered` pairs."""
         if not snap_m > 0:
             raise ValueError(f"snap_m = {snap_m} m must be positive.")
-        return Sight(walls, snap_m, np.zeros((1 << (n_remembered - 1).bit_length(), 2), np.uint64))
+        return Sight(walls, snap_m, np.zeros(1 << max(n_remembered - 1, 255).bit_length(), np.uint64))
 
     def clear(
         self, xyz_m: Float[ndarray, "n 3"], a: Int[ndarray, "m"], b: Int[ndarray, "m"]

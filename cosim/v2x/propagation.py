@@ -19,7 +19,7 @@ from typing import Annotated, Literal
 
 import numpy as np
 from annotated_types import Ge, Gt, Le
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import Bool, Float, Int, UInt8
 from numba import njit
 from numpy import ndarray
 from scipy.special import gammaincinv, ndtr
@@ -254,10 +254,24 @@ def fading_quantiles() -> Float[ndarray, "classes 4096"]:
 N_WAVES = 32
 
 
+@njit(cache=True, inline="always")
+def _turn_sine(x):
+    """sin(2 pi x), to 4e-6."""
+    r = x - np.floor(x + 0.5)
+    r = 0.5 - r if r > 0.25 else (-0.5 - r if r < -0.25 else r)
+    y = np.float32(2 * np.pi * r)
+    z = y * y
+    return y * (
+        np.float32(1)
+        + z * (np.float32(-1 / 6) + z * (np.float32(1 / 120) + z * (np.float32(-1 / 5040) + z * np.float32(1 / 362880))))
+    )
+
+
 @njit(cache=True)
 def _waves(xy, decorrelation_m, chance):
-    """Cosine and sine of hashed plane waves at each place: two pairs (either end) of `N_WAVES` each."""
-    out = np.empty((xy.shape[0], 4, N_WAVES), np.float32)
+    """Hashed plane waves at each place, in turns: cosine and sine of the phase of either end."""
+    n = xy.shape[0]
+    turns = np.empty((5, N_WAVES))  # per metre of x and y of the first end, then of the second; phase
     for k in range(N_WAVES):
         h = mix(chance, np.uint64(k))
         # A Cauchy wave vector in four dimensions, whose characteristic function is exp(-|x| / D).
@@ -265,30 +279,37 @@ def _waves(xy, decorrelation_m, chance):
         for i in range(5):
             radius = np.sqrt(-2 * np.log(1 - unit(mix(h, np.uint64(2 * i)))))
             normal[i] = radius * np.cos(2 * np.pi * unit(mix(h, np.uint64(2 * i + 1))))
-        w = normal[:4] / (abs(normal[4]) * decorrelation_m)
-        phase = 2 * np.pi * unit(mix(h, np.uint64(10)))
-        for j in range(xy.shape[0]):
-            a = w[0] * xy[j, 0] + w[1] * xy[j, 1] + phase
-            b = w[2] * xy[j, 0] + w[3] * xy[j, 1]
-            out[j, 0, k], out[j, 1, k] = np.cos(a), np.sin(a)
-            out[j, 2, k], out[j, 3, k] = np.cos(b), np.sin(b)
+        turns[:4, k] = normal[:4] / (abs(normal[4]) * decorrelation_m * 2 * np.pi)
+        turns[4, k] = unit(mix(h, np.uint64(10)))
+    out = np.empty((n, 4, N_WAVES), np.float32)
+    for j in range(n):
+        x, y = xy[j, 0], xy[j, 1]
+        for k in range(N_WAVES):
+            a = turns[0, k] * x + turns[1, k] * y + turns[4, k]
+            b = turns[2, k] * x + turns[3, k] * y
+            out[j, 0, k], out[j, 1, k] = _turn_sine(a + 0.25), _turn_sine(a)
+            out[j, 2, k], out[j, 3, k] = _turn_sine(b + 0.25), _turn_sine(b)
     return out
 
 
-@njit(cache=True, fastmath={"reassoc", "contract"})
+@njit(cache=True)
 def _field(waves, d, decorrelation_m, a, b, out):
+    lanes = np.empty(N_WAVES, np.float32)
     for m in range(len(a)):
         p, q = waves[a[m]], waves[b[m]]
-        total = np.float32(0.0)
         for k in range(N_WAVES):
-            total += p[0, k] * q[2, k] - p[1, k] * q[3, k] + q[0, k] * p[2, k] - q[1, k] * p[3, k]
-        out[m] = total / np.sqrt(N_WAVES * (1 + np.exp(-np.sqrt(2.0) * d[m] / decorrelation_m)))
+            lanes[k] = p[0, k] * q[2, k] - p[1, k] * q[3, k] + q[0, k] * p[2, k] - q[1, k] * p[3, k]
+        for half in (16, 8, 4, 2, 1):  # a fixed order of summation, wide enough for vector units
+            for k in range(half):
+                lanes[k] += lanes[k + half]
+        out[m] = lanes[0] / np.sqrt(N_WAVES * (1 + np.exp(-np.sqrt(2.0) * d[m] / decorrelation_m)))
 
 
 def link_field(
     xy_m: Float[ndarray, "n 2"],
-    a: ndarray,
-    b: ndarray,
+    a: Int[ndarray, "m"],
+    b: Int[ndarray, "m"],
+    d: Float[ndarray, "m"],
     decorrelation_m: float,
     chance: np.uint64,
 ) -> Float[ndarray, "m"]:
@@ -297,12 +318,12 @@ def link_field(
     Notes
     -----
     A sum of 32 plane waves over (x_a, x_b), made symmetric: no memory, any order. Moving either end by D leaves
-    a correlation of exp(-D / decorrelation); moving both by D in the same or opposite directions,
-    exp(-sqrt(2) D / decorrelation).   Deviations: 32 waves, so nearly normal (kurtosis -0.05).
+    a correlation of exp(-D / decorrelation); moving both by D, exp(-sqrt(2) D / decorrelation).
+    Deviations: 32 waves, so nearly normal (excess kurtosis -0.05).
     """
     out = np.empty(len(a))
-    waves = _waves(np.ascontiguousarray(xy_m, np.float64), float(decorrelation_m), chance)
-    _field(waves, np.linalg.norm(xy_m[a] - xy_m[b], axis=1), float(decorrelation_m), a, b, out)
+    xy_m = np.ascontiguousarray(xy_m, np.float64)
+    _field(_waves(xy_m, float(decorrelation_m), chance), d, float(decorrelation_m), a, b, out)
     return out
 
 

@@ -3,13 +3,14 @@
 from collections.abc import Sequence
 from typing import Any
 
+import pandas as pd
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from results.archive import Run
 from results.figures import style
 from results.metrics import detection
-from results.metrics.kitti import LEVELS
+from results.metrics.kitti import FEWEST, LEVELS
 from results.tables import CLASSES
 
 _LISTS = {"local": "own sensor", "fused": "fused"}
@@ -17,10 +18,13 @@ _BROKEN: Any = (0, (4, 2))
 
 
 @style.styled
-def draw(runs: Sequence[Run], max_frames: int = 2000, range_m: float = 70.0) -> Figure:
-    """Average precision by class and level, and the share of actors known by distance: own sensor and fused."""
+def draw(runs: Sequence[Run], max_frames: int = 4000, range_m: float = 70.0) -> Figure:
+    """Average precision by class and level, and the share of actors known by distance: own sensor and fused.
+
+    Levels with too few objects to rank are left out.
+    """
     style.need(runs)
-    precisions = [detection.precision(run, max_frames=max_frames) for run in runs]
+    precisions = [_precision(run, max_frames) for run in runs]
     known = [detection.awareness(run, range_m, max_frames=max_frames) for run in runs]
     met = {label for frame in precisions for label in frame["class"]}
     rows = [(label, level) for label in CLASSES if label in met for level in LEVELS]
@@ -28,7 +32,7 @@ def draw(runs: Sequence[Run], max_frames: int = 2000, range_m: float = 70.0) -> 
     for i, (precision, aware) in enumerate(zip(precisions, known, strict=True)):
         offset = 0.0 if len(runs) == 1 else 0.5 * (i / (len(runs) - 1) - 0.5)
         for which, filled in (("local", False), ("fused", True)):
-            frame = precision[(precision.boxes == which) & (precision.n_truth > 0)]
+            frame = precision[(precision.boxes == which)]
             y = [rows.index(row) + offset for row in zip(frame["class"], frame.level, strict=True)]
             face = style.ink(i) if filled else "white"
             dots: dict[str, Any] = {"color": style.ink(i), "marker": style.marker(i), "markerfacecolor": face}
@@ -46,7 +50,15 @@ def draw(runs: Sequence[Run], max_frames: int = 2000, range_m: float = 70.0) -> 
     right.set_xlim(0, range_m)
     lists = [
         Line2D([], [], color="black", marker="o", markerfacecolor=face, linestyle=line, label=_LISTS[which])
-        for which, face, line in (("local", "white", _BROKEN), ("fused", "black", "-"))
+        for which, face, line in (("local", "white", _BROKEN), ("fused", "black", style.dash(0)))
     ]
     style.legend(figure, lists + style.series_entries(runs, lines=False))
     return figure
+
+
+def _precision(run: Run, max_frames: int) -> pd.DataFrame:
+    frame = detection.precision(run, max_frames=max_frames)
+    frame = frame[frame.n_truth >= FEWEST]
+    if frame.empty:
+        raise ValueError(f"{run.path}: fewer than {FEWEST} objects of every class, too few for average precision.")
+    return frame

@@ -41,19 +41,16 @@ def draw(runs: Sequence[Run], fresh_s: float = 10.0) -> Figure:
                 )  # fmt: skip
             left += share
     ages.axvline(fresh_s, color="#777777", linewidth=0.9)
-    ages.annotate(
-        "fresh | stale", (fresh_s, 0.02), xytext=(0, 0), textcoords="offset points", ha="center", fontsize=7.5,
-        bbox={"facecolor": "white", "edgecolor": "none", "pad": 1},
-    )  # fmt: skip
+    ages.annotate(f"stale beyond {fresh_s:g} s", (fresh_s, 0.04), xytext=(4, 0), textcoords="offset points", fontsize=8)
     style.panel(ages, "Age of trust when used", axis_label("uses", "age_s", "Age"), "Share of uses at most this old")
     style.share_axis(ages)
     ages.set_xlim(0, longest_s * 1.05)
     style.panel(shares, "Where the value came from", "Share of uses", "")
     shares.set_yticks(range(len(runs)), style.names(runs))
-    shares.set_ylim(len(runs) - 0.4, -0.6)
+    shares.set_ylim(len(runs) - 0.2, -0.8)
     shares.set_xlim(0, 1)
     shares.grid(visible=False, axis="y")
-    labels = (f"fresh (at most {fresh_s:g} s)", "stale", "default, nothing known")
+    labels = ("fresh", "stale", "default")
     entries = [
         Patch(facecolor=_fill(code), hatch=style.HATCHES[code], edgecolor="#333333", linewidth=0.6, label=label)
         for code, label in enumerate(labels)

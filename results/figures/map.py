@@ -24,19 +24,25 @@ def draw(runs: Sequence[Run], cell_m: float = 25.0, radius_m: float | None = Non
     streets = [_streets(run) for run in runs]
     spans = [np.ptp(street, axis=0) for street in streets]
     tallest = max(span[1] / max(span[0], 1) for span in spans)
-    width = 5.4 if len(runs) == 1 else 4.0 * len(runs)
-    figure, panels = style.sheet(columns=len(runs), width=width, height=min(max(width / len(runs) * tallest, 2.6), 9))
+    side = 4.6 if len(runs) == 1 else 3.6
+    figure, panels = style.sheet(len(runs), width=side * len(runs) + 1.2, height=min(side * tallest + 0.8, 9))
+    figure.set_layout_engine("compressed")
     counts = [_cells(points, street, cell_m) for points, street in zip(begun, streets, strict=True)]
     rates = [count / (run.manifest["steps"] * run.dt_s / 3600) for (count, _, _), run in zip(counts, runs, strict=True)]
     top = max(rate.max() for rate in rates)
-    norm = LogNorm(min(rate[rate > 0].min() for rate in rates), top)
+    lowest = min(rate[rate > 0].min() for rate in rates)
+    lowest = min(lowest, top / 2)
+    norm = LogNorm(lowest, top)
     for axes, run_name, street, rate, (_, x, y) in zip(panels, style.names(runs), streets, rates, counts, strict=True):
-        axes.scatter(*street.T, s=0.3, color=style.PALE, linewidths=0, rasterized=True)
+        axes.scatter(street[:, 0], street[:, 1], s=1.2, color=style.PALE, linewidths=0, rasterized=True)
         mesh = axes.pcolormesh(x, y, np.ma.masked_equal(rate, 0).T, norm=norm, cmap="viridis_r", rasterized=True)
         axes.set_aspect("equal")
         axes.grid(visible=False)
         style.panel(axes, run_name if len(runs) > 1 else "Where encounters begin", "East [m]", "North [m]")
-    figure.colorbar(mesh, ax=panels, label=f"Encounters begun per hour in {cell_m:g} m cells", shrink=0.8)
+    bar = figure.colorbar(mesh, ax=panels, label=f"Encounters begun per hour in {cell_m:g} m cells", shrink=0.8)
+    ticks = [d * 10.0**e for e in range(-3, 7) for d in (1, 2, 5) if lowest <= d * 10.0**e <= top]
+    bar.set_ticks(ticks, labels=[f"{tick:g}" for tick in ticks])
+    bar.ax.minorticks_off()
     return figure
 
 

@@ -32,6 +32,8 @@ def draw(runs: Sequence[Run], every_s: float = 10.0) -> Figure:
         axes.set_xlim(left=0)
     if any(busy):
         style.panel(panels[2], "Channel busy, over time", style.TIME, axis_label("radio", "busy_ratio", "Busy ratio"))
-        panels[2].set_ylim(bottom=0)
+        panels[2].set_ylim(
+            0, 1.1 * max(float(run.radio.busy_ratio.max()) for run in runs if run.radio.busy_ratio.max() > 0)
+        )
     style.legend(figure, style.series_entries(runs))
     return figure

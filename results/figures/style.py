@@ -1,9 +1,11 @@
 """The house style of pictures: legible in print, in greyscale, and side by side."""
 
+import base64
+import io
 from collections.abc import Callable, Sequence
 from functools import wraps
 from pathlib import Path
-from typing import Any, ParamSpec
+from typing import Any, BinaryIO, ParamSpec
 
 import matplotlib as mpl
 import numpy as np
@@ -21,10 +23,10 @@ MARKERS = ("o", "^", "s", "D", "v", "P")
 DASHES: tuple[Any, ...] = ("-", (0, (5, 2)), (0, (1, 1.2)), (0, (5, 1.5, 1, 1.5)), (0, (8, 2)), (0, (3, 1, 1, 1, 1, 1)))
 """Line styles, one per run."""
 HATCHES = ("", "///", "...", "xx")
-PALE = "#d5d9e0"
+PALE = "#b4bac4"
 FORMATS = (".png", ".svg", ".pdf")
 
-_HOUSE = {
+_HOUSE: dict[Any, Any] = {
     "font.family": "DejaVu Sans",
     "font.size": 9,
     "axes.titlesize": 9.5,
@@ -69,11 +71,11 @@ def styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
     return drawn
 
 
-def sheet(columns: int = 1, rows: int = 1, width: float = 7.2, height: float = 3.6) -> tuple[Figure, list[Axes]]:
-    """An empty figure (inches) and its panels."""
+def sheet(columns: int = 1, width: float = 7.2, height: float = 3.6) -> tuple[Figure, list[Axes]]:
+    """An empty figure (inches) and its panels, side by side."""
     figure = Figure(figsize=(width, height), layout="constrained", dpi=150)
     FigureCanvasAgg(figure)
-    return figure, list(np.ravel(figure.subplots(rows, columns)))
+    return figure, list(np.ravel(figure.subplots(1, columns)))
 
 
 def panel(axes: Axes, title: str, x: str, y: str) -> None:
@@ -87,10 +89,14 @@ def share_axis(axes: Axes, top: float = 1.0) -> None:
     axes.set_ylim(-0.02 * top, 1.03 * top)
 
 
-def legend(figure: Figure, entries: Sequence[Any], columns: int | None = None) -> None:
-    """One legend below all panels."""
-    if entries:
-        figure.legend(handles=list(entries), loc="outside lower center", ncols=columns or min(len(entries), 4))
+def legend(figure: Figure, entries: Sequence[Any]) -> None:
+    """One legend below all panels, in as few rows as fit."""
+    if not entries:
+        return
+    longest = max(len(entry.get_label()) for entry in entries)
+    columns = max(1, int(figure.get_figwidth() / (0.075 * longest + 0.6)))
+    rows = -(-len(entries) // columns)
+    figure.legend(handles=list(entries), loc="outside lower center", ncols=-(-len(entries) // rows))
 
 
 def run_entries(runs: Sequence[Run]) -> list[Line2D]:
@@ -148,7 +154,19 @@ def save(figure: Figure, path: str | Path) -> Path:
         raise ValueError(f"{path} has no picture format. End it in {', '.join(FORMATS)}.")
     if not path.parent.is_dir():
         raise ValueError(f"The folder {path.parent} does not exist. Make it first.")
-    metadata = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}.get(path.suffix.lower(), {})
-    with mpl.rc_context(_HOUSE):
-        figure.savefig(path, metadata=metadata)
+    write(figure, path, path.suffix.lower()[1:])
     return path
+
+
+def write(figure: Figure, target: str | Path | BinaryIO, kind: str) -> None:
+    """Write a picture as `png`, `svg` or `pdf`; the same picture gives the same bytes."""
+    metadata = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}.get(kind, {})
+    with mpl.rc_context(_HOUSE):
+        figure.savefig(target, format=kind, metadata=metadata)
+
+
+def data_url(figure: Figure) -> str:
+    """As an SVG image inside a page; an image of its own, so that names inside pictures do not clash."""
+    buffer = io.BytesIO()
+    write(figure, buffer, "svg")
+    return "data:image/svg+xml;base64," + base64.b64encode(buffer.getvalue()).decode()

@@ -14,7 +14,10 @@ from results.tables import BEHAVIOURS, axis_label
 
 @style.styled
 def draw(runs: Sequence[Run], vehicles: Sequence[int] = ()) -> Figure:
-    """Median and band of the server's trust by behaviour; `vehicles` are drawn one by one as thin lines."""
+    """Median and middle half, over vehicles, of the server's trust, by behaviour; time is that of its computation.
+
+    `vehicles` are drawn one by one as thin lines beside it.
+    """
     style.need(runs)
     figure, (axes,) = style.sheet()
     shown = set()
@@ -29,12 +32,12 @@ def draw(runs: Sequence[Run], vehicles: Sequence[int] = ()) -> Figure:
                 marker=style.marker(code), markevery=(2 * code, style.sparse(len(spread))),
             )  # fmt: skip
         _single(axes, run, vehicles)
-    style.panel(axes, "Trust in vehicles, as the server computes it", style.TIME, axis_label("trust", "trust", "Trust"))
+    what = "median and middle half" if len(runs) == 1 else "medians"
+    style.panel(axes, f"Trust in vehicles at the server: {what}", style.TIME, axis_label("trust", "trust", "Trust"))
     style.share_axis(axes)
     axes.set_xlim(left=0)
-    band = " (median, middle half)" if len(runs) == 1 else " (median)"
     entries = [
-        Line2D([], [], color=style.ink(code), marker=style.marker(code), label=BEHAVIOURS[code] + band)
+        Line2D([], [], color=style.ink(code), marker=style.marker(code), label=BEHAVIOURS[code])
         for code in sorted(shown)
     ]
     style.legend(figure, entries + style.run_entries(runs))

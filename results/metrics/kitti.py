@@ -33,6 +33,9 @@ _NEIGHBOUR = {"car": "van", "pedestrian": "person_sitting"}
 
 _N_SAMPLES = 41
 
+FEWEST = 41
+"""Ground truths below which average precision says little: every recall threshold wants a hit of its own."""
+
 Overlap = Literal["3d", "bev", "image"]
 
 

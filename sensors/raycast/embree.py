@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from embreex import rtcore_scene
 from embreex.mesh_construction import TriangleMesh
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from numpy import ndarray
 
 from sensors.boxes import Boxes

@@ -1,9 +1,9 @@
 """One made-up run for all tests of this room that need one."""
 
 import pytest
-from synthetic import write
 
 from results.archive import open_run
+from tests.results.synthetic import write
 
 
 @pytest.fixture(scope="session")

@@ -22,7 +22,7 @@ def write(folder, seed=0, steps=240, level="full", block_steps=60, reach_m=200.0
     equipped = np.arange(N) < 30
     first, last = np.zeros(N, int), np.full(N, steps - 1)
     first[20:50] = rng.integers(0, steps // 2, 30)
-    last[20:50] = first[20:50] + rng.integers(40, steps, 30).clip(max=steps - 1 - first[20:50])
+    last[20:50] = first[20:50] + rng.integers(steps // 6, steps, 30).clip(max=steps - 1 - first[20:50])
     tracks, yaws, speeds = _drive(rng, steps, np.where(kind == "pedestrian", 1.3, 9.0))
     lied = (np.arange(N) < 4, np.full(N, 60).clip(min=first))
     ledgers = [EncounterLedger(EncounterParams(radius_m=r, pairs="all"), 1.0) for r in (50.0, 100.0)]

@@ -60,10 +60,9 @@ def make(seed: int, n_vehicles: int, n_objects: int, everybody: bool = False) ->
         seen = rng.choice(n_objects, rng.integers(0, n_objects + 1))  # one object may be seen twice
         for k, o in enumerate(seen, start=1):
             rows.append((v, k, label_of[o], rng.integers(1, 101) / 100, False, rng.random() < 0.1, o))
-    sender, k, label, score, is_self, is_lie, thing = (
-        np.array([r[c] for r in rows]) for c in range(7)
-    ) if rows else (np.zeros(0, int),) * 7
-    table = Detections(sender, k, label.astype(np.uint8), score.astype(float), is_self.astype(bool), is_lie.astype(bool))
+    columns = np.array(rows, float).reshape(-1, 7).T
+    sender, k, label, is_self, is_lie, thing = columns[[0, 1, 2, 4, 5, 6]].astype(np.int64)
+    table = Detections(sender, k, label.astype(np.uint8), columns[3], is_self == 1, is_lie == 1)
     d = len(table)
     i, j = np.triu_indices(d, 1)
     same = (label[i] == label[j]) & (sender[i] != sender[j])

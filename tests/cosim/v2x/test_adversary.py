@@ -40,7 +40,7 @@ def test_malicious_inserts_car_and_pedestrian_in_front_of_its_nearest_neighbour(
     The pedestrian stands 2 m to the victim's right: heading north, that is east: (12, 8).
     """
     world = world_of([[0, 0], [10, 0], [60, 0]], [0, np.pi / 2, 0], [MALICIOUS, HONEST, HONEST])
-    said = tamper(seen_by(world, 2), world, 0.0, 1, AdversaryParams())
+    said = tamper(seen_by(world, 2), world, 0.0, 1, AdversaryParams(start_s=0.0))
     lies = said.take(np.flatnonzero(said.origin == FABRICATED))
     assert lies.observer.tolist() == [0, 0] and lies.k.tolist() == [3, 4]
     assert lies.label.tolist() == [0, 1] and (lies.score == 1).all()
@@ -50,7 +50,7 @@ def test_malicious_inserts_car_and_pedestrian_in_front_of_its_nearest_neighbour(
 
 def test_nobody_in_reach_no_lie():
     world = world_of([[0, 0], [200, 0]], [0, 0], [MALICIOUS, HONEST])
-    assert len(tamper(seen_by(world, 1), world, 0.0, 1, AdversaryParams())) == 4
+    assert len(tamper(seen_by(world, 1), world, 0.0, 1, AdversaryParams(start_s=0.0))) == 4
 
 
 def test_before_the_start_nothing_changes():
@@ -63,7 +63,7 @@ def test_unreliable_omits_and_adds_about_a_tenth():
     n = 300
     xy = np.random.default_rng(0).uniform(0, 5000, (n, 2))
     world = world_of(xy, np.zeros(n), np.full(n, UNRELIABLE))
-    said = tamper(seen_by(world, 20), world, 0.0, 3, AdversaryParams())
+    said = tamper(seen_by(world, 20), world, 0.0, 3, AdversaryParams(start_s=0.0))
     omitted = ~said.said
     added = said.origin == FABRICATED
     assert not (omitted & (said.origin != SENSED)).any()
@@ -80,7 +80,7 @@ def test_honest_rows_are_untouched_and_keys_unique(attack):
     xy = np.random.default_rng(1).uniform(0, 200, (30, 2))
     world = world_of(xy, np.linspace(-3, 3, 30), behaviour)
     seen = seen_by(world, 5)
-    said = tamper(seen, world, 0.0, 1, AdversaryParams(attack=attack))
+    said = tamper(seen, world, 0.0, 1, AdversaryParams(attack=attack, start_s=0.0))
     key = said.observer * 1000 + said.k
     assert (np.diff(key) > 0).all()
     honest, before = behaviour[said.observer] == HONEST, behaviour[seen.observer] == HONEST

@@ -1,0 +1,38 @@
+# `make run` and `make test` are all a newcomer needs; both set up what they use, once.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+READY := $(VENV)/.ready
+
+.PHONY: run test lint verify bench lock clean
+
+run: $(READY)  ## Drive the shipped city, and show what came of it
+	$(BIN)/cosim run
+
+test: $(READY)  ## The tests
+	$(BIN)/python -m pytest -q -n 2
+
+lint: $(READY)  ## Style and types
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+
+verify: $(READY)  ## Everything, the slow verification included
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+	$(BIN)/python -m pytest -q -m "verify or not verify"
+
+bench: $(READY)  ## Speed, with peers in the same run
+	$(BIN)/cosim bench
+
+lock:  ## Pin the dependencies anew (needs uv)
+	uv pip compile -q pyproject.toml --all-extras --universal --python-version 3.11 --no-emit-index-url --no-header --generate-hashes -o requirements.lock
+
+clean:
+	rm -rf $(VENV) build *.egg-info
+
+$(READY): requirements.lock pyproject.toml
+	@$(PYTHON) -c 'import sys; sys.exit("cosim needs Python 3.11 or newer; say which with make PYTHON=...") if sys.version_info < (3, 11) else None'
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
+	@touch $(READY)

@@ -1,0 +1,182 @@
+"""Who could disturb whom: the mean received power of every pair of radios that is worth counting.
+
+    links = between(xyz_m, key, params, chance, sight)
+
+Pairs within reach come from a grid, lines of sight from the city's walls, and what no wall cuts a vehicle may.
+Everything here belongs to places: two radios at the same places have the same link in any run of the same seed.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Int, UInt64
+from numba import njit
+from numpy import ndarray
+
+from cosim import rng
+from cosim.v2x.channel import Links
+from cosim.v2x.obstruction import Sight
+from cosim.v2x.propagation import (
+    PropagationParams,
+    blockage_db,
+    fading_class,
+    link_field,
+    mean_loss_db,
+    vehicle_in_way,
+)
+
+_SHADOW_LOS, _SHADOW_NLOS, _IN_WAY, _BLOCKAGE = (np.uint64(k) for k in range(4))
+
+
+@dataclass(frozen=True, slots=True)
+class Pairs:
+    """M pairs of radios within reach, each once."""
+
+    a: Int[ndarray, "m"]
+    b: Int[ndarray, "m"]
+    distance_m: Float[ndarray, "m"]
+    nlos: Bool[ndarray, "m"]
+    """Whether a building stands between them."""
+    nlosv: Bool[ndarray, "m"]
+    """Whether no building does, but a vehicle."""
+    loss_db: Float[ndarray, "m"]
+    """Path loss, blockage and shadowing together."""
+
+
+@njit(cache=True)
+def _near(xyz, reach_m, order, start, cell, shape, a, b, d):
+    """Pairs in the same or adjacent cells (2, and those within reach written); returns how many there are."""
+    m = 0
+    for p in range(len(order)):
+        i = order[p]
+        cx, cy = cell[i, 0], cell[i, 1]
+        for gx in range(cx, min(cx + 2, shape[0])):
+            first = cy if gx == cx else max(cy - 1, 0)
+            for gy in range(first, min(cy + 2, shape[1])):
+                g = gx * shape[1] + gy
+                begin = p + 1 if gx == cx and gy == cy else start[g]
+                for q in range(begin, start[g + 1]):
+                    j = order[q]
+                    dx, dy, dz = xyz[i, 0] - xyz[j, 0], xyz[i, 1] - xyz[j, 1], xyz[i, 2] - xyz[j, 2]
+                    square = dx * dx + dy * dy + dz * dz
+                    if square <= reach_m * reach_m:
+                        if m < len(a):
+                            a[m], b[m], d[m] = i, j, np.sqrt(square)
+                        m += 1
+    return m
+
+
+def within(xyz_m: Float[ndarray, "n 3"], reach_m: float) -> tuple[ndarray, ndarray, ndarray]:
+    """All pairs of points within reach, each once: rows, rows, distance [m]."""
+    n = len(xyz_m)
+    if n == 0:
+        return np.zeros(0, np.int32), np.zeros(0, np.int32), np.zeros(0)
+    low = xyz_m[:, :2].min(0)
+    side = max(reach_m, float(np.ptp(xyz_m[:, :2], axis=0).max()) / 1000)
+    cell = ((xyz_m[:, :2] - low) / side).astype(np.int64)
+    shape = cell.max(0) + 1
+    flat = cell[:, 0] * shape[1] + cell[:, 1]
+    order = np.argsort(flat, kind="stable")
+    start = np.searchsorted(flat[order], np.arange(shape[0] * shape[1] + 1))
+    share = np.pi * reach_m**2 / (np.prod(shape) * side**2)  # of the other points, if evenly strewn
+    room = int(n * min(n, 1024 + n * share) / 2 + 1024)
+    while True:
+        a, b, d = np.empty(room, np.int32), np.empty(room, np.int32), np.empty(room)
+        m = _near(xyz_m, float(reach_m), order, start, cell, shape, a, b, d)
+        if m <= room:
+            return a[:m], b[:m], d[:m]
+        room = m
+
+
+@njit(cache=True)
+def _both_ways(n, a, b, loss_db, fading, tx_dbm, cutoff_dbm):
+    """Compressed rows by sender of the links, in both directions, that are not too weak."""
+    ptr = np.zeros(n + 1, np.int64)
+    for m in range(len(a)):
+        ptr[a[m] + 1] += tx_dbm[a[m]] - loss_db[m] >= cutoff_dbm
+        ptr[b[m] + 1] += tx_dbm[b[m]] - loss_db[m] >= cutoff_dbm
+    for i in range(n):
+        ptr[i + 1] += ptr[i]
+    at = ptr[:-1].copy()
+    receiver, power = np.empty(ptr[n], np.int32), np.empty(ptr[n], np.float32)
+    kind, pair = np.empty(ptr[n], np.uint8), np.empty(ptr[n], np.int64)
+    for m in range(len(a)):
+        for i, j in ((a[m], b[m]), (b[m], a[m])):
+            dbm = tx_dbm[i] - loss_db[m]
+            if dbm >= cutoff_dbm:
+                receiver[at[i]] = j
+                power[at[i]] = 10.0 ** (0.1 * dbm)
+                kind[at[i]] = fading[m]
+                pair[at[i]] = m
+                at[i] += 1
+    return ptr, receiver, power, kind, pair
+
+
+def pairs(
+    xyz_m: Float[ndarray, "n 3"], params: PropagationParams, chance: np.uint64, sight: Sight | None = None
+) -> Pairs:
+    """What lies between radios at these antenna positions.
+
+    Parameters
+    ----------
+    chance
+        Key of shadowing and blockage, one for the whole run.
+    sight
+        The city's walls; without them nothing is behind one. Only `urban` and `highway` have a use for them.
+    """
+    xyz_m = np.ascontiguousarray(xyz_m, np.float64)
+    if xyz_m.ndim != 2 or xyz_m.shape[1] != 3 or not np.all(np.isfinite(xyz_m)):
+        raise ValueError("xyz_m: antenna positions must be (n, 3) finite numbers [m].")
+    a, b, d = within(xyz_m, params.reach_m)
+    nlos = np.zeros(len(a), bool)
+    if sight is not None and params.model in ("urban", "highway"):
+        nlos = ~sight.clear(xyz_m, a, b)
+        if params.reach_nlos_m < params.reach_m:
+            keep = np.flatnonzero(~nlos | (d <= params.reach_nlos_m))
+            a, b, d, nlos = a[keep], b[keep], d[keep], nlos[keep]
+    h_a, h_b = xyz_m[a, 2], xyz_m[b, 2]
+    loss = mean_loss_db(d, nlos, h_a, h_b, params)
+    xy = xyz_m[:, :2]
+
+    def field(rows: ndarray, decorrelation_m: float, purpose: np.uint64) -> ndarray:
+        return link_field(xy, a[rows], b[rows], d[rows], decorrelation_m, rng.keys(chance, purpose)[0])
+
+    nlosv = np.zeros(len(a), bool)
+    far = params.decorrelation_nlos_m
+    if params.blockage != "none" and params.model in ("urban", "highway"):
+        open_ = np.flatnonzero(~nlos)
+        nlosv[open_] = vehicle_in_way(d[open_], field(open_, far, _IN_WAY), params)
+        rows = np.flatnonzero(nlosv)
+        low, high = np.minimum(h_a[rows], h_b[rows]), np.maximum(h_a[rows], h_b[rows])
+        loss[rows] += blockage_db(field(rows, far, _BLOCKAGE), np.maximum(d[rows], 1.0), low, high)
+    if params.shadowing:
+        near = np.flatnonzero(~nlos & ~nlosv)
+        loss[near] += params.sigma_los_db * field(near, params.decorrelation_los_m, _SHADOW_LOS)
+        rows = np.flatnonzero(nlos | nlosv)
+        sigma = np.where(nlos[rows], params.sigma_nlos_db, params.sigma_los_db)
+        loss[rows] += sigma * field(rows, far, _SHADOW_NLOS)
+    return Pairs(a, b, d, nlos, nlosv, loss)
+
+
+def between(
+    xyz_m: Float[ndarray, "n 3"],
+    key: UInt64[ndarray, "n"],
+    params: PropagationParams,
+    chance: np.uint64,
+    sight: Sight | None = None,
+    tx_power_dbm: Float[ndarray, "n"] | None = None,
+) -> tuple[Links, Pairs, Int[ndarray, "links"]]:
+    """The links between radios at these antenna positions, and the pair behind each link.
+
+    Parameters
+    ----------
+    tx_power_dbm
+        Power of each radio where it differs from the params', as for roadside units or power control.
+    """
+    found = pairs(xyz_m, params, chance, sight)
+    n = len(xyz_m)
+    power = np.full(n, params.tx_power_dbm) if tx_power_dbm is None else np.asarray(tx_power_dbm, float)
+    ptr, receiver, power_mw, fading, pair = _both_ways(
+        n, found.a, found.b, found.loss_db, fading_class(found.distance_m, params.fading), power, params.cutoff_dbm
+    )
+    return Links(key, ptr, receiver, power_mw, fading), found, pair

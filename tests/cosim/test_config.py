@@ -1,0 +1,100 @@
+"""One typed experiment: what it takes, and how it says no."""
+
+import tomllib
+
+import pytest
+import tomli_w
+
+from cosim.config import Config, load
+from cosim.run import without_nulls
+
+
+def test_defaults_survive_the_way_to_disk_and_back(tmp_path):
+    path = tmp_path / "config.toml"
+    path.write_text(tomli_w.dumps(without_nulls(Config().to_dict())))
+    assert load(path) == Config() == load()
+
+
+def test_file_then_overrides(tmp_path):
+    path = tmp_path / "mine.toml"
+    path.write_text("seed = 4\n[radio]\nreach_m = 150\n[[encounters]]\nradius_m = 50\n[[encounters]]\nradius_m = 250.0\n")
+    config = load(path, ["radio.reach_m=200.5", "trust.method=local", "seed=9"])
+    assert (config.seed, config.radio.reach_m, config.trust.method) == (9, 200.5, "local")
+    assert [e.radius_m for e in config.encounters] == [50, 250]
+
+
+def test_a_scenario_is_found_beside_the_file_that_names_it(tmp_path):
+    (tmp_path / "city.sumocfg").touch()
+    path = tmp_path / "mine.toml"
+    path.write_text('[traffic]\nscenario = "city.sumocfg"\n')
+    assert load(path).traffic.scenario == str(tmp_path / "city.sumocfg")
+
+
+def test_steps():
+    config = load(None, ["traffic.step_s=0.1", "sensing_interval_s=0.5", "traffic.duration_s=60"])
+    assert (config.sense_every_steps, config.n_steps) == (5, 600)
+
+
+@pytest.mark.parametrize(
+    ("override", "words"),
+    [
+        ("radio.reech_m=3", "unknown key .* Did you mean radio.reach_m"),
+        ("nonsense=3", "unknown key .* Known: seed"),
+        ("radio.reach_m=-3", r"radio.reach_m = -3 should be greater than 0. Set radio.reach_m in"),
+        ("radio.reach_m=0.3", "Metres, not kilometres"),
+        ("radio.reach_m='far'", "valid number"),
+        ("radio.reach_m=true", "valid number"),
+        ("radio.reach_m=inf", "not a finite number"),
+        ("radio.reach_m=nan", "not a finite number"),
+        ("radio.max_hops=1.5", "valid integer"),
+        ("radio=3", r"section \[radio\]"),
+        ("seed.x=1", "unknown key|section|valid"),
+        ("fleet.equipped_kinds=['tank']", "fleet.equipped_kinds"),
+        ("fleet.malicious_p=0.95", "more than everybody"),
+        ("sensing_interval_s=0.7", "no multiple of traffic.step_s"),
+        ("encounters=[{radius=3}]", "unknown key .* Did you mean encounters.radius_m"),
+        ("encounters=3", "list of sections"),
+        ("record.level='all'", "record.level"),
+        ("no_equals", "no key=value"),
+    ],
+)
+def test_bad_values_get_one_line(override, words):
+    with pytest.raises(ValueError, match=words) as error:
+        load(None, [override])
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [(b"seed = ", "not valid TOML"), (b"\xff\xfe", "cannot be read"), (b"[[radio]]\nreach_m = 1", "section")],
+)
+def test_bad_files(tmp_path, content, words):
+    path = tmp_path / "bad.toml"
+    path.write_bytes(content)
+    with pytest.raises(ValueError, match=words):
+        load(path)
+
+
+def test_missing_file(tmp_path):
+    with pytest.raises(ValueError, match="no such config file"):
+        load(tmp_path / "none.toml")
+
+
+def test_every_knob_says_its_meaning():
+    """Each field of each section is followed by a docstring line, in the source."""
+    import ast
+    import inspect
+    from dataclasses import fields, is_dataclass
+    from typing import get_args
+
+    sections = [f.type if is_dataclass(f.type) else get_args(f.type)[0] for f in fields(Config)]
+    for section in [Config, *(s for s in sections if is_dataclass(s))]:
+        body = ast.parse(inspect.getsource(section)).body[0].body
+        for node, after in zip(body, [*body[1:], None], strict=True):
+            if isinstance(node, ast.AnnAssign) and not is_dataclass(getattr(section, "__annotations__")[node.target.id]):
+                documented = isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant)
+                assert documented or section is Config, f"{section.__name__}.{node.target.id} has no meaning"
+
+
+def test_toml_round_trip_is_plain_toml():
+    assert tomllib.loads(tomli_w.dumps(without_nulls(Config().to_dict())))["radio"]["reach_m"] == 300.0

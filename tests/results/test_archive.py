@@ -1,0 +1,103 @@
+"""Opening runs: typed tables, and one clear line for what cannot be opened."""
+
+import json
+import shutil
+
+import pandas as pd
+import pyarrow.compute as pc
+import pytest
+
+from results.archive import open_run
+from results.measure import measure
+from results.tables import TABLES
+from tests.results.synthetic import write
+
+
+@pytest.fixture
+def broken(tmp_path):
+    """A short run to spoil."""
+    return write(tmp_path / "broken", steps=20, level="standard")
+
+
+def test_tables_are_typed(run):
+    for name in TABLES:
+        frame = run.table(name)
+        assert list(frame.columns) == list(TABLES[name].columns)
+        assert len(frame), name
+        for label, column in TABLES[name].columns.items():
+            dtype = frame[label].dtype
+            if column.categories:
+                assert tuple(dtype.categories) == column.categories
+            elif column.type in ("int32", "bool") and column.null:
+                assert isinstance(dtype, (pd.Int32Dtype, pd.BooleanDtype))
+            elif column.type != "string":
+                assert dtype == column.type, (name, label)
+
+
+def test_columns_rows_and_parts_on_demand(run):
+    assert list(run.table("fused", ["score", "step"]).columns) == ["score", "step"]
+    late = run.table("trust", where=pc.field("step") >= 200)
+    assert late.step.min() >= 200 and len(late) == (run.trust.step >= 200).sum()
+    assert sum(len(part) for part in run.parts("uses", ["age_s"])) == len(run.uses)
+    assert run.trust is run.trust  # loaded once
+
+
+def test_roles(run):
+    assert run.roles.value_counts().to_dict() == {"honest": 23, "malicious": 4, "unreliable": 3}
+    assert "60" not in repr(run) and "240 steps" in repr(run)
+
+
+def complaint(path, **options):
+    with pytest.raises(ValueError) as caught:
+        open_run(path, **options)
+    text = str(caught.value)
+    assert "\n" not in text
+    return text
+
+
+def test_not_a_run(tmp_path, broken):
+    assert "is not a folder" in complaint(tmp_path / "nowhere")
+    assert "holds no manifest.json" in complaint(tmp_path)
+    (broken / "manifest.json").write_text("{")
+    assert "manifest.json is damaged" in complaint(broken)
+
+
+def test_unfinished_and_foreign_runs(broken):
+    manifest = json.loads((broken / "manifest.json").read_text())
+    (broken / "manifest.json").write_text(json.dumps(manifest | {"status": "running"}))
+    assert "cosim resume" in complaint(broken)
+    assert len(open_run(broken, unfinished=True).actors)
+    (broken / "manifest.json").write_text(json.dumps(manifest | {"schema_version": 99}))
+    assert "schema version 99" in complaint(broken)
+
+
+def test_missing_tables_and_columns(broken):
+    run = open_run(broken)
+    with pytest.raises(ValueError, match=r'no table verdicts: it is kept at record.level = "full"'):
+        run.table("verdicts")
+    with pytest.raises(ValueError, match="There is no table 'verdict'"):
+        run.table("verdict")
+    with pytest.raises(ValueError, match="Table trust has no column trst"):
+        run.table("trust", ["trst"])
+    with pytest.raises(AttributeError):
+        run.verdict.head()
+
+
+@pytest.mark.parametrize("harm", ["truncated", "overwritten"])
+def test_damaged_file_is_named(broken, harm):
+    path = broken / "trust" / "part-00000.parquet"
+    data = path.read_bytes()
+    path.write_bytes(data[: len(data) // 2] if harm == "truncated" else b"PAR1" + bytes(len(data) - 8) + b"PAR1")
+    with pytest.raises(ValueError, match=r"part-00000\.parquet is damaged"):
+        open_run(broken).trust.head()
+
+
+def test_measure_says_what_it_cannot(broken):
+    shutil.rmtree(broken / "sightings")
+    for part in (broken / "encounters").iterdir():
+        part.unlink()
+    numbers = measure(open_run(broken)).set_index("topic")
+    lost = numbers[numbers.figure == "not measured"]
+    assert "holds no table sightings" in lost.of["detection"]
+    assert "holds no encounters" in lost.of["encounters"]
+    assert numbers.value["radio"].notna().all()

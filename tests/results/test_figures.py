@@ -1,0 +1,99 @@
+"""Pictures: drawn, labelled with units, saved, the same twice, and never empty."""
+
+import matplotlib
+import numpy as np
+import pytest
+from matplotlib.colors import to_rgb
+
+from results.archive import open_run
+from results.figures import style, trust
+from results.figures.catalogue import FIGURES
+from tests.results.synthetic import write
+
+
+@pytest.mark.parametrize("name", FIGURES)
+def test_every_picture(run, other, name, tmp_path):
+    for runs in ([run], [run, other]):
+        figure = FIGURES[name](runs)
+        for axes in figure.axes:
+            if axes.get_label() == "<colorbar>":
+                continue
+            assert axes.get_title(loc="left"), "every panel has a title"
+            assert axes.get_xlabel(), "and a label below"
+            assert axes.has_data()
+        assert style.save(figure, tmp_path / f"{name}.png").stat().st_size > 5000
+
+
+@pytest.mark.parametrize("name", FIGURES)
+def test_nothing_is_cut_off(run, other, name):
+    """All text lies inside the page, and no two labels of an axis overlap."""
+    figure = FIGURES[name]([run, other])
+    renderer = figure.canvas.get_renderer()
+    page = figure.bbox
+    for axes in figure.axes:
+        box = axes.get_tightbbox(renderer)
+        assert page.x0 - 2 <= box.x0 and box.x1 <= page.x1 + 2
+        assert page.y0 - 2 <= box.y0 and box.y1 <= page.y1 + 2
+        for axis in (axes.xaxis, axes.yaxis):
+            boxes = [t.get_window_extent(renderer) for t in axis.get_ticklabels() if t.get_text() and t.get_visible()]
+            inside = [b for b in boxes if page.contains(*b.get_points()[0])]
+            assert not any(one.overlaps(two) for one, two in zip(inside, inside[1:], strict=False))
+    for legend in figure.legends:
+        box = legend.get_window_extent(renderer)
+        assert page.x0 - 1 <= box.x0 and box.x1 <= page.x1 + 1
+
+
+@pytest.mark.parametrize("suffix", style.FORMATS)
+def test_saved_twice_is_the_same_file(run, suffix, tmp_path):
+    one, two = (style.save(trust.draw([run]), tmp_path / f"{n}{suffix}").read_bytes() for n in "ab")
+    assert one == two
+
+
+def test_single_vehicles(run):
+    figure = trust.draw([run], vehicles=[0, 12])
+    assert {text.get_text() for text in figure.axes[0].texts} == {"0", "12"}
+    with pytest.raises(ValueError, match="never judged vehicle 59"):
+        trust.draw([run], vehicles=[59])
+
+
+def test_units_come_from_the_dictionary(run):
+    assert FIGURES["encounters"]([run]).axes[0].get_xlabel() == "Duration [s]"
+    assert FIGURES["freshness"]([run]).axes[0].get_xlabel() == "Age [s]"
+    assert FIGURES["radio"]([run]).axes[0].get_xlabel() == "Distance [m]"
+
+
+def test_inks_differ_in_grey():
+    grey = [np.dot(to_rgb(ink), (0.299, 0.587, 0.114)) for ink in style.INKS[:4]]
+    assert min(np.diff(grey)) > 0.08
+
+
+def test_leaves_no_trace(run):
+    before = dict(matplotlib.rcParams)
+    trust.draw([run])
+    assert dict(matplotlib.rcParams) == before
+
+
+def test_bad_requests(run, tmp_path):
+    figure = trust.draw([run])
+    with pytest.raises(ValueError, match=r"no picture format. End it in .png, .svg, .pdf"):
+        style.save(figure, tmp_path / "trust.bmp")
+    with pytest.raises(ValueError, match="does not exist"):
+        style.save(figure, tmp_path / "nowhere" / "trust.png")
+    with pytest.raises(ValueError, match="no run to draw"):
+        trust.draw([])
+
+
+@pytest.mark.parametrize("name", FIGURES)
+def test_nothing_to_draw_is_one_clear_line(name, tmp_path):
+    path = write(tmp_path / "quiet", steps=10, level="standard")
+    for table in ("encounters", "trust", "uses", "radio", "links", "actors"):
+        for part in (path / table).iterdir():
+            part.unlink()
+    with pytest.raises(ValueError) as caught:
+        FIGURES[name]([open_run(path)])
+    assert "\n" not in str(caught.value)
+
+
+def test_runs_of_one_name_are_told_apart(run, tmp_path):
+    twin = open_run(write(tmp_path / run.name, steps=10))
+    assert len(set(style.names([run, twin]))) == 2

@@ -1,0 +1,267 @@
+"""Figures of merit, derived by hand on runs of a few rows."""
+
+import json
+
+import networkx as nx
+import numpy as np
+import pandas as pd
+import pytest
+
+from results.archive import open_run
+from results.measure import measure
+from results.metrics import contacts, detection, encounters, freshness, radio, trust
+from results.recorder import Recorder
+from results.tables import SCHEMA_VERSION, TABLES
+
+
+@pytest.fixture
+def tiny(tmp_path):
+    """Makes a run from rows: tiny(steps, table=[{column: value}]); what is not said is 0, False, the first label or null."""
+
+    def make(steps, **tables):
+        with Recorder(tmp_path, "full", block_steps=10) as record:
+            for name, rows in tables.items():
+                rows = sorted(rows, key=lambda row: row.get("step", 0))
+                for step in sorted({row.get("step", 0) for row in rows}):
+                    record.append(name, step, columns(name, [r for r in rows if r.get("step", 0) == step]))
+                record.flush()
+                record._block = 0
+        (tmp_path / "manifest.json").write_text(json.dumps({
+            "schema_version": SCHEMA_VERSION, "status": "finished", "dt_s": 1.0, "steps": steps, "config": {}, "seed": 0,
+        }))  # fmt: skip
+        return open_run(tmp_path)
+
+    return make
+
+
+def columns(table, rows):
+    given = {}
+    for name, column in TABLES[table].columns.items():
+        zero = column.categories[0] if column.categories else "" if column.type == "string" else 0
+        values = [row.get(name, None if column.null else zero) for row in rows]
+        dtype = object if column.type in ("string", "category") else column.type
+        given[name] = np.array([zero if v is None else v for v in values], dtype)
+        if column.null:
+            given[name + "__valid"] = np.array([v is not None for v in values])
+    return given
+
+
+def fleet(*behaviours, **more):
+    return [
+        {"vehicle": i, "sumo_id": str(i), "equipped": True, "behaviour": b, "last_step": 99,
+         "length_m": 4, "width_m": 2, "height_m": 1.5, **more} for i, b in enumerate(behaviours)
+    ]  # fmt: skip
+
+
+def meeting(a, b, start, end, **more):
+    return {"a": a, "b": b, "start_step": start, "end_step": end, "duration_s": end - start, "radius_m": 50} | more
+
+
+def test_kaplan_meier_by_hand(tiny):
+    """Durations 1, 2, 2+, 3, 4+ (+: end not seen), and one whose start was not seen.
+
+    S(1) = 4/5; S(2) = 4/5 * 3/4 = 3/5; S(3) = 3/5 * 1/2 = 3/10 = S(4). Area to 4 s: 1 + .8 + .6 + .3 = 2.7.
+    """
+    ends = [(1, False), (2, False), (2, True), (3, False), (4, True)]
+    rows = [meeting(0, i + 1, 10, 10 + d, censored_right=c) for i, (d, c) in enumerate(ends)]
+    run = tiny(20, encounters=[*rows, meeting(0, 9, 0, 15, censored_left=True)])
+    curve = encounters.survival(run)
+    assert curve.duration_s.tolist() == [0, 1, 2, 3, 4]
+    assert curve.survival.tolist() == pytest.approx([1, 0.8, 0.6, 0.3, 0.3])
+    assert (curve.low <= curve.survival).all() and (curve.survival <= curve.high).all()
+    (row,) = encounters.summary(run).itertuples()
+    assert (row.n, row.n_start_unseen, row.n_end_unseen) == (6, 1, 2)
+    assert row.km_mean_s == pytest.approx(2.7) and row.km_median_s == 3
+    assert row.mean_s == pytest.approx((1 + 2 + 2 + 3 + 4 + 15) / 6)
+
+
+def test_departures_as_ends_or_as_censoring(tiny):
+    run = tiny(20, encounters=[meeting(0, 1, 2, 4), meeting(0, 2, 2, 8, departed=True)])
+    assert encounters.survival(run).survival.iloc[-1] == 0
+    assert encounters.survival(run, "censors").survival.iloc[-1] == 0.5
+
+
+def test_freshness_on_a_timeline(tiny):
+    """The server computes at 5, 10, 15, 20 s; a value takes 1 s to arrive; that of 15 s is lost.
+
+    Vehicle 1 uses it every second from 0 to 22: six defaults, ages 1-5 (from 6 s), 1-5 (from 11 s), 6-10 (no
+    news at 16 s), 1, 2 (from 21 s). Sum of the 17 ages 15 + 15 + 40 + 3 = 73; peaks 5 and 10.
+    """
+    ages = [None] * 6 + [1, 2, 3, 4, 5] * 2 + [6, 7, 8, 9, 10, 1, 2]
+    uses = [
+        {"step": i, "receiver": 1, "subject": 2, "source": "default" if age is None else "server", "age_s": age}
+        for i, age in enumerate(ages)
+    ]  # fmt: skip
+    meetings = [meeting(1, 2, 0, 6), meeting(1, 2, 8, 12)]
+    run = tiny(23, vehicles=fleet(*["honest"] * 3), uses=uses, encounters=meetings)
+    assert freshness.shares(run, 5).set_index("state").n.to_dict() == {"fresh": 12, "stale": 5, "default": 6}
+    server = freshness.at_use(run).set_index("source").loc["server"]
+    assert server.mean_s == pytest.approx(73 / 17)
+    assert server.median_s == pytest.approx(4, rel=0.03)
+    # Blocks of 10 steps: the renewal at 11 s has its peak (10 s) in the same block, that at 21 s too.
+    assert server.peak_s == pytest.approx(7.5)
+    over_time = freshness.over_time(run, 10, 5)
+    assert over_time.default.tolist() == pytest.approx([0.6, 0, 0])
+    assert over_time.stale.tolist() == pytest.approx([0, 0.4, 1 / 3])
+    # 1 knows 2 in the second meeting only; 2 never knows 1.
+    (row,) = freshness.without_trust(run).itertuples()
+    assert (row.n, row.n_without) == (4, 3)
+
+
+def test_known_at_first_contact_counts_as_known(tiny):
+    run = tiny(9, vehicles=fleet("honest", "honest"), uses=[],
+               encounters=[meeting(0, 1, 0, 6, source_ab="server", source_ba="default")])  # fmt: skip
+    (row,) = freshness.without_trust(run).itertuples()
+    assert (row.n, row.n_without) == (2, 1)
+
+
+def test_evidence(tiny):
+    rows = [
+        {"step": 0, "vehicle": 0, "n_evaluations": 0},
+        {"step": 1, "vehicle": 0, "n_evaluations": 4, "newest_age_s": 1, "oldest_age_s": 9},
+        {"step": 2, "vehicle": 0, "n_evaluations": 6, "newest_age_s": 3, "oldest_age_s": 11},
+    ]
+    (row,) = freshness.evidence(tiny(3, vehicles=fleet("honest"), trust=rows)).itertuples()
+    assert (row.n, row.none_share, row.newest_age_s, row.oldest_age_s) == (3, pytest.approx(1 / 3), 2, 10)
+
+
+def test_trust_by_hand(tiny):
+    """Vehicle 2 lies from step 3; it is low at 2 (too early to count), 3 (no) and 7 (yes); vehicle 3 is never found."""
+    liars = fleet("honest", "honest", "malicious", "malicious")
+    liars[2]["first_lie_step"] = liars[3]["first_lie_step"] = 3
+    liars[3]["last_step"] = 8
+    values = {0: [0.6, 0.8, 0.5, 0.5], 2: [0.6, 0.8, 0.1, 0.5], 3: [0.7, 0.9, 0.4, 0.5], 7: [0.7, 0.3, 0.2, 0.5]}
+    rows = [{"step": s, "vehicle": v, "trust": t} for s, ts in values.items() for v, t in enumerate(ts)]
+    run = tiny(20, vehicles=liars, trust=rows)
+    delay = trust.detection_delay(run, 0.25).set_index("vehicle")
+    assert delay.delay_s.to_dict() == {2: 4.0, 3: 5.0} and delay.found.to_dict() == {2: True, 3: False}
+    last = trust.final(run).set_index("behaviour")
+    assert last["mean"].to_dict() == pytest.approx({"honest": 0.5, "malicious": 0.35})
+    assert last.n.to_dict() == {"honest": 2, "malicious": 2}
+    assert trust.separation(run) == 3 / 4  # of 0.7, 0.3 against 0.2, 0.5
+    assert trust.over_time(run).query("time_s == 3 and behaviour == 'honest'")["median"].item() == pytest.approx(0.8)
+
+
+def test_found_out_by_vehicles(tiny):
+    liars = fleet("honest", "malicious")
+    liars[1]["first_lie_step"] = 3
+    uses = [{"step": s, "receiver": 0, "subject": 1, "trust": t, "age_s": 1} for s, t in ((3, 0.5), (9, 0.1))]
+    assert trust.detection_delay(tiny(20, vehicles=liars, uses=uses), 0.25, "vehicles").delay_s.tolist() == [6]
+
+
+def test_radio_by_hand(tiny):
+    rows = [
+        {"step": s, "n_sent": 2, "n_in_reach": 4, "n_delivered": d, "n_lost_propagation": 4 - d, "busy_ratio": 0.1}
+        for s, d in enumerate((4, 2))
+    ]
+    links = [
+        {"step": s, "ring_m": ring, "n_in_reach": 2, "n_delivered": d, "n_lost_propagation": 2 - d}
+        for s, ring, d in ((0, 0, 2), (0, 25, 2), (1, 0, 2), (1, 25, 0))
+    ]
+    run = tiny(2, radio=rows, links=links)
+    (row,) = radio.overall(run).itertuples()
+    assert (row.n_sent, row.delivery_ratio, row.lost_propagation) == (4, 0.75, 0.25)
+    assert radio.over_time(run, 1).delivery_ratio.tolist() == [1, 0.5]
+    by_distance = radio.by_distance(run)
+    assert by_distance.distance_m.tolist() == [12.5, 37.5]
+    assert by_distance.delivery_ratio.tolist() == [1, 0.5]
+
+
+@pytest.fixture
+def scene(tiny):
+    """Vehicle 0 stands facing east; 1 is 20 m ahead of it, 2 is 20 m behind; 50 steps; all well visible.
+
+    It detects 1 exactly in every step, and, in every second step, a ghost 40 m ahead with a higher score.
+    """
+    size = {"length_m": 4, "width_m": 2, "height_m": 1.5}
+    vehicles = fleet("malicious")
+    vehicles += [{"vehicle": v, "kind": "car", "last_step": 99, **size} for v in (1, 2)]
+    vehicles.append({**fleet("honest")[0], "vehicle": 3, "last_step": -1})
+    x = {0: 0.0, 1: 20.0, 2: -20.0}
+    actors, sightings, detections, fused = [], [], [], []
+    for step in range(50):
+        actors += [{"step": step, "actor": v, "x_m": x[v], "z_m": 0.75} for v in x]
+        sightings += [{"step": step, "observer": 0, "actor": v, "n_points": 90, "n_unoccluded": 100} for v in (1, 2)]
+        seen = {"step": step, "observer": 0, "z_m": 0.75, **size}
+        detections.append(seen | {"k": 1, "x_m": 20, "score": 0.6, "said": True, "truth_actor": 1, "truth_iou": 1})
+        fused.append(seen | {"k": 1, "x_m": 20, "score": 0.6, "local": True, "truth_actor": 1, "truth_iou": 1})
+        if step % 2:
+            detections.append(seen | {"k": 2, "x_m": 40, "score": 0.9, "said": True})
+        if step >= 40:
+            detections.append(seen | {"k": 3, "x_m": 9, "score": 1, "kind": "fabricated", "said": True})
+        if step >= 45:
+            fused.append(seen | {
+                "observer": 3, "k": 2, "x_m": 9, "score": 0.7, "fabricated": True, "source_step": step, "source_k": 3,
+            })  # fmt: skip
+    return tiny(
+        50, vehicles=vehicles, actors=actors, sightings=sightings, detections=detections, fused=fused
+    )  # fmt: skip
+
+
+def test_precision_on_a_scene(scene):
+    """Fused: 50 hits of 50, AP 100. Local: 25 ghosts rank first, so precision is at most 50 / 75 everywhere."""
+    frame = detection.precision(scene).set_index(["boxes", "class", "level"])
+    assert frame.ap40["fused", "car", "easy"] == pytest.approx(100)
+    assert frame.ap11["local", "car", "easy"] == pytest.approx(100 * 50 / 75)
+    assert frame.n_truth["fused", "car", "all"] == 50  # the one behind does not count
+    assert frame.n_frames.unique().tolist() == [50]
+    few = detection.precision(scene, max_frames=10)
+    assert few.n_frames.unique().tolist() == [10] and few.n_truth.max() == 10
+
+
+def test_awareness_on_a_scene(scene):
+    """Of the two within 30 m it knows the one ahead."""
+    frame = detection.awareness(scene, range_m=30)
+    assert frame.n_present.tolist() == [100, 100] and frame.share.tolist() == [0.5, 0.5]
+    assert detection.awareness(scene, range_m=30, min_score=0.7).share.tolist() == [0, 0]
+
+
+def test_attack_on_a_scene(scene):
+    """Ten boxes made up, five believed by one other."""
+    (row,) = detection.attack_success(scene).itertuples()
+    assert (row.n_fabricated, row.n_believed, row.share, row.victims_mean) == (10, 5, 0.5, 1)
+    assert detection.attack_success(scene, 0.8).share.item() == 0
+
+
+def test_contacts_by_hand(tiny):
+    """0-1 meet in [0, 2), 1-2 in [1, 3), 2-3 in [0, 1): news of 0 reaches 1 at 0 s, 2 at 1 s, 3 never."""
+    run = tiny(4, encounters=[meeting(0, 1, 0, 2), meeting(1, 2, 1, 3), meeting(2, 3, 0, 1)])
+    assert contacts.arrivals(run, 0).set_index("actor").time_s.to_dict() == {0: 0, 1: 0, 2: 1}
+    frame = contacts.over_time(run, 1)
+    assert frame.n_contacts.tolist() == [2, 2, 1, 0]
+    assert frame.n_components.tolist() == [2, 1, 1, 0]
+    assert frame.degree_mean.tolist() == pytest.approx([1, 4 / 3, 1, 0])
+    graph = contacts.graph(run, 0.5, 2)
+    assert isinstance(graph, nx.Graph)
+    assert nx.get_edge_attributes(graph, "contact_s") == {(0, 1): 1.5, (1, 2): 1.0, (2, 3): 0.5}
+    with pytest.raises(ValueError, match="no encounters with radius_m = 7"):
+        contacts.graph(run, 0, 1, radius_m=7)
+
+
+def test_relays(run):
+    graph = contacts.relays(run)
+    assert sum(n for _, _, n in graph.edges(data="n")) == len(run.deliveries)
+
+
+def test_measure_is_tidy(run):
+    numbers = measure(run)
+    assert list(numbers.columns) == ["topic", "figure", "of", "value", "unit"]
+    assert not (numbers.figure == "not measured").any()
+    assert not numbers.duplicated(["topic", "figure", "of"]).any()
+    ranked = numbers.set_index(["figure", "of"]).value
+    assert ranked["final trust, median", "malicious"] < 0.1 < 0.6 < ranked["final trust, median", "honest"]
+
+
+@pytest.mark.parametrize(
+    "ask", [encounters.survival, freshness.at_use, freshness.over_time, radio.overall, radio.by_distance, trust.over_time,
+            detection.precision, detection.awareness, detection.attack_success, contacts.contacts]
+)  # fmt: skip
+def test_nothing_to_measure_is_one_clear_line(tiny, ask):
+    with pytest.raises(ValueError) as caught:
+        ask(tiny(5, vehicles=fleet("honest")))
+    assert "\n" not in str(caught.value) and str(caught.value).endswith(".")
+
+
+def test_frames_are_frames(run):
+    for frame in (radio.by_distance(run), freshness.distribution(run), trust.detection_delay(run)):
+        assert isinstance(frame, pd.DataFrame) and len(frame)

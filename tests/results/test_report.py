@@ -1,0 +1,67 @@
+"""The report: whole, self-contained, and honest about what is missing."""
+
+import re
+import shutil
+from html.parser import HTMLParser
+
+import pytest
+
+from results import report
+from results.archive import open_run
+from results.tables import TABLES
+from tests.results.synthetic import write
+
+VOID = {"meta", "img", "br"}
+
+
+class Outline(HTMLParser):
+    """Checks that tags close in order, and gathers what they hold."""
+
+    def __init__(self):
+        super().__init__()
+        self.open, self.seen = [], []
+
+    def handle_starttag(self, tag, attrs):
+        self.seen.append((tag, dict(attrs)))
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+
+def test_page(run, tmp_path):
+    path = report.write(run, tmp_path / "report.html")
+    text = path.read_text()
+    outline = Outline()
+    outline.feed(text)
+    assert not outline.open
+    pictures = [attributes["src"] for tag, attributes in outline.seen if tag == "img"]
+    assert len(pictures) == 7 and all(source.startswith("data:image/svg+xml;base64,") for source in pictures)
+    links = [attributes["href"] for tag, attributes in outline.seen if tag == "a"]
+    anchors = {attributes["id"] for _, attributes in outline.seen if "id" in attributes}
+    assert links and all(link[0] == "#" and link[1:] in anchors for link in links)
+    assert not re.search(r"<(script|link|iframe)|url\(|@import", text), "nothing is fetched"
+    for name, table in TABLES.items():
+        assert f"<summary>{name}" in text
+        assert all(f"<code>{column}</code>" in text for column in table.columns)
+    assert "reach_m" in text and "Resolved configuration" in text
+
+
+def test_names_cannot_break_the_page(tmp_path):
+    path = write(tmp_path / "a <b> & c", steps=20, level="summary")
+    text = report.page(open_run(path))
+    assert "a &lt;b&gt; &amp; c" in text and "<b> & c" not in text
+
+
+def test_what_is_missing_is_said(tmp_path):
+    path = write(tmp_path / "run", steps=20, level="summary")
+    text = report.page(open_run(path))
+    assert "No figure of freshness" in text and "holds no table uses" in text
+    assert "not in this run: kept from record level full up" in text
+    shutil.rmtree(path)
+
+
+def test_bad_folder(run, tmp_path):
+    with pytest.raises(ValueError, match="does not exist"):
+        report.write(run, tmp_path / "nowhere" / "report.html")

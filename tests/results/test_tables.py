@@ -1,0 +1,50 @@
+"""The dictionary: docs = code, and what every schema must have."""
+
+from pathlib import Path
+
+import pyarrow as pa
+import pytest
+
+from results import tables
+
+
+def test_docs_are_the_code():
+    text = (Path(tables.__file__).parent / "TABLES.md").read_text()
+    assert text == tables.markdown(), "write results/TABLES.md anew: make tables, or see its first lines"
+
+
+@pytest.mark.parametrize("name", tables.TABLES)
+def test_every_table_is_complete(name):
+    table = tables.TABLES[name]
+    assert table.key and table.meaning.endswith(".")
+    for label, column in table.columns.items():
+        assert column.meaning.strip(), label
+        assert not (column.key and column.null), f"{label}: a key is never null"
+        assert bool(column.categories) == (column.type == "category"), label
+        assert column.bits is None or column.type == "float32", label
+        for suffix, unit in (("_m", "m"), ("_s", "s"), ("_rad", "rad"), ("_mps", "m/s")):
+            if label.endswith(suffix):
+                assert column.unit == unit, f"{label} is in {column.unit!r}"
+
+
+@pytest.mark.parametrize("name", tables.TABLES)
+def test_schema_carries_unit_and_meaning(name):
+    schema = tables.schema(name)
+    assert schema.metadata[b"table"].decode() == name
+    for field in schema:
+        column = tables.TABLES[name].columns[field.name]
+        assert field.metadata[b"unit"].decode() == column.unit
+        assert field.metadata[b"meaning"].decode() == column.meaning
+        assert field.nullable == column.null
+        if field.name.endswith("step"):
+            assert field.type == pa.int32()
+
+
+def test_levels_contain_one_another():
+    summary, standard, full = (set(tables.kept(level)) for level in tables.LEVELS)
+    assert summary < standard < full == set(tables.TABLES)
+
+
+def test_axis_label():
+    assert tables.axis_label("uses", "age_s", "Age") == "Age [s]"
+    assert tables.axis_label("trust", "trust") == "trust"

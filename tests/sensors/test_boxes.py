@@ -1,0 +1,100 @@
+"""Boxes: overlap by hand, by Shapely, and against the paper's own vectors."""
+
+import numpy as np
+import pytest
+import shapely
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from shapely import affinity
+
+from sensors.boxes import Boxes, iou_3d, overlapping_pairs
+from tests.sensors.town import cases, from_camera, random_boxes
+
+
+def footprint(boxes: Boxes, k: int) -> shapely.Polygon:
+    length, width, _ = boxes.lwh_m[k]
+    flat = affinity.rotate(shapely.box(-length / 2, -width / 2, length / 2, width / 2), boxes.yaw_rad[k], (0, 0), True)
+    return affinity.translate(flat, *boxes.xyz_m[k, :2])
+
+
+def by_shapely(a: Boxes, b: Boxes) -> np.ndarray:
+    out = np.empty(len(a))
+    for k in range(len(a)):
+        top = min(a.xyz_m[k, 2] + a.lwh_m[k, 2] / 2, b.xyz_m[k, 2] + b.lwh_m[k, 2] / 2)
+        bottom = max(a.xyz_m[k, 2] - a.lwh_m[k, 2] / 2, b.xyz_m[k, 2] - b.lwh_m[k, 2] / 2)
+        common = footprint(a, k).intersection(footprint(b, k)).area * max(0.0, top - bottom)
+        out[k] = common / (a.lwh_m[k].prod() + b.lwh_m[k].prod() - common)
+    return out
+
+
+def test_by_hand():
+    # unit cubes: one moved by half a side shares 1/2 of 3/2; one turned by 45 degrees shares the regular octagon
+    # 2 (sqrt 2 - 1) = 0.8284 of 2 - 0.8284; one moved by a full side only touches
+    a = Boxes(np.zeros((3, 3)), np.ones((3, 3)), np.zeros(3))
+    b = Boxes(np.array([[0.5, 0, 0], [0, 0, 0], [1, 0, 0]]), np.ones((3, 3)), np.array([0, np.pi / 4, 0]))
+    octagon = 2 * (np.sqrt(2) - 1)
+    assert iou_3d(a, b) == pytest.approx([1 / 3, octagon / (2 - octagon), 0.0], abs=1e-15)
+
+
+def test_reference_vectors():
+    found = cases("a_iou3d")
+    a, b = (
+        from_camera(*([[c[k]["x"], c[k]["y"], c[k]["z"]] for c in found], *([c[k][d] for c in found] for d in ("h", "w", "l", "ry"))))
+        for k in ("a", "b")
+    )
+    assert iou_3d(a, b) == pytest.approx([c["exact_3d"] for c in found], abs=1e-12)
+    assert iou_3d(a, b) == pytest.approx([c["iou_kitti_cpp_3d"] for c in found], abs=1e-6)     # float32 in there
+
+
+@settings(max_examples=20, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_laws(seed):
+    rng = np.random.default_rng(seed)
+    a, b = random_boxes(rng, 60, 3.0)[0], random_boxes(rng, 60, 3.0)[0]
+    iou = iou_3d(a, b)
+    assert iou == pytest.approx(by_shapely(a, b), abs=1e-9)
+    assert (iou == iou_3d(b, a)).all()
+    assert iou_3d(a, a) == pytest.approx(np.ones(60), abs=1e-12)
+    turn, shift = rng.uniform(-4, 4), rng.uniform(-1000, 1000, 3)
+    assert iou == pytest.approx(iou_3d(moved(a, turn, shift), moved(b, turn, shift)), abs=1e-9)
+
+
+def moved(boxes: Boxes, turn: float, shift) -> Boxes:
+    cos, sin = np.cos(turn), np.sin(turn)
+    rotation = np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]])
+    return Boxes(boxes.xyz_m @ rotation.T + shift, boxes.lwh_m, boxes.yaw_rad + turn)
+
+
+@settings(max_examples=15, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_pairs_are_all_pairs(seed):
+    rng = np.random.default_rng(seed)
+    boxes, _ = random_boxes(rng, 80)
+    label, owner = rng.integers(0, 3, 80).astype(np.uint8), rng.integers(0, 8, 80)
+    i, j = np.triu_indices(80, 1)
+    keep = (label[i] == label[j]) & (owner[i] != owner[j])
+    i, j = i[keep], j[keep]
+    iou = iou_3d(boxes.take(i), boxes.take(j))
+    found_i, found_j, found = overlapping_pairs(boxes, label, owner)
+    assert (found_i == i[iou > 0]).all() and (found_j == j[iou > 0]).all() and (found == iou[iou > 0]).all()
+    swap = rng.permutation(80)
+    found_i, found_j, found = overlapping_pairs(boxes.take(swap), label[swap], owner[swap])
+    named = {(min(a, b), max(a, b), v) for a, b, v in zip(swap[found_i], swap[found_j], found, strict=True)}
+    assert named == set(zip(i[iou > 0], j[iou > 0], iou[iou > 0], strict=True))
+
+
+def test_no_pairs():
+    none = Boxes.concat([])
+    assert [len(part) for part in overlapping_pairs(none, np.zeros(0, np.uint8), np.zeros(0, int))] == [0, 0, 0]
+    assert len(iou_3d(none, none)) == 0
+
+
+@pytest.mark.parametrize(
+    ("lwh", "yaw", "says"),
+    [((0, 1.8, 1.5), 0.0, "must be positive"), ((4, 1.8, 1.5), np.nan, "not finite"), ((4, np.inf, 1.5), 0.0, "not finite")],
+)
+def test_bad_boxes_are_refused(lwh, yaw, says):
+    with pytest.raises(ValueError, match=says):
+        Boxes(np.zeros((1, 3)), np.array([lwh]), np.array([yaw]))
+    with pytest.raises(ValueError, match="shape"):
+        Boxes(np.zeros((2, 3)), np.ones((1, 3)), np.zeros(2))

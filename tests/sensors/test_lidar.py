@@ -1,0 +1,116 @@
+"""The sweep: ranges worked out by hand, noise that is a function of keys, and bad input."""
+
+import numpy as np
+import pytest
+
+from sensors.boxes import Boxes
+from sensors.lidar import PROFILES, Hit, LidarParams, beams, mount, scan
+from sensors.scene import Scene
+from tests.sensors.town import blocks, car, exact, traffic
+
+CAR, BUS = 0, 3
+LEVEL = {"elevation_deg": (-10.0, 0.0, 10.0), "n_azimuths": 1, "fov_deg": 1.0}
+
+
+def test_road_wall_and_roof_by_hand():
+    # Sensor at 1.5 + 0.23 = 1.73 m. Road at -10 degrees: 1.73 / sin 10 = 9.963 m. A wall at 20 m: 20 m level and
+    # 20 / cos 10 = 20.309 m at +10 degrees, if it is at least 1.73 + 20 tan 10 = 5.26 m high.
+    high = Scene.from_footprints([[[(20, -5), (30, -5), (30, 5), (20, 5)]]], [0.0], [5.5])
+    low = Scene.from_footprints([[[(20, -5), (30, -5), (30, 5), (20, 5)]]], [0.0], [5.0])
+    sine, cosine = np.sin(np.radians(10)), np.cos(np.radians(10))
+    sweep = exact(car(0, 0), [CAR], [0], high, **LEVEL)
+    assert sweep.range_m[0, 0] == pytest.approx([1.73 / sine, 20, 20 / cosine], rel=1e-6)
+    assert sweep.hit[0, 0].tolist() == [Hit.GROUND, Hit.BUILDING, Hit.BUILDING]
+    assert exact(car(0, 0), [CAR], [0], low, **LEVEL).hit[0, 0].tolist() == [Hit.GROUND, Hit.BUILDING, Hit.NOTHING]
+    # From 12 m the beam at -10 degrees meets the roof of 5 m after 7 / sin 10 = 40.31 m, 39.7 m out: past the roof,
+    # which ends at 30 m; that of 8 m after 4 / sin 10 = 23.04 m, 22.69 m out: on it.
+    for top, hit, distance in ((5.0, Hit.GROUND, 12 / sine), (8.0, Hit.BUILDING, 4 / sine)):
+        scene = Scene.from_footprints([[[(20, -5), (30, -5), (30, 5), (20, 5)]]], [0.0], [top])
+        sweep = exact(car(0, 0), [CAR], [0], scene, mount_above_roof_m=10.5, **LEVEL)
+        assert (sweep.hit[0, 0, 0], sweep.range_m[0, 0, 0]) == (hit, pytest.approx(distance, rel=1e-6))
+
+
+def test_actor_by_hand():
+    # A bus (12 m long, body 0.495 of it to the rear) 30 m ahead: its rear face stands at 30 - 5.94 = 24.06 m.
+    boxes = Boxes.concat([car(0, 0), Boxes(np.array([[30, 0, 1.6]]), np.array([[12, 2.55, 3.2]]), np.zeros(1))])
+    sweep = exact(boxes, [CAR, BUS], [0], **LEVEL)
+    assert sweep.hit[0, 0].tolist() == [Hit.GROUND, Hit.ACTOR + 1, Hit.NOTHING]
+    assert sweep.range_m[0, 0, 1] == pytest.approx(24.06, rel=1e-6)
+    assert sweep.xyz(0) == pytest.approx(np.array([[1.73 / np.tan(np.radians(10)), 0, -1.73], [24.06, 0, 0]]), abs=1e-5)
+    world = sweep.poses.to_world(0, sweep.xyz(0))
+    assert world[1] == pytest.approx([24.06, 0, 1.73], abs=1e-5)
+
+
+def test_own_body_is_transparent():
+    sweep = exact(car(0, 0), [CAR], [0], profile="hdl64e")
+    assert (sweep.hit <= Hit.GROUND).all()
+    assert not np.isfinite(sweep.range_m[sweep.hit == Hit.NOTHING]).any()
+    assert np.isfinite(sweep.range_m[sweep.hit == Hit.GROUND]).all()
+
+
+@pytest.mark.parametrize("profile", PROFILES)
+def test_profiles(profile):
+    grid = beams(LidarParams(profile=profile))
+    count = {"hdl64e_front": 64, "hdl64e": 64, "vlp16": 16, "vlp32c": 32, "os1_64": 64, "os1_128": 128, "pandar64": 64}
+    assert len(grid.elevation_rad) == count[profile]
+    assert np.diff(grid.azimuth_rad) == pytest.approx(grid.fov_rad / len(grid.azimuth_rad))
+    assert grid.azimuth_rad[0] == pytest.approx(-grid.azimuth_rad[-1])
+
+
+def test_noise_is_a_function_of_key_and_ray():
+    rng = np.random.default_rng(0)
+    (boxes, shape), scene = traffic(rng, 60), blocks(rng)
+    observers = np.flatnonzero(shape == CAR)
+    keys = rng.integers(0, 2**63, len(observers)).astype(np.uint64)
+    params = LidarParams(dropout_p=0.1)
+    clean = exact(boxes, shape, observers, scene)
+    noisy = scan(boxes, shape, observers, scene, params, keys)
+    kept = np.isfinite(noisy.range_m)
+    returned = np.isfinite(clean.range_m)
+    assert 1 - kept.sum() / returned.sum() == pytest.approx(0.1, abs=0.002)
+    assert (noisy.hit[returned & ~kept] == Hit.NOTHING).all() and (noisy.hit[kept] == clean.hit[kept]).all()
+    error = (noisy.range_m - clean.range_m.astype(float))[kept]
+    assert error.mean() == pytest.approx(0, abs=2e-4) and error.std() == pytest.approx(0.02, rel=0.01)
+    assert np.mean(np.abs(error) < 0.02) == pytest.approx(0.683, abs=0.005)
+    # fewer observers, in another order: the same sweeps
+    some = rng.permutation(len(observers))[:5]
+    again = scan(boxes, shape, observers[some], scene, params, keys[some])
+    assert (again.range_m == noisy.range_m[some]).all() and (again.hit == noisy.hit[some]).all()
+    # written over an earlier result: the same
+    reused = scan(boxes, shape, observers, scene, params, keys, out=exact(boxes, shape, observers[::-1], scene))
+    assert (reused.range_m == noisy.range_m).all()
+
+
+def test_a_thousand_sensors_fit_in_a_gigabyte():
+    grid = beams(LidarParams())
+    assert 1000 * len(grid.azimuth_rad) * len(grid.elevation_rad) * (4 + 4) < 0.3e9
+
+
+def test_mount_and_frames():
+    boxes = car(10, 20, yaw=np.pi / 2)
+    poses = mount(boxes, np.array([0]), LidarParams())
+    assert poses.origin_m[0] == pytest.approx([10, 20, 1.73])
+    seen = poses.to_sensor(np.array([0]), car(10, 30, yaw=np.pi))     # 10 m ahead, heading to the left
+    assert seen.xyz_m[0] == pytest.approx([10, 0, 0.75 - 1.73]) and seen.yaw_rad[0] == pytest.approx(np.pi / 2)
+
+
+@pytest.mark.parametrize(
+    ("params", "says"),
+    [
+        ({"elevation_deg": (2.0, 1.0)}, "ascending"),
+        ({"elevation_deg": (1.0, 1.0)}, "ascending"),
+        ({"elevation_deg": (0.0, 90.0)}, "ascending"),
+        ({"elevation_deg": ()}, "ascending"),
+        ({"fov_deg": 400.0}, "fov_deg"),
+    ],
+)
+def test_unsound_lidars_are_refused(params, says):
+    with pytest.raises(ValueError, match=says):
+        exact(car(0, 0), [CAR], [0], **params)
+
+
+def test_unsound_calls_are_refused():
+    with pytest.raises(ValueError, match="rows"):
+        exact(car(0, 0), [CAR], [1])
+    with pytest.raises(ValueError, match="keys"):
+        scan(car(0, 0), np.zeros(1, np.uint8), np.array([0]), Scene.empty(), LidarParams(), np.zeros(2, np.uint64))

@@ -1,0 +1,166 @@
+"""The columnar caster against Embree, ray by ray, and the laws that any caster obeys."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sensors.boxes import Boxes
+from sensors.lidar import Hit, Poses, Sweeps
+from sensors.scene import Scene
+from tests.sensors.test_boxes import moved
+from tests.sensors.town import SIZE_M, blocks, car, exact, random_boxes, random_scene, traffic
+
+NUDGE_RAD = 3e-5
+
+
+def compare(boxes, shape, observers, scene, **params) -> None:
+    """At least 99.99 % of the rays agree to 1 mm, and every other one grazes an edge or a face.
+
+    A ray grazes if Embree's answer lies between those that the columnar caster gives to rays around it.
+    """
+    ours = exact(boxes, shape, observers, scene, **params)
+    judge = exact(boxes, shape, observers, scene, engine="embree", **params)
+    wrong = ~(np.abs(finite(ours) - finite(judge)) <= 1e-3)
+    assert wrong.mean() <= 1e-4
+    assert np.mean(ours.hit[~wrong] != judge.hit[~wrong]) <= 1e-5       # equal ranges to two touching bodies
+    if not wrong.any():
+        return
+    around = []
+    elevation = np.degrees(ours.beams.elevation_rad)
+    for turn in (-NUDGE_RAD, 0.0, NUDGE_RAD):
+        for tilt in (-NUDGE_RAD, 0.0, NUDGE_RAD):
+            turned = boxes.yaw_rad.copy()
+            turned[observers] += turn
+            # only the sensor turns: its own body is transparent, but it stands in others' way, so one at a time
+            for o in np.unique(np.nonzero(wrong)[0]):
+                pose = Boxes(boxes.xyz_m, boxes.lwh_m, np.where(np.arange(len(boxes)) == observers[o], turned, boxes.yaw_rad))
+                nudged = exact(pose, shape, observers[o : o + 1], scene, **{**params, "elevation_deg": tuple(elevation + np.degrees(tilt))})
+                around.append((o, finite(nudged)[0]))
+    for o in np.unique(np.nonzero(wrong)[0]):
+        nearby = np.array([image for at, image in around if at == o])
+        low, high, seen = nearby.min(axis=0), nearby.max(axis=0), finite(judge)[o]
+        assert ((seen >= low - 1e-3) & (seen <= high + 1e-3))[wrong[o]].all()
+
+
+def finite(sweep: Sweeps) -> np.ndarray:
+    """Ranges, with the end of the range for what did not return."""
+    return np.where(np.isfinite(sweep.range_m), sweep.range_m, np.float32(sweep.max_range_m)).astype(float)
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("profile", ["hdl64e_front", "vlp32c", "os1_64"])
+def test_chaos_agrees_with_embree(seed, profile):
+    rng = np.random.default_rng(seed)
+    boxes, shape = random_boxes(rng, 30)
+    compare(boxes, shape, np.arange(30), random_scene(rng), profile=profile)
+
+
+@pytest.mark.parametrize("params", [{}, {"profile": "hdl64e"}, {"profile": "pandar64", "mount_above_roof_m": 3.0}, {"profile": "os1_128"}])
+def test_streets_agree_with_embree(params):
+    rng = np.random.default_rng(7)
+    boxes, shape = traffic(rng, 150)
+    compare(boxes, shape, np.flatnonzero(shape == 0)[:12], blocks(rng), **params)
+
+
+PLACES = {
+    "beside a wall": (40.0, 7.99),
+    "in a courtyard": (30.0, 30.0),
+    "in a building": (12.0, 12.0),
+    "on the corner": (7.999, 7.999),
+    "far outside": (-70.0, -70.0),
+}
+
+
+@pytest.mark.parametrize("place", PLACES)
+@pytest.mark.parametrize("mount", [0.23, 1.0, 4.5, 30.0])
+def test_awkward_places_agree_with_embree(place, mount):
+    square = [[(8, 8), (52, 8), (52, 52), (8, 52)], [(20, 20), (40, 20), (40, 40), (20, 40)]]
+    low = [[(60, 0), (80, 0), (80, 30), (60, 30)]]
+    passage = [[(-20, -20), (0, -20), (0, 60), (-20, 60)]]
+    scene = Scene.from_footprints([square, low, passage], [0.0, 0.0, 3.0], [12.0, 2.2, 9.0])
+    x, y = PLACES[place]
+    boxes = Boxes.concat([car(x, y, 0.7), car(x + 1.5, y + 0.4, 0.9), car(x + 30, y + 3, 2.0), car(x, y, 0.7)])
+    compare(boxes, np.zeros(4, np.uint8), np.arange(4), scene, profile="os1_128", mount_above_roof_m=mount)
+
+
+def test_inside_a_closed_body():
+    # The sensor stands at 1.73 m inside a bus: it sees the bus's inner faces, and nothing else.
+    boxes = Boxes.concat([car(0, 0), Boxes(np.array([[0, 0, 1.6]]), np.array([[12, 2.55, 3.2]]), np.array([0.3]))])
+    sweep = exact(boxes, [0, 3], [0], profile="os1_128")
+    assert (sweep.hit[0] == Hit.ACTOR + 1).mean() > 0.8      # the floor of the bus is the road itself
+    compare(boxes, np.array([0, 3], np.uint8), np.array([0]), Scene.empty(), profile="os1_128")
+
+
+@settings(max_examples=10, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_renaming_actors_permutes_the_answer(seed):
+    rng = np.random.default_rng(seed)
+    boxes, shape = random_boxes(rng, 25)
+    scene = random_scene(rng)
+    swap = rng.permutation(25)
+    a = exact(boxes, shape, swap[:6], scene, profile="vlp32c")
+    b = exact(boxes.take(swap), shape[swap], np.arange(6), scene, profile="vlp32c")
+    assert (a.range_m == b.range_m).all()
+    named = np.where(b.hit >= Hit.ACTOR, swap[np.maximum(b.hit - Hit.ACTOR, 0)] + Hit.ACTOR, b.hit)
+    assert (a.hit == named).all()
+
+
+@settings(max_examples=10, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_an_occluder_never_lets_more_through(seed):
+    rng = np.random.default_rng(seed)
+    boxes, shape = random_boxes(rng, 20)
+    scene = random_scene(rng)
+    with_all = exact(boxes, shape, np.arange(5), scene, profile="vlp32c")
+    without_last = exact(boxes.take(slice(19)), shape[:19], np.arange(5), scene, profile="vlp32c")
+    assert (with_all.range_m <= without_last.range_m).all()
+    other = with_all.hit != Hit.ACTOR + 19
+    assert (with_all.hit == without_last.hit)[other].all()
+
+
+@settings(max_examples=8, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_a_rigid_motion_changes_nothing(seed):
+    rng = np.random.default_rng(seed)
+    (boxes, shape), scene = random_boxes(rng, 15), random_scene(rng)
+    turn, shift = rng.uniform(-4, 4), np.append(rng.uniform(-20_000, 20_000, 2), rng.uniform(-50, 50))
+    cos, sin = np.cos(turn), np.sin(turn)
+    rings = [[np.array(f.exterior.coords) @ np.array([[cos, sin], [-sin, cos]]) + shift[:2]] for f in scene.footprints]
+    there = Scene.from_footprints(rings, scene.buildings.base_m + shift[2], scene.buildings.top_m + shift[2])
+    a = exact(boxes, shape, np.arange(5), scene, profile="vlp32c")
+    b = exact(moved(boxes, turn, shift), shape, np.arange(5), there, profile="vlp32c")
+    assert np.mean(np.abs(finite(a) - finite(b)) > 1e-3) <= 1e-4
+
+
+def test_rays_slip_through_no_joint():
+    # a ring of 720 short walls around the sensor, whose corners lie on column azimuths: every ray stops at it
+    angle = np.radians(np.arange(0, 360, 0.5) + 0.1)
+    ring = 30.0 * np.column_stack([np.cos(angle), np.sin(angle)])
+    scene = Scene.from_footprints([[2 * ring, ring]], [-1.0], [50.0])
+    sweep = exact(car(0, 0), [0], [0], scene, profile="os1_128", n_azimuths=3600)
+    assert np.isfinite(sweep.range_m).all() and sweep.range_m.max() < 34
+
+
+def test_empty_worlds():
+    assert exact(car(0, 0), [0], []).range_m.shape == (0, 520, 64)
+    none = Poses(np.empty((0, 3)), np.empty(0))
+    assert len(none.to_sensor(np.zeros(0, int), Boxes.concat([]))) == 0
+
+
+@pytest.mark.verify
+def test_helsinki_agrees_with_embree():
+    catalogue = pytest.importorskip("sumo_nets.catalogue")
+    try:
+        prints = catalogue.find("helsinki").footprints()
+    except (ValueError, OSError) as missing:
+        pytest.skip(f"no footprints of Helsinki: {missing}")
+    scene = Scene.from_footprints([[f.outer, *f.holes] for f in prints], [f.base_z_m for f in prints], [f.top_z_m for f in prints])
+    rng = np.random.default_rng(1)
+    west, south, east, north = scene.buildings.bounds_m.T
+    n = 300
+    shape = rng.integers(0, 7, n).astype(np.uint8)
+    place = np.column_stack([rng.uniform(west.min(), east.max(), n), rng.uniform(south.min(), north.max(), n), SIZE_M[shape, 2] / 2])
+    boxes = Boxes(place, SIZE_M[shape], rng.uniform(-np.pi, np.pi, n))
+    for profile in ("hdl64e_front", "os1_128"):
+        compare(boxes, shape, np.arange(60), scene, profile=profile)

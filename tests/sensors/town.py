@@ -1,0 +1,102 @@
+"""Small synthetic worlds and the reference vectors, for the tests of this room."""
+
+import gzip
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sensors.boxes import Boxes
+from sensors.lidar import LidarParams, scan
+from sensors.scene import Scene
+
+REFERENCE = Path(__file__).parents[3] / "shared" / "reference" / "trupercept"
+SIZE_M = np.array(
+    [(4.4, 1.8, 1.5), (5.2, 2.0, 2.2), (9.0, 2.5, 3.5), (12.0, 2.55, 3.2), (2.2, 0.8, 1.6), (1.8, 0.6, 1.7), (0.6, 0.6, 1.75)]
+)
+
+
+def cases(name: str) -> list[dict]:
+    """The cases of one reference file; skips where the folder is absent."""
+    path = REFERENCE / f"{name}.json.gz"
+    if not path.exists():
+        pytest.skip(f"reference data absent: {path}")
+    return json.loads(gzip.decompress(path.read_bytes()))["cases"]
+
+
+def from_camera(t, h, w, length, ry, dtype=float) -> Boxes:
+    """KITTI boxes (camera frame: x right, y down, z forward; t = bottom centre) in the sensor frame."""
+    t, h, w, length, ry = (np.array(np.array(v, dtype), float) for v in (t, h, w, length, ry))
+    xyz = np.column_stack([t[:, 2], -t[:, 0], -t[:, 1] + h / 2])
+    return Boxes(xyz, np.column_stack([length, w, h]), -ry - np.pi / 2)
+
+
+def labelled(boxes: list[dict], dtype=float) -> Boxes:
+    """The boxes of reference cases in the sensor frame."""
+    t, h, w, length, ry = zip(*((b["t"], b["h"], b["w"], b["l"], b["ry"]) for b in boxes), strict=True)
+    return from_camera(t, h, w, length, ry, dtype)
+
+
+def cloud(name: str) -> np.ndarray:
+    """A reference cloud in the sensor frame."""
+    xyz = np.fromfile(REFERENCE / name, "<f4").reshape(-1, 3).astype(float)
+    return np.column_stack([xyz[:, 2], -xyz[:, 0], -xyz[:, 1]])
+
+
+def random_boxes(rng, n, spread=15.0) -> tuple[Boxes, np.ndarray]:
+    """Boxes of all sizes at all heights, overlapping, one in another."""
+    xyz = np.column_stack([rng.uniform(-spread, spread, (n, 2)), rng.uniform(0, 3, n)])
+    boxes = Boxes(xyz, rng.uniform(0.5, 8.0, (n, 3)), rng.uniform(-np.pi, np.pi, n))
+    return boxes, rng.integers(0, 7, n).astype(np.uint8)
+
+
+def random_scene(rng, n=12, spread=40.0) -> Scene:
+    """Crooked buildings: on the ground, sunk into it, and floating as passages do; some low, some overlapping."""
+    rings, base, top = [], [], []
+    for _ in range(n):
+        angle, radius = np.sort(rng.uniform(0, 2 * np.pi, 7)), rng.uniform(2, 9, 7)
+        corner = rng.uniform(-spread, spread, 2) + np.column_stack([radius * np.cos(angle), radius * np.sin(angle)])
+        rings.append([corner])
+        base.append(rng.choice([-5.0, 0.0, 2.5, 4.0]))
+        top.append(base[-1] + rng.uniform(1, 9))
+    return Scene.from_footprints(rings, base, top)
+
+
+def blocks(rng, n=6, pitch=60.0) -> Scene:
+    """City blocks: L-shaped buildings and ones with a courtyard, most tall, a few lower than a sensor."""
+    rings, base, top = [], [], []
+    for i in range(n):
+        for j in range(n):
+            x, y = i * pitch, j * pitch
+            if rng.random() < 0.3:
+                rings.append([[(x + 8, y + 8), (x + 52, y + 8), (x + 52, y + 52), (x + 8, y + 52)],
+                              [(x + 20, y + 20), (x + 40, y + 20), (x + 40, y + 40), (x + 20, y + 40)]])
+            else:
+                rings.append([[(x + 8, y + 8), (x + 52, y + 8), (x + 52, y + 30), (x + 40, y + 30), (x + 40, y + 52), (x + 8, y + 52)]])
+            base.append(0.0)
+            top.append(rng.uniform(8, 25) if rng.random() < 0.85 else rng.uniform(0.5, 3))
+    return Scene.from_footprints(rings, base, top)
+
+
+def traffic(rng, n, size=360.0, pitch=60.0) -> tuple[Boxes, np.ndarray]:
+    """Actors in the lanes between the blocks."""
+    shape = rng.choice([0, 0, 0, 1, 2, 3, 5, 6], n).astype(np.uint8)
+    lwh = SIZE_M[shape]
+    street, along = rng.integers(0, int(size / pitch), n) * pitch, rng.uniform(0, size, n)
+    lane, east = rng.choice([-4.5, -1.7, 1.7, 4.5], n), rng.random(n) < 0.5
+    x, y = np.where(east, along, street + lane), np.where(east, street + lane, along)
+    yaw = np.where(east, 0.0, np.pi / 2) + np.where(lane > 0, np.pi, 0.0) + rng.normal(0, 0.05, n)
+    return Boxes(np.column_stack([x, y, lwh[:, 2] / 2]), lwh, yaw), shape
+
+
+def car(x, y, yaw=0.0, z=0.75) -> Boxes:
+    """One car of 4.4 x 1.8 x 1.5 m standing at (x, y)."""
+    return Boxes(np.array([[x, y, z]]), SIZE_M[:1], np.array([yaw]))
+
+
+def exact(boxes, shape, observers, scene=None, **params):
+    """A sweep without noise."""
+    keys = np.arange(len(observers), dtype=np.uint64)
+    scene = Scene.empty() if scene is None else scene
+    return scan(boxes, np.asarray(shape, np.uint8), np.asarray(observers), scene, LidarParams(range_sigma_m=0.0, **params), keys)

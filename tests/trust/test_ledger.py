@@ -1,0 +1,395 @@
+"""The ledger by hand, by law, and against the slow transcription."""
+
+import pickle
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tests.verification import paper
+from trust.ledger import SERVER, Ledger
+from trust.page import Refusal
+from trust.params import TrustParams, window_steps
+from trust.tables import Told, told_from_rows
+
+
+def announce(ledger, step, scores):
+    """Scores by vehicle id, a list each."""
+    ids = np.array(sorted(scores))
+    lists = [scores[v] for v in sorted(scores)]
+    ledger.announce(
+        step,
+        ids,
+        np.repeat(np.arange(ids.size), [len(s) for s in lists]),
+        np.concatenate([np.arange(len(s)) for s in lists]).astype(int),
+        np.concatenate(lists).astype(float),
+    )
+
+
+def tell(ledger, step, rows, holder=SERVER):
+    """Rows (evaluator, sender, k, e, phi), to one holder."""
+    said = told_from_rows(step, *np.array(rows, float).reshape(-1, 5).T)
+    n = said.evaluator.size
+    ledger.enter(said, np.full(n, holder), np.arange(n))
+
+
+def trust_of(ledger, subject, now=None, holder=SERVER):
+    return ledger.standing(now).trust_of(np.array([holder]), np.array([subject]), 0.5)[0]
+
+
+def refused(ledger):
+    return {r.name: int(n) for r, n in zip(Refusal, ledger.refused, strict=True) if n}
+
+
+def test_by_hand():
+    # vehicle 7 sends s = 1 and s = 0.5; 8 says (0.8, Phi 1) and (-1, Phi 0.5), 9 says (0.2, Phi 0.5), itself (1, 1)
+    # T(0) = (0.8 + 0.1) / 1.5 = 0.6; T(1) = -1; T = (0.6 - 0.5) / 1.5
+    ledger = Ledger(TrustParams(), 1.0)
+    announce(ledger, 0, {7: [1, 0.5], 8: [], 9: []})
+    tell(ledger, 0, [(8, 7, 0, 0.8, 1), (8, 7, 1, -1, 0.5), (9, 7, 0, 0.2, 0.5), (7, 7, 0, 1, 1)])
+    standing = ledger.standing(0)
+    assert standing.subject.tolist() == [7]
+    assert standing.trust[0] == pytest.approx(0.1 / 1.5, abs=1e-12)
+    assert standing.weight[0] == 1.5
+    assert standing.n_verdicts[0] == 3
+    assert (standing.newest_step[0], standing.oldest_step[0]) == (0, 0)
+
+
+def test_never_below_zero_and_back_to_default():
+    ledger = Ledger(TrustParams(freshness_s=3.0), 1.0)
+    announce(ledger, 0, {1: [0.7], 2: []})
+    assert trust_of(ledger, 1) == 0.5
+    tell(ledger, 0, [(2, 1, 0, -1, 1)])
+    assert trust_of(ledger, 1, 0) == 0
+    assert trust_of(ledger, 1, 2) == 0
+    assert trust_of(ledger, 1, 3) == 0.5
+
+
+@pytest.mark.parametrize(("unseen", "expected"), [("zero", 0.8 / 1.5), ("skip", 0.8)])
+def test_unseen(unseen, expected):
+    # s = 1 with T = 0.8; s = 0.5 that only its own detector judged; s = 0.9 that nobody judged at all
+    ledger = Ledger(TrustParams(unseen=unseen), 1.0)
+    announce(ledger, 0, {1: [1, 0.5, 0.9], 2: []})
+    tell(ledger, 0, [(2, 1, 0, 0.8, 1), (1, 1, 0, 1, 1), (1, 1, 1, 1, 1)])
+    assert trust_of(ledger, 1) == pytest.approx(expected, abs=1e-12)
+
+
+def test_weighting():
+    # T = 1 with s = 0.9 and T = 0 with s = 0.1: 0.9 weighted, 0.5 not
+    for weighting, expected in (("score", 0.9), ("one", 0.5)):
+        ledger = Ledger(TrustParams(weighting=weighting), 1.0)
+        announce(ledger, 0, {1: [0.9, 0.1], 2: []})
+        tell(ledger, 0, [(2, 1, 0, 1, 1), (2, 1, 1, 0, 1)])
+        assert trust_of(ledger, 1) == pytest.approx(expected, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("freshness_s", "dt_s", "window", "steps"),
+    [
+        (50, 1, "half_open", 50),
+        (50, 1, "closed", 51),
+        (50, 0.1, "half_open", 500),
+        (0.3, 0.1, "half_open", 3),  # 0.3 / 0.1 is not 3 in floating point
+        (2.5, 1, "half_open", 3),  # ages 0, 1, 2 are below 2.5
+        (2.5, 1, "closed", 3),
+        (0.2, 1, "half_open", 1),
+    ],
+)
+def test_window_steps(freshness_s, dt_s, window, steps):
+    assert window_steps(TrustParams(freshness_s=float(freshness_s), window=window), dt_s) == steps
+
+
+@pytest.mark.parametrize("window", ["half_open", "closed"])
+@given(f=st.integers(1, 12), extra=st.integers(0, 5))
+@settings(max_examples=20, deadline=None)
+def test_forgets_exactly_at_f(f, extra, window):
+    ledger = Ledger(TrustParams(freshness_s=float(f), window=window), 1.0)
+    announce(ledger, extra, {1: [1], 2: []})
+    tell(ledger, extra, [(2, 1, 0, 0.25, 1)])
+    last = extra + f - (window == "half_open")
+    assert trust_of(ledger, 1, last) == 0.25
+    assert trust_of(ledger, 1, last + 1) == 0.5
+    assert not ledger.pages
+
+
+@pytest.mark.parametrize(
+    ("row", "cause"),
+    [
+        ((2, 1, 0, np.nan, 1), "BAD_VALUE"),
+        ((2, 1, 0, -1, np.nan), "BAD_VALUE"),
+        ((2, 1, 0, -1, np.inf), "BAD_VALUE"),
+        ((2, 1, 0, -1.5, 1), "BAD_VALUE"),
+        ((2, 1, 0, -1, -0.1), "BAD_VALUE"),
+        ((2, 1, 0, -1, 1.1), "BAD_VALUE"),
+        ((2, 1, 2, -1, 1), "UNKNOWN_DETECTION"),
+        ((2, 1, -1, -1, 1), "UNKNOWN_DETECTION"),
+        ((2, 1, 2**40, -1, 1), "UNKNOWN_DETECTION"),
+        ((2, 1, 1, -1, 1), "UNKNOWN_DETECTION"),  # announced with the score NaN
+        ((2, 99, 0, -1, 1), "UNKNOWN_VEHICLE"),
+        ((2, -7, 0, -1, 1), "UNKNOWN_VEHICLE"),
+        ((99, 1, 0, -1, 1), "UNKNOWN_EVALUATOR"),
+        ((3, 1, 0, -1, 1), "DUPLICATE"),
+    ],
+)
+def test_bad_input_moves_nothing(row, cause):
+    ledger = Ledger(TrustParams(), 1.0)
+    announce(ledger, 0, {1: [1, np.nan], 2: [], 3: []})
+    assert ledger.n_bad_detections == 1
+    tell(ledger, 0, [(3, 1, 0, 0.75, 1)])
+    before = ledger.standing(0)
+    tell(ledger, 0, [row])
+    after = ledger.standing(0)
+    assert refused(ledger) == {cause: 1}
+    assert ledger.n_entered == 2
+    for name in before.__dataclass_fields__:
+        np.testing.assert_array_equal(getattr(before, name), getattr(after, name))
+
+
+def test_late_and_early_messages_are_counted():
+    ledger = Ledger(TrustParams(freshness_s=5.0), 1.0)
+    for step in range(10):
+        announce(ledger, step, {1: [1], 2: []} if step < 8 else {2: []})
+    tell(ledger, 4, [(2, 1, 0, -1, 1)])  # five steps old
+    tell(ledger, 11, [(2, 1, 0, -1, 1), (2, 1, 1, -1, 1)])
+    tell(ledger, 9, [(2, 1, 0, -1, 1)])  # 1 has left
+    tell(ledger, 9, [(1, 2, 0, -1, 1)])
+    assert refused(ledger) == {"LATE": 1, "FUTURE": 2, "UNKNOWN_VEHICLE": 1, "UNKNOWN_EVALUATOR": 1}
+    assert ledger.standing().subject.size == 0
+    tell(ledger, 5, [(2, 1, 0, 0.25, 1)])  # four steps old, and 1 was there
+    assert trust_of(ledger, 1) == 0.25
+
+
+def test_bad_detections_are_counted():
+    ledger = Ledger(TrustParams(), 1.0)
+    score = np.array([0.5, 1.5, -0.1, np.inf, 0.25, 0.75])
+    ledger.announce(0, np.array([4, 6]), np.array([0, 0, 0, 0, 1, 1]), np.array([0, 1, 2, 3, 0, 0]), score)
+    assert ledger.n_bad_detections == 4  # three scores, and a number given twice: the first counts
+    tell(ledger, 0, [(4, 6, 0, 1, 1), *((6, 4, k, 1, 1) for k in range(4))])
+    standing = ledger.standing()
+    assert dict(zip(standing.subject.tolist(), standing.weight.tolist(), strict=True)) == {4: 0.5, 6: 0.25}
+
+
+def test_self_evaluation_is_no_evidence():
+    ledger = Ledger(TrustParams(unseen="skip"), 1.0)
+    announce(ledger, 0, {1: [1]})
+    tell(ledger, 0, [(1, 1, 0, 1, 1)])
+    assert trust_of(ledger, 1) == 0.5
+    assert ledger.standing().subject.size == 0
+
+
+def history(seed, n_steps, n_vehicles):
+    """Random detections and verdicts of a run: scores by step and vehicle, verdict rows by step."""
+    rng = np.random.default_rng(seed)
+    scores, rows = [], []
+    ids = np.sort(rng.choice(1000, n_vehicles, replace=False))
+    for _ in range(n_steps):
+        here = ids[rng.random(n_vehicles) < 0.8] if n_vehicles > 1 else ids
+        if not here.size:
+            here = ids[:1]
+        scores.append({int(v): rng.random(rng.integers(0, 5)) for v in here})
+        said = []
+        for evaluator in here:
+            for sender in here:
+                for k in range(len(scores[-1][int(sender)])):
+                    if rng.random() < 0.6:
+                        phi = rng.choice([0.0, 1.0, rng.random()])
+                        e = rng.choice([-1.0, 0.0, 1.0, rng.random()])
+                        said.append((int(evaluator), int(sender), k, e, phi))
+        rows.append(said)
+    return scores, rows
+
+
+histories = st.builds(history, st.integers(0, 2**32 - 1), st.integers(1, 8), st.integers(1, 5))
+
+
+@given(
+    world=histories,
+    f=st.integers(1, 6),
+    unseen=st.sampled_from(["zero", "skip"]),
+    weighting=st.sampled_from(["score", "one"]),
+    window=st.sampled_from(["half_open", "closed"]),
+)
+@settings(max_examples=150, deadline=None)
+def test_twin(world, f, unseen, weighting, window):
+    scores, rows = world
+    ledger = Ledger(TrustParams(freshness_s=float(f), unseen=unseen, weighting=weighting, window=window), 1.0)
+    by_name, records = {}, {}
+    for step, (frame, said) in enumerate(zip(scores, rows, strict=True)):
+        announce(ledger, step, frame)
+        tell(ledger, step, said)
+        for v, of_vehicle in frame.items():
+            by_name |= {(step, v, k): s for k, s in enumerate(of_vehicle)}
+        for evaluator, sender, k, e, phi in said:
+            records.setdefault((step, sender, k), {})[evaluator] = (e, phi)
+        steps = f + (window == "closed")
+        standing = ledger.standing()
+        assert np.all((standing.trust >= 0) & (standing.trust <= 1))
+        for v in {v for frame in scores for v in frame}:
+            expected = paper.vehicle_trust(
+                v, step, steps, by_name, records, 0.5, unseen == "skip", weighting == "score"
+            )
+            ours = standing.trust_of(np.array([SERVER]), np.array([v]), 0.5)[0]
+            assert ours == pytest.approx(expected, abs=1e-11)
+
+
+@given(world=histories, seed=st.integers(0, 2**32 - 1), f=st.integers(2, 8))
+@settings(max_examples=80, deadline=None)
+def test_neither_order_nor_delay_nor_duplicates_matter(world, seed, f):
+    """Verdicts in any order and batching, up to f - 1 steps late, some of them twice: bit by bit the same."""
+    scores, rows = world
+    rng = np.random.default_rng(seed)
+    params = TrustParams(freshness_s=float(f))
+    tidy, messy = Ledger(params, 1.0), Ledger(params, 1.0)
+    in_flight, n_twice = [], 0
+    for step, (frame, said) in enumerate(zip(scores, rows, strict=True)):
+        announce(tidy, step, frame)
+        tell(tidy, step, said)
+        announce(messy, step, frame)
+        for row in said:
+            for _ in range(1 + (rng.random() < 0.2)):
+                in_flight.append((step + rng.integers(0, f), step, row))
+        now = [m for m in in_flight if m[0] <= step or step == len(rows) - 1]
+        in_flight = [m for m in in_flight if m not in now]
+        n_twice += len(now)
+        rng.shuffle(now)
+        while now:
+            size = int(rng.integers(1, len(now) + 1))
+            batch, now = now[:size], now[size:]
+            for generation in {m[1] for m in batch}:
+                tell(messy, generation, [m[2] for m in batch if m[1] == generation])
+    ours, theirs = tidy.standing(), messy.standing()
+    for name in ours.__dataclass_fields__:
+        np.testing.assert_array_equal(getattr(ours, name), getattr(theirs, name))
+    assert messy.refused[Refusal.DUPLICATE] == n_twice - sum(map(len, rows))
+    assert messy.refused.sum() == messy.refused[Refusal.DUPLICATE]
+
+
+@given(world=histories, seed=st.integers(0, 2**32 - 1))
+@settings(max_examples=40, deadline=None)
+def test_renaming_the_vehicles_permutes_the_trust(world, seed):
+    scores, rows = world
+    new = np.random.default_rng(seed).permutation(1000).tolist()
+    a, b = Ledger(TrustParams(), 1.0), Ledger(TrustParams(), 1.0)
+    for step, (frame, said) in enumerate(zip(scores, rows, strict=True)):
+        announce(a, step, frame)
+        tell(a, step, said)
+        announce(b, step, {new[v]: s for v, s in frame.items()})
+        tell(b, step, [(new[i], new[j], *rest) for i, j, *rest in said])
+    x, y = a.standing(), b.standing()
+    at, found = y.rows_of(x.holder, np.array(new)[x.subject])
+    assert found.all()
+    for name in ("trust", "weight", "n_verdicts", "newest_step", "oldest_step"):
+        np.testing.assert_array_equal(getattr(y, name)[at], getattr(x, name))
+
+
+@given(world=histories)
+@settings(max_examples=40, deadline=None)
+def test_who_sees_nothing_changes_nothing(world):
+    """One more evaluator with Phi = 0 on everything; every detection has its detector's own record."""
+    scores, rows = world
+    a, b = Ledger(TrustParams(), 1.0), Ledger(TrustParams(), 1.0)
+    for step, (frame, said) in enumerate(zip(scores, rows, strict=True)):
+        own = [(v, v, k, 1, 1) for v, s in frame.items() for k in range(len(s))]
+        said = own + [r for r in said if r[0] != r[1]]
+        for ledger in (a, b):
+            announce(ledger, step, {**frame, 2000: []})
+            tell(ledger, step, said)
+        tell(b, step, [(2000, v, k, -1, 0) for v, s in frame.items() for k in range(len(s))])
+    x, y = a.standing(), b.standing()
+    for name in x.__dataclass_fields__:
+        np.testing.assert_array_equal(getattr(x, name), getattr(y, name))
+
+
+@given(world=histories, f=st.integers(1, 5))
+@settings(max_examples=40, deadline=None)
+def test_two_half_steps_equal_one(world, f):
+    """Half as long a step, every second one empty; and each step's verdicts in two halves."""
+    scores, rows = world
+    params = TrustParams(freshness_s=float(f))
+    one, half = Ledger(params, 1.0), Ledger(params, 0.5)
+    for step, (frame, said) in enumerate(zip(scores, rows, strict=True)):
+        announce(one, step, frame)
+        tell(one, step, said)
+        announce(half, 2 * step, frame)
+        tell(half, 2 * step, said[::2])
+        announce(half, 2 * step + 1, {v: [] for v in frame})
+        tell(half, 2 * step, said[1::2])
+        x, y = one.standing(), half.standing()
+        for name in ("subject", "trust", "weight", "n_verdicts"):
+            np.testing.assert_array_equal(getattr(x, name), getattr(y, name))
+
+
+@given(world=histories, seed=st.integers(0, 2**32 - 1))
+@settings(max_examples=40, deadline=None)
+def test_local_ledgers_are_as_many_central_ones(world, seed):
+    """Every vehicle's own ledger is what a server would make of the messages that this vehicle heard."""
+    scores, rows = world
+    rng = np.random.default_rng(seed)
+    vehicles = sorted({v for frame in scores for v in frame})
+    together = Ledger(TrustParams(), 1.0)
+    alone = {v: Ledger(TrustParams(), 1.0) for v in vehicles}
+    for step, (frame, said) in enumerate(zip(scores, rows, strict=True)):
+        announce(together, step, frame)
+        for ledger in alone.values():
+            announce(ledger, step, frame)
+        told = told_from_rows(step, *np.array(said, float).reshape(-1, 5).T)
+        heard = np.argwhere(rng.random((len(vehicles), told.evaluator.size)) < 0.6)
+        together.enter(told, np.array(vehicles)[heard[:, 0]], heard[:, 1])
+        for row, v in enumerate(vehicles):
+            voice = heard[heard[:, 0] == row, 1]
+            alone[v].enter(told, np.full(voice.size, SERVER), voice)
+    all_of_them = together.standing()
+    for v, ledger in alone.items():
+        mine = all_of_them.holder == v
+        one = ledger.standing()
+        for name in ("subject", "trust", "weight", "n_verdicts", "newest_step", "oldest_step"):
+            np.testing.assert_array_equal(getattr(all_of_them, name)[mine], getattr(one, name))
+
+
+def test_memory_follows_the_window_not_the_run():
+    """Ids only ever grow, nobody stays longer than ten steps."""
+    ledger = Ledger(TrustParams(freshness_s=20.0), 1.0)
+    sizes = []
+    for step in range(400):
+        ids = range(3 * step, 3 * step + 30)
+        announce(ledger, step, {v: [0.5, 0.5] for v in ids})
+        tell(ledger, step, [(v, u, k, 1, 1) for v in ids for u in ids[:5] for k in (0, 1)])
+        ledger.standing()
+        sizes.append(ledger.nbytes)
+    assert max(sizes[200:]) <= max(sizes[25:50])
+    assert len(ledger.pages) == 20
+
+
+def test_many_words_and_growing_tables():
+    """More verdicts than a word of bits holds, in several messages, to many holders."""
+    ledger = Ledger(TrustParams(), 1.0)
+    announce(ledger, 0, {1: np.full(500, 0.5), 2: [], 3: np.full(300, 1.0)})
+    about_1 = [(2, 1, k, 0.5, 1) for k in range(500)]
+    for part in (about_1[:100], about_1[50:], [(2, 3, k, 1, 0.5) for k in range(300)]):
+        said = told_from_rows(0, *np.array(part, float).T)
+        ledger.enter(said, np.arange(100), np.zeros(100, int))
+    assert refused(ledger) == {"DUPLICATE": 50 * 100}
+    standing = ledger.standing()
+    assert standing.trust.reshape(100, 2).tolist() == [[0.5, 1.0]] * 100
+    assert standing.n_verdicts.reshape(100, 2).tolist() == [[500, 300]] * 100
+
+
+def test_first_of_contradicting_verdicts_counts():
+    ledger = Ledger(TrustParams(), 1.0)
+    announce(ledger, 0, {1: [1], 2: []})
+    twice = Told(0, *map(np.array, ([2], [0, 2], [1, 1], [0, 0], [0.25, -1.0], [1.0, 1.0])))
+    ledger.enter(twice, np.array([SERVER]), np.array([0]))
+    tell(ledger, 0, [(2, 1, 0, -1, 1)])
+    assert trust_of(ledger, 1) == 0.25
+    assert refused(ledger) == {"DUPLICATE": 2}
+
+
+def test_survives_a_pickle():
+    ledger = Ledger(TrustParams(), 1.0)
+    announce(ledger, 0, {1: [1], 2: []})
+    tell(ledger, 0, [(2, 1, 0, 0.25, 1)])
+    again = pickle.loads(pickle.dumps(ledger))
+    announce(again, 1, {1: [1], 2: []})
+    tell(again, 1, [(2, 1, 0, 0.75, 1)])
+    assert trust_of(again, 1) == 0.5
