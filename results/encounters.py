@@ -38,6 +38,8 @@ _LIVE: dict[str, type] = {
     "censored_left": np.bool_,
     "entered": np.bool_,
     **{f"n_{what}_{way}": np.int32 for what in ("messages", "verdicts") for way in ("ab", "ba")},
+    **{f"trusted_{way}": np.bool_ for way in ("ab", "ba")},
+    **{f"trusted_step_{way}": np.int32 for way in ("ab", "ba")},
     **{f"trust_{way}": np.float32 for way in ("ab", "ba")},
     **{f"known_{way}": np.bool_ for way in ("ab", "ba")},
     **{f"source_{way}": np.int8 for way in ("ab", "ba")},
@@ -172,6 +174,16 @@ class EncounterLedger:
         """Add verdicts of `evaluator` on detections of `observer`."""
         self._count("verdicts", evaluator, observer, n)
 
+    def note_trust(self, receiver: Int[ndarray, "n"], subject: Int[ndarray, "n"]) -> None:
+        """Say who uses, in this step, a trust value for whom that is not the default."""
+        assert self._step is not None
+        at, known, way = self._ordered(receiver, subject)
+        for ab, name in ((True, "ab"), (False, "ba")):
+            where = at[known & (way == ab)]
+            where = where[~self._live[f"trusted_{name}"][where]]
+            self._live[f"trusted_{name}"][where] = True
+            self._live[f"trusted_step_{name}"][where] = self._step
+
     def first_contact(
         self,
         receiver: Int[ndarray, "n"],
@@ -184,6 +196,8 @@ class EncounterLedger:
 
         `source` holds codes of `results.tables.SOURCES`; the age of a default is ignored.
         """
+        told = np.asarray(source) != _DEFAULT
+        self.note_trust(receiver[told], subject[told])
         at, known, way = self._ordered(receiver, subject)
         for ab, name in ((True, "ab"), (False, "ba")):
             rows = known & (way == ab)
@@ -261,6 +275,8 @@ class EncounterLedger:
                 f"source_{way}__valid": known,
                 f"age_{way}_s": live[f"age_{way}_s"],
                 f"age_{way}_s__valid": known & (live[f"source_{way}"] != _DEFAULT),
+                f"trusted_after_{way}_s": (live[f"trusted_step_{way}"] - live["start"]) * self.dt_s,
+                f"trusted_after_{way}_s__valid": live[f"trusted_{way}"],
             }
         return {
             "a": (self._pair[at] >> 32).astype(np.int32),

@@ -92,7 +92,9 @@ def _freshness(run: Run, fresh_s: float) -> Iterator[Line]:
             yield "age at use, mean", row.source, row.mean_s, "s"
             yield "age at use, peak", row.source, row.peak_s, "s"
     for row in freshness.without_trust(run).itertuples():
-        yield "encounters over before trust was known", f"{row.radius_m:g} m", row.share, "1"
+        of = f"{row.pairs}, {row.radius_m:g} m"
+        yield "encounters over before trust was known", of, row.share, "1"
+        yield "wait for trust in an encounter, median", of, row.wait_median_s, "s"
 
 
 def _radio(run: Run) -> Iterator[Line]:

@@ -170,17 +170,14 @@ def _stored(name: str, column: Column, values: ndarray, valid: ndarray | None) -
 def _write(path: Path, table: str, rows: list[dict[str, ndarray]]) -> None:
     """One part file, sorted by key."""
     columns = {name: np.concatenate([row[name] for row in rows]) for name in rows[0]}
-    key = [columns[name] for name in TABLES[table].key]
-    order = np.lexsort(key[::-1])
-    same = np.ones(len(order) - 1, bool)
-    for values in key:
-        same &= values[order[1:]] == values[order[:-1]]
-    if same.any():
-        row = order[np.flatnonzero(same)[0]]
-        named = ", ".join(f"{name} = {columns[name][row]}" for name in TABLES[table].key)
-        raise ValueError(f"Table {table} has two rows with {named}.")
-    if (np.diff(order) != 1).any():
+    ordered, tied = _order(columns, TABLES[table].key)
+    if not ordered:
+        order = np.lexsort([columns[name] for name in TABLES[table].key[::-1]])
         columns = {name: values[order] for name, values in columns.items()}
+        _, tied = _order(columns, TABLES[table].key)
+    if len(tied):
+        named = ", ".join(f"{name} = {columns[name][tied[0]]}" for name in TABLES[table].key)
+        raise ValueError(f"Table {table} has two rows with {named}.")
     arrays = []
     for name, column in TABLES[table].columns.items():
         mask = ~columns[name + VALID] if column.null else None
@@ -199,6 +196,17 @@ def _write(path: Path, table: str, rows: list[dict[str, ndarray]]) -> None:
         use_byte_stream_split=floats,
     )
     partial.replace(path)
+
+
+def _order(columns: dict[str, ndarray], key: tuple[str, ...]) -> tuple[bool, ndarray]:
+    """Whether rows are sorted by key, and which have the key of the next one."""
+    tied = np.ones(len(columns[key[0]]) - 1, bool)
+    ordered = True
+    for name in key:
+        one, next_ = columns[name][:-1], columns[name][1:]
+        ordered &= not (tied & (next_ < one)).any()
+        tied &= one == next_
+    return bool(ordered), np.flatnonzero(tied)
 
 
 def fingerprint(folder: Path) -> dict[str, str]:

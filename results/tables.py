@@ -2,7 +2,7 @@
 """Every table and every column of a run, said once: the schemas and the documentation are derived from it."""
 
 from collections.abc import Mapping
-from dataclasses import KW_ONLY, dataclass
+from dataclasses import KW_ONLY, dataclass, replace
 from typing import Literal
 
 import pyarrow as pa
@@ -76,18 +76,18 @@ def _count(meaning: str) -> Column:
 # fmt: off
 _STEP = _key("Time step; seconds are step * dt_s of the manifest.")
 _CLASS = Column("category", meaning="Class of the object.", categories=CLASSES)
-_SCORE = Column("float32", meaning="Confidence in [0, 1].", unit="1")
+_SCORE = Column("float32", meaning="Confidence in [0, 1].", unit="1", bits=12)
 _BOX = {
-    "x_m": Column("float32", unit="m", meaning="Centre of the box, east.", bits=8),
-    "y_m": Column("float32", unit="m", meaning="Centre of the box, north.", bits=8),
-    "z_m": Column("float32", unit="m", meaning="Centre of the box, up.", bits=8),
-    "length_m": Column("float32", unit="m", meaning="Extent along the heading.", bits=8),
-    "width_m": Column("float32", unit="m", meaning="Extent across the heading.", bits=8),
-    "height_m": Column("float32", unit="m", meaning="Vertical extent.", bits=8),
+    "x_m": Column("float32", unit="m", meaning="Centre of the box, east.", bits=7),
+    "y_m": Column("float32", unit="m", meaning="Centre of the box, north.", bits=7),
+    "z_m": Column("float32", unit="m", meaning="Centre of the box, up.", bits=7),
+    "length_m": Column("float32", unit="m", meaning="Extent along the heading.", bits=7),
+    "width_m": Column("float32", unit="m", meaning="Extent across the heading.", bits=7),
+    "height_m": Column("float32", unit="m", meaning="Vertical extent.", bits=7),
     "yaw_rad": Column("float32", unit="rad", bits=9, meaning="Heading, counter-clockwise from +x (east), in (-pi, pi]."),
 }
 _TRUTH_ACTOR = Column("int32", null=True, truth=True, meaning="Actor that the box really is; null where it is none (clutter, fabricated).")
-_TRUTH_IOU = Column("float32", unit="1", null=True, truth=True, bits=11, meaning="3D intersection over union with that actor's true box.")
+_TRUTH_IOU = Column("float32", unit="1", null=True, truth=True, bits=10, meaning="3D intersection over union with that actor's true box.")
 
 
 def _trust_at_contact(one: str, other: str) -> dict[str, Column]:
@@ -95,6 +95,7 @@ def _trust_at_contact(one: str, other: str) -> dict[str, Column]:
         f"trust_{one}{other}": Column("float32", unit="1", null=True, meaning=f"Trust that {one} would use for {other} at first contact; null where {one} has none to use."),
         f"source_{one}{other}": Column("category", null=True, categories=SOURCES, meaning="Where that trust came from."),
         f"age_{one}{other}_s": Column("float32", unit="s", null=True, bits=10, meaning="Age of that trust; null for the default."),
+        f"trusted_after_{one}{other}_s": Column("float32", unit="s", null=True, meaning=f"From the start until {one} first used a value for {other} other than the default; null if it never did."),
     }
 
 
@@ -131,7 +132,7 @@ TABLES: Mapping[str, Table] = {
         {
             "step": _STEP,
             "actor": _key("Actor id, as in `vehicles`."),
-            **{name: _BOX[name] for name in ("x_m", "y_m", "z_m", "yaw_rad")},
+            **{name: replace(_BOX[name], bits=bits) for name, bits in (("x_m", 8), ("y_m", 8), ("z_m", 8), ("yaw_rad", 9))},
             "speed_mps": Column("float32", unit="m/s", meaning="Speed along the heading.", bits=8),
         },
     ),
@@ -236,8 +237,8 @@ TABLES: Mapping[str, Table] = {
             "observer": _key("Vehicle that made the detection."),
             "k": _key("Position in its list.", "int16"),
             "judged_step": Column("int32", meaning="Step in which it was judged."),
-            "e": Column("float32", unit="1", meaning="Evaluation: the score of the match, negative where denied."),
-            "visibility": Column("float32", unit="1", meaning="How well the evaluator could have seen it, in [0, 1]: the weight of e."),
+            "e": Column("float32", unit="1", bits=12, meaning="Evaluation: the score of the match, negative where denied."),
+            "visibility": Column("float32", unit="1", bits=12, meaning="How well the evaluator could have seen it, in [0, 1]: the weight of e."),
             "n_points": _count("Returns of the evaluator's own sweep in the box."),
             "plausible": Column("bool", null=True, meaning="Free-space test in its own sweep; null where not asked."),
             "matched": Column("bool", meaning="Matched a detection of the evaluator's own."),

@@ -82,7 +82,7 @@ def build(recipe_path: Path, source: Path | None, out: Path) -> None:
         _pack(sumotools.without_header(work / "demand.rou.xml"), out / "demand.rou.xml.gz")
         _pack((work / "buses.rou.xml").read_text(encoding="utf-8"), out / "buses.rou.xml.gz")
         shutil.copyfile(work / "stops.add.xml", out / "stops.add.xml")
-    shutil.copyfile(_HERE / "vtypes.add.xml", out / "vtypes.add.xml")
+    shutil.copyfile(_HERE / "common" / "vtypes.add.xml", out / "vtypes.add.xml")
     config = SUMOCFG.format(end_s=recipe["demand"]["end_s"])
     (out / f"{recipe['name']}.sumocfg").write_text(config, encoding="utf-8", newline="\n")
     if recipe_path.resolve() != (out / "recipe.toml").resolve():
@@ -185,7 +185,7 @@ def _demand(recipe: dict[str, Any], extract: osm.Extract, gates: frozenset[str],
     demand.write_trips(work / "trips.rou.xml", trips)
     demand.write_trips(work / "buses.rou.xml", buses.departures(lines, wanted["bus"], seed, end_s))
     options = {
-        "net-file": "net.net.xml", "additional-files": _HERE / "vtypes.add.xml",
+        "net-file": "net.net.xml", "additional-files": _HERE / "common" / "vtypes.add.xml",
         "route-files": "trips.rou.xml", "output-file": "demand.rou.xml", "alternatives-output": "NUL",
         "vtype-output": "vtypes.out.xml", "ignore-errors": True, "no-step-log": True, "seed": seed,
         "weights.random-factor": wanted["route_choice"],

@@ -63,9 +63,7 @@ def rings_of(extract: Extract) -> Rings:
     return dict(sorted(found.items()))
 
 
-def build(
-    rings: Rings, project: Callable[[list[Way]], dict[int, Ring]], street: shapely.Geometry
-) -> Buildings:
+def build(rings: Rings, project: Callable[[list[Way]], dict[int, Ring]], street: shapely.Geometry) -> Buildings:
     """Footprints in network coordinates, parts taking the place of the outline they refine.
 
     `project` turns ways into rings in the network's coordinates; `street` is the ground that must stay free.
@@ -142,6 +140,7 @@ def _standing(solids: list[Solid], street: shapely.Geometry) -> Buildings:
     cut = bridging = 0
     used: Counter[str] = Counter()
     for name, solid, height in sorted(solids, key=lambda solid: (solid[0], solid[2], solid[1].wkb)):
+        solid = solid.simplify(SIMPLIFY_M)
         layers = [(solid, height.base_z_m)]
         if height.base_z_m < CLEARANCE_M and street.intersects(solid):
             over = solid.intersection(street)
@@ -151,9 +150,8 @@ def _standing(solids: list[Solid], street: shapely.Geometry) -> Buildings:
                 bridging += 1
             cut += 1
         for shape, base in layers:
-            for piece in pieces_of(shapely.set_precision(shape.simplify(SIMPLIFY_M), 0.01)):
+            for piece in pieces_of(shapely.set_precision(shape, 0.01)):
                 footprints.append((f"{name}.{used[name]}", footprint_of(piece, base, height.top_z_m)))
                 heights[height.source] += 1
                 used[name] += 1
     return Buildings(footprints, heights, cut, bridging)
-

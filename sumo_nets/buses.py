@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from math import inf
 from typing import Any
+from xml.sax.saxutils import quoteattr
 
 from sumo_nets.demand import Draw
 from sumo_nets.osm import Extract, Relation, pieces
@@ -16,6 +17,8 @@ STOP_M = 22.0
 """Length of a stop: one articulated bus, or a rigid one and room to pull out [m]."""
 NEAR_M = 16.0
 """Farthest from its lane that a stop's sign may stand [m]."""
+FARTHEST_M = 1500.0
+"""Longest drive over streets that the relation does not name: termini and joined junctions [m]."""
 DETOUR = 1.6
 """A matched line may be at most this much longer than the streets that the relation names."""
 
@@ -91,8 +94,6 @@ def lines_of(
 
 def stops_xml(stops: list[Stop]) -> str:
     """SUMO's additional file for the stops."""
-    from xml.sax.saxutils import quoteattr
-
     rows = (
         f'    <busStop id="{stop.id}" name={quoteattr(stop.name)} lane="{stop.lane}"'
         f' startPos="{stop.start_m:.2f}" endPos="{stop.end_m:.2f}" friendlyPos="true"/>\n'
@@ -108,15 +109,17 @@ def departures(lines: list[Line], recipe: dict[str, Any], seed: int, end_s: floa
     for n, line in enumerate(lines):
         headway_s = 3600.0 / recipe["per_hour_and_line"] / min(len(line.refs), recipe["most_lines_alike"])
         now = draw.uniform() * headway_s
+        n_buses = 0
         while now < end_s:
             dwell = "".join(
                 f'<stop busStop="{stop}" duration="{recipe["dwell_s"] * (0.5 + draw.uniform()):.0f}"/>'
                 for stop in line.stops
             )
             trips.append(
-                f'<vehicle id="bus{n}.{len(trips)}" type="bus" line="{line.refs[0]}" depart="{now:.1f}"'
+                f'<vehicle id="bus{n}.{n_buses}" type="bus" line="{line.refs[0]}" depart="{now:.1f}"'
                 f' departLane="best" departSpeed="max"><route edges="{" ".join(line.edges)}"/>{dwell}</vehicle>'
             )
+            n_buses += 1
             now += headway_s * (0.8 + 0.4 * draw.uniform())
     return trips
 
@@ -145,12 +148,12 @@ def _matched(net: Any, candidates: list[list[Any]]) -> list[str]:
         for edge in options:
             best, best_drive = inf, None
             for before, so_far in cost.items():
-                if before is edge:
-                    path, metres = (edge,), edge.getLength()
-                else:
-                    path, metres = net.getShortestPath(before, edge, vClass="bus", maxCost=1500.0)
-                    if path is None:
-                        continue
+                path: tuple[Any, ...] | None = (edge,)
+                metres = edge.getLength()
+                if before is not edge:
+                    path, metres = net.getShortestPath(before, edge, vClass="bus", maxCost=FARTHEST_M)
+                if path is None:
+                    continue
                 total = so_far + metres - before.getLength()
                 if total < best:
                     best, best_drive = total, drive[before] + [leg.getID() for leg in path[1:]]
@@ -177,8 +180,7 @@ def _beside(net: Any, edges: tuple[str, ...], sign: int, name: str, at: Point) -
         offset, away = polygonOffsetAndDistanceToPoint(at, kerb.getShape(), perpendicular=False)
         if away < min(nearest, NEAR_M) and edge.getLength() >= STOP_M + 20.0:
             nearest = away
-            last = edge.getLength() - 12.0        # room for a queue of two between stop and stop line
+            last = edge.getLength() - 12.0  # room for a queue of two between stop and stop line
             ends = min(max(offset + STOP_M / 2, STOP_M + 1.0), last)
             stop = Stop(f"stop{sign}", name, kerb.getID(), ends - STOP_M, ends)
     return stop
-

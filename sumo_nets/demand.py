@@ -10,12 +10,15 @@ from bisect import bisect_right
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import accumulate
-from math import hypot, log
+from math import dist, log
 from pathlib import Path
 from random import Random
 from typing import Any
 
 Point = tuple[float, float]
+
+MOST_TRIES = 10_000
+"""Draws of origin and destination before a recipe counts as impossible."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,6 +52,8 @@ class Draw:
 
     def chooser(self, streets: Sequence[Street], weight: Callable[[Street], float]) -> Callable[[], Street]:
         chosen = [street for street in streets if weight(street) > 0.0]
+        if not chosen:
+            raise ValueError("the network has no street at which this traffic could start or end")
         sums = list(accumulate(weight(street) for street in chosen))
         return lambda: chosen[min(bisect_right(sums, self.uniform() * sums[-1]), len(chosen) - 1)]
 
@@ -90,12 +95,14 @@ def vehicle_trips(streets: list[Street], kind: str, recipe: dict[str, Any], seed
     trips: list[str] = []
     now = 0.0
     while (now := now + draw.gap_s(recipe["per_hour"])) < end_s:
-        while True:
+        for _ in range(MOST_TRIES):
             starts_inside, ends_inside = draw.uniform() < recipe["from_inside"], draw.uniform() < recipe["to_inside"]
             origin = kerb() if starts_inside else enter()
             target = kerb() if ends_inside else leave()
-            if hypot(*(a - b for a, b in zip(origin.middle_m, target.middle_m, strict=True))) >= recipe["at_least_m"]:
+            if dist(origin.middle_m, target.middle_m) >= recipe["at_least_m"]:
                 break
+        else:
+            raise ValueError(f"demand.{kind}.at_least_m = {recipe['at_least_m']} m: no two streets are that far apart")
         place = 'departPos="random_free" departSpeed="0"' if starts_inside else 'departPos="base" departSpeed="max"'
         goal = ' arrivalPos="random"' if ends_inside else ""
         trips.append(
@@ -113,11 +120,12 @@ def walks(streets: list[Street], recipe: dict[str, Any], seed: int, end_s: float
     lines: list[str] = []
     now = 0.0
     while (now := now + draw.gap_s(recipe["per_hour"])) < end_s:
-        while True:
+        for _ in range(MOST_TRIES):
             origin, target = door(), door()
-            far_m = hypot(*(a - b for a, b in zip(origin.middle_m, target.middle_m, strict=True)))
-            if recipe["at_least_m"] <= far_m <= recipe["at_most_m"]:
+            if recipe["at_least_m"] <= dist(origin.middle_m, target.middle_m) <= recipe["at_most_m"]:
                 break
+        else:
+            raise ValueError("demand.pedestrian: no two pavements lie between at_least_m and at_most_m apart")
         lines.append(
             f'<person id="pedestrian{len(lines)}" type="pedestrian" depart="{now:.1f}" departPos="random">'
             f'<personTrip from="{origin.id}" to="{target.id}" arrivalPos="random"/></person>'

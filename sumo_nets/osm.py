@@ -50,9 +50,7 @@ def read(path: Path) -> Extract:
     try:
         import osmium
     except ImportError as error:
-        raise ValueError(
-            "building a network from OpenStreetMap needs osmium: pip install 'cosim[build]'"
-        ) from error
+        raise ValueError("building a network from OpenStreetMap needs osmium: pip install 'cosim[build]'") from error
     extract = Extract()
     try:
         for item in osmium.FileProcessor(str(path)):

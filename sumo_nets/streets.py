@@ -39,7 +39,7 @@ def drivable(extract: Extract, classes: frozenset[str], ignored_tags: frozenset[
         use[run[-1]] += 1
     stubs = [(index, a, b) for index, (_, run) in enumerate(runs) for a, b in _split(run, use)]
     gates = _gates(extract, runs, stubs, edge_m)
-    arcs = []                                     # (run, first, last, forward)
+    arcs = []  # (run, first, last, forward)
     for index, a, b in stubs:
         way, run = runs[index]
         forward, backward = _directions(way)
@@ -67,7 +67,7 @@ def _is_street(way: Way, classes: frozenset[str]) -> bool:
     if tags.get("highway") not in classes or tags.get("area") == "yes":
         return False
     if tags.get("tunnel", "no") != "no" or tags.get("layer", "0").startswith("-"):
-        return False                              # the model city is flat: what runs below it stays out
+        return False  # the model city is flat: what runs below it stays out
     return not {tags.get("access"), tags.get("motor_vehicle"), tags.get("vehicle")} & {"no", "private"}
 
 
@@ -145,7 +145,7 @@ def _assemble(extract: Extract, runs, stubs, kept, gates: frozenset[int], ignore
     taken: set[int] = set()
     for index, stubs_kept in sorted(kept.items()):
         way, run = runs[index]
-        joined: list[list] = []                   # consecutive stubs with the same directions
+        joined: list[list] = []  # consecutive stubs with the same directions
         for a, b, forward, backward in stubs_kept:
             if joined and joined[-1][1] == a and joined[-1][2:] == [forward, backward]:
                 joined[-1][1] = b

@@ -89,6 +89,3 @@ class Projector:
             ways.append(Way(i + 1, (node, east, north, node), {"building": "yes"}))
         rings = self.ways(ways, corners)
         return {node: (float(rings[i + 1][0, 0]), float(rings[i + 1][0, 1])) for i, node in enumerate(nodes)}
-
-
-

@@ -93,9 +93,7 @@ def bench(n_vehicles: int = 1000, repeats: int = 7) -> list[tuple[str, float, st
 
     central = book(np.full(n_vehicles, SERVER), ids)
     local = book(ear, heard.vehicle)
-    fused = _best(
-        lambda: fuse(views, groups, table, views, verdicts, heard, sight, distance, params), repeats
-    )
+    fused = _best(lambda: fuse(views, groups, table, views, verdicts, heard, sight, distance, params), repeats)
     n_local = int(np.diff(said.ptr)[heard.vehicle].sum())
     return [
         ("verdicts, from IoU pairs through matching and evaluation", m / judge_s(), "1/s"),

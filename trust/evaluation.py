@@ -8,9 +8,7 @@ from trust.params import TrustParams, eta_of
 from trust.tables import Detections, Groups, Verdicts, Views
 
 
-def visibility(
-    n_points: Int[ndarray, "n"], label: UInt8[ndarray, "n"], params: TrustParams
-) -> Float[ndarray, "n"]:
+def visibility(n_points: Int[ndarray, "n"], label: UInt8[ndarray, "n"], params: TrustParams) -> Float[ndarray, "n"]:
     """How well an evaluator could have seen a box, from its own returns inside it.
 
     Returns

@@ -3,7 +3,6 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from numba import njit, prange
@@ -11,6 +10,7 @@ from numpy import ndarray
 
 from trust.params import AVERAGES, Method, TrustParams
 from trust.tables import Detections, Groups, Verdicts, Views, int64
+from trust.threads import threads_for
 
 
 @dataclass(frozen=True, slots=True)
@@ -252,13 +252,15 @@ def fuse(
     computed = params.code_parity or params.ego_trust_from == "computed"
     heard = _canonical(heard)
     assert np.all(heard.trust >= 0)
-    _accumulate(
-        int64(views.ptr), int64(views.member), int64(views.owner), len(detections),
-        int64(said.ptr), int64(said.member), said_by, verdicts.e, verdicts.phi,
-        int64(heard.ptr), int64(heard.vehicle), heard.trust,
-        params.ego_trust, computed, params.default_trust, params.code_parity,
-        int64(detections.sender), numba.get_num_threads(), num, den, n, detector,
-    )  # fmt: skip
+    n_sums = m + heard.vehicle.size * said.member.size / max(1, said.owner.size)
+    with threads_for(n_sums) as n_threads:
+        _accumulate(
+            int64(views.ptr), int64(views.member), int64(views.owner), len(detections),
+            int64(said.ptr), int64(said.member), said_by, verdicts.e, verdicts.phi,
+            int64(heard.ptr), int64(heard.vehicle), heard.trust,
+            params.ego_trust, computed, params.default_trust, params.code_parity,
+            int64(detections.sender), n_threads, num, den, n, detector,
+        )  # fmt: skip
 
     seeds = groups.seeds()
     group = np.searchsorted(seeds, groups.seed)

@@ -38,9 +38,7 @@ class Standing:
         at = np.minimum(np.searchsorted(keys, wanted), keys.size - 1)
         return at, keys[at] == wanted
 
-    def trust_of(
-        self, holder: Int[ndarray, "q"], subject: Int[ndarray, "q"], default: float
-    ) -> Float[ndarray, "q"]:
+    def trust_of(self, holder: Int[ndarray, "q"], subject: Int[ndarray, "q"], default: float) -> Float[ndarray, "q"]:
         """Trust of each subject as its holder knows it; `default` where it knows nothing."""
         at, found = self.rows_of(holder, subject)
         out = np.full(subject.shape, default)
@@ -141,6 +139,7 @@ class Ledger:
     def standing(self, now: int | None = None) -> Standing:
         """Trust of everybody about whom there is fresh evidence, at step `now` (default: the last one)."""
         if now is not None:
+            assert now >= self._now, "evidence that is forgotten does not come back"
             self.forget(now)
         p = self.params
         steps = sorted(self.pages)

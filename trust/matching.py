@@ -1,6 +1,5 @@
 """Matching: one object, several witnesses."""
 
-import numba
 import numpy as np
 from jaxtyping import Float, Int
 from numba import njit, prange
@@ -8,6 +7,7 @@ from numpy import ndarray
 
 from trust.params import TrustParams
 from trust.tables import Detections, Groups, Views, int64
+from trust.threads import threads_for
 
 
 @njit(cache=True)
@@ -140,15 +140,16 @@ def match(
     """
     i, j, iou = pairs
     ptr, other, value = _adjacency(len(detections), int64(i), int64(j), iou, params.tau)
-    seed = _stars(
-        int64(views.ptr),
-        int64(views.member),
-        int64(detections.sender),
-        ptr,
-        other,
-        value,
-        params.one_per_vehicle,
-        numba.get_num_threads(),
-    )
+    with threads_for(views.member.size) as n:
+        seed = _stars(
+            int64(views.ptr),
+            int64(views.member),
+            int64(detections.sender),
+            ptr,
+            other,
+            value,
+            params.one_per_vehicle,
+            n,
+        )
     by_owner = detections.sender[views.member[seed]] == views.owner[views.of_member()]
     return Groups(seed, by_owner)

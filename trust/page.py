@@ -10,7 +10,7 @@ from enum import IntEnum
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from numba import njit
 from numpy import ndarray
 
@@ -106,8 +106,8 @@ def _read(ids, first, score, evaluator, ptr, sender, k, e, phi, head, count, kno
             if s == ids.size or ids[s] != sender[p]:
                 code[p] = Refusal.UNKNOWN_VEHICLE
                 continue
-            d = first[s] + k[p]
-            if k[p] < 0 or d >= first[s + 1] or not score[d] >= 0.0:
+            d = first[s] + k[p] if 0 <= k[p] < first[s + 1] - first[s] else -1
+            if d < 0 or not score[d] >= 0.0:
                 code[p] = Refusal.UNKNOWN_DETECTION
                 continue
             if not (e[p] >= -1.0 and e[p] <= 1.0 and phi[p] >= 0.0 and phi[p] <= 1.0):
@@ -242,21 +242,23 @@ class Page:
     first: Int[ndarray, "n+1"]  # detections of row r are first[r]:first[r + 1], the k-th at first[r] + k
     score: Float[ndarray, "d"]  # NaN where a number k was never given
     n_used: Int[ndarray, "3"] = field(default_factory=lambda: np.zeros(3, np.int64))  # blocks, slots, words
-    blocks: Int[ndarray, "b 3"] = field(default_factory=lambda: np.zeros((16, 3), np.int64))  # h, row, base
-    dirty: ndarray = field(default_factory=lambda: np.zeros(16, np.bool_))
+    # per block: holder, row of the subject, first of its slots
+    blocks: Int[ndarray, "b 3"] = field(default_factory=lambda: np.zeros((16, 3), np.int64))
+    dirty: Bool[ndarray, "b"] = field(default_factory=lambda: np.zeros(16, np.bool_))
     settled: Float[ndarray, "b 2"] = field(default_factory=lambda: np.zeros((16, 2)))  # sum s T, sum s
     n_verdicts: Int[ndarray, "b"] = field(default_factory=lambda: np.zeros(16, np.int64))
     account: Int[ndarray, "b"] = field(default_factory=lambda: np.zeros(16, np.int64))
     n_accounts: int = 0  # blocks whose account is known to the ledger
+    # per slot, of the others: Phi, Phi e (fixed point), 2 x those who could see + 1 once anybody has judged
     sums: Int[ndarray, "x 3"] = field(default_factory=lambda: np.zeros((256, 3), np.int64))
     block_table: tuple[ndarray, ndarray] = field(default_factory=lambda: _empty_table(np.int32))
     mask_table: tuple[ndarray, ndarray] = field(default_factory=lambda: _empty_table(np.uint64))
     # the detections that each evaluator has judged, in the order of their numbers, a part per message
     head: Int[ndarray, "n"] = field(init=False)  # newest part of each evaluator, -1 for none
     count: Int[ndarray, "n"] = field(init=False)  # verdicts of each evaluator
-    known: Int[ndarray, "v"] = field(default_factory=lambda: np.zeros(64, np.int32))  # detections
+    known: Int[ndarray, "v"] = field(default_factory=lambda: np.zeros(64, np.int32))
+    # from and to in `known`, first number, part before
     parts: Int[ndarray, "p 4"] = field(default_factory=lambda: np.zeros((16, 4), np.int64))
-    # of `known` from, to, first number, part before
     n_known: Int[ndarray, "2"] = field(default_factory=lambda: np.zeros(2, np.int64))  # verdicts, parts
 
     def __post_init__(self) -> None:

@@ -73,9 +73,7 @@ class Told:
     phi: Float[ndarray, "n"]  # visibility
 
 
-def told(
-    step: int, ids: Int[ndarray, "vehicles"], views: Views, detections: Detections, verdicts: Verdicts
-) -> Told:
+def told(step: int, ids: Int[ndarray, "vehicles"], views: Views, detections: Detections, verdicts: Verdicts) -> Told:
     """The step's verdicts as messages that outlive the step; `ids` maps vehicle rows to ids."""
     return Told(
         step,

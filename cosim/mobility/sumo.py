@@ -4,11 +4,14 @@ SUMO gives the centre of the *front bumper* and degrees *clockwise from north*; 
 with box centres and radians counter-clockwise from east. libsumo holds one simulation per process.
 """
 
+import os
+import sys
 import tempfile
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, TextIO
 
 import libsumo
 import numpy as np
@@ -33,6 +36,20 @@ SHAPE_OF_CLASS = {
     "pedestrian": Shape.PEDESTRIAN, "wheelchair": Shape.PEDESTRIAN,
 }  # fmt: skip
 """Body of each SUMO vehicle class; trains, ships, aircraft and containers are not on the road: left out."""
+
+
+@contextmanager
+def _what_sumo_says() -> Iterator[TextIO]:
+    """Catch what SUMO's C++ writes to standard error, which is where its reasons for an error go."""
+    sys.stderr.flush()
+    screen = os.dup(2)
+    with tempfile.TemporaryFile("w+", errors="replace") as said:
+        os.dup2(said.fileno(), 2)
+        try:
+            yield said
+        finally:
+            os.dup2(screen, 2)
+            os.close(screen)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -78,17 +95,16 @@ class SumoTraffic:
         self._left_out: set[str] = set()
         self.n_teleports = 0
         """Vehicles that SUMO has lifted out of a jam since recording began."""
-        with tempfile.TemporaryDirectory() as scratch:
-            errors = Path(scratch) / "errors"
+        with _what_sumo_says() as said:
             try:
                 libsumo.start([
                     "sumo", "-c", str(config), "--seed", str(params.seed), "--step-length", str(params.step_s),
                     "--no-step-log", "true", "--duration-log.disable", "true", "--duration-log.statistics", "false",
-                    "--no-warnings", "true", "--error-log", str(errors),
+                    "--no-warnings", "true",
                 ])  # fmt: skip
             except libsumo.TraCIException as error:
-                said = errors.read_text() if errors.exists() else ""
-                reason = " ".join(said.split()) or str(error)
+                said.seek(0)
+                reason = " ".join(said.read().split()).removeprefix("Error: ") or str(error)
                 raise ValueError(f"traffic.scenario = {config}: SUMO refuses it: {reason}") from None
 
     def warm_up(self, seconds: float) -> Iterator[float]:

@@ -15,7 +15,7 @@ from numpy import ndarray
 
 from cosim import rng
 from cosim.v2x.channel import Links
-from cosim.v2x.obstruction import Sight
+from cosim.v2x.obstruction import Sight, Walls, runs_into_house
 from cosim.v2x.propagation import (
     PropagationParams,
     blockage_db,
@@ -44,33 +44,44 @@ class Pairs:
 
 
 @njit(cache=True)
-def _near(xyz, reach_m, order, start, cell, shape, a, b, d):
-    """Pairs in the same or adjacent cells (2, and those within reach written); returns how many there are."""
+def _near(xyz, reach_m, order, start, cell, shape, places, hidden_m, grid, a, b, d):
+    """Pairs within reach, in the same or adjacent cells, but for those beyond `hidden_m` behind a house."""
     m = 0
     for p in range(len(order)):
         i = order[p]
         cx, cy = cell[i, 0], cell[i, 1]
         for gx in range(cx, min(cx + 2, shape[0])):
-            first = cy if gx == cx else max(cy - 1, 0)
-            for gy in range(first, min(cy + 2, shape[1])):
-                g = gx * shape[1] + gy
-                begin = p + 1 if gx == cx and gy == cy else start[g]
-                for q in range(begin, start[g + 1]):
-                    j = order[q]
-                    dx, dy, dz = xyz[i, 0] - xyz[j, 0], xyz[i, 1] - xyz[j, 1], xyz[i, 2] - xyz[j, 2]
-                    square = dx * dx + dy * dy + dz * dz
-                    if square <= reach_m * reach_m:
-                        if m < len(a):
-                            a[m], b[m], d[m] = i, j, np.sqrt(square)
-                        m += 1
+            # Of the cell's own column only what comes later, of the next one all three.
+            first, last = (cy, min(cy + 2, shape[1])) if gx == cx else (max(cy - 1, 0), min(cy + 2, shape[1]))
+            begin = p + 1 if gx == cx else start[gx * shape[1] + first]
+            for q in range(begin, start[gx * shape[1] + last]):
+                j = order[q]
+                dx, dy, dz = xyz[i, 0] - xyz[j, 0], xyz[i, 1] - xyz[j, 1], xyz[i, 2] - xyz[j, 2]
+                square = dx * dx + dy * dy + dz * dz
+                if square <= reach_m * reach_m:
+                    if square > hidden_m * hidden_m and runs_into_house(places, i, j, grid):
+                        continue
+                    if m < len(a):
+                        a[m], b[m], d[m] = i, j, np.sqrt(square)
+                    m += 1
     return m
 
 
-def within(xyz_m: Float[ndarray, "n 3"], reach_m: float) -> tuple[ndarray, ndarray, ndarray]:
-    """All pairs of points within reach, each once: rows, rows, distance [m]."""
+def within(
+    xyz_m: Float[ndarray, "n 3"],
+    reach_m: float,
+    sight: Sight | None = None,
+    reach_nlos_m: float = np.inf,
+) -> tuple[ndarray, ndarray, ndarray]:
+    """All pairs of points within reach, each once: rows, rows, distance [m].
+
+    Given the city's walls, some pairs beyond `reach_nlos_m` that a building parts are left out: those that are
+    cheap to tell.
+    """
     n = len(xyz_m)
     if n == 0:
         return np.zeros(0, np.int32), np.zeros(0, np.int32), np.zeros(0)
+    places, grid = (sight.snap(xyz_m), sight.walls.grid) if sight else (xyz_m, Walls.of([]).grid)
     low = xyz_m[:, :2].min(0)
     side = max(reach_m, float(np.ptp(xyz_m[:, :2], axis=0).max()) / 1000)
     cell = ((xyz_m[:, :2] - low) / side).astype(np.int64)
@@ -78,38 +89,40 @@ def within(xyz_m: Float[ndarray, "n 3"], reach_m: float) -> tuple[ndarray, ndarr
     flat = cell[:, 0] * shape[1] + cell[:, 1]
     order = np.argsort(flat, kind="stable")
     start = np.searchsorted(flat[order], np.arange(shape[0] * shape[1] + 1))
-    share = np.pi * reach_m**2 / (np.prod(shape) * side**2)  # of the other points, if evenly strewn
-    room = int(n * min(n, 1024 + n * share) / 2 + 1024)
+    share = np.pi * min(reach_m, reach_nlos_m) ** 2 / (np.prod(shape) * side**2)  # of all points, if evenly strewn
+    room = int(n * min(n, 256 + 2 * n * share) / 2 + 1024)
     while True:
         a, b, d = np.empty(room, np.int32), np.empty(room, np.int32), np.empty(room)
-        m = _near(xyz_m, float(reach_m), order, start, cell, shape, a, b, d)
+        m = _near(xyz_m, float(reach_m), order, start, cell, shape, places, float(reach_nlos_m), grid, a, b, d)
         if m <= room:
             return a[:m], b[:m], d[:m]
         room = m
 
 
 @njit(cache=True)
-def _both_ways(n, a, b, loss_db, fading, tx_dbm, cutoff_dbm):
+def _both_ways(n, a, b, gain, fading, tx_mw, cutoff_mw):
     """Compressed rows by sender of the links, in both directions, that are not too weak."""
     ptr = np.zeros(n + 1, np.int64)
     for m in range(len(a)):
-        ptr[a[m] + 1] += tx_dbm[a[m]] - loss_db[m] >= cutoff_dbm
-        ptr[b[m] + 1] += tx_dbm[b[m]] - loss_db[m] >= cutoff_dbm
+        ptr[a[m] + 1] += tx_mw[a[m]] * gain[m] >= cutoff_mw
+        ptr[b[m] + 1] += tx_mw[b[m]] * gain[m] >= cutoff_mw
     for i in range(n):
         ptr[i + 1] += ptr[i]
     at = ptr[:-1].copy()
     receiver, power = np.empty(ptr[n], np.int32), np.empty(ptr[n], np.float32)
-    kind, pair = np.empty(ptr[n], np.uint8), np.empty(ptr[n], np.int64)
+    kind, pair = np.empty(ptr[n], np.uint8), np.empty(ptr[n], np.int32)
     for m in range(len(a)):
         for i, j in ((a[m], b[m]), (b[m], a[m])):
-            dbm = tx_dbm[i] - loss_db[m]
-            if dbm >= cutoff_dbm:
-                receiver[at[i]] = j
-                power[at[i]] = 10.0 ** (0.1 * dbm)
-                kind[at[i]] = fading[m]
-                pair[at[i]] = m
-                at[i] += 1
+            mw = tx_mw[i] * gain[m]
+            if mw >= cutoff_mw:
+                k = at[i]
+                receiver[k], power[k], kind[k], pair[k] = j, mw, fading[m], m
+                at[i] = k + 1
     return ptr, receiver, power, kind, pair
+
+
+def _linear(db: ndarray | float) -> ndarray:
+    return np.exp(np.asarray(db) * (np.log(10) / 10))
 
 
 def pairs(
@@ -127,9 +140,11 @@ def pairs(
     xyz_m = np.ascontiguousarray(xyz_m, np.float64)
     if xyz_m.ndim != 2 or xyz_m.shape[1] != 3 or not np.all(np.isfinite(xyz_m)):
         raise ValueError("xyz_m: antenna positions must be (n, 3) finite numbers [m].")
-    a, b, d = within(xyz_m, params.reach_m)
+    if params.model not in ("urban", "highway"):
+        sight = None
+    a, b, d = within(xyz_m, params.reach_m, sight, params.reach_nlos_m)
     nlos = np.zeros(len(a), bool)
-    if sight is not None and params.model in ("urban", "highway"):
+    if sight is not None:
         nlos = ~sight.clear(xyz_m, a, b)
         if params.reach_nlos_m < params.reach_m:
             keep = np.flatnonzero(~nlos | (d <= params.reach_nlos_m))
@@ -175,8 +190,9 @@ def between(
     """
     found = pairs(xyz_m, params, chance, sight)
     n = len(xyz_m)
-    power = np.full(n, params.tx_power_dbm) if tx_power_dbm is None else np.asarray(tx_power_dbm, float)
+    power_dbm = np.full(n, params.tx_power_dbm) if tx_power_dbm is None else np.asarray(tx_power_dbm, float)
     ptr, receiver, power_mw, fading, pair = _both_ways(
-        n, found.a, found.b, found.loss_db, fading_class(found.distance_m, params.fading), power, params.cutoff_dbm
-    )
+        n, found.a, found.b, _linear(-found.loss_db), fading_class(found.distance_m, params.fading),
+        _linear(power_dbm), float(_linear(params.cutoff_dbm)),
+    )  # fmt: skip
     return Links(key, ptr, receiver, power_mw, fading), found, pair

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, UInt8
 from numba import njit
 from numpy import ndarray
 from scipy.ndimage import distance_transform_cdt
@@ -30,7 +30,9 @@ class Grid(NamedTuple):
     wall: Int[ndarray, "m"]
     house_ptr: Int[ndarray, "cells+1"]
     house: Int[ndarray, "k"]
-    solid_m: Float[ndarray, "nx ny 2"]  # base and top of the building that fills the cell; base above top if none
+    solid: UInt8[ndarray, "nx ny 2"]  # base and top of the building that fills the cell; base above top if none
+    zero_m: float  # height of level 0 of these
+    level_m: float
 
 
 @njit(cache=True)
@@ -149,18 +151,18 @@ _REGION = np.uint64(255)
 
 
 @njit(cache=True, inline="always")
-def _runs_into_house(xyz, p, q, grid):
+def runs_into_house(xyz, p, q, grid):
     """Whether one of a few points of the segment lies in a cell that a building fills: cheap, and never wrong."""
     inv = 1.0 / grid.cell_m
     u, v = (xyz[p, 0] - grid.low[0]) * inv, (xyz[p, 1] - grid.low[1]) * inv
     du, dv = (xyz[q, 0] - xyz[p, 0]) * inv, (xyz[q, 1] - xyz[p, 1]) * inv
-    z, dz = xyz[p, 2], xyz[q, 2] - xyz[p, 2]
+    z, dz = (xyz[p, 2] - grid.zero_m) / grid.level_m, (xyz[q, 2] - xyz[p, 2]) / grid.level_m
     nx, ny = grid.step.shape
     n = min(int((abs(du) + abs(dv)) * 0.5) + 1, N_PROBES)
     t, into = 0.5, False
     for _ in range(n):
         i, j = int(u + t * du), int(v + t * dv)
-        if 0 <= i < nx and 0 <= j < ny and grid.solid_m[i, j, 0] <= z + t * dz <= grid.solid_m[i, j, 1]:
+        if 0 <= i < nx and 0 <= j < ny and grid.solid[i, j, 0] <= z + t * dz <= grid.solid[i, j, 1]:
             into = True
             break
         t += 0.6180339887498949  # golden section: any first few are evenly spread
@@ -173,9 +175,10 @@ def _runs_into_house(xyz, p, q, grid):
 def _clear(xyz, indoors, a, b, grid, walls, out):
     for m in range(len(a)):
         p, q = a[m], b[m]
-        out[m] = False
-        if not indoors[p] and not indoors[q] and not _runs_into_house(xyz, p, q, grid):
-            out[m] = not _cut(xyz, p, q, grid, walls)
+        if indoors[p] or indoors[q] or runs_into_house(xyz, p, q, grid):
+            out[m] = False
+            continue
+        out[m] = not _cut(xyz, p, q, grid, walls)
 
 
 @njit(cache=True)
@@ -184,7 +187,7 @@ def _clear_remembered(xyz, indoors, place, a, b, grid, walls, memo, out):
     for m in range(len(a)):
         p, q = a[m], b[m]
         region = mix(place[p], one) & mask & ~_REGION  # pairs of one radio lie close together in memory
-        if indoors[p] or indoors[q] or _runs_into_house(xyz, p, q, grid):
+        if indoors[p] or indoors[q] or runs_into_house(xyz, p, q, grid):
             out[m] = False
             continue
         if place[p] > place[q]:
@@ -248,15 +251,16 @@ class Walls:
         if not empty.all():
             step = np.minimum(distance_transform_cdt(empty, "chessboard"), 255)
         base_m, top_m = (np.array([b[k] for b in buildings], float) for k in (2, 3))
-        solid_m = np.tile(np.array([1, 0], np.float32), (nx, ny, 1))
-        grid = Grid(low, float(cell_m), step.astype(np.uint8), ptr, wall, house_ptr, house, solid_m)
+        zero_m = float(base_m.min(initial=0.0))
+        level_m = float(max(top_m.max(initial=1.0) - zero_m, 1.0)) / 254
+        solid = np.tile(np.array([1, 0], np.uint8), (nx, ny, 1))
+        grid = Grid(low, float(cell_m), step.astype(np.uint8), ptr, wall, house_ptr, house, solid, zero_m, level_m)
         i, j = np.nonzero(empty)
         middle = np.column_stack([low[0] + (i + 0.5) * cell_m, low[1] + (j + 0.5) * cell_m, np.full(len(i), np.nan)])
         owner = _inside(middle, grid, walls, spans, base_m, top_m)
-        filled = owner >= 0
-        # Rounded inwards, so that single precision never fills more than there is.
-        solid_m[i[filled], j[filled], 0] = np.nextafter(base_m[owner[filled]].astype(np.float32), np.float32(np.inf))
-        solid_m[i[filled], j[filled], 1] = np.nextafter(top_m[owner[filled]].astype(np.float32), np.float32(-np.inf))
+        i, j, owner = i[owner >= 0], j[owner >= 0], owner[owner >= 0]
+        solid[i, j, 0] = np.ceil((base_m[owner] - zero_m) / level_m - 1e-9)  # rounded inwards: a bit less is filled
+        solid[i, j, 1] = np.floor((top_m[owner] - zero_m) / level_m + 1e-9)
         return Walls(grid, walls, spans, base_m, top_m)
 
     def indoors(self, xyz_m: Float[ndarray, "n 3"]) -> Bool[ndarray, "n"]:
@@ -313,21 +317,31 @@ class Sight:
             raise ValueError(f"snap_m = {snap_m} m must be positive.")
         return Sight(walls, snap_m, np.zeros(1 << max(n_remembered - 1, 255).bit_length(), np.uint64))
 
+    def snap(self, xyz_m: Float[ndarray, "n 3"]) -> Float[ndarray, "n 3"]:
+        """The places of these antennas."""
+        return self._cell(xyz_m) * self.snap_m + self._low
+
     def clear(
         self, xyz_m: Float[ndarray, "n 3"], a: Int[ndarray, "m"], b: Int[ndarray, "m"]
     ) -> Bool[ndarray, "m"]:
-        """Which of the lines between antennas `a` and `b` (rows) no building cuts."""
-        low = np.array([*self.walls.grid.low, 0.0])
-        cell = np.rint((np.asarray(xyz_m, float) - low) / self.snap_m).astype(np.int64)
-        if len(cell) and (np.ptp(cell[:, :2]) >= 1 << 25 or np.abs(cell).max() >= 1 << 25):
-            raise ValueError("antennas lie too far from the buildings to be told apart: check the coordinates.")
-        place = _place(cell)
-        xyz = cell * self.snap_m + low
+        """Which of the lines between the places of antennas `a` and `b` (rows) no building cuts."""
+        cell = self._cell(xyz_m)
+        xyz = cell * self.snap_m + self._low
         out = np.empty(len(a), np.bool_)
         _clear_remembered(
-            xyz, self.walls.indoors(xyz), place, a, b, self.walls.grid, self.walls.walls, self.memo, out
+            xyz, self.walls.indoors(xyz), _place(cell), a, b, self.walls.grid, self.walls.walls, self.memo, out
         )
         return out
+
+    @property
+    def _low(self) -> ndarray:
+        return np.array([*self.walls.grid.low, 0.0])
+
+    def _cell(self, xyz_m: ndarray) -> ndarray:
+        cell = np.rint((np.asarray(xyz_m, float) - self._low) / self.snap_m)
+        if not np.all(np.abs(cell) < 1 << 24):
+            raise ValueError("an antenna lies too far from the buildings to be told apart. Check the coordinates.")
+        return cell.astype(np.int64)
 
 
 def _place(cell: Int[ndarray, "n 3"]) -> ndarray:

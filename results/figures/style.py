@@ -17,7 +17,7 @@ from matplotlib.lines import Line2D
 from results.archive import Run
 
 TIME = "Time [s]"
-INKS = ("#16325c", "#c4502e", "#4a9a8d", "#e0a52b", "#8c6bb1", "#6f6f6f")
+INKS = ("#16325c", "#c4502e", "#63b0a2", "#ecb938", "#8c6bb1", "#6f6f6f")
 """Colours of what is compared within a run; dark to light, so that grey tells them apart too."""
 MARKERS = ("o", "^", "s", "D", "v", "P")
 DASHES: tuple[Any, ...] = ("-", (0, (5, 2)), (0, (1, 1.2)), (0, (5, 1.5, 1, 1.5)), (0, (8, 2)), (0, (3, 1, 1, 1, 1, 1)))

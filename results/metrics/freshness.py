@@ -6,6 +6,9 @@ import numpy as np
 import pandas as pd
 
 from results.archive import Run
+from results.tables import SOURCES
+
+_DEFAULT = SOURCES.index("default")
 
 _EDGES_S = np.concatenate([[0.0], np.geomspace(0.05, 1e5, 600)])
 """Bins of age for quantiles of tables larger than memory: 2.4 % wide."""
@@ -40,16 +43,22 @@ def at_use(run: Run) -> pd.DataFrame:
     renewed (peak age of information), null where none was.
     """
     rows: dict[str, list[Any]] = {}
-    for part in run.parts("uses"):
-        for source, frame in part.groupby("source", observed=True):
-            age_s = frame.age_s.dropna().to_numpy()
-            peak = _peaks(frame)
-            row = rows.setdefault(source, [0, 0.0, 0, 0.0, np.zeros(len(_EDGES_S) - 1)])
-            row[0] += len(frame)
-            row[1] += float(age_s.sum(dtype=np.float64))
-            row[2] += len(peak)
-            row[3] += float(peak.sum(dtype=np.float64))
-            row[4] += np.histogram(np.minimum(age_s, _EDGES_S[-1]), _EDGES_S)[0]
+    for part in run.parts("uses", ["step", "receiver", "subject", "source", "age_s"]):
+        code, age_s = _ages(part)
+        key = (part.receiver.to_numpy(np.int64) << 32) | part.subject.to_numpy()
+        order = np.argsort(key, kind="stable")  # rows are in order of time within a pair
+        key, ordered_s = key[order], age_s[order]
+        renewed = order[:-1][(key[1:] == key[:-1]) & (ordered_s[1:] < ordered_s[:-1])]
+        for source in np.unique(code):
+            chosen = code == source
+            aged_s = age_s[chosen & ~np.isnan(age_s)]
+            peak_s = age_s[renewed[chosen[renewed]]]
+            row = rows.setdefault(SOURCES[source], [0, 0.0, 0, 0.0, np.zeros(len(_EDGES_S) - 1)])
+            row[0] += int(chosen.sum())
+            row[1] += float(aged_s.sum(dtype=np.float64))
+            row[2] += len(peak_s)
+            row[3] += float(peak_s.sum(dtype=np.float64))
+            row[4] += _histogram(aged_s)
     if not rows:
         raise ValueError(f"{run.path} holds no uses of trust: nobody heard anybody. Widen radio.reach_m and run again.")
     total = sum(row[0] for row in rows.values())
@@ -68,7 +77,7 @@ def distribution(run: Run) -> pd.DataFrame:
     """Cumulative distribution of the age of trust at use, defaults left out: age_s, share."""
     histogram = np.zeros(len(_EDGES_S) - 1)
     for part in run.parts("uses", ["age_s"]):
-        histogram += np.histogram(np.minimum(part.age_s.dropna(), _EDGES_S[-1]), _EDGES_S)[0]
+        histogram += _histogram(part.age_s.dropna().to_numpy())
     if not histogram.any():
         raise ValueError(f"{run.path} holds no use of a trust value but the default: trust never reached anybody.")
     last = np.flatnonzero(histogram)[-1] + 1
@@ -80,9 +89,9 @@ def shares(run: Run, fresh_s: float = 10.0) -> pd.DataFrame:
     """Share of uses whose value is fresh (at most this old), stale, or the default: state, n, share."""
     counts = np.zeros(3, np.int64)
     for part in run.parts("uses", ["source", "age_s"]):
-        default = (part.source == "default").to_numpy()
-        fresh = ~default & (part.age_s.to_numpy() <= fresh_s)
-        counts += [fresh.sum(), (~fresh & ~default).sum(), default.sum()]
+        code, age_s = _ages(part)
+        n_default, n_fresh = np.count_nonzero(code == _DEFAULT), np.count_nonzero(age_s <= fresh_s)
+        counts += [n_fresh, len(part) - n_fresh - n_default, n_default]
     return pd.DataFrame({"state": ["fresh", "stale", "default"], "n": counts, "share": counts / max(counts.sum(), 1)})
 
 
@@ -90,8 +99,8 @@ def over_time(run: Run, every_s: float = 10.0, fresh_s: float = 10.0) -> pd.Data
     """Shares by time: time_s, fresh, stale, default."""
     parts = []
     for part in run.parts("uses", ["step", "source", "age_s"]):
-        default = part.source == "default"
-        fresh = ~default & (part.age_s <= fresh_s)
+        code, age_s = _ages(part)
+        default, fresh = code == _DEFAULT, age_s <= fresh_s
         slot = np.floor(part.step * run.dt_s / every_s) * every_s
         counts = pd.DataFrame({"time_s": slot, "fresh": fresh, "stale": ~fresh & ~default, "default": default})
         parts.append(counts.groupby("time_s").sum())
@@ -102,44 +111,35 @@ def over_time(run: Run, every_s: float = 10.0, fresh_s: float = 10.0) -> pd.Data
 
 
 def without_trust(run: Run) -> pd.DataFrame:
-    """Encounters that end before one had a value of its own or of the server's for the other.
+    """Encounters of equipped vehicles that end before one had a value, other than the default, for the other.
 
     Returns
     -------
-    radius_m, n (directions of encounters between equipped vehicles), n_without, share.
+    pairs, radius_m, n (both directions of every encounter), n_without, share, and wait_median_s: time from the
+    start to the first value, of those that had none at the start.
     """
-    meetings = run.table(
-        "encounters", ["pairs", "radius_m", "a", "b", "start_step", "end_step", "source_ab", "source_ba"]
-    )
-    equipped = run.roles.index
-    meetings = meetings[meetings.a.isin(equipped) & meetings.b.isin(equipped) & (meetings.pairs != "sight")]
+    frame = run.table("encounters", ["pairs", "radius_m", "a", "b", "trusted_after_ab_s", "trusted_after_ba_s"])
+    frame = frame[frame.a.isin(run.roles.index) & frame.b.isin(run.roles.index)]
     rows = []
-    for radius_m, frame in meetings.groupby("radius_m"):
-        one, other = (np.r_[frame[x], frame[y]].astype(np.int64) for x, y in (("a", "b"), ("b", "a")))
-        start, end = (np.tile(frame[name].to_numpy(np.int64), 2) for name in ("start_step", "end_step"))
-        had = np.r_[frame.source_ab.isin(["server", "own"]), frame.source_ba.isin(["server", "own"])]
-        pairs, index = np.unique((one << 32) | other, return_inverse=True)
-        order = np.lexsort([start, index])
-        begins, end, had = ((index << 32) | start)[order], end[order], had[order]
-        for part in run.parts("uses", ["step", "receiver", "subject", "source"]):
-            use = part[part.source != "default"][["step", "receiver", "subject"]].to_numpy(np.int64)
-            key = (use[:, 1] << 32) | use[:, 2]
-            at = np.minimum(np.searchsorted(pairs, key), len(pairs) - 1)
-            during = np.searchsorted(begins, (at << 32) | use[:, 0], "right") - 1
-            inside = (pairs[at] == key) & (during >= 0) & (begins[during] >> 32 == at) & (use[:, 0] < end[during])
-            had[during[inside]] = True
-        n_without = int((~had).sum())
-        rows.append({"radius_m": radius_m, "n": len(had), "n_without": n_without, "share": n_without / len(had)})
-    return pd.DataFrame(rows, columns=["radius_m", "n", "n_without", "share"])
+    for (pairs, radius_m), meetings in frame.groupby(["pairs", "radius_m"], observed=True):
+        after_s = np.r_[meetings.trusted_after_ab_s, meetings.trusted_after_ba_s]
+        waited_s = after_s[after_s > 0]
+        without = np.isnan(after_s)
+        rows.append({
+            "pairs": pairs, "radius_m": radius_m, "n": len(after_s), "n_without": int(without.sum()),
+            "share": float(without.mean()), "wait_median_s": float(np.median(waited_s)) if len(waited_s) else np.nan,
+        })  # fmt: skip
+    return pd.DataFrame(rows, columns=["pairs", "radius_m", "n", "n_without", "share", "wait_median_s"])
 
 
-def _peaks(frame: pd.DataFrame) -> np.ndarray:
-    """Ages just before a renewal, within one block of steps."""
-    ordered = frame.dropna(subset="age_s").sort_values(["receiver", "subject", "step"], kind="stable")
-    age_s = ordered.age_s.to_numpy()
-    pair = ordered[["receiver", "subject"]].to_numpy()
-    renewed = (pair[1:] == pair[:-1]).all(axis=1) & (age_s[1:] < age_s[:-1])
-    return age_s[:-1][renewed]
+def _ages(part: pd.DataFrame) -> tuple[np.ndarray, np.ndarray]:
+    """Source codes, and ages in seconds (NaN for the default)."""
+    return part.source.cat.codes.to_numpy(), part.age_s.to_numpy()
+
+
+def _histogram(age_s: np.ndarray) -> np.ndarray:
+    at = np.searchsorted(_EDGES_S, np.clip(age_s, 0, _EDGES_S[-2]), "right") - 1
+    return np.bincount(at, minlength=len(_EDGES_S) - 1)
 
 
 def _quantile(histogram: np.ndarray, share: float) -> float:

@@ -17,7 +17,7 @@ from sensors.scene import Prisms, Scene, roof_triangles
 
 NOTHING, GROUND, BUILDING, ACTOR = 0, 1, 2, 3
 TILE_M = 256.0
-_STEP_M = 1e-4      # how far behind a face of one's own body a ray starts again
+STEP_M = 1e-4      # how far behind a face of one's own body a ray starts again
 
 
 def cast(range_m, hit, poses, ground_m, observers, beams, max_range_m, boxes: Boxes, bodies: Prisms, scene: Scene):
@@ -64,7 +64,7 @@ def _sweep(range_m, hit, origin, yaw, ground, own, beams, max_range_m, solid, co
         mine = met & (who == own)
         distance[left] = np.where(met & ~mine, far, np.inf)
         what[left] = np.where(mine, NOTHING, who)
-        behind[left[mine]] = far[mine] + _STEP_M
+        behind[left[mine]] = far[mine] + STEP_M
         left = left[mine]
     down = np.broadcast_to(beams.sin_el, range_m.shape).ravel()
     with np.errstate(divide="ignore"):

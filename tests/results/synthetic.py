@@ -115,6 +115,8 @@ def _meet(record, ledgers, step, here, talk, xyz, belief, reach_m, rng, heard_s)
             age = np.where(known, step - heard_s[x, y], 0)
             ledger.first_contact(x, y, np.where(known, belief[y], 0.5), np.where(known, 0, 2), age)
         ledger.count_messages(one[got], other[got])
+        had = got & (heard_s[other, one] >= 0)
+        ledger.note_trust(other[had], one[had])
         ledger.count_verdicts(other[got], one[got], rng.integers(1, 4, got.sum()))
     sent = len(talk)
     lost = {"n_in_reach": len(one), "n_delivered": got.sum(), "n_lost_propagation": faded.sum(),

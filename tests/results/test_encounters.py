@@ -9,7 +9,17 @@ from hypothesis import strategies as st
 
 from results.encounters import EncounterLedger, EncounterParams
 
-NULLS = ("gap_s", "trust_ab", "trust_ba", "source_ab", "source_ba", "age_ab_s", "age_ba_s")
+NULLS = (
+    "gap_s",
+    "trust_ab",
+    "trust_ba",
+    "source_ab",
+    "source_ba",
+    "age_ab_s",
+    "age_ba_s",
+    "trusted_after_ab_s",
+    "trusted_after_ba_s",
+)
 
 
 def rows_of(columns):
@@ -175,6 +185,19 @@ def test_counts_and_first_contact():
     assert (row["n_verdicts_ab"], row["n_verdicts_ba"]) == (2, 8)
     assert (row["trust_ba"], row["source_ba"], row["age_ba_s"]) == (0.25, 0, 7)
     assert (row["trust_ab"], row["source_ab"], row["age_ab_s"]) == (0.5, 2, None)
+
+
+def test_trusted_after():
+    """Near from step 1; 0 uses a value for 1 from step 3, 1 knew 0 from the start, and using it again changes nothing."""
+
+    def talk(ledger, step, opened, pairs):
+        if len(opened):
+            ledger.first_contact(np.array([1]), np.array([0]), np.array([0.5]), np.array([0]), np.array([9.0]))
+        if step >= 3:
+            ledger.note_trust(np.array([0, 1]), np.array([1, 0]))
+
+    (row,) = follow(on_a_line(50, 5, 5, 5, 5), EncounterParams(radius_m=10, pairs="all"), 0.5, talk)
+    assert (row["trusted_after_ab_s"], row["trusted_after_ba_s"]) == (1.0, 0.0)
 
 
 def test_who_can_meet():

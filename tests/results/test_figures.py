@@ -1,5 +1,7 @@
 """Pictures: drawn, labelled with units, saved, the same twice, and never empty."""
 
+from itertools import pairwise
+
 import matplotlib
 import numpy as np
 import pytest
@@ -37,7 +39,7 @@ def test_nothing_is_cut_off(run, other, name):
         for axis in (axes.xaxis, axes.yaxis):
             boxes = [t.get_window_extent(renderer) for t in axis.get_ticklabels() if t.get_text() and t.get_visible()]
             inside = [b for b in boxes if page.contains(*b.get_points()[0])]
-            assert not any(one.overlaps(two) for one, two in zip(inside, inside[1:], strict=False))
+            assert not any(one.overlaps(two) for one, two in pairwise(inside))
     for legend in figure.legends:
         box = legend.get_window_extent(renderer)
         assert page.x0 - 1 <= box.x0 and box.x1 <= page.x1 + 1

@@ -74,7 +74,7 @@ def test_refuses_unknown_labels(tmp_path):
     with Recorder(tmp_path, "standard") as record:
         with pytest.raises(ValueError, match=r"uses.source = 'srver' is none of server, own, default"):
             record.append("uses", 0, row | {"source": np.array(["srver"])})
-        with pytest.raises(ValueError, match=r"uses.source holds 0 to 3"):
+        with pytest.raises(ValueError, match=r"uses.source holds 3 to 3, outside 0 to 2"):
             record.append("uses", 0, row | {"source": np.array([3])})
         record.append("uses", 0, row | {"source": np.array(["own"])})
     assert stored(tmp_path, "uses").source.tolist() == ["own"]

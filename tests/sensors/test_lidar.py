@@ -69,7 +69,7 @@ def test_noise_is_a_function_of_key_and_ray():
     returned = np.isfinite(clean.range_m)
     assert 1 - kept.sum() / returned.sum() == pytest.approx(0.1, abs=0.002)
     assert (noisy.hit[returned & ~kept] == Hit.NOTHING).all() and (noisy.hit[kept] == clean.hit[kept]).all()
-    error = (noisy.range_m - clean.range_m.astype(float))[kept]
+    error = noisy.range_m[kept] - clean.range_m[kept].astype(float)
     assert error.mean() == pytest.approx(0, abs=2e-4) and error.std() == pytest.approx(0.02, rel=0.01)
     assert np.mean(np.abs(error) < 0.02) == pytest.approx(0.683, abs=0.005)
     # fewer observers, in another order: the same sweeps

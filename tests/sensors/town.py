@@ -79,10 +79,15 @@ def blocks(rng, n=6, pitch=60.0) -> Scene:
     return Scene.from_footprints(rings, base, top)
 
 
+def sizes(rng, shape) -> np.ndarray:
+    """Usual sizes, no two alike: faces of two bodies that coincide have no nearer one."""
+    return SIZE_M[shape] * rng.uniform(0.95, 1.05, (len(shape), 3))
+
+
 def traffic(rng, n, size=360.0, pitch=60.0) -> tuple[Boxes, np.ndarray]:
     """Actors in the lanes between the blocks."""
     shape = rng.choice([0, 0, 0, 1, 2, 3, 5, 6], n).astype(np.uint8)
-    lwh = SIZE_M[shape]
+    lwh = sizes(rng, shape)
     street, along = rng.integers(0, int(size / pitch), n) * pitch, rng.uniform(0, size, n)
     lane, east = rng.choice([-4.5, -1.7, 1.7, 4.5], n), rng.random(n) < 0.5
     x, y = np.where(east, along, street + lane), np.where(east, street + lane, along)

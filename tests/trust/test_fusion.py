@@ -3,13 +3,12 @@
 from dataclasses import replace
 from typing import get_args
 
-import numba
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.trust.worlds import make, worlds
+from tests.trust.worlds import worlds
 from tests.verification import paper
 from trust.evaluation import evaluate
 from trust.fusion import METHODS, Heard, Sight, fuse
@@ -177,9 +176,7 @@ def random_step(world, seed, params):
 def test_twin(method, world, seed, one_per_vehicle):
     params = TrustParams(method=method, one_per_vehicle=one_per_vehicle)
     groups, verdicts, heard, sight = random_step(world, seed, params)
-    fused = fuse(
-        world.views, groups, world.table, world.views, verdicts, heard, sight, world.distance_m, params
-    )
+    fused = fuse(world.views, groups, world.table, world.views, verdicts, heard, sight, world.distance_m, params)
     names, truth, views = world.names(), world.dictionary(), world.views
     said = {}
     for view in range(world.n_vehicles):
@@ -233,19 +230,3 @@ def test_code_parity_ignores_trust(world, seed):
         for h in (heard, replace(heard, trust=np.zeros(heard.trust.size)))
     )
     np.testing.assert_array_equal(a.score, b.score)
-
-
-def test_threads_do_not_matter():
-    world, params = make(3, 40, 12), TrustParams(method="trupercept_2")
-    groups, verdicts, heard, sight = random_step(world, 3, params)
-
-    def run():
-        return fuse(world.views, groups, world.table, world.views, verdicts, heard, sight, world.distance_m, params)
-
-    many, threads = run(), numba.get_num_threads()
-    numba.set_num_threads(1)
-    try:
-        one = run()
-    finally:
-        numba.set_num_threads(threads)
-    np.testing.assert_array_equal(one.score, many.score)

@@ -1,12 +1,11 @@
 """Matching by hand, by law, and against the slow transcription."""
 
-import numba
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.trust.worlds import make, worlds
+from tests.trust.worlds import worlds
 from tests.verification import paper
 from trust.matching import match
 from trust.params import TrustParams
@@ -85,15 +84,3 @@ def test_pairs_have_no_order(world, seed):
     swap = rng.random(order.size) < 0.5
     again = match(world.views, world.table, (np.where(swap, j, i), np.where(swap, i, j), iou), TrustParams())
     np.testing.assert_array_equal(again.seed, groups.seed)
-
-
-def test_threads_do_not_matter():
-    world = make(1, 40, 12)
-    many = match(world.views, world.table, world.pairs, TrustParams(one_per_vehicle=True))
-    threads = numba.get_num_threads()
-    numba.set_num_threads(1)
-    try:
-        one = match(world.views, world.table, world.pairs, TrustParams(one_per_vehicle=True))
-    finally:
-        numba.set_num_threads(threads)
-    np.testing.assert_array_equal(one.seed, many.seed)

@@ -151,20 +151,27 @@ def test_vehicle_trust():
     assert worst < 1e-6
 
 
-def _world(cases: list[dict]):
+def _split(case: dict) -> list[list[tuple[float, float]]]:
+    """Per member verdicts (e, Phi) whose sum is the recorded aggregated evaluation."""
+    parts = [0 if m is None else max(1, int(np.ceil(abs(m)))) for m in case["agg_eval"]]
+    return [[(m / n, 1.0)] * n if n else [] for m, n in zip(case["agg_eval"], parts, strict=True)]
+
+
+def _world(cases: list[dict], said_of=_split):
     """All recorded groups at once: an ego and a group per case, vehicles and detections shared by no two.
 
-    An aggregated evaluation M is fed as verdicts whose sum it is, by vehicles of which nothing else is known.
+    Verdicts (`said_of` gives them per member) come from vehicles of which nothing else is known.
     """
     parts, n_vehicles, n_rows = [], 0, 0
     for case in cases:
         table, views, groups, objects = one_view([case["group"]], case["ego_id"], [o["det_id"] for o in case["group"]])
         vehicle_ids = dict(zip(table.sender[views.member].tolist(), (o["det_id"] for o in objects), strict=True))
         known = {r: case["vehicle_trust"].get(str(v)) for r, v in sorted(vehicle_ids.items())}
-        n_verdicts = np.array([0 if m is None else max(1, int(np.ceil(abs(m)))) for m in case["agg_eval"]])
-        share = [0.0 if m is None else m / n for m, n in zip(case["agg_eval"], n_verdicts, strict=True)]
+        verdicts = said_of(case)
+        n_verdicts = [len(v) for v in verdicts]
+        said = np.array([row for v in verdicts for row in v], float).reshape(-1, 2)
         first = n_vehicles + int(table.sender.max()) + 1
-        voices = first + np.arange(n_verdicts.sum())
+        voices = first + np.arange(len(said))
         trusted = [r for r, t in known.items() if t is not None]
         distance = np.empty(len(table))
         distance[views.member] = [o["detector_dist"] for o in objects]
@@ -179,7 +186,8 @@ def _world(cases: list[dict]):
                 "size": [len(objects)],
                 "voice": voices,
                 "about": np.repeat(views.member + n_rows, n_verdicts),
-                "e": np.repeat(share, n_verdicts),
+                "e": said[:, 0],
+                "phi": said[:, 1],
                 "heard": np.concatenate([np.array(trusted, np.int64) + n_vehicles, voices]),
                 "trust": np.array([known[r] for r in trusted] + [0.3] * voices.size, float),
                 "n_heard": [len(trusted) + voices.size],
@@ -210,20 +218,53 @@ def _world(cases: list[dict]):
         Groups(col("seed"), col("local")),
         table,
         said,
-        Verdicts(col("e"), np.ones(said.owner.size)),
+        Verdicts(col("e"), col("phi")),
         Heard(ptr("n_heard"), col("heard"), col("trust")),
         Sight(col("points"), col("plausible"), col("near")),
         col("distance"),
     )
 
 
-@pytest.mark.parametrize("kind", ["pipeline", "random"])
-def test_aggregation(kind):
-    cases = [  # the ego's report of itself is no output
+def _recorded(kind: str) -> list[dict]:
+    """Recorded groups, without the ego's report of itself, which is no output."""
+    return [
         case
         for case in load("e_aggregation")[kind]
         if not (case["group"][0]["det_id"] == case["ego_id"] and case["group"][0]["det_idx"] == 0)
     ]
+
+
+@pytest.mark.parametrize("how", ["sum", "mean"])
+def test_aggregation_of_verdicts(how):
+    """From every evaluator's recorded verdicts, runs without colliding numbers, to the final scores."""
+    evals = {(c["run"], c["frame"], c["vehicle"]): c["evals"] for c in load("c2_aggregated_evaluations")["cases"]}
+
+    def said_of(case):
+        by_sender = {o["det_id"]: evals.get((case["run"], case["frame"], o["det_id"]), []) for o in case["group"]}
+        return [
+            [(r["eval"], r["certainty"]) for r in by_sender[o["det_id"]] if r["det_idx"] == o["det_idx"]]
+            for o in case["group"]
+        ]
+
+    cases = [
+        case
+        for case in _recorded("pipeline")
+        if case["agg_avg"] == (how == "mean")
+        and not case["false_detections"]
+        and all((m is None) == (not v) for m, v in zip(case["agg_eval"], said_of(case), strict=True))
+    ]
+    world, n, worst = _world(cases, said_of), 0, 0.0
+    for number, method in enumerate(METHODS[2:], start=2):
+        fused = fuse(*world, TrustParams(method=method, code_parity=True, code_aggregate=how))
+        error = np.abs(fused.score - [case["score"][str(number)] for case in cases])
+        worst, n = max(worst, error.max()), n + error.size
+    print(f"aggregation of verdicts, {how}: {n} scores of {len(cases)} groups, max error {worst:.1e}")
+    assert worst < 5e-6  # the vectors have six decimals
+
+
+@pytest.mark.parametrize("kind", ["pipeline", "random"])
+def test_aggregation(kind):
+    cases = _recorded(kind)
     world = _world(cases)
     views, objects = world[0], [o for case in cases for o in case["group"]]
     # methods 0 and 1 use a certainty that in the pipeline is always a placeholder, here made from `is_self`

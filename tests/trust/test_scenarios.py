@@ -36,9 +36,7 @@ def curves(n_lies, params, n_steps=101, honest=LEDGER, lie=LIE, start=50):
         sent = {v: honest[v] + [lie] * (lies if v == MALICIOUS else 0) for v in honest}
         table = [(row, k, s) for row, v in enumerate(sorted(sent)) for k, (s, _) in enumerate(sent[v])]
         ledger.announce(step, ids, *(np.array(c) for c in zip(*table, strict=True)))
-        rows = [
-            (by, v, k, e, phi) for v in sent for k, (_, said) in enumerate(sent[v]) for by, e, phi in said
-        ]
+        rows = [(by, v, k, e, phi) for v in sent for k, (_, said) in enumerate(sent[v]) for by, e, phi in said]
         told = told_from_rows(step, *np.array(rows, float).T)
         ledger.enter(told, np.full(told.evaluator.size, SERVER), np.arange(told.evaluator.size))
         out[step] = ledger.standing(step).trust_of(np.full(ids.size, SERVER), ids, 0.5)
@@ -71,9 +69,7 @@ def test_paper_analytic(window, name, n_lies):
     assert worst < 1e-3
 
 
-@pytest.mark.parametrize(
-    ("variant", "weighting"), [("head_finf", "score"), ("pre_b27a3bb_f50", "one")]
-)
+@pytest.mark.parametrize(("variant", "weighting"), [("head_finf", "score"), ("pre_b27a3bb_f50", "one")])
 def test_scene_before_the_attack(variant, weighting):
     """The published code on the built scene, up to the step before the false ids collide with real ones."""
     run = load("k_scenarios")["scenario2"][f"malicious_front/{variant}"]

@@ -84,6 +84,4 @@ def make(seed: int, n_vehicles: int, n_objects: int, everybody: bool = False) ->
 
 def worlds(everybody: bool = False) -> st.SearchStrategy[World]:
     """Worlds of up to six vehicles and six objects."""
-    return st.builds(
-        make, st.integers(0, 2**32 - 1), st.integers(1, 6), st.integers(1, 6), st.just(everybody)
-    )
+    return st.builds(make, st.integers(0, 2**32 - 1), st.integers(1, 6), st.integers(1, 6), st.just(everybody))

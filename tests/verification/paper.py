@@ -136,9 +136,7 @@ def final_score(
     """Score of one group; `said` holds what the ego has heard and its own word, `trust` everybody's."""
     seed, n = group[0], len(group)
     ours, own = seed[0] == ego, world[seed].score
-    pairs = [
-        (trust[v], *opinions[name]) for name in group for v, opinions in said.items() if name in opinions
-    ]
+    pairs = [(trust[v], *opinions[name]) for name in group for v, opinions in said.items() if name in opinions]
     top = sum(phi * t * e for t, e, phi in pairs)
     bottom = sum(phi * t for t, _, phi in pairs)
     average = top / bottom if bottom > 0 else 0.0

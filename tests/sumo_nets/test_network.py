@@ -1,0 +1,41 @@
+"""check_for_cars: which files a simulation of cars may start from."""
+
+import gzip
+
+import pytest
+
+from sumo_nets.network import check_for_cars
+
+
+def net(*lanes, function=""):
+    edge = "".join(f'<lane id="e_{i}" index="{i}" {lane}/>' for i, lane in enumerate(lanes))
+    return f'<net version="1.20"><location/><edge id="e" {function}>{edge}</edge></net>'
+
+
+@pytest.mark.parametrize(
+    "lane", ["", 'allow="passenger bus"', 'allow="all"', 'disallow="tram pedestrian"', 'disallow=""']
+)
+@pytest.mark.parametrize("pack", [bytes, gzip.compress])
+def test_a_lane_for_cars_is_enough(tmp_path, lane, pack):
+    path = tmp_path / "a.net.xml"
+    path.write_bytes(pack(net('allow="pedestrian"', lane).encode()))
+    check_for_cars(path)
+
+
+@pytest.mark.parametrize(
+    ("text", "cause"),
+    [
+        (net('allow="pedestrian"', 'disallow="passenger"', 'disallow="all"'), "none of its 3 lanes lets passenger"),
+        (net("", function='function="internal"'), "it has no lane at all"),
+        ("<net/>", "it has no lane at all"),
+        ("<additional/>", "not a SUMO network: it starts with <additional>, a network starts with <net>"),
+        ("<osm/>", "not a SUMO network: it starts with <osm>"),
+    ],
+)
+def test_without_one_the_cause_is_named_in_one_line(tmp_path, text, cause):
+    path = tmp_path / "b.net.xml"
+    path.write_text(text)
+    with pytest.raises(ValueError, match=cause) as caught:
+        check_for_cars(path)
+    assert str(path) in str(caught.value)
+    assert "\n" not in str(caught.value)

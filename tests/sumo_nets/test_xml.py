@@ -1,0 +1,59 @@
+"""Hostile, damaged and foreign XML is refused with one clear line."""
+
+import gzip
+
+import pytest
+
+from sumo_nets.footprints import read_footprints
+from sumo_nets.network import check_for_cars
+from sumo_nets.xml import stream
+
+LAUGHS = (
+    '<?xml version="1.0"?><!DOCTYPE lolz [<!ENTITY lol "lol">'
+    + "".join(f'<!ENTITY lol{i} "{f"&lol{i - 1};" * 10}">' for i in range(2, 9))
+    + "]><additional><poly id='&lol8;'/></additional>"
+)
+THIEF = (
+    '<?xml version="1.0"?><!DOCTYPE a [<!ENTITY x SYSTEM "file:///etc/hostname">]>'
+    '<additional><poly id="&x;" type="building" shape="0,0 1,0 1,1"/></additional>'
+)
+DTD = '<!DOCTYPE additional SYSTEM "http://example.invalid/x.dtd"><additional/>'
+
+
+@pytest.mark.parametrize("text", [LAUGHS, THIEF, DTD], ids=["laughs", "thief", "dtd"])
+@pytest.mark.parametrize("read", [read_footprints, check_for_cars])
+def test_document_types_and_entities_are_refused(tmp_path, text, read):
+    path = tmp_path / "hostile.xml"
+    path.write_text(text)
+    with pytest.raises(ValueError, match=r"hostile\.xml, line 1: declares a document type") as caught:
+        read(path)
+    assert "\n" not in str(caught.value)
+
+
+def test_broken_xml_names_its_line(tmp_path):
+    path = tmp_path / "broken.xml"
+    path.write_text("<additional>\n<poly>\n</additional>")
+    with pytest.raises(ValueError, match=r"broken\.xml, line 3: not well-formed XML \(mismatched tag\)"):
+        read_footprints(path)
+
+
+@pytest.mark.parametrize("keep", [0.5, 0.9])
+def test_a_cut_off_gzip_file_is_called_damaged(tmp_path, keep):
+    whole = gzip.compress(b"<additional>" + b"<poly/>" * 1000 + b"</additional>")
+    path = tmp_path / "cut.xml.gz"
+    path.write_bytes(whole[: int(keep * len(whole))])
+    with pytest.raises(ValueError, match=r"cut\.xml\.gz: damaged gzip file|not well-formed"):
+        read_footprints(path)
+
+
+def test_a_file_that_is_not_there(tmp_path):
+    with pytest.raises(ValueError, match=r"nowhere\.xml: cannot be read \(No such file or directory\)"):
+        read_footprints(tmp_path / "nowhere.xml")
+
+
+@pytest.mark.parametrize("text", ["", "\x00\x01\x02", "not xml at all"])
+def test_rubbish_is_refused(tmp_path, text):
+    path = tmp_path / "rubbish.xml"
+    path.write_text(text)
+    with pytest.raises(ValueError, match=r"rubbish\.xml, line 1: not well-formed XML"):
+        stream(path, lambda name, attributes: None)
