@@ -119,6 +119,26 @@ def report(
     screen.print(f"wrote {path}", highlight=False, soft_wrap=True)
 
 
+@app.command()
+def bench(
+    only: Annotated[list[str] | None, typer.Argument(help="sensors, trust, v2x, cycle; all by default.")] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Measure the speed of every room on this machine."""
+    from cosim.bench import BENCHES, machine, run
+
+    if unknown := set(only or ()) - set(BENCHES):
+        raise ValueError(f"cosim bench {' '.join(unknown)}: no such benchmark. There are {', '.join(BENCHES)}.")
+    rows = [
+        {"topic": name, "figure": figure, "of": "", "value": value, "unit": unit}
+        for name in only or BENCHES for figure, value, unit in run(name)
+    ]  # fmt: skip
+    if as_json:
+        print_json({"machine": machine(), "figures": rows})
+    else:
+        screen.print(table_of(machine(), rows))
+
+
 @nets.command("list")
 def nets_list(as_json: AsJson = False) -> None:
     """List the cities that ship."""

@@ -7,6 +7,7 @@ until t + timeout; verdicts are on the air from then on and count until t + 2 ti
 with the trust known by then. The trust server sees what has reached it by t, and broadcasts at t.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,7 +26,7 @@ from cosim.world import World
 from sensors import detector, evidence, lidar
 from sensors.boxes import Boxes, overlapping_pairs
 from sensors.scene import Scene
-from trust import evaluation, fusion, matching
+from trust import evaluation, fusion, matching, tables
 from trust.ledger import SERVER, Ledger, Standing
 from trust.page import Refusal
 from trust.tables import Detections as Claims
@@ -73,6 +74,12 @@ class Known:
     age_s: Float[ndarray, "n"]  # of the value; read only where it is no default
 
 
+Perceived = tuple[evidence.Sightings, Detections, Bool[ndarray, "s"], Int[ndarray, "s"]]
+"""Sightings; self reports and detections; and for the sensed ones, in order: whether a real actor, and its row."""
+
+Perceive = Callable[[World, Int[ndarray, "e"], lidar.Sweeps, Config], Perceived]
+
+
 @dataclass(frozen=True, slots=True)
 class Turn:
     """Everything that happened in one turn; `e` counts equipped vehicles, rows of `observers`."""
@@ -96,8 +103,10 @@ class Turn:
     standing: Standing | None  # what the server just computed
 
 
-def turn(world: World, city: Scene, state: State, config: Config, watch: Stopwatch) -> Turn:
-    """The cycle, once."""
+def turn(
+    world: World, city: Scene, state: State, config: Config, watch: Stopwatch, perceive: Perceive | None = None
+) -> Turn:
+    """The cycle, once; `perceive` stands in for the detectors where a scenario says what is detected."""
     seed, step, time_s = config.seed, world.step, world.step * config.traffic.step_s
     observers = np.flatnonzero(world.equipped)
     names = world.name_key[observers]
@@ -112,7 +121,7 @@ def turn(world: World, city: Scene, state: State, config: Config, watch: Stopwat
             world.boxes, world.shape, observers, city, config.lidar, sweep_keys, state.sweeps
         )
     with watch("detect"):
-        sights, seen, is_real, source = _perceive(world, observers, sweeps, config)
+        sights, seen, is_real, source = (perceive or _perceive)(world, observers, sweeps, config)
     with watch("tamper"):
         said = tamper(seen, world, time_s, seed, config.adversary)
         truth = truth_of(said, world, sights, observers, is_real, source)
@@ -144,7 +153,7 @@ def turn(world: World, city: Scene, state: State, config: Config, watch: Stopwat
         chance = rng.key(seed, rng.Stream.RADIO_VERDICTS, step)
         second, second_frames = radio.broadcast(xy_m, names, talks, chance, config.radio)
     with watch("trust"):
-        told = _told(step, views, verdicts, said, ids, claims)
+        told = _told(step, ids, views, claims, verdicts, said.said)
         use_s = time_s + 2 * config.radio.timeout_s
         _book(state, config, told, claims, said.said, ids, second)
         if config.trust.where == "central":
@@ -210,15 +219,8 @@ def _serve(state: State, config: Config, world: World, ids: ndarray, names: ndar
     return standing
 
 
-def _perceive(
-    world: World, observers: Int[ndarray, "e"], sweeps: lidar.Sweeps, config: Config
-) -> tuple[evidence.Sightings, Detections, Bool[ndarray, "s"], Int[ndarray, "s"]]:
-    """Self reports and what the detectors make of the sweeps; the truth's name is dropped here.
-
-    Returns
-    -------
-    Sightings; detections; and for the sensed ones, in order: whether a real actor, and its row.
-    """
+def _perceive(world: World, observers: Int[ndarray, "e"], sweeps: lidar.Sweeps, config: Config) -> Perceived:
+    """Self reports and what the detectors make of the sweeps; the truth's name is dropped here."""
     step, names = world.step, world.name_key
     sights = evidence.sightings(sweeps, world.boxes, world.shape)
     who = names[observers[sights.o]], names[sights.actor]
@@ -269,14 +271,11 @@ def _subset(views: Views, keep: Bool[ndarray, "m"]) -> Views:
 
 
 def _told(
-    step: int, views: Views, verdicts: Verdicts, said: Detections, ids: Int[ndarray, "e"], claims: Claims
+    step: int, ids: Int[ndarray, "e"], views: Views, claims: Claims, verdicts: Verdicts, said: Bool[ndarray, "d"]
 ) -> Told:
     """The verdicts as messages: one per evaluator, on everything that was said."""
-    keep = said.said[views.member]
-    kept, member = _subset(views, keep), views.member[keep]
-    return Told(
-        step, ids, kept.ptr, ids[claims.sender[member]], said.k[member], verdicts.e[keep], verdicts.phi[keep]
-    )
+    keep = said[views.member]
+    return tables.told(step, ids, _subset(views, keep), claims, Verdicts(verdicts.e[keep], verdicts.phi[keep]))
 
 
 def _book(

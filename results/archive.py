@@ -4,7 +4,7 @@ import json
 from collections.abc import Iterator, Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 import pyarrow as pa
@@ -12,6 +12,9 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from results.tables import SCHEMA_VERSION, TABLES, schema
+
+if TYPE_CHECKING:
+    from results.measure import Measures
 
 
 class Run:
@@ -63,6 +66,10 @@ class Run:
         for path in self._paths(name):
             yield _pandas(_part(path, wanted.names, where), name)
 
+    def n_blocks(self, name: str) -> int:
+        """How many parts a table has."""
+        return len(self._paths(name))
+
     def require(self, *names: str) -> None:
         """Refuse, with one clear line, if the run does not hold these tables."""
         for name in names:
@@ -95,6 +102,13 @@ class Run:
 
     def __repr__(self) -> str:
         return f"Run({str(self.path)!r}: {self.manifest['steps']} steps, tables {', '.join(self.tables)})"
+
+    @cached_property
+    def measure(self) -> "Measures":
+        """Figures of merit: `run.measure()`, `run.measure.trust.over_time()`, `run.measure.trust.plot()`."""
+        from results.measure import Measures  # here, because measuring is opening runs
+
+        return Measures(self)
 
     @cached_property
     def roles(self) -> pd.Series:
@@ -141,8 +155,21 @@ def _part(path: Path, names: Sequence[str], where: pc.Expression | None) -> pa.T
     try:
         return pq.read_table(path, columns=list(names), filters=where, partitioning=None)
     except (pa.ArrowException, OSError) as error:
+        missing = set(names) - _columns(path)
+        if missing:
+            raise ValueError(
+                f"{path} has no column {', '.join(sorted(missing))}: another cosim wrote it. Run again."
+            ) from error
         reason = str(error).splitlines()[0]
         raise ValueError(f"{path} is damaged ({reason}). Delete the run and run it again.") from error
+
+
+def _columns(path: Path) -> set[str]:
+    """Columns that a part says it has; all, if it cannot even say that."""
+    try:
+        return set(pq.read_schema(path).names)
+    except (pa.ArrowException, OSError):
+        return set(schema(path.parent.name).names)
 
 
 def _pandas(table: pa.Table, name: str) -> pd.DataFrame:

@@ -1,13 +1,29 @@
 """The numbers of a run in one tidy table."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
+from functools import partial
+from inspect import isfunction, signature
+from types import ModuleType
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
 
 from results.archive import Run
-from results.metrics import detection, encounters, freshness, radio, trust
+from results.metrics import contacts, detection, encounters, freshness, radio, trust
 from results.metrics.kitti import FEWEST
+
+if TYPE_CHECKING:
+    from results.figures.style import Figure
+
+TOPICS: Mapping[str, ModuleType] = {
+    "encounters": encounters,
+    "trust": trust,
+    "freshness": freshness,
+    "radio": radio,
+    "detection": detection,
+    "contacts": contacts,
+}
 
 Line = tuple[str, str, float, str]
 """Figure, of what, value, unit."""
@@ -47,6 +63,48 @@ def measure(run: Run, threshold: float = 0.25, fresh_s: float = 10.0, max_frames
     return pd.DataFrame(rows, columns=["topic", "figure", "of", "value", "unit"])
 
 
+class Measures:
+    """Everything that can be measured on one run: called, all of it; by topic, as tidy frames and a picture."""
+
+    def __init__(self, run: Run) -> None:
+        self._run = run
+
+    def __call__(self, **options: Any) -> pd.DataFrame:
+        """What `measure` says of the run."""
+        return measure(self._run, **options)
+
+    def __getattr__(self, topic: str) -> "Topic":
+        if topic not in TOPICS:
+            raise AttributeError(f"There is nothing to measure called {topic!r}. The topics are {', '.join(TOPICS)}.")
+        return Topic(self._run, topic)
+
+    def __dir__(self) -> list[str]:
+        return list(TOPICS)
+
+
+class Topic:
+    """The functions of one module of `results.metrics`, with the run filled in, and `plot`."""
+
+    def __init__(self, run: Run, topic: str) -> None:
+        self._run, self._topic = run, topic
+
+    def __getattr__(self, name: str) -> Callable[..., Any]:
+        if name not in dir(self):
+            raise AttributeError(f"{self._topic} has no {name!r}. It has {', '.join(dir(self))}.")
+        return partial(getattr(TOPICS[self._topic], name), self._run)
+
+    def __dir__(self) -> list[str]:
+        module = TOPICS[self._topic]
+        own = [n for n, f in vars(module).items() if isfunction(f) and f.__module__ == module.__name__]
+        return [*(n for n in own if next(iter(signature(getattr(module, n)).parameters), "") == "run"), "plot"]
+
+    def plot(self, **options: Any) -> "Figure":
+        """The picture of the topic."""
+        from results.figures.catalogue import FIGURES  # here, because measuring needs no Matplotlib
+
+        return FIGURES[self._topic]([self._run], **options)
+
+
 def _traffic(run: Run) -> Iterator[Line]:
     vehicles = run.vehicles
     time_s = run.manifest["steps"] * run.dt_s
@@ -75,6 +133,8 @@ def _trust(run: Run, threshold: float) -> Iterator[Line]:
     for row in trust.final(run).itertuples():
         yield "final trust, median", row.behaviour, row.median, "1"
         yield "final trust, mean", row.behaviour, row.mean, "1"
+    for behaviour, values in trust.values(run).groupby("behaviour", observed=True).trust:
+        yield "trust, mean over the run", str(behaviour), float(values.mean()), "1"
     yield "honest above malicious at the end", "", trust.separation(run), "1"
     for behaviour, delay in trust.detection_delay(run, threshold).groupby("behaviour", observed=True):
         yield f"found out below {threshold:g}", str(behaviour), float(delay.found.mean()), "1"

@@ -14,7 +14,7 @@ from sumo_nets.osm import Extract, Relation, pieces
 from sumo_nets.streets import length_m
 
 STOP_M = 22.0
-"""Length of a stop: one articulated bus, or a rigid one and room to pull out [m]."""
+"""Length of a stop, and of the lane that a line begins on: an articulated bus and room to pull out [m]."""
 NEAR_M = 16.0
 """Farthest from its lane that a stop's sign may stand [m]."""
 FARTHEST_M = 1500.0
@@ -72,6 +72,8 @@ def lines_of(
             continue
         ways = _ways(relation, edges_of_way)
         matched = _matched(net, [edges_of_way[way] for way in ways]) if ways else []
+        while matched and net.getEdge(matched[0]).getLength() < STOP_M:
+            matched.pop(0)  # a bus comes into being on a lane that it fits on
         driven_m = sum(net.getEdge(edge).getLength() for edge in matched)
         named_m = sum(length_m(extract, run) for way in ways for run in pieces(extract.ways[way], extract.place))
         if least_m <= driven_m <= DETOUR * named_m:

@@ -17,6 +17,8 @@ from typing import Any
 
 Point = tuple[float, float]
 
+ENTRY_M = 12.0
+"""Shortest lane on which a vehicle can come into being without standing in another [m]."""
 MOST_TRIES = 10_000
 """Draws of origin and destination before a recipe counts as impossible."""
 
@@ -71,7 +73,7 @@ def streets_of(net: Any, gates: frozenset[str]) -> list[Street]:
                 edge.getID(), start.getID(), end.getID(), edge.getType().removeprefix("highway."),
                 edge.getLength(), ((x0 + x1) / 2, (y0 + y1) / 2),
                 sum(lane.allows("passenger") for lane in edge.getLanes()),
-                start.getID() in gates and not edge.getIncoming(),
+                start.getID() in gates and not edge.getIncoming() and edge.getLength() >= ENTRY_M,
                 end.getID() in gates and not edge.getOutgoing(),
                 edge.allows("pedestrian"), edge.allows("bicycle"),
             )

@@ -31,7 +31,7 @@ ONE_WINDOW = {
 """Libraries that one file alone may know."""
 
 ORDER = ("rng", "world", "roster", "mobility", "v2x", "truth", "config", "manifest", "cycle", "scenario", "recording",
-         "run", "screen", "cli", "__main__")  # fmt: skip
+         "run", "bench", "screen", "cli", "__main__")  # fmt: skip
 """Inside the hall: each may use those before it."""
 
 

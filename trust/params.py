@@ -32,7 +32,7 @@ class TrustParams:
     # where trust lives
     where: Literal["central", "local", "none"] = "central"
     """One ledger on a server, one per vehicle (its peers only), or none: everybody has `default_trust`."""
-    server_period_s: Annotated[float, Gt(0)] = 1.0
+    server_period_s: Annotated[float, Gt(0)] = 5.0
     """Time between two broadcasts of the server's trust values [s]; `where = "central"` only."""
     local_evidence: Literal["heard", "own"] = "heard"
     """What a vehicle's own ledger is fed: every verdict it hears, or its own alone; `where = "local"` only."""

@@ -117,8 +117,7 @@ class SumoTraffic:
     def advance(self) -> World:
         """Move everybody by one step and read them."""
         if self._step:
-            libsumo.simulationStep()
-            self.n_teleports += libsumo.simulation.getStartingTeleportNumber()
+            self.move()
         step, self._step = self._step, self._step + 1
         groups = [
             ("vehicle/", libsumo.vehicle, libsumo.vehicle.getIDList()),
@@ -148,6 +147,11 @@ class SumoTraffic:
             equipped=roster.equipped[number],
             behaviour=roster.behaviour[number],
         )
+
+    def move(self) -> None:
+        """One step of SUMO, read by nobody."""
+        libsumo.simulationStep()
+        self.n_teleports += libsumo.simulation.getStartingTeleportNumber()
 
     def _on_foot(self) -> list[str]:
         person = libsumo.person

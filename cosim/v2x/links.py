@@ -43,7 +43,7 @@ class Pairs:
     """Path loss, blockage and shadowing together."""
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def _near(xyz, reach_m, order, start, cell, shape, places, hidden_m, grid, a, b, d):
     """Pairs within reach, in the same or adjacent cells, but for those beyond `hidden_m` behind a house."""
     m = 0

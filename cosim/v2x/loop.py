@@ -75,7 +75,7 @@ class Constants(NamedTuple):
     overhead_bytes: int
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def _push(times, codes, n, t, code):
     i = n
     while i > 0:
@@ -88,7 +88,7 @@ def _push(times, codes, n, t, code):
     return n + 1
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def _pop(times, codes, n):
     n -= 1
     t, code = times[n], codes[n]
@@ -110,14 +110,14 @@ def _pop(times, codes, n):
     return n
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def _draw_slots(mac, key, chance, cw):
     h = mix(mix(mix(chance, _BACKOFF), key), np.uint64(mac.n_draws))
     mac.n_draws += 1
     return np.int32(unit(h) * (cw + 1))
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def _elapse(phy, mac, aifs_ns, c, t):
     """Count back-offs down over the idle time until `t`."""
     free_ns = max(phy.idle_ns, phy.eifs_ns)
@@ -133,7 +133,7 @@ def _elapse(phy, mac, aifs_ns, c, t):
                 phy.active = 1
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, _nrt=False, inline="always")
 def _go_busy(phy, mac, aifs_ns, c, t):
     if phy.busy == 0:
         phy.busy = 1
@@ -142,12 +142,12 @@ def _go_busy(phy, mac, aifs_ns, c, t):
             _elapse(phy, mac, aifs_ns, c, t)
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def _access_ns(phy, mac, aifs_ns, c, a):
     return max(max(phy.idle_ns, phy.eifs_ns) + aifs_ns[a], mac.since_ns[a]) + mac.slots[a] * c.slot_ns
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def _arm(phy, mac, aifs_ns, c, times, codes, n):
     """Schedule the radio's next access, if it has something to send and may."""
     if mac.n_queued == 0 or mac.gated or phy.busy:
@@ -162,7 +162,7 @@ def _arm(phy, mac, aifs_ns, c, times, codes, n):
     return n
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, _nrt=False, inline="always")
 def _go_idle(phy, mac, aifs_ns, c, times, codes, n, t):
     phy.busy = 0
     phy.idle_ns = t
@@ -172,7 +172,7 @@ def _go_idle(phy, mac, aifs_ns, c, times, codes, n, t):
     return n
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def _request(phy, mac, aifs_ns, cw, c, chance, t, a):
     """A queue that was empty asks for the medium: at once if idle, else after a back-off."""
     if phy.busy:
@@ -185,7 +185,7 @@ def _request(phy, mac, aifs_ns, cw, c, chance, t, a):
     phy.active = 1
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, _nrt=False, inline="always")
 def _close(phy, radios, packets, c, t):
     """Judge the payload received since the last change of interference."""
     if t > phy.chunk_ns:
@@ -200,7 +200,7 @@ def _close(phy, radios, packets, c, t):
         phy.chunk_ns = t
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, _nrt=False, inline="always")
 def _settle(phy, mac, radios, packets, cause, aifs_ns, c, t):
     """Decide a preamble whose detection time is over: lock, or miss it."""
     due = phy.frame_ns + PREAMBLE_NS
@@ -219,13 +219,13 @@ def _settle(phy, mac, radios, packets, cause, aifs_ns, c, t):
         _go_busy(phy, mac, aifs_ns, c, due)
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, _nrt=False, inline="always")
 def _slot(phy, radios, packets):
     """Where the fate of the frame at hand is written."""
     return packets[radios[phy.frame_from].packet].slot + phy.frame_edge
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def _start(radios, macs, s, packet, packets, edges, cause, receiver, aifs_ns, quantiles, c, chance, t):
     """A frame goes on the air: what each neighbour's receiver makes of its first microseconds."""
     ear = radios[s]
@@ -284,7 +284,7 @@ def _start(radios, macs, s, packet, packets, edges, cause, receiver, aifs_ns, qu
         cause[slot + k] = fate
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def _end(radios, macs, s, packets, edges, cause, aifs_ns, cw, c, chance, times, codes, n, t):
     """A frame leaves the air: payloads are decided, media fall idle."""
     ear, mouth = radios[s], macs[s]
@@ -334,7 +334,7 @@ def _end(radios, macs, s, packets, edges, cause, aifs_ns, cw, c, chance, times, 
     return n
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def _take(mac, packets, a, t):
     """Next packet of a queue that is still alive; expired ones are dropped on the way."""
     while mac.count[a] > 0:
@@ -348,7 +348,7 @@ def _take(mac, packets, a, t):
     return NOBODY
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def run_until(
     until_ns, radios, macs, row_of_rank, packets, n_carried, edges, cause, receiver,
     aifs_ns, cw, quantiles, c, chance, times, codes,

@@ -35,7 +35,7 @@ class Grid(NamedTuple):
     level_m: float
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def _file(low, cell_m, shape, first, second, fill, ptr, out):
     """List every segment under every cell that it touches (boxes first, then the separating axis)."""
     for w in range(first.shape[0]):
@@ -91,7 +91,7 @@ def _inside(xyz, grid, walls, spans, low_z, high_z):
     return out
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def _over_grid(start, delta, high, t, stop):
     """The part of a ray between `t` and `stop` in which one of its coordinates is on the grid."""
     if delta == 0.0:
@@ -100,7 +100,7 @@ def _over_grid(start, delta, high, t, stop):
     return max(t, min(near, far)), min(stop, max(near, far))
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, _nrt=False, inline="always")
 def _cut(xyz, p, q, grid, walls):
     """Whether a wall cuts the segment between two points outside of all buildings."""
     x, y = xyz[p, 0], xyz[p, 1]
@@ -147,10 +147,10 @@ def _cut(xyz, p, q, grid, walls):
 
 
 N_PROBES = 16
-_REGION = np.uint64(255)
+_REGION = np.uint64(127)
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, _nrt=False, inline="always")
 def runs_into_house(xyz, p, q, grid):
     """Whether one of a few points of the segment lies in a cell that a building fills: cheap, and never wrong."""
     inv = 1.0 / grid.cell_m
@@ -171,7 +171,7 @@ def runs_into_house(xyz, p, q, grid):
     return into
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def _clear(xyz, indoors, a, b, grid, walls, out):
     for m in range(len(a)):
         p, q = a[m], b[m]
@@ -181,7 +181,7 @@ def _clear(xyz, indoors, a, b, grid, walls, out):
         out[m] = not _cut(xyz, p, q, grid, walls)
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def _clear_remembered(xyz, indoors, place, a, b, grid, walls, memo, out):
     mask, one = np.uint64(memo.shape[0] - 1), np.uint64(1)
     for m in range(len(a)):

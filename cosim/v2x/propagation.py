@@ -292,13 +292,13 @@ def _waves(xy, decorrelation_m, chance):
     return out
 
 
-@njit(cache=True)
-def _field(waves, d, decorrelation_m, a, b, out):
-    lanes = np.empty(N_WAVES, np.float32)
+@njit(cache=True, _nrt=False)
+def _field(waves, d, decorrelation_m, a, b, lanes, out):
     for m in range(len(a)):
-        p, q = waves[a[m]], waves[b[m]]
+        i, j = a[m], b[m]
         for k in range(N_WAVES):
-            lanes[k] = p[0, k] * q[2, k] - p[1, k] * q[3, k] + q[0, k] * p[2, k] - q[1, k] * p[3, k]
+            lanes[k] = waves[i, 0, k] * waves[j, 2, k] - waves[i, 1, k] * waves[j, 3, k]
+            lanes[k] += waves[j, 0, k] * waves[i, 2, k] - waves[j, 1, k] * waves[i, 3, k]
         for half in (16, 8, 4, 2, 1):  # a fixed order of summation, wide enough for vector units
             for k in range(half):
                 lanes[k] += lanes[k + half]
@@ -323,7 +323,8 @@ def link_field(
     """
     out = np.empty(len(a))
     xy_m = np.ascontiguousarray(xy_m, np.float64)
-    _field(_waves(xy_m, float(decorrelation_m), chance), d, float(decorrelation_m), a, b, out)
+    waves = _waves(xy_m, float(decorrelation_m), chance)
+    _field(waves, d, float(decorrelation_m), a, b, np.empty(N_WAVES, np.float32), out)
     return out
 
 

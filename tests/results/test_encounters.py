@@ -188,7 +188,7 @@ def test_counts_and_first_contact():
 
 
 def test_trusted_after():
-    """Near from step 1; 0 uses a value for 1 from step 3, 1 knew 0 from the start, and using it again changes nothing."""
+    """Near from step 1; 0 uses a value for 1 from step 3, 1 knew 0 from the start, and once is enough."""
 
     def talk(ledger, step, opened, pairs):
         if len(opened):

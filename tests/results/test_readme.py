@@ -1,0 +1,35 @@
+"""The examples of the README run as they stand."""
+
+import re
+from pathlib import Path
+
+import pytest
+from matplotlib.figure import Figure
+
+import results
+from results.measure import TOPICS
+
+
+def test_examples(run, tmp_path, monkeypatch):
+    text = (Path(results.__file__).parent / "README.md").read_text()
+    blocks = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
+    assert len(blocks) == 2
+    (tmp_path / "runs").mkdir()
+    (tmp_path / "runs" / "helsinki-1").symlink_to(run.path)
+    monkeypatch.chdir(tmp_path)
+    names: dict = {}
+    for block in blocks:
+        exec(block, names)
+    assert (tmp_path / "trust.pdf").exists() and (tmp_path / "encounters.svg").exists()
+
+
+def test_measures_of_a_run(run):
+    assert run.measure.trust.final().equals(TOPICS["trust"].final(run))
+    assert isinstance(run.measure.contacts.plot(every_s=20), Figure)
+    assert dir(run.measure) == sorted(TOPICS)
+    for topic in TOPICS:
+        assert "plot" in dir(getattr(run.measure, topic)) and len(dir(getattr(run.measure, topic))) > 2
+    with pytest.raises(AttributeError, match="The topics are encounters"):
+        run.measure.encunters.summary()
+    with pytest.raises(AttributeError, match="It has overall, over_time, by_distance, plot"):
+        run.measure.radio.overal()

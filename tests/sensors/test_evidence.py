@@ -1,0 +1,222 @@
+"""Evidence: the paper's own vectors, windows against whole clouds, sightings against actors cast alone, sight lines."""
+
+import numpy as np
+import pytest
+import shapely
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sensors import windows
+from sensors.boxes import Boxes
+from sensors.evidence import AreaParams, in_area, line_of_sight, plausible, points_in_boxes, sightings, tellable
+from sensors.lidar import Beams, Hit, LidarParams, Poses, Sweeps, beams, scan
+from sensors.scene import Scene
+from tests.sensors.test_boxes import footprint, moved
+from tests.sensors.town import (
+    SIZE_M, blocks, car, cases, cloud, exact, from_camera, labelled, random_boxes, random_scene, traffic,
+)  # fmt: skip
+
+
+def blind(n=1, fov_deg=90.0) -> Sweeps:
+    """Sensors at the origin that returned nothing."""
+    grid = beams(LidarParams(fov_deg=fov_deg))
+    empty = np.full((n, len(grid.azimuth_rad), len(grid.elevation_rad)), np.inf, np.float32)
+    poses = Poses(np.zeros((n, 3)), np.zeros(n))
+    return Sweeps(empty, np.zeros(empty.shape, np.int32), poses, np.arange(n), np.zeros(n), grid, 80.0)
+
+
+def by_cloud(found: list[dict]):
+    for name in sorted({c["cloud"] for c in found}):
+        yield cloud(name), [c for c in found if c["cloud"] == name]
+
+
+def test_points_in_boxes_vectors():
+    for points, here in by_cloud(cases("g_points_in_box")):
+        boxes = labelled([c["box"] for c in here], np.float32)
+        counts = windows.points_in_boxes_xyz(points, boxes.xyz_m, boxes.lwh_m, boxes.yaw_rad)
+        assert counts.tolist() == [c["count"] for c in here]
+
+
+def test_plausibility_vectors():
+    early = {"outside_area", "beyond_70m", "lateral", "centre_above_camera"}
+    n = 0
+    for points, here in by_cloud(cases("f_plausibility")):
+        boxes = labelled([c["box"] for c in here])
+        asked = tellable(boxes, np.pi / 2, AreaParams())
+        assert asked.tolist() == [c["reason"] not in early for c in here]
+        _, planes, distance = windows.frustum(boxes.xyz_m[asked], boxes.lwh_m[asked])
+        seen, closer = windows.free_space_xyz(points, planes, distance, 0.25)
+        here_asked = [c for c, a in zip(here, asked, strict=True) if a]
+        assert seen.tolist() == [c["frustum_points"] for c in here_asked]
+        assert closer.tolist() == [c["closer_points"] for c in here_asked]
+        assert (closer > 0.1 * seen).tolist() == [c["plausible"] for c in here_asked]
+        assert all(c["plausible"] for c, a in zip(here, asked, strict=True) if not a)
+        n += len(here)
+    assert n == 546
+
+
+def test_area_vectors():
+    found = cases("l_area_filter")
+    boxes, o = labelled([c["box"] for c in found]), np.zeros(len(found), int)
+    label = np.array([0 if c["box"]["type"] == "Car" else 1 for c in found], np.uint8)
+    n = len(found)
+    own = from_camera([c["own_object_t"] for c in found], np.full(n, 1.5), np.full(n, 1.8), np.full(n, 4.4), np.zeros(n))
+    assert in_area(blind(), o, boxes, AreaParams()).tolist() == [c["keep_70"] for c in found]
+    assert in_area(blind(), o, boxes, AreaParams(range_m=140.0)).tolist() == [c["keep_140"] for c in found]
+    assert in_area(blind(), o, boxes, AreaParams(), label, own).tolist() == [c["keep_70_with_own"] for c in found]
+
+
+def test_transform_vectors():
+    # A KITTI camera pose is a sensor pose (forward, left = -right, up) as long as it is level, as all of these are.
+    for c in cases("m_transforms"):
+        frames = [np.array([c[k]["forward"], -np.array(c[k]["right"]), c[k]["up"]]) for k in ("pose_from", "pose_to")]
+        assert all(frame[2] == pytest.approx([0, 0, 1], abs=1e-9) for frame in frames) or pytest.skip("tilted pose")
+        poses = Poses(
+            np.array([c[k]["camPos"] for k in ("pose_from", "pose_to")]), np.array([np.arctan2(f[0, 1], f[0, 0]) for f in frames])
+        )
+        camera = np.array(c["points_from"])
+        world = poses.to_world(0, np.column_stack([camera[:, 2], -camera[:, 0], -camera[:, 1]]))
+        as_boxes = Boxes(world, np.ones_like(world), np.zeros(len(world)))
+        there = poses.to_sensor(np.ones(len(world), int), as_boxes).xyz_m
+        assert np.column_stack([-there[:, 1], -there[:, 2], there[:, 0]]) == pytest.approx(np.array(c["points_to"]), abs=1e-4)
+
+
+@pytest.mark.parametrize("fov_deg", [60.0, 90.0, 180.0, 270.0, 360.0])
+def test_area_follows_the_field_of_view(fov_deg):
+    angle = np.radians(np.arange(-179, 180, 2.0))
+    ring = Boxes(np.column_stack([60 * np.cos(angle), 60 * np.sin(angle), 0 * angle]), np.ones((180, 3)), angle)
+    kept = in_area(blind(fov_deg=fov_deg), np.zeros(180, int), ring, AreaParams(slack_m=0.0))
+    assert kept.tolist() == (np.abs(angle) <= np.radians(fov_deg) / 2).tolist()
+    assert in_area(blind(fov_deg=360.0), np.zeros(180, int), ring, AreaParams()).all()
+    with_slack = in_area(blind(fov_deg=fov_deg), np.zeros(180, int), ring, AreaParams())
+    assert (with_slack >= kept).all() and with_slack.sum() <= kept.sum() + 4      # 2 m at 60 m is 1.9 degrees
+
+
+@settings(max_examples=12, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), profile=st.sampled_from(["hdl64e_front", "vlp32c", "os1_128"]))
+def test_windows_equal_whole_clouds(seed, profile):
+    rng = np.random.default_rng(seed)
+    (boxes, shape), scene = random_boxes(rng, 20, 25.0), random_scene(rng)
+    sweeps = scan(boxes, shape, np.arange(4), scene, LidarParams(profile=profile, dropout_p=0.05), np.arange(4, dtype=np.uint64))
+    asked = Boxes.concat([boxes, random_boxes(rng, 60, 40.0)[0], boxes.take(slice(4))])
+    asked = Boxes(asked.xyz_m - np.array([0, 0, 1.0]), asked.lwh_m, asked.yaw_rad)
+    for o in range(4):
+        at = np.full(len(asked), o)
+        sensed = sweeps.poses.to_sensor(at, asked)
+        whole = windows.points_in_boxes_xyz(sweeps.xyz(o), sensed.xyz_m, sensed.lwh_m, sensed.yaw_rad)
+        assert (points_in_boxes(sweeps, at, asked) == whole).all()
+        free = tellable(sensed, sweeps.beams.fov_rad, AreaParams())
+        corners, planes, distance = windows.frustum(sensed.xyz_m[free], sensed.lwh_m[free])
+        seen, closer = windows.free_space(sweeps.range_m, sweeps.beams, at[free], sensed.xyz_m[free], corners, planes, distance, 0.25)
+        whole_seen, whole_closer = windows.free_space_xyz(sweeps.xyz(o), planes, distance, 0.25)
+        assert (seen == whole_seen).all() and (closer == whole_closer).all()
+        assert (plausible(sweeps, at, asked)[free] == (whole_closer > 0.1 * whole_seen)).all()
+
+
+def test_free_space_by_hand():
+    # One wall at 30 m. A box on the free road at 15 m is denied: all returns through its middle come from the wall.
+    # One behind the wall cannot be denied. Where nothing returns at all, it is denied too.
+    scene = Scene.from_footprints([[[(30, -20), (40, -20), (40, 20), (30, 20)]]], [0.0], [10.0])
+    ghosts = Boxes.concat([car(15, 0), car(50, 0), car(0.5, 40)])
+    o = np.zeros(3, int)
+    assert plausible(exact(car(0, 0), [0], [0], scene), o, ghosts).tolist() == [False, True, True]
+    assert not plausible(blind(), np.array([0]), car(15, 0, z=-0.98))[0]
+
+
+def test_sightings_by_hand():
+    # A van stands right in front of the sensor and hides the pedestrian behind it, but not the car to the left.
+    boxes = Boxes(np.array([[0, 0, 0.75], [8, 0, 1.1], [20, 0, 0.88], [20, 12, 0.75]]), SIZE_M[[0, 1, 6, 0]], np.zeros(4))
+    shape = np.array([0, 1, 6, 0], np.uint8)
+    seen = sightings(exact(boxes, shape, [0]), boxes, shape)
+    assert (seen.o.tolist(), seen.actor.tolist()) == ([0, 0, 0], [1, 2, 3])
+    assert seen.occlusion.tolist() == [0.0, 1.0, 0.0] and seen.range_m[1] == pytest.approx(np.hypot(20, 0.85))
+
+
+@settings(max_examples=8, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), profile=st.sampled_from(["hdl64e_front", "vlp32c"]))
+def test_sightings_equal_casts_alone(seed, profile):
+    rng = np.random.default_rng(seed)
+    (boxes, shape), scene = random_boxes(rng, 15, 25.0), random_scene(rng)
+    boxes = Boxes(boxes.xyz_m + np.array([0, 0, 3.0]), boxes.lwh_m, boxes.yaw_rad)
+    sweeps = exact(boxes, shape, np.arange(5), scene, profile=profile)
+    seen = sightings(sweeps, boxes, shape)
+    assert (np.diff(seen.o * 15 + seen.actor) > 0).all()
+    found = {}
+    for o in range(5):
+        for a in set(range(15)) - {o}:
+            pair = boxes.take(np.array([o, a]))
+            # The road hides what hangs below it, so the world without anything else has none within reach: the
+            # observer becomes a thin plate under its own sensor and the road falls 200 m with its wheels.
+            top = pair.xyz_m[0, 2] + pair.lwh_m[0, 2] / 2
+            pair.xyz_m[0, 2], pair.lwh_m[0, 2] = top - 100.0, 200.0
+            alone = exact(pair, shape[[o, a]], [0], profile=profile)
+            n = int((alone.hit == Hit.ACTOR + 1).sum())
+            if n:
+                found[o, a] = (int((sweeps.hit[o] == Hit.ACTOR + a).sum()), n)
+    assert found == {
+        (o, a): (n, m) for o, a, n, m in zip(seen.o, seen.actor, seen.n_returns, seen.n_unoccluded, strict=True)
+    }
+
+
+@settings(max_examples=8, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_an_occluder_never_adds_points(seed):
+    rng = np.random.default_rng(seed)
+    (boxes, shape), scene = traffic(rng, 80), blocks(rng)
+    observers = np.arange(10)
+    alone = sightings(exact(boxes.take(slice(70)), shape[:70], observers, scene), boxes.take(slice(70)), shape[:70])
+    crowd = sightings(exact(boxes, shape, observers, scene), boxes, shape)
+    old = crowd.actor < 70
+    assert (crowd.actor[old] == alone.actor).all() and (crowd.n_unoccluded[old] == alone.n_unoccluded).all()
+    assert (crowd.n_returns[old] <= alone.n_returns).all() and (alone.n_returns <= alone.n_unoccluded).all()
+
+
+@settings(max_examples=10, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_sight_lines_equal_shapely(seed):
+    rng = np.random.default_rng(seed)
+    (boxes, shape), scene = traffic(rng, 40), blocks(rng)
+    tall = Scene.from_footprints([[np.array(f.exterior.coords), *(np.array(r.coords) for r in f.interiors)] for f in scene.footprints],
+                                 np.zeros(len(scene.footprints)), np.full(len(scene.footprints), 50.0))
+    a, b = np.meshgrid(np.arange(40), np.arange(40))
+    a, b = a[a != b], b[a != b]
+    roof = np.column_stack([boxes.xyz_m[:, :2], boxes.xyz_m[:, 2] + boxes.lwh_m[:, 2] / 2 + 0.23])
+    lines = shapely.linestrings(np.stack([roof[a, :2], roof[b, :2]], axis=1))
+    walls = shapely.union_all(tall.footprints).boundary
+    blocked = shapely.intersects(lines, walls)
+    # buses are the only bodies as high as their boxes' sides: a line is stopped if it is low enough over the footprint
+    empty = Boxes.concat([])
+    only_city = line_of_sight(tall, boxes, np.full(40, 6, np.uint8), a, b)     # slim bodies stop nobody's roof line much
+    assert not (only_city & blocked).any()
+    for k in np.flatnonzero(only_city != ~blocked):       # what else stops a line is a body: it passes over a box
+        near = [o for o in range(40) if o not in (a[k], b[k]) and footprint(boxes, o).intersects(lines[k])]
+        assert near
+    seen = line_of_sight(tall, boxes, shape, a, b)
+    assert (seen == line_of_sight(tall, boxes, shape, b, a)).all()
+    assert len(line_of_sight(tall, empty, np.zeros(0, np.uint8), np.zeros(0, int), np.zeros(0, int))) == 0
+    turn, shift = rng.uniform(-4, 4), np.append(rng.uniform(-5000, 5000, 2), 7.0)
+    cos, sin = np.cos(turn), np.sin(turn)
+    rings = [[np.array(r.coords) @ np.array([[cos, sin], [-sin, cos]]) + shift[:2] for r in (f.exterior, *f.interiors)] for f in tall.footprints]
+    there = Scene.from_footprints(rings, tall.buildings.base_m + 7.0, tall.buildings.top_m + 7.0)
+    assert np.mean(line_of_sight(there, moved(boxes, turn, shift), shape, a, b) != seen) < 2e-3
+
+
+def test_sight_lines_by_hand():
+    # Roof sensors at 1.73 m. A 1.5 m high car between does not block, a 3.2 m bus does, a wall of 1 m does not, one of
+    # 2 m does, one that floats from 2.5 m up (a passage) does not; a hall around both does not.
+    ends = [car(0, 0), car(40, 0)]
+    bus = Boxes(np.array([[20, 0, 1.6]]), SIZE_M[3:4], np.array([np.pi / 2]))
+
+    def sees(middle, code, low=None, high=None, ring=((18, -5), (22, -5), (22, 5), (18, 5))):
+        boxes = Boxes.concat([*ends, middle])
+        scene = Scene.empty() if low is None else Scene.from_footprints([[ring]], [low], [high])
+        return bool(line_of_sight(scene, boxes, np.array([0, 0, code], np.uint8), [0], [1])[0])
+
+    aside = car(20, 30)
+    assert sees(car(20, 0), 0) and not sees(bus, 3)
+    assert sees(aside, 0, 0.0, 1.0) and not sees(aside, 0, 0.0, 2.0) and sees(aside, 0, 2.5, 9.0)
+    assert sees(aside, 0, 0.0, 9.0, ((-9, -9), (49, -9), (49, 9), (-9, 9)))
+
+
+def test_beams_are_plain_arrays():
+    assert all(isinstance(part, (np.ndarray, float)) for part in beams(LidarParams())) and len(Beams._fields) == 8
