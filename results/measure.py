@@ -95,7 +95,7 @@ class Topic:
 
     def __dir__(self) -> list[str]:
         module = TOPICS[self._topic]
-        own = [n for n, f in vars(module).items() if isfunction(f) and f.__module__ == module.__name__]
+        own = [n for n, f in vars(module).items() if isfunction(f) and f.__module__ == module.__name__ and n[0] != "_"]
         return [*(n for n in own if next(iter(signature(getattr(module, n)).parameters), "") == "run"), "plot"]
 
     def plot(self, **options: Any) -> "Figure":

@@ -147,7 +147,7 @@ def _cut(xyz, p, q, grid, walls):
 
 
 N_PROBES = 16
-_REGION = np.uint64(127)
+_REGION = np.uint64(511)
 
 
 @njit(cache=True, _nrt=False, inline="always")
@@ -311,7 +311,7 @@ class Sight:
     memo: ndarray
 
     @staticmethod
-    def of(walls: Walls, snap_m: float = 0.5, n_remembered: int = 1 << 20) -> "Sight":
+    def of(walls: Walls, snap_m: float = 0.5, n_remembered: int = 1 << 21) -> "Sight":
         """A memory for at least `n_remembered` pairs."""
         if not snap_m > 0:
             raise ValueError(f"snap_m = {snap_m} m must be positive.")

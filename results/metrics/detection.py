@@ -15,6 +15,8 @@ from results.tables import CLASSES
 Lists = Literal["local", "fused"]
 """Boxes of a vehicle's own sensor, or those it believes in the end."""
 
+_TABLE: dict[Lists, str] = {"local": "detections", "fused": "fused"}
+
 _BOX = ["x_m", "y_m", "z_m", "length_m", "width_m", "height_m", "yaw_rad"]
 _CLASS_OF_KIND = {
     "car": "car", "van": "car", "truck": "truck", "bus": "truck",
@@ -55,9 +57,7 @@ def precision(
     reach is 3 and counts only at level "all". Truncation is not modelled: an object is in the picture with its
     centre or not at all.
     """
-    run.require(
-        "actors", "sightings", "detections" if "local" in lists else "fused", "fused" if "fused" in lists else "actors"
-    )
+    run.require("actors", "sightings", *(_TABLE[which] for which in lists))
     steps = _sampled_steps(run, max_frames)
     truth, poses = _truth(run, steps, range_m)
     rows = []
@@ -99,7 +99,7 @@ def awareness(
     if around.empty:
         raise ValueError(f"{run.path}: no equipped vehicle ever had anybody within {range_m:g} m.")
     rows = []
-    for which, table in (("local", "detections"), ("fused", "fused")):
+    for which, table in _TABLE.items():
         good = (pc.field("score") >= min_score) & pc.field("truth_actor").is_valid() & _in(steps)
         columns = ["step", "observer", "truth_actor", *(["kind"] if which == "local" else [])]
         known = run.table(table, columns, where=good)

@@ -23,7 +23,7 @@ def durations(run: Run, departure: Departure = "ends") -> pd.DataFrame:
     if frame.empty:
         raise ValueError(
             f"{run.path} holds no encounters: nobody came within the radius of anybody. "
-            "Raise record.encounter radius, penetration or duration, and run again."
+            "Raise encounters.radius_m, fleet.penetration_p or traffic.duration_s and run again."
         )
     end_seen = ~frame.censored_right
     if departure == "censors":

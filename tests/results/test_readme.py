@@ -31,5 +31,5 @@ def test_measures_of_a_run(run):
         assert "plot" in dir(getattr(run.measure, topic)) and len(dir(getattr(run.measure, topic))) > 2
     with pytest.raises(AttributeError, match="The topics are encounters"):
         run.measure.encunters.summary()
-    with pytest.raises(AttributeError, match="It has overall, over_time, by_distance, plot"):
+    with pytest.raises(AttributeError, match="It has by_distance, over_time, overall, plot"):
         run.measure.radio.overal()
