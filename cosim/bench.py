@@ -1,8 +1,11 @@
 """Speed, room by room, on this machine and now: what every claim of speed rests on."""
 
+import os
+import platform
 from importlib import import_module
 from time import perf_counter
 
+import numba
 import numpy as np
 
 from cosim.config import load
@@ -72,12 +75,7 @@ def run(name: str) -> list[Row]:
 
 def machine() -> str:
     """What this machine is, for the record."""
-    import os
-    import platform
-
-    import numba
-
     return (
-        f"{platform.machine()}, {os.cpu_count()} cores, {numba.config.NUMBA_NUM_THREADS} threads, "
+        f"{platform.machine()}, {os.cpu_count()} cores, {numba.get_num_threads()} threads, "
         f"Python {platform.python_version()}, NumPy {np.__version__}, Numba {numba.__version__}"
     )

@@ -65,7 +65,8 @@ def run(config: Config, out: Path | None, advance: Advance) -> Path:
 def _drive(
     config: Config, scenario: Scenario, traffic: SumoTraffic, roster: Roster, manifest: Manifest, advance: Advance
 ) -> None:
-    numba.set_num_threads(config.compute.threads or numba.config.NUMBA_NUM_THREADS)
+    if config.compute.threads:
+        numba.set_num_threads(min(config.compute.threads, numba.get_num_threads()))
     warmup_s = scenario.warmup_s if config.traffic.warmup_s is None else config.traffic.warmup_s
     watch, dt_s, n_steps = Stopwatch(), config.traffic.step_s, config.n_steps
     with watch("city"):

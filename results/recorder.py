@@ -18,6 +18,7 @@ VALID = "__valid"
 """Suffix of the mask that goes with a column that may be null."""
 
 _PART = re.compile(r"part-(\d{5})\.parquet")
+_PARTIAL = ".partial"
 
 
 class Recorder:
@@ -56,7 +57,7 @@ class Recorder:
             (self.folder / name).mkdir(exist_ok=True)
             for part in (self.folder / name).iterdir():
                 numbered = _PART.fullmatch(part.name)
-                if numbered is None or int(numbered[1]) >= self._block:
+                if part.suffix == _PARTIAL or (numbered and int(numbered[1]) >= self._block):
                     part.unlink()
 
     def append(self, table: str, step: int, columns: Mapping[str, ndarray | None]) -> None:
@@ -187,7 +188,7 @@ def _write(path: Path, table: str, rows: list[dict[str, ndarray]]) -> None:
         else:
             arrays.append(pa.array(columns[name], column.arrow_type, mask=mask))
     floats = [name for name, column in TABLES[table].columns.items() if column.type == "float32"]
-    partial = path.with_suffix(".partial")
+    partial = path.with_suffix(_PARTIAL)
     pq.write_table(
         pa.Table.from_arrays(arrays, schema=schema(table)),
         partial,

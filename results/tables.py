@@ -3,6 +3,7 @@
 
 from collections.abc import Mapping
 from dataclasses import KW_ONLY, dataclass, replace
+from pathlib import Path
 from typing import Literal
 
 import pyarrow as pa
@@ -336,7 +337,7 @@ def markdown() -> str:
     lines = [
         "# Tables of a run",
         "",
-        f"Schema version {SCHEMA_VERSION}. Written from `results/tables.py`; change it there.",
+        f"Schema version {SCHEMA_VERSION}. Written from `results/tables.py` by `python -m results.tables`.",
         "",
         "`key` columns together name a row. `truth` columns are known to the simulation only. `to 1/256` says",
         "that stored values are rounded to that fraction of the unit. Levels contain one another:",
@@ -356,3 +357,7 @@ def markdown() -> str:
             *(_row(label, column) for label, column in table.columns.items()),
         ]
     return "\n".join(lines) + "\n"
+
+
+if __name__ == "__main__":
+    Path(__file__).with_name("TABLES.md").write_text(markdown())

@@ -171,7 +171,7 @@ def sightings(sweeps: Sweeps, boxes: Boxes, shape: UInt8[ndarray, "n"]) -> Sight
     ptr, row = near(sweeps.poses.origin_m, boxes, sweeps.max_range_m)
     n_returns, n_alone = windows.returns_alone(
         sweeps.hit, sweeps.poses.origin_m, sweeps.poses.yaw_rad, sweeps.beams, float(sweeps.max_range_m),
-        boxes.xyz_m, boxes.reach_m, ptr, row, sweeps.observers, prisms(shape, boxes),
+        boxes.xyz_m, boxes.reach_m, boxes.lwh_m[:, 2], ptr, row, sweeps.observers, prisms(shape, boxes),
     )  # fmt: skip
     keep = n_alone > 0
     o = np.repeat(np.arange(len(ptr) - 1, dtype=np.int32), np.diff(ptr))[keep]

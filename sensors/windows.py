@@ -169,18 +169,20 @@ def free_space_xyz(points, planes, distance, margin_m):
 
 
 @njit(cache=True)
-def returns_alone(hit, origin, yaw, beams, limit, xyz, reach, ptr, row, own, bodies):
+def returns_alone(hit, origin, yaw, beams, limit, xyz, reach, height, ptr, row, own, bodies):
     """Per candidate (observer, actor): returns in the sweep, and returns if the actor stood alone in the world."""
     n_returns, n_alone = np.zeros(len(row), np.int32), np.zeros(len(row), np.int32)
-    taken = np.zeros(len(beams.tan_el), np.int64)       # the last column (of all) in which a row was counted
-    column = 0
     for o in range(len(own)):
+        taken = np.zeros(len(beams.tan_el), np.int64)       # the last column (of all) in which a row was counted
+        column = 0
         x, y, z, cos, sin = origin[o, 0], origin[o, 1], origin[o, 2], np.cos(yaw[o]), np.sin(yaw[o])
         for i in range(ptr[o], ptr[o + 1]):
             a = row[i]
             if a == own[o]:
                 continue
-            a0, a1, b0, b1 = actor_columns(xyz[a, 0] - x, xyz[a, 1] - y, reach[a], cos, sin, beams)
+            dx, dy = xyz[a, 0] - x, xyz[a, 1] - y
+            a0, a1, b0, b1 = actor_columns(dx, dy, reach[a], cos, sin, beams)
+            in_reach = np.hypot(np.hypot(dx, dy) + reach[a], abs(xyz[a, 2] - z) + 0.5 * height[a]) < limit
             for turn in range(2):
                 for c in range(a0 if turn == 0 else b0, a1 if turn == 0 else b1):
                     column += 1
@@ -195,7 +197,7 @@ def returns_alone(hit, origin, yaw, beams, limit, xyz, reach, ptr, row, own, bod
                         bottom, top = bodies.bottom_m[k] - z, bodies.top_m[k] - z
                         first, s0, s1, last, t, low, high = profile(enter, leave, bottom, top, beams.tan_el)
                         for r in range(first, last):
-                            if taken[r] != column and surface(r, s0, s1, t, low, high, beams) <= limit:
+                            if taken[r] != column and (in_reach or surface(r, s0, s1, t, low, high, beams) <= limit):
                                 taken[r] = column
                                 n_alone[i] += 1
                                 n_returns[i] += hit[o, c, r] == ACTOR + a

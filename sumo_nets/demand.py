@@ -54,10 +54,14 @@ class Draw:
 
     def chooser(self, streets: Sequence[Street], weight: Callable[[Street], float]) -> Callable[[], Street]:
         chosen = [street for street in streets if weight(street) > 0.0]
-        if not chosen:
-            raise ValueError("the network has no street at which this traffic could start or end")
         sums = list(accumulate(weight(street) for street in chosen))
-        return lambda: chosen[min(bisect_right(sums, self.uniform() * sums[-1]), len(chosen) - 1)]
+
+        def choose() -> Street:
+            if not chosen:
+                raise ValueError("the network has no street at which this traffic could start or end")
+            return chosen[min(bisect_right(sums, self.uniform() * sums[-1]), len(chosen) - 1)]
+
+        return choose
 
 
 def streets_of(net: Any, gates: frozenset[str]) -> list[Street]:
@@ -91,14 +95,17 @@ def vehicle_trips(streets: list[Street], kind: str, recipe: dict[str, Any], seed
         return gate.get(street.id, gate.get(street.kind, 1.0) * street.lanes)
 
     inside = [street for street in through if not street.is_entry and not street.is_exit]
-    enter = draw.chooser([street for street in through if street.is_entry], at_gate)
-    leave = draw.chooser([street for street in through if street.is_exit], at_gate)
+    entries = [street for street in through if street.is_entry]
+    exits = [street for street in through if street.is_exit]
+    from_inside = recipe["from_inside"] if entries else 1.0  # an island has no gates
+    to_inside = recipe["to_inside"] if exits else 1.0
+    enter, leave = draw.chooser(entries, at_gate), draw.chooser(exits, at_gate)
     kerb = draw.chooser(inside, lambda street: street.length_m if street.length_m > 40.0 else 0.0)
     trips: list[str] = []
     now = 0.0
     while (now := now + draw.gap_s(recipe["per_hour"])) < end_s:
         for _ in range(MOST_TRIES):
-            starts_inside, ends_inside = draw.uniform() < recipe["from_inside"], draw.uniform() < recipe["to_inside"]
+            starts_inside, ends_inside = draw.uniform() < from_inside, draw.uniform() < to_inside
             origin = kerb() if starts_inside else enter()
             target = kerb() if ends_inside else leave()
             if dist(origin.middle_m, target.middle_m) >= recipe["at_least_m"]:

@@ -25,9 +25,14 @@ class Streets:
 def drivable(extract: Extract, classes: frozenset[str], ignored_tags: frozenset[str], edge_m: float) -> Streets:
     """Surface streets of the given highway classes, without dead ends and without the ignored tags.
 
-    A street stays if a car can come from outside the extract, drive through it and leave the extract
-    without turning round on the spot. Streets cut off by the extract, or ending within `edge_m` of its
-    edge, are gates to the outside.
+    A street stays if a car can come from every other street that stays, drive through it and go on to every
+    other, without turning round on the spot. Streets cut off by the extract, or ending within `edge_m` of its
+    edge, are gates: beyond them the outside joins them all.
+
+    Raises
+    ------
+    ValueError
+        Where no street stays.
     """
     ways = [way for way in extract.ways.values() if _is_street(way, classes)]
     runs = [(way, run) for way in sorted(ways, key=lambda way: way.id) for run in pieces(way, extract.place)]
@@ -44,7 +49,7 @@ def drivable(extract: Extract, classes: frozenset[str], ignored_tags: frozenset[
         way, run = runs[index]
         forward, backward = _directions(way)
         arcs += [(index, a, b, True)] * forward + [(index, a, b, False)] * backward
-    alive = _on_a_through_trip(runs, arcs, gates)
+    alive = _driven(runs, arcs, gates)
     kept: dict[int, list[tuple[int, int, bool, bool]]] = defaultdict(list)
     both: dict[tuple[int, int, int], list[bool]] = defaultdict(list)
     for (index, a, b, forward), is_alive in zip(arcs, alive, strict=True):
@@ -52,6 +57,8 @@ def drivable(extract: Extract, classes: frozenset[str], ignored_tags: frozenset[
             both[index, a, b].append(forward)
     for (index, a, b), ways_round in sorted(both.items()):
         kept[index].append((a, b, True in ways_round, False in ways_round))
+    if not kept:
+        raise ValueError(f"no street of the classes {', '.join(sorted(classes))} can be driven round: is it a town?")
     return _assemble(extract, runs, stubs, kept, gates, ignored_tags)
 
 
@@ -99,8 +106,8 @@ def _gates(extract: Extract, runs, stubs, edge_m: float) -> frozenset[int]:
     return frozenset(gates)
 
 
-def _on_a_through_trip(runs, arcs, gates: frozenset[int]) -> list[bool]:
-    """Which arcs lie on a trip from a gate to a gate; node 0 of the graph is the outside."""
+def _driven(runs, arcs, gates: frozenset[int]) -> list[bool]:
+    """Which arcs belong to the network that one can drive round in; node 0 of the graph is the outside."""
     tail, head = [], []
     for index, a, b, forward in arcs:
         run = runs[index][1]
@@ -117,22 +124,38 @@ def _on_a_through_trip(runs, arcs, gates: frozenset[int]) -> list[bool]:
         if node in gates:
             links[i + 1].append(0)
     links[0] += [j + 1 for node in sorted(gates) for j in leaving[node]]
+    largest = _largest_component(links)
+    return [i + 1 in largest for i in range(len(arcs))]
+
+
+def _largest_component(links: list[list[int]]) -> set[int]:
+    """The largest set of nodes of which each can reach every other."""
     backwards: list[list[int]] = [[] for _ in links]
     for i, ends in enumerate(links):
         for j in ends:
             backwards[j].append(i)
-    return [a and b for a, b in zip(_reached(links), _reached(backwards), strict=True)][1:]
+    left = set(range(len(links)))
+    largest: set[int] = set()
+    while len(left) > len(largest):
+        seed = min(left)
+        component = _reached(seed, links, left) & _reached(seed, backwards, left)
+        largest = max(largest, component, key=len)
+        left -= component
+        dead = [i for i in left if not left.intersection(links[i]) or not left.intersection(backwards[i])]
+        while dead:  # what leads nowhere, or starts from nowhere, is in no component but its own
+            left.difference_update(dead)
+            beside = {j for i in dead for j in links[i] + backwards[i] if j in left}
+            dead = [i for i in beside if not left.intersection(links[i]) or not left.intersection(backwards[i])]
+    return largest
 
 
-def _reached(links: list[list[int]]) -> list[bool]:
-    """What can be reached from node 0."""
-    reached = [False] * len(links)
-    reached[0] = True
-    todo = [0]
+def _reached(seed: int, links: list[list[int]], among: set[int]) -> set[int]:
+    reached = {seed}
+    todo = [seed]
     while todo:
         for j in links[todo.pop()]:
-            if not reached[j]:
-                reached[j] = True
+            if j in among and j not in reached:
+                reached.add(j)
                 todo.append(j)
     return reached
 

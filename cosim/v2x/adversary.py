@@ -1,6 +1,6 @@
 """What liars and broken reporters make of their detections before they say them."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Literal
 
 import numpy as np
@@ -67,9 +67,7 @@ def tamper(seen: Detections, world: World, time_s: float, seed: int, params: Adv
     broken = world.behaviour[seen.observer] == UNRELIABLE
     omit = rng.uniforms(rng.key(seed, rng.Stream.OMISSION, world.step), keyed, seen.k)[:, 0]
     said = seen.said & ~(broken & (seen.origin == SENSED) & (omit < params.remove_p))
-    honest_part = Detections(
-        seen.observer, seen.k, seen.label, seen.boxes, seen.score, seen.n_points, seen.origin, said
-    )
+    honest_part = replace(seen, said=said)
     draws = rng.uniforms(rng.key(seed, rng.Stream.FABRICATION, world.step), keyed, seen.k, n=4)
     copied = np.flatnonzero(broken & (seen.origin != FABRICATED) & (draws[:, 0] < params.add_p))
     misplaced = _misplaced(seen.take(copied), draws[copied, 1:], world, params)
@@ -138,9 +136,7 @@ def _numbered(added: Detections, last_k: Int[ndarray, "n"]) -> Detections:
     """Inventions numbered on from each observer's last detection."""
     first_of_observer = np.searchsorted(added.observer, added.observer)
     k = last_k[added.observer] + 1 + np.arange(len(added)) - first_of_observer
-    return Detections(
-        added.observer, k, added.label, added.boxes, added.score, added.n_points, added.origin, added.said
-    )
+    return replace(added, k=k)
 
 
 def self_reports(world: World, observers: Int[ndarray, "o"]) -> Detections:

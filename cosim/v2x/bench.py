@@ -19,7 +19,7 @@ def blocks(side_m: float) -> list[tuple[ndarray, list[ndarray], float, float]]:
     """Houses of a grid of streets: blocks of 100 m, streets of 25 m."""
     corner = np.arange(12.5, side_m, 125.0)
     square = np.array([[0.0, 0.0], [100.0, 0.0], [100.0, 100.0], [0.0, 100.0]])
-    return [(square + (x, y), [], 0.0, 20.0) for x in corner for y in corner]
+    return [(square + np.array([x, y]), [], 0.0, 20.0) for x in corner for y in corner]
 
 
 def streets(n: int, side_m: float, seed: int = 1) -> ndarray:
@@ -50,7 +50,7 @@ def _best(times: list[float]) -> float:
 
 def _network(n: int, n_receivers: int) -> tuple[float, float, Links]:
     """Seconds of one network step, of the event loop alone, and the links."""
-    side_m, params = 1000.0, PropagationParams(reach_m=500.0, reach_nlos_m=200.0)
+    side_m, params = 1000.0, PropagationParams(reach_m=400.0, reach_nlos_m=200.0)
     key = np.arange(1, n + 1, dtype=np.uint64)
     for _ in range(12):  # find the city in which a radio has so many neighbours
         links, _, _ = between(streets(n, side_m), key, params, np.uint64(1), Sight.of(Walls.of(blocks(side_m))))
@@ -62,9 +62,7 @@ def _network(n: int, n_receivers: int) -> tuple[float, float, Links]:
         begin = perf_counter()
         links, _, _ = between(xyz, key, params, np.uint64(1), sight)
         middle = perf_counter()
-        state, _ = play(
-            state, links, packets, (window + 1) * WINDOW_NS, np.uint64(2), ReceiverParams(), AccessParams()
-        )
+        state, _ = play(state, links, packets, (window + 1) * WINDOW_NS, np.uint64(2), ReceiverParams(), AccessParams())
         end = perf_counter()
         whole.append(end - begin)
         air.append(end - middle)
@@ -91,5 +89,3 @@ def bench() -> list[tuple[str, float, str]]:
             times.append(perf_counter() - begin)
         rows.append((f"line of sight, {name}", 1e-6 * len(a) / _best(times), "million pairs/s"))
     return rows
-
-

@@ -201,9 +201,7 @@ def _records(packets: Packets, n: int, state: State, until_ns: int, receiver: Re
     for name, low, high in (("sender", 0, n - 1), ("access", 0, loop.N_ACCESS - 1)):
         column = getattr(packets, name)
         if column.min() < low or column.max() > high:
-            raise ValueError(
-                f"packets.{name} = {column.min()} ... {column.max()} must lie in {low} ... {high}."
-            )
+            raise ValueError(f"packets.{name} = {column.min()} ... {column.max()} must lie in {low} ... {high}.")
     air_ns = airtime_ns(packets.payload_bytes, receiver.rate_mbps)
     short = np.flatnonzero(packets.lifetime_ns < air_ns)
     if len(short):
@@ -293,8 +291,8 @@ def play(
 
     Notes
     -----
-    Two frames are on the same instant everywhere.   Deviations from ns-3: no propagation delay (3.3 µs/km); the signal
-    field is never lost alone; an internal collision draws a new back-off but does not widen its window.
+    A frame is everywhere at the same instant.   Deviations from the standard: no propagation delay (3.3 µs/km);
+    the signal field is never lost alone; two queues of one radio that collide draw anew from the same window.
     """
     n = len(links.key)
     if until_ns <= state.now_ns:

@@ -34,9 +34,7 @@ class DccParams:
     def __post_init__(self) -> None:
         bounds, gaps = self.cbr_bounds, self.t_off_s
         if len(bounds) != 4 or list(bounds) != sorted(set(bounds)) or not 0 < bounds[0] <= bounds[-1] <= 1:
-            raise ValueError(
-                f"radio.dcc.cbr_bounds = {bounds} must be four increasing busy ratios in (0, 1]."
-            )
+            raise ValueError(f"radio.dcc.cbr_bounds = {bounds} must be four increasing busy ratios in (0, 1].")
         if len(gaps) != 5 or list(gaps) != sorted(gaps) or gaps[0] < 0:
             raise ValueError(f"radio.dcc.t_off_s = {gaps} must be five times [s] that do not decrease.")
 

@@ -15,6 +15,7 @@ from numpy import ndarray
 
 from cosim import rng
 from cosim.v2x.channel import Links
+from cosim.v2x.kernel import kernel
 from cosim.v2x.obstruction import Sight, Walls, runs_into_house
 from cosim.v2x.propagation import (
     PropagationParams,
@@ -43,7 +44,7 @@ class Pairs:
     """Path loss, blockage and shadowing together."""
 
 
-@njit(cache=True, _nrt=False)
+@kernel
 def _near(xyz, reach_m, order, start, cell, shape, places, hidden_m, grid, a, b, d):
     """Pairs within reach, in the same or adjacent cells, but for those beyond `hidden_m` behind a house."""
     m = 0
@@ -154,7 +155,7 @@ def pairs(
     xy = xyz_m[:, :2]
 
     def field(rows: ndarray, decorrelation_m: float, purpose: np.uint64) -> ndarray:
-        return link_field(xy, a[rows], b[rows], d[rows], decorrelation_m, rng.keys(chance, purpose)[0])
+        return link_field(xy, a[rows], b[rows], d[rows], decorrelation_m, rng.keys(chance, np.array([purpose]))[0])
 
     nlosv = np.zeros(len(a), bool)
     far = params.decorrelation_nlos_m

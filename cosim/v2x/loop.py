@@ -8,9 +8,9 @@ nanoseconds and powers mW. A radio has one frame on the air at most, so a frame 
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from cosim.rng import mix, unit
+from cosim.v2x.kernel import inlined, kernel, pop, push
 from cosim.v2x.reception import HEADER_NS, PREAMBLE_NS
 
 N_ACCESS = 4
@@ -75,49 +75,14 @@ class Constants(NamedTuple):
     overhead_bytes: int
 
 
-@njit(cache=True, _nrt=False)
-def _push(times, codes, n, t, code):
-    i = n
-    while i > 0:
-        up = (i - 1) >> 1
-        if times[up] < t or (times[up] == t and codes[up] < code):
-            break
-        times[i], codes[i] = times[up], codes[up]
-        i = up
-    times[i], codes[i] = t, code
-    return n + 1
-
-
-@njit(cache=True, _nrt=False)
-def _pop(times, codes, n):
-    n -= 1
-    t, code = times[n], codes[n]
-    i = 0
-    while True:
-        down = 2 * i + 1
-        if down >= n:
-            break
-        if down + 1 < n and (
-            times[down + 1] < times[down]
-            or (times[down + 1] == times[down] and codes[down + 1] < codes[down])
-        ):
-            down += 1
-        if t < times[down] or (t == times[down] and code < codes[down]):
-            break
-        times[i], codes[i] = times[down], codes[down]
-        i = down
-    times[i], codes[i] = t, code
-    return n
-
-
-@njit(cache=True, _nrt=False)
+@kernel
 def _draw_slots(mac, key, chance, cw):
     h = mix(mix(mix(chance, _BACKOFF), key), np.uint64(mac.n_draws))
     mac.n_draws += 1
     return np.int32(unit(h) * (cw + 1))
 
 
-@njit(cache=True, _nrt=False)
+@kernel
 def _elapse(phy, mac, aifs_ns, c, t):
     """Count back-offs down over the idle time until `t`."""
     free_ns = max(phy.idle_ns, phy.eifs_ns)
@@ -133,7 +98,7 @@ def _elapse(phy, mac, aifs_ns, c, t):
                 phy.active = 1
 
 
-@njit(cache=True, _nrt=False, inline="always")
+@inlined
 def _go_busy(phy, mac, aifs_ns, c, t):
     if phy.busy == 0:
         phy.busy = 1
@@ -142,12 +107,12 @@ def _go_busy(phy, mac, aifs_ns, c, t):
             _elapse(phy, mac, aifs_ns, c, t)
 
 
-@njit(cache=True, _nrt=False)
+@kernel
 def _access_ns(phy, mac, aifs_ns, c, a):
     return max(max(phy.idle_ns, phy.eifs_ns) + aifs_ns[a], mac.since_ns[a]) + mac.slots[a] * c.slot_ns
 
 
-@njit(cache=True, _nrt=False)
+@kernel
 def _arm(phy, mac, aifs_ns, c, times, codes, n):
     """Schedule the radio's next access, if it has something to send and may."""
     if mac.n_queued == 0 or mac.gated or phy.busy:
@@ -158,11 +123,11 @@ def _arm(phy, mac, aifs_ns, c, times, codes, n):
             soonest = min(soonest, _access_ns(phy, mac, aifs_ns, c, a))
     if soonest < mac.armed_ns:  # an earlier event looks again when it fires
         mac.armed_ns = soonest
-        n = _push(times, codes, n, soonest, (_ACCESS << 32) | mac.rank)
+        n = push(times, codes, n, soonest, (_ACCESS << 32) | mac.rank)
     return n
 
 
-@njit(cache=True, _nrt=False, inline="always")
+@inlined
 def _go_idle(phy, mac, aifs_ns, c, times, codes, n, t):
     phy.busy = 0
     phy.idle_ns = t
@@ -172,7 +137,7 @@ def _go_idle(phy, mac, aifs_ns, c, times, codes, n, t):
     return n
 
 
-@njit(cache=True, _nrt=False)
+@kernel
 def _request(phy, mac, aifs_ns, cw, c, chance, t, a):
     """A queue that was empty asks for the medium: at once if idle, else after a back-off."""
     if phy.busy:
@@ -185,7 +150,7 @@ def _request(phy, mac, aifs_ns, cw, c, chance, t, a):
     phy.active = 1
 
 
-@njit(cache=True, _nrt=False, inline="always")
+@inlined
 def _close(phy, radios, packets, c, t):
     """Judge the payload received since the last change of interference."""
     if t > phy.chunk_ns:
@@ -200,7 +165,7 @@ def _close(phy, radios, packets, c, t):
         phy.chunk_ns = t
 
 
-@njit(cache=True, _nrt=False, inline="always")
+@inlined
 def _settle(phy, mac, radios, packets, cause, aifs_ns, c, t):
     """Decide a preamble whose detection time is over: lock, or miss it."""
     due = phy.frame_ns + PREAMBLE_NS
@@ -219,13 +184,13 @@ def _settle(phy, mac, radios, packets, cause, aifs_ns, c, t):
         _go_busy(phy, mac, aifs_ns, c, due)
 
 
-@njit(cache=True, _nrt=False, inline="always")
+@inlined
 def _slot(phy, radios, packets):
     """Where the fate of the frame at hand is written."""
     return packets[radios[phy.frame_from].packet].slot + phy.frame_edge
 
 
-@njit(cache=True, _nrt=False)
+@kernel
 def _start(radios, macs, s, packet, packets, edges, cause, receiver, aifs_ns, quantiles, c, chance, t):
     """A frame goes on the air: what each neighbour's receiver makes of its first microseconds."""
     ear = radios[s]
@@ -271,20 +236,21 @@ def _start(radios, macs, s, packet, packets, edges, cause, receiver, aifs_ns, qu
         if phy.packet != NOBODY:
             if detectable:
                 fate = HALF_DUPLEX
-        elif phy.phase == FREE or (phy.phase == DETECTING and power > phy.frame_mw):
+        elif (phy.phase == FREE or (phy.phase == DETECTING and power > phy.frame_mw)) and (
             # A weak frame matters only where it tips carrier sense.
-            if detectable or (phy.phase == FREE and phy.busy == 0 and phy.energy_mw >= c.cca_mw):
-                if phy.phase == DETECTING and phy.frame_mw >= c.detectable_mw:
-                    cause[_slot(phy, radios, packets)] = BUSY
-                phy.phase = DETECTING
-                phy.frame_from = s
-                phy.frame_edge = k
-                phy.frame_mw = power
-                phy.frame_ns = t
+            detectable or (phy.phase == FREE and phy.busy == 0 and phy.energy_mw >= c.cca_mw)
+        ):
+            if phy.phase == DETECTING and phy.frame_mw >= c.detectable_mw:
+                cause[_slot(phy, radios, packets)] = BUSY
+            phy.phase = DETECTING
+            phy.frame_from = s
+            phy.frame_edge = k
+            phy.frame_mw = power
+            phy.frame_ns = t
         cause[slot + k] = fate
 
 
-@njit(cache=True, _nrt=False)
+@kernel
 def _end(radios, macs, s, packets, edges, cause, aifs_ns, cw, c, chance, times, codes, n, t):
     """A frame leaves the air: payloads are decided, media fall idle."""
     ear, mouth = radios[s], macs[s]
@@ -328,13 +294,13 @@ def _end(radios, macs, s, packets, edges, cause, aifs_ns, cw, c, chance, times, 
         mouth.gate_ns = t + mouth.gap_ns
         if mouth.n_queued > 0:
             mouth.gated = 1
-            n = _push(times, codes, n, mouth.gate_ns, (_GATE << 32) | mouth.rank)
+            n = push(times, codes, n, mouth.gate_ns, (_GATE << 32) | mouth.rank)
     if ear.energy_mw < c.cca_mw:
         n = _go_idle(ear, mouth, aifs_ns, c, times, codes, n, t)
     return n
 
 
-@njit(cache=True, _nrt=False)
+@kernel
 def _take(mac, packets, a, t):
     """Next packet of a queue that is still alive; expired ones are dropped on the way."""
     while mac.count[a] > 0:
@@ -348,7 +314,7 @@ def _take(mac, packets, a, t):
     return NOBODY
 
 
-@njit(cache=True, _nrt=False)
+@kernel
 def run_until(
     until_ns, radios, macs, row_of_rank, packets, n_carried, edges, cause, receiver,
     aifs_ns, cw, quantiles, c, chance, times, codes,
@@ -359,11 +325,11 @@ def run_until(
         mac = macs[j]
         if radios[j].packet != NOBODY:
             p = packets[radios[j].packet]
-            n = _push(times, codes, n, p.start_ns + p.airtime_ns, (_END << 32) | mac.rank)
+            n = push(times, codes, n, p.start_ns + p.airtime_ns, (_END << 32) | mac.rank)
         if mac.armed_ns != NEVER:
-            n = _push(times, codes, n, mac.armed_ns, (_ACCESS << 32) | mac.rank)
+            n = push(times, codes, n, mac.armed_ns, (_ACCESS << 32) | mac.rank)
         if mac.gated:
-            n = _push(times, codes, n, mac.gate_ns, (_GATE << 32) | mac.rank)
+            n = push(times, codes, n, mac.gate_ns, (_GATE << 32) | mac.rank)
     new = n_carried
     while True:
         t, code = (times[0], codes[0]) if n > 0 else (NEVER, 0)
@@ -393,13 +359,13 @@ def run_until(
                 if mac.gap_ns > 0 and t < mac.gate_ns:
                     if mac.gated == 0:
                         mac.gated = 1
-                        n = _push(times, codes, n, mac.gate_ns, (_GATE << 32) | mac.rank)
+                        n = push(times, codes, n, mac.gate_ns, (_GATE << 32) | mac.rank)
                 elif mac.count[a] == 1:
                     _request(phy, mac, aifs_ns, cw, c, chance, t, a)
                     n = _arm(phy, mac, aifs_ns, c, times, codes, n)
             new += 1
             continue
-        n = _pop(times, codes, n)
+        n = pop(times, codes, n)
         if kind == _END:
             n = _end(radios, macs, j, packets, edges, cause, aifs_ns, cw, c, chance, times, codes, n, t)
         elif kind == _GATE:
@@ -424,10 +390,8 @@ def run_until(
                 n = _arm(phy, mac, aifs_ns, c, times, codes, n)
             else:
                 frame = packets[winner]
-                _start(
-                    radios, macs, j, winner, packets, edges, cause, receiver, aifs_ns, quantiles, c, chance, t
-                )
-                n = _push(times, codes, n, t + frame.airtime_ns, (_END << 32) | mac.rank)
+                _start(radios, macs, j, winner, packets, edges, cause, receiver, aifs_ns, quantiles, c, chance, t)
+                n = push(times, codes, n, t + frame.airtime_ns, (_END << 32) | mac.rank)
     for j in range(len(radios)):
         phy, mac = radios[j], macs[j]
         if phy.phase == DETECTING:

@@ -1,6 +1,7 @@
 """What is perceived and said in one step."""
 
 from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
@@ -36,20 +37,21 @@ class Detections:
 
     def take(self, rows: ndarray) -> "Detections":
         """These rows, in this order."""
-        return Detections(**{
-            f.name: column.take(rows) if isinstance(column := getattr(self, f.name), Boxes) else column[rows]
-            for f in fields(self)
-        })  # fmt: skip
+        return Detections(*(
+            column.take(rows) if isinstance(column, Boxes) else column[rows] for column in self._columns()
+        ))  # fmt: skip
 
     @staticmethod
     def concat(parts: list["Detections"]) -> "Detections":
-        """All rows of all parts, sorted by key; with the order as second answer see `order_of`."""
-        joined = Detections(**{
-            f.name: Boxes.concat([p.boxes for p in parts]) if f.name == "boxes"
-            else np.concatenate([getattr(p, f.name) for p in parts])
-            for f in fields(Detections)
-        })  # fmt: skip
+        """All rows of all parts, sorted by key."""
+        columns = zip(*(part._columns() for part in parts), strict=True)
+        joined = Detections(*(
+            Boxes.concat(list(c)) if isinstance(c[0], Boxes) else np.concatenate(c) for c in columns
+        ))  # fmt: skip
         return joined.take(np.lexsort((joined.k, joined.observer)))
+
+    def _columns(self) -> list[Any]:
+        return [getattr(self, f.name) for f in fields(self)]
 
 
 def detections_bytes(n_objects: Int[ndarray, "n"]) -> Int[ndarray, "n"]:

@@ -15,6 +15,7 @@ from numpy import ndarray
 from scipy.ndimage import distance_transform_cdt
 
 from cosim.rng import mix
+from cosim.v2x.kernel import inlined, kernel
 
 _SLACK_M = 1e-6
 """Walls are filed under every cell within this distance, so that rounding never loses one."""
@@ -35,7 +36,7 @@ class Grid(NamedTuple):
     level_m: float
 
 
-@njit(cache=True, _nrt=False)
+@kernel
 def _file(low, cell_m, shape, first, second, fill, ptr, out):
     """List every segment under every cell that it touches (boxes first, then the separating axis)."""
     for w in range(first.shape[0]):
@@ -91,7 +92,7 @@ def _inside(xyz, grid, walls, spans, low_z, high_z):
     return out
 
 
-@njit(cache=True, _nrt=False)
+@kernel
 def _over_grid(start, delta, high, t, stop):
     """The part of a ray between `t` and `stop` in which one of its coordinates is on the grid."""
     if delta == 0.0:
@@ -100,7 +101,7 @@ def _over_grid(start, delta, high, t, stop):
     return max(t, min(near, far)), min(stop, max(near, far))
 
 
-@njit(cache=True, _nrt=False, inline="always")
+@inlined
 def _cut(xyz, p, q, grid, walls):
     """Whether a wall cuts the segment between two points outside of all buildings."""
     x, y = xyz[p, 0], xyz[p, 1]
@@ -147,10 +148,10 @@ def _cut(xyz, p, q, grid, walls):
 
 
 N_PROBES = 16
-_REGION = np.uint64(511)
+_REGION = np.uint64(255)
 
 
-@njit(cache=True, _nrt=False, inline="always")
+@inlined
 def runs_into_house(xyz, p, q, grid):
     """Whether one of a few points of the segment lies in a cell that a building fills: cheap, and never wrong."""
     inv = 1.0 / grid.cell_m
@@ -171,7 +172,7 @@ def runs_into_house(xyz, p, q, grid):
     return into
 
 
-@njit(cache=True, _nrt=False)
+@kernel
 def _clear(xyz, indoors, a, b, grid, walls, out):
     for m in range(len(a)):
         p, q = a[m], b[m]
@@ -181,7 +182,7 @@ def _clear(xyz, indoors, a, b, grid, walls, out):
         out[m] = not _cut(xyz, p, q, grid, walls)
 
 
-@njit(cache=True, _nrt=False)
+@kernel
 def _clear_remembered(xyz, indoors, place, a, b, grid, walls, memo, out):
     mask, one = np.uint64(memo.shape[0] - 1), np.uint64(1)
     for m in range(len(a)):
@@ -268,9 +269,7 @@ class Walls:
         xyz_m = np.ascontiguousarray(xyz_m, float)
         return _inside(xyz_m, self.grid, self.walls, self.spans, self.base_m, self.top_m) >= 0
 
-    def clear(
-        self, xyz_m: Float[ndarray, "n 3"], a: Int[ndarray, "m"], b: Int[ndarray, "m"]
-    ) -> Bool[ndarray, "m"]:
+    def clear(self, xyz_m: Float[ndarray, "n 3"], a: Int[ndarray, "m"], b: Int[ndarray, "m"]) -> Bool[ndarray, "m"]:
         """Which of the lines between antennas `a` and `b` (rows) no building cuts; exact."""
         xyz_m = np.ascontiguousarray(xyz_m, float)
         out = np.empty(len(a), np.bool_)
@@ -321,9 +320,7 @@ class Sight:
         """The places of these antennas."""
         return self._cell(xyz_m) * self.snap_m + self._low
 
-    def clear(
-        self, xyz_m: Float[ndarray, "n 3"], a: Int[ndarray, "m"], b: Int[ndarray, "m"]
-    ) -> Bool[ndarray, "m"]:
+    def clear(self, xyz_m: Float[ndarray, "n 3"], a: Int[ndarray, "m"], b: Int[ndarray, "m"]) -> Bool[ndarray, "m"]:
         """Which of the lines between the places of antennas `a` and `b` (rows) no building cuts."""
         cell = self._cell(xyz_m)
         xyz = cell * self.snap_m + self._low

@@ -25,6 +25,7 @@ from numpy import ndarray
 from scipy.special import gammaincinv, ndtr
 
 from cosim.rng import mix, unit
+from cosim.v2x.kernel import inlined, kernel
 
 LIGHT_MPS = 299_792_458.0
 
@@ -124,7 +125,7 @@ def two_ray_interference_db(
 
 def log_distance_db(d: Float[ndarray, "m"], exponent: float = 2.75, f: float = 5.9) -> Float[ndarray, "m"]:
     """Free space at 1 m, then 10 n log d."""
-    return free_space_db(np.float64(1.0), f) + 10 * exponent * np.log10(d)
+    return free_space_db(np.ones(()), f) + 10 * exponent * np.log10(d)
 
 
 def dual_slope_db(
@@ -140,10 +141,8 @@ def tr37885_db(
 ) -> Float[ndarray, "m"]:
     """Path loss of [1]_, without blockage by vehicles (see `blockage_db`)."""
     log_d, log_f = np.log10(d), np.log10(f)
-    if scenario == "urban":
-        los = 38.77 + 16.7 * log_d + 18.2 * log_f
-    else:
-        los = 32.4 + 20 * log_d + 20 * log_f
+    urban = scenario == "urban"
+    los = 38.77 + 16.7 * log_d + 18.2 * log_f if urban else 32.4 + 20 * log_d + 20 * log_f
     return np.where(nlos, 36.85 + 30 * log_d + 18.9 * log_f, los)
 
 
@@ -177,14 +176,12 @@ def blockage_db(
     return np.where(blocker_m > h_low_m, loss, 0.0)
 
 
-_BOBAN = {
-    "urban": {
-        "low": (0.8548, 0.0064, 0.0396, 5.2718, 3.4827),
-        "medium": (0.8372, 0.0114, 0.0312, 5.0063, 2.4544),
-        "high": (0.8962, 0.0170, 0.0242, 5.0115, 2.2092),
-    },
-    "highway": {"low": (1.5e-6, -0.0015), "medium": (2.7e-6, -0.0025), "high": (3.2e-6, -0.003)},
+_BOBAN_URBAN = {
+    "low": (0.8548, 0.0064, 0.0396, 5.2718, 3.4827),
+    "medium": (0.8372, 0.0114, 0.0312, 5.0063, 2.4544),
+    "high": (0.8962, 0.0170, 0.0242, 5.0115, 2.2092),
 }
+_BOBAN_HIGHWAY = {"low": (1.5e-6, -0.0015), "medium": (2.7e-6, -0.0025), "high": (3.2e-6, -0.003)}
 
 
 def vehicle_in_way_p(
@@ -197,11 +194,11 @@ def vehicle_in_way_p(
     Deviations: beyond 475 m the highway parabola, which would rise again, stays at its minimum.
     """
     if scenario == "urban":
-        p0, rate, a, b, c = _BOBAN["urban"][traffic]
+        p0, rate, a, b, c = _BOBAN_URBAN[traffic]
         los = np.minimum(1.0, p0 * np.exp(-rate * d))
         blocked = np.minimum(1 - los, np.exp(-((np.log(d) - b) ** 2) / c) / (a * d))
         return blocked / (los + blocked)
-    a, b = _BOBAN["highway"][traffic]
+    a, b = _BOBAN_HIGHWAY[traffic]
     d = np.minimum(d, -b / (2 * a))
     return 1 - np.clip(a * d**2 + b * d + 1, 0, 1)
 
@@ -254,17 +251,16 @@ def fading_quantiles() -> Float[ndarray, "classes 4096"]:
 N_WAVES = 32
 
 
-@njit(cache=True, inline="always")
+@inlined
 def _turn_sine(x):
     """sin(2 pi x), to 4e-6."""
     r = x - np.floor(x + 0.5)
     r = 0.5 - r if r > 0.25 else (-0.5 - r if r < -0.25 else r)
     y = np.float32(2 * np.pi * r)
     z = y * y
-    return y * (
-        np.float32(1)
-        + z * (np.float32(-1 / 6) + z * (np.float32(1 / 120) + z * (np.float32(-1 / 5040) + z * np.float32(1 / 362880))))
-    )
+    s = np.float32(-1 / 5040) + z * np.float32(1 / 362880)
+    s = np.float32(-1 / 6) + z * (np.float32(1 / 120) + z * s)
+    return y + y * z * s
 
 
 @njit(cache=True)
@@ -292,7 +288,7 @@ def _waves(xy, decorrelation_m, chance):
     return out
 
 
-@njit(cache=True, _nrt=False)
+@kernel
 def _field(waves, d, decorrelation_m, a, b, lanes, out):
     for m in range(len(a)):
         i, j = a[m], b[m]

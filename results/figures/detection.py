@@ -1,6 +1,7 @@
 """What vehicles see and believe: average precision and awareness."""
 
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import Any
 
 import pandas as pd
@@ -26,8 +27,8 @@ def draw(runs: Sequence[Run], max_frames: int = 4000, range_m: float = 70.0) -> 
     style.need(runs)
     precisions = [_precision(run, max_frames) for run in runs]
     known = [detection.awareness(run, range_m, max_frames=max_frames) for run in runs]
-    met = {label for frame in precisions for label in frame["class"]}
-    rows = [(label, level) for label in CLASSES if label in met for level in LEVELS]
+    met = {row for frame in precisions for row in zip(frame["class"], frame.level, strict=True)}
+    rows = [(label, level) for label in CLASSES for level in LEVELS if (label, level) in met]
     figure, (left, right) = style.sheet(columns=2, height=1.6 + 0.21 * len(rows))
     for i, (precision, aware) in enumerate(zip(precisions, known, strict=True)):
         offset = 0.0 if len(runs) == 1 else 0.5 * (i / (len(runs) - 1) - 0.5)
@@ -43,8 +44,9 @@ def draw(runs: Sequence[Run], max_frames: int = 4000, range_m: float = 70.0) -> 
     left.set_yticks(range(len(rows)), [f"{label}, {level}" for label, level in rows])
     left.set_ylim(len(rows) - 0.5, -0.5)
     left.set_xlim(-3, 103)
-    for border in range(len(LEVELS), len(rows), len(LEVELS)):
-        left.axhline(border - 0.5, color="#999999", linewidth=0.7)
+    for border, ((above, _), (below, _)) in enumerate(pairwise(rows)):
+        if above != below:
+            left.axhline(border + 0.5, color="#999999", linewidth=0.7)
     style.panel(right, "Awareness", "Distance [m]", "Share of actors known")
     style.share_axis(right)
     right.set_xlim(0, range_m)

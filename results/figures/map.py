@@ -13,7 +13,9 @@ from results.figures import style
 from results.metrics import contacts
 
 _MOST = 200_000
-"""Encounters, and poses, that suffice for a picture."""
+"""Encounters that suffice for a picture."""
+_OFFSET = 1 << 30
+"""Makes grid numbers positive."""
 
 
 @style.styled
@@ -61,10 +63,11 @@ def _begun(run: Run, radius_m: float | None, pairs: str | None) -> np.ndarray:
 
 def _streets(run: Run) -> np.ndarray:
     """Places where someone drove or walked [n 2]."""
-    places = np.concatenate([
-        np.unique(np.round(part[["x_m", "y_m"]].to_numpy() / 2), axis=0) for part in run.parts("actors", ["x_m", "y_m"])
-    ])  # fmt: skip
-    return np.unique(places, axis=0) * 2
+    places: np.ndarray = np.zeros(0, np.int64)
+    for part in run.parts("actors", ["x_m", "y_m"]):
+        x, y = (np.round(part[name].to_numpy(np.float64) / 2).astype(np.int64) + _OFFSET for name in ("x_m", "y_m"))
+        places = np.union1d(places, (x << 32) | y)
+    return np.column_stack([places >> 32, places & 0xFFFFFFFF]) * 2.0 - 2 * _OFFSET
 
 
 def _cells(points: np.ndarray, street: np.ndarray, cell_m: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

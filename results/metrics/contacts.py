@@ -45,15 +45,23 @@ def over_time(run: Run, every_s: float = 10.0, radius_m: float | None = None, pa
     in the largest component).
     """
     frame = contacts(run, radius_m, pairs)
+    start, end = (np.ceil(frame[name].to_numpy() / every_s).astype(np.int64) for name in ("start_s", "end_s"))
+    n_instants = end - start  # at which each contact is seen
+    contact = np.repeat(np.arange(len(frame)), n_instants)
+    instant = np.arange(len(contact)) - np.repeat(np.cumsum(n_instants) - n_instants - start, n_instants)
+    order = np.argsort(instant, kind="stable")
+    times = np.arange(int(np.ceil(run.manifest["steps"] * run.dt_s / every_s)))
+    seen = np.split(contact[order], np.searchsorted(instant[order], times[1:]))
+    who = frame[["a", "b"]].to_numpy()
     rows = []
-    for time_s in np.arange(0, run.manifest["steps"] * run.dt_s, every_s):
-        now = frame[(frame.start_s <= time_s) & (time_s < frame.end_s)]
-        actors, index = np.unique(now[["a", "b"]].to_numpy(), return_inverse=True)
+    for time, now in zip(times, seen, strict=True):
+        actors, index = np.unique(who[now], return_inverse=True)
         n, (a, b) = len(actors), index.reshape(-1, 2).T
         n_components, member = connected_components(coo_array((np.ones(len(a)), (a, b)), shape=(n, n)), directed=False)
         rows.append({
-            "time_s": time_s, "n_actors": n, "n_contacts": len(now), "degree_mean": 2 * len(now) / n if n else 0.0,
-            "n_components": n_components if n else 0, "largest_share": np.bincount(member).max() / n if n else 0.0,
+            "time_s": time * every_s, "n_actors": n, "n_contacts": len(now),
+            "degree_mean": 2 * len(now) / n if n else 0.0, "n_components": n_components if n else 0,
+            "largest_share": np.bincount(member).max() / n if n else 0.0,
         })  # fmt: skip
     return pd.DataFrame(rows)
 

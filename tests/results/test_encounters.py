@@ -1,11 +1,13 @@
 """The encounter ledger: by hand, against closed forms, and against a brute-force twin."""
 
 import math
+import time
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial import cKDTree
 
 from results.encounters import EncounterLedger, EncounterParams
 
@@ -219,3 +221,21 @@ def test_memory_stays_with_the_living():
         ledger.update(step, a, b, np.ones(len(a)), np.ones(len(a), bool), present)
     assert len(ledger) == 190
     assert len(ledger._past[0]) + len(ledger._pending[0]) < 5000
+
+
+@pytest.mark.verify
+def test_costs_less_than_the_traffic():
+    """1,000 vehicles with 40 neighbours each: SUMO takes 7 to 9 ms a step, the ledger below 6."""
+    rng = np.random.default_rng(0)
+    points, speed = rng.uniform(0, 2000, (1000, 2)), rng.normal(0, 8, (1000, 2))
+    ledger, spent_s = EncounterLedger(EncounterParams(radius_m=230, pairs="all"), 1.0), []
+    for step in range(120):
+        points = (points + speed) % 2000
+        pairs = cKDTree(points).query_pairs(230, output_type="ndarray")
+        a, b = pairs[np.lexsort(pairs.T[::-1])].T
+        distance = np.hypot(*(points[a] - points[b]).T)
+        start = time.perf_counter()
+        ledger.update(step, a, b, distance, distance < 100, np.arange(1000))
+        ledger.count_messages(np.r_[a, b], np.r_[b, a])
+        spent_s.append(time.perf_counter() - start)
+    assert np.median(spent_s) < 6e-3

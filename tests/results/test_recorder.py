@@ -111,10 +111,13 @@ def test_resume_equals_a_run_in_one_go(tmp_path):
     whole.mkdir(), broken.mkdir()
     steps(whole, 0, 40)
     steps(broken, 0, 27)
+    (broken / "trust" / "part-00002.partial").write_text("half a block")
+    (broken / "trust" / "notes.txt").write_text("not ours")
     with pytest.raises(ValueError, match="Resume at step 20"):
         Recorder(broken, "summary", block_steps=10, resume_at=27)
     steps(broken, 20, 40, resume_at=20)
     assert fingerprint(broken) == fingerprint(whole)
+    assert (broken / "trust" / "notes.txt").exists() and not list(broken.rglob("*.partial"))
 
 
 def test_fingerprint_sees_values_only(tmp_path):

@@ -10,7 +10,7 @@ from results import tables
 
 def test_docs_are_the_code():
     text = (Path(tables.__file__).parent / "TABLES.md").read_text()
-    assert text == tables.markdown(), "write results/TABLES.md anew: make tables, or see its first lines"
+    assert text == tables.markdown(), "run python -m results.tables"
 
 
 @pytest.mark.parametrize("name", tables.TABLES)

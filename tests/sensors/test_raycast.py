@@ -1,5 +1,6 @@
 """The columnar caster against Embree, ray by ray, and the laws that any caster obeys."""
 
+import numba
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -152,6 +153,19 @@ def test_a_rigid_motion_changes_nothing(seed):
     a = exact(boxes, shape, np.arange(5), scene, profile="vlp32c")
     b = exact(moved(boxes, turn, shift), shape, np.arange(5), there, profile="vlp32c")
     assert np.mean(np.abs(finite(a) - finite(b)) > 1e-3) <= 1e-4
+
+
+def test_threads_change_nothing():
+    rng = np.random.default_rng(5)
+    (boxes, shape), scene = traffic(rng, 100), blocks(rng)
+    threads = numba.get_num_threads()
+    several = exact(boxes, shape, np.arange(40), scene)
+    numba.set_num_threads(1)
+    try:
+        one = exact(boxes, shape, np.arange(40), scene)
+    finally:
+        numba.set_num_threads(threads)
+    assert (one.range_m == several.range_m).all() and (one.hit == several.hit).all()
 
 
 def test_rays_slip_through_no_joint():
