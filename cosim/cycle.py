@@ -81,6 +81,15 @@ Perceive = Callable[[World, Int[ndarray, "e"], lidar.Sweeps, Config], Perceived]
 
 
 @dataclass(frozen=True, slots=True)
+class Exchange:
+    """One round of messages, one of every equipped vehicle."""
+
+    heard: radio.Heard
+    frames: radio.Frames
+    length_bytes: Int[ndarray, "e"]  # of each vehicle's message
+
+
+@dataclass(frozen=True, slots=True)
 class Turn:
     """Everything that happened in one turn; `e` counts equipped vehicles, rows of `observers`."""
 
@@ -89,16 +98,13 @@ class Turn:
     sights: evidence.Sightings
     said: Detections
     truth: Truth
-    first: radio.Heard  # who heard whose detections
-    second: radio.Heard  # who heard whose verdicts
-    frames: tuple[radio.Frames, radio.Frames]  # of the two exchanges
-    sent_bytes: tuple[float, float]  # on the air, relays included
+    exchanges: tuple[Exchange, Exchange]  # of detections, and of verdicts
     views: Views  # what each vehicle judged
     verdicts: Verdicts
     n_points: Int[ndarray, "m"]
     plausible: Bool[ndarray, "m"]
     matched: Bool[ndarray, "m"]
-    known: Known  # goes with `second`
+    known: Known  # goes with the deliveries of verdicts
     fused: fusion.Fused
     standing: Standing | None  # what the server just computed
 
@@ -171,13 +177,13 @@ def turn(
         fused = fused.take(fused.score >= config.trust.min_score)
 
     n_said = np.bincount(claims.sender[said.said], minlength=len(observers))
-    sent_bytes = (
-        float(first_frames.n_transmissions @ detections_bytes(n_said)),
-        float(second_frames.n_transmissions @ verdicts_bytes(np.diff(told.ptr))),
+    exchanges = (
+        Exchange(first, first_frames, detections_bytes(n_said)),
+        Exchange(second, second_frames, verdicts_bytes(np.diff(told.ptr))),
     )
     return Turn(
-        world, observers, sights, said, truth, first, second, (first_frames, second_frames), sent_bytes, views,
-        verdicts, n_points, plausible, groups.local, known, fused, standing,
+        world, observers, sights, said, truth, exchanges, views, verdicts, n_points, plausible, groups.local, known,
+        fused, standing,
     )  # fmt: skip
 
 

@@ -3,12 +3,12 @@
 from dataclasses import dataclass, field
 
 import numpy as np
-from jaxtyping import Bool, Int
+from jaxtyping import Int
 from numpy import ndarray
 from scipy.spatial import cKDTree
 
 from cosim.config import Config
-from cosim.cycle import State, Turn, knowledge
+from cosim.cycle import FROM_NOWHERE, State, Turn, knowledge
 from cosim.roster import Roster
 from cosim.v2x.messages import FABRICATED, Detections
 from cosim.v2x.radio import Fate
@@ -18,6 +18,16 @@ from results.recorder import Recorder
 from sensors.boxes import Boxes
 from sensors.evidence import line_of_sight
 from sensors.scene import Scene, Shape
+
+FATES = {
+    "n_delivered": (Fate.RECEIVED,),
+    "n_lost_propagation": (Fate.LOST,),
+    "n_lost_collision": (),
+    "n_lost_receiver_busy": (),
+    "n_lost_expired": (),
+    "n_lost_late": (Fate.LATE,),
+}
+"""Columns of the tables `radio` and `links`, and the fates that each counts."""
 
 RING_M = 25
 """Width of a ring of distance in the table `links` [m]."""
@@ -76,9 +86,11 @@ class Meetings:
         foreign = turn.observers[evaluator] != observer
         judged = evaluator[foreign] * len(turn.world) + observer[foreign]
         pair, n = np.unique(judged, return_counts=True)
+        second, told = turn.exchanges[1].heard, turn.known.source != FROM_NOWHERE
         for ledger in self.ledgers:
-            for heard in (turn.first, turn.second):
-                ledger.count_messages(ids[heard.sender], ids[heard.receiver])
+            for exchange in turn.exchanges:
+                ledger.count_messages(ids[exchange.heard.sender], ids[exchange.heard.receiver])
+            ledger.note_trust(ids[second.receiver][told], ids[second.sender][told])
             ledger.count_verdicts(ids[pair // len(turn.world)], turn.world.actor[pair % len(turn.world)], n)
 
     def close(self, recorder: Recorder, last_step: int) -> None:
@@ -97,11 +109,13 @@ def turn(recorder: Recorder, turn: Turn, dt_s: float) -> None:
         "observer": ids[turn.sights.o], "actor": world.actor[turn.sights.actor],
         "n_points": turn.sights.n_returns, "n_unoccluded": turn.sights.n_unoccluded,
     })  # fmt: skip
-    heard = turn.first
-    recorder.append("deliveries", step, {
-        "sender": ids[heard.sender], "receiver": ids[heard.receiver], "hops": heard.hops,
-        "latency_s": heard.latency_s, "distance_m": heard.distance_m,
-    })  # fmt: skip
+    for message, exchange in enumerate(turn.exchanges):
+        heard = exchange.heard
+        recorder.append("deliveries", step, {
+            "message": np.full(len(heard.sender), message),
+            "sender": ids[heard.sender], "receiver": ids[heard.receiver],
+            "hops": heard.hops, "latency_s": heard.latency_s, "distance_m": heard.distance_m,
+        })  # fmt: skip
     member = turn.views.member
     recorder.append("verdicts", step, {
         "judged_step": np.full(len(member), step),
@@ -117,9 +131,10 @@ def turn(recorder: Recorder, turn: Turn, dt_s: float) -> None:
             "n_evaluations": standing.n_verdicts, "newest_age_s": (step - standing.newest_step) * dt_s,
             "oldest_age_s": (step - standing.oldest_step) * dt_s,
         })  # fmt: skip
+    heard = turn.exchanges[1].heard
     recorder.append("uses", step, {
-        "receiver": ids[turn.second.receiver], "subject": ids[turn.second.sender], "trust": turn.known.trust,
-        "source": turn.known.source, "age_s": turn.known.age_s, "age_s__valid": turn.known.source != 2,
+        "receiver": ids[heard.receiver], "subject": ids[heard.sender], "trust": turn.known.trust,
+        "source": turn.known.source, "age_s": turn.known.age_s, "age_s__valid": turn.known.source != FROM_NOWHERE,
     })  # fmt: skip
     _fused(recorder, turn)
 
@@ -170,27 +185,22 @@ def _fused(recorder: Recorder, turn: Turn) -> None:
 
 def _radio(recorder: Recorder, turn: Turn) -> None:
     step = turn.world.step
-    fate = np.concatenate([f.fate for f in turn.frames])
-    ring = (np.concatenate([f.distance_m for f in turn.frames]) // RING_M).astype(int)
-    rings, at = np.unique(ring, return_inverse=True)
-    zero = np.zeros(1, int)
-    recorder.append("radio", step, {
-        "n_sent": np.array([sum(f.n_transmissions.sum() for f in turn.frames)]), "n_in_reach": np.array([len(fate)]),
-        "n_delivered": np.array([np.sum(fate == Fate.RECEIVED)]),
-        "n_lost_propagation": np.array([np.sum(fate == Fate.LOST)]), "n_lost_collision": zero,
-        "n_lost_receiver_busy": zero, "n_lost_expired": np.array([np.sum(fate == Fate.LATE)]),
-        "bytes": np.array([sum(turn.sent_bytes)]), "busy_ratio": None,
-    })  # fmt: skip
-
-    def per_ring(mask: Bool[ndarray, "f"]) -> Int[ndarray, "r"]:
-        return np.bincount(at[mask], minlength=len(rings))
-
-    recorder.append("links", step, {
-        "ring_m": rings * RING_M, "n_in_reach": np.bincount(at, minlength=len(rings)),
-        "n_delivered": per_ring(fate == Fate.RECEIVED), "n_lost_propagation": per_ring(fate == Fate.LOST),
-        "n_lost_collision": np.zeros(len(rings), int), "n_lost_receiver_busy": np.zeros(len(rings), int),
-        "n_lost_expired": per_ring(fate == Fate.LATE),
-    })  # fmt: skip
+    for message, exchange in enumerate(turn.exchanges):
+        frames = exchange.frames
+        n_sent, n_own = frames.n_transmissions.sum(), (frames.n_transmissions > 0).sum()
+        recorder.append("radio", step, {
+            "message": np.array([message]), "n_sent": np.array([n_sent]), "n_relayed": np.array([n_sent - n_own]),
+            "n_in_reach": np.array([len(frames.fate)]), "n_duplicate": np.array([frames.n_duplicate]),
+            **{name: np.array([np.isin(frames.fate, fates).sum()]) for name, fates in FATES.items()},
+            "bytes": np.array([frames.n_transmissions @ exchange.length_bytes]), "busy_ratio": None,
+        })  # fmt: skip
+        rings, at = np.unique((frames.distance_m // RING_M).astype(int), return_inverse=True)
+        recorder.append("links", step, {
+            "message": np.full(len(rings), message), "ring_m": rings * RING_M,
+            "n_in_reach": np.bincount(at, minlength=len(rings)),
+            **{name: np.bincount(at[np.isin(frames.fate, fates)], minlength=len(rings))
+               for name, fates in FATES.items()},
+        })  # fmt: skip
 
 
 def vehicles(recorder: Recorder, roster: Roster, first_lie_step: Int[ndarray, "n"], last_step: int) -> None:

@@ -19,6 +19,7 @@ BEHAVIOURS = ("honest", "unreliable", "malicious")
 CLASSES = ("car", "pedestrian", "cyclist", "truck")
 ORIGINS = ("sensed", "self", "fabricated")
 SOURCES = ("server", "own", "default")
+MESSAGES = ("detections", "verdicts")
 PAIRS = ("all", "equipped", "sight")
 
 
@@ -100,13 +101,15 @@ def _trust_at_contact(one: str, other: str) -> dict[str, Column]:
     }
 
 
-_IN_REACH = _count("Sender-receiver pairs within reach: the messages that could have been heard.")
-_DELIVERED = _count("Of these, delivered.")
+_MESSAGE = Column("category", key=True, categories=MESSAGES, meaning="What is said: own detections, or verdicts on those of others.")
+_IN_REACH = _count("(Frame, radio) pairs within reach, relayed frames included: what could have been heard.")
+_DELIVERED = _count("Of these, received.")
 _LOST = {
     "n_lost_propagation": _count("Lost to distance, obstacles, shadowing or fading."),
     "n_lost_collision": _count("Lost to interference of other senders."),
     "n_lost_receiver_busy": _count("Lost because the receiver was sending or locked to another frame."),
     "n_lost_expired": _count("Never sent: lifetime over in the sender's queue."),
+    "n_lost_late": _count("Received after the time-out of the exchange, and dropped."),
 }
 
 TABLES: Mapping[str, Table] = {
@@ -198,6 +201,7 @@ TABLES: Mapping[str, Table] = {
         "Messages that arrived.",
         {
             "step": _key("Step in which the message was sent."),
+            "message": _MESSAGE,
             "sender": _key("Vehicle that made the message."),
             "receiver": _key("Vehicle that received it."),
             "hops": Column("uint8", meaning="Radio hops taken; 1 is direct."),
@@ -210,9 +214,12 @@ TABLES: Mapping[str, Table] = {
         "The channel, all of the city together.",
         {
             "step": _STEP,
-            "n_sent": _count("Messages sent, relayed copies included."),
+            "message": _MESSAGE,
+            "n_sent": _count("Frames sent, relayed copies included."),
+            "n_relayed": _count("Of these, relayed copies."),
             "n_in_reach": _IN_REACH,
             "n_delivered": _DELIVERED,
+            "n_duplicate": _count("Of these, messages that the receiver had already."),
             **_LOST,
             "bytes": Column("float32", unit="B", meaning="Sent on the air, relayed copies included."),
             "busy_ratio": Column("float32", unit="1", null=True, meaning="Share of time that a vehicle hears the channel busy, mean over vehicles; null where not modelled."),
@@ -223,6 +230,7 @@ TABLES: Mapping[str, Table] = {
         "The channel by distance between sender and receiver.",
         {
             "step": _STEP,
+            "message": _MESSAGE,
             "ring_m": Column("int16", unit="m", key=True, meaning="Lower edge of the ring of distance."),
             "n_in_reach": _IN_REACH,
             "n_delivered": _DELIVERED,
@@ -230,7 +238,7 @@ TABLES: Mapping[str, Table] = {
         },
     ),
     "verdicts": Table(
-        "full",
+        "standard",
         "What hearers thought of each other's detections.",
         {
             "step": _key("Step of the detection."),

@@ -1,9 +1,9 @@
-"""How fast the sensors are on this machine: each figure the median of several runs on one thread, engines side by side."""
+"""How fast the sensors are on this machine: the median CPU time of several runs on one core, engines side by side."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from time import perf_counter
+from time import process_time
 
 import numba
 import numpy as np
@@ -17,11 +17,14 @@ from sensors.near import near
 from sensors.scene import LABEL_OF_SHAPE, Scene
 
 _SIZE_M = np.array(
-    [(4.4, 1.8, 1.5), (5.2, 2.0, 2.2), (9.0, 2.5, 3.5), (12.0, 2.55, 3.2), (2.2, 0.8, 1.6), (1.8, 0.6, 1.7), (0.6, 0.6, 1.75)]
-)
+    [
+        (4.4, 1.8, 1.5), (5.2, 2.0, 2.2), (9.0, 2.5, 3.5), (12.0, 2.55, 3.2),
+        (2.2, 0.8, 1.6), (1.8, 0.6, 1.7), (0.6, 0.6, 1.75),
+    ]
+)  # fmt: skip
 
 
-def town(n_actors: int = 600, n_blocks: int = 20, pitch_m: float = 60.0) -> tuple[Scene, Boxes, UInt8[ndarray, "n"]]:
+def town(n_actors: int = 600, n_blocks: int = 20, pitch_m: float = 60.0) -> tuple[Scene, Boxes, UInt8[ndarray, n]]:
     """A grid of streets between L-shaped blocks and the traffic in it, always the same."""
     rng = np.random.default_rng(0)
     corner = np.array([(8, 8), (52, 8), (52, 30), (40, 30), (40, 52), (8, 52)]) / 60.0 * pitch_m
@@ -37,7 +40,7 @@ def town(n_actors: int = 600, n_blocks: int = 20, pitch_m: float = 60.0) -> tupl
 
 
 def bench(
-    world: tuple[Scene, Boxes, UInt8[ndarray, "n"]] | None = None, n_observers: int = 100, runs: int = 5
+    world: tuple[Scene, Boxes, UInt8[ndarray, n]] | None = None, n_observers: int = 100, runs: int = 5
 ) -> list[dict[str, str | float]]:
     """Rows of (what, value, unit) on a given world, or on a synthetic town of 600 actors."""
     scene, boxes, shape = town() if world is None else world
@@ -51,12 +54,12 @@ def bench(
 
 
 def _median_s(work: Callable[[], object], runs: int) -> float:
-    work()      # compiled, and its memory touched
+    work()  # compiled, and its memory touched
     seconds = []
     for _ in range(runs):
-        start = perf_counter()
+        start = process_time()
         work()
-        seconds.append(perf_counter() - start)
+        seconds.append(process_time() - start)
     return float(np.median(seconds))
 
 
@@ -81,12 +84,16 @@ def _measure(scene, boxes, shape, observers, runs) -> list[dict[str, str | float
     n_pairs = len(overlapping_pairs(crowd, label, o)[0])
 
     figures = [
-        ("columnar, one thread", rays / columnar / 1e6, "M rays/s"),
+        ("columnar, one core", rays / columnar / 1e6, "M rays/s"),
         ("columnar, one sweep", columnar / len(observers) * 1e6, "us"),
-        ("columnar with range noise, one thread", rays / noisy / 1e6, "M rays/s"),
-        ("embree, one thread", rays / embree / 1e6, "M rays/s"),
+        ("columnar with range noise, one core", rays / noisy / 1e6, "M rays/s"),
+        ("embree, one core", rays / embree / 1e6, "M rays/s"),
         ("columnar / embree", embree / columnar, "times"),
-        ("sightings", _median_s(lambda: sightings(sweeps, boxes, shape), runs) / len(observers) * 1e6, "us per observer"),
+        (
+            "sightings",
+            _median_s(lambda: sightings(sweeps, boxes, shape), runs) / len(observers) * 1e6,
+            "us per observer",
+        ),
         ("points in boxes", _median_s(lambda: points_in_boxes(sweeps, o, asked), runs) / len(o) * 1e6, "us per box"),
         ("plausibility", _median_s(lambda: plausible(sweeps, o, asked), runs) / len(o) * 1e6, "us per box"),
         (

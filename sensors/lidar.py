@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
+from functools import lru_cache
 from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
@@ -142,9 +143,9 @@ class Poses:
     """Where M sensors are: level, in the world frame, each looking along its vehicle's heading."""
 
     origin_m: Float[ndarray, "m 3"]
-    yaw_rad: Float[ndarray, "m"]
+    yaw_rad: Float[ndarray, m]
 
-    def to_sensor(self, o: Int[ndarray, "n"], boxes: Boxes) -> Boxes:
+    def to_sensor(self, o: Int[ndarray, n], boxes: Boxes) -> Boxes:
         """Each world box in the frame of its row's sensor."""
         d = boxes.xyz_m - self.origin_m[o]
         cos, sin = np.cos(self.yaw_rad[o]), np.sin(self.yaw_rad[o])
@@ -158,7 +159,7 @@ class Poses:
         return turned + self.origin_m[o]
 
 
-def mount(boxes: Boxes, observers: Int[ndarray, "m"], params: LidarParams) -> Poses:
+def mount(boxes: Boxes, observers: Int[ndarray, m], params: LidarParams) -> Poses:
     """The sensors of these actors: over the centre of the roof, looking ahead."""
     origin = boxes.xyz_m[observers].copy()
     origin[:, 2] += 0.5 * boxes.lwh_m[observers, 2] + params.mount_above_roof_m
@@ -174,9 +175,9 @@ class Sweeps:
     hit: Int32[ndarray, "m a e"]
     """What returned, as a `Hit` code. Truth: only truth columns may read it."""
     poses: Poses
-    observers: Int[ndarray, "m"]
+    observers: Int[ndarray, m]
     """Actor row that carries each sensor."""
-    ground_m: Float[ndarray, "m"]
+    ground_m: Float[ndarray, m]
     """Height of the road under each sensor."""
     beams: Beams
     max_range_m: float
@@ -187,7 +188,7 @@ class Sweeps:
         return self.points(np.full(len(column), o), column, row)
 
     def points(
-        self, o: Int[ndarray, "k"], column: Int[ndarray, "k"], row: Int[ndarray, "k"]
+        self, o: Int[ndarray, k], column: Int[ndarray, k], row: Int[ndarray, k]
     ) -> Float[ndarray, "k 3"]:
         """The ends of single rays that returned, in the frame of their sensor [m]."""
         r = self.range_m[o, column, row].astype(np.float64)
@@ -201,11 +202,11 @@ ENGINES: dict[str, Callable[..., None]] = {"columnar": columnar.cast, "embree": 
 
 def scan(
     boxes: Boxes,
-    shape: UInt8[ndarray, "n"],
-    observers: Int[ndarray, "m"],
+    shape: UInt8[ndarray, n],
+    observers: Int[ndarray, m],
     scene: Scene,
     params: LidarParams,
-    keys: UInt64[ndarray, "m"],
+    keys: UInt64[ndarray, m],
     out: Sweeps | None = None,
 ) -> Sweeps:
     """One sweep of every observer, all at one instant.
@@ -219,7 +220,8 @@ def scan(
     keys
         One number per observer that its range noise and dropouts are a function of.
     out
-        An earlier result of the same size, whose arrays are written over: saves the memory traffic of a fresh one.
+        An earlier result, whose arrays are written over where they are large enough: spares the memory traffic
+        of fresh ones.
 
     Notes
     -----
@@ -234,25 +236,31 @@ def scan(
     grid = beams(params)
     poses = mount(boxes, observers, params)
     size = (len(observers), len(grid.azimuth_rad), len(grid.elevation_rad))
-    if out is not None and out.range_m.shape == size:
-        range_m, hit = out.range_m, out.hit
-    else:
-        range_m, hit = np.empty(size, np.float32), np.empty(size, np.int32)
+    range_m = _room(size, np.float32, None if out is None else out.range_m)
+    hit = _room(size, np.int32, None if out is None else out.hit)
     ground_m = boxes.xyz_m[observers, 2] - 0.5 * boxes.lwh_m[observers, 2]
     ENGINES[params.engine](
         range_m, hit, poses, ground_m, observers, grid, params.max_range_m, boxes, prisms(shape, boxes), scene
     )
     if params.range_sigma_m > 0.0 or params.dropout_p > 0.0:
-        _disturb(range_m, hit, np.asarray(keys, np.uint64), np.float32(params.range_sigma_m), params.dropout_p, _LEVELS)
+        seeds = np.asarray(keys, np.uint64)
+        _disturb(range_m, hit, seeds, np.float32(params.range_sigma_m), float(params.dropout_p), _levels())
     return Sweeps(range_m, hit, poses, observers, ground_m, grid, params.max_range_m)
 
 
+def _room(size: tuple[int, int, int], kind: type, old: ndarray | None) -> ndarray:
+    """An array of this size, in the memory of an old one if that suffices; some more is kept for growing fleets."""
+    whole = old if old is None or old.base is None else old.base
+    if whole is None or whole.shape[1:] != size[1:] or len(whole) < size[0]:
+        whole = np.empty((size[0] + size[0] // 8, *size[1:]), kind)
+    return whole[: size[0]]
+
+
+@lru_cache(maxsize=1)
 def _levels() -> Float32[ndarray, "k"]:
+    """Standard normal quantiles in the middle of 4,096 equally probable bins, at unit variance."""
     z = ndtri((np.arange(4096) + 0.5) / 4096)
     return (z / z.std()).astype(np.float32)
-
-
-_LEVELS = _levels()
 
 
 @njit(cache=True)

@@ -71,7 +71,7 @@ def points_in_boxes_xyz(points, xyz, lwh, yaw):
 
 def frustum(
     xyz: Float[ndarray, "n 3"], lwh: Float[ndarray, "n 3"]
-) -> tuple[Float[ndarray, "n 4 3"], Float[ndarray, "n 4 3"], Float[ndarray, "n"]]:
+) -> tuple[Float[ndarray, "n 4 3"], Float[ndarray, "n 4 3"], Float[ndarray, n]]:
     """Corners and planes of the pyramid from the sensor through the middle of each box (sensor frame).
 
     Parameters

@@ -15,10 +15,9 @@ import zipfile
 from pathlib import Path
 from typing import Any
 
-import shapely
-
 from sumo_nets import buildings, buses, demand, osm, streets, sumotools
 from sumo_nets.footprints import write_footprints
+from sumo_nets.ground import ground_of
 
 _HERE = Path(__file__).parent
 _LOG = logging.getLogger("sumo_nets.build")
@@ -146,25 +145,10 @@ def _network(recipe: dict[str, Any], extract: osm.Extract, work: Path) -> frozen
 def _buildings(extract: osm.Extract, work: Path) -> None:
     net_path = work / "net.net.xml"
     project = sumotools.Projector(extract, net_path)
-    built = buildings.build(buildings.rings_of(extract), project.ways, _ground(net_path))
+    built = buildings.build(buildings.rings_of(extract), project.ways, ground_of(net_path))
     _LOG.info("%d footprints, heights %s", len(built.footprints), dict(sorted(built.heights.items())))
     _LOG.info("%d footprints trimmed at a street, %d raised over one", built.cut, built.bridging)
     write_footprints(work / "buildings.poly.xml", built.footprints)
-
-
-def _ground(net_path: Path) -> shapely.Geometry:
-    """Carriageways, pavements and crossings, a hand's breadth wider than drawn."""
-    import sumolib
-
-    net = sumolib.net.readNet(str(net_path), withInternal=True, withPedestrianConnections=True)
-    shapes: list[shapely.Geometry] = []
-    for edge in net.getEdges(True):
-        for lane in edge.getLanes():
-            if edge.getFunction() == "walkingarea":
-                shapes.append(shapely.Polygon(lane.getShape()).buffer(0.0))
-            else:
-                shapes.append(shapely.LineString(lane.getShape()).buffer(lane.getWidth() / 2 + 0.1, cap_style="flat"))
-    return shapely.union_all(shapes)
 
 
 def _demand(recipe: dict[str, Any], extract: osm.Extract, gates: frozenset[str], work: Path) -> None:

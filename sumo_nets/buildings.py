@@ -12,13 +12,14 @@ from numpy import ndarray
 from shapely import Polygon
 
 from sumo_nets.footprints import Footprint, footprint_of, pieces_of
+from sumo_nets.ground import Ground
 from sumo_nets.heights import CLEARANCE_M, Height, height_of
 from sumo_nets.osm import Extract, Tags, Way
 
 SIMPLIFY_M = 0.15
 """Largest distance by which a simplified wall may leave its place [m]."""
 PASSAGE_M2 = 25.0
-"""A building that covers more street than this bridges it; less is a drawing error and cut off [m²]."""
+"""A building that covers more carriageway than this bridges it; less is a drawing error and cut off [m²]."""
 
 Solid = tuple[str, shapely.Geometry, Height]
 Ring = Float[ndarray, "k 2"]
@@ -63,10 +64,10 @@ def rings_of(extract: Extract) -> Rings:
     return dict(sorted(found.items()))
 
 
-def build(rings: Rings, project: Callable[[list[Way]], dict[int, Ring]], street: shapely.Geometry) -> Buildings:
+def build(rings: Rings, project: Callable[[list[Way]], dict[int, Ring]], ground: Ground) -> Buildings:
     """Footprints in network coordinates, parts taking the place of the outline they refine.
 
-    `project` turns ways into rings in the network's coordinates; `street` is the ground that must stay free.
+    `project` turns ways into rings in the network's coordinates; `ground` is kept free.
     """
     ways: list[Way] = []
     owner: list[tuple[str, bool]] = []
@@ -83,7 +84,7 @@ def build(rings: Rings, project: Callable[[list[Way]], dict[int, Ring]], street:
         name: shapely.union_all(solid[True]).difference(shapely.union_all(solid[False]))
         for name, solid in sorted(shells.items())
     }
-    return _standing(_refined(shape, {name: rings[name][2] for name in shape}), street)
+    return _standing(_refined(shape, {name: rings[name][2] for name in shape}), ground)
 
 
 def _is_building(tags: Tags) -> bool:
@@ -133,7 +134,8 @@ def _refined(shape: dict[str, shapely.Geometry], tags: dict[str, Tags]) -> list[
     return done
 
 
-def _standing(solids: list[Solid], street: shapely.Geometry) -> Buildings:
+def _standing(solids: list[Solid], ground: Ground) -> Buildings:
+    street = shapely.union(*ground)
     shapely.prepare(street)
     footprints: list[tuple[str, Footprint]] = []
     heights: Counter[str] = Counter()
@@ -145,7 +147,7 @@ def _standing(solids: list[Solid], street: shapely.Geometry) -> Buildings:
         if height.base_z_m < CLEARANCE_M and street.intersects(solid):
             over = solid.intersection(street)
             layers = [(solid.difference(street), height.base_z_m)]
-            if over.area > PASSAGE_M2 and height.top_z_m > CLEARANCE_M:
+            if over.intersection(ground.carriageway).area > PASSAGE_M2 and height.top_z_m > CLEARANCE_M:
                 layers.append((over, CLEARANCE_M))
                 bridging += 1
             cut += 1

@@ -37,21 +37,23 @@ class Detections:
 
     def take(self, rows: ndarray) -> "Detections":
         """These rows, in this order."""
-        return Detections(*(
-            column.take(rows) if isinstance(column, Boxes) else column[rows] for column in self._columns()
-        ))  # fmt: skip
+        return Detections.of([c.take(rows) if isinstance(c, Boxes) else c[rows] for c in self.columns()])
+
+    def columns(self) -> list[Any]:
+        """All columns, in the order of the fields."""
+        return [getattr(self, f.name) for f in fields(self)]
+
+    @staticmethod
+    def of(columns: list[Any]) -> "Detections":
+        """Detections from all columns, in the order of the fields."""
+        return Detections(*columns)
 
     @staticmethod
     def concat(parts: list["Detections"]) -> "Detections":
         """All rows of all parts, sorted by key."""
-        columns = zip(*(part._columns() for part in parts), strict=True)
-        joined = Detections(*(
-            Boxes.concat(list(c)) if isinstance(c[0], Boxes) else np.concatenate(c) for c in columns
-        ))  # fmt: skip
+        columns = zip(*(part.columns() for part in parts), strict=True)
+        joined = Detections.of([Boxes.concat(c) if isinstance(c[0], Boxes) else np.concatenate(c) for c in columns])
         return joined.take(np.lexsort((joined.k, joined.observer)))
-
-    def _columns(self) -> list[Any]:
-        return [getattr(self, f.name) for f in fields(self)]
 
 
 def detections_bytes(n_objects: Int[ndarray, "n"]) -> Int[ndarray, "n"]:

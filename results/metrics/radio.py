@@ -5,7 +5,7 @@ import pandas as pd
 
 from results.archive import Run
 
-LOST = ("n_lost_propagation", "n_lost_collision", "n_lost_receiver_busy", "n_lost_expired")
+LOST = ("n_lost_propagation", "n_lost_collision", "n_lost_receiver_busy", "n_lost_expired", "n_lost_late")
 
 
 def _traffic(run: Run) -> pd.DataFrame:
@@ -43,7 +43,7 @@ def over_time(run: Run, every_s: float = 10.0) -> pd.DataFrame:
 
 def by_distance(run: Run) -> pd.DataFrame:
     """Delivery by distance: ring_m (lower edge), distance_m (middle), n_in_reach, delivery_ratio, shares lost."""
-    total = run.links.drop(columns="step").groupby("ring_m").sum()
+    total = run.links.drop(columns=["step", "message"]).groupby("ring_m").sum()
     total = total[total.n_in_reach > 0].reset_index()
     if total.empty:
         raise ValueError(f"{run.path} holds no radio traffic: nobody had anybody in reach. Widen radio.reach_m.")

@@ -17,7 +17,7 @@ def test_defaults_survive_the_way_to_disk_and_back(tmp_path):
 
 def test_file_then_overrides(tmp_path):
     path = tmp_path / "mine.toml"
-    path.write_text("seed = 4\n[radio]\nreach_m = 150\n[[encounters]]\nradius_m = 50\n[[encounters]]\nradius_m = 250.0\n")
+    path.write_text("seed = 4\n[radio]\nreach_m = 150\n[[encounters]]\nradius_m = 50\n[[encounters]]\nradius_m = 250\n")
     config = load(path, ["radio.reach_m=200.5", "trust.method=local", "seed=9"])
     assert (config.seed, config.radio.reach_m, config.trust.method) == (9, 200.5, "local")
     assert [e.radius_m for e in config.encounters] == [50, 250]
@@ -91,7 +91,7 @@ def test_every_knob_says_its_meaning():
     for section in [Config, *(s for s in sections if is_dataclass(s))]:
         body = ast.parse(inspect.getsource(section)).body[0].body
         for node, after in zip(body, [*body[1:], None], strict=True):
-            if isinstance(node, ast.AnnAssign) and not is_dataclass(getattr(section, "__annotations__")[node.target.id]):
+            if isinstance(node, ast.AnnAssign) and not is_dataclass(section.__annotations__[node.target.id]):
                 documented = isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant)
                 assert documented or section is Config, f"{section.__name__}.{node.target.id} has no meaning"
 

@@ -120,9 +120,10 @@ def _meet(record, ledgers, step, here, talk, xyz, belief, reach_m, rng, heard_s)
         ledger.count_verdicts(other[got], one[got], rng.integers(1, 4, got.sum()))
     sent = len(talk)
     lost = {"n_in_reach": len(one), "n_delivered": got.sum(), "n_lost_propagation": faded.sum(),
-            "n_lost_collision": hit.sum(), "n_lost_receiver_busy": 0, "n_lost_expired": 0}  # fmt: skip
+            "n_lost_collision": hit.sum(), "n_lost_receiver_busy": 0, "n_lost_expired": 0, "n_lost_late": 0,
+            "n_relayed": 0, "n_duplicate": 0}  # fmt: skip
     record.append("radio", step, {
-        "n_sent": np.array([sent]), **{k: np.array([v]) for k, v in lost.items()},
+        "message": np.zeros(1, int), "n_sent": np.array([sent]), **{k: np.array([v]) for k, v in lost.items()},
         "bytes": np.array([sent * 350.0]), "busy_ratio": np.array([0.002 * sent]),
     })  # fmt: skip
     ring = (far // 25).astype(int)
@@ -131,8 +132,10 @@ def _meet(record, ledgers, step, here, talk, xyz, belief, reach_m, rng, heard_s)
         ("n_in_reach", slice(None)), ("n_delivered", got), ("n_lost_propagation", faded), ("n_lost_collision", hit),
     )}  # fmt: skip
     zero = np.zeros(len(rings), int)
-    record.append("links", step, {"ring_m": rings * 25, **count, "n_lost_receiver_busy": zero, "n_lost_expired": zero})
+    none = {name: zero for name in ("message", "n_lost_receiver_busy", "n_lost_expired", "n_lost_late")}
+    record.append("links", step, {"ring_m": rings * 25, **count, **none})
     record.append("deliveries", step, {
+        "message": np.zeros(got.sum(), int),
         "sender": one[got], "receiver": other[got], "hops": np.ones(got.sum(), int),
         "latency_s": rng.exponential(0.001, got.sum()), "distance_m": far[got],
     })  # fmt: skip

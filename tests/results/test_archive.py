@@ -73,14 +73,14 @@ def test_unfinished_and_foreign_runs(broken):
 
 def test_missing_tables_and_columns(broken):
     run = open_run(broken)
-    with pytest.raises(ValueError, match=r'no table verdicts: it is kept at record.level = "full"'):
-        run.table("verdicts")
-    with pytest.raises(ValueError, match="There is no table 'verdict'"):
-        run.table("verdict")
+    with pytest.raises(ValueError, match=r'no table deliveries: it is kept at record.level = "full"'):
+        run.table("deliveries")
+    with pytest.raises(ValueError, match="There is no table 'delivery'"):
+        run.table("delivery")
     with pytest.raises(ValueError, match="Table trust has no column trst"):
         run.table("trust", ["trst"])
     with pytest.raises(AttributeError):
-        run.verdict.head()
+        run.delivery.head()
 
 
 @pytest.mark.parametrize("harm", ["truncated", "overwritten"])

@@ -148,5 +148,5 @@ def test_small_on_disk(run):
 def test_open_run_gives_what_was_written(tmp_path):
     path = write(tmp_path / "small", steps=30, level="standard")
     run = open_run(path)
-    assert "verdicts" not in run.tables and len(run.actors)
+    assert "deliveries" not in run.tables and len(run.actors)
     assert run.actors.groupby("step").actor.is_monotonic_increasing.all()

@@ -39,11 +39,16 @@ def test_by_hand():
 def test_reference_vectors():
     found = cases("a_iou3d")
     a, b = (
-        from_camera(*([[c[k]["x"], c[k]["y"], c[k]["z"]] for c in found], *([c[k][d] for c in found] for d in ("h", "w", "l", "ry"))))
+        from_camera(
+            *(
+                [[c[k]["x"], c[k]["y"], c[k]["z"]] for c in found],
+                *([c[k][d] for c in found] for d in ("h", "w", "l", "ry")),
+            )
+        )
         for k in ("a", "b")
     )
     assert iou_3d(a, b) == pytest.approx([c["exact_3d"] for c in found], abs=1e-12)
-    assert iou_3d(a, b) == pytest.approx([c["iou_kitti_cpp_3d"] for c in found], abs=1e-6)     # float32 in there
+    assert iou_3d(a, b) == pytest.approx([c["iou_kitti_cpp_3d"] for c in found], abs=1e-6)  # float32 in there
 
 
 @settings(max_examples=20, deadline=None)
@@ -91,7 +96,11 @@ def test_no_pairs():
 
 @pytest.mark.parametrize(
     ("lwh", "yaw", "says"),
-    [((0, 1.8, 1.5), 0.0, "must be positive"), ((4, 1.8, 1.5), np.nan, "not finite"), ((4, np.inf, 1.5), 0.0, "not finite")],
+    [
+        ((0, 1.8, 1.5), 0.0, "must be positive"),
+        ((4, 1.8, 1.5), np.nan, "not finite"),
+        ((4, np.inf, 1.5), 0.0, "not finite"),
+    ],
 )
 def test_bad_boxes_are_refused(lwh, yaw, says):
     with pytest.raises(ValueError, match=says):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sensors.boxes import iou_3d
-from sensors.detector import DetectorDraws, DetectorParams, N_CLUTTER_DRAWS, N_SIGHTING_DRAWS, detect, found_p, wrap
+from sensors.detector import N_CLUTTER_DRAWS, N_SIGHTING_DRAWS, DetectorDraws, DetectorParams, detect, found_p, wrap
 from sensors.evidence import points_in_boxes, sightings
 from sensors.lidar import Hit
 from sensors.scene import LABEL_OF_SHAPE
@@ -30,15 +30,16 @@ def test_no_luck_no_error(street):
     for params in (DetectorParams(), DetectorParams(profile="ideal")):
         found = detect(*street, draws(street), params)
         visible = seen.n_returns > 0
-        assert sorted(zip(found.o, found.actor, strict=True)) == list(zip(seen.o[visible], seen.actor[visible], strict=True))
+        assert sorted(zip(found.o, found.actor, strict=True)) == list(
+            zip(seen.o[visible], seen.actor[visible], strict=True)
+        )
         assert not found.is_clutter.any() and (found.label == label[found.actor]).all()
         assert iou_3d(found.boxes, boxes.take(found.actor)) == pytest.approx(np.ones(len(found.o)))
         assert (found.n_points == points_in_boxes(sweeps, found.o, found.boxes)).all()
     assert (found.score == 1.0).all()
     # in the true box lie exactly the returns of its actor, and road or neighbours it overlaps
-    index = {pair: n for *pair, n in zip(seen.o, seen.actor, seen.n_returns, strict=True) for pair in [tuple(pair)]}
-    own = np.array([index[pair] for pair in zip(found.o, found.actor, strict=True)])
-    assert (found.n_points >= own).all()
+    own = {(o, a): n for o, a, n in zip(seen.o, seen.actor, seen.n_returns, strict=True)}
+    assert all(n >= own[o, a] for o, a, n in zip(found.o, found.actor, found.n_points, strict=True))
 
 
 def test_statistics_are_those_of_the_parameters(street):
@@ -56,11 +57,14 @@ def test_statistics_are_those_of_the_parameters(street):
 
     error = np.concatenate([run.boxes.xyz_m[~run.is_clutter] - boxes.xyz_m[run.actor[~run.is_clutter]] for run in runs])
     distance = np.concatenate(
-        [np.linalg.norm(boxes.xyz_m[run.actor] - street[0].poses.origin_m[run.o], axis=1)[~run.is_clutter] for run in runs]
+        [
+            np.linalg.norm(boxes.xyz_m[run.actor] - street[0].poses.origin_m[run.o], axis=1)[~run.is_clutter]
+            for run in runs
+        ]
     )
     assert abs(error.mean(axis=0)).max() < 0.02
     near, far = error[distance < 20, :2].std(), error[distance > 40, :2].std()
-    assert 0.05 < near < far < 1.0      # farther is worse
+    assert 0.05 < near < far < 1.0  # farther is worse
     turn = np.concatenate([wrap(run.boxes.yaw_rad - boxes.yaw_rad[run.actor])[~run.is_clutter] for run in runs])
     assert abs(turn.mean()) < 0.02 and turn.max() < np.pi
 
@@ -74,7 +78,7 @@ def test_chance_falls_with_occlusion_and_rises_with_returns():
 
 
 def test_clutter_sits_on_returns(street):
-    sweeps, seen, boxes, _ = street
+    sweeps, seen, _, _ = street
     rng = np.random.default_rng(1)
     found = detect(*street, draws(street, rng, 8), DetectorParams(clutter_per_sweep=8.0))
     false = np.flatnonzero(found.is_clutter)
@@ -90,7 +94,6 @@ def test_clutter_sits_on_returns(street):
 
 
 def test_order_betrays_no_names(street):
-    sweeps, seen, boxes, label = street
     luck = draws(street, np.random.default_rng(2))
     found = detect(*street, luck, DetectorParams())
     order = np.lexsort([found.boxes.xyz_m[:, 1], found.boxes.xyz_m[:, 0], -found.score, found.o])

@@ -81,6 +81,20 @@ def test_noise_is_a_function_of_key_and_ray():
     assert (reused.range_m == noisy.range_m).all()
 
 
+def test_memory_is_reused_as_the_fleet_changes():
+    boxes, shape = traffic(np.random.default_rng(0), 40)
+    first = exact(boxes, shape, np.arange(16))
+    keys, clean = np.arange(18, dtype=np.uint64), LidarParams(range_sigma_m=0.0)
+    for n in (9, 18, 16):
+        fresh = exact(boxes, shape, np.arange(n))
+        again = scan(boxes, shape, np.arange(n), Scene.empty(), clean, keys[:n], out=first)
+        assert np.shares_memory(again.range_m, first.range_m) and (again.range_m == fresh.range_m).all()
+        assert (again.hit == fresh.hit).all()
+        first = again
+    other = LidarParams(range_sigma_m=0.0, profile="vlp16")
+    assert scan(boxes, shape, np.arange(9), Scene.empty(), other, keys[:9], out=first).range_m.shape == (9, 1800, 16)
+
+
 def test_a_thousand_sensors_fit_in_a_gigabyte():
     grid = beams(LidarParams())
     assert 1000 * len(grid.azimuth_rad) * len(grid.elevation_rad) * (4 + 4) < 0.3e9
@@ -90,7 +104,7 @@ def test_mount_and_frames():
     boxes = car(10, 20, yaw=np.pi / 2)
     poses = mount(boxes, np.array([0]), LidarParams())
     assert poses.origin_m[0] == pytest.approx([10, 20, 1.73])
-    seen = poses.to_sensor(np.array([0]), car(10, 30, yaw=np.pi))     # 10 m ahead, heading to the left
+    seen = poses.to_sensor(np.array([0]), car(10, 30, yaw=np.pi))  # 10 m ahead, heading to the left
     assert seen.xyz_m[0] == pytest.approx([10, 0, 0.75 - 1.73]) and seen.yaw_rad[0] == pytest.approx(np.pi / 2)
 
 

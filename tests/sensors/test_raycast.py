@@ -11,7 +11,7 @@ from sensors.lidar import Hit, Poses, Sweeps
 from sensors.raycast import embree
 from sensors.scene import Scene, prisms
 from tests.sensors.test_boxes import moved
-from tests.sensors.town import blocks, car, exact, random_boxes, random_scene, sizes, traffic
+from tests.sensors.town import blocks, car, exact, random_boxes, random_scene, sizes, to_scene, traffic
 
 NUDGE_RAD = 3e-5
 
@@ -28,7 +28,7 @@ def compare(boxes, shape, observers, scene, **params) -> None:
     judge = exact(boxes, shape, observers, scene, engine="embree", **params)
     wrong = ~(np.abs(finite(ours) - finite(judge)) <= 1e-3)
     assert wrong.mean() <= 1e-4
-    assert np.mean(ours.hit[~wrong] != judge.hit[~wrong]) <= 1e-4       # where two surfaces meet
+    assert np.mean(ours.hit[~wrong] != judge.hit[~wrong]) <= 1e-4  # where two surfaces meet
     for o in np.unique(np.nonzero(wrong)[0]):
         nearby = nudged(boxes, shape, observers[o], scene, ours, params)
         seen = finite(judge)[o]
@@ -77,7 +77,9 @@ def test_chaos_agrees_with_embree(seed, profile):
     compare(boxes, shape, np.arange(30), random_scene(rng), profile=profile)
 
 
-@pytest.mark.parametrize("params", [{}, {"profile": "hdl64e"}, {"profile": "pandar64", "mount_above_roof_m": 3.0}, {"profile": "os1_128"}])
+@pytest.mark.parametrize(
+    "params", [{}, {"profile": "hdl64e"}, {"profile": "pandar64", "mount_above_roof_m": 3.0}, {"profile": "os1_128"}]
+)
 def test_streets_agree_with_embree(params):
     rng = np.random.default_rng(7)
     boxes, shape = traffic(rng, 150)
@@ -107,7 +109,7 @@ def test_awkward_places_agree_with_embree(place, mount):
 
 
 def test_inside_a_closed_body():
-    # The sensor stands at 1.73 m in a bus whose floor is 5 cm over the road: it sees the bus's inner faces, nothing else.
+    # The sensor stands at 1.73 m in a bus whose floor is 5 cm over the road: it sees its inner faces, nothing else.
     boxes = Boxes.concat([car(0, 0), Boxes(np.array([[0, 0, 1.65]]), np.array([[12, 2.55, 3.2]]), np.array([0.3]))])
     sweep = exact(boxes, [0, 3], [0], profile="os1_128")
     assert (sweep.hit == Hit.ACTOR + 1).all()
@@ -147,9 +149,8 @@ def test_a_rigid_motion_changes_nothing(seed):
     rng = np.random.default_rng(seed)
     (boxes, shape), scene = random_boxes(rng, 15), random_scene(rng)
     turn, shift = rng.uniform(-4, 4), np.append(rng.uniform(-20_000, 20_000, 2), rng.uniform(-50, 50))
-    cos, sin = np.cos(turn), np.sin(turn)
-    rings = [[np.array(f.exterior.coords) @ np.array([[cos, sin], [-sin, cos]]) + shift[:2]] for f in scene.footprints]
-    there = Scene.from_footprints(rings, scene.buildings.base_m + shift[2], scene.buildings.top_m + shift[2])
+    city = scene.buildings
+    there = to_scene(scene.footprints, city.base_m + shift[2], city.top_m + shift[2], turn, shift[:2])
     a = exact(boxes, shape, np.arange(5), scene, profile="vlp32c")
     b = exact(moved(boxes, turn, shift), shape, np.arange(5), there, profile="vlp32c")
     assert np.mean(np.abs(finite(a) - finite(b)) > 1e-3) <= 1e-4
@@ -190,7 +191,8 @@ def test_helsinki_agrees_with_embree():
         prints = catalogue.find("helsinki").footprints()
     except (ValueError, OSError) as missing:
         pytest.skip(f"no footprints of Helsinki: {missing}")
-    scene = Scene.from_footprints([[f.outer, *f.holes] for f in prints], [f.base_z_m - 0.1 for f in prints], [f.top_z_m for f in prints])
+    base = np.array([f.base_z_m for f in prints]) - 0.1  # floors below the road: no two surfaces in one plane
+    scene = Scene.from_footprints([[f.outer, *f.holes] for f in prints], base, [f.top_z_m for f in prints])
     rng = np.random.default_rng(1)
     west, south, east, north = scene.buildings.bounds_m.T
     n = 300

@@ -13,8 +13,11 @@ from sensors.scene import Scene
 
 REFERENCE = Path(__file__).parents[3] / "shared" / "reference" / "trupercept"
 SIZE_M = np.array(
-    [(4.4, 1.8, 1.5), (5.2, 2.0, 2.2), (9.0, 2.5, 3.5), (12.0, 2.55, 3.2), (2.2, 0.8, 1.6), (1.8, 0.6, 1.7), (0.6, 0.6, 1.75)]
-)
+    [
+        (4.4, 1.8, 1.5), (5.2, 2.0, 2.2), (9.0, 2.5, 3.5), (12.0, 2.55, 3.2),
+        (2.2, 0.8, 1.6), (1.8, 0.6, 1.7), (0.6, 0.6, 1.75),
+    ]
+)  # fmt: skip
 
 
 def cases(name: str) -> list[dict]:
@@ -63,17 +66,22 @@ def random_scene(rng, n=12, spread=40.0) -> Scene:
     return Scene.from_footprints(rings, base, top)
 
 
+SQUARE_BLOCK = np.array([(8, 8), (52, 8), (52, 52), (8, 52)])
+COURTYARD = np.array([(20, 20), (40, 20), (40, 40), (20, 40)])
+L_BLOCK = np.array([(8, 8), (52, 8), (52, 30), (40, 30), (40, 52), (8, 52)])
+
+
 def blocks(rng, n=6, pitch=60.0) -> Scene:
     """City blocks: L-shaped buildings and ones with a courtyard, most tall, a few lower than a sensor."""
     rings, base, top = [], [], []
     for i in range(n):
         for j in range(n):
             x, y = i * pitch, j * pitch
+            corner = np.array([x, y])
             if rng.random() < 0.3:
-                rings.append([[(x + 8, y + 8), (x + 52, y + 8), (x + 52, y + 52), (x + 8, y + 52)],
-                              [(x + 20, y + 20), (x + 40, y + 20), (x + 40, y + 40), (x + 20, y + 40)]])
+                rings.append([corner + SQUARE_BLOCK, corner + COURTYARD])
             else:
-                rings.append([[(x + 8, y + 8), (x + 52, y + 8), (x + 52, y + 30), (x + 40, y + 30), (x + 40, y + 52), (x + 8, y + 52)]])
+                rings.append([corner + L_BLOCK])
             base.append(0.0)
             top.append(rng.uniform(8, 25) if rng.random() < 0.85 else rng.uniform(0.5, 3))
     return Scene.from_footprints(rings, base, top)
@@ -104,4 +112,15 @@ def exact(boxes, shape, observers, scene=None, **params):
     """A sweep without noise."""
     keys = np.arange(len(observers), dtype=np.uint64)
     scene = Scene.empty() if scene is None else scene
-    return scan(boxes, np.asarray(shape, np.uint8), np.asarray(observers), scene, LidarParams(range_sigma_m=0.0, **params), keys)
+    clean = LidarParams(range_sigma_m=0.0, **params)
+    return scan(boxes, np.asarray(shape, np.uint8), np.asarray(observers), scene, clean, keys)
+
+
+def to_scene(polygons, base_m, top_m, turn=0.0, shift=(0.0, 0.0)) -> Scene:
+    """A scene of Shapely polygons, turned about the origin and moved."""
+    cos, sin = np.cos(turn), np.sin(turn)
+    turned = [
+        [np.array(ring.coords) @ np.array([[cos, sin], [-sin, cos]]) + shift for ring in (p.exterior, *p.interiors)]
+        for p in polygons
+    ]
+    return Scene.from_footprints(turned, base_m, top_m)

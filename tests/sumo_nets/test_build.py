@@ -11,6 +11,7 @@ from shapely import box
 
 from sumo_nets import build, buildings, catalogue, osm, streets
 from sumo_nets.demand import Draw
+from sumo_nets.ground import Ground
 
 M = 1 / 111_195  # degrees of latitude in a metre
 
@@ -78,7 +79,7 @@ def test_parts_stand_for_the_outline_they_refine():
             osm.Way(3, (2, 3, 4, 5, 2), {"building:part": "yes", "height": "14", "min_height": "7"}),
         ],
     )
-    found = buildings.build(buildings.rings_of(town), flat(corners), shapely.Polygon())
+    found = buildings.build(buildings.rings_of(town), flat(corners), Ground(shapely.Polygon(), shapely.Polygon()))
     solid = {(f.base_z_m, f.top_z_m): f.polygon for _, f in found.footprints}
     assert sorted(solid) == [(0.0, 7.0), (0.0, 30.0), (7.0, 14.0)]
     assert solid[0.0, 30.0].equals(box(0, 0, 10, 10))
@@ -99,12 +100,12 @@ def test_courtyards_stay_open_and_a_house_bridges_a_wide_street_but_yields_to_a_
     )  # fmt: skip
     rings = buildings.rings_of(town)
     passage, kerb = box(4, -1, 8, 41), box(39.9, 0, 50, 40)
-    found = buildings.build(rings, flat(corners), shapely.union_all([passage, kerb]))
+    found = buildings.build(rings, flat(corners), Ground(passage, kerb))
     assert (found.cut, found.bridging) == (1, 1)
     standing = shapely.union_all([f.polygon for _, f in found.footprints if f.base_z_m == 0])
     assert standing.area == pytest.approx(40 * 40 - 10 * 10 - 4 * 40 - 0.1 * 40)
     assert standing.intersection(passage).area == 0
-    narrow = buildings.build(rings, flat(corners), kerb)
+    narrow = buildings.build(rings, flat(corners), Ground(kerb, passage))
     assert (narrow.cut, narrow.bridging) == (1, 0)
 
 
@@ -113,6 +114,18 @@ def flat(corners):
     import numpy as np
 
     return lambda ways: {way.id: np.array([corners[node] for node in way.nodes], float) for way in ways}
+
+
+def test_a_town_without_a_way_out_is_driven_round_and_no_town_is_refused():
+    # A ring of four streets far from the edge of the extract, with a dead end: no gates, the ring stays.
+    places = {1: (0, 0), 2: (100, 0), 3: (100, 100), 4: (0, 100), 5: (-80, 0), 8: (-900, 900), 9: (900, -900)}
+    rim = osm.Way(15, (8, 9), {})
+    town = extract(places, [street(10, 1, 2, 3), street(11, 3, 4, 1), street(12, 1, 5), rim])
+    ways, found = kept(town)
+    assert sorted(ways) == [10, 11]
+    assert found.gates == frozenset()
+    with pytest.raises(ValueError, match="no street of the classes residential can be driven round"):
+        kept(extract(places, [street(12, 1, 5), rim]))
 
 
 def test_draws_depend_on_the_kind_and_not_on_other_kinds():

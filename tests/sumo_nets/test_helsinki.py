@@ -9,7 +9,7 @@ import pytest
 import shapely
 
 from sumo_nets import catalogue, sumotools
-from sumo_nets.build import _ground
+from sumo_nets.ground import ground_of
 from sumo_nets.network import check_for_cars
 
 CITY = catalogue.find("helsinki")
@@ -76,7 +76,7 @@ def test_buildings_are_valid_stand_upright_and_inside_the_city():
 
 def test_no_building_stands_on_a_street_or_pavement():
     standing = shapely.union_all([f.polygon for f in CITY.footprints() if f.base_z_m < 3.0])
-    ground = _ground(CITY.net_path)
+    ground = shapely.union(*ground_of(CITY.net_path))
     assert standing.intersection(ground).area < 1.0  # of 150,000 m², by rounding to centimetres
 
 
