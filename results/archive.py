@@ -145,8 +145,8 @@ def open_run(path: str | Path, unfinished: bool = False) -> Run:
         )
     if status != "finished" and not unfinished:
         raise ValueError(
-            f'{path} is unfinished (status "{status}"). Finish it with `cosim resume {path}`, or delete it '
-            "and run again."
+            f'{path} is unfinished (status "{status}"). Run it again: '
+            f"`cosim run {path}/config.toml`."
         )
     return Run(path, manifest)
 

@@ -281,7 +281,7 @@ def _disturb(range_m, hit, keys, sigma, dropout_p, levels):
         for c in range(range_m.shape[1]):
             for r in range(n_el):
                 bits = _mix(seed + np.uint64(c * n_el + r) * np.uint64(0x9E3779B97F4A7C15))
-                range_m[o, c, r] += sigma * levels[bits >> np.uint64(52)]
+                range_m[o, c, r] = max(np.float32(0.0), range_m[o, c, r] + sigma * levels[bits >> np.uint64(52)])
                 if (bits & np.uint64((1 << 52) - 1)) < lost_below:
                     range_m[o, c, r] = np.inf
                     hit[o, c, r] = 0

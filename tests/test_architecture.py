@@ -10,7 +10,7 @@ ROOT = Path(__file__).parents[1]
 ROOMS = ("cosim", "sensors", "trust", "results", "sumo_nets")
 
 FOREIGN = {
-    "sensors": {"annotated_types", "jaxtyping", "numpy", "scipy", "numba", "shapely", "trimesh", "embreex"},
+    "sensors": {"annotated_types", "jaxtyping", "numpy", "scipy", "numba", "shapely", "embreex"},
     "trust": {"annotated_types", "jaxtyping", "numpy", "numba"},
     "results": {"annotated_types", "jaxtyping", "numpy", "scipy", "pyarrow", "pandas", "networkx", "matplotlib"},
     "sumo_nets": {"annotated_types", "jaxtyping", "numpy", "shapely", "osmium", "sumo", "sumolib"},
@@ -24,7 +24,6 @@ FOREIGN = {
 ONE_WINDOW = {
     "libsumo": {"cosim/mobility/sumo.py"},
     "embreex": {"sensors/raycast/embree.py"},
-    "trimesh": {"sensors/raycast/embree.py"},
     "pydantic": {"cosim/config.py"},
     "osmium": {"sumo_nets/osm.py"},
 }

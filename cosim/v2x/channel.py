@@ -23,6 +23,7 @@ from cosim.v2x.reception import CURVES, MAC_OVERHEAD_BYTES, ReceiverParams, airt
 
 SIFS_NS = 32_000
 SLOT_NS = 13_000
+_SEQ_MASK = np.uint64((1 << 40) - 1)
 EIFS_NS = 120_000
 """Extra silence after a frame received with errors [ns]: SIFS and an acknowledgement at the lowest rate."""
 
@@ -100,6 +101,7 @@ class Packets:
     sender: Int[ndarray, "p"]
     """Row of the radio."""
     seq: UInt64[ndarray, "p"]
+    """Below 2^40."""
     generated_ns: Int[ndarray, "p"]
     payload_bytes: Int[ndarray, "p"]
     access: UInt8[ndarray, "p"]
@@ -214,6 +216,12 @@ def _records(packets: Packets, n: int, state: State, until_ns: int, receiver: Re
         raise ValueError(
             f"packets.generated_ns = {packets.generated_ns.min()} ... {packets.generated_ns.max()} lies outside "
             f"the window {state.now_ns} ... {until_ns}. Hand each packet to the window in which it is generated."
+        )
+    names = np.sort((packets.sender.astype(np.uint64) << np.uint64(40)) | packets.seq)
+    twice = np.flatnonzero(names[1:] == names[:-1])
+    if len(twice):
+        raise ValueError(
+            f"sequence number {names[twice[0]] & _SEQ_MASK} comes twice from one sender. Count packets up per sender."
         )
     for name in ("sender", "seq", "generated_ns", "payload_bytes", "access", "tag"):
         new[name] = getattr(packets, name)

@@ -148,7 +148,9 @@ def _cut(xyz, p, q, grid, walls):
 
 
 N_PROBES = 16
-_REGION = np.uint64(255)
+N_WAYS = 8
+_WAYS = np.uint64(N_WAYS - 1)
+_REGION = np.uint64(127)
 
 
 @inlined
@@ -163,9 +165,11 @@ def runs_into_house(xyz, p, q, grid):
     t, into = 0.5, False
     for _ in range(n):
         i, j = int(u + t * du), int(v + t * dv)
-        if 0 <= i < nx and 0 <= j < ny and grid.solid[i, j, 0] <= z + t * dz <= grid.solid[i, j, 1]:
-            into = True
-            break
+        if 0 <= i < nx and 0 <= j < ny:
+            top = grid.solid[i, j, 1]
+            if top > 0 and grid.solid[i, j, 0] <= z + t * dz <= top:
+                into = True
+                break
         t += 0.6180339887498949  # golden section: any first few are evenly spread
         if t >= 1.0:
             t -= 1.0
@@ -187,25 +191,25 @@ def _clear_remembered(xyz, indoors, place, a, b, grid, walls, memo, out):
     mask, one = np.uint64(memo.shape[0] - 1), np.uint64(1)
     for m in range(len(a)):
         p, q = a[m], b[m]
-        region = mix(place[p], one) & mask & ~_REGION  # pairs of one radio lie close together in memory
         if indoors[p] or indoors[q] or runs_into_house(xyz, p, q, grid):
             out[m] = False
             continue
+        region = mix(place[p], one) & mask & ~_REGION  # pairs of one radio lie close together in memory
         if place[p] > place[q]:
             p, q = q, p
         h = mix(place[p], place[q])
         tag = mix(h, place[p]) | one  # 63 bits of another hash name the pair, the last bit answers
-        slot = np.int64(region | (h & _REGION))
-        other = slot ^ 1
-        if memo[slot] | one == tag:
-            out[m] = memo[slot] & one
-        elif memo[other] | one == tag:
-            out[m] = memo[other] & one
-        else:
-            out[m] = not _cut(xyz, p, q, grid, walls)
-            if memo[slot] != 0:
-                memo[other] = memo[slot]
-            memo[slot] = tag if out[m] else tag ^ one
+        first = np.int64(region | (h & _REGION & ~_WAYS))
+        way = 0
+        while way < N_WAYS and memo[first + way] | one != tag:
+            way += 1
+        if way < N_WAYS:
+            out[m] = memo[first + way] & one
+            continue
+        out[m] = not _cut(xyz, p, q, grid, walls)
+        for k in range(N_WAYS - 1, 0, -1):  # the oldest is forgotten
+            memo[first + k] = memo[first + k - 1]
+        memo[first] = tag if out[m] else tag ^ one
 
 
 @dataclass(frozen=True, slots=True)

@@ -41,6 +41,12 @@ def draw(runs: Sequence[Run], cell_m: float = 25.0, radius_m: float | None = Non
         axes.set_aspect("equal")
         axes.grid(visible=False)
         style.panel(axes, run_name if len(runs) > 1 else "Where encounters begin", "East [m]", "North [m]")
+    credits = sorted({credit for run in runs if (credit := run.manifest.get("net", {}).get("attribution"))})
+    if credits:
+        panels[-1].annotate(
+            ", ".join(credits), (1, 0), xycoords="axes fraction", xytext=(-3, 3), textcoords="offset points",
+            ha="right", fontsize=6.5, color="#444444",
+        )  # fmt: skip
     bar = figure.colorbar(mesh, ax=panels, label=f"Encounters begun per hour in {cell_m:g} m cells", shrink=0.8)
     ticks = [d * 10.0**e for e in range(-3, 7) for d in (1, 2, 5) if lowest <= d * 10.0**e <= top]
     bar.set_ticks(ticks, labels=[f"{tick:g}" for tick in ticks])

@@ -32,6 +32,13 @@ def draw(runs: Sequence[Run], vehicles: Sequence[int] = ()) -> Figure:
                 marker=style.marker(code), markevery=(2 * code, style.sparse(len(spread))),
             )  # fmt: skip
         _single(axes, run, vehicles)
+    if len(runs) == 1 and runs[0].vehicles.first_lie_step.notna().any():
+        begin_s = float(runs[0].vehicles.first_lie_step.min()) * runs[0].dt_s
+        axes.axvline(begin_s, color="#444444", linewidth=0.8, linestyle=(0, (2, 2)))
+        axes.annotate(
+            "lies begin", (begin_s, 1), xycoords=("data", "axes fraction"), xytext=(4, -3), va="top",
+            textcoords="offset points", fontsize=8,
+        )  # fmt: skip
     what = "median and middle half" if len(runs) == 1 else "medians"
     style.panel(axes, f"Trust in vehicles at the server: {what}", style.TIME, axis_label("trust", "trust", "Trust"))
     style.share_axis(axes)

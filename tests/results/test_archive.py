@@ -65,7 +65,7 @@ def test_not_a_run(tmp_path, broken):
 def test_unfinished_and_foreign_runs(broken):
     manifest = json.loads((broken / "manifest.json").read_text())
     (broken / "manifest.json").write_text(json.dumps(manifest | {"status": "running"}))
-    assert "cosim resume" in complaint(broken)
+    assert "cosim run" in complaint(broken)
     assert len(open_run(broken, unfinished=True).actors)
     (broken / "manifest.json").write_text(json.dumps(manifest | {"schema_version": 99}))
     assert "schema version 99" in complaint(broken)

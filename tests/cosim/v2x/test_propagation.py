@@ -47,7 +47,7 @@ def test_3gpp_losses_are_those_of_ns3(scenario, condition):
         normal = np.random.default_rng(0).standard_normal((20_000, 1))
         draws = p.blockage_db(normal, d, np.array([1.5]), np.array([1.5]))
         assert np.abs(mean + draws.mean(0) - rows.mean_pl_db).max() < 1.0
-        assert draws.std(0).mean() == pytest.approx(rows.sd_pl_db.mean(), abs=0.1)
+        assert draws.std(0).mean() == pytest.approx(rows.sd_pl_db.mean(), abs=0.2)
     else:
         assert mean == pytest.approx(rows.mean_pl_db.to_numpy(), abs=0.01)
 
