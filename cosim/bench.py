@@ -29,7 +29,8 @@ def bench() -> list[Row]:
     traffic = SumoTraffic(config.traffic, scenario.sumocfg, roster)
     for _ in traffic.warm_up(scenario.warmup_s):
         pass
-    city, state, watch = scenario.city(), State.start(config), Stopwatch()
+    city = scenario.city()
+    state, watch = State.start(config, city), Stopwatch()
     for world in (traffic.advance(), traffic.advance()):  # compiles, and fills memories
         turn(world, city, state, config, watch)
     alone_s = read_s = 0.0

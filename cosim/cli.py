@@ -1,10 +1,12 @@
 """The commands."""
 
 import sys
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
+from rich.box import SIMPLE
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
@@ -117,6 +119,32 @@ def report(
 
     path = write(open_run(folder), out or folder / "report.html")
     screen.print(f"wrote {path}", highlight=False, soft_wrap=True)
+
+
+@app.command()
+def reproduce(
+    scenario: Annotated[Literal["scenario-1", "scenario-2"], typer.Argument(help="Which scenario of the paper.")],
+    out: Annotated[Path | None, typer.Option(help="Folder for the pictures; by default runs/<scenario>.")] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Play a scenario of the paper, and hold it against the paper."""
+    from cosim.reproduce import SCENARIOS
+
+    folder = out or Path("runs") / scenario
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ValueError(f"--out {folder} cannot be a folder: {error.strerror}. Give another one.") from None
+    answer = SCENARIOS[scenario](folder)
+    if as_json:
+        print_json({"scenario": scenario} | asdict(answer))
+        return
+    table = Table(*answer.rows[0], title=scenario, title_justify="left", box=SIMPLE)
+    for row in answer.rows:
+        table.add_row(*("-" if v is None else f"{v:.3f}" if isinstance(v, float) else v for v in row.values()))
+    screen.print(table)
+    for line in answer.notes + [f"drawn in {path}" for path in answer.pictures]:
+        screen.print(line, highlight=False, soft_wrap=True)
 
 
 @app.command()

@@ -70,6 +70,11 @@ class Config:
                 f"sensing_interval_s = {self.sensing_interval_s:g} s is no multiple of traffic.step_s = "
                 f"{self.traffic.step_s:g} s: a sweep needs a step to happen in. Change one of them."
             )
+        if self.radio.timeout_s is not None and 2 * self.radio.timeout_s > self.sensing_interval_s:
+            raise ValueError(
+                f"radio.timeout_s = {self.radio.timeout_s:g} s: two rounds of messages do not fit between two sweeps, "
+                f"sensing_interval_s = {self.sensing_interval_s:g} s apart. Set it to half of that, or less."
+            )
 
     @property
     def sense_every_steps(self) -> int:

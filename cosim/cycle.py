@@ -3,8 +3,8 @@
 Reads as the detection and decision cycle of TruPercept (section "Summary"), for all vehicles at once.
 
 Within a step that begins at time t: sweeps and detections at t; detections are on the air from t and count
-until t + timeout; verdicts are on the air from then on and count until t + 2 timeout, when everybody fuses
-with the trust known by then. The trust server sees what has reached it by t, and broadcasts at t.
+until t + timeout; verdicts are on the air from then on and count until t + 2 timeout (`radio.timeout_s`), when
+everybody fuses with the trust known by then. The trust server sees what has reached it by t, and broadcasts at t.
 """
 
 from collections.abc import Callable
@@ -18,9 +18,10 @@ from cosim import rng
 from cosim.config import Config
 from cosim.manifest import Stopwatch
 from cosim.truth import Truth, truth_of
-from cosim.v2x import radio
 from cosim.v2x.adversary import self_reports, tamper
+from cosim.v2x.exchange import Frames, Heard
 from cosim.v2x.messages import FABRICATED, SELF, SENSED, Detections, detections_bytes, expand, ptr_of, verdicts_bytes
+from cosim.v2x.radio import Radio, Round
 from cosim.v2x.server import Downlink, Edition, Uplink
 from cosim.world import World
 from sensors import detector, evidence, lidar
@@ -45,6 +46,7 @@ FROM_SERVER, FROM_OWN, FROM_NOWHERE = range(3)
 class State:
     """All that survives a step."""
 
+    radio: Radio
     ledger: Ledger
     uplink: Uplink
     downlink: Downlink
@@ -53,8 +55,9 @@ class State:
     """Memory of the last sweeps, written over by the next."""
 
     @staticmethod
-    def start(config: Config) -> "State":
+    def start(config: Config, city: Scene) -> "State":
         return State(
+            radio=Radio.start(config.radio, config.sensing_interval_s, config.seed, city),
             ledger=Ledger(config.trust, config.traffic.step_s),
             uplink=Uplink(config.server, config.seed),
             downlink=Downlink(config.server, config.seed),
@@ -84,9 +87,8 @@ Perceive = Callable[[World, Int[ndarray, "e"], lidar.Sweeps, Config], Perceived]
 class Exchange:
     """One round of messages, one of every equipped vehicle."""
 
-    heard: radio.Heard
-    frames: radio.Frames
-    length_bytes: Int[ndarray, "e"]  # of each vehicle's message
+    heard: Heard
+    frames: Frames
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,9 +136,10 @@ def turn(
         claims, ptr = _claims(said, observers)
 
     with watch("radio"):
-        xy_m, talks = world.boxes.xyz_m[observers, :2], np.ones(len(observers), bool)
-        chance = rng.key(seed, rng.Stream.RADIO_DETECTIONS, step)
-        first, first_frames = radio.broadcast(xy_m, names, talks, chance, config.radio)
+        n_said = np.bincount(claims.sender[said.said], minlength=len(observers))
+        first, first_frames = state.radio.exchange(
+            Round.DETECTIONS, world, observers, detections_bytes(n_said), time_s
+        )
     with watch("match"):
         pairs = overlapping_pairs(said.boxes, said.label, said.observer)
         everything = _views(first, ptr, said.said, len(observers))
@@ -149,22 +152,27 @@ def turn(
         groups = matching.match(views, claims, pairs, config.trust)
     with watch("judge"):
         of_member, boxes = views.of_member(), said.boxes.take(views.member)
-        n_points = evidence.points_in_boxes(sweeps, of_member, boxes)
+        n_points = np.zeros(len(boxes), np.int32)
+        others = np.flatnonzero(~claims.is_self[views.member] | (claims.sender[views.member] != of_member))
+        n_points[others] = evidence.points_in_boxes(sweeps, of_member[others], boxes.take(others))
         plausible = np.ones(len(boxes), bool)
         foreign = np.flatnonzero(~groups.local)
         plausible[foreign] = evidence.plausible(sweeps, of_member[foreign], boxes.take(foreign), config.area)
         verdicts = evaluation.evaluate(views, groups, claims, n_points, plausible, config.trust)
 
+    told = _told(step, ids, views, claims, verdicts, said.said)
+    judged_s = time_s + state.radio.timeout_s
     with watch("radio"):
-        chance = rng.key(seed, rng.Stream.RADIO_VERDICTS, step)
-        second, second_frames = radio.broadcast(xy_m, names, talks, chance, config.radio)
+        second, second_frames = state.radio.exchange(
+            Round.VERDICTS, world, observers, verdicts_bytes(np.diff(told.ptr)), judged_s
+        )
     with watch("trust"):
-        told = _told(step, ids, views, claims, verdicts, said.said)
-        use_s = time_s + 2 * config.radio.timeout_s
         _book(state, config, told, claims, said.said, ids, second)
         if config.trust.where == "central":
-            state.uplink.send(told, names, time_s + config.radio.timeout_s)
-        known = knowledge(state, config, ids[second.receiver], ids[second.sender], ids, use_s)
+            state.uplink.send(told, names, judged_s)
+        known = knowledge(
+            state, config, ids[second.receiver], ids[second.sender], ids, judged_s + state.radio.timeout_s
+        )
 
     with watch("fuse"):
         groups_all = matching.match(everything, claims, pairs, config.trust)
@@ -176,14 +184,9 @@ def turn(
         )
         fused = fused.take(fused.score >= config.trust.min_score)
 
-    n_said = np.bincount(claims.sender[said.said], minlength=len(observers))
-    exchanges = (
-        Exchange(first, first_frames, detections_bytes(n_said)),
-        Exchange(second, second_frames, verdicts_bytes(np.diff(told.ptr))),
-    )
     return Turn(
-        world, observers, sights, said, truth, exchanges, views, verdicts, n_points, plausible, groups.local, known,
-        fused, standing,
+        world, observers, sights, said, truth, (Exchange(first, first_frames), Exchange(second, second_frames)),
+        views, verdicts, n_points, plausible, groups.local, known, fused, standing,
     )  # fmt: skip
 
 
@@ -259,7 +262,7 @@ def _claims(said: Detections, observers: Int[ndarray, "e"]) -> tuple[Claims, Int
     return claims, ptr_of(sender, len(observers))
 
 
-def _views(heard: radio.Heard, ptr: Int[ndarray, "e+1"], said: Bool[ndarray, "d"], n: int) -> Views:
+def _views(heard: Heard, ptr: Int[ndarray, "e+1"], said: Bool[ndarray, "d"], n: int) -> Views:
     """What each vehicle has before it: all its own detections, then what it heard, by (sender, k)."""
     everyone = np.arange(n)
     receiver = np.concatenate([everyone, heard.receiver])
@@ -285,7 +288,7 @@ def _told(
 
 
 def _book(
-    state: State, config: Config, told: Told, claims: Claims, said: Bool[ndarray, "d"], ids: ndarray, heard: radio.Heard
+    state: State, config: Config, told: Told, claims: Claims, said: Bool[ndarray, "d"], ids: ndarray, heard: Heard
 ) -> None:
     """Open the step in the ledgers; where every vehicle keeps its own, enter what it thinks and what it was told."""
     if config.trust.where == "none":

@@ -10,8 +10,8 @@ from scipy.spatial import cKDTree
 from cosim.config import Config
 from cosim.cycle import FROM_NOWHERE, State, Turn, knowledge
 from cosim.roster import Roster
+from cosim.v2x.exchange import Fate
 from cosim.v2x.messages import FABRICATED, Detections
-from cosim.v2x.radio import Fate
 from cosim.world import World
 from results.encounters import EncounterLedger
 from results.recorder import Recorder
@@ -21,10 +21,10 @@ from sensors.scene import Scene, Shape
 
 FATES = {
     "n_delivered": (Fate.RECEIVED,),
-    "n_lost_propagation": (Fate.LOST,),
-    "n_lost_collision": (),
-    "n_lost_receiver_busy": (),
-    "n_lost_expired": (),
+    "n_lost_propagation": (Fate.PROPAGATION,),
+    "n_lost_collision": (Fate.COLLISION,),
+    "n_lost_receiver_busy": (Fate.RECEIVER_BUSY,),
+    "n_lost_expired": (Fate.EXPIRED,),
     "n_lost_late": (Fate.LATE,),
 }
 """Columns of the tables `radio` and `links`, and the fates that each counts."""
@@ -187,12 +187,13 @@ def _radio(recorder: Recorder, turn: Turn) -> None:
     step = turn.world.step
     for message, exchange in enumerate(turn.exchanges):
         frames = exchange.frames
-        n_sent, n_own = frames.n_transmissions.sum(), (frames.n_transmissions > 0).sum()
+        n_sent = frames.n_transmissions.sum()
         recorder.append("radio", step, {
-            "message": np.array([message]), "n_sent": np.array([n_sent]), "n_relayed": np.array([n_sent - n_own]),
+            "message": np.array([message]), "n_sent": np.array([n_sent]), "n_relayed": np.array([frames.n_relayed]),
             "n_in_reach": np.array([len(frames.fate)]), "n_duplicate": np.array([frames.n_duplicate]),
             **{name: np.array([np.isin(frames.fate, fates).sum()]) for name, fates in FATES.items()},
-            "bytes": np.array([frames.n_transmissions @ exchange.length_bytes]), "busy_ratio": None,
+            "bytes": np.array([frames.sent_bytes]),
+            "busy_ratio": None if frames.busy is None else np.array([frames.busy.mean()]),
         })  # fmt: skip
         rings, at = np.unique((frames.distance_m // RING_M).astype(int), return_inverse=True)
         recorder.append("links", step, {

@@ -39,6 +39,8 @@ class Stream(IntEnum):
     UPLINK = 10
     DOWNLINK = 11
     SHADOWING = 12
+    CHANNEL = 13
+    GENERATION = 14
 
 
 @njit(cache=True, inline="always")

@@ -75,7 +75,7 @@ def _drive(
         for done_s in traffic.warm_up(warmup_s):
             advance("warm-up", int(done_s), int(warmup_s), "s")
         advance("warm-up", int(warmup_s), int(warmup_s), "s")
-    state = State.start(config)
+    state = State.start(config, city)
     meetings = recording.Meetings(config)
     first_lie = np.zeros(0, int)
     n_on_road = 0

@@ -24,7 +24,7 @@ _SIZE_M = np.array(
 )  # fmt: skip
 
 
-def town(n_actors: int = 600, n_blocks: int = 20, pitch_m: float = 60.0) -> tuple[Scene, Boxes, UInt8[ndarray, n]]:
+def town(n_actors: int = 600, n_blocks: int = 20, pitch_m: float = 60.0) -> tuple[Scene, Boxes, UInt8[ndarray, "n"]]:
     """A grid of streets between L-shaped blocks and the traffic in it, always the same."""
     rng = np.random.default_rng(0)
     corner = np.array([(8, 8), (52, 8), (52, 30), (40, 30), (40, 52), (8, 52)]) / 60.0 * pitch_m
@@ -40,7 +40,7 @@ def town(n_actors: int = 600, n_blocks: int = 20, pitch_m: float = 60.0) -> tupl
 
 
 def bench(
-    world: tuple[Scene, Boxes, UInt8[ndarray, n]] | None = None, n_observers: int = 100, runs: int = 5
+    world: tuple[Scene, Boxes, UInt8[ndarray, "n"]] | None = None, n_observers: int = 100, runs: int = 5
 ) -> list[dict[str, str | float]]:
     """Rows of (what, value, unit) on a given world, or on a synthetic town of 600 actors."""
     scene, boxes, shape = town() if world is None else world

@@ -20,7 +20,7 @@ class Boxes:
     """Centre [m]."""
     lwh_m: Float[ndarray, "n 3"]
     """Length along the heading, width, height [m]; all positive."""
-    yaw_rad: Float[ndarray, n]
+    yaw_rad: Float[ndarray, "n"]
     """Heading, counter-clockwise from +x [rad]."""
 
     def __post_init__(self) -> None:
@@ -44,11 +44,11 @@ class Boxes:
         return len(self.xyz_m)
 
     @property
-    def reach_m(self) -> Float[ndarray, n]:
+    def reach_m(self) -> Float[ndarray, "n"]:
         """Radius of the circle around each footprint [m]."""
         return 0.5 * np.hypot(self.lwh_m[:, 0], self.lwh_m[:, 1])
 
-    def take(self, rows: Int[ndarray, m] | slice) -> Boxes:
+    def take(self, rows: Int[ndarray, "m"] | slice) -> Boxes:
         """The boxes of these rows, in this order."""
         return Boxes(self.xyz_m[rows], self.lwh_m[rows], self.yaw_rad[rows])
 
@@ -62,7 +62,7 @@ class Boxes:
         )
 
 
-def iou_3d(a: Boxes, b: Boxes) -> Float[ndarray, n]:
+def iou_3d(a: Boxes, b: Boxes) -> Float[ndarray, "n"]:
     """Intersection over union of each box of `a` with the box of `b` in the same row.
 
     Returns
@@ -82,8 +82,8 @@ def iou_3d(a: Boxes, b: Boxes) -> Float[ndarray, n]:
 
 
 def overlapping_pairs(
-    boxes: Boxes, label: UInt8[ndarray, n], owner: Int[ndarray, n]
-) -> tuple[Int[ndarray, m], Int[ndarray, m], Float[ndarray, m]]:
+    boxes: Boxes, label: UInt8[ndarray, "n"], owner: Int[ndarray, "n"]
+) -> tuple[Int[ndarray, "m"], Int[ndarray, "m"], Float[ndarray, "m"]]:
     """All pairs i < j of one label and different owners that overlap, and by how much.
 
     Returns

@@ -93,16 +93,16 @@ class DetectorDraws:
 class Detected:
     """Detections of one step, sorted by (o, falling score, x, y): nothing in their order betrays the truth."""
 
-    o: Int32[ndarray, d]
+    o: Int32[ndarray, "d"]
     """Observer (index of the sweep)."""
-    label: UInt8[ndarray, d]
+    label: UInt8[ndarray, "d"]
     boxes: Boxes
-    score: Float[ndarray, d]
-    n_points: Int32[ndarray, d]
+    score: Float[ndarray, "d"]
+    n_points: Int32[ndarray, "d"]
     """Returns of the observer's own sweep inside the reported box."""
-    actor: Int32[ndarray, d]
+    actor: Int32[ndarray, "d"]
     """Truth: actor row that was seen; meaningless where `is_clutter`."""
-    is_clutter: Bool[ndarray, d]
+    is_clutter: Bool[ndarray, "d"]
     """Truth: nothing was there."""
 
 
@@ -110,7 +110,7 @@ def detect(
     sweeps: Sweeps,
     sightings: Sightings,
     boxes: Boxes,
-    label: UInt8[ndarray, n],
+    label: UInt8[ndarray, "n"],
     draws: DetectorDraws,
     params: DetectorParams,
 ) -> Detected:
@@ -151,14 +151,14 @@ def detect(
     )
 
 
-def normal(u: Float[ndarray, ...]) -> Float[ndarray, ...]:
+def normal(u: Float[ndarray, "..."]) -> Float[ndarray, "..."]:
     """Standard normal of a uniform, with 0 for 0: a draw of zero is no error."""
     return ndtri(np.clip((u + 0.5) % 1.0, 1e-12, 1.0 - 1e-12))
 
 
 def found_p(
-    n_returns: Int32[ndarray, s], occlusion: Float[ndarray, s], label: UInt8[ndarray, s], params: DetectorParams
-) -> Float[ndarray, s]:
+    n_returns: Int32[ndarray, "s"], occlusion: Float[ndarray, "s"], label: UInt8[ndarray, "s"], params: DetectorParams
+) -> Float[ndarray, "s"]:
     """Chance that an object is found; 0 without returns."""
     n = n_returns**params.steepness
     half = np.array(params.half_returns)[label] ** params.steepness
@@ -193,7 +193,7 @@ def _found(sightings, boxes, label, u, params):
     return sightings.o[rows], actor, Boxes(moved, lwh, wrap(true.yaw_rad + turn)), score
 
 
-def wrap(angle: Float[ndarray, n]) -> Float[ndarray, n]:
+def wrap(angle: Float[ndarray, "n"]) -> Float[ndarray, "n"]:
     """The angle in (-pi, pi]."""
     return np.pi - (np.pi - angle) % (2.0 * np.pi)
 

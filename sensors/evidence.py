@@ -46,12 +46,12 @@ class PlausibilityParams:
 
 def in_area(
     sweeps: Sweeps,
-    o: Int[ndarray, n],
+    o: Int[ndarray, "n"],
     boxes: Boxes,
     params: AreaParams,
-    label: UInt8[ndarray, n] | None = None,
+    label: UInt8[ndarray, "n"] | None = None,
     own: Boxes | None = None,
-) -> Bool[ndarray, n]:
+) -> Bool[ndarray, "n"]:
     """Whether each box lies in the area that observer o[k] answers for.
 
     Parameters
@@ -66,7 +66,7 @@ def in_area(
     the slack beside their edges; 360 degrees have no edge.
     """
     sensed = sweeps.poses.to_sensor(o, boxes)
-    keep = _in_view(sensed, sweeps.beams.fov_rad, params)
+    keep = _in_view(sensed, sweeps.beams.fov_rad, params.slack_m)
     if label is not None and own is not None:
         apart = sensed.xyz_m - sweeps.poses.to_sensor(o, own).xyz_m
         apart[:, 2] -= 0.5 * (boxes.lwh_m[:, 2] - own.lwh_m[:, 2])
@@ -79,19 +79,19 @@ def _bottom(boxes: Boxes) -> Float[ndarray, "n 3"]:
     return boxes.xyz_m - np.array([0.0, 0.0, 0.5]) * boxes.lwh_m[:, 2:]
 
 
-def _norm(xyz: Float[ndarray, "n 3"]) -> Float[ndarray, n]:
+def _norm(xyz: Float[ndarray, "n 3"]) -> Float[ndarray, "n"]:
     return np.sqrt((xyz * xyz).sum(axis=1))
 
 
-def _in_view(sensed: Boxes, fov_rad: float, params: AreaParams) -> Bool[ndarray, n]:
+def _in_view(sensed: Boxes, fov_rad: float, slack_m: float) -> Bool[ndarray, "n"]:
     """Inside the field of view or at most the slack beside it."""
     forward, left = sensed.xyz_m[:, 0], np.abs(sensed.xyz_m[:, 1])
     if fov_rad <= np.pi:
-        return (forward >= 0.0) & (left <= forward * np.tan(0.5 * fov_rad) + params.slack_m)
-    return (forward >= 0.0) | (left >= -forward * np.tan(np.pi - 0.5 * fov_rad) - params.slack_m)
+        return (forward >= 0.0) & (left <= forward * np.tan(0.5 * fov_rad) + slack_m)
+    return (forward >= 0.0) | (left >= -forward * np.tan(np.pi - 0.5 * fov_rad) - slack_m)
 
 
-def points_in_boxes(sweeps: Sweeps, o: Int[ndarray, n], boxes: Boxes) -> Int32[ndarray, n]:
+def points_in_boxes(sweeps: Sweeps, o: Int[ndarray, "n"], boxes: Boxes) -> Int32[ndarray, "n"]:
     """Returns of observer o[k] strictly inside each box.
 
     Notes
@@ -105,11 +105,11 @@ def points_in_boxes(sweeps: Sweeps, o: Int[ndarray, n], boxes: Boxes) -> Int32[n
 
 def plausible(
     sweeps: Sweeps,
-    o: Int[ndarray, n],
+    o: Int[ndarray, "n"],
     boxes: Boxes,
     area: AreaParams = AreaParams(),
     params: PlausibilityParams = PlausibilityParams(),
-) -> Bool[ndarray, n]:
+) -> Bool[ndarray, "n"]:
     """Whether the sweep of observer o[k] allows that something stands in each box.
 
     Notes
@@ -123,50 +123,42 @@ def plausible(
     sensed = sweeps.poses.to_sensor(o, boxes)
     asked = tellable(sensed, sweeps.beams.fov_rad, area)
     verdict = np.ones(len(boxes), bool)
-    xyz = sensed.xyz_m[asked]
-    corners, planes, distance = windows.frustum(xyz, sensed.lwh_m[asked])
-    seen, closer = windows.free_space(
-        sweeps.range_m, sweeps.beams, np.asarray(o)[asked], xyz, corners, planes, distance, params.margin_m
-    )
+    planes, distance, window = windows.frustum(sensed.xyz_m[asked], sensed.lwh_m[asked])
+    rows = np.asarray(o)[asked]
+    seen, closer = windows.free_space(sweeps.range_m, sweeps.beams, rows, planes, distance, window, params.margin_m)
     verdict[asked] = closer > params.min_share * seen
     return verdict
 
 
-def tellable(sensed: Boxes, fov_rad: float, area: AreaParams) -> Bool[ndarray, n]:
+def tellable(sensed: Boxes, fov_rad: float, area: AreaParams) -> Bool[ndarray, "n"]:
     """Whether the free-space test applies to each box (sensor frame)."""
     bottom = _bottom(sensed)
-    distance = _norm(bottom)
-    forward, left = sensed.xyz_m[:, 0], np.abs(sensed.xyz_m[:, 1])
-    if fov_rad <= np.pi:
-        seen = (forward >= 0.0) & (left <= forward * np.tan(0.5 * fov_rad))
-    else:
-        seen = (forward >= 0.0) | (left >= -forward * np.tan(np.pi - 0.5 * fov_rad))
-    near_enough = (distance < area.range_m) & (np.abs(bottom[:, 2]) <= area.height_m)
-    ahead = (forward != 0.0) | (left != 0.0)      # straight below there is no pyramid
-    return seen & near_enough & (sensed.xyz_m[:, 2] <= 0.0) & ahead
+    near_enough = (_norm(bottom) < area.range_m) & (np.abs(bottom[:, 2]) <= area.height_m)
+    ahead = (sensed.xyz_m[:, :2] != 0.0).any(axis=1)        # straight below there is no pyramid
+    return _in_view(sensed, fov_rad, 0.0) & near_enough & (sensed.xyz_m[:, 2] <= 0.0) & ahead
 
 
 @dataclass(frozen=True, slots=True)
 class Sightings:
     """Which actors each observer could have seen, and how much of them it did; sorted by (o, actor)."""
 
-    o: Int32[ndarray, s]
+    o: Int32[ndarray, "s"]
     """Observer (index of the sweep)."""
-    actor: Int32[ndarray, s]
+    actor: Int32[ndarray, "s"]
     """Actor row."""
-    n_returns: Int32[ndarray, s]
-    n_unoccluded: Int32[ndarray, s]
+    n_returns: Int32[ndarray, "s"]
+    n_unoccluded: Int32[ndarray, "s"]
     """Returns if nothing stood in front; at least 1."""
-    range_m: Float[ndarray, s]
+    range_m: Float[ndarray, "s"]
     """Distance from the sensor to the centre of the box [m]."""
 
     @property
-    def occlusion(self) -> Float[ndarray, s]:
+    def occlusion(self) -> Float[ndarray, "s"]:
         """Share of the possible returns that something else took, in [0, 1]."""
         return 1.0 - self.n_returns / self.n_unoccluded
 
 
-def sightings(sweeps: Sweeps, boxes: Boxes, shape: UInt8[ndarray, n]) -> Sightings:
+def sightings(sweeps: Sweeps, boxes: Boxes, shape: UInt8[ndarray, "n"]) -> Sightings:
     """Every (observer, actor) with at least one ray that would meet the actor if nothing stood in front."""
     ptr, row = near(sweeps.poses.origin_m, boxes, sweeps.max_range_m)
     n_returns, n_alone = windows.returns_alone(
@@ -183,11 +175,11 @@ def sightings(sweeps: Sweeps, boxes: Boxes, shape: UInt8[ndarray, n]) -> Sightin
 def line_of_sight(
     scene: Scene,
     boxes: Boxes,
-    shape: UInt8[ndarray, n],
-    a: Int[ndarray, k],
-    b: Int[ndarray, k],
+    shape: UInt8[ndarray, "n"],
+    a: Int[ndarray, "k"],
+    b: Int[ndarray, "k"],
     above_roof_m: float = 0.23,
-) -> Bool[ndarray, k]:
+) -> Bool[ndarray, "k"]:
     """Whether nothing stands between the roofs of actors a[k] and b[k].
 
     Parameters

@@ -143,9 +143,9 @@ class Poses:
     """Where M sensors are: level, in the world frame, each looking along its vehicle's heading."""
 
     origin_m: Float[ndarray, "m 3"]
-    yaw_rad: Float[ndarray, m]
+    yaw_rad: Float[ndarray, "m"]
 
-    def to_sensor(self, o: Int[ndarray, n], boxes: Boxes) -> Boxes:
+    def to_sensor(self, o: Int[ndarray, "n"], boxes: Boxes) -> Boxes:
         """Each world box in the frame of its row's sensor."""
         d = boxes.xyz_m - self.origin_m[o]
         cos, sin = np.cos(self.yaw_rad[o]), np.sin(self.yaw_rad[o])
@@ -159,7 +159,7 @@ class Poses:
         return turned + self.origin_m[o]
 
 
-def mount(boxes: Boxes, observers: Int[ndarray, m], params: LidarParams) -> Poses:
+def mount(boxes: Boxes, observers: Int[ndarray, "m"], params: LidarParams) -> Poses:
     """The sensors of these actors: over the centre of the roof, looking ahead."""
     origin = boxes.xyz_m[observers].copy()
     origin[:, 2] += 0.5 * boxes.lwh_m[observers, 2] + params.mount_above_roof_m
@@ -175,9 +175,9 @@ class Sweeps:
     hit: Int32[ndarray, "m a e"]
     """What returned, as a `Hit` code. Truth: only truth columns may read it."""
     poses: Poses
-    observers: Int[ndarray, m]
+    observers: Int[ndarray, "m"]
     """Actor row that carries each sensor."""
-    ground_m: Float[ndarray, m]
+    ground_m: Float[ndarray, "m"]
     """Height of the road under each sensor."""
     beams: Beams
     max_range_m: float
@@ -188,7 +188,7 @@ class Sweeps:
         return self.points(np.full(len(column), o), column, row)
 
     def points(
-        self, o: Int[ndarray, k], column: Int[ndarray, k], row: Int[ndarray, k]
+        self, o: Int[ndarray, "k"], column: Int[ndarray, "k"], row: Int[ndarray, "k"]
     ) -> Float[ndarray, "k 3"]:
         """The ends of single rays that returned, in the frame of their sensor [m]."""
         r = self.range_m[o, column, row].astype(np.float64)
@@ -202,11 +202,11 @@ ENGINES: dict[str, Callable[..., None]] = {"columnar": columnar.cast, "embree": 
 
 def scan(
     boxes: Boxes,
-    shape: UInt8[ndarray, n],
-    observers: Int[ndarray, m],
+    shape: UInt8[ndarray, "n"],
+    observers: Int[ndarray, "m"],
     scene: Scene,
     params: LidarParams,
-    keys: UInt64[ndarray, m],
+    keys: UInt64[ndarray, "m"],
     out: Sweeps | None = None,
 ) -> Sweeps:
     """One sweep of every observer, all at one instant.

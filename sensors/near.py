@@ -12,7 +12,7 @@ from sensors.boxes import Boxes
 
 def near(
     places_m: Float[ndarray, "m d"], boxes: Boxes, within_m: float
-) -> tuple[Int[ndarray, m+1], Int[ndarray, k]]:
+) -> tuple[Int[ndarray, "m+1"], Int[ndarray, "k"]]:
     """Boxes whose footprint may come within a horizontal distance of each place.
 
     Returns

@@ -28,7 +28,7 @@ class Shape(IntEnum):
     PEDESTRIAN = 6
 
 
-LABEL_OF_SHAPE: UInt8[ndarray, shape] = np.array([0, 0, 3, 3, 2, 2, 1], np.uint8)
+LABEL_OF_SHAPE: UInt8[ndarray, "shape"] = np.array([0, 0, 3, 3, 2, 2, 1], np.uint8)
 """Object class of each shape: 0 car, 1 pedestrian, 2 cyclist, 3 truck."""
 
 # One upright prism: (rear, front) of the length from the centre, share of the width, (bottom, top) share of the height.
@@ -61,7 +61,7 @@ class Prisms(NamedTuple):
     top_m: ndarray
 
 
-def prisms(shape: UInt8[ndarray, n], boxes: Boxes) -> Prisms:
+def prisms(shape: UInt8[ndarray, "n"], boxes: Boxes) -> Prisms:
     """The solid body of each actor inside its box.
 
     Errors
@@ -144,8 +144,8 @@ class Scene:
     @staticmethod
     def from_footprints(
         rings: Sequence[Sequence[Float[ndarray, "k 2"]]],
-        base_z_m: Float[ndarray, n] | Sequence[float],
-        top_z_m: Float[ndarray, n] | Sequence[float],
+        base_z_m: Float[ndarray, "n"] | Sequence[float],
+        top_z_m: Float[ndarray, "n"] | Sequence[float],
     ) -> Scene:
         """The scene of these buildings.
 

@@ -71,8 +71,8 @@ def points_in_boxes_xyz(points, xyz, lwh, yaw):
 
 def frustum(
     xyz: Float[ndarray, "n 3"], lwh: Float[ndarray, "n 3"]
-) -> tuple[Float[ndarray, "n 4 3"], Float[ndarray, "n 4 3"], Float[ndarray, n]]:
-    """Corners and planes of the pyramid from the sensor through the middle of each box (sensor frame).
+) -> tuple[Float[ndarray, "n 4 3"], Float[ndarray, "n"], Float[ndarray, "n 4"]]:
+    """The pyramid from the sensor through a small square in the middle of each box (sensor frame).
 
     Parameters
     ----------
@@ -81,29 +81,37 @@ def frustum(
 
     Returns
     -------
-    corners (top left, top right, bottom left, bottom right), planes (a point p is inside iff p . plane < 0 for all
-    four), and the distance of the bottom centre.
+    planes (a point p is inside iff p . plane < 0 for all four), the distance of the bottom centre, and the window that
+    holds the pyramid: azimuth of its middle, half its width, lowest and highest slope.
     """
     bottom = xyz - np.array([0.0, 0.0, 0.5]) * lwh[:, 2:]
     x, y, z = bottom.T
     distance = np.sqrt(x * x + y * y + z * z)
     down = np.column_stack([x, y, (x * x + y * y) / z])
     down /= np.sqrt((down * down).sum(axis=1))[:, None]
-    # the paper's axes are right x down x forward, and so are ours: only their names turn
     right = np.cross(down, bottom / distance[:, None])
     s = (np.minimum(lwh[:, 0], lwh[:, 1]) / 4.0)[:, None]
-    top_left, top_right = xyz - s * down - s * right, xyz - s * down + s * right
-    low_left, low_right = xyz + s * down - s * right, xyz + s * down + s * right
-    plane = np.stack(
-        [
-            np.cross(top_right, top_left),
-            -np.cross(low_right, low_left),
-            -np.cross(top_right, low_right),
-            np.cross(top_left, low_left),
-        ],
-        axis=1,
-    )
-    return np.stack([top_left, top_right, low_left, low_right], axis=1), plane, distance
+    tl, tr = xyz - s * down - s * right, xyz - s * down + s * right
+    bl, br = xyz + s * down - s * right, xyz + s * down + s * right
+    planes = np.stack([np.cross(tr, tl), -np.cross(br, bl), -np.cross(tr, br), np.cross(tl, bl)], axis=1)
+
+    corner = np.stack([tl, tr, bl, br], axis=1)
+    middle = np.arctan2(xyz[:, 1], xyz[:, 0])
+    off = np.arctan2(corner[:, :, 1], corner[:, :, 0]) - middle[:, None]
+    half = np.abs(off - 2.0 * np.pi * np.round(off / (2.0 * np.pi))).max(axis=1)
+    slope = corner[:, :, 2] / np.hypot(corner[:, :, 0], corner[:, :, 1])
+    low, high = slope.min(axis=1), slope.max(axis=1)
+    # Beside a large box the planes may bound no pyramid through the corners: then every ray must be looked at.
+    sound = ((np.einsum("nck,npk->ncp", corner, planes) < 0.0) | _ON_PLANE).all(axis=(1, 2)) & (half < 1.5)
+    # The side of a pyramid between two corners is a great circle: it bulges by the cosine of half its arc.
+    bulge = 1.0 / np.cos(np.where(sound, half, 0.0))
+    low = np.where(sound, np.where(low < 0.0, low * bulge, low / bulge), -np.inf)
+    high = np.where(sound, np.where(high > 0.0, high * bulge, high / bulge), np.inf)
+    return planes, distance, np.column_stack([middle, np.where(sound, half + MARGIN_RAD, np.pi), low, high])
+
+
+_ON_PLANE = np.array([[1, 0, 0, 1], [1, 0, 1, 0], [0, 1, 0, 1], [0, 1, 1, 0]], bool)
+"""Which of its planes (top, bottom, right, left) each corner of the pyramid lies on."""
 
 
 @njit(cache=True, inline="always")
@@ -118,28 +126,14 @@ def in_frustum(x, y, z, plane):
 
 
 @njit(cache=True)
-def free_space(range_m, beams, o, xyz, corners, planes, distance, margin_m):
+def free_space(range_m, beams, o, planes, distance, window, margin_m):
     """Returns of sweep o[k] in the pyramid through box k, and how many of them are nearer than the box."""
     seen, closer = np.zeros(len(o), np.int32), np.zeros(len(o), np.int32)
-    n, m = len(beams.azimuth_rad), len(beams.tan_el)
     for k in range(len(o)):
-        corner, plane, limit = corners[k], planes[k], distance[k] + margin_m
-        middle = np.arctan2(xyz[k, 1], xyz[k, 0])
-        half, low, high = 0.0, np.inf, -np.inf
-        for i in range(4):
-            off = np.arctan2(corner[i, 1], corner[i, 0]) - middle
-            half = max(half, abs(off - 2.0 * np.pi * np.round(off / (2.0 * np.pi))))
-            slope = corner[i, 2] / np.hypot(corner[i, 0], corner[i, 1])
-            low, high = min(low, slope), max(high, slope)
-        a0, a1, b0, b1 = spans(middle, half + MARGIN_RAD, beams)
-        r0, r1 = 0, m
-        if half < 1.5:
-            # The side of a pyramid between two corners is a great circle: it bulges by the cosine of half its arc.
-            bulge = 1.0 / np.cos(half)
-            r0 = max(0, below(beams.tan_el, low * bulge if low < 0.0 else low / bulge) - 1)
-            r1 = min(m, below(beams.tan_el, high * bulge if high > 0.0 else high / bulge) + 1)
-        else:
-            a0, a1, b0, b1 = 0, n, 0, 0
+        plane, limit = planes[k], distance[k] + margin_m
+        a0, a1, b0, b1 = spans(window[k, 0], window[k, 1], beams)
+        r0 = max(0, below(beams.tan_el, window[k, 2]) - 1)
+        r1 = min(len(beams.tan_el), below(beams.tan_el, window[k, 3]) + 1)
         n_seen = n_closer = 0
         for turn in range(2):
             for c in range(a0 if turn == 0 else b0, a1 if turn == 0 else b1):

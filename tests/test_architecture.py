@@ -30,7 +30,7 @@ ONE_WINDOW = {
 """Libraries that one file alone may know."""
 
 ORDER = ("rng", "world", "roster", "mobility", "v2x", "truth", "config", "manifest", "cycle", "scenario", "recording",
-         "run", "bench", "screen", "cli", "__main__")  # fmt: skip
+         "run", "reproduce", "bench", "screen", "cli", "__main__")  # fmt: skip
 """Inside the hall: each may use those before it."""
 
 

@@ -30,6 +30,8 @@ class AdversaryParams:
     """Distance of the inserted object ahead of the victim's centre [m]."""
     attack_reach_m: Annotated[float, Gt(0)] = 100.0
     """A malicious vehicle picks the nearest other equipped vehicle within this distance as victim [m]."""
+    victim: str = ""
+    """SUMO id of the one equipped vehicle that all liars aim at, as in the paper; empty: each picks the nearest."""
     add_p: Annotated[float, Ge(0), Le(1)] = 0.1
     """Chance, per own detection, that an unreliable vehicle adds a copy somewhere in its view."""
     remove_p: Annotated[float, Ge(0), Le(1)] = 0.1
@@ -89,9 +91,15 @@ def _misplaced(copied: Detections, draws: Float[ndarray, "c 3"], world: World, p
 
 def _in_front_of_victims(world: World, params: AdversaryParams) -> Detections:
     equipped = np.flatnonzero(world.equipped)
+    named = equipped[world.name_key[equipped] == rng.name_key("vehicle/" + params.victim)] if params.victim else equipped
     liars = np.flatnonzero(world.equipped & (world.behaviour == MALICIOUS))
-    if len(equipped) > 1 and len(liars):
-        xy = world.boxes.xyz_m[:, :2]
+    xy = world.boxes.xyz_m[:, :2]
+    if params.victim and len(named):
+        (one,) = named
+        reached = np.linalg.norm(xy[liars] - xy[one], axis=1) <= params.attack_reach_m
+        liars = liars[reached & (liars != one)]
+        victim = np.full(len(liars), one)
+    elif len(named) > 1 and len(liars):
         distance, near = cKDTree(xy[equipped]).query(xy[liars], k=2)
         nearest = equipped[near]
         other = np.where(nearest[:, 0] == liars, 1, 0)  # the liar itself is at distance 0, mostly first

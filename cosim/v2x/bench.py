@@ -12,7 +12,7 @@ from cosim.v2x.propagation import PropagationParams
 from cosim.v2x.reception import ReceiverParams
 
 WINDOW_NS = 100_000_000
-_ROUNDS = 7
+_ROUNDS = 15
 
 
 def blocks(side_m: float) -> list[tuple[ndarray, list[ndarray], float, float]]:

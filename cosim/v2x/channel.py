@@ -7,7 +7,7 @@ changes nothing. A packet is (sender's key, sequence number) and every draw depe
 and the seed alone: neither rows, nor order, nor vehicles out of range matter.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import IntEnum
 from functools import lru_cache
 from typing import Annotated
@@ -17,7 +17,9 @@ from annotated_types import Gt
 from jaxtyping import Float, Int, UInt8, UInt64
 from numpy import ndarray
 
-from cosim.v2x import loop
+from cosim.v2x import records
+from cosim.v2x.carry import State, carried, renamed, spans, starts
+from cosim.v2x.loop import run_until
 from cosim.v2x.propagation import fading_quantiles
 from cosim.v2x.reception import CURVES, MAC_OVERHEAD_BYTES, ReceiverParams, airtime_ns
 
@@ -31,20 +33,20 @@ EIFS_NS = 120_000
 class Fate(IntEnum):
     """What became of a frame at one receiver."""
 
-    RECEIVED = loop.RECEIVED
-    RANGE = loop.RANGE
+    RECEIVED = records.RECEIVED
+    RANGE = records.RANGE
     """Too weak on average."""
-    FADING = loop.FADING
+    FADING = records.FADING
     """Too weak or noisy this time, though strong enough on average."""
-    COLLISION = loop.COLLISION
+    COLLISION = records.COLLISION
     """Destroyed by other frames."""
-    BUSY = loop.BUSY
+    BUSY = records.BUSY
     """The receiver was at another frame."""
-    HALF_DUPLEX = loop.HALF_DUPLEX
+    HALF_DUPLEX = records.HALF_DUPLEX
     """The receiver was sending."""
-    EXPIRED = loop.EXPIRED
+    EXPIRED = records.EXPIRED
     """Never sent: out of date in the sender's queue."""
-    QUEUE = loop.QUEUE
+    QUEUE = records.QUEUE
     """Never sent: the sender's queue was full."""
 
 
@@ -67,13 +69,13 @@ class AccessParams:
     """Largest back-off [slots], for VO, VI, BE, BK."""
     queue_max: Annotated[int, Gt(0)] = 100
     """Packets that one access category of one radio can hold."""
-    lifetime_s: Annotated[float, Gt(0)] = 0.1
+    lifetime_s: Annotated[float, Gt(0)] = 1.0
     """Age at which a packet that still waits is dropped [s], unless it says otherwise."""
 
     def __post_init__(self) -> None:
         for name in ("aifsn", "cw"):
             value = getattr(self, name)
-            if len(value) != loop.N_ACCESS or min(value) < (2 if name == "aifsn" else 0):
+            if len(value) != records.N_ACCESS or min(value) < (2 if name == "aifsn" else 0):
                 raise ValueError(
                     f"radio.{name} = {value} needs four whole numbers (VO, VI, BE, BK) of at least "
                     f"{2 if name == 'aifsn' else 0}."
@@ -91,7 +93,7 @@ class Links:
     power_mw: Float[ndarray, "m"]
     """Mean over fading, shadowing included."""
     fading: UInt8[ndarray, "m"]
-    """Class of the fading's distribution: see `propagation.FADING_CLASSES`."""
+    """Class of the fading's distribution: see `propagation.fading_quantiles`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,29 +113,6 @@ class Packets:
 
     def __len__(self) -> int:
         return len(self.sender)
-
-
-@dataclass(frozen=True, slots=True)
-class State:
-    """What lasts from one window to the next; opaque."""
-
-    now_ns: int
-    phy: ndarray
-    mac: ndarray
-    packets: ndarray
-    """Waiting or on the air."""
-    receiver: ndarray
-    """Far ends of the links of the frames on the air, the power that arrives there, and how it stands."""
-    arrival_mw: ndarray
-    reception: ndarray
-
-    @staticmethod
-    def start(now_ns: int = 0) -> "State":
-        """A silent channel without radios."""
-        return State(
-            now_ns, np.zeros(0, loop.PHY), np.zeros(0, loop.MAC), np.zeros(0, loop.PACKET),
-            np.zeros(0, np.int32), np.zeros(0, np.float32), np.zeros(0, np.uint8),
-        )  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,15 +149,14 @@ class Outcome:
 
 
 @lru_cache
-def _constants(receiver: ReceiverParams, access: AccessParams) -> loop.Constants:
+def _constants(receiver: ReceiverParams, access: AccessParams) -> records.Constants:
     def mw(dbm: float) -> float:
         return float(10 ** (dbm / 10))
 
     x0, w = CURVES[receiver.error_model][receiver.rate_mbps]
     a, b = x0 / w, 10 / (w * np.log(10))
-    return loop.Constants(
+    return records.Constants(
         noise_mw=mw(receiver.noise_dbm),
-        p_min_mw=mw(receiver.p_min_dbm),
         sinr_min=mw(receiver.sinr_min_db),
         detectable_mw=mw(receiver.detectable_dbm),
         cca_mw=mw(receiver.cca_dbm),
@@ -195,12 +173,22 @@ def _constants(receiver: ReceiverParams, access: AccessParams) -> loop.Constants
     )
 
 
+def _check(links: Links) -> None:
+    n, m = len(links.key), len(links.receiver)
+    if len(links.ptr) != n + 1 or links.ptr[0] != 0 or links.ptr[-1] != m or np.any(np.diff(links.ptr) < 0):
+        raise ValueError(f"links.ptr must rise from 0 to the number of links ({m}) in {n + 1} steps.")
+    if len(links.power_mw) != m or len(links.fading) != m:
+        raise ValueError("links.receiver, power_mw and fading must be of one length.")
+    if m and (links.receiver.min() < 0 or links.receiver.max() >= n or links.fading.max() >= len(fading_quantiles())):
+        raise ValueError(f"links: a receiver is none of the {n} radios, or a class of fading is unknown.")
+
+
 def _records(packets: Packets, n: int, state: State, until_ns: int, receiver: ReceiverParams) -> ndarray:
     """The packets as the event loop wants them; refuses what cannot be."""
-    new = np.zeros(len(packets), loop.PACKET)
+    new = np.zeros(len(packets), records.PACKET)
     if len(packets) == 0:
         return new
-    for name, low, high in (("sender", 0, n - 1), ("access", 0, loop.N_ACCESS - 1)):
+    for name, low, high in (("sender", 0, n - 1), ("access", 0, records.N_ACCESS - 1)):
         column = getattr(packets, name)
         if column.min() < low or column.max() > high:
             raise ValueError(f"packets.{name} = {column.min()} ... {column.max()} must lie in {low} ... {high}.")
@@ -227,51 +215,9 @@ def _records(packets: Packets, n: int, state: State, until_ns: int, receiver: Re
         new[name] = getattr(packets, name)
     new["airtime_ns"] = air_ns
     new["expires_ns"] = packets.generated_ns + packets.lifetime_ns
-    new["next"] = loop.NOBODY
-    new["fate"] = loop.WAITING
+    new["next"] = records.NOBODY
+    new["fate"] = records.WAITING
     return new
-
-
-def _renamed(state: State, key: ndarray) -> State:
-    """A copy of the state with rows as in `key`, behind them radios that left with a frame on the air.
-
-    What waits at a radio that left is dropped as expired; what is on its way to one is received by nobody.
-    """
-    old = state.phy["key"]
-    if np.array_equal(old, key):
-        return replace(state, phy=state.phy.copy(), mac=state.mac.copy(), packets=state.packets.copy())
-    if len(np.unique(key)) < len(key):
-        raise ValueError("links.key names one radio twice. Give every radio a key of its own.")
-    order = np.argsort(key)
-    at = order[np.minimum(np.searchsorted(key, old, sorter=order), len(key) - 1)] if len(key) else np.zeros_like(old)
-    stays = key[at] == old if len(key) else np.zeros(len(old), bool)
-    ghost = np.flatnonzero(~stays & (state.phy["packet"] != loop.NOBODY))
-    row = np.full(len(old) + 1, loop.NOBODY)  # one more, so that nobody stays nobody
-    row[:-1][stays] = at[stays]
-    row[ghost] = len(key) + np.arange(len(ghost))
-
-    phy = np.zeros(len(key) + len(ghost), loop.PHY)
-    mac = np.zeros(len(phy), loop.MAC)
-    phy["key"][: len(key)] = key
-    phy["packet"] = loop.NOBODY
-    mac["armed_ns"] = loop.NEVER
-    kept = np.flatnonzero(row[:-1] >= 0)
-    phy[row[kept]], mac[row[kept]] = state.phy[kept], state.mac[kept]
-    phy["frame_from"] = np.where(phy["phase"] == loop.FREE, 0, row[phy["frame_from"]])
-    mac["rank"][np.argsort(phy["key"])] = np.arange(len(phy))
-
-    packets = state.packets.copy()
-    dropped = ~stays[packets["sender"]] & (packets["fate"] == loop.WAITING)
-    packets["fate"][dropped] = loop.EXPIRED
-    packets["sender"] = row[packets["sender"]]
-    quiet = mac[len(key) :]
-    quiet["count"] = quiet["n_queued"] = quiet["gated"] = 0
-    quiet["armed_ns"] = loop.NEVER
-
-    receiver = row[state.receiver]
-    receiver[receiver >= len(key)] = loop.NOBODY
-    arrival_mw = np.where(receiver == loop.NOBODY, np.float32(0), state.arrival_mw)
-    return State(state.now_ns, phy, mac, packets, receiver.astype(np.int32), arrival_mw, state.reception)
 
 
 def play(
@@ -303,24 +249,26 @@ def play(
     the signal field is never lost alone; two queues of one radio that collide draw anew from the same window.
     """
     n = len(links.key)
+    _check(links)
     if until_ns <= state.now_ns:
         raise ValueError(f"until_ns = {until_ns} is not after the state's now_ns = {state.now_ns}.")
     new = _records(packets, n, state, until_ns, receiver)
-    new = new[np.lexsort((new["seq"], links.key[new["sender"]], new["generated_ns"]))]
-    state = _renamed(state, links.key)
+    new["key"] = links.key[new["sender"]]
+    new = new[np.lexsort((new["seq"], new["key"], new["generated_ns"]))]
+    state = renamed(state, links.key)
     phy, mac = state.phy, state.mac
     phy["busy_ns"] = phy["strong_ns"] = 0
     mac["gap_ns"][:n] = 0 if gap_ns is None else gap_ns
     table = np.concatenate([state.packets, new])
 
-    waiting, aired = table["fate"] == loop.WAITING, table["fate"] == loop.RECEIVED
+    waiting, aired = table["fate"] == records.WAITING, table["fate"] == records.RECEIVED
     sender = table["sender"][waiting]
     table["edge"][waiting] = links.ptr[sender]
     table["degree"] = np.where(aired, table["degree"], 0)
     table["degree"][waiting] = links.ptr[sender + 1] - links.ptr[sender]
     old_edge = table["edge"][aired]
     table["edge"][aired] += len(links.receiver)
-    ptr = _starts(table["degree"])
+    ptr = starts(table["degree"])
     table["slot"] = ptr[:-1]
     reception = np.empty(ptr[-1], np.uint8)
     hearer = np.empty(ptr[-1], np.int32)
@@ -336,71 +284,44 @@ def play(
     row_of_rank = np.empty(len(phy), np.int64)
     row_of_rank[mac["rank"]] = np.arange(len(phy))
     room = 16 * len(phy) + 16
-    loop.run_until(
+    run_until(
         until_ns, phy, mac, row_of_rank, table, len(state.packets), edges, reception, hearer,
         SIFS_NS + SLOT_NS * np.array(access.aifsn), np.array(access.cw), fading_quantiles(),
-        _constants(receiver, access), chance, np.empty(room, np.int64), np.empty(room, np.int64),
+        _constants(receiver, access), np.uint64(chance), np.empty(room, np.int64), np.empty(room, np.int64),
     )  # fmt: skip
 
     on_air = np.zeros(len(table), bool)
-    on_air[phy["packet"][phy["packet"] != loop.NOBODY]] = True
-    done = ~on_air & (table["fate"] != loop.WAITING)
+    on_air[phy["packet"][phy["packet"] != records.NOBODY]] = True
+    done = ~on_air & (table["fate"] != records.WAITING)
     outcome = _outcome(table, done, phy, n, hearer, reception, until_ns - state.now_ns)
-    return _carried(phy, mac, table, ~done, on_air, edges[0], arrival_mw, reception, until_ns), outcome
-
-
-def spans(start: Int[ndarray, "r"], count: Int[ndarray, "r"]) -> Int[ndarray, "m"]:
-    """All integers of the ranges [start, start + count), range after range."""
-    before = np.cumsum(count) - count
-    return np.arange(int(count.sum())) + np.repeat(start - before, count)
-
-
-def _starts(count: ndarray) -> ndarray:
-    return np.concatenate([[0], np.cumsum(count, dtype=np.int64)])
+    return carried(phy, mac, table, ~done, on_air, edges[0], arrival_mw, reception, until_ns), outcome
 
 
 def _outcome(
     table: ndarray, done: ndarray, phy: ndarray, n: int, hearer: ndarray, reception: ndarray, span_ns: int
 ) -> Outcome:
     rows = table[done]
-    sent = rows["fate"] == loop.RECEIVED
+    sent = rows["fate"] == records.RECEIVED
     count = np.where(sent, rows["degree"], 0)
     if count.sum() < len(hearer):
         at = spans(rows["slot"], count)
         hearer, reception = hearer[at], reception[at]
-    if np.any(hearer == loop.NOBODY):
-        there = hearer != loop.NOBODY
+    if np.any(hearer == records.NOBODY):
+        there = hearer != records.NOBODY
         count = np.bincount(np.repeat(np.arange(len(rows)), count)[there], minlength=len(rows))
         hearer, reception = hearer[there], reception[there]
     start = np.where(sent, rows["start_ns"], rows["generated_ns"])
     return Outcome(
-        sender_key=phy["key"][rows["sender"]],
+        sender_key=rows["key"],
         seq=rows["seq"],
         tag=rows["tag"],
         fate=rows["fate"],
         generated_ns=rows["generated_ns"],
         start_ns=start,
         end_ns=start + np.where(sent, rows["airtime_ns"], 0),
-        ptr=_starts(count),
+        ptr=starts(count),
         receiver=hearer,
         reception=reception,
         busy=phy["busy_ns"][:n] / span_ns,
         busy_strong=phy["strong_ns"][:n] / span_ns,
     )
-
-
-def _carried(
-    phy: ndarray, mac: ndarray, table: ndarray, alive: ndarray, on_air: ndarray,
-    hearer: ndarray, arrival_mw: ndarray, reception: ndarray, now_ns: int,
-) -> State:  # fmt: skip
-    """The state after a window: only live packets, renumbered, and the links of the frames on the air."""
-    number = np.full(len(table) + 1, loop.NOBODY, np.int32)  # one more, so that nobody stays nobody
-    number[:-1][alive] = np.arange(np.count_nonzero(alive))
-    phy["packet"] = number[phy["packet"]]
-    for name in ("head", "tail"):
-        mac[name] = number[np.where(mac["count"] > 0, mac[name], loop.NOBODY)]
-    air = table[on_air]
-    edge, slot = spans(air["edge"], air["degree"]), spans(air["slot"], air["degree"])
-    table["edge"][on_air] = np.cumsum(air["degree"]) - air["degree"]
-    table["next"] = number[table["next"]]
-    return State(now_ns, phy, mac, table[alive], hearer[edge], arrival_mw[edge], reception[slot])

@@ -2,7 +2,7 @@
 
 References
 ----------
-.. [1] ETSI TS 102 687 V1.2.1, annex A.
+.. [1] ETSI TS 102 687 V1.2.1, "Decentralized congestion control mechanisms for ITS operating in the 5 GHz range".
 """
 
 from dataclasses import dataclass
@@ -68,8 +68,8 @@ def react(control: Control, key: UInt64[ndarray, "n"], busy: Float[ndarray, "n"]
 
     Notes
     -----
-    The state moves one step towards the one that the smoothed busy ratio asks for.   Deviations from [1]_: the
-    same time in every state upwards and downwards, where the annex lets implementations differ.
+    The state moves one step towards the one that the smoothed busy ratio asks for.   Deviations from [1]_: one
+    step per period upwards and downwards alike; no control of power, rate or sensitivity.
     """
     if np.any(~(busy >= 0)) or np.any(busy > 1 + 1e-9):
         raise ValueError("busy ratios must lie in 0 ... 1.")

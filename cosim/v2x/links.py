@@ -7,6 +7,7 @@ Everything here belongs to places: two radios at the same places have the same l
 """
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt64
@@ -16,7 +17,8 @@ from numpy import ndarray
 from cosim import rng
 from cosim.v2x.channel import Links
 from cosim.v2x.kernel import kernel
-from cosim.v2x.obstruction import Sight, Walls, runs_into_house
+from cosim.v2x.march import runs_into_house
+from cosim.v2x.obstruction import Sight, Walls
 from cosim.v2x.propagation import (
     PropagationParams,
     blockage_db,
@@ -26,6 +28,8 @@ from cosim.v2x.propagation import (
     vehicle_in_way,
 )
 
+_RING = 2
+"""Cells that make up the reach: more of them fit the circle better."""
 _SHADOW_LOS, _SHADOW_NLOS, _IN_WAY, _BLOCKAGE = (np.uint64(k) for k in range(4))
 
 
@@ -46,26 +50,33 @@ class Pairs:
 
 @kernel
 def _near(xyz, reach_m, order, start, cell, shape, places, hidden_m, grid, a, b, d):
-    """Pairs within reach, in the same or adjacent cells, but for those beyond `hidden_m` behind a house."""
+    """Pairs within reach, at most `_RING` cells apart, but for those beyond `hidden_m` behind a house.
+
+    Points come sorted by cell, and so lie close together in memory; `order` is their rows.
+    """
     m = 0
     for p in range(len(order)):
-        i = order[p]
-        cx, cy = cell[i, 0], cell[i, 1]
-        for gx in range(cx, min(cx + 2, shape[0])):
-            # Of the cell's own column only what comes later, of the next one all three.
-            first, last = (cy, min(cy + 2, shape[1])) if gx == cx else (max(cy - 1, 0), min(cy + 2, shape[1]))
+        cx, cy = cell[p, 0], cell[p, 1]
+        for gx in range(cx, min(cx + _RING + 1, shape[0])):
+            # Of the point's own column only what comes later.
+            first, last = cy if gx == cx else max(cy - _RING, 0), min(cy + _RING + 1, shape[1])
             begin = p + 1 if gx == cx else start[gx * shape[1] + first]
             for q in range(begin, start[gx * shape[1] + last]):
-                j = order[q]
-                dx, dy, dz = xyz[i, 0] - xyz[j, 0], xyz[i, 1] - xyz[j, 1], xyz[i, 2] - xyz[j, 2]
+                dx, dy, dz = xyz[p, 0] - xyz[q, 0], xyz[p, 1] - xyz[q, 1], xyz[p, 2] - xyz[q, 2]
                 square = dx * dx + dy * dy + dz * dz
-                if square <= reach_m * reach_m:
-                    if square > hidden_m * hidden_m and runs_into_house(places, i, j, grid):
-                        continue
-                    if m < len(a):
-                        a[m], b[m], d[m] = i, j, np.sqrt(square)
-                    m += 1
+                if square > reach_m * reach_m:
+                    continue
+                if square > hidden_m * hidden_m and runs_into_house(places, p, q, grid):
+                    continue
+                if m < len(a):
+                    a[m], b[m], d[m] = order[p], order[q], np.sqrt(square)
+                m += 1
     return m
+
+
+@cache
+def _no_walls() -> Walls:
+    return Walls.of([])
 
 
 def within(
@@ -82,15 +93,19 @@ def within(
     n = len(xyz_m)
     if n == 0:
         return np.zeros(0, np.int32), np.zeros(0, np.int32), np.zeros(0)
-    places, grid = (sight.snap(xyz_m), sight.walls.grid) if sight else (xyz_m, Walls.of([]).grid)
+    if sight is None:
+        places, grid, reach_nlos_m = xyz_m, _no_walls().grid, np.inf
+    else:
+        places, grid = sight.snap(xyz_m), sight.walls.grid
     low = xyz_m[:, :2].min(0)
-    side = max(reach_m, float(np.ptp(xyz_m[:, :2], axis=0).max()) / 1000)
+    side = max(reach_m / _RING, float(np.ptp(xyz_m[:, :2], axis=0).max()) / 1000)
     cell = ((xyz_m[:, :2] - low) / side).astype(np.int64)
     shape = cell.max(0) + 1
     flat = cell[:, 0] * shape[1] + cell[:, 1]
     order = np.argsort(flat, kind="stable")
     start = np.searchsorted(flat[order], np.arange(shape[0] * shape[1] + 1))
     share = np.pi * min(reach_m, reach_nlos_m) ** 2 / (np.prod(shape) * side**2)  # of all points, if evenly strewn
+    cell, places, xyz_m = cell[order], places[order], xyz_m[order]
     room = int(n * min(n, 256 + 2 * n * share) / 2 + 1024)
     while True:
         a, b, d = np.empty(room, np.int32), np.empty(room, np.int32), np.empty(room)
@@ -136,12 +151,12 @@ def pairs(
     chance
         Key of shadowing and blockage, one for the whole run.
     sight
-        The city's walls; without them nothing is behind one. Only `urban` and `highway` have a use for them.
+        The city's walls; without them nothing is behind one. See `PropagationParams.walls` for who minds.
     """
     xyz_m = np.ascontiguousarray(xyz_m, np.float64)
     if xyz_m.ndim != 2 or xyz_m.shape[1] != 3 or not np.all(np.isfinite(xyz_m)):
         raise ValueError("xyz_m: antenna positions must be (n, 3) finite numbers [m].")
-    if params.model not in ("urban", "highway"):
+    if not params.knows_walls:
         sight = None
     a, b, d = within(xyz_m, params.reach_m, sight, params.reach_nlos_m)
     nlos = np.zeros(len(a), bool)
@@ -151,7 +166,12 @@ def pairs(
             keep = np.flatnonzero(~nlos | (d <= params.reach_nlos_m))
             a, b, d, nlos = a[keep], b[keep], d[keep], nlos[keep]
     h_a, h_b = xyz_m[a, 2], xyz_m[b, 2]
-    loss = mean_loss_db(d, nlos, h_a, h_b, params)
+    by_wall = params.walls == "sommer"
+    loss = mean_loss_db(d, nlos & (not by_wall), h_a, h_b, params)
+    if by_wall and sight is not None:
+        rows = np.flatnonzero(nlos)
+        n_walls, inside_m = sight.walls.through(sight.snap(xyz_m), a[rows], b[rows])
+        loss[rows] += params.wall_db * n_walls + params.indoors_db_per_m * inside_m  # [4] of `propagation`
     xy = xyz_m[:, :2]
 
     def field(rows: ndarray, decorrelation_m: float, purpose: np.uint64) -> ndarray:

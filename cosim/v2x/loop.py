@@ -5,74 +5,32 @@ A preamble is decided 4 µs after it arrives: lazily, when the receiver is next 
 nanoseconds and powers mW. A radio has one frame on the air at most, so a frame is named by its sender's row.
 """
 
-from typing import NamedTuple
-
 import numpy as np
 
 from cosim.rng import mix, unit
 from cosim.v2x.kernel import inlined, kernel, pop, push
 from cosim.v2x.reception import HEADER_NS, PREAMBLE_NS
+from cosim.v2x.records import (
+    BUSY,
+    COLLISION,
+    DETECTING,
+    EXPIRED,
+    FADING,
+    FREE,
+    HALF_DUPLEX,
+    LOCKED,
+    N_ACCESS,
+    NEVER,
+    NOBODY,
+    QUEUE,
+    RANGE,
+    RECEIVED,
+)  # fmt: skip
 
-N_ACCESS = 4
-NEVER = np.iinfo(np.int64).max
-NOBODY = -1
-RECEIVED, RANGE, FADING, COLLISION, BUSY, HALF_DUPLEX, EXPIRED, QUEUE, WAITING = range(9)
 _END, _GENERATE, _GATE, _ACCESS = range(4)
-FREE, DETECTING, LOCKED = range(3)
-N_QUANTILES = 4096
 _TO_QUANTILE = np.uint64(52)
 _BACKOFF = np.uint64(0xB0)
 _PAYLOAD = np.uint64(0xF0)
-
-PHY = np.dtype([
-    ("key", "u8"),
-    ("energy_mw", "f8"),  # all arrivals together
-    ("frame_mw", "f8"), ("frame_ns", "i8"), ("frame_from", "i4"), ("frame_edge", "i4"),  # at hand, by `phase`
-    ("chunk_ns", "i8"), ("log_psr", "f8"),  # of the frame at hand: up to when judged, with what success
-    ("idle_ns", "i8"), ("eifs_ns", "i8"),
-    ("busy_since_ns", "i8"), ("busy_ns", "i8"), ("strong_since_ns", "i8"), ("strong_ns", "i8"),
-    ("n_air", "i4"), ("n_strong", "i4"),
-    ("packet", "i4"),  # own packet on the air
-    ("phase", "u1"), ("busy", "u1"), ("hurt", "u1"),
-    ("active", "u1"),  # whether a back-off runs or a packet waits
-])  # fmt: skip
-"""The receiving half of a radio: two cache lines."""
-
-MAC = np.dtype([
-    ("rank", "i4"), ("n_draws", "u4"),
-    ("armed_ns", "i8"), ("gate_ns", "i8"), ("gap_ns", "i8"), ("gated", "u1"),
-    ("since_ns", "i8", N_ACCESS), ("slots", "i4", N_ACCESS),
-    ("head", "i4", N_ACCESS), ("tail", "i4", N_ACCESS), ("count", "i4", N_ACCESS), ("n_queued", "i4"),
-])  # fmt: skip
-"""The sending half of a radio: four queues with their back-offs."""
-
-PACKET = np.dtype([
-    ("generated_ns", "i8"), ("expires_ns", "i8"), ("airtime_ns", "i8"), ("start_ns", "i8"),
-    ("seq", "u8"), ("tag", "i8"), ("edge", "i8"), ("slot", "i8"),  # first edge, first outcome
-    ("sender", "i4"), ("degree", "i4"), ("payload_bytes", "i4"), ("next", "i4"),
-    ("access", "u1"), ("fate", "u1"),
-])  # fmt: skip
-"""A frame: where it stands in its queue, when it went out, where its outcomes are written."""
-
-
-class Constants(NamedTuple):
-    """Params in linear units."""
-
-    noise_mw: float
-    p_min_mw: float
-    sinr_min: float
-    detectable_mw: float
-    cca_mw: float
-    floor_mw: float
-    curve_a: float  # ln of the error exponent is a - b ln(SINR)
-    curve_b: float
-    sinr_clean: float  # above this a chunk has no errors
-    capture_ratio: float
-    capture_ns: int
-    slot_ns: int
-    eifs_ns: int
-    queue_max: int
-    overhead_bytes: int
 
 
 @kernel

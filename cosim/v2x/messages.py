@@ -62,7 +62,7 @@ def detections_bytes(n_objects: Int[ndarray, "n"]) -> Int[ndarray, "n"]:
     GeoNetworking and BTP 44, signature and digest 96, header 37, one sensor 9, and 29 per object, as in Artery's
     model of ETSI TS 103 324.
     """
-    return 44 + 96 + 37 + 9 + 29 * n_objects
+    return ENVELOPE_BYTES + 29 * n_objects
 
 
 def verdicts_bytes(n_verdicts: Int[ndarray, "n"]) -> Int[ndarray, "n"]:
@@ -71,6 +71,19 @@ def verdicts_bytes(n_verdicts: Int[ndarray, "n"]) -> Int[ndarray, "n"]:
     The same envelope, a header of 16, and 12 per verdict: vehicle 4, detection 2, e 1, visibility 1, time 2, flags 2.
     """
     return 44 + 96 + 16 + 12 * n_verdicts
+
+
+FRAME_BYTES = 1398
+"""Longest payload of one frame: GeoNetworking's itsGnMaxSduSize [B]."""
+ENVELOPE_BYTES = 44 + 96 + 37 + 9
+"""What each segment of a long message carries again [B]."""
+
+
+def segments(length_bytes: Int[ndarray, "n"]) -> tuple[Int[ndarray, "n"], Int[ndarray, "n"]]:
+    """How many frames each message takes, and how long each of them is [B]; every segment stands for itself."""
+    n = np.where(length_bytes <= FRAME_BYTES, 1, -(-(length_bytes - ENVELOPE_BYTES) // (FRAME_BYTES - ENVELOPE_BYTES)))
+    each = ENVELOPE_BYTES - (ENVELOPE_BYTES - length_bytes) // n
+    return n, np.where(n == 1, length_bytes, each)
 
 
 def ptr_of(sorted_rows: Int[ndarray, "m"], n: int) -> Int[ndarray, "n+1"]:

@@ -100,6 +100,16 @@ def test_order_betrays_no_names(street):
     assert (order == np.arange(len(order))).all()
 
 
+def test_nobody_looks():
+    boxes, shape = traffic(np.random.default_rng(0), 5)
+    sweeps = exact(boxes, shape, [])
+    seen = sightings(sweeps, boxes, shape)
+    luck = DetectorDraws(np.zeros((0, N_SIGHTING_DRAWS)), np.zeros((0, 4, N_CLUTTER_DRAWS)))
+    for profile in ("avod", "ideal"):
+        found = detect(sweeps, seen, boxes, LABEL_OF_SHAPE[shape], luck, DetectorParams(profile=profile))
+        assert len(found.o) == len(found.boxes) == 0
+
+
 def test_draws_of_the_wrong_shape_are_refused(street):
     with pytest.raises(ValueError, match="draws"):
         detect(*street, DetectorDraws(np.zeros((1, 2)), np.zeros((1, 1, 1))), DetectorParams())

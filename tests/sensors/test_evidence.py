@@ -55,7 +55,7 @@ def test_plausibility_vectors():
         boxes = labelled([c["box"] for c in here])
         asked = tellable(boxes, np.pi / 2, AreaParams())
         assert asked.tolist() == [c["reason"] not in early for c in here]
-        _, planes, distance = windows.frustum(boxes.xyz_m[asked], boxes.lwh_m[asked])
+        planes, distance, _ = windows.frustum(boxes.xyz_m[asked], boxes.lwh_m[asked])
         seen, closer = windows.free_space_xyz(points, planes, distance, 0.25)
         here_asked = [c for c, a in zip(here, asked, strict=True) if a]
         assert seen.tolist() == [c["frustum_points"] for c in here_asked]
@@ -123,10 +123,8 @@ def test_windows_equal_whole_clouds(seed, profile):
         whole = windows.points_in_boxes_xyz(sweeps.xyz(o), sensed.xyz_m, sensed.lwh_m, sensed.yaw_rad)
         assert (points_in_boxes(sweeps, at, asked) == whole).all()
         free = tellable(sensed, sweeps.beams.fov_rad, AreaParams())
-        corners, planes, distance = windows.frustum(sensed.xyz_m[free], sensed.lwh_m[free])
-        seen, closer = windows.free_space(
-            sweeps.range_m, sweeps.beams, at[free], sensed.xyz_m[free], corners, planes, distance, 0.25
-        )
+        planes, distance, window = windows.frustum(sensed.xyz_m[free], sensed.lwh_m[free])
+        seen, closer = windows.free_space(sweeps.range_m, sweeps.beams, at[free], planes, distance, window, 0.25)
         whole_seen, whole_closer = windows.free_space_xyz(sweeps.xyz(o), planes, distance, 0.25)
         assert (seen == whole_seen).all() and (closer == whole_closer).all()
         assert (plausible(sweeps, at, asked)[free] == (whole_closer > 0.1 * whole_seen)).all()

@@ -83,7 +83,7 @@ def test_noise_is_a_function_of_key_and_ray():
 
 def test_noise_turns_no_ray_around():
     boxes = Boxes(np.array([[0, 0, 0.75], [0, 0, 1.6]]), np.array([[4.4, 1.8, 1.5], [8, 0.06, 3.2]]), np.zeros(2))
-    params = LidarParams(profile="vlp16", range_sigma_m=0.05)       # inside a body 6 cm wide
+    params = LidarParams(profile="vlp16", range_sigma_m=0.05)  # inside a body 6 cm wide
     sweep = scan(boxes, np.array([0, BUS], np.uint8), np.array([0]), Scene.empty(), params, np.zeros(1, np.uint64))
     assert sweep.range_m.min() == 0.0
 

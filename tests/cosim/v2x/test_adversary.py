@@ -88,3 +88,16 @@ def test_honest_rows_are_untouched_and_keys_unique(attack):
         assert np.array_equal(getattr(said, name)[honest], getattr(seen, name)[before])
     assert np.array_equal(said.boxes.xyz_m[honest], seen.boxes.xyz_m[before])
     assert (said.origin[said.k == 0] == SELF).all()
+
+
+def test_all_liars_can_aim_at_one_victim():
+    from cosim.rng import name_key
+
+    world = world_of([[0, 0], [10, 0], [60, 0], [500, 0]], np.zeros(4), [MALICIOUS, HONEST, MALICIOUS, MALICIOUS])
+    world.name_key[1] = name_key("vehicle/ego")
+    said = tamper(seen_by(world, 1), world, 0.0, 1, AdversaryParams(start_s=0.0, attack="car", victim="ego"))
+    lies = said.take(np.flatnonzero(said.origin == FABRICATED))
+    assert lies.observer.tolist() == [0, 2]  # the third liar is too far away
+    np.testing.assert_allclose(lies.boxes.xyz_m[:, 0], 18.0)
+    nobody = tamper(seen_by(world, 1), world, 0.0, 1, AdversaryParams(start_s=0.0, victim="gone"))
+    assert not (nobody.origin == FABRICATED).any()

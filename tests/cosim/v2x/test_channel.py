@@ -244,6 +244,34 @@ def test_a_vehicle_out_of_range_changes_nothing(seed):
     assert [p for p in together[1] if p[0] in local] == alone[1]
 
 
+@few
+@given(seeds)
+def test_every_packet_comes_out_once_whoever_comes_and_goes(seed):
+    dbm, key, packets = crowd(25, seed)
+    g, state, tags, now = np.random.default_rng(seed), State.start(), [], 0
+    while now < 60 * MS:
+        until = now + int(g.integers(100 * US, 4 * MS))
+        here = np.flatnonzero(g.random(len(key)) < 0.8)
+        row = np.full(len(key), -1)
+        row[here] = np.arange(len(here))
+        mine = (packets.generated_ns >= now) & (packets.generated_ns < until) & (row[packets.sender] >= 0)
+        some = Packets(**{f.name: getattr(packets, f.name)[mine] for f in fields(Packets)})
+        some = replace(some, sender=row[some.sender], tag=np.flatnonzero(mine))
+        links = net(dbm[np.ix_(here, here)], True, key[here])
+        state, out = play(state, links, some, until, CHANCE, EXACT, AccessParams(), np.full(len(here), 2 * MS))
+        tags.append((np.flatnonzero(mine), out.tag))
+        assert out.sender_key.tolist() == key[packets.sender[out.tag]].tolist()
+        assert np.all((out.busy >= 0) & (out.busy <= 1))
+        assert np.all(state.phy["energy_mw"] >= 0)
+        assert not np.any(state.phy["energy_mw"][state.phy["n_air"] == 0])
+        now = until
+    state, out = play(state, net(dbm, True, key), say([], []), now + 500 * MS, CHANCE, EXACT, AccessParams())
+    tags.append((np.zeros(0, int), out.tag))
+    given_, got = (np.concatenate(x) for x in zip(*tags, strict=True))
+    assert sorted(got.tolist()) == sorted(given_.tolist())
+    assert not state.phy["busy"].any()
+
+
 def delivered(dbm, packets, receiver=EXACT):
     return sum(
         np.mean(play(State.start(), net(dbm, True), packets, 60 * MS, np.uint64(s), receiver, DCF)[1].reception == 0)
@@ -279,6 +307,14 @@ def test_radios_come_and_go():
     state, _ = play(state, net(three, key=key), say([1, 1], [6 * MS] * 2, seq=[1, 2]), 6 * MS + 99, CHANCE, EXACT, DCF)
     state, out = play(state, net(three[:1, :1], key=key[:1]), say([], []), 9 * MS, CHANCE, EXACT, DCF)
     assert [Fate(f) for f in out.fate] == [Fate.EXPIRED] * 2
+    assert out.sender_key.tolist() == [3, 3]
+
+
+def test_an_empty_channel_is_silent():
+    nobody = net(np.zeros((0, 0)))
+    assert len(hear(nobody, say([], [])).tag) == 0
+    out = hear(net(PAIR), say([], []))
+    assert not out.busy.any()
 
 
 def test_faults_are_named():
@@ -293,6 +329,13 @@ def test_faults_are_named():
     ):
         with pytest.raises(ValueError, match=words):
             hear(links, packets)
+    for wrong, words in (
+        (replace(links, ptr=np.array([0, 1])), r"links\.ptr"),
+        (replace(links, fading=links.fading[:1]), "of one length"),
+        (replace(links, receiver=np.array([1, 2])), "none of the 2 radios"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            hear(wrong, say(0, 0))
     with pytest.raises(ValueError, match="one radio twice"):
         hear(replace(links, key=np.array([4, 4], np.uint64)), say(0, 0))
     with pytest.raises(ValueError, match="until_ns = 0"):

@@ -43,6 +43,14 @@ def test_links_by_hand():
         assert found.nlos[pair[at]] == hidden
 
 
+def test_loss_per_wall_and_metre():
+    xyz = np.array([[0.0, 0.0, 1.5], [40.0, 0.0, 1.5]])
+    wall = Walls.of([(np.array([[18.0, -20.0], [22.0, -20.0], [22.0, 5.0], [18.0, 5.0]]), [], 0.0, 9.0)])
+    # Two walls and 4 m: 2 x 9 + 4 x 0.4 = 19.6 dB more than free space.
+    params = PropagationParams(model="free_space", walls="sommer", **PLAIN)
+    assert pairs(xyz, params, ONE, Sight.of(wall)).loss_db - pairs(xyz, params, ONE).loss_db == pytest.approx(19.6)
+
+
 def test_power_decides_what_counts_in_each_direction():
     xyz = np.array([[0.0, 0.0, 1.5], [300.0, 0.0, 1.5]])
     params = PropagationParams(model="log_distance", **PLAIN)  # 115.98 dB

@@ -39,6 +39,28 @@ def test_a_bridge_house_lets_pass_below():
     assert not sees(bridge, (-5, 5, 5), (15, 5, 5))
 
 
+def test_walls_and_metres_by_hand():
+    xyz = np.array([[-5, 5, 1.5], [15, 5, 1.5], [5, -5, 1.5], [1, 5, 1.5], [-5, 12, 1.5], [2, 5, 1.5]])
+    a, b = np.array([0, 1, 0, 3, 0, 3]), np.array([1, 0, 3, 1, 4, 5])
+    for ring in (SQUARE, SQUARE[::-1]):
+        for yard in (YARD[0], YARD[0][::-1]):  # the yard spans 3 ... 7 m
+            n_walls, inside_m = Walls.of([(ring, [yard], 0.0, 6.0)], cell_m=3.0).through(xyz, a, b)
+            assert n_walls.tolist() == [4, 4, 1, 3, 0, 0]
+            assert inside_m == pytest.approx([6, 6, 1, 5, 0, 1])
+
+
+def test_walls_and_metres_agree_with_shapely():
+    houses, g = town(6), np.random.default_rng(8)
+    xyz = np.column_stack([g.uniform(-60, 650, 2000), g.uniform(-60, 550, 2000), np.full(2000, 1.5)])
+    a, b = np.arange(1000), np.arange(1000, 2000)
+    n_walls, inside_m = Walls.of(houses).through(xyz, a, b)
+    city = shapely.union_all([shapely.Polygon(o, h) for o, h, _, _ in houses])
+    lines = shapely.linestrings(np.stack([xyz[a, :2], xyz[b, :2]], axis=1))
+    assert inside_m == pytest.approx(shapely.length(shapely.intersection(lines, city)), abs=1e-6)
+    cuts = shapely.intersection(lines, city.boundary)
+    assert n_walls.tolist() == np.where(shapely.is_empty(cuts), 0, shapely.get_num_geometries(cuts)).tolist()
+
+
 def test_without_houses_all_is_clear():
     nothing = Walls.of([])
     assert sees(nothing, (0, 0, 1.5), (500, 20, 1.5))

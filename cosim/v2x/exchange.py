@@ -1,0 +1,101 @@
+"""One round of messages: who heard whom, and what became of every frame."""
+
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Annotated
+
+import numpy as np
+from annotated_types import Ge, Gt, Le
+from jaxtyping import Float, Int
+from numpy import ndarray
+from scipy.spatial import cKDTree
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class RelayParams:
+    """Whether, and how far, messages are passed on."""
+
+    max_hops: Annotated[int, Ge(1), Le(10)] = 1
+    """Hops that a message may travel; 1 is no relay."""
+    reach_m: Annotated[float, Gt(0)] = 600.0
+    """Farthest from its origin that a message is passed on [m]."""
+    timer_min_s: Annotated[float, Gt(0)] = 0.001
+    """Contention timer of a relay at `timer_distance_m` from the previous hop, and beyond [s]."""
+    timer_max_s: Annotated[float, Gt(0)] = 0.1
+    """Contention timer of a relay beside the previous hop [s]: who is farther away speaks first."""
+    timer_distance_m: Annotated[float, Gt(0)] = 400.0
+    """Distance at which the contention timer is shortest [m]."""
+
+    def __post_init__(self) -> None:
+        if self.timer_max_s < self.timer_min_s:
+            raise ValueError(
+                f"radio.relay.timer_max_s = {self.timer_max_s:g} s is below radio.relay.timer_min_s = "
+                f"{self.timer_min_s:g} s. Set the larger one as maximum."
+            )
+
+
+class Fate(IntEnum):
+    """What became of one frame at one radio within reach."""
+
+    RECEIVED = 0
+    PROPAGATION = 1
+    """Too weak, or lost by the flat chance of the disk model."""
+    COLLISION = 2
+    RECEIVER_BUSY = 3
+    EXPIRED = 4
+    """Never sent: too old, or no room in the queue."""
+    LATE = 5
+    """Received after the time-out of the round."""
+
+
+@dataclass(frozen=True, slots=True)
+class Heard:
+    """M deliveries of one round, each (receiver, sender) once, sorted by receiver, then sender; radio rows."""
+
+    receiver: Int[ndarray, "m"]
+    sender: Int[ndarray, "m"]
+    hops: Int[ndarray, "m"]
+    latency_s: Float[ndarray, "m"]
+    """From generation to reception."""
+    distance_m: Float[ndarray, "m"]
+
+
+@dataclass(frozen=True, slots=True)
+class Frames:
+    """F (frame, radio within reach) of one round, all hops, in no particular order."""
+
+    distance_m: Float[ndarray, "f"]
+    """Between the two ends of the hop."""
+    fate: Int[ndarray, "f"]
+    """As `Fate`."""
+    n_transmissions: Int[ndarray, "n"]
+    """Frames of each radio's message, relays included."""
+    n_relayed: int
+    """Of all these, those sent by others than the author."""
+    n_duplicate: int
+    """Of the frames received, those whose message the receiver had or got elsewhere earlier."""
+    sent_bytes: float
+    """On the air, relays and medium access headers included."""
+    busy: Float[ndarray, "n"] | None
+    """Share of the round in which each radio sensed the medium busy; None where that is not modelled."""
+
+
+def heard_of(
+    receiver: Int[ndarray, "m"], sender: Int[ndarray, "m"], hops: Int[ndarray, "m"], latency_s: Float[ndarray, "m"],
+    xy_m: Float[ndarray, "n 2"],
+) -> Heard:  # fmt: skip
+    """Deliveries in canonical order."""
+    order = np.lexsort((sender, receiver))
+    receiver, sender = receiver[order], sender[order]
+    distance_m = np.linalg.norm(xy_m[receiver] - xy_m[sender], axis=1)
+    return Heard(receiver, sender, hops[order].astype(np.int32), latency_s[order], distance_m)
+
+
+def neighbours(xy_m: Float[ndarray, "n 2"], reach_m: float) -> tuple[ndarray, ndarray, ndarray]:
+    """All ordered pairs within reach: sender, receiver, distance [m]; sorted by sender, then receiver."""
+    pairs = cKDTree(xy_m).query_pairs(reach_m, output_type="ndarray")
+    sender = np.concatenate([pairs[:, 0], pairs[:, 1]])
+    receiver = np.concatenate([pairs[:, 1], pairs[:, 0]])
+    order = np.lexsort((receiver, sender))
+    sender, receiver = sender[order], receiver[order]
+    return sender, receiver, np.linalg.norm(xy_m[sender] - xy_m[receiver], axis=1)
