@@ -54,13 +54,15 @@ class Meetings:
 
     def update(self, recorder: Recorder, world: World, city: Scene, state: State) -> None:
         """Who is near whom, and what they knew of each other when they met."""
-        rows = np.flatnonzero(world.shape != Shape.PEDESTRIAN)
+        drives = world.shape != Shape.PEDESTRIAN
+        if all(ledger.params.pairs != "all" for ledger in self.ledgers):
+            drives &= world.equipped
+        rows = np.flatnonzero(drives)
         xy = world.boxes.xyz_m[rows, :2]
         reach_m = max((ledger.params.radius_m for ledger in self.ledgers), default=0.0)
         pairs = cKDTree(xy).query_pairs(reach_m, output_type="ndarray") if len(rows) else np.zeros((0, 2), int)
-        a, b = rows[pairs.min(axis=1)], rows[pairs.max(axis=1)]
-        order = np.lexsort((b, a))
-        a, b = a[order], b[order]
+        pair = np.sort((pairs.min(axis=1) << 32) | pairs.max(axis=1))
+        a, b = rows[pair >> 32], rows[pair & 0xFFFFFFFF]
         distance_m = np.linalg.norm(world.boxes.xyz_m[a, :2] - world.boxes.xyz_m[b, :2], axis=1)
         sight = line_of_sight(city, world.boxes, world.shape, a, b, self.config.lidar.mount_above_roof_m)
         equipped = world.equipped[a] & world.equipped[b]
@@ -148,38 +150,29 @@ def _box_columns(boxes: Boxes) -> dict[str, ndarray]:
     }  # fmt: skip
 
 
-def _truth_columns(turn: Turn, rows: Int[ndarray, "n"] | slice) -> dict[str, ndarray]:
-    real = turn.truth.is_real[rows]
-    return {
-        "truth_actor": turn.world.actor[turn.truth.actor_row[rows]], "truth_actor__valid": real,
-        "truth_iou": turn.truth.iou[rows], "truth_iou__valid": real,
-    }  # fmt: skip
-
-
 def _detections(recorder: Recorder, turn: Turn) -> None:
     said: Detections = turn.said
+    truth = turn.truth
     recorder.append("detections", turn.world.step, {
         "observer": turn.world.actor[said.observer], "k": said.k, "class": said.label, **_box_columns(said.boxes),
         "score": said.score, "n_points": said.n_points, "kind": said.origin, "said": said.said,
-        **_truth_columns(turn, slice(None)),
-        "truth_occlusion": turn.truth.occlusion, "truth_occlusion__valid": turn.truth.is_sensed,
+        "truth_actor": turn.world.actor[truth.actor_row], "truth_actor__valid": truth.is_real,
+        "truth_iou": truth.iou, "truth_iou__valid": truth.is_real,
+        "truth_occlusion": truth.occlusion, "truth_occlusion__valid": truth.is_sensed,
     })  # fmt: skip
 
 
 def _fused(recorder: Recorder, turn: Turn) -> None:
     fused, said = turn.fused, turn.said
-    boxes = said.boxes.take(fused.seed)
-    pose = said.boxes.take(fused.pose)
     view = fused.view
     recorder.append("fused", turn.world.step, {
         "observer": turn.world.actor[turn.observers[view]],
         "k": np.arange(len(view)) - np.searchsorted(view, view),
-        "class": said.label[fused.seed],
-        **_box_columns(Boxes(pose.xyz_m, boxes.lwh_m, pose.yaw_rad)),
         "score": fused.score, "n_witnesses": fused.n_witnesses, "local": fused.local,
-        "source_step": np.full(len(view), turn.world.step), "source": turn.world.actor[said.observer[fused.seed]],
-        "source_k": said.k[fused.seed], "fabricated": said.origin[fused.seed] == FABRICATED,
-        **_truth_columns(turn, fused.seed),
+        "source": turn.world.actor[said.observer[fused.seed]], "source_k": said.k[fused.seed],
+        "pose": turn.world.actor[said.observer[fused.pose]], "pose__valid": fused.pose != fused.seed,
+        "pose_k": said.k[fused.pose], "pose_k__valid": fused.pose != fused.seed,
+        "fabricated": said.origin[fused.seed] == FABRICATED,
     })  # fmt: skip
 
 

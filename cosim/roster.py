@@ -59,21 +59,27 @@ class Roster:
     def __len__(self) -> int:
         return self._n
 
-    def enrol(self, names: list[str], namespace: str, shape: ndarray, lwh_m: ndarray, step: int) -> ndarray:
-        """Numbers for newcomers, and the part that each of them plays.
+    def enrol(
+        self, names: list[str], shape: UInt8[ndarray, "n"], lwh_m: Float[ndarray, "n 3"], step: int
+    ) -> Int[ndarray, "n"]:
+        """Numbers for newcomers, in the order given, and the part that each of them plays.
 
-        Parameters
-        ----------
-        namespace
-            Keeps a person and a vehicle of one name apart.
+        Numbers follow names, vehicles first, whatever order the newcomers come in. A person and a vehicle of
+        one name are two. Sizes are kept in single precision, as tables keep them.
         """
         first, n = self._n, len(names)
+        on_foot = shape == Shape.PEDESTRIAN
+        order = sorted(range(n), key=lambda i: (on_foot[i], names[i]))
+        names, shape, lwh_m, on_foot = [names[i] for i in order], shape[order], lwh_m[order], on_foot[order]
         while first + n > len(self._shape):
             for column in (f for f in self.__slots__ if f.startswith("_") and f != "_n"):
                 old = getattr(self, column)
                 setattr(self, column, np.concatenate([old, np.zeros_like(old)]))
         rows = slice(first, first + n)
-        who = np.array([name_key(namespace + name) for name in names], np.uint64)
+        who = np.array(
+            [name_key(("person/" if walks else "vehicle/") + name) for name, walks in zip(names, on_foot, strict=True)],
+            np.uint64,
+        )
         kinds = np.array([Shape[k.upper()] for k in self.params.equipped_kinds], np.uint8)
         chosen = uniforms(key(self.seed, Stream.EQUIPPED), who)[:, 0] < self.params.penetration_p
         part = uniforms(key(self.seed, Stream.BEHAVIOUR), who)[:, 0]
@@ -83,12 +89,14 @@ class Roster:
         equipped = chosen & np.isin(shape, kinds)
 
         self.names.extend(names)
-        self._name_key[rows], self._shape[rows], self._lwh_m[rows] = who, shape, lwh_m
+        self._name_key[rows], self._shape[rows], self._lwh_m[rows] = who, shape, lwh_m.astype(np.float32)
         self._equipped[rows] = equipped
         self._behaviour[rows] = np.where(equipped, behaviour, HONEST)
         self._first_step[rows] = self._last_step[rows] = step
         self._n += n
-        return np.arange(first, self._n, dtype=np.int32)
+        numbers = np.empty(n, np.int32)
+        numbers[order] = np.arange(first, self._n, dtype=np.int32)
+        return numbers
 
     def seen(self, actor: Int[ndarray, "n"], step: int) -> None:
         """Note that these actors are on the road in this step."""

@@ -11,6 +11,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
+from results import derived
 from results.tables import SCHEMA_VERSION, TABLES, schema
 
 if TYPE_CHECKING:
@@ -55,7 +56,7 @@ class Run:
         `where` picks rows, as in `run.table("fused", where=pyarrow.compute.field("score") > 0.5)`.
         """
         wanted = self._wanted(name, columns)
-        parts = [_part(path, wanted.names, where) for path in self._paths(name)]
+        parts = [derived.read(_part, path, wanted.names, where) for path in self._paths(name)]
         return _pandas(pa.concat_tables([wanted.empty_table(), *parts]), name)
 
     def parts(
@@ -64,7 +65,7 @@ class Run:
         """The same, one block of steps after another, for tables larger than memory."""
         wanted = self._wanted(name, columns)
         for path in self._paths(name):
-            yield _pandas(_part(path, wanted.names, where), name)
+            yield _pandas(derived.read(_part, path, wanted.names, where), name)
 
     def n_blocks(self, name: str) -> int:
         """How many parts a table has."""
@@ -83,12 +84,15 @@ class Run:
 
     def _wanted(self, name: str, columns: Sequence[str] | None) -> pa.Schema:
         self.require(name)
+        if derived.names(TABLES[name], list(TABLES[name].columns) if columns is None else columns, None):
+            self.require("detections")
         unknown = sorted(set(columns or ()) - set(TABLES[name].columns))
         if unknown:
             raise ValueError(
                 f"Table {name} has no column {', '.join(unknown)}. The columns are {', '.join(TABLES[name].columns)}."
             )
-        return schema(name) if columns is None else pa.schema([schema(name).field(c) for c in columns])
+        whole = schema(name, whole=True)
+        return whole if columns is None else pa.schema([whole.field(c) for c in columns])
 
     def _paths(self, name: str) -> list[Path]:
         return sorted((self.path / name).glob("part-*.parquet"))
@@ -174,7 +178,7 @@ def _columns(path: Path) -> set[str]:
 
 def _pandas(table: pa.Table, name: str) -> pd.DataFrame:
     """pandas with null-aware integers and booleans where a column may be null, and all categories known."""
-    nullable = {pa.int32(): pd.Int32Dtype(), pa.bool_(): pd.BooleanDtype()}
+    nullable = {pa.int32(): pd.Int32Dtype(), pa.int16(): pd.Int16Dtype(), pa.bool_(): pd.BooleanDtype()}
     frame = table.combine_chunks().to_pandas()
     for field in table.schema:
         categories = TABLES[name].columns[field.name].categories

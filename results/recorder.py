@@ -102,7 +102,7 @@ class Recorder:
 
 def _checked(table: str, step: int, columns: Mapping[str, ndarray | None]) -> dict[str, ndarray]:
     """The columns in their stored types, masks included."""
-    known = TABLES[table].columns
+    known = TABLES[table].stored
     given = {name.removesuffix(VALID) for name in columns}
     wanted = set(known) - ({"step"} - set(columns))
     if given != wanted:
@@ -180,20 +180,20 @@ def _write(path: Path, table: str, rows: list[dict[str, ndarray]]) -> None:
         named = ", ".join(f"{name} = {columns[name][tied[0]]}" for name in TABLES[table].key)
         raise ValueError(f"Table {table} has two rows with {named}.")
     arrays = []
-    for name, column in TABLES[table].columns.items():
+    for name, column in TABLES[table].stored.items():
         mask = ~columns[name + VALID] if column.null else None
         if column.categories:
             codes = pa.array(columns[name], pa.int8(), mask=mask)
             arrays.append(pa.DictionaryArray.from_arrays(codes, list(column.categories)))
         else:
             arrays.append(pa.array(columns[name], column.arrow_type, mask=mask))
-    floats = [name for name, column in TABLES[table].columns.items() if column.type == "float32"]
+    floats = [name for name, column in TABLES[table].stored.items() if column.type == "float32"]
     partial = path.with_suffix(_PARTIAL)
     pq.write_table(
         pa.Table.from_arrays(arrays, schema=schema(table)),
         partial,
         compression="zstd",
-        use_dictionary=[name for name in TABLES[table].columns if name not in floats],
+        use_dictionary=[name for name in TABLES[table].stored if name not in floats],
         use_byte_stream_split=floats,
     )
     partial.replace(path)
@@ -226,7 +226,7 @@ def _table_hash(table: str, folder: Path) -> str:
     for part in sorted(folder.glob("part-*.parquet")):
         for batch in pq.ParquetFile(part).iter_batches(1 << 20):
             rows = np.zeros(len(batch), np.uint64)
-            for name, column in TABLES[table].columns.items():
+            for name, column in TABLES[table].stored.items():
                 rows = _mix(rows ^ _cell_hash(batch.column(name), column))
             totals += np.array([rows.sum(dtype=np.uint64), _mix(rows).sum(dtype=np.uint64)])
             n += len(batch)

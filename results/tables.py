@@ -8,7 +8,7 @@ from typing import Literal
 
 import pyarrow as pa
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 """Raised whenever a table or column changes its name, type, unit or meaning."""
 
 Level = Literal["summary", "standard", "full"]
@@ -40,6 +40,8 @@ class Column:
     """Labels of a category, in the order of their integer codes."""
     bits: int | None = None
     """Binary places kept: stored values are multiples of 2**-bits, which makes files small."""
+    via: Literal["", "source", "pose"] = ""
+    """Not stored: `open_run` reads it off the detection of this step that `<via>` and `<via>_k` name."""
 
     @property
     def arrow_type(self) -> pa.DataType:
@@ -66,6 +68,11 @@ class Table:
     def key(self) -> tuple[str, ...]:
         return tuple(name for name, column in self.columns.items() if column.key)
 
+    @property
+    def stored(self) -> dict[str, Column]:
+        """Columns on disk; the others are read off the table `detections`."""
+        return {name: column for name, column in self.columns.items() if not column.via}
+
 
 def _key(meaning: str, type: Literal["int32", "int16"] = "int32") -> Column:
     return Column(type, meaning=meaning, key=True)
@@ -88,6 +95,7 @@ _BOX = {
     "height_m": Column("float32", unit="m", meaning="Vertical extent.", bits=7),
     "yaw_rad": Column("float32", unit="rad", bits=9, meaning="Heading, counter-clockwise from +x (east), in (-pi, pi]."),
 }
+_POSE = ("x_m", "y_m", "z_m", "yaw_rad")
 _TRUTH_ACTOR = Column("int32", null=True, truth=True, meaning="Actor that the box really is; null where it is none (clutter, fabricated).")
 _TRUTH_IOU = Column("float32", unit="1", null=True, truth=True, bits=10, meaning="3D intersection over union with that actor's true box.")
 
@@ -285,17 +293,18 @@ TABLES: Mapping[str, Table] = {
             "step": _STEP,
             "observer": _key("Vehicle that believes it."),
             "k": _key("Position in its list.", "int16"),
-            "class": _CLASS,
-            **_BOX,
+            "class": replace(_CLASS, via="source"),
+            **{name: replace(column, via="pose" if name in _POSE else "source") for name, column in _BOX.items()},
             "score": _SCORE,
             "n_witnesses": Column("int16", meaning="Vehicles with a detection of it, the observer included."),
             "local": Column("bool", meaning="Detected by the observer itself."),
-            "source_step": Column("int32", meaning="Step of the detection that gave the box."),
-            "source": Column("int32", meaning="Vehicle that made that detection."),
+            "source": Column("int32", meaning="Vehicle whose detection of this step gave the box."),
             "source_k": Column("int16", meaning="Position of that detection in its list."),
+            "pose": Column("int32", null=True, meaning="Vehicle whose detection gave position and heading, where that was another one."),
+            "pose_k": Column("int16", null=True, meaning="Position of that detection in its list."),
             "fabricated": Column("bool", truth=True, meaning="The box was made up by a lying sender."),
-            "truth_actor": _TRUTH_ACTOR,
-            "truth_iou": _TRUTH_IOU,
+            "truth_actor": replace(_TRUTH_ACTOR, via="source"),
+            "truth_iou": replace(_TRUTH_IOU, via="source", meaning="3D intersection over union of the box, as its source gave it, with that actor's true box."),
         },
     ),
 }
@@ -307,8 +316,8 @@ def kept(level: Level) -> tuple[str, ...]:
     return tuple(name for name, table in TABLES.items() if LEVELS.index(table.level) <= LEVELS.index(level))
 
 
-def schema(name: str) -> pa.Schema:
-    """Arrow schema of a table, with unit and meaning as field metadata."""
+def schema(name: str, whole: bool = False) -> pa.Schema:
+    """Arrow schema of a table on disk, with unit and meaning as field metadata; `whole`, of all its columns."""
     table = TABLES[name]
     fields = [
         pa.field(
@@ -317,7 +326,7 @@ def schema(name: str) -> pa.Schema:
             nullable=column.null,
             metadata={"unit": column.unit, "meaning": column.meaning, "key": str(column.key).lower()},
         )
-        for label, column in table.columns.items()
+        for label, column in (table.columns if whole else table.stored).items()
     ]
     return pa.schema(fields, {"table": name, "schema_version": str(SCHEMA_VERSION), "meaning": table.meaning})
 
@@ -336,6 +345,7 @@ def _row(name: str, column: Column) -> str:
         *(["may be null"] if column.null else []),
         *(["truth"] if column.truth else []),
         *([f"to 1/{2**column.bits}"] if column.bits else []),
+        *([f"by `{column.via}`"] if column.via else []),
     ]
     return f"| `{name}` | {kind} | {column.unit} | {', '.join(notes)} | {column.meaning} |"
 
@@ -348,7 +358,11 @@ def markdown() -> str:
         f"Schema version {SCHEMA_VERSION}. Written from `results/tables.py` by `python -m results.tables`.",
         "",
         "`key` columns together name a row. `truth` columns are known to the simulation only. `to 1/256` says",
-        "that stored values are rounded to that fraction of the unit. Levels contain one another:",
+        "that stored values are rounded to that fraction of the unit. ``by `source` `` says that the column is not in",
+        "the files: it is that of the row of `detections` with the same `step` whose `observer` and `k` are `source` and",
+        "`source_k` (for `pose`: `pose` and `pose_k` where they are not null); `open_run` puts it in place.",
+        "",
+        "Levels contain one another:",
         *(
             f"`{level}` keeps {', '.join(f'`{name}`' for name in kept(level))}{'.' if level == 'full' else ';'}"
             for level in LEVELS

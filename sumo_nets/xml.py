@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import gzip
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import IO, cast
 from xml.parsers import expat
@@ -22,8 +22,29 @@ def stream(
     path: Path | str,
     start: Callable[[str, Attributes], None],
     end: Callable[[str], None] = lambda name: None,
+    text: Callable[[str], object] | None = None,
 ) -> None:
-    """Feed every element of an XML file to the handlers.
+    """Feed every element of an XML file, and the text between them, to the handlers; see `feed`."""
+    for _ in feed(path, start, end, text):
+        pass
+
+
+def check_prolog(path: Path | str) -> None:
+    """Refuse an XML file that declares a document type, or is no XML at its beginning."""
+
+    def start(name: str, attributes: Attributes) -> None:
+        raise Enough
+
+    stream(path, start)
+
+
+def feed(
+    path: Path | str,
+    start: Callable[[str, Attributes], None],
+    end: Callable[[str], None] = lambda name: None,
+    text: Callable[[str], object] | None = None,
+) -> Iterator[None]:
+    """The same bit by bit: comes back after every chunk of the file, so that who asks can use what it brought.
 
     SUMO's files need no document type and no entities of their own; a file that declares any is refused,
     so that a small file cannot grow into a large one nor name a file of this machine.
@@ -47,10 +68,13 @@ def stream(
     parser.ExternalEntityRefHandler = refuse
     parser.StartElementHandler = start
     parser.EndElementHandler = end
+    if text is not None:
+        parser.CharacterDataHandler = text
     try:
         with _open(path) as file:
             while chunk := file.read(_CHUNK_BYTES):
                 parser.Parse(chunk, False)
+                yield
         parser.Parse(b"", True)
     except Enough:
         return

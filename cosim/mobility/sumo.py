@@ -1,178 +1,197 @@
-"""Traffic by SUMO, through libsumo: the only file that knows SUMO's conventions.
-
-SUMO gives the centre of the *front bumper* and degrees *clockwise from north*; everybody else here lives
-with box centres and radians counter-clockwise from east. libsumo holds one simulation per process.
-"""
+"""Traffic by SUMO, through libsumo, which holds one simulation per process."""
 
 import os
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from itertools import chain, compress, repeat
 from pathlib import Path
-from typing import Annotated, TextIO
+from typing import Any
 
 import libsumo
 import numpy as np
-from annotated_types import Ge, Gt
-from jaxtyping import Float
+from libsumo.libsumo import _libsumo
 from numpy import ndarray
 
+from cosim.mobility.source import SHAPE_OF_CLASS, TrafficError, TrafficOver, TrafficParams, world_from_bumpers
 from cosim.roster import Roster
 from cosim.world import World
-from sensors.boxes import Boxes
-from sensors.scene import Shape
+from sumo_nets import sumocfg
 
-SHAPE_OF_CLASS = {
-    "passenger": Shape.CAR, "private": Shape.CAR, "taxi": Shape.CAR, "evehicle": Shape.CAR,
-    "hov": Shape.CAR, "vip": Shape.CAR, "authority": Shape.CAR, "army": Shape.CAR, "custom1": Shape.CAR,
-    "custom2": Shape.CAR, "ignoring": Shape.CAR,
-    "delivery": Shape.VAN, "emergency": Shape.VAN,
-    "truck": Shape.TRUCK, "trailer": Shape.TRUCK,
-    "bus": Shape.BUS, "coach": Shape.BUS, "tram": Shape.BUS,
-    "motorcycle": Shape.MOTORCYCLE, "moped": Shape.MOTORCYCLE,
-    "bicycle": Shape.BICYCLE, "scooter": Shape.BICYCLE,
-    "pedestrian": Shape.PEDESTRIAN, "wheelchair": Shape.PEDESTRIAN,
-}  # fmt: skip
-"""Body of each SUMO vehicle class; trains, ships, aircraft and containers are not on the road: left out."""
+__all__ = ["SumoTraffic", "TrafficParams"]
+
+_UNKNOWN, _LEFT_OUT = -2, -1
+_NOWHERE_M = -1e9
+"""SUMO's coordinate of who is nowhere is far below this."""
 
 
-@contextmanager
-def _what_sumo_says() -> Iterator[TextIO]:
-    """Catch what SUMO's C++ writes to standard error, which is where its reasons for an error go."""
-    sys.stderr.flush()
-    screen = os.dup(2)
-    with tempfile.TemporaryFile("w+", errors="replace") as said:
-        os.dup2(said.fileno(), 2)
-        try:
-            yield said
-        finally:
-            os.dup2(screen, 2)
-            os.close(screen)
+@dataclass(slots=True)
+class _Domain:
+    """Vehicles or persons: libsumo's functions without their Python wrappers, and the number of each name."""
 
+    kind: str
+    number: dict[str, int] = field(default_factory=dict)
+    getter: dict[str, Callable[[str], Any]] = field(init=False)
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class TrafficParams:
-    """Whose streets, how long, and SUMO's own dice."""
+    def __post_init__(self) -> None:
+        what = ("Position3D", "Angle", "Speed", "VehicleClass", "Length", "Width", "Height")
+        self.getter = {name: getattr(_libsumo, f"{self.kind}_get{name}") for name in what}
 
-    scenario: str = "helsinki"
-    """Name of a shipped network, or the path of a .sumocfg (relative to the config file that names it)."""
-    seed: Annotated[int, Ge(0)] = 1
-    """Seed of SUMO."""
-    warmup_s: Annotated[float, Ge(0)] | None = None
-    """Traffic driven before anything is sensed or recorded [s]; the shipped network's own when not set."""
-    duration_s: Annotated[float, Gt(0)] = 300.0
-    """Recorded time after warm-up [s]."""
-    step_s: Annotated[float, Ge(0.1)] = 1.0
-    """Length of one step of traffic [s]."""
+    def present(self) -> tuple[str, ...] | list[str]:
+        """Names of those on the road; who rides in a vehicle is not."""
+        if self.kind == "vehicle":
+            return _libsumo.vehicle_getIDList()
+        names = _libsumo.person_getIDList()
+        return [name for name, ridden in zip(names, map(_libsumo.person_getVehicle, names), strict=True) if not ridden]
 
+    def numbers(self, names: tuple[str, ...] | list[str]) -> ndarray:
+        return np.fromiter(map(self.number.get, names, repeat(_UNKNOWN)), np.int32, len(names))
 
-def centre_from_bumper(
-    front_m: Float[ndarray, "n 3"], compass_deg: Float[ndarray, "n"], lwh_m: Float[ndarray, "n 3"]
-) -> Boxes:
-    """Boxes of actors from SUMO's pose: centre of the front bumper on the road, degrees clockwise from north."""
-    yaw = np.deg2rad(90.0 - compass_deg)
-    yaw = np.pi - np.mod(np.pi - yaw, 2 * np.pi)  # (-pi, pi]
-    heading = np.stack([np.cos(yaw), np.sin(yaw), np.zeros_like(yaw)], axis=1)
-    centre = front_m - heading * (lwh_m[:, :1] / 2)
-    centre[:, 2] += lwh_m[:, 2] / 2
-    return Boxes(centre, lwh_m, yaw)
+    def floats(self, what: str, names: tuple[str, ...] | list[str]) -> ndarray:
+        return np.fromiter(map(self.getter[what], names), float, len(names))
 
 
 class SumoTraffic:
     """A running SUMO simulation, read into arrays step by step.
 
-    `advance` loops over actors in Python: libsumo answers for one vehicle at a time (0.7 µs each for
-    position, angle and speed, against 2-7 µs that SUMO itself takes to move it).
+    Reading loops over actors in C (`map`), not in Python: libsumo answers for one actor at a time. Nothing
+    is written beside the user's files: outputs that the configuration asks for are switched off, and those
+    that its additional files ask for (detectors) go to a folder that is thrown away.
     """
 
-    def __init__(self, params: TrafficParams, config: Path, roster: Roster) -> None:
+    def __init__(
+        self, params: TrafficParams, config: Path, roster: Roster, origin_m: tuple[float, float] = (0.0, 0.0)
+    ) -> None:
         """Load the scenario; ValueError with SUMO's own words when SUMO refuses it."""
-        self._roster = roster
-        self._number: dict[str, int] = {}
+        self._roster, self._config, self._origin_m = roster, config, origin_m
+        self._domains = (_Domain("vehicle"), _Domain("person"))
         self._step = 0
-        self._left_out: set[str] = set()
+        self._left_out: Counter[str] = Counter()
         self.n_teleports = 0
         """Vehicles that SUMO has lifted out of a jam since recording began."""
-        with _what_sumo_says() as said:
-            try:
-                libsumo.start([
-                    "sumo", "-c", str(config), "--seed", str(params.seed), "--step-length", str(params.step_s),
-                    "--no-step-log", "true", "--duration-log.disable", "true", "--duration-log.statistics", "false",
-                    "--no-warnings", "true",
-                ])  # fmt: skip
-            except libsumo.TraCIException as error:
-                said.seek(0)
-                reason = " ".join(said.read().split()).removeprefix("Error: ") or str(error)
-                raise ValueError(f"traffic.scenario = {config}: SUMO refuses it: {reason}") from None
+        self._said = tempfile.TemporaryFile("w+b")  # noqa: SIM115
+        self._waste = tempfile.TemporaryDirectory(prefix="cosim.", ignore_cleanup_errors=True)
+        try:
+            with self._errors("refuses it"):
+                libsumo.start(["sumo", *_options(params, sumocfg.read(config), Path(self._waste.name))])
+        except Exception:
+            self._clean()
+            raise
+        self._end_s = libsumo.simulation.getEndTime()
+        self._dt_s = libsumo.simulation.getDeltaT()
 
     def warm_up(self, seconds: float) -> Iterator[float]:
         """Drive unseen for `seconds`; yields the seconds done."""
         begin = libsumo.simulation.getTime()
         while (done := libsumo.simulation.getTime() - begin) < seconds - 1e-6:
-            libsumo.simulationStep()
+            self.move()
             yield done
+        self.n_teleports = 0
 
     def advance(self) -> World:
         """Move everybody by one step and read them."""
         if self._step:
             self.move()
         step, self._step = self._step, self._step + 1
-        groups = [
-            ("vehicle/", libsumo.vehicle, libsumo.vehicle.getIDList()),
-            ("person/", libsumo.person, self._on_foot()),
-        ]
-        numbers, fronts, angles, speeds = [], [], [], []
-        for namespace, domain, names in groups:
-            self._enrol_newcomers(namespace, domain, names, step)
-            names = [n for n in names if namespace + n in self._number]
-            numbers += [self._number[namespace + n] for n in names]
-            fronts += [domain.getPosition3D(n) for n in names]
-            angles += [domain.getAngle(n) for n in names]
-            speeds += [domain.getSpeed(n) for n in names]
-        number = np.array(numbers, np.int32)
-        order = np.argsort(number)
-        number = number[order]
-        roster = self._roster
-        roster.seen(number, step)
-        front_m = np.array(fronts, float).reshape(-1, 3)[order]
-        return World(
-            step=step,
-            actor=number,
-            name_key=roster.name_key[number],
-            shape=roster.shape[number],
-            boxes=centre_from_bumper(front_m, np.array(angles, float)[order], roster.lwh_m[number]),
-            speed_mps=np.array(speeds, float)[order],
-            equipped=roster.equipped[number],
-            behaviour=roster.behaviour[number],
-        )
+        present = [(domain, names, domain.numbers(names)) for domain in self._domains for names in (domain.present(),)]
+        if any((number == _UNKNOWN).any() for _, _, number in present):
+            self._enrol(present, step)
+            present = [(domain, names, domain.numbers(names)) for domain, names, _ in present]
+        parts = [_read(domain, names, number) for domain, names, number in present]
+        number, front_m, angle, speed = (np.concatenate(column) for column in zip(*parts, strict=True))
+        return world_from_bumpers(step, number, front_m, angle, speed, self._roster, self._origin_m)
 
     def move(self) -> None:
         """One step of SUMO, read by nobody."""
-        libsumo.simulationStep()
+        now = libsumo.simulation.getTime()
+        if 0 <= self._end_s < now + self._dt_s - 1e-6:
+            raise TrafficOver(f"the scenario ends at {self._end_s:g} s")
+        with self._errors("gives up"):
+            libsumo.simulationStep()
         self.n_teleports += libsumo.simulation.getStartingTeleportNumber()
+        if libsumo.simulation.getMinExpectedNumber() <= 0:
+            raise TrafficOver(f"at {libsumo.simulation.getTime():g} s everybody has left, and nobody is to come")
 
-    def _on_foot(self) -> list[str]:
-        person = libsumo.person
-        return [p for p in person.getIDList() if not person.getVehicle(p)]
-
-    def _enrol_newcomers(self, namespace: str, domain, names, step: int) -> None:
-        new = [n for n in names if namespace + n not in self._number and namespace + n not in self._left_out]
-        if not new:
-            return
-        shapes = [SHAPE_OF_CLASS.get(domain.getVehicleClass(n)) for n in new]
-        self._left_out.update(namespace + n for n, s in zip(new, shapes, strict=True) if s is None)
-        new = [n for n, s in zip(new, shapes, strict=True) if s is not None]
-        lwh_m = [(domain.getLength(n), domain.getWidth(n), domain.getHeight(n)) for n in new]
-        shape = np.array([s for s in shapes if s is not None], np.uint8)
-        numbers = self._roster.enrol(new, namespace, shape, np.array(lwh_m, float).reshape(-1, 3), step)
-        self._number.update((namespace + n, int(i)) for n, i in zip(new, numbers, strict=True))
-
-    @property
-    def n_waiting(self) -> int:
-        """Vehicles that have not found room to enter."""
-        return len(libsumo.simulation.getPendingVehicles())
+    def report(self) -> dict[str, Any]:
+        return {
+            "vehicles_waiting_to_enter_at_end": len(libsumo.simulation.getPendingVehicles()),
+            "teleports": self.n_teleports,
+            "actors_left_out": dict(sorted(self._left_out.items())),
+        }
 
     def close(self) -> None:
         libsumo.close()
+        self._clean()
+
+    def _clean(self) -> None:
+        self._said.close()
+        self._waste.cleanup()
+
+    def _enrol(self, present: list[tuple[_Domain, Any, ndarray]], step: int) -> None:
+        who: list[tuple[_Domain, str]] = []
+        shapes, lwh_m = [], []
+        for domain, names, number in present:
+            for name in compress(names, number == _UNKNOWN):
+                vclass = domain.getter["VehicleClass"](name)
+                shape = SHAPE_OF_CLASS.get(vclass)
+                if shape is None:
+                    domain.number[name] = _LEFT_OUT
+                    self._left_out[vclass] += 1
+                    continue
+                who.append((domain, name))
+                shapes.append(shape)
+                lwh_m.append([domain.getter[what](name) for what in ("Length", "Width", "Height")])
+        sizes = np.array(lwh_m, float).reshape(-1, 3)
+        numbers = self._roster.enrol([name for _, name in who], np.array(shapes, np.uint8), sizes, step)
+        for (domain, name), number in zip(who, numbers.tolist(), strict=True):
+            domain.number[name] = number
+
+    @contextmanager
+    def _errors(self, what: str) -> Iterator[None]:
+        """SUMO's exceptions as one line with its reason, which its C++ writes to standard error."""
+        sys.stderr.flush()
+        screen = os.dup(2)
+        os.dup2(self._said.fileno(), 2)
+        try:
+            yield
+        except (libsumo.TraCIException, libsumo.FatalTraCIError) as error:
+            self._said.seek(0)
+            lines = self._said.read().decode(errors="replace").splitlines()
+            errors = [line.removeprefix("Error: ") for line in lines if line.startswith(("Error: ", " "))]
+            reason = " ".join(" ".join(errors).split()) or str(error)
+            raise TrafficError(f"traffic.scenario = {self._config}: SUMO {what}: {reason}") from None
+        finally:
+            os.dup2(screen, 2)
+            os.close(screen)
+
+
+def _read(domain: _Domain, names: tuple[str, ...] | list[str], number: ndarray) -> tuple[ndarray, ...]:
+    if (number < 0).any():
+        names, number = list(compress(names, number >= 0)), number[number >= 0]
+    places = chain.from_iterable(map(domain.getter["Position3D"], names))
+    front_m = np.fromiter(places, float, 3 * len(names)).reshape(-1, 3)
+    read = number, front_m, domain.floats("Angle", names), domain.floats("Speed", names)
+    somewhere = front_m[:, 0] > _NOWHERE_M
+    return read if somewhere.all() else tuple(column[somewhere] for column in read)
+
+
+def _options(params: TrafficParams, config: sumocfg.Sumocfg, waste: Path) -> list[str]:
+    """SUMO's command line: the configuration as it stands, but silent, and writing nothing beside itself."""
+    options = {
+        "configuration-file": config.path,
+        "seed": params.seed,
+        "step-length": params.step_s,
+        "no-step-log": "true",
+        "duration-log.disable": "true",
+        "duration-log.statistics": "false",
+        "no-warnings": "true",
+        "verbose": "false",
+        # SUMO puts the prefix before a file's last name: from wherever that is, up to the root and down to the waste
+        "output-prefix": "../" * 64 + str(waste).lstrip("/") + "/",
+        **({} if params.begin_s is None else {"begin": params.begin_s}),
+        **dict.fromkeys(config.outputs, os.devnull),
+    }
+    return [word for name, value in options.items() for word in (f"--{name}", str(value))]

@@ -91,7 +91,8 @@ def _misplaced(copied: Detections, draws: Float[ndarray, "c 3"], world: World, p
 
 def _in_front_of_victims(world: World, params: AdversaryParams) -> Detections:
     equipped = np.flatnonzero(world.equipped)
-    named = equipped[world.name_key[equipped] == rng.name_key("vehicle/" + params.victim)] if params.victim else equipped
+    the_one = rng.name_key("vehicle/" + params.victim)
+    named = equipped[world.name_key[equipped] == the_one] if params.victim else equipped
     liars = np.flatnonzero(world.equipped & (world.behaviour == MALICIOUS))
     xy = world.boxes.xyz_m[:, :2]
     if params.victim and len(named):

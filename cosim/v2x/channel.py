@@ -77,7 +77,7 @@ class AccessParams:
             value = getattr(self, name)
             if len(value) != records.N_ACCESS or min(value) < (2 if name == "aifsn" else 0):
                 raise ValueError(
-                    f"radio.{name} = {value} needs four whole numbers (VO, VI, BE, BK) of at least "
+                    f"radio.access.{name} = {value} needs four whole numbers (VO, VI, BE, BK) of at least "
                     f"{2 if name == 'aifsn' else 0}."
                 )
 
@@ -198,7 +198,7 @@ def _records(packets: Packets, n: int, state: State, until_ns: int, receiver: Re
         p = short[0]
         raise ValueError(
             f"lifetime = {packets.lifetime_ns[p] * 1e-6:g} ms of a packet is shorter than its transmission "
-            f"({air_ns[p] * 1e-6:g} ms). Set radio.lifetime_s higher."
+            f"({air_ns[p] * 1e-6:g} ms). Set radio.access.lifetime_s higher."
         )
     if packets.generated_ns.min() < state.now_ns or packets.generated_ns.max() >= until_ns:
         raise ValueError(

@@ -112,7 +112,7 @@ def broadcast(
     number = np.arange(len(origin)) - np.repeat(np.cumsum(n_segments) - n_segments, n_segments)
     unit_bytes = np.repeat(segment_bytes, n_segments)
     unit_air_ns = airtime_ns(unit_bytes, receiver.rate_mbps)
-    unit_seq = rng.keys(np.uint64(round_number), name_key[origin], number) >> np.uint64(24)  # a sequence number has 40 bits
+    unit_seq = rng.keys(np.uint64(round_number), name_key[origin], number) >> np.uint64(24)  # 40 bits are allowed
 
     own_ns = begin_ns + np.floor(phase[origin] * (end_ns - begin_ns) / 2).astype(np.int64)
     waiting = Sent(np.arange(len(origin)), origin, np.ones(len(origin), int), own_ns)

@@ -102,8 +102,8 @@ class PropagationParams:
     def __post_init__(self) -> None:
         if self.reach_m < 5:
             raise ValueError(
-                f"radio.reach_m = {self.reach_m:g} m is shorter than one vehicle: nobody hears anybody. "
-                "Metres, not kilometres? Set radio.reach_m to at least 5."
+                f"radio.propagation.reach_m = {self.reach_m:g} m is shorter than one vehicle: nobody hears anybody. "
+                "Metres, not kilometres? Set radio.propagation.reach_m to at least 5."
             )
 
 

@@ -132,11 +132,11 @@ def attack_success(run: Run, min_score: float = 0.5) -> pd.DataFrame:
     if not n_made:
         raise ValueError(f"{run.path} holds no attack: nobody made up a box. Raise fleet.malicious_p and run again.")
     believed = run.table(
-        "fused", ["observer", "source_step", "source", "source_k"],
+        "fused", ["step", "observer", "source", "source_k"],
         where=pc.field("fabricated") & (pc.field("score") >= min_score),
     )  # fmt: skip
     victims = (
-        believed[believed.observer != believed.source].groupby(["source_step", "source", "source_k"]).observer.nunique()
+        believed[believed.observer != believed.source].groupby(["step", "source", "source_k"]).observer.nunique()
     )
     return pd.DataFrame([{
         "n_fabricated": n_made, "n_believed": len(victims), "share": len(victims) / n_made,

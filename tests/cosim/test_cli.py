@@ -46,7 +46,7 @@ def test_measure(run):
     assert "delivery ratio" in cosim("measure", "runs/helsinki-1", cwd=folder).stdout
     rows = json.loads(cosim("measure", "runs/helsinki-1", "--json", cwd=folder).stdout)["runs/helsinki-1"]
     ratio = next(row["value"] for row in rows if row["figure"] == "delivery ratio")
-    assert 0.9 < ratio < 1.0
+    assert 0.3 < ratio < 0.9  # most neighbours are behind walls
 
 
 @pytest.mark.parametrize("what", ["encounters", "radio"])

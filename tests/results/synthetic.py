@@ -201,11 +201,9 @@ def _see(record, step, here, talk, xyz, yaw, lwh, kind, behaviour, lied, rng):
                          return_index=True)  # fmt: skip
     believes, row, strong, local = believes[first], row[first], strong[first], local[first]
     record.append("fused", step, {
-        "observer": believes, "k": _position(believes), "class": label[truth[row]],
-        **{name: values[row] for name, values in boxes.items()}, "score": strong,
-        "n_witnesses": np.ones(len(row), int), "local": local, "source_step": np.full(len(row), step),
-        "source": observer[row], "source_k": k[row], "fabricated": origin[row] == 2,
-        **{name: values[row] for name, values in truths.items()},
+        "observer": believes, "k": _position(believes), "score": strong,
+        "n_witnesses": np.ones(len(row), int), "local": local, "source": observer[row], "source_k": k[row],
+        "pose": None, "pose_k": None, "fabricated": origin[row] == 2,
     })  # fmt: skip
 
 

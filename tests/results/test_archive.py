@@ -28,8 +28,8 @@ def test_tables_are_typed(run):
             dtype = frame[label].dtype
             if column.categories:
                 assert tuple(dtype.categories) == column.categories
-            elif column.type in ("int32", "bool") and column.null:
-                assert isinstance(dtype, (pd.Int32Dtype, pd.BooleanDtype))
+            elif column.type in ("int16", "int32", "bool") and column.null:
+                assert isinstance(dtype, (pd.Int16Dtype, pd.Int32Dtype, pd.BooleanDtype))
             elif column.type != "string":
                 assert dtype == column.type, (name, label)
 

@@ -1,56 +1,12 @@
 """Figures of merit, derived by hand on runs of a few rows."""
 
-import json
-
 import networkx as nx
-import numpy as np
 import pandas as pd
 import pytest
 
-from results.archive import open_run
 from results.measure import measure
 from results.metrics import contacts, detection, encounters, freshness, radio, trust
-from results.recorder import Recorder
-from results.tables import SCHEMA_VERSION, TABLES
-
-
-@pytest.fixture
-def tiny(tmp_path):
-    """Makes a run: tiny(steps, table=[{column: value}]); what is not said is 0, False, the first label or null."""
-
-    def make(steps, **tables):
-        with Recorder(tmp_path, "full", block_steps=10) as record:
-            for name, rows in tables.items():
-                rows = sorted(rows, key=lambda row: row.get("step", 0))
-                for step in sorted({row.get("step", 0) for row in rows}):
-                    record.append(name, step, columns(name, [r for r in rows if r.get("step", 0) == step]))
-                record.flush()
-                record._block = 0
-        (tmp_path / "manifest.json").write_text(json.dumps({
-            "schema_version": SCHEMA_VERSION, "status": "finished", "dt_s": 1.0, "steps": steps, "config": {},
-        }))  # fmt: skip
-        return open_run(tmp_path)
-
-    return make
-
-
-def columns(table, rows):
-    given = {}
-    for name, column in TABLES[table].columns.items():
-        zero = column.categories[0] if column.categories else "" if column.type == "string" else 0
-        values = [row.get(name, None if column.null else zero) for row in rows]
-        dtype = object if column.type in ("string", "category") else column.type
-        given[name] = np.array([zero if v is None else v for v in values], dtype)
-        if column.null:
-            given[name + "__valid"] = np.array([v is not None for v in values])
-    return given
-
-
-def fleet(*behaviours, **more):
-    return [
-        {"vehicle": i, "sumo_id": str(i), "equipped": True, "behaviour": b, "last_step": 99,
-         "length_m": 4, "width_m": 2, "height_m": 1.5, **more} for i, b in enumerate(behaviours)
-    ]  # fmt: skip
+from tests.results.tiny import fleet
 
 
 def meeting(a, b, start, end, **more):
@@ -180,15 +136,13 @@ def scene(tiny):
         sightings += [{"step": step, "observer": 0, "actor": v, "n_points": 90, "n_unoccluded": 100} for v in (1, 2)]
         seen = {"step": step, "observer": 0, "z_m": 0.75, **size}
         detections.append(seen | {"k": 1, "x_m": 20, "score": 0.6, "said": True, "truth_actor": 1, "truth_iou": 1})
-        fused.append(seen | {"k": 1, "x_m": 20, "score": 0.6, "local": True, "truth_actor": 1, "truth_iou": 1})
+        fused.append({"step": step, "observer": 0, "k": 1, "score": 0.6, "local": True, "source_k": 1})
         if step % 2:
             detections.append(seen | {"k": 2, "x_m": 40, "score": 0.9, "said": True})
         if step >= 40:
             detections.append(seen | {"k": 3, "x_m": 9, "score": 1, "kind": "fabricated", "said": True})
         if step >= 45:
-            fused.append(seen | {
-                "observer": 3, "k": 2, "x_m": 9, "score": 0.7, "fabricated": True, "source_step": step, "source_k": 3,
-            })  # fmt: skip
+            fused.append({"step": step, "observer": 3, "k": 2, "score": 0.7, "fabricated": True, "source_k": 3})
     return tiny(
         50, vehicles=vehicles, actors=actors, sightings=sightings, detections=detections, fused=fused
     )  # fmt: skip

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from cosim.mobility.sumo import centre_from_bumper
+from cosim.mobility.source import centre_from_bumper
 
 
 def pose(x, y, z, compass_deg, lwh):

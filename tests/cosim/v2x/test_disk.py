@@ -122,7 +122,7 @@ def test_neighbours_are_sorted_and_symmetric():
 def test_bad_parameters():
     with pytest.raises(ValueError, match="Metres, not kilometres"):
         RadioParams(reach_m=0.3)
-    with pytest.raises(ValueError, match="radio.disk.latency_max_s"):
+    with pytest.raises(ValueError, match=r"radio\.disk\.latency_max_s"):
         DiskParams(latency_min_s=1.0)
-    with pytest.raises(ValueError, match="radio.relay.timer_max_s"):
+    with pytest.raises(ValueError, match=r"radio\.relay\.timer_max_s"):
         RelayParams(timer_min_s=1.0)

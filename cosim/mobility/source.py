@@ -1,0 +1,138 @@
+"""What all sources of traffic have in common: what they are asked, how they answer, and how they end.
+
+SUMO gives the centre of the *front bumper* and degrees *clockwise from north*, live and in what it writes;
+everybody beyond this folder lives with box centres and radians counter-clockwise from east.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Annotated, Any, Protocol
+
+import numpy as np
+from annotated_types import Ge, Gt
+from jaxtyping import Float, Int
+from numpy import ndarray
+
+from cosim.roster import Roster
+from cosim.world import World
+from results.tables import TABLES
+from sensors.boxes import Boxes
+from sensors.scene import Shape
+
+SHAPE_OF_CLASS = {
+    "passenger": Shape.CAR, "private": Shape.CAR, "taxi": Shape.CAR, "evehicle": Shape.CAR,
+    "hov": Shape.CAR, "vip": Shape.CAR, "authority": Shape.CAR, "army": Shape.CAR, "custom1": Shape.CAR,
+    "custom2": Shape.CAR, "ignoring": Shape.CAR,
+    "delivery": Shape.VAN, "emergency": Shape.VAN,
+    "truck": Shape.TRUCK, "trailer": Shape.TRUCK,
+    "bus": Shape.BUS, "coach": Shape.BUS, "tram": Shape.BUS,
+    "motorcycle": Shape.MOTORCYCLE, "moped": Shape.MOTORCYCLE,
+    "bicycle": Shape.BICYCLE, "scooter": Shape.BICYCLE,
+    "pedestrian": Shape.PEDESTRIAN, "wheelchair": Shape.PEDESTRIAN,
+}  # fmt: skip
+"""Body of each SUMO vehicle class; trains, ships, aircraft and containers are not on the road: left out."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class TrafficParams:
+    """Whose streets, when, how long, and SUMO's own dice."""
+
+    scenario: str = "helsinki"
+    """Name of a city (`cosim nets list`); or the path of a .sumocfg, of a folder that `cosim nets build` made, of a
+    run folder to replay, or of a trace that SUMO wrote with --fcd-output (relative to the config file that names it)."""
+    trace: str | None = None
+    """Replay this trace or run folder in the streets of `scenario`, instead of driving SUMO."""
+    seed: Annotated[int, Ge(0)] = 1
+    """Seed of SUMO."""
+    begin_s: Annotated[float, Ge(0)] | None = None
+    """Time of the scenario at which to begin, warm-up included [s]; the scenario's own when not set."""
+    warmup_s: Annotated[float, Ge(0)] | None = None
+    """Traffic driven before anything is sensed or recorded [s]; the shipped network's own when not set."""
+    duration_s: Annotated[float, Gt(0)] = 300.0
+    """Recorded time after warm-up [s]; less if the traffic ends before."""
+    step_s: Annotated[float, Ge(0.1)] = 1.0
+    """Length of one step of traffic [s]; overrides the scenario's own."""
+
+
+class TrafficOver(Exception):
+    """Nobody is left, and nobody will come; says why."""
+
+
+class TrafficError(ValueError):
+    """The user's scenario or trace turned out to be wrong while it ran: one line for the user."""
+
+
+class Traffic(Protocol):
+    """A source of traffic, read into arrays step by step."""
+
+    def warm_up(self, seconds: float) -> Iterator[float]:
+        """Go on unseen for `seconds`; yields the seconds done."""
+
+    def advance(self) -> World:
+        """The next step; raises TrafficOver where there is none."""
+
+    def report(self) -> dict[str, Any]:
+        """What happened, for the run's summary."""
+
+    def close(self) -> None:
+        """Let go of it."""
+
+
+def centre_from_bumper(
+    front_m: Float[ndarray, "n 3"], compass_deg: Float[ndarray, "n"], lwh_m: Float[ndarray, "n 3"]
+) -> Boxes:
+    """Boxes of actors from SUMO's pose: centre of the front bumper on the road, degrees clockwise from north."""
+    yaw = np.deg2rad(90.0 - compass_deg)
+    yaw = np.pi - np.mod(np.pi - yaw, 2 * np.pi)  # (-pi, pi]
+    heading = np.stack([np.cos(yaw), np.sin(yaw), np.zeros_like(yaw)], axis=1)
+    centre = front_m - heading * (lwh_m[:, :1] / 2)
+    centre[:, 2] += lwh_m[:, 2] / 2
+    return Boxes(centre, lwh_m, yaw)
+
+
+def world_from_bumpers(
+    step: int,
+    number: Int[ndarray, "n"],
+    front_m: Float[ndarray, "n 3"],
+    compass_deg: Float[ndarray, "n"],
+    speed_mps: Float[ndarray, "n"],
+    roster: Roster,
+    origin_m: tuple[float, float] = (0.0, 0.0),
+) -> World:
+    """The world of a step from what SUMO says of each actor, in any order.
+
+    Angles and speeds pass through single precision, which is all that SUMO's Parquet traces hold of them, and
+    poses are rounded to what the table `actors` keeps (1/256 m, 1/512 rad): so that a run sees the same
+    world live, from a trace, or from the tables of an earlier run.
+    """
+    order = np.argsort(number)
+    number = number[order]
+    front_m = front_m[order]
+    front_m[:, :2] -= origin_m
+    angle = compass_deg[order].astype(np.float32).astype(float)
+    speed = speed_mps[order].astype(np.float32).astype(float)
+    boxes = centre_from_bumper(front_m, angle, roster.lwh_m[number])
+    return world_of(step, number, boxes, speed, roster)
+
+
+def world_of(
+    step: int, number: Int[ndarray, "n"], boxes: Boxes, speed_mps: Float[ndarray, "n"], roster: Roster
+) -> World:
+    """The world of a step, poses rounded as the table `actors` keeps them; `number` is sorted."""
+    roster.seen(number, step)
+    return World(
+        step=step,
+        actor=number,
+        name_key=roster.name_key[number],
+        shape=roster.shape[number],
+        boxes=Boxes(_kept(boxes.xyz_m, "x_m"), boxes.lwh_m, _kept(boxes.yaw_rad, "yaw_rad")),
+        speed_mps=_kept(speed_mps, "speed_mps"),
+        equipped=roster.equipped[number],
+        behaviour=roster.behaviour[number],
+    )
+
+
+def _kept(values: Float[ndarray, "..."], column: str) -> Float[ndarray, "..."]:
+    bits = TABLES["actors"].columns[column].bits
+    assert bits is not None
+    return np.round(values * 2.0**bits) * 2.0**-bits

@@ -1,0 +1,68 @@
+"""Columns that are not on disk, read off the detections that a row names."""
+
+import re
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+from numpy import ndarray
+
+from results.tables import TABLES, Table
+
+Read = Callable[[Path, Sequence[str], pc.Expression | None], pa.Table]
+"""Reads columns and rows of one part file."""
+
+_NAME = ("step", "observer", "k")
+_LINKS = ("step", "source", "source_k", "pose", "pose_k")
+
+
+def names(table: Table, columns: Sequence[str], where: pc.Expression | None) -> list[str]:
+    """Columns not on disk that are wanted, or that the choice of rows asks for."""
+    asked = set(re.findall(r"\w+", str(where)))  # a word too many costs time only
+    return [name for name, column in table.columns.items() if column.via and (name in columns or name in asked)]
+
+
+def read(read: Read, path: Path, columns: Sequence[str], where: pc.Expression | None) -> pa.Table:
+    """Columns and rows of a part file, those not on disk included."""
+    table = TABLES[path.parent.name]
+    derived = names(table, columns, where)
+    if not derived:
+        return read(path, columns, where)
+    late = where if names(table, (), where) else None
+    stored = [name for name in table.stored if name in columns or late is not None or name in _LINKS]
+    rows = read(path, stored, None if late is not None else where)
+    beside = path.parent.parent / "detections" / path.name
+    if not beside.is_file():
+        raise ValueError(f"{beside} is missing: {path} names detections in it. Delete the run and run it again.")
+    said = read(beside, [*_NAME, *derived], None)
+    at = _named(rows, said, path)
+    for name in derived:
+        rows = rows.append_column(said.schema.field(name), said.column(name).take(at[table.columns[name].via]))
+    return (rows if late is None else rows.filter(late)).select(list(columns))
+
+
+def _named(rows: pa.Table, said: pa.Table, path: Path) -> dict[str, ndarray]:
+    """Rows of `said` that the rows name, as the source of the box and of its pose."""
+    held = _key(*(said.column(name).to_numpy() for name in _NAME))
+    step = rows.column("step").to_numpy()
+    source = _find(held, _key(step, rows.column("source").to_numpy(), rows.column("source_k").to_numpy()), path)
+    pose = source.copy()
+    moved = rows.column("pose").is_valid().to_numpy()
+    other, k = (rows.column(name).filter(pa.array(moved)).to_numpy() for name in ("pose", "pose_k"))
+    pose[moved] = _find(held, _key(step[moved], other, k), path)
+    return {"source": source, "pose": pose}
+
+
+def _key(step: ndarray, observer: ndarray, k: ndarray) -> ndarray:
+    """One sortable number: 2^16 steps, 2^31 vehicles and 2^16 detections fit; a part holds no more steps."""
+    return ((step.astype(np.int64) & 0xFFFF) << 47) | (observer.astype(np.int64) << 16) | k
+
+
+def _find(held: ndarray, wanted: ndarray, path: Path) -> ndarray:
+    order = np.argsort(held, kind="stable")
+    at = np.minimum(np.searchsorted(held[order], wanted), len(held) - 1)
+    if len(wanted) and (not len(held) or (held[order][at] != wanted).any()):
+        raise ValueError(f"{path} is damaged: it names detections that do not exist. Delete the run and run it again.")
+    return order[at]

@@ -1,0 +1,78 @@
+"""What a SUMO configuration names: the files it reads, the files it would write, and when it begins."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from urllib.parse import unquote
+
+from sumo_nets.xml import Attributes, check_prolog, stream
+
+_SYNONYMS = {
+    "net": "net-file", "n": "net-file", "additional": "additional-files", "a": "additional-files",
+    "routes": "route-files", "r": "route-files", "b": "begin", "e": "end", "log-file": "log", "l": "log",
+    "ndump": "netstate-dump", "netstate": "netstate-dump", "netstate-output": "netstate-dump",
+    "person-fcd": "person-fcd-output", "summary": "summary-output", "tripinfo": "tripinfo-output",
+    "personinfo": "personinfo-output", "vehroutes": "vehroute-output", "personroutes": "personroute-output",
+    "statistics-output": "statistic-output",
+}  # fmt: skip
+_READ = ("net-file", "additional-files", "route-files")
+_WRITTEN = ("netstate-dump", "log", "message-log", "error-log")
+
+
+@dataclass(frozen=True, slots=True)
+class Sumocfg:
+    """A configuration as far as it matters to somebody who drives it."""
+
+    path: Path
+    net: Path
+    additional: tuple[Path, ...]
+    routes: tuple[Path, ...]
+    outputs: tuple[str, ...]
+    """Options in it that would write a file."""
+
+    @property
+    def buildings(self) -> tuple[Path, ...]:
+        """Those additional files that hold polygons."""
+        return tuple(p for p in self.additional if "poly" in p.name or "building" in p.name)
+
+
+def read(path: Path) -> Sumocfg:
+    """Read a .sumocfg, and see that every file that it names is there and harmless.
+
+    Raises
+    ------
+    ValueError
+        Names the configuration, the file and the cause.
+    """
+    values: dict[str, str] = {}
+    text: list[str] = []
+
+    def start(name: str, attributes: Attributes) -> None:
+        text.clear()
+        values[_SYNONYMS.get(name, name)] = attributes.get("value", attributes.get("v", ""))
+
+    def end(name: str) -> None:
+        if written := "".join(text).strip():
+            values[_SYNONYMS.get(name, name)] = written
+        text.clear()
+
+    stream(path, start, end, text.append)
+    found = {option: _files(path.parent, values.get(option, "")) for option in _READ}
+    if not found["net-file"]:
+        raise ValueError(f'{path}: names no network. Add <net-file value="..."/> to its <input>.')
+    for named in found.values():
+        for file in named:
+            if not file.is_file():
+                raise ValueError(f"{path}: names {file}, which does not exist. Correct the path in the .sumocfg.")
+            check_prolog(file)
+    outputs = tuple(
+        name for name, value in values.items() if value and (name.endswith(("-output", ".output")) or name in _WRITTEN)
+    )
+    return Sumocfg(path, found["net-file"][0], found["additional-files"], found["route-files"], outputs)
+
+
+def _files(folder: Path, value: str) -> tuple[Path, ...]:
+    parts = (unquote(os.path.expandvars(part.strip())) for part in value.replace(";", ",").split(","))
+    return tuple(folder / part for part in parts if part)

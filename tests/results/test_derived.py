@@ -1,0 +1,63 @@
+"""Columns that are not on disk: read off the detection that a row names."""
+
+import numpy as np
+import pyarrow.compute as pc
+import pytest
+
+from results.archive import open_run
+from results.tables import TABLES
+from tests.results.tiny import fleet
+
+
+@pytest.fixture
+def run(tiny):
+    """Vehicle 1 believes box 3 of vehicle 0, moved to where vehicle 2 says it is (its k = 5), and its own box."""
+    size = {"length_m": 4, "width_m": 2, "height_m": 1.5}
+    said = [
+        {"step": s, "observer": o, "k": k, "class": label, "x_m": 10 * o + s, "yaw_rad": o, "truth_actor": who, **size}
+        for s in (0, 12) for o, k, label, who in ((0, 3, "truck", 7), (1, 1, "car", None), (2, 5, "car", 8))
+    ]  # fmt: skip
+    fused = [
+        {"step": s, "observer": 1, **row}
+        for s in (0, 12)
+        for row in ({"k": 0, "source": 0, "source_k": 3, "pose": 2, "pose_k": 5}, {"k": 1, "source": 1, "source_k": 1})
+    ]
+    return tiny(20, vehicles=fleet("honest"), detections=said, fused=fused)
+
+
+def test_box_of_the_source_and_pose_of_another(run):
+    frame = run.fused
+    assert list(frame.columns) == list(TABLES["fused"].columns)
+    assert frame["class"].tolist() == ["truck", "car"] * 2
+    assert frame.x_m.tolist() == [20, 10, 32, 22]
+    assert frame.yaw_rad.tolist() == [2, 1, 2, 1]
+    assert frame.truth_actor.fillna(-1).tolist() == [7, -1, 7, -1]
+
+
+def test_columns_and_rows_on_demand(run):
+    assert run.table("fused", ["x_m"]).x_m.tolist() == [20, 10, 32, 22]
+    assert run.table("fused", ["x_m", "k"], pc.field("step") == 12).x_m.tolist() == [32, 22]
+    assert run.table("fused", ["k"], pc.field("truth_actor") == 7).k.tolist() == [0, 0]
+    assert run.table("fused", ["score", "x_m"], pc.field("x_m") > 21).x_m.tolist() == [32, 22]
+    assert [part.x_m.tolist() for part in run.parts("fused", ["x_m"])] == [[20, 10], [32, 22]]
+
+
+def test_names_decide_not_positions(run):
+    frame = run.fused.set_index(["step", "source", "source_k"])
+    said = run.detections.set_index(["step", "observer", "k"])
+    assert np.array_equal(frame.length_m, said.length_m.reindex(frame.index))
+
+
+def test_what_is_named_must_be_there(run):
+    part = run.path / "detections" / "part-00001.parquet"
+    part.unlink()
+    with pytest.raises(ValueError, match=r"part-00001\.parquet is missing"):
+        open_run(run.path).table("fused", ["x_m"])
+    assert len(open_run(run.path).table("fused", ["score"])) == 4
+    (run.path / "detections" / "part-00000.parquet").rename(part)
+    with pytest.raises(ValueError, match=r"part-00000\.parquet is missing"):
+        open_run(run.path).fused.head()
+    part.unlink()
+    part.parent.rmdir()
+    with pytest.raises(ValueError, match="holds no table detections"):
+        open_run(run.path).fused.head()

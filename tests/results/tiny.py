@@ -1,0 +1,43 @@
+"""Runs of a few rows, for figures derived by hand."""
+
+import json
+
+import numpy as np
+
+from results.archive import open_run
+from results.recorder import Recorder
+from results.tables import SCHEMA_VERSION, TABLES
+
+
+def make(folder, steps, config=None, **tables):
+    """A run: make(folder, steps, table=[{column: value}]); what is not said is 0, False, the first label or null."""
+    with Recorder(folder, "full", block_steps=10) as record:
+        for name, rows in tables.items():
+            rows = sorted(rows, key=lambda row: row.get("step", 0))
+            for step in sorted({row.get("step", 0) for row in rows}):
+                record.append(name, step, columns(name, [r for r in rows if r.get("step", 0) == step]))
+            record.flush()
+            record._block = 0
+    (folder / "manifest.json").write_text(json.dumps({
+        "schema_version": SCHEMA_VERSION, "status": "finished", "dt_s": 1.0, "steps": steps, "config": config or {},
+    }))  # fmt: skip
+    return open_run(folder)
+
+
+def columns(table, rows):
+    given = {}
+    for name, column in TABLES[table].stored.items():
+        zero = column.categories[0] if column.categories else "" if column.type == "string" else 0
+        values = [row.get(name, None if column.null else zero) for row in rows]
+        dtype = object if column.type in ("string", "category") else column.type
+        given[name] = np.array([zero if v is None else v for v in values], dtype)
+        if column.null:
+            given[name + "__valid"] = np.array([v is not None for v in values])
+    return given
+
+
+def fleet(*behaviours, **more):
+    return [
+        {"vehicle": i, "sumo_id": str(i), "equipped": True, "behaviour": b, "last_step": 99,
+         "length_m": 4, "width_m": 2, "height_m": 1.5, **more} for i, b in enumerate(behaviours)
+    ]  # fmt: skip
