@@ -70,7 +70,8 @@ class ReceiverParams:
         if self.rate_mbps not in BITS_PER_SYMBOL:
             known = ", ".join(f"{r:g}" for r in BITS_PER_SYMBOL)
             raise ValueError(
-                f"radio.receiver.rate_mbps = {self.rate_mbps:g} Mb/s is not a rate of the 10 MHz channel. Use one of {known}."
+                f"radio.receiver.rate_mbps = {self.rate_mbps:g} Mb/s is not a rate of the 10 MHz channel. "
+                f"Use one of {known}."
             )
         if self.floor_dbm >= min(self.cca_dbm, self.detectable_dbm):
             raise ValueError(

@@ -340,5 +340,5 @@ def test_faults_are_named():
         hear(replace(links, key=np.array([4, 4], np.uint64)), say(0, 0))
     with pytest.raises(ValueError, match="until_ns = 0"):
         hear(links, say([], []), until_ns=0)
-    with pytest.raises(ValueError, match=r"radio\.cw"):
+    with pytest.raises(ValueError, match=r"radio\.access\.cw"):
         AccessParams(cw=(3, 7, 15))  # type: ignore[arg-type]
