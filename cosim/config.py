@@ -106,9 +106,10 @@ def load(path: Path | None = None, overrides: list[str] | None = None) -> Config
     for text in overrides or []:
         _override(data, text)
     _check_keys(data, Config, "", where)
-    scenario = data.get("traffic", {}).get("scenario")
-    if path is not None and isinstance(scenario, str) and (beside := path.parent / scenario).is_file():
-        data["traffic"]["scenario"] = str(beside)
+    for name in ("scenario", "trace"):
+        given = data.get("traffic", {}).get(name)
+        if path is not None and isinstance(given, str) and _is_input(beside := path.parent / given):
+            data["traffic"][name] = str(beside)
     try:
         return TypeAdapter(Config).validate_json(json.dumps(data, default=str), strict=True)
     except ValidationError as error:
@@ -118,6 +119,10 @@ def load(path: Path | None = None, overrides: list[str] | None = None) -> Config
             raise ValueError(first["msg"].removeprefix("Value error, ")) from None
         reason = first["msg"].removeprefix("Input should be ")
         raise ValueError(f"{name} = {first['input']!r} should be {reason}. Set {name} in {where}.") from None
+
+
+def _is_input(path: Path) -> bool:
+    return path.is_file() or (path / "manifest.json").is_file() or any(path.glob("*.sumocfg"))
 
 
 def _override(data: dict[str, Any], text: str) -> None:

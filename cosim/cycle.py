@@ -20,7 +20,7 @@ from cosim.manifest import Stopwatch
 from cosim.truth import Truth, truth_of
 from cosim.v2x.adversary import self_reports, tamper
 from cosim.v2x.exchange import Frames, Heard
-from cosim.v2x.messages import FABRICATED, SELF, SENSED, Detections, detections_bytes, expand, ptr_of, verdicts_bytes
+from cosim.v2x.messages import FABRICATED, SELF, SENSED, Detections, detections_bytes, expand, is_sound, ptr_of, verdicts_bytes
 from cosim.v2x.radio import Radio, Round
 from cosim.v2x.server import Downlink, Edition, Uplink
 from cosim.world import World
@@ -51,6 +51,8 @@ class State:
     uplink: Uplink
     downlink: Downlink
     last_edition_s: float = -np.inf
+    n_malformed: int = 0
+    """Detections dropped so far because they cannot be: no finite pose, no size, no score."""
     sweeps: lidar.Sweeps | None = None
     """Memory of the last sweeps, written over by the next."""
 
@@ -132,6 +134,11 @@ def turn(
         sights, seen, is_real, source = (perceive or _perceive)(world, observers, sweeps, config)
     with watch("tamper"):
         said = tamper(seen, world, time_s, seed, config.adversary)
+        sound = is_sound(said)
+        if not sound.all():  # nobody takes in what cannot be
+            assert (said.origin[~sound] == FABRICATED).all()
+            state.n_malformed += int((~sound).sum())
+            said = said.take(np.flatnonzero(sound))
         truth = truth_of(said, world, sights, observers, is_real, source)
         claims, ptr = _claims(said, observers)
 

@@ -12,7 +12,7 @@ from cosim import recording
 from cosim.config import Config
 from cosim.cycle import State, turn
 from cosim.manifest import Manifest, Stopwatch
-from cosim.mobility.sumo import SumoTraffic
+from cosim.mobility.source import Traffic, TrafficError, TrafficOver
 from cosim.roster import Roster
 from cosim.scenario import Scenario, find
 from cosim.v2x.messages import FABRICATED
@@ -24,7 +24,7 @@ Advance = Callable[[str, int, int, str], None]
 
 def check(config: Config) -> Scenario:
     """The scenario that a config asks for; ValueError where it could not run."""
-    return find(config.traffic.scenario)
+    return find(config.traffic.scenario, config.traffic.trace)
 
 
 def without_nulls(data: Any) -> Any:
@@ -42,7 +42,7 @@ def run(config: Config, out: Path | None, advance: Advance) -> Path:
     scenario = check(config)
     folder = _folder(out, scenario.name)
     roster = Roster(config.fleet, config.seed)
-    traffic = SumoTraffic(config.traffic, scenario.sumocfg, roster)
+    traffic = scenario.traffic(config.traffic, roster)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         manifest = Manifest(folder, config, scenario.certificate())
@@ -52,6 +52,9 @@ def run(config: Config, out: Path | None, advance: Advance) -> Path:
             _drive(config, scenario, traffic, roster, manifest, advance)
         except KeyboardInterrupt:
             manifest.write("interrupted")
+            raise
+        except TrafficError:
+            manifest.write("failed")
             raise
         except Exception as error:
             manifest.write("failed")
@@ -63,7 +66,7 @@ def run(config: Config, out: Path | None, advance: Advance) -> Path:
 
 
 def _drive(
-    config: Config, scenario: Scenario, traffic: SumoTraffic, roster: Roster, manifest: Manifest, advance: Advance
+    config: Config, scenario: Scenario, traffic: Traffic, roster: Roster, manifest: Manifest, advance: Advance
 ) -> None:
     if config.compute.threads:
         numba.set_num_threads(min(config.compute.threads, numba.get_num_threads()))
@@ -72,17 +75,24 @@ def _drive(
     with watch("city"):
         city = scenario.city()
     with watch("warm-up"):
-        for done_s in traffic.warm_up(warmup_s):
-            advance("warm-up", int(done_s), int(warmup_s), "s")
+        try:
+            for done_s in traffic.warm_up(warmup_s):
+                advance("warm-up", int(done_s), int(warmup_s), "s")
+        except TrafficOver as over:
+            raise TrafficError(f"traffic.warmup_s = {warmup_s:g} s outlasts the traffic: {over}. Shorten it.") from None
         advance("warm-up", int(warmup_s), int(warmup_s), "s")
     state = State.start(config, city)
     meetings = recording.Meetings(config)
     first_lie = np.zeros(0, int)
-    n_on_road = 0
+    n_on_road, ended = 0, ""
     with Recorder(manifest.folder, config.record.level, config.record.block_steps) as recorder:
         for step in range(n_steps):
             with watch("traffic"):
-                world = traffic.advance()
+                try:
+                    world = traffic.advance()
+                except TrafficOver as over:
+                    ended = f"the traffic ended before the {n_steps * dt_s:g} s asked for: {over}"
+                    break
             with watch("record"):
                 recording.actors(recorder, world)
             with watch("encounters"):
@@ -100,14 +110,17 @@ def _drive(
             manifest.steps = step + 1
             advance("run", step + 1, n_steps, f"steps, {len(world)} actors")
         first_lie = np.concatenate([first_lie, np.full(len(roster) - len(first_lie), -1)])
-        meetings.close(recorder, n_steps - 1)
-        recording.vehicles(recorder, roster, first_lie, n_steps - 1)
+        if not manifest.steps:
+            raise TrafficError(f"traffic.scenario = {scenario.name}: there is nothing to record: {ended}.")
+        meetings.close(recorder, manifest.steps - 1)
+        recording.vehicles(recorder, roster, first_lie, manifest.steps - 1)
     manifest.timings_s = watch.seconds
     manifest.summary = {
-        "vehicles_on_road_mean": round(n_on_road / n_steps, 2),
-        "vehicles_waiting_to_enter_at_end": traffic.n_waiting,
-        "teleports": traffic.n_teleports,
+        "vehicles_on_road_mean": round(n_on_road / manifest.steps, 2),
+        **traffic.report(),
+        "detections_malformed": state.n_malformed,
         "verdicts_refused": state.refusals(),
+        **({"ended_early": ended} if ended else {}),
     }
 
 

@@ -1,76 +1,155 @@
-"""Streets, buildings and demand: a city that ships, or a SUMO scenario of the user's own."""
+"""Streets, buildings and demand: a city by name, a SUMO scenario of the user's own, or traffic recorded before."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+
 from cosim.manifest import sha256
+from cosim.mobility import fcd
+from cosim.mobility.replay import Recorded, Trace
+from cosim.mobility.source import Traffic, TrafficParams
+from cosim.mobility.sumo import SumoTraffic
+from cosim.roster import Roster
+from results.archive import open_run
 from sensors.scene import Scene
-from sumo_nets import catalogue
+from sumo_nets import catalogue, sumocfg
+from sumo_nets.catalogue import Net
 from sumo_nets.footprints import read_footprints
 from sumo_nets.network import check_for_cars
-from sumo_nets.xml import Attributes, stream
+
+FARTHEST_M = 32_000.0
+"""Coordinates beyond this are counted from an origin nearby, because tables keep them in single precision."""
 
 
 @dataclass(frozen=True, slots=True)
 class Scenario:
-    """What SUMO is to drive, and what stands beside the road."""
+    """What moves, and what stands beside the road."""
 
     name: str
-    sumocfg: Path
-    net: Path
+    sumocfg: Path | None
+    net: Path | None
     buildings: tuple[Path, ...]
-    warmup_s: float
-    licence: str
-    attribution: str
+    types: tuple[Path, ...] = ()
+    """Files that define vehicle types; those that are read fastest first."""
+    warmup_s: float = 0.0
+    licence: str = "the user's own"
+    attribution: str = ""
+    trace: Path | None = None
+    """A trace or a run folder that is replayed; None drives SUMO."""
+    origin_m: tuple[float, float] = (0.0, 0.0)
+    """Where the world's origin lies in the network's coordinates."""
+
+    def traffic(self, params: TrafficParams, roster: Roster) -> Traffic:
+        """The source of traffic; ValueError in one line where it cannot be read."""
+        if self.trace is None:
+            assert self.sumocfg is not None
+            return SumoTraffic(params, self.sumocfg, roster, self.origin_m)
+        if self.trace.is_dir():
+            return Recorded(params, self.trace, roster)
+        return Trace(params, self.trace, roster, self.types, self.origin_m)
 
     def city(self) -> Scene:
         """The buildings as walls for light."""
         footprints = [f for path in self.buildings for f in read_footprints(path)]
-        rings = [[f.outer, *f.holes] for f in footprints]
+        origin = np.array(self.origin_m)
+        rings = [[ring - origin for ring in (f.outer, *f.holes)] for f in footprints]
         return Scene.from_footprints(rings, [f.base_z_m for f in footprints], [f.top_z_m for f in footprints])
 
     def certificate(self) -> dict[str, str]:
         """Where the network comes from, and checksums of its files."""
-        files = {f"sha256 {p.name}": sha256(p) for p in (self.sumocfg, self.net, *self.buildings)}
-        return {"name": self.name, "licence": self.licence, "attribution": self.attribution} | files
+        trace = self.trace / "manifest.json" if self.trace is not None and self.trace.is_dir() else self.trace
+        files = [p for p in (self.sumocfg, self.net, *self.buildings, trace) if p is not None]
+        about = {"name": self.name, "licence": self.licence, "attribution": self.attribution}
+        if any(self.origin_m):
+            about["origin"] = "{:.0f} m east, {:.0f} m north of the network's own".format(*self.origin_m)
+        return about | {f"sha256 {p.name}": sha256(p) for p in files}
 
 
-def find(scenario: str) -> Scenario:
-    """The shipped city of that name, or the .sumocfg at that path; ValueError in one line for a mistake."""
-    if scenario in catalogue.names():
-        net = catalogue.find(scenario)
-        return Scenario(
-            net.name, net.sumocfg_path, net.net_path, (net.buildings_path,), net.warm_up_s, net.licence, net.attribution
-        )
-    path = Path(scenario)
-    if path.suffix != ".sumocfg":
+def find(scenario: str, trace: str | None = None) -> Scenario:
+    """What `traffic.scenario` and `traffic.trace` name; ValueError in one line for a mistake."""
+    found = _find(scenario)
+    if trace is None:
+        return found
+    path = Path(trace)
+    if not path.exists():
+        raise ValueError(f"traffic.trace = {trace}: no such file or folder. Give a trace of SUMO's or a run folder.")
+    if not (_is_trace(path) or (path / "manifest.json").is_file()):
         raise ValueError(
-            f"traffic.scenario = {scenario}: no city of that name ships, and it is no .sumocfg. "
-            f"Set it to one of {', '.join(catalogue.names())}, or to the path of a .sumocfg."
+            f"traffic.trace = {trace}: neither a run folder nor a trace. Give a folder that `cosim run` wrote, or what "
+            f"SUMO wrote with --fcd-output ({', '.join(fcd.SUFFIXES)})."
         )
-    if not path.is_file():
+    return replace(found, trace=path, warmup_s=0.0 if path.is_dir() else found.warmup_s)
+
+
+def _find(scenario: str) -> Scenario:
+    if scenario in catalogue.names():
+        return _of_net(catalogue.find(scenario))
+    path = Path(scenario)
+    if path.is_dir():
+        return _in_folder(path)
+    if path.name.endswith(".sumocfg") and not path.is_file():
         raise ValueError(f"traffic.scenario = {scenario}: no such file. Give the path of a .sumocfg.")
-    net_path, additional = _inputs(path)
-    check_for_cars(net_path)
-    buildings = tuple(p for p in additional if p.name.endswith((".poly.xml", ".poly.xml.gz")))
-    return Scenario(path.stem, path, net_path, buildings, 0.0, "the user's own", "")
+    if path.is_file() and path.name.endswith(".sumocfg"):
+        return _of_sumocfg(path)
+    if path.is_file() and _is_trace(path):
+        name = path.name
+        for suffix in sorted(fcd.SUFFIXES, key=len, reverse=True):
+            name = name.removesuffix(suffix)
+        return Scenario(name, None, None, (), trace=path)
+    raise ValueError(
+        f"traffic.scenario = {scenario}: no city of that name ships, and it is no .sumocfg, folder or trace. "
+        f"Set it to one of {', '.join(catalogue.names())}, or to the path of a .sumocfg."
+    )
 
 
-def _inputs(sumocfg: Path) -> tuple[Path, list[Path]]:
-    """The network and the additional files that a .sumocfg names."""
-    named: dict[str, list[Path]] = {"net": [], "additional": []}
+def _is_trace(path: Path) -> bool:
+    return path.is_file() and path.name.endswith(fcd.SUFFIXES)
 
-    def start(name: str, attributes: Attributes) -> None:
-        option = {"net-file": "net", "net": "net", "n": "net"}.get(name)
-        option = option or {"additional-files": "additional", "additional": "additional", "a": "additional"}.get(name)
-        if option:
-            values = attributes.get("value", attributes.get("v", "")).replace(";", ",").split(",")
-            named[option] += [sumocfg.parent / v.strip() for v in values if v.strip()]
 
-    stream(sumocfg, start)
-    if not named["net"]:
-        raise ValueError(f"{sumocfg}: names no network. Add <net-file value=\"...\"/> to its <input>.")
-    for path in named["net"] + named["additional"]:
-        if not path.is_file():
-            raise ValueError(f"{sumocfg}: names {path}, which does not exist. Correct the path in the .sumocfg.")
-    return named["net"][0], named["additional"]
+def _in_folder(folder: Path) -> Scenario:
+    """A city that `cosim nets build` made, a run to replay, or a folder with one .sumocfg."""
+    if (folder / "recipe.toml").is_file():
+        return _of_net(catalogue.open_folder(folder))
+    if (folder / "manifest.json").is_file():
+        traffic = open_run(folder).config["traffic"]
+        try:
+            streets = _find(traffic["scenario"])
+        except ValueError as error:
+            raise ValueError(
+                f"traffic.scenario = {folder}: the city of that run is not to be found: {error} "
+                f'Or set traffic.scenario to that city, and traffic.trace = "{folder}".'
+            ) from None
+        return replace(streets, trace=folder, warmup_s=0.0)
+    found = sorted(folder.glob("*.sumocfg"))
+    if len(found) == 1:
+        return _of_sumocfg(found[0])
+    raise ValueError(
+        f"traffic.scenario = {folder}: a folder with {len(found) or 'no'} .sumocfg, and neither a run nor a city that "
+        "`cosim nets build` made. Give the path of a .sumocfg."
+    )
+
+
+def _of_net(net: Net) -> Scenario:
+    types = (net.folder / "vtypes.add.xml",)
+    return Scenario(
+        net.name, net.sumocfg_path, net.net_path, (net.buildings_path,), types, net.warm_up_s, net.licence,
+        net.attribution, origin_m=_origin_m(net.bounds_m),
+    )  # fmt: skip
+
+
+def _of_sumocfg(path: Path) -> Scenario:
+    config = sumocfg.read(path)
+    check_for_cars(config.net)
+    return Scenario(
+        path.stem, path, config.net, config.buildings, (*config.additional, *config.routes),
+        origin_m=_origin_m(catalogue.bounds_m(config.net)),
+    )  # fmt: skip
+
+
+def _origin_m(bounds_m: tuple[float, float, float, float]) -> tuple[float, float]:
+    """The network's own origin, or where that is far away, a round place in its middle."""
+    if max(map(abs, bounds_m)) < FARTHEST_M:
+        return 0.0, 0.0
+    x0, y0, x1, y1 = bounds_m
+    return round((x0 + x1) / 2, -3), round((y0 + y1) / 2, -3)

@@ -57,7 +57,8 @@ def measure(run: Run, threshold: float = 0.25, fresh_s: float = 10.0, max_frames
     rows = []
     for topic, lines in topics.items():
         try:
-            rows += [(topic, *line) for line in lines()]
+            for line in lines():
+                rows.append((topic, *line))
         except ValueError as reason:
             rows.append((topic, "not measured", str(reason), np.nan, ""))
     return pd.DataFrame(rows, columns=["topic", "figure", "of", "value", "unit"])
@@ -136,21 +137,33 @@ def _trust(run: Run, threshold: float) -> Iterator[Line]:
     for behaviour, values in trust.values(run).groupby("behaviour", observed=True).trust:
         yield "trust, mean over the run", str(behaviour), float(values.mean()), "1"
     yield "honest above malicious at the end", "", trust.separation(run), "1"
-    for behaviour, delay in trust.detection_delay(run, threshold).groupby("behaviour", observed=True):
-        yield f"found out below {threshold:g}", str(behaviour), float(delay.found.mean()), "1"
-        if delay.found.any():
-            yield "time to be found out, median", str(behaviour), float(delay.delay_s[delay.found].median()), "s"
+    places: list[trust.At] = ["server"] if trust.kept_at(run) == "server" else []
+    places += ["vehicles"] if "uses" in run.tables else []
+    for at in places:
+        for behaviour, delay in trust.detection_delay(run, threshold, at).groupby("behaviour", observed=True):
+            of = f"{behaviour}, at the {at}" if at == "server" else f"{behaviour}, at a vehicle"
+            yield f"found out below {threshold:g}", of, float(delay.found.mean()), "1"
+            if delay.found.any():
+                yield "time to be found out, median", of, float(delay.delay_s[delay.found].median()), "s"
 
 
 def _freshness(run: Run, fresh_s: float) -> Iterator[Line]:
     for row in freshness.evidence(run).itertuples():
-        yield "newest evidence, median age", row.behaviour, row.newest_age_s, "s"
+        yield "newest evidence at the server, median age", row.behaviour, row.newest_age_s, "s"
     for row in freshness.shares(run, fresh_s).itertuples():
         yield f"trust at use (fresh: at most {fresh_s:g} s)", row.state, row.share, "1"
-    for row in freshness.at_use(run).itertuples():
-        if row.source != "default":
-            yield "age at use, mean", row.source, row.mean_s, "s"
+    for row in freshness.shares_by_behaviour(run, fresh_s).itertuples():
+        yield f"trust at use (fresh: at most {fresh_s:g} s)", f"{row.state}, of {row.behaviour}", row.share, "1"
+    known = freshness.at_use(run)
+    for row in known[known.source != "default"].itertuples():
+        yield "age at use, mean", row.source, row.mean_s, "s"
+        if not np.isnan(row.peak_s):
             yield "age at use, peak", row.source, row.peak_s, "s"
+    if (known.source != "default").any():
+        for row in freshness.evidence_at_use(run).itertuples():
+            yield "newest evidence at use, mean age", row.behaviour, row.newest_s, "s"
+            if not np.isnan(row.oldest_s):
+                yield "oldest evidence at use, mean age", row.behaviour, row.oldest_s, "s"
     for row in freshness.without_trust(run).itertuples():
         of = f"{row.pairs}, {row.radius_m:g} m"
         yield "encounters over before trust was known", of, row.share, "1"

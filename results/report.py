@@ -113,15 +113,17 @@ def _figure(name: str, run: Run) -> str:
 
 def _topic(topic: str, frame: pd.DataFrame) -> str:
     lost = frame[frame.figure == "not measured"]
-    if len(lost):
-        return f'<h3>{escape(topic)}</h3><p class="missing">Not measured: {escape(lost.of.iloc[0])}</p>'
+    gap = "".join(f'<p class="missing">Not measured: {escape(reason)}</p>' for reason in lost.of)
+    frame = frame.drop(lost.index)
+    if frame.empty:
+        return f"<h3>{escape(topic)}</h3>{gap}"
     rows = "".join(
         f'<tr><td>{escape(row.figure)}</td><td>{escape(row.of)}</td><td class="number">'
         f"{_number(row.value, row.unit)}</td></tr>"
         for row in frame.itertuples()
     )
     head = '<tr><th>figure</th><th>of</th><th class="number">value</th></tr>'
-    return f"<h3>{escape(topic)}</h3><table>{head}{rows}</table>"
+    return f"<h3>{escape(topic)}</h3><table>{head}{rows}</table>{gap}"
 
 
 def _dictionary(run: Run) -> str:

@@ -283,7 +283,7 @@ TABLES: Mapping[str, Table] = {
             "subject": _key("Vehicle that the value is about."),
             "trust": Column("float32", unit="1", meaning="Value used, in [0, 1]."),
             "source": Column("category", categories=SOURCES, meaning="From the server, from own experience, or the default."),
-            "age_s": Column("float32", unit="s", null=True, bits=10, meaning="Time since the value was computed; null for the default."),
+            "age_s": Column("float32", unit="s", null=True, bits=10, meaning="Time since the server computed it; of an own value, age of the newest evaluation behind it; null for the default."),
         },
     ),
     "fused": Table(

@@ -68,24 +68,34 @@ def build(recipe_path: Path, source: Path | None, out: Path) -> None:
     ValueError
         Where the source is not the recipe's, or one of SUMO's tools fails.
     """
-    recipe = tomllib.loads(recipe_path.read_text(encoding="utf-8"))
-    out.mkdir(parents=True, exist_ok=True)
+    text = recipe_path.read_text(encoding="utf-8")
+    recipe = tomllib.loads(text)
     with tempfile.TemporaryDirectory(prefix="sumo_nets.") as name:
         work = Path(name)
         extract = osm.read(_source(recipe["source"], source, work))
-        gates = _network(recipe, extract, work)
-        _buildings(extract, work)
-        _demand(recipe, extract, gates, work)
-        _pack(sumotools.without_header(work / "net.net.xml"), out / "net.net.xml.gz")
-        _pack((work / "buildings.poly.xml").read_text(encoding="utf-8"), out / "buildings.poly.xml.gz")
-        _pack(sumotools.without_header(work / "demand.rou.xml"), out / "demand.rou.xml.gz")
-        _pack((work / "buses.rou.xml").read_text(encoding="utf-8"), out / "buses.rou.xml.gz")
-        shutil.copyfile(work / "stops.add.xml", out / "stops.add.xml")
+        make(recipe, text, extract, work, out)
+
+
+def make(recipe: dict[str, Any], text: str, extract: osm.Extract, work: Path, out: Path) -> None:
+    """Build what a recipe says from an extract; `text` is the recipe as it is kept in `out`, `work` is scratch."""
+    gates = network(recipe, extract, work)
+    _buildings(extract, work)
+    _demand(recipe, extract, gates, work)
+    pack(recipe, text, work, out)
+
+
+def pack(recipe: dict[str, Any], text: str, work: Path, out: Path) -> None:
+    """Bring what was made in `work` into the folder `out`."""
+    out.mkdir(parents=True, exist_ok=True)
+    _pack(sumotools.without_header(work / "net.net.xml"), out / "net.net.xml.gz")
+    _pack((work / "buildings.poly.xml").read_text(encoding="utf-8"), out / "buildings.poly.xml.gz")
+    _pack(sumotools.without_header(work / "demand.rou.xml"), out / "demand.rou.xml.gz")
+    _pack((work / "buses.rou.xml").read_text(encoding="utf-8"), out / "buses.rou.xml.gz")
+    shutil.copyfile(work / "stops.add.xml", out / "stops.add.xml")
     shutil.copyfile(_HERE / "common" / "vtypes.add.xml", out / "vtypes.add.xml")
     config = SUMOCFG.format(end_s=recipe["demand"]["end_s"])
     (out / f"{recipe['name']}.sumocfg").write_text(config, encoding="utf-8", newline="\n")
-    if recipe_path.resolve() != (out / "recipe.toml").resolve():
-        shutil.copyfile(recipe_path, out / "recipe.toml")
+    (out / "recipe.toml").write_text(text, encoding="utf-8", newline="\n")
     write_checksums(out)
 
 
@@ -124,11 +134,12 @@ def _source(wanted: dict[str, str], given: Path | None, work: Path) -> Path:
     return given
 
 
-def _network(recipe: dict[str, Any], extract: osm.Extract, work: Path) -> frozenset[str]:
+def network(recipe: dict[str, Any], extract: osm.Extract, work: Path) -> frozenset[str]:
     choice = recipe["streets"]
     chosen = streets.drivable(
-        extract, frozenset(choice["classes"]), frozenset(choice["ignored_tags"]), choice["gate_edge_m"]
-    )
+        extract, frozenset(choice["classes"]), frozenset(choice["ignored_tags"]), choice["gate_edge_m"],
+        choice.get("dead_ends", False),
+    )  # fmt: skip
     _LOG.info("%d street pieces, %.0f m of dead ends left out", len(chosen.ways), chosen.dropped_m)
     restrictions = [r for r in extract.relations.values() if r.tags.get("type") == "restriction"]
     osm.write(work / "streets.osm.xml", extract.place, extract.node_tags, chosen.ways, restrictions)
@@ -164,14 +175,19 @@ def _demand(recipe: dict[str, Any], extract: osm.Extract, gates: frozenset[str],
     _LOG.info("%d bus lines, %d stops", len(lines), len(stops))
     (work / "stops.add.xml").write_text(buses.stops_xml(stops), encoding="utf-8", newline="\n")
     trips = demand.walks(roads, wanted["pedestrian"], seed, end_s)
-    for kind in ("car", "van", "truck", "bicycle"):
+    for kind in demand.KINDS:
         trips += demand.vehicle_trips(roads, kind, wanted["vehicles"] | wanted[kind], seed, end_s)
-    demand.write_trips(work / "trips.rou.xml", trips)
     demand.write_trips(work / "buses.rou.xml", buses.departures(lines, wanted["bus"], seed, end_s))
+    route(trips, wanted, work)
+
+
+def route(trips: list[str], wanted: dict[str, Any], work: Path) -> None:
+    """Routes for trips: `demand.rou.xml` in `work`, which holds the network."""
+    demand.write_trips(work / "trips.rou.xml", trips)
     options = {
         "net-file": "net.net.xml", "additional-files": _HERE / "common" / "vtypes.add.xml",
         "route-files": "trips.rou.xml", "output-file": "demand.rou.xml", "alternatives-output": "NUL",
-        "vtype-output": "vtypes.out.xml", "ignore-errors": True, "no-step-log": True, "seed": seed,
+        "vtype-output": "vtypes.out.xml", "ignore-errors": True, "no-step-log": True, "seed": wanted["seed"],
         "weights.random-factor": wanted["route_choice"],
     }  # fmt: skip
     said = sumotools.run("duarouter", options, work)

@@ -10,13 +10,15 @@ from bisect import bisect_right
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import accumulate
-from math import dist, log
+from math import dist, inf, log
 from pathlib import Path
 from random import Random
 from typing import Any
 
 Point = tuple[float, float]
 
+KINDS = ("car", "van", "truck", "bicycle")
+"""Kinds of vehicle whose trips are drawn; buses keep a timetable."""
 ENTRY_M = 12.0
 """Shortest lane on which a vehicle can come into being without standing in another [m]."""
 MOST_TRIES = 10_000
@@ -77,12 +79,17 @@ def streets_of(net: Any, gates: frozenset[str]) -> list[Street]:
                 edge.getID(), start.getID(), end.getID(), edge.getType().removeprefix("highway."),
                 edge.getLength(), ((x0 + x1) / 2, (y0 + y1) / 2),
                 sum(lane.allows("passenger") for lane in edge.getLanes()),
-                start.getID() in gates and not edge.getIncoming() and edge.getLength() >= ENTRY_M,
-                end.getID() in gates and not edge.getOutgoing(),
+                start.getID() in gates and _turns_only(edge.getIncoming(), end) and edge.getLength() >= ENTRY_M,
+                end.getID() in gates and _turns_only(edge.getOutgoing(), start),
                 edge.allows("pedestrian"), edge.allows("bicycle"),
             )
         )  # fmt: skip
     return streets
+
+
+def _turns_only(neighbours: Any, other_end: Any) -> bool:
+    """Whether an edge is joined, at this end, to nothing but the way back."""
+    return all(other_end in (edge.getFromNode(), edge.getToNode()) for edge in neighbours)
 
 
 def vehicle_trips(streets: list[Street], kind: str, recipe: dict[str, Any], seed: int, end_s: float) -> list[str]:
@@ -108,7 +115,7 @@ def vehicle_trips(streets: list[Street], kind: str, recipe: dict[str, Any], seed
             starts_inside, ends_inside = draw.uniform() < from_inside, draw.uniform() < to_inside
             origin = kerb() if starts_inside else enter()
             target = kerb() if ends_inside else leave()
-            if dist(origin.middle_m, target.middle_m) >= recipe["at_least_m"]:
+            if recipe["at_least_m"] <= dist(origin.middle_m, target.middle_m) <= recipe.get("at_most_m", inf):
                 break
         else:
             raise ValueError(f"demand.{kind}.at_least_m = {recipe['at_least_m']} m: no two streets are that far apart")

@@ -37,10 +37,12 @@ class Extract:
     node_tags: dict[int, Tags] = field(default_factory=dict)
     ways: dict[int, Way] = field(default_factory=dict)
     relations: dict[int, Relation] = field(default_factory=dict)
+    box: tuple[float, float, float, float] | None = None
+    """West, south, east, north of what was asked for, if the file says so [degrees]; ways may reach beyond."""
 
 
 def read(path: Path) -> Extract:
-    """Read a .osm.pbf, .osm, .osm.gz or .osm.bz2 file.
+    """Read a .osm.pbf, .osm, .osm.gz, .osm.xml.gz or .osm.bz2 file.
 
     Raises
     ------
@@ -51,8 +53,10 @@ def read(path: Path) -> Extract:
         import osmium
     except ImportError as error:
         raise ValueError("building a network from OpenStreetMap needs osmium: pip install 'cosim[build]'") from error
-    extract = Extract()
     try:
+        box = osmium.io.Reader(str(path)).header().box()
+        corners = (box.bottom_left, box.top_right) if box.valid() else ()
+        extract = Extract(box=tuple(v for c in corners for v in (c.lon, c.lat)) or None)
         for item in osmium.FileProcessor(str(path)):
             if isinstance(item, osmium.osm.Changeset):
                 continue
@@ -67,7 +71,7 @@ def read(path: Path) -> Extract:
                 members = tuple((member.type, member.ref, member.role) for member in item.members)
                 extract.relations[item.id] = Relation(item.id, members, tags)
     except (RuntimeError, osmium.InvalidLocationError) as error:
-        raise ValueError(f"{path} is not an OpenStreetMap file that osmium can read: {error}") from error
+        raise ValueError(f"{path} is not an OpenStreetMap file that osmium can read: {error}") from None
     if not extract.ways:
         raise ValueError(f"{path} has no ways: there is no street to build")
     return extract

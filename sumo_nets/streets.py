@@ -22,8 +22,10 @@ class Streets:
     """Length of street left out because a car could not leave (or reach) it [m]."""
 
 
-def drivable(extract: Extract, classes: frozenset[str], ignored_tags: frozenset[str], edge_m: float) -> Streets:
-    """Surface streets of the given highway classes, without dead ends and without the ignored tags.
+def drivable(
+    extract: Extract, classes: frozenset[str], ignored_tags: frozenset[str], edge_m: float, dead_ends: bool = False
+) -> Streets:
+    """Surface streets of the given highway classes, without the ignored tags, and unless `dead_ends` without those.
 
     A street stays if a car can come from every other street that stays, drive through it and go on to every
     other, without turning round on the spot. Streets cut off by the extract, or ending within `edge_m` of its
@@ -43,13 +45,13 @@ def drivable(extract: Extract, classes: frozenset[str], ignored_tags: frozenset[
         use[run[0]] += 1
         use[run[-1]] += 1
     stubs = [(index, a, b) for index, (_, run) in enumerate(runs) for a, b in _split(run, use)]
-    gates = _gates(extract, runs, stubs, edge_m)
+    gates = _gates(extract, runs, stubs, edge_m, extract.box if dead_ends else None)
     arcs = []  # (run, first, last, forward)
     for index, a, b in stubs:
         way, run = runs[index]
         forward, backward = _directions(way)
         arcs += [(index, a, b, True)] * forward + [(index, a, b, False)] * backward
-    alive = _driven(runs, arcs, gates)
+    alive = [True] * len(arcs) if dead_ends else _driven(runs, arcs, gates)
     kept: dict[int, list[tuple[int, int, bool, bool]]] = defaultdict(list)
     both: dict[tuple[int, int, int], list[bool]] = defaultdict(list)
     for (index, a, b, forward), is_alive in zip(arcs, alive, strict=True):
@@ -88,13 +90,17 @@ def _split(run: tuple[int, ...], use: dict[int, int]) -> list[tuple[int, int]]:
     return list(pairwise(cuts))
 
 
-def _gates(extract: Extract, runs, stubs, edge_m: float) -> frozenset[int]:
+def _gates(
+    extract: Extract, runs, stubs, edge_m: float, box: tuple[float, float, float, float] | None
+) -> frozenset[int]:
     ends: dict[int, int] = defaultdict(int)
     for index, a, b in stubs:
         ends[runs[index][1][a]] += 1
         ends[runs[index][1][b]] += 1
     everywhere = np.array(list(extract.place.values()))
     low, high = everywhere.min(axis=0), everywhere.max(axis=0)
+    if box is not None:
+        low, high = np.array(box[:2]), np.array(box[2:])
     metres = np.array([np.cos(np.radians(low[1])), 1.0]) * 6_371_000.0 * np.pi / 180.0
     gates = set()
     for way, run in runs:

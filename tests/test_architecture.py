@@ -15,7 +15,7 @@ FOREIGN = {
     "results": {"annotated_types", "jaxtyping", "numpy", "scipy", "pyarrow", "pandas", "networkx", "matplotlib"},
     "sumo_nets": {"annotated_types", "jaxtyping", "numpy", "shapely", "osmium", "sumo", "sumolib"},
     "cosim": {
-        "annotated_types", "jaxtyping", "numpy", "scipy", "numba", "libsumo", "pydantic", "typer", "rich",
+        "annotated_types", "jaxtyping", "numpy", "scipy", "numba", "libsumo", "pyarrow", "pydantic", "typer", "rich",
         "tomli_w", "shapely",
     },
 }  # fmt: skip

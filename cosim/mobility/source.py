@@ -38,8 +38,8 @@ class TrafficParams:
     """Whose streets, when, how long, and SUMO's own dice."""
 
     scenario: str = "helsinki"
-    """Name of a city (`cosim nets list`); or the path of a .sumocfg, of a folder that `cosim nets build` made, of a
-    run folder to replay, or of a trace that SUMO wrote with --fcd-output (relative to the config file that names it)."""
+    """Name of a city (`cosim nets list`); or, relative to the config file that names it, the path of a .sumocfg, of a
+    folder that `cosim nets build` made, of a run to replay, or of a trace that SUMO wrote with --fcd-output."""
     trace: str | None = None
     """Replay this trace or run folder in the streets of `scenario`, instead of driving SUMO."""
     seed: Annotated[int, Ge(0)] = 1

@@ -73,6 +73,15 @@ def verdicts_bytes(n_verdicts: Int[ndarray, "n"]) -> Int[ndarray, "n"]:
     return 44 + 96 + 16 + 12 * n_verdicts
 
 
+def is_sound(said: Detections) -> Bool[ndarray, "d"]:
+    """Detections that can be what they claim: a finite pose, a positive size, a score in [0, 1]."""
+    xyz, lwh, yaw = said.boxes.xyz_m, said.boxes.lwh_m, said.boxes.yaw_rad
+    return (
+        np.isfinite(xyz).all(axis=1) & np.isfinite(lwh).all(axis=1) & np.isfinite(yaw) & (lwh > 0).all(axis=1)
+        & (said.score >= 0) & (said.score <= 1)
+    )  # fmt: skip
+
+
 FRAME_BYTES = 1398
 """Longest payload of one frame: GeoNetworking's itsGnMaxSduSize [B]."""
 ENVELOPE_BYTES = 44 + 96 + 37 + 9

@@ -1,21 +1,32 @@
 """How fresh trust is when it is used."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from results.archive import Run
 from results.figures import style
-from results.metrics import freshness
+from results.metrics import compare, freshness, trust
 from results.tables import axis_label
 
 
 @style.styled
-def draw(runs: Sequence[Run], fresh_s: float = 10.0) -> Figure:
-    """Distribution of the age of trust at use, and the shares of fresh, stale and default values."""
+def draw(runs: Sequence[Run], fresh_s: float = 10.0, over: str | None = None) -> Figure:
+    """Distribution of the age of trust at use, and the shares of fresh, stale and default values.
+
+    Runs that differ in one number alone, or in the one named by `over`, are also held against it.
+    """
     style.need(runs)
-    figure, (ages, shares) = style.sheet(columns=2, height=3.2)
+    studied = compare.axis(runs, over)
+    if studied is None:
+        figure, (ages, shares) = style.sheet(columns=2, height=max(3.2, 1.6 + 0.36 * len(runs)))
+    else:
+        figure, (ages, shares, below, beside) = style.sheet(columns=2, rows=2, height=6.4)
+        _against(runs, studied[0], below, beside, fresh_s)
     longest_s = 0.0
     for i, run in enumerate(runs):
         curve = freshness.distribution(run)
@@ -40,7 +51,7 @@ def draw(runs: Sequence[Run], fresh_s: float = 10.0) -> Figure:
                     bbox={"facecolor": _fill(code), "edgecolor": "none", "pad": 1.2},
                 )  # fmt: skip
             left += share
-    if fresh_s < longest_s:
+    if 0 < fresh_s < longest_s:
         ages.axvline(fresh_s, color="#777777", linewidth=0.9)
         ages.annotate(
             f"stale beyond {fresh_s:g} s", (fresh_s, 0.04), xytext=(4, 0), textcoords="offset points", fontsize=8
@@ -60,6 +71,43 @@ def draw(runs: Sequence[Run], fresh_s: float = 10.0) -> Figure:
     ]
     style.legend(figure, entries + style.series_entries(runs))
     return figure
+
+
+_AGES: Mapping[str, Callable[[Run], float]] = {
+    "value": lambda run: _mean(freshness.at_use(run).query("source != 'default'"), "mean_s"),
+    "newest evidence": lambda run: _mean(freshness.evidence_at_use(run), "newest_s"),
+    "oldest evidence": lambda run: _mean(freshness.evidence_at_use(run), "oldest_s"),
+}
+
+
+def _against(runs: Sequence[Run], key: str, ages: Axes, shares: Axes, fresh_s: float) -> None:
+    """Means of every run over the number in which they differ; a line through repetitions' means."""
+    of_uses: Mapping[str, Callable[[Run], float]] = {
+        "uses: default": lambda run: freshness.shares(run, fresh_s).share.iloc[2],
+        "uses: stale": lambda run: freshness.shares(run, fresh_s).share.iloc[1],
+        "encounters over without trust": lambda run: _mean(freshness.without_trust(run), "share"),
+        "honest above malicious": trust.separation,
+    }
+    frame = compare.tabulate(runs, key, {**_AGES, **of_uses})
+    for axes, names in ((ages, list(_AGES)), (shares, list(of_uses))):
+        for i, name in enumerate(names):
+            one = frame[[key, name]].dropna()
+            if one.empty:
+                continue
+            mean = one.groupby(key)[name].mean()
+            axes.plot(one[key], one[name], linestyle="", marker=style.marker(i), color=style.ink(i))
+            axes.plot(mean.index, mean, linestyle=style.dash(i), marker=style.marker(i), color=style.ink(i), label=name)
+        axes.legend(fontsize=7.5, handlelength=2.2)
+    style.panel(ages, "Age where trust is used, mean", compare.label(key), axis_label("uses", "age_s", "Age"))
+    ages.set_ylim(bottom=0)
+    style.panel(shares, "Trust where it is used", compare.label(key), "Share")
+    style.share_axis(shares)
+
+
+def _mean(frame: pd.DataFrame, column: str) -> float:
+    """Mean of a column, weighted by `n`."""
+    known = frame[frame[column].notna()]
+    return float(np.average(known[column], weights=known.n)) if len(known) else float("nan")
 
 
 def _fill(code: int) -> str:

@@ -71,11 +71,11 @@ def styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
     return drawn
 
 
-def sheet(columns: int = 1, width: float = 7.2, height: float = 3.6) -> tuple[Figure, list[Axes]]:
-    """An empty figure (inches) and its panels, side by side."""
+def sheet(columns: int = 1, width: float = 7.2, height: float = 3.6, rows: int = 1) -> tuple[Figure, list[Axes]]:
+    """An empty figure (inches) and its panels, row by row."""
     figure = Figure(figsize=(width, height), layout="constrained", dpi=150)
     FigureCanvasAgg(figure)
-    return figure, list(np.ravel(figure.subplots(1, columns)))
+    return figure, list(np.ravel(figure.subplots(rows, columns)))
 
 
 def panel(axes: Axes, title: str, x: str, y: str) -> None:

@@ -14,9 +14,10 @@ from results.tables import BEHAVIOURS, axis_label
 
 @style.styled
 def draw(runs: Sequence[Run], vehicles: Sequence[int] = ()) -> Figure:
-    """Median and middle half, over vehicles, of the server's trust, by behaviour; time is that of its computation.
+    """Median and middle half, over vehicles, of the trust in them, by behaviour.
 
-    `vehicles` are drawn one by one as thin lines beside it.
+    It is the server's at the time of its computation; without a server, the mean over those who hear a vehicle and
+    hold a value of their own. `vehicles` are drawn one by one as thin lines beside it.
     """
     style.need(runs)
     figure, (axes,) = style.sheet()
@@ -40,7 +41,9 @@ def draw(runs: Sequence[Run], vehicles: Sequence[int] = ()) -> Figure:
             textcoords="offset points", fontsize=8,
         )  # fmt: skip
     what = "median and middle half" if len(runs) == 1 else "medians"
-    style.panel(axes, f"Trust in vehicles at the server: {what}", style.TIME, axis_label("trust", "trust", "Trust"))
+    places = {"server": "at the server", "vehicles": "as those who hear them trust them"}
+    where = " or ".join(text for at, text in places.items() if any(trust.kept_at(run) == at for run in runs))
+    style.panel(axes, f"Trust in vehicles {where}: {what}", style.TIME, axis_label("trust", "trust", "Trust"))
     style.share_axis(axes)
     axes.set_xlim(left=0)
     entries = [
@@ -56,7 +59,7 @@ def _single(axes: Axes, run: Run, vehicles: Sequence[int]) -> None:
     for vehicle in vehicles:
         one = values[values.vehicle == vehicle]
         if one.empty:
-            raise ValueError(f"The server of {run.path} never judged vehicle {vehicle}.")
+            raise ValueError(f"Nobody in {run.path} ever judged vehicle {vehicle}.")
         code = BEHAVIOURS.index(one.behaviour.iloc[0])
         axes.plot(one.time_s, one.trust, color=style.ink(code), linewidth=0.7)
         axes.annotate(

@@ -2,6 +2,7 @@
 
 import heapq
 from collections import defaultdict
+from collections.abc import Iterator
 
 import networkx as nx
 import numpy as np
@@ -44,6 +45,63 @@ def over_time(run: Run, every_s: float = 10.0, radius_m: float | None = None, pa
     time_s, n_actors (with a contact), n_contacts, degree_mean, n_components, largest_share (of these actors
     in the largest component).
     """
+    rows = []
+    for time_s, n_contacts, actors, member in _instants(run, every_s, radius_m, pairs):
+        n = len(actors)
+        rows.append({
+            "time_s": time_s, "n_actors": n, "n_contacts": n_contacts, "degree_mean": 2 * n_contacts / n if n else 0.0,
+            "n_components": int(member.max()) + 1 if n else 0,
+            "largest_share": np.bincount(member).max() / n if n else 0.0,
+        })  # fmt: skip
+    return pd.DataFrame(rows)
+
+
+def spread(
+    run: Run, every_s: float = 10.0, radius_m: float | None = None, pairs: str | None = None, start_s: float = 0.0
+) -> pd.DataFrame:
+    """How far news could go: the temporal reachability of the contact graph, from many actors at once.
+
+    Returns
+    -------
+    time_s; n_met: actors with a contact since `start_s`; reached_mean, reached_min: share of them that news of one
+    actor has reached, if every contact passes it on at once; over 64 sources, spread evenly over those in contact
+    at the start.
+
+    Notes
+    -----
+    Contacts are looked at every `every_s`: shorter ones may be missed, so this is a lower bound; `arrivals` is exact.
+    """
+    rows = []
+    known = np.zeros(0, np.uint64)  # by actor, one bit per source
+    met = np.zeros(0, bool)
+    n_sources = 0
+    for time_s, _, actors, member in _instants(run, every_s, radius_m, pairs):
+        if time_s < start_s or not (len(actors) or n_sources):
+            continue
+        if len(actors) and actors[-1] >= len(known):
+            more = int(actors[-1]) + 1 - len(known)
+            known, met = np.append(known, np.zeros(more, np.uint64)), np.append(met, np.zeros(more, bool))
+        if not n_sources:
+            sources = actors[:: -(-len(actors) // 64)]
+            n_sources = len(sources)
+            known[sources] = np.uint64(1) << np.arange(n_sources, dtype=np.uint64)
+        met[actors] = True
+        together = np.zeros(int(member.max(initial=-1)) + 1, np.uint64)
+        np.bitwise_or.at(together, member, known[actors])
+        known[actors] = together[member]
+        reached = [int(np.count_nonzero(known & (np.uint64(1) << np.uint64(i)))) for i in range(n_sources)]
+        n_met = int(met.sum())
+        rows.append({
+            "time_s": time_s, "n_met": n_met, "reached_mean": float(np.mean(reached)) / n_met,
+            "reached_min": min(reached) / n_met,
+        })  # fmt: skip
+    return pd.DataFrame(rows, columns=["time_s", "n_met", "reached_mean", "reached_min"])
+
+
+def _instants(
+    run: Run, every_s: float, radius_m: float | None, pairs: str | None
+) -> Iterator[tuple[float, int, np.ndarray, np.ndarray]]:
+    """At regular instants: time [s], contacts, actors with one, and the component that each belongs to."""
     frame = contacts(run, radius_m, pairs)
     start, end = (np.ceil(frame[name].to_numpy() / every_s).astype(np.int64) for name in ("start_s", "end_s"))
     n_instants = end - start  # at which each contact is seen
@@ -53,22 +111,17 @@ def over_time(run: Run, every_s: float = 10.0, radius_m: float | None = None, pa
     times = np.arange(int(np.ceil(run.manifest["steps"] * run.dt_s / every_s)))
     seen = np.split(contact[order], np.searchsorted(instant[order], times[1:]))
     who = frame[["a", "b"]].to_numpy()
-    rows = []
     for time, now in zip(times, seen, strict=True):
         actors, index = np.unique(who[now], return_inverse=True)
         n, (a, b) = len(actors), index.reshape(-1, 2).T
-        n_components, member = connected_components(coo_array((np.ones(len(a)), (a, b)), shape=(n, n)), directed=False)
-        rows.append({
-            "time_s": time * every_s, "n_actors": n, "n_contacts": len(now),
-            "degree_mean": 2 * len(now) / n if n else 0.0, "n_components": n_components if n else 0,
-            "largest_share": np.bincount(member).max() / n if n else 0.0,
-        })  # fmt: skip
-    return pd.DataFrame(rows)
+        _, member = connected_components(coo_array((np.ones(len(a)), (a, b)), shape=(n, n)), directed=False)
+        yield float(time * every_s), len(now), actors, member
 
 
-def relays(run: Run) -> nx.DiGraph:
-    """Who heard whom: edges from sender to receiver with `n` messages and mean `hops`, `latency_s`."""
-    frame = run.table("deliveries", ["sender", "receiver", "hops", "latency_s"])
+def relays(run: Run, start_s: float = 0.0, end_s: float = np.inf) -> nx.DiGraph:
+    """Who heard whom, in a time span: edges from sender to receiver with `n` messages and mean `hops`, `latency_s`."""
+    frame = run.table("deliveries", ["step", "sender", "receiver", "hops", "latency_s"])
+    frame = frame[(frame.step * run.dt_s >= start_s) & (frame.step * run.dt_s < end_s)]
     edges = frame.groupby(["sender", "receiver"]).agg(
         n=("hops", "size"), hops=("hops", "mean"), latency_s=("latency_s", "mean")
     )
@@ -80,7 +133,8 @@ def arrivals(
 ) -> pd.DataFrame:
     """When news of one actor could reach the others, if every contact passes it on at once: actor, time_s.
 
-    The temporal reachability of the contact graph; only those it reaches have a row.
+    The temporal reachability of the contact graph; only those it reaches have a row. See `news` for that of the
+    messages that were really delivered, and `spread` for many actors at once.
     """
     frame = contacts(run, radius_m, pairs)
     meets: dict[int, list[tuple[int, float, float]]] = defaultdict(list)
@@ -98,3 +152,19 @@ def arrivals(
             if other not in reached and time_s < end:
                 heapq.heappush(queue, (max(time_s, start), other))
     return pd.DataFrame({"actor": reached.keys(), "time_s": reached.values()})
+
+
+def news(run: Run, actor: int, start_s: float = 0.0) -> pd.DataFrame:
+    """When news of one vehicle reached the others by messages that were really delivered: actor, time_s, n_messages.
+
+    The temporal reachability of the relay graph. What is received in one step is passed on from the next one on;
+    `n_messages` is the length of the chain that came first.
+    """
+    time_s, length = {actor: start_s}, {actor: 0}
+    for part in run.parts("deliveries", ["step", "sender", "receiver", "latency_s"]):
+        for step, now in part[part.step * run.dt_s >= start_s].groupby("step"):
+            now = now[now.sender.isin(list(time_s)) & ~now.receiver.isin(list(time_s))].sort_values("latency_s")
+            for row in now.drop_duplicates("receiver").itertuples():
+                time_s[row.receiver] = float(step * run.dt_s + row.latency_s)
+                length[row.receiver] = length[row.sender] + 1
+    return pd.DataFrame({"actor": time_s.keys(), "time_s": time_s.values(), "n_messages": length.values()})

@@ -6,7 +6,10 @@ import numpy as np
 import pandas as pd
 
 from results.archive import Run
-from results.tables import SOURCES
+from results.tables import BEHAVIOURS, SOURCES
+
+STATES = ("fresh", "stale", "default")
+"""Of a value that is used, in this order."""
 
 _DEFAULT = SOURCES.index("default")
 
@@ -15,6 +18,10 @@ _EDGES_S = np.concatenate([[0.0], np.geomspace(0.05, 1e5, 600)])
 
 
 _PEAK_BLOCKS = 20
+
+
+_DEFAULT_ONLY = "holds no use of a trust value but the default: trust never reached anybody."
+_NO_USES = "holds no uses of trust: nobody heard anybody. Widen radio.reach_m or equip more vehicles, and run again."
 
 
 def evidence(run: Run) -> pd.DataFrame:
@@ -61,7 +68,7 @@ def at_use(run: Run) -> pd.DataFrame:
             row[3] += float(peak_s.sum(dtype=np.float64))
             row[4] += _histogram(aged_s)
     if not rows:
-        raise ValueError(f"{run.path} holds no uses of trust: nobody heard anybody. Widen radio.reach_m and run again.")
+        raise ValueError(f"{run.path} {_NO_USES}")
     total = sum(row[0] for row in rows.values())
     return pd.DataFrame([
         {
@@ -80,7 +87,7 @@ def distribution(run: Run) -> pd.DataFrame:
     for part in run.parts("uses", ["age_s"]):
         histogram += _histogram(part.age_s.dropna().to_numpy())
     if not histogram.any():
-        raise ValueError(f"{run.path} holds no use of a trust value but the default: trust never reached anybody.")
+        raise ValueError(f"{run.path} {_DEFAULT_ONLY}")
     last = np.flatnonzero(histogram)[-1] + 1
     share = np.cumsum(histogram)[:last] / histogram.sum()
     return pd.DataFrame({"age_s": _EDGES_S[: last + 1], "share": np.r_[0, share]})
@@ -88,12 +95,87 @@ def distribution(run: Run) -> pd.DataFrame:
 
 def shares(run: Run, fresh_s: float = 10.0) -> pd.DataFrame:
     """Share of uses whose value is fresh (at most this old), stale, or the default: state, n, share."""
-    counts = np.zeros(3, np.int64)
-    for part in run.parts("uses", ["source", "age_s"]):
+    counts = shares_by_behaviour(run, fresh_s).groupby("state", sort=False).n.sum()
+    return pd.DataFrame({"state": counts.index, "n": counts.to_numpy(), "share": (counts / counts.sum()).to_numpy()})
+
+
+def shares_by_behaviour(run: Run, fresh_s: float = 10.0) -> pd.DataFrame:
+    """The same by behaviour of the vehicle that the value is about: behaviour, state, n, share (of its uses)."""
+    behaviour_of = _behaviour_codes(run)
+    counts = np.zeros((len(BEHAVIOURS), len(STATES)), np.int64)
+    for part in run.parts("uses", ["subject", "source", "age_s"]):
         code, age_s = _ages(part)
-        n_default, n_fresh = np.count_nonzero(code == _DEFAULT), np.count_nonzero(age_s <= fresh_s)
-        counts += [n_fresh, len(part) - n_fresh - n_default, n_default]
-    return pd.DataFrame({"state": ["fresh", "stale", "default"], "n": counts, "share": counts / max(counts.sum(), 1)})
+        state = np.where(code == _DEFAULT, 2, np.where(age_s <= fresh_s, 0, 1))
+        both = behaviour_of[part.subject.to_numpy()] * len(STATES) + state
+        counts += np.bincount(both, minlength=counts.size).reshape(counts.shape)
+    if not counts.any():
+        raise ValueError(f"{run.path} {_NO_USES}")
+    return pd.DataFrame([
+        {"behaviour": behaviour, "state": state, "n": n, "share": n / row.sum()}
+        for behaviour, row in zip(BEHAVIOURS, counts, strict=True) if row.any()
+        for state, n in zip(STATES, row.tolist(), strict=True)
+    ])  # fmt: skip
+
+
+def evidence_at_use(run: Run) -> pd.DataFrame:
+    """Age, where trust is used, of the evaluations behind it, by behaviour of the vehicle that it is about.
+
+    Returns
+    -------
+    behaviour, n (uses of a value other than the default), none_share (no evaluation behind it), newest_s, oldest_s:
+    mean age of the newest and the oldest evaluation (the oldest only where the server computed the value).
+
+    Notes
+    -----
+    A server's value ages on its way: its evidence is as old as it was when the value was computed, and the age of
+    the value on top. Which computation a value came from is read off its age: the nearest one.
+    """
+    behaviour_of, editions = _behaviour_codes(run), _Editions(run)
+    sums = np.zeros((5, len(BEHAVIOURS)))  # uses, with newest, its sum, with oldest, its sum
+    for part in run.parts("uses", ["step", "subject", "source", "age_s"]):
+        part = part[part.age_s.notna()]
+        newest_s, oldest_s = editions.ages(part)
+        whom = behaviour_of[part.subject.to_numpy()]
+        for row, age_s in ((1, newest_s), (3, oldest_s)):
+            there = ~np.isnan(age_s)
+            sums[row] += np.bincount(whom[there], minlength=len(BEHAVIOURS))
+            sums[row + 1] += np.bincount(whom[there], age_s[there], len(BEHAVIOURS))
+        sums[0] += np.bincount(whom, minlength=len(BEHAVIOURS))
+    if not sums[0].any():
+        raise ValueError(f"{run.path} {_DEFAULT_ONLY}")
+    n, n_newest, newest, n_oldest, oldest = sums
+    with np.errstate(invalid="ignore"):
+        frame = pd.DataFrame({
+            "behaviour": BEHAVIOURS, "n": n.astype(np.int64), "none_share": 1 - n_newest / n,
+            "newest_s": newest / n_newest, "oldest_s": oldest / n_oldest,
+        })  # fmt: skip
+    return frame[frame.n > 0].reset_index(drop=True)
+
+
+class _Editions:
+    """Age of the evidence behind the server's values, by computation and vehicle."""
+
+    def __init__(self, run: Run) -> None:
+        self.dt_s = run.dt_s
+        frame = run.table("trust", ["step", "vehicle", "newest_age_s", "oldest_age_s"])
+        self.steps = frame.step.unique()
+        number = np.searchsorted(self.steps, frame.step)
+        self.key = (number.astype(np.int64) << 32) | frame.vehicle.to_numpy()
+        self.age_s = frame[["newest_age_s", "oldest_age_s"]].to_numpy(np.float64)
+
+    def ages(self, uses: pd.DataFrame) -> tuple[np.ndarray, np.ndarray]:
+        """Of the newest and the oldest evaluation behind each use; NaN where there is none."""
+        age_s = uses.age_s.to_numpy(np.float64)
+        own = (uses.source == "own").to_numpy()
+        newest_s, oldest_s = np.where(own, age_s, np.nan), np.full(len(uses), np.nan)
+        if len(self.key):
+            made = uses.step.to_numpy() - age_s / self.dt_s  # step of the computation, early by what messages take
+            number = np.searchsorted((self.steps[1:] + self.steps[:-1]) / 2, made)
+            key = (number << 32) | uses.subject.to_numpy()
+            at = np.minimum(np.searchsorted(self.key, key), len(self.key) - 1)
+            found = ~own & (self.key[at] == key)
+            newest_s[found], oldest_s[found] = (age_s[found, None] + self.age_s[at[found]]).T
+        return newest_s, oldest_s
 
 
 def over_time(run: Run, every_s: float = 10.0, fresh_s: float = 10.0) -> pd.DataFrame:
@@ -106,7 +188,7 @@ def over_time(run: Run, every_s: float = 10.0, fresh_s: float = 10.0) -> pd.Data
         counts = pd.DataFrame({"time_s": slot, "fresh": fresh, "stale": ~fresh & ~default, "default": default})
         parts.append(counts.groupby("time_s").sum())
     if not parts:
-        raise ValueError(f"{run.path} holds no uses of trust: nobody heard anybody. Widen radio.reach_m and run again.")
+        raise ValueError(f"{run.path} {_NO_USES}")
     total = pd.concat(parts).groupby("time_s").sum()
     return total.div(total.sum(axis=1), axis=0).reset_index()
 
@@ -131,6 +213,13 @@ def without_trust(run: Run) -> pd.DataFrame:
             "share": float(without.mean()), "wait_median_s": float(np.median(waited_s)) if len(waited_s) else np.nan,
         })  # fmt: skip
     return pd.DataFrame(rows, columns=["pairs", "radius_m", "n", "n_without", "share", "wait_median_s"])
+
+
+def _behaviour_codes(run: Run) -> np.ndarray:
+    """Code of the behaviour by vehicle id."""
+    codes = np.zeros(int(run.roles.index.max()) + 1 if len(run.roles) else 0, np.int64)
+    codes[run.roles.index] = run.roles.cat.codes
+    return codes
 
 
 def _ages(part: pd.DataFrame) -> tuple[np.ndarray, np.ndarray]:

@@ -1,4 +1,4 @@
-"""Whom the server trusts: by behaviour, over time, and how soon a liar is found out."""
+"""Who is trusted: by behaviour, over time, and how soon a liar is found out."""
 
 from typing import Literal
 
@@ -8,16 +8,47 @@ import pyarrow.compute as pc
 
 from results.archive import Run
 
+At = Literal["server", "vehicles"]
+"""Whose trust: the server's, or that which vehicles use."""
+
+_INSTANTS = 600
+"""Steps that suffice to draw trust over time where every vehicle keeps its own."""
+
+
+def kept_at(run: Run) -> At:
+    """Where trust is kept: at the server if it ever computed any."""
+    return "server" if len(run.table("trust", ["step"])) else "vehicles"
+
 
 def values(run: Run) -> pd.DataFrame:
-    """Every value the server computed: time_s, vehicle, behaviour, trust."""
-    frame = run.table("trust", ["step", "vehicle", "trust"])
-    if frame.empty:
-        raise ValueError(
-            f"{run.path} holds no trust values: the server never computed one. Run longer than its period."
-        )
+    """Trust in each vehicle: time_s, vehicle, behaviour, trust.
+
+    Every value that the server computed. Without a server, the mean over those who hear the vehicle and hold a
+    value of their own, at 600 instants at most.
+    """
+    if kept_at(run) == "server":
+        frame = run.table("trust", ["step", "vehicle", "trust"])
+    else:
+        frame = _own(run)
     frame = frame.assign(time_s=frame.step * run.dt_s, behaviour=frame.vehicle.map(run.roles))
     return frame[["time_s", "vehicle", "behaviour", "trust"]]
+
+
+def _own(run: Run) -> pd.DataFrame:
+    """Mean of the values of their own that vehicles use: step, vehicle, trust."""
+    steps = np.unique(np.concatenate([[0], *(part.step.unique() for part in run.parts("uses", ["step"]))]))
+    chosen = pc.field("step").isin(steps[:: -(-len(steps) // _INSTANTS)].tolist())
+    means = [
+        part[part.source == "own"].groupby(["step", "subject"], as_index=False).trust.mean()
+        for part in run.parts("uses", ["step", "subject", "source", "trust"], chosen)
+    ]
+    frame = pd.concat(means) if means else pd.DataFrame()
+    if frame.empty:
+        raise ValueError(
+            f"{run.path} holds no trust values: neither the server nor a vehicle ever came to one. Set trust.where to "
+            '"central" or "local", equip vehicles, and run longer than trust.server_period_s.'
+        )
+    return frame.rename(columns={"subject": "vehicle"})
 
 
 def over_time(run: Run) -> pd.DataFrame:
@@ -41,13 +72,13 @@ def separation(run: Run) -> float:
     return float(wins.mean() / 2 / len(malicious))
 
 
-def detection_delay(run: Run, threshold: float = 0.25, at: Literal["server", "vehicles"] = "server") -> pd.DataFrame:
+def detection_delay(run: Run, threshold: float = 0.25, at: At = "server") -> pd.DataFrame:
     """Time from a vehicle's first lie to its trust falling below a threshold.
 
     Parameters
     ----------
     at
-        At the server, or at the first vehicle that uses a value below the threshold.
+        At the server, or at the first vehicle that uses a value below the threshold (a default does not count).
 
     Returns
     -------
@@ -56,7 +87,8 @@ def detection_delay(run: Run, threshold: float = 0.25, at: Literal["server", "ve
     liars = run.table("vehicles", ["vehicle", "behaviour", "first_lie_step", "last_step"])
     liars = liars[liars.first_lie_step.notna()].astype({"first_lie_step": int}).set_index("vehicle")
     table, who = ("trust", "vehicle") if at == "server" else ("uses", "subject")
-    low = run.table(table, ["step", who], where=pc.field("trust") < threshold)
+    is_low = pc.field("trust") < threshold
+    low = run.table(table, ["step", who], where=is_low if at == "server" else is_low & pc.field("age_s").is_valid())
     low = low.assign(lied=low[who].map(liars.first_lie_step))
     first = low[low.step >= low.lied].groupby(who).step.min().reindex(liars.index)
     found = first.notna()

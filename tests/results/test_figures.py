@@ -54,7 +54,7 @@ def test_saved_twice_is_the_same_file(run, suffix, tmp_path):
 def test_single_vehicles(run):
     figure = trust.draw([run], vehicles=[0, 12])
     assert {text.get_text() for text in figure.axes[0].texts} == {"0", "12", "lies begin"}
-    with pytest.raises(ValueError, match="never judged vehicle 59"):
+    with pytest.raises(ValueError, match="ever judged vehicle 59"):
         trust.draw([run], vehicles=[59])
 
 

@@ -1,0 +1,218 @@
+"""SUMO's floating car data (`--fcd-output`): XML, CSV or Parquet, gzip'ed or not, read moment by moment."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.csv as pcsv
+import pyarrow.parquet as pq
+from jaxtyping import Float
+from numpy import ndarray
+
+from cosim.mobility.source import TrafficError
+from sumo_nets.xml import Attributes, feed
+
+SUFFIXES = (".xml", ".xml.gz", ".csv", ".csv.gz", ".parquet")
+"""How the names of traces end."""
+
+_COLUMNS = ("x", "y", "angle", "speed")
+_BLOCK_ROWS = 1 << 16
+
+
+@dataclass(frozen=True, slots=True)
+class Moment:
+    """Everybody in one moment of a trace, in the trace's order."""
+
+    time_s: float
+    names: list[str]
+    types: list[str]
+    front_m: Float[ndarray, "n 3"]  # centre of the front bumper
+    compass_deg: Float[ndarray, "n"]
+    speed_mps: Float[ndarray, "n"]
+
+
+def moments(path: Path) -> Iterator[Moment]:
+    """The moments of a trace in the order of time, a block of the file in memory at a time.
+
+    Who rides in a vehicle is left out, as in a live run.
+
+    Raises
+    ------
+    TrafficError
+        Names the file and the cause: damaged, a column missing, rows not sorted by time, somebody twice.
+    """
+    read = next(reader for suffix, reader in _READERS.items() if path.name.removesuffix(".gz").endswith(suffix))
+    last_s = -np.inf
+    for moment in read(path):
+        if not np.isfinite(moment.time_s):
+            raise TrafficError(f"{path}: a time is not a finite number of seconds.")
+        if moment.time_s <= last_s:
+            raise TrafficError(
+                f"{path}: time {moment.time_s:g} s comes after {last_s:g} s: the rows of a trace are sorted by time. "
+                "Sort them, or record the trace again."
+            )
+        last_s = moment.time_s
+        if len(set(moment.names)) < len(moment.names):
+            seen: set[str] = set()
+            twice = next(name for name in moment.names if name in seen or seen.add(name))  # type: ignore[func-returns-value]
+            raise TrafficError(f"{path}: {twice!r} is there twice at {moment.time_s:g} s. Remove the copies.")
+        numbers = np.column_stack([moment.front_m, moment.compass_deg, moment.speed_mps])
+        if not np.isfinite(numbers).all():
+            bad = moment.names[int(np.flatnonzero(~np.isfinite(numbers).all(axis=1))[0])]
+            raise TrafficError(f"{path}: {bad!r} at {moment.time_s:g} s has a number missing or not finite.")
+        yield moment
+
+
+def _xml(path: Path) -> Iterator[Moment]:
+    done: list[Moment] = []
+    time_s = np.nan
+    names: list[str] = []
+    types: list[str] = []
+    poses: list[list[float]] = []
+    in_moment, root = False, ""
+
+    def start(name: str, attributes: Attributes) -> None:
+        nonlocal in_moment, time_s, root
+        root = root or name
+        if name == "timestep":
+            in_moment, time_s = True, _seconds(path, attributes.get("time", ""))
+        elif in_moment and name in ("vehicle", "person") and not attributes.get("vehicle"):
+            try:
+                pose = [float(attributes[k]) for k in _COLUMNS]
+                pose.append(float(attributes.get("z", 0.0)))
+                names.append(attributes["id"])
+            except KeyError as error:
+                raise _lacks(path, error.args[0]) from None
+            except ValueError as error:
+                raise TrafficError(f"{path}: {name} {attributes.get('id')!r} at {time_s:g} s: {error}.") from None
+            types.append(attributes.get("type", ""))
+            poses.append(pose)
+
+    def end(name: str) -> None:
+        nonlocal in_moment
+        if name == "timestep":
+            table = np.array(poses, float).reshape(-1, 5)
+            done.append(Moment(time_s, names[:], types[:], table[:, [0, 1, 4]], table[:, 2], table[:, 3]))
+            in_moment = False
+            for rows in (names, types, poses):
+                rows.clear()
+
+    try:
+        for _ in feed(path, start, end):
+            yield from done
+            done.clear()
+    except TrafficError:
+        raise
+    except ValueError as error:
+        raise TrafficError(str(error)) from None
+    if root != "fcd-export":
+        raise TrafficError(f"{path}: not a trace: it starts with <{root}>, SUMO's --fcd-output with <fcd-export>.")
+    yield from done
+
+
+def _csv(path: Path) -> Iterator[Moment]:
+    def batches() -> Iterator[pa.RecordBatch]:
+        with pa.input_stream(path, compression="detect") as source:
+            head = source.read(1 << 16).partition(b"\n")[0].decode(errors="replace").strip()
+        separator = next((s for s in ";,\t|" if s in head), ";")
+        text = {n: pa.string() for n in head.replace('"', "").split(separator) if n.endswith(("id", "type", "vehicle"))}
+        with pa.input_stream(path, compression="detect") as source:
+            yield from pcsv.open_csv(
+                source,
+                pcsv.ReadOptions(block_size=1 << 22),
+                pcsv.ParseOptions(delimiter=separator),
+                pcsv.ConvertOptions(column_types=text, strings_can_be_null=True, quoted_strings_can_be_null=False),
+            )
+
+    return _arrow(path, batches)
+
+
+def _parquet(path: Path) -> Iterator[Moment]:
+    def batches() -> Iterator[pa.RecordBatch]:
+        with pq.ParquetFile(path) as file:
+            yield from file.iter_batches(_BLOCK_ROWS)
+
+    return _arrow(path, batches)
+
+
+_READERS: dict[str, Callable[[Path], Iterator[Moment]]] = {".xml": _xml, ".csv": _csv, ".parquet": _parquet}
+
+
+def _arrow(path: Path, batches: Callable[[], Iterator[pa.RecordBatch]]) -> Iterator[Moment]:
+    """Moments from blocks of rows; one that a block cuts in two is put together again."""
+    left = None
+    try:
+        for batch in batches():
+            table = pa.Table.from_batches([_wanted(path, batch)])
+            table = table if left is None else pa.concat_tables([left, table])
+            times = table.column("time").to_numpy()
+            cuts = np.flatnonzero(np.diff(times)) + 1
+            begins = [0, *cuts.tolist()]
+            for begin, end in pairwise(begins):
+                yield _moment(table.slice(begin, end - begin))
+            left = table.slice(begins[-1])
+            if left.num_rows > 100 * _BLOCK_ROWS:
+                raise TrafficError(f"{path}: more than {left.num_rows} rows of one time. Is its first column the time?")
+        if left is not None and left.num_rows:
+            yield _moment(left)
+    except (pa.ArrowException, OSError) as error:
+        raise TrafficError(f"{path}: damaged, or not a trace: {str(error).splitlines()[0]}.") from None
+
+
+def _wanted(path: Path, batch: pa.RecordBatch) -> pa.RecordBatch:
+    """The columns that matter, under plain names, whatever SUMO's `--output.column-header` was."""
+    found = {}
+    for name in ("time", "id", "type", "z", "vehicle", *_COLUMNS):
+        spellings = (f"timestep_{name}", name) if name == "time" else (f"vehicle_{name}", name)
+        column = next((batch.column(s) for s in spellings if s in batch.schema.names), None)
+        if column is None:
+            if name not in ("type", "z", "vehicle"):
+                raise _lacks(path, name)
+            continue
+        wanted = pa.string() if name in ("id", "type", "vehicle") else pa.float64()
+        try:
+            found[name] = column.cast(wanted)
+        except pa.ArrowException as error:
+            raise TrafficError(f"{path}: column {name}: {str(error).splitlines()[0]}.") from None
+    n = len(batch)
+    found.setdefault("type", pa.array([""] * n, pa.string()))
+    found.setdefault("z", pa.array(np.zeros(n)))
+    found.setdefault("vehicle", pa.nulls(n, pa.string()))
+    if found["time"].null_count:
+        raise TrafficError(f"{path}: a row has no time.")
+    return pa.RecordBatch.from_pydict(dict(sorted(found.items())))
+
+
+def _moment(rows: pa.Table) -> Moment:
+    time_s = rows.column("time")[0].as_py()
+    here = pc.and_(rows.column("id").is_valid(), pc.equal(pc.fill_null(rows.column("vehicle"), ""), ""))
+    rows = rows.filter(here)
+
+    def numbers(name: str, otherwise: float) -> ndarray:
+        return pc.fill_null(rows.column(name), otherwise).to_numpy()
+
+    x, y, angle, speed = (numbers(name, np.nan) for name in _COLUMNS)
+    return Moment(
+        time_s, rows.column("id").to_pylist(), pc.fill_null(rows.column("type"), "").to_pylist(),
+        np.column_stack([x, y, numbers("z", 0.0)]), angle, speed,
+    )  # fmt: skip
+
+
+def _seconds(path: Path, text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise TrafficError(
+            f"{path}: time {text!r} is not a number of seconds. Record it without --human-readable-time."
+        ) from None
+
+
+def _lacks(path: Path, column: str) -> TrafficError:
+    return TrafficError(
+        f"{path}: says no {column} of its vehicles. Record it with --fcd-output.attributes x,y,z,angle,type,speed, "
+        "or without that option."
+    )

@@ -1,0 +1,229 @@
+"""Traffic that was recorded before: a trace of SUMO's, or the tables of an earlier run."""
+
+from collections import Counter
+from collections.abc import Iterator
+from functools import cache
+from itertools import repeat
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Int
+from numpy import ndarray
+
+from cosim.mobility.fcd import Moment, moments
+from cosim.mobility.source import (
+    SHAPE_OF_CLASS,
+    TrafficError,
+    TrafficOver,
+    TrafficParams,
+    world_from_bumpers,
+    world_of,
+)
+from cosim.roster import Roster
+from cosim.world import World
+from results.archive import Run, open_run
+from sensors.boxes import Boxes
+from sensors.scene import Shape
+from sumo_nets import vtypes
+
+_UNKNOWN, _LEFT_OUT = -2, -1
+_TOLERANCE_S = 1e-4
+_LOOK_AHEAD = 10
+"""Moments from which the interval of a trace is told."""
+
+
+class Trace:
+    """A trace that SUMO wrote with `--fcd-output`, played back.
+
+    Step 0 is what a live run begins with: the world before the trace's first moment. Step s shows the moment at
+    `begin + warm-up + (s - 1) * step_s`, because SUMO stamps a step with the time at which it began.
+
+    Sizes and classes come from the types that `files` define, else from the type's name.
+    """
+
+    def __init__(
+        self,
+        params: TrafficParams,
+        path: Path,
+        roster: Roster,
+        files: tuple[Path, ...] = (),
+        origin_m: tuple[float, float] = (0.0, 0.0),
+    ) -> None:
+        self._path, self._roster, self._origin_m = path, roster, origin_m
+        self._types = _types_of(files)
+        self._dt_s = params.step_s
+        self._number: dict[str, int] = {}
+        self._left_out: Counter[str] = Counter()
+        self._moments = moments(path)
+        self._ahead = [moment for _, moment in zip(range(_LOOK_AHEAD), self._moments, strict=False)]
+        if not any(moment.names for moment in self._ahead) and len(self._ahead) < _LOOK_AHEAD:
+            raise TrafficError(f"{path}: an empty trace: nobody is ever on the road.")
+        times_s = np.array([moment.time_s for moment in self._ahead])
+        every_s = np.diff(times_s).min() if len(times_s) > 1 else self._dt_s
+        steps = self._dt_s / every_s
+        if abs(steps - round(steps)) > 1e-3 or steps < 1 - 1e-3:
+            raise TrafficError(
+                f"{path} tells where everybody is every {every_s:g} s, traffic.step_s = {self._dt_s:g} s is no "
+                "multiple of it. Set traffic.step_s to a multiple, or record the trace more finely."
+            )
+        self._begin_s = float(times_s[0]) if params.begin_s is None else params.begin_s
+        self._unseen = self._step = 0
+
+    def warm_up(self, seconds: float) -> Iterator[float]:
+        """Pass over the first `seconds`; yields the seconds done."""
+        self._unseen = round(seconds / self._dt_s)
+        yield seconds
+
+    def advance(self) -> World:
+        """The next step."""
+        step, self._step = self._step, self._step + 1
+        moment = self._at(self._begin_s + (self._unseen + step - 1) * self._dt_s)
+        number = self._numbers(moment.names)
+        if (number == _UNKNOWN).any():
+            self._enrol(moment, np.flatnonzero(number == _UNKNOWN), step)
+            number = self._numbers(moment.names)
+        seen = number >= 0
+        return world_from_bumpers(
+            step, number[seen], moment.front_m[seen], moment.compass_deg[seen], moment.speed_mps[seen],
+            self._roster, self._origin_m,
+        )  # fmt: skip
+
+    def report(self) -> dict[str, Any]:
+        return {"actors_left_out": dict(sorted(self._left_out.items()))}
+
+    def close(self) -> None:
+        self._moments.close()  # type: ignore[attr-defined]
+
+    def _at(self, time_s: float) -> Moment:
+        last_s = self._begin_s
+        while True:
+            if not self._ahead and (moment := next(self._moments, None)) is not None:
+                self._ahead.append(moment)
+            if not self._ahead:
+                raise TrafficOver(f"{self._path} ends at {last_s:g} s")
+            first = self._ahead[0]
+            if first.time_s > time_s + _TOLERANCE_S:  # nobody was on the road: no row tells so
+                return Moment(time_s, [], [], np.zeros((0, 3)), np.zeros(0), np.zeros(0))
+            self._ahead.pop(0)
+            last_s = first.time_s
+            if first.time_s > time_s - _TOLERANCE_S:
+                return first
+
+    def _numbers(self, names: list[str]) -> Int[ndarray, "n"]:
+        return np.fromiter(map(self._number.get, names, repeat(_UNKNOWN)), np.int32, len(names))
+
+    def _enrol(self, moment: Moment, rows: Int[ndarray, "k"], step: int) -> None:
+        names, shapes, lwh_m = [], [], []
+        for row in rows.tolist():
+            kind = self._types(moment.types[row])
+            shape = SHAPE_OF_CLASS.get(kind.vclass)
+            if shape is None:
+                self._number[moment.names[row]] = _LEFT_OUT
+                self._left_out[kind.vclass] += 1
+                continue
+            names.append(moment.names[row])
+            shapes.append(shape)
+            lwh_m.append(kind.lwh_m)
+        numbers = self._roster.enrol(names, np.array(shapes, np.uint8), np.array(lwh_m, float).reshape(-1, 3), step)
+        self._number.update(zip(names, numbers.tolist(), strict=True))
+
+
+class Recorded:
+    """The tables `actors` and `vehicles` of an earlier run, played back: the world that it saw, to the bit."""
+
+    def __init__(self, params: TrafficParams, folder: Path, roster: Roster) -> None:
+        run = open_run(folder)
+        run.require("actors", "vehicles")
+        every = params.step_s / run.dt_s
+        if abs(every - round(every)) > 1e-9 or every < 1 - 1e-9:
+            raise ValueError(
+                f"{folder} was recorded every {run.dt_s:g} s, traffic.step_s = {params.step_s:g} s is no multiple of "
+                "it. Set traffic.step_s to a multiple."
+            )
+        if params.begin_s is not None:
+            raise ValueError(
+                "traffic.begin_s cannot be set where a run is replayed: it begins where the run began. "
+                "Set traffic.warmup_s to pass over its first seconds."
+            )
+        vehicles = run.table("vehicles").sort_values("vehicle")
+        self._names = vehicles.sumo_id.tolist()
+        self._shape = np.array([Shape[k.upper()] for k in vehicles.kind], np.uint8)
+        self._lwh_m = vehicles[["length_m", "width_m", "height_m"]].to_numpy(float)
+        self._number = np.full(len(vehicles), _UNKNOWN, np.int32)
+        self._run, self._roster, self._dt_s = run, roster, params.step_s
+        self._every = round(every)
+        self._steps = _steps_of(run)
+        self._ahead: tuple[int, dict[str, ndarray]] | None = None
+        self._unseen = self._step = 0
+
+    def warm_up(self, seconds: float) -> Iterator[float]:
+        """Pass over the first `seconds`; yields the seconds done."""
+        self._unseen = round(seconds / self._dt_s)
+        yield seconds
+
+    def advance(self) -> World:
+        """The next step."""
+        step, self._step = self._step, self._step + 1
+        wanted = (self._unseen + step) * self._every
+        if wanted >= self._run.manifest["steps"]:
+            raise TrafficOver(f"{self._run.path} ends after {self._run.manifest['steps'] * self._run.dt_s:g} s")
+        rows = self._at(wanted)
+        actor = rows["actor"]
+        new = actor[self._number[actor] == _UNKNOWN]
+        if len(new):
+            names = [self._names[i] for i in new.tolist()]
+            self._number[new] = self._roster.enrol(names, self._shape[new], self._lwh_m[new], step)
+        number = self._number[actor]
+        order = np.argsort(number)
+        number = number[order]
+        xyz_m, yaw_rad, speed = (rows[name][order] for name in ("xyz_m", "yaw_rad", "speed_mps"))
+        return world_of(step, number, Boxes(xyz_m, self._roster.lwh_m[number], yaw_rad), speed, self._roster)
+
+    def report(self) -> dict[str, Any]:
+        """What the run that was replayed said."""
+        summary = self._run.manifest.get("summary", {})
+        return {name: summary[name] for name in ("teleports", "actors_left_out") if name in summary}
+
+    def close(self) -> None:
+        self._steps.close()  # type: ignore[attr-defined]
+
+    def _at(self, step: int) -> dict[str, ndarray]:
+        while self._ahead is None or self._ahead[0] < step:
+            self._ahead = next(self._steps, None)
+            if self._ahead is None:
+                break
+        if self._ahead is None or self._ahead[0] > step:  # nobody was on the road
+            none = np.zeros(0)
+            return {"actor": none.astype(np.int32), "xyz_m": none.reshape(0, 3), "yaw_rad": none, "speed_mps": none}
+        return self._ahead[1]
+
+
+def _steps_of(run: Run) -> Iterator[tuple[int, dict[str, ndarray]]]:
+    """Rows of the table `actors` step by step, one block of the table in memory at a time."""
+    for part in run.parts("actors"):
+        step = part.step.to_numpy()
+        columns = {
+            "actor": part.actor.to_numpy(),
+            "xyz_m": part[["x_m", "y_m", "z_m"]].to_numpy(float),
+            "yaw_rad": part.yaw_rad.to_numpy(float),
+            "speed_mps": part.speed_mps.to_numpy(float),
+        }
+        cuts = np.flatnonzero(np.diff(step)) + 1
+        begins, ends = np.append(0, cuts), np.append(cuts, len(step))
+        for begin, end in zip(begins.tolist(), ends.tolist(), strict=True):
+            yield int(step[begin]), {name: column[begin:end] for name, column in columns.items()}
+
+
+def _types_of(files: tuple[Path, ...]):
+    """Types by name: read when the first is asked for, from additional files before the demand's."""
+    known: dict[str, vtypes.VehicleType] = {}
+    left = list(files)
+
+    @cache
+    def look_up(name: str) -> vtypes.VehicleType:
+        while name not in known and left:
+            known.update(vtypes.read([left.pop(0)]))
+        return known.get(name) or vtypes.guess(name)
+
+    return look_up
