@@ -26,9 +26,10 @@ def conclude(folder: Path, as_json: bool) -> None:
 
     finished = open_run(folder)
     rows = rows_of(measured(finished, max_frames=200))
-    picture = None
-    if "trust" in finished.tables and len(finished.trust):
-        picture = style.save(FIGURES["trust"]([finished]), folder / "trust.png")
+    try:
+        picture: Path | str = style.save(FIGURES["trust"]([finished]), folder / "trust.png")
+    except ValueError as nothing_to_draw:
+        picture = f"(no picture) {nothing_to_draw}"
     manifest = finished.manifest
     spent_s = sum(manifest["timings_s"].values())
     simulated_s = manifest["steps"] * finished.dt_s
@@ -43,8 +44,7 @@ def conclude(folder: Path, as_json: bool) -> None:
         highlight=False,
     )  # fmt: skip
     screen.print(f"tables and manifest in {folder}", highlight=False, soft_wrap=True)
-    if picture:
-        screen.print(f"trust over time in {picture}", highlight=False, soft_wrap=True)
+    screen.print(f"trust over time in {picture}", highlight=False, soft_wrap=True)
 
 
 HEADLINES = {
@@ -72,8 +72,10 @@ def table_of(title: str, rows: list[dict], headlines: dict[str, tuple[str, ...]]
     table = Table("", "figure", "of", value_column, "unit", title=title, title_justify="left", box=SIMPLE)
     last = ""
     for row in rows:
-        if headlines is not None and not row["figure"].startswith(headlines.get(row["topic"], ())):
-            continue
+        if headlines is not None:
+            known = row["figure"].startswith(headlines.get(row["topic"], ()))
+            if not known or row["value"] is None or ", of " in row["of"]:
+                continue
         if row["topic"] != last and last:
             table.add_section()
         value = row["value"]
