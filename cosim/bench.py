@@ -31,6 +31,7 @@ def bench() -> list[Row]:
     config = load(None, ["fleet.penetration_p=1", "adversary.start_s=0"])
     scenario = find(config.traffic.scenario)
     roster = Roster(config.fleet, config.seed)
+    assert scenario.sumocfg is not None
     traffic = SumoTraffic(config.traffic, scenario.sumocfg, roster)
     for _ in traffic.warm_up(scenario.warmup_s):
         pass
@@ -88,6 +89,8 @@ BENCHES: dict[str, str] = {
     "sensors": "sensors.bench",
     "trust": "trust.bench",
     "v2x": "cosim.v2x.bench",
+    "mobility": "cosim.mobility.bench",
+    "results": "results.bench",
     "cycle": "cosim.bench",
 }
 """Modules whose `bench()` measures a room."""

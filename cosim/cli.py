@@ -10,6 +10,7 @@ from rich.box import SIMPLE
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
+from cosim.nets import nets
 from cosim.screen import conclude, notes, print_json, rows_of, screen, table_of
 
 app = typer.Typer(
@@ -18,7 +19,6 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     help="Co-simulation of cooperative perception under trust at city scale.",
 )
-nets = typer.Typer(no_args_is_help=True, help="The cities that ship.")
 app.add_typer(nets, name="nets")
 
 ConfigPath = Annotated[Path | None, typer.Argument(help="TOML file; without one, the shipped city.")]
@@ -56,6 +56,8 @@ def run(
 
         folder = running.run(experiment, out, advance)
     conclude(folder, as_json)
+    for remark in running.remarks(folder):
+        notes.print(remark, highlight=False, markup=False, soft_wrap=True)
 
 
 @app.command()
@@ -75,12 +77,17 @@ def check(config: ConfigPath = None, overrides: Overrides = None, as_json: AsJso
 
 
 @app.command()
-def measure(runs: RunPaths, as_json: AsJson = False) -> None:
+def measure(
+    runs: RunPaths,
+    threshold: Annotated[float, typer.Option(help="Trust below which a liar counts as found out.")] = 0.25,
+    fresh_s: Annotated[float, typer.Option(help="Oldest age at which trust counts as fresh [s].")] = 10.0,
+    as_json: AsJson = False,
+) -> None:
     """Print the figures that every study needs."""
     from results.archive import open_run
     from results.measure import measure as measured
 
-    tables = {str(folder): measured(open_run(folder)) for folder in runs}
+    tables = {str(folder): measured(open_run(folder), threshold, fresh_s) for folder in runs}
     if as_json:
         print_json({name: rows_of(table) for name, table in tables.items()})
         return
@@ -93,18 +100,31 @@ def plot(
     what: Annotated[Picture, typer.Argument(help="Which figure.")],
     runs: RunPaths,
     out: Annotated[Path | None, typer.Option(help="File to write: .png, .svg or .pdf.")] = None,
-    vehicle: Annotated[list[int] | None, typer.Option(help="trust only: draw this vehicle too. Repeatable.")] = None,
+    vehicles: Annotated[
+        list[int] | None, typer.Option("--vehicle", help="trust: draw this vehicle too. Repeatable.")
+    ] = None,
+    over: Annotated[
+        str | None, typer.Option(help="freshness: hold the runs against this number, e.g. trust.freshness_s.")
+    ] = None,
+    fresh_s: Annotated[float | None, typer.Option(help="freshness: oldest age that counts as fresh [s].")] = None,
+    radius_m: Annotated[float | None, typer.Option(help="map, contacts: which of the radii recorded [m].")] = None,
+    pairs: Annotated[str | None, typer.Option(help="map, contacts: which of the pairs recorded.")] = None,
 ) -> None:
     """Draw a figure of one or several runs."""
+    from inspect import signature
+
     from results.archive import open_run
     from results.figures import style
     from results.figures.catalogue import FIGURES
 
-    if vehicle and what != "trust":
-        raise ValueError(f"--vehicle goes with `cosim plot trust` only, not with {what}. Leave it out.")
-    opened = [open_run(folder) for folder in runs]
-    figure = FIGURES[what](opened, vehicle) if vehicle else FIGURES[what](opened)
-    path = style.save(figure, out or runs[0] / f"{what}.png")
+    options = {"vehicles": vehicles, "over": over, "fresh_s": fresh_s, "radius_m": radius_m, "pairs": pairs}
+    given = {name: value for name, value in options.items() if value}
+    for name in given:
+        takers = [figure for figure, draw in FIGURES.items() if name in signature(draw).parameters]
+        if what not in takers:
+            flag = "vehicle" if name == "vehicles" else name.replace("_", "-")
+            raise ValueError(f"--{flag} goes with `cosim plot {' or '.join(takers)}`, not with {what}. Leave it out.")
+    path = style.save(FIGURES[what]([open_run(folder) for folder in runs], **given), out or runs[0] / f"{what}.png")
     screen.print(f"wrote {path}", highlight=False, soft_wrap=True)
 
 
@@ -149,7 +169,7 @@ def reproduce(
 
 @app.command()
 def bench(
-    only: Annotated[list[str] | None, typer.Argument(help="sensors, trust, v2x, cycle; all by default.")] = None,
+    only: Annotated[list[str] | None, typer.Argument(help="sensors, trust, v2x, mobility, results, cycle.")] = None,
     as_json: AsJson = False,
 ) -> None:
     """Measure the speed of every room on this machine."""
@@ -165,21 +185,6 @@ def bench(
         print_json({"machine": machine(), "figures": rows})
     else:
         screen.print(table_of(machine(), rows))
-
-
-@nets.command("list")
-def nets_list(as_json: AsJson = False) -> None:
-    """List the cities that ship."""
-    from sumo_nets import catalogue
-
-    found = [catalogue.find(name) for name in catalogue.names()]
-    if as_json:
-        print_json([{"name": n.name, "description": n.description, "licence": n.licence} for n in found])
-        return
-    table = Table("name", "what", "licence")
-    for net in found:
-        table.add_row(net.name, net.description, f"{net.licence}; {net.attribution}")
-    screen.print(table)
 
 
 def main() -> None:

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, UInt8
+from jaxtyping import Bool, Float, Int, UInt8, UInt64
 from numpy import ndarray
 
 from cosim import rng
@@ -26,6 +26,7 @@ from cosim.v2x.server import Downlink, Edition, Uplink
 from cosim.world import World
 from sensors import detector, evidence, lidar
 from sensors.boxes import Boxes, overlapping_pairs
+from sensors.clutter import N_CLUTTER_DRAWS
 from sensors.scene import Scene
 from trust import evaluation, fusion, matching, tables
 from trust.ledger import SERVER, Ledger, Standing
@@ -239,12 +240,11 @@ def _perceive(world: World, observers: Int[ndarray, "e"], sweeps: lidar.Sweeps, 
     """Self reports and what the detectors make of the sweeps; the truth's name is dropped here."""
     step, names = world.step, world.name_key
     sights = evidence.sightings(sweeps, world.boxes, world.shape)
-    who = names[observers[sights.o]], names[sights.actor]
     what = np.repeat(names[observers], CLUTTER_SLOTS), np.tile(np.arange(CLUTTER_SLOTS), len(observers))
     draws = detector.DetectorDraws(
-        rng.uniforms(rng.key(config.seed, rng.Stream.DETECTION, step), *who, n=detector.N_SIGHTING_DRAWS),
-        rng.uniforms(rng.key(config.seed, rng.Stream.CLUTTER, step), *what, n=detector.N_CLUTTER_DRAWS)
-        .reshape(len(observers), CLUTTER_SLOTS, detector.N_CLUTTER_DRAWS),
+        luck(names[observers[sights.o]], names[sights.actor], step, config),
+        rng.uniforms(rng.key(config.seed, rng.Stream.CLUTTER, step), *what, n=N_CLUTTER_DRAWS)
+        .reshape(len(observers), CLUTTER_SLOTS, N_CLUTTER_DRAWS),
     )  # fmt: skip
     found = detector.detect(sweeps, sights, world.boxes, world.label, draws, config.detector)
     n = len(found.o)
@@ -260,6 +260,19 @@ def _perceive(world: World, observers: Int[ndarray, "e"], sweeps: lidar.Sweeps, 
     )
     parts = [self_reports(world, observers), sensed] if config.trust.self_reports else [sensed]
     return sights, Detections.concat(parts), ~found.is_clutter, found.actor
+
+
+def luck(
+    observer: UInt64[ndarray, "s"], actor: UInt64[ndarray, "s"], step: int, config: Config
+) -> Float[ndarray, "s n"]:
+    """The detectors' luck with every actor (both by the keys of their names): in part new in this step, in part lasting."""
+    model, n = detector.resolved(config.detector), detector.N_SIGHTING_DRAWS
+    fresh = rng.normals(rng.key(config.seed, rng.Stream.DETECTION, step), observer, actor, n=n)
+    lasting = rng.persistent(
+        rng.key(config.seed, rng.Stream.DETECTION_MEMORY), observer, actor,
+        time_s=step * config.traffic.step_s, memory_s=model.memory_s, n=n,
+    )  # fmt: skip
+    return np.sqrt(1.0 - model.memory_share) * fresh + np.sqrt(model.memory_share) * lasting
 
 
 def _claims(said: Detections, observers: Int[ndarray, "e"]) -> tuple[Claims, Int[ndarray, "e+1"]]:

@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Float, UInt64
 from numba import njit
 from numpy import ndarray
+from scipy.special import ndtri
 
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _A = np.uint64(0xBF58476D1CE4E5B9)
@@ -41,6 +42,7 @@ class Stream(IntEnum):
     SHADOWING = 12
     CHANNEL = 13
     GENERATION = 14
+    DETECTION_MEMORY = 15
 
 
 @njit(cache=True, inline="always")
@@ -93,6 +95,27 @@ def keys(prefix: np.uint64, *ids: ndarray) -> UInt64[ndarray, "n"]:
 def uniforms(prefix: np.uint64, *ids: ndarray, n: int = 1) -> Float[ndarray, "rows n"]:
     """`n` uniforms in [0, 1) for each row of identifiers."""
     return _uniform_rows(keys(prefix, *ids), n)
+
+
+def normals(prefix: np.uint64, *ids: ndarray, n: int = 1) -> Float[ndarray, "rows n"]:
+    """`n` standard normals for each row of identifiers."""
+    return ndtri(np.maximum(uniforms(prefix, *ids, n=n), _TO_UNIT))
+
+
+def persistent(prefix: np.uint64, *ids: ndarray, time_s: float, memory_s: float, n: int = 1) -> Float[ndarray, "rows n"]:
+    """`n` standard normals for each row of identifiers, as functions of time that change slowly.
+
+    Notes
+    -----
+    Normals stand every `memory_s` seconds, at moments of each row's own; between two of them, a and b, the value is
+    (1 - w) a + w b at unit variance. Hence no state and no order: the correlation over a lag of half of `memory_s`
+    is about 0.75, and none is left after twice `memory_s`.
+    """
+    phase = uniforms(prefix, *ids)[:, 0]
+    cell, w = np.divmod(time_s / memory_s + phase, 1.0)
+    before, after = (normals(prefix, *ids, cell + step, n=n) for step in (1.0, 2.0))
+    w = w[:, None]
+    return ((1.0 - w) * before + w * after) / np.sqrt((1.0 - w) ** 2 + w**2)
 
 
 def name_key(name: str) -> int:

@@ -1,5 +1,6 @@
 """A run, from config to folder."""
 
+import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -63,6 +64,18 @@ def run(config: Config, out: Path | None, advance: Advance) -> Path:
         traffic.close()
     manifest.write("finished")
     return folder
+
+
+def remarks(folder: Path) -> list[str]:
+    """What a user should know of a finished run before they trust its figures; mostly nothing."""
+    summary = json.loads((folder / "manifest.json").read_text(encoding="utf-8"))["summary"]
+    said = []
+    if "ended_early" in summary:
+        said.append(f"note: {summary['ended_early']}.")
+    if left_out := summary.get("actors_left_out"):
+        counts = ", ".join(f"{n} {kind}" for kind, n in left_out.items())
+        said.append(f"note: left out, because they are not on the road: {counts}.")
+    return said
 
 
 def _drive(

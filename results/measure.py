@@ -136,7 +136,10 @@ def _trust(run: Run, threshold: float) -> Iterator[Line]:
         yield "final trust, mean", row.behaviour, row.mean, "1"
     for behaviour, values in trust.values(run).groupby("behaviour", observed=True).trust:
         yield "trust, mean over the run", str(behaviour), float(values.mean()), "1"
-    yield "honest above malicious at the end", "", trust.separation(run), "1"
+    if not np.isnan(apart := trust.separation(run)):
+        yield "honest above malicious at the end", "", apart, "1"
+    for row in trust.below(run, threshold).itertuples():
+        yield f"trust below {threshold:g}, share of values", row.behaviour, row.share, "1"
     places: list[trust.At] = ["server"] if trust.kept_at(run) == "server" else []
     places += ["vehicles"] if "uses" in run.tables else []
     for at in places:
@@ -150,6 +153,10 @@ def _trust(run: Run, threshold: float) -> Iterator[Line]:
 def _freshness(run: Run, fresh_s: float) -> Iterator[Line]:
     for row in freshness.evidence(run).itertuples():
         yield "newest evidence at the server, median age", row.behaviour, row.newest_age_s, "s"
+    for row in freshness.without_trust(run).itertuples():
+        of = f"{row.pairs}, {row.radius_m:g} m"
+        yield "encounters over before trust was known", of, row.share, "1"
+        yield "wait for trust in an encounter, median", of, row.wait_median_s, "s"
     for row in freshness.shares(run, fresh_s).itertuples():
         yield f"trust at use (fresh: at most {fresh_s:g} s)", row.state, row.share, "1"
     for row in freshness.shares_by_behaviour(run, fresh_s).itertuples():
@@ -164,10 +171,6 @@ def _freshness(run: Run, fresh_s: float) -> Iterator[Line]:
             yield "newest evidence at use, mean age", row.behaviour, row.newest_s, "s"
             if not np.isnan(row.oldest_s):
                 yield "oldest evidence at use, mean age", row.behaviour, row.oldest_s, "s"
-    for row in freshness.without_trust(run).itertuples():
-        of = f"{row.pairs}, {row.radius_m:g} m"
-        yield "encounters over before trust was known", of, row.share, "1"
-        yield "wait for trust in an encounter, median", of, row.wait_median_s, "s"
 
 
 def _radio(run: Run) -> Iterator[Line]:

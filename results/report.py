@@ -32,6 +32,9 @@ table { border-collapse: collapse; width: 100%; font-size: 13.5px; }
 th, td { text-align: left; padding: 3px 10px 3px 0; border-bottom: 1px solid var(--line); vertical-align: top; }
 th { color: var(--soft); font-weight: 600; } td.number { text-align: right; font-variant-numeric: tabular-nums; }
 th.number { text-align: right; } .wide { overflow-x: auto; }
+.numbers { table-layout: fixed; max-width: 760px; } .numbers th:nth-child(1) { width: 46%; }
+.numbers th:nth-child(2) { width: 34%; } .numbers td { border-top: 1px solid var(--line); border-bottom: 0; }
+.numbers .more td { border-top: 0; padding-top: 0; }
 details { margin: 8px 0; } summary { cursor: pointer; font-weight: 600; }
 pre { background: var(--tint); padding: 12px; overflow-x: auto; font-size: 12.5px; }
 code { font-family: ui-monospace, "DejaVu Sans Mono", monospace; font-size: 0.93em; }
@@ -54,7 +57,7 @@ def page(run: Run) -> str:
     numbers = measure(run)
     parts = [
         f"<h1>{escape(run.name)}</h1>",
-        f'<p class="soft">A co-simulation run: {escape(_span(run))}.</p>',
+        f'<p class="soft">{escape(_span(run))}</p>',
         "<nav>" + "".join(f'<a href="#{name.lower()}">{name}</a>' for name in _SECTIONS) + "</nav>",
         _facts(run, numbers),
         '<h2 id="figures">Figures</h2>',
@@ -78,14 +81,16 @@ _SECTIONS = ("Figures", "Numbers", "Tables", "Provenance")
 
 
 def _span(run: Run) -> str:
-    return f"{run.manifest['steps']} steps of {run.dt_s:g} s, {run.manifest['steps'] * run.dt_s:g} s in all"
+    net, seed = run.manifest.get("net", {}).get("name", "a city"), run.manifest.get("seed", "unknown")
+    steps = run.manifest["steps"]
+    return f"Co-simulation of {net}: {steps * run.dt_s:g} s in {steps} steps of {run.dt_s:g} s, seed {seed}."
 
 
 def _facts(run: Run, numbers: pd.DataFrame) -> str:
     """The few numbers to see first."""
     wanted = [
-        ("actors on the road, mean", "all", "on the road, on average"),
-        ("actors on the road, mean", "equipped", "of them equipped"),
+        ("actors on the road, mean", "all", "actors on the road, on average"),
+        ("actors on the road, mean", "equipped", "equipped vehicles among them"),
         ("duration, median by Kaplan-Meier", None, "median encounter"),
         ("final trust, median", "honest", "final trust, honest"),
         ("final trust, median", "malicious", "final trust, malicious"),
@@ -117,13 +122,14 @@ def _topic(topic: str, frame: pd.DataFrame) -> str:
     frame = frame.drop(lost.index)
     if frame.empty:
         return f"<h3>{escape(topic)}</h3>{gap}"
+    said = frame.figure.mask(frame.figure == frame.figure.shift(), "")
     rows = "".join(
-        f'<tr><td>{escape(row.figure)}</td><td>{escape(row.of)}</td><td class="number">'
-        f"{_number(row.value, row.unit)}</td></tr>"
-        for row in frame.itertuples()
+        f"<tr{'' if figure else ' class=more'}><td>{escape(figure)}</td><td>{escape(row.of)}</td>"
+        f'<td class="number">{_number(row.value, row.unit)}</td></tr>'
+        for figure, row in zip(said, frame.itertuples(), strict=True)
     )
     head = '<tr><th>figure</th><th>of</th><th class="number">value</th></tr>'
-    return f"<h3>{escape(topic)}</h3><table>{head}{rows}</table>{gap}"
+    return f"<h3>{escape(topic)}</h3><table class='numbers'>{head}{rows}</table>{gap}"
 
 
 def _dictionary(run: Run) -> str:
@@ -153,6 +159,8 @@ def _provenance(run: Run) -> str:
 
 def _value(value: Any) -> str:
     if isinstance(value, dict):
+        if not value:
+            return "none"
         return "<br>".join(f"{escape(str(name))}: {_value(item)}" for name, item in value.items())
     return escape(f"{value:g}" if isinstance(value, float) else str(value))
 

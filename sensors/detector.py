@@ -2,91 +2,142 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import tomllib
+from dataclasses import dataclass, fields
+from functools import lru_cache
+from pathlib import Path
+from types import SimpleNamespace
 from typing import Annotated, Literal
 
 import numpy as np
 from annotated_types import Ge, Gt, Le
-from jaxtyping import Bool, Float, Int32, UInt8
-from numba import njit
+from jaxtyping import Bool, Float, Int, Int32, UInt8
 from numpy import ndarray
-from scipy.special import expit, ndtri
+from scipy.special import expit, ndtr
 
 from sensors.boxes import Boxes
+from sensors.clutter import false_alarms
 from sensors.evidence import Sightings, points_in_boxes
 from sensors.lidar import Sweeps
 
-N_SIGHTING_DRAWS = 10
-"""Per sighting: found, score, x, y, z, length, width, height, heading, front and rear mistaken."""
-N_CLUTTER_DRAWS = 6
-"""Per clutter slot: present, which return, class, heading, score, size."""
+N_SIGHTING_DRAWS = 16
+"""Per sighting: found; score; x, y, z; length, width, height; heading; front and rear mistaken; taken for another
+class; reported twice, and of the second box the score, x, y and heading."""
+
+Share = Annotated[float, Ge(0), Le(1)]
+PerClass = tuple[float, float, float, float]
+"""Car, pedestrian, cyclist, truck."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class DetectorParams:
-    """The detector of every equipped vehicle; tuples hold one value per class: car, pedestrian, cyclist, truck.
+    """The detector of every equipped vehicle; whatever is not set is the profile's, from `sensors/profiles`.
 
-    The numbers describe AVOD, the detector of the TruPercept paper, in order of magnitude. They are estimates, not
-    yet calibrated against its output: the paper gives only its AP (car 66.8 / 62.8 / 52.1 %, pedestrian
-    84.2 / 78.7 / 75.1 %, easy / moderate / hard).
+    Tuples hold one value per class: car, pedestrian, cyclist, truck.
     """
 
-    profile: Literal["avod", "ideal"] = "avod"
-    """`avod`: the model below. `ideal`: everything with a return is found, exactly, with score 1, and nothing else."""
-    found_max_p: tuple[float, float, float, float] = (0.97, 0.94, 0.90, 0.95)
-    """Chance to find an unoccluded object with very many returns. Estimate."""
-    half_returns: tuple[float, float, float, float] = (12.0, 8.0, 9.0, 20.0)
-    """Returns at which half of `found_max_p` is reached. Estimate: KITTI's hard cars carry some ten returns."""
-    steepness: Annotated[float, Gt(0)] = 1.5
-    """Slope of that curve over the logarithm of the returns. Estimate."""
-    occlusion_loss: Annotated[float, Ge(0), Le(1)] = 0.35
-    """Share of the chance that full occlusion takes, beyond the returns it takes. Estimate: AP easy to hard."""
-    score_logit: Annotated[float, Ge(-20), Le(20)] = 0.5
-    """Mean log-odds of the score at `half_returns`. Estimate."""
-    score_gain: Annotated[float, Ge(0)] = 1.0
-    """Log-odds gained per e-fold of returns. Estimate."""
-    score_occlusion: Annotated[float, Ge(0)] = 1.0
-    """Log-odds lost at full occlusion. Estimate."""
-    score_sigma: Annotated[float, Ge(0)] = 0.8
-    """Spread of the log-odds. Estimate."""
-    xy_sigma_m: tuple[float, float, float, float] = (0.06, 0.05, 0.06, 0.10)
-    """Smallest position error along and across the box [m]. Estimate."""
-    xy_sigma_per_m: Annotated[float, Ge(0)] = 0.001
-    """Position error gained per metre of range [m/m]. Estimate."""
-    xy_sigma_sparse_m: tuple[float, float, float, float] = (0.6, 0.25, 0.35, 1.0)
-    """Position error of an object with one return, falling with the square root of the returns [m]. Estimate."""
-    z_share: Annotated[float, Ge(0)] = 0.5
-    """Vertical position error as a share of the horizontal one: the road is well known. Estimate."""
-    size_sigma: Annotated[float, Ge(0)] = 0.04
-    """Relative error of length, width and height of a dense object. Estimate."""
-    size_sigma_sparse: Annotated[float, Ge(0)] = 0.15
-    """Relative size error added at one return, falling with the square root of the returns. Estimate."""
-    yaw_sigma_rad: tuple[float, float, float, float] = (0.03, 0.30, 0.10, 0.03)
-    """Heading error of a dense object [rad]. Estimate; pedestrians are nearly round."""
-    yaw_sigma_sparse_rad: Annotated[float, Ge(0)] = 0.3
-    """Heading error added at one return, falling with the square root of the returns [rad]. Estimate."""
-    flip_p: Annotated[float, Ge(0), Le(1)] = 0.02
-    """Chance that front and rear are mistaken. Estimate: AVOD's orientation similarity is about 0.98 of its AP."""
-    clutter_per_sweep: Annotated[float, Ge(0)] = 0.5
-    """Mean number of false boxes per sweep, at most the number of clutter slots drawn. Estimate."""
-    clutter_mix: tuple[float, float, float, float] = (0.55, 0.30, 0.15, 0.0)
-    """Class shares of false boxes. Estimate."""
-    clutter_logit: Annotated[float, Ge(-20), Le(20)] = -1.8
-    """Mean log-odds of a false box's score. Estimate."""
-    clutter_lwh_m: tuple[tuple[float, float, float], ...] = (
-        (4.2, 1.75, 1.5), (0.7, 0.6, 1.75), (1.75, 0.6, 1.7), (9.0, 2.5, 3.3),
-    )  # fmt: skip
-    """Mean size of a false box per class [m]. The first three: mean label sizes of KITTI, rounded."""
-    min_score: Annotated[float, Ge(0), Le(1)] = 0.01
-    """Boxes below are not reported, as in the paper's output."""
+    profile: Literal["avod", "pointpillars", "ideal"] = "avod"
+    """`avod`, `pointpillars`: fitted to the detectors of that name. `ideal`: everything with a return is found,
+    exactly, with score 1, and nothing else."""
+    found_max_p: PerClass | None = None
+    """Chance to find an unoccluded object with very many returns."""
+    half_returns: PerClass | None = None
+    """Returns at which half of `found_max_p` is reached."""
+    steepness: Annotated[float, Gt(0)] | None = None
+    """Slope of that curve over the logarithm of the returns."""
+    occlusion_loss: PerClass | None = None
+    """Share of the chance that full occlusion takes, beyond the returns it takes."""
+    score_logit: PerClass | None = None
+    """Mean log-odds of the score at `half_returns`."""
+    score_gain: Annotated[float, Ge(0)] | None = None
+    """Log-odds gained per e-fold of returns."""
+    score_occlusion: Annotated[float, Ge(0)] | None = None
+    """Log-odds lost at full occlusion."""
+    score_error: PerClass | None = None
+    """Log-odds lost per unit of squared horizontal error in standard deviations: bad boxes are less sure."""
+    score_sigma: Annotated[float, Ge(0)] | None = None
+    """Spread of the log-odds."""
+    xy_sigma_m: PerClass | None = None
+    """Smallest position error along and across the box [m]."""
+    xy_sigma_per_m: Annotated[float, Ge(0)] | None = None
+    """Position error gained per metre of range [m/m]."""
+    xy_sigma_sparse_m: PerClass | None = None
+    """Position error of an object with one return, falling with the square root of the returns [m]."""
+    z_share: Annotated[float, Ge(0)] | None = None
+    """Vertical position error as a share of the horizontal one: the road is well known."""
+    size_sigma: PerClass | None = None
+    """Relative error of length, width and height of a dense object."""
+    size_sigma_sparse: PerClass | None = None
+    """Relative size error added at one return, falling with the square root of the returns."""
+    yaw_sigma_rad: PerClass | None = None
+    """Heading error of a dense object [rad]."""
+    yaw_sigma_sparse_rad: Annotated[float, Ge(0)] | None = None
+    """Heading error added at one return, falling with the square root of the returns [rad]."""
+    flip_p: Share | None = None
+    """Chance that front and rear are mistaken."""
+    taken_for_p: tuple[PerClass, PerClass, PerClass, PerClass] | None = None
+    """Chance that an object of the row's class is reported as one of the column's."""
+    duplicate_p: Share | None = None
+    """Chance that an object that is found is reported a second time, farther off and less surely."""
+    duplicate_logit: Annotated[float, Ge(0)] | None = None
+    """Log-odds by which the second report is less sure, on average."""
+    duplicate_sigma: Annotated[float, Ge(0)] | None = None
+    """Position error of the second report, in lengths and widths of its box."""
+    clutter_per_sweep: Annotated[float, Ge(0)] | None = None
+    """Mean number of false boxes per sweep, at most the number of clutter slots drawn."""
+    clutter_mix: PerClass | None = None
+    """Class shares of false boxes."""
+    clutter_road_p: Share | None = None
+    """Share of the false boxes that may stand on open road; the others stand at walls and hidden actors."""
+    clutter_logit: Annotated[float, Ge(-20), Le(20)] | None = None
+    """Mean log-odds of a false box's score."""
+    clutter_sigma: Annotated[float, Ge(0)] | None = None
+    """Spread of those log-odds."""
+    mean_lwh_m: tuple[tuple[float, float, float], ...] | None = None
+    """Usual size of a class: that of false boxes, and of objects taken for another class [m]."""
+    min_score: Share | None = None
+    """Boxes below are not reported."""
+    memory_s: Annotated[float, Gt(0)] | None = None
+    """Time over which luck with the same actor changes [s]; see `cosim.rng.persistent`."""
+    memory_share: Share | None = None
+    """Share of the variance of that luck that lasts; the rest is new in every sweep."""
+
+
+@lru_cache(maxsize=8)
+def _profile(name: str) -> dict:
+    """The parameters of a profile as its file states them; `ideal` sees as AVOD where anybody asks."""
+    path = Path(__file__).parent / "profiles" / f"{'avod' if name == 'ideal' else name}.toml"
+    return tomllib.loads(path.read_text(encoding="utf-8"))["parameters"]
+
+
+def resolved(params: DetectorParams) -> SimpleNamespace:
+    """All numbers of a detector: those set, else the profile's; tuples as arrays."""
+    stated = _profile(params.profile)
+    own = {f.name: getattr(params, f.name) for f in fields(params) if f.name != "profile"}
+    both = {name: stated[name] if value is None else value for name, value in own.items()}
+    return SimpleNamespace(**{n: np.array(v) if isinstance(v, list | tuple) else v for n, v in both.items()})
 
 
 @dataclass(frozen=True, slots=True)
 class DetectorDraws:
-    """The detector's luck: uniforms in [0, 1). All zero: everything that can be found is, without error or clutter."""
+    """The detector's luck. All zero: everything that can be found is, without error or clutter."""
 
-    sighting: Float[ndarray, "s 10"]
-    clutter: Float[ndarray, "m k 6"]
+    sighting: Float[ndarray, "s 16"]
+    """Standard normals. An event of chance p happens where |z| is among the p smallest, a mishap where it is among
+    the p largest, so that luck that changes slowly changes events slowly."""
+    clutter: Float[ndarray, "m k 7"]
+    """Uniforms in [0, 1)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Reports:
+    """Boxes that a detector makes of real actors, in no particular order."""
+
+    o: Int[ndarray, "r"]
+    label: UInt8[ndarray, "r"]
+    boxes: Boxes
+    score: Float[ndarray, "r"]
+    actor: Int[ndarray, "r"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,125 +175,129 @@ def detect(
     Notes
     -----
     Chance, score and errors are functions of the returns n, the occlusion and the range; errors grow as returns
-    thin out and with range. A false box sits on a return of a wall, of the road or of a mostly hidden actor.
-    Simple: classes are never confused, one box per actor, errors are independent from step to step.
+    thin out and with range. A false box stands at a wall, on the road or in the place of a mostly hidden actor.
     """
     n_seen, n_observers = len(sightings.o), len(sweeps.observers)
-    if draws.sighting.shape != (n_seen, N_SIGHTING_DRAWS) or draws.clutter.shape[::2] != (n_observers, N_CLUTTER_DRAWS):
+    if draws.sighting.shape != (n_seen, N_SIGHTING_DRAWS) or len(draws.clutter) != n_observers:
         raise ValueError(
             f"detector draws of shapes {draws.sighting.shape} and {draws.clutter.shape} do not fit {n_seen} sightings "
-            f"({n_seen}, {N_SIGHTING_DRAWS}) of {n_observers} observers ({n_observers}, slots, {N_CLUTTER_DRAWS})."
+            f"({n_seen}, {N_SIGHTING_DRAWS}) of {n_observers} observers ({n_observers}, slots, draws)."
         )
     if params.profile == "ideal":
         rows = np.flatnonzero(sightings.n_returns > 0)
         o, actor = sightings.o[rows], sightings.actor[rows]
         return _sorted(sweeps, o, label[actor], boxes.take(actor), np.ones(len(o)), actor, np.zeros(len(o), bool))
-    o, actor, seen, score = _found(sightings, boxes, label, draws.sighting, params)
-    c_o, c_label, clutter, c_score = _clutter(sweeps, sightings, draws.clutter, params)
+    model = resolved(params)
+    seen = reported(sightings, boxes, label, sweeps.poses.origin_m, draws.sighting, model)
+    c_o, c_label, clutter, c_score = false_alarms(sweeps, sightings, draws.clutter, model)
     return _sorted(
         sweeps,
-        np.concatenate([o, c_o]),
-        np.concatenate([label[actor], c_label]),
-        Boxes.concat([seen, clutter]),
-        np.concatenate([score, c_score]),
-        np.concatenate([actor, np.zeros(len(c_o), np.int32)]),
-        np.arange(len(o) + len(c_o)) >= len(o),
-        params.min_score,
+        np.concatenate([seen.o, c_o]).astype(np.int32),
+        np.concatenate([seen.label, c_label]),
+        Boxes.concat([seen.boxes, clutter]),
+        np.concatenate([seen.score, c_score]),
+        np.concatenate([seen.actor, np.zeros(len(c_o), np.int32)]).astype(np.int32),
+        np.arange(len(seen.o) + len(c_o)) >= len(seen.o),
+        model.min_score,
     )
 
 
-def normal(u: Float[ndarray, "..."]) -> Float[ndarray, "..."]:
-    """Standard normal of a uniform, with 0 for 0: a draw of zero is no error."""
-    return ndtri(np.clip((u + 0.5) % 1.0, 1e-12, 1.0 - 1e-12))
+def luck(z: Float[ndarray, "..."]) -> Float[ndarray, "..."]:
+    """Uniform in [0, 1) of a standard normal, 0 for 0, and continuous."""
+    return np.minimum(2.0 * ndtr(np.abs(z)) - 1.0, 1.0 - 1e-16)
 
 
 def found_p(
-    n_returns: Int32[ndarray, "s"], occlusion: Float[ndarray, "s"], label: UInt8[ndarray, "s"], params: DetectorParams
+    n_returns: Int[ndarray, "s"], occlusion: Float[ndarray, "s"], label: UInt8[ndarray, "s"], model: SimpleNamespace
 ) -> Float[ndarray, "s"]:
     """Chance that an object is found; 0 without returns."""
-    n = n_returns**params.steepness
-    half = np.array(params.half_returns)[label] ** params.steepness
-    return np.array(params.found_max_p)[label] * n / (n + half) * (1.0 - params.occlusion_loss * occlusion)
+    n = np.asarray(n_returns, float) ** model.steepness
+    half = model.half_returns[label] ** model.steepness
+    return model.found_max_p[label] * n / (n + half) * (1.0 - model.occlusion_loss[label] * occlusion)
 
 
-def _found(sightings, boxes, label, u, params):
-    """The sightings that the detector finds, as it reports them."""
-    chance = found_p(sightings.n_returns, sightings.occlusion, label[sightings.actor], params)
-    rows = np.flatnonzero(u[:, 0] < chance)
-    u, actor, kind = u[rows], sightings.actor[rows], label[sightings.actor[rows]]
-    n, occlusion = sightings.n_returns[rows], sightings.occlusion[rows]
-    true = boxes.take(actor)
+def reported(
+    sightings: Sightings,
+    boxes: Boxes,
+    label: UInt8[ndarray, "n"],
+    origin_m: Float[ndarray, "m 3"],
+    z: Float[ndarray, "s 16"],
+    model: SimpleNamespace,
+) -> Reports:
+    """The boxes that the detector makes of those it finds.
+
+    Parameters
+    ----------
+    origin_m
+        Where the sensor of each observer is.
+    """
+    chance = found_p(sightings.n_returns, sightings.occlusion, label[sightings.actor], model)
+    rows = np.flatnonzero(luck(z[:, 0]) < chance)
+    z, o, actor = z[rows], sightings.o[rows], sightings.actor[rows]
+    kind, n, occlusion = label[actor], sightings.n_returns[rows], sightings.occlusion[rows]
+    said = _class_of(kind, luck(z[:, 10]), model.taken_for_p)
+    seen = _as_class(boxes.take(actor), kind, said, origin_m[o], model.mean_lwh_m)
     thin = 1.0 / np.sqrt(n)
-    error = normal(u[:, 1:9])
-    logit = params.score_logit + params.score_gain * np.log(n / np.array(params.half_returns)[kind])
-    score = expit(logit - params.score_occlusion * occlusion + params.score_sigma * error[:, 0])
+    logit = model.score_logit[kind] + model.score_gain * np.log(n / model.half_returns[kind])
+    badness = 0.5 * (z[:, 2] ** 2 + z[:, 3] ** 2)
+    logit += model.score_sigma * z[:, 1] - model.score_occlusion * occlusion - model.score_error[kind] * badness
+
     xy = (
-        np.array(params.xy_sigma_m)[kind]
-        + params.xy_sigma_per_m * sightings.range_m[rows]
-        + np.array(params.xy_sigma_sparse_m)[kind] * thin
+        model.xy_sigma_m[kind]
+        + model.xy_sigma_per_m * sightings.range_m[rows]
+        + model.xy_sigma_sparse_m[kind] * thin
     )
-    offset = error[:, 1:4] * np.column_stack([xy, xy, params.z_share * xy])
-    size = params.size_sigma + params.size_sigma_sparse * thin
-    lwh = true.lwh_m * np.exp(size[:, None] * error[:, 4:7])
-    flip = np.where(u[:, 9] > 1.0 - params.flip_p, np.pi, 0.0)
-    turn = (np.array(params.yaw_sigma_rad)[kind] + params.yaw_sigma_sparse_rad * thin) * error[:, 7] + flip
-    offset[:, 2] += 0.5 * (lwh[:, 2] - true.lwh_m[:, 2])      # the box keeps standing where it stands
-    cos, sin = np.cos(true.yaw_rad), np.sin(true.yaw_rad)
-    along = np.column_stack([cos * offset[:, 0] - sin * offset[:, 1], sin * offset[:, 0] + cos * offset[:, 1]])
-    moved = true.xyz_m + np.column_stack([along, offset[:, 2]])
-    return sightings.o[rows], actor, Boxes(moved, lwh, wrap(true.yaw_rad + turn)), score
+    size = model.size_sigma[kind] + model.size_sigma_sparse[kind] * thin
+    turn = (model.yaw_sigma_rad[kind] + model.yaw_sigma_sparse_rad * thin) * z[:, 8]
+    turn += np.where(luck(z[:, 9]) > 1.0 - model.flip_p, np.pi, 0.0)
+    off = z[:, 2:5] * np.column_stack([xy, xy, model.z_share * xy])
+    lwh = seen.lwh_m * np.exp(size[:, None] * z[:, 5:8])
+    off[:, 2] += 0.5 * (lwh[:, 2] - seen.lwh_m[:, 2])      # the box keeps standing where it stands
+    first = _moved(seen, off, lwh, turn)
+
+    twice = np.flatnonzero(luck(z[:, 11]) > 1.0 - model.duplicate_p)
+    again = first.take(twice)
+    off = np.column_stack([model.duplicate_sigma * z[twice, 13:15] * again.lwh_m[:, :2], np.zeros(len(twice))])
+    second = _moved(again, off, again.lwh_m, 0.5 * model.yaw_sigma_rad[kind[twice]] * z[twice, 15])
+    less = model.duplicate_logit * np.abs(1.0 + 0.5 * z[twice, 12])
+    return Reports(
+        np.concatenate([o, o[twice]]),
+        np.concatenate([said, said[twice]]),
+        Boxes.concat([first, second]),
+        expit(np.concatenate([logit, logit[twice] - less])),
+        np.concatenate([actor, actor[twice]]),
+    )
+
+
+def _class_of(kind: UInt8[ndarray, "r"], u: Float[ndarray, "r"], taken_for_p: Float[ndarray, "4 4"]) -> ndarray:
+    """The class that is reported; without mishap, the right one."""
+    share = taken_for_p.copy()
+    np.fill_diagonal(share, 0.0)
+    bound = 1.0 - np.cumsum(share[:, ::-1], axis=1)[:, ::-1]        # class c where bound[c] <= u < bound[c + 1]
+    return np.where(u < bound[kind, 0], kind, (u[:, None] >= bound[kind]).sum(axis=1) - 1).astype(np.uint8)
+
+
+def _as_class(seen: Boxes, kind: ndarray, said: ndarray, eye_m: Float[ndarray, "r 3"], mean_lwh_m: ndarray) -> Boxes:
+    """Boxes of the size that is usual in the reported class, where that is a wrong one; the near corner stays."""
+    lwh = np.where((kind == said)[:, None], seen.lwh_m, np.minimum(seen.lwh_m, mean_lwh_m[said]))
+    gap = 0.5 * (seen.lwh_m - lwh)
+    away = eye_m - seen.xyz_m
+    cos, sin = np.cos(seen.yaw_rad), np.sin(seen.yaw_rad)
+    along = np.sign(cos * away[:, 0] + sin * away[:, 1]) * gap[:, 0]
+    aside = np.sign(cos * away[:, 1] - sin * away[:, 0]) * gap[:, 1]
+    return _moved(seen, np.column_stack([along, aside, -gap[:, 2]]), lwh, 0.0)
+
+
+def _moved(boxes: Boxes, off_m: Float[ndarray, "r 3"], lwh_m: ndarray, turn_rad: ndarray | float) -> Boxes:
+    """Boxes moved along their own axes, of a new size, and turned."""
+    cos, sin = np.cos(boxes.yaw_rad), np.sin(boxes.yaw_rad)
+    x, y = cos * off_m[:, 0] - sin * off_m[:, 1], sin * off_m[:, 0] + cos * off_m[:, 1]
+    return Boxes(boxes.xyz_m + np.column_stack([x, y, off_m[:, 2]]), lwh_m, wrap(boxes.yaw_rad + turn_rad))
 
 
 def wrap(angle: Float[ndarray, "n"]) -> Float[ndarray, "n"]:
     """The angle in (-pi, pi]."""
     return np.pi - (np.pi - angle) % (2.0 * np.pi)
-
-
-def _clutter(sweeps, sightings, u, params):
-    """False boxes, each on a real return that deserves no box."""
-    slots = u.shape[1]
-    present = u[:, :, 0] > 1.0 - min(1.0, params.clutter_per_sweep / max(slots, 1))
-    o, slot = np.nonzero(present)
-    u = u[o, slot]
-    hidden = sightings.occlusion > 0.8
-    ray = _pick(sweeps.hit, o, u[:, 1], sightings.o[hidden], sightings.actor[hidden])
-    o, u, ray = o[ray >= 0], u[ray >= 0], ray[ray >= 0]
-    column, row = np.divmod(ray, sweeps.hit.shape[2])
-    share = np.cumsum(params.clutter_mix) / np.sum(params.clutter_mix)
-    label = np.searchsorted(share, u[:, 2], side="right").astype(np.uint8)
-    lwh = np.array(params.clutter_lwh_m)[label] * np.exp(0.1 * normal(u[:, 5]))[:, None]
-    xyz = np.empty((len(o), 3))
-    cos, sin = np.cos(sweeps.poses.yaw_rad[o]), np.sin(sweeps.poses.yaw_rad[o])
-    point = sweeps.points(o, column, row)
-    xyz[:, 0] = sweeps.poses.origin_m[o, 0] + cos * point[:, 0] - sin * point[:, 1]
-    xyz[:, 1] = sweeps.poses.origin_m[o, 1] + sin * point[:, 0] + cos * point[:, 1]
-    xyz[:, 2] = sweeps.ground_m[o] + 0.5 * lwh[:, 2]
-    score = expit(params.clutter_logit + params.score_sigma * normal(u[:, 4]))
-    return o.astype(np.int32), label, Boxes(xyz, lwh, wrap(2.0 * np.pi * u[:, 3])), score
-
-
-@njit(cache=True)
-def _pick(hit, o, u, hidden_o, hidden_actor):
-    """A ray per draw that met a wall, the road or a hidden actor: the first one after a random place; -1 if none."""
-    out = np.full(len(o), -1)
-    n = hit.shape[1] * hit.shape[2]
-    for k in range(len(o)):
-        rays = hit[o[k]].ravel()
-        first = np.searchsorted(hidden_o, o[k])
-        last = np.searchsorted(hidden_o, o[k], side="right")
-        start = int(u[k] * n)
-        for i in range(n):
-            ray = (start + i) % n
-            code = rays[ray]
-            if code == 0:
-                continue
-            if code >= 3:
-                at = first + np.searchsorted(hidden_actor[first:last], code - 3)
-                if at == last or hidden_actor[at] != code - 3:
-                    continue
-            out[k] = ray
-            break
-    return out
 
 
 def _sorted(sweeps, o, label, boxes, score, actor, is_clutter, min_score=0.0) -> Detected:

@@ -16,7 +16,7 @@ from numpy import ndarray
 from scipy.special import ndtri
 
 from sensors.boxes import Boxes
-from sensors.raycast import columnar, embree
+from sensors.raycast import columnar, embree, open3d
 from sensors.scene import Scene, prisms
 
 
@@ -93,8 +93,9 @@ class LidarParams:
     """Standard deviation of one range [m]: HDL-64E S2 data sheet, < 2 cm."""
     dropout_p: Annotated[float, Ge(0), Lt(1)] = 0.0
     """Chance that a return is lost."""
-    engine: Literal["columnar", "embree"] = "columnar"
-    """Ray caster; both give the same sweep up to rays that graze an edge."""
+    engine: Literal["columnar", "embree", "open3d"] = "columnar"
+    """Ray caster; all give the same sweep up to rays that graze an edge. `open3d` must be installed:
+    pip install cosim[open3d]."""
 
 
 class Beams(NamedTuple):
@@ -167,6 +168,18 @@ def mount(boxes: Boxes, observers: Int[ndarray, "m"], params: LidarParams) -> Po
 
 
 @dataclass(frozen=True, slots=True)
+class Posts:
+    """K sensors that stand still: on lamp posts, gantries, houses."""
+
+    foot_m: Float[ndarray, "k 3"]
+    """Place on the road below, whose height is that of the ground the sensor sees."""
+    height_m: Float[ndarray, "k"]
+    """Of the sensor over its foot."""
+    yaw_rad: Float[ndarray, "k"]
+    """Where it looks, counter-clockwise from +x."""
+
+
+@dataclass(frozen=True, slots=True)
 class Sweeps:
     """One organised cloud (range image) per observer."""
 
@@ -176,7 +189,7 @@ class Sweeps:
     """What returned, as a `Hit` code. Truth: only truth columns may read it."""
     poses: Poses
     observers: Int[ndarray, "m"]
-    """Actor row that carries each sensor."""
+    """Actor row that carries each sensor; posts count on from the last actor."""
     ground_m: Float[ndarray, "m"]
     """Height of the road under each sensor."""
     beams: Beams
@@ -197,7 +210,7 @@ class Sweeps:
         return np.column_stack([flat * grid.cos_az[column], flat * grid.sin_az[column], r * grid.sin_el[row]])
 
 
-ENGINES: dict[str, Callable[..., None]] = {"columnar": columnar.cast, "embree": embree.cast}
+ENGINES: dict[str, Callable[..., None]] = {"columnar": columnar.cast, "embree": embree.cast, "open3d": open3d.cast}
 
 
 def scan(
@@ -208,8 +221,9 @@ def scan(
     params: LidarParams,
     keys: UInt64[ndarray, "m"],
     out: Sweeps | None = None,
+    posts: Posts | None = None,
 ) -> Sweeps:
-    """One sweep of every observer, all at one instant.
+    """One sweep of every observer, and of every post after them, all at one instant.
 
     Parameters
     ----------
@@ -218,10 +232,13 @@ def scan(
     observers
         Rows of the actors that carry a sensor.
     keys
-        One number per observer that its range noise and dropouts are a function of.
+        One number per observer and post that its range noise and dropouts are a function of.
     out
         An earlier result, whose arrays are written over where they are large enough: spares the memory traffic
         of fresh ones.
+    posts
+        Sensors at the roadside. Their sweeps follow those of the observers; in `Sweeps.observers` post k has the
+        number len(boxes) + k.
 
     Notes
     -----
@@ -229,16 +246,24 @@ def scan(
     wheels. Range noise is normal (4,096 equiprobable levels), along the ray.
     """
     observers = np.asarray(observers, dtype=np.int64)
-    if len(keys) != len(observers):
-        raise ValueError(f"{len(keys)} keys were given for {len(observers)} observers: each needs one of its own.")
+    n_posts = 0 if posts is None else len(posts.foot_m)
+    if len(keys) != len(observers) + n_posts:
+        raise ValueError(
+            f"{len(keys)} keys were given for {len(observers)} observers and {n_posts} posts: each needs one of its own."
+        )
     if len(observers) and not (0 <= observers.min() and observers.max() < len(boxes)):
         raise ValueError(f"observers {observers.min()} .. {observers.max()} are no rows of {len(boxes)} actors.")
     grid = beams(params)
     poses = mount(boxes, observers, params)
+    ground_m = boxes.xyz_m[observers, 2] - 0.5 * boxes.lwh_m[observers, 2]
+    if posts is not None:
+        eyes = posts.foot_m + np.multiply.outer(posts.height_m, (0.0, 0.0, 1.0))
+        poses = Poses(np.concatenate([poses.origin_m, eyes]), np.concatenate([poses.yaw_rad, posts.yaw_rad]))
+        ground_m = np.concatenate([ground_m, posts.foot_m[:, 2]])
+        observers = np.concatenate([observers, len(boxes) + np.arange(n_posts)])
     size = (len(observers), len(grid.azimuth_rad), len(grid.elevation_rad))
     range_m = _room(size, np.float32, None if out is None else out.range_m)
     hit = _room(size, np.int32, None if out is None else out.hit)
-    ground_m = boxes.xyz_m[observers, 2] - 0.5 * boxes.lwh_m[observers, 2]
     ENGINES[params.engine](
         range_m, hit, poses, ground_m, observers, grid, params.max_range_m, boxes, prisms(shape, boxes), scene
     )

@@ -34,14 +34,24 @@ LABEL_OF_SHAPE: UInt8[ndarray, "shape"] = np.array([0, 0, 3, 3, 2, 2, 1], np.uin
 # One upright prism: (rear, front) of the length from the centre, share of the width, (bottom, top) share of the height.
 # Bodies keep a few centimetres inside the labelled box, as real ones do, and stand on the road: wheels and
 # skirts fill the clearance. Proportions: typical European vehicles, read off manufacturers' side views.
-_STACKS: dict[Shape, tuple[tuple[float, float, float, float, float], ...]] = {
-    Shape.CAR: ((-0.49, 0.49, 0.95, 0.0, 0.56), (-0.40, 0.18, 0.84, 0.56, 0.98)),
-    Shape.VAN: ((-0.49, 0.49, 0.95, 0.0, 0.50), (-0.49, 0.30, 0.92, 0.50, 0.99)),
-    Shape.TRUCK: ((0.28, 0.495, 0.96, 0.0, 0.82), (-0.495, 0.26, 0.98, 0.0, 0.99)),
-    Shape.BUS: ((-0.495, 0.495, 0.98, 0.0, 0.99),),
-    Shape.MOTORCYCLE: ((-0.48, 0.48, 0.40, 0.0, 0.55), (-0.25, 0.12, 0.80, 0.40, 0.98)),
-    Shape.BICYCLE: ((-0.48, 0.48, 0.20, 0.0, 0.50), (-0.22, 0.12, 0.80, 0.40, 0.98)),
-    Shape.PEDESTRIAN: ((-0.30, 0.30, 0.90, 0.0, 0.82), (-0.22, 0.22, 0.40, 0.82, 0.98)),
+# A shape may have several bodies, each from a length on.
+_STACKS: dict[Shape, dict[float, tuple[tuple[float, float, float, float, float], ...]]] = {
+    Shape.CAR: {0.0: ((-0.49, 0.49, 0.95, 0.0, 0.56), (-0.40, 0.18, 0.84, 0.56, 0.98))},
+    Shape.VAN: {0.0: ((-0.49, 0.49, 0.95, 0.0, 0.50), (-0.49, 0.30, 0.92, 0.50, 0.99))},
+    Shape.TRUCK: {
+        0.0: ((0.28, 0.495, 0.96, 0.0, 0.82), (-0.495, 0.26, 0.98, 0.0, 0.99)),
+        # a tractor's cab and frame, and its trailer: 16.5 m at most by law in Europe
+        12.5: ((0.355, 0.495, 0.96, 0.0, 0.92), (0.12, 0.355, 0.90, 0.0, 0.30), (-0.495, 0.325, 0.98, 0.28, 0.99),
+               (-0.48, -0.15, 0.95, 0.0, 0.28)),
+    },
+    Shape.BUS: {
+        0.0: ((-0.495, 0.495, 0.98, 0.0, 0.99),),
+        # articulated: two bodies and the bellows between them
+        15.0: ((0.02, 0.495, 0.98, 0.0, 0.99), (-0.06, 0.02, 0.86, 0.1, 0.95), (-0.495, -0.06, 0.98, 0.0, 0.99)),
+    },
+    Shape.MOTORCYCLE: {0.0: ((-0.48, 0.48, 0.40, 0.0, 0.55), (-0.25, 0.12, 0.80, 0.40, 0.98))},
+    Shape.BICYCLE: {0.0: ((-0.48, 0.48, 0.20, 0.0, 0.50), (-0.22, 0.12, 0.80, 0.40, 0.98))},
+    Shape.PEDESTRIAN: {0.0: ((-0.30, 0.30, 0.90, 0.0, 0.82), (-0.22, 0.22, 0.40, 0.82, 0.98))},
 }
 
 
@@ -64,6 +74,10 @@ class Prisms(NamedTuple):
 def prisms(shape: UInt8[ndarray, "n"], boxes: Boxes) -> Prisms:
     """The solid body of each actor inside its box.
 
+    Notes
+    -----
+    Trucks from 12.5 m on are tractors with a trailer, buses from 15 m on are articulated (and straight).
+
     Errors
     ------
     ValueError for a shape code that is no `Shape`.
@@ -74,12 +88,16 @@ def prisms(shape: UInt8[ndarray, "n"], boxes: Boxes) -> Prisms:
         row = int(np.argmax(shape))
         known = ", ".join(f"{s.value} {s.name}" for s in Shape)
         raise ValueError(f"shape[{row}] = {shape[row]} is no actor shape: use one of {known}.")
-    table = np.array([part for s in Shape for part in _STACKS[s]])
-    first = np.cumsum([0] + [len(_STACKS[s]) for s in Shape])
-    parts = np.diff(first)[shape]
+    bodies = [(s, least_m, stack) for s in Shape for least_m, stack in _STACKS[s].items()]
+    table = np.array([part for *_, stack in bodies for part in stack])
+    first = np.cumsum([0] + [len(stack) for *_, stack in bodies])
+    body = np.zeros(len(boxes), int)
+    for k, (s, least_m, _) in enumerate(bodies):
+        body[(shape == s) & (boxes.lwh_m[:, 0] >= least_m)] = k
+    parts = np.diff(first)[body]
     ptr = np.concatenate([[0], np.cumsum(parts)])
     actor = np.repeat(np.arange(len(boxes)), parts)
-    rear, front, width, bottom, top = table[first[shape][actor] + np.arange(ptr[-1]) - ptr[actor]].T
+    rear, front, width, bottom, top = table[first[body][actor] + np.arange(ptr[-1]) - ptr[actor]].T
     length, w, h = boxes.lwh_m[actor].T
     x, y, z = boxes.xyz_m[actor].T
     cos, sin = np.cos(boxes.yaw_rad)[actor], np.sin(boxes.yaw_rad)[actor]

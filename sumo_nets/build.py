@@ -78,10 +78,14 @@ def build(recipe_path: Path, source: Path | None, out: Path) -> None:
 
 def make(recipe: dict[str, Any], text: str, extract: osm.Extract, work: Path, out: Path) -> None:
     """Build what a recipe says from an extract; `text` is the recipe as it is kept in `out`, `work` is scratch."""
-    gates = network(recipe, extract, work)
+    furnish(recipe, extract, network(recipe, extract, work), work)
+    pack(recipe, text, work, out)
+
+
+def furnish(recipe: dict[str, Any], extract: osm.Extract, gates: frozenset[str], work: Path) -> None:
+    """Buildings and demand beside and on the network in `work`."""
     _buildings(extract, work)
     _demand(recipe, extract, gates, work)
-    pack(recipe, text, work, out)
 
 
 def pack(recipe: dict[str, Any], text: str, work: Path, out: Path) -> None:
@@ -135,6 +139,7 @@ def _source(wanted: dict[str, str], given: Path | None, work: Path) -> Path:
 
 
 def network(recipe: dict[str, Any], extract: osm.Extract, work: Path) -> frozenset[str]:
+    """The streets of an extract as `net.net.xml` in `work`; the nodes at which traffic comes and goes."""
     choice = recipe["streets"]
     chosen = streets.drivable(
         extract, frozenset(choice["classes"]), frozenset(choice["ignored_tags"]), choice["gate_edge_m"],

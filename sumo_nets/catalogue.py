@@ -5,7 +5,9 @@ from __future__ import annotations
 import tomllib
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
+from sumo_nets import wheel
 from sumo_nets.footprints import Footprint, read_footprints
 from sumo_nets.xml import Attributes, Enough, stream
 
@@ -47,13 +49,18 @@ class Net:
         return read_footprints(self.buildings_path)
 
 
-def names() -> list[str]:
-    """Names of the shipped networks, sorted."""
+def shipped() -> list[str]:
+    """Names of the networks in this folder, sorted."""
     return sorted(path.parent.name for path in _HERE.glob("*/recipe.toml"))
 
 
+def names() -> list[str]:
+    """Names of all networks, sorted: those that ship here, and those that come inside SUMO's package."""
+    return sorted({*shipped(), *wheel.NETS})
+
+
 def find(name: str) -> Net:
-    """A shipped network by its name.
+    """A network by its name; one of SUMO's package is given demand on first use, which takes a few seconds.
 
     Raises
     ------
@@ -62,12 +69,21 @@ def find(name: str) -> Net:
     """
     if name not in names():
         raise ValueError(f"network = {name!r} does not ship with cosim; there are: {', '.join(names())}")
-    return open_folder(_HERE / name)
+    return open_folder(_HERE / name if name in shipped() else wheel.folder_of(name))
 
 
 def open_folder(folder: Path) -> Net:
     """A network from the folder that `sumo_nets.build` made."""
-    recipe = tomllib.loads((folder / "recipe.toml").read_text(encoding="utf-8"))
+    try:
+        recipe = tomllib.loads((folder / "recipe.toml").read_text(encoding="utf-8"))
+        return _opened(folder, recipe)
+    except (OSError, KeyError, TypeError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise ValueError(
+            f"{folder}: not a city that `cosim nets build` made, or damaged ({type(error).__name__}: {error})"
+        ) from None
+
+
+def _opened(folder: Path, recipe: dict[str, Any]) -> Net:
     demand = recipe["demand"]
     net_path = folder / "net.net.xml.gz"
     return Net(

@@ -4,7 +4,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
 from sumo_nets.xml import Attributes, Enough, stream
+
+LANE_M = 3.2
+"""Width of a lane that does not say [m]; SUMO's own default."""
 
 
 def check_for_cars(net_path: Path | str) -> None:
@@ -40,6 +47,25 @@ def check_for_cars(net_path: Path | str) -> None:
             )
 
     stream(net_path, start, end)
+
+
+def lanes(net_path: Path | str) -> tuple[list[Float[ndarray, "k 2"]], list[float]]:
+    """Middle line and width [m] of every lane outside junctions, in network coordinates."""
+    lines: list[Float[ndarray, "k 2"]] = []
+    widths: list[float] = []
+    inside = False
+
+    def start(name: str, attributes: Attributes) -> None:
+        nonlocal inside
+        if name == "edge":
+            inside = attributes.get("function", "normal") != "normal"
+        elif name == "lane" and not inside:
+            points = [point.split(",")[:2] for point in attributes["shape"].split()]
+            lines.append(np.array(points, float))
+            widths.append(float(attributes.get("width", LANE_M)))
+
+    stream(net_path, start)
+    return lines, widths
 
 
 def _admits_cars(lane: Attributes) -> bool:

@@ -55,8 +55,8 @@ def read(path: Path) -> Extract:
         raise ValueError("building a network from OpenStreetMap needs osmium: pip install 'cosim[build]'") from error
     try:
         box = osmium.io.Reader(str(path)).header().box()
-        corners = (box.bottom_left, box.top_right) if box.valid() else ()
-        extract = Extract(box=tuple(v for c in corners for v in (c.lon, c.lat)) or None)
+        low, high = box.bottom_left, box.top_right
+        extract = Extract(box=(low.lon, low.lat, high.lon, high.lat) if box.valid() else None)
         for item in osmium.FileProcessor(str(path)):
             if isinstance(item, osmium.osm.Changeset):
                 continue

@@ -10,7 +10,7 @@ ROOT = Path(__file__).parents[1]
 ROOMS = ("cosim", "sensors", "trust", "results", "sumo_nets")
 
 FOREIGN = {
-    "sensors": {"annotated_types", "jaxtyping", "numpy", "scipy", "numba", "shapely", "embreex"},
+    "sensors": {"annotated_types", "jaxtyping", "numpy", "scipy", "numba", "shapely", "embreex", "open3d"},
     "trust": {"annotated_types", "jaxtyping", "numpy", "numba"},
     "results": {"annotated_types", "jaxtyping", "numpy", "scipy", "pyarrow", "pandas", "networkx", "matplotlib"},
     "sumo_nets": {"annotated_types", "jaxtyping", "numpy", "shapely", "osmium", "sumo", "sumolib"},
@@ -24,13 +24,14 @@ FOREIGN = {
 ONE_WINDOW = {
     "libsumo": {"cosim/mobility/sumo.py"},
     "embreex": {"sensors/raycast/embree.py"},
+    "open3d": {"sensors/raycast/open3d.py"},
     "pydantic": {"cosim/config.py"},
     "osmium": {"sumo_nets/osm.py"},
 }
 """Libraries that one file alone may know."""
 
-ORDER = ("rng", "world", "roster", "mobility", "v2x", "truth", "config", "manifest", "cycle", "scenario", "recording",
-         "run", "reproduce", "bench", "screen", "cli", "__main__")  # fmt: skip
+ORDER = ("rng", "world", "roster", "mobility", "v2x", "truth", "config", "manifest", "cycle", "scenario", "resweep", "calibrate", "recording",
+         "run", "reproduce", "bench", "screen", "nets", "cli", "__main__")  # fmt: skip
 """Inside the hall: each may use those before it."""
 
 

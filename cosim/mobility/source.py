@@ -44,6 +44,8 @@ class TrafficParams:
     """Replay this trace or run folder in the streets of `scenario`, instead of driving SUMO."""
     seed: Annotated[int, Ge(0)] = 1
     """Seed of SUMO."""
+    scale: Annotated[float, Gt(0)] = 1.0
+    """Demand, times this; below 1 SUMO leaves vehicles out, above 1 it doubles some. Traces are as they are."""
     begin_s: Annotated[float, Ge(0)] | None = None
     """Time of the scenario at which to begin, warm-up included [s]; the scenario's own when not set."""
     warmup_s: Annotated[float, Ge(0)] | None = None

@@ -115,6 +115,11 @@ class SumoTraffic:
         if libsumo.simulation.getMinExpectedNumber() <= 0:
             raise TrafficOver(f"at {libsumo.simulation.getTime():g} s everybody has left, and nobody is to come")
 
+    @property
+    def n_vehicles(self) -> int:
+        """Vehicles on the road."""
+        return libsumo.vehicle.getIDCount()
+
     def report(self) -> dict[str, Any]:
         return {
             "vehicles_waiting_to_enter_at_end": len(libsumo.simulation.getPendingVehicles()),
@@ -192,6 +197,7 @@ def _options(params: TrafficParams, config: sumocfg.Sumocfg, waste: Path) -> lis
         # SUMO puts the prefix before a file's last name: from wherever that is, up to the root and down to the waste
         "output-prefix": "../" * 64 + str(waste).lstrip("/") + "/",
         **({} if params.begin_s is None else {"begin": params.begin_s}),
+        **({} if params.scale == 1 else {"scale": params.scale}),
         **dict.fromkeys(config.outputs, os.devnull),
     }
     return [word for name, value in options.items() for word in (f"--{name}", str(value))]

@@ -54,7 +54,7 @@ def draw(runs: Sequence[Run], max_frames: int = 4000, range_m: float = 70.0) -> 
         Line2D([], [], color="black", marker="o", markerfacecolor=face, linestyle=line, label=_LISTS[which])
         for which, face, line in (("local", "white", _BROKEN), ("fused", "black", style.dash(0)))
     ]
-    style.legend(figure, lists + style.series_entries(runs, lines=False))
+    style.legend(figure, lists, style.series_entries(runs, lines=False))
     return figure
 
 

@@ -39,5 +39,5 @@ def draw(runs: Sequence[Run], departure: encounters.Departure = "ends") -> Figur
         Line2D([], [], color=style.ink(code), marker=style.marker(code), label=f"{pairs}, within {radius_m:g} m")
         for code, (radius_m, pairs) in enumerate(kinds)
     ]
-    style.legend(figure, entries + style.run_entries(runs))
+    style.legend(figure, entries, style.run_entries(runs))
     return figure

@@ -6,7 +6,6 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import Patch
 
 from results.archive import Run
 from results.figures import style
@@ -27,30 +26,25 @@ def draw(runs: Sequence[Run], fresh_s: float = 10.0, over: str | None = None) ->
     else:
         figure, (ages, shares, below, beside) = style.sheet(columns=2, rows=2, height=6.4)
         _against(runs, studied[0], below, beside, fresh_s)
+    bars = [freshness.shares(run, fresh_s) for run in runs]
+    labels = style.names(runs)
+    if len(runs) == 1:
+        groups = freshness.shares_by_behaviour(runs[0], fresh_s).groupby("behaviour", sort=False)
+        bars, labels = [*bars, *(frame for _, frame in groups)], ["all", *(str(behaviour) for behaviour, _ in groups)]
     longest_s = 0.0
     for i, run in enumerate(runs):
+        if bars[i].n.iloc[:2].sum() == 0:
+            continue  # the default has no age
         curve = freshness.distribution(run)
         ages.plot(
-            curve.age_s,
-            curve.share,
-            color=style.ink(i),
-            linestyle=style.dash(i),
-            marker=style.marker(i),
+            curve.age_s, curve.share, color=style.ink(i), linestyle=style.dash(i), marker=style.marker(i),
             markevery=0.12,
-        )
+        )  # fmt: skip
         longest_s = max(longest_s, float(curve.age_s[curve.share >= 0.99].min()))
-        left = 0.0
-        for code, share in enumerate(freshness.shares(run, fresh_s).share):
-            shares.barh(
-                i, share, 0.6, left, color=_fill(code), hatch=style.HATCHES[code], edgecolor="#333333", linewidth=0.6
-            )
-            if share > 0.08:
-                shares.text(
-                    left + share / 2, i, f"{100 * share:.0f} %", ha="center", va="center", fontsize=8,
-                    color="white" if code == 0 else "black",
-                    bbox={"facecolor": _fill(code), "edgecolor": "none", "pad": 1.2},
-                )  # fmt: skip
-            left += share
+    if longest_s == 0:
+        ages.text(0.5, 0.5, "no value but the default", ha="center", transform=ages.transAxes)
+    for i, bar in enumerate(bars):
+        style.shares_bar(shares, i, bar.share, _FILLS)
     if 0 < fresh_s < longest_s:
         ages.axvline(fresh_s, color="#777777", linewidth=0.9)
         ages.annotate(
@@ -59,19 +53,15 @@ def draw(runs: Sequence[Run], fresh_s: float = 10.0, over: str | None = None) ->
     style.panel(ages, "Age of trust when used", axis_label("uses", "age_s", "Age"), "Share of uses at most this old")
     style.share_axis(ages)
     ages.set_xlim(0, max(longest_s, 1.0) * 1.05)
-    style.panel(shares, "Where the value came from", f"Share of uses (fresh: at most {fresh_s:g} s)", "")
-    shares.set_yticks(range(len(runs)), style.names(runs))
-    shares.set_ylim(len(runs) - 0.2, -0.8)
-    shares.set_xlim(0, 1)
-    shares.grid(visible=False, axis="y")
-    labels = ("fresh", "stale", "default")
-    entries = [
-        Patch(facecolor=_fill(code), hatch=style.HATCHES[code], edgecolor="#333333", linewidth=0.6, label=label)
-        for code, label in enumerate(labels)
-    ]
-    style.legend(figure, entries + style.series_entries(runs))
+    title = "How fresh" + (", by behaviour" if len(runs) == 1 else "")
+    style.panel(shares, title, f"Share of uses (fresh: at most {fresh_s:g} s)", "")
+    style.bars_axis(shares, labels)
+    entries = style.bar_entries(freshness.STATES, _FILLS)
+    style.legend(figure, entries, style.series_entries(runs))
     return figure
 
+
+_FILLS = (style.INKS[0], "#e8b9a6", "#ffffff")
 
 _AGES: Mapping[str, Callable[[Run], float]] = {
     "value": lambda run: _mean(freshness.at_use(run).query("source != 'default'"), "mean_s"),
@@ -108,7 +98,3 @@ def _mean(frame: pd.DataFrame, column: str) -> float:
     """Mean of a column, weighted by `n`."""
     known = frame[frame[column].notna()]
     return float(np.average(known[column], weights=known.n)) if len(known) else float("nan")
-
-
-def _fill(code: int) -> str:
-    return (style.INKS[0], "#e8b9a6", "#ffffff")[code]

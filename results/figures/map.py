@@ -27,7 +27,7 @@ def draw(runs: Sequence[Run], cell_m: float = 25.0, radius_m: float | None = Non
     spans = [np.ptp(street, axis=0) for street in streets]
     tallest = max(span[1] / max(span[0], 1) for span in spans)
     side = 4.6 if len(runs) == 1 else 3.6
-    figure, panels = style.sheet(len(runs), width=side * len(runs) + 1.2, height=min(side * tallest + 0.8, 9))
+    figure, panels = style.sheet(len(runs), width=side * len(runs) + 1.2, height=min((side - 0.7) * tallest + 0.9, 9))
     figure.set_layout_engine("compressed")
     counts = [_cells(points, street, cell_m) for points, street in zip(begun, streets, strict=True)]
     rates = [count / (run.manifest["steps"] * run.dt_s / 3600) for (count, _, _), run in zip(counts, runs, strict=True)]

@@ -13,6 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 
 from results.archive import Run
 
@@ -22,7 +23,7 @@ INKS = ("#16325c", "#c4502e", "#63b0a2", "#ecb938", "#8c6bb1", "#6f6f6f")
 MARKERS = ("o", "^", "s", "D", "v", "P")
 DASHES: tuple[Any, ...] = ("-", (0, (5, 2)), (0, (1, 1.2)), (0, (5, 1.5, 1, 1.5)), (0, (8, 2)), (0, (3, 1, 1, 1, 1, 1)))
 """Line styles, one per run."""
-HATCHES = ("", "///", "...", "xx")
+HATCHES = ("", "///", "...", "xx", "\\\\", "++")
 PALE = "#b4bac4"
 FORMATS = (".png", ".svg", ".pdf")
 
@@ -89,13 +90,49 @@ def share_axis(axes: Axes, top: float = 1.0) -> None:
     axes.set_ylim(-0.02 * top, 1.03 * top)
 
 
-def legend(figure: Figure, entries: Sequence[Any]) -> None:
-    """One legend below all panels, in as few rows as fit."""
-    if not entries:
+def shares_bar(axes: Axes, at: float, shares: Sequence[float], fills: Sequence[str]) -> None:
+    """A horizontal bar of shares that add up to 1, with the larger ones written in."""
+    left = 0.0
+    for code, share in enumerate(shares):
+        axes.barh(at, share, 0.6, left, color=fills[code], hatch=HATCHES[code], edgecolor="#333333", linewidth=0.6)
+        if share > 0.08:
+            axes.text(
+                left + share / 2, at, f"{100 * share:.0f} %", ha="center", va="center", fontsize=8,
+                color="white" if code == 0 else "black",
+                bbox={"facecolor": fills[code], "edgecolor": "none", "pad": 1.2},
+            )  # fmt: skip
+        left += share
+
+
+def bars_axis(axes: Axes, labels: Sequence[str]) -> None:
+    """Axes for such bars."""
+    axes.set_yticks(range(len(labels)), labels)
+    axes.set_ylim(len(labels) - 0.2, -0.8)
+    axes.set_xlim(0, 1)
+    axes.grid(visible=False, axis="y")
+
+
+def bar_entries(labels: Sequence[str], fills: Sequence[str]) -> list[Patch]:
+    """Legend entries of their parts."""
+    return [
+        Patch(facecolor=fill, hatch=hatch, edgecolor="#333333", linewidth=0.6, label=label)
+        for label, fill, hatch in zip(labels, fills, HATCHES, strict=False)
+    ]
+
+
+def legend(figure: Figure, entries: Sequence[Any], runs: Sequence[Any] = ()) -> None:
+    """One legend below all panels, in as few rows as fit; where it takes two, the runs have the second."""
+    if not entries and not runs:
         return
+    n = max(len(entries), len(runs))
+    entries = [*entries, *runs]
     longest = max(len(entry.get_label()) for entry in entries)
     columns = max(1, int(figure.get_figwidth() / (0.075 * longest + 0.6)))
     rows = -(-len(entries) // columns)
+    if runs and len(entries) > len(runs) and rows > 1 and n <= columns:
+        blank = [Line2D([], [], linestyle="", label=" ")] * n  # a legend is filled column by column
+        pairs = zip([*entries[: -len(runs)], *blank][:n], [*runs, *blank][:n], strict=True)
+        entries, rows = [entry for pair in pairs for entry in pair], 2
     figure.legend(handles=list(entries), loc="outside lower center", ncols=-(-len(entries) // rows))
 
 

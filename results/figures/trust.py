@@ -33,8 +33,8 @@ def draw(runs: Sequence[Run], vehicles: Sequence[int] = ()) -> Figure:
                 marker=style.marker(code), markevery=(2 * code, style.sparse(len(spread))),
             )  # fmt: skip
         _single(axes, run, vehicles)
-    if len(runs) == 1 and runs[0].vehicles.first_lie_step.notna().any():
-        begin_s = float(runs[0].vehicles.first_lie_step.min()) * runs[0].dt_s
+    begins_s = {float(lies.min()) * run.dt_s for run in runs if (lies := run.vehicles.first_lie_step.dropna()).size}
+    for begin_s in begins_s if len(begins_s) == 1 else ():
         axes.axvline(begin_s, color="#444444", linewidth=0.8, linestyle=(0, (2, 2)))
         axes.annotate(
             "lies begin", (begin_s, 1), xycoords=("data", "axes fraction"), xytext=(4, -3), va="top",
@@ -50,7 +50,7 @@ def draw(runs: Sequence[Run], vehicles: Sequence[int] = ()) -> Figure:
         Line2D([], [], color=style.ink(code), marker=style.marker(code), label=BEHAVIOURS[code])
         for code in sorted(shown)
     ]
-    style.legend(figure, entries + style.run_entries(runs))
+    style.legend(figure, entries, style.run_entries(runs))
     return figure
 
 

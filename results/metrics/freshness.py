@@ -128,7 +128,8 @@ def evidence_at_use(run: Run) -> pd.DataFrame:
     Notes
     -----
     A server's value ages on its way: its evidence is as old as it was when the value was computed, and the age of
-    the value on top. Which computation a value came from is read off its age: the nearest one.
+    the value on top. Which computation a value came from is read off its age; this goes wrong where the exchanges of
+    a step take longer than the server's period.
     """
     behaviour_of, editions = _behaviour_codes(run), _Editions(run)
     sums = np.zeros((5, len(BEHAVIOURS)))  # uses, with newest, its sum, with oldest, its sum
@@ -152,6 +153,10 @@ def evidence_at_use(run: Run) -> pd.DataFrame:
     return frame[frame.n > 0].reset_index(drop=True)
 
 
+_ROUNDING_S = 1 / 512
+"""Larger than what is lost when ages are stored."""
+
+
 class _Editions:
     """Age of the evidence behind the server's values, by computation and vehicle."""
 
@@ -169,8 +174,8 @@ class _Editions:
         own = (uses.source == "own").to_numpy()
         newest_s, oldest_s = np.where(own, age_s, np.nan), np.full(len(uses), np.nan)
         if len(self.key):
-            made = uses.step.to_numpy() - age_s / self.dt_s  # step of the computation, early by what messages take
-            number = np.searchsorted((self.steps[1:] + self.steps[:-1]) / 2, made)
+            made = uses.step.to_numpy() - age_s / self.dt_s  # a step begins earlier than trust is used in it
+            number = np.searchsorted(self.steps, made - _ROUNDING_S / self.dt_s)
             key = (number << 32) | uses.subject.to_numpy()
             at = np.minimum(np.searchsorted(self.key, key), len(self.key) - 1)
             found = ~own & (self.key[at] == key)

@@ -61,6 +61,13 @@ def final(run: Run) -> pd.DataFrame:
     return _spread(values(run).drop_duplicates("vehicle", keep="last"), ["behaviour"])
 
 
+def below(run: Run, threshold: float = 0.25) -> pd.DataFrame:
+    """Share of the values under a threshold, by behaviour: behaviour, n, share; of the honest, false alarms."""
+    frame = values(run)
+    groups = (frame.trust < threshold).groupby(frame.behaviour, observed=True)
+    return groups.agg(n="size", share="mean").reset_index()
+
+
 def separation(run: Run) -> float:
     """Chance that an honest vehicle ends with more trust than a malicious one (ties count half)."""
     last = values(run).drop_duplicates("vehicle", keep="last")

@@ -1,7 +1,6 @@
 """Embree (Intel's ray tracing kernels, through embreex) over the same prisms as triangle meshes.
 
-Slower than the columnar caster and independent of it: the judge, and the way to arbitrary meshes. Embree computes in
-float32, so the city is cut into tiles and each tile is cast around its own centre.
+Slower than the columnar caster and independent of it: the judge, and the way to arbitrary meshes.
 """
 
 from __future__ import annotations
@@ -9,109 +8,22 @@ from __future__ import annotations
 import numpy as np
 from embreex import rtcore_scene
 from embreex.mesh_construction import TriangleMesh
-from jaxtyping import Float
 from numpy import ndarray
 
-from sensors.boxes import Boxes
-from sensors.scene import Prisms, Scene, roof_triangles
-
-NOTHING, GROUND, BUILDING, ACTOR = 0, 1, 2, 3
-TILE_M = 256.0
-STEP_M = 1e-4      # how far behind a face of one's own body a ray starts again
+from sensors.raycast import mesh
 
 
-def cast(range_m, hit, poses, ground_m, observers, beams, max_range_m, boxes: Boxes, bodies: Prisms, scene: Scene):
+def cast(*sweep) -> None:
     """Fill `range_m` and `hit` of every observer; see `sensors.lidar.scan`."""
-    city, body = city_triangles(scene), body_triangles(bodies)
-    mesh = np.concatenate([city, body])
-    actor = np.repeat(np.repeat(np.arange(len(boxes)), np.diff(bodies.ptr)), 12)
-    code = np.concatenate([np.full(len(city), BUILDING), ACTOR + actor]).astype(np.int32)
-    low, high = mesh[:, :, :2].min(axis=1), mesh[:, :, :2].max(axis=1)
-
-    tile = np.floor(poses.origin_m[:, :2] / TILE_M).astype(np.int64)
-    for corner in np.unique(tile, axis=0):
-        here = np.flatnonzero((tile == corner).all(axis=1))
-        centre = np.append((corner + 0.5) * TILE_M, np.mean(poses.origin_m[here, 2]))
-        reach = 0.5 * TILE_M + max_range_m
-        close = ((high > centre[:2] - reach) & (low < centre[:2] + reach)).all(axis=1)
-        solid = rtcore_scene.EmbreeScene()
-        if close.any():
-            TriangleMesh(solid, np.ascontiguousarray((mesh[close] - centre).astype(np.float32)))
-        for o in here:
-            _sweep(
-                range_m[o], hit[o], poses.origin_m[o] - centre, poses.yaw_rad[o], ground_m[o] - centre[2],
-                ACTOR + observers[o], beams, max_range_m, solid if close.any() else None, code[close],
-            )  # fmt: skip
+    mesh.cast(_tracer_of, *sweep)
 
 
-def _sweep(range_m, hit, origin, yaw, ground, own, beams, max_range_m, solid, code) -> None:
-    """One observer's range image."""
-    azimuth = beams.azimuth_rad + yaw
-    direction = np.empty((*range_m.shape, 3))
-    direction[..., 0] = np.cos(azimuth)[:, None] * beams.cos_el
-    direction[..., 1] = np.sin(azimuth)[:, None] * beams.cos_el
-    direction[..., 2] = beams.sin_el
-    direction = direction.reshape(-1, 3)
-    distance, what = np.full(len(direction), np.inf), np.full(len(direction), NOTHING, np.int32)
-    behind = np.zeros(len(direction))       # distance already covered, behind faces of the observer's own body
-    left = np.arange(len(direction)) if solid is not None else np.zeros(0, int)
-    while len(left):
-        start = origin + behind[left, None] * direction[left]
-        found = solid.run(start.astype(np.float32), direction[left].astype(np.float32), output=True)
-        met = found["primID"] >= 0
-        far = behind[left] + found["tfar"]
-        who = np.where(met, code[np.maximum(found["primID"], 0)], NOTHING)
-        mine = met & (who == own)
-        distance[left] = np.where(met & ~mine, far, np.inf)
-        what[left] = np.where(mine, NOTHING, who)
-        behind[left[mine]] = far[mine] + STEP_M
-        left = left[mine]
-    down = np.broadcast_to(beams.sin_el, range_m.shape).ravel()
-    with np.errstate(divide="ignore"):
-        road = np.where((ground - origin[2]) * down > 0.0, (ground - origin[2]) / down, np.inf)
-    what = np.where(road < distance, GROUND, what)
-    distance = np.minimum(road, distance)
-    beyond = distance > max_range_m
-    range_m[:] = np.where(beyond, np.inf, distance).reshape(range_m.shape)
-    hit[:] = np.where(beyond, NOTHING, what).reshape(hit.shape)
+def _tracer_of(triangles: ndarray) -> mesh.Tracer:
+    solid = rtcore_scene.EmbreeScene()
+    TriangleMesh(solid, np.ascontiguousarray(triangles))
 
+    def trace(start, direction):
+        found = solid.run(start, direction, output=True)
+        return found["tfar"], found["primID"]
 
-def city_triangles(scene: Scene) -> Float[ndarray, "t 3 3"]:
-    """Walls, roofs and undersides of all buildings."""
-    city = scene.buildings
-    building = np.repeat(np.arange(len(city.base_m)), np.diff(city.ptr))
-    base, top = city.base_m[building], city.top_m[building]
-    corner = [
-        np.column_stack([x, y, z])
-        for x, y, z in (
-            (city.ax_m, city.ay_m, base),
-            (city.bx_m, city.by_m, base),
-            (city.bx_m, city.by_m, top),
-            (city.ax_m, city.ay_m, top),
-        )
-    ]
-    walls = np.concatenate([np.stack([corner[i] for i in face], axis=1) for face in ((0, 1, 2), (0, 2, 3))])
-    flat, owner = roof_triangles(scene)
-    levels = [
-        np.concatenate([flat, np.broadcast_to(z[owner, None, None], (len(flat), 3, 1))], axis=2)
-        for z in (city.base_m, city.top_m)
-    ]
-    return np.concatenate([walls, *levels])
-
-
-_FACES = np.array(
-    [(0, 1, 5), (0, 5, 4), (1, 2, 6), (1, 6, 5), (2, 3, 7), (2, 7, 6), (3, 0, 4), (3, 4, 7),
-     (0, 2, 1), (0, 3, 2), (4, 5, 6), (4, 6, 7)]
-)  # fmt: skip
-
-
-def body_triangles(bodies: Prisms) -> Float[ndarray, "t 3 3"]:
-    """Twelve triangles per prism, in the order of the prisms."""
-    along = np.array([-1, 1, 1, -1, -1, 1, 1, -1]) * bodies.half_l_m[:, None]
-    aside = np.array([-1, -1, 1, 1, -1, -1, 1, 1]) * bodies.half_w_m[:, None]
-    corner = np.empty((len(bodies.x_m), 8, 3))
-    corner[:, :, 0] = bodies.x_m[:, None] + bodies.cos[:, None] * along - bodies.sin[:, None] * aside
-    corner[:, :, 1] = bodies.y_m[:, None] + bodies.sin[:, None] * along + bodies.cos[:, None] * aside
-    corner[:, :4, 2] = bodies.bottom_m[:, None]
-    corner[:, 4:, 2] = bodies.top_m[:, None]
-    return corner[:, _FACES].reshape(-1, 3, 3)
+    return trace

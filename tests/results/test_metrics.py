@@ -1,6 +1,7 @@
 """Figures of merit, derived by hand on runs of a few rows."""
 
 import networkx as nx
+import numpy as np
 import pandas as pd
 import pytest
 
@@ -77,6 +78,29 @@ def test_evidence(tiny):
     assert (row.n, row.none_share, row.newest_age_s, row.oldest_age_s) == (3, pytest.approx(1 / 3), 2, 10)
 
 
+def test_evidence_where_it_is_used(tiny):
+    """Vehicle 2's values of 5 s have evidence 1 s to 9 s old, those of 0 s none.
+
+    Used at 6.2 s: 2.2 s and 10.2 s old; used at 3.2 s: none; an own value whose newest evidence is 4 s old.
+    """
+    rows = [
+        {"step": 0, "vehicle": 2}, {"step": 5, "vehicle": 1, "n_evaluations": 1, "newest_age_s": 7, "oldest_age_s": 7},
+        {"step": 5, "vehicle": 2, "n_evaluations": 2, "newest_age_s": 1, "oldest_age_s": 9},
+    ]  # fmt: skip
+    uses = [
+        {"step": s, "receiver": r, "subject": 2, "source": source, "age_s": age}
+        for s, r, source, age in (
+            (6, 1, "server", 1.2), (3, 1, "server", 3.2), (6, 0, "own", 4), (7, 0, "default", None),
+        )
+    ]  # fmt: skip
+    run = tiny(9, vehicles=fleet("honest", "honest", "unreliable"), trust=rows, uses=uses)
+    (row,) = freshness.evidence_at_use(run).itertuples()
+    assert (row.behaviour, row.n, row.none_share) == ("unreliable", 3, pytest.approx(1 / 3))
+    assert (row.newest_s, row.oldest_s) == (pytest.approx((2.2 + 4) / 2, abs=1e-3), pytest.approx(10.2, abs=1e-3))
+    shares = freshness.shares_by_behaviour(run, 2).set_index("state")
+    assert shares.n.to_dict() == {"fresh": 1, "stale": 2, "default": 1}
+
+
 def test_trust_by_hand(tiny):
     """Vehicle 2 lies from step 3; it is low at 2 (too early to count), 3 (no) and 7 (yes); vehicle 3 is never found."""
     liars = fleet("honest", "honest", "malicious", "malicious")
@@ -99,6 +123,27 @@ def test_found_out_by_vehicles(tiny):
     liars[1]["first_lie_step"] = 3
     uses = [{"step": s, "receiver": 0, "subject": 1, "trust": t, "age_s": 1} for s, t in ((3, 0.5), (9, 0.1))]
     assert trust.detection_delay(tiny(20, vehicles=liars, uses=uses), 0.25, "vehicles").delay_s.tolist() == [6]
+
+
+def test_trust_without_a_server(tiny):
+    """Means over hearers: of vehicle 2 0.3 (0.2 and 0.4; a default says nothing), of vehicle 1 0.8, later 0.1."""
+    liars = fleet("honest", "honest", "malicious")
+    liars[2]["first_lie_step"] = 1
+    uses = [
+        {"step": 2, "receiver": r, "subject": s, "trust": t, "source": "own", "age_s": 1}
+        for r, s, t in ((0, 2, 0.2), (1, 2, 0.4), (0, 1, 0.8))
+    ]
+    uses += [{"step": 2, "receiver": 2, "subject": 1, "trust": 0.1, "source": "default"}]
+    uses += [{"step": 4, "receiver": 0, "subject": 1, "trust": 0.1, "source": "own", "age_s": 2}]
+    run = tiny(20, vehicles=liars, uses=uses)
+    frame = trust.values(run)
+    assert frame[["time_s", "vehicle"]].to_numpy().tolist() == [[2, 1], [2, 2], [4, 1]]
+    assert frame.trust.tolist() == pytest.approx([0.8, 0.3, 0.1])
+    assert trust.below(run, 0.25).set_index("behaviour").share.to_dict() == {"honest": 0.5, "malicious": 0}
+    assert trust.detection_delay(run, 0.25, "vehicles").delay_s.tolist() == [1]
+    figures = measure(run).set_index(["topic", "figure", "of"]).value["trust"]
+    assert figures["time to be found out, median", "malicious, at a vehicle"] == 1
+    assert not any("server" in of for _, of in figures.index)
 
 
 def test_radio_by_hand(tiny):
@@ -190,6 +235,41 @@ def test_contacts_by_hand(tiny):
     assert nx.get_edge_attributes(graph, "contact_s") == {(0, 1): 1.5, (1, 2): 1.0, (2, 3): 0.5}
     with pytest.raises(ValueError, match="no encounters with radius_m = 7"):
         contacts.graph(run, 0, 1, radius_m=7)
+
+
+def test_spread_by_hand(tiny):
+    """The same meetings. At 0 s {0, 1} and {2, 3} know of each other; at 1 s {0, 1, 2} of all, 3 of 2 and 3.
+
+    So news of 0 and 1 has reached three of four, of 2 and 3 four.
+    """
+    run = tiny(4, encounters=[meeting(0, 1, 0, 2), meeting(1, 2, 1, 3), meeting(2, 3, 0, 1)])
+    frame = contacts.spread(run, 1)
+    assert frame.reached_mean.tolist() == [0.5, 14 / 16, 14 / 16, 14 / 16]
+    assert frame.reached_min.tolist() == [0.5, 0.75, 0.75, 0.75]
+    assert frame.n_met.tolist() == [4, 4, 4, 4]
+
+
+def test_spread_is_arrivals_for_many(run):
+    """Looked at in every step, it is the mean of what `arrivals` says of each source."""
+    frame = contacts.spread(run, 1.0, 50.0)
+    met = contacts.contacts(run, 50.0)
+    sources = np.unique(met[met.start_s == 0][["a", "b"]])
+    reached = [len(contacts.arrivals(run, source, 0.0, 50.0)) for source in sources]
+    assert 0 < len(sources) <= 64
+    assert frame.reached_mean.iloc[-1] == pytest.approx(np.mean(reached) / frame.n_met.iloc[-1])
+    assert frame.reached_min.iloc[-1] == pytest.approx(min(reached) / frame.n_met.iloc[-1])
+
+
+def test_news_by_hand(tiny):
+    """0 tells 1 in step 0, too late for what 1 says in that step; 1 tells 2 in step 1; 2 tells 3 in step 2."""
+    heard = [(0, 0, 1, 0.1), (0, 1, 2, 0.2), (1, 1, 2, 0.2), (2, 2, 3, 0.1), (3, 0, 3, 0.1), (3, 4, 5, 0.1)]
+    rows = [{"step": s, "sender": a, "receiver": b, "latency_s": t, "hops": 1} for s, a, b, t in heard]
+    run = tiny(5, vehicles=fleet(*["honest"] * 6), deliveries=rows)
+    frame = contacts.news(run, 0).set_index("actor")
+    assert frame.time_s.to_dict() == pytest.approx({0: 0, 1: 0.1, 2: 1.2, 3: 2.1}, abs=1e-5)
+    assert frame.n_messages.to_dict() == {0: 0, 1: 1, 2: 2, 3: 3}
+    assert sorted(contacts.news(run, 0, 3.0).actor) == [0, 3]
+    assert sorted(contacts.relays(run, 1, 3).edges) == [(1, 2), (2, 3)]
 
 
 def test_relays(run):

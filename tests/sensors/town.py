@@ -108,12 +108,12 @@ def car(x, y, yaw=0.0, z=0.75) -> Boxes:
     return Boxes(np.array([[x, y, z]]), SIZE_M[:1], np.array([yaw]))
 
 
-def exact(boxes, shape, observers, scene=None, **params):
+def exact(boxes, shape, observers, scene=None, posts=None, **params):
     """A sweep without noise."""
-    keys = np.arange(len(observers), dtype=np.uint64)
+    keys = np.arange(len(observers) + (0 if posts is None else len(posts.foot_m)), dtype=np.uint64)
     scene = Scene.empty() if scene is None else scene
     clean = LidarParams(range_sigma_m=0.0, **params)
-    return scan(boxes, np.asarray(shape, np.uint8), np.asarray(observers), scene, clean, keys)
+    return scan(boxes, np.asarray(shape, np.uint8), np.asarray(observers), scene, clean, keys, posts=posts)
 
 
 def to_scene(polygons, base_m, top_m, turn=0.0, shift=(0.0, 0.0)) -> Scene:

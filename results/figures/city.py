@@ -1,0 +1,46 @@
+"""A city as it is: streets and buildings."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.figure import Figure
+
+from results.figures import style
+
+
+@style.styled
+def draw(
+    streets: Sequence[np.ndarray],
+    widths_m: Sequence[float],
+    buildings: Sequence[np.ndarray],
+    title: str = "",
+    attribution: str = "",
+) -> Figure:
+    """Lanes as lines [k 2] of their true width and buildings as filled rings [k 2], in metres."""
+    if not streets:
+        raise ValueError("A city without a street cannot be drawn.")
+    corners = np.concatenate([np.asarray(street)[:, :2] for street in streets])
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    span = np.maximum(high - low, 1.0)
+    side = 6.4
+    height = float(np.clip(side * span[1] / span[0] + 0.8, 2.4, 9.0))
+    figure, (axes,) = style.sheet(width=side + 0.8, height=height)
+    scale = 72 * min(side / span[0], height / span[1])  # points per metre
+    axes.add_collection(PolyCollection([b[:, :2] for b in buildings], facecolor=style.PALE, edgecolor="none"))
+    thick = np.maximum(np.asarray(widths_m) * scale, 0.25)
+    axes.add_collection(LineCollection([s[:, :2] for s in streets], colors=style.INKS[0], linewidths=thick))
+    margin = 0.02 * span.max()
+    axes.set_xlim(low[0] - margin, high[0] + margin)
+    axes.set_ylim(low[1] - margin, high[1] + margin)
+    axes.set_aspect("equal")
+    axes.grid(visible=False)
+    axes.set_title(title)
+    axes.set_xlabel("East [m]")
+    axes.set_ylabel("North [m]")
+    if attribution:
+        axes.annotate(
+            attribution, (1, 0), xycoords="axes fraction", xytext=(-3, 3), textcoords="offset points", ha="right",
+            fontsize=6.5, color="#444444", bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.7, "pad": 1},
+        )  # fmt: skip
+    return figure

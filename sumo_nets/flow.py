@@ -1,0 +1,126 @@
+"""Does it flow? A network's traffic driven once, and what came of it."""
+
+from __future__ import annotations
+
+import tempfile
+from dataclasses import dataclass
+from math import inf
+from pathlib import Path
+
+from sumo_nets import sumotools
+from sumo_nets.catalogue import Net
+from sumo_nets.xml import Attributes, stream
+
+JAMMED = 0.1
+"""A street on which traffic goes at less than this share of its free speed, for a quarter of an hour, is jammed."""
+_BUSY_S = 900.0
+"""Vehicle-seconds on a street below which its speed says nothing."""
+
+
+@dataclass(frozen=True, slots=True)
+class Flow:
+    """A quarter of an hour or more of traffic, after warm-up."""
+
+    seconds: float
+    vehicles_mean: float
+    """On the road."""
+    speed_kmh: float
+    """Mean over vehicles and time, stops included."""
+    trips: int
+    """Ended."""
+    teleports: int
+    """Vehicles that SUMO lifted out of a jam."""
+    waiting: int
+    """Vehicles that found no room to enter, at the end."""
+    collisions: int
+    jammed: tuple[str, ...]
+    """Streets (edges) on which traffic hardly moves."""
+    jammed_p: float
+    """Share of the vehicles' time that is spent on them."""
+
+    @property
+    def verdict(self) -> str:
+        """One line for whoever has to decide whether to use it."""
+        faults = []
+        if self.vehicles_mean < 1:
+            faults.append("nobody is on the road")
+        if self.teleports > 0.02 * max(self.trips, 1):
+            faults.append(f"{self.teleports} teleports in {self.trips} trips")
+        if self.waiting > max(10.0, 0.1 * self.vehicles_mean):
+            faults.append(f"{self.waiting} vehicles wait to enter")
+        if self.jammed_p > 0.1:
+            faults.append(f"{self.jammed_p:.0%} of the time is spent in jams, on {len(self.jammed)} streets")
+        return f"it does not flow: {', '.join(faults)}; a lower density may help" if faults else "it flows"
+
+
+def measure(net: Net, seconds: float = 1200.0) -> Flow:
+    """Drive a network's demand for its warm-up and `seconds` more."""
+    begin, end = net.warm_up_s, net.warm_up_s + seconds
+    with tempfile.TemporaryDirectory(prefix="sumo_nets.") as name:
+        work = Path(name)
+        wanted = f'<edgeData id="e" file="edges.xml" begin="{begin}" end="{end}" excludeEmpty="true"/>'
+        (work / "edges.add.xml").write_text(f"<additional>{wanted}</additional>", encoding="utf-8")
+        additional = [net.folder / "vtypes.add.xml", net.folder / "stops.add.xml", work / "edges.add.xml"]
+        options = {
+            "configuration-file": net.sumocfg_path.resolve(),
+            "additional-files": ",".join(str(path.resolve()) for path in additional),
+            "end": end, "statistic-output": work / "statistic.xml", "summary-output": work / "summary.xml",
+            "no-step-log": True, "no-warnings": True, "duration-log.statistics": True, "verbose": False,
+        }  # fmt: skip
+        sumotools.run("sumo", options, work)
+        return _flow(work, begin, seconds, _free_mps(net.net_path))
+
+
+def _flow(work: Path, begin_s: float, seconds: float, free_mps: dict[str, float]) -> Flow:
+    rows: list[Attributes] = []
+    totals: dict[str, Attributes] = {}
+    jammed: list[str] = []
+    spent_s = jammed_s = 0.0
+
+    def step(name: str, attributes: Attributes) -> None:
+        if name == "step" and float(attributes["time"]) >= begin_s:
+            rows.append(attributes)
+
+    def edge(name: str, attributes: Attributes) -> None:
+        nonlocal spent_s, jammed_s
+        if name != "edge":
+            return
+        here_s = float(attributes["sampledSeconds"])
+        spent_s += here_s
+        if here_s > _BUSY_S and float(attributes.get("speed", 0.0)) < JAMMED * free_mps.get(attributes["id"], 0.0):
+            jammed.append(attributes["id"])
+            jammed_s += here_s
+
+    stream(work / "summary.xml", step)
+    stream(work / "statistic.xml", totals.__setitem__)
+    if (work / "edges.xml").is_file():
+        stream(work / "edges.xml", edge)
+    running = [float(row["running"]) for row in rows] or [0.0]
+    driven = sum(float(row["running"]) * max(0.0, float(row["meanSpeed"])) for row in rows)
+    return Flow(
+        seconds=seconds,
+        vehicles_mean=sum(running) / len(running),
+        speed_kmh=3.6 * driven / max(sum(running), 1.0),
+        trips=int(rows[-1]["ended"]) if rows else 0,
+        teleports=int(totals.get("teleports", {}).get("total", 0)),
+        waiting=int(rows[-1]["waiting"]) if rows else 0,
+        collisions=int(totals.get("safety", {}).get("collisions", 0)),
+        jammed=tuple(sorted(jammed)),
+        jammed_p=jammed_s / max(spent_s, 1.0),
+    )
+
+
+def _free_mps(net_path: Path) -> dict[str, float]:
+    """Speed limit of each edge: its fastest lane's."""
+    found: dict[str, float] = {}
+    at = ""
+
+    def start(name: str, attributes: Attributes) -> None:
+        nonlocal at
+        if name == "edge":
+            at = attributes["id"] if attributes.get("function", "normal") == "normal" else ""
+        elif name == "lane" and at:
+            found[at] = max(found.get(at, -inf), float(attributes["speed"]))
+
+    stream(net_path, start)
+    return found
