@@ -8,14 +8,15 @@ on runs that the fit has not seen, and curves beside it.
 """
 
 import argparse
+import re
 import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
-import pandas as pd
 import tomli_w
 from numpy import ndarray
 from scipy.optimize import differential_evolution
@@ -25,8 +26,10 @@ from cosim import resweep, rng
 from cosim.cycle import CLUTTER_SLOTS, luck
 from cosim.world import LABELS
 from results.archive import Run, open_run
+from results.figures import calibration as pictures
+from results.figures import style
 from results.metrics import detection
-from results.metrics.kitti import LEVELS, Objects, Precision, average_precision
+from results.metrics.kitti import LEVELS, STRICT, Objects, Precision, average_precision
 from sensors import detector
 from sensors.boxes import Boxes, iou_3d
 from sensors.clutter import N_CLUTTER_DRAWS, false_alarms
@@ -38,14 +41,14 @@ RANGE_M = 140.0
 _COLUMNS = ("frame", "label", "box", "height_px", "occlusion", "truncation", "score")
 
 FITTED = {
-    "found_max_p": (logit, expit, 0.7),
-    "half_returns": (np.log, np.exp, 0.7),
+    "found_max_p": (logit, expit, 0.3),
+    "half_returns": (np.log, np.exp, 0.4),
     "occlusion_loss": (logit, expit, 0.7),
-    "xy_sigma_m": (np.log, np.exp, 0.5),
-    "xy_sigma_sparse_m": (np.log, np.exp, 0.7),
-    "size_sigma": (np.log, np.exp, 0.5),
+    "xy_sigma_m": (np.log, np.exp, 0.3),
+    "xy_sigma_sparse_m": (np.log, np.exp, 0.4),
+    "size_sigma": (np.log, np.exp, 0.3),
     "score_logit": (np.asarray, np.asarray, 1.0),
-    "score_error": (np.log, np.exp, 0.7),
+    "score_error": (np.log, np.exp, 0.5),
 }
 """Parameters that are moved, one value per class; how they are made free of bounds, and how far off they may be."""
 
@@ -61,7 +64,8 @@ class Sample:
 
     name: str
     truth: Objects
-    poses: pd.DataFrame
+    poses: Any
+    """Of the observers, frame by frame: a table of `results.metrics.detection`."""
     seen: Sightings
     boxes: Boxes
     label: ndarray
@@ -81,10 +85,10 @@ class Said:
     """Overlap of each box with the actor behind it."""
 
 
-def sample(run: Run, profile: str, max_frames: int) -> Sample:
-    """Frames of a run, evenly spread over it."""
+def sample(run: Run, profile: str, model: SimpleNamespace, max_frames: int) -> Sample:
+    """Frames of a run, evenly spread over it; the false boxes are those of the model."""
     params = detector.DetectorParams(profile=profile)  # type: ignore[arg-type]
-    config, model = replace(resweep.config_of(run), detector=params), detector.resolved(params)
+    config = replace(resweep.config_of(run), detector=params)
     city = resweep.city_of(config)
     steps = detection._sampled_steps(run, max_frames)
     truth, poses = detection._truth(run, steps, RANGE_M)
@@ -166,6 +170,15 @@ def _joined(parts: Sequence[Objects]) -> Objects:
     return Objects(*(np.concatenate([getattr(part, name) for part in parts]) for name in _COLUMNS))
 
 
+def of_the_seen(samples: Sequence[Sample], label: str, everything: Said) -> dict[str, Precision]:
+    """The same where only actors with a return are labelled, as data sets are that people or pixels label."""
+    mine = _rows(everything.truth, everything.truth.label == label)
+    ideal = said(samples, None, label).found
+    where = [np.ascontiguousarray(np.column_stack([a.frame, a.box[:, :2]])).view("V24")[:, 0] for a in (mine, ideal)]
+    found = _rows(everything.found, everything.found.label == label)
+    return average_precision(_rows(mine, np.isin(*where)), found, label)
+
+
 def figures(one: Said, label: str) -> dict[str, Precision]:
     """Average precision by level, 3D, KITTI's limits."""
     return average_precision(one.truth, one.found, label)
@@ -203,3 +216,90 @@ def fit(samples: Sequence[Sample], label: str, target: Sequence[float], start: S
         init="sobol", rng=np.random.default_rng(0), polish=False,
     )  # fmt: skip
     return model_at(best.x)
+
+
+def as_model(parameters: dict[str, Any]) -> SimpleNamespace:
+    """The numbers of a profile's file, tuples as arrays."""
+    return SimpleNamespace(**{k: np.array(v) if isinstance(v, list) else v for k, v in parameters.items()})
+
+
+def as_written(values: ndarray) -> list[float]:
+    """Plain numbers of four digits."""
+    return [float(f"{value:.4g}") for value in values]
+
+
+def calibrate(name: str, fitted_on: Sequence[Run], held_out: Sequence[Run], max_frames: int = 1500) -> Path:
+    """Fit, judge on runs that the fit has not seen, and write the profile and its picture."""
+    path = PROFILES / f"{name}.toml"
+    profile = tomllib.loads(path.read_text(encoding="utf-8"))
+    guess = {k: v for k, v in profile["first_guess"].items() if k != "source"}
+    model = as_model(guess)
+    samples = [sample(run, name, model, max_frames) for run in fitted_on]
+    for label, target in profile["published"].items():
+        model = fit(samples, label, target, model)
+    fitted = {name: as_written(getattr(model, name)) for name in FITTED}
+    model = as_model(guess | fitted)
+
+    fresh = [sample(run, name, model, max_frames) for run in held_out]
+    everything = said(fresh, model)
+    n_frames = sum(len(one.poses) for one in fresh)
+    report: dict[str, Any] = {
+        "fitted_on": [about(run) for run in fitted_on], "held_out": [about(run) for run in held_out],
+        "frames": n_frames, "levels": list(LEVELS),
+    }  # fmt: skip
+    curves, scores = {}, {}
+    for label, target in profile["published"].items():
+        on_fresh = figures(everything, label)
+        report[label] = {
+            "published": target,
+            **{what: [round(float(answer[level].ap11), 1) for level in LEVELS]
+               for what, answer in (
+                   ("reached", on_fresh),
+                   ("on_fitted_runs", figures(said(samples, model, label), label)),
+                   ("most_that_can_be", ceiling(fresh, label)),
+                   ("reached_of_the_seen", of_the_seen(fresh, label, everything)),
+               )},
+        }  # fmt: skip
+        own = everything.found.label == label
+        hit = own & (everything.iou > STRICT[label])
+        scores[label] = everything.found.score[hit], everything.found.score[own & ~hit]
+        curves[label] = {level: on_fresh[level].precision for level in LEVELS}
+        report[label]["boxes_per_frame_above_half"] = [
+            round(float((values > 0.5).sum() / n_frames), 3) for values in scores[label]
+        ]
+    write(path, profile | {"fitted": fitted, "calibration": report})
+    picture = style.save(pictures.draw(curves, scores, n_frames), path.with_suffix(".png"))
+    for label in profile["published"]:
+        print(label, *(f"{what}: {value}" for what, value in report[label].items()), sep="\n  ")
+    return picture
+
+
+def about(run: Run) -> str:
+    """What a run was, so that it can be driven again."""
+    config = resweep.config_of(run)
+    return (
+        f"{config.traffic.scenario}, traffic.seed = {config.traffic.seed}, seed = {config.seed}, "
+        f"{run.manifest['steps'] * run.dt_s:g} s sensed every {config.sensing_interval_s:g} s, "
+        f"fleet.penetration_p = {config.fleet.penetration_p:g}"
+    )
+
+
+def write(path: Path, profile: dict[str, Any]) -> None:
+    """A profile as TOML, lists of numbers on one line."""
+    text = tomli_w.dumps(profile)
+    for _ in range(2):
+        text = re.sub(r"\[\n\s*([-\d.e, \[\]\n]*?),\n\s*\]", lambda m: "[" + re.sub(r"\s*\n\s*", " ", m[1]) + "]", text)
+    path.write_text(text, encoding="utf-8")
+
+
+def main() -> None:
+    asked = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    asked.add_argument("profile", choices=sorted(p.stem for p in PROFILES.glob("*.toml")))
+    asked.add_argument("--fit", nargs="+", required=True, type=Path, help="run folders to fit on")
+    asked.add_argument("--hold-out", nargs="+", required=True, type=Path, help="run folders to judge on")
+    words = asked.parse_args()
+    print(calibrate(words.profile, *([open_run(path) for path in paths] for paths in (words.fit, words.hold_out))))
+
+
+if __name__ == "__main__":
+    main()

@@ -27,7 +27,7 @@ Overrides = Annotated[
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="Answer in JSON on standard output.")]
 RunPaths = Annotated[list[Path], typer.Argument(help="Folders that `cosim run` wrote.")]
-Picture = Literal["trust", "encounters", "freshness", "radio", "detection", "map", "contacts"]
+Picture = Literal["trust", "encounters", "freshness", "radio", "detection", "map", "contacts", "sweep"]
 
 
 @app.command()
@@ -99,10 +99,14 @@ def measure(
 def plot(
     what: Annotated[Picture, typer.Argument(help="Which figure.")],
     runs: RunPaths,
-    out: Annotated[Path | None, typer.Option(help="File to write: .png, .svg or .pdf.")] = None,
-    vehicles: Annotated[
-        list[int] | None, typer.Option("--vehicle", help="trust: draw this vehicle too. Repeatable.")
+    out: Annotated[
+        Path | None, typer.Option(help="File to write: .png, .svg, .pdf; sweep: or .ply, .pcd, .pcd.txt, .bin, .npy.")
     ] = None,
+    vehicles: Annotated[
+        list[int] | None,
+        typer.Option("--vehicle", help="trust: draw this vehicle too. Repeatable. sweep: whose point cloud."),
+    ] = None,
+    step: Annotated[int | None, typer.Option(help="sweep: of which step.")] = None,
     over: Annotated[
         str | None, typer.Option(help="freshness: hold the runs against this number, e.g. trust.freshness_s.")
     ] = None,
@@ -117,6 +121,15 @@ def plot(
     from results.figures import style
     from results.figures.catalogue import FIGURES
 
+    if what == "sweep":
+        from cosim.resweep import write
+
+        if len(runs) != 1 or step is None or not vehicles or len(vehicles) != 1:
+            raise ValueError("cosim plot sweep shows one vehicle in one step: cosim plot sweep RUN --vehicle V --step S")
+        screen.print(f"wrote {write(open_run(runs[0]), vehicles[0], step, out)}", highlight=False, soft_wrap=True)
+        return
+    if step is not None:
+        raise ValueError(f"--step goes with `cosim plot sweep`, not with {what}. Leave it out.")
     options = {"vehicles": vehicles, "over": over, "fresh_s": fresh_s, "radius_m": radius_m, "pairs": pairs}
     given = {name: value for name, value in options.items() if value}
     for name in given:

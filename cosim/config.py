@@ -15,6 +15,7 @@ from cosim.mobility.sumo import TrafficParams
 from cosim.roster import FleetParams
 from cosim.v2x.adversary import AdversaryParams
 from cosim.v2x.radio import RadioParams
+from cosim.v2x.roadside import RoadsideParams
 from cosim.v2x.server import ServerParams
 from results.encounters import EncounterParams
 from results.tables import Level
@@ -57,6 +58,7 @@ class Config:
     detector: DetectorParams = field(default_factory=DetectorParams)
     adversary: AdversaryParams = field(default_factory=AdversaryParams)
     radio: RadioParams = field(default_factory=RadioParams)
+    rsu: RoadsideParams = field(default_factory=RoadsideParams)
     server: ServerParams = field(default_factory=ServerParams)
     trust: TrustParams = field(default_factory=TrustParams)
     encounters: tuple[EncounterParams, ...] = (EncounterParams(),)
@@ -74,6 +76,12 @@ class Config:
             raise ValueError(
                 f"radio.timeout_s = {self.radio.timeout_s:g} s: two rounds of messages do not fit between two sweeps, "
                 f"sensing_interval_s = {self.sensing_interval_s:g} s apart. Set it to half of that, or less."
+            )
+
+        if self.server.uplink == "rsu" and not (self.rsu.at or self.rsu.n_at_junctions):
+            raise ValueError(
+                'server.uplink = "rsu", but there are no roadside units: nothing would ever reach the server. '
+                "Set rsu.at or rsu.n_at_junctions."
             )
 
     @property

@@ -4,11 +4,13 @@ Reads as the detection and decision cycle of TruPercept (section "Summary"), for
 
 Within a step that begins at time t: sweeps and detections at t; detections are on the air from t and count
 until t + timeout; verdicts are on the air from then on and count until t + 2 timeout (`radio.timeout_s`), when
-everybody fuses with the trust known by then. The trust server sees what has reached it by t, and broadcasts at t.
+everybody fuses with the trust known by then. The trust server sees what has reached it by t, and broadcasts at t;
+roadside units pass the broadcast on beside the verdicts. Piggybacked verdicts wait for the detections of the next
+turn: too late for fusion, in which each vehicle then judges alone, and in time for trust.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8, UInt64
@@ -19,10 +21,24 @@ from cosim.config import Config
 from cosim.manifest import Stopwatch
 from cosim.truth import Truth, truth_of
 from cosim.v2x.adversary import self_reports, tamper
-from cosim.v2x.exchange import Frames, Heard
-from cosim.v2x.messages import FABRICATED, SELF, SENSED, Detections, detections_bytes, expand, is_sound, ptr_of, verdicts_bytes
+from cosim.v2x.exchange import Exchange, Heard
+from cosim.v2x.generation import Memory, included
+from cosim.v2x.messages import (
+    FABRICATED,
+    SELF,
+    SENSED,
+    Detections,
+    detections_bytes,
+    expand,
+    is_sound,
+    ptr_of,
+    riding_bytes,
+    trust_bytes,
+    verdicts_bytes,
+)
 from cosim.v2x.radio import Radio, Round
-from cosim.v2x.server import Downlink, Edition, Uplink
+from cosim.v2x.roadside import NOWHERE, Sites
+from cosim.v2x.server import Downlink, Edition, Traffic, Uplink
 from cosim.world import World
 from sensors import detector, evidence, lidar
 from sensors.boxes import Boxes, overlapping_pairs
@@ -51,6 +67,9 @@ class State:
     ledger: Ledger
     uplink: Uplink
     downlink: Downlink
+    included: Memory = field(default_factory=Memory)
+    riding: Told | None = None
+    """Verdicts of the last turn, waiting for the next message."""
     last_edition_s: float = -np.inf
     n_malformed: int = 0
     """Detections dropped so far because they cannot be: no finite pose, no size, no score."""
@@ -58,11 +77,11 @@ class State:
     """Memory of the last sweeps, written over by the next."""
 
     @staticmethod
-    def start(config: Config, city: Scene) -> "State":
+    def start(config: Config, city: Scene, sites: Sites = NOWHERE) -> "State":
         return State(
-            radio=Radio.start(config.radio, config.sensing_interval_s, config.seed, city),
+            radio=Radio.start(config.radio, config.sensing_interval_s, config.seed, city, sites),
             ledger=Ledger(config.trust, config.traffic.step_s),
-            uplink=Uplink(config.server, config.seed),
+            uplink=Uplink(config.server, config.seed, config.sensing_interval_s),
             downlink=Downlink(config.server, config.seed),
         )
 
@@ -87,11 +106,14 @@ Perceive = Callable[[World, Int[ndarray, "e"], lidar.Sweeps, Config], Perceived]
 
 
 @dataclass(frozen=True, slots=True)
-class Exchange:
-    """One round of messages, one of every equipped vehicle."""
+class ToServer:
+    """A turn's messages between vehicles and trust server."""
 
-    heard: Heard
-    frames: Frames
+    up: Traffic
+    n_addressed: int
+    """Vehicles that a broadcast of trust values was meant for."""
+    n_informed: int
+    """Of these, those that it reaches."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,9 +131,11 @@ class Turn:
     n_points: Int[ndarray, "m"]
     plausible: Bool[ndarray, "m"]
     matched: Bool[ndarray, "m"]
-    known: Known  # goes with the deliveries of verdicts
+    met: Heard  # whose trust each vehicle looks up
+    known: Known  # goes with `met`
     fused: fusion.Fused
     standing: Standing | None  # what the server just computed
+    to_server: ToServer | None
 
 
 def turn(
@@ -140,17 +164,19 @@ def turn(
             assert (said.origin[~sound] == FABRICATED).all()
             state.n_malformed += int((~sound).sum())
             said = said.take(np.flatnonzero(sound))
+        if config.radio.cpm_rules == "etsi":
+            chosen, state.included = included(state.included, said, world.actor[said.observer], time_s)
+            said = replace(said, said=chosen)
         truth = truth_of(said, world, sights, observers, is_real, source)
         claims, ptr = _claims(said, observers)
 
     with watch("radio"):
-        n_said = np.bincount(claims.sender[said.said], minlength=len(observers))
-        first, first_frames = state.radio.exchange(
-            Round.DETECTIONS, world, observers, detections_bytes(n_said), time_s
-        )
+        riding = state.riding
+        length_bytes = _lengths(claims, said.said, ids, riding, config)
+        first = state.radio.exchange(Round.DETECTIONS, world, observers, length_bytes, time_s)
     with watch("match"):
         pairs = overlapping_pairs(said.boxes, said.label, said.observer)
-        everything = _views(first, ptr, said.said, len(observers))
+        everything = _views(first.heard, ptr, said.said, len(observers))
         of_member = everything.of_member()
         inside = evidence.in_area(
             sweeps, of_member, said.boxes.take(everything.member), config.area,
@@ -170,31 +196,44 @@ def turn(
 
     told = _told(step, ids, views, claims, verdicts, said.said)
     judged_s = time_s + state.radio.timeout_s
+    alone = config.radio.verdicts == "alone"
     with watch("radio"):
-        second, second_frames = state.radio.exchange(
-            Round.VERDICTS, world, observers, verdicts_bytes(np.diff(told.ptr)), judged_s
-        )
+        edition = state.downlink.on_masts(judged_s)
+        second = state.radio.exchange(
+            Round.VERDICTS, world, observers, verdicts_bytes(np.diff(told.ptr)) * alone, judged_s,
+            0 if edition is None else trust_bytes(len(edition.subject)),
+        )  # fmt: skip
     with watch("trust"):
-        _book(state, config, told, claims, said.said, ids, second)
+        state.riding = None if alone else told
+        spoken, carrier, begin_s = (told, second, judged_s) if alone else (riding, first, time_s)
+        _book(state, config, told, claims, said.said, ids)
+        if spoken is not None:
+            _hear(state, config, spoken, carrier, ids, begin_s)
         if config.trust.where == "central":
-            state.uplink.send(told, names, judged_s)
-        known = knowledge(
-            state, config, ids[second.receiver], ids[second.sender], ids, judged_s + state.radio.timeout_s
-        )
+            if config.server.uplink == "cellular":
+                state.uplink.by_cellular(told, names, world.boxes.xyz_m[observers, :2], judged_s)
+            if edition is not None:
+                state.downlink.overheard(ids[second.down.receiver], second.down, ids, judged_s)
+        met = (second if alone else first).heard
+        known = knowledge(state, config, ids[met.receiver], ids[met.sender], ids, judged_s + state.radio.timeout_s)
 
     with watch("fuse"):
         groups_all = matching.match(everything, claims, pairs, config.trust)
         sight = _sight(sweeps, everything, groups_all, said.boxes, config)
-        heard = fusion.Heard(ptr_of(second.receiver, len(observers)), second.sender, known.trust)
+        judged = np.full(len(met.sender), alone)
+        heard = fusion.Heard(ptr_of(met.receiver, len(observers)), met.sender, known.trust, judged)
         distance_m = np.linalg.norm(said.boxes.xyz_m - sweeps.poses.origin_m[claims.sender], axis=1)
         fused = fusion.fuse(
             everything, groups_all, claims, views, verdicts, heard, sight, distance_m, config.trust
         )
         fused = fused.take(fused.score >= config.trust.min_score)
 
+    to_server = None
+    if config.trust.where == "central":
+        to_server = ToServer(state.uplink.last, state.downlink.n_addressed, state.downlink.n_informed)
     return Turn(
-        world, observers, sights, said, truth, (Exchange(first, first_frames), Exchange(second, second_frames)),
-        views, verdicts, n_points, plausible, groups.local, known, fused, standing,
+        world, observers, sights, said, truth, (first, second),
+        views, verdicts, n_points, plausible, groups.local, met, known, fused, standing, to_server,
     )  # fmt: skip
 
 
@@ -228,11 +267,12 @@ def _serve(state: State, config: Config, world: World, ids: ndarray, names: ndar
         return None
     for told in state.uplink.arrived(time_s):
         state.ledger.enter(told, np.full(len(told.evaluator), SERVER), np.arange(len(told.evaluator)))
-    if time_s - state.last_edition_s < config.trust.server_period_s - 1e-9:
+    state.uplink.last, state.downlink.n_addressed, state.downlink.n_informed = Traffic(), 0, 0
+    if config.server.is_out(time_s) or time_s - state.last_edition_s < config.trust.server_period_s - 1e-9:
         return None
     state.last_edition_s = time_s
     standing = state.ledger.standing(world.step)
-    state.downlink.broadcast(Edition(time_s, standing.subject, standing.trust), world.step, ids, names)
+    state.downlink.publish(Edition(time_s, standing.subject, standing.trust), world.step, ids, names)
     return standing
 
 
@@ -265,7 +305,7 @@ def _perceive(world: World, observers: Int[ndarray, "e"], sweeps: lidar.Sweeps, 
 def luck(
     observer: UInt64[ndarray, "s"], actor: UInt64[ndarray, "s"], step: int, config: Config
 ) -> Float[ndarray, "s n"]:
-    """The detectors' luck with every actor (both by the keys of their names): in part new in this step, in part lasting."""
+    """The detectors' luck with every actor, both given by name: in part new in this step, in part lasting."""
     model, n = detector.resolved(config.detector), detector.N_SIGHTING_DRAWS
     fresh = rng.normals(rng.key(config.seed, rng.Stream.DETECTION, step), observer, actor, n=n)
     lasting = rng.persistent(
@@ -307,18 +347,42 @@ def _told(
     return tables.told(step, ids, _subset(views, keep), claims, Verdicts(verdicts.e[keep], verdicts.phi[keep]))
 
 
+def _lengths(
+    claims: Claims, said: Bool[ndarray, "d"], ids: ndarray, riding: Told | None, config: Config
+) -> Int[ndarray, "e"]:
+    """Length of each vehicle's detection message, with the verdicts that ride on it; 0 for none [B]."""
+    n_said = np.bincount(claims.sender[said], minlength=len(ids))
+    n_riding = np.zeros(len(ids), np.int64)
+    if riding is not None:
+        _, there, row = np.intersect1d(riding.evaluator, ids, assume_unique=True, return_indices=True)
+        n_riding[row] = np.diff(riding.ptr)[there]
+    length = detections_bytes(n_said) + np.where(n_riding > 0, riding_bytes(n_riding), 0)
+    return length if config.radio.cpm_rules == "all" else np.where((n_said > 0) | (n_riding > 0), length, 0)
+
+
 def _book(
-    state: State, config: Config, told: Told, claims: Claims, said: Bool[ndarray, "d"], ids: ndarray, heard: Heard
+    state: State, config: Config, told: Told, claims: Claims, said: Bool[ndarray, "d"], ids: Int[ndarray, "e"]
 ) -> None:
-    """Open the step in the ledgers; where every vehicle keeps its own, enter what it thinks and what it was told."""
+    """Open the step in the ledgers; where every vehicle keeps its own, enter what it thinks itself."""
     if config.trust.where == "none":
         return
     state.ledger.announce(told.step, ids, claims.sender[said], claims.k[said], claims.score[said])
     if config.trust.where == "local":
-        everyone = np.arange(len(ids))
-        state.ledger.enter(told, ids, everyone)
-        if config.trust.local_evidence == "heard":
-            state.ledger.enter(told, ids[heard.receiver], heard.sender)
+        state.ledger.enter(told, ids, np.arange(len(ids)))
+
+
+def _hear(state: State, config: Config, told: Told, carrier: Exchange, ids: Int[ndarray, "e"], begin_s: float) -> None:
+    """Verdicts reach other vehicles and, where that is their way to the server, roadside units."""
+    message = np.full(len(ids), -1)  # of each vehicle on the road
+    _, which, row = np.intersect1d(told.evaluator, ids, assume_unique=True, return_indices=True)
+    message[row] = which
+    if config.trust.where == "local" and config.trust.local_evidence == "heard":
+        heard = carrier.heard
+        rows = np.flatnonzero(message[heard.sender] >= 0)
+        state.ledger.enter(told, ids[heard.receiver[rows]], message[heard.sender[rows]])
+    if config.trust.where == "central" and config.server.uplink == "rsu":
+        up = carrier.up.take(message[carrier.up.sender] >= 0)
+        state.uplink.by_roadside(told, message[up.sender], up, begin_s)
 
 
 def _sight(

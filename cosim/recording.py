@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 from cosim.config import Config
 from cosim.cycle import FROM_NOWHERE, State, Turn, knowledge
 from cosim.roster import Roster
-from cosim.v2x.exchange import Fate
+from cosim.v2x.exchange import Exchange, Fate, View
 from cosim.v2x.messages import FABRICATED, Detections
 from cosim.world import World
 from results.encounters import EncounterLedger
@@ -31,6 +31,9 @@ FATES = {
 
 RING_M = 25
 """Width of a ring of distance in the table `links` [m]."""
+
+LATENCY_BINS_S = 1e-4 * 2.0 ** (np.arange(-2, 33) / 2)
+"""Lower edges of the bins of the table `latencies` [s]."""
 
 
 def actors(recorder: Recorder, world: World) -> None:
@@ -61,9 +64,10 @@ class Meetings:
         xy = world.boxes.xyz_m[rows, :2]
         reach_m = max((ledger.params.radius_m for ledger in self.ledgers), default=0.0)
         pairs = cKDTree(xy).query_pairs(reach_m, output_type="ndarray") if len(rows) else np.zeros((0, 2), int)
-        pair = np.sort((pairs.min(axis=1) << 32) | pairs.max(axis=1))
+        pair = np.sort((pairs[:, 0] << 32) | pairs[:, 1])
         a, b = rows[pair >> 32], rows[pair & 0xFFFFFFFF]
-        distance_m = np.linalg.norm(world.boxes.xyz_m[a, :2] - world.boxes.xyz_m[b, :2], axis=1)
+        east_m, north_m = (world.boxes.xyz_m[a, axis] - world.boxes.xyz_m[b, axis] for axis in (0, 1))
+        distance_m = np.sqrt(east_m * east_m + north_m * north_m)
         sight = line_of_sight(city, world.boxes, world.shape, a, b, self.config.lidar.mount_above_roof_m)
         equipped = world.equipped[a] & world.equipped[b]
         for ledger in self.ledgers:
@@ -88,11 +92,11 @@ class Meetings:
         foreign = turn.observers[evaluator] != observer
         judged = evaluator[foreign] * len(turn.world) + observer[foreign]
         pair, n = np.unique(judged, return_counts=True)
-        second, told = turn.exchanges[1].heard, turn.known.source != FROM_NOWHERE
+        met, told = turn.met, turn.known.source != FROM_NOWHERE
         for ledger in self.ledgers:
             for exchange in turn.exchanges:
                 ledger.count_messages(ids[exchange.heard.sender], ids[exchange.heard.receiver])
-            ledger.note_trust(ids[second.receiver][told], ids[second.sender][told])
+            ledger.note_trust(ids[met.receiver][told], ids[met.sender][told])
             ledger.count_verdicts(ids[pair // len(turn.world)], turn.world.actor[pair % len(turn.world)], n)
 
     def close(self, recorder: Recorder, last_step: int) -> None:
@@ -101,12 +105,14 @@ class Meetings:
             recorder.append("encounters", last_step, ledger.close(last_step + 1))
 
 
-def turn(recorder: Recorder, turn: Turn, dt_s: float) -> None:
-    """Everything that a turn says."""
+def turn(recorder: Recorder, turn: Turn, silences: tuple["Silences", ...], dt_s: float) -> None:
+    """Everything that a turn says; `silences` go with its exchanges."""
     world, step = turn.world, turn.world.step
     ids = world.actor[turn.observers]
     _detections(recorder, turn)
     _radio(recorder, turn)
+    for message, silence in enumerate(silences):
+        silence.update(recorder, turn, message)
     recorder.append("sightings", step, {
         "observer": ids[turn.sights.o], "actor": world.actor[turn.sights.actor],
         "n_points": turn.sights.n_returns, "n_unoccluded": turn.sights.n_unoccluded,
@@ -116,7 +122,8 @@ def turn(recorder: Recorder, turn: Turn, dt_s: float) -> None:
         recorder.append("deliveries", step, {
             "message": np.full(len(heard.sender), message),
             "sender": ids[heard.sender], "receiver": ids[heard.receiver],
-            "hops": heard.hops, "latency_s": heard.latency_s, "distance_m": heard.distance_m,
+            "hops": heard.hops, "generated_s": heard.generated_s, "access_s": heard.access_s,
+            "latency_s": heard.latency_s, "distance_m": heard.distance_m,
         })  # fmt: skip
     member = turn.views.member
     recorder.append("verdicts", step, {
@@ -133,9 +140,17 @@ def turn(recorder: Recorder, turn: Turn, dt_s: float) -> None:
             "n_evaluations": standing.n_verdicts, "newest_age_s": (step - standing.newest_step) * dt_s,
             "oldest_age_s": (step - standing.oldest_step) * dt_s,
         })  # fmt: skip
-    heard = turn.exchanges[1].heard
+    if turn.to_server is not None:
+        up, down = turn.to_server.up, turn.to_server
+        recorder.append("server", step, {
+            "n_reports": np.array([up.n_reports]), "n_reached": np.array([up.n_reached]),
+            "n_lost": np.array([up.n_lost]), "n_over_capacity": np.array([up.n_over_capacity]),
+            "n_outage": np.array([up.n_outage]), "up_bytes": np.array([up.up_bytes]),
+            "n_addressed": np.array([down.n_addressed]), "n_informed": np.array([down.n_informed]),
+        })  # fmt: skip
+    met = turn.met
     recorder.append("uses", step, {
-        "receiver": ids[heard.receiver], "subject": ids[heard.sender], "trust": turn.known.trust,
+        "receiver": ids[met.receiver], "subject": ids[met.sender], "trust": turn.known.trust,
         "source": turn.known.source, "age_s": turn.known.age_s, "age_s__valid": turn.known.source != FROM_NOWHERE,
     })  # fmt: skip
     _fused(recorder, turn)
@@ -186,15 +201,82 @@ def _radio(recorder: Recorder, turn: Turn) -> None:
             "n_in_reach": np.array([len(frames.fate)]), "n_duplicate": np.array([frames.n_duplicate]),
             **{name: np.array([np.isin(frames.fate, fates).sum()]) for name, fates in FATES.items()},
             "bytes": np.array([frames.sent_bytes]),
-            "busy_ratio": None if frames.busy is None else np.array([frames.busy.mean()]),
+            "busy_ratio": None if frames.busy is None else np.array([frames.busy[: len(turn.observers)].mean()]),
         })  # fmt: skip
-        rings, at = np.unique((frames.distance_m // RING_M).astype(int), return_inverse=True)
+        ring = (frames.distance_m // RING_M).astype(int)
+        rings, at = np.unique(ring * len(View) + frames.view, return_inverse=True)
         recorder.append("links", step, {
-            "message": np.full(len(rings), message), "ring_m": rings * RING_M,
-            "n_in_reach": np.bincount(at, minlength=len(rings)),
+            "message": np.full(len(rings), message), "ring_m": rings // len(View) * RING_M,
+            "view": rings % len(View), "n_in_reach": np.bincount(at, minlength=len(rings)),
             **{name: np.bincount(at[np.isin(frames.fate, fates)], minlength=len(rings))
                for name, fates in FATES.items()},
         })  # fmt: skip
+        bins, n = np.unique(np.searchsorted(LATENCY_BINS_S, exchange.heard.latency_s, "right"), return_counts=True)
+        recorder.append("latencies", step, {
+            "message": np.full(len(bins), message), "latency_s": np.append(0, LATENCY_BINS_S)[bins], "n_delivered": n,
+        })  # fmt: skip
+    _ears(recorder, turn)
+
+
+def _ears(recorder: Recorder, turn: Turn) -> None:
+    """What each vehicle's radio meets with, both rounds together."""
+    n = len(turn.observers)
+    n_in_reach, n_heard, busy = np.zeros(n, int), np.zeros(n, int), np.zeros(n)
+    is_known = all(exchange.frames.busy is not None for exchange in turn.exchanges)
+    for exchange in turn.exchanges:
+        _, receiver = _in_reach(exchange, n)
+        n_in_reach += np.bincount(receiver, minlength=n)
+        n_heard += np.bincount(exchange.heard.receiver, minlength=n)
+        if exchange.frames.busy is not None:
+            busy += exchange.frames.busy[:n] / len(turn.exchanges)
+    recorder.append("ears", turn.world.step, {
+        "vehicle": turn.world.actor[turn.observers], "busy_ratio": busy, "busy_ratio__valid": np.full(n, is_known),
+        "n_in_reach": n_in_reach, "n_heard": n_heard,
+    })  # fmt: skip
+
+
+def _in_reach(exchange: Exchange, n: int) -> tuple[Int[ndarray, "p"], Int[ndarray, "p"]]:
+    """Authors of messages, and the other vehicles within reach of them: each pair once, sorted."""
+    frames = exchange.frames
+    own = (frames.hop == 1) & (frames.origin < n) & (frames.receiver < n)
+    pair = np.unique(frames.origin[own].astype(np.int64) * n + frames.receiver[own])
+    return pair // max(n, 1), pair % max(n, 1)
+
+
+@dataclass(slots=True)
+class Silences:
+    """Since when each pair of vehicles within reach has been without a message from the one to the other."""
+
+    _key: Int[ndarray, "p"] = field(default_factory=lambda: np.zeros(0, np.int64))
+    """Sender and receiver in one number, ascending; all that were within reach in the last turn."""
+    _since: Int[ndarray, "p"] = field(default_factory=lambda: np.zeros(0, np.int64))
+    """Step of the last reception; negative where there was none since they came within reach."""
+    _step: int = 0
+    """Of the last turn."""
+
+    def update(self, recorder: Recorder, turn: Turn, message: int) -> None:
+        """Count the silences that a reception ends, and those that parting ends."""
+        step, n, exchange = turn.world.step, len(turn.observers), turn.exchanges[message]
+        ids = turn.world.actor[turn.observers].astype(np.int64)
+        sender, receiver = _in_reach(exchange, n)
+        key = (ids[sender] << 32) | ids[receiver]
+        since = np.full(len(key), -1)
+        at = np.minimum(np.searchsorted(self._key, key), max(len(self._key) - 1, 0))
+        known = self._key[at] == key if len(self._key) else np.zeros(len(key), bool)
+        since[known] = self._since[at[known]]
+        gone = np.ones(len(self._key), bool)
+        gone[at[known]] = False
+        heard = np.isin(sender * n + receiver, exchange.heard.sender * n + exchange.heard.receiver)
+        ended = step - since[heard & (since >= 0)]
+        parted = self._step - self._since[gone & (self._since >= 0)]
+        lengths, which = np.unique(np.concatenate([ended, parted]), return_inverse=True)
+        by_reception = np.arange(len(which)) < len(ended)
+        recorder.append("silences", step, {
+            "message": np.full(len(lengths), message), "gap_steps": lengths,
+            "n_received": np.bincount(which[by_reception], minlength=len(lengths)),
+            "n_parted": np.bincount(which[~by_reception], minlength=len(lengths)),
+        })  # fmt: skip
+        self._key, self._since, self._step = key, np.where(heard, step, since), step
 
 
 def vehicles(recorder: Recorder, roster: Roster, first_lie_step: Int[ndarray, "n"], last_step: int) -> None:

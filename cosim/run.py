@@ -17,7 +17,9 @@ from cosim.mobility.source import Traffic, TrafficError, TrafficOver
 from cosim.roster import Roster
 from cosim.scenario import Scenario, find
 from cosim.v2x.messages import FABRICATED
+from cosim.v2x.roadside import NOWHERE, Sites, place
 from results.recorder import Recorder
+from sumo_nets.network import junctions
 
 Advance = Callable[[str, int, int, str], None]
 """Told of progress: phase, done, total, a note."""
@@ -25,7 +27,21 @@ Advance = Callable[[str, int, int, str], None]
 
 def check(config: Config) -> Scenario:
     """The scenario that a config asks for; ValueError where it could not run."""
-    return find(config.traffic.scenario, config.traffic.trace)
+    scenario = find(config.traffic.scenario, config.traffic.trace)
+    roadside_units(config, scenario)
+    return scenario
+
+
+def roadside_units(config: Config, scenario: Scenario) -> Sites:
+    """Where the config's roadside units stand in the scenario's network; ValueError where they cannot."""
+    if not config.rsu.at and not config.rsu.n_at_junctions:
+        return NOWHERE
+    if scenario.net is None:
+        raise ValueError(
+            "rsu.at, rsu.n_at_junctions: a trace without streets has no network to stand in. "
+            "Leave the roadside units out, or name the streets in traffic.scenario and the trace in traffic.trace."
+        )
+    return place(config.rsu, *junctions(scenario.net))
 
 
 def without_nulls(data: Any) -> Any:
@@ -94,8 +110,9 @@ def _drive(
         except TrafficOver as over:
             raise TrafficError(f"traffic.warmup_s = {warmup_s:g} s outlasts the traffic: {over}. Shorten it.") from None
         advance("warm-up", int(warmup_s), int(warmup_s), "s")
-    state = State.start(config, city)
+    state = State.start(config, city, roadside_units(config, scenario))
     meetings = recording.Meetings(config)
+    silences = recording.Silences(), recording.Silences()
     first_lie = np.zeros(0, int)
     n_on_road, ended = 0, ""
     with Recorder(manifest.folder, config.record.level, config.record.block_steps) as recorder:
@@ -113,7 +130,7 @@ def _drive(
             if step % config.sense_every_steps == 0 and world.equipped.any():
                 happened = turn(world, city, state, config, watch)
                 with watch("record"):
-                    recording.turn(recorder, happened, dt_s)
+                    recording.turn(recorder, happened, silences, dt_s)
                 with watch("encounters"):
                     meetings.count(happened)
                 first_lie = np.concatenate([first_lie, np.full(len(roster) - len(first_lie), -1)])

@@ -49,7 +49,7 @@ def bench(steps: int = 120) -> list[tuple[str, float, str]]:
 
 def _near(points: ndarray) -> tuple[ndarray, ndarray]:
     pairs = cKDTree(points).query_pairs(REACH_M, output_type="ndarray")
-    pair = np.sort((pairs.min(axis=1) << 32) | pairs.max(axis=1))
+    pair = np.sort((pairs[:, 0] << 32) | pairs[:, 1])
     return pair >> 32, pair & 0xFFFFFFFF
 
 

@@ -74,6 +74,8 @@ class EncounterLedger:
         self._step: int | None = None
         self._present = np.zeros(0, np.int64)
         self._pair = np.zeros(0, np.int64)  # a << 32 | b, sorted
+        self._slot = np.zeros(0, np.int64)  # where the columns hold each pair
+        self._free = np.zeros(0, np.int64)  # slots that hold none
         self._live: Rows = {name: np.zeros(0, dtype) for name, dtype in _LIVE.items()}
         self._past = (
             np.zeros(0, np.int64),
@@ -134,7 +136,7 @@ class EncounterLedger:
         self._step, self._present = step, present
 
         at, meeting = _find(self._pair, pair)
-        live, now = self._live, at[meeting]
+        live, now = self._live, self._slot[at[meeting]]
         metres, seen = distance_m[given], los[given]
         live["end"][now] = step + 1
         live["n"][now] += 1
@@ -144,8 +146,9 @@ class EncounterLedger:
 
         new = ~meeting
         gone = self._of_any(left)
-        over = np.flatnonzero(gone | (step + 1 - live["end"] >= self._patience))
-        departed = gone[over] & (live["end"][over] == step)
+        end = live["end"][self._slot]
+        over = np.flatnonzero(gone | (step + 1 - end >= self._patience))
+        departed = gone[over] & (end[over] == step)
         rows = self._rows(over, departed, np.zeros(len(over), bool))
         self._remember(over)
         keep = np.ones(len(self._pair), bool)
@@ -159,7 +162,7 @@ class EncounterLedger:
         assert self._step is None or step == self._step + 1, f"step {step} does not follow {self._step}"
         everyone = np.arange(len(self._pair))
         rows = self._rows(everyone, np.zeros(len(self), bool), np.ones(len(self), bool))
-        self._merge(np.zeros(len(self), bool), self._pair[:0], {n: v[:0] for n, v in self._live.items()})
+        self._merge(np.zeros(len(self), bool), self._pair[:0], {})
         return rows
 
     def count_messages(
@@ -212,12 +215,13 @@ class EncounterLedger:
         for ab, name in ((True, "ab"), (False, "ba")):
             rows = known & (way == ab)
             weights = None if n is None else np.asarray(n)[rows]
-            added = np.bincount(at[rows], weights, len(self._pair))
+            added = np.bincount(at[rows], weights, len(self._live["n"]))
             self._live[f"n_{what}_{name}"] += added.astype(np.int32)
 
     def _ordered(self, one: ndarray, other: ndarray) -> tuple[ndarray, ndarray, ndarray]:
-        """Row of each ordered pair, whether it is meeting, and whether it runs from a to b."""
+        """Slot of each ordered pair, whether it is meeting, and whether it runs from a to b."""
         at, known = _find(self._pair, _pair(np.minimum(one, other), np.maximum(one, other)))
+        at[known] = self._slot[at[known]]
         return at, known, np.asarray(one) < np.asarray(other)
 
     def _of_any(self, actors: Int[ndarray, "m"]) -> Bool[ndarray, "live"]:
@@ -246,14 +250,21 @@ class EncounterLedger:
         """Drop encounters that are over, let new ones in, stay sorted."""
         if keep.all() and not len(pair):
             return
+        self._free = np.concatenate([self._free, self._slot[~keep]])
+        if len(self._free) < len(pair):
+            size = len(self._live["n"])
+            more = size + len(pair)  # at least twice as many as are held
+            self._free = np.concatenate([self._free, np.arange(size, size + more)])
+            self._live = {name: np.concatenate([v, np.zeros(more, v.dtype)]) for name, v in self._live.items()}
+        slots, self._free = self._free[: len(pair)], self._free[len(pair) :]
+        for name, values in opened.items():
+            self._live[name][slots] = values
         held = self._pair[keep]
         at = np.searchsorted(held, pair)
-        self._pair = np.insert(held, at, pair)
-        for name, values in self._live.items():
-            self._live[name] = np.insert(values[keep], at, opened[name])
+        self._pair, self._slot = np.insert(held, at, pair), np.insert(self._slot[keep], at, slots)
 
     def _remember(self, over: Int[ndarray, "k"]) -> None:
-        pair, end = _latest(*self._pending, self._pair[over], self._live["end"][over])
+        pair, end = _latest(*self._pending, self._pair[over], self._live["end"][self._slot[over]])
         if len(pair) > _PENDING:
             pair, end = _latest(*self._past, pair, end)
             here = np.isin(pair >> 32, self._present) & np.isin(pair & 0xFFFFFFFF, self._present)
@@ -263,7 +274,7 @@ class EncounterLedger:
 
     def _rows(self, at: ndarray, departed: ndarray, censored_right: ndarray) -> Rows:
         """Rows of the table `encounters`."""
-        live = {name: values[at] for name, values in self._live.items()}
+        live = {name: values[self._slot[at]] for name, values in self._live.items()}
         n = len(at)
         trust: Rows = {}
         for way in ("ab", "ba"):

@@ -160,7 +160,7 @@ def _freshness(run: Run, fresh_s: float) -> Iterator[Line]:
     for row in freshness.shares(run, fresh_s).itertuples():
         yield f"trust at use (fresh: at most {fresh_s:g} s)", row.state, row.share, "1"
     for row in freshness.shares_by_behaviour(run, fresh_s).itertuples():
-        yield f"trust at use (fresh: at most {fresh_s:g} s)", f"{row.state}, of {row.behaviour}", row.share, "1"
+        yield "use of trust, by whom it is about", f"{row.state}, {row.behaviour}", row.share, "1"
     known = freshness.at_use(run)
     for row in known[known.source != "default"].itertuples():
         yield "age at use, mean", row.source, row.mean_s, "s"
@@ -174,11 +174,31 @@ def _freshness(run: Run, fresh_s: float) -> Iterator[Line]:
 
 
 def _radio(run: Run) -> Iterator[Line]:
+    for condition in radio.conditions(run).to_dict("records"):
+        yield condition["condition"], condition["is"], condition["value"], condition["unit"]
     (row,) = radio.overall(run).itertuples()
     yield "messages sent", "", float(row.n_sent), ""
     yield "delivery ratio", "", row.delivery_ratio, "1"
     for name in radio.LOST:
         yield "lost", name.removeprefix("n_lost_").replace("_", " "), getattr(row, name.replace("n_lost", "lost")), "1"
+    for view, part in radio.by_distance(run, by_view=True).groupby("view", observed=True):
+        yield "delivery ratio by view", str(view), float(np.average(part.delivery_ratio, weights=part.n_in_reach)), "1"
+    if not np.isnan(row.busy_ratio):
+        yield "busy ratio", "mean over vehicles", row.busy_ratio, "1"
+    late = radio.latency(run).groupby("latency_s").n_delivered.sum().cumsum()
+    for share in (0.5, 0.95):
+        yield "latency at most", f"{share:.0%} of messages", float(late.index[late >= share * late.iloc[-1]][0]), "s"
+    gaps = radio.inter_reception(run)
+    yield "inter-reception time", "mean", float(np.average(gaps.gap_s, weights=gaps.n_received)), "s"
+    lost = gaps[gaps.n_lost > 0]
+    yield "inter-reception time", "share after a loss", lost.n_received.sum() / gaps.n_received.sum(), "1"
+    if lost.n_received.sum():
+        yield "messages lost in a row", "mean", float(np.average(lost.n_lost, weights=lost.n_received)), ""
+    if "server" in run.tables and len(run.server):
+        (way,) = radio.to_server(run).to_dict("records")
+        for name in ("reached", "lost", "over_capacity", "outage"):
+            yield "reports to the server", name.replace("_", " "), way[name], "1"
+        yield "broadcasts of the server", "reached", way["informed"], "1"
 
 
 def _detection(run: Run, max_frames: int) -> Iterator[Line]:

@@ -11,7 +11,7 @@ from results.archive import Run
 from results.figures import style
 from results.figures.catalogue import FIGURES
 from results.measure import measure
-from results.tables import SCHEMA_VERSION, TABLES
+from results.tables import SCHEMA_VERSION, TABLES, Column
 
 _STYLE = """
 :root { --ink: #1b2433; --soft: #5c6675; --line: #dfe3e8; --accent: #16325c; --tint: #f5f7fa; }
@@ -138,7 +138,7 @@ def _dictionary(run: Run) -> str:
         rows = "".join(
             f"<tr><td><code>{escape(label)}</code></td><td>{column.type}</td><td>{escape(column.unit)}</td>"
             f"<td>{'key' if column.key else ''}</td><td>{_code(column.meaning)}"
-            f"{' May be null.' if column.null else ''}</td></tr>"
+            f"{' May be null.' if column.null else ''}{_code(_read_off(column))}</td></tr>"
             for label, column in table.columns.items()
         )
         here = "" if name in run.tables else f" (not in this run: kept from record level {table.level} up)"
@@ -147,6 +147,10 @@ def _dictionary(run: Run) -> str:
             f"<tr><th>column</th><th>type</th><th>unit</th><th>key</th><th>meaning</th></tr>{rows}</table></div></details>"
         )
     return "".join(parts)
+
+
+def _read_off(column: Column) -> str:
+    return f" Read off `detections`, by `{column.via}`." if column.via else ""
 
 
 def _provenance(run: Run) -> str:

@@ -8,7 +8,7 @@ from typing import Literal
 
 import pyarrow as pa
 
-SCHEMA_VERSION = 2
+SCHEMA_VERSION = 3
 """Raised whenever a table or column changes its name, type, unit or meaning."""
 
 Level = Literal["summary", "standard", "full"]
@@ -20,6 +20,7 @@ CLASSES = ("car", "pedestrian", "cyclist", "truck")
 ORIGINS = ("sensed", "self", "fabricated")
 SOURCES = ("server", "own", "default")
 MESSAGES = ("detections", "verdicts")
+VIEWS = ("open", "wall", "unknown")
 PAIRS = ("all", "equipped", "sight")
 
 
@@ -109,7 +110,7 @@ def _trust_at_contact(one: str, other: str) -> dict[str, Column]:
     }
 
 
-_MESSAGE = Column("category", key=True, categories=MESSAGES, meaning="What is said: own detections, or verdicts on those of others.")
+_MESSAGE = Column("category", key=True, categories=MESSAGES, meaning="What is said in the round: own detections, or verdicts on those of others; beside the verdicts, roadside units broadcast trust values.")
 _IN_REACH = _count("(Frame, radio) pairs within reach, relayed frames included: what could have been heard.")
 _DELIVERED = _count("Of these, received.")
 _LOST = {
@@ -213,7 +214,9 @@ TABLES: Mapping[str, Table] = {
             "sender": _key("Vehicle that made the message."),
             "receiver": _key("Vehicle that received it."),
             "hops": Column("uint8", meaning="Radio hops taken; 1 is direct."),
-            "latency_s": Column("float32", unit="s", bits=20, meaning="From sending to receiving."),
+            "generated_s": Column("float32", unit="s", bits=20, meaning="From the beginning of the round to the generation of the message."),
+            "access_s": Column("float32", unit="s", bits=20, meaning="From generation until its author's (last) frame was on the air."),
+            "latency_s": Column("float32", unit="s", bits=20, meaning="From generation to reception."),
             "distance_m": Column("float32", unit="m", bits=5, meaning="Between sender and receiver, when sent."),
         },
     ),
@@ -240,9 +243,57 @@ TABLES: Mapping[str, Table] = {
             "step": _STEP,
             "message": _MESSAGE,
             "ring_m": Column("int16", unit="m", key=True, meaning="Lower edge of the ring of distance."),
+            "view": Column("category", key=True, categories=VIEWS, meaning="Between the two ends: no building, a building, or not asked (models without walls)."),
             "n_in_reach": _IN_REACH,
             "n_delivered": _DELIVERED,
             **_LOST,
+        },
+    ),
+    "latencies": Table(
+        "summary",
+        "Messages between vehicles by their latency, from generation to reception.",
+        {
+            "step": _STEP,
+            "message": _MESSAGE,
+            "latency_s": Column("float32", unit="s", key=True, meaning="Lower edge of the bin; bins are a factor of the square root of 2 wide."),
+            "n_delivered": _count("Messages received, each once per receiver."),
+        },
+    ),
+    "silences": Table(
+        "summary",
+        "Time between successive messages of one vehicle at another, while the two stay within reach of each other: bursts of loss.",
+        {
+            "step": _key("Time step in which the silence ended; seconds are step * dt_s of the manifest."),
+            "message": _MESSAGE,
+            "gap_steps": _key("Steps from the last reception to the next, or to the last step within reach; one sensing interval where nothing was lost."),
+            "n_received": _count("Silences that a reception ended."),
+            "n_parted": _count("Silences that were not over when the two got out of reach, or one left: they would have lasted longer (0 steps: parted right after a reception)."),
+        },
+    ),
+    "ears": Table(
+        "standard",
+        "What the radio of each equipped vehicle met with, both rounds of messages together.",
+        {
+            "step": _STEP,
+            "vehicle": _key("Vehicle that listens."),
+            "busy_ratio": Column("float32", unit="1", null=True, bits=8, meaning="Share of time that it hears the channel busy; null where not modelled."),
+            "n_in_reach": Column("int16", meaning="Messages of vehicles within reach of it."),
+            "n_heard": Column("int16", meaning="Messages of vehicles that it received, relayed ones included."),
+        },
+    ),
+    "server": Table(
+        "summary",
+        "The way to the trust server and back; only where there is one.",
+        {
+            "step": _STEP,
+            "n_reports": _count("Reports with verdicts that vehicles had for the server."),
+            "n_reached": _count("Of these, those that reach it, in this step or later."),
+            "n_lost": _count("Of these, lost on the way, or heard by no roadside unit."),
+            "n_over_capacity": _count("Of these, dropped because their cell was full."),
+            "n_outage": _count("Of these, lost because the server was away."),
+            "up_bytes": Column("float32", unit="B", meaning="Length of all reports, headers included, where they go by cellular."),
+            "n_addressed": _count("Vehicles on the road when trust values were broadcast; 0 where none were."),
+            "n_informed": _count("Of these, those that the broadcast reaches, in this step or later."),
         },
     ),
     "verdicts": Table(

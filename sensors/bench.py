@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from time import process_time
+from functools import partial
+from importlib.util import find_spec
+from time import perf_counter, process_time
 
 import numba
 import numpy as np
@@ -12,9 +14,10 @@ from numpy import ndarray
 
 from sensors.boxes import Boxes, overlapping_pairs
 from sensors.evidence import line_of_sight, plausible, points_in_boxes, sightings
-from sensors.lidar import LidarParams, scan
+from sensors.lidar import LidarParams, beams, mount, scan
 from sensors.near import near
-from sensors.scene import LABEL_OF_SHAPE, Scene
+from sensors.raycast import embree, mesh, open3d
+from sensors.scene import LABEL_OF_SHAPE, Scene, prisms
 
 _SIZE_M = np.array(
     [
@@ -48,9 +51,48 @@ def bench(
     threads = numba.get_num_threads()
     numba.set_num_threads(1)
     try:
-        return _measure(scene, boxes, shape, cars, runs)
+        figures = _measure(scene, boxes, shape, cars, runs)
     finally:
         numba.set_num_threads(threads)
+    return figures + crowd((scene, boxes, shape), 10 * n_observers, runs)
+
+
+def _rays_alone(boxes, shape, observers, scene, tracer_of) -> Callable[[], object]:
+    """An engine's plain work: its scene built, its rays made; nothing but the rays is left to do."""
+    poses, grid = mount(boxes, observers, LidarParams()), beams(LidarParams())
+    centre = poses.origin_m.mean(axis=0)
+    triangles = np.concatenate([mesh.city_triangles(scene), mesh.body_triangles(prisms(shape, boxes))]) - centre
+    trace = tracer_of(triangles.astype(np.float32))
+    rays = [mesh.directions(yaw, grid).astype(np.float32) for yaw in poses.yaw_rad]
+    starts = [np.broadcast_to((p - centre).astype(np.float32), rays[0].shape).copy() for p in poses.origin_m]
+    return lambda: [trace(start, ray) for start, ray in zip(starts, rays, strict=True)]
+
+
+def crowd(
+    world: tuple[Scene, Boxes, UInt8[ndarray, "n"]] | None = None, n_sensors: int = 1000, runs: int = 7
+) -> list[dict[str, str | float]]:
+    """Wall time of many sensors at once with one thread and with two, in turn; the best of several runs of each."""
+    scene, boxes, shape = town() if world is None else world
+    cars = np.resize(np.flatnonzero(LABEL_OF_SHAPE[shape] == 0), n_sensors)
+    keys, params = np.arange(n_sensors, dtype=np.uint64), LidarParams()
+    sweeps = scan(boxes, shape, cars, scene, params, keys)
+    threads, best = numba.get_num_threads(), {1: np.inf, 2: np.inf}
+    try:
+        for _ in range(runs):
+            for n in best:
+                numba.set_num_threads(min(n, threads))
+                start = perf_counter()
+                scan(boxes, shape, cars, scene, params, keys, sweeps)
+                best[n] = min(best[n], perf_counter() - start)
+    finally:
+        numba.set_num_threads(threads)
+    figures = [
+        (f"{n_sensors} sensors, range noise and all, one thread", best[1], "s"),
+        (f"{n_sensors} sensors, range noise and all, two threads", best[2], "s"),
+        ("two threads / one", best[1] / best[2], "times"),
+        ("memory of their sweeps", (sweeps.range_m.nbytes + sweeps.hit.nbytes) / 1e6, "MB"),
+    ]
+    return [{"what": what, "value": value, "unit": unit} for what, value, unit in figures]
 
 
 def _median_s(work: Callable[[], object], runs: int) -> float:
@@ -70,8 +112,13 @@ def _measure(scene, boxes, shape, observers, runs) -> list[dict[str, str | float
     rays = sweeps.range_m.size
     columnar = _median_s(lambda: scan(boxes, shape, observers, scene, clean, keys, sweeps), runs)
     noisy = _median_s(lambda: scan(boxes, shape, observers, scene, LidarParams(), keys, sweeps), runs)
-    judged = LidarParams(range_sigma_m=0.0, engine="embree")
-    embree = _median_s(lambda: scan(boxes, shape, observers, scene, judged, keys, sweeps), 1)
+    judges = {}
+    for name, tracer_of in (("embree", embree.tracer_of), ("open3d", open3d.tracer_of)):
+        if name == "open3d" and not find_spec("open3d"):
+            continue
+        judge = LidarParams(range_sigma_m=0.0, engine=name)  # type: ignore[arg-type]
+        judges[name] = _median_s(partial(scan, boxes, shape, observers, scene, judge, keys, sweeps), 1)
+        judges[f"{name}, rays alone"] = _median_s(_rays_alone(boxes, shape, observers, scene, tracer_of), 1)
     scan(boxes, shape, observers, scene, LidarParams(), keys, sweeps)
 
     ptr, row = near(sweeps.poses.origin_m, boxes, 70.0)
@@ -87,8 +134,8 @@ def _measure(scene, boxes, shape, observers, runs) -> list[dict[str, str | float
         ("columnar, one core", rays / columnar / 1e6, "M rays/s"),
         ("columnar, one sweep", columnar / len(observers) * 1e6, "us"),
         ("columnar with range noise, one core", rays / noisy / 1e6, "M rays/s"),
-        ("embree, one core", rays / embree / 1e6, "M rays/s"),
-        ("columnar / embree", embree / columnar, "times"),
+        *((f"{name}, one core", rays / seconds / 1e6, "M rays/s") for name, seconds in judges.items()),
+        *((f"columnar / {name}", seconds / columnar, "times") for name, seconds in judges.items()),
         (
             "sightings",
             _median_s(lambda: sightings(sweeps, boxes, shape), runs) / len(observers) * 1e6,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import gcd
 from types import SimpleNamespace
 
 import numpy as np
@@ -16,6 +17,9 @@ from sensors.lidar import Sweeps
 
 N_CLUTTER_DRAWS = 7
 """Per clutter slot: present, which return, class, heading, score, size, on open road."""
+
+FLAT = 0.01
+"""How far three neighbours may be off one plane, in parts of their distance: 2 cm of noise at 5 m."""
 
 HIDDEN = 0.8
 """Occlusion from which an actor may pass for clutter: what is left of it looks like nothing."""
@@ -37,7 +41,8 @@ def false_alarms(
     u = u[o, slot]
     hidden = sightings.occlusion > HIDDEN
     on_road = u[:, 6] < model.clutter_road_p
-    ray = _pick(sweeps.hit, o, u[:, 1], on_road, sightings.o[hidden], sightings.actor[hidden])
+    stride = _stride(sweeps.hit.shape[1] * sweeps.hit.shape[2])
+    ray = _pick(sweeps.hit, o, u[:, 1], on_road, sightings.o[hidden], sightings.actor[hidden], stride)
     o, u, ray = o[ray >= 0], u[ray >= 0], ray[ray >= 0]
     column, row = np.divmod(ray, sweeps.hit.shape[2])
     share = np.cumsum(model.clutter_mix) / np.sum(model.clutter_mix)
@@ -70,23 +75,31 @@ def _normal(u: Float[ndarray, "n"]) -> Float[ndarray, "n"]:
 
 
 def _tangent(sweeps: Sweeps, o: ndarray, column: ndarray, row: ndarray) -> Float[ndarray, "n"]:
-    """Direction of the surface from a ray's left to its right neighbour, in the sensor frame; nan where there is none.
+    """Direction of the surface that a ray met, in the sensor frame; nan where its neighbours met another one.
 
-    The two ends must be of one surface: a jump in range of more than a metre is an edge.
+    Along a flat wall 1 / distance is linear in the sine and cosine of the azimuth.
     """
-    n = sweeps.hit.shape[1]
-    ends = [np.clip(column + step, 0, n - 1) for step in (-2, 2)]
-    with np.errstate(invalid="ignore"):      # no return, no neighbour
-        a, b = (sweeps.points(o, end, row) for end in ends)
-        near = np.abs(sweeps.range_m[o, ends[0], row] - sweeps.range_m[o, ends[1], row]) < 1.0
-        return np.where(near, np.arctan2(b[:, 1] - a[:, 1], b[:, 0] - a[:, 0]), np.nan)
+    grid, n = sweeps.beams, sweeps.hit.shape[1]
+    if n < 5:
+        return np.full(len(o), np.nan)
+    middle = np.clip(column, 2, n - 3)
+    with np.errstate(divide="ignore", invalid="ignore"):      # no return, no neighbour
+        a, b = (sweeps.points(o, middle + step, row) for step in (-2, 2))
+        before, here, after = (1.0 / sweeps.range_m[o, middle + step, row].astype(float) for step in (-2, 0, 2))
+        flat = np.abs(before + after - 2.0 * here * np.cos(2.0 * grid.fov_rad / n)) < FLAT * here
+        return np.where(flat, np.arctan2(b[:, 1] - a[:, 1], b[:, 0] - a[:, 0]), np.nan)
+
+
+def _stride(n: int) -> int:
+    """A step that visits all of n places and scatters them: next to the golden share of n, without common factor."""
+    return next(k for k in range(int(0.618 * n) + 1, 2 * n + 2) if gcd(k, n) == 1)
 
 
 @njit(cache=True)
-def _pick(hit, o, u, on_road, hidden_o, hidden_actor):
-    """A ray per draw that met a wall, a hidden actor or (if so wanted) the road: the first after a random place.
+def _pick(hit, o, u, on_road, hidden_o, hidden_actor, stride):
+    """A ray per draw that met a wall, a hidden actor or (if so wanted) the road; -1 if there is none.
 
-    -1 if there is none.
+    It is the first of a scattered sequence, so that no ray is picked for the emptiness before it.
     """
     out = np.full(len(o), -1)
     n = hit.shape[1] * hit.shape[2]
@@ -94,9 +107,9 @@ def _pick(hit, o, u, on_road, hidden_o, hidden_actor):
         rays = hit[o[k]].ravel()
         first = np.searchsorted(hidden_o, o[k])
         last = np.searchsorted(hidden_o, o[k], side="right")
-        start = int(u[k] * n)
-        for i in range(n):
-            ray = (start + i) % n
+        ray = int(u[k] * n)
+        for _ in range(n):
+            ray = (ray + stride) % n
             code = rays[ray]
             if code == 0 or (code == 1 and not on_road[k]):
                 continue

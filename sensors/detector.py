@@ -107,7 +107,8 @@ class DetectorParams:
 def _profile(name: str) -> dict:
     """The parameters of a profile as its file states them; `ideal` sees as AVOD where anybody asks."""
     path = Path(__file__).parent / "profiles" / f"{'avod' if name == 'ideal' else name}.toml"
-    return tomllib.loads(path.read_text(encoding="utf-8"))["parameters"]
+    stated = tomllib.loads(path.read_text(encoding="utf-8"))
+    return stated["first_guess"] | stated["fitted"]
 
 
 def resolved(params: DetectorParams) -> SimpleNamespace:

@@ -249,7 +249,8 @@ def scan(
     n_posts = 0 if posts is None else len(posts.foot_m)
     if len(keys) != len(observers) + n_posts:
         raise ValueError(
-            f"{len(keys)} keys were given for {len(observers)} observers and {n_posts} posts: each needs one of its own."
+            f"{len(keys)} keys were given for {len(observers)} observers and {n_posts} posts: "
+            "each needs one of its own."
         )
     if len(observers) and not (0 <= observers.min() and observers.max() < len(boxes)):
         raise ValueError(f"observers {observers.min()} .. {observers.max()} are no rows of {len(boxes)} actors.")

@@ -1,7 +1,8 @@
-"""What a file must be before SUMO is started on it: a network that a car can drive on."""
+"""What is read off a network file without SUMO: whether a car can drive there, its lanes, its junctions."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -13,9 +14,15 @@ from sumo_nets.xml import Attributes, Enough, stream
 LANE_M = 3.2
 """Width of a lane that does not say [m]; SUMO's own default."""
 
+MOTORS = frozenset((
+    "passenger", "private", "emergency", "authority", "army", "vip", "hov", "taxi", "bus", "coach", "delivery", "truck",
+    "trailer", "evehicle", "motorcycle", "moped", "custom1", "custom2",
+))  # fmt: skip
+"""Vehicle classes of what drives on roads."""
+
 
 def check_for_cars(net_path: Path | str) -> None:
-    """Refuse a file that is not a SUMO network, or a network without any lane for passenger cars.
+    """Refuse a file that is not a SUMO network, or a network without any lane for motor vehicles.
 
     Raises
     ------
@@ -40,7 +47,7 @@ def check_for_cars(net_path: Path | str) -> None:
 
     def end(name: str) -> None:
         if name == "net":
-            what = f"none of its {lanes} lanes lets passenger cars in" if lanes else "it has no lane at all"
+            what = f"none of its {lanes} lanes lets motor vehicles in" if lanes else "it has no lane at all"
             raise ValueError(
                 f"{net_path}: no car can drive on this network: {what}. "
                 "Was it built for rail or pedestrians only? Rebuild it with netconvert and its streets kept."
@@ -68,7 +75,39 @@ def lanes(net_path: Path | str) -> tuple[list[Float[ndarray, "k 2"]], list[float
     return lines, widths
 
 
+@dataclass(frozen=True, slots=True)
+class Junction:
+    """Where streets meet; network coordinates."""
+
+    xyz_m: tuple[float, float, float]
+    n_lanes: int
+    """Lanes for vehicles that lead into it."""
+
+
+def junctions(net_path: Path | str) -> tuple[list[Junction], tuple[float, float, float, float]]:
+    """All junctions that vehicles drive into, and the network's bounds: west, south, east, north [m]."""
+    found: list[Junction] = []
+    walks: set[str] = set()
+    bounds: list[float] = []
+
+    def start(name: str, attributes: Attributes) -> None:
+        if name == "location":
+            bounds[:] = [float(v) for v in attributes["convBoundary"].split(",")]
+        elif name == "lane" and not _admits_cars(attributes):
+            walks.add(attributes["id"])
+        elif name == "junction" and attributes.get("type") != "internal":
+            lanes = [lane for lane in attributes.get("incLanes", "").split() if lane[0] != ":" and lane not in walks]
+            if lanes:
+                xyz = (float(attributes["x"]), float(attributes["y"]), float(attributes.get("z", 0.0)))
+                found.append(Junction(xyz, len(lanes)))
+
+    stream(net_path, start)
+    if len(bounds) != 4:
+        raise ValueError(f"{net_path}: does not say how far it reaches (<location convBoundary=...>). Rebuild it.")
+    return found, (bounds[0], bounds[1], bounds[2], bounds[3])
+
+
 def _admits_cars(lane: Attributes) -> bool:
     if "allow" in lane:
-        return bool({"passenger", "all"} & set(lane["allow"].split()))
-    return not {"passenger", "all"} & set(lane.get("disallow", "").split())
+        return "all" in (allowed := lane["allow"].split()) or not MOTORS.isdisjoint(allowed)
+    return "all" not in (refused := lane.get("disallow", "").split()) and not MOTORS.issubset(refused)

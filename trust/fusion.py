@@ -20,6 +20,7 @@ class Heard:
     ptr: Int[ndarray, "e+1"]  # ego x heard vehicle[ptr[x]:ptr[x + 1]]
     vehicle: Int[ndarray, "h"]  # row of the heard vehicle among the step's vehicles
     trust: Float[ndarray, "h"]  # the value that the ego uses for it
+    judged: Bool[ndarray, "h"] | None = None  # whether its verdicts on this step came too; unset, all did
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +78,8 @@ class Parity:
 
 @njit(cache=True, parallel=True)
 def _accumulate(view_ptr, member, owner, n_detections, said_ptr, said, said_by, e, phi, heard_ptr, heard, trust,
-                ego_trust, ego_computed, default_trust, flat, sender, n_chunks, num, den, n, detector):  # fmt: skip
+                judged, ego_trust, ego_computed, default_trust, flat, sender, n_chunks,
+                num, den, n, detector):  # fmt: skip
     """Per position of the fusing views: sum Phi T e, sum Phi T, number of verdicts, trust of its detector."""
     n_vehicles = said_by.size
     for chunk in prange(n_chunks):
@@ -94,7 +96,7 @@ def _accumulate(view_ptr, member, owner, n_detections, said_ptr, said, said_by, 
                 detector[p] = known[sender[member[p]]]
             for h in range(heard_ptr[x] - 1, heard_ptr[x + 1]):
                 v = ego if h < heard_ptr[x] else heard[h]
-                if said_by[v] < 0 or (v == ego and h >= heard_ptr[x]):
+                if said_by[v] < 0 or (h >= heard_ptr[x] and (v == ego or not judged[h])):
                     continue
                 t = 1.0 if flat else known[v]
                 for s in range(said_ptr[said_by[v]], said_ptr[said_by[v] + 1]):
@@ -252,12 +254,13 @@ def fuse(
     computed = params.code_parity or params.ego_trust_from == "computed"
     heard = _canonical(heard)
     assert np.all(heard.trust >= 0)
+    judged = np.ones(heard.vehicle.size, bool) if heard.judged is None else heard.judged
     n_sums = m + heard.vehicle.size * said.member.size / max(1, said.owner.size)
     with threads_for(n_sums) as n_threads:
         _accumulate(
             int64(views.ptr), int64(views.member), int64(views.owner), len(detections),
             int64(said.ptr), int64(said.member), said_by, verdicts.e, verdicts.phi,
-            int64(heard.ptr), int64(heard.vehicle), heard.trust,
+            int64(heard.ptr), int64(heard.vehicle), heard.trust, judged,
             params.ego_trust, computed, params.default_trust, params.code_parity,
             int64(detections.sender), n_threads, num, den, n, detector,
         )  # fmt: skip
@@ -311,4 +314,4 @@ def _canonical(heard: Heard) -> Heard:
         return heard
     key, first = np.unique(key, return_index=True)
     ptr = np.searchsorted(key >> 32, np.arange(heard.ptr.size))
-    return Heard(ptr, heard.vehicle[first], heard.trust[first])
+    return Heard(ptr, heard.vehicle[first], heard.trust[first], None if heard.judged is None else heard.judged[first])

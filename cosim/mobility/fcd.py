@@ -38,12 +38,12 @@ class Moment:
 def moments(path: Path) -> Iterator[Moment]:
     """The moments of a trace in the order of time, a block of the file in memory at a time.
 
-    Who rides in a vehicle is left out, as in a live run.
+    Persons who ride in a vehicle are among them, at its place.
 
     Raises
     ------
     TrafficError
-        Names the file and the cause: damaged, a column missing, rows not sorted by time, somebody twice.
+        Names the file and the cause: damaged, a column missing, a number not finite, rows not sorted by time.
     """
     read = next(reader for suffix, reader in _READERS.items() if path.name.removesuffix(".gz").endswith(suffix))
     last_s = -np.inf
@@ -56,10 +56,6 @@ def moments(path: Path) -> Iterator[Moment]:
                 "Sort them, or record the trace again."
             )
         last_s = moment.time_s
-        if len(set(moment.names)) < len(moment.names):
-            seen: set[str] = set()
-            twice = next(name for name in moment.names if name in seen or seen.add(name))  # type: ignore[func-returns-value]
-            raise TrafficError(f"{path}: {twice!r} is there twice at {moment.time_s:g} s. Remove the copies.")
         numbers = np.column_stack([moment.front_m, moment.compass_deg, moment.speed_mps])
         if not np.isfinite(numbers).all():
             bad = moment.names[int(np.flatnonzero(~np.isfinite(numbers).all(axis=1))[0])]
@@ -80,7 +76,7 @@ def _xml(path: Path) -> Iterator[Moment]:
         root = root or name
         if name == "timestep":
             in_moment, time_s = True, _seconds(path, attributes.get("time", ""))
-        elif in_moment and name in ("vehicle", "person") and not attributes.get("vehicle"):
+        elif in_moment and name in ("vehicle", "person"):
             try:
                 pose = [float(attributes[k]) for k in _COLUMNS]
                 pose.append(float(attributes.get("z", 0.0)))
@@ -119,7 +115,7 @@ def _csv(path: Path) -> Iterator[Moment]:
         with pa.input_stream(path, compression="detect") as source:
             head = source.read(1 << 16).partition(b"\n")[0].decode(errors="replace").strip()
         separator = next((s for s in ";,\t|" if s in head), ";")
-        text = {n: pa.string() for n in head.replace('"', "").split(separator) if n.endswith(("id", "type", "vehicle"))}
+        text = {n: pa.string() for n in head.replace('"', "").split(separator) if n.endswith(("id", "type"))}
         with pa.input_stream(path, compression="detect") as source:
             yield from pcsv.open_csv(
                 source,
@@ -166,14 +162,14 @@ def _arrow(path: Path, batches: Callable[[], Iterator[pa.RecordBatch]]) -> Itera
 def _wanted(path: Path, batch: pa.RecordBatch) -> pa.RecordBatch:
     """The columns that matter, under plain names, whatever SUMO's `--output.column-header` was."""
     found = {}
-    for name in ("time", "id", "type", "z", "vehicle", *_COLUMNS):
+    for name in ("time", "id", "type", "z", *_COLUMNS):
         spellings = (f"timestep_{name}", name) if name == "time" else (f"vehicle_{name}", name)
         column = next((batch.column(s) for s in spellings if s in batch.schema.names), None)
         if column is None:
-            if name not in ("type", "z", "vehicle"):
+            if name not in ("type", "z"):
                 raise _lacks(path, name)
             continue
-        wanted = pa.string() if name in ("id", "type", "vehicle") else pa.float64()
+        wanted = pa.string() if name in ("id", "type") else pa.float64()
         try:
             found[name] = column.cast(wanted)
         except pa.ArrowException as error:
@@ -181,7 +177,6 @@ def _wanted(path: Path, batch: pa.RecordBatch) -> pa.RecordBatch:
     n = len(batch)
     found.setdefault("type", pa.array([""] * n, pa.string()))
     found.setdefault("z", pa.array(np.zeros(n)))
-    found.setdefault("vehicle", pa.nulls(n, pa.string()))
     if found["time"].null_count:
         raise TrafficError(f"{path}: a row has no time.")
     return pa.RecordBatch.from_pydict(dict(sorted(found.items())))
@@ -189,8 +184,7 @@ def _wanted(path: Path, batch: pa.RecordBatch) -> pa.RecordBatch:
 
 def _moment(rows: pa.Table) -> Moment:
     time_s = rows.column("time")[0].as_py()
-    here = pc.and_(rows.column("id").is_valid(), pc.equal(pc.fill_null(rows.column("vehicle"), ""), ""))
-    rows = rows.filter(here)
+    rows = rows.filter(rows.column("id").is_valid())
 
     def numbers(name: str, otherwise: float) -> ndarray:
         return pc.fill_null(rows.column(name), otherwise).to_numpy()

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Bool, Int
 from numpy import ndarray
 
 from cosim.mobility.fcd import Moment, moments
@@ -53,8 +53,8 @@ class Trace:
         self._path, self._roster, self._origin_m = path, roster, origin_m
         self._types = _types_of(files)
         self._dt_s = params.step_s
-        self._number: dict[str, int] = {}
-        self._left_out: Counter[str] = Counter()
+        self._number: dict[tuple[str, bool], int] = {}
+        self._left_out: dict[str, str] = {}
         self._moments = moments(path)
         self._ahead = [moment for _, moment in zip(range(_LOOK_AHEAD), self._moments, strict=False)]
         if not any(moment.names for moment in self._ahead) and len(self._ahead) < _LOOK_AHEAD:
@@ -79,18 +79,26 @@ class Trace:
         """The next step."""
         step, self._step = self._step, self._step + 1
         moment = self._at(self._begin_s + (self._unseen + step - 1) * self._dt_s)
-        number = self._numbers(moment.names)
-        if (number == _UNKNOWN).any():
-            self._enrol(moment, np.flatnonzero(number == _UNKNOWN), step)
-            number = self._numbers(moment.names)
-        seen = number >= 0
+        shape = np.fromiter(map(self._shape_of, moment.types), np.int16, len(moment.types))
+        for row in np.flatnonzero(shape == _LEFT_OUT).tolist():
+            self._left_out.setdefault(moment.names[row], self._types(moment.types[row]).vclass)
+        rows = np.flatnonzero((shape != _LEFT_OUT) & ~_riding(moment, shape))
+        keys = [(moment.names[row], shape[row] == Shape.PEDESTRIAN) for row in rows.tolist()]
+        number = self._numbers(keys)
+        if (new := np.flatnonzero(number == _UNKNOWN)).size:
+            self._enrol(moment, rows[new], shape, step)
+            number = self._numbers(keys)
+        values, n = np.unique(number, return_counts=True)
+        if len(values) < len(number):
+            name = keys[int(np.flatnonzero(number == values[n > 1][0])[0])][0]
+            raise TrafficError(f"{self._path}: {name!r} is there twice at {moment.time_s:g} s. Remove the copies.")
         return world_from_bumpers(
-            step, number[seen], moment.front_m[seen], moment.compass_deg[seen], moment.speed_mps[seen],
+            step, number, moment.front_m[rows], moment.compass_deg[rows], moment.speed_mps[rows],
             self._roster, self._origin_m,
         )  # fmt: skip
 
     def report(self) -> dict[str, Any]:
-        return {"actors_left_out": dict(sorted(self._left_out.items()))}
+        return {"actors_left_out": dict(sorted(Counter(self._left_out.values()).items()))}
 
     def close(self) -> None:
         self._moments.close()  # type: ignore[attr-defined]
@@ -110,23 +118,26 @@ class Trace:
             if first.time_s > time_s - _TOLERANCE_S:
                 return first
 
-    def _numbers(self, names: list[str]) -> Int[ndarray, "n"]:
-        return np.fromiter(map(self._number.get, names, repeat(_UNKNOWN)), np.int32, len(names))
+    def _numbers(self, keys: list[tuple[str, bool]]) -> Int[ndarray, "n"]:
+        return np.fromiter(map(self._number.get, keys, repeat(_UNKNOWN)), np.int32, len(keys))
 
-    def _enrol(self, moment: Moment, rows: Int[ndarray, "k"], step: int) -> None:
-        names, shapes, lwh_m = [], [], []
-        for row in rows.tolist():
-            kind = self._types(moment.types[row])
-            shape = SHAPE_OF_CLASS.get(kind.vclass)
-            if shape is None:
-                self._number[moment.names[row]] = _LEFT_OUT
-                self._left_out[kind.vclass] += 1
-                continue
-            names.append(moment.names[row])
-            shapes.append(shape)
-            lwh_m.append(kind.lwh_m)
-        numbers = self._roster.enrol(names, np.array(shapes, np.uint8), np.array(lwh_m, float).reshape(-1, 3), step)
+    def _enrol(self, moment: Moment, rows: Int[ndarray, "k"], shape: Int[ndarray, "n"], step: int) -> None:
+        names = {(moment.names[row], shape[row] == Shape.PEDESTRIAN): row for row in rows.tolist()}
+        lwh_m = np.array([self._types(moment.types[row]).lwh_m for row in names.values()], float).reshape(-1, 3)
+        shapes = shape[list(names.values())].astype(np.uint8)
+        numbers = self._roster.enrol([name for name, _ in names], shapes, lwh_m, step)
         self._number.update(zip(names, numbers.tolist(), strict=True))
+
+    def _shape_of(self, name: str) -> int:
+        shape = SHAPE_OF_CLASS.get(self._types(name).vclass)
+        return _LEFT_OUT if shape is None else int(shape)
+
+
+def _riding(moment: Moment, shape: Int[ndarray, "n"]) -> Bool[ndarray, "n"]:
+    """Persons whom SUMO puts where a vehicle is, because they ride in it; live, they are not on the road."""
+    place = moment.front_m[:, 0] + 1j * moment.front_m[:, 1]
+    on_foot = shape == Shape.PEDESTRIAN
+    return on_foot & np.isin(place, place[~on_foot])
 
 
 class Recorded:

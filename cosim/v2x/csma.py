@@ -7,15 +7,15 @@ is there when all of them are.
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, UInt64
+from jaxtyping import Bool, Float, Int, UInt8, UInt64
 from numpy import ndarray
 
 from cosim import rng
 from cosim.v2x import channel, dcc
 from cosim.v2x.channel import Access, AccessParams, Packets
 from cosim.v2x.dcc import Control, DccParams
-from cosim.v2x.exchange import Fate, Frames, Heard, RelayParams, heard_of, neighbours
-from cosim.v2x.links import between
+from cosim.v2x.exchange import Fate, Frames, Heard, RelayParams, View, heard_of, neighbours
+from cosim.v2x.links import Pairs, between
 from cosim.v2x.messages import expand, ptr_of, segments
 from cosim.v2x.obstruction import Sight
 from cosim.v2x.propagation import PropagationParams
@@ -103,7 +103,7 @@ def broadcast(
     begin_ns, end_ns = round(begin_s * 1e9), round((begin_s + timeout_s) * 1e9)
     chance = rng.key(air.seed, rng.Stream.CHANNEL)
     shadows = rng.key(air.seed, rng.Stream.SHADOWING)
-    links, _, _ = between(xyz_m, name_key, propagation, shadows, air.sight)
+    links, pairs, _ = between(xyz_m, name_key, propagation, shadows, air.sight)
 
     phase = rng.uniforms(rng.key(air.seed, rng.Stream.GENERATION, round_number), name_key)[:, 0]
     talkers = np.flatnonzero(talks)
@@ -120,6 +120,7 @@ def broadcast(
     first_frame = air.n_frames
     sent = waiting.take(np.zeros(0, np.int64))
     aired_parts, tag_parts, receiver_parts, fate_parts = [], [], [], []
+    aired_ns = np.zeros(len(origin), np.int64)  # of each unit: when its author's frame was on the air
     have = np.zeros(0, np.int64)  # (unit, receiver) that are there, sorted
     have_hop, have_ns = np.zeros(0, np.int64), np.zeros(0, np.int64)
     n_duplicate = 0
@@ -156,7 +157,10 @@ def broadcast(
         ours = np.flatnonzero(out.tag >= first_frame)  # a straggler of the last round is nobody's any more
         if not len(ours):
             continue
-        aired_parts.append(out.tag[ours][out.fate[ours] == channel.Fate.RECEIVED] - first_frame)
+        on_air = ours[out.fate[ours] == channel.Fate.RECEIVED]
+        aired_parts.append(out.tag[on_air] - first_frame)
+        own = on_air[sent.hop[out.tag[on_air] - first_frame] == 1]
+        aired_ns[sent.unit[out.tag[own] - first_frame]] = out.start_ns[own]
         rows, which = expand(out.ptr[ours], out.ptr[ours + 1])
         tag, hearer = out.tag[ours][which] - first_frame, out.receiver[rows].astype(np.int64)
         tag_parts.append(tag)
@@ -192,14 +196,17 @@ def broadcast(
             relays = Sent(unit[new][on], to[new][on], hop[new][on] + 1, at_ns)
             waiting = Sent.concat([waiting, relays.take(at_ns + unit_air_ns[relays.unit] <= end_ns)])
 
-    heard = _messages(have, have_hop, have_ns, origin, number, own_ns, n_segments, talkers, xyz_m[:, :2])
+    heard = _messages(
+        have, have_hop, have_ns, origin, own_ns, aired_ns, n_segments, talkers, begin_ns, xyz_m[:, :2]
+    )
     nothing = [np.zeros(0, np.int64)]
     aired = np.sort(np.concatenate(nothing + aired_parts))
     receptions = tuple(np.concatenate(nothing + parts) for parts in (tag_parts, receiver_parts, fate_parts))
-    distance_m, fate = _accounts(sent, origin, aired, receptions, xyz_m[:, :2], reach_m)
+    sight = None if air.sight is None or not propagation.knows_walls else (pairs, propagation.reach_m)
+    accounts = _accounts(sent, origin, aired, receptions, xyz_m[:, :2], reach_m, sight)
     on_air = sent.take(aired)
     return heard, Frames(
-        distance_m, fate, np.bincount(origin[on_air.unit], minlength=n), int((on_air.hop > 1).sum()), n_duplicate,
+        *accounts, np.bincount(origin[on_air.unit], minlength=n), int((on_air.hop > 1).sum()), n_duplicate,
         float(np.sum(unit_bytes[on_air.unit] + MAC_OVERHEAD_BYTES)), busy / (end_ns - begin_ns),
     )  # fmt: skip
 
@@ -219,8 +226,8 @@ def _idle(
 
 def _messages(
     have: Int[ndarray, "h"], hop: Int[ndarray, "h"], end_ns: Int[ndarray, "h"], origin: Int[ndarray, "u"],
-    number: Int[ndarray, "u"], own_ns: Int[ndarray, "u"], n_segments: Int[ndarray, "t"],
-    talkers: Int[ndarray, "t"], xy_m: Float[ndarray, "n 2"],
+    own_ns: Int[ndarray, "u"], aired_ns: Int[ndarray, "u"], n_segments: Int[ndarray, "t"],
+    talkers: Int[ndarray, "t"], begin_ns: int, xy_m: Float[ndarray, "n 2"],
 ) -> Heard:  # fmt: skip
     """Messages of which all segments are there."""
     n = len(xy_m)
@@ -229,17 +236,23 @@ def _messages(
     there = np.bincount(at, minlength=len(pair))
     sender, receiver = np.divmod(pair, max(n, 1))
     whole = there == n_segments[np.searchsorted(talkers, sender)]
-    last_ns, hops = np.zeros(len(pair), np.int64), np.zeros(len(pair), np.int64)
+    last_ns, access_ns, hops = (np.zeros(len(pair), np.int64) for _ in range(3))
     np.maximum.at(last_ns, at, end_ns - own_ns[unit])
+    np.maximum.at(access_ns, at, aired_ns[unit] - own_ns[unit])
     np.maximum.at(hops, at, hop)
-    return heard_of(receiver[whole], sender[whole], hops[whole], last_ns[whole] * 1e-9, xy_m)
+    born_ns = np.zeros(n, np.int64)
+    born_ns[origin] = own_ns - begin_ns
+    sender, receiver = sender[whole], receiver[whole]
+    return heard_of(
+        receiver, sender, hops[whole], 1e-9 * born_ns[sender], 1e-9 * access_ns[whole], 1e-9 * last_ns[whole], xy_m
+    )
 
 
 def _accounts(
     sent: Sent, origin: Int[ndarray, "u"], aired: Int[ndarray, "a"], receptions: tuple[ndarray, ...],
-    xy_m: Float[ndarray, "n 2"], reach_m: float,
-) -> tuple[Float[ndarray, "f"], Int[ndarray, "f"]]:  # fmt: skip
-    """Distance and fate of every (frame, radio within reach of its carrier)."""
+    xy_m: Float[ndarray, "n 2"], reach_m: float, sight: tuple[Pairs, float] | None,
+) -> tuple[ndarray, ndarray, ndarray, ndarray, ndarray, ndarray]:  # fmt: skip
+    """Origin, receiver, hop, distance, view and fate of every (frame, radio within reach of its carrier)."""
     n = len(xy_m)
     a, b, length_m = neighbours(xy_m, reach_m)
     ptr = ptr_of(a, n)
@@ -256,4 +269,18 @@ def _accounts(
     at = np.minimum(np.searchsorted(key, wanted), max(len(key) - 1, 0))
     found = key[at] == wanted if len(key) else np.zeros(len(wanted), bool)
     fate[found] = known[order][at[found]]
-    return length_m[link], fate
+    view = np.full(len(a), View.UNKNOWN, np.uint8) if sight is None else _views(a, b, length_m, *sight, n)
+    return origin[sent.unit[frame]], b[link], sent.hop[frame], length_m[link], view[link], fate
+
+
+def _views(
+    a: Int[ndarray, "l"], b: Int[ndarray, "l"], length_m: Float[ndarray, "l"], pairs: Pairs, asked_m: float, n: int
+) -> UInt8[ndarray, "l"]:
+    """Whether a wall stands between the ends of each (a, b), given what is known of all pairs up to `asked_m`."""
+    open_ = ~pairs.nlos
+    low, high = np.minimum(pairs.a, pairs.b).astype(np.int64), np.maximum(pairs.a, pairs.b).astype(np.int64)
+    free = np.sort((low * n + high)[open_])
+    wanted = np.minimum(a, b) * n + np.maximum(a, b)
+    at = np.minimum(np.searchsorted(free, wanted), max(len(free) - 1, 0))
+    seen = free[at] == wanted if len(free) else np.zeros(len(wanted), bool)
+    return np.where(seen, View.OPEN, np.where(length_m < asked_m, View.WALL, View.UNKNOWN)).astype(np.uint8)

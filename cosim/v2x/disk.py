@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float, Int, UInt64
 from numpy import ndarray
 
 from cosim import rng
-from cosim.v2x.exchange import Fate, Frames, Heard, RelayParams, heard_of, neighbours
+from cosim.v2x.exchange import Fate, Frames, Heard, RelayParams, View, heard_of, neighbours
 from cosim.v2x.messages import expand, ptr_of
 
 
@@ -61,7 +61,7 @@ def broadcast(
     age_s = np.zeros(len(origin))
     reached = [origin * n + origin]
     parts: list[tuple[ndarray, ...]] = []
-    frames: list[tuple[ndarray, ndarray]] = []
+    frames: list[tuple[ndarray, ...]] = []
     n_duplicate = n_relayed = 0
     n_transmissions = np.asarray(talks).astype(int)
     for hop in range(1, relay.max_hops + 1):
@@ -79,7 +79,7 @@ def broadcast(
         arrived = draws[:, 0] >= disk.loss_p
         in_time = arrival <= timeout_s
         fate = np.where(arrived, np.where(in_time, Fate.RECEIVED, Fate.LATE), Fate.PROPAGATION)
-        frames.append((length_m[link][elsewhere], fate))
+        frames.append((source, to, np.full(len(to), hop), length_m[link][elsewhere], fate))
         keep = np.flatnonzero(fate == Fate.RECEIVED)
         # The earliest copy counts; copies of one message at one receiver are told apart by nothing else.
         keep = keep[np.lexsort((via[keep], arrival[keep], source[keep] * n + to[keep]))]
@@ -95,7 +95,11 @@ def broadcast(
         if not len(keep):
             break
     receiver, sender, hops, latency_s = (np.concatenate(c) for c in zip(*parts, strict=True))
-    heard = heard_of(receiver, sender, hops, latency_s, xy_m)
-    tried, fates = (np.concatenate(c) for c in zip(*frames, strict=True))
+    at_once = np.zeros(len(sender))
+    heard = heard_of(receiver, sender, hops, at_once, at_once, latency_s, xy_m)
+    source, to, hop_of, tried, fates = (np.concatenate(c) for c in zip(*frames, strict=True))
+    view = np.full(len(to), View.UNKNOWN, np.uint8)
     sent_bytes = float(n_transmissions @ length_bytes)
-    return heard, Frames(tried, fates, n_transmissions, n_relayed, n_duplicate, sent_bytes, None)
+    return heard, Frames(
+        source, to, hop_of, tried, view, fates, n_transmissions, n_relayed, n_duplicate, sent_bytes, None
+    )

@@ -1,12 +1,12 @@
 """One round of messages: who heard whom, and what became of every frame."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from typing import Annotated
 
 import numpy as np
 from annotated_types import Ge, Gt, Le
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, UInt8
 from numpy import ndarray
 from scipy.spatial import cKDTree
 
@@ -48,24 +48,59 @@ class Fate(IntEnum):
     """Received after the time-out of the round."""
 
 
+class View(IntEnum):
+    """What stands between the two ends of a hop."""
+
+    OPEN = 0
+    """No building."""
+    WALL = 1
+    UNKNOWN = 2
+    """The model of the air does not ask."""
+
+
 @dataclass(frozen=True, slots=True)
 class Heard:
-    """M deliveries of one round, each (receiver, sender) once, sorted by receiver, then sender; radio rows."""
+    """M deliveries of one round, each (receiver, sender) once, sorted by receiver, then sender; radio rows.
+
+    No message is received before it is sent, nor sent before it is there.
+    """
 
     receiver: Int[ndarray, "m"]
     sender: Int[ndarray, "m"]
     hops: Int[ndarray, "m"]
+    generated_s: Float[ndarray, "m"]
+    """From the beginning of the round to generation."""
+    access_s: Float[ndarray, "m"]
+    """From generation until the author's last frame of it is on the air."""
     latency_s: Float[ndarray, "m"]
     """From generation to reception."""
     distance_m: Float[ndarray, "m"]
 
+    def __post_init__(self) -> None:
+        assert (self.generated_s >= 0).all() and (self.access_s >= 0).all() and (self.latency_s >= self.access_s).all()
+
+    @property
+    def received_s(self) -> Float[ndarray, "m"]:
+        """From the beginning of the round to reception."""
+        return self.generated_s + self.latency_s
+
+    def take(self, rows: ndarray) -> "Heard":
+        """The chosen rows (a mask or row numbers)."""
+        return Heard(*(getattr(self, name)[rows] for name in Heard.__slots__))
+
 
 @dataclass(frozen=True, slots=True)
 class Frames:
-    """F (frame, radio within reach) of one round, all hops, in no particular order."""
+    """F (frame, radio within reach) of one round, all hops, in no particular order; radio rows."""
 
+    origin: Int[ndarray, "f"]
+    """Author of the frame's message."""
+    receiver: Int[ndarray, "f"]
+    hop: Int[ndarray, "f"]
     distance_m: Float[ndarray, "f"]
     """Between the two ends of the hop."""
+    view: UInt8[ndarray, "f"]
+    """As `View`, between the two ends of the hop."""
     fate: Int[ndarray, "f"]
     """As `Fate`."""
     n_transmissions: Int[ndarray, "n"]
@@ -80,15 +115,45 @@ class Frames:
     """Share of the round in which each radio sensed the medium busy; None where that is not modelled."""
 
 
+@dataclass(frozen=True, slots=True)
+class Exchange:
+    """One round of messages of vehicles and of roadside units; rows of the ones and of the others."""
+
+    heard: Heard
+    """Vehicles of vehicles."""
+    frames: Frames
+    """Roadside units are rows behind those of the vehicles."""
+    up: Heard
+    """Roadside units of vehicles."""
+    down: Heard
+    """Vehicles of roadside units."""
+
+    @staticmethod
+    def of(heard: Heard, frames: Frames, n_vehicles: int) -> "Exchange":
+        """From a round in which the radios of roadside units come behind those of `n_vehicles` vehicles."""
+        if heard.receiver.max(initial=-1) < n_vehicles and heard.sender.max(initial=-1) < n_vehicles:
+            nobody = heard.take(np.zeros(0, np.int64))
+            return Exchange(heard, frames, nobody, nobody)
+        hears, says = heard.receiver < n_vehicles, heard.sender < n_vehicles
+        up, down = heard.take(~hears & says), heard.take(hears & ~says)
+        return Exchange(
+            heard.take(hears & says), frames, replace(up, receiver=up.receiver - n_vehicles),
+            replace(down, sender=down.sender - n_vehicles),
+        )  # fmt: skip
+
+
 def heard_of(
-    receiver: Int[ndarray, "m"], sender: Int[ndarray, "m"], hops: Int[ndarray, "m"], latency_s: Float[ndarray, "m"],
-    xy_m: Float[ndarray, "n 2"],
+    receiver: Int[ndarray, "m"], sender: Int[ndarray, "m"], hops: Int[ndarray, "m"], generated_s: Float[ndarray, "m"],
+    access_s: Float[ndarray, "m"], latency_s: Float[ndarray, "m"], xy_m: Float[ndarray, "n 2"],
 ) -> Heard:  # fmt: skip
     """Deliveries in canonical order."""
     order = np.lexsort((sender, receiver))
     receiver, sender = receiver[order], sender[order]
     distance_m = np.linalg.norm(xy_m[receiver] - xy_m[sender], axis=1)
-    return Heard(receiver, sender, hops[order].astype(np.int32), latency_s[order], distance_m)
+    return Heard(
+        receiver, sender, hops[order].astype(np.int32), generated_s[order], access_s[order], latency_s[order],
+        distance_m,
+    )  # fmt: skip
 
 
 def neighbours(xy_m: Float[ndarray, "n 2"], reach_m: float) -> tuple[ndarray, ndarray, ndarray]:

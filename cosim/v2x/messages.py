@@ -70,7 +70,22 @@ def verdicts_bytes(n_verdicts: Int[ndarray, "n"]) -> Int[ndarray, "n"]:
 
     The same envelope, a header of 16, and 12 per verdict: vehicle 4, detection 2, e 1, visibility 1, time 2, flags 2.
     """
-    return 44 + 96 + 16 + 12 * n_verdicts
+    return 44 + report_bytes(n_verdicts)
+
+
+def report_bytes(n_verdicts: Int[ndarray, "n"]) -> Int[ndarray, "n"]:
+    """Length of verdicts as the server gets them, signed, without the headers of the way there [B]."""
+    return 96 + riding_bytes(n_verdicts)
+
+
+def riding_bytes(n_verdicts: Int[ndarray, "n"]) -> Int[ndarray, "n"]:
+    """What verdicts add to a detection message that they ride on [B]."""
+    return 16 + 12 * n_verdicts
+
+
+def trust_bytes(n_vehicles: int) -> int:
+    """Length of a broadcast of trust values: the envelope and header of verdicts, and vehicle 4, trust 1, age 1 [B]."""
+    return 44 + 96 + 16 + 6 * n_vehicles
 
 
 def is_sound(said: Detections) -> Bool[ndarray, "d"]:

@@ -37,7 +37,8 @@ def draw(
         for i, (level, precision) in enumerate(levels.items()):
             recall = np.arange(len(precision)) / (len(precision) - 1)
             reached = precision > 0
-            line = top.plot(recall[reached], precision[reached], color=style.ink(i), linestyle=style.DASHES[i], label=level)
+            look = {"color": style.ink(i), "linestyle": style.DASHES[i], "label": level}
+            line = top.plot(recall[reached], precision[reached], **look)
             entries += line if column == 0 else []
         style.panel(top, label, "Recall", "Precision")
         top.set_xlim(0, 1)

@@ -3,23 +3,33 @@
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
 from matplotlib.figure import Figure
 
 from results.archive import Run
 from results.figures import style
 from results.metrics import contacts
 
+_POINTS = 60
+
 
 @style.styled
 def draw(runs: Sequence[Run], every_s: float = 10.0, radius_m: float | None = None, pairs: str | None = None) -> Figure:
-    """Mean degree, share of the largest component, and how far news of one actor could have gone, over time."""
+    """Mean degree, share of the largest component, and how far news of one actor could have gone, over time.
+
+    Long runs are drawn as means of a sixtieth of their time, a single one with the range in it.
+    """
     style.need(runs)
     figure, (degree, largest, reached) = style.sheet(columns=3, width=8.8, height=3.0)
     for i, run in enumerate(runs):
         frame = contacts.over_time(run, every_s, radius_m, pairs)
         line: dict[str, Any] = {"color": style.ink(i), "linestyle": style.dash(i), "marker": style.marker(i)}
-        degree.plot(frame.time_s, frame.degree_mean, **line, markevery=style.sparse(len(frame)))
-        largest.plot(frame.time_s, frame.largest_share, **line, markevery=style.sparse(len(frame)))
+        for axes, values in ((degree, frame.degree_mean), (largest, frame.largest_share)):
+            spread = values.groupby(np.arange(len(frame)) // max(1, len(frame) // _POINTS)).agg(["mean", "min", "max"])
+            time_s = frame.time_s.to_numpy()[:: max(1, len(frame) // _POINTS)]
+            axes.plot(time_s, spread["mean"], **line, markevery=style.sparse(len(spread)))
+            if len(runs) == 1:
+                axes.fill_between(time_s, spread["min"], spread["max"], color=style.ink(i), alpha=0.18, linewidth=0)
         news = contacts.spread(run, every_s, radius_m, pairs)
         reached.plot(news.time_s, news.reached_mean, **line, markevery=style.sparse(len(news)))
     style.panel(degree, "Contacts per actor in contact", style.TIME, "Mean degree")

@@ -1,9 +1,13 @@
-"""What the radio delivers: by distance and over time."""
+"""What the radio delivers: by distance, over time and on the map; what becomes of the rest, how late, how unevenly."""
 
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from results.archive import Run
 from results.figures import style
@@ -12,40 +16,124 @@ from results.tables import axis_label
 
 _CAUSES = tuple(name.removeprefix("n_lost") for name in radio.LOST)
 _FILLS = (style.INKS[0], "#dfe3e8", "#e8b9a6", "#ffffff", "#b9d9d2", "#f4dfae")
+_VIEWS = {"open": "no building between", "wall": "building between", "unknown": "not asked"}
 
 
 @style.styled
-def draw(runs: Sequence[Run], every_s: float = 10.0) -> Figure:
-    """Delivery ratio by distance and over time, what became of the rest, and the busy ratio where it was modelled."""
+def draw(runs: Sequence[Run], every_s: float = 10.0, cell_m: float = 50.0) -> Figure:
+    """Delivery by distance and over time, losses by cause, latency, silences, busy ratio; maps of a single run."""
     style.need(runs)
-    busy = [bool(run.radio.busy_ratio.notna().any()) for run in runs]
-    if any(busy):
-        figure, panels = style.sheet(columns=2, rows=2, height=5.6)
+    alone = len(runs) == 1 and "ears" in runs[0].tables and "actors" in runs[0].tables
+    figure, panels = style.sheet(columns=4 if alone else 3, rows=2, width=11.4 if alone else 8.8, height=5.8)
+    if alone:
+        distance, fates, late, silent, timed, busy, *maps = panels
     else:
-        figure, panels = style.sheet(columns=3, width=8.8, height=3.1)
-    fates, *timed = panels[2:]
-    for i, run in enumerate(runs):
-        line: dict[str, Any] = {"color": style.ink(i), "linestyle": style.dash(i), "marker": style.marker(i)}
-        by_distance, over_time = radio.by_distance(run), radio.over_time(run, every_s)
-        panels[0].plot(by_distance.distance_m, by_distance.delivery_ratio, **line)
-        panels[1].plot(over_time.time_s, over_time.delivery_ratio, **line, markevery=style.sparse(len(over_time)))
+        (distance, fates, late, silent, timed, busy), maps = panels, []
+    lines = [_line(i) for i in range(len(runs))]
+    views = sorted({view for run in runs for view in run.links.view.unique()}, key=list(_VIEWS).index)
+    for i, (run, line) in enumerate(zip(runs, lines, strict=True)):
+        _by_distance(distance, run, line)
         total = radio.overall(run).iloc[0]
         style.shares_bar(fates, i, [total.delivery_ratio, *(total[f"lost{name}"] for name in _CAUSES)], _FILLS)
-        if busy[i]:
-            timed[0].plot(over_time.time_s, over_time.busy_ratio, **line, markevery=style.sparse(len(over_time)))
-    style.panel(panels[0], "Delivered, by distance", axis_label("links", "ring_m", "Distance"), "Delivery ratio")
-    style.panel(panels[1], "Delivered, over time", style.TIME, "Delivery ratio")
-    for axes in panels[:2]:
-        style.share_axis(axes)
+        _late(late, run, line)
+        _silent(silent, run, line)
+        over_time = radio.over_time(run, every_s)
+        for axes, column in ((timed, "delivery_ratio"), (busy, "busy_ratio")):
+            axes.plot(over_time.time_s, over_time[column], **line, markevery=style.sparse(len(over_time)))
+    style.panel(distance, "Delivered, by distance", axis_label("links", "ring_m", "Distance"), "Delivery ratio")
     style.panel(fates, "What became of it", "Share of what was in reach", "")
-    style.bars_axis(fates, style.names(runs))
-    for axes in (*panels[:2], *timed):
+    style.bars_axis(fates, style.names(runs) if len(runs) > 1 else [""])
+    style.panel(late, "Latency of what arrived", "Latency [ms]", "Share up to it")
+    style.panel(silent, "Between two messages", "Inter-reception time [s]", "Share longer")
+    style.panel(timed, "Delivered, over time", style.TIME, "Delivery ratio")
+    style.panel(busy, "Channel busy, over time", style.TIME, axis_label("radio", "busy_ratio", "Busy ratio"))
+    for axes in (distance, late, timed):
+        style.share_axis(axes)
+    for axes in (distance, timed, busy):
         axes.set_xlim(left=0)
-    if any(busy):
-        style.panel(timed[0], "Channel busy, over time", style.TIME, axis_label("radio", "busy_ratio", "Busy ratio"))
-        timed[0].set_ylim(
-            0, 1.1 * max(float(run.radio.busy_ratio.max()) for run in runs if run.radio.busy_ratio.max() > 0)
-        )
-    parts = ["delivered", *(name.removeprefix("_").replace("_", " ") for name in _CAUSES)]
-    style.legend(figure, style.bar_entries(parts, _FILLS), style.series_entries(runs))
+    known = [float(run.radio.busy_ratio.max()) for run in runs if run.radio.busy_ratio.notna().any()]
+    if known:
+        busy.set_ylim(0, 1.1 * max(*known, 1e-3))
+    else:
+        busy.text(0.5, 0.5, "not modelled", transform=busy.transAxes, ha="center", color="#666666")
+    if maps:
+        _maps(figure, maps, runs[0], cell_m)
+    entries: list[Any] = style.bar_entries(["delivered", *(n.strip("_").replace("_", " ") for n in _CAUSES)], _FILLS)
+    if len(views) > 1:
+        entries += [_view_entry(view) for view in views]
+    style.legend(figure, entries, style.series_entries(runs))
     return figure
+
+
+def _line(i: int) -> dict[str, Any]:
+    return {"color": style.ink(i), "linestyle": style.dash(i), "marker": style.marker(i)}
+
+
+def _by_distance(axes: Axes, run: Run, line: dict[str, Any]) -> None:
+    """A line for each view, hollow where a building is between."""
+    found = radio.by_distance(run, by_view=True)
+    for view, curve in found[found.n_in_reach >= 20].groupby("view", observed=True):
+        hollow: dict[str, Any] = {"markerfacecolor": "white"} if view == "wall" else {}
+        axes.plot(curve.distance_m, curve.delivery_ratio, **line, **hollow)
+
+
+def _view_entry(view: str) -> Line2D:
+    fill = "white" if view == "wall" else "#444444"
+    return Line2D([], [], color="#444444", marker="o", markerfacecolor=fill, label=_VIEWS[view])
+
+
+def _late(axes: Axes, run: Run, line: dict[str, Any]) -> None:
+    """Both rounds together."""
+    curve = radio.latency(run).groupby("latency_s").n_delivered.sum()
+    share = curve.cumsum() / curve.sum()
+    axes.plot(1e3 * share.index, share.to_numpy(), **line, markevery=style.sparse(len(share)))
+    axes.set_xscale("log")
+    low, high = axes.get_xlim()
+    ticks = [d * 10.0**e for e in range(-2, 5) for d in (1, 2, 5) if low <= d * 10.0**e <= high]
+    axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
+    axes.minorticks_off()
+
+
+def _silent(axes: Axes, run: Run, line: dict[str, Any]) -> None:
+    try:
+        curve = radio.inter_reception(run)
+    except ValueError:  # nobody heard anybody twice
+        return
+    curve = curve[curve.longer > 0]
+    gap_s, longer = np.append(0, curve.gap_s), np.append(1, curve.longer)
+    axes.step(gap_s, longer, where="post", **line, markevery=style.sparse(len(gap_s)))
+    axes.set_yscale("log")
+    axes.set_xlim(left=0)
+
+
+def _maps(figure: Figure, panels: Sequence[Axes], run: Run, cell_m: float) -> None:
+    """Busy ratio and delivery ratio where the vehicles were."""
+    cells = radio.by_place(run, cell_m)
+    what = (
+        ("busy_ratio", "Channel busy, on the map", "viridis_r"),
+        ("delivery_ratio", "Delivered, on the map", "cividis"),
+    )
+    for axes, (column, title, colours) in zip(panels, what, strict=True):
+        x, y, values = _grid(cells, column, cell_m)
+        mesh = axes.pcolormesh(
+            x, y, values, cmap=colours, rasterized=True, vmin=0, vmax=1 if "delivery" in column else None
+        )
+        axes.set_aspect("equal")
+        axes.grid(visible=False)
+        style.panel(axes, title, "East [m]", "North [m]")
+        if np.isnan(values).all():
+            axes.text(0.5, 0.5, "not modelled", transform=axes.transAxes, ha="center", color="#666666")
+        else:
+            figure.colorbar(mesh, ax=axes, shrink=0.8)
+
+
+def _grid(cells: pd.DataFrame, column: str, cell_m: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Edges of the cells, and their values by (north, east)."""
+    east, north = (((cells[c] - cells[c].min()) / cell_m).round().astype(int) for c in ("x_m", "y_m"))
+    values = np.full((north.max() + 1, east.max() + 1), np.nan)
+    values[north, east] = cells[column]
+    x, y = (
+        cells[c].min() + (np.arange(n + 1) - 0.5) * cell_m
+        for c, n in (("x_m", values.shape[1]), ("y_m", values.shape[0]))
+    )
+    return x, y, values

@@ -21,7 +21,7 @@ def kept_at(run: Run) -> At:
 
 
 def values(run: Run) -> pd.DataFrame:
-    """Trust in each vehicle: time_s, vehicle, behaviour, trust.
+    """Trust in each vehicle while it is on the road: time_s, vehicle, behaviour, trust.
 
     Every value that the server computed. Without a server, the mean over those who hear the vehicle and hold a
     value of their own, at 600 instants at most.
@@ -30,6 +30,8 @@ def values(run: Run) -> pd.DataFrame:
         frame = run.table("trust", ["step", "vehicle", "trust"])
     else:
         frame = _own(run)
+    last_step = run.table("vehicles", ["vehicle", "last_step"]).set_index("vehicle").last_step
+    frame = frame[frame.step <= frame.vehicle.map(last_step)]
     frame = frame.assign(time_s=frame.step * run.dt_s, behaviour=frame.vehicle.map(run.roles))
     return frame[["time_s", "vehicle", "behaviour", "trust"]]
 

@@ -15,10 +15,11 @@ from sensors.raycast import mesh
 
 def cast(*sweep) -> None:
     """Fill `range_m` and `hit` of every observer; see `sensors.lidar.scan`."""
-    mesh.cast(_tracer_of, *sweep)
+    mesh.cast(tracer_of, *sweep)
 
 
-def _tracer_of(triangles: ndarray) -> mesh.Tracer:
+def tracer_of(triangles: ndarray) -> mesh.Tracer:
+    """The engine, ready for rays; triangles (t, 3, 3) in single precision."""
     solid = rtcore_scene.EmbreeScene()
     TriangleMesh(solid, np.ascontiguousarray(triangles))
 

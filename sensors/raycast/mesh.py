@@ -49,12 +49,7 @@ def cast(
 
 def _sweep(range_m, hit, origin, yaw, ground, own, beams, max_range_m, trace: Tracer | None, code) -> None:
     """One observer's range image."""
-    azimuth = beams.azimuth_rad + yaw
-    direction = np.empty((*range_m.shape, 3))
-    direction[..., 0] = np.cos(azimuth)[:, None] * beams.cos_el
-    direction[..., 1] = np.sin(azimuth)[:, None] * beams.cos_el
-    direction[..., 2] = beams.sin_el
-    direction = direction.reshape(-1, 3)
+    direction = directions(yaw, beams)
     distance, what = np.full(len(direction), np.inf), np.full(len(direction), NOTHING, np.int32)
     behind = np.zeros(len(direction))       # distance already covered, behind faces of the observer's own body
     left = np.arange(len(direction)) if trace is not None else np.zeros(0, int)
@@ -77,6 +72,16 @@ def _sweep(range_m, hit, origin, yaw, ground, own, beams, max_range_m, trace: Tr
     beyond = distance > max_range_m
     range_m[:] = np.where(beyond, np.inf, distance).reshape(range_m.shape)
     hit[:] = np.where(beyond, NOTHING, what).reshape(hit.shape)
+
+
+def directions(yaw: float, beams) -> Float[ndarray, "r 3"]:
+    """Unit vectors of all rays of a sensor, column by column."""
+    azimuth = beams.azimuth_rad + yaw
+    out = np.empty((len(azimuth), len(beams.cos_el), 3))
+    out[..., 0] = np.cos(azimuth)[:, None] * beams.cos_el
+    out[..., 1] = np.sin(azimuth)[:, None] * beams.cos_el
+    out[..., 2] = beams.sin_el
+    return out.reshape(-1, 3)
 
 
 def city_triangles(scene: Scene) -> Float[ndarray, "t 3 3"]:

@@ -15,14 +15,17 @@ INSTALL = "pip install cosim[open3d]; on Linux it also needs the system library 
 
 def cast(*sweep) -> None:
     """Fill `range_m` and `hit` of every observer; see `sensors.lidar.scan`."""
-    mesh.cast(_tracer_of, *sweep)
+    mesh.cast(tracer_of, *sweep)
 
 
-def _tracer_of(triangles: ndarray) -> mesh.Tracer:
+def tracer_of(triangles: ndarray) -> mesh.Tracer:
+    """The engine, ready for rays; triangles (t, 3, 3) in single precision."""
     try:
-        import open3d          # 1-3 s, and 400 MB on disk: only for those who ask for it
+        import open3d  # 1-3 s, and 400 MB on disk: only for those who ask for it
     except (ImportError, OSError) as missing:
-        raise ValueError(f'lidar.engine = "open3d" needs Open3D, which cannot be loaded here ({missing}): {INSTALL}.') from None
+        raise ValueError(
+            f'lidar.engine = "open3d" needs Open3D, which cannot be loaded here ({missing}): {INSTALL}.'
+        ) from None
     corner, face = np.unique(triangles.reshape(-1, 3), axis=0, return_inverse=True)
     solid = open3d.t.geometry.RaycastingScene(nthreads=1)
     solid.add_triangles(open3d.core.Tensor(corner), open3d.core.Tensor(face.reshape(-1, 3).astype(np.uint32)))

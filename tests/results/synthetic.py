@@ -62,7 +62,10 @@ def write(folder, seed=0, steps=240, level="full", block_steps=60, reach_m=200.0
         })  # fmt: skip
     manifest = {
         "schema_version": SCHEMA_VERSION, "status": "finished", "dt_s": 1.0, "steps": steps, "seed": seed,
-        "config": {"radio": {"reach_m": reach_m}, "trust": {"window_s": window_s}}, "versions": {"cosim": "0.1.0"},
+        "config": {
+            "radio": {"model": "disk", "reach_m": reach_m, "disk": {"loss_p": 0.05}, "relay": {"max_hops": 1}},
+            "fleet": {"penetration_p": 0.6, "equipped_kinds": ["car"]}, "trust": {"window_s": window_s},
+        }, "versions": {"cosim": "0.1.0"},
         "net": {"name": "grid", "sha256": "0" * 64}, "timings_s": {"traffic": 1.5, "sensing": 3.2, "trust": 0.7},
         "summary": {"vehicles": 50},
     }  # fmt: skip
@@ -126,18 +129,38 @@ def _meet(record, ledgers, step, here, talk, xyz, belief, reach_m, rng, heard_s)
         "message": np.zeros(1, int), "n_sent": np.array([sent]), **{k: np.array([v]) for k, v in lost.items()},
         "bytes": np.array([sent * 350.0]), "busy_ratio": np.array([0.002 * sent]),
     })  # fmt: skip
-    ring = (far // 25).astype(int)
+    ring = 2 * (far // 25).astype(int) + ~seen
     rings = np.unique(ring)
     count = {name: np.bincount(ring[rows], minlength=rings.max(initial=0) + 1)[rings] for name, rows in (
         ("n_in_reach", slice(None)), ("n_delivered", got), ("n_lost_propagation", faded), ("n_lost_collision", hit),
     )}  # fmt: skip
     zero = np.zeros(len(rings), int)
     none = {name: zero for name in ("message", "n_lost_receiver_busy", "n_lost_expired", "n_lost_late")}
-    record.append("links", step, {"ring_m": rings * 25, **count, **none})
+    record.append("links", step, {"ring_m": rings // 2 * 25, "view": rings % 2, **count, **none})
+    latency_s = 0.0005 + rng.exponential(0.001, got.sum())
+    bins, n = np.unique(np.floor(2 * np.log2(latency_s / 1e-4)), return_counts=True)
+    record.append("latencies", step, {
+        "message": np.zeros(len(bins), int), "latency_s": 1e-4 * 2 ** (bins / 2), "n_delivered": n,
+    })  # fmt: skip
+    gaps = np.arange(1, 4)
+    record.append("silences", step, {
+        "message": np.zeros(3, int), "gap_steps": gaps, "n_received": got.sum() // 3**gaps,
+        "n_parted": np.full(3, 1),
+    })  # fmt: skip
+    record.append("ears", step, {
+        "vehicle": talk, "busy_ratio": rng.uniform(0, 0.1, len(talk)),
+        "n_in_reach": np.bincount(other, minlength=N)[talk], "n_heard": np.bincount(other[got], minlength=N)[talk],
+    })  # fmt: skip
+    one_row = {name: np.array([n]) for name, n in (("n_reports", sent), ("n_reached", sent - 1), ("n_lost", 1),
+               ("n_over_capacity", 0), ("n_outage", 0), ("up_bytes", 300.0 * sent))}  # fmt: skip
+    record.append("server", step, {
+        **one_row, "n_addressed": np.array([sent * (step % 5 == 4)]), "n_informed": np.array([sent * (step % 5 == 4)]),
+    })  # fmt: skip
     record.append("deliveries", step, {
         "message": np.zeros(got.sum(), int),
         "sender": one[got], "receiver": other[got], "hops": np.ones(got.sum(), int),
-        "latency_s": rng.exponential(0.001, got.sum()), "distance_m": far[got],
+        "generated_s": rng.uniform(0, 0.2, got.sum()), "access_s": latency_s - 0.0005, "latency_s": latency_s,
+        "distance_m": far[got],
     })  # fmt: skip
     renew = (step % 5 == 0) & (rng.random(got.sum()) < 0.8) & (step > 8)
     subject, receiver = one[got], other[got]

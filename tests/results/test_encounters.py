@@ -234,8 +234,8 @@ def test_costs_less_than_the_traffic():
         pairs = cKDTree(points).query_pairs(230, output_type="ndarray")
         a, b = pairs[np.lexsort(pairs.T[::-1])].T
         distance = np.hypot(*(points[a] - points[b]).T)
-        start = time.perf_counter()
+        start = time.process_time()
         ledger.update(step, a, b, distance, distance < 100, np.arange(1000))
         ledger.count_messages(np.r_[a, b], np.r_[b, a])
-        spent_s.append(time.perf_counter() - start)
+        spent_s.append(time.process_time() - start)
     assert np.median(spent_s) < 6e-3

@@ -13,7 +13,7 @@ from results.measure import TOPICS
 def test_examples(run, tmp_path, monkeypatch):
     text = (Path(results.__file__).parent / "README.md").read_text()
     blocks = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
-    assert len(blocks) == 2
+    assert len(blocks) == 3
     (tmp_path / "runs").mkdir()
     (tmp_path / "runs" / "helsinki-1").symlink_to(run.path)
     monkeypatch.chdir(tmp_path)
@@ -31,5 +31,5 @@ def test_measures_of_a_run(run):
         assert "plot" in dir(getattr(run.measure, topic)) and len(dir(getattr(run.measure, topic))) > 2
     with pytest.raises(AttributeError, match="The topics are encounters"):
         run.measure.encunters.summary()
-    with pytest.raises(AttributeError, match="It has by_distance, over_time, overall, plot"):
+    with pytest.raises(AttributeError, match=r"It has by_distance, by_place, conditions, .*, to_server"):
         run.measure.radio.overal()

@@ -29,7 +29,7 @@ def test_the_catalogue_lists_it():
 
 
 def test_an_unknown_city_is_named_with_those_there_are():
-    with pytest.raises(ValueError, match=r"'atlantis' does not ship with cosim; there are: helsinki"):
+    with pytest.raises(ValueError, match=r"'atlantis' does not ship with cosim; there are: .*helsinki"):
         catalogue.find("atlantis")
 
 

@@ -5,21 +5,28 @@ from pathlib import Path
 from sumo_nets import sumotools
 
 NODES = """<nodes>
-<node id="a" x="-9000000" y="100" z="3"/><node id="b" x="-8999500" y="100" z="23"/><node id="c" x="-8999500" y="400" z="23"/>
+<node id="a" x="-9000000" y="100" z="3"/>
+<node id="b" x="-8999500" y="100" z="23"/>
+<node id="c" x="-8999500" y="400" z="23"/>
 <node id="d" x="-8999200" y="100" z="3"/>
 <node id="r" x="-9000000" y="150"/><node id="s" x="-8999000" y="150"/>
 <node id="w" x="-9000000" y="900"/><node id="v" x="-8999000" y="900"/>
 </nodes>"""
 
 EDGES = """<edges>
-<edge id="ab" from="a" to="b" numLanes="2" speed="13.9" sidewalkWidth="2"/><edge id="ba" from="b" to="a" speed="13.9" sidewalkWidth="2"/>
-<edge id="bc" from="b" to="c" speed="13.9" sidewalkWidth="2"/><edge id="cb" from="c" to="b" speed="13.9" sidewalkWidth="2"/>
-<edge id="bd" from="b" to="d" speed="13.9" sidewalkWidth="2"/><edge id="db" from="d" to="b" speed="13.9" sidewalkWidth="2"/>
+<edge id="ab" from="a" to="b" numLanes="2" speed="13.9" sidewalkWidth="2"/>
+<edge id="ba" from="b" to="a" speed="13.9" sidewalkWidth="2"/>
+<edge id="bc" from="b" to="c" speed="13.9" sidewalkWidth="2"/>
+<edge id="cb" from="c" to="b" speed="13.9" sidewalkWidth="2"/>
+<edge id="bd" from="b" to="d" speed="13.9" sidewalkWidth="2"/>
+<edge id="db" from="d" to="b" speed="13.9" sidewalkWidth="2"/>
 <edge id="rail" from="r" to="s" speed="30" allow="rail"/><edge id="water" from="w" to="v" speed="10" allow="ship"/>
 </edges>"""
 
 DEMAND = """<routes>
-<vType id="train" vClass="rail"/><vType id="ferry" vClass="ship"/><vType id="kärra" vClass="truck" length="9.3" width="2.5" height="3.6"/>
+<vType id="train" vClass="rail"/>
+<vType id="ferry" vClass="ship"/>
+<vType id="kärra" vClass="truck" length="9.3" width="2.5" height="3.6"/>
 <route id="there" edges="ab bd"/>
 <vehicle id="train0" type="train" depart="0"><route edges="rail"/></vehicle>
 <vehicle id="ferry0" type="ferry" depart="0"><route edges="water"/></vehicle>
@@ -30,13 +37,17 @@ DEMAND = """<routes>
 <vehicle id="bil.åäö-漢字" type="kärra" depart="1" route="there"/>
 <vehicle id="ridden" depart="2"><route edges="ab bd"/><stop lane="ab_1" endPos="150" duration="20"/></vehicle>
 <person id="walker" depart="3"><walk edges="ab bc"/></person>
-<vehicle id="broken" depart="4" departLane="2"><route edges="ab bd"/><stop lane="ab_2" endPos="200" duration="300"/></vehicle>
+<vehicle id="broken" depart="4" departLane="2"><route edges="ab bd"/>
+<stop lane="ab_2" endPos="200" duration="300"/></vehicle>
 <vehicle id="behind" depart="6" departLane="2"><route edges="ab bc"/></vehicle>
-<vehicle id="parks" depart="8"><route edges="ab bd"/><stop lane="ab_1" endPos="120" duration="15" parking="true"/></vehicle>
+<vehicle id="parks" depart="8"><route edges="ab bd"/>
+<stop lane="ab_1" endPos="120" duration="15" parking="true"/></vehicle>
 </routes>"""
 
 CONFIG = """<configuration>
-<input><net-file value="odd%20net.net.xml"/><route-files value="odd.rou.xml"/><additional-files value="odd.add.xml,odd.poly.xml"/></input>
+<input><net-file value="odd%20net.net.xml"/>
+<route-files value="odd.rou.xml"/>
+<additional-files value="odd.add.xml,odd.poly.xml"/></input>
 <output><tripinfo-output value="tripinfo.xml"/><fcd-output>fcd.xml</fcd-output><save-state.times value="5"/></output>
 <time><begin value="0:0:0"/><end value="{end}"/></time>
 <processing><time-to-teleport value="10"/></processing>

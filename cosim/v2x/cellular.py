@@ -1,0 +1,81 @@
+"""The cellular network as a vehicle's application sees it: delay, loss, second attempts, cells that are full."""
+
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+from annotated_types import Ge, Gt, Le
+from jaxtyping import Bool, Float, Int, UInt64
+from numpy import ndarray
+from scipy.special import gammaincinv
+
+from cosim import rng
+
+HEADER_BYTES = 18 + 20 + 8
+"""Cellular, IP and UDP headers of a message [B]."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class CellularParams:
+    """Public cellular network; defaults as Eclipse MOSAIC's LTE cell (Tiergarten)."""
+
+    delay_min_s: Annotated[float, Ge(0)] = 0.05
+    """Shortest delay of one attempt, either way [s]."""
+    delay_mean_s: Annotated[float, Ge(0)] = 0.15
+    """Mean delay of one attempt, either way [s]; what exceeds the shortest is Gamma distributed, shape 2."""
+    uplink_loss_p: Annotated[float, Ge(0), Le(1)] = 0.01
+    """Probability that one attempt of a vehicle's report fails."""
+    downlink_loss_p: Annotated[float, Ge(0), Le(1)] = 0.01
+    """Probability that a vehicle misses a broadcast of trust values; nobody asks for it again."""
+    n_retries: Annotated[int, Ge(0), Le(10)] = 2
+    """Further attempts of a report that failed, each with a delay of its own."""
+    cell_m: Annotated[float, Gt(0)] = 1000.0
+    """Side of a cell; cells are the squares of a grid from the network's origin [m]."""
+    cell_up_bytes_per_s: Annotated[float, Gt(0)] = 3.5e6
+    """Capacity of one cell for reports; what exceeds it is dropped [B/s]."""
+    cell_down_bytes_per_s: Annotated[float, Gt(0)] = 5.275e6
+    """Capacity of one cell for the broadcast of trust values [B/s]."""
+
+    def __post_init__(self) -> None:
+        if self.delay_mean_s < self.delay_min_s:
+            raise ValueError(
+                f"server.cellular.delay_mean_s = {self.delay_mean_s:g} s is below server.cellular.delay_min_s = "
+                f"{self.delay_min_s:g} s. Set a mean that is at least the minimum."
+            )
+
+
+def delay_s(u: Float[ndarray, "..."], params: CellularParams) -> Float[ndarray, "..."]:
+    """Delays from uniforms: delay_min + Gamma(shape 2) of mean delay_mean - delay_min [s]."""
+    return params.delay_min_s + gammaincinv(2.0, u) * (params.delay_mean_s - params.delay_min_s) / 2
+
+
+def journey_s(
+    chance: np.uint64, name_key: UInt64[ndarray, "n"], loss_p: float, n_retries: int, params: CellularParams
+) -> Float[ndarray, "n"]:
+    """From sending to arrival of one message of each of these vehicles, failed attempts included; inf where lost."""
+    n = 1 + n_retries
+    draws = rng.uniforms(chance, name_key, n=2 * n)  # loss, delay, loss, delay, ...
+    arrives = draws[:, 0::2] >= loss_p
+    total = np.cumsum(delay_s(draws[:, 1::2], params), axis=1)
+    return np.where(arrives.any(axis=1), total[np.arange(len(draws)), np.argmax(arrives, axis=1)], np.inf)
+
+
+def within_capacity(
+    xy_m: Float[ndarray, "n 2"], length_bytes: Int[ndarray, "n"], name_key: UInt64[ndarray, "n"],
+    budget_bytes: float, cell_m: float,
+) -> Bool[ndarray, "n"]:  # fmt: skip
+    """Which messages their cells take: one after another in an order of chance, until a cell is full.
+
+    Notes
+    -----
+    Deviations: second attempts take no capacity of their own; a cell that is full forgets what it cannot take.
+    """
+    cell = np.floor(xy_m / cell_m).astype(np.int64)
+    order = np.lexsort((name_key, cell[:, 1], cell[:, 0]))
+    new = np.ones(len(order), bool)
+    new[1:] = (np.diff(cell[order], axis=0) != 0).any(axis=1)
+    total = np.cumsum(length_bytes[order])
+    before = np.repeat((total - length_bytes[order])[new], np.diff(np.append(np.flatnonzero(new), len(order))))
+    taken = np.empty(len(order), bool)
+    taken[order] = total - before <= budget_bytes
+    return taken

@@ -1,0 +1,57 @@
+"""One vehicle's point cloud from above, with the boxes that are there and those that its detector reports."""
+
+from collections.abc import Mapping
+
+import numpy as np
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from numpy import ndarray
+
+from results.figures import style
+
+SURFACES = {1: ("road", style.PALE), 2: ("buildings", "#7d8794"), 3: ("actors", style.INKS[1])}
+"""Colour of what returned, by code; 3 and above are actors."""
+
+
+@style.styled
+def draw(xyz: ndarray, hit: ndarray, boxes: Mapping[str, ndarray], title: str) -> Figure:
+    """A cloud from above.
+
+    Parameters
+    ----------
+    xyz
+        Returns in the sensor frame (x forward, drawn upwards; y left) [k 3].
+    hit
+        What returned: 1 road, 2 building, 3 and above an actor [k].
+    boxes
+        By name, boxes in the same frame: x, y, length, width, yaw [n 5].
+    """
+    far_m = float(np.hypot(xyz[:, 0], xyz[:, 1]).max(initial=10.0))
+    ahead = float(xyz[:, 0].min(initial=0.0)) > -0.1 * far_m
+    figure, (panel,) = style.sheet(1, width=7.2, height=5.2 if ahead else 7.4)
+    entries: list[Line2D] = []
+    for code, (name, colour) in SURFACES.items():
+        rows = np.minimum(hit, 3) == code
+        panel.plot(-xyz[rows, 1], xyz[rows, 0], ",", color=colour, rasterized=True)
+        entries.append(Line2D([], [], color=colour, marker="o", markersize=3, linestyle="", label=name))
+    for i, (name, table) in enumerate(boxes.items()):
+        colour, dash = style.INKS[(0, 2, 3)[i % 3]], style.DASHES[i]
+        panel.add_collection(LineCollection(_outlines(table), colors=colour, linestyles=[dash], linewidths=1.1))
+        entries.append(Line2D([], [], color=colour, linestyle=dash, label=name))
+    panel.plot(0, 0, "k+", markersize=9)
+    style.panel(panel, title, "Right [m]", "Ahead [m]")
+    panel.set_aspect("equal")
+    panel.set_xlim(-far_m, far_m)
+    panel.set_ylim(-0.05 * far_m if ahead else -far_m, far_m)
+    style.legend(figure, entries)
+    return figure
+
+
+def _outlines(table: ndarray) -> ndarray:
+    """Corners of each box, closed, with a line from the centre to the front, as (right, ahead) [n 7 2]."""
+    x, y, length, width, yaw = table[:, :5].T
+    along = np.array([0.5, 0.5, -0.5, -0.5, 0.5, 0.5, 0.0]) * length[:, None]
+    aside = np.array([0.0, 0.5, 0.5, -0.5, -0.5, 0.0, 0.0]) * width[:, None]
+    cos, sin = np.cos(yaw)[:, None], np.sin(yaw)[:, None]
+    return np.stack([-(y[:, None] + sin * along + cos * aside), x[:, None] + cos * along - sin * aside], axis=2)

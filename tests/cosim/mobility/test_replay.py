@@ -1,0 +1,176 @@
+"""A replay is the run that it came from, whatever the traffic was written down in; and what a bad trace is told."""
+
+import gzip
+import json
+from pathlib import Path
+from xml.sax.saxutils import quoteattr
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.csv as pcsv
+import pyarrow.parquet as pq
+import pytest
+
+from cosim.mobility.source import TrafficError, TrafficParams
+from cosim.scenario import find
+from results.recorder import fingerprint
+from sumo_nets import catalogue, sumotools
+from tests.cosim.mobility import odd
+from tests.cosim.mobility.worlds import collect, live, roster, same
+from tests.drive import SHORT, cosim, drive
+
+FORMATS = ("fcd.parquet", "fcd.xml", "fcd.xml.gz", "fcd.csv", "fcd.csv.gz")
+
+
+def record(config: Path, target: Path, end: int) -> None:
+    """What SUMO writes of its own accord; text needs more digits than SUMO's usual two."""
+    options = {"configuration-file": config.resolve(), "seed": 1, "end": end, "fcd-output": target.resolve(),
+               "no-step-log": True, "no-warnings": True, "step-length": 1, "verbose": False,
+               "duration-log.statistics": False}  # fmt: skip
+    if target.suffix != ".parquet":
+        options["precision"] = 8
+    sumotools.run("sumo", options, target.parent)
+
+
+@pytest.fixture(scope="module")
+def helsinki(tmp_path_factory):
+    """Forty steps after two minutes, live."""
+    folder = tmp_path_factory.mktemp("helsinki")
+    return folder, live("helsinki", folder / "live", 120, 40)[0]
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_a_trace_shows_the_world_that_was_live(helsinki, name):
+    folder, worlds = helsinki
+    assert sum(len(world["actor"]) for world in worlds) > 2000
+    record(catalogue.find("helsinki").sumocfg_path, folder / name, 200)
+    traffic = find("helsinki", str(folder / name)).traffic(TrafficParams(), roster())
+    same(collect(traffic, 120, 40), worlds)
+
+
+def test_every_oddity_is_replayed_as_it_was_live(tmp_path):
+    """Left-hand, hilly, far from its origin, with rail, ships, containers, riders, and a person named like a car."""
+    config = odd.write(tmp_path / "live")
+    before = {p: p.read_bytes() for p in config.parent.iterdir()}
+    worlds, report = live(str(config), tmp_path / "worlds", 0, 200)
+    assert {p: p.read_bytes() for p in config.parent.iterdir()} == before  # nothing written beside it
+    assert len(worlds) == 91  # its own end: from 0 s to 90 s
+    assert report["actors_left_out"] == {"rail": 1, "ship": 1}
+    record(odd.write(tmp_path / "fcd"), tmp_path / "fcd.parquet", 90)
+    traffic = find(str(config), str(tmp_path / "fcd.parquet")).traffic(TrafficParams(), roster())
+    same(collect(traffic, 0, 200), worlds)
+    assert traffic.report() == {"actors_left_out": {"container": 1, "rail": 1, "ship": 1}}
+    # The network lies 9,000 km west of its origin: the world is counted from a round place in its middle.
+    xyz_m = np.concatenate([world["xyz_m"] for world in worlds])
+    assert np.abs(xyz_m[:, :2]).max() < 1500 and np.ptp(xyz_m[:, 2]) > 10  # and it is a hill
+
+
+def test_identical_tables(tmp_path):
+    """The whole run, not only its worlds: live, from Parquet, and from the tables of the live run."""
+    record(catalogue.find("helsinki").sumocfg_path, tmp_path / "fcd.parquet", 120)
+    sets = ("traffic.duration_s=12", "record.level=full")
+    told = fingerprint(drive(tmp_path / "live", *sets, "traffic.warmup_s=90"))
+    assert len(told) > 10
+    trace = drive(tmp_path / "trace", *sets, "traffic.warmup_s=90", f"traffic.trace={tmp_path / 'fcd.parquet'}")
+    assert fingerprint(trace) == told
+    again = drive(tmp_path / "again", *sets, f"traffic.scenario={tmp_path / 'live'}")
+    assert fingerprint(again) == told
+
+
+def test_a_run_that_outlives_its_trace_ends_and_says_so(tmp_path):
+    drive(tmp_path / "live", "traffic.duration_s=5", "traffic.warmup_s=60")
+    sets = (*SHORT, "traffic.duration_s=9", f"traffic.scenario={tmp_path / 'live'}")
+    done = cosim("run", *(word for s in sets for word in ("--set", s)), "--out", str(tmp_path / "longer"))
+    assert done.returncode == 0, done.stderr
+    assert done.stderr.count("\n") == 1 and "ended before the 9 s asked for" in done.stderr
+    manifest = json.loads((tmp_path / "longer" / "manifest.json").read_text())
+    assert manifest["steps"] == 5 and manifest["status"] == "finished"
+    assert fingerprint(tmp_path / "longer") == fingerprint(tmp_path / "live")
+
+
+def test_every_second_moment_of_a_finer_trace(tmp_path):
+    rows = "".join(
+        f'<timestep time="{t / 2}"><vehicle id="a" x="{t}" y="0" angle="90" type="t" speed="2"/></timestep>'
+        for t in range(20)
+    )
+    (tmp_path / "fine.xml").write_text(f"<fcd-export>{rows}</fcd-export>")
+    worlds = collect(find(str(tmp_path / "fine.xml")).traffic(TrafficParams(), roster()), 0, 99)
+    # Step 0 is before the trace; steps 1 to 10 show 0 s to 9 s, where the front bumper is at 2 m/s x t.
+    # A type that no file defines is a car of 5 m: its centre is 2.5 m behind its bumper.
+    assert len(worlds[0]["actor"]) == 0
+    assert [w["xyz_m"][0, 0] for w in worlds[1:]] == [2.0 * t - 2.5 for t in range(10)]
+
+
+STRANGE = ["with space", "it's \"quoted\"", "a/b\\c", "ööö 漢字 🚗", "<&>", "null", "NaN", "1", "-", ";,|"]
+
+
+@pytest.mark.parametrize("name", ["strange.xml", "strange.csv", "strange.parquet"])
+def test_any_name_will_do(tmp_path, name):
+    path, n = tmp_path / name, len(STRANGE)
+    if name.endswith(".xml"):
+        rows = "".join(
+            f'<vehicle id={quoteattr(who)} x="{10 * i}" y="0" angle="90" speed="1" type="bus"/>'
+            for i, who in enumerate(STRANGE)
+        )
+        path.write_text(f'<fcd-export><timestep time="0">{rows}</timestep></fcd-export>', encoding="utf-8")
+    else:
+        table = pa.table({
+            "timestep_time": [0.0] * n, "vehicle_id": STRANGE, "vehicle_x": [10.0 * i for i in range(n)],
+            "vehicle_y": [0.0] * n, "vehicle_angle": [90.0] * n, "vehicle_type": ["bus"] * n,
+            "vehicle_speed": [1.0] * n,
+        })  # fmt: skip
+        if name.endswith(".csv"):
+            pcsv.write_csv(table, path, pcsv.WriteOptions(delimiter=";"))
+        else:
+            pq.write_table(table, path)
+    who = roster()
+    traffic = find(str(path)).traffic(TrafficParams(), who)
+    traffic.advance()
+    world = traffic.advance()
+    assert who.names == sorted(STRANGE) and len(set(world.name_key.tolist())) == n
+    x = {who.names[a]: box for a, box in zip(world.actor.tolist(), world.boxes.xyz_m[:, 0].tolist(), strict=True)}
+    assert [x[name] + 6.0 for name in STRANGE] == [10.0 * i for i in range(n)]  # a bus is 12 m long
+
+
+ROW = '<vehicle id="a" x="0" y="0" angle="0" type="t" speed="0"/>'
+HEAD = "timestep_time;vehicle_id;vehicle_x;vehicle_y;vehicle_angle;vehicle_type;vehicle_speed\n"
+BAD = {
+    "unsorted.xml": (f'<timestep time="1">{ROW}</timestep><timestep time="0">{ROW}</timestep>', "0 s comes after 1 s"),
+    "twice.xml": (f'<timestep time="0">{ROW}{ROW}</timestep>', "'a' is there twice at 0 s"),
+    "again.xml": (f'<timestep time="0">{ROW}</timestep><timestep time="0">{ROW}</timestep>', "comes after 0 s"),
+    "lacks.xml": ('<timestep time="0"><vehicle id="a" x="0" y="0"/></timestep>', "says no angle"),
+    "nan.xml": (f'<timestep time="0">{ROW.replace("0", "nan", 1)}</timestep>', "not finite"),
+    "word.xml": (f'<timestep time="0">{ROW.replace("0", "left", 1)}</timestep>', "could not convert"),
+    "clock.xml": (f'<timestep time="0:00:01">{ROW}</timestep>', "--human-readable-time"),
+    "empty.xml": ("", "nobody is ever on the road"),
+    "coarse.xml": (f'<timestep time="0">{ROW}</timestep><timestep time="1.5">{ROW}</timestep>', "no multiple"),
+    "unsorted.csv": (HEAD + "1;a;0;0;0;t;0\n0;a;0;0;0;t;0\n", "time 0 s comes after 1 s"),
+    "twice.csv": (HEAD + "0;a;0;0;0;t;0\n0;a;1;0;0;t;0\n", "'a' is there twice"),
+    "hole.csv": (HEAD + "0;a;;0;0;t;0\n", "'a' at 0 s has a number missing"),
+    "lacks.csv": ("time;id\n0;a\n", "says no x"),
+    "word.csv": (HEAD + "0;a;left;0;0;t;0\n", "column x"),
+    "torn.csv": (HEAD + "0;a;0\n", "Expected 7 columns"),
+    "not.parquet": ("PAR1 and then nothing", "damaged, or not a trace"),
+    "torn.xml.gz": (None, "damaged gzip"),
+    "other.xml": (None, "starts with <routes>"),
+    "bomb.xml": (None, "DOCTYPE"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_a_bad_trace_gets_one_line(tmp_path, name):
+    text, says = BAD[name]
+    path = tmp_path / name
+    if name == "torn.xml.gz":
+        path.write_bytes(gzip.compress(f"<fcd-export>{ROW * 9}".encode())[:-12])
+    elif name == "other.xml":
+        path.write_text("<routes/>")
+    elif name == "bomb.xml":
+        path.write_text('<!DOCTYPE f [<!ENTITY b SYSTEM "file:///etc/hosts">]><fcd-export>&b;</fcd-export>')
+    else:
+        path.write_text(f"<fcd-export>{text}</fcd-export>" if name.endswith(".xml") else text)
+    with pytest.raises(TrafficError, match=r".") as caught:
+        traffic = find(str(path)).traffic(TrafficParams(), roster())
+        while True:
+            traffic.advance()
+    assert says in str(caught.value) and name in str(caught.value) and "\n" not in str(caught.value)

@@ -1,0 +1,61 @@
+"""Worlds of a live run, written down by a process of its own, because libsumo holds one simulation per process."""
+
+import pickle
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from cosim.mobility.source import Traffic, TrafficOver
+from cosim.roster import FleetParams, Roster
+
+COLUMNS = ("actor", "name_key", "shape", "speed_mps", "equipped", "behaviour")
+
+
+def collect(traffic: Traffic, warmup_s: float, n_steps: int) -> list[dict[str, np.ndarray]]:
+    """Everything that `n_steps` worlds say, or fewer if the traffic ends."""
+    for _ in traffic.warm_up(warmup_s):
+        pass
+    worlds = []
+    try:
+        for _ in range(n_steps):
+            world = traffic.advance()
+            boxes = {"xyz_m": world.boxes.xyz_m, "lwh_m": world.boxes.lwh_m, "yaw_rad": world.boxes.yaw_rad}
+            worlds.append({name: getattr(world, name) for name in COLUMNS} | boxes)
+    except TrafficOver:
+        pass
+    traffic.close()
+    return worlds
+
+
+def live(scenario: str, target: Path, warmup_s: float, n_steps: int) -> tuple[list[dict[str, np.ndarray]], str]:
+    """Worlds of a live run, and its report."""
+    code = f"""
+import json, pickle
+from pathlib import Path
+from tests.cosim.mobility.worlds import collect, roster
+from cosim.mobility.source import TrafficParams
+from cosim.scenario import find
+traffic = find({scenario!r}).traffic(TrafficParams(), roster())
+report = {{}}
+close, traffic.close = traffic.close, lambda: (report.update(traffic.report()), close())
+worlds = collect(traffic, {warmup_s}, {n_steps})
+Path({str(target)!r}).write_bytes(pickle.dumps((worlds, report)))
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout == "" and done.stderr == ""
+    return pickle.loads(target.read_bytes())
+
+
+def roster() -> Roster:
+    return Roster(FleetParams(malicious_p=0.3, unreliable_p=0.3), seed=4)
+
+
+def same(one: list[dict[str, np.ndarray]], other: list[dict[str, np.ndarray]]) -> None:
+    """All worlds are equal, to the bit."""
+    assert len(one) == len(other)
+    for step, (a, b) in enumerate(zip(one, other, strict=True)):
+        for name in a:
+            np.testing.assert_array_equal(a[name], b[name], err_msg=f"step {step}: {name}")

@@ -1,0 +1,136 @@
+"""A stranger's scenario either runs or is refused in one line that names the file and the cause."""
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+
+from cosim.scenario import find
+from tests.cosim.mobility import odd
+from tests.drive import cosim
+
+BOLOGNA = Path(__file__).parents[3] / "shared" / "nets" / "bologna"
+
+BOMB = '<!DOCTYPE a [<!ENTITY a "aaaa"><!ENTITY b "&a;&a;&a;&a;">]>'
+SPY = '<!DOCTYPE a [<!ENTITY a SYSTEM "file:///etc/hosts">]>'
+
+
+@pytest.fixture(scope="module")
+def scenario(tmp_path_factory):
+    return odd.write(tmp_path_factory.mktemp("odd"), end=700)
+
+
+def edited(scenario, tmp_path, name, change):
+    """A copy of the scenario with one file changed."""
+    for path in scenario.parent.iterdir():
+        (tmp_path / path.name).write_bytes(path.read_bytes())
+    text = (tmp_path / name).read_text(encoding="utf-8")
+    (tmp_path / name).write_text(change(text), encoding="utf-8")
+    return tmp_path / scenario.name
+
+
+LATE = '<vehicle id="lost" depart="600"><route edges="nowhere"/></vehicle></routes>'
+
+REFUSED = {
+    "a network with a bomb": ("odd net.net.xml", lambda t: BOMB + t[t.index("<net") :], "net.net.xml, line 1: decl"),
+    "demand with a bomb": ("odd.rou.xml", lambda t: BOMB + t, "odd.rou.xml, line 1: declares a document type"),
+    "demand that spies": ("odd.rou.xml", lambda t: SPY + t, "odd.rou.xml, line 1: declares a document type"),
+    "polygons with a bomb": ("odd.poly.xml", lambda t: BOMB + t, "odd.poly.xml, line 1: declares a document type"),
+    "a configuration with a bomb": ("odd.sumocfg", lambda t: BOMB + t, "odd.sumocfg, line 1: declares"),
+    "a torn configuration": ("odd.sumocfg", lambda t: t[:200], "odd.sumocfg, line"),
+    "a torn network": ("odd net.net.xml", lambda t: t[: t.rindex("<junction")], "odd net.net.xml"),
+    "a network cut in its head": ("odd net.net.xml", lambda t: t[: t.index("<edge")], "odd net.net.xml, line"),
+    "a torn additional file": ("odd.add.xml", lambda t: t[:40], "odd.add.xml"),
+    "no configuration": ("odd.sumocfg", lambda t: "<routes/>", "names no network"),
+    "missing demand": ("odd.sumocfg", lambda t: t.replace("odd.rou", "gone.rou"), "gone.rou.xml, which does not exist"),
+    "an unknown edge": ("odd.rou.xml", lambda t: t.replace('edges="db bc"', 'edges="db xx"'), "'xx'"),
+    "an unknown option": ("odd.sumocfg", lambda t: t.replace("verbose", "verbosity"), "verbosity"),
+    "a torn polygon file": ("odd.poly.xml", lambda t: t[:60], "odd.poly.xml"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("what", REFUSED)
+def test_refused_before_anything_is_written(scenario, tmp_path, what):
+    name, change, says = REFUSED[what]
+    config = edited(scenario, tmp_path, name, change)
+    done = cosim("run", "--set", f"traffic.scenario={config}", "--set", "traffic.duration_s=5", "--out",
+                 str(tmp_path / "run"))  # fmt: skip
+    assert done.returncode == 2, (done.stdout, done.stderr)
+    assert says in done.stderr and done.stderr.count("\n") == 1 and "Traceback" not in done.stderr
+
+
+def test_demand_that_turns_out_wrong_later(scenario, tmp_path):
+    """SUMO reads demand bit by bit: what is wrong in its tenth minute is told in its tenth minute."""
+    config = edited(scenario, tmp_path, "odd.rou.xml", lambda t: t.replace("</routes>", LATE))
+    sets = (f"traffic.scenario={config}", "traffic.warmup_s=100", "traffic.duration_s=550", "fleet.penetration_p=0")
+    done = cosim("run", *(word for s in sets for word in ("--set", s)), "--out", str(tmp_path / "run"))
+    assert done.returncode == 2
+    assert re.fullmatch(r"error: .*odd\.sumocfg: SUMO gives up: .*nowhere.*\n", done.stderr)
+    assert json.loads((tmp_path / "run" / "manifest.json").read_text())["status"] == "failed"
+
+
+def test_a_run_that_outlives_the_demand_says_so_and_counts_who_was_left_out(scenario, tmp_path):
+    sets = ("traffic.scenario=.", "traffic.duration_s=2000", "fleet.penetration_p=0")
+    done = cosim("run", *(w for s in sets for w in ("--set", s)), "--out", str(tmp_path / "run"), cwd=scenario.parent)
+    assert done.returncode == 0, done.stderr
+    first, second = done.stderr.splitlines()
+    assert "the traffic ended before the 2000 s asked for" in first
+    assert second == "note: left out, because they are not on the road: 1 rail, 1 ship."
+    summary = json.loads((tmp_path / "run" / "manifest.json").read_text())["summary"]
+    assert summary["actors_left_out"] == {"rail": 1, "ship": 1}
+    assert not list(scenario.parent.glob("*tripinfo*")) and not list(scenario.parent.glob("state*"))
+
+
+def test_polygons_become_buildings_where_the_world_is(scenario):
+    """One house of 20 x 15 m; the park is none. The origin is the network's middle, to the kilometre."""
+    found = find(str(scenario))
+    assert found.origin_m[0] == pytest.approx(-8_999_000, abs=1000) and found.origin_m[0] % 1000 == 0
+    city = found.city()
+    (house,) = city.footprints
+    west = -8_999_900 - found.origin_m[0]
+    assert house.bounds == (west, 130, west + 20, 145) and city.n_dropped == 0
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "says"),
+    [
+        ("notes.txt", "", "no .sumocfg, folder or trace"),
+        ("bare/x", "", "a folder with no .sumocfg"),
+        ("made/recipe.toml", "name = ", "not a city that `cosim nets build` made"),
+        ("made/recipe.toml", 'name = "x"', "KeyError"),
+        ("run/manifest.json", "{}", "manifest.json is damaged"),
+        ("gone.sumocfg/x", "", "a folder with no .sumocfg"),
+    ],
+)
+def test_what_is_no_scenario(tmp_path, name, text, says):
+    (tmp_path / name).parent.mkdir(exist_ok=True)
+    (tmp_path / name).write_text(text)
+    path = (tmp_path / name).parent if "/" in name else tmp_path / name
+    with pytest.raises(ValueError, match=r".") as caught:
+        find(str(path))
+    assert says in str(caught.value) and str(path) in str(caught.value)
+
+
+def test_what_is_no_trace(tmp_path):
+    with pytest.raises(ValueError, match="no such file or folder"):
+        find("helsinki", str(tmp_path / "gone.parquet"))
+    with pytest.raises(ValueError, match="neither a run folder nor a trace"):
+        find("helsinki", str(tmp_path))
+
+
+@pytest.mark.verify
+@pytest.mark.parametrize("city", ["bologna", "koenigs-wusterhausen"])
+def test_half_an_hour_without_a_warning(tmp_path, city):
+    if city == "bologna":
+        if not BOLOGNA.is_dir():
+            pytest.skip(f"{BOLOGNA} is not there")
+        city = str(BOLOGNA / "run.sumocfg")
+        before = sorted(BOLOGNA.iterdir())
+    sets = (f"traffic.scenario={city}", "traffic.duration_s=1800", "record.level=summary", "fleet.penetration_p=0.1")
+    done = cosim("run", *(word for s in sets for word in ("--set", s)), "--out", str(tmp_path / "run"))
+    assert done.returncode == 0 and done.stderr == ""
+    manifest = json.loads((tmp_path / "run" / "manifest.json").read_text())
+    assert manifest["steps"] == 1800 and manifest["summary"]["vehicles_on_road_mean"] > 50
+    if "/" in city:
+        assert sorted(BOLOGNA.iterdir()) == before

@@ -1,0 +1,148 @@
+"""A town that nobody has looked at: from an OpenStreetMap file to traffic, or one line that says why not."""
+
+import gzip
+import re
+from pathlib import Path
+from time import perf_counter
+
+import pytest
+
+from sumo_nets import catalogue, flow, town, wheel
+
+HERSFELD = Path(__file__).parents[3] / "shared" / "nets" / "bad_hersfeld" / "osm_bbox.osm.xml.gz"
+
+
+def grid_town(n: int = 5, step: float = 0.0018) -> str:
+    """n x n crossings 200 m apart, streets named awkwardly, and a house in every block."""
+    rows, ways = [], []
+    for i in range(n):
+        for j in range(n):
+            lat, lon = 50 + i * step * 0.64, 9 + j * step
+            rows.append(f'<node id="{1 + n * i + j}" version="1" lat="{lat:.6f}" lon="{lon:.6f}"/>')
+    lines = [[1 + n * i + j for j in range(n)] for i in range(n)]
+    lines += [[1 + n * i + j for i in range(n)] for j in range(n)]
+    for k, nodes in enumerate(lines):
+        refs = "".join(f'<nd ref="{node}"/>' for node in nodes)
+        kind = "secondary" if k % 3 else "residential"
+        tags = f'<tag k="highway" v="{kind}"/><tag k="name" v="&quot;Straße&quot; &lt;{k}/漢&gt;"/>'
+        ways.append(f'<way id="{k + 1}" version="1">{refs}{tags}</way>')
+    for b in range(n - 1):
+        corners = [(0.4, 0.4), (0.4, 0.6), (0.6, 0.6), (0.6, 0.4)]
+        first = 1000 + 10 * b
+        for c, (dy, dx) in enumerate(corners):
+            lat, lon = 50 + (b + dy) * step * 0.64, 9 + (b + dx) * step
+            rows.append(f'<node id="{first + c}" version="1" lat="{lat:.6f}" lon="{lon:.6f}"/>')
+        refs = "".join(f'<nd ref="{first + c % 4}"/>' for c in range(5))
+        tags = f'<tag k="building" v="yes"/><tag k="height" v="{10 + b}"/>'
+        ways.append(f'<way id="{1000 + b}" version="1">{refs}{tags}</way>')
+    top = 50 + (n - 1) * step * 0.64
+    bounds = f'<bounds minlat="50" minlon="9" maxlat="{top:.6f}" maxlon="{9 + (n - 1) * step:.6f}"/>'
+    return f'<?xml version="1.0" encoding="UTF-8"?><osm version="0.6">{bounds}{"".join(rows + ways)}</osm>'
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("town")
+    (folder / "my town.osm.gz").write_bytes(gzip.compress(grid_town().encode()))
+    town.from_osm(folder / "my town.osm.gz", folder / "our 'town' ö", town.Density(per_km=4.0))
+    return folder / "our 'town' ö"
+
+
+def test_a_town_is_built_and_flows(built):
+    net = catalogue.open_folder(built)
+    assert net.name == "our-town-ö"
+    assert [round(f.top_z_m) for f in net.footprints()] == [10, 11, 12, 13]
+    flows = flow.measure(net, 300)
+    # 10 streets of 4 x 129 m or so, both ways: 10 km; Little's law aims at 4 vehicles on each.
+    assert 15 < flows.vehicles_mean < 90
+    assert flows.teleports == 0 and flows.verdict == "it flows"
+
+
+def test_the_same_file_gives_the_same_town(built, tmp_path):
+    town.from_osm(built.parent / "my town.osm.gz", tmp_path / built.name, town.Density(per_km=4.0))
+    assert (tmp_path / built.name / "SHA256SUMS").read_text() == (built / "SHA256SUMS").read_text()
+
+
+def test_night_is_quieter_than_the_afternoon(built, tmp_path):
+    town.from_osm(built.parent / "my town.osm.gz", tmp_path / "night", town.Density(per_km=4.0, hour=3))
+    night, day = catalogue.open_folder(tmp_path / "night"), catalogue.open_folder(built)
+    assert night.vehicles_per_hour == pytest.approx(day.vehicles_per_hour * town.BY_HOUR[3], rel=0.03)
+
+
+ROADLESS = grid_town().replace('k="highway"', 'k="waterway"')
+
+BAD = {
+    "roadless.osm": (ROADLESS.encode(), "no street"),
+    "torn.osm": (grid_town()[:3000].encode(), "not an OpenStreetMap file"),
+    "torn.osm.gz": (gzip.compress(grid_town().encode())[:-30], "damaged gzip file|not an OpenStreetMap file"),
+    "empty.osm": (b"", "not well-formed XML|not an OpenStreetMap"),
+    "other.osm": (b"<routes/>", "not an OpenStreetMap file|has no ways"),
+    "bomb.osm": (b'<!DOCTYPE a [<!ENTITY a "b">]><osm version="0.6">&a;</osm>', "declares a document type"),
+    "noise.osm.pbf": (b"\x00\x00\x00\x0dnothing", "not an OpenStreetMap file"),
+    "bare.osm": (b'<osm version="0.6"></osm>', "has no ways"),
+    "paths.osm": (re.sub('v="(secondary|residential)"', 'v="footway"', grid_town()).encode(), "no street"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_a_bad_file_gets_one_line(tmp_path, name):
+    content, says = BAD[name]
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(ValueError, match=says) as caught:
+        town.from_osm(tmp_path / name, tmp_path / "out", town.Density())
+    assert name in str(caught.value) and "\n" not in str(caught.value).strip()
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_box_is_checked_before_anybody_is_asked(tmp_path):
+    with pytest.raises(ValueError, match="four numbers are wanted"):
+        town.from_box("9,50,10", tmp_path, town.Density())
+    with pytest.raises(ValueError, match="west < east"):
+        town.from_box("10,50,9,51", tmp_path, town.Density())
+
+
+def test_offline_a_box_points_to_a_file(tmp_path, monkeypatch):
+    for name in ("http_proxy", "https_proxy", "HTTP_PROXY", "HTTPS_PROXY"):
+        monkeypatch.setenv(name, "http://127.0.0.1:9")  # nobody listens there
+    with pytest.raises(ValueError, match=r"cannot be reached .* --osm FILE") as caught:
+        town.from_box("9.0,50.0,9.001,50.001", tmp_path / "out", town.Density())
+    assert "\n" not in str(caught.value)
+
+
+def test_a_city_of_the_wheel_is_made_once_and_always_alike(tmp_path, monkeypatch):
+    monkeypatch.setenv("COSIM_CACHE", str(tmp_path / "one"))
+    first = catalogue.find("koenigs-wusterhausen")
+    assert catalogue.find("koenigs-wusterhausen") == first  # from the cache
+    monkeypatch.setenv("COSIM_CACHE", str(tmp_path / "two"))
+    second = catalogue.find("koenigs-wusterhausen")
+    assert second.folder != first.folder
+    assert (second.folder / "SHA256SUMS").read_text() == (first.folder / "SHA256SUMS").read_text()
+    assert len(first.footprints()) > 10 and "OpenStreetMap" in first.attribution
+
+
+def test_a_cache_that_cannot_be_written_is_named(tmp_path, monkeypatch):
+    (tmp_path / "file").write_text("")
+    monkeypatch.setenv("COSIM_CACHE", str(tmp_path / "file"))
+    with pytest.raises(ValueError, match="Set COSIM_CACHE to a folder"):
+        catalogue.find("braunschweig")
+
+
+@pytest.mark.verify
+@pytest.mark.parametrize("name", sorted(wheel.NETS))
+def test_the_cities_of_the_wheel_flow(name, tmp_path, monkeypatch):
+    monkeypatch.setenv("COSIM_CACHE", str(tmp_path))
+    flows = flow.measure(catalogue.find(name), 1800)
+    assert flows.verdict == "it flows" and flows.vehicles_mean > 30, flows
+
+
+@pytest.mark.verify
+def test_bad_hersfeld_in_two_minutes(tmp_path):
+    if not HERSFELD.is_file():
+        pytest.skip(f"{HERSFELD} is not there")
+    begin = perf_counter()
+    town.from_osm(HERSFELD, tmp_path / "hersfeld", town.Density())
+    assert perf_counter() - begin < 120
+    net = catalogue.open_folder(tmp_path / "hersfeld")
+    assert len(net.footprints()) > 11_000
+    flows = flow.measure(net)
+    assert flows.verdict == "it flows" and flows.teleports == 0 and 500 < flows.vehicles_mean < 1500
