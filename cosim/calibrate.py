@@ -8,6 +8,7 @@ on runs that the fit has not seen, and curves beside it.
 """
 
 import argparse
+import json
 import re
 import tomllib
 from collections.abc import Sequence
@@ -56,6 +57,7 @@ PRIOR = 0.15
 """Weight of being one such distance off the first guess, in (points / `CLOSE`)²: picks one of many fits."""
 
 CLOSE = 2.0
+GENERATIONS = 30
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,7 +94,7 @@ def sample(run: Run, profile: str, model: SimpleNamespace, max_frames: int) -> S
     city = resweep.city_of(config)
     steps = detection._sampled_steps(run, max_frames)
     truth, poses = detection._truth(run, steps, RANGE_M)
-    seen, boxes, label, origin_m, z, false = [], [], [], [], [], []
+    seen, boxes, label, origin_m, z, false = (list[Any]() for _ in range(6))
     n_frames = n_actors = 0
     sweeps: Sweeps | None = None
     for world in resweep.worlds(run, config):
@@ -113,11 +115,11 @@ def sample(run: Run, profile: str, model: SimpleNamespace, max_frames: int) -> S
         n_frames += len(observers)
         n_actors += len(world)
     assert n_frames == len(poses), f"{run.path}: {len(poses)} frames in its tables, {n_frames} when cast again"
-    o, kind, made_up_boxes, score = zip(*false, strict=True)
+    frame, kind, made_up_boxes, score = zip(*false, strict=True)
     return Sample(
         run.name, truth, poses, Sightings(*map(np.concatenate, zip(*seen, strict=True))), Boxes.concat(boxes),
         np.concatenate(label), np.concatenate(origin_m), np.concatenate(z),
-        (np.concatenate(o), np.concatenate(kind), Boxes.concat(made_up_boxes), np.concatenate(score)),
+        (np.concatenate(frame), np.concatenate(kind), Boxes.concat(made_up_boxes), np.concatenate(score)),
     )  # fmt: skip
 
 
@@ -176,7 +178,7 @@ def of_the_seen(samples: Sequence[Sample], label: str, everything: Said) -> dict
     ideal = said(samples, None, label).found
     where = [np.ascontiguousarray(np.column_stack([a.frame, a.box[:, :2]])).view("V24")[:, 0] for a in (mine, ideal)]
     found = _rows(everything.found, everything.found.label == label)
-    return average_precision(_rows(mine, np.isin(*where)), found, label)
+    return average_precision(_rows(mine, np.isin(where[0], where[1])), found, label)
 
 
 def figures(one: Said, label: str) -> dict[str, Precision]:
@@ -212,7 +214,7 @@ def fit(samples: Sequence[Sample], label: str, target: Sequence[float], start: S
         return float(((off / CLOSE) ** 2).sum() + PRIOR * (x**2).sum())
 
     best = differential_evolution(
-        cost, [(-2.5, 2.5)] * len(first), x0=np.zeros(len(first)), popsize=6, maxiter=30, tol=1e-3,
+        cost, [(-2.5, 2.5)] * len(first), x0=np.zeros(len(first)), popsize=6, maxiter=GENERATIONS, tol=1e-3,
         init="sobol", rng=np.random.default_rng(0), polish=False,
     )  # fmt: skip
     return model_at(best.x)
@@ -286,9 +288,10 @@ def about(run: Run) -> str:
 
 def write(path: Path, profile: dict[str, Any]) -> None:
     """A profile as TOML, lists of numbers on one line."""
-    text = tomli_w.dumps(profile)
-    for _ in range(2):
-        text = re.sub(r"\[\n\s*([-\d.e, \[\]\n]*?),\n\s*\]", lambda m: "[" + re.sub(r"\s*\n\s*", " ", m[1]) + "]", text)
+    def one_line(found: re.Match[str]) -> str:
+        return f"= {json.dumps(tomllib.loads(f'x = {found[1]}')['x'])}"
+
+    text = re.sub(r"= (\[[-+\d.e,\s\[\]]*\n\])", one_line, tomli_w.dumps(profile))
     path.write_text(text, encoding="utf-8")
 
 
@@ -298,7 +301,8 @@ def main() -> None:
     asked.add_argument("--fit", nargs="+", required=True, type=Path, help="run folders to fit on")
     asked.add_argument("--hold-out", nargs="+", required=True, type=Path, help="run folders to judge on")
     words = asked.parse_args()
-    print(calibrate(words.profile, *([open_run(path) for path in paths] for paths in (words.fit, words.hold_out))))
+    fitted_on, held_out = ([open_run(path) for path in paths] for paths in (words.fit, words.hold_out))
+    print(calibrate(words.profile, fitted_on, held_out))
 
 
 if __name__ == "__main__":

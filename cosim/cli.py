@@ -125,7 +125,7 @@ def plot(
         from cosim.resweep import write
 
         if len(runs) != 1 or step is None or not vehicles or len(vehicles) != 1:
-            raise ValueError("cosim plot sweep shows one vehicle in one step: cosim plot sweep RUN --vehicle V --step S")
+            raise ValueError("cosim plot sweep shows one sweep: cosim plot sweep RUN --vehicle V --step S")
         screen.print(f"wrote {write(open_run(runs[0]), vehicles[0], step, out)}", highlight=False, soft_wrap=True)
         return
     if step is not None:

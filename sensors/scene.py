@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 import shapely
-from jaxtyping import Float, UInt8
+from jaxtyping import Float, Int, UInt8
 from numpy import ndarray
 
 from sensors.boxes import Boxes
@@ -153,6 +153,8 @@ class Scene:
     """Footprints that crossed themselves and were made valid."""
     n_dropped: int = 0
     """Footprints without area, which cannot stand."""
+    triangles_m: Float[ndarray, "t 3 3"] | None = None
+    """Solids of any other form, as closed meshes; engines of triangles see them, the columnar caster refuses."""
 
     @staticmethod
     def empty() -> Scene:
@@ -213,6 +215,47 @@ class Scene:
         n_dropped = len(raw) - len(np.unique(owner))
         n_repaired = len(np.unique(owner[broken[owner]]))
         return Scene(_walls(parts, base[owner], top[owner]), parts, n_repaired, n_dropped)
+
+
+    def with_mesh(self, vertices_m: Float[ndarray, "v 3"], faces: Int[ndarray, "t 3"]) -> Scene:
+        """This scene and one more solid: a tree, a bridge, a statue; its rays count as those of buildings.
+
+        Parameters
+        ----------
+        faces
+            Vertices of each triangle, counter-clockwise seen from outside.
+
+        Errors
+        ------
+        ValueError for a mesh that is not closed, and for one that names vertices it does not have.
+        """
+        vertices, faces = np.asarray(vertices_m, float), np.asarray(faces, int)
+        if not len(faces) or faces.min() < 0 or faces.max() >= len(vertices) or not np.isfinite(vertices).all():
+            raise ValueError(
+                f"a mesh of {len(vertices)} vertices and {len(faces)} faces: each face names three of the vertices, "
+                "from 0 on, and each vertex has three finite coordinates."
+            )
+        _, same = np.unique(vertices, axis=0, return_inverse=True)
+        n_open = _open_edges(same.reshape(-1)[faces])
+        if n_open:
+            raise ValueError(
+                f"a mesh with {n_open} open edges: light would see its inside. Every edge must belong to two faces "
+                "that run along it in opposite directions; close the holes and turn faces that are inside out."
+            )
+        own = vertices[faces]
+        both = own if self.triangles_m is None else np.concatenate([self.triangles_m, own])
+        return replace(self, triangles_m=both)
+
+
+def _open_edges(faces: Int[ndarray, "t 3"]) -> int:
+    """Directed edges without exactly one partner in the opposite direction."""
+    edge = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    n = int(faces.max()) + 1
+    there, back = edge[:, 0] * n + edge[:, 1], edge[:, 1] * n + edge[:, 0]
+    key, count = np.unique(there, return_counts=True)
+    at = np.minimum(np.searchsorted(key, back), len(key) - 1)
+    once = count[np.searchsorted(key, there)] == 1
+    return int((~(once & (key[at] == back) & (count[at] == 1))).sum())
 
 
 def _walls(polygons: ndarray, base: ndarray, top: ndarray) -> Buildings:

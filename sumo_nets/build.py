@@ -111,6 +111,9 @@ def write_checksums(folder: Path) -> None:
 
 
 def _source(wanted: dict[str, str], given: Path | None, work: Path) -> Path:
+    if given is None and "package" not in wanted:
+        name = wanted.get("file", "a file")
+        raise ValueError(f"the recipe was made for {name}, which no package carries. Name it with --source FILE.")
     if given is None:
         _LOG.info("fetching %s with pip", wanted["package"])
         words = [sys.executable, "-m", "pip", "download", "--no-deps", "--only-binary=:all:", "--dest", str(work)]

@@ -163,15 +163,16 @@ def _wanted(path: Path, batch: pa.RecordBatch) -> pa.RecordBatch:
     """The columns that matter, under plain names, whatever SUMO's `--output.column-header` was."""
     found = {}
     for name in ("time", "id", "type", "z", *_COLUMNS):
-        spellings = (f"timestep_{name}", name) if name == "time" else (f"vehicle_{name}", name)
-        column = next((batch.column(s) for s in spellings if s in batch.schema.names), None)
-        if column is None:
+        # SUMO names the columns after what it wrote first: a vehicle, a person, or a container
+        kinds = ("timestep",) if name == "time" else ("vehicle", "person", "container")
+        spellings = [s for s in (*(f"{kind}_{name}" for kind in kinds), name) if s in batch.schema.names]
+        if not spellings:
             if name not in ("type", "z"):
                 raise _lacks(path, name)
             continue
         wanted = pa.string() if name in ("id", "type") else pa.float64()
         try:
-            found[name] = column.cast(wanted)
+            found[name] = pc.coalesce(*(batch.column(s).cast(wanted) for s in spellings))
         except pa.ArrowException as error:
             raise TrafficError(f"{path}: column {name}: {str(error).splitlines()[0]}.") from None
     n = len(batch)

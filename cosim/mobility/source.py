@@ -11,6 +11,7 @@ from typing import Annotated, Any, Protocol
 import numpy as np
 from annotated_types import Ge, Gt
 from jaxtyping import Float, Int
+from numba import njit
 from numpy import ndarray
 
 from cosim.roster import Roster
@@ -56,6 +57,12 @@ class TrafficParams:
     """Length of one step of traffic [s]; overrides the scenario's own."""
 
 
+_PER_M, _PER_RAD, _PER_MPS = (
+    2.0 ** (TABLES["actors"].columns[name].bits or 0) for name in ("x_m", "yaw_rad", "speed_mps")
+)
+"""How finely the table `actors` keeps places, angles and speeds."""
+
+
 class TrafficOver(Exception):
     """Nobody is left, and nobody will come; says why."""
 
@@ -80,18 +87,6 @@ class Traffic(Protocol):
         """Let go of it."""
 
 
-def centre_from_bumper(
-    front_m: Float[ndarray, "n 3"], compass_deg: Float[ndarray, "n"], lwh_m: Float[ndarray, "n 3"]
-) -> Boxes:
-    """Boxes of actors from SUMO's pose: centre of the front bumper on the road, degrees clockwise from north."""
-    yaw = np.deg2rad(90.0 - compass_deg)
-    yaw = np.pi - np.mod(np.pi - yaw, 2 * np.pi)  # (-pi, pi]
-    heading = np.stack([np.cos(yaw), np.sin(yaw), np.zeros_like(yaw)], axis=1)
-    centre = front_m - heading * (lwh_m[:, :1] / 2)
-    centre[:, 2] += lwh_m[:, 2] / 2
-    return Boxes(centre, lwh_m, yaw)
-
-
 def world_from_bumpers(
     step: int,
     number: Int[ndarray, "n"],
@@ -109,32 +104,41 @@ def world_from_bumpers(
     """
     order = np.argsort(number)
     number = number[order]
-    front_m = front_m[order]
-    front_m[:, :2] -= origin_m
-    angle = compass_deg[order].astype(np.float32).astype(float)
-    speed = speed_mps[order].astype(np.float32).astype(float)
-    boxes = centre_from_bumper(front_m, angle, roster.lwh_m[number])
-    return world_of(step, number, boxes, speed, roster)
+    lwh_m = roster.lwh_m[number]
+    xyz_m, yaw_rad, speed = _placed(order, front_m, compass_deg, speed_mps, lwh_m, *origin_m)
+    return world_of(step, number, Boxes(xyz_m, lwh_m, yaw_rad), speed, roster)
+
+
+@njit(cache=True)
+def _placed(order, front_m, compass_deg, speed_mps, lwh_m, east_m, north_m):
+    """Centres of boxes, yaw and speed from centres of front bumpers on the road, in order and rounded."""
+    n = len(order)
+    xyz_m, yaw_rad, speed = np.empty((n, 3)), np.empty(n), np.empty(n)
+    for i in range(n):
+        row = order[i]
+        yaw = np.deg2rad(90.0 - np.float64(np.float32(compass_deg[row])))
+        yaw = np.pi - np.mod(np.pi - yaw, 2 * np.pi)  # (-pi, pi]
+        back = lwh_m[i, 0] / 2
+        xyz_m[i, 0] = np.rint((front_m[row, 0] - east_m - np.cos(yaw) * back) * _PER_M) / _PER_M
+        xyz_m[i, 1] = np.rint((front_m[row, 1] - north_m - np.sin(yaw) * back) * _PER_M) / _PER_M
+        xyz_m[i, 2] = np.rint((front_m[row, 2] + lwh_m[i, 2] / 2) * _PER_M) / _PER_M
+        yaw_rad[i] = np.rint(yaw * _PER_RAD) / _PER_RAD
+        speed[i] = np.rint(np.float64(np.float32(speed_mps[row])) * _PER_MPS) / _PER_MPS
+    return xyz_m, yaw_rad, speed
 
 
 def world_of(
     step: int, number: Int[ndarray, "n"], boxes: Boxes, speed_mps: Float[ndarray, "n"], roster: Roster
 ) -> World:
-    """The world of a step, poses rounded as the table `actors` keeps them; `number` is sorted."""
+    """The world of a step from poses as the table `actors` keeps them; `number` is sorted."""
     roster.seen(number, step)
     return World(
         step=step,
         actor=number,
         name_key=roster.name_key[number],
         shape=roster.shape[number],
-        boxes=Boxes(_kept(boxes.xyz_m, "x_m"), boxes.lwh_m, _kept(boxes.yaw_rad, "yaw_rad")),
-        speed_mps=_kept(speed_mps, "speed_mps"),
+        boxes=boxes,
+        speed_mps=speed_mps,
         equipped=roster.equipped[number],
         behaviour=roster.behaviour[number],
     )
-
-
-def _kept(values: Float[ndarray, "..."], column: str) -> Float[ndarray, "..."]:
-    bits = TABLES["actors"].columns[column].bits
-    assert bits is not None
-    return np.round(values * 2.0**bits) * 2.0**-bits

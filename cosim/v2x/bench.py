@@ -5,10 +5,14 @@ from time import perf_counter
 import numpy as np
 from numpy import ndarray
 
+from cosim import rng
+from cosim.v2x import csma, disk
 from cosim.v2x.channel import AccessParams, Links, Packets, State, play
+from cosim.v2x.exchange import neighbours
 from cosim.v2x.links import between, within
 from cosim.v2x.obstruction import Sight, Walls
 from cosim.v2x.propagation import PropagationParams
+from cosim.v2x.radio import RadioParams
 from cosim.v2x.reception import ReceiverParams
 
 WINDOW_NS = 100_000_000
@@ -69,6 +73,28 @@ def _network(n: int, n_receivers: int) -> tuple[float, float, Links]:
     return _best(whole), _best(air), links
 
 
+def _round(n: int, n_receivers: int, model: str) -> tuple[float, int]:
+    """Seconds of one round of messages as the cycle asks for it, accounts included, and pairs within reach."""
+    side_m, p, names = 1000.0, RadioParams(), rng.keys(np.uint64(1), np.arange(n))
+    for _ in range(12):
+        pairs = len(neighbours(streets(n, side_m)[:, :2], p.reach_m)[0])
+        side_m *= (pairs / n / n_receivers) ** 0.4
+    xyz, air = streets(n, side_m), csma.Air.start(Sight.of(Walls.of(blocks(side_m))), 1)
+    talks, length, times = np.ones(n, bool), np.full(n, 300), []
+    for i in range(_ROUNDS):
+        begin = perf_counter()
+        if model == "csma":
+            csma.broadcast(
+                air, xyz, names, talks, length, i, 0.4 * i, 0.4, p.reach_m, p.propagation, p.receiver, p.access,
+                p.dcc, p.relay,
+            )  # fmt: skip
+        else:
+            chance = rng.key(1, rng.Stream.RADIO_DETECTIONS, i)
+            disk.broadcast(xyz[:, :2], names, talks, length, chance, p.reach_m, 0.4, p.disk, p.relay)
+        times.append(perf_counter() - begin)
+    return _best(times), len(neighbours(xyz[:, :2], p.reach_m)[0])
+
+
 def bench() -> list[tuple[str, float, str]]:
     """Rows (what, figure, unit), best of several rounds in one process."""
     rows: list[tuple[str, float, str]] = []
@@ -77,6 +103,11 @@ def bench() -> list[tuple[str, float, str]]:
         pairs, degree = len(links.receiver), len(links.receiver) / n
         rows.append((f"network step, {n:,} senders x {degree:.0f} receivers", 1e3 * whole, "ms"))
         rows.append((f"event loop, {n:,} senders x {degree:.0f} receivers", 1e-6 * pairs / air, "million pairs/s"))
+    for n in (1000, 5000):
+        for model in ("csma", "disk"):
+            seconds, pairs = _round(n, 60, model)
+            rows.append((f"round of {model}, {n:,} senders x {pairs / n:.0f} within reach", 1e3 * seconds, "ms"))
+            rows.append((f"round of {model}, {n:,} senders", 1e-6 * pairs / seconds, "million pairs/s"))
     xyz = streets(2000, 2000.0)
     walls = Walls.of(blocks(2000.0))
     sight = Sight.of(walls)

@@ -14,7 +14,7 @@ from cosim import rng
 from cosim.v2x import channel, dcc
 from cosim.v2x.channel import Access, AccessParams, Packets
 from cosim.v2x.dcc import Control, DccParams
-from cosim.v2x.exchange import Fate, Frames, Heard, RelayParams, View, heard_of, neighbours
+from cosim.v2x.exchange import Fate, Frames, Heard, RelayParams, View, both_ways, by_two, heard_of, neighbours, rows_of
 from cosim.v2x.links import Pairs, between
 from cosim.v2x.messages import expand, ptr_of, segments
 from cosim.v2x.obstruction import Sight
@@ -232,6 +232,12 @@ def _messages(
     """Messages of which all segments are there."""
     n = len(xy_m)
     unit, to = np.divmod(have, max(n, 1))
+    if len(origin) == len(talkers):  # no message is longer than a frame
+        since_ns = own_ns[unit]
+        return heard_of(
+            to, origin[unit], hop, 1e-9 * (since_ns - begin_ns), 1e-9 * (aired_ns[unit] - since_ns),
+            1e-9 * (end_ns - since_ns), xy_m,
+        )  # fmt: skip
     pair, at = np.unique(origin[unit] * n + to, return_inverse=True)
     there = np.bincount(at, minlength=len(pair))
     sender, receiver = np.divmod(pair, max(n, 1))
@@ -263,12 +269,10 @@ def _accounts(
     on_air[aired] = True
     fate = np.where(on_air[frame], Fate.PROPAGATION, Fate.EXPIRED)  # too weak even to count as a link, or never sent
     tag, receiver, known = receptions
-    order = np.argsort(tag * n + receiver)
-    key = (tag * n + receiver)[order]
-    wanted = frame * n + b[link]
-    at = np.minimum(np.searchsorted(key, wanted), max(len(key) - 1, 0))
-    found = key[at] == wanted if len(key) else np.zeros(len(wanted), bool)
-    fate[found] = known[order][at[found]]
+    order = by_two(tag, receiver, max(n, len(sent.unit)))
+    at = rows_of(frame * n + b[link], (tag * n + receiver)[order])
+    found = at >= 0
+    fate[found] = known[order[at[found]]]
     view = np.full(len(a), View.UNKNOWN, np.uint8) if sight is None else _views(a, b, length_m, *sight, n)
     return origin[sent.unit[frame]], b[link], sent.hop[frame], length_m[link], view[link], fate
 
@@ -277,10 +281,7 @@ def _views(
     a: Int[ndarray, "l"], b: Int[ndarray, "l"], length_m: Float[ndarray, "l"], pairs: Pairs, asked_m: float, n: int
 ) -> UInt8[ndarray, "l"]:
     """Whether a wall stands between the ends of each (a, b), given what is known of all pairs up to `asked_m`."""
-    open_ = ~pairs.nlos
-    low, high = np.minimum(pairs.a, pairs.b).astype(np.int64), np.maximum(pairs.a, pairs.b).astype(np.int64)
-    free = np.sort((low * n + high)[open_])
-    wanted = np.minimum(a, b) * n + np.maximum(a, b)
-    at = np.minimum(np.searchsorted(free, wanted), max(len(free) - 1, 0))
-    seen = free[at] == wanted if len(free) else np.zeros(len(wanted), bool)
+    free = np.flatnonzero(~pairs.nlos)
+    x, y, _ = both_ways(n, pairs.a[free], pairs.b[free], pairs.distance_m[free])
+    seen = rows_of(a * n + b, x * n + y) >= 0
     return np.where(seen, View.OPEN, np.where(length_m < asked_m, View.WALL, View.UNKNOWN)).astype(np.uint8)

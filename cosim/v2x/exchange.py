@@ -7,8 +7,10 @@ from typing import Annotated
 import numpy as np
 from annotated_types import Ge, Gt, Le
 from jaxtyping import Float, Int, UInt8
+from numba import njit
 from numpy import ndarray
-from scipy.spatial import cKDTree
+
+from cosim.v2x.links import within
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -147,9 +149,9 @@ def heard_of(
     access_s: Float[ndarray, "m"], latency_s: Float[ndarray, "m"], xy_m: Float[ndarray, "n 2"],
 ) -> Heard:  # fmt: skip
     """Deliveries in canonical order."""
-    order = np.lexsort((sender, receiver))
+    order = by_two(receiver, sender, len(xy_m))
     receiver, sender = receiver[order], sender[order]
-    distance_m = np.linalg.norm(xy_m[receiver] - xy_m[sender], axis=1)
+    distance_m = np.hypot(*(xy_m[receiver] - xy_m[sender]).T)
     return Heard(
         receiver, sender, hops[order].astype(np.int32), generated_s[order], access_s[order], latency_s[order],
         distance_m,
@@ -158,9 +160,63 @@ def heard_of(
 
 def neighbours(xy_m: Float[ndarray, "n 2"], reach_m: float) -> tuple[ndarray, ndarray, ndarray]:
     """All ordered pairs within reach: sender, receiver, distance [m]; sorted by sender, then receiver."""
-    pairs = cKDTree(xy_m).query_pairs(reach_m, output_type="ndarray")
-    sender = np.concatenate([pairs[:, 0], pairs[:, 1]])
-    receiver = np.concatenate([pairs[:, 1], pairs[:, 0]])
-    order = np.lexsort((receiver, sender))
-    sender, receiver = sender[order], receiver[order]
-    return sender, receiver, np.linalg.norm(xy_m[sender] - xy_m[receiver], axis=1)
+    return both_ways(len(xy_m), *within(np.column_stack([xy_m, np.zeros(len(xy_m))]), reach_m))
+
+
+@njit(cache=True)
+def both_ways(n, a, b, length_m):
+    """Each pair in both directions, sorted by counting: by the one end, then by the other."""
+    at = np.zeros(n + 1, np.int64)
+    for m in range(len(a)):
+        at[a[m] + 1] += 1
+        at[b[m] + 1] += 1
+    for i in range(n):
+        at[i + 1] += at[i]
+    put = at[:-1].copy()
+    from_, of = np.empty(2 * len(a), np.int32), np.empty(2 * len(a), np.int32)  # by receiver only
+    for m in range(len(a)):
+        for one, other in ((a[m], b[m]), (b[m], a[m])):
+            from_[put[one]], of[put[one]] = other, m
+            put[one] += 1
+    put = at[:-1].copy()
+    sender, receiver = np.empty(len(of), np.int64), np.empty(len(of), np.int64)
+    apart_m = np.empty(len(of))
+    for to in range(n):
+        for row in range(at[to], at[to + 1]):
+            k = put[from_[row]]
+            sender[k], receiver[k], apart_m[k] = from_[row], to, length_m[of[row]]
+            put[from_[row]] += 1
+    return sender, receiver, apart_m
+
+
+@njit(cache=True)
+def rows_of(wanted, key):
+    """Row of each wanted number among the keys, -1 where there is none; both ascending."""
+    out = np.empty(len(wanted), np.int64)
+    row = 0
+    for i in range(len(wanted)):
+        while row < len(key) and key[row] < wanted[i]:
+            row += 1
+        out[i] = row if row < len(key) and key[row] == wanted[i] else -1
+    return out
+
+
+def by_two(first: Int[ndarray, "m"], second: Int[ndarray, "m"], n: int) -> Int[ndarray, "m"]:
+    """Order of rows by the one, then by the other column; both hold numbers from 0 to n - 1."""
+    order = _counted(np.asarray(second, np.int64), n)
+    return order[_counted(np.asarray(first, np.int64)[order], n)]
+
+
+@njit(cache=True)
+def _counted(value, n):
+    """Stable order of rows by counting."""
+    at = np.zeros(n + 1, np.int64)
+    for v in value:
+        at[v + 1] += 1
+    for i in range(n):
+        at[i + 1] += at[i]
+    order = np.empty(len(value), np.int64)
+    for row in range(len(value)):
+        order[at[value[row]]] = row
+        at[value[row]] += 1
+    return order

@@ -37,7 +37,7 @@ def draw(xyz: ndarray, hit: ndarray, boxes: Mapping[str, ndarray], title: str) -
         entries.append(Line2D([], [], color=colour, marker="o", markersize=3, linestyle="", label=name))
     for i, (name, table) in enumerate(boxes.items()):
         colour, dash = style.INKS[(0, 2, 3)[i % 3]], style.DASHES[i]
-        panel.add_collection(LineCollection(_outlines(table), colors=colour, linestyles=[dash], linewidths=1.1))
+        panel.add_collection(LineCollection(list(_outlines(table)), colors=colour, linestyles=[dash], linewidths=1.1))
         entries.append(Line2D([], [], color=colour, linestyle=dash, label=name))
     panel.plot(0, 0, "k+", markersize=9)
     style.panel(panel, title, "Right [m]", "Ahead [m]")

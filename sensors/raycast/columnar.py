@@ -24,6 +24,11 @@ NOTHING, GROUND, BUILDING, ACTOR = 0, 1, 2, 3
 
 def cast(range_m, hit, poses, ground_m, observers, beams, max_range_m, boxes: Boxes, bodies: Prisms, scene: Scene):
     """Fill `range_m` and `hit` of every observer; see `sensors.lidar.scan`."""
+    if scene.triangles_m is not None:
+        raise ValueError(
+            f'lidar.engine = "columnar" casts upright prisms, and the scene has a mesh of {len(scene.triangles_m)} '
+            'triangles. Set lidar.engine to "embree" or "open3d".'
+        )
     ptr, row = near(poses.origin_m, boxes, max_range_m)
     _cast(
         range_m, hit, poses.origin_m, poses.yaw_rad, ground_m, observers, beams, float(max_range_m),

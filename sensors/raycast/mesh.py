@@ -85,7 +85,7 @@ def directions(yaw: float, beams) -> Float[ndarray, "r 3"]:
 
 
 def city_triangles(scene: Scene) -> Float[ndarray, "t 3 3"]:
-    """Walls, roofs and undersides of all buildings."""
+    """Walls, roofs and undersides of all buildings, and the meshes beside them."""
     city = scene.buildings
     building = np.repeat(np.arange(len(city.base_m)), np.diff(city.ptr))
     base, top = city.base_m[building], city.top_m[building]
@@ -104,7 +104,7 @@ def city_triangles(scene: Scene) -> Float[ndarray, "t 3 3"]:
         np.concatenate([flat, np.broadcast_to(z[owner, None, None], (len(flat), 3, 1))], axis=2)
         for z in (city.base_m, city.top_m)
     ]
-    return np.concatenate([walls, *levels])
+    return np.concatenate([walls, *levels, *([] if scene.triangles_m is None else [scene.triangles_m])])
 
 
 _FACES = np.array(

@@ -28,11 +28,11 @@ def tracer_of(triangles: ndarray) -> mesh.Tracer:
         ) from None
     corner, face = np.unique(triangles.reshape(-1, 3), axis=0, return_inverse=True)
     solid = open3d.t.geometry.RaycastingScene(nthreads=1)
-    solid.add_triangles(open3d.core.Tensor(corner), open3d.core.Tensor(face.reshape(-1, 3).astype(np.uint32)))
+    tensor = open3d.core.Tensor.from_numpy
+    solid.add_triangles(tensor(corner), tensor(face.reshape(-1, 3).astype(np.uint32)))
 
     def trace(start, direction):
-        rays = open3d.core.Tensor(np.concatenate([start, direction], axis=1))
-        found = solid.cast_rays(rays, nthreads=1)
+        found = solid.cast_rays(tensor(np.concatenate([start, direction], axis=1)), nthreads=1)
         return found["t_hit"].numpy(), found["primitive_ids"].numpy().astype(np.int32)      # 2^32 - 1 becomes -1
 
     return trace

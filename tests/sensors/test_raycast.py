@@ -197,7 +197,7 @@ def test_empty_worlds():
 def test_long_bodies_agree():
     # articulated buses and tractors with trailers, beside, ahead and crossing
     x, y, yaw, length, high = np.array([
-        (20.0, 3.1, 0.1, 18.0, 3.2), (25.0, -4.0, 1.3, 16.5, 4.0), (-9.0, 4.0, 3.0, 18.75, 4.0), (45.0, 0.5, 0.0, 16.5, 4.0),
+        (20, 3.1, 0.1, 18, 3.2), (25.0, -4.0, 1.3, 16.5, 4.0), (-9.0, 4.0, 3.0, 18.75, 4.0), (45.0, 0.5, 0.0, 16, 4.0),
     ]).T  # fmt: skip
     long = Boxes(np.column_stack([x, y, high / 2]), np.column_stack([length, np.full(4, 2.55), high]), yaw)
     boxes = Boxes.concat([car(0, 0), long])

@@ -5,8 +5,9 @@ import pytest
 import shapely
 
 from sensors.boxes import Boxes
+from sensors.lidar import Hit
 from sensors.scene import LABEL_OF_SHAPE, Scene, Shape, prisms, roof_triangles
-from tests.sensors.town import SIZE_M, blocks
+from tests.sensors.town import SIZE_M, blocks, car, exact
 
 SQUARE = [(0, 0), (10, 0), (10, 10), (0, 10)]
 
@@ -50,6 +51,60 @@ def test_roofs_are_tiled():
     a, b, c = triangle.transpose(1, 0, 2)
     area = 0.5 * np.abs((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0])
     assert np.bincount(owner, area) == pytest.approx(shapely.area(scene.footprints))
+
+
+def tetrahedron():
+    vertices = np.array([[10, -2, -1], [14, 0, -1], [10, 2, -1], [11.0, 0, 4]])
+    return vertices, np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]])
+
+
+@pytest.mark.parametrize("engine", ["embree", "open3d"])
+def test_a_mesh_is_seen_by_engines_of_triangles(engine):
+    if engine == "open3d":
+        pytest.importorskip("open3d")
+    vertices, faces = tetrahedron()
+    scene = blocks(np.random.default_rng(0)).with_mesh(vertices, faces)
+    level = {"elevation_deg": (0.0,), "n_azimuths": 1, "fov_deg": 1.0}
+    sweep = exact(car(0, 0), [0], [0], scene, engine=engine, **level)
+    # The sensor is at 1.73 m. The face towards it runs from x = 10 at z = -1 to x = 11 at z = 4: 10 + 2.73 / 5.
+    assert sweep.range_m[0, 0, 0] == pytest.approx(10.546, abs=1e-5) and sweep.hit[0, 0, 0] == Hit.BUILDING
+    with pytest.raises(ValueError, match="4 triangles"):
+        exact(car(0, 0), [0], [0], scene, **level)
+
+
+def test_two_meshes_stand_beside_each_other():
+    vertices, faces = tetrahedron()
+    scene = Scene.empty().with_mesh(vertices, faces).with_mesh(vertices + 20.0, faces)
+    assert len(scene.triangles_m) == 8
+    soup = vertices[faces].reshape(-1, 3)  # the same, corner by corner: equal places are one vertex
+    assert len(Scene.empty().with_mesh(soup, np.arange(12).reshape(4, 3)).triangles_m) == 4
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (lambda v, f: (v, f[:-1]), "3 open edges"),
+        (lambda v, f: (v, np.vstack([f[:-1], f[-1, ::-1]])), "open edges"),
+        (lambda v, f: (v, np.vstack([f, f[:1]])), "open edges"),
+        (lambda v, f: (v, f + 1), "names three"),
+        (lambda v, f: (v * np.nan, f), "finite"),
+        (lambda v, f: (v, f[:0]), "0 faces"),
+    ],
+)
+def test_unsound_meshes_are_refused(change, says):
+    with pytest.raises(ValueError, match=says):
+        Scene.empty().with_mesh(*change(*tetrahedron()))
+
+
+def test_long_trucks_and_buses_have_two_parts():
+    lwh = np.array([(8.0, 2.5, 3.5), (16.5, 2.55, 4.0), (12.0, 2.55, 3.2), (18.0, 2.55, 3.2)])
+    boxes = Boxes(np.zeros((4, 3)), lwh, np.zeros(4))
+    bodies = prisms(np.array([Shape.TRUCK, Shape.TRUCK, Shape.BUS, Shape.BUS], np.uint8), boxes)
+    assert np.diff(bodies.ptr).tolist() == [2, 4, 1, 3]
+    actor = np.repeat(np.arange(4), np.diff(bodies.ptr))
+    assert (np.abs(bodies.x_m) + bodies.half_l_m < lwh[actor, 0] / 2).all()
+    assert (bodies.half_w_m < lwh[actor, 1] / 2).all() and (bodies.top_m < lwh[actor, 2] / 2).all()
+    assert (bodies.bottom_m >= -lwh[actor, 2] / 2).all()
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,16 @@ def net(*lanes, function=""):
 
 
 @pytest.mark.parametrize(
-    "lane", ["", 'allow="passenger bus"', 'allow="all"', 'disallow="tram pedestrian"', 'disallow=""']
+    "lane",
+    [
+        "",
+        'allow="passenger bus"',
+        'allow="custom1"',
+        'allow="all"',
+        'disallow="passenger"',
+        'disallow="tram"',
+        'disallow=""',
+    ],
 )
 @pytest.mark.parametrize("pack", [bytes, gzip.compress])
 def test_a_lane_for_cars_is_enough(tmp_path, lane, pack):
@@ -25,7 +34,7 @@ def test_a_lane_for_cars_is_enough(tmp_path, lane, pack):
 @pytest.mark.parametrize(
     ("text", "cause"),
     [
-        (net('allow="pedestrian"', 'disallow="passenger"', 'disallow="all"'), "none of its 3 lanes lets passenger"),
+        (net('allow="pedestrian"', 'allow="rail bicycle"', 'disallow="all"'), "none of its 3 lanes lets motor"),
         (net("", function='function="internal"'), "it has no lane at all"),
         ("<net/>", "it has no lane at all"),
         ("<additional/>", "not a SUMO network: it starts with <additional>, a network starts with <net>"),

@@ -7,7 +7,7 @@ from time import perf_counter
 
 import pytest
 
-from sumo_nets import catalogue, flow, town, wheel
+from sumo_nets import build, catalogue, flow, town, wheel
 
 HERSFELD = Path(__file__).parents[3] / "shared" / "nets" / "bad_hersfeld" / "osm_bbox.osm.xml.gz"
 
@@ -61,6 +61,13 @@ def test_a_town_is_built_and_flows(built):
 def test_the_same_file_gives_the_same_town(built, tmp_path):
     town.from_osm(built.parent / "my town.osm.gz", tmp_path / built.name, town.Density(per_km=4.0))
     assert (tmp_path / built.name / "SHA256SUMS").read_text() == (built / "SHA256SUMS").read_text()
+
+
+def test_its_recipe_builds_it_again(built, tmp_path):
+    build.build(built / "recipe.toml", built.parent / "my town.osm.gz", tmp_path)
+    assert (tmp_path / "SHA256SUMS").read_text() == (built / "SHA256SUMS").read_text()
+    with pytest.raises(ValueError, match=r"made for my town\.osm\.gz"):
+        build.build(built / "recipe.toml", None, tmp_path)
 
 
 def test_night_is_quieter_than_the_afternoon(built, tmp_path):

@@ -22,14 +22,14 @@ from tests.drive import SHORT, cosim, drive
 FORMATS = ("fcd.parquet", "fcd.xml", "fcd.xml.gz", "fcd.csv", "fcd.csv.gz")
 
 
-def record(config: Path, target: Path, end: int) -> None:
+def record(config: Path, target: Path, end: int, **more: float) -> None:
     """What SUMO writes of its own accord; text needs more digits than SUMO's usual two."""
     options = {"configuration-file": config.resolve(), "seed": 1, "end": end, "fcd-output": target.resolve(),
                "no-step-log": True, "no-warnings": True, "step-length": 1, "verbose": False,
                "duration-log.statistics": False}  # fmt: skip
     if target.suffix != ".parquet":
         options["precision"] = 8
-    sumotools.run("sumo", options, target.parent)
+    sumotools.run("sumo", options | more, target.parent)
 
 
 @pytest.fixture(scope="module")
@@ -46,6 +46,18 @@ def test_a_trace_shows_the_world_that_was_live(helsinki, name):
     record(catalogue.find("helsinki").sumocfg_path, folder / name, 200)
     traffic = find("helsinki", str(folder / name)).traffic(TrafficParams(), roster())
     same(collect(traffic, 120, 40), worlds)
+
+
+def test_a_finer_step_and_a_later_begin(tmp_path):
+    """Ten steps a second from second 50 on; a pedestrian comes first, after whom SUMO then names all columns."""
+    params = TrafficParams(step_s=0.1, begin_s=50)
+    worlds = live("helsinki", tmp_path / "live", 10, 30, params)[0]
+    assert len(worlds[-1]["actor"]) > 3
+    config = catalogue.find("helsinki").sumocfg_path
+    record(config, tmp_path / "fcd.parquet", 65, begin=50, **{"step-length": 0.1})
+    for traced in (params, TrafficParams(step_s=0.1)):  # the trace begins there of itself
+        traffic = find("helsinki", str(tmp_path / "fcd.parquet")).traffic(traced, roster())
+        same(collect(traffic, 10, 30), worlds)
 
 
 def test_every_oddity_is_replayed_as_it_was_live(tmp_path):

@@ -3,11 +3,16 @@
 import numpy as np
 import pytest
 
-from cosim.mobility.source import centre_from_bumper
+from cosim.mobility.source import world_from_bumpers
+from cosim.roster import FleetParams, Roster
+from sensors.scene import Shape
 
 
 def pose(x, y, z, compass_deg, lwh):
-    boxes = centre_from_bumper(np.array([[x, y, z]], float), np.array([compass_deg], float), np.array([lwh], float))
+    roster = Roster(FleetParams(), seed=1)
+    number = roster.enrol(["a"], np.array([Shape.TRUCK], np.uint8), np.array([lwh], float), 0)
+    front_m, angle = np.array([[x, y, z]], float), np.array([compass_deg], float)
+    boxes = world_from_bumpers(0, number, front_m, angle, np.zeros(1), roster).boxes
     return boxes.xyz_m[0], boxes.lwh_m[0], boxes.yaw_rad[0]
 
 
@@ -19,8 +24,8 @@ def test_turning_truck_by_hand():
     (100 + 4.3301, 50 - 2.5) = (104.3301, 47.5), and half the height, 1.5 m, above the road.
     """
     centre, lwh, yaw = pose(100, 50, 2, 300, (10.0, 2.5, 3.0))
-    np.testing.assert_allclose(centre, [104.33012701892, 47.5, 3.5])
-    np.testing.assert_allclose(yaw, np.deg2rad(150))
+    np.testing.assert_allclose(centre, [104.33012701892, 47.5, 3.5], atol=2**-9)  # to 1/256 m
+    np.testing.assert_allclose(yaw, np.deg2rad(150), atol=2**-10)  # to 1/512 rad
     assert lwh.tolist() == [10.0, 2.5, 3.0]
 
 
@@ -31,7 +36,6 @@ def test_turning_truck_by_hand():
 def test_compass(compass_deg, yaw_deg):
     """North is +90 degrees, east 0, south -90, and west exactly +180: yaw lies in (-pi, pi]."""
     yaw = pose(0, 0, 0, compass_deg, (4.0, 2.0, 1.5))[2]
-    expected = yaw_deg if yaw_deg != -179.999 else -179.999
     # 269.999 by compass is a hair south of west: 180.001 = -179.999 degrees.
-    np.testing.assert_allclose(np.rad2deg(yaw), expected, atol=1e-9)
+    np.testing.assert_allclose(yaw, np.deg2rad(yaw_deg), atol=2**-10)
     assert -np.pi < yaw <= np.pi

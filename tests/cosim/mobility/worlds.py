@@ -4,10 +4,11 @@ import pickle
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from cosim.mobility.source import Traffic, TrafficOver
+from cosim.mobility.source import Traffic, TrafficOver, TrafficParams
 from cosim.roster import FleetParams, Roster
 
 COLUMNS = ("actor", "name_key", "shape", "speed_mps", "equipped", "behaviour")
@@ -29,7 +30,9 @@ def collect(traffic: Traffic, warmup_s: float, n_steps: int) -> list[dict[str, n
     return worlds
 
 
-def live(scenario: str, target: Path, warmup_s: float, n_steps: int) -> tuple[list[dict[str, np.ndarray]], str]:
+def live(
+    scenario: str, target: Path, warmup_s: float, n_steps: int, params: TrafficParams | None = None
+) -> tuple[list[dict[str, np.ndarray]], dict[str, Any]]:
     """Worlds of a live run, and its report."""
     code = f"""
 import json, pickle
@@ -37,7 +40,7 @@ from pathlib import Path
 from tests.cosim.mobility.worlds import collect, roster
 from cosim.mobility.source import TrafficParams
 from cosim.scenario import find
-traffic = find({scenario!r}).traffic(TrafficParams(), roster())
+traffic = find({scenario!r}).traffic({params or TrafficParams()!r}, roster())
 report = {{}}
 close, traffic.close = traffic.close, lambda: (report.update(traffic.report()), close())
 worlds = collect(traffic, {warmup_s}, {n_steps})

@@ -6,7 +6,7 @@ import pytest
 from cosim.v2x import csma
 from cosim.v2x.channel import AccessParams
 from cosim.v2x.dcc import DccParams
-from cosim.v2x.exchange import Fate, RelayParams
+from cosim.v2x.exchange import Fate, RelayParams, View
 from cosim.v2x.obstruction import Sight, Walls
 from cosim.v2x.propagation import PropagationParams
 from cosim.v2x.reception import ReceiverParams
@@ -138,3 +138,50 @@ def test_a_wall_only_takes():
 def test_nobody_and_silence():
     ((heard, frames),) = rounds(line(3, 10.0), 300, talks=np.zeros(3, bool))
     assert len(heard.receiver) == len(frames.fate) == 0 and frames.sent_bytes == 0
+
+
+def test_every_message_has_its_three_times():
+    xyz = line(40, 12.0)
+    for length in (400, 2500):  # one frame, and two
+        for heard, _ in rounds(xyz, length, n=3, max_hops=2):
+            assert (heard.generated_s >= 0).all() and (heard.generated_s < 0.1).all()  # in the first half of the round
+            assert (heard.access_s >= 58e-6).all()  # AIFS
+            assert (heard.latency_s > heard.access_s).all()
+            assert (heard.received_s <= 0.2).all()
+            first = {}  # a message is generated once, whoever hears it
+            for s, at in zip(heard.sender.tolist(), heard.generated_s.tolist(), strict=True):
+                assert first.setdefault(s, at) == at
+
+
+def test_a_lower_power_or_a_longer_message_only_takes():
+    rng = np.random.default_rng(4)
+    xyz = np.column_stack([rng.uniform(0, 500, (60, 2)), np.full(60, 1.6)])
+
+    def delivered(length, power_dbm):
+        air = PropagationParams(model="log_distance", tx_power_dbm=power_dbm)
+        return sum(len(heard.receiver) for heard, _ in rounds(xyz, length, n=12, propagation=air, reach_m=500.0))
+
+    powers = [delivered(400, dbm) for dbm in (23.0, 17.0, 11.0)]
+    assert powers == sorted(powers, reverse=True) and powers[2] < 0.7 * powers[0]
+    lengths = [delivered(n, 23.0) for n in (200, 1300, 4000)]
+    assert lengths == sorted(lengths, reverse=True) and lengths[2] < 0.9 * lengths[0]
+
+
+def test_what_stands_between_is_told():
+    xyz = np.array([[0.0, 0, 1.6], [50, 0, 1.6], [120, 0, 1.6], [130, 30, 1.6]])
+    house = [(np.array([[70.0, -50], [90, -50], [90, 90], [70, 90]]), [], 0.0, 20.0)]
+    urban = PropagationParams(blockage="none")
+    ((_, frames),) = rounds(xyz, 300, propagation=urban, air=csma.Air.start(Sight.of(Walls.of(house)), 5))
+    across = (frames.origin < 2) != (frames.receiver < 2)
+    assert np.array_equal(frames.view == View.WALL, across) and (frames.view[~across] == View.OPEN).all()
+    ((_, frames),) = rounds(xyz, 300)
+    assert (frames.view == View.UNKNOWN).all()
+
+
+def test_frames_name_their_ends():
+    xyz = line(5, 100.0)
+    ((heard, frames),) = rounds(xyz, 300, talks=np.arange(5) == 2, max_hops=2, reach_m=150.0)
+    own = frames.hop == 1
+    assert set(zip(frames.origin[own].tolist(), frames.receiver[own].tolist(), strict=True)) == {(2, 1), (2, 3)}
+    assert set(frames.receiver[~own].tolist()) <= {0, 1, 3, 4}  # the author's own message is not counted back at it
+    assert pairs(heard) == {(0, 2), (1, 2), (3, 2), (4, 2)}

@@ -1,0 +1,72 @@
+"""A run's sweeps, cast again from its tables: the same returns, and what is made of them."""
+
+import io
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from cosim import resweep
+from results.archive import open_run
+from sensors.evidence import sightings
+from tests.drive import cosim, drive
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return drive(tmp_path_factory.mktemp("resweep") / "run", "traffic.duration_s=6", "traffic.warmup_s=120")
+
+
+def test_the_same_returns(folder):
+    run = open_run(folder)
+    config = resweep.config_of(run)
+    city, told, n = resweep.city_of(config), run.sightings, 0
+    for world in resweep.worlds(run, config):
+        observers = np.flatnonzero(world.equipped)
+        seen = sightings(resweep.sweep(world, observers, city, config), world.boxes, world.shape)
+        again = pd.DataFrame({
+            "observer": world.actor[observers[seen.o]], "actor": world.actor[seen.actor],
+            "n_points": seen.n_returns, "n_unoccluded": seen.n_unoccluded,
+        })  # fmt: skip
+        here = told[told.step == world.step].drop(columns="step").reset_index(drop=True)
+        pd.testing.assert_frame_equal(again.astype(np.int64), here[again.columns].astype(np.int64))
+        n += len(here)
+    assert n == len(told) > 0
+
+
+def test_plot_sweep(folder, tmp_path):
+    run = open_run(folder)
+    told = run.detections
+    told = told[(told.step == 4) & (told.kind == "sensed")]
+    vehicle = int(told.observer.value_counts().index[0])
+    seen = resweep.look(run, vehicle, 4)
+    assert len(seen.reported) == (told.observer == vehicle).sum() and len(seen.actors) > 0
+    words = ("plot", "sweep", str(folder), "--vehicle", str(vehicle), "--step", "4", "--out")
+    for name in ("above.png", "cloud.npy"):
+        done = cosim(*words, str(tmp_path / name))
+        assert done.returncode == 0, done.stderr
+    assert (tmp_path / "above.png").stat().st_size > 10_000
+    points = np.load(io.BytesIO((tmp_path / "cloud.npy").read_bytes()))
+    assert len(points) == np.isfinite(seen.sweeps.range_m).sum() and np.abs(points).max() < 81
+
+
+@pytest.mark.parametrize(
+    ("vehicle", "step", "out", "says"),
+    [
+        (0, 99, None, "nobody sensed then"),
+        (99_999, 2, None, "no sensor on the road"),
+        (None, 2, Path("cloud.las"), "neither a picture"),
+    ],
+)
+def test_mistakes(folder, vehicle, step, out, says):
+    run = open_run(folder)
+    there = run.actors[run.actors.step == step].actor
+    sensing = run.vehicles.vehicle[run.vehicles.equipped & run.vehicles.vehicle.isin(there)]
+    with pytest.raises(ValueError, match=says):
+        resweep.write(run, int(sensing.iloc[0]) if vehicle is None else vehicle, step, out)
+
+
+def test_a_mistake_is_one_line(folder):
+    done = cosim("plot", "sweep", str(folder), "--step", "2")
+    assert done.returncode == 2 and "plot sweep RUN" in done.stderr and len(done.stderr.strip().splitlines()) == 1

@@ -1,0 +1,59 @@
+"""The published detectors: complete, sourced, fitted as well as the README says."""
+
+import tomllib
+from dataclasses import fields
+from pathlib import Path
+from typing import get_args, get_type_hints
+
+import pytest
+
+import sensors
+from sensors.detector import DetectorParams
+
+ROOM = Path(sensors.__file__).parent
+FILES = {path.stem: tomllib.loads(path.read_text()) for path in sorted((ROOM / "profiles").glob("*.toml"))}
+OUT_OF_REACH = {("avod", "pedestrian", "all")}
+"""Published figures that nobody could reach in this city; the README says why."""
+
+
+def test_every_profile_has_a_file():
+    assert {*FILES, "ideal"} == set(get_args(get_type_hints(DetectorParams)["profile"]))
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_complete_and_sourced(name):
+    file = FILES[name]
+    stated = {"source", *(f.name for f in fields(DetectorParams) if f.name != "profile")}
+    assert set(file["first_guess"]) == stated and set(file["fitted"]) < stated
+    assert len(file["source"]) > 20 and len(file["first_guess"]["source"]) > 20
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_close_to_what_was_published(name):
+    report = FILES[name]["calibration"]
+    for label, published in FILES[name]["published"].items():
+        assert report[label]["published"] == published
+        for level, target, reached in zip(report["levels"], published, report[label]["reached"], strict=False):
+            assert abs(reached - target) <= 5 or (name, label, level) in OUT_OF_REACH, (name, label, level)
+        hits, others = report[label]["boxes_per_frame_above_half"]
+        assert others < 0.3 * hits  # what is sure is mostly right
+
+
+def rows(name: str) -> list[str]:
+    """The calibration as lines of the README's table."""
+    report, lines = FILES[name]["calibration"], []
+    names = {"published": "published", "reached": "reached", "most_that_can_be": "at most",
+             "reached_of_the_seen": "reached, of those that return anything"}  # fmt: skip
+    for label, published in FILES[name]["published"].items():
+        for key, what in names.items():
+            figures = report[label][key] if key != "published" else published
+            cells = [f"{v:.1f}" for v in figures] + ["-"] * (4 - len(figures))
+            lines.append(f"| {name} | {label} | {what} | {' | '.join(cells)} |")
+    return lines
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_the_readme_says_so(name):
+    text = (ROOM / "README.md").read_text()
+    missing = [line for line in rows(name) if line not in text]
+    assert not missing, "write into sensors/README.md:\n" + "\n".join(missing)
