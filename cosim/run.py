@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -41,7 +42,8 @@ def roadside_units(config: Config, scenario: Scenario) -> Sites:
             "rsu.at, rsu.n_at_junctions: a trace without streets has no network to stand in. "
             "Leave the roadside units out, or name the streets in traffic.scenario and the trace in traffic.trace."
         )
-    return place(config.rsu, *junctions(scenario.net))
+    sites = place(config.rsu, *junctions(scenario.net))
+    return replace(sites, xyz_m=sites.xyz_m - np.array([*scenario.origin_m, 0.0]))
 
 
 def without_nulls(data: Any) -> Any:

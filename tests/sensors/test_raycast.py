@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sensors.boxes import Boxes
+from sensors.evidence import sightings
 from sensors.lidar import PROFILES, Hit, Poses, Posts, Sweeps
 from sensors.raycast.mesh import STEP_M
 from sensors.scene import Scene, prisms
@@ -217,7 +218,9 @@ def test_posts_agree_and_follow_the_observers(judge):
     assert together.poses.origin_m[4].tolist() == [123.0, 95.0, 4.3]
     other = exact(boxes, shape, cars[:0], scene, posts=posts, profile="os1_64", engine=judge)
     assert np.mean(np.abs(finite(apart) - finite(other)) > 1e-3) <= 1e-4
-    assert (apart.hit >= Hit.ACTOR).any()
+    seen = sightings(together, boxes, shape)
+    by_posts = seen.n_returns[seen.o >= 3].sum()
+    assert by_posts == (apart.hit >= Hit.ACTOR).sum() > 0
 
 
 @pytest.mark.verify
