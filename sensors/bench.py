@@ -44,7 +44,7 @@ def town(n_actors: int = 600, n_blocks: int = 20, pitch_m: float = 60.0) -> tupl
 
 def bench(
     world: tuple[Scene, Boxes, UInt8[ndarray, "n"]] | None = None, n_observers: int = 100, runs: int = 5
-) -> list[dict[str, str | float]]:
+) -> list[tuple[str, float, str]]:
     """Rows of (what, value, unit) on a given world, or on a synthetic town of 600 actors."""
     scene, boxes, shape = town() if world is None else world
     cars = np.flatnonzero(LABEL_OF_SHAPE[shape] == 0)[:n_observers]
@@ -70,7 +70,7 @@ def _rays_alone(boxes, shape, observers, scene, tracer_of) -> Callable[[], objec
 
 def crowd(
     world: tuple[Scene, Boxes, UInt8[ndarray, "n"]] | None = None, n_sensors: int = 1000, runs: int = 7
-) -> list[dict[str, str | float]]:
+) -> list[tuple[str, float, str]]:
     """Wall time of many sensors at once with one thread and with two, in turn; the best of several runs of each."""
     scene, boxes, shape = town() if world is None else world
     cars = np.resize(np.flatnonzero(LABEL_OF_SHAPE[shape] == 0), n_sensors)
@@ -86,13 +86,12 @@ def crowd(
                 best[n] = min(best[n], perf_counter() - start)
     finally:
         numba.set_num_threads(threads)
-    figures = [
+    return [
         (f"{n_sensors} sensors, range noise and all, one thread", best[1], "s"),
         (f"{n_sensors} sensors, range noise and all, two threads", best[2], "s"),
         ("two threads / one", best[1] / best[2], "times"),
         ("memory of their sweeps", (sweeps.range_m.nbytes + sweeps.hit.nbytes) / 1e6, "MB"),
     ]
-    return [{"what": what, "value": value, "unit": unit} for what, value, unit in figures]
 
 
 def _least_s(work: Callable[[], object], runs: int) -> float:
@@ -105,7 +104,7 @@ def _least_s(work: Callable[[], object], runs: int) -> float:
     return min(seconds)
 
 
-def _measure(scene, boxes, shape, observers, runs) -> list[dict[str, str | float]]:
+def _measure(scene, boxes, shape, observers, runs) -> list[tuple[str, float, str]]:
     keys = np.arange(len(observers), dtype=np.uint64)
     clean = LidarParams(range_sigma_m=0.0)
     sweeps = scan(boxes, shape, observers, scene, clean, keys)
@@ -130,7 +129,7 @@ def _measure(scene, boxes, shape, observers, runs) -> list[dict[str, str | float
     label = LABEL_OF_SHAPE[shape][row]
     n_pairs = len(overlapping_pairs(crowd, label, o)[0])
 
-    figures = [
+    return [
         ("columnar, one core", rays / columnar / 1e6, "M rays/s"),
         ("columnar, one sweep", columnar / len(observers) * 1e6, "us"),
         ("columnar with range noise, one core", rays / noisy / 1e6, "M rays/s"),
@@ -150,4 +149,3 @@ def _measure(scene, boxes, shape, observers, runs) -> list[dict[str, str | float
         ),
         ("overlapping pairs", n_pairs / _least_s(lambda: overlapping_pairs(crowd, label, o), runs) / 1e6, "M pairs/s"),
     ]
-    return [{"what": what, "value": value, "unit": unit} for what, value, unit in figures]

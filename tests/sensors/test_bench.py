@@ -4,7 +4,6 @@ from sensors.bench import bench, town
 
 
 def test_bench_reports_every_engine():
-    rows = {row["what"]: row for row in bench(town(60, 4), n_observers=4, runs=1)}
-    assert all(row["value"] > 0 and row["unit"] for row in rows.values())
-    assert rows["columnar / embree"]["value"] > 1
-    assert rows["two threads / one"]["value"] > 0
+    rows = {what: (value, unit) for what, value, unit in bench(town(60, 4), n_observers=4, runs=1)}
+    assert all(value > 0 and unit for value, unit in rows.values())
+    assert {"columnar, one core", "embree, one core", "columnar / embree", "two threads / one"} <= set(rows)

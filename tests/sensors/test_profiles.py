@@ -12,8 +12,8 @@ from sensors.detector import DetectorParams
 
 ROOM = Path(sensors.__file__).parent
 FILES = {path.stem: tomllib.loads(path.read_text()) for path in sorted((ROOM / "profiles").glob("*.toml"))}
-OUT_OF_REACH = {("avod", "pedestrian", "all"), ("pointpillars", "cyclist", "easy"), ("pointpillars", "cyclist", "hard")}
-"""Published figures that nobody could reach in this city; the README says why."""
+FAR_OFF = {("avod", "pedestrian", "all"), ("pointpillars", "cyclist", "moderate")}
+"""Figures more than 5 points off the published ones; the README says why."""
 
 
 def test_every_profile_has_a_file():
@@ -34,7 +34,7 @@ def test_close_to_what_was_published(name):
     for label, published in FILES[name]["published"].items():
         assert report[label]["published"] == published
         for level, target, reached in zip(report["levels"], published, report[label]["reached"], strict=False):
-            assert abs(reached - target) <= 5 or (name, label, level) in OUT_OF_REACH, (name, label, level)
+            assert abs(reached - target) <= 5 or (name, label, level) in FAR_OFF, (name, label, level)
         hits, others = report[label]["boxes_per_frame_above_half"]
         assert others < 0.5 * hits  # what is sure is mostly right
 
