@@ -25,7 +25,7 @@ bench: $(READY)  ## Speed, with peers in the same run
 	$(BIN)/cosim bench
 
 lock:  ## Pin the dependencies anew (needs uv)
-	uv pip compile -q pyproject.toml --all-extras --universal --python-version 3.11 --no-emit-index-url --no-header --generate-hashes -o requirements.lock
+	uv pip compile -q pyproject.toml --extra dev --extra build --universal --python-version 3.11 --no-emit-index-url --no-header --generate-hashes -o requirements.lock
 
 clean:
 	rm -rf $(VENV) build *.egg-info

@@ -43,6 +43,7 @@ class Stream(IntEnum):
     CHANNEL = 13
     GENERATION = 14
     DETECTION_MEMORY = 15
+    RELAY = 16
 
 
 @njit(cache=True, inline="always")

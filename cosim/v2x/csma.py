@@ -116,6 +116,7 @@ def broadcast(
 
     own_ns = begin_ns + np.floor(phase[origin] * (end_ns - begin_ns) / 2).astype(np.int64)
     waiting = Sent(np.arange(len(origin)), origin, np.ones(len(origin), int), own_ns)
+    contends = relay.rule == "contention"
     slot_ns = SLOT_NS if relay.max_hops > 1 else round(congestion.period_s * 1e9)
     first_frame = air.n_frames
     sent = waiting.take(np.zeros(0, np.int64))
@@ -180,9 +181,9 @@ def broadcast(
         again |= np.isin(key, have)
         n_duplicate += int(again.sum())
         if relay.max_hops > 1:
-            silenced = np.isin(waiting.unit * n + waiting.carrier, key[again]) & (waiting.hop > 1)
+            overheard = np.isin(key, key[again]) & contends
+            silenced = np.isin(waiting.unit * n + waiting.carrier, key[again]) & (waiting.hop > 1) & contends
             waiting = waiting.take(~silenced)
-            overheard = np.isin(key, key[again])
         new = order[~again]
         place = np.searchsorted(have, key[~again])
         have = np.insert(have, place, key[~again])
@@ -190,7 +191,13 @@ def broadcast(
         if relay.max_hops > 1:
             from_origin_m = np.linalg.norm(xyz_m[to[new], :2] - xyz_m[origin[unit[new]], :2], axis=1)
             on = ~overheard[~again] & (hop[new] < relay.max_hops) & (from_origin_m <= relay.reach_m)
-            share = np.minimum(apart_m[new][on] / relay.timer_distance_m, 1.0)
+            share = np.minimum(apart_m[new] / relay.timer_distance_m, 1.0)
+            if not contends:
+                who = name_key[origin[unit[new]]], number[unit[new]], name_key[to[new]]
+                draws = rng.uniforms(rng.key(air.seed, rng.Stream.RELAY, round_number), *who, n=2)
+                on &= draws[:, 0] < relay.forward_p
+                share = draws[:, 1]
+            share = share[on]
             timer_s = relay.timer_max_s + (relay.timer_min_s - relay.timer_max_s) * share
             at_ns = np.maximum(end_ns_of[new][on] + np.round(timer_s * 1e9).astype(np.int64), stop_ns)
             relays = Sent(unit[new][on], to[new][on], hop[new][on] + 1, at_ns)

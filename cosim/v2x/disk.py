@@ -8,6 +8,7 @@ from annotated_types import Ge, Le
 from jaxtyping import Bool, Float, Int, UInt64
 from numpy import ndarray
 
+from cosim import rng
 from cosim.rng import mix, unit
 from cosim.v2x.exchange import Fate, Frames, Heard, RelayParams, View, heard_of, neighbours
 from cosim.v2x.kernel import inlined, kernel
@@ -125,6 +126,9 @@ def broadcast(
         if not len(origin):
             break
         near = np.linalg.norm(xy_m[carrier] - xy_m[origin], axis=1) <= relay.reach_m
+        if relay.rule == "probability":
+            passing = rng.uniforms(rng.keys(chance, rng.Stream.RELAY)[0], name_key[origin], name_key[carrier])[:, 0]
+            near &= passing < relay.forward_p
         origin, carrier, age_s = origin[near], carrier[near], age_s[near]
         n_transmissions += np.bincount(origin, minlength=n)
         n_relayed += len(origin)

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, replace
 from enum import IntEnum
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 from annotated_types import Ge, Gt, Le
@@ -21,10 +21,16 @@ class RelayParams:
     """Hops that a message may travel; 1 is no relay."""
     reach_m: Annotated[float, Gt(0)] = 600.0
     """Farthest from its origin that a message is passed on [m]."""
+    rule: Literal["contention", "probability"] = "contention"
+    """`contention`: the farthest speaks first and silences who hears it (under `disk` nobody is silenced: all speak).
+    `probability`: each passes on with `forward_p`, whatever it hears."""
+    forward_p: Annotated[float, Ge(0), Le(1)] = 0.5
+    """Chance that a radio passes a message on, under `probability`."""
     timer_min_s: Annotated[float, Gt(0)] = 0.001
     """Contention timer of a relay at `timer_distance_m` from the previous hop, and beyond [s]."""
     timer_max_s: Annotated[float, Gt(0)] = 0.1
-    """Contention timer of a relay beside the previous hop [s]: who is farther away speaks first."""
+    """Contention timer of a relay beside the previous hop [s]: who is farther away speaks first. Under `probability`
+    timers are drawn evenly between the two."""
     timer_distance_m: Annotated[float, Gt(0)] = 400.0
     """Distance at which the contention timer is shortest [m]."""
 

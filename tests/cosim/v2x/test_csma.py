@@ -104,6 +104,19 @@ def test_who_overhears_a_relay_keeps_silent():
     assert frames.n_duplicate >= 9 - 4
 
 
+def test_relay_by_probability_is_as_frequent_as_asked_and_silences_nobody():
+    """Two hundred radios around one sender, all of which hear it: a binomial number passes it on."""
+    rng = np.random.default_rng(2)
+    xyz = np.column_stack([rng.uniform(-100, 100, (201, 2)), np.full(201, 1.6)])
+    one = np.arange(201) == 0
+    n_relayed = []
+    for p in (0.0, 0.3):
+        ((heard, frames),) = rounds(xyz, 300, talks=one, max_hops=2, rule="probability", forward_p=p)
+        assert len(heard.receiver) == 200
+        n_relayed.append(frames.n_relayed)
+    assert n_relayed[0] == 0 and abs(n_relayed[1] - 60) < 5 * np.sqrt(60 * 0.7)
+
+
 def test_the_same_for_any_order_and_beside_a_stranger():
     rng = np.random.default_rng(3)
     xyz = np.column_stack([rng.uniform(0, 600, (60, 2)), np.full(60, 1.6)])

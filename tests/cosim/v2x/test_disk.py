@@ -126,3 +126,12 @@ def test_bad_parameters():
         DiskParams(latency_min_s=1.0)
     with pytest.raises(ValueError, match=r"radio\.relay\.timer_max_s"):
         RelayParams(timer_min_s=1.0)
+
+
+def test_relay_by_probability_is_as_frequent_as_asked():
+    xy, names = crowd(301, side_m=100.0)
+    relay = RelayParams(max_hops=2, rule="probability", forward_p=0.3)
+    _, account = broadcast(
+        xy, names, np.arange(301) == 0, np.full(301, 300), CHANCE, 300.0, 0.1, DiskParams(loss_p=0.0), relay
+    )
+    assert abs(account.n_relayed - 90) < 5 * np.sqrt(90 * 0.7)
