@@ -79,7 +79,7 @@ def check(config: ConfigPath = None, overrides: Overrides = None, as_json: AsJso
 @app.command()
 def measure(
     runs: RunPaths,
-    threshold: Annotated[float, typer.Option(help="Trust below which a liar counts as found out.")] = 0.25,
+    threshold: Annotated[float, typer.Option(min=0, max=1, help="Trust below which a liar is found out.")] = 0.25,
     fresh_s: Annotated[float, typer.Option(help="Oldest age at which trust counts as fresh [s].")] = 10.0,
     as_json: AsJson = False,
 ) -> None:

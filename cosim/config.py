@@ -125,6 +125,8 @@ def load(path: Path | None = None, overrides: list[str] | None = None) -> Config
         name = ".".join(str(p) for p in first["loc"])
         if first["type"] == "value_error":
             raise ValueError(first["msg"].removeprefix("Value error, ")) from None
+        if first["type"] == "missing":
+            raise ValueError(f"{name}: missing. Set {name} in {where}.") from None
         reason = first["msg"].removeprefix("Input should be ")
         raise ValueError(f"{name} = {first['input']!r} should be {reason}. Set {name} in {where}.") from None
 

@@ -20,6 +20,9 @@ from cosim.scenario import Scenario, find
 from cosim.v2x.messages import FABRICATED
 from cosim.v2x.roadside import NOWHERE, Sites, place
 from results.recorder import Recorder
+from sensors import lidar
+from sensors.boxes import Boxes
+from sensors.scene import Scene, Shape
 from sumo_nets.network import junctions
 
 Advance = Callable[[str, int, int, str], None]
@@ -30,6 +33,11 @@ def check(config: Config) -> Scenario:
     """The scenario that a config asks for; ValueError where it could not run."""
     scenario = find(config.traffic.scenario, config.traffic.trace)
     roadside_units(config, scenario)
+    lidar.beams(config.lidar)
+    if config.lidar.engine != "columnar":  # the others are libraries that may not be there
+        one = Boxes(np.zeros((1, 3)), np.ones((1, 3)), np.zeros(1))
+        car, first = np.array([Shape.CAR], np.uint8), np.zeros(1, np.int64)
+        lidar.scan(one, car, first, Scene.empty(), config.lidar, np.zeros(1, np.uint64))
     return scenario
 
 
