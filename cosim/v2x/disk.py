@@ -127,7 +127,8 @@ def broadcast(
             break
         near = np.linalg.norm(xy_m[carrier] - xy_m[origin], axis=1) <= relay.reach_m
         if relay.rule == "probability":
-            passing = rng.uniforms(rng.keys(chance, np.array([rng.Stream.RELAY]))[0], name_key[origin], name_key[carrier])[:, 0]
+            relaying = rng.keys(chance, np.array([rng.Stream.RELAY]))[0]
+            passing = rng.uniforms(relaying, name_key[origin], name_key[carrier])[:, 0]
             near &= passing < relay.forward_p
         origin, carrier, age_s = origin[near], carrier[near], age_s[near]
         n_transmissions += np.bincount(origin, minlength=n)
