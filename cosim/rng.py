@@ -89,8 +89,11 @@ def key(seed: int, stream: Stream, step: int = 0) -> np.uint64:
 
 def keys(prefix: np.uint64, *ids: ndarray) -> UInt64[ndarray, "n"]:
     """One key per row of identifiers (arrays of one length, or scalars beside one)."""
-    columns = np.broadcast_arrays(*(np.atleast_1d(np.asarray(i)).astype(np.uint64) for i in ids))
-    return _mix_rows(prefix, np.ascontiguousarray(np.stack(columns, axis=1)))
+    columns = [np.atleast_1d(np.asarray(i)).astype(np.uint64) for i in ids]
+    rows = np.empty((np.broadcast(*columns).size, len(columns)), np.uint64)
+    for number, column in enumerate(columns):
+        rows[:, number] = column
+    return _mix_rows(prefix, rows)
 
 
 def uniforms(prefix: np.uint64, *ids: ndarray, n: int = 1) -> Float[ndarray, "rows n"]:

@@ -9,11 +9,12 @@ from jaxtyping import Bool, Float, Int, UInt8, UInt64
 from numpy import ndarray
 
 from cosim.rng import Stream, key, name_key, uniforms
-from cosim.world import HONEST, MALICIOUS, UNRELIABLE
+from cosim.world import MALICIOUS, UNRELIABLE
 from sensors.scene import Shape
 
 Probability = Annotated[float, Ge(0), Le(1)]
 Kind = Literal["car", "van", "truck", "bus", "motorcycle", "bicycle"]
+_COLUMNS = ("_name_key", "_shape", "_lwh_m", "_equipped", "_behaviour", "_first_step", "_last_step")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -55,6 +56,14 @@ class Roster:
     _behaviour: UInt8[ndarray, "capacity"] = field(default_factory=lambda: np.zeros(1024, np.uint8))
     _first_step: Int[ndarray, "capacity"] = field(default_factory=lambda: np.zeros(1024, np.int32))
     _last_step: Int[ndarray, "capacity"] = field(default_factory=lambda: np.zeros(1024, np.int32))
+    _can_be_equipped: Bool[ndarray, "shape"] = field(init=False)
+    _chosen: np.uint64 = field(init=False)
+    _part: np.uint64 = field(init=False)
+
+    def __post_init__(self) -> None:
+        kinds = {kind.upper() for kind in self.params.equipped_kinds}
+        self._can_be_equipped = np.array([shape.name in kinds for shape in Shape])
+        self._chosen, self._part = key(self.seed, Stream.EQUIPPED), key(self.seed, Stream.BEHAVIOUR)
 
     def __len__(self) -> int:
         return self._n
@@ -72,7 +81,7 @@ class Roster:
         order = sorted(range(n), key=lambda i: (on_foot[i], names[i]))
         names, shape, lwh_m, on_foot = [names[i] for i in order], shape[order], lwh_m[order], on_foot[order]
         while first + n > len(self._shape):
-            for column in (f for f in self.__slots__ if f.startswith("_") and f != "_n"):
+            for column in _COLUMNS:
                 old = getattr(self, column)
                 setattr(self, column, np.concatenate([old, np.zeros_like(old)]))
         rows = slice(first, first + n)
@@ -80,18 +89,15 @@ class Roster:
             [name_key(("person/" if walks else "vehicle/") + name) for name, walks in zip(names, on_foot, strict=True)],
             np.uint64,
         )
-        kinds = np.array([Shape[k.upper()] for k in self.params.equipped_kinds], np.uint8)
-        chosen = uniforms(key(self.seed, Stream.EQUIPPED), who)[:, 0] < self.params.penetration_p
-        part = uniforms(key(self.seed, Stream.BEHAVIOUR), who)[:, 0]
-        behaviour = np.full(n, HONEST, np.uint8)
-        behaviour[part < self.params.malicious_p + self.params.unreliable_p] = UNRELIABLE
-        behaviour[part < self.params.malicious_p] = MALICIOUS
-        equipped = chosen & np.isin(shape, kinds)
+        equipped = self._can_be_equipped[shape] & (uniforms(self._chosen, who)[:, 0] < self.params.penetration_p)
+        part = uniforms(self._part, who)[:, 0]
+        behaviour = self._behaviour[rows]
+        behaviour[equipped & (part < self.params.malicious_p + self.params.unreliable_p)] = UNRELIABLE
+        behaviour[equipped & (part < self.params.malicious_p)] = MALICIOUS
 
         self.names.extend(names)
         self._name_key[rows], self._shape[rows], self._lwh_m[rows] = who, shape, lwh_m.astype(np.float32)
         self._equipped[rows] = equipped
-        self._behaviour[rows] = np.where(equipped, behaviour, HONEST)
         self._first_step[rows] = self._last_step[rows] = step
         self._n += n
         numbers = np.empty(n, np.int32)

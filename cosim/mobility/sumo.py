@@ -97,9 +97,7 @@ class SumoTraffic:
             self.move()
         step, self._step = self._step, self._step + 1
         present = [(domain, names, domain.numbers(names)) for domain in self._domains for names in (domain.present(),)]
-        if any((number == _UNKNOWN).any() for _, _, number in present):
-            self._enrol(present, step)
-            present = [(domain, names, domain.numbers(names)) for domain, names, _ in present]
+        self._enrol(present, step)
         parts = [_read(domain, names, number) for domain, names, number in present]
         number, front_m, angle, speed = (np.concatenate(column) for column in zip(*parts, strict=True))
         return world_from_bumpers(step, number, front_m, angle, speed, self._roster, self._origin_m)
@@ -136,10 +134,16 @@ class SumoTraffic:
         self._waste.cleanup()
 
     def _enrol(self, present: list[tuple[_Domain, Any, ndarray]], step: int) -> None:
+        """Give the strangers among those present their numbers, in place."""
+        strangers = [
+            (domain, [names[row] for row in rows], number, rows)
+            for domain, names, number in present
+            if len(rows := np.flatnonzero(number == _UNKNOWN))
+        ]
         who: list[tuple[_Domain, str]] = []
         shapes, lwh_m = [], []
-        for domain, names, number in present:
-            for name in compress(names, number == _UNKNOWN):
+        for domain, names, _, _ in strangers:
+            for name in names:
                 vclass = domain.getter["VehicleClass"](name)
                 shape = SHAPE_OF_CLASS.get(vclass)
                 if shape is None:
@@ -149,10 +153,13 @@ class SumoTraffic:
                 who.append((domain, name))
                 shapes.append(shape)
                 lwh_m.append([domain.getter[what](name) for what in ("Length", "Width", "Height")])
-        sizes = np.array(lwh_m, float).reshape(-1, 3)
-        numbers = self._roster.enrol([name for _, name in who], np.array(shapes, np.uint8), sizes, step)
-        for (domain, name), number in zip(who, numbers.tolist(), strict=True):
-            domain.number[name] = number
+        if who:
+            newcomers = [name for _, name in who]
+            new = self._roster.enrol(newcomers, np.array(shapes, np.uint8), np.array(lwh_m, float), step)
+            for (domain, name), number in zip(who, new.tolist(), strict=True):
+                domain.number[name] = number
+        for domain, names, number, rows in strangers:
+            number[rows] = domain.numbers(names)
 
     @contextmanager
     def _errors(self, what: str) -> Iterator[None]:
