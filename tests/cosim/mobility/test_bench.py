@@ -13,4 +13,5 @@ def test_bench_compares_sumo_alone_with_sumo_and_reading():
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     answer = {name: value for name, value, _ in json.loads(done.stdout)}
     assert all(value > 0 for value in answer.values())
-    assert answer["actors on the road"] > 500 and answer["reading, over SUMO alone"] > 1
+    for city in ("adlershof", "koenigs-wusterhausen"):
+        assert answer[f"{city}: actors on the road"] > 500 and answer[f"{city}: reading, over SUMO alone"] > 1
