@@ -1,13 +1,14 @@
 """Kernels that look into a small window of a range image instead of through a whole cloud, and their plain twins.
 
-Both kinds share the test of one point to the last bit, so a window may only be too large, never wrong.
+Both kinds share the test of one point to the last bit, so a window may only be too large, never wrong. Rows are walked
+as slices from 0: an index that might be negative keeps the compiler from testing several points at once.
 """
 
 from __future__ import annotations
 
 import numpy as np
 from jaxtyping import Float
-from numba import njit
+from numba import njit, prange
 from numpy import ndarray
 
 from sensors.raycast.column import actor_columns, below, in_prism_frame, profile, rectangle, spans, surface
@@ -23,12 +24,12 @@ def in_box(x, y, z, cx, cy, cz, cos, sin, half_l, half_w, half_h):
     return (abs(cos * dx + sin * dy) < half_l) & (abs(cos * dy - sin * dx) < half_w) & (abs(dz) < half_h)
 
 
-@njit(cache=True)
+@njit(cache=True, parallel=True)
 def points_in_boxes(range_m, beams, o, xyz, lwh, yaw):
     """Returns of sweep o[k] strictly inside box k (sensor frame)."""
     out = np.zeros(len(o), np.int32)
     m = len(beams.tan_el)
-    for k in range(len(o)):
+    for k in prange(len(o)):
         x, y, z = xyz[k, 0], xyz[k, 1], xyz[k, 2]
         half_l, half_w, half_h = 0.5 * lwh[k, 0], 0.5 * lwh[k, 1], 0.5 * lwh[k, 2]
         cos, sin = np.cos(yaw[k]), np.sin(yaw[k])
@@ -41,16 +42,15 @@ def points_in_boxes(range_m, beams, o, xyz, lwh, yaw):
             low, high = z - half_h, z + half_h
             r0 = max(0, below(beams.tan_el, low / (close if low < 0.0 else distance + reach)) - 1)
             r1 = min(m, below(beams.tan_el, high / (close if high > 0.0 else distance + reach)) + 1)
+        cos_el, sin_el = beams.cos_el[r0:r1], beams.sin_el[r0:r1]
         count = 0
         for turn in range(2):
             for c in range(a0 if turn == 0 else b0, a1 if turn == 0 else b1):
-                ranges, ca, sa = range_m[o[k], c], beams.cos_az[c], beams.sin_az[c]
-                for r in range(r0, r1):
+                ranges, ca, sa = range_m[o[k], c, r0:r1], beams.cos_az[c], beams.sin_az[c]
+                for r in range(len(ranges)):
                     d = np.float64(ranges[r])
-                    flat = d * beams.cos_el[r]
-                    count += in_box(
-                        flat * ca, flat * sa, d * beams.sin_el[r], x, y, z, cos, sin, half_l, half_w, half_h
-                    )
+                    flat = d * cos_el[r]
+                    count += in_box(flat * ca, flat * sa, d * sin_el[r], x, y, z, cos, sin, half_l, half_w, half_h)
         out[k] = count
     return out
 
@@ -125,23 +125,24 @@ def in_frustum(x, y, z, plane):
     )
 
 
-@njit(cache=True)
+@njit(cache=True, parallel=True)
 def free_space(range_m, beams, o, planes, distance, window, margin_m):
     """Returns of sweep o[k] in the pyramid through box k, and how many of them are nearer than the box."""
     seen, closer = np.zeros(len(o), np.int32), np.zeros(len(o), np.int32)
-    for k in range(len(o)):
+    for k in prange(len(o)):
         plane, limit = planes[k], distance[k] + margin_m
         a0, a1, b0, b1 = spans(window[k, 0], window[k, 1], beams)
         r0 = max(0, below(beams.tan_el, window[k, 2]) - 1)
         r1 = min(len(beams.tan_el), below(beams.tan_el, window[k, 3]) + 1)
+        cos_el, sin_el = beams.cos_el[r0:r1], beams.sin_el[r0:r1]
         n_seen = n_closer = 0
         for turn in range(2):
             for c in range(a0 if turn == 0 else b0, a1 if turn == 0 else b1):
-                ranges, ca, sa = range_m[o[k], c], beams.cos_az[c], beams.sin_az[c]
-                for r in range(r0, r1):
+                ranges, ca, sa = range_m[o[k], c, r0:r1], beams.cos_az[c], beams.sin_az[c]
+                for r in range(len(ranges)):
                     d = np.float64(ranges[r])
-                    flat = d * beams.cos_el[r]
-                    x, y, z = flat * ca, flat * sa, d * beams.sin_el[r]
+                    flat = d * cos_el[r]
+                    x, y, z = flat * ca, flat * sa, d * sin_el[r]
                     inside = in_frustum(x, y, z, plane) & (d < np.inf)
                     n_seen += inside
                     n_closer += inside & (np.sqrt(x * x + y * y + z * z) < limit)
