@@ -177,21 +177,19 @@ def turn(
     with watch("match"):
         pairs = overlapping_pairs(said.boxes, said.label, said.observer)
         everything = _views(first.heard, ptr, said.said, len(observers))
-        of_member = everything.of_member()
         inside = evidence.in_area(
-            sweeps, of_member, said.boxes.take(everything.member), config.area,
-            said.label[everything.member], world.boxes.take(observers[of_member]),
+            sweeps, everything.of_member(), said.boxes, config.area, everything.member, said.label,
+            world.boxes.take(observers),
         )  # fmt: skip
         views = _subset(everything, inside)
-        groups = matching.match(views, claims, pairs, config.trust)
+        groups_all, groups = (matching.match(v, claims, pairs, config.trust) for v in (everything, views))
     with watch("judge"):
-        of_member, boxes = views.of_member(), said.boxes.take(views.member)
-        n_points = np.zeros(len(boxes), np.int32)
-        others = np.flatnonzero(~claims.is_self[views.member] | (claims.sender[views.member] != of_member))
-        n_points[others] = evidence.points_in_boxes(sweeps, of_member[others], boxes.take(others))
-        plausible = np.ones(len(boxes), bool)
-        foreign = np.flatnonzero(~groups.local)
-        plausible[foreign] = evidence.plausible(sweeps, of_member[foreign], boxes.take(foreign), config.area)
+        foreign = np.zeros(len(inside), bool)  # those of which a vehicle asks its own sweep whether they can be there
+        foreign[groups_all.seeds()] = True
+        foreign &= ~groups_all.local
+        foreign[np.flatnonzero(inside)[~groups.local]] = True
+        n_points_all, plausible_all = _look(sweeps, everything, inside, foreign, said.boxes, claims, config)
+        n_points, plausible = n_points_all[inside], plausible_all[inside]
         verdicts = evaluation.evaluate(views, groups, claims, n_points, plausible, config.trust)
 
     told = _told(step, ids, views, claims, verdicts, said.said)
@@ -218,8 +216,11 @@ def turn(
         known = knowledge(state, config, ids[met.receiver], ids[met.sender], ids, judged_s + state.radio.timeout_s)
 
     with watch("fuse"):
-        groups_all = matching.match(everything, claims, pairs, config.trust)
-        sight = _sight(sweeps, everything, groups_all, said.boxes, config)
+        seeds = groups_all.seeds()
+        away_m = np.linalg.norm(
+            said.boxes.xyz_m[everything.member[seeds]] - sweeps.poses.origin_m[everything.of_member()[seeds]], axis=1
+        )
+        sight = fusion.Sight(n_points_all[seeds], plausible_all[seeds], away_m < config.area.range_m)
         judged = np.full(len(met.sender), alone)
         heard = fusion.Heard(ptr_of(met.receiver, len(observers)), met.sender, known.trust, judged)
         distance_m = np.linalg.norm(said.boxes.xyz_m - sweeps.poses.origin_m[claims.sender], axis=1)
@@ -385,17 +386,23 @@ def _hear(state: State, config: Config, told: Told, carrier: Exchange, ids: Int[
         state.uplink.by_roadside(told, message[up.sender], up, begin_s)
 
 
-def _sight(
-    sweeps: lidar.Sweeps, views: Views, groups: matching.Groups, boxes: Boxes, config: Config
-) -> fusion.Sight:
-    """What each ego's own sweep says of the seeds that others made."""
-    seeds = groups.seeds()
-    foreign = np.flatnonzero(~groups.local[seeds])
-    view, box = views.of_member()[seeds[foreign]], boxes.take(views.member[seeds[foreign]])
-    n_points = np.zeros(len(seeds), np.int32)
-    plausible, near = np.ones(len(seeds), bool), np.ones(len(seeds), bool)
-    n_points[foreign] = evidence.points_in_boxes(sweeps, view, box)
-    plausible[foreign] = evidence.plausible(sweeps, view, box, config.area)
-    away_m = np.linalg.norm(box.xyz_m - sweeps.poses.origin_m[view], axis=1)
-    near[foreign] = away_m < config.area.range_m
-    return fusion.Sight(n_points, plausible, near)
+def _look(
+    sweeps: lidar.Sweeps,
+    views: Views,
+    inside: Bool[ndarray, "m"],
+    foreign: Bool[ndarray, "m"],
+    boxes: Boxes,
+    claims: Claims,
+    config: Config,
+) -> tuple[Int[ndarray, "m"], Bool[ndarray, "m"]]:
+    """What each vehicle's own sweep says of the boxes before it: returns within, and whether free space allows them.
+
+    Asked of all that it judges and of what is foreign; else 0 and True. Nobody has returns from himself.
+    """
+    o, b = views.of_member(), views.member
+    n_points, plausible = np.zeros(len(b), np.int32), np.ones(len(b), bool)
+    asked = np.flatnonzero((inside | foreign) & ~(claims.is_self[b] & (claims.sender[b] == o)))
+    n_points[asked] = evidence.points_in_boxes(sweeps, o[asked], boxes, b[asked])
+    asked = np.flatnonzero(foreign)
+    plausible[asked] = evidence.plausible(sweeps, o[asked], boxes, b[asked], config.area)
+    return n_points, plausible

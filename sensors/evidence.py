@@ -49,34 +49,44 @@ def in_area(
     o: Int[ndarray, "n"],
     boxes: Boxes,
     params: AreaParams,
-    label: UInt8[ndarray, "n"] | None = None,
+    b: Int[ndarray, "n"] | None = None,
+    label: UInt8[ndarray, "boxes"] | None = None,
     own: Boxes | None = None,
 ) -> Bool[ndarray, "n"]:
-    """Whether each box lies in the area that observer o[k] answers for.
+    """Whether box b[k] lies in the area that observer o[k] answers for.
 
     Parameters
     ----------
+    b
+        Rows of `boxes`; all of them, in order, when not given.
     label, own
-        Both given: cars within `own_radius_m` of own[k], the box of observer o[k] itself, are exempt from
-        the field of view, as when messages are evaluated.
+        Both given, the class of each box and the box of each observer: cars within `own_radius_m` of the observer's own
+        box are exempt from the field of view, as when messages are evaluated.
 
     Notes
     -----
     Area filter of TruPercept: |left| <= forward + slack for its 90 degrees.   Deviations: other fields of view keep
     the slack beside their edges; 360 degrees have no edge.
     """
-    sensed = sweeps.poses.to_sensor(o, boxes)
-    keep = _in_view(sensed, sweeps.beams.fov_rad, params.slack_m)
+    sensed = sweeps.poses.to_sensor(o, boxes, b)
+    bottom_m, away_m = _bottom(sensed)
+    keep = (away_m <= params.range_m + params.slack_m) & (np.abs(bottom_m) <= params.height_m)
+    in_view = _in_view(sensed, sweeps.beams.fov_rad, params.slack_m)
     if label is not None and own is not None:
-        apart = sensed.xyz_m - sweeps.poses.to_sensor(o, own).xyz_m
-        apart[:, 2] -= 0.5 * (boxes.lwh_m[:, 2] - own.lwh_m[:, 2])
-        keep |= (label == CAR) & (_norm(apart) <= params.own_radius_m)
-    bottom = _bottom(sensed)
-    return keep & (_norm(bottom) <= params.range_m + params.slack_m) & (np.abs(bottom[:, 2]) <= params.height_m)
+        rows = np.flatnonzero(keep & ~in_view)
+        rows = rows[label[rows if b is None else b[rows]] == CAR]
+        mine = sweeps.poses.to_sensor(np.arange(len(own)), own)
+        apart = sensed.xyz_m[rows] - mine.xyz_m[o[rows]]
+        apart[:, 2] -= 0.5 * (sensed.lwh_m[rows, 2] - mine.lwh_m[o[rows], 2])
+        in_view[rows] = _norm(apart) <= params.own_radius_m
+    return keep & in_view
 
 
-def _bottom(boxes: Boxes) -> Float[ndarray, "n 3"]:
-    return boxes.xyz_m - np.array([0.0, 0.0, 0.5]) * boxes.lwh_m[:, 2:]
+def _bottom(sensed: Boxes) -> tuple[Float[ndarray, "n"], Float[ndarray, "n"]]:
+    """Of the centre of each box's bottom: height over the sensor, and distance from it [m]."""
+    x, y, z = sensed.xyz_m.T
+    bottom_m = z - 0.5 * sensed.lwh_m[:, 2]
+    return bottom_m, np.sqrt(x * x + y * y + bottom_m * bottom_m)
 
 
 def _norm(xyz: Float[ndarray, "n 3"]) -> Float[ndarray, "n"]:
@@ -91,15 +101,17 @@ def _in_view(sensed: Boxes, fov_rad: float, slack_m: float) -> Bool[ndarray, "n"
     return (forward >= 0.0) | (left >= -forward * np.tan(np.pi - 0.5 * fov_rad) - slack_m)
 
 
-def points_in_boxes(sweeps: Sweeps, o: Int[ndarray, "n"], boxes: Boxes) -> Int32[ndarray, "n"]:
-    """Returns of observer o[k] strictly inside each box.
+def points_in_boxes(
+    sweeps: Sweeps, o: Int[ndarray, "n"], boxes: Boxes, b: Int[ndarray, "n"] | None = None
+) -> Int32[ndarray, "n"]:
+    """Returns of observer o[k] strictly inside box b[k]; all boxes, in order, when `b` is not given.
 
     Notes
     -----
     p(θ) of TruPercept, which visibility is a function of.   Deviations: none; the range image is looked at only in
     the window that the box fills.
     """
-    sensed = sweeps.poses.to_sensor(o, boxes)
+    sensed = sweeps.poses.to_sensor(o, boxes, b)
     return windows.points_in_boxes(sweeps.range_m, sweeps.beams, o, sensed.xyz_m, sensed.lwh_m, sensed.yaw_rad)
 
 
@@ -107,10 +119,11 @@ def plausible(
     sweeps: Sweeps,
     o: Int[ndarray, "n"],
     boxes: Boxes,
+    b: Int[ndarray, "n"] | None = None,
     area: AreaParams = AreaParams(),
     params: PlausibilityParams = PlausibilityParams(),
 ) -> Bool[ndarray, "n"]:
-    """Whether the sweep of observer o[k] allows that something stands in each box.
+    """Whether the sweep of observer o[k] allows that something stands in box b[k] (all, in order, without `b`).
 
     Notes
     -----
@@ -120,9 +133,9 @@ def plausible(
     (early exits, bottom centre as distance, margin, empty pyramid); the sensor stands for the camera, and the field
     of view is the sensor's.
     """
-    sensed = sweeps.poses.to_sensor(o, boxes)
+    sensed = sweeps.poses.to_sensor(o, boxes, b)
     asked = tellable(sensed, sweeps.beams.fov_rad, area)
-    verdict = np.ones(len(boxes), bool)
+    verdict = np.ones(len(sensed), bool)
     planes, distance, window = windows.frustum(sensed.xyz_m[asked], sensed.lwh_m[asked])
     rows = np.asarray(o)[asked]
     seen, closer = windows.free_space(sweeps.range_m, sweeps.beams, rows, planes, distance, window, params.margin_m)
@@ -132,8 +145,8 @@ def plausible(
 
 def tellable(sensed: Boxes, fov_rad: float, area: AreaParams) -> Bool[ndarray, "n"]:
     """Whether the free-space test applies to each box (sensor frame)."""
-    bottom = _bottom(sensed)
-    near_enough = (_norm(bottom) < area.range_m) & (np.abs(bottom[:, 2]) <= area.height_m)
+    bottom_m, away_m = _bottom(sensed)
+    near_enough = (away_m < area.range_m) & (np.abs(bottom_m) <= area.height_m)
     ahead = (sensed.xyz_m[:, :2] != 0.0).any(axis=1)        # straight below there is no pyramid
     return _in_view(sensed, fov_rad, 0.0) & near_enough & (sensed.xyz_m[:, 2] <= 0.0) & ahead
 

@@ -16,6 +16,7 @@ from numpy import ndarray
 from scipy.special import ndtri
 
 from sensors.boxes import Boxes
+from sensors.chance import GOLDEN, scrambled
 from sensors.raycast import columnar, embree, open3d
 from sensors.scene import Scene, prisms
 
@@ -146,18 +147,34 @@ class Poses:
     origin_m: Float[ndarray, "m 3"]
     yaw_rad: Float[ndarray, "m"]
 
-    def to_sensor(self, o: Int[ndarray, "n"], boxes: Boxes) -> Boxes:
-        """Each world box in the frame of its row's sensor."""
-        d = boxes.xyz_m - self.origin_m[o]
-        cos, sin = np.cos(self.yaw_rad[o]), np.sin(self.yaw_rad[o])
-        xyz = np.column_stack([cos * d[:, 0] + sin * d[:, 1], cos * d[:, 1] - sin * d[:, 0], d[:, 2]])
-        return Boxes(xyz, boxes.lwh_m, boxes.yaw_rad - self.yaw_rad[o])
+    def to_sensor(self, o: Int[ndarray, "n"], boxes: Boxes, b: Int[ndarray, "n"] | None = None) -> Boxes:
+        """World box b[k] in the frame of sensor o[k], for every k; the boxes in order when `b` is not given."""
+        rows = np.arange(len(boxes)) if b is None else b
+        cos, sin = np.cos(self.yaw_rad), np.sin(self.yaw_rad)
+        turned = _turned(o, rows, self.origin_m, cos, sin, self.yaw_rad, boxes.xyz_m, boxes.lwh_m, boxes.yaw_rad)
+        return Boxes(*turned)
 
     def to_world(self, o: int, xyz: Float[ndarray, "k 3"]) -> Float[ndarray, "k 3"]:
         """Points of sensor o in the world frame."""
         cos, sin = np.cos(self.yaw_rad[o]), np.sin(self.yaw_rad[o])
         turned = np.column_stack([cos * xyz[:, 0] - sin * xyz[:, 1], sin * xyz[:, 0] + cos * xyz[:, 1], xyz[:, 2]])
         return turned + self.origin_m[o]
+
+
+@njit(cache=True)
+def _turned(o, b, origin, cos, sin, heading, xyz, lwh, yaw):
+    """Boxes b[k] as sensors o[k] have them."""
+    n = len(o)
+    there, size, turned = np.empty((n, 3)), np.empty((n, 3)), np.empty(n)
+    for k in range(n):
+        s, w = o[k], b[k]
+        dx, dy = xyz[w, 0] - origin[s, 0], xyz[w, 1] - origin[s, 1]
+        there[k, 0] = cos[s] * dx + sin[s] * dy
+        there[k, 1] = cos[s] * dy - sin[s] * dx
+        there[k, 2] = xyz[w, 2] - origin[s, 2]
+        size[k] = lwh[w]
+        turned[k] = yaw[w] - heading[s]
+    return there, size, turned
 
 
 def mount(boxes: Boxes, observers: Int[ndarray, "m"], params: LidarParams) -> Poses:
@@ -289,24 +306,16 @@ def _levels() -> Float32[ndarray, "k"]:
     return (z / z.std()).astype(np.float32)
 
 
-@njit(cache=True)
-def _mix(x):
-    """SplitMix64's finaliser: a 64-bit hash."""
-    x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-    x = (x ^ (x >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-    return x ^ (x >> np.uint64(31))
-
-
 @njit(cache=True, parallel=True)
 def _disturb(range_m, hit, keys, sigma, dropout_p, levels):
     """Range noise and dropouts in place, each a function of (key, ray)."""
     n_el = range_m.shape[2]
     lost_below = np.uint64(dropout_p * 2.0**52)
     for o in prange(len(keys)):
-        seed = _mix(keys[o] + np.uint64(0x9E3779B97F4A7C15))
+        seed = scrambled(keys[o] + GOLDEN)
         for c in range(range_m.shape[1]):
             for r in range(n_el):
-                bits = _mix(seed + np.uint64(c * n_el + r) * np.uint64(0x9E3779B97F4A7C15))
+                bits = scrambled(seed + np.uint64(c * n_el + r) * GOLDEN)
                 range_m[o, c, r] = max(np.float32(0.0), range_m[o, c, r] + sigma * levels[bits >> np.uint64(52)])
                 if (bits & np.uint64((1 << 52) - 1)) < lost_below:
                     range_m[o, c, r] = np.inf

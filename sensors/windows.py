@@ -163,11 +163,11 @@ def free_space_xyz(points, planes, distance, margin_m):
     return seen, closer
 
 
-@njit(cache=True)
+@njit(cache=True, parallel=True)
 def returns_alone(hit, origin, yaw, beams, limit, xyz, reach, height, ptr, row, own, bodies):
     """Per candidate (observer, actor): returns in the sweep, and returns if the actor stood alone in the world."""
     n_returns, n_alone = np.zeros(len(row), np.int32), np.zeros(len(row), np.int32)
-    for o in range(len(own)):
+    for o in prange(len(own)):
         taken = np.zeros(len(beams.tan_el), np.int64)       # the last column (of all) in which a row was counted
         column = 0
         x, y, z, cos, sin = origin[o, 0], origin[o, 1], origin[o, 2], np.cos(yaw[o]), np.sin(yaw[o])

@@ -74,7 +74,9 @@ def test_area_vectors():
     own = from_camera([c["own_object_t"] for c in found], size, size, size, size)
     assert in_area(blind(), o, boxes, AreaParams()).tolist() == [c["keep_70"] for c in found]
     assert in_area(blind(), o, boxes, AreaParams(range_m=140.0)).tolist() == [c["keep_140"] for c in found]
-    assert in_area(blind(), o, boxes, AreaParams(), label, own).tolist() == [c["keep_70_with_own"] for c in found]
+    each = np.arange(len(found))
+    kept = in_area(blind(len(found)), each, boxes, AreaParams(), label=label, own=own)
+    assert kept.tolist() == [c["keep_70_with_own"] for c in found]
 
 
 def test_transform_vectors():
