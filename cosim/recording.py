@@ -4,6 +4,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Int
+from numba import njit
 from numpy import ndarray
 from scipy.spatial import cKDTree
 
@@ -20,14 +21,14 @@ from sensors.evidence import line_of_sight
 from sensors.scene import Scene, Shape
 
 FATES = {
-    "n_delivered": (Fate.RECEIVED,),
-    "n_lost_propagation": (Fate.PROPAGATION,),
-    "n_lost_collision": (Fate.COLLISION,),
-    "n_lost_receiver_busy": (Fate.RECEIVER_BUSY,),
-    "n_lost_expired": (Fate.EXPIRED,),
-    "n_lost_late": (Fate.LATE,),
+    "n_delivered": Fate.RECEIVED,
+    "n_lost_propagation": Fate.PROPAGATION,
+    "n_lost_collision": Fate.COLLISION,
+    "n_lost_receiver_busy": Fate.RECEIVER_BUSY,
+    "n_lost_expired": Fate.EXPIRED,
+    "n_lost_late": Fate.LATE,
 }
-"""Columns of the tables `radio` and `links`, and the fates that each counts."""
+"""Columns of the tables `radio` and `links`, and the fate that each counts."""
 
 RING_M = 25
 """Width of a ring of distance in the table `links` [m]."""
@@ -111,8 +112,10 @@ def turn(recorder: Recorder, turn: Turn, silences: tuple["Silences", ...], dt_s:
     ids = world.actor[turn.observers]
     _detections(recorder, turn)
     _radio(recorder, turn)
+    pairs = [_in_reach(exchange, len(ids)) for exchange in turn.exchanges]
+    _ears(recorder, turn, pairs)
     for message, silence in enumerate(silences):
-        silence.update(recorder, turn, message)
+        silence.update(recorder, turn, message, pairs[message])
     recorder.append("sightings", step, {
         "observer": ids[turn.sights.o], "actor": world.actor[turn.sights.actor],
         "n_points": turn.sights.n_returns, "n_unoccluded": turn.sights.n_unoccluded,
@@ -195,36 +198,37 @@ def _radio(recorder: Recorder, turn: Turn) -> None:
     step = turn.world.step
     for message, exchange in enumerate(turn.exchanges):
         frames = exchange.frames
-        n_sent = frames.n_transmissions.sum()
+        ring = (frames.distance_m // RING_M).astype(np.int64)
+        counted = np.bincount((ring * len(View) + frames.view) * len(Fate) + frames.fate)
+        by_fate = np.append(counted, np.zeros(-len(counted) % len(Fate), int)).reshape(-1, len(Fate))
+        total, rings = by_fate.sum(axis=0), np.flatnonzero(by_fate.any(axis=1))
         recorder.append("radio", step, {
-            "message": np.array([message]), "n_sent": np.array([n_sent]), "n_relayed": np.array([frames.n_relayed]),
+            "message": np.array([message]), "n_sent": np.array([frames.n_transmissions.sum()]),
+            "n_relayed": np.array([frames.n_relayed]),
             "n_in_reach": np.array([len(frames.fate)]), "n_duplicate": np.array([frames.n_duplicate]),
-            **{name: np.array([np.isin(frames.fate, fates).sum()]) for name, fates in FATES.items()},
+            **{name: total[[fate]] for name, fate in FATES.items()},
             "bytes": np.array([frames.sent_bytes]),
             "busy_ratio": None if frames.busy is None else np.array([frames.busy[: len(turn.observers)].mean()]),
         })  # fmt: skip
-        ring = (frames.distance_m // RING_M).astype(int)
-        rings, at = np.unique(ring * len(View) + frames.view, return_inverse=True)
         recorder.append("links", step, {
             "message": np.full(len(rings), message), "ring_m": rings // len(View) * RING_M,
-            "view": rings % len(View), "n_in_reach": np.bincount(at, minlength=len(rings)),
-            **{name: np.bincount(at[np.isin(frames.fate, fates)], minlength=len(rings))
-               for name, fates in FATES.items()},
+            "view": rings % len(View), "n_in_reach": by_fate[rings].sum(axis=1),
+            **{name: by_fate[rings, fate] for name, fate in FATES.items()},
         })  # fmt: skip
-        bins, n = np.unique(np.searchsorted(LATENCY_BINS_S, exchange.heard.latency_s, "right"), return_counts=True)
+        n_delivered = np.bincount(np.searchsorted(LATENCY_BINS_S, exchange.heard.latency_s, "right"))
+        bins = np.flatnonzero(n_delivered)
         recorder.append("latencies", step, {
-            "message": np.full(len(bins), message), "latency_s": np.append(0, LATENCY_BINS_S)[bins], "n_delivered": n,
+            "message": np.full(len(bins), message), "latency_s": np.append(0, LATENCY_BINS_S)[bins],
+            "n_delivered": n_delivered[bins],
         })  # fmt: skip
-    _ears(recorder, turn)
 
 
-def _ears(recorder: Recorder, turn: Turn) -> None:
-    """What each vehicle's radio meets with, both rounds together."""
+def _ears(recorder: Recorder, turn: Turn, pairs: list[tuple[ndarray, ndarray]]) -> None:
+    """What each vehicle's radio meets with, both rounds together; `pairs` within reach go with the exchanges."""
     n = len(turn.observers)
     n_in_reach, n_heard, busy = np.zeros(n, int), np.zeros(n, int), np.zeros(n)
     is_known = all(exchange.frames.busy is not None for exchange in turn.exchanges)
-    for exchange in turn.exchanges:
-        _, receiver = _in_reach(exchange, n)
+    for exchange, (_, receiver) in zip(turn.exchanges, pairs, strict=True):
         n_in_reach += np.bincount(receiver, minlength=n)
         n_heard += np.bincount(exchange.heard.receiver, minlength=n)
         if exchange.frames.busy is not None:
@@ -238,9 +242,32 @@ def _ears(recorder: Recorder, turn: Turn) -> None:
 def _in_reach(exchange: Exchange, n: int) -> tuple[Int[ndarray, "p"], Int[ndarray, "p"]]:
     """Authors of messages, and the other vehicles within reach of them: each pair once, sorted."""
     frames = exchange.frames
-    own = (frames.hop == 1) & (frames.origin < n) & (frames.receiver < n)
-    pair = np.unique(frames.origin[own].astype(np.int64) * n + frames.receiver[own])
-    return pair // max(n, 1), pair % max(n, 1)
+    own = np.flatnonzero((frames.hop == 1) & (frames.origin < n) & (frames.receiver < n))
+    return _once(frames.origin[own].astype(np.int64), frames.receiver[own].astype(np.int64), n)
+
+
+@njit(cache=True)
+def _once(one, other, n):
+    """Pairs of numbers below n, sorted, each once: two passes of counting, and a look at the neighbour."""
+    order = np.arange(len(one))
+    for column in (other, one):
+        start = np.zeros(n + 1, np.int64)
+        for value in column:
+            start[value + 1] += 1
+        start = np.cumsum(start)
+        placed = np.empty_like(order)
+        for row in order:
+            value = column[row]
+            placed[start[value]] = row
+            start[value] += 1
+        order = placed
+    kept = 0
+    for row in order:
+        last = order[kept - 1]
+        if kept == 0 or one[row] != one[last] or other[row] != other[last]:
+            order[kept] = row
+            kept += 1
+    return one[order[:kept]], other[order[:kept]]
 
 
 @dataclass(slots=True)
@@ -254,11 +281,11 @@ class Silences:
     _step: int = 0
     """Of the last turn."""
 
-    def update(self, recorder: Recorder, turn: Turn, message: int) -> None:
-        """Count the silences that a reception ends, and those that parting ends."""
-        step, n, exchange = turn.world.step, len(turn.observers), turn.exchanges[message]
+    def update(self, recorder: Recorder, turn: Turn, message: int, pairs: tuple[ndarray, ndarray]) -> None:
+        """Count the silences that a reception ends, and those that parting ends; `pairs` are those within reach."""
+        step, n, heard_by = turn.world.step, len(turn.observers), turn.exchanges[message].heard
         ids = turn.world.actor[turn.observers].astype(np.int64)
-        sender, receiver = _in_reach(exchange, n)
+        sender, receiver = pairs
         key = (ids[sender] << 32) | ids[receiver]
         since = np.full(len(key), -1)
         at = np.minimum(np.searchsorted(self._key, key), max(len(self._key) - 1, 0))
@@ -266,7 +293,7 @@ class Silences:
         since[known] = self._since[at[known]]
         gone = np.ones(len(self._key), bool)
         gone[at[known]] = False
-        heard = np.isin(sender * n + receiver, exchange.heard.sender * n + exchange.heard.receiver)
+        heard = np.isin(sender * n + receiver, heard_by.sender * n + heard_by.receiver)
         ended = step - since[heard & (since >= 0)]
         parted = self._step - self._since[gone & (self._since >= 0)]
         lengths, which = np.unique(np.concatenate([ended, parted]), return_inverse=True)
