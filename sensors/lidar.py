@@ -149,9 +149,9 @@ class Poses:
 
     def to_sensor(self, o: Int[ndarray, "n"], boxes: Boxes, b: Int[ndarray, "n"] | None = None) -> Boxes:
         """World box b[k] in the frame of sensor o[k], for every k; the boxes in order when `b` is not given."""
-        rows = np.arange(len(boxes)) if b is None else b
+        o, b = np.asarray(o, np.int64), np.arange(len(boxes)) if b is None else np.asarray(b, np.int64)
         cos, sin = np.cos(self.yaw_rad), np.sin(self.yaw_rad)
-        turned = _turned(o, rows, self.origin_m, cos, sin, self.yaw_rad, boxes.xyz_m, boxes.lwh_m, boxes.yaw_rad)
+        turned = _turned(o, b, self.origin_m, cos, sin, self.yaw_rad, boxes.xyz_m, boxes.lwh_m, boxes.yaw_rad)
         return Boxes(*turned)
 
     def to_world(self, o: int, xyz: Float[ndarray, "k 3"]) -> Float[ndarray, "k 3"]:
@@ -172,7 +172,7 @@ def _turned(o, b, origin, cos, sin, heading, xyz, lwh, yaw):
         there[k, 0] = cos[s] * dx + sin[s] * dy
         there[k, 1] = cos[s] * dy - sin[s] * dx
         there[k, 2] = xyz[w, 2] - origin[s, 2]
-        size[k] = lwh[w]
+        size[k, 0], size[k, 1], size[k, 2] = lwh[w, 0], lwh[w, 1], lwh[w, 2]
         turned[k] = yaw[w] - heading[s]
     return there, size, turned
 
