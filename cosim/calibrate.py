@@ -26,11 +26,12 @@ from scipy.special import expit, logit
 from cosim import resweep, rng
 from cosim.cycle import CLUTTER_SLOTS, luck
 from cosim.world import LABELS
-from results.archive import Run, open_run
+from results.archive import open_run
 from results.figures import calibration as pictures
 from results.figures import style
-from results.metrics import detection
+from results.metrics import frames
 from results.metrics.kitti import LEVELS, STRICT, Objects, Precision, average_precision
+from results.run import Run
 from sensors import detector
 from sensors.boxes import Boxes, iou_3d
 from sensors.clutter import N_CLUTTER_DRAWS, false_alarms
@@ -66,8 +67,7 @@ class Sample:
 
     name: str
     truth: Objects
-    poses: Any
-    """Of the observers, frame by frame: a table of `results.metrics.detection`."""
+    poses: frames.Poses
     seen: Sightings
     boxes: Boxes
     label: ndarray
@@ -92,8 +92,8 @@ def sample(run: Run, profile: str, model: SimpleNamespace, max_frames: int) -> S
     params = detector.DetectorParams(profile=profile)  # type: ignore[arg-type]
     config = replace(resweep.config_of(run), detector=params)
     city = resweep.city_of(config)
-    steps = detection._sampled_steps(run, max_frames)
-    truth, poses = detection._truth(run, steps, RANGE_M)
+    steps = frames.sampled_steps(run, max_frames)
+    truth, poses = frames.actors_ahead(run, steps, RANGE_M)
     seen, boxes, label, origin_m, z, false = (list[Any]() for _ in range(6))
     n_frames = n_actors = 0
     sweeps: Sweeps | None = None
@@ -154,7 +154,7 @@ def _found(one: Sample, model: SimpleNamespace | None) -> tuple[Objects, ndarray
     order = np.lexsort([-score, frame])
     order = order[score[order] >= least]
     table = np.column_stack([boxes.xyz_m, boxes.lwh_m, boxes.yaw_rad])[order]
-    box, ahead, height_px = detection._ahead(one.poses, frame[order], table, RANGE_M)
+    box, ahead, height_px = frames.ahead_of(one.poses, frame[order], table, RANGE_M)
     order, none = order[ahead], np.zeros(int(ahead.sum()))
     names = np.array(LABELS, object)[label[order]]
     return Objects(frame[order], names, box[ahead], height_px[ahead], none.astype(int), none, score[order]), iou[order]

@@ -27,7 +27,7 @@ Overrides = Annotated[
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="Answer in JSON on standard output.")]
 RunPaths = Annotated[list[Path], typer.Argument(help="Folders that `cosim run` wrote.")]
-Picture = Literal["trust", "encounters", "freshness", "radio", "detection", "map", "contacts", "sweep"]
+Picture = Literal["trust", "liars", "encounters", "freshness", "radio", "detection", "map", "contacts", "sweep"]
 
 
 @app.command()
@@ -79,15 +79,16 @@ def check(config: ConfigPath = None, overrides: Overrides = None, as_json: AsJso
 @app.command()
 def measure(
     runs: RunPaths,
-    threshold: Annotated[float, typer.Option(min=0, max=1, help="Trust below which a liar is found out.")] = 0.25,
-    fresh_s: Annotated[float, typer.Option(help="Oldest age at which trust counts as fresh [s].")] = 10.0,
+    threshold: Annotated[float, typer.Option(min=0, max=1, help="Trust below which a vehicle is suspected.")] = 0.25,
+    fresh_s: Annotated[float, typer.Option(help="Oldest age at which trust counts as fresh, in seconds.")] = 10.0,
+    false_positives: Annotated[float, typer.Option(min=0, max=1, help="Share of honest values suspected.")] = 0.05,
     as_json: AsJson = False,
 ) -> None:
     """Print the figures that every study needs."""
     from results.archive import open_run
     from results.measure import measure as measured
 
-    tables = {str(folder): measured(open_run(folder), threshold, fresh_s) for folder in runs}
+    tables = {str(folder): measured(open_run(folder), threshold, fresh_s, false_positives) for folder in runs}
     if as_json:
         print_json({name: rows_of(table) for name, table in tables.items()})
         return
@@ -110,8 +111,8 @@ def plot(
     over: Annotated[
         str | None, typer.Option(help="freshness: hold the runs against this number, e.g. trust.freshness_s.")
     ] = None,
-    fresh_s: Annotated[float | None, typer.Option(help="freshness: oldest age that counts as fresh [s].")] = None,
-    radius_m: Annotated[float | None, typer.Option(help="map, contacts: which of the radii recorded [m].")] = None,
+    fresh_s: Annotated[float | None, typer.Option(help="freshness: oldest that is fresh, in seconds.")] = None,
+    radius_m: Annotated[float | None, typer.Option(help="map, contacts: which of the radii, in metres.")] = None,
     pairs: Annotated[str | None, typer.Option(help="map, contacts: which of the pairs recorded.")] = None,
 ) -> None:
     """Draw a figure of one or several runs."""

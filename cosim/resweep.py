@@ -15,9 +15,9 @@ from cosim.mobility.replay import Recorded
 from cosim.roster import Roster
 from cosim.scenario import find
 from cosim.world import World
-from results.archive import Run
 from results.figures import style
 from results.figures.sweep import draw
+from results.run import Run
 from sensors import cloud
 from sensors.boxes import Boxes
 from sensors.lidar import Sweeps, scan

@@ -50,7 +50,8 @@ def conclude(folder: Path, as_json: bool) -> None:
 HEADLINES = {
     "traffic": ("",),
     "encounters": ("encounters", "duration, mean by", "duration, median by"),
-    "trust": ("final trust, median", "honest above", "time to be"),
+    "trust": ("final trust, median",),
+    "liars": ("honest above liars", "suspected", "half are"),
     "freshness": ("trust at use", "age at use, mean"),
     "radio": ("messages", "delivery"),
     "detection": ("awareness",),

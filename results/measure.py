@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from results.archive import Run
-from results.metrics import contacts, detection, encounters, freshness, radio, trust
+from results.metrics import contacts, detection, encounters, freshness, liars, radio, trust
 from results.metrics.kitti import FEWEST
+from results.run import Run
 
 if TYPE_CHECKING:
     from results.figures.style import Figure
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 TOPICS: Mapping[str, ModuleType] = {
     "encounters": encounters,
     "trust": trust,
+    "liars": liars,
     "freshness": freshness,
     "radio": radio,
     "detection": detection,
@@ -29,32 +30,38 @@ Line = tuple[str, str, float, str]
 """Figure, of what, value, unit."""
 
 
-def measure(run: Run, threshold: float = 0.25, fresh_s: float = 10.0, max_frames: int = 4000) -> pd.DataFrame:
+def measure(
+    run: Run, threshold: float = 0.25, fresh_s: float = 10.0, false_positives: float = 0.05, max_frames: int = 4000
+) -> pd.DataFrame:
     """Every figure that the run's record level allows.
 
     Parameters
     ----------
     threshold
-        Trust below which a liar counts as found out.
+        Trust below which a vehicle is suspected.
     fresh_s
         Oldest age at which trust counts as fresh.
+    false_positives
+        Share of honest trust values that a threshold on trust may wrongly suspect, see `results.metrics.liars`.
     max_frames
         Sample for detection quality, see `results.metrics.detection.precision`.
 
     Returns
     -------
-    topic, figure, of, value, unit. What the run cannot answer has the reason in `of` and no value.
+    topic, figure, of, value, unit. A topic that the run cannot answer has the reason in `of` and no value; a single
+    figure that is not defined (a median that was not reached) has no line.
     """
     topics: dict[str, Callable[[], Iterator[Line]]] = {
         "traffic": lambda: _traffic(run),
         "encounters": lambda: _encounters(run),
-        "trust": lambda: _trust(run, threshold),
+        "trust": lambda: _trust(run),
+        "liars": lambda: _liars(run, threshold, false_positives),
         "freshness": lambda: _freshness(run, fresh_s),
         "radio": lambda: _radio(run),
         "detection": lambda: _detection(run, max_frames),
         "attack": lambda: _attack(run),
     }
-    rows = []
+    rows: list[tuple[str, str, str, float, str]] = []
     for topic, lines in topics.items():
         try:
             for line in lines():
@@ -106,6 +113,14 @@ class Topic:
         return FIGURES[self._topic]([self._run], **options)
 
 
+def _lines(frame: pd.DataFrame, of: str, figures: Mapping[str, tuple[str, str]]) -> Iterator[Line]:
+    """Figure and unit by column, for every row where it has a value; `of` is filled in from the row."""
+    for row in frame.to_dict("records"):
+        for column, (figure, unit) in figures.items():
+            if pd.notna(row[column]):
+                yield figure, of.format_map(row), float(row[column]), unit
+
+
 def _traffic(run: Run) -> Iterator[Line]:
     vehicles = run.vehicles
     time_s = run.manifest["steps"] * run.dt_s
@@ -118,73 +133,82 @@ def _traffic(run: Run) -> Iterator[Line]:
 
 
 def _encounters(run: Run) -> Iterator[Line]:
-    for row in encounters.summary(run).itertuples():
-        of = f"{row.pairs}, {row.radius_m:g} m"
-        yield "encounters", of, float(row.n), ""
-        yield "start not seen", of, row.n_start_unseen / row.n, "1"
-        yield "end not seen", of, row.n_end_unseen / row.n, "1"
-        yield "duration, mean", of, row.mean_s, "s"
-        yield "duration, median", of, row.median_s, "s"
-        yield "duration, mean by Kaplan-Meier", of, row.km_mean_s, "s"
-        yield "duration, median by Kaplan-Meier", of, row.km_median_s, "s"
-        yield "pairs that meet again", of, row.again_share, "1"
+    frame = encounters.summary(run)
+    frame = frame.assign(start_unseen=frame.n_start_unseen / frame.n, end_unseen=frame.n_end_unseen / frame.n)
+    yield from _lines(frame, "{pairs}, {radius_m:g} m", {
+        "n": ("encounters", ""), "start_unseen": ("start not seen", "1"), "end_unseen": ("end not seen", "1"),
+        "mean_s": ("duration, mean", "s"), "median_s": ("duration, median", "s"),
+        "km_mean_s": ("duration, mean by Kaplan-Meier", "s"), "km_median_s": ("duration, median by Kaplan-Meier", "s"),
+        "again_share": ("pairs that meet again", "1"),
+    })  # fmt: skip
 
 
-def _trust(run: Run, threshold: float) -> Iterator[Line]:
-    for row in trust.final(run).itertuples():
-        yield "final trust, median", row.behaviour, row.median, "1"
-        yield "final trust, mean", row.behaviour, row.mean, "1"
-    for behaviour, values in trust.values(run).groupby("behaviour", observed=True).trust:
-        yield "trust, mean over the run", str(behaviour), float(values.mean()), "1"
-    if not np.isnan(apart := trust.separation(run)):
+def _trust(run: Run) -> Iterator[Line]:
+    figures = {"median": ("final trust, median", "1"), "mean": ("final trust, mean", "1")}
+    yield from _lines(trust.final(run), "{behaviour}", figures)
+    yield from _lines(trust.mean(run), "{behaviour}", {"mean": ("trust, mean over the run", "1")})
+
+
+def _liars(run: Run, threshold: float, false_positives: float) -> Iterator[Line]:
+    low = f"trust below {threshold:g}, share of "
+    yield from _lines(liars.below(run, threshold), "{behaviour}", {
+        "share": (low + "values", "1"), "judged_share": (low + "judged values", "1"),
+    })  # fmt: skip
+    frame = liars.separability(run, false_positives)
+    few = f"at {100 * false_positives:g}% false positives"
+    yield from _lines(frame[:1], "honest", {"judged_honest": ("judged, share of the time", "1")})
+    yield from _lines(frame, "{behaviour}", {
+        "judged": ("judged, share of the time", "1"), "n": ("liars", ""),
+        "auc": ("honest above liars (AUC)", "1"),
+        "auc_unjudged": ("honest above liars, unjudged values included", "1"),
+        "true_positives": (f"true positives {few}", "1"), "caught": (f"suspected, share of the time, {few}", "1"),
+    })  # fmt: skip
+    yield from _lines(frame[:1], "", {"threshold": (f"threshold {few}", "1")})
+    if not np.isnan(apart := liars.separation(run)):
         yield "honest above malicious at the end", "", apart, "1"
-    for row in trust.below(run, threshold).itertuples():
-        yield f"trust below {threshold:g}, share of values", row.behaviour, row.share, "1"
-    places: list[trust.At] = ["server"] if trust.kept_at(run) == "server" else []
-    places += ["vehicles"] if "uses" in run.tables else []
-    for at in places:
-        for behaviour, delay in trust.detection_delay(run, threshold, at).groupby("behaviour", observed=True):
-            of = f"{behaviour}, at the {at}" if at == "server" else f"{behaviour}, at a vehicle"
-            yield f"found out below {threshold:g}", of, float(delay.found.mean()), "1"
-            if delay.found.any():
-                yield "time to be found out, median", of, float(delay.delay_s[delay.found].median()), "s"
+    limit, kept = float(frame.threshold.iloc[0]), trust.kept_at(run)
+    asked: list[tuple[str, float, trust.At]] = [(f"below {threshold:g}", threshold, kept), (few, limit, kept)]
+    if kept == "server" and "uses" in run.tables:
+        asked.insert(1, (f"below {threshold:g}", threshold, "vehicles"))
+    for name, value, at in asked if not np.isnan(limit) else ():
+        of = "{behaviour}, at the server" if at == "server" else "{behaviour}, at a vehicle"
+        yield from _lines(liars.detection_summary(run, value, at), of, {
+            "share": (f"ever suspected, {name}", "1"), "half_after_s": (f"half are suspected after, {name}", "s"),
+        })  # fmt: skip
 
 
 def _freshness(run: Run, fresh_s: float) -> Iterator[Line]:
-    for row in freshness.evidence(run).itertuples():
-        yield "newest evidence at the server, median age", row.behaviour, row.newest_age_s, "s"
-    for row in freshness.without_trust(run).itertuples():
-        of = f"{row.pairs}, {row.radius_m:g} m"
-        yield "encounters over before trust was known", of, row.share, "1"
-        yield "wait for trust in an encounter, median", of, row.wait_median_s, "s"
-    for row in freshness.shares(run, fresh_s).itertuples():
-        yield f"trust at use (fresh: at most {fresh_s:g} s)", row.state, row.share, "1"
-    for row in freshness.shares_by_behaviour(run, fresh_s).itertuples():
-        yield "use of trust, by whom it is about", f"{row.state}, {row.behaviour}", row.share, "1"
-    known = freshness.at_use(run)
-    for row in known[known.source != "default"].itertuples():
-        yield "age at use, mean", row.source, row.mean_s, "s"
-        if not np.isnan(row.peak_s):
-            yield "age at use, peak", row.source, row.peak_s, "s"
-    if (known.source != "default").any():
-        for row in freshness.evidence_at_use(run).itertuples():
-            yield "newest evidence at use, mean age", row.behaviour, row.newest_s, "s"
-            if not np.isnan(row.oldest_s):
-                yield "oldest evidence at use, mean age", row.behaviour, row.oldest_s, "s"
+    newest = {"newest_age_s": ("newest evidence at the server, median age", "s")}
+    yield from _lines(freshness.evidence(run), "{behaviour}", newest)
+    yield from _lines(freshness.without_trust(run), "{pairs}, {radius_m:g} m", {
+        "share": ("encounters over before trust was known", "1"),
+        "wait_median_s": ("wait for trust in an encounter, median", "s"),
+    })  # fmt: skip
+    state = {"share": (f"trust at use (fresh: at most {fresh_s:g} s)", "1")}
+    yield from _lines(freshness.shares(run, fresh_s), "{state}", state)
+    about = {"share": ("use of trust, by whom it is about", "1")}
+    yield from _lines(freshness.shares_by_behaviour(run, fresh_s), "{state}, {behaviour}", about)
+    known = freshness.at_use(run).query("source != 'default'")
+    ages = {"mean_s": ("age at use, mean", "s"), "peak_s": ("age at use, peak", "s")}
+    yield from _lines(known, "{source}", ages)
+    if len(known):
+        yield from _lines(freshness.evidence_at_use(run), "{behaviour}", {
+            "newest_s": ("newest evidence at use, mean age", "s"),
+            "oldest_s": ("oldest evidence at use, mean age", "s"),
+        })  # fmt: skip
 
 
 def _radio(run: Run) -> Iterator[Line]:
     for condition in radio.conditions(run).to_dict("records"):
         yield condition["condition"], condition["is"], condition["value"], condition["unit"]
-    (row,) = radio.overall(run).itertuples()
-    yield "messages sent", "", float(row.n_sent), ""
-    yield "delivery ratio", "", row.delivery_ratio, "1"
+    frame = radio.overall(run)
+    yield from _lines(frame, "", {"n_sent": ("messages sent", ""), "delivery_ratio": ("delivery ratio", "1")})
     for name in radio.LOST:
-        yield "lost", name.removeprefix("n_lost_").replace("_", " "), getattr(row, name.replace("n_lost", "lost")), "1"
+        cause = name.removeprefix("n_lost_")
+        yield from _lines(frame, cause.replace("_", " "), {f"lost_{cause}": ("lost", "1")})
     for view, part in radio.by_distance(run, by_view=True).groupby("view", observed=True):
         yield "delivery ratio by view", str(view), float(np.average(part.delivery_ratio, weights=part.n_in_reach)), "1"
-    if not np.isnan(row.busy_ratio):
-        yield "busy ratio", "mean over vehicles", row.busy_ratio, "1"
+    yield from _lines(frame, "mean over vehicles", {"busy_ratio": ("busy ratio", "1")})
     late = radio.latency(run).groupby("latency_s").n_delivered.sum().cumsum()
     for share in (0.5, 0.95):
         yield "latency at most", f"{share:.0%} of messages", float(late.index[late >= share * late.iloc[-1]][0]), "s"
@@ -195,22 +219,22 @@ def _radio(run: Run) -> Iterator[Line]:
     if lost.n_received.sum():
         yield "messages lost in a row", "mean", float(np.average(lost.n_lost, weights=lost.n_received)), ""
     if "server" in run.tables and len(run.server):
-        (way,) = radio.to_server(run).to_dict("records")
+        way = radio.to_server(run)
         for name in ("reached", "lost", "over_capacity", "outage"):
-            yield "reports to the server", name.replace("_", " "), way[name], "1"
-        yield "broadcasts of the server", "reached", way["informed"], "1"
+            yield from _lines(way, name.replace("_", " "), {name: ("reports to the server", "1")})
+        yield from _lines(way, "reached", {"informed": ("broadcasts of the server", "1")})
 
 
 def _detection(run: Run, max_frames: int) -> Iterator[Line]:
-    for row in detection.precision(run, max_frames=max_frames).to_dict("records"):
-        if row["n_truth"] >= FEWEST:
-            yield f"AP 3D, 40 points, {row['boxes']}", f"{row['class']}, {row['level']}", row["ap40"], "%"
+    frame = detection.precision(run, max_frames=max_frames)
+    for boxes, some in frame[frame.n_truth >= FEWEST].groupby("boxes", sort=False):
+        yield from _lines(some, "{class}, {level}", {"ap40": (f"AP 3D, 40 points, {boxes}", "%")})
     known = detection.awareness(run, max_frames=max_frames).groupby("boxes")[["n_known", "n_present"]].sum()
-    for which, row in known.iterrows():
-        yield "awareness within 70 m", str(which), row.n_known / row.n_present, "1"
+    for which, share in (known.n_known / known.n_present).items():
+        yield "awareness within 70 m", str(which), share, "1"
 
 
 def _attack(run: Run) -> Iterator[Line]:
-    (row,) = detection.attack_success(run).itertuples()
-    yield "boxes made up", "", float(row.n_fabricated), ""
-    yield "made-up boxes believed by someone", "", row.share, "1"
+    yield from _lines(detection.attack_success(run), "", {
+        "n_fabricated": ("boxes made up", ""), "share": ("made-up boxes believed by someone", "1"),
+    })  # fmt: skip

@@ -7,10 +7,10 @@ from typing import Any
 
 import pandas as pd
 
-from results.archive import Run
 from results.figures import style
 from results.figures.catalogue import FIGURES
 from results.measure import measure
+from results.run import Run
 from results.tables import SCHEMA_VERSION, TABLES, Column
 
 _STYLE = """
@@ -94,6 +94,7 @@ def _facts(run: Run, numbers: pd.DataFrame) -> str:
         ("duration, median by Kaplan-Meier", None, "median encounter"),
         ("final trust, median", "honest", "final trust, honest"),
         ("final trust, median", "malicious", "final trust, malicious"),
+        ("honest above liars (AUC)", "malicious", "chance that honest is above malicious"),
         ("delivery ratio", None, "delivery ratio"),
     ]
     boxes = []
@@ -124,9 +125,9 @@ def _topic(topic: str, frame: pd.DataFrame) -> str:
         return f"<h3>{escape(topic)}</h3>{gap}"
     said = frame.figure.mask(frame.figure == frame.figure.shift(), "")
     rows = "".join(
-        f"<tr{'' if figure else ' class=more'}><td>{escape(figure)}</td><td>{escape(row.of)}</td>"
-        f'<td class="number">{_number(row.value, row.unit)}</td></tr>'
-        for figure, row in zip(said, frame.itertuples(), strict=True)
+        f"<tr{'' if figure else ' class=more'}><td>{escape(figure)}</td><td>{escape(of)}</td>"
+        f'<td class="number">{_number(value, unit)}</td></tr>'
+        for figure, of, value, unit in zip(said, frame.of, frame.value, frame.unit, strict=True)
     )
     head = '<tr><th>figure</th><th>of</th><th class="number">value</th></tr>'
     return f"<h3>{escape(topic)}</h3><table class='numbers'>{head}{rows}</table>{gap}"

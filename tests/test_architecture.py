@@ -1,7 +1,9 @@
 """The doors of the house: who may import whom, and one file per foreign library."""
 
 import ast
+import re
 import sys
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 import pytest
@@ -45,7 +47,7 @@ def imports():
                 elif isinstance(node, ast.ImportFrom):
                     assert node.level == 0, f"{path}: relative import"
                     yield path, node.module
-                    yield from ((path, f"{node.module}.{a.name}") for a in node.names if node.module in ROOMS)
+                    yield from ((path, f"{node.module}.{a.name}") for a in node.names)
 
 
 EDGES = [(path.relative_to(ROOT), module) for path, module in imports()]
@@ -86,6 +88,37 @@ def test_order_inside_the_hall():
         me, other = path.parts[1].removesuffix(".py"), parts[1]
         if me not in ("__init__", other) and ORDER.index(other) >= ORDER.index(me):
             wrong.append(f"{path} imports {module}")
+    assert not wrong
+
+
+def cycle(edges):
+    """Modules that import each other in a ring, or nothing."""
+    graph = {}
+    for path, module in edges:
+        graph.setdefault(".".join(path.with_suffix("").parts).removesuffix(".__init__"), set()).add(module)
+    try:
+        TopologicalSorter({m: (others & graph.keys()) - {m} for m, others in graph.items()}).prepare()
+    except CycleError as error:
+        return error.args[1]
+    return []
+
+
+def test_no_module_imports_itself_through_others():
+    """Imports inside functions and those for types alone count too."""
+    assert cycle(EDGES) == []
+    back = (Path("results/run.py"), "results.measure")
+    assert set(cycle([*EDGES, back])) >= {"results.run", "results.measure"}, "a ring is seen"
+
+
+def test_private_names_stay_in_their_file():
+    wrong = []
+    for path in sorted(path for room in ROOMS for path in (ROOT / room).rglob("*.py")):
+        nodes = list(ast.walk(ast.parse(path.read_text())))
+        froms = [n for n in nodes if isinstance(n, ast.ImportFrom) and n.module.split(".")[0] in ROOMS]
+        ours = {name.asname or name.name for n in froms for name in n.names}
+        used = {(n.value.id, n.attr) for n in nodes if isinstance(n, ast.Attribute) and isinstance(n.value, ast.Name)}
+        wrong += [f"{path} imports {name}" for name in ours if name.startswith("_")]
+        wrong += [f"{path} uses {of}.{name}" for of, name in used if of in ours and re.match("_[^_]", name)]
     assert not wrong
 
 

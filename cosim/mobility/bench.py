@@ -9,7 +9,7 @@ from cosim.roster import FleetParams, Roster
 from sumo_nets import catalogue
 
 CITIES = ("adlershof", "koenigs-wusterhausen")
-"""In the one vehicles find new ways as they go, which costs SUMO most; in the other, a motorway, each costs it least."""
+"""Where a vehicle costs SUMO most, since it finds new ways as it goes, and where it costs least, on a motorway."""
 N_VEHICLES = 1000
 STEPS = 400
 

@@ -22,7 +22,8 @@ from cosim.mobility.source import (
 )
 from cosim.roster import Roster
 from cosim.world import World
-from results.archive import Run, open_run
+from results.archive import open_run
+from results.run import Run
 from sensors.boxes import Boxes
 from sensors.scene import Shape
 from sumo_nets import vtypes

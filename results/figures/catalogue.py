@@ -4,10 +4,11 @@ from collections.abc import Callable, Mapping
 
 from matplotlib.figure import Figure
 
-from results.figures import contacts, detection, encounters, freshness, map, radio, trust
+from results.figures import contacts, detection, encounters, freshness, liars, map, radio, trust
 
 FIGURES: Mapping[str, Callable[..., Figure]] = {
     "trust": trust.draw,
+    "liars": liars.draw,
     "encounters": encounters.draw,
     "freshness": freshness.draw,
     "radio": radio.draw,

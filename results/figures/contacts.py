@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from results.archive import Run
 from results.figures import style
 from results.metrics import contacts
+from results.run import Run
 
 _POINTS = 60
 

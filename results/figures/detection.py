@@ -8,10 +8,10 @@ import pandas as pd
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from results.archive import Run
 from results.figures import style
 from results.metrics import detection
 from results.metrics.kitti import FEWEST, LEVELS
+from results.run import Run
 from results.tables import CLASSES
 
 _LISTS = {"local": "own sensor", "fused": "fused"}

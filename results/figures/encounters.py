@@ -5,9 +5,9 @@ from collections.abc import Sequence
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from results.archive import Run
 from results.figures import style
 from results.metrics import encounters
+from results.run import Run
 from results.tables import axis_label
 
 
@@ -29,7 +29,7 @@ def draw(runs: Sequence[Run], departure: encounters.Departure = "ends") -> Figur
             axes.fill_between(
                 one.duration_s, one.low, one.high, step="post", color=style.ink(code), alpha=0.15, linewidth=0
             )
-            longest_s = max(longest_s, float(one.duration_s[one.survival >= 0.01].max()))
+            longest_s = max(longest_s, float(one.duration_s[one.survival.shift(fill_value=1.0) >= 0.01].max()))
     style.panel(
         axes, "Encounters that last longer", axis_label("encounters", "duration_s", "Duration"), "Share of encounters"
     )

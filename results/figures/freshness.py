@@ -7,9 +7,9 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from results.archive import Run
 from results.figures import style
-from results.metrics import compare, freshness, trust
+from results.metrics import compare, freshness, liars
+from results.run import Run
 from results.tables import axis_label
 
 
@@ -44,7 +44,7 @@ def draw(runs: Sequence[Run], fresh_s: float = 10.0, over: str | None = None) ->
     if longest_s == 0:
         ages.text(0.5, 0.5, "no value but the default", ha="center", transform=ages.transAxes)
     for i, bar in enumerate(bars):
-        style.shares_bar(shares, i, bar.share, _FILLS)
+        style.shares_bar(shares, i, bar.share.tolist(), _FILLS)
     if 0 < fresh_s < longest_s:
         ages.axvline(fresh_s, color="#777777", linewidth=0.9)
         ages.annotate(
@@ -76,7 +76,7 @@ def _against(runs: Sequence[Run], key: str, ages: Axes, shares: Axes, fresh_s: f
         "uses: default": lambda run: freshness.shares(run, fresh_s).share.iloc[2],
         "uses: stale": lambda run: freshness.shares(run, fresh_s).share.iloc[1],
         "encounters over without trust": lambda run: _mean(freshness.without_trust(run), "share"),
-        "honest above malicious": trust.separation,
+        "honest above malicious": liars.separation,
     }
     frame = compare.tabulate(runs, key, {**_AGES, **of_uses})
     for axes, names in ((ages, list(_AGES)), (shares, list(of_uses))):

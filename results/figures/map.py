@@ -8,9 +8,9 @@ import pyarrow.compute as pc
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
-from results.archive import Run
 from results.figures import style
 from results.metrics import contacts
+from results.run import Run
 
 _MOST = 200_000
 """Encounters that suffice for a picture."""

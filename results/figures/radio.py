@@ -9,9 +9,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from results.archive import Run
 from results.figures import style
 from results.metrics import radio
+from results.run import Run
 from results.tables import axis_label
 
 _CAUSES = tuple(name.removeprefix("n_lost") for name in radio.LOST)
@@ -47,6 +47,8 @@ def draw(runs: Sequence[Run], every_s: float = 10.0, cell_m: float = 50.0) -> Fi
     style.panel(silent, "Between two messages", "Inter-reception time [s]", "Share longer")
     style.panel(timed, "Delivered, over time", style.TIME, "Delivery ratio")
     style.panel(busy, "Channel busy, over time", style.TIME, axis_label("radio", "busy_ratio", "Busy ratio"))
+    if not distance.lines:
+        distance.text(0.5, 0.5, "too few messages", transform=distance.transAxes, ha="center", color="#666666")
     for axes in (distance, late, timed):
         style.share_axis(axes)
     for axes in (distance, timed, busy):

@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from results.archive import Run
+from results.run import Run
 
 TIME = "Time [s]"
 INKS = ("#16325c", "#c4502e", "#63b0a2", "#ecb938", "#8c6bb1", "#6f6f6f")

@@ -6,9 +6,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from results.archive import Run
 from results.figures import style
 from results.metrics import trust
+from results.run import Run
 from results.tables import BEHAVIOURS, axis_label
 
 

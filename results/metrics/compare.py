@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from results.archive import Run
+from results.run import Run
 
 DICE = ("seed", "traffic.seed")
 """Keys that only throw the dice again: runs that differ in them are repetitions."""

@@ -10,7 +10,7 @@ import pandas as pd
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from results.archive import Run
+from results.run import Run
 
 
 def contacts(run: Run, radius_m: float | None = None, pairs: str | None = None) -> pd.DataFrame:
@@ -162,9 +162,9 @@ def news(run: Run, actor: int, start_s: float = 0.0) -> pd.DataFrame:
     """
     time_s, length = {actor: start_s}, {actor: 0}
     for part in run.parts("deliveries", ["step", "sender", "receiver", "latency_s"]):
-        for step, now in part[part.step * run.dt_s >= start_s].groupby("step"):
+        for _, now in part[part.step * run.dt_s >= start_s].groupby("step"):
             now = now[now.sender.isin(list(time_s)) & ~now.receiver.isin(list(time_s))].sort_values("latency_s")
-            for row in now.drop_duplicates("receiver").itertuples():
-                time_s[row.receiver] = float(step * run.dt_s + row.latency_s)
-                length[row.receiver] = length[row.sender] + 1
+            now = now.drop_duplicates("receiver")
+            time_s.update(zip(now.receiver, now.step * run.dt_s + now.latency_s, strict=True))
+            length.update(zip(now.receiver, now.sender.map(length) + 1, strict=True))
     return pd.DataFrame({"actor": time_s.keys(), "time_s": time_s.values(), "n_messages": length.values()})

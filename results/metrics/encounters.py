@@ -1,13 +1,12 @@
 """How long vehicles meet: counts, durations, and survival with censoring in mind."""
 
-import warnings
 from typing import Literal
 
 import numpy as np
 import pandas as pd
-from scipy.stats import CensoredData, ecdf
 
-from results.archive import Run
+from results.metrics.survival import kaplan_meier, median, restricted_mean
+from results.run import Run
 
 Departure = Literal["ends", "censors"]
 """Whether an actor that leaves the simulation ends its encounters, or only our sight of them."""
@@ -46,9 +45,8 @@ def survival(run: Run, departure: Departure = "ends") -> pd.DataFrame:
     left out: they are a sample biased to long ones, of unknown age (`summary` says how many).
     """
     groups = durations(run, departure).groupby(["pairs", "radius_m"], observed=True)
-    return pd.concat([_kaplan_meier(frame).assign(pairs=p, radius_m=r) for (p, r), frame in groups], ignore_index=True)[
-        ["pairs", "radius_m", "duration_s", "survival", "low", "high"]
-    ]
+    curves = {kind: _curve(frame) for kind, frame in groups}
+    return pd.concat(curves, names=["pairs", "radius_m"]).droplevel(-1).reset_index()
 
 
 def summary(run: Run, departure: Departure = "ends") -> pd.DataFrame:
@@ -62,38 +60,19 @@ def summary(run: Run, departure: Departure = "ends") -> pd.DataFrame:
     """
     rows = []
     for (pairs, radius_m), frame in durations(run, departure).groupby(["pairs", "radius_m"], observed=True):
-        curve = _kaplan_meier(frame)
-        below = curve.duration_s[curve.survival <= 0.5]
+        curve = _curve(frame)
         again = frame.gap_s.dropna()
         rows.append({
             "pairs": pairs, "radius_m": radius_m, "n": len(frame),
             "n_start_unseen": int((~frame.start_seen).sum()), "n_end_unseen": int((~frame.end_seen).sum()),
             "mean_s": float(frame.duration_s.mean()), "median_s": float(frame.duration_s.median()),
-            "km_mean_s": restricted_mean(curve), "km_median_s": float(below.iloc[0]) if len(below) else np.nan,
+            "km_mean_s": restricted_mean(curve), "km_median_s": median(curve),
             "horizon_s": float(curve.duration_s.iloc[-1]), "again_share": len(again) / len(frame),
             "gap_median_s": float(again.median()) if len(again) else np.nan,
         })  # fmt: skip
     return pd.DataFrame(rows)
 
 
-def restricted_mean(curve: pd.DataFrame) -> float:
-    """Mean duration up to the longest one seen: the area under the survival curve [s]."""
-    return float((curve.survival.to_numpy()[:-1] * np.diff(curve.duration_s)).sum())
-
-
-def _kaplan_meier(frame: pd.DataFrame) -> pd.DataFrame:
+def _curve(frame: pd.DataFrame) -> pd.DataFrame:
     seen = frame[frame.start_seen]
-    if seen.empty:
-        return pd.DataFrame({"duration_s": [0.0], "survival": [1.0], "low": [1.0], "high": [1.0]})
-    lasted = seen.duration_s.to_numpy(np.float64)
-    over = seen.end_seen.to_numpy(bool)
-    with np.errstate(divide="ignore", invalid="ignore"), warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # the band is undefined where all or nobody is left
-        curve = ecdf(CensoredData(uncensored=lasted[over], right=lasted[~over])).sf
-        band = curve.confidence_interval(method="log-log") if over.any() else None
-    x, p = np.asarray(curve.quantiles), np.asarray(curve.probabilities)
-    low, high = (p, p) if band is None else (np.asarray(band.low.probabilities), np.asarray(band.high.probabilities))
-    return pd.DataFrame(
-        {"duration_s": np.r_[0, x], "survival": np.r_[1, p],
-         "low": np.r_[1, np.where(np.isnan(low), p, low)], "high": np.r_[1, np.where(np.isnan(high), p, high)]}
-    )  # fmt: skip
+    return kaplan_meier(seen.duration_s.to_numpy(np.float64), seen.end_seen.to_numpy(bool))

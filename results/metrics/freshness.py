@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from results.archive import Run
+from results.run import Run
 from results.tables import BEHAVIOURS, SOURCES
 
 STATES = ("fresh", "stale", "default")
@@ -131,7 +131,7 @@ def evidence_at_use(run: Run) -> pd.DataFrame:
     the value on top. Which computation a value came from is read off its age; this goes wrong where the exchanges of
     a step take longer than the server's period.
     """
-    behaviour_of, editions = _behaviour_codes(run), _Editions(run)
+    behaviour_of, editions = _behaviour_codes(run), Editions(run)
     sums = np.zeros((5, len(BEHAVIOURS)))  # uses, with newest, its sum, with oldest, its sum
     for part in run.parts("uses", ["step", "subject", "source", "age_s"]):
         part = part[part.age_s.notna()]
@@ -157,7 +157,7 @@ _ROUNDING_S = 1 / 512
 """Larger than what is lost when ages are stored."""
 
 
-class _Editions:
+class Editions:
     """Age of the evidence behind the server's values, by computation and vehicle."""
 
     def __init__(self, run: Run) -> None:

@@ -45,6 +45,18 @@ def test_nothing_is_cut_off(run, other, name):
         assert page.x0 - 1 <= box.x0 and box.x1 <= page.x1 + 1
 
 
+def test_a_single_encounter_is_seen_to_end(tiny):
+    meeting = {"a": 0, "b": 1, "start_step": 2, "end_step": 10, "duration_s": 8, "radius_m": 50}
+    assert FIGURES["encounters"]([tiny(20, encounters=[meeting])]).axes[0].get_xlim()[1] > 8
+
+
+def test_too_few_messages_for_a_curve_are_said(tiny):
+    sent = {"n_in_reach": 4, "n_delivered": 4}
+    run = tiny(9, radio=[{"n_sent": 2, **sent}], links=[sent], latencies=[{"latency_s": 0.001, "n_delivered": 4}])
+    axes = FIGURES["radio"]([run, run]).axes[0]  # of one run, maps want vehicles
+    assert not axes.lines and [text.get_text() for text in axes.texts] == ["too few messages"]
+
+
 @pytest.mark.parametrize("suffix", style.FORMATS)
 def test_saved_twice_is_the_same_file(run, suffix, tmp_path):
     one, two = (style.save(trust.draw([run]), tmp_path / f"{n}{suffix}").read_bytes() for n in "ab")

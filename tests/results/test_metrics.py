@@ -6,7 +6,7 @@ import pandas as pd
 import pytest
 
 from results.measure import measure
-from results.metrics import contacts, detection, encounters, freshness, radio, trust
+from results.metrics import contacts, detection, encounters, freshness, liars, radio, trust
 from tests.results.tiny import fleet
 
 
@@ -102,48 +102,27 @@ def test_evidence_where_it_is_used(tiny):
 
 
 def test_trust_by_hand(tiny):
-    """Vehicle 2 lies from step 3; it is low at 2 (too early to count), 3 (no) and 7 (yes); vehicle 3 is never found."""
-    liars = fleet("honest", "honest", "malicious", "malicious")
-    liars[2]["first_lie_step"] = liars[3]["first_lie_step"] = 3
-    liars[3]["last_step"] = 8
-    values = {0: [0.6, 0.8, 0.5, 0.5], 2: [0.6, 0.8, 0.1, 0.5], 3: [0.7, 0.9, 0.4, 0.5], 7: [0.7, 0.3, 0.2, 0.5]}
+    values = {0: [0.6, 0.8, 0.5, 0.5], 3: [0.7, 0.9, 0.4, 0.5], 7: [0.7, 0.3, 0.2, 0.5]}
     rows = [{"step": s, "vehicle": v, "trust": t} for s, ts in values.items() for v, t in enumerate(ts)]
-    run = tiny(20, vehicles=liars, trust=rows)
-    delay = trust.detection_delay(run, 0.25).set_index("vehicle")
-    assert delay.delay_s.to_dict() == {2: 4.0, 3: 5.0} and delay.found.to_dict() == {2: True, 3: False}
+    run = tiny(20, vehicles=fleet("honest", "honest", "malicious", "malicious"), trust=rows)
     last = trust.final(run).set_index("behaviour")
     assert last["mean"].to_dict() == pytest.approx({"honest": 0.5, "malicious": 0.35})
     assert last.n.to_dict() == {"honest": 2, "malicious": 2}
-    assert trust.separation(run) == 3 / 4  # of 0.7, 0.3 against 0.2, 0.5
     assert trust.over_time(run).query("time_s == 3 and behaviour == 'honest'")["median"].item() == pytest.approx(0.8)
-
-
-def test_found_out_by_vehicles(tiny):
-    liars = fleet("honest", "malicious")
-    liars[1]["first_lie_step"] = 3
-    uses = [{"step": s, "receiver": 0, "subject": 1, "trust": t, "age_s": 1} for s, t in ((3, 0.5), (9, 0.1))]
-    assert trust.detection_delay(tiny(20, vehicles=liars, uses=uses), 0.25, "vehicles").delay_s.tolist() == [6]
+    assert trust.mean(run)["mean"].tolist() == pytest.approx([4 / 6, 2.6 / 6])
 
 
 def test_trust_without_a_server(tiny):
     """Means over hearers: of vehicle 2 0.3 (0.2 and 0.4; a default says nothing), of vehicle 1 0.8, later 0.1."""
-    liars = fleet("honest", "honest", "malicious")
-    liars[2]["first_lie_step"] = 1
     uses = [
         {"step": 2, "receiver": r, "subject": s, "trust": t, "source": "own", "age_s": 1}
         for r, s, t in ((0, 2, 0.2), (1, 2, 0.4), (0, 1, 0.8))
     ]
     uses += [{"step": 2, "receiver": 2, "subject": 1, "trust": 0.1, "source": "default"}]
     uses += [{"step": 4, "receiver": 0, "subject": 1, "trust": 0.1, "source": "own", "age_s": 2}]
-    run = tiny(20, vehicles=liars, uses=uses)
-    frame = trust.values(run)
+    frame = trust.values(tiny(20, vehicles=fleet("honest", "honest", "malicious"), uses=uses))
     assert frame[["time_s", "vehicle"]].to_numpy().tolist() == [[2, 1], [2, 2], [4, 1]]
     assert frame.trust.tolist() == pytest.approx([0.8, 0.3, 0.1])
-    assert trust.below(run, 0.25).set_index("behaviour").share.to_dict() == {"honest": 0.5, "malicious": 0}
-    assert trust.detection_delay(run, 0.25, "vehicles").delay_s.tolist() == [1]
-    figures = measure(run).set_index(["topic", "figure", "of"]).value["trust"]
-    assert figures["time to be found out, median", "malicious, at a vehicle"] == 1
-    assert not any("server" in of for _, of in figures.index)
 
 
 def test_radio_by_hand(tiny):
@@ -287,7 +266,7 @@ def test_measure_is_tidy(run):
 
 
 @pytest.mark.parametrize(
-    "ask", [encounters.survival, freshness.at_use, freshness.over_time, radio.overall, radio.by_distance,
+    "ask", [encounters.survival, freshness.at_use, freshness.over_time, radio.overall, radio.by_distance, liars.roc,
             trust.over_time, detection.precision, detection.awareness, detection.attack_success, contacts.contacts]
 )  # fmt: skip
 def test_nothing_to_measure_is_one_clear_line(tiny, ask):
@@ -297,5 +276,5 @@ def test_nothing_to_measure_is_one_clear_line(tiny, ask):
 
 
 def test_frames_are_frames(run):
-    for frame in (radio.by_distance(run), freshness.distribution(run), trust.detection_delay(run)):
+    for frame in (radio.by_distance(run), freshness.distribution(run), liars.detection_delay(run)):
         assert isinstance(frame, pd.DataFrame) and len(frame)

@@ -1,0 +1,136 @@
+"""What the frames of average precision hold: the boxes ahead of one equipped vehicle in one step."""
+
+from typing import Literal
+
+import numpy as np
+import pandas as pd
+import pyarrow.compute as pc
+from scipy.spatial import cKDTree
+
+from results.metrics.kitti import Objects
+from results.metrics.overlap import corners
+from results.run import Run
+
+Lists = Literal["local", "fused"]
+"""Boxes of a vehicle's own sensor, or those it believes in the end."""
+
+TABLE_OF: dict[Lists, str] = {"local": "detections", "fused": "fused"}
+
+BOX = ("x_m", "y_m", "z_m", "length_m", "width_m", "height_m", "yaw_rad")
+_CLASS_OF_KIND = {
+    "car": "car", "van": "car", "truck": "truck", "bus": "truck",
+    "motorcycle": "cyclist", "bicycle": "cyclist", "pedestrian": "pedestrian",
+}  # fmt: skip
+
+FOCAL_PX = 960.0
+"""Of the camera that KITTI's heights in pixels are meant for: 90 degrees on 1,920 pixels."""
+
+Poses = pd.DataFrame
+"""Observers, the equipped vehicles of some steps: step, observer, its pose and size, frame (0, 1, ...)."""
+
+
+def sampled_steps(run: Run, max_frames: int) -> np.ndarray:
+    """Steps spread evenly over the run, with about `max_frames` equipped vehicles on the road in all."""
+    spans = run.table("vehicles", ["equipped", "first_step", "last_step"])
+    spans = spans[spans.equipped]
+    n_frames = int((spans.last_step - spans.first_step + 1).sum())
+    stride = max(1, -(-n_frames // max_frames))
+    return np.arange(stride // 2, int(run.manifest["steps"]), stride)
+
+
+def at_steps(steps: np.ndarray) -> pc.Expression:
+    """Rows of these steps."""
+    return pc.field("step").isin(steps.tolist())
+
+
+def posed(run: Run, steps: np.ndarray) -> tuple[Poses, pd.DataFrame]:
+    """Observers, and all actors with their size and class, in these steps."""
+    actors = run.table("actors", ["step", "actor", "x_m", "y_m", "z_m", "yaw_rad"], where=at_steps(steps))
+    vehicles = run.table("vehicles", ["vehicle", "kind", "length_m", "width_m", "height_m", "equipped"])
+    vehicles["label"] = vehicles.kind.astype(object).map(_CLASS_OF_KIND)
+    actors = actors.merge(vehicles.drop(columns="kind"), left_on="actor", right_on="vehicle").drop(columns="vehicle")
+    actors = actors.sort_values(["step", "actor"], ignore_index=True)
+    poses = actors[actors.equipped].rename(columns={"actor": "observer"}).reset_index(drop=True)
+    return poses.assign(frame=np.arange(len(poses))), actors
+
+
+def near(poses: Poses, actors: pd.DataFrame, range_m: float) -> tuple[np.ndarray, np.ndarray]:
+    """Pairs of an observer and an actor of the same step within range (horizontally), sorted."""
+    if poses.empty:
+        return np.zeros(0, int), np.zeros(0, int)
+    steps = np.unique(actors.step)
+    trees = [
+        cKDTree(np.column_stack([f.x_m, f.y_m, np.searchsorted(steps, f.step) * (2.0 * range_m + 1)]))
+        for f in (poses, actors)
+    ]
+    pairs = trees[0].sparse_distance_matrix(trees[1], range_m, output_type="ndarray")
+    order = np.lexsort([pairs["j"], pairs["i"]])
+    return pairs["i"][order], pairs["j"][order]
+
+
+def actors_ahead(run: Run, steps: np.ndarray, range_m: float) -> tuple[Objects, Poses]:
+    """Actors ahead of each equipped vehicle, and the observers of the frames."""
+    poses, actors = posed(run, steps)
+    i, j = near(poses, actors, range_m)
+    other = poses.observer.to_numpy()[i] != actors.actor.to_numpy()[j]
+    i, j = i[other], j[other]
+    box, ahead, height_px = ahead_of(poses, i, actors[[*BOX]].to_numpy(np.float64)[j], range_m)
+    i, j = i[ahead], j[ahead]
+    seen = run.table("sightings", where=at_steps(steps)).set_index(["step", "observer", "actor"])
+    key = pd.MultiIndex.from_arrays(
+        [poses.step.to_numpy()[i], poses.observer.to_numpy()[i], actors.actor.to_numpy()[j]]
+    )
+    seen = seen.reindex(key)
+    hidden = 1 - seen.n_points.to_numpy(np.float64) / np.maximum(seen.n_unoccluded.to_numpy(np.float64), 1)
+    level = np.where(np.isnan(hidden), 3, (hidden > 0.2).astype(int) + (hidden > 0.5))
+    label = actors.label.to_numpy(object)[j]
+    return Objects(i, label, box[ahead], height_px[ahead], level, np.zeros(len(i)), np.ones(len(i))), poses
+
+
+def boxes_ahead(run: Run, which: Lists, steps: np.ndarray, poses: Poses, range_m: float) -> Objects:
+    """Boxes ahead of each equipped vehicle, numbered by the frames of `poses`."""
+    columns = ["step", "observer", "k", "class", *BOX, "score"]
+    where = at_steps(steps) if which == "fused" else at_steps(steps) & (pc.field("kind") == "sensed")
+    boxes = run.table(TABLE_OF[which], columns, where)
+    frames = poses.set_index(["step", "observer"]).frame
+    at = frames.reindex(pd.MultiIndex.from_frame(boxes[["step", "observer"]])).to_numpy(np.float64)
+    boxes, at = boxes[~np.isnan(at)], at[~np.isnan(at)].astype(int)
+    order = np.lexsort([boxes.k, at])
+    boxes, at = boxes.iloc[order], at[order]
+    box, ahead, height_px = ahead_of(poses, at, boxes[[*BOX]].to_numpy(np.float64), range_m)
+    n = int(ahead.sum())
+    return Objects(
+        at[ahead], boxes["class"].astype(object).to_numpy()[ahead], box[ahead], height_px[ahead],
+        np.zeros(n, int), np.zeros(n), boxes.score.to_numpy(np.float64)[ahead],
+    )  # fmt: skip
+
+
+def ahead_of(
+    poses: Poses, i: np.ndarray, box: np.ndarray, range_m: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """World boxes as their observers have them.
+
+    Parameters
+    ----------
+    i
+        Row of its observer, of each box.
+    box
+        x, y, z of the centre, length, width, height, yaw; world frame [n, 7].
+
+    Returns
+    -------
+    The boxes, x forward and y left of the middle of the observer's roof; which lie ahead within range; and their
+    heights in the image [px].
+    """
+    eye = poses[["x_m", "y_m", "z_m", "yaw_rad", "height_m"]].to_numpy(np.float64)[i]
+    eye[:, 2] += eye[:, 4] / 2  # on the roof
+    cos, sin = np.cos(eye[:, 3]), np.sin(eye[:, 3])
+    away = box[:, :3] - eye[:, :3]
+    box = box.copy()
+    box[:, 0], box[:, 1] = cos * away[:, 0] + sin * away[:, 1], cos * away[:, 1] - sin * away[:, 0]
+    box[:, 2], box[:, 6] = away[:, 2], box[:, 6] - eye[:, 3]
+    ahead = (box[:, 0] > np.abs(box[:, 1])) & (np.hypot(box[:, 0], box[:, 1]) <= range_m)
+    depth = np.maximum(corners(box)[..., 0], 0.5)  # the four upright edges
+    top, bottom = (box[:, 2] + box[:, 5] / 2)[:, None], (box[:, 2] - box[:, 5] / 2)[:, None]
+    height_px = FOCAL_PX * ((top / depth).max(axis=1) - (bottom / depth).min(axis=1))
+    return box, ahead, height_px

@@ -1,0 +1,144 @@
+"""A run on disk: its tables as pandas DataFrames, loaded when first asked for."""
+
+from collections.abc import Iterator, Sequence
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+
+from results import derived
+from results.tables import TABLES, schema
+
+
+class Run:
+    """A run on disk.
+
+    Every table of the dictionary is an attribute (`run.trust`, `run.encounters`); columns are as in
+    `results/TABLES.md`, nulls are pandas' NA, rows are sorted by key within a step.
+    """
+
+    def __init__(self, path: Path, manifest: dict[str, Any]) -> None:
+        self.path = path
+        self.manifest = manifest
+
+    @property
+    def name(self) -> str:
+        return self.path.name
+
+    @property
+    def dt_s(self) -> float:
+        """Seconds per step."""
+        return float(self.manifest["dt_s"])
+
+    @property
+    def config(self) -> dict[str, Any]:
+        """The resolved configuration."""
+        return self.manifest["config"]
+
+    @property
+    def tables(self) -> tuple[str, ...]:
+        """Names of the tables that the run holds."""
+        return tuple(name for name in TABLES if (self.path / name).is_dir())
+
+    def table(
+        self, name: str, columns: Sequence[str] | None = None, where: pc.Expression | None = None
+    ) -> pd.DataFrame:
+        """A table, or some columns and rows of it, read from disk anew.
+
+        `where` picks rows, as in `run.table("fused", where=pyarrow.compute.field("score") > 0.5)`.
+        """
+        wanted = self._wanted(name, columns)
+        parts = [derived.read(_part, path, wanted.names, where) for path in self._paths(name)]
+        return _pandas(pa.concat_tables([wanted.empty_table(), *parts]), name)
+
+    def parts(
+        self, name: str, columns: Sequence[str] | None = None, where: pc.Expression | None = None
+    ) -> Iterator[pd.DataFrame]:
+        """The same, one block of steps after another, for tables larger than memory."""
+        wanted = self._wanted(name, columns)
+        for path in self._paths(name):
+            yield _pandas(derived.read(_part, path, wanted.names, where), name)
+
+    def n_blocks(self, name: str) -> int:
+        """How many parts a table has."""
+        return len(self._paths(name))
+
+    def require(self, *names: str) -> None:
+        """Refuse, with one clear line, if the run does not hold these tables."""
+        for name in names:
+            if name not in TABLES:
+                raise ValueError(f"There is no table {name!r}. The tables are {', '.join(TABLES)}.")
+            if name not in self.tables:
+                raise ValueError(
+                    f"{self.path} holds no table {name}: it is kept at record.level = "
+                    f'"{TABLES[name].level}" and above. Set record.level and run again.'
+                )
+
+    def _wanted(self, name: str, columns: Sequence[str] | None) -> pa.Schema:
+        self.require(name)
+        if derived.names(TABLES[name], list(TABLES[name].columns) if columns is None else columns, None):
+            self.require("detections")
+        unknown = sorted(set(columns or ()) - set(TABLES[name].columns))
+        if unknown:
+            raise ValueError(
+                f"Table {name} has no column {', '.join(unknown)}. The columns are {', '.join(TABLES[name].columns)}."
+            )
+        whole = schema(name, whole=True)
+        return whole if columns is None else pa.schema([whole.field(c) for c in columns])
+
+    def _paths(self, name: str) -> list[Path]:
+        return sorted((self.path / name).glob("part-*.parquet"))
+
+    def __getattr__(self, name: str) -> pd.DataFrame:
+        if name not in TABLES:
+            raise AttributeError(f"A run has no {name!r}. The tables are {', '.join(TABLES)}.")
+        frame = self.table(name)
+        setattr(self, name, frame)
+        return frame
+
+    def __repr__(self) -> str:
+        return f"Run({str(self.path)!r}: {self.manifest['steps']} steps, tables {', '.join(self.tables)})"
+
+    @cached_property
+    def roles(self) -> pd.Series:
+        """Behaviour by vehicle id, equipped vehicles only."""
+        vehicles = self.table("vehicles", ["vehicle", "equipped", "behaviour"])
+        return vehicles[vehicles.equipped].set_index("vehicle").behaviour
+
+
+def _part(path: Path, names: Sequence[str], where: pc.Expression | None) -> pa.Table:
+    try:
+        return pq.read_table(path, columns=list(names), filters=where, partitioning=None)
+    except (pa.ArrowException, OSError) as error:
+        missing = set(names) - _columns(path)
+        if missing:
+            raise ValueError(
+                f"{path} has no column {', '.join(sorted(missing))}: another cosim wrote it. Run again."
+            ) from error
+        reason = str(error).splitlines()[0]
+        raise ValueError(f"{path} is damaged ({reason}). Delete the run and run it again.") from error
+
+
+def _columns(path: Path) -> set[str]:
+    """Columns that a part says it has; all, if it cannot even say that."""
+    try:
+        return set(pq.read_schema(path).names)
+    except (pa.ArrowException, OSError):
+        return set(schema(path.parent.name).names)
+
+
+def _pandas(table: pa.Table, name: str) -> pd.DataFrame:
+    """pandas with null-aware integers and booleans where a column may be null, and all categories known."""
+    nullable = {pa.int32(): pd.Int32Dtype(), pa.int16(): pd.Int16Dtype(), pa.bool_(): pd.BooleanDtype()}
+    frame = table.combine_chunks().to_pandas()
+    for field in table.schema:
+        categories = TABLES[name].columns[field.name].categories
+        if categories:
+            frame[field.name] = frame[field.name].cat.set_categories(list(categories))
+        elif field.nullable and field.type in nullable:
+            frame[field.name] = table.column(field.name).to_pandas(types_mapper=nullable.get)
+    return frame
