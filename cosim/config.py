@@ -30,7 +30,7 @@ class ComputeParams:
     """How the work is done; nothing here changes a result."""
 
     threads: Annotated[int, Ge(0)] = 0
-    """Threads of the compiled kernels, at most one per core; 0 takes all cores."""
+    """Threads of the compiled kernels, at most one per core; 0 takes one for every hundred equipped vehicles."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

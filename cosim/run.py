@@ -28,6 +28,10 @@ from sumo_nets.network import junctions
 Advance = Callable[[str, int, int, str], None]
 """Told of progress: phase, done, total, a note."""
 
+_CORES = numba.get_num_threads()
+_EQUIPPED_PER_THREAD = 100
+"""Below it a turn takes some 40 ms, and threads lose more than they gain wherever the cores have other work."""
+
 
 def check(config: Config) -> Scenario:
     """The scenario that a config asks for; ValueError where it could not run."""
@@ -104,11 +108,14 @@ def remarks(folder: Path) -> list[str]:
     return said
 
 
+def _threads(config: Config, n_equipped: int) -> int:
+    """Threads for one turn: what the config says, or as many as are worth it."""
+    return min(config.compute.threads or max(1, n_equipped // _EQUIPPED_PER_THREAD), _CORES)
+
+
 def _drive(
     config: Config, scenario: Scenario, traffic: Traffic, roster: Roster, manifest: Manifest, advance: Advance
 ) -> None:
-    if config.compute.threads:
-        numba.set_num_threads(min(config.compute.threads, numba.get_num_threads()))
     warmup_s = scenario.warmup_s if config.traffic.warmup_s is None else config.traffic.warmup_s
     watch, dt_s, n_steps = Stopwatch(), config.traffic.step_s, config.n_steps
     with watch("city"):
@@ -138,6 +145,7 @@ def _drive(
             with watch("encounters"):
                 meetings.update(recorder, world, city, state)
             if step % config.sense_every_steps == 0 and world.equipped.any():
+                numba.set_num_threads(_threads(config, int(world.equipped.sum())))
                 happened = turn(world, city, state, config, watch)
                 with watch("record"):
                     recording.turn(recorder, happened, silences, dt_s)
