@@ -19,9 +19,10 @@ from numpy import ndarray
 
 from cosim.v2x import records
 from cosim.v2x.carry import State, carried, renamed, spans, starts
-from cosim.v2x.loop import run_until
+from cosim.v2x.loop import PACKETS, SLOTS, run_until
 from cosim.v2x.propagation import fading_quantiles
 from cosim.v2x.reception import CURVES, MAC_OVERHEAD_BYTES, ReceiverParams, airtime_ns
+from cosim.v2x.relays import NO_RELAYS, Relays, grown
 
 SIFS_NS = 32_000
 SLOT_NS = 13_000
@@ -117,8 +118,9 @@ class Packets:
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """P packets that left the sender's hands in one window, sorted by (generation, key, seq), and their receptions.
+    """P packets that left the sender's hands in one window, and their receptions.
 
+    Sorted by (generation, key, seq); those that relays have made in this window come behind, by generation.
     A packet that has not been sent (EXPIRED, QUEUE) has no receptions and start = end = generation.
     """
 
@@ -229,6 +231,7 @@ def play(
     receiver: ReceiverParams,
     access: AccessParams,
     gap_ns: Int[ndarray, "n"] | None = None,
+    relays: Relays | None = None,
 ) -> tuple[State, Outcome]:
     """Everything that happens on the channel from `state.now_ns` until `until_ns`.
 
@@ -242,6 +245,8 @@ def play(
         Key of the channel's draws, one for the whole run: packets tell windows apart.
     gap_ns
         Least silence between two frames of each radio, imposed by congestion control (see `dcc`).
+    relays
+        What is passed on among these radios; goes on from window to window, and their frames' outcomes come last.
 
     Notes
     -----
@@ -268,10 +273,9 @@ def play(
     table["degree"][waiting] = links.ptr[sender + 1] - links.ptr[sender]
     old_edge = table["edge"][aired]
     table["edge"][aired] += len(links.receiver)
-    ptr = starts(table["degree"])
-    table["slot"] = ptr[:-1]
-    reception = np.empty(ptr[-1], np.uint8)
-    hearer = np.empty(ptr[-1], np.int32)
+    begins = starts(table["degree"])
+    table["slot"] = begins[:-1]
+    reception, hearer = np.empty(begins[-1], np.uint8), np.empty(begins[-1], np.int32)
     to, was = spans(table["slot"][aired], table["degree"][aired]), spans(old_edge, table["degree"][aired])
     reception[to], hearer[to] = state.reception[was], state.receiver[was]
     arrival_mw = np.concatenate([np.empty(len(links.receiver), np.float32), state.arrival_mw])
@@ -283,18 +287,32 @@ def play(
     )
     row_of_rank = np.empty(len(phy), np.int64)
     row_of_rank[mac["rank"]] = np.arange(len(phy))
-    room = 16 * len(phy) + 16
-    run_until(
-        until_ns, phy, mac, row_of_rank, table, len(state.packets), edges, reception, hearer,
+    n_given, max_degree = len(table), int(np.diff(links.ptr).max(initial=0))
+    at = np.array([-1, len(state.packets), n_given, len(hearer)])
+    passing = NO_RELAYS if relays is None else relays.passing
+    times, codes = np.empty((2, 16 * len(phy) + 16 + len(passing.copies)), np.int64)
+    while not run_until(
+        until_ns, phy, mac, row_of_rank, table, at, n_given, links.ptr, max_degree, edges, reception, hearer,
         SIFS_NS + SLOT_NS * np.array(access.aifsn), np.array(access.cw), fading_quantiles(),
-        _constants(receiver, access), np.uint64(chance), np.empty(room, np.int64), np.empty(room, np.int64),
-    )  # fmt: skip
+        _constants(receiver, access), np.uint64(chance), times, codes, passing,
+    ):  # fmt: skip
+        assert relays is not None  # nothing else wants more room
+        relays.grow(max_degree)
+        more = len(relays.passing.copies) - len(passing.copies)
+        times, codes = grown(times, more), grown(codes, more)
+        passing = relays.passing
+        if at[PACKETS] == len(table):
+            table = grown(table, max(len(table), 64))
+        if at[SLOTS] + max_degree > len(hearer):
+            more = max(len(hearer), 64 * max_degree)
+            reception, hearer = grown(reception, more), grown(hearer, more)
+    table, reception, hearer = table[: at[PACKETS]], reception[: at[SLOTS]], hearer[: at[SLOTS]]
 
     on_air = np.zeros(len(table), bool)
     on_air[phy["packet"][phy["packet"] != records.NOBODY]] = True
-    done = ~on_air & (table["fate"] != records.WAITING)
-    outcome = _outcome(table, done, phy, n, hearer, reception, until_ns - state.now_ns)
-    return carried(phy, mac, table, ~done, on_air, edges[0], arrival_mw, reception, until_ns), outcome
+    over = ~on_air & (table["fate"] != records.WAITING)
+    outcome = _outcome(table, over, phy, n, hearer, reception, until_ns - state.now_ns)
+    return carried(phy, mac, table, ~over, on_air, edges[0], arrival_mw, reception, until_ns), outcome
 
 
 def _outcome(

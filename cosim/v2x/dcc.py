@@ -41,7 +41,7 @@ class DccParams:
 
 @dataclass(frozen=True, slots=True)
 class Control:
-    """Congestion control of N radios, sorted by key."""
+    """Congestion control of N radios."""
 
     key: UInt64[ndarray, "n"]
     cbr: Float[ndarray, "n"]
@@ -56,7 +56,11 @@ class Control:
 
     def of(self, key: UInt64[ndarray, "n"]) -> "Control":
         """The same for these radios, in this order; who is new starts relaxed on an idle channel."""
-        at = np.minimum(np.searchsorted(self.key, key), max(len(self.key) - 1, 0))
+        if np.array_equal(self.key, key):
+            return self
+        order = np.argsort(self.key)
+        at = np.minimum(np.searchsorted(self.key, key, sorter=order), max(len(self.key) - 1, 0))
+        at = order[at] if len(order) else at
         known = self.key[at] == key if len(self.key) else np.zeros(len(key), bool)
         cbr, level = np.zeros(len(key)), np.zeros(len(key), np.int8)
         cbr[known], level[known] = self.cbr[at[known]], self.level[at[known]]
@@ -77,8 +81,7 @@ def react(control: Control, key: UInt64[ndarray, "n"], busy: Float[ndarray, "n"]
     cbr = (1 - params.smoothing) * now.cbr + params.smoothing * busy
     wanted = np.searchsorted(params.cbr_bounds, cbr, side="right")
     level = (now.level + np.sign(wanted - now.level)).astype(np.int8)
-    order = np.argsort(key)
-    return Control(key[order], cbr[order], level[order])
+    return Control(key, cbr, level)
 
 
 def gap_ns(control: Control, key: UInt64[ndarray, "n"], params: DccParams) -> Int[ndarray, "n"]:

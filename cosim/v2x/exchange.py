@@ -195,26 +195,14 @@ def both_ways(n, a, b, length_m):
     return sender, receiver, apart_m
 
 
-@njit(cache=True)
-def rows_of(wanted, key):
-    """Row of each wanted number among the keys, -1 where there is none; both ascending."""
-    out = np.empty(len(wanted), np.int64)
-    row = 0
-    for i in range(len(wanted)):
-        while row < len(key) and key[row] < wanted[i]:
-            row += 1
-        out[i] = row if row < len(key) and key[row] == wanted[i] else -1
-    return out
-
-
 def by_two(first: Int[ndarray, "m"], second: Int[ndarray, "m"], n: int) -> Int[ndarray, "m"]:
     """Order of rows by the one, then by the other column; both hold numbers from 0 to n - 1."""
-    order = _counted(np.asarray(second, np.int64), n)
-    return order[_counted(np.asarray(first, np.int64)[order], n)]
+    order = counted(np.asarray(second, np.int64), n)
+    return order[counted(np.asarray(first, np.int64)[order], n)]
 
 
 @njit(cache=True)
-def _counted(value, n):
+def counted(value, n):
     """Stable order of rows by counting."""
     at = np.zeros(n + 1, np.int64)
     for v in value:

@@ -28,7 +28,7 @@ from cosim.v2x.propagation import (
     vehicle_in_way,
 )
 
-_RING = 2
+_RING = 6
 """Cells that make up the reach: more of them fit the circle better."""
 _SHADOW_LOS, _SHADOW_NLOS, _IN_WAY, _BLOCKAGE = (np.uint64(k) for k in range(4))
 
@@ -48,9 +48,20 @@ class Pairs:
     """Path loss, blockage and shadowing together."""
 
 
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """M pairs of places, each once; of those far apart behind a building not all."""
+
+    a: Int[ndarray, "m"]
+    b: Int[ndarray, "m"]
+    distance_m: Float[ndarray, "m"]
+    nlos: Bool[ndarray, "m"]
+    """Whether a building stands between them."""
+
+
 @kernel
-def _near(xyz, reach_m, order, start, cell, shape, places, hidden_m, grid, a, b, d):
-    """Pairs within reach, at most `_RING` cells apart, but for those beyond `hidden_m` behind a house.
+def _near(xyz, reach_m, order, start, cell, shape, looks, seen_m, on_grid, filled, a, b, d, hidden):
+    """Pairs within reach, at most `_RING` cells apart, but for those beyond `seen_m` that run into a house.
 
     Points come sorted by cell, and so lie close together in memory; `order` is their rows.
     """
@@ -66,10 +77,11 @@ def _near(xyz, reach_m, order, start, cell, shape, places, hidden_m, grid, a, b,
                 square = dx * dx + dy * dy + dz * dz
                 if square > reach_m * reach_m:
                     continue
-                if square > hidden_m * hidden_m and runs_into_house(places, p, q, grid):
+                into = looks and runs_into_house(on_grid, p, q, filled)
+                if into and square > seen_m * seen_m:
                     continue
                 if m < len(a):
-                    a[m], b[m], d[m] = order[p], order[q], np.sqrt(square)
+                    a[m], b[m], d[m], hidden[m] = order[p], order[q], np.sqrt(square), into
                 m += 1
     return m
 
@@ -79,24 +91,23 @@ def _no_walls() -> Walls:
     return Walls.of([])
 
 
-def within(
-    xyz_m: Float[ndarray, "n 3"],
-    reach_m: float,
-    sight: Sight | None = None,
-    reach_nlos_m: float = np.inf,
-) -> tuple[ndarray, ndarray, ndarray]:
-    """All pairs of points within reach, each once: rows, rows, distance [m].
+def within(xyz_m: Float[ndarray, "n 3"], reach_m: float) -> tuple[ndarray, ndarray, ndarray]:
+    """All pairs of points within reach, each once: rows, rows, distance [m]."""
+    return _within(xyz_m, reach_m, None, np.inf)[:3]
 
-    Given the city's walls, some pairs beyond `reach_nlos_m` that a building parts are left out: those that are
-    cheap to tell.
+
+def _within(
+    xyz_m: Float[ndarray, "n 3"], reach_m: float, sight: Sight | None, reach_nlos_m: float
+) -> tuple[ndarray, ndarray, ndarray, ndarray]:
+    """The same, and whether a pair runs into a house; those beyond `reach_nlos_m` that do are left out.
+
+    Only what is cheap to tell is told: other pairs may be parted by a building too.
     """
     n = len(xyz_m)
     if n == 0:
-        return np.zeros(0, np.int32), np.zeros(0, np.int32), np.zeros(0)
-    if sight is None:
-        places, grid, reach_nlos_m = xyz_m, _no_walls().grid, np.inf
-    else:
-        places, grid = sight.snap(xyz_m), sight.walls.grid
+        return np.zeros(0, np.int32), np.zeros(0, np.int32), np.zeros(0), np.zeros(0, bool)
+    places = xyz_m if sight is None else sight.snap(xyz_m)
+    walls = _no_walls() if sight is None else sight.walls
     low = xyz_m[:, :2].min(0)
     side = max(reach_m / _RING, float(np.ptp(xyz_m[:, :2], axis=0).max()) / 1000)
     cell = ((xyz_m[:, :2] - low) / side).astype(np.int64)
@@ -105,13 +116,18 @@ def within(
     order = np.argsort(flat, kind="stable")
     start = np.searchsorted(flat[order], np.arange(shape[0] * shape[1] + 1))
     share = np.pi * min(reach_m, reach_nlos_m) ** 2 / (np.prod(shape) * side**2)  # of all points, if evenly strewn
-    cell, places, xyz_m = cell[order], places[order], xyz_m[order]
+    cell, on_grid, xyz_m = cell[order], walls.cells(places[order]), xyz_m[order]
+    filled = walls.filled(places[:, 2])
     room = int(n * min(n, 256 + 2 * n * share) / 2 + 1024)
     while True:
         a, b, d = np.empty(room, np.int32), np.empty(room, np.int32), np.empty(room)
-        m = _near(xyz_m, float(reach_m), order, start, cell, shape, places, float(reach_nlos_m), grid, a, b, d)
+        hidden = np.empty(room, np.bool_)
+        m = _near(
+            xyz_m, float(reach_m), order, start, cell, shape, sight is not None, float(reach_nlos_m), on_grid, filled,
+            a, b, d, hidden,
+        )  # fmt: skip
         if m <= room:
-            return a[:m], b[:m], d[:m]
+            return a[:m], b[:m], d[:m], hidden[:m]
         room = m
 
 
@@ -141,8 +157,25 @@ def _linear(db: ndarray | float) -> ndarray:
     return np.exp(np.asarray(db) * (np.log(10) / 10))
 
 
+def look(
+    xyz_m: Float[ndarray, "n 3"], params: PropagationParams, sight: Sight | None = None, near_m: float = 0.0
+) -> Seen:
+    """Who sees whom: all pairs up to `near_m`, and all that `params` reach."""
+    xyz_m = np.ascontiguousarray(xyz_m, np.float64)
+    if xyz_m.ndim != 2 or xyz_m.shape[1] != 3 or not np.all(np.isfinite(xyz_m)):
+        raise ValueError("xyz_m: antenna positions must be (n, 3) finite numbers [m].")
+    if not params.knows_walls:
+        sight = None
+    a, b, d, nlos = _within(xyz_m, max(params.reach_m, near_m), sight, max(params.reach_nlos_m, near_m))
+    return Seen(a, b, d, nlos if sight is None else ~sight.clear(xyz_m, a, b, nlos))
+
+
 def pairs(
-    xyz_m: Float[ndarray, "n 3"], params: PropagationParams, chance: np.uint64, sight: Sight | None = None
+    xyz_m: Float[ndarray, "n 3"],
+    params: PropagationParams,
+    chance: np.uint64,
+    sight: Sight | None = None,
+    seen: Seen | None = None,
 ) -> Pairs:
     """What lies between radios at these antenna positions.
 
@@ -152,19 +185,17 @@ def pairs(
         Key of shadowing and blockage, one for the whole run.
     sight
         The city's walls; without them nothing is behind one. See `PropagationParams.walls` for who minds.
+    seen
+        What `look` has found, if it has been asked already.
     """
+    if seen is None:
+        seen = look(xyz_m, params, sight)
     xyz_m = np.ascontiguousarray(xyz_m, np.float64)
-    if xyz_m.ndim != 2 or xyz_m.shape[1] != 3 or not np.all(np.isfinite(xyz_m)):
-        raise ValueError("xyz_m: antenna positions must be (n, 3) finite numbers [m].")
     if not params.knows_walls:
         sight = None
-    a, b, d = within(xyz_m, params.reach_m, sight, params.reach_nlos_m)
-    nlos = np.zeros(len(a), bool)
-    if sight is not None:
-        nlos = ~sight.clear(xyz_m, a, b)
-        if params.reach_nlos_m < params.reach_m:
-            keep = np.flatnonzero(~nlos | (d <= params.reach_nlos_m))
-            a, b, d, nlos = a[keep], b[keep], d[keep], nlos[keep]
+    a, b, d, nlos = seen.a, seen.b, seen.distance_m, seen.nlos
+    keep = np.flatnonzero((~nlos | (d <= params.reach_nlos_m)) & (d <= params.reach_m))
+    a, b, d, nlos = a[keep], b[keep], d[keep], nlos[keep]
     h_a, h_b = xyz_m[a, 2], xyz_m[b, 2]
     by_wall = params.walls == "sommer"
     loss = mean_loss_db(d, nlos & (not by_wall), h_a, h_b, params)
@@ -201,6 +232,7 @@ def between(
     chance: np.uint64,
     sight: Sight | None = None,
     tx_power_dbm: Float[ndarray, "n"] | None = None,
+    seen: Seen | None = None,
 ) -> tuple[Links, Pairs, Int[ndarray, "links"]]:
     """The links between radios at these antenna positions, and the pair behind each link.
 
@@ -209,7 +241,7 @@ def between(
     tx_power_dbm
         Power of each radio where it differs from the params', as for roadside units or power control.
     """
-    found = pairs(xyz_m, params, chance, sight)
+    found = pairs(xyz_m, params, chance, sight, seen)
     n = len(xyz_m)
     power_dbm = np.full(n, params.tx_power_dbm) if tx_power_dbm is None else np.asarray(tx_power_dbm, float)
     ptr, receiver, power_mw, fading, pair = _both_ways(

@@ -26,6 +26,7 @@ from cosim.v2x.records import (
     RANGE,
     RECEIVED,
 )  # fmt: skip
+from cosim.v2x.relays import RELAY, hear, is_full, speak, wait
 
 _END, _GENERATE, _GATE, _ACCESS = range(4)
 _TO_QUANTILE = np.uint64(52)
@@ -209,10 +210,11 @@ def _start(radios, macs, s, packet, packets, edges, cause, receiver, aifs_ns, qu
 
 
 @kernel
-def _end(radios, macs, s, packets, edges, cause, aifs_ns, cw, c, chance, times, codes, n, t):
+def _end(radios, macs, s, packets, edges, cause, aifs_ns, cw, c, chance, times, codes, n, t, passing):
     """A frame leaves the air: payloads are decided, media fall idle."""
     ear, mouth = radios[s], macs[s]
     frame = packets[ear.packet]
+    number = frame.tag - passing.rules.first_tag if passing.rules.max_hops > 1 else NOBODY
     prefix = mix(mix(chance, ear.key), frame.seq)
     edge_receiver, _, _, arrival_mw = edges
     first, slot = frame.edge, frame.slot
@@ -232,6 +234,8 @@ def _end(radios, macs, s, packets, edges, cause, aifs_ns, cw, c, chance, times, 
                 if phy.log_psr == 0.0 or unit(h) < np.exp(phy.log_psr):
                     cause[slot + k] = RECEIVED
                     phy.eifs_ns = 0
+                    if number >= 0:
+                        n = hear(passing, passing.frames[number], j, t, times, codes, n)
                 else:
                     cause[slot + k] = COLLISION if phy.hurt else FADING
                     phy.eifs_ns = t + c.eifs_ns
@@ -273,12 +277,33 @@ def _take(mac, packets, a, t):
 
 
 @kernel
-def run_until(
-    until_ns, radios, macs, row_of_rank, packets, n_carried, edges, cause, receiver,
-    aifs_ns, cw, quantiles, c, chance, times, codes,
-):  # fmt: skip
-    """Play all events before `until_ns`. Packets beyond the first `n_carried` are new, sorted by generation."""
-    n = 0
+def _join(phy, mac, packets, p, aifs_ns, cw, c, chance, times, codes, n, t):
+    """A frame comes into its radio's queue, and asks for the medium where nothing is before it."""
+    a = packets[p].access
+    if mac.count[a] >= c.queue_max:
+        packets[p].fate = QUEUE
+        return n
+    if mac.count[a] == 0:
+        mac.head[a] = p
+    else:
+        packets[mac.tail[a]].next = p
+    mac.tail[a] = p
+    mac.count[a] += 1
+    mac.n_queued += 1
+    if mac.gap_ns > 0 and t < mac.gate_ns:
+        if mac.gated == 0:
+            mac.gated = 1
+            n = push(times, codes, n, mac.gate_ns, (_GATE << 32) | mac.rank)
+    elif mac.count[a] == 1:
+        _request(phy, mac, aifs_ns, cw, c, chance, t, a)
+        n = _arm(phy, mac, aifs_ns, c, times, codes, n)
+    return n
+
+
+@kernel
+def _pending(radios, macs, packets, passing, times, codes):
+    """The heap of what an earlier window has set in motion."""
+    n = wait(passing, times, codes, 0)
     for j in range(len(radios)):
         mac = macs[j]
         if radios[j].packet != NOBODY:
@@ -288,44 +313,59 @@ def run_until(
             n = push(times, codes, n, mac.armed_ns, (_ACCESS << 32) | mac.rank)
         if mac.gated:
             n = push(times, codes, n, mac.gate_ns, (_GATE << 32) | mac.rank)
-    new = n_carried
+    return n
+
+
+HEAP, NEW, PACKETS, SLOTS = range(4)
+"""Where the loop stands: events (-1: not begun), next packet to come, packets and outcomes so far."""
+
+
+@kernel
+def run_until(
+    until_ns, radios, macs, row_of_rank, packets, at, n_given, ptr, max_degree, edges, cause, receiver,
+    aifs_ns, cw, quantiles, c, chance, times, codes, passing,
+):  # fmt: skip
+    """Play all events before `until_ns`. Packets from `at[NEW]` to `n_given` come in by generation; relays go behind.
+
+    Returns False, to be called again with more room, when the next event might not find enough for relays.
+    """
+    n = at[HEAP]
+    if n < 0:
+        n = _pending(radios, macs, packets, passing, times, codes)
+    new = at[NEW]
     while True:
+        if passing.rules.max_hops > 1 and (
+            is_full(passing, max_degree) or at[PACKETS] == len(packets) or at[SLOTS] + max_degree > len(cause)
+        ):
+            at[HEAP], at[NEW] = n, new
+            return False
         t, code = (times[0], codes[0]) if n > 0 else (NEVER, 0)
-        if new < len(packets):
+        if new < n_given:
             frame = packets[new]
             generate = (_GENERATE << 32) | macs[frame.sender].rank
             if frame.generated_ns < t or (frame.generated_ns == t and generate < code):
                 t, code = frame.generated_ns, generate
         if t >= until_ns:
             break
-        kind, j = code >> 32, row_of_rank[code & 0xFFFFFFFF]
+        kind, who = code >> 32, code & 0xFFFFFFFF
+        j = passing.copies[who].radio if kind == RELAY else row_of_rank[who]
         phy, mac = radios[j], macs[j]
         if phy.phase == DETECTING:
             _settle(phy, mac, radios, packets, cause, aifs_ns, c, t)
         if kind == _GENERATE:
-            a = packets[new].access
-            if mac.count[a] >= c.queue_max:
-                packets[new].fate = QUEUE
-            else:
-                if mac.count[a] == 0:
-                    mac.head[a] = new
-                else:
-                    packets[mac.tail[a]].next = new
-                mac.tail[a] = new
-                mac.count[a] += 1
-                mac.n_queued += 1
-                if mac.gap_ns > 0 and t < mac.gate_ns:
-                    if mac.gated == 0:
-                        mac.gated = 1
-                        n = push(times, codes, n, mac.gate_ns, (_GATE << 32) | mac.rank)
-                elif mac.count[a] == 1:
-                    _request(phy, mac, aifs_ns, cw, c, chance, t, a)
-                    n = _arm(phy, mac, aifs_ns, c, times, codes, n)
+            n = _join(phy, mac, packets, new, aifs_ns, cw, c, chance, times, codes, n, t)
             new += 1
             continue
         n = pop(times, codes, n)
         if kind == _END:
-            n = _end(radios, macs, j, packets, edges, cause, aifs_ns, cw, c, chance, times, codes, n, t)
+            n = _end(radios, macs, j, packets, edges, cause, aifs_ns, cw, c, chance, times, codes, n, t, passing)
+        elif kind == RELAY:
+            if passing.copies[who].waits:
+                p = at[PACKETS]
+                speak(passing, who, packets[p], phy.key, ptr, at[SLOTS], t)
+                at[PACKETS] += 1
+                at[SLOTS] += packets[p].degree
+                n = _join(phy, mac, packets, p, aifs_ns, cw, c, chance, times, codes, n, t)
         elif kind == _GATE:
             mac.gated = 0
             for a in range(N_ACCESS):
@@ -360,3 +400,4 @@ def run_until(
         if phy.n_strong > 0:
             phy.strong_ns += until_ns - phy.strong_since_ns
             phy.strong_since_ns = until_ns
+    return True

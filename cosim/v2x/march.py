@@ -28,9 +28,14 @@ class Grid(NamedTuple):
     wall: Int[ndarray, "m"]
     house_ptr: Int[ndarray, "cells+1"]
     house: Int[ndarray, "k"]
-    solid: UInt8[ndarray, "nx ny 2"]  # base and top of the building that fills the cell; base above top if none
-    zero_m: float  # height of level 0 of these
-    levels_per_m: float
+
+
+class Filled(NamedTuple):
+    """Cells that a building fills at every height where an antenna is."""
+
+    bits: UInt8[ndarray, "k"]  # eight cells each; that of the first corner is empty
+    nx: int
+    ny: int
 
 
 @kernel
@@ -182,51 +187,52 @@ def through(xyz, a, b, grid, walls, n_walls, inside):
 
 
 N_PROBES = 12
+_PROBES = (0.5 + 0.6180339887498949 * np.arange(N_PROBES)) % 1.0  # golden section: any first few are evenly spread
+_AT_ONCE = 3
 N_WAYS = 8
 _WAYS = np.uint64(N_WAYS - 1)
 _REGION = np.uint64(127)
 
 
 @inlined
-def runs_into_house(xyz, p, q, grid):
+def runs_into_house(cells, p, q, filled):
     """Whether one of a few points of the segment lies in a cell that a building fills: cheap, and never wrong."""
-    inv = 1.0 / grid.cell_m
-    u, v = (xyz[p, 0] - grid.low[0]) * inv, (xyz[p, 1] - grid.low[1]) * inv
-    du, dv = (xyz[q, 0] - xyz[p, 0]) * inv, (xyz[q, 1] - xyz[p, 1]) * inv
-    z = (xyz[p, 2] - grid.zero_m) * grid.levels_per_m
-    dz = (xyz[q, 2] - xyz[p, 2]) * grid.levels_per_m
-    nx, ny = grid.step.shape
+    u, v = cells[p, 0], cells[p, 1]
+    du, dv = cells[q, 0] - u, cells[q, 1] - v
     n = min(int((abs(du) + abs(dv)) * 0.5) + 1, N_PROBES)
-    t, into = 0.5, False
-    for _ in range(n):
-        i, j = int(u + t * du), int(v + t * dv)
-        if 0 <= i < nx and 0 <= j < ny:
-            top = grid.solid[i, j, 1]
-            if top > 0 and grid.solid[i, j, 0] <= z + t * dz <= top:
-                into = True
-                break
-        t += 0.6180339887498949  # golden section: any first few are evenly spread
-        if t >= 1.0:
-            t -= 1.0
+    first, into = 0, False
+    while first < n and not into:
+        for k in range(first, first + _AT_ONCE):  # without asking in between: guessing wrong costs more than looking
+            i, j = int(u + _PROBES[k] * du), int(v + _PROBES[k] * dv)
+            cell = i * filled.ny + j if (i >= 0) & (i < filled.nx) & (j >= 0) & (j < filled.ny) else 0
+            into |= (filled.bits[cell >> 3] >> (cell & 7)) & 1 != 0
+        first += _AT_ONCE
     return into
 
 
 @kernel
-def clear(xyz, indoors, a, b, grid, walls, out):
+def probe(cells, a, b, filled, hidden):
+    """Lines that are seen at once to run into a house."""
+    for m in range(len(a)):
+        hidden[m] = runs_into_house(cells, a[m], b[m], filled)
+
+
+@kernel
+def clear(xyz, indoors, a, b, hidden, grid, walls, out):
     for m in range(len(a)):
         p, q = a[m], b[m]
-        if indoors[p] or indoors[q] or runs_into_house(xyz, p, q, grid):
+        if hidden[m] or indoors[p] or indoors[q]:
             out[m] = False
             continue
         out[m] = not _cut(xyz, p, q, grid, walls)
 
 
 @kernel
-def clear_remembered(xyz, indoors, place, a, b, grid, walls, memo, out):
+def clear_remembered(xyz, indoors, place, a, b, hidden, grid, walls, memo, out):
     mask, one = np.uint64(memo.shape[0] - 1), np.uint64(1)
     for m in range(len(a)):
         p, q = a[m], b[m]
-        if indoors[p] or indoors[q] or runs_into_house(xyz, p, q, grid):
+        if hidden[m] or indoors[p] or indoors[q]:
             out[m] = False
             continue
         region = mix(place[p], one) & mask & ~_REGION  # pairs of one radio lie close together in memory

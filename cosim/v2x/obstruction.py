@@ -4,14 +4,14 @@ The answer for two places never changes, so it can be remembered: `Sight` keeps 
 fixed size, and a forgotten answer is found again.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, UInt8
 from numpy import ndarray
 from scipy.ndimage import distance_transform_cdt
 
-from cosim.v2x.march import Grid, by_cell, clear, clear_remembered, inside, through
+from cosim.v2x.march import Filled, Grid, by_cell, clear, clear_remembered, inside, probe, through
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,6 +25,9 @@ class Walls:
     """Where each building's walls begin."""
     base_m: Float[ndarray, "h"]
     top_m: Float[ndarray, "h"]
+    solid: UInt8[ndarray, "nx ny 2"]
+    """Base and top of the building that fills each cell, as `_level`; base above top if none."""
+    _filled: dict[tuple[int, int], Filled] = field(default_factory=dict, repr=False, compare=False)
 
     @staticmethod
     def of(buildings: list[tuple[ndarray, list[ndarray], float, float]], cell_m: float = 4.0) -> "Walls":
@@ -59,18 +62,43 @@ class Walls:
         if not empty.all():
             step = np.minimum(distance_transform_cdt(empty, "chessboard"), 255)
         base_m, top_m = (np.array([b[k] for b in buildings], float) for k in (2, 3))
-        zero_m = float(base_m.min(initial=0.0))
-        levels_per_m = 254 / float(max(top_m.max(initial=1.0) - zero_m, 1.0))
         solid = np.tile(np.array([1, 0], np.uint8), (nx, ny, 1))
-        grid = Grid(low, float(cell_m), step.astype(np.uint8), ptr, wall, house_ptr, house, solid, zero_m, levels_per_m)
+        grid = Grid(low, float(cell_m), step.astype(np.uint8), ptr, wall, house_ptr, house)
+        made = Walls(grid, walls, spans, base_m, top_m, solid)
         i, j = np.nonzero(empty)
         middle = np.column_stack([low[0] + (i + 0.5) * cell_m, low[1] + (j + 0.5) * cell_m, np.full(len(i), np.nan)])
         owner = inside(middle, grid, walls, spans, base_m, top_m)
         i, j, owner = i[owner >= 0], j[owner >= 0], owner[owner >= 0]
         # Rounded inwards: a bit less is filled.
-        solid[i, j, 0] = np.ceil((base_m[owner] - zero_m) * levels_per_m - 1e-9)
-        solid[i, j, 1] = np.floor((top_m[owner] - zero_m) * levels_per_m + 1e-9)
-        return Walls(grid, walls, spans, base_m, top_m)
+        solid[i, j, 0] = np.ceil(made._level(base_m[owner]) - 1e-9)
+        solid[i, j, 1] = np.floor(made._level(top_m[owner]) + 1e-9)
+        return made
+
+    def _level(self, z_m: ndarray) -> ndarray:
+        """Heights in steps of which 254 make up the tallest city."""
+        zero_m = float(self.base_m.min(initial=0.0))
+        return (z_m - zero_m) * 254 / max(float(self.top_m.max(initial=1.0)) - zero_m, 1.0)
+
+    def filled(self, z_m: Float[ndarray, "n"]) -> Filled:
+        """Cells that no line between antennas of these heights gets through."""
+        level = self._level(np.asarray(z_m, float))
+        low, high = int(np.floor(level.min(initial=254.0))), int(np.ceil(level.max(initial=0.0)))
+        if (low, high) not in self._filled:
+            if len(self._filled) >= 16:
+                self._filled.clear()
+            base, top = self.solid[:, :, 0], self.solid[:, :, 1]
+            bits = np.packbits((base <= low) & (top >= high) & (top > 0), bitorder="little")
+            self._filled[low, high] = Filled(bits, *self.solid.shape[:2])
+        return self._filled[low, high]
+
+    def cells(self, xyz_m: Float[ndarray, "n 3"]) -> Float[ndarray, "n 2"]:
+        """Where points are on the grid, in cells."""
+        return (xyz_m[:, :2] - self.grid.low) * (1.0 / self.grid.cell_m)
+
+    def _hidden(self, xyz_m: ndarray, a: ndarray, b: ndarray) -> Bool[ndarray, "m"]:
+        out = np.empty(len(a), np.bool_)
+        probe(self.cells(xyz_m), a, b, self.filled(xyz_m[:, 2]), out)
+        return out
 
     def indoors(self, xyz_m: Float[ndarray, "n 3"]) -> Bool[ndarray, "n"]:
         """Which points are inside a building: no line of sight leaves it."""
@@ -81,7 +109,7 @@ class Walls:
         """Which of the lines between antennas `a` and `b` (rows) no building cuts; exact."""
         xyz_m = np.ascontiguousarray(xyz_m, float)
         out = np.empty(len(a), np.bool_)
-        clear(xyz_m, self.indoors(xyz_m), a, b, self.grid, self.walls, out)
+        clear(xyz_m, self.indoors(xyz_m), a, b, self._hidden(xyz_m, a, b), self.grid, self.walls, out)
         return out
 
     def through(
@@ -89,11 +117,16 @@ class Walls:
     ) -> tuple[Int[ndarray, "m"], Float[ndarray, "m"]]:
         """How many walls the lines between antennas `a` and `b` cross, and how far they run inside houses [m].
 
+        The same from either end, for an antenna on a wall too: lines are walked from their western end.
+
         Notes
         -----
         Deviations: a line that enters or leaves through a roof is inside for the part told by walls alone.
         """
         xyz_m = np.ascontiguousarray(xyz_m, float)
+        x, y = xyz_m[:, 0], xyz_m[:, 1]
+        back = (x[a] > x[b]) | ((x[a] == x[b]) & (y[a] > y[b]))
+        a, b = np.where(back, b, a), np.where(back, a, b)
         n_walls, inside = np.zeros(len(a), np.int64), np.zeros(len(a))
         through(xyz_m, a, b, self.grid, self.walls, n_walls, inside)
         inside += self.indoors(xyz_m)[b]
@@ -150,13 +183,24 @@ class Sight:
         """The places of these antennas."""
         return self._cell(xyz_m) * self.snap_m + self._low
 
-    def clear(self, xyz_m: Float[ndarray, "n 3"], a: Int[ndarray, "m"], b: Int[ndarray, "m"]) -> Bool[ndarray, "m"]:
-        """Which of the lines between the places of antennas `a` and `b` (rows) no building cuts."""
+    def clear(
+        self, xyz_m: Float[ndarray, "n 3"], a: Int[ndarray, "m"], b: Int[ndarray, "m"],
+        hidden: Bool[ndarray, "m"] | None = None,
+    ) -> Bool[ndarray, "m"]:  # fmt: skip
+        """Which of the lines between the places of antennas `a` and `b` (rows) no building cuts.
+
+        Parameters
+        ----------
+        hidden
+            Lines that are known to run into a building; looked for when not given.
+        """
         cell = self._cell(xyz_m)
         xyz = cell * self.snap_m + self._low
+        if hidden is None:
+            hidden = self.walls._hidden(xyz, a, b)
         out = np.empty(len(a), np.bool_)
         clear_remembered(
-            xyz, self.walls.indoors(xyz), _place(cell), a, b, self.walls.grid, self.walls.walls, self.memo, out
+            xyz, self.walls.indoors(xyz), _place(cell), a, b, hidden, self.walls.grid, self.walls.walls, self.memo, out
         )
         return out
 

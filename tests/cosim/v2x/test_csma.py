@@ -148,9 +148,31 @@ def test_a_wall_only_takes():
     assert counts[1] < 0.9 * counts[0]
 
 
-def test_nobody_and_silence():
-    ((heard, frames),) = rounds(line(3, 10.0), 300, talks=np.zeros(3, bool))
+def test_what_was_found_for_one_round_serves_the_next_only_where_nobody_moved():
+    rng = np.random.default_rng(7)
+    xyz = np.column_stack([rng.uniform(0, 500, (50, 2)), np.full(50, 1.6)])
+    kept, fresh = csma.Air.start(None, 5), csma.Air.start(None, 5)
+    for i in range(4):
+        if i == 2:
+            xyz[:, 0] += 40.0 * rng.random(50)  # in place
+        fresh.ground = None
+        before = kept.ground
+        (one, _), (other, _) = (
+            csma.broadcast(
+                air, xyz, names_of(50), np.ones(50, bool), np.full(50, 400), i, 0.5 * i, 0.2, 300.0,
+                PropagationParams(model="log_distance"), ReceiverParams(), AccessParams(), DccParams(), RelayParams(),
+            ) for air in (kept, fresh)
+        )  # fmt: skip
+        assert (kept.ground is before) == (i in (1, 3))
+        assert np.array_equal(one.receiver, other.receiver) and np.array_equal(one.latency_s, other.latency_s)
+
+
+@pytest.mark.parametrize("max_hops", [1, 3])
+def test_nobody_and_silence(max_hops):
+    ((heard, frames),) = rounds(line(3, 10.0), 300, talks=np.zeros(3, bool), max_hops=max_hops)
     assert len(heard.receiver) == len(frames.fate) == 0 and frames.sent_bytes == 0
+    ((heard, frames),) = rounds(line(1, 10.0), 300, max_hops=max_hops)
+    assert len(heard.receiver) == len(frames.fate) == 0 and frames.n_transmissions.tolist() == [1]
 
 
 def test_every_message_has_its_three_times():

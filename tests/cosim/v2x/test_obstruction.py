@@ -61,6 +61,17 @@ def test_walls_and_metres_agree_with_shapely():
     assert n_walls.tolist() == np.where(shapely.is_empty(cuts), 0, shapely.get_num_geometries(cuts)).tolist()
 
 
+def test_walls_and_metres_are_the_same_from_either_end():
+    """Antennas on walls and corners too, where rounding would else decide."""
+    rng = np.random.default_rng(4)
+    square = np.array([[0.0, 0.0], [100.0, 0.0], [100.0, 100.0], [0.0, 100.0]])
+    city = Walls.of([(square + 125.0 * np.array([i, j]), [], 0.0, 20.0) for i in range(3) for j in range(3)])
+    xyz = np.column_stack([rng.choice([0.0, 50.0, 100.0, 112.5, 125.0, 225.0, 240.0], (60, 2)), np.full(60, 1.5)])
+    a, b = (k.ravel() for k in np.meshgrid(np.arange(60), np.arange(60)))
+    there, back = city.through(xyz, a, b), city.through(xyz, b, a)
+    assert np.array_equal(there[0], back[0]) and np.array_equal(there[1], back[1])
+
+
 def test_without_houses_all_is_clear():
     nothing = Walls.of([])
     assert sees(nothing, (0, 0, 1.5), (500, 20, 1.5))
