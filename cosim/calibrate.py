@@ -23,8 +23,8 @@ from numpy import ndarray
 from scipy.optimize import differential_evolution
 from scipy.special import expit, logit
 
-from cosim import resweep, rng
-from cosim.cycle import CLUTTER_SLOTS, luck
+from cosim import resweep
+from cosim.cycle import clutter_luck, luck
 from cosim.world import LABELS
 from results.archive import open_run
 from results.figures import calibration as pictures
@@ -34,7 +34,7 @@ from results.metrics.kitti import LEVELS, STRICT, Objects, Precision, average_pr
 from results.run import Run
 from sensors import detector
 from sensors.boxes import Boxes, iou_3d
-from sensors.clutter import N_CLUTTER_DRAWS, false_alarms
+from sensors.clutter import false_alarms
 from sensors.evidence import Sightings, sightings
 from sensors.lidar import Sweeps
 
@@ -104,9 +104,7 @@ def sample(run: Run, profile: str, model: SimpleNamespace, max_frames: int) -> S
         sweeps = resweep.sweep(world, observers, city, config, sweeps)
         here, names = sightings(sweeps, world.boxes, world.shape), world.name_key
         z.append(luck(names[observers[here.o]], names[here.actor], world.step, config))
-        slots = np.repeat(names[observers], CLUTTER_SLOTS), np.tile(np.arange(CLUTTER_SLOTS), len(observers))
-        u = rng.uniforms(rng.key(config.seed, rng.Stream.CLUTTER, world.step), *slots, n=N_CLUTTER_DRAWS)
-        o, *made_up = false_alarms(sweeps, here, u.reshape(len(observers), CLUTTER_SLOTS, N_CLUTTER_DRAWS), model)
+        o, *made_up = false_alarms(sweeps, here, clutter_luck(world, observers, config), model)
         false.append((o + n_frames, *made_up))
         seen.append((here.o + n_frames, here.actor + n_actors, here.n_returns, here.n_unoccluded, here.range_m))
         boxes.append(world.boxes)

@@ -42,7 +42,7 @@ from cosim.v2x.server import Downlink, Edition, Traffic, Uplink
 from cosim.world import World
 from sensors import detector, evidence, lidar
 from sensors.boxes import Boxes, overlapping_pairs
-from sensors.clutter import N_CLUTTER_DRAWS
+from sensors.clutter import ClutterLuck
 from sensors.scene import Scene
 from trust import evaluation, fusion, matching, tables
 from trust.ledger import SERVER, Ledger, Standing
@@ -52,9 +52,6 @@ from trust.tables import Told, Verdicts, Views
 
 SOURCES = ("server", "own", "default")
 """Where a trust value that is used comes from, by code."""
-
-CLUTTER_SLOTS = 8
-"""Most false boxes that a detector can report of one sweep."""
 
 FROM_SERVER, FROM_OWN, FROM_NOWHERE = range(3)
 
@@ -281,12 +278,10 @@ def _perceive(world: World, observers: Int[ndarray, "e"], sweeps: lidar.Sweeps, 
     """Self reports and what the detectors make of the sweeps; the truth's name is dropped here."""
     step, names = world.step, world.name_key
     sights = evidence.sightings(sweeps, world.boxes, world.shape)
-    what = np.repeat(names[observers], CLUTTER_SLOTS), np.tile(np.arange(CLUTTER_SLOTS), len(observers))
     draws = detector.DetectorDraws(
         luck(names[observers[sights.o]], names[sights.actor], step, config),
-        rng.uniforms(rng.key(config.seed, rng.Stream.CLUTTER, step), *what, n=N_CLUTTER_DRAWS)
-        .reshape(len(observers), CLUTTER_SLOTS, N_CLUTTER_DRAWS),
-    )  # fmt: skip
+        clutter_luck(world, observers, config),
+    )
     found = detector.detect(sweeps, sights, world.boxes, world.label, draws, config.detector)
     n = len(found.o)
     sensed = Detections(
@@ -314,6 +309,14 @@ def luck(
         time_s=step * config.traffic.step_s, memory_s=model.memory_s, n=n,
     )  # fmt: skip
     return np.sqrt(1.0 - model.memory_share) * fresh + np.sqrt(model.memory_share) * lasting
+
+
+def clutter_luck(world: World, observers: Int[ndarray, "e"], config: Config) -> ClutterLuck:
+    """The detectors' luck with places that look like something, by observer and by step."""
+    names, place = world.name_key, rng.key(config.seed, rng.Stream.CLUTTER_MEMORY)
+    fresh = rng.keys(rng.key(config.seed, rng.Stream.CLUTTER, world.step), names[observers])
+    own = rng.keys(place, names[observers])
+    return ClutterLuck(place, own, fresh, names, world.step * config.traffic.step_s)
 
 
 def _claims(said: Detections, observers: Int[ndarray, "e"]) -> tuple[Claims, Int[ndarray, "e+1"]]:

@@ -44,6 +44,7 @@ class Stream(IntEnum):
     GENERATION = 14
     DETECTION_MEMORY = 15
     RELAY = 16
+    CLUTTER_MEMORY = 17
 
 
 @njit(cache=True, inline="always")

@@ -13,6 +13,8 @@ from jaxtyping import UInt8
 from numpy import ndarray
 
 from sensors.boxes import Boxes, overlapping_pairs
+from sensors.clutter import ClutterLuck, false_alarms
+from sensors.detector import DetectorParams, resolved
 from sensors.evidence import line_of_sight, plausible, points_in_boxes, sightings
 from sensors.lidar import LidarParams, beams, mount, scan
 from sensors.near import near
@@ -128,6 +130,8 @@ def _measure(scene, boxes, shape, observers, runs) -> list[tuple[str, float, str
     crowd = Boxes(asked.xyz_m + np.random.default_rng(1).normal(0, 0.2, asked.xyz_m.shape), asked.lwh_m, asked.yaw_rad)
     label = LABEL_OF_SHAPE[shape][row]
     n_pairs = len(overlapping_pairs(crowd, label, o)[0])
+    seen, model = sightings(sweeps, boxes, shape), resolved(DetectorParams())
+    luck = ClutterLuck(np.uint64(1), keys, keys + np.uint64(10_000), np.arange(len(boxes), dtype=np.uint64), 0.0)
 
     return [
         ("columnar, one core", rays / columnar / 1e6, "M rays/s"),
@@ -138,6 +142,11 @@ def _measure(scene, boxes, shape, observers, runs) -> list[tuple[str, float, str
         (
             "sightings",
             _least_s(lambda: sightings(sweeps, boxes, shape), runs) / len(observers) * 1e6,
+            "us per observer",
+        ),
+        (
+            "false boxes",
+            _least_s(lambda: false_alarms(sweeps, seen, luck, model), runs) / len(observers) * 1e6,
             "us per observer",
         ),
         ("points in boxes", _least_s(lambda: points_in_boxes(sweeps, o, asked), runs) / len(o) * 1e6, "us per box"),

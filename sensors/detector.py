@@ -16,7 +16,7 @@ from numpy import ndarray
 from scipy.special import expit, ndtr
 
 from sensors.boxes import Boxes
-from sensors.clutter import false_alarms
+from sensors.clutter import ClutterLuck, false_alarms
 from sensors.evidence import Sightings, points_in_boxes
 from sensors.lidar import Sweeps
 
@@ -84,11 +84,17 @@ class DetectorParams:
     duplicate_sigma: Annotated[float, Ge(0)] | None = None
     """Position error of the second report, in lengths and widths of its box."""
     clutter_per_sweep: Annotated[float, Ge(0)] | None = None
-    """Mean number of false boxes per sweep, at most the number of clutter slots drawn."""
+    """Mean number of false boxes per sweep."""
     clutter_mix: PerClass | None = None
     """Class shares of false boxes."""
     clutter_road_p: Share | None = None
     """Share of the false boxes that may stand on open road; the others stand at walls and hidden actors."""
+    clutter_memory_s: Annotated[float, Gt(0)] | None = None
+    """Mean time until the lasting luck with a place is drawn anew [s]."""
+    clutter_memory_share: Share | None = None
+    """Share of the false boxes that last; the rest are new in every sweep."""
+    clutter_shared: Share | None = None
+    """Share of the lasting ones that are due to the place, and so befall all who see it from about the same side."""
     clutter_logit: Annotated[float, Ge(-20), Le(20)] | None = None
     """Mean log-odds of a false box's score."""
     clutter_sigma: Annotated[float, Ge(0)] | None = None
@@ -126,8 +132,8 @@ class DetectorDraws:
     sighting: Float[ndarray, "s 16"]
     """Standard normals. An event of chance p happens where |z| is among the p smallest, a mishap where it is among
     the p largest, so that luck that changes slowly changes events slowly."""
-    clutter: Float[ndarray, "m k 7"]
-    """Uniforms in [0, 1)."""
+    clutter: ClutterLuck | None = None
+    """Without it, no false boxes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -178,11 +184,12 @@ def detect(
     Chance, score and errors are functions of the returns n, the occlusion and the range; errors grow as returns
     thin out and with range. A false box stands at a wall, on the road or in the place of a mostly hidden actor.
     """
-    n_seen, n_observers = len(sightings.o), len(sweeps.observers)
-    if draws.sighting.shape != (n_seen, N_SIGHTING_DRAWS) or len(draws.clutter) != n_observers:
+    n_seen, n_observers, luck = len(sightings.o), len(sweeps.observers), draws.clutter
+    fit = luck is None or (len(luck.own), len(luck.fresh), len(luck.actor)) == (n_observers, n_observers, len(boxes))
+    if draws.sighting.shape != (n_seen, N_SIGHTING_DRAWS) or not fit:
         raise ValueError(
-            f"detector draws of shapes {draws.sighting.shape} and {draws.clutter.shape} do not fit {n_seen} sightings "
-            f"({n_seen}, {N_SIGHTING_DRAWS}) of {n_observers} observers ({n_observers}, slots, draws)."
+            f"detector draws of shape {draws.sighting.shape} or the keys beside them do not fit {n_seen} sightings "
+            f"({n_seen}, {N_SIGHTING_DRAWS}) of {len(boxes)} actors by {n_observers} observers."
         )
     if params.profile == "ideal":
         rows = np.flatnonzero(sightings.n_returns > 0)
@@ -190,17 +197,14 @@ def detect(
         return _sorted(sweeps, o, label[actor], boxes.take(actor), np.ones(len(o)), actor, np.zeros(len(o), bool))
     model = resolved(params)
     seen = reported(sightings, boxes, label, sweeps.poses.origin_m, draws.sighting, model)
-    c_o, c_label, clutter, c_score = false_alarms(sweeps, sightings, draws.clutter, model)
-    return _sorted(
-        sweeps,
-        np.concatenate([seen.o, c_o]).astype(np.int32),
-        np.concatenate([seen.label, c_label]),
-        Boxes.concat([seen.boxes, clutter]),
-        np.concatenate([seen.score, c_score]),
-        np.concatenate([seen.actor, np.zeros(len(c_o), np.int32)]).astype(np.int32),
-        np.arange(len(seen.o) + len(c_o)) >= len(seen.o),
-        model.min_score,
-    )
+    o, label, made, score, actor = seen.o, seen.label, seen.boxes, seen.score, seen.actor
+    if luck is not None:
+        c_o, c_label, clutter, c_score = false_alarms(sweeps, sightings, luck, model)
+        o, label = np.concatenate([o, c_o]), np.concatenate([label, c_label])
+        made, score = Boxes.concat([made, clutter]), np.concatenate([score, c_score])
+        actor = np.concatenate([actor, np.zeros(len(c_o), np.int32)])
+    is_clutter = np.arange(len(o)) >= len(seen.o)
+    return _sorted(sweeps, o.astype(np.int32), label, made, score, actor.astype(np.int32), is_clutter, model.min_score)
 
 
 def luck(z: Float[ndarray, "..."]) -> Float[ndarray, "..."]:

@@ -26,6 +26,7 @@ def test_complete_and_sourced(name):
     stated = {"source", *(f.name for f in fields(DetectorParams) if f.name != "profile")}
     assert set(file["first_guess"]) == stated and set(file["fitted"]) < stated
     assert len(file["source"]) > 20 and len(file["first_guess"]["source"]) > 20
+    assert {*file["published"], "elsewhere"} == set(file["published_source"])
 
 
 @pytest.mark.parametrize("name", FILES)

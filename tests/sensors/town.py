@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from sensors.boxes import Boxes
+from sensors.clutter import ClutterLuck
 from sensors.lidar import LidarParams, scan
 from sensors.scene import Scene
 
@@ -124,3 +125,9 @@ def to_scene(polygons, base_m, top_m, turn=0.0, shift=(0.0, 0.0)) -> Scene:
         for p in polygons
     ]
     return Scene.from_footprints(turned, base_m, top_m)
+
+
+def luck_with_places(rng, n_observers: int, n_actors: int, time_s: float = 0.0) -> ClutterLuck:
+    """Keys of the luck with false boxes, all of them new."""
+    keys = [rng.integers(0, 2**64, n, np.uint64) for n in (1, n_observers, n_observers, n_actors)]
+    return ClutterLuck(keys[0][0], *keys[1:], time_s)
