@@ -22,6 +22,7 @@ from results.tables import Level
 from sensors.detector import DetectorParams
 from sensors.evidence import AreaParams
 from sensors.lidar import LidarParams
+from sumo_nets import catalogue, sumocfg
 from trust.params import TrustParams
 
 
@@ -118,6 +119,9 @@ def load(path: Path | None = None, overrides: list[str] | None = None) -> Config
         given = data.get("traffic", {}).get(name)
         if path is not None and isinstance(given, str) and _is_input(beside := path.parent / given):
             data["traffic"][name] = str(beside)
+    if isinstance(traffic := data.get("traffic"), dict) and not {"step_s", "trace"} & traffic.keys():
+        if (own_s := _own_step_s(str(traffic.get("scenario", "")))) is not None:
+            traffic["step_s"] = own_s
     try:
         return TypeAdapter(Config).validate_json(json.dumps(data, default=str), strict=True)
     except ValidationError as error:
@@ -133,6 +137,14 @@ def load(path: Path | None = None, overrides: list[str] | None = None) -> Config
 
 def _is_input(path: Path) -> bool:
     return path.is_file() or (path / "manifest.json").is_file() or any(path.glob("*.sumocfg"))
+
+
+def _own_step_s(scenario: str) -> float | None:
+    """How long a step of the user's own .sumocfg is."""
+    path = Path(scenario)
+    found = [path] if path.name.endswith(".sumocfg") else sorted(path.glob("*.sumocfg"))
+    is_one = len(found) == 1 and found[0].is_file() and scenario not in catalogue.names()
+    return sumocfg.step_s(found[0]) if is_one else None
 
 
 def _override(data: dict[str, Any], text: str) -> None:

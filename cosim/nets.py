@@ -1,16 +1,30 @@
 """The commands about cities: which there are, what they are like, and how to make one."""
 
+from __future__ import annotations
+
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.box import SIMPLE
 from rich.table import Column, Table
+from rich.text import Text
 
 from cosim.screen import notes, print_json, screen
 
+if TYPE_CHECKING:
+    from numpy import ndarray
+
+    from cosim.scenario import Scenario
+    from sumo_nets.catalogue import Net
+    from sumo_nets.footprints import Footprint
+    from sumo_nets.wheel import WheelNet
+
 nets = typer.Typer(no_args_is_help=True, help="Cities: those that ship, and your own.")
+
+PICTURE = "city.png"
+"""Drawn into the folder of a city that is built."""
 
 AsJson = Annotated[bool, typer.Option("--json", help="Answer in JSON on standard output.")]
 
@@ -22,29 +36,37 @@ def list_(
     ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """List the cities that ship, and those that were built."""
+    """List the cities that ship, those of SUMO's package, and those that were built here or one folder below."""
     from sumo_nets import catalogue, wheel
 
-    rows: list[dict[str, Any]] = []
-    for net in [catalogue.find(name) for name in catalogue.shipped()]:
-        rows.append(_summary(net) | {"where": "cosim"})
+    rows = [_summary(catalogue.find(name)) | {"where": "cosim"} for name in catalogue.shipped()]
     for name, inside in sorted(wheel.NETS.items()):
-        rows.append({
-            "name": name, "what": inside.description, "licence": "ODbL-1.0", "where": "SUMO",
-        })  # fmt: skip
+        made = wheel.made(name)
+        about = _summary(catalogue.open_folder(made)) if made else _unmade(inside)
+        rows.append(about | {"where": "SUMO", "on_disk": made})
     for parent in folders or [Path()]:
         if not parent.is_dir():
             raise ValueError(f"{parent} is not a folder. Give a folder in which cities were built.")
         for recipe in sorted({*parent.glob("recipe.toml"), *parent.glob("*/recipe.toml")}):
-            rows.append(_summary(catalogue.open_folder(recipe.parent)) | {"where": str(recipe.parent)})
+            try:
+                rows.append(_summary(catalogue.open_folder(recipe.parent)) | {"where": str(recipe.parent)})
+            except ValueError as error:
+                notes.print(f"note: left out: {error}", highlight=False, markup=False, soft_wrap=True)
     if as_json:
         print_json([{"description": row["what"], **row} for row in rows])
         return
-    columns = ("name", "where", "km2", "vehicles_per_hour", "MB", "licence", "what")
-    table = Table(*(Column(c.replace("_", " "), no_wrap=c == "name") for c in columns), box=SIMPLE)
+    sides: list[Column | str] = [Column(head, justify="right") for head in ("km²", "vehicles/h", "on disk")]
+    table = Table("city", *sides, "licence", box=SIMPLE, leading=1)
     for row in rows:
-        table.add_row(*(str(row.get(c, "")).partition(":")[0] for c in columns))
+        built = row["where"] not in ("cosim", "SUMO")
+        what = row["what"].partition(":")[0].removeprefix(f"{row['name']}, ")
+        table.add_row(
+            Text(row["where"] if built else row["name"], "bold").append(f"\n{what}", "not bold"),
+            f"{row['km2']:.1f}", f"{row['vehicles_per_hour']:,}",
+            f"{row['MB']:.1f} MB" if row["on_disk"] else "when used", row["licence"],
+        )  # fmt: skip
     screen.print(table)
+    screen.print("`cosim nets show CITY` draws a city, `--set traffic.scenario=CITY` drives it.", highlight=False)
 
 
 @nets.command()
@@ -61,33 +83,39 @@ def show(
     found = find(city)
     if found.net is None:
         raise ValueError(f"{city} is a trace: there is no network to show. Give a city or a .sumocfg.")
-    facts: dict[str, Any] = {"name": found.name, "licence": found.licence, "attribution": found.attribution}
+    facts: dict[str, Any] = {"name": found.name}
     if city in catalogue.names():
         facts |= _summary(catalogue.find(city))
     elif (Path(city) / "recipe.toml").is_file():
         facts |= _summary(catalogue.open_folder(Path(city)))
     else:
         files = [p for p in (found.sumocfg, found.net, *found.buildings, *found.types) if p is not None]
-        facts["MB"] = round(sum(path.stat().st_size for path in set(files)) / 1e6, 2)
         x0, y0, x1, y1 = catalogue.bounds_m(found.net)
-        facts["km2"] = round((x1 - x0) * (y1 - y0) / 1e6, 2)
-    lines, _ = lanes(found.net)
-    facts["lanes"] = len(lines)
-    facts["lane_km"] = round(sum(_length_m(line) for line in lines) / 1000, 1)
-    facts["buildings"] = len(_footprints(found.buildings))
-    facts["files"] = str(found.net.parent)
+        facts |= {
+            "licence": found.licence,
+            "attribution": found.attribution,
+            "km2": round((x1 - x0) * (y1 - y0) / 1e6, 2),
+            "MB": round(sum(path.stat().st_size for path in set(files)) / 1e6, 2),
+            "on_disk": found.net.parent,
+        }
+    driven = [lane for lane in lanes(found.net) if lane.for_cars and not lane.across]
+    facts["lanes"] = len(driven)
+    facts["lane_km"] = round(sum(_length_m(lane.line_m) for lane in driven) / 1000, 1)
+    facts["buildings"] = len(_footprints(found))
     facts["picture"] = str(_draw(found, out or Path(f"{found.name}.png")))
-    _tell(facts, found.name, as_json)
+    _tell(facts, as_json)
 
 
 @nets.command()
 def build(
     out: Annotated[Path, typer.Option(help="Folder to write; then `--set traffic.scenario=FOLDER` drives it.")],
     osm: Annotated[Path | None, typer.Option(help="OpenStreetMap file: .osm, .osm.gz, .osm.xml.gz, .osm.pbf.")] = None,
-    bbox: Annotated[str | None, typer.Option(help="west,south,east,north [degrees], fetched from Overpass.")] = None,
+    bbox: Annotated[str | None, typer.Option(help="west,south,east,north in degrees, from Overpass.")] = None,
+    overpass: Annotated[str | None, typer.Option(help="Another Overpass service: http://host/api/interpreter.")] = None,
     density: Annotated[float, typer.Option(help="Vehicles on the road per km of street and direction.")] = 2.0,
     hour: Annotated[int, typer.Option(help="Hour of a working day, 0 to 23: 16 is the busiest.")] = 16,
-    seed: Annotated[int, typer.Option(help="Of the trips that are drawn.")] = 1,
+    seed: Annotated[int, typer.Option(min=0, help="Of the trips that are drawn.")] = 1,
+    left_hand: Annotated[bool, typer.Option("--left-hand", help="Traffic keeps to the left.")] = False,
     name: Annotated[str | None, typer.Option(help="Name of the city; by default the folder's.")] = None,
     check: Annotated[bool, typer.Option(help="Drive half an hour and report whether traffic flows.")] = True,
     as_json: AsJson = False,
@@ -98,6 +126,8 @@ def build(
 
     if (osm is None) == (bbox is None):
         raise ValueError("cosim nets build wants one of --osm FILE and --bbox west,south,east,north.")
+    if overpass is not None and bbox is None:
+        raise ValueError("--overpass goes with --bbox west,south,east,north. Leave it out.")
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise ValueError(f"--out {out} is not empty. Give a folder that is empty or does not exist.")
     if not density > 0 or density > 100:
@@ -107,21 +137,21 @@ def build(
     wanted = town.Density(per_km=density, hour=hour, seed=seed)
     with notes.status("building streets, buildings and demand ..."):
         if osm is not None:
-            town.from_osm(osm, out, wanted, name)
+            town.from_osm(osm, out, wanted, name, left_hand)
         else:
-            town.from_box(bbox or "", out, wanted, name)
+            town.from_box(bbox or "", out, wanted, name, left_hand, overpass)
     net = catalogue.open_folder(out)
-    picture = _draw(find(str(out)), out / "city.png")
+    picture = _draw(find(str(out)), out / PICTURE)
     facts = _summary(net) | {"buildings": len(net.footprints()), "picture": str(picture)}
     if check:
         with notes.status("driving it for half an hour ..."):
             flows = flow.measure(net)
         facts |= asdict(flows) | {"jammed": len(flows.jammed), "verdict": flows.verdict}
-    _tell(facts, str(out), as_json)
+    _tell(facts, as_json)
 
 
-def _summary(net: Any) -> dict[str, Any]:
-    width, height = net.size_m
+def _summary(net: Net) -> dict[str, Any]:
+    (width, height), picture = net.size_m, net.folder / PICTURE
     return {
         "name": net.name,
         "what": net.description,
@@ -131,36 +161,83 @@ def _summary(net: Any) -> dict[str, Any]:
         "vehicles_per_hour": round(net.vehicles_per_hour),
         "pedestrians_per_hour": round(net.pedestrians_per_hour),
         "MB": round(sum(path.stat().st_size for path in net.folder.iterdir() if path.is_file()) / 1e6, 2),
+        "on_disk": net.folder,
+        "picture": picture if picture.is_file() else None,
     }
 
 
-def _draw(found: Any, path: Path) -> Path:
+def _unmade(net: WheelNet) -> dict[str, Any]:
+    """The same of a city that its first use will make."""
+    return {
+        "name": net.name,
+        "what": net.description,
+        "licence": net.licence,
+        "attribution": net.attribution,
+        "km2": net.km2,
+        "vehicles_per_hour": net.vehicles_per_hour,
+        "pedestrians_per_hour": net.pedestrians_per_hour,
+        "MB": 0.0,
+        "on_disk": None,
+        "picture": None,
+    }
+
+
+def _draw(found: Scenario, path: Path) -> Path:
     from results.figures import city, style
     from sumo_nets.network import lanes
 
-    lines, widths = lanes(found.net)
-    rings = [footprint.outer for footprint in _footprints(found.buildings)]
-    return style.save(city.draw(lines, widths, rings, found.name, found.attribution), path)
+    assert found.net is not None
+    drawn = lanes(found.net)
+    rings = [footprint.outer for footprint in _footprints(found)]
+    lines, widths_m = [lane.line_m for lane in drawn], [lane.width_m for lane in drawn]
+    return style.save(city.draw(lines, widths_m, rings, found.name, found.attribution), path)
 
 
-def _footprints(paths: tuple[Path, ...]) -> list[Any]:
+def _footprints(found: Scenario) -> list[Footprint]:
     from sumo_nets.footprints import read_footprints
 
-    return [footprint for path in paths for footprint in read_footprints(path)]
+    return [footprint for path in found.buildings for footprint in read_footprints(path, found.net)]
 
 
-def _length_m(line: Any) -> float:
+def _length_m(line_m: ndarray) -> float:
     import numpy as np
 
-    return float(np.hypot(*np.diff(line, axis=0).T).sum())
+    return float(np.hypot(*np.diff(line_m[:, :2], axis=0).T).sum())
 
 
-def _tell(facts: dict[str, Any], title: str, as_json: bool) -> None:
+LABELS = {
+    "name": ("name", "{}"),
+    "what": ("what", "{}"),
+    "licence": ("licence", "{}"),
+    "attribution": ("attribution", "{}"),
+    "km2": ("area", "{:.2f} km²"),
+    "lane_km": ("streets", "{:,.1f} km of lanes"),
+    "buildings": ("buildings", "{:,}"),
+    "vehicles_per_hour": ("vehicles", "{:,} per hour"),
+    "pedestrians_per_hour": ("pedestrians", "{:,} per hour"),
+    "MB": ("size", "{:.2f} MB"),
+    "on_disk": ("files", "{}"),
+    "picture": ("picture", "{}"),
+    "seconds": ("driven", "{:,.0f} s after its warm-up"),
+    "vehicles_mean": ("on the road", "{:,.0f} vehicles"),
+    "speed_kmh": ("mean speed", "{:.1f} km/h"),
+    "trips": ("trips ended", "{:,}"),
+    "teleports": ("teleports", "{:,}"),
+    "waiting": ("waiting to enter", "{:,}"),
+    "collisions": ("collisions", "{:,}"),
+    "jammed": ("jammed streets", "{:,}"),
+    "jammed_p": ("time spent there", "{:.1%}"),
+    "verdict": ("verdict", "{}"),
+}
+"""How facts are told to people, in this order; JSON has them by their own names."""
+
+
+def _tell(facts: dict[str, Any], as_json: bool) -> None:
     if as_json:
         print_json(facts)
         return
-    table = Table("", "", title=title, title_justify="left", box=SIMPLE, show_header=False)
-    for key, value in facts.items():
-        shown = f"{value:.3g}" if isinstance(value, float) and abs(value) < 1000 else str(value)
-        table.add_row(key.replace("_", " "), shown)
+    table = Table("", Column("", overflow="fold"), box=None, show_header=False, pad_edge=False)
+    for key, (label, shape) in LABELS.items():
+        if facts.get(key, "") != "":
+            table.add_row(label, shape.format(facts[key]))
     screen.print(table)

@@ -72,6 +72,9 @@ def run(config: Config, out: Path | None, advance: Advance) -> Path:
     """
     scenario = check(config)
     folder = _folder(out, scenario.name)
+    watch = Stopwatch()
+    with watch("city"):
+        city = scenario.city()
     roster = Roster(config.fleet, config.seed)
     traffic = scenario.traffic(config.traffic, roster)
     try:
@@ -80,7 +83,7 @@ def run(config: Config, out: Path | None, advance: Advance) -> Path:
         (folder / "config.toml").write_text(tomli_w.dumps(without_nulls(config.to_dict())), encoding="utf-8")
         manifest.write("running")
         try:
-            _drive(config, scenario, traffic, roster, manifest, advance)
+            _drive(config, scenario, city, traffic, roster, manifest, advance, watch)
         except KeyboardInterrupt:
             manifest.write("interrupted")
             raise
@@ -105,6 +108,7 @@ def remarks(folder: Path) -> list[str]:
     if left_out := summary.get("actors_left_out"):
         counts = ", ".join(f"{n} {kind}" for kind, n in left_out.items())
         said.append(f"note: left out, because they are not on the road: {counts}.")
+    said += [f"note: SUMO went on, but: {complaint}" for complaint in summary.get("sumo_complained", [])]
     return said
 
 
@@ -114,12 +118,11 @@ def _threads(config: Config, n_equipped: int) -> int:
 
 
 def _drive(
-    config: Config, scenario: Scenario, traffic: Traffic, roster: Roster, manifest: Manifest, advance: Advance
+    config: Config, scenario: Scenario, city: Scene, traffic: Traffic, roster: Roster, manifest: Manifest,
+    advance: Advance, watch: Stopwatch,
 ) -> None:
     warmup_s = scenario.warmup_s if config.traffic.warmup_s is None else config.traffic.warmup_s
-    watch, dt_s, n_steps = Stopwatch(), config.traffic.step_s, config.n_steps
-    with watch("city"):
-        city = scenario.city()
+    dt_s, n_steps = config.traffic.step_s, config.n_steps
     with watch("warm-up"):
         try:
             for done_s in traffic.warm_up(warmup_s):

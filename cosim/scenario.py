@@ -16,6 +16,7 @@ from sensors.scene import Scene
 from sumo_nets import catalogue, sumocfg
 from sumo_nets.catalogue import Net
 from sumo_nets.footprints import read_footprints
+from sumo_nets.ground import standing_on
 from sumo_nets.network import check_for_cars
 
 FARTHEST_M = 32_000.0
@@ -51,7 +52,9 @@ class Scenario:
 
     def city(self) -> Scene:
         """The buildings as walls for light."""
-        footprints = [f for path in self.buildings for f in read_footprints(path)]
+        footprints = [f for path in self.buildings for f in read_footprints(path, self.net)]
+        if self.net is not None:
+            footprints = standing_on(footprints, self.net)
         origin = np.array(self.origin_m)
         rings = [[ring - origin for ring in (f.outer, *f.holes)] for f in footprints]
         return Scene.from_footprints(rings, [f.base_z_m for f in footprints], [f.top_z_m for f in footprints])

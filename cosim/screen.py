@@ -39,7 +39,7 @@ def conclude(folder: Path, as_json: bool) -> None:
     screen.print(table_of(f"{folder}", rows, HEADLINES))
     slow = sorted(manifest["timings_s"].items(), key=lambda item: -item[1])[:4]
     screen.print(
-        f"{simulated_s:g} s of traffic in {spent_s:.1f} s ({simulated_s / spent_s:.0f} times real time): "
+        f"{simulated_s:g} s of traffic in {spent_s:.1f} s ({simulated_s / spent_s:.2g} times real time): "
         + ", ".join(f"{stage} {s:.1f} s" for stage, s in slow) + ", ...",
         highlight=False,
     )  # fmt: skip
@@ -67,6 +67,12 @@ def rows_of(table) -> list[dict[str, object]]:
     ]
 
 
+def _plain(value: float) -> str:
+    """Three digits that count, all of a whole number, and no powers of ten."""
+    whole = abs(value) >= 100 or (value == int(value) and abs(value) >= 2)
+    return f"{value:,.0f}" if whole else f"{value:.3g}"
+
+
 def table_of(title: str, rows: list[dict], headlines: dict[str, tuple[str, ...]] | None = None) -> Table:
     """Measures as a table for the screen."""
     value_column = Column("value", justify="right")
@@ -80,7 +86,7 @@ def table_of(title: str, rows: list[dict], headlines: dict[str, tuple[str, ...]]
         if row["topic"] != last and last:
             table.add_section()
         value = row["value"]
-        number = "" if value is None else f"{value:,.0f}" if value == int(value) and abs(value) >= 2 else f"{value:.3g}"
+        number = "" if value is None else _plain(value)
         unit = "" if row["unit"] == "1" else row["unit"]
         table.add_row(row["topic"] if row["topic"] != last else "", row["figure"], row["of"], number, unit)
         last = row["topic"]

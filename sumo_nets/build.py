@@ -20,6 +20,7 @@ from sumo_nets.footprints import write_footprints
 from sumo_nets.ground import ground_of
 
 _HERE = Path(__file__).parent
+VEHICLE_TYPES = _HERE / "common" / "vtypes.add.xml"
 _LOG = logging.getLogger("sumo_nets.build")
 
 SUMOCFG = """<?xml version="1.0" encoding="UTF-8"?>
@@ -90,13 +91,16 @@ def furnish(recipe: dict[str, Any], extract: osm.Extract, gates: frozenset[str],
 
 def pack(recipe: dict[str, Any], text: str, work: Path, out: Path) -> None:
     """Bring what was made in `work` into the folder `out`."""
-    out.mkdir(parents=True, exist_ok=True)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ValueError(f"{out} cannot be made: {error.strerror}. Give another folder.") from None
     _pack(sumotools.without_header(work / "net.net.xml"), out / "net.net.xml.gz")
     _pack((work / "buildings.poly.xml").read_text(encoding="utf-8"), out / "buildings.poly.xml.gz")
     _pack(sumotools.without_header(work / "demand.rou.xml"), out / "demand.rou.xml.gz")
     _pack((work / "buses.rou.xml").read_text(encoding="utf-8"), out / "buses.rou.xml.gz")
     shutil.copyfile(work / "stops.add.xml", out / "stops.add.xml")
-    shutil.copyfile(_HERE / "common" / "vtypes.add.xml", out / "vtypes.add.xml")
+    shutil.copyfile(VEHICLE_TYPES, out / "vtypes.add.xml")
     config = SUMOCFG.format(end_s=recipe["demand"]["end_s"])
     (out / f"{recipe['name']}.sumocfg").write_text(config, encoding="utf-8", newline="\n")
     (out / "recipe.toml").write_text(text, encoding="utf-8", newline="\n")
@@ -193,7 +197,7 @@ def route(trips: list[str], wanted: dict[str, Any], work: Path) -> None:
     """Routes for trips: `demand.rou.xml` in `work`, which holds the network."""
     demand.write_trips(work / "trips.rou.xml", trips)
     options = {
-        "net-file": "net.net.xml", "additional-files": _HERE / "common" / "vtypes.add.xml",
+        "net-file": "net.net.xml", "additional-files": VEHICLE_TYPES,
         "route-files": "trips.rou.xml", "output-file": "demand.rou.xml", "alternatives-output": "NUL",
         "vtype-output": "vtypes.out.xml", "ignore-errors": True, "no-step-log": True, "seed": wanted["seed"],
         "weights.random-factor": wanted["route_choice"],

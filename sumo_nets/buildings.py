@@ -20,6 +20,7 @@ SIMPLIFY_M = 0.15
 """Largest distance by which a simplified wall may leave its place [m]."""
 PASSAGE_M2 = 25.0
 """A building that covers more carriageway than this bridges it; less is a drawing error and cut off [m²]."""
+_NO_MORE = frozenset(("no", "demolished", "razed", "proposed", "planned"))
 
 Solid = tuple[str, shapely.Geometry, Height]
 Ring = Float[ndarray, "k 2"]
@@ -90,7 +91,9 @@ def build(rings: Rings, project: Callable[[list[Way]], dict[int, Ring]], ground:
 def _is_building(tags: Tags) -> bool:
     if tags.get("location") == "underground" or tags.get("layer", "0").startswith("-"):
         return False
-    return tags.get("building", "no") != "no" or tags.get("building:part", "no") != "no"
+    if tags.get("building:levels") == "0" and not {"height", "building:height"} & set(tags):
+        return False  # all of it lies below the ground
+    return not {tags.get("building", "no"), tags.get("building:part", "no")} <= _NO_MORE
 
 
 def _joined(chains: list[list[int]]) -> list[list[int]]:

@@ -18,6 +18,7 @@ from jaxtyping import Float
 from numpy import ndarray
 from shapely import Polygon
 
+from sumo_nets import sumotools
 from sumo_nets.heights import height_of
 from sumo_nets.xml import Attributes, stream
 
@@ -39,29 +40,26 @@ class Footprint(NamedTuple):
         return Polygon(self.outer, self.holes)
 
 
-def read_footprints(path: Path | str) -> list[Footprint]:
+def read_footprints(path: Path | str, net_path: Path | None = None) -> list[Footprint]:
     """Buildings of a SUMO polygon file (.poly.xml, gzip'ed or not), in the file's order.
 
     Polygons count as buildings if their type starts with "building" or they carry a `building` or
     `building:part` parameter. Heights come from `base_z_m` and `top_z_m`, else from OpenStreetMap's tags
     (`height`, `building:levels`, ...), else from the kind and size of the building. Rings that cross
-    themselves are repaired; where that yields several pieces, each is a footprint.
+    themselves are repaired; where that yields several pieces, each is a footprint; those without area are left out.
+    Longitudes and latitudes (`geo="true"`) are projected as the network of `net_path` is.
 
     Raises
     ------
     ValueError
         Names the file, the polygon and the cause.
     """
-    found: list[Footprint] = []
+    found: list[tuple[Attributes, Attributes]] = []
     poly: Attributes | None = None
     params: Attributes = {}
-    first = True
 
     def start(name: str, attributes: Attributes) -> None:
-        nonlocal poly, params, first
-        if first and name not in ("additional", "shapes", "add", "polys"):
-            raise ValueError(f"{path}: not a SUMO polygon file: it starts with <{name}>, not with <additional>")
-        first = False
+        nonlocal poly, params
         if name == "poly":
             poly, params = attributes, {}
         elif name == "param" and poly is not None:
@@ -72,11 +70,21 @@ def read_footprints(path: Path | str) -> list[Footprint]:
         if name == "poly" and poly is not None:
             kind = poly.get("type", "")
             if kind.startswith("building") or "building" in params or "building:part" in params:
-                found.extend(_footprints(poly, params, f"{path}: polygon {poly.get('id', '?')!r}"))
+                found.append((poly, params))
             poly = None
 
     stream(path, start, end)
-    return found
+    where = [f"{path}: polygon {poly.get('id', '?')!r}" for poly, _ in found]
+    outer = [_ring(poly.get("shape", ""), here) for (poly, _), here in zip(found, where, strict=True)]
+    geo = [k for k, (poly, _) in enumerate(found) if poly.get("geo") in ("true", "1", "yes", "on", "True")]
+    if geo:
+        for k, ring in zip(geo, _projected([outer[k] for k in geo], net_path, where[geo[0]]), strict=True):
+            outer[k] = ring
+    return [
+        footprint
+        for ring, (_, params), (poly, _), here in zip(outer, found, found, where, strict=True)
+        for footprint in _footprints(ring, poly, params, here)
+    ]
 
 
 def pieces_of(shape: shapely.Geometry, least_area_m2: float = 1.0) -> list[Polygon]:
@@ -117,10 +125,21 @@ def _shape(ring: Float[ndarray, "k 2"]) -> str:
     return " ".join(f"{x:.2f},{y:.2f}" for x, y in ring)
 
 
-def _footprints(poly: Attributes, params: Attributes, where: str) -> list[Footprint]:
-    outer = _ring(poly.get("shape", ""), where)
+def _projected(rings: list[Float[ndarray, "k 2"]], net_path: Path | None, where: str) -> list[Float[ndarray, "k 2"]]:
+    """Rings of longitudes and latitudes in the coordinates of a network."""
+    try:
+        if net_path is None:
+            raise ValueError("no network is known")
+        return sumotools.projected(rings, net_path)
+    except ValueError as error:
+        raise ValueError(f'{where}: geo="true", but {error}') from None
+
+
+def _footprints(outer: Float[ndarray, "k 2"], poly: Attributes, params: Attributes, where: str) -> list[Footprint]:
     holes = [_ring(value, where) for key, value in params.items() if key.startswith("hole.")]
-    polygon = Polygon(outer, holes)
+    if len(outer) < 4:
+        return []
+    polygon = Polygon(outer, [hole for hole in holes if len(hole) > 3])
     tags = dict(params)
     tags.setdefault("building", poly.get("type", "").removeprefix("building").lstrip(".") or "yes")
     height = height_of(tags, polygon.area)
@@ -140,8 +159,6 @@ def _ring(text: str, where: str) -> Float[ndarray, "k 2"]:
         raise ValueError(f"{where}: shape {text[:40]!r}... is not a list of finite x,y pairs")
     if not (points[0] == points[-1]).all():
         points = np.vstack([points, points[:1]])
-    if len(points) < 4:
-        raise ValueError(f"{where}: a ring needs three different points, this one has {len(points) - 1}")
     return points
 
 

@@ -1,11 +1,15 @@
-"""The ground that traffic needs: carriageways and pavements of a network."""
+"""The ground that traffic needs: carriageways and pavements of a network, and how high they lie."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
 import shapely
+
+from sumo_nets.footprints import Footprint
+from sumo_nets.network import lanes
 
 MARGIN_M = 0.1
 """By which lanes count as wider than drawn [m]."""
@@ -38,3 +42,20 @@ def ground_of(net_path: Path) -> Ground:
             wheels = function != "crossing" and (lane.allows("passenger") or lane.allows("bicycle"))
             (carriageway if wheels else pavement).append(strip)
     return Ground(shapely.union_all(carriageway), shapely.union_all(pavement))
+
+
+def standing_on(footprints: list[Footprint], net_path: Path) -> list[Footprint]:
+    """Buildings raised, base and top, to the height of the street that is nearest to their middle."""
+    shapes = [lane.line_m for lane in lanes(net_path)]
+    if not footprints or not any(shape[:, 2].any() for shape in shapes):
+        return footprints
+    begin, end = (np.concatenate([shape[cut] for shape in shapes]) for cut in (slice(None, -1), slice(1, None)))
+    middle = np.array([footprint.outer[:-1].mean(axis=0) for footprint in footprints])
+    nearest = shapely.STRtree(shapely.linestrings(np.stack([begin[:, :2], end[:, :2]], axis=1))).nearest(
+        shapely.points(middle)
+    )
+    begin, along = begin[nearest], (end - begin)[nearest]
+    towards = ((middle - begin[:, :2]) * along[:, :2]).sum(axis=1)
+    t = np.clip(towards / np.maximum((along[:, :2] ** 2).sum(axis=1), 1e-12), 0.0, 1.0)
+    z_m = (begin[:, 2] + t * along[:, 2]).tolist()
+    return [f._replace(base_z_m=f.base_z_m + z, top_z_m=f.top_z_m + z) for f, z in zip(footprints, z_m, strict=True)]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -19,6 +20,8 @@ MOTORS = frozenset((
     "trailer", "evehicle", "motorcycle", "moped", "custom1", "custom2",
 ))  # fmt: skip
 """Vehicle classes of what drives on roads."""
+OTHERS = frozenset(("bicycle", "scooter", "pedestrian", "wheelchair", "tram"))
+"""Who else is met there."""
 
 
 def check_for_cars(net_path: Path | str) -> None:
@@ -42,7 +45,7 @@ def check_for_cars(net_path: Path | str) -> None:
             inside = attributes.get("function", "normal") not in ("normal", "connector")
         elif name == "lane" and not inside:
             lanes += 1
-            if _admits_cars(attributes):
+            if _admits(attributes, MOTORS):
                 raise Enough
 
     def end(name: str) -> None:
@@ -56,23 +59,33 @@ def check_for_cars(net_path: Path | str) -> None:
     stream(net_path, start, end)
 
 
-def lanes(net_path: Path | str) -> tuple[list[Float[ndarray, "k 2"]], list[float]]:
-    """Middle line and width [m] of every lane outside junctions, in network coordinates."""
-    lines: list[Float[ndarray, "k 2"]] = []
-    widths: list[float] = []
-    inside = False
+class Lane(NamedTuple):
+    """Where somebody drives, cycles or walks: along a street, or across a junction."""
+
+    line_m: Float[ndarray, "k 3"]
+    """Middle line, network coordinates; at z = 0 where the network does not say."""
+    width_m: float
+    for_cars: bool
+    across: bool
+    """Within a junction."""
+
+
+def lanes(net_path: Path | str) -> list[Lane]:
+    """Every lane but those of railways and waterways, and the pedestrians' within junctions."""
+    found: list[Lane] = []
+    function = ""
 
     def start(name: str, attributes: Attributes) -> None:
-        nonlocal inside
+        nonlocal function
         if name == "edge":
-            inside = attributes.get("function", "normal") != "normal"
-        elif name == "lane" and not inside:
-            points = [point.split(",")[:2] for point in attributes["shape"].split()]
-            lines.append(np.array(points, float))
-            widths.append(float(attributes.get("width", LANE_M)))
+            function = attributes.get("function", "normal")
+        elif name == "lane" and function not in ("crossing", "walkingarea") and _admits(attributes, MOTORS | OTHERS):
+            points = [(*point.split(","), "0")[:3] for point in attributes["shape"].split()]
+            width_m = float(attributes.get("width", LANE_M))
+            found.append(Lane(np.array(points, float), width_m, _admits(attributes, MOTORS), function == "internal"))
 
     stream(net_path, start)
-    return lines, widths
+    return found
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,7 +106,7 @@ def junctions(net_path: Path | str) -> tuple[list[Junction], tuple[float, float,
     def start(name: str, attributes: Attributes) -> None:
         if name == "location":
             bounds[:] = [float(v) for v in attributes["convBoundary"].split(",")]
-        elif name == "lane" and not _admits_cars(attributes):
+        elif name == "lane" and not _admits(attributes, MOTORS):
             walks.add(attributes["id"])
         elif name == "junction" and attributes.get("type") != "internal":
             lanes = [lane for lane in attributes.get("incLanes", "").split() if lane[0] != ":" and lane not in walks]
@@ -107,7 +120,7 @@ def junctions(net_path: Path | str) -> tuple[list[Junction], tuple[float, float,
     return found, (bounds[0], bounds[1], bounds[2], bounds[3])
 
 
-def _admits_cars(lane: Attributes) -> bool:
+def _admits(lane: Attributes, classes: frozenset[str]) -> bool:
     if "allow" in lane:
-        return "all" in (allowed := lane["allow"].split()) or not MOTORS.isdisjoint(allowed)
-    return "all" not in (refused := lane.get("disallow", "").split()) and not MOTORS.issubset(refused)
+        return "all" in (allowed := lane["allow"].split()) or not classes.isdisjoint(allowed)
+    return "all" not in (refused := lane.get("disallow", "").split()) and not classes.issubset(refused)

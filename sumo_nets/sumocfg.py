@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import unquote
 
-from sumo_nets.xml import Attributes, check_prolog, stream
+from sumo_nets.xml import Attributes, check_prolog, contains, stream
 
 _SYNONYMS = {
     "net": "net-file", "n": "net-file", "additional": "additional-files", "a": "additional-files",
@@ -35,7 +35,7 @@ class Sumocfg:
     @property
     def buildings(self) -> tuple[Path, ...]:
         """Those additional files that hold polygons."""
-        return tuple(p for p in self.additional if "poly" in p.name or "building" in p.name)
+        return tuple(path for path in self.additional if contains(path, b"<poly"))
 
 
 def read(path: Path) -> Sumocfg:
@@ -46,6 +46,31 @@ def read(path: Path) -> Sumocfg:
     ValueError
         Names the configuration, the file and the cause.
     """
+    values = _values(path)
+    found = {option: _files(path.parent, values.get(option, "")) for option in _READ}
+    if not found["net-file"]:
+        raise ValueError(f'{path}: names no network. Add <net-file value="..."/> to its <input>.')
+    for named in found.values():
+        for file in named:
+            if not file.is_file():
+                raise ValueError(f"{path}: names {file}, which does not exist. Correct the path in the .sumocfg.")
+            check_prolog(file)
+    outputs = tuple(
+        name for name, value in values.items() if value and (name.endswith(("-output", ".output")) or name in _WRITTEN)
+    )
+    return Sumocfg(path, found["net-file"][0], found["additional-files"], found["route-files"], outputs)
+
+
+def step_s(path: Path) -> float:
+    """Length of a step [s]; SUMO's own 1 s where the configuration says none, or none that is a plain number."""
+    try:
+        return float(_values(path).get("step-length", "1"))
+    except ValueError:
+        return 1.0
+
+
+def _values(path: Path) -> dict[str, str]:
+    """What each option of a configuration is set to."""
     values: dict[str, str] = {}
     text: list[str] = []
 
@@ -59,18 +84,7 @@ def read(path: Path) -> Sumocfg:
         text.clear()
 
     stream(path, start, end, text.append)
-    found = {option: _files(path.parent, values.get(option, "")) for option in _READ}
-    if not found["net-file"]:
-        raise ValueError(f'{path}: names no network. Add <net-file value="..."/> to its <input>.')
-    for named in found.values():
-        for file in named:
-            if not file.is_file():
-                raise ValueError(f"{path}: names {file}, which does not exist. Correct the path in the .sumocfg.")
-            check_prolog(file)
-    outputs = tuple(
-        name for name, value in values.items() if value and (name.endswith(("-output", ".output")) or name in _WRITTEN)
-    )
-    return Sumocfg(path, found["net-file"][0], found["additional-files"], found["route-files"], outputs)
+    return values
 
 
 def _files(folder: Path, value: str) -> tuple[Path, ...]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 import subprocess
+import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from sumo_nets.osm import Extract, Way, write
-from sumo_nets.xml import Attributes, stream
+from sumo_nets.xml import Attributes, Enough, stream
 
 Ring = Float[ndarray, "k 2"]
 
@@ -49,6 +50,43 @@ def without_header(path: Path) -> str:
     return re.sub(r"<!-- generated on .*?-->\s*", "", path.read_text(encoding="utf-8"), count=1, flags=re.DOTALL)
 
 
+def projected(rings: list[Ring], net_path: Path) -> list[Ring]:
+    """Rings of longitudes and latitudes in the coordinates of a network, by polyconvert.
+
+    Raises
+    ------
+    ValueError
+        Where the network has no projection.
+    """
+    shapes = "".join(
+        f'<poly id="{k}" type="building" geo="true" shape="{" ".join(f"{x!r},{y!r}" for x, y in ring.tolist())}"/>'
+        for k, ring in enumerate(rings)
+    )
+    found: dict[int, Ring] = {}
+
+    def start(name: str, attributes: Attributes) -> None:
+        if name == "poly":
+            found[int(attributes["id"])] = _points(attributes["shape"])
+
+    def location(name: str, attributes: Attributes) -> None:
+        if name == "location":
+            if attributes.get("projParameter", "!") in ("!", "-"):
+                raise ValueError(f"{net_path} has no projection. Give its polygons in metres.")
+            raise Enough
+
+    stream(net_path, location)
+    with tempfile.TemporaryDirectory(prefix="sumo_nets.") as folder:
+        (Path(folder) / "geo.xml").write_text(f"<additional>{shapes}</additional>", encoding="utf-8")
+        options = {"net-file": net_path.resolve(), "xml-files": "geo.xml", "output-file": "flat.xml", "precision": 4}
+        run("polyconvert", options, Path(folder))
+        stream(Path(folder) / "flat.xml", start)
+    return [found[k] for k in range(len(rings))]
+
+
+def _points(shape: str) -> Ring:
+    return np.array([[float(value) for value in point.split(",")] for point in shape.split()])
+
+
 class Projector:
     """Longitudes and latitudes in the coordinates of a network, by polyconvert."""
 
@@ -72,8 +110,7 @@ class Projector:
 
         def start(name: str, attributes: Attributes) -> None:
             if name == "poly":
-                points = [[float(value) for value in point.split(",")] for point in attributes["shape"].split()]
-                rings[int(attributes["id"])] = np.array(points)
+                rings[int(attributes["id"])] = _points(attributes["shape"])
 
         stream(target, start)
         return rings

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+import gzip
 import hashlib
 import logging
 import re
-import subprocess
-import sys
+import shutil
 import tempfile
 import tomllib
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ from typing import Annotated, Any
 
 from annotated_types import Ge, Gt, Le
 
-from sumo_nets import build, demand, osm, sumotools
+from sumo_nets import build, demand, osm, overpass
 from sumo_nets.xml import check_prolog
 
 _HERE = Path(__file__).parent
@@ -49,8 +49,10 @@ class Density:
     """Of the trips that are drawn."""
 
 
-def from_osm(path: Path, out: Path, density: Density, name: str | None = None) -> None:
+def from_osm(path: Path, out: Path, density: Density, name: str | None = None, left_hand: bool = False) -> None:
     """Build streets, buildings and demand from an OpenStreetMap file into the folder `out`.
+
+    On which side traffic keeps, `left_hand`, is not in an extract.
 
     Raises
     ------
@@ -61,7 +63,10 @@ def from_osm(path: Path, out: Path, density: Density, name: str | None = None) -
         raise ValueError(f"--osm {path}: no such file. Give an extract: .osm, .osm.gz, .osm.xml.gz or .osm.pbf.")
     if not path.name.endswith(".pbf"):
         _refuse_doctype(path)
-    name = name or re.sub(r"[^\w-]+", "-", out.resolve().name).strip("-") or "town"
+    if name is None:
+        name = re.sub(r"[^\w-]+", "-", out.resolve().name).strip("-") or "town"
+    elif not re.fullmatch(r"[\w-]+", name):
+        raise ValueError(f"--name {name}: files are called so. Letters, digits, - and _ are wanted.")
     extract = osm.read(path)
     about = {
         "name": name,
@@ -70,6 +75,7 @@ def from_osm(path: Path, out: Path, density: Density, name: str | None = None) -
         "attribution": "© OpenStreetMap contributors",
         "file": path.name,
         "sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
+        "left_hand": str(left_hand).lower(),
     }
     template = (_HERE / "common" / "town.toml").read_text(encoding="utf-8")
     with tempfile.TemporaryDirectory(prefix="sumo_nets.") as folder:
@@ -87,27 +93,27 @@ def from_osm(path: Path, out: Path, density: Density, name: str | None = None) -
         build.pack(recipe, text, work, out)
 
 
-def from_box(box: str, out: Path, density: Density, name: str | None = None) -> None:
-    """The same of the box "west,south,east,north" [degrees], fetched from OpenStreetMap by SUMO's osmGet.py."""
-    try:
-        west, south, east, north = (float(value) for value in box.split(","))
-    except ValueError:
-        raise ValueError(f"--bbox {box}: four numbers are wanted: west,south,east,north in degrees.") from None
-    if not (-180 <= west < east <= 180 and -90 <= south < north <= 90):
-        raise ValueError(f"--bbox {box}: west < east and south < north in degrees are wanted: west,south,east,north.")
+def from_box(
+    box: str, out: Path, density: Density, name: str | None = None, left_hand: bool = False, server: str | None = None
+) -> None:
+    """The same of the box "west,south,east,north" [degrees], fetched from OpenStreetMap's Overpass service.
+
+    What was fetched is kept in `out`, so that the recipe can be followed again; see `overpass.fetch`.
+    """
+    edges = overpass.degrees(box)
     with tempfile.TemporaryDirectory(prefix="sumo_nets.") as folder:
-        tool = sumotools.home() / "tools" / "osmGet.py"
-        words = [sys.executable, str(tool), f"--bbox={west},{south},{east},{north}", "-p", "map", "-d", folder, "-z"]
-        done = subprocess.run(words, capture_output=True, text=True, check=False)
-        found = sorted(Path(folder).glob("map*.osm.xml*"))
-        if done.returncode != 0 or not found or found[0].stat().st_size == 0:
-            said = (done.stderr.strip() or done.stdout.strip() or "it brought nothing").splitlines()[-1]
+        extract = Path(folder) / "box_{:g}_{:g}_{:g}_{:g}.osm.xml.gz".format(*edges)
+        try:
+            extract.write_bytes(gzip.compress(overpass.fetch(edges, server), mtime=0))
+            from_osm(extract, out, density, name, left_hand)
+        except ValueError as error:
+            said = str(error).removeprefix("--osm ").replace(str(extract), "what the Overpass service sent")
             raise ValueError(
-                f"--bbox {box}: OpenStreetMap's Overpass service cannot be reached ({said}). "
-                "Offline? Fetch an extract elsewhere (download.geofabrik.de, www.openstreetmap.org/export) and give it "
-                "with --osm FILE."
-            )
-        from_osm(found[0], out, density, name)
+                f"--bbox {box}: {said.rstrip('. ')}. Or fetch an extract elsewhere (download.geofabrik.de, "
+                "www.openstreetmap.org/export) and give it with --osm FILE."
+            ) from None
+        shutil.copyfile(extract, out / extract.name)
+    build.write_checksums(out)
 
 
 def _refuse_doctype(path: Path) -> None:
@@ -152,4 +158,3 @@ def scaled(streets: list[demand.Street], density: Density) -> dict[str, float]:
     per_hour = BY_HOUR[density.hour] * density.per_km * km * 3600.0 / seconds
     trips = {kind: float(max(1, round(per_hour * share))) for kind, share in SHARES.items()}
     return {"at_least": at_least_m, **trips, "pedestrian": float(max(1, round(WALKS * per_hour)))}
-

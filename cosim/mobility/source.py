@@ -54,7 +54,7 @@ class TrafficParams:
     duration_s: Annotated[float, Gt(0)] = 300.0
     """Recorded time after warm-up [s]; less if the traffic ends before."""
     step_s: Annotated[float, Ge(0.1)] = 1.0
-    """Length of one step of traffic [s]; overrides the scenario's own."""
+    """Length of one step of traffic [s]; when not set, that of the .sumocfg, and 1 s of a trace."""
 
 
 _PER_M, _PER_RAD, _PER_MPS = (
@@ -98,8 +98,8 @@ def world_from_bumpers(
 ) -> World:
     """The world of a step from what SUMO says of each actor, in any order.
 
-    Angles and speeds pass through single precision, which is all that SUMO's Parquet traces hold of them, and
-    poses are rounded to what the table `actors` keeps (1/256 m, 1/512 rad): so that a run sees the same
+    Heights, angles and speeds pass through single precision, which is all that SUMO's Parquet traces hold of them,
+    and poses are rounded to what the table `actors` keeps (1/256 m, 1/512 rad): so that a run sees the same
     world live, from a trace, or from the tables of an earlier run.
     """
     order = np.argsort(number)
@@ -121,7 +121,7 @@ def _placed(order, front_m, compass_deg, speed_mps, lwh_m, east_m, north_m):
         back = lwh_m[i, 0] / 2
         xyz_m[i, 0] = np.rint((front_m[row, 0] - east_m - np.cos(yaw) * back) * _PER_M) / _PER_M
         xyz_m[i, 1] = np.rint((front_m[row, 1] - north_m - np.sin(yaw) * back) * _PER_M) / _PER_M
-        xyz_m[i, 2] = np.rint((front_m[row, 2] + lwh_m[i, 2] / 2) * _PER_M) / _PER_M
+        xyz_m[i, 2] = np.rint((np.float64(np.float32(front_m[row, 2])) + lwh_m[i, 2] / 2) * _PER_M) / _PER_M
         yaw_rad[i] = np.rint(yaw * _PER_RAD) / _PER_RAD
         speed[i] = np.rint(np.float64(np.float32(speed_mps[row])) * _PER_MPS) / _PER_MPS
     return xyz_m, yaw_rad, speed

@@ -1,6 +1,7 @@
 """Traffic by SUMO, through libsumo, which holds one simulation per process."""
 
 import os
+import re
 import sys
 import tempfile
 from collections import Counter
@@ -123,6 +124,7 @@ class SumoTraffic:
             "vehicles_waiting_to_enter_at_end": len(libsumo.simulation.getPendingVehicles()),
             "teleports": self.n_teleports,
             "actors_left_out": dict(sorted(self._left_out.items())),
+            **({"sumo_complained": heard[:9]} if (heard := self._heard(0)) else {}),
         }
 
     def close(self) -> None:
@@ -161,19 +163,23 @@ class SumoTraffic:
         for domain, names, number, rows in strangers:
             number[rows] = domain.numbers(names)
 
+    def _heard(self, begin: int) -> list[str]:
+        """What SUMO has called an error since then, each once and in one line; it goes on after many."""
+        self._said.seek(begin)
+        text = self._said.read().decode(errors="replace").replace(_prefix(Path(self._waste.name)), "")
+        errors = re.findall(r"^Error: (.*(?:\n .*)*)", text, re.MULTILINE)
+        return list(dict.fromkeys(" ".join(error.split()) for error in errors))
+
     @contextmanager
     def _errors(self, what: str) -> Iterator[None]:
         """SUMO's exceptions as one line with its reason, which its C++ writes to standard error."""
         sys.stderr.flush()
-        screen = os.dup(2)
+        screen, begin = os.dup(2), self._said.seek(0, os.SEEK_END)
         os.dup2(self._said.fileno(), 2)
         try:
             yield
         except (libsumo.TraCIException, libsumo.FatalTraCIError) as error:
-            self._said.seek(0)
-            lines = self._said.read().decode(errors="replace").splitlines()
-            errors = [line.removeprefix("Error: ") for line in lines if line.startswith(("Error: ", " "))]
-            reason = " ".join(" ".join(errors).split()) or str(error)
+            reason = " ".join(self._heard(begin)) or str(error)
             raise TrafficError(f"traffic.scenario = {self._config}: SUMO {what}: {reason}") from None
         finally:
             os.dup2(screen, 2)
@@ -201,10 +207,19 @@ def _options(params: TrafficParams, config: sumocfg.Sumocfg, waste: Path) -> lis
         "duration-log.statistics": "false",
         "no-warnings": "true",
         "verbose": "false",
-        # SUMO puts the prefix before a file's last name: from wherever that is, up to the root and down to the waste
-        "output-prefix": "../" * 64 + str(waste).lstrip("/") + "/",
+        # whatever the configuration says: nobody is waited for, and the same seed drives the same traffic
+        "remote-port": 0,
+        "random": "false",
+        "threads": 1,
+        "device.rerouting.threads": 0,
+        "output-prefix": _prefix(waste),
         **({} if params.begin_s is None else {"begin": params.begin_s}),
         **({} if params.scale == 1 else {"scale": params.scale}),
         **dict.fromkeys(config.outputs, os.devnull),
     }
     return [word for name, value in options.items() for word in (f"--{name}", str(value))]
+
+
+def _prefix(waste: Path) -> str:
+    """SUMO puts it before a file's last name: from wherever that is, up to the root and down to the waste."""
+    return "../" * 64 + str(waste).lstrip("/") + "/"

@@ -30,6 +30,20 @@ def test_a_scenario_is_found_beside_the_file_that_names_it(tmp_path):
     assert load(path).traffic.scenario == str(tmp_path / "city.sumocfg")
 
 
+@pytest.mark.parametrize(
+    ("said", "set_", "step_s"),
+    [('<time><step-length value="0.1"/></time>', [], 0.1), ("<step-length>0.5</step-length>", [], 0.5), ("", [], 1.0),
+     ('<step-length value="0.1"/>', ["traffic.step_s=0.25"], 0.25), ('<step-length value="soon"/>', [], 1.0),
+     ('<step-length value="0.1"/>', ["traffic.trace='fcd.parquet'"], 1.0)],
+)  # fmt: skip
+def test_a_scenario_keeps_its_own_step(tmp_path, said, set_, step_s):
+    """Longer steps drive otherwise: who calibrated a scenario at 0.1 s wants it driven so."""
+    config = tmp_path / "city.sumocfg"
+    config.write_text(f"<configuration>{said}</configuration>")
+    assert load(None, [f"traffic.scenario={config}", *set_]).traffic.step_s == step_s
+    assert load(None, [f"traffic.scenario={tmp_path}", *set_]).traffic.step_s == step_s
+
+
 def test_steps():
     config = load(None, ["traffic.step_s=0.1", "sensing_interval_s=0.5", "traffic.duration_s=60"])
     assert (config.sense_every_steps, config.n_steps) == (5, 600)

@@ -34,11 +34,31 @@ def test_what_was_built_is_driven(built):
     assert manifest["net"]["attribution"] == "© OpenStreetMap contributors"
 
 
-def test_list_knows_what_was_built_here(built):
+def test_list_knows_what_ships_what_sumo_brings_and_what_was_built_here(built, tmp_path, monkeypatch):
     folder, _ = built
-    rows = json.loads(cosim("nets", "list", "--json", cwd=folder).stdout)
-    assert {row["name"] for row in rows} >= {"helsinki", "adlershof", "braunschweig", "koenigs-wusterhausen", "town"}
-    assert "town" in cosim("nets", "list", cwd=folder).stdout
+    monkeypatch.setenv("COSIM_CACHE", str(tmp_path))  # nothing has been made there
+    (folder / "soup").mkdir(exist_ok=True)
+    (folder / "soup" / "recipe.toml").write_text('title = "soup"')
+    done = cosim("nets", "list", "--json", cwd=folder)
+    rows = {row["name"]: row for row in json.loads(done.stdout)}
+    assert set(rows) == {"helsinki", "adlershof", "braunschweig", "koenigs-wusterhausen", "town"}
+    assert "soup: not a city" in done.stderr and done.stderr.count("\n") == 1
+    assert {name for name, row in rows.items() if row["on_disk"]} == {"helsinki", "town"}
+    assert [row["picture"] for row in rows.values() if row["picture"]] == ["town/city.png"]
+    assert all(row["km2"] > 0.1 and row["vehicles_per_hour"] > 100 and row["licence"] for row in rows.values())
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("columns", [80, 120])
+def test_the_list_fits_the_screen_and_no_word_is_cut(built, monkeypatch, columns):
+    folder, _ = built
+    monkeypatch.setenv("COLUMNS", str(columns))
+    lines = cosim("nets", "list", cwd=folder).stdout.splitlines()
+    assert max(map(len, lines)) <= columns and "…" not in "".join(lines)
+    for name in ("helsinki", "adlershof", "braunschweig", "koenigs-wusterhausen", "town"):
+        rows = [line.split() for line in lines if line.startswith(f"  {name} ")]
+        (row,) = [row for row in rows if row[-1] == "ODbL-1.0"]
+        assert len(row) == 6  # name, km², vehicles, size in two words or "when used", licence
 
 
 def test_show(built, tmp_path):
@@ -50,7 +70,7 @@ def test_show(built, tmp_path):
     done = cosim("nets", "show", str(config), "--out", "odd.svg", "--json", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout)["buildings"] == 1 and (tmp_path / "odd.svg").is_file()
-    assert "vehicles per hour" in cosim("nets", "show", str(folder / "town"), cwd=tmp_path).stdout
+    assert "lanes" in cosim("nets", "show", str(folder / "town"), cwd=tmp_path).stdout
 
 
 @pytest.mark.parametrize(

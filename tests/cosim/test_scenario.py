@@ -1,5 +1,6 @@
 """A stranger's scenario either runs or is refused in one line that names the file and the cause."""
 
+import gzip
 import json
 import re
 from pathlib import Path
@@ -32,6 +33,9 @@ def edited(scenario, tmp_path, name, change):
 
 LATE = '<vehicle id="lost" depart="600"><route edges="nowhere"/></vehicle></routes>'
 
+SUNK = '><param key="top_z_m" value="-1"/></poly>'
+STATE = '<load-state value="gone.xml"/>'
+
 REFUSED = {
     "a network with a bomb": ("odd net.net.xml", lambda t: BOMB + t[t.index("<net") :], "net.net.xml, line 1: decl"),
     "demand with a bomb": ("odd.rou.xml", lambda t: BOMB + t, "odd.rou.xml, line 1: declares a document type"),
@@ -46,6 +50,10 @@ REFUSED = {
     "missing demand": ("odd.sumocfg", lambda t: t.replace("odd.rou", "gone.rou"), "gone.rou.xml, which does not exist"),
     "an unknown edge": ("odd.rou.xml", lambda t: t.replace('edges="db bc"', 'edges="db xx"'), "'xx'"),
     "an unknown option": ("odd.sumocfg", lambda t: t.replace("verbose", "verbosity"), "verbosity"),
+    "a folder that is not there": ("odd.add.xml", lambda t: t.replace("loop", "gone/loop"), "gone/loop.xml' (No such"),
+    "a state that is not there": ("odd.sumocfg", lambda t: t.replace("<input>", "<input>" + STATE), "gone.xml'!"),
+    "a house on its head": ("odd.poly.xml", lambda t: t.replace("/>", SUNK, 1), "polygon 'h': reaches from"),
+    "a house on the globe": ("odd.poly.xml", lambda t: t.replace("<poly", '<poly geo="true"', 1), "no projection"),
     "a torn polygon file": ("odd.poly.xml", lambda t: t[:60], "odd.poly.xml"),
 }  # fmt: skip
 
@@ -63,11 +71,21 @@ def test_refused_before_anything_is_written(scenario, tmp_path, what):
 def test_demand_that_turns_out_wrong_later(scenario, tmp_path):
     """SUMO reads demand bit by bit: what is wrong in its tenth minute is told in its tenth minute."""
     config = edited(scenario, tmp_path, "odd.rou.xml", lambda t: t.replace("</routes>", LATE))
+    grumble = "<routing></routing><report>"  # SUMO complains of that, and goes on
+    config.write_text(config.read_text().replace("<report>", grumble))
     sets = (f"traffic.scenario={config}", "traffic.warmup_s=100", "traffic.duration_s=550", "fleet.penetration_p=0")
     done = cosim("run", *(word for s in sets for word in ("--set", s)), "--out", str(tmp_path / "run"))
     assert done.returncode == 2
-    assert re.fullmatch(r"error: .*odd\.sumocfg: SUMO gives up: .*nowhere.*\n", done.stderr)
+    assert re.fullmatch(r"error: .*odd\.sumocfg: SUMO gives up: The edge 'nowhere'.*\n", done.stderr)
     assert json.loads((tmp_path / "run" / "manifest.json").read_text())["status"] == "failed"
+
+
+def test_what_sumo_complains_of_though_it_goes_on_is_told(scenario, tmp_path):
+    config = edited(scenario, tmp_path, "odd.sumocfg", lambda t: t.replace("<report>", "<routing></routing><report>"))
+    sets = (f"traffic.scenario={config}", "traffic.duration_s=5", "fleet.penetration_p=0")
+    done = cosim("run", *(w for s in sets for w in ("--set", s)), "--out", str(tmp_path / "run"))
+    assert done.returncode == 0
+    assert "note: SUMO went on, but: Could not set option 'routing'" in done.stderr
 
 
 def test_a_run_that_outlives_the_demand_says_so_and_counts_who_was_left_out(scenario, tmp_path):
@@ -82,14 +100,24 @@ def test_a_run_that_outlives_the_demand_says_so_and_counts_who_was_left_out(scen
     assert not list(scenario.parent.glob("*tripinfo*")) and not list(scenario.parent.glob("state*"))
 
 
-def test_polygons_become_buildings_where_the_world_is(scenario):
-    """One house of 20 x 15 m; the park is none. The origin is the network's middle, to the kilometre."""
-    found = find(str(scenario))
+@pytest.mark.parametrize("name", ["odd.poly.xml", "shapes.add.xml", "shapes.xml.gz"])
+def test_polygons_become_buildings_where_the_world_is(scenario, tmp_path, name):
+    """One house of 20 x 15 m; the park is none. The origin is the network's middle, to the kilometre.
+
+    The street beside it climbs from 3 m to 23 m within 500 m; the house's middle is 110 m from the lower end, so that
+    it stands at 3 + 20 * 110 / 500 = 7.4 m, and is 7 m tall.
+    """
+    config = edited(scenario, tmp_path, "odd.sumocfg", lambda t: t.replace("odd.poly.xml", name))
+    text = (tmp_path / "odd.poly.xml").read_bytes()
+    (tmp_path / name).write_bytes(gzip.compress(text) if name.endswith(".gz") else text)
+    found = find(str(config))
     assert found.origin_m[0] == pytest.approx(-8_999_000, abs=1000) and found.origin_m[0] % 1000 == 0
     city = found.city()
     (house,) = city.footprints
     west = -8_999_900 - found.origin_m[0]
     assert house.bounds == (west, 130, west + 20, 145) and city.n_dropped == 0
+    assert city.buildings.base_m.tolist() == pytest.approx([7.4], abs=0.2)  # the street is set back at its ends
+    assert city.buildings.top_m[0] - city.buildings.base_m[0] == pytest.approx(7.0)
 
 
 @pytest.mark.parametrize(

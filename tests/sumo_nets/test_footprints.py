@@ -5,6 +5,7 @@ import pytest
 from shapely import Polygon, box
 
 from sumo_nets.footprints import footprint_of, pieces_of, read_footprints, write_footprints
+from sumo_nets.ground import standing_on
 from sumo_nets.heights import height_of, number
 
 SQUARE = "0,0 10,0 10,10 0,10"
@@ -58,14 +59,13 @@ def test_a_ring_that_crosses_itself_becomes_its_valid_pieces(tmp_path):
 @pytest.mark.parametrize(
     ("shape", "params", "cause"),
     [
-        ("0,0 1,0", "", "a ring needs three different points, this one has 2"),
         ("0,0 1,x 2,2", "", "is not a list of x,y pairs"),
         ("0,0 nan,0 2,2 0,1", "", "is not a list of finite x,y pairs"),
         ("0,0 1 2,2", "", "is not a list of x,y pairs"),
         ("", "", "is not a list of finite x,y pairs"),
         (SQUARE, '<param key="top_z_m" value="tall"/>', "'tall' is not a height in metres"),
         (SQUARE, '<param key="top_z_m" value="-3"/>', "a building's top must lie above its base"),
-        (SQUARE, '<param key="hole.0" value="1,1"/>', "a ring needs three different points"),
+        (SQUARE, '<param key="hole.0" value="1;1"/>', "is not a list of x,y pairs"),
     ],
 )
 def test_nonsense_is_refused_with_file_and_polygon(tmp_path, shape, params, cause):
@@ -76,7 +76,11 @@ def test_nonsense_is_refused_with_file_and_polygon(tmp_path, shape, params, caus
     assert "'odd'" in str(caught.value)
 
 
-def test_slivers_and_lines_are_left_out():
+def test_slivers_and_lines_are_left_out(tmp_path):
+    two = '<poly id="a" type="building" shape="0,0 1,0"/><poly id="b" type="building" shape="5,5"/>'
+    three = f'<poly id="c" type="building" shape="{SQUARE}"><param key="hole.0" value="1,1 2,2"/></poly>'
+    (found,) = read_footprints(polys(tmp_path, two, three))
+    assert found.polygon.equals(box(0, 0, 10, 10))
     assert pieces_of(Polygon([(0, 0), (1, 0), (0.5, 0.001)])) == []
     assert pieces_of(box(0, 0, 2, 2).intersection(box(2, 0, 4, 2))) == []
 
@@ -95,9 +99,58 @@ def test_numbers_of_tags(text, value):
         ({"building": "yes", "building:levels": "5", "roof:levels": "1"}, 500, (0.0, 21.0, "storeys")),
         ({"building:part": "yes", "building:levels": "6", "building:min_level": "2"}, 500, (7.0, 21.0, "storeys")),
         ({"building": "roof"}, 500, (4.5, 5.5, "default")),
+        ({"building": "carport"}, 30, (2.0, 3.0, "default")),
+        ({"building": "warehouse"}, 5000, (0.0, 9.0, "default")),
+        ({"building": "barn"}, 300, (0.0, 7.0, "default")),
+        ({"building": "yes", "height": "1234567"}, 500, (0.0, 17.5, "default")),
+        ({"building": "yes", "building:levels": "3000"}, 500, (0.0, 17.5, "default")),
         ({"building": "yes"}, 20, (0.0, 3.0, "default")),
         ({"building": "yes"}, 900, (0.0, 17.5, "default")),
     ],
 )
 def test_heights_by_hand(tags, area, expected):
     assert height_of(tags, area) == expected
+
+
+KM = 111.195  # of latitude in a degree
+
+LAKE = (
+    '<net version="0.27"><location netOffset="-500000.00,-5538630.70" convBoundary="0,0,1000,1000" '
+    'origBoundary="9,50,9.1,50.1" projParameter="{}"/><edge id="e" from="a" to="b">'
+    '<lane id="e_0" index="0" speed="13.9" length="1000" shape="0,0{} 1000,0{}"/></edge></net>'
+)
+
+
+def test_longitudes_and_latitudes_are_projected_as_the_network_is(tmp_path):
+    """At the central meridian of UTM zone 32, 0.001 degrees of latitude are 111.2 m x 0.9996 further north."""
+    net = tmp_path / "a.net.xml"
+    net.write_text(LAKE.format("+proj=utm +zone=32 +ellps=WGS84 +datum=WGS84 +units=m +no_defs", "", ""))
+    shape = "9.000,50.001 9.001,50.001 9.001,50.002 9.000,50.002"
+    path = polys(
+        tmp_path,
+        f'<poly id="before" type="building" shape="{SQUARE}"/>',
+        f'<poly id="house" type="building.house" geo="true" shape="{shape}"/>',
+        f'<poly id="lake" type="natural.water" geo="true" shape="{shape}"/>',
+    )
+    before, house = read_footprints(path, net)
+    assert before.polygon.equals(box(0, 0, 10, 10))
+    (west, south), (_, north) = house.outer[:-1].min(axis=0), house.outer[:-1].max(axis=0)
+    assert west == pytest.approx(0, abs=0.1) and north - south == pytest.approx(KM, abs=0.2)  # 111.2 m in 50 degrees
+    assert south == pytest.approx(5538630.70 + KM - 5538630.70, abs=0.2)
+    assert house.polygon.area == pytest.approx(KM * 71.7, rel=0.01)  # 111.3 m x cos(50 degrees) east
+    net.write_text(LAKE.format("!", "", ""))
+    with pytest.raises(ValueError, match=r"x\.poly\.xml: polygon 'house': geo=\"true\", but .*projection") as caught:
+        read_footprints(path, net)
+    assert "\n" not in str(caught.value) and "/tmp/sumo_nets" not in str(caught.value)
+
+
+def test_houses_stand_on_the_hill(tmp_path):
+    """A street climbs from 300 m to 400 m over a kilometre: a house beside its middle stands at 350 m."""
+    net = tmp_path / "a.net.xml"
+    net.write_text(LAKE.format("!", ",300", ",400"))
+    path = polys(tmp_path, '<poly id="a" type="building" shape="495,20 505,20 505,30 495,30"/>',
+                 '<poly id="b" type="building" shape="-60,-5 -50,-5 -50,5 -60,5"/>')  # fmt: skip
+    found = read_footprints(path)
+    assert [(f.base_z_m, f.top_z_m) for f in standing_on(found, net)] == [(350.0, 357.0), (300.0, 307.0)]
+    net.write_text(LAKE.format("!", "", ""))
+    assert standing_on(found, net) == found

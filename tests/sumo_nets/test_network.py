@@ -4,7 +4,7 @@ import gzip
 
 import pytest
 
-from sumo_nets.network import check_for_cars
+from sumo_nets.network import check_for_cars, lanes
 
 
 def net(*lanes, function=""):
@@ -48,3 +48,23 @@ def test_without_one_the_cause_is_named_in_one_line(tmp_path, text, cause):
         check_for_cars(path)
     assert str(path) in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_lanes_are_those_of_the_road_also_across_junctions(tmp_path):
+    path = tmp_path / "c.net.xml"
+    edges = [
+        ("", 'shape="0,0,5 9,0,7" width="3"'),
+        ("", 'allow="pedestrian" shape="0,2 9,2"'),
+        ("", 'allow="rail" shape="0,0 9,9"'),
+        ("", 'allow="ship" shape="0,0 9,9"'),
+        ('function="internal"', 'shape="9,0 12,0"'),
+        ('function="crossing"', 'allow="pedestrian" shape="9,0 9,2"'),
+        ('function="walkingarea"', 'allow="pedestrian" shape="9,0 9,2 8,1"'),
+    ]
+    path.write_text("<net>" + "".join(f"<edge {f}><lane {lane}/></edge>" for f, lane in edges) + "</net>")
+    found = [(lane.line_m.tolist(), lane.width_m, lane.for_cars, lane.across) for lane in lanes(path)]
+    assert found == [
+        ([[0, 0, 5], [9, 0, 7]], 3.0, True, False),
+        ([[0, 2, 0], [9, 2, 0]], 3.2, False, False),
+        ([[9, 0, 0], [12, 0, 0]], 3.2, True, True),
+    ]

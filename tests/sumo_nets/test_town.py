@@ -5,9 +5,11 @@ import re
 from pathlib import Path
 from time import perf_counter
 
+import numpy as np
 import pytest
 
 from sumo_nets import build, catalogue, flow, town, wheel
+from sumo_nets.network import lanes
 
 HERSFELD = Path(__file__).parents[3] / "shared" / "nets" / "bad_hersfeld" / "osm_bbox.osm.xml.gz"
 
@@ -70,6 +72,40 @@ def test_its_recipe_builds_it_again(built, tmp_path):
         build.build(built / "recipe.toml", None, tmp_path)
 
 
+def test_traffic_keeps_to_the_left_where_it_is_told_to(built, tmp_path):
+    """Who drives from west to east keeps south of the middle of the street, or north of it."""
+    town.from_osm(built.parent / "my town.osm.gz", tmp_path / "left", town.Density(), left_hand=True)
+
+    def eastward_m(folder: Path) -> float:
+        """How far north they drive, on average."""
+        ways = [lane.line_m for lane in lanes(folder / "net.net.xml.gz") if lane.for_cars and not lane.across]
+        return float(np.mean([way[:, 1].mean() for way in ways if np.ptp(way[:, 1]) < 2 and way[-1, 0] > way[0, 0]]))
+
+    assert 2 < eastward_m(tmp_path / "left") - eastward_m(built) < 8  # by the width of a lane or two
+
+
+def test_a_name_names_files_in_the_folder(built, tmp_path):
+    with pytest.raises(ValueError, match=r"--name \.\./evil: files are called so"):
+        town.from_osm(built.parent / "my town.osm.gz", tmp_path / "out", town.Density(), "../evil")
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ValueError, match="out cannot be made: Not a directory"):
+        town.from_osm(built.parent / "my town.osm.gz", tmp_path / "file" / "out", town.Density())
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
+
+
+@pytest.mark.parametrize("suffix", [".osm.pbf", ".osm.bz2", ".osm"])
+def test_the_same_town_from_whatever_it_is_packed_in(built, tmp_path, suffix):
+    import osmium
+
+    packed = tmp_path / f"a{suffix}"
+    with osmium.SimpleWriter(packed) as writer:
+        for item in osmium.FileProcessor(built.parent / "my town.osm.gz"):
+            writer.add(item)
+    town.from_osm(packed, tmp_path / built.name, town.Density(per_km=4.0))
+    for name in ("net.net.xml.gz", "buildings.poly.xml.gz", "demand.rou.xml.gz"):
+        assert (tmp_path / built.name / name).read_bytes() == (built / name).read_bytes(), name
+
+
 def test_night_is_quieter_than_the_afternoon(built, tmp_path):
     town.from_osm(built.parent / "my town.osm.gz", tmp_path / "night", town.Density(per_km=4.0, hour=3))
     night, day = catalogue.open_folder(tmp_path / "night"), catalogue.open_folder(built)
@@ -101,17 +137,10 @@ def test_a_bad_file_gets_one_line(tmp_path, name):
     assert not (tmp_path / "out").exists()
 
 
-def test_a_box_is_checked_before_anybody_is_asked(tmp_path):
-    with pytest.raises(ValueError, match="four numbers are wanted"):
-        town.from_box("9,50,10", tmp_path, town.Density())
-    with pytest.raises(ValueError, match="west < east"):
-        town.from_box("10,50,9,51", tmp_path, town.Density())
-
-
 def test_offline_a_box_points_to_a_file(tmp_path, monkeypatch):
     for name in ("http_proxy", "https_proxy", "HTTP_PROXY", "HTTPS_PROXY"):
         monkeypatch.setenv(name, "http://127.0.0.1:9")  # nobody listens there
-    with pytest.raises(ValueError, match=r"cannot be reached .* --osm FILE") as caught:
+    with pytest.raises(ValueError, match=r"cannot be reached, or is busy .* --osm FILE") as caught:
         town.from_box("9.0,50.0,9.001,50.001", tmp_path / "out", town.Density())
     assert "\n" not in str(caught.value)
 
@@ -125,6 +154,17 @@ def test_a_city_of_the_wheel_is_made_once_and_always_alike(tmp_path, monkeypatch
     assert second.folder != first.folder
     assert (second.folder / "SHA256SUMS").read_text() == (first.folder / "SHA256SUMS").read_text()
     assert len(first.footprints()) > 10 and "OpenStreetMap" in first.attribution
+
+
+@pytest.mark.parametrize("name", sorted(wheel.NETS))
+def test_what_is_said_of_a_city_before_it_is_made_is_what_it_then_is(name, tmp_path, monkeypatch):
+    monkeypatch.setenv("COSIM_CACHE", str(tmp_path))
+    assert wheel.made(name) is None
+    said, made = wheel.NETS[name], catalogue.find(name)
+    assert wheel.made(name) == made.folder
+    assert said.km2 == pytest.approx(made.size_m[0] * made.size_m[1] / 1e6, abs=0.01)
+    assert said.vehicles_per_hour == made.vehicles_per_hour
+    assert said.pedestrians_per_hour == made.pedestrians_per_hour
 
 
 def test_a_cache_that_cannot_be_written_is_named(tmp_path, monkeypatch):

@@ -77,6 +77,15 @@ def test_every_oddity_is_replayed_as_it_was_live(tmp_path):
     assert np.abs(xyz_m[:, :2]).max() < 1500 and np.ptp(xyz_m[:, 2]) > 10  # and it is a hill
 
 
+def test_hills_in_half_seconds(tmp_path):
+    """SUMO's Parquet holds heights in single precision: 1 in 2,000 would round to another 1/256 m than live."""
+    params = TrafficParams(step_s=0.5)
+    config = odd.write(tmp_path / "live")
+    worlds, _ = live(str(config), tmp_path / "worlds", 0, 181, params)
+    record(odd.write(tmp_path / "fcd"), tmp_path / "fcd.parquet", 90, **{"step-length": 0.5})
+    same(collect(find(str(config), str(tmp_path / "fcd.parquet")).traffic(params, roster()), 0, 181), worlds)
+
+
 def test_identical_tables(tmp_path):
     """The whole run, not only its worlds: live, from Parquet, and from the tables of the live run."""
     record(catalogue.find("helsinki").sumocfg_path, tmp_path / "fcd.parquet", 120)

@@ -6,6 +6,8 @@ import pytest
 from cosim.mobility.source import world_from_bumpers
 from cosim.roster import FleetParams, Roster
 from sensors.scene import Shape
+from tests.cosim.mobility import odd
+from tests.cosim.mobility.worlds import live, same
 
 
 def pose(x, y, z, compass_deg, lwh):
@@ -39,3 +41,24 @@ def test_compass(compass_deg, yaw_deg):
     # 269.999 by compass is a hair south of west: 180.001 = -179.999 degrees.
     np.testing.assert_allclose(yaw, np.deg2rad(yaw_deg), atol=2**-10)
     assert -np.pi < yaw <= np.pi
+
+
+ASKS = """<random_number><random value="true"/><seed value="77"/></random_number>
+<traci_server><remote-port value="8813"/><num-clients value="2"/></traci_server>
+<routing><device.rerouting.threads value="4"/></routing><processing><threads value="4"/></processing><report>"""
+
+
+def test_whatever_a_configuration_asks_for_nobody_is_waited_for_and_traffic_is_repeated(tmp_path):
+    """A seed of the clock's, clients that are to steer it, threads: a run of the same config gives the same tables."""
+    plain = live(str(odd.write(tmp_path / "plain")), tmp_path / "worlds", 0, 40)[0]
+    config = odd.write(tmp_path / "asks")
+    config.write_text(config.read_text().replace("<report>", ASKS))
+    same(live(str(config), tmp_path / "worlds", 0, 40)[0], plain)
+
+
+def test_what_sumo_complains_of_though_it_goes_on_is_told(tmp_path):
+    config = odd.write(tmp_path)
+    assert "sumo_complained" not in live(str(config), tmp_path / "worlds", 0, 5)[1]
+    config.write_text(config.read_text().replace("<report>", "<routing></routing><report>"))
+    report = live(str(config), tmp_path / "worlds", 0, 5)[1]
+    assert report["sumo_complained"] == ["Could not set option 'routing' because attribute 'value' is missing."]
