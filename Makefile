@@ -14,10 +14,12 @@ test: $(READY)  ## The tests
 
 lint: $(READY)  ## Style and types
 	$(BIN)/ruff check .
+	$(BIN)/ruff format --check --quiet .
 	$(BIN)/mypy
 
 verify: $(READY)  ## Everything, the slow verification included
 	$(BIN)/ruff check .
+	$(BIN)/ruff format --check --quiet .
 	$(BIN)/mypy
 	$(BIN)/python -m pytest -q -n 2 -m ""
 

@@ -286,6 +286,7 @@ def about(run: Run) -> str:
 
 def write(path: Path, profile: dict[str, Any]) -> None:
     """A profile as TOML, lists of numbers on one line."""
+
     def one_line(found: re.Match[str]) -> str:
         return f"= {json.dumps(tomllib.loads(f'x = {found[1]}')['x'])}"
 

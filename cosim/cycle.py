@@ -221,9 +221,7 @@ def turn(
         judged = np.full(len(met.sender), alone)
         heard = fusion.Heard(ptr_of(met.receiver, len(observers)), met.sender, known.trust, judged)
         distance_m = np.linalg.norm(said.boxes.xyz_m - sweeps.poses.origin_m[claims.sender], axis=1)
-        fused = fusion.fuse(
-            everything, groups_all, claims, views, verdicts, heard, sight, distance_m, config.trust
-        )
+        fused = fusion.fuse(everything, groups_all, claims, views, verdicts, heard, sight, distance_m, config.trust)
         fused = fused.take(fused.score >= config.trust.min_score)
 
     to_server = None

@@ -89,9 +89,7 @@ def look(run: Run, vehicle: int, step: int) -> Look:
         told[["x_m", "y_m", "z_m"]].to_numpy(float), told[["length_m", "width_m", "height_m"]].to_numpy(float),
         told.yaw_rad.to_numpy(float),
     )  # fmt: skip
-    actors, reported = (
-        sweeps.poses.to_sensor(np.zeros(len(b), int), b) for b in (world.boxes.take(rows), boxes)
-    )
+    actors, reported = (sweeps.poses.to_sensor(np.zeros(len(b), int), b) for b in (world.boxes.take(rows), boxes))
     return Look(sweeps, actors, reported)
 
 

@@ -118,8 +118,14 @@ def _threads(config: Config, n_equipped: int) -> int:
 
 
 def _drive(
-    config: Config, scenario: Scenario, city: Scene, traffic: Traffic, roster: Roster, manifest: Manifest,
-    advance: Advance, watch: Stopwatch,
+    config: Config,
+    scenario: Scenario,
+    city: Scene,
+    traffic: Traffic,
+    roster: Roster,
+    manifest: Manifest,
+    advance: Advance,
+    watch: Stopwatch,
 ) -> None:
     warmup_s = scenario.warmup_s if config.traffic.warmup_s is None else config.traffic.warmup_s
     dt_s, n_steps = config.traffic.step_s, config.n_steps

@@ -62,9 +62,7 @@ HEADLINES = {
 
 def rows_of(table) -> list[dict[str, object]]:
     """Measures as plain rows."""
-    return [
-        row | {"value": None if row["value"] != row["value"] else row["value"]} for row in table.to_dict("records")
-    ]
+    return [row | {"value": None if row["value"] != row["value"] else row["value"]} for row in table.to_dict("records")]
 
 
 def _plain(value: float) -> str:

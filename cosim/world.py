@@ -16,6 +16,7 @@ BEHAVIOURS = ("honest", "unreliable", "malicious")
 
 HONEST, UNRELIABLE, MALICIOUS = range(3)
 
+
 @dataclass(frozen=True, slots=True)
 class World:
     """N actors of one step, sorted by `actor`; world frame (x east, y north, z up; SUMO's net origin).

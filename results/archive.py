@@ -50,8 +50,5 @@ def open_run(path: str | Path, unfinished: bool = False) -> OpenRun:
             "Run again, or use the cosim that wrote it (manifest.json says which)."
         )
     if status != "finished" and not unfinished:
-        raise ValueError(
-            f'{path} is unfinished (status "{status}"). Run it again: '
-            f"`cosim run {path}/config.toml`."
-        )
+        raise ValueError(f'{path} is unfinished (status "{status}"). Run it again: `cosim run {path}/config.toml`.')
     return OpenRun(path, manifest)

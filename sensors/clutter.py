@@ -119,7 +119,7 @@ def _tangent(sweeps: Sweeps, o: ndarray, column: ndarray, row: ndarray) -> Float
     if n < 5:
         return np.full(len(o), np.nan)
     middle = np.clip(column, 2, n - 3)
-    with np.errstate(divide="ignore", invalid="ignore"):      # no return, no neighbour
+    with np.errstate(divide="ignore", invalid="ignore"):  # no return, no neighbour
         a, b = (sweeps.points(o, middle + step, row) for step in (-2, 2))
         before, here, after = (1.0 / sweeps.range_m[o, middle + step, row].astype(float) for step in (-2, 0, 2))
         flat = np.abs(before + after - 2.0 * here * np.cos(2.0 * grid.fov_rad / n)) < FLAT * here
@@ -182,7 +182,7 @@ def _rank(place, own, fresh, time_s, memory_s, shares, p):
                 u = _lasting(joined(own, place), time_s, memory_s)
             else:
                 u = unit(joined(fresh, place))
-            if u < best:                                   # else 1 - (1 - u)^(1 / share) is not, either
+            if u < best:  # else 1 - (1 - u)^(1 / share) is not, either
                 best = min(best, 1.0 - (1.0 - u) ** (1.0 / shares[k]))
     return best
 
@@ -198,7 +198,7 @@ def _side(x, y):
 @njit(cache=True)
 def _tally(ranges, hits, beams, x, y, cos, sin, x0, y0, side):
     """Cells and kinds (walls, road) that one sweep met: which, returns, first and last column; and how many of each."""
-    seen = np.zeros(2 * side * side, np.int32)            # number in the list, from 1
+    seen = np.zeros(2 * side * side, np.int32)  # number in the list, from 1
     met = np.empty((4, 1 + hits.size // COLUMN_STEP), np.int32)
     total = np.zeros(2, np.int64)
     k = 0

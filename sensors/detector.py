@@ -247,17 +247,13 @@ def reported(
     badness = 0.5 * (z[:, 2] ** 2 + z[:, 3] ** 2)
     logit += model.score_sigma * z[:, 1] - model.score_occlusion * occlusion - model.score_error[kind] * badness
 
-    xy = (
-        model.xy_sigma_m[kind]
-        + model.xy_sigma_per_m * sightings.range_m[rows]
-        + model.xy_sigma_sparse_m[kind] * thin
-    )
+    xy = model.xy_sigma_m[kind] + model.xy_sigma_per_m * sightings.range_m[rows] + model.xy_sigma_sparse_m[kind] * thin
     size = model.size_sigma[kind] + model.size_sigma_sparse[kind] * thin
     turn = (model.yaw_sigma_rad[kind] + model.yaw_sigma_sparse_rad * thin) * z[:, 8]
     turn += np.where(luck(z[:, 9]) > 1.0 - model.flip_p, np.pi, 0.0)
     off = z[:, 2:5] * np.column_stack([xy, xy, model.z_share * xy])
     lwh = seen.lwh_m * np.exp(size[:, None] * z[:, 5:8])
-    off[:, 2] += 0.5 * (lwh[:, 2] - seen.lwh_m[:, 2])      # the box keeps standing where it stands
+    off[:, 2] += 0.5 * (lwh[:, 2] - seen.lwh_m[:, 2])  # the box keeps standing where it stands
     first = _moved(seen, off, lwh, turn)
 
     twice = np.flatnonzero(luck(z[:, 11]) > 1.0 - model.duplicate_p)
@@ -278,7 +274,7 @@ def _class_of(kind: UInt8[ndarray, "r"], u: Float[ndarray, "r"], taken_for_p: Fl
     """The class that is reported; without mishap, the right one."""
     share = taken_for_p.copy()
     np.fill_diagonal(share, 0.0)
-    bound = 1.0 - np.cumsum(share[:, ::-1], axis=1)[:, ::-1]        # class c where bound[c] <= u < bound[c + 1]
+    bound = 1.0 - np.cumsum(share[:, ::-1], axis=1)[:, ::-1]  # class c where bound[c] <= u < bound[c + 1]
     return np.where(u < bound[kind, 0], kind, (u[:, None] >= bound[kind]).sum(axis=1) - 1).astype(np.uint8)
 
 

@@ -147,7 +147,7 @@ def tellable(sensed: Boxes, fov_rad: float, area: AreaParams) -> Bool[ndarray, "
     """Whether the free-space test applies to each box (sensor frame)."""
     bottom_m, away_m = _bottom(sensed)
     near_enough = (away_m < area.range_m) & (np.abs(bottom_m) <= area.height_m)
-    ahead = (sensed.xyz_m[:, :2] != 0.0).any(axis=1)        # straight below there is no pyramid
+    ahead = (sensed.xyz_m[:, :2] != 0.0).any(axis=1)  # straight below there is no pyramid
     return _in_view(sensed, fov_rad, 0.0) & near_enough & (sensed.xyz_m[:, 2] <= 0.0) & ahead
 
 

@@ -71,7 +71,7 @@ PROFILES: dict[str, Profile] = {
         (-25.0, -19.0, *_even(-14.0, -7.0, 8), *_even(-6.0, 2.0, 49), 3.0, 5.0, 8.0, 11.0, 15.0),
         1800, 360.0, "Hesai Pandar64 manual: 1/6 degree from -6 to +2, coarser outside; 0.2 degrees at 10 Hz",
     ),
-}
+}  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -217,9 +217,7 @@ class Sweeps:
         column, row = np.nonzero(np.isfinite(self.range_m[o]))
         return self.points(np.full(len(column), o), column, row)
 
-    def points(
-        self, o: Int[ndarray, "k"], column: Int[ndarray, "k"], row: Int[ndarray, "k"]
-    ) -> Float[ndarray, "k 3"]:
+    def points(self, o: Int[ndarray, "k"], column: Int[ndarray, "k"], row: Int[ndarray, "k"]) -> Float[ndarray, "k 3"]:
         """The ends of single rays that returned, in the frame of their sensor [m]."""
         r = self.range_m[o, column, row].astype(np.float64)
         grid = self.beams

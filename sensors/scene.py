@@ -41,8 +41,12 @@ _STACKS: dict[Shape, dict[float, tuple[tuple[float, float, float, float, float],
     Shape.TRUCK: {
         0.0: ((0.28, 0.495, 0.96, 0.0, 0.82), (-0.495, 0.26, 0.98, 0.0, 0.99)),
         # a tractor's cab and frame, and its trailer: 16.5 m at most by law in Europe
-        12.5: ((0.355, 0.495, 0.96, 0.0, 0.92), (0.12, 0.355, 0.90, 0.0, 0.30), (-0.495, 0.325, 0.98, 0.28, 0.99),
-               (-0.48, -0.15, 0.95, 0.0, 0.28)),
+        12.5: (
+            (0.355, 0.495, 0.96, 0.0, 0.92),
+            (0.12, 0.355, 0.90, 0.0, 0.30),
+            (-0.495, 0.325, 0.98, 0.28, 0.99),
+            (-0.48, -0.15, 0.95, 0.0, 0.28),
+        ),
     },
     Shape.BUS: {
         0.0: ((-0.495, 0.495, 0.98, 0.0, 0.99),),
@@ -139,7 +143,7 @@ class Buildings(NamedTuple):
 
 
 GRID_CELL_M = 64.0
-SMALLEST_M2 = 1e-4      # less than a square centimetre is no building
+SMALLEST_M2 = 1e-4  # less than a square centimetre is no building
 
 
 @dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
@@ -207,7 +211,7 @@ class Scene:
         broken = ~np.asarray(shapely.is_valid(polygons), bool)
         polygons[broken] = shapely.make_valid(polygons[broken])
         parts, owner = shapely.get_parts(polygons, return_index=True)
-        parts, index = shapely.get_parts(parts, return_index=True)      # a repair may nest what it splits
+        parts, index = shapely.get_parts(parts, return_index=True)  # a repair may nest what it splits
         owner = owner[index]
         solid = (shapely.get_type_id(parts) == shapely.GeometryType.POLYGON) & (shapely.area(parts) > SMALLEST_M2)
         parts, owner = parts[solid], owner[solid]
@@ -215,7 +219,6 @@ class Scene:
         n_dropped = len(raw) - len(np.unique(owner))
         n_repaired = len(np.unique(owner[broken[owner]]))
         return Scene(_walls(parts, base[owner], top[owner]), parts, n_repaired, n_dropped)
-
 
     def with_mesh(self, vertices_m: Float[ndarray, "v 3"], faces: Int[ndarray, "t 3"]) -> Scene:
         """This scene and one more solid: a tree, a bridge, a statue; its rays count as those of buildings.

@@ -14,7 +14,7 @@ from numpy import ndarray
 from sensors.raycast.column import actor_columns, below, in_prism_frame, profile, rectangle, spans, surface
 from sensors.raycast.columnar import ACTOR
 
-MARGIN_RAD = 1e-9       # rounding of a window's limits
+MARGIN_RAD = 1e-9  # rounding of a window's limits
 
 
 @njit(cache=True, inline="always")
@@ -168,7 +168,7 @@ def returns_alone(hit, origin, yaw, beams, limit, xyz, reach, height, ptr, row, 
     """Per candidate (observer, actor): returns in the sweep, and returns if the actor stood alone in the world."""
     n_returns, n_alone = np.zeros(len(row), np.int32), np.zeros(len(row), np.int32)
     for o in prange(len(own)):
-        taken = np.zeros(len(beams.tan_el), np.int64)       # the last column (of all) in which a row was counted
+        taken = np.zeros(len(beams.tan_el), np.int64)  # the last column (of all) in which a row was counted
         column = 0
         x, y, z, cos, sin = origin[o, 0], origin[o, 1], origin[o, 2], np.cos(yaw[o]), np.sin(yaw[o])
         for i in range(ptr[o], ptr[o + 1]):

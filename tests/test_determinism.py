@@ -51,7 +51,10 @@ def test_raising_penetration_keeps_everybody_who_was_equipped(base, tmp_path):
 
 def test_no_truth_leaks(base, tmp_path):
     """With the names of all that is seen mixed up, only truth columns change."""
-    mixed = drive(tmp_path / "mixed", FULL, before="""
+    mixed = drive(
+        tmp_path / "mixed",
+        FULL,
+        before="""
 import dataclasses
 import numpy as np
 honest = cycle.detector.detect
@@ -62,7 +65,8 @@ def mixed(*args):
     actor[real] = actor[real[np.lexsort((-real, found.o[real]))]]  # each observer's list, back to front
     return dataclasses.replace(found, actor=actor)
 cycle.detector.detect = mixed
-""")
+""",
+    )
     one, other = open_run(base), open_run(mixed)
     changed = False
     for name, table in TABLES.items():

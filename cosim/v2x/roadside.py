@@ -58,9 +58,7 @@ class Junction(Protocol):
     def n_lanes(self) -> int: ...
 
 
-def place(
-    params: RoadsideParams, junctions: Sequence[Junction], bounds_m: tuple[float, float, float, float]
-) -> Sites:
+def place(params: RoadsideParams, junctions: Sequence[Junction], bounds_m: tuple[float, float, float, float]) -> Sites:
     """Antennas of all units; ValueError for a unit outside the network, or with too few junctions.
 
     Parameters

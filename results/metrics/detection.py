@@ -118,9 +118,7 @@ def attack_success(run: Run, min_score: float = 0.5) -> pd.DataFrame:
         "fused", ["step", "observer", "source", "source_k"],
         where=pc.field("fabricated") & (pc.field("score") >= min_score),
     )  # fmt: skip
-    victims = (
-        believed[believed.observer != believed.source].groupby(["step", "source", "source_k"]).observer.nunique()
-    )
+    victims = believed[believed.observer != believed.source].groupby(["step", "source", "source_k"]).observer.nunique()
     return pd.DataFrame([{
         "n_fabricated": n_made, "n_believed": len(victims), "share": len(victims) / n_made,
         "victims_mean": float(victims.mean()) if len(victims) else 0.0,

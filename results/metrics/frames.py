@@ -105,9 +105,7 @@ def boxes_ahead(run: Run, which: Lists, steps: np.ndarray, poses: Poses, range_m
     )  # fmt: skip
 
 
-def ahead_of(
-    poses: Poses, i: np.ndarray, box: np.ndarray, range_m: float
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def ahead_of(poses: Poses, i: np.ndarray, box: np.ndarray, range_m: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """World boxes as their observers have them.
 
     Parameters

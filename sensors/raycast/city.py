@@ -58,7 +58,7 @@ def column_bound(x, y, beams):
     """First column at or counter-clockwise of a place, in [0, n]."""
     n = len(beams.azimuth_rad)
     if x <= 0.0 and beams.fov_rad < np.pi:
-        return 0 if y < 0.0 else n      # behind: no need to know the angle
+        return 0 if y < 0.0 else n  # behind: no need to know the angle
     return min(n, max(0, int(np.ceil((np.arctan2(y, x) - beams.azimuth_rad[0]) * (n / beams.fov_rad)))))
 
 
@@ -80,7 +80,7 @@ def wall(city, e, x, y, cos, sin, beams):
     ka, kb = column_bound(ax, ay, beams), column_bound(bx, by, beams)
     if cross < 0.0:
         ka, kb, ay, by = kb, ka, by, ay
-    if ay >= 0.0 and by < 0.0:      # counter-clockwise across the rear
+    if ay >= 0.0 and by < 0.0:  # counter-clockwise across the rear
         return ka, len(beams.azimuth_rad), 0, kb, u, v
     return ka, max(ka, kb), 0, 0, u, v
 
@@ -111,7 +111,7 @@ def close_columns(found, x, y, z, ground, cos, sin, city, beams, nearest, open_w
         for e in range(city.ptr[k], city.ptr[k + 1]):
             front = (city.ax_m[e] - x) * (city.by_m[e] - y) < (city.ay_m[e] - y) * (city.bx_m[e] - x)
             if not (front or within):
-                continue        # the back of a wall is only seen from within
+                continue  # the back of a wall is only seen from within
             p0, p1, q0, q1, u, v = wall(city, e, x, y, cos, sin, beams)
             is_open = False
             for turn in range(2):

@@ -114,7 +114,7 @@ def _level(ranges, hits, height, inside, beams, limit, toggled):
     for c in range(n):
         odd = inside
         if height < 0.0:
-            for r in range(m):      # upwards: farther and farther on a level below
+            for r in range(m):  # upwards: farther and farther on a level below
                 odd ^= toggled[c, r]
                 if beams.tan_el[r] >= 0.0:
                     break

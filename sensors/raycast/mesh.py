@@ -16,7 +16,7 @@ from sensors.scene import Prisms, Scene, roof_triangles
 
 NOTHING, GROUND, BUILDING, ACTOR = 0, 1, 2, 3
 TILE_M = 256.0
-STEP_M = 1e-4      # how far behind a face of one's own body a ray starts again
+STEP_M = 1e-4  # how far behind a face of one's own body a ray starts again
 
 Tracer = Callable[[Float[ndarray, "r 3"], Float[ndarray, "r 3"]], tuple[Float[ndarray, "r"], Int[ndarray, "r"]]]
 """Origins and unit directions to distance and number of the first triangle; -1 is none."""
@@ -51,7 +51,7 @@ def _sweep(range_m, hit, origin, yaw, ground, own, beams, max_range_m, trace: Tr
     """One observer's range image."""
     direction = directions(yaw, beams)
     distance, what = np.full(len(direction), np.inf), np.full(len(direction), NOTHING, np.int32)
-    behind = np.zeros(len(direction))       # distance already covered, behind faces of the observer's own body
+    behind = np.zeros(len(direction))  # distance already covered, behind faces of the observer's own body
     left = np.arange(len(direction)) if trace is not None else np.zeros(0, int)
     while trace is not None and len(left):
         start = origin + behind[left, None] * direction[left]

@@ -33,6 +33,6 @@ def tracer_of(triangles: ndarray) -> mesh.Tracer:
 
     def trace(start, direction):
         found = solid.cast_rays(tensor(np.concatenate([start, direction], axis=1)), nthreads=1)
-        return found["t_hit"].numpy(), found["primitive_ids"].numpy().astype(np.int32)      # 2^32 - 1 becomes -1
+        return found["t_hit"].numpy(), found["primitive_ids"].numpy().astype(np.int32)  # 2^32 - 1 becomes -1
 
     return trace

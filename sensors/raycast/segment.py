@@ -63,7 +63,7 @@ def _by_building(x, y, z, dx, dy, dz, city):
         for e in range(city.ptr[k], city.ptr[k + 1]):
             ax, ay = city.ax_m[e] - x, city.ay_m[e] - y
             bx, by = city.bx_m[e] - x, city.by_m[e] - y
-            if (dx * ay - dy * ax > 0.0) != (dx * by - dy * bx > 0.0):      # its ends lie on either side of the line
+            if (dx * ay - dy * ax > 0.0) != (dx * by - dy * bx > 0.0):  # its ends lie on either side of the line
                 t = (ay * (bx - ax) - ax * (by - ay)) / ((bx - ax) * dy - (by - ay) * dx)
                 if 0.0 <= t <= 1.0 and base <= z + t * dz <= top:
                     return True

@@ -46,4 +46,3 @@ def test_encounters_of_an_hour(hour):
     curve = encounters.survival(hour)
     assert curve.duration_s[curve.survival <= 0.1].iloc[0] == pytest.approx(88, abs=1)
     assert hour.encounters.duration_s.sum() == pytest.approx(1_948_427 * 42.3, rel=0.01)
-

@@ -88,9 +88,7 @@ def test_scores_and_classes_as_stated(street):
 def test_memory_and_common_part_follow_the_closed_form(queue, share, shared):
     sweeps, seen, _ = queue
     rate, memory_s, n = 3.0, 4.0, len(sweeps.observers)
-    stated = model(
-        clutter_per_sweep=rate, clutter_memory_s=memory_s, clutter_memory_share=share, clutter_shared=shared
-    )
+    stated = model(clutter_per_sweep=rate, clutter_memory_s=memory_s, clutter_memory_share=share, clutter_shared=shared)
     q = 1.0 - places(sweeps, 0, rate, stated.clutter_road_p)
     assert 1.0 - q.min() > 0.05 and (1.0 - q).sum() == pytest.approx(rate)
     common, own, fresh = share * shared, share * (1 - shared), 1 - share

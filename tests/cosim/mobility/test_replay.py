@@ -122,7 +122,7 @@ def test_every_second_moment_of_a_finer_trace(tmp_path):
     assert [w["xyz_m"][0, 0] for w in worlds[1:]] == [2.0 * t - 2.5 for t in range(10)]
 
 
-STRANGE = ["with space", "it's \"quoted\"", "a/b\\c", "ööö 漢字 🚗", "<&>", "null", "NaN", "1", "-", ";,|"]
+STRANGE = ["with space", 'it\'s "quoted"', "a/b\\c", "ööö 漢字 🚗", "<&>", "null", "NaN", "1", "-", ";,|"]
 
 
 @pytest.mark.parametrize("name", ["strange.xml", "strange.csv", "strange.parquet"])

@@ -97,9 +97,7 @@ def test_loss_is_the_share_asked_for():
 
 def test_late_messages_are_dropped():
     xy, names = crowd(40)
-    heard, account = send(
-        xy, names, loss_p=0.0, latency_min_s=0.05, latency_max_s=0.15, timeout_s=0.1, reach_m=500.0
-    )
+    heard, account = send(xy, names, loss_p=0.0, latency_min_s=0.05, latency_max_s=0.15, timeout_s=0.1, reach_m=500.0)
     assert (heard.latency_s <= 0.1).all()
     assert 0.4 < np.mean(account.fate == Fate.LATE) < 0.6
 
