@@ -90,14 +90,14 @@ class Roster:
             np.uint64,
         )
         equipped = self._can_be_equipped[shape] & (uniforms(self._chosen, who)[:, 0] < self.params.penetration_p)
-        part = uniforms(self._part, who)[:, 0]
-        behaviour = self._behaviour[rows]
-        behaviour[equipped & (part < self.params.malicious_p + self.params.unreliable_p)] = UNRELIABLE
-        behaviour[equipped & (part < self.params.malicious_p)] = MALICIOUS
+        self._equipped[rows] = equipped
+        if equipped.any():
+            part, behaviour = uniforms(self._part, who)[:, 0], self._behaviour[rows]
+            behaviour[equipped & (part < self.params.malicious_p + self.params.unreliable_p)] = UNRELIABLE
+            behaviour[equipped & (part < self.params.malicious_p)] = MALICIOUS
 
         self.names.extend(names)
         self._name_key[rows], self._shape[rows], self._lwh_m[rows] = who, shape, lwh_m.astype(np.float32)
-        self._equipped[rows] = equipped
         self._first_step[rows] = self._last_step[rows] = step
         self._n += n
         numbers = np.empty(n, np.int32)

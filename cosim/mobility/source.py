@@ -103,19 +103,24 @@ def world_from_bumpers(
     world live, from a trace, or from the tables of an earlier run.
     """
     order = np.argsort(number)
-    number = number[order]
-    lwh_m = roster.lwh_m[number]
-    xyz_m, yaw_rad, speed = _placed(order, front_m, compass_deg, speed_mps, lwh_m, *origin_m)
+    number, xyz_m, lwh_m, yaw_rad, speed = _placed(
+        order, number, front_m, compass_deg, speed_mps, roster.lwh_m, *origin_m
+    )
     return world_of(step, number, Boxes(xyz_m, lwh_m, yaw_rad), speed, roster)
 
 
 @njit(cache=True)
-def _placed(order, front_m, compass_deg, speed_mps, lwh_m, east_m, north_m):
-    """Centres of boxes, yaw and speed from centres of front bumpers on the road, in order and rounded."""
+def _placed(order, actor, front_m, compass_deg, speed_mps, size_m, east_m, north_m):
+    """Actors, centres and sizes of boxes, yaw and speed from front bumpers on the road, in order and rounded."""
     n = len(order)
-    xyz_m, yaw_rad, speed = np.empty((n, 3)), np.empty(n), np.empty(n)
+    number, xyz_m, lwh_m, yaw_rad, speed = (
+        np.empty(n, np.int32), np.empty((n, 3)), np.empty((n, 3)), np.empty(n), np.empty(n)
+    )  # fmt: skip
     for i in range(n):
         row = order[i]
+        number[i] = actor[row]
+        for axis in range(3):
+            lwh_m[i, axis] = size_m[number[i], axis]
         yaw = np.deg2rad(90.0 - np.float64(np.float32(compass_deg[row])))
         yaw = np.pi - np.mod(np.pi - yaw, 2 * np.pi)  # (-pi, pi]
         back = lwh_m[i, 0] / 2
@@ -124,7 +129,7 @@ def _placed(order, front_m, compass_deg, speed_mps, lwh_m, east_m, north_m):
         xyz_m[i, 2] = np.rint((np.float64(np.float32(front_m[row, 2])) + lwh_m[i, 2] / 2) * _PER_M) / _PER_M
         yaw_rad[i] = np.rint(yaw * _PER_RAD) / _PER_RAD
         speed[i] = np.rint(np.float64(np.float32(speed_mps[row])) * _PER_MPS) / _PER_MPS
-    return xyz_m, yaw_rad, speed
+    return number, xyz_m, lwh_m, yaw_rad, speed
 
 
 def world_of(
