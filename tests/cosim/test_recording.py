@@ -1,12 +1,13 @@
 """From arrays to rows."""
 
 import numpy as np
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cosim.recording import _once
 
 
+@settings(deadline=None)  # the first call compiles
 @given(n=st.integers(1, 9), pairs=st.lists(st.tuples(st.integers(0, 8), st.integers(0, 8)), max_size=60))
 def test_pairs_once_and_sorted(n, pairs):
     """What a set of tuples says, sorted by Python."""
