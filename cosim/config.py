@@ -119,8 +119,9 @@ def load(path: Path | None = None, overrides: list[str] | None = None) -> Config
         given = data.get("traffic", {}).get(name)
         if path is not None and isinstance(given, str) and _is_input(beside := path.parent / given):
             data["traffic"][name] = str(beside)
-    if isinstance(traffic := data.get("traffic"), dict) and not {"step_s", "trace"} & traffic.keys():
-        if (own_s := _own_step_s(str(traffic.get("scenario", "")))) is not None:
+    traffic = data.get("traffic", {})
+    if isinstance(traffic.get("scenario"), str) and not {"step_s", "trace"} & traffic.keys():
+        if (own_s := _own_step_s(traffic["scenario"])) is not None:
             traffic["step_s"] = own_s
     try:
         return TypeAdapter(Config).validate_json(json.dumps(data, default=str), strict=True)
@@ -143,8 +144,14 @@ def _own_step_s(scenario: str) -> float | None:
     """How long a step of the user's own .sumocfg is."""
     path = Path(scenario)
     found = [path] if path.name.endswith(".sumocfg") else sorted(path.glob("*.sumocfg"))
-    is_one = len(found) == 1 and found[0].is_file() and scenario not in catalogue.names()
-    return sumocfg.step_s(found[0]) if is_one else None
+    if len(found) != 1 or not found[0].is_file() or scenario in catalogue.names():
+        return None
+    if (own_s := sumocfg.step_s(found[0])) < 0.1:
+        raise ValueError(
+            f"{found[0]}: its step-length of {own_s:g} s is shorter than the 0.1 s that a step takes here at least. "
+            "Set traffic.step_s to 0.1 or more to drive it otherwise."
+        )
+    return own_s
 
 
 def _override(data: dict[str, Any], text: str) -> None:

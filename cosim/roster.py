@@ -91,7 +91,7 @@ class Roster:
         )
         equipped = self._can_be_equipped[shape] & (uniforms(self._chosen, who)[:, 0] < self.params.penetration_p)
         self._equipped[rows] = equipped
-        if equipped.any():
+        if equipped.any():  # who is not, is honest: 0, as all rows are made
             part, behaviour = uniforms(self._part, who)[:, 0], self._behaviour[rows]
             behaviour[equipped & (part < self.params.malicious_p + self.params.unreliable_p)] = UNRELIABLE
             behaviour[equipped & (part < self.params.malicious_p)] = MALICIOUS

@@ -30,7 +30,7 @@ Advance = Callable[[str, int, int, str], None]
 
 _CORES = numba.get_num_threads()
 _EQUIPPED_PER_THREAD = 100
-"""Below it a turn takes some 40 ms, and threads lose more than they gain wherever the cores have other work."""
+"""Below it a turn takes some 20 ms, and threads lose more than they gain wherever the cores have other work."""
 
 
 def check(config: Config) -> Scenario:

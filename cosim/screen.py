@@ -39,7 +39,7 @@ def conclude(folder: Path, as_json: bool) -> None:
     screen.print(table_of(f"{folder}", rows, HEADLINES))
     slow = sorted(manifest["timings_s"].items(), key=lambda item: -item[1])[:4]
     screen.print(
-        f"{simulated_s:g} s of traffic in {spent_s:.1f} s ({simulated_s / spent_s:.2g} times real time): "
+        f"{simulated_s:g} s of traffic in {spent_s:.1f} s ({_plain(simulated_s / spent_s)} times real time): "
         + ", ".join(f"{stage} {s:.1f} s" for stage, s in slow) + ", ...",
         highlight=False,
     )  # fmt: skip

@@ -44,6 +44,22 @@ def test_a_scenario_keeps_its_own_step(tmp_path, said, set_, step_s):
     assert load(None, [f"traffic.scenario={tmp_path}", *set_]).traffic.step_s == step_s
 
 
+def test_a_step_too_short_is_named_where_it_stands(tmp_path):
+    config = tmp_path / "city.sumocfg"
+    config.write_text('<configuration><step-length value="0.05"/></configuration>')
+    with pytest.raises(ValueError, match=r"city.sumocfg: its step-length of 0.05 s .* Set traffic.step_s"):
+        load(None, [f"traffic.scenario={config}"])
+    assert load(None, [f"traffic.scenario={config}", "traffic.step_s=0.1"]).traffic.step_s == 0.1
+
+
+def test_a_scenario_that_lies_about_is_nobodys(tmp_path, monkeypatch):
+    """Whoever names no scenario gets the shipped one, with its step."""
+    (tmp_path / "city.sumocfg").write_text('<configuration><step-length value="0.1"/></configuration>')
+    monkeypatch.chdir(tmp_path)
+    assert load(None, ["traffic.duration_s=9"]).traffic.step_s == 1.0
+    assert load(None, ["traffic.scenario=helsinki"]).traffic.step_s == 1.0
+
+
 def test_steps():
     config = load(None, ["traffic.step_s=0.1", "sensing_interval_s=0.5", "traffic.duration_s=60"])
     assert (config.sense_every_steps, config.n_steps) == (5, 600)
