@@ -38,7 +38,7 @@ class _Domain:
     getter: dict[str, Callable[[str], Any]] = field(init=False)
 
     def __post_init__(self) -> None:
-        what = ("Position3D", "Angle", "Speed", "TypeID", "VehicleClass", "Length", "Width", "Height")
+        what = ("Position3D", "Angle", "Speed", "VehicleClass", "Length", "Width", "Height")
         self.getter = {name: getattr(_libsumo, f"{self.kind}_get{name}") for name in what}
 
     def present(self) -> tuple[str, ...] | list[str]:
@@ -71,8 +71,6 @@ class SumoTraffic:
         self._domains = (_Domain("vehicle"), _Domain("person"))
         self._step = 0
         self._left_out: Counter[str] = Counter()
-        self._bodies: dict[tuple[str, str], tuple[str, list[float]]] = {}
-        """SUMO's class, and length, width and height, by type."""
         self.n_teleports = 0
         """Vehicles that SUMO has lifted out of a jam since recording began."""
         self._said = tempfile.TemporaryFile("w+b")  # noqa: SIM115
@@ -148,7 +146,7 @@ class SumoTraffic:
         shapes, lwh_m = [], []
         for domain, names, _, _ in strangers:
             for name in names:
-                vclass, size = self._body(domain, name)
+                vclass = domain.getter["VehicleClass"](name)
                 shape = SHAPE_OF_CLASS.get(vclass)
                 if shape is None:
                     domain.number[name] = _LEFT_OUT
@@ -156,7 +154,7 @@ class SumoTraffic:
                     continue
                 who.append((domain, name))
                 shapes.append(shape)
-                lwh_m.append(size)
+                lwh_m.append([domain.getter[what](name) for what in ("Length", "Width", "Height")])
         if who:
             newcomers = [name for _, name in who]
             new = self._roster.enrol(newcomers, np.array(shapes, np.uint8), np.array(lwh_m, float), step)
@@ -171,13 +169,6 @@ class SumoTraffic:
         text = self._said.read().decode(errors="replace").replace(_prefix(Path(self._waste.name)), "")
         errors = re.findall(r"^Error: (.*(?:\n .*)*)", text, re.MULTILINE)
         return list(dict.fromkeys(" ".join(error.split()) for error in errors))
-
-    def _body(self, domain: _Domain, name: str) -> tuple[str, list[float]]:
-        of = domain.kind, domain.getter["TypeID"](name)
-        if of not in self._bodies:
-            lwh_m = [domain.getter[what](name) for what in ("Length", "Width", "Height")]
-            self._bodies[of] = domain.getter["VehicleClass"](name), lwh_m
-        return self._bodies[of]
 
     @contextmanager
     def _errors(self, what: str) -> Iterator[None]:
