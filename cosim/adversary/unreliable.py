@@ -1,0 +1,68 @@
+"""A faulty reporter: it loses detections of its own, and adds copies at wrong places."""
+
+from dataclasses import dataclass, replace
+from typing import Annotated
+
+import numpy as np
+from annotated_types import Ge, Gt, Le
+from numpy import ndarray
+
+from cosim.adversary.attack import AttackContext, EvaluationRows, certified, fabricated, placed
+from cosim.rng import Stream
+from cosim.v2x.messages import FABRICATED, SENSED, Detections
+from sensors.boxes import Boxes
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class UnreliableParams:
+    """How much is lost and added."""
+
+    add_p: Annotated[float, Ge(0), Le(1)] = 0.1
+    """Chance, per own detection, that a copy is added somewhere in the forward view."""
+    remove_p: Annotated[float, Ge(0), Le(1)] = 0.1
+    """Chance, per own detection, that it is not transmitted."""
+    add_range_m: Annotated[float, Gt(0)] = 70.0
+    """Farthest that a copy is added [m]."""
+
+
+class Unreliable:
+    """TruPercept's unreliable vehicle [1]_.
+
+    Notes
+    -----
+    Deviations: the published code's unreliable behaviour had no effect; here it works as the paper says. Copies have
+    detection indices of their own.
+
+    References
+    ----------
+    .. [1] Hurl, Cohen, Czarnecki, Waslander, "TruPercept", 2020, section "Trust Levels".
+    """
+
+    Params = UnreliableParams
+
+    def __init__(self, params: UnreliableParams) -> None:
+        self.params = params
+
+    def detections(self, listed: Detections, context: AttackContext) -> Detections:
+        """Some hidden, some copied."""
+        p, world = self.params, context.world
+        faulty = np.flatnonzero(context.attacker[listed.observer])
+        own = listed.take(faulty)
+        named = world.name_key[own.observer], own.detection_index
+        omitted = (own.origin == SENSED) & (context.draw(Stream.OMISSION, *named)[:, 0] < p.remove_p)
+        draws = context.draw(Stream.FABRICATION, *named, n=4)
+        copied = np.flatnonzero((own.origin != FABRICATED) & (draws[:, 0] < p.add_p))
+        source, u = own.take(copied), draws[copied, 1:]
+        ahead_m = p.add_range_m * u[:, 0]
+        xyz, yaw = placed(world, source.observer, ahead_m, ahead_m * (u[:, 1] - 0.5), np.pi * (u[:, 2] - 0.5))
+        xyz[:, 2] = source.boxes.xyz_m[:, 2]
+        transmitted = listed.transmitted.copy()
+        transmitted[faulty[omitted]] = False
+        kept = replace(listed, transmitted=transmitted)
+        return fabricated(kept, source.observer, source.label, Boxes(xyz, source.boxes.lwh_m, yaw), source.score)
+
+    def evaluations(
+        self, rows: EvaluationRows, detections: Detections, context: AttackContext
+    ) -> tuple[ndarray, ndarray]:
+        """Its copies vouched for, as the published code has it."""
+        return certified(rows, detections, context)

@@ -1,0 +1,1 @@
+"""Drivers: what belief does to traffic. A driver turns what a vehicle believes into speed commands."""
