@@ -8,11 +8,11 @@ from time import perf_counter
 import numba
 import numpy as np
 
+from cosim.actors import ActorRegistry
 from cosim.config import Config, load
 from cosim.cycle import State, Turn, turn
 from cosim.manifest import Stopwatch
 from cosim.mobility.sumo import SumoTraffic
-from cosim.roster import Roster
 from cosim.scenario import find
 from cosim.v2x.messages import FABRICATED, SELF
 from sensors.boxes import overlapping_pairs
@@ -30,9 +30,9 @@ def bench() -> list[Row]:
     """The shipped city, everybody equipped: the stages of the cycle."""
     config = load(None, ["fleet.penetration_p=1", "adversary.start_s=0"])
     scenario = find(config.traffic.scenario)
-    roster = Roster(config.fleet, config.seed)
+    registry = ActorRegistry(config.fleet, config.seed)
     assert scenario.sumocfg is not None
-    traffic = SumoTraffic(config.traffic, scenario.sumocfg, roster)
+    traffic = SumoTraffic(config.traffic, scenario.sumocfg, registry)
     for _ in traffic.warm_up(scenario.warmup_s):
         pass
     city = scenario.city()

@@ -23,7 +23,7 @@ from numpy import ndarray
 from scipy.optimize import differential_evolution
 from scipy.special import expit, logit
 
-from cosim import resweep
+from cosim import replay_lidar
 from cosim.cycle import clutter_luck, luck
 from cosim.world import LABELS
 from results.archive import open_run
@@ -90,18 +90,18 @@ class Said:
 def sample(run: Run, profile: str, model: SimpleNamespace, max_frames: int) -> Sample:
     """Frames of a run, evenly spread over it; the false boxes are those of the model."""
     params = detector.DetectorParams(profile=profile)  # type: ignore[arg-type]
-    config = replace(resweep.config_of(run), detector=params)
-    city = resweep.city_of(config)
+    config = replace(replay_lidar.config_of(run), detector=params)
+    city = replay_lidar.city_of(config)
     steps = frames.sampled_steps(run, max_frames)
     truth, poses = frames.actors_ahead(run, steps, RANGE_M)
     seen, boxes, label, origin_m, z, false = (list[Any]() for _ in range(6))
     n_frames = n_actors = 0
     sweeps: Sweeps | None = None
-    for world in resweep.worlds(run, config):
+    for world in replay_lidar.worlds(run, config):
         observers = np.flatnonzero(world.equipped)
         if world.step not in steps or not len(observers):
             continue
-        sweeps = resweep.sweep(world, observers, city, config, sweeps)
+        sweeps = replay_lidar.sweep(world, observers, city, config, sweeps)
         here, names = sightings(sweeps, world.boxes, world.shape), world.name_key
         z.append(luck(names[observers[here.o]], names[here.actor], world.step, config))
         o, *made_up = false_alarms(sweeps, here, clutter_luck(world, observers, config), model)
@@ -276,7 +276,7 @@ def calibrate(name: str, fitted_on: Sequence[Run], held_out: Sequence[Run], max_
 
 def about(run: Run) -> str:
     """What a run was, so that it can be driven again."""
-    config = resweep.config_of(run)
+    config = replay_lidar.config_of(run)
     return (
         f"{config.traffic.scenario}, traffic.seed = {config.traffic.seed}, seed = {config.seed}, "
         f"{run.manifest['steps'] * run.dt_s:g} s sensed every {config.sensing_interval_s:g} s, "

@@ -123,7 +123,7 @@ def plot(
     from results.figures.catalogue import FIGURES
 
     if what == "sweep":
-        from cosim.resweep import write
+        from cosim.replay_lidar import write
 
         if len(runs) != 1 or step is None or not vehicles or len(vehicles) != 1:
             raise ValueError("cosim plot sweep shows one sweep: cosim plot sweep RUN --vehicle V --step S")

@@ -11,8 +11,8 @@ from typing import Annotated, Any, get_args, get_origin
 from annotated_types import Ge
 from pydantic import TypeAdapter, ValidationError
 
-from cosim.mobility.sumo import TrafficParams
-from cosim.roster import FleetParams
+from cosim.fleet import FleetParams
+from cosim.mobility.params import TrafficParams
 from cosim.v2x.adversary import AdversaryParams
 from cosim.v2x.radio import RadioParams
 from cosim.v2x.roadside import RoadsideParams

@@ -18,8 +18,8 @@ from numpy import ndarray
 
 from cosim import rng
 from cosim.config import Config
+from cosim.ground_truth import GroundTruth, ground_truth_of
 from cosim.manifest import Stopwatch
-from cosim.truth import Truth, truth_of
 from cosim.v2x.adversary import self_reports, tamper
 from cosim.v2x.exchange import Exchange, Heard
 from cosim.v2x.generation import Memory, included
@@ -121,7 +121,7 @@ class Turn:
     observers: Int[ndarray, "e"]  # rows of the world
     sights: evidence.Sightings
     said: Detections
-    truth: Truth
+    truth: GroundTruth
     exchanges: tuple[Exchange, Exchange]  # of detections, and of verdicts
     views: Views  # what each vehicle judged
     verdicts: Verdicts
@@ -164,7 +164,7 @@ def turn(
         if config.radio.cpm_rules == "etsi":
             chosen, state.included = included(state.included, said, world.actor[said.observer], time_s)
             said = replace(said, said=chosen)
-        truth = truth_of(said, world, sights, observers, is_real, source)
+        truth = ground_truth_of(said, world, sights, observers, is_real, source)
         claims, ptr = _claims(said, observers)
 
     with watch("radio"):

@@ -1,4 +1,4 @@
-"""The commands about cities: which there are, what they are like, and how to make one."""
+"""The commands on cities: list, show and build."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from cosim.scenario import Scenario
     from sumo_nets.catalogue import Net
     from sumo_nets.footprints import Footprint
-    from sumo_nets.wheel import WheelNet
+    from sumo_nets.sumo_package_nets import PackageNet
 
 nets = typer.Typer(no_args_is_help=True, help="Cities: those that ship, and your own.")
 
@@ -32,17 +32,18 @@ AsJson = Annotated[bool, typer.Option("--json", help="Answer in JSON on standard
 @nets.command("list")
 def list_(
     folders: Annotated[
-        list[Path] | None, typer.Argument(help="Where to look for cities that were built; by default here.")
+        list[Path] | None,
+        typer.Argument(help="Folders with built cities; by default the current one."),
     ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """List the cities that ship, those of SUMO's package, and those that were built here or one folder below."""
-    from sumo_nets import catalogue, wheel
+    """List the shipped cities, those of SUMO's package, and those built here or one folder below."""
+    from sumo_nets import catalogue, sumo_package_nets
 
     rows = [_summary(catalogue.find(name)) | {"where": "cosim"} for name in catalogue.shipped()]
-    for name, inside in sorted(wheel.NETS.items()):
-        made = wheel.made(name)
-        about = _summary(catalogue.open_folder(made)) if made else _unmade(inside)
+    for name, package_net in sorted(sumo_package_nets.NETS.items()):
+        made = sumo_package_nets.made(name)
+        about = _summary(catalogue.open_folder(made)) if made else _summary_of_package_net(package_net)
         rows.append(about | {"where": "SUMO", "on_disk": made})
     for parent in folders or [Path()]:
         if not parent.is_dir():
@@ -75,7 +76,7 @@ def show(
     out: Annotated[Path | None, typer.Option(help="Picture to write: .png, .svg or .pdf.")] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Say what a city is like, and draw it."""
+    """Print the facts of a city, and draw it."""
     from cosim.scenario import find
     from sumo_nets import catalogue
     from sumo_nets.network import lanes
@@ -103,7 +104,7 @@ def show(
     facts["lane_km"] = round(sum(_length_m(lane.line_m) for lane in driven) / 1000, 1)
     facts["buildings"] = len(_footprints(found))
     facts["picture"] = str(_draw(found, out or Path(f"{found.name}.png")))
-    _tell(facts, as_json)
+    _print_facts(facts, as_json)
 
 
 @nets.command()
@@ -122,7 +123,8 @@ def build(
 ) -> None:
     """Make a city from OpenStreetMap: streets, lights, pavements, buildings, demand, and a report on its traffic."""
     from cosim.scenario import find
-    from sumo_nets import catalogue, flow, town
+    from sumo_nets import build_from_osm, catalogue, flow
+    from sumo_nets.density import Density
 
     if (osm is None) == (bbox is None):
         raise ValueError("cosim nets build wants one of --osm FILE and --bbox west,south,east,north.")
@@ -134,12 +136,12 @@ def build(
         raise ValueError(f"--density {density:g}: vehicles per km of street, more than 0 and at most 100.")
     if not 0 <= hour <= 23:
         raise ValueError(f"--hour {hour}: hours go from 0 to 23.")
-    wanted = town.Density(per_km=density, hour=hour, seed=seed)
+    wanted = Density(per_km=density, hour=hour, seed=seed)
     with notes.status("building streets, buildings and demand ..."):
         if osm is not None:
-            town.from_osm(osm, out, wanted, name, left_hand)
+            build_from_osm.from_osm(osm, out, wanted, name, left_hand)
         else:
-            town.from_box(bbox or "", out, wanted, name, left_hand, overpass)
+            build_from_osm.from_box(bbox or "", out, wanted, name, left_hand, overpass)
     net = catalogue.open_folder(out)
     picture = _draw(find(str(out)), out / PICTURE)
     facts = _summary(net) | {"buildings": len(net.footprints()), "picture": str(picture)}
@@ -147,7 +149,7 @@ def build(
         with notes.status("driving it for half an hour ..."):
             flows = flow.measure(net)
         facts |= asdict(flows) | {"jammed": len(flows.jammed), "verdict": flows.verdict}
-    _tell(facts, as_json)
+    _print_facts(facts, as_json)
 
 
 def _summary(net: Net) -> dict[str, Any]:
@@ -166,8 +168,8 @@ def _summary(net: Net) -> dict[str, Any]:
     }
 
 
-def _unmade(net: WheelNet) -> dict[str, Any]:
-    """The same of a city that its first use will make."""
+def _summary_of_package_net(net: PackageNet) -> dict[str, Any]:
+    """The same of a city that is generated on first use."""
     return {
         "name": net.name,
         "what": net.description,
@@ -229,10 +231,10 @@ LABELS = {
     "jammed_p": ("time spent there", "{:.1%}"),
     "verdict": ("verdict", "{}"),
 }
-"""How facts are told to people, in this order; JSON has them by their own names."""
+"""Labels and formats of the facts on the screen, in this order; JSON has the keys."""
 
 
-def _tell(facts: dict[str, Any], as_json: bool) -> None:
+def _print_facts(facts: dict[str, Any], as_json: bool) -> None:
     if as_json:
         print_json(facts)
         return

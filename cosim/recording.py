@@ -8,9 +8,9 @@ from numba import njit
 from numpy import ndarray
 from scipy.spatial import cKDTree
 
+from cosim.actors import ActorRegistry
 from cosim.config import Config
 from cosim.cycle import FROM_NOWHERE, State, Turn, knowledge
-from cosim.roster import Roster
 from cosim.v2x.exchange import Exchange, Fate, View
 from cosim.v2x.messages import FABRICATED, Detections
 from cosim.world import World
@@ -306,13 +306,13 @@ class Silences:
         self._key, self._since, self._step = key, np.where(heard, step, since), step
 
 
-def vehicles(recorder: Recorder, roster: Roster, first_lie_step: Int[ndarray, "n"], last_step: int) -> None:
+def vehicles(recorder: Recorder, registry: ActorRegistry, first_lie_step: Int[ndarray, "n"], last_step: int) -> None:
     """Everybody, once, at the end; `first_lie_step` is negative for who never lied."""
-    lwh = roster.lwh_m
+    lwh = registry.lwh_m
     recorder.append("vehicles", last_step, {
-        "vehicle": np.arange(len(roster), dtype=np.int32), "sumo_id": np.array(roster.names, object),
-        "kind": roster.shape, "length_m": lwh[:, 0], "width_m": lwh[:, 1], "height_m": lwh[:, 2],
-        "equipped": roster.equipped, "behaviour": roster.behaviour, "behaviour__valid": roster.equipped,
-        "first_step": roster.first_step, "last_step": roster.last_step,
+        "vehicle": np.arange(len(registry), dtype=np.int32), "sumo_id": np.array(registry.names, object),
+        "kind": registry.shape, "length_m": lwh[:, 0], "width_m": lwh[:, 1], "height_m": lwh[:, 2],
+        "equipped": registry.equipped, "behaviour": registry.role, "behaviour__valid": registry.equipped,
+        "first_step": registry.first_step, "last_step": registry.last_step,
         "first_lie_step": first_lie_step, "first_lie_step__valid": first_lie_step >= 0,
     })  # fmt: skip

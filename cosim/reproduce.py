@@ -21,7 +21,7 @@ from cosim.cycle import Perceived, State, Turn, turn
 from cosim.manifest import Stopwatch
 from cosim.v2x.adversary import self_reports
 from cosim.v2x.messages import FABRICATED, SELF, SENSED, Detections
-from cosim.world import BEHAVIOURS, LABELS, World
+from cosim.world import LABELS, ROLES, World
 from results.figures import scenario as pictures
 from results.figures import style
 from sensors import evidence
@@ -61,7 +61,7 @@ class Stage:
     shape: UInt8[ndarray, "n"]
     boxes: Boxes
     equipped: Bool[ndarray, "n"]
-    behaviour: UInt8[ndarray, "n"]
+    role: UInt8[ndarray, "n"]
     observer: Int[ndarray, "d"]  # rows of the actors; sorted
     detected: Int[ndarray, "d"]
     score: Float[ndarray, "d"]
@@ -86,7 +86,7 @@ class Stage:
             shape=np.array([Shape[a["shape"].upper()] for a in actors], np.uint8),
             boxes=Boxes(xyz_m, lwh_m, np.radians([a["heading_deg"] for a in actors])),
             equipped=np.array(["scores" in a for a in actors]),
-            behaviour=np.array([BEHAVIOURS.index(a.get("behaviour", "honest")) for a in actors], np.uint8),
+            role=np.array([ROLES.index(a.get("behaviour", "honest")) for a in actors], np.uint8),
             observer=observer,
             detected=detected,
             score=score,
@@ -112,7 +112,7 @@ class Stage:
             boxes=self.boxes,
             speed_mps=np.zeros(n),
             equipped=self.equipped,
-            behaviour=self.behaviour,
+            role=self.role,
         )
 
     def perceive(self, world: World, observers: Int[ndarray, "e"], sweeps: Sweeps, config: Config) -> Perceived:

@@ -29,7 +29,7 @@ class Stream(IntEnum):
     """What a draw is for. Append only: the numbers are part of every published result."""
 
     EQUIPPED = 1
-    BEHAVIOUR = 2
+    ROLE = 2
     SWEEP = 3
     DETECTION = 4
     CLUTTER = 5

@@ -11,11 +11,11 @@ import numpy as np
 import tomli_w
 
 from cosim import recording
+from cosim.actors import ActorRegistry
 from cosim.config import Config
 from cosim.cycle import State, turn
 from cosim.manifest import Manifest, Stopwatch
-from cosim.mobility.source import Traffic, TrafficError, TrafficOver
-from cosim.roster import Roster
+from cosim.mobility.source import TrafficEnded, TrafficError, TrafficSource
 from cosim.scenario import Scenario, find
 from cosim.v2x.messages import FABRICATED
 from cosim.v2x.roadside import NOWHERE, Sites, place
@@ -75,15 +75,15 @@ def run(config: Config, out: Path | None, advance: Advance) -> Path:
     watch = Stopwatch()
     with watch("city"):
         city = scenario.city()
-    roster = Roster(config.fleet, config.seed)
-    traffic = scenario.traffic(config.traffic, roster)
+    registry = ActorRegistry(config.fleet, config.seed)
+    traffic = scenario.traffic(config.traffic, registry)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         manifest = Manifest(folder, config, scenario.certificate())
         (folder / "config.toml").write_text(tomli_w.dumps(without_nulls(config.to_dict())), encoding="utf-8")
         manifest.write("running")
         try:
-            _drive(config, scenario, city, traffic, roster, manifest, advance, watch)
+            _drive(config, scenario, city, traffic, registry, manifest, advance, watch)
         except KeyboardInterrupt:
             manifest.write("interrupted")
             raise
@@ -108,7 +108,7 @@ def remarks(folder: Path) -> list[str]:
     if left_out := summary.get("actors_left_out"):
         counts = ", ".join(f"{n} {kind}" for kind, n in left_out.items())
         said.append(f"note: left out, because they are not on the road: {counts}.")
-    said += [f"note: SUMO went on, but: {complaint}" for complaint in summary.get("sumo_complained", [])]
+    said += [f"note: SUMO went on, but: {complaint}" for complaint in summary.get("sumo_errors", [])]
     return said
 
 
@@ -121,8 +121,8 @@ def _drive(
     config: Config,
     scenario: Scenario,
     city: Scene,
-    traffic: Traffic,
-    roster: Roster,
+    traffic: TrafficSource,
+    registry: ActorRegistry,
     manifest: Manifest,
     advance: Advance,
     watch: Stopwatch,
@@ -133,7 +133,7 @@ def _drive(
         try:
             for done_s in traffic.warm_up(warmup_s):
                 advance("warm-up", int(done_s), int(warmup_s), "s")
-        except TrafficOver as over:
+        except TrafficEnded as over:
             raise TrafficError(f"traffic.warmup_s = {warmup_s:g} s outlasts the traffic: {over}. Shorten it.") from None
         advance("warm-up", int(warmup_s), int(warmup_s), "s")
     state = State.start(config, city, roadside_units(config, scenario))
@@ -146,7 +146,7 @@ def _drive(
             with watch("traffic"):
                 try:
                     world = traffic.advance()
-                except TrafficOver as over:
+                except TrafficEnded as over:
                     ended = f"the traffic ended before the {n_steps * dt_s:g} s asked for: {over}"
                     break
             with watch("record"):
@@ -160,17 +160,17 @@ def _drive(
                     recording.turn(recorder, happened, silences, dt_s)
                 with watch("encounters"):
                     meetings.count(happened)
-                first_lie = np.concatenate([first_lie, np.full(len(roster) - len(first_lie), -1)])
+                first_lie = np.concatenate([first_lie, np.full(len(registry) - len(first_lie), -1)])
                 liars = world.actor[happened.said.observer[happened.said.origin == FABRICATED]]
                 first_lie[liars] = np.where(first_lie[liars] < 0, step, first_lie[liars])
             n_on_road += int((world.shape != recording.Shape.PEDESTRIAN).sum())
             manifest.steps = step + 1
             advance("run", step + 1, n_steps, f"steps, {len(world)} actors")
-        first_lie = np.concatenate([first_lie, np.full(len(roster) - len(first_lie), -1)])
+        first_lie = np.concatenate([first_lie, np.full(len(registry) - len(first_lie), -1)])
         if not manifest.steps:
             raise TrafficError(f"traffic.scenario = {scenario.name}: there is nothing to record: {ended}.")
         meetings.close(recorder, manifest.steps - 1)
-        recording.vehicles(recorder, roster, first_lie, manifest.steps - 1)
+        recording.vehicles(recorder, registry, first_lie, manifest.steps - 1)
     manifest.timings_s = watch.seconds
     manifest.summary = {
         "vehicles_on_road_mean": round(n_on_road / manifest.steps, 2),

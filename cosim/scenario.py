@@ -1,16 +1,17 @@
-"""Streets, buildings and demand: a city by name, a SUMO scenario of the user's own, or traffic recorded before."""
+"""Network, buildings and traffic: a city by name, a SUMO scenario of the user's own, or recorded traffic."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
+from cosim.actors import ActorRegistry
 from cosim.manifest import sha256
 from cosim.mobility import fcd
-from cosim.mobility.replay import Recorded, Trace
-from cosim.mobility.source import Traffic, TrafficParams
+from cosim.mobility.params import TrafficParams
+from cosim.mobility.replay import RunReplay, TraceReplay
+from cosim.mobility.source import TrafficSource
 from cosim.mobility.sumo import SumoTraffic
-from cosim.roster import Roster
 from results.archive import open_run
 from sensors.scene import Scene
 from sumo_nets import catalogue, sumocfg
@@ -20,38 +21,38 @@ from sumo_nets.ground import standing_on
 from sumo_nets.network import check_for_cars
 
 FARTHEST_M = 32_000.0
-"""Coordinates beyond this are counted from an origin nearby, because tables keep them in single precision."""
+"""Coordinates beyond this get an origin within the network, because tables keep them in single precision."""
 
 
 @dataclass(frozen=True, slots=True)
 class Scenario:
-    """What moves, and what stands beside the road."""
+    """Files of a network, its buildings and its traffic."""
 
     name: str
     sumocfg: Path | None
     net: Path | None
     buildings: tuple[Path, ...]
     types: tuple[Path, ...] = ()
-    """Files that define vehicle types; those that are read fastest first."""
+    """Files that define vehicle types, in the order of reading."""
     warmup_s: float = 0.0
     licence: str = "the user's own"
     attribution: str = ""
     trace: Path | None = None
-    """A trace or a run folder that is replayed; None drives SUMO."""
+    """A trace or a run folder to replay; None runs SUMO."""
     origin_m: tuple[float, float] = (0.0, 0.0)
     """Where the world's origin lies in the network's coordinates."""
 
-    def traffic(self, params: TrafficParams, roster: Roster) -> Traffic:
+    def traffic(self, params: TrafficParams, registry: ActorRegistry) -> TrafficSource:
         """The source of traffic; ValueError in one line where it cannot be read."""
         if self.trace is None:
             assert self.sumocfg is not None
-            return SumoTraffic(params, self.sumocfg, roster, self.origin_m)
+            return SumoTraffic(params, self.sumocfg, registry, self.origin_m)
         if self.trace.is_dir():
-            return Recorded(params, self.trace, roster)
-        return Trace(params, self.trace, roster, self.types, self.origin_m)
+            return RunReplay(params, self.trace, registry)
+        return TraceReplay(params, self.trace, registry, self.types, self.origin_m)
 
     def city(self) -> Scene:
-        """The buildings as walls for light."""
+        """The buildings, as the scene that rays are cast into."""
         footprints = [f for path in self.buildings for f in read_footprints(path, self.net)]
         if self.net is not None:
             footprints = standing_on(footprints, self.net)
@@ -151,7 +152,7 @@ def _of_sumocfg(path: Path) -> Scenario:
 
 
 def _origin_m(bounds_m: tuple[float, float, float, float]) -> tuple[float, float]:
-    """The network's own origin, or where that is far away, a round place in its middle."""
+    """The network's own origin, or where that is far away, its centre rounded to the kilometre."""
     if max(map(abs, bounds_m)) < FARTHEST_M:
         return 0.0, 0.0
     x0, y0, x1, y1 = bounds_m

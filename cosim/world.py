@@ -9,10 +9,10 @@ from sensors.boxes import Boxes
 from sensors.scene import LABEL_OF_SHAPE
 
 LABELS = ("car", "pedestrian", "cyclist", "truck")
-"""Object classes that a detector tells apart, by code."""
+"""Object classes that a detector distinguishes, by code."""
 
-BEHAVIOURS = ("honest", "unreliable", "malicious")
-"""How an equipped vehicle reports, by code."""
+ROLES = ("honest", "unreliable", "malicious")
+"""Roles of equipped vehicles, by code."""
 
 HONEST, UNRELIABLE, MALICIOUS = range(3)
 
@@ -21,8 +21,8 @@ HONEST, UNRELIABLE, MALICIOUS = range(3)
 class World:
     """N actors of one step, sorted by `actor`; world frame (x east, y north, z up; SUMO's net origin).
 
-    An actor's number is given at its first appearance and never re-used; `name_key` is the hash of its
-    name by which chance knows it.
+    An actor's number is given at its first appearance and never reused. `name_key` is the hash of its name; random
+    draws are keyed by it, so that they do not depend on the numbering.
     """
 
     step: int
@@ -32,7 +32,7 @@ class World:
     boxes: Boxes
     speed_mps: Float[ndarray, "n"]
     equipped: Bool[ndarray, "n"]
-    behaviour: UInt8[ndarray, "n"]
+    role: UInt8[ndarray, "n"]  # code of `ROLES`; honest where not equipped
 
     def __len__(self) -> int:
         return len(self.actor)

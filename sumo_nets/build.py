@@ -78,19 +78,19 @@ def build(recipe_path: Path, source: Path | None, out: Path) -> None:
 
 
 def make(recipe: dict[str, Any], text: str, extract: osm.Extract, work: Path, out: Path) -> None:
-    """Build what a recipe says from an extract; `text` is the recipe as it is kept in `out`, `work` is scratch."""
+    """Build what a recipe says from an extract; `text` is the recipe as stored in `out`, `work` a temporary folder."""
     furnish(recipe, extract, network(recipe, extract, work), work)
     pack(recipe, text, work, out)
 
 
 def furnish(recipe: dict[str, Any], extract: osm.Extract, gates: frozenset[str], work: Path) -> None:
-    """Buildings and demand beside and on the network in `work`."""
+    """Write buildings and demand for the network in `work`."""
     _buildings(extract, work)
     _demand(recipe, extract, gates, work)
 
 
 def pack(recipe: dict[str, Any], text: str, work: Path, out: Path) -> None:
-    """Bring what was made in `work` into the folder `out`."""
+    """Write the files of a city from `work` into the folder `out`."""
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -146,7 +146,7 @@ def _source(wanted: dict[str, str], given: Path | None, work: Path) -> Path:
 
 
 def network(recipe: dict[str, Any], extract: osm.Extract, work: Path) -> frozenset[str]:
-    """The streets of an extract as `net.net.xml` in `work`; the nodes at which traffic comes and goes."""
+    """The streets of an extract as `net.net.xml` in `work`; returns the nodes at which traffic enters and leaves."""
     choice = recipe["streets"]
     chosen = streets.drivable(
         extract, frozenset(choice["classes"]), frozenset(choice["ignored_tags"]), choice["gate_edge_m"],

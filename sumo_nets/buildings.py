@@ -17,7 +17,7 @@ from sumo_nets.heights import CLEARANCE_M, Height, height_of
 from sumo_nets.osm import Extract, Tags, Way
 
 SIMPLIFY_M = 0.15
-"""Largest distance by which a simplified wall may leave its place [m]."""
+"""Largest displacement of a wall by simplification [m]."""
 PASSAGE_M2 = 25.0
 """A building that covers more carriageway than this bridges it; less is a drawing error and cut off [m²]."""
 _NO_MORE = frozenset(("no", "demolished", "razed", "proposed", "planned"))
@@ -29,7 +29,7 @@ Rings = dict[str, tuple[list[list[int]], list[list[int]], Tags]]
 
 @dataclass(frozen=True, slots=True)
 class Buildings:
-    """Named footprints, and how they came about."""
+    """Named footprints, with counts by origin."""
 
     footprints: list[tuple[str, Footprint]]
     heights: Counter[str]
@@ -68,7 +68,7 @@ def rings_of(extract: Extract) -> Rings:
 def build(rings: Rings, project: Callable[[list[Way]], dict[int, Ring]], ground: Ground) -> Buildings:
     """Footprints in network coordinates, parts taking the place of the outline they refine.
 
-    `project` turns ways into rings in the network's coordinates; `ground` is kept free.
+    `project` turns ways into rings in the network's coordinates; `ground` is kept free of buildings.
     """
     ways: list[Way] = []
     owner: list[tuple[str, bool]] = []
@@ -92,12 +92,12 @@ def _is_building(tags: Tags) -> bool:
     if tags.get("location") == "underground" or tags.get("layer", "0").startswith("-"):
         return False
     if tags.get("building:levels") == "0" and not {"height", "building:height"} & set(tags):
-        return False  # all of it lies below the ground
+        return False  # entirely below ground
     return not {tags.get("building", "no"), tags.get("building:part", "no")} <= _NO_MORE
 
 
 def _joined(chains: list[list[int]]) -> list[list[int]]:
-    """Chains of nodes joined end to end into rings; what stays open is closed by a straight wall."""
+    """Chains of nodes joined end to end into rings; an open chain is closed by a straight wall."""
     chains = [list(chain) for chain in chains]
     rings = []
     while chains:
@@ -118,7 +118,7 @@ def _joined(chains: list[list[int]]) -> list[list[int]]:
 
 
 def _refined(shape: dict[str, shapely.Geometry], tags: dict[str, Tags]) -> list[Solid]:
-    """Parts stand for themselves; of an outline stays what no part covers, and what carries raised parts."""
+    """Parts are kept as they are; an outline keeps the area that no part covers, and the volume below raised parts."""
     parts = [name for name in shape if tags[name].get("building", "no") == "no"]
     solids = [(name, shape[name], height_of(tags[name], shape[name].area)) for name in parts]
     tree = shapely.STRtree([solid for _, solid, _ in solids])

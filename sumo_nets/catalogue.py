@@ -1,29 +1,31 @@
-"""The networks that ship with the package."""
+"""The networks that ship with this package or with SUMO's."""
 
 from __future__ import annotations
 
 import tomllib
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from sumo_nets import wheel
-from sumo_nets.footprints import Footprint, read_footprints
+from sumo_nets import sumo_package_nets
 from sumo_nets.xml import Attributes, Enough, stream
+
+if TYPE_CHECKING:
+    from sumo_nets.footprints import Footprint
 
 _HERE = Path(__file__).parent
 
 
 @dataclass(frozen=True, slots=True)
 class Net:
-    """A shipped city: its files, and what one must know to use and to cite them."""
+    """A city: its files, licence and attribution."""
 
     name: str
     description: str
     licence: str
     """Of the data, as an SPDX name; its text is in `folder / "LICENSE"`."""
     attribution: str
-    """To be shown wherever the data, or a picture made from them, are."""
+    """To be shown with the data and with pictures made from them."""
     folder: Path
     sumocfg_path: Path
     net_path: Path
@@ -33,7 +35,7 @@ class Net:
     end_s: float
     """Time at which the demand ends."""
     vehicles_per_hour: float
-    """Vehicles that the demand draws, bicycles included, buses not (they keep a timetable)."""
+    """Vehicles of the demand, with bicycles, without buses (they follow a timetable)."""
     pedestrians_per_hour: float
     bounds_m: tuple[float, float, float, float]
     """Least x, least y, greatest x, greatest y, in network coordinates."""
@@ -46,6 +48,8 @@ class Net:
 
     def footprints(self) -> list[Footprint]:
         """The buildings: (outer ring, holes, base, top), in network coordinates."""
+        from sumo_nets.footprints import read_footprints
+
         return read_footprints(self.buildings_path)
 
 
@@ -55,12 +59,12 @@ def shipped() -> list[str]:
 
 
 def names() -> list[str]:
-    """Names of all networks, sorted: those that ship here, and those that come inside SUMO's package."""
-    return sorted({*shipped(), *wheel.NETS})
+    """Names of all networks, sorted: those shipped here, and those inside SUMO's package."""
+    return sorted({*shipped(), *sumo_package_nets.NETS})
 
 
 def find(name: str) -> Net:
-    """A network by its name; one of SUMO's package is given demand on first use, which takes a few seconds.
+    """A network by its name; demand of one of SUMO's package is generated on first use, within seconds.
 
     Raises
     ------
@@ -69,11 +73,15 @@ def find(name: str) -> Net:
     """
     if name not in names():
         raise ValueError(f"network = {name!r} does not ship with cosim; there are: {', '.join(names())}")
-    return open_folder(_HERE / name if name in shipped() else wheel.folder_of(name))
+    if name in shipped():
+        return open_folder(_HERE / name)
+    from sumo_nets.build_from_sumo_package import folder_of
+
+    return open_folder(folder_of(name))
 
 
 def open_folder(folder: Path) -> Net:
-    """A network from the folder that `sumo_nets.build` made."""
+    """A network from the folder that `sumo_nets.build` wrote."""
     try:
         recipe = tomllib.loads((folder / "recipe.toml").read_text(encoding="utf-8"))
         return _opened(folder, recipe)

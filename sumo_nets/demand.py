@@ -1,7 +1,7 @@
-"""An ordinary afternoon: who enters the city where, when, and where they go.
+"""Trips of vehicles and pedestrians: departure times, origins and destinations.
 
-Trips are drawn here; SUMO's `duarouter` turns them into routes. Chance is one `random.Random` per kind of
-traveller, of which only `random()` is used, so that a rebuild draws the same afternoon on every machine.
+Trips are drawn here; SUMO's `duarouter` turns them into routes. Draws come from one `random.Random`
+per vehicle class, of which only `random()` is used, so that a rebuild gives the same trips on every machine.
 """
 
 from __future__ import annotations
@@ -18,16 +18,16 @@ from typing import Any
 Point = tuple[float, float]
 
 KINDS = ("car", "van", "truck", "bicycle")
-"""Kinds of vehicle whose trips are drawn; buses keep a timetable."""
+"""Vehicle classes whose trips are drawn; buses follow a timetable."""
 ENTRY_M = 12.0
-"""Shortest lane on which a vehicle can come into being without standing in another [m]."""
+"""Shortest lane on which a vehicle can be inserted without overlapping another [m]."""
 MOST_TRIES = 10_000
-"""Draws of origin and destination before a recipe counts as impossible."""
+"""Draws of origin and destination before a recipe is refused."""
 
 
 @dataclass(frozen=True, slots=True)
 class Street:
-    """One directed edge of the network, as the demand sees it."""
+    """Properties of one directed edge of the network that the demand needs."""
 
     id: str
     start: str
@@ -88,12 +88,12 @@ def streets_of(net: Any, gates: frozenset[str]) -> list[Street]:
 
 
 def _turns_only(neighbours: Any, other_end: Any) -> bool:
-    """Whether an edge is joined, at this end, to nothing but the way back."""
+    """Whether an edge is connected, at this end, only to its opposite direction."""
     return all(other_end in (edge.getFromNode(), edge.getToNode()) for edge in neighbours)
 
 
 def vehicle_trips(streets: list[Street], kind: str, recipe: dict[str, Any], seed: int, end_s: float) -> list[str]:
-    """Trips of one kind of vehicle, sorted by departure."""
+    """Trips of one vehicle class, sorted by departure."""
     draw = Draw(seed, kind)
     gate = recipe["gate_weight"]
     through = [street for street in streets if kind != "bicycle" or street.cyclable]
@@ -104,7 +104,7 @@ def vehicle_trips(streets: list[Street], kind: str, recipe: dict[str, Any], seed
     inside = [street for street in through if not street.is_entry and not street.is_exit]
     entries = [street for street in through if street.is_entry]
     exits = [street for street in through if street.is_exit]
-    from_inside = recipe["from_inside"] if entries else 1.0  # an island has no gates
+    from_inside = recipe["from_inside"] if entries else 1.0  # a network without gates
     to_inside = recipe["to_inside"] if exits else 1.0
     enter, leave = draw.chooser(entries, at_gate), draw.chooser(exits, at_gate)
     kerb = draw.chooser(inside, lambda street: street.length_m if street.length_m > 40.0 else 0.0)

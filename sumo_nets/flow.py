@@ -1,4 +1,4 @@
-"""Does it flow? A network's traffic driven once, and what came of it."""
+"""Test of a network's demand: one simulation, with counts of jams, teleports and waiting vehicles."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from sumo_nets.catalogue import Net
 from sumo_nets.xml import Attributes, stream
 
 JAMMED = 0.1
-"""A street on which traffic goes at less than this share of its free speed, for a quarter of an hour, is jammed."""
+"""A street is jammed where the mean speed is below this share of the speed limit."""
 _BUSY_S = 900.0
-"""Vehicle-seconds on a street below which its speed says nothing."""
+"""Vehicle-seconds on a street below which its mean speed is not used."""
 
 
 @dataclass(frozen=True, slots=True)
 class Flow:
-    """A quarter of an hour or more of traffic, after warm-up."""
+    """Figures of a simulation after warm-up."""
 
     seconds: float
     vehicles_mean: float
@@ -29,21 +29,21 @@ class Flow:
     trips: int
     """Ended."""
     teleports: int
-    """Vehicles that SUMO lifted out of a jam."""
+    """Vehicles that SUMO teleported out of a jam."""
     waiting: int
-    """Vehicles that found no room to enter, at the end."""
+    """Vehicles waiting to enter at the end."""
     collisions: int
     jammed: tuple[str, ...]
-    """Streets (edges) on which traffic hardly moves."""
+    """Jammed streets (edges)."""
     jammed_p: float
-    """Share of the vehicles' time that is spent on them."""
+    """Share of the vehicles' time that is spent on jammed streets."""
 
     @property
     def verdict(self) -> str:
-        """One line for whoever has to decide whether to use it."""
+        """One line: whether the traffic flows, and if not, why."""
         faults = []
         if self.vehicles_mean < 1:
-            faults.append("nobody is on the road")
+            faults.append("no vehicle is on the road")
         if self.teleports > 0.02 * max(self.trips, 1):
             faults.append(f"{self.teleports} teleports in {self.trips} trips")
         if self.waiting > max(10.0, 0.1 * self.vehicles_mean):
@@ -54,7 +54,7 @@ class Flow:
 
 
 def measure(net: Net, seconds: float = 1200.0) -> Flow:
-    """Drive a network's demand for its warm-up and `seconds` more."""
+    """Simulate a network's demand for its warm-up and `seconds` more."""
     begin, end = net.warm_up_s, net.warm_up_s + seconds
     with tempfile.TemporaryDirectory(prefix="sumo_nets.") as name:
         work = Path(name)

@@ -1,7 +1,7 @@
 """Building footprints: polygons with courtyards and heights, in SUMO's polygon files.
 
-SUMO's `<poly>` knows one ring. Ours carry what it lacks as parameters, which SUMO reads past:
-`base_z_m`, `top_z_m`, and one `hole.<n>` per courtyard (a shape like the poly's own). A stranger's file
+SUMO's `<poly>` has one ring. Ours carry the rest as parameters, which SUMO ignores:
+`base_z_m`, `top_z_m`, and one `hole.<n>` per courtyard (a shape like the poly's own). A user's file
 (polyconvert with `--all-attributes`) carries OpenStreetMap's tags as parameters instead.
 """
 

@@ -12,11 +12,11 @@ from sumo_nets.footprints import Footprint
 from sumo_nets.network import lanes
 
 MARGIN_M = 0.1
-"""By which lanes count as wider than drawn [m]."""
+"""Margin added to the width of lanes [m]."""
 
 
 class Ground(NamedTuple):
-    """Areas in network coordinates; no wall may stand on them."""
+    """Areas in network coordinates on which no building may stand."""
 
     carriageway: shapely.Geometry
     """Lanes for vehicles, those across junctions included."""

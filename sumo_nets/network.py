@@ -1,4 +1,4 @@
-"""What is read off a network file without SUMO: whether a car can drive there, its lanes, its junctions."""
+"""Facts read from a network file without SUMO: whether it has lanes for cars, its lanes, its junctions."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from numpy import ndarray
 from sumo_nets.xml import Attributes, Enough, stream
 
 LANE_M = 3.2
-"""Width of a lane that does not say [m]; SUMO's own default."""
+"""Default width of a lane [m]; SUMO's own."""
 
 MOTORS = frozenset((
     "passenger", "private", "emergency", "authority", "army", "vip", "hov", "taxi", "bus", "coach", "delivery", "truck",
     "trailer", "evehicle", "motorcycle", "moped", "custom1", "custom2",
 ))  # fmt: skip
-"""Vehicle classes of what drives on roads."""
+"""Vehicle classes of motor vehicles."""
 OTHERS = frozenset(("bicycle", "scooter", "pedestrian", "wheelchair", "tram"))
-"""Who else is met there."""
+"""Other road users' classes."""
 
 
 def check_for_cars(net_path: Path | str) -> None:
@@ -60,10 +60,10 @@ def check_for_cars(net_path: Path | str) -> None:
 
 
 class Lane(NamedTuple):
-    """Where somebody drives, cycles or walks: along a street, or across a junction."""
+    """A lane of a street, or across a junction."""
 
     line_m: Float[ndarray, "k 3"]
-    """Middle line, network coordinates; at z = 0 where the network does not say."""
+    """Middle line, network coordinates; z = 0 where the network has no heights."""
     width_m: float
     for_cars: bool
     across: bool
@@ -90,7 +90,7 @@ def lanes(net_path: Path | str) -> list[Lane]:
 
 @dataclass(frozen=True, slots=True)
 class Junction:
-    """Where streets meet; network coordinates."""
+    """A junction; network coordinates."""
 
     xyz_m: tuple[float, float, float]
     n_lanes: int

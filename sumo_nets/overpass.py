@@ -1,4 +1,4 @@
-"""OpenStreetMap by box: what an Overpass service sends, asked by SUMO's osmGet.py."""
+"""OpenStreetMap data of a bounding box from an Overpass service, through SUMO's osmGet.py."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ Box = tuple[float, float, float, float]
 
 MOST_KM2 = 1000.0
 """Largest box that is fetched."""
-PATIENCE_S = 900.0
-"""After which it is given up; a service takes up to 240 s for an answer, and osmGet.py knows three of them."""
+TIME_LIMIT_S = 900.0
+"""Time limit [s]; a service takes up to 240 s for an answer, and osmGet.py knows three of them."""
 RETRY_S = 3
-"""Between attempts where a service says that it is busy."""
+"""Delay between attempts where a service is busy [s]."""
 
 _KM_PER_DEGREE = 111.2
 
@@ -56,9 +56,9 @@ def fetch(box: Box, server: str | None = None) -> bytes:
         words = [sys.executable, str(tool), f"--bbox={','.join(map(repr, box))}", "-p", "map", "-d", folder]
         words += ["--retry-delay", str(RETRY_S), *(["--url", server] if server else [])]
         try:
-            done = subprocess.run(words, capture_output=True, text=True, check=False, timeout=PATIENCE_S)
+            done = subprocess.run(words, capture_output=True, text=True, check=False, timeout=TIME_LIMIT_S)
         except subprocess.TimeoutExpired:
-            raise ValueError(f"the Overpass service gave no answer within {PATIENCE_S:g} s") from None
+            raise ValueError(f"the Overpass service gave no answer within {TIME_LIMIT_S:g} s") from None
         found = sorted(Path(folder).glob("map*.osm.xml"))
         if done.returncode != 0 or not found:
             said = (done.stderr.strip() or done.stdout.strip() or "it brought nothing").splitlines()[-1]
@@ -72,9 +72,9 @@ def _plain(said: str) -> str:
 
 
 def _bounded(xml: bytes, box: Box) -> bytes:
-    """An answer with its box, and without osmGet.py's note on when and where it ran.
+    """A response with its bounding box, and without osmGet.py's comment on time and machine.
 
-    A service that gave up half-way says so within an answer that looks well (`<remark>`): refused.
+    A service that stopped early says so in an otherwise complete response (`<remark>`): refused.
     """
     if remark := re.search(rb"<remark>\s*(.*?)\s*</remark>", xml, re.DOTALL):
         said = " ".join(remark[1].decode(errors="replace").split())

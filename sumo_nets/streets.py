@@ -13,7 +13,7 @@ from sumo_nets.osm import Extract, Way, pieces
 
 @dataclass(frozen=True, slots=True)
 class Streets:
-    """What netconvert is given, and where the city goes on beyond the extract."""
+    """Input of netconvert, and the nodes where streets continue beyond the extract."""
 
     ways: list[Way]
     gates: frozenset[int]
@@ -60,7 +60,7 @@ def drivable(
     for (index, a, b), ways_round in sorted(both.items()):
         kept[index].append((a, b, True in ways_round, False in ways_round))
     if not kept:
-        raise ValueError(f"no street of the classes {', '.join(sorted(classes))} can be driven round: is it a town?")
+        raise ValueError(f"the extract has no connected network of streets of the classes {', '.join(sorted(classes))}")
     return _assemble(extract, runs, stubs, kept, gates, ignored_tags)
 
 
@@ -76,7 +76,7 @@ def _is_street(way: Way, classes: frozenset[str]) -> bool:
     if tags.get("highway") not in classes or tags.get("area") == "yes":
         return False
     if tags.get("tunnel", "no") != "no" or tags.get("layer", "0").startswith("-"):
-        return False  # the model city is flat: what runs below it stays out
+        return False  # the network is flat: tunnels are left out
     return not {tags.get("access"), tags.get("motor_vehicle"), tags.get("vehicle")} & {"no", "private"}
 
 
@@ -113,7 +113,7 @@ def _gates(
 
 
 def _driven(runs, arcs, gates: frozenset[int]) -> list[bool]:
-    """Which arcs belong to the network that one can drive round in; node 0 of the graph is the outside."""
+    """Which arcs belong to the strongly connected network; node 0 of the graph is the outside."""
     tail, head = [], []
     for index, a, b, forward in arcs:
         run = runs[index][1]
@@ -148,7 +148,7 @@ def _largest_component(links: list[list[int]]) -> set[int]:
         largest = max(largest, component, key=len)
         left -= component
         dead = [i for i in left if not left.intersection(links[i]) or not left.intersection(backwards[i])]
-        while dead:  # what leads nowhere, or starts from nowhere, is in no component but its own
+        while dead:  # an arc without successor or predecessor is a component of its own
             left.difference_update(dead)
             beside = {j for i in dead for j in links[i] + backwards[i] if j in left}
             dead = [i for i in beside if not left.intersection(links[i]) or not left.intersection(backwards[i])]

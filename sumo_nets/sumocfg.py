@@ -1,4 +1,4 @@
-"""What a SUMO configuration names: the files it reads, the files it would write, and when it begins."""
+"""A SUMO configuration: the files that it reads, those that it would write, and its step length."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _WRITTEN = ("netstate-dump", "log", "message-log", "error-log")
 
 @dataclass(frozen=True, slots=True)
 class Sumocfg:
-    """A configuration as far as it matters to somebody who drives it."""
+    """The parts of a configuration that a run needs."""
 
     path: Path
     net: Path
@@ -34,12 +34,12 @@ class Sumocfg:
 
     @property
     def buildings(self) -> tuple[Path, ...]:
-        """Those additional files that hold polygons."""
+        """The additional files that contain polygons."""
         return tuple(path for path in self.additional if contains(path, b"<poly"))
 
 
 def read(path: Path) -> Sumocfg:
-    """Read a .sumocfg, and see that every file that it names is there and harmless.
+    """Read a .sumocfg, and check that every file that it names exists and is harmless.
 
     Raises
     ------
@@ -62,7 +62,7 @@ def read(path: Path) -> Sumocfg:
 
 
 def step_s(path: Path) -> float:
-    """Length of a step [s]; SUMO's own 1 s where the configuration says none, or none that is a plain number."""
+    """Length of a step [s]; SUMO's default of 1 s where the configuration has none, or none that is a number."""
     try:
         return float(_values(path).get("step-length", "1"))
     except ValueError:
@@ -70,7 +70,7 @@ def step_s(path: Path) -> float:
 
 
 def _values(path: Path) -> dict[str, str]:
-    """What each option of a configuration is set to."""
+    """Values of the options of a configuration, by name."""
     values: dict[str, str] = {}
     text: list[str] = []
 

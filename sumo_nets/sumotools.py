@@ -1,4 +1,4 @@
-"""SUMO's command-line tools, run in a folder of their own."""
+"""SUMO's command-line tools, run in a given folder."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ Ring = Float[ndarray, "k 2"]
 
 
 def home() -> Path:
-    """SUMO_HOME of the installed wheel."""
+    """SUMO_HOME of the installed package."""
     import sumo
 
     return Path(sumo.SUMO_HOME)
 
 
 def run(tool: str, options: dict[str, Any], folder: Path) -> str:
-    """Run a tool in `folder`; what it said on standard error comes back.
+    """Run a tool in `folder`; returns its standard error.
 
     Raises
     ------
     ValueError
-        Where the tool fails: its own words.
+        Where the tool fails: its message.
     """
     words = [str(home() / "bin" / tool)]
     for key, value in options.items():

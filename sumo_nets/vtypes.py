@@ -1,4 +1,4 @@
-"""Vehicle types: the class and size that SUMO gives to a type of a name."""
+"""Vehicle types by name: SUMO's vehicle class and size."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ SIZES_M = {
     "ship": (17.0, 4.0, 4.0), "container": (6.096, 2.438, 2.591), "aircraft": (72.7, 79.8, 1.5),
     "drone": (0.5, 0.5, 1.5),
 }  # fmt: skip
-"""Length, width and height that SUMO 1.28 gives to a class where the type says nothing [m]."""
+"""Length, width and height that SUMO 1.28 gives to a class by default [m]."""
 
 _DEFAULT = {
     "DEFAULT_VEHTYPE": "passenger", "DEFAULT_PEDTYPE": "pedestrian", "DEFAULT_BIKETYPE": "bicycle",
@@ -44,7 +44,7 @@ _HINTS = {
     "van": "delivery", "emergency": "emergency", "tram": "tram", "subway": "subway", "rail": "rail",
     "train": "rail", "ship": "ship", "container": "container", "taxi": "taxi",
 }  # fmt: skip
-"""Part of a type's name, and the class that it hints at; the first that fits."""
+"""Substring of a type's name, and the class that it suggests; the first match is used."""
 
 
 def read(paths: Iterable[Path]) -> dict[str, VehicleType]:
@@ -68,6 +68,6 @@ def read(paths: Iterable[Path]) -> dict[str, VehicleType]:
 
 
 def guess(name: str) -> VehicleType:
-    """What a type that no file defines is most likely to be, by its name; a passenger car if it hints at nothing."""
+    """The most likely class of a type that no file defines, by its name; a passenger car without a match."""
     vclass = _DEFAULT.get(name) or next((c for hint, c in _HINTS.items() if hint in name.lower()), "passenger")
     return VehicleType(vclass, SIZES_M[vclass])

@@ -1,4 +1,4 @@
-"""Reading XML that somebody else wrote: streamed, gzip'ed or not, and nothing but elements."""
+"""Streaming reader of untrusted XML, gzip'ed or not; elements and text only."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _CHUNK_BYTES = 1 << 16
 
 
 class Enough(Exception):
-    """Raised by a handler that has seen all it wants."""
+    """Raised by a handler to end the reading."""
 
 
 def stream(
@@ -39,7 +39,7 @@ def check_prolog(path: Path | str) -> None:
 
 
 def contains(path: Path, text: bytes) -> bool:
-    """Whether a file, gzip'ed or not, has these bytes anywhere; much faster than to read it as XML."""
+    """Whether a file, gzip'ed or not, contains these bytes; much faster than parsing XML."""
     tail = b""
     with _open(path) as file:
         while chunk := file.read(_CHUNK_BYTES):
@@ -55,10 +55,10 @@ def feed(
     end: Callable[[str], None] = lambda name: None,
     text: Callable[[str], object] | None = None,
 ) -> Iterator[None]:
-    """The same bit by bit: comes back after every chunk of the file, so that who asks can use what it brought.
+    """The same as a generator that yields after every chunk of the file, so that the caller can use its elements.
 
     SUMO's files need no document type and no entities of their own; a file that declares any is refused,
-    so that a small file cannot grow into a large one nor name a file of this machine.
+    so that entities can neither expand without limit nor read other files.
 
     Raises
     ------

@@ -1,1 +1,1 @@
-"""Where the actors of a step come from."""
+"""Sources of traffic: SUMO, its traces, and recorded runs."""

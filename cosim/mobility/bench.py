@@ -1,23 +1,24 @@
-"""What it costs to read everybody into arrays, over what it costs SUMO to move them."""
+"""Cost of reading all actors into arrays, relative to SUMO's own cost per step."""
 
 from pathlib import Path
 from time import thread_time
 
-from cosim.mobility.source import TrafficParams
+from cosim.actors import ActorRegistry
+from cosim.fleet import FleetParams
+from cosim.mobility.params import TrafficParams
 from cosim.mobility.sumo import SumoTraffic
-from cosim.roster import FleetParams, Roster
 from sumo_nets import catalogue
 
 CITIES = ("adlershof", "koenigs-wusterhausen")
-"""Where a vehicle costs SUMO most, since it finds new ways as it goes, and where it costs least, on a motorway."""
+"""Where a vehicle costs SUMO most (it re-routes while it drives), and where it costs least (a motorway)."""
 N_VEHICLES = 1000
 STEPS = 400
 BLOCK = 10
-"""Steps of each in turn: the step after a reading is dearer for SUMO, since reading has cooled its caches."""
+"""Steps of each in turn; SUMO's step after a reading is slower, because reading evicts SUMO's data from the caches."""
 
 
 def bench() -> list[tuple[str, float, str]]:
-    """Both cities with demand for a thousand vehicles and more."""
+    """Both cities with demand for more than a thousand vehicles."""
     return [
         (f"{city}: {what}", value, unit)
         for city in CITIES
@@ -28,7 +29,7 @@ def bench() -> list[tuple[str, float, str]]:
 def bench_city(config: Path, scale: float = 1.0, steps: int = STEPS) -> list[tuple[str, float, str]]:
     """SUMO alone, and SUMO with every actor read, ten steps of each in turn on the same traffic.
 
-    Counts the processor's time, so that what else runs on the machine matters less.
+    Measures processor time, which depends less on other load than wall time.
 
     Parameters
     ----------
@@ -37,8 +38,8 @@ def bench_city(config: Path, scale: float = 1.0, steps: int = STEPS) -> list[tup
     scale
         Of its demand.
     """
-    roster = Roster(FleetParams(), seed=1)
-    traffic = SumoTraffic(TrafficParams(scale=scale), config, roster)
+    registry = ActorRegistry(FleetParams(), seed=1)
+    traffic = SumoTraffic(TrafficParams(scale=scale), config, registry)
     try:
         for _ in traffic.warm_up(300):
             pass
@@ -51,7 +52,7 @@ def bench_city(config: Path, scale: float = 1.0, steps: int = STEPS) -> list[tup
             for _ in range(BLOCK):
                 traffic.move()
             alone_s += thread_time() - begin
-            traffic.advance()  # numbers those who came meanwhile
+            traffic.advance()  # registers the actors that departed meanwhile
             begin = thread_time()
             for _ in range(BLOCK):
                 n_actors += len(traffic.advance())

@@ -1,4 +1,4 @@
-"""SUMO's floating car data (`--fcd-output`): XML, CSV or Parquet, gzip'ed or not, read moment by moment."""
+"""SUMO's floating car data (`--fcd-output`): XML, CSV or Parquet, gzip'ed or not, read timestep by timestep."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -17,15 +17,15 @@ from cosim.mobility.source import TrafficError
 from sumo_nets.xml import Attributes, feed
 
 SUFFIXES = (".xml", ".xml.gz", ".csv", ".csv.gz", ".parquet")
-"""How the names of traces end."""
+"""File name endings of traces."""
 
 _COLUMNS = ("x", "y", "angle", "speed")
 _BLOCK_ROWS = 1 << 16
 
 
 @dataclass(frozen=True, slots=True)
-class Moment:
-    """Everybody in one moment of a trace, in the trace's order."""
+class Timestep:
+    """All actors of one timestep of a trace, in the order of the file."""
 
     time_s: float
     names: list[str]
@@ -35,10 +35,10 @@ class Moment:
     speed_mps: Float[ndarray, "n"]
 
 
-def moments(path: Path) -> Iterator[Moment]:
-    """The moments of a trace in the order of time, a block of the file in memory at a time.
+def timesteps(path: Path) -> Iterator[Timestep]:
+    """The timesteps of a trace in the order of time, a block of the file in memory at a time.
 
-    Persons who ride in a vehicle are among them, at its place.
+    Persons inside a vehicle are among them, at the vehicle's position.
 
     Raises
     ------
@@ -47,53 +47,53 @@ def moments(path: Path) -> Iterator[Moment]:
     """
     read = next(reader for suffix, reader in _READERS.items() if path.name.removesuffix(".gz").endswith(suffix))
     last_s = -np.inf
-    for moment in read(path):
-        if not np.isfinite(moment.time_s):
+    for timestep in read(path):
+        if not np.isfinite(timestep.time_s):
             raise TrafficError(f"{path}: a time is not a finite number of seconds.")
-        if moment.time_s <= last_s:
+        if timestep.time_s <= last_s:
             raise TrafficError(
-                f"{path}: time {moment.time_s:g} s comes after {last_s:g} s: the rows of a trace are sorted by time. "
+                f"{path}: time {timestep.time_s:g} s comes after {last_s:g} s: the rows of a trace are sorted by time. "
                 "Sort them, or record the trace again."
             )
-        last_s = moment.time_s
-        numbers = np.column_stack([moment.front_m, moment.compass_deg, moment.speed_mps])
+        last_s = timestep.time_s
+        numbers = np.column_stack([timestep.front_m, timestep.compass_deg, timestep.speed_mps])
         if not np.isfinite(numbers).all():
-            bad = moment.names[int(np.flatnonzero(~np.isfinite(numbers).all(axis=1))[0])]
-            raise TrafficError(f"{path}: {bad!r} at {moment.time_s:g} s has a number missing or not finite.")
-        yield moment
+            bad = timestep.names[int(np.flatnonzero(~np.isfinite(numbers).all(axis=1))[0])]
+            raise TrafficError(f"{path}: {bad!r} at {timestep.time_s:g} s has a number missing or not finite.")
+        yield timestep
 
 
-def _xml(path: Path) -> Iterator[Moment]:
-    done: list[Moment] = []
+def _xml(path: Path) -> Iterator[Timestep]:
+    done: list[Timestep] = []
     time_s = np.nan
     names: list[str] = []
     types: list[str] = []
     poses: list[list[float]] = []
-    in_moment, root = False, ""
+    in_timestep, root = False, ""
 
     def start(name: str, attributes: Attributes) -> None:
-        nonlocal in_moment, time_s, root
+        nonlocal in_timestep, time_s, root
         root = root or name
         if name == "timestep":
-            in_moment, time_s = True, _seconds(path, attributes.get("time", ""))
-        elif in_moment and name in ("vehicle", "person"):
+            in_timestep, time_s = True, _seconds(path, attributes.get("time", ""))
+        elif in_timestep and name in ("vehicle", "person"):
             try:
                 pose = [float(attributes[k]) for k in _COLUMNS]
                 pose.append(float(attributes.get("z", 0.0)))
                 names.append(attributes["id"])
             except KeyError as error:
-                raise _lacks(path, error.args[0]) from None
+                raise _missing(path, error.args[0]) from None
             except ValueError as error:
                 raise TrafficError(f"{path}: {name} {attributes.get('id')!r} at {time_s:g} s: {error}.") from None
             types.append(attributes.get("type", ""))
             poses.append(pose)
 
     def end(name: str) -> None:
-        nonlocal in_moment
+        nonlocal in_timestep
         if name == "timestep":
             table = np.array(poses, float).reshape(-1, 5)
-            done.append(Moment(time_s, names[:], types[:], table[:, [0, 1, 4]], table[:, 2], table[:, 3]))
-            in_moment = False
+            done.append(Timestep(time_s, names[:], types[:], table[:, [0, 1, 4]], table[:, 2], table[:, 3]))
+            in_timestep = False
             for rows in (names, types, poses):
                 rows.clear()
 
@@ -110,7 +110,7 @@ def _xml(path: Path) -> Iterator[Moment]:
     yield from done
 
 
-def _csv(path: Path) -> Iterator[Moment]:
+def _csv(path: Path) -> Iterator[Timestep]:
     def batches() -> Iterator[pa.RecordBatch]:
         with pa.input_stream(path, compression="detect") as source:
             head = source.read(1 << 16).partition(b"\n")[0].decode(errors="replace").strip()
@@ -127,7 +127,7 @@ def _csv(path: Path) -> Iterator[Moment]:
     return _arrow(path, batches)
 
 
-def _parquet(path: Path) -> Iterator[Moment]:
+def _parquet(path: Path) -> Iterator[Timestep]:
     def batches() -> Iterator[pa.RecordBatch]:
         with pq.ParquetFile(path) as file:
             yield from file.iter_batches(_BLOCK_ROWS)
@@ -135,40 +135,40 @@ def _parquet(path: Path) -> Iterator[Moment]:
     return _arrow(path, batches)
 
 
-_READERS: dict[str, Callable[[Path], Iterator[Moment]]] = {".xml": _xml, ".csv": _csv, ".parquet": _parquet}
+_READERS: dict[str, Callable[[Path], Iterator[Timestep]]] = {".xml": _xml, ".csv": _csv, ".parquet": _parquet}
 
 
-def _arrow(path: Path, batches: Callable[[], Iterator[pa.RecordBatch]]) -> Iterator[Moment]:
-    """Moments from blocks of rows; one that a block cuts in two is put together again."""
+def _arrow(path: Path, batches: Callable[[], Iterator[pa.RecordBatch]]) -> Iterator[Timestep]:
+    """Timesteps from blocks of rows; a timestep that spans two blocks is joined."""
     left = None
     try:
         for batch in batches():
-            table = pa.Table.from_batches([_wanted(path, batch)])
+            table = pa.Table.from_batches([_needed(path, batch)])
             table = table if left is None else pa.concat_tables([left, table])
             times = table.column("time").to_numpy()
             cuts = np.flatnonzero(np.diff(times)) + 1
             begins = [0, *cuts.tolist()]
             for begin, end in pairwise(begins):
-                yield _moment(table.slice(begin, end - begin))
+                yield _timestep(table.slice(begin, end - begin))
             left = table.slice(begins[-1])
             if left.num_rows > 100 * _BLOCK_ROWS:
                 raise TrafficError(f"{path}: more than {left.num_rows} rows of one time. Is its first column the time?")
         if left is not None and left.num_rows:
-            yield _moment(left)
+            yield _timestep(left)
     except (pa.ArrowException, OSError) as error:
         raise TrafficError(f"{path}: damaged, or not a trace: {str(error).splitlines()[0]}.") from None
 
 
-def _wanted(path: Path, batch: pa.RecordBatch) -> pa.RecordBatch:
-    """The columns that matter, under plain names, whatever SUMO's `--output.column-header` was."""
+def _needed(path: Path, batch: pa.RecordBatch) -> pa.RecordBatch:
+    """The needed columns under plain names, for any value of SUMO's `--output.column-header`."""
     found = {}
     for name in ("time", "id", "type", "z", *_COLUMNS):
-        # SUMO names the columns after what it wrote first: a vehicle, a person, or a container
+        # SUMO names the columns after the element written first: a vehicle, a person, or a container
         kinds = ("timestep",) if name == "time" else ("vehicle", "person", "container")
         spellings = [s for s in (*(f"{kind}_{name}" for kind in kinds), name) if s in batch.schema.names]
         if not spellings:
             if name not in ("type", "z"):
-                raise _lacks(path, name)
+                raise _missing(path, name)
             continue
         wanted = pa.string() if name in ("id", "type") else pa.float64()
         try:
@@ -183,15 +183,15 @@ def _wanted(path: Path, batch: pa.RecordBatch) -> pa.RecordBatch:
     return pa.RecordBatch.from_pydict(dict(sorted(found.items())))
 
 
-def _moment(rows: pa.Table) -> Moment:
+def _timestep(rows: pa.Table) -> Timestep:
     time_s = rows.column("time")[0].as_py()
     rows = rows.filter(rows.column("id").is_valid())
 
-    def numbers(name: str, otherwise: float) -> ndarray:
-        return pc.fill_null(rows.column(name), otherwise).to_numpy()
+    def numbers(name: str, default: float) -> ndarray:
+        return pc.fill_null(rows.column(name), default).to_numpy()
 
     x, y, angle, speed = (numbers(name, np.nan) for name in _COLUMNS)
-    return Moment(
+    return Timestep(
         time_s, rows.column("id").to_pylist(), pc.fill_null(rows.column("type"), "").to_pylist(),
         np.column_stack([x, y, numbers("z", 0.0)]), angle, speed,
     )  # fmt: skip
@@ -206,8 +206,8 @@ def _seconds(path: Path, text: str) -> float:
         ) from None
 
 
-def _lacks(path: Path, column: str) -> TrafficError:
+def _missing(path: Path, column: str) -> TrafficError:
     return TrafficError(
-        f"{path}: says no {column} of its vehicles. Record it with --fcd-output.attributes x,y,z,angle,type,speed, "
+        f"{path}: no {column} of its vehicles. Record it with --fcd-output.attributes x,y,z,angle,type,speed, "
         "or without that option."
     )

@@ -1,4 +1,4 @@
-"""Traffic that was recorded before: a trace of SUMO's, or the tables of an earlier run."""
+"""Replayed traffic: a trace that SUMO wrote, or the tables of an earlier run."""
 
 from collections import Counter
 from collections.abc import Iterator
@@ -11,16 +11,10 @@ import numpy as np
 from jaxtyping import Bool, Int
 from numpy import ndarray
 
-from cosim.mobility.fcd import Moment, moments
-from cosim.mobility.source import (
-    SHAPE_OF_CLASS,
-    TrafficError,
-    TrafficOver,
-    TrafficParams,
-    world_from_bumpers,
-    world_of,
-)
-from cosim.roster import Roster
+from cosim.actors import ActorRegistry
+from cosim.mobility.fcd import Timestep, timesteps
+from cosim.mobility.params import TrafficParams
+from cosim.mobility.source import SHAPE_OF_CLASS, TrafficEnded, TrafficError, world_from_bumpers, world_of
 from cosim.world import World
 from results.archive import open_run
 from results.run import Run
@@ -30,90 +24,90 @@ from sumo_nets import vtypes
 
 _UNKNOWN, _LEFT_OUT = -2, -1
 _TOLERANCE_S = 1e-4
-_LOOK_AHEAD = 10
-"""Moments from which the interval of a trace is told."""
+_N_PROBED = 10
+"""Timesteps from which the interval of a trace is measured."""
 
 
-class Trace:
-    """A trace that SUMO wrote with `--fcd-output`, played back.
+class TraceReplay:
+    """A trace that SUMO wrote with `--fcd-output`.
 
-    Step 0 is what a live run begins with: the world before the trace's first moment. Step s shows the moment at
-    `begin + warm-up + (s - 1) * step_s`, because SUMO stamps a step with the time at which it began.
+    Step 0 is the world before the trace's first timestep, as in a live run. Step s is the timestep at
+    `begin + warm-up + (s - 1) * step_s`, because SUMO labels a step with the time at which it began.
 
-    Sizes and classes come from the types that `files` define, else from the type's name.
+    Sizes and classes come from the vehicle types that `files` define, else from the type's name.
     """
 
     def __init__(
         self,
         params: TrafficParams,
         path: Path,
-        roster: Roster,
+        registry: ActorRegistry,
         files: tuple[Path, ...] = (),
         origin_m: tuple[float, float] = (0.0, 0.0),
     ) -> None:
-        self._path, self._roster, self._origin_m = path, roster, origin_m
+        self._path, self._registry, self._origin_m = path, registry, origin_m
         self._types = _types_of(files)
         self._dt_s = params.step_s
         self._number: dict[tuple[str, bool], int] = {}
         self._left_out: dict[str, str] = {}
-        self._moments = moments(path)
-        self._ahead = [moment for _, moment in zip(range(_LOOK_AHEAD), self._moments, strict=False)]
-        if not any(moment.names for moment in self._ahead) and len(self._ahead) < _LOOK_AHEAD:
-            raise TrafficError(f"{path}: an empty trace: nobody is ever on the road.")
-        times_s = np.array([moment.time_s for moment in self._ahead])
+        self._timesteps = timesteps(path)
+        self._ahead = [timestep for _, timestep in zip(range(_N_PROBED), self._timesteps, strict=False)]
+        if not any(timestep.names for timestep in self._ahead) and len(self._ahead) < _N_PROBED:
+            raise TrafficError(f"{path}: an empty trace: no actor is ever on the road.")
+        times_s = np.array([timestep.time_s for timestep in self._ahead])
         every_s = np.diff(times_s).min() if len(times_s) > 1 else self._dt_s
         steps = self._dt_s / every_s
         if abs(steps - round(steps)) > 1e-3 or steps < 1 - 1e-3:
             raise TrafficError(
-                f"{path} tells where everybody is every {every_s:g} s, traffic.step_s = {self._dt_s:g} s is no "
-                "multiple of it. Set traffic.step_s to a multiple, or record the trace more finely."
+                f"{path} has a timestep every {every_s:g} s, traffic.step_s = {self._dt_s:g} s is no multiple of "
+                "it. Set traffic.step_s to a multiple, or record the trace more finely."
             )
         self._begin_s = float(times_s[0]) if params.begin_s is None else params.begin_s
-        self._unseen = self._step = 0
+        self._n_skipped = self._step = 0
 
     def warm_up(self, seconds: float) -> Iterator[float]:
-        """Pass over the first `seconds`; yields the seconds done."""
-        self._unseen = round(seconds / self._dt_s)
+        """Skip the first `seconds`; yields the seconds done."""
+        self._n_skipped = round(seconds / self._dt_s)
         yield seconds
 
     def advance(self) -> World:
-        """The next step."""
+        """The world of the next step."""
         step, self._step = self._step, self._step + 1
-        moment = self._at(self._begin_s + (self._unseen + step - 1) * self._dt_s)
-        shape = np.fromiter(map(self._shape_of, moment.types), np.int16, len(moment.types))
+        timestep = self._at(self._begin_s + (self._n_skipped + step - 1) * self._dt_s)
+        shape = np.fromiter(map(self._shape_of, timestep.types), np.int16, len(timestep.types))
         for row in np.flatnonzero(shape == _LEFT_OUT).tolist():
-            self._left_out.setdefault(moment.names[row], self._types(moment.types[row]).vclass)
-        rows = np.flatnonzero((shape != _LEFT_OUT) & ~_riding(moment, shape))
-        keys = [(moment.names[row], shape[row] == Shape.PEDESTRIAN) for row in rows.tolist()]
+            self._left_out.setdefault(timestep.names[row], self._types(timestep.types[row]).vclass)
+        rows = np.flatnonzero((shape != _LEFT_OUT) & ~_inside_vehicle(timestep, shape))
+        keys = [(timestep.names[row], shape[row] == Shape.PEDESTRIAN) for row in rows.tolist()]
         number = self._numbers(keys)
         if (new := np.flatnonzero(number == _UNKNOWN)).size:
-            self._enrol(moment, rows[new], shape, step)
+            self._register(timestep, rows[new], shape, step)
             number = self._numbers(keys)
         values, n = np.unique(number, return_counts=True)
         if len(values) < len(number):
             name = keys[int(np.flatnonzero(number == values[n > 1][0])[0])][0]
-            raise TrafficError(f"{self._path}: {name!r} is there twice at {moment.time_s:g} s. Remove the copies.")
+            raise TrafficError(f"{self._path}: {name!r} is there twice at {timestep.time_s:g} s. Remove the copies.")
         return world_from_bumpers(
-            step, number, moment.front_m[rows], moment.compass_deg[rows], moment.speed_mps[rows],
-            self._roster, self._origin_m,
+            step, number, timestep.front_m[rows], timestep.compass_deg[rows], timestep.speed_mps[rows],
+            self._registry, self._origin_m,
         )  # fmt: skip
 
     def report(self) -> dict[str, Any]:
         return {"actors_left_out": dict(sorted(Counter(self._left_out.values()).items()))}
 
     def close(self) -> None:
-        self._moments.close()  # type: ignore[attr-defined]
+        self._timesteps.close()  # type: ignore[attr-defined]
 
-    def _at(self, time_s: float) -> Moment:
+    def _at(self, time_s: float) -> Timestep:
         last_s = self._begin_s
         while True:
-            if not self._ahead and (moment := next(self._moments, None)) is not None:
-                self._ahead.append(moment)
+            if not self._ahead and (timestep := next(self._timesteps, None)) is not None:
+                self._ahead.append(timestep)
             if not self._ahead:
-                raise TrafficOver(f"{self._path} ends at {last_s:g} s")
+                raise TrafficEnded(f"{self._path} ends at {last_s:g} s")
             first = self._ahead[0]
-            if first.time_s > time_s + _TOLERANCE_S:  # nobody was on the road: no row tells so
-                return Moment(time_s, [], [], np.zeros((0, 3)), np.zeros(0), np.zeros(0))
+            if first.time_s > time_s + _TOLERANCE_S:  # the road was empty: such timesteps have no row
+                return Timestep(time_s, [], [], np.zeros((0, 3)), np.zeros(0), np.zeros(0))
             self._ahead.pop(0)
             last_s = first.time_s
             if first.time_s > time_s - _TOLERANCE_S:
@@ -122,11 +116,11 @@ class Trace:
     def _numbers(self, keys: list[tuple[str, bool]]) -> Int[ndarray, "n"]:
         return np.fromiter(map(self._number.get, keys, repeat(_UNKNOWN)), np.int32, len(keys))
 
-    def _enrol(self, moment: Moment, rows: Int[ndarray, "k"], shape: Int[ndarray, "n"], step: int) -> None:
-        names = {(moment.names[row], shape[row] == Shape.PEDESTRIAN): row for row in rows.tolist()}
-        lwh_m = np.array([self._types(moment.types[row]).lwh_m for row in names.values()], float).reshape(-1, 3)
+    def _register(self, timestep: Timestep, rows: Int[ndarray, "k"], shape: Int[ndarray, "n"], step: int) -> None:
+        names = {(timestep.names[row], shape[row] == Shape.PEDESTRIAN): row for row in rows.tolist()}
+        lwh_m = np.array([self._types(timestep.types[row]).lwh_m for row in names.values()], float).reshape(-1, 3)
         shapes = shape[list(names.values())].astype(np.uint8)
-        numbers = self._roster.enrol([name for name, _ in names], shapes, lwh_m, step)
+        numbers = self._registry.register([name for name, _ in names], shapes, lwh_m, step)
         self._number.update(zip(names, numbers.tolist(), strict=True))
 
     def _shape_of(self, name: str) -> int:
@@ -134,17 +128,17 @@ class Trace:
         return _LEFT_OUT if shape is None else int(shape)
 
 
-def _riding(moment: Moment, shape: Int[ndarray, "n"]) -> Bool[ndarray, "n"]:
-    """Persons whom SUMO puts where a vehicle is, because they ride in it; live, they are not on the road."""
-    place = moment.front_m[:, 0] + 1j * moment.front_m[:, 1]
-    on_foot = shape == Shape.PEDESTRIAN
-    return on_foot & np.isin(place, place[~on_foot])
+def _inside_vehicle(timestep: Timestep, shape: Int[ndarray, "n"]) -> Bool[ndarray, "n"]:
+    """Persons at the exact position of a vehicle: they ride in it. Live, they are not on the road."""
+    position = timestep.front_m[:, 0] + 1j * timestep.front_m[:, 1]
+    is_person = shape == Shape.PEDESTRIAN
+    return is_person & np.isin(position, position[~is_person])
 
 
-class Recorded:
-    """The tables `actors` and `vehicles` of an earlier run, played back: the world that it saw, to the bit."""
+class RunReplay:
+    """The tables `actors` and `vehicles` of an earlier run: the worlds of that run, bit for bit."""
 
-    def __init__(self, params: TrafficParams, folder: Path, roster: Roster) -> None:
+    def __init__(self, params: TrafficParams, folder: Path, registry: ActorRegistry) -> None:
         run = open_run(folder)
         run.require("actors", "vehicles")
         every = params.step_s / run.dt_s
@@ -156,44 +150,44 @@ class Recorded:
         if params.begin_s is not None:
             raise ValueError(
                 "traffic.begin_s cannot be set where a run is replayed: it begins where the run began. "
-                "Set traffic.warmup_s to pass over its first seconds."
+                "Set traffic.warmup_s to skip its first seconds."
             )
         vehicles = run.table("vehicles").sort_values("vehicle")
         self._names = vehicles.sumo_id.tolist()
         self._shape = np.array([Shape[k.upper()] for k in vehicles.kind], np.uint8)
         self._lwh_m = vehicles[["length_m", "width_m", "height_m"]].to_numpy(float)
         self._number = np.full(len(vehicles), _UNKNOWN, np.int32)
-        self._run, self._roster, self._dt_s = run, roster, params.step_s
+        self._run, self._registry, self._dt_s = run, registry, params.step_s
         self._every = round(every)
         self._steps = _steps_of(run)
         self._ahead: tuple[int, dict[str, ndarray]] | None = None
-        self._unseen = self._step = 0
+        self._n_skipped = self._step = 0
 
     def warm_up(self, seconds: float) -> Iterator[float]:
-        """Pass over the first `seconds`; yields the seconds done."""
-        self._unseen = round(seconds / self._dt_s)
+        """Skip the first `seconds`; yields the seconds done."""
+        self._n_skipped = round(seconds / self._dt_s)
         yield seconds
 
     def advance(self) -> World:
-        """The next step."""
+        """The world of the next step."""
         step, self._step = self._step, self._step + 1
-        wanted = (self._unseen + step) * self._every
+        wanted = (self._n_skipped + step) * self._every
         if wanted >= self._run.manifest["steps"]:
-            raise TrafficOver(f"{self._run.path} ends after {self._run.manifest['steps'] * self._run.dt_s:g} s")
+            raise TrafficEnded(f"{self._run.path} ends after {self._run.manifest['steps'] * self._run.dt_s:g} s")
         rows = self._at(wanted)
         actor = rows["actor"]
         new = actor[self._number[actor] == _UNKNOWN]
         if len(new):
             names = [self._names[i] for i in new.tolist()]
-            self._number[new] = self._roster.enrol(names, self._shape[new], self._lwh_m[new], step)
+            self._number[new] = self._registry.register(names, self._shape[new], self._lwh_m[new], step)
         number = self._number[actor]
         order = np.argsort(number)
         number = number[order]
         xyz_m, yaw_rad, speed = (rows[name][order] for name in ("xyz_m", "yaw_rad", "speed_mps"))
-        return world_of(step, number, Boxes(xyz_m, self._roster.lwh_m[number], yaw_rad), speed, self._roster)
+        return world_of(step, number, Boxes(xyz_m, self._registry.lwh_m[number], yaw_rad), speed, self._registry)
 
     def report(self) -> dict[str, Any]:
-        """What the run that was replayed said."""
+        """Counts of the run that is replayed."""
         summary = self._run.manifest.get("summary", {})
         return {name: summary[name] for name in ("teleports", "actors_left_out") if name in summary}
 
@@ -205,7 +199,7 @@ class Recorded:
             self._ahead = next(self._steps, None)
             if self._ahead is None:
                 break
-        if self._ahead is None or self._ahead[0] > step:  # nobody was on the road
+        if self._ahead is None or self._ahead[0] > step:  # the road was empty
             none = np.zeros(0)
             return {"actor": none.astype(np.int32), "xyz_m": none.reshape(0, 3), "yaw_rad": none, "speed_mps": none}
         return self._ahead[1]
@@ -228,7 +222,7 @@ def _steps_of(run: Run) -> Iterator[tuple[int, dict[str, ndarray]]]:
 
 
 def _types_of(files: tuple[Path, ...]):
-    """Types by name: read when the first is asked for, from additional files before the demand's."""
+    """Vehicle types by name; files are read when a type is first needed, additional files before demand."""
     known: dict[str, vtypes.VehicleType] = {}
     left = list(files)
 

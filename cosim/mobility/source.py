@@ -1,20 +1,18 @@
-"""What all sources of traffic have in common: what they are asked, how they answer, and how they end.
+"""Interface of traffic sources, and the conversion of SUMO's coordinates.
 
-SUMO gives the centre of the *front bumper* and degrees *clockwise from north*, live and in what it writes;
-everybody beyond this folder lives with box centres and radians counter-clockwise from east.
+SUMO gives the centre of the *front bumper* and degrees *clockwise from north*, in its API and in its output files;
+code outside of this folder uses box centres and radians counter-clockwise from east.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
-from typing import Annotated, Any, Protocol
+from typing import Any, Protocol
 
 import numpy as np
-from annotated_types import Ge, Gt
 from jaxtyping import Float, Int
 from numba import njit
 from numpy import ndarray
 
-from cosim.roster import Roster
+from cosim.actors import ActorRegistry
 from cosim.world import World
 from results.tables import TABLES
 from sensors.boxes import Boxes
@@ -31,60 +29,37 @@ SHAPE_OF_CLASS = {
     "bicycle": Shape.BICYCLE, "scooter": Shape.BICYCLE,
     "pedestrian": Shape.PEDESTRIAN, "wheelchair": Shape.PEDESTRIAN,
 }  # fmt: skip
-"""Body of each SUMO vehicle class; trains, ships, aircraft and containers are not on the road: left out."""
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class TrafficParams:
-    """Whose streets, when, how long, and SUMO's own dice."""
-
-    scenario: str = "helsinki"
-    """Name of a city (`cosim nets list`); or, relative to the config file that names it, the path of a .sumocfg, of a
-    folder that `cosim nets build` made, of a run to replay, or of a trace that SUMO wrote with --fcd-output."""
-    trace: str | None = None
-    """Replay this trace or run folder in the streets of `scenario`, instead of driving SUMO."""
-    seed: Annotated[int, Ge(0)] = 1
-    """Seed of SUMO."""
-    scale: Annotated[float, Gt(0)] = 1.0
-    """Demand, times this; below 1 SUMO leaves vehicles out, above 1 it doubles some. Traces are as they are."""
-    begin_s: Annotated[float, Ge(0)] | None = None
-    """Time of the scenario at which to begin, warm-up included [s]; the scenario's own when not set."""
-    warmup_s: Annotated[float, Ge(0)] | None = None
-    """Traffic driven before anything is sensed or recorded [s]; the shipped network's own when not set."""
-    duration_s: Annotated[float, Gt(0)] = 300.0
-    """Recorded time after warm-up [s]; less if the traffic ends before."""
-    step_s: Annotated[float, Ge(0.1)] = 1.0
-    """Length of one step of traffic [s]; when not set, that of the .sumocfg, and 1 s of a trace."""
+"""Shape of each SUMO vehicle class; trains, ships, aircraft and containers are left out: they are not on the road."""
 
 
 _PER_M, _PER_RAD, _PER_MPS = (
     2.0 ** (TABLES["actors"].columns[name].bits or 0) for name in ("x_m", "yaw_rad", "speed_mps")
 )
-"""How finely the table `actors` keeps places, angles and speeds."""
+"""Resolution at which the table `actors` keeps positions, angles and speeds."""
 
 
-class TrafficOver(Exception):
-    """Nobody is left, and nobody will come; says why."""
+class TrafficEnded(Exception):
+    """No actor is left and none will depart, or the source ends; says why."""
 
 
 class TrafficError(ValueError):
-    """The user's scenario or trace turned out to be wrong while it ran: one line for the user."""
+    """The user's scenario or trace is wrong, found while it ran: one line for the user."""
 
 
-class Traffic(Protocol):
+class TrafficSource(Protocol):
     """A source of traffic, read into arrays step by step."""
 
     def warm_up(self, seconds: float) -> Iterator[float]:
-        """Go on unseen for `seconds`; yields the seconds done."""
+        """Advance by `seconds` without reading; yields the seconds done."""
 
     def advance(self) -> World:
-        """The next step; raises TrafficOver where there is none."""
+        """The world of the next step; raises TrafficEnded where there is none."""
 
     def report(self) -> dict[str, Any]:
-        """What happened, for the run's summary."""
+        """Counts for the run's summary."""
 
     def close(self) -> None:
-        """Let go of it."""
+        """Release files and processes."""
 
 
 def world_from_bumpers(
@@ -93,20 +68,20 @@ def world_from_bumpers(
     front_m: Float[ndarray, "n 3"],
     compass_deg: Float[ndarray, "n"],
     speed_mps: Float[ndarray, "n"],
-    roster: Roster,
+    registry: ActorRegistry,
     origin_m: tuple[float, float] = (0.0, 0.0),
 ) -> World:
-    """The world of a step from what SUMO says of each actor, in any order.
+    """The world of a step from SUMO's values of each actor, in any order.
 
     Heights, angles and speeds pass through single precision, which is all that SUMO's Parquet traces hold of them,
-    and poses are rounded to what the table `actors` keeps (1/256 m, 1/512 rad): so that a run sees the same
-    world live, from a trace, or from the tables of an earlier run.
+    and poses are rounded to the resolution of the table `actors` (1/256 m, 1/512 rad), so that a run gets the same
+    world from SUMO, from a trace, or from the tables of an earlier run.
     """
     order = np.argsort(number)
     number, xyz_m, lwh_m, yaw_rad, speed = _placed(
-        order, number, front_m, compass_deg, speed_mps, roster.lwh_m, *origin_m
+        order, number, front_m, compass_deg, speed_mps, registry.lwh_m, *origin_m
     )
-    return world_of(step, number, Boxes(xyz_m, lwh_m, yaw_rad), speed, roster)
+    return world_of(step, number, Boxes(xyz_m, lwh_m, yaw_rad), speed, registry)
 
 
 @njit(cache=True)
@@ -133,17 +108,17 @@ def _placed(order, actor, front_m, compass_deg, speed_mps, size_m, east_m, north
 
 
 def world_of(
-    step: int, number: Int[ndarray, "n"], boxes: Boxes, speed_mps: Float[ndarray, "n"], roster: Roster
+    step: int, number: Int[ndarray, "n"], boxes: Boxes, speed_mps: Float[ndarray, "n"], registry: ActorRegistry
 ) -> World:
-    """The world of a step from poses as the table `actors` keeps them; `number` is sorted."""
-    roster.seen(number, step)
+    """The world of a step from poses at the resolution of the table `actors`; `number` is sorted."""
+    registry.mark_present(number, step)
     return World(
         step=step,
         actor=number,
-        name_key=roster.name_key[number],
-        shape=roster.shape[number],
+        name_key=registry.name_key[number],
+        shape=registry.shape[number],
         boxes=boxes,
         speed_mps=speed_mps,
-        equipped=roster.equipped[number],
-        behaviour=roster.behaviour[number],
+        equipped=registry.equipped[number],
+        role=registry.role[number],
     )

@@ -66,7 +66,7 @@ def tamper(seen: Detections, world: World, time_s: float, seed: int, params: Adv
     if time_s < params.start_s:
         return seen
     keyed = world.name_key[seen.observer]
-    broken = world.behaviour[seen.observer] == UNRELIABLE
+    broken = world.role[seen.observer] == UNRELIABLE
     omit = rng.uniforms(rng.key(seed, rng.Stream.OMISSION, world.step), keyed, seen.k)[:, 0]
     said = seen.said & ~(broken & (seen.origin == SENSED) & (omit < params.remove_p))
     honest_part = replace(seen, said=said)
@@ -93,7 +93,7 @@ def _in_front_of_victims(world: World, params: AdversaryParams) -> Detections:
     equipped = np.flatnonzero(world.equipped)
     the_one = rng.name_key("vehicle/" + params.victim)
     named = equipped[world.name_key[equipped] == the_one] if params.victim else equipped
-    liars = np.flatnonzero(world.equipped & (world.behaviour == MALICIOUS))
+    liars = np.flatnonzero(world.equipped & (world.role == MALICIOUS))
     xy = world.boxes.xyz_m[:, :2]
     if params.victim and len(named):
         (one,) = named

@@ -4,9 +4,9 @@ import json
 
 import pytest
 
-from tests.cosim.mobility import odd
+from tests.cosim.mobility import mixed_scenario
 from tests.drive import cosim
-from tests.sumo_nets.test_town import grid_town
+from tests.sumo_nets.test_build_from_osm import grid_town
 
 
 @pytest.fixture(scope="module")
@@ -66,7 +66,7 @@ def test_show(built, tmp_path):
     said = json.loads(cosim("nets", "show", "helsinki", "--json", cwd=tmp_path).stdout)
     assert said["buildings"] == 653 and said["licence"] == "ODbL-1.0"
     assert (tmp_path / "helsinki.png").stat().st_size > 10_000
-    config = odd.write(tmp_path / "odd")
+    config = mixed_scenario.write(tmp_path / "odd")
     done = cosim("nets", "show", str(config), "--out", "odd.svg", "--json", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout)["buildings"] == 1 and (tmp_path / "odd.svg").is_file()

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from cosim.scenario import find
-from tests.cosim.mobility import odd
+from tests.cosim.mobility import mixed_scenario
 from tests.drive import cosim
 
 BOLOGNA = Path(__file__).parents[3] / "shared" / "nets" / "bologna"
@@ -19,7 +19,7 @@ SPY = '<!DOCTYPE a [<!ENTITY a SYSTEM "file:///etc/hosts">]>'
 
 @pytest.fixture(scope="module")
 def scenario(tmp_path_factory):
-    return odd.write(tmp_path_factory.mktemp("odd"), end=700)
+    return mixed_scenario.write(tmp_path_factory.mktemp("odd"), end=700)
 
 
 def edited(scenario, tmp_path, name, change):

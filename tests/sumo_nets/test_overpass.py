@@ -11,9 +11,10 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 import pytest
 
-from sumo_nets import build, catalogue, osm, overpass, town
+from sumo_nets import build, build_from_osm, catalogue, osm, overpass
+from sumo_nets.density import Density
 from tests.drive import cosim
-from tests.sumo_nets.test_town import ROADLESS, grid_town
+from tests.sumo_nets.test_build_from_osm import ROADLESS, grid_town
 
 BOX = "9.0,50.0,9.0072,50.0046"
 """Just what `grid_town` draws."""
@@ -79,7 +80,7 @@ def test_where_streets_leave_the_box_traffic_comes_and_goes(tmp_path):
     path = '<way id="99"><nd ref="90"/><nd ref="91"/><tag k="highway" v="path"/></way></osm>'
     sent = answer(inner.replace("<node", far + "<node", 1).replace("</osm>", path))
     with service(200, sent) as (url, _):
-        town.from_box("9.0015,50.001,9.0057,50.0036", tmp_path / "town", town.Density(), server=url)
+        build_from_osm.from_box("9.0015,50.001,9.0057,50.0036", tmp_path / "town", Density(), server=url)
     demand = gzip.decompress((tmp_path / "town" / "demand.rou.xml.gz").read_bytes()).decode()
     entered = re.findall(r'departSpeed="max".*?edges="(\S+)', demand, re.DOTALL)
     assert len(set(entered)) == 12
@@ -101,7 +102,7 @@ REFUSED = {
     "torn": (200, TORN, "what the Overpass service sent"),
     "gave up half-way": (200, GAVE_UP, "the Overpass service gave up (runtime error: Query timed out"),
     "nothing there": (200, BARE, "what the Overpass service sent has no ways"),
-    "no street there": (200, answer(ROADLESS), "what the Overpass service sent: no street"),
+    "no connected network of street there": (200, answer(ROADLESS), "what the Overpass service sent: the extract has no connected network of street"),
     "hostile": (200, SPY, "declares a document type"),
 }  # fmt: skip
 
@@ -122,14 +123,14 @@ def test_nobody_listens(tmp_path):
 
 
 def test_no_answer(tmp_path, monkeypatch):
-    monkeypatch.setattr(overpass, "PATIENCE_S", 0.5)
+    monkeypatch.setattr(overpass, "TIME_LIMIT_S", 0.5)
     with service(200, BARE, delay_s=1.5) as (url, _):
         refuse(tmp_path, url, "gave no answer within 0.5 s")
 
 
 def refuse(folder, url, says):
     with pytest.raises(ValueError, match=re.escape(says)) as caught:
-        town.from_box(BOX, folder / "out", town.Density(), server=url)
+        build_from_osm.from_box(BOX, folder / "out", Density(), server=url)
     said = str(caught.value)
     assert said.startswith(f"--bbox {BOX}: ") and "--osm FILE" in said and "\n" not in said and "/tmp" not in said
     assert list(folder.iterdir()) == []

@@ -11,12 +11,13 @@ import pyarrow.csv as pcsv
 import pyarrow.parquet as pq
 import pytest
 
-from cosim.mobility.source import TrafficError, TrafficParams
+from cosim.mobility.params import TrafficParams
+from cosim.mobility.source import TrafficError
 from cosim.scenario import find
 from results.recorder import fingerprint
 from sumo_nets import catalogue, sumotools
-from tests.cosim.mobility import odd
-from tests.cosim.mobility.worlds import collect, live, roster, same
+from tests.cosim.mobility import mixed_scenario
+from tests.cosim.mobility.worlds import collect, live, registry, same
 from tests.drive import SHORT, cosim, drive
 
 FORMATS = ("fcd.parquet", "fcd.xml", "fcd.xml.gz", "fcd.csv", "fcd.csv.gz")
@@ -44,7 +45,7 @@ def test_a_trace_shows_the_world_that_was_live(helsinki, name):
     folder, worlds = helsinki
     assert sum(len(world["actor"]) for world in worlds) > 2000
     record(catalogue.find("helsinki").sumocfg_path, folder / name, 200)
-    traffic = find("helsinki", str(folder / name)).traffic(TrafficParams(), roster())
+    traffic = find("helsinki", str(folder / name)).traffic(TrafficParams(), registry())
     same(collect(traffic, 120, 40), worlds)
 
 
@@ -56,20 +57,20 @@ def test_a_finer_step_and_a_later_begin(tmp_path):
     config = catalogue.find("helsinki").sumocfg_path
     record(config, tmp_path / "fcd.parquet", 65, begin=50, **{"step-length": 0.1})
     for traced in (params, TrafficParams(step_s=0.1)):  # the trace begins there of itself
-        traffic = find("helsinki", str(tmp_path / "fcd.parquet")).traffic(traced, roster())
+        traffic = find("helsinki", str(tmp_path / "fcd.parquet")).traffic(traced, registry())
         same(collect(traffic, 10, 30), worlds)
 
 
 def test_every_oddity_is_replayed_as_it_was_live(tmp_path):
     """Left-hand, hilly, far from its origin, with rail, ships, containers, riders, and a person named like a car."""
-    config = odd.write(tmp_path / "live")
+    config = mixed_scenario.write(tmp_path / "live")
     before = {p: p.read_bytes() for p in config.parent.iterdir()}
     worlds, report = live(str(config), tmp_path / "worlds", 0, 200)
     assert {p: p.read_bytes() for p in config.parent.iterdir()} == before  # nothing written beside it
     assert len(worlds) == 91  # its own end: from 0 s to 90 s
     assert report["actors_left_out"] == {"rail": 1, "ship": 1}
-    record(odd.write(tmp_path / "fcd"), tmp_path / "fcd.parquet", 90)
-    traffic = find(str(config), str(tmp_path / "fcd.parquet")).traffic(TrafficParams(), roster())
+    record(mixed_scenario.write(tmp_path / "fcd"), tmp_path / "fcd.parquet", 90)
+    traffic = find(str(config), str(tmp_path / "fcd.parquet")).traffic(TrafficParams(), registry())
     same(collect(traffic, 0, 200), worlds)
     assert traffic.report() == {"actors_left_out": {"container": 1, "rail": 1, "ship": 1}}
     # The network lies 9,000 km west of its origin: the world is counted from a round place in its middle.
@@ -80,10 +81,10 @@ def test_every_oddity_is_replayed_as_it_was_live(tmp_path):
 def test_hills_in_half_seconds(tmp_path):
     """SUMO's Parquet holds heights in single precision: 1 in 2,000 would round to another 1/256 m than live."""
     params = TrafficParams(step_s=0.5)
-    config = odd.write(tmp_path / "live")
+    config = mixed_scenario.write(tmp_path / "live")
     worlds, _ = live(str(config), tmp_path / "worlds", 0, 181, params)
-    record(odd.write(tmp_path / "fcd"), tmp_path / "fcd.parquet", 90, **{"step-length": 0.5})
-    same(collect(find(str(config), str(tmp_path / "fcd.parquet")).traffic(params, roster()), 0, 181), worlds)
+    record(mixed_scenario.write(tmp_path / "fcd"), tmp_path / "fcd.parquet", 90, **{"step-length": 0.5})
+    same(collect(find(str(config), str(tmp_path / "fcd.parquet")).traffic(params, registry()), 0, 181), worlds)
 
 
 def test_identical_tables(tmp_path):
@@ -115,7 +116,7 @@ def test_every_second_moment_of_a_finer_trace(tmp_path):
         for t in range(20)
     )
     (tmp_path / "fine.xml").write_text(f"<fcd-export>{rows}</fcd-export>")
-    worlds = collect(find(str(tmp_path / "fine.xml")).traffic(TrafficParams(), roster()), 0, 99)
+    worlds = collect(find(str(tmp_path / "fine.xml")).traffic(TrafficParams(), registry()), 0, 99)
     # Step 0 is before the trace; steps 1 to 10 show 0 s to 9 s, where the front bumper is at 2 m/s x t.
     # A type that no file defines is a car of 5 m: its centre is 2.5 m behind its bumper.
     assert len(worlds[0]["actor"]) == 0
@@ -144,7 +145,7 @@ def test_any_name_will_do(tmp_path, name):
             pcsv.write_csv(table, path, pcsv.WriteOptions(delimiter=";"))
         else:
             pq.write_table(table, path)
-    who = roster()
+    who = registry()
     traffic = find(str(path)).traffic(TrafficParams(), who)
     traffic.advance()
     world = traffic.advance()
@@ -159,16 +160,16 @@ BAD = {
     "unsorted.xml": (f'<timestep time="1">{ROW}</timestep><timestep time="0">{ROW}</timestep>', "0 s comes after 1 s"),
     "twice.xml": (f'<timestep time="0">{ROW}{ROW}</timestep>', "'a' is there twice at 0 s"),
     "again.xml": (f'<timestep time="0">{ROW}</timestep><timestep time="0">{ROW}</timestep>', "comes after 0 s"),
-    "lacks.xml": ('<timestep time="0"><vehicle id="a" x="0" y="0"/></timestep>', "says no angle"),
+    "lacks.xml": ('<timestep time="0"><vehicle id="a" x="0" y="0"/></timestep>', "no angle of its"),
     "nan.xml": (f'<timestep time="0">{ROW.replace("0", "nan", 1)}</timestep>', "not finite"),
     "word.xml": (f'<timestep time="0">{ROW.replace("0", "left", 1)}</timestep>', "could not convert"),
     "clock.xml": (f'<timestep time="0:00:01">{ROW}</timestep>', "--human-readable-time"),
-    "empty.xml": ("", "nobody is ever on the road"),
+    "empty.xml": ("", "no actor is ever on the road"),
     "coarse.xml": (f'<timestep time="0">{ROW}</timestep><timestep time="1.5">{ROW}</timestep>', "no multiple"),
     "unsorted.csv": (HEAD + "1;a;0;0;0;t;0\n0;a;0;0;0;t;0\n", "time 0 s comes after 1 s"),
     "twice.csv": (HEAD + "0;a;0;0;0;t;0\n0;a;1;0;0;t;0\n", "'a' is there twice"),
     "hole.csv": (HEAD + "0;a;;0;0;t;0\n", "'a' at 0 s has a number missing"),
-    "lacks.csv": ("time;id\n0;a\n", "says no x"),
+    "lacks.csv": ("time;id\n0;a\n", "no x of its"),
     "word.csv": (HEAD + "0;a;left;0;0;t;0\n", "column x"),
     "torn.csv": (HEAD + "0;a;0\n", "Expected 7 columns"),
     "not.parquet": ("PAR1 and then nothing", "damaged, or not a trace"),
@@ -191,7 +192,7 @@ def test_a_bad_trace_gets_one_line(tmp_path, name):
     else:
         path.write_text(f"<fcd-export>{text}</fcd-export>" if name.endswith(".xml") else text)
     with pytest.raises(TrafficError, match=r".") as caught:
-        traffic = find(str(path)).traffic(TrafficParams(), roster())
+        traffic = find(str(path)).traffic(TrafficParams(), registry())
         while True:
             traffic.advance()
     assert says in str(caught.value) and name in str(caught.value) and "\n" not in str(caught.value)

@@ -3,18 +3,19 @@
 import numpy as np
 import pytest
 
+from cosim.actors import ActorRegistry
+from cosim.fleet import FleetParams
 from cosim.mobility.source import world_from_bumpers
-from cosim.roster import FleetParams, Roster
 from sensors.scene import Shape
-from tests.cosim.mobility import odd
+from tests.cosim.mobility import mixed_scenario
 from tests.cosim.mobility.worlds import live, same
 
 
 def pose(x, y, z, compass_deg, lwh):
-    roster = Roster(FleetParams(), seed=1)
-    number = roster.enrol(["a"], np.array([Shape.TRUCK], np.uint8), np.array([lwh], float), 0)
+    registry = ActorRegistry(FleetParams(), seed=1)
+    number = registry.register(["a"], np.array([Shape.TRUCK], np.uint8), np.array([lwh], float), 0)
     front_m, angle = np.array([[x, y, z]], float), np.array([compass_deg], float)
-    boxes = world_from_bumpers(0, number, front_m, angle, np.zeros(1), roster).boxes
+    boxes = world_from_bumpers(0, number, front_m, angle, np.zeros(1), registry).boxes
     return boxes.xyz_m[0], boxes.lwh_m[0], boxes.yaw_rad[0]
 
 
@@ -50,15 +51,15 @@ ASKS = """<random_number><random value="true"/><seed value="77"/></random_number
 
 def test_whatever_a_configuration_asks_for_nobody_is_waited_for_and_traffic_is_repeated(tmp_path):
     """A seed of the clock's, clients that are to steer it, threads: a run of the same config gives the same tables."""
-    plain = live(str(odd.write(tmp_path / "plain")), tmp_path / "worlds", 0, 40)[0]
-    config = odd.write(tmp_path / "asks")
+    plain = live(str(mixed_scenario.write(tmp_path / "plain")), tmp_path / "worlds", 0, 40)[0]
+    config = mixed_scenario.write(tmp_path / "asks")
     config.write_text(config.read_text().replace("<report>", ASKS))
     same(live(str(config), tmp_path / "worlds", 0, 40)[0], plain)
 
 
 def test_what_sumo_complains_of_though_it_goes_on_is_told(tmp_path):
-    config = odd.write(tmp_path)
-    assert "sumo_complained" not in live(str(config), tmp_path / "worlds", 0, 5)[1]
+    config = mixed_scenario.write(tmp_path)
+    assert "sumo_errors" not in live(str(config), tmp_path / "worlds", 0, 5)[1]
     config.write_text(config.read_text().replace("<report>", "<routing></routing><report>"))
     report = live(str(config), tmp_path / "worlds", 0, 5)[1]
-    assert report["sumo_complained"] == ["Could not set option 'routing' because attribute 'value' is missing."]
+    assert report["sumo_errors"] == ["Could not set option 'routing' because attribute 'value' is missing."]

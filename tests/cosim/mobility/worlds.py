@@ -8,13 +8,15 @@ from typing import Any
 
 import numpy as np
 
-from cosim.mobility.source import Traffic, TrafficOver, TrafficParams
-from cosim.roster import FleetParams, Roster
+from cosim.actors import ActorRegistry
+from cosim.fleet import FleetParams
+from cosim.mobility.params import TrafficParams
+from cosim.mobility.source import TrafficEnded, TrafficSource
 
-COLUMNS = ("actor", "name_key", "shape", "speed_mps", "equipped", "behaviour")
+COLUMNS = ("actor", "name_key", "shape", "speed_mps", "equipped", "role")
 
 
-def collect(traffic: Traffic, warmup_s: float, n_steps: int) -> list[dict[str, np.ndarray]]:
+def collect(traffic: TrafficSource, warmup_s: float, n_steps: int) -> list[dict[str, np.ndarray]]:
     """Everything that `n_steps` worlds say, or fewer if the traffic ends."""
     for _ in traffic.warm_up(warmup_s):
         pass
@@ -24,7 +26,7 @@ def collect(traffic: Traffic, warmup_s: float, n_steps: int) -> list[dict[str, n
             world = traffic.advance()
             boxes = {"xyz_m": world.boxes.xyz_m, "lwh_m": world.boxes.lwh_m, "yaw_rad": world.boxes.yaw_rad}
             worlds.append({name: getattr(world, name) for name in COLUMNS} | boxes)
-    except TrafficOver:
+    except TrafficEnded:
         pass
     traffic.close()
     return worlds
@@ -37,10 +39,10 @@ def live(
     code = f"""
 import json, pickle
 from pathlib import Path
-from tests.cosim.mobility.worlds import collect, roster
-from cosim.mobility.source import TrafficParams
+from tests.cosim.mobility.worlds import collect, registry
+from cosim.mobility.params import TrafficParams
 from cosim.scenario import find
-traffic = find({scenario!r}).traffic({params or TrafficParams()!r}, roster())
+traffic = find({scenario!r}).traffic({params or TrafficParams()!r}, registry())
 report = {{}}
 close, traffic.close = traffic.close, lambda: (report.update(traffic.report()), close())
 worlds = collect(traffic, {warmup_s}, {n_steps})
@@ -52,8 +54,8 @@ Path({str(target)!r}).write_bytes(pickle.dumps((worlds, report)))
     return pickle.loads(target.read_bytes())
 
 
-def roster() -> Roster:
-    return Roster(FleetParams(malicious_p=0.3, unreliable_p=0.3), seed=4)
+def registry() -> ActorRegistry:
+    return ActorRegistry(FleetParams(malicious_p=0.3, unreliable_p=0.3), seed=4)
 
 
 def same(one: list[dict[str, np.ndarray]], other: list[dict[str, np.ndarray]]) -> None:

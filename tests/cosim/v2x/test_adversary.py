@@ -16,7 +16,7 @@ def world_of(xy, yaw, behaviour, step=0):
         step=step, actor=np.arange(n, dtype=np.int32), name_key=np.arange(n, dtype=np.uint64) * 31 + 7,
         shape=np.full(n, Shape.CAR, np.uint8),
         boxes=Boxes(np.column_stack([xy, np.full(n, 0.75)]), np.tile([4.4, 1.8, 1.5], (n, 1)), np.asarray(yaw, float)),
-        speed_mps=np.zeros(n), equipped=np.ones(n, bool), behaviour=np.asarray(behaviour, np.uint8),
+        speed_mps=np.zeros(n), equipped=np.ones(n, bool), role=np.asarray(behaviour, np.uint8),
     )  # fmt: skip
 
 

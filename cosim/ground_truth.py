@@ -1,4 +1,4 @@
-"""What detections really were: the only file that knows, and it writes columns that nobody reads back."""
+"""Ground truth of detections. Only this file joins it; it fills table columns that the simulation never reads."""
 
 from dataclasses import dataclass
 
@@ -13,25 +13,28 @@ from sensors.evidence import Sightings
 
 
 @dataclass(frozen=True, slots=True)
-class Truth:
+class GroundTruth:
     """Aligned with the detections of a step."""
 
-    is_real: Bool[ndarray, "d"]  # there is such an actor: no clutter, no invention
+    is_real: Bool[ndarray, "d"]  # of an existing actor: neither a false positive nor fabricated
     actor_row: Int[ndarray, "d"]  # row in the world, where real
     iou: Float[ndarray, "d"]  # with that actor's true box, where real
     occlusion: Float[ndarray, "d"]  # share of the actor hidden from the observer, where sensed
     is_sensed: Bool[ndarray, "d"]
 
 
-def truth_of(
+def ground_truth_of(
     said: Detections,
     world: World,
     sights: Sightings,
     observers: Int[ndarray, "e"],
     sensed_is_real: Bool[ndarray, "s"],
     sensed_actor_row: Int[ndarray, "s"],
-) -> Truth:
-    """Truth of each detection; the last two are aligned with the sensed detections, in order of their keys."""
+) -> GroundTruth:
+    """Ground truth of each detection.
+
+    `sensed_is_real` and `sensed_actor_row` are aligned with the sensed detections, in the order of their keys.
+    """
     sensed = said.origin == SENSED
     is_real = said.origin == SELF
     actor_row = np.where(is_real, said.observer, 0)
@@ -45,4 +48,4 @@ def truth_of(
     n = len(world)
     at = np.searchsorted(observers[sights.o] * n + sights.actor, said.observer[rows] * n + actor_row[rows])
     occlusion[rows] = sights.occlusion[at]
-    return Truth(is_real, actor_row, iou, occlusion, sensed & is_real)
+    return GroundTruth(is_real, actor_row, iou, occlusion, sensed & is_real)

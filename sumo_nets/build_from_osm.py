@@ -1,4 +1,4 @@
-"""A town that nobody has looked at before: from an OpenStreetMap file to a network with demand."""
+"""Network, buildings and demand from any OpenStreetMap file."""
 
 from __future__ import annotations
 
@@ -9,55 +9,26 @@ import re
 import shutil
 import tempfile
 import tomllib
-from dataclasses import dataclass
-from math import dist, hypot
 from pathlib import Path
-from typing import Annotated, Any
-
-from annotated_types import Ge, Gt, Le
+from typing import Any
 
 from sumo_nets import build, demand, osm, overpass
+from sumo_nets.density import Density, trips_per_hour
 from sumo_nets.xml import check_prolog
 
 _HERE = Path(__file__).parent
-_LOG = logging.getLogger("sumo_nets.town")
-
-BY_HOUR = (
-    0.12, 0.07, 0.05, 0.06, 0.12, 0.35, 0.70, 0.98, 0.92, 0.75, 0.70, 0.74,
-    0.76, 0.78, 0.82, 0.93, 1.00, 0.99, 0.82, 0.60, 0.44, 0.35, 0.28, 0.20,
-)  # fmt: skip
-"""Traffic of each hour of a working day, as a share of the busiest; the shape that counts in towns usually have."""
-SHARES = {"car": 0.80, "van": 0.08, "truck": 0.03, "bicycle": 0.09}
-"""Kinds of vehicle among those that set out."""
-WALKS = 0.4
-"""Pedestrians that set out, per vehicle."""
-DETOUR = 1.35
-"""Length of a drive, over the distance as the crow flies."""
-DRIVE_MPS = 9.0
-"""Speed of a drive through a town, stops included."""
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Density:
-    """How much traffic."""
-
-    per_km: Annotated[float, Gt(0)] = 2.0
-    """Vehicles on the road at the busiest hour, per km of street and direction."""
-    hour: Annotated[int, Ge(0), Le(23)] = 16
-    """Hour of a working day."""
-    seed: Annotated[int, Ge(0)] = 1
-    """Of the trips that are drawn."""
+_LOG = logging.getLogger("sumo_nets.build_from_osm")
 
 
 def from_osm(path: Path, out: Path, density: Density, name: str | None = None, left_hand: bool = False) -> None:
     """Build streets, buildings and demand from an OpenStreetMap file into the folder `out`.
 
-    On which side traffic keeps, `left_hand`, is not in an extract.
+    `left_hand`: whether traffic keeps to the left, which an extract does not say.
 
     Raises
     ------
     ValueError
-        One line: the file, and why no town can be made of it.
+        One line: the file, and why no network can be built from it.
     """
     if not path.is_file():
         raise ValueError(f"--osm {path}: no such file. Give an extract: .osm, .osm.gz, .osm.xml.gz or .osm.pbf.")
@@ -66,7 +37,7 @@ def from_osm(path: Path, out: Path, density: Density, name: str | None = None, l
     if name is None:
         name = re.sub(r"[^\w-]+", "-", out.resolve().name).strip("-") or "town"
     elif not re.fullmatch(r"[\w-]+", name):
-        raise ValueError(f"--name {name}: files are called so. Letters, digits, - and _ are wanted.")
+        raise ValueError(f"--name {name}: files are named after it. Use letters, digits, - and _ only.")
     extract = osm.read(path)
     about = {
         "name": name,
@@ -77,7 +48,7 @@ def from_osm(path: Path, out: Path, density: Density, name: str | None = None, l
         "sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
         "left_hand": str(left_hand).lower(),
     }
-    template = (_HERE / "common" / "town.toml").read_text(encoding="utf-8")
+    template = (_HERE / "common" / "osm_recipe.toml").read_text(encoding="utf-8")
     with tempfile.TemporaryDirectory(prefix="sumo_nets.") as folder:
         work = Path(folder)
         recipe = tomllib.loads(_filled(template, about, density, {}))
@@ -98,7 +69,7 @@ def from_box(
 ) -> None:
     """The same of the box "west,south,east,north" [degrees], fetched from OpenStreetMap's Overpass service.
 
-    What was fetched is kept in `out`, so that the recipe can be followed again; see `overpass.fetch`.
+    The extract is kept in `out`, so that the build can be repeated; see `overpass.fetch`.
     """
     edges = overpass.degrees(box)
     with tempfile.TemporaryDirectory(prefix="sumo_nets.") as folder:
@@ -122,7 +93,7 @@ def _refuse_doctype(path: Path) -> None:
 
 
 def _filled(template: str, about: dict[str, str], density: Density, figures: dict[str, float]) -> str:
-    """The recipe of a town: its template with the blanks filled in."""
+    """The recipe of a city: its template with the values filled in."""
     values: dict[str, Any] = {
         **about, "density": f"{density.per_km:g}", "hour": density.hour, "at_least": 300.0,
         **dict.fromkeys((*demand.KINDS, "pedestrian"), 0), **figures,
@@ -132,29 +103,13 @@ def _filled(template: str, about: dict[str, str], density: Density, figures: dic
 
 
 def escaped(value: object) -> str:
-    """Text that cannot break out of a TOML string."""
+    """Text that cannot end a TOML string."""
     return re.sub(r'["\\]|[\x00-\x1f\x7f]', "_", str(value))
 
 
 def _trips_of(net_path: Path, gates: frozenset[str], density: Density) -> dict[str, float]:
-    """Trips per hour of each kind, such that the wanted number is on the road."""
+    """Trips per hour of each vehicle class for the wanted density."""
     import sumolib
 
     streets = demand.streets_of(sumolib.net.readNet(str(net_path)), gates)
-    return scaled(streets, density)
-
-
-def scaled(streets: list[demand.Street], density: Density) -> dict[str, float]:
-    """Trips per hour of each kind, and their least length, for a density of vehicles (Little's law)."""
-    km = sum(street.length_m for street in streets) / 1000.0
-    xs, ys = zip(*(street.middle_m for street in streets), strict=True)
-    across_m = hypot(max(xs) - min(xs), max(ys) - min(ys))
-    at_least_m = round(min(600.0, 0.2 * across_m), -1)
-    draw = demand.Draw(density.seed, "lengths")
-    where = draw.chooser(streets, lambda street: street.length_m)
-    drawn = [dist(where().middle_m, where().middle_m) for _ in range(2000)]
-    far_m = [metres for metres in drawn if metres >= at_least_m]
-    seconds = DETOUR * sum(far_m) / len(far_m) / DRIVE_MPS
-    per_hour = BY_HOUR[density.hour] * density.per_km * km * 3600.0 / seconds
-    trips = {kind: float(max(1, round(per_hour * share))) for kind, share in SHARES.items()}
-    return {"at_least": at_least_m, **trips, "pedestrian": float(max(1, round(WALKS * per_hour)))}
+    return trips_per_hour(streets, density)

@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from cosim import resweep
+from cosim import replay_lidar
 from results.archive import open_run
 from sensors.evidence import sightings
 from tests.drive import cosim, drive
@@ -15,16 +15,16 @@ from tests.drive import cosim, drive
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    return drive(tmp_path_factory.mktemp("resweep") / "run", "traffic.duration_s=6", "traffic.warmup_s=120")
+    return drive(tmp_path_factory.mktemp("replay_lidar") / "run", "traffic.duration_s=6", "traffic.warmup_s=120")
 
 
 def test_the_same_returns(folder):
     run = open_run(folder)
-    config = resweep.config_of(run)
-    city, told, n = resweep.city_of(config), run.sightings, 0
-    for world in resweep.worlds(run, config):
+    config = replay_lidar.config_of(run)
+    city, told, n = replay_lidar.city_of(config), run.sightings, 0
+    for world in replay_lidar.worlds(run, config):
         observers = np.flatnonzero(world.equipped)
-        seen = sightings(resweep.sweep(world, observers, city, config), world.boxes, world.shape)
+        seen = sightings(replay_lidar.sweep(world, observers, city, config), world.boxes, world.shape)
         again = pd.DataFrame({
             "observer": world.actor[observers[seen.o]], "actor": world.actor[seen.actor],
             "n_points": seen.n_returns, "n_unoccluded": seen.n_unoccluded,
@@ -40,7 +40,7 @@ def test_plot_sweep(folder, tmp_path):
     told = run.detections
     told = told[(told.step == 4) & (told.kind == "sensed")]
     vehicle = int(told.observer.value_counts().index[0])
-    seen = resweep.look(run, vehicle, 4)
+    seen = replay_lidar.replay_scan(run, vehicle, 4)
     assert len(seen.reported) == (told.observer == vehicle).sum() and len(seen.actors) > 0
     words = ("plot", "sweep", str(folder), "--vehicle", str(vehicle), "--step", "4", "--out")
     for name in ("above.png", "cloud.npy"):
@@ -54,7 +54,7 @@ def test_plot_sweep(folder, tmp_path):
 @pytest.mark.parametrize(
     ("vehicle", "step", "out", "says"),
     [
-        (0, 99, None, "nobody sensed then"),
+        (0, 99, None, "no vehicle sensed then"),
         (99_999, 2, None, "no sensor on the road"),
         (None, 2, Path("cloud.las"), "neither a picture"),
     ],
@@ -64,7 +64,7 @@ def test_mistakes(folder, vehicle, step, out, says):
     there = run.actors[run.actors.step == step].actor
     sensing = run.vehicles.vehicle[run.vehicles.equipped & run.vehicles.vehicle.isin(there)]
     with pytest.raises(ValueError, match=says):
-        resweep.write(run, int(sensing.iloc[0]) if vehicle is None else vehicle, step, out)
+        replay_lidar.write(run, int(sensing.iloc[0]) if vehicle is None else vehicle, step, out)
 
 
 def test_a_mistake_is_one_line(folder):

@@ -1,4 +1,4 @@
-"""Sweeps of a run that is over: its worlds read back from the tables, and cast again ray by ray."""
+"""LiDAR sweeps of a finished run: its worlds are read from the tables and cast again."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -10,9 +10,9 @@ from jaxtyping import Int
 from numpy import ndarray
 
 from cosim import rng
+from cosim.actors import ActorRegistry
 from cosim.config import Config, load
-from cosim.mobility.replay import Recorded
-from cosim.roster import Roster
+from cosim.mobility.replay import RunReplay
 from cosim.scenario import find
 from cosim.world import World
 from results.figures import style
@@ -25,19 +25,19 @@ from sensors.scene import Scene
 
 
 def config_of(run: Run) -> Config:
-    """The experiment that a run was."""
+    """The config of a run."""
     return load(run.path / "config.toml")
 
 
 def city_of(config: Config) -> Scene:
-    """The buildings that it saw."""
+    """The buildings of its scenario."""
     return find(config.traffic.scenario, config.traffic.trace).city()
 
 
 def worlds(run: Run, config: Config) -> Iterator[World]:
     """The world of every step, as it was sensed."""
-    whole = replace(config.traffic, begin_s=None, warmup_s=None, trace=None)
-    traffic = Recorded(whole, run.path, Roster(config.fleet, config.seed))
+    params = replace(config.traffic, begin_s=None, warmup_s=None, trace=None)
+    traffic = RunReplay(params, run.path, ActorRegistry(config.fleet, config.seed))
     try:
         for _ in range(int(run.manifest["steps"])):
             yield traffic.advance()
@@ -46,57 +46,57 @@ def worlds(run: Run, config: Config) -> Iterator[World]:
 
 
 def sweep(world: World, observers: Int[ndarray, "e"], city: Scene, config: Config, out: Sweeps | None = None) -> Sweeps:
-    """What these rows of the world measured in that step; noise is a function of who and when, hence the same again."""
+    """The sweeps of these rows of the world; equal to the run's, because noise is a function of vehicle and step."""
     keys = rng.keys(rng.key(config.seed, rng.Stream.SWEEP, world.step), world.name_key[observers])
     return scan(world.boxes, world.shape, np.asarray(observers), city, config.lidar, keys, out)
 
 
 @dataclass(frozen=True, slots=True)
-class Look:
-    """What one vehicle saw in one step, in the frame of its sensor."""
+class ReplayedScan:
+    """The sweep of one vehicle in one step, with actors and detections; sensor frame."""
 
     sweeps: Sweeps
-    """Of this vehicle alone."""
+    """Of this vehicle only."""
     actors: Boxes
-    """Everybody within range but itself."""
+    """All other actors within range."""
     reported: Boxes
-    """What its detector made of it."""
+    """Detections that its detector reported."""
 
 
-def look(run: Run, vehicle: int, step: int) -> Look:
-    """The sweep of a vehicle again; ValueError where it did not sense."""
+def replay_scan(run: Run, vehicle: int, step: int) -> ReplayedScan:
+    """The sweep of a vehicle; ValueError where it did not sense in that step."""
     config = config_of(run)
     n_steps = int(run.manifest["steps"])
     if not 0 <= step < n_steps or step % config.sense_every_steps:
         every = config.sense_every_steps
         raise ValueError(
-            f"--step {step}: nobody sensed then. {run.path} has the steps 0 to {n_steps - 1}"
+            f"--step {step}: no vehicle sensed then. {run.path} has the steps 0 to {n_steps - 1}"
             + (f", and senses in every {every}th." if every > 1 else ".")
         )
     run.require("actors", "vehicles", "detections")
     world = next(w for w in worlds(run, config) if w.step == step)
-    there = world.actor[world.equipped]
-    if vehicle not in there:
-        some = ", ".join(map(str, there[:8]))
+    equipped = world.actor[world.equipped]
+    if vehicle not in equipped:
+        some = ", ".join(map(str, equipped[:8]))
         raise ValueError(f"--vehicle {vehicle} has no sensor on the road in step {step}. These have: {some}, ...")
     row = np.flatnonzero(world.actor == vehicle)
     sweeps = sweep(world, row, city_of(config), config)
     rows = np.flatnonzero(np.linalg.norm(world.boxes.xyz_m - sweeps.poses.origin_m, axis=1) < config.lidar.max_range_m)
     rows = rows[rows != row]
-    told = run.table("detections", where=(pc.field("step") == step) & (pc.field("observer") == vehicle))
-    told = told[told.kind == "sensed"]
+    detected = run.table("detections", where=(pc.field("step") == step) & (pc.field("observer") == vehicle))
+    detected = detected[detected.kind == "sensed"]
     boxes = Boxes(
-        told[["x_m", "y_m", "z_m"]].to_numpy(float), told[["length_m", "width_m", "height_m"]].to_numpy(float),
-        told.yaw_rad.to_numpy(float),
+        detected[["x_m", "y_m", "z_m"]].to_numpy(float), detected[["length_m", "width_m", "height_m"]].to_numpy(float),
+        detected.yaw_rad.to_numpy(float),
     )  # fmt: skip
     actors, reported = (sweeps.poses.to_sensor(np.zeros(len(b), int), b) for b in (world.boxes.take(rows), boxes))
-    return Look(sweeps, actors, reported)
+    return ReplayedScan(sweeps, actors, reported)
 
 
 def write(run: Run, vehicle: int, step: int, out: Path | None) -> Path:
-    """The sweep as a picture from above, or as a point cloud: the end of the file's name decides."""
-    seen = look(run, vehicle, step)
-    points = cloud.cloud_of(seen.sweeps, 0)
+    """The sweep as a picture from above, or as a point cloud, by the ending of the file name."""
+    scan_of_step = replay_scan(run, vehicle, step)
+    points = cloud.cloud_of(scan_of_step.sweeps, 0)
     out = out or run.path / f"sweep-{vehicle}-{step}.png"
     form = next((end for end in sorted(cloud.FORMATS, key=len, reverse=True) if out.name.endswith(end)), None)
     if form is not None:
@@ -110,7 +110,7 @@ def write(run: Run, vehicle: int, step: int, out: Path | None) -> Path:
         )
     boxes = {
         name: np.column_stack([b.xyz_m[:, :2], b.lwh_m[:, :2], b.yaw_rad])
-        for name, b in (("who is there", seen.actors), ("reported by the detector", seen.reported))
+        for name, b in (("actors", scan_of_step.actors), ("reported by the detector", scan_of_step.reported))
     }
-    title = f"What vehicle {vehicle} saw at {step * run.dt_s:g} s: {len(points[0]):,} returns"
+    title = f"LiDAR sweep of vehicle {vehicle} at {step * run.dt_s:g} s: {len(points[0]):,} returns"
     return style.save(draw(*points, boxes, title), out)

@@ -8,7 +8,9 @@ from time import perf_counter
 import numpy as np
 import pytest
 
-from sumo_nets import build, catalogue, flow, town, wheel
+from sumo_nets import build, build_from_osm, catalogue, density, flow, sumo_package_nets
+from sumo_nets.build_from_osm import from_osm
+from sumo_nets.density import Density
 from sumo_nets.network import lanes
 
 HERSFELD = Path(__file__).parents[3] / "shared" / "nets" / "bad_hersfeld" / "osm_bbox.osm.xml.gz"
@@ -46,7 +48,7 @@ def grid_town(n: int = 5, step: float = 0.0018) -> str:
 def built(tmp_path_factory):
     folder = tmp_path_factory.mktemp("town")
     (folder / "my town.osm.gz").write_bytes(gzip.compress(grid_town().encode()))
-    town.from_osm(folder / "my town.osm.gz", folder / "our 'town' ö", town.Density(per_km=4.0))
+    from_osm(folder / "my town.osm.gz", folder / "our 'town' ö", Density(per_km=4.0))
     return folder / "our 'town' ö"
 
 
@@ -61,7 +63,7 @@ def test_a_town_is_built_and_flows(built):
 
 
 def test_the_same_file_gives_the_same_town(built, tmp_path):
-    town.from_osm(built.parent / "my town.osm.gz", tmp_path / built.name, town.Density(per_km=4.0))
+    from_osm(built.parent / "my town.osm.gz", tmp_path / built.name, Density(per_km=4.0))
     assert (tmp_path / built.name / "SHA256SUMS").read_text() == (built / "SHA256SUMS").read_text()
 
 
@@ -74,7 +76,7 @@ def test_its_recipe_builds_it_again(built, tmp_path):
 
 def test_traffic_keeps_to_the_left_where_it_is_told_to(built, tmp_path):
     """Who drives from west to east keeps south of the middle of the street, or north of it."""
-    town.from_osm(built.parent / "my town.osm.gz", tmp_path / "left", town.Density(), left_hand=True)
+    from_osm(built.parent / "my town.osm.gz", tmp_path / "left", Density(), left_hand=True)
 
     def eastward_m(folder: Path) -> float:
         """How far north they drive, on average."""
@@ -85,11 +87,11 @@ def test_traffic_keeps_to_the_left_where_it_is_told_to(built, tmp_path):
 
 
 def test_a_name_names_files_in_the_folder(built, tmp_path):
-    with pytest.raises(ValueError, match=r"--name \.\./evil: files are called so"):
-        town.from_osm(built.parent / "my town.osm.gz", tmp_path / "out", town.Density(), "../evil")
+    with pytest.raises(ValueError, match=r"--name \.\./evil: files are named after it"):
+        from_osm(built.parent / "my town.osm.gz", tmp_path / "out", Density(), "../evil")
     (tmp_path / "file").write_text("")
     with pytest.raises(ValueError, match="out cannot be made: Not a directory"):
-        town.from_osm(built.parent / "my town.osm.gz", tmp_path / "file" / "out", town.Density())
+        from_osm(built.parent / "my town.osm.gz", tmp_path / "file" / "out", Density())
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
 
 
@@ -101,21 +103,21 @@ def test_the_same_town_from_whatever_it_is_packed_in(built, tmp_path, suffix):
     with osmium.SimpleWriter(packed) as writer:
         for item in osmium.FileProcessor(built.parent / "my town.osm.gz"):
             writer.add(item)
-    town.from_osm(packed, tmp_path / built.name, town.Density(per_km=4.0))
+    from_osm(packed, tmp_path / built.name, Density(per_km=4.0))
     for name in ("net.net.xml.gz", "buildings.poly.xml.gz", "demand.rou.xml.gz"):
         assert (tmp_path / built.name / name).read_bytes() == (built / name).read_bytes(), name
 
 
 def test_night_is_quieter_than_the_afternoon(built, tmp_path):
-    town.from_osm(built.parent / "my town.osm.gz", tmp_path / "night", town.Density(per_km=4.0, hour=3))
+    from_osm(built.parent / "my town.osm.gz", tmp_path / "night", Density(per_km=4.0, hour=3))
     night, day = catalogue.open_folder(tmp_path / "night"), catalogue.open_folder(built)
-    assert night.vehicles_per_hour == pytest.approx(day.vehicles_per_hour * town.BY_HOUR[3], rel=0.03)
+    assert night.vehicles_per_hour == pytest.approx(day.vehicles_per_hour * density.BY_HOUR[3], rel=0.03)
 
 
 ROADLESS = grid_town().replace('k="highway"', 'k="waterway"')
 
 BAD = {
-    "roadless.osm": (ROADLESS.encode(), "no street"),
+    "roadless.osm": (ROADLESS.encode(), "no connected network of street"),
     "torn.osm": (grid_town()[:3000].encode(), "not an OpenStreetMap file"),
     "torn.osm.gz": (gzip.compress(grid_town().encode())[:-30], "damaged gzip file|not an OpenStreetMap file"),
     "empty.osm": (b"", "not well-formed XML|not an OpenStreetMap"),
@@ -123,7 +125,7 @@ BAD = {
     "bomb.osm": (b'<!DOCTYPE a [<!ENTITY a "b">]><osm version="0.6">&a;</osm>', "declares a document type"),
     "noise.osm.pbf": (b"\x00\x00\x00\x0dnothing", "not an OpenStreetMap file"),
     "bare.osm": (b'<osm version="0.6"></osm>', "has no ways"),
-    "paths.osm": (re.sub('v="(secondary|residential)"', 'v="footway"', grid_town()).encode(), "no street"),
+    "paths.osm": (re.sub('v="(secondary|residential)"', 'v="footway"', grid_town()).encode(), "no connected network of street"),
 }  # fmt: skip
 
 
@@ -132,7 +134,7 @@ def test_a_bad_file_gets_one_line(tmp_path, name):
     content, says = BAD[name]
     (tmp_path / name).write_bytes(content)
     with pytest.raises(ValueError, match=says) as caught:
-        town.from_osm(tmp_path / name, tmp_path / "out", town.Density())
+        from_osm(tmp_path / name, tmp_path / "out", Density())
     assert name in str(caught.value) and "\n" not in str(caught.value).strip()
     assert not (tmp_path / "out").exists()
 
@@ -141,7 +143,7 @@ def test_offline_a_box_points_to_a_file(tmp_path, monkeypatch):
     for name in ("http_proxy", "https_proxy", "HTTP_PROXY", "HTTPS_PROXY"):
         monkeypatch.setenv(name, "http://127.0.0.1:9")  # nobody listens there
     with pytest.raises(ValueError, match=r"cannot be reached, or is busy .* --osm FILE") as caught:
-        town.from_box("9.0,50.0,9.001,50.001", tmp_path / "out", town.Density())
+        build_from_osm.from_box("9.0,50.0,9.001,50.001", tmp_path / "out", Density())
     assert "\n" not in str(caught.value)
 
 
@@ -156,12 +158,12 @@ def test_a_city_of_the_wheel_is_made_once_and_always_alike(tmp_path, monkeypatch
     assert len(first.footprints()) > 10 and "OpenStreetMap" in first.attribution
 
 
-@pytest.mark.parametrize("name", sorted(wheel.NETS))
+@pytest.mark.parametrize("name", sorted(sumo_package_nets.NETS))
 def test_what_is_said_of_a_city_before_it_is_made_is_what_it_then_is(name, tmp_path, monkeypatch):
     monkeypatch.setenv("COSIM_CACHE", str(tmp_path))
-    assert wheel.made(name) is None
-    said, made = wheel.NETS[name], catalogue.find(name)
-    assert wheel.made(name) == made.folder
+    assert sumo_package_nets.made(name) is None
+    said, made = sumo_package_nets.NETS[name], catalogue.find(name)
+    assert sumo_package_nets.made(name) == made.folder
     assert said.km2 == pytest.approx(made.size_m[0] * made.size_m[1] / 1e6, abs=0.01)
     assert said.vehicles_per_hour == made.vehicles_per_hour
     assert said.pedestrians_per_hour == made.pedestrians_per_hour
@@ -175,7 +177,7 @@ def test_a_cache_that_cannot_be_written_is_named(tmp_path, monkeypatch):
 
 
 @pytest.mark.verify
-@pytest.mark.parametrize("name", sorted(wheel.NETS))
+@pytest.mark.parametrize("name", sorted(sumo_package_nets.NETS))
 def test_the_cities_of_the_wheel_flow(name, tmp_path, monkeypatch):
     monkeypatch.setenv("COSIM_CACHE", str(tmp_path))
     flows = flow.measure(catalogue.find(name), 1800)
@@ -187,7 +189,7 @@ def test_bad_hersfeld_in_two_minutes(tmp_path):
     if not HERSFELD.is_file():
         pytest.skip(f"{HERSFELD} is not there")
     begin = perf_counter()
-    town.from_osm(HERSFELD, tmp_path / "hersfeld", town.Density())
+    from_osm(HERSFELD, tmp_path / "hersfeld", Density())
     assert perf_counter() - begin < 120
     net = catalogue.open_folder(tmp_path / "hersfeld")
     assert len(net.footprints()) > 11_000

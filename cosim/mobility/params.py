@@ -1,0 +1,29 @@
+"""Parameters of traffic. Imports nothing heavy, because every reading of a config imports it."""
+
+from dataclasses import dataclass
+from typing import Annotated
+
+from annotated_types import Ge, Gt
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class TrafficParams:
+    """Network, demand, begin and duration of the traffic, and SUMO's seed."""
+
+    scenario: str = "helsinki"
+    """Name of a city (`cosim nets list`); or, relative to the config file that names it, the path of a .sumocfg, of a
+    folder that `cosim nets build` made, of a run to replay, or of a trace that SUMO wrote with --fcd-output."""
+    trace: str | None = None
+    """Replay this trace or run folder in the network of `scenario`, instead of running SUMO."""
+    seed: Annotated[int, Ge(0)] = 1
+    """Seed of SUMO."""
+    scale: Annotated[float, Gt(0)] = 1.0
+    """Factor on the demand; below 1 SUMO leaves vehicles out, above 1 it repeats some. Traces are not scaled."""
+    begin_s: Annotated[float, Ge(0)] | None = None
+    """Time of the scenario at which to begin, warm-up included [s]; the scenario's own when not set."""
+    warmup_s: Annotated[float, Ge(0)] | None = None
+    """Simulated time before anything is sensed or recorded [s]; the shipped network's own when not set."""
+    duration_s: Annotated[float, Gt(0)] = 300.0
+    """Recorded time after warm-up [s]; less if the traffic ends before."""
+    step_s: Annotated[float, Ge(0.1)] = 1.0
+    """Length of one step of traffic [s]; when not set, that of the .sumocfg, and 1 s of a trace."""

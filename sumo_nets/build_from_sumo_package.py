@@ -1,0 +1,146 @@
+"""Demand and signals for the networks inside SUMO's package (`sumo_package_nets`)."""
+
+from __future__ import annotations
+
+import hashlib
+import tempfile
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import shapely
+
+from sumo_nets import build, demand, sumotools
+from sumo_nets.build_from_osm import escaped
+from sumo_nets.density import trips_per_hour
+from sumo_nets.footprints import read_footprints, write_footprints
+from sumo_nets.sumo_package_nets import NETS, PackageNet, cached_folder
+
+BOUNDARY_M = 120.0
+"""A street that ends this near to the boundary of the network continues outside of it."""
+
+REBUILD: dict[str, Any] = {
+    "remove-edges.by-vclass": "rail,rail_urban,rail_electric,rail_fast,subway",
+    "junctions.join": True, "no-turnarounds.except-deadend": True, "no-warnings": True,
+    "tls.rebuild": True, "tls.default-type": "actuated", "tls.min-dur": 5, "tls.max-dur": 40, "tls.join": True,
+    "tls.discard-simple": True, "tls.ignore-internal-junction-jam": True,
+    "sidewalks.guess": True, "sidewalks.guess.min-speed": 1, "sidewalks.guess.max-speed": 16,
+    "default.sidewalk-width": 2.0, "crossings.guess": True, "check-lane-foes.all": True,
+}  # fmt: skip
+"""Options of netconvert. Unchanged, with signals of fixed timing, 15 to 25 of 100 trips teleport. Railways are removed:
+they reach far beyond the streets, and traffic enters and leaves where the streets end."""
+
+RECIPE = """# How the files were made; see sumo_nets/build_from_sumo_package.py.
+name = "{name}"
+description = "{description}"
+licence = "{licence}"
+attribution = "{attribution}"
+warm_up_s = 600
+
+[source]
+file = "{net}"
+sha256 = "{sha256}"
+
+[demand]
+seed = {seed}
+end_s = 7800
+route_choice = 1.5
+density_per_km = {density}
+hour = {hour}
+
+[demand.vehicles]
+at_least_m = {at_least}
+from_inside = 0.3
+to_inside = 0.3
+gate_weight = {{ motorway = 6.0, trunk = 5.0, primary = 3.0, secondary = 2.0, tertiary = 1.2, unclassified = 0.3, residential = 0.2 }}
+
+[demand.car]
+per_hour = {car}
+
+[demand.van]
+per_hour = {van}
+
+[demand.truck]
+per_hour = {truck}
+
+[demand.bicycle]
+per_hour = {bicycle}
+at_most_m = 4000.0
+
+[demand.pedestrian]
+per_hour = {pedestrian}
+at_least_m = 100.0
+at_most_m = 800.0
+"""  # noqa: E501
+
+
+def folder_of(name: str) -> Path:
+    """The folder of a network of SUMO's package; generated on first use, the same on every machine.
+
+    Raises
+    ------
+    ValueError
+        Where the installed SUMO lacks the network, or the cache cannot be written.
+    """
+    net = NETS[name]
+    source = sumotools.home() / net.net
+    if not source.is_file():
+        raise ValueError(f"{name}: the installed SUMO has no {net.net}. Install eclipse-sumo 1.28 from PyPI.")
+    if (folder := cached_folder(net, source)).is_dir():
+        return folder
+    try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(prefix=f"{name}.", dir=folder.parent) as scratch:
+            done = Path(scratch) / "done"
+            _make(net, source, Path(scratch), done)
+            try:
+                done.replace(folder)
+            except OSError:
+                if not folder.is_dir():  # another process may have been faster
+                    raise
+    except OSError as error:
+        raise ValueError(
+            f"{name}: the cache {folder.parent} cannot be written ({error.strerror}). Set COSIM_CACHE to a folder."
+        ) from None
+    return folder
+
+
+def _make(net: PackageNet, source: Path, work: Path, out: Path) -> None:
+    import sumolib
+
+    sumotools.run("netconvert", {"sumo-net-file": source, "output-file": "net.net.xml", **REBUILD}, work)
+    read = sumolib.net.readNet(str(work / "net.net.xml"))
+    streets = demand.streets_of(read, _boundary_nodes(read))
+    figures: dict[str, Any] = trips_per_hour(streets, net.density)
+    text = RECIPE.format(
+        name=net.name, description=escaped(net.description), licence=net.licence, attribution=net.attribution,
+        net=net.net, sha256=hashlib.sha256(source.read_bytes()).hexdigest(), seed=net.density.seed,
+        density=net.density.per_km, hour=net.density.hour, **figures,
+    )  # fmt: skip
+    recipe = tomllib.loads(text)
+    wanted = recipe["demand"]
+    trips = demand.walks(streets, wanted["pedestrian"], wanted["seed"], wanted["end_s"]) if _walkable(streets) else []
+    for kind in demand.KINDS:
+        trips += demand.vehicle_trips(streets, kind, wanted["vehicles"] | wanted[kind], wanted["seed"], wanted["end_s"])
+    build.route(trips, wanted, work)
+    found = read_footprints(sumotools.home() / net.polygons) if net.polygons else []
+    write_footprints(work / "buildings.poly.xml", ((f"b{i}", footprint) for i, footprint in enumerate(found)))
+    (work / "buses.rou.xml").write_text("<routes/>\n", encoding="utf-8")
+    (work / "stops.add.xml").write_text("<additional/>\n", encoding="utf-8")
+    build.pack(recipe, text, work, out)
+
+
+def _boundary_nodes(net: Any) -> frozenset[str]:
+    """Nodes near the convex hull at which the network ends."""
+    nodes = net.getNodes()
+    hull = shapely.MultiPoint([node.getCoord() for node in nodes]).convex_hull.boundary
+    return frozenset(
+        node.getID()
+        for node in nodes
+        if len({n.getID() for n in node.getNeighboringNodes()}) == 1
+        and hull.distance(shapely.Point(node.getCoord())) < BOUNDARY_M
+    )
+
+
+def _walkable(streets: list[demand.Street]) -> bool:
+    return any(street.walkable for street in streets)
