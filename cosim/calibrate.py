@@ -23,8 +23,9 @@ from numpy import ndarray
 from scipy.optimize import differential_evolution
 from scipy.special import expit, logit
 
+import sensors
 from cosim import replay_lidar
-from cosim.cycle import clutter_luck, luck
+from cosim.cycle import detector_draws
 from cosim.world import LABELS
 from results.archive import open_run
 from results.figures import calibration as pictures
@@ -32,13 +33,14 @@ from results.figures import style
 from results.metrics import frames
 from results.metrics.kitti import LEVELS, STRICT, Objects, Precision, average_precision
 from results.run import Run
-from sensors import detector
 from sensors.boxes import Boxes, iou_3d
-from sensors.clutter import false_alarms
-from sensors.evidence import Sightings, sightings
+from sensors.evidence import Observability, observability
+from sensors.false_positives import false_positives
 from sensors.lidar import Sweeps
+from sensors.reports import Reports
+from sensors.statistical_detector import DetectorParams, pair_normals, reports_of_actors
 
-PROFILES = Path(detector.__file__).parent / "profiles"
+PROFILES = Path(sensors.__file__).parent / "profiles"
 RANGE_M = 140.0
 _COLUMNS = ("frame", "label", "box", "height_px", "occlusion", "truncation", "score")
 
@@ -68,7 +70,7 @@ class Sample:
     name: str
     truth: Objects
     poses: frames.Poses
-    seen: Sightings
+    seen: Observability
     boxes: Boxes
     label: ndarray
     origin_m: ndarray
@@ -89,7 +91,7 @@ class Said:
 
 def sample(run: Run, profile: str, model: SimpleNamespace, max_frames: int) -> Sample:
     """Frames of a run, evenly spread over it; the false boxes are those of the model."""
-    params = detector.DetectorParams(profile=profile)  # type: ignore[arg-type]
+    params = DetectorParams(model=profile)  # type: ignore[arg-type]
     config = replace(replay_lidar.config_of(run), detector=params)
     city = replay_lidar.city_of(config)
     steps = frames.sampled_steps(run, max_frames)
@@ -102,11 +104,11 @@ def sample(run: Run, profile: str, model: SimpleNamespace, max_frames: int) -> S
         if world.step not in steps or not len(observers):
             continue
         sweeps = replay_lidar.sweep(world, observers, city, config, sweeps)
-        here, names = sightings(sweeps, world.boxes, world.shape), world.name_key
-        z.append(luck(names[observers[here.o]], names[here.actor], world.step, config))
-        o, *made_up = false_alarms(sweeps, here, clutter_luck(world, observers, config), model)
-        false.append((o + n_frames, *made_up))
-        seen.append((here.o + n_frames, here.actor + n_actors, here.n_returns, here.n_unoccluded, here.range_m))
+        here, draws = observability(sweeps, world.boxes, world.shape), detector_draws(world, observers, config)
+        z.append(pair_normals(here, draws, model))
+        made_up = false_positives(sweeps, here, draws, model)
+        false.append((made_up.observer + n_frames, made_up.label, made_up.boxes, made_up.score))
+        seen.append((here.observer + n_frames, here.actor + n_actors, here.n_returns, here.n_unoccluded, here.range_m))
         boxes.append(world.boxes)
         label.append(world.label)
         origin_m.append(sweeps.poses.origin_m.copy())
@@ -115,7 +117,7 @@ def sample(run: Run, profile: str, model: SimpleNamespace, max_frames: int) -> S
     assert n_frames == len(poses), f"{run.path}: {len(poses)} frames in its tables, {n_frames} when cast again"
     frame, kind, made_up_boxes, score = zip(*false, strict=True)
     return Sample(
-        run.name, truth, poses, Sightings(*map(np.concatenate, zip(*seen, strict=True))), Boxes.concat(boxes),
+        run.name, truth, poses, Observability(*map(np.concatenate, zip(*seen, strict=True))), Boxes.concat(boxes),
         np.concatenate(label), np.concatenate(origin_m), np.concatenate(z),
         (np.concatenate(frame), np.concatenate(kind), Boxes.concat(made_up_boxes), np.concatenate(score)),
     )  # fmt: skip
@@ -139,15 +141,15 @@ def _found(one: Sample, model: SimpleNamespace | None) -> tuple[Objects, ndarray
     if model is None:
         rows = np.flatnonzero(one.seen.n_returns > 0)
         actor = one.seen.actor[rows]
-        made = detector.Reports(one.seen.o[rows], one.label[actor], one.boxes.take(actor), np.ones(len(rows)), actor)
+        made = Reports.of_actors(one.seen, rows, one.label[actor], one.boxes.take(actor), np.ones(len(rows)))
         false = np.zeros(0, int), np.zeros(0, np.uint8), one.boxes.take(rows[:0]), np.zeros(0)
         least = 0.0
     else:
-        made = detector.reported(one.seen, one.boxes, one.label, one.origin_m, one.z, model)
+        made = reports_of_actors(one.seen, one.boxes, one.label, one.origin_m, one.z, model)
         false, least = one.false, model.min_score
     o, label, made_up, score = false
     iou = np.concatenate([iou_3d(made.boxes, one.boxes.take(made.actor)), np.zeros(len(o))])
-    frame, label = np.concatenate([made.o, o]), np.concatenate([made.label, label])
+    frame, label = np.concatenate([made.observer, o]), np.concatenate([made.label, label])
     boxes, score = Boxes.concat([made.boxes, made_up]), np.concatenate([made.score, score])
     order = np.lexsort([-score, frame])
     order = order[score[order] >= least]

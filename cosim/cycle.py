@@ -13,7 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, UInt8, UInt64
+from jaxtyping import Bool, Float, Int, UInt8
 from numpy import ndarray
 
 from cosim import rng
@@ -42,7 +42,7 @@ from cosim.v2x.server import Downlink, Edition, Traffic, Uplink
 from cosim.world import World
 from sensors import detector, evidence, lidar
 from sensors.boxes import Boxes, overlapping_pairs
-from sensors.clutter import ClutterLuck
+from sensors.reports import DetectorDraws
 from sensors.scene import Scene
 from trust import evaluation, fusion, matching, tables
 from trust.ledger import SERVER, Ledger, Standing
@@ -96,8 +96,8 @@ class Known:
     age_s: Float[ndarray, "n"]  # of the value; read only where it is no default
 
 
-Perceived = tuple[evidence.Sightings, Detections, Bool[ndarray, "s"], Int[ndarray, "s"]]
-"""Sightings; self reports and detections; and for the sensed ones, in order: whether a real actor, and its row."""
+Perceived = tuple[evidence.Observability, Detections, Bool[ndarray, "s"], Int[ndarray, "s"]]
+"""Observability; self reports and detections; and for the sensed ones, in order: whether a real actor, and its row."""
 
 Perceive = Callable[[World, Int[ndarray, "e"], lidar.Sweeps, Config], Perceived]
 
@@ -119,7 +119,7 @@ class Turn:
 
     world: World
     observers: Int[ndarray, "e"]  # rows of the world
-    sights: evidence.Sightings
+    sights: evidence.Observability
     said: Detections
     truth: GroundTruth
     exchanges: tuple[Exchange, Exchange]  # of detections, and of verdicts
@@ -174,7 +174,7 @@ def turn(
     with watch("match"):
         pairs = overlapping_pairs(said.boxes, said.label, said.observer)
         everything = _views(first.heard, ptr, said.said, len(observers))
-        inside = evidence.in_area(
+        inside = evidence.in_evaluation_area(
             sweeps, everything.of_member(), said.boxes, config.area, everything.member, said.label,
             world.boxes.take(observers),
         )  # fmt: skip
@@ -274,17 +274,14 @@ def _serve(state: State, config: Config, world: World, ids: ndarray, names: ndar
 
 def _perceive(world: World, observers: Int[ndarray, "e"], sweeps: lidar.Sweeps, config: Config) -> Perceived:
     """Self reports and what the detectors make of the sweeps; the truth's name is dropped here."""
-    step, names = world.step, world.name_key
-    sights = evidence.sightings(sweeps, world.boxes, world.shape)
-    draws = detector.DetectorDraws(
-        luck(names[observers[sights.o]], names[sights.actor], step, config),
-        clutter_luck(world, observers, config),
-    )
-    found = detector.detect(sweeps, sights, world.boxes, world.label, draws, config.detector)
-    n = len(found.o)
+    sights = evidence.observability(sweeps, world.boxes, world.shape)
+    model = detector.DETECTORS[config.detector.model](config.detector)
+    draws = detector_draws(world, observers, config)
+    found = detector.detect(model, sweeps, sights, world.boxes, world.label, draws)
+    n = len(found.observer)
     sensed = Detections(
-        observer=observers[found.o],
-        k=1 + np.arange(n) - np.searchsorted(found.o, found.o),
+        observer=observers[found.observer],
+        k=1 + np.arange(n) - np.searchsorted(found.observer, found.observer),
         label=found.label,
         boxes=found.boxes,
         score=found.score,
@@ -293,28 +290,22 @@ def _perceive(world: World, observers: Int[ndarray, "e"], sweeps: lidar.Sweeps, 
         said=np.ones(n, bool),
     )
     parts = [self_reports(world, observers), sensed] if config.trust.self_reports else [sensed]
-    return sights, Detections.concat(parts), ~found.is_clutter, found.actor
+    return sights, Detections.concat(parts), ~found.is_false_positive, found.actor
 
 
-def luck(
-    observer: UInt64[ndarray, "s"], actor: UInt64[ndarray, "s"], step: int, config: Config
-) -> Float[ndarray, "s n"]:
-    """The detectors' luck with every actor, both given by name: in part new in this step, in part lasting."""
-    model, n = detector.resolved(config.detector), detector.N_SIGHTING_DRAWS
-    fresh = rng.normals(rng.key(config.seed, rng.Stream.DETECTION, step), observer, actor, n=n)
-    lasting = rng.persistent(
-        rng.key(config.seed, rng.Stream.DETECTION_MEMORY), observer, actor,
-        time_s=step * config.traffic.step_s, memory_s=model.memory_s, n=n,
-    )  # fmt: skip
-    return np.sqrt(1.0 - model.memory_share) * fresh + np.sqrt(model.memory_share) * lasting
-
-
-def clutter_luck(world: World, observers: Int[ndarray, "e"], config: Config) -> ClutterLuck:
-    """The detectors' luck with places that look like something, by observer and by step."""
-    names, place = world.name_key, rng.key(config.seed, rng.Stream.CLUTTER_MEMORY)
-    fresh = rng.keys(rng.key(config.seed, rng.Stream.CLUTTER, world.step), names[observers])
-    own = rng.keys(place, names[observers])
-    return ClutterLuck(place, own, fresh, names, world.step * config.traffic.step_s)
+def detector_draws(world: World, observers: Int[ndarray, "e"], config: Config) -> DetectorDraws:
+    """Keys of the detectors' noise draws in this step."""
+    seed, names = config.seed, world.name_key
+    site = rng.key(seed, rng.Stream.CLUTTER_MEMORY)
+    return DetectorDraws(
+        time_s=world.step * config.traffic.step_s,
+        actor=names,
+        observer_step=rng.keys(rng.key(seed, rng.Stream.DETECTION, world.step), names[observers]),
+        observer=rng.keys(rng.key(seed, rng.Stream.DETECTION_MEMORY), names[observers]),
+        site=site,
+        site_step=rng.keys(rng.key(seed, rng.Stream.CLUTTER, world.step), names[observers]),
+        site_observer=rng.keys(site, names[observers]),
+    )
 
 
 def _claims(said: Detections, observers: Int[ndarray, "e"]) -> tuple[Claims, Int[ndarray, "e+1"]]:

@@ -9,7 +9,7 @@ from numpy import ndarray
 from cosim.v2x.messages import FABRICATED, SELF, SENSED, Detections
 from cosim.world import World
 from sensors.boxes import iou_3d
-from sensors.evidence import Sightings
+from sensors.evidence import Observability
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,7 +26,7 @@ class GroundTruth:
 def ground_truth_of(
     said: Detections,
     world: World,
-    sights: Sightings,
+    sights: Observability,
     observers: Int[ndarray, "e"],
     sensed_is_real: Bool[ndarray, "s"],
     sensed_actor_row: Int[ndarray, "s"],
@@ -46,6 +46,6 @@ def ground_truth_of(
     occlusion = np.zeros(len(said))
     rows = np.flatnonzero(sensed & is_real)
     n = len(world)
-    at = np.searchsorted(observers[sights.o] * n + sights.actor, said.observer[rows] * n + actor_row[rows])
+    at = np.searchsorted(observers[sights.observer] * n + sights.actor, said.observer[rows] * n + actor_row[rows])
     occlusion[rows] = sights.occlusion[at]
     return GroundTruth(is_real, actor_row, iou, occlusion, sensed & is_real)

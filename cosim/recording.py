@@ -117,7 +117,7 @@ def turn(recorder: Recorder, turn: Turn, silences: tuple["Silences", ...], dt_s:
     for message, silence in enumerate(silences):
         silence.update(recorder, turn, message, pairs[message])
     recorder.append("sightings", step, {
-        "observer": ids[turn.sights.o], "actor": world.actor[turn.sights.actor],
+        "observer": ids[turn.sights.observer], "actor": world.actor[turn.sights.actor],
         "n_points": turn.sights.n_returns, "n_unoccluded": turn.sights.n_unoccluded,
     })  # fmt: skip
     for message, exchange in enumerate(turn.exchanges):

@@ -130,7 +130,7 @@ class Stage:
             said=np.ones(n, bool),
         )
         seen = Detections.concat([self_reports(world, observers), sensed])
-        return evidence.sightings(sweeps, world.boxes, world.shape), seen, np.ones(n, bool), self.detected
+        return evidence.observability(sweeps, world.boxes, world.shape), seen, np.ones(n, bool), self.detected
 
 
 def scenario_1(out: Path) -> Answer:

@@ -1,4 +1,4 @@
-"""How fast the sensors are on this machine: the least CPU time of several runs on one core, engines side by side."""
+"""Speed of the sensors on this machine: the least CPU time of several runs on one core, engine by engine."""
 
 from __future__ import annotations
 
@@ -13,13 +13,14 @@ from jaxtyping import UInt8
 from numpy import ndarray
 
 from sensors.boxes import Boxes, overlapping_pairs
-from sensors.clutter import ClutterLuck, false_alarms
-from sensors.detector import DetectorParams, resolved
-from sensors.evidence import line_of_sight, plausible, points_in_boxes, sightings
+from sensors.evidence import line_of_sight, observability, plausible, points_in_boxes
+from sensors.false_positives import false_positives
 from sensors.lidar import LidarParams, beams, mount, scan
-from sensors.near import near
+from sensors.neighbours import neighbours
 from sensors.raycast import embree, mesh, open3d
-from sensors.scene import LABEL_OF_SHAPE, Scene, prisms
+from sensors.reports import DetectorDraws
+from sensors.scene import LABEL_OF_SHAPE, ObjectClass, Scene, prisms
+from sensors.statistical_detector import DetectorParams, resolved
 
 _SIZE_M = np.array(
     [
@@ -49,7 +50,7 @@ def bench(
 ) -> list[tuple[str, float, str]]:
     """Rows of (what, value, unit) on a given world, or on a synthetic town of 600 actors."""
     scene, boxes, shape = town() if world is None else world
-    cars = np.flatnonzero(LABEL_OF_SHAPE[shape] == 0)[:n_observers]
+    cars = np.flatnonzero(LABEL_OF_SHAPE[shape] == ObjectClass.CAR)[:n_observers]
     threads = numba.get_num_threads()
     numba.set_num_threads(1)
     try:
@@ -60,7 +61,7 @@ def bench(
 
 
 def _rays_alone(boxes, shape, observers, scene, tracer_of) -> Callable[[], object]:
-    """An engine's plain work: its scene built, its rays made; nothing but the rays is left to do."""
+    """Work of an engine without its set-up: the scene is built and the rays are made beforehand."""
     poses, grid = mount(boxes, observers, LidarParams()), beams(LidarParams())
     centre = poses.origin_m.mean(axis=0)
     triangles = np.concatenate([mesh.city_triangles(scene), mesh.body_triangles(prisms(shape, boxes))]) - centre
@@ -75,7 +76,7 @@ def crowd(
 ) -> list[tuple[str, float, str]]:
     """Wall time of many sensors at once with one thread and with two, in turn; the best of several runs of each."""
     scene, boxes, shape = town() if world is None else world
-    cars = np.resize(np.flatnonzero(LABEL_OF_SHAPE[shape] == 0), n_sensors)
+    cars = np.resize(np.flatnonzero(LABEL_OF_SHAPE[shape] == ObjectClass.CAR), n_sensors)
     keys, params = np.arange(n_sensors, dtype=np.uint64), LidarParams()
     sweeps = scan(boxes, shape, cars, scene, params, keys)
     threads, best = numba.get_num_threads(), {1: np.inf, 2: np.inf}
@@ -89,15 +90,15 @@ def crowd(
     finally:
         numba.set_num_threads(threads)
     return [
-        (f"{n_sensors} sensors, range noise and all, one thread", best[1], "s"),
-        (f"{n_sensors} sensors, range noise and all, two threads", best[2], "s"),
+        (f"{n_sensors} sensors, range noise included, one thread", best[1], "s"),
+        (f"{n_sensors} sensors, range noise included, two threads", best[2], "s"),
         ("two threads / one", best[1] / best[2], "times"),
         ("memory of their sweeps", (sweeps.range_m.nbytes + sweeps.hit.nbytes) / 1e6, "MB"),
     ]
 
 
 def _least_s(work: Callable[[], object], runs: int) -> float:
-    work()  # compiled, and its memory touched
+    work()  # compiles, and allocates
     seconds = []
     for _ in range(runs):
         start = process_time()
@@ -113,16 +114,20 @@ def _measure(scene, boxes, shape, observers, runs) -> list[tuple[str, float, str
     rays = sweeps.range_m.size
     columnar = _least_s(lambda: scan(boxes, shape, observers, scene, clean, keys, sweeps), runs)
     noisy = _least_s(lambda: scan(boxes, shape, observers, scene, LidarParams(), keys, sweeps), runs)
-    judges = {}
+    references = {}
     for name, tracer_of in (("embree", embree.tracer_of), ("open3d", open3d.tracer_of)):
         if name == "open3d" and not find_spec("open3d"):
             continue
-        judge = LidarParams(range_sigma_m=0.0, engine=name)  # type: ignore[arg-type]
-        judges[name] = _least_s(partial(scan, boxes, shape, observers, scene, judge, keys, sweeps), min(runs, 3))
-        judges[f"{name}, rays alone"] = _least_s(_rays_alone(boxes, shape, observers, scene, tracer_of), min(runs, 3))
+        reference = LidarParams(range_sigma_m=0.0, engine=name)  # type: ignore[arg-type]
+        references[name] = _least_s(
+            partial(scan, boxes, shape, observers, scene, reference, keys, sweeps), min(runs, 3)
+        )
+        references[f"{name}, rays alone"] = _least_s(
+            _rays_alone(boxes, shape, observers, scene, tracer_of), min(runs, 3)
+        )
     scan(boxes, shape, observers, scene, LidarParams(), keys, sweeps)
 
-    ptr, row = near(sweeps.poses.origin_m, boxes, 70.0)
+    ptr, row = neighbours(sweeps.poses.origin_m, boxes, 70.0)
     o = np.repeat(np.arange(len(observers)), np.diff(ptr))
     other = row != observers[o]
     o, row = o[other], row[other]
@@ -130,29 +135,30 @@ def _measure(scene, boxes, shape, observers, runs) -> list[tuple[str, float, str
     crowd = Boxes(asked.xyz_m + np.random.default_rng(1).normal(0, 0.2, asked.xyz_m.shape), asked.lwh_m, asked.yaw_rad)
     label = LABEL_OF_SHAPE[shape][row]
     n_pairs = len(overlapping_pairs(crowd, label, o)[0])
-    seen, model = sightings(sweeps, boxes, shape), resolved(DetectorParams())
-    luck = ClutterLuck(np.uint64(1), keys, keys + np.uint64(10_000), np.arange(len(boxes), dtype=np.uint64), 0.0)
+    seen, model = observability(sweeps, boxes, shape), resolved(DetectorParams())
+    fresh, actors = keys + np.uint64(10_000), np.arange(len(boxes), dtype=np.uint64)
+    draws = DetectorDraws(0.0, actors, fresh, keys, np.uint64(1), fresh, keys)
 
     return [
         ("columnar, one core", rays / columnar / 1e6, "M rays/s"),
         ("columnar, one sweep", columnar / len(observers) * 1e6, "us"),
         ("columnar with range noise, one core", rays / noisy / 1e6, "M rays/s"),
-        *((f"{name}, one core", rays / seconds / 1e6, "M rays/s") for name, seconds in judges.items()),
-        *((f"columnar / {name}", seconds / columnar, "times") for name, seconds in judges.items()),
+        *((f"{name}, one core", rays / seconds / 1e6, "M rays/s") for name, seconds in references.items()),
+        *((f"columnar / {name}", seconds / columnar, "times") for name, seconds in references.items()),
         (
-            "sightings",
-            _least_s(lambda: sightings(sweeps, boxes, shape), runs) / len(observers) * 1e6,
+            "observability",
+            _least_s(lambda: observability(sweeps, boxes, shape), runs) / len(observers) * 1e6,
             "us per observer",
         ),
         (
-            "false boxes",
-            _least_s(lambda: false_alarms(sweeps, seen, luck, model), runs) / len(observers) * 1e6,
+            "false positives",
+            _least_s(lambda: false_positives(sweeps, seen, draws, model), runs) / len(observers) * 1e6,
             "us per observer",
         ),
         ("points in boxes", _least_s(lambda: points_in_boxes(sweeps, o, asked), runs) / len(o) * 1e6, "us per box"),
         ("plausibility", _least_s(lambda: plausible(sweeps, o, asked), runs) / len(o) * 1e6, "us per box"),
         (
-            "sight lines",
+            "lines of sight",
             _least_s(lambda: line_of_sight(scene, boxes, shape, observers[o], row), runs) / len(o) * 1e6,
             "us per pair",
         ),

@@ -44,7 +44,7 @@ class Boxes:
         return len(self.xyz_m)
 
     @property
-    def reach_m(self) -> Float[ndarray, "n"]:
+    def circumradius_m(self) -> Float[ndarray, "n"]:
         """Radius of the circle around each footprint [m]."""
         return 0.5 * np.hypot(self.lwh_m[:, 0], self.lwh_m[:, 1])
 
@@ -91,11 +91,11 @@ def overlapping_pairs(
     i, j (int32) and their IoU (> 0), sorted by (i, j).
     """
     found_i, found_j, found_iou = [], [], []
-    reach = boxes.reach_m
+    radius = boxes.circumradius_m
     for one in np.unique(label):
         rows = np.flatnonzero(label == one)
         tree = cKDTree(boxes.xyz_m[rows, :2])
-        pair = tree.query_pairs(2.0 * reach[rows].max(), output_type="ndarray")
+        pair = tree.query_pairs(2.0 * radius[rows].max(), output_type="ndarray")
         i, j = rows[pair[:, 0]], rows[pair[:, 1]]
         keep = owner[i] != owner[j]
         i, j = i[keep], j[keep]
@@ -121,9 +121,9 @@ def _iou(a_xyz, a_lwh, a_yaw, b_xyz, b_lwh, b_yaw, a_row, b_row):
         i, j = a_row[n], b_row[n]
         top = min(a_xyz[i, 2] + 0.5 * a_lwh[i, 2], b_xyz[j, 2] + 0.5 * b_lwh[j, 2])
         bottom = max(a_xyz[i, 2] - 0.5 * a_lwh[i, 2], b_xyz[j, 2] - 0.5 * b_lwh[j, 2])
-        reach = 0.5 * (np.hypot(a_lwh[i, 0], a_lwh[i, 1]) + np.hypot(b_lwh[j, 0], b_lwh[j, 1]))
+        radius = 0.5 * (np.hypot(a_lwh[i, 0], a_lwh[i, 1]) + np.hypot(b_lwh[j, 0], b_lwh[j, 1]))
         dx, dy = b_xyz[j, 0] - a_xyz[i, 0], b_xyz[j, 1] - a_xyz[i, 1]
-        if top <= bottom or dx * dx + dy * dy >= reach * reach:
+        if top <= bottom or dx * dx + dy * dy >= radius * radius:
             continue
         # The clipping box is chosen by geometry, not by row, so that swapping the two changes no bit.
         first = (a_xyz[i, 0], a_xyz[i, 1], a_lwh[i, 0], a_lwh[i, 1], a_yaw[i])

@@ -1,4 +1,4 @@
-"""What an observer's own sweep says about a box: could it be seen, was it hit, is there free space instead?"""
+"""What an observer's own sweep says about a box: visibility, points inside, free space in its place."""
 
 from __future__ import annotations
 
@@ -10,19 +10,17 @@ from annotated_types import Ge, Gt, Le
 from jaxtyping import Bool, Float, Int, Int32, UInt8
 from numpy import ndarray
 
-from sensors import windows
+from sensors import range_image
 from sensors.boxes import Boxes
 from sensors.lidar import Sweeps
-from sensors.near import near
+from sensors.neighbours import neighbours
 from sensors.raycast import segment
-from sensors.scene import Scene, prisms
-
-CAR = 0
+from sensors.scene import ObjectClass, Scene, prisms
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class AreaParams:
-    """The neighbourhood that an observer answers for."""
+    """The area in which an observer evaluates boxes."""
 
     range_m: Annotated[float, Gt(0)] = 70.0
     """Distance of the bottom centre [m]."""
@@ -36,7 +34,7 @@ class AreaParams:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class PlausibilityParams:
-    """When free space denies a box."""
+    """When free space contradicts a box."""
 
     margin_m: Annotated[float, Ge(0)] = 0.25
     """Returns up to this far behind the bottom centre still count as closer [m]."""
@@ -44,7 +42,7 @@ class PlausibilityParams:
     """Share of closer returns that a plausible box exceeds."""
 
 
-def in_area(
+def in_evaluation_area(
     sweeps: Sweeps,
     o: Int[ndarray, "n"],
     boxes: Boxes,
@@ -53,7 +51,7 @@ def in_area(
     label: UInt8[ndarray, "boxes"] | None = None,
     own: Boxes | None = None,
 ) -> Bool[ndarray, "n"]:
-    """Whether box b[k] lies in the area that observer o[k] answers for.
+    """Whether box b[k] lies in the area in which observer o[k] evaluates boxes.
 
     Parameters
     ----------
@@ -74,10 +72,10 @@ def in_area(
     in_view = _in_view(sensed, sweeps.beams.fov_rad, params.slack_m)
     if label is not None and own is not None:
         rows = np.flatnonzero(keep & ~in_view)
-        rows = rows[label[rows if b is None else b[rows]] == CAR]
-        mine = sweeps.poses.to_sensor(np.arange(len(own)), own)
-        apart = sensed.xyz_m[rows] - mine.xyz_m[o[rows]]
-        apart[:, 2] -= 0.5 * (sensed.lwh_m[rows, 2] - mine.lwh_m[o[rows], 2])
+        rows = rows[label[rows if b is None else b[rows]] == ObjectClass.CAR]
+        own_sensed = sweeps.poses.to_sensor(np.arange(len(own)), own)
+        apart = sensed.xyz_m[rows] - own_sensed.xyz_m[o[rows]]
+        apart[:, 2] -= 0.5 * (sensed.lwh_m[rows, 2] - own_sensed.lwh_m[o[rows], 2])
         in_view[rows] = _norm(apart) <= params.own_radius_m
     return keep & in_view
 
@@ -108,11 +106,11 @@ def points_in_boxes(
 
     Notes
     -----
-    p(θ) of TruPercept, which visibility is a function of.   Deviations: none; the range image is looked at only in
-    the window that the box fills.
+    p(θ) of TruPercept, which visibility is a function of.   Deviations: none; only the window of the range image that
+    the box can fill is searched.
     """
     sensed = sweeps.poses.to_sensor(o, boxes, b)
-    return windows.points_in_boxes(sweeps.range_m, sweeps.beams, o, sensed.xyz_m, sensed.lwh_m, sensed.yaw_rad)
+    return range_image.points_in_boxes(sweeps.range_m, sweeps.beams, o, sensed.xyz_m, sensed.lwh_m, sensed.yaw_rad)
 
 
 def plausible(
@@ -128,22 +126,22 @@ def plausible(
     Notes
     -----
     Plausibility check of TruPercept: false if no return lies in a narrow pyramid through the middle of the box, or
-    at most 10 % of those that do are nearer than the box; true where the observer cannot tell (outside its area or
-    field of view, or the box centre above the sensor).   Deviations: follows the code where the paper is silent
+    at most 10 % of those that do are nearer than the box; true where the test does not apply (outside the area or
+    field of view, or box centre above the sensor).   Deviations: follows the code where the paper is silent
     (early exits, bottom centre as distance, margin, empty pyramid); the sensor stands for the camera, and the field
     of view is the sensor's.
     """
     sensed = sweeps.poses.to_sensor(o, boxes, b)
-    asked = tellable(sensed, sweeps.beams.fov_rad, area)
-    verdict = np.ones(len(sensed), bool)
-    planes, distance, window = windows.frustum(sensed.xyz_m[asked], sensed.lwh_m[asked])
-    rows = np.asarray(o)[asked]
-    seen, closer = windows.free_space(sweeps.range_m, sweeps.beams, rows, planes, distance, window, params.margin_m)
-    verdict[asked] = closer > params.min_share * seen
-    return verdict
+    tested = is_testable(sensed, sweeps.beams.fov_rad, area)
+    result = np.ones(len(sensed), bool)
+    planes, distance, window = range_image.frustum(sensed.xyz_m[tested], sensed.lwh_m[tested])
+    rows = np.asarray(o)[tested]
+    seen, closer = range_image.free_space(sweeps.range_m, sweeps.beams, rows, planes, distance, window, params.margin_m)
+    result[tested] = closer > params.min_share * seen
+    return result
 
 
-def tellable(sensed: Boxes, fov_rad: float, area: AreaParams) -> Bool[ndarray, "n"]:
+def is_testable(sensed: Boxes, fov_rad: float, area: AreaParams) -> Bool[ndarray, "n"]:
     """Whether the free-space test applies to each box (sensor frame)."""
     bottom_m, away_m = _bottom(sensed)
     near_enough = (away_m < area.range_m) & (np.abs(bottom_m) <= area.height_m)
@@ -152,14 +150,15 @@ def tellable(sensed: Boxes, fov_rad: float, area: AreaParams) -> Bool[ndarray, "
 
 
 @dataclass(frozen=True, slots=True)
-class Sightings:
-    """Which actors each observer could have seen, and how much of them it did; sorted by (o, actor)."""
+class Observability:
+    """Actors that each observer could have detected, and their returns; sorted by (observer, actor)."""
 
-    o: Int32[ndarray, "s"]
-    """Observer (index of the sweep)."""
+    observer: Int32[ndarray, "s"]
+    """Row of the sweep."""
     actor: Int32[ndarray, "s"]
     """Actor row."""
     n_returns: Int32[ndarray, "s"]
+    """Returns of the observer's sweep from the actor."""
     n_unoccluded: Int32[ndarray, "s"]
     """Returns if nothing stood in front; at least 1."""
     range_m: Float[ndarray, "s"]
@@ -167,22 +166,27 @@ class Sightings:
 
     @property
     def occlusion(self) -> Float[ndarray, "s"]:
-        """Share of the possible returns that something else took, in [0, 1]."""
+        """Share of the unoccluded returns that are missing, in [0, 1]."""
         return 1.0 - self.n_returns / self.n_unoccluded
 
 
-def sightings(sweeps: Sweeps, boxes: Boxes, shape: UInt8[ndarray, "n"]) -> Sightings:
-    """Every (observer, actor) with at least one ray that would meet the actor if nothing stood in front."""
-    ptr, row = near(sweeps.poses.origin_m, boxes, sweeps.max_range_m)
-    n_returns, n_alone = windows.returns_alone(
+def observability(sweeps: Sweeps, boxes: Boxes, shape: UInt8[ndarray, "n"]) -> Observability:
+    """Every (observer, actor) with at least one ray that would meet the actor if nothing stood in front.
+
+    Notes
+    -----
+    The road occludes nothing in the unoccluded count; dropouts of the sweep count as occlusion.
+    """
+    ptr, row = neighbours(sweeps.poses.origin_m, boxes, sweeps.max_range_m)
+    n_returns, n_unoccluded = range_image.unoccluded_returns(
         sweeps.hit, sweeps.poses.origin_m, sweeps.poses.yaw_rad, sweeps.beams, float(sweeps.max_range_m),
-        boxes.xyz_m, boxes.reach_m, boxes.lwh_m[:, 2], ptr, row, sweeps.observers, prisms(shape, boxes),
+        boxes.xyz_m, boxes.circumradius_m, boxes.lwh_m[:, 2], ptr, row, sweeps.observers, prisms(shape, boxes),
     )  # fmt: skip
-    keep = n_alone > 0
+    keep = n_unoccluded > 0
     o = np.repeat(np.arange(len(ptr) - 1, dtype=np.int32), np.diff(ptr))[keep]
     actor = row[keep].astype(np.int32)
     apart = boxes.xyz_m[actor] - sweeps.poses.origin_m[o]
-    return Sightings(o, actor, n_returns[keep], n_alone[keep], _norm(apart))
+    return Observability(o, actor, n_returns[keep], n_unoccluded[keep], _norm(apart))
 
 
 def line_of_sight(
@@ -202,7 +206,7 @@ def line_of_sight(
 
     Notes
     -----
-    Buildings and the bodies of third actors block. Two ends inside one building see each other.
+    Buildings and the bodies of third actors block. Inside one building there is line of sight.
     """
     roof = boxes.xyz_m.copy()
     roof[:, 2] += 0.5 * boxes.lwh_m[:, 2]
@@ -213,7 +217,7 @@ def line_of_sight(
     start[:, 2] += above_roof_m
     end[:, 2] += above_roof_m
     tall = np.flatnonzero(roof[:, 2] > min(start[:, 2].min(), end[:, 2].min()))
-    places, place = np.unique(a, return_inverse=True)
+    origins, origin = np.unique(a, return_inverse=True)
     longest = float(np.hypot(end[:, 0] - start[:, 0], end[:, 1] - start[:, 1]).max())
-    ptr, row = near(roof[places], boxes.take(tall), longest)
-    return ~segment.blocked(start, end, a, b, place, ptr, tall[row], prisms(shape, boxes), scene.buildings)
+    ptr, row = neighbours(roof[origins], boxes.take(tall), longest)
+    return ~segment.blocked(start, end, a, b, origin, ptr, tall[row], prisms(shape, boxes), scene.buildings)

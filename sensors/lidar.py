@@ -1,10 +1,9 @@
-"""A spinning LiDAR on each equipped roof: its beams, and one sweep of all of them."""
+"""A spinning LiDAR on the roof of each equipped vehicle: its beams, and one sweep of all of them."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from enum import IntEnum
 from functools import lru_cache
 from typing import Annotated, Literal, NamedTuple
 
@@ -16,18 +15,9 @@ from numpy import ndarray
 from scipy.special import ndtri
 
 from sensors.boxes import Boxes
-from sensors.chance import GOLDEN, scrambled
+from sensors.hash_rng import GOLDEN, splitmix64
 from sensors.raycast import columnar, embree, open3d
-from sensors.scene import Scene, prisms
-
-
-class Hit(IntEnum):
-    """What a ray met first. Codes of ACTOR and above are actors: row = code - Hit.ACTOR."""
-
-    NOTHING = 0
-    GROUND = 1
-    BUILDING = 2
-    ACTOR = 3
+from sensors.scene import Hit, Scene, prisms
 
 
 class Profile(NamedTuple):
@@ -93,7 +83,7 @@ class LidarParams:
     range_sigma_m: Annotated[float, Ge(0)] = 0.02
     """Standard deviation of one range [m]: HDL-64E S2 data sheet, < 2 cm."""
     dropout_p: Annotated[float, Ge(0), Lt(1)] = 0.0
-    """Chance that a return is lost."""
+    """Probability that a return is lost."""
     engine: Literal["columnar", "embree", "open3d"] = "columnar"
     """Ray caster; all give the same sweep up to rays that graze an edge. `open3d` must be installed:
     pip install cosim[open3d]."""
@@ -163,7 +153,7 @@ class Poses:
 
 @njit(cache=True)
 def _turned(o, b, origin, cos, sin, heading, xyz, lwh, yaw):
-    """Boxes b[k] as sensors o[k] have them."""
+    """Boxes b[k] in the frame of sensors o[k]."""
     n = len(o)
     there, size, turned = np.empty((n, 3)), np.empty((n, 3)), np.empty(n)
     for k in range(n):
@@ -185,18 +175,6 @@ def mount(boxes: Boxes, observers: Int[ndarray, "m"], params: LidarParams) -> Po
 
 
 @dataclass(frozen=True, slots=True)
-class Posts:
-    """K sensors that stand still: on lamp posts, gantries, houses."""
-
-    foot_m: Float[ndarray, "k 3"]
-    """Place on the road below, whose height is that of the ground the sensor sees."""
-    height_m: Float[ndarray, "k"]
-    """Of the sensor over its foot."""
-    yaw_rad: Float[ndarray, "k"]
-    """Where it looks, counter-clockwise from +x."""
-
-
-@dataclass(frozen=True, slots=True)
 class Sweeps:
     """One organised cloud (range image) per observer."""
 
@@ -206,7 +184,7 @@ class Sweeps:
     """What returned, as a `Hit` code. Truth: only truth columns may read it."""
     poses: Poses
     observers: Int[ndarray, "m"]
-    """Actor row that carries each sensor; posts count on from the last actor."""
+    """Actor row that carries each sensor."""
     ground_m: Float[ndarray, "m"]
     """Height of the road under each sensor."""
     beams: Beams
@@ -236,9 +214,8 @@ def scan(
     params: LidarParams,
     keys: UInt64[ndarray, "m"],
     out: Sweeps | None = None,
-    posts: Posts | None = None,
 ) -> Sweeps:
-    """One sweep of every observer, and of every post after them, all at one instant.
+    """One sweep of every observer, all at one instant.
 
     Parameters
     ----------
@@ -247,13 +224,9 @@ def scan(
     observers
         Rows of the actors that carry a sensor.
     keys
-        One number per observer and post that its range noise and dropouts are a function of.
+        One number per observer that its range noise and dropouts are a function of.
     out
-        An earlier result, whose arrays are written over where they are large enough: spares the memory traffic
-        of fresh ones.
-    posts
-        Sensors at the roadside. Their sweeps follow those of the observers; in `Sweeps.observers` post k has the
-        number len(boxes) + k.
+        An earlier result, whose arrays are overwritten where they are large enough: saves allocation and page faults.
 
     Notes
     -----
@@ -261,36 +234,27 @@ def scan(
     wheels. Range noise is normal (4,096 equiprobable levels), along the ray.
     """
     observers = np.asarray(observers, dtype=np.int64)
-    n_posts = 0 if posts is None else len(posts.foot_m)
-    if len(keys) != len(observers) + n_posts:
-        raise ValueError(
-            f"{len(keys)} keys were given for {len(observers)} observers and {n_posts} posts: "
-            "each needs one of its own."
-        )
+    if len(keys) != len(observers):
+        raise ValueError(f"{len(keys)} keys were given for {len(observers)} observers: each needs one of its own.")
     if len(observers) and not (0 <= observers.min() and observers.max() < len(boxes)):
         raise ValueError(f"observers {observers.min()} .. {observers.max()} are no rows of {len(boxes)} actors.")
     grid = beams(params)
     poses = mount(boxes, observers, params)
     ground_m = boxes.xyz_m[observers, 2] - 0.5 * boxes.lwh_m[observers, 2]
-    if posts is not None:
-        eyes = posts.foot_m + np.multiply.outer(posts.height_m, (0.0, 0.0, 1.0))
-        poses = Poses(np.concatenate([poses.origin_m, eyes]), np.concatenate([poses.yaw_rad, posts.yaw_rad]))
-        ground_m = np.concatenate([ground_m, posts.foot_m[:, 2]])
-        observers = np.concatenate([observers, len(boxes) + np.arange(n_posts)])
     size = (len(observers), len(grid.azimuth_rad), len(grid.elevation_rad))
-    range_m = _room(size, np.float32, None if out is None else out.range_m)
-    hit = _room(size, np.int32, None if out is None else out.hit)
+    range_m = _buffer(size, np.float32, None if out is None else out.range_m)
+    hit = _buffer(size, np.int32, None if out is None else out.hit)
     ENGINES[params.engine](
         range_m, hit, poses, ground_m, observers, grid, params.max_range_m, boxes, prisms(shape, boxes), scene
     )
     if params.range_sigma_m > 0.0 or params.dropout_p > 0.0:
         seeds = np.asarray(keys, np.uint64)
-        _disturb(range_m, hit, seeds, np.float32(params.range_sigma_m), float(params.dropout_p), _levels())
+        _add_noise(range_m, hit, seeds, np.float32(params.range_sigma_m), float(params.dropout_p), _levels())
     return Sweeps(range_m, hit, poses, observers, ground_m, grid, params.max_range_m)
 
 
-def _room(size: tuple[int, int, int], kind: type, old: ndarray | None) -> ndarray:
-    """An array of this size, in the memory of an old one if that suffices; some more is kept for growing fleets."""
+def _buffer(size: tuple[int, int, int], kind: type, old: ndarray | None) -> ndarray:
+    """An array of this size, in the memory of an old one if that suffices; one eighth is spare, for growing fleets."""
     whole = old if old is None or old.base is None else old.base
     if whole is None or whole.shape[1:] != size[1:] or len(whole) < size[0]:
         whole = np.empty((size[0] + size[0] // 8, *size[1:]), kind)
@@ -305,16 +269,16 @@ def _levels() -> Float32[ndarray, "k"]:
 
 
 @njit(cache=True, parallel=True)
-def _disturb(range_m, hit, keys, sigma, dropout_p, levels):
+def _add_noise(range_m, hit, keys, sigma, dropout_p, levels):
     """Range noise and dropouts in place, each a function of (key, ray)."""
     n_el = range_m.shape[2]
     lost_below = np.uint64(dropout_p * 2.0**52)
     for o in prange(len(keys)):
-        seed = scrambled(keys[o] + GOLDEN)
+        seed = splitmix64(keys[o] + GOLDEN)
         for c in range(range_m.shape[1]):
             for r in range(n_el):
-                bits = scrambled(seed + np.uint64(c * n_el + r) * GOLDEN)
+                bits = splitmix64(seed + np.uint64(c * n_el + r) * GOLDEN)
                 range_m[o, c, r] = max(np.float32(0.0), range_m[o, c, r] + sigma * levels[bits >> np.uint64(52)])
                 if (bits & np.uint64((1 << 52) - 1)) < lost_below:
                     range_m[o, c, r] = np.inf
-                    hit[o, c, r] = 0
+                    hit[o, c, r] = Hit.NOTHING

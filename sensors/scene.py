@@ -1,4 +1,4 @@
-"""What light can hit: actors as stacks of upright prisms, the city as building footprints with a base and a top."""
+"""The geometry that rays meet: actors as stacks of upright prisms, buildings as footprints with a base and a top."""
 
 from __future__ import annotations
 
@@ -16,8 +16,26 @@ from numpy import ndarray
 from sensors.boxes import Boxes
 
 
+class Hit(IntEnum):
+    """What a ray met first. Codes of ACTOR and above are actors: row = code - Hit.ACTOR."""
+
+    NOTHING = 0
+    GROUND = 1
+    BUILDING = 2
+    ACTOR = 3
+
+
+class ObjectClass(IntEnum):
+    """Classes that a detector tells apart."""
+
+    CAR = 0
+    PEDESTRIAN = 1
+    CYCLIST = 2
+    TRUCK = 3
+
+
 class Shape(IntEnum):
-    """What an actor looks like to a laser."""
+    """Body types of actors: which prisms make up an actor."""
 
     CAR = 0
     VAN = 1
@@ -28,8 +46,18 @@ class Shape(IntEnum):
     PEDESTRIAN = 6
 
 
-LABEL_OF_SHAPE: UInt8[ndarray, "shape"] = np.array([0, 0, 3, 3, 2, 2, 1], np.uint8)
-"""Object class of each shape: 0 car, 1 pedestrian, 2 cyclist, 3 truck."""
+_CLASS_OF = {
+    Shape.CAR: ObjectClass.CAR,
+    Shape.VAN: ObjectClass.CAR,
+    Shape.TRUCK: ObjectClass.TRUCK,
+    Shape.BUS: ObjectClass.TRUCK,
+    Shape.MOTORCYCLE: ObjectClass.CYCLIST,
+    Shape.BICYCLE: ObjectClass.CYCLIST,
+    Shape.PEDESTRIAN: ObjectClass.PEDESTRIAN,
+}
+
+LABEL_OF_SHAPE: UInt8[ndarray, "shape"] = np.array([_CLASS_OF[shape] for shape in Shape], np.uint8)
+"""`ObjectClass` of each `Shape`."""
 
 # One upright prism: (rear, front) of the length from the centre, share of the width, (bottom, top) share of the height.
 # Bodies keep a few centimetres inside the labelled box, as real ones do, and stand on the road: wheels and
@@ -143,7 +171,8 @@ class Buildings(NamedTuple):
 
 
 GRID_CELL_M = 64.0
-SMALLEST_M2 = 1e-4  # less than a square centimetre is no building
+SMALLEST_M2 = 1e-4
+"""Footprints of a smaller area are dropped."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)

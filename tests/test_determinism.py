@@ -60,9 +60,9 @@ import numpy as np
 honest = cycle.detector.detect
 def mixed(*args):
     found = honest(*args)
-    real = np.flatnonzero(~found.is_clutter)
+    real = np.flatnonzero(~found.is_false_positive)
     actor = found.actor.copy()
-    actor[real] = actor[real[np.lexsort((-real, found.o[real]))]]  # each observer's list, back to front
+    actor[real] = actor[real[np.lexsort((-real, found.observer[real]))]]  # each observer's list, back to front
     return dataclasses.replace(found, actor=actor)
 cycle.detector.detect = mixed
 """,

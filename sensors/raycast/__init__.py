@@ -1,1 +1,1 @@
-"""Engines that answer one question: the nearest surface on every ray of every sensor."""
+"""Ray casters: the nearest surface on every ray of every sensor."""

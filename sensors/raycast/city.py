@@ -42,7 +42,7 @@ def gather(city, west, south, east, north):
 
 @njit(cache=True)
 def contains(city, k, x, y):
-    """Whether a place lies in a footprint: the parity of walls crossed to the east."""
+    """Whether a point lies in a footprint: the parity of walls crossed to the east."""
     odd = 0
     for e in range(city.ptr[k], city.ptr[k + 1]):
         ay, by = city.ay_m[e] - y, city.by_m[e] - y
@@ -55,10 +55,10 @@ def contains(city, k, x, y):
 
 @njit(cache=True)
 def column_bound(x, y, beams):
-    """First column at or counter-clockwise of a place, in [0, n]."""
+    """First column at or counter-clockwise of a point, in [0, n]."""
     n = len(beams.azimuth_rad)
     if x <= 0.0 and beams.fov_rad < np.pi:
-        return 0 if y < 0.0 else n  # behind: no need to know the angle
+        return 0 if y < 0.0 else n  # behind the sensor: the angle is not needed
     return min(n, max(0, int(np.ceil((np.arctan2(y, x) - beams.azimuth_rad[0]) * (n / beams.fov_rad)))))
 
 
@@ -67,7 +67,7 @@ def wall(city, e, x, y, cos, sin, beams):
     """Wall e as seen from (x, y) looking along (cos, sin): (p0, p1, q0, q1, u, v).
 
     It fills columns [p0, p1) and [q0, q1); there 1 / distance = u cos(azimuth) + v sin(azimuth). Neighbouring walls
-    share the column bound of their common corner, so that no column slips between them.
+    share the column bound of their common corner, so that there is no gap between them.
     """
     dx, dy = city.ax_m[e] - x, city.ay_m[e] - y
     ax, ay = cos * dx + sin * dy, cos * dy - sin * dx
@@ -111,7 +111,7 @@ def close_columns(found, x, y, z, ground, cos, sin, city, beams, nearest, open_w
         for e in range(city.ptr[k], city.ptr[k + 1]):
             front = (city.ax_m[e] - x) * (city.by_m[e] - y) < (city.ay_m[e] - y) * (city.bx_m[e] - x)
             if not (front or within):
-                continue  # the back of a wall is only seen from within
+                continue  # the back of a wall is visible only from inside
             p0, p1, q0, q1, u, v = wall(city, e, x, y, cos, sin, beams)
             is_open = False
             for turn in range(2):
@@ -137,10 +137,10 @@ def close_columns(found, x, y, z, ground, cos, sin, city, beams, nearest, open_w
 
 @njit(cache=True)
 def toggle_levels(toggled, city, k, height, x, y, cos, sin, beams):
-    """Mark, per column, the rows from which on a level has been walked across one more wall.
+    """Mark, per column, the rows from which on a beam's point on a level lies beyond one more wall.
 
-    The place where a beam meets a level moves steadily along the column with the beam's elevation, so the walls
-    before it are a prefix of the rows, and an odd number of them means that it lies on the footprint.
+    The point where a beam meets a level moves monotonically along the column with the beam's elevation; if the number
+    of walls before it is odd, it lies on the footprint.
     """
     toggled[:] = 0
     for e in range(city.ptr[k], city.ptr[k + 1]):

@@ -1,4 +1,4 @@
-"""Geometry of one azimuth column: the plane in which beams climb and prisms are rectangles."""
+"""Geometry of one azimuth column: a vertical plane in which beams are lines and prisms are rectangles."""
 
 from __future__ import annotations
 
@@ -30,16 +30,16 @@ def spans(angle, half, beams):
 
 
 @njit(cache=True)
-def actor_columns(dx, dy, reach, cos, sin, beams):
-    """Columns that may cross a circle of radius `reach` at (dx, dy), for a sensor looking along (cos, sin)."""
+def actor_columns(dx, dy, radius, cos, sin, beams):
+    """Columns that may cross a circle of radius `radius` at (dx, dy), for a sensor looking along (cos, sin)."""
     distance = np.hypot(dx, dy)
-    half = np.arcsin(reach / distance) if distance > reach else np.pi
+    half = np.arcsin(radius / distance) if distance > radius else np.pi
     return spans(np.arctan2(cos * dy - sin * dx, cos * dx + sin * dy), half, beams)
 
 
 @njit(cache=True)
 def in_prism_frame(bodies, k, x, y, cos, sin):
-    """A place, and a heading (cos, sin), in the frame of prism k."""
+    """A point, and a heading (cos, sin), in the frame of prism k."""
     dx, dy = x - bodies.x_m[k], y - bodies.y_m[k]
     u, v = bodies.cos[k], bodies.sin[k]
     return u * dx + v * dy, u * dy - v * dx, cos * u + sin * v, sin * u - cos * v

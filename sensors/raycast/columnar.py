@@ -1,11 +1,11 @@
-"""The columnar caster: a street is upright prisms, a sweep is columns, and each column is a problem in the plane.
+"""The columnar caster: a scene of upright prisms, cast column by column of azimuth, each a problem in the plane.
 
 In a column of azimuth φ a wall stands at one horizontal distance t, a prism between two, and a beam of elevation α
 climbs to t tan α. With the beams sorted by tan α, what a prism covers is an index range: its side the rows with
 tan α in [bottom / t, top / t), its roof (seen from above) the rows up to top / t_out. Work is proportional to what is
 hit. Along a straight wall w = 1 / t is a linear function of (cos φ, sin φ), so that the nearest of the walls that
-close a column up to the highest beam is a running maximum; everything else is painted over it, the nearer surface
-wins. Seen from inside, a prism shows its inner faces, as a closed mesh would.
+close a column up to the highest beam is a running maximum; everything else is drawn over it, and the
+nearer surface is kept. Seen from inside, a prism shows its inner faces, as a closed mesh would.
 """
 
 from __future__ import annotations
@@ -14,12 +14,10 @@ import numpy as np
 from numba import njit, prange
 
 from sensors.boxes import Boxes
-from sensors.near import near
+from sensors.neighbours import neighbours
 from sensors.raycast.city import close_columns, gather, toggle_levels
 from sensors.raycast.column import actor_columns, below, in_prism_frame, profile, rectangle, surface
-from sensors.scene import Prisms, Scene
-
-NOTHING, GROUND, BUILDING, ACTOR = 0, 1, 2, 3
+from sensors.scene import Hit, Prisms, Scene
 
 
 def cast(range_m, hit, poses, ground_m, observers, beams, max_range_m, boxes: Boxes, bodies: Prisms, scene: Scene):
@@ -29,15 +27,15 @@ def cast(range_m, hit, poses, ground_m, observers, beams, max_range_m, boxes: Bo
             f'lidar.engine = "columnar" casts upright prisms, and the scene has a mesh of {len(scene.triangles_m)} '
             'triangles. Set lidar.engine to "embree" or "open3d".'
         )
-    ptr, row = near(poses.origin_m, boxes, max_range_m)
+    ptr, row = neighbours(poses.origin_m, boxes, max_range_m)
     _cast(
         range_m, hit, poses.origin_m, poses.yaw_rad, ground_m, observers, beams, float(max_range_m),
-        boxes.xyz_m, boxes.reach_m, ptr, row, bodies, scene.buildings,
+        boxes.xyz_m, boxes.circumradius_m, ptr, row, bodies, scene.buildings,
     )  # fmt: skip
 
 
 @njit(cache=True, parallel=True)
-def _cast(range_m, hit, origin, yaw, ground, own, beams, limit, xyz, reach, ptr, row, bodies, city):
+def _cast(range_m, hit, origin, yaw, ground, own, beams, limit, xyz, radius, ptr, row, bodies, city):
     for o in prange(len(origin)):
         x, y, z, cos, sin = origin[o, 0], origin[o, 1], origin[o, 2], np.cos(yaw[o]), np.sin(yaw[o])
         nearest = np.full(len(beams.azimuth_rad), 1.0 / limit)
@@ -45,12 +43,12 @@ def _cast(range_m, hit, origin, yaw, ground, own, beams, limit, xyz, reach, ptr,
         for a in row[ptr[o] : ptr[o + 1]]:
             if a != own[o]:
                 dx, dy = xyz[a, 0] - x, xyz[a, 1] - y
-                _actor(range_m[o], hit[o], a, dx, dy, reach[a], x, y, z, cos, sin, beams, limit, nearest, bodies)
+                _actor(range_m[o], hit[o], a, dx, dy, radius[a], x, y, z, cos, sin, beams, limit, nearest, bodies)
 
 
 @njit(cache=True)
 def _paint(ranges, hits, r, d, limit, code):
-    """Keep the nearer of two surfaces; the lower code where they touch, so that no order matters."""
+    """Keep the nearer of two surfaces; the lower code where they touch, independent of order."""
     if d <= limit and (d < ranges[r] or (d == ranges[r] and code < hits[r])):
         ranges[r] = d
         hits[r] = code
@@ -78,12 +76,12 @@ def _city(ranges, hits, x, y, z, ground, cos, sin, beams, limit, nearest, city):
         foot = below(beams.tan_el, (ground - z) * nearest[c]) if closed else m
         for r in range(foot):
             ranges[c, r] = road[r]
-            hits[c, r] = GROUND if road[r] < np.inf else NOTHING
+            hits[c, r] = Hit.GROUND if road[r] < np.inf else Hit.NOTHING
         t = 1.0 / nearest[c]
         for r in range(foot, m):
             d = np.float32(t * inv_cos[r])
             ranges[c, r] = d if d <= limit else np.inf
-            hits[c, r] = BUILDING if d <= limit else NOTHING
+            hits[c, r] = Hit.BUILDING if d <= limit else Hit.NOTHING
 
     for i in range(n_open):
         u, v, bottom, top = open_wall[i, 4], open_wall[i, 5], open_wall[i, 6], open_wall[i, 7]
@@ -93,7 +91,7 @@ def _city(ranges, hits, x, y, z, ground, cos, sin, beams, limit, nearest, city):
                 if nearest[c] < w < open_wall[i, 8]:
                     t = 1.0 / w
                     for r in range(below(beams.tan_el, bottom * w), below(beams.tan_el, top * w)):
-                        _paint(ranges[c], hits[c], r, np.float32(t * inv_cos[r]), limit, BUILDING)
+                        _paint(ranges[c], hits[c], r, np.float32(t * inv_cos[r]), limit, Hit.BUILDING)
     toggled = np.empty((n if n_flat > 0 else 0, m + 1), np.uint8)
     for i in range(n_flat):
         k, inside = flat[i, 0], flat[i, 1]
@@ -109,33 +107,33 @@ def _city(ranges, hits, x, y, z, ground, cos, sin, beams, limit, nearest, city):
 
 @njit(cache=True)
 def _level(ranges, hits, height, inside, beams, limit, toggled):
-    """Paint one roof or underside: where an odd number of walls has been walked across."""
+    """Paint one roof or underside: where the number of walls before a beam's point is odd."""
     n, m = ranges.shape
     for c in range(n):
         odd = inside
         if height < 0.0:
-            for r in range(m):  # upwards: farther and farther on a level below
+            for r in range(m):  # rows ascend: points on a level below recede
                 odd ^= toggled[c, r]
                 if beams.tan_el[r] >= 0.0:
                     break
                 if odd:
-                    _paint(ranges[c], hits[c], r, np.float32(height / beams.sin_el[r]), limit, BUILDING)
+                    _paint(ranges[c], hits[c], r, np.float32(height / beams.sin_el[r]), limit, Hit.BUILDING)
         else:
             for r in range(m - 1, -1, -1):
                 odd ^= toggled[c, r + 1]
                 if beams.tan_el[r] <= 0.0:
                     break
                 if odd:
-                    _paint(ranges[c], hits[c], r, np.float32(height / beams.sin_el[r]), limit, BUILDING)
+                    _paint(ranges[c], hits[c], r, np.float32(height / beams.sin_el[r]), limit, Hit.BUILDING)
 
 
 @njit(cache=True)
-def _actor(ranges, hits, a, dx, dy, reach, x, y, z, cos, sin, beams, limit, nearest, bodies):
+def _actor(ranges, hits, a, dx, dy, radius, x, y, z, cos, sin, beams, limit, nearest, bodies):
     """Paint one actor's prisms over the city."""
-    a0, a1, b0, b1 = actor_columns(dx, dy, reach, cos, sin, beams)
+    a0, a1, b0, b1 = actor_columns(dx, dy, radius, cos, sin, beams)
     if a1 <= a0 and b1 <= b0:
         return
-    clear = np.hypot(dx, dy) - reach
+    clear = np.hypot(dx, dy) - radius
     for k in range(bodies.ptr[a], bodies.ptr[a + 1]):
         p, q, u, v = in_prism_frame(bodies, k, x, y, cos, sin)
         bottom, top = bodies.bottom_m[k] - z, bodies.top_m[k] - z
@@ -149,4 +147,4 @@ def _actor(ranges, hits, a, dx, dy, reach, x, y, z, cos, sin, beams, limit, near
                     continue
                 first, s0, s1, last, t, low, high = profile(enter, leave, bottom, top, beams.tan_el)
                 for r in range(first, last):
-                    _paint(ranges[c], hits[c], r, surface(r, s0, s1, t, low, high, beams), limit, ACTOR + a)
+                    _paint(ranges[c], hits[c], r, surface(r, s0, s1, t, low, high, beams), limit, Hit.ACTOR + a)

@@ -1,6 +1,6 @@
 """Embree (Intel's ray tracing kernels, through embreex) over the same prisms as triangle meshes.
 
-Slower than the columnar caster and independent of it: the judge, and the way to arbitrary meshes.
+Slower than the columnar caster and independent of it: a reference for it, and the caster of arbitrary meshes.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The prisms as triangle meshes, and sweeps by any engine that answers rays with the first triangle they meet.
+"""The prisms as triangle meshes, and sweeps by any engine that returns the first triangle on a ray.
 
 Such engines compute in single precision, so the city is cut into tiles and each tile is cast around its own centre.
 """
@@ -12,9 +12,8 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 
 from sensors.boxes import Boxes
-from sensors.scene import Prisms, Scene, roof_triangles
+from sensors.scene import Hit, Prisms, Scene, roof_triangles
 
-NOTHING, GROUND, BUILDING, ACTOR = 0, 1, 2, 3
 TILE_M = 256.0
 STEP_M = 1e-4  # how far behind a face of one's own body a ray starts again
 
@@ -30,27 +29,27 @@ def cast(
     city, body = city_triangles(scene), body_triangles(bodies)
     mesh = np.concatenate([city, body])
     actor = np.repeat(np.repeat(np.arange(len(boxes)), np.diff(bodies.ptr)), 12)
-    code = np.concatenate([np.full(len(city), BUILDING), ACTOR + actor]).astype(np.int32)
+    code = np.concatenate([np.full(len(city), Hit.BUILDING), Hit.ACTOR + actor]).astype(np.int32)
     low, high = mesh[:, :, :2].min(axis=1), mesh[:, :, :2].max(axis=1)
 
     tile = np.floor(poses.origin_m[:, :2] / TILE_M).astype(np.int64)
     for corner in np.unique(tile, axis=0):
         here = np.flatnonzero((tile == corner).all(axis=1))
         centre = np.append((corner + 0.5) * TILE_M, np.mean(poses.origin_m[here, 2]))
-        reach = 0.5 * TILE_M + max_range_m
-        close = ((high > centre[:2] - reach) & (low < centre[:2] + reach)).all(axis=1)
+        limit_m = 0.5 * TILE_M + max_range_m
+        close = ((high > centre[:2] - limit_m) & (low < centre[:2] + limit_m)).all(axis=1)
         trace = tracer_of((mesh[close] - centre).astype(np.float32)) if close.any() else None
         for o in here:
             _sweep(
                 range_m[o], hit[o], poses.origin_m[o] - centre, poses.yaw_rad[o], ground_m[o] - centre[2],
-                ACTOR + observers[o], beams, max_range_m, trace, code[close],
+                Hit.ACTOR + observers[o], beams, max_range_m, trace, code[close],
             )  # fmt: skip
 
 
 def _sweep(range_m, hit, origin, yaw, ground, own, beams, max_range_m, trace: Tracer | None, code) -> None:
     """One observer's range image."""
     direction = directions(yaw, beams)
-    distance, what = np.full(len(direction), np.inf), np.full(len(direction), NOTHING, np.int32)
+    distance, what = np.full(len(direction), np.inf), np.full(len(direction), Hit.NOTHING, np.int32)
     behind = np.zeros(len(direction))  # distance already covered, behind faces of the observer's own body
     left = np.arange(len(direction)) if trace is not None else np.zeros(0, int)
     while trace is not None and len(left):
@@ -58,20 +57,20 @@ def _sweep(range_m, hit, origin, yaw, ground, own, beams, max_range_m, trace: Tr
         ahead, triangle = trace(start.astype(np.float32), direction[left].astype(np.float32))
         met = triangle >= 0
         far = behind[left] + ahead
-        who = np.where(met, code[np.maximum(triangle, 0)], NOTHING)
+        who = np.where(met, code[np.maximum(triangle, 0)], Hit.NOTHING)
         mine = met & (who == own)
         distance[left] = np.where(met & ~mine, far, np.inf)
-        what[left] = np.where(mine, NOTHING, who)
+        what[left] = np.where(mine, Hit.NOTHING, who)
         behind[left[mine]] = far[mine] + STEP_M
         left = left[mine]
     down = np.broadcast_to(beams.sin_el, range_m.shape).ravel()
     with np.errstate(divide="ignore"):
         road = np.where((ground - origin[2]) * down > 0.0, (ground - origin[2]) / down, np.inf)
-    what = np.where(road < distance, GROUND, what)
+    what = np.where(road < distance, Hit.GROUND, what)
     distance = np.minimum(road, distance)
     beyond = distance > max_range_m
     range_m[:] = np.where(beyond, np.inf, distance).reshape(range_m.shape)
-    hit[:] = np.where(beyond, NOTHING, what).reshape(hit.shape)
+    hit[:] = np.where(beyond, Hit.NOTHING, what).reshape(hit.shape)
 
 
 def directions(yaw: float, beams) -> Float[ndarray, "r 3"]:

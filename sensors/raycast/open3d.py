@@ -1,6 +1,6 @@
-"""Open3D's RaycastingScene over the same prisms as triangle meshes: a third opinion, where it is installed.
+"""Open3D's RaycastingScene over the same prisms as triangle meshes: an optional third engine.
 
-It is Embree inside too, driven by tensors of rays; it wants one thread here, so that a comparison is per core.
+Open3D uses Embree inside, with tensors of rays; it runs with one thread here, so that a comparison is per core.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ def cast(*sweep) -> None:
 def tracer_of(triangles: ndarray) -> mesh.Tracer:
     """The engine, ready for rays; triangles (t, 3, 3) in single precision."""
     try:
-        import open3d  # 1-3 s, and 400 MB on disk: only for those who ask for it
+        import open3d  # 1-3 s, and 400 MB on disk: loaded only where the config names it
     except (ImportError, OSError) as missing:
         raise ValueError(
             f'lidar.engine = "open3d" needs Open3D, which cannot be loaded here ({missing}): {INSTALL}.'

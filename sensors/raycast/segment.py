@@ -1,4 +1,4 @@
-"""Whether a straight line between two places meets a surface."""
+"""Whether a straight line between two points meets a surface."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from sensors.raycast.column import in_prism_frame, rectangle
 
 
 @njit(cache=True)
-def blocked(start, end, a, b, place, ptr, row, bodies, city):
+def blocked(start, end, a, b, origin, ptr, row, bodies, city):
     """Per line from start to end: does it cross a wall, a roof or a body other than actors a and b?
 
-    `ptr`, `row` list, per place, the actors that may stand in the way of lines from there; `place` is each line's.
+    `ptr`, `row` list, per origin, the actors that may block lines from there; `origin` is that of each line.
     """
     out = np.zeros(len(start), np.bool_)
     for i in range(len(start)):
         x0, y0, z0 = start[i, 0], start[i, 1], start[i, 2]
         dx, dy, dz = end[i, 0] - x0, end[i, 1] - y0, end[i, 2] - z0
-        out[i] = _by_actor(x0, y0, z0, dx, dy, dz, a[i], b[i], row[ptr[place[i]] : ptr[place[i] + 1]], bodies)
+        out[i] = _by_actor(x0, y0, z0, dx, dy, dz, a[i], b[i], row[ptr[origin[i]] : ptr[origin[i] + 1]], bodies)
         if not out[i]:
             out[i] = _by_building(x0, y0, z0, dx, dy, dz, city)
     return out

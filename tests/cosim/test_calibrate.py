@@ -10,7 +10,7 @@ from cosim import calibrate
 from results.archive import open_run
 from results.metrics.detection import precision
 from results.metrics.kitti import LEVELS
-from sensors.detector import DetectorParams, resolved
+from sensors.statistical_detector import DetectorParams, resolved
 from tests.drive import drive
 
 

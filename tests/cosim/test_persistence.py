@@ -5,7 +5,6 @@ import pytest
 
 from cosim import rng
 from cosim.config import load
-from cosim.cycle import luck
 from sensors.lidar import beams
 
 WHO, WHOM = np.arange(40_000, dtype=np.uint64), np.arange(40_000, dtype=np.uint64)[::-1].copy()
@@ -40,17 +39,6 @@ def test_correlation_fades():
 def test_order_and_company_change_nothing():
     some = np.array([17, 3, 39_999])
     assert (lasting(12.3)[some] == lasting(12.3, WHO[some], WHOM[some])).all()
-
-
-def test_share_of_the_luck_that_lasts():
-    share = 0.6
-    config = load(None, [f"detector.memory_share={share}", "detector.memory_s=100"])
-    one, next_one = (luck(WHO, WHOM, step, config)[:, 0] for step in (5, 6))
-    assert one.std() == pytest.approx(1, abs=0.015)
-    assert np.mean(one * next_one) == pytest.approx(share, abs=0.02)
-    forgetful = load(None, ["detector.memory_share=0"])
-    one, next_one = (luck(WHO, WHOM, step, forgetful)[:, 0] for step in (5, 6))
-    assert np.mean(one * next_one) == pytest.approx(0, abs=0.015)
 
 
 def test_a_beam_table_of_ones_own():

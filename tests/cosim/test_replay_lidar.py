@@ -9,7 +9,7 @@ import pytest
 
 from cosim import replay_lidar
 from results.archive import open_run
-from sensors.evidence import sightings
+from sensors.evidence import observability
 from tests.drive import cosim, drive
 
 
@@ -24,7 +24,7 @@ def test_the_same_returns(folder):
     city, told, n = replay_lidar.city_of(config), run.sightings, 0
     for world in replay_lidar.worlds(run, config):
         observers = np.flatnonzero(world.equipped)
-        seen = sightings(replay_lidar.sweep(world, observers, city, config), world.boxes, world.shape)
+        seen = observability(replay_lidar.sweep(world, observers, city, config), world.boxes, world.shape)
         again = pd.DataFrame({
             "observer": world.actor[observers[seen.o]], "actor": world.actor[seen.actor],
             "n_points": seen.n_returns, "n_unoccluded": seen.n_unoccluded,

@@ -11,7 +11,7 @@ from cosim.reproduce import EGO, FOLDER, LIAR, METHODS, THIRD, Stage, paper_ledg
 from cosim.v2x.messages import FABRICATED
 from cosim.world import LABELS
 from sensors import evidence
-from sensors.lidar import Hit
+from sensors.scene import Hit
 from tests.drive import cosim
 from tests.trust.reference import load as reference
 

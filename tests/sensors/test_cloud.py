@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sensors import cloud
-from sensors.lidar import Hit
+from sensors.scene import Hit
 from tests.sensors.town import blocks, exact, traffic
 
 

@@ -1,4 +1,4 @@
-"""Evidence: the paper's own vectors, windows against whole clouds, sightings against actors cast alone, sight lines."""
+"""Evidence: reference vectors of the paper, windows against whole clouds, observability, lines of sight."""
 
 import numpy as np
 import pytest
@@ -6,11 +6,20 @@ import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sensors import windows
+from sensors import range_image
 from sensors.boxes import Boxes
-from sensors.evidence import AreaParams, in_area, line_of_sight, plausible, points_in_boxes, sightings, tellable
-from sensors.lidar import Beams, Hit, LidarParams, Poses, Sweeps, beams, scan
-from sensors.scene import Scene
+from sensors.evidence import (
+    AreaParams,
+    in_evaluation_area,
+    is_testable,
+    line_of_sight,
+    observability,
+    plausible,
+    points_in_boxes,
+)
+from sensors.lidar import Beams, LidarParams, Poses, Sweeps, beams, scan
+from sensors.scene import Hit, Scene
+from tests.sensors import whole_cloud
 from tests.sensors.test_boxes import footprint, moved
 from tests.sensors.town import (
     SIZE_M,
@@ -44,7 +53,7 @@ def by_cloud(found: list[dict]):
 def test_points_in_boxes_vectors():
     for points, here in by_cloud(cases("g_points_in_box")):
         boxes = labelled([c["box"] for c in here], np.float32)
-        counts = windows.points_in_boxes_xyz(points, boxes.xyz_m, boxes.lwh_m, boxes.yaw_rad)
+        counts = whole_cloud.points_in_boxes_xyz(points, boxes.xyz_m, boxes.lwh_m, boxes.yaw_rad)
         assert counts.tolist() == [c["count"] for c in here]
 
 
@@ -53,10 +62,10 @@ def test_plausibility_vectors():
     n = 0
     for points, here in by_cloud(cases("f_plausibility")):
         boxes = labelled([c["box"] for c in here])
-        asked = tellable(boxes, np.pi / 2, AreaParams())
+        asked = is_testable(boxes, np.pi / 2, AreaParams())
         assert asked.tolist() == [c["reason"] not in early for c in here]
-        planes, distance, _ = windows.frustum(boxes.xyz_m[asked], boxes.lwh_m[asked])
-        seen, closer = windows.free_space_xyz(points, planes, distance, 0.25)
+        planes, distance, _ = range_image.frustum(boxes.xyz_m[asked], boxes.lwh_m[asked])
+        seen, closer = whole_cloud.free_space_xyz(points, planes, distance, 0.25)
         here_asked = [c for c, a in zip(here, asked, strict=True) if a]
         assert seen.tolist() == [c["frustum_points"] for c in here_asked]
         assert closer.tolist() == [c["closer_points"] for c in here_asked]
@@ -72,10 +81,10 @@ def test_area_vectors():
     label = np.array([0 if c["box"]["type"] == "Car" else 1 for c in found], np.uint8)
     size = np.ones(len(found))
     own = from_camera([c["own_object_t"] for c in found], size, size, size, size)
-    assert in_area(blind(), o, boxes, AreaParams()).tolist() == [c["keep_70"] for c in found]
-    assert in_area(blind(), o, boxes, AreaParams(range_m=140.0)).tolist() == [c["keep_140"] for c in found]
+    assert in_evaluation_area(blind(), o, boxes, AreaParams()).tolist() == [c["keep_70"] for c in found]
+    assert in_evaluation_area(blind(), o, boxes, AreaParams(range_m=140.0)).tolist() == [c["keep_140"] for c in found]
     each = np.arange(len(found))
-    kept = in_area(blind(len(found)), each, boxes, AreaParams(), label=label, own=own)
+    kept = in_evaluation_area(blind(len(found)), each, boxes, AreaParams(), label=label, own=own)
     assert kept.tolist() == [c["keep_70_with_own"] for c in found]
 
 
@@ -102,10 +111,10 @@ def test_transform_vectors():
 def test_area_follows_the_field_of_view(fov_deg):
     angle = np.radians(np.arange(-179, 180, 2.0))
     ring = Boxes(np.column_stack([60 * np.cos(angle), 60 * np.sin(angle), 0 * angle]), np.ones((180, 3)), angle)
-    kept = in_area(blind(fov_deg=fov_deg), np.zeros(180, int), ring, AreaParams(slack_m=0.0))
+    kept = in_evaluation_area(blind(fov_deg=fov_deg), np.zeros(180, int), ring, AreaParams(slack_m=0.0))
     assert kept.tolist() == (np.abs(angle) <= np.radians(fov_deg) / 2).tolist()
-    assert in_area(blind(fov_deg=360.0), np.zeros(180, int), ring, AreaParams()).all()
-    with_slack = in_area(blind(fov_deg=fov_deg), np.zeros(180, int), ring, AreaParams())
+    assert in_evaluation_area(blind(fov_deg=360.0), np.zeros(180, int), ring, AreaParams()).all()
+    with_slack = in_evaluation_area(blind(fov_deg=fov_deg), np.zeros(180, int), ring, AreaParams())
     assert (with_slack >= kept).all() and with_slack.sum() <= kept.sum() + 4  # 2 m at 60 m is 1.9 degrees
 
 
@@ -122,19 +131,19 @@ def test_windows_equal_whole_clouds(seed, profile):
     for o in range(4):
         at = np.full(len(asked), o)
         sensed = sweeps.poses.to_sensor(at, asked)
-        whole = windows.points_in_boxes_xyz(sweeps.xyz(o), sensed.xyz_m, sensed.lwh_m, sensed.yaw_rad)
+        whole = whole_cloud.points_in_boxes_xyz(sweeps.xyz(o), sensed.xyz_m, sensed.lwh_m, sensed.yaw_rad)
         assert (points_in_boxes(sweeps, at, asked) == whole).all()
-        free = tellable(sensed, sweeps.beams.fov_rad, AreaParams())
-        planes, distance, window = windows.frustum(sensed.xyz_m[free], sensed.lwh_m[free])
-        seen, closer = windows.free_space(sweeps.range_m, sweeps.beams, at[free], planes, distance, window, 0.25)
-        whole_seen, whole_closer = windows.free_space_xyz(sweeps.xyz(o), planes, distance, 0.25)
+        free = is_testable(sensed, sweeps.beams.fov_rad, AreaParams())
+        planes, distance, window = range_image.frustum(sensed.xyz_m[free], sensed.lwh_m[free])
+        seen, closer = range_image.free_space(sweeps.range_m, sweeps.beams, at[free], planes, distance, window, 0.25)
+        whole_seen, whole_closer = whole_cloud.free_space_xyz(sweeps.xyz(o), planes, distance, 0.25)
         assert (seen == whole_seen).all() and (closer == whole_closer).all()
         assert (plausible(sweeps, at, asked)[free] == (whole_closer > 0.1 * whole_seen)).all()
 
 
 def test_free_space_by_hand():
-    # One wall at 30 m. A box on the free road at 15 m is denied: all returns through its middle come from the wall.
-    # One behind the wall cannot be denied. Where nothing returns at all, it is denied too.
+    # One wall at 30 m. A box on the free road at 15 m is implausible: all returns through its middle come from the wall.
+    # One behind the wall is plausible. Where nothing returns at all, a box is implausible.
     scene = Scene.from_footprints([[[(30, -20), (40, -20), (40, 20), (30, 20)]]], [0.0], [10.0])
     ghosts = Boxes.concat([car(15, 0), car(50, 0), car(0.5, 40)])
     o = np.zeros(3, int)
@@ -142,26 +151,26 @@ def test_free_space_by_hand():
     assert not plausible(blind(), np.array([0]), car(15, 0, z=-0.98))[0]
 
 
-def test_sightings_by_hand():
+def test_observability_by_hand():
     # A van stands right in front of the sensor and hides the pedestrian behind it, but not the car to the left.
     boxes = Boxes(
         np.array([[0, 0, 0.75], [8, 0, 1.1], [20, 0, 0.88], [20, 12, 0.75]]), SIZE_M[[0, 1, 6, 0]], np.zeros(4)
     )
     shape = np.array([0, 1, 6, 0], np.uint8)
-    seen = sightings(exact(boxes, shape, [0]), boxes, shape)
-    assert (seen.o.tolist(), seen.actor.tolist()) == ([0, 0, 0], [1, 2, 3])
+    seen = observability(exact(boxes, shape, [0]), boxes, shape)
+    assert (seen.observer.tolist(), seen.actor.tolist()) == ([0, 0, 0], [1, 2, 3])
     assert seen.occlusion.tolist() == [0.0, 1.0, 0.0] and seen.range_m[1] == pytest.approx(np.hypot(20, 0.85))
 
 
 @settings(max_examples=8, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1), profile=st.sampled_from(["hdl64e_front", "vlp32c"]))
-def test_sightings_equal_casts_alone(seed, profile):
+def test_unoccluded_returns_equal_casts_alone(seed, profile):
     rng = np.random.default_rng(seed)
     (boxes, shape), scene = random_boxes(rng, 15, 25.0), random_scene(rng)
     boxes = Boxes(boxes.xyz_m + np.array([0, 0, 3.0]), boxes.lwh_m, boxes.yaw_rad)
     sweeps = exact(boxes, shape, np.arange(5), scene, profile=profile)
-    seen = sightings(sweeps, boxes, shape)
-    assert (np.diff(seen.o * 15 + seen.actor) > 0).all()
+    seen = observability(sweeps, boxes, shape)
+    assert (np.diff(seen.observer * 15 + seen.actor) > 0).all()
     found = {}
     for o in range(5):
         for a in set(range(15)) - {o}:
@@ -174,18 +183,18 @@ def test_sightings_equal_casts_alone(seed, profile):
             if n:
                 found[o, a] = (int((sweeps.hit[o] == Hit.ACTOR + a).sum()), n)
     assert found == {
-        (o, a): (n, m) for o, a, n, m in zip(seen.o, seen.actor, seen.n_returns, seen.n_unoccluded, strict=True)
+        (o, a): (n, m) for o, a, n, m in zip(seen.observer, seen.actor, seen.n_returns, seen.n_unoccluded, strict=True)
     }
 
 
 @settings(max_examples=8, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1))
-def test_an_occluder_never_adds_points(seed):
+def test_an_occluder_never_adds_returns(seed):
     rng = np.random.default_rng(seed)
     (boxes, shape), scene = traffic(rng, 80), blocks(rng)
     observers = np.arange(10)
-    alone = sightings(exact(boxes.take(slice(70)), shape[:70], observers, scene), boxes.take(slice(70)), shape[:70])
-    crowd = sightings(exact(boxes, shape, observers, scene), boxes, shape)
+    alone = observability(exact(boxes.take(slice(70)), shape[:70], observers, scene), boxes.take(slice(70)), shape[:70])
+    crowd = observability(exact(boxes, shape, observers, scene), boxes, shape)
     old = crowd.actor < 70
     assert (crowd.actor[old] == alone.actor).all() and (crowd.n_unoccluded[old] == alone.n_unoccluded).all()
     assert (crowd.n_returns[old] <= alone.n_returns).all() and (alone.n_returns <= alone.n_unoccluded).all()
@@ -193,7 +202,7 @@ def test_an_occluder_never_adds_points(seed):
 
 @settings(max_examples=10, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1))
-def test_sight_lines_equal_shapely(seed):
+def test_line_of_sight_equals_shapely(seed):
     rng = np.random.default_rng(seed)
     (boxes, shape), scene = traffic(rng, 40), blocks(rng)
     n = len(scene.footprints)
@@ -216,7 +225,7 @@ def test_sight_lines_equal_shapely(seed):
     assert np.mean(line_of_sight(there, moved(boxes, turn, shift), shape, a, b) != seen) < 2e-3
 
 
-def test_sight_lines_by_hand():
+def test_line_of_sight_by_hand():
     # Roof sensors at 1.73 m. A 1.5 m high car between does not block, a 3.2 m bus does, a wall of 1 m does not, one of
     # 2 m does, one that floats from 2.5 m up (a passage) does not; a hall around both does not.
     ends = [car(0, 0), car(40, 0)]

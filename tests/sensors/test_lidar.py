@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from sensors.boxes import Boxes
-from sensors.lidar import PROFILES, Hit, LidarParams, beams, mount, scan
-from sensors.scene import Scene
+from sensors.lidar import PROFILES, LidarParams, beams, mount, scan
+from sensors.scene import Hit, Scene
 from tests.sensors.town import blocks, car, exact, traffic
 
 CAR, BUS = 0, 3

@@ -1,4 +1,4 @@
-"""The published detectors: complete, sourced, fitted as well as the README says."""
+"""The published detectors: complete, with sources, and fitted as the README states."""
 
 import tomllib
 from dataclasses import fields
@@ -8,22 +8,23 @@ from typing import get_args, get_type_hints
 import pytest
 
 import sensors
-from sensors.detector import DetectorParams
+from sensors.detector import DETECTORS
+from sensors.statistical_detector import DetectorParams
 
 ROOM = Path(sensors.__file__).parent
 FILES = {path.stem: tomllib.loads(path.read_text()) for path in sorted((ROOM / "profiles").glob("*.toml"))}
 FAR_OFF = {("avod", "pedestrian", "all"), ("pointpillars", "cyclist", "moderate")}
-"""Figures more than 5 points off the published ones; the README says why."""
+"""Figures more than 5 points off the published ones; the README gives the reasons."""
 
 
 def test_every_profile_has_a_file():
-    assert {*FILES, "ideal"} == set(get_args(get_type_hints(DetectorParams)["profile"]))
+    assert {*FILES, "ideal"} == set(get_args(get_type_hints(DetectorParams)["model"])) == set(DETECTORS)
 
 
 @pytest.mark.parametrize("name", FILES)
 def test_complete_and_sourced(name):
     file = FILES[name]
-    stated = {"source", *(f.name for f in fields(DetectorParams) if f.name != "profile")}
+    stated = {"source", *(f.name for f in fields(DetectorParams) if f.name != "model")}
     assert set(file["first_guess"]) == stated and set(file["fitted"]) < stated
     assert len(file["source"]) > 20 and len(file["first_guess"]["source"]) > 20
     assert {*file["published"], "elsewhere"} == set(file["published_source"])
@@ -37,7 +38,7 @@ def test_close_to_what_was_published(name):
         for level, target, reached in zip(report["levels"], published, report[label]["reached"], strict=False):
             assert abs(reached - target) <= 5 or (name, label, level) in FAR_OFF, (name, label, level)
         hits, others = report[label]["boxes_per_frame_above_half"]
-        assert others < 0.5 * hits  # what is sure is mostly right
+        assert others < 0.5 * hits  # boxes of high score are mostly true
 
 
 def rows(name: str) -> list[str]:

@@ -5,8 +5,7 @@ import pytest
 import shapely
 
 from sensors.boxes import Boxes
-from sensors.lidar import Hit
-from sensors.scene import LABEL_OF_SHAPE, Scene, Shape, prisms, roof_triangles
+from sensors.scene import LABEL_OF_SHAPE, Hit, Scene, Shape, prisms, roof_triangles
 from tests.sensors.town import SIZE_M, blocks, car, exact
 
 SQUARE = [(0, 0), (10, 0), (10, 10), (0, 10)]

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from sensors.boxes import Boxes
-from sensors.clutter import ClutterLuck
 from sensors.lidar import LidarParams, scan
+from sensors.reports import DetectorDraws
 from sensors.scene import Scene
 
 REFERENCE = Path(__file__).parents[3] / "shared" / "reference" / "trupercept"
@@ -109,12 +109,12 @@ def car(x, y, yaw=0.0, z=0.75) -> Boxes:
     return Boxes(np.array([[x, y, z]]), SIZE_M[:1], np.array([yaw]))
 
 
-def exact(boxes, shape, observers, scene=None, posts=None, **params):
+def exact(boxes, shape, observers, scene=None, **params):
     """A sweep without noise."""
-    keys = np.arange(len(observers) + (0 if posts is None else len(posts.foot_m)), dtype=np.uint64)
+    keys = np.arange(len(observers), dtype=np.uint64)
     scene = Scene.empty() if scene is None else scene
     clean = LidarParams(range_sigma_m=0.0, **params)
-    return scan(boxes, np.asarray(shape, np.uint8), np.asarray(observers), scene, clean, keys, posts=posts)
+    return scan(boxes, np.asarray(shape, np.uint8), np.asarray(observers), scene, clean, keys)
 
 
 def to_scene(polygons, base_m, top_m, turn=0.0, shift=(0.0, 0.0)) -> Scene:
@@ -127,7 +127,10 @@ def to_scene(polygons, base_m, top_m, turn=0.0, shift=(0.0, 0.0)) -> Scene:
     return Scene.from_footprints(turned, base_m, top_m)
 
 
-def luck_with_places(rng, n_observers: int, n_actors: int, time_s: float = 0.0) -> ClutterLuck:
-    """Keys of the luck with false boxes, all of them new."""
-    keys = [rng.integers(0, 2**64, n, np.uint64) for n in (1, n_observers, n_observers, n_actors)]
-    return ClutterLuck(keys[0][0], *keys[1:], time_s)
+def draws_of(rng, n_observers: int, n_actors: int, time_s: float = 0.0) -> DetectorDraws:
+    """Random keys for a detector."""
+    actor, *observers, site = (
+        rng.integers(0, 2**64, n, np.uint64) for n in (n_actors, n_observers, n_observers, n_observers, n_observers, 1)
+    )
+    step, same, site_step, site_observer = observers
+    return DetectorDraws(time_s, actor, step, same, site[0], site_step, site_observer)

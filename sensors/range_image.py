@@ -1,7 +1,7 @@
-"""Kernels that look into a small window of a range image instead of through a whole cloud, and their plain twins.
+"""Kernels that search a window of a range image instead of a whole point cloud.
 
-Both kinds share the test of one point to the last bit, so a window may only be too large, never wrong. Rows are walked
-as slices from 0: an index that might be negative keeps the compiler from testing several points at once.
+The test of a single point is exact, so a window may be too large but never changes a result. Rows are taken as slices
+from 0: an index that might be negative prevents vectorisation.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from numba import njit, prange
 from numpy import ndarray
 
 from sensors.raycast.column import actor_columns, below, in_prism_frame, profile, rectangle, spans, surface
-from sensors.raycast.columnar import ACTOR
+from sensors.scene import Hit
 
 MARGIN_RAD = 1e-9  # rounding of a window's limits
 
@@ -33,15 +33,15 @@ def points_in_boxes(range_m, beams, o, xyz, lwh, yaw):
         x, y, z = xyz[k, 0], xyz[k, 1], xyz[k, 2]
         half_l, half_w, half_h = 0.5 * lwh[k, 0], 0.5 * lwh[k, 1], 0.5 * lwh[k, 2]
         cos, sin = np.cos(yaw[k]), np.sin(yaw[k])
-        reach, distance = np.hypot(half_l, half_w), np.hypot(x, y)
-        close = distance - reach
-        half = np.arcsin(reach / distance) + MARGIN_RAD if close > 0.0 else np.pi
+        radius, distance = np.hypot(half_l, half_w), np.hypot(x, y)
+        close = distance - radius
+        half = np.arcsin(radius / distance) + MARGIN_RAD if close > 0.0 else np.pi
         a0, a1, b0, b1 = spans(np.arctan2(y, x), half, beams)
         r0, r1 = 0, m
         if close > 1e-6:
             low, high = z - half_h, z + half_h
-            r0 = max(0, below(beams.tan_el, low / (close if low < 0.0 else distance + reach)) - 1)
-            r1 = min(m, below(beams.tan_el, high / (close if high > 0.0 else distance + reach)) + 1)
+            r0 = max(0, below(beams.tan_el, low / (close if low < 0.0 else distance + radius)) - 1)
+            r1 = min(m, below(beams.tan_el, high / (close if high > 0.0 else distance + radius)) + 1)
         cos_el, sin_el = beams.cos_el[r0:r1], beams.sin_el[r0:r1]
         count = 0
         for turn in range(2):
@@ -52,20 +52,6 @@ def points_in_boxes(range_m, beams, o, xyz, lwh, yaw):
                     flat = d * cos_el[r]
                     count += in_box(flat * ca, flat * sa, d * sin_el[r], x, y, z, cos, sin, half_l, half_w, half_h)
         out[k] = count
-    return out
-
-
-@njit(cache=True)
-def points_in_boxes_xyz(points, xyz, lwh, yaw):
-    """Points strictly inside each box, by looking at all of them."""
-    out = np.zeros(len(xyz), np.int32)
-    for k in range(len(xyz)):
-        cos, sin = np.cos(yaw[k]), np.sin(yaw[k])
-        for i in range(len(points)):
-            out[k] += in_box(
-                points[i, 0], points[i, 1], points[i, 2], xyz[k, 0], xyz[k, 1], xyz[k, 2], cos, sin,
-                0.5 * lwh[k, 0], 0.5 * lwh[k, 1], 0.5 * lwh[k, 2],
-            )  # fmt: skip
     return out
 
 
@@ -101,9 +87,9 @@ def frustum(
     half = np.abs(off - 2.0 * np.pi * np.round(off / (2.0 * np.pi))).max(axis=1)
     slope = corner[:, :, 2] / np.hypot(corner[:, :, 0], corner[:, :, 1])
     low, high = slope.min(axis=1), slope.max(axis=1)
-    # Beside a large box the planes may bound no pyramid through the corners: then every ray must be looked at.
+    # Beside a large box the planes may bound no pyramid through the corners: then every ray is tested.
     sound = ((np.einsum("nck,npk->ncp", corner, planes) < 0.0) | _ON_PLANE).all(axis=(1, 2)) & (half < 1.5)
-    # The side of a pyramid between two corners is a great circle: it bulges by the cosine of half its arc.
+    # The side of a pyramid between two corners is a great circle: its slope is larger by 1 / cos of half its arc.
     bulge = 1.0 / np.cos(np.where(sound, half, 0.0))
     low = np.where(sound, np.where(low < 0.0, low * bulge, low / bulge), -np.inf)
     high = np.where(sound, np.where(high > 0.0, high * bulge, high / bulge), np.inf)
@@ -150,23 +136,10 @@ def free_space(range_m, beams, o, planes, distance, window, margin_m):
     return seen, closer
 
 
-@njit(cache=True)
-def free_space_xyz(points, planes, distance, margin_m):
-    """The same by looking at all points of one cloud."""
-    seen, closer = np.zeros(len(planes), np.int32), np.zeros(len(planes), np.int32)
-    for k in range(len(planes)):
-        for i in range(len(points)):
-            x, y, z = points[i, 0], points[i, 1], points[i, 2]
-            if in_frustum(x, y, z, planes[k]):
-                seen[k] += 1
-                closer[k] += np.sqrt(x * x + y * y + z * z) < distance[k] + margin_m
-    return seen, closer
-
-
 @njit(cache=True, parallel=True)
-def returns_alone(hit, origin, yaw, beams, limit, xyz, reach, height, ptr, row, own, bodies):
-    """Per candidate (observer, actor): returns in the sweep, and returns if the actor stood alone in the world."""
-    n_returns, n_alone = np.zeros(len(row), np.int32), np.zeros(len(row), np.int32)
+def unoccluded_returns(hit, origin, yaw, beams, limit, xyz, radius, height, ptr, row, own, bodies):
+    """Per candidate (observer, actor): returns in the sweep, and returns if nothing else existed."""
+    n_returns, n_unoccluded = np.zeros(len(row), np.int32), np.zeros(len(row), np.int32)
     for o in prange(len(own)):
         taken = np.zeros(len(beams.tan_el), np.int64)  # the last column (of all) in which a row was counted
         column = 0
@@ -176,8 +149,8 @@ def returns_alone(hit, origin, yaw, beams, limit, xyz, reach, height, ptr, row, 
             if a == own[o]:
                 continue
             dx, dy = xyz[a, 0] - x, xyz[a, 1] - y
-            a0, a1, b0, b1 = actor_columns(dx, dy, reach[a], cos, sin, beams)
-            in_reach = np.hypot(np.hypot(dx, dy) + reach[a], abs(xyz[a, 2] - z) + 0.5 * height[a]) < limit
+            a0, a1, b0, b1 = actor_columns(dx, dy, radius[a], cos, sin, beams)
+            within_limit = np.hypot(np.hypot(dx, dy) + radius[a], abs(xyz[a, 2] - z) + 0.5 * height[a]) < limit
             for turn in range(2):
                 for c in range(a0 if turn == 0 else b0, a1 if turn == 0 else b1):
                     column += 1
@@ -192,8 +165,10 @@ def returns_alone(hit, origin, yaw, beams, limit, xyz, reach, height, ptr, row, 
                         bottom, top = bodies.bottom_m[k] - z, bodies.top_m[k] - z
                         first, s0, s1, last, t, low, high = profile(enter, leave, bottom, top, beams.tan_el)
                         for r in range(first, last):
-                            if taken[r] != column and (in_reach or surface(r, s0, s1, t, low, high, beams) <= limit):
+                            if taken[r] != column and (
+                                within_limit or surface(r, s0, s1, t, low, high, beams) <= limit
+                            ):
                                 taken[r] = column
-                                n_alone[i] += 1
-                                n_returns[i] += hit[o, c, r] == ACTOR + a
-    return n_returns, n_alone
+                                n_unoccluded[i] += 1
+                                n_returns[i] += hit[o, c, r] == Hit.ACTOR + a
+    return n_returns, n_unoccluded

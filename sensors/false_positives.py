@@ -1,0 +1,287 @@
+"""False positives: boxes at real returns where there is no actor of that kind, which persist at their sites.
+
+A site is a cell of the ground, its walls and its open road apart, or a mostly hidden actor. An aspect is a site as seen
+from one of four sides. The probability of a false positive follows from the aspect's share of the sweep's returns; its
+draws persist for some time, and in part they are common to all observers.
+"""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+from jaxtyping import Float, Int, UInt64
+from numba import njit, prange
+from numpy import ndarray
+from scipy.special import expit, ndtri
+
+from sensors.boxes import Boxes
+from sensors.evidence import Observability
+from sensors.hash_rng import mix, unit
+from sensors.lidar import Sweeps
+from sensors.reports import DetectorDraws, Reports
+from sensors.scene import Hit
+
+CELL_M = 2.0
+"""Edge of a cell [m]: larger than a pedestrian, smaller than a car."""
+
+FLAT = 0.01
+"""Tolerance of three neighbouring returns that count as one plane, relative to their distance: 2 cm of noise at 5 m."""
+
+HIDDEN = 0.8
+"""Occlusion from which an actor is a site of false positives."""
+
+COLUMN_STEP, ROW_STEP = 4, 2
+"""Every how many columns and rows returns are counted: exact enough for a share, and much faster than all."""
+
+FARTHEST_CELLS = 512
+"""Distance up to which cells are told apart; returns from beyond count to the last one."""
+
+INITIAL_CAPACITY = 16
+"""False positives per sweep that memory is allocated for at first."""
+
+_WALL, _ROAD, _ACTOR = range(3)
+
+
+def false_positives(sweeps: Sweeps, seen: Observability, draws: DetectorDraws, model: SimpleNamespace) -> Reports:
+    """All false positives of one step.
+
+    Notes
+    -----
+    At an aspect, a false positive occurs with probability p, `false_positive_per_sweep` times its share of the returns
+    and at most 1; `false_positive_road_p` of that is spread over all returns, the rest over those of walls and hidden
+    actors. It occurs where U < p. U is the least of three 1 - (1 - u)^(1 / s), which makes it uniform for any shares s
+    that add up to 1: one u is the aspect's, persistent, one the observer's with that aspect, persistent, and one is new
+    in each sweep. A persistent u is unchanged after t seconds with probability exp(-t / `false_positive_memory_s`), and
+    else drawn anew. With q = 1 - p, there is none at both moments with probability q^2 times the product of
+    exp(-t / T) (q^-s - 1) + 1 over the two persistent shares.
+
+    The score follows from U / p, in part: the larger the share of an aspect, the higher its score, and what appears and
+    disappears does so at low scores. At walls, boxes of vehicles lie along the wall and in front of it; those of
+    pedestrians (poles, plants and signs that a city has and this scene lacks) stand upright at it.
+    """
+    persistent, shared = model.false_positive_memory_share, model.false_positive_shared
+    shares = np.array([persistent * shared, persistent * (1.0 - shared), 1.0 - persistent])
+    o, site, ray, rank, noise = _at_sites(sweeps, seen, draws, model, shares)
+    column, row = np.divmod(ray, sweeps.hit.shape[2])
+    u = _uniforms_of_site(site)
+    share = np.cumsum(model.false_positive_mix) / np.sum(model.false_positive_mix)
+    label = np.searchsorted(share, u[:, 0], side="right").astype(np.uint8)
+    lwh = model.mean_lwh_m[label] * np.exp(0.1 * _normal(u[:, 1]))[:, None]
+
+    point = sweeps.points(o, column, row)
+    heading, origin = sweeps.poses.yaw_rad[o], sweeps.poses.origin_m[o]
+    yaw = 2.0 * np.pi * u[:, 2] - heading
+    at_wall = sweeps.hit[o, column, row] == Hit.BUILDING
+    along = _tangent(sweeps, o, column, row)
+    yaw = np.where(at_wall & np.isfinite(along), along + np.where(u[:, 2] < 0.5, np.pi, 0.0), yaw)
+    # In front of the wall: half the extent of the box across the line of sight towards the sensor.
+    bearing = np.arctan2(point[:, 1], point[:, 0])
+    skew = np.abs(np.sin(yaw - bearing))
+    back = np.where(at_wall, 0.5 * (lwh[:, 1] * skew + lwh[:, 0] * np.sqrt(1.0 - skew**2)), 0.0)
+    flat = np.maximum(np.hypot(point[:, 0], point[:, 1]) - back, 1.0)
+    xyz = np.column_stack([
+        origin[:, 0] + flat * np.cos(bearing + heading),
+        origin[:, 1] + flat * np.sin(bearing + heading),
+        sweeps.ground_m[o] + 0.5 * lwh[:, 2],
+    ])  # fmt: skip
+    yaw = np.pi - (np.pi - yaw - heading) % (2.0 * np.pi)
+    z = np.sqrt(1.0 - persistent) * _normal(noise) - np.sqrt(persistent) * _normal(rank)
+    score = expit(model.false_positive_logit + model.false_positive_sigma * z)
+    return Reports.of_nothing(o, label, Boxes(xyz, lwh, yaw), score)
+
+
+def _normal(u: Float[ndarray, "n"]) -> Float[ndarray, "n"]:
+    return ndtri(np.clip(u, 1e-12, 1.0 - 1e-12))
+
+
+def _tangent(sweeps: Sweeps, o: ndarray, column: ndarray, row: ndarray) -> Float[ndarray, "n"]:
+    """Direction of the surface that a ray met, in the sensor frame; nan where its neighbours met another one.
+
+    Along a flat wall 1 / distance is linear in the sine and cosine of the azimuth.
+    """
+    grid, n = sweeps.beams, sweeps.hit.shape[1]
+    if n < 5:
+        return np.full(len(o), np.nan)
+    middle = np.clip(column, 2, n - 3)
+    with np.errstate(divide="ignore", invalid="ignore"):  # no return, no neighbour
+        a, b = (sweeps.points(o, middle + step, row) for step in (-2, 2))
+        before, here, after = (1.0 / sweeps.range_m[o, middle + step, row].astype(float) for step in (-2, 0, 2))
+        flat = np.abs(before + after - 2.0 * here * np.cos(2.0 * grid.fov_rad / n)) < FLAT * here
+        return np.where(flat, np.arctan2(b[:, 1] - a[:, 1], b[:, 0] - a[:, 0]), np.nan)
+
+
+def _at_sites(
+    sweeps: Sweeps, seen: Observability, draws: DetectorDraws, model: SimpleNamespace, shares: Float[ndarray, "3"]
+) -> tuple[Int[ndarray, "c"], UInt64[ndarray, "c"], Int[ndarray, "c"], Float[ndarray, "c"], Float[ndarray, "c"]]:
+    """Where false positives occur: observer, key of the site, ray of the nearest return, U / p, another uniform."""
+    hidden = (seen.occlusion > HIDDEN) & (seen.n_returns > 0)
+    actor, n_returns = seen.actor[hidden], seen.n_returns[hidden]
+    ptr = np.searchsorted(seen.observer[hidden], np.arange(len(sweeps.observers) + 1))
+    capacity = INITIAL_CAPACITY
+    while True:
+        n, site, ray, uniform = _all_sweeps(
+            sweeps.range_m, sweeps.hit, sweeps.poses.origin_m, sweeps.poses.yaw_rad, sweeps.beams,
+            float(sweeps.max_range_m), ptr, actor, n_returns, draws.site, draws.site_observer, draws.site_step,
+            draws.actor, draws.time_s, float(model.false_positive_memory_s), shares,
+            float(model.false_positive_per_sweep), float(model.false_positive_road_p), capacity,
+        )  # fmt: skip
+        if n.max(initial=0) <= capacity:
+            break
+        capacity = int(n.max())
+    o = np.repeat(np.arange(len(n)), n)
+    at = o, np.arange(len(o)) - np.repeat(np.cumsum(n) - n, n)
+    return o, site[at], ray[at], uniform[at][:, 0], uniform[at][:, 1]
+
+
+@njit(cache=True)
+def _uniforms_of_site(site):
+    """Three uniforms that belong to the site for good: class, size, heading."""
+    out = np.empty((len(site), 3))
+    for k in range(len(site)):
+        for j in range(3):
+            out[k, j] = unit(mix(site[k], 8 + j))
+    return out
+
+
+@njit(cache=True)
+def _persistent(key, time_s, memory_s):
+    """A uniform that is renewed at some moments.
+
+    The moments are evenly spaced at random phase, their spacing a constant of the key, Gamma distributed of shape 2 and
+    scale `memory_s`, as is the gap of a Poisson process around a given moment: over all keys, the probability that none
+    of them falls into t seconds is exp(-t / memory_s).
+    """
+    spacing_s = memory_s * (1e-9 - np.log((1.0 - unit(mix(key, 0))) * (1.0 - unit(mix(key, 1)))))
+    return unit(mix(mix(key, 3), np.int64(np.floor(time_s / spacing_s + unit(mix(key, 2))))))
+
+
+@njit(cache=True)
+def _rank(aspect, observer, step, time_s, memory_s, shares, p):
+    """U of an aspect, where it is below p; else p."""
+    best = p
+    for k in range(3):
+        if shares[k] > 0.0:
+            if k == 0:
+                u = _persistent(aspect, time_s, memory_s)
+            elif k == 1:
+                u = _persistent(mix(observer, aspect), time_s, memory_s)
+            else:
+                u = unit(mix(step, aspect))
+            if u < best:  # otherwise 1 - (1 - u)^(1 / share) is not below it, either
+                best = min(best, 1.0 - (1.0 - u) ** (1.0 / shares[k]))
+    return best
+
+
+@njit(cache=True)
+def _side(x, y):
+    """The side, of four, from which the origin is seen from (x, y)."""
+    if abs(x) >= abs(y):
+        return 0 if x >= 0.0 else 1
+    return 2 if y >= 0.0 else 3
+
+
+@njit(cache=True)
+def _tally(ranges, hits, beams, x, y, cos, sin, x0, y0, side):
+    """Cells and kinds (wall, road) of one sweep: which, returns, first and last column; and returns by kind."""
+    number = np.zeros(2 * side * side, np.int32)  # place in the list, from 1
+    met = np.empty((4, 1 + hits.size // COLUMN_STEP), np.int32)
+    total = np.zeros(2, np.int64)
+    k = 0
+    x, y, top = x / CELL_M - x0, y / CELL_M - y0, side - 0.5
+    for c in range(0, hits.shape[0], COLUMN_STEP):
+        along_x = (cos * beams.cos_az[c] - sin * beams.sin_az[c]) / CELL_M
+        along_y = (sin * beams.cos_az[c] + cos * beams.sin_az[c]) / CELL_M
+        for r in range(0, hits.shape[1], ROW_STEP):
+            code = hits[c, r]
+            if code == Hit.GROUND or code == Hit.BUILDING:
+                flat = ranges[c, r] * beams.cos_el[r]
+                i, j = int(min(max(x + flat * along_x, 0.0), top)), int(min(max(y + flat * along_y, 0.0), top))
+                kind = _ROAD if code == Hit.GROUND else _WALL
+                at = 2 * (i * side + j) + kind
+                if number[at] == 0:
+                    met[0, k], met[1, k], met[2, k] = at, 0, c
+                    k += 1
+                    number[at] = k
+                met[1, number[at] - 1] += 1
+                met[3, number[at] - 1] = c
+                total[kind] += 1
+    return met[:, :k], total
+
+
+@njit(cache=True)
+def _nearest(ranges, hits, beams, x, y, cos, sin, first, last, code, to_x, to_y):
+    """The ray in columns first to last that met `code` and ended nearest to a point."""
+    best, least = -1, np.inf
+    for c in range(first, last + 1):
+        along_x = cos * beams.cos_az[c] - sin * beams.sin_az[c]
+        along_y = sin * beams.cos_az[c] + cos * beams.sin_az[c]
+        for r in range(hits.shape[1]):
+            if hits[c, r] == code:
+                flat = ranges[c, r] * beams.cos_el[r]
+                gap_x, gap_y = x + flat * along_x - to_x, y + flat * along_y - to_y
+                gap = gap_x * gap_x + gap_y * gap_y
+                if gap < least:
+                    best, least = c * hits.shape[1] + r, gap
+    return best
+
+
+@njit(cache=True)
+def _one_sweep(
+    ranges, hits, beams, x, y, yaw, actor, n_returns, common, observer, step, actor_key, time_s, memory_s, shares,
+    rate, road_p, half, site, ray, uniform,
+):  # fmt: skip
+    """Number of false positives of one sweep; as many as fit are written to `site`, `ray` and `uniform`."""
+    side, sampled = 2 * half + 1, 1.0 / (COLUMN_STEP * ROW_STEP)
+    cos, sin = np.cos(yaw), np.sin(yaw)
+    x0, y0 = np.int64(np.floor(x / CELL_M)) - half, np.int64(np.floor(y / CELL_M)) - half
+    met, n = _tally(ranges, hits, beams, x, y, cos, sin, x0, y0, side)
+    bodies = float(n[_WALL])
+    for s in range(len(actor)):
+        bodies += sampled * n_returns[s]
+    road_rate = rate * road_p / max(bodies + n[_ROAD], sampled)
+    body_rate = road_rate + rate * (1.0 - road_p) / max(bodies, sampled)
+    found, n_cells = 0, met.shape[1]
+    for k in range(n_cells + len(actor)):
+        if k < n_cells:
+            at, a, b = met[0, k], met[2, k], met[3, k]
+            kind, i, j = at % 2, x0 + at // 2 // side, y0 + at // 2 % side
+            code = Hit.GROUND.value if kind == _ROAD else Hit.BUILDING.value
+            key = mix(mix(mix(common, kind), i), j)
+            to_x, to_y = (i + unit(mix(key, 6))) * CELL_M, (j + unit(mix(key, 7))) * CELL_M
+            aspect = mix(key, _side(x - to_x, y - to_y))
+            p = met[1, k] * (road_rate if kind == _ROAD else body_rate)
+        else:
+            s = k - n_cells
+            code, a, b, to_x, to_y = Hit.ACTOR + actor[s], 0, len(hits) - 1, x, y
+            key = aspect = mix(mix(common, _ACTOR), actor_key[actor[s]])
+            p = sampled * n_returns[s] * body_rate
+        p = min(1.0, p)
+        rank = _rank(aspect, observer, step, time_s, memory_s, shares, p)
+        if rank < p:
+            if found < len(site):
+                site[found] = key
+                ray[found] = _nearest(ranges, hits, beams, x, y, cos, sin, a, b, code, to_x, to_y)
+                uniform[found, 0], uniform[found, 1] = rank / p, unit(mix(mix(step, aspect), 1))
+            found += 1
+    return found
+
+
+@njit(cache=True, parallel=True)
+def _all_sweeps(
+    range_m, hit, origin_m, yaw_rad, beams, max_range_m, ptr, actor, n_returns, common, observer, step, actor_key,
+    time_s, memory_s, shares, rate, road_p, capacity,
+):  # fmt: skip
+    """Per sweep: number of false positives; of the first `capacity`: key of the site, ray, U / p and a uniform."""
+    n_sweeps, half = len(hit), min(np.int64(max_range_m / CELL_M) + 2, FARTHEST_CELLS)
+    found = np.empty(n_sweeps, np.int64)
+    site, ray = np.empty((n_sweeps, capacity), np.uint64), np.empty((n_sweeps, capacity), np.int64)
+    uniform = np.empty((n_sweeps, capacity, 2))
+    for o in prange(n_sweeps):
+        first, last = ptr[o], ptr[o + 1]
+        found[o] = _one_sweep(
+            range_m[o], hit[o], beams, origin_m[o, 0], origin_m[o, 1], yaw_rad[o], actor[first:last],
+            n_returns[first:last], common, observer[o], step[o], actor_key, time_s, memory_s, shares, rate, road_p,
+            half, site[o], ray[o], uniform[o],
+        )  # fmt: skip
+    return found, site, ray, uniform

@@ -1,0 +1,98 @@
+"""What a detector is given beside the sweeps, and what it returns."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Int, UInt8, UInt64
+from numpy import ndarray
+
+from sensors.boxes import Boxes
+from sensors.evidence import Observability
+from sensors.hash_rng import mix_rows
+
+
+@dataclass(frozen=True, slots=True)
+class DetectorDraws:
+    """Keys that the noise draws of one step are hashed from: m observers, n actors.
+
+    `sensors.hash_rng` makes uniforms and normals of keys. Equal keys give equal draws, so a draw depends neither on the
+    order of the rows nor on who else is present.
+    """
+
+    time_s: float
+    actor: UInt64[ndarray, "n"]
+    """Identity of each actor, the same in every step."""
+    observer_step: UInt64[ndarray, "m"]
+    """Per observer, new in every step."""
+    observer: UInt64[ndarray, "m"]
+    """Per observer, the same in every step."""
+    site: np.uint64
+    """Common to all observers, the same in every step: false positives that several observers share."""
+    site_step: UInt64[ndarray, "m"]
+    """Per observer, new in every step: false positives."""
+    site_observer: UInt64[ndarray, "m"]
+    """Per observer, the same in every step: false positives that persist."""
+
+    def pair_step(self, seen: Observability) -> UInt64[ndarray, "s"]:
+        """A key per (observer, actor), new in every step."""
+        return mix_rows(self.observer_step[seen.observer], self.actor[seen.actor])
+
+    def pair(self, seen: Observability) -> UInt64[ndarray, "s"]:
+        """A key per (observer, actor), the same in every step."""
+        return mix_rows(self.observer[seen.observer], self.actor[seen.actor])
+
+
+@dataclass(frozen=True, slots=True)
+class Reports:
+    """Boxes that a detector reports, in any order; world frame."""
+
+    observer: Int[ndarray, "r"]
+    """Row of the sweep."""
+    label: UInt8[ndarray, "r"]
+    """Reported `ObjectClass`."""
+    boxes: Boxes
+    score: Float[ndarray, "r"]
+    """Confidence in [0, 1]."""
+    actor: Int[ndarray, "r"]
+    """Truth: row of the actor that was detected; not read where `is_false_positive`."""
+    is_false_positive: Bool[ndarray, "r"]
+    """Truth: no actor was detected."""
+
+    @staticmethod
+    def of_actors(
+        seen: Observability,
+        rows: Int[ndarray, "r"],
+        label: UInt8[ndarray, "r"],
+        boxes: Boxes,
+        score: Float[ndarray, "r"],
+    ) -> Reports:
+        """One report for each of these rows of `seen`, none of them false."""
+        return Reports(seen.observer[rows], label, boxes, score, seen.actor[rows], np.zeros(len(rows), bool))
+
+    @staticmethod
+    def of_nothing(
+        observer: Int[ndarray, "r"], label: UInt8[ndarray, "r"], boxes: Boxes, score: Float[ndarray, "r"]
+    ) -> Reports:
+        """False positives."""
+        return Reports(observer, label, boxes, score, np.zeros(len(observer), int), np.ones(len(observer), bool))
+
+    def take(self, rows: Int[ndarray, "k"]) -> Reports:
+        """The reports of these rows, in this order."""
+        return Reports(
+            self.observer[rows], self.label[rows], self.boxes.take(rows), self.score[rows], self.actor[rows],
+            self.is_false_positive[rows],
+        )  # fmt: skip
+
+    @staticmethod
+    def concat(parts: list[Reports]) -> Reports:
+        """All reports of one or more parts, in order."""
+        return Reports(
+            np.concatenate([part.observer for part in parts]),
+            np.concatenate([part.label for part in parts]),
+            Boxes.concat([part.boxes for part in parts]),
+            np.concatenate([part.score for part in parts]),
+            np.concatenate([part.actor for part in parts]),
+            np.concatenate([part.is_false_positive for part in parts]),
+        )

@@ -1,0 +1,294 @@
+"""A statistical model of a 3D object detector: detection probability, score and error of each box, false positives."""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import dataclass, fields
+from functools import lru_cache
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Annotated, Literal
+
+import numpy as np
+from annotated_types import Ge, Gt, Le
+from jaxtyping import Float, Int, UInt8
+from numpy import ndarray
+from scipy.special import expit, ndtr
+
+from sensors.boxes import Boxes
+from sensors.evidence import Observability
+from sensors.false_positives import false_positives
+from sensors.hash_rng import normals, persistent_normals
+from sensors.lidar import Sweeps
+from sensors.reports import DetectorDraws, Reports
+
+N_DRAWS = 16
+"""Per (observer, actor): detected; score; x, y, z; length, width, height; heading; heading flipped; class confused;
+duplicated, and of the duplicate the score, x, y and heading."""
+
+Share = Annotated[float, Ge(0), Le(1)]
+PerClass = tuple[float, float, float, float]
+"""Car, pedestrian, cyclist, truck."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class DetectorParams:
+    """The detector of every equipped vehicle; what is not set is the model's own, from `sensors/profiles`.
+
+    Tuples hold one value per class: car, pedestrian, cyclist, truck.
+    """
+
+    model: Literal["avod", "pointpillars", "ideal"] = "avod"
+    """`avod`, `pointpillars`: fitted to the detectors of that name. `ideal`: everything with a return is detected,
+    exactly, with score 1, and nothing else."""
+    found_max_p: PerClass | None = None
+    """Probability to detect an unoccluded object with very many returns."""
+    half_returns: PerClass | None = None
+    """Returns at which half of `found_max_p` is reached."""
+    steepness: Annotated[float, Gt(0)] | None = None
+    """Slope of that curve over the logarithm of the returns."""
+    occlusion_loss: PerClass | None = None
+    """Share of that probability that is lost at full occlusion, beyond the effect of the lost returns."""
+    score_logit: PerClass | None = None
+    """Mean log-odds of the score at `half_returns`."""
+    score_gain: Annotated[float, Ge(0)] | None = None
+    """Log-odds gained per e-fold of returns."""
+    score_occlusion: Annotated[float, Ge(0)] | None = None
+    """Log-odds lost at full occlusion."""
+    score_error: PerClass | None = None
+    """Log-odds lost per unit of squared horizontal error in standard deviations: inaccurate boxes score lower."""
+    score_sigma: Annotated[float, Ge(0)] | None = None
+    """Spread of the log-odds."""
+    xy_sigma_m: PerClass | None = None
+    """Smallest position error along and across the box [m]."""
+    xy_sigma_per_m: Annotated[float, Ge(0)] | None = None
+    """Position error gained per metre of range [m/m]."""
+    xy_sigma_sparse_m: PerClass | None = None
+    """Position error of an object with one return, falling with the square root of the returns [m]."""
+    z_share: Annotated[float, Ge(0)] | None = None
+    """Vertical position error as a share of the horizontal one: the height of the road is well known."""
+    size_sigma: PerClass | None = None
+    """Relative error of length, width and height of a dense object."""
+    size_sigma_sparse: PerClass | None = None
+    """Relative size error added at one return, falling with the square root of the returns."""
+    yaw_sigma_rad: PerClass | None = None
+    """Heading error of a dense object [rad]."""
+    yaw_sigma_sparse_rad: Annotated[float, Ge(0)] | None = None
+    """Heading error added at one return, falling with the square root of the returns [rad]."""
+    flip_p: Share | None = None
+    """Probability that the heading is reversed."""
+    confusion_p: tuple[PerClass, PerClass, PerClass, PerClass] | None = None
+    """Probability that an object of the row's class is reported as one of the column's."""
+    duplicate_p: Share | None = None
+    """Probability that a detected object is reported a second time, with a larger error and a lower score."""
+    duplicate_logit: Annotated[float, Ge(0)] | None = None
+    """Mean log-odds by which the second report scores lower."""
+    duplicate_sigma: Annotated[float, Ge(0)] | None = None
+    """Position error of the second report, in lengths and widths of its box."""
+    false_positive_per_sweep: Annotated[float, Ge(0)] | None = None
+    """Mean number of false positives per sweep."""
+    false_positive_mix: PerClass | None = None
+    """Class shares of false positives."""
+    false_positive_road_p: Share | None = None
+    """Share of the false positives that may stand on open road; the others stand at walls and hidden actors."""
+    false_positive_memory_s: Annotated[float, Gt(0)] | None = None
+    """Mean time until the persistent draw of a site is renewed [s]."""
+    false_positive_memory_share: Share | None = None
+    """Share of the false positives that persist; the rest are drawn anew in every sweep."""
+    false_positive_shared: Share | None = None
+    """Share of the persistent ones that belong to the site, common to all observers on the same side of it."""
+    false_positive_logit: Annotated[float, Ge(-20), Le(20)] | None = None
+    """Mean log-odds of a false positive's score."""
+    false_positive_sigma: Annotated[float, Ge(0)] | None = None
+    """Spread of those log-odds."""
+    mean_lwh_m: tuple[tuple[float, float, float], ...] | None = None
+    """Mean size of a class: that of false positives, and of objects reported as another class [m]."""
+    min_score: Share | None = None
+    """Boxes of a lower score are not reported."""
+    memory_s: Annotated[float, Gt(0)] | None = None
+    """Time over which the draws of one (observer, actor) change [s]; see `sensors.hash_rng.persistent_normals`."""
+    memory_share: Share | None = None
+    """Share of the variance of those draws that persists; the rest is new in every sweep."""
+
+
+@lru_cache(maxsize=8)
+def _profile(name: str) -> dict:
+    """The parameters of a profile as its file states them; those of `ideal`, which it does not use, are AVOD's."""
+    path = Path(__file__).parent / "profiles" / f"{'avod' if name == 'ideal' else name}.toml"
+    stated = tomllib.loads(path.read_text(encoding="utf-8"))
+    return stated["first_guess"] | stated["fitted"]
+
+
+def resolved(params: DetectorParams) -> SimpleNamespace:
+    """All parameters of a model: those set, else those of its profile; tuples as arrays."""
+    stated = _profile(params.model)
+    own = {f.name: getattr(params, f.name) for f in fields(params) if f.name != "model"}
+    both = {name: stated[name] if value is None else value for name, value in own.items()}
+    return SimpleNamespace(**{n: np.array(v) if isinstance(v, list | tuple) else v for n, v in both.items()})
+
+
+class StatisticalDetector:
+    """A detector whose detection probability, scores and errors are functions of returns, occlusion and range.
+
+    Errors grow as returns thin out and with range. A false positive stands at a wall, on the road or at a mostly hidden
+    actor.
+    """
+
+    Params = DetectorParams
+
+    def __init__(self, params: DetectorParams) -> None:
+        self.model = resolved(params)
+
+    def detect(
+        self,
+        sweeps: Sweeps,
+        seen: Observability,
+        boxes: Boxes,
+        label: UInt8[ndarray, "n"],
+        draws: DetectorDraws,
+    ) -> Reports:
+        """See `sensors.detector.Detector`."""
+        z = pair_normals(seen, draws, self.model)
+        found = reports_of_actors(seen, boxes, label, sweeps.poses.origin_m, z, self.model)
+        every = Reports.concat([found, false_positives(sweeps, seen, draws, self.model)])
+        return every.take(np.flatnonzero(every.score >= self.model.min_score))
+
+
+class IdealDetector:
+    """Reports every actor with at least one return, exactly, with score 1, and nothing else."""
+
+    Params = DetectorParams
+
+    def __init__(self, params: DetectorParams) -> None:
+        pass
+
+    def detect(
+        self,
+        sweeps: Sweeps,
+        seen: Observability,
+        boxes: Boxes,
+        label: UInt8[ndarray, "n"],
+        draws: DetectorDraws,
+    ) -> Reports:
+        """See `sensors.detector.Detector`."""
+        rows = np.flatnonzero(seen.n_returns > 0)
+        actor = seen.actor[rows]
+        return Reports.of_actors(seen, rows, label[actor], boxes.take(actor), np.ones(len(rows)))
+
+
+def pair_normals(seen: Observability, draws: DetectorDraws, model: SimpleNamespace) -> Float[ndarray, "s 16"]:
+    """Standard normals of each (observer, actor), in part new in this step, in part persistent.
+
+    Notes
+    -----
+    An event of probability p happens where |z| is among the p smallest, a gross error where it is among the p largest,
+    so that draws that change slowly change events slowly. Zeros mean that everything is detected, without error.
+    """
+    fresh = normals(draws.pair_step(seen), N_DRAWS)
+    lasting = persistent_normals(draws.pair(seen), N_DRAWS, draws.time_s, model.memory_s)
+    return np.sqrt(1.0 - model.memory_share) * fresh + np.sqrt(model.memory_share) * lasting
+
+
+def uniform_of(z: Float[ndarray, "..."]) -> Float[ndarray, "..."]:
+    """Uniform in [0, 1) of a standard normal; continuous, 0 for 0."""
+    return np.minimum(2.0 * ndtr(np.abs(z)) - 1.0, 1.0 - 1e-16)
+
+
+def detection_p(
+    n_returns: Int[ndarray, "s"], occlusion: Float[ndarray, "s"], label: UInt8[ndarray, "s"], model: SimpleNamespace
+) -> Float[ndarray, "s"]:
+    """Probability that an object is detected; 0 without returns."""
+    n = np.asarray(n_returns, float) ** model.steepness
+    half = model.half_returns[label] ** model.steepness
+    return model.found_max_p[label] * n / (n + half) * (1.0 - model.occlusion_loss[label] * occlusion)
+
+
+def reports_of_actors(
+    seen: Observability,
+    boxes: Boxes,
+    label: UInt8[ndarray, "n"],
+    origin_m: Float[ndarray, "m 3"],
+    z: Float[ndarray, "s 16"],
+    model: SimpleNamespace,
+) -> Reports:
+    """Reports of the actors that are detected; those of duplicates follow all others.
+
+    Parameters
+    ----------
+    origin_m
+        Position of each observer's sensor.
+    """
+    p = detection_p(seen.n_returns, seen.occlusion, label[seen.actor], model)
+    rows = np.flatnonzero(uniform_of(z[:, 0]) < p)
+    z, observer, actor = z[rows], seen.observer[rows], seen.actor[rows]
+    true_label, n, occlusion = label[actor], seen.n_returns[rows], seen.occlusion[rows]
+    reported = _confused(true_label, uniform_of(z[:, 10]), model.confusion_p)
+    sized = _as_class(boxes.take(actor), true_label, reported, origin_m[observer], model.mean_lwh_m)
+    sparse = 1.0 / np.sqrt(n)
+    logit = model.score_logit[true_label] + model.score_gain * np.log(n / model.half_returns[true_label])
+    error = 0.5 * (z[:, 2] ** 2 + z[:, 3] ** 2)
+    logit += model.score_sigma * z[:, 1] - model.score_occlusion * occlusion - model.score_error[true_label] * error
+
+    xy = model.xy_sigma_m[true_label] + model.xy_sigma_per_m * seen.range_m[rows]
+    xy = xy + model.xy_sigma_sparse_m[true_label] * sparse
+    size = model.size_sigma[true_label] + model.size_sigma_sparse[true_label] * sparse
+    yaw = (model.yaw_sigma_rad[true_label] + model.yaw_sigma_sparse_rad * sparse) * z[:, 8]
+    yaw += np.where(uniform_of(z[:, 9]) > 1.0 - model.flip_p, np.pi, 0.0)
+    offset = z[:, 2:5] * np.column_stack([xy, xy, model.z_share * xy])
+    lwh = sized.lwh_m * np.exp(size[:, None] * z[:, 5:8])
+    offset[:, 2] += 0.5 * (lwh[:, 2] - sized.lwh_m[:, 2])  # the bottom of the box stays on the road
+    first = _moved(sized, offset, lwh, yaw)
+
+    again = np.flatnonzero(uniform_of(z[:, 11]) > 1.0 - model.duplicate_p)
+    base = first.take(again)
+    offset = np.column_stack([model.duplicate_sigma * z[again, 13:15] * base.lwh_m[:, :2], np.zeros(len(again))])
+    second = _moved(base, offset, base.lwh_m, 0.5 * model.yaw_sigma_rad[true_label[again]] * z[again, 15])
+    lower = model.duplicate_logit * np.abs(1.0 + 0.5 * z[again, 12])
+    return Reports.of_actors(
+        seen,
+        np.concatenate([rows, rows[again]]),
+        np.concatenate([reported, reported[again]]),
+        Boxes.concat([first, second]),
+        expit(np.concatenate([logit, logit[again] - lower])),
+    )
+
+
+def _confused(
+    true_label: UInt8[ndarray, "r"], u: Float[ndarray, "r"], confusion_p: Float[ndarray, "4 4"]
+) -> UInt8[ndarray, "r"]:
+    """The class that is reported; the true one for u = 0."""
+    share = confusion_p.copy()
+    np.fill_diagonal(share, 0.0)
+    bound = 1.0 - np.cumsum(share[:, ::-1], axis=1)[:, ::-1]  # class c where bound[c] <= u < bound[c + 1]
+    other = (u[:, None] >= bound[true_label]).sum(axis=1) - 1
+    return np.where(u < bound[true_label, 0], true_label, other).astype(np.uint8)
+
+
+def _as_class(
+    true: Boxes,
+    true_label: UInt8[ndarray, "r"],
+    reported: UInt8[ndarray, "r"],
+    origin_m: Float[ndarray, "r 3"],
+    mean_lwh_m: Float[ndarray, "4 3"],
+) -> Boxes:
+    """Boxes at most as large as the mean of a wrongly reported class; the corner nearest to the sensor stays."""
+    right = (true_label == reported)[:, None]
+    lwh = np.where(right, true.lwh_m, np.minimum(true.lwh_m, mean_lwh_m[reported]))
+    gap = 0.5 * (true.lwh_m - lwh)
+    away = origin_m - true.xyz_m
+    cos, sin = np.cos(true.yaw_rad), np.sin(true.yaw_rad)
+    along = np.sign(cos * away[:, 0] + sin * away[:, 1]) * gap[:, 0]
+    aside = np.sign(cos * away[:, 1] - sin * away[:, 0]) * gap[:, 1]
+    return _moved(true, np.column_stack([along, aside, -gap[:, 2]]), lwh, 0.0)
+
+
+def _moved(boxes: Boxes, off_m: Float[ndarray, "r 3"], lwh_m: ndarray, turn_rad: ndarray | float) -> Boxes:
+    """Boxes moved along their own axes, of a new size, and turned."""
+    cos, sin = np.cos(boxes.yaw_rad), np.sin(boxes.yaw_rad)
+    x, y = cos * off_m[:, 0] - sin * off_m[:, 1], sin * off_m[:, 0] + cos * off_m[:, 1]
+    return Boxes(boxes.xyz_m + np.column_stack([x, y, off_m[:, 2]]), lwh_m, wrap(boxes.yaw_rad + turn_rad))
+
+
+def wrap(angle: Float[ndarray, "n"]) -> Float[ndarray, "n"]:
+    """The angle in (-pi, pi]."""
+    return np.pi - (np.pi - angle) % (2.0 * np.pi)
