@@ -1,4 +1,4 @@
-"""Registry of all actors that have been on the road: names, sizes, equipment and roles by actor number."""
+"""Registry of all actors that have been on the road: names, sizes, equipment and attacks by actor number."""
 
 from dataclasses import dataclass, field
 
@@ -8,10 +8,9 @@ from numpy import ndarray
 
 from cosim.fleet import FleetParams
 from cosim.rng import Stream, key, name_key, uniforms
-from cosim.world import MALICIOUS, UNRELIABLE
 from sensors.scene import Shape
 
-_COLUMNS = ("_name_key", "_shape", "_lwh_m", "_equipped", "_role", "_first_step", "_last_step")
+_COLUMNS = ("_name_key", "_shape", "_lwh_m", "_equipped", "_attack", "_first_step", "_last_step")
 
 
 @dataclass(slots=True)
@@ -20,23 +19,25 @@ class ActorRegistry:
 
     params: FleetParams
     seed: int
+    attack_shares: tuple[float, ...] = ()
+    """Of each attack of the config: share of the equipped vehicles that carry it out."""
     names: list[str] = field(default_factory=list)
     _n: int = 0
     _name_key: UInt64[ndarray, "capacity"] = field(default_factory=lambda: np.zeros(1024, np.uint64))
     _shape: UInt8[ndarray, "capacity"] = field(default_factory=lambda: np.zeros(1024, np.uint8))
     _lwh_m: Float[ndarray, "capacity 3"] = field(default_factory=lambda: np.zeros((1024, 3)))
     _equipped: Bool[ndarray, "capacity"] = field(default_factory=lambda: np.zeros(1024, bool))
-    _role: UInt8[ndarray, "capacity"] = field(default_factory=lambda: np.zeros(1024, np.uint8))
+    _attack: UInt8[ndarray, "capacity"] = field(default_factory=lambda: np.zeros(1024, np.uint8))
     _first_step: Int[ndarray, "capacity"] = field(default_factory=lambda: np.zeros(1024, np.int32))
     _last_step: Int[ndarray, "capacity"] = field(default_factory=lambda: np.zeros(1024, np.int32))
     _can_be_equipped: Bool[ndarray, "shape"] = field(init=False)
     _equipped_key: np.uint64 = field(init=False)
-    _role_key: np.uint64 = field(init=False)
+    _attack_key: np.uint64 = field(init=False)
 
     def __post_init__(self) -> None:
         classes = {name.upper() for name in self.params.equipped_kinds}
         self._can_be_equipped = np.array([shape.name in classes for shape in Shape])
-        self._equipped_key, self._role_key = key(self.seed, Stream.EQUIPPED), key(self.seed, Stream.ROLE)
+        self._equipped_key, self._attack_key = key(self.seed, Stream.EQUIPPED), key(self.seed, Stream.ROLE)
 
     def __len__(self) -> int:
         return self._n
@@ -44,7 +45,7 @@ class ActorRegistry:
     def register(
         self, names: list[str], shape: UInt8[ndarray, "n"], lwh_m: Float[ndarray, "n 3"], step: int
     ) -> Int[ndarray, "n"]:
-        """Numbers of new actors, in the order given; decides their equipment and roles.
+        """Numbers of new actors, in the order given; decides their equipment and attacks.
 
         Numbers follow names, vehicles before persons, whatever the order of the input. A person and a vehicle of
         the same name are two actors. Sizes are rounded to single precision, as tables keep them.
@@ -67,10 +68,10 @@ class ActorRegistry:
         )
         equipped = self._can_be_equipped[shape] & (uniforms(self._equipped_key, keys)[:, 0] < self.params.penetration_p)
         self._equipped[rows] = equipped
-        if equipped.any():  # rows are created as honest
-            draw, role = uniforms(self._role_key, keys)[:, 0], self._role[rows]
-            role[equipped & (draw < self.params.malicious_p + self.params.unreliable_p)] = UNRELIABLE
-            role[equipped & (draw < self.params.malicious_p)] = MALICIOUS
+        if equipped.any() and self.attack_shares:
+            draw = uniforms(self._attack_key, keys)[:, 0]
+            number = 1 + np.searchsorted(np.cumsum(self.attack_shares), draw, "right")
+            self._attack[rows] = np.where(equipped & (number <= len(self.attack_shares)), number, 0)
 
         self.names.extend(names)
         self._name_key[rows], self._shape[rows], self._lwh_m[rows] = keys, shape, lwh_m.astype(np.float32)
@@ -88,6 +89,6 @@ class ActorRegistry:
     shape = property(lambda self: self._shape[: self._n])
     lwh_m = property(lambda self: self._lwh_m[: self._n])
     equipped = property(lambda self: self._equipped[: self._n])
-    role = property(lambda self: self._role[: self._n])
+    attack = property(lambda self: self._attack[: self._n])
     first_step = property(lambda self: self._first_step[: self._n])
     last_step = property(lambda self: self._last_step[: self._n])

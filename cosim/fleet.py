@@ -11,23 +11,12 @@ VehicleClass = Literal["car", "van", "truck", "bus", "motorcycle", "bicycle"]
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class FleetParams:
-    """Which vehicles carry a LiDAR and a radio, and which of these misbehave.
+    """Which vehicles carry a LiDAR and a radio.
 
-    Each share is decided vehicle by vehicle from its name: a larger share adds vehicles and changes none.
+    The share is decided vehicle by vehicle from its name: a larger share adds vehicles and changes none.
     """
 
     penetration_p: Probability = 0.35
     """Share of the vehicles of `equipped_kinds` that carry a LiDAR and a radio."""
     equipped_kinds: tuple[VehicleClass, ...] = ("car", "van")
     """Vehicle classes that can be equipped."""
-    malicious_p: Probability = 0.10
-    """Share of the equipped that insert objects in front of a victim."""
-    unreliable_p: Probability = 0.10
-    """Share of the equipped that lose own detections and add random ones."""
-
-    def __post_init__(self) -> None:
-        if self.malicious_p + self.unreliable_p > 1:
-            raise ValueError(
-                f"fleet.malicious_p + fleet.unreliable_p = {self.malicious_p + self.unreliable_p:g} is more than "
-                "all equipped vehicles. Lower one of them so that the two sum to at most 1."
-            )

@@ -32,7 +32,7 @@ class World:
     boxes: Boxes
     speed_mps: Float[ndarray, "n"]
     equipped: Bool[ndarray, "n"]
-    role: UInt8[ndarray, "n"]  # code of `ROLES`; honest where not equipped
+    attack: UInt8[ndarray, "n"]  # number of the attack that it carries out, from 1 in the config's order; 0 for none
 
     def __len__(self) -> int:
         return len(self.actor)

@@ -120,5 +120,5 @@ def world_of(
         boxes=boxes,
         speed_mps=speed_mps,
         equipped=registry.equipped[number],
-        role=registry.role[number],
+        attack=registry.attack[number],
     )
