@@ -14,7 +14,7 @@ from cosim.cycle import State, Turn, turn
 from cosim.manifest import Stopwatch
 from cosim.mobility.sumo import SumoTraffic
 from cosim.scenario import find
-from cosim.v2x.messages import FABRICATED, SELF
+from cosim.v2x.messages import SELF
 from sensors.boxes import overlapping_pairs
 from trust.evaluation import evaluate
 from trust.matching import match
@@ -62,7 +62,7 @@ def _verdicts_per_s(happened: Turn, config: Config) -> float:
     """Verdicts per second and core, from boxes and points per box, best of several rounds."""
     said, views = happened.said, happened.views
     sender = np.searchsorted(happened.observers, said.observer)
-    claims = Claims(sender, said.k, said.label, said.score, said.origin == SELF, said.origin == FABRICATED)
+    claims = Claims(sender, said.k, said.label, said.score, said.origin == SELF)
     threads, best = numba.get_num_threads(), np.inf
     numba.set_num_threads(1)
     for _ in range(7):

@@ -45,10 +45,11 @@ from sensors.boxes import Boxes, overlapping_pairs
 from sensors.reports import DetectorDraws
 from sensors.scene import Scene
 from trust import evaluation, fusion, matching, tables
-from trust.ledger import SERVER, Ledger, Standing
-from trust.page import Refusal
+from trust.models.trupercept import TruPercept
+from trust.params import eta_of
+from trust.step_evidence import RejectReason
+from trust.tables import SERVER, EvaluationMessages, Evaluations, ObjectLists, ReceivedEvaluations, TrustScores
 from trust.tables import Detections as Claims
-from trust.tables import Told, Verdicts, Views
 
 SOURCES = ("server", "own", "default")
 """Where a trust value that is used comes from, by code."""
@@ -61,12 +62,12 @@ class State:
     """All that survives a step."""
 
     radio: Radio
-    ledger: Ledger
+    ledger: TruPercept
     uplink: Uplink
     downlink: Downlink
     included: Memory = field(default_factory=Memory)
-    riding: Told | None = None
-    """Verdicts of the last turn, waiting for the next message."""
+    riding: EvaluationMessages | None = None
+    """Evaluations of the last turn, waiting for the next message."""
     last_edition_s: float = -np.inf
     n_malformed: int = 0
     """Detections dropped so far because they cannot be: no finite pose, no size, no score."""
@@ -77,14 +78,14 @@ class State:
     def start(config: Config, city: Scene, sites: Sites = NOWHERE) -> "State":
         return State(
             radio=Radio.start(config.radio, config.sensing_interval_s, config.seed, city, sites),
-            ledger=Ledger(config.trust, config.traffic.step_s),
+            ledger=TruPercept(config.trust, config.traffic.step_s),
             uplink=Uplink(config.server, config.seed, config.sensing_interval_s),
             downlink=Downlink(config.server, config.seed),
         )
 
     def refusals(self) -> dict[str, int]:
-        """Verdicts that the ledgers refused, by cause."""
-        return {cause.name.lower(): int(n) for cause, n in zip(Refusal, self.ledger.refused, strict=True) if n}
+        """Evaluations that the ledgers refused, by cause."""
+        return {cause.name.lower(): int(n) for cause, n in zip(RejectReason, self.ledger.rejected, strict=True) if n}
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,15 +124,15 @@ class Turn:
     said: Detections
     truth: GroundTruth
     exchanges: tuple[Exchange, Exchange]  # of detections, and of verdicts
-    views: Views  # what each vehicle judged
-    verdicts: Verdicts
+    views: ObjectLists  # what each vehicle judged
+    verdicts: Evaluations
     n_points: Int[ndarray, "m"]
     plausible: Bool[ndarray, "m"]
     matched: Bool[ndarray, "m"]
     met: Heard  # whose trust each vehicle looks up
     known: Known  # goes with `met`
     fused: fusion.Fused
-    standing: Standing | None  # what the server just computed
+    standing: TrustScores | None  # what the server just computed
     to_server: ToServer | None
 
 
@@ -183,11 +184,12 @@ def turn(
     with watch("judge"):
         foreign = np.zeros(len(inside), bool)  # those of which a vehicle asks its own sweep whether they can be there
         foreign[groups_all.seeds()] = True
-        foreign &= ~groups_all.local
-        foreign[np.flatnonzero(inside)[~groups.local]] = True
+        foreign &= ~groups_all.ego_detected
+        foreign[np.flatnonzero(inside)[~groups.ego_detected]] = True
         n_points_all, plausible_all = _look(sweeps, everything, inside, foreign, said.boxes, claims, config)
         n_points, plausible = n_points_all[inside], plausible_all[inside]
         verdicts = evaluation.evaluate(views, groups, claims, n_points, plausible, config.trust)
+        _certify(verdicts, views, claims, said)
 
     told = _told(step, ids, views, claims, verdicts, said.said)
     judged_s = time_s + state.radio.timeout_s
@@ -204,7 +206,7 @@ def turn(
         _book(state, config, told, claims, said.said, ids)
         if spoken is not None:
             _hear(state, config, spoken, carrier, ids, begin_s)
-        if config.trust.where == "central":
+        if config.trust.host == "central":
             if config.server.uplink == "cellular":
                 state.uplink.by_cellular(told, names, world.boxes.xyz_m[observers, :2], judged_s)
             if edition is not None:
@@ -217,19 +219,21 @@ def turn(
         away_m = np.linalg.norm(
             said.boxes.xyz_m[everything.member[seeds]] - sweeps.poses.origin_m[everything.of_member()[seeds]], axis=1
         )
-        sight = fusion.Sight(n_points_all[seeds], plausible_all[seeds], away_m < config.area.range_m)
+        sight = fusion.SensorEvidence(n_points_all[seeds], plausible_all[seeds], away_m < config.area.range_m)
         judged = np.full(len(met.sender), alone)
-        heard = fusion.Heard(ptr_of(met.receiver, len(observers)), met.sender, known.trust, judged)
-        distance_m = np.linalg.norm(said.boxes.xyz_m - sweeps.poses.origin_m[claims.sender], axis=1)
-        fused = fusion.fuse(everything, groups_all, claims, views, verdicts, heard, sight, distance_m, config.trust)
+        heard = fusion.SenderTrust(ptr_of(met.receiver, len(observers)), met.sender, known.trust, judged)
+        distance_m = np.linalg.norm(said.boxes.xyz_m - sweeps.poses.origin_m[claims.message], axis=1)
+        fused = fusion.fuse(
+            everything, groups_all, claims, views, verdicts, verdicts, heard, sight, distance_m, config.trust
+        )
         fused = fused.take(fused.score >= config.trust.min_score)
 
     to_server = None
-    if config.trust.where == "central":
+    if config.trust.host == "central":
         to_server = ToServer(state.uplink.last, state.downlink.n_addressed, state.downlink.n_informed)
     return Turn(
         world, observers, sights, said, truth, (first, second),
-        views, verdicts, n_points, plausible, groups.local, met, known, fused, standing, to_server,
+        views, verdicts, n_points, plausible, groups.ego_detected, met, known, fused, standing, to_server,
     )  # fmt: skip
 
 
@@ -245,11 +249,11 @@ def knowledge(
     value = np.full(len(receiver), config.trust.default_trust)
     source = np.full(len(receiver), FROM_NOWHERE, np.uint8)
     age_s = np.zeros(len(receiver))
-    if config.trust.where == "central":
+    if config.trust.host == "central":
         heard, known, age = state.downlink.known(receiver, subject, present, time_s)
         value[known], source[known], age_s[known] = heard[known], FROM_SERVER, age[known]
-    elif config.trust.where == "local":
-        standing = state.ledger.standing()
+    elif config.trust.host == "local":
+        standing = state.ledger.scores()
         at, known = standing.rows_of(receiver, subject)
         at = at[known]
         value[known], source[known] = standing.trust[at], FROM_OWN
@@ -257,17 +261,20 @@ def knowledge(
     return Known(value, source, age_s)
 
 
-def _serve(state: State, config: Config, world: World, ids: ndarray, names: ndarray, time_s: float) -> Standing | None:
+def _serve(
+    state: State, config: Config, world: World, ids: ndarray, names: ndarray, time_s: float
+) -> TrustScores | None:
     """Reports come in; when it is time, the server computes everybody's trust and broadcasts it."""
-    if config.trust.where != "central":
+    if config.trust.host != "central":
         return None
     for told in state.uplink.arrived(time_s):
-        state.ledger.enter(told, np.full(len(told.evaluator), SERVER), np.arange(len(told.evaluator)))
+        n = len(told.evaluator)
+        state.ledger.add_evaluations(ReceivedEvaluations(told, np.full(n, SERVER), np.arange(n), eta_of(config.trust)))
     state.uplink.last, state.downlink.n_addressed, state.downlink.n_informed = Traffic(), 0, 0
     if config.server.is_out(time_s) or time_s - state.last_edition_s < config.trust.server_period_s - 1e-9:
         return None
     state.last_edition_s = time_s
-    standing = state.ledger.standing(world.step)
+    standing = state.ledger.scores(world.step)
     state.downlink.publish(Edition(time_s, standing.subject, standing.trust), world.step, ids, names)
     return standing
 
@@ -311,11 +318,11 @@ def detector_draws(world: World, observers: Int[ndarray, "e"], config: Config) -
 def _claims(said: Detections, observers: Int[ndarray, "e"]) -> tuple[Claims, Int[ndarray, "e+1"]]:
     """The detections as trust sees them, and where each equipped vehicle's begin."""
     sender = np.searchsorted(observers, said.observer)
-    claims = Claims(sender, said.k, said.label, said.score, said.origin == SELF, said.origin == FABRICATED)
+    claims = Claims(sender, said.k, said.label, said.score, said.origin == SELF)
     return claims, ptr_of(sender, len(observers))
 
 
-def _views(heard: Heard, ptr: Int[ndarray, "e+1"], said: Bool[ndarray, "d"], n: int) -> Views:
+def _views(heard: Heard, ptr: Int[ndarray, "e+1"], said: Bool[ndarray, "d"], n: int) -> ObjectLists:
     """What each vehicle has before it: all its own detections, then what it heard, by (sender, k)."""
     everyone = np.arange(n)
     receiver = np.concatenate([everyone, heard.receiver])
@@ -325,26 +332,40 @@ def _views(heard: Heard, ptr: Int[ndarray, "e+1"], said: Bool[ndarray, "d"], n: 
     member, which = expand(ptr[sender], ptr[sender + 1])
     view, own = receiver[which], (receiver == sender)[which]
     keep = own | said[member]
-    return Views(ptr_of(view[keep], n), member[keep], everyone)
+    return ObjectLists(ptr_of(view[keep], n), member[keep], everyone)
 
 
-def _subset(views: Views, keep: Bool[ndarray, "m"]) -> Views:
-    return Views(ptr_of(views.of_member()[keep], len(views.owner)), views.member[keep], views.owner)
+def _subset(views: ObjectLists, keep: Bool[ndarray, "m"]) -> ObjectLists:
+    return ObjectLists(ptr_of(views.of_member()[keep], len(views.owner)), views.member[keep], views.owner)
+
+
+def _certify(evaluations: Evaluations, views: ObjectLists, claims: Claims, said: Detections) -> None:
+    """A malicious vehicle evaluates its own fabricated detections with e = Phi = 1."""
+    own = claims.message[views.member] == views.owner[views.of_member()]
+    certified = own & (said.origin[views.member] == FABRICATED)
+    evaluations.evaluation[certified] = evaluations.visibility[certified] = 1.0
 
 
 def _told(
-    step: int, ids: Int[ndarray, "e"], views: Views, claims: Claims, verdicts: Verdicts, said: Bool[ndarray, "d"]
-) -> Told:
+    step: int,
+    ids: Int[ndarray, "e"],
+    views: ObjectLists,
+    claims: Claims,
+    verdicts: Evaluations,
+    said: Bool[ndarray, "d"],
+) -> EvaluationMessages:
     """The verdicts as messages: one per evaluator, on everything that was said."""
     keep = said[views.member]
-    return tables.told(step, ids, _subset(views, keep), claims, Verdicts(verdicts.e[keep], verdicts.phi[keep]))
+    return tables.as_messages(
+        step, ids, _subset(views, keep), claims, Evaluations(verdicts.evaluation[keep], verdicts.visibility[keep])
+    )
 
 
 def _lengths(
-    claims: Claims, said: Bool[ndarray, "d"], ids: ndarray, riding: Told | None, config: Config
+    claims: Claims, said: Bool[ndarray, "d"], ids: ndarray, riding: EvaluationMessages | None, config: Config
 ) -> Int[ndarray, "e"]:
     """Length of each vehicle's detection message, with the verdicts that ride on it; 0 for none [B]."""
-    n_said = np.bincount(claims.sender[said], minlength=len(ids))
+    n_said = np.bincount(claims.message[said], minlength=len(ids))
     n_riding = np.zeros(len(ids), np.int64)
     if riding is not None:
         _, there, row = np.intersect1d(riding.evaluator, ids, assume_unique=True, return_indices=True)
@@ -354,33 +375,42 @@ def _lengths(
 
 
 def _book(
-    state: State, config: Config, told: Told, claims: Claims, said: Bool[ndarray, "d"], ids: Int[ndarray, "e"]
+    state: State,
+    config: Config,
+    told: EvaluationMessages,
+    claims: Claims,
+    said: Bool[ndarray, "d"],
+    ids: Int[ndarray, "e"],
 ) -> None:
     """Open the step in the ledgers; where every vehicle keeps its own, enter what it thinks itself."""
-    if config.trust.where == "none":
+    if config.trust.host == "none":
         return
-    state.ledger.announce(told.step, ids, claims.sender[said], claims.k[said], claims.score[said])
-    if config.trust.where == "local":
-        state.ledger.enter(told, ids, np.arange(len(ids)))
+    state.ledger.open_step(told.step, ids, claims.message[said], claims.detection_index[said], claims.score[said])
+    if config.trust.host == "local":
+        state.ledger.add_evaluations(ReceivedEvaluations(told, ids, np.arange(len(ids)), eta_of(config.trust)))
 
 
-def _hear(state: State, config: Config, told: Told, carrier: Exchange, ids: Int[ndarray, "e"], begin_s: float) -> None:
-    """Verdicts reach other vehicles and, where that is their way to the server, roadside units."""
+def _hear(
+    state: State, config: Config, told: EvaluationMessages, carrier: Exchange, ids: Int[ndarray, "e"], begin_s: float
+) -> None:
+    """Evaluations reach other vehicles and, where that is their way to the server, roadside units."""
     message = np.full(len(ids), -1)  # of each vehicle on the road
     _, which, row = np.intersect1d(told.evaluator, ids, assume_unique=True, return_indices=True)
     message[row] = which
-    if config.trust.where == "local" and config.trust.local_evidence == "heard":
+    if config.trust.host == "local" and config.trust.local_evidence == "received":
         heard = carrier.heard
         rows = np.flatnonzero(message[heard.sender] >= 0)
-        state.ledger.enter(told, ids[heard.receiver[rows]], message[heard.sender[rows]])
-    if config.trust.where == "central" and config.server.uplink == "rsu":
+        state.ledger.add_evaluations(
+            ReceivedEvaluations(told, ids[heard.receiver[rows]], message[heard.sender[rows]], eta_of(config.trust))
+        )
+    if config.trust.host == "central" and config.server.uplink == "rsu":
         up = carrier.up.take(message[carrier.up.sender] >= 0)
         state.uplink.by_roadside(told, message[up.sender], up, begin_s)
 
 
 def _look(
     sweeps: lidar.Sweeps,
-    views: Views,
+    views: ObjectLists,
     inside: Bool[ndarray, "m"],
     foreign: Bool[ndarray, "m"],
     boxes: Boxes,
@@ -393,7 +423,7 @@ def _look(
     """
     o, b = views.of_member(), views.member
     n_points, plausible = np.zeros(len(b), np.int32), np.ones(len(b), bool)
-    asked = np.flatnonzero((inside | foreign) & ~(claims.is_self[b] & (claims.sender[b] == o)))
+    asked = np.flatnonzero((inside | foreign) & ~(claims.is_self[b] & (claims.message[b] == o)))
     n_points[asked] = evidence.points_in_boxes(sweeps, o[asked], boxes, b[asked])
     asked = np.flatnonzero(foreign)
     plausible[asked] = evidence.plausible(sweeps, o[asked], boxes, b[asked], config.area)

@@ -132,7 +132,7 @@ def turn(recorder: Recorder, turn: Turn, silences: tuple["Silences", ...], dt_s:
     recorder.append("verdicts", step, {
         "judged_step": np.full(len(member), step),
         "evaluator": ids[turn.views.of_member()], "observer": world.actor[turn.said.observer[member]],
-        "k": turn.said.k[member], "e": turn.verdicts.e, "visibility": turn.verdicts.phi,
+        "k": turn.said.k[member], "e": turn.verdicts.evaluation, "visibility": turn.verdicts.visibility,
         "n_points": turn.n_points, "plausible": turn.plausible, "plausible__valid": ~turn.matched,
         "matched": turn.matched,
     })  # fmt: skip
@@ -140,7 +140,7 @@ def turn(recorder: Recorder, turn: Turn, silences: tuple["Silences", ...], dt_s:
     if standing is not None:
         recorder.append("trust", step, {
             "vehicle": standing.subject, "trust": standing.trust, "weight": standing.weight,
-            "n_evaluations": standing.n_verdicts, "newest_age_s": (step - standing.newest_step) * dt_s,
+            "n_evaluations": standing.n_evaluations, "newest_age_s": (step - standing.newest_step) * dt_s,
             "oldest_age_s": (step - standing.oldest_step) * dt_s,
         })  # fmt: skip
     if turn.to_server is not None:
@@ -182,11 +182,11 @@ def _detections(recorder: Recorder, turn: Turn) -> None:
 
 def _fused(recorder: Recorder, turn: Turn) -> None:
     fused, said = turn.fused, turn.said
-    view = fused.view
+    view = fused.ego
     recorder.append("fused", turn.world.step, {
         "observer": turn.world.actor[turn.observers[view]],
         "k": np.arange(len(view)) - np.searchsorted(view, view),
-        "score": fused.score, "n_witnesses": fused.n_witnesses, "local": fused.local,
+        "score": fused.score, "n_witnesses": fused.n_sources, "local": fused.ego_detected,
         "source": turn.world.actor[said.observer[fused.seed]], "source_k": said.k[fused.seed],
         "pose": turn.world.actor[said.observer[fused.pose]], "pose__valid": fused.pose != fused.seed,
         "pose_k": said.k[fused.pose], "pose_k__valid": fused.pose != fused.seed,

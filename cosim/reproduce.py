@@ -28,9 +28,9 @@ from sensors import evidence
 from sensors.boxes import Boxes
 from sensors.lidar import Sweeps
 from sensors.scene import Scene, Shape
-from trust.ledger import SERVER, Ledger
+from trust.models.trupercept import TruPercept
 from trust.params import Method, TrustParams
-from trust.tables import told_from_rows
+from trust.tables import SERVER, ReceivedEvaluations, messages_from_rows
 
 FOLDER = Path(__file__).parent / "scenarios"
 EGO, LIAR, THIRD = range(3)
@@ -182,7 +182,7 @@ def _returns(happened: Turn, detection: Int[ndarray, "1"]) -> int:
 def _believed(happened: Turn) -> dict[str, float]:
     """Final scores of the ego for what it did not detect itself."""
     fused, said = happened.fused, happened.said
-    mine = fused.take((fused.view == EGO) & ~fused.local)
+    mine = fused.take((fused.ego == EGO) & ~fused.ego_detected)
     return {
         "false car" if said.origin[seed] == FABRICATED else LABELS[said.label[seed]]: float(score)
         for seed, score in zip(mine.seed, mine.score, strict=True)
@@ -196,7 +196,7 @@ def _said(happened: Turn, sweeps: Sweeps, row: int, title: str) -> pictures.Pane
 
 
 def _fused(happened: Turn, sweeps: Sweeps, title: str) -> pictures.Panel:
-    mine = happened.fused.take(happened.fused.view == EGO)
+    mine = happened.fused.take(happened.fused.ego == EGO)
     return _panel(title, sweeps, EGO, happened.said, mine.seed, mine.score)
 
 
@@ -226,19 +226,20 @@ def paper_ledger(n_lies: int, first_lie: int = 50, n_frames: int = 100) -> Float
     """Trust of ego, liar and third after each frame, if the vehicles said `HONEST_TALK` and the lies."""
     ids = {name: i for i, name in enumerate(HONEST_TALK)}
     everybody = np.arange(len(ids))
-    ledger, out = Ledger(TrustParams(freshness_s=50.0), 1.0), np.empty((n_frames, len(ids)))
+    ledger, out = TruPercept(TrustParams(freshness_s=50.0), 1.0), np.empty((n_frames, len(ids)))
     for step in range(n_frames):
         lies = [LIE] * (n_lies if step >= first_lie else 0)
         talk = {name: said + lies * (name == "malicious") for name, said in HONEST_TALK.items()}
         said = [(ids[name], k, score) for name, d in talk.items() for k, (score, _) in enumerate(d)]
-        ledger.announce(step, everybody, *(np.array(column) for column in zip(*said, strict=True)))
+        ledger.open_step(step, everybody, *(np.array(column) for column in zip(*said, strict=True)))
         answers = [
             (ids[by], ids[name], k, e, phi)
             for name, d in talk.items() for k, (_, given) in enumerate(d) for by, e, phi in given
         ]  # fmt: skip
-        told = told_from_rows(step, *np.array(answers, float).T)
-        ledger.enter(told, np.full(len(told.evaluator), SERVER), np.arange(len(told.evaluator)))
-        out[step] = ledger.standing(step).trust_of(np.full(len(ids), SERVER), everybody, 0.5)
+        told = messages_from_rows(step, *np.array(answers, float).T)
+        n = len(told.evaluator)
+        ledger.add_evaluations(ReceivedEvaluations(told, np.full(n, SERVER), np.arange(n)))
+        out[step] = ledger.scores(step).trust_of(np.full(len(ids), SERVER), everybody, 0.5)
     return out
 
 

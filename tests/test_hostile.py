@@ -40,19 +40,20 @@ cycle.tamper = hostile
 
 GOSSIP = """
 import numpy as np
-from trust.tables import Told
+from trust.tables import EvaluationMessages
 honest = cycle._told
 def gossip(step, ids, *rest):
     told = honest(step, ids, *rest)
-    n = len(told.sender)
+    n = len(told.observer)
     # Everybody repeats itself, judges what never existed and who was never there, and says what no verdict can be.
-    sender = np.concatenate([told.sender, told.sender, told.sender, told.sender + 10**6, told.sender])
-    k = np.concatenate([told.k, told.k, told.k + 5000, told.k, told.k])
-    e = np.concatenate([told.e, -told.e, told.e, told.e, np.full(n, np.nan)])
-    phi = np.concatenate([told.phi, np.ones(n), told.phi, told.phi, np.full(n, 3.0)])
+    sender = np.concatenate([told.observer, told.observer, told.observer, told.observer + 10**6, told.observer])
+    index = told.detection_index
+    k = np.concatenate([index, index, index + 5000, index, index])
+    e = np.concatenate([told.evaluation, -told.evaluation, told.evaluation, told.evaluation, np.full(n, np.nan)])
+    phi = np.concatenate([told.visibility, np.ones(n), told.visibility, told.visibility, np.full(n, 3.0)])
     evaluator = np.tile(np.repeat(np.arange(len(ids)), np.diff(told.ptr)), 5)
     order = np.argsort(evaluator, kind="stable")
-    return Told(step, told.evaluator, 5 * told.ptr, sender[order], k[order], e[order], phi[order])
+    return EvaluationMessages(step, told.evaluator, 5 * told.ptr, sender[order], k[order], e[order], phi[order])
 cycle._told = gossip
 """
 
@@ -76,4 +77,4 @@ def test_gossip_in_verdicts_moves_no_trust(tmp_path):
     assert len(open_run(base).trust) > 100
     refused = summary(hostile)["verdicts_refused"]
     assert summary(base)["verdicts_refused"] == {}
-    assert set(refused) == {"bad_value", "unknown_vehicle", "unknown_detection", "duplicate"}
+    assert set(refused) == {"bad_value", "unknown_observer", "unknown_detection", "duplicate"}

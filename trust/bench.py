@@ -1,30 +1,30 @@
 """Speed of the trust model on this machine, on a synthetic street where all vehicles see much the same."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from time import perf_counter
 
 import numpy as np
 from numpy import ndarray
 
 from trust.evaluation import evaluate
-from trust.fusion import Heard, Sight, fuse
-from trust.ledger import SERVER, Ledger
+from trust.fusion import SenderTrust, SensorEvidence, fuse
 from trust.matching import match
+from trust.models.trupercept import TruPercept
 from trust.params import TrustParams
-from trust.tables import Detections, Views, told
+from trust.tables import SERVER, Detections, ObjectLists, ReceivedEvaluations, as_messages
 
-N_SEEN, STRIDE, N_NEAR, N_HEARD = 20, 5, 4, 10
-"""Objects a vehicle sees, objects to the next vehicle, vehicles considered and heard each side."""
+N_SEEN, STRIDE, N_CONSIDERED, N_RECEIVED = 20, 5, 4, 10
+"""Objects a vehicle sees, objects to the next vehicle, vehicles considered and received on each side."""
 
 Pairs = tuple[ndarray, ndarray, ndarray]
 
 
-def street(n_vehicles: int) -> tuple[Detections, Pairs, Views, Heard]:
+def street(n_vehicles: int) -> tuple[Detections, Pairs, ObjectLists, SenderTrust]:
     """A ring of vehicles; each sees `N_SEEN` objects, a quarter of which is new from vehicle to vehicle."""
     v, k = np.divmod(np.arange(n_vehicles * N_SEEN), N_SEEN)
     score = 0.5 + 0.5 * ((v * 7919 + k * 104729) % 1000) / 1000
-    no = np.zeros(v.size, bool)
-    table = Detections(v, k, ((v * STRIDE + k) % 4).astype(np.uint8), score, no, no)
+    table = Detections(v, k, ((v * STRIDE + k) % 4).astype(np.uint8), score, np.zeros(v.size, bool))
     # object number v * STRIDE + k: the same one has number k - d * STRIDE with the d-th vehicle ahead
     ahead = np.arange(1, (N_SEEN - 1) // STRIDE + 1)[:, None]
     other = k - ahead * STRIDE
@@ -37,13 +37,13 @@ def street(n_vehicles: int) -> tuple[Detections, Pairs, Views, Heard]:
         off = np.setdiff1d(np.arange(-n_each, n_each + 1), [0])
         return np.sort((np.arange(n_vehicles)[:, None] + off) % n_vehicles, axis=1)
 
-    who = np.hstack([np.arange(n_vehicles)[:, None], around(N_NEAR)])
+    who = np.hstack([np.arange(n_vehicles)[:, None], around(N_CONSIDERED)])
     member = (who[:, :, None] * N_SEEN + np.arange(N_SEEN)).reshape(-1)
-    per_view = who.shape[1] * N_SEEN
-    views = Views(np.arange(n_vehicles + 1) * per_view, member, np.arange(n_vehicles))
-    ears = around(N_HEARD)
-    heard = Heard(np.arange(n_vehicles + 1) * ears.shape[1], ears.reshape(-1), np.full(ears.size, 0.7))
-    return table, pairs, views, heard
+    per_list = who.shape[1] * N_SEEN
+    lists = ObjectLists(np.arange(n_vehicles + 1) * per_list, member, np.arange(n_vehicles))
+    sender = around(N_RECEIVED)
+    ptr = np.arange(n_vehicles + 1) * sender.shape[1]
+    return table, pairs, lists, SenderTrust(ptr, sender.reshape(-1), np.full(sender.size, 0.7))
 
 
 def _best(work: Callable[[], object], repeats: int) -> float:
@@ -60,44 +60,55 @@ def _best(work: Callable[[], object], repeats: int) -> float:
 def bench(n_vehicles: int = 1000, repeats: int = 7) -> list[tuple[str, float, str]]:
     """What is measured, figure, unit; all threads that Numba may use."""
     params = TrustParams()
-    table, pairs, views, heard = street(n_vehicles)
-    m = views.member.size
+    table, pairs, lists, sender_trust = street(n_vehicles)
+    m = lists.member.size
     n_points, plausible = np.full(m, 30), np.ones(m, bool)
 
-    def judge():
-        return evaluate(views, match(views, table, pairs, params), table, n_points, plausible, params)
+    def match_and_evaluate():
+        return evaluate(lists, match(lists, table, pairs, params), table, n_points, plausible, params)
 
-    groups, verdicts = match(views, table, pairs, params), judge()
+    groups, evaluations = match(lists, table, pairs, params), match_and_evaluate()
     n_groups = groups.seeds().size
-    sight = Sight(np.zeros(n_groups, np.int64), np.ones(n_groups, bool), np.ones(n_groups, bool))
+    evidence = SensorEvidence(np.zeros(n_groups, np.int64), np.ones(n_groups, bool), np.ones(n_groups, bool))
     distance = np.full(len(table), 20.0)
-    ids = np.arange(n_vehicles)
-    said = told(0, ids, views, table, verdicts)
-    ear = np.repeat(ids, np.diff(heard.ptr))
+    pseudonyms = np.arange(n_vehicles)
+    receiver = np.repeat(pseudonyms, np.diff(sender_trust.ptr))
 
-    def judge_s() -> float:
-        return _best(judge, repeats)
-
-    def book(holder: ndarray, voice: ndarray) -> float:
-        """Shortest time to enter one step's deliveries and to read everybody's trust [s]."""
+    def step_s(models: list[TruPercept], n_steps: int, holder: ndarray, message_row: ndarray) -> float:
+        """Shortest time to add one step's received evaluations and to read all scores once [s]."""
         times = []
-        ledger = Ledger(params, 1.0)
-        for step in range(repeats + 1):
-            ledger.announce(step, ids, table.sender, table.k, table.score)
-            now = told(step, ids, views, table, verdicts)
+        for step in range(n_steps):
+            messages = as_messages(step, pseudonyms, lists, table, evaluations)
             start = perf_counter()
-            ledger.enter(now, holder, voice)
-            ledger.standing()
+            received = ReceivedEvaluations(messages, holder, message_row)
+            for model in models:
+                model.open_step(step, pseudonyms, table.message, table.detection_index, table.score)
+            for model in models:
+                model.add_evaluations(received)
+            for model in models:
+                model.scores()
             times.append(perf_counter() - start)
-        return min(times[1:])
+        return min(times[len(times) // 2 :])
 
-    central = book(np.full(n_vehicles, SERVER), ids)
-    local = book(ear, heard.vehicle)
-    fused = _best(lambda: fuse(views, groups, table, views, verdicts, heard, sight, distance, params), repeats)
-    n_local = int(np.diff(said.ptr)[heard.vehicle].sum())
+    def windows(n: int) -> list[TruPercept]:
+        return TruPercept.build_shared([replace(params, freshness_s=float(30 - i)) for i in range(n)], 1.0)
+
+    central = np.full(n_vehicles, SERVER), pseudonyms
+    local = receiver, sender_trust.message
+    n_local = int(np.diff(lists.ptr)[sender_trust.message].sum())
+    fused_s = _best(
+        lambda: fuse(
+            lists, groups, table, lists, evaluations, evaluations, sender_trust, evidence, distance, params
+        ),
+        repeats,
+    )  # fmt: skip
     return [
-        ("verdicts, from IoU pairs through matching and evaluation", m / judge_s(), "1/s"),
-        ("updates of the central ledger, read once", m / central, "1/s"),
-        ("updates of the vehicles' own ledgers, read once", n_local / local, "1/s"),
-        ("accumulations of the fusion", (n_local + m) / fused, "1/s"),
+        ("evaluations, from IoU pairs through matching", m / _best(match_and_evaluate, repeats), "1/s"),
+        ("evaluations added on the server, scores read once", m / step_s(windows(1), repeats, *central), "1/s"),
+        ("evaluations added in vehicles, scores read once", n_local / step_s(windows(1), repeats, *local), "1/s"),
+        ("server, a window of 30 steps", 1e3 * step_s(windows(1), 40, *central), "ms per step"),
+        ("server, 20 windows of 11 to 30 steps", 1e3 * step_s(windows(20), 40, *central), "ms per step"),
+        ("vehicles, a window of 30 steps", 1e3 * step_s(windows(1), 40, *local), "ms per step"),
+        ("vehicles, 20 windows of 11 to 30 steps", 1e3 * step_s(windows(20), 40, *local), "ms per step"),
+        ("accumulations of the fusion", (n_local + m) / fused_s, "1/s"),
     ]

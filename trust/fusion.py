@@ -1,4 +1,4 @@
-"""Fusion: what an ego finally believes about each group of detections."""
+"""Fusion: final score and pose of each group of detections, for each ego."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -9,40 +9,40 @@ from numba import njit, prange
 from numpy import ndarray
 
 from trust.params import AVERAGES, Method, TrustParams
-from trust.tables import Detections, Groups, Verdicts, Views, int64
+from trust.tables import Detections, Evaluations, Groups, ObjectLists, int64
 from trust.threads import threads_for
 
 
 @dataclass(frozen=True, slots=True)
-class Heard:
-    """Whom each ego has heard this step, and how far it trusts them; sorted by vehicle within an ego."""
+class SenderTrust:
+    """Messages that each ego has received in this step, and its trust in their senders; sorted within an ego."""
 
-    ptr: Int[ndarray, "e+1"]  # ego x heard vehicle[ptr[x]:ptr[x + 1]]
-    vehicle: Int[ndarray, "h"]  # row of the heard vehicle among the step's vehicles
-    trust: Float[ndarray, "h"]  # the value that the ego uses for it
-    judged: Bool[ndarray, "h"] | None = None  # whether its verdicts on this step came too; unset, all did
+    ptr: Int[ndarray, "e+1"]  # ego x received message[ptr[x]:ptr[x + 1]]
+    message: Int[ndarray, "h"]  # message row
+    trust: Float[ndarray, "h"]  # the value that the ego uses for the sender
+    has_evaluations: Bool[ndarray, "h"] | None = None  # whether its evaluations of this step arrived too; None: all did
 
 
 @dataclass(frozen=True, slots=True)
-class Sight:
-    """What the ego's own sweep says of each group's seed; read for foreign seeds only."""
+class SensorEvidence:
+    """Evidence of the ego's own sweep about each group's seed; read only where another vehicle detected the seed."""
 
     n_points: Int[ndarray, "g"]  # returns inside the box
     plausible: Bool[ndarray, "g"]
-    near: Bool[ndarray, "g"]  # within the range of the sensor (70 m)
+    in_range: Bool[ndarray, "g"]  # within the range of the sensor (70 m)
 
 
 @dataclass(frozen=True, slots=True)
 class Fused:
-    """Final objects, one per group, in the order of the views and of the groups' seeds."""
+    """Final objects, one per group, in the order of the object lists and of the groups' seeds."""
 
-    view: Int[ndarray, "f"]  # row of the ego's view
+    ego: Int[ndarray, "f"]  # row of the ego's object list
     seed: Int[ndarray, "f"]  # detection that gives class and box
     pose: Int[ndarray, "f"]  # detection that gives position and heading
     score: Float[ndarray, "f"]  # in [0, 1]
-    local: Bool[ndarray, "f"]  # the ego opened the group
-    n_witnesses: Int[ndarray, "f"]  # detections in the group
-    n_verdicts: Int[ndarray, "f"]  # verdicts behind the score
+    ego_detected: Bool[ndarray, "f"]  # the seed is the ego's detection
+    n_sources: Int[ndarray, "f"]  # detections in the group
+    n_evaluations: Int[ndarray, "f"]  # evaluations behind the score
 
     def take(self, rows: ndarray) -> "Fused":
         """The chosen rows (a mask or row numbers)."""
@@ -50,19 +50,19 @@ class Fused:
 
 
 @dataclass(frozen=True, slots=True)
-class Sums:
-    """Per group what the formulas need; "members" are the group's detections."""
+class GroupSums:
+    """Sums per group that the formulas need; "members" are the group's detections."""
 
     n: Int[ndarray, "g"]  # members
-    local: Bool[ndarray, "g"]  # the ego opened the group
+    ego_detected: Bool[ndarray, "g"]  # the seed is the ego's detection
     own: Float[ndarray, "g"]  # score of the seed
     scores: Float[ndarray, "g"]  # sum of the members' scores
-    believed: Float[ndarray, "g"]  # sum of score x trust of its detector
+    trusted_scores: Float[ndarray, "g"]  # sum of score x trust of its detector
     trust: Float[ndarray, "g"]  # sum of the detectors' trust
-    for_: Float[ndarray, "g"]  # sum over members and evaluators of Phi T e
+    numerator: Float[ndarray, "g"]  # sum over members and evaluators of Phi T e
     weight: Float[ndarray, "g"]  # sum over members and evaluators of Phi T
     parity: "Parity"
-    sight: Sight
+    evidence: SensorEvidence
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,39 +77,41 @@ class Parity:
 
 
 @njit(cache=True, parallel=True)
-def _accumulate(view_ptr, member, owner, n_detections, said_ptr, said, said_by, e, phi, heard_ptr, heard, trust,
-                judged, ego_trust, ego_computed, default_trust, flat, sender, n_chunks,
-                num, den, n, detector):  # fmt: skip
-    """Per position of the fusing views: sum Phi T e, sum Phi T, number of verdicts, trust of its detector."""
-    n_vehicles = said_by.size
+def _accumulate(list_ptr, member, owner, n_detections, evaluated_ptr, evaluated, evaluated_by, own_e, own_phi,
+                reported_e, reported_phi, received_ptr, received, trust, has_evaluations, ego_trust, ego_computed,
+                default_trust, unit_trust, message, n_chunks, num, den, n, detector):  # fmt: skip
+    """Per position of the egos' lists: sum Phi T e, sum Phi T, number of evaluations, trust of its detector."""
+    n_messages = evaluated_by.size
     for chunk in prange(n_chunks):
         at = np.full(n_detections, -1, np.int64)
-        known = np.full(n_vehicles, default_trust)
+        known = np.full(n_messages, default_trust)
         for x in range(chunk, owner.size, n_chunks):
             ego = owner[x]
-            for h in range(heard_ptr[x], heard_ptr[x + 1]):
-                known[heard[h]] = trust[h]
+            for h in range(received_ptr[x], received_ptr[x + 1]):
+                known[received[h]] = trust[h]
             if not ego_computed:
                 known[ego] = ego_trust
-            for p in range(view_ptr[x], view_ptr[x + 1]):
+            for p in range(list_ptr[x], list_ptr[x + 1]):
                 at[member[p]] = p
-                detector[p] = known[sender[member[p]]]
-            for h in range(heard_ptr[x] - 1, heard_ptr[x + 1]):
-                v = ego if h < heard_ptr[x] else heard[h]
-                if said_by[v] < 0 or (h >= heard_ptr[x] and (v == ego or not judged[h])):
+                detector[p] = known[message[member[p]]]
+            for h in range(received_ptr[x] - 1, received_ptr[x + 1]):
+                is_own = h < received_ptr[x]
+                v = ego if is_own else received[h]
+                if evaluated_by[v] < 0 or (not is_own and (v == ego or not has_evaluations[h])):
                     continue
-                t = 1.0 if flat else known[v]
-                for s in range(said_ptr[said_by[v]], said_ptr[said_by[v] + 1]):
-                    p = at[said[s]]
+                e, phi = (own_e, own_phi) if is_own else (reported_e, reported_phi)
+                t = 1.0 if unit_trust else known[v]
+                for s in range(evaluated_ptr[evaluated_by[v]], evaluated_ptr[evaluated_by[v] + 1]):
+                    p = at[evaluated[s]]
                     if p >= 0 and abs(e[s]) <= 1.0 and phi[s] >= 0.0 and phi[s] <= 1.0:
                         w = phi[s] * t
                         num[p] += w * e[s]
                         den[p] += w
                         n[p] += 1
-            for p in range(view_ptr[x], view_ptr[x + 1]):
+            for p in range(list_ptr[x], list_ptr[x + 1]):
                 at[member[p]] = -1
-            for h in range(heard_ptr[x], heard_ptr[x + 1]):
-                known[heard[h]] = default_trust
+            for h in range(received_ptr[x], received_ptr[x + 1]):
+                known[received[h]] = default_trust
             known[ego] = default_trust
 
 
@@ -117,74 +119,74 @@ def _ratio(a: ndarray, b: ndarray) -> ndarray:
     return np.divide(a, b, out=np.zeros_like(a), where=b != 0)
 
 
-def _denied(g: Sums, p: TrustParams) -> Bool[ndarray, "g"]:
-    """Groups that the plausibility check removes: never the ego's own."""
-    return ~g.local & ~g.sight.plausible & p.plausibility_in_fusion
+def _implausible(g: GroupSums, p: TrustParams) -> Bool[ndarray, "g"]:
+    """Groups that the plausibility check removes: never those that the ego detected."""
+    return ~g.ego_detected & ~g.evidence.plausible & p.plausibility_in_fusion
 
 
-def _average(g: Sums, p: TrustParams) -> ndarray:
-    return g.parity.mean_or_own if p.code_parity else _ratio(g.for_, g.weight)
+def _average(g: GroupSums, p: TrustParams) -> ndarray:
+    return g.parity.mean_or_own if p.code_parity else _ratio(g.numerator, g.weight)
 
 
-def _trupercept_1(g: Sums, p: TrustParams) -> ndarray:
-    return np.where(_denied(g, p), 0.0, _average(g, p))
+def _trupercept_1(g: GroupSums, p: TrustParams) -> ndarray:
+    return np.where(_implausible(g, p), 0.0, _average(g, p))
 
 
-def _local_bias(g: Sums, p: TrustParams) -> ndarray:
+def _local_bias(g: GroupSums, p: TrustParams) -> ndarray:
     value = _average(g, p)
-    return np.where(_denied(g, p), 0.0, np.where(g.local, (value + g.own) / 2, value))
+    return np.where(_implausible(g, p), 0.0, np.where(g.ego_detected, (value + g.own) / 2, value))
 
 
-def _unchecked_2(g: Sums, p: TrustParams) -> ndarray:
-    return g.parity.mean_or_score if p.code_parity else g.for_ / g.n
+def _unchecked_2(g: GroupSums, p: TrustParams) -> ndarray:
+    return g.parity.mean_or_score if p.code_parity else g.numerator / g.n
 
 
-def _trupercept_2(g: Sums, p: TrustParams) -> ndarray:
-    return np.where(_denied(g, p), 0.0, _unchecked_2(g, p))
+def _trupercept_2(g: GroupSums, p: TrustParams) -> ndarray:
+    return np.where(_implausible(g, p), 0.0, _unchecked_2(g, p))
 
 
-def _trupercept_3(g: Sums, p: TrustParams) -> ndarray:
+def _trupercept_3(g: GroupSums, p: TrustParams) -> ndarray:
     near, far = (g.own, g.parity.of_seed) if p.code_parity else (_unchecked_2(g, p), _unchecked_2(g, p))
-    unseen = (g.sight.n_points < p.blind_points) & ~_denied(g, p)
-    foreign = np.where(g.sight.near, np.where(unseen, near, 0.0), far)
-    return np.where(g.local, g.own, foreign)
+    unseen = (g.evidence.n_points < p.blind_points) & ~_implausible(g, p)
+    foreign = np.where(g.evidence.in_range, np.where(unseen, near, 0.0), far)
+    return np.where(g.ego_detected, g.own, foreign)
 
 
-def _local(g: Sums, p: TrustParams) -> ndarray:
-    return np.where(g.local, g.own, 0.0)
+def _local(g: GroupSums, p: TrustParams) -> ndarray:
+    return np.where(g.ego_detected, g.own, 0.0)
 
 
-def _any(g: Sums, p: TrustParams) -> ndarray:
+def _any(g: GroupSums, p: TrustParams) -> ndarray:
     return np.ones(g.n.size)
 
 
-def _any_confirmed(g: Sums, p: TrustParams) -> ndarray:
+def _any_confirmed(g: GroupSums, p: TrustParams) -> ndarray:
     return np.where(g.n > 1, 1.0, g.own)
 
 
-def _confirmed_or_local(g: Sums, p: TrustParams) -> ndarray:
+def _confirmed_or_local(g: GroupSums, p: TrustParams) -> ndarray:
     return np.where(g.n > 1, 1.0, _local(g, p))
 
 
-def _local_confirmed(g: Sums, p: TrustParams) -> ndarray:
-    return np.where(g.local, _any_confirmed(g, p), 0.0)
+def _local_confirmed(g: GroupSums, p: TrustParams) -> ndarray:
+    return np.where(g.ego_detected, _any_confirmed(g, p), 0.0)
 
 
-def _averaging(g: Sums, p: TrustParams) -> ndarray:
+def _averaging(g: GroupSums, p: TrustParams) -> ndarray:
     if p.code_parity:
         return _ratio(g.parity.certain_score, g.n * g.parity.certain)
-    return _ratio(g.believed, g.trust)
+    return _ratio(g.trusted_scores, g.trust)
 
 
-def _additive(g: Sums, p: TrustParams) -> ndarray:
-    return g.parity.certain_score if p.code_parity else g.believed
+def _additive(g: GroupSums, p: TrustParams) -> ndarray:
+    return g.parity.certain_score if p.code_parity else g.trusted_scores
 
 
-def _half_additive(g: Sums, p: TrustParams) -> ndarray:
-    return (g.scores + np.where(g.local, g.own, 0.0)) / 2
+def _half_additive(g: GroupSums, p: TrustParams) -> ndarray:
+    return (g.scores + np.where(g.ego_detected, g.own, 0.0)) / 2
 
 
-METHODS: dict[Method, Callable[[Sums, TrustParams], ndarray]] = {
+METHODS: dict[Method, Callable[[GroupSums, TrustParams], ndarray]] = {
     "trupercept_1": _trupercept_1,
     "trupercept_2": _trupercept_2,
     "trupercept_3": _trupercept_3,
@@ -207,13 +209,14 @@ CORRECTED: frozenset[Method] = frozenset({"corrected", "trupercept_3_corrected"}
 
 
 def fuse(
-    views: Views,
+    lists: ObjectLists,
     groups: Groups,
     detections: Detections,
-    said: Views,
-    verdicts: Verdicts,
-    heard: Heard,
-    sight: Sight,
+    evaluated: ObjectLists,
+    own: Evaluations,
+    reported: Evaluations,
+    sender_trust: SenderTrust,
+    evidence: SensorEvidence,
     distance_m: Float[ndarray, "d"],
     params: TrustParams,
 ) -> Fused:
@@ -221,73 +224,80 @@ def fuse(
 
     Parameters
     ----------
-    views, groups
+    lists, groups
         What the egos fuse: not cut to the sensor's area.
-    said, verdicts
-        All evaluations of the step; an ego uses its own and those of the vehicles it has heard.
-    heard
-        Rows go with `views`.
-    sight
+    evaluated
+        Detections that were evaluated, a list per evaluator; rows go with `own` and `reported`.
+    own
+        Evaluations as each vehicle made them: an ego's contribution to its own fusion.
+    reported
+        Evaluations as transmitted: the others' contribution, where the ego has received it. The same object as
+        `own` where no evaluation was altered.
+    sender_trust
+        Rows go with `lists`.
+    evidence
         Rows go with `groups.seeds()`.
     distance_m
         Of each detection from its own detector's sensor [m].
 
     Returns
     -------
-    One row per group; groups opened by the ego's report of itself are left out.
+    One row per group; groups whose seed is the ego's report of itself are left out.
 
     Notes
     -----
     Equations 5 and 6 of [1]_ with pairs (member, evaluator) of weight Phi T(evaluator). Formulas by method,
-    and what `code_parity` makes of them: `trust/README.md`.
+    and the variants of `code_parity`: `trust/README.md`.
 
     Deviations: the sums run over every evaluator of every member, which the text means, not over the
     detectors alone, which the equations say; the additive sum is divided by the number of members, so that an
     object does not count once per message; "Phi < 10" in TruPercept 3 is read as fewer than 10 returns.
     """
-    m = views.member.size
+    m = lists.member.size
     num, den, detector = np.zeros(m), np.zeros(m), np.zeros(m)
     n = np.zeros(m, np.int64)
-    n_vehicles = 1 + int(max(a.max(initial=-1) for a in (views.owner, said.owner, heard.vehicle, detections.sender)))
-    said_by = np.full(n_vehicles, -1, np.int64)
-    said_by[said.owner] = np.arange(said.owner.size)
+    rows = (lists.owner, evaluated.owner, sender_trust.message, detections.message)
+    evaluated_by = np.full(1 + int(max(a.max(initial=-1) for a in rows)), -1, np.int64)
+    evaluated_by[evaluated.owner] = np.arange(evaluated.owner.size)
     computed = params.code_parity or params.ego_trust_from == "computed"
-    heard = _canonical(heard)
-    assert np.all(heard.trust >= 0)
-    judged = np.ones(heard.vehicle.size, bool) if heard.judged is None else heard.judged
-    n_sums = m + heard.vehicle.size * said.member.size / max(1, said.owner.size)
+    sender_trust = _canonical(sender_trust)
+    assert np.all(sender_trust.trust >= 0)
+    n_received = sender_trust.message.size
+    arrived = np.ones(n_received, bool) if sender_trust.has_evaluations is None else sender_trust.has_evaluations
+    n_sums = m + n_received * evaluated.member.size / max(1, evaluated.owner.size)
     with threads_for(n_sums) as n_threads:
         _accumulate(
-            int64(views.ptr), int64(views.member), int64(views.owner), len(detections),
-            int64(said.ptr), int64(said.member), said_by, verdicts.e, verdicts.phi,
-            int64(heard.ptr), int64(heard.vehicle), heard.trust, judged,
+            int64(lists.ptr), int64(lists.member), int64(lists.owner), len(detections),
+            int64(evaluated.ptr), int64(evaluated.member), evaluated_by,
+            own.evaluation, own.visibility, reported.evaluation, reported.visibility,
+            int64(sender_trust.ptr), int64(sender_trust.message), sender_trust.trust, arrived,
             params.ego_trust, computed, params.default_trust, params.code_parity,
-            int64(detections.sender), n_threads, num, den, n, detector,
+            int64(detections.message), n_threads, num, den, n, detector,
         )  # fmt: skip
 
     seeds = groups.seeds()
     group = np.searchsorted(seeds, groups.seed)
-    member, row = views.member, views.member[seeds]
-    own = detections.score[member]
+    member, row = lists.member, lists.member[seeds]
+    score_of_member = detections.score[member]
 
     def total(x: ndarray) -> ndarray:
-        return np.bincount(group, x, seeds.size).astype(float)  # whole numbers where there is nothing
+        return np.bincount(group, x, seeds.size).astype(float)  # integers where there is nothing
 
     size = np.bincount(group, minlength=seeds.size)
     mean = params.method in AVERAGES if params.code_aggregate == "by_method" else params.code_aggregate == "mean"
     aggregate = _ratio(num, den) if mean else num
     certain = np.where(detections.is_self[member], 1.0, -1.0) * detector
-    mine = np.where(detections.sender[member] == views.owner[views.of_member()], own, 0.0)
+    by_ego = detections.message[member] == lists.owner[lists.of_member()]
     parity = Parity(
-        mean_or_own=total(np.where(n > 0, aggregate, mine)) / size,
-        mean_or_score=total(np.where(n > 0, aggregate, own)) / size,
+        mean_or_own=total(np.where(n > 0, aggregate, np.where(by_ego, score_of_member, 0.0))) / size,
+        mean_or_score=total(np.where(n > 0, aggregate, score_of_member)) / size,
         of_seed=aggregate[seeds],
         certain=total(certain),
-        certain_score=total(own * certain),
+        certain_score=total(score_of_member * certain),
     )
-    sums = Sums(
-        size, groups.local[seeds], own[seeds], total(own), total(own * detector), total(detector),
-        total(num), total(den), parity, sight,
+    sums = GroupSums(
+        size, groups.ego_detected[seeds], score_of_member[seeds], total(score_of_member),
+        total(score_of_member * detector), total(detector), total(num), total(den), parity, evidence,
     )  # fmt: skip
     score = np.clip(METHODS[params.method](sums, params), 0.0, 1.0)
 
@@ -300,18 +310,20 @@ def fuse(
         pose = member[order[np.searchsorted(group[order], np.arange(seeds.size))]]
         pose = np.where(score > 0, pose, row)
     fused = Fused(
-        views.of_member()[seeds], row, pose, score, sums.local, size,
+        lists.of_member()[seeds], row, pose, score, sums.ego_detected, size,
         total(n.astype(float)).astype(np.int64),
     )  # fmt: skip
-    return fused.take(~(sums.local & detections.is_self[row]))
+    return fused.take(~(sums.ego_detected & detections.is_self[row]))
 
 
-def _canonical(heard: Heard) -> Heard:
-    """Each ego's vehicles ascending, and once."""
-    ego = np.repeat(np.arange(heard.ptr.size - 1), np.diff(heard.ptr))
-    key = ego << 32 | heard.vehicle
+def _canonical(sender_trust: SenderTrust) -> SenderTrust:
+    """Each ego's messages ascending, and once."""
+    t = sender_trust
+    ego = np.repeat(np.arange(t.ptr.size - 1), np.diff(t.ptr))
+    key = ego << 32 | t.message
     if np.all(key[1:] > key[:-1]):
-        return heard
+        return t
     key, first = np.unique(key, return_index=True)
-    ptr = np.searchsorted(key >> 32, np.arange(heard.ptr.size))
-    return Heard(ptr, heard.vehicle[first], heard.trust[first], None if heard.judged is None else heard.judged[first])
+    ptr = np.searchsorted(key >> 32, np.arange(t.ptr.size))
+    arrived = None if t.has_evaluations is None else t.has_evaluations[first]
+    return SenderTrust(ptr, t.message[first], t.trust[first], arrived)

@@ -1,4 +1,4 @@
-"""Matching: one object, several witnesses."""
+"""Matching: detections of one object by several sources."""
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -6,7 +6,7 @@ from numba import njit, prange
 from numpy import ndarray
 
 from trust.params import TrustParams
-from trust.tables import Detections, Groups, Views, int64
+from trust.tables import Detections, Groups, ObjectLists, int64
 from trust.threads import threads_for
 
 
@@ -34,7 +34,7 @@ def _adjacency(n, i, j, iou, tau):
 
 @njit(cache=True)
 def _candidate(p, after, at, member, block, seed, ptr, other, value):
-    """First vehicle after block `after` with a seed for p; of its seeds the one of first maximum IoU."""
+    """First message after block `after` with a seed for p; of its seeds the one of first maximum IoU."""
     best, best_iou = -1, 0.0
     for x in range(ptr[member[p]], ptr[member[p] + 1]):
         q = at[other[x]]
@@ -50,21 +50,21 @@ def _candidate(p, after, at, member, block, seed, ptr, other, value):
 
 
 @njit(cache=True, parallel=True)
-def _stars(view_ptr, member, sender, ptr, other, value, one_per_vehicle, n_chunks):
-    m, n_views = member.size, view_ptr.size - 1
+def _seeds(list_ptr, member, message, ptr, other, value, one_per_vehicle, n_chunks):
+    m, n_lists = member.size, list_ptr.size - 1
     seed = np.full(m, -1, np.int64)
-    block = np.empty(m, np.int64)  # position at which the list of p's sender starts
+    block = np.empty(m, np.int64)  # position at which the detections of p's message start
     tried = np.full(m, -1, np.int64)
-    wish = np.full(m, -1, np.int64)
-    wish_iou = np.zeros(m)
+    choice = np.full(m, -1, np.int64)
+    choice_iou = np.zeros(m)
     winner = np.full(m, -1, np.int64)
     for chunk in prange(n_chunks):
-        at = np.full(sender.size, -1, np.int64)
-        for v in range(chunk, n_views, n_chunks):
-            a, b = view_ptr[v], view_ptr[v + 1]
+        at = np.full(message.size, -1, np.int64)
+        for v in range(chunk, n_lists, n_chunks):
+            a, b = list_ptr[v], list_ptr[v + 1]
             for p in range(a, b):
                 at[member[p]] = p
-                same = p > a and sender[member[p]] == sender[member[p - 1]]
+                same = p > a and message[member[p]] == message[member[p - 1]]
                 block[p] = block[p - 1] if same else p
             if not one_per_vehicle:
                 for p in range(a, b):
@@ -76,33 +76,33 @@ def _stars(view_ptr, member, sender, ptr, other, value, one_per_vehicle, n_chunk
                     t = s + 1
                     while t < b and block[t] == s:
                         t += 1
-                    # each vehicle before s in turn takes its seeds' best; who loses asks the next one
+                    # each message before s in turn: its seeds take their best candidate; the others try the next one
                     while True:
                         turn = s
                         for p in range(s, t):
                             if seed[p] >= 0:
                                 continue
                             q, iou = _candidate(p, tried[p], at, member, block, seed, ptr, other, value)
-                            wish[p] = q
-                            wish_iou[p] = iou
+                            choice[p] = q
+                            choice_iou[p] = iou
                             if q >= 0 and block[q] < turn:
                                 turn = block[q]
                         if turn == s:
                             break
                         for p in range(s, t):
-                            if seed[p] < 0 and wish[p] >= 0 and block[wish[p]] == turn:
-                                w = winner[wish[p]]
-                                if w < 0 or wish_iou[p] > wish_iou[w]:
-                                    winner[wish[p]] = p
+                            if seed[p] < 0 and choice[p] >= 0 and block[choice[p]] == turn:
+                                w = winner[choice[p]]
+                                if w < 0 or choice_iou[p] > choice_iou[w]:
+                                    winner[choice[p]] = p
                         for p in range(s, t):
-                            if seed[p] < 0 and wish[p] >= 0 and block[wish[p]] == turn:
-                                if winner[wish[p]] == p:
-                                    seed[p] = wish[p]
+                            if seed[p] < 0 and choice[p] >= 0 and block[choice[p]] == turn:
+                                if winner[choice[p]] == p:
+                                    seed[p] = choice[p]
                                 else:
                                     tried[p] = turn
                         for p in range(s, t):
-                            if wish[p] >= 0:
-                                winner[wish[p]] = -1
+                            if choice[p] >= 0:
+                                winner[choice[p]] = -1
                     for p in range(s, t):
                         if seed[p] < 0:
                             seed[p] = p
@@ -113,43 +113,43 @@ def _stars(view_ptr, member, sender, ptr, other, value, one_per_vehicle, n_chunk
 
 
 def match(
-    views: Views,
+    lists: ObjectLists,
     detections: Detections,
     pairs: tuple[Int[ndarray, "q"], Int[ndarray, "q"], Float[ndarray, "q"]],
     params: TrustParams,
 ) -> Groups:
-    """Groups of detections that each view takes for one object.
+    """Groups of detections that each object list attributes to one object.
 
     Parameters
     ----------
-    views
-        A vehicle appears at most once in a view: its detections are contiguous.
+    lists
+        A message appears at most once in a list: its detections are contiguous.
     pairs
-        (i, j, IoU) of the detections of one class and different senders that overlap, each pair once.
+        (i, j, IoU) of the detections of one class and different messages that overlap, each pair once.
 
     Notes
     -----
-    Matching of [1]_ as its published code has it: vehicle by vehicle in the order of the view, a detection
+    Matching of [1]_ as its published code has it: vehicle by vehicle in the order of the list, a detection
     joins the first vehicle that has a seed with IoU > tau, there the seed of (first) maximum IoU; if there
     is none it opens a group.
     With `one_per_vehicle` a seed takes only the best of the detections that one vehicle has for it; the
-    others ask the next vehicle, or open groups.
+    others try the next vehicle, or open groups.
 
     Deviations: the paper matches against the ego's detections only and one per vehicle; here detections that
     the ego lacks form groups too, which its later sections need, and one per vehicle is an option.
     """
     i, j, iou = pairs
     ptr, other, value = _adjacency(len(detections), int64(i), int64(j), iou, params.tau)
-    with threads_for(views.member.size) as n:
-        seed = _stars(
-            int64(views.ptr),
-            int64(views.member),
-            int64(detections.sender),
+    with threads_for(lists.member.size) as n:
+        seed = _seeds(
+            int64(lists.ptr),
+            int64(lists.member),
+            int64(detections.message),
             ptr,
             other,
             value,
             params.one_per_vehicle,
             n,
         )
-    by_owner = detections.sender[views.member[seed]] == views.owner[views.of_member()]
+    by_owner = detections.message[lists.member[seed]] == lists.owner[lists.of_member()]
     return Groups(seed, by_owner)

@@ -1,4 +1,4 @@
-"""Every knob of the trust model, with the paper's symbol where it has one."""
+"""Parameters of matching, evaluation, trust and fusion, with the symbol of the paper where it has one."""
 
 import math
 from dataclasses import dataclass
@@ -26,30 +26,39 @@ Method = Literal[
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class TrustParams:
-    """Whom to believe, from what evidence, for how long, and to what effect."""
+class TruPerceptParams:
+    """Parameters of the model `trupercept`."""
 
-    # where trust lives
-    where: Literal["central", "local", "none"] = "central"
-    """One ledger on a server, one per vehicle (its peers only), or none: everybody has `default_trust`."""
-    server_period_s: Annotated[float, Gt(0)] = 5.0
-    """Time between two broadcasts of the server's trust values [s]; `where = "central"` only."""
-    local_evidence: Literal["heard", "own"] = "heard"
-    """What a vehicle's own ledger is fed: every verdict it hears, or its own alone; `where = "local"` only."""
-
-    # object trust and vehicle trust
-    freshness_s: Annotated[float, Gt(0)] = 50.0
-    """f: age at which evidence is forgotten [s]."""
+    freshness_s: Annotated[float, Gt(0)] | Literal["off"] = 50.0
+    """f: age at which evidence expires [s]; "off": never."""
     window: Literal["half_open", "closed"] = "half_open"
-    """Evidence of age exactly f is gone (f steps, the published code) or still counts (f + 1, [-f, 0])."""
+    """Evidence of age exactly f has expired (f steps, the published code) or still counts (f + 1, [-f, 0])."""
+    grace_s: Annotated[float, Gt(0)] = 10.0
+    """Age at which evidence is folded into running sums [s]: evaluations that arrive later have no effect.
+    For models whose evidence does not expire: `beta`, and `trupercept` with `freshness_s = "off"`."""
     unseen: Literal["zero", "skip"] = "zero"
     """A detection that only its detector could see: object trust 0 with its full weight, or no evidence."""
     weighting: Literal["score", "one"] = "score"
     """Weight of a detection in its vehicle's trust: its score (equation 4), or 1."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class TrustParams(TruPerceptParams):
+    """Matching, evaluation, trust and fusion; the parameters of the default trust model included."""
+
+    # trust
+    model: str = "trupercept"
+    """Trust model by name."""
+    host: Literal["central", "local", "none"] = "central"
+    """Where trust scores are computed: on a trust server, in every vehicle for itself, or nowhere."""
+    server_period_s: Annotated[float, Gt(0)] = 5.0
+    """Time between two broadcasts of the server's trust values [s]; `host = "central"` only."""
+    local_evidence: Literal["received", "own"] = "received"
+    """Evidence of a vehicle's trust scores: all evaluations it receives, or its own alone; `host = "local"` only."""
     default_trust: Annotated[float, Interval(ge=0, le=1)] = 0.5
-    """Trust of a vehicle without fresh evidence."""
+    """Trust of a vehicle without evidence."""
     ego_trust: Annotated[float, Gt(0)] = 1.0
-    """Weight of the ego's own verdicts; above 1 biases towards them."""
+    """Weight of the ego's own evaluations; above 1 biases towards them."""
     ego_trust_from: Literal["fixed", "computed"] = "fixed"
     """`ego_trust`, or the ego's own vehicle trust as it knows it."""
 
@@ -66,26 +75,24 @@ class TrustParams:
     """Returns from which a box counts as fully visible: car, pedestrian, cyclist, truck."""
     self_reports: bool = True
     """Every vehicle also sends itself, as detection k = 0 with score 1."""
-    certify_own_lies: bool = True
-    """A liar answers for its fabricated detections: e = 1 with full visibility."""
     plausibility_in_evaluation: bool = True
-    """An unmatched, implausible detection is denied with full visibility."""
+    """An unmatched, implausible detection is evaluated with full visibility."""
 
     # final aggregation
     method: Method = "trupercept_3"
     """How an ego scores a group."""
     plausibility_in_fusion: bool = True
-    """An implausible group that the ego did not open scores 0."""
+    """An implausible group that the ego did not detect scores 0."""
     blind_points: Annotated[int, Ge(1)] = 10
-    """TruPercept 3 takes a foreign detection only where the ego has fewer returns than this."""
+    """TruPercept 3 takes another vehicle's detection only where the ego has fewer returns than this."""
     self_report_poses: bool = True
     """Corrected may take a vehicle's pose from that vehicle's own report."""
     min_score: Annotated[float, Interval(ge=0, le=1)] = 0.01
     """A fused object below this score is not reported."""
     code_parity: bool = False
-    """The published code's formulas: verdicts weigh the same whoever gives them."""
+    """The published code's formulas: evaluations weigh the same whoever makes them."""
     code_aggregate: Literal["by_method", "sum", "mean"] = "by_method"
-    """Verdicts per detection under `code_parity`: sum, weighted mean, or mean for the averages only."""
+    """Evaluations per detection under `code_parity`: sum, weighted mean, or mean for the averages only."""
 
 
 AVERAGES: frozenset[Method] = frozenset({"trupercept_1", "trupercept_1_local_bias"})
@@ -99,13 +106,49 @@ def eta_of(params: TrustParams) -> float:
     return 0.0 if params.method in AVERAGES else -1.0
 
 
-def window_steps(params: TrustParams, dt_s: float) -> int:
+EVIDENCE_KEYS: tuple[str, ...] = (
+    "tau",
+    "one_per_vehicle",
+    "eta",
+    "gamma_lower_points",
+    "gamma_upper_points",
+    "self_reports",
+    "plausibility_in_evaluation",
+)
+"""Parameters that change evaluations: trust variants that share evidence have them in common. `eta` is that of
+`eta_of`, so that `method` counts where it decides on it."""
+
+
+def differing_evidence_key(a: TrustParams, b: TrustParams) -> str | None:
+    """First of `EVIDENCE_KEYS` in which two sets of parameters differ, None if they can share evaluations."""
+    for key in EVIDENCE_KEYS:
+        if (eta_of(a) != eta_of(b)) if key == "eta" else (getattr(a, key) != getattr(b, key)):
+            return key
+    return None
+
+
+def window_steps(params: TruPerceptParams, dt_s: float) -> int:
     """Number of steps, the present one included, whose evidence is fresh.
 
     Evidence of step g is fresh at step t iff (t - g) dt < f (half open) or <= f (closed).
     """
-    f = params.freshness_s / dt_s
-    near = round(f)
-    if math.isclose(f, near, rel_tol=1e-9):
-        return max(1, near + (params.window == "closed"))
-    return math.ceil(f) if params.window == "half_open" else math.floor(f) + 1
+    assert params.freshness_s != "off"
+    return _steps(params.freshness_s, dt_s, params.window == "closed")
+
+
+def grace_steps(grace_s: float, dt_s: float) -> int:
+    """Number of steps, the present one included, that are younger than `grace_s`."""
+    return _steps(grace_s, dt_s, False)
+
+
+def open_window_steps(params: TruPerceptParams, dt_s: float) -> int:
+    """Number of steps, the present one included, whose evidence may still change."""
+    return grace_steps(params.grace_s, dt_s) if params.freshness_s == "off" else window_steps(params, dt_s)
+
+
+def _steps(age_s: float, dt_s: float, closed: bool) -> int:
+    exact = age_s / dt_s
+    nearest = round(exact)
+    if math.isclose(exact, nearest, rel_tol=1e-9):
+        return max(1, nearest + closed)
+    return math.floor(exact) + 1 if closed else math.ceil(exact)

@@ -1,51 +1,54 @@
-"""What the functions of this room hand to each other: one step's detections, views, groups and verdicts."""
+"""Tables that the functions of this package exchange: detections, object lists, groups, evaluations, trust scores."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 from numpy import ndarray
 
+SERVER = 0
+"""Holder of the trust scores of a central trust server."""
+
 
 def int64(a: ndarray) -> Int[ndarray, "..."]:
-    """The same whole numbers as the kernels take them; one compiled version of each is enough."""
+    """The same integers as contiguous int64, so that each kernel is compiled once."""
     return np.ascontiguousarray(a, np.int64)
 
 
 @dataclass(frozen=True, slots=True)
 class Detections:
-    """One step's detections as sent, sorted by (sender, k)."""
+    """One step's detections as transmitted, sorted by (message, detection_index)."""
 
-    sender: Int[ndarray, "d"]  # row of the observing vehicle among the step's vehicles
-    k: Int[ndarray, "d"]  # number within the sender's message; 0 is the self report
+    message: Int[ndarray, "d"]  # message row: one row per message of the step
+    detection_index: Int[ndarray, "d"]  # within the message; 0 is the self report
     label: UInt8[ndarray, "d"]  # 0 car, 1 pedestrian, 2 cyclist, 3 truck
     score: Float[ndarray, "d"]  # in [0, 1]
-    is_self: Bool[ndarray, "d"]  # the sender itself
-    is_fabricated: Bool[ndarray, "d"]  # added by a lying sender
+    is_self: Bool[ndarray, "d"]  # the sender's report of itself
 
     def __len__(self) -> int:
-        return self.sender.size
+        return self.message.size
 
 
 @dataclass(frozen=True, slots=True)
-class Views:
-    """Which detections each of E vehicles considers, its own first, then the others by (sender, k)."""
+class ObjectLists:
+    """Detections that each of E vehicles has received: its own first, then the others by (message, detection_index)."""
 
-    ptr: Int[ndarray, "e+1"]  # view v is member[ptr[v]:ptr[v + 1]]
+    ptr: Int[ndarray, "e+1"]  # list v is member[ptr[v]:ptr[v + 1]]
     member: Int[ndarray, "m"]  # row in the detections
-    owner: Int[ndarray, "e"]  # row of the considering vehicle among the step's vehicles, ascending
+    owner: Int[ndarray, "e"]  # message row of the list's vehicle, ascending
 
     def of_member(self) -> Int[ndarray, "m"]:
-        """View to which each position belongs."""
+        """List to which each position belongs."""
         return np.repeat(np.arange(self.owner.size), np.diff(self.ptr))
 
 
 @dataclass(frozen=True, slots=True)
 class Groups:
-    """Positions of the views bound into groups, each a star around its seed."""
+    """Positions of the object lists partitioned into groups, one per object; each group has one seed."""
 
     seed: Int[ndarray, "m"]  # position of the group's seed; its own position for a seed
-    local: Bool[ndarray, "m"]  # the seed was made by the view's owner
+    ego_detected: Bool[ndarray, "m"]  # the seed is a detection of the list's owner
 
     def seeds(self) -> Int[ndarray, "g"]:
         """Positions of the seeds, ascending: the canonical order of groups."""
@@ -53,44 +56,159 @@ class Groups:
 
 
 @dataclass(frozen=True, slots=True)
-class Verdicts:
-    """What each view's owner says about each detection it considers."""
+class Evaluations:
+    """Evaluation of each detection in the object lists by the list's owner."""
 
-    e: Float[ndarray, "m"]  # evaluation in [-1, 1]
-    phi: Float[ndarray, "m"]  # visibility in [0, 1]
+    evaluation: Float[ndarray, "m"]  # e in [-1, 1]
+    visibility: Float[ndarray, "m"]  # Phi in [0, 1]
 
 
 @dataclass(frozen=True, slots=True)
-class Told:
-    """Verdicts about the detections of one step, a message per evaluator; names instead of rows."""
+class EvaluationMessages:
+    """Evaluations of the detections of one step, a message per evaluator; pseudonyms instead of rows."""
 
     step: int  # of the detections
-    evaluator: Int[ndarray, "v"]  # vehicle id
+    evaluator: Int[ndarray, "v"]  # pseudonym
     ptr: Int[ndarray, "v+1"]  # message i is rows ptr[i]:ptr[i + 1]
-    sender: Int[ndarray, "n"]  # vehicle id of the detector
-    k: Int[ndarray, "n"]  # its detection
-    e: Float[ndarray, "n"]  # evaluation
-    phi: Float[ndarray, "n"]  # visibility
+    observer: Int[ndarray, "n"]  # pseudonym of the detection's sender
+    detection_index: Int[ndarray, "n"]
+    evaluation: Float[ndarray, "n"]  # e in [-1, 1], if the evaluator complies
+    visibility: Float[ndarray, "n"]  # Phi in [0, 1], if the evaluator complies
 
 
-def told(step: int, ids: Int[ndarray, "vehicles"], views: Views, detections: Detections, verdicts: Verdicts) -> Told:
-    """The step's verdicts as messages that outlive the step; `ids` maps vehicle rows to ids."""
-    return Told(
+def as_messages(
+    step: int,
+    pseudonyms: Int[ndarray, "messages"],
+    lists: ObjectLists,
+    detections: Detections,
+    evaluations: Evaluations,
+) -> EvaluationMessages:
+    """The step's evaluations as messages that are valid beyond the step; `pseudonyms` by message row."""
+    return EvaluationMessages(
         step,
-        ids[views.owner],
-        views.ptr,
-        ids[detections.sender[views.member]],
-        detections.k[views.member],
-        verdicts.e,
-        verdicts.phi,
+        pseudonyms[lists.owner],
+        lists.ptr,
+        pseudonyms[detections.message[lists.member]],
+        detections.detection_index[lists.member],
+        evaluations.evaluation,
+        evaluations.visibility,
     )
 
 
-def told_from_rows(step: int, evaluator, sender, k, e, phi) -> Told:
-    """Verdict rows in any order, one column each, as messages in canonical order."""
-    evaluator, sender, k = (np.asarray(a, np.int64) for a in (evaluator, sender, k))
-    e, phi = (np.asarray(a, float) for a in (e, phi))
-    order = np.lexsort((phi, e, k, sender, evaluator))
-    who, n = np.unique(evaluator, return_counts=True)
+def messages_from_rows(step: int, evaluator, observer, detection_index, evaluation, visibility) -> EvaluationMessages:
+    """Evaluations in any order, one column each, as messages in canonical order."""
+    evaluator, observer, index = (np.asarray(a, np.int64) for a in (evaluator, observer, detection_index))
+    evaluation, visibility = (np.asarray(a, float) for a in (evaluation, visibility))
+    order = np.lexsort((visibility, evaluation, index, observer, evaluator))
+    of_message, n = np.unique(evaluator, return_counts=True)
     ptr = np.concatenate([[0], np.cumsum(n)])
-    return Told(step, who, ptr, sender[order], k[order], e[order], phi[order])
+    return EvaluationMessages(
+        step, of_message, ptr, observer[order], index[order], evaluation[order], visibility[order]
+    )
+
+
+class EvaluationRows(NamedTuple):
+    """Received evaluations by others than the subject that could see the detection; flat, one row each."""
+
+    holder: Int[ndarray, "n"]
+    evaluator: Int[ndarray, "n"]  # pseudonym
+    observer: Int[ndarray, "n"]  # pseudonym: the subject whose trust the row concerns
+    detection_index: Int[ndarray, "n"]
+    evaluation: Float[ndarray, "n"]  # e in [-1, 1]
+    visibility: Float[ndarray, "n"]  # Phi in (0, 1]
+    pos: Float[ndarray, "n"]  # positive evidence in [0, 1]
+    neg: Float[ndarray, "n"]  # negative evidence in [0, 1]
+
+
+_QUANTUM = float(1 << 32)
+
+
+@dataclass(frozen=True)
+class ReceivedEvaluations:
+    """Messages as they were received: message `message_row[i]` reached the holder `holder[i]`."""
+
+    messages: EvaluationMessages
+    holder: Int[ndarray, "m"]  # who keeps the trust scores: an actor number, or `SERVER`
+    message_row: Int[ndarray, "m"]  # row of `messages.evaluator`
+    eta: float = -1.0
+    """Evaluation of an unmatched detection in this run (`params.eta_of`): tells `neg` from `evaluation`."""
+
+    def __len__(self) -> int:
+        """Received evaluations, those without effect included."""
+        return int(np.diff(self.messages.ptr)[self.message_row].sum())
+
+    def rows(self) -> EvaluationRows:
+        """Flat rows, without own evaluations, visibility 0, and values out of range.
+
+        Notes
+        -----
+        pos = Phi max(e, 0); neg = Phi min(1, e / eta) for e < 0, and Phi for e <= 0 where eta = 0. Both are rounded
+        to multiples of 2^-32, so that sums of up to two million rows are exact in any order of summation.
+        """
+        t = self.messages
+        sent_by = np.repeat(np.arange(t.evaluator.size), np.diff(t.ptr))
+        e, phi = t.evaluation, t.visibility
+        with np.errstate(invalid="ignore"):
+            counts = (np.abs(e) <= 1.0) & (phi > 0.0) & (phi <= 1.0) & (t.observer != t.evaluator[sent_by])
+        kept, sent_by = np.flatnonzero(counts), sent_by[counts]
+        ptr = np.searchsorted(sent_by, np.arange(t.evaluator.size + 1))
+        n = np.diff(ptr)[self.message_row]
+        start = ptr[:-1][self.message_row] - (np.cumsum(n) - n)
+        at = kept[np.repeat(start, n) + np.arange(n.sum())]
+        e, phi = e[at], phi[at]
+        pos = phi * np.maximum(e, 0.0)
+        neg = phi * (e <= 0.0) if self.eta == 0 else phi * np.clip(e / self.eta, 0.0, 1.0)
+        return EvaluationRows(
+            np.repeat(int64(self.holder), n),
+            np.repeat(int64(t.evaluator)[self.message_row], n),
+            int64(t.observer)[at],
+            int64(t.detection_index)[at],
+            e,
+            phi,
+            np.rint(pos * _QUANTUM) / _QUANTUM,
+            np.rint(neg * _QUANTUM) / _QUANTUM,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class TrustScores:
+    """Trust at one step: a row per (holder, subject) with evidence, sorted.
+
+    The steps are those of the detections. The columns `*_evaluation_step` concern the evaluations with visibility above
+    0 by others than the subject that the value is based on, and hold only where `is_judged`.
+    """
+
+    step: int
+    holder: Int[ndarray, "n"]  # actor number; `SERVER` for a central trust server
+    subject: Int[ndarray, "n"]  # pseudonym
+    trust: Float[ndarray, "n"]  # expectation, in [0, 1]
+    uncertainty: Float[ndarray, "n"]  # in [0, 1]; NaN where the model has none
+    weight: Float[ndarray, "n"]  # of the evidence behind the value, in the model's own unit
+    n_evaluations: Int[ndarray, "n"]  # with visibility above 0, by others than the subject
+    newest_step: Int[ndarray, "n"]  # of the detections behind the value
+    oldest_step: Int[ndarray, "n"]
+    newest_evaluation_step: Int[ndarray, "n"]
+    oldest_evaluation_step: Int[ndarray, "n"]
+    is_judged: Bool[ndarray, "n"]  # n_evaluations > 0
+
+    def rows_of(
+        self, holder: Int[ndarray, "q"], subject: Int[ndarray, "q"]
+    ) -> tuple[Int[ndarray, "q"], Bool[ndarray, "q"]]:
+        """Row of each (holder, subject), and whether there is one (else the row is meaningless)."""
+        if not self.subject.size:
+            return np.zeros(subject.shape, np.int64), np.zeros(subject.shape, bool)
+        keys, wanted = pair_key(self.holder, self.subject), pair_key(holder, subject)
+        at = np.minimum(np.searchsorted(keys, wanted), keys.size - 1)
+        return at, keys[at] == wanted
+
+    def trust_of(self, holder: Int[ndarray, "q"], subject: Int[ndarray, "q"], default: float) -> Float[ndarray, "q"]:
+        """Trust of each subject as its holder has it; `default` without evidence."""
+        at, found = self.rows_of(holder, subject)
+        out = np.full(subject.shape, default)
+        out[found] = self.trust[at[found]]
+        return out
+
+
+def pair_key(holder: Int[ndarray, "n"], subject: Int[ndarray, "n"]) -> Int[ndarray, "n"]:
+    """(holder, subject), both in [0, 2^31), as one integer of the same order."""
+    return holder.astype(np.int64) << 31 | subject.astype(np.int64)

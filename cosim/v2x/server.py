@@ -13,7 +13,7 @@ from cosim.v2x import cellular
 from cosim.v2x.cellular import CellularParams, journey_s, within_capacity
 from cosim.v2x.exchange import Heard
 from cosim.v2x.messages import expand, report_bytes, trust_bytes
-from trust.tables import Told
+from trust.tables import EvaluationMessages
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -71,10 +71,10 @@ class Uplink:
     """Time between two turns [s]."""
     last: Traffic = field(default_factory=Traffic)
     """Of the last turn that sent."""
-    _under_way: list[tuple[Float[ndarray, "v"], Told]] = field(default_factory=list)
+    _under_way: list[tuple[Float[ndarray, "v"], EvaluationMessages]] = field(default_factory=list)
 
     def by_cellular(
-        self, told: Told, name_key: UInt64[ndarray, "v"], xy_m: Float[ndarray, "v 2"], time_s: float
+        self, told: EvaluationMessages, name_key: UInt64[ndarray, "v"], xy_m: Float[ndarray, "v 2"], time_s: float
     ) -> None:
         """Each evaluator's report leaves at `time_s`; the other arguments are aligned with the evaluators."""
         p, n = self.params.cellular, np.diff(told.ptr)
@@ -87,14 +87,16 @@ class Uplink:
         out = np.full(len(n), bool(self.params.is_out(time_s)))
         self._send(told, time_s + journey, ~taken & ~out, out, int(length.sum()))
 
-    def by_roadside(self, told: Told, message: Int[ndarray, "m"], up: Heard, begin_s: float) -> None:
+    def by_roadside(self, told: EvaluationMessages, message: Int[ndarray, "m"], up: Heard, begin_s: float) -> None:
         """Messages that roadside units heard in a round that began at `begin_s`; `message` names those of `up`."""
         arrival = np.full(len(told.evaluator), np.inf)
         np.minimum.at(arrival, message, begin_s + up.received_s + self.params.backhaul_s)
         nothing = np.zeros(len(arrival), bool)
         self._send(told, arrival, nothing, nothing, 0)
 
-    def _send(self, told: Told, arrival_s: ndarray, refused: ndarray, out: ndarray, up_bytes: int) -> None:
+    def _send(
+        self, told: EvaluationMessages, arrival_s: ndarray, refused: ndarray, out: ndarray, up_bytes: int
+    ) -> None:
         says = np.diff(told.ptr) > 0
         out = out | self.params.is_out(arrival_s)
         arrives = says & ~refused & ~out & np.isfinite(arrival_s)
@@ -103,7 +105,7 @@ class Uplink:
         if arrives.any():
             self._under_way.append((arrival_s[arrives], messages_of(told, arrives)))
 
-    def arrived(self, time_s: float) -> list[Told]:
+    def arrived(self, time_s: float) -> list[EvaluationMessages]:
         """Reports that have reached the server by `time_s`, older steps first."""
         here, later = [], []
         for arrival, told in self._under_way:
@@ -116,11 +118,14 @@ class Uplink:
         return here
 
 
-def messages_of(told: Told, chosen: Bool[ndarray, "v"]) -> Told:
+def messages_of(told: EvaluationMessages, chosen: Bool[ndarray, "v"]) -> EvaluationMessages:
     """Only the chosen evaluators' messages."""
     rows, _ = expand(told.ptr[:-1][chosen], told.ptr[1:][chosen])
     ptr = np.concatenate([[0], np.cumsum(np.diff(told.ptr)[chosen])])
-    return Told(told.step, told.evaluator[chosen], ptr, told.sender[rows], told.k[rows], told.e[rows], told.phi[rows])
+    return EvaluationMessages(
+        told.step, told.evaluator[chosen], ptr,
+        told.observer[rows], told.detection_index[rows], told.evaluation[rows], told.visibility[rows],
+    )  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)

@@ -123,7 +123,7 @@ def to_server(run: Run) -> pd.DataFrame:
     """One row: n_reports, shares reached, lost, over_capacity and outage of them, n_addressed, share informed."""
     total = run.server.drop(columns="step").sum()
     if not total.get("n_reports", 0):
-        raise ValueError(f'{run.path} holds no reports to a trust server. Set trust.where = "central".')
+        raise ValueError(f'{run.path} holds no reports to a trust server. Set trust.host = "central".')
     shares = {name: total["n_" + name] / total.n_reports for name in ("reached", "lost", "over_capacity", "outage")}
     informed = total.n_informed / total.n_addressed if total.n_addressed else np.nan
     return pd.DataFrame([{

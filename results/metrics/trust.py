@@ -49,7 +49,7 @@ def _own(run: Run) -> pd.DataFrame:
     frame = pd.concat(means) if means else pd.DataFrame()
     if frame.empty:
         raise ValueError(
-            f"{run.path} holds no trust values: neither the server nor a vehicle ever came to one. Set trust.where to "
+            f"{run.path} holds no trust values: neither the server nor a vehicle ever came to one. Set trust.host to "
             '"central" or "local", equip vehicles, and run longer than trust.server_period_s.'
         )
     return frame.rename(columns={"subject": "vehicle"})

@@ -33,9 +33,9 @@ def frame(name="scenario-1", **options):
 def final(happened):
     """What the ego believes: class, invented?, score, opened by the ego?"""
     fused, said = happened.fused, happened.said
-    mine = np.flatnonzero(fused.view == EGO)
+    mine = np.flatnonzero(fused.ego == EGO)
     seed = fused.seed[mine]
-    columns = said.label[seed], said.origin[seed] == FABRICATED, fused.score[mine], fused.local[mine]
+    columns = said.label[seed], said.origin[seed] == FABRICATED, fused.score[mine], fused.ego_detected[mine]
     return list(zip(*columns, strict=True))
 
 
@@ -52,7 +52,7 @@ def test_the_hidden_pedestrian_is_found(method, on):
     views = happened.views
     told = (views.of_member() == EGO) & (happened.said.label[views.member] == PEDESTRIAN)
     assert told.sum() == 2  # the liar's and the third's
-    assert (happened.n_points[told] == 0).all() and (happened.verdicts.phi[told] == 0).all()
+    assert (happened.n_points[told] == 0).all() and (happened.verdicts.visibility[told] == 0).all()
     assert happened.plausible[told].all()
 
 
@@ -70,7 +70,7 @@ def test_without_the_check_the_false_car_is_weaker_but_there():
     happened = checked("trupercept_1", False)
     views = happened.views
     lie = happened.said.origin[views.member] == FABRICATED
-    phi_ego, phi_liar, phi_third = happened.verdicts.phi[lie]
+    phi_ego, phi_liar, phi_third = happened.verdicts.visibility[lie]
     assert (phi_ego, phi_liar) == (1, 1) and phi_third < 0.2
     ((_, _, score, local),) = [row for row in final(happened) if row[1]]
     assert score == pytest.approx(0.5 / (1 + 0.5 + 0.5 * phi_third), abs=1e-9)
@@ -156,7 +156,7 @@ def test_verdicts_as_the_published_code():
     said, views, verdicts, worst = happened.said, happened.views, happened.verdicts, 0.0
     ours = {
         (int(views.owner[v]), int(said.observer[d]), int(said.k[d])): (e, phi)
-        for v, d, e, phi in zip(views.of_member(), views.member, verdicts.e, verdicts.phi, strict=True)
+        for v, d, e, phi in zip(views.of_member(), views.member, verdicts.evaluation, verdicts.visibility, strict=True)
         if said.origin[d] != FABRICATED
     }
     theirs = {

@@ -24,8 +24,8 @@ def study(tmp_path):
 
 
 def test_what_differs(study):
-    one = {"seed": 1, "traffic": {"seed": 1}, "trust": {"freshness_s": 10, "where": "none"}, "record": {"level": "b"}}
-    two = {"seed": 2, "traffic": {"seed": 3}, "trust": {"freshness_s": 50, "where": "none"}, "record": {"level": "a"}}
+    one = {"seed": 1, "traffic": {"seed": 1}, "trust": {"freshness_s": 10, "host": "none"}, "record": {"level": "b"}}
+    two = {"seed": 2, "traffic": {"seed": 3}, "trust": {"freshness_s": 50, "host": "none"}, "record": {"level": "a"}}
     assert compare.differing(study(one, two)) == {"trust.freshness_s": [10, 50]}
 
 
@@ -63,5 +63,5 @@ def test_picture_over_the_number(run, tmp_path):
     assert below.get_xlabel() == beside.get_xlabel() == "radio.reach_m [m]"
     dots, line = below.lines[:2]
     assert len(dots.get_xdata()) == 3 and list(line.get_xdata()) == [120, 200]
-    with pytest.raises(ValueError, match=r"cannot be compared over trust\.where"):
-        FIGURES["freshness"]([run, open_run(shorter[0])], over="trust.where")
+    with pytest.raises(ValueError, match=r"cannot be compared over trust\.host"):
+        FIGURES["freshness"]([run, open_run(shorter[0])], over="trust.host")

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from trust.tables import Detections, Groups, Views
+from trust.tables import Detections, Groups, ObjectLists
 
 ROOT = Path(__file__).resolve().parents[2].parent / "shared" / "reference" / "trupercept"
 LABELS = {"Car": 0, "Pedestrian": 1, "Cyclist": 2, "Truck": 3}
@@ -27,38 +27,37 @@ def load(name: str) -> dict:
 
 
 def detections_of(objects: list[dict], rows: dict[int, int]) -> tuple[Detections, np.ndarray]:
-    """Objects as a table sorted by (sender, k), and the row of each object.
+    """Objects as a table sorted by (message, detection_index), and the row of each object.
 
-    A lie comes after the real detections whose number it has in these vectors.
+    A false detection comes after the real detections whose number it has in these vectors.
     """
-    lie = [bool(o.get("false_det", False)) for o in objects]
-    sender = np.array([rows[o["det_id"]] for o in objects], np.int64)
-    k = np.array([o["det_idx"] + 1000 * f for o, f in zip(objects, lie, strict=True)], np.int64)
-    order = np.lexsort((k, sender))
+    false = [bool(o.get("false_det", False)) for o in objects]
+    message = np.array([rows[o["det_id"]] for o in objects], np.int64)
+    index = np.array([o["det_idx"] + 1000 * f for o, f in zip(objects, false, strict=True)], np.int64)
+    order = np.lexsort((index, message))
     at = np.empty(order.size, np.int64)
     at[order] = np.arange(order.size)
     table = Detections(
-        sender[order],
-        k[order],
+        message[order],
+        index[order],
         np.array([LABELS[o["type"]] for o in objects], np.uint8)[order],
         np.array([o["score"] for o in objects], float)[order],
-        np.array([o["det_idx"] == 0 and not f for o, f in zip(objects, lie, strict=True)])[order],
-        np.array(lie)[order],
+        np.array([o["det_idx"] == 0 and not f for o, f in zip(objects, false, strict=True)])[order],
     )
     return table, at
 
 
 def one_view(groups: list[list[dict]], owner: int, others: list[int]):
-    """A view that consists of the given groups, in the given order.
+    """An object list that consists of the given groups, in the given order.
 
     Returns
     -------
-    Detections, Views, Groups, and the objects by position.
+    Detections, ObjectLists, Groups, and the objects by position.
     """
     objects = [o for group in groups for o in group]
     rows = {vehicle: row for row, vehicle in enumerate([owner, *sorted(set(others) - {owner})])}
     table, at = detections_of(objects, rows)
     starts = np.cumsum([0, *(len(g) for g in groups)])
     seed = np.repeat(starts[:-1], np.diff(starts))
-    views = Views(np.array([0, at.size]), at, np.array([0]))
-    return table, views, Groups(seed, table.sender[at[seed]] == 0), objects
+    lists = ObjectLists(np.array([0, at.size]), at, np.array([0]))
+    return table, lists, Groups(seed, table.message[at[seed]] == 0), objects

@@ -12,12 +12,12 @@ from tests.verification import paper
 from trust.evaluation import evaluate, visibility
 from trust.matching import match
 from trust.params import TrustParams, eta_of
-from trust.tables import Detections, Views
+from trust.tables import Detections, ObjectLists
 
 
-def verdicts_of(world, params):
-    groups = match(world.views, world.table, world.pairs, params)
-    return groups, evaluate(world.views, groups, world.table, world.points, world.plausible, params)
+def evaluations_of(world, params):
+    groups = match(world.lists, world.table, world.pairs, params)
+    return groups, evaluate(world.lists, groups, world.table, world.points, world.plausible, params)
 
 
 def test_visibility_by_hand():
@@ -42,7 +42,7 @@ def test_eta_follows_the_method():
 
 
 def test_by_hand():
-    # vehicle 0 judges: its self report, its own detection (0.8) with vehicle 1's matched to it, its own lie,
+    # vehicle 0 evaluates: its self report, its own detection (0.8) with vehicle 1's matched to it, its detection 2,
     # vehicle 1's self report matched to 0's detection 3 (0.6), and an unmatched one that is implausible
     table = Detections(
         np.array([0, 0, 0, 0, 1, 1, 1, 1]),
@@ -50,69 +50,67 @@ def test_by_hand():
         np.zeros(8, np.uint8),
         np.array([1, 0.8, 1, 0.6, 1, 0.5, 0.9, 0.7]),
         np.array([1, 0, 0, 0, 1, 0, 0, 0], bool),
-        np.array([0, 0, 1, 0, 0, 0, 0, 0], bool),
     )
-    views = Views(np.array([0, 8]), np.arange(8), np.array([0]))
+    lists = ObjectLists(np.array([0, 8]), np.arange(8), np.array([0]))
     i, j = np.array([0, 1, 3]), np.array([7, 5, 4])
     params = TrustParams()
-    groups = match(views, table, (i, j, np.full(3, 0.5)), params)
+    groups = match(lists, table, (i, j, np.full(3, 0.5)), params)
     points = np.array([0, 50, 0, 50, 25, 10, 30, 0])
     plausible = np.array([1, 1, 1, 1, 1, 1, 0, 1], bool)
-    said = evaluate(views, groups, table, points, plausible, params)
-    #                        self own lie own self' matched implausible "you are here"
-    assert said.e.tolist() == [1, 0.8, 1, 0.6, 0.6, 0.8, -1, 1]
-    assert said.phi.tolist() == [1, 0.5, 1, 0.5, 0.25, 0.1, 1, 1]
-    no_check = replace(params, plausibility_in_evaluation=False, certify_own_lies=False)
-    said = evaluate(views, groups, table, points, plausible, no_check)
-    assert said.phi[[2, 6]].tolist() == [0, 0.3]
+    evaluated = evaluate(lists, groups, table, points, plausible, params)
+    #                        self own own own self' matched implausible matched to the self report
+    assert evaluated.evaluation.tolist() == [1, 0.8, 1, 0.6, 0.6, 0.8, -1, 1]
+    assert evaluated.visibility.tolist() == [1, 0.5, 0, 0.5, 0.25, 0.1, 1, 1]
+    no_check = replace(params, plausibility_in_evaluation=False)
+    evaluated = evaluate(lists, groups, table, points, plausible, no_check)
+    assert evaluated.visibility[[2, 6]].tolist() == [0, 0.3]
 
 
 @pytest.mark.parametrize("one_per_vehicle", [False, True])
-@given(world=worlds(), certify=st.booleans(), eta=st.sampled_from([None, 0.0, -0.5]))
+@given(world=worlds(), eta=st.sampled_from([None, 0.0, -0.5]))
 @settings(max_examples=100, deadline=None)
-def test_twin(world, one_per_vehicle, certify, eta):
-    params = TrustParams(one_per_vehicle=one_per_vehicle, certify_own_lies=certify, eta=eta)
-    _, said = verdicts_of(world, params)
+def test_twin(world, one_per_vehicle, eta):
+    params = TrustParams(one_per_vehicle=one_per_vehicle, eta=eta)
+    _, evaluated = evaluations_of(world, params)
     names, truth = world.names(), world.dictionary()
     for view in range(world.n_vehicles):
-        positions = range(world.views.ptr[view], world.views.ptr[view + 1])
-        at = {names[world.views.member[p]]: p for p in positions}
-        groups = paper.match(world.lists(view), truth, world.iou(), params.tau, one_per_vehicle)
+        positions = range(world.lists.ptr[view], world.lists.ptr[view + 1])
+        at = {names[world.lists.member[p]]: p for p in positions}
+        groups = paper.match(world.names_in(view), truth, world.iou(), params.tau, one_per_vehicle)
         expected = paper.evaluate(
-            int(world.views.owner[view]),
+            int(world.lists.owner[view]),
             groups,
             truth,
             lambda name, at=at: int(world.points[at[name]]),
             lambda name, at=at: bool(world.plausible[at[name]]),
             GAMMAS,
             eta_of(params),
-            certify,
         )
-        assert {name: (said.e[p], said.phi[p]) for name, p in at.items()} == expected
+        assert {name: (evaluated.evaluation[p], evaluated.visibility[p]) for name, p in at.items()} == expected
 
 
 @pytest.mark.parametrize("one_per_vehicle", [False, True])
 @given(world=worlds(), seed=st.integers(0, 2**32 - 1))
 @settings(max_examples=100, deadline=None)
-def test_renaming_the_vehicles_permutes_the_verdicts(world, seed, one_per_vehicle):
+def test_renaming_the_vehicles_permutes_the_evaluations(world, seed, one_per_vehicle):
     params = TrustParams(one_per_vehicle=one_per_vehicle)
-    _, said = verdicts_of(world, params)
+    _, evaluated = evaluations_of(world, params)
     new_name = np.random.default_rng(seed).permutation(world.n_vehicles)
-    table, views = world.table, world.views
+    table, lists = world.table, world.lists
 
-    sender = new_name[table.sender]
-    rows = np.lexsort((table.k, sender))  # old row of each new row
+    message = new_name[table.message]
+    rows = np.lexsort((table.detection_index, message))  # old row of each new row
     new_row = np.argsort(rows)
-    columns = (table.k, table.label, table.score, table.is_self, table.is_fabricated)
-    renamed = Detections(sender[rows], *(c[rows] for c in columns))
-    view_of_member, owner = views.of_member(), new_name[views.owner]
-    member = new_row[views.member]
-    foreign = renamed.sender[member] != owner[view_of_member]
+    columns = (table.detection_index, table.label, table.score, table.is_self)
+    renamed = Detections(message[rows], *(c[rows] for c in columns))
+    view_of_member, owner = lists.of_member(), new_name[lists.owner]
+    member = new_row[lists.member]
+    foreign = renamed.message[member] != owner[view_of_member]
     order = np.lexsort((member, foreign, owner[view_of_member]))
-    sizes = np.diff(views.ptr)[np.argsort(owner)]
-    new_views = Views(np.concatenate([[0], np.cumsum(sizes)]), member[order], np.sort(owner))
+    sizes = np.diff(lists.ptr)[np.argsort(owner)]
+    new_views = ObjectLists(np.concatenate([[0], np.cumsum(sizes)]), member[order], np.sort(owner))
     i, j, iou = world.pairs
     groups = match(new_views, renamed, (new_row[i], new_row[j], iou), params)
     again = evaluate(new_views, groups, renamed, world.points[order], world.plausible[order], params)
-    np.testing.assert_array_equal(again.e, said.e[order])
-    np.testing.assert_array_equal(again.phi, said.phi[order])
+    np.testing.assert_array_equal(again.evaluation, evaluated.evaluation[order])
+    np.testing.assert_array_equal(again.visibility, evaluated.visibility[order])

@@ -9,19 +9,18 @@ from tests.trust.worlds import worlds
 from tests.verification import paper
 from trust.matching import match
 from trust.params import TrustParams
-from trust.tables import Detections, Views
+from trust.tables import Detections, ObjectLists
 
 
 def row_of(senders, pairs, one_per_vehicle=False, tau=0.1):
-    """Seeds of one view over detections given by sender, the ego's first; IoUs by pair of rows."""
+    """Seeds of one object list over detections given by sender, the ego's first; IoUs by pair of rows."""
     n = len(senders)
     k = np.array([senders[:i].count(s) for i, s in enumerate(senders)])
-    no = np.zeros(n, bool)
-    table = Detections(np.array(senders), k, np.zeros(n, np.uint8), np.ones(n), no, no)
+    table = Detections(np.array(senders), k, np.zeros(n, np.uint8), np.ones(n), np.zeros(n, bool))
     i, j = (np.array([p[c] for p in pairs], np.int64) for c in (0, 1))
     params = TrustParams(tau=tau, one_per_vehicle=one_per_vehicle)
-    views = Views(np.array([0, n]), np.arange(n), np.array([0]))
-    return match(views, table, (i, j, np.array(list(pairs.values()))), params).seed.tolist()
+    lists = ObjectLists(np.array([0, n]), np.arange(n), np.array([0]))
+    return match(lists, table, (i, j, np.array(list(pairs.values()))), params).seed.tolist()
 
 
 def test_threshold_is_strict():
@@ -61,26 +60,26 @@ def test_one_per_vehicle():
 @settings(max_examples=200, deadline=None)
 def test_twin(world, one_per_vehicle):
     params = TrustParams(one_per_vehicle=one_per_vehicle)
-    groups = match(world.views, world.table, world.pairs, params)
+    groups = match(world.lists, world.table, world.pairs, params)
     names, truth, iou = world.names(), world.dictionary(), world.iou()
     for view in range(world.n_vehicles):
-        expected = paper.match(world.lists(view), truth, iou, params.tau, one_per_vehicle)
-        positions = range(world.views.ptr[view], world.views.ptr[view + 1])
+        expected = paper.match(world.names_in(view), truth, iou, params.tau, one_per_vehicle)
+        positions = range(world.lists.ptr[view], world.lists.ptr[view + 1])
         ours = {}
         for p in positions:
-            ours.setdefault(int(groups.seed[p]), []).append(names[world.views.member[p]])
+            ours.setdefault(int(groups.seed[p]), []).append(names[world.lists.member[p]])
         assert sorted(ours.values()) == sorted(expected)
-        owner = world.views.owner[view]
-        assert all(groups.local[p] == (names[world.views.member[groups.seed[p]]][0] == owner) for p in positions)
+        owner = world.lists.owner[view]
+        assert all(groups.ego_detected[p] == (names[world.lists.member[groups.seed[p]]][0] == owner) for p in positions)
 
 
 @given(world=worlds(), seed=st.integers(0, 2**32 - 1))
 @settings(max_examples=50, deadline=None)
 def test_pairs_have_no_order(world, seed):
-    groups = match(world.views, world.table, world.pairs, TrustParams())
+    groups = match(world.lists, world.table, world.pairs, TrustParams())
     rng = np.random.default_rng(seed)
     order = rng.permutation(world.pairs[0].size)
     i, j, iou = (a[order] for a in world.pairs)
     swap = rng.random(order.size) < 0.5
-    again = match(world.views, world.table, (np.where(swap, j, i), np.where(swap, i, j), iou), TrustParams())
+    again = match(world.lists, world.table, (np.where(swap, j, i), np.where(swap, i, j), iou), TrustParams())
     np.testing.assert_array_equal(again.seed, groups.seed)

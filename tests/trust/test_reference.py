@@ -6,13 +6,22 @@ import numpy as np
 import pytest
 
 from tests.trust.reference import LABELS, detections_of, load, one_view
-from trust.evaluation import aggregated, evaluate, visibility
-from trust.fusion import Heard, Sight, fuse
-from trust.ledger import SERVER, Ledger
+from tests.verification import paper
+from trust.evaluation import evaluate, visibility
+from trust.fusion import SenderTrust, SensorEvidence, fuse
 from trust.matching import match
-from trust.page import Refusal
+from trust.models.trupercept import TruPercept
 from trust.params import TrustParams
-from trust.tables import Detections, Groups, Verdicts, Views, told_from_rows
+from trust.step_evidence import RejectReason
+from trust.tables import (
+    SERVER,
+    Detections,
+    Evaluations,
+    Groups,
+    ObjectLists,
+    ReceivedEvaluations,
+    messages_from_rows,
+)
 
 METHODS = [
     "averaging",
@@ -43,9 +52,9 @@ def test_matching():
         pairs = [[*sorted((row[a, i], row[b, j])), iou] for a, i, b, j, iou in case["pair_iou"]]
         i, j, iou = np.array(pairs).reshape(-1, 3).T
         n = len(table)
-        views = Views(np.array([0, n]), np.arange(n), np.array([0]))
+        lists = ObjectLists(np.array([0, n]), np.arange(n), np.array([0]))
         params = TrustParams(tau=case["threshold"])
-        seed = match(views, table, (i.astype(np.int32), j.astype(np.int32), iou), params).seed
+        seed = match(lists, table, (i.astype(np.int32), j.astype(np.int32), iou), params).seed
         name = {r: list(k) for k, r in row.items()}
         ours = [
             [name[int(m)] for m in np.flatnonzero(seed == s)]
@@ -69,29 +78,33 @@ def test_visibility():
     print(f"visibility: {len(cases)} cases")
 
 
-def _said(case: dict):
-    """Our verdicts for one recorded evaluator: objects, verdicts, and which are free of the artefact.
+def _evaluated(case: dict):
+    """Our evaluations for one recorded evaluator: objects, evaluations, and which are free of the artefact.
 
-    The published code also lets an honest evaluator certify a lie that it matches.
+    The published code lets a malicious evaluator certify its false detections, and, by mistake, an honest one those
+    that it matches.
     """
-    table, views, groups, objects = one_view(
+    table, lists, groups, objects = one_view(
         case["groups"], case["evaluator"], [o["det_id"] for g in case["groups"] for o in g]
     )
     points = np.array([o["points"] for o in objects])
     plausible = np.array([o["plausible"] is not False for o in objects])
-    verdicts = evaluate(views, groups, table, points, plausible, TrustParams(eta=case["eta"]))
+    evaluations = evaluate(lists, groups, table, points, plausible, TrustParams(eta=case["eta"]))
     theirs = np.array([o["det_id"] != case["evaluator"] for o in objects])
-    lie = np.array([o["false_det"] for o in objects])
-    return objects, verdicts, ~(lie & theirs & groups.local)
+    false = np.array([o["false_det"] for o in objects])
+    evaluations.evaluation[false & ~theirs] = evaluations.visibility[false & ~theirs] = 1.0
+    return objects, evaluations, ~(false & theirs & groups.ego_detected)
 
 
 def test_evaluations():
     cases, n, worst = load("c_evaluations")["cases"], 0, 0.0
     for case in cases:
-        objects, said, sound = _said(case)
+        objects, evaluated, sound = _evaluated(case)
         e = np.array([o["eval"] for o in objects])
         phi = np.array([o["certainty"] for o in objects])
-        worst = max(worst, np.abs(said.e - e)[sound].max(), np.abs(said.phi - phi)[sound].max())
+        worst = max(
+            worst, np.abs(evaluated.evaluation - e)[sound].max(), np.abs(evaluated.visibility - phi)[sound].max()
+        )
         n += int(sound.sum())
     print(f"evaluations: {n}, max error {worst:.1e}")
     assert worst < 1e-6
@@ -100,15 +113,9 @@ def test_evaluations():
 def test_aggregated_evaluations():
     cases, n, worst = load("c2_aggregated_evaluations")["cases"], 0, 0.0
     for case in cases:
-        row = np.array([r["det_idx"] for r in case["evals"]], np.int64)
-        verdicts = Verdicts(
-            np.array([r["eval"] for r in case["evals"]], float),
-            np.array([r["certainty"] for r in case["evals"]], float),
-        )
-        views = Views(np.array([0, row.size]), row, np.array([0]))
-        how = "mean" if case["agg_avg"] else "sum"
-        value, has = aggregated(views, verdicts, int(row.max()) + 1 if row.size else 0, how)
-        assert set(np.flatnonzero(has)) == {int(k) for k in case["agg"]}
+        rows = [(r["det_idx"], r["eval"], r["certainty"]) for r in case["evals"]]
+        value = paper.aggregated(rows, "mean" if case["agg_avg"] else "sum")
+        assert set(value) == {int(k) for k in case["agg"]}
         for k, expected in case["agg"].items():
             worst = max(worst, abs(value[int(k)] - expected))
             n += 1
@@ -121,12 +128,12 @@ def test_vehicle_trust():
     for case in cases:
         f = case["freshness"] or 1000
         ids = np.array(sorted(case["vehicles"]))
-        ledger = Ledger(TrustParams(freshness_s=float(f)), dt_s=1.0)
+        model = TruPercept(TrustParams(freshness_s=float(f)), dt_s=1.0)
         sound = case["freshness"] is None or case["score_mode"] == "ones"
         n_exact += not sound
         for t, frame in enumerate(case["frames"]):
             scores = [frame.get(str(v), {"scores": []})["scores"] for v in ids]
-            ledger.announce(
+            model.open_step(
                 t,
                 ids,
                 np.repeat(np.arange(ids.size), [len(s) for s in scores]),
@@ -138,66 +145,67 @@ def test_vehicle_trust():
                 for v, entry in frame.items()
                 for r in entry["evals"]
             ]
-            said = told_from_rows(t, *np.array(rows, float).reshape(-1, 5).T)
-            ledger.enter(said, np.full(said.evaluator.size, SERVER), np.arange(said.evaluator.size))
-            got = ledger.standing(t).trust_of(np.full(ids.size, SERVER), ids, 0.5)
+            messages = messages_from_rows(t, *np.array(rows, float).reshape(-1, 5).T)
+            n_messages = messages.evaluator.size
+            model.add_evaluations(ReceivedEvaluations(messages, np.full(n_messages, SERVER), np.arange(n_messages)))
+            got = model.scores(t).trust_of(np.full(ids.size, SERVER), ids, 0.5)
             exact = case["reference_exact_window_val"][t]
             for v, trust in zip(ids, got, strict=True):
                 expected = case["result"][t]["mem"][str(v)]["val"] if sound else exact[str(v)]
                 worst = max(worst, abs(trust - max(0.0, expected)))
                 n += 1
-        assert ledger.refused.sum() == 0
+        assert model.rejected.sum() == 0
     print(f"vehicle trust: {n} values of {len(cases)} sequences ({n_exact} by the exact window), {worst:.1e}")
     assert worst < 1e-6
 
 
 def _split(case: dict) -> list[list[tuple[float, float]]]:
-    """Per member verdicts (e, Phi) whose sum is the recorded aggregated evaluation."""
+    """Per member evaluations (e, Phi) whose sum is the recorded aggregated evaluation."""
     parts = [0 if m is None else max(1, int(np.ceil(abs(m)))) for m in case["agg_eval"]]
     return [[(m / n, 1.0)] * n if n else [] for m, n in zip(case["agg_eval"], parts, strict=True)]
 
 
-def _world(cases: list[dict], said_of=_split):
+def _world(cases: list[dict], evaluations_of=_split):
     """All recorded groups at once: an ego and a group per case, vehicles and detections shared by no two.
 
-    Verdicts (`said_of` gives them per member) come from vehicles of which nothing else is known.
+    Evaluations (`evaluations_of` gives them per member) come from vehicles of which nothing else is known.
     """
     parts, n_vehicles, n_rows = [], 0, 0
     for case in cases:
-        table, views, groups, objects = one_view([case["group"]], case["ego_id"], [o["det_id"] for o in case["group"]])
-        vehicle_ids = dict(zip(table.sender[views.member].tolist(), (o["det_id"] for o in objects), strict=True))
+        table, lists, groups, objects = one_view([case["group"]], case["ego_id"], [o["det_id"] for o in case["group"]])
+        vehicle_ids = dict(zip(table.message[lists.member].tolist(), (o["det_id"] for o in objects), strict=True))
         known = {r: case["vehicle_trust"].get(str(v)) for r, v in sorted(vehicle_ids.items())}
-        verdicts = said_of(case)
-        n_verdicts = [len(v) for v in verdicts]
-        said = np.array([row for v in verdicts for row in v], float).reshape(-1, 2)
-        first = n_vehicles + int(table.sender.max()) + 1
-        voices = first + np.arange(len(said))
+        evaluations = evaluations_of(case)
+        n_evaluations = [len(v) for v in evaluations]
+        values = np.array([row for v in evaluations for row in v], float).reshape(-1, 2)
+        first = n_vehicles + int(table.message.max()) + 1
+        evaluators = first + np.arange(len(values))
         trusted = [r for r, t in known.items() if t is not None]
         distance = np.empty(len(table))
-        distance[views.member] = [o["detector_dist"] for o in objects]
+        distance[lists.member] = [o["detector_dist"] for o in objects]
         parts.append(
             {
-                "sender": table.sender + n_vehicles,
+                "message": table.message + n_vehicles,
                 "table": table,
-                "member": views.member + n_rows,
+                "member": lists.member + n_rows,
                 "seed": np.full(len(objects), n_rows),
-                "local": groups.local,
+                "ego_detected": groups.ego_detected,
                 "owner": [n_vehicles],
                 "size": [len(objects)],
-                "voice": voices,
-                "about": np.repeat(views.member + n_rows, n_verdicts),
-                "e": said[:, 0],
-                "phi": said[:, 1],
-                "heard": np.concatenate([np.array(trusted, np.int64) + n_vehicles, voices]),
-                "trust": np.array([known[r] for r in trusted] + [0.3] * voices.size, float),
-                "n_heard": [len(trusted) + voices.size],
+                "evaluator": evaluators,
+                "about": np.repeat(lists.member + n_rows, n_evaluations),
+                "e": values[:, 0],
+                "phi": values[:, 1],
+                "received": np.concatenate([np.array(trusted, np.int64) + n_vehicles, evaluators]),
+                "trust": np.array([known[r] for r in trusted] + [0.3] * evaluators.size, float),
+                "n_received": [len(trusted) + evaluators.size],
                 "distance": distance,
                 "points": [objects[0]["evaluator_3d_points"]],
                 "plausible": [case["seed_plausible"] is not False],
-                "near": [float(np.linalg.norm(objects[0]["t"])) < 70],
+                "in_range": [float(np.linalg.norm(objects[0]["t"])) < 70],
             }
         )
-        n_vehicles = first + voices.size
+        n_vehicles = first + evaluators.size
         n_rows += len(objects)
 
     def col(name):
@@ -207,20 +215,24 @@ def _world(cases: list[dict], said_of=_split):
         return np.concatenate([[0], np.cumsum(col(name))])
 
     table = Detections(
-        col("sender"),
-        *(np.concatenate([getattr(p["table"], f) for p in parts]) for f in ("k", "label", "score", "is_self")),
-        np.zeros(n_rows, bool),
+        col("message"),
+        *(
+            np.concatenate([getattr(p["table"], f) for p in parts])
+            for f in ("detection_index", "label", "score", "is_self")
+        ),
     )
-    views = Views(ptr("size"), col("member"), col("owner"))
-    said = Views(np.arange(col("voice").size + 1), col("about"), col("voice"))
+    lists = ObjectLists(ptr("size"), col("member"), col("owner"))
+    evaluations = Evaluations(col("e"), col("phi"))
+    evaluated = ObjectLists(np.arange(col("evaluator").size + 1), col("about"), col("evaluator"))
     return (
-        views,
-        Groups(col("seed"), col("local")),
+        lists,
+        Groups(col("seed"), col("ego_detected")),
         table,
-        said,
-        Verdicts(col("e"), col("phi")),
-        Heard(ptr("n_heard"), col("heard"), col("trust")),
-        Sight(col("points"), col("plausible"), col("near")),
+        evaluated,
+        evaluations,
+        evaluations,
+        SenderTrust(ptr("n_received"), col("received"), col("trust")),
+        SensorEvidence(col("points"), col("plausible"), col("in_range")),
         col("distance"),
     )
 
@@ -236,10 +248,10 @@ def _recorded(kind: str) -> list[dict]:
 
 @pytest.mark.parametrize("how", ["sum", "mean"])
 def test_aggregation_of_verdicts(how):
-    """From every evaluator's recorded verdicts, runs without colliding numbers, to the final scores."""
+    """From every evaluator's recorded evaluations, runs without colliding numbers, to the final scores."""
     evals = {(c["run"], c["frame"], c["vehicle"]): c["evals"] for c in load("c2_aggregated_evaluations")["cases"]}
 
-    def said_of(case):
+    def evaluations_of(case):
         by_sender = {o["det_id"]: evals.get((case["run"], case["frame"], o["det_id"]), []) for o in case["group"]}
         return [
             [(r["eval"], r["certainty"]) for r in by_sender[o["det_id"]] if r["det_idx"] == o["det_idx"]]
@@ -251,14 +263,14 @@ def test_aggregation_of_verdicts(how):
         for case in _recorded("pipeline")
         if case["agg_avg"] == (how == "mean")
         and not case["false_detections"]
-        and all((m is None) == (not v) for m, v in zip(case["agg_eval"], said_of(case), strict=True))
+        and all((m is None) == (not v) for m, v in zip(case["agg_eval"], evaluations_of(case), strict=True))
     ]
-    world, n, worst = _world(cases, said_of), 0, 0.0
+    world, n, worst = _world(cases, evaluations_of), 0, 0.0
     for number, method in enumerate(METHODS[2:], start=2):
         fused = fuse(*world, TrustParams(method=method, code_parity=True, code_aggregate=how))
         error = np.abs(fused.score - [case["score"][str(number)] for case in cases])
         worst, n = max(worst, error.max()), n + error.size
-    print(f"aggregation of verdicts, {how}: {n} scores of {len(cases)} groups, max error {worst:.1e}")
+    print(f"aggregation of evaluations, {how}: {n} scores of {len(cases)} groups, max error {worst:.1e}")
     assert worst < 5e-6  # the vectors have six decimals
 
 
@@ -266,7 +278,7 @@ def test_aggregation_of_verdicts(how):
 def test_aggregation(kind):
     cases = _recorded(kind)
     world = _world(cases)
-    views, objects = world[0], [o for case in cases for o in case["group"]]
+    lists, objects = world[0], [o for case in cases for o in case["group"]]
     # methods 0 and 1 use a certainty that in the pipeline is always a placeholder, here made from `is_self`
     usual = np.array(
         [
@@ -285,8 +297,8 @@ def test_aggregation(kind):
             continue
         np.testing.assert_array_equal(fused.pose, fused.seed)  # the better pose is never output there
         ours = fuse(*world, replace(params, code_parity=False))
-        at = np.empty(views.member.size, np.int64)
-        at[views.member] = np.arange(at.size)
+        at = np.empty(lists.member.size, np.int64)
+        at[lists.member] = np.arange(at.size)
         for case, pose, score in zip(cases, at[ours.pose], ours.score, strict=True):
             recorded = case["wrapper_pose"][str(number)]
             if recorded is not None and score > 0:
@@ -306,36 +318,37 @@ def test_pipeline_trust():
         if not any(key[0] == name for key in cases):
             continue
         ids = np.array(vehicles)
-        ledger = Ledger(TrustParams(freshness_s=1e6), dt_s=1.0)
+        model = TruPercept(TrustParams(freshness_s=1e6), dt_s=1.0)
         tainted = set()
         for t, frame in enumerate(run["frames"]):
-            said = [cases[name, frame, v] for v in vehicles if (name, frame, v) in cases]
+            of_frame = [cases[name, frame, v] for v in vehicles if (name, frame, v) in cases]
             rows, scores = [], {}
-            for case in said:
-                objects, verdicts, _ = _said(case)
-                for o, e, phi in zip(objects, verdicts.e, verdicts.phi, strict=True):
+            for case in of_frame:
+                objects, evaluations, _ = _evaluated(case)
+                for o, e, phi in zip(objects, evaluations.evaluation, evaluations.visibility, strict=True):
                     if o["false_det"]:
-                        tainted.add(o["det_id"])  # the lie shares its number with a real detection there
+                        tainted.add(o["det_id"])  # the false detection shares its number with a real one there
                         continue
                     rows.append((case["evaluator"], o["det_id"], o["det_idx"], e, phi))
                     scores[o["det_id"], o["det_idx"]] = o["score"]
             keys = sorted(scores)
-            ledger.announce(
+            model.open_step(
                 t,
                 ids,
                 np.searchsorted(ids, [v for v, _ in keys]),
                 np.array([k for _, k in keys]),
                 np.array([scores[key] for key in keys]),
             )
-            told = told_from_rows(t, *np.array(rows, float).reshape(-1, 5).T)
-            ledger.enter(told, np.full(told.evaluator.size, SERVER), np.arange(told.evaluator.size))
-            got = ledger.standing(t).trust_of(np.full(ids.size, SERVER), ids, 0.5)
+            messages = messages_from_rows(t, *np.array(rows, float).reshape(-1, 5).T)
+            n_messages = messages.evaluator.size
+            model.add_evaluations(ReceivedEvaluations(messages, np.full(n_messages, SERVER), np.arange(n_messages)))
+            got = model.scores(t).trust_of(np.full(ids.size, SERVER), ids, 0.5)
             recorded = next(r for r in run["vehicle_trust"] if r["frame"] == frame)["mem"]
             for v, trust in zip(vehicles, got, strict=True):
                 if str(v) in recorded and v not in tainted:
                     worst = max(worst, abs(trust - max(0.0, recorded[str(v)]["val"])))
                     n += 1
-        assert ledger.refused[Refusal.DUPLICATE] == 0
+        assert model.rejected[RejectReason.DUPLICATE] == 0
     print(f"pipeline trust: {n} values, max error {worst:.1e}")
     assert n
     assert worst < 1e-5

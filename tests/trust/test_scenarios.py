@@ -7,15 +7,15 @@ import pytest
 
 from tests.trust.reference import load
 from trust.evaluation import evaluate
-from trust.fusion import Heard, Sight, fuse
-from trust.ledger import SERVER, Ledger
+from trust.fusion import SenderTrust, SensorEvidence, fuse
 from trust.matching import match
+from trust.models.trupercept import TruPercept
 from trust.params import TrustParams
-from trust.tables import Detections, Views, told_from_rows
+from trust.tables import SERVER, Detections, Evaluations, ObjectLists, ReceivedEvaluations, messages_from_rows
 
 EGO, MALICIOUS, THIRD = 1, 2, 3
 NAMES = {"ego": EGO, "malicious": MALICIOUS, "third": THIRD}
-# per vehicle its detections: score, and who said what with which visibility
+# per vehicle its detections: score, and by evaluator evaluation and visibility
 LEDGER = {
     EGO: [(0.9, [(MALICIOUS, 0.8, 1)]), (0.5, [(THIRD, 0.856, 0.4)])],
     MALICIOUS: [
@@ -29,17 +29,18 @@ LIE = (1.0, [(EGO, -1, 1), (THIRD, -1, 1)])
 
 def curves(n_lies, params, n_steps=101, honest=LEDGER, lie=LIE, start=50):
     """Trust of each vehicle after every step; lies from step `start` on."""
-    ledger, ids = Ledger(params, 1.0), np.array(sorted(honest))
+    model, ids = TruPercept(params, 1.0), np.array(sorted(honest))
     out = np.empty((n_steps, ids.size))
     for step in range(n_steps):
         lies = n_lies if step >= start else 0
         sent = {v: honest[v] + [lie] * (lies if v == MALICIOUS else 0) for v in honest}
         table = [(row, k, s) for row, v in enumerate(sorted(sent)) for k, (s, _) in enumerate(sent[v])]
-        ledger.announce(step, ids, *(np.array(c) for c in zip(*table, strict=True)))
-        rows = [(by, v, k, e, phi) for v in sent for k, (_, said) in enumerate(sent[v]) for by, e, phi in said]
-        told = told_from_rows(step, *np.array(rows, float).T)
-        ledger.enter(told, np.full(told.evaluator.size, SERVER), np.arange(told.evaluator.size))
-        out[step] = ledger.standing(step).trust_of(np.full(ids.size, SERVER), ids, 0.5)
+        model.open_step(step, ids, *(np.array(c) for c in zip(*table, strict=True)))
+        rows = [(by, v, k, e, phi) for v in sent for k, (_, given) in enumerate(sent[v]) for by, e, phi in given]
+        messages = messages_from_rows(step, *np.array(rows, float).T)
+        n = messages.evaluator.size
+        model.add_evaluations(ReceivedEvaluations(messages, np.full(n, SERVER), np.arange(n)))
+        out[step] = model.scores(step).trust_of(np.full(ids.size, SERVER), ids, 0.5)
     return out.T
 
 
@@ -101,11 +102,10 @@ def scenario_1(**options):
         np.array([0, 0, 0, 0, 1, 0, 0, 1], np.uint8),
         np.array([1, 0.95, 1, 0.96, 0.96, 1, 1, 0.93]),
         np.array([1, 0, 1, 0, 0, 0, 1, 0], bool),
-        np.array([0, 0, 0, 0, 0, 1, 0, 0], bool),
     )
     pairs = (np.array([0, 1, 4]), np.array([3, 2, 7]), np.full(3, 0.6))
     rows = [[0, 1, 2, 3, 4, 5, 6, 7], [2, 3, 4, 5, 0, 1, 6, 7], [6, 7, 0, 1, 2, 3, 4, 5]]
-    views = Views(np.array([0, 8, 16, 24]), np.concatenate(rows), np.arange(3))
+    lists = ObjectLists(np.array([0, 8, 16, 24]), np.concatenate(rows), np.arange(3))
     points = np.full((3, 8), 60)
     points[0, [4, 7]] = 0  # occluded from the ego
     points[:, 5] = 40
@@ -113,14 +113,17 @@ def scenario_1(**options):
     plausible[:, 5] = False
     at = np.arange(3)[:, None], rows
     params = TrustParams(method="trupercept_2", **options)
-    groups = match(views, table, pairs, params)
-    said = evaluate(views, groups, table, points[at].reshape(-1), plausible[at].reshape(-1), params)
-    ego = Views(views.ptr[:2], views.member[:8], views.owner[:1])
-    ours = replace(groups, seed=groups.seed[:8], local=groups.local[:8])
+    groups = match(lists, table, pairs, params)
+    made = evaluate(lists, groups, table, points[at].reshape(-1), plausible[at].reshape(-1), params)
+    # the malicious vehicle reports its own false detection as certain
+    false = (lists.member == 5) & (lists.of_member() == 1)
+    reported = Evaluations(np.where(false, 1.0, made.evaluation), np.where(false, 1.0, made.visibility))
+    ego = ObjectLists(lists.ptr[:2], lists.member[:8], lists.owner[:1])
+    ours = replace(groups, seed=groups.seed[:8], ego_detected=groups.ego_detected[:8])
     seeds = ego.member[ours.seeds()]
-    sight = Sight(points[0][seeds], plausible[0][seeds], np.ones(seeds.size, bool))
-    heard = Heard(np.array([0, 2]), np.array([1, 2]), np.array([0.81, 0.97]))
-    fused = fuse(ego, ours, table, views, said, heard, sight, np.full(8, 20.0), params)
+    evidence = SensorEvidence(points[0][seeds], plausible[0][seeds], np.ones(seeds.size, bool))
+    sender_trust = SenderTrust(np.array([0, 2]), np.array([1, 2]), np.array([0.81, 0.97]))
+    fused = fuse(ego, ours, table, lists, made, reported, sender_trust, evidence, np.full(8, 20.0), params)
     return dict(zip(fused.seed.tolist(), fused.score.tolist(), strict=True))
 
 

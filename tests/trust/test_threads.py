@@ -6,7 +6,7 @@ import pytest
 
 from trust.bench import street
 from trust.evaluation import evaluate
-from trust.fusion import Sight, fuse
+from trust.fusion import SensorEvidence, fuse
 from trust.matching import match
 from trust.params import TrustParams
 from trust.threads import threads_for
@@ -23,15 +23,17 @@ def threads():
 @pytest.mark.parametrize("one_per_vehicle", [False, True])
 def test_the_answer_is_the_same(threads, one_per_vehicle):
     params = TrustParams(one_per_vehicle=one_per_vehicle)
-    table, pairs, views, heard = street(700)
+    table, pairs, lists, sender_trust = street(700)
     answers = []
     for n in (1, numba.config.NUMBA_NUM_THREADS):
         threads(n)
-        groups = match(views, table, pairs, params)
-        m, g = views.member.size, groups.seeds().size
-        verdicts = evaluate(views, groups, table, np.arange(m) % 120, np.arange(m) % 3 > 0, params)
-        sight = Sight(np.arange(g) % 20, np.arange(g) % 3 > 0, np.arange(g) % 5 > 0)
-        fused = fuse(views, groups, table, views, verdicts, heard, sight, np.ones(len(table)), params)
+        groups = match(lists, table, pairs, params)
+        m, g = lists.member.size, groups.seeds().size
+        evaluations = evaluate(lists, groups, table, np.arange(m) % 120, np.arange(m) % 3 > 0, params)
+        evidence = SensorEvidence(np.arange(g) % 20, np.arange(g) % 3 > 0, np.arange(g) % 5 > 0)
+        fused = fuse(
+            lists, groups, table, lists, evaluations, evaluations, sender_trust, evidence, np.ones(len(table)), params
+        )
         answers.append((groups.seed, fused.score))
     for one, many in zip(*answers, strict=True):
         np.testing.assert_array_equal(one, many)

@@ -6,32 +6,32 @@ import numpy as np
 from hypothesis import strategies as st
 
 from tests.verification.paper import Detection, Name
-from trust.tables import Detections, Views
+from trust.tables import Detections, ObjectLists
 
 GAMMAS = [(0.0, 100.0), (0.0, 40.0), (0.0, 100.0), (0.0, 100.0)]
 
 
 @dataclass
 class World:
-    """A step: who detected what, what overlaps, who considers what."""
+    """A step: detections, overlaps, object lists."""
 
     table: Detections
     pairs: tuple[np.ndarray, np.ndarray, np.ndarray]
-    views: Views
-    points: np.ndarray  # per position of the views
+    lists: ObjectLists
+    points: np.ndarray  # per position of the lists
     plausible: np.ndarray
     distance_m: np.ndarray  # per detection
 
     @property
     def n_vehicles(self) -> int:
-        return self.views.owner.size
+        return self.lists.owner.size
 
     def names(self) -> list[Name]:
-        return list(zip(self.table.sender.tolist(), self.table.k.tolist(), strict=True))
+        return list(zip(self.table.message.tolist(), self.table.detection_index.tolist(), strict=True))
 
     def dictionary(self) -> dict[Name, Detection]:
         t = self.table
-        columns = (t.label, t.score, t.is_self, t.is_fabricated, self.distance_m)
+        columns = (t.label, t.score, t.is_self, self.distance_m)
         rows = zip(*(c.tolist() for c in columns), strict=True)
         return {name: Detection(*row) for name, row in zip(self.names(), rows, strict=True)}
 
@@ -41,47 +41,47 @@ class World:
         known = {(names[a], names[b]): v for a, b, v in zip(i, j, value.tolist(), strict=True)}
         return lambda a, b: known.get((a, b), known.get((b, a), 0.0))
 
-    def lists(self, view: int) -> list[list[Name]]:
-        """What one vehicle considers, a list per vehicle, its own first (even if empty)."""
-        names, out = self.names(), {int(self.views.owner[view]): []}
-        for row in self.views.member[self.views.ptr[view] : self.views.ptr[view + 1]]:
-            out.setdefault(names[row][0], []).append(names[row])
+    def names_in(self, row: int) -> list[list[Name]]:
+        """One object list, a list per message, its owner's first (even if empty)."""
+        names, out = self.names(), {int(self.lists.owner[row]): []}
+        for d in self.lists.member[self.lists.ptr[row] : self.lists.ptr[row + 1]]:
+            out.setdefault(names[d][0], []).append(names[d])
         return list(out.values())
 
 
-def make(seed: int, n_vehicles: int, n_objects: int, everybody: bool = False) -> World:
+def make(seed: int, n_vehicles: int, n_objects: int, all_received: bool = False) -> World:
     """A world in which many IoUs tie, and some equal the threshold exactly."""
     rng = np.random.default_rng(seed)
     label_of = rng.integers(0, 4, n_objects)
-    rows = []  # sender, k, label, score, is_self, is_fabricated, object
+    rows = []  # message, detection_index, label, score, is_self, object
     for v in range(n_vehicles):
         if rng.random() < 0.8:
-            rows.append((v, 0, 0, 1.0, True, False, -1 - v))
+            rows.append((v, 0, 0, 1.0, True, -1 - v))
         seen = rng.choice(n_objects, rng.integers(0, n_objects + 1))  # one object may be seen twice
         for k, o in enumerate(seen, start=1):
-            rows.append((v, k, label_of[o], rng.integers(1, 101) / 100, False, rng.random() < 0.1, o))
-    columns = np.array(rows, float).reshape(-1, 7).T
-    sender, k, label, is_self, is_lie, thing = columns[[0, 1, 2, 4, 5, 6]].astype(np.int64)
-    table = Detections(sender, k, label.astype(np.uint8), columns[3], is_self == 1, is_lie == 1)
+            rows.append((v, k, label_of[o], rng.integers(1, 101) / 100, False, o))
+    columns = np.array(rows, float).reshape(-1, 6).T
+    message, index, label, is_self, actor = columns[[0, 1, 2, 4, 5]].astype(np.int64)
+    table = Detections(message, index, label.astype(np.uint8), columns[3], is_self == 1)
     d = len(table)
     i, j = np.triu_indices(d, 1)
-    same = (label[i] == label[j]) & (sender[i] != sender[j])
-    near = np.where(thing[i] == thing[j], 0.9, 0.15)
+    same = (label[i] == label[j]) & (message[i] != message[j])
+    near = np.where(actor[i] == actor[j], 0.9, 0.15)
     same &= rng.random(i.size) < near
     i, j = i[same], j[same]
     iou = rng.integers(1, 11, i.size) / 20  # 0.05, 0.1 = tau, ...
     members, ptr = [], [0]
     for v in range(n_vehicles):
-        heard = np.ones(d, bool) if everybody else rng.random(d) < 0.8
-        own = np.flatnonzero((sender == v) & heard)
-        members += [*own, *np.flatnonzero((sender != v) & heard)]
+        received = np.ones(d, bool) if all_received else rng.random(d) < 0.8
+        own = np.flatnonzero((message == v) & received)
+        members += [*own, *np.flatnonzero((message != v) & received)]
         ptr.append(len(members))
-    views = Views(np.array(ptr), np.array(members, np.int64), np.arange(n_vehicles))
+    lists = ObjectLists(np.array(ptr), np.array(members, np.int64), np.arange(n_vehicles))
     m = len(members)
     points = rng.choice([0, 0, 1, 5, 9, 10, 11, 39, 40, 41, 99, 100, 500], m)
-    return World(table, (i, j, iou), views, points, rng.random(m) < 0.7, rng.integers(0, 30, d).astype(float))
+    return World(table, (i, j, iou), lists, points, rng.random(m) < 0.7, rng.integers(0, 30, d).astype(float))
 
 
-def worlds(everybody: bool = False) -> st.SearchStrategy[World]:
+def worlds(all_received: bool = False) -> st.SearchStrategy[World]:
     """Worlds of up to six vehicles and six objects."""
-    return st.builds(make, st.integers(0, 2**32 - 1), st.integers(1, 6), st.integers(1, 6), st.just(everybody))
+    return st.builds(make, st.integers(0, 2**32 - 1), st.integers(1, 6), st.integers(1, 6), st.just(all_received))

@@ -1,7 +1,7 @@
-"""TruPercept word by word: dictionaries, loops and no hurry. The judge of the fast code in `trust/`.
+"""Literal transcription of TruPercept with dictionaries and loops: the reference for the code in `trust/`.
 
-A detection's name is (vehicle, k); a world says for each name its label, score, and whether it is the
-vehicle's report of itself or a lie. Nothing here is imported by the simulation.
+A detection's name is (vehicle, detection_index); a world holds for each name its label, score, and whether it is the
+vehicle's report of itself. The simulation imports nothing from here.
 """
 
 from __future__ import annotations
@@ -17,7 +17,6 @@ class Detection:
     label: int
     score: float
     is_self: bool = False
-    is_lie: bool = False
     distance_m: float = 0.0
 
 
@@ -37,19 +36,19 @@ def match(
             opened = [[name] for name in names if name not in matched]
             matched.update(group[0] for group in opened)
             for later in of_class[i + 1 :]:
-                wishes: dict[int, list[tuple[float, Name]]] = {}
+                choices: dict[int, list[tuple[float, Name]]] = {}
                 for name in later:
                     if name in matched or not opened:
                         continue
                     ious = [iou(group[0], name) for group in opened]
                     best = ious.index(max(ious))
                     if ious[best] > tau:
-                        wishes.setdefault(best, []).append((ious[best], name))
-                for best, wished in wishes.items():
+                        choices.setdefault(best, []).append((ious[best], name))
+                for best, chosen in choices.items():
                     if one_per_vehicle:
-                        top = max(value for value, _ in wished)
-                        wished = [next(w for w in wished if w[0] == top)]
-                    for _, name in wished:
+                        top = max(value for value, _ in chosen)
+                        chosen = [next(c for c in chosen if c[0] == top)]
+                    for _, name in chosen:
                         opened[best].append(name)
                         matched.add(name)
             groups.extend(opened)
@@ -69,10 +68,9 @@ def evaluate(
     plausible: Callable[[Name], bool],
     gammas: list[tuple[float, float]],
     eta: float,
-    certify: bool = True,
 ) -> dict[Name, tuple[float, float]]:
     """The evaluator's (e, Phi) of everything in its groups."""
-    said: dict[Name, tuple[float, float]] = {}
+    evaluations: dict[Name, tuple[float, float]] = {}
     for group in groups:
         seed = group[0]
         for name in group:
@@ -85,16 +83,24 @@ def evaluate(
                 e = eta
                 if not plausible(name):
                     phi = 1.0
-            if certify and world[name].is_lie and name[0] == evaluator:
-                e = phi = 1.0
-            said[name] = (e, phi)
-    return said
+            evaluations[name] = (e, phi)
+    return evaluations
 
 
-def object_trust(detector: int, said: dict[int, tuple[float, float]]) -> float | None:
+def aggregated(rows: list[tuple[int, float, float]], how: str) -> dict[int, float]:
+    """The published code's evaluation per detection from (detection_index, e, Phi): sum Phi e, or its weighted mean."""
+    out = {}
+    for index in {index for index, _, _ in rows}:
+        top = sum(phi * e for i, e, phi in rows if i == index)
+        bottom = sum(phi for i, _, phi in rows if i == index)
+        out[index] = top if how == "sum" else top / bottom if bottom > 0 else 0.0
+    return out
+
+
+def object_trust(detector: int, evaluations: dict[int, tuple[float, float]]) -> float | None:
     """Equation 3 from {evaluator: (e, Phi)}; None if nobody else could see the detection."""
-    top = sum(phi * e for v, (e, phi) in said.items() if v != detector)
-    bottom = sum(phi for v, (_, phi) in said.items() if v != detector)
+    top = sum(phi * e for v, (e, phi) in evaluations.items() if v != detector)
+    bottom = sum(phi for v, (_, phi) in evaluations.items() if v != detector)
     return max(-1.0, min(1.0, top / bottom)) if bottom > 0 else None
 
 
@@ -110,10 +116,10 @@ def vehicle_trust(
 ) -> float:
     """Equation 4 over {(step, vehicle, k): {evaluator: (e, Phi)}}; `window` steps, the present one included."""
     top = bottom = 0.0
-    for (step, detector, k), said in sorted(records.items()):
-        if detector != vehicle or not now - window < step <= now or not said:
+    for (step, detector, k), evaluations in sorted(records.items()):
+        if detector != vehicle or not now - window < step <= now or not evaluations:
             continue
-        trust = object_trust(detector, said)
+        trust = object_trust(detector, evaluations)
         if trust is None and skip_unseen:
             continue
         s = scores[step, detector, k] if weighted else 1.0
@@ -127,42 +133,42 @@ def final_score(
     ego: int,
     group: list[Name],
     world: dict[Name, Detection],
-    said: dict[int, dict[Name, tuple[float, float]]],
+    evaluations: dict[int, dict[Name, tuple[float, float]]],
     trust: dict[int, float],
     points: int,
     plausible: bool,
-    near: bool,
+    in_range: bool,
 ) -> float:
-    """Score of one group; `said` holds what the ego has heard and its own word, `trust` everybody's."""
+    """Score of one group; `evaluations` holds those received by the ego and its own, `trust` that of all evaluators."""
     seed, n = group[0], len(group)
-    ours, own = seed[0] == ego, world[seed].score
-    pairs = [(trust[v], *opinions[name]) for name in group for v, opinions in said.items() if name in opinions]
+    ego_detected, own = seed[0] == ego, world[seed].score
+    pairs = [(trust[v], *opinions[name]) for name in group for v, opinions in evaluations.items() if name in opinions]
     top = sum(phi * t * e for t, e, phi in pairs)
     bottom = sum(phi * t for t, _, phi in pairs)
     average = top / bottom if bottom > 0 else 0.0
     additive = top / n
 
     def checked(value: float) -> float:
-        return value if ours or plausible else 0.0
+        return value if ego_detected or plausible else 0.0
 
     if method == "trupercept_1":
         score = checked(average)
     elif method == "trupercept_1_local_bias":
-        score = checked((average + own) / 2 if ours else average)
+        score = checked((average + own) / 2 if ego_detected else average)
     elif method == "trupercept_2":
         score = checked(additive)
     elif method in ("trupercept_3", "trupercept_3_corrected"):
-        score = own if ours else additive if not near or (points < 10 and plausible) else 0.0
+        score = own if ego_detected else additive if not in_range or (points < 10 and plausible) else 0.0
     elif method in ("local", "corrected"):
-        score = own if ours else 0.0
+        score = own if ego_detected else 0.0
     elif method == "any":
         score = 1.0
     elif method == "any_confirmed":
         score = 1.0 if n > 1 else own
     elif method == "confirmed_or_local":
-        score = 1.0 if n > 1 else own if ours else 0.0
+        score = 1.0 if n > 1 else own if ego_detected else 0.0
     elif method == "local_confirmed":
-        score = (1.0 if n > 1 else own) if ours else 0.0
+        score = (1.0 if n > 1 else own) if ego_detected else 0.0
     elif method == "averaging":
         weights = [trust[v] for v, _ in group]
         total = sum(weights)
@@ -170,7 +176,7 @@ def final_score(
     elif method == "additive":
         score = sum(trust[name[0]] * world[name].score for name in group)
     elif method == "half_additive":
-        score = (sum(world[name].score for name in group) + (own if ours else 0.0)) / 2
+        score = (sum(world[name].score for name in group) + (own if ego_detected else 0.0)) / 2
     else:
         raise KeyError(method)
     return max(0.0, min(1.0, score))

@@ -13,7 +13,7 @@ from cosim.reproduce import FOLDER, Stage
 from cosim.v2x.exchange import Exchange, Heard
 from cosim.v2x.roadside import NOWHERE, Sites
 from tests.drive import cosim
-from trust.page import Refusal
+from trust.step_evidence import RejectReason
 
 BASE = ("server.cellular.delay_min_s=0.001", "server.cellular.delay_mean_s=0.002", "server.backhaul_s=0.005",
         "adversary.start_s=1000")  # fmt: skip
@@ -82,7 +82,7 @@ def test_a_unit_far_away_changes_nothing():
 
 def test_a_relayed_verdict_counts_once(monkeypatch):
     """The relays' copies never reach the ledger; and if they did, it would refuse them."""
-    local = ("trust.where=local", "radio.relay.max_hops=3")
+    local = ("trust.host=local", "radio.relay.max_hops=3")
     turns, state = play(5, *local)
     assert sum(t.exchanges[1].frames.n_duplicate for t in turns) > 0
     assert state.refusals() == {}
@@ -97,13 +97,13 @@ def test_a_relayed_verdict_counts_once(monkeypatch):
     monkeypatch.setattr(cycle, "_views", lambda heard, *rest: views(heard.take(np.s_[::2]), *rest))
     _, again = play(5, *local)
     n = sum(int(np.diff(t.views.ptr).sum()) for t in turns)
-    assert again.ledger.refused[Refusal.DUPLICATE] > n > 0
-    one, other = state.ledger.standing(), again.ledger.standing()
-    assert np.array_equal(one.trust, other.trust) and np.array_equal(one.n_verdicts, other.n_verdicts)
+    assert again.ledger.rejected[RejectReason.DUPLICATE] > n > 0
+    one, other = state.ledger.scores(), again.ledger.scores()
+    assert np.array_equal(one.trust, other.trust) and np.array_equal(one.n_evaluations, other.n_evaluations)
 
 
 def test_piggybacked_verdicts_come_a_turn_later():
-    local = "trust.where=local"
+    local = "trust.host=local"
     alone, one = play(6, local)
     riding, other = play(7, local, "radio.verdicts=piggybacked")
     # The same verdicts on the first six steps; of the seventh only one's own.
@@ -113,13 +113,13 @@ def test_piggybacked_verdicts_come_a_turn_later():
     told = int(riding[0].views.ptr[-1])
     extra = riding[1].exchanges[0].frames.sent_bytes - riding[0].exchanges[0].frames.sent_bytes
     assert extra == 3 * 16 + 12 * told
-    pages = [(one.ledger.pages[s], other.ledger.pages[s]) for s in range(6)]
+    pages = [(one.ledger.store.steps[s], other.ledger.store.steps[s]) for s in range(6)]
     for a, b in pages:
         assert np.array_equal(a.n_used, b.n_used)
     assert one.refusals() == other.refusals() == {}
     # In fusion each has its own judgement only.
-    assert riding[3].fused.n_verdicts.max(initial=0) <= alone[3].fused.n_verdicts.max()
-    assert riding[3].fused.n_verdicts.sum() < alone[3].fused.n_verdicts.sum()
+    assert riding[3].fused.n_evaluations.max(initial=0) <= alone[3].fused.n_evaluations.max()
+    assert riding[3].fused.n_evaluations.sum() < alone[3].fused.n_evaluations.sum()
 
 
 def test_piggybacked_through_a_unit():

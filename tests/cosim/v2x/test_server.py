@@ -7,7 +7,7 @@ from cosim import rng
 from cosim.v2x.cellular import CellularParams, delay_s, journey_s, within_capacity
 from cosim.v2x.exchange import Heard
 from cosim.v2x.server import Downlink, Edition, ServerParams, Traffic, Uplink
-from trust.tables import Told
+from trust.tables import EvaluationMessages
 
 CHANCE = rng.key(3, rng.Stream.UPLINK, 1)
 
@@ -18,7 +18,7 @@ def keys(n):
 
 def told(n, step=0, verdicts=2):
     m = n * verdicts
-    return Told(
+    return EvaluationMessages(
         step, np.arange(n), np.arange(n + 1) * verdicts, np.zeros(m, int), np.zeros(m, int), np.ones(m), np.ones(m)
     )
 

@@ -1,7 +1,7 @@
-"""One page of a ledger: everything that is known about the detections of one step.
+"""Evidence about the detections of one step.
 
-Evidence is summed in integers, so that no order of arrival, no batching and no thread can change a sum, and
-a page is thrown away whole when it is stale, so that forgetting is exact. A *block* holds the sums of one
+Evidence is summed in integers, so that no order of arrival, no batching and no thread can change a sum, and a step's
+evidence is dropped whole when it leaves the window, so that expiry is exact. A *block* holds the sums of one
 (holder, subject): one slot per detection of the subject.
 """
 
@@ -14,34 +14,34 @@ from jaxtyping import Bool, Float, Int
 from numba import njit
 from numpy import ndarray
 
-from trust.tables import Told, int64
+from trust.tables import EvaluationMessages, int64
 
-ONE = float(1 << 44)  # fixed point of the sums: error 3e-14 per verdict, room for half a million verdicts
-_WORD = 12  # bits for the number of a 64-verdict word within a message
-_ROW = 20  # bits for a vehicle's row within its step
-MAX_VEHICLES = 1 << _ROW
+ONE = float(1 << 44)  # fixed point of the sums: error 3e-14 per evaluation, room for half a million of them
+_WORD = 12  # bits for the number of a 64-evaluation word within a message
+_MESSAGE = 20  # bits for a message row
+MAX_MESSAGES = 1 << _MESSAGE
 MAX_DETECTIONS = 1 << (_WORD + 6)
 
 
-class Refusal(IntEnum):
-    """Why a verdict moves nothing."""
+class RejectReason(IntEnum):
+    """Why an evaluation has no effect."""
 
     ACCEPTED = 0
-    LATE = 1  # about a step that is forgotten
-    FUTURE = 2  # about a step that has not been
+    LATE = 1  # of a step that has left the window
+    FUTURE = 2  # of a step that has not begun
     BAD_VALUE = 3  # e outside [-1, 1], Phi outside [0, 1], or not a number
-    UNKNOWN_EVALUATOR = 4  # was not there at that step
-    UNKNOWN_VEHICLE = 5  # its detector was not there at that step
-    UNKNOWN_DETECTION = 6  # never existed
-    DUPLICATE = 7  # this evaluator has already judged this detection
+    UNKNOWN_EVALUATOR = 4  # not present in that step
+    UNKNOWN_OBSERVER = 5  # its observer was not present in that step
+    UNKNOWN_DETECTION = 6  # was not transmitted
+    DUPLICATE = 7  # the holder has this evaluator's evaluation of this detection already
 
 
-class _News(NamedTuple):
-    """Messages in the page's own rows, a column per verdict or per message."""
+class _Read(NamedTuple):
+    """Messages translated into rows of the step, a column per evaluation or per message."""
 
-    code: ndarray  # per verdict: why it is refused
-    subject: ndarray  # row of its detector
-    number: ndarray  # among the verdicts of its evaluator, for good
+    code: ndarray  # per evaluation: `RejectReason`
+    subject: ndarray  # row of its observer
+    number: ndarray  # of the detection among those that its evaluator has evaluated; never changes
     weight: ndarray  # Phi, fixed point
     value: ndarray  # Phi e, fixed point
     row: ndarray  # per message: row of the evaluator, -1 if unknown
@@ -50,7 +50,7 @@ class _News(NamedTuple):
 
 @njit(cache=True)
 def _slot(keys, key):
-    """Where a key is, or would go, in an open-addressed table (a power of two long, -1 is free)."""
+    """Position of a key, or where to insert it, in an open-addressed table (a power of two long, -1 is free)."""
     h = np.uint64(key) * np.uint64(0x9E3779B97F4A7C15)
     i = np.int64(h >> np.uint64(20)) & (keys.size - 1)
     while keys[i] != key and keys[i] != -1:
@@ -72,9 +72,9 @@ def _moved(keys, values, size):
 
 
 @njit(cache=True)
-def _read(ids, first, score, evaluator, ptr, sender, k, e, phi, head, count, known, parts, n_known):
-    """Translate messages; each (evaluator, detection) gets a number that is its for good."""
-    n, n_messages = sender.size, evaluator.size
+def _translate(ids, first, score, evaluator, ptr, observer, index, e, phi, head, count, known, parts, n_known):
+    """Translate messages; each (evaluator, detection) gets a number that never changes."""
+    n, n_messages = observer.size, evaluator.size
     code = np.zeros(n, np.uint8)
     subject = np.zeros(n, np.int32)
     number = np.zeros(n, np.int32)
@@ -87,7 +87,7 @@ def _read(ids, first, score, evaluator, ptr, sender, k, e, phi, head, count, kno
     for i in range(n_messages):
         v = np.searchsorted(ids, evaluator[i])
         if v == ids.size or ids[v] != evaluator[i]:
-            code[ptr[i] : ptr[i + 1]] = Refusal.UNKNOWN_EVALUATOR
+            code[ptr[i] : ptr[i + 1]] = RejectReason.UNKNOWN_EVALUATOR
             continue
         row[i] = v
         part = head[v]
@@ -98,20 +98,20 @@ def _read(ids, first, score, evaluator, ptr, sender, k, e, phi, head, count, kno
                 number_of[known[x]] = number_0 + x - start
         old, s = n_known[0], -1
         for p in range(ptr[i], ptr[i + 1]):
-            if s < 0 or s == ids.size or ids[s] != sender[p]:
-                s = np.searchsorted(ids, sender[p])
-                if s < ids.size and ids[s] == sender[p]:
+            if s < 0 or s == ids.size or ids[s] != observer[p]:
+                s = np.searchsorted(ids, observer[p])
+                if s < ids.size and ids[s] == observer[p]:
                     need[i, 0] += 1
                     need[i, 1] += first[s + 1] - first[s]
-            if s == ids.size or ids[s] != sender[p]:
-                code[p] = Refusal.UNKNOWN_VEHICLE
+            if s == ids.size or ids[s] != observer[p]:
+                code[p] = RejectReason.UNKNOWN_OBSERVER
                 continue
-            d = first[s] + k[p] if 0 <= k[p] < first[s + 1] - first[s] else -1
+            d = first[s] + index[p] if 0 <= index[p] < first[s + 1] - first[s] else -1
             if d < 0 or not score[d] >= 0.0:
-                code[p] = Refusal.UNKNOWN_DETECTION
+                code[p] = RejectReason.UNKNOWN_DETECTION
                 continue
             if not (e[p] >= -1.0 and e[p] <= 1.0 and phi[p] >= 0.0 and phi[p] <= 1.0):
-                code[p] = Refusal.BAD_VALUE
+                code[p] = RejectReason.BAD_VALUE
                 continue
             if stamp[d] != i:
                 stamp[d] = i
@@ -128,23 +128,37 @@ def _read(ids, first, score, evaluator, ptr, sender, k, e, phi, head, count, kno
             parts[n_known[1]] = (old, n_known[0], count[v] - n_new, head[v])
             head[v] = n_known[1]
             n_known[1] += 1
-    return _News(code, subject, number, weight, value, row, need)
+    return _Read(code, subject, number, weight, value, row, need)
 
 
 @njit(cache=True)
-def _enter(
-    start, holder, voice, ptr, k, news, count, first, block_table, blocks, dirty, mask_table, sums, n_used, refused
+def _add(
+    start,
+    holder,
+    message_row,
+    ptr,
+    index,
+    read,
+    count,
+    first,
+    block_table,
+    blocks,
+    dirty,
+    mask_table,
+    sums,
+    n_used,
+    rejected,
 ):
-    """Enter deliveries from `start` on; stops early, between two of them, when a table is full."""
-    code, subject, number, weight, value, row, need = news
+    """Add received messages from `start` on; stops early, between two of them, when a table is full."""
+    code, subject, number, weight, value, row, need = read
     block_keys, block_at = block_table
     mask_keys, masks = mask_table
-    n_vehicles = first.size - 1
-    base_of = np.zeros(n_vehicles, np.int64)
-    block_of = np.zeros(n_vehicles, np.int64)
-    met = np.full(n_vehicles, -1, np.int64)
+    n_rows = first.size - 1
+    base_of = np.zeros(n_rows, np.int64)
+    block_of = np.zeros(n_rows, np.int64)
+    found = np.full(n_rows, -1, np.int64)
     for d in range(start, holder.size):
-        h, i = np.int64(holder[d]), voice[d]
+        h, i = np.int64(holder[d]), message_row[d]
         v = np.int64(row[i])
         n_words = 0 if v < 0 else (count[v] + 63) >> 6
         if (
@@ -157,24 +171,24 @@ def _enter(
         word, at = -1, -1
         for p in range(ptr[i], ptr[i + 1]):
             if code[p]:
-                refused[code[p]] += 1
+                rejected[code[p]] += 1
                 continue
             if number[p] >> 6 != word:
                 word = number[p] >> 6
-                key = (h << (_ROW + _WORD)) | (v << _WORD) | word
+                key = (h << (_MESSAGE + _WORD)) | (v << _WORD) | word
                 at = _slot(mask_keys, key)
                 if mask_keys[at] == -1:
                     mask_keys[at] = key
                     n_used[2] += 1
             bit = np.uint64(1) << np.uint64(number[p] & 63)
             if masks[at] & bit:
-                refused[Refusal.DUPLICATE] += 1
+                rejected[RejectReason.DUPLICATE] += 1
                 continue
             masks[at] |= bit
             s = subject[p]
-            if met[s] != h:
-                met[s] = h
-                key = (h << _ROW) | s
+            if found[s] != h:
+                found[s] = h
+                key = (h << _MESSAGE) | s
                 x = _slot(block_keys, key)
                 if block_keys[x] == -1:
                     b = n_used[0]
@@ -188,8 +202,8 @@ def _enter(
                 block_of[s] = block_at[x]
                 base_of[s] = blocks[block_of[s], 2]
                 dirty[block_of[s]] = True
-            slot = base_of[s] + k[p]
-            if s == v:  # its own opinion says that the detection was sent, nothing else
+            slot = base_of[s] + index[p]
+            if s == v:  # an own evaluation marks the detection as evaluated, nothing else
                 sums[slot, 2] |= 1
             else:
                 sums[slot, 0] += weight[p]
@@ -200,8 +214,8 @@ def _enter(
 
 
 @njit(cache=True)
-def _settle(n_blocks, blocks, dirty, first, score, sums, by_score, skip_unseen, settled, n_verdicts):
-    """Equations 3 and 4 within the step, for the blocks that have news."""
+def _aggregate(n_blocks, blocks, dirty, first, score, sums, by_score, skip_unseen, aggregated, n_evaluations):
+    """Equations 3 and 4 within the step, for the blocks that have changed."""
     for b in range(n_blocks):
         if not dirty[b]:
             continue
@@ -218,9 +232,9 @@ def _settle(n_blocks, blocks, dirty, first, score, sums, by_score, skip_unseen, 
                 top += w * (sums[x, 1] / phi)
             weight += w
             n += sums[x, 2] >> 1
-        settled[b, 0] = top
-        settled[b, 1] = weight
-        n_verdicts[b] = n
+        aggregated[b, 0] = top
+        aggregated[b, 1] = weight
+        n_evaluations[b] = n
 
 
 def _room(a: ndarray, n: int) -> ndarray:
@@ -235,62 +249,64 @@ def _empty_table(dtype) -> tuple[ndarray, ndarray]:
 
 
 @dataclass(slots=True)
-class Page:
-    """What is known of one step: who was there, what they detected, and what was said about it."""
+class StepEvidence:
+    """Pseudonyms present in one step, their detections, and the evaluations of these."""
 
-    ids: Int[ndarray, "n"]  # vehicles there, ascending
-    first: Int[ndarray, "n+1"]  # detections of row r are first[r]:first[r + 1], the k-th at first[r] + k
-    score: Float[ndarray, "d"]  # NaN where a number k was never given
+    pseudonyms: Int[ndarray, "n"]  # present in the step, ascending
+    first: Int[ndarray, "n+1"]  # detections of row r are first[r]:first[r + 1], in the order of detection_index
+    score: Float[ndarray, "d"]  # NaN where a detection_index was not transmitted
     n_used: Int[ndarray, "3"] = field(default_factory=lambda: np.zeros(3, np.int64))  # blocks, slots, words
     # per block: holder, row of the subject, first of its slots
     blocks: Int[ndarray, "b 3"] = field(default_factory=lambda: np.zeros((16, 3), np.int64))
     dirty: Bool[ndarray, "b"] = field(default_factory=lambda: np.zeros(16, np.bool_))
-    settled: Float[ndarray, "b 2"] = field(default_factory=lambda: np.zeros((16, 2)))  # sum s T, sum s
-    n_verdicts: Int[ndarray, "b"] = field(default_factory=lambda: np.zeros(16, np.int64))
-    account: Int[ndarray, "b"] = field(default_factory=lambda: np.zeros(16, np.int64))
-    n_accounts: int = 0  # blocks whose account is known to the ledger
-    # per slot, of the others: Phi, Phi e (fixed point), 2 x those who could see + 1 once anybody has judged
+    aggregated: Float[ndarray, "b 2"] = field(default_factory=lambda: np.zeros((16, 2)))  # sum s T, sum s
+    n_evaluations: Int[ndarray, "b"] = field(default_factory=lambda: np.zeros(16, np.int64))
+    pair_row: Int[ndarray, "b"] = field(default_factory=lambda: np.zeros(16, np.int64))
+    n_assigned: int = 0  # blocks whose pair row is known
+    # per slot, of the others: Phi, Phi e (fixed point), 2 x their number with Phi > 0, + 1 if evaluated at all
     sums: Int[ndarray, "x 3"] = field(default_factory=lambda: np.zeros((256, 3), np.int64))
     block_table: tuple[ndarray, ndarray] = field(default_factory=lambda: _empty_table(np.int32))
     mask_table: tuple[ndarray, ndarray] = field(default_factory=lambda: _empty_table(np.uint64))
-    # the detections that each evaluator has judged, in the order of their numbers, a part per message
+    # the detections that each evaluator has evaluated, in the order of their numbers, a part per message
     head: Int[ndarray, "n"] = field(init=False)  # newest part of each evaluator, -1 for none
-    count: Int[ndarray, "n"] = field(init=False)  # verdicts of each evaluator
+    count: Int[ndarray, "n"] = field(init=False)  # evaluations of each evaluator
     known: Int[ndarray, "v"] = field(default_factory=lambda: np.zeros(64, np.int32))
     # from and to in `known`, first number, part before
     parts: Int[ndarray, "p 4"] = field(default_factory=lambda: np.zeros((16, 4), np.int64))
-    n_known: Int[ndarray, "2"] = field(default_factory=lambda: np.zeros(2, np.int64))  # verdicts, parts
+    n_known: Int[ndarray, "2"] = field(default_factory=lambda: np.zeros(2, np.int64))  # evaluations, parts
 
     def __post_init__(self) -> None:
-        self.head = np.full(self.ids.size, -1, np.int64)
-        self.count = np.zeros(self.ids.size, np.int64)
+        self.head = np.full(self.pseudonyms.size, -1, np.int64)
+        self.count = np.zeros(self.pseudonyms.size, np.int64)
 
-    def enter(self, told: Told, holder: Int[ndarray, "m"], voice: Int[ndarray, "m"], refused) -> None:
-        """Book deliveries: message `voice[i]` reached the ledger of `holder[i]`."""
-        ptr, k = int64(told.ptr), int64(told.k)
-        n_verdicts, n_parts = self.n_known.tolist()
-        self.known = _room(self.known, n_verdicts + k.size)
-        self.parts = _room(self.parts, n_parts + told.evaluator.size)
-        news = _read(
-            self.ids, self.first, self.score,
-            int64(told.evaluator), ptr, int64(told.sender), k, told.e, told.phi,
+    def add(
+        self, messages: EvaluationMessages, holder: Int[ndarray, "m"], message_row: Int[ndarray, "m"], rejected
+    ) -> None:
+        """Add messages: `message_row[i]` was received by `holder[i]`; rejected evaluations are counted by reason."""
+        ptr, index = int64(messages.ptr), int64(messages.detection_index)
+        n_evaluations, n_parts = self.n_known.tolist()
+        self.known = _room(self.known, n_evaluations + index.size)
+        self.parts = _room(self.parts, n_parts + messages.evaluator.size)
+        read = _translate(
+            self.pseudonyms, self.first, self.score,
+            int64(messages.evaluator), ptr, int64(messages.observer), index, messages.evaluation, messages.visibility,
             self.head, self.count, self.known, self.parts, self.n_known,
         )  # fmt: skip
         start = 0
         while True:
-            start = _enter(
-                start, holder, voice, ptr, k, news, self.count, self.first, self.block_table,
-                self.blocks, self.dirty, self.mask_table, self.sums, self.n_used, refused,
+            start = _add(
+                start, holder, message_row, ptr, index, read, self.count, self.first, self.block_table,
+                self.blocks, self.dirty, self.mask_table, self.sums, self.n_used, rejected,
             )  # fmt: skip
             if start == holder.size:
                 return
-            self._grow(news.need[voice[start]], int(self.count.max()) // 64 + 1)
+            self._grow(read.need[message_row[start]], int(self.count.max()) // 64 + 1)
 
     def _grow(self, need: Int[ndarray, "2"], n_words: int) -> None:
         n_blocks, n_slots = (self.n_used[:2] + need).tolist()
         self.blocks, self.dirty = _room(self.blocks, n_blocks), _room(self.dirty, n_blocks)
-        self.settled, self.n_verdicts = _room(self.settled, n_blocks), _room(self.n_verdicts, n_blocks)
-        self.account = _room(self.account, n_blocks)
+        self.aggregated, self.n_evaluations = _room(self.aggregated, n_blocks), _room(self.n_evaluations, n_blocks)
+        self.pair_row = _room(self.pair_row, n_blocks)
         self.sums = _room(self.sums, n_slots)
         for table, n in (("block_table", n_blocks), ("mask_table", int(self.n_used[2]) + n_words)):
             keys, values = getattr(self, table)
@@ -298,41 +314,44 @@ class Page:
             if size > keys.size:
                 setattr(self, table, _moved(keys, values, 2 * size if keys.size > 64 else size))
 
-    def settle(self, by_score: bool, skip_unseen: bool) -> None:
-        """Bring the blocks' trust up to date."""
-        _settle(
+    def aggregate(self, by_score: bool, skip_unseen: bool) -> None:
+        """Update sum s T(theta) and sum s of every block that has changed."""
+        _aggregate(
             self.n_used[0], self.blocks, self.dirty, self.first, self.score, self.sums,
-            by_score, skip_unseen, self.settled, self.n_verdicts,
+            by_score, skip_unseen, self.aggregated, self.n_evaluations,
         )  # fmt: skip
 
     @property
     def nbytes(self) -> int:
-        """Memory of the page [B]."""
-        arrays = (self.ids, self.first, self.score, self.blocks, self.dirty, self.settled, self.n_verdicts)
-        tables = (*self.block_table, *self.mask_table, self.account, self.sums, self.head, self.count)
+        """Memory [B]."""
+        arrays = (self.pseudonyms, self.first, self.score, self.blocks, self.dirty, self.aggregated, self.n_evaluations)
+        tables = (*self.block_table, *self.mask_table, self.pair_row, self.sums, self.head, self.count)
         return sum(a.nbytes for a in (*arrays, *tables, self.known, self.parts))
 
 
-def open_page(
-    ids: Int[ndarray, "n"], row: Int[ndarray, "d"], k: Int[ndarray, "d"], score: Float[ndarray, "d"]
-) -> tuple[Page, int]:
-    """A page for the vehicles `ids` (ascending) and detections (row, k, score); bad ones are left out.
+def open_step_evidence(
+    pseudonyms: Int[ndarray, "n"],
+    observer_row: Int[ndarray, "d"],
+    detection_index: Int[ndarray, "d"],
+    score: Float[ndarray, "d"],
+) -> tuple[StepEvidence, int]:
+    """Empty evidence of a step with these pseudonyms (ascending) and detections; invalid detections are left out.
 
     Returns
     -------
-    The page, and how many detections were refused: score outside [0, 1], number out of range or given twice.
+    The evidence, and the number of detections rejected: score outside [0, 1], index out of range or given twice.
     """
-    assert ids.size < MAX_VEHICLES
-    assert np.all(ids[1:] > ids[:-1])
-    good = (score >= 0) & (score <= 1) & (k >= 0) & (k < MAX_DETECTIONS)
-    row, k, score = row[good], k[good], score[good]
-    n_k = np.zeros(ids.size, np.int64)
-    np.maximum.at(n_k, row, k + 1)
-    first = np.concatenate([np.zeros(1, np.int64), np.cumsum(n_k)])
-    at = first[row] + k
+    assert pseudonyms.size < MAX_MESSAGES
+    assert np.all(pseudonyms[1:] > pseudonyms[:-1])
+    valid = (score >= 0) & (score <= 1) & (detection_index >= 0) & (detection_index < MAX_DETECTIONS)
+    row, index, score = observer_row[valid], detection_index[valid], score[valid]
+    n_indices = np.zeros(pseudonyms.size, np.int64)
+    np.maximum.at(n_indices, row, index + 1)
+    first = np.concatenate([np.zeros(1, np.int64), np.cumsum(n_indices)])
+    at = first[row] + index
     kept = np.arange(at.size)
     if np.any(at[1:] <= at[:-1]):
         _, kept = np.unique(at, return_index=True)
     scores = np.full(first[-1], np.nan)
     scores[at[kept]] = score[kept]
-    return Page(int64(ids), first, scores), int((~good).sum() + at.size - kept.size)
+    return StepEvidence(int64(pseudonyms), first, scores), int((~valid).sum() + at.size - kept.size)

@@ -1,0 +1,76 @@
+"""Calls of trust models in short, and random histories as their input."""
+
+import numpy as np
+from hypothesis import strategies as st
+
+from trust.step_evidence import RejectReason
+from trust.tables import SERVER, ReceivedEvaluations, messages_from_rows
+
+COLUMNS = (
+    "trust", "weight", "n_evaluations", "newest_step", "oldest_step",
+    "newest_evaluation_step", "oldest_evaluation_step", "is_judged",
+)  # fmt: skip
+
+
+def open_step(model, step, scores):
+    """Scores by pseudonym, a list each."""
+    pseudonyms = np.array(sorted(scores))
+    lists = [scores[v] for v in sorted(scores)]
+    model.open_step(
+        step,
+        pseudonyms,
+        np.repeat(np.arange(pseudonyms.size), [len(s) for s in lists]),
+        np.concatenate([np.arange(len(s)) for s in lists]).astype(int),
+        np.concatenate(lists).astype(float),
+    )
+
+
+def received_by(step, rows, holder=SERVER, eta=-1.0):
+    """Rows (evaluator, observer, detection_index, evaluation, visibility), received by one holder."""
+    messages = messages_from_rows(step, *np.array(rows, float).reshape(-1, 5).T)
+    n = messages.evaluator.size
+    return ReceivedEvaluations(messages, np.full(n, holder), np.arange(n), eta)
+
+
+def add(model, step, rows, holder=SERVER):
+    model.add_evaluations(received_by(step, rows, holder))
+
+
+def trust_of(model, subject, now=None, holder=SERVER):
+    return model.scores(now).trust_of(np.array([holder]), np.array([subject]), 0.5)[0]
+
+
+def rejected(model):
+    return {r.name: int(n) for r, n in zip(RejectReason, model.rejected, strict=True) if n}
+
+
+def assert_same(a, b, names=("holder", "subject", "uncertainty", *COLUMNS)):
+    """Trust scores that are equal bit for bit."""
+    for name in names:
+        np.testing.assert_array_equal(getattr(a, name), getattr(b, name), err_msg=name)
+
+
+def history(seed, n_steps, n_vehicles):
+    """Random detections and evaluations of a run: scores by step and pseudonym, evaluation rows by step."""
+    rng = np.random.default_rng(seed)
+    scores, rows = [], []
+    pseudonyms = np.sort(rng.choice(1000, n_vehicles, replace=False))
+    for _ in range(n_steps):
+        here = pseudonyms[rng.random(n_vehicles) < 0.8] if n_vehicles > 1 else pseudonyms
+        if not here.size:
+            here = pseudonyms[:1]
+        scores.append({int(v): rng.random(rng.integers(0, 5)) for v in here})
+        evaluated = []
+        for evaluator in here:
+            for observer in here:
+                for index in range(len(scores[-1][int(observer)])):
+                    if rng.random() < 0.6:
+                        visibility = rng.choice([0.0, 1.0, rng.random()])
+                        evaluation = rng.choice([-1.0, 0.0, 1.0, rng.random()])
+                        evaluated.append((int(evaluator), int(observer), index, evaluation, visibility))
+        rows.append(evaluated)
+    return scores, rows
+
+
+histories = st.builds(history, st.integers(0, 2**32 - 1), st.integers(1, 8), st.integers(1, 5))
+"""Runs of up to eight steps and five vehicles."""

@@ -1,0 +1,151 @@
+"""Laws of the trust model `trupercept`, and the slow transcription."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tests.trust.histories import COLUMNS, add, assert_same, histories, open_step
+from tests.verification import paper
+from trust.models.trupercept import TruPercept
+from trust.params import TrustParams
+from trust.step_evidence import RejectReason
+from trust.tables import SERVER, ReceivedEvaluations, messages_from_rows
+
+
+@given(
+    world=histories,
+    f=st.integers(1, 6),
+    unseen=st.sampled_from(["zero", "skip"]),
+    weighting=st.sampled_from(["score", "one"]),
+    window=st.sampled_from(["half_open", "closed"]),
+)
+@settings(max_examples=150, deadline=None)
+def test_twin(world, f, unseen, weighting, window):
+    frames, rows = world
+    model = TruPercept(TrustParams(freshness_s=float(f), unseen=unseen, weighting=weighting, window=window), 1.0)
+    by_name, records = {}, {}
+    for step, (frame, evaluated) in enumerate(zip(frames, rows, strict=True)):
+        open_step(model, step, frame)
+        add(model, step, evaluated)
+        for v, of_vehicle in frame.items():
+            by_name |= {(step, v, k): s for k, s in enumerate(of_vehicle)}
+        for evaluator, observer, k, e, phi in evaluated:
+            records.setdefault((step, observer, k), {})[evaluator] = (e, phi)
+        steps = f + (window == "closed")
+        scores = model.scores()
+        assert np.all((scores.trust >= 0) & (scores.trust <= 1))
+        for v in {v for frame in frames for v in frame}:
+            expected = paper.vehicle_trust(
+                v, step, steps, by_name, records, 0.5, unseen == "skip", weighting == "score"
+            )
+            ours = scores.trust_of(np.array([SERVER]), np.array([v]), 0.5)[0]
+            assert ours == pytest.approx(expected, abs=1e-11)
+
+
+@given(world=histories, seed=st.integers(0, 2**32 - 1), f=st.integers(2, 8))
+@settings(max_examples=80, deadline=None)
+def test_neither_order_nor_delay_nor_duplicates_matter(world, seed, f):
+    """Evaluations in any order and batching, up to f - 1 steps late, some of them twice: bit by bit the same."""
+    frames, rows = world
+    rng = np.random.default_rng(seed)
+    params = TrustParams(freshness_s=float(f))
+    tidy, messy = TruPercept(params, 1.0), TruPercept(params, 1.0)
+    in_flight, n_twice = [], 0
+    for step, (frame, evaluated) in enumerate(zip(frames, rows, strict=True)):
+        open_step(tidy, step, frame)
+        add(tidy, step, evaluated)
+        open_step(messy, step, frame)
+        for row in evaluated:
+            for _ in range(1 + (rng.random() < 0.2)):
+                in_flight.append((step + rng.integers(0, f), step, row))
+        now = [m for m in in_flight if m[0] <= step or step == len(rows) - 1]
+        in_flight = [m for m in in_flight if m not in now]
+        n_twice += len(now)
+        rng.shuffle(now)
+        while now:
+            size = int(rng.integers(1, len(now) + 1))
+            batch, now = now[:size], now[size:]
+            for generation in {m[1] for m in batch}:
+                add(messy, generation, [m[2] for m in batch if m[1] == generation])
+    assert_same(tidy.scores(), messy.scores())
+    assert messy.rejected[RejectReason.DUPLICATE] == n_twice - sum(map(len, rows))
+    assert messy.rejected.sum() == messy.rejected[RejectReason.DUPLICATE]
+
+
+@given(world=histories, seed=st.integers(0, 2**32 - 1))
+@settings(max_examples=40, deadline=None)
+def test_renaming_the_pseudonyms_permutes_the_trust(world, seed):
+    frames, rows = world
+    new = np.random.default_rng(seed).permutation(1000).tolist()
+    a, b = TruPercept(TrustParams(), 1.0), TruPercept(TrustParams(), 1.0)
+    for step, (frame, evaluated) in enumerate(zip(frames, rows, strict=True)):
+        open_step(a, step, frame)
+        add(a, step, evaluated)
+        open_step(b, step, {new[v]: s for v, s in frame.items()})
+        add(b, step, [(new[i], new[j], *rest) for i, j, *rest in evaluated])
+    x, y = a.scores(), b.scores()
+    at, found = y.rows_of(x.holder, np.array(new)[x.subject])
+    assert found.all()
+    for name in COLUMNS:
+        np.testing.assert_array_equal(getattr(y, name)[at], getattr(x, name))
+
+
+@given(world=histories)
+@settings(max_examples=40, deadline=None)
+def test_an_evaluator_without_visibility_changes_nothing(world):
+    """One more evaluator with Phi = 0 on everything; every detection has its detector's own record."""
+    frames, rows = world
+    a, b = TruPercept(TrustParams(), 1.0), TruPercept(TrustParams(), 1.0)
+    for step, (frame, evaluated) in enumerate(zip(frames, rows, strict=True)):
+        own = [(v, v, k, 1, 1) for v, s in frame.items() for k in range(len(s))]
+        evaluated = own + [r for r in evaluated if r[0] != r[1]]
+        for model in (a, b):
+            open_step(model, step, {**frame, 2000: []})
+            add(model, step, evaluated)
+        add(b, step, [(2000, v, k, -1, 0) for v, s in frame.items() for k in range(len(s))])
+    assert_same(a.scores(), b.scores())
+
+
+@given(world=histories, f=st.integers(1, 5))
+@settings(max_examples=40, deadline=None)
+def test_two_half_steps_equal_one(world, f):
+    """Half as long a step, every second one empty; and each step's evaluations in two halves."""
+    frames, rows = world
+    params = TrustParams(freshness_s=float(f))
+    one, half = TruPercept(params, 1.0), TruPercept(params, 0.5)
+    for step, (frame, evaluated) in enumerate(zip(frames, rows, strict=True)):
+        open_step(one, step, frame)
+        add(one, step, evaluated)
+        open_step(half, 2 * step, frame)
+        add(half, 2 * step, evaluated[::2])
+        open_step(half, 2 * step + 1, {v: [] for v in frame})
+        add(half, 2 * step, evaluated[1::2])
+        assert_same(one.scores(), half.scores(), ("subject", "trust", "weight", "n_evaluations", "is_judged"))
+
+
+@given(world=histories, seed=st.integers(0, 2**32 - 1))
+@settings(max_examples=40, deadline=None)
+def test_local_scores_equal_as_many_central_ones(world, seed):
+    """Scores of each holder equal those of a server that received the same messages."""
+    frames, rows = world
+    rng = np.random.default_rng(seed)
+    vehicles = sorted({v for frame in frames for v in frame})
+    together = TruPercept(TrustParams(), 1.0)
+    alone = {v: TruPercept(TrustParams(), 1.0) for v in vehicles}
+    for step, (frame, evaluated) in enumerate(zip(frames, rows, strict=True)):
+        open_step(together, step, frame)
+        for model in alone.values():
+            open_step(model, step, frame)
+        messages = messages_from_rows(step, *np.array(evaluated, float).reshape(-1, 5).T)
+        arrived = np.argwhere(rng.random((len(vehicles), messages.evaluator.size)) < 0.6)
+        together.add_evaluations(ReceivedEvaluations(messages, np.array(vehicles)[arrived[:, 0]], arrived[:, 1]))
+        for row, v in enumerate(vehicles):
+            message_row = arrived[arrived[:, 0] == row, 1]
+            alone[v].add_evaluations(ReceivedEvaluations(messages, np.full(message_row.size, SERVER), message_row))
+    all_scores = together.scores()
+    for v, model in alone.items():
+        mine = all_scores.holder == v
+        one = model.scores()
+        for name in ("subject", *COLUMNS):
+            np.testing.assert_array_equal(getattr(all_scores, name)[mine], getattr(one, name))

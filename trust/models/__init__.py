@@ -1,0 +1,9 @@
+"""Trust models by name: one file per model, behind `interface.TrustModel`."""
+
+from trust.models.interface import TrustModel, params_of
+from trust.models.trupercept import TruPercept
+
+MODELS: dict[str, type[TrustModel]] = {"trupercept": TruPercept}
+"""Constructors by the value of `trust.model`."""
+
+__all__ = ["MODELS", "TrustModel", "params_of"]

@@ -1,0 +1,82 @@
+"""Interface of a trust model."""
+
+from dataclasses import fields
+from typing import Any, Protocol
+
+from jaxtyping import Float, Int
+from numpy import ndarray
+
+from trust.tables import ReceivedEvaluations, TrustScores
+
+
+class TrustModel(Protocol):
+    """Trust of holders in subjects, from evaluations that the holders have received.
+
+    A central trust server is the one holder `trust.tables.SERVER`; otherwise a holder is a vehicle's actor number.
+    Subjects, evaluators and observers are pseudonyms. All are integers in [0, 2^31); so are steps, and seconds are
+    `step * dt_s`. One instance keeps the scores of all holders. It can be copied with `copy.deepcopy` and pickled, and
+    its answers depend neither on the order of arrival within a step nor on how messages are batched.
+    """
+
+    Params: type
+    """Frozen dataclass of the model's own parameters, read from the section [trust] of the config."""
+
+    def __init__(self, params: Any, dt_s: float) -> None: ...
+
+    def open_step(
+        self,
+        step: int,
+        pseudonyms: Int[ndarray, "n"],
+        observer_row: Int[ndarray, "d"],
+        detection_index: Int[ndarray, "d"],
+        score: Float[ndarray, "d"],
+    ) -> None:
+        """Begin a step, once and in the order of time: what was transmitted in it.
+
+        Parameters
+        ----------
+        pseudonyms
+            Ascending; those without detections included.
+        observer_row
+            Row in `pseudonyms` of each transmitted detection's observer.
+        detection_index
+            Its number in the message of that observer; 0 is the self report.
+        score
+            In [0, 1].
+        """
+        ...
+
+    def add_evaluations(self, received: ReceivedEvaluations) -> None:
+        """Add evaluations that holders have received, those of earlier steps included.
+
+        Nothing about them can be relied on: `ReceivedEvaluations.rows` leaves out values out of range.
+        """
+        ...
+
+    def scores(self, now_step: int | None = None) -> TrustScores:
+        """Trust of every (holder, subject) with evidence at a step (default: the newest one), sorted.
+
+        `now_step` is at least the newest step given so far. A subject without evidence has no row.
+        """
+        ...
+
+
+def params_of(model: type[TrustModel], trust: object, own: dict[str, Any] | None = None) -> Any:
+    """Parameters of a model from the section [trust].
+
+    Parameters
+    ----------
+    trust
+        `TrustParams`: fields of the same name are taken over.
+    own
+        Keys of the section that `TrustParams` does not have; ValueError for one that the model does not have either.
+    """
+    own = own or {}
+    names = [f.name for f in fields(model.Params)]
+    for name in own:
+        if name not in names:
+            raise ValueError(
+                f"trust.{name}: the trust model {model.__name__} has no such parameter. It has: {', '.join(names)}."
+            )
+    shared = {name: getattr(trust, name) for name in names if hasattr(trust, name)}
+    return model.Params(**(shared | own))
