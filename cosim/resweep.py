@@ -83,8 +83,9 @@ def look(run: Run, vehicle: int, step: int) -> Look:
     sweeps = sweep(world, row, city_of(config), config)
     rows = np.flatnonzero(np.linalg.norm(world.boxes.xyz_m - sweeps.poses.origin_m, axis=1) < config.lidar.max_range_m)
     rows = rows[rows != row]
-    told = run.table("detections", where=(pc.field("step") == step) & (pc.field("observer") == vehicle))
-    told = told[told.kind == "sensed"]
+    own = run.subjects.index[run.subjects.vehicle == vehicle].tolist()
+    told = run.table("detections", where=(pc.field("step") == step) & pc.field("observer").isin(own))
+    told = told[told.origin == "sensed"]
     boxes = Boxes(
         told[["x_m", "y_m", "z_m"]].to_numpy(float), told[["length_m", "width_m", "height_m"]].to_numpy(float),
         told.yaw_rad.to_numpy(float),
