@@ -30,7 +30,7 @@ from cosim.world import LABELS
 from results.archive import open_run
 from results.figures import calibration as pictures
 from results.figures import style
-from results.metrics import frames
+from results.metrics import kitti_frames
 from results.metrics.kitti import LEVELS, STRICT, Objects, Precision, average_precision
 from results.run import Run
 from sensors.boxes import Boxes, iou_3d
@@ -69,7 +69,7 @@ class Sample:
 
     name: str
     truth: Objects
-    poses: frames.Poses
+    poses: kitti_frames.Poses
     seen: Observability
     boxes: Boxes
     label: ndarray
@@ -94,8 +94,8 @@ def sample(run: Run, profile: str, model: SimpleNamespace, max_frames: int) -> S
     params = DetectorParams(model=profile)  # type: ignore[arg-type]
     config = replace(replay_lidar.config_of(run), detector=params)
     city = replay_lidar.city_of(config)
-    steps = frames.sampled_steps(run, max_frames)
-    truth, poses = frames.actors_ahead(run, steps, RANGE_M)
+    steps = kitti_frames.sampled_steps(run, max_frames)
+    truth, poses = kitti_frames.actors_ahead(run, steps, RANGE_M)
     seen, boxes, label, origin_m, z, false = (list[Any]() for _ in range(6))
     n_frames = n_actors = 0
     sweeps: Sweeps | None = None
@@ -154,7 +154,7 @@ def _found(one: Sample, model: SimpleNamespace | None) -> tuple[Objects, ndarray
     order = np.lexsort([-score, frame])
     order = order[score[order] >= least]
     table = np.column_stack([boxes.xyz_m, boxes.lwh_m, boxes.yaw_rad])[order]
-    box, ahead, height_px = frames.ahead_of(one.poses, frame[order], table, RANGE_M)
+    box, ahead, height_px = kitti_frames.ahead_of(one.poses, frame[order], table, RANGE_M)
     order, none = order[ahead], np.zeros(int(ahead.sum()))
     names = np.array(LABELS, object)[label[order]]
     return Objects(frame[order], names, box[ahead], height_px[ahead], none.astype(int), none, score[order]), iou[order]

@@ -18,7 +18,8 @@ from cosim.v2x.radio import RadioParams
 from cosim.v2x.roadside import RoadsideParams
 from cosim.v2x.server import ServerParams
 from results.encounters import EncounterParams
-from results.tables import Level
+from results.columns import Level
+from sensors.detector import DetectorParams
 from sensors.evidence import AreaParams
 from sensors.lidar import LidarParams
 from sensors.statistical_detector import DetectorParams

@@ -10,6 +10,7 @@ from time import perf_counter
 from typing import Any
 
 from cosim.config import Config
+from results.codes import BASE_VARIANT, Role, labels
 from results.tables import SCHEMA_VERSION
 
 PACKAGES = ("cosim", "eclipse-sumo", "libsumo", "numpy", "scipy", "numba", "pyarrow", "pandas", "embreex")
@@ -61,6 +62,8 @@ class Manifest:
             "sense_every_steps": self.config.sense_every_steps,
             "seed": self.config.seed,
             "traffic_seed": self.config.traffic.seed,
+            "variants": [BASE_VARIANT],
+            "roles": labels(Role),
             "config": self.config.to_dict(),
             "versions": {"python": platform.python_version()} | {p: version(p) for p in PACKAGES},
             "net": self.net,

@@ -83,8 +83,9 @@ def replay_scan(run: Run, vehicle: int, step: int) -> ReplayedScan:
     sweeps = sweep(world, row, city_of(config), config)
     rows = np.flatnonzero(np.linalg.norm(world.boxes.xyz_m - sweeps.poses.origin_m, axis=1) < config.lidar.max_range_m)
     rows = rows[rows != row]
-    detected = run.table("detections", where=(pc.field("step") == step) & (pc.field("observer") == vehicle))
-    detected = detected[detected.kind == "sensed"]
+    own = run.subjects.index[run.subjects.vehicle == vehicle].tolist()
+    detected = run.table("detections", where=(pc.field("step") == step) & pc.field("observer").isin(own))
+    detected = detected[detected.origin == "sensed"]
     boxes = Boxes(
         detected[["x_m", "y_m", "z_m"]].to_numpy(float), detected[["length_m", "width_m", "height_m"]].to_numpy(float),
         detected.yaw_rad.to_numpy(float),

@@ -13,11 +13,13 @@ import tomli_w
 from cosim import recording
 from cosim.actors import ActorRegistry
 from cosim.config import Config
-from cosim.cycle import State, turn
+from cosim.cycle import State, knowledge, turn
 from cosim.manifest import Manifest, Stopwatch
 from cosim.mobility.source import TrafficEnded, TrafficError, TrafficSource
 from cosim.scenario import Scenario, find
-from cosim.v2x.messages import FABRICATED
+from cosim.trackers.attack_start import AttackStartTracker
+from cosim.trackers.encounters import EncounterTrackers
+from cosim.trackers.inter_reception import InterReceptionTracker
 from cosim.v2x.roadside import NOWHERE, Sites, place
 from results.recorder import Recorder
 from sensors import lidar
@@ -137,9 +139,9 @@ def _drive(
             raise TrafficError(f"traffic.warmup_s = {warmup_s:g} s outlasts the traffic: {over}. Shorten it.") from None
         advance("warm-up", int(warmup_s), int(warmup_s), "s")
     state = State.start(config, city, roadside_units(config, scenario))
-    meetings = recording.Meetings(config)
-    silences = recording.Silences(), recording.Silences()
-    first_lie = np.zeros(0, int)
+    encounters = EncounterTrackers(config.encounters, dt_s, config.lidar.mount_above_roof_m)
+    inter_reception = InterReceptionTracker(), InterReceptionTracker()
+    attack_start = AttackStartTracker()
     n_on_road, ended = 0, ""
     with Recorder(manifest.folder, config.record.level, config.record.block_steps) as recorder:
         for step in range(n_steps):
@@ -152,25 +154,25 @@ def _drive(
             with watch("record"):
                 recording.actors(recorder, world)
             with watch("encounters"):
-                meetings.update(recorder, world, city, state)
+                closed, holder, other = encounters.update(world, city)
+                known = knowledge(state, config, holder, other, world.actor[world.equipped], step * dt_s)
+                encounters.first_contact(holder, other, known.trust, known.source, known.age_s)
+                recording.encounters(recorder, step, closed)
             if step % config.sense_every_steps == 0 and world.equipped.any():
                 numba.set_num_threads(_threads(config, int(world.equipped.sum())))
                 happened = turn(world, city, state, config, watch)
                 with watch("record"):
-                    recording.turn(recorder, happened, silences, dt_s)
+                    recording.step(recorder, happened, inter_reception, dt_s)
                 with watch("encounters"):
-                    meetings.count(happened)
-                first_lie = np.concatenate([first_lie, np.full(len(registry) - len(first_lie), -1)])
-                liars = world.actor[happened.said.observer[happened.said.origin == FABRICATED]]
-                first_lie[liars] = np.where(first_lie[liars] < 0, step, first_lie[liars])
-            n_on_road += int((world.shape != recording.Shape.PEDESTRIAN).sum())
+                    recording.count_in_encounters(encounters, happened)
+                attack_start.update(step, recording.attackers(happened))
+            n_on_road += int((world.shape != Shape.PEDESTRIAN).sum())
             manifest.steps = step + 1
             advance("run", step + 1, n_steps, f"steps, {len(world)} actors")
-        first_lie = np.concatenate([first_lie, np.full(len(registry) - len(first_lie), -1)])
         if not manifest.steps:
             raise TrafficError(f"traffic.scenario = {scenario.name}: there is nothing to record: {ended}.")
-        meetings.close(recorder, manifest.steps - 1)
-        recording.vehicles(recorder, registry, first_lie, manifest.steps - 1)
+        recording.encounters(recorder, manifest.steps - 1, encounters.close(manifest.steps))
+        recording.vehicles(recorder, roster, *attack_start.first_steps(len(roster)), manifest.steps - 1)
     manifest.timings_s = watch.seconds
     manifest.summary = {
         "vehicles_on_road_mean": round(n_on_road / manifest.steps, 2),

@@ -1,4 +1,4 @@
-"""Opening a run: its tables, and the figures of merit read off them."""
+"""Opening a run: its tables, and the metrics read off them."""
 
 import json
 from functools import cached_property
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 class OpenRun(Run):
-    """A run with its figures of merit at hand."""
+    """A run with its metrics at hand."""
 
     @cached_property
     def measure(self) -> "Measures":
@@ -46,8 +46,8 @@ def open_run(path: str | Path, unfinished: bool = False) -> OpenRun:
         raise ValueError(f"{path}/manifest.json is damaged ({error}). Run again.") from error
     if version != SCHEMA_VERSION:
         raise ValueError(
-            f"{path} was written with schema version {version}, this cosim reads version {SCHEMA_VERSION}. "
-            "Run again, or use the cosim that wrote it (manifest.json says which)."
+            f"{path} was written with schema version {version} (other names of tables and columns); this cosim reads "
+            f"version {SCHEMA_VERSION}. Run again with this cosim, or read it with the one in its manifest.json."
         )
     if status != "finished" and not unfinished:
         raise ValueError(f'{path} is unfinished (status "{status}"). Run it again: `cosim run {path}/config.toml`.')

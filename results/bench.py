@@ -9,7 +9,7 @@ from numpy import ndarray
 from scipy.spatial import cKDTree
 
 from results.archive import open_run
-from results.encounters import EncounterLedger, EncounterParams
+from results.encounters import EncounterTracker, EncounterParams
 from results.recorder import Recorder
 from results.tables import SCHEMA_VERSION
 
@@ -22,7 +22,7 @@ def bench(steps: int = 120) -> list[tuple[str, float, str]]:
     rng = np.random.default_rng(0)
     points, speed = rng.uniform(0, AREA_M, (N_VEHICLES, 2)), rng.normal(0, 8, (N_VEHICLES, 2))
     everyone = np.arange(N_VEHICLES)
-    ledger = EncounterLedger(EncounterParams(radius_m=REACH_M, pairs="all"), 1.0)
+    ledger = EncounterTracker(EncounterParams(radius_m=REACH_M, pairs="all"), 1.0)
     ledger_s, search_s, n_pairs = [], [], 0
     for step in range(steps):
         points = (points + speed) % AREA_M
@@ -62,13 +62,13 @@ def _disk(rng: np.random.Generator, steps: int) -> tuple[float, float, int, int]
         begin = process_time()
         with Recorder(Path(folder), "standard") as recorder:
             for step in range(steps):
-                recorder.append("uses", step, {
+                recorder.append("trust_lookups", step, {
                     "receiver": receiver, "subject": subject, "trust": trust[subject],
                     "source": np.zeros(len(subject), np.int8), "age_s": np.full(len(subject), step % 5 + 0.2),
                 })  # fmt: skip
         written = process_time()
         (Path(folder) / "manifest.json").write_text(manifest % (SCHEMA_VERSION, steps))
-        n_rows = len(open_run(folder).uses)
+        n_rows = len(open_run(folder).trust_lookups)
         read = process_time()
-        n_bytes = sum(part.stat().st_size for part in (Path(folder) / "uses").iterdir())
+        n_bytes = sum(part.stat().st_size for part in (Path(folder) / "trust_lookups").iterdir())
     return written - begin, read - written, n_rows, n_bytes

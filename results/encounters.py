@@ -1,4 +1,4 @@
-"""The encounter ledger: meetings of pairs, followed as the simulation runs."""
+"""Encounters of pairs of actors, tracked step by step."""
 
 from dataclasses import dataclass
 from typing import Annotated, Literal
@@ -8,7 +8,7 @@ from annotated_types import Ge, Gt
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
-from results.tables import PAIRS, SOURCES
+from results.codes import EncounterPairs, TrustSource
 
 Rows = dict[str, ndarray]
 """Columns of the table `encounters`, ready for the recorder."""
@@ -16,14 +16,14 @@ Rows = dict[str, ndarray]
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class EncounterParams:
-    """What counts as a meeting."""
+    """What counts as an encounter."""
 
     radius_m: Annotated[float, Gt(0)] = 100.0
     """Largest distance that counts as contact [m]."""
     hysteresis_s: Annotated[float, Ge(0)] = 3.0
     """A break in contact shorter than this does not end an encounter [s]."""
-    pairs: Literal["all", "equipped", "sight"] = "equipped"
-    """Who can meet: all vehicles, equipped pairs, or equipped pairs while they see each other."""
+    pairs: Literal["all", "equipped", "los"] = "equipped"
+    """Which pairs count: all vehicles, equipped pairs, or equipped pairs while they have line of sight."""
 
 
 _LIVE: dict[str, type] = {
@@ -34,10 +34,10 @@ _LIVE: dict[str, type] = {
     "sum_m": np.float64,
     "min_m": np.float64,
     "previous_end": np.int32,
-    "met_before": np.bool_,
+    "again": np.bool_,      # the two had an encounter before
     "censored_left": np.bool_,
     "entered": np.bool_,
-    **{f"n_{what}_{way}": np.int32 for what in ("messages", "verdicts") for way in ("ab", "ba")},
+    **{f"n_{what}_{way}": np.int32 for what in ("messages", "evaluations") for way in ("ab", "ba")},
     **{f"trusted_{way}": np.bool_ for way in ("ab", "ba")},
     **{f"trusted_step_{way}": np.int32 for way in ("ab", "ba")},
     **{f"trust_{way}": np.float32 for way in ("ab", "ba")},
@@ -47,23 +47,25 @@ _LIVE: dict[str, type] = {
 }  # fmt: skip
 
 _PENDING = 4096
-"""Finished meetings gathered before they join the sorted memory of past ones."""
+"""Ended encounters gathered before they join the sorted memory of past ones."""
 
 
-class EncounterLedger:
-    """Encounters of one radius, told step by step; memory grows with pairs on the road, not with time.
+class EncounterTracker:
+    """Encounters by one definition, updated at every step; memory grows with pairs on the road, not with time.
+
+    It takes plain arrays of actor numbers and can be copied deeply and pickled at any time.
 
     Notes
     -----
-    Steps are samples: a pair in contact at steps s ... t-1 met for (t - s) * dt_s, an unbiased estimate of
+    Steps are samples: a pair in contact at steps s ... t-1 was so for (t - s) * dt_s, an unbiased estimate of
     the time in continuous contact. A break is the time out of contact between two contacts; if it is
     shorter than `hysteresis_s` the encounter goes on and the break counts in its duration.
 
-    An encounter under way at the first step told is censored on the left; one not known to be over at
+    An encounter under way at the first step is censored on the left; one not known to be over at
     `close` is censored on the right (also during a break that may still be bridged), and so lasts at least
     as long as its duration says. An actor that leaves the simulation ends its encounters: that is
-    no censoring, because nobody is left to meet; `departed` marks them for those who think otherwise.
-    A pair's last meeting is remembered while both are on the road.
+    no censoring, because the pair no longer exists; `departed` marks them for another convention.
+    The end of a pair's last encounter is remembered while both are on the road.
     """
 
     def __init__(self, params: EncounterParams, dt_s: float) -> None:
@@ -80,11 +82,11 @@ class EncounterLedger:
         self._past = (
             np.zeros(0, np.int64),
             np.zeros(0, np.int32),
-        )  # pairs, sorted, and ends of their last meeting
+        )  # pairs, sorted, and ends of their last encounter
         self._pending = (np.zeros(0, np.int64), np.zeros(0, np.int32))
 
     def __len__(self) -> int:
-        """Pairs that are meeting."""
+        """Encounters under way."""
         return len(self._pair)
 
     def update(
@@ -97,31 +99,31 @@ class EncounterLedger:
         present: Int[ndarray, "m"],
         equipped: Bool[ndarray, "n"] | None = None,
     ) -> tuple[Rows, Int[ndarray, "k"]]:
-        """Tell who is near whom.
+        """Add one step.
 
         Parameters
         ----------
         step
             One more than at the last call.
         a, b
-            Actor ids, a < b, no pair twice; at least all pairs within the radius.
+            Actor numbers, a < b, no pair twice; at least all pairs within the radius.
         los
-            Whether the two see each other.
+            Whether the two have line of sight.
         present
-            Ids of all actors on the road.
+            All actors on the road.
         equipped
             Whether both are equipped; left out, all pairs given are.
 
         Returns
         -------
-        Rows of the encounters now over, and the given pairs (as indices) whose encounter begins.
+        Rows of the encounters now over, and indices of the given pairs whose encounter begins.
         """
         assert self._step is None or step == self._step + 1, f"step {step} does not follow {self._step}"
         first = self._step is None
         contact = distance_m <= self.params.radius_m
         if self.params.pairs != "all" and equipped is not None:
             contact &= equipped
-        if self.params.pairs == "sight":
+        if self.params.pairs == "los":
             contact &= los
         given = np.flatnonzero(contact)
         pair = _pair(a[given], b[given])
@@ -135,16 +137,16 @@ class EncounterLedger:
         left = np.setdiff1d(self._present, present, assume_unique=True)
         self._step, self._present = step, present
 
-        at, meeting = _find(self._pair, pair)
-        live, now = self._live, self._slot[at[meeting]]
-        metres, seen = distance_m[given], los[given]
+        at, under_way = _find(self._pair, pair)
+        live, now = self._live, self._slot[at[under_way]]
+        metres, visible = distance_m[given], los[given]
         live["end"][now] = step + 1
         live["n"][now] += 1
-        live["n_los"][now] += seen[meeting]
-        live["sum_m"][now] += metres[meeting]
-        live["min_m"][now] = np.minimum(live["min_m"][now], metres[meeting])
+        live["n_los"][now] += visible[under_way]
+        live["sum_m"][now] += metres[under_way]
+        live["min_m"][now] = np.minimum(live["min_m"][now], metres[under_way])
 
-        new = ~meeting
+        new = ~under_way
         gone = self._of_any(left)
         end = live["end"][self._slot]
         over = np.flatnonzero(gone | (step + 1 - end >= self._patience))
@@ -153,34 +155,34 @@ class EncounterLedger:
         self._remember(over)
         keep = np.ones(len(self._pair), bool)
         keep[over] = False
-        opened = self._opened(step, pair[new], metres[new], seen[new], came, first)
+        opened = self._opened(step, pair[new], metres[new], visible[new], came, first)
         self._merge(keep, pair[new], opened)
         return rows, given[new]
 
     def close(self, step: int) -> Rows:
-        """Rows of what is still going on at the end of recording; `step` is one past the last step told."""
+        """Rows of what is still going on at the end of recording; `step` is one past the last step."""
         assert self._step is None or step == self._step + 1, f"step {step} does not follow {self._step}"
-        everyone = np.arange(len(self._pair))
-        rows = self._rows(everyone, np.zeros(len(self), bool), np.ones(len(self), bool))
+        rows = np.arange(len(self._pair))
+        closed = self._rows(rows, np.zeros(len(self), bool), np.ones(len(self), bool))
         self._merge(np.zeros(len(self), bool), self._pair[:0], {})
-        return rows
+        return closed
 
     def count_messages(
         self, sender: Int[ndarray, "n"], receiver: Int[ndarray, "n"], n: Int[ndarray, "n"] | None = None
     ) -> None:
-        """Add messages received; those of pairs that are not meeting are left out."""
+        """Add messages received; those of pairs without an encounter under way are left out."""
         self._count("messages", sender, receiver, n)
 
-    def count_verdicts(
+    def count_evaluations(
         self, evaluator: Int[ndarray, "n"], observer: Int[ndarray, "n"], n: Int[ndarray, "n"] | None = None
     ) -> None:
-        """Add verdicts of `evaluator` on detections of `observer`."""
-        self._count("verdicts", evaluator, observer, n)
+        """Add evaluations of `evaluator` on detections of `observer`."""
+        self._count("evaluations", evaluator, observer, n)
 
-    def note_trust(self, receiver: Int[ndarray, "n"], subject: Int[ndarray, "n"]) -> None:
-        """Say who uses, in this step, a trust value for whom that is not the default."""
+    def note_trust(self, holder: Int[ndarray, "n"], other: Int[ndarray, "n"]) -> None:
+        """Note which holders look up, in this step, a trust value for which other that is not the default."""
         assert self._step is not None
-        at, known, way = self._ordered(receiver, subject)
+        at, known, way = self._ordered(holder, other)
         for ab, name in ((True, "ab"), (False, "ba")):
             where = at[known & (way == ab)]
             where = where[~self._live[f"trusted_{name}"][where]]
@@ -189,26 +191,27 @@ class EncounterLedger:
 
     def first_contact(
         self,
-        receiver: Int[ndarray, "n"],
-        subject: Int[ndarray, "n"],
+        holder: Int[ndarray, "n"],
+        other: Int[ndarray, "n"],
         trust: Float[ndarray, "n"],
         source: Int[ndarray, "n"],
         age_s: Float[ndarray, "n"],
     ) -> None:
-        """Say what `receiver` would trust `subject` with, for pairs whose encounter has just begun.
+        """Note the trust in `other` that `holder` would look up now; kept of pairs whose encounter begins now.
 
-        `source` holds codes of `results.tables.SOURCES`; the age of a default is ignored.
+        `source` holds codes of `TrustSource`; the age of a default is ignored. Other pairs are left out.
         """
-        told = np.asarray(source) != _DEFAULT
-        self.note_trust(receiver[told], subject[told])
-        at, known, way = self._ordered(receiver, subject)
+        at, known, way = self._ordered(holder, other)
+        known[known] = self._live["start"][at[known]] == self._step
+        given = known & (np.asarray(source) != TrustSource.DEFAULT)
+        self.note_trust(holder[given], other[given])
         for ab, name in ((True, "ab"), (False, "ba")):
             rows = known & (way == ab)
             where = at[rows]
             self._live[f"known_{name}"][where] = True
             self._live[f"trust_{name}"][where] = trust[rows]
             self._live[f"source_{name}"][where] = source[rows]
-            self._live[f"age_{name}_s"][where] = np.where(source[rows] == _DEFAULT, 0, age_s[rows])
+            self._live[f"age_{name}_s"][where] = np.where(source[rows] == TrustSource.DEFAULT, 0, age_s[rows])
 
     def _count(self, what: str, one: ndarray, other: ndarray, n: ndarray | None) -> None:
         at, known, way = self._ordered(one, other)
@@ -219,7 +222,7 @@ class EncounterLedger:
             self._live[f"n_{what}_{name}"] += added.astype(np.int32)
 
     def _ordered(self, one: ndarray, other: ndarray) -> tuple[ndarray, ndarray, ndarray]:
-        """Slot of each ordered pair, whether it is meeting, and whether it runs from a to b."""
+        """Slot of each ordered pair, whether its encounter is under way, and whether it runs from a to b."""
         at, known = _find(self._pair, _pair(np.minimum(one, other), np.maximum(one, other)))
         at[known] = self._slot[at[known]]
         return at, known, np.asarray(one) < np.asarray(other)
@@ -231,16 +234,16 @@ class EncounterLedger:
         return np.isin(self._pair >> 32, actors) | np.isin(self._pair & 0xFFFFFFFF, actors)
 
     def _opened(
-        self, step: int, pair: ndarray, metres: ndarray, seen: ndarray, came: ndarray, first: bool
+        self, step: int, pair: ndarray, metres: ndarray, visible: ndarray, came: ndarray, first: bool
     ) -> dict[str, ndarray]:
         """Live columns of encounters that begin now."""
         opened: Rows = {name: np.zeros(len(pair), dtype) for name, dtype in _LIVE.items()}
-        for past in (self._past, self._pending):  # the later one holds the later meeting
+        for past in (self._past, self._pending):  # the later one holds the later encounter
             at, met = _find(past[0], pair)
             opened["previous_end"][met] = past[1][at[met]]
-            opened["met_before"] |= met
+            opened["again"] |= met
         opened["start"][:], opened["end"][:], opened["n"][:] = step, step + 1, 1
-        opened["n_los"][:], opened["sum_m"][:], opened["min_m"][:] = seen, metres, metres
+        opened["n_los"][:], opened["sum_m"][:], opened["min_m"][:] = visible, metres, metres
         opened["censored_left"][:] = first
         if not first:
             opened["entered"][:] = np.isin(pair >> 32, came) | np.isin(pair & 0xFFFFFFFF, came)
@@ -285,7 +288,7 @@ class EncounterLedger:
                 f"source_{way}": live[f"source_{way}"],
                 f"source_{way}__valid": known,
                 f"age_{way}_s": live[f"age_{way}_s"],
-                f"age_{way}_s__valid": known & (live[f"source_{way}"] != _DEFAULT),
+                f"age_{way}_s__valid": known & (live[f"source_{way}"] != TrustSource.DEFAULT),
                 f"trusted_after_{way}_s": (live[f"trusted_step_{way}"] - live["start"]) * self.dt_s,
                 f"trusted_after_{way}_s__valid": live[f"trusted_{way}"],
             }
@@ -294,7 +297,8 @@ class EncounterLedger:
             "b": (self._pair[at] & 0xFFFFFFFF).astype(np.int32),
             "start_step": live["start"],
             "radius_m": np.full(n, self.params.radius_m, np.float32),
-            "pairs": np.full(n, PAIRS.index(self.params.pairs), np.int8),
+            "pairs": np.full(n, EncounterPairs[self.params.pairs.upper()], np.int8),
+            "hysteresis_s": np.full(n, self.params.hysteresis_s, np.float32),
             "end_step": live["end"],
             "duration_s": (live["end"] - live["start"]) * self.dt_s,
             "censored_left": live["censored_left"],
@@ -302,17 +306,14 @@ class EncounterLedger:
             "entered": live["entered"],
             "departed": departed,
             "gap_s": (live["start"] - live["previous_end"]) * self.dt_s,
-            "gap_s__valid": live["met_before"],
+            "gap_s__valid": live["again"],
             "min_distance_m": live["min_m"],
             "mean_distance_m": live["sum_m"] / np.maximum(live["n"], 1),
             "los_share": live["n_los"] / np.maximum(live["n"], 1),
             **{f"n_{what}_{way}": live[f"n_{what}_{way}"]
-               for what in ("messages", "verdicts") for way in ("ab", "ba")},
+               for what in ("messages", "evaluations") for way in ("ab", "ba")},
             **trust,
         }  # fmt: skip
-
-
-_DEFAULT = SOURCES.index("default")
 
 
 def _pair(a: Int[ndarray, "n"], b: Int[ndarray, "n"]) -> Int[ndarray, "n"]:

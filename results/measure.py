@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from results.metrics import contacts, detection, encounters, freshness, liars, radio, trust
+from results.metrics import contact_graph, detection, encounters, freshness, misbehaviour, radio, trust
 from results.metrics.kitti import FEWEST
 from results.run import Run
 
@@ -42,7 +42,7 @@ def measure(
     fresh_s
         Oldest age at which trust counts as fresh.
     false_positives
-        Share of honest trust values that a threshold on trust may wrongly suspect, see `results.metrics.liars`.
+        Share of honest trust values that a threshold on trust may wrongly suspect, see `results.metrics.misbehaviour`.
     max_frames
         Sample for detection quality, see `results.metrics.detection.precision`.
 
@@ -128,8 +128,8 @@ def _traffic(run: Run) -> Iterator[Line]:
     yield "duration", "", time_s, "s"
     yield "actors on the road, mean", "all", float(on_road.sum()), ""
     yield "actors on the road, mean", "equipped", float(on_road[vehicles.equipped].sum()), ""
-    for behaviour, n in run.roles.value_counts().sort_index().items():
-        yield "equipped vehicles", str(behaviour), float(n), ""
+    for role, n in run.roles.value_counts().sort_index().items():
+        yield "equipped vehicles", str(role), float(n), ""
 
 
 def _encounters(run: Run) -> Iterator[Line]:
@@ -145,41 +145,41 @@ def _encounters(run: Run) -> Iterator[Line]:
 
 def _trust(run: Run) -> Iterator[Line]:
     figures = {"median": ("final trust, median", "1"), "mean": ("final trust, mean", "1")}
-    yield from _lines(trust.final(run), "{behaviour}", figures)
-    yield from _lines(trust.mean(run), "{behaviour}", {"mean": ("trust, mean over the run", "1")})
+    yield from _lines(trust.final(run), "{role}", figures)
+    yield from _lines(trust.mean(run), "{role}", {"mean": ("trust, mean over the run", "1")})
 
 
 def _liars(run: Run, threshold: float, false_positives: float) -> Iterator[Line]:
     low = f"trust below {threshold:g}, share of "
-    yield from _lines(liars.below(run, threshold), "{behaviour}", {
+    yield from _lines(misbehaviour.below(run, threshold), "{role}", {
         "share": (low + "values", "1"), "judged_share": (low + "judged values", "1"),
     })  # fmt: skip
-    frame = liars.separability(run, false_positives)
+    frame = misbehaviour.separability(run, false_positives)
     few = f"at {100 * false_positives:g}% false positives"
     yield from _lines(frame[:1], "honest", {"judged_honest": ("judged, share of the time", "1")})
-    yield from _lines(frame, "{behaviour}", {
+    yield from _lines(frame, "{role}", {
         "judged": ("judged, share of the time", "1"), "n": ("liars", ""),
         "auc": ("honest above liars (AUC)", "1"),
         "auc_unjudged": ("honest above liars, unjudged values included", "1"),
         "true_positives": (f"true positives {few}", "1"), "caught": (f"suspected, share of the time, {few}", "1"),
     })  # fmt: skip
     yield from _lines(frame[:1], "", {"threshold": (f"threshold {few}", "1")})
-    if not np.isnan(apart := liars.separation(run)):
+    if not np.isnan(apart := misbehaviour.separation(run)):
         yield "honest above malicious at the end", "", apart, "1"
     limit, kept = float(frame.threshold.iloc[0]), trust.kept_at(run)
     asked: list[tuple[str, float, trust.At]] = [(f"below {threshold:g}", threshold, kept), (few, limit, kept)]
-    if kept == "server" and "uses" in run.tables:
+    if kept == "server" and "trust_lookups" in run.tables:
         asked.insert(1, (f"below {threshold:g}", threshold, "vehicles"))
     for name, value, at in asked if not np.isnan(limit) else ():
-        of = "{behaviour}, at the server" if at == "server" else "{behaviour}, at a vehicle"
-        yield from _lines(liars.detection_summary(run, value, at), of, {
+        of = "{role}, at the server" if at == "server" else "{role}, at a vehicle"
+        yield from _lines(misbehaviour.detection_summary(run, value, at), of, {
             "share": (f"ever suspected, {name}", "1"), "half_after_s": (f"half are suspected after, {name}", "s"),
         })  # fmt: skip
 
 
 def _freshness(run: Run, fresh_s: float) -> Iterator[Line]:
     newest = {"newest_age_s": ("newest evidence at the server, median age", "s")}
-    yield from _lines(freshness.evidence(run), "{behaviour}", newest)
+    yield from _lines(freshness.evidence(run), "{role}", newest)
     yield from _lines(freshness.without_trust(run), "{pairs}, {radius_m:g} m", {
         "share": ("encounters over before trust was known", "1"),
         "wait_median_s": ("wait for trust in an encounter, median", "s"),
@@ -187,12 +187,12 @@ def _freshness(run: Run, fresh_s: float) -> Iterator[Line]:
     state = {"share": (f"trust at use (fresh: at most {fresh_s:g} s)", "1")}
     yield from _lines(freshness.shares(run, fresh_s), "{state}", state)
     about = {"share": ("use of trust, by whom it is about", "1")}
-    yield from _lines(freshness.shares_by_behaviour(run, fresh_s), "{state}, {behaviour}", about)
+    yield from _lines(freshness.shares_by_role(run, fresh_s), "{state}, {role}", about)
     known = freshness.at_use(run).query("source != 'default'")
     ages = {"mean_s": ("age at use, mean", "s"), "peak_s": ("age at use, peak", "s")}
     yield from _lines(known, "{source}", ages)
     if len(known):
-        yield from _lines(freshness.evidence_at_use(run), "{behaviour}", {
+        yield from _lines(freshness.evidence_at_use(run), "{role}", {
             "newest_s": ("newest evidence at use, mean age", "s"),
             "oldest_s": ("oldest evidence at use, mean age", "s"),
         })  # fmt: skip
@@ -207,8 +207,8 @@ def _radio(run: Run) -> Iterator[Line]:
         cause = name.removeprefix("n_lost_")
         yield from _lines(frame, cause.replace("_", " "), {f"lost_{cause}": ("lost", "1")})
     for view, part in radio.by_distance(run, by_view=True).groupby("view", observed=True):
-        yield "delivery ratio by view", str(view), float(np.average(part.delivery_ratio, weights=part.n_in_reach)), "1"
-    yield from _lines(frame, "mean over vehicles", {"busy_ratio": ("busy ratio", "1")})
+        yield "delivery ratio by view", str(view), float(np.average(part.delivery_ratio, weights=part.n_in_range)), "1"
+    yield from _lines(frame, "mean over vehicles", {"cbr": ("busy ratio", "1")})
     late = radio.latency(run).groupby("latency_s").n_delivered.sum().cumsum()
     for share in (0.5, 0.95):
         yield "latency at most", f"{share:.0%} of messages", float(late.index[late >= share * late.iloc[-1]][0]), "s"

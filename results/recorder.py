@@ -2,7 +2,7 @@
 
 import hashlib
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 
@@ -12,17 +12,21 @@ import pyarrow.parquet as pq
 from numpy import ndarray
 from pandas.util import hash_array
 
-from results.tables import TABLES, Column, Level, kept, schema
+from results.codes import BASE_VARIANT, Role, labels
+from results.columns import Column, Level
+from results.tables import TABLES, kept, schema
 
 VALID = "__valid"
 """Suffix of the mask that goes with a column that may be null."""
 
 _PART = re.compile(r"part-(\d{5})\.parquet")
 _PARTIAL = ".partial"
+_MOST_LABELS = 127
+"""Codes of a category are int8."""
 
 
 class Recorder:
-    """Keeps what a run says, table by table, and writes it to disk block by block.
+    """Collects the rows of a run, table by table, and writes them to disk block by block.
 
     Block `i` holds what was appended in steps `i * block_steps` up to `(i + 1) * block_steps` and becomes
     `<folder>/<table>/part-<i>.parquet`, whole or not at all: a crash loses at most the block in memory.
@@ -37,10 +41,22 @@ class Recorder:
     block_steps
         Steps per block.
     resume_at
-        First step to come, a multiple of `block_steps`; 0 starts afresh.
+        First step to come, a multiple of `block_steps`; 0 starts anew.
+    variants
+        Names of the run's trust variants: labels of the columns `variant`, in the order of their codes.
+    roles
+        Roles of the run's vehicles: labels of the column `role`, in the order of their codes.
     """
 
-    def __init__(self, folder: Path, level: Level, block_steps: int = 60, resume_at: int = 0) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        level: Level,
+        block_steps: int = 60,
+        resume_at: int = 0,
+        variants: Sequence[str] = (BASE_VARIANT,),
+        roles: Sequence[str] = labels(Role),
+    ) -> None:
         if block_steps < 1:
             raise ValueError(f"block_steps = {block_steps}: a block needs at least one step.")
         if resume_at % block_steps:
@@ -49,6 +65,11 @@ class Recorder:
                 f"{resume_at - resume_at % block_steps}, where the last whole block ends."
             )
         self.folder = Path(folder)
+        self.labels = {"variants": tuple(variants), "roles": tuple(roles)}
+        """Labels of this run; they belong into its manifest."""
+        for what, given in self.labels.items():
+            if not 0 < len(given) <= _MOST_LABELS or len(set(given)) < len(given):
+                raise ValueError(f"{what} = {list(given)}: 1 to {_MOST_LABELS} names, each once.")
         self.tables = kept(level)
         self.block_steps = block_steps
         self._block = resume_at // block_steps
@@ -75,7 +96,7 @@ class Recorder:
             self._block = step // self.block_steps
         if table not in self.tables:
             return
-        rows = _checked(table, step, columns)
+        rows = _checked(table, step, columns, self.labels)
         if len(next(iter(rows.values()))):
             self._rows[table].append(rows)
 
@@ -83,7 +104,7 @@ class Recorder:
         """Write the block in memory to disk."""
         for name, rows in self._rows.items():
             if rows:
-                _write(self.folder / name / f"part-{self._block:05d}.parquet", name, rows)
+                _write(self.folder / name / f"part-{self._block:05d}.parquet", name, rows, self.labels)
                 rows.clear()
 
     def close(self) -> None:
@@ -96,19 +117,21 @@ class Recorder:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if error is None:  # half a step is worth nothing: a resumed run repeats the block
+        if error is None:  # after an error the last step may be incomplete; a resumed run repeats the block
             self.close()
 
 
-def _checked(table: str, step: int, columns: Mapping[str, ndarray | None]) -> dict[str, ndarray]:
+def _checked(
+    table: str, step: int, columns: Mapping[str, ndarray | None], of_run: Mapping[str, tuple[str, ...]]
+) -> dict[str, ndarray]:
     """The columns in their stored types, masks included."""
     known = TABLES[table].stored
     given = {name.removesuffix(VALID) for name in columns}
     wanted = set(known) - ({"step"} - set(columns))
     if given != wanted:
         extra, missing = sorted(given - wanted), sorted(wanted - given)
-        said = [f"{word} {', '.join(names)}" for word, names in (("unknown", extra), ("missing", missing)) if names]
-        raise ValueError(f"Table {table}: {'; '.join(said)}. The columns are {', '.join(known)}.")
+        wrong = [f"{word} {', '.join(names)}" for word, names in (("unknown", extra), ("missing", missing)) if names]
+        raise ValueError(f"Table {table}: {'; '.join(wrong)}. The columns are {', '.join(known)}.")
     n = next((len(values) for values in columns.values() if values is not None), 0)
     rows: dict[str, ndarray] = {}
     for name, column in known.items():
@@ -123,7 +146,7 @@ def _checked(table: str, step: int, columns: Mapping[str, ndarray | None]) -> di
             if not np.all(valid):
                 raise ValueError(f"{table}.{name} cannot be null.")
             valid = None
-        rows[name] = _stored(f"{table}.{name}", column, values, valid)
+        rows[name] = _stored(f"{table}.{name}", column, values, valid, column.labels(of_run))
         if column.null:
             rows[name + VALID] = np.ones(n, bool) if valid is None else np.array(valid, bool)
     return rows
@@ -135,25 +158,27 @@ def _dtype(column: Column) -> np.dtype:
     return np.dtype(object) if column.type == "string" else np.dtype(column.type)
 
 
-def _stored(name: str, column: Column, values: ndarray, valid: ndarray | None) -> ndarray:
+def _stored(
+    name: str, column: Column, values: ndarray, valid: ndarray | None, categories: tuple[str, ...]
+) -> ndarray:
     """Values cast to the column's type; refuses what would change a value beyond its rounding."""
     if column.type == "string":
         return values.astype(object)
     if column.type == "category" and values.dtype.kind in "OUT":
         codes = np.full(len(values), -1, np.int8)
-        for code, label in enumerate(column.categories):
+        for code, label in enumerate(categories):
             codes[values == label] = code
         known = codes >= 0 if valid is None else (codes >= 0) | ~valid
         if not known.all():
-            raise ValueError(f"{name} = '{values[~known][0]}' is none of {', '.join(column.categories)}.")
+            raise ValueError(f"{name} = '{values[~known][0]}' is none of {', '.join(categories)}.")
         return codes
     used = values if valid is None else values[valid]
     dtype = _dtype(column)
     if dtype.kind in "iu":
         if values.dtype.kind not in "iu":
             raise ValueError(f"{name} has dtype {values.dtype}; whole numbers are wanted.")
-        top = len(column.categories) - 1 if column.categories else np.iinfo(dtype).max
-        bottom = 0 if column.categories else np.iinfo(dtype).min
+        top = len(categories) - 1 if categories else np.iinfo(dtype).max
+        bottom = 0 if categories else np.iinfo(dtype).min
         if used.size and not bottom <= int(used.min()) <= int(used.max()) <= top:
             raise ValueError(f"{name} holds {used.min()} to {used.max()}, outside {bottom} to {top}.")
     elif dtype.kind == "b":
@@ -168,7 +193,9 @@ def _stored(name: str, column: Column, values: ndarray, valid: ndarray | None) -
     return values.astype(dtype)
 
 
-def _write(path: Path, table: str, rows: list[dict[str, ndarray]]) -> None:
+def _write(
+    path: Path, table: str, rows: list[dict[str, ndarray]], of_run: Mapping[str, tuple[str, ...]]
+) -> None:
     """One part file, sorted by key."""
     columns = {name: np.concatenate([row[name] for row in rows]) for name in rows[0]}
     ordered, tied = _order(columns, TABLES[table].key)
@@ -184,7 +211,7 @@ def _write(path: Path, table: str, rows: list[dict[str, ndarray]]) -> None:
         mask = ~columns[name + VALID] if column.null else None
         if column.categories:
             codes = pa.array(columns[name], pa.int8(), mask=mask)
-            arrays.append(pa.DictionaryArray.from_arrays(codes, list(column.categories)))
+            arrays.append(pa.DictionaryArray.from_arrays(codes, list(column.labels(of_run))))
         else:
             arrays.append(pa.array(columns[name], column.arrow_type, mask=mask))
     floats = [name for name, column in TABLES[table].stored.items() if column.type == "float32"]
@@ -211,9 +238,9 @@ def _order(columns: dict[str, ndarray], key: tuple[str, ...]) -> tuple[bool, nda
 
 
 def fingerprint(folder: Path) -> dict[str, str]:
-    """Hash of what each table says, whatever the order, the blocks and the Parquet bytes it is written in.
+    """Hash of the values in each table, independent of row order, blocks and Parquet encoding.
 
-    Two runs say the same exactly where their fingerprints are equal.
+    Two runs have equal tables exactly where their fingerprints are equal.
     """
     folder = Path(folder)
     return {name: _table_hash(name, folder / name) for name in TABLES if (folder / name).is_dir()}

@@ -3,14 +3,15 @@
 from collections.abc import Iterator, Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import pandas as pd
 import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from results import derived
+from results import virtual_columns
+from results.codes import BASE_VARIANT
 from results.tables import TABLES, schema
 
 
@@ -21,9 +22,22 @@ class Run:
     `results/TABLES.md`, nulls are pandas' NA, rows are sorted by key within a step.
     """
 
-    def __init__(self, path: Path, manifest: dict[str, Any]) -> None:
+    def __init__(self, path: Path, manifest: dict[str, Any], variant: str = BASE_VARIANT) -> None:
         self.path = path
         self.manifest = manifest
+        self.variant = variant
+        """Trust variant that metrics and figures are of; the tables as attributes hold the rows of all variants."""
+
+    @property
+    def variants(self) -> tuple[str, ...]:
+        """Names of the trust variants; the acting one is `base`."""
+        return tuple(self.manifest.get("variants", (BASE_VARIANT,)))
+
+    def as_variant(self, name: str) -> Self:
+        """The same run, measured and drawn as one of its trust variants."""
+        if name not in self.variants:
+            raise ValueError(f"{self.path} has no trust variant {name!r}. It has {', '.join(self.variants)}.")
+        return type(self)(self.path, self.manifest, name)
 
     @property
     def name(self) -> str:
@@ -52,8 +66,8 @@ class Run:
         `where` picks rows, as in `run.table("fused", where=pyarrow.compute.field("score") > 0.5)`.
         """
         wanted = self._wanted(name, columns)
-        parts = [derived.read(_part, path, wanted.names, where) for path in self._paths(name)]
-        return _pandas(pa.concat_tables([wanted.empty_table(), *parts]), name)
+        parts = [virtual_columns.read(_part, path, wanted.names, where) for path in self._paths(name)]
+        return self._pandas(pa.concat_tables([wanted.empty_table(), *parts]), name)
 
     def parts(
         self, name: str, columns: Sequence[str] | None = None, where: pc.Expression | None = None
@@ -61,7 +75,25 @@ class Run:
         """The same, one block of steps after another, for tables larger than memory."""
         wanted = self._wanted(name, columns)
         for path in self._paths(name):
-            yield _pandas(derived.read(_part, path, wanted.names, where), name)
+            yield self._pandas(virtual_columns.read(_part, path, wanted.names, where), name)
+
+    def variant_table(
+        self, name: str, columns: Sequence[str] | None = None, where: pc.Expression | None = None
+    ) -> pd.DataFrame:
+        """The same as `table`, rows of the run's `variant` only."""
+        return self.table(name, columns, self._of_variant(name, where))
+
+    def variant_parts(
+        self, name: str, columns: Sequence[str] | None = None, where: pc.Expression | None = None
+    ) -> Iterator[pd.DataFrame]:
+        """The same as `parts`, rows of the run's `variant` only."""
+        return self.parts(name, columns, self._of_variant(name, where))
+
+    def _of_variant(self, name: str, where: pc.Expression | None) -> pc.Expression | None:
+        if len(self.variants) == 1 or name not in TABLES or "variant" not in TABLES[name].columns:
+            return where
+        mine = pc.field("variant") == self.variant
+        return mine if where is None else mine & where
 
     def n_blocks(self, name: str) -> int:
         """How many parts a table has."""
@@ -80,7 +112,7 @@ class Run:
 
     def _wanted(self, name: str, columns: Sequence[str] | None) -> pa.Schema:
         self.require(name)
-        if derived.names(TABLES[name], list(TABLES[name].columns) if columns is None else columns, None):
+        if virtual_columns.names(TABLES[name], list(TABLES[name].columns) if columns is None else columns, None):
             self.require("detections")
         unknown = sorted(set(columns or ()) - set(TABLES[name].columns))
         if unknown:
@@ -92,6 +124,18 @@ class Run:
 
     def _paths(self, name: str) -> list[Path]:
         return sorted((self.path / name).glob("part-*.parquet"))
+
+    def _pandas(self, table: pa.Table, name: str) -> pd.DataFrame:
+        """pandas with null-aware integers and booleans where a column may be null, and all categories known."""
+        nullable = {pa.int32(): pd.Int32Dtype(), pa.int16(): pd.Int16Dtype(), pa.bool_(): pd.BooleanDtype()}
+        frame = table.combine_chunks().to_pandas()
+        for field in table.schema:
+            categories = TABLES[name].columns[field.name].labels(self.manifest)
+            if categories:
+                frame[field.name] = frame[field.name].cat.set_categories(list(categories))
+            elif field.nullable and field.type in nullable:
+                frame[field.name] = table.column(field.name).to_pandas(types_mapper=nullable.get)
+        return frame
 
     def __getattr__(self, name: str) -> pd.DataFrame:
         if name not in TABLES:
@@ -105,9 +149,23 @@ class Run:
 
     @cached_property
     def roles(self) -> pd.Series:
-        """Behaviour by vehicle id, equipped vehicles only."""
-        vehicles = self.table("vehicles", ["vehicle", "equipped", "behaviour"])
-        return vehicles[vehicles.equipped].set_index("vehicle").behaviour
+        """Role by actor number, equipped vehicles only."""
+        vehicles = self.table("vehicles", ["vehicle", "equipped", "role"])
+        return vehicles[vehicles.equipped].set_index("vehicle").role
+
+    @cached_property
+    def subjects(self) -> pd.DataFrame:
+        """Pseudonyms by number: vehicle, role, from_step and to_step of use, attack_start_step of the vehicle.
+
+        The one place where what trust knows is joined with what is true.
+        """
+        vehicles = self.table("vehicles", ["vehicle", "role", "attack_start_step"]).set_index("vehicle")
+        return self.table("pseudonyms").set_index("pseudonym").join(vehicles, on="vehicle")
+
+    @property
+    def role_labels(self) -> tuple[str, ...]:
+        """Labels of the roles of this run, in the order of their codes."""
+        return TABLES["vehicles"].columns["role"].labels(self.manifest)
 
 
 def _part(path: Path, names: Sequence[str], where: pc.Expression | None) -> pa.Table:
@@ -129,16 +187,3 @@ def _columns(path: Path) -> set[str]:
         return set(pq.read_schema(path).names)
     except (pa.ArrowException, OSError):
         return set(schema(path.parent.name).names)
-
-
-def _pandas(table: pa.Table, name: str) -> pd.DataFrame:
-    """pandas with null-aware integers and booleans where a column may be null, and all categories known."""
-    nullable = {pa.int32(): pd.Int32Dtype(), pa.int16(): pd.Int16Dtype(), pa.bool_(): pd.BooleanDtype()}
-    frame = table.combine_chunks().to_pandas()
-    for field in table.schema:
-        categories = TABLES[name].columns[field.name].categories
-        if categories:
-            frame[field.name] = frame[field.name].cat.set_categories(list(categories))
-        elif field.nullable and field.type in nullable:
-            frame[field.name] = table.column(field.name).to_pandas(types_mapper=nullable.get)
-    return frame

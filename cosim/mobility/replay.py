@@ -154,7 +154,7 @@ class RunReplay:
             )
         vehicles = run.table("vehicles").sort_values("vehicle")
         self._names = vehicles.sumo_id.tolist()
-        self._shape = np.array([Shape[k.upper()] for k in vehicles.kind], np.uint8)
+        self._shape = np.array([Shape[k.upper()] for k in vehicles.vehicle_class], np.uint8)
         self._lwh_m = vehicles[["length_m", "width_m", "height_m"]].to_numpy(float)
         self._number = np.full(len(vehicles), _UNKNOWN, np.int32)
         self._run, self._registry, self._dt_s = run, registry, params.step_s

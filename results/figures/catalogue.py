@@ -8,7 +8,7 @@ from results.figures import contacts, detection, encounters, freshness, liars, m
 
 FIGURES: Mapping[str, Callable[..., Figure]] = {
     "trust": trust.draw,
-    "liars": liars.draw,
+    "liars": misbehaviour.draw,
     "encounters": encounters.draw,
     "freshness": freshness.draw,
     "radio": radio.draw,

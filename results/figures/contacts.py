@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from results.figures import style
-from results.metrics import contacts
+from results.metrics import contact_graph
 from results.run import Run
 
 _POINTS = 60
@@ -22,7 +22,7 @@ def draw(runs: Sequence[Run], every_s: float = 10.0, radius_m: float | None = No
     style.need(runs)
     figure, (degree, largest, reached) = style.sheet(columns=3, width=8.8, height=3.0)
     for i, run in enumerate(runs):
-        frame = contacts.over_time(run, every_s, radius_m, pairs)
+        frame = contact_graph.over_time(run, every_s, radius_m, pairs)
         line: dict[str, Any] = {"color": style.ink(i), "linestyle": style.dash(i), "marker": style.marker(i)}
         for axes, values in ((degree, frame.degree_mean), (largest, frame.largest_share)):
             spread = values.groupby(np.arange(len(frame)) // max(1, len(frame) // _POINTS)).agg(["mean", "min", "max"])
@@ -30,7 +30,7 @@ def draw(runs: Sequence[Run], every_s: float = 10.0, radius_m: float | None = No
             axes.plot(time_s, spread["mean"], **line, markevery=style.sparse(len(spread)))
             if len(runs) == 1:
                 axes.fill_between(time_s, spread["min"], spread["max"], color=style.ink(i), alpha=0.18, linewidth=0)
-        news = contacts.spread(run, every_s, radius_m, pairs)
+        news = contact_graph.temporal_reachability(run, every_s, radius_m, pairs)
         reached.plot(news.time_s, news.reached_mean, **line, markevery=style.sparse(len(news)))
     style.panel(degree, "Contacts per actor in contact", style.TIME, "Mean degree")
     style.panel(largest, "Largest component", style.TIME, "Share of actors in contact")

@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from results.figures import style
-from results.metrics import compare, freshness, liars
+from results.metrics import compare, freshness, misbehaviour
 from results.run import Run
 from results.tables import axis_label
 
@@ -29,8 +29,8 @@ def draw(runs: Sequence[Run], fresh_s: float = 10.0, over: str | None = None) ->
     bars = [freshness.shares(run, fresh_s) for run in runs]
     labels = style.names(runs)
     if len(runs) == 1:
-        groups = freshness.shares_by_behaviour(runs[0], fresh_s).groupby("behaviour", sort=False)
-        bars, labels = [*bars, *(frame for _, frame in groups)], ["all", *(str(behaviour) for behaviour, _ in groups)]
+        groups = freshness.shares_by_role(runs[0], fresh_s).groupby("role", sort=False)
+        bars, labels = [*bars, *(frame for _, frame in groups)], ["all", *(str(role) for role, _ in groups)]
     longest_s = 0.0
     for i, run in enumerate(runs):
         if bars[i].n.iloc[:2].sum() == 0:
@@ -50,10 +50,10 @@ def draw(runs: Sequence[Run], fresh_s: float = 10.0, over: str | None = None) ->
         ages.annotate(
             f"stale beyond {fresh_s:g} s", (fresh_s, 0.04), xytext=(4, 0), textcoords="offset points", fontsize=8
         )
-    style.panel(ages, "Age of trust when used", axis_label("uses", "age_s", "Age"), "Share of uses at most this old")
+    style.panel(ages, "Age of trust when used", axis_label("trust_lookups", "age_s", "Age"), "Share of uses at most this old")
     style.share_axis(ages)
     ages.set_xlim(0, max(longest_s, 1.0) * 1.05)
-    title = "How fresh" + (", by behaviour" if len(runs) == 1 else "")
+    title = "How fresh" + (", by role" if len(runs) == 1 else "")
     style.panel(shares, title, f"Share of uses (fresh: at most {fresh_s:g} s)", "")
     style.bars_axis(shares, labels)
     entries = style.bar_entries(freshness.STATES, _FILLS)
@@ -76,7 +76,7 @@ def _against(runs: Sequence[Run], key: str, ages: Axes, shares: Axes, fresh_s: f
         "uses: default": lambda run: freshness.shares(run, fresh_s).share.iloc[2],
         "uses: stale": lambda run: freshness.shares(run, fresh_s).share.iloc[1],
         "encounters over without trust": lambda run: _mean(freshness.without_trust(run), "share"),
-        "honest above malicious": liars.separation,
+        "honest above malicious": misbehaviour.separation,
     }
     frame = compare.tabulate(runs, key, {**_AGES, **of_uses})
     for axes, names in ((ages, list(_AGES)), (shares, list(of_uses))):
@@ -88,7 +88,7 @@ def _against(runs: Sequence[Run], key: str, ages: Axes, shares: Axes, fresh_s: f
             axes.plot(one[key], one[name], linestyle="", marker=style.marker(i), color=style.ink(i))
             axes.plot(mean.index, mean, linestyle=style.dash(i), marker=style.marker(i), color=style.ink(i), label=name)
         axes.legend(fontsize=7.5, handlelength=2.2)
-    style.panel(ages, "Age where trust is used, mean", compare.label(key), axis_label("uses", "age_s", "Age"))
+    style.panel(ages, "Age where trust is used, mean", compare.label(key), axis_label("trust_lookups", "age_s", "Age"))
     ages.set_ylim(bottom=0)
     style.panel(shares, "Trust where it is used", compare.label(key), "Share")
     style.share_axis(shares)

@@ -9,7 +9,7 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
 from results.figures import style
-from results.metrics import contacts
+from results.metrics import contact_graph
 from results.run import Run
 
 _MOST = 200_000
@@ -56,7 +56,7 @@ def draw(runs: Sequence[Run], cell_m: float = 25.0, radius_m: float | None = Non
 
 def _begun(run: Run, radius_m: float | None, pairs: str | None) -> np.ndarray:
     """Where encounters begin [n 2]."""
-    frame = contacts.contacts(run, radius_m, pairs)
+    frame = contact_graph.contacts(run, radius_m, pairs)
     frame = frame.iloc[:: -(-len(frame) // _MOST)]
     frame = frame.assign(step=np.round(frame.start_s / run.dt_s).astype(np.int32))
     poses = run.table(

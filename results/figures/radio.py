@@ -23,14 +23,14 @@ _VIEWS = {"open": "no building between", "wall": "building between", "unknown": 
 def draw(runs: Sequence[Run], every_s: float = 10.0, cell_m: float = 50.0) -> Figure:
     """Delivery by distance and over time, losses by cause, latency, silences, busy ratio; maps of a single run."""
     style.need(runs)
-    alone = len(runs) == 1 and "ears" in runs[0].tables and "actors" in runs[0].tables
+    alone = len(runs) == 1 and "vehicle_channel" in runs[0].tables and "actors" in runs[0].tables
     figure, panels = style.sheet(columns=4 if alone else 3, rows=2, width=11.4 if alone else 8.8, height=5.8)
     if alone:
         distance, fates, late, silent, timed, busy, *maps = panels
     else:
         (distance, fates, late, silent, timed, busy), maps = panels, []
     lines = [_line(i) for i in range(len(runs))]
-    views = sorted({view for run in runs for view in run.links.view.unique()}, key=list(_VIEWS).index)
+    views = sorted({view for run in runs for view in run.pdr_by_distance.view.unique()}, key=list(_VIEWS).index)
     for i, (run, line) in enumerate(zip(runs, lines, strict=True)):
         _by_distance(distance, run, line)
         total = radio.overall(run).iloc[0]
@@ -38,22 +38,22 @@ def draw(runs: Sequence[Run], every_s: float = 10.0, cell_m: float = 50.0) -> Fi
         _late(late, run, line)
         _silent(silent, run, line)
         over_time = radio.over_time(run, every_s)
-        for axes, column in ((timed, "delivery_ratio"), (busy, "busy_ratio")):
+        for axes, column in ((timed, "delivery_ratio"), (busy, "cbr")):
             axes.plot(over_time.time_s, over_time[column], **line, markevery=style.sparse(len(over_time)))
-    style.panel(distance, "Delivered, by distance", axis_label("links", "ring_m", "Distance"), "Delivery ratio")
+    style.panel(distance, "Delivered, by distance", axis_label("pdr_by_distance", "distance_bin_m", "Distance"), "Delivery ratio")
     style.panel(fates, "What became of it", "Share of what was in reach", "")
     style.bars_axis(fates, style.names(runs) if len(runs) > 1 else [""])
     style.panel(late, "Latency of what arrived", "Latency [ms]", "Share up to it")
     style.panel(silent, "Between two messages", "Inter-reception time [s]", "Share longer")
     style.panel(timed, "Delivered, over time", style.TIME, "Delivery ratio")
-    style.panel(busy, "Channel busy, over time", style.TIME, axis_label("radio", "busy_ratio", "Busy ratio"))
+    style.panel(busy, "Channel busy, over time", style.TIME, axis_label("radio", "cbr", "Busy ratio"))
     if not distance.lines:
         distance.text(0.5, 0.5, "too few messages", transform=distance.transAxes, ha="center", color="#666666")
     for axes in (distance, late, timed):
         style.share_axis(axes)
     for axes in (distance, timed, busy):
         axes.set_xlim(left=0)
-    known = [float(run.radio.busy_ratio.max()) for run in runs if run.radio.busy_ratio.notna().any()]
+    known = [float(run.radio.cbr.max()) for run in runs if run.radio.cbr.notna().any()]
     if known:
         busy.set_ylim(0, 1.1 * max(*known, 1e-3))
     else:
@@ -74,7 +74,7 @@ def _line(i: int) -> dict[str, Any]:
 def _by_distance(axes: Axes, run: Run, line: dict[str, Any]) -> None:
     """A line for each view, hollow where a building is between."""
     found = radio.by_distance(run, by_view=True)
-    for view, curve in found[found.n_in_reach >= 20].groupby("view", observed=True):
+    for view, curve in found[found.n_in_range >= 20].groupby("view", observed=True):
         hollow: dict[str, Any] = {"markerfacecolor": "white"} if view == "wall" else {}
         axes.plot(curve.distance_m, curve.delivery_ratio, **line, **hollow)
 
@@ -112,7 +112,7 @@ def _maps(figure: Figure, panels: Sequence[Axes], run: Run, cell_m: float) -> No
     """Busy ratio and delivery ratio where the vehicles were."""
     cells = radio.by_place(run, cell_m)
     what = (
-        ("busy_ratio", "Channel busy, on the map", "viridis_r"),
+        ("cbr", "Channel busy, on the map", "viridis_r"),
         ("delivery_ratio", "Delivered, on the map", "cividis"),
     )
     for axes, (column, title, colours) in zip(panels, what, strict=True):

@@ -1,4 +1,4 @@
-"""Trust over time: median and middle half of the vehicles of each behaviour."""
+"""Trust over time: median and middle half of the vehicles of each role."""
 
 from collections.abc import Sequence
 
@@ -9,12 +9,12 @@ from matplotlib.lines import Line2D
 from results.figures import style
 from results.metrics import trust
 from results.run import Run
-from results.tables import BEHAVIOURS, axis_label
+from results.tables import ROLES, axis_label
 
 
 @style.styled
 def draw(runs: Sequence[Run], vehicles: Sequence[int] = ()) -> Figure:
-    """Median and middle half, over vehicles, of the trust in them, by behaviour.
+    """Median and middle half, over vehicles, of the trust in them, by role.
 
     It is the server's at the time of its computation; without a server, the mean over those who hear a vehicle and
     hold a value of their own. `vehicles` are drawn one by one as thin lines beside it.
@@ -23,8 +23,8 @@ def draw(runs: Sequence[Run], vehicles: Sequence[int] = ()) -> Figure:
     figure, (axes,) = style.sheet()
     shown = set()
     for i, run in enumerate(runs):
-        for behaviour, spread in trust.over_time(run).groupby("behaviour", observed=True):
-            code = BEHAVIOURS.index(str(behaviour))
+        for role, spread in trust.over_time(run).groupby("role", observed=True):
+            code = ROLES.index(str(role))
             shown.add(code)
             if len(runs) == 1:
                 axes.fill_between(spread.time_s, spread.q25, spread.q75, color=style.ink(code), alpha=0.18, linewidth=0)
@@ -33,7 +33,7 @@ def draw(runs: Sequence[Run], vehicles: Sequence[int] = ()) -> Figure:
                 marker=style.marker(code), markevery=(2 * code, style.sparse(len(spread))),
             )  # fmt: skip
         _single(axes, run, vehicles)
-    begins_s = {float(lies.min()) * run.dt_s for run in runs if (lies := run.vehicles.first_lie_step.dropna()).size}
+    begins_s = {float(lies.min()) * run.dt_s for run in runs if (lies := run.vehicles.attack_start_step.dropna()).size}
     for begin_s in begins_s if len(begins_s) == 1 else ():
         axes.axvline(begin_s, color="#444444", linewidth=0.8, linestyle=(0, (2, 2)))
         axes.annotate(
@@ -47,7 +47,7 @@ def draw(runs: Sequence[Run], vehicles: Sequence[int] = ()) -> Figure:
     style.share_axis(axes)
     axes.set_xlim(left=0)
     entries = [
-        Line2D([], [], color=style.ink(code), marker=style.marker(code), label=BEHAVIOURS[code])
+        Line2D([], [], color=style.ink(code), marker=style.marker(code), label=ROLES[code])
         for code in sorted(shown)
     ]
     style.legend(figure, entries, style.run_entries(runs))
@@ -60,7 +60,7 @@ def _single(axes: Axes, run: Run, vehicles: Sequence[int]) -> None:
         one = values[values.vehicle == vehicle]
         if one.empty:
             raise ValueError(f"Nobody in {run.path} ever judged vehicle {vehicle}.")
-        code = BEHAVIOURS.index(one.behaviour.iloc[0])
+        code = ROLES.index(one.role.iloc[0])
         axes.plot(one.time_s, one.trust, color=style.ink(code), linewidth=0.7)
         axes.annotate(
             str(vehicle), (one.time_s.iloc[-1], one.trust.iloc[-1]), xytext=(3, 0), textcoords="offset points",

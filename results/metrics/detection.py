@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pyarrow.compute as pc
 
-from results.metrics.frames import TABLE_OF, Lists, actors_ahead, at_steps, boxes_ahead, near, posed, sampled_steps
+from results.metrics.kitti_frames import TABLE_OF, Lists, actors_ahead, at_steps, boxes_ahead, near, posed, sampled_steps
 from results.metrics.kitti import LEVELS, LOOSE, STRICT, Overlap, average_precision
 from results.run import Run
 from results.tables import CLASSES
@@ -40,7 +40,7 @@ def precision(
     reach is 3 and counts only at level "all". Truncation is not modelled: an object is in the picture with its
     centre or not at all.
     """
-    run.require("actors", "sightings", *(TABLE_OF[which] for which in lists))
+    run.require("actors", "observability", *(TABLE_OF[which] for which in lists))
     steps = sampled_steps(run, max_frames)
     truth, poses = actors_ahead(run, steps, range_m)
     rows = []
@@ -62,7 +62,7 @@ def precision(
 
 
 def awareness(
-    run: Run, range_m: float = 70.0, ring_m: float = 10.0, min_score: float = 0.5, max_frames: int = 4000
+    run: Run, range_m: float = 70.0, distance_bin_m: float = 10.0, min_score: float = 0.5, max_frames: int = 4000
 ) -> pd.DataFrame:
     """Share of the actors around an equipped vehicle that it knows of, by distance.
 
@@ -76,7 +76,7 @@ def awareness(
     i, j = near(poses, actors, range_m)
     around = pd.DataFrame({
         "step": poses.step.to_numpy()[i], "observer": poses.observer.to_numpy()[i], "actor": actors.actor.to_numpy()[j],
-        "ring": np.hypot(*(poses[["x_m", "y_m"]].to_numpy()[i] - actors[["x_m", "y_m"]].to_numpy()[j]).T) // ring_m,
+        "ring": np.hypot(*(poses[["x_m", "y_m"]].to_numpy()[i] - actors[["x_m", "y_m"]].to_numpy()[j]).T) // distance_bin_m,
     })  # fmt: skip
     around = around[around.observer != around.actor]
     if around.empty:
@@ -93,7 +93,7 @@ def awareness(
         seen = key.isin(pd.MultiIndex.from_frame(known))
         counts = pd.DataFrame({"ring": around.ring, "known": seen}).groupby("ring").known.agg(["size", "sum"])
         rows.append(pd.DataFrame({
-            "boxes": which, "distance_m": (counts.index + 0.5) * ring_m, "n_present": counts["size"],
+            "boxes": which, "distance_m": (counts.index + 0.5) * distance_bin_m, "n_present": counts["size"],
             "n_known": counts["sum"], "share": counts["sum"] / counts["size"],
         }))  # fmt: skip
     return pd.concat(rows, ignore_index=True)
@@ -115,10 +115,10 @@ def attack_success(run: Run, min_score: float = 0.5) -> pd.DataFrame:
     if not n_made:
         raise ValueError(f"{run.path} holds no attack: nobody made up a box. Raise fleet.malicious_p and run again.")
     believed = run.table(
-        "fused", ["step", "observer", "source", "source_k"],
+        "fused", ["step", "observer", "source", "source_index"],
         where=pc.field("fabricated") & (pc.field("score") >= min_score),
     )  # fmt: skip
-    victims = believed[believed.observer != believed.source].groupby(["step", "source", "source_k"]).observer.nunique()
+    victims = believed[believed.observer != believed.source].groupby(["step", "source", "source_index"]).observer.nunique()
     return pd.DataFrame([{
         "n_fabricated": n_made, "n_believed": len(victims), "share": len(victims) / n_made,
         "victims_mean": float(victims.mean()) if len(victims) else 0.0,

@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 
 from results.run import Run
-from results.tables import BEHAVIOURS, SOURCES
+from results.tables import ROLES, SOURCES
 
 STATES = ("fresh", "stale", "default")
 """Of a value that is used, in this order."""
@@ -25,17 +25,17 @@ _NO_USES = "holds no uses of trust: nobody heard anybody. Widen radio.reach_m or
 
 
 def evidence(run: Run) -> pd.DataFrame:
-    """Age of the evaluations behind the server's values, by behaviour.
+    """Age of the evaluations behind the server's values, by role.
 
     Returns
     -------
-    behaviour, n (values), none_share (without any evaluation), and medians of newest_age_s, oldest_age_s,
+    role, n (values), none_share (without any evaluation), and medians of newest_age_s, oldest_age_s,
     n_evaluations over the values that have some.
     """
     frame = run.table("trust", ["vehicle", "n_evaluations", "newest_age_s", "oldest_age_s"])
-    frame = frame.assign(behaviour=frame.vehicle.map(run.roles))
-    some = frame[frame.n_evaluations > 0].groupby("behaviour", observed=True)
-    groups = frame.groupby("behaviour", observed=True)
+    frame = frame.assign(role=frame.vehicle.map(run.roles))
+    some = frame[frame.n_evaluations > 0].groupby("role", observed=True)
+    groups = frame.groupby("role", observed=True)
     return (
         groups.size().to_frame("n")
         .assign(none_share=groups.n_evaluations.agg(lambda n: float((n == 0).mean())))
@@ -53,8 +53,8 @@ def at_use(run: Run) -> pd.DataFrame:
     renewed (peak age of information), null where none was; from 20 blocks spread over the run at most.
     """
     rows: dict[str, list[Any]] = {}
-    stride = -(-run.n_blocks("uses") // _PEAK_BLOCKS)
-    for block, part in enumerate(run.parts("uses", ["step", "receiver", "subject", "source", "age_s"])):
+    stride = -(-run.n_blocks("trust_lookups") // _PEAK_BLOCKS)
+    for block, part in enumerate(run.parts("trust_lookups", ["step", "receiver", "subject", "source", "age_s"])):
         code, age_s = _ages(part)
         peak = _peaks(part) if block % stride == 0 else np.zeros(0, int)
         for source in np.unique(code):
@@ -84,7 +84,7 @@ def at_use(run: Run) -> pd.DataFrame:
 def distribution(run: Run) -> pd.DataFrame:
     """Cumulative distribution of the age of trust at use, defaults left out: age_s, share."""
     histogram = np.zeros(len(_EDGES_S) - 1)
-    for part in run.parts("uses", ["age_s"]):
+    for part in run.parts("trust_lookups", ["age_s"]):
         histogram += _histogram(part.age_s.dropna().to_numpy())
     if not histogram.any():
         raise ValueError(f"{run.path} {_DEFAULT_ONLY}")
@@ -95,34 +95,34 @@ def distribution(run: Run) -> pd.DataFrame:
 
 def shares(run: Run, fresh_s: float = 10.0) -> pd.DataFrame:
     """Share of uses whose value is fresh (at most this old), stale, or the default: state, n, share."""
-    counts = shares_by_behaviour(run, fresh_s).groupby("state", sort=False).n.sum()
+    counts = shares_by_role(run, fresh_s).groupby("state", sort=False).n.sum()
     return pd.DataFrame({"state": counts.index, "n": counts.to_numpy(), "share": (counts / counts.sum()).to_numpy()})
 
 
-def shares_by_behaviour(run: Run, fresh_s: float = 10.0) -> pd.DataFrame:
-    """The same by behaviour of the vehicle that the value is about: behaviour, state, n, share (of its uses)."""
-    behaviour_of = _behaviour_codes(run)
-    counts = np.zeros((len(BEHAVIOURS), len(STATES)), np.int64)
-    for part in run.parts("uses", ["subject", "source", "age_s"]):
+def shares_by_role(run: Run, fresh_s: float = 10.0) -> pd.DataFrame:
+    """The same by role of the vehicle that the value is about: role, state, n, share (of its uses)."""
+    role_of = _role_codes(run)
+    counts = np.zeros((len(ROLES), len(STATES)), np.int64)
+    for part in run.parts("trust_lookups", ["subject", "source", "age_s"]):
         code, age_s = _ages(part)
         state = np.where(code == _DEFAULT, 2, np.where(age_s <= fresh_s, 0, 1))
-        both = behaviour_of[part.subject.to_numpy()] * len(STATES) + state
+        both = role_of[part.subject.to_numpy()] * len(STATES) + state
         counts += np.bincount(both, minlength=counts.size).reshape(counts.shape)
     if not counts.any():
         raise ValueError(f"{run.path} {_NO_USES}")
     return pd.DataFrame([
-        {"behaviour": behaviour, "state": state, "n": n, "share": n / row.sum()}
-        for behaviour, row in zip(BEHAVIOURS, counts, strict=True) if row.any()
+        {"role": role, "state": state, "n": n, "share": n / row.sum()}
+        for role, row in zip(ROLES, counts, strict=True) if row.any()
         for state, n in zip(STATES, row.tolist(), strict=True)
     ])  # fmt: skip
 
 
 def evidence_at_use(run: Run) -> pd.DataFrame:
-    """Age, where trust is used, of the evaluations behind it, by behaviour of the vehicle that it is about.
+    """Age, where trust is used, of the evaluations behind it, by role of the vehicle that it is about.
 
     Returns
     -------
-    behaviour, n (uses of a value other than the default), none_share (no evaluation behind it), newest_s, oldest_s:
+    role, n (uses of a value other than the default), none_share (no evaluation behind it), newest_s, oldest_s:
     mean age of the newest and the oldest evaluation (the oldest only where the server computed the value).
 
     Notes
@@ -131,23 +131,23 @@ def evidence_at_use(run: Run) -> pd.DataFrame:
     the value on top. Which computation a value came from is read off its age; this goes wrong where the exchanges of
     a step take longer than the server's period.
     """
-    behaviour_of, editions = _behaviour_codes(run), Editions(run)
-    sums = np.zeros((5, len(BEHAVIOURS)))  # uses, with newest, its sum, with oldest, its sum
-    for part in run.parts("uses", ["step", "subject", "source", "age_s"]):
+    role_of, editions = _role_codes(run), Editions(run)
+    sums = np.zeros((5, len(ROLES)))  # uses, with newest, its sum, with oldest, its sum
+    for part in run.parts("trust_lookups", ["step", "subject", "source", "age_s"]):
         part = part[part.age_s.notna()]
         newest_s, oldest_s = editions.ages(part)
-        whom = behaviour_of[part.subject.to_numpy()]
+        whom = role_of[part.subject.to_numpy()]
         for row, age_s in ((1, newest_s), (3, oldest_s)):
             there = ~np.isnan(age_s)
-            sums[row] += np.bincount(whom[there], minlength=len(BEHAVIOURS))
-            sums[row + 1] += np.bincount(whom[there], age_s[there], len(BEHAVIOURS))
-        sums[0] += np.bincount(whom, minlength=len(BEHAVIOURS))
+            sums[row] += np.bincount(whom[there], minlength=len(ROLES))
+            sums[row + 1] += np.bincount(whom[there], age_s[there], len(ROLES))
+        sums[0] += np.bincount(whom, minlength=len(ROLES))
     if not sums[0].any():
         raise ValueError(f"{run.path} {_DEFAULT_ONLY}")
     n, n_newest, newest, n_oldest, oldest = sums
     with np.errstate(invalid="ignore"):
         frame = pd.DataFrame({
-            "behaviour": BEHAVIOURS, "n": n.astype(np.int64), "none_share": 1 - n_newest / n,
+            "role": ROLES, "n": n.astype(np.int64), "none_share": 1 - n_newest / n,
             "newest_s": newest / n_newest, "oldest_s": oldest / n_oldest,
         })  # fmt: skip
     return frame[frame.n > 0].reset_index(drop=True)
@@ -186,7 +186,7 @@ class Editions:
 def over_time(run: Run, every_s: float = 10.0, fresh_s: float = 10.0) -> pd.DataFrame:
     """Shares by time: time_s, fresh, stale, default."""
     parts = []
-    for part in run.parts("uses", ["step", "source", "age_s"]):
+    for part in run.parts("trust_lookups", ["step", "source", "age_s"]):
         code, age_s = _ages(part)
         default, fresh = code == _DEFAULT, age_s <= fresh_s
         slot = np.floor(part.step * run.dt_s / every_s) * every_s
@@ -220,8 +220,8 @@ def without_trust(run: Run) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=["pairs", "radius_m", "n", "n_without", "share", "wait_median_s"])
 
 
-def _behaviour_codes(run: Run) -> np.ndarray:
-    """Code of the behaviour by vehicle id."""
+def _role_codes(run: Run) -> np.ndarray:
+    """Code of the role by vehicle id."""
     codes = np.zeros(int(run.roles.index.max()) + 1 if len(run.roles) else 0, np.int64)
     codes[run.roles.index] = run.roles.cat.codes
     return codes

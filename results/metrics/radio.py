@@ -16,60 +16,60 @@ LOST = ("n_lost_propagation", "n_lost_collision", "n_lost_receiver_busy", "n_los
 
 def _traffic(run: Run) -> pd.DataFrame:
     frame = run.radio
-    if not frame.n_in_reach.sum():
+    if not frame.n_in_range.sum():
         raise ValueError(f"{run.path} holds no radio traffic: nobody had anybody in reach. Widen radio.reach_m.")
     return frame
 
 
 def overall(run: Run) -> pd.DataFrame:
-    """One row: n_sent, n_in_reach, delivery_ratio, the share lost to each cause, bytes, mean busy_ratio."""
+    """One row: n_sent, n_in_range, delivery_ratio, the share lost to each cause, bytes, mean cbr."""
     frame = _traffic(run)
-    total = frame[["n_sent", "n_in_reach", "n_delivered", *LOST, "bytes"]].astype(np.float64).sum()
+    total = frame[["n_sent", "n_in_range", "n_delivered", *LOST, "bytes"]].astype(np.float64).sum()
     row = {
-        "n_sent": int(total.n_sent), "n_in_reach": int(total.n_in_reach),
-        "delivery_ratio": total.n_delivered / total.n_in_reach,
-        **{name.replace("n_lost", "lost"): total[name] / total.n_in_reach for name in LOST},
-        "bytes": total.bytes, "busy_ratio": frame.busy_ratio.mean(),
+        "n_sent": int(total.n_sent), "n_in_range": int(total.n_in_range),
+        "delivery_ratio": total.n_delivered / total.n_in_range,
+        **{name.replace("n_lost", "lost"): total[name] / total.n_in_range for name in LOST},
+        "bytes": total.bytes, "cbr": frame.cbr.mean(),
     }  # fmt: skip
     return pd.DataFrame([row])
 
 
 def over_time(run: Run, every_s: float = 10.0) -> pd.DataFrame:
-    """Delivery by time: time_s, n_in_reach, delivery_ratio, busy_ratio."""
+    """Delivery by time: time_s, n_in_range, delivery_ratio, cbr."""
     frame = _traffic(run)
     slots = frame.groupby(np.floor(frame.step * run.dt_s / every_s) * every_s)
-    total = slots[["n_in_reach", "n_delivered"]].sum()
-    total = total[total.n_in_reach > 0]
+    total = slots[["n_in_range", "n_delivered"]].sum()
+    total = total[total.n_in_range > 0]
     return pd.DataFrame({
-        "time_s": total.index, "n_in_reach": total.n_in_reach.to_numpy(),
-        "delivery_ratio": (total.n_delivered / total.n_in_reach).to_numpy(),
-        "busy_ratio": slots.busy_ratio.mean().reindex(total.index).to_numpy(),
+        "time_s": total.index, "n_in_range": total.n_in_range.to_numpy(),
+        "delivery_ratio": (total.n_delivered / total.n_in_range).to_numpy(),
+        "cbr": slots.cbr.mean().reindex(total.index).to_numpy(),
     })  # fmt: skip
 
 
 def by_distance(run: Run, by_view: bool = False) -> pd.DataFrame:
-    """Delivery by distance: ring_m (lower edge), distance_m (middle), n_in_reach, delivery_ratio, shares lost.
+    """Delivery by distance: distance_bin_m (lower edge), distance_m (middle), n_in_range, delivery_ratio, shares lost.
 
     With `by_view` also by what stands between the two ends: view is open, wall, or unknown.
     """
-    by = ["view", "ring_m"] if by_view else ["ring_m"]
-    counts = ["n_in_reach", "n_delivered", *LOST]
-    total = run.links.groupby(by, observed=True)[counts].sum()
-    total = total[total.n_in_reach > 0].reset_index()
+    by = ["view", "distance_bin_m"] if by_view else ["distance_bin_m"]
+    counts = ["n_in_range", "n_delivered", *LOST]
+    total = run.pdr_by_distance.groupby(by, observed=True)[counts].sum()
+    total = total[total.n_in_range > 0].reset_index()
     if total.empty:
         raise ValueError(f"{run.path} holds no radio traffic: nobody had anybody in reach. Widen radio.reach_m.")
-    rings = np.unique(total.ring_m)
+    rings = np.unique(total.distance_bin_m)
     width = int(np.diff(rings).min()) if len(rings) > 1 else 0
-    shares = {name.replace("n_lost", "lost"): total[name] / total.n_in_reach for name in LOST}
+    shares = {name.replace("n_lost", "lost"): total[name] / total.n_in_range for name in LOST}
     return pd.DataFrame({
-        **{name: total[name] for name in by}, "distance_m": total.ring_m + width / 2, "n_in_reach": total.n_in_reach,
-        "delivery_ratio": total.n_delivered / total.n_in_reach, **shares,
+        **{name: total[name] for name in by}, "distance_m": total.distance_bin_m + width / 2, "n_in_range": total.n_in_range,
+        "delivery_ratio": total.n_delivered / total.n_in_range, **shares,
     })  # fmt: skip
 
 
 def latency(run: Run) -> pd.DataFrame:
     """Latency from generation to reception: message, latency_s (upper edge of the bin), n_delivered, share up to it."""
-    frame = run.latencies.groupby(["message", "latency_s"], observed=True).n_delivered.sum().reset_index()
+    frame = run.latency_histogram.groupby(["message", "latency_s"], observed=True).n_delivered.sum().reset_index()
     if frame.empty:
         raise ValueError(f"{run.path} holds no radio traffic: nobody heard anybody. Widen radio.reach_m.")
     messages = frame.groupby("message", observed=True).n_delivered
@@ -78,44 +78,44 @@ def latency(run: Run) -> pd.DataFrame:
     return frame
 
 
-def inter_reception(run: Run, message: Literal["detections", "verdicts"] = "detections") -> pd.DataFrame:
+def inter_reception(run: Run, message: Literal["detections", "evaluations"] = "detections") -> pd.DataFrame:
     """Time between successive messages of one vehicle at another, while the two are within reach.
 
     Returns
     -------
-    gap_s, n_lost (messages in between), n_received and n_parted (silences so long that ended in a reception, or in
+    gap_s, n_lost (messages in between), n_received and n_censored (silences so long that ended in a reception, or in
     the two parting), longer: share of silences that last longer than this, by Kaplan-Meier, parting being no end.
     """
-    frame = run.silences[run.silences.message == message].groupby("gap_steps")[["n_received", "n_parted"]].sum()
+    frame = run.packet_inter_reception[run.packet_inter_reception.message == message].groupby("pir_steps")[["n_received", "n_censored"]].sum()
     if not frame.n_received.sum():
         raise ValueError(f"{run.path} holds no two {message} in a row: nobody heard anybody twice. Run longer.")
-    ended, out_of_reach = frame.n_received.astype(np.float64), frame.n_parted
+    ended, out_of_reach = frame.n_received.astype(np.float64), frame.n_censored
     at_risk = (ended + out_of_reach)[::-1].cumsum()[::-1]
     every = max(1, run.manifest.get("sense_every_steps", 1))
     n_lost = (frame.index // every - 1).to_numpy().clip(min=0)
     return pd.DataFrame({
         "gap_s": frame.index * run.dt_s, "n_lost": n_lost, "n_received": frame.n_received,
-        "n_parted": out_of_reach, "longer": (1 - ended / at_risk).cumprod(),
+        "n_censored": out_of_reach, "longer": (1 - ended / at_risk).cumprod(),
     }).reset_index(drop=True)  # fmt: skip
 
 
 def by_place(run: Run, cell_m: float = 50.0) -> pd.DataFrame:
-    """What radios met with by where they were: x_m, y_m (middle of the cell), n, busy_ratio, delivery_ratio."""
+    """What radios met with by where they were: x_m, y_m (middle of the cell), n, cbr, delivery_ratio."""
     sums: list[pd.DataFrame] = []
-    for ears in run.parts("ears"):
-        during = (pc.field("step") >= int(ears.step.min())) & (pc.field("step") <= int(ears.step.max()))
+    for channel in run.parts("vehicle_channel"):
+        during = (pc.field("step") >= int(channel.step.min())) & (pc.field("step") <= int(channel.step.max()))
         actors = run.table("actors", ["step", "actor", "x_m", "y_m"], during)
-        here = ears.merge(actors, left_on=["step", "vehicle"], right_on=["step", "actor"])
+        here = channel.merge(actors, left_on=["step", "vehicle"], right_on=["step", "actor"])
         for axis in ("x_m", "y_m"):
             here[axis] = (np.floor(here[axis].astype(np.float64) / cell_m) + 0.5) * cell_m
         cells = here.assign(n=1).groupby(["x_m", "y_m"])
-        sums.append(cells[["n", "busy_ratio", "n_in_reach", "n_heard"]].sum(min_count=1))
+        sums.append(cells[["n", "cbr", "n_in_range", "n_received"]].sum(min_count=1))
     if not sums:
         raise ValueError(f"{run.path} holds no radio traffic: no vehicle was equipped. Raise fleet.penetration_p.")
     total = pd.concat(sums).groupby(["x_m", "y_m"]).sum(min_count=1).reset_index()
     return pd.DataFrame({
-        "x_m": total.x_m, "y_m": total.y_m, "n": total.n, "busy_ratio": total.busy_ratio / total.n,
-        "delivery_ratio": (total.n_heard / total.n_in_reach.where(total.n_in_reach > 0)).astype(np.float64),
+        "x_m": total.x_m, "y_m": total.y_m, "n": total.n, "cbr": total.cbr / total.n,
+        "delivery_ratio": (total.n_received / total.n_in_range.where(total.n_in_range > 0)).astype(np.float64),
     })  # fmt: skip
 
 

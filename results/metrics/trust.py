@@ -1,4 +1,4 @@
-"""Who is trusted: by behaviour, and over time."""
+"""Who is trusted: by role, and over time."""
 
 from typing import Literal
 
@@ -21,9 +21,9 @@ def kept_at(run: Run) -> At:
 
 
 def values(run: Run) -> pd.DataFrame:
-    """Trust in each vehicle while it is on the road: step, time_s, vehicle, behaviour, trust, judged.
+    """Trust in each vehicle while it is on the road: step, time_s, vehicle, role, trust, judged.
 
-    Every value that the server computed; `judged` says whether it rests on a verdict of anybody who could see (the
+    Every value that the server computed; `judged` says whether it rests on a evaluation of anybody who could see (the
     ledger has 0 for who was only ever unseen). Without a server, the mean over those who hear the vehicle and hold a
     value of their own, at 600 instants at most; what those rest on is not recorded: `judged` is true of all.
     """
@@ -34,17 +34,17 @@ def values(run: Run) -> pd.DataFrame:
         frame = _own(run).assign(judged=True)
     last_step = run.table("vehicles", ["vehicle", "last_step"]).set_index("vehicle").last_step
     frame = frame[frame.step <= frame.vehicle.map(last_step)]
-    frame = frame.assign(time_s=frame.step * run.dt_s, behaviour=frame.vehicle.map(run.roles))
-    return frame[["step", "time_s", "vehicle", "behaviour", "trust", "judged"]]
+    frame = frame.assign(time_s=frame.step * run.dt_s, role=frame.vehicle.map(run.roles))
+    return frame[["step", "time_s", "vehicle", "role", "trust", "judged"]]
 
 
 def _own(run: Run) -> pd.DataFrame:
     """Mean of the values of their own that vehicles use: step, vehicle, trust."""
-    steps = np.unique(np.concatenate([[0], *(part.step.unique() for part in run.parts("uses", ["step"]))]))
+    steps = np.unique(np.concatenate([[0], *(part.step.unique() for part in run.parts("trust_lookups", ["step"]))]))
     chosen = pc.field("step").isin(steps[:: -(-len(steps) // _INSTANTS)].tolist())
     means = [
         part[part.source == "own"].groupby(["step", "subject"], as_index=False).trust.mean()
-        for part in run.parts("uses", ["step", "subject", "source", "trust"], chosen)
+        for part in run.parts("trust_lookups", ["step", "subject", "source", "trust"], chosen)
     ]
     frame = pd.concat(means) if means else pd.DataFrame()
     if frame.empty:
@@ -56,18 +56,18 @@ def _own(run: Run) -> pd.DataFrame:
 
 
 def mean(run: Run) -> pd.DataFrame:
-    """Mean of all values: behaviour, n, mean."""
-    return values(run).groupby("behaviour", observed=True).trust.agg(n="size", mean="mean").reset_index()
+    """Mean of all values: role, n, mean."""
+    return values(run).groupby("role", observed=True).trust.agg(n="size", mean="mean").reset_index()
 
 
 def over_time(run: Run) -> pd.DataFrame:
-    """Spread of trust over vehicles: time_s, behaviour, n, mean, q25, median, q75."""
-    return _spread(values(run), ["time_s", "behaviour"])
+    """Spread of trust over vehicles: time_s, role, n, mean, q25, median, q75."""
+    return _spread(values(run), ["time_s", "role"])
 
 
 def final(run: Run) -> pd.DataFrame:
-    """Spread over vehicles of the last value of each: behaviour, n, mean, q25, median, q75."""
-    return _spread(values(run).drop_duplicates("vehicle", keep="last"), ["behaviour"])
+    """Spread over vehicles of the last value of each: role, n, mean, q25, median, q75."""
+    return _spread(values(run).drop_duplicates("vehicle", keep="last"), ["role"])
 
 
 def _spread(frame: pd.DataFrame, by: list[str]) -> pd.DataFrame:

@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 
-from results.encounters import EncounterLedger, EncounterParams
+from results.encounters import EncounterTracker, EncounterParams
 from results.recorder import Recorder
 from results.tables import SCHEMA_VERSION
 
@@ -18,14 +18,14 @@ def write(folder, seed=0, steps=240, level="full", block_steps=60, reach_m=200.0
     rng = np.random.default_rng(seed)
     kind = np.array(["car"] * 45 + ["truck"] * 5 + ["pedestrian"] * 10)
     lwh = np.array([SIZE[k] for k in kind])
-    behaviour = np.array(["malicious"] * 4 + ["unreliable"] * 3 + ["honest"] * 53)
+    role = np.array(["malicious"] * 4 + ["unreliable"] * 3 + ["honest"] * 53)
     equipped = np.arange(N) < 30
     first, last = np.zeros(N, int), np.full(N, steps - 1)
     first[20:50] = rng.integers(0, steps // 2, 30)
     last[20:50] = first[20:50] + rng.integers(steps // 6, steps, 30).clip(max=steps - 1 - first[20:50])
     tracks, yaws, speeds = _drive(rng, steps, np.where(kind == "pedestrian", 1.3, 9.0))
     lied = (np.arange(N) < 4, np.full(N, 60).clip(min=first))
-    ledgers = [EncounterLedger(EncounterParams(radius_m=r, pairs="all"), 1.0) for r in (50.0, 100.0)]
+    ledgers = [EncounterTracker(EncounterParams(radius_m=r, pairs="all"), 1.0) for r in (50.0, 100.0)]
     belief, heard_s = np.full(N, 0.5), np.full((N, N), -1)
     evidence = np.zeros(N, int)
 
@@ -39,10 +39,10 @@ def write(folder, seed=0, steps=240, level="full", block_steps=60, reach_m=200.0
                 "yaw_rad": yaws[step, here], "speed_mps": speeds[here],
             })  # fmt: skip
             _meet(record, ledgers, step, here, talk, xyz, belief, reach_m, rng, heard_s)
-            _see(record, step, here, talk, xyz, yaws[step], lwh, kind, behaviour, lied, rng)
+            _see(record, step, here, talk, xyz, yaws[step], lwh, kind, role, lied, rng)
             evidence[talk] += 3
             if step % 5 == 4 and len(talk):
-                goal = np.select([lied[0] & (step >= lied[1]), behaviour == "unreliable"], [0.02, 0.45], 0.7)
+                goal = np.select([lied[0] & (step >= lied[1]), role == "unreliable"], [0.02, 0.45], 0.7)
                 belief = belief + (goal - belief) * 0.12 + rng.normal(0, 0.012, N)
                 belief = belief.clip(0, 1)
                 record.append("trust", step, {
@@ -57,8 +57,8 @@ def write(folder, seed=0, steps=240, level="full", block_steps=60, reach_m=200.0
         record.append("vehicles", steps - 1, {
             "vehicle": np.arange(N), "sumo_id": np.array([f"trip_{i}" for i in range(N)]), "kind": kind,
             "length_m": lwh[:, 0], "width_m": lwh[:, 1], "height_m": lwh[:, 2], "equipped": equipped,
-            "behaviour": behaviour, "behaviour__valid": equipped, "first_step": first, "last_step": last,
-            "first_lie_step": lied[1], "first_lie_step__valid": lied[0] & (lied[1] <= last),
+            "role": role, "behaviour__valid": equipped, "first_step": first, "last_step": last,
+            "attack_start_step": lied[1], "first_lie_step__valid": lied[0] & (lied[1] <= last),
         })  # fmt: skip
     manifest = {
         "schema_version": SCHEMA_VERSION, "status": "finished", "dt_s": 1.0, "steps": steps, "seed": seed,
@@ -120,60 +120,60 @@ def _meet(record, ledgers, step, here, talk, xyz, belief, reach_m, rng, heard_s)
         ledger.count_messages(one[got], other[got])
         had = got & (heard_s[other, one] >= 0)
         ledger.note_trust(other[had], one[had])
-        ledger.count_verdicts(other[got], one[got], rng.integers(1, 4, got.sum()))
+        ledger.count_evaluations(other[got], one[got], rng.integers(1, 4, got.sum()))
     sent = len(talk)
-    lost = {"n_in_reach": len(one), "n_delivered": got.sum(), "n_lost_propagation": faded.sum(),
+    lost = {"n_in_range": len(one), "n_delivered": got.sum(), "n_lost_propagation": faded.sum(),
             "n_lost_collision": hit.sum(), "n_lost_receiver_busy": 0, "n_lost_expired": 0, "n_lost_late": 0,
             "n_relayed": 0, "n_duplicate": 0}  # fmt: skip
     record.append("radio", step, {
         "message": np.zeros(1, int), "n_sent": np.array([sent]), **{k: np.array([v]) for k, v in lost.items()},
-        "bytes": np.array([sent * 350.0]), "busy_ratio": np.array([0.002 * sent]),
+        "bytes": np.array([sent * 350.0]), "cbr": np.array([0.002 * sent]),
     })  # fmt: skip
     ring = 2 * (far // 25).astype(int) + ~seen
     rings = np.unique(ring)
     count = {name: np.bincount(ring[rows], minlength=rings.max(initial=0) + 1)[rings] for name, rows in (
-        ("n_in_reach", slice(None)), ("n_delivered", got), ("n_lost_propagation", faded), ("n_lost_collision", hit),
+        ("n_in_range", slice(None)), ("n_delivered", got), ("n_lost_propagation", faded), ("n_lost_collision", hit),
     )}  # fmt: skip
     zero = np.zeros(len(rings), int)
     none = {name: zero for name in ("message", "n_lost_receiver_busy", "n_lost_expired", "n_lost_late")}
-    record.append("links", step, {"ring_m": rings // 2 * 25, "view": rings % 2, **count, **none})
+    record.append("pdr_by_distance", step, {"distance_bin_m": rings // 2 * 25, "view": rings % 2, **count, **none})
     latency_s = 0.0005 + rng.exponential(0.001, got.sum())
     bins, n = np.unique(np.floor(2 * np.log2(latency_s / 1e-4)), return_counts=True)
-    record.append("latencies", step, {
+    record.append("latency_histogram", step, {
         "message": np.zeros(len(bins), int), "latency_s": 1e-4 * 2 ** (bins / 2), "n_delivered": n,
     })  # fmt: skip
     gaps = np.arange(1, 4)
-    record.append("silences", step, {
-        "message": np.zeros(3, int), "gap_steps": gaps, "n_received": got.sum() // 3**gaps,
-        "n_parted": np.full(3, 1),
+    record.append("packet_inter_reception", step, {
+        "message": np.zeros(3, int), "pir_steps": gaps, "n_received": got.sum() // 3**gaps,
+        "n_censored": np.full(3, 1),
     })  # fmt: skip
-    record.append("ears", step, {
-        "vehicle": talk, "busy_ratio": rng.uniform(0, 0.1, len(talk)),
-        "n_in_reach": np.bincount(other, minlength=N)[talk], "n_heard": np.bincount(other[got], minlength=N)[talk],
+    record.append("vehicle_channel", step, {
+        "vehicle": talk, "cbr": rng.uniform(0, 0.1, len(talk)),
+        "n_in_range": np.bincount(other, minlength=N)[talk], "n_received": np.bincount(other[got], minlength=N)[talk],
     })  # fmt: skip
     one_row = {name: np.array([n]) for name, n in (("n_reports", sent), ("n_reached", sent - 1), ("n_lost", 1),
-               ("n_over_capacity", 0), ("n_outage", 0), ("up_bytes", 300.0 * sent))}  # fmt: skip
+               ("n_over_capacity", 0), ("n_outage", 0), ("uplink_bytes", 300.0 * sent))}  # fmt: skip
     record.append("server", step, {
         **one_row, "n_addressed": np.array([sent * (step % 5 == 4)]), "n_informed": np.array([sent * (step % 5 == 4)]),
     })  # fmt: skip
-    record.append("deliveries", step, {
+    record.append("receptions", step, {
         "message": np.zeros(got.sum(), int),
         "sender": one[got], "receiver": other[got], "hops": np.ones(got.sum(), int),
-        "generated_s": rng.uniform(0, 0.2, got.sum()), "access_s": latency_s - 0.0005, "latency_s": latency_s,
+        "generation_offset_s": rng.uniform(0, 0.2, got.sum()), "access_delay_s": latency_s - 0.0005, "latency_s": latency_s,
         "distance_m": far[got],
     })  # fmt: skip
     renew = (step % 5 == 0) & (rng.random(got.sum()) < 0.8) & (step > 8)
     subject, receiver = one[got], other[got]
     heard_s[receiver[renew], subject[renew]] = step - rng.integers(0, 3, renew.sum())
     known = heard_s[receiver, subject] >= 0
-    record.append("uses", step, {
+    record.append("trust_lookups", step, {
         "receiver": receiver, "subject": subject, "trust": np.where(known, belief[subject], 0.5),
         "source": np.where(known, 0, 2),
         "age_s": (step - heard_s[receiver, subject]).clip(0) * 1.0, "age_s__valid": known,
     })  # fmt: skip
 
 
-def _see(record, step, here, talk, xyz, yaw, lwh, kind, behaviour, lied, rng):
+def _see(record, step, here, talk, xyz, yaw, lwh, kind, role, lied, rng):
     label = np.array([{"car": 0, "truck": 3, "pedestrian": 1}[k] for k in kind])
     o, t = (grid.ravel() for grid in np.meshgrid(talk, here, indexing="ij"))
     d = np.hypot(*(xyz[o, :2] - xyz[t, :2]).T)
@@ -182,7 +182,7 @@ def _see(record, step, here, talk, xyz, yaw, lwh, kind, behaviour, lied, rng):
     free = (20000 / np.maximum(d, 3) ** 2).astype(int) + 1
     street = np.abs(xyz[o, :2] - xyz[t, :2]).min(axis=1) < 6
     points = np.where(street, free * rng.choice([1, 0.7, 0.3], len(o)), 0).astype(int)
-    record.append("sightings", step, {"observer": o, "actor": t, "n_points": points, "n_unoccluded": free})
+    record.append("observability", step, {"observer": o, "actor": t, "n_points": points, "n_unoccluded": free})
     seen = points >= 8
     o, t, points, free = o[seen], t[seen], points[seen], free[seen]
     liar = np.flatnonzero(lied[0] & (step >= lied[1]))
@@ -195,7 +195,7 @@ def _see(record, step, here, talk, xyz, yaw, lwh, kind, behaviour, lied, rng):
     score = np.r_[np.ones(s), rng.beta(8, 2, n), np.ones(m)]
     origin = np.r_[np.ones(s, int), np.zeros(n, int), np.full(m, 2)]
     k = np.r_[np.zeros(s, int), _position(o), np.full(m, 200)]
-    said = (origin > 0) | (behaviour[observer] != "unreliable") | (rng.random(len(observer)) < 0.9)
+    said = (origin > 0) | (role[observer] != "unreliable") | (rng.random(len(observer)) < 0.9)
     true = origin < 2
     iou = (1 - 3 * np.abs(noise).mean(axis=1)).clip(0, 1)
     sides = {"length_m": lwh[truth, 0], "width_m": lwh[truth, 1], "height_m": lwh[truth, 2], "yaw_rad": yaw[truth]}
@@ -209,7 +209,7 @@ def _see(record, step, here, talk, xyz, yaw, lwh, kind, behaviour, lied, rng):
     e, j = (grid.ravel() for grid in np.meshgrid(talk, np.flatnonzero(said), indexing="ij"))
     close = (np.hypot(*(xyz[e, :2] - box[j, :2]).T) < 120) & (e != observer[j])
     e, j = e[close], j[close]
-    record.append("verdicts", step, {
+    record.append("evaluations", step, {
         "evaluator": e, "observer": observer[j], "k": k[j], "judged_step": np.full(len(e), step),
         "e": np.where(true[j], score[j], -1), "visibility": rng.random(len(e)), "n_points": rng.integers(0, 90, len(e)),
         "plausible": None, "matched": true[j],
@@ -225,8 +225,8 @@ def _see(record, step, here, talk, xyz, yaw, lwh, kind, behaviour, lied, rng):
     believes, row, strong, local = believes[first], row[first], strong[first], local[first]
     record.append("fused", step, {
         "observer": believes, "k": _position(believes), "score": strong,
-        "n_witnesses": np.ones(len(row), int), "local": local, "source": observer[row], "source_k": k[row],
-        "pose": None, "pose_k": None, "fabricated": origin[row] == 2,
+        "n_sources": np.ones(len(row), int), "local": local, "source": observer[row], "source_index": k[row],
+        "pose": None, "pose_index": None, "fabricated": origin[row] == 2,
     })  # fmt: skip
 
 

@@ -38,7 +38,7 @@ def test_columns_rows_and_parts_on_demand(run):
     assert list(run.table("fused", ["score", "step"]).columns) == ["score", "step"]
     late = run.table("trust", where=pc.field("step") >= 200)
     assert late.step.min() >= 200 and len(late) == (run.trust.step >= 200).sum()
-    assert sum(len(part) for part in run.parts("uses", ["age_s"])) == len(run.uses)
+    assert sum(len(part) for part in run.parts("trust_lookups", ["age_s"])) == len(run.trust_lookups)
     assert run.trust is run.trust  # loaded once
 
 
@@ -73,8 +73,8 @@ def test_unfinished_and_foreign_runs(broken):
 
 def test_missing_tables_and_columns(broken):
     run = open_run(broken)
-    with pytest.raises(ValueError, match=r'no table deliveries: it is kept at record.level = "full"'):
-        run.table("deliveries")
+    with pytest.raises(ValueError, match=r'no table receptions: it is kept at record.level = "full"'):
+        run.table("receptions")
     with pytest.raises(ValueError, match="There is no table 'delivery'"):
         run.table("delivery")
     with pytest.raises(ValueError, match="Table trust has no column trst"):
@@ -93,11 +93,11 @@ def test_damaged_file_is_named(broken, harm):
 
 
 def test_measure_says_what_it_cannot(broken):
-    shutil.rmtree(broken / "sightings")
+    shutil.rmtree(broken / "observability")
     for part in (broken / "encounters").iterdir():
         part.unlink()
     numbers = measure(open_run(broken)).set_index("topic")
     lost = numbers[numbers.figure == "not measured"]
-    assert "holds no table sightings" in lost.of["detection"]
+    assert "holds no table observability" in lost.of["detection"]
     assert "holds no encounters" in lost.of["encounters"]
     assert "not measured" not in set(numbers.figure["radio"])

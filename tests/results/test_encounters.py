@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
-from results.encounters import EncounterLedger, EncounterParams
+from results.encounters import EncounterTracker, EncounterParams
 
 NULLS = (
     "gap_s",
@@ -38,7 +38,7 @@ def rows_of(columns):
 
 def follow(tracks, params, dt_s=1.0, before_close=lambda ledger, step, opened, pairs: None):
     """Encounters of tracks (step x actor x 2, NaN while not on the road), all pairs told to the ledger."""
-    ledger, rows = EncounterLedger(params, dt_s), []
+    ledger, rows = EncounterTracker(params, dt_s), []
     for step, points in enumerate(tracks):
         present = np.flatnonzero(~np.isnan(points[:, 0]))
         a, b = (present[index] for index in np.triu_indices(len(present), 1))
@@ -171,7 +171,7 @@ def test_entering_and_leaving_by_hand():
 
 
 def test_counts_and_first_contact():
-    """Messages and verdicts are kept apart by direction; trust is what was known when it began."""
+    """Messages and evaluations are kept apart by direction; trust is what was known when it began."""
 
     def talk(ledger, step, opened, pairs):
         a, b = (side[opened] for side in pairs)
@@ -179,12 +179,12 @@ def test_counts_and_first_contact():
             ledger.first_contact(b, a, np.full(len(a), 0.25), np.full(len(a), 0), np.full(len(a), 7.0))
             ledger.first_contact(a, b, np.full(len(a), 0.5), np.full(len(a), 2), np.full(len(a), 0.0))
         ledger.count_messages(np.array([0, 0, 1, 5]), np.array([1, 1, 0, 0]))
-        ledger.count_verdicts(np.array([1, 0]), np.array([0, 1]), np.array([4, 1]))
+        ledger.count_evaluations(np.array([1, 0]), np.array([0, 1]), np.array([4, 1]))
 
     tracks = on_a_line(50, 5, 5, 50, 50)
     (row,) = follow(tracks, EncounterParams(radius_m=10, hysteresis_s=0, pairs="all"), before_close=talk)
     assert (row["n_messages_ab"], row["n_messages_ba"]) == (4, 2)  # two steps
-    assert (row["n_verdicts_ab"], row["n_verdicts_ba"]) == (2, 8)
+    assert (row["n_evaluations_ab"], row["n_evaluations_ba"]) == (2, 8)
     assert (row["trust_ba"], row["source_ba"], row["age_ba_s"]) == (0.25, 0, 7)
     assert (row["trust_ab"], row["source_ab"], row["age_ab_s"]) == (0.5, 2, None)
 
@@ -206,7 +206,7 @@ def test_who_can_meet():
     a, b = np.array([0, 0]), np.array([1, 2])
     near, present = np.array([5.0, 5.0]), np.arange(3)
     for pairs, expected in (("all", [1, 2]), ("equipped", [1]), ("sight", [])):
-        ledger = EncounterLedger(EncounterParams(radius_m=10, pairs=pairs), 1.0)
+        ledger = EncounterTracker(EncounterParams(radius_m=10, pairs=pairs), 1.0)
         _, opened = ledger.update(0, a, b, near, np.array([False, True]), present, equipped=np.array([True, False]))
         assert b[opened].tolist() == expected
     assert len(ledger) == 0
@@ -214,7 +214,7 @@ def test_who_can_meet():
 
 def test_memory_stays_with_the_living():
     """Actors who come and go for long leave nothing behind."""
-    ledger = EncounterLedger(EncounterParams(radius_m=10, hysteresis_s=0, pairs="all"), 1.0)
+    ledger = EncounterTracker(EncounterParams(radius_m=10, hysteresis_s=0, pairs="all"), 1.0)
     for step in range(300):
         present = np.arange(step * 20, step * 20 + 20)
         a, b = (present[index] for index in np.triu_indices(20, 1))
@@ -228,7 +228,7 @@ def test_costs_less_than_the_traffic():
     """1,000 vehicles with 40 neighbours each: SUMO takes 7 to 9 ms a step, the ledger below 6."""
     rng = np.random.default_rng(0)
     points, speed = rng.uniform(0, 2000, (1000, 2)), rng.normal(0, 8, (1000, 2))
-    ledger, spent_s = EncounterLedger(EncounterParams(radius_m=230, pairs="all"), 1.0), []
+    ledger, spent_s = EncounterTracker(EncounterParams(radius_m=230, pairs="all"), 1.0), []
     for step in range(120):
         points = (points + speed) % 2000
         pairs = cKDTree(points).query_pairs(230, output_type="ndarray")

@@ -51,8 +51,8 @@ def test_a_single_encounter_is_seen_to_end(tiny):
 
 
 def test_too_few_messages_for_a_curve_are_said(tiny):
-    sent = {"n_in_reach": 4, "n_delivered": 4}
-    run = tiny(9, radio=[{"n_sent": 2, **sent}], links=[sent], latencies=[{"latency_s": 0.001, "n_delivered": 4}])
+    sent = {"n_in_range": 4, "n_delivered": 4}
+    run = tiny(9, radio=[{"n_sent": 2, **sent}], pdr_by_distance=[sent], latency_histogram=[{"latency_s": 0.001, "n_delivered": 4}])
     axes = FIGURES["radio"]([run, run]).axes[0]  # of one run, maps want vehicles
     assert not axes.lines and [text.get_text() for text in axes.texts] == ["too few messages"]
 
@@ -100,7 +100,7 @@ def test_bad_requests(run, tmp_path):
 @pytest.mark.parametrize("name", FIGURES)
 def test_nothing_to_draw_is_one_clear_line(name, tmp_path):
     path = write(tmp_path / "quiet", steps=10, level="standard")
-    for table in ("encounters", "trust", "uses", "radio", "links", "actors"):
+    for table in ("encounters", "trust", "trust_lookups", "radio", "pdr_by_distance", "actors"):
         for part in (path / table).iterdir():
             part.unlink()
     with pytest.raises(ValueError) as caught:

@@ -6,7 +6,7 @@ import pandas as pd
 import pytest
 
 from results.measure import measure
-from results.metrics import contacts, detection, encounters, freshness, liars, radio, trust
+from results.metrics import contact_graph, detection, encounters, freshness, misbehaviour, radio, trust
 from tests.results.tiny import fleet
 
 
@@ -49,7 +49,7 @@ def test_freshness_on_a_timeline(tiny):
         {"step": i, "receiver": 1, "subject": 2, "source": "default" if age is None else "server", "age_s": age}
         for i, age in enumerate(ages)
     ]  # fmt: skip
-    run = tiny(23, vehicles=fleet(*["honest"] * 3), uses=uses)
+    run = tiny(23, vehicles=fleet(*["honest"] * 3), trust_lookups=lookups)
     assert freshness.shares(run, 5).set_index("state").n.to_dict() == {"fresh": 12, "stale": 5, "default": 6}
     server = freshness.at_use(run).set_index("source").loc["server"]
     assert server.mean_s == pytest.approx(73 / 17)
@@ -93,11 +93,11 @@ def test_evidence_where_it_is_used(tiny):
             (6, 1, "server", 1.2), (3, 1, "server", 3.2), (6, 0, "own", 4), (7, 0, "default", None),
         )
     ]  # fmt: skip
-    run = tiny(9, vehicles=fleet("honest", "honest", "unreliable"), trust=rows, uses=uses)
+    run = tiny(9, vehicles=fleet("honest", "honest", "unreliable"), trust=rows, trust_lookups=lookups)
     (row,) = freshness.evidence_at_use(run).itertuples()
-    assert (row.behaviour, row.n, row.none_share) == ("unreliable", 3, pytest.approx(1 / 3))
+    assert (row.role, row.n, row.none_share) == ("unreliable", 3, pytest.approx(1 / 3))
     assert (row.newest_s, row.oldest_s) == (pytest.approx((2.2 + 4) / 2, abs=1e-3), pytest.approx(10.2, abs=1e-3))
-    shares = freshness.shares_by_behaviour(run, 2).set_index("state")
+    shares = freshness.shares_by_role(run, 2).set_index("state")
     assert shares.n.to_dict() == {"fresh": 1, "stale": 2, "default": 1}
 
 
@@ -105,10 +105,10 @@ def test_trust_by_hand(tiny):
     values = {0: [0.6, 0.8, 0.5, 0.5], 3: [0.7, 0.9, 0.4, 0.5], 7: [0.7, 0.3, 0.2, 0.5]}
     rows = [{"step": s, "vehicle": v, "trust": t} for s, ts in values.items() for v, t in enumerate(ts)]
     run = tiny(20, vehicles=fleet("honest", "honest", "malicious", "malicious"), trust=rows)
-    last = trust.final(run).set_index("behaviour")
+    last = trust.final(run).set_index("role")
     assert last["mean"].to_dict() == pytest.approx({"honest": 0.5, "malicious": 0.35})
     assert last.n.to_dict() == {"honest": 2, "malicious": 2}
-    assert trust.over_time(run).query("time_s == 3 and behaviour == 'honest'")["median"].item() == pytest.approx(0.8)
+    assert trust.over_time(run).query("time_s == 3 and role == 'honest'")["median"].item() == pytest.approx(0.8)
     assert trust.mean(run)["mean"].tolist() == pytest.approx([4 / 6, 2.6 / 6])
 
 
@@ -120,21 +120,21 @@ def test_trust_without_a_server(tiny):
     ]
     uses += [{"step": 2, "receiver": 2, "subject": 1, "trust": 0.1, "source": "default"}]
     uses += [{"step": 4, "receiver": 0, "subject": 1, "trust": 0.1, "source": "own", "age_s": 2}]
-    frame = trust.values(tiny(20, vehicles=fleet("honest", "honest", "malicious"), uses=uses))
+    frame = trust.values(tiny(20, vehicles=fleet("honest", "honest", "malicious"), trust_lookups=lookups))
     assert frame[["time_s", "vehicle"]].to_numpy().tolist() == [[2, 1], [2, 2], [4, 1]]
     assert frame.trust.tolist() == pytest.approx([0.8, 0.3, 0.1])
 
 
 def test_radio_by_hand(tiny):
     rows = [
-        {"step": s, "n_sent": 2, "n_in_reach": 4, "n_delivered": d, "n_lost_propagation": 4 - d, "busy_ratio": 0.1}
+        {"step": s, "n_sent": 2, "n_in_range": 4, "n_delivered": d, "n_lost_propagation": 4 - d, "cbr": 0.1}
         for s, d in enumerate((4, 2))
     ]
     links = [
-        {"step": s, "ring_m": ring, "n_in_reach": 2, "n_delivered": d, "n_lost_propagation": 2 - d}
+        {"step": s, "distance_bin_m": ring, "n_in_range": 2, "n_delivered": d, "n_lost_propagation": 2 - d}
         for s, ring, d in ((0, 0, 2), (0, 25, 2), (1, 0, 2), (1, 25, 0))
     ]
-    run = tiny(2, radio=rows, links=links)
+    run = tiny(2, radio=rows, pdr_by_distance=pdr)
     (row,) = radio.overall(run).itertuples()
     assert (row.n_sent, row.delivery_ratio, row.lost_propagation) == (4, 0.75, 0.25)
     assert radio.over_time(run, 1).delivery_ratio.tolist() == [1, 0.5]
@@ -154,21 +154,21 @@ def scene(tiny):
     vehicles += [{"vehicle": v, "kind": "car", "last_step": 49, **size} for v in (1, 2)]
     vehicles.append({**fleet("honest")[0], "vehicle": 3, "last_step": -1})
     x = {0: 0.0, 1: 20.0, 2: -20.0}
-    actors, sightings, detections, fused = [], [], [], []
+    actors, observability, detections, fused = [], [], [], []
     for step in range(50):
         actors += [{"step": step, "actor": v, "x_m": x[v], "z_m": 0.75} for v in x]
-        sightings += [{"step": step, "observer": 0, "actor": v, "n_points": 90, "n_unoccluded": 100} for v in (1, 2)]
+        observability += [{"step": step, "observer": 0, "actor": v, "n_points": 90, "n_unoccluded": 100} for v in (1, 2)]
         seen = {"step": step, "observer": 0, "z_m": 0.75, **size}
         detections.append(seen | {"k": 1, "x_m": 20, "score": 0.6, "said": True, "truth_actor": 1, "truth_iou": 1})
-        fused.append({"step": step, "observer": 0, "k": 1, "score": 0.6, "local": True, "source_k": 1})
+        fused.append({"step": step, "observer": 0, "k": 1, "score": 0.6, "local": True, "source_index": 1})
         if step % 2:
             detections.append(seen | {"k": 2, "x_m": 40, "score": 0.9, "said": True})
         if step >= 40:
             detections.append(seen | {"k": 3, "x_m": 9, "score": 1, "kind": "fabricated", "said": True})
         if step >= 45:
-            fused.append({"step": step, "observer": 3, "k": 2, "score": 0.7, "fabricated": True, "source_k": 3})
+            fused.append({"step": step, "observer": 3, "k": 2, "score": 0.7, "fabricated": True, "source_index": 3})
     return tiny(
-        50, vehicles=vehicles, actors=actors, sightings=sightings, detections=detections, fused=fused
+        50, vehicles=vehicles, actors=actors, observability=observability, detections=detections, fused=fused
     )  # fmt: skip
 
 
@@ -204,16 +204,16 @@ def test_attack_on_a_scene(scene):
 def test_contacts_by_hand(tiny):
     """0-1 meet in [0, 2), 1-2 in [1, 3), 2-3 in [0, 1): news of 0 reaches 1 at 0 s, 2 at 1 s, 3 never."""
     run = tiny(4, encounters=[meeting(0, 1, 0, 2), meeting(1, 2, 1, 3), meeting(2, 3, 0, 1)])
-    assert contacts.arrivals(run, 0).set_index("actor").time_s.to_dict() == {0: 0, 1: 0, 2: 1}
-    frame = contacts.over_time(run, 1)
+    assert contact_graph.arrivals(run, 0).set_index("actor").time_s.to_dict() == {0: 0, 1: 0, 2: 1}
+    frame = contact_graph.over_time(run, 1)
     assert frame.n_contacts.tolist() == [2, 2, 1, 0]
     assert frame.n_components.tolist() == [2, 1, 1, 0]
     assert frame.degree_mean.tolist() == pytest.approx([1, 4 / 3, 1, 0])
-    graph = contacts.graph(run, 0.5, 2)
+    graph = contact_graph.graph(run, 0.5, 2)
     assert isinstance(graph, nx.Graph)
     assert nx.get_edge_attributes(graph, "contact_s") == {(0, 1): 1.5, (1, 2): 1.0, (2, 3): 0.5}
     with pytest.raises(ValueError, match="no encounters with radius_m = 7"):
-        contacts.graph(run, 0, 1, radius_m=7)
+        contact_graph.graph(run, 0, 1, radius_m=7)
 
 
 def test_spread_by_hand(tiny):
@@ -222,7 +222,7 @@ def test_spread_by_hand(tiny):
     So news of 0 and 1 has reached three of four, of 2 and 3 four.
     """
     run = tiny(4, encounters=[meeting(0, 1, 0, 2), meeting(1, 2, 1, 3), meeting(2, 3, 0, 1)])
-    frame = contacts.spread(run, 1)
+    frame = contact_graph.temporal_reachability(run, 1)
     assert frame.reached_mean.tolist() == [0.5, 14 / 16, 14 / 16, 14 / 16]
     assert frame.reached_min.tolist() == [0.5, 0.75, 0.75, 0.75]
     assert frame.n_met.tolist() == [4, 4, 4, 4]
@@ -230,10 +230,10 @@ def test_spread_by_hand(tiny):
 
 def test_spread_is_arrivals_for_many(run):
     """Looked at in every step, it is the mean of what `arrivals` says of each source."""
-    frame = contacts.spread(run, 1.0, 50.0)
-    met = contacts.contacts(run, 50.0)
+    frame = contact_graph.temporal_reachability(run, 1.0, 50.0)
+    met = contact_graph.contacts(run, 50.0)
     sources = np.unique(met[met.start_s == 0][["a", "b"]])
-    reached = [len(contacts.arrivals(run, source, 0.0, 50.0)) for source in sources]
+    reached = [len(contact_graph.arrivals(run, source, 0.0, 50.0)) for source in sources]
     assert 0 < len(sources) <= 64
     assert frame.reached_mean.iloc[-1] == pytest.approx(np.mean(reached) / frame.n_met.iloc[-1])
     assert frame.reached_min.iloc[-1] == pytest.approx(min(reached) / frame.n_met.iloc[-1])
@@ -243,17 +243,17 @@ def test_news_by_hand(tiny):
     """0 tells 1 in step 0, too late for what 1 says in that step; 1 tells 2 in step 1; 2 tells 3 in step 2."""
     heard = [(0, 0, 1, 0.1), (0, 1, 2, 0.2), (1, 1, 2, 0.2), (2, 2, 3, 0.1), (3, 0, 3, 0.1), (3, 4, 5, 0.1)]
     rows = [{"step": s, "sender": a, "receiver": b, "latency_s": t, "hops": 1} for s, a, b, t in heard]
-    run = tiny(5, vehicles=fleet(*["honest"] * 6), deliveries=rows)
-    frame = contacts.news(run, 0).set_index("actor")
+    run = tiny(5, vehicles=fleet(*["honest"] * 6), receptions=rows)
+    frame = contact_graph.message_reachability(run, 0).set_index("actor")
     assert frame.time_s.to_dict() == pytest.approx({0: 0, 1: 0.1, 2: 1.2, 3: 2.1}, abs=1e-5)
     assert frame.n_messages.to_dict() == {0: 0, 1: 1, 2: 2, 3: 3}
-    assert sorted(contacts.news(run, 0, 3.0).actor) == [0, 3]
-    assert sorted(contacts.relays(run, 1, 3).edges) == [(1, 2), (2, 3)]
+    assert sorted(contact_graph.message_reachability(run, 0, 3.0).actor) == [0, 3]
+    assert sorted(contact_graph.relays(run, 1, 3).edges) == [(1, 2), (2, 3)]
 
 
 def test_relays(run):
-    graph = contacts.relays(run)
-    assert sum(n for _, _, n in graph.edges(data="n")) == len(run.deliveries)
+    graph = contact_graph.relays(run)
+    assert sum(n for _, _, n in graph.edges(data="n")) == len(run.receptions)
 
 
 def test_measure_is_tidy(run):
@@ -266,8 +266,8 @@ def test_measure_is_tidy(run):
 
 
 @pytest.mark.parametrize(
-    "ask", [encounters.survival, freshness.at_use, freshness.over_time, radio.overall, radio.by_distance, liars.roc,
-            trust.over_time, detection.precision, detection.awareness, detection.attack_success, contacts.contacts]
+    "ask", [encounters.survival, freshness.at_use, freshness.over_time, radio.overall, radio.by_distance, misbehaviour.roc,
+            trust.over_time, detection.precision, detection.awareness, detection.attack_success, contact_graph.contacts]
 )  # fmt: skip
 def test_nothing_to_measure_is_one_clear_line(tiny, ask):
     with pytest.raises(ValueError) as caught:
@@ -276,5 +276,5 @@ def test_nothing_to_measure_is_one_clear_line(tiny, ask):
 
 
 def test_frames_are_frames(run):
-    for frame in (radio.by_distance(run), freshness.distribution(run), liars.detection_delay(run)):
+    for frame in (radio.by_distance(run), freshness.distribution(run), misbehaviour.detection_delay(run)):
         assert isinstance(frame, pd.DataFrame) and len(frame)

@@ -22,23 +22,23 @@ CONFIG = {
 def test_inter_reception_by_kaplan_meier(tiny):
     """Eight silences of one step, one of two, one of four; one pair parts unheard after two steps."""
     rows = [
-        {"step": 4, "gap_steps": 1, "n_received": 8}, {"step": 4, "gap_steps": 2, "n_received": 1, "n_parted": 1},
-        {"step": 5, "gap_steps": 4, "n_received": 1}, {"step": 5, "gap_steps": 0, "n_parted": 3},
+        {"step": 4, "pir_steps": 1, "n_received": 8}, {"step": 4, "pir_steps": 2, "n_received": 1, "n_censored": 1},
+        {"step": 5, "pir_steps": 4, "n_received": 1}, {"step": 5, "pir_steps": 0, "n_censored": 3},
     ]  # fmt: skip
-    run = tiny(6, silences=rows)
+    run = tiny(6, packet_inter_reception=rows)
     gaps = radio.inter_reception(run).set_index("gap_s")
     # At risk: 11 of one step, 3 of two, 1 of four: survival 3/11, times 2/3, times 0.
     assert gaps.longer.loc[[0.0, 1.0, 2.0, 4.0]].tolist() == pytest.approx([1, 3 / 11, 2 / 11, 0])
     assert gaps.n_lost.tolist() == [0, 0, 1, 3]
-    with pytest.raises(ValueError, match="no two verdicts in a row"):
-        radio.inter_reception(run, "verdicts")
+    with pytest.raises(ValueError, match="no two evaluations in a row"):
+        radio.inter_reception(run, "evaluations")
 
 
 def test_latency_adds_up(tiny):
     rows = [
         {"step": s, "latency_s": low, "n_delivered": n} for s, low, n in ((0, 0.001, 3), (0, 0.002, 1), (1, 0.001, 4))
     ]
-    found = radio.latency(tiny(2, latencies=rows))
+    found = radio.latency(tiny(2, latency_histogram=rows))
     assert found.n_delivered.tolist() == [7, 1]
     assert found.share.tolist() == [7 / 8, 1]
     assert found.latency_s.tolist() == pytest.approx([0.001 * 2**0.5, 0.002 * 2**0.5])  # upper edges
@@ -46,10 +46,10 @@ def test_latency_adds_up(tiny):
 
 def test_delivery_by_what_stands_between(tiny):
     links = [
-        {"ring_m": ring, "view": view, "n_in_reach": 10, "n_delivered": n}
+        {"distance_bin_m": ring, "view": view, "n_in_range": 10, "n_delivered": n}
         for ring, view, n in ((0, "open", 10), (0, "wall", 5), (25, "open", 8), (25, "wall", 1))
     ]
-    run = tiny(1, links=links)
+    run = tiny(1, pdr_by_distance=pdr)
     assert radio.by_distance(run).delivery_ratio.tolist() == [0.75, 0.45]
     by_view = radio.by_distance(run, by_view=True)
     assert by_view.view.tolist() == ["open", "open", "wall", "wall"]
@@ -61,13 +61,13 @@ def test_the_map(tiny):
     actors = [
         {"step": s, "actor": a, "x_m": x, "y_m": 10} for s, a, x in ((0, 0, 5), (0, 1, 60), (1, 0, 55), (1, 1, 95))
     ]
-    ears = [
-        {"step": s, "vehicle": v, "busy_ratio": b, "n_in_reach": 4, "n_heard": n}
+    channel = [
+        {"step": s, "vehicle": v, "cbr": b, "n_in_range": 4, "n_received": n}
         for s, v, b, n in ((0, 0, 0.25, 4), (0, 1, 0.5, 2), (1, 0, 0.0, 0), (1, 1, 0.25, 1))
     ]
-    cells = radio.by_place(tiny(2, actors=actors, ears=ears), 50.0)
+    cells = radio.by_place(tiny(2, actors=actors, vehicle_channel=channel), 50.0)
     assert cells[["x_m", "y_m", "n"]].values.tolist() == [[25, 25, 1], [75, 25, 3]]
-    assert cells.busy_ratio.tolist() == [0.25, 0.25]
+    assert cells.cbr.tolist() == [0.25, 0.25]
     assert cells.delivery_ratio.tolist() == [1, 0.25]
 
 
@@ -81,10 +81,10 @@ def test_the_way_to_the_server(tiny):
 
 
 def test_conditions_stand_beside_the_figures(tiny):
-    radios = [{"n_sent": 2, "n_in_reach": 4, "n_delivered": 3, "n_lost_propagation": 1, "busy_ratio": 0.1}]
-    links = [{"n_in_reach": 4, "n_delivered": 3}]
-    run = tiny(1, CONFIG, radio=radios, links=links, latencies=[{"latency_s": 0.001, "n_delivered": 3}],
-               silences=[{"gap_steps": 1, "n_received": 2}])  # fmt: skip
+    radios = [{"n_sent": 2, "n_in_range": 4, "n_delivered": 3, "n_lost_propagation": 1, "cbr": 0.1}]
+    links = [{"n_in_range": 4, "n_delivered": 3}]
+    run = tiny(1, CONFIG, radio=radios, pdr_by_distance=pdr, latency_histogram=[{"latency_s": 0.001, "n_delivered": 3}],
+               packet_inter_reception=[{"pir_steps": 1, "n_received": 2}])  # fmt: skip
     said = radio.conditions(run).set_index("condition")
     assert said.value["receiver threshold"] == -92 and said.value["penetration"] == 0.35
     assert said["is"]["non-line-of-sight model"] == "TR 37.885 NLOS"

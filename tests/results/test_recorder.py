@@ -73,11 +73,11 @@ def test_refuses_unknown_labels(tmp_path):
     row = {"receiver": np.array([1]), "subject": np.array([2]), "trust": np.ones(1), "age_s": None}
     with Recorder(tmp_path, "standard") as record:
         with pytest.raises(ValueError, match=r"uses.source = 'srver' is none of server, own, default"):
-            record.append("uses", 0, row | {"source": np.array(["srver"])})
+            record.append("trust_lookups", 0, row | {"source": np.array(["srver"])})
         with pytest.raises(ValueError, match=r"uses.source holds 3 to 3, outside 0 to 2"):
-            record.append("uses", 0, row | {"source": np.array([3])})
-        record.append("uses", 0, row | {"source": np.array(["own"])})
-    assert stored(tmp_path, "uses").source.tolist() == ["own"]
+            record.append("trust_lookups", 0, row | {"source": np.array([3])})
+        record.append("trust_lookups", 0, row | {"source": np.array(["own"])})
+    assert stored(tmp_path, "trust_lookups").source.tolist() == ["own"]
 
 
 def test_rounding_is_as_documented(tmp_path):
@@ -148,5 +148,5 @@ def test_small_on_disk(run):
 def test_open_run_gives_what_was_written(tmp_path):
     path = write(tmp_path / "small", steps=30, level="standard")
     run = open_run(path)
-    assert "deliveries" not in run.tables and len(run.actors)
+    assert "receptions" not in run.tables and len(run.actors)
     assert run.actors.groupby("step").actor.is_monotonic_increasing.all()

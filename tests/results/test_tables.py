@@ -46,5 +46,5 @@ def test_levels_contain_one_another():
 
 
 def test_axis_label():
-    assert tables.axis_label("uses", "age_s", "Age") == "Age [s]"
+    assert tables.axis_label("trust_lookups", "age_s", "Age") == "Age [s]"
     assert tables.axis_label("trust", "trust") == "trust"

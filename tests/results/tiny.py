@@ -36,8 +36,8 @@ def columns(table, rows):
     return given
 
 
-def fleet(*behaviours, **more):
+def fleet(*roles, **more):
     return [
-        {"vehicle": i, "sumo_id": str(i), "equipped": True, "behaviour": b, "last_step": 99,
-         "length_m": 4, "width_m": 2, "height_m": 1.5, **more} for i, b in enumerate(behaviours)
+        {"vehicle": i, "sumo_id": str(i), "equipped": True, "role": b, "last_step": 99,
+         "length_m": 4, "width_m": 2, "height_m": 1.5, **more} for i, b in enumerate(roles)
     ]  # fmt: skip

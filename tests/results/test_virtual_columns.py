@@ -20,7 +20,7 @@ def run(tiny):
     fused = [
         {"step": s, "observer": 1, **row}
         for s in (0, 12)
-        for row in ({"k": 0, "source": 0, "source_k": 3, "pose": 2, "pose_k": 5}, {"k": 1, "source": 1, "source_k": 1})
+        for row in ({"k": 0, "source": 0, "source_index": 3, "pose": 2, "pose_index": 5}, {"k": 1, "source": 1, "source_index": 1})
     ]
     return tiny(20, vehicles=fleet("honest"), detections=said, fused=fused)
 
@@ -43,7 +43,7 @@ def test_columns_and_rows_on_demand(run):
 
 
 def test_names_decide_not_positions(run):
-    frame = run.fused.set_index(["step", "source", "source_k"])
+    frame = run.fused.set_index(["step", "source", "source_index"])
     said = run.detections.set_index(["step", "observer", "k"])
     assert np.array_equal(frame.length_m, said.length_m.reindex(frame.index))
 

@@ -1,7 +1,7 @@
 """Who is told from whom by trust: liars from honest vehicles, how well and how soon.
 
 A vehicle is a liar from its first lie on; what it was trusted before is left out. Honest vehicles are looked at from
-the first lie of anybody on. Trust that rests on no verdict says nothing about a vehicle, whatever number the ledger
+the first lie of anybody on. Trust that rests on no evaluation says nothing about a vehicle, whatever number the ledger
 has for it: such a vehicle is not judged, it is neither suspected nor cleared, and it is counted (`judged`).
 A vehicle is suspected while it is judged and its trust is below a threshold.
 """
@@ -15,9 +15,9 @@ from numpy import ndarray
 from results.metrics import freshness, trust
 from results.metrics.survival import kaplan_meier, median
 from results.run import Run
-from results.tables import BEHAVIOURS
+from results.tables import ROLES
 
-_DISHONEST = BEHAVIOURS[1:]
+_DISHONEST = ROLES[1:]
 
 
 def suspects(run: Run) -> pd.DataFrame:
@@ -25,15 +25,15 @@ def suspects(run: Run) -> pd.DataFrame:
 
     Returns
     -------
-    step, vehicle, behaviour, trust (null where the ledger has none), judged.
+    step, vehicle, role, trust (null where the ledger has none), judged.
     """
     known = trust.values(run)
     who = _watched(run).reset_index()
     steps = np.unique(known.step)
     at, row = np.nonzero((who.since.to_numpy() <= steps[:, None]) & (steps[:, None] <= who.until.to_numpy()))
-    there = who.iloc[row][["vehicle", "behaviour"]].assign(step=steps[at])
+    there = who.iloc[row][["vehicle", "role"]].assign(step=steps[at])
     there = there.merge(known[["step", "vehicle", "trust", "judged"]], "left", ["step", "vehicle"])
-    return there.assign(judged=there.judged.eq(True))[["step", "vehicle", "behaviour", "trust", "judged"]]
+    return there.assign(judged=there.judged.eq(True))[["step", "vehicle", "role", "trust", "judged"]]
 
 
 def separability(run: Run, false_positives: float = 0.05) -> pd.DataFrame:
@@ -46,9 +46,9 @@ def separability(run: Run, false_positives: float = 0.05) -> pd.DataFrame:
 
     Returns
     -------
-    behaviour of the liars; n: liars; judged, judged_honest: share of their time on the road with a verdict behind
+    role of the liars; n: liars; judged, judged_honest: share of their time on the road with a evaluation behind
     their trust; auc: chance that an honest value is above a liar's (ties count half); auc_unjudged: the same with the
-    values that rest on no verdict, for who takes every value at face value; threshold: the largest with no more false
+    values that rest on no evaluation, for who takes every value at face value; threshold: the largest with no more false
     positives than allowed; true_positives, false_positives: shares of the judged values below it; caught: share of
     the liars' time on the road in which they are suspected, judged or not.
 
@@ -79,16 +79,16 @@ def over_time(run: Run, every_s: float = 10.0, false_positives: float = 0.05) ->
 
 
 def roc(run: Run) -> pd.DataFrame:
-    """Receiver operating characteristic: behaviour, threshold, false_positives, true_positives; of judged values."""
+    """Receiver operating characteristic: role, threshold, false_positives, true_positives; of judged values."""
     frame = suspects(run)
     honest = np.sort(_judged(frame, "honest"))
     rows = []
-    for behaviour in _DISHONEST:
-        lying = np.sort(_judged(frame, behaviour))
+    for role in _DISHONEST:
+        lying = np.sort(_judged(frame, role))
         if len(lying) and len(honest):
             threshold = np.append(np.unique(np.concatenate([lying, honest])), np.inf)
             rows.append(pd.DataFrame({
-                "behaviour": behaviour, "threshold": threshold,
+                "role": role, "threshold": threshold,
                 "false_positives": np.searchsorted(honest, threshold) / len(honest),
                 "true_positives": np.searchsorted(lying, threshold) / len(lying),
             }))  # fmt: skip
@@ -98,11 +98,11 @@ def roc(run: Run) -> pd.DataFrame:
 
 
 def below(run: Run, threshold: float = 0.25) -> pd.DataFrame:
-    """Share of all values under a threshold, by behaviour: behaviour, n, share, and judged_share, of the judged."""
+    """Share of all values under a threshold, by role: role, n, share, and judged_share, of the judged."""
     frame = trust.values(run)
-    low = frame.assign(share=frame.trust < threshold, n=1).groupby("behaviour", observed=True)
+    low = frame.assign(share=frame.trust < threshold, n=1).groupby("role", observed=True)
     judged = frame[frame.judged]
-    of_judged = (judged.trust < threshold).groupby(judged.behaviour, observed=True).mean()
+    of_judged = (judged.trust < threshold).groupby(judged.role, observed=True).mean()
     return low.agg({"n": "size", "share": "mean"}).assign(judged_share=of_judged).reset_index()
 
 
@@ -122,31 +122,31 @@ def detection_delay(run: Run, threshold: float = 0.25, at: trust.At = "server") 
 
     Returns
     -------
-    vehicle, behaviour, delay_s, found: where not found, the delay is the time it was watched for (censored).
+    vehicle, role, delay_s, found: where not found, the delay is the time it was watched for (censored).
     """
     who = _watched(run)
     is_low = pc.field("trust") < threshold
     if at == "server":
         low = run.table("trust", ["step", "vehicle"], is_low & (pc.field("n_evaluations") > 0))
     else:
-        low = run.table("uses", ["step", "subject", "source", "age_s"], is_low & pc.field("age_s").is_valid())
+        low = run.table("trust_lookups", ["step", "subject", "source", "age_s"], is_low & pc.field("age_s").is_valid())
         newest_s, _ = freshness.Editions(run).ages(low)
         low = low[~np.isnan(newest_s)].rename(columns={"subject": "vehicle"})
     low = low.merge(who.reset_index(), on="vehicle").query("since <= step <= until")
     first = low.groupby("vehicle").step.min().reindex(who.index)
     found = first.notna()
     delay_s = (first.where(found, who.until) - who.since) * run.dt_s
-    return pd.DataFrame({"behaviour": who.behaviour, "delay_s": delay_s, "found": found}).reset_index()
+    return pd.DataFrame({"role": who.role, "delay_s": delay_s, "found": found}).reset_index()
 
 
 def detection_summary(run: Run, threshold: float = 0.25, at: trust.At = "server") -> pd.DataFrame:
-    """Of `detection_delay`: behaviour, n, share that was ever suspected, half_after_s (null: fewer than half were).
+    """Of `detection_delay`: role, n, share that was ever suspected, half_after_s (null: fewer than half were).
 
     Those not suspected count for as long as they were watched (Kaplan and Meier).
     """
     rows = [
-        {"behaviour": behaviour, "n": len(one), "share": one.found.mean(), "half_after_s": median(waiting(one))}
-        for behaviour, one in detection_delay(run, threshold, at).groupby("behaviour", observed=True)
+        {"role": role, "n": len(one), "share": one.found.mean(), "half_after_s": median(waiting(one))}
+        for role, one in detection_delay(run, threshold, at).groupby("role", observed=True)
     ]
     return pd.DataFrame(rows)
 
@@ -174,44 +174,44 @@ def threshold_at(honest: Float[ndarray, "h"], false_positives: float) -> float:
 
 
 _NOBODY_JUDGED = (
-    "holds no verdicts on liars and honest vehicles to compare: nobody who heard them could see what they said. "
+    "holds no evaluations on liars and honest vehicles to compare: nobody who heard them could see what they said. "
     "Raise fleet.penetration_p or traffic.duration_s and run again."
 )
 
 
 def _watched(run: Run) -> pd.DataFrame:
-    """Equipped vehicles to be told apart, by id: behaviour, and the steps `since` and `until` which."""
-    who = run.table("vehicles", ["vehicle", "equipped", "behaviour", "first_step", "last_step", "first_lie_step"])
+    """Equipped vehicles to be told apart, by id: role, and the steps `since` and `until` which."""
+    who = run.table("vehicles", ["vehicle", "equipped", "role", "first_step", "last_step", "attack_start_step"])
     who = who[who.equipped].set_index("vehicle")
-    if not who.first_lie_step.notna().any():
+    if not who.attack_start_step.notna().any():
         raise ValueError(f"{run.path} holds no lies. Raise fleet.malicious_p, or run past adversary.start_s.")
-    honest = who.behaviour == "honest"
-    who = who[honest | who.first_lie_step.notna()]
-    since = who.first_lie_step.where(who.behaviour != "honest", who.first_step.clip(lower=who.first_lie_step.min()))
+    honest = who.role == "honest"
+    who = who[honest | who.attack_start_step.notna()]
+    since = who.attack_start_step.where(who.role != "honest", who.first_step.clip(lower=who.attack_start_step.min()))
     until = who.last_step.clip(upper=run.manifest["steps"] - 1)
-    who = pd.DataFrame({"behaviour": who.behaviour, "since": since.astype(int), "until": until})
+    who = pd.DataFrame({"role": who.role, "since": since.astype(int), "until": until})
     return who[who.since <= who.until]
 
 
-def _judged(frame: pd.DataFrame, behaviour: str) -> Float[ndarray, "n"]:
-    return frame.trust[(frame.behaviour == behaviour) & frame.judged].to_numpy(np.float64)
+def _judged(frame: pd.DataFrame, role: str) -> Float[ndarray, "n"]:
+    return frame.trust[(frame.role == role) & frame.judged].to_numpy(np.float64)
 
 
 def _separated(frame: pd.DataFrame, false_positives: float, threshold: float | None) -> list[dict[str, float | str]]:
     """Rows of `separability`; the threshold is found where none is given."""
     honest = _judged(frame, "honest")
     limit = threshold_at(honest, false_positives) if threshold is None else threshold
-    groups = {behaviour: frame[frame.behaviour == behaviour] for behaviour in BEHAVIOURS}
-    at_face_value = {behaviour: one.trust.dropna().to_numpy(np.float64) for behaviour, one in groups.items()}
+    groups = {role: frame[frame.role == role] for role in ROLES}
+    at_face_value = {role: one.trust.dropna().to_numpy(np.float64) for role, one in groups.items()}
     rows: list[dict[str, float | str]] = []
-    for behaviour in _DISHONEST:
-        if (mine := groups[behaviour]).empty:
+    for role in _DISHONEST:
+        if (mine := groups[role]).empty:
             continue
-        lying = _judged(mine, behaviour)
+        lying = _judged(mine, role)
         rows.append({
-            "behaviour": behaviour, "n": mine.vehicle.nunique(), "judged": len(lying) / len(mine),
+            "role": role, "n": mine.vehicle.nunique(), "judged": len(lying) / len(mine),
             "judged_honest": _share(groups["honest"].judged), "auc": auc(honest, lying),
-            "auc_unjudged": auc(at_face_value["honest"], at_face_value[behaviour]), "threshold": limit,
+            "auc_unjudged": auc(at_face_value["honest"], at_face_value[role]), "threshold": limit,
             "true_positives": _share(lying < limit), "false_positives": _share(honest < limit),
             "caught": float("nan") if np.isnan(limit) else float((lying < limit).sum()) / len(mine),
         })  # fmt: skip

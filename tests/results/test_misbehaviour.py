@@ -8,16 +8,16 @@ from hypothesis import strategies as st
 from scipy.stats import mannwhitneyu
 
 from results.measure import measure
-from results.metrics import liars
+from results.metrics import misbehaviour
 from tests.results.tiny import fleet
 
 trusts = st.lists(st.sampled_from([0.0, 0.1, 0.25, 0.5, 0.9]), min_size=1, max_size=30).map(np.array)
 
 
-def lying(behaviours, first_lie_step):
-    vehicles = fleet(*behaviours)
-    for vehicle, step in first_lie_step.items():
-        vehicles[vehicle]["first_lie_step"] = step
+def lying(roles, attack_start_step):
+    vehicles = fleet(*roles)
+    for vehicle, step in attack_start_step.items():
+        vehicles[vehicle]["attack_start_step"] = step
     return vehicles
 
 
@@ -30,7 +30,7 @@ def values(table, unjudged=()):
 
 @pytest.fixture
 def town(tiny):
-    """Honest 0, 1, 2, malicious 3, 4 that lie from step 3 and 5; 2 has no value at 3 and no verdict behind that of 5.
+    """Honest 0, 1, 2, malicious 3, 4 that lie from step 3 and 5; 2 has no value at 3 and no evaluation behind that of 5.
 
     Judged from step 3 on: honest 0.6 0.8 | 0.6 0.4 | 0.2 0.4 0.9; liars (3) 0.5 | 0.3 | 0.1, (4) 0.7 | 0.3.
     """
@@ -47,41 +47,41 @@ def test_separability_by_hand(town):
     With one false positive in seven the threshold is the second lowest honest value, 0.4: the liars' 0.3, 0.1 and 0.3
     are below it, 3 of 5. With none it is the lowest, 0.2.
     """
-    (row,) = liars.separability(town, 0.15).to_dict("records")
+    (row,) = misbehaviour.separability(town, 0.15).to_dict("records")
     assert row["auc"] == pytest.approx(25 / 35) and row["n"] == 2
     assert (row["judged"], row["judged_honest"]) == (1, 7 / 9)
-    assert row["auc_unjudged"] == pytest.approx(25 / 40)  # the 0.0 without a verdict is above no liar
+    assert row["auc_unjudged"] == pytest.approx(25 / 40)  # the 0.0 without a evaluation is above no liar
     assert row["threshold"] == pytest.approx(0.4)
     assert (row["true_positives"], row["false_positives"], row["caught"]) == (3 / 5, 1 / 7, 3 / 5)
-    (row,) = liars.separability(town).to_dict("records")
+    (row,) = misbehaviour.separability(town).to_dict("records")
     assert row["threshold"] == pytest.approx(0.2) and (row["true_positives"], row["false_positives"]) == (1 / 5, 0)
-    assert liars.separation(town) == 5 / 6  # last values: 0.2, 0.4, 0.9 above 0.1, and 0.4, 0.9 above 0.3
-    late = liars.over_time(town, 5.0, 0.15).set_index("time_s")
+    assert misbehaviour.separation(town) == 5 / 6  # last values: 0.2, 0.4, 0.9 above 0.1, and 0.4, 0.9 above 0.3
+    late = misbehaviour.over_time(town, 5.0, 0.15).set_index("time_s")
     assert late.auc.to_dict() == pytest.approx({0: 1, 5: 14 / 20})  # above 0.3, 0.7, 0.1, 0.3: 4 + 1 + 5 + 4
 
 
 def test_curve_by_hand(town):
-    curve = liars.roc(town).set_index("threshold").round(6)
+    curve = misbehaviour.roc(town).set_index("threshold").round(6)
     assert curve.true_positives.tolist() == [0, 0.2, 0.2, 0.6, 0.6, 0.8, 0.8, 1, 1, 1]
     assert (curve.false_positives * 7).round(4).tolist() == [0, 0, 1, 1, 3, 3, 5, 5, 6, 7]
 
 
 def test_delays_by_hand(town):
     """Below 0.35: 3 after 2 s, 4 after 2 s, honest 0 after 4 s (at 7), 1 and 2 never; a value of 0 judges nobody."""
-    delay = liars.detection_delay(town, 0.35).set_index("vehicle")
+    delay = misbehaviour.detection_delay(town, 0.35).set_index("vehicle")
     assert delay.delay_s.to_dict() == {0: 4, 1: 16, 2: 16, 3: 2, 4: 2}
     assert delay.found.to_dict() == {0: True, 1: False, 2: False, 3: True, 4: True}
-    ever = liars.detection_summary(town, 0.35).set_index("behaviour")
+    ever = misbehaviour.detection_summary(town, 0.35).set_index("role")
     assert ever.share.to_dict() == pytest.approx({"honest": 1 / 3, "malicious": 1})
     assert ever.half_after_s["malicious"] == 2 and np.isnan(ever.half_after_s["honest"])
 
 
 def test_suspected_by_vehicles(tiny):
-    """A server's value counts from the verdict behind it on: that of step 4 has none, that of step 8 has one."""
+    """A server's value counts from the evaluation behind it on: that of step 4 has none, that of step 8 has one."""
     uses = [{"step": s, "receiver": 0, "subject": 1, "trust": t, "age_s": 1} for s, t in ((3, 0.5), (5, 0), (9, 0.1))]
     rows = [{"step": 4, "vehicle": 1}, {"step": 8, "vehicle": 1, "n_evaluations": 2, "newest_age_s": 1}]
-    run = tiny(20, vehicles=lying(["honest", "malicious"], {1: 3}), uses=uses, trust=rows)
-    assert liars.detection_delay(run, 0.25, "vehicles").set_index("vehicle").delay_s.to_dict() == {0: 16, 1: 6}
+    run = tiny(20, vehicles=lying(["honest", "malicious"], {1: 3}), trust_lookups=lookups, trust=rows)
+    assert misbehaviour.detection_delay(run, 0.25, "vehicles").set_index("vehicle").delay_s.to_dict() == {0: 16, 1: 6}
 
 
 def test_without_a_server(tiny):
@@ -90,9 +90,9 @@ def test_without_a_server(tiny):
         {"step": s, "receiver": r, "subject": v, "trust": t, "source": "own", "age_s": 1}
         for s, r, v, t in ((2, 0, 2, 0.2), (2, 1, 2, 0.4), (2, 0, 1, 0.8), (4, 0, 1, 0.1))
     ]
-    run = tiny(20, vehicles=lying(["honest", "honest", "malicious"], {2: 1}), uses=uses)
-    assert liars.separability(run).auc.item() == 0.5  # 0.8 above 0.3, 0.1 not
-    assert liars.below(run).set_index("behaviour").share.to_dict() == {"honest": 0.5, "malicious": 0}
+    run = tiny(20, vehicles=lying(["honest", "honest", "malicious"], {2: 1}), trust_lookups=lookups)
+    assert misbehaviour.separability(run).auc.item() == 0.5  # 0.8 above 0.3, 0.1 not
+    assert misbehaviour.below(run).set_index("role").share.to_dict() == {"honest": 0.5, "malicious": 0}
     figures = measure(run).set_index(["topic", "figure", "of"]).value["liars"]
     assert figures["half are suspected after, below 0.25", "malicious, at a vehicle"] == 1
     assert not any("server" in of for _, of in figures.index)
@@ -103,10 +103,10 @@ def test_against_the_u_test(run):
     who = pq.read_table(run.path / "vehicles").to_pandas().set_index("vehicle")
     table = pq.read_table(run.path / "trust").to_pandas().astype({"trust": float}).join(who, "vehicle")
     table = table[(table.step <= table.last_step) & (table.n_evaluations > 0)]
-    honest = table.trust[(table.behaviour == "honest") & (table.step >= who.first_lie_step.min())]
-    lies = table.trust[(table.behaviour == "malicious") & (table.step >= table.first_lie_step)]
+    honest = table.trust[(table.role == "honest") & (table.step >= who.attack_start_step.min())]
+    lies = table.trust[(table.role == "malicious") & (table.step >= table.attack_start_step)]
     u = mannwhitneyu(honest, lies).statistic
-    row = liars.separability(run).set_index("behaviour").loc["malicious"]
+    row = misbehaviour.separability(run).set_index("role").loc["malicious"]
     assert row.auc == pytest.approx(u / len(honest) / len(lies), abs=1e-12)
     assert row.threshold == pytest.approx(np.quantile(honest, 0.05, method="higher"), abs=0.02)
     assert row.false_positives <= 0.05 < (honest <= row.threshold).mean() + 1e-9
@@ -114,45 +114,45 @@ def test_against_the_u_test(run):
 
 @given(trusts, trusts)
 def test_laws_of_the_area(honest, lies):
-    area = liars.auc(honest, lies)
+    area = misbehaviour.auc(honest, lies)
     assert area == pytest.approx(mannwhitneyu(honest, lies).statistic / len(honest) / len(lies))
-    assert area + liars.auc(lies, honest) == pytest.approx(1)
-    assert area == pytest.approx(liars.auc(honest**2, lies**2))
+    assert area + misbehaviour.auc(lies, honest) == pytest.approx(1)
+    assert area == pytest.approx(misbehaviour.auc(honest**2, lies**2))
 
 
 @given(trusts, st.floats(0, 1))
 def test_threshold_is_the_largest(honest, allowed):
-    limit = liars.threshold_at(honest, allowed)
+    limit = misbehaviour.threshold_at(honest, allowed)
     assert (honest < limit).mean() <= allowed + 1e-9
     assert limit == np.inf or (honest <= limit).mean() > allowed - 1e-9
 
 
 def test_area_is_that_under_the_curve(run):
-    area = liars.separability(run).set_index("behaviour").auc
-    for behaviour, curve in liars.roc(run).groupby("behaviour"):
-        assert np.trapezoid(curve.true_positives, curve.false_positives) == pytest.approx(area[behaviour])
+    area = misbehaviour.separability(run).set_index("role").auc
+    for role, curve in misbehaviour.roc(run).groupby("role"):
+        assert np.trapezoid(curve.true_positives, curve.false_positives) == pytest.approx(area[role])
 
 
 def test_nobody_judged(tiny):
     vehicles = lying(["honest", "malicious"], {1: 3})
     run = tiny(20, vehicles=vehicles, trust=values({5: [0.0, 0.0]}, unjudged={(5, 0), (5, 1)}))
-    (row,) = liars.separability(run).to_dict("records")
+    (row,) = misbehaviour.separability(run).to_dict("records")
     assert row["judged"] == row["judged_honest"] == 0 and row["auc_unjudged"] == 0.5
     assert all(np.isnan(row[name]) for name in ("auc", "threshold", "true_positives", "caught"))
-    with pytest.raises(ValueError, match="no verdicts on liars and honest vehicles"):
-        liars.roc(run)
+    with pytest.raises(ValueError, match="no evaluations on liars and honest vehicles"):
+        misbehaviour.roc(run)
     assert not measure(run).query("topic == 'liars' and figure != 'not measured'").value.isna().any()
 
 
 def test_a_lie_after_the_last_computation(tiny):
     run = tiny(20, vehicles=lying(["honest", "malicious"], {1: 9}), trust=values({5: [0.5, 0.5]}))
-    for ask in (liars.separability, liars.over_time, liars.roc):
-        with pytest.raises(ValueError, match="no verdicts on liars"):
+    for ask in (misbehaviour.separability, misbehaviour.over_time, misbehaviour.roc):
+        with pytest.raises(ValueError, match="no evaluations on liars"):
             ask(run)
 
 
 def test_nobody_lying(tiny):
     run = tiny(20, vehicles=fleet("honest", "honest"), trust=values({5: [0.3, 0.1]}))
-    assert liars.below(run).share.tolist() == [0.5]
+    assert misbehaviour.below(run).share.tolist() == [0.5]
     with pytest.raises(ValueError, match="holds no lies"):
-        liars.separability(run)
+        misbehaviour.separability(run)

@@ -7,16 +7,16 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from results.figures import style
-from results.metrics import liars, trust
+from results.metrics import misbehaviour, trust
 from results.run import Run
-from results.tables import BEHAVIOURS
+from results.tables import ROLES
 
 
 @style.styled
 def draw(runs: Sequence[Run], false_positives: float = 0.05) -> Figure:
     """True against false positives of thresholds on trust, and how soon vehicles fall below the one that is marked.
 
-    Of values that rest on a verdict; the diagonal is chance. Honest vehicles are watched from the first lie of anybody
+    Of values that rest on a evaluation; the diagonal is chance. Honest vehicles are watched from the first lie of anybody
     on; who leaves before is censored (Kaplan and Meier). Whose trust: the server's; without one, on the left the mean
     over those who hear a vehicle and hold a value, on the right that of the first of them to fall below.
     """
@@ -26,13 +26,13 @@ def draw(runs: Sequence[Run], false_positives: float = 0.05) -> Figure:
     shown: set[int] = set()
     limits = []
     for i, run in enumerate(runs):
-        for behaviour, curve in liars.roc(run).groupby("behaviour"):
-            code = BEHAVIOURS.index(str(behaviour))
+        for role, curve in misbehaviour.roc(run).groupby("role"):
+            code = ROLES.index(str(role))
             shown.add(code)
             curves.plot(curve.false_positives, curve.true_positives, color=style.ink(code), linestyle=style.dash(i))
-        apart = liars.separability(run, false_positives)
+        apart = misbehaviour.separability(run, false_positives)
         for row in apart.to_dict("records"):
-            code = BEHAVIOURS.index(row["behaviour"])
+            code = ROLES.index(row["role"])
             curves.plot(row["false_positives"], row["true_positives"], color=style.ink(code), marker=style.marker(code))
         limits.append(float(apart.threshold.iloc[0]))
         shown |= _delays(delays, run, limits[-1], style.dash(i))
@@ -47,7 +47,7 @@ def draw(runs: Sequence[Run], false_positives: float = 0.05) -> Figure:
     style.share_axis(delays)
     delays.set_xlim(left=0)
     entries = [
-        Line2D([], [], color=style.ink(code), marker=style.marker(code), label=BEHAVIOURS[code])
+        Line2D([], [], color=style.ink(code), marker=style.marker(code), label=ROLES[code])
         for code in sorted(shown)
     ]
     style.legend(figure, entries, style.run_entries(runs))
@@ -55,12 +55,12 @@ def draw(runs: Sequence[Run], false_positives: float = 0.05) -> Figure:
 
 
 def _delays(axes: Axes, run: Run, threshold: float, dash: object) -> set[int]:
-    """Draw the delays; which behaviours there are."""
+    """Draw the delays; which roles there are."""
     shown = set()
-    for behaviour, one in liars.detection_delay(run, threshold, trust.kept_at(run)).groupby("behaviour", observed=True):
-        code = BEHAVIOURS.index(str(behaviour))
+    for role, one in misbehaviour.detection_delay(run, threshold, trust.kept_at(run)).groupby("role", observed=True):
+        code = ROLES.index(str(role))
         shown.add(code)
-        curve = liars.waiting(one)
+        curve = misbehaviour.waiting(one)
         axes.plot(
             curve.duration_s, 1 - curve.survival, drawstyle="steps-post", color=style.ink(code), linestyle=dash,
             marker=style.marker(code), markevery=(2 * code, style.sparse(len(curve), 6)),

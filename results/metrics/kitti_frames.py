@@ -76,7 +76,7 @@ def actors_ahead(run: Run, steps: np.ndarray, range_m: float) -> tuple[Objects, 
     i, j = i[other], j[other]
     box, ahead, height_px = ahead_of(poses, i, actors[[*BOX]].to_numpy(np.float64)[j], range_m)
     i, j = i[ahead], j[ahead]
-    seen = run.table("sightings", where=at_steps(steps)).set_index(["step", "observer", "actor"])
+    seen = run.table("observability", where=at_steps(steps)).set_index(["step", "observer", "actor"])
     key = pd.MultiIndex.from_arrays(
         [poses.step.to_numpy()[i], poses.observer.to_numpy()[i], actors.actor.to_numpy()[j]]
     )

@@ -120,7 +120,7 @@ def _instants(
 
 def relays(run: Run, start_s: float = 0.0, end_s: float = np.inf) -> nx.DiGraph:
     """Who heard whom, in a time span: edges from sender to receiver with `n` messages and mean `hops`, `latency_s`."""
-    frame = run.table("deliveries", ["step", "sender", "receiver", "hops", "latency_s"])
+    frame = run.table("receptions", ["step", "sender", "receiver", "hops", "latency_s"])
     frame = frame[(frame.step * run.dt_s >= start_s) & (frame.step * run.dt_s < end_s)]
     edges = frame.groupby(["sender", "receiver"]).agg(
         n=("hops", "size"), hops=("hops", "mean"), latency_s=("latency_s", "mean")
@@ -161,7 +161,7 @@ def news(run: Run, actor: int, start_s: float = 0.0) -> pd.DataFrame:
     `n_messages` is the length of the chain that came first.
     """
     time_s, length = {actor: start_s}, {actor: 0}
-    for part in run.parts("deliveries", ["step", "sender", "receiver", "latency_s"]):
+    for part in run.parts("receptions", ["step", "sender", "receiver", "latency_s"]):
         for _, now in part[part.step * run.dt_s >= start_s].groupby("step"):
             now = now[now.sender.isin(list(time_s)) & ~now.receiver.isin(list(time_s))].sort_values("latency_s")
             now = now.drop_duplicates("receiver")

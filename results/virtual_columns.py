@@ -1,4 +1,4 @@
-"""Columns that are not on disk, read off the detections that a row names."""
+"""Columns of `fused` that are not on disk: those of the detections that a row names."""
 
 import re
 from collections.abc import Callable, Sequence
@@ -9,13 +9,14 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy import ndarray
 
-from results.tables import TABLES, Table
+from results.columns import Table
+from results.tables import TABLES
 
 Read = Callable[[Path, Sequence[str], pc.Expression | None], pa.Table]
 """Reads columns and rows of one part file."""
 
-_NAME = ("step", "observer", "k")
-_LINKS = ("step", "source", "source_k", "pose", "pose_k")
+_NAME = ("step", "observer", "detection_index")
+_LINKS = ("step", "source", "source_index", "pose", "pose_index")
 
 
 def names(table: Table, columns: Sequence[str], where: pc.Expression | None) -> list[str]:
@@ -27,8 +28,8 @@ def names(table: Table, columns: Sequence[str], where: pc.Expression | None) -> 
 def read(read: Read, path: Path, columns: Sequence[str], where: pc.Expression | None) -> pa.Table:
     """Columns and rows of a part file, those not on disk included."""
     table = TABLES[path.parent.name]
-    derived = names(table, columns, where)
-    if not derived:
+    virtual = names(table, columns, where)
+    if not virtual:
         return read(path, columns, where)
     late = where if names(table, (), where) else None
     stored = [name for name in table.stored if name in columns or late is not None or name in _LINKS]
@@ -36,28 +37,28 @@ def read(read: Read, path: Path, columns: Sequence[str], where: pc.Expression | 
     beside = path.parent.parent / "detections" / path.name
     if not beside.is_file():
         raise ValueError(f"{beside} is missing: {path} names detections in it. Delete the run and run it again.")
-    said = read(beside, [*_NAME, *derived], None)
-    at = _named(rows, said, path)
-    for name in derived:
-        rows = rows.append_column(said.schema.field(name), said.column(name).take(at[table.columns[name].via]))
+    named = read(beside, [*_NAME, *virtual], None)
+    at = _named(rows, named, path)
+    for name in virtual:
+        rows = rows.append_column(named.schema.field(name), named.column(name).take(at[table.columns[name].via]))
     return (rows if late is None else rows.filter(late)).select(list(columns))
 
 
-def _named(rows: pa.Table, said: pa.Table, path: Path) -> dict[str, ndarray]:
-    """Rows of `said` that the rows name, as the source of the box and of its pose."""
-    held = _key(*(said.column(name).to_numpy() for name in _NAME))
+def _named(rows: pa.Table, named: pa.Table, path: Path) -> dict[str, ndarray]:
+    """Rows of `named` that the rows name, as the source of the box and of its pose."""
+    held = _key(*(named.column(name).to_numpy() for name in _NAME))
     step = rows.column("step").to_numpy()
-    source = _find(held, _key(step, rows.column("source").to_numpy(), rows.column("source_k").to_numpy()), path)
+    source = _find(held, _key(step, rows.column("source").to_numpy(), rows.column("source_index").to_numpy()), path)
     pose = source.copy()
     moved = rows.column("pose").is_valid().to_numpy()
-    other, k = (rows.column(name).filter(pa.array(moved)).to_numpy() for name in ("pose", "pose_k"))
-    pose[moved] = _find(held, _key(step[moved], other, k), path)
+    other, index = (rows.column(name).filter(pa.array(moved)).to_numpy() for name in ("pose", "pose_index"))
+    pose[moved] = _find(held, _key(step[moved], other, index), path)
     return {"source": source, "pose": pose}
 
 
-def _key(step: ndarray, observer: ndarray, k: ndarray) -> ndarray:
-    """One sortable number: 2^16 steps, 2^31 vehicles and 2^16 detections fit; a part holds no more steps."""
-    return ((step.astype(np.int64) & 0xFFFF) << 47) | (observer.astype(np.int64) << 16) | k
+def _key(step: ndarray, observer: ndarray, detection_index: ndarray) -> ndarray:
+    """One sortable number: 2^16 steps, 2^31 pseudonyms and 2^16 detections fit; a part holds no more steps."""
+    return ((step.astype(np.int64) & 0xFFFF) << 47) | (observer.astype(np.int64) << 16) | detection_index
 
 
 def _find(held: ndarray, wanted: ndarray, path: Path) -> ndarray:

@@ -1,0 +1,87 @@
+"""Counts of what became of frames and messages in one round: by distance, by latency, and by receiver."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from jaxtyping import Float, Int, UInt8
+from numpy import ndarray
+
+from results.codes import DISTANCE_BIN_M, LATENCY_EDGES_S, LosState
+
+Rows = dict[str, ndarray]
+
+
+def pdr_by_distance(
+    distance_m: Float[ndarray, "f"],
+    los_state: UInt8[ndarray, "f"],
+    outcome: Int[ndarray, "f"],
+    columns: Mapping[str, int],
+) -> tuple[Rows, Rows]:
+    """Frames of one round at receivers within range, by bin of distance, line of sight and outcome.
+
+    Parameters
+    ----------
+    los_state
+        As `LosState`.
+    outcome
+        What became of each frame, as a code.
+    columns
+        The code that each column counts.
+
+    Returns
+    -------
+    Columns of the table `pdr_by_distance` (distance_bin_m, los_state, n_in_range and `columns`), and the totals
+    n_in_range and `columns`, one row.
+    """
+    n_outcomes = 1 + max(columns.values())
+    cell = (distance_m // DISTANCE_BIN_M).astype(np.int64) * len(LosState) + los_state
+    counted = np.bincount(cell * n_outcomes + outcome)
+    counts = np.append(counted, np.zeros(-len(counted) % n_outcomes, int)).reshape(-1, n_outcomes)
+    cells, total = np.flatnonzero(counts.any(axis=1)), counts.sum(axis=0)
+    return (
+        {
+            "distance_bin_m": cells // len(LosState) * DISTANCE_BIN_M,
+            "los_state": cells % len(LosState),
+            "n_in_range": counts[cells].sum(axis=1),
+            **{name: counts[cells, code] for name, code in columns.items()},
+        },
+        {"n_in_range": np.array([len(outcome)]), **{name: total[[code]] for name, code in columns.items()}},
+    )
+
+
+def latency_histogram(latency_s: Float[ndarray, "m"]) -> Rows:
+    """Columns latency_s and n_delivered of the table `latency_histogram`: messages by bin of latency."""
+    counts = np.bincount(np.searchsorted(LATENCY_EDGES_S, latency_s, "right"))
+    bins = np.flatnonzero(counts)
+    return {"latency_s": np.append(0, LATENCY_EDGES_S)[bins], "n_delivered": counts[bins]}
+
+
+def vehicle_channel(
+    n: int,
+    in_range: Sequence[Int[ndarray, "p"]],
+    received: Sequence[Int[ndarray, "m"]],
+    busy: Sequence[Float[ndarray, "n"] | None],
+) -> Rows:
+    """Columns cbr, n_in_range and n_received of the table `vehicle_channel`, over all rounds of a step.
+
+    Parameters
+    ----------
+    n
+        Receivers.
+    in_range
+        Of each round, the receiver (0 to n - 1) of every message whose author is within communication range.
+    received
+        Of each round, the receiver of every message that was received.
+    busy
+        Of each round, the share of the time in which each receiver senses the channel busy; None: not modelled.
+    """
+    n_in_range, n_received, cbr = np.zeros(n, int), np.zeros(n, int), np.zeros(n)
+    for rows in in_range:
+        n_in_range += np.bincount(rows, minlength=n)
+    for rows in received:
+        n_received += np.bincount(rows, minlength=n)
+    for share in busy:
+        if share is not None:
+            cbr += share[:n] / len(busy)
+    modelled = all(share is not None for share in busy)
+    return {"cbr": cbr, "cbr__valid": np.full(n, modelled), "n_in_range": n_in_range, "n_received": n_received}

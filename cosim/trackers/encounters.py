@@ -1,0 +1,114 @@
+"""Encounters by all definitions of the config: pairs near each other, and their line of sight."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from numpy import ndarray
+from scipy.spatial import cKDTree
+
+from cosim.world import World
+from results.encounters import EncounterParams, EncounterTracker, Rows
+from sensors.evidence import line_of_sight
+from sensors.scene import Scene, Shape
+
+
+@dataclass(frozen=True, slots=True)
+class NearPairs:
+    """P pairs of vehicles of one step, each once, sorted; `a` and `b` are actor numbers, a < b."""
+
+    a: Int[ndarray, "p"]
+    b: Int[ndarray, "p"]
+    distance_m: Float[ndarray, "p"]
+    los: Bool[ndarray, "p"]
+    equipped: Bool[ndarray, "p"]
+    """Both are equipped."""
+    present: Int[ndarray, "v"]
+    """All vehicles that were searched."""
+
+
+def near_pairs(
+    world: World, buildings: Scene, radius_m: float, equipped_only: bool, mount_above_roof_m: float
+) -> NearPairs:
+    """Pairs of vehicles within `radius_m` between the centres of their boxes; pedestrians are left out."""
+    searched = world.shape != Shape.PEDESTRIAN
+    if equipped_only:
+        searched &= world.equipped
+    rows = np.flatnonzero(searched)
+    xy = world.boxes.xyz_m[rows, :2]
+    pairs = cKDTree(xy).query_pairs(radius_m, output_type="ndarray") if len(rows) else np.zeros((0, 2), int)
+    pair = np.sort((pairs[:, 0] << 32) | pairs[:, 1])
+    a, b = rows[pair >> 32], rows[pair & 0xFFFFFFFF]
+    east_m, north_m = (world.boxes.xyz_m[a, axis] - world.boxes.xyz_m[b, axis] for axis in (0, 1))
+    return NearPairs(
+        a=world.actor[a],
+        b=world.actor[b],
+        distance_m=np.sqrt(east_m * east_m + north_m * north_m),
+        los=line_of_sight(buildings, world.boxes, world.shape, a, b, mount_above_roof_m),
+        equipped=world.equipped[a] & world.equipped[b],
+        present=world.actor[rows],
+    )
+
+
+class EncounterTrackers:
+    """One tracker per definition in the config, updated at every step of the traffic, sensing or not."""
+
+    def __init__(self, params: Sequence[EncounterParams], dt_s: float, mount_above_roof_m: float) -> None:
+        self.trackers = [EncounterTracker(p, dt_s) for p in params]
+        self.radius_m = max((p.radius_m for p in params), default=0.0)
+        self.equipped_only = all(p.pairs != "all" for p in params)
+        self.mount_above_roof_m = mount_above_roof_m
+
+    def update(self, world: World, buildings: Scene) -> tuple[list[Rows], Int[ndarray, "k"], Int[ndarray, "k"]]:
+        """Add one step.
+
+        Returns
+        -------
+        Rows of the table `encounters` for those now over; and holders and others of the equipped pairs whose
+        encounter begins, both ways, for which the caller says the trust by `first_contact`.
+        """
+        near = near_pairs(world, buildings, self.radius_m, self.equipped_only, self.mount_above_roof_m)
+        closed, begins = [], np.zeros(len(near.a), bool)
+        for tracker in self.trackers:
+            rows, opened = tracker.update(
+                world.step, near.a, near.b, near.distance_m, near.los, near.present, near.equipped
+            )
+            closed.append(rows)
+            begins[opened] = True
+        begins &= near.equipped
+        a, b = near.a[begins], near.b[begins]
+        return closed, np.concatenate([a, b]), np.concatenate([b, a])
+
+    def first_contact(
+        self,
+        holder: Int[ndarray, "k"],
+        other: Int[ndarray, "k"],
+        trust: Float[ndarray, "k"],
+        source: Int[ndarray, "k"],
+        age_s: Float[ndarray, "k"],
+    ) -> None:
+        """The trust that each holder would look up for each other actor now; `source` as `TrustSource`."""
+        for tracker in self.trackers:
+            tracker.first_contact(holder, other, trust, source, age_s)
+
+    def count_messages(self, sender: Int[ndarray, "m"], receiver: Int[ndarray, "m"]) -> None:
+        """Add messages received in this step; actor numbers."""
+        for tracker in self.trackers:
+            tracker.count_messages(sender, receiver)
+
+    def count_evaluations(
+        self, evaluator: Int[ndarray, "m"], observer: Int[ndarray, "m"], n: Int[ndarray, "m"]
+    ) -> None:
+        """Add `n` evaluations by each evaluator of detections of each observer; actor numbers."""
+        for tracker in self.trackers:
+            tracker.count_evaluations(evaluator, observer, n)
+
+    def note_trust(self, holder: Int[ndarray, "m"], other: Int[ndarray, "m"]) -> None:
+        """Note which holders looked up, in this step, a value other than the default for which other actor."""
+        for tracker in self.trackers:
+            tracker.note_trust(holder, other)
+
+    def close(self, end_step: int) -> list[Rows]:
+        """Rows of the encounters under way when recording ends; `end_step` is one past the last step."""
+        return [tracker.close(end_step) for tracker in self.trackers]

@@ -1,0 +1,88 @@
+"""Packet inter-reception times: between successive messages of one vehicle at another, while within range."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Bool, Int
+from numba import njit
+from numpy import ndarray
+
+
+@dataclass(slots=True)
+class InterReceptionTracker:
+    """Of one message type: the pairs within communication range, and the step of the last reception of each.
+
+    It takes plain arrays of actor numbers and can be copied deeply and pickled at any time.
+    """
+
+    _pair: Int[ndarray, "p"] = field(default_factory=lambda: np.zeros(0, np.int64))
+    """Sender and receiver in one number, ascending; all pairs within range in the last step."""
+    _last: Int[ndarray, "p"] = field(default_factory=lambda: np.zeros(0, np.int64))
+    """Step of the last reception since they came within range; meaningless where there was none."""
+    _received: Bool[ndarray, "p"] = field(default_factory=lambda: np.zeros(0, bool))
+    """Whether there was one."""
+    _step: int = 0
+    """Last step with a round of messages."""
+
+    def update(
+        self,
+        step: int,
+        sender: Int[ndarray, "p"],
+        receiver: Int[ndarray, "p"],
+        received: Bool[ndarray, "p"],
+    ) -> dict[str, ndarray]:
+        """Add one round of messages.
+
+        Parameters
+        ----------
+        sender, receiver
+            Pairs within communication range in which the sender had a message, each once, sorted.
+        received
+            Whether the receiver got it, over any number of hops.
+
+        Returns
+        -------
+        Columns pir_steps, n_received, n_censored of the table `packet_inter_reception`.
+        """
+        pair = (sender.astype(np.int64) << 32) | receiver
+        last, has_last = np.zeros(len(pair), np.int64), np.zeros(len(pair), bool)
+        at = np.minimum(np.searchsorted(self._pair, pair), max(len(self._pair) - 1, 0))
+        stays = self._pair[at] == pair if len(self._pair) else np.zeros(len(pair), bool)
+        last[stays], has_last[stays] = self._last[at[stays]], self._received[at[stays]]
+        gone = np.ones(len(self._pair), bool)
+        gone[at[stays]] = False
+        ended = step - last[received & has_last]
+        censored = self._step - self._last[gone & self._received]
+        lengths, which = np.unique(np.concatenate([ended, censored]), return_inverse=True)
+        by_reception = np.arange(len(which)) < len(ended)
+        self._pair, self._step = pair, step
+        self._last, self._received = np.where(received, step, last), received | has_last
+        return {
+            "pir_steps": lengths,
+            "n_received": np.bincount(which[by_reception], minlength=len(lengths)),
+            "n_censored": np.bincount(which[~by_reception], minlength=len(lengths)),
+        }
+
+
+@njit(cache=True)
+def unique_pairs(one, other, n):
+    """Pairs of numbers below n, sorted, each once: a counting sort by `other`, then by `one`, and duplicates dropped."""
+    order = np.arange(len(one))
+    for column in (other, one):
+        start = np.zeros(n + 1, np.int64)
+        for value in column:
+            start[value + 1] += 1
+        start = np.cumsum(start)
+        placed = np.empty_like(order)
+        for row in order:
+            value = column[row]
+            placed[start[value]] = row
+            start[value] += 1
+        order = placed
+    kept = 0
+    for row in order:
+        last = order[kept - 1]
+        if kept == 0 or one[row] != one[last] or other[row] != other[last]:
+            order[kept] = row
+            kept += 1
+    return one[order[:kept]], other[order[:kept]]

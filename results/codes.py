@@ -1,0 +1,89 @@
+"""Codes of categories and edges of bins, each said once: producers write the codes, tables render the labels."""
+
+from enum import IntEnum
+
+import numpy as np
+
+
+class VehicleClass(IntEnum):
+    """What moves: SUMO's vehicle classes, merged, and pedestrians."""
+
+    CAR = 0
+    VAN = 1
+    TRUCK = 2
+    BUS = 3
+    MOTORCYCLE = 4
+    BICYCLE = 5
+    PEDESTRIAN = 6
+
+
+class Role(IntEnum):
+    """How an equipped vehicle behaves; roles of a user's own attacks follow from 3 on (`Recorder(roles=...)`)."""
+
+    HONEST = 0
+    UNRELIABLE = 1
+    MALICIOUS = 2
+
+
+class ObjectClass(IntEnum):
+    """What a detector tells apart."""
+
+    CAR = 0
+    PEDESTRIAN = 1
+    CYCLIST = 2
+    TRUCK = 3
+
+
+class Origin(IntEnum):
+    """Where a detection comes from: the detector, the vehicle's own pose, an attack."""
+
+    SENSED = 0
+    SELF = 1
+    FABRICATED = 2
+
+
+class TrustSource(IntEnum):
+    """Where a trust value comes from: the trust server, the holder's own evidence, the default of the config."""
+
+    SERVER = 0
+    OWN = 1
+    DEFAULT = 2
+
+
+class MessageType(IntEnum):
+    """What a round of messages carries: collective perception messages, or evaluations of their detections."""
+
+    CPM = 0
+    EVALUATION = 1
+
+
+class LosState(IntEnum):
+    """Between the two ends of a link: no building, a building, or not modelled."""
+
+    LOS = 0
+    NLOS = 1
+    UNKNOWN = 2
+
+
+class EncounterPairs(IntEnum):
+    """Which pairs can have an encounter: all vehicles, equipped ones, or equipped ones with line of sight."""
+
+    ALL = 0
+    EQUIPPED = 1
+    LOS = 2
+
+
+def labels(codes: type[IntEnum]) -> tuple[str, ...]:
+    """Labels of a code, in the order of its numbers: the names of its members in lower case."""
+    assert [int(member) for member in codes] == list(range(len(codes))), f"{codes.__name__} has gaps"
+    return tuple(member.name.lower() for member in codes)
+
+
+BASE_VARIANT = "base"
+"""Name of the trust variant that acts: its broadcasts load the channel, and its fused objects are believed."""
+
+DISTANCE_BIN_M = 25
+"""Width of a bin of distance in the table `pdr_by_distance` [m]."""
+
+LATENCY_EDGES_S = 1e-4 * 2.0 ** (np.arange(-2, 33) / 2)
+"""Edges of the bins of the table `latency_histogram` [s]; below the first there is one more bin, from 0."""

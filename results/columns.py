@@ -1,0 +1,67 @@
+"""What a table and a column of a run are."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import KW_ONLY, dataclass
+from typing import Literal
+
+import pyarrow as pa
+
+Level = Literal["summary", "standard", "full"]
+LEVELS: tuple[Level, ...] = ("summary", "standard", "full")
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """One column. What is absent is null (only where `null`), never a sentinel number."""
+
+    type: Literal["int32", "int16", "uint8", "float32", "bool", "string", "category"]
+    _: KW_ONLY
+    meaning: str
+    unit: str = ""
+    """Unit, empty for identifiers, counts and flags."""
+    key: bool = False
+    null: bool = False
+    truth: bool = False
+    """Known to the simulation only: no vehicle and no server ever reads it."""
+    categories: tuple[str, ...] = ()
+    """Labels of a category, in the order of their integer codes."""
+    labels_of_run: Literal["", "variants", "roles"] = ""
+    """Key of the manifest with the labels of this run, where a run may have others than `categories`."""
+    bits: int | None = None
+    """Binary places kept: stored values are multiples of 2**-bits, which makes files small."""
+    via: Literal["", "source", "pose"] = ""
+    """Not stored: `open_run` reads it off the detection of this step that `<via>` and `<via>_index` name."""
+
+    @property
+    def arrow_type(self) -> pa.DataType:
+        if self.type == "category":
+            return pa.dictionary(pa.int8(), pa.string())
+        return pa.bool_() if self.type == "bool" else getattr(pa, self.type)()
+
+    def labels(self, of_run: Mapping[str, Sequence[str]]) -> tuple[str, ...]:
+        """Labels of a category in a run; `of_run` is its manifest, or the labels given to its recorder."""
+        return tuple(of_run.get(self.labels_of_run, self.categories)) if self.labels_of_run else self.categories
+
+    @property
+    def label(self) -> str:
+        """Unit in brackets, as an axis shows it."""
+        return f"[{self.unit}]" if self.unit else ""
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """One table: rows are unique by key and sorted by it within a step."""
+
+    level: Level
+    """Lowest record level that keeps the table."""
+    meaning: str
+    columns: Mapping[str, Column]
+
+    @property
+    def key(self) -> tuple[str, ...]:
+        return tuple(name for name, column in self.columns.items() if column.key)
+
+    @property
+    def stored(self) -> dict[str, Column]:
+        """Columns on disk; the others are read off the table `detections`."""
+        return {name: column for name, column in self.columns.items() if not column.via}
