@@ -26,7 +26,7 @@ def test_the_same_returns(folder):
         observers = np.flatnonzero(world.equipped)
         seen = observability(replay_lidar.sweep(world, observers, city, config), world.boxes, world.shape)
         again = pd.DataFrame({
-            "observer": world.actor[observers[seen.o]], "actor": world.actor[seen.actor],
+            "observer": world.actor[observers[seen.observer]], "actor": world.actor[seen.actor],
             "n_points": seen.n_returns, "n_unoccluded": seen.n_unoccluded,
         })  # fmt: skip
         here = told[told.step == world.step].drop(columns="step").reset_index(drop=True)

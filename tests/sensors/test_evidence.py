@@ -142,8 +142,8 @@ def test_windows_equal_whole_clouds(seed, profile):
 
 
 def test_free_space_by_hand():
-    # One wall at 30 m. A box on the free road at 15 m is implausible: all returns through its middle come from the wall.
-    # One behind the wall is plausible. Where nothing returns at all, a box is implausible.
+    # One wall at 30 m. A box on the free road at 15 m is implausible: all returns through its middle come from the
+    # wall. One behind the wall is plausible. Where nothing returns at all, a box is implausible.
     scene = Scene.from_footprints([[[(30, -20), (40, -20), (40, 20), (30, 20)]]], [0.0], [10.0])
     ghosts = Boxes.concat([car(15, 0), car(50, 0), car(0.5, 40)])
     o = np.zeros(3, int)

@@ -178,12 +178,8 @@ def test_invariance_to_order_other_observers_and_threads(street):
         np.repeat(np.arange(len(few), dtype=np.int32), [(seen.observer == o).sum() for o in few]),
         *(getattr(seen, name)[rows] for name in ("actor", "n_returns", "n_unoccluded", "range_m")),
     )
-    again = false_positives(
-        some,
-        theirs,
-        replace(draws, site_observer=draws.site_observer[few], site_step=draws.site_step[few]),
-        model(false_positive_per_sweep=3.0),
-    )
+    keys = replace(draws, site_observer=draws.site_observer[few], site_step=draws.site_step[few])
+    again = false_positives(some, theirs, keys, model(false_positive_per_sweep=3.0))
     expected = np.concatenate([np.flatnonzero(whole.observer == o) for o in few])
     assert len(expected) > 3
     assert (again.boxes.xyz_m == whole.boxes.xyz_m[expected]).all() and (again.score == whole.score[expected]).all()

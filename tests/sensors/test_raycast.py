@@ -25,9 +25,9 @@ each_reference = pytest.mark.parametrize("reference", REFERENCES)
 def compare(reference, boxes, shape, observers, scene, **params) -> float:
     """At least 99.99 % of the rays agree to 1 mm, and every other one grazes an edge; the share of those.
 
-    A ray grazes an edge or a face: the reference's answer lies between those that the columnar caster gives to rays around
-    it. Or the reference, which restarts a ray a little behind each face of the observer's own body, started behind
-    another body that crosses that face there.
+    A ray grazes an edge or a face: the reference's range lies between those that the columnar caster gives to rays
+    around it. Or the reference, which restarts a ray a little behind each face of the observer's own body, started
+    behind another body that crosses that face there.
     """
     shape = np.asarray(shape, np.uint8)
     ours = exact(boxes, shape, observers, scene, **params)

@@ -86,7 +86,7 @@ def test_error_distributions():
         xy_sigma_sparse_m=(2.0,) * 4, z_share=0.5, size_sigma=(0.05,) * 4, size_sigma_sparse=(0.4,) * 4,
         yaw_sigma_rad=(0.03,) * 4, yaw_sigma_sparse_rad=0.4, **SOUND,
     )  # fmt: skip
-    z = np.random.default_rng(1).normal(size=(n, N_SIGHTING_DRAWS))
+    z = np.random.default_rng(1).normal(size=(n, N_DRAWS))
     found = reports_of_actors(*street, np.zeros((n, 3)), z, resolved(params))
     assert len(found.observer) == n
     true = street[1].take(found.actor)
@@ -110,7 +110,7 @@ def test_trucks_reported_as_cars_have_the_length_of_cars_at_the_near_end():
     n, truck = 4000, 3
     confused = ((0.0,) * 4, (0.0,) * 4, (0.0,) * 4, (0.3, 0.1, 0.0, 0.0))
     params = DetectorParams(**SOUND | {"confusion_p": confused}, found_max_p=(1.0,) * 4, half_returns=(1e-9,) * 4)
-    z = np.zeros((n, N_SIGHTING_DRAWS))
+    z = np.zeros((n, N_DRAWS))
     z[:, 10] = np.random.default_rng(2).normal(size=n)
     model = resolved(params)
     found = reports_of_actors(*alone(n, 300, 30.0, 12.0, truck), np.zeros((n, 3)), z, model)
@@ -124,7 +124,7 @@ def test_trucks_reported_as_cars_have_the_length_of_cars_at_the_near_end():
 def test_duplicates_have_larger_errors_and_lower_scores():
     n = 4000
     params = DetectorParams(**SOUND | {"duplicate_p": 0.25}, found_max_p=(1.0,) * 4, half_returns=(1e-9,) * 4)
-    z = np.random.default_rng(3).normal(size=(n, N_SIGHTING_DRAWS))
+    z = np.random.default_rng(3).normal(size=(n, N_DRAWS))
     street = alone(n, 300, 30.0)
     found = reports_of_actors(*street, np.zeros((n, 3)), z, resolved(params))
     twice = found.actor[n:]
