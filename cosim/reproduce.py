@@ -277,9 +277,9 @@ def scenario_2(out: Path) -> Answer:
     ]
     curves = {
         "ego": pictures.Curve(one[:, EGO], ledger[:, EGO]),
-        "malicious, one false car": pictures.Curve(one[:, LIAR], ledger[:, LIAR]),
+        "malicious, one false car": pictures.Curve(one[:, LIAR], ledger[:, LIAR], is_malicious=True),
         "third": pictures.Curve(one[:, THIRD], ledger[:, THIRD]),
-        "malicious, three false cars": pictures.Curve(three[:, LIAR], paper["three_cars"][:, LIAR]),
+        "malicious, three false cars": pictures.Curve(three[:, LIAR], paper["three_cars"][:, LIAR], is_malicious=True),
     }
     printed = [(first, 0.82), (n, 0.82), (first, 0.97), (n, 0.97), (first, 0.81), (n, 0.15), (n, 0.0)]
     path = out / "trust.png"

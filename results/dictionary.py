@@ -1,28 +1,39 @@
-def _row(name: str, column: Column) -> str:
-    kind = f"category: {', '.join(column.categories)}" if column.categories else column.type
-    notes = [
-        *(["key"] if column.key else []),
-        *(["may be null"] if column.null else []),
-        *(["truth"] if column.truth else []),
-        *([f"to 1/{2**column.bits}"] if column.bits else []),
-        *([f"by `{column.via}`"] if column.via else []),
-    ]
-    return f"| `{name}` | {kind} | {column.unit} | {', '.join(notes)} | {column.meaning} |"
+"""The dictionary of a run: every table, column and metric, and the words they use; the text of `results/TABLES.md`."""
+
+from pathlib import Path
+
+from results.columns import LEVELS, Column
+from results.glossary import GLOSSARY
+from results.metrics.registry import METRICS, TOPICS
+from results.tables import SCHEMA_VERSION, TABLES, kept
 
 
 def markdown() -> str:
-    """The dictionary as Markdown, the text of `results/TABLES.md`."""
+    """The dictionary as Markdown."""
     lines = [
-        "# Tables of a run",
+        "# Tables, metrics and words of a run",
         "",
-        f"Schema version {SCHEMA_VERSION}. Written from `results/tables.py` by `python -m results.tables`.",
+        f"Schema version {SCHEMA_VERSION}. Written from `results/tables.py`, `results/metrics/registry.py` and "
+        "`results/glossary.py` by `python -m results.dictionary`.",
         "",
-        "`key` columns together name a row. `truth` columns are known to the simulation only. `to 1/256` says",
-        "that stored values are rounded to that fraction of the unit. ``by `source` `` says that the column is not in",
-        "the files: it is that of the row of `detections` with the same `step` whose `observer` and `k` are `source` and",
-        "`source_index` (for `pose`: `pose` and `pose_index` where they are not null); `open_run` puts it in place.",
+        "[Words](#words), [tables](#tables), [metrics](#metrics).",
         "",
-        "Levels contain one another:",
+        "# Words",
+        "",
+        "| word | meaning |",
+        "|---|---|",
+        *(f"| {word} | {meaning} |" for word, meaning in sorted(GLOSSARY.items(), key=lambda item: item[0].lower())),
+        "",
+        "# Tables",
+        "",
+        "Columns marked `key` together name a row. Columns marked `truth` are known to the simulation only: no vehicle",
+        "and no server reads them. `to 1/256` says that stored values are rounded to that fraction of the unit.",
+        "``by `source` `` says that the column is not in the files: it is that of the row of `detections` with the same",
+        "`step` whose `observer` and `detection_index` are `source` and `source_index` (for `pose`: `pose` and",
+        "`pose_index` where they are not null); `open_run` fills it in. Labels of `variant` and `role` are those of the",
+        "run: its manifest lists them as `variants` and `roles`.",
+        "",
+        "Record levels contain one another:",
         *(
             f"`{level}` keeps {', '.join(f'`{name}`' for name in kept(level))}{'.' if level == 'full' else ';'}"
             for level in LEVELS
@@ -38,8 +49,34 @@ def markdown() -> str:
             "|---|---|---|---|---|",
             *(_row(label, column) for label, column in table.columns.items()),
         ]
+    lines += [
+        "",
+        "# Metrics",
+        "",
+        "As `cosim measure`, `run.measure()` and the report give them. An identifier never changes its meaning; the",
+        'group says which part of the run a value is of. `run.measure.value("trust.final.median", "malicious")` is one.',
+    ]
+    for topic, about in TOPICS.items():
+        lines += ["", f"## {topic}", about, "", "| metric | label | unit | group | definition |", "|---|---|---|---|---|"]
+        lines += [
+            f"| `{name}` | {metric.label} | {metric.unit} | {metric.group} | {metric.definition} |"
+            for name, metric in METRICS.items() if name.startswith(topic + ".")
+        ]  # fmt: skip
     return "\n".join(lines) + "\n"
 
 
+def _row(name: str, column: Column) -> str:
+    kind = f"category: {', '.join(column.categories)}" if column.categories else column.type
+    notes = [
+        *(["key"] if column.key else []),
+        *(["may be null"] if column.null else []),
+        *(["truth"] if column.truth else []),
+        *(["labels of the run"] if column.labels_of_run else []),
+        *([f"to 1/{2**column.bits}"] if column.bits else []),
+        *([f"by `{column.via}`"] if column.via else []),
+    ]
+    return f"| `{name}` | {kind} | {column.unit} | {', '.join(notes)} | {column.meaning} |"
+
+
 if __name__ == "__main__":
-    Path(__file__).with_name("TABLES.md").write_text(markdown())
+    Path(__file__).with_name("TABLES.md").write_text(markdown(), encoding="utf-8")

@@ -1,4 +1,4 @@
-"""The numbers of a run in one tidy table."""
+"""The metrics of a run in one tidy table."""
 
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
@@ -11,6 +11,8 @@ import pandas as pd
 
 from results.metrics import contact_graph, detection, encounters, freshness, misbehaviour, radio, trust
 from results.metrics.kitti import FEWEST
+from results.metrics.registry import METRICS
+from results.metrics.registry import TOPICS as _TOPICS
 from results.run import Run
 
 if TYPE_CHECKING:
@@ -19,67 +21,89 @@ if TYPE_CHECKING:
 TOPICS: Mapping[str, ModuleType] = {
     "encounters": encounters,
     "trust": trust,
-    "liars": liars,
+    "misbehaviour": misbehaviour,
     "freshness": freshness,
     "radio": radio,
     "detection": detection,
-    "contacts": contacts,
+    "contacts": contact_graph,
 }
+"""Modules of metrics by topic, as `run.measure.<topic>`."""
 
-Line = tuple[str, str, float, str]
-"""Figure, of what, value, unit."""
+Row = tuple[str, str, float]
+"""Identifier without its topic, group, value."""
 
 
 def measure(
-    run: Run, threshold: float = 0.25, fresh_s: float = 10.0, false_positives: float = 0.05, max_frames: int = 4000
+    run: Run,
+    threshold: float = 0.25,
+    fresh_s: float = 10.0,
+    false_positives: float = 0.05,
+    max_frames: int = 4000,
+    topics: tuple[str, ...] = tuple(_TOPICS),
 ) -> pd.DataFrame:
-    """Every figure that the run's record level allows.
+    """Every metric that the run's record level allows, of the run's `variant`.
 
     Parameters
     ----------
     threshold
-        Trust below which a vehicle is suspected.
+        Trust below which a subject is suspected.
     fresh_s
         Oldest age at which trust counts as fresh.
     false_positives
-        Share of honest trust values that a threshold on trust may wrongly suspect, see `results.metrics.misbehaviour`.
+        False positive rate at which recall is taken, see `results.metrics.misbehaviour`.
     max_frames
         Sample for detection quality, see `results.metrics.detection.precision`.
+    topics
+        Which topics.
 
     Returns
     -------
-    topic, figure, of, value, unit. A topic that the run cannot answer has the reason in `of` and no value; a single
-    figure that is not defined (a median that was not reached) has no line.
+    metric (an identifier of `results.metrics.registry.METRICS`), group, value, unit, label. A topic that the run
+    cannot answer has one row `<topic>.not_measured` with the reason as group and no value; a metric that is not
+    defined (a median that was not reached) has no row.
     """
-    topics: dict[str, Callable[[], Iterator[Line]]] = {
+    ask: Mapping[str, Callable[[], Iterator[Row]]] = {
         "traffic": lambda: _traffic(run),
         "encounters": lambda: _encounters(run),
         "trust": lambda: _trust(run),
-        "liars": lambda: _liars(run, threshold, false_positives),
+        "misbehaviour": lambda: _misbehaviour(run, threshold, false_positives),
         "freshness": lambda: _freshness(run, fresh_s),
         "radio": lambda: _radio(run),
         "detection": lambda: _detection(run, max_frames),
         "attack": lambda: _attack(run),
     }
-    rows: list[tuple[str, str, str, float, str]] = []
-    for topic, lines in topics.items():
+    rows: list[Row] = []
+    for topic in topics:
+        if topic not in ask:
+            raise ValueError(f"There is no topic {topic!r}. The topics are {', '.join(ask)}.")
         try:
-            for line in lines():
-                rows.append((topic, *line))
+            for name, group, value in ask[topic]():
+                rows.append((f"{topic}.{name}", group, value))
         except ValueError as reason:
-            rows.append((topic, "not measured", str(reason), np.nan, ""))
-    return pd.DataFrame(rows, columns=["topic", "figure", "of", "value", "unit"])
+            rows.append((f"{topic}.not_measured", str(reason), np.nan))
+    return pd.DataFrame(
+        [(metric, group, value, METRICS[metric].unit, METRICS[metric].label) for metric, group, value in rows],
+        columns=["metric", "group", "value", "unit", "label"],
+    )
 
 
 class Measures:
-    """Everything that can be measured on one run: called, all of it; by topic, as tidy frames and a picture."""
+    """All that can be measured on one run: called, every metric; by topic, tidy frames and a picture."""
 
     def __init__(self, run: Run) -> None:
         self._run = run
 
     def __call__(self, **options: Any) -> pd.DataFrame:
-        """What `measure` says of the run."""
+        """As `measure`."""
         return measure(self._run, **options)
+
+    def value(self, metric: str, group: str = "", **options: Any) -> float:
+        """One metric by identifier: `run.measure.value("trust.final.median", "malicious")`; NaN where undefined."""
+        if metric not in METRICS:
+            raise ValueError(f"There is no metric {metric!r}. `cosim measure --explain` lists them.")
+        found = measure(self._run, topics=(metric.split(".")[0],), **options)
+        values = found.value[(found.metric == metric) & (found.group == group)]
+        return float(values.iloc[0]) if len(values) else float("nan")
 
     def __getattr__(self, topic: str) -> "Topic":
         if topic not in TOPICS:
@@ -87,7 +111,7 @@ class Measures:
         return Topic(self._run, topic)
 
     def __dir__(self) -> list[str]:
-        return list(TOPICS)
+        return [*TOPICS, "value"]
 
 
 class Topic:
@@ -113,128 +137,124 @@ class Topic:
         return FIGURES[self._topic]([self._run], **options)
 
 
-def _lines(frame: pd.DataFrame, of: str, figures: Mapping[str, tuple[str, str]]) -> Iterator[Line]:
-    """Figure and unit by column, for every row where it has a value; `of` is filled in from the row."""
+def _rows(frame: pd.DataFrame, group: str, metrics: Mapping[str, str]) -> Iterator[Row]:
+    """Of every row, the metrics by column where they have a value; `group` is filled in from the row."""
     for row in frame.to_dict("records"):
-        for column, (figure, unit) in figures.items():
+        for column, metric in metrics.items():
             if pd.notna(row[column]):
-                yield figure, of.format_map(row), float(row[column]), unit
+                yield metric, group.format_map(row), float(row[column])
 
 
-def _traffic(run: Run) -> Iterator[Line]:
+def _named(frame: pd.DataFrame) -> pd.DataFrame:
+    """With the column `definition`: pairs and radius, and the hysteresis where definitions differ in it alone."""
+    text = [f"{pairs}, {radius:g} m" for pairs, radius in zip(frame.pairs, frame.radius_m, strict=True)]
+    frame = frame.assign(definition=text)
+    twice = frame.definition.duplicated(keep=False)
+    longer = frame.definition + frame.hysteresis_s.map(lambda s: f", {s:g} s")
+    return frame.assign(definition=frame.definition.where(~twice, longer))
+
+
+def _traffic(run: Run) -> Iterator[Row]:
     vehicles = run.vehicles
     time_s = run.manifest["steps"] * run.dt_s
     on_road = (vehicles.last_step - vehicles.first_step + 1) * run.dt_s / time_s
-    yield "duration", "", time_s, "s"
-    yield "actors on the road, mean", "all", float(on_road.sum()), ""
-    yield "actors on the road, mean", "equipped", float(on_road[vehicles.equipped].sum()), ""
+    yield "duration_s", "", time_s
+    yield "actors.mean", "all", float(on_road.sum())
+    yield "actors.mean", "equipped", float(on_road[vehicles.equipped].sum())
     for role, n in run.roles.value_counts().sort_index().items():
-        yield "equipped vehicles", str(role), float(n), ""
+        yield "equipped.n", str(role), float(n)
 
 
-def _encounters(run: Run) -> Iterator[Line]:
-    frame = encounters.summary(run)
+def _encounters(run: Run) -> Iterator[Row]:
+    frame = _named(encounters.summary(run))
     frame = frame.assign(start_unseen=frame.n_start_unseen / frame.n, end_unseen=frame.n_end_unseen / frame.n)
-    yield from _lines(frame, "{pairs}, {radius_m:g} m", {
-        "n": ("encounters", ""), "start_unseen": ("start not seen", "1"), "end_unseen": ("end not seen", "1"),
-        "mean_s": ("duration, mean", "s"), "median_s": ("duration, median", "s"),
-        "km_mean_s": ("duration, mean by Kaplan-Meier", "s"), "km_median_s": ("duration, median by Kaplan-Meier", "s"),
-        "again_share": ("pairs that meet again", "1"),
+    yield from _rows(frame, "{definition}", {
+        "n": "n", "start_unseen": "censored_left.share", "end_unseen": "censored_right.share",
+        "mean_s": "duration.mean_s", "median_s": "duration.median_s",
+        "km_mean_s": "duration.km_mean_s", "km_median_s": "duration.km_median_s", "again_share": "again.share",
     })  # fmt: skip
 
 
-def _trust(run: Run) -> Iterator[Line]:
-    figures = {"median": ("final trust, median", "1"), "mean": ("final trust, mean", "1")}
-    yield from _lines(trust.final(run), "{role}", figures)
-    yield from _lines(trust.mean(run), "{role}", {"mean": ("trust, mean over the run", "1")})
+def _trust(run: Run) -> Iterator[Row]:
+    yield from _rows(trust.final(run), "{role}", {"median": "final.median", "mean": "final.mean"})
+    yield from _rows(trust.mean(run), "{role}", {"mean": "run.mean"})
 
 
-def _liars(run: Run, threshold: float, false_positives: float) -> Iterator[Line]:
-    low = f"trust below {threshold:g}, share of "
-    yield from _lines(misbehaviour.below(run, threshold), "{role}", {
-        "share": (low + "values", "1"), "judged_share": (low + "judged values", "1"),
+def _misbehaviour(run: Run, threshold: float, false_positives: float) -> Iterator[Row]:
+    yield from _rows(misbehaviour.below(run, threshold), "{role}", {
+        "share": "below_threshold.share", "rated_share": "below_threshold.rated_share",
     })  # fmt: skip
-    frame = misbehaviour.separability(run, false_positives)
-    few = f"at {100 * false_positives:g}% false positives"
-    yield from _lines(frame[:1], "honest", {"judged_honest": ("judged, share of the time", "1")})
-    yield from _lines(frame, "{role}", {
-        "judged": ("judged, share of the time", "1"), "n": ("liars", ""),
-        "auc": ("honest above liars (AUC)", "1"),
-        "auc_unjudged": ("honest above liars, unjudged values included", "1"),
-        "true_positives": (f"true positives {few}", "1"), "caught": (f"suspected, share of the time, {few}", "1"),
+    frame = misbehaviour.classification(run, false_positives)
+    yield from _rows(frame[:1], misbehaviour.HONEST, {"rated_honest": "rated.share"})
+    yield from _rows(frame, "{role}", {
+        "rated": "rated.share", "n": "attackers.n", "auc": "auc", "auc_unrated": "auc_unrated",
+        "true_positives": "recall_at_fpr", "suspected": "suspected_at_fpr.share",
     })  # fmt: skip
-    yield from _lines(frame[:1], "", {"threshold": (f"threshold {few}", "1")})
-    if not np.isnan(apart := misbehaviour.separation(run)):
-        yield "honest above malicious at the end", "", apart, "1"
+    yield from _rows(frame[:1], "", {"threshold": "fpr_threshold"})
+    if not np.isnan(final := misbehaviour.separation(run)):
+        yield "auc_final", "", final
     limit, kept = float(frame.threshold.iloc[0]), trust.kept_at(run)
-    asked: list[tuple[str, float, trust.At]] = [(f"below {threshold:g}", threshold, kept), (few, limit, kept)]
+    if np.isnan(limit):
+        return
+    asked: list[tuple[str, float, trust.At]] = [("", threshold, kept), ("_at_fpr", limit, kept)]
     if kept == "server" and "trust_lookups" in run.tables:
-        asked.insert(1, (f"below {threshold:g}", threshold, "vehicles"))
-    for name, value, at in asked if not np.isnan(limit) else ():
-        of = "{role}, at the server" if at == "server" else "{role}, at a vehicle"
-        yield from _lines(misbehaviour.detection_summary(run, value, at), of, {
-            "share": (f"ever suspected, {name}", "1"), "half_after_s": (f"half are suspected after, {name}", "s"),
+        asked.insert(1, ("_at_vehicle", threshold, "vehicles"))
+    for which, value, at in asked:
+        yield from _rows(misbehaviour.detection_summary(run, value, at), "{role}", {
+            "share": f"time_to_detection{which}.share", "median_s": f"time_to_detection{which}.median_s",
         })  # fmt: skip
 
 
-def _freshness(run: Run, fresh_s: float) -> Iterator[Line]:
-    newest = {"newest_age_s": ("newest evidence at the server, median age", "s")}
-    yield from _lines(freshness.evidence(run), "{role}", newest)
-    yield from _lines(freshness.without_trust(run), "{pairs}, {radius_m:g} m", {
-        "share": ("encounters over before trust was known", "1"),
-        "wait_median_s": ("wait for trust in an encounter, median", "s"),
+def _freshness(run: Run, fresh_s: float) -> Iterator[Row]:
+    yield from _rows(freshness.evidence(run), "{role}", {"newest_age_s": "newest_evidence.median_s"})
+    yield from _rows(_named(freshness.without_trust(run)), "{definition}", {
+        "share": "encounters_without_trust.share", "wait_median_s": "wait_in_encounter.median_s",
     })  # fmt: skip
-    state = {"share": (f"trust at use (fresh: at most {fresh_s:g} s)", "1")}
-    yield from _lines(freshness.shares(run, fresh_s), "{state}", state)
-    about = {"share": ("use of trust, by whom it is about", "1")}
-    yield from _lines(freshness.shares_by_role(run, fresh_s), "{state}, {role}", about)
-    known = freshness.at_use(run).query("source != 'default'")
-    ages = {"mean_s": ("age at use, mean", "s"), "peak_s": ("age at use, peak", "s")}
-    yield from _lines(known, "{source}", ages)
+    yield from _rows(freshness.shares(run, fresh_s), "{state}", {"share": "state.share"})
+    yield from _rows(freshness.shares_by_role(run, fresh_s), "{state}, {role}", {"share": "state_by_role.share"})
+    known = freshness.at_lookup(run).query("source != 'default'")
+    yield from _rows(known, "{source}", {"mean_s": "age_at_use.mean_s", "peak_s": "age_at_use.peak_s"})
     if len(known):
-        yield from _lines(freshness.evidence_at_use(run), "{role}", {
-            "newest_s": ("newest evidence at use, mean age", "s"),
-            "oldest_s": ("oldest evidence at use, mean age", "s"),
+        yield from _rows(freshness.evidence_at_lookup(run), "{role}", {
+            "newest_s": "newest_evidence_at_use.mean_s", "oldest_s": "oldest_evidence_at_use.mean_s",
         })  # fmt: skip
 
 
-def _radio(run: Run) -> Iterator[Line]:
+def _radio(run: Run) -> Iterator[Row]:
     for condition in radio.conditions(run).to_dict("records"):
-        yield condition["condition"], condition["is"], condition["value"], condition["unit"]
+        yield f"condition.{condition['condition']}", condition["is"], condition["value"]
     frame = radio.overall(run)
-    yield from _lines(frame, "", {"n_sent": ("messages sent", ""), "delivery_ratio": ("delivery ratio", "1")})
-    for name in radio.LOST:
-        cause = name.removeprefix("n_lost_")
-        yield from _lines(frame, cause.replace("_", " "), {f"lost_{cause}": ("lost", "1")})
-    for view, part in radio.by_distance(run, by_view=True).groupby("view", observed=True):
-        yield "delivery ratio by view", str(view), float(np.average(part.delivery_ratio, weights=part.n_in_range)), "1"
-    yield from _lines(frame, "mean over vehicles", {"cbr": ("busy ratio", "1")})
+    yield from _rows(frame, "", {"n_sent": "sent.n", "pdr": "pdr.all"})
+    yield from _rows(radio.overall(run, "cpm"), "", {"pdr": "pdr.cpm"})
+    yield from _rows(radio.overall(run, "evaluation"), "", {"pdr": "pdr.evaluation"})
+    yield from _rows(frame, "", {name[2:]: name[2:].replace("_", ".", 1) for name in radio.LOST})
+    for los_state, part in radio.by_distance(run, by_los=True).groupby("los_state", observed=True):
+        yield "pdr_by_los", str(los_state), float(np.average(part.pdr, weights=part.n_in_range))
+    yield from _rows(frame, "", {"cbr": "cbr.mean"})
     late = radio.latency(run).groupby("latency_s").n_delivered.sum().cumsum()
-    for share in (0.5, 0.95):
-        yield "latency at most", f"{share:.0%} of messages", float(late.index[late >= share * late.iloc[-1]][0]), "s"
-    gaps = radio.inter_reception(run)
-    yield "inter-reception time", "mean", float(np.average(gaps.gap_s, weights=gaps.n_received)), "s"
-    lost = gaps[gaps.n_lost > 0]
-    yield "inter-reception time", "share after a loss", lost.n_received.sum() / gaps.n_received.sum(), "1"
+    for share, name in ((0.5, "median_s"), (0.95, "p95_s")):
+        yield f"latency.{name}", "", float(late.index[late >= share * late.iloc[-1]][0])
+    pir = radio.inter_reception(run)
+    yield "pir.mean_s", "", float(np.average(pir.pir_s, weights=pir.n_received))
+    lost = pir[pir.n_lost > 0]
+    yield "pir.after_loss.share", "", lost.n_received.sum() / pir.n_received.sum()
     if lost.n_received.sum():
-        yield "messages lost in a row", "mean", float(np.average(lost.n_lost, weights=lost.n_received)), ""
+        yield "lost_in_a_row.mean", "", float(np.average(lost.n_lost, weights=lost.n_received))
     if "server" in run.tables and len(run.server):
-        way = radio.to_server(run)
+        links = radio.to_server(run)
         for name in ("reached", "lost", "over_capacity", "outage"):
-            yield from _lines(way, name.replace("_", " "), {name: ("reports to the server", "1")})
-        yield from _lines(way, "reached", {"informed": ("broadcasts of the server", "1")})
+            yield from _rows(links, "", {name: f"server_reports.{name}.share"})
+        yield from _rows(links, "", {"informed": "server_broadcasts.reached.share"})
 
 
-def _detection(run: Run, max_frames: int) -> Iterator[Line]:
+def _detection(run: Run, max_frames: int) -> Iterator[Row]:
     frame = detection.precision(run, max_frames=max_frames)
     for boxes, some in frame[frame.n_truth >= FEWEST].groupby("boxes", sort=False):
-        yield from _lines(some, "{class}, {level}", {"ap40": (f"AP 3D, 40 points, {boxes}", "%")})
+        yield from _rows(some, f"{boxes}, {{class}}, {{level}}", {"ap40": "ap40"})
     known = detection.awareness(run, max_frames=max_frames).groupby("boxes")[["n_known", "n_present"]].sum()
     for which, share in (known.n_known / known.n_present).items():
-        yield "awareness within 70 m", str(which), share, "1"
+        yield "awareness_70m.share", str(which), share
 
 
-def _attack(run: Run) -> Iterator[Line]:
-    yield from _lines(detection.attack_success(run), "", {
-        "n_fabricated": ("boxes made up", ""), "share": ("made-up boxes believed by someone", "1"),
-    })  # fmt: skip
+def _attack(run: Run) -> Iterator[Row]:
+    yield from _rows(detection.attack_success(run), "", {"n_fabricated": "fabricated.n", "share": "accepted.share"})

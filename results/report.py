@@ -11,7 +11,9 @@ from results.figures import style
 from results.figures.catalogue import FIGURES
 from results.measure import measure
 from results.run import Run
-from results.tables import SCHEMA_VERSION, TABLES, Column
+from results.columns import Column
+from results.metrics.registry import METRICS, TOPICS
+from results.tables import SCHEMA_VERSION, TABLES
 
 _STYLE = """
 :root { --ink: #1b2433; --soft: #5c6675; --line: #dfe3e8; --accent: #16325c; --tint: #f5f7fa; }
@@ -32,8 +34,9 @@ table { border-collapse: collapse; width: 100%; font-size: 13.5px; }
 th, td { text-align: left; padding: 3px 10px 3px 0; border-bottom: 1px solid var(--line); vertical-align: top; }
 th { color: var(--soft); font-weight: 600; } td.number { text-align: right; font-variant-numeric: tabular-nums; }
 th.number { text-align: right; } .wide { overflow-x: auto; }
-.numbers { table-layout: fixed; max-width: 760px; } .numbers th:nth-child(1) { width: 46%; }
-.numbers th:nth-child(2) { width: 34%; } .numbers td { border-top: 1px solid var(--line); border-bottom: 0; }
+.numbers { table-layout: fixed; } .numbers th:nth-child(1) { width: 32%; }
+.numbers th:nth-child(2) { width: 36%; } .numbers th:nth-child(3) { width: 20%; }
+.numbers code { overflow-wrap: anywhere; } .numbers td { border-top: 1px solid var(--line); border-bottom: 0; }
 .numbers .more td { border-top: 0; padding-top: 0; }
 details { margin: 8px 0; } summary { cursor: pointer; font-weight: 600; }
 pre { background: var(--tint); padding: 12px; overflow-x: auto; font-size: 12.5px; }
@@ -63,7 +66,7 @@ def page(run: Run) -> str:
         '<h2 id="figures">Figures</h2>',
         *(_figure(name, run) for name in FIGURES),
         '<h2 id="numbers">Numbers</h2>',
-        *(_topic(str(topic), frame) for topic, frame in numbers.groupby("topic", sort=False)),
+        *(_topic(topic, numbers[numbers.metric.str.startswith(topic + '.')]) for topic in TOPICS),
         '<h2 id="tables">Tables</h2>',
         _dictionary(run),
         '<h2 id="provenance">Provenance</h2>',
@@ -81,28 +84,28 @@ _SECTIONS = ("Figures", "Numbers", "Tables", "Provenance")
 
 
 def _span(run: Run) -> str:
-    net, seed = run.manifest.get("net", {}).get("name", "a city"), run.manifest.get("seed", "unknown")
+    net, seed = run.manifest.get("net", {}).get("name", "a network"), run.manifest.get("seed", "unknown")
     steps = run.manifest["steps"]
     return f"Co-simulation of {net}: {steps * run.dt_s:g} s in {steps} steps of {run.dt_s:g} s, seed {seed}."
 
 
 def _facts(run: Run, numbers: pd.DataFrame) -> str:
-    """The few numbers to see first."""
+    """The few numbers to read first."""
     wanted = [
-        ("actors on the road, mean", "all", "actors on the road, on average"),
-        ("actors on the road, mean", "equipped", "equipped vehicles among them"),
-        ("duration, median by Kaplan-Meier", None, "median encounter"),
-        ("final trust, median", "honest", "final trust, honest"),
-        ("final trust, median", "malicious", "final trust, malicious"),
-        ("honest above liars (AUC)", "malicious", "chance that honest is above malicious"),
-        ("delivery ratio", None, "delivery ratio"),
+        ("traffic.actors.mean", "all", "actors on the road, mean"),
+        ("traffic.actors.mean", "equipped", "equipped vehicles among them"),
+        ("encounters.duration.km_median_s", None, "median encounter"),
+        ("trust.final.median", "honest", "final trust, honest"),
+        ("trust.final.median", "malicious", "final trust, malicious"),
+        ("misbehaviour.auc", "malicious", "AUC, honest against malicious"),
+        ("radio.pdr.all", None, "packet delivery ratio"),
     ]
     boxes = []
-    for figure, of, text in wanted:
-        rows = numbers[(numbers.figure == figure) & ((numbers.of == of) | (of is None))]
+    for metric, group, text in wanted:
+        rows = numbers[(numbers.metric == metric) & ((numbers.group == group) | (group is None))]
         if len(rows) and rows.value.notna().iloc[0]:
             row = rows.iloc[0]
-            where = f" ({row.of})" if of is None and row.of else ""
+            where = f" ({row.group})" if group is None and row.group else ""
             boxes.append(f"<div><b>{_number(row.value, row.unit)}</b><span>{escape(text + where)}</span></div>")
     return f'<div class="facts">{"".join(boxes)}</div>'
 
@@ -118,19 +121,23 @@ def _figure(name: str, run: Run) -> str:
 
 
 def _topic(topic: str, frame: pd.DataFrame) -> str:
-    lost = frame[frame.figure == "not measured"]
-    gap = "".join(f'<p class="missing">Not measured: {escape(reason)}</p>' for reason in lost.of)
-    frame = frame.drop(lost.index)
+    is_lost = frame.metric == f"{topic}.not_measured"
+    head = f"<h3>{escape(topic)}</h3><p class='soft'>{escape(TOPICS[topic])}</p>"
+    gap = "".join(f'<p class="missing">Not measured: {escape(reason)}</p>' for reason in frame.group[is_lost])
+    frame = frame[~is_lost]
     if frame.empty:
-        return f"<h3>{escape(topic)}</h3>{gap}"
-    said = frame.figure.mask(frame.figure == frame.figure.shift(), "")
+        return head + gap
+    first = frame.metric != frame.metric.shift()
     rows = "".join(
-        f"<tr{'' if figure else ' class=more'}><td>{escape(figure)}</td><td>{escape(of)}</td>"
-        f'<td class="number">{_number(value, unit)}</td></tr>'
-        for figure, of, value, unit in zip(said, frame.of, frame.value, frame.unit, strict=True)
+        f"<tr{'' if new else ' class=more'}><td title='{escape(METRICS[metric].definition)}'>"
+        f"{escape(METRICS[metric].label) if new else ''}</td><td>{f'<code>{metric}</code>' if new else ''}</td>"
+        f'<td>{escape(group)}</td><td class="number">{_number(value, unit)}</td></tr>'
+        for new, metric, group, value, unit in zip(
+            first, frame.metric, frame.group, frame.value, frame.unit, strict=True
+        )
     )
-    head = '<tr><th>figure</th><th>of</th><th class="number">value</th></tr>'
-    return f"<h3>{escape(topic)}</h3><table class='numbers'>{head}{rows}</table>{gap}"
+    names = '<tr><th>metric</th><th>identifier</th><th>group</th><th class="number">value</th></tr>'
+    return f"{head}<table class='numbers'>{names}{rows}</table>{gap}"
 
 
 def _dictionary(run: Run) -> str:
@@ -139,7 +146,7 @@ def _dictionary(run: Run) -> str:
         rows = "".join(
             f"<tr><td><code>{escape(label)}</code></td><td>{column.type}</td><td>{escape(column.unit)}</td>"
             f"<td>{'key' if column.key else ''}</td><td>{_code(column.meaning)}"
-            f"{' May be null.' if column.null else ''}{_code(_read_off(column))}</td></tr>"
+            f"{' May be null.' if column.null else ''}{_code(_virtual(column))}</td></tr>"
             for label, column in table.columns.items()
         )
         here = "" if name in run.tables else f" (not in this run: kept from record level {table.level} up)"
@@ -150,8 +157,8 @@ def _dictionary(run: Run) -> str:
     return "".join(parts)
 
 
-def _read_off(column: Column) -> str:
-    return f" Read off `detections`, by `{column.via}`." if column.via else ""
+def _virtual(column: Column) -> str:
+    return f" That of the row of `detections` named by `{column.via}`." if column.via else ""
 
 
 def _provenance(run: Run) -> str:

@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 
 from matplotlib.figure import Figure
 
-from results.figures import contacts, detection, encounters, freshness, liars, map, radio, trust
+from results.figures import contacts, detection, encounters, freshness, map, misbehaviour, radio, trust
 
 FIGURES: Mapping[str, Callable[..., Figure]] = {
     "trust": trust.draw,

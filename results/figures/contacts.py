@@ -15,9 +15,9 @@ _POINTS = 60
 
 @style.styled
 def draw(runs: Sequence[Run], every_s: float = 10.0, radius_m: float | None = None, pairs: str | None = None) -> Figure:
-    """Mean degree, share of the largest component, and how far news of one actor could have gone, over time.
+    """Mean degree, share of the largest component, and how far a message of one actor could have spread, over time.
 
-    Long runs are drawn as means of a sixtieth of their time, a single one with the range in it.
+    Long runs are drawn as means of a sixtieth of their time, a single one with their range.
     """
     style.need(runs)
     figure, (degree, largest, reached) = style.sheet(columns=3, width=8.8, height=3.0)
@@ -30,11 +30,11 @@ def draw(runs: Sequence[Run], every_s: float = 10.0, radius_m: float | None = No
             axes.plot(time_s, spread["mean"], **line, markevery=style.sparse(len(spread)))
             if len(runs) == 1:
                 axes.fill_between(time_s, spread["min"], spread["max"], color=style.ink(i), alpha=0.18, linewidth=0)
-        news = contact_graph.temporal_reachability(run, every_s, radius_m, pairs)
-        reached.plot(news.time_s, news.reached_mean, **line, markevery=style.sparse(len(news)))
+        reachable = contact_graph.temporal_reachability(run, every_s, radius_m, pairs)
+        reached.plot(reachable.time_s, reachable.reached_mean, **line, markevery=style.sparse(len(reachable)))
     style.panel(degree, "Contacts per actor in contact", style.TIME, "Mean degree")
     style.panel(largest, "Largest component", style.TIME, "Share of actors in contact")
-    style.panel(reached, "News of one actor could reach", style.TIME, "Share of actors met so far")
+    style.panel(reached, "Temporal reachability", style.TIME, "Share reached, of actors met so far")
     degree.set_ylim(bottom=0)
     style.share_axis(largest)
     style.share_axis(reached)

@@ -1,4 +1,4 @@
-"""What vehicles see and believe: average precision and awareness."""
+"""Average precision and environmental awareness."""
 
 from collections.abc import Sequence
 from itertools import pairwise
@@ -12,7 +12,6 @@ from results.figures import style
 from results.metrics import detection
 from results.metrics.kitti import FEWEST, LEVELS
 from results.run import Run
-from results.tables import CLASSES
 
 _LISTS = {"local": "own sensor", "fused": "fused"}
 _BROKEN: Any = (0, (4, 2))
@@ -20,7 +19,7 @@ _BROKEN: Any = (0, (4, 2))
 
 @style.styled
 def draw(runs: Sequence[Run], max_frames: int = 4000, range_m: float = 70.0) -> Figure:
-    """Average precision by class and level, and the share of actors known by distance: own sensor and fused.
+    """Average precision by class and level, and the share of actors known, by distance: own sensor and fused.
 
     Levels with too few objects to rank are left out.
     """
@@ -28,7 +27,7 @@ def draw(runs: Sequence[Run], max_frames: int = 4000, range_m: float = 70.0) -> 
     precisions = [_precision(run, max_frames) for run in runs]
     known = [detection.awareness(run, range_m, max_frames=max_frames) for run in runs]
     met = {row for frame in precisions for row in zip(frame["class"], frame.level, strict=True)}
-    rows = [(label, level) for label in CLASSES for level in LEVELS if (label, level) in met]
+    rows = [(label, level) for label in detection.CLASSES for level in LEVELS if (label, level) in met]
     figure, (left, right) = style.sheet(columns=2, height=1.6 + 0.21 * len(rows))
     for i, (precision, aware) in enumerate(zip(precisions, known, strict=True)):
         offset = 0.0 if len(runs) == 1 else 0.5 * (i / (len(runs) - 1) - 0.5)

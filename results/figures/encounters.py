@@ -1,4 +1,4 @@
-"""How long encounters last: survival curves with censoring in mind."""
+"""Survival curves of encounters, with censoring in mind."""
 
 from collections.abc import Sequence
 
@@ -13,15 +13,17 @@ from results.tables import axis_label
 
 @style.styled
 def draw(runs: Sequence[Run], departure: encounters.Departure = "ends") -> Figure:
-    """Kaplan-Meier curves by radius and pairs, with their 95 % bands; the axis ends where 1 % is left."""
+    """Kaplan-Meier curves by definition, with their 95 % bands; the axis ends where 1 % is left."""
     style.need(runs)
     figure, (axes,) = style.sheet()
     curves = [encounters.survival(run, departure) for run in runs]
-    kinds = sorted({kind for curve in curves for kind in zip(curve.radius_m, curve.pairs, strict=True)})
+    kinds = sorted({
+        kind for curve in curves for kind in zip(curve.radius_m, curve.pairs, curve.hysteresis_s, strict=True)
+    })  # fmt: skip
     longest_s = 0.0
     for i, curve in enumerate(curves):
-        for (radius_m, pairs), one in curve.groupby(["radius_m", "pairs"], observed=True):
-            code = kinds.index((radius_m, pairs))
+        for kind, one in curve.groupby(["radius_m", "pairs", "hysteresis_s"], observed=True):
+            code = kinds.index(kind)
             axes.plot(
                 one.duration_s, one.survival, drawstyle="steps-post", color=style.ink(code), linestyle=style.dash(i),
                 marker=style.marker(code), markevery=0.08,
@@ -36,8 +38,15 @@ def draw(runs: Sequence[Run], departure: encounters.Departure = "ends") -> Figur
     style.share_axis(axes)
     axes.set_xlim(0, max(longest_s, 1.0) * 1.02)
     entries = [
-        Line2D([], [], color=style.ink(code), marker=style.marker(code), label=f"{pairs}, within {radius_m:g} m")
-        for code, (radius_m, pairs) in enumerate(kinds)
+        Line2D([], [], color=style.ink(code), marker=style.marker(code), label=_label(kind, kinds))
+        for code, kind in enumerate(kinds)
     ]
     style.legend(figure, entries, style.run_entries(runs))
     return figure
+
+
+def _label(kind: tuple[float, str, float], kinds: Sequence[tuple[float, str, float]]) -> str:
+    """Name of a definition, with the hysteresis where it alone tells two apart."""
+    radius_m, pairs, hysteresis_s = kind
+    alone = sum(other[:2] == kind[:2] for other in kinds) == 1
+    return f"{pairs}, within {radius_m:g} m" + ("" if alone else f", breaks below {hysteresis_s:g} s bridged")

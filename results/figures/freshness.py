@@ -1,4 +1,4 @@
-"""How fresh trust is when it is used."""
+"""How fresh trust is when it is looked up."""
 
 from collections.abc import Callable, Mapping, Sequence
 
@@ -15,9 +15,9 @@ from results.tables import axis_label
 
 @style.styled
 def draw(runs: Sequence[Run], fresh_s: float = 10.0, over: str | None = None) -> Figure:
-    """Distribution of the age of trust at use, and the shares of fresh, stale and default values.
+    """Distribution of the age of trust at the lookup, and the shares of fresh, stale and default values.
 
-    Runs that differ in one number alone, or in the one named by `over`, are also held against it.
+    Runs that differ in one number alone, or in the one named by `over`, are also drawn over it.
     """
     style.need(runs)
     studied = compare.axis(runs, over)
@@ -50,11 +50,11 @@ def draw(runs: Sequence[Run], fresh_s: float = 10.0, over: str | None = None) ->
         ages.annotate(
             f"stale beyond {fresh_s:g} s", (fresh_s, 0.04), xytext=(4, 0), textcoords="offset points", fontsize=8
         )
-    style.panel(ages, "Age of trust when used", axis_label("trust_lookups", "age_s", "Age"), "Share of uses at most this old")
+    style.panel(ages, "Age of trust when looked up", axis_label("trust_lookups", "age_s", "Age"), "Share of lookups at most this old")
     style.share_axis(ages)
     ages.set_xlim(0, max(longest_s, 1.0) * 1.05)
     title = "How fresh" + (", by role" if len(runs) == 1 else "")
-    style.panel(shares, title, f"Share of uses (fresh: at most {fresh_s:g} s)", "")
+    style.panel(shares, title, f"Share of lookups (fresh: at most {fresh_s:g} s)", "")
     style.bars_axis(shares, labels)
     entries = style.bar_entries(freshness.STATES, _FILLS)
     style.legend(figure, entries, style.series_entries(runs))
@@ -64,22 +64,22 @@ def draw(runs: Sequence[Run], fresh_s: float = 10.0, over: str | None = None) ->
 _FILLS = (style.INKS[0], "#e8b9a6", "#ffffff")
 
 _AGES: Mapping[str, Callable[[Run], float]] = {
-    "value": lambda run: _mean(freshness.at_use(run).query("source != 'default'"), "mean_s"),
-    "newest evidence": lambda run: _mean(freshness.evidence_at_use(run), "newest_s"),
-    "oldest evidence": lambda run: _mean(freshness.evidence_at_use(run), "oldest_s"),
+    "value": lambda run: _mean(freshness.at_lookup(run).query("source != 'default'"), "mean_s"),
+    "newest evidence": lambda run: _mean(freshness.evidence_at_lookup(run), "newest_s"),
+    "oldest evidence": lambda run: _mean(freshness.evidence_at_lookup(run), "oldest_s"),
 }
 
 
 def _against(runs: Sequence[Run], key: str, ages: Axes, shares: Axes, fresh_s: float) -> None:
     """Means of every run over the number in which they differ; a line through repetitions' means."""
-    of_uses: Mapping[str, Callable[[Run], float]] = {
-        "uses: default": lambda run: freshness.shares(run, fresh_s).share.iloc[2],
-        "uses: stale": lambda run: freshness.shares(run, fresh_s).share.iloc[1],
+    of_lookups: Mapping[str, Callable[[Run], float]] = {
+        "default": lambda run: freshness.shares(run, fresh_s).share.iloc[2],
+        "stale": lambda run: freshness.shares(run, fresh_s).share.iloc[1],
         "encounters over without trust": lambda run: _mean(freshness.without_trust(run), "share"),
         "honest above malicious": misbehaviour.separation,
     }
-    frame = compare.tabulate(runs, key, {**_AGES, **of_uses})
-    for axes, names in ((ages, list(_AGES)), (shares, list(of_uses))):
+    frame = compare.tabulate(runs, key, {**_AGES, **of_lookups})
+    for axes, names in ((ages, list(_AGES)), (shares, list(of_lookups))):
         for i, name in enumerate(names):
             one = frame[[key, name]].dropna()
             if one.empty:
@@ -88,9 +88,9 @@ def _against(runs: Sequence[Run], key: str, ages: Axes, shares: Axes, fresh_s: f
             axes.plot(one[key], one[name], linestyle="", marker=style.marker(i), color=style.ink(i))
             axes.plot(mean.index, mean, linestyle=style.dash(i), marker=style.marker(i), color=style.ink(i), label=name)
         axes.legend(fontsize=7.5, handlelength=2.2)
-    style.panel(ages, "Age where trust is used, mean", compare.label(key), axis_label("trust_lookups", "age_s", "Age"))
+    style.panel(ages, "Age where trust is looked up, mean", compare.label(key), axis_label("trust_lookups", "age_s", "Age"))
     ages.set_ylim(bottom=0)
-    style.panel(shares, "Trust where it is used", compare.label(key), "Share")
+    style.panel(shares, "Trust where it is looked up", compare.label(key), "Share")
     style.share_axis(shares)
 
 

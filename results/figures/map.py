@@ -1,4 +1,4 @@
-"""Where vehicles meet: the city, coloured by encounters."""
+"""Where encounters begin: a map of their rate."""
 
 from collections.abc import Sequence
 

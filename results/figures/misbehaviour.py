@@ -1,68 +1,63 @@
-"""How well trust tells liars from honest vehicles, and how soon."""
+"""How well trust tells attackers from honest vehicles, and how soon."""
 
 from collections.abc import Sequence
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 
 from results.figures import style
 from results.metrics import misbehaviour, trust
 from results.run import Run
-from results.tables import ROLES
 
 
 @style.styled
 def draw(runs: Sequence[Run], false_positives: float = 0.05) -> Figure:
-    """True against false positives of thresholds on trust, and how soon vehicles fall below the one that is marked.
+    """Receiver operating characteristic of thresholds on trust, and time to detection at the marked one.
 
-    Of values that rest on a evaluation; the diagonal is chance. Honest vehicles are watched from the first lie of anybody
-    on; who leaves before is censored (Kaplan and Meier). Whose trust: the server's; without one, on the left the mean
-    over those who hear a vehicle and hold a value, on the right that of the first of them to fall below.
+    Of trust values that rest on at least one evaluation; the diagonal is chance. Honest vehicles are watched from the
+    first attack of any on; those who leave before they are suspected are censored (Kaplan and Meier). The trust is
+    the server's; without one, on the left the mean of the values that receivers hold, on the right that of the first
+    of them to fall below the threshold.
     """
     style.need(runs)
+    roles = style.roles_of(runs)
     figure, (curves, delays) = style.sheet(columns=2, height=3.9)
     curves.plot([0, 1], [0, 1], color="#777777", linewidth=0.9, linestyle=(0, (2, 2)))
-    shown: set[int] = set()
+    shown: set[str] = set()
     limits = []
     for i, run in enumerate(runs):
         for role, curve in misbehaviour.roc(run).groupby("role"):
-            code = ROLES.index(str(role))
-            shown.add(code)
-            curves.plot(curve.false_positives, curve.true_positives, color=style.ink(code), linestyle=style.dash(i))
-        apart = misbehaviour.separability(run, false_positives)
-        for row in apart.to_dict("records"):
-            code = ROLES.index(row["role"])
-            curves.plot(row["false_positives"], row["true_positives"], color=style.ink(code), marker=style.marker(code))
-        limits.append(float(apart.threshold.iloc[0]))
-        shown |= _delays(delays, run, limits[-1], style.dash(i))
-    axes = "False positives: honest values", "True positives: liars' values"
+            shown.add(str(role))
+            color = style.role_look(str(role), roles)["color"]
+            curves.plot(curve.false_positives, curve.true_positives, color=color, linestyle=style.dash(i))
+        found = misbehaviour.classification(run, false_positives)
+        for row in found.to_dict("records"):
+            curves.plot(row["false_positives"], row["true_positives"], **style.role_look(row["role"], roles))
+        limits.append(float(found.threshold.iloc[0]))
+        shown |= _delays(delays, run, roles, limits[-1], style.dash(i))
+    axes = "False positive rate (honest values)", "True positive rate (attackers' values)"
     style.panel(curves, "ROC of a threshold on trust", *axes)
     style.share_axis(curves)
     curves.set_xlim(-0.02, 1.03)
     few = f"{100 * false_positives:g} %"
-    style.panel(delays, f"Suspected at {few} false positives", "Time since the first lie [s]", "Share of vehicles")
+    style.panel(delays, f"Suspected at {few} false positives", "Time since the first attack [s]", "Share of vehicles")
     if not any(limits):
         delays.text(0.5, 0.5, f"more than {few} of\nhonest values are 0", ha="center", transform=delays.transAxes)
     style.share_axis(delays)
     delays.set_xlim(left=0)
-    entries = [
-        Line2D([], [], color=style.ink(code), marker=style.marker(code), label=ROLES[code])
-        for code in sorted(shown)
-    ]
-    style.legend(figure, entries, style.run_entries(runs))
+    style.legend(figure, style.role_entries(shown, roles), style.run_entries(runs))
     return figure
 
 
-def _delays(axes: Axes, run: Run, threshold: float, dash: object) -> set[int]:
-    """Draw the delays; which roles there are."""
+def _delays(axes: Axes, run: Run, roles: Sequence[str], threshold: float, dash: object) -> set[str]:
+    """Draw the times to detection; which roles there are."""
     shown = set()
-    for role, one in misbehaviour.detection_delay(run, threshold, trust.kept_at(run)).groupby("role", observed=True):
-        code = ROLES.index(str(role))
-        shown.add(code)
+    found = misbehaviour.detection_delay(run, threshold, trust.kept_at(run))
+    for role, one in found.groupby("role", observed=True):
+        shown.add(str(role))
         curve = misbehaviour.waiting(one)
         axes.plot(
-            curve.duration_s, 1 - curve.survival, drawstyle="steps-post", color=style.ink(code), linestyle=dash,
-            marker=style.marker(code), markevery=(2 * code, style.sparse(len(curve), 6)),
+            curve.duration_s, 1 - curve.survival, drawstyle="steps-post", linestyle=dash,
+            markevery=(2 * roles.index(str(role)), style.sparse(len(curve), 6)), **style.role_look(str(role), roles),
         )  # fmt: skip
     return shown

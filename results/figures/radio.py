@@ -1,4 +1,4 @@
-"""What the radio delivers: by distance, over time and on the map; what becomes of the rest, how late, how unevenly."""
+"""Packet delivery ratio by distance, over time and on the map; losses, latency, inter-reception time, busy ratio."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -16,37 +16,39 @@ from results.tables import axis_label
 
 _CAUSES = tuple(name.removeprefix("n_lost") for name in radio.LOST)
 _FILLS = (style.INKS[0], "#dfe3e8", "#e8b9a6", "#ffffff", "#b9d9d2", "#f4dfae")
-_VIEWS = {"open": "no building between", "wall": "building between", "unknown": "not asked"}
+_LOS_STATES = {"los": "line of sight", "nlos": "behind buildings", "unknown": "line of sight not modelled"}
 
 
 @style.styled
 def draw(runs: Sequence[Run], every_s: float = 10.0, cell_m: float = 50.0) -> Figure:
-    """Delivery by distance and over time, losses by cause, latency, silences, busy ratio; maps of a single run."""
+    """Packet delivery ratio by distance and over time, losses by cause, latency, packet inter-reception time, channel
+    busy ratio; maps of a single run."""
     style.need(runs)
     alone = len(runs) == 1 and "vehicle_channel" in runs[0].tables and "actors" in runs[0].tables
     figure, panels = style.sheet(columns=4 if alone else 3, rows=2, width=11.4 if alone else 8.8, height=5.8)
     if alone:
-        distance, fates, late, silent, timed, busy, *maps = panels
+        distance, losses, late, gaps, timed, busy, *maps = panels
     else:
-        (distance, fates, late, silent, timed, busy), maps = panels, []
+        (distance, losses, late, gaps, timed, busy), maps = panels, []
     lines = [_line(i) for i in range(len(runs))]
-    views = sorted({view for run in runs for view in run.pdr_by_distance.view.unique()}, key=list(_VIEWS).index)
+    found = {state for run in runs for state in run.pdr_by_distance.los_state.unique()}
+    states = sorted(found, key=list(_LOS_STATES).index)
     for i, (run, line) in enumerate(zip(runs, lines, strict=True)):
         _by_distance(distance, run, line)
         total = radio.overall(run).iloc[0]
-        style.shares_bar(fates, i, [total.delivery_ratio, *(total[f"lost{name}"] for name in _CAUSES)], _FILLS)
+        style.shares_bar(losses, i, [total.pdr, *(total[f"lost{name}"] for name in _CAUSES)], _FILLS)
         _late(late, run, line)
-        _silent(silent, run, line)
+        _inter_reception(gaps, run, line)
         over_time = radio.over_time(run, every_s)
-        for axes, column in ((timed, "delivery_ratio"), (busy, "cbr")):
+        for axes, column in ((timed, "pdr"), (busy, "cbr")):
             axes.plot(over_time.time_s, over_time[column], **line, markevery=style.sparse(len(over_time)))
-    style.panel(distance, "Delivered, by distance", axis_label("pdr_by_distance", "distance_bin_m", "Distance"), "Delivery ratio")
-    style.panel(fates, "What became of it", "Share of what was in reach", "")
-    style.bars_axis(fates, style.names(runs) if len(runs) > 1 else [""])
-    style.panel(late, "Latency of what arrived", "Latency [ms]", "Share up to it")
-    style.panel(silent, "Between two messages", "Inter-reception time [s]", "Share longer")
-    style.panel(timed, "Delivered, over time", style.TIME, "Delivery ratio")
-    style.panel(busy, "Channel busy, over time", style.TIME, axis_label("radio", "cbr", "Busy ratio"))
+    style.panel(distance, "Delivery by distance", axis_label("pdr_by_distance", "distance_bin_m", "Distance"), "Packet delivery ratio")
+    style.panel(losses, "Received and lost", "Share of frames in range", "")
+    style.bars_axis(losses, style.names(runs) if len(runs) > 1 else [""])
+    style.panel(late, "Latency", "Latency [ms]", "Share at most this late")
+    style.panel(gaps, "Packet inter-reception", "Packet inter-reception time [s]", "Share longer")
+    style.panel(timed, "Delivery over time", style.TIME, "Packet delivery ratio")
+    style.panel(busy, "Channel busy ratio over time", style.TIME, axis_label("radio", "cbr", "Channel busy ratio"))
     if not distance.lines:
         distance.text(0.5, 0.5, "too few messages", transform=distance.transAxes, ha="center", color="#666666")
     for axes in (distance, late, timed):
@@ -61,8 +63,8 @@ def draw(runs: Sequence[Run], every_s: float = 10.0, cell_m: float = 50.0) -> Fi
     if maps:
         _maps(figure, maps, runs[0], cell_m)
     entries: list[Any] = style.bar_entries(["delivered", *(n.strip("_").replace("_", " ") for n in _CAUSES)], _FILLS)
-    if len(views) > 1:
-        entries += [_view_entry(view) for view in views]
+    if len(states) > 1:
+        entries += [_los_entry(state) for state in states]
     style.legend(figure, entries, style.series_entries(runs))
     return figure
 
@@ -72,16 +74,16 @@ def _line(i: int) -> dict[str, Any]:
 
 
 def _by_distance(axes: Axes, run: Run, line: dict[str, Any]) -> None:
-    """A line for each view, hollow where a building is between."""
-    found = radio.by_distance(run, by_view=True)
-    for view, curve in found[found.n_in_range >= 20].groupby("view", observed=True):
-        hollow: dict[str, Any] = {"markerfacecolor": "white"} if view == "wall" else {}
-        axes.plot(curve.distance_m, curve.delivery_ratio, **line, **hollow)
+    """A line with and without line of sight, hollow without."""
+    found = radio.by_distance(run, by_los=True)
+    for state, curve in found[found.n_in_range >= 20].groupby("los_state", observed=True):
+        hollow: dict[str, Any] = {"markerfacecolor": "white"} if state == "nlos" else {}
+        axes.plot(curve.distance_m, curve.pdr, **line, **hollow)
 
 
-def _view_entry(view: str) -> Line2D:
-    fill = "white" if view == "wall" else "#444444"
-    return Line2D([], [], color="#444444", marker="o", markerfacecolor=fill, label=_VIEWS[view])
+def _los_entry(state: str) -> Line2D:
+    fill = "white" if state == "nlos" else "#444444"
+    return Line2D([], [], color="#444444", marker="o", markerfacecolor=fill, label=_LOS_STATES[state])
 
 
 def _late(axes: Axes, run: Run, line: dict[str, Any]) -> None:
@@ -96,29 +98,29 @@ def _late(axes: Axes, run: Run, line: dict[str, Any]) -> None:
     axes.minorticks_off()
 
 
-def _silent(axes: Axes, run: Run, line: dict[str, Any]) -> None:
+def _inter_reception(axes: Axes, run: Run, line: dict[str, Any]) -> None:
     try:
         curve = radio.inter_reception(run)
-    except ValueError:  # nobody heard anybody twice
+    except ValueError:  # no pair with two receptions
         return
     curve = curve[curve.longer > 0]
-    gap_s, longer = np.append(0, curve.gap_s), np.append(1, curve.longer)
-    axes.step(gap_s, longer, where="post", **line, markevery=style.sparse(len(gap_s)))
+    pir_s, longer = np.append(0, curve.pir_s), np.append(1, curve.longer)
+    axes.step(pir_s, longer, where="post", **line, markevery=style.sparse(len(pir_s)))
     axes.set_yscale("log")
     axes.set_xlim(left=0)
 
 
 def _maps(figure: Figure, panels: Sequence[Axes], run: Run, cell_m: float) -> None:
-    """Busy ratio and delivery ratio where the vehicles were."""
+    """Channel busy ratio and packet delivery ratio by place of the receiver."""
     cells = radio.by_place(run, cell_m)
     what = (
-        ("cbr", "Channel busy, on the map", "viridis_r"),
-        ("delivery_ratio", "Delivered, on the map", "cividis"),
+        ("cbr", "Channel busy ratio", "viridis_r"),
+        ("pdr", "Packet delivery ratio", "cividis"),
     )
     for axes, (column, title, colours) in zip(panels, what, strict=True):
         x, y, values = _grid(cells, column, cell_m)
         mesh = axes.pcolormesh(
-            x, y, values, cmap=colours, rasterized=True, vmin=0, vmax=1 if "delivery" in column else None
+            x, y, values, cmap=colours, rasterized=True, vmin=0, vmax=1 if column == "pdr" else None
         )
         axes.set_aspect("equal")
         axes.grid(visible=False)

@@ -13,7 +13,7 @@ from numpy import ndarray
 
 from results.figures import style
 
-REAL, FALSE, TRUTH = style.ink(0), style.ink(1), style.ink(2)
+REAL, FALSE, TRUTH = style.ROLE_INKS["honest"], style.ROLE_INKS["malicious"], style.ink(2)
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +35,7 @@ def from_above(
     names: Sequence[str],
     window_m: tuple[float, float, float, float],
 ) -> Figure:
-    """The scene side by side as different eyes have it; `truth` are the footprints of what really stands there.
+    """The scene side by side as different vehicles have it; `truth` are the footprints of what really stands there.
 
     Parameters
     ----------
@@ -65,7 +65,7 @@ def from_above(
     style.legend(figure, [
         Line2D([], [], color=TRUTH, linewidth=2.2, label="really there"),
         Line2D([], [], color=REAL, linewidth=1.0, label="reported (score)"),
-        Line2D([], [], color=FALSE, linewidth=1.0, marker="s", markerfacecolor="none", linestyle="", label="invented"),
+        Line2D([], [], color=FALSE, linewidth=1.0, marker="s", markerfacecolor="none", linestyle="", label="fabricated"),
         Line2D([], [], color=style.PALE, marker=".", linestyle="", label="LiDAR returns"),
     ])  # fmt: skip
     return figure
@@ -94,27 +94,29 @@ class Curve:
 
     trust: Float[ndarray, "f"]
     expected: Float[ndarray, "f"]
+    is_malicious: bool = False
 
 
 @style.styled
 def trust_over_frames(
-    curves: Mapping[str, Curve], printed: Sequence[tuple[float, float]], first_lie: int, expected_from: str
+    curves: Mapping[str, Curve], printed: Sequence[tuple[float, float]], attack_start: int, expected_from: str
 ) -> Figure:
     """Trust after each frame: obtained, expected, and the values that the paper prints (frame, trust)."""
     figure, (axis,) = style.sheet(height=4.2)
-    axis.axvline(first_lie, color=style.PALE, linewidth=0.9)
-    axis.annotate("lies begin", (first_lie, 0.02), xytext=(-4, 0), textcoords="offset points", ha="right", fontsize=8)
+    axis.axvline(attack_start, color=style.PALE, linewidth=0.9)
+    axis.annotate("attack begins", (attack_start, 0.02), xytext=(-4, 0), textcoords="offset points", ha="right", fontsize=8)
     entries = []
     for i, (name, curve) in enumerate(curves.items()):
         frames = 1 + np.arange(len(curve.trust))
+        ink = style.ROLE_INKS["malicious"] if curve.is_malicious else style.ink(i)
         axis.plot(
-            frames, curve.trust, color=style.ink(i), marker=style.marker(i),
+            frames, curve.trust, color=ink, marker=style.marker(i),
             markevery=(2 * i, style.sparse(len(frames))),
         )  # fmt: skip
-        axis.plot(frames, curve.expected, color=style.ink(i), linestyle=style.dash(1), linewidth=1.0)
-        entries.append(Line2D([], [], color=style.ink(i), marker=style.marker(i), label=name))
+        axis.plot(frames, curve.expected, color=ink, linestyle=style.dash(1), linewidth=1.0)
+        entries.append(Line2D([], [], color=ink, marker=style.marker(i), label=name))
     axis.plot(*np.transpose(printed), "x", color="black", markersize=6, markeredgewidth=1.4, clip_on=False, zorder=5)
-    style.panel(axis, "Trust in the vehicles of scenario 2", "Frames judged", "Trust")
+    style.panel(axis, "Trust in the vehicles of scenario 2", "Frames evaluated", "Trust")
     style.share_axis(axis)
     axis.set_xlim(0, 1 + max(len(c.trust) for c in curves.values()))
     entries += [

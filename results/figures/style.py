@@ -1,8 +1,8 @@
-"""The house style of pictures: legible in print, in greyscale, and side by side."""
+"""The style of all pictures: legible in print, in greyscale, and side by side."""
 
 import base64
 import io
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import wraps
 from pathlib import Path
 from typing import Any, BinaryIO, ParamSpec
@@ -21,13 +21,17 @@ TIME = "Time [s]"
 INKS = ("#16325c", "#c4502e", "#63b0a2", "#ecb938", "#8c6bb1", "#6f6f6f")
 """Colours of what is compared within a run; dark to light, so that grey tells them apart too."""
 MARKERS = ("o", "^", "s", "D", "v", "P")
+ROLE_INKS: Mapping[str, str] = {"honest": INKS[0], "unreliable": INKS[3], "malicious": INKS[1]}
+"""One colour per role in every picture; malicious is red."""
+_MORE_ROLES = (INKS[4], INKS[2], INKS[5])
+"""Colours of roles of a user's own."""
 DASHES: tuple[Any, ...] = ("-", (0, (5, 2)), (0, (1, 1.2)), (0, (5, 1.5, 1, 1.5)), (0, (8, 2)), (0, (3, 1, 1, 1, 1, 1)))
 """Line styles, one per run."""
 HATCHES = ("", "///", "...", "xx", "\\\\", "++")
 PALE = "#b4bac4"
 FORMATS = (".png", ".svg", ".pdf")
 
-_HOUSE: dict[Any, Any] = {
+_STYLE: dict[Any, Any] = {
     "font.family": "DejaVu Sans",
     "font.size": 9,
     "axes.titlesize": 9.5,
@@ -60,11 +64,11 @@ P = ParamSpec("P")
 
 
 def styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
-    """In the house style, whatever the user's own Matplotlib settings are."""
+    """In this style, whatever the user's own Matplotlib settings are."""
 
     @wraps(draw)
     def drawn(*args: P.args, **kwargs: P.kwargs) -> Figure:
-        with mpl.rc_context(_HOUSE):
+        with mpl.rc_context(_STYLE):
             figure = draw(*args, **kwargs)
             figure.canvas.draw()  # settles the layout while the style holds
         return figure
@@ -174,8 +178,25 @@ def marker(i: int) -> str:
     return MARKERS[i % len(MARKERS)]
 
 
+def role_look(role: str, roles: Sequence[str]) -> dict[str, Any]:
+    """Colour and marker of a role; `roles` are all of the run, in the order of their codes."""
+    own = [name for name in roles if name not in ROLE_INKS]
+    color = ROLE_INKS[role] if role in ROLE_INKS else _MORE_ROLES[own.index(role) % len(_MORE_ROLES)]
+    return {"color": color, "marker": marker(list(roles).index(role))}
+
+
+def role_entries(shown: Iterable[str], roles: Sequence[str]) -> list[Line2D]:
+    """Legend entries of the roles shown, in the order of their codes."""
+    return [Line2D([], [], **role_look(role, roles), label=role) for role in roles if role in set(shown)]
+
+
+def roles_of(runs: Sequence[Run]) -> list[str]:
+    """Roles of all runs, each once."""
+    return list(dict.fromkeys(role for run in runs for role in run.role_labels))
+
+
 def sparse(n: int, about: int = 10) -> int:
-    """Every how many points a marker stands."""
+    """Points per marker."""
     return max(1, n // about)
 
 
@@ -198,7 +219,7 @@ def save(figure: Figure, path: str | Path) -> Path:
 def write(figure: Figure, target: str | Path | BinaryIO, kind: str) -> None:
     """Write a picture as `png`, `svg` or `pdf`; the same picture gives the same bytes."""
     metadata = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}.get(kind, {})
-    with mpl.rc_context(_HOUSE):
+    with mpl.rc_context(_STYLE):
         figure.savefig(target, format=kind, metadata=metadata)
 
 

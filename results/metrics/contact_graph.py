@@ -1,4 +1,4 @@
-"""Who can talk to whom: the graph of contacts over time, and what could spread along it."""
+"""The graph of contacts over time, and how far a message could spread along it."""
 
 import heapq
 from collections import defaultdict
@@ -17,7 +17,7 @@ def contacts(run: Run, radius_m: float | None = None, pairs: str | None = None) 
     """Intervals of contact: a, b, start_s, end_s; of the smallest radius and the first kind of pairs, unless named."""
     frame = run.table("encounters", ["a", "b", "start_step", "end_step", "radius_m", "pairs"])
     if frame.empty:
-        raise ValueError(f"{run.path} holds no encounters: nobody came within the radius of anybody.")
+        raise ValueError(f"{run.path} holds no encounters: no two came within the radius of each other.")
     for name, wanted in (("radius_m", radius_m), ("pairs", pairs)):
         there = sorted(frame[name].unique().tolist())
         chosen = there[0] if wanted is None else wanted
@@ -56,20 +56,20 @@ def over_time(run: Run, every_s: float = 10.0, radius_m: float | None = None, pa
     return pd.DataFrame(rows)
 
 
-def spread(
+def temporal_reachability(
     run: Run, every_s: float = 10.0, radius_m: float | None = None, pairs: str | None = None, start_s: float = 0.0
 ) -> pd.DataFrame:
-    """How far news could go: the temporal reachability of the contact graph, from many actors at once.
+    """Temporal reachability of the contact graph: how far a message could spread, from many actors at once.
 
     Returns
     -------
-    time_s; n_met: actors with a contact since `start_s`; reached_mean, reached_min: share of them that news of one
-    actor has reached, if every contact passes it on at once; over 64 sources, spread evenly over those in contact
+    time_s; n_met: actors with a contact since `start_s`; reached_mean, reached_min: share of them that a message of one
+    actor has reached, if every contact forwards it at once; over 64 sources, taken evenly from those in contact
     at the start.
 
     Notes
     -----
-    Contacts are looked at every `every_s`: shorter ones may be missed, so this is a lower bound; `arrivals` is exact.
+    Contacts are sampled every `every_s`: shorter ones may be missed, so this is a lower bound; `arrivals` is exact.
     """
     rows = []
     known = np.zeros(0, np.uint64)  # by actor, one bit per source
@@ -104,7 +104,7 @@ def _instants(
     """At regular instants: time [s], contacts, actors with one, and the component that each belongs to."""
     frame = contacts(run, radius_m, pairs)
     start, end = (np.ceil(frame[name].to_numpy() / every_s).astype(np.int64) for name in ("start_s", "end_s"))
-    n_instants = end - start  # at which each contact is seen
+    n_instants = end - start  # at which each contact is sampled
     contact = np.repeat(np.arange(len(frame)), n_instants)
     instant = np.arange(len(contact)) - np.repeat(np.cumsum(n_instants) - n_instants - start, n_instants)
     order = np.argsort(instant, kind="stable")
@@ -118,10 +118,11 @@ def _instants(
         yield float(time * every_s), len(now), actors, member
 
 
-def relays(run: Run, start_s: float = 0.0, end_s: float = np.inf) -> nx.DiGraph:
-    """Who heard whom, in a time span: edges from sender to receiver with `n` messages and mean `hops`, `latency_s`."""
+def reception_graph(run: Run, start_s: float = 0.0, end_s: float = np.inf) -> nx.DiGraph:
+    """Receptions in a time span: edges from sending to receiving vehicle with `n` messages, mean `hops`, `latency_s`."""
     frame = run.table("receptions", ["step", "sender", "receiver", "hops", "latency_s"])
     frame = frame[(frame.step * run.dt_s >= start_s) & (frame.step * run.dt_s < end_s)]
+    frame = frame.assign(sender=frame.sender.map(run.subjects.vehicle))
     edges = frame.groupby(["sender", "receiver"]).agg(
         n=("hops", "size"), hops=("hops", "mean"), latency_s=("latency_s", "mean")
     )
@@ -131,10 +132,10 @@ def relays(run: Run, start_s: float = 0.0, end_s: float = np.inf) -> nx.DiGraph:
 def arrivals(
     run: Run, actor: int, start_s: float = 0.0, radius_m: float | None = None, pairs: str | None = None
 ) -> pd.DataFrame:
-    """When news of one actor could reach the others, if every contact passes it on at once: actor, time_s.
+    """When a message of one actor could reach the others, if every contact forwards it at once: actor, time_s.
 
-    The temporal reachability of the contact graph; only those it reaches have a row. See `news` for that of the
-    messages that were really delivered, and `spread` for many actors at once.
+    The temporal reachability of the contact graph; only those it reaches have a row. See `message_reachability` for that
+    of the messages that were received, and `temporal_reachability` for many actors at once.
     """
     frame = contacts(run, radius_m, pairs)
     meets: dict[int, list[tuple[int, float, float]]] = defaultdict(list)
@@ -154,17 +155,18 @@ def arrivals(
     return pd.DataFrame({"actor": reached.keys(), "time_s": reached.values()})
 
 
-def news(run: Run, actor: int, start_s: float = 0.0) -> pd.DataFrame:
-    """When news of one vehicle reached the others by messages that were really delivered: actor, time_s, n_messages.
+def message_reachability(run: Run, vehicle: int, start_s: float = 0.0) -> pd.DataFrame:
+    """When news of one vehicle reached the others by messages that were received: vehicle, time_s, n_messages.
 
-    The temporal reachability of the relay graph. What is received in one step is passed on from the next one on;
+    The temporal reachability of the relay graph. What is received in one step is forwarded from the next one on;
     `n_messages` is the length of the chain that came first.
     """
-    time_s, length = {actor: start_s}, {actor: 0}
+    time_s, length = {vehicle: start_s}, {vehicle: 0}
     for part in run.parts("receptions", ["step", "sender", "receiver", "latency_s"]):
+        part = part.assign(sender=part.sender.map(run.subjects.vehicle))
         for _, now in part[part.step * run.dt_s >= start_s].groupby("step"):
             now = now[now.sender.isin(list(time_s)) & ~now.receiver.isin(list(time_s))].sort_values("latency_s")
             now = now.drop_duplicates("receiver")
             time_s.update(zip(now.receiver, now.step * run.dt_s + now.latency_s, strict=True))
             length.update(zip(now.receiver, now.sender.map(length) + 1, strict=True))
-    return pd.DataFrame({"actor": time_s.keys(), "time_s": time_s.values(), "n_messages": length.values()})
+    return pd.DataFrame({"vehicle": time_s.keys(), "time_s": time_s.values(), "n_messages": length.values()})

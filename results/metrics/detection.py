@@ -1,13 +1,26 @@
-"""What vehicles see and believe, against the truth: average precision, awareness, success of attacks."""
+"""Detections and fused objects against ground truth: average precision, awareness, success of attacks."""
 
 import numpy as np
 import pandas as pd
 import pyarrow.compute as pc
 
-from results.metrics.kitti_frames import TABLE_OF, Lists, actors_ahead, at_steps, boxes_ahead, near, posed, sampled_steps
+from results.metrics.kitti_frames import (
+    TABLE_OF,
+    Lists,
+    actors_ahead,
+    at_steps,
+    boxes_ahead,
+    near,
+    observed_by_vehicle,
+    posed,
+    sampled_steps,
+)
 from results.metrics.kitti import LEVELS, LOOSE, STRICT, Overlap, average_precision
 from results.run import Run
-from results.tables import CLASSES
+from results.codes import ObjectClass, labels
+
+
+CLASSES = labels(ObjectClass)
 
 
 def precision(
@@ -20,7 +33,7 @@ def precision(
 ) -> pd.DataFrame:
     """Average precision by KITTI's rules, ranked over all frames together.
 
-    A frame is what one equipped vehicle has ahead of it in one step: actors, and boxes, in its forward
+    A frame holds what is ahead of one equipped vehicle in one step: actors, and boxes, in its forward
     90 degrees up to `range_m`, itself left out.
 
     Parameters
@@ -32,7 +45,7 @@ def precision(
 
     Returns
     -------
-    boxes, class, level, ap11, ap40 (percent), n_truth, n_frames; classes that nobody met are left out.
+    boxes, class, level, ap11, ap40 (percent), n_truth, n_frames; classes without an object are left out.
 
     Notes
     -----
@@ -57,69 +70,70 @@ def precision(
                 for level in LEVELS
             ]  # fmt: skip
     if not rows:
-        raise ValueError(f"{run.path} holds no detections to judge: no equipped vehicle ever met anybody.")
+        raise ValueError(f"{run.path} holds no detections to rank: no equipped vehicle ever had an actor ahead of it.")
     return pd.DataFrame(rows)
 
 
 def awareness(
-    run: Run, range_m: float = 70.0, distance_bin_m: float = 10.0, min_score: float = 0.5, max_frames: int = 4000
+    run: Run, range_m: float = 70.0, bin_m: float = 10.0, min_score: float = 0.5, max_frames: int = 4000
 ) -> pd.DataFrame:
-    """Share of the actors around an equipped vehicle that it knows of, by distance.
+    """Environmental awareness: share of the actors around an equipped vehicle that are in its list, by distance.
 
     Returns
     -------
-    boxes, distance_m (middle of the ring), n_present, n_known, share. Known is an actor that a box of at
-    least `min_score` is a true picture of.
+    boxes, distance_m (middle of the bin), n_present, n_known, share. An actor is known where a box of at
+    least `min_score` is really its.
     """
     steps = sampled_steps(run, max_frames)
     poses, actors = posed(run, steps)
     i, j = near(poses, actors, range_m)
     around = pd.DataFrame({
         "step": poses.step.to_numpy()[i], "observer": poses.observer.to_numpy()[i], "actor": actors.actor.to_numpy()[j],
-        "ring": np.hypot(*(poses[["x_m", "y_m"]].to_numpy()[i] - actors[["x_m", "y_m"]].to_numpy()[j]).T) // distance_bin_m,
+        "bin": np.hypot(*(poses[["x_m", "y_m"]].to_numpy()[i] - actors[["x_m", "y_m"]].to_numpy()[j]).T) // bin_m,
     })  # fmt: skip
     around = around[around.observer != around.actor]
     if around.empty:
-        raise ValueError(f"{run.path}: no equipped vehicle ever had anybody within {range_m:g} m.")
+        raise ValueError(f"{run.path}: no equipped vehicle ever had an actor within {range_m:g} m.")
     rows = []
-    for which, table in TABLE_OF.items():
+    for which in TABLE_OF:
         good = (pc.field("score") >= min_score) & pc.field("truth_actor").is_valid() & at_steps(steps)
-        columns = ["step", "observer", "truth_actor", *(["kind"] if which == "local" else [])]
-        known = run.table(table, columns, where=good)
+        columns = ["step", "observer", "truth_actor", *(["origin"] if which == "local" else [])]
+        known = observed_by_vehicle(run, which, columns, good)
         if which == "local":
-            known = known[known.kind == "sensed"]
+            known = known[known.origin == "sensed"]
         known = known[["step", "observer", "truth_actor"]].drop_duplicates().astype(np.int64)
         key = pd.MultiIndex.from_frame(around[["step", "observer", "actor"]])
         seen = key.isin(pd.MultiIndex.from_frame(known))
-        counts = pd.DataFrame({"ring": around.ring, "known": seen}).groupby("ring").known.agg(["size", "sum"])
+        counts = pd.DataFrame({"bin": around.bin, "known": seen}).groupby("bin").known.agg(["size", "sum"])
         rows.append(pd.DataFrame({
-            "boxes": which, "distance_m": (counts.index + 0.5) * distance_bin_m, "n_present": counts["size"],
+            "boxes": which, "distance_m": (counts.index + 0.5) * bin_m, "n_present": counts["size"],
             "n_known": counts["sum"], "share": counts["sum"] / counts["size"],
         }))  # fmt: skip
     return pd.concat(rows, ignore_index=True)
 
 
 def attack_success(run: Run, min_score: float = 0.5) -> pd.DataFrame:
-    """How many made-up boxes are believed.
+    """How many fabricated boxes are accepted by other vehicles.
 
     Returns
     -------
-    One row: n_fabricated (boxes sent), n_believed (by at least one other vehicle, with at least `min_score`),
-    share, and victims_mean: vehicles that believe a believed one.
+    One row: n_fabricated (boxes sent), n_accepted (by at least one other vehicle, with at least `min_score`),
+    share, and victims_mean: vehicles that accept an accepted one.
     """
     run.require("detections", "fused")
-    made = run.table(
-        "detections", ["step", "observer", "k", "kind"], where=pc.field("said") & pc.field("truth_actor").is_null()
+    sent = run.table(
+        "detections", ["origin"], where=pc.field("transmitted") & pc.field("truth_actor").is_null()
     )
-    n_made = int((made.kind == "fabricated").sum())
+    n_made = int((sent.origin == "fabricated").sum())
     if not n_made:
-        raise ValueError(f"{run.path} holds no attack: nobody made up a box. Raise fleet.malicious_p and run again.")
-    believed = run.table(
+        raise ValueError(f"{run.path} holds no attack: no vehicle fabricated a box. Raise fleet.malicious_p and run again.")
+    accepted = run.variant_table(
         "fused", ["step", "observer", "source", "source_index"],
         where=pc.field("fabricated") & (pc.field("score") >= min_score),
     )  # fmt: skip
-    victims = believed[believed.observer != believed.source].groupby(["step", "source", "source_index"]).observer.nunique()
+    attacker = accepted.source.map(run.subjects.vehicle)
+    victims = accepted[accepted.observer != attacker].groupby(["step", "source", "source_index"]).observer.nunique()
     return pd.DataFrame([{
-        "n_fabricated": n_made, "n_believed": len(victims), "share": len(victims) / n_made,
+        "n_fabricated": n_made, "n_accepted": len(victims), "share": len(victims) / n_made,
         "victims_mean": float(victims.mean()) if len(victims) else 0.0,
     }])  # fmt: skip

@@ -1,4 +1,4 @@
-"""How long vehicles meet: counts, durations, and survival with censoring in mind."""
+"""Encounters: counts, durations, and survival with censoring in mind."""
 
 from typing import Literal
 
@@ -9,61 +9,64 @@ from results.metrics.survival import kaplan_meier, median, restricted_mean
 from results.run import Run
 
 Departure = Literal["ends", "censors"]
-"""Whether an actor that leaves the simulation ends its encounters, or only our sight of them."""
+"""Whether an actor that leaves the simulation ends its encounters, or censors them."""
+
+DEFINITION = ("pairs", "radius_m", "hysteresis_s")
+"""Columns that say which definition of an encounter a row is of."""
 
 _COLUMNS = (
-    "pairs", "radius_m", "duration_s", "censored_left", "censored_right", "departed", "gap_s",
+    "pairs", "radius_m", "hysteresis_s", "duration_s", "censored_left", "censored_right", "departed", "gap_s",
 )  # fmt: skip
 
 
 def durations(run: Run, departure: Departure = "ends") -> pd.DataFrame:
-    """One row per encounter: pairs, radius_m, duration_s, gap_s, `start_seen` and `end_seen`."""
+    """One row per encounter: pairs, radius_m, hysteresis_s, duration_s, gap_s, `start_seen` and `end_seen`."""
     frame = run.table("encounters", _COLUMNS)
     if frame.empty:
         raise ValueError(
-            f"{run.path} holds no encounters: nobody came within the radius of anybody. "
+            f"{run.path} holds no encounters: no two came within the radius of each other. "
             "Raise encounters.radius_m, fleet.penetration_p or traffic.duration_s and run again."
         )
     end_seen = ~frame.censored_right
     if departure == "censors":
         end_seen &= ~frame.departed
     return frame.assign(start_seen=~frame.censored_left, end_seen=end_seen)[
-        ["pairs", "radius_m", "duration_s", "gap_s", "start_seen", "end_seen"]
+        [*DEFINITION, "duration_s", "gap_s", "start_seen", "end_seen"]
     ]
 
 
 def survival(run: Run, departure: Departure = "ends") -> pd.DataFrame:
-    """Share of encounters that last longer than a duration (Kaplan and Meier 1958), by pairs and radius.
+    """Share of encounters that last longer than a duration (Kaplan and Meier 1958), by definition of the config.
 
     Returns
     -------
-    pairs, radius_m, duration_s, survival, and low, high: its 95 % confidence band (Greenwood, log-log).
+    pairs, radius_m, hysteresis_s, duration_s, survival, and low, high: its 95 % confidence band (Greenwood, log-log).
 
     Notes
     -----
-    Encounters whose end was not seen count for as long as they were seen. Those whose start was not seen are
+    Encounters whose end was not observed count for as long as they were observed. Those whose start was not observed are
     left out: they are a sample biased to long ones, of unknown age (`summary` says how many).
     """
-    groups = durations(run, departure).groupby(["pairs", "radius_m"], observed=True)
+    groups = durations(run, departure).groupby([*DEFINITION], observed=True)
     curves = {kind: _curve(frame) for kind, frame in groups}
-    return pd.concat(curves, names=["pairs", "radius_m"]).droplevel(-1).reset_index()
+    return pd.concat(curves, names=[*DEFINITION]).droplevel(-1).reset_index()
 
 
 def summary(run: Run, departure: Departure = "ends") -> pd.DataFrame:
-    """Counts and durations, by pairs and radius.
+    """Counts and durations, by definition of the config.
 
     Returns
     -------
     n; n_start_unseen, n_end_unseen (censored left and right); mean_s, median_s of the durations as recorded;
-    km_median_s (null where more than half were not seen to end) and km_mean_s, restricted to the longest
-    duration seen, `horizon_s`; again_share: share that meet again, gap_median_s: after this time.
+    km_median_s (null where more than half were not observed to end) and km_mean_s, restricted to the longest
+    duration observed, `horizon_s`; again_share: share that are not the first of their pair, gap_median_s: after this time.
     """
     rows = []
-    for (pairs, radius_m), frame in durations(run, departure).groupby(["pairs", "radius_m"], observed=True):
+    for (pairs, radius_m, hysteresis_s), frame in durations(run, departure).groupby([*DEFINITION], observed=True):
         curve = _curve(frame)
         again = frame.gap_s.dropna()
         rows.append({
-            "pairs": pairs, "radius_m": radius_m, "n": len(frame),
+            "pairs": pairs, "radius_m": radius_m, "hysteresis_s": hysteresis_s, "n": len(frame),
             "n_start_unseen": int((~frame.start_seen).sum()), "n_end_unseen": int((~frame.end_seen).sum()),
             "mean_s": float(frame.duration_s.mean()), "median_s": float(frame.duration_s.median()),
             "km_mean_s": restricted_mean(curve), "km_median_s": median(curve),

@@ -1,4 +1,4 @@
-"""What the frames of average precision hold: the boxes ahead of one equipped vehicle in one step."""
+"""Frames for average precision: the boxes ahead of one equipped vehicle in one step."""
 
 from typing import Literal
 
@@ -12,12 +12,12 @@ from results.metrics.overlap import corners
 from results.run import Run
 
 Lists = Literal["local", "fused"]
-"""Boxes of a vehicle's own sensor, or those it believes in the end."""
+"""Detections of a vehicle's own sensor, or its fused objects."""
 
 TABLE_OF: dict[Lists, str] = {"local": "detections", "fused": "fused"}
 
 BOX = ("x_m", "y_m", "z_m", "length_m", "width_m", "height_m", "yaw_rad")
-_CLASS_OF_KIND = {
+_OBJECT_CLASS = {
     "car": "car", "van": "car", "truck": "truck", "bus": "truck",
     "motorcycle": "cyclist", "bicycle": "cyclist", "pedestrian": "pedestrian",
 }  # fmt: skip
@@ -46,12 +46,20 @@ def at_steps(steps: np.ndarray) -> pc.Expression:
 def posed(run: Run, steps: np.ndarray) -> tuple[Poses, pd.DataFrame]:
     """Observers, and all actors with their size and class, in these steps."""
     actors = run.table("actors", ["step", "actor", "x_m", "y_m", "z_m", "yaw_rad"], where=at_steps(steps))
-    vehicles = run.table("vehicles", ["vehicle", "kind", "length_m", "width_m", "height_m", "equipped"])
-    vehicles["label"] = vehicles.kind.astype(object).map(_CLASS_OF_KIND)
-    actors = actors.merge(vehicles.drop(columns="kind"), left_on="actor", right_on="vehicle").drop(columns="vehicle")
+    vehicles = run.table("vehicles", ["vehicle", "vehicle_class", "length_m", "width_m", "height_m", "equipped"])
+    vehicles["label"] = vehicles.vehicle_class.astype(object).map(_OBJECT_CLASS)
+    actors = actors.merge(vehicles.drop(columns="vehicle_class"), left_on="actor", right_on="vehicle").drop(columns="vehicle")
     actors = actors.sort_values(["step", "actor"], ignore_index=True)
     poses = actors[actors.equipped].rename(columns={"actor": "observer"}).reset_index(drop=True)
     return poses.assign(frame=np.arange(len(poses))), actors
+
+
+def observed_by_vehicle(run: Run, which: Lists, columns: list[str], where: pc.Expression) -> pd.DataFrame:
+    """Rows of `detections` or `fused`, with the actor number of the observer in place of its pseudonym."""
+    frame = run.variant_table(TABLE_OF[which], columns, where)
+    if which == "local" and len(frame):
+        frame = frame.assign(observer=frame.observer.map(run.subjects.vehicle))
+    return frame
 
 
 def near(poses: Poses, actors: pd.DataFrame, range_m: float) -> tuple[np.ndarray, np.ndarray]:
@@ -89,13 +97,14 @@ def actors_ahead(run: Run, steps: np.ndarray, range_m: float) -> tuple[Objects, 
 
 def boxes_ahead(run: Run, which: Lists, steps: np.ndarray, poses: Poses, range_m: float) -> Objects:
     """Boxes ahead of each equipped vehicle, numbered by the frames of `poses`."""
-    columns = ["step", "observer", "k", "class", *BOX, "score"]
-    where = at_steps(steps) if which == "fused" else at_steps(steps) & (pc.field("kind") == "sensed")
-    boxes = run.table(TABLE_OF[which], columns, where)
+    index = "fused_index" if which == "fused" else "detection_index"
+    columns = ["step", "observer", index, "class", *BOX, "score"]
+    where = at_steps(steps) if which == "fused" else at_steps(steps) & (pc.field("origin") == "sensed")
+    boxes = observed_by_vehicle(run, which, columns, where)
     frames = poses.set_index(["step", "observer"]).frame
     at = frames.reindex(pd.MultiIndex.from_frame(boxes[["step", "observer"]])).to_numpy(np.float64)
     boxes, at = boxes[~np.isnan(at)], at[~np.isnan(at)].astype(int)
-    order = np.lexsort([boxes.k, at])
+    order = np.lexsort([boxes[index], at])
     boxes, at = boxes.iloc[order], at[order]
     box, ahead, height_px = ahead_of(poses, at, boxes[[*BOX]].to_numpy(np.float64), range_m)
     n = int(ahead.sum())

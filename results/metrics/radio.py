@@ -1,6 +1,6 @@
-"""What the channel does: how much of what could be heard is heard, where the rest goes, how far it carries.
+"""The channel: packet delivery ratio, losses by cause, latency, packet inter-reception time, channel busy ratio.
 
-No figure of a radio means much without `conditions`.
+Read them beside `conditions`, the assumptions that they rest on.
 """
 
 from typing import Any, Literal
@@ -9,7 +9,10 @@ import numpy as np
 import pandas as pd
 import pyarrow.compute as pc
 
+from results.codes import DISTANCE_BIN_M, LATENCY_EDGES_S
 from results.run import Run
+
+MessageType = Literal["cpm", "evaluation"]
 
 LOST = ("n_lost_propagation", "n_lost_collision", "n_lost_receiver_busy", "n_lost_expired", "n_lost_late")
 
@@ -17,90 +20,91 @@ LOST = ("n_lost_propagation", "n_lost_collision", "n_lost_receiver_busy", "n_los
 def _traffic(run: Run) -> pd.DataFrame:
     frame = run.radio
     if not frame.n_in_range.sum():
-        raise ValueError(f"{run.path} holds no radio traffic: nobody had anybody in reach. Widen radio.reach_m.")
+        raise ValueError(f"{run.path} holds no radio traffic: no vehicle had another in range. Raise radio.range_m.")
     return frame
 
 
-def overall(run: Run) -> pd.DataFrame:
-    """One row: n_sent, n_in_range, delivery_ratio, the share lost to each cause, bytes, mean cbr."""
+def overall(run: Run, message_type: MessageType | None = None) -> pd.DataFrame:
+    """One row, of one message type or of all: n_sent, n_in_range, pdr, shares lost by cause, sent_bytes, mean cbr."""
     frame = _traffic(run)
-    total = frame[["n_sent", "n_in_range", "n_delivered", *LOST, "bytes"]].astype(np.float64).sum()
+    if message_type is not None:
+        frame = frame[frame.message_type == message_type]
+    total = frame[["n_sent", "n_in_range", "n_delivered", *LOST, "sent_bytes"]].astype(np.float64).sum()
     row = {
         "n_sent": int(total.n_sent), "n_in_range": int(total.n_in_range),
-        "delivery_ratio": total.n_delivered / total.n_in_range,
-        **{name.replace("n_lost", "lost"): total[name] / total.n_in_range for name in LOST},
-        "bytes": total.bytes, "cbr": frame.cbr.mean(),
+        "pdr": total.n_delivered / total.n_in_range if total.n_in_range else np.nan,
+        **{name[2:]: total[name] / total.n_in_range if total.n_in_range else np.nan for name in LOST},
+        "sent_bytes": total.sent_bytes, "cbr": frame.cbr.mean(),
     }  # fmt: skip
     return pd.DataFrame([row])
 
 
 def over_time(run: Run, every_s: float = 10.0) -> pd.DataFrame:
-    """Delivery by time: time_s, n_in_range, delivery_ratio, cbr."""
+    """Packet delivery ratio by time: time_s, n_in_range, pdr, cbr."""
     frame = _traffic(run)
     slots = frame.groupby(np.floor(frame.step * run.dt_s / every_s) * every_s)
     total = slots[["n_in_range", "n_delivered"]].sum()
     total = total[total.n_in_range > 0]
     return pd.DataFrame({
         "time_s": total.index, "n_in_range": total.n_in_range.to_numpy(),
-        "delivery_ratio": (total.n_delivered / total.n_in_range).to_numpy(),
+        "pdr": (total.n_delivered / total.n_in_range).to_numpy(),
         "cbr": slots.cbr.mean().reindex(total.index).to_numpy(),
     })  # fmt: skip
 
 
-def by_distance(run: Run, by_view: bool = False) -> pd.DataFrame:
-    """Delivery by distance: distance_bin_m (lower edge), distance_m (middle), n_in_range, delivery_ratio, shares lost.
+def by_distance(run: Run, by_los: bool = False) -> pd.DataFrame:
+    """Packet delivery ratio by distance: distance_bin_m (lower edge), distance_m (middle), n_in_range, pdr, shares lost.
 
-    With `by_view` also by what stands between the two ends: view is open, wall, or unknown.
+    With `by_los` also by line of sight between the two ends: los_state is los, nlos, or unknown.
     """
-    by = ["view", "distance_bin_m"] if by_view else ["distance_bin_m"]
+    by = ["los_state", "distance_bin_m"] if by_los else ["distance_bin_m"]
     counts = ["n_in_range", "n_delivered", *LOST]
     total = run.pdr_by_distance.groupby(by, observed=True)[counts].sum()
     total = total[total.n_in_range > 0].reset_index()
     if total.empty:
-        raise ValueError(f"{run.path} holds no radio traffic: nobody had anybody in reach. Widen radio.reach_m.")
-    rings = np.unique(total.distance_bin_m)
-    width = int(np.diff(rings).min()) if len(rings) > 1 else 0
-    shares = {name.replace("n_lost", "lost"): total[name] / total.n_in_range for name in LOST}
+        raise ValueError(f"{run.path} holds no radio traffic: no vehicle had another in range. Raise radio.range_m.")
+    shares = {name[2:]: total[name] / total.n_in_range for name in LOST}
     return pd.DataFrame({
-        **{name: total[name] for name in by}, "distance_m": total.distance_bin_m + width / 2, "n_in_range": total.n_in_range,
-        "delivery_ratio": total.n_delivered / total.n_in_range, **shares,
+        **{name: total[name] for name in by}, "distance_m": total.distance_bin_m + DISTANCE_BIN_M / 2, "n_in_range": total.n_in_range,
+        "pdr": total.n_delivered / total.n_in_range, **shares,
     })  # fmt: skip
 
 
 def latency(run: Run) -> pd.DataFrame:
-    """Latency from generation to reception: message, latency_s (upper edge of the bin), n_delivered, share up to it."""
-    frame = run.latency_histogram.groupby(["message", "latency_s"], observed=True).n_delivered.sum().reset_index()
+    """Latency from generation to reception: message_type, latency_s (upper edge of the bin), n_delivered, share up to it."""
+    frame = run.latency_histogram.groupby(["message_type", "latency_s"], observed=True).n_delivered.sum().reset_index()
     if frame.empty:
-        raise ValueError(f"{run.path} holds no radio traffic: nobody heard anybody. Widen radio.reach_m.")
-    messages = frame.groupby("message", observed=True).n_delivered
+        raise ValueError(f"{run.path} holds no radio traffic: no message was received. Raise radio.range_m.")
+    messages = frame.groupby("message_type", observed=True).n_delivered
     frame["share"] = messages.cumsum() / messages.transform("sum")
-    frame["latency_s"] = frame.latency_s.astype(np.float64) * np.sqrt(2)
+    lower_s = frame.latency_s.to_numpy(np.float64) * (1 + 1e-6)  # stored in single precision
+    frame["latency_s"] = LATENCY_EDGES_S[np.searchsorted(LATENCY_EDGES_S, lower_s).clip(max=len(LATENCY_EDGES_S) - 1)]
     return frame
 
 
-def inter_reception(run: Run, message: Literal["detections", "evaluations"] = "detections") -> pd.DataFrame:
-    """Time between successive messages of one vehicle at another, while the two are within reach.
+def inter_reception(run: Run, message_type: MessageType = "cpm") -> pd.DataFrame:
+    """Packet inter-reception time: between successive messages of one vehicle at another, while within range.
 
     Returns
     -------
-    gap_s, n_lost (messages in between), n_received and n_censored (silences so long that ended in a reception, or in
-    the two parting), longer: share of silences that last longer than this, by Kaplan-Meier, parting being no end.
+    pir_s, n_lost (messages in between), n_received and n_censored (intervals so long that a reception ended, or
+    that were cut off when the two got out of range), longer: share of intervals that last longer, by Kaplan-Meier.
     """
-    frame = run.packet_inter_reception[run.packet_inter_reception.message == message].groupby("pir_steps")[["n_received", "n_censored"]].sum()
+    frame = run.packet_inter_reception[run.packet_inter_reception.message_type == message_type].groupby("pir_steps")[["n_received", "n_censored"]].sum()
     if not frame.n_received.sum():
-        raise ValueError(f"{run.path} holds no two {message} in a row: nobody heard anybody twice. Run longer.")
-    ended, out_of_reach = frame.n_received.astype(np.float64), frame.n_censored
-    at_risk = (ended + out_of_reach)[::-1].cumsum()[::-1]
+        raise ValueError(f"{run.path} holds no two messages of type {message_type} in a row of any pair. Run longer.")
+    ended, censored = frame.n_received.astype(np.float64), frame.n_censored
+    at_risk = (ended + censored)[::-1].cumsum()[::-1]
     every = max(1, run.manifest.get("sense_every_steps", 1))
     n_lost = (frame.index // every - 1).to_numpy().clip(min=0)
     return pd.DataFrame({
-        "gap_s": frame.index * run.dt_s, "n_lost": n_lost, "n_received": frame.n_received,
-        "n_censored": out_of_reach, "longer": (1 - ended / at_risk).cumprod(),
+        "pir_s": frame.index * run.dt_s, "n_lost": n_lost, "n_received": frame.n_received,
+        "n_censored": censored, "longer": (1 - ended / at_risk).cumprod(),
     }).reset_index(drop=True)  # fmt: skip
 
 
 def by_place(run: Run, cell_m: float = 50.0) -> pd.DataFrame:
-    """What radios met with by where they were: x_m, y_m (middle of the cell), n, cbr, delivery_ratio."""
+    """The channel by place of the receiver: x_m, y_m (middle of the cell), n, cbr, pdr."""
     sums: list[pd.DataFrame] = []
     for channel in run.parts("vehicle_channel"):
         during = (pc.field("step") >= int(channel.step.min())) & (pc.field("step") <= int(channel.step.max()))
@@ -115,7 +119,7 @@ def by_place(run: Run, cell_m: float = 50.0) -> pd.DataFrame:
     total = pd.concat(sums).groupby(["x_m", "y_m"]).sum(min_count=1).reset_index()
     return pd.DataFrame({
         "x_m": total.x_m, "y_m": total.y_m, "n": total.n, "cbr": total.cbr / total.n,
-        "delivery_ratio": (total.n_received / total.n_in_range.where(total.n_in_range > 0)).astype(np.float64),
+        "pdr": (total.n_received / total.n_in_range.where(total.n_in_range > 0)).astype(np.float64),
     })  # fmt: skip
 
 
@@ -132,33 +136,43 @@ def to_server(run: Run) -> pd.DataFrame:
 
 
 def conditions(run: Run) -> pd.DataFrame:
-    """Under what assumptions the figures of the radio hold: condition, is (in words), value, unit."""
+    """Assumptions that the metrics of the radio rest on: condition, is (in words), value.
+
+    Conditions are named as the metrics `radio.condition.<name>`; of a user's own medium there are the few that every
+    medium has.
+    """
     radio: dict[str, Any] = run.config.get("radio", {})
     if "model" not in radio:
-        raise ValueError(f"{run.path}/manifest.json does not say what the radio was like.")
-    rows: list[tuple[str, str, float, str]] = [("model", radio["model"], np.nan, "")]
-    if radio["model"] == "disk":
-        rows += [
-            ("reach", "", radio["reach_m"], "m"), ("flat loss per hop", "", radio["disk"]["loss_p"], "1"),
-            *((name, "none: disk", np.nan, "") for name in ("receiver threshold", "non-line-of-sight model", "fading",
-              "congestion control")),
-        ]  # fmt: skip
-    else:
-        air, p = radio["propagation"], radio["receiver"]
-        urban = air["model"] in ("urban", "highway")
-        wall = {"3gpp": "TR 37.885 NLOS" if urban else "none", "sommer": f"{air['wall_db']:g} dB per wall, "
-                f"{air['indoors_db_per_m']:g} dB/m inside (Sommer)"}[air["walls"]]  # fmt: skip
-        shape = {"none": "none", "nakagami": "Nakagami m = 1.5 to 80 m, 0.75 beyond", "rayleigh": "Rayleigh",
-                 "cheng": "Nakagami, m by Cheng"}[air["fading"]]  # fmt: skip
-        rows += [
-            ("path loss", f"TR 37.885 {air['model']}" if urban else air["model"].replace("_", " "), np.nan, ""),
-            ("receiver threshold", f"SINR at least {p['sinr_min_db']:g} dB", p["p_min_dbm"], "dBm"),
-            ("non-line-of-sight model", wall, np.nan, ""), ("fading", shape, np.nan, ""),
-            ("congestion control", "reactive" if radio["dcc"]["enabled"] else "off", np.nan, ""),
-            ("reach", "", radio["reach_m"], "m"),
-        ]  # fmt: skip
-    rows += [
-        ("hops at most", "", radio["relay"]["max_hops"], ""),
-        ("penetration", ", ".join(run.config["fleet"]["equipped_kinds"]), run.config["fleet"]["penetration_p"], "1"),
+        raise ValueError(f"{run.path}/manifest.json holds no section radio in its config.")
+    rows: list[tuple[str, str, float]] = [
+        ("model", radio["model"], np.nan), ("range", "", radio.get("range_m", radio.get("reach_m", np.nan))),
+        ("max_hops", "", radio["relay"]["max_hops"]),
+        ("penetration", ", ".join(run.config["fleet"]["equipped_kinds"]), run.config["fleet"]["penetration_p"]),
+    ]  # fmt: skip
+    if radio["model"] in ("disk", "unit_disk"):
+        loss_p = radio.get("unit_disk", radio.get("disk"))["loss_p"]
+        rows += [("loss_per_hop", "", loss_p)]
+        rows += [(name, "not modelled", np.nan) for name in ("receiver_threshold", "nlos", "fading", "dcc")]
+    elif radio["model"] == "csma":
+        rows += _of_csma(radio["propagation"], radio["receiver"], radio["dcc"])
+    return pd.DataFrame(rows, columns=["condition", "is", "value"])
+
+
+def _of_csma(propagation: dict[str, Any], receiver: dict[str, Any], dcc: dict[str, Any]) -> list[tuple[str, str, float]]:
+    tr_37885 = propagation["model"] in ("urban", "highway")
+    nlos = {
+        "3gpp": "TR 37.885 NLOS" if tr_37885 else "none",
+        "sommer": f"{propagation['wall_db']:g} dB per wall, {propagation['indoors_db_per_m']:g} dB/m inside (Sommer)",
+    }[propagation["walls"]]
+    fading = {
+        "none": "none", "nakagami": "Nakagami m = 1.5 to 80 m, 0.75 beyond", "rayleigh": "Rayleigh",
+        "cheng": "Nakagami, m by Cheng",
+    }[propagation["fading"]]  # fmt: skip
+    path_loss = propagation["model"].replace("_", " ")
+    return [
+        ("path_loss", f"TR 37.885 {path_loss}" if tr_37885 else path_loss, np.nan),
+        ("receiver_threshold", f"SINR at least {receiver['sinr_min_db']:g} dB", receiver["p_min_dbm"]),
+        ("nlos", nlos, np.nan),
+        ("fading", fading, np.nan),
+        ("dcc", "reactive" if dcc["enabled"] else "off", np.nan),
     ]
-    return pd.DataFrame(rows, columns=["condition", "is", "value", "unit"])

@@ -1,0 +1,117 @@
+# ruff: noqa: E501 (a table is wide)
+"""Every metric by its identifier: label, unit and definition, said once.
+
+An identifier is `<topic>.<name>` or `<topic>.<name>.<statistic>` and never changes its meaning. What a metric is split
+by (role, message type, definition of an encounter) stands beside it, as the group of a row of `measure`.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from results.metrics.radio import LOST
+
+
+@dataclass(frozen=True, slots=True)
+class Metric:
+    """A number that a run is summed up by."""
+
+    label: str
+    unit: str
+    """Unit; "1" for shares and ratios, empty for counts."""
+    definition: str
+    group: str = ""
+    """What its group names; empty where it has none."""
+
+
+TOPICS: Mapping[str, str] = {
+    "traffic": "What was driven.",
+    "encounters": "Who was near whom, and for how long.",
+    "trust": "Trust in pseudonyms.",
+    "misbehaviour": "How well and how soon attackers are told from honest vehicles by trust.",
+    "freshness": "How old trust is when it is looked up.",
+    "radio": "What the radio delivers, beside the assumptions that this rests on.",
+    "detection": "Detections and fused objects against ground truth.",
+    "attack": "What attacks achieve.",
+}
+
+_ROLE, _DEFINITION, _MESSAGE_TYPE, _LIST = "role of the subject", "definition of an encounter", "message type", "own sensor or fused"
+_IN_WORDS = "what it is, in words"
+
+# fmt: off
+METRICS: Mapping[str, Metric] = {
+    "traffic.duration_s": Metric("recorded time", "s", "Simulated time that was recorded, warm-up left out."),
+    "traffic.actors.mean": Metric("actors on the road, mean", "", "Mean number of actors on the road, pedestrians included.", "all, or equipped vehicles"),
+    "traffic.equipped.n": Metric("equipped vehicles", "", "Equipped vehicles that were on the road at any time.", "role"),
+    "encounters.n": Metric("encounters", "", "Encounters, those under way at the beginning or at the end included.", _DEFINITION),
+    "encounters.censored_left.share": Metric("start not observed", "1", "Share of encounters under way when recording began.", _DEFINITION),
+    "encounters.censored_right.share": Metric("end not observed", "1", "Share of encounters not known to be over when recording ended.", _DEFINITION),
+    "encounters.duration.mean_s": Metric("duration, mean as recorded", "s", "Mean of the durations as recorded; too short where many are censored.", _DEFINITION),
+    "encounters.duration.median_s": Metric("duration, median as recorded", "s", "Median of the durations as recorded; too short where many are censored.", _DEFINITION),
+    "encounters.duration.km_mean_s": Metric("duration, mean (Kaplan-Meier)", "s", "Mean duration up to the longest observed, by the Kaplan-Meier estimator; encounters whose start was not observed are left out.", _DEFINITION),
+    "encounters.duration.km_median_s": Metric("duration, median (Kaplan-Meier)", "s", "Duration that half of the encounters outlast, by the Kaplan-Meier estimator; missing where more than half are censored.", _DEFINITION),
+    "encounters.again.share": Metric("repeated encounters", "1", "Share of encounters that are not the first of their pair.", _DEFINITION),
+    "trust.final.median": Metric("final trust, median", "1", "Median over pseudonyms of the last trust value of each while in use; without a server, of the mean of the values that receivers hold.", _ROLE),
+    "trust.final.mean": Metric("final trust, mean", "1", "Mean over pseudonyms of the last trust value of each while in use.", _ROLE),
+    "trust.run.mean": Metric("trust, mean over the run", "1", "Mean of all trust values of all pseudonyms while in use.", _ROLE),
+    "misbehaviour.below_threshold.share": Metric("values below the threshold", "1", "Share of all trust values below the threshold, over the whole run.", _ROLE),
+    "misbehaviour.below_threshold.rated_share": Metric("rated values below the threshold", "1", "The same share of the values that rest on at least one evaluation.", _ROLE),
+    "misbehaviour.attackers.n": Metric("attackers", "", "Pseudonyms of vehicles that have attacked, watched from their first attack on.", _ROLE),
+    "misbehaviour.rated.share": Metric("rated, share of the time", "1", "Share of the watched time in which trust rests on at least one evaluation.", _ROLE),
+    "misbehaviour.auc": Metric("honest above attacker (AUC)", "1", "Probability that a rated trust value of an honest vehicle is above one of an attacker, ties counting half: the area under the ROC curve. 1 separates all, 0.5 none.", _ROLE),
+    "misbehaviour.auc_unrated": Metric("AUC, unrated values included", "1", "The same with the values that rest on no evaluation.", _ROLE),
+    "misbehaviour.auc_final": Metric("honest above malicious at the end", "1", "The same of the last rated value of each, honest against malicious."),
+    "misbehaviour.fpr_threshold": Metric("threshold at the false positive rate", "1", "Largest threshold with at most the given false positive rate of rated honest values."),
+    "misbehaviour.recall_at_fpr": Metric("recall at the false positive rate", "1", "Share of the attackers' rated values below that threshold.", _ROLE),
+    "misbehaviour.suspected_at_fpr.share": Metric("suspected, share of the time", "1", "Share of the attackers' watched time in which they are suspected at that threshold, rated or not.", _ROLE),
+    "misbehaviour.time_to_detection.median_s": Metric("time to detection, median", "s", "Time from the first attack until half are suspected at the threshold, where trust is kept (Kaplan-Meier; missing where fewer are); of honest ones, from the first attack of any.", _ROLE),
+    "misbehaviour.time_to_detection.share": Metric("ever suspected", "1", "Share ever suspected at the threshold, where trust is kept.", _ROLE),
+    "misbehaviour.time_to_detection_at_fpr.median_s": Metric("time to detection at the false positive rate, median", "s", "The same time at the threshold of the false positive rate.", _ROLE),
+    "misbehaviour.time_to_detection_at_fpr.share": Metric("ever suspected at the false positive rate", "1", "Share ever suspected at that threshold.", _ROLE),
+    "misbehaviour.time_to_detection_at_vehicle.median_s": Metric("time to detection at a vehicle, median", "s", "Time until the first vehicle looks up a server's value below the threshold; only where there is a server.", _ROLE),
+    "misbehaviour.time_to_detection_at_vehicle.share": Metric("ever suspected at a vehicle", "1", "Share for which a vehicle ever looked up such a value.", _ROLE),
+    "freshness.newest_evidence.median_s": Metric("newest evidence at the server, median age", "s", "Median age of the newest evaluation behind the server's values, when they are computed.", _ROLE),
+    "freshness.encounters_without_trust.share": Metric("encounters over before trust was known", "1", "Share of encounters of equipped vehicles, both directions counted, in which one never looked up a value for the other but the default.", _DEFINITION),
+    "freshness.wait_in_encounter.median_s": Metric("wait for trust in an encounter, median", "s", "Time from the start of an encounter to the first value other than the default, of those that had none at its start.", _DEFINITION),
+    "freshness.state.share": Metric("trust values looked up", "1", "Share of lookups whose value is fresh (at most fresh_s old), stale, or the default.", "state"),
+    "freshness.state_by_role.share": Metric("trust values looked up, by role", "1", "The same share among the lookups for subjects of each role.", "state, role of the subject"),
+    "freshness.age_at_use.mean_s": Metric("age at lookup, mean", "s", "Mean age of the values looked up, defaults left out: time since the server computed it; of an own value, age of its newest evaluation.", "source"),
+    "freshness.age_at_use.peak_s": Metric("age at lookup, peak", "s", "Mean age just before a receiver's value of a subject is renewed (peak age of information).", "source"),
+    "freshness.newest_evidence_at_use.mean_s": Metric("newest evidence at lookup, mean age", "s", "Mean age, at the lookup, of the newest evaluation behind the value.", _ROLE),
+    "freshness.oldest_evidence_at_use.mean_s": Metric("oldest evidence at lookup, mean age", "s", "Mean age, at the lookup, of the oldest evaluation behind a server's value.", _ROLE),
+    "radio.condition.model": Metric("medium", "", "Model of the medium (radio.model).", _IN_WORDS),
+    "radio.condition.range": Metric("communication range", "m", "Largest distance of one hop (radio.range_m)."),
+    "radio.condition.max_hops": Metric("hops at most", "", "Hops that a message may travel (radio.relay.max_hops)."),
+    "radio.condition.penetration": Metric("penetration", "1", "Share of the vehicles of these classes that are equipped (fleet.penetration_p).", "classes"),
+    "radio.condition.loss_per_hop": Metric("flat loss per hop", "1", "Probability of loss of one hop, whatever the distance (unit disk)."),
+    "radio.condition.path_loss": Metric("path loss", "", "Path loss model.", _IN_WORDS),
+    "radio.condition.receiver_threshold": Metric("receiver threshold", "dBm", "Least power and SINR that a receiver decodes.", _IN_WORDS),
+    "radio.condition.nlos": Metric("non-line-of-sight model", "", "Loss by buildings.", _IN_WORDS),
+    "radio.condition.fading": Metric("fading", "", "Fading model.", _IN_WORDS),
+    "radio.condition.dcc": Metric("congestion control", "", "Decentralized congestion control.", _IN_WORDS),
+    "radio.sent.n": Metric("frames sent", "", "Frames sent, forwarded copies included."),
+    "radio.pdr.all": Metric("packet delivery ratio", "1", "Share of (frame, receiver) pairs within communication range in which the frame was received."),
+    "radio.pdr.cpm": Metric("packet delivery ratio, CPM", "1", "The same of collective perception messages."),
+    "radio.pdr.evaluation": Metric("packet delivery ratio, evaluations", "1", "The same of the second round: evaluations, and broadcasts of roadside units."),
+    "radio.pdr_by_los": Metric("packet delivery ratio by line of sight", "1", "The same by line of sight between the two ends: los, nlos, unknown.", "line of sight"),
+    **{
+        f"radio.lost.{name.removeprefix('n_lost_')}": Metric(f"lost: {name.removeprefix('n_lost_').replace('_', ' ')}", "1", f"Share of (frame, receiver) pairs within range that count in the column {name}.")
+        for name in LOST
+    },
+    "radio.cbr.mean": Metric("channel busy ratio, mean", "1", "Share of the time that a vehicle senses the channel busy, mean over vehicles and rounds; missing where not modelled."),
+    "radio.latency.median_s": Metric("latency, median", "s", "Upper edge of the histogram bin that holds the median latency from generation to reception."),
+    "radio.latency.p95_s": Metric("latency, 95th percentile", "s", "Upper edge of the bin that holds the 95th percentile."),
+    "radio.pir.mean_s": Metric("packet inter-reception time, mean", "s", "Mean time between successive CPMs of one vehicle at another while within range; intervals cut off are left out."),
+    "radio.pir.after_loss.share": Metric("intervals with a loss", "1", "Share of these intervals in which at least one CPM was lost."),
+    "radio.lost_in_a_row.mean": Metric("messages lost in a row, mean", "", "Mean number of CPMs lost in an interval with a loss."),
+    "radio.server_reports.reached.share": Metric("reports that reach the server", "1", "Share of the vehicles' reports with evaluations that reach the trust server."),
+    "radio.server_reports.lost.share": Metric("reports lost", "1", "Share lost on the way, or received by no roadside unit."),
+    "radio.server_reports.over_capacity.share": Metric("reports over capacity", "1", "Share dropped because the capacity of their cell was used up."),
+    "radio.server_reports.outage.share": Metric("reports lost in an outage", "1", "Share lost because the server was out of service."),
+    "radio.server_broadcasts.reached.share": Metric("broadcasts that reach vehicles", "1", "Share of (broadcast of trust values, vehicle on the road) pairs in which it is received."),
+    "detection.ap40": Metric("AP 3D, 40 recall points", "%", "Average precision by KITTI's rules at 40 recall points, ranked over all sampled frames together; levels with fewer than 41 objects are left out.", "list, class, level"),
+    "detection.awareness_70m.share": Metric("environmental awareness within 70 m", "1", "Share of the actors within 70 m of an equipped vehicle for which it has a box with a score of at least 0.5.", _LIST),
+    "attack.fabricated.n": Metric("fabricated boxes", "", "Fabricated boxes that were sent."),
+    "attack.accepted.share": Metric("fabricated boxes accepted", "1", "Share of them that at least one other vehicle accepts among its fused objects with a score of at least 0.5."),
+    **{f"{topic}.not_measured": Metric("not measured", "", "The run cannot answer; the group says why.", "reason") for topic in TOPICS},
+}
+# fmt: on
