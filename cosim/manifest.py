@@ -3,12 +3,13 @@
 import hashlib
 import json
 import platform
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from importlib.metadata import version
 from pathlib import Path
 from time import perf_counter
 from typing import Any
 
+from cosim.choices import Source
 from cosim.config import Config
 from results.codes import BASE_VARIANT, Role, labels
 from results.tables import SCHEMA_VERSION
@@ -47,6 +48,8 @@ class Manifest:
     config: Config
     net: dict[str, str]
     """Name, licence, attribution and checksums of the network's files."""
+    choices: dict[str, Source]
+    """Which class every choice of the config is, with the file and checksum of a user's own."""
     steps: int = 0
     """Steps recorded so far."""
     timings_s: dict[str, float] = field(default_factory=dict)
@@ -62,11 +65,12 @@ class Manifest:
             "sense_every_steps": self.config.sense_every_steps,
             "seed": self.config.seed,
             "traffic_seed": self.config.traffic.seed,
-            "variants": [BASE_VARIANT],
+            "variants": [BASE_VARIANT, *(variant.name for variant in self.config.trust_variant)],
             "roles": labels(Role),
             "config": self.config.to_dict(),
             "versions": {"python": platform.python_version()} | {p: version(p) for p in PACKAGES},
             "net": self.net,
+            "choices": {key: asdict(source) for key, source in self.choices.items()},
             "timings_s": {stage: round(s, 3) for stage, s in self.timings_s.items()},
             "summary": self.summary,
         }

@@ -12,15 +12,14 @@ import tomli_w
 
 from cosim import recording
 from cosim.actors import ActorRegistry
+from cosim.adversary.adversary import roles_of
 from cosim.config import Config
-from cosim.cycle import State, knowledge, turn
+from cosim.cycle import State, step
 from cosim.manifest import Manifest, Stopwatch
 from cosim.mobility.source import TrafficEnded, TrafficError, TrafficSource
+from cosim.parts import Parts, sources
+from cosim.radio.rsu import NO_RSUS, RsuAntennas, place_rsus
 from cosim.scenario import Scenario, find
-from cosim.trackers.attack_start import AttackStartTracker
-from cosim.trackers.encounters import EncounterTrackers
-from cosim.trackers.inter_reception import InterReceptionTracker
-from cosim.v2x.roadside import NOWHERE, Sites, place
 from results.recorder import Recorder
 from sensors import lidar
 from sensors.boxes import Boxes
@@ -32,7 +31,7 @@ Advance = Callable[[str, int, int, str], None]
 
 _CORES = numba.get_num_threads()
 _EQUIPPED_PER_THREAD = 100
-"""Below it a turn takes some 20 ms, and threads lose more than they gain wherever the cores have other work."""
+"""Below it a step takes some 20 ms, and threads lose more than they gain wherever the cores have other work."""
 
 
 def check(config: Config) -> Scenario:
@@ -47,16 +46,16 @@ def check(config: Config) -> Scenario:
     return scenario
 
 
-def roadside_units(config: Config, scenario: Scenario) -> Sites:
+def roadside_units(config: Config, scenario: Scenario) -> RsuAntennas:
     """Where the config's roadside units stand in the scenario's network; ValueError where they cannot."""
     if not config.rsu.at and not config.rsu.n_at_junctions:
-        return NOWHERE
+        return NO_RSUS
     if scenario.net is None:
         raise ValueError(
             "rsu.at, rsu.n_at_junctions: a trace without streets has no network to stand in. "
             "Leave the roadside units out, or name the streets in traffic.scenario and the trace in traffic.trace."
         )
-    sites = place(config.rsu, *junctions(scenario.net))
+    sites = place_rsus(config.rsu, *junctions(scenario.net))
     return replace(sites, xyz_m=sites.xyz_m - np.array([*scenario.origin_m, 0.0]))
 
 
@@ -77,15 +76,16 @@ def run(config: Config, out: Path | None, advance: Advance) -> Path:
     watch = Stopwatch()
     with watch("city"):
         city = scenario.city()
-    registry = ActorRegistry(config.fleet, config.seed)
+    parts = Parts.of(config, city, roadside_units(config, scenario), watch)
+    registry = ActorRegistry(config.fleet, config.seed, tuple(attack.share_p for attack in config.attacks))
     traffic = scenario.traffic(config.traffic, registry)
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        manifest = Manifest(folder, config, scenario.certificate())
+        manifest = Manifest(folder, config, scenario.certificate(), sources(config))
         (folder / "config.toml").write_text(tomli_w.dumps(without_nulls(config.to_dict())), encoding="utf-8")
         manifest.write("running")
         try:
-            _drive(config, scenario, city, traffic, registry, manifest, advance, watch)
+            _drive(parts, scenario, traffic, registry, manifest, advance)
         except KeyboardInterrupt:
             manifest.write("interrupted")
             raise
@@ -115,22 +115,61 @@ def remarks(folder: Path) -> list[str]:
 
 
 def _threads(config: Config, n_equipped: int) -> int:
-    """Threads for one turn: what the config says, or as many as are worth it."""
+    """Threads for one step: what the config says, or as many as are worth it."""
     return min(config.compute.threads or max(1, n_equipped // _EQUIPPED_PER_THREAD), _CORES)
 
 
 def _drive(
-    config: Config,
-    scenario: Scenario,
-    city: Scene,
-    traffic: TrafficSource,
-    registry: ActorRegistry,
-    manifest: Manifest,
+    parts: Parts, scenario: Scenario, traffic: TrafficSource, registry: ActorRegistry, manifest: Manifest,
     advance: Advance,
-    watch: Stopwatch,
+) -> None:  # fmt: skip
+    config, watch = parts.config, parts.watch
+    _warm_up(config, scenario, traffic, watch, advance)
+    state = State.start(parts)
+    variants = [variant.name for variant in parts.trust.variants]
+    n_on_road, ended = 0, ""
+    with Recorder(
+        manifest.folder, config.record.level, config.record.block_steps, variants=variants
+    ) as recorder:
+        for number in range(config.n_steps):
+            with watch("traffic"):
+                try:
+                    world = traffic.advance()
+                except TrafficEnded as over:
+                    asked_s = config.n_steps * config.traffic.step_s
+                    ended = f"the traffic ended before the {asked_s:g} s asked for: {over}"
+                    break
+            numba.set_num_threads(_threads(config, int(world.equipped.sum())))
+            state, happened = step(world, state, parts)
+            with watch("record"):
+                recording.step(recorder, happened, config.traffic.step_s)
+            if len(happened.commands):
+                traffic.command(happened.commands)
+            n_on_road += int((world.shape != Shape.PEDESTRIAN).sum())
+            manifest.steps = number + 1
+            advance("run", number + 1, config.n_steps, f"steps, {len(world)} actors")
+        if not manifest.steps:
+            raise TrafficError(f"traffic.scenario = {scenario.name}: there is nothing to record: {ended}.")
+        last = manifest.steps - 1
+        recording.encounters(recorder, last, state.encounters.close(manifest.steps))
+        recording.pseudonyms(recorder, last, parts.pseudonyms.in_use(state.pseudonyms))
+        recording.vehicles(
+            recorder, registry, roles_of(config.attacks), *state.attack_start.first_steps(len(registry)), last
+        )
+    manifest.timings_s = watch.seconds
+    manifest.summary = {
+        "vehicles_on_road_mean": round(n_on_road / manifest.steps, 2),
+        **traffic.report(),
+        "detections_malformed": state.n_malformed,
+        "evaluations_rejected": parts.trust.rejected(state.trust),
+        **({"ended_early": ended} if ended else {}),
+    }
+
+
+def _warm_up(
+    config: Config, scenario: Scenario, traffic: TrafficSource, watch: Stopwatch, advance: Advance
 ) -> None:
     warmup_s = scenario.warmup_s if config.traffic.warmup_s is None else config.traffic.warmup_s
-    dt_s, n_steps = config.traffic.step_s, config.n_steps
     with watch("warm-up"):
         try:
             for done_s in traffic.warm_up(warmup_s):
@@ -138,49 +177,6 @@ def _drive(
         except TrafficEnded as over:
             raise TrafficError(f"traffic.warmup_s = {warmup_s:g} s outlasts the traffic: {over}. Shorten it.") from None
         advance("warm-up", int(warmup_s), int(warmup_s), "s")
-    state = State.start(config, city, roadside_units(config, scenario))
-    encounters = EncounterTrackers(config.encounters, dt_s, config.lidar.mount_above_roof_m)
-    inter_reception = InterReceptionTracker(), InterReceptionTracker()
-    attack_start = AttackStartTracker()
-    n_on_road, ended = 0, ""
-    with Recorder(manifest.folder, config.record.level, config.record.block_steps) as recorder:
-        for step in range(n_steps):
-            with watch("traffic"):
-                try:
-                    world = traffic.advance()
-                except TrafficEnded as over:
-                    ended = f"the traffic ended before the {n_steps * dt_s:g} s asked for: {over}"
-                    break
-            with watch("record"):
-                recording.actors(recorder, world)
-            with watch("encounters"):
-                closed, holder, other = encounters.update(world, city)
-                known = knowledge(state, config, holder, other, world.actor[world.equipped], step * dt_s)
-                encounters.first_contact(holder, other, known.trust, known.source, known.age_s)
-                recording.encounters(recorder, step, closed)
-            if step % config.sense_every_steps == 0 and world.equipped.any():
-                numba.set_num_threads(_threads(config, int(world.equipped.sum())))
-                happened = turn(world, city, state, config, watch)
-                with watch("record"):
-                    recording.step(recorder, happened, inter_reception, dt_s)
-                with watch("encounters"):
-                    recording.count_in_encounters(encounters, happened)
-                attack_start.update(step, recording.attackers(happened))
-            n_on_road += int((world.shape != Shape.PEDESTRIAN).sum())
-            manifest.steps = step + 1
-            advance("run", step + 1, n_steps, f"steps, {len(world)} actors")
-        if not manifest.steps:
-            raise TrafficError(f"traffic.scenario = {scenario.name}: there is nothing to record: {ended}.")
-        recording.encounters(recorder, manifest.steps - 1, encounters.close(manifest.steps))
-        recording.vehicles(recorder, roster, *attack_start.first_steps(len(roster)), manifest.steps - 1)
-    manifest.timings_s = watch.seconds
-    manifest.summary = {
-        "vehicles_on_road_mean": round(n_on_road / manifest.steps, 2),
-        **traffic.report(),
-        "detections_malformed": state.n_malformed,
-        "verdicts_refused": state.refusals(),
-        **({"ended_early": ended} if ended else {}),
-    }
 
 
 def _folder(out: Path | None, name: str) -> Path:

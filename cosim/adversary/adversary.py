@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 from annotated_types import Ge, Le
-from jaxtyping import Float
+from jaxtyping import Float, UInt8
 from numpy import ndarray
 
 from cosim.adversary.attack import Attack, AttackContext, EvaluationRows
@@ -14,6 +14,7 @@ from cosim.adversary.ghost_insertion import GhostInsertion
 from cosim.adversary.unreliable import Unreliable
 from cosim.v2x.messages import Detections
 from cosim.world import World
+from results.codes import Role
 
 ATTACKS: Mapping[str, type] = {"ghost_insertion": GhostInsertion, "unreliable": Unreliable}
 """Attacks at hand, by the config's name."""
@@ -90,6 +91,6 @@ def check_shares(params: Sequence[AttackParams]) -> None:
         )
 
 
-def roles_of(params: Sequence[AttackParams], roles: Sequence[str]) -> ndarray:
-    """Code of the role that goes with each number of `world.attack`; 0 is honest."""
-    return np.array([0, *(roles.index(p.role) for p in params)], np.uint8)
+def roles_of(params: Sequence[AttackParams]) -> UInt8[ndarray, "a"]:
+    """Code of the role (`results.codes.Role`) that goes with each number of `world.attack`; 0 is honest."""
+    return np.array([Role.HONEST, *(Role[p.role.upper()] for p in params)], np.uint8)

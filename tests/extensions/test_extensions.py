@@ -1,0 +1,134 @@
+"""Seven extensions, each one file plus config, run end to end without touching a source file."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from results.archive import open_run
+from tests.drive import cosim
+
+HERE = Path(__file__).parent
+BASE = """
+[traffic]
+duration_s = 20
+[record]
+level = "full"
+"""
+
+
+def drive(folder, config):
+    """`cosim run` on a config file in a folder of its own; the extension lies beside it."""
+    (folder / "mine.toml").write_text(config)
+    done = cosim("run", str(folder / "mine.toml"), "--out", str(folder / "run"), cwd=folder)
+    assert done.returncode == 0, done.stderr
+    run = open_run(folder / "run")
+    return run, json.loads((folder / "run" / "manifest.json").read_text())["choices"]
+
+
+@pytest.fixture
+def beside(tmp_path):
+    """Copies an extension beside the config, as a user would have it."""
+
+    def put(name):
+        (tmp_path / name).write_text((HERE / name).read_text())
+        return tmp_path
+
+    return put
+
+
+def test_trust_model(beside):
+    folder = beside("own_trust.py")
+    run, choices = drive(folder, BASE + '[trust]\nmodel = "own_trust.py:Beta"\nprior = 2.0\n')
+    trust = run.trust
+    assert len(trust) > 100
+    # A holder of n positive and no negative evidence is trusted with (n + 2) / (n + 4) under a prior of 2.
+    assert ((trust.trust > 0) & (trust.trust < 1)).all()
+    np.testing.assert_allclose(trust.uncertainty, 4 / (trust.weight + 4), rtol=1e-5)
+    assert choices["trust.model"]["file"] == str(folder / "own_trust.py")
+    assert len(choices["trust.model"]["sha256"]) == 64
+
+
+def test_attack_on_detections(beside):
+    folder = beside("own_attack.py")
+    run, _ = drive(folder, BASE + """
+[[attacks]]
+attack = "own_attack.py:Shift"
+share_p = 0.5
+start_s = 5
+east_m = 30
+""")  # fmt: skip
+    found = run.detections[run.detections.origin == "sensed"].dropna(subset="truth_actor")
+    roles = run.vehicles.set_index("vehicle").role
+    shifted = found[(found.observer.map(roles) == "malicious") & (found.step >= 5)]
+    honest = found[found.observer.map(roles) == "honest"]
+    assert len(shifted) > 100 and shifted.truth_iou.max() < 0.5 < honest.truth_iou.mean()
+
+
+def test_attack_on_evaluations(beside):
+    folder = beside("own_bad_mouthing.py")
+    run, _ = drive(folder, BASE + """
+[[attacks]]
+attack = "own_bad_mouthing.py:BadMouthing"
+share_p = 0.5
+start_s = 5
+""")  # fmt: skip
+    roles = run.vehicles.set_index("vehicle").role
+    judged = run.evaluations[run.evaluations.evaluator != run.evaluations.observer]
+    lies = judged[(judged.evaluator.map(roles) == "malicious") & (judged.step >= 5)]
+    assert len(lies) > 1000 and (lies.evaluation == -1).all() and (lies.visibility == 1).all()
+    assert (judged[judged.evaluator.map(roles) == "honest"].evaluation > 0).any()
+
+
+def test_detector(beside):
+    folder = beside("own_detector.py")
+    run, _ = drive(folder, BASE + '[detector]\nmodel = "own_detector.py:Threshold"\nenough_returns = 30\n')
+    sensed = run.detections[run.detections.origin == "sensed"]
+    assert len(sensed) > 1000 and sensed.truth_actor.notna().all() and (sensed.truth_iou > 0.9).all()
+    seen = run.observability
+    assert len(sensed) == (seen.n_points >= 30).sum()
+
+
+def test_medium(beside):
+    folder = beside("own_medium.py")
+    run, _ = drive(folder, BASE + '[radio]\nmodel = "own_medium.py:Ideal"\nideal_range_m = 150\n')
+    assert run.receptions.distance_m.max() <= 150 and len(run.receptions) > 1000
+    assert (run.radio.n_delivered == run.radio.n_in_range).all()
+
+
+def test_pseudonym_policy(beside):
+    folder = beside("own_pseudonyms.py")
+    run, _ = drive(folder, BASE + '[pseudonyms]\npolicy = "own_pseudonyms.py:Every"\nevery_messages = 6\n')
+    names = run.pseudonyms
+    assert names.groupby("vehicle").size().max() == 4  # 20 messages: 6, 6, 6, 2
+    assert (names.to_step - names.from_step < 6).all()
+    used = run.receptions.merge(names, left_on="sender", right_on="pseudonym")
+    assert len(used) == len(run.receptions) and used.step.between(used.from_step, used.to_step).all()
+
+
+def test_driver(beside):
+    folder = beside("own_driver.py")
+    drive(folder, BASE + f'[driver]\nmodel = "own_driver.py:Logger"\nlog = "{folder}/seen.txt"\n')
+    lines = (folder / "seen.txt").read_text().split("\n")[:-1]
+    assert [int(line.split()[0]) for line in lines] == list(range(20))
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ('[trust]\nmodel = "nowhere.py:Beta"\n', "no such file"),
+        ('[trust]\nmodel = "own_trust.py:Nobody"\n', "defines no Nobody"),
+        ('[trust]\nmodel = "broken.py:Beta"\n', "ZeroDivisionError"),
+        ('[trust]\nmodel = "own_trust.py:Beta"\npriro = 2\n', "priro: unknown key"),
+        ('[trust]\nmodel = "own_trust.py:Beta"\nprior = "two"\n', "trust.prior"),
+        ('[trust]\nmodel = "gossip"\n', "no such choice"),
+        ('[detector]\nmodel = "own_trust.py:Beta"\n', "no method detect"),
+    ],
+)
+def test_mistakes_are_one_line(beside, text, told):
+    folder = beside("own_trust.py")
+    (folder / "broken.py").write_text("1 / 0\n")
+    (folder / "mine.toml").write_text(text)
+    done = cosim("check", str(folder / "mine.toml"), cwd=folder)
+    assert done.returncode == 2 and done.stderr.count("\n") == 1 and told in done.stderr
