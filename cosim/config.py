@@ -1,10 +1,12 @@
-"""The board where every room nails its knobs: one typed experiment, from TOML and `--set`."""
+"""One experiment as one typed model: every room's parameters, from TOML and `--set`."""
 
+import copy
 import difflib
 import json
 import math
 import tomllib
-from dataclasses import asdict, dataclass, field, fields, is_dataclass
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, get_args, get_origin
 
@@ -12,19 +14,48 @@ from annotated_types import Ge
 from pydantic import TypeAdapter, ValidationError
 
 from cosim.fleet import FleetParams
+from cosim.adversary.adversary import ATTACKS, PAPER, AttackParams, check_shares
+from cosim.choices import Choice, resolve
+from cosim.driver.driver import DRIVERS, DriverParams
 from cosim.mobility.params import TrafficParams
-from cosim.v2x.adversary import AdversaryParams
-from cosim.v2x.radio import RadioParams
-from cosim.v2x.roadside import RoadsideParams
-from cosim.v2x.server import ServerParams
+from cosim.radio.medium import MEDIA
+from cosim.radio.params import RadioParams
+from cosim.radio.rsu import RsuParams
+from cosim.v2x.pseudonyms import POLICIES, PseudonymParams
+from cosim.v2x.trust_server import ServerParams
 from results.encounters import EncounterParams
 from results.columns import Level
-from sensors.detector import DetectorParams
+from sensors.detector import DETECTORS
 from sensors.evidence import AreaParams
 from sensors.lidar import LidarParams
 from sensors.statistical_detector import DetectorParams
 from sumo_nets import catalogue, sumocfg
-from trust.params import TrustParams
+from trust.models import MODELS
+from trust.params import TrustParams, differing_evidence_key
+
+CHOICES: Mapping[str, tuple[str, Mapping[str, Any], str]] = {
+    "detector": ("model", DETECTORS, "detect"),
+    "radio": ("model", MEDIA, "broadcast"),
+    "pseudonyms": ("policy", POLICIES, "changes"),
+    "trust": ("model", MODELS, "open_step add_evaluations scores"),
+    "driver": ("model", DRIVERS, "commands"),
+    "attacks": ("attack", ATTACKS, ""),
+}
+"""Sections in which a class is chosen: the key that names it, what is at hand, and the methods it needs."""
+
+FORMER = {
+    "adversary": "[[attacks]], one section for each attack",
+    "fleet.malicious_p": "attacks.0.share_p",
+    "fleet.unreliable_p": "attacks.1.share_p",
+    "trust.where": "trust.host",
+    "trust.certify_own_lies": "nothing: attackers vouch for what they fabricate",
+    "detector.profile": "detector.model",
+    "radio.reach_m": "radio.range_m",
+    "radio.disk": "[radio.unit_disk]",
+    "radio.verdicts": "radio.evaluations",
+    "radio.relay.reach_m": "radio.relay.forward_range_m",
+}
+"""Keys of the former schema, and what they have become."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -46,6 +77,22 @@ class RecordParams:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
+class TrustVariant:
+    """Another trust model, window or host on the same evidence: a `[[trust_variant]]` section."""
+
+    name: str
+    """Label in the column `variant`."""
+    fused: bool = False
+    """Also write its rows of the table `fused`."""
+    changes: dict[str, Any] = field(default_factory=dict)
+    """Keys of [trust] that it sets, as in the config."""
+    trust: TrustParams = field(default_factory=TrustParams)
+    """[trust] with these changes."""
+    own: dict[str, Any] = field(default_factory=dict)
+    """The model's own parameters."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
 class Config:
     """One experiment."""
 
@@ -58,14 +105,20 @@ class Config:
     lidar: LidarParams = field(default_factory=LidarParams)
     area: AreaParams = field(default_factory=AreaParams)
     detector: DetectorParams = field(default_factory=DetectorParams)
-    adversary: AdversaryParams = field(default_factory=AdversaryParams)
+    attacks: tuple[AttackParams, ...] = ()
     radio: RadioParams = field(default_factory=RadioParams)
-    rsu: RoadsideParams = field(default_factory=RoadsideParams)
+    rsu: RsuParams = field(default_factory=RsuParams)
     server: ServerParams = field(default_factory=ServerParams)
+    pseudonyms: PseudonymParams = field(default_factory=PseudonymParams)
     trust: TrustParams = field(default_factory=TrustParams)
+    trust_variant: tuple[TrustVariant, ...] = ()
+    driver: DriverParams = field(default_factory=DriverParams)
     encounters: tuple[EncounterParams, ...] = (EncounterParams(),)
     record: RecordParams = field(default_factory=RecordParams)
     compute: ComputeParams = field(default_factory=ComputeParams)
+    own: dict[str, dict[str, Any]] = field(default_factory=dict)
+    """Parameters that belong to a chosen class and not to its section, by section (`trust`, `attacks.0`); in a config
+    file they stand in the section itself."""
 
     def __post_init__(self) -> None:
         steps = self.sensing_interval_s / self.traffic.step_s
@@ -79,12 +132,12 @@ class Config:
                 f"radio.timeout_s = {self.radio.timeout_s:g} s: two rounds of messages do not fit between two sweeps, "
                 f"sensing_interval_s = {self.sensing_interval_s:g} s apart. Set it to half of that, or less."
             )
-
         if self.server.uplink == "rsu" and not (self.rsu.at or self.rsu.n_at_junctions):
             raise ValueError(
                 'server.uplink = "rsu", but there are no roadside units: nothing would ever reach the server. '
                 "Set rsu.at or rsu.n_at_junctions."
             )
+        check_shares(self.attacks)
 
     @property
     def sense_every_steps(self) -> int:
@@ -94,9 +147,45 @@ class Config:
     def n_steps(self) -> int:
         return max(1, math.floor(self.traffic.duration_s / self.traffic.step_s + 1e-9))
 
+    @property
+    def timeout_s(self) -> float:
+        """Length of one round of messages [s]."""
+        return 0.4 * self.sensing_interval_s if self.radio.timeout_s is None else self.radio.timeout_s
+
     def to_dict(self) -> dict[str, Any]:
-        """The resolved experiment, as plain data."""
-        return asdict(self)
+        """The resolved experiment as plain data, as a config file states it."""
+        data = asdict(self)
+        data["trust_variant"] = [
+            {"name": v.name, "fused": v.fused} | copy.deepcopy(v.changes) for v in self.trust_variant
+        ]
+        for where, values in data.pop("own").items():
+            section, _, number = where.partition(".")
+            (data[section][int(number)] if number else data[section]).update(values)
+        return data
+
+
+def chosen(config: Config, section: str, number: int | None = None) -> tuple[Choice, Any]:
+    """The class that a section names, and its own parameters (None where it has none)."""
+    holder = getattr(config, section)
+    where = section if number is None else f"{section}.{number}"
+    holder = holder if number is None else holder[number]
+    return _chosen(section, holder, config.own.get(where, {}))
+
+
+def chosen_model(variant: TrustVariant) -> tuple[Choice, Any]:
+    """The trust model of a variant, and its own parameters."""
+    return _chosen("trust", variant.trust, variant.own)
+
+
+def _chosen(section: str, holder: Any, own: dict[str, Any]) -> tuple[Choice, Any]:
+    key, at_hand, needs = CHOICES[section]
+    choice = resolve(f"{section}.{key}", getattr(holder, key), at_hand, needs=needs)
+    if choice.params is None:
+        return choice, None
+    if isinstance(holder, choice.params):
+        return choice, holder
+    shared = {f.name: getattr(holder, f.name) for f in fields(choice.params) if hasattr(holder, f.name)}
+    return choice, _validated(choice.params, shared | own, section, "the config")
 
 
 def load(path: Path | None = None, overrides: list[str] | None = None) -> Config:
@@ -113,22 +202,123 @@ def load(path: Path | None = None, overrides: list[str] | None = None) -> Config
             raise ValueError(f"{path}: cannot be read as a config file: {error}.") from None
         except tomllib.TOMLDecodeError as error:
             raise ValueError(f"{path}: not valid TOML: {error}.") from None
+    data.setdefault("attacks", copy.deepcopy(list(PAPER)))
+    data.setdefault("encounters", [{}])
     for text in overrides or []:
         _override(data, text)
+    return resolve_data(data, where, None if path is None else path.parent)
+
+
+def resolve_data(data: dict[str, Any], where: str, folder: Path | None) -> Config:
+    """Experiment from plain data; relative paths begin in `folder`. The data are used up."""
+    variants = data.pop("trust_variant", [])
+    own: dict[str, dict[str, Any]] = {}
+    types = {f.name: f.type for f in fields(Config)}
+    for section in CHOICES:
+        if section == "attacks":
+            listed = data.get(section, [])
+            if isinstance(listed, list):
+                for number, item in enumerate(listed):
+                    if isinstance(item, dict):
+                        own[f"{section}.{number}"] = _take_own(item, section, AttackParams, where, folder)
+        elif isinstance(data.get(section, {}), dict):
+            own[section] = _take_own(data.setdefault(section, {}), section, types[section], where, folder)
     _check_keys(data, Config, "", where)
     for name in ("scenario", "trace"):
         given = data.get("traffic", {}).get(name)
-        if path is not None and isinstance(given, str) and _is_input(beside := path.parent / given):
+        if folder is not None and isinstance(given, str) and _is_input(beside := folder / given):
             data["traffic"][name] = str(beside)
     traffic = data.get("traffic", {})
     if isinstance(traffic.get("scenario"), str) and not {"step_s", "trace"} & traffic.keys():
         if (own_s := _own_step_s(traffic["scenario"])) is not None:
             traffic["step_s"] = own_s
+    config = _validated(Config, data, "", where)
+    stated = data["trust"] | own.get("trust", {})
+    config = replace(config, own={section: values for section, values in own.items() if values})
+    return replace(config, trust_variant=_variants(variants, stated, config, where, folder))
+
+
+def _variants(
+    listed: Any, stated: dict[str, Any], config: Config, where: str, folder: Path | None
+) -> tuple[TrustVariant, ...]:
+    """Trust variants from their sections; each inherits what [trust] states."""
+    if not isinstance(listed, list) or not all(isinstance(v, dict) for v in listed):
+        raise ValueError(f"trust_variant should be a list of sections [[trust_variant]] in {where}.")
+    made: list[TrustVariant] = []
+    for number, section in enumerate(listed):
+        changes = dict(section)
+        name, fused = changes.pop("name", None), changes.pop("fused", False)
+        place = f"trust_variant.{number}"
+        if not isinstance(name, str) or not name or not name.isprintable():
+            raise ValueError(f"{place}.name = {name!r}: a variant needs a name. Set {place}.name in {where}.")
+        if name == "base" or name in {v.name for v in made}:
+            raise ValueError(
+                f'{place}.name = "{name}" is taken'
+                + (" by [trust] itself" if name == "base" else "")
+                + f". Give every variant a name of its own in {where}."
+            )
+        if not isinstance(fused, bool):
+            raise ValueError(f"{place}.fused = {fused!r} should be true or false. Set it in {where}.")
+        merged = stated | changes
+        known = _own_fields(merged, "trust", folder)
+        inherited = {f.name for f in fields(TrustParams)} | known
+        merged = {key: value for key, value in merged.items() if key in inherited or key in changes}
+        own = _take_own(merged, "trust", TrustParams, where, folder)
+        if "model" in changes:
+            changes["model"] = merged["model"]
+        _check_keys(merged, TrustParams, f"{place}.", where)
+        trust = _validated(TrustParams, merged, place, where)
+        if key := differing_evidence_key(config.trust, trust):
+            raise ValueError(
+                f'{place} ("{name}"): {key} changes what vehicles evaluate, so this variant cannot share the evidence '
+                "of the run. Leave it out here and make it a run of its own."
+            )
+        made.append(TrustVariant(name=name, fused=fused, changes=changes, trust=trust, own=own))
+    return tuple(made)
+
+
+def _own_fields(section: Mapping[str, Any], name: str, folder: Path | None) -> set[str]:
+    """Names of the parameters of the class that a section chooses."""
+    key, at_hand, needs = CHOICES[name]
+    given = section.get(key)
+    if not isinstance(given, str):
+        return set()
+    choice = resolve(f"{name}.{key}", given, at_hand, folder, needs)
+    return set() if choice.params is None else {f.name for f in fields(choice.params)}
+
+
+def _take_own(section: dict[str, Any], name: str, model: Any, where: str, folder: Path | None) -> dict[str, Any]:
+    """Move the chosen class's own parameters out of a section, checked; its name becomes absolute."""
+    key, at_hand, needs = CHOICES[name]
+    default = next(f.default for f in fields(model) if f.name == key)
+    given = section.get(key, default)
+    if not isinstance(given, str):
+        return {}  # the model says what is wrong with it
+    choice = resolve(f"{name}.{key}", given, at_hand, folder, needs)
+    if key in section:
+        section[key] = choice.source.name
+    if choice.params is None or issubclass(model, choice.params):
+        return {}
+    of_section = {f.name for f in fields(model)}
+    of_class = {f.name for f in fields(choice.params)} - of_section
+    taken = {k: section.pop(k) for k in list(section) if k in of_class}
+    if unknown := [k for k in section if k not in of_section]:
+        known = ", ".join(sorted(of_section | of_class))
+        near = difflib.get_close_matches(unknown[0], [*of_section, *of_class], 1)
+        hint = f"Did you mean {name}.{near[0]}?" if near else f"Known: {known}."
+        raise ValueError(f"{name}.{unknown[0]}: unknown key in {where}. {_former(f'{name}.{unknown[0]}') or hint}")
+    _check_finite(taken, f"{name}.", where)
+    made = asdict(_validated(choice.params, taken, name, where))
+    return {k: made[k] for k in made if k in of_class}
+
+
+def _validated(model: Any, data: Any, prefix: str, where: str) -> Any:
+    """Typed parameters from plain data; ValueError in one line for a mistake."""
     try:
-        return TypeAdapter(Config).validate_json(json.dumps(data, default=str), strict=True)
+        return TypeAdapter(model).validate_json(json.dumps(data, default=str), strict=True)
     except ValidationError as error:
         first = error.errors()[0]
-        name = ".".join(str(p) for p in first["loc"])
+        name = ".".join([*([prefix] if prefix else []), *(str(p) for p in first["loc"])])
         if first["type"] == "value_error":
             raise ValueError(first["msg"].removeprefix("Value error, ")) from None
         if first["type"] == "missing":
@@ -155,30 +345,60 @@ def _own_step_s(scenario: str) -> float | None:
     return own_s
 
 
-def _override(data: dict[str, Any], text: str) -> None:
+def _override(data: Any, text: str) -> None:
+    """Set one key; `encounters.0.radius_m` names an item of a list, the one behind the last makes a new one."""
     name, sign, value = text.partition("=")
     if not sign or not name.strip():
-        raise ValueError(f"--set {text}: no key=value. Write for example --set radio.reach_m=150.")
+        raise ValueError(f"--set {text}: no key=value. Write for example --set radio.range_m=150.")
     try:
         parsed = tomllib.loads(f"value = {value}")["value"]
     except tomllib.TOMLDecodeError:
         parsed = value
     *sections, last = name.strip().split(".")
     for section in sections:
-        data = data.setdefault(section, {})
-        if not isinstance(data, dict):
+        data = _item(data, section, text)
+        if not isinstance(data, dict | list):
             raise ValueError(f"--set {text}: {section} is a value, not a section.")
+    if isinstance(data, list):
+        raise ValueError(f"--set {text}: {sections[-1]} is a list; name an item and a key, as in {sections[-1]}.0.KEY.")
     data[last] = parsed
 
 
+def _item(data: Any, name: str, text: str) -> Any:
+    """A section, made if it is not there."""
+    if isinstance(data, dict):
+        lists = name == "trust_variant"
+        return data.setdefault(name, [] if lists else {})
+    if not name.isdecimal() or int(name) > len(data):
+        raise ValueError(f"--set {text}: {name} is no item of a list of {len(data)}; they are numbered from 0.")
+    if int(name) == len(data):
+        data.append({})
+    return data[int(name)]
+
+
+def _former(name: str) -> str:
+    """Says what a key of the former schema has become; empty for others."""
+    now = next((new for old, new in FORMER.items() if name == old or name.startswith(old + ".")), None)
+    return "" if now is None else f"It is a key of the former schema; now it is {now}."
+
+
+def _check_finite(data: Any, name: str, where: str) -> None:
+    """Refuse numbers that are none, however deep they stand."""
+    if isinstance(data, float) and not math.isfinite(data):
+        raise ValueError(f"{name} = {data}: not a finite number. Set {name} in {where}.")
+    items = data.items() if isinstance(data, dict) else enumerate(data) if isinstance(data, list) else ()
+    for key, value in items:
+        _check_finite(value, f"{name}{'' if name.endswith('.') or not name else '.'}{key}", where)
+
+
 def _check_keys(data: dict[str, Any], model: Any, prefix: str, where: str) -> None:
-    known = {f.name: f for f in fields(model)}
+    known = {f.name: f for f in fields(model) if f.name != "own" or model is not Config}
     for name, value in data.items():
         full = prefix + name
         if name not in known:
             near = difflib.get_close_matches(name, known, 1)
             hint = f"Did you mean {prefix}{near[0]}?" if near else f"Known: {', '.join(known)}."
-            raise ValueError(f"{full}: unknown key in {where}. {hint}")
+            raise ValueError(f"{full}: unknown key in {where}. {_former(full) or hint}")
         if get_origin(known[name].type) is tuple and is_dataclass(model_of := get_args(known[name].type)[0]):
             if not isinstance(value, list) or not all(isinstance(v, dict) for v in value):
                 raise ValueError(f"{full} should be a list of sections [[{full}]] in {where}.")
@@ -188,5 +408,5 @@ def _check_keys(data: dict[str, Any], model: Any, prefix: str, where: str) -> No
             if not isinstance(value, dict):
                 raise ValueError(f"{full} = {value!r} should be a section [{full}] in {where}.")
             _check_keys(value, known[name].type, full + ".", where)
-        elif isinstance(value, float) and not math.isfinite(value):
-            raise ValueError(f"{full} = {value}: not a finite number. Set {full} in {where}.")
+        else:
+            _check_finite(value, full, where)

@@ -1,430 +1,403 @@
-"""One turn: every equipped vehicle sees, says, hears, judges, is judged, and makes up its mind.
+"""One step: equipped vehicles perceive, broadcast, evaluate each other's detections, update trust, and fuse.
 
 Reads as the detection and decision cycle of TruPercept (section "Summary"), for all vehicles at once.
 
-Within a step that begins at time t: sweeps and detections at t; detections are on the air from t and count
-until t + timeout; verdicts are on the air from then on and count until t + 2 timeout (`radio.timeout_s`), when
-everybody fuses with the trust known by then. The trust server sees what has reached it by t, and broadcasts at t;
-roadside units pass the broadcast on beside the verdicts. Piggybacked verdicts wait for the detections of the next
-turn: too late for fusion, in which each vehicle then judges alone, and in time for trust.
+Within a step that begins at time t: sweeps and detections at t; detection messages are on the air from t and count
+until t + timeout; evaluation messages are on the air from then on and count until t + 2 timeout (`radio.timeout_s`),
+when every vehicle fuses with the trust known by then. The trust server uses what has reached it by t, and broadcasts at
+t; roadside units pass the broadcast on beside the evaluations. Piggybacked evaluations wait for the detection messages
+of the next step: too late for fusion, in which each vehicle then uses its own alone, and in time for trust.
 """
 
-from collections.abc import Callable
+import copy
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, UInt8
+from jaxtyping import Bool, Float, Int, UInt64
 from numpy import ndarray
 
-from cosim import rng
-from cosim.config import Config
+from cosim import object_lists
+from cosim.driver.driver import Beliefs, SpeedCommands
 from cosim.ground_truth import GroundTruth, ground_truth_of
-from cosim.manifest import Stopwatch
-from cosim.v2x.adversary import self_reports, tamper
-from cosim.v2x.exchange import Exchange, Heard
-from cosim.v2x.generation import Memory, included
+from cosim.object_lists import messages_of, received_lists, subset, sweep_evidence
+from cosim.parts import Parts
+from cosim.perception import Observed
+from cosim.radio.message_round import LinkReceptions, MessageRound, Messages, Receptions, RoundKind, Stations, by_link
+from cosim.ragged import ptr_of
+from cosim.trackers.attack_start import AttackStartTracker
+from cosim.trackers.encounters import EncounterTrackers
+from cosim.trackers.inter_reception import InterReceptionTracker
+from cosim.tracking import count_in_encounters, pairs_in_range, track_receptions
+from cosim.v2x.cpm_generation import InclusionMemory, select_objects
 from cosim.v2x.messages import (
     FABRICATED,
-    SELF,
-    SENSED,
     Detections,
-    detections_bytes,
-    expand,
+    cpm_bytes,
+    evaluation_bytes,
     is_sound,
-    ptr_of,
-    riding_bytes,
-    trust_bytes,
-    verdicts_bytes,
+    piggyback_bytes,
+    trust_broadcast_bytes,
 )
-from cosim.v2x.radio import Radio, Round
-from cosim.v2x.roadside import NOWHERE, Sites
-from cosim.v2x.server import Downlink, Edition, Traffic, Uplink
+from cosim.v2x.pseudonyms import PseudonymState, PseudonymUse
+from cosim.v2x.trust_hosts import Lookups, ServerTraffic, TrustState
+from cosim.v2x.trust_server import LinkStats
 from cosim.world import World
-from sensors import detector, evidence, lidar
-from sensors.boxes import Boxes, overlapping_pairs
-from sensors.reports import DetectorDraws
-from sensors.scene import Scene
-from trust import evaluation, fusion, matching, tables
-from trust.models.trupercept import TruPercept
-from trust.params import eta_of
-from trust.step_evidence import RejectReason
-from trust.tables import SERVER, EvaluationMessages, Evaluations, ObjectLists, ReceivedEvaluations, TrustScores
-from trust.tables import Detections as Claims
+from results.encounters import Rows
+from sensors.boxes import overlapping_pairs
+from sensors.evidence import in_evaluation_area
+from trust import tables
+from trust.evaluation import evaluate
+from trust.fusion import Fused, SenderTrust, SensorEvidence, fuse
+from trust.matching import match
+from trust.models import TrustScores
+from trust.tables import EvaluationMessages, Evaluations, ObjectLists
 
-SOURCES = ("server", "own", "default")
-"""Where a trust value that is used comes from, by code."""
 
-FROM_SERVER, FROM_OWN, FROM_NOWHERE = range(3)
+@dataclass(frozen=True, slots=True)
+class Piggybacked:
+    """Evaluations of the last step, waiting for the next detection message."""
+
+    messages: EvaluationMessages
+    vehicle: Int[ndarray, "v"]
+    """Actor number of each message's sender."""
 
 
 @dataclass(slots=True)
 class State:
-    """All that survives a step."""
+    """All that survives a step. A step consumes the state that it is given, because large buffers are used again: to go
+    on twice from one state, `copy` it first."""
 
-    radio: Radio
-    ledger: TruPercept
-    uplink: Uplink
-    downlink: Downlink
-    included: Memory = field(default_factory=Memory)
-    riding: EvaluationMessages | None = None
-    """Evaluations of the last turn, waiting for the next message."""
-    last_edition_s: float = -np.inf
+    medium: Any
+    trust: TrustState
+    encounters: EncounterTrackers
+    driver: object = None
+    pseudonyms: PseudonymState = field(default_factory=PseudonymState)
+    included: InclusionMemory = field(default_factory=InclusionMemory)
+    piggybacked: Piggybacked | None = None
+    inter_reception: tuple[InterReceptionTracker, InterReceptionTracker] = field(
+        default_factory=lambda: (InterReceptionTracker(), InterReceptionTracker())
+    )
+    """Of detection and of evaluation messages."""
+    attack_start: AttackStartTracker = field(default_factory=AttackStartTracker)
     n_malformed: int = 0
     """Detections dropped so far because they cannot be: no finite pose, no size, no score."""
-    sweeps: lidar.Sweeps | None = None
-    """Memory of the last sweeps, written over by the next."""
+    is_consumed: bool = False
 
     @staticmethod
-    def start(config: Config, city: Scene, sites: Sites = NOWHERE) -> "State":
-        return State(
-            radio=Radio.start(config.radio, config.sensing_interval_s, config.seed, city, sites),
-            ledger=TruPercept(config.trust, config.traffic.step_s),
-            uplink=Uplink(config.server, config.seed, config.sensing_interval_s),
-            downlink=Downlink(config.server, config.seed),
-        )
+    def start(parts: Parts) -> "State":
+        """Before the first step."""
+        c = parts.config
+        encounters = EncounterTrackers(c.encounters, c.traffic.step_s, c.lidar.mount_above_roof_m)
+        return State(parts.medium.start(), parts.trust.start(), encounters)
 
-    def refusals(self) -> dict[str, int]:
-        """Evaluations that the ledgers refused, by cause."""
-        return {cause.name.lower(): int(n) for cause, n in zip(RejectReason, self.ledger.rejected, strict=True) if n}
+    def copy(self) -> "State":
+        """A state that shares nothing with this one."""
+        return copy.deepcopy(self)
 
-
-@dataclass(frozen=True, slots=True)
-class Known:
-    """Trust of some subjects as some receivers know it here and now; rows as asked."""
-
-    trust: Float[ndarray, "n"]
-    source: UInt8[ndarray, "n"]  # code of `SOURCES`
-    age_s: Float[ndarray, "n"]  # of the value; read only where it is no default
-
-
-Perceived = tuple[evidence.Observability, Detections, Bool[ndarray, "s"], Int[ndarray, "s"]]
-"""Observability; self reports and detections; and for the sensed ones, in order: whether a real actor, and its row."""
-
-Perceive = Callable[[World, Int[ndarray, "e"], lidar.Sweeps, Config], Perceived]
+    def consume(self) -> "State":
+        """The state to go on with; RuntimeError where another step went on from this one already."""
+        if self.is_consumed:
+            raise RuntimeError("this state was consumed by an earlier step; go on from a copy made before: state.copy()")
+        self.is_consumed = True
+        return replace(self, is_consumed=False)
 
 
 @dataclass(frozen=True, slots=True)
-class ToServer:
-    """A turn's messages between vehicles and trust server."""
+class Vehicles:
+    """Equipped vehicles on the road, by actor number."""
 
-    up: Traffic
-    n_addressed: int
-    """Vehicles that a broadcast of trust values was meant for."""
-    n_informed: int
-    """Of these, those that it reaches."""
+    row: Int[ndarray, "e"]
+    """Row of the world."""
+    actor: Int[ndarray, "e"]
+    name_key: UInt64[ndarray, "e"]
+    pseudonym: Int[ndarray, "e"]
+
+    def __len__(self) -> int:
+        return len(self.row)
 
 
 @dataclass(frozen=True, slots=True)
-class Turn:
-    """Everything that happened in one turn; `e` counts equipped vehicles, rows of `observers`."""
+class Sensed:
+    """What happened in a step in which vehicles sense and talk."""
 
-    world: World
-    observers: Int[ndarray, "e"]  # rows of the world
-    sights: evidence.Observability
-    said: Detections
+    vehicles: Vehicles
+    observed: Observed
+    listed: Detections
+    """Detections as each vehicle lists and transmits them, attacks included."""
     truth: GroundTruth
-    exchanges: tuple[Exchange, Exchange]  # of detections, and of verdicts
-    views: ObjectLists  # what each vehicle judged
-    verdicts: Evaluations
+    detections: tables.Detections
+    """The same as trust sees them: sender as a row of `vehicles`."""
+    rounds: tuple[MessageRound, MessageRound]
+    """Of detection messages, and of evaluation messages."""
+    links: tuple[LinkReceptions, LinkReceptions]
+    """Their receptions by kind of link."""
+    lists: ObjectLists
+    """What each vehicle evaluates."""
+    reported: Evaluations
+    """Evaluations as transmitted."""
     n_points: Int[ndarray, "m"]
     plausible: Bool[ndarray, "m"]
     matched: Bool[ndarray, "m"]
-    met: Heard  # whose trust each vehicle looks up
-    known: Known  # goes with `met`
-    fused: fusion.Fused
-    standing: TrustScores | None  # what the server just computed
-    to_server: ToServer | None
+    """The vehicle detected the object itself."""
+    used: Receptions
+    """Messages whose senders' trust each vehicle looks up."""
+    lookups: list[Lookups]
+    """Per trust variant; rows as in `used`."""
+    fused: list[Fused | None]
+    """Per trust variant; None where it was not asked for."""
+    published: list[TrustScores | None]
+    """Per trust variant: what its server computed in this step."""
+    server: ServerTraffic | None
+    """None where the acting trust does not live on a server."""
+    in_range: list[tuple[Int[ndarray, "p"], Int[ndarray, "p"]]]
+    """Per round: senders and the vehicles within range of them; rows of `vehicles`."""
+    inter_reception: list[Rows]
+    """Per round: columns of the table `packet_inter_reception`."""
 
 
-def turn(
-    world: World, city: Scene, state: State, config: Config, watch: Stopwatch, perceive: Perceive | None = None
-) -> Turn:
-    """The cycle, once; `perceive` stands in for the detectors where a scenario says what is detected."""
-    seed, step, time_s = config.seed, world.step, world.step * config.traffic.step_s
-    observers = np.flatnonzero(world.equipped)
-    names = world.name_key[observers]
-    ids = world.actor[observers]
+@dataclass(frozen=True, slots=True)
+class StepResult:
+    """What happened in a step."""
+
+    world: World
+    encounters: list[Rows]
+    """Encounters that are over, per definition."""
+    ended_pseudonyms: PseudonymUse
+    sensed: Sensed | None
+    """None in steps between two sweeps, and without equipped vehicles."""
+    commands: SpeedCommands
+    """What drivers do next."""
+
+
+def step(world: World, state: State, parts: Parts) -> tuple[State, StepResult]:
+    """The cycle, once. The state is consumed; everything else stays as it was."""
+    c, watch, time_s = parts.config, parts.watch, world.step * parts.config.traffic.step_s
+    s = state.consume()
+    s.pseudonyms, vehicles, ended = _vehicles(world, s, parts)
+    with watch("encounters"):
+        closed = _encounters(world, s, parts, vehicles, time_s)
+    if not parts.senses(world.step) or not len(vehicles):
+        return s, StepResult(world, closed, ended, None, SpeedCommands.none())
 
     with watch("server"):
-        standing = _serve(state, config, world, ids, names, time_s)
-
+        s.trust, published, informed = parts.trust.publish(
+            s.trust, world.step, time_s, vehicles.actor, vehicles.name_key
+        )
     with watch("sweep"):
-        sweep_keys = rng.keys(rng.key(seed, rng.Stream.SWEEP, step), names)
-        sweeps = state.sweeps = lidar.scan(
-            world.boxes, world.shape, observers, city, config.lidar, sweep_keys, state.sweeps
-        )
+        sweeps = parts.perception.sweep(world, vehicles.row)
     with watch("detect"):
-        sights, seen, is_real, source = (perceive or _perceive)(world, observers, sweeps, config)
-    with watch("tamper"):
-        said = tamper(seen, world, time_s, seed, config.adversary)
-        sound = is_sound(said)
-        if not sound.all():  # nobody takes in what cannot be
-            assert (said.origin[~sound] == FABRICATED).all()
-            state.n_malformed += int((~sound).sum())
-            said = said.take(np.flatnonzero(sound))
-        if config.radio.cpm_rules == "etsi":
-            chosen, state.included = included(state.included, said, world.actor[said.observer], time_s)
-            said = replace(said, said=chosen)
-        truth = ground_truth_of(said, world, sights, observers, is_real, source)
-        claims, ptr = _claims(said, observers)
+        observed = parts.perception.detect(world, vehicles.row, sweeps)
+    with watch("attack"):
+        listed = _listed(parts.adversary.detections(observed.detections, world, time_s), world, s, c, time_s)
+        truth = ground_truth_of(listed, world, observed.observability, vehicles.row, observed.is_real, observed.actor_row)
+        detections, ptr = object_lists.for_trust(listed, vehicles.row)
 
     with watch("radio"):
-        riding = state.riding
-        length_bytes = _lengths(claims, said.said, ids, riding, config)
-        first = state.radio.exchange(Round.DETECTIONS, world, observers, length_bytes, time_s)
+        stations, lengths = _stations(world, vehicles, parts), _lengths(detections, listed, vehicles, s, c)
+        s.medium, round_1 = parts.medium.broadcast(
+            s.medium, RoundKind.CPM, world.step, time_s, stations, _messages(lengths, parts)
+        )
+        links_1 = by_link(round_1, len(vehicles))
     with watch("match"):
-        pairs = overlapping_pairs(said.boxes, said.label, said.observer)
-        everything = _views(first.heard, ptr, said.said, len(observers))
-        inside = evidence.in_evaluation_area(
-            sweeps, everything.of_member(), said.boxes, config.area, everything.member, said.label,
-            world.boxes.take(observers),
-        )  # fmt: skip
-        views = _subset(everything, inside)
-        groups_all, groups = (matching.match(v, claims, pairs, config.trust) for v in (everything, views))
-    with watch("judge"):
-        foreign = np.zeros(len(inside), bool)  # those of which a vehicle asks its own sweep whether they can be there
-        foreign[groups_all.seeds()] = True
-        foreign &= ~groups_all.ego_detected
+        pairs = overlapping_pairs(listed.boxes, listed.label, listed.observer)
+        known = received_lists(links_1.vehicles, ptr, listed.transmitted, len(vehicles))
+        inside = in_evaluation_area(
+            sweeps, known.of_member(), listed.boxes, c.area, known.member, listed.label, world.boxes.take(vehicles.row)
+        )
+        lists = subset(known, inside)
+        groups_known, groups = (match(x, detections, pairs, c.trust) for x in (known, lists))
+    with watch("evaluate"):
+        foreign = np.zeros(len(inside), bool)  # members of which a vehicle asks its own sweep whether they can be there
+        foreign[groups_known.seeds()] = True
+        foreign &= ~groups_known.ego_detected
         foreign[np.flatnonzero(inside)[~groups.ego_detected]] = True
-        n_points_all, plausible_all = _look(sweeps, everything, inside, foreign, said.boxes, claims, config)
-        n_points, plausible = n_points_all[inside], plausible_all[inside]
-        verdicts = evaluation.evaluate(views, groups, claims, n_points, plausible, config.trust)
-        _certify(verdicts, views, claims, said)
+        points, possible = sweep_evidence(sweeps, known, inside, foreign, listed.boxes, detections, c.area)
+        n_points, plausible = points[inside], possible[inside]
+        evaluated = evaluate(lists, groups, detections, n_points, plausible, c.trust)
+        reported = object_lists.as_reported(parts.adversary, evaluated, lists, listed, vehicles.row, world, time_s)
+        own, sent = (
+            messages_of(world.step, vehicles.pseudonym, lists, detections, e, listed.transmitted)
+            for e in (evaluated, reported)
+        )
 
-    told = _told(step, ids, views, claims, verdicts, said.said)
-    judged_s = time_s + state.radio.timeout_s
-    alone = config.radio.verdicts == "alone"
+    evaluated_s = time_s + c.timeout_s
+    alone = c.radio.evaluations == "alone"
     with watch("radio"):
-        edition = state.downlink.on_masts(judged_s)
-        second = state.radio.exchange(
-            Round.VERDICTS, world, observers, verdicts_bytes(np.diff(told.ptr)) * alone, judged_s,
-            0 if edition is None else trust_bytes(len(edition.subject)),
-        )  # fmt: skip
+        s.trust, broadcast = parts.trust.pending_rsu_broadcast(s.trust, evaluated_s)
+        lengths = evaluation_bytes(np.diff(sent.ptr)) * alone
+        rsu_bytes = 0 if broadcast is None else trust_broadcast_bytes(len(broadcast.scores.subject))
+        s.medium, round_2 = parts.medium.broadcast(
+            s.medium, RoundKind.EVALUATION, world.step, evaluated_s, stations, _messages(lengths, parts, rsu_bytes)
+        )
+        links_2 = by_link(round_2, len(vehicles))
     with watch("trust"):
-        state.riding = None if alone else told
-        spoken, carrier, begin_s = (told, second, judged_s) if alone else (riding, first, time_s)
-        _book(state, config, told, claims, said.said, ids)
-        if spoken is not None:
-            _hear(state, config, spoken, carrier, ids, begin_s)
-        if config.trust.host == "central":
-            if config.server.uplink == "cellular":
-                state.uplink.by_cellular(told, names, world.boxes.xyz_m[observers, :2], judged_s)
-            if edition is not None:
-                state.downlink.overheard(ids[second.down.receiver], second.down, ids, judged_s)
-        met = (second if alone else first).heard
-        known = knowledge(state, config, ids[met.receiver], ids[met.sender], ids, judged_s + state.radio.timeout_s)
-
+        carried = Piggybacked(sent, vehicles.actor) if alone else s.piggybacked
+        s.piggybacked = None if alone else Piggybacked(sent, vehicles.actor)
+        links, begin_s = (links_2, evaluated_s) if alone else (links_1, time_s)
+        _open_step(world.step, s, parts, vehicles, detections, listed, own)
+        up = _deliver(carried, links, begin_s, s, parts, vehicles)
+        if c.server.uplink == "cellular":
+            xy_m = world.boxes.xyz_m[vehicles.row, :2]
+            s.trust, up = parts.trust.report_by_cellular(s.trust, sent, vehicles.name_key, xy_m, evaluated_s)
+        if broadcast is not None:
+            down = links_2.downlink
+            s.trust, informed = parts.trust.receive_from_rsu(
+                s.trust, vehicles.actor, down.receiver, evaluated_s + down.received_s
+            )
+        used, now_s = links.vehicles, evaluated_s + c.timeout_s
+        s.trust = parts.trust.receive(s.trust, vehicles.actor, now_s)
+        lookups = parts.trust.lookup(s.trust, vehicles.actor[used.receiver], vehicles.pseudonym[used.message], now_s)
     with watch("fuse"):
-        seeds = groups_all.seeds()
-        away_m = np.linalg.norm(
-            said.boxes.xyz_m[everything.member[seeds]] - sweeps.poses.origin_m[everything.of_member()[seeds]], axis=1
+        seeds = groups_known.seeds()
+        away_m = _distance_m(listed, known.member[seeds], observed, known.of_member()[seeds])
+        evidence = SensorEvidence(points[seeds], possible[seeds], away_m < c.area.range_m)
+        from_own_m = _distance_m(listed, np.arange(len(listed)), observed, detections.message)
+        fused = [
+            _fuse(known, groups_known, detections, lists, evaluated, reported, used, look_up, alone, evidence,
+                  from_own_m, variant.trust) if variant.fused else None
+            for variant, look_up in zip(parts.trust.variants, _per_variant(lookups, parts), strict=True)
+        ]  # fmt: skip
+    with watch("driver"):
+        assert fused[0] is not None
+        s.driver, commands = parts.driver.commands(
+            s.driver, world, _beliefs(fused[0], listed, vehicles), c.traffic.step_s
         )
-        sight = fusion.SensorEvidence(n_points_all[seeds], plausible_all[seeds], away_m < config.area.range_m)
-        judged = np.full(len(met.sender), alone)
-        heard = fusion.SenderTrust(ptr_of(met.receiver, len(observers)), met.sender, known.trust, judged)
-        distance_m = np.linalg.norm(said.boxes.xyz_m - sweeps.poses.origin_m[claims.message], axis=1)
-        fused = fusion.fuse(
-            everything, groups_all, claims, views, verdicts, verdicts, heard, sight, distance_m, config.trust
+    with watch("track"):
+        s.attack_start.update(world.step, world.actor[listed.observer[listed.origin == FABRICATED]])
+        rounds, between = (round_1, round_2), (links_1.vehicles, links_2.vehicles)
+        in_range = [pairs_in_range(happened, len(vehicles)) for happened in rounds]
+        inter_reception = [
+            track_receptions(tracker, world.step, happened, received, pairs, vehicles.actor)
+            for tracker, happened, received, pairs in zip(s.inter_reception, rounds, between, in_range, strict=True)
+        ]
+        base = lookups[parts.trust.host_of[0]]
+        count_in_encounters(
+            s.encounters, rounds, between, used, base.source, lists, detections.message, vehicles.actor
         )
-        fused = fused.take(fused.score >= config.trust.min_score)
-
-    to_server = None
-    if config.trust.host == "central":
-        to_server = ToServer(state.uplink.last, state.downlink.n_addressed, state.downlink.n_informed)
-    return Turn(
-        world, observers, sights, said, truth, (first, second),
-        views, verdicts, n_points, plausible, groups.ego_detected, met, known, fused, standing, to_server,
-    )  # fmt: skip
+    server = ServerTraffic(up, *informed) if c.trust.host == "central" else None
+    return s, StepResult(world, closed, ended, Sensed(
+        vehicles, observed, listed, truth, detections, rounds, (links_1, links_2), lists, reported, n_points,
+        plausible, groups.ego_detected, used, _per_variant(lookups, parts), fused, _per_variant(published, parts),
+        server, in_range, inter_reception,
+    ), commands)  # fmt: skip
 
 
-def knowledge(
-    state: State,
-    config: Config,
-    receiver: Int[ndarray, "n"],
-    subject: Int[ndarray, "n"],
-    present: Int[ndarray, "e"],
-    time_s: float,
-) -> Known:
-    """Trust of each subject as its receiver knows it at `time_s`, wherever trust lives; actor ids."""
-    value = np.full(len(receiver), config.trust.default_trust)
-    source = np.full(len(receiver), FROM_NOWHERE, np.uint8)
-    age_s = np.zeros(len(receiver))
-    if config.trust.host == "central":
-        heard, known, age = state.downlink.known(receiver, subject, present, time_s)
-        value[known], source[known], age_s[known] = heard[known], FROM_SERVER, age[known]
-    elif config.trust.host == "local":
-        standing = state.ledger.scores()
-        at, known = standing.rows_of(receiver, subject)
-        at = at[known]
-        value[known], source[known] = standing.trust[at], FROM_OWN
-        age_s[known] = time_s - standing.newest_step[at] * config.traffic.step_s
-    return Known(value, source, age_s)
+def _vehicles(world: World, s: State, parts: Parts) -> tuple[PseudonymState, Vehicles, PseudonymUse]:
+    """Equipped vehicles on the road, under their present pseudonyms; in steps with messages some change."""
+    row = np.flatnonzero(world.equipped)
+    actor, names = world.actor[row], world.name_key[row]
+    if not parts.senses(world.step):
+        return s.pseudonyms, Vehicles(row, actor, names, s.pseudonyms.of(actor)), PseudonymUse.none()
+    pseudonyms, pseudonym, ended = parts.pseudonyms.issue(s.pseudonyms, world, row)
+    return pseudonyms, Vehicles(row, actor, names, pseudonym), ended
 
 
-def _serve(
-    state: State, config: Config, world: World, ids: ndarray, names: ndarray, time_s: float
-) -> TrustScores | None:
-    """Reports come in; when it is time, the server computes everybody's trust and broadcasts it."""
-    if config.trust.host != "central":
-        return None
-    for told in state.uplink.arrived(time_s):
-        n = len(told.evaluator)
-        state.ledger.add_evaluations(ReceivedEvaluations(told, np.full(n, SERVER), np.arange(n), eta_of(config.trust)))
-    state.uplink.last, state.downlink.n_addressed, state.downlink.n_informed = Traffic(), 0, 0
-    if config.server.is_out(time_s) or time_s - state.last_edition_s < config.trust.server_period_s - 1e-9:
-        return None
-    state.last_edition_s = time_s
-    standing = state.ledger.scores(world.step)
-    state.downlink.publish(Edition(time_s, standing.subject, standing.trust), world.step, ids, names)
-    return standing
+def _encounters(world: World, s: State, parts: Parts, vehicles: Vehicles, time_s: float) -> list[Rows]:
+    """Who is near whom, and what they know of each other when they meet."""
+    closed, holder, other = s.encounters.update(world, parts.city)
+    s.trust = parts.trust.receive(s.trust, vehicles.actor, time_s)
+    known = parts.trust.lookup(s.trust, holder, s.pseudonyms.of(other), time_s)[parts.trust.host_of[0]]
+    s.encounters.first_contact(holder, other, known.trust, known.source, known.age_s)
+    return closed
 
 
-def _perceive(world: World, observers: Int[ndarray, "e"], sweeps: lidar.Sweeps, config: Config) -> Perceived:
-    """Self reports and what the detectors make of the sweeps; the truth's name is dropped here."""
-    sights = evidence.observability(sweeps, world.boxes, world.shape)
-    model = detector.DETECTORS[config.detector.model](config.detector)
-    draws = detector_draws(world, observers, config)
-    found = detector.detect(model, sweeps, sights, world.boxes, world.label, draws)
-    n = len(found.observer)
-    sensed = Detections(
-        observer=observers[found.observer],
-        k=1 + np.arange(n) - np.searchsorted(found.observer, found.observer),
-        label=found.label,
-        boxes=found.boxes,
-        score=found.score,
-        n_points=found.n_points,
-        origin=np.full(n, SENSED, np.uint8),
-        said=np.ones(n, bool),
-    )
-    parts = [self_reports(world, observers), sensed] if config.trust.self_reports else [sensed]
-    return sights, Detections.concat(parts), ~found.is_false_positive, found.actor
+def _listed(listed: Detections, world: World, s: State, c: Any, time_s: float) -> Detections:
+    """What is left of the lists once impossible boxes are dropped and generation rules are applied."""
+    sound = is_sound(listed)
+    if not sound.all():
+        assert (listed.origin[~sound] == FABRICATED).all()
+        s.n_malformed += int((~sound).sum())
+        listed = listed.take(np.flatnonzero(sound))
+    if c.radio.cpm_rules == "etsi":
+        chosen, s.included = select_objects(s.included, listed, world.actor[listed.observer], time_s)
+        listed = replace(listed, transmitted=chosen)
+    return listed
 
 
-def detector_draws(world: World, observers: Int[ndarray, "e"], config: Config) -> DetectorDraws:
-    """Keys of the detectors' noise draws in this step."""
-    seed, names = config.seed, world.name_key
-    site = rng.key(seed, rng.Stream.CLUTTER_MEMORY)
-    return DetectorDraws(
-        time_s=world.step * config.traffic.step_s,
-        actor=names,
-        observer_step=rng.keys(rng.key(seed, rng.Stream.DETECTION, world.step), names[observers]),
-        observer=rng.keys(rng.key(seed, rng.Stream.DETECTION_MEMORY), names[observers]),
-        site=site,
-        site_step=rng.keys(rng.key(seed, rng.Stream.CLUTTER, world.step), names[observers]),
-        site_observer=rng.keys(site, names[observers]),
-    )
+def _stations(world: World, vehicles: Vehicles, parts: Parts) -> Stations:
+    """Antennas of vehicles and roadside units."""
+    key = np.concatenate([vehicles.name_key, parts.rsus.name_key])
+    xyz_m = np.concatenate([world.boxes.xyz_m[vehicles.row], parts.rsus.xyz_m])
+    xyz_m[: len(vehicles), 2] += world.boxes.lwh_m[vehicles.row, 2] / 2 + parts.config.radio.antenna_above_roof_m
+    return Stations(key, xyz_m, len(vehicles))
 
 
-def _claims(said: Detections, observers: Int[ndarray, "e"]) -> tuple[Claims, Int[ndarray, "e+1"]]:
-    """The detections as trust sees them, and where each equipped vehicle's begin."""
-    sender = np.searchsorted(observers, said.observer)
-    claims = Claims(sender, said.k, said.label, said.score, said.origin == SELF)
-    return claims, ptr_of(sender, len(observers))
-
-
-def _views(heard: Heard, ptr: Int[ndarray, "e+1"], said: Bool[ndarray, "d"], n: int) -> ObjectLists:
-    """What each vehicle has before it: all its own detections, then what it heard, by (sender, k)."""
-    everyone = np.arange(n)
-    receiver = np.concatenate([everyone, heard.receiver])
-    sender = np.concatenate([everyone, heard.sender])
-    order = np.lexsort((sender, receiver != sender, receiver))
-    receiver, sender = receiver[order], sender[order]
-    member, which = expand(ptr[sender], ptr[sender + 1])
-    view, own = receiver[which], (receiver == sender)[which]
-    keep = own | said[member]
-    return ObjectLists(ptr_of(view[keep], n), member[keep], everyone)
-
-
-def _subset(views: ObjectLists, keep: Bool[ndarray, "m"]) -> ObjectLists:
-    return ObjectLists(ptr_of(views.of_member()[keep], len(views.owner)), views.member[keep], views.owner)
-
-
-def _certify(evaluations: Evaluations, views: ObjectLists, claims: Claims, said: Detections) -> None:
-    """A malicious vehicle evaluates its own fabricated detections with e = Phi = 1."""
-    own = claims.message[views.member] == views.owner[views.of_member()]
-    certified = own & (said.origin[views.member] == FABRICATED)
-    evaluations.evaluation[certified] = evaluations.visibility[certified] = 1.0
-
-
-def _told(
-    step: int,
-    ids: Int[ndarray, "e"],
-    views: ObjectLists,
-    claims: Claims,
-    verdicts: Evaluations,
-    said: Bool[ndarray, "d"],
-) -> EvaluationMessages:
-    """The verdicts as messages: one per evaluator, on everything that was said."""
-    keep = said[views.member]
-    return tables.as_messages(
-        step, ids, _subset(views, keep), claims, Evaluations(verdicts.evaluation[keep], verdicts.visibility[keep])
-    )
+def _messages(length_bytes: Int[ndarray, "e"], parts: Parts, rsu_bytes: int = 0) -> Messages:
+    """One message per station, roadside units included."""
+    return Messages.one_each(np.concatenate([length_bytes, np.full(len(parts.rsus), rsu_bytes)]))
 
 
 def _lengths(
-    claims: Claims, said: Bool[ndarray, "d"], ids: ndarray, riding: EvaluationMessages | None, config: Config
+    detections: tables.Detections, listed: Detections, vehicles: Vehicles, s: State, c: Any
 ) -> Int[ndarray, "e"]:
-    """Length of each vehicle's detection message, with the verdicts that ride on it; 0 for none [B]."""
-    n_said = np.bincount(claims.message[said], minlength=len(ids))
-    n_riding = np.zeros(len(ids), np.int64)
-    if riding is not None:
-        _, there, row = np.intersect1d(riding.evaluator, ids, assume_unique=True, return_indices=True)
-        n_riding[row] = np.diff(riding.ptr)[there]
-    length = detections_bytes(n_said) + np.where(n_riding > 0, riding_bytes(n_riding), 0)
-    return length if config.radio.cpm_rules == "all" else np.where((n_said > 0) | (n_riding > 0), length, 0)
+    """Length of each vehicle's detection message, with the evaluations that it carries; 0 for none [B]."""
+    n_objects = np.bincount(detections.message[listed.transmitted], minlength=len(vehicles))
+    n_carried = np.zeros(len(vehicles), np.int64)
+    if s.piggybacked is not None:
+        _, there, row = np.intersect1d(s.piggybacked.vehicle, vehicles.actor, assume_unique=True, return_indices=True)
+        n_carried[row] = np.diff(s.piggybacked.messages.ptr)[there]
+    length = cpm_bytes(n_objects) + np.where(n_carried > 0, piggyback_bytes(n_carried), 0)
+    return length if c.radio.cpm_rules == "all" else np.where((n_objects > 0) | (n_carried > 0), length, 0)
 
 
-def _book(
-    state: State,
-    config: Config,
-    told: EvaluationMessages,
-    claims: Claims,
-    said: Bool[ndarray, "d"],
-    ids: Int[ndarray, "e"],
-) -> None:
-    """Open the step in the ledgers; where every vehicle keeps its own, enter what it thinks itself."""
-    if config.trust.host == "none":
-        return
-    state.ledger.open_step(told.step, ids, claims.message[said], claims.detection_index[said], claims.score[said])
-    if config.trust.host == "local":
-        state.ledger.add_evaluations(ReceivedEvaluations(told, ids, np.arange(len(ids)), eta_of(config.trust)))
+def _open_step(
+    step: int, s: State, parts: Parts, vehicles: Vehicles, detections: tables.Detections, listed: Detections,
+    own: EvaluationMessages,
+) -> None:  # fmt: skip
+    """Trust learns what was transmitted; vehicles that keep trust themselves learn what they think themselves."""
+    sent = listed.transmitted
+    s.trust = parts.trust.open_step(
+        s.trust, step, vehicles.pseudonym, detections.message[sent], detections.detection_index[sent],
+        detections.score[sent],
+    )  # fmt: skip
+    s.trust = parts.trust.add_own(s.trust, own, vehicles.actor)
 
 
-def _hear(
-    state: State, config: Config, told: EvaluationMessages, carrier: Exchange, ids: Int[ndarray, "e"], begin_s: float
-) -> None:
+def _deliver(
+    carried: Piggybacked | None, links: LinkReceptions, begin_s: float, s: State, parts: Parts, vehicles: Vehicles
+) -> LinkStats:
     """Evaluations reach other vehicles and, where that is their way to the server, roadside units."""
-    message = np.full(len(ids), -1)  # of each vehicle on the road
-    _, which, row = np.intersect1d(told.evaluator, ids, assume_unique=True, return_indices=True)
-    message[row] = which
-    if config.trust.host == "local" and config.trust.local_evidence == "received":
-        heard = carrier.heard
-        rows = np.flatnonzero(message[heard.sender] >= 0)
-        state.ledger.add_evaluations(
-            ReceivedEvaluations(told, ids[heard.receiver[rows]], message[heard.sender[rows]], eta_of(config.trust))
-        )
-    if config.trust.host == "central" and config.server.uplink == "rsu":
-        up = carrier.up.take(message[carrier.up.sender] >= 0)
-        state.uplink.by_roadside(told, message[up.sender], up, begin_s)
+    if carried is None:
+        return LinkStats()
+    row = np.full(len(vehicles), -1)  # of each vehicle's message
+    _, which, at = np.intersect1d(carried.vehicle, vehicles.actor, assume_unique=True, return_indices=True)
+    row[at] = which
+    got = links.vehicles.take(row[links.vehicles.message] >= 0)
+    s.trust = parts.trust.add_received(s.trust, carried.messages, vehicles.actor[got.receiver], row[got.message])
+    up = links.uplink.take(row[links.uplink.message] >= 0)
+    s.trust, stats = parts.trust.report_by_rsu(s.trust, carried.messages, row[up.message], begin_s + up.received_s)
+    return stats
 
 
-def _look(
-    sweeps: lidar.Sweeps,
-    views: ObjectLists,
-    inside: Bool[ndarray, "m"],
-    foreign: Bool[ndarray, "m"],
-    boxes: Boxes,
-    claims: Claims,
-    config: Config,
-) -> tuple[Int[ndarray, "m"], Bool[ndarray, "m"]]:
-    """What each vehicle's own sweep says of the boxes before it: returns within, and whether free space allows them.
+def _per_variant(of_host: list, parts: Parts) -> list:
+    """The same per trust variant."""
+    return [of_host[h] for h in parts.trust.host_of]
 
-    Asked of all that it judges and of what is foreign; else 0 and True. Nobody has returns from himself.
-    """
-    o, b = views.of_member(), views.member
-    n_points, plausible = np.zeros(len(b), np.int32), np.ones(len(b), bool)
-    asked = np.flatnonzero((inside | foreign) & ~(claims.is_self[b] & (claims.message[b] == o)))
-    n_points[asked] = evidence.points_in_boxes(sweeps, o[asked], boxes, b[asked])
-    asked = np.flatnonzero(foreign)
-    plausible[asked] = evidence.plausible(sweeps, o[asked], boxes, b[asked], config.area)
-    return n_points, plausible
+
+def _distance_m(
+    listed: Detections, detection: Int[ndarray, "n"], observed: Observed, vehicle: Int[ndarray, "n"]
+) -> Float[ndarray, "n"]:
+    """From vehicles' sensors to the centres of detections."""
+    return np.linalg.norm(listed.boxes.xyz_m[detection] - observed.sweeps.poses.origin_m[vehicle], axis=1)
+
+
+def _fuse(
+    known: ObjectLists, groups: tables.Groups, detections: tables.Detections, lists: ObjectLists,
+    evaluated: Evaluations, reported: Evaluations, used: Receptions, look_up: Lookups, alone: bool,
+    evidence: SensorEvidence, from_own_m: Float[ndarray, "d"], params: Any,
+) -> Fused:  # fmt: skip
+    """Every vehicle's final objects with the trust of one variant."""
+    trust = SenderTrust(
+        ptr_of(used.receiver, len(known.owner)), used.message, look_up.trust, np.full(len(used.message), alone)
+    )
+    fused = fuse(known, groups, detections, lists, evaluated, reported, trust, evidence, from_own_m, params)
+    return fused.take(fused.score >= params.min_score)
+
+
+def _beliefs(fused: Fused, listed: Detections, vehicles: Vehicles) -> Beliefs:
+    """Fused objects as drivers see them."""
+    boxes = listed.boxes.take(fused.seed)
+    pose = listed.boxes.take(fused.pose)
+    boxes = replace(boxes, xyz_m=pose.xyz_m, yaw_rad=pose.yaw_rad)
+    return Beliefs(vehicles.row[fused.ego], listed.label[fused.seed], boxes, fused.score, fused.ego_detected)

@@ -1,19 +1,18 @@
-"""From the result of a step to the rows of the run's tables."""
+"""From the result of a step to the rows of the run's tables; it asks nothing of the simulation."""
 
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Bool, Int
+from jaxtyping import Bool, Int, UInt8
 from numpy import ndarray
 
 import cosim.codes  # noqa: F401  the codes that are written are those that the tables render
-from cosim.cycle import Turn
-from cosim.roster import Roster
+from cosim.actors import ActorRegistry
+from cosim.cycle import Sensed, StepResult
+from cosim.radio.message_round import Outcome
 from cosim.trackers.channel_counts import latency_histogram, pdr_by_distance, vehicle_channel
-from cosim.trackers.encounters import EncounterTrackers
-from cosim.trackers.inter_reception import InterReceptionTracker, unique_pairs
-from cosim.v2x.exchange import Exchange, Fate
-from cosim.v2x.messages import FABRICATED, Detections
+from cosim.v2x.messages import FABRICATED
+from cosim.v2x.pseudonyms import PseudonymUse
 from cosim.world import World
 from results.codes import MessageType, TrustSource
 from results.encounters import Rows
@@ -21,21 +20,34 @@ from results.recorder import Recorder
 from sensors.boxes import Boxes
 
 OUTCOMES = {
-    "n_delivered": Fate.RECEIVED,
-    "n_lost_propagation": Fate.PROPAGATION,
-    "n_lost_collision": Fate.COLLISION,
-    "n_lost_receiver_busy": Fate.RECEIVER_BUSY,
-    "n_lost_expired": Fate.EXPIRED,
-    "n_lost_late": Fate.LATE,
+    "n_delivered": Outcome.RECEIVED,
+    "n_lost_propagation": Outcome.PROPAGATION,
+    "n_lost_collision": Outcome.COLLISION,
+    "n_lost_receiver_busy": Outcome.RECEIVER_BUSY,
+    "n_lost_expired": Outcome.EXPIRED,
+    "n_lost_late": Outcome.LATE,
 }
 """Columns of the tables `radio` and `pdr_by_distance`, and the outcome that each counts."""
 
-BASE = 0
-"""Code of the trust variant that acts."""
+
+def step(recorder: Recorder, happened: StepResult, dt_s: float) -> None:
+    """Everything that the result of a step says."""
+    at = happened.world.step
+    _actors(recorder, happened.world)
+    encounters(recorder, at, happened.encounters)
+    pseudonyms(recorder, at, happened.ended_pseudonyms)
+    sensed = happened.sensed
+    if sensed is None:
+        return
+    _detections(recorder, happened.world, sensed)
+    _channel(recorder, at, sensed)
+    _receptions(recorder, at, sensed)
+    _evaluations(recorder, at, sensed)
+    _trust(recorder, at, sensed, dt_s)
+    _fused(recorder, at, sensed)
 
 
-def actors(recorder: Recorder, world: World) -> None:
-    """Poses of all actors."""
+def _actors(recorder: Recorder, world: World) -> None:
     xyz, yaw = world.boxes.xyz_m, world.boxes.yaw_rad
     recorder.append("actors", world.step, {
         "actor": world.actor, "x_m": xyz[:, 0], "y_m": xyz[:, 1], "z_m": xyz[:, 2], "yaw_rad": yaw,
@@ -43,34 +55,18 @@ def actors(recorder: Recorder, world: World) -> None:
     })  # fmt: skip
 
 
-def encounters(recorder: Recorder, step: int, closed: Sequence[Rows]) -> None:
-    """Encounters that ended in this step, by definition."""
+def encounters(recorder: Recorder, at: int, closed: Sequence[Rows]) -> None:
+    """Encounters that are over, by definition."""
     for rows in closed:
-        recorder.append("encounters", step, rows)
+        recorder.append("encounters", at, rows)
 
 
-def count_in_encounters(trackers: EncounterTrackers, turn: Turn) -> None:
-    """Messages, evaluations and trust lookups of this step, for the encounters under way."""
-    ids = turn.world.actor[turn.observers]
-    evaluator = turn.views.of_member()
-    observer = turn.said.observer[turn.views.member]
-    foreign = turn.observers[evaluator] != observer
-    pair, n = np.unique(evaluator[foreign] * len(turn.world) + observer[foreign], return_counts=True)
-    looked_up = turn.known.source != TrustSource.DEFAULT
-    for exchange in turn.exchanges:
-        trackers.count_messages(ids[exchange.heard.sender], ids[exchange.heard.receiver])
-    trackers.note_trust(ids[turn.met.receiver][looked_up], ids[turn.met.sender][looked_up])
-    trackers.count_evaluations(ids[pair // len(turn.world)], turn.world.actor[pair % len(turn.world)], n)
-
-
-def step(recorder: Recorder, turn: Turn, pir: Sequence[InterReceptionTracker], dt_s: float) -> None:
-    """Everything that the result of a step says; `pir` goes with its rounds of messages."""
-    _perception(recorder, turn)
-    _channel(recorder, turn, pir)
-    _receptions(recorder, turn)
-    _evaluations(recorder, turn)
-    _trust(recorder, turn, dt_s)
-    _fused(recorder, turn)
+def pseudonyms(recorder: Recorder, at: int, ended: PseudonymUse) -> None:
+    """Pseudonyms that are no longer used."""
+    recorder.append("pseudonyms", at, {
+        "pseudonym": ended.pseudonym, "vehicle": ended.vehicle, "from_step": ended.from_step,
+        "to_step": ended.to_step,
+    })  # fmt: skip
 
 
 def _box_columns(boxes: Boxes) -> Rows:
@@ -82,47 +78,41 @@ def _box_columns(boxes: Boxes) -> Rows:
     }  # fmt: skip
 
 
-def _perception(recorder: Recorder, turn: Turn) -> None:
-    said: Detections = turn.said
-    truth = turn.truth
-    recorder.append("detections", turn.world.step, {
-        "observer": turn.world.actor[said.observer], "detection_index": said.k, "class": said.label,
-        **_box_columns(said.boxes), "score": said.score, "n_points": said.n_points,
-        "origin": said.origin, "transmitted": said.said,
-        "truth_actor": turn.world.actor[truth.actor_row], "truth_actor__valid": truth.is_real,
+def _detections(recorder: Recorder, world: World, sensed: Sensed) -> None:
+    listed, truth, seen = sensed.listed, sensed.truth, sensed.observed.observability
+    recorder.append("detections", world.step, {
+        "observer": sensed.vehicles.pseudonym[sensed.detections.message], "detection_index": listed.detection_index,
+        "class": listed.label, **_box_columns(listed.boxes), "score": listed.score, "n_points": listed.n_points,
+        "origin": listed.origin, "transmitted": listed.transmitted,
+        "truth_actor": world.actor[truth.actor_row], "truth_actor__valid": truth.is_real,
         "truth_iou": truth.iou, "truth_iou__valid": truth.is_real,
         "truth_occlusion": truth.occlusion, "truth_occlusion__valid": truth.is_sensed,
     })  # fmt: skip
-    recorder.append("observability", turn.world.step, {
-        "observer": turn.world.actor[turn.observers[turn.sights.o]], "actor": turn.world.actor[turn.sights.actor],
-        "n_points": turn.sights.n_returns, "n_unoccluded": turn.sights.n_unoccluded,
+    recorder.append("observability", world.step, {
+        "observer": sensed.vehicles.actor[seen.observer], "actor": world.actor[seen.actor],
+        "n_points": seen.n_returns, "n_unoccluded": seen.n_unoccluded,
     })  # fmt: skip
 
 
-def _channel(recorder: Recorder, turn: Turn, pir: Sequence[InterReceptionTracker]) -> None:
-    at, ids = turn.world.step, turn.world.actor[turn.observers]
-    n = len(ids)
-    in_range = [_pairs_in_range(exchange, n) for exchange in turn.exchanges]
-    for message_type, exchange in zip(MessageType, turn.exchanges, strict=True):
-        frames = exchange.frames
-        by_distance, total = pdr_by_distance(frames.distance_m, frames.view, frames.fate, OUTCOMES)
+def _channel(recorder: Recorder, at: int, sensed: Sensed) -> None:
+    n = len(sensed.vehicles)
+    for message_type, happened, links, pir in zip(
+        MessageType, sensed.rounds, sensed.links, sensed.inter_reception, strict=True
+    ):
+        frames = happened.frames
+        by_distance, total = pdr_by_distance(frames.distance_m, frames.los_state, frames.outcome, OUTCOMES)
         recorder.append("radio", at, _of(message_type, {
             "n_sent": np.array([frames.n_transmissions.sum()]), "n_relayed": np.array([frames.n_relayed]),
             "n_duplicate": np.array([frames.n_duplicate]), "sent_bytes": np.array([frames.sent_bytes]), **total,
-            "cbr": None if frames.busy is None else np.array([frames.busy[:n].mean()]),
+            "cbr": None if frames.cbr is None else np.array([frames.cbr[:n].mean()]),
         }))  # fmt: skip
         recorder.append("pdr_by_distance", at, _of(message_type, by_distance))
-        recorder.append("latency_histogram", at, _of(message_type, latency_histogram(exchange.heard.latency_s)))
-    recorder.append("vehicle_channel", at, {"vehicle": ids} | vehicle_channel(
-        n, [receiver for _, receiver in in_range], [exchange.heard.receiver for exchange in turn.exchanges],
-        [exchange.frames.busy for exchange in turn.exchanges],
+        recorder.append("latency_histogram", at, _of(message_type, latency_histogram(links.vehicles.latency_s)))
+        recorder.append("packet_inter_reception", at, _of(message_type, pir))
+    recorder.append("vehicle_channel", at, {"vehicle": sensed.vehicles.actor} | vehicle_channel(
+        n, [receiver for _, receiver in sensed.in_range], [links.vehicles.receiver for links in sensed.links],
+        [happened.frames.cbr for happened in sensed.rounds],
     ))  # fmt: skip
-    for message_type, exchange, tracker, (sender, receiver) in zip(
-        MessageType, turn.exchanges, pir, in_range, strict=True
-    ):
-        received = np.isin(sender * n + receiver, exchange.heard.sender * n + exchange.heard.receiver)
-        rows = tracker.update(at, ids[sender], ids[receiver], received)
-        recorder.append("packet_inter_reception", at, _of(message_type, rows))
 
 
 def _of(message_type: MessageType, rows: dict[str, ndarray | None]) -> dict[str, ndarray | None]:
@@ -130,94 +120,81 @@ def _of(message_type: MessageType, rows: dict[str, ndarray | None]) -> dict[str,
     return {"message_type": np.full(n, message_type), **rows}
 
 
-def _pairs_in_range(exchange: Exchange, n: int) -> tuple[Int[ndarray, "p"], Int[ndarray, "p"]]:
-    """Authors of messages, and the other vehicles within range of them: each pair once, sorted."""
-    frames = exchange.frames
-    own = np.flatnonzero((frames.hop == 1) & (frames.origin < n) & (frames.receiver < n))
-    return unique_pairs(frames.origin[own].astype(np.int64), frames.receiver[own].astype(np.int64), n)
-
-
-def _receptions(recorder: Recorder, turn: Turn) -> None:
-    ids = turn.world.actor[turn.observers]
-    for message_type, exchange in zip(MessageType, turn.exchanges, strict=True):
-        heard = exchange.heard
-        recorder.append("receptions", turn.world.step, _of(message_type, {
-            "sender": ids[heard.sender], "receiver": ids[heard.receiver], "hops": heard.hops,
-            "generation_offset_s": heard.generated_s, "access_delay_s": heard.access_s,
-            "latency_s": heard.latency_s, "distance_m": heard.distance_m,
+def _receptions(recorder: Recorder, at: int, sensed: Sensed) -> None:
+    for message_type, links in zip(MessageType, sensed.links, strict=True):
+        found = links.vehicles
+        recorder.append("receptions", at, _of(message_type, {
+            "sender": sensed.vehicles.pseudonym[found.message], "receiver": sensed.vehicles.actor[found.receiver],
+            "hops": found.hops, "generation_offset_s": found.generation_offset_s,
+            "access_delay_s": found.access_delay_s, "latency_s": found.latency_s, "distance_m": found.distance_m,
         }))  # fmt: skip
 
 
-def _evaluations(recorder: Recorder, turn: Turn) -> None:
-    member, ids = turn.views.member, turn.world.actor[turn.observers]
-    recorder.append("evaluations", turn.world.step, {
-        "evaluator": ids[turn.views.of_member()], "observer": turn.world.actor[turn.said.observer[member]],
-        "detection_index": turn.said.k[member], "evaluation": turn.verdicts.e, "visibility": turn.verdicts.phi,
-        "n_points": turn.n_points, "plausible": turn.plausible, "plausible__valid": ~turn.matched,
-        "matched": turn.matched,
+def _evaluations(recorder: Recorder, at: int, sensed: Sensed) -> None:
+    member, pseudonym = sensed.lists.member, sensed.vehicles.pseudonym
+    recorder.append("evaluations", at, {
+        "evaluator": pseudonym[sensed.lists.of_member()], "observer": pseudonym[sensed.detections.message[member]],
+        "detection_index": sensed.listed.detection_index[member], "evaluation": sensed.reported.evaluation,
+        "visibility": sensed.reported.visibility, "n_points": sensed.n_points, "plausible": sensed.plausible,
+        "plausible__valid": ~sensed.matched, "matched": sensed.matched,
     })  # fmt: skip
 
 
-def _trust(recorder: Recorder, turn: Turn, dt_s: float) -> None:
-    at, ids = turn.world.step, turn.world.actor[turn.observers]
-    standing, met = turn.standing, turn.met
-    if standing is not None:
+def _trust(recorder: Recorder, at: int, sensed: Sensed, dt_s: float) -> None:
+    for variant, scores in enumerate(sensed.published):
+        if scores is None:
+            continue
         recorder.append("trust", at, {
-            "variant": np.full(len(standing.subject), BASE), "subject": standing.subject,
-            "trust": standing.trust, "uncertainty": None, "weight": standing.weight,
-            "n_evaluations": standing.n_verdicts, "newest_age_s": (at - standing.newest_step) * dt_s,
-            "oldest_age_s": (at - standing.oldest_step) * dt_s,
+            "variant": np.full(len(scores.subject), variant), "subject": scores.subject, "trust": scores.trust,
+            "uncertainty": np.nan_to_num(scores.uncertainty), "uncertainty__valid": ~np.isnan(scores.uncertainty),
+            "weight": scores.weight, "n_evaluations": scores.n_evaluations,
+            "newest_age_s": (at - scores.newest_step) * dt_s, "oldest_age_s": (at - scores.oldest_step) * dt_s,
         })  # fmt: skip
-    if turn.to_server is not None:
-        up, down = turn.to_server.up, turn.to_server
+    if sensed.server is not None:
+        up, down = sensed.server.up, sensed.server
         recorder.append("server", at, {
             "n_reports": np.array([up.n_reports]), "n_reached": np.array([up.n_reached]),
             "n_lost": np.array([up.n_lost]), "n_over_capacity": np.array([up.n_over_capacity]),
-            "n_outage": np.array([up.n_outage]), "uplink_bytes": np.array([up.up_bytes]),
+            "n_outage": np.array([up.n_outage]), "uplink_bytes": np.array([up.uplink_bytes]),
             "n_addressed": np.array([down.n_addressed]), "n_informed": np.array([down.n_informed]),
         })  # fmt: skip
-    recorder.append("trust_lookups", at, {
-        "variant": np.full(len(met.receiver), BASE), "receiver": ids[met.receiver], "subject": ids[met.sender],
-        "trust": turn.known.trust, "source": turn.known.source,
-        "age_s": turn.known.age_s, "age_s__valid": turn.known.source != TrustSource.DEFAULT,
-    })  # fmt: skip
+    used = sensed.used
+    receiver, subject = sensed.vehicles.actor[used.receiver], sensed.vehicles.pseudonym[used.message]
+    for variant, found in enumerate(sensed.lookups):
+        recorder.append("trust_lookups", at, {
+            "variant": np.full(len(receiver), variant), "receiver": receiver, "subject": subject,
+            "trust": found.trust, "source": found.source, "age_s": found.age_s,
+            "age_s__valid": found.source != TrustSource.DEFAULT,
+        })  # fmt: skip
 
 
-def _fused(recorder: Recorder, turn: Turn) -> None:
-    fused, said = turn.fused, turn.said
-    view = fused.ego
-    recorder.append("fused", turn.world.step, {
-        "variant": np.full(len(view), BASE), "observer": turn.world.actor[turn.observers[view]],
-        "fused_index": np.arange(len(view)) - np.searchsorted(view, view),
-        "score": fused.score, "n_sources": fused.n_witnesses, "ego_detected": fused.local,
-        "source": turn.world.actor[said.observer[fused.seed]], "source_index": said.k[fused.seed],
-        "pose": turn.world.actor[said.observer[fused.pose]], "pose__valid": fused.pose != fused.seed,
-        "pose_index": said.k[fused.pose], "pose_index__valid": fused.pose != fused.seed,
-        "fabricated": said.origin[fused.seed] == FABRICATED,
-    })  # fmt: skip
-
-
-def attackers(turn: Turn) -> Int[ndarray, "k"]:
-    """Actors with a fabricated detection in this step, once for each."""
-    return turn.world.actor[turn.said.observer[turn.said.origin == FABRICATED]]
+def _fused(recorder: Recorder, at: int, sensed: Sensed) -> None:
+    listed, pseudonym = sensed.listed, sensed.vehicles.pseudonym[sensed.detections.message]
+    for variant, fused in enumerate(sensed.fused):
+        if fused is None:
+            continue
+        ego, moved = fused.ego, fused.pose != fused.seed
+        recorder.append("fused", at, {
+            "variant": np.full(len(ego), variant), "observer": sensed.vehicles.actor[ego],
+            "fused_index": np.arange(len(ego)) - np.searchsorted(ego, ego),
+            "score": fused.score, "n_sources": fused.n_sources, "ego_detected": fused.ego_detected,
+            "source": pseudonym[fused.seed], "source_index": listed.detection_index[fused.seed],
+            "pose": pseudonym[fused.pose], "pose__valid": moved,
+            "pose_index": listed.detection_index[fused.pose], "pose_index__valid": moved,
+            "fabricated": listed.origin[fused.seed] == FABRICATED,
+        })  # fmt: skip
 
 
 def vehicles(
-    recorder: Recorder, roster: Roster, attack_start_step: Int[ndarray, "n"], attacked: Bool[ndarray, "n"],
-    last_step: int,
+    recorder: Recorder, registry: ActorRegistry, role_of_attack: UInt8[ndarray, "a"],
+    attack_start_step: Int[ndarray, "n"], attacked: Bool[ndarray, "n"], last_step: int,
 ) -> None:  # fmt: skip
-    """All actors once, at the end, and the pseudonyms of the equipped: their actor numbers."""
-    lwh = roster.lwh_m
-    number = np.arange(len(roster), dtype=np.int32)
+    """All actors, once, when recording ends; `role_of_attack` by number of the attack, 0 for none."""
+    lwh = registry.lwh_m
     recorder.append("vehicles", last_step, {
-        "vehicle": number, "sumo_id": np.array(roster.names, object), "vehicle_class": roster.shape,
-        "length_m": lwh[:, 0], "width_m": lwh[:, 1], "height_m": lwh[:, 2],
-        "equipped": roster.equipped, "role": roster.behaviour, "role__valid": roster.equipped,
-        "first_step": roster.first_step, "last_step": roster.last_step,
+        "vehicle": np.arange(len(registry), dtype=np.int32), "sumo_id": np.array(registry.names, object),
+        "vehicle_class": registry.shape, "length_m": lwh[:, 0], "width_m": lwh[:, 1], "height_m": lwh[:, 2],
+        "equipped": registry.equipped, "role": role_of_attack[registry.attack], "role__valid": registry.equipped,
+        "first_step": registry.first_step, "last_step": registry.last_step,
         "attack_start_step": attack_start_step, "attack_start_step__valid": attacked,
-    })  # fmt: skip
-    equipped = roster.equipped
-    recorder.append("pseudonyms", last_step, {
-        "pseudonym": number[equipped], "vehicle": number[equipped],
-        "from_step": roster.first_step[equipped], "to_step": roster.last_step[equipped],
     })  # fmt: skip

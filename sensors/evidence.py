@@ -14,8 +14,7 @@ from sensors import range_image
 from sensors.boxes import Boxes
 from sensors.lidar import Sweeps
 from sensors.neighbours import neighbours
-from sensors.raycast import segment
-from sensors.scene import ObjectClass, Scene, prisms
+from sensors.scene import ObjectClass, prisms
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -187,37 +186,3 @@ def observability(sweeps: Sweeps, boxes: Boxes, shape: UInt8[ndarray, "n"]) -> O
     actor = row[keep].astype(np.int32)
     apart = boxes.xyz_m[actor] - sweeps.poses.origin_m[o]
     return Observability(o, actor, n_returns[keep], n_unoccluded[keep], _norm(apart))
-
-
-def line_of_sight(
-    scene: Scene,
-    boxes: Boxes,
-    shape: UInt8[ndarray, "n"],
-    a: Int[ndarray, "k"],
-    b: Int[ndarray, "k"],
-    above_roof_m: float = 0.23,
-) -> Bool[ndarray, "k"]:
-    """Whether nothing stands between the roofs of actors a[k] and b[k].
-
-    Parameters
-    ----------
-    above_roof_m
-        Height of both ends over the centre of the roof [m].
-
-    Notes
-    -----
-    Buildings and the bodies of third actors block. Inside one building there is line of sight.
-    """
-    roof = boxes.xyz_m.copy()
-    roof[:, 2] += 0.5 * boxes.lwh_m[:, 2]
-    a, b = np.asarray(a, dtype=np.int64), np.asarray(b, dtype=np.int64)
-    if len(a) == 0:
-        return np.zeros(0, bool)
-    start, end = roof[a], roof[b]
-    start[:, 2] += above_roof_m
-    end[:, 2] += above_roof_m
-    tall = np.flatnonzero(roof[:, 2] > min(start[:, 2].min(), end[:, 2].min()))
-    origins, origin = np.unique(a, return_inverse=True)
-    longest = float(np.hypot(end[:, 0] - start[:, 0], end[:, 1] - start[:, 1]).max())
-    ptr, row = neighbours(roof[origins], boxes.take(tall), longest)
-    return ~segment.blocked(start, end, a, b, origin, ptr, tall[row], prisms(shape, boxes), scene.buildings)

@@ -9,9 +9,9 @@ from cosim import cycle, rng
 from cosim.config import load
 from cosim.cycle import FROM_SERVER, State, turn
 from cosim.manifest import Stopwatch
+from cosim.radio.message_round import MessageRound, Receptions
+from cosim.radio.rsu import NO_RSUS, RsuAntennas
 from cosim.reproduce import FOLDER, Stage
-from cosim.v2x.exchange import Exchange, Heard
-from cosim.v2x.roadside import NOWHERE, Sites
 from tests.drive import cosim
 from trust.step_evidence import RejectReason
 
@@ -20,10 +20,10 @@ BASE = ("server.cellular.delay_min_s=0.001", "server.cellular.delay_mean_s=0.002
 
 
 def unit(x, y):
-    return Sites(np.array([[x, y, 6.0]]), np.array([rng.name_key("rsu")], np.uint64))
+    return RsuAntennas(np.array([[x, y, 6.0]]), np.array([rng.name_key("rsu")], np.uint64))
 
 
-def play(n, *overrides, sites=NOWHERE):
+def play(n, *overrides, sites=NO_RSUS):
     """Turns of the paper's scene, second by second, and the state at the end."""
     stage, config = Stage.load(), load(FOLDER / "scenario-2.toml", [*BASE, *overrides])
     state, watch = State.start(config, stage.city, sites), Stopwatch()
@@ -76,7 +76,7 @@ def test_a_unit_far_away_changes_nothing():
     beside, _ = play(3, *air, sites=unit(50_000.0, 0.0))
     for one, other in zip(alone, beside, strict=True):
         for a, b in zip(one.exchanges, other.exchanges, strict=True):
-            for name in Heard.__slots__:
+            for name in Receptions.__slots__:
                 assert np.array_equal(getattr(a.heard, name), getattr(b.heard, name)), name
 
 
@@ -86,13 +86,13 @@ def test_a_relayed_verdict_counts_once(monkeypatch):
     turns, state = play(5, *local)
     assert sum(t.exchanges[1].frames.n_duplicate for t in turns) > 0
     assert state.refusals() == {}
-    honest = Exchange.of
+    honest = MessageRound.of
 
     def twice(heard, frames, n):
         got = honest(heard, frames, n)
         return replace(got, heard=got.heard.take(np.repeat(np.arange(len(got.heard.sender)), 2)))
 
-    monkeypatch.setattr(Exchange, "of", staticmethod(twice))
+    monkeypatch.setattr(MessageRound, "of", staticmethod(twice))
     views = cycle._views  # no detection is looked at twice, or nothing would match
     monkeypatch.setattr(cycle, "_views", lambda heard, *rest: views(heard.take(np.s_[::2]), *rest))
     _, again = play(5, *local)
@@ -133,11 +133,11 @@ def test_causality_in_the_cycle():
     for t in turns:
         for exchange in t.exchanges:
             for heard in (exchange.heard, exchange.up, exchange.down):
-                assert (heard.generated_s >= 0).all() and (heard.access_s > 0).all()
-                assert (heard.latency_s > heard.access_s).all() and (heard.received_s <= 0.4 + 1e-9).all()
+                assert (heard.generation_offset_s >= 0).all() and (heard.access_delay_s > 0).all()
+                assert (heard.latency_s > heard.access_delay_s).all() and (heard.received_s <= 0.4 + 1e-9).all()
     bad = turns[0].exchanges[0].heard
     with pytest.raises(AssertionError):
-        replace(bad, latency_s=bad.access_s - 1e-6)
+        replace(bad, latency_s=bad.access_delay_s - 1e-6)
 
 
 def test_with_nothing_new_to_say_nobody_speaks():

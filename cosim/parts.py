@@ -1,0 +1,95 @@
+"""The parts of a step, built once from the config: perception, adversary, medium, trust, pseudonyms, driver."""
+
+from dataclasses import dataclass, field
+
+from cosim import choices, config
+from cosim.adversary.adversary import Adversary
+from cosim.config import Config
+from cosim.driver.driver import Driver
+from cosim.manifest import Stopwatch
+from cosim.perception import Perception
+from cosim.radio.medium import Medium
+from cosim.radio.rsu import NO_RSUS, RsuAntennas
+from cosim.v2x.pseudonyms import Pseudonyms
+from cosim.v2x.trust_hosts import TrustHosts, Variant
+from results.codes import BASE_VARIANT
+from sensors.line_of_sight import LosCache
+from sensors.scene import Scene
+
+
+@dataclass(frozen=True, slots=True)
+class Parts:
+    """What a step is made of. Another detector, attack, medium, trust model, policy or driver is another part here."""
+
+    config: Config
+    city: Scene
+    rsus: RsuAntennas
+    perception: Perception
+    adversary: Adversary
+    medium: Medium
+    pseudonyms: Pseudonyms
+    trust: TrustHosts
+    driver: Driver
+    watch: Stopwatch = field(default_factory=Stopwatch)
+    """Measures how long each stage takes; changes nothing."""
+
+    @staticmethod
+    def of(
+        experiment: Config, city: Scene, rsus: RsuAntennas = NO_RSUS, watch: Stopwatch | None = None
+    ) -> "Parts":
+        """The parts that a config names; ValueError in one line where one of them cannot be had."""
+        c = experiment
+        dt_s = c.traffic.step_s
+        sight = LosCache.of(city.wall_index) if len(city) else None
+        return Parts(
+            config=c,
+            city=city,
+            rsus=rsus,
+            perception=Perception(city, c.lidar, _make(c, "detector"), c.trust.self_reports, c.seed, dt_s),
+            adversary=Adversary.of(c.attacks, [_make(c, "attacks", n) for n in range(len(c.attacks))], c.seed),
+            medium=_make_medium(c, sight),
+            pseudonyms=Pseudonyms(_make(c, "pseudonyms"), c.seed, dt_s),
+            trust=TrustHosts.of(variants(c), c.server, c.seed, c.sensing_interval_s, dt_s),
+            driver=_make(c, "driver"),
+            watch=Stopwatch() if watch is None else watch,
+        )
+
+    def senses(self, step: int) -> bool:
+        """Whether vehicles sense and talk in this step."""
+        return step % self.config.sense_every_steps == 0
+
+
+def variants(experiment: Config) -> list[Variant]:
+    """The acting way of trusting, and the trust variants."""
+    choice, own = config.chosen(experiment, "trust")
+    base = Variant(BASE_VARIANT, experiment.trust, choice.of, own)
+    others = []
+    for variant in experiment.trust_variant:
+        choice, own = config.chosen_model(variant)
+        others.append(Variant(variant.name, variant.trust, choice.of, own, variant.fused))
+    return [base, *others]
+
+
+def sources(experiment: Config) -> dict[str, choices.Source]:
+    """Where every choice of a config comes from, by its key."""
+    found = {
+        f"{section}.{key}": config.chosen(experiment, section)[0].source
+        for section, (key, _, _) in config.CHOICES.items() if section != "attacks"
+    }  # fmt: skip
+    for number in range(len(experiment.attacks)):
+        found[f"attacks.{number}.attack"] = config.chosen(experiment, "attacks", number)[0].source
+    for number, variant in enumerate(experiment.trust_variant):
+        found[f"trust_variant.{number}.model"] = config.chosen_model(variant)[0].source
+    return found
+
+
+def _make(experiment: Config, section: str, number: int | None = None):
+    """An instance of the class that a section names; without parameters of its own it is made without any."""
+    choice, own = config.chosen(experiment, section, number)
+    return choice.of() if choice.params is None else choice.of(own)
+
+
+def _make_medium(experiment: Config, sight: LosCache | None) -> Medium:
+    choice, own = config.chosen(experiment, "radio")
+    params = experiment.radio if own is None else own
+    return choice.of(params, experiment.timeout_s, experiment.seed, sight)

@@ -1,0 +1,54 @@
+"""What is followed from step to step beside the cycle: inter-reception times, and what happens within encounters."""
+
+import numpy as np
+from jaxtyping import Int
+from numpy import ndarray
+
+from cosim.radio.message_round import MessageRound, Receptions
+from cosim.trackers.encounters import EncounterTrackers
+from cosim.trackers.inter_reception import InterReceptionTracker, unique_pairs
+from results.codes import TrustSource
+from results.encounters import Rows
+from trust.tables import ObjectLists
+
+
+def pairs_in_range(happened: MessageRound, n: int) -> tuple[Int[ndarray, "p"], Int[ndarray, "p"]]:
+    """Senders of messages, and the other vehicles within range of them: each pair of station rows once, sorted."""
+    frames = happened.frames
+    sender = happened.station[frames.message]
+    own = np.flatnonzero((frames.hop == 1) & (sender < n) & (frames.receiver < n))
+    return unique_pairs(sender[own].astype(np.int64), frames.receiver[own].astype(np.int64), n)
+
+
+def track_receptions(
+    tracker: InterReceptionTracker, step: int, happened: MessageRound, received: Receptions,
+    pairs: tuple[Int[ndarray, "p"], Int[ndarray, "p"]], actor: Int[ndarray, "e"],
+) -> Rows:  # fmt: skip
+    """Rows of the table `packet_inter_reception` after a round of messages; `received` are those between vehicles."""
+    sender, receiver = pairs
+    n = len(actor)
+    got = np.isin(sender * n + receiver, happened.station[received.message] * n + received.receiver)
+    return tracker.update(step, actor[sender], actor[receiver], got)
+
+
+def count_in_encounters(
+    trackers: EncounterTrackers, rounds: tuple[MessageRound, ...], received: tuple[Receptions, ...], used: Receptions,
+    source: ndarray, lists: ObjectLists, message: Int[ndarray, "d"], actor: Int[ndarray, "e"],
+) -> None:  # fmt: skip
+    """Add a step's messages, lookups and evaluations to the encounters under way.
+
+    Parameters
+    ----------
+    source
+        Of the trust looked up, rows as in `used`: a code of `TrustSource`.
+    message
+        Sender of each detection, a station row.
+    """
+    for happened, found in zip(rounds, received, strict=True):
+        trackers.count_messages(actor[happened.station[found.message]], actor[found.receiver])
+    looked_up = source != TrustSource.DEFAULT
+    trackers.note_trust(actor[used.receiver[looked_up]], actor[used.message[looked_up]])
+    evaluator, observer = lists.of_member(), message[lists.member]
+    others, n = evaluator != observer, len(actor)
+    pair, count = np.unique(evaluator[others] * n + observer[others], return_counts=True)
+    trackers.count_evaluations(actor[pair // n], actor[pair % n], count)

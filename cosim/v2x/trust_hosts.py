@@ -1,0 +1,326 @@
+"""Where trust lives: on a server that broadcasts it, in every vehicle, or nowhere; for any number of variants at once.
+
+All variants see the same evaluations at the same moments. Each keeps evidence and a broadcast schedule of its own;
+what variants have in common (the evidence store of one model with several windows, the reports on their way to the
+server) is kept once.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields, replace
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float, Int, UInt8, UInt64
+from numpy import ndarray
+
+from cosim.v2x.trust_server import (
+    Downlink,
+    DownlinkState,
+    LinkStats,
+    ServerParams,
+    TrustBroadcast,
+    Uplink,
+    UplinkState,
+)
+from results.codes import TrustSource
+from trust.models import TrustModel
+from trust.params import EVIDENCE_KEYS, TrustParams, eta_of
+from trust.step_evidence import RejectReason
+from trust.tables import SERVER, EvaluationMessages, ReceivedEvaluations, TrustScores
+
+FUSION_KEYS = frozenset({
+    "method", "plausibility_in_fusion", "blind_points", "self_report_poses", "min_score", "code_parity",
+    "code_aggregate", "ego_trust", "ego_trust_from",
+})  # fmt: skip
+"""Keys of [trust] that say what trust is used for: variants that differ in these alone share one host."""
+
+
+@dataclass(frozen=True, slots=True)
+class Lookups:
+    """Trust of some subjects as some vehicles know it here and now; rows as asked."""
+
+    trust: Float[ndarray, "n"]
+    source: UInt8[ndarray, "n"]
+    """As `TrustSource`."""
+    age_s: Float[ndarray, "n"]
+    """Of the value, since it was computed; read only where it is no default."""
+    judged: Bool[ndarray, "n"]
+    """Whether an evaluation by another vehicle that could see stands behind it."""
+    newest_evaluation_age_s: Float[ndarray, "n"]
+    """Of those evaluations; read only where `judged`."""
+    oldest_evaluation_age_s: Float[ndarray, "n"]
+    n_evaluations: Int[ndarray, "n"]
+
+
+@dataclass(frozen=True, slots=True)
+class Variant:
+    """One way of trusting, as the config names it."""
+
+    name: str
+    trust: TrustParams
+    model: type
+    """Class of the trust model."""
+    own: Any = None
+    """The model's own parameters where they are not those of [trust]."""
+    fused: bool = True
+    """Whether its fused objects are computed."""
+
+
+@dataclass(slots=True)
+class HostState:
+    """Evidence and broadcasts of one host."""
+
+    model: TrustModel | None
+    downlink: DownlinkState = field(default_factory=DownlinkState)
+    last_broadcast_s: float = -np.inf
+
+
+@dataclass(slots=True)
+class TrustState:
+    """Everything that is known about trustworthiness, anywhere."""
+
+    hosts: list[HostState]
+    uplink: UplinkState = field(default_factory=UplinkState)
+
+
+@dataclass(frozen=True, slots=True)
+class ServerTraffic:
+    """A step's messages between vehicles and the trust server that acts."""
+
+    up: LinkStats
+    n_addressed: int
+    """Vehicles that a broadcast of trust values was meant for."""
+    n_informed: int
+    """Of these, those that it reaches, now or later."""
+
+
+@dataclass(frozen=True, slots=True)
+class TrustHosts:
+    """Trust of all variants; the first one acts."""
+
+    variants: tuple[Variant, ...]
+    host_of: tuple[int, ...]
+    """Of each variant: which host it asks."""
+    params: tuple[TrustParams, ...]
+    """Of each host."""
+    models: tuple[tuple[type, Any], ...]
+    """Of each host: class of its model, and the model's own parameters."""
+    uplink: Uplink
+    downlink: Downlink
+    server: ServerParams
+    dt_s: float
+    eta: float
+    """Evaluation of an unmatched detection, the same for all."""
+
+    @staticmethod
+    def of(variants: Sequence[Variant], server: ServerParams, seed: int, interval_s: float, dt_s: float) -> "TrustHosts":
+        """Hosts for these variants; the first one acts."""
+        keys: list[tuple] = []
+        host_of: list[int] = []
+        for variant in variants:
+            key = _host_key(variant)
+            if key not in keys:
+                keys.append(key)
+            host_of.append(keys.index(key))
+        first = [variants[host_of.index(h)] for h in range(len(keys))]
+        for h, variant in enumerate(first[1:], 1):
+            if server.uplink == "rsu" and variant.trust.host == "central":
+                raise ValueError(
+                    f'trust_variant "{variant.name}" would broadcast other trust values than [trust], and with '
+                    'server.uplink = "rsu" every broadcast loads the channel that all share. Make it a run of its own, '
+                    'or set server.uplink = "cellular".'
+                )
+        return TrustHosts(
+            tuple(variants), tuple(host_of), tuple(v.trust for v in first), tuple((v.model, v.own) for v in first),
+            Uplink(server, seed, interval_s), Downlink(server, seed), server, dt_s, eta_of(first[0].trust),
+        )  # fmt: skip
+
+    def start(self) -> TrustState:
+        """No evidence about anyone."""
+        models: list[TrustModel | None] = [None] * len(self.params)
+        for group in _shared(self.params, self.models):
+            model = self.models[group[0]][0]
+            own = [self.params[h] if self.models[h][1] is None else self.models[h][1] for h in group]
+            build = getattr(model, "build_shared", None)
+            built = build(own, self.dt_s) if build else [model(p, self.dt_s) for p in own]
+            for h, made in zip(group, built, strict=True):
+                models[h] = made
+        return TrustState([HostState(m) for m in models])
+
+    def publish(
+        self, state: TrustState, step: int, time_s: float, vehicle: Int[ndarray, "e"], name_key: UInt64[ndarray, "e"]
+    ) -> tuple[TrustState, list[TrustScores | None], tuple[int, int]]:
+        """Reports reach the server; where it is time, it computes trust and broadcasts it.
+
+        Returns
+        -------
+        The state; per host, what its server computed now; of the acting host, vehicles addressed and informed.
+        """
+        published: list[TrustScores | None] = [None] * len(self.params)
+        counts = 0, 0
+        if not self._any("central"):
+            return state, published, counts
+        uplink, arrived = self.uplink.arrived(state.uplink, time_s)
+        state = TrustState(list(state.hosts), uplink)
+        for messages in arrived:
+            n = len(messages.evaluator)
+            received = ReceivedEvaluations(messages, np.full(n, SERVER), np.arange(n), self.eta)
+            for h in self._hosts("central"):
+                self._model(state, h).add_evaluations(received)
+        if self.server.is_out(time_s):
+            return state, published, counts
+        for h in self._hosts("central"):
+            host = state.hosts[h]
+            if time_s - host.last_broadcast_s < self.params[h].server_period_s - 1e-9:
+                continue
+            scores = published[h] = self._model(state, h).scores(step)
+            downlink, n_informed = self.downlink.publish(
+                host.downlink, TrustBroadcast(time_s, scores), step, vehicle, name_key
+            )
+            state.hosts[h] = HostState(host.model, downlink, time_s)
+            if h == self.host_of[0]:
+                counts = (len(vehicle), n_informed) if self.server.uplink == "cellular" else (0, 0)
+        return state, published, counts
+
+    def pending_rsu_broadcast(self, state: TrustState, time_s: float) -> tuple[TrustState, TrustBroadcast | None]:
+        """What roadside units have to send in a round that begins at `time_s`, once."""
+        h = self.host_of[0]
+        if self.server.uplink != "rsu" or self.params[h].host != "central":
+            return state, None
+        host = state.hosts[h]
+        downlink, broadcast = self.downlink.pending_rsu_broadcast(host.downlink, time_s)
+        hosts = list(state.hosts)
+        hosts[h] = replace(host, downlink=downlink)
+        return TrustState(hosts, state.uplink), broadcast
+
+    def receive_from_rsu(
+        self, state: TrustState, vehicle: Int[ndarray, "e"], receiver: Int[ndarray, "m"], received_s: Float[ndarray, "m"]
+    ) -> tuple[TrustState, tuple[int, int]]:
+        """Vehicles received the roadside units' broadcast; vehicles addressed and informed."""
+        h = self.host_of[0]
+        downlink, n_informed = self.downlink.receive_from_rsu(state.hosts[h].downlink, vehicle, receiver, received_s)
+        hosts = list(state.hosts)
+        hosts[h] = replace(hosts[h], downlink=downlink)
+        return TrustState(hosts, state.uplink), (len(vehicle), n_informed)
+
+    def open_step(
+        self, state: TrustState, step: int, pseudonym: Int[ndarray, "p"], message: Int[ndarray, "d"],
+        detection_index: Int[ndarray, "d"], score: Float[ndarray, "d"],
+    ) -> TrustState:  # fmt: skip
+        """Tell every host what was transmitted in this step: detections by message, and the messages' pseudonyms."""
+        order = np.argsort(pseudonym, kind="stable")
+        if (order[1:] < order[:-1]).any():
+            rank = np.empty(len(order), np.int64)
+            rank[order] = np.arange(len(order))
+            pseudonym, message = pseudonym[order], rank[message]
+        for h in (*self._hosts("central"), *self._hosts("local")):
+            self._model(state, h).open_step(step, pseudonym, message, detection_index, score)
+        return state
+
+    def add_own(self, state: TrustState, messages: EvaluationMessages, vehicle: Int[ndarray, "v"]) -> TrustState:
+        """Evaluations reach their own evaluators: vehicles, aligned with the messages."""
+        self._add_local(state, ReceivedEvaluations(messages, vehicle, np.arange(len(vehicle)), self.eta), heard=False)
+        return state
+
+    def add_received(
+        self, state: TrustState, messages: EvaluationMessages, vehicle: Int[ndarray, "m"], message: Int[ndarray, "m"]
+    ) -> TrustState:
+        """Evaluations of others reach vehicles: message `message[i]` reached `vehicle[i]`."""
+        self._add_local(state, ReceivedEvaluations(messages, vehicle, message, self.eta), heard=True)
+        return state
+
+    def _add_local(self, state: TrustState, received: ReceivedEvaluations, heard: bool) -> None:
+        for h in self._hosts("local"):
+            if not heard or self.params[h].local_evidence == "heard":
+                self._model(state, h).add_evaluations(received)
+
+    def report_by_cellular(
+        self, state: TrustState, messages: EvaluationMessages, name_key: ndarray, xy_m: ndarray, time_s: float
+    ) -> tuple[TrustState, LinkStats]:
+        """Reports leave for the server through the cellular network."""
+        if self.server.uplink != "cellular" or not self._any("central"):
+            return state, LinkStats()
+        uplink, stats = self.uplink.by_cellular(state.uplink, messages, name_key, xy_m, time_s)
+        return TrustState(state.hosts, uplink), stats
+
+    def report_by_rsu(
+        self, state: TrustState, messages: EvaluationMessages, message: ndarray, received_s: ndarray
+    ) -> tuple[TrustState, LinkStats]:
+        """Reports that roadside units received leave for the server."""
+        if self.server.uplink != "rsu" or not self._any("central"):
+            return state, LinkStats()
+        uplink, stats = self.uplink.by_rsu(state.uplink, messages, message, received_s)
+        return TrustState(state.hosts, uplink), stats
+
+    def receive(self, state: TrustState, present: Int[ndarray, "e"], time_s: float) -> TrustState:
+        """Broadcasts that have arrived by `time_s` are received; `present` vehicles are on the road, ascending."""
+        hosts = [
+            replace(host, downlink=self.downlink.receive(host.downlink, present, time_s))
+            if params.host == "central" else host
+            for host, params in zip(state.hosts, self.params, strict=True)
+        ]  # fmt: skip
+        return TrustState(hosts, state.uplink)
+
+    def lookup(
+        self, state: TrustState, vehicle: Int[ndarray, "n"], subject: Int[ndarray, "n"], time_s: float
+    ) -> list[Lookups]:
+        """Trust of each subject (a pseudonym) as its vehicle knows it at `time_s`: per host. Changes nothing."""
+        return [self._lookup(state, h, vehicle, subject, time_s) for h in range(len(self.params))]
+
+    def _lookup(
+        self, state: TrustState, h: int, vehicle: Int[ndarray, "n"], subject: Int[ndarray, "n"], time_s: float
+    ) -> Lookups:
+        n, params = len(vehicle), self.params[h]
+        found = Lookups(
+            np.full(n, params.default_trust), np.full(n, TrustSource.DEFAULT, np.uint8), np.zeros(n),
+            np.zeros(n, bool), np.zeros(n), np.zeros(n), np.zeros(n, np.int64),
+        )  # fmt: skip
+        if params.host == "central":
+            for broadcast, rows, at in self.downlink.lookup(state.hosts[h].downlink, vehicle, subject):
+                self._fill(found, rows, broadcast.scores, at, TrustSource.SERVER, time_s)
+                found.age_s[rows] = time_s - broadcast.time_s
+        elif params.host == "local":
+            scores = self._model(state, h).scores()
+            at, known = scores.rows_of(vehicle, subject)
+            self._fill(found, np.flatnonzero(known), scores, at[known], TrustSource.OWN, time_s)
+            found.age_s[known] = time_s - scores.newest_step[at[known]] * self.dt_s
+        return found
+
+    def _fill(
+        self, found: Lookups, rows: ndarray, scores: TrustScores, at: ndarray, source: TrustSource, time_s: float
+    ) -> None:
+        found.trust[rows], found.source[rows] = scores.trust[at], source
+        found.judged[rows], found.n_evaluations[rows] = scores.is_judged[at], scores.n_evaluations[at]
+        found.newest_evaluation_age_s[rows] = time_s - scores.newest_evaluation_step[at] * self.dt_s
+        found.oldest_evaluation_age_s[rows] = time_s - scores.oldest_evaluation_step[at] * self.dt_s
+
+    def rejected(self, state: TrustState) -> dict[str, int]:
+        """Evaluations that the acting model rejected so far, by cause, where it counts them."""
+        counts = getattr(state.hosts[self.host_of[0]].model, "rejected", ())
+        return {cause.name.lower(): int(n) for cause, n in zip(RejectReason, counts, strict=False) if n}
+
+    def _model(self, state: TrustState, h: int) -> TrustModel:
+        model = state.hosts[h].model
+        assert model is not None
+        return model
+
+    def _hosts(self, host: str) -> list[int]:
+        return [h for h, params in enumerate(self.params) if params.host == host]
+
+    def _any(self, host: str) -> bool:
+        return any(params.host == host for params in self.params)
+
+
+def _host_key(variant: Variant) -> tuple:
+    """What a host depends on; variants of one key share it."""
+    kept = {f.name for f in fields(TrustParams)} - FUSION_KEYS - set(EVIDENCE_KEYS) - {"model"}
+    return variant.model, repr(variant.own), *(getattr(variant.trust, name) for name in sorted(kept))
+
+
+def _shared(params: Sequence[TrustParams], models: Sequence[tuple[type, Any]]) -> list[list[int]]:
+    """Hosts whose models hear the same evaluations: of one class, at one kind of host."""
+    groups: dict[tuple, list[int]] = {}
+    for h, (p, (model, _)) in enumerate(zip(params, models, strict=True)):
+        if p.host != "none":
+            groups.setdefault((model, p.host, p.local_evidence), []).append(h)
+    return list(groups.values())
