@@ -11,7 +11,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn
 from rich.table import Table
 
 from cosim.nets import nets
-from cosim.screen import conclude, notes, print_json, rows_of, screen, table_of
+from cosim.console import conclude, notes, print_json, rows_of, screen, table_of
 
 app = typer.Typer(
     no_args_is_help=True,

@@ -50,8 +50,7 @@ from trust import tables
 from trust.evaluation import evaluate
 from trust.fusion import Fused, SenderTrust, SensorEvidence, fuse
 from trust.matching import match
-from trust.models import TrustScores
-from trust.tables import EvaluationMessages, Evaluations, ObjectLists
+from trust.tables import EvaluationMessages, Evaluations, ObjectLists, TrustScores
 
 
 @dataclass(frozen=True, slots=True)
@@ -295,7 +294,7 @@ def _vehicles(world: World, s: State, parts: Parts) -> tuple[PseudonymState, Veh
 
 def _encounters(world: World, s: State, parts: Parts, vehicles: Vehicles, time_s: float) -> list[Rows]:
     """Who is near whom, and what they know of each other when they meet."""
-    closed, holder, other = s.encounters.update(world, parts.city)
+    closed, holder, other = s.encounters.update(world, parts.walls)
     s.trust = parts.trust.receive(s.trust, vehicles.actor, time_s)
     known = parts.trust.lookup(s.trust, holder, s.pseudonyms.of(other), time_s)[parts.trust.host_of[0]]
     s.encounters.first_contact(holder, other, known.trust, known.source, known.age_s)

@@ -13,7 +13,7 @@ from cosim.radio.rsu import NO_RSUS, RsuAntennas
 from cosim.v2x.pseudonyms import Pseudonyms
 from cosim.v2x.trust_hosts import TrustHosts, Variant
 from results.codes import BASE_VARIANT
-from sensors.line_of_sight import LosCache
+from sensors.line_of_sight import LosCache, WallIndex
 from sensors.scene import Scene
 
 
@@ -23,6 +23,8 @@ class Parts:
 
     config: Config
     city: Scene
+    walls: WallIndex
+    """Of the city's buildings, for all lines of sight."""
     rsus: RsuAntennas
     perception: Perception
     adversary: Adversary
@@ -40,14 +42,15 @@ class Parts:
         """The parts that a config names; ValueError in one line where one of them cannot be had."""
         c = experiment
         dt_s = c.traffic.step_s
-        sight = LosCache.of(city.wall_index) if len(city) else None
+        walls = WallIndex.of(city.buildings)
         return Parts(
             config=c,
             city=city,
+            walls=walls,
             rsus=rsus,
             perception=Perception(city, c.lidar, _make(c, "detector"), c.trust.self_reports, c.seed, dt_s),
             adversary=Adversary.of(c.attacks, [_make(c, "attacks", n) for n in range(len(c.attacks))], c.seed),
-            medium=_make_medium(c, sight),
+            medium=_make_medium(c, LosCache.of(walls)),
             pseudonyms=Pseudonyms(_make(c, "pseudonyms"), c.seed, dt_s),
             trust=TrustHosts.of(variants(c), c.server, c.seed, c.sensing_interval_s, dt_s),
             driver=_make(c, "driver"),

@@ -45,6 +45,8 @@ class Stream(IntEnum):
     DETECTION_MEMORY = 15
     RELAY = 16
     CLUTTER_MEMORY = 17
+    ATTACK = 18
+    PSEUDONYM = 19
 
 
 @njit(cache=True, inline="always")

@@ -5,16 +5,12 @@ from dataclasses import dataclass
 from jaxtyping import Bool, Float, Int, UInt8, UInt64
 from numpy import ndarray
 
+from results.codes import labels
 from sensors.boxes import Boxes
-from sensors.scene import LABEL_OF_SHAPE
+from sensors.scene import LABEL_OF_SHAPE, ObjectClass
 
-LABELS = ("car", "pedestrian", "cyclist", "truck")
+LABELS = labels(ObjectClass)
 """Object classes that a detector distinguishes, by code."""
-
-ROLES = ("honest", "unreliable", "malicious")
-"""Roles of equipped vehicles, by code."""
-
-HONEST, UNRELIABLE, MALICIOUS = range(3)
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,7 @@ from jaxtyping import Float, Int, UInt8
 from numba import njit
 from numpy import ndarray
 
-from sensors.chance import joined
+from sensors.hash_rng import mix
 from sensors.kernel import inlined, kernel
 from sensors.raycast.column import in_prism_frame, rectangle
 
@@ -249,11 +249,11 @@ def has_los_cached(xyz, indoors, place, a, b, blocked, grid, walls, memo, out):
         if blocked[m] or indoors[p] or indoors[q]:
             out[m] = False
             continue
-        region = joined(place[p], one) & mask & ~_REGION  # pairs of one end lie close together in memory
+        region = mix(place[p], one) & mask & ~_REGION  # pairs of one end lie close together in memory
         if place[p] > place[q]:
             p, q = q, p
-        h = joined(place[p], place[q])
-        tag = joined(h, place[p]) | one  # 63 bits of another hash identify the pair, the last bit is the answer
+        h = mix(place[p], place[q])
+        tag = mix(h, place[p]) | one  # 63 bits of another hash identify the pair, the last bit is the answer
         first = np.int64(region | (h & _REGION & ~_WAYS))
         way = 0
         while way < N_WAYS and memo[first + way] | one != tag:

@@ -10,8 +10,8 @@ from scipy.spatial import cKDTree
 
 from cosim.world import World
 from results.encounters import EncounterParams, EncounterTracker, Rows
-from sensors.evidence import line_of_sight
-from sensors.scene import Scene, Shape
+from sensors.line_of_sight import WallIndex, los_between_actors
+from sensors.scene import Shape
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,7 +29,7 @@ class NearPairs:
 
 
 def near_pairs(
-    world: World, buildings: Scene, radius_m: float, equipped_only: bool, mount_above_roof_m: float
+    world: World, walls: WallIndex, radius_m: float, equipped_only: bool, mount_above_roof_m: float
 ) -> NearPairs:
     """Pairs of vehicles within `radius_m` between the centres of their boxes; pedestrians are left out."""
     searched = world.shape != Shape.PEDESTRIAN
@@ -45,7 +45,7 @@ def near_pairs(
         a=world.actor[a],
         b=world.actor[b],
         distance_m=np.sqrt(east_m * east_m + north_m * north_m),
-        los=line_of_sight(buildings, world.boxes, world.shape, a, b, mount_above_roof_m),
+        los=los_between_actors(walls, world.boxes, world.shape, a, b, mount_above_roof_m),
         equipped=world.equipped[a] & world.equipped[b],
         present=world.actor[rows],
     )
@@ -60,7 +60,7 @@ class EncounterTrackers:
         self.equipped_only = all(p.pairs != "all" for p in params)
         self.mount_above_roof_m = mount_above_roof_m
 
-    def update(self, world: World, buildings: Scene) -> tuple[list[Rows], Int[ndarray, "k"], Int[ndarray, "k"]]:
+    def update(self, world: World, walls: WallIndex) -> tuple[list[Rows], Int[ndarray, "k"], Int[ndarray, "k"]]:
         """Add one step.
 
         Returns
@@ -68,7 +68,7 @@ class EncounterTrackers:
         Rows of the table `encounters` for those now over; and holders and others of the equipped pairs whose
         encounter begins, both ways, for which the caller says the trust by `first_contact`.
         """
-        near = near_pairs(world, buildings, self.radius_m, self.equipped_only, self.mount_above_roof_m)
+        near = near_pairs(world, walls, self.radius_m, self.equipped_only, self.mount_above_roof_m)
         closed, begins = [], np.zeros(len(near.a), bool)
         for tracker in self.trackers:
             rows, opened = tracker.update(

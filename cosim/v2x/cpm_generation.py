@@ -54,7 +54,7 @@ def select_objects(
     Deviations: no rule on speed, which a detection does not contain; no threshold of quality; no limit of length (a
     message is segmented); no sensor container: without objects no message is sent.
     """
-    rows = np.flatnonzero(seen.said)
+    rows = np.flatnonzero(seen.transmitted)
     of = sender[rows].astype(np.int64) * len(LABELS) + seen.label[rows]
     xy, yaw = seen.boxes.xyz_m[rows, :2], seen.boxes.yaw_rad[rows]
     near = _nearest(memory, of, xy)

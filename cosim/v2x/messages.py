@@ -9,29 +9,29 @@ from numpy import ndarray
 
 from cosim.radio.segmentation import ENVELOPE_BYTES
 from cosim.world import World
+from results.codes import Origin
 from sensors.boxes import Boxes
 
-SENSED, SELF, FABRICATED = range(3)
-ORIGINS = ("sensed", "self", "fabricated")
-"""Origin of a detection, by code: the detector, the vehicle's own pose, an attack or fault."""
+SENSED, SELF, FABRICATED = Origin
+"""Origin of a detection: the detector, the vehicle's own pose, an attack or fault."""
 
 
 @dataclass(frozen=True, slots=True)
 class Detections:
-    """D detections of one step, world frame, sorted by (observer, k), which with the step is the key of a detection.
+    """D detections of one step, world frame, sorted by (observer, detection_index), which with the step is the key of a detection.
 
-    `observer` is a row of the step's world. k = 0 is the self report, then detections by the detector, then fabricated
-    ones. A detection with `said` false is not transmitted.
+    `observer` is a row of the step's world. Index 0 is the self report, then detections by the detector, then fabricated
+    ones. A detection with `transmitted` false stays with its observer.
     """
 
     observer: Int[ndarray, "d"]
-    k: Int[ndarray, "d"]
+    detection_index: Int[ndarray, "d"]
     label: UInt8[ndarray, "d"]
     boxes: Boxes
     score: Float[ndarray, "d"]
     n_points: Int[ndarray, "d"]
     origin: UInt8[ndarray, "d"]
-    said: Bool[ndarray, "d"]
+    transmitted: Bool[ndarray, "d"]
 
     def __len__(self) -> int:
         return len(self.observer)
@@ -54,7 +54,7 @@ class Detections:
         """All rows of all parts, sorted by key."""
         columns = zip(*(part.columns() for part in parts), strict=True)
         joined = Detections.of([Boxes.concat(c) if isinstance(c[0], Boxes) else np.concatenate(c) for c in columns])
-        return joined.take(np.lexsort((joined.k, joined.observer)))
+        return joined.take(np.lexsort((joined.detection_index, joined.observer)))
 
 
 def cpm_bytes(n_objects: Int[ndarray, "n"]) -> Int[ndarray, "n"]:
@@ -90,19 +90,19 @@ def trust_broadcast_bytes(n_vehicles: int) -> int:
     return 44 + 96 + 16 + 6 * n_vehicles
 
 
-def is_sound(said: Detections) -> Bool[ndarray, "d"]:
+def is_sound(listed: Detections) -> Bool[ndarray, "d"]:
     """Detections with a finite pose, a positive size and a score in [0, 1]."""
-    xyz, lwh, yaw = said.boxes.xyz_m, said.boxes.lwh_m, said.boxes.yaw_rad
+    xyz, lwh, yaw = listed.boxes.xyz_m, listed.boxes.lwh_m, listed.boxes.yaw_rad
     return (
         np.isfinite(xyz).all(axis=1) & np.isfinite(lwh).all(axis=1) & np.isfinite(yaw) & (lwh > 0).all(axis=1)
-        & (said.score >= 0) & (said.score <= 1)
+        & (listed.score >= 0) & (listed.score <= 1)
     )  # fmt: skip
 
 
 def self_reports(world: World, observers: Int[ndarray, "o"]) -> Detections:
-    """Each equipped vehicle's own box, as it reports itself: k = 0, score 1."""
+    """Each equipped vehicle's own box, as it reports itself: index 0, score 1."""
     n = len(observers)
     return Detections(
-        observer=observers, k=np.zeros(n, int), label=world.label[observers], boxes=world.boxes.take(observers),
-        score=np.ones(n), n_points=np.zeros(n, np.int32), origin=np.full(n, SELF, np.uint8), said=np.ones(n, bool),
+        observer=observers, detection_index=np.zeros(n, int), label=world.label[observers], boxes=world.boxes.take(observers),
+        score=np.ones(n), n_points=np.zeros(n, np.int32), origin=np.full(n, SELF, np.uint8), transmitted=np.ones(n, bool),
     )  # fmt: skip

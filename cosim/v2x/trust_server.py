@@ -10,9 +10,10 @@ from jaxtyping import Bool, Float, Int, UInt64
 from numpy import ndarray
 
 from cosim import rng
+from cosim.ragged import expand
 from cosim.v2x import cellular
 from cosim.v2x.cellular import CellularParams, transfer_delay_s, within_capacity
-from cosim.v2x.messages import expand, report_bytes, trust_broadcast_bytes
+from cosim.v2x.messages import report_bytes, trust_broadcast_bytes
 from trust.tables import EvaluationMessages, TrustScores
 
 
