@@ -120,6 +120,17 @@ class EvaluationRows(NamedTuple):
     neg: Float[ndarray, "n"]  # negative evidence in [0, 1]
 
 
+class ObserverRows(NamedTuple):
+    """Received evaluations, summed over the detections of one observer in one message."""
+
+    holder: Int[ndarray, "n"]
+    evaluator: Int[ndarray, "n"]  # pseudonym
+    observer: Int[ndarray, "n"]  # pseudonym: the subject whose trust the row concerns
+    pos: Float[ndarray, "n"]  # sum of the positive evidence
+    neg: Float[ndarray, "n"]  # sum of the negative evidence
+    n: Int[ndarray, "n"]  # evaluations
+
+
 _QUANTUM = float(1 << 32)
 
 
@@ -145,29 +156,50 @@ class ReceivedEvaluations:
         pos = Phi max(e, 0); neg = Phi min(1, e / eta) for e < 0, and Phi for e <= 0 where eta = 0. Both are rounded
         to multiples of 2^-32, so that sums of up to two million rows are exact in any order of summation.
         """
+        t, (kept, sent_by, pos, neg) = self.messages, self._counting()
+        at, n = self._expanded(np.searchsorted(sent_by, np.arange(t.evaluator.size + 1)))
+        return EvaluationRows(
+            np.repeat(int64(self.holder), n),
+            np.repeat(int64(t.evaluator)[self.message_row], n),
+            int64(t.observer)[kept[at]],
+            int64(t.detection_index)[kept[at]],
+            t.evaluation[kept[at]],
+            t.visibility[kept[at]],
+            pos[at],
+            neg[at],
+        )
+
+    def by_observer(self) -> ObserverRows:
+        """`rows`, summed per message and observer: an order of magnitude fewer."""
+        t, (kept, sent_by, pos, neg) = self.messages, self._counting()
+        key, group = np.unique(pair_key(sent_by, int64(t.observer)[kept]), return_inverse=True)
+        at, n = self._expanded(np.searchsorted(key >> 31, np.arange(t.evaluator.size + 1)))
+        return ObserverRows(
+            np.repeat(int64(self.holder), n),
+            np.repeat(int64(t.evaluator)[self.message_row], n),
+            (key & (1 << 31) - 1)[at],
+            np.bincount(group, pos, key.size)[at],
+            np.bincount(group, neg, key.size)[at],
+            np.bincount(group, minlength=key.size)[at],
+        )
+
+    def _counting(self) -> tuple[ndarray, ndarray, ndarray, ndarray]:
+        """Rows of the messages that are evidence, their message, pos and neg."""
         t = self.messages
         sent_by = np.repeat(np.arange(t.evaluator.size), np.diff(t.ptr))
         e, phi = t.evaluation, t.visibility
         with np.errstate(invalid="ignore"):
             counts = (np.abs(e) <= 1.0) & (phi > 0.0) & (phi <= 1.0) & (t.observer != t.evaluator[sent_by])
-        kept, sent_by = np.flatnonzero(counts), sent_by[counts]
-        ptr = np.searchsorted(sent_by, np.arange(t.evaluator.size + 1))
-        n = np.diff(ptr)[self.message_row]
-        start = ptr[:-1][self.message_row] - (np.cumsum(n) - n)
-        at = kept[np.repeat(start, n) + np.arange(n.sum())]
-        e, phi = e[at], phi[at]
+        kept = np.flatnonzero(counts)
+        e, phi = e[kept], phi[kept]
         pos = phi * np.maximum(e, 0.0)
         neg = phi * (e <= 0.0) if self.eta == 0 else phi * np.clip(e / self.eta, 0.0, 1.0)
-        return EvaluationRows(
-            np.repeat(int64(self.holder), n),
-            np.repeat(int64(t.evaluator)[self.message_row], n),
-            int64(t.observer)[at],
-            int64(t.detection_index)[at],
-            e,
-            phi,
-            np.rint(pos * _QUANTUM) / _QUANTUM,
-            np.rint(neg * _QUANTUM) / _QUANTUM,
-        )
+        return kept, sent_by[kept], np.rint(pos * _QUANTUM) / _QUANTUM, np.rint(neg * _QUANTUM) / _QUANTUM
+
+    def _expanded(self, ptr: Int[ndarray, "v+1"]) -> tuple[Int[ndarray, "n"], Int[ndarray, "m"]]:
+        """Rows of every received message, given the first row of each message, and their number."""
+        n = np.diff(ptr)[self.message_row]
+        return np.repeat(ptr[:-1][self.message_row] - (np.cumsum(n) - n), n) + np.arange(n.sum()), n
 
 
 @dataclass(frozen=True, slots=True)

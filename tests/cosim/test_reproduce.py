@@ -180,7 +180,7 @@ def test_paper_ledger(n_lies, end):
 
 def test_a_frame_repeats_to_the_bit():
     first, second = (happened for happened, _ in Stage.load().play(config_of("scenario-2"), 2))
-    for name in ("e", "phi"):
+    for name in ("evaluation", "visibility"):
         assert np.array_equal(getattr(first.verdicts, name), getattr(second.verdicts, name))
     assert np.array_equal(first.n_points, second.n_points)
 

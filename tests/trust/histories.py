@@ -74,3 +74,23 @@ def history(seed, n_steps, n_vehicles):
 
 histories = st.builds(history, st.integers(0, 2**32 - 1), st.integers(1, 8), st.integers(1, 5))
 """Runs of up to eight steps and five vehicles."""
+
+
+def play(models, frames, rows, scores_too=False):
+    """A history given to models of any kind, in lockstep: the evaluations of each step, right away.
+
+    Returns
+    -------
+    The scores of each model after each step, by model, if asked for.
+    """
+    out = [[] for _ in models]
+    for step, (frame, evaluated) in enumerate(zip(frames, rows, strict=True)):
+        for model in models:
+            open_step(model, step, frame)
+        received = received_by(step, evaluated)
+        for model in models:
+            model.add_evaluations(received)
+        if scores_too:
+            for model, scores in zip(models, out, strict=True):
+                scores.append(model.scores())
+    return out
