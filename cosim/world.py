@@ -6,9 +6,9 @@ from jaxtyping import Bool, Float, Int, UInt8, UInt64
 from numpy import ndarray
 
 from sensors.boxes import Boxes
-from sensors.scene import LABEL_OF_SHAPE
+from sensors.scene import LABEL_OF_SHAPE, ObjectClass
 
-LABELS = ("car", "pedestrian", "cyclist", "truck")
+LABELS = tuple(label.name.lower() for label in ObjectClass)
 """Object classes that a detector tells apart, by code."""
 
 BEHAVIOURS = ("honest", "unreliable", "malicious")
