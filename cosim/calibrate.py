@@ -3,8 +3,8 @@
     python -m cosim.calibrate avod --fit runs/a runs/b --hold-out runs/c runs/d
 
 drives nothing: it takes observability and false positives from runs that exist, moves the parameters of each class
-until the KITTI figures of single vehicles come to the published ones, and writes `sensors/profiles/<name>.toml` with the figures
-on runs that the fit has not seen, and curves beside it.
+until the KITTI figures of single vehicles come to the published ones, and writes `sensors/profiles/<name>.toml` with
+the figures on runs that the fit has not seen, and curves beside it.
 """
 
 import argparse
