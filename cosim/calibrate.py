@@ -2,9 +2,9 @@
 
     python -m cosim.calibrate avod --fit runs/a runs/b --hold-out runs/c runs/d
 
-drives nothing: it takes sightings and false boxes from runs that exist, moves the parameters of each class until the
-KITTI figures of single vehicles come to the published ones, and writes `sensors/profiles/<name>.toml` with the figures
-on runs that the fit has not seen, and curves beside it.
+drives nothing: it takes observability and false positives from runs that exist, moves the parameters of each class
+until the KITTI figures of single vehicles come to the published ones, and writes `sensors/profiles/<name>.toml` with
+the figures on runs that the fit has not seen, and curves beside it.
 """
 
 import argparse
@@ -76,7 +76,7 @@ class Sample:
     origin_m: ndarray
     z: ndarray
     false: tuple[ndarray, ndarray, Boxes, ndarray]
-    """Frame, class, box and score of the false boxes."""
+    """Frame, class, box and score of the false positives."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,7 +90,7 @@ class Said:
 
 
 def sample(run: Run, profile: str, model: SimpleNamespace, max_frames: int) -> Sample:
-    """Frames of a run, evenly spread over it; the false boxes are those of the model."""
+    """Frames of a run, evenly spread over it; the false positives are those of the model."""
     params = DetectorParams(model=profile)  # type: ignore[arg-type]
     config = replace(replay_lidar.config_of(run), detector=params)
     city = replay_lidar.city_of(config)

@@ -19,7 +19,7 @@ from sensors.lidar import LidarParams, beams, mount, scan
 from sensors.neighbours import neighbours
 from sensors.raycast import embree, mesh, open3d
 from sensors.reports import DetectorDraws
-from sensors.scene import LABEL_OF_SHAPE, ObjectClass, Scene, prisms
+from sensors.scene import LABEL_OF_SHAPE, ObjectClass, Scene, Shape, prisms
 from sensors.statistical_detector import DetectorParams, resolved
 
 _SIZE_M = np.array(
@@ -36,7 +36,8 @@ def town(n_actors: int = 600, n_blocks: int = 20, pitch_m: float = 60.0) -> tupl
     corner = np.array([(8, 8), (52, 8), (52, 30), (40, 30), (40, 52), (8, 52)]) / 60.0 * pitch_m
     rings = [[corner + pitch_m * np.array([i, j])] for i in range(n_blocks) for j in range(n_blocks)]
     scene = Scene.from_footprints(rings, np.zeros(len(rings)), rng.uniform(4, 25, len(rings)))
-    shape = rng.choice([0, 0, 0, 0, 1, 2, 3, 5, 6, 6], n_actors).astype(np.uint8)
+    others = [Shape.VAN, Shape.TRUCK, Shape.BUS, Shape.BICYCLE, Shape.PEDESTRIAN, Shape.PEDESTRIAN]
+    shape = rng.choice([Shape.CAR] * 4 + others, n_actors).astype(np.uint8)
     lwh = _SIZE_M[shape] * rng.uniform(0.95, 1.05, (n_actors, 3))
     street, along = rng.integers(0, n_blocks, n_actors) * pitch_m, rng.uniform(0, n_blocks * pitch_m, n_actors)
     lane, east = rng.choice([-4.5, -1.7, 1.7, 4.5], n_actors), rng.random(n_actors) < 0.5

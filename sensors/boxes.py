@@ -1,4 +1,4 @@
-"""Upright rotated boxes: the common shape of actors, detections and messages, and how much two of them overlap."""
+"""Upright rotated boxes of actors, detections and messages, and the overlap of two of them."""
 
 from __future__ import annotations
 

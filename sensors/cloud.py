@@ -1,4 +1,4 @@
-"""Point clouds in the formats that other tools read, as bytes: what is written where is the caller's business."""
+"""Point clouds in the formats that other tools read, as bytes; the caller writes the files."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from numpy import ndarray
 from sensors.lidar import Sweeps
 
 Cloud = tuple[Float[ndarray, "k 3"], Int32[ndarray, "k"]]
-"""Places in the sensor frame (x forward, y left, z up) [m], and what returned there, as a `Hit` code."""
+"""Points in the sensor frame (x forward, y left, z up) [m], and what returned there, as a `Hit` code."""
 
 
 def cloud_of(sweeps: Sweeps, o: int) -> Cloud:
@@ -68,4 +68,4 @@ def _records(cloud: Cloud) -> ndarray:
 FORMATS: dict[str, Callable[[Cloud], bytes]] = {
     ".npy": npy, ".bin": kitti, ".ply": ply, ".pcd": pcd, ".pcd.txt": pcd_ascii,
 }  # fmt: skip
-"""Writers by the end of the file's name."""
+"""Encoders by file name suffix."""

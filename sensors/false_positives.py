@@ -88,7 +88,7 @@ def false_positives(sweeps: Sweeps, seen: Observability, draws: DetectorDraws, m
     yaw = np.pi - (np.pi - yaw - heading) % (2.0 * np.pi)
     z = np.sqrt(1.0 - persistent) * _normal(noise) - np.sqrt(persistent) * _normal(rank)
     score = expit(model.false_positive_logit + model.false_positive_sigma * z)
-    return Reports.of_nothing(o, label, Boxes(xyz, lwh, yaw), score)
+    return Reports.of_false_positives(o, label, Boxes(xyz, lwh, yaw), score)
 
 
 def _normal(u: Float[ndarray, "n"]) -> Float[ndarray, "n"]:

@@ -72,7 +72,7 @@ class Reports:
         return Reports(seen.observer[rows], label, boxes, score, seen.actor[rows], np.zeros(len(rows), bool))
 
     @staticmethod
-    def of_nothing(
+    def of_false_positives(
         observer: Int[ndarray, "r"], label: UInt8[ndarray, "r"], boxes: Boxes, score: Float[ndarray, "r"]
     ) -> Reports:
         """False positives."""

@@ -148,7 +148,7 @@ def prisms(shape: UInt8[ndarray, "n"], boxes: Boxes) -> Prisms:
 
 
 class Buildings(NamedTuple):
-    """Building walls, grouped by building, and a grid that finds the buildings near a place; world frame."""
+    """Building walls, grouped by building, and a grid that finds the buildings near a point; world frame."""
 
     ptr: ndarray
     """int64 [b+1]: the walls of building k are ptr[k]..ptr[k+1]."""
@@ -185,13 +185,13 @@ class Scene:
     n_repaired: int = 0
     """Footprints that crossed themselves and were made valid."""
     n_dropped: int = 0
-    """Footprints without area, which cannot stand."""
+    """Footprints without area, which are left out."""
     triangles_m: Float[ndarray, "t 3 3"] | None = None
-    """Solids of any other form, as closed meshes; engines of triangles see them, the columnar caster refuses."""
+    """Solids of any other form, as closed meshes; Embree and Open3D cast them, the columnar caster refuses them."""
 
     @staticmethod
     def empty() -> Scene:
-        """Open, flat country."""
+        """Flat ground without buildings."""
         return Scene.from_footprints([], [], [])
 
     @staticmethod
@@ -250,7 +250,7 @@ class Scene:
         return Scene(_walls(parts, base[owner], top[owner]), parts, n_repaired, n_dropped)
 
     def with_mesh(self, vertices_m: Float[ndarray, "v 3"], faces: Int[ndarray, "t 3"]) -> Scene:
-        """This scene and one more solid: a tree, a bridge, a statue; its rays count as those of buildings.
+        """This scene and one more solid: a tree, a bridge, a statue; its returns have the code of buildings.
 
         Parameters
         ----------
@@ -271,7 +271,7 @@ class Scene:
         n_open = _open_edges(same.reshape(-1)[faces])
         if n_open:
             raise ValueError(
-                f"a mesh with {n_open} open edges: light would see its inside. Every edge must belong to two faces "
+                f"a mesh with {n_open} open edges: its inside would be visible. Every edge must belong to two faces "
                 "that run along it in opposite directions; close the holes and turn faces that are inside out."
             )
         own = vertices[faces]
@@ -328,6 +328,6 @@ def _walls(polygons: ndarray, base: ndarray, top: ndarray) -> Buildings:
 
 @lru_cache(maxsize=4)
 def roof_triangles(scene: Scene) -> tuple[Float[ndarray, "t 3 2"], ndarray]:
-    """Triangles that tile every footprint, and the building of each: for engines that want meshes."""
+    """Triangles that tile every footprint, and the building of each: for engines that cast meshes."""
     pieces, owner = shapely.get_parts(shapely.constrained_delaunay_triangles(scene.footprints), return_index=True)
     return shapely.get_coordinates(shapely.get_exterior_ring(pieces)).reshape(-1, 4, 2)[:, :3], owner
