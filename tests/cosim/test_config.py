@@ -83,7 +83,7 @@ def test_steps():
         ("radio=3", r"section \[radio\]"),
         ("seed.x=1", "unknown key|section|valid"),
         ("fleet.equipped_kinds=['tank']", "fleet.equipped_kinds"),
-        ("fleet.malicious_p=0.95", "more than everybody"),
+        ("fleet.malicious_p=0.95", "more than all equipped"),
         ("sensing_interval_s=0.7", "no multiple of traffic.step_s"),
         ("encounters=[{radius=3}]", "unknown key .* Did you mean encounters.radius_m"),
         ("encounters=3", "list of sections"),
