@@ -1,1 +1,1 @@
-"""Light to belief: what each equipped vehicle's LiDAR returns, and what a detector makes of it."""
+"""Sensors: what the LiDAR of each equipped vehicle returns, and what a detector reports."""

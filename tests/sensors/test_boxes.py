@@ -53,7 +53,7 @@ def test_reference_vectors():
 
 @settings(max_examples=20, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1))
-def test_laws(seed):
+def test_symmetry_identity_and_rigid_motion(seed):
     rng = np.random.default_rng(seed)
     a, b = random_boxes(rng, 60, 3.0)[0], random_boxes(rng, 60, 3.0)[0]
     iou = iou_3d(a, b)
@@ -72,7 +72,7 @@ def moved(boxes: Boxes, turn: float, shift) -> Boxes:
 
 @settings(max_examples=15, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1))
-def test_pairs_are_all_pairs(seed):
+def test_overlapping_pairs_are_all_pairs(seed):
     rng = np.random.default_rng(seed)
     boxes, _ = random_boxes(rng, 80)
     label, owner = rng.integers(0, 3, 80).astype(np.uint8), rng.integers(0, 8, 80)

@@ -81,7 +81,7 @@ def test_noise_is_a_function_of_key_and_ray():
     assert (reused.range_m == noisy.range_m).all()
 
 
-def test_noise_turns_no_ray_around():
+def test_noise_never_makes_a_range_negative():
     boxes = Boxes(np.array([[0, 0, 0.75], [0, 0, 1.6]]), np.array([[4.4, 1.8, 1.5], [8, 0.06, 3.2]]), np.zeros(2))
     params = LidarParams(profile="vlp16", range_sigma_m=0.05)  # inside a body 6 cm wide
     sweep = scan(boxes, np.array([0, BUS], np.uint8), np.array([0]), Scene.empty(), params, np.zeros(1, np.uint64))
@@ -125,12 +125,12 @@ def test_mount_and_frames():
         ({"fov_deg": 400.0}, "fov_deg"),
     ],
 )
-def test_unsound_lidars_are_refused(params, says):
+def test_invalid_lidars_are_refused(params, says):
     with pytest.raises(ValueError, match=says):
         exact(car(0, 0), [CAR], [0], **params)
 
 
-def test_unsound_calls_are_refused():
+def test_invalid_calls_are_refused():
     with pytest.raises(ValueError, match="rows"):
         exact(car(0, 0), [CAR], [1])
     with pytest.raises(ValueError, match="keys"):

@@ -55,7 +55,7 @@ def rows(name: str) -> list[str]:
 
 
 @pytest.mark.parametrize("name", FILES)
-def test_the_readme_says_so(name):
+def test_the_readme_has_the_calibration(name):
     text = (ROOM / "README.md").read_text()
     missing = [line for line in rows(name) if line not in text]
     assert not missing, "write into sensors/README.md:\n" + "\n".join(missing)

@@ -1,4 +1,4 @@
-"""The scene: bodies fill their boxes, footprints are sound or mended and counted."""
+"""The scene: bodies fill their boxes, footprints are valid or repaired and counted."""
 
 import numpy as np
 import pytest
@@ -31,7 +31,7 @@ def test_unknown_shapes_are_refused():
         prisms(np.zeros(2, np.uint8), Boxes(np.zeros((1, 3)), np.ones((1, 3)), np.zeros(1)))
 
 
-def test_footprints_are_mended_and_counted():
+def test_footprints_are_repaired_and_counted():
     bow_tie = [(20, 0), (30, 10), (30, 0), (20, 10)]
     line = [(0, 0), (1, 1), (2, 2)]
     clockwise_closed = [*SQUARE[::-1], SQUARE[-1]]
@@ -58,7 +58,7 @@ def tetrahedron():
 
 
 @pytest.mark.parametrize("engine", ["embree", "open3d"])
-def test_a_mesh_is_seen_by_engines_of_triangles(engine):
+def test_a_mesh_is_cast_by_embree_and_open3d(engine):
     if engine == "open3d":
         pytest.importorskip("open3d")
     vertices, faces = tetrahedron()
@@ -71,7 +71,7 @@ def test_a_mesh_is_seen_by_engines_of_triangles(engine):
         exact(car(0, 0), [0], [0], scene, **level)
 
 
-def test_two_meshes_stand_beside_each_other():
+def test_two_meshes():
     vertices, faces = tetrahedron()
     scene = Scene.empty().with_mesh(vertices, faces).with_mesh(vertices + 20.0, faces)
     assert len(scene.triangles_m) == 8
@@ -90,7 +90,7 @@ def test_two_meshes_stand_beside_each_other():
         (lambda v, f: (v, f[:0]), "0 faces"),
     ],
 )
-def test_unsound_meshes_are_refused(change, says):
+def test_invalid_meshes_are_refused(change, says):
     with pytest.raises(ValueError, match=says):
         Scene.empty().with_mesh(*change(*tetrahedron()))
 
@@ -116,6 +116,6 @@ def test_long_trucks_and_buses_have_two_parts():
         ([[SQUARE]], [0.0, 1.0], [5.0], "one of each"),
     ],
 )
-def test_unsound_footprints_are_refused(rings, base, top, says):
+def test_invalid_footprints_are_refused(rings, base, top, says):
     with pytest.raises(ValueError, match=says):
         Scene.from_footprints(rings, base, top)
