@@ -316,7 +316,7 @@ def _listed(listed: Detections, world: World, s: State, c: Any, time_s: float) -
 
 def _stations(world: World, vehicles: Vehicles, parts: Parts) -> Stations:
     """Antennas of vehicles and roadside units."""
-    key = np.concatenate([vehicles.name_key, parts.rsus.name_key])
+    key = np.concatenate([vehicles.name_key, parts.rsus.key])
     xyz_m = np.concatenate([world.boxes.xyz_m[vehicles.row], parts.rsus.xyz_m])
     xyz_m[: len(vehicles), 2] += world.boxes.lwh_m[vehicles.row, 2] / 2 + parts.config.radio.antenna_above_roof_m
     return Stations(key, xyz_m, len(vehicles))

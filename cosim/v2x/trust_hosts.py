@@ -219,19 +219,19 @@ class TrustHosts:
 
     def add_own(self, state: TrustState, messages: EvaluationMessages, vehicle: Int[ndarray, "v"]) -> TrustState:
         """Evaluations reach their own evaluators: vehicles, aligned with the messages."""
-        self._add_local(state, ReceivedEvaluations(messages, vehicle, np.arange(len(vehicle)), self.eta), heard=False)
+        self._add_local(state, ReceivedEvaluations(messages, vehicle, np.arange(len(vehicle)), self.eta), of_others=False)
         return state
 
     def add_received(
         self, state: TrustState, messages: EvaluationMessages, vehicle: Int[ndarray, "m"], message: Int[ndarray, "m"]
     ) -> TrustState:
         """Evaluations of others reach vehicles: message `message[i]` reached `vehicle[i]`."""
-        self._add_local(state, ReceivedEvaluations(messages, vehicle, message, self.eta), heard=True)
+        self._add_local(state, ReceivedEvaluations(messages, vehicle, message, self.eta), of_others=True)
         return state
 
-    def _add_local(self, state: TrustState, received: ReceivedEvaluations, heard: bool) -> None:
+    def _add_local(self, state: TrustState, received: ReceivedEvaluations, of_others: bool) -> None:
         for h in self._hosts("local"):
-            if not heard or self.params[h].local_evidence == "heard":
+            if not of_others or self.params[h].local_evidence == "received":
                 self._model(state, h).add_evaluations(received)
 
     def report_by_cellular(
