@@ -18,7 +18,7 @@ class TrustModel(Protocol):
     Its scores do not depend on the order in which messages arrive. An evaluator sends one message per step.
     """
 
-    Params: ClassVar[Any]
+    Params: ClassVar[type]
     """Frozen dataclass of the model's own parameters, read from the section [trust] of the config."""
 
     def __init__(self, params: Any, dt_s: float) -> None: ...
