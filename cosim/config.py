@@ -17,8 +17,8 @@ from cosim.v2x.adversary import AdversaryParams
 from cosim.v2x.radio import RadioParams
 from cosim.v2x.roadside import RoadsideParams
 from cosim.v2x.server import ServerParams
-from results.encounters import EncounterParams
 from results.columns import Level
+from results.encounters import EncounterParams
 from sensors.detector import DetectorParams
 from sensors.evidence import AreaParams
 from sensors.lidar import LidarParams

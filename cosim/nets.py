@@ -11,7 +11,7 @@ from rich.box import SIMPLE
 from rich.table import Column, Table
 from rich.text import Text
 
-from cosim.screen import notes, print_json, screen
+from cosim.console import notes, print_json, screen
 
 if TYPE_CHECKING:
     from numpy import ndarray

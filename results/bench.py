@@ -9,7 +9,7 @@ from numpy import ndarray
 from scipy.spatial import cKDTree
 
 from results.archive import open_run
-from results.encounters import EncounterTracker, EncounterParams
+from results.encounters import EncounterParams, EncounterTracker
 from results.recorder import Recorder
 from results.tables import SCHEMA_VERSION
 

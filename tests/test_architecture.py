@@ -32,8 +32,9 @@ ONE_WINDOW = {
 }
 """Libraries that one file alone may know."""
 
-ORDER = ("rng", "world", "roster", "mobility", "v2x", "truth", "config", "manifest", "cycle", "scenario", "resweep",
-         "calibrate", "recording", "run", "reproduce", "bench", "screen", "nets", "cli", "__main__")  # fmt: skip
+ORDER = ("rng", "world", "roster", "mobility", "v2x", "truth", "config", "manifest", "trackers", "cycle", "scenario",
+         "resweep", "calibrate", "codes", "recording", "run", "reproduce", "bench", "console", "nets", "cli",
+         "__main__")  # fmt: skip
 """Inside the hall: each may use those before it."""
 
 

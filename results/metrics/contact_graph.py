@@ -119,7 +119,7 @@ def _instants(
 
 
 def reception_graph(run: Run, start_s: float = 0.0, end_s: float = np.inf) -> nx.DiGraph:
-    """Receptions in a time span: edges from sending to receiving vehicle with `n` messages, mean `hops`, `latency_s`."""
+    """Receptions in a time span: edges from sender to receiver with `n` messages and mean `hops`, `latency_s`."""
     frame = run.table("receptions", ["step", "sender", "receiver", "hops", "latency_s"])
     frame = frame[(frame.step * run.dt_s >= start_s) & (frame.step * run.dt_s < end_s)]
     frame = frame.assign(sender=frame.sender.map(run.subjects.vehicle))
@@ -134,8 +134,8 @@ def arrivals(
 ) -> pd.DataFrame:
     """When a message of one actor could reach the others, if every contact forwards it at once: actor, time_s.
 
-    The temporal reachability of the contact graph; only those it reaches have a row. See `message_reachability` for that
-    of the messages that were received, and `temporal_reachability` for many actors at once.
+    The temporal reachability of the contact graph; only those it reaches have a row. See
+    `message_reachability` for received messages, and `temporal_reachability` for many actors at once.
     """
     frame = contacts(run, radius_m, pairs)
     meets: dict[int, list[tuple[int, float, float]]] = defaultdict(list)
