@@ -72,7 +72,7 @@ def by_distance(run: Run, by_los: bool = False) -> pd.DataFrame:
 
 
 def latency(run: Run) -> pd.DataFrame:
-    """Latency from generation to reception: message_type, latency_s (upper edge of the bin), n_delivered, cumulative share."""
+    """Latency from generation to reception: message_type, latency_s (upper bin edge), n_delivered, share up to it."""
     frame = run.latency_histogram.groupby(["message_type", "latency_s"], observed=True).n_delivered.sum().reset_index()
     if frame.empty:
         raise ValueError(f"{run.path} holds no radio traffic: no message was received. Raise radio.range_m.")

@@ -67,7 +67,7 @@ def test_curve_by_hand(town):
 
 
 def test_delays_by_hand(town):
-    """Below 0.35: 3 after 2 s, 4 after 2 s, honest 0 after 4 s (at 7), 1 and 2 never; 0 without evaluations does not count."""
+    """Below 0.35: 3 after 2 s, 4 after 2 s, honest 0 after 4 s (at 7), 1 and 2 never; unrated 0 does not count."""
     delay = misbehaviour.detection_delay(town, 0.35).set_index("subject")
     assert delay.delay_s.to_dict() == {0: 4, 1: 16, 2: 16, 3: 2, 4: 2}
     assert delay.found.to_dict() == {0: True, 1: False, 2: False, 3: True, 4: True}
