@@ -95,8 +95,10 @@ def measure(
     from results.archive import open_run
     from results.measure import measure as measured
 
-    options = {"threshold": threshold, "fresh_s": fresh_s, "false_positives": false_positives}
-    tables = {str(folder): measured(open_run(folder).as_variant(variant), **options) for folder in runs}
+    tables = {
+        str(folder): measured(open_run(folder).as_variant(variant), threshold, fresh_s, false_positives)
+        for folder in runs
+    }
     if as_json:
         print_json({name: rows_of(table) for name, table in tables.items()})
         return

@@ -1,4 +1,4 @@
-"""One page about a run: its figures, its numbers, what its tables hold, and where it came from."""
+"""The report of a run as one HTML page: figures, metrics, dictionary, provenance."""
 
 import json
 from html import escape

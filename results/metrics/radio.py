@@ -155,7 +155,7 @@ def conditions(run: Run) -> pd.DataFrame:
         ("penetration", ", ".join(run.config["fleet"]["equipped_kinds"]), run.config["fleet"]["penetration_p"]),
     ]  # fmt: skip
     if radio["model"] in ("disk", "unit_disk"):
-        loss_p = radio.get("unit_disk", radio.get("disk"))["loss_p"]
+        loss_p = radio[radio["model"]]["loss_p"]
         rows += [("loss_per_hop", "", loss_p)]
         rows += [(name, "not modelled", np.nan) for name in ("receiver_threshold", "nlos", "fading", "dcc")]
     elif radio["model"] == "csma":
