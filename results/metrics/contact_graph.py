@@ -14,11 +14,14 @@ from results.run import Run
 
 
 def contacts(run: Run, radius_m: float | None = None, pairs: str | None = None) -> pd.DataFrame:
-    """Intervals of contact: a, b, start_s, end_s; of the smallest radius and the first kind of pairs, unless named."""
-    frame = run.table("encounters", ["a", "b", "start_step", "end_step", "radius_m", "pairs"])
+    """Intervals of contact: a, b, start_s, end_s.
+
+    Of the smallest radius and the first kind of pairs unless named, and of their smallest hysteresis.
+    """
+    frame = run.table("encounters", ["a", "b", "start_step", "end_step", "radius_m", "pairs", "hysteresis_s"])
     if frame.empty:
         raise ValueError(f"{run.path} holds no encounters: no two came within the radius of each other.")
-    for name, wanted in (("radius_m", radius_m), ("pairs", pairs)):
+    for name, wanted in (("radius_m", radius_m), ("pairs", pairs), ("hysteresis_s", None)):
         there = sorted(frame[name].unique().tolist())
         chosen = there[0] if wanted is None else wanted
         if chosen not in there:

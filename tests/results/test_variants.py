@@ -3,6 +3,7 @@
 import json
 
 import numpy as np
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import pytest
 
@@ -33,6 +34,10 @@ def run(tmp_path):
                 record.append("trust", step, columns("trust", rows) | named)
         record.append("pseudonyms", 5, columns("pseudonyms", pseudonyms))
         record.append("vehicles", 5, columns("vehicles", vehicles))
+        sensed = {"observer": 4, "detection_index": 1, "truth_actor": 1, "transmitted": True}
+        record.append("detections", 5, columns("detections", [sensed]) | {"step": np.array([5])})
+        believed = [{"observer": 0, "source": 4, "source_index": 1, "score": 0.5 + code / 4} for code in (0, 1)]
+        record.append("fused", 5, columns("fused", believed) | {"step": np.full(2, 5), "variant": np.arange(2)})
     (tmp_path / "manifest.json").write_text(json.dumps({
         "schema_version": SCHEMA_VERSION, "status": "finished", "dt_s": 1.0, "steps": 6, "config": {},
         "variants": VARIANTS, "roles": ROLES,
@@ -55,6 +60,12 @@ def test_metrics_are_of_one_variant(run):
     assert run.measure.value("trust.final.mean", "ghost") == pytest.approx(0.45)
     with pytest.raises(ValueError, match=r"no trust variant 'long'\. It has base, short_window"):
         run.as_variant("long")
+
+
+def test_columns_that_are_not_on_disk_can_choose_rows_of_one_variant(run):
+    for name, score in zip(VARIANTS, (0.5, 0.75), strict=True):
+        frame = run.as_variant(name).variant_table("fused", ["score"], pc.field("truth_actor") == 1)
+        assert frame.score.tolist() == [score]
 
 
 def test_attackers_of_an_own_role_are_classified(run):

@@ -81,7 +81,7 @@ def test_packet_inter_reception(run, distance_m, message_type):
 
 
 def test_encounters(run, distance_m):
-    """Start, end and smallest distance of all encounters of equipped vehicles within 100 m, breaks below 3 s bridged."""
+    """Start, end and smallest distance of every encounter of equipped vehicles; breaks below 3 s are bridged."""
     steps, n_steps, expected = distance_m, run.manifest["steps"], set()
     for pair in {pair for pairs in steps.values() for pair in pairs if pair[0] < pair[1]}:
         stretch: list[int] = []
