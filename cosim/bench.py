@@ -78,7 +78,7 @@ def _verdicts_per_s(happened: Turn, config: Config) -> float:
 BENCHES: dict[str, str] = {
     "sensors": "sensors.bench",
     "trust": "trust.bench",
-    "v2x": "cosim.v2x.bench",
+    "radio": "cosim.radio.bench",
     "mobility": "cosim.mobility.bench",
     "results": "results.bench",
     "cycle": "cosim.bench",

@@ -23,7 +23,7 @@ app.add_typer(nets, name="nets")
 
 ConfigPath = Annotated[Path | None, typer.Argument(help="TOML file; without one, the shipped city.")]
 Overrides = Annotated[
-    list[str] | None, typer.Option("--set", help="Change one key, e.g. radio.reach_m=150. Repeatable.")
+    list[str] | None, typer.Option("--set", help="Change one key, e.g. radio.range_m=150. Repeatable.")
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="Answer in JSON on standard output.")]
 RunPaths = Annotated[list[Path], typer.Argument(help="Folders that `cosim run` wrote.")]
@@ -183,7 +183,7 @@ def reproduce(
 
 @app.command()
 def bench(
-    only: Annotated[list[str] | None, typer.Argument(help="sensors, trust, v2x, mobility, results, cycle.")] = None,
+    only: Annotated[list[str] | None, typer.Argument(help="sensors, trust, radio, mobility, results, cycle.")] = None,
     as_json: AsJson = False,
 ) -> None:
     """Measure the speed of every room on this machine."""

@@ -12,11 +12,11 @@ from annotated_types import Ge
 from pydantic import TypeAdapter, ValidationError
 
 from cosim.mobility.sumo import TrafficParams
+from cosim.radio.params import RadioParams
+from cosim.radio.rsu import RsuParams
 from cosim.roster import FleetParams
 from cosim.v2x.adversary import AdversaryParams
-from cosim.v2x.radio import RadioParams
-from cosim.v2x.roadside import RoadsideParams
-from cosim.v2x.server import ServerParams
+from cosim.v2x.trust_server import ServerParams
 from results.encounters import EncounterParams
 from results.tables import Level
 from sensors.detector import DetectorParams
@@ -59,7 +59,7 @@ class Config:
     detector: DetectorParams = field(default_factory=DetectorParams)
     adversary: AdversaryParams = field(default_factory=AdversaryParams)
     radio: RadioParams = field(default_factory=RadioParams)
-    rsu: RoadsideParams = field(default_factory=RoadsideParams)
+    rsu: RsuParams = field(default_factory=RsuParams)
     server: ServerParams = field(default_factory=ServerParams)
     trust: TrustParams = field(default_factory=TrustParams)
     encounters: tuple[EncounterParams, ...] = (EncounterParams(),)
@@ -157,7 +157,7 @@ def _own_step_s(scenario: str) -> float | None:
 def _override(data: dict[str, Any], text: str) -> None:
     name, sign, value = text.partition("=")
     if not sign or not name.strip():
-        raise ValueError(f"--set {text}: no key=value. Write for example --set radio.reach_m=150.")
+        raise ValueError(f"--set {text}: no key=value. Write for example --set radio.range_m=150.")
     try:
         parsed = tomllib.loads(f"value = {value}")["value"]
     except tomllib.TOMLDecodeError:

@@ -11,6 +11,7 @@ turn: too late for fusion, in which each vehicle then judges alone, and in time 
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8, UInt64
@@ -19,30 +20,31 @@ from numpy import ndarray
 from cosim import rng
 from cosim.config import Config
 from cosim.manifest import Stopwatch
+from cosim.radio.medium import MEDIA, Medium
+from cosim.radio.message_round import LinkReceptions, MessageRound, Messages, Receptions, RoundKind, Stations, by_link
+from cosim.radio.rsu import NO_RSUS, RsuAntennas
+from cosim.ragged import expand, ptr_of
 from cosim.truth import Truth, truth_of
-from cosim.v2x.adversary import self_reports, tamper
-from cosim.v2x.exchange import Exchange, Heard
-from cosim.v2x.generation import Memory, included
+from cosim.v2x.adversary import tamper
+from cosim.v2x.cpm_generation import InclusionMemory, select_objects
 from cosim.v2x.messages import (
     FABRICATED,
     SELF,
     SENSED,
     Detections,
-    detections_bytes,
-    expand,
+    cpm_bytes,
+    evaluation_bytes,
     is_sound,
-    ptr_of,
-    riding_bytes,
-    trust_bytes,
-    verdicts_bytes,
+    piggyback_bytes,
+    self_reports,
+    trust_broadcast_bytes,
 )
-from cosim.v2x.radio import Radio, Round
-from cosim.v2x.roadside import NOWHERE, Sites
-from cosim.v2x.server import Downlink, Edition, Traffic, Uplink
+from cosim.v2x.trust_server import BroadcastStats, Downlink, LinkStats, TrustBroadcast, Uplink
 from cosim.world import World
 from sensors import detector, evidence, lidar
 from sensors.boxes import Boxes, overlapping_pairs
 from sensors.clutter import ClutterLuck
+from sensors.line_of_sight import LosCache, WallIndex
 from sensors.scene import Scene
 from trust import evaluation, fusion, matching, tables
 from trust.ledger import SERVER, Ledger, Standing
@@ -60,23 +62,32 @@ FROM_SERVER, FROM_OWN, FROM_NOWHERE = range(3)
 class State:
     """All that survives a step."""
 
-    radio: Radio
+    medium: Medium
+    rsus: RsuAntennas
+    los: LosCache
+    round_s: float
+    radio: Any
     ledger: Ledger
     uplink: Uplink
     downlink: Downlink
-    included: Memory = field(default_factory=Memory)
+    included: InclusionMemory = field(default_factory=InclusionMemory)
     riding: Told | None = None
     """Verdicts of the last turn, waiting for the next message."""
     last_edition_s: float = -np.inf
+    last_uplink: LinkStats = field(default_factory=LinkStats)
+    last_broadcast: BroadcastStats = field(default_factory=BroadcastStats)
     n_malformed: int = 0
     """Detections dropped so far because they cannot be: no finite pose, no size, no score."""
     sweeps: lidar.Sweeps | None = None
     """Memory of the last sweeps, written over by the next."""
 
     @staticmethod
-    def start(config: Config, city: Scene, sites: Sites = NOWHERE) -> "State":
+    def start(config: Config, city: Scene, sites: RsuAntennas = NO_RSUS) -> "State":
+        los = LosCache.of(WallIndex.of(city.buildings))
+        round_s = config.radio.round_s(config.sensing_interval_s)
+        medium = MEDIA[config.radio.model](config.radio, round_s, config.seed, los)
         return State(
-            radio=Radio.start(config.radio, config.sensing_interval_s, config.seed, city, sites),
+            medium, sites, los, round_s, medium.start(),
             ledger=Ledger(config.trust, config.traffic.step_s),
             uplink=Uplink(config.server, config.seed, config.sensing_interval_s),
             downlink=Downlink(config.server, config.seed),
@@ -106,7 +117,7 @@ Perceive = Callable[[World, Int[ndarray, "e"], lidar.Sweeps, Config], Perceived]
 class ToServer:
     """A turn's messages between vehicles and trust server."""
 
-    up: Traffic
+    up: LinkStats
     n_addressed: int
     """Vehicles that a broadcast of trust values was meant for."""
     n_informed: int
@@ -122,13 +133,14 @@ class Turn:
     sights: evidence.Sightings
     said: Detections
     truth: Truth
-    exchanges: tuple[Exchange, Exchange]  # of detections, and of verdicts
+    rounds: tuple[MessageRound, MessageRound]  # of detections, and of evaluations
+    links: tuple[LinkReceptions, LinkReceptions]  # the same by kind of link
     views: Views  # what each vehicle judged
     verdicts: Verdicts
     n_points: Int[ndarray, "m"]
     plausible: Bool[ndarray, "m"]
     matched: Bool[ndarray, "m"]
-    met: Heard  # whose trust each vehicle looks up
+    met: Receptions  # whose trust each vehicle looks up
     known: Known  # goes with `met`
     fused: fusion.Fused
     standing: Standing | None  # what the server just computed
@@ -162,7 +174,7 @@ def turn(
             state.n_malformed += int((~sound).sum())
             said = said.take(np.flatnonzero(sound))
         if config.radio.cpm_rules == "etsi":
-            chosen, state.included = included(state.included, said, world.actor[said.observer], time_s)
+            chosen, state.included = select_objects(state.included, said, world.actor[said.observer], time_s)
             said = replace(said, said=chosen)
         truth = truth_of(said, world, sights, observers, is_real, source)
         claims, ptr = _claims(said, observers)
@@ -170,10 +182,10 @@ def turn(
     with watch("radio"):
         riding = state.riding
         length_bytes = _lengths(claims, said.said, ids, riding, config)
-        first = state.radio.exchange(Round.DETECTIONS, world, observers, length_bytes, time_s)
+        round_1, first = _broadcast(state, config, RoundKind.CPM, world, observers, length_bytes, time_s)
     with watch("match"):
         pairs = overlapping_pairs(said.boxes, said.label, said.observer)
-        everything = _views(first.heard, ptr, said.said, len(observers))
+        everything = _views(first.vehicles, ptr, said.said, len(observers))
         inside = evidence.in_area(
             sweeps, everything.of_member(), said.boxes, config.area, everything.member, said.label,
             world.boxes.take(observers),
@@ -190,13 +202,14 @@ def turn(
         verdicts = evaluation.evaluate(views, groups, claims, n_points, plausible, config.trust)
 
     told = _told(step, ids, views, claims, verdicts, said.said)
-    judged_s = time_s + state.radio.timeout_s
-    alone = config.radio.verdicts == "alone"
+    judged_s = time_s + state.round_s
+    alone = config.radio.evaluations == "alone"
     with watch("radio"):
-        edition = state.downlink.on_masts(judged_s)
-        second = state.radio.exchange(
-            Round.VERDICTS, world, observers, verdicts_bytes(np.diff(told.ptr)) * alone, judged_s,
-            0 if edition is None else trust_bytes(len(edition.subject)),
+        edition = state.downlink.pending_rsu_broadcast(judged_s)
+        round_2, second = _broadcast(
+            state, config, RoundKind.EVALUATION, world, observers,
+            evaluation_bytes(np.diff(told.ptr)) * alone, judged_s,
+            0 if edition is None else trust_broadcast_bytes(len(edition.subject)),
         )  # fmt: skip
     with watch("trust"):
         state.riding = None if alone else told
@@ -206,11 +219,12 @@ def turn(
             _hear(state, config, spoken, carrier, ids, begin_s)
         if config.trust.where == "central":
             if config.server.uplink == "cellular":
-                state.uplink.by_cellular(told, names, world.boxes.xyz_m[observers, :2], judged_s)
+                state.last_uplink = state.uplink.send_cellular(told, names, world.boxes.xyz_m[observers, :2], judged_s)
             if edition is not None:
-                state.downlink.overheard(ids[second.down.receiver], second.down, ids, judged_s)
-        met = (second if alone else first).heard
-        known = knowledge(state, config, ids[met.receiver], ids[met.sender], ids, judged_s + state.radio.timeout_s)
+                down = second.downlink
+                state.last_broadcast = state.downlink.receive_from_rsu(ids[down.receiver], down, ids, judged_s)
+        met = (second if alone else first).vehicles
+        known = knowledge(state, config, ids[met.receiver], ids[met.message], ids, judged_s + state.round_s)
 
     with watch("fuse"):
         seeds = groups_all.seeds()
@@ -218,19 +232,33 @@ def turn(
             said.boxes.xyz_m[everything.member[seeds]] - sweeps.poses.origin_m[everything.of_member()[seeds]], axis=1
         )
         sight = fusion.Sight(n_points_all[seeds], plausible_all[seeds], away_m < config.area.range_m)
-        judged = np.full(len(met.sender), alone)
-        heard = fusion.Heard(ptr_of(met.receiver, len(observers)), met.sender, known.trust, judged)
+        judged = np.full(len(met.message), alone)
+        heard = fusion.Heard(ptr_of(met.receiver, len(observers)), met.message, known.trust, judged)
         distance_m = np.linalg.norm(said.boxes.xyz_m - sweeps.poses.origin_m[claims.sender], axis=1)
         fused = fusion.fuse(everything, groups_all, claims, views, verdicts, heard, sight, distance_m, config.trust)
         fused = fused.take(fused.score >= config.trust.min_score)
 
     to_server = None
     if config.trust.where == "central":
-        to_server = ToServer(state.uplink.last, state.downlink.n_addressed, state.downlink.n_informed)
+        to_server = ToServer(state.last_uplink, state.last_broadcast.n_addressed, state.last_broadcast.n_informed)
     return Turn(
-        world, observers, sights, said, truth, (first, second),
+        world, observers, sights, said, truth, (round_1, round_2), (first, second),
         views, verdicts, n_points, plausible, groups.local, met, known, fused, standing, to_server,
     )  # fmt: skip
+
+
+def _broadcast(
+    state: State, config: Config, kind: RoundKind, world: World, observers: Int[ndarray, "e"],
+    length_bytes: Int[ndarray, "e"], begin_s: float, rsu_bytes: int = 0,
+) -> tuple[MessageRound, LinkReceptions]:  # fmt: skip
+    """One round with a message of every vehicle and roadside unit that has something to send."""
+    n, rsus = len(observers), state.rsus
+    xyz_m = np.concatenate([world.boxes.xyz_m[observers], rsus.xyz_m])
+    xyz_m[:n, 2] += world.boxes.lwh_m[observers, 2] / 2 + config.radio.antenna_above_roof_m
+    stations = Stations(np.concatenate([world.name_key[observers], rsus.key]), xyz_m, n)
+    messages = Messages.one_each(np.concatenate([length_bytes, np.full(len(rsus), rsu_bytes)]))
+    state.radio, happened = state.medium.broadcast(state.radio, kind, world.step, begin_s, stations, messages)
+    return happened, by_link(happened, n)
 
 
 def knowledge(
@@ -246,7 +274,7 @@ def knowledge(
     source = np.full(len(receiver), FROM_NOWHERE, np.uint8)
     age_s = np.zeros(len(receiver))
     if config.trust.where == "central":
-        heard, known, age = state.downlink.known(receiver, subject, present, time_s)
+        heard, known, age = state.downlink.lookup(receiver, subject, time_s)
         value[known], source[known], age_s[known] = heard[known], FROM_SERVER, age[known]
     elif config.trust.where == "local":
         standing = state.ledger.standing()
@@ -261,14 +289,16 @@ def _serve(state: State, config: Config, world: World, ids: ndarray, names: ndar
     """Reports come in; when it is time, the server computes everybody's trust and broadcasts it."""
     if config.trust.where != "central":
         return None
+    state.downlink.expire(ids, time_s)
     for told in state.uplink.arrived(time_s):
         state.ledger.enter(told, np.full(len(told.evaluator), SERVER), np.arange(len(told.evaluator)))
-    state.uplink.last, state.downlink.n_addressed, state.downlink.n_informed = Traffic(), 0, 0
+    state.last_uplink, state.last_broadcast = LinkStats(), BroadcastStats()
     if config.server.is_out(time_s) or time_s - state.last_edition_s < config.trust.server_period_s - 1e-9:
         return None
     state.last_edition_s = time_s
     standing = state.ledger.standing(world.step)
-    state.downlink.publish(Edition(time_s, standing.subject, standing.trust), world.step, ids, names)
+    values = TrustBroadcast(time_s, standing.subject, standing.trust)
+    state.last_broadcast = state.downlink.publish(values, world.step, ids, names)
     return standing
 
 
@@ -324,11 +354,11 @@ def _claims(said: Detections, observers: Int[ndarray, "e"]) -> tuple[Claims, Int
     return claims, ptr_of(sender, len(observers))
 
 
-def _views(heard: Heard, ptr: Int[ndarray, "e+1"], said: Bool[ndarray, "d"], n: int) -> Views:
+def _views(heard: Receptions, ptr: Int[ndarray, "e+1"], said: Bool[ndarray, "d"], n: int) -> Views:
     """What each vehicle has before it: all its own detections, then what it heard, by (sender, k)."""
     everyone = np.arange(n)
     receiver = np.concatenate([everyone, heard.receiver])
-    sender = np.concatenate([everyone, heard.sender])
+    sender = np.concatenate([everyone, heard.message])
     order = np.lexsort((sender, receiver != sender, receiver))
     receiver, sender = receiver[order], sender[order]
     member, which = expand(ptr[sender], ptr[sender + 1])
@@ -358,7 +388,7 @@ def _lengths(
     if riding is not None:
         _, there, row = np.intersect1d(riding.evaluator, ids, assume_unique=True, return_indices=True)
         n_riding[row] = np.diff(riding.ptr)[there]
-    length = detections_bytes(n_said) + np.where(n_riding > 0, riding_bytes(n_riding), 0)
+    length = cpm_bytes(n_said) + np.where(n_riding > 0, piggyback_bytes(n_riding), 0)
     return length if config.radio.cpm_rules == "all" else np.where((n_said > 0) | (n_riding > 0), length, 0)
 
 
@@ -373,18 +403,20 @@ def _book(
         state.ledger.enter(told, ids, np.arange(len(ids)))
 
 
-def _hear(state: State, config: Config, told: Told, carrier: Exchange, ids: Int[ndarray, "e"], begin_s: float) -> None:
+def _hear(
+    state: State, config: Config, told: Told, carrier: LinkReceptions, ids: Int[ndarray, "e"], begin_s: float
+) -> None:
     """Verdicts reach other vehicles and, where that is their way to the server, roadside units."""
     message = np.full(len(ids), -1)  # of each vehicle on the road
     _, which, row = np.intersect1d(told.evaluator, ids, assume_unique=True, return_indices=True)
     message[row] = which
     if config.trust.where == "local" and config.trust.local_evidence == "heard":
-        heard = carrier.heard
-        rows = np.flatnonzero(message[heard.sender] >= 0)
-        state.ledger.enter(told, ids[heard.receiver[rows]], message[heard.sender[rows]])
+        heard = carrier.vehicles
+        rows = np.flatnonzero(message[heard.message] >= 0)
+        state.ledger.enter(told, ids[heard.receiver[rows]], message[heard.message[rows]])
     if config.trust.where == "central" and config.server.uplink == "rsu":
-        up = carrier.up.take(message[carrier.up.sender] >= 0)
-        state.uplink.by_roadside(told, message[up.sender], up, begin_s)
+        up = carrier.uplink.take(message[carrier.uplink.message] >= 0)
+        state.last_uplink = state.uplink.send_rsu(told, message[up.message], up, begin_s)
 
 
 def _look(

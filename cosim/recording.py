@@ -10,23 +10,23 @@ from scipy.spatial import cKDTree
 
 from cosim.config import Config
 from cosim.cycle import FROM_NOWHERE, State, Turn, knowledge
+from cosim.radio.message_round import LosState, MessageRound, Outcome
 from cosim.roster import Roster
-from cosim.v2x.exchange import Exchange, Fate, View
 from cosim.v2x.messages import FABRICATED, Detections
 from cosim.world import World
 from results.encounters import EncounterLedger
 from results.recorder import Recorder
 from sensors.boxes import Boxes
-from sensors.evidence import line_of_sight
+from sensors.line_of_sight import los_between_actors
 from sensors.scene import Scene, Shape
 
 FATES = {
-    "n_delivered": Fate.RECEIVED,
-    "n_lost_propagation": Fate.PROPAGATION,
-    "n_lost_collision": Fate.COLLISION,
-    "n_lost_receiver_busy": Fate.RECEIVER_BUSY,
-    "n_lost_expired": Fate.EXPIRED,
-    "n_lost_late": Fate.LATE,
+    "n_delivered": Outcome.RECEIVED,
+    "n_lost_propagation": Outcome.PROPAGATION,
+    "n_lost_collision": Outcome.COLLISION,
+    "n_lost_receiver_busy": Outcome.RECEIVER_BUSY,
+    "n_lost_expired": Outcome.EXPIRED,
+    "n_lost_late": Outcome.LATE,
 }
 """Columns of the tables `radio` and `links`, and the fate that each counts."""
 
@@ -69,7 +69,7 @@ class Meetings:
         a, b = rows[pair >> 32], rows[pair & 0xFFFFFFFF]
         east_m, north_m = (world.boxes.xyz_m[a, axis] - world.boxes.xyz_m[b, axis] for axis in (0, 1))
         distance_m = np.sqrt(east_m * east_m + north_m * north_m)
-        sight = line_of_sight(city, world.boxes, world.shape, a, b, self.config.lidar.mount_above_roof_m)
+        sight = los_between_actors(state.los, world.boxes, world.shape, a, b, self.config.lidar.mount_above_roof_m)
         equipped = world.equipped[a] & world.equipped[b]
         for ledger in self.ledgers:
             closed, opened = ledger.update(
@@ -95,9 +95,9 @@ class Meetings:
         pair, n = np.unique(judged, return_counts=True)
         met, told = turn.met, turn.known.source != FROM_NOWHERE
         for ledger in self.ledgers:
-            for exchange in turn.exchanges:
-                ledger.count_messages(ids[exchange.heard.sender], ids[exchange.heard.receiver])
-            ledger.note_trust(ids[met.receiver][told], ids[met.sender][told])
+            for links in turn.links:
+                ledger.count_messages(ids[links.vehicles.message], ids[links.vehicles.receiver])
+            ledger.note_trust(ids[met.receiver][told], ids[met.message][told])
             ledger.count_verdicts(ids[pair // len(turn.world)], turn.world.actor[pair % len(turn.world)], n)
 
     def close(self, recorder: Recorder, last_step: int) -> None:
@@ -112,7 +112,7 @@ def turn(recorder: Recorder, turn: Turn, silences: tuple["Silences", ...], dt_s:
     ids = world.actor[turn.observers]
     _detections(recorder, turn)
     _radio(recorder, turn)
-    pairs = [_in_reach(exchange, len(ids)) for exchange in turn.exchanges]
+    pairs = [_in_reach(exchange, len(ids)) for exchange in turn.rounds]
     _ears(recorder, turn, pairs)
     for message, silence in enumerate(silences):
         silence.update(recorder, turn, message, pairs[message])
@@ -120,12 +120,12 @@ def turn(recorder: Recorder, turn: Turn, silences: tuple["Silences", ...], dt_s:
         "observer": ids[turn.sights.o], "actor": world.actor[turn.sights.actor],
         "n_points": turn.sights.n_returns, "n_unoccluded": turn.sights.n_unoccluded,
     })  # fmt: skip
-    for message, exchange in enumerate(turn.exchanges):
-        heard = exchange.heard
+    for message, links in enumerate(turn.links):
+        heard = links.vehicles
         recorder.append("deliveries", step, {
-            "message": np.full(len(heard.sender), message),
-            "sender": ids[heard.sender], "receiver": ids[heard.receiver],
-            "hops": heard.hops, "generated_s": heard.generated_s, "access_s": heard.access_s,
+            "message": np.full(len(heard.message), message),
+            "sender": ids[heard.message], "receiver": ids[heard.receiver],
+            "hops": heard.hops, "generated_s": heard.generation_offset_s, "access_s": heard.access_delay_s,
             "latency_s": heard.latency_s, "distance_m": heard.distance_m,
         })  # fmt: skip
     member = turn.views.member
@@ -148,12 +148,12 @@ def turn(recorder: Recorder, turn: Turn, silences: tuple["Silences", ...], dt_s:
         recorder.append("server", step, {
             "n_reports": np.array([up.n_reports]), "n_reached": np.array([up.n_reached]),
             "n_lost": np.array([up.n_lost]), "n_over_capacity": np.array([up.n_over_capacity]),
-            "n_outage": np.array([up.n_outage]), "up_bytes": np.array([up.up_bytes]),
+            "n_outage": np.array([up.n_outage]), "up_bytes": np.array([up.uplink_bytes]),
             "n_addressed": np.array([down.n_addressed]), "n_informed": np.array([down.n_informed]),
         })  # fmt: skip
     met = turn.met
     recorder.append("uses", step, {
-        "receiver": ids[met.receiver], "subject": ids[met.sender], "trust": turn.known.trust,
+        "receiver": ids[met.receiver], "subject": ids[met.message], "trust": turn.known.trust,
         "source": turn.known.source, "age_s": turn.known.age_s, "age_s__valid": turn.known.source != FROM_NOWHERE,
     })  # fmt: skip
     _fused(recorder, turn)
@@ -196,26 +196,26 @@ def _fused(recorder: Recorder, turn: Turn) -> None:
 
 def _radio(recorder: Recorder, turn: Turn) -> None:
     step = turn.world.step
-    for message, exchange in enumerate(turn.exchanges):
+    for message, exchange in enumerate(turn.rounds):
         frames = exchange.frames
         ring = (frames.distance_m // RING_M).astype(np.int64)
-        counted = np.bincount((ring * len(View) + frames.view) * len(Fate) + frames.fate)
-        by_fate = np.append(counted, np.zeros(-len(counted) % len(Fate), int)).reshape(-1, len(Fate))
+        counted = np.bincount((ring * len(LosState) + frames.los_state) * len(Outcome) + frames.outcome)
+        by_fate = np.append(counted, np.zeros(-len(counted) % len(Outcome), int)).reshape(-1, len(Outcome))
         total, rings = by_fate.sum(axis=0), np.flatnonzero(by_fate.any(axis=1))
         recorder.append("radio", step, {
             "message": np.array([message]), "n_sent": np.array([frames.n_transmissions.sum()]),
             "n_relayed": np.array([frames.n_relayed]),
-            "n_in_reach": np.array([len(frames.fate)]), "n_duplicate": np.array([frames.n_duplicate]),
+            "n_in_reach": np.array([len(frames.outcome)]), "n_duplicate": np.array([frames.n_duplicate]),
             **{name: total[[fate]] for name, fate in FATES.items()},
             "bytes": np.array([frames.sent_bytes]),
-            "busy_ratio": None if frames.busy is None else np.array([frames.busy[: len(turn.observers)].mean()]),
+            "busy_ratio": None if frames.cbr is None else np.array([frames.cbr[: len(turn.observers)].mean()]),
         })  # fmt: skip
         recorder.append("links", step, {
-            "message": np.full(len(rings), message), "ring_m": rings // len(View) * RING_M,
-            "view": rings % len(View), "n_in_reach": by_fate[rings].sum(axis=1),
+            "message": np.full(len(rings), message), "ring_m": rings // len(LosState) * RING_M,
+            "view": rings % len(LosState), "n_in_reach": by_fate[rings].sum(axis=1),
             **{name: by_fate[rings, fate] for name, fate in FATES.items()},
         })  # fmt: skip
-        n_delivered = np.bincount(np.searchsorted(LATENCY_BINS_S, exchange.heard.latency_s, "right"))
+        n_delivered = np.bincount(np.searchsorted(LATENCY_BINS_S, turn.links[message].vehicles.latency_s, "right"))
         bins = np.flatnonzero(n_delivered)
         recorder.append("latencies", step, {
             "message": np.full(len(bins), message), "latency_s": np.append(0, LATENCY_BINS_S)[bins],
@@ -227,23 +227,24 @@ def _ears(recorder: Recorder, turn: Turn, pairs: list[tuple[ndarray, ndarray]]) 
     """What each vehicle's radio meets with, both rounds together; `pairs` within reach go with the exchanges."""
     n = len(turn.observers)
     n_in_reach, n_heard, busy = np.zeros(n, int), np.zeros(n, int), np.zeros(n)
-    is_known = all(exchange.frames.busy is not None for exchange in turn.exchanges)
-    for exchange, (_, receiver) in zip(turn.exchanges, pairs, strict=True):
+    is_known = all(exchange.frames.cbr is not None for exchange in turn.rounds)
+    for exchange, links, (_, receiver) in zip(turn.rounds, turn.links, pairs, strict=True):
         n_in_reach += np.bincount(receiver, minlength=n)
-        n_heard += np.bincount(exchange.heard.receiver, minlength=n)
-        if exchange.frames.busy is not None:
-            busy += exchange.frames.busy[:n] / len(turn.exchanges)
+        n_heard += np.bincount(links.vehicles.receiver, minlength=n)
+        if exchange.frames.cbr is not None:
+            busy += exchange.frames.cbr[:n] / len(turn.rounds)
     recorder.append("ears", turn.world.step, {
         "vehicle": turn.world.actor[turn.observers], "busy_ratio": busy, "busy_ratio__valid": np.full(n, is_known),
         "n_in_reach": n_in_reach, "n_heard": n_heard,
     })  # fmt: skip
 
 
-def _in_reach(exchange: Exchange, n: int) -> tuple[Int[ndarray, "p"], Int[ndarray, "p"]]:
+def _in_reach(exchange: MessageRound, n: int) -> tuple[Int[ndarray, "p"], Int[ndarray, "p"]]:
     """Authors of messages, and the other vehicles within reach of them: each pair once, sorted."""
     frames = exchange.frames
-    own = np.flatnonzero((frames.hop == 1) & (frames.origin < n) & (frames.receiver < n))
-    return _once(frames.origin[own].astype(np.int64), frames.receiver[own].astype(np.int64), n)
+    origin = exchange.station[frames.message]
+    own = np.flatnonzero((frames.hop == 1) & (origin < n) & (frames.receiver < n))
+    return _once(origin[own].astype(np.int64), frames.receiver[own].astype(np.int64), n)
 
 
 @njit(cache=True)
@@ -283,7 +284,7 @@ class Silences:
 
     def update(self, recorder: Recorder, turn: Turn, message: int, pairs: tuple[ndarray, ndarray]) -> None:
         """Count the silences that a reception ends, and those that parting ends; `pairs` are those within reach."""
-        step, n, heard_by = turn.world.step, len(turn.observers), turn.exchanges[message].heard
+        step, n, heard_by = turn.world.step, len(turn.observers), turn.links[message].vehicles
         ids = turn.world.actor[turn.observers].astype(np.int64)
         sender, receiver = pairs
         key = (ids[sender] << 32) | ids[receiver]
@@ -293,7 +294,7 @@ class Silences:
         since[known] = self._since[at[known]]
         gone = np.ones(len(self._key), bool)
         gone[at[known]] = False
-        heard = np.isin(sender * n + receiver, heard_by.sender * n + heard_by.receiver)
+        heard = np.isin(sender * n + receiver, heard_by.message * n + heard_by.receiver)
         ended = step - since[heard & (since >= 0)]
         parted = self._step - self._since[gone & (self._since >= 0)]
         lengths, which = np.unique(np.concatenate([ended, parted]), return_inverse=True)

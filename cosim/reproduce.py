@@ -19,8 +19,7 @@ from cosim import rng
 from cosim.config import Config, load
 from cosim.cycle import Perceived, State, Turn, turn
 from cosim.manifest import Stopwatch
-from cosim.v2x.adversary import self_reports
-from cosim.v2x.messages import FABRICATED, SELF, SENSED, Detections
+from cosim.v2x.messages import FABRICATED, SELF, SENSED, Detections, self_reports
 from cosim.world import BEHAVIOURS, LABELS, World
 from results.figures import scenario as pictures
 from results.figures import style

@@ -15,10 +15,10 @@ from cosim.config import Config
 from cosim.cycle import State, turn
 from cosim.manifest import Manifest, Stopwatch
 from cosim.mobility.source import Traffic, TrafficError, TrafficOver
+from cosim.radio.rsu import NO_RSUS, RsuAntennas, place_rsus
 from cosim.roster import Roster
 from cosim.scenario import Scenario, find
 from cosim.v2x.messages import FABRICATED
-from cosim.v2x.roadside import NOWHERE, Sites, place
 from results.recorder import Recorder
 from sensors import lidar
 from sensors.boxes import Boxes
@@ -45,16 +45,16 @@ def check(config: Config) -> Scenario:
     return scenario
 
 
-def roadside_units(config: Config, scenario: Scenario) -> Sites:
+def roadside_units(config: Config, scenario: Scenario) -> RsuAntennas:
     """Where the config's roadside units stand in the scenario's network; ValueError where they cannot."""
     if not config.rsu.at and not config.rsu.n_at_junctions:
-        return NOWHERE
+        return NO_RSUS
     if scenario.net is None:
         raise ValueError(
             "rsu.at, rsu.n_at_junctions: a trace without streets has no network to stand in. "
             "Leave the roadside units out, or name the streets in traffic.scenario and the trace in traffic.trace."
         )
-    sites = place(config.rsu, *junctions(scenario.net))
+    sites = place_rsus(config.rsu, *junctions(scenario.net))
     return replace(sites, xyz_m=sites.xyz_m - np.array([*scenario.origin_m, 0.0]))
 
 

@@ -15,8 +15,9 @@ from numpy import ndarray
 from sensors.boxes import Boxes, overlapping_pairs
 from sensors.clutter import ClutterLuck, false_alarms
 from sensors.detector import DetectorParams, resolved
-from sensors.evidence import line_of_sight, plausible, points_in_boxes, sightings
+from sensors.evidence import plausible, points_in_boxes, sightings
 from sensors.lidar import LidarParams, beams, mount, scan
+from sensors.line_of_sight import WallIndex, los_between_actors
 from sensors.near import near
 from sensors.raycast import embree, mesh, open3d
 from sensors.scene import LABEL_OF_SHAPE, Scene, prisms
@@ -107,6 +108,7 @@ def _least_s(work: Callable[[], object], runs: int) -> float:
 
 
 def _measure(scene, boxes, shape, observers, runs) -> list[tuple[str, float, str]]:
+    walls = WallIndex.of(scene.buildings)
     keys = np.arange(len(observers), dtype=np.uint64)
     clean = LidarParams(range_sigma_m=0.0)
     sweeps = scan(boxes, shape, observers, scene, clean, keys)
@@ -153,7 +155,7 @@ def _measure(scene, boxes, shape, observers, runs) -> list[tuple[str, float, str
         ("plausibility", _least_s(lambda: plausible(sweeps, o, asked), runs) / len(o) * 1e6, "us per box"),
         (
             "sight lines",
-            _least_s(lambda: line_of_sight(scene, boxes, shape, observers[o], row), runs) / len(o) * 1e6,
+            _least_s(lambda: los_between_actors(walls, boxes, shape, observers[o], row), runs) / len(o) * 1e6,
             "us per pair",
         ),
         ("overlapping pairs", n_pairs / _least_s(lambda: overlapping_pairs(crowd, label, o), runs) / 1e6, "M pairs/s"),

@@ -14,8 +14,7 @@ from sensors import windows
 from sensors.boxes import Boxes
 from sensors.lidar import Sweeps
 from sensors.near import near
-from sensors.raycast import segment
-from sensors.scene import Scene, prisms
+from sensors.scene import prisms
 
 CAR = 0
 
@@ -183,37 +182,3 @@ def sightings(sweeps: Sweeps, boxes: Boxes, shape: UInt8[ndarray, "n"]) -> Sight
     actor = row[keep].astype(np.int32)
     apart = boxes.xyz_m[actor] - sweeps.poses.origin_m[o]
     return Sightings(o, actor, n_returns[keep], n_alone[keep], _norm(apart))
-
-
-def line_of_sight(
-    scene: Scene,
-    boxes: Boxes,
-    shape: UInt8[ndarray, "n"],
-    a: Int[ndarray, "k"],
-    b: Int[ndarray, "k"],
-    above_roof_m: float = 0.23,
-) -> Bool[ndarray, "k"]:
-    """Whether nothing stands between the roofs of actors a[k] and b[k].
-
-    Parameters
-    ----------
-    above_roof_m
-        Height of both ends over the centre of the roof [m].
-
-    Notes
-    -----
-    Buildings and the bodies of third actors block. Two ends inside one building see each other.
-    """
-    roof = boxes.xyz_m.copy()
-    roof[:, 2] += 0.5 * boxes.lwh_m[:, 2]
-    a, b = np.asarray(a, dtype=np.int64), np.asarray(b, dtype=np.int64)
-    if len(a) == 0:
-        return np.zeros(0, bool)
-    start, end = roof[a], roof[b]
-    start[:, 2] += above_roof_m
-    end[:, 2] += above_roof_m
-    tall = np.flatnonzero(roof[:, 2] > min(start[:, 2].min(), end[:, 2].min()))
-    places, place = np.unique(a, return_inverse=True)
-    longest = float(np.hypot(end[:, 0] - start[:, 0], end[:, 1] - start[:, 1]).max())
-    ptr, row = near(roof[places], boxes.take(tall), longest)
-    return ~segment.blocked(start, end, a, b, place, ptr, tall[row], prisms(shape, boxes), scene.buildings)

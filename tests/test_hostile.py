@@ -6,7 +6,7 @@ from results.archive import open_run
 from results.recorder import fingerprint
 from tests.drive import drive
 
-DISK = ("radio.model=disk", "radio.disk.loss_p=0", "record.level=full")
+DISK = ("radio.model=unit_disk", "radio.unit_disk.loss_p=0", "record.level=full")
 
 NONSENSE = """
 import dataclasses

@@ -1,1 +1,1 @@
-"""What vehicles say, who hears it, and who lies."""
+"""Messages, the choice of objects in them, and the links to the trust server."""

@@ -10,7 +10,7 @@ from numpy import ndarray
 from scipy.spatial import cKDTree
 
 from cosim import rng
-from cosim.v2x.messages import FABRICATED, SELF, SENSED, Detections
+from cosim.v2x.messages import FABRICATED, SENSED, Detections
 from cosim.world import LABELS, MALICIOUS, UNRELIABLE, World
 from sensors.boxes import Boxes
 
@@ -146,12 +146,3 @@ def _numbered(added: Detections, last_k: Int[ndarray, "n"]) -> Detections:
     first_of_observer = np.searchsorted(added.observer, added.observer)
     k = last_k[added.observer] + 1 + np.arange(len(added)) - first_of_observer
     return replace(added, k=k)
-
-
-def self_reports(world: World, observers: Int[ndarray, "o"]) -> Detections:
-    """Each equipped vehicle's own box, as it reports itself: k = 0, score 1."""
-    n = len(observers)
-    return Detections(
-        observer=observers, k=np.zeros(n, int), label=world.label[observers], boxes=world.boxes.take(observers),
-        score=np.ones(n), n_points=np.zeros(n, np.int32), origin=np.full(n, SELF, np.uint8), said=np.ones(n, bool),
-    )  # fmt: skip

@@ -1,4 +1,4 @@
-"""The cellular network as a vehicle's application sees it: delay, loss, second attempts, cells that are full."""
+"""The cellular network at application level: delay, loss, retries, capacity of cells."""
 
 from dataclasses import dataclass
 from typing import Annotated
@@ -26,9 +26,9 @@ class CellularParams:
     uplink_loss_p: Annotated[float, Ge(0), Le(1)] = 0.01
     """Probability that one attempt of a vehicle's report fails."""
     downlink_loss_p: Annotated[float, Ge(0), Le(1)] = 0.01
-    """Probability that a vehicle misses a broadcast of trust values; nobody asks for it again."""
+    """Probability that a vehicle misses a broadcast of trust values; there are no retries."""
     n_retries: Annotated[int, Ge(0), Le(10)] = 2
-    """Further attempts of a report that failed, each with a delay of its own."""
+    """Retries of a report that failed, each with a delay of its own."""
     cell_m: Annotated[float, Gt(0)] = 1000.0
     """Side of a cell; cells are the squares of a grid from the network's origin [m]."""
     cell_up_bytes_per_s: Annotated[float, Gt(0)] = 3.5e6
@@ -49,29 +49,29 @@ def delay_s(u: Float[ndarray, "..."], params: CellularParams) -> Float[ndarray, 
     return params.delay_min_s + gammaincinv(2.0, u) * (params.delay_mean_s - params.delay_min_s) / 2
 
 
-def journey_s(
-    chance: np.uint64, name_key: UInt64[ndarray, "n"], loss_p: float, n_retries: int, params: CellularParams
+def transfer_delay_s(
+    rng_key: np.uint64, key: UInt64[ndarray, "n"], loss_p: float, n_retries: int, params: CellularParams
 ) -> Float[ndarray, "n"]:
-    """From sending to arrival of one message of each of these vehicles, failed attempts included; inf where lost."""
+    """Time from sending to arrival of one message per vehicle, failed attempts included; inf where lost."""
     n = 1 + n_retries
-    draws = rng.uniforms(chance, name_key, n=2 * n)  # loss, delay, loss, delay, ...
+    draws = rng.uniforms(rng_key, key, n=2 * n)  # loss, delay, loss, delay, ...
     arrives = draws[:, 0::2] >= loss_p
     total = np.cumsum(delay_s(draws[:, 1::2], params), axis=1)
     return np.where(arrives.any(axis=1), total[np.arange(len(draws)), np.argmax(arrives, axis=1)], np.inf)
 
 
 def within_capacity(
-    xy_m: Float[ndarray, "n 2"], length_bytes: Int[ndarray, "n"], name_key: UInt64[ndarray, "n"],
+    xy_m: Float[ndarray, "n 2"], length_bytes: Int[ndarray, "n"], key: UInt64[ndarray, "n"],
     budget_bytes: float, cell_m: float,
 ) -> Bool[ndarray, "n"]:  # fmt: skip
-    """Which messages their cells take: one after another in an order of chance, until a cell is full.
+    """Messages that fit into the capacity of their cells, taken in random order.
 
     Notes
     -----
-    Deviations: second attempts take no capacity of their own; a cell that is full forgets what it cannot take.
+    Deviations: retries use no capacity of their own; messages beyond the capacity are lost.
     """
     cell = np.floor(xy_m / cell_m).astype(np.int64)
-    order = np.lexsort((name_key, cell[:, 1], cell[:, 0]))
+    order = np.lexsort((key, cell[:, 1], cell[:, 0]))
     new = np.ones(len(order), bool)
     new[1:] = (np.diff(cell[order], axis=0) != 0).any(axis=1)
     total = np.cumsum(length_bytes[order])

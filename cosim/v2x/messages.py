@@ -1,4 +1,4 @@
-"""What is perceived and said in one step."""
+"""Content and length of messages."""
 
 from dataclasses import dataclass, fields
 from typing import Any
@@ -7,20 +7,21 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 from numpy import ndarray
 
+from cosim.radio.segmentation import ENVELOPE_BYTES
+from cosim.world import World
 from sensors.boxes import Boxes
 
 SENSED, SELF, FABRICATED = range(3)
 ORIGINS = ("sensed", "self", "fabricated")
-"""Where a detection comes from, by code: the detector, the vehicle's own pose, an invention."""
+"""Origin of a detection, by code: the detector, the vehicle's own pose, an attack or fault."""
 
 
 @dataclass(frozen=True, slots=True)
 class Detections:
-    """D detections of one step, world frame, sorted by (observer, k): the key for life with the step.
+    """D detections of one step, world frame, sorted by (observer, k), which with the step is the key of a detection.
 
-    `observer` is a row of the step's world. k = 0 is the self report, then what the detector found, then
-    inventions. A detection with `said` false is kept to itself; a fabricated one nobody believes in, not even
-    its author.
+    `observer` is a row of the step's world. k = 0 is the self report, then detections by the detector, then fabricated
+    ones. A detection with `said` false is not transmitted.
     """
 
     observer: Int[ndarray, "d"]
@@ -56,7 +57,7 @@ class Detections:
         return joined.take(np.lexsort((joined.k, joined.observer)))
 
 
-def detections_bytes(n_objects: Int[ndarray, "n"]) -> Int[ndarray, "n"]:
+def cpm_bytes(n_objects: Int[ndarray, "n"]) -> Int[ndarray, "n"]:
     """Length of a detection message, as a collective perception message [B].
 
     GeoNetworking and BTP 44, signature and digest 96, header 37, one sensor 9, and 29 per object, as in Artery's
@@ -65,31 +66,32 @@ def detections_bytes(n_objects: Int[ndarray, "n"]) -> Int[ndarray, "n"]:
     return ENVELOPE_BYTES + 29 * n_objects
 
 
-def verdicts_bytes(n_verdicts: Int[ndarray, "n"]) -> Int[ndarray, "n"]:
-    """Length of a message of verdicts, our own format [B].
+def evaluation_bytes(n_evaluations: Int[ndarray, "n"]) -> Int[ndarray, "n"]:
+    """Length of an evaluation message, a format of our own [B].
 
-    The same envelope, a header of 16, and 12 per verdict: vehicle 4, detection 2, e 1, visibility 1, time 2, flags 2.
+    The same envelope, a header of 16, and 12 per evaluation: vehicle 4, detection 2, evaluation 1, visibility 1,
+    time 2, flags 2.
     """
-    return 44 + report_bytes(n_verdicts)
+    return 44 + report_bytes(n_evaluations)
 
 
-def report_bytes(n_verdicts: Int[ndarray, "n"]) -> Int[ndarray, "n"]:
-    """Length of verdicts as the server gets them, signed, without the headers of the way there [B]."""
-    return 96 + riding_bytes(n_verdicts)
+def report_bytes(n_evaluations: Int[ndarray, "n"]) -> Int[ndarray, "n"]:
+    """Length of a signed report of evaluations to the server, without headers of the link [B]."""
+    return 96 + piggyback_bytes(n_evaluations)
 
 
-def riding_bytes(n_verdicts: Int[ndarray, "n"]) -> Int[ndarray, "n"]:
-    """What verdicts add to a detection message that they ride on [B]."""
-    return 16 + 12 * n_verdicts
+def piggyback_bytes(n_evaluations: Int[ndarray, "n"]) -> Int[ndarray, "n"]:
+    """Length that piggybacked evaluations add to a detection message [B]."""
+    return 16 + 12 * n_evaluations
 
 
-def trust_bytes(n_vehicles: int) -> int:
-    """Length of a broadcast of trust values: the envelope and header of verdicts, and vehicle 4, trust 1, age 1 [B]."""
+def trust_broadcast_bytes(n_vehicles: int) -> int:
+    """Length of a trust broadcast: envelope and header of an evaluation message, and vehicle 4, trust 1, age 1 [B]."""
     return 44 + 96 + 16 + 6 * n_vehicles
 
 
 def is_sound(said: Detections) -> Bool[ndarray, "d"]:
-    """Detections that can be what they claim: a finite pose, a positive size, a score in [0, 1]."""
+    """Detections with a finite pose, a positive size and a score in [0, 1]."""
     xyz, lwh, yaw = said.boxes.xyz_m, said.boxes.lwh_m, said.boxes.yaw_rad
     return (
         np.isfinite(xyz).all(axis=1) & np.isfinite(lwh).all(axis=1) & np.isfinite(yaw) & (lwh > 0).all(axis=1)
@@ -97,27 +99,10 @@ def is_sound(said: Detections) -> Bool[ndarray, "d"]:
     )  # fmt: skip
 
 
-FRAME_BYTES = 1398
-"""Longest payload of one frame: GeoNetworking's itsGnMaxSduSize [B]."""
-ENVELOPE_BYTES = 44 + 96 + 37 + 9
-"""What each segment of a long message carries again [B]."""
-
-
-def segments(length_bytes: Int[ndarray, "n"]) -> tuple[Int[ndarray, "n"], Int[ndarray, "n"]]:
-    """How many frames each message takes, and how long each of them is [B]; every segment stands for itself."""
-    n = np.where(length_bytes <= FRAME_BYTES, 1, -(-(length_bytes - ENVELOPE_BYTES) // (FRAME_BYTES - ENVELOPE_BYTES)))
-    each = ENVELOPE_BYTES - (ENVELOPE_BYTES - length_bytes) // n
-    return n, np.where(n == 1, length_bytes, each)
-
-
-def ptr_of(sorted_rows: Int[ndarray, "m"], n: int) -> Int[ndarray, "n+1"]:
-    """Where the rows of each of `n` owners begin in an array sorted by owner."""
-    return np.searchsorted(sorted_rows, np.arange(n + 1)).astype(np.int64)
-
-
-def expand(starts: Int[ndarray, "m"], stops: Int[ndarray, "m"]) -> tuple[ndarray, ndarray]:
-    """All integers of the ranges [start, stop), range after range, and the range of each."""
-    counts = stops - starts
-    which = np.repeat(np.arange(len(starts)), counts)
-    offset = np.arange(len(which)) - np.repeat(np.cumsum(counts) - counts, counts)
-    return starts[which] + offset, which
+def self_reports(world: World, observers: Int[ndarray, "o"]) -> Detections:
+    """Each equipped vehicle's own box, as it reports itself: k = 0, score 1."""
+    n = len(observers)
+    return Detections(
+        observer=observers, k=np.zeros(n, int), label=world.label[observers], boxes=world.boxes.take(observers),
+        score=np.ones(n), n_points=np.zeros(n, np.int32), origin=np.full(n, SELF, np.uint8), said=np.ones(n, bool),
+    )  # fmt: skip

@@ -21,7 +21,7 @@ _PEAK_BLOCKS = 20
 
 
 _DEFAULT_ONLY = "holds no use of a trust value but the default: trust never reached anybody."
-_NO_USES = "holds no uses of trust: nobody heard anybody. Widen radio.reach_m or equip more vehicles, and run again."
+_NO_USES = "holds no uses of trust: nobody heard anybody. Widen radio.range_m or equip more vehicles, and run again."
 
 
 def evidence(run: Run) -> pd.DataFrame:

@@ -17,7 +17,7 @@ LOST = ("n_lost_propagation", "n_lost_collision", "n_lost_receiver_busy", "n_los
 def _traffic(run: Run) -> pd.DataFrame:
     frame = run.radio
     if not frame.n_in_reach.sum():
-        raise ValueError(f"{run.path} holds no radio traffic: nobody had anybody in reach. Widen radio.reach_m.")
+        raise ValueError(f"{run.path} holds no radio traffic: nobody had anybody in reach. Widen radio.range_m.")
     return frame
 
 
@@ -57,7 +57,7 @@ def by_distance(run: Run, by_view: bool = False) -> pd.DataFrame:
     total = run.links.groupby(by, observed=True)[counts].sum()
     total = total[total.n_in_reach > 0].reset_index()
     if total.empty:
-        raise ValueError(f"{run.path} holds no radio traffic: nobody had anybody in reach. Widen radio.reach_m.")
+        raise ValueError(f"{run.path} holds no radio traffic: nobody had anybody in reach. Widen radio.range_m.")
     rings = np.unique(total.ring_m)
     width = int(np.diff(rings).min()) if len(rings) > 1 else 0
     shares = {name.replace("n_lost", "lost"): total[name] / total.n_in_reach for name in LOST}
@@ -71,7 +71,7 @@ def latency(run: Run) -> pd.DataFrame:
     """Latency from generation to reception: message, latency_s (upper edge of the bin), n_delivered, share up to it."""
     frame = run.latencies.groupby(["message", "latency_s"], observed=True).n_delivered.sum().reset_index()
     if frame.empty:
-        raise ValueError(f"{run.path} holds no radio traffic: nobody heard anybody. Widen radio.reach_m.")
+        raise ValueError(f"{run.path} holds no radio traffic: nobody heard anybody. Widen radio.range_m.")
     messages = frame.groupby("message", observed=True).n_delivered
     frame["share"] = messages.cumsum() / messages.transform("sum")
     frame["latency_s"] = frame.latency_s.astype(np.float64) * np.sqrt(2)
@@ -137,9 +137,9 @@ def conditions(run: Run) -> pd.DataFrame:
     if "model" not in radio:
         raise ValueError(f"{run.path}/manifest.json does not say what the radio was like.")
     rows: list[tuple[str, str, float, str]] = [("model", radio["model"], np.nan, "")]
-    if radio["model"] == "disk":
+    if radio["model"] == "unit_disk":
         rows += [
-            ("reach", "", radio["reach_m"], "m"), ("flat loss per hop", "", radio["disk"]["loss_p"], "1"),
+            ("reach", "", radio["range_m"], "m"), ("flat loss per hop", "", radio["unit_disk"]["loss_p"], "1"),
             *((name, "none: disk", np.nan, "") for name in ("receiver threshold", "non-line-of-sight model", "fading",
               "congestion control")),
         ]  # fmt: skip
@@ -155,7 +155,7 @@ def conditions(run: Run) -> pd.DataFrame:
             ("receiver threshold", f"SINR at least {p['sinr_min_db']:g} dB", p["p_min_dbm"], "dBm"),
             ("non-line-of-sight model", wall, np.nan, ""), ("fading", shape, np.nan, ""),
             ("congestion control", "reactive" if radio["dcc"]["enabled"] else "off", np.nan, ""),
-            ("reach", "", radio["reach_m"], "m"),
+            ("reach", "", radio["range_m"], "m"),
         ]  # fmt: skip
     rows += [
         ("hops at most", "", radio["relay"]["max_hops"], ""),

@@ -58,8 +58,8 @@ def test_plot(run, what):
 
 
 def test_check_prints_the_resolved_experiment(tmp_path):
-    done = cosim("check", "--set", "radio.reach_m=123.5", cwd=tmp_path)
-    assert done.returncode == 0 and "reach_m = 123.5" in done.stdout
+    done = cosim("check", "--set", "radio.range_m=123.5", cwd=tmp_path)
+    assert done.returncode == 0 and "range_m = 123.5" in done.stdout
     assert json.loads(cosim("check", "--json").stdout)["traffic"]["scenario"] == "helsinki"
     assert list(tmp_path.iterdir()) == []
 
@@ -79,8 +79,8 @@ FOOTPATH = NET + (
 @pytest.mark.parametrize(
     ("words", "says"),
     [
-        (["run", "--set", "radio.reech_m=3"], "radio.reech_m: unknown key"),
-        (["run", "--set", "radio.reach_m=-1"], "should be greater than 0"),
+        (["run", "--set", "radio.raneg_m=3"], "radio.raneg_m: unknown key"),
+        (["run", "--set", "radio.range_m=-1"], "should be greater than 0"),
         (["run", "nowhere.toml"], "nowhere.toml: no such config file"),
         (["run", "--set", "traffic.scenario=atlantis"], "no city of that name"),
         (["run", "--set", "traffic.scenario=nowhere.sumocfg"], "no such file"),

@@ -17,9 +17,9 @@ def test_defaults_survive_the_way_to_disk_and_back(tmp_path):
 
 def test_file_then_overrides(tmp_path):
     path = tmp_path / "mine.toml"
-    path.write_text("seed = 4\n[radio]\nreach_m = 150\n[[encounters]]\nradius_m = 50\n[[encounters]]\nradius_m = 250\n")
-    config = load(path, ["radio.reach_m=200.5", "trust.method=local", "seed=9"])
-    assert (config.seed, config.radio.reach_m, config.trust.method) == (9, 200.5, "local")
+    path.write_text("seed = 4\n[radio]\nrange_m = 150\n[[encounters]]\nradius_m = 50\n[[encounters]]\nradius_m = 250\n")
+    config = load(path, ["radio.range_m=200.5", "trust.method=local", "seed=9"])
+    assert (config.seed, config.radio.range_m, config.trust.method) == (9, 200.5, "local")
     assert [e.radius_m for e in config.encounters] == [50, 250]
 
 
@@ -68,14 +68,14 @@ def test_steps():
 @pytest.mark.parametrize(
     ("override", "words"),
     [
-        ("radio.reech_m=3", "unknown key .* Did you mean radio.reach_m"),
+        ("radio.raneg_m=3", "unknown key .* Did you mean radio.range_m"),
         ("nonsense=3", "unknown key .* Known: seed"),
-        ("radio.reach_m=-3", r"radio.reach_m = -3 should be greater than 0. Set radio.reach_m in"),
-        ("radio.reach_m=0.3", "Metres, not kilometres"),
-        ("radio.reach_m='far'", "valid number"),
-        ("radio.reach_m=true", "valid number"),
-        ("radio.reach_m=inf", "not a finite number"),
-        ("radio.reach_m=nan", "not a finite number"),
+        ("radio.range_m=-3", r"radio.range_m = -3 should be greater than 0. Set radio.range_m in"),
+        ("radio.range_m=0.3", "Metres, not kilometres"),
+        ("radio.range_m='far'", "valid number"),
+        ("radio.range_m=true", "valid number"),
+        ("radio.range_m=inf", "not a finite number"),
+        ("radio.range_m=nan", "not a finite number"),
         ("radio.relay.max_hops=1.5", "valid integer"),
         ("radio.timeout_s=0.6", "two rounds of messages do not fit"),
         ("radio.access.lifetime_s=0.0001", "shorter than the transmission"),
@@ -99,7 +99,7 @@ def test_bad_values_get_one_line(override, words):
 
 @pytest.mark.parametrize(
     ("content", "words"),
-    [(b"seed = ", "not valid TOML"), (b"\xff\xfe", "cannot be read"), (b"[[radio]]\nreach_m = 1", "section")],
+    [(b"seed = ", "not valid TOML"), (b"\xff\xfe", "cannot be read"), (b"[[radio]]\nrange_m = 1", "section")],
 )
 def test_bad_files(tmp_path, content, words):
     path = tmp_path / "bad.toml"
@@ -130,4 +130,4 @@ def test_every_knob_says_its_meaning():
 
 
 def test_toml_round_trip_is_plain_toml():
-    assert tomllib.loads(tomli_w.dumps(without_nulls(Config().to_dict())))["radio"]["reach_m"] == 300.0
+    assert tomllib.loads(tomli_w.dumps(without_nulls(Config().to_dict())))["radio"]["range_m"] == 300.0

@@ -60,7 +60,7 @@ def test_picture_over_the_number(run, tmp_path):
     shorter = [write(tmp_path / name, seed=seed, reach_m=120.0) for name, seed in (("a", 1), ("b", 2))]
     figure = FIGURES["freshness"]([run, *map(open_run, shorter)])
     below, beside = figure.axes[2:]
-    assert below.get_xlabel() == beside.get_xlabel() == "radio.reach_m [m]"
+    assert below.get_xlabel() == beside.get_xlabel() == "radio.range_m [m]"
     dots, line = below.lines[:2]
     assert len(dots.get_xdata()) == 3 and list(line.get_xdata()) == [120, 200]
     with pytest.raises(ValueError, match=r"cannot be compared over trust\.where"):

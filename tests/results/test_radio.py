@@ -8,12 +8,12 @@ from results.metrics import radio
 
 CONFIG = {
     "radio": {
-        "model": "csma", "reach_m": 300.0,
+        "model": "csma", "range_m": 300.0,
         "propagation": {
             "model": "urban", "walls": "3gpp", "fading": "nakagami", "wall_db": 9.0, "indoors_db_per_m": 0.4,
         },
         "receiver": {"p_min_dbm": -92.0, "sinr_min_db": 4.0}, "dcc": {"enabled": True}, "relay": {"max_hops": 2},
-        "disk": {"loss_p": 0.05},
+        "unit_disk": {"loss_p": 0.05},
     },
     "fleet": {"penetration_p": 0.35, "equipped_kinds": ["car", "van"]},
 }  # fmt: skip
@@ -99,7 +99,7 @@ def test_conditions_stand_beside_the_figures(tiny):
 
 def tiny_disk(run):
     """Conditions of the same run with the other model."""
-    run.manifest["config"] = {**CONFIG, "radio": {**CONFIG["radio"], "model": "disk"}}
+    run.manifest["config"] = {**CONFIG, "radio": {**CONFIG["radio"], "model": "unit_disk"}}
     return radio.conditions(run).set_index("condition")
 
 

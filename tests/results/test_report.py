@@ -45,7 +45,7 @@ def test_page(run, tmp_path):
     for name, table in TABLES.items():
         assert f"<summary>{name}" in text
         assert all(f"<code>{column}</code>" in text for column in table.columns)
-    assert "reach_m" in text and "Resolved configuration" in text
+    assert "range_m" in text and "Resolved configuration" in text
 
 
 def test_names_cannot_break_the_page(tmp_path):

@@ -1,0 +1,1 @@
+"""The radio channel: propagation, PHY, medium access and rounds of messages between stations."""

@@ -1,0 +1,161 @@
+"""Speed of the radio on this machine."""
+
+from time import thread_time
+
+import numpy as np
+from numpy import ndarray
+
+from cosim import rng
+from cosim.radio.channel import AccessParams, Packets, run_window
+from cosim.radio.channel_state import ChannelState
+from cosim.radio.csma import CsmaMedium, without_cache
+from cosim.radio.link_budget import links_between, neighbours, pairs_within
+from cosim.radio.message_round import FrameOutcomes, Messages, RoundKind, Stations
+from cosim.radio.params import RadioParams, RelayParams
+from cosim.radio.phy import ReceiverParams
+from cosim.radio.propagation import PropagationParams
+from cosim.radio.unit_disk import UnitDiskMedium
+from sensors.line_of_sight import LosCache, WallIndex
+from sensors.scene import Buildings, Scene
+
+WINDOW_NS = 100_000_000
+_ROUNDS = 15
+
+
+def city_blocks(side_m: float) -> Buildings:
+    """Buildings of a grid of streets: blocks of 100 m, streets of 25 m."""
+    corner = np.arange(12.5, side_m, 125.0)
+    square = np.array([[0.0, 0.0], [100.0, 0.0], [100.0, 100.0], [0.0, 100.0]])
+    rings = [[square + np.array([x, y])] for x in corner for y in corner]
+    return Scene.from_footprints(rings, [0.0] * len(rings), [20.0] * len(rings)).buildings
+
+
+def streets(n: int, side_m: float, seed: int = 1) -> ndarray:
+    """Antennas of `n` cars, uniformly distributed over the streets between `city_blocks`."""
+    g = np.random.default_rng(seed)
+    along, across = g.uniform(0, side_m, n), 125.0 * g.integers(0, int(side_m / 125), n) + g.uniform(-8, 8, n)
+    east = g.random(n) < 0.5
+    return np.column_stack([np.where(east, along, across), np.where(east, across, along), np.full(n, 1.5)])
+
+
+def packets_of(n: int, window: int, seed: int = 1) -> Packets:
+    """One frame of 300 bytes from every station, at a random time in the window."""
+    g = np.random.default_rng((seed, window))
+    return Packets(
+        sender=np.arange(n),
+        seq=np.full(n, window, np.uint64),
+        generated_ns=window * WINDOW_NS + g.integers(0, WINDOW_NS, n),
+        payload_bytes=np.full(n, 300),
+        access=np.full(n, 2, np.uint8),
+        lifetime_ns=np.full(n, WINDOW_NS),
+        tag=np.arange(n),
+    )
+
+
+def _best(times: list[float]) -> float:
+    return min(times[1:])  # the first one compiles and fills caches
+
+
+def _los(side_m: float) -> LosCache:
+    return LosCache.of(WallIndex.of(city_blocks(side_m)))
+
+
+def _city(n: int, n_receivers: int, params: PropagationParams) -> tuple[ndarray, LosCache]:
+    """Antennas, and the city in which each has so many receivers."""
+    side_m, key = 1000.0, np.arange(1, n + 1, dtype=np.uint64)
+    for _ in range(12):
+        links, _, _ = links_between(streets(n, side_m), key, params, np.uint64(1), _los(side_m))
+        side_m *= (len(links.receiver) / n / n_receivers) ** 0.4
+    return streets(n, side_m), _los(side_m)
+
+
+def _network(xyz: ndarray, los: LosCache, params: PropagationParams) -> tuple[float, float, int]:
+    """Seconds of one network step, of the event loop alone, and links."""
+    n, key = len(xyz), np.arange(1, len(xyz) + 1, dtype=np.uint64)
+    state, whole, events = ChannelState.start(), [], []
+    for window in range(_ROUNDS):
+        packets, until_ns = packets_of(n, window), (window + 1) * WINDOW_NS
+        begin = thread_time()
+        links, _, _ = links_between(xyz, key, params, np.uint64(1), los)
+        middle = thread_time()
+        state, _ = run_window(state, links, packets, until_ns, np.uint64(2), ReceiverParams(), AccessParams())
+        end = thread_time()
+        whole.append(end - begin)
+        events.append(end - middle)
+    return _best(whole), _best(events), len(links.receiver)
+
+
+def _rounds(
+    xyz: ndarray, los: LosCache, params: PropagationParams, relay: RelayParams
+) -> tuple[float, float, FrameOutcomes]:
+    """Seconds of the two rounds of a step, frame outcomes included, and the last one's frames.
+
+    Every station sends 300 bytes in 100 ms; before the first round of a step every station has moved.
+    """
+    n = len(xyz)
+    stations = Stations(rng.keys(np.uint64(1), np.arange(n)), xyz, n)
+    messages = Messages.one_each(np.full(n, 300))
+    medium = CsmaMedium(RadioParams(propagation=params, relay=relay), 0.2, 1, los)
+    state = medium.start()
+    times: tuple[list[float], list[float]] = ([], [])
+    for i in range(2 * _ROUNDS):
+        if i % 2 == 0:
+            state = without_cache(state)
+        begin = thread_time()
+        state, happened = medium.broadcast(state, RoundKind(i % 2), i // 2, 0.2 * i, stations, messages)
+        times[i % 2].append(thread_time() - begin)
+    return _best(times[0]), _best(times[1]), happened.frames
+
+
+def _disk(xyz: ndarray) -> tuple[float, int]:
+    """Seconds of one round of the unit disk model, and pairs in range."""
+    n, params, times = len(xyz), RadioParams(), []
+    stations = Stations(rng.keys(np.uint64(1), np.arange(n)), xyz, n)
+    messages, medium = Messages.one_each(np.full(n, 300)), UnitDiskMedium(params, 0.4, 1)
+    for i in range(_ROUNDS):
+        begin = thread_time()
+        medium.broadcast(None, RoundKind.CPM, i, 0.0, stations, messages)
+        times.append(thread_time() - begin)
+    return _best(times), len(neighbours(xyz[:, :2], params.range_m)[0])
+
+
+def bench() -> list[tuple[str, float, str]]:
+    """Rows (what, figure, unit): processor time of one thread, best of several rounds in one process."""
+    rows: list[tuple[str, float, str]] = []
+    default = PropagationParams()
+    short = PropagationParams(interference_range_m=400.0, interference_range_nlos_m=200.0)
+    for n in (1000, 5000):
+        xyz, los = _city(n, 60, short)
+        step, events, links = _network(xyz, los, short)
+        first, second, _ = _rounds(xyz, los, short, RelayParams())
+        who = f"{n:,} senders x {links / n:.0f} receivers"
+        rows.append((f"network step, {who}", 1e3 * step, "ms"))
+        rows.append((f"event loop, {who}", 1e-6 * links / events, "million pairs/s"))
+        rows.append((f"whole round, first of a step, {who}", 1e3 * first, "ms"))
+        rows.append((f"whole round, second of a step, {who}", 1e3 * second, "ms"))
+        rows.append((f"two rounds to two network steps, {n:,} senders", (first + second) / (2 * step), "times"))
+        step, _, links = _network(xyz, los, default)
+        first, _, _ = _rounds(xyz, los, default, RelayParams())
+        who = f"{n:,} senders x {links / n:.0f} receivers"
+        rows.append((f"default range: network step, {who}", 1e3 * step, "ms"))
+        rows.append((f"default range: first round, {who}", 1e3 * first, "ms"))
+        seconds, pairs = _disk(xyz)
+        rows.append((f"round of unit_disk, {n:,} senders x {pairs / n:.0f} in range", 1e3 * seconds, "ms"))
+    for n in (60, 300):
+        xyz, los = _city(n, 30, default)
+        seconds, _, frames = _rounds(xyz, los, default, RelayParams(max_hops=3))
+        rows.append((f"round of 3 hops, {n} senders", 1e3 * seconds, "ms"))
+        each = seconds / frames.n_transmissions.sum()
+        rows.append((f"round of 3 hops, {n} senders, each transmission", 1e6 * each, "us"))
+    xyz = streets(2000, 2000.0)
+    index = WallIndex.of(city_blocks(2000.0))
+    los = LosCache.of(index)
+    a, b, _ = pairs_within(xyz, 300.0)
+    for name, has_los in (("exact", index.has_los), ("cached", los.has_los)):
+        times = []
+        for _ in range(_ROUNDS):
+            begin = thread_time()
+            has_los(xyz, a, b)
+            times.append(thread_time() - begin)
+        rows.append((f"line of sight, {name}", 1e-6 * len(a) / _best(times), "million pairs/s"))
+    return rows

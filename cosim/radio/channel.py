@@ -1,0 +1,347 @@
+"""One shared radio channel: CSMA/CA broadcast, packet by packet, window after window.
+
+    state, result = run_window(state, links, packets, until_ns, rng_key, receiver, access)
+
+Queues, back-offs and frames on the air at the end of a window are in `ChannelState`; cutting a window in two changes
+nothing. A packet is (sender's key, sequence number), and every draw depends on that, the receiver's key and the seed
+alone: rows, order and stations out of range have no effect.
+"""
+
+from dataclasses import dataclass
+from enum import IntEnum
+from functools import lru_cache
+from typing import Annotated
+
+import numpy as np
+from annotated_types import Gt
+from jaxtyping import Float, Int, UInt8, UInt64
+from numpy import ndarray
+
+from cosim.radio import dtypes
+from cosim.radio.channel_state import ChannelState, next_state, remap_stations
+from cosim.radio.csma_events import PACKETS, SLOTS, Air, Heap, Log, run_until
+from cosim.radio.forwarding import NO_FORWARDING, Forwarding, grown
+from cosim.radio.phy import CURVES, MAC_OVERHEAD_BYTES, ReceiverParams, airtime_ns
+from cosim.radio.propagation import fading_quantiles
+from cosim.ragged import offsets, ranges
+
+SIFS_NS = 32_000
+SLOT_NS = 13_000
+_SEQ_MASK = np.uint64((1 << 40) - 1)
+EIFS_NS = 120_000
+"""Extra idle time after a frame received with errors [ns]: SIFS and an acknowledgement at the lowest rate."""
+
+
+class PhyOutcome(IntEnum):
+    """Outcome of a frame at one receiver, or of a packet at its sender."""
+
+    RECEIVED = dtypes.RECEIVED
+    RANGE = dtypes.RANGE
+    """Too weak on average."""
+    FADING = dtypes.FADING
+    """Too weak or too noisy because of fading, though strong enough on average."""
+    COLLISION = dtypes.COLLISION
+    """Destroyed by other frames."""
+    BUSY = dtypes.BUSY
+    """The receiver was receiving another frame."""
+    HALF_DUPLEX = dtypes.HALF_DUPLEX
+    """The receiver was sending."""
+    EXPIRED = dtypes.EXPIRED
+    """Never sent: out of date in the sender's queue."""
+    QUEUE = dtypes.QUEUE
+    """Never sent: the sender's queue was full."""
+
+
+class Access(IntEnum):
+    """ITS-G5 access categories, highest priority first (DCC profiles DP0 to DP3)."""
+
+    VO = 0
+    VI = 1
+    BE = 2
+    BK = 3
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class AccessParams:
+    """Medium access of ITS-G5 (EDCA outside the context of a BSS): broadcast, no acknowledgement, no retry."""
+
+    aifsn: tuple[int, int, int, int] = (2, 3, 6, 9)
+    """Idle slots before access, for VO, VI, BE, BK."""
+    cw: tuple[int, int, int, int] = (3, 7, 15, 15)
+    """Largest back-off [slots], for VO, VI, BE, BK."""
+    queue_max: Annotated[int, Gt(0)] = 100
+    """Capacity of the queue of one access category of one station [packets]."""
+    lifetime_s: Annotated[float, Gt(0)] = 1.0
+    """Age at which a waiting packet is dropped [s], unless the packet has its own."""
+
+    def __post_init__(self) -> None:
+        for name in ("aifsn", "cw"):
+            value = getattr(self, name)
+            if len(value) != dtypes.N_ACCESS or min(value) < (2 if name == "aifsn" else 0):
+                raise ValueError(
+                    f"radio.access.{name} = {value} needs four whole numbers (VO, VI, BE, BK) of at least "
+                    f"{2 if name == 'aifsn' else 0}."
+                )
+
+
+@dataclass(frozen=True, slots=True)
+class Links:
+    """N stations and the mean received power of every directed link above the cut-off, by sender."""
+
+    key: UInt64[ndarray, "n"]
+    ptr: Int[ndarray, "n+1"]
+    """Where each sender's links begin."""
+    receiver: Int[ndarray, "m"]
+    power_mw: Float[ndarray, "m"]
+    """Mean over fading, shadowing included."""
+    fading: UInt8[ndarray, "m"]
+    """Class of the fading's distribution: see `propagation.fading_quantiles`."""
+
+
+@dataclass(frozen=True, slots=True)
+class Packets:
+    """P frames to be sent; each (sender, seq) once in a run."""
+
+    sender: Int[ndarray, "p"]
+    """Row of the station."""
+    seq: UInt64[ndarray, "p"]
+    """Below 2^40."""
+    generated_ns: Int[ndarray, "p"]
+    payload_bytes: Int[ndarray, "p"]
+    access: UInt8[ndarray, "p"]
+    lifetime_ns: Int[ndarray, "p"]
+    tag: Int[ndarray, "p"]
+    """The caller's number of the packet; returned with its result."""
+
+    def __len__(self) -> int:
+        return len(self.sender)
+
+
+@dataclass(frozen=True, slots=True)
+class WindowResult:
+    """P packets sent or dropped in one window, and their receptions.
+
+    Sorted by (generation, key, seq); forwarded ones made in this window come last, by generation.
+    A packet that was not sent (EXPIRED, QUEUE) has no receptions and start = end = generation.
+    """
+
+    sender_key: UInt64[ndarray, "p"]
+    seq: UInt64[ndarray, "p"]
+    tag: Int[ndarray, "p"]
+    outcome: UInt8[ndarray, "p"]
+    """RECEIVED where it was sent, else EXPIRED or QUEUE."""
+    generated_ns: Int[ndarray, "p"]
+    start_ns: Int[ndarray, "p"]
+    end_ns: Int[ndarray, "p"]
+    """End of transmission: the time of all its receptions."""
+    ptr: Int[ndarray, "p+1"]
+    """Where each packet's receptions begin."""
+    receiver: Int[ndarray, "m"]
+    """Row of the station among the window's links."""
+    reception: UInt8[ndarray, "m"]
+    """A `PhyOutcome` for each receiver."""
+    busy: Float[ndarray, "n"]
+    """Share of the window in which each station sensed the medium busy or sent."""
+    busy_strong: Float[ndarray, "n"]
+    """Share of the window in which a frame of at least `cca_dbm` arrived: the busy ratio of DCC."""
+
+    @property
+    def latency_s(self) -> Float[ndarray, "p"]:
+        """Medium access latency of each packet [s]."""
+        return (self.start_ns - self.generated_ns) * 1e-9
+
+
+@lru_cache
+def _constants(receiver: ReceiverParams, access: AccessParams) -> dtypes.Constants:
+    def mw(dbm: float) -> float:
+        return float(10 ** (dbm / 10))
+
+    x0, w = CURVES[receiver.error_model][receiver.rate_mbps]
+    a, b = x0 / w, 10 / (w * np.log(10))
+    return dtypes.Constants(
+        noise_mw=mw(receiver.noise_dbm),
+        sinr_min=mw(receiver.sinr_min_db),
+        detectable_mw=mw(receiver.detectable_dbm),
+        cca_mw=mw(receiver.cca_dbm),
+        floor_mw=mw(receiver.floor_dbm),
+        curve_a=a,
+        curve_b=float(b),
+        sinr_clean=float(np.exp((a + 15) / b)),
+        capture_ratio=mw(receiver.capture_margin_db),
+        capture_ns=round(receiver.capture_window_s * 1e9) if receiver.capture else -1,
+        slot_ns=SLOT_NS,
+        eifs_ns=EIFS_NS,
+        queue_max=access.queue_max,
+        overhead_bytes=MAC_OVERHEAD_BYTES,
+    )
+
+
+def _check(links: Links) -> None:
+    n, m = len(links.key), len(links.receiver)
+    if len(links.ptr) != n + 1 or links.ptr[0] != 0 or links.ptr[-1] != m or np.any(np.diff(links.ptr) < 0):
+        raise ValueError(f"links.ptr must rise from 0 to the number of links ({m}) in {n + 1} steps.")
+    if len(links.power_mw) != m or len(links.fading) != m:
+        raise ValueError("links.receiver, power_mw and fading must be of one length.")
+    if m and (links.receiver.min() < 0 or links.receiver.max() >= n or links.fading.max() >= len(fading_quantiles())):
+        raise ValueError(f"links: a receiver is none of the {n} stations, or a class of fading is unknown.")
+
+
+def _records(packets: Packets, n: int, state: ChannelState, until_ns: int, receiver: ReceiverParams) -> ndarray:
+    """The packets as records of the event loop; ValueError for invalid ones."""
+    new = np.zeros(len(packets), dtypes.PACKET)
+    if len(packets) == 0:
+        return new
+    for name, low, high in (("sender", 0, n - 1), ("access", 0, dtypes.N_ACCESS - 1)):
+        column = getattr(packets, name)
+        if column.min() < low or column.max() > high:
+            raise ValueError(f"packets.{name} = {column.min()} ... {column.max()} must lie in {low} ... {high}.")
+    air_ns = airtime_ns(packets.payload_bytes, receiver.rate_mbps)
+    short = np.flatnonzero(packets.lifetime_ns < air_ns)
+    if len(short):
+        p = short[0]
+        raise ValueError(
+            f"lifetime = {packets.lifetime_ns[p] * 1e-6:g} ms of a packet is shorter than its transmission "
+            f"({air_ns[p] * 1e-6:g} ms). Set radio.access.lifetime_s higher."
+        )
+    if packets.generated_ns.min() < state.now_ns or packets.generated_ns.max() >= until_ns:
+        raise ValueError(
+            f"packets.generated_ns = {packets.generated_ns.min()} ... {packets.generated_ns.max()} lies outside "
+            f"the window {state.now_ns} ... {until_ns}. Hand each packet to the window in which it is generated."
+        )
+    names = np.sort((packets.sender.astype(np.uint64) << np.uint64(40)) | packets.seq)
+    twice = np.flatnonzero(names[1:] == names[:-1])
+    if len(twice):
+        raise ValueError(
+            f"sequence number {names[twice[0]] & _SEQ_MASK} comes twice from one sender. Count packets up per sender."
+        )
+    for name in ("sender", "seq", "generated_ns", "payload_bytes", "access", "tag"):
+        new[name] = getattr(packets, name)
+    new["airtime_ns"] = air_ns
+    new["expires_ns"] = packets.generated_ns + packets.lifetime_ns
+    new["next"] = dtypes.NONE
+    new["outcome"] = dtypes.WAITING
+    return new
+
+
+def run_window(
+    state: ChannelState,
+    links: Links,
+    packets: Packets,
+    until_ns: int,
+    rng_key: np.uint64,
+    receiver: ReceiverParams,
+    access: AccessParams,
+    gap_ns: Int[ndarray, "n"] | None = None,
+    forwarding: Forwarding | None = None,
+) -> tuple[ChannelState, WindowResult]:
+    """All events on the channel from `state.now_ns` until `until_ns`.
+
+    Parameters
+    ----------
+    links
+        Links of this window; frames already on the air keep those of their start.
+    packets
+        Generated within the window.
+    rng_key
+        Key of the channel's draws, one for the whole run: packets distinguish windows.
+    gap_ns
+        Least time between two frames of each station, imposed by congestion control (see `dcc`).
+    forwarding
+        Forwarding among these stations; continues from window to window, and the results of its frames come last.
+
+    Notes
+    -----
+    A frame arrives everywhere at the same instant.   Deviations from the standard: no propagation delay
+    (3.3 µs/km); the signal field is never lost alone; two queues of one station that collide draw again from the
+    same contention window.
+    """
+    n = len(links.key)
+    _check(links)
+    if until_ns <= state.now_ns:
+        raise ValueError(f"until_ns = {until_ns} is not after the state's now_ns = {state.now_ns}.")
+    new = _records(packets, n, state, until_ns, receiver)
+    new["key"] = links.key[new["sender"]]
+    new = new[np.lexsort((new["seq"], new["key"], new["generated_ns"]))]
+    state = remap_stations(state, links.key)
+    phy, mac = state.phy, state.mac
+    phy["busy_ns"] = phy["strong_ns"] = 0
+    mac["gap_ns"][:n] = 0 if gap_ns is None else gap_ns
+    table = np.concatenate([state.packets, new])
+
+    waiting, on_the_air = table["outcome"] == dtypes.WAITING, table["outcome"] == dtypes.RECEIVED
+    sender = table["sender"][waiting]
+    table["edge"][waiting] = links.ptr[sender]
+    table["degree"] = np.where(on_the_air, table["degree"], 0)
+    table["degree"][waiting] = links.ptr[sender + 1] - links.ptr[sender]
+    old_edge = table["edge"][on_the_air]
+    table["edge"][on_the_air] += len(links.receiver)
+    begins = offsets(table["degree"])
+    table["slot"] = begins[:-1]
+    reception, receiver_row = np.empty(begins[-1], np.uint8), np.empty(begins[-1], np.int32)
+    degree = table["degree"][on_the_air]
+    to, was = ranges(table["slot"][on_the_air], degree), ranges(old_edge, degree)
+    reception[to], receiver_row[to] = state.reception[was], state.receiver[was]
+    arrival_mw = np.concatenate([np.empty(len(links.receiver), np.float32), state.arrival_mw])
+    row_of_rank = np.empty(len(phy), np.int64)
+    row_of_rank[mac["rank"]] = np.arange(len(phy))
+    air = Air(
+        phy, mac, row_of_rank, links.ptr,
+        np.concatenate([links.receiver.astype(np.int32, copy=False), state.receiver]),
+        links.power_mw.astype(np.float32, copy=False), links.fading.astype(np.uint8, copy=False), arrival_mw,
+        fading_quantiles(), SIFS_NS + SLOT_NS * np.array(access.aifsn), np.array(access.cw),
+        _constants(receiver, access), np.uint64(rng_key),
+    )  # fmt: skip
+    n_given, max_degree = len(table), int(np.diff(links.ptr).max(initial=0))
+    at = np.array([-1, len(state.packets), n_given, len(receiver_row)])
+    forwards = NO_FORWARDING if forwarding is None else forwarding.state
+    heap = Heap(*np.empty((2, 16 * len(phy) + 16 + len(forwards.copies)), np.int64))
+    log = Log(table, reception, receiver_row)
+    while not run_until(until_ns, air, log, heap, at, n_given, max_degree, forwards):
+        assert forwarding is not None  # nothing else needs more room
+        forwarding.grow(max_degree)
+        more = len(forwarding.state.copies) - len(forwards.copies)
+        heap = Heap(grown(heap.times, more), grown(heap.codes, more))
+        forwards = forwarding.state
+        if at[PACKETS] == len(log.packets):
+            log = log._replace(packets=grown(log.packets, max(len(log.packets), 64)))
+        if at[SLOTS] + max_degree > len(log.receiver):
+            more = max(len(log.receiver), 64 * max_degree)
+            log = log._replace(outcome=grown(log.outcome, more), receiver=grown(log.receiver, more))
+    table, reception, receiver_row = log
+    table, reception, receiver_row = table[: at[PACKETS]], reception[: at[SLOTS]], receiver_row[: at[SLOTS]]
+
+    on_air = np.zeros(len(table), bool)
+    on_air[phy["packet"][phy["packet"] != dtypes.NONE]] = True
+    over = ~on_air & (table["outcome"] != dtypes.WAITING)
+    result = _result(table, over, phy, n, receiver_row, reception, until_ns - state.now_ns)
+    return next_state(phy, mac, table, ~over, on_air, air.receiver, arrival_mw, reception, until_ns), result
+
+
+def _result(
+    table: ndarray, done: ndarray, phy: ndarray, n: int, receiver_row: ndarray, reception: ndarray, span_ns: int
+) -> WindowResult:
+    rows = table[done]
+    sent = rows["outcome"] == dtypes.RECEIVED
+    count = np.where(sent, rows["degree"], 0)
+    if count.sum() < len(receiver_row):
+        at = ranges(rows["slot"], count)
+        receiver_row, reception = receiver_row[at], reception[at]
+    if np.any(receiver_row == dtypes.NONE):
+        there = receiver_row != dtypes.NONE
+        count = np.bincount(np.repeat(np.arange(len(rows)), count)[there], minlength=len(rows))
+        receiver_row, reception = receiver_row[there], reception[there]
+    start = np.where(sent, rows["start_ns"], rows["generated_ns"])
+    return WindowResult(
+        sender_key=rows["key"],
+        seq=rows["seq"],
+        tag=rows["tag"],
+        outcome=rows["outcome"],
+        generated_ns=rows["generated_ns"],
+        start_ns=start,
+        end_ns=start + np.where(sent, rows["airtime_ns"], 0),
+        ptr=offsets(count),
+        receiver=receiver_row,
+        reception=reception,
+        busy=phy["busy_ns"][:n] / span_ns,
+        busy_strong=phy["strong_ns"][:n] / span_ns,
+    )

@@ -1,0 +1,93 @@
+"""State of the channel between two windows."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy import ndarray
+
+from cosim.radio import dtypes
+from cosim.ragged import ranges
+
+
+@dataclass(frozen=True, slots=True)
+class ChannelState:
+    """All that lasts from one window to the next; opaque."""
+
+    now_ns: int
+    phy: ndarray
+    mac: ndarray
+    packets: ndarray
+    """Waiting or on the air."""
+    receiver: ndarray
+    """Receivers of the frames on the air; arriving power and `PhyOutcome` so far in the same order."""
+    arrival_mw: ndarray
+    reception: ndarray
+
+    @staticmethod
+    def start(now_ns: int = 0) -> "ChannelState":
+        """An idle channel without stations."""
+        return ChannelState(
+            now_ns, np.zeros(0, dtypes.PHY), np.zeros(0, dtypes.MAC), np.zeros(0, dtypes.PACKET),
+            np.zeros(0, np.int32), np.zeros(0, np.float32), np.zeros(0, np.uint8),
+        )  # fmt: skip
+
+
+def remap_stations(state: ChannelState, key: ndarray) -> ChannelState:
+    """A copy of the state with rows as in `key`, behind them stations that left with a frame on the air.
+
+    Packets waiting at a station that left expire; frames on the way to it are not received.
+    """
+    old = state.phy["key"]
+    if np.array_equal(old, key):
+        return replace(state, phy=state.phy.copy(), mac=state.mac.copy(), packets=state.packets.copy())
+    if len(np.unique(key)) < len(key):
+        raise ValueError("links.key names one station twice. Give every station a key of its own.")
+    order = np.argsort(key)
+    at = order[np.minimum(np.searchsorted(key, old, sorter=order), len(key) - 1)] if len(key) else np.zeros_like(old)
+    stays = key[at] == old if len(key) else np.zeros(len(old), bool)
+    leaving = np.flatnonzero(~stays & (state.phy["packet"] != dtypes.NONE))
+    row = np.full(len(old) + 1, dtypes.NONE)  # one more: NONE maps to NONE
+    row[:-1][stays] = at[stays]
+    row[leaving] = len(key) + np.arange(len(leaving))
+
+    phy = np.zeros(len(key) + len(leaving), dtypes.PHY)
+    mac = np.zeros(len(phy), dtypes.MAC)
+    phy["key"][: len(key)] = key
+    phy["packet"] = dtypes.NONE
+    mac["armed_ns"] = dtypes.NEVER
+    kept = np.flatnonzero(row[:-1] >= 0)
+    phy[row[kept]], mac[row[kept]] = state.phy[kept], state.mac[kept]
+    phy["frame_from"] = np.where(phy["phase"] == dtypes.FREE, 0, row[phy["frame_from"]])
+    mac["rank"][np.argsort(phy["key"])] = np.arange(len(phy))
+
+    packets = state.packets.copy()
+    dropped = ~stays[packets["sender"]] & (packets["outcome"] == dtypes.WAITING)
+    packets["outcome"][dropped] = dtypes.EXPIRED
+    packets["sender"] = row[packets["sender"]]
+    left_phy, left_mac = phy[len(key) :], mac[len(key) :]  # only their frame on the air remains
+    left_phy["energy_mw"] = left_phy["n_air"] = left_phy["n_strong"] = 0
+    left_phy["phase"] = dtypes.FREE
+    left_mac["count"] = left_mac["n_queued"] = left_mac["gated"] = 0
+    left_mac["armed_ns"] = dtypes.NEVER
+
+    receiver = row[state.receiver]
+    receiver[receiver >= len(key)] = dtypes.NONE
+    arrival_mw = np.where(receiver == dtypes.NONE, np.float32(0), state.arrival_mw)
+    return ChannelState(state.now_ns, phy, mac, packets, receiver.astype(np.int32), arrival_mw, state.reception)
+
+
+def next_state(
+    phy: ndarray, mac: ndarray, table: ndarray, alive: ndarray, on_air: ndarray,
+    receiver: ndarray, arrival_mw: ndarray, reception: ndarray, now_ns: int,
+) -> ChannelState:  # fmt: skip
+    """The state after a window: live packets, renumbered, and the receivers of the frames on the air."""
+    number = np.full(len(table) + 1, dtypes.NONE, np.int32)  # one more: NONE maps to NONE
+    number[:-1][alive] = np.arange(np.count_nonzero(alive))
+    phy["packet"] = number[phy["packet"]]
+    for name in ("head", "tail"):
+        mac[name] = number[np.where(mac["count"] > 0, mac[name], dtypes.NONE)]
+    air = table[on_air]
+    edge, slot = ranges(air["edge"], air["degree"]), ranges(air["slot"], air["degree"])
+    table["edge"][on_air] = np.cumsum(air["degree"]) - air["degree"]
+    table["next"] = number[table["next"]]
+    return ChannelState(now_ns, phy, mac, table[alive], receiver[edge], arrival_mw[edge], reception[slot])

@@ -1,0 +1,213 @@
+"""Contention-based forwarding inside the event loop.
+
+A unit is the content of one frame: a message or a segment of it. A copy is a unit at a station other than its source.
+A station that receives a unit for the first time starts a timer; a second copy received before it expires cancels it;
+otherwise the unit joins the station's queue as a frame of its own. Time and memory grow with frames and copies, however
+the time is cut into windows.
+
+References
+----------
+.. [1] ETSI EN 302 636-4-1, "GeoNetworking", annex F: contention-based forwarding.
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, UInt64
+from numpy import ndarray
+
+from cosim.radio.dtypes import NONE, WAITING
+from cosim.radio.event_heap import push
+from cosim.rng import mix, unit
+from sensors.kernel import kernel
+
+TIMER = 4
+"""Kind of event: a contention timer expires. Comes after all others of its instant."""
+
+UNIT = np.dtype([
+    ("seq", "u8"), ("airtime_ns", "i8"), ("key", "u8"), ("message", "i4"), ("source", "i4"), ("number", "i4"),
+    ("payload_bytes", "i4"),
+])  # fmt: skip
+FRAME = np.dtype([("unit", "i4"), ("transmitter", "i4"), ("hop", "i4")])
+COPY = np.dtype([("due_ns", "i8"), ("unit", "i4"), ("station", "i4"), ("hop", "i4"), ("waits", "u1")])
+_FRAMES, _COPIES = range(2)
+N_COPIES = 8
+"""Copies of each unit for which there is room at first."""
+
+
+class ForwardingRules(NamedTuple):
+    """Which station forwards which unit, and when: `RelayParams` and what else decides it."""
+
+    max_hops: int  # at 1 nothing is forwarded
+    contends: bool  # else each station forwards with a probability
+    forward_p: float
+    range_m: float  # a frame from farther away is not received
+    forward_range_m: float  # largest distance from its source at which a unit is forwarded
+    timer_min_s: float
+    timer_max_s: float
+    timer_distance_m: float
+    end_ns: int  # of the round: what cannot be transmitted by then is not forwarded
+    lifetime_ns: int
+    access: int
+    first_tag: int  # of frame 0; smaller ones belong to an earlier round
+    rng_key: np.uint64
+
+
+class ForwardingState(NamedTuple):
+    """The event loop's view of forwarding."""
+
+    rules: ForwardingRules
+    xy_m: ndarray
+    key: ndarray
+    units: ndarray
+    frames: ndarray
+    copies: ndarray
+    slot: ndarray  # open addressing: rows of `copies` by (unit, station), at most half full
+    used: ndarray  # frames and copies so far
+
+
+@dataclass(slots=True)
+class Forwarding:
+    """Forwarding in one round; the event loop writes into its state, and grows it on demand."""
+
+    state: ForwardingState
+
+    @staticmethod
+    def of(
+        rules: ForwardingRules, units: ndarray, key: UInt64[ndarray, "n"], xy_m: Float[ndarray, "n 2"]
+    ) -> "Forwarding":
+        """By these rules; frame u is the source's own of unit u."""
+        n = len(units)
+        copies = np.zeros(N_COPIES * n + 1, COPY)
+        return Forwarding(ForwardingState(
+            rules, np.ascontiguousarray(xy_m), np.ascontiguousarray(key), units, grown(own_frames(units), n + 1),
+            copies, _empty_slots(len(copies)), np.array([n, 0]),
+        ))  # fmt: skip
+
+    def grow(self, n_receivers: int) -> None:
+        """Make room for more frames, and for copies at so many receivers."""
+        p = self.state
+        if p.used[_FRAMES] == len(p.frames):
+            self.state = p = p._replace(frames=grown(p.frames, len(p.frames)))
+        if p.used[_COPIES] + n_receivers > len(p.copies):
+            copies = grown(p.copies, max(len(p.copies), n_receivers))
+            slot = _empty_slots(len(copies))
+            _fill_slots(copies, p.used[_COPIES], slot)
+            self.state = p._replace(copies=copies, slot=slot)
+
+    @property
+    def frames(self) -> ndarray:
+        """All frames so far: those of sources and forwarded ones."""
+        return self.state.frames[: self.state.used[_FRAMES]]
+
+    @property
+    def next_ns(self) -> int:
+        """When the next timer expires; the end of the round if none runs."""
+        copies = self.state.copies[: self.state.used[_COPIES]]
+        return int(copies["due_ns"][copies["waits"] > 0].min(initial=self.state.rules.end_ns))
+
+
+def own_frames(units: ndarray) -> ndarray:
+    """The frames of the sources, in the order of the units."""
+    frames = np.empty(len(units), FRAME)
+    frames["unit"], frames["transmitter"], frames["hop"] = np.arange(len(units)), units["source"], 1
+    return frames
+
+
+def grown(rows: ndarray, more: int) -> ndarray:
+    """The same rows, and so many more."""
+    return np.concatenate([rows, np.zeros(more, rows.dtype)])
+
+
+def _empty_slots(n_copies: int) -> ndarray:
+    return np.full(1 << (2 * n_copies - 1).bit_length(), NONE, np.int32)
+
+
+@kernel
+def _find(slot, copies, number, station):
+    """Where the row of a copy is, or would be inserted."""
+    mask = len(slot) - 1
+    at = np.int64(mix(np.uint64(number), np.uint64(station)) >> np.uint64(32)) & mask
+    while slot[at] != NONE and (copies[slot[at]].unit != number or copies[slot[at]].station != station):
+        at = (at + 1) & mask
+    return at
+
+
+@kernel
+def _fill_slots(copies, n, slot):
+    for row in range(n):
+        slot[_find(slot, copies, copies[row].unit, copies[row].station)] = row
+
+
+@kernel
+def is_full(p, n_receivers):
+    """Whether one more event might need more room than there is: a frame, or a copy at every receiver of one."""
+    return p.used[_FRAMES] == len(p.frames) or p.used[_COPIES] + n_receivers > len(p.copies)
+
+
+@kernel
+def schedule_timers(p, times, codes, n):
+    """Put all running timers into the heap."""
+    for row in range(p.used[_COPIES]):
+        if p.copies[row].waits:
+            n = push(times, codes, n, p.copies[row].due_ns, (TIMER << 32) | row)
+    return n
+
+
+@kernel
+def on_receive(p, frame, to, t, times, codes, n):
+    """A frame is received: a first copy may start a timer, a second one cancels it."""
+    rules, u = p.rules, p.units[frame.unit]
+    dx, dy = p.xy_m[to, 0] - p.xy_m[frame.transmitter, 0], p.xy_m[to, 1] - p.xy_m[frame.transmitter, 1]
+    square = dx * dx + dy * dy
+    if to == u.source or square > rules.range_m * rules.range_m:
+        return n
+    at = _find(p.slot, p.copies, frame.unit, to)
+    if p.slot[at] != NONE:
+        if rules.contends:
+            p.copies[p.slot[at]].waits = 0
+        return n
+    row = p.used[_COPIES]
+    p.used[_COPIES] += 1
+    p.slot[at] = row
+    copy = p.copies[row]
+    copy.unit, copy.station, copy.hop, copy.waits = frame.unit, to, frame.hop, 0
+    away_x, away_y = p.xy_m[to, 0] - p.xy_m[u.source, 0], p.xy_m[to, 1] - p.xy_m[u.source, 1]
+    if (
+        frame.hop >= rules.max_hops
+        or away_x * away_x + away_y * away_y > rules.forward_range_m * rules.forward_range_m
+    ):  # fmt: skip
+        return n
+    share = min(np.sqrt(square) / rules.timer_distance_m, 1.0)
+    if not rules.contends:
+        h = mix(mix(mix(rules.rng_key, u.key), np.uint64(u.number)), p.key[to])
+        if unit(mix(h, np.uint64(0))) >= rules.forward_p:
+            return n
+        share = unit(mix(h, np.uint64(1)))
+    copy.due_ns = t + round((rules.timer_max_s + (rules.timer_min_s - rules.timer_max_s) * share) * 1e9)
+    if copy.due_ns + u.airtime_ns <= rules.end_ns:
+        copy.waits = 1
+        n = push(times, codes, n, copy.due_ns, (TIMER << 32) | row)
+    return n
+
+
+@kernel
+def enqueue_forward(p, row, packet, key, ptr, slot, t):
+    """A timer expires: the copy becomes a frame for its station's queue."""
+    rules, copy, number = p.rules, p.copies[row], p.used[_FRAMES]
+    u, j = p.units[copy.unit], copy.station
+    p.used[_FRAMES] += 1
+    frame = p.frames[number]
+    frame.unit, frame.transmitter, frame.hop = copy.unit, j, copy.hop + 1
+    copy.waits = 0
+    packet.key, packet.sender, packet.tag = key, j, rules.first_tag + number
+    packet.seq, packet.airtime_ns, packet.payload_bytes = u.seq, u.airtime_ns, u.payload_bytes
+    packet.generated_ns, packet.expires_ns = t, t + min(rules.lifetime_ns, rules.end_ns - t)
+    packet.edge, packet.degree, packet.slot = ptr[j], ptr[j + 1] - ptr[j], slot
+    packet.access, packet.next, packet.outcome = rules.access, NONE, WAITING
+
+
+_NEVER = ForwardingRules(1, False, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0, 0, 0, 0, np.uint64(0))
+NO_FORWARDING = Forwarding.of(_NEVER, np.zeros(0, UNIT), np.zeros(0, np.uint64), np.zeros((0, 2))).state
+"""A round in which nothing is forwarded."""

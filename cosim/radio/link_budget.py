@@ -1,0 +1,284 @@
+"""Link budget: mean received power of every pair of stations above the cut-off.
+
+    links = links_between(xyz_m, key, params, rng_key, los)
+
+Pairs in range come from a grid, line of sight from the city's walls; links with line of sight may be blocked by
+vehicles. All depends on positions alone: the same two positions have the same link in any run of the same seed.
+"""
+
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+from jaxtyping import Bool, Float, Int, UInt64
+from numba import njit
+from numpy import ndarray
+
+from cosim import rng
+from cosim.radio.channel import Links
+from cosim.radio.propagation import (
+    PropagationParams,
+    blockage_db,
+    blocked_by_vehicle,
+    fading_class,
+    link_field,
+    mean_loss_db,
+)
+from sensors.kernel import kernel
+from sensors.line_of_sight import LosCache, WallIndex
+from sensors.line_of_sight_kernels import crosses_filled_cell
+from sensors.scene import Scene
+
+_RING = 6
+"""Cells per range: more of them fit the circle better."""
+_SHADOW_LOS, _SHADOW_NLOS, _BLOCKED, _BLOCKAGE = (np.uint64(k) for k in range(4))
+
+
+@dataclass(frozen=True, slots=True)
+class Pairs:
+    """M pairs of stations in range, each once."""
+
+    a: Int[ndarray, "m"]
+    b: Int[ndarray, "m"]
+    distance_m: Float[ndarray, "m"]
+    nlos: Bool[ndarray, "m"]
+    """Whether a building blocks the line of sight."""
+    nlosv: Bool[ndarray, "m"]
+    """Whether no building but a vehicle blocks it."""
+    loss_db: Float[ndarray, "m"]
+    """Path loss, blockage and shadowing together."""
+
+
+@dataclass(frozen=True, slots=True)
+class PairLos:
+    """M pairs of positions, each once; of distant pairs without line of sight not all."""
+
+    a: Int[ndarray, "m"]
+    b: Int[ndarray, "m"]
+    distance_m: Float[ndarray, "m"]
+    nlos: Bool[ndarray, "m"]
+    """Whether a building blocks the line of sight."""
+
+
+@kernel
+def _pairs(xyz, range_m, order, start, cell, shape, has_walls, nlos_range_m, on_grid, filled, a, b, d, blocked):
+    """Pairs in range, at most `_RING` cells apart, without those beyond `nlos_range_m` that cross a filled cell.
+
+    Points come sorted by cell, and so lie close together in memory; `order` is their rows.
+    """
+    m = 0
+    for p in range(len(order)):
+        cx, cy = cell[p, 0], cell[p, 1]
+        for gx in range(cx, min(cx + _RING + 1, shape[0])):
+            # In the point's own column only later points.
+            first, last = cy if gx == cx else max(cy - _RING, 0), min(cy + _RING + 1, shape[1])
+            begin = p + 1 if gx == cx else start[gx * shape[1] + first]
+            for q in range(begin, start[gx * shape[1] + last]):
+                dx, dy, dz = xyz[p, 0] - xyz[q, 0], xyz[p, 1] - xyz[q, 1], xyz[p, 2] - xyz[q, 2]
+                square = dx * dx + dy * dy + dz * dz
+                if square > range_m * range_m:
+                    continue
+                crosses = has_walls and crosses_filled_cell(on_grid, p, q, filled)
+                if crosses and square > nlos_range_m * nlos_range_m:
+                    continue
+                if m < len(a):
+                    a[m], b[m], d[m], blocked[m] = order[p], order[q], np.sqrt(square), crosses
+                m += 1
+    return m
+
+
+@cache
+def _no_walls() -> WallIndex:
+    return WallIndex.of(Scene.empty().buildings)
+
+
+def pairs_within(xyz_m: Float[ndarray, "n 3"], range_m: float) -> tuple[ndarray, ndarray, ndarray]:
+    """All pairs of points in range, each once: rows, rows, distance [m]."""
+    return _within(xyz_m, range_m, None, np.inf)[:3]
+
+
+def neighbours(xy_m: Float[ndarray, "n 2"], range_m: float) -> tuple[ndarray, ndarray, ndarray]:
+    """All ordered pairs in range: sender, receiver, distance [m]; sorted by sender, then receiver."""
+    return _both_orders(len(xy_m), *pairs_within(np.column_stack([xy_m, np.zeros(len(xy_m))]), range_m))
+
+
+def _within(
+    xyz_m: Float[ndarray, "n 3"], range_m: float, los: LosCache | None, nlos_range_m: float
+) -> tuple[ndarray, ndarray, ndarray, ndarray]:
+    """The same, and whether a pair crosses a filled cell; those beyond `nlos_range_m` that do are left out.
+
+    The test is sufficient only: other pairs may have no line of sight either.
+    """
+    n = len(xyz_m)
+    if n == 0:
+        return np.zeros(0, np.int32), np.zeros(0, np.int32), np.zeros(0), np.zeros(0, bool)
+    places = xyz_m if los is None else los.snap(xyz_m)
+    walls = _no_walls() if los is None else los.index
+    low = xyz_m[:, :2].min(0)
+    side = max(range_m / _RING, float(np.ptp(xyz_m[:, :2], axis=0).max()) / 1000)
+    cell = ((xyz_m[:, :2] - low) / side).astype(np.int64)
+    shape = cell.max(0) + 1
+    flat = cell[:, 0] * shape[1] + cell[:, 1]
+    order = np.argsort(flat, kind="stable")
+    start = np.searchsorted(flat[order], np.arange(shape[0] * shape[1] + 1))
+    share = np.pi * min(range_m, nlos_range_m) ** 2 / (np.prod(shape) * side**2)  # of uniform points
+    cell, on_grid, xyz_m = cell[order], walls.cells(places[order]), xyz_m[order]
+    filled = walls.filled(places[:, 2])
+    room = int(n * min(n, 256 + 2 * n * share) / 2 + 1024)
+    while True:
+        a, b, d = np.empty(room, np.int32), np.empty(room, np.int32), np.empty(room)
+        blocked = np.empty(room, np.bool_)
+        m = _pairs(
+            xyz_m, float(range_m), order, start, cell, shape, los is not None, float(nlos_range_m), on_grid, filled,
+            a, b, d, blocked,
+        )  # fmt: skip
+        if m <= room:
+            return a[:m], b[:m], d[:m], blocked[:m]
+        room = m
+
+
+@njit(cache=True)
+def _both_ways(n, a, b, gain, fading, tx_mw, cutoff_mw):
+    """Links above the cut-off in both directions, compressed rows by sender."""
+    ptr = np.zeros(n + 1, np.int64)
+    for m in range(len(a)):
+        ptr[a[m] + 1] += tx_mw[a[m]] * gain[m] >= cutoff_mw
+        ptr[b[m] + 1] += tx_mw[b[m]] * gain[m] >= cutoff_mw
+    for i in range(n):
+        ptr[i + 1] += ptr[i]
+    at = ptr[:-1].copy()
+    receiver, power = np.empty(ptr[n], np.int32), np.empty(ptr[n], np.float32)
+    kind, pair = np.empty(ptr[n], np.uint8), np.empty(ptr[n], np.int32)
+    for m in range(len(a)):
+        for i, j in ((a[m], b[m]), (b[m], a[m])):
+            mw = tx_mw[i] * gain[m]
+            if mw >= cutoff_mw:
+                k = at[i]
+                receiver[k], power[k], kind[k], pair[k] = j, mw, fading[m], m
+                at[i] = k + 1
+    return ptr, receiver, power, kind, pair
+
+
+@njit(cache=True)
+def _both_orders(n, a, b, length_m):
+    """Each pair in both directions, sorted by counting: by sender, then by receiver."""
+    at = np.zeros(n + 1, np.int64)
+    for m in range(len(a)):
+        at[a[m] + 1] += 1
+        at[b[m] + 1] += 1
+    for i in range(n):
+        at[i + 1] += at[i]
+    put = at[:-1].copy()
+    from_, of = np.empty(2 * len(a), np.int32), np.empty(2 * len(a), np.int32)  # by receiver only
+    for m in range(len(a)):
+        for one, other in ((a[m], b[m]), (b[m], a[m])):
+            from_[put[one]], of[put[one]] = other, m
+            put[one] += 1
+    put = at[:-1].copy()
+    sender, receiver = np.empty(len(of), np.int64), np.empty(len(of), np.int64)
+    apart_m = np.empty(len(of))
+    for to in range(n):
+        for row in range(at[to], at[to + 1]):
+            k = put[from_[row]]
+            sender[k], receiver[k], apart_m[k] = from_[row], to, length_m[of[row]]
+            put[from_[row]] += 1
+    return sender, receiver, apart_m
+
+
+def _linear(db: ndarray | float) -> ndarray:
+    return np.exp(np.asarray(db) * (np.log(10) / 10))
+
+
+def los_pairs(
+    xyz_m: Float[ndarray, "n 3"], params: PropagationParams, los: LosCache | None = None, near_m: float = 0.0
+) -> PairLos:
+    """Line of sight of all pairs up to `near_m`, and of all pairs in the interference range of `params`."""
+    xyz_m = np.ascontiguousarray(xyz_m, np.float64)
+    if xyz_m.ndim != 2 or xyz_m.shape[1] != 3 or not np.all(np.isfinite(xyz_m)):
+        raise ValueError("xyz_m: antenna positions must be (n, 3) finite numbers [m].")
+    if not params.knows_walls:
+        los = None
+    range_m, nlos_range_m = (max(r, near_m) for r in (params.interference_range_m, params.interference_range_nlos_m))
+    a, b, d, nlos = _within(xyz_m, range_m, los, nlos_range_m)
+    return PairLos(a, b, d, nlos if los is None else ~los.has_los(xyz_m, a, b, nlos))
+
+
+def pairs(
+    xyz_m: Float[ndarray, "n 3"],
+    params: PropagationParams,
+    rng_key: np.uint64,
+    los: LosCache | None = None,
+    found: PairLos | None = None,
+) -> Pairs:
+    """Losses between stations at these antenna positions.
+
+    Parameters
+    ----------
+    rng_key
+        Key of shadowing and blockage, one for the whole run.
+    los
+        Lines of sight in the city; without it every pair has line of sight.
+    found
+        Result of `los_pairs`, if computed already.
+    """
+    if found is None:
+        found = los_pairs(xyz_m, params, los)
+    xyz_m = np.ascontiguousarray(xyz_m, np.float64)
+    if not params.knows_walls:
+        los = None
+    a, b, d, nlos = found.a, found.b, found.distance_m, found.nlos
+    keep = np.flatnonzero((~nlos | (d <= params.interference_range_nlos_m)) & (d <= params.interference_range_m))
+    a, b, d, nlos = a[keep], b[keep], d[keep], nlos[keep]
+    h_a, h_b = xyz_m[a, 2], xyz_m[b, 2]
+    by_wall = params.walls == "sommer"
+    loss = mean_loss_db(d, nlos & (not by_wall), h_a, h_b, params)
+    if by_wall and los is not None:
+        rows = np.flatnonzero(nlos)
+        n_walls, inside_m = los.walls_crossed(xyz_m, a[rows], b[rows])
+        loss[rows] += params.wall_db * n_walls + params.indoors_db_per_m * inside_m  # [4] of `propagation`
+    xy = xyz_m[:, :2]
+
+    def field(rows: ndarray, decorrelation_m: float, purpose: np.uint64) -> ndarray:
+        return link_field(xy, a[rows], b[rows], d[rows], decorrelation_m, rng.keys(rng_key, np.array([purpose]))[0])
+
+    nlosv = np.zeros(len(a), bool)
+    far = params.decorrelation_nlos_m
+    if params.blockage != "none" and params.model in ("urban", "highway"):
+        open_ = np.flatnonzero(~nlos)
+        nlosv[open_] = blocked_by_vehicle(d[open_], field(open_, far, _BLOCKED), params)
+        rows = np.flatnonzero(nlosv)
+        low, high = np.minimum(h_a[rows], h_b[rows]), np.maximum(h_a[rows], h_b[rows])
+        loss[rows] += blockage_db(field(rows, far, _BLOCKAGE), np.maximum(d[rows], 1.0), low, high)
+    if params.shadowing:
+        near = np.flatnonzero(~nlos & ~nlosv)
+        loss[near] += params.sigma_los_db * field(near, params.decorrelation_los_m, _SHADOW_LOS)
+        rows = np.flatnonzero(nlos | nlosv)
+        sigma = np.where(nlos[rows], params.sigma_nlos_db, params.sigma_los_db)
+        loss[rows] += sigma * field(rows, far, _SHADOW_NLOS)
+    return Pairs(a, b, d, nlos, nlosv, loss)
+
+
+def links_between(
+    xyz_m: Float[ndarray, "n 3"],
+    key: UInt64[ndarray, "n"],
+    params: PropagationParams,
+    rng_key: np.uint64,
+    los: LosCache | None = None,
+    tx_power_dbm: Float[ndarray, "n"] | None = None,
+    found: PairLos | None = None,
+) -> tuple[Links, Pairs, Int[ndarray, "links"]]:
+    """Links between stations at these antenna positions, and the pair of each link.
+
+    Parameters
+    ----------
+    tx_power_dbm
+        Power of each station where it differs from that of `params`.
+    """
+    losses = pairs(xyz_m, params, rng_key, los, found)
+    n = len(xyz_m)
+    power_dbm = np.full(n, params.tx_power_dbm) if tx_power_dbm is None else np.asarray(tx_power_dbm, float)
+    ptr, receiver, power_mw, fading, pair = _both_ways(
+        n, losses.a, losses.b, _linear(-losses.loss_db), fading_class(losses.distance_m, params.fading),
+        _linear(power_dbm), float(_linear(params.cutoff_dbm)),
+    )  # fmt: skip
+    return Links(key, ptr, receiver, power_mw, fading), losses, pair

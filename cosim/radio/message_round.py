@@ -1,0 +1,214 @@
+"""One round of messages between stations: what is sent, what is received, and the outcome of every frame."""
+
+from dataclasses import dataclass, fields, replace
+from enum import IntEnum
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int, UInt8, UInt64
+from numpy import ndarray
+
+from cosim import rng
+from cosim.ragged import order_by_two
+
+
+class RoundKind(IntEnum):
+    """The two rounds of messages of one step."""
+
+    CPM = 0
+    """Collective perception messages: detections."""
+    EVALUATION = 1
+    """Evaluations, and the roadside units' trust broadcasts."""
+
+
+class Outcome(IntEnum):
+    """Outcome of one frame at one station in range."""
+
+    RECEIVED = 0
+    PROPAGATION = 1
+    """Too weak; under `unit_disk` lost with the constant probability."""
+    COLLISION = 2
+    RECEIVER_BUSY = 3
+    EXPIRED = 4
+    """Never sent: too old, or no room in the queue."""
+    LATE = 5
+    """Received after the end of the round."""
+
+
+class LosState(IntEnum):
+    """Line of sight between the two ends of a hop, by buildings."""
+
+    LOS = 0
+    NLOS = 1
+    UNKNOWN = 2
+    """The propagation model does not depend on it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Stations:
+    """N stations: those of vehicles, then roadside units."""
+
+    key: UInt64[ndarray, "n"]
+    """Key of each station's draws; each once."""
+    xyz_m: Float[ndarray, "n 3"]
+    """Antennas."""
+    n_vehicles: int
+
+    def __len__(self) -> int:
+        return len(self.key)
+
+
+@dataclass(frozen=True, slots=True)
+class Messages:
+    """M messages of one round, sorted by station; a station may send several."""
+
+    station: Int[ndarray, "m"]
+    """Row of the sender."""
+    length_bytes: Int[ndarray, "m"]
+    """0 where nothing is sent."""
+    delay_s: Float[ndarray, "m"] | None = None
+    """Added to the time of generation; a message that is too late for the round is not sent or not received."""
+
+    def __post_init__(self) -> None:
+        assert (np.diff(self.station) >= 0).all() and (self.length_bytes >= 0).all()
+
+    def __len__(self) -> int:
+        return len(self.station)
+
+    @staticmethod
+    def one_each(length_bytes: Int[ndarray, "n"]) -> "Messages":
+        """One message per station: message row and station row are the same."""
+        return Messages(np.arange(len(length_bytes)), np.asarray(length_bytes))
+
+    def keys(self, stations: Stations) -> UInt64[ndarray, "m"]:
+        """Key of each message's draws: a station's first message has that of the station, the others hashes of it."""
+        key = stations.key[self.station]
+        number = np.arange(len(self)) - np.searchsorted(self.station, self.station)
+        more = np.flatnonzero(number)
+        if len(more):
+            key[more] = rng.keys(np.uint64(0), key[more], number[more])
+        return key
+
+
+@dataclass(frozen=True, slots=True)
+class Receptions:
+    """R receptions of one round, each (receiver, message) once, sorted by receiver, then message.
+
+    generation <= access <= reception for every row.
+    """
+
+    receiver: Int[ndarray, "r"]
+    """Row of the station."""
+    message: Int[ndarray, "r"]
+    """Row of the message."""
+    hops: Int[ndarray, "r"]
+    generation_offset_s: Float[ndarray, "r"]
+    """From the beginning of the round to generation."""
+    access_delay_s: Float[ndarray, "r"]
+    """From generation until the sender's last frame of it is on the air."""
+    latency_s: Float[ndarray, "r"]
+    """From generation to reception."""
+    distance_m: Float[ndarray, "r"]
+    """Between sender and receiver."""
+
+    def __post_init__(self) -> None:
+        assert (self.generation_offset_s >= 0).all() and (self.access_delay_s >= 0).all()
+        assert (self.latency_s >= self.access_delay_s).all()
+
+    @property
+    def received_s(self) -> Float[ndarray, "r"]:
+        """From the beginning of the round to reception."""
+        return self.generation_offset_s + self.latency_s
+
+    def take(self, rows: ndarray) -> "Receptions":
+        """The chosen rows (a mask or row numbers)."""
+        return Receptions(*(getattr(self, f.name)[rows] for f in fields(Receptions)))
+
+    @staticmethod
+    def none() -> "Receptions":
+        """No receptions."""
+        row, real = np.zeros(0, np.int64), np.zeros(0)
+        return Receptions(row, row, np.zeros(0, np.int32), real, real, real, real)
+
+
+@dataclass(frozen=True, slots=True)
+class FrameOutcomes:
+    """F (frame, station in range) of one round, all hops, in no particular order."""
+
+    message: Int[ndarray, "f"]
+    """Row of the message that the frame carries."""
+    receiver: Int[ndarray, "f"]
+    """Row of the station."""
+    hop: Int[ndarray, "f"]
+    distance_m: Float[ndarray, "f"]
+    """Between the two ends of the hop."""
+    los_state: UInt8[ndarray, "f"]
+    """As `LosState`, between the two ends of the hop."""
+    outcome: Int[ndarray, "f"]
+    """As `Outcome`."""
+    n_transmissions: Int[ndarray, "m"]
+    """Frames of each message, forwarded ones included."""
+    n_relayed: int
+    """Of all these, those sent by others than the message's sender."""
+    n_duplicate: int
+    """Of the frames received, those whose content the receiver had already or received earlier from elsewhere."""
+    sent_bytes: float
+    """Transmitted, forwarded frames and MAC headers included."""
+    cbr: Float[ndarray, "n"] | None
+    """Channel busy ratio of the round at each station; None where that is not modelled."""
+
+
+@dataclass(frozen=True, slots=True)
+class MessageRound:
+    """One round of messages."""
+
+    station: Int[ndarray, "m"]
+    """Sender of each message."""
+    receptions: Receptions
+    frames: FrameOutcomes
+
+    @staticmethod
+    def silent(n_stations: int = 0) -> "MessageRound":
+        """A round without messages."""
+        row, real, code = np.zeros(0, np.int64), np.zeros(0), np.zeros(0, np.uint8)
+        frames = FrameOutcomes(row, row, row, real, code, row, row, 0, 0, 0.0, None)
+        return MessageRound(row, Receptions.none(), frames)
+
+
+class LinkReceptions(NamedTuple):
+    """Receptions of a round by kind of link; messages keep their rows."""
+
+    vehicles: Receptions
+    """From vehicles by vehicles."""
+    uplink: Receptions
+    """From vehicles by roadside units; receivers are rows of the units."""
+    downlink: Receptions
+    """From roadside units by vehicles."""
+
+
+def by_link(happened: MessageRound, n_vehicles: int) -> LinkReceptions:
+    """Receptions of a round by kind of link; what units receive from units is left out."""
+    found = happened.receptions
+    receives, sends = found.receiver < n_vehicles, happened.station[found.message] < n_vehicles
+    if receives.all() and sends.all():
+        return LinkReceptions(found, Receptions.none(), Receptions.none())
+    uplink = found.take(~receives & sends)
+    return LinkReceptions(
+        found.take(receives & sends), replace(uplink, receiver=uplink.receiver - n_vehicles),
+        found.take(receives & ~sends),
+    )  # fmt: skip
+
+
+def receptions_of(
+    receiver: Int[ndarray, "r"], message: Int[ndarray, "r"], hops: Int[ndarray, "r"],
+    generation_offset_s: Float[ndarray, "r"], access_delay_s: Float[ndarray, "r"], latency_s: Float[ndarray, "r"],
+    station: Int[ndarray, "m"], xy_m: Float[ndarray, "n 2"],
+) -> Receptions:  # fmt: skip
+    """Receptions in canonical order."""
+    order = order_by_two(receiver, message, max(len(xy_m), len(station)))
+    receiver, message = receiver[order], message[order]
+    distance_m = np.hypot(*(xy_m[receiver] - xy_m[station[message]]).T)
+    return Receptions(
+        receiver, message, hops[order].astype(np.int32), generation_offset_s[order], access_delay_s[order],
+        latency_s[order], distance_m,
+    )  # fmt: skip

@@ -1,0 +1,109 @@
+"""Parameters of the radio."""
+
+from dataclasses import dataclass, field
+from typing import Annotated, Literal
+
+import numpy as np
+from annotated_types import Ge, Gt, Le
+
+from cosim.radio.channel import AccessParams
+from cosim.radio.dcc import DccParams
+from cosim.radio.phy import ReceiverParams, airtime_ns
+from cosim.radio.propagation import PropagationParams
+from cosim.radio.segmentation import FRAME_BYTES
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class UnitDiskParams:
+    """The unit disk model: for theory and quick runs, without walls and collisions."""
+
+    loss_p: Annotated[float, Ge(0), Le(1)] = 0.05
+    """Probability that one hop fails at one receiver."""
+    latency_min_s: Annotated[float, Ge(0)] = 0.0004
+    """Shortest time from a hop's start to its reception [s]; the default is that of Eclipse MOSAIC's SNS."""
+    latency_max_s: Annotated[float, Ge(0)] = 0.0024
+    """Longest time from a hop's start to its reception [s]; uniformly distributed between the two."""
+
+    def __post_init__(self) -> None:
+        if self.latency_max_s < self.latency_min_s:
+            raise ValueError(
+                f"radio.unit_disk.latency_max_s = {self.latency_max_s:g} s is below radio.unit_disk.latency_min_s = "
+                f"{self.latency_min_s:g} s. Set the larger one as maximum."
+            )
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class RelayParams:
+    """Multi-hop forwarding of messages."""
+
+    max_hops: Annotated[int, Ge(1), Le(10)] = 1
+    """Largest number of hops of a message; 1 is no forwarding."""
+    forward_range_m: Annotated[float, Gt(0)] = 600.0
+    """Largest distance from its sender at which a message is forwarded [m]."""
+    rule: Literal["contention", "probability"] = "contention"
+    """`contention`: the farthest station forwards first, and stations that receive its copy do not (under `unit_disk`
+    all forward). `probability`: each station forwards with `forward_p`, whatever it receives."""
+    forward_p: Annotated[float, Ge(0), Le(1)] = 0.5
+    """Probability that a station forwards a message, under `probability`."""
+    timer_min_s: Annotated[float, Gt(0)] = 0.001
+    """Contention timer at `timer_distance_m` from the previous hop, and beyond [s]."""
+    timer_max_s: Annotated[float, Gt(0)] = 0.1
+    """Contention timer at distance 0 from the previous hop [s]. Under `probability` timers are uniformly distributed
+    between the two."""
+    timer_distance_m: Annotated[float, Gt(0)] = 400.0
+    """Distance from which the contention timer is shortest [m]."""
+
+    def __post_init__(self) -> None:
+        if self.timer_max_s < self.timer_min_s:
+            raise ValueError(
+                f"radio.relay.timer_max_s = {self.timer_max_s:g} s is below radio.relay.timer_min_s = "
+                f"{self.timer_min_s:g} s. Set the larger one as maximum."
+            )
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class RadioParams:
+    """V2X broadcast between vehicles and roadside units."""
+
+    model: Literal["csma", "unit_disk"] = "csma"
+    """`csma`: packet by packet, with the city's propagation. `unit_disk`: every station in range receives, but for a
+    constant loss probability."""
+    range_m: Annotated[float, Gt(0)] = 300.0
+    """Communication range: largest horizontal distance of one hop [m]. Frames from farther away are not received, and
+    under `csma` still interfere."""
+    timeout_s: Annotated[float, Gt(0)] | None = None
+    """Duration of a round of messages, of which a step has two [s]; two fifths of the sensing interval if not set."""
+    antenna_above_roof_m: Annotated[float, Ge(0)] = 0.1
+    """Height of the antenna above the roof [m]."""
+    cpm_rules: Literal["all", "etsi"] = "all"
+    """Objects in a detection message: all of them, or those selected by the rules of ETSI TS 103 324."""
+    evaluations: Literal["alone", "piggybacked"] = "alone"
+    """Evaluations are sent at once in messages of their own, or piggybacked on the next step's detection message."""
+    unit_disk: UnitDiskParams = field(default_factory=UnitDiskParams)
+    relay: RelayParams = field(default_factory=RelayParams)
+    propagation: PropagationParams = field(default_factory=PropagationParams)
+    receiver: ReceiverParams = field(default_factory=ReceiverParams)
+    access: AccessParams = field(default_factory=AccessParams)
+    dcc: DccParams = field(default_factory=DccParams)
+
+    def __post_init__(self) -> None:
+        if self.range_m < 5:
+            raise ValueError(
+                f"radio.range_m = {self.range_m:g} m is shorter than one vehicle: no message is received. "
+                "Metres, not kilometres? Set radio.range_m to at least 5."
+            )
+        air_s = airtime_ns(np.array([FRAME_BYTES]), self.receiver.rate_mbps)[0] * 1e-9
+        if self.access.lifetime_s < air_s:
+            raise ValueError(
+                f"radio.access.lifetime_s = {self.access.lifetime_s:g} s is shorter than the transmission of a full "
+                f"frame, {air_s * 1e3:.3g} ms: nothing would ever be sent. Set it higher."
+            )
+        if self.timeout_s is not None and self.timeout_s < 10 * air_s:
+            raise ValueError(
+                f"radio.timeout_s = {self.timeout_s:g} s leaves no time for more than a few frames of "
+                f"{air_s * 1e3:.3g} ms. Set it to at least {10 * air_s:.3g}."
+            )
+
+    def round_s(self, sensing_interval_s: float) -> float:
+        """Duration of one round of messages [s]."""
+        return 0.4 * sensing_interval_s if self.timeout_s is None else self.timeout_s

@@ -1,0 +1,347 @@
+"""Path loss, blockage by vehicles, shadowing and fading at 5.9 GHz: from positions to mean received power.
+
+Nomenclature: d distance [m], f carrier [GHz], losses in dB and positive. Shadowing and blockage belong to the
+*positions* of the two ends, never to a packet; fading (a Nakagami class here, drawn by the event loop) belongs to
+one packet at one receiver.
+
+References
+----------
+.. [1] 3GPP TR 37.885, "Study on evaluation methodology of new V2X use cases for LTE and NR", section 6.2.
+.. [2] C. Sommer, F. Dressler, "Using the right two-ray model?", MobiCom posters 2011.
+.. [3] L. Cheng et al., "Mobile vehicle-to-vehicle narrow-band channel measurement and characterization of the
+   5.9 GHz DSRC frequency band", IEEE JSAC 25(8), 2007.
+.. [4] C. Sommer, D. Eckhoff, R. German, F. Dressler, "A computationally inexpensive empirical model of
+   IEEE 802.11p radio shadowing in urban environments", WONS 2011.
+.. [5] M. Boban, X. Gong, W. Xu, "Modeling the evolution of line-of-sight blockage for V2V channels", VTC 2016.
+"""
+
+from dataclasses import dataclass
+from functools import cache
+from typing import Annotated, Literal
+
+import numpy as np
+from annotated_types import Ge, Gt, Le
+from jaxtyping import Bool, Float, Int, UInt8
+from numba import njit
+from numpy import ndarray
+from scipy.special import gammaincinv, ndtr
+
+from cosim.rng import mix, unit
+from sensors.kernel import inlined, kernel
+
+LIGHT_MPS = 299_792_458.0
+
+FADING: dict[str, tuple[tuple[float, float], ...]] = {
+    "none": (),
+    "nakagami": ((80.0, 1.5), (np.inf, 0.75)),
+    "rayleigh": ((np.inf, 1.0),),
+    "cheng": ((4.7, 3.01), (11.7, 1.18), (28.9, 1.94), (71.6, 1.86), (177.3, 0.45), (np.inf, 0.32)),
+}
+"""Nakagami shape m up to each distance [m]: ns-3's and Veins' default; m = 1; set 2 of [3]_ as Artery has it."""
+_FIRST_CLASS = dict(zip(FADING, np.cumsum([1] + [len(rows) for rows in FADING.values()]), strict=False))
+
+Model = Literal[
+    "free_space", "two_ray_interference", "two_ray_ground", "log_distance", "dual_slope", "urban", "highway"
+]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class PropagationParams:
+    """Propagation between two antennas."""
+
+    model: Model = "urban"
+    """Path loss; `urban` and `highway` are those of 3GPP TR 37.885, with line of sight and blockage."""
+    frequency_ghz: Annotated[float, Gt(0.5), Le(6)] = 5.9
+    """Carrier [GHz]."""
+    tx_power_dbm: Annotated[float, Ge(-20), Le(33)] = 23.0
+    """Transmitted power, antenna gains included [dBm]."""
+    exponent: Annotated[float, Gt(0)] = 2.75
+    """Path loss exponent of `log_distance`."""
+    near_exponent: Annotated[float, Gt(0)] = 2.0
+    """Path loss exponent of `dual_slope` up to the break point."""
+    far_exponent: Annotated[float, Gt(0)] = 4.0
+    """Path loss exponent of `dual_slope` beyond the break point."""
+    break_m: Annotated[float, Gt(1)] = 100.0
+    """Break point of `dual_slope` [m]."""
+    permittivity: Annotated[float, Gt(1)] = 1.02
+    """Relative permittivity of the road, for `two_ray_interference`."""
+    walls: Literal["3gpp", "sommer"] = "3gpp"
+    """Loss without line of sight: the path loss of TR 37.885 (`urban` and `highway` only), or per wall and metre."""
+    wall_db: Annotated[float, Ge(0)] = 9.0
+    """Loss per wall crossed, for `sommer` [dB]."""
+    indoors_db_per_m: Annotated[float, Ge(0)] = 0.4
+    """Loss per metre inside buildings, for `sommer` [dB/m]."""
+    shadowing: bool = True
+    """Whether links are shadowed."""
+    sigma_los_db: Annotated[float, Ge(0)] = 3.0
+    """Standard deviation of shadowing with line of sight by buildings [dB]."""
+    sigma_nlos_db: Annotated[float, Ge(0)] = 4.0
+    """Standard deviation of shadowing without line of sight [dB]."""
+    decorrelation_los_m: Annotated[float, Gt(0)] = 10.0
+    """Movement of one end that reduces the correlation of shadowing to 1/e, line of sight [m]; 25 on highways."""
+    decorrelation_nlos_m: Annotated[float, Gt(0)] = 13.0
+    """Movement of one end that reduces the correlation of shadowing to 1/e, otherwise [m]; 25 on highways."""
+    blockage: Literal["none", "probabilistic"] = "probabilistic"
+    """Blockage by vehicles of links with line of sight by buildings (urban and highway models)."""
+    traffic: Literal["low", "medium", "high"] = "medium"
+    """Density of traffic, for probabilistic blockage."""
+    fading: Literal["none", "nakagami", "rayleigh", "cheng"] = "nakagami"
+    """Fading per packet and receiver."""
+    interference_range_m: Annotated[float, Gt(0)] = 1000.0
+    """Longer links are neglected, as interference too [m]."""
+    interference_range_nlos_m: Annotated[float, Gt(0)] = 300.0
+    """Longer links without line of sight are neglected, as interference too [m]."""
+    cutoff_dbm: Annotated[float, Ge(-140), Le(-60)] = -110.0
+    """Links of less mean power are neglected, as interference too [dBm]."""
+
+    @property
+    def knows_walls(self) -> bool:
+        """Whether buildings have an effect in these models."""
+        return self.walls == "sommer" or self.model in ("urban", "highway")
+
+    def __post_init__(self) -> None:
+        if self.interference_range_m < 5:
+            raise ValueError(
+                f"radio.propagation.interference_range_m = {self.interference_range_m:g} m is shorter than one vehicle: "
+                "no link remains. "
+                "Metres, not kilometres? Set radio.propagation.interference_range_m to at least 5."
+            )
+
+
+def free_space_db(d: Float[ndarray, "m"], f: float = 5.9) -> Float[ndarray, "m"]:
+    """Loss of free space: 20 log(4 pi d / lambda); 47.86 dB at 1 m."""
+    return 20 * np.log10(4 * np.pi * d * f * 1e9 / LIGHT_MPS)
+
+
+def two_ray_ground_db(
+    d: Float[ndarray, "m"], h_a_m: Float[ndarray, "m"], h_b_m: Float[ndarray, "m"], f: float = 5.9
+) -> Float[ndarray, "m"]:
+    """Free space up to 4 pi h_a h_b / lambda, then 40 log d - 20 log(h_a h_b)."""
+    cross = 4 * np.pi * h_a_m * h_b_m * f * 1e9 / LIGHT_MPS
+    return np.where(d <= cross, free_space_db(d, f), 40 * np.log10(d) - 20 * np.log10(h_a_m * h_b_m))
+
+
+def two_ray_interference_db(
+    d: Float[ndarray, "m"],
+    h_a_m: Float[ndarray, "m"],
+    h_b_m: Float[ndarray, "m"],
+    f: float = 5.9,
+    permittivity: float = 1.02,
+) -> Float[ndarray, "m"]:
+    """Direct ray and its reflection on the road, with phase [2]_. d is the horizontal distance."""
+    direct, reflected = np.hypot(d, h_a_m - h_b_m), np.hypot(d, h_a_m + h_b_m)
+    sine, cosine = (h_a_m + h_b_m) / reflected, d / reflected
+    root = np.sqrt(permittivity - cosine**2)
+    gamma = (sine - root) / (sine + root)
+    phase = 2 * np.pi * (direct - reflected) * f * 1e9 / LIGHT_MPS
+    return free_space_db(d, f) - 20 * np.log10(np.abs(1 + gamma * np.exp(1j * phase)))
+
+
+def log_distance_db(d: Float[ndarray, "m"], exponent: float = 2.75, f: float = 5.9) -> Float[ndarray, "m"]:
+    """Free space at 1 m, then 10 n log d."""
+    return free_space_db(np.ones(()), f) + 10 * exponent * np.log10(d)
+
+
+def dual_slope_db(
+    d: Float[ndarray, "m"], near: float = 2.0, far: float = 4.0, break_m: float = 100.0, f: float = 5.9
+) -> Float[ndarray, "m"]:
+    """Log-distance with another exponent beyond the break point [3]_."""
+    first = log_distance_db(np.minimum(d, break_m), near, f)
+    return first + 10 * far * np.log10(np.maximum(d / break_m, 1.0))
+
+
+def tr37885_db(
+    d: Float[ndarray, "m"], nlos: Bool[ndarray, "m"], scenario: Literal["urban", "highway"], f: float = 5.9
+) -> Float[ndarray, "m"]:
+    """Path loss of [1]_, without blockage by vehicles (see `blockage_db`)."""
+    log_d, log_f = np.log10(d), np.log10(f)
+    urban = scenario == "urban"
+    los = 38.77 + 16.7 * log_d + 18.2 * log_f if urban else 32.4 + 20 * log_d + 20 * log_f
+    return np.where(nlos, 36.85 + 30 * log_d + 18.9 * log_f, los)
+
+
+def blockage_db(
+    normal: Float[ndarray, "m"],
+    d: Float[ndarray, "m"],
+    h_low_m: Float[ndarray, "m"],
+    h_high_m: Float[ndarray, "m"],
+    blocker_m: float = 1.6,
+) -> Float[ndarray, "m"]:
+    """Loss behind a vehicle (NLOSv), log-normal [1]_.
+
+    Parameters
+    ----------
+    normal
+        Standard normal value of the link.
+    h_low_m, h_high_m
+        Lower and higher antenna of the link.
+    blocker_m
+        Height of the blocking vehicle: 1.6 for cars, 3 for trucks.
+
+    Notes
+    -----
+    Mean 9 + max(0, 15 log d - 41), deviation 4.5 where the blocker tops both antennas; 5 + ... and 4 where it
+    tops one; no loss below both.   Deviations: none.
+    """
+    both = blocker_m > h_high_m
+    mean = np.where(both, 9.0, 5.0) + np.maximum(0.0, 15 * np.log10(d) - 41)
+    spread = np.log1p((np.where(both, 4.5, 4.0) / mean) ** 2)  # variance of the logarithm
+    loss = np.exp(np.log(mean) - spread / 2 + np.sqrt(spread) * normal)
+    return np.where(blocker_m > h_low_m, loss, 0.0)
+
+
+_BOBAN_URBAN = {
+    "low": (0.8548, 0.0064, 0.0396, 5.2718, 3.4827),
+    "medium": (0.8372, 0.0114, 0.0312, 5.0063, 2.4544),
+    "high": (0.8962, 0.0170, 0.0242, 5.0115, 2.2092),
+}
+_BOBAN_HIGHWAY = {"low": (1.5e-6, -0.0015), "medium": (2.7e-6, -0.0025), "high": (3.2e-6, -0.003)}
+
+
+def vehicle_blockage_p(
+    d: Float[ndarray, "m"], scenario: Literal["urban", "highway"], traffic: Literal["low", "medium", "high"]
+) -> Float[ndarray, "m"]:
+    """Probability that a vehicle blocks a link with line of sight by buildings: P(NLOSv) / (P(LOS) + P(NLOSv)) of [5]_.
+
+    Notes
+    -----
+    Deviations: beyond 475 m the highway parabola, which would rise again, stays at its minimum.
+    """
+    if scenario == "urban":
+        p0, rate, a, b, c = _BOBAN_URBAN[traffic]
+        los = np.minimum(1.0, p0 * np.exp(-rate * d))
+        blocked = np.minimum(1 - los, np.exp(-((np.log(d) - b) ** 2) / c) / (a * d))
+        return blocked / (los + blocked)
+    a, b = _BOBAN_HIGHWAY[traffic]
+    d = np.minimum(d, -b / (2 * a))
+    return 1 - np.clip(a * d**2 + b * d + 1, 0, 1)
+
+
+def mean_loss_db(
+    d: Float[ndarray, "m"],
+    nlos: Bool[ndarray, "m"],
+    h_a_m: Float[ndarray, "m"],
+    h_b_m: Float[ndarray, "m"],
+    params: PropagationParams,
+) -> Float[ndarray, "m"]:
+    """Path loss of links by the chosen model, before shadowing and blockage; a metre at least.
+
+    `nlos` has an effect in the urban and highway models only; heights in the two-ray models only.
+    """
+    d, f = np.maximum(d, 1.0), params.frequency_ghz
+    match params.model:
+        case "free_space":
+            return free_space_db(d, f)
+        case "two_ray_ground":
+            return two_ray_ground_db(d, h_a_m, h_b_m, f)
+        case "two_ray_interference":
+            return two_ray_interference_db(d, h_a_m, h_b_m, f, params.permittivity)
+        case "log_distance":
+            return log_distance_db(d, params.exponent, f)
+        case "dual_slope":
+            return dual_slope_db(d, params.near_exponent, params.far_exponent, params.break_m, f)
+    return tr37885_db(d, nlos, params.model, f)
+
+
+def fading_class(d: Float[ndarray, "m"], fading: str) -> UInt8[ndarray, "m"]:
+    """Row of `fading_quantiles` for links of this length."""
+    rows = FADING[fading]
+    if not rows:
+        return np.zeros(len(d), np.uint8)
+    bounds = np.array([upper for upper, _ in rows[:-1]])
+    return (_FIRST_CLASS[fading] + np.searchsorted(bounds, d)).astype(np.uint8)
+
+
+@cache
+def fading_quantiles() -> Float[ndarray, "classes 4096"]:
+    """Power gain, mean 1, at 4096 equally likely levels, for each class; class 0 does not fade."""
+    level = (np.arange(4096) + 0.5) / 4096
+    shapes = [m for rows in FADING.values() for _, m in rows]
+    table = np.array([np.ones(4096)] + [gammaincinv(m, level) / m for m in shapes], np.float32)
+    table.flags.writeable = False
+    return table
+
+
+N_WAVES = 32
+
+
+@inlined
+def _sine_of_turns(x):
+    """sin(2 pi x), to 4e-6."""
+    r = x - np.floor(x + 0.5)
+    r = 0.5 - r if r > 0.25 else (-0.5 - r if r < -0.25 else r)
+    y = np.float32(2 * np.pi * r)
+    z = y * y
+    s = np.float32(-1 / 5040) + z * np.float32(1 / 362880)
+    s = np.float32(-1 / 6) + z * (np.float32(1 / 120) + z * s)
+    return y + y * z * s
+
+
+@njit(cache=True)
+def _waves(xy, decorrelation_m, rng_key):
+    """Hashed plane waves at each position, in turns: cosine and sine of the phase of either end."""
+    n = xy.shape[0]
+    turns = np.empty((5, N_WAVES))  # per metre of x and y of the first end, then of the second; phase
+    for k in range(N_WAVES):
+        h = mix(rng_key, np.uint64(k))
+        # A Cauchy wave vector in four dimensions, whose characteristic function is exp(-|x| / D).
+        normal = np.empty(5)
+        for i in range(5):
+            radius = np.sqrt(-2 * np.log(1 - unit(mix(h, np.uint64(2 * i)))))
+            normal[i] = radius * np.cos(2 * np.pi * unit(mix(h, np.uint64(2 * i + 1))))
+        turns[:4, k] = normal[:4] / (abs(normal[4]) * decorrelation_m * 2 * np.pi)
+        turns[4, k] = unit(mix(h, np.uint64(10)))
+    out = np.empty((n, 4, N_WAVES), np.float32)
+    for j in range(n):
+        x, y = xy[j, 0], xy[j, 1]
+        for k in range(N_WAVES):
+            a = turns[0, k] * x + turns[1, k] * y + turns[4, k]
+            b = turns[2, k] * x + turns[3, k] * y
+            out[j, 0, k], out[j, 1, k] = _sine_of_turns(a + 0.25), _sine_of_turns(a)
+            out[j, 2, k], out[j, 3, k] = _sine_of_turns(b + 0.25), _sine_of_turns(b)
+    return out
+
+
+@kernel
+def _field(waves, d, decorrelation_m, a, b, lanes, out):
+    for m in range(len(a)):
+        i, j = a[m], b[m]
+        for k in range(N_WAVES):
+            lanes[k] = waves[i, 0, k] * waves[j, 2, k] - waves[i, 1, k] * waves[j, 3, k]
+            lanes[k] += waves[j, 0, k] * waves[i, 2, k] - waves[j, 1, k] * waves[i, 3, k]
+        for half in (16, 8, 4, 2, 1):  # a fixed order of summation, wide enough for vector units
+            for k in range(half):
+                lanes[k] += lanes[k + half]
+        out[m] = lanes[0] / np.sqrt(N_WAVES * (1 + np.exp(-np.sqrt(2.0) * d[m] / decorrelation_m)))
+
+
+def link_field(
+    xy_m: Float[ndarray, "n 2"],
+    a: Int[ndarray, "m"],
+    b: Int[ndarray, "m"],
+    d: Float[ndarray, "m"],
+    decorrelation_m: float,
+    rng_key: np.uint64,
+) -> Float[ndarray, "m"]:
+    """Standard normal value of each link (a, b), a smooth function of the positions of its two ends.
+
+    Notes
+    -----
+    A sum of 32 plane waves over (x_a, x_b), made symmetric: without state, in any order. Moving either end by D leaves
+    a correlation of exp(-D / decorrelation); moving both by D, exp(-sqrt(2) D / decorrelation).
+    Deviations: 32 waves, so approximately normal; distant positions keep a correlation of about 0.1.
+    """
+    out = np.empty(len(a))
+    xy_m = np.ascontiguousarray(xy_m, np.float64)
+    waves = _waves(xy_m, float(decorrelation_m), rng_key)
+    _field(waves, d, float(decorrelation_m), a, b, np.empty(N_WAVES, np.float32), out)
+    return out
+
+
+def blocked_by_vehicle(
+    d: Float[ndarray, "m"], normal: Float[ndarray, "m"], params: PropagationParams
+) -> Bool[ndarray, "m"]:
+    """Which of these links without buildings a vehicle blocks, given a standard normal value of each link."""
+    if params.blockage == "none" or params.model not in ("urban", "highway"):
+        return np.zeros(len(d), bool)
+    return ndtr(normal) < vehicle_blockage_p(np.maximum(d, 1.0), params.model, params.traffic)

@@ -1,0 +1,247 @@
+"""Result of a round over the shared channel: the outcome of every frame in range, and the messages received.
+
+One pass over the frames and one over their receptions, with sorting by counting only.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Int, UInt8
+from numba import njit
+from numpy import ndarray
+
+from cosim.radio.channel import PhyOutcome, WindowResult
+from cosim.radio.link_budget import PairLos
+from cosim.radio.message_round import LosState, Messages, Outcome, Receptions
+from cosim.ragged import counting_order
+
+_OUTCOME_OF = np.full(max(PhyOutcome) + 1, Outcome.PROPAGATION, np.int8)
+"""`Outcome` by `PhyOutcome`."""
+for _phy, _outcome in {
+    PhyOutcome.RECEIVED: Outcome.RECEIVED,
+    PhyOutcome.COLLISION: Outcome.COLLISION,
+    PhyOutcome.BUSY: Outcome.RECEIVER_BUSY,
+    PhyOutcome.HALF_DUPLEX: Outcome.RECEIVER_BUSY,
+    PhyOutcome.EXPIRED: Outcome.EXPIRED,
+    PhyOutcome.QUEUE: Outcome.EXPIRED,
+}.items():
+    _OUTCOME_OF[_phy] = _outcome
+_RECEIVED, _PROPAGATION, _EXPIRED = int(Outcome.RECEIVED), int(Outcome.PROPAGATION), int(Outcome.EXPIRED)
+
+
+@dataclass(frozen=True, slots=True)
+class NeighbourList:
+    """Stations in range of each station, compressed rows."""
+
+    ptr: Int[ndarray, "n+1"]
+    station: Int[ndarray, "m"]
+    length_m: Float[ndarray, "m"]
+    los_state: UInt8[ndarray, "m"]
+    """As `LosState`."""
+
+    @staticmethod
+    def of(xyz_m: Float[ndarray, "n 3"], range_m: float, found: PairLos, knows_walls: bool) -> "NeighbourList":
+        """From all pairs up to `slant_m` and more."""
+        los_state = np.where(found.nlos, LosState.NLOS, LosState.LOS)
+        if not knows_walls:
+            los_state = np.full(len(found.a), LosState.UNKNOWN)
+        return NeighbourList(*_neighbours(
+            np.ascontiguousarray(xyz_m[:, :2]), range_m, found.a, found.b, found.distance_m, slant_m(xyz_m, range_m),
+            los_state.astype(np.uint8),
+        ))  # fmt: skip
+
+
+def slant_m(xyz_m: Float[ndarray, "n 3"], range_m: float) -> float:
+    """Largest distance in space of stations whose horizontal distance is at most `range_m`."""
+    return range_m + (float(np.ptp(xyz_m[:, 2])) if len(xyz_m) else 0.0) + 1e-6
+
+
+@njit(cache=True)
+def _neighbours(xy, range_m, a, b, distance_m, slant_m, los_state):
+    near, length_m = np.empty(len(a), np.int32), np.empty(len(a))
+    ptr = np.zeros(len(xy) + 1, np.int64)
+    n = 0
+    for m in range(len(a)):
+        if distance_m[m] <= slant_m:
+            dx, dy = xy[a[m], 0] - xy[b[m], 0], xy[a[m], 1] - xy[b[m], 1]
+            square = dx * dx + dy * dy
+            if square <= range_m * range_m:
+                near[n], length_m[n] = m, np.sqrt(square)
+                n += 1
+                ptr[a[m] + 1] += 1
+                ptr[b[m] + 1] += 1
+    for i in range(len(xy)):
+        ptr[i + 1] += ptr[i]
+    put = ptr[:-1].copy()
+    station, apart_m, state = np.empty(2 * n, np.int32), np.empty(2 * n), np.empty(2 * n, np.uint8)
+    for k in range(n):
+        m = near[k]
+        for one, other in ((a[m], b[m]), (b[m], a[m])):
+            row = put[one]
+            station[row], apart_m[row], state[row] = other, length_m[k], los_state[m]
+            put[one] = row + 1
+    return ptr, station, apart_m, state
+
+
+@dataclass(frozen=True, slots=True)
+class Transmissions:
+    """F frames of a round with their receptions."""
+
+    unit: Int[ndarray, "f"]
+    message: Int[ndarray, "f"]
+    source: Int[ndarray, "f"]
+    """Station that sends the message."""
+    transmitter: Int[ndarray, "f"]
+    """Station that sends this frame."""
+    hop: Int[ndarray, "f"]
+    on_air: Bool[ndarray, "f"]
+    start_ns: Int[ndarray, "f"]
+    end_ns: Int[ndarray, "f"]
+    begin: Int[ndarray, "f"]
+    """Where the receptions of each frame begin."""
+    count: Int[ndarray, "f"]
+    """Number of them."""
+    receiver: Int[ndarray, "m"]
+    reception: UInt8[ndarray, "m"]
+    """As `PhyOutcome`."""
+
+    @staticmethod
+    def of(frames: ndarray, units: ndarray, windows: list[WindowResult], first_tag: int) -> "Transmissions":
+        """From the results of all windows; frames of earlier rounds are left out."""
+        n = len(frames)
+        start_ns, end_ns, begin, count = (np.zeros(n, np.int64) for _ in range(4))
+        on_air = np.zeros(n, bool)
+        before = 0
+        for out in windows:
+            ours = np.flatnonzero((out.tag >= first_tag) & (out.outcome == PhyOutcome.RECEIVED))
+            frame = out.tag[ours] - first_tag
+            on_air[frame] = True
+            start_ns[frame], end_ns[frame] = out.start_ns[ours], out.end_ns[ours]
+            begin[frame], count[frame] = before + out.ptr[ours], out.ptr[ours + 1] - out.ptr[ours]
+            before += len(out.receiver)
+        unit = frames["unit"]
+        return Transmissions(
+            unit, units["message"][unit], units["source"][unit], frames["transmitter"], frames["hop"], on_air,
+            start_ns, end_ns, begin, count, np.concatenate([np.zeros(0, np.int32)] + [out.receiver for out in windows]),
+            np.concatenate([np.zeros(0, np.uint8)] + [out.reception for out in windows]),
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class ReceptionAttempts:
+    """Every (frame, station in range of its transmitter, other than the message's sender), frame by frame."""
+
+    first: Int[ndarray, "f+1"]
+    """Where the rows of each frame begin."""
+    message: Int[ndarray, "m"]
+    receiver: Int[ndarray, "m"]
+    hop: Int[ndarray, "m"]
+    distance_m: Float[ndarray, "m"]
+    los_state: UInt8[ndarray, "m"]
+    outcome: Int[ndarray, "m"]
+
+    @staticmethod
+    def of(sent: Transmissions, near: NeighbourList) -> "ReceptionAttempts":
+        """Of all frames of a round."""
+        return ReceptionAttempts(*_attempts(
+            near.ptr, near.station, near.length_m, near.los_state, sent.message, sent.source, sent.transmitter,
+            sent.hop, sent.on_air, sent.begin, sent.count, sent.receiver, sent.reception, _OUTCOME_OF,
+        ))  # fmt: skip
+
+
+@njit(cache=True)
+def _attempts(
+    ptr, station, length_m, los_state, message, source, transmitter, hop, on_air, begin, count, receiver, reception,
+    outcome_of,
+):  # fmt: skip
+    room = 0
+    for f in range(len(transmitter)):
+        room += ptr[transmitter[f] + 1] - ptr[transmitter[f]]
+    first = np.empty(len(transmitter) + 1, np.int64)
+    of, to, hops = np.empty(room, np.int32), np.empty(room, np.int32), np.empty(room, np.int8)
+    apart_m, state, outcome = np.empty(room), np.empty(room, np.uint8), np.empty(room, np.int8)
+    here = np.full(len(ptr) - 1, _PROPAGATION, np.int8)  # below the cut-off power of links
+    m = 0
+    for f in range(len(transmitter)):
+        first[f] = m
+        for k in range(begin[f], begin[f] + count[f]):
+            here[receiver[k]] = outcome_of[reception[k]]
+        for row in range(ptr[transmitter[f]], ptr[transmitter[f] + 1]):
+            r = station[row]
+            if r != source[f]:
+                of[m], to[m], hops[m], apart_m[m], state[m] = message[f], r, hop[f], length_m[row], los_state[row]
+                outcome[m] = here[r] if on_air[f] else _EXPIRED
+                m += 1
+        for k in range(begin[f], begin[f] + count[f]):
+            here[receiver[k]] = _PROPAGATION
+    first[len(transmitter)] = m
+    return first, of[:m], to[:m], hops[:m], apart_m[:m], state[:m], outcome[:m]
+
+
+def complete_messages(
+    sent: Transmissions, attempts: ReceptionAttempts, own_ns: Int[ndarray, "u"], n_segments: Int[ndarray, "m"],
+    begin_ns: int, messages: Messages, xy_m: Float[ndarray, "n 2"],
+) -> tuple[Receptions, int]:  # fmt: skip
+    """Messages of which all segments are received, and the number of frames that brought a segment again.
+
+    Parameters
+    ----------
+    own_ns
+        When each unit was generated: frame u is the sender's own of unit u.
+    n_segments
+        Of each message.
+    """
+    m, n_duplicate, receiver, message, hops, times_ns = _complete(
+        len(xy_m), attempts.receiver, attempts.outcome, attempts.first, counting_order(sent.unit, len(own_ns)),
+        sent.message, sent.transmitter, sent.unit, sent.hop, sent.start_ns, sent.end_ns, own_ns, n_segments,
+    )  # fmt: skip
+    receiver, message, hops, times_ns = receiver[:m], message[:m], hops[:m], times_ns[:, :m]
+    distance_m = np.hypot(*(xy_m[receiver] - xy_m[messages.station[message]]).T)
+    offset_s = 1e-9 * (times_ns[0] - begin_ns)
+    access_s, latency_s = 1e-9 * times_ns[1], 1e-9 * times_ns[2]
+    return Receptions(receiver, message, hops, offset_s, access_s, latency_s, distance_m), n_duplicate
+
+
+@njit(cache=True)
+def _complete(
+    n, to, outcome, first, by_unit, message_of, transmitter, unit, hop, start_ns, end_ns, own_ns, n_segments
+):  # fmt: skip
+    at = np.zeros(n + 1, np.int64)
+    for row in range(len(outcome)):
+        at[to[row] + 1] += outcome[row] == _RECEIVED
+    for r in range(n):
+        at[r + 1] += at[r]
+    got = np.empty(at[n], np.int32)  # frames by receiver, unit
+    put = at[:-1].copy()
+    for f in by_unit:
+        for row in range(first[f], first[f + 1]):
+            if outcome[row] == _RECEIVED:
+                r = to[row]
+                got[put[r]] = f
+                put[r] += 1
+    receiver, message, hops = np.empty(len(got), np.int64), np.empty(len(got), np.int64), np.empty(len(got), np.int32)
+    times_ns = np.empty((3, len(got)), np.int64)  # generation; from there to the last own frame, and to reception
+    m = n_duplicate = 0
+    for r in range(n):
+        k = at[r]
+        while k < at[r + 1]:
+            s, n_received, hop_of, access_ns, last_ns = message_of[got[k]], 0, 0, 0, 0
+            while k < at[r + 1] and message_of[got[k]] == s:
+                best = got[k]
+                k += 1
+                while k < at[r + 1] and unit[got[k]] == unit[best]:
+                    f = got[k]
+                    if end_ns[f] < end_ns[best] or (end_ns[f] == end_ns[best] and transmitter[f] < transmitter[best]):
+                        best = f
+                    n_duplicate += 1
+                    k += 1
+                u = unit[best]
+                n_received += 1
+                hop_of = max(hop_of, hop[best])
+                access_ns = max(access_ns, start_ns[u] - own_ns[u])
+                last_ns = max(last_ns, end_ns[best] - own_ns[u])
+            if n_received == n_segments[s]:
+                receiver[m], message[m], hops[m] = r, s, hop_of
+                times_ns[0, m], times_ns[1, m], times_ns[2, m] = own_ns[u], access_ns, last_ns
+                m += 1
+    return m, n_duplicate, receiver, message, hops, times_ns

@@ -1,0 +1,17 @@
+"""Segments of messages longer than one frame."""
+
+import numpy as np
+from jaxtyping import Int
+from numpy import ndarray
+
+FRAME_BYTES = 1398
+"""Longest payload of one frame: GeoNetworking's itsGnMaxSduSize [B]."""
+ENVELOPE_BYTES = 44 + 96 + 37 + 9
+"""GeoNetworking and BTP, signature and digest, header, sensor: repeated in each segment of a long message [B]."""
+
+
+def segments(length_bytes: Int[ndarray, "n"]) -> tuple[Int[ndarray, "n"], Int[ndarray, "n"]]:
+    """Number of frames of each message, and length of each of them [B]; every segment is signed on its own."""
+    n = np.where(length_bytes <= FRAME_BYTES, 1, -(-(length_bytes - ENVELOPE_BYTES) // (FRAME_BYTES - ENVELOPE_BYTES)))
+    each = ENVELOPE_BYTES - (ENVELOPE_BYTES - length_bytes) // n
+    return n, np.where(n == 1, length_bytes, each)

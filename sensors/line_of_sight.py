@@ -1,0 +1,250 @@
+"""Line of sight between points: by buildings, exactly or remembered, and by the bodies of actors.
+
+The one index of buildings for straight lines: the radio's lines of sight and those of encounters come from here.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Bool, Float, Int, UInt8
+from numpy import ndarray
+from scipy.ndimage import distance_transform_cdt
+
+from sensors import line_of_sight_kernels as kernels
+from sensors.boxes import Boxes
+from sensors.line_of_sight_kernels import FilledCells, Grid, Walls
+from sensors.near import near
+from sensors.scene import Buildings, prisms
+
+
+@dataclass(frozen=True, slots=True)
+class WallIndex:
+    """The walls of a scene's buildings in a grid, for straight lines between points. Made by `WallIndex.of`.
+
+    A wall blocks from its base to its top. A point inside a building has no line of sight to any other.
+    """
+
+    grid: Grid
+    walls: Walls
+    solid: UInt8[ndarray, "nx ny 2"]
+    """Base and top of the building that fills each cell, as `_level`; base above top if none."""
+    _filled: dict[tuple[int, int], FilledCells] = field(default_factory=dict, repr=False, compare=False)
+
+    @staticmethod
+    def of(buildings: Buildings, cell_m: float = 4.0) -> WallIndex:
+        """Index the buildings of a scene with cells of this width."""
+        if not cell_m > 0:
+            raise ValueError(f"cell_m = {cell_m} m must be positive.")
+        count = np.diff(buildings.ptr)
+        ends = [buildings.ax_m, buildings.ay_m, buildings.bx_m, buildings.by_m]
+        heights = [np.repeat(z, count) for z in (buildings.base_m, buildings.top_m)]
+        walls = Walls(np.column_stack([*ends, *heights]), buildings.ptr, buildings.base_m, buildings.top_m)
+        corner = walls.segment[:, :4].reshape(-1, 2)
+        low = corner.min(0) - cell_m if len(corner) else np.zeros(2)
+        high = corner.max(0) + cell_m if len(corner) else np.ones(2)
+        nx, ny = (int(k) for k in np.ceil((high - low) / cell_m))
+        ptr, wall = kernels.by_cell(low, cell_m, (nx, ny), walls.segment[:, :2], walls.segment[:, 2:4])
+        empty = (np.diff(ptr) == 0).reshape(nx, ny)
+        step = np.full((nx, ny), 255)
+        if not empty.all():
+            step = np.minimum(distance_transform_cdt(empty, "chessboard"), 255)
+        by_cell = _buildings_by_cell(low, cell_m, nx, ny, walls)
+        grid = Grid(low, float(cell_m), step.astype(np.uint8), ptr, wall, *by_cell)
+        solid = np.tile(np.array([1, 0], np.uint8), (nx, ny, 1))
+        index = WallIndex(grid, walls, solid)
+        i, j = np.nonzero(empty)
+        middle = np.column_stack([low[0] + (i + 0.5) * cell_m, low[1] + (j + 0.5) * cell_m, np.full(len(i), np.nan)])
+        owner = kernels.building_at(middle, grid, walls)
+        i, j, owner = i[owner >= 0], j[owner >= 0], owner[owner >= 0]
+        # Rounded inwards: slightly less is filled.
+        solid[i, j, 0] = np.ceil(index._level(walls.base_m[owner]) - 1e-9)
+        solid[i, j, 1] = np.floor(index._level(walls.top_m[owner]) + 1e-9)
+        return index
+
+    def _level(self, z_m: ndarray) -> ndarray:
+        """Heights in steps of 1/254 of the range from the lowest base to the highest top."""
+        zero_m = float(self.walls.base_m.min(initial=0.0))
+        return (z_m - zero_m) * 254 / max(float(self.walls.top_m.max(initial=1.0)) - zero_m, 1.0)
+
+    def filled(self, z_m: Float[ndarray, "n"]) -> FilledCells:
+        """Cells that block every line between points of these heights."""
+        level = self._level(np.asarray(z_m, float))
+        low, high = int(np.floor(level.min(initial=254.0))), int(np.ceil(level.max(initial=0.0)))
+        if (low, high) not in self._filled:
+            if len(self._filled) >= 16:
+                self._filled.clear()
+            base, top = self.solid[:, :, 0], self.solid[:, :, 1]
+            bits = np.packbits((base <= low) & (top >= high) & (top > 0), bitorder="little")
+            self._filled[low, high] = FilledCells(bits, *self.solid.shape[:2])
+        return self._filled[low, high]
+
+    def cells(self, xyz_m: Float[ndarray, "n 3"]) -> Float[ndarray, "n 2"]:
+        """Positions of points on the grid, in cells."""
+        return (xyz_m[:, :2] - self.grid.low) * (1.0 / self.grid.cell_m)
+
+    def crosses_filled(
+        self, xyz_m: Float[ndarray, "n 3"], a: Int[ndarray, "m"], b: Int[ndarray, "m"]
+    ) -> Bool[ndarray, "m"]:
+        """Lines for which a few samples suffice to show that a building cuts them."""
+        out = np.empty(len(a), np.bool_)
+        kernels.probe(self.cells(xyz_m), a, b, self.filled(xyz_m[:, 2]), out)
+        return out
+
+    def indoors(self, xyz_m: Float[ndarray, "n 3"]) -> Bool[ndarray, "n"]:
+        """Which points lie inside a building."""
+        return kernels.building_at(np.ascontiguousarray(xyz_m, float), self.grid, self.walls) >= 0
+
+    def has_los(self, xyz_m: Float[ndarray, "n 3"], a: Int[ndarray, "m"], b: Int[ndarray, "m"]) -> Bool[ndarray, "m"]:
+        """Which of the lines between points `a` and `b` (rows) no building cuts; exact."""
+        xyz_m = np.ascontiguousarray(xyz_m, float)
+        out = np.empty(len(a), np.bool_)
+        blocked = self.crosses_filled(xyz_m, a, b)
+        kernels.has_los(xyz_m, self.indoors(xyz_m), a, b, blocked, self.grid, self.walls.segment, out)
+        return out
+
+    def walls_crossed(
+        self, xyz_m: Float[ndarray, "n 3"], a: Int[ndarray, "m"], b: Int[ndarray, "m"]
+    ) -> tuple[Int[ndarray, "m"], Float[ndarray, "m"]]:
+        """Number of walls that the lines between points `a` and `b` cross, and their length inside buildings [m].
+
+        Independent of the order of the ends, for a point on a wall too: lines are followed from their western end.
+
+        Notes
+        -----
+        Deviations: a line that enters or leaves through a roof counts as inside only between walls.
+        """
+        xyz_m = np.ascontiguousarray(xyz_m, float)
+        x, y = xyz_m[:, 0], xyz_m[:, 1]
+        back = (x[a] > x[b]) | ((x[a] == x[b]) & (y[a] > y[b]))
+        a, b = np.where(back, b, a), np.where(back, a, b)
+        n_walls, inside = np.zeros(len(a), np.int64), np.zeros(len(a))
+        kernels.walls_crossed(xyz_m, a, b, self.grid, self.walls.segment, n_walls, inside)
+        inside += self.indoors(xyz_m)[b]
+        length_m = np.hypot(*(xyz_m[a, :2] - xyz_m[b, :2]).T)
+        return n_walls, np.clip(inside, 0, 1) * length_m
+
+
+def _buildings_by_cell(low: ndarray, cell_m: float, nx: int, ny: int, walls: Walls) -> tuple[ndarray, ndarray]:
+    """Buildings by the cells that their bounding box touches, compressed rows."""
+    cells, ids = [], []
+    for k in range(len(walls.ptr) - 1):
+        corner = walls.segment[walls.ptr[k] : walls.ptr[k + 1], :4].reshape(-1, 2)
+        if len(corner) == 0:
+            continue
+        i0, j0 = ((corner.min(0) - low) // cell_m).astype(int)
+        i1, j1 = ((corner.max(0) - low) // cell_m).astype(int)
+        i, j = np.meshgrid(np.arange(i0, i1 + 1), np.arange(j0, j1 + 1), indexing="ij")
+        cells.append((i * ny + j).ravel())
+        ids.append(np.full(i.size, k))
+    cell = np.concatenate([*cells, np.zeros(0, np.int64)])
+    order = np.argsort(cell, kind="stable")
+    ptr = np.searchsorted(cell[order], np.arange(nx * ny + 1))
+    return ptr.astype(np.int64), np.concatenate([*ids, np.zeros(0, np.int64)])[order].astype(np.int32)
+
+
+@dataclass(frozen=True, slots=True)
+class LosCache:
+    """Lines of sight by buildings between places, which are points rounded to a fine grid; answers are remembered.
+
+    The answer is a function of the two places alone: the memory has a fixed size, and an evicted answer is
+    computed again.
+    """
+
+    index: WallIndex
+    snap_m: float
+    """Width of a place [m]; heights are rounded to the same."""
+    memo: ndarray
+
+    @staticmethod
+    def of(index: WallIndex, snap_m: float = 0.5, n_remembered: int = 1 << 21) -> LosCache:
+        """A memory for at least `n_remembered` pairs."""
+        if not snap_m > 0:
+            raise ValueError(f"snap_m = {snap_m} m must be positive.")
+        return LosCache(index, snap_m, np.zeros(1 << max(n_remembered - 1, 255).bit_length(), np.uint64))
+
+    def snap(self, xyz_m: Float[ndarray, "n 3"]) -> Float[ndarray, "n 3"]:
+        """The places of these points."""
+        return self._cell(xyz_m) * self.snap_m + self._low
+
+    def has_los(
+        self, xyz_m: Float[ndarray, "n 3"], a: Int[ndarray, "m"], b: Int[ndarray, "m"],
+        blocked: Bool[ndarray, "m"] | None = None,
+    ) -> Bool[ndarray, "m"]:  # fmt: skip
+        """Which of the lines between the places of points `a` and `b` (rows) no building cuts.
+
+        Parameters
+        ----------
+        blocked
+            Lines that are known to be cut (`WallIndex.crosses_filled`); computed when not given.
+        """
+        cell, index = self._cell(xyz_m), self.index
+        xyz = cell * self.snap_m + self._low
+        if blocked is None:
+            blocked = index.crosses_filled(xyz, a, b)
+        out = np.empty(len(a), np.bool_)
+        kernels.has_los_cached(
+            xyz, index.indoors(xyz), _place(cell), a, b, blocked, index.grid, index.walls.segment, self.memo, out
+        )
+        return out
+
+    def walls_crossed(
+        self, xyz_m: Float[ndarray, "n 3"], a: Int[ndarray, "m"], b: Int[ndarray, "m"]
+    ) -> tuple[Int[ndarray, "m"], Float[ndarray, "m"]]:
+        """`WallIndex.walls_crossed` between the places of points `a` and `b`."""
+        return self.index.walls_crossed(self.snap(xyz_m), a, b)
+
+    @property
+    def _low(self) -> ndarray:
+        return np.array([*self.index.grid.low, 0.0])
+
+    def _cell(self, xyz_m: ndarray) -> ndarray:
+        cell = np.rint((np.asarray(xyz_m, float) - self._low) / self.snap_m)
+        if not np.all(np.abs(cell) < 1 << 24):
+            raise ValueError("an antenna lies too far from the buildings to be told apart. Check the coordinates.")
+        return cell.astype(np.int64)
+
+
+def _place(cell: Int[ndarray, "n 3"]) -> ndarray:
+    """63-bit key of a place: 25 bits each of x and y, 13 of height."""
+    x, y, z = (cell[:, k].astype(np.uint64) & np.uint64((1 << bits) - 1) for k, bits in ((0, 25), (1, 25), (2, 13)))
+    return (x << np.uint64(38)) | (y << np.uint64(13)) | z
+
+
+def los_between_actors(
+    los: WallIndex | LosCache,
+    boxes: Boxes,
+    shape: UInt8[ndarray, "n"],
+    a: Int[ndarray, "k"],
+    b: Int[ndarray, "k"],
+    above_roof_m: float = 0.23,
+    bodies: bool = True,
+) -> Bool[ndarray, "k"]:
+    """Whether there is line of sight between points above the roofs of actors a[k] and b[k].
+
+    Parameters
+    ----------
+    above_roof_m
+        Height of both ends over the centre of the roof [m].
+    bodies
+        Whether the bodies of third actors block too, besides the buildings.
+    """
+    a, b = np.asarray(a, dtype=np.int64), np.asarray(b, dtype=np.int64)
+    if len(a) == 0:
+        return np.zeros(0, bool)
+    roof_m = boxes.xyz_m[:, 2] + 0.5 * boxes.lwh_m[:, 2]
+    top = boxes.xyz_m.copy()
+    top[:, 2] = roof_m + above_roof_m
+    clear = los.has_los(top, a, b)
+    if not bodies or not clear.any():
+        return clear
+    line = np.flatnonzero(clear)
+    a, b = a[line], b[line]
+    start, end = top[a], top[b]
+    tall = np.flatnonzero(roof_m > min(start[:, 2].min(), end[:, 2].min()))
+    places, place = np.unique(a, return_inverse=True)
+    longest_m = float(np.hypot(end[:, 0] - start[:, 0], end[:, 1] - start[:, 1]).max())
+    ptr, row = near(top[places], boxes.take(tall), longest_m)
+    clear[line] = ~kernels.cut_by_body(start, end, a, b, place, ptr, tall[row], prisms(shape, boxes))
+    return clear

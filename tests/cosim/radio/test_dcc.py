@@ -1,0 +1,53 @@
+import numpy as np
+import pytest
+
+from cosim.radio.dcc import STATES, DccParams, DccState, gap_ns, update
+
+KEY = np.array([7, 3, 5], np.uint64)
+
+
+def after(busy, periods, params=None, control=None):
+    params, control = params or DccParams(), control or DccState.start()
+    for _ in range(periods):
+        control = update(control, KEY, np.asarray(busy, float), params)
+    return control
+
+
+def test_the_table():
+    # Long after, the smoothed ratio is the ratio: each band has its state.
+    for busy, level, ms in (
+        (0.1, 0, 50),
+        (0.31, 1, 100),
+        (0.35, 1, 100),
+        (0.45, 2, 200),
+        (0.6, 3, 250),
+        (0.9, 4, 1000),
+    ):
+        control = after([busy] * 3, 60)
+        assert STATES[control.of(KEY).level[0]] == STATES[level]
+        assert gap_ns(control, KEY, DccParams()).tolist() == [ms * 1_000_000] * 3
+
+
+def test_one_step_per_period_on_a_running_mean():
+    # From 0, busy 1: mean .5, .75, .875, ...: wanted 3, 4, 4, 4; reached 1, 2, 3, 4.
+    assert [after([1.0] * 3, k).level[0] for k in range(1, 6)] == [1, 2, 3, 4, 4]
+    assert after([1.0] * 3, 2).cbr == pytest.approx([0.75] * 3)
+    # And back: mean .5, .25, .125 from 1.
+    full = after([1.0] * 3, 40)
+    assert [after([0.0] * 3, k, control=full).level[0] for k in range(1, 6)] == [3, 2, 1, 0, 0]
+
+
+def test_radios_are_known_by_key():
+    control = after([0.9, 0.1, 0.45], 60)
+    assert sorted(control.key.tolist()) == [3, 5, 7]
+    assert control.of(np.array([5, 8, 7], np.uint64)).level.tolist() == [2, 0, 4]  # 8 is new
+    assert not gap_ns(control, KEY, DccParams(enabled=False)).any()
+
+
+def test_faults_are_named():
+    with pytest.raises(ValueError, match="cbr_bounds"):
+        DccParams(cbr_bounds=(0.5, 0.4, 0.6, 0.7))
+    with pytest.raises(ValueError, match="t_off_s"):
+        DccParams(t_off_s=(0.1, 0.05, 0.2, 0.3, 1.0))
+    with pytest.raises(ValueError, match="busy ratios"):
+        update(DccState.start(), KEY, np.array([0.1, 1.2, 0.3]), DccParams())
