@@ -87,7 +87,11 @@ class State:
         round_s = config.radio.round_s(config.sensing_interval_s)
         medium = MEDIA[config.radio.model](config.radio, round_s, config.seed, los)
         return State(
-            medium, sites, los, round_s, medium.start(),
+            medium,
+            sites,
+            los,
+            round_s,
+            medium.start(),
             ledger=Ledger(config.trust, config.traffic.step_s),
             uplink=Uplink(config.server, config.seed, config.sensing_interval_s),
             downlink=Downlink(config.server, config.seed),

@@ -32,8 +32,8 @@ ONE_WINDOW = {
 }
 """Libraries that one file alone may know."""
 
-ORDER = ("rng", "world", "roster", "mobility", "v2x", "truth", "config", "manifest", "cycle", "scenario", "resweep",
-         "calibrate", "recording", "run", "reproduce", "bench", "screen", "nets", "cli", "__main__")  # fmt: skip
+ORDER = ("rng", "ragged", "world", "roster", "mobility", "radio", "v2x", "truth", "config", "manifest", "cycle", "scenario",
+         "resweep", "calibrate", "recording", "run", "reproduce", "bench", "screen", "nets", "cli", "__main__")  # fmt: skip
 """Inside the hall: each may use those before it."""
 
 
@@ -88,6 +88,18 @@ def test_order_inside_the_hall():
         me, other = path.parts[1].removesuffix(".py"), parts[1]
         if me not in ("__init__", other) and ORDER.index(other) >= ORDER.index(me):
             wrong.append(f"{path} imports {module}")
+    assert not wrong
+
+
+def test_the_radio_carries_messages_without_their_content():
+    """It knows stations, lengths and times: neither vehicles nor messages, trust, attacks or tables."""
+    known = {"cosim.rng", "cosim.ragged", "cosim.radio", "cosim"}
+    wrong = [
+        f"{path} imports {module}" for path, module in EDGES
+        if path.parts[:2] == ("cosim", "radio")
+        and (module.split(".")[0] in ("trust", "results", "sumo_nets")
+             or (module.split(".")[0] == "cosim" and ".".join(module.split(".")[:2]) not in known))
+    ]  # fmt: skip
     assert not wrong
 
 

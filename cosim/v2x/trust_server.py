@@ -93,9 +93,7 @@ class Uplink:
         rng_key = rng.key(self.seed, rng.Stream.UPLINK, told.step)
         length = np.where(n > 0, report_bytes(n) + cellular.HEADER_BYTES, 0)
         delay_s = transfer_delay_s(rng_key, key, p.uplink_loss_p, p.n_retries, p)
-        taken = within_capacity(
-            xy_m, length, rng.keys(rng_key, key), p.cell_up_bytes_per_s * self.interval_s, p.cell_m
-        )
+        taken = within_capacity(xy_m, length, rng.keys(rng_key, key), p.cell_up_bytes_per_s * self.interval_s, p.cell_m)
         out = np.full(len(n), bool(self.params.is_out(time_s)))
         return self._send(told, time_s + delay_s, ~taken & ~out, out, int(length.sum()))
 

@@ -192,7 +192,10 @@ def test_los_between_actors_equals_shapely(seed):
     assert len(los_between_actors(index, Boxes.concat([]), none.astype(np.uint8), none, none)) == 0
     turn, shift = rng.uniform(-4, 4), np.append(rng.uniform(-5000, 5000, 2), 7.0)
     there = to_scene(tall.footprints, np.full(n, 7.0), np.full(n, 57.0), turn, shift[:2])
-    assert np.mean(los_between_actors(WallIndex.of(there.buildings), moved(boxes, turn, shift), shape, a, b) != seen) < 2e-3
+    assert (
+        np.mean(los_between_actors(WallIndex.of(there.buildings), moved(boxes, turn, shift), shape, a, b) != seen)
+        < 2e-3
+    )
 
 
 def test_los_between_actors_by_hand():
@@ -204,7 +207,9 @@ def test_los_between_actors_by_hand():
     def sees(middle, code, low=None, high=None, ring=((18, -5), (22, -5), (22, 5), (18, 5))):
         boxes = Boxes.concat([*ends, middle])
         scene = Scene.empty() if low is None else Scene.from_footprints([[ring]], [low], [high])
-        return bool(los_between_actors(WallIndex.of(scene.buildings), boxes, np.array([0, 0, code], np.uint8), [0], [1])[0])
+        return bool(
+            los_between_actors(WallIndex.of(scene.buildings), boxes, np.array([0, 0, code], np.uint8), [0], [1])[0]
+        )
 
     aside = car(20, 30)
     assert sees(car(20, 0), 0) and not sees(bus, 3)

@@ -96,7 +96,10 @@ def test_a_wall_never_brings_more_power():
 
 
 def test_without_los_the_interference_range_is_shorter():
-    xyz, params = scatter(200, 600.0), PropagationParams(**PLAIN, interference_range_m=500.0, interference_range_nlos_m=100.0)
+    xyz, params = (
+        scatter(200, 600.0),
+        PropagationParams(**PLAIN, interference_range_m=500.0, interference_range_nlos_m=100.0),
+    )
     square = np.array([[0.0, 0.0], [40.0, 0.0], [40.0, 40.0], [0.0, 40.0]])
     los = los_of(*(square + np.array([x, y]) for x in (100, 300) for y in (50, 350)))
     found = pairs(xyz, params, ONE, los)

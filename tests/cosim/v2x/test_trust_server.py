@@ -154,8 +154,8 @@ def test_roadside_units_transmit_a_broadcast_once():
 def test_a_newer_broadcast_replaces_an_older_one_that_arrives_late():
     p = ServerParams(cellular=CellularParams(downlink_loss_p=0.0))
     down, me = Downlink(p, 3), np.array([0])
-    stats = down.publish(broadcast(0.0, 0.1), 0, me, keys(1))
-    stats = down.publish(broadcast(1e-3, 0.9), 1, me, keys(1))
+    down.publish(broadcast(0.0, 0.1), 0, me, keys(1))
+    down.publish(broadcast(1e-3, 0.9), 1, me, keys(1))
     seen = [float(down.lookup(me, me, t)[0][0]) for t in np.linspace(0, 3, 200)]
     last = seen.index(0.9)
     assert set(seen[last:]) == {0.9}
