@@ -97,7 +97,9 @@ class State:
     def consume(self) -> "State":
         """The state to go on with; RuntimeError where another step went on from this one already."""
         if self.is_consumed:
-            raise RuntimeError("this state was consumed by an earlier step; go on from a copy made before: state.copy()")
+            raise RuntimeError(
+                "this state was consumed by an earlier step: go on from a copy made before, state.copy()"
+            )
         self.is_consumed = True
         return replace(self, is_consumed=False)
 
@@ -189,7 +191,9 @@ def step(world: World, state: State, parts: Parts) -> tuple[State, StepResult]:
         observed = parts.perception.detect(world, vehicles.row, sweeps)
     with watch("attack"):
         listed = _listed(parts.adversary.detections(observed.detections, world, time_s), world, s, c, time_s)
-        truth = ground_truth_of(listed, world, observed.observability, vehicles.row, observed.is_real, observed.actor_row)
+        truth = ground_truth_of(
+            listed, world, observed.observability, vehicles.row, observed.is_real, observed.actor_row
+        )
         detections, ptr = object_lists.for_trust(listed, vehicles.row)
 
     with watch("radio"):
@@ -271,9 +275,7 @@ def step(world: World, state: State, parts: Parts) -> tuple[State, StepResult]:
             for tracker, happened, received, pairs in zip(s.inter_reception, rounds, between, in_range, strict=True)
         ]
         base = lookups[parts.trust.host_of[0]]
-        count_in_encounters(
-            s.encounters, rounds, between, used, base.source, lists, detections.message, vehicles.actor
-        )
+        count_in_encounters(s.encounters, rounds, between, used, base.source, lists, detections.message, vehicles.actor)
     server = ServerTraffic(up, *informed) if c.trust.host == "central" else None
     return s, StepResult(world, closed, ended, Sensed(
         vehicles, observed, listed, truth, detections, rounds, (links_1, links_2), lists, reported, n_points,

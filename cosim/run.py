@@ -128,9 +128,7 @@ def _drive(
     state = State.start(parts)
     variants = [variant.name for variant in parts.trust.variants]
     n_on_road, ended = 0, ""
-    with Recorder(
-        manifest.folder, config.record.level, config.record.block_steps, variants=variants
-    ) as recorder:
+    with Recorder(manifest.folder, config.record.level, config.record.block_steps, variants=variants) as recorder:
         for number in range(config.n_steps):
             with watch("traffic"):
                 try:
@@ -166,9 +164,7 @@ def _drive(
     }
 
 
-def _warm_up(
-    config: Config, scenario: Scenario, traffic: TrafficSource, watch: Stopwatch, advance: Advance
-) -> None:
+def _warm_up(config: Config, scenario: Scenario, traffic: TrafficSource, watch: Stopwatch, advance: Advance) -> None:
     warmup_s = scenario.warmup_s if config.traffic.warmup_s is None else config.traffic.warmup_s
     with watch("warm-up"):
         try:

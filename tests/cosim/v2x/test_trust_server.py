@@ -7,7 +7,6 @@ from cosim import rng
 from cosim.radio.message_round import Receptions
 from cosim.v2x.cellular import CellularParams, delay_s, transfer_delay_s, within_capacity
 from cosim.v2x.trust_server import Downlink, LinkStats, ServerParams, TrustBroadcast, Uplink
-from trust.tables import Told
 
 CHANCE = rng.key(3, rng.Stream.UPLINK, 1)
 
@@ -26,7 +25,9 @@ def told(n, step=0, verdicts=2):
 def heard(receiver, sender, received_s):
     n, received_s = len(sender), np.asarray(received_s, float)
     zero = np.zeros(n)
-    return Receptions(np.asarray(receiver), np.asarray(sender), np.ones(n, int), received_s / 2, zero, received_s / 2, zero)
+    return Receptions(
+        np.asarray(receiver), np.asarray(sender), np.ones(n, int), received_s / 2, zero, received_s / 2, zero
+    )
 
 
 def test_delays_have_their_minimum_and_mean():
