@@ -1,6 +1,6 @@
 """From the result of a step to the rows of the run's tables; it asks nothing of the simulation."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from jaxtyping import Bool, Int, UInt8
@@ -115,7 +115,7 @@ def _channel(recorder: Recorder, at: int, sensed: Sensed) -> None:
     ))  # fmt: skip
 
 
-def _of(message_type: MessageType, rows: dict[str, ndarray | None]) -> dict[str, ndarray | None]:
+def _of(message_type: MessageType, rows: Mapping[str, ndarray | None]) -> dict[str, ndarray | None]:
     n = next(len(values) for values in rows.values() if values is not None)
     return {"message_type": np.full(n, message_type), **rows}
 

@@ -142,7 +142,10 @@ def _drive(
             with watch("record"):
                 recording.step(recorder, happened, config.traffic.step_s)
             if len(happened.commands):
-                traffic.command(happened.commands)
+                raise ValueError(
+                    f"driver.model = {config.driver.model}: it commands speeds, which this traffic does not take. "
+                    "Choose a driver that commands none."
+                )
             n_on_road += int((world.shape != Shape.PEDESTRIAN).sum())
             manifest.steps = number + 1
             advance("run", number + 1, config.n_steps, f"steps, {len(world)} actors")
