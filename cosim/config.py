@@ -150,7 +150,7 @@ class Config:
     @property
     def timeout_s(self) -> float:
         """Length of one round of messages [s]."""
-        return 0.4 * self.sensing_interval_s if self.radio.timeout_s is None else self.radio.timeout_s
+        return self.radio.round_s(self.sensing_interval_s)
 
     def to_dict(self) -> dict[str, Any]:
         """The resolved experiment as plain data, as a config file states it."""

@@ -112,6 +112,7 @@ def _least_s(work: Callable[[], object], runs: int) -> float:
 def _measure(scene, boxes, shape, observers, runs) -> list[tuple[str, float, str]]:
     keys = np.arange(len(observers), dtype=np.uint64)
     clean = LidarParams(range_sigma_m=0.0)
+    walls = WallIndex.of(scene.buildings)
     sweeps = scan(boxes, shape, observers, scene, clean, keys)
     rays = sweeps.range_m.size
     columnar = _least_s(lambda: scan(boxes, shape, observers, scene, clean, keys, sweeps), runs)
