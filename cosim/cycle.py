@@ -74,9 +74,7 @@ class State:
     def consume(self) -> "State":
         """The state to go on with; RuntimeError where another step went on from this one already."""
         if self.is_consumed:
-            raise RuntimeError(
-                "this state was consumed by an earlier step: go on from a copy made before"
-            )
+            raise RuntimeError("this state was consumed by an earlier step: go on from a copy made before")
         self.is_consumed = True
         return replace(self, is_consumed=False)
 
