@@ -157,17 +157,12 @@ def test_evaluations_as_the_published_code():
     sensed, worst = frame(), 0.0
     detector = ScriptedScene.load().detector
     first = np.searchsorted(detector.observer, detector.observer)
-    index_of = {  # detection index in the reference, by observer and detected actor; 0 is the self report
-        (int(o), int(a)): int(k) for o, a, k in zip(detector.observer, detector.actor,
-                                                   1 + np.arange(len(first)) - first, strict=True)
-    }  # fmt: skip
+    index = 1 + np.arange(len(first)) - first  # in the reference, in the order of the scene; 0 is the self report
+    index_of = dict(zip(zip(detector.observer.tolist(), detector.actor.tolist(), strict=True), index, strict=True))
     listed, lists, reported = sensed.listed, sensed.lists, sensed.reported
-    actor = sensed.truth.actor_row
+    observer, actor = listed.observer.tolist(), sensed.truth.actor_row.tolist()
     ours = {
-        (int(lists.owner[v]), int(listed.observer[d]), index_of.get((int(listed.observer[d]), int(actor[d])), 0)): (
-            e,
-            phi,
-        )
+        (int(lists.owner[v]), observer[d], index_of.get((observer[d], actor[d]), 0)): (e, phi)
         for v, d, e, phi in zip(lists.of_member(), lists.member, reported.evaluation, reported.visibility, strict=True)
         if listed.origin[d] != FABRICATED
     }
