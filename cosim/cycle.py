@@ -87,7 +87,9 @@ class State:
     def start(parts: Parts) -> "State":
         """Before the first step."""
         c = parts.config
-        encounters = EncounterTrackers(c.encounters, c.traffic.step_s, c.lidar.mount_above_roof_m)
+        encounters = EncounterTrackers(
+            c.encounters, c.traffic.step_s, c.lidar.mount_above_roof_m, len(parts.trust.variants)
+        )
         return State(parts.medium.start(), parts.trust.start(), encounters)
 
     def copy(self) -> "State":
@@ -147,8 +149,8 @@ class Sensed:
     """Per trust variant; None where it was not asked for."""
     published: list[TrustScores | None]
     """Per trust variant: what its server computed in this step."""
-    server: ServerTraffic | None
-    """None where the acting trust does not live on a server."""
+    server: list[ServerTraffic | None]
+    """Per trust variant; None where its trust does not live on a server."""
     in_range: list[tuple[Int[ndarray, "p"], Int[ndarray, "p"]]]
     """Per round: senders and the vehicles within range of them; rows of `vehicles`."""
     inter_reception: list[Rows]
@@ -241,7 +243,7 @@ def step(world: World, state: State, parts: Parts) -> tuple[State, StepResult]:
             s.trust, up = parts.trust.report_by_cellular(s.trust, sent, vehicles.name_key, xy_m, evaluated_s)
         if broadcast is not None:
             down = links_2.downlink
-            s.trust, informed = parts.trust.receive_from_rsu(
+            s.trust, informed[parts.trust.host_of[0]] = parts.trust.receive_from_rsu(
                 s.trust, vehicles.actor, down.receiver, evaluated_s + down.received_s
             )
         used, now_s = links.vehicles, evaluated_s + c.timeout_s
@@ -270,15 +272,16 @@ def step(world: World, state: State, parts: Parts) -> tuple[State, StepResult]:
             track_receptions(tracker, world.step, happened, received, pairs, vehicles.actor)
             for tracker, happened, received, pairs in zip(s.inter_reception, rounds, between, in_range, strict=True)
         ]
-        base = lookups[parts.trust.host_of[0]]
-        count_in_encounters(
-            s.encounters, rounds, between, used, base.source, lists, detections.message, vehicles.actor
-        )
-    server = ServerTraffic(up, *informed) if c.trust.host == "central" else None
+        sources = np.stack([found.source for found in _per_variant(lookups, parts)], axis=1)
+        count_in_encounters(s.encounters, rounds, between, used, sources, lists, detections.message, vehicles.actor)
+    server = [
+        ServerTraffic(up, *counts) if params.host == "central" else None
+        for params, counts in zip(parts.trust.params, informed, strict=True)
+    ]
     return s, StepResult(world, closed, ended, Sensed(
         vehicles, observed, listed, truth, detections, rounds, (links_1, links_2), lists, reported, n_points,
         plausible, groups.ego_detected, used, _per_variant(lookups, parts), fused, _per_variant(published, parts),
-        server, in_range, inter_reception,
+        _per_variant(server, parts), in_range, inter_reception,
     ), commands)  # fmt: skip
 
 
@@ -296,8 +299,9 @@ def _encounters(world: World, s: State, parts: Parts, vehicles: Vehicles, time_s
     """Who is near whom, and what they know of each other when they meet."""
     closed, holder, other = s.encounters.update(world, parts.walls)
     s.trust = parts.trust.receive(s.trust, vehicles.actor, time_s)
-    known = parts.trust.lookup(s.trust, holder, s.pseudonyms.of(other), time_s)[parts.trust.host_of[0]]
-    s.encounters.first_contact(holder, other, known.trust, known.source, known.age_s)
+    known = _per_variant(parts.trust.lookup(s.trust, holder, s.pseudonyms.of(other), time_s), parts)
+    columns = ([getattr(found, name) for found in known] for name in ("trust", "source", "age_s"))
+    s.encounters.first_contact(holder, other, *(np.stack(column, axis=1) for column in columns))
     return closed
 
 
