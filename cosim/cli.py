@@ -10,8 +10,8 @@ from rich.box import SIMPLE
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
+from cosim.console import notes, print_json, print_metrics, print_run_summary, rows_of, screen, table_of
 from cosim.nets import nets
-from cosim.console import conclude, notes, print_json, rows_of, screen, table_of
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -25,9 +25,9 @@ ConfigPath = Annotated[Path | None, typer.Argument(help="TOML file; without one,
 Overrides = Annotated[
     list[str] | None, typer.Option("--set", help="Change one key, e.g. radio.range_m=150. Repeatable.")
 ]
-AsJson = Annotated[bool, typer.Option("--json", help="Answer in JSON on standard output.")]
+AsJson = Annotated[bool, typer.Option("--json", help="Print JSON on standard output.")]
 RunPaths = Annotated[list[Path], typer.Argument(help="Folders that `cosim run` wrote.")]
-Picture = Literal["trust", "liars", "encounters", "freshness", "radio", "detection", "map", "contacts", "sweep"]
+Picture = Literal["trust", "misbehaviour", "encounters", "freshness", "radio", "detection", "map", "contacts", "sweep"]
 
 
 @app.command()
@@ -37,7 +37,7 @@ def run(
     out: Annotated[Path | None, typer.Option(help="Folder to write; by default the next runs/<city>-N.")] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Drive, sense, talk and trust; write a run folder."""
+    """Simulate traffic, sensors, messages and trust; write a run folder."""
     from cosim import run as running
     from cosim.config import load
 
@@ -55,14 +55,14 @@ def run(
             bar.update(tasks[phase], completed=done, note=note)  # type: ignore[arg-type]
 
         folder = running.run(experiment, out, advance)
-    conclude(folder, as_json)
+    print_run_summary(folder, as_json)
     for remark in running.remarks(folder):
         notes.print(remark, highlight=False, markup=False, soft_wrap=True)
 
 
 @app.command()
 def check(config: ConfigPath = None, overrides: Overrides = None, as_json: AsJson = False) -> None:
-    """Say whether a config would run, and print it resolved."""
+    """Check whether a config would run, and print it resolved."""
     import tomli_w
 
     from cosim import run as running
@@ -78,17 +78,27 @@ def check(config: ConfigPath = None, overrides: Overrides = None, as_json: AsJso
 
 @app.command()
 def measure(
-    runs: RunPaths,
+    runs: Annotated[list[Path] | None, typer.Argument(help="Folders that `cosim run` wrote.")] = None,
+    explain: Annotated[bool, typer.Option("--explain", help="List all metrics with their definitions.")] = False,
+    variant: Annotated[str, typer.Option(help="Trust variant of the runs.")] = "base",
     threshold: Annotated[float, typer.Option(min=0, max=1, help="Trust below which a vehicle is suspected.")] = 0.25,
     fresh_s: Annotated[float, typer.Option(help="Oldest age at which trust counts as fresh, in seconds.")] = 10.0,
-    false_positives: Annotated[float, typer.Option(min=0, max=1, help="Share of honest values suspected.")] = 0.05,
+    false_positives: Annotated[float, typer.Option(min=0, max=1, help="False positive rate to compare at.")] = 0.05,
     as_json: AsJson = False,
 ) -> None:
-    """Print the figures that every study needs."""
+    """Print the metrics of runs."""
+    if explain:
+        print_metrics(as_json)
+        return
+    if not runs:
+        raise ValueError("There is no run to measure. Name at least one run folder, or ask with --explain.")
     from results.archive import open_run
     from results.measure import measure as measured
 
-    tables = {str(folder): measured(open_run(folder), threshold, fresh_s, false_positives) for folder in runs}
+    tables = {
+        str(folder): measured(open_run(folder).as_variant(variant), threshold, fresh_s, false_positives)
+        for folder in runs
+    }
     if as_json:
         print_json({name: rows_of(table) for name, table in tables.items()})
         return
@@ -109,11 +119,11 @@ def plot(
     ] = None,
     step: Annotated[int | None, typer.Option(help="sweep: of which step.")] = None,
     over: Annotated[
-        str | None, typer.Option(help="freshness: hold the runs against this number, e.g. trust.freshness_s.")
+        str | None, typer.Option(help="freshness: draw the runs over this key of the config, e.g. trust.freshness_s.")
     ] = None,
     fresh_s: Annotated[float | None, typer.Option(help="freshness: oldest that is fresh, in seconds.")] = None,
     radius_m: Annotated[float | None, typer.Option(help="map, contacts: which of the radii, in metres.")] = None,
-    pairs: Annotated[str | None, typer.Option(help="map, contacts: which of the pairs recorded.")] = None,
+    pairs: Annotated[str | None, typer.Option(help="map, contacts: which of the kinds of pairs.")] = None,
 ) -> None:
     """Draw a figure of one or several runs."""
     from inspect import signature
@@ -161,7 +171,7 @@ def reproduce(
     out: Annotated[Path | None, typer.Option(help="Folder for the pictures; by default runs/<scenario>.")] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Play a scenario of the paper, and hold it against the paper."""
+    """Play a scenario of the paper, and compare it with the paper."""
     from cosim.reproduce import SCENARIOS
 
     folder = out or Path("runs") / scenario
@@ -169,15 +179,15 @@ def reproduce(
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ValueError(f"--out {folder} cannot be a folder: {error.strerror}. Give another one.") from None
-    answer = SCENARIOS[scenario](folder)
+    compared = SCENARIOS[scenario](folder)
     if as_json:
-        print_json({"scenario": scenario} | asdict(answer))
+        print_json({"scenario": scenario} | asdict(compared))
         return
-    table = Table(*answer.rows[0], title=scenario, title_justify="left", box=SIMPLE)
-    for row in answer.rows:
+    table = Table(*compared.rows[0], title=scenario, title_justify="left", box=SIMPLE)
+    for row in compared.rows:
         table.add_row(*("-" if v is None else f"{v:.3f}" if isinstance(v, float) else v for v in row.values()))
     screen.print(table)
-    for line in answer.notes + [f"drawn in {path}" for path in answer.pictures]:
+    for line in compared.notes + [f"drawn in {path}" for path in compared.pictures]:
         screen.print(line, highlight=False, soft_wrap=True)
 
 
@@ -192,7 +202,7 @@ def bench(
     if unknown := set(only or ()) - set(BENCHES):
         raise ValueError(f"cosim bench {' '.join(unknown)}: no such benchmark. There are {', '.join(BENCHES)}.")
     rows = [
-        {"topic": name, "figure": figure, "of": "", "value": value, "unit": unit}
+        {"metric": f"{name}.{figure}", "group": "", "value": value, "unit": unit, "label": ""}
         for name in only or BENCHES for figure, value, unit in run(name)
     ]  # fmt: skip
     if as_json:

@@ -1,15 +1,31 @@
-"""What the commands show: tables for people, JSON for machines."""
+"""What the commands print: tables and sentences for people, JSON for machines."""
 
 import json
 import sys
+from collections.abc import Callable, Mapping
+from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 from rich.box import SIMPLE
 from rich.console import Console
 from rich.table import Column, Table
+from rich.text import Text
 
 screen = Console()
 notes = Console(stderr=True)
+
+Get = Callable[[str], Mapping[str, float]]
+"""Values of a metric by group; empty where it has none."""
+
+SUMMARY_METRICS = (
+    "traffic.duration_s", "traffic.actors.mean", "traffic.equipped.n", "encounters.n",
+    "encounters.duration.km_median_s", "encounters.duration.km_mean_s", "trust.final.median", "misbehaviour.auc",
+    "misbehaviour.time_to_detection.median_s", "freshness.state.share", "freshness.age_at_use.mean_s",
+    "freshness.encounters_without_trust.share", "radio.pdr.all", "radio.pdr.cpm", "radio.pdr.evaluation",
+    "radio.cbr.mean", "radio.pir.mean_s",
+)  # fmt: skip
+"""Metrics that the closing summary of a run is made of."""
 
 
 def print_json(content: object) -> None:
@@ -17,75 +33,160 @@ def print_json(content: object) -> None:
     sys.stdout.write(json.dumps(content, indent=1, ensure_ascii=False, default=str) + "\n")
 
 
-def conclude(folder: Path, as_json: bool) -> None:
-    """What a researcher wants to know when a run ends, and its picture."""
+def print_run_summary(folder: Path, as_json: bool) -> None:
+    """What was driven and what came of it, in a few lines; the picture of trust over time is drawn beside."""
     from results.archive import open_run
     from results.figures import style
     from results.figures.catalogue import FIGURES
-    from results.measure import measure as measured
+    from results.measure import measure
 
-    finished = open_run(folder)
-    rows = rows_of(measured(finished, max_frames=200))
+    run = open_run(folder)
     try:
-        picture: Path | str = style.save(FIGURES["trust"]([finished]), folder / "trust.png")
+        picture = str(style.save(FIGURES["trust"]([run]), folder / "trust.png"))
     except ValueError as nothing_to_draw:
-        picture = f"(no picture) {nothing_to_draw}"
-    manifest = finished.manifest
+        picture = f"not drawn: {nothing_to_draw}"
+    manifest = run.manifest
     spent_s = sum(manifest["timings_s"].values())
-    simulated_s = manifest["steps"] * finished.dt_s
     if as_json:
-        print_json({"run": str(folder), "summary": manifest["summary"], "seconds": spent_s, "measures": rows})
+        measures = rows_of(measure(run, max_frames=200))
+        print_json({"run": str(folder), "summary": manifest["summary"], "seconds": spent_s, "measures": measures})
         return
-    screen.print(table_of(f"{folder}", rows, HEADLINES))
-    slow = sorted(manifest["timings_s"].items(), key=lambda item: -item[1])[:4]
-    screen.print(
-        f"{simulated_s:g} s of traffic in {spent_s:.1f} s ({_plain(simulated_s / spent_s)} times real time): "
-        + ", ".join(f"{stage} {s:.1f} s" for stage, s in slow) + ", ...",
-        highlight=False,
-    )  # fmt: skip
-    screen.print(f"tables and manifest in {folder}", highlight=False, soft_wrap=True)
-    screen.print(f"trust over time in {picture}", highlight=False, soft_wrap=True)
+    topics = tuple(dict.fromkeys(name.split(".")[0] for name in SUMMARY_METRICS))
+    frame = measure(run, topics=topics)
+    by_metric = {
+        str(name): dict(zip(one.group, one.value, strict=True)) for name, one in frame.groupby("metric", sort=False)
+    }
+
+    def get(metric: str) -> Mapping[str, float]:
+        assert metric in SUMMARY_METRICS, metric
+        return by_metric.get(metric, {})
+
+    speed = plain(manifest["steps"] * run.dt_s / spent_s)
+    lines = _summary(get, manifest.get("net", {}).get("name", "the network")) | {
+        "time": [f"{spent_s:.1f} s of computing, {speed} times real time"],
+        "tables": [str(folder)],
+        "picture": [picture],
+        "next": [f"cosim report {folder}   cosim measure {folder}   cosim plot radio {folder}"],
+    }
+    for name, sentences in lines.items():
+        for i, sentence in enumerate(sentences):
+            screen.print(Text.assemble((f"{name if i == 0 else '':<12}", "bold"), sentence), soft_wrap=True)
 
 
-HEADLINES = {
-    "traffic": ("",),
-    "encounters": ("encounters", "duration, mean by", "duration, median by"),
-    "trust": ("final trust, median",),
-    "liars": ("honest above liars", "suspected", "half are"),
-    "freshness": ("trust at use", "age at use, mean"),
-    "radio": ("messages", "delivery"),
-    "detection": ("awareness",),
-    "attack": ("",),
-}
-"""Of each topic, what the closing summary shows: figures that begin so."""
+def _summary(get: Get, city: str) -> dict[str, list[str]]:
+    """Sentences by topic."""
+    return {
+        "traffic": _traffic(get, city), "encounters": _encounters(get), "trust": _trust(get),
+        "freshness": _freshness(get), "radio": _radio(get),
+    }  # fmt: skip
 
 
-def rows_of(table) -> list[dict[str, object]]:
+def _traffic(get: Get, city: str) -> list[str]:
+    actors, roles = get("traffic.actors.mean"), get("traffic.equipped.n")
+    driven = f"{plain(get('traffic.duration_s')[''])} s of {city}: {plain(round(actors['all']))} actors on the road"
+    equipped = f"{plain(sum(roles.values()))} vehicles with LiDAR and radio: " + ", ".join(
+        f"{plain(n)} {role}" for role, n in roles.items()
+    )
+    return [f"{driven} on average", equipped if sum(roles.values()) else "no vehicle with LiDAR and radio"]
+
+
+def _encounters(get: Get) -> list[str]:
+    mean_s, median_s = get("encounters.duration.km_mean_s"), get("encounters.duration.km_median_s")
+    lines = []
+    for definition, n in get("encounters.n").items():
+        lasts = [
+            f"{name} {plain(of[definition])} s" for name, of in (("median", median_s), ("mean", mean_s))
+            if definition in of
+        ]  # fmt: skip
+        lines.append(f"{plain(n)} ({definition}); duration: {', '.join(lasts)}")
+    return lines or ["none: no two came within the radius of each other"]
+
+
+def _trust(get: Get) -> list[str]:
+    final = get("trust.final.median")
+    if not final:
+        return ["no trust was computed"]
+    lines = ["at the end, median by role (0 to 1): " + ", ".join(f"{role} {x:.2f}" for role, x in final.items())]
+    if auc := get("misbehaviour.auc"):
+        lines.append(
+            "honest vehicles trusted more in "
+            + ", ".join(f"{x:.0%} of comparisons with {role}" for role, x in auc.items())
+        )
+    for role, after_s in get("misbehaviour.time_to_detection.median_s").items():
+        since = "the first attack" if role == "honest" else "their first attack"
+        lines.append(f"half of the {role} ones suspected (trust below 0.25) within {plain(after_s)} s of {since}")
+    return lines
+
+
+def _freshness(get: Get) -> list[str]:
+    state, age_s = get("freshness.state.share"), get("freshness.age_at_use.mean_s")
+    if not state:
+        return ["no trust value was looked up"]
+    lines = [
+        f"trust values looked up: {state['fresh']:.0%} fresh (at most 10 s old), {state['stale']:.0%} stale, "
+        f"{state['default']:.0%} the default"
+        + "".join(f"; mean age {x:.1f} s ({source})" for source, x in age_s.items())
+    ]
+    for definition, share in get("freshness.encounters_without_trust.share").items():
+        lines.append(f"{share:.0%} of encounters ({definition}) over before one knew a trust value of the other")
+    return lines
+
+
+def _radio(get: Get) -> list[str]:
+    if "" not in get("radio.pdr.all"):
+        return ["nothing was sent within range of another vehicle"]
+    parts = [f"{get('radio.pdr.all')['']:.0%} of frames received by vehicles in range"]
+    by_type = [
+        f"{name} {get(metric)['']:.0%}"
+        for name, metric in (("CPM", "radio.pdr.cpm"), ("evaluations", "radio.pdr.evaluation")) if "" in get(metric)
+    ]  # fmt: skip
+    parts[0] += f" ({', '.join(by_type)})" if by_type else ""
+    if "" in get("radio.cbr.mean"):
+        parts.append(f"channel busy {get('radio.cbr.mean')['']:.1%} of the time")
+    if "" in get("radio.pir.mean_s"):
+        parts.append(f"{get('radio.pir.mean_s')['']:.1f} s between messages of a pair")
+    return ["; ".join(parts)]
+
+
+def print_metrics(as_json: bool) -> None:
+    """Every metric with its label, unit and definition."""
+    from results.metrics.registry import METRICS, TOPICS
+
+    if as_json:
+        print_json({name: asdict(metric) for name, metric in METRICS.items()})
+        return
+
+    for topic, about in TOPICS.items():
+        screen.print(Text(f"{topic}: {about}", style="bold"), soft_wrap=True)
+        for name, metric in METRICS.items():
+            if name.startswith(topic + "."):
+                unit = f" [{metric.unit}]" if metric.unit not in ("", "1") else ""
+                by = f" By {metric.group}." if metric.group else ""
+                screen.print(Text(f"  {name}{unit}: {metric.definition}{by}"), soft_wrap=True)
+
+
+def rows_of(table: Any) -> list[dict[str, object]]:
     """Measures as plain rows."""
     return [row | {"value": None if row["value"] != row["value"] else row["value"]} for row in table.to_dict("records")]
 
 
-def _plain(value: float) -> str:
-    """Three digits that count, all of a whole number, and no powers of ten."""
+def plain(value: float) -> str:
+    """A number with three significant digits, all digits of a whole one, and no powers of ten."""
     whole = abs(value) >= 100 or (value == int(value) and abs(value) >= 2)
     return f"{value:,.0f}" if whole else f"{value:.3g}"
 
 
-def table_of(title: str, rows: list[dict], headlines: dict[str, tuple[str, ...]] | None = None) -> Table:
+def table_of(title: str, rows: list[dict]) -> Table:
     """Measures as a table for the screen."""
-    value_column = Column("value", justify="right")
-    table = Table("", "figure", "of", value_column, "unit", title=title, title_justify="left", box=SIMPLE)
+    name_column, value_column = Column("metric", no_wrap=True), Column("value", justify="right")
+    table = Table(name_column, "group", value_column, "unit", title=title, box=SIMPLE)
+    table.title_justify = "left"
     last = ""
     for row in rows:
-        if headlines is not None:
-            known = row["figure"].startswith(headlines.get(row["topic"], ()))
-            if not known or row["value"] is None or ", of " in row["of"]:
-                continue
-        if row["topic"] != last and last:
+        metric, value = str(row["metric"]), row["value"]
+        if last and metric.split(".")[0] != last.split(".")[0]:
             table.add_section()
-        value = row["value"]
-        number = "" if value is None else _plain(value)
-        unit = "" if row["unit"] == "1" else row["unit"]
-        table.add_row(row["topic"] if row["topic"] != last else "", row["figure"], row["of"], number, unit)
-        last = row["topic"]
+        number, unit = "" if value is None else plain(value), "" if row["unit"] == "1" else row["unit"]
+        table.add_row(metric if metric != last else "", row["group"], number, unit)
+        last = metric
     return table

@@ -99,7 +99,9 @@ class State:
     def consume(self) -> "State":
         """The state to go on with; RuntimeError where another step went on from this one already."""
         if self.is_consumed:
-            raise RuntimeError("this state was consumed by an earlier step; go on from a copy made before: state.copy()")
+            raise RuntimeError(
+                "this state was consumed by an earlier step: go on from a copy made before, state.copy()"
+            )
         self.is_consumed = True
         return replace(self, is_consumed=False)
 
@@ -191,7 +193,9 @@ def step(world: World, state: State, parts: Parts) -> tuple[State, StepResult]:
         observed = parts.perception.detect(world, vehicles.row, sweeps)
     with watch("attack"):
         listed = _listed(parts.adversary.detections(observed.detections, world, time_s), world, s, c, time_s)
-        truth = ground_truth_of(listed, world, observed.observability, vehicles.row, observed.is_real, observed.actor_row)
+        truth = ground_truth_of(
+            listed, world, observed.observability, vehicles.row, observed.is_real, observed.actor_row
+        )
         detections, ptr = object_lists.for_trust(listed, vehicles.row)
 
     with watch("radio"):

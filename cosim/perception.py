@@ -52,7 +52,7 @@ class Perception:
     def detect(self, world: World, observers: Int[ndarray, "e"], sweeps: lidar.Sweeps) -> Observed:
         """Detections of these rows of the world, from their sweeps; the truth's name is dropped here."""
         seen = evidence.observability(sweeps, world.boxes, world.shape)
-        draws = self._draws(world, observers)
+        draws = self.draws(world, observers)
         found = detector.detect(self.detector, sweeps, seen, world.boxes, world.label, draws)
         n = len(found.observer)
         sensed = Detections(
@@ -68,7 +68,8 @@ class Perception:
         parts = [self_reports(world, observers), sensed] if self.self_reports else [sensed]
         return Observed(sweeps, seen, Detections.concat(parts), ~found.is_false_positive, found.actor)
 
-    def _draws(self, world: World, observers: Int[ndarray, "e"]) -> DetectorDraws:
+    def draws(self, world: World, observers: Int[ndarray, "e"]) -> DetectorDraws:
+        """Keys of the detector's randomness in these rows of the world."""
         names, step, site = world.name_key, world.step, rng.key(self.seed, rng.Stream.CLUTTER_MEMORY)
         return DetectorDraws(
             time_s=step * self.dt_s,

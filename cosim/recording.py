@@ -1,6 +1,6 @@
 """From the result of a step to the rows of the run's tables; it asks nothing of the simulation."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from jaxtyping import Bool, Int, UInt8
@@ -118,7 +118,7 @@ def _channel(recorder: Recorder, at: int, sensed: Sensed) -> None:
     ))  # fmt: skip
 
 
-def _of(message_type: MessageType, rows: dict[str, ndarray | None]) -> dict[str, ndarray | None]:
+def _of(message_type: MessageType, rows: Mapping[str, ndarray | None]) -> dict[str, ndarray | None]:
     n = next(len(values) for values in rows.values() if values is not None)
     return {"message_type": np.full(n, message_type), **rows}
 
@@ -158,7 +158,8 @@ def _trust(recorder: Recorder, at: int, sensed: Sensed, dt_s: float) -> None:
             continue
         up, down = server.up, server
         recorder.append("server", at, {
-            "variant": np.array([variant]), "n_reports": np.array([up.n_reports]), "n_reached": np.array([up.n_reached]),
+            "variant": np.array([variant]),
+            "n_reports": np.array([up.n_reports]), "n_reached": np.array([up.n_reached]),
             "n_lost": np.array([up.n_lost]), "n_over_capacity": np.array([up.n_over_capacity]),
             "n_outage": np.array([up.n_outage]), "uplink_bytes": np.array([up.uplink_bytes]),
             "n_addressed": np.array([down.n_addressed]), "n_informed": np.array([down.n_informed]),

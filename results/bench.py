@@ -1,4 +1,4 @@
-"""How fast the room is on this machine: CPU time of the encounter ledger and of the recorder, on made-up traffic."""
+"""How fast the room is on this machine: CPU time of the encounter tracker and of the recorder, on made-up traffic."""
 
 import tempfile
 from pathlib import Path
@@ -9,7 +9,7 @@ from numpy import ndarray
 from scipy.spatial import cKDTree
 
 from results.archive import open_run
-from results.encounters import EncounterTracker, EncounterParams
+from results.encounters import EncounterParams, EncounterTracker
 from results.recorder import Recorder
 from results.tables import SCHEMA_VERSION
 
@@ -22,17 +22,17 @@ def bench(steps: int = 120) -> list[tuple[str, float, str]]:
     rng = np.random.default_rng(0)
     points, speed = rng.uniform(0, AREA_M, (N_VEHICLES, 2)), rng.normal(0, 8, (N_VEHICLES, 2))
     everyone = np.arange(N_VEHICLES)
-    ledger = EncounterTracker(EncounterParams(radius_m=REACH_M, pairs="all"), 1.0)
-    ledger_s, search_s, n_pairs = [], [], 0
+    tracker = EncounterTracker(EncounterParams(radius_m=REACH_M, pairs="all"), 1.0)
+    tracker_s, search_s, n_pairs = [], [], 0
     for step in range(steps):
         points = (points + speed) % AREA_M
         begin = process_time()
         a, b = _near(points)
         metres = np.hypot(*(points[a] - points[b]).T)
         found = process_time()
-        ledger.update(step, a, b, metres, metres < 100, everyone)
-        ledger.count_messages(np.r_[a, b], np.r_[b, a])
-        ledger_s.append(process_time() - found)
+        tracker.update(step, a, b, metres, metres < 100, everyone)
+        tracker.count_messages(np.r_[a, b], np.r_[b, a])
+        tracker_s.append(process_time() - found)
         search_s.append(found - begin)
         n_pairs += len(a)
     written_s, read_s, n_rows, n_bytes = _disk(rng, steps)
@@ -40,8 +40,8 @@ def bench(steps: int = 120) -> list[tuple[str, float, str]]:
         ("vehicles", N_VEHICLES, ""),
         ("neighbours of each, mean", 2 * n_pairs / steps / N_VEHICLES, ""),
         ("pairs within the radius, found", 1e3 * float(np.median(search_s)), "ms per step"),
-        ("encounter ledger, messages counted", 1e3 * float(np.median(ledger_s)), "ms per step"),
-        ("recorder, table uses", n_rows / written_s / 1e6, "million rows per second"),
+        ("encounter tracker, messages counted", 1e3 * float(np.median(tracker_s)), "ms per step"),
+        ("recorder, table trust_lookups", n_rows / written_s / 1e6, "million rows per second"),
         ("reading it back", n_rows / read_s / 1e6, "million rows per second"),
         ("on disk", n_bytes / n_rows, "bytes per row"),
     ]
@@ -54,7 +54,7 @@ def _near(points: ndarray) -> tuple[ndarray, ndarray]:
 
 
 def _disk(rng: np.random.Generator, steps: int) -> tuple[float, float, int, int]:
-    """Time to write and to read the table `uses` of that traffic, its rows and its bytes."""
+    """Time to write and to read the table `trust_lookups` of that traffic, its rows and its bytes."""
     receiver, subject = np.divmod(np.sort(rng.choice(N_VEHICLES**2, 40 * N_VEHICLES, replace=False)), N_VEHICLES)
     trust = rng.random(N_VEHICLES)
     manifest = '{"schema_version": %d, "status": "finished", "dt_s": 1.0, "steps": %d, "config": {}}'
@@ -63,6 +63,7 @@ def _disk(rng: np.random.Generator, steps: int) -> tuple[float, float, int, int]
         with Recorder(Path(folder), "standard") as recorder:
             for step in range(steps):
                 recorder.append("trust_lookups", step, {
+                    "variant": np.zeros(len(subject), np.int8),
                     "receiver": receiver, "subject": subject, "trust": trust[subject],
                     "source": np.zeros(len(subject), np.int8), "age_s": np.full(len(subject), step % 5 + 0.2),
                 })  # fmt: skip

@@ -28,10 +28,10 @@ def markdown() -> str:
         "",
         "Columns marked `key` together name a row. Columns marked `truth` are known to the simulation only: no vehicle",
         "and no server reads them. `to 1/256` says that stored values are rounded to that fraction of the unit.",
-        "``by `source` `` says that the column is not in the files: it is that of the row of `detections` with the same",
-        "`step` whose `observer` and `detection_index` are `source` and `source_index` (for `pose`: `pose` and",
-        "`pose_index` where they are not null); `open_run` fills it in. Labels of `variant` and `role` are those of the",
-        "run: its manifest lists them as `variants` and `roles`.",
+        "``by `source` `` says that the column is not in the files: it is that of the row of `detections` with the",
+        "same `step` whose `observer` and `detection_index` are `source` and `source_index` (for `pose`: `pose` and",
+        "`pose_index` where they are not null); `open_run` fills it in. Labels of `variant` and `role` are those of",
+        "the run: its manifest lists them as `variants` and `roles`.",
         "",
         "Record levels contain one another:",
         *(
@@ -54,10 +54,17 @@ def markdown() -> str:
         "# Metrics",
         "",
         "As `cosim measure`, `run.measure()` and the report give them. An identifier never changes its meaning; the",
-        'group says which part of the run a value is of. `run.measure.value("trust.final.median", "malicious")` is one.',
+        'group says what a value is of. `run.measure.value("trust.final.median", "malicious")` gives one.',
     ]
     for topic, about in TOPICS.items():
-        lines += ["", f"## {topic}", about, "", "| metric | label | unit | group | definition |", "|---|---|---|---|---|"]
+        lines += [
+            "",
+            f"## {topic}",
+            about,
+            "",
+            "| metric | label | unit | group | definition |",
+            "|---|---|---|---|---|",
+        ]
         lines += [
             f"| `{name}` | {metric.label} | {metric.unit} | {metric.group} | {metric.definition} |"
             for name, metric in METRICS.items() if name.startswith(topic + ".")

@@ -27,14 +27,14 @@ class EncounterParams:
 
 
 _LIVE: dict[str, type] = {
-    "start": np.int32,      # first step in contact
-    "end": np.int32,        # one past the last step in contact
-    "n": np.int32,          # steps in contact
+    "start": np.int32,  # first step in contact
+    "end": np.int32,  # one past the last step in contact
+    "n": np.int32,  # steps in contact
     "n_los": np.int32,
     "sum_m": np.float64,
     "min_m": np.float64,
     "previous_end": np.int32,
-    "again": np.bool_,      # the two had an encounter before
+    "again": np.bool_,  # the two had an encounter before
     "censored_left": np.bool_,
     "entered": np.bool_,
     **{f"n_{what}_{way}": np.int32 for what in ("messages", "evaluations") for way in ("ab", "ba")},
@@ -344,8 +344,7 @@ ENCOUNTER_KEY = ("a", "b", "start_step", "radius_m", "pairs", "hysteresis_s")
 
 
 def by_variant(rows: Rows) -> tuple[Rows, Rows]:
-    """A tracker's rows as rows of the tables `encounters` and `encounter_trust`: the trust of the variant that acts, and
-    that of the others."""
+    """A tracker's rows as rows of the tables `encounters` (trust of the variant that acts) and `encounter_trust`."""
     of_variants = {name: values for name, values in rows.items() if values.ndim == 2}
     if not of_variants:
         return rows, {}

@@ -19,7 +19,7 @@ GLOSSARY: Mapping[str, str] = {
     "detection": "A 3D box with class and score that an object detector made of a sweep. `(step, observer, detection_index)` names it in all tables.",
     "self report": "A vehicle's own pose and size in its message, as detection number 0.",
     "CPM": "Collective perception message (ETSI TS 103 324): a vehicle's detections, sent to others.",
-    "evaluation": "A receiver's verdict on another vehicle's detection, by its own sensor: the score of its match, or negative where it denies the detection; weighted by visibility.",
+    "evaluation": "A receiver's assessment of another vehicle's detection by its own sensor: the score of its match, or negative where it denies the detection; weighted by visibility.",
     "visibility": "How well an evaluator could have seen the object, in [0, 1], from the returns inside the box.",
     "plausibility": "Free-space test: whether the receiver's sweep allows an object of this size at this place.",
     "round": "One exchange of messages of a step: first CPMs, then evaluations.",

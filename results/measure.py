@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from results.metrics import contact_graph, detection, encounters, freshness, misbehaviour, radio, trust
+from results.metrics import contact_graph, detection, encounters, freshness, misbehaviour, radio, registry, trust
 from results.metrics.kitti import FEWEST
 from results.metrics.registry import METRICS
-from results.metrics.registry import TOPICS as _TOPICS
 from results.run import Run
 
 if TYPE_CHECKING:
@@ -39,7 +38,7 @@ def measure(
     fresh_s: float = 10.0,
     false_positives: float = 0.05,
     max_frames: int = 4000,
-    topics: tuple[str, ...] = tuple(_TOPICS),
+    topics: tuple[str, ...] = tuple(registry.TOPICS),
 ) -> pd.DataFrame:
     """Every metric that the run's record level allows, of the run's `variant`.
 

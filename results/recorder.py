@@ -158,9 +158,7 @@ def _dtype(column: Column) -> np.dtype:
     return np.dtype(object) if column.type == "string" else np.dtype(column.type)
 
 
-def _stored(
-    name: str, column: Column, values: ndarray, valid: ndarray | None, categories: tuple[str, ...]
-) -> ndarray:
+def _stored(name: str, column: Column, values: ndarray, valid: ndarray | None, categories: tuple[str, ...]) -> ndarray:
     """Values cast to the column's type; refuses what would change a value beyond its rounding."""
     if column.type == "string":
         return values.astype(object)
@@ -193,9 +191,7 @@ def _stored(
     return values.astype(dtype)
 
 
-def _write(
-    path: Path, table: str, rows: list[dict[str, ndarray]], of_run: Mapping[str, tuple[str, ...]]
-) -> None:
+def _write(path: Path, table: str, rows: list[dict[str, ndarray]], of_run: Mapping[str, tuple[str, ...]]) -> None:
     """One part file, sorted by key."""
     columns = {name: np.concatenate([row[name] for row in rows]) for name in rows[0]}
     ordered, tied = _order(columns, TABLES[table].key)

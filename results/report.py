@@ -1,4 +1,4 @@
-"""One page about a run: its figures, its numbers, what its tables hold, and where it came from."""
+"""The report of a run as one HTML page: figures, metrics, dictionary, provenance."""
 
 import json
 from html import escape
@@ -7,12 +7,12 @@ from typing import Any
 
 import pandas as pd
 
+from results.columns import Column
 from results.figures import style
 from results.figures.catalogue import FIGURES
 from results.measure import measure
-from results.run import Run
-from results.columns import Column
 from results.metrics.registry import METRICS, TOPICS
+from results.run import Run
 from results.tables import SCHEMA_VERSION, TABLES
 
 _STYLE = """
@@ -66,7 +66,7 @@ def page(run: Run) -> str:
         '<h2 id="figures">Figures</h2>',
         *(_figure(name, run) for name in FIGURES),
         '<h2 id="numbers">Numbers</h2>',
-        *(_topic(topic, numbers[numbers.metric.str.startswith(topic + '.')]) for topic in TOPICS),
+        *(_topic(topic, numbers[numbers.metric.str.startswith(topic + ".")]) for topic in TOPICS),
         '<h2 id="tables">Tables</h2>',
         _dictionary(run),
         '<h2 id="provenance">Provenance</h2>',

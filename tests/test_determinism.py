@@ -34,10 +34,10 @@ def test_seed_changes_what_is_seen_but_not_the_traffic(base, tmp_path):
 def test_without_liars_every_honest_detection_is_bit_identical(base, tmp_path):
     quiet = drive(tmp_path / "quiet", FULL, "fleet.malicious_p=0", "fleet.unreliable_p=0")
     with_liars, without = open_run(base), open_run(quiet)
-    sensed = with_liars.detections[with_liars.detections.kind != "fabricated"].drop(columns="said")
-    assert len(sensed) > 1000 and (with_liars.detections.kind == "fabricated").sum() > 50
-    pd.testing.assert_frame_equal(sensed.reset_index(drop=True), without.detections.drop(columns="said"))
-    pd.testing.assert_frame_equal(with_liars.sightings, without.sightings)
+    sensed = with_liars.detections[with_liars.detections.origin != "fabricated"].drop(columns="transmitted")
+    assert len(sensed) > 1000 and (with_liars.detections.origin == "fabricated").sum() > 50
+    pd.testing.assert_frame_equal(sensed.reset_index(drop=True), without.detections.drop(columns="transmitted"))
+    pd.testing.assert_frame_equal(with_liars.observability, without.observability)
 
 
 def test_raising_penetration_keeps_everybody_who_was_equipped(base, tmp_path):
@@ -46,7 +46,7 @@ def test_raising_penetration_keeps_everybody_who_was_equipped(base, tmp_path):
     assert more.equipped[fewer.index[fewer.equipped]].all()
     assert more.equipped.sum() > 1.4 * fewer.equipped.sum()
     both = fewer.index[fewer.equipped]
-    assert (more.behaviour[both] == fewer.behaviour[both]).all()
+    assert (more.role[both] == fewer.role[both]).all()
 
 
 def test_no_truth_leaks(base, tmp_path):
@@ -70,8 +70,8 @@ cycle.detector.detect = mixed
     one, other = open_run(base), open_run(mixed)
     changed = False
     for name, table in TABLES.items():
-        told = [column for column, about in table.columns.items() if not about.truth]
-        pd.testing.assert_frame_equal(one.table(name, told), other.table(name, told))
+        shown = [column for column, about in table.columns.items() if not about.truth]
+        pd.testing.assert_frame_equal(one.table(name, shown), other.table(name, shown))
         truths = [column for column, about in table.columns.items() if about.truth]
         changed |= bool(truths) and not one.table(name, truths).equals(other.table(name, truths))
     assert changed

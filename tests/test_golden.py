@@ -17,7 +17,7 @@ def figures(folder):
     run = open_run(folder)
     rows = {f"rows of {name}": float(len(run.table(name))) for name in run.tables}
     measured = {
-        f"{row.topic} | {row.figure} | {row.of}": float(row.value)
+        f"{row.metric} | {row.group}": float(row.value)
         for row in measure(run).itertuples() if row.value == row.value
     }  # fmt: skip
     return rows | measured

@@ -41,7 +41,7 @@ class PairIndex:
         return self._keys >> 31, self._keys & (1 << 31) - 1, self._rows
 
     def drop(self, unused: Bool[ndarray, "p"]) -> Int[ndarray, "k"]:
-        """Forget the pairs of these rows; returns the old row of each row that remains."""
+        """Remove the pairs of these rows; returns the old row of each row that remains."""
         kept = np.flatnonzero(~unused)
         new_row = np.cumsum(~unused) - 1
         remain = ~unused[self._rows]

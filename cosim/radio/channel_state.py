@@ -41,7 +41,7 @@ def remap_stations(state: ChannelState, key: ndarray) -> ChannelState:
     if np.array_equal(old, key):
         return replace(state, phy=state.phy.copy(), mac=state.mac.copy(), packets=state.packets.copy())
     if len(np.unique(key)) < len(key):
-        raise ValueError("links.key has one station twice. Give every station a key of its own.")
+        raise ValueError("links.key names one station twice. Give every station a key of its own.")
     order = np.argsort(key)
     at = order[np.minimum(np.searchsorted(key, old, sorter=order), len(key) - 1)] if len(key) else np.zeros_like(old)
     stays = key[at] == old if len(key) else np.zeros(len(old), bool)

@@ -102,7 +102,7 @@ class PropagationParams:
     def __post_init__(self) -> None:
         if self.interference_range_m < 5:
             raise ValueError(
-                f"radio.propagation.interference_range_m = {self.interference_range_m:g} m is shorter than one vehicle: "
+                f"radio.propagation.interference_range_m = {self.interference_range_m:g} m is shorter than a vehicle: "
                 "no link remains. "
                 "Metres, not kilometres? Set radio.propagation.interference_range_m to at least 5."
             )

@@ -106,9 +106,7 @@ class EncounterTrackers:
         for tracker in self.trackers:
             tracker.count_evaluations(evaluator, observer, n)
 
-    def note_trust(
-        self, holder: Int[ndarray, "m"], other: Int[ndarray, "m"], looked_up: Bool[ndarray, "m v"]
-    ) -> None:
+    def note_trust(self, holder: Int[ndarray, "m"], other: Int[ndarray, "m"], looked_up: Bool[ndarray, "m v"]) -> None:
         """Note which holders looked up, in this step, a value other than the default for which other actor."""
         for tracker in self.trackers:
             tracker.note_trust(holder, other, looked_up)

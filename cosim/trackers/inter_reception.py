@@ -66,7 +66,7 @@ class InterReceptionTracker:
 
 @njit(cache=True)
 def unique_pairs(one, other, n):
-    """Pairs of numbers below n, sorted, each once: a counting sort by `other`, then by `one`, and duplicates dropped."""
+    """Pairs of numbers below n, sorted, each once: counting sorts by `other` and by `one`, duplicates dropped."""
     order = np.arange(len(one))
     for column in (other, one):
         start = np.zeros(n + 1, np.int64)

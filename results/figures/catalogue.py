@@ -8,7 +8,7 @@ from results.figures import contacts, detection, encounters, freshness, map, mis
 
 FIGURES: Mapping[str, Callable[..., Figure]] = {
     "trust": trust.draw,
-    "liars": misbehaviour.draw,
+    "misbehaviour": misbehaviour.draw,
     "encounters": encounters.draw,
     "freshness": freshness.draw,
     "radio": radio.draw,

@@ -23,7 +23,7 @@ def draw(runs: Sequence[Run], departure: encounters.Departure = "ends") -> Figur
     longest_s = 0.0
     for i, curve in enumerate(curves):
         for kind, one in curve.groupby(["radius_m", "pairs", "hysteresis_s"], observed=True):
-            code = kinds.index(kind)
+            code = kinds.index((kind[0], kind[1], kind[2]))
             axes.plot(
                 one.duration_s, one.survival, drawstyle="steps-post", color=style.ink(code), linestyle=style.dash(i),
                 marker=style.marker(code), markevery=0.08,

@@ -50,7 +50,12 @@ def draw(runs: Sequence[Run], fresh_s: float = 10.0, over: str | None = None) ->
         ages.annotate(
             f"stale beyond {fresh_s:g} s", (fresh_s, 0.04), xytext=(4, 0), textcoords="offset points", fontsize=8
         )
-    style.panel(ages, "Age of trust when looked up", axis_label("trust_lookups", "age_s", "Age"), "Share of lookups at most this old")
+    style.panel(
+        ages,
+        "Age of trust when looked up",
+        axis_label("trust_lookups", "age_s", "Age"),
+        "Share of lookups at most this old",
+    )
     style.share_axis(ages)
     ages.set_xlim(0, max(longest_s, 1.0) * 1.05)
     title = "How fresh" + (", by role" if len(runs) == 1 else "")
@@ -88,7 +93,9 @@ def _against(runs: Sequence[Run], key: str, ages: Axes, shares: Axes, fresh_s: f
             axes.plot(one[key], one[name], linestyle="", marker=style.marker(i), color=style.ink(i))
             axes.plot(mean.index, mean, linestyle=style.dash(i), marker=style.marker(i), color=style.ink(i), label=name)
         axes.legend(fontsize=7.5, handlelength=2.2)
-    style.panel(ages, "Age where trust is looked up, mean", compare.label(key), axis_label("trust_lookups", "age_s", "Age"))
+    style.panel(
+        ages, "Age where trust is looked up, mean", compare.label(key), axis_label("trust_lookups", "age_s", "Age")
+    )
     ages.set_ylim(bottom=0)
     style.panel(shares, "Trust where it is looked up", compare.label(key), "Share")
     style.share_axis(shares)

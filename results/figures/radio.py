@@ -42,7 +42,12 @@ def draw(runs: Sequence[Run], every_s: float = 10.0, cell_m: float = 50.0) -> Fi
         over_time = radio.over_time(run, every_s)
         for axes, column in ((timed, "pdr"), (busy, "cbr")):
             axes.plot(over_time.time_s, over_time[column], **line, markevery=style.sparse(len(over_time)))
-    style.panel(distance, "Delivery by distance", axis_label("pdr_by_distance", "distance_bin_m", "Distance"), "Packet delivery ratio")
+    style.panel(
+        distance,
+        "Delivery by distance",
+        axis_label("pdr_by_distance", "distance_bin_m", "Distance"),
+        "Packet delivery ratio",
+    )
     style.panel(losses, "Received and lost", "Share of frames in range", "")
     style.bars_axis(losses, style.names(runs) if len(runs) > 1 else [""])
     style.panel(late, "Latency", "Latency [ms]", "Share at most this late")
@@ -119,9 +124,7 @@ def _maps(figure: Figure, panels: Sequence[Axes], run: Run, cell_m: float) -> No
     )
     for axes, (column, title, colours) in zip(panels, what, strict=True):
         x, y, values = _grid(cells, column, cell_m)
-        mesh = axes.pcolormesh(
-            x, y, values, cmap=colours, rasterized=True, vmin=0, vmax=1 if column == "pdr" else None
-        )
+        mesh = axes.pcolormesh(x, y, values, cmap=colours, rasterized=True, vmin=0, vmax=1 if column == "pdr" else None)
         axes.set_aspect("equal")
         axes.grid(visible=False)
         style.panel(axes, title, "East [m]", "North [m]")

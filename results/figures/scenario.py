@@ -65,7 +65,7 @@ def from_above(
     style.legend(figure, [
         Line2D([], [], color=TRUTH, linewidth=2.2, label="really there"),
         Line2D([], [], color=REAL, linewidth=1.0, label="reported (score)"),
-        Line2D([], [], color=FALSE, linewidth=1.0, marker="s", markerfacecolor="none", linestyle="", label="fabricated"),
+        Line2D([], [], color=FALSE, marker="s", markerfacecolor="none", linestyle="", label="fabricated"),
         Line2D([], [], color=style.PALE, marker=".", linestyle="", label="LiDAR returns"),
     ])  # fmt: skip
     return figure
@@ -104,7 +104,9 @@ def trust_over_frames(
     """Trust after each frame: obtained, expected, and the values that the paper prints (frame, trust)."""
     figure, (axis,) = style.sheet(height=4.2)
     axis.axvline(attack_start, color=style.PALE, linewidth=0.9)
-    axis.annotate("attack begins", (attack_start, 0.02), xytext=(-4, 0), textcoords="offset points", ha="right", fontsize=8)
+    axis.annotate(
+        "attack begins", (attack_start, 0.02), xytext=(-4, 0), textcoords="offset points", ha="right", fontsize=8
+    )
     entries = []
     for i, (name, curve) in enumerate(curves.items()):
         frames = 1 + np.arange(len(curve.trust))

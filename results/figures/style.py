@@ -21,7 +21,7 @@ TIME = "Time [s]"
 INKS = ("#16325c", "#c4502e", "#63b0a2", "#ecb938", "#8c6bb1", "#6f6f6f")
 """Colours of what is compared within a run; dark to light, so that grey tells them apart too."""
 MARKERS = ("o", "^", "s", "D", "v", "P")
-ROLE_INKS: Mapping[str, str] = {"honest": INKS[0], "unreliable": INKS[3], "malicious": INKS[1]}
+ROLE_INKS: Mapping[str, str] = {"honest": INKS[0], "unreliable": INKS[3], "malicious": "#c1272d"}
 """One colour per role in every picture; malicious is red."""
 _MORE_ROLES = (INKS[4], INKS[2], INKS[5])
 """Colours of roles of a user's own."""

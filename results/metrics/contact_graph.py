@@ -14,11 +14,14 @@ from results.run import Run
 
 
 def contacts(run: Run, radius_m: float | None = None, pairs: str | None = None) -> pd.DataFrame:
-    """Intervals of contact: a, b, start_s, end_s; of the smallest radius and the first kind of pairs, unless named."""
-    frame = run.table("encounters", ["a", "b", "start_step", "end_step", "radius_m", "pairs"])
+    """Intervals of contact: a, b, start_s, end_s.
+
+    Of the smallest radius and the first kind of pairs unless named, and of their smallest hysteresis.
+    """
+    frame = run.table("encounters", ["a", "b", "start_step", "end_step", "radius_m", "pairs", "hysteresis_s"])
     if frame.empty:
         raise ValueError(f"{run.path} holds no encounters: no two came within the radius of each other.")
-    for name, wanted in (("radius_m", radius_m), ("pairs", pairs)):
+    for name, wanted in (("radius_m", radius_m), ("pairs", pairs), ("hysteresis_s", None)):
         there = sorted(frame[name].unique().tolist())
         chosen = there[0] if wanted is None else wanted
         if chosen not in there:
@@ -119,7 +122,7 @@ def _instants(
 
 
 def reception_graph(run: Run, start_s: float = 0.0, end_s: float = np.inf) -> nx.DiGraph:
-    """Receptions in a time span: edges from sending to receiving vehicle with `n` messages, mean `hops`, `latency_s`."""
+    """Receptions in a time span: edges from sender to receiver with `n` messages and mean `hops`, `latency_s`."""
     frame = run.table("receptions", ["step", "sender", "receiver", "hops", "latency_s"])
     frame = frame[(frame.step * run.dt_s >= start_s) & (frame.step * run.dt_s < end_s)]
     frame = frame.assign(sender=frame.sender.map(run.subjects.vehicle))
@@ -134,8 +137,8 @@ def arrivals(
 ) -> pd.DataFrame:
     """When a message of one actor could reach the others, if every contact forwards it at once: actor, time_s.
 
-    The temporal reachability of the contact graph; only those it reaches have a row. See `message_reachability` for that
-    of the messages that were received, and `temporal_reachability` for many actors at once.
+    The temporal reachability of the contact graph; only those it reaches have a row. See
+    `message_reachability` for received messages, and `temporal_reachability` for many actors at once.
     """
     frame = contacts(run, radius_m, pairs)
     meets: dict[int, list[tuple[int, float, float]]] = defaultdict(list)

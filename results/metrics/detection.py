@@ -4,6 +4,8 @@ import numpy as np
 import pandas as pd
 import pyarrow.compute as pc
 
+from results.codes import ObjectClass, labels
+from results.metrics.kitti import LEVELS, LOOSE, STRICT, Overlap, average_precision
 from results.metrics.kitti_frames import (
     TABLE_OF,
     Lists,
@@ -15,10 +17,7 @@ from results.metrics.kitti_frames import (
     posed,
     sampled_steps,
 )
-from results.metrics.kitti import LEVELS, LOOSE, STRICT, Overlap, average_precision
 from results.run import Run
-from results.codes import ObjectClass, labels
-
 
 CLASSES = labels(ObjectClass)
 
@@ -121,12 +120,12 @@ def attack_success(run: Run, min_score: float = 0.5) -> pd.DataFrame:
     share, and victims_mean: vehicles that accept an accepted one.
     """
     run.require("detections", "fused")
-    sent = run.table(
-        "detections", ["origin"], where=pc.field("transmitted") & pc.field("truth_actor").is_null()
-    )
+    sent = run.table("detections", ["origin"], where=pc.field("transmitted") & pc.field("truth_actor").is_null())
     n_made = int((sent.origin == "fabricated").sum())
     if not n_made:
-        raise ValueError(f"{run.path} holds no attack: no vehicle fabricated a box. Raise fleet.malicious_p and run again.")
+        raise ValueError(
+            f"{run.path} holds no attack: no vehicle fabricated a box. Raise fleet.malicious_p, run again."
+        )
     accepted = run.variant_table(
         "fused", ["step", "observer", "source", "source_index"],
         where=pc.field("fabricated") & (pc.field("score") >= min_score),

@@ -44,8 +44,8 @@ def survival(run: Run, departure: Departure = "ends") -> pd.DataFrame:
 
     Notes
     -----
-    Encounters whose end was not observed count for as long as they were observed. Those whose start was not observed are
-    left out: they are a sample biased to long ones, of unknown age (`summary` says how many).
+    Encounters whose end was not observed count for as long as they were observed. Those whose start was not
+    observed are left out: they are a sample biased to long ones, of unknown age (`summary` says how many).
     """
     groups = durations(run, departure).groupby([*DEFINITION], observed=True)
     curves = {kind: _curve(frame) for kind, frame in groups}
@@ -59,7 +59,8 @@ def summary(run: Run, departure: Departure = "ends") -> pd.DataFrame:
     -------
     n; n_start_unseen, n_end_unseen (censored left and right); mean_s, median_s of the durations as recorded;
     km_median_s (null where more than half were not observed to end) and km_mean_s, restricted to the longest
-    duration observed, `horizon_s`; again_share: share that are not the first of their pair, gap_median_s: after this time.
+    duration observed, `horizon_s`; again_share: share that are not the first of their pair; gap_median_s: time since
+    the one before.
     """
     rows = []
     for (pairs, radius_m, hysteresis_s), frame in durations(run, departure).groupby([*DEFINITION], observed=True):

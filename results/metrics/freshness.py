@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from results.run import Run
 from results.codes import TrustSource, labels
+from results.run import Run
 
 STATES = ("fresh", "stale", "default")
 """Of a value that is looked up, in this order."""
@@ -56,7 +56,9 @@ def at_lookup(run: Run) -> pd.DataFrame:
     """
     rows: dict[str, list[Any]] = {}
     stride = -(-run.n_blocks("trust_lookups") // _PEAK_BLOCKS)
-    for block, part in enumerate(run.variant_parts("trust_lookups", ["step", "receiver", "subject", "source", "age_s"])):
+    for block, part in enumerate(
+        run.variant_parts("trust_lookups", ["step", "receiver", "subject", "source", "age_s"])
+    ):
         code, age_s = _ages(part)
         peak = _peaks(part) if block % stride == 0 else np.zeros(0, int)
         for source in np.unique(code):
@@ -205,10 +207,12 @@ def without_trust(run: Run) -> pd.DataFrame:
 
     Returns
     -------
-    pairs, radius_m, hysteresis_s, n (both directions of every encounter), n_without, share, and wait_median_s: time from the
-    start to the first value, of those that had none at the start.
+    pairs, radius_m, hysteresis_s, n (both directions of every encounter), n_without, share, and wait_median_s: time
+    from the start to the first value, of those that had none at the start.
     """
-    frame = run.variant_table("encounters", ["pairs", "radius_m", "hysteresis_s", "a", "b", "trusted_after_ab_s", "trusted_after_ba_s"])
+    frame = run.variant_table(
+        "encounters", ["pairs", "radius_m", "hysteresis_s", "a", "b", "trusted_after_ab_s", "trusted_after_ba_s"]
+    )
     frame = frame[frame.a.isin(run.roles.index) & frame.b.isin(run.roles.index)]
     rows = []
     for (pairs, radius_m, hysteresis_s), found in frame.groupby(["pairs", "radius_m", "hysteresis_s"], observed=True):
@@ -216,10 +220,12 @@ def without_trust(run: Run) -> pd.DataFrame:
         waited_s = after_s[after_s > 0]
         without = np.isnan(after_s)
         rows.append({
-            "pairs": pairs, "radius_m": radius_m, "hysteresis_s": hysteresis_s, "n": len(after_s), "n_without": int(without.sum()),
-            "share": float(without.mean()), "wait_median_s": float(np.median(waited_s)) if len(waited_s) else np.nan,
+            "pairs": pairs, "radius_m": radius_m, "hysteresis_s": hysteresis_s, "n": len(after_s),
+            "n_without": int(without.sum()), "share": float(without.mean()),
+            "wait_median_s": float(np.median(waited_s)) if len(waited_s) else np.nan,
         })  # fmt: skip
-    return pd.DataFrame(rows, columns=["pairs", "radius_m", "hysteresis_s", "n", "n_without", "share", "wait_median_s"])
+    columns = ["pairs", "radius_m", "hysteresis_s", "n", "n_without", "share", "wait_median_s"]
+    return pd.DataFrame(rows, columns=columns)
 
 
 def _role_codes(run: Run) -> np.ndarray:

@@ -48,7 +48,9 @@ def posed(run: Run, steps: np.ndarray) -> tuple[Poses, pd.DataFrame]:
     actors = run.table("actors", ["step", "actor", "x_m", "y_m", "z_m", "yaw_rad"], where=at_steps(steps))
     vehicles = run.table("vehicles", ["vehicle", "vehicle_class", "length_m", "width_m", "height_m", "equipped"])
     vehicles["label"] = vehicles.vehicle_class.astype(object).map(_OBJECT_CLASS)
-    actors = actors.merge(vehicles.drop(columns="vehicle_class"), left_on="actor", right_on="vehicle").drop(columns="vehicle")
+    actors = actors.merge(vehicles.drop(columns="vehicle_class"), left_on="actor", right_on="vehicle").drop(
+        columns="vehicle"
+    )
     actors = actors.sort_values(["step", "actor"], ignore_index=True)
     poses = actors[actors.equipped].rename(columns={"actor": "observer"}).reset_index(drop=True)
     return poses.assign(frame=np.arange(len(poses))), actors

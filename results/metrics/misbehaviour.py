@@ -130,7 +130,9 @@ def detection_delay(run: Run, threshold: float = 0.25, at: trust.At = "server") 
     if at == "server":
         low = run.variant_table("trust", ["step", "subject"], is_low & (pc.field("n_evaluations") > 0))
     else:
-        low = run.variant_table("trust_lookups", ["step", "subject", "source", "age_s"], is_low & pc.field("age_s").is_valid())
+        low = run.variant_table(
+            "trust_lookups", ["step", "subject", "source", "age_s"], is_low & pc.field("age_s").is_valid()
+        )
         newest_s, _ = freshness.ServerEvidence(run).ages(low)
         low = low[~np.isnan(newest_s)]
     low = low.merge(who.reset_index(), on="subject").query("since <= step <= until")
@@ -158,7 +160,7 @@ def waiting(delays: pd.DataFrame) -> pd.DataFrame:
 
 
 def auc(honest: Float[ndarray, "h"], attacking: Float[ndarray, "l"]) -> float:
-    """Probability that an honest value is above an attacking one, ties counting half; NaN where one of the two is empty."""
+    """Probability that an honest value is above an attacking one, ties counting half; NaN where one is empty."""
     if not len(honest) or not len(attacking):
         return float("nan")
     attacking = np.sort(attacking)

@@ -53,7 +53,7 @@ def over_time(run: Run, every_s: float = 10.0) -> pd.DataFrame:
 
 
 def by_distance(run: Run, by_los: bool = False) -> pd.DataFrame:
-    """Packet delivery ratio by distance: distance_bin_m (lower edge), distance_m (middle), n_in_range, pdr, shares lost.
+    """Packet delivery ratio by distance: distance_bin_m (lower edge), distance_m (middle), n_in_range, pdr, losses.
 
     With `by_los` also by line of sight between the two ends: los_state is los, nlos, or unknown.
     """
@@ -65,13 +65,14 @@ def by_distance(run: Run, by_los: bool = False) -> pd.DataFrame:
         raise ValueError(f"{run.path} holds no radio traffic: no vehicle had another in range. Raise radio.range_m.")
     shares = {name[2:]: total[name] / total.n_in_range for name in LOST}
     return pd.DataFrame({
-        **{name: total[name] for name in by}, "distance_m": total.distance_bin_m + DISTANCE_BIN_M / 2, "n_in_range": total.n_in_range,
+        **{name: total[name] for name in by}, "distance_m": total.distance_bin_m + DISTANCE_BIN_M / 2,
+        "n_in_range": total.n_in_range,
         "pdr": total.n_delivered / total.n_in_range, **shares,
     })  # fmt: skip
 
 
 def latency(run: Run) -> pd.DataFrame:
-    """Latency from generation to reception: message_type, latency_s (upper edge of the bin), n_delivered, share up to it."""
+    """Latency from generation to reception: message_type, latency_s (upper bin edge), n_delivered, share up to it."""
     frame = run.latency_histogram.groupby(["message_type", "latency_s"], observed=True).n_delivered.sum().reset_index()
     if frame.empty:
         raise ValueError(f"{run.path} holds no radio traffic: no message was received. Raise radio.range_m.")
@@ -90,7 +91,11 @@ def inter_reception(run: Run, message_type: MessageType = "cpm") -> pd.DataFrame
     pir_s, n_lost (messages in between), n_received and n_censored (intervals so long that a reception ended, or
     that were cut off when the two got out of range), longer: share of intervals that last longer, by Kaplan-Meier.
     """
-    frame = run.packet_inter_reception[run.packet_inter_reception.message_type == message_type].groupby("pir_steps")[["n_received", "n_censored"]].sum()
+    frame = (
+        run.packet_inter_reception[run.packet_inter_reception.message_type == message_type]
+        .groupby("pir_steps")[["n_received", "n_censored"]]
+        .sum()
+    )
     if not frame.n_received.sum():
         raise ValueError(f"{run.path} holds no two messages of type {message_type} in a row of any pair. Run longer.")
     ended, censored = frame.n_received.astype(np.float64), frame.n_censored
@@ -150,7 +155,7 @@ def conditions(run: Run) -> pd.DataFrame:
         ("penetration", ", ".join(run.config["fleet"]["equipped_kinds"]), run.config["fleet"]["penetration_p"]),
     ]  # fmt: skip
     if radio["model"] in ("disk", "unit_disk"):
-        loss_p = radio.get("unit_disk", radio.get("disk"))["loss_p"]
+        loss_p = radio[radio["model"]]["loss_p"]
         rows += [("loss_per_hop", "", loss_p)]
         rows += [(name, "not modelled", np.nan) for name in ("receiver_threshold", "nlos", "fading", "dcc")]
     elif radio["model"] == "csma":
@@ -158,7 +163,9 @@ def conditions(run: Run) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=["condition", "is", "value"])
 
 
-def _of_csma(propagation: dict[str, Any], receiver: dict[str, Any], dcc: dict[str, Any]) -> list[tuple[str, str, float]]:
+def _of_csma(
+    propagation: dict[str, Any], receiver: dict[str, Any], dcc: dict[str, Any]
+) -> list[tuple[str, str, float]]:
     tr_37885 = propagation["model"] in ("urban", "highway")
     nlos = {
         "3gpp": "TR 37.885 NLOS" if tr_37885 else "none",

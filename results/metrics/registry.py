@@ -34,7 +34,12 @@ TOPICS: Mapping[str, str] = {
     "attack": "What attacks achieve.",
 }
 
-_ROLE, _DEFINITION, _MESSAGE_TYPE, _LIST = "role of the subject", "definition of an encounter", "message type", "own sensor or fused"
+_ROLE, _DEFINITION, _MESSAGE_TYPE, _LIST = (
+    "role of the subject",
+    "definition of an encounter",
+    "message type",
+    "own sensor or fused",
+)
 _IN_WORDS = "what it is, in words"
 
 # fmt: off

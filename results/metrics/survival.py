@@ -25,7 +25,7 @@ def kaplan_meier(lasted_s: ndarray, over: ndarray) -> pd.DataFrame:
     if not len(lasted_s):
         return pd.DataFrame({"duration_s": [0.0], "survival": [1.0], "low": [1.0], "high": [1.0]})
     with np.errstate(divide="ignore", invalid="ignore"), warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # the band is undefined where all or nobody is left
+        warnings.simplefilter("ignore", RuntimeWarning)  # the band is undefined where all or none are left
         curve = ecdf(CensoredData(uncensored=lasted_s[over], right=lasted_s[~over])).sf
         band = curve.confidence_interval(method="log-log") if over.any() else None
     x, p = np.asarray(curve.quantiles), np.asarray(curve.probabilities)

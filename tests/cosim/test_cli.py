@@ -4,6 +4,7 @@ import json
 
 import pytest
 
+from cosim.console import SUMMARY_METRICS
 from tests.drive import SHORT, cosim
 
 SETS = [word for override in (*SHORT, "traffic.duration_s=10") for word in ("--set", override)]
@@ -24,7 +25,8 @@ def test_run_ends_in_a_summary_and_a_picture(run):
     assert (run_folder / "trust.png").stat().st_size > 10_000
     manifest = json.loads((run_folder / "manifest.json").read_text())
     assert manifest["status"] == "finished" and manifest["steps"] == 10
-    for words in ("encounters", "delivery ratio", "real time", "runs/helsinki-1"):
+    assert len(done.stdout.splitlines()) <= 15
+    for words in ("encounters", "malicious", "fresh", "frames received", "real time", "runs/helsinki-1"):
         assert words in done.stdout
     assert done.stderr == ""  # no progress bar where nobody watches, no warnings
 
@@ -38,15 +40,21 @@ def test_a_run_can_be_repeated_from_its_own_config(run):
 
     assert fingerprint(folder / "again") == fingerprint(config.parent)
     answer = json.loads(done.stdout)
-    assert answer["run"] == "again" and any(row["topic"] == "radio" for row in answer["measures"])
+    assert answer["run"] == "again" and any(row["metric"] == "radio.pdr.cpm" for row in answer["measures"])
 
 
 def test_measure(run):
     folder, _ = run
-    assert "delivery ratio" in cosim("measure", "runs/helsinki-1", cwd=folder).stdout
+    assert "radio.pdr.all" in cosim("measure", "runs/helsinki-1", cwd=folder).stdout
     rows = json.loads(cosim("measure", "runs/helsinki-1", "--json", cwd=folder).stdout)["runs/helsinki-1"]
-    ratio = next(row["value"] for row in rows if row["figure"] == "delivery ratio")
+    ratio = next(row["value"] for row in rows if row["metric"] == "radio.pdr.all")
     assert 0.3 < ratio < 0.9  # most neighbours are behind walls
+
+
+def test_metrics_are_explained():
+    text = cosim("measure", "--explain").stdout
+    assert "misbehaviour.time_to_detection.median_s [s]: Time from the first attack" in text
+    assert set(SUMMARY_METRICS) <= set(json.loads(cosim("measure", "--explain", "--json").stdout))
 
 
 @pytest.mark.parametrize("what", ["encounters", "radio"])

@@ -21,7 +21,7 @@ def folder(tmp_path_factory):
 def test_the_same_returns(folder):
     run = open_run(folder)
     config = replay_lidar.config_of(run)
-    city, told, n = replay_lidar.city_of(config), run.sightings, 0
+    city, told, n = replay_lidar.city_of(config), run.observability, 0
     for world in replay_lidar.worlds(run, config):
         observers = np.flatnonzero(world.equipped)
         seen = observability(replay_lidar.sweep(world, observers, city, config), world.boxes, world.shape)
@@ -38,7 +38,7 @@ def test_the_same_returns(folder):
 def test_plot_sweep(folder, tmp_path):
     run = open_run(folder)
     told = run.detections
-    told = told[(told.step == 4) & (told.kind == "sensed")]
+    told = told[(told.step == 4) & (told.origin == "sensed")]
     vehicle = int(told.observer.value_counts().index[0])
     seen = replay_lidar.replay_scan(run, vehicle, 4)
     assert len(seen.reported) == (told.observer == vehicle).sum() and len(seen.actors) > 0

@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 
-from results.encounters import EncounterTracker, EncounterParams
+from results.encounters import EncounterParams, EncounterTracker
 from results.recorder import Recorder
 from results.tables import SCHEMA_VERSION
 
@@ -46,7 +46,8 @@ def write(folder, seed=0, steps=240, level="full", block_steps=60, reach_m=200.0
                 belief = belief + (goal - belief) * 0.12 + rng.normal(0, 0.012, N)
                 belief = belief.clip(0, 1)
                 record.append("trust", step, {
-                    "vehicle": talk, "trust": belief[talk], "weight": evidence[talk] * 0.7,
+                    "variant": np.zeros(len(talk), int), "subject": talk, "trust": belief[talk], "uncertainty": None,
+                    "weight": evidence[talk] * 0.7,
                     "n_evaluations": evidence[talk], "newest_age_s": rng.exponential(2, len(talk)),
                     "newest_age_s__valid": evidence[talk] > 0,
                     "oldest_age_s": np.minimum(step - first[talk], window_s) * 1.0,
@@ -55,10 +56,14 @@ def write(folder, seed=0, steps=240, level="full", block_steps=60, reach_m=200.0
         for ledger in ledgers:
             record.append("encounters", steps - 1, ledger.close(steps))
         record.append("vehicles", steps - 1, {
-            "vehicle": np.arange(N), "sumo_id": np.array([f"trip_{i}" for i in range(N)]), "kind": kind,
+            "vehicle": np.arange(N), "sumo_id": np.array([f"trip_{i}" for i in range(N)]), "vehicle_class": kind,
             "length_m": lwh[:, 0], "width_m": lwh[:, 1], "height_m": lwh[:, 2], "equipped": equipped,
-            "role": role, "behaviour__valid": equipped, "first_step": first, "last_step": last,
-            "attack_start_step": lied[1], "first_lie_step__valid": lied[0] & (lied[1] <= last),
+            "role": role, "role__valid": equipped, "first_step": first, "last_step": last,
+            "attack_start_step": lied[1], "attack_start_step__valid": lied[0] & (lied[1] <= last),
+        })  # fmt: skip
+        record.append("pseudonyms", steps - 1, {
+            "pseudonym": np.flatnonzero(equipped), "vehicle": np.flatnonzero(equipped),
+            "from_step": first[equipped], "to_step": last[equipped],
         })  # fmt: skip
     manifest = {
         "schema_version": SCHEMA_VERSION, "status": "finished", "dt_s": 1.0, "steps": steps, "seed": seed,
@@ -126,8 +131,8 @@ def _meet(record, ledgers, step, here, talk, xyz, belief, reach_m, rng, heard_s)
             "n_lost_collision": hit.sum(), "n_lost_receiver_busy": 0, "n_lost_expired": 0, "n_lost_late": 0,
             "n_relayed": 0, "n_duplicate": 0}  # fmt: skip
     record.append("radio", step, {
-        "message": np.zeros(1, int), "n_sent": np.array([sent]), **{k: np.array([v]) for k, v in lost.items()},
-        "bytes": np.array([sent * 350.0]), "cbr": np.array([0.002 * sent]),
+        "message_type": np.zeros(1, int), "n_sent": np.array([sent]), **{k: np.array([v]) for k, v in lost.items()},
+        "sent_bytes": np.array([sent * 350.0]), "cbr": np.array([0.002 * sent]),
     })  # fmt: skip
     ring = 2 * (far // 25).astype(int) + ~seen
     rings = np.unique(ring)
@@ -135,16 +140,16 @@ def _meet(record, ledgers, step, here, talk, xyz, belief, reach_m, rng, heard_s)
         ("n_in_range", slice(None)), ("n_delivered", got), ("n_lost_propagation", faded), ("n_lost_collision", hit),
     )}  # fmt: skip
     zero = np.zeros(len(rings), int)
-    none = {name: zero for name in ("message", "n_lost_receiver_busy", "n_lost_expired", "n_lost_late")}
-    record.append("pdr_by_distance", step, {"distance_bin_m": rings // 2 * 25, "view": rings % 2, **count, **none})
+    none = {name: zero for name in ("message_type", "n_lost_receiver_busy", "n_lost_expired", "n_lost_late")}
+    record.append("pdr_by_distance", step, {"distance_bin_m": rings // 2 * 25, "los_state": rings % 2, **count, **none})
     latency_s = 0.0005 + rng.exponential(0.001, got.sum())
     bins, n = np.unique(np.floor(2 * np.log2(latency_s / 1e-4)), return_counts=True)
     record.append("latency_histogram", step, {
-        "message": np.zeros(len(bins), int), "latency_s": 1e-4 * 2 ** (bins / 2), "n_delivered": n,
+        "message_type": np.zeros(len(bins), int), "latency_s": 1e-4 * 2 ** (bins / 2), "n_delivered": n,
     })  # fmt: skip
     gaps = np.arange(1, 4)
     record.append("packet_inter_reception", step, {
-        "message": np.zeros(3, int), "pir_steps": gaps, "n_received": got.sum() // 3**gaps,
+        "message_type": np.zeros(3, int), "pir_steps": gaps, "n_received": got.sum() // 3**gaps,
         "n_censored": np.full(3, 1),
     })  # fmt: skip
     record.append("vehicle_channel", step, {
@@ -157,9 +162,10 @@ def _meet(record, ledgers, step, here, talk, xyz, belief, reach_m, rng, heard_s)
         **one_row, "n_addressed": np.array([sent * (step % 5 == 4)]), "n_informed": np.array([sent * (step % 5 == 4)]),
     })  # fmt: skip
     record.append("receptions", step, {
-        "message": np.zeros(got.sum(), int),
+        "message_type": np.zeros(got.sum(), int),
         "sender": one[got], "receiver": other[got], "hops": np.ones(got.sum(), int),
-        "generation_offset_s": rng.uniform(0, 0.2, got.sum()), "access_delay_s": latency_s - 0.0005, "latency_s": latency_s,
+        "generation_offset_s": rng.uniform(0, 0.2, got.sum()), "access_delay_s": latency_s - 0.0005,
+        "latency_s": latency_s,
         "distance_m": far[got],
     })  # fmt: skip
     renew = (step % 5 == 0) & (rng.random(got.sum()) < 0.8) & (step > 8)
@@ -167,7 +173,8 @@ def _meet(record, ledgers, step, here, talk, xyz, belief, reach_m, rng, heard_s)
     heard_s[receiver[renew], subject[renew]] = step - rng.integers(0, 3, renew.sum())
     known = heard_s[receiver, subject] >= 0
     record.append("trust_lookups", step, {
-        "receiver": receiver, "subject": subject, "trust": np.where(known, belief[subject], 0.5),
+        "variant": np.zeros(len(receiver), int), "receiver": receiver, "subject": subject,
+        "trust": np.where(known, belief[subject], 0.5),
         "source": np.where(known, 0, 2),
         "age_s": (step - heard_s[receiver, subject]).clip(0) * 1.0, "age_s__valid": known,
     })  # fmt: skip
@@ -195,23 +202,24 @@ def _see(record, step, here, talk, xyz, yaw, lwh, kind, role, lied, rng):
     score = np.r_[np.ones(s), rng.beta(8, 2, n), np.ones(m)]
     origin = np.r_[np.ones(s, int), np.zeros(n, int), np.full(m, 2)]
     k = np.r_[np.zeros(s, int), _position(o), np.full(m, 200)]
-    said = (origin > 0) | (role[observer] != "unreliable") | (rng.random(len(observer)) < 0.9)
+    sent = (origin > 0) | (role[observer] != "unreliable") | (rng.random(len(observer)) < 0.9)
     true = origin < 2
     iou = (1 - 3 * np.abs(noise).mean(axis=1)).clip(0, 1)
     sides = {"length_m": lwh[truth, 0], "width_m": lwh[truth, 1], "height_m": lwh[truth, 2], "yaw_rad": yaw[truth]}
     boxes = {"x_m": box[:, 0], "y_m": box[:, 1], "z_m": box[:, 2], **sides}
     truths = {"truth_actor": truth, "truth_actor__valid": true, "truth_iou": iou, "truth_iou__valid": true}
     record.append("detections", step, {
-        "observer": observer, "k": k, "class": label[truth], **boxes, "score": score,
-        "n_points": np.r_[np.zeros(s, int), points, np.zeros(m, int)], "kind": origin, "said": said, **truths,
+        "observer": observer, "detection_index": k, "class": label[truth], **boxes, "score": score,
+        "n_points": np.r_[np.zeros(s, int), points, np.zeros(m, int)], "origin": origin, "transmitted": sent, **truths,
         "truth_occlusion": np.r_[np.zeros(s), 1 - points / free, np.zeros(m)], "truth_occlusion__valid": true,
     })  # fmt: skip
-    e, j = (grid.ravel() for grid in np.meshgrid(talk, np.flatnonzero(said), indexing="ij"))
+    e, j = (grid.ravel() for grid in np.meshgrid(talk, np.flatnonzero(sent), indexing="ij"))
     close = (np.hypot(*(xyz[e, :2] - box[j, :2]).T) < 120) & (e != observer[j])
     e, j = e[close], j[close]
     record.append("evaluations", step, {
-        "evaluator": e, "observer": observer[j], "k": k[j], "judged_step": np.full(len(e), step),
-        "e": np.where(true[j], score[j], -1), "visibility": rng.random(len(e)), "n_points": rng.integers(0, 90, len(e)),
+        "evaluator": e, "observer": observer[j], "detection_index": k[j],
+        "evaluation": np.where(true[j], score[j], -1), "visibility": rng.random(len(e)),
+        "n_points": rng.integers(0, 90, len(e)),
         "plausible": None, "matched": true[j],
     })  # fmt: skip
     own = np.flatnonzero(origin == 0)
@@ -224,8 +232,8 @@ def _see(record, step, here, talk, xyz, yaw, lwh, kind, role, lied, rng):
                          return_index=True)  # fmt: skip
     believes, row, strong, local = believes[first], row[first], strong[first], local[first]
     record.append("fused", step, {
-        "observer": believes, "k": _position(believes), "score": strong,
-        "n_sources": np.ones(len(row), int), "local": local, "source": observer[row], "source_index": k[row],
+        "variant": np.zeros(len(row), int), "observer": believes, "fused_index": _position(believes), "score": strong,
+        "n_sources": np.ones(len(row), int), "ego_detected": local, "source": observer[row], "source_index": k[row],
         "pose": None, "pose_index": None, "fabricated": origin[row] == 2,
     })  # fmt: skip
 

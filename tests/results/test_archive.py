@@ -96,8 +96,7 @@ def test_measure_says_what_it_cannot(broken):
     shutil.rmtree(broken / "observability")
     for part in (broken / "encounters").iterdir():
         part.unlink()
-    numbers = measure(open_run(broken)).set_index("topic")
-    lost = numbers[numbers.figure == "not measured"]
-    assert "holds no table observability" in lost.of["detection"]
-    assert "holds no encounters" in lost.of["encounters"]
-    assert "not measured" not in set(numbers.figure["radio"])
+    numbers = measure(open_run(broken)).set_index("metric")
+    assert "holds no table observability" in numbers.group["detection.not_measured"]
+    assert "holds no encounters" in numbers.group["encounters.not_measured"]
+    assert "radio.not_measured" not in numbers.index

@@ -1,15 +1,19 @@
-"""The encounter ledger: by hand, against closed forms, and against a brute-force twin."""
+"""The encounter tracker: by hand, against closed forms, and against a brute-force twin."""
 
+import copy
 import math
+import pickle
 import time
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
-from results.encounters import EncounterTracker, EncounterParams
+from results.encounters import EncounterParams, EncounterTracker
+from results.recorder import Recorder
 
 NULLS = (
     "gap_s",
@@ -36,17 +40,17 @@ def rows_of(columns):
     return rows
 
 
-def follow(tracks, params, dt_s=1.0, before_close=lambda ledger, step, opened, pairs: None):
-    """Encounters of tracks (step x actor x 2, NaN while not on the road), all pairs told to the ledger."""
-    ledger, rows = EncounterTracker(params, dt_s), []
+def follow(tracks, params, dt_s=1.0, before_close=lambda tracker, step, opened, pairs: None):
+    """Encounters of tracks (step x actor x 2, NaN while not on the road), all pairs given to the tracker."""
+    tracker, rows = EncounterTracker(params, dt_s), []
     for step, points in enumerate(tracks):
         present = np.flatnonzero(~np.isnan(points[:, 0]))
         a, b = (present[index] for index in np.triu_indices(len(present), 1))
         distance = np.hypot(*(points[a] - points[b]).T)
-        closed, opened = ledger.update(step, a, b, distance, distance < params.radius_m / 2, present)
+        closed, opened = tracker.update(step, a, b, distance, distance < params.radius_m / 2, present)
         rows += rows_of(closed)
-        before_close(ledger, step, opened, (a, b))
-    return rows + rows_of(ledger.close(len(tracks)))
+        before_close(tracker, step, opened, (a, b))
+    return rows + rows_of(tracker.close(len(tracks)))
 
 
 def on_a_line(*distances):
@@ -63,15 +67,15 @@ def brute_force(tracks, radius_m, hysteresis_s, dt_s):
             distance = np.hypot(*(tracks[:, a] - tracks[:, b]).T)
             there = ~np.isnan(distance)
             contact = [s for s in range(n_steps) if there[s] and distance[s] <= radius_m]
-            meetings = []
+            stretches = []
             for s in contact:
-                if meetings:
-                    last = meetings[-1][-1]
+                if stretches:
+                    last = stretches[-1][-1]
                     if (s - last - 1) * dt_s < max(hysteresis_s, 1e-9) and there[last:s].all():
-                        meetings[-1].append(s)
+                        stretches[-1].append(s)
                         continue
-                meetings.append([s])
-            for i, steps in enumerate(meetings):
+                stretches.append([s])
+            for i, steps in enumerate(stretches):
                 start, end = steps[0], steps[-1] + 1
                 gone = next((s for s in range(end, n_steps) if not there[s]), None)
                 m_over = max(1, math.ceil(hysteresis_s / dt_s - 1e-9))
@@ -81,8 +85,8 @@ def brute_force(tracks, radius_m, hysteresis_s, dt_s):
                     "a": a, "b": b, "start_step": start, "end_step": end,
                     "censored_left": start == 0, "censored_right": not over,
                     "entered": bool(away_before), "departed": gone == end,
-                    "gap_s": None if i == 0 or not there[meetings[i - 1][-1] : start].all()
-                    else (start - meetings[i - 1][-1] - 1) * dt_s,
+                    "gap_s": None if i == 0 or not there[stretches[i - 1][-1] : start].all()
+                    else (start - stretches[i - 1][-1] - 1) * dt_s,
                     "min_distance_m": distance[steps].min(), "mean_distance_m": distance[steps].mean(),
                     "los_share": (distance[steps] < radius_m / 2).mean(),
                 })  # fmt: skip
@@ -171,15 +175,15 @@ def test_entering_and_leaving_by_hand():
 
 
 def test_counts_and_first_contact():
-    """Messages and evaluations are kept apart by direction; trust is what was known when it began."""
+    """Messages and evaluations are counted by direction; trust is that at its beginning."""
 
-    def talk(ledger, step, opened, pairs):
+    def talk(tracker, step, opened, pairs):
         a, b = (side[opened] for side in pairs)
         if len(opened):
-            ledger.first_contact(b, a, np.full(len(a), 0.25), np.full(len(a), 0), np.full(len(a), 7.0))
-            ledger.first_contact(a, b, np.full(len(a), 0.5), np.full(len(a), 2), np.full(len(a), 0.0))
-        ledger.count_messages(np.array([0, 0, 1, 5]), np.array([1, 1, 0, 0]))
-        ledger.count_evaluations(np.array([1, 0]), np.array([0, 1]), np.array([4, 1]))
+            tracker.first_contact(b, a, np.full(len(a), 0.25), np.full(len(a), 0), np.full(len(a), 7.0))
+            tracker.first_contact(a, b, np.full(len(a), 0.5), np.full(len(a), 2), np.full(len(a), 0.0))
+        tracker.count_messages(np.array([0, 0, 1, 5]), np.array([1, 1, 0, 0]))
+        tracker.count_evaluations(np.array([1, 0]), np.array([0, 1]), np.array([4, 1]))
 
     tracks = on_a_line(50, 5, 5, 50, 50)
     (row,) = follow(tracks, EncounterParams(radius_m=10, hysteresis_s=0, pairs="all"), before_close=talk)
@@ -192,50 +196,84 @@ def test_counts_and_first_contact():
 def test_trusted_after():
     """Near from step 1; 0 uses a value for 1 from step 3, 1 knew 0 from the start, and once is enough."""
 
-    def talk(ledger, step, opened, pairs):
+    def talk(tracker, step, opened, pairs):
         if len(opened):
-            ledger.first_contact(np.array([1]), np.array([0]), np.array([0.5]), np.array([0]), np.array([9.0]))
+            tracker.first_contact(np.array([1]), np.array([0]), np.array([0.5]), np.array([0]), np.array([9.0]))
         if step >= 3:
-            ledger.note_trust(np.array([0, 1]), np.array([1, 0]))
+            tracker.note_trust(np.array([0, 1]), np.array([1, 0]))
 
     (row,) = follow(on_a_line(50, 5, 5, 5, 5), EncounterParams(radius_m=10, pairs="all"), 0.5, talk)
     assert (row["trusted_after_ab_s"], row["trusted_after_ba_s"]) == (1.0, 0.0)
 
 
-def test_who_can_meet():
+def test_which_pairs_count():
     a, b = np.array([0, 0]), np.array([1, 2])
     near, present = np.array([5.0, 5.0]), np.arange(3)
-    for pairs, expected in (("all", [1, 2]), ("equipped", [1]), ("sight", [])):
-        ledger = EncounterTracker(EncounterParams(radius_m=10, pairs=pairs), 1.0)
-        _, opened = ledger.update(0, a, b, near, np.array([False, True]), present, equipped=np.array([True, False]))
+    for pairs, expected in (("all", [1, 2]), ("equipped", [1]), ("los", [])):
+        tracker = EncounterTracker(EncounterParams(radius_m=10, pairs=pairs), 1.0)
+        _, opened = tracker.update(0, a, b, near, np.array([False, True]), present, equipped=np.array([True, False]))
         assert b[opened].tolist() == expected
-    assert len(ledger) == 0
+    assert len(tracker) == 0
 
 
-def test_memory_stays_with_the_living():
-    """Actors who come and go for long leave nothing behind."""
-    ledger = EncounterTracker(EncounterParams(radius_m=10, hysteresis_s=0, pairs="all"), 1.0)
+def test_memory_is_bounded_by_the_actors_on_the_road():
+    """Actors that come and go for long leave nothing behind."""
+    tracker = EncounterTracker(EncounterParams(radius_m=10, hysteresis_s=0, pairs="all"), 1.0)
     for step in range(300):
         present = np.arange(step * 20, step * 20 + 20)
         a, b = (present[index] for index in np.triu_indices(20, 1))
-        ledger.update(step, a, b, np.ones(len(a)), np.ones(len(a), bool), present)
-    assert len(ledger) == 190
-    assert len(ledger._past[0]) + len(ledger._pending[0]) < 5000
+        tracker.update(step, a, b, np.ones(len(a)), np.ones(len(a), bool), present)
+    assert len(tracker) == 190
+    assert len(tracker._past[0]) + len(tracker._pending[0]) < 5000
 
 
 @pytest.mark.verify
 def test_costs_less_than_the_traffic():
-    """1,000 vehicles with 40 neighbours each: SUMO takes 7 to 9 ms a step, the ledger below 6."""
+    """1,000 vehicles with 40 neighbours each: SUMO takes 7 to 9 ms a step, the tracker below 6."""
     rng = np.random.default_rng(0)
     points, speed = rng.uniform(0, 2000, (1000, 2)), rng.normal(0, 8, (1000, 2))
-    ledger, spent_s = EncounterTracker(EncounterParams(radius_m=230, pairs="all"), 1.0), []
+    tracker, spent_s = EncounterTracker(EncounterParams(radius_m=230, pairs="all"), 1.0), []
     for step in range(120):
         points = (points + speed) % 2000
         pairs = cKDTree(points).query_pairs(230, output_type="ndarray")
         a, b = pairs[np.lexsort(pairs.T[::-1])].T
         distance = np.hypot(*(points[a] - points[b]).T)
         start = time.process_time()
-        ledger.update(step, a, b, distance, distance < 100, np.arange(1000))
-        ledger.count_messages(np.r_[a, b], np.r_[b, a])
+        tracker.update(step, a, b, distance, distance < 100, np.arange(1000))
+        tracker.count_messages(np.r_[a, b], np.r_[b, a])
         spent_s.append(time.process_time() - start)
     assert np.median(spent_s) < 6e-3
+
+
+def test_first_contact_counts_only_when_an_encounter_begins():
+    """Given again in the next step, and for a pair out of range, it changes nothing."""
+
+    def talk(tracker, step, opened, pairs):
+        trust = np.array([0.25 + 0.25 * step])
+        tracker.first_contact(np.array([0]), np.array([1]), trust, np.array([0]), np.array([1.0]))
+
+    (row,) = follow(on_a_line(50, 5, 5, 50, 50, 50), EncounterParams(radius_m=10, pairs="all"), before_close=talk)
+    assert row["trust_ab"] == 0.5
+
+
+@pytest.mark.parametrize("copied", [copy.deepcopy, lambda tracker: pickle.loads(pickle.dumps(tracker))])
+def test_a_copy_goes_on_alone(copied):
+    tracker = EncounterTracker(EncounterParams(radius_m=10, pairs="all"), 1.0)
+    pair, near, far, los = (np.array([0]), np.array([1])), np.array([5.0]), np.array([50.0]), np.array([True])
+    tracker.update(0, *pair, near, los, np.arange(2))
+    other = copied(tracker)
+    tracker.update(1, *pair, near, los, np.arange(2))
+    other.update(1, *pair, far, los, np.arange(2))
+    assert tracker.close(2)["duration_s"].tolist() == [2] and other.close(2)["duration_s"].tolist() == [1]
+
+
+def test_definitions_that_differ_in_hysteresis_alone(tmp_path):
+    """Both keep their rows: the hysteresis belongs to the key."""
+    near, los, present = np.array([5.0]), np.array([True]), np.arange(2)
+    with Recorder(tmp_path, "summary", block_steps=1) as recorder:
+        for hysteresis_s in (0.0, 3.0):
+            tracker = EncounterTracker(EncounterParams(hysteresis_s=hysteresis_s, pairs="all"), 1.0)
+            tracker.update(0, np.array([0]), np.array([1]), near, los, present)
+            recorder.append("encounters", 0, tracker.close(1))
+    (part,) = (tmp_path / "encounters").iterdir()
+    assert pq.read_table(part).column("hysteresis_s").to_pylist() == [0.0, 3.0]

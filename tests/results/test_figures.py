@@ -52,7 +52,12 @@ def test_a_single_encounter_is_seen_to_end(tiny):
 
 def test_too_few_messages_for_a_curve_are_said(tiny):
     sent = {"n_in_range": 4, "n_delivered": 4}
-    run = tiny(9, radio=[{"n_sent": 2, **sent}], pdr_by_distance=[sent], latency_histogram=[{"latency_s": 0.001, "n_delivered": 4}])
+    run = tiny(
+        9,
+        radio=[{"n_sent": 2, **sent}],
+        pdr_by_distance=[sent],
+        latency_histogram=[{"latency_s": 0.001, "n_delivered": 4}],
+    )
     axes = FIGURES["radio"]([run, run]).axes[0]  # of one run, maps want vehicles
     assert not axes.lines and [text.get_text() for text in axes.texts] == ["too few messages"]
 
@@ -65,8 +70,8 @@ def test_saved_twice_is_the_same_file(run, suffix, tmp_path):
 
 def test_single_vehicles(run):
     figure = trust.draw([run], vehicles=[0, 12])
-    assert {text.get_text() for text in figure.axes[0].texts} == {"0", "12", "lies begin"}
-    with pytest.raises(ValueError, match="ever judged vehicle 59"):
+    assert {text.get_text() for text in figure.axes[0].texts} == {"0", "12", "attacks begin"}
+    with pytest.raises(ValueError, match="no trust in vehicle 59"):
         trust.draw([run], vehicles=[59])
 
 
@@ -111,3 +116,12 @@ def test_nothing_to_draw_is_one_clear_line(name, tmp_path):
 def test_runs_of_one_name_are_told_apart(run, tmp_path):
     twin = open_run(write(tmp_path / run.name, steps=10))
     assert len(set(style.names([run, twin]))) == 2
+
+
+def test_malicious_is_red_and_every_role_has_one_colour(run):
+    roles = run.role_labels
+    red, green, blue = to_rgb(style.role_look("malicious", roles)["color"])
+    assert red > 0.7 and green < 0.4 and blue < 0.4
+    assert len({style.role_look(role, (*roles, "mine", "yours"))["color"] for role in (*roles, "mine", "yours")}) == 5
+    shown = {line.get_label(): line.get_color() for line in trust.draw([run]).legends[0].get_lines()}
+    assert shown == {role: style.role_look(role, roles)["color"] for role in roles}

@@ -7,10 +7,11 @@ import pytest
 
 from results.measure import measure
 from results.metrics import contact_graph, detection, encounters, freshness, misbehaviour, radio, trust
+from results.metrics.registry import METRICS
 from tests.results.tiny import fleet
 
 
-def meeting(a, b, start, end, **more):
+def encounter(a, b, start, end, **more):
     return {"a": a, "b": b, "start_step": start, "end_step": end, "duration_s": end - start, "radius_m": 50} | more
 
 
@@ -20,8 +21,8 @@ def test_kaplan_meier_by_hand(tiny):
     S(1) = 4/5; S(2) = 4/5 * 3/4 = 3/5; S(3) = 3/5 * 1/2 = 3/10 = S(4). Area to 4 s: 1 + .8 + .6 + .3 = 2.7.
     """
     ends = [(1, False), (2, False), (2, True), (3, False), (4, True)]
-    rows = [meeting(0, i + 1, 10, 10 + d, censored_right=c) for i, (d, c) in enumerate(ends)]
-    run = tiny(20, encounters=[*rows, meeting(0, 9, 0, 15, censored_left=True)])
+    rows = [encounter(0, i + 1, 10, 10 + d, censored_right=c) for i, (d, c) in enumerate(ends)]
+    run = tiny(20, encounters=[*rows, encounter(0, 9, 0, 15, censored_left=True)])
     curve = encounters.survival(run)
     assert curve.duration_s.tolist() == [0, 1, 2, 3, 4]
     assert curve.survival.tolist() == pytest.approx([1, 0.8, 0.6, 0.3, 0.3])
@@ -33,7 +34,7 @@ def test_kaplan_meier_by_hand(tiny):
 
 
 def test_departures_as_ends_or_as_censoring(tiny):
-    run = tiny(20, encounters=[meeting(0, 1, 2, 4), meeting(0, 2, 2, 8, departed=True)])
+    run = tiny(20, encounters=[encounter(0, 1, 2, 4), encounter(0, 2, 2, 8, departed=True)])
     assert encounters.survival(run).survival.iloc[-1] == 0
     assert encounters.survival(run, "censors").survival.iloc[-1] == 0.5
 
@@ -45,13 +46,13 @@ def test_freshness_on_a_timeline(tiny):
     news at 16 s), 1, 2 (from 21 s). Sum of the 17 ages 15 + 15 + 40 + 3 = 73; peaks 5 and 10.
     """
     ages = [None] * 6 + [1, 2, 3, 4, 5] * 2 + [6, 7, 8, 9, 10, 1, 2]
-    uses = [
+    lookups = [
         {"step": i, "receiver": 1, "subject": 2, "source": "default" if age is None else "server", "age_s": age}
         for i, age in enumerate(ages)
     ]  # fmt: skip
     run = tiny(23, vehicles=fleet(*["honest"] * 3), trust_lookups=lookups)
     assert freshness.shares(run, 5).set_index("state").n.to_dict() == {"fresh": 12, "stale": 5, "default": 6}
-    server = freshness.at_use(run).set_index("source").loc["server"]
+    server = freshness.at_lookup(run).set_index("source").loc["server"]
     assert server.mean_s == pytest.approx(73 / 17)
     assert server.median_s == pytest.approx(4, rel=0.03)
     # Blocks of 10 steps: the renewal at 11 s has its peak (10 s) in the same block, that at 21 s too.
@@ -63,16 +64,16 @@ def test_freshness_on_a_timeline(tiny):
 
 def test_encounters_without_trust(tiny):
     """Four directions: known at once, after 3 s, never, never."""
-    meetings = [meeting(0, 1, 0, 6, trusted_after_ab_s=0.0), meeting(0, 1, 8, 12, trusted_after_ba_s=3.0)]
-    (row,) = freshness.without_trust(tiny(20, vehicles=fleet("honest", "honest"), encounters=meetings)).itertuples()
+    rows = [encounter(0, 1, 0, 6, trusted_after_ab_s=0.0), encounter(0, 1, 8, 12, trusted_after_ba_s=3.0)]
+    (row,) = freshness.without_trust(tiny(20, vehicles=fleet("honest", "honest"), encounters=rows)).itertuples()
     assert (row.n, row.n_without, row.share, row.wait_median_s) == (4, 2, 0.5, 3)
 
 
 def test_evidence(tiny):
     rows = [
-        {"step": 0, "vehicle": 0, "n_evaluations": 0},
-        {"step": 1, "vehicle": 0, "n_evaluations": 4, "newest_age_s": 1, "oldest_age_s": 9},
-        {"step": 2, "vehicle": 0, "n_evaluations": 6, "newest_age_s": 3, "oldest_age_s": 11},
+        {"step": 0, "subject": 0, "n_evaluations": 0},
+        {"step": 1, "subject": 0, "n_evaluations": 4, "newest_age_s": 1, "oldest_age_s": 9},
+        {"step": 2, "subject": 0, "n_evaluations": 6, "newest_age_s": 3, "oldest_age_s": 11},
     ]
     (row,) = freshness.evidence(tiny(3, vehicles=fleet("honest"), trust=rows)).itertuples()
     assert (row.n, row.none_share, row.newest_age_s, row.oldest_age_s) == (3, pytest.approx(1 / 3), 2, 10)
@@ -84,17 +85,17 @@ def test_evidence_where_it_is_used(tiny):
     Used at 6.2 s: 2.2 s and 10.2 s old; used at 3.2 s: none; an own value whose newest evidence is 4 s old.
     """
     rows = [
-        {"step": 0, "vehicle": 2}, {"step": 5, "vehicle": 1, "n_evaluations": 1, "newest_age_s": 7, "oldest_age_s": 7},
-        {"step": 5, "vehicle": 2, "n_evaluations": 2, "newest_age_s": 1, "oldest_age_s": 9},
+        {"step": 0, "subject": 2}, {"step": 5, "subject": 1, "n_evaluations": 1, "newest_age_s": 7, "oldest_age_s": 7},
+        {"step": 5, "subject": 2, "n_evaluations": 2, "newest_age_s": 1, "oldest_age_s": 9},
     ]  # fmt: skip
-    uses = [
+    lookups = [
         {"step": s, "receiver": r, "subject": 2, "source": source, "age_s": age}
         for s, r, source, age in (
             (6, 1, "server", 1.2), (3, 1, "server", 3.2), (6, 0, "own", 4), (7, 0, "default", None),
         )
     ]  # fmt: skip
     run = tiny(9, vehicles=fleet("honest", "honest", "unreliable"), trust=rows, trust_lookups=lookups)
-    (row,) = freshness.evidence_at_use(run).itertuples()
+    (row,) = freshness.evidence_at_lookup(run).itertuples()
     assert (row.role, row.n, row.none_share) == ("unreliable", 3, pytest.approx(1 / 3))
     assert (row.newest_s, row.oldest_s) == (pytest.approx((2.2 + 4) / 2, abs=1e-3), pytest.approx(10.2, abs=1e-3))
     shares = freshness.shares_by_role(run, 2).set_index("state")
@@ -103,7 +104,7 @@ def test_evidence_where_it_is_used(tiny):
 
 def test_trust_by_hand(tiny):
     values = {0: [0.6, 0.8, 0.5, 0.5], 3: [0.7, 0.9, 0.4, 0.5], 7: [0.7, 0.3, 0.2, 0.5]}
-    rows = [{"step": s, "vehicle": v, "trust": t} for s, ts in values.items() for v, t in enumerate(ts)]
+    rows = [{"step": s, "subject": v, "trust": t} for s, ts in values.items() for v, t in enumerate(ts)]
     run = tiny(20, vehicles=fleet("honest", "honest", "malicious", "malicious"), trust=rows)
     last = trust.final(run).set_index("role")
     assert last["mean"].to_dict() == pytest.approx({"honest": 0.5, "malicious": 0.35})
@@ -114,12 +115,12 @@ def test_trust_by_hand(tiny):
 
 def test_trust_without_a_server(tiny):
     """Means over hearers: of vehicle 2 0.3 (0.2 and 0.4; a default says nothing), of vehicle 1 0.8, later 0.1."""
-    uses = [
+    lookups = [
         {"step": 2, "receiver": r, "subject": s, "trust": t, "source": "own", "age_s": 1}
         for r, s, t in ((0, 2, 0.2), (1, 2, 0.4), (0, 1, 0.8))
     ]
-    uses += [{"step": 2, "receiver": 2, "subject": 1, "trust": 0.1, "source": "default"}]
-    uses += [{"step": 4, "receiver": 0, "subject": 1, "trust": 0.1, "source": "own", "age_s": 2}]
+    lookups += [{"step": 2, "receiver": 2, "subject": 1, "trust": 0.1, "source": "default"}]
+    lookups += [{"step": 4, "receiver": 0, "subject": 1, "trust": 0.1, "source": "own", "age_s": 2}]
     frame = trust.values(tiny(20, vehicles=fleet("honest", "honest", "malicious"), trust_lookups=lookups))
     assert frame[["time_s", "vehicle"]].to_numpy().tolist() == [[2, 1], [2, 2], [4, 1]]
     assert frame.trust.tolist() == pytest.approx([0.8, 0.3, 0.1])
@@ -130,17 +131,17 @@ def test_radio_by_hand(tiny):
         {"step": s, "n_sent": 2, "n_in_range": 4, "n_delivered": d, "n_lost_propagation": 4 - d, "cbr": 0.1}
         for s, d in enumerate((4, 2))
     ]
-    links = [
+    pdr = [
         {"step": s, "distance_bin_m": ring, "n_in_range": 2, "n_delivered": d, "n_lost_propagation": 2 - d}
         for s, ring, d in ((0, 0, 2), (0, 25, 2), (1, 0, 2), (1, 25, 0))
     ]
     run = tiny(2, radio=rows, pdr_by_distance=pdr)
     (row,) = radio.overall(run).itertuples()
-    assert (row.n_sent, row.delivery_ratio, row.lost_propagation) == (4, 0.75, 0.25)
-    assert radio.over_time(run, 1).delivery_ratio.tolist() == [1, 0.5]
+    assert (row.n_sent, row.pdr, row.lost_propagation) == (4, 0.75, 0.25)
+    assert radio.over_time(run, 1).pdr.tolist() == [1, 0.5]
     by_distance = radio.by_distance(run)
     assert by_distance.distance_m.tolist() == [12.5, 37.5]
-    assert by_distance.delivery_ratio.tolist() == [1, 0.5]
+    assert by_distance.pdr.tolist() == [1, 0.5]
 
 
 @pytest.fixture
@@ -151,22 +152,28 @@ def scene(tiny):
     """
     size = {"length_m": 4, "width_m": 2, "height_m": 1.5}
     vehicles = fleet("malicious", last_step=49)
-    vehicles += [{"vehicle": v, "kind": "car", "last_step": 49, **size} for v in (1, 2)]
+    vehicles += [{"vehicle": v, "vehicle_class": "car", "last_step": 49, **size} for v in (1, 2)]
     vehicles.append({**fleet("honest")[0], "vehicle": 3, "last_step": -1})
     x = {0: 0.0, 1: 20.0, 2: -20.0}
     actors, observability, detections, fused = [], [], [], []
     for step in range(50):
         actors += [{"step": step, "actor": v, "x_m": x[v], "z_m": 0.75} for v in x]
-        observability += [{"step": step, "observer": 0, "actor": v, "n_points": 90, "n_unoccluded": 100} for v in (1, 2)]
-        seen = {"step": step, "observer": 0, "z_m": 0.75, **size}
-        detections.append(seen | {"k": 1, "x_m": 20, "score": 0.6, "said": True, "truth_actor": 1, "truth_iou": 1})
-        fused.append({"step": step, "observer": 0, "k": 1, "score": 0.6, "local": True, "source_index": 1})
+        observability += [
+            {"step": step, "observer": 0, "actor": v, "n_points": 90, "n_unoccluded": 100} for v in (1, 2)
+        ]
+        seen = {"step": step, "observer": 0, "z_m": 0.75, "transmitted": True, **size}
+        detections.append(seen | {"detection_index": 1, "x_m": 20, "score": 0.6, "truth_actor": 1, "truth_iou": 1})
+        fused.append(
+            {"step": step, "observer": 0, "fused_index": 1, "score": 0.6, "ego_detected": True, "source_index": 1}
+        )
         if step % 2:
-            detections.append(seen | {"k": 2, "x_m": 40, "score": 0.9, "said": True})
+            detections.append(seen | {"detection_index": 2, "x_m": 40, "score": 0.9})
         if step >= 40:
-            detections.append(seen | {"k": 3, "x_m": 9, "score": 1, "kind": "fabricated", "said": True})
+            detections.append(seen | {"detection_index": 3, "x_m": 9, "score": 1, "origin": "fabricated"})
         if step >= 45:
-            fused.append({"step": step, "observer": 3, "k": 2, "score": 0.7, "fabricated": True, "source_index": 3})
+            fused.append(
+                {"step": step, "observer": 3, "fused_index": 2, "score": 0.7, "fabricated": True, "source_index": 3}
+            )
     return tiny(
         50, vehicles=vehicles, actors=actors, observability=observability, detections=detections, fused=fused
     )  # fmt: skip
@@ -195,15 +202,15 @@ def test_awareness_on_a_scene(scene):
 
 
 def test_attack_on_a_scene(scene):
-    """Ten boxes made up, five believed by one other."""
+    """Ten boxes fabricated, five accepted by one other."""
     (row,) = detection.attack_success(scene).itertuples()
-    assert (row.n_fabricated, row.n_believed, row.share, row.victims_mean) == (10, 5, 0.5, 1)
+    assert (row.n_fabricated, row.n_accepted, row.share, row.victims_mean) == (10, 5, 0.5, 1)
     assert detection.attack_success(scene, 0.8).share.item() == 0
 
 
 def test_contacts_by_hand(tiny):
-    """0-1 meet in [0, 2), 1-2 in [1, 3), 2-3 in [0, 1): news of 0 reaches 1 at 0 s, 2 at 1 s, 3 never."""
-    run = tiny(4, encounters=[meeting(0, 1, 0, 2), meeting(1, 2, 1, 3), meeting(2, 3, 0, 1)])
+    """0-1 meet in [0, 2), 1-2 in [1, 3), 2-3 in [0, 1): a message of 0 reaches 1 at 0 s, 2 at 1 s, 3 never."""
+    run = tiny(4, encounters=[encounter(0, 1, 0, 2), encounter(1, 2, 1, 3), encounter(2, 3, 0, 1)])
     assert contact_graph.arrivals(run, 0).set_index("actor").time_s.to_dict() == {0: 0, 1: 0, 2: 1}
     frame = contact_graph.over_time(run, 1)
     assert frame.n_contacts.tolist() == [2, 2, 1, 0]
@@ -216,19 +223,19 @@ def test_contacts_by_hand(tiny):
         contact_graph.graph(run, 0, 1, radius_m=7)
 
 
-def test_spread_by_hand(tiny):
+def test_temporal_reachability_by_hand(tiny):
     """The same meetings. At 0 s {0, 1} and {2, 3} know of each other; at 1 s {0, 1, 2} of all, 3 of 2 and 3.
 
-    So news of 0 and 1 has reached three of four, of 2 and 3 four.
+    So messages of 0 and 1 have reached three of four, of 2 and 3 four.
     """
-    run = tiny(4, encounters=[meeting(0, 1, 0, 2), meeting(1, 2, 1, 3), meeting(2, 3, 0, 1)])
+    run = tiny(4, encounters=[encounter(0, 1, 0, 2), encounter(1, 2, 1, 3), encounter(2, 3, 0, 1)])
     frame = contact_graph.temporal_reachability(run, 1)
     assert frame.reached_mean.tolist() == [0.5, 14 / 16, 14 / 16, 14 / 16]
     assert frame.reached_min.tolist() == [0.5, 0.75, 0.75, 0.75]
     assert frame.n_met.tolist() == [4, 4, 4, 4]
 
 
-def test_spread_is_arrivals_for_many(run):
+def test_temporal_reachability_is_arrivals_for_many(run):
     """Looked at in every step, it is the mean of what `arrivals` says of each source."""
     frame = contact_graph.temporal_reachability(run, 1.0, 50.0)
     met = contact_graph.contacts(run, 50.0)
@@ -239,35 +246,39 @@ def test_spread_is_arrivals_for_many(run):
     assert frame.reached_min.iloc[-1] == pytest.approx(min(reached) / frame.n_met.iloc[-1])
 
 
-def test_news_by_hand(tiny):
+def test_message_reachability_by_hand(tiny):
     """0 tells 1 in step 0, too late for what 1 says in that step; 1 tells 2 in step 1; 2 tells 3 in step 2."""
-    heard = [(0, 0, 1, 0.1), (0, 1, 2, 0.2), (1, 1, 2, 0.2), (2, 2, 3, 0.1), (3, 0, 3, 0.1), (3, 4, 5, 0.1)]
-    rows = [{"step": s, "sender": a, "receiver": b, "latency_s": t, "hops": 1} for s, a, b, t in heard]
+    received = [(0, 0, 1, 0.1), (0, 1, 2, 0.2), (1, 1, 2, 0.2), (2, 2, 3, 0.1), (3, 0, 3, 0.1), (3, 4, 5, 0.1)]
+    rows = [{"step": s, "sender": a, "receiver": b, "latency_s": t, "hops": 1} for s, a, b, t in received]
     run = tiny(5, vehicles=fleet(*["honest"] * 6), receptions=rows)
-    frame = contact_graph.message_reachability(run, 0).set_index("actor")
+    frame = contact_graph.message_reachability(run, 0).set_index("vehicle")
     assert frame.time_s.to_dict() == pytest.approx({0: 0, 1: 0.1, 2: 1.2, 3: 2.1}, abs=1e-5)
     assert frame.n_messages.to_dict() == {0: 0, 1: 1, 2: 2, 3: 3}
-    assert sorted(contact_graph.message_reachability(run, 0, 3.0).actor) == [0, 3]
-    assert sorted(contact_graph.relays(run, 1, 3).edges) == [(1, 2), (2, 3)]
+    assert sorted(contact_graph.message_reachability(run, 0, 3.0).vehicle) == [0, 3]
+    assert sorted(contact_graph.reception_graph(run, 1, 3).edges) == [(1, 2), (2, 3)]
 
 
 def test_relays(run):
-    graph = contact_graph.relays(run)
+    graph = contact_graph.reception_graph(run)
     assert sum(n for _, _, n in graph.edges(data="n")) == len(run.receptions)
 
 
 def test_measure_is_tidy(run):
     numbers = measure(run)
-    assert list(numbers.columns) == ["topic", "figure", "of", "value", "unit"]
-    assert not (numbers.figure == "not measured").any()
-    assert not numbers.duplicated(["topic", "figure", "of"]).any()
-    ranked = numbers.set_index(["figure", "of"]).value
-    assert ranked["final trust, median", "malicious"] < 0.1 < 0.6 < ranked["final trust, median", "honest"]
+    assert list(numbers.columns) == ["metric", "group", "value", "unit", "label"]
+    assert not numbers.metric.str.endswith("not_measured").any()
+    assert not numbers.duplicated(["metric", "group"]).any()
+    assert set(numbers.metric) <= set(METRICS)
+    final = run.measure.value("trust.final.median", "malicious"), run.measure.value("trust.final.median", "honest")
+    assert final[0] < 0.1 < 0.6 < final[1]
+    with pytest.raises(ValueError, match=r"no metric 'trust\.last'"):
+        run.measure.value("trust.last")
 
 
 @pytest.mark.parametrize(
-    "ask", [encounters.survival, freshness.at_use, freshness.over_time, radio.overall, radio.by_distance, misbehaviour.roc,
-            trust.over_time, detection.precision, detection.awareness, detection.attack_success, contact_graph.contacts]
+    "ask", [encounters.survival, freshness.at_lookup, freshness.over_time, radio.overall, radio.by_distance,
+            misbehaviour.roc, trust.over_time, detection.precision, detection.awareness, detection.attack_success,
+            contact_graph.contacts]
 )  # fmt: skip
 def test_nothing_to_measure_is_one_clear_line(tiny, ask):
     with pytest.raises(ValueError) as caught:

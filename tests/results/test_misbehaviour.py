@@ -1,4 +1,4 @@
-"""Telling liars from honest vehicles: by hand, against SciPy's U test, and as laws."""
+"""Telling attackers from honest vehicles: by hand, against SciPy's U test, and as laws."""
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -14,49 +14,49 @@ from tests.results.tiny import fleet
 trusts = st.lists(st.sampled_from([0.0, 0.1, 0.25, 0.5, 0.9]), min_size=1, max_size=30).map(np.array)
 
 
-def lying(roles, attack_start_step):
+def attacking(roles, attack_start_step):
     vehicles = fleet(*roles)
     for vehicle, step in attack_start_step.items():
         vehicles[vehicle]["attack_start_step"] = step
     return vehicles
 
 
-def values(table, unjudged=()):
+def values(table, unrated=()):
     return [
-        {"step": s, "vehicle": v, "trust": t, "n_evaluations": int((s, v) not in unjudged)}
+        {"step": s, "subject": v, "trust": t, "n_evaluations": int((s, v) not in unrated)}
         for s, ts in table.items() for v, t in enumerate(ts) if t is not None
     ]  # fmt: skip
 
 
 @pytest.fixture
 def town(tiny):
-    """Honest 0, 1, 2, malicious 3, 4 that lie from step 3 and 5; 2 has no value at 3 and no evaluation behind that of 5.
+    """Honest 0, 1, 2, malicious 3, 4 that attack from steps 3 and 5; 2 has no value at 3 and is not rated at 5.
 
-    Judged from step 3 on: honest 0.6 0.8 | 0.6 0.4 | 0.2 0.4 0.9; liars (3) 0.5 | 0.3 | 0.1, (4) 0.7 | 0.3.
+    Rated from step 3 on: honest 0.6 0.8 | 0.6 0.4 | 0.2 0.4 0.9; attackers (3) 0.5 | 0.3 | 0.1, (4) 0.7 | 0.3.
     """
     table = {0: [0.1, 0.1, 0.1, 0.9, 0.9], 3: [0.6, 0.8, None, 0.5, 0.2], 5: [0.6, 0.4, 0.0, 0.3, 0.7],
              7: [0.2, 0.4, 0.9, 0.1, 0.3]}  # fmt: skip
-    vehicles = lying(["honest"] * 3 + ["malicious"] * 2, {3: 3, 4: 5})
+    vehicles = attacking(["honest"] * 3 + ["malicious"] * 2, {3: 3, 4: 5})
     vehicles[4]["last_step"] = 8
-    return tiny(20, vehicles=vehicles, trust=values(table, unjudged={(5, 2)}))
+    return tiny(20, vehicles=vehicles, trust=values(table, unrated={(5, 2)}))
 
 
-def test_separability_by_hand(town):
+def test_classification_by_hand(town):
     """Of 7 honest values, those above 0.5, 0.3, 0.1, 0.7 and 0.3: 4 + 6 + 7 + 2 + 6 = 25 of 35 pairs.
 
-    With one false positive in seven the threshold is the second lowest honest value, 0.4: the liars' 0.3, 0.1 and 0.3
-    are below it, 3 of 5. With none it is the lowest, 0.2.
+    With one false positive in seven the threshold is the second lowest honest value, 0.4: the attackers' 0.3, 0.1
+    and 0.3 are below it, 3 of 5. With none it is the lowest, 0.2.
     """
-    (row,) = misbehaviour.separability(town, 0.15).to_dict("records")
+    (row,) = misbehaviour.classification(town, 0.15).to_dict("records")
     assert row["auc"] == pytest.approx(25 / 35) and row["n"] == 2
-    assert (row["judged"], row["judged_honest"]) == (1, 7 / 9)
-    assert row["auc_unjudged"] == pytest.approx(25 / 40)  # the 0.0 without a evaluation is above no liar
+    assert (row["rated"], row["rated_honest"]) == (1, 7 / 9)
+    assert row["auc_unrated"] == pytest.approx(25 / 40)  # the 0.0 without a evaluation is above no attacker
     assert row["threshold"] == pytest.approx(0.4)
-    assert (row["true_positives"], row["false_positives"], row["caught"]) == (3 / 5, 1 / 7, 3 / 5)
-    (row,) = misbehaviour.separability(town).to_dict("records")
+    assert (row["true_positives"], row["false_positives"], row["suspected"]) == (3 / 5, 1 / 7, 3 / 5)
+    (row,) = misbehaviour.classification(town).to_dict("records")
     assert row["threshold"] == pytest.approx(0.2) and (row["true_positives"], row["false_positives"]) == (1 / 5, 0)
     assert misbehaviour.separation(town) == 5 / 6  # last values: 0.2, 0.4, 0.9 above 0.1, and 0.4, 0.9 above 0.3
-    late = misbehaviour.over_time(town, 5.0, 0.15).set_index("time_s")
+    late = misbehaviour.recall_over_time(town, 5.0, 0.15).set_index("time_s")
     assert late.auc.to_dict() == pytest.approx({0: 1, 5: 14 / 20})  # above 0.3, 0.7, 0.1, 0.3: 4 + 1 + 5 + 4
 
 
@@ -67,46 +67,48 @@ def test_curve_by_hand(town):
 
 
 def test_delays_by_hand(town):
-    """Below 0.35: 3 after 2 s, 4 after 2 s, honest 0 after 4 s (at 7), 1 and 2 never; a value of 0 judges nobody."""
-    delay = misbehaviour.detection_delay(town, 0.35).set_index("vehicle")
+    """Below 0.35: 3 after 2 s, 4 after 2 s, honest 0 after 4 s (at 7), 1 and 2 never; unrated 0 does not count."""
+    delay = misbehaviour.detection_delay(town, 0.35).set_index("subject")
     assert delay.delay_s.to_dict() == {0: 4, 1: 16, 2: 16, 3: 2, 4: 2}
     assert delay.found.to_dict() == {0: True, 1: False, 2: False, 3: True, 4: True}
     ever = misbehaviour.detection_summary(town, 0.35).set_index("role")
     assert ever.share.to_dict() == pytest.approx({"honest": 1 / 3, "malicious": 1})
-    assert ever.half_after_s["malicious"] == 2 and np.isnan(ever.half_after_s["honest"])
+    assert ever.median_s["malicious"] == 2 and np.isnan(ever.median_s["honest"])
 
 
 def test_suspected_by_vehicles(tiny):
     """A server's value counts from the evaluation behind it on: that of step 4 has none, that of step 8 has one."""
-    uses = [{"step": s, "receiver": 0, "subject": 1, "trust": t, "age_s": 1} for s, t in ((3, 0.5), (5, 0), (9, 0.1))]
-    rows = [{"step": 4, "vehicle": 1}, {"step": 8, "vehicle": 1, "n_evaluations": 2, "newest_age_s": 1}]
-    run = tiny(20, vehicles=lying(["honest", "malicious"], {1: 3}), trust_lookups=lookups, trust=rows)
-    assert misbehaviour.detection_delay(run, 0.25, "vehicles").set_index("vehicle").delay_s.to_dict() == {0: 16, 1: 6}
+    lookups = [
+        {"step": s, "receiver": 0, "subject": 1, "trust": t, "age_s": 1} for s, t in ((3, 0.5), (5, 0), (9, 0.1))
+    ]
+    rows = [{"step": 4, "subject": 1}, {"step": 8, "subject": 1, "n_evaluations": 2, "newest_age_s": 1}]
+    run = tiny(20, vehicles=attacking(["honest", "malicious"], {1: 3}), trust_lookups=lookups, trust=rows)
+    assert misbehaviour.detection_delay(run, 0.25, "vehicles").set_index("subject").delay_s.to_dict() == {0: 16, 1: 6}
 
 
 def test_without_a_server(tiny):
-    """Means over hearers: of the liar 0.3 (0.2 and 0.4), of vehicle 1 0.8, later 0.1; the first below 0.25 says it."""
-    uses = [
+    """Means over receivers: attacker 0.3 (0.2 and 0.4), vehicle 1 0.8, later 0.1; the first below 0.25 counts."""
+    lookups = [
         {"step": s, "receiver": r, "subject": v, "trust": t, "source": "own", "age_s": 1}
         for s, r, v, t in ((2, 0, 2, 0.2), (2, 1, 2, 0.4), (2, 0, 1, 0.8), (4, 0, 1, 0.1))
     ]
-    run = tiny(20, vehicles=lying(["honest", "honest", "malicious"], {2: 1}), trust_lookups=lookups)
-    assert misbehaviour.separability(run).auc.item() == 0.5  # 0.8 above 0.3, 0.1 not
+    run = tiny(20, vehicles=attacking(["honest", "honest", "malicious"], {2: 1}), trust_lookups=lookups)
+    assert misbehaviour.classification(run).auc.item() == 0.5  # 0.8 above 0.3, 0.1 not
     assert misbehaviour.below(run).set_index("role").share.to_dict() == {"honest": 0.5, "malicious": 0}
-    figures = measure(run).set_index(["topic", "figure", "of"]).value["liars"]
-    assert figures["half are suspected after, below 0.25", "malicious, at a vehicle"] == 1
-    assert not any("server" in of for _, of in figures.index)
+    found = measure(run, topics=("misbehaviour",)).set_index(["metric", "group"]).value
+    assert found["misbehaviour.time_to_detection.median_s", "malicious"] == 1
+    assert "misbehaviour.time_to_detection_at_vehicle.median_s" not in found.index.get_level_values(0)
 
 
 def test_against_the_u_test(run):
     """From the Parquet files alone, with SciPy's U statistic."""
     who = pq.read_table(run.path / "vehicles").to_pandas().set_index("vehicle")
-    table = pq.read_table(run.path / "trust").to_pandas().astype({"trust": float}).join(who, "vehicle")
+    table = pq.read_table(run.path / "trust").to_pandas().astype({"trust": float}).join(who, "subject")
     table = table[(table.step <= table.last_step) & (table.n_evaluations > 0)]
     honest = table.trust[(table.role == "honest") & (table.step >= who.attack_start_step.min())]
     lies = table.trust[(table.role == "malicious") & (table.step >= table.attack_start_step)]
     u = mannwhitneyu(honest, lies).statistic
-    row = misbehaviour.separability(run).set_index("role").loc["malicious"]
+    row = misbehaviour.classification(run).set_index("role").loc["malicious"]
     assert row.auc == pytest.approx(u / len(honest) / len(lies), abs=1e-12)
     assert row.threshold == pytest.approx(np.quantile(honest, 0.05, method="higher"), abs=0.02)
     assert row.false_positives <= 0.05 < (honest <= row.threshold).mean() + 1e-9
@@ -128,31 +130,32 @@ def test_threshold_is_the_largest(honest, allowed):
 
 
 def test_area_is_that_under_the_curve(run):
-    area = misbehaviour.separability(run).set_index("role").auc
+    area = misbehaviour.classification(run).set_index("role").auc
     for role, curve in misbehaviour.roc(run).groupby("role"):
         assert np.trapezoid(curve.true_positives, curve.false_positives) == pytest.approx(area[role])
 
 
-def test_nobody_judged(tiny):
-    vehicles = lying(["honest", "malicious"], {1: 3})
-    run = tiny(20, vehicles=vehicles, trust=values({5: [0.0, 0.0]}, unjudged={(5, 0), (5, 1)}))
-    (row,) = misbehaviour.separability(run).to_dict("records")
-    assert row["judged"] == row["judged_honest"] == 0 and row["auc_unjudged"] == 0.5
-    assert all(np.isnan(row[name]) for name in ("auc", "threshold", "true_positives", "caught"))
-    with pytest.raises(ValueError, match="no evaluations on liars and honest vehicles"):
+def test_none_rated(tiny):
+    vehicles = attacking(["honest", "malicious"], {1: 3})
+    run = tiny(20, vehicles=vehicles, trust=values({5: [0.0, 0.0]}, unrated={(5, 0), (5, 1)}))
+    (row,) = misbehaviour.classification(run).to_dict("records")
+    assert row["rated"] == row["rated_honest"] == 0 and row["auc_unrated"] == 0.5
+    assert all(np.isnan(row[name]) for name in ("auc", "threshold", "true_positives", "suspected"))
+    with pytest.raises(ValueError, match="no evaluations of attackers and honest vehicles"):
         misbehaviour.roc(run)
-    assert not measure(run).query("topic == 'liars' and figure != 'not measured'").value.isna().any()
+    found = measure(run, topics=("misbehaviour",))
+    assert not found.value.isna().any() and len(found)
 
 
-def test_a_lie_after_the_last_computation(tiny):
-    run = tiny(20, vehicles=lying(["honest", "malicious"], {1: 9}), trust=values({5: [0.5, 0.5]}))
-    for ask in (misbehaviour.separability, misbehaviour.over_time, misbehaviour.roc):
-        with pytest.raises(ValueError, match="no evaluations on liars"):
+def test_an_attack_after_the_last_computation(tiny):
+    run = tiny(20, vehicles=attacking(["honest", "malicious"], {1: 9}), trust=values({5: [0.5, 0.5]}))
+    for ask in (misbehaviour.classification, misbehaviour.recall_over_time, misbehaviour.roc):
+        with pytest.raises(ValueError, match="no evaluations of attackers"):
             ask(run)
 
 
-def test_nobody_lying(tiny):
+def test_no_attack(tiny):
     run = tiny(20, vehicles=fleet("honest", "honest"), trust=values({5: [0.3, 0.1]}))
     assert misbehaviour.below(run).share.tolist() == [0.5]
-    with pytest.raises(ValueError, match="holds no lies"):
-        misbehaviour.separability(run)
+    with pytest.raises(ValueError, match="holds no attacks"):
+        misbehaviour.classification(run)

@@ -1,4 +1,4 @@
-"""Figures of the radio, by hand."""
+"""Metrics of the radio, by hand."""
 
 import pytest
 
@@ -20,41 +20,42 @@ CONFIG = {
 
 
 def test_inter_reception_by_kaplan_meier(tiny):
-    """Eight silences of one step, one of two, one of four; one pair parts unheard after two steps."""
+    """Eight intervals of one step, one of two, one of four; one pair gets out of range after two steps."""
     rows = [
         {"step": 4, "pir_steps": 1, "n_received": 8}, {"step": 4, "pir_steps": 2, "n_received": 1, "n_censored": 1},
         {"step": 5, "pir_steps": 4, "n_received": 1}, {"step": 5, "pir_steps": 0, "n_censored": 3},
     ]  # fmt: skip
     run = tiny(6, packet_inter_reception=rows)
-    gaps = radio.inter_reception(run).set_index("gap_s")
+    gaps = radio.inter_reception(run).set_index("pir_s")
     # At risk: 11 of one step, 3 of two, 1 of four: survival 3/11, times 2/3, times 0.
     assert gaps.longer.loc[[0.0, 1.0, 2.0, 4.0]].tolist() == pytest.approx([1, 3 / 11, 2 / 11, 0])
     assert gaps.n_lost.tolist() == [0, 0, 1, 3]
-    with pytest.raises(ValueError, match="no two evaluations in a row"):
-        radio.inter_reception(run, "evaluations")
+    with pytest.raises(ValueError, match="no two messages of type evaluation in a row"):
+        radio.inter_reception(run, "evaluation")
 
 
 def test_latency_adds_up(tiny):
     rows = [
-        {"step": s, "latency_s": low, "n_delivered": n} for s, low, n in ((0, 0.001, 3), (0, 0.002, 1), (1, 0.001, 4))
+        {"step": s, "latency_s": low, "n_delivered": n}
+        for s, low, n in ((0, 0.0008, 3), (0, 0.0016, 1), (1, 0.0008, 4))
     ]
     found = radio.latency(tiny(2, latency_histogram=rows))
     assert found.n_delivered.tolist() == [7, 1]
     assert found.share.tolist() == [7 / 8, 1]
-    assert found.latency_s.tolist() == pytest.approx([0.001 * 2**0.5, 0.002 * 2**0.5])  # upper edges
+    assert found.latency_s.tolist() == pytest.approx([0.0008 * 2**0.5, 0.0016 * 2**0.5])  # upper edges
 
 
 def test_delivery_by_what_stands_between(tiny):
-    links = [
-        {"distance_bin_m": ring, "view": view, "n_in_range": 10, "n_delivered": n}
-        for ring, view, n in ((0, "open", 10), (0, "wall", 5), (25, "open", 8), (25, "wall", 1))
+    pdr = [
+        {"distance_bin_m": ring, "los_state": state, "n_in_range": 10, "n_delivered": n}
+        for ring, state, n in ((0, "los", 10), (0, "nlos", 5), (25, "los", 8), (25, "nlos", 1))
     ]
     run = tiny(1, pdr_by_distance=pdr)
-    assert radio.by_distance(run).delivery_ratio.tolist() == [0.75, 0.45]
-    by_view = radio.by_distance(run, by_view=True)
-    assert by_view.view.tolist() == ["open", "open", "wall", "wall"]
-    assert by_view.delivery_ratio.tolist() == [1, 0.8, 0.5, 0.1]
-    assert by_view.distance_m.tolist() == [12.5, 37.5] * 2
+    assert radio.by_distance(run).pdr.tolist() == [0.75, 0.45]
+    by_los = radio.by_distance(run, by_los=True)
+    assert by_los.los_state.tolist() == ["los", "los", "nlos", "nlos"]
+    assert by_los.pdr.tolist() == [1, 0.8, 0.5, 0.1]
+    assert by_los.distance_m.tolist() == [12.5, 37.5] * 2
 
 
 def test_the_map(tiny):
@@ -68,7 +69,7 @@ def test_the_map(tiny):
     cells = radio.by_place(tiny(2, actors=actors, vehicle_channel=channel), 50.0)
     assert cells[["x_m", "y_m", "n"]].values.tolist() == [[25, 25, 1], [75, 25, 3]]
     assert cells.cbr.tolist() == [0.25, 0.25]
-    assert cells.delivery_ratio.tolist() == [1, 0.25]
+    assert cells.pdr.tolist() == [1, 0.25]
 
 
 def test_the_way_to_the_server(tiny):
@@ -82,19 +83,18 @@ def test_the_way_to_the_server(tiny):
 
 def test_conditions_stand_beside_the_figures(tiny):
     radios = [{"n_sent": 2, "n_in_range": 4, "n_delivered": 3, "n_lost_propagation": 1, "cbr": 0.1}]
-    links = [{"n_in_range": 4, "n_delivered": 3}]
+    pdr = [{"n_in_range": 4, "n_delivered": 3}]
     run = tiny(1, CONFIG, radio=radios, pdr_by_distance=pdr, latency_histogram=[{"latency_s": 0.001, "n_delivered": 3}],
                packet_inter_reception=[{"pir_steps": 1, "n_received": 2}])  # fmt: skip
-    said = radio.conditions(run).set_index("condition")
-    assert said.value["receiver threshold"] == -92 and said.value["penetration"] == 0.35
-    assert said["is"]["non-line-of-sight model"] == "TR 37.885 NLOS"
-    assert said["is"]["fading"].startswith("Nakagami") and said["is"]["congestion control"] == "reactive"
-    measured = measure(run)
-    figures = measured[measured.topic == "radio"].figure.tolist()
-    assert figures.index("receiver threshold") < figures.index("delivery ratio")
-    assert {"inter-reception time", "latency at most", "busy ratio", "penetration", "fading"} <= set(figures)
+    found = radio.conditions(run).set_index("condition")
+    assert found.value["receiver_threshold"] == -92 and found.value["penetration"] == 0.35
+    assert found["is"]["nlos"] == "TR 37.885 NLOS"
+    assert found["is"]["fading"].startswith("Nakagami") and found["is"]["dcc"] == "reactive"
+    metrics = measure(run, topics=("radio",)).metric.str.removeprefix("radio.").tolist()
+    assert metrics.index("condition.receiver_threshold") < metrics.index("pdr.all")
+    assert {"pir.mean_s", "latency.p95_s", "cbr.mean", "condition.penetration", "condition.fading"} <= set(metrics)
     disk = tiny_disk(run)
-    assert set(disk["is"][["receiver threshold", "non-line-of-sight model", "fading"]]) == {"none: disk"}
+    assert set(disk["is"][["receiver_threshold", "nlos", "fading"]]) == {"not modelled"}
 
 
 def tiny_disk(run):
@@ -107,8 +107,8 @@ def test_two_pictures(run, other):
     alone = FIGURES["radio"]([run])
     titles = [axes.get_title(loc="left") for axes in alone.axes]
     assert {
-        "Delivered, by distance", "Latency of what arrived", "Between two messages", "Channel busy, over time",
-        "Channel busy, on the map",
+        "Delivery by distance", "Latency", "Packet inter-reception", "Channel busy ratio over time",
+        "Packet delivery ratio",
     } <= set(titles)  # fmt: skip
     beside = FIGURES["radio"]([run, other])
-    assert "Channel busy, on the map" not in [axes.get_title(loc="left") for axes in beside.axes]
+    assert "Packet delivery ratio" not in [axes.get_title(loc="left") for axes in beside.axes]

@@ -26,7 +26,7 @@ def test_examples(run, tmp_path, monkeypatch):
 def test_measures_of_a_run(run):
     assert run.measure.trust.final().equals(TOPICS["trust"].final(run))
     assert isinstance(run.measure.contacts.plot(every_s=20), Figure)
-    assert dir(run.measure) == sorted(TOPICS)
+    assert dir(run.measure) == sorted([*TOPICS, "value"])
     for topic in TOPICS:
         assert "plot" in dir(getattr(run.measure, topic)) and len(dir(getattr(run.measure, topic))) > 2
     with pytest.raises(AttributeError, match="The topics are encounters"):

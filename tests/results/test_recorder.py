@@ -11,10 +11,11 @@ from results.tables import TABLES
 from tests.results.synthetic import write
 
 
-def trust_of(vehicle, trust):
-    n = len(vehicle)
+def trust_of(subject, trust):
+    n = len(subject)
     return {
-        "vehicle": np.array(vehicle), "trust": np.array(trust, float), "weight": np.ones(n),
+        "variant": np.zeros(n, int), "subject": np.array(subject), "trust": np.array(trust, float),
+        "uncertainty": None, "weight": np.ones(n),
         "n_evaluations": np.ones(n, int), "newest_age_s": np.zeros(n), "oldest_age_s": None,
     }  # fmt: skip
 
@@ -33,7 +34,7 @@ def test_round_trip(tmp_path):
     ]
     frame = stored(tmp_path, "trust")
     assert frame.step.tolist() == [0, 0, 5]
-    assert frame.vehicle.tolist() == [3, 7, 3]  # sorted by key
+    assert frame.subject.tolist() == [3, 7, 3]  # sorted by key
     assert frame.trust.tolist() == [0.75, 0.25, 0.5]
     assert frame.oldest_age_s.isna().all() and not frame.newest_age_s.isna().any()
 
@@ -45,9 +46,9 @@ def test_round_trip(tmp_path):
         ({"weight": None}, None),
         ({"trust": np.array([0.5, np.nan])}, "trust.trust holds something that is not a finite number"),
         ({"trust": np.ones(3)}, "trust.trust has shape"),
-        ({"vehicle": np.array([1.0, 2.0])}, "whole numbers are wanted"),
-        ({"vehicle": np.array([1, 2**31])}, "outside"),
-        ({"vehicle": np.array([4, 4])}, "two rows with step = 0, vehicle = 4"),
+        ({"subject": np.array([1.0, 2.0])}, "whole numbers are wanted"),
+        ({"subject": np.array([1, 2**31])}, "outside"),
+        ({"subject": np.array([4, 4])}, "two rows with step = 0, variant = 0, subject = 4"),
         ({"newest_age_s__valid": np.ones(1, bool)}, "trust.newest_age_s has shape"),
         ({"weight__valid": np.array([True, False])}, "trust.weight cannot be null"),
     ],
@@ -70,11 +71,17 @@ def test_refuses_missing_columns_and_tables(tmp_path):
 
 
 def test_refuses_unknown_labels(tmp_path):
-    row = {"receiver": np.array([1]), "subject": np.array([2]), "trust": np.ones(1), "age_s": None}
+    row = {
+        "variant": np.array(["base"]),
+        "receiver": np.array([1]),
+        "subject": np.array([2]),
+        "trust": np.ones(1),
+        "age_s": None,
+    }
     with Recorder(tmp_path, "standard") as record:
-        with pytest.raises(ValueError, match=r"uses.source = 'srver' is none of server, own, default"):
+        with pytest.raises(ValueError, match=r"trust_lookups.source = 'srver' is none of server, own, default"):
             record.append("trust_lookups", 0, row | {"source": np.array(["srver"])})
-        with pytest.raises(ValueError, match=r"uses.source holds 3 to 3, outside 0 to 2"):
+        with pytest.raises(ValueError, match=r"trust_lookups.source holds 3 to 3, outside 0 to 2"):
             record.append("trust_lookups", 0, row | {"source": np.array([3])})
         record.append("trust_lookups", 0, row | {"source": np.array(["own"])})
     assert stored(tmp_path, "trust_lookups").source.tolist() == ["own"]

@@ -57,7 +57,7 @@ def test_names_cannot_break_the_page(tmp_path):
 def test_what_is_missing_is_said(tmp_path):
     path = write(tmp_path / "run", steps=20, level="summary")
     text = report.page(open_run(path))
-    assert "No figure of freshness" in text and "holds no table uses" in text
+    assert "No figure of freshness" in text and "holds no table trust_lookups" in text
     assert "not in this run: kept from record level full up" in text
     shutil.rmtree(path)
 

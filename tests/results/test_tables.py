@@ -1,16 +1,19 @@
 """The dictionary: docs = code, and what every schema must have."""
 
+from enum import IntEnum
 from pathlib import Path
 
 import pyarrow as pa
 import pytest
 
-from results import tables
+from results import codes, dictionary, tables
+from results.columns import LEVELS
+from results.metrics.registry import METRICS, TOPICS
 
 
 def test_docs_are_the_code():
     text = (Path(tables.__file__).parent / "TABLES.md").read_text()
-    assert text == tables.markdown(), "run python -m results.tables"
+    assert text == dictionary.markdown(), "run python -m results.dictionary"
 
 
 @pytest.mark.parametrize("name", tables.TABLES)
@@ -41,10 +44,26 @@ def test_schema_carries_unit_and_meaning(name):
 
 
 def test_levels_contain_one_another():
-    summary, standard, full = (set(tables.kept(level)) for level in tables.LEVELS)
+    summary, standard, full = (set(tables.kept(level)) for level in LEVELS)
     assert summary < standard < full == set(tables.TABLES)
 
 
 def test_axis_label():
     assert tables.axis_label("trust_lookups", "age_s", "Age") == "Age [s]"
     assert tables.axis_label("trust", "trust") == "trust"
+
+
+@pytest.mark.parametrize(
+    "code", [code for code in vars(codes).values() if isinstance(code, type) and code is not IntEnum]
+)
+def test_codes_count_from_zero(code):
+    assert [code[label.upper()] for label in codes.labels(code)] == list(range(len(code)))
+
+
+def test_metrics_are_described():
+    for name, metric in METRICS.items():
+        assert name.split(".")[0] in TOPICS and metric.label and metric.definition.endswith("."), name
+        if name.endswith("_s"):
+            assert metric.unit == "s", name
+        if name.endswith(".share"):
+            assert metric.unit == "1", name

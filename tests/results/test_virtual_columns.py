@@ -1,4 +1,4 @@
-"""Columns that are not on disk: read off the detection that a row names."""
+"""Columns of `fused` that are not on disk: those of the detection that a row names."""
 
 import numpy as np
 import pyarrow.compute as pc
@@ -11,18 +11,20 @@ from tests.results.tiny import fleet
 
 @pytest.fixture
 def run(tiny):
-    """Vehicle 1 believes box 3 of vehicle 0, moved to where vehicle 2 says it is (its k = 5), and its own box."""
+    """Vehicle 1 accepts detection 3 of vehicle 0 with the pose of detection 5 of vehicle 2, and its own detection 1."""
     size = {"length_m": 4, "width_m": 2, "height_m": 1.5}
-    said = [
-        {"step": s, "observer": o, "k": k, "class": label, "x_m": 10 * o + s, "yaw_rad": o, "truth_actor": who, **size}
+    detections = [
+        {"step": s, "observer": o, "detection_index": k, "class": label, "x_m": 10 * o + s,
+         "yaw_rad": o, "truth_actor": who, **size}
         for s in (0, 12) for o, k, label, who in ((0, 3, "truck", 7), (1, 1, "car", None), (2, 5, "car", 8))
     ]  # fmt: skip
     fused = [
-        {"step": s, "observer": 1, **row}
+        {"step": s, "observer": 1, "fused_index": i, **row}
         for s in (0, 12)
-        for row in ({"k": 0, "source": 0, "source_index": 3, "pose": 2, "pose_index": 5}, {"k": 1, "source": 1, "source_index": 1})
-    ]
-    return tiny(20, vehicles=fleet("honest"), detections=said, fused=fused)
+        for i, row in enumerate(({"source": 0, "source_index": 3, "pose": 2, "pose_index": 5},
+                                 {"source": 1, "source_index": 1}))
+    ]  # fmt: skip
+    return tiny(20, vehicles=fleet("honest"), detections=detections, fused=fused)
 
 
 def test_box_of_the_source_and_pose_of_another(run):
@@ -36,16 +38,16 @@ def test_box_of_the_source_and_pose_of_another(run):
 
 def test_columns_and_rows_on_demand(run):
     assert run.table("fused", ["x_m"]).x_m.tolist() == [20, 10, 32, 22]
-    assert run.table("fused", ["x_m", "k"], pc.field("step") == 12).x_m.tolist() == [32, 22]
-    assert run.table("fused", ["k"], pc.field("truth_actor") == 7).k.tolist() == [0, 0]
+    assert run.table("fused", ["x_m", "fused_index"], pc.field("step") == 12).x_m.tolist() == [32, 22]
+    assert run.table("fused", ["fused_index"], pc.field("truth_actor") == 7).fused_index.tolist() == [0, 0]
     assert run.table("fused", ["score", "x_m"], pc.field("x_m") > 21).x_m.tolist() == [32, 22]
     assert [part.x_m.tolist() for part in run.parts("fused", ["x_m"])] == [[20, 10], [32, 22]]
 
 
 def test_names_decide_not_positions(run):
     frame = run.fused.set_index(["step", "source", "source_index"])
-    said = run.detections.set_index(["step", "observer", "k"])
-    assert np.array_equal(frame.length_m, said.length_m.reindex(frame.index))
+    named = run.detections.set_index(["step", "observer", "detection_index"])
+    assert np.array_equal(frame.length_m, named.length_m.reindex(frame.index))
 
 
 def test_what_is_named_must_be_there(run):

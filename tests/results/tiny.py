@@ -10,7 +10,15 @@ from results.tables import SCHEMA_VERSION, TABLES
 
 
 def make(folder, steps, config=None, **tables):
-    """A run: make(folder, steps, table=[{column: value}]); what is not said is 0, False, the first label or null."""
+    """A run: make(folder, steps, table=[{column: value}]); what is left out is 0, False, the first label or null.
+
+    Without a table of pseudonyms, every equipped vehicle has its own number.
+    """
+    tables.setdefault("pseudonyms", [
+        {"pseudonym": v["vehicle"], "vehicle": v["vehicle"], "from_step": v.get("first_step", 0),
+         "to_step": v.get("last_step", 0)}
+        for v in tables.get("vehicles", []) if v.get("equipped")
+    ])  # fmt: skip
     with Recorder(folder, "full", block_steps=10) as record:
         for name, rows in tables.items():
             rows = sorted(rows, key=lambda row: row.get("step", 0))

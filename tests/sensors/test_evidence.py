@@ -1,8 +1,7 @@
-"""Evidence: reference vectors of the paper, windows against whole clouds, observability, lines of sight."""
+"""Evidence: reference vectors of the paper, windows against whole clouds, observability."""
 
 import numpy as np
 import pytest
-import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -12,7 +11,6 @@ from sensors.evidence import (
     AreaParams,
     in_evaluation_area,
     is_testable,
-    line_of_sight,
     observability,
     plausible,
     points_in_boxes,
@@ -20,7 +18,6 @@ from sensors.evidence import (
 from sensors.lidar import Beams, LidarParams, Poses, Sweeps, beams, scan
 from sensors.scene import Hit, Scene
 from tests.sensors import whole_cloud
-from tests.sensors.test_boxes import footprint, moved
 from tests.sensors.town import (
     SIZE_M,
     blocks,
@@ -32,7 +29,6 @@ from tests.sensors.town import (
     labelled,
     random_boxes,
     random_scene,
-    to_scene,
     traffic,
 )  # fmt: skip
 
@@ -198,48 +194,6 @@ def test_an_occluder_never_adds_returns(seed):
     old = crowd.actor < 70
     assert (crowd.actor[old] == alone.actor).all() and (crowd.n_unoccluded[old] == alone.n_unoccluded).all()
     assert (crowd.n_returns[old] <= alone.n_returns).all() and (alone.n_returns <= alone.n_unoccluded).all()
-
-
-@settings(max_examples=10, deadline=None)
-@given(seed=st.integers(0, 2**32 - 1))
-def test_line_of_sight_equals_shapely(seed):
-    rng = np.random.default_rng(seed)
-    (boxes, shape), scene = traffic(rng, 40), blocks(rng)
-    n = len(scene.footprints)
-    tall = to_scene(scene.footprints, np.zeros(n), np.full(n, 50.0))
-    a, b = np.meshgrid(np.arange(40), np.arange(40))
-    a, b = a[a != b], b[a != b]
-    roof = np.column_stack([boxes.xyz_m[:, :2], boxes.xyz_m[:, 2] + boxes.lwh_m[:, 2] / 2 + 0.23])
-    lines = shapely.linestrings(np.stack([roof[a, :2], roof[b, :2]], axis=1))
-    walls = shapely.union_all(tall.footprints).boundary
-    blocked = shapely.intersects(lines, walls)
-    seen = line_of_sight(tall, boxes, shape, a, b)
-    assert not (seen & blocked).any() and seen.any()
-    for k in np.flatnonzero(~seen & ~blocked):  # what else stops a line is a third body that it passes over
-        over = [o for o in range(40) if o not in (a[k], b[k]) and footprint(boxes, o).intersects(lines[k])]
-        assert any(boxes.xyz_m[o, 2] + boxes.lwh_m[o, 2] / 2 > min(roof[a[k], 2], roof[b[k], 2]) for o in over)
-    assert (seen == line_of_sight(tall, boxes, shape, b, a)).all()
-    assert len(line_of_sight(tall, Boxes.concat([]), np.zeros(0, np.uint8), np.zeros(0, int), np.zeros(0, int))) == 0
-    turn, shift = rng.uniform(-4, 4), np.append(rng.uniform(-5000, 5000, 2), 7.0)
-    there = to_scene(tall.footprints, np.full(n, 7.0), np.full(n, 57.0), turn, shift[:2])
-    assert np.mean(line_of_sight(there, moved(boxes, turn, shift), shape, a, b) != seen) < 2e-3
-
-
-def test_line_of_sight_by_hand():
-    # Roof sensors at 1.73 m. A 1.5 m high car between does not block, a 3.2 m bus does, a wall of 1 m does not, one of
-    # 2 m does, one that floats from 2.5 m up (a passage) does not; a hall around both does not.
-    ends = [car(0, 0), car(40, 0)]
-    bus = Boxes(np.array([[20, 0, 1.6]]), SIZE_M[3:4], np.array([np.pi / 2]))
-
-    def sees(middle, code, low=None, high=None, ring=((18, -5), (22, -5), (22, 5), (18, 5))):
-        boxes = Boxes.concat([*ends, middle])
-        scene = Scene.empty() if low is None else Scene.from_footprints([[ring]], [low], [high])
-        return bool(line_of_sight(scene, boxes, np.array([0, 0, code], np.uint8), [0], [1])[0])
-
-    aside = car(20, 30)
-    assert sees(car(20, 0), 0) and not sees(bus, 3)
-    assert sees(aside, 0, 0.0, 1.0) and not sees(aside, 0, 0.0, 2.0) and sees(aside, 0, 2.5, 9.0)
-    assert sees(aside, 0, 0.0, 9.0, ((-9, -9), (49, -9), (49, 9), (-9, 9)))
 
 
 def test_beams_are_plain_arrays():

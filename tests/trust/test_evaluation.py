@@ -26,7 +26,7 @@ def test_visibility_by_hand():
     label = np.zeros(5, np.uint8)
     phi = visibility(np.array([0, 10, 30, 50, 1000]), label, params)
     assert phi.tolist() == [0, 0, 0.5, 1, 1]
-    # pedestrians need 40 returns, everybody else 100
+    # pedestrians need 40 returns, the other classes 100
     phi = visibility(np.full(4, 20), np.arange(4, dtype=np.uint8), TrustParams())
     assert phi.tolist() == [0.2, 0.5, 0.2, 0.2]
     # equal limits are a step

@@ -16,7 +16,7 @@ from trust.tables import SERVER, Detections, Evaluations, ObjectLists, ReceivedE
 EGO, MALICIOUS, THIRD = 1, 2, 3
 NAMES = {"ego": EGO, "malicious": MALICIOUS, "third": THIRD}
 # per vehicle its detections: score, and by evaluator evaluation and visibility
-LEDGER = {
+EVALUATED = {
     EGO: [(0.9, [(MALICIOUS, 0.8, 1)]), (0.5, [(THIRD, 0.856, 0.4)])],
     MALICIOUS: [
         (0.92, [(EGO, 1, 1), (THIRD, 0.25, 0.25)]),
@@ -24,16 +24,16 @@ LEDGER = {
     ],
     THIRD: [(0.8, [(EGO, 1, 1)]), (0.6, [(MALICIOUS, 0.93, 1)])],
 }
-LIE = (1.0, [(EGO, -1, 1), (THIRD, -1, 1)])
+FALSE = (1.0, [(EGO, -1, 1), (THIRD, -1, 1)])
 
 
-def curves(n_lies, params, n_steps=101, honest=LEDGER, lie=LIE, start=50):
-    """Trust of each vehicle after every step; lies from step `start` on."""
+def curves(n_false, params, n_steps=101, honest=EVALUATED, false=FALSE, start=50):
+    """Trust of each vehicle after every step; false detections from step `start` on."""
     model, ids = TruPercept(params, 1.0), np.array(sorted(honest))
     out = np.empty((n_steps, ids.size))
     for step in range(n_steps):
-        lies = n_lies if step >= start else 0
-        sent = {v: honest[v] + [lie] * (lies if v == MALICIOUS else 0) for v in honest}
+        n = n_false if step >= start else 0
+        sent = {v: honest[v] + [false] * (n if v == MALICIOUS else 0) for v in honest}
         table = [(row, k, s) for row, v in enumerate(sorted(sent)) for k, (s, _) in enumerate(sent[v])]
         model.open_step(step, ids, *(np.array(c) for c in zip(*table, strict=True)))
         rows = [(by, v, k, e, phi) for v in sent for k, (_, given) in enumerate(sent[v]) for by, e, phi in given]
@@ -45,12 +45,12 @@ def curves(n_lies, params, n_steps=101, honest=LEDGER, lie=LIE, start=50):
 
 
 def test_scenario_2():
-    """0.82, 0.97, and 0.81 falling to 0.15 with one lie and to 0 with three."""
+    """0.82, 0.97, and 0.81 falling to 0.15 with one false detection per step and to 0 with three."""
     ego, malicious, third = curves(1, TrustParams(freshness_s=50.0))
     assert ego == pytest.approx(0.82, abs=1e-3)
     assert third == pytest.approx(0.97, abs=1e-3)
     assert malicious[:50] == pytest.approx(0.81, abs=1e-3)
-    # k lies in the window: ((50 - k) S0 + k (S0 - 1)) / (50 C0 + k), S0 = 1.4113, C0 = 1.7424
+    # k false detections in the window: ((50 - k) S0 + k (S0 - 1)) / (50 C0 + k), S0 = 1.4113, C0 = 1.7424
     for step, value in ((50, 0.790), (60, 0.607), (75, 0.394), (99, 0.150), (100, 0.150)):
         assert malicious[step] == pytest.approx(value, abs=1e-3)
     *_, worse, still = malicious, *curves(3, TrustParams(freshness_s=50.0))[1:]
@@ -60,13 +60,13 @@ def test_scenario_2():
 
 
 @pytest.mark.parametrize(("window", "name"), [("half_open", "window50"), ("closed", "window51")])
-@pytest.mark.parametrize("n_lies", [1, 3])
-def test_paper_analytic(window, name, n_lies):
+@pytest.mark.parametrize("n_false", [1, 3])
+def test_paper_analytic(window, name, n_false):
     reference = load("k_scenarios")["paper_analytic"]["curves"]
-    ours = curves(n_lies, TrustParams(freshness_s=50.0, window=window))
-    expected = (reference["ego"], reference[f"malicious_{n_lies}false_{name}"], reference["third"])
+    ours = curves(n_false, TrustParams(freshness_s=50.0, window=window))
+    expected = (reference["ego"], reference[f"malicious_{n_false}false_{name}"], reference["third"])
     worst = max(np.abs(a - np.maximum(0, b)).max() for a, b in zip(ours, expected, strict=True))
-    print(f"scenario 2, {n_lies} lies, {name}: max error {worst:.1e}")
+    print(f"scenario 2, {n_false} false detections, {name}: max error {worst:.1e}")
     assert worst < 1e-3
 
 
@@ -90,11 +90,11 @@ def test_scene_before_the_attack(variant, weighting):
 
 
 def scenario_1(**options):
-    """One frame: an oncoming vehicle sends an occluded pedestrian and a lie 8 m ahead of the ego.
+    """One frame: an oncoming vehicle sends an occluded pedestrian and a false detection 8 m ahead of the ego.
 
-    Detections: 0 ego itself, 1 oncoming (0.95); 2 oncoming itself, 3 ego (0.96), 4 pedestrian (0.96), 5 the lie;
+    Detections: 0 ego itself, 1 oncoming (0.95); 2 oncoming itself, 3 ego (0.96), 4 pedestrian (0.96), 5 the false one;
     6 third itself, 7 pedestrian (0.93).
-    The lie: 40 ground returns of the ego inside (Phi 0.4), free space behind it, not plausible.
+    The false one: 40 ground returns of the ego inside (Phi 0.4), free space behind it, not plausible.
     """
     table = Detections(
         np.array([0, 0, 1, 1, 1, 1, 2, 2]),
@@ -128,10 +128,10 @@ def scenario_1(**options):
 
 
 def test_scenario_1():
-    """The occluded pedestrian is found; the lie is weaker, but there, until plausibility removes it."""
+    """The occluded pedestrian is found; the false detection scores lower, and 0 with the plausibility check."""
     without = scenario_1(plausibility_in_evaluation=False, plausibility_in_fusion=False)
     assert without[4] == 1
-    # ego -1 x 0.4 x 1, third -1 x 0.4 x 0.97, the liar 1 x 1 x 0.81: 0.022
+    # ego -1 x 0.4 x 1, third -1 x 0.4 x 0.97, the malicious vehicle 1 x 1 x 0.81: 0.022
     assert without[5] == pytest.approx(0.81 - 0.4 - 0.4 * 0.97, abs=1e-9)
     for options in ({"plausibility_in_fusion": False}, {"plausibility_in_evaluation": False}, {}):
         checked = scenario_1(**options)

@@ -98,7 +98,7 @@ def aggregated(rows: list[tuple[int, float, float]], how: str) -> dict[int, floa
 
 
 def object_trust(detector: int, evaluations: dict[int, tuple[float, float]]) -> float | None:
-    """Equation 3 from {evaluator: (e, Phi)}; None if nobody else could see the detection."""
+    """Equation 3 from {evaluator: (e, Phi)}; None if no other evaluator could see the detection."""
     top = sum(phi * e for v, (e, phi) in evaluations.items() if v != detector)
     bottom = sum(phi for v, (_, phi) in evaluations.items() if v != detector)
     return max(-1.0, min(1.0, top / bottom)) if bottom > 0 else None

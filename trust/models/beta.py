@@ -1,7 +1,7 @@
 """Beta reputation: positive and negative evidence that decays exponentially."""
 
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import numpy as np
 from annotated_types import Gt, Interval
@@ -42,7 +42,7 @@ class Beta:
     [2] Jøsang, Ismail: The Beta Reputation System. 15th Bled Electronic Commerce Conference, 2002.
     """
 
-    Params = BetaParams
+    Params: ClassVar[type] = BetaParams
 
     def __init__(self, params: BetaParams, dt_s: float) -> None:
         self.params, self.dt_s = params, dt_s

@@ -1,7 +1,7 @@
 """Interface of a trust model."""
 
 from dataclasses import fields
-from typing import Any, Protocol
+from typing import Any, ClassVar, Protocol
 
 from jaxtyping import Float, Int
 from numpy import ndarray
@@ -14,11 +14,11 @@ class TrustModel(Protocol):
 
     A central trust server is the one holder `trust.tables.SERVER`; otherwise a holder is a vehicle's actor number.
     Subjects, evaluators and observers are pseudonyms. All are integers in [0, 2^31); so are steps, and seconds are
-    `step * dt_s`. One instance keeps the scores of all holders. It can be copied with `copy.deepcopy` and pickled, and
-    its answers depend neither on the order of arrival within a step nor on how messages are batched.
+    `step * dt_s`. One instance keeps the scores of all holders. It can be copied with `copy.deepcopy` and pickled.
+    Its scores do not depend on the order in which messages arrive. An evaluator sends one message per step.
     """
 
-    Params: type
+    Params: ClassVar[type]
     """Frozen dataclass of the model's own parameters, read from the section [trust] of the config."""
 
     def __init__(self, params: Any, dt_s: float) -> None: ...
@@ -49,7 +49,8 @@ class TrustModel(Protocol):
     def add_evaluations(self, received: ReceivedEvaluations) -> None:
         """Add evaluations that holders have received, those of earlier steps included.
 
-        Nothing about them can be relied on: `ReceivedEvaluations.rows` leaves out values out of range.
+        Their content may be anything: `trust.open_steps.OpenSteps` checks it against what was transmitted,
+        `ReceivedEvaluations.rows` and `by_observer` leave out values out of range.
         """
         ...
 

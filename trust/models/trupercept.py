@@ -1,5 +1,7 @@
 """TruPercept: object trust and vehicle trust over an exact window of evidence."""
 
+from typing import ClassVar
+
 import numpy as np
 from jaxtyping import Float, Int
 from numba import njit
@@ -61,7 +63,7 @@ class TruPercept:
     to arrive counts. The model has no uncertainty.
     """
 
-    Params = TruPerceptParams
+    Params: ClassVar[type] = TruPerceptParams
 
     def __init__(self, params: TruPerceptParams, dt_s: float, store: EvidenceStore | None = None) -> None:
         self.params = params

@@ -26,7 +26,13 @@ def single(model: str, nak: int, payload: int, p_min_dbm: int, n_packets: int) -
         ns3.PERIOD_NS * ones, rows,
     )  # fmt: skip
     _, out = run_window(
-        ChannelState.start(), net, packets, n_packets * 10_000_000, np.uint64(1), ReceiverParams(p_min_dbm=p_min_dbm), ns3.DCF
+        ChannelState.start(),
+        net,
+        packets,
+        n_packets * 10_000_000,
+        np.uint64(1),
+        ReceiverParams(p_min_dbm=p_min_dbm),
+        ns3.DCF,
     )
     heard = np.bincount(out.receiver[out.reception == PhyOutcome.RECEIVED], minlength=161)[1:] / n_packets
     # 32 bins of 5 receivers; the reference has a standard error of up to 0.002 there.

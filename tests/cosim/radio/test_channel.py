@@ -104,8 +104,14 @@ def test_hidden_senders_collide():
     assert outcomes(out) == {(0, 2): PhyOutcome.COLLISION, (1, 2): PhyOutcome.BUSY}
     # The stronger by 20 dB survives if it is the first, not if it is the second ...
     near = [[0, -np.inf, -60], [-np.inf, 0, -80], [-70, -70, 0]]
-    assert outcomes(hear(net(near), say([0, 1], [0, 100 * US]))) == {(0, 2): PhyOutcome.RECEIVED, (1, 2): PhyOutcome.BUSY}
-    assert outcomes(hear(net(near), say([1, 0], [0, 100 * US]))) == {(0, 2): PhyOutcome.COLLISION, (1, 2): PhyOutcome.BUSY}
+    assert outcomes(hear(net(near), say([0, 1], [0, 100 * US]))) == {
+        (0, 2): PhyOutcome.RECEIVED,
+        (1, 2): PhyOutcome.BUSY,
+    }
+    assert outcomes(hear(net(near), say([1, 0], [0, 100 * US]))) == {
+        (0, 2): PhyOutcome.COLLISION,
+        (1, 2): PhyOutcome.BUSY,
+    }
     # ... unless it comes within the preamble's first 4 us, or the receiver captures.
     assert outcomes(hear(net(near), say([1, 0], [0, 3 * US]))) == {(0, 2): PhyOutcome.BUSY, (1, 2): PhyOutcome.RECEIVED}
     capture = ReceiverParams(capture=True, capture_window_s=1.0)
@@ -122,7 +128,12 @@ def test_who_sends_does_not_hear():
 def test_old_and_surplus_packets_are_dropped():
     long = say([0] * 4, [0, 1, 2, 3], payload=2000, lifetime_ns=[100 * MS, 3 * MS, 3 * MS, 100 * MS])
     out = hear(net(PAIR), long)  # each lasts 2.77 ms, so the third is out of date when the second is over
-    assert [PhyOutcome(f) for f in out.outcome] == [PhyOutcome.RECEIVED, PhyOutcome.RECEIVED, PhyOutcome.EXPIRED, PhyOutcome.RECEIVED]
+    assert [PhyOutcome(f) for f in out.outcome] == [
+        PhyOutcome.RECEIVED,
+        PhyOutcome.RECEIVED,
+        PhyOutcome.EXPIRED,
+        PhyOutcome.RECEIVED,
+    ]
     assert np.diff(out.ptr).tolist() == [1, 1, 0, 1]
     out = hear(net(PAIR), long, access=replace(DCF, queue_max=2))
     assert PhyOutcome.QUEUE in out.outcome
@@ -274,7 +285,10 @@ def test_every_packet_comes_out_once_whoever_comes_and_goes(seed):
 
 def delivered(dbm, packets, receiver=EXACT):
     return sum(
-        np.mean(run_window(ChannelState.start(), net(dbm, True), packets, 60 * MS, np.uint64(s), receiver, DCF)[1].reception == 0)
+        np.mean(
+            run_window(ChannelState.start(), net(dbm, True), packets, 60 * MS, np.uint64(s), receiver, DCF)[1].reception
+            == 0
+        )
         for s in range(20)
     )
 
@@ -304,7 +318,9 @@ def test_radios_come_and_go():
     state, out = run_window(state, net(three, key=key), say(2, 3 * MS, seq=[8]), 5 * MS, CHANCE, EXACT, DCF)
     assert outcomes(out) == {(0, 0): PhyOutcome.RECEIVED, (0, 1): PhyOutcome.RECEIVED}
     # What waits at a radio that leaves is lost.
-    state, _ = run_window(state, net(three, key=key), say([1, 1], [6 * MS] * 2, seq=[1, 2]), 6 * MS + 99, CHANCE, EXACT, DCF)
+    state, _ = run_window(
+        state, net(three, key=key), say([1, 1], [6 * MS] * 2, seq=[1, 2]), 6 * MS + 99, CHANCE, EXACT, DCF
+    )
     state, out = run_window(state, net(three[:1, :1], key=key[:1]), say([], []), 9 * MS, CHANCE, EXACT, DCF)
     assert [PhyOutcome(f) for f in out.outcome] == [PhyOutcome.EXPIRED] * 2
     assert out.sender_key.tolist() == [3, 3]
@@ -332,11 +348,11 @@ def test_faults_are_named():
     for wrong, words in (
         (replace(links, ptr=np.array([0, 1])), r"links\.ptr"),
         (replace(links, fading=links.fading[:1]), "of one length"),
-        (replace(links, receiver=np.array([1, 2])), "none of the 2 radios"),
+        (replace(links, receiver=np.array([1, 2])), "none of the 2 stations"),
     ):
         with pytest.raises(ValueError, match=words):
             hear(wrong, say(0, 0))
-    with pytest.raises(ValueError, match="one radio twice"):
+    with pytest.raises(ValueError, match="one station twice"):
         hear(replace(links, key=np.array([4, 4], np.uint64)), say(0, 0))
     with pytest.raises(ValueError, match="until_ns = 0"):
         hear(links, say([], []), until_ns=0)

@@ -8,13 +8,16 @@ import pytest
 
 from cosim.radio import csma
 from cosim.radio.csma import CsmaMedium
+from cosim.radio.dcc import DccParams
 from cosim.radio.message_round import LosState, Messages, Outcome, RoundKind, Stations
 from cosim.radio.params import RadioParams, RelayParams
 from cosim.radio.propagation import PropagationParams
 from sensors.line_of_sight import LosCache, WallIndex
 from sensors.scene import Scene
 
-QUIET = PropagationParams(model="free_space", shadowing=False, fading="none", blockage="none", interference_range_m=5000)
+QUIET = PropagationParams(
+    model="free_space", shadowing=False, fading="none", blockage="none", interference_range_m=5000
+)
 
 
 def line(n, apart_m):
@@ -178,7 +181,6 @@ def test_links_are_kept_while_no_station_moves():
 
 
 def test_a_state_can_be_copied_pickled_and_used_again():
-    xyz = line(40, 20.0)
     medium, stations = medium_of(max_hops=2), Stations(keys_of(40), line(40, 20.0), 40)
     messages = Messages.one_each(np.full(40, 600))
     state, _ = medium.broadcast(medium.start(), RoundKind.CPM, 0, 0.0, stations, messages)
@@ -187,12 +189,12 @@ def test_a_state_can_be_copied_pickled_and_used_again():
     for other in results[1:]:
         for name in ("receiver", "message", "latency_s"):
             assert np.array_equal(getattr(results[0].receptions, name), getattr(other.receptions, name))
-    assert len(xyz) == 40
 
 
 def test_several_messages_of_one_station():
     xyz = line(3, 100.0)
-    medium, stations = medium_of(), Stations(keys_of(3), xyz, 3)
+    params = RadioParams(propagation=QUIET, dcc=DccParams(enabled=False))  # else its frames are 50 ms apart at least
+    medium, stations = CsmaMedium(params, 0.2, 5, None), Stations(keys_of(3), xyz, 3)
     messages = Messages(np.array([0, 1, 1, 1]), np.array([0, 300, 3000, 500]))
     _, happened = medium.broadcast(medium.start(), RoundKind.CPM, 0, 0.0, stations, messages)
     found = happened.receptions
@@ -203,7 +205,9 @@ def test_several_messages_of_one_station():
     first = {m: found.generation_offset_s[found.message == m] for m in (1, 2, 3)}
     assert len({float(x[0]) for x in first.values()}) == 3 and all(len(set(x.tolist())) == 1 for x in first.values())
     # The first message of a station is as it would be alone, up to the time of access.
-    _, alone = medium.broadcast(medium.start(), RoundKind.CPM, 0, 0.0, stations, Messages.one_each([0, 300, 0]))
+    _, alone = medium.broadcast(
+        medium.start(), RoundKind.CPM, 0, 0.0, stations, Messages.one_each(np.array([0, 300, 0]))
+    )
     assert alone.receptions.generation_offset_s.tolist() == first[1].tolist()
 
 
@@ -231,7 +235,9 @@ def test_generation_access_and_reception_of_every_message():
     xyz = line(40, 12.0)
     for length in (400, 2500):  # one frame, and two
         for received, _ in rounds(xyz, length, n=3, max_hops=2):
-            assert (received.generation_offset_s >= 0).all() and (received.generation_offset_s < 0.1).all()  # in the first half of the round
+            assert (received.generation_offset_s >= 0).all() and (
+                received.generation_offset_s < 0.1
+            ).all()  # in the first half of the round
             assert (received.access_delay_s >= 58e-6).all()  # AIFS
             assert (received.latency_s > received.access_delay_s).all()
             assert (received.received_s <= 0.2).all()
@@ -260,7 +266,9 @@ def test_los_state_of_frames():
     urban = PropagationParams(blockage="none")
     ((_, frames),) = rounds(xyz, 300, propagation=urban, los=los_of(house))
     across = (frames.message < 2) != (frames.receiver < 2)
-    assert np.array_equal(frames.los_state == LosState.NLOS, across) and (frames.los_state[~across] == LosState.LOS).all()
+    assert (
+        np.array_equal(frames.los_state == LosState.NLOS, across) and (frames.los_state[~across] == LosState.LOS).all()
+    )
     ((_, frames),) = rounds(xyz, 300)
     assert (frames.los_state == LosState.UNKNOWN).all()
 

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from cosim.radio.dcc import STATES, DccParams, DccState, gap_ns, react
+from cosim.radio.dcc import STATES, DccParams, DccState, gap_ns, update
 
 KEY = np.array([7, 3, 5], np.uint64)
 
@@ -9,7 +9,7 @@ KEY = np.array([7, 3, 5], np.uint64)
 def after(busy, periods, params=None, control=None):
     params, control = params or DccParams(), control or DccState.start()
     for _ in range(periods):
-        control = react(control, KEY, np.asarray(busy, float), params)
+        control = update(control, KEY, np.asarray(busy, float), params)
     return control
 
 
@@ -50,4 +50,4 @@ def test_faults_are_named():
     with pytest.raises(ValueError, match="t_off_s"):
         DccParams(t_off_s=(0.1, 0.05, 0.2, 0.3, 1.0))
     with pytest.raises(ValueError, match="busy ratios"):
-        react(DccState.start(), KEY, np.array([0.1, 1.2, 0.3]), DccParams())
+        update(DccState.start(), KEY, np.array([0.1, 1.2, 0.3]), DccParams())

@@ -6,89 +6,105 @@ import numpy as np
 import pytest
 
 from cosim import rng
-from cosim.radio import channel, csma
+from cosim.radio import channel
 from cosim.radio.channel import AccessParams, Packets, PhyOutcome
+from cosim.radio.csma import CsmaMedium
 from cosim.radio.dcc import DccParams
 from cosim.radio.forwarding import N_COPIES
-from cosim.radio.message_round import RelayParams
-from cosim.radio.phy import ReceiverParams
+from cosim.radio.message_round import Messages, Outcome, RoundKind, Stations
+from cosim.radio.params import RadioParams, RelayParams
+from cosim.radio.phy import ReceiverParams, airtime_ns
 from cosim.radio.propagation import PropagationParams
+from cosim.radio.segmentation import segments
 
 AIR = PropagationParams(model="log_distance", exponent=3.0)
-HEAR_M, SPAN_S = 250.0, 0.4
+RANGE_M, ROUND_S = 250.0, 0.4
 OURS = {
-    PhyOutcome.RECEIVED: message_round.Outcome.RECEIVED, PhyOutcome.COLLISION: message_round.Outcome.COLLISION,
-    PhyOutcome.RANGE: message_round.Outcome.PROPAGATION, PhyOutcome.FADING: message_round.Outcome.PROPAGATION,
-    PhyOutcome.BUSY: message_round.Outcome.RECEIVER_BUSY, PhyOutcome.HALF_DUPLEX: message_round.Outcome.RECEIVER_BUSY,
+    PhyOutcome.RECEIVED: Outcome.RECEIVED, PhyOutcome.COLLISION: Outcome.COLLISION,
+    PhyOutcome.RANGE: Outcome.PROPAGATION, PhyOutcome.FADING: Outcome.PROPAGATION,
+    PhyOutcome.BUSY: Outcome.RECEIVER_BUSY, PhyOutcome.HALF_DUPLEX: Outcome.RECEIVER_BUSY,
 }  # fmt: skip
 
 
 def town(n, side_m):
     g = np.random.default_rng(n)
     xyz = np.column_stack([g.uniform(0, side_m, (n, 2)), np.full(n, 1.6)])
-    return xyz, rng.keys(np.uint64(3), np.arange(n))
+    return Stations(rng.keys(np.uint64(3), np.arange(n)), xyz, n)
 
 
-def real(xyz, names, length, relay, air, i):
-    heard, frames = csma.broadcast(
-        air, xyz, names, np.ones(len(xyz), bool), length, i, 0.5 * i, SPAN_S, HEAR_M, AIR, ReceiverParams(),
-        AccessParams(), DccParams(enabled=False), relay,
-    )  # fmt: skip
-    columns = heard.receiver, heard.sender, heard.hops, np.round(1e9 * heard.latency_s)
-    said = np.stack(columns).astype(np.int64).T.tolist()
-    tries = zip(*(c.tolist() for c in (frames.origin, frames.receiver, frames.hop, frames.fate)), strict=True)
-    return {(r, s): (hops, ns) for r, s, hops, ns in said}, frames.n_relayed, frames.n_duplicate, Counter(tries)
+def medium_of(relay):
+    params = RadioParams(range_m=RANGE_M, propagation=AIR, relay=relay, dcc=DccParams(enabled=False))
+    return CsmaMedium(params, ROUND_S, 5, None)
 
 
-def literal(xyz, names, length, relay, air, i):
-    """The same by dictionaries: the channel knows of no relay, and stops whenever a timer is over."""
-    begin, end = round(0.5e9 * i), round(1e9 * (0.5 * i + SPAN_S))
-    ground = air.over(xyz, names, AIR, HEAR_M)
-    units, n_segments = csma._units(np.ones(len(xyz), bool), length, names, i, 6.0)
-    phase = rng.uniforms(rng.key(air.seed, rng.Stream.GENERATION, i), names)[:, 0]
-    born = [begin + int(np.floor(phase[u["author"]] * (end - begin) / 2)) for u in units]
-    chance, relaying = rng.key(air.seed, rng.Stream.CHANNEL), rng.key(air.seed, rng.Stream.RELAY, i)
-    frames = []  # unit, carrier, hop
-    ready = [(born[u], u, int(units[u]["author"]), 1) for u in range(len(units))]
-    timers = {}  # (unit, radio): when it is over, hop
-    copies = {}  # (unit, radio): hop, when
-    fates = {}  # (frame, receiver): what the channel says
+def fast(stations, messages, medium, state, i):
+    state, happened = medium.broadcast(state, RoundKind(i % 2), i // 2, 0.5 * i, stations, messages)
+    found, frames = happened.receptions, happened.frames
+    columns = found.receiver, found.message, found.hops, np.round(1e9 * found.latency_s)
+    rows = np.stack(columns).astype(np.int64).T.tolist()
+    columns = frames.message, frames.receiver, frames.hop, frames.outcome
+    attempts = Counter(zip(*(c.tolist() for c in columns), strict=True))
+    return state, ({(r, m): (hops, ns) for r, m, hops, ns in rows}, frames.n_relayed, frames.n_duplicate, attempts)
+
+
+def literal(stations, messages, medium, state, i):
+    """The same by dictionaries: the channel has no forwarding, and its windows end at every timer."""
+    begin, end = round(0.5e9 * i), round(1e9 * (0.5 * i + ROUND_S))
+    xyz, keys, relay = stations.xyz_m, stations.key, medium.params.relay
+    links = medium.links_of(state, stations).links
+    now_state = state.channel
+    count, payload = segments(messages.length_bytes)
+    n_segments = dict(enumerate(count.tolist()))
+    units = [(m, number, int(payload[m])) for m in range(len(messages)) for number in range(count[m])]
+    seq = [rng.keys(np.uint64(i), keys[[m]], np.array([number]))[0] >> np.uint64(24) for m, number, _ in units]
+    phase = rng.uniforms(rng.key(medium.seed, rng.Stream.GENERATION, i), keys)[:, 0]
+    born = [begin + int(np.floor(phase[m] * (end - begin) / 2)) for m, _, _ in units]
+    channel_key, relay_key = rng.key(medium.seed, rng.Stream.CHANNEL), rng.key(medium.seed, rng.Stream.RELAY, i)
+    frames = []  # unit, transmitter, hop
+    ready = [(born[u], u, units[u][0], 1) for u in range(len(units))]
+    timers = {}  # (unit, station): when it expires, hop
+    copies = {}  # (unit, station): hop, when
+    outcomes = {}  # (frame, receiver): by the channel
     n_relayed = n_duplicate = 0
 
-    def play(until, due):
+    def run(until, due):
+        nonlocal now_state
         for _, *frame in due:
             frames.append(tuple(frame))
         chosen = [u for _, u, _, _ in due]
         at = np.array([t for t, *_ in due], np.int64)
         packets = Packets(
-            np.array([c for _, _, c, _ in due], np.int64), units["seq"][chosen], at, units["payload_bytes"][chosen],
+            np.array([c for _, _, c, _ in due], np.int64), np.array([seq[u] for u in chosen], np.uint64), at,
+            np.array([units[u][2] for u in chosen], np.int64),
             np.full(len(due), 2, np.uint8), np.minimum(10**9, end - at), len(frames) - len(due) + np.arange(len(due)),
         )  # fmt: skip
-        air.state, out = channel.play(air.state, ground.links, packets, until, chance, ReceiverParams(), AccessParams())
+        now_state, out = channel.run_window(
+            now_state, links, packets, until, channel_key, ReceiverParams(), AccessParams()
+        )
         return out
 
-    if air.state.now_ns < begin:
-        play(begin, [])
-    while air.state.now_ns < end:
-        now = air.state.now_ns
+    if now_state.now_ns < begin:
+        run(begin, [])
+    while now_state.now_ns < end:
+        now = now_state.now_ns
         over = [(due, *who, hop) for who, (due, hop) in timers.items() if due == now]
-        for _, u, radio, _ in over:
-            del timers[u, radio]
+        for _, u, station, _ in over:
+            del timers[u, station]
         stop = min([now + round(1e9 * relay.timer_min_s), end] + [due for due, _ in timers.values()])
         own = [frame for frame in ready if frame[0] < stop]
         ready = [frame for frame in ready if frame[0] >= stop]
-        out = play(stop, own + over)
+        out = run(stop, own + over)
         for p in np.argsort(out.end_ns, kind="stable"):
-            if out.fate[p] != PhyOutcome.RECEIVED or out.generated_ns[p] < begin:
+            if out.outcome[p] != PhyOutcome.RECEIVED or out.generated_ns[p] < begin:
                 continue
             u, via, hop = frames[out.tag[p]]
             n_relayed += hop > 1
-            author = int(units[u]["author"])
+            source = units[u][0]
             for k in range(out.ptr[p], out.ptr[p + 1]):
                 to = int(out.receiver[k])
-                fates[int(out.tag[p]), to] = OURS[PhyOutcome(out.reception[k])]
+                outcomes[int(out.tag[p]), to] = OURS[PhyOutcome(out.reception[k])]
                 apart = np.hypot(*(xyz[to] - xyz[via])[:2])
-                if out.reception[k] != PhyOutcome.RECEIVED or to == author or apart > HEAR_M:
+                if out.reception[k] != PhyOutcome.RECEIVED or to == source or apart > RANGE_M:
                     continue
                 if (u, to) in copies:
                     n_duplicate += 1
@@ -96,46 +112,48 @@ def literal(xyz, names, length, relay, air, i):
                         timers.pop((u, to), None)
                     continue
                 copies[u, to] = hop, int(out.end_ns[p])
-                if hop == relay.max_hops or np.hypot(*(xyz[to] - xyz[author])[:2]) > relay.reach_m:
+                if hop == relay.max_hops or np.hypot(*(xyz[to] - xyz[source])[:2]) > relay.forward_range_m:
                     continue
                 share = min(apart / relay.timer_distance_m, 1.0)
                 if relay.rule == "probability":
-                    who = names[[author]], units["number"][[u]], names[[to]]
-                    draw, share = rng.uniforms(relaying, *who, n=2)[0]
+                    who = keys[[source]], np.array([units[u][1]]), keys[[to]]
+                    draw, share = rng.uniforms(relay_key, *who, n=2)[0]
                     if draw >= relay.forward_p:
                         continue
                 wait_s = relay.timer_max_s + (relay.timer_min_s - relay.timer_max_s) * share
                 due = int(out.end_ns[p]) + int(np.round(wait_s * 1e9))
-                if due + units[u]["airtime_ns"] <= end:
+                if due + airtime_ns(np.array([units[u][2]]), 6.0)[0] <= end:
                     timers[u, to] = due, hop + 1
-    assert len(copies) > N_COPIES * len(units)  # more than there is room for at first
-    tries = Counter()
-    aired = {f for f, _ in fates}
+    assert len(copies) > N_COPIES * len(units)  # more than fit at first
+    attempts = Counter()
+    on_air = {f for f, _ in outcomes}
     for f, (u, via, hop) in enumerate(frames):
-        author = int(units[u]["author"])
+        source = units[u][0]
         for to in range(len(xyz)):
-            if to not in (via, author) and np.hypot(*(xyz[to] - xyz[via])[:2]) <= HEAR_M:
-                fate = fates.get((f, to), message_round.Outcome.PROPAGATION) if f in aired else message_round.Outcome.EXPIRED
-                tries[author, to, hop, int(fate)] += 1
+            if to not in (via, source) and np.hypot(*(xyz[to] - xyz[via])[:2]) <= RANGE_M:
+                outcome = outcomes.get((f, to), Outcome.PROPAGATION) if f in on_air else Outcome.EXPIRED
+                attempts[source, to, hop, int(outcome)] += 1
     whole = {}
     for (u, to), (hop, at) in copies.items():
-        whole.setdefault((to, int(units[u]["author"])), []).append((hop, at - born[u]))
+        whole.setdefault((to, units[u][0]), []).append((hop, at - born[u]))
     return {
         pair: (max(h for h, _ in got), max(t for _, t in got))
         for pair, got in whole.items() if len(got) == n_segments[pair[1]]
-    }, n_relayed, n_duplicate, tries  # fmt: skip
+    }, n_relayed, n_duplicate, attempts  # fmt: skip
 
 
 @pytest.mark.parametrize("relay", [
     RelayParams(max_hops=3, timer_distance_m=200.0),
     RelayParams(max_hops=2, rule="probability", forward_p=0.4),
 ], ids=lambda p: p.rule)  # fmt: skip
-def test_relays_do_exactly_what_the_literal_twin_does(relay):
-    """Two rounds of messages of one and of two segments: hops, times to the nanosecond, copies, every frame's fates."""
-    xyz, names = town(45, 700.0)
-    length = np.where(np.arange(45) % 3 == 0, 1900, 400)
-    one, other = (csma.Air.start(None, 5) for _ in range(2))
+def test_forwarding_equals_the_literal_twin(relay):
+    """Two rounds of messages of one and of two segments: hops, times to the nanosecond, copies, outcomes of frames."""
+    stations = town(45, 700.0)
+    messages = Messages.one_each(np.where(np.arange(45) % 3 == 0, 1900, 400))
+    medium = medium_of(relay)
+    state = medium.start()
     for i in range(2):
-        found, expected = real(xyz, names, length, relay, one, i), literal(xyz, names, length, relay, other, i)
+        expected = literal(stations, messages, medium, state, i)
+        state, found = fast(stations, messages, medium, state, i)
         assert found == expected
         assert found[1] > 50 and found[2] > 50 and max(hops for hops, _ in found[0].values()) == relay.max_hops

@@ -1,12 +1,19 @@
 import numpy as np
 import pytest
 
-from cosim.radio.link_budget import pairs
+from cosim.radio.link_budget import links_between, pairs, pairs_within
 from cosim.radio.propagation import PropagationParams, tr37885_db
-from sensors.line_of_sight import LosCache, Walls
+from sensors.line_of_sight import LosCache, WallIndex
+from sensors.scene import Scene
 
 ONE = np.uint64(1)
 PLAIN = {"shadowing": False, "blockage": "none", "fading": "none"}
+
+
+def los_of(*rings):
+    """Buildings of 9 m."""
+    city = Scene.from_footprints([[np.array(r)] for r in rings], [0.0] * len(rings), [9.0] * len(rings))
+    return LosCache.of(WallIndex.of(city.buildings))
 
 
 def scatter(n, side_m, seed=0):
@@ -19,7 +26,7 @@ def as_set(a, b):
 
 
 @pytest.mark.parametrize("side_m", [50.0, 1000.0, 30_000.0])
-def test_all_pairs_within_reach_each_once(side_m):
+def test_all_pairs_in_range_each_once(side_m):
     xyz = scatter(300, side_m)
     a, b, d = pairs_within(xyz, 200.0)
     full = np.linalg.norm(xyz[:, None] - xyz[None], axis=2)
@@ -31,9 +38,9 @@ def test_all_pairs_within_reach_each_once(side_m):
 def test_links_by_hand():
     # A wall between the first and the second; the third sees both.
     xyz = np.array([[0.0, 0.0, 1.5], [40.0, 0.0, 1.5], [20.0, 40.0, 1.5]])
-    wall = Walls.of([(np.array([[18.0, -20.0], [22.0, -20.0], [22.0, 5.0], [18.0, 5.0]]), [], 0.0, 9.0)])
+    los = los_of([[18.0, -20.0], [22.0, -20.0], [22.0, 5.0], [18.0, 5.0]])
     key = np.array([9, 1, 5], np.uint64)
-    links, found, pair = links_between(xyz, key, PropagationParams(**PLAIN), ONE, LosCache.of(wall))
+    links, found, pair = links_between(xyz, key, PropagationParams(**PLAIN), ONE, los)
     assert links.ptr.tolist() == [0, 2, 4, 6]
     for sender, receiver, hidden in ((0, 1, True), (1, 0, True), (0, 2, False), (2, 1, False)):
         at = np.flatnonzero(links.receiver[links.ptr[sender] : links.ptr[sender + 1]] == receiver) + links.ptr[sender]
@@ -45,10 +52,10 @@ def test_links_by_hand():
 
 def test_loss_per_wall_and_metre():
     xyz = np.array([[0.0, 0.0, 1.5], [40.0, 0.0, 1.5]])
-    wall = Walls.of([(np.array([[18.0, -20.0], [22.0, -20.0], [22.0, 5.0], [18.0, 5.0]]), [], 0.0, 9.0)])
+    los = los_of([[18.0, -20.0], [22.0, -20.0], [22.0, 5.0], [18.0, 5.0]])
     # Two walls and 4 m: 2 x 9 + 4 x 0.4 = 19.6 dB more than free space.
     params = PropagationParams(model="free_space", walls="sommer", **PLAIN)
-    assert pairs(xyz, params, ONE, LosCache.of(wall)).loss_db - pairs(xyz, params, ONE).loss_db == pytest.approx(19.6)
+    assert pairs(xyz, params, ONE, los).loss_db - pairs(xyz, params, ONE).loss_db == pytest.approx(19.6)
 
 
 def test_power_decides_what_counts_in_each_direction():
@@ -59,7 +66,7 @@ def test_power_decides_what_counts_in_each_direction():
     assert links.ptr.tolist() == [0, 0, 1]
 
 
-def test_a_link_belongs_to_its_places():
+def test_a_link_is_a_function_of_the_positions():
     xyz, params = scatter(60, 400.0), PropagationParams()
     key = np.arange(60, dtype=np.uint64)
     links, _, _ = links_between(xyz, key, params, ONE)
@@ -79,8 +86,8 @@ def test_a_link_belongs_to_its_places():
 def test_a_wall_never_brings_more_power():
     xyz, params = scatter(200, 600.0), PropagationParams(**PLAIN, interference_range_nlos_m=1000.0)
     square = np.array([[0.0, 0.0], [40.0, 0.0], [40.0, 40.0], [0.0, 40.0]])
-    sight = LosCache.of(Walls.of([(square + np.array([x, y]), [], 0.0, 9.0) for x in (100, 300) for y in (50, 350)]))
-    free, built = pairs(xyz, params, ONE), pairs(xyz, params, ONE, sight)
+    los = los_of(*(square + np.array([x, y]) for x in (100, 300) for y in (50, 350)))
+    free, built = pairs(xyz, params, ONE), pairs(xyz, params, ONE, los)
     loss = dict(zip(zip(free.a.tolist(), free.b.tolist(), strict=True), free.loss_db, strict=True))
     assert built.nlos.any()
     assert all(
@@ -88,20 +95,23 @@ def test_a_wall_never_brings_more_power():
     )  # fmt: skip
 
 
-def test_behind_a_wall_the_reach_is_shorter():
-    xyz, params = scatter(200, 600.0), PropagationParams(**PLAIN, reach_m=500.0, interference_range_nlos_m=100.0)
+def test_without_los_the_interference_range_is_shorter():
+    xyz, params = (
+        scatter(200, 600.0),
+        PropagationParams(**PLAIN, interference_range_m=500.0, interference_range_nlos_m=100.0),
+    )
     square = np.array([[0.0, 0.0], [40.0, 0.0], [40.0, 40.0], [0.0, 40.0]])
-    sight = LosCache.of(Walls.of([(square + np.array([x, y]), [], 0.0, 9.0) for x in (100, 300) for y in (50, 350)]))
-    found = pairs(xyz, params, ONE, sight)
+    los = los_of(*(square + np.array([x, y]) for x in (100, 300) for y in (50, 350)))
+    found = pairs(xyz, params, ONE, los)
     a, b, d = pairs_within(xyz, 500.0)
-    clear = sight.clear(xyz, a, b)
+    clear = los.has_los(xyz, a, b)
     keep = clear | (d <= 100)
     assert as_set(found.a, found.b) == as_set(a[keep], b[keep])
     assert not np.any(found.nlos & (found.distance_m > 100))
     assert as_set(found.a[found.nlos], found.b[found.nlos]) == as_set(a[~clear & (d <= 100)], b[~clear & (d <= 100)])
 
 
-def test_nobody_and_somebody_alone():
+def test_at_most_one_station():
     for n in (0, 1):
         links, found, _ = links_between(np.zeros((n, 3)), np.arange(n, dtype=np.uint64), PropagationParams(), ONE)
         assert links.ptr.tolist() == [0] * (n + 1)

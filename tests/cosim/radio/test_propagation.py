@@ -2,8 +2,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from cosim.radio import propagation as p
 from cosim.radio.propagation import PropagationParams
-from cosim.v2x import propagation as p
 from tests.cosim.radio import ns3
 
 ONE = np.ones(1)
@@ -106,7 +106,7 @@ def test_shadowing_is_the_same_both_ways_and_for_close_pairs_no_wilder():
 def test_vehicles_get_in_the_way_more_in_dense_traffic():
     d = np.linspace(10, 1000, 100)
     for scenario in ("urban", "highway"):
-        low, medium, high = (p.vehicle_in_way_p(d, scenario, t) for t in ("low", "medium", "high"))
+        low, medium, high = (p.vehicle_blockage_p(d, scenario, t) for t in ("low", "medium", "high"))
         for q in (low, medium, high):
             assert np.all((q >= 0) & (q <= 1))
         if scenario == "highway":
@@ -115,5 +115,5 @@ def test_vehicles_get_in_the_way_more_in_dense_traffic():
 
 
 def test_faults_are_named():
-    with pytest.raises(ValueError, match=r"reach_m = 0\.3 m is shorter"):
-        PropagationParams(reach_m=0.3)
+    with pytest.raises(ValueError, match=r"interference_range_m = 0\.3 m is shorter"):
+        PropagationParams(interference_range_m=0.3)

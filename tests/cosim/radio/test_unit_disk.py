@@ -1,16 +1,16 @@
-"""The disk model: exactly who is in reach, hop by hop, and chance by name."""
+"""The unit disk medium: exactly the stations in range, hop by hop; draws by key."""
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cosim import rng
-from cosim.radio.medium import RadioParams
-from cosim.radio.message_round import Outcome, RelayParams, neighbours
-from cosim.radio.unit_disk import UnitDiskParams, broadcast
+from cosim.radio.link_budget import neighbours
+from cosim.radio.message_round import Messages, Outcome, RoundKind, Stations
+from cosim.radio.params import RadioParams, RelayParams, UnitDiskParams
+from cosim.radio.unit_disk import UnitDiskMedium
 
-CHANCE = rng.key(5, rng.Stream.RADIO_DETECTIONS, 3)
+STEP = 3
 
 
 def crowd(n, seed=0, side_m=1000.0):
@@ -18,94 +18,101 @@ def crowd(n, seed=0, side_m=1000.0):
     return xy, np.arange(n, dtype=np.uint64) * 7919
 
 
-def send(xy, names, talks=None, reach_m=300.0, timeout_s=0.1, max_hops=1, relay_reach_m=600.0, **disk):
-    talks = np.ones(len(xy), bool) if talks is None else talks
-    length = np.full(len(xy), 300)
-    relay = RelayParams(max_hops=max_hops, reach_m=relay_reach_m)
-    return broadcast(xy, names, talks, length, CHANCE, reach_m, timeout_s, UnitDiskParams(**disk), relay)
+def send(
+    xy, keys, sends=None, range_m=300.0, timeout_s=0.1, max_hops=1, forward_range_m=600.0, rule="contention",
+    forward_p=0.5, messages=None, **disk,
+):  # fmt: skip
+    """(receptions, frames) of one round."""
+    sends = np.ones(len(xy), bool) if sends is None else sends
+    relay = RelayParams(max_hops=max_hops, forward_range_m=forward_range_m, rule=rule, forward_p=forward_p)
+    medium = UnitDiskMedium(RadioParams(range_m=range_m, unit_disk=UnitDiskParams(**disk), relay=relay), timeout_s, 5)
+    stations = Stations(keys, np.column_stack([xy, np.full(len(xy), 1.5)]), len(xy))
+    messages = Messages.one_each(np.where(sends, 300, 0)) if messages is None else messages
+    _, happened = medium.broadcast(medium.start(), RoundKind.CPM, STEP, 0.0, stations, messages)
+    return happened.receptions, happened.frames
 
 
-def test_without_loss_exactly_the_pairs_within_reach_hear():
-    xy, names = crowd(80)
-    heard, account = send(xy, names, reach_m=200.0, loss_p=0.0)
+def test_without_loss_exactly_the_stations_in_range_receive():
+    xy, keys = crowd(80)
+    found, frames = send(xy, keys, range_m=200.0, loss_p=0.0)
     apart = np.linalg.norm(xy[:, None] - xy[None], axis=2)
     expected = {(r, s) for r in range(80) for s in range(80) if r != s and apart[r, s] <= 200}
-    assert set(zip(heard.receiver.tolist(), heard.sender.tolist(), strict=True)) == expected
-    assert len(account.fate) == len(expected) and (account.fate == Outcome.RECEIVED).all()
-    np.testing.assert_allclose(np.sort(account.distance_m), np.sort(heard.distance_m))
-    np.testing.assert_allclose(heard.distance_m, apart[heard.receiver, heard.sender])
-    assert (heard.hops == 1).all() and (heard.latency_s > 0).all()
+    assert set(zip(found.receiver.tolist(), found.message.tolist(), strict=True)) == expected
+    assert len(frames.outcome) == len(expected) and (frames.outcome == Outcome.RECEIVED).all()
+    np.testing.assert_allclose(np.sort(frames.distance_m), np.sort(found.distance_m))
+    np.testing.assert_allclose(found.distance_m, apart[found.receiver, found.message])
+    assert (found.hops == 1).all() and (found.latency_s > 0).all()
 
 
 def test_hops_are_the_shortest_path_in_the_contact_graph():
-    """Ten vehicles on a line, 100 m apart, 150 m reach: k places away is k hops."""
+    """Ten vehicles on a line, 100 m apart, 150 m range: k positions away is k hops."""
     xy = np.stack([np.arange(10) * 100.0, np.zeros(10)], axis=1)
-    heard, account = send(
+    found, frames = send(
         xy, np.arange(10, dtype=np.uint64), np.arange(10) == 0,
-        reach_m=150.0, loss_p=0.0, max_hops=4, relay_reach_m=1e4,
+        range_m=150.0, loss_p=0.0, max_hops=4, forward_range_m=1e4,
     )  # fmt: skip
-    assert heard.receiver.tolist() == [1, 2, 3, 4]
-    assert heard.hops.tolist() == [1, 2, 3, 4]
-    assert (np.diff(heard.latency_s) > 0).all()
+    assert found.receiver.tolist() == [1, 2, 3, 4]
+    assert found.hops.tolist() == [1, 2, 3, 4]
+    assert (np.diff(found.latency_s) > 0).all()
     # 1 sends to 2 (and back to 0, the origin: not a reception); 2 to 1 (duplicate) and 3; 3 to 2 and 4.
-    assert account.n_transmissions.tolist() == [4] + [0] * 9
-    assert (account.n_relayed, account.n_duplicate, account.sent_bytes) == (3, 2, 1200)
+    assert frames.n_transmissions.tolist() == [4] + [0] * 9
+    assert (frames.n_relayed, frames.n_duplicate, frames.sent_bytes) == (3, 2, 1200)
 
 
-def test_relay_stops_beyond_its_range():
+def test_forwarding_stops_beyond_its_range():
     xy = np.stack([np.arange(10) * 100.0, np.zeros(10)], axis=1)
-    heard, _ = send(
+    found, _ = send(
         xy, np.arange(10, dtype=np.uint64), np.arange(10) == 0,
-        reach_m=150.0, loss_p=0.0, max_hops=10, relay_reach_m=250.0,
+        range_m=150.0, loss_p=0.0, max_hops=10, forward_range_m=250.0,
     )  # fmt: skip
-    assert heard.receiver.tolist() == [1, 2, 3]  # 300 m away is told, and does not tell on
+    assert found.receiver.tolist() == [1, 2, 3]  # the one 300 m away receives, and does not forward
 
 
 @settings(max_examples=30, deadline=None)
 @given(seed=st.integers(0, 1000), hops=st.integers(1, 3))
 def test_laws(seed, hops):
-    xy, names = crowd(60, seed)
-    params = dict(reach_m=180.0, loss_p=0.4)
-    heard, account = send(xy, names, max_hops=hops, **params)
-    more, _ = send(xy, names, max_hops=hops + 1, **params)
-    pairs = set(zip(heard.receiver.tolist(), heard.sender.tolist(), strict=True))
-    assert len(pairs) == len(heard.receiver)  # nobody twice
-    assert (heard.receiver != heard.sender).all()  # nobody their own
-    assert pairs <= set(zip(more.receiver.tolist(), more.sender.tolist(), strict=True))
-    assert np.sum(account.fate == Outcome.RECEIVED) == len(heard.receiver) + account.n_duplicate
-    # Order of radios does not matter.
+    xy, keys = crowd(60, seed)
+    params = dict(range_m=180.0, loss_p=0.4)
+    found, frames = send(xy, keys, max_hops=hops, **params)
+    more, _ = send(xy, keys, max_hops=hops + 1, **params)
+    pairs = set(zip(found.receiver.tolist(), found.message.tolist(), strict=True))
+    assert len(pairs) == len(found.receiver)  # each pair once
+    assert (found.receiver != found.message).all()  # no own message
+    assert pairs <= set(zip(more.receiver.tolist(), more.message.tolist(), strict=True))
+    assert np.sum(frames.outcome == Outcome.RECEIVED) == len(found.receiver) + frames.n_duplicate
+    # The order of stations has no effect.
     order = np.random.default_rng(seed).permutation(60)
-    shuffled, _ = send(xy[order], names[order], max_hops=hops, **params)
-    assert {(order[r], order[s]) for r, s in zip(shuffled.receiver, shuffled.sender, strict=True)} == pairs
+    shuffled, _ = send(xy[order], keys[order], max_hops=hops, **params)
+    assert {(order[r], order[s]) for r, s in zip(shuffled.receiver, shuffled.message, strict=True)} == pairs
 
 
-def test_a_vehicle_out_of_reach_changes_nothing():
-    xy, names = crowd(60)
-    far, far_names = np.vstack([xy, [[1e6, 1e6]]]), np.append(names, np.uint64(99))
-    near = send(xy, names, loss_p=0.3, max_hops=2)[0]
-    both = send(far, far_names, loss_p=0.3, max_hops=2)[0]
-    for name in ("receiver", "sender", "hops", "latency_s"):
+def test_a_station_out_of_range_changes_nothing():
+    xy, keys = crowd(60)
+    far, far_keys = np.vstack([xy, [[1e6, 1e6]]]), np.append(keys, np.uint64(99))
+    near = send(xy, keys, loss_p=0.3, max_hops=2)[0]
+    both = send(far, far_keys, loss_p=0.3, max_hops=2)[0]
+    for name in ("receiver", "message", "hops", "latency_s"):
         assert np.array_equal(getattr(near, name), getattr(both, name))
 
 
 def test_loss_is_the_share_asked_for():
-    xy, names = crowd(400, side_m=800.0)
-    _, account = send(xy, names, loss_p=0.2, reach_m=300.0)
-    expected = len(account.fate) * 0.2
-    assert abs(np.sum(account.fate == Outcome.PROPAGATION) - expected) < 5 * np.sqrt(expected * 0.8)
+    xy, keys = crowd(400, side_m=800.0)
+    _, frames = send(xy, keys, loss_p=0.2, range_m=300.0)
+    expected = len(frames.outcome) * 0.2
+    assert abs(np.sum(frames.outcome == Outcome.PROPAGATION) - expected) < 5 * np.sqrt(expected * 0.8)
 
 
 def test_late_messages_are_dropped():
-    xy, names = crowd(40)
-    heard, account = send(xy, names, loss_p=0.0, latency_min_s=0.05, latency_max_s=0.15, timeout_s=0.1, reach_m=500.0)
-    assert (heard.latency_s <= 0.1).all()
-    assert 0.4 < np.mean(account.fate == Outcome.LATE) < 0.6
+    xy, keys = crowd(40)
+    found, frames = send(xy, keys, loss_p=0.0, latency_min_s=0.05, latency_max_s=0.15, timeout_s=0.1, range_m=500.0)
+    assert (found.latency_s <= 0.1).all()
+    assert 0.4 < np.mean(frames.outcome == Outcome.LATE) < 0.6
 
 
 @pytest.mark.parametrize("n", [0, 1])
-def test_alone(n):
-    heard, account = send(np.zeros((n, 2)), np.zeros(n, np.uint64))
-    assert len(heard.receiver) == 0 and len(account.fate) == 0
+def test_at_most_one_station(n):
+    found, frames = send(np.zeros((n, 2)), np.zeros(n, np.uint64))
+    assert len(found.receiver) == 0 and len(frames.outcome) == 0
 
 
 def test_neighbours_are_sorted_and_symmetric():
@@ -119,17 +126,25 @@ def test_neighbours_are_sorted_and_symmetric():
 
 def test_bad_parameters():
     with pytest.raises(ValueError, match="Metres, not kilometres"):
-        RadioParams(reach_m=0.3)
-    with pytest.raises(ValueError, match=r"radio\.disk\.latency_max_s"):
+        RadioParams(range_m=0.3)
+    with pytest.raises(ValueError, match=r"radio\.unit_disk\.latency_max_s"):
         UnitDiskParams(latency_min_s=1.0)
     with pytest.raises(ValueError, match=r"radio\.relay\.timer_max_s"):
         RelayParams(timer_min_s=1.0)
 
 
-def test_relay_by_probability_is_as_frequent_as_asked():
-    xy, names = crowd(301, side_m=100.0)
-    relay = RelayParams(max_hops=2, rule="probability", forward_p=0.3)
-    _, account = broadcast(
-        xy, names, np.arange(301) == 0, np.full(301, 300), CHANCE, 300.0, 0.1, UnitDiskParams(loss_p=0.0), relay
-    )
-    assert abs(account.n_relayed - 90) < 5 * np.sqrt(90 * 0.7)
+def test_forwarding_by_probability_has_the_given_rate():
+    xy, keys = crowd(301, side_m=100.0)
+    _, frames = send(xy, keys, np.arange(301) == 0, max_hops=2, rule="probability", forward_p=0.3, loss_p=0.0)
+    assert abs(frames.n_relayed - 90) < 5 * np.sqrt(90 * 0.7)
+
+
+def test_several_messages_of_one_station_have_draws_of_their_own():
+    xy, keys = crowd(200, side_m=100.0)
+    one, _ = send(xy, keys, np.arange(200) == 7, loss_p=0.5)
+    messages = Messages(np.array([7, 7, 7]), np.array([300, 0, 300]), np.array([0.0, 0.0, 0.01]))
+    found, frames = send(xy, keys, messages=messages, loss_p=0.5)
+    assert frames.n_transmissions.tolist() == [1, 0, 1] and set(found.message.tolist()) == {0, 2}
+    first, third = (found.take(found.message == m) for m in (0, 2))
+    assert np.array_equal(first.receiver, one.receiver) and np.array_equal(first.latency_s, one.latency_s)
+    assert not np.array_equal(first.receiver, third.receiver) and (third.generation_offset_s == 0.01).all()

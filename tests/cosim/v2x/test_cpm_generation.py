@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from cosim.v2x.cpm_generation import InclusionMemory
+from cosim.v2x.cpm_generation import InclusionMemory, select_objects
 from cosim.v2x.messages import SELF, SENSED, Detections
 from sensors.boxes import Boxes
 
