@@ -184,6 +184,13 @@ class TrustHosts:
                 counts[h] = len(vehicle), n_informed
         return state, published, counts
 
+    def traffic(self, up: LinkStats, informed: Sequence[tuple[int, int]]) -> list[ServerTraffic | None]:
+        """Messages to and from the server of each host, given the vehicles addressed and informed by each."""
+        return [
+            ServerTraffic(up, *counts) if params.host == "central" else None
+            for params, counts in zip(self.params, informed, strict=True)
+        ]
+
     def pending_rsu_broadcast(self, state: TrustState, time_s: float) -> tuple[TrustState, TrustBroadcast | None]:
         """What roadside units have to send in a round that begins at `time_s`, once."""
         h = self.host_of[0]
