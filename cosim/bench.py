@@ -12,10 +12,10 @@ import numpy as np
 from cosim.actors import ActorRegistry
 from cosim.config import load
 from cosim.cycle import Sensed, State, step
-from cosim.manifest import Stopwatch
 from cosim.mobility.sumo import SumoTraffic
 from cosim.parts import Parts
 from cosim.scenario import find
+from cosim.stopwatch import Stopwatch
 from sensors.boxes import overlapping_pairs
 from trust.evaluation import evaluate
 from trust.matching import match

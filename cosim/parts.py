@@ -6,10 +6,10 @@ from cosim import choices, config
 from cosim.adversary.adversary import Adversary
 from cosim.config import Config
 from cosim.driver.driver import Driver
-from cosim.manifest import Stopwatch
 from cosim.perception import Perception
 from cosim.radio.medium import Medium
 from cosim.radio.rsu import NO_RSUS, RsuAntennas
+from cosim.stopwatch import Stopwatch
 from cosim.v2x.pseudonyms import Pseudonyms
 from cosim.v2x.trust_hosts import TrustHosts, Variant
 from results.codes import BASE_VARIANT

@@ -7,6 +7,7 @@ from jaxtyping import Bool, Int
 from numpy import ndarray
 
 from cosim import rng
+from cosim.stopwatch import Stopwatch
 from cosim.v2x.messages import SENSED, Detections, self_reports
 from cosim.world import World
 from sensors import detector, evidence, lidar
@@ -42,6 +43,13 @@ class Perception:
     dt_s: float
     _memory: lidar.Sweeps | None = field(default=None, repr=False)
     """Of the last sweeps, written over by the next."""
+
+    def __call__(self, world: World, observers: Int[ndarray, "e"], watch: Stopwatch) -> Observed:
+        """What these rows of the world perceive."""
+        with watch("sweep"):
+            sweeps = self.sweep(world, observers)
+        with watch("detect"):
+            return self.detect(world, observers, sweeps)
 
     def sweep(self, world: World, observers: Int[ndarray, "e"]) -> lidar.Sweeps:
         """Range images of these rows of the world."""

@@ -15,11 +15,12 @@ from cosim.actors import ActorRegistry
 from cosim.adversary.adversary import roles_of
 from cosim.config import Config
 from cosim.cycle import State, step
-from cosim.manifest import Manifest, Stopwatch
+from cosim.manifest import Manifest
 from cosim.mobility.source import TrafficEnded, TrafficError, TrafficSource
 from cosim.parts import Parts, sources
 from cosim.radio.rsu import NO_RSUS, RsuAntennas, place_rsus
 from cosim.scenario import Scenario, find
+from cosim.stopwatch import Stopwatch
 from results.recorder import Recorder
 from sensors import lidar
 from sensors.boxes import Boxes
