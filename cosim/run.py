@@ -17,7 +17,7 @@ from cosim.config import Config
 from cosim.cycle import State, step
 from cosim.manifest import Manifest
 from cosim.mobility.source import TrafficEnded, TrafficError, TrafficSource
-from cosim.parts import Parts, sources
+from cosim.parts import Parts, check_choices, sources
 from cosim.radio.rsu import NO_RSUS, RsuAntennas, place_rsus
 from cosim.scenario import Scenario, find
 from cosim.stopwatch import Stopwatch
@@ -39,7 +39,7 @@ def check(config: Config) -> Scenario:
     """The scenario that a config asks for; ValueError where it could not run."""
     scenario = find(config.traffic.scenario, config.traffic.trace)
     roadside_units(config, scenario)
-    Parts.of(config, Scene.empty())
+    check_choices(config)
     lidar.beams(config.lidar)
     if config.lidar.engine != "columnar":  # the others are libraries that may not be there
         one = Boxes(np.zeros((1, 3)), np.ones((1, 3)), np.zeros(1))
