@@ -12,7 +12,7 @@ from annotated_types import Ge
 from pydantic import TypeAdapter, ValidationError
 
 from cosim.fleet import FleetParams
-from cosim.mobility.params import TrafficParams
+from cosim.mobility.params import TrafficParams, resolved_input
 from cosim.v2x.adversary import AdversaryParams
 from cosim.v2x.radio import RadioParams
 from cosim.v2x.roadside import RoadsideParams
@@ -117,8 +117,9 @@ def load(path: Path | None = None, overrides: list[str] | None = None) -> Config
     _check_keys(data, Config, "", where)
     for name in ("scenario", "trace"):
         given = data.get("traffic", {}).get(name)
-        if path is not None and isinstance(given, str) and _is_input(beside := path.parent / given):
-            data["traffic"][name] = str(beside)
+        if isinstance(given, str):
+            folder = path.parent if path is not None else Path("/nonexistent")
+            data["traffic"][name] = resolved_input(given, folder, catalogue.names() if name == "scenario" else ())
     traffic = data.get("traffic", {})
     if isinstance(traffic.get("scenario"), str) and not {"step_s", "trace"} & traffic.keys():
         if (own_s := _own_step_s(traffic["scenario"])) is not None:
@@ -134,10 +135,6 @@ def load(path: Path | None = None, overrides: list[str] | None = None) -> Config
             raise ValueError(f"{name}: missing. Set {name} in {where}.") from None
         reason = first["msg"].removeprefix("Input should be ")
         raise ValueError(f"{name} = {first['input']!r} should be {reason}. Set {name} in {where}.") from None
-
-
-def _is_input(path: Path) -> bool:
-    return path.is_file() or (path / "manifest.json").is_file() or any(path.glob("*.sumocfg"))
 
 
 def _own_step_s(scenario: str) -> float | None:

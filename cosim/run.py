@@ -15,6 +15,7 @@ from cosim.actors import ActorRegistry
 from cosim.config import Config
 from cosim.cycle import State, turn
 from cosim.manifest import Manifest, Stopwatch
+from cosim.mobility.remarks import traffic_remarks
 from cosim.mobility.source import TrafficEnded, TrafficError, TrafficSource
 from cosim.scenario import Scenario, find
 from cosim.v2x.messages import FABRICATED
@@ -79,7 +80,7 @@ def run(config: Config, out: Path | None, advance: Advance) -> Path:
     traffic = scenario.traffic(config.traffic, registry)
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        manifest = Manifest(folder, config, scenario.certificate())
+        manifest = Manifest(folder, config, scenario.provenance())
         (folder / "config.toml").write_text(tomli_w.dumps(without_nulls(config.to_dict())), encoding="utf-8")
         manifest.write("running")
         try:
@@ -102,14 +103,7 @@ def run(config: Config, out: Path | None, advance: Advance) -> Path:
 def remarks(folder: Path) -> list[str]:
     """What a user should know of a finished run before they trust its figures; mostly nothing."""
     summary = json.loads((folder / "manifest.json").read_text(encoding="utf-8"))["summary"]
-    said = []
-    if "ended_early" in summary:
-        said.append(f"note: {summary['ended_early']}.")
-    if left_out := summary.get("actors_left_out"):
-        counts = ", ".join(f"{n} {kind}" for kind, n in left_out.items())
-        said.append(f"note: left out, because they are not on the road: {counts}.")
-    said += [f"note: SUMO went on, but: {complaint}" for complaint in summary.get("sumo_errors", [])]
-    return said
+    return traffic_remarks(summary)
 
 
 def _threads(config: Config, n_equipped: int) -> int:

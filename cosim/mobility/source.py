@@ -13,6 +13,8 @@ from numba import njit
 from numpy import ndarray
 
 from cosim.actors import ActorRegistry
+from cosim.mobility.frame import Frame
+from cosim.mobility.frame import TrafficError as TrafficError
 from cosim.world import World
 from results.tables import TABLES
 from sensors.boxes import Boxes
@@ -42,10 +44,6 @@ class TrafficEnded(Exception):
     """No actor is left and none will depart, or the source ends; says why."""
 
 
-class TrafficError(ValueError):
-    """The user's scenario or trace is wrong, found while it ran: one line for the user."""
-
-
 class TrafficSource(Protocol):
     """A source of traffic, read into arrays step by step."""
 
@@ -69,7 +67,7 @@ def world_from_bumpers(
     compass_deg: Float[ndarray, "n"],
     speed_mps: Float[ndarray, "n"],
     registry: ActorRegistry,
-    origin_m: tuple[float, float] = (0.0, 0.0),
+    frame: Frame,
 ) -> World:
     """The world of a step from SUMO's values of each actor, in any order.
 
@@ -79,9 +77,9 @@ def world_from_bumpers(
     """
     order = np.argsort(number)
     number, xyz_m, lwh_m, yaw_rad, speed = _placed(
-        order, number, front_m, compass_deg, speed_mps, registry.lwh_m, *origin_m
+        order, number, front_m, compass_deg, speed_mps, registry.lwh_m, *frame.origin_m
     )
-    return world_of(step, number, Boxes(xyz_m, lwh_m, yaw_rad), speed, registry)
+    return world_of(step, number, Boxes(xyz_m, lwh_m, yaw_rad), speed, registry, frame)
 
 
 @njit(cache=True)
@@ -108,9 +106,21 @@ def _placed(order, actor, front_m, compass_deg, speed_mps, size_m, east_m, north
 
 
 def world_of(
-    step: int, number: Int[ndarray, "n"], boxes: Boxes, speed_mps: Float[ndarray, "n"], registry: ActorRegistry
+    step: int,
+    number: Int[ndarray, "n"],
+    boxes: Boxes,
+    speed_mps: Float[ndarray, "n"],
+    registry: ActorRegistry,
+    frame: Frame,
 ) -> World:
-    """The world of a step from poses at the resolution of the table `actors`; `number` is sorted."""
+    """The world of a step from poses at the resolution of the table `actors`; `number` is sorted.
+
+    Raises
+    ------
+    TrafficError
+        An actor is not finite or far outside of the frame's region.
+    """
+    frame.check(step, registry.names, number, boxes.xyz_m, boxes.yaw_rad, speed_mps)
     registry.mark_present(number, step)
     return World(
         step=step,

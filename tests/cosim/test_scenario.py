@@ -33,6 +33,9 @@ def edited(scenario, tmp_path, name, change):
 
 LATE = '<vehicle id="lost" depart="600"><route edges="nowhere"/></vehicle></routes>'
 
+COMPLAINT = '<collision.action value="zz"/></processing>'
+"""SUMO reports this as an error, and continues."""
+
 SUNK = '><param key="top_z_m" value="-1"/></poly>'
 STATE = '<load-state value="gone.xml"/>'
 
@@ -51,7 +54,7 @@ REFUSED = {
     "an unknown edge": ("odd.rou.xml", lambda t: t.replace('edges="db bc"', 'edges="db xx"'), "'xx'"),
     "an unknown option": ("odd.sumocfg", lambda t: t.replace("verbose", "verbosity"), "verbosity"),
     "a folder that is not there": ("odd.add.xml", lambda t: t.replace("loop", "gone/loop"), "gone/loop.xml' (No such"),
-    "a state that is not there": ("odd.sumocfg", lambda t: t.replace("<input>", "<input>" + STATE), "gone.xml'!"),
+    "a state that is not there": ("odd.sumocfg", lambda t: t.replace("<input>", "<input>" + STATE), "load-state names"),
     "a house on its head": ("odd.poly.xml", lambda t: t.replace("/>", SUNK, 1), "polygon 'h': reaches from"),
     "a house on the globe": ("odd.poly.xml", lambda t: t.replace("<poly", '<poly geo="true"', 1), "no projection"),
     "a torn polygon file": ("odd.poly.xml", lambda t: t[:60], "odd.poly.xml"),
@@ -71,8 +74,7 @@ def test_refused_before_anything_is_written(scenario, tmp_path, what):
 def test_demand_that_turns_out_wrong_later(scenario, tmp_path):
     """SUMO reads demand bit by bit: what is wrong in its tenth minute is told in its tenth minute."""
     config = edited(scenario, tmp_path, "odd.rou.xml", lambda t: t.replace("</routes>", LATE))
-    grumble = "<routing></routing><report>"  # SUMO complains of that, and goes on
-    config.write_text(config.read_text().replace("<report>", grumble))
+    config.write_text(config.read_text().replace("</processing>", COMPLAINT))
     sets = (f"traffic.scenario={config}", "traffic.warmup_s=100", "traffic.duration_s=550", "fleet.penetration_p=0")
     done = cosim("run", *(word for s in sets for word in ("--set", s)), "--out", str(tmp_path / "run"))
     assert done.returncode == 2
@@ -81,11 +83,11 @@ def test_demand_that_turns_out_wrong_later(scenario, tmp_path):
 
 
 def test_what_sumo_complains_of_though_it_goes_on_is_told(scenario, tmp_path):
-    config = edited(scenario, tmp_path, "odd.sumocfg", lambda t: t.replace("<report>", "<routing></routing><report>"))
+    config = edited(scenario, tmp_path, "odd.sumocfg", lambda t: t.replace("</processing>", COMPLAINT))
     sets = (f"traffic.scenario={config}", "traffic.duration_s=5", "fleet.penetration_p=0")
     done = cosim("run", *(w for s in sets for w in ("--set", s)), "--out", str(tmp_path / "run"))
     assert done.returncode == 0
-    assert "note: SUMO went on, but: Could not set option 'routing'" in done.stderr
+    assert "note: SUMO went on, but: Invalid collision.action 'zz'" in done.stderr
 
 
 def test_a_run_that_outlives_the_demand_says_so_and_counts_who_was_left_out(scenario, tmp_path):
