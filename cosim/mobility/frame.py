@@ -38,6 +38,11 @@ class Frame:
     """Of the network, in its own coordinates; None where there is no network: see `around`."""
     margin_m: float = NETWORK_MARGIN_M
 
+    @property
+    def is_around(self) -> bool:
+        """Whether `around` has chosen an origin."""
+        return self.margin_m == TRACE_MARGIN_M and any(self.origin_m)
+
     def around(self, front_m: Float[ndarray, "n 3"]) -> "Frame":
         """This frame, and where there is no network, with a region around the median of these positions."""
         if self.bounds_m is not None or not len(front_m):

@@ -103,7 +103,7 @@ class TraceReplay:
     def report(self) -> dict[str, Any]:
         report: dict[str, Any] = {"actors_left_out": dict(sorted(Counter(self._left_out.values()).items()))}
         report |= self._counts.report()
-        return report | ({"origin_m": list(self._frame.origin_m)} if any(self._frame.origin_m) else {})
+        return report | ({"origin_m": list(self._frame.origin_m)} if self._frame.is_around else {})
 
     def close(self) -> None:
         self._timesteps.close()  # type: ignore[attr-defined]
