@@ -8,6 +8,7 @@ makes SUMO loop.
 from __future__ import annotations
 
 import math
+import os
 import re
 from pathlib import Path
 
@@ -15,6 +16,7 @@ from sumo_nets.vtypes import check_size
 from sumo_nets.xml import Attributes, check_prolog, chunks, stream
 
 _WRITES = re.compile(rb"file|dest|output")
+_FILE = re.compile(rb"(?:file|dest|output)\s*=\s*[\"']([^\"'\0]+)")
 _TYPE = re.compile(rb"<vType\b[^<]*")
 _NUMBER = re.compile(rb"[\s\"'](length|width|height|minGap|maxSpeed|accel|decel|tau)\s*=\s*[\"']\s*([^\"']*)")
 _ASCII = re.compile(rb"\s*<\?xml[^>]*encoding\s*=\s*[\"'](?i:utf-8|us-ascii|iso-8859-1|windows-1252)[\"']")
@@ -59,13 +61,19 @@ def _is_suspicious(path: Path) -> bool:
         for match in _WRITES.finditer(text):
             begin, end = max(text.rfind(b"<", 0, match.start()), 0), text.find(b"<", match.end())
             end = len(text) if end < 0 else end
-            if end - begin > _LONGEST_TAG or b":" in text[begin:end]:
+            tag = text[begin:end]
+            if len(tag) > _LONGEST_TAG or b":" in tag or any(_is_special(path, name) for name in _FILE.findall(tag)):
                 return True
         for tag in _TYPE.findall(text):
             if len(tag) > _LONGEST_TAG or any(_is_odd(value) for _, value in _NUMBER.findall(tag)):
                 return True
         left = text[max(text.rfind(b"<"), len(text) - 2 * _LONGEST_TAG) :]
     return False
+
+
+def _is_special(path: Path, name: bytes) -> bool:
+    target = path.parent / os.fsdecode(name)
+    return target.exists() and not target.is_file()
 
 
 def _is_odd(value: bytes) -> bool:
@@ -118,5 +126,5 @@ def _check_name(path: Path, element: str, key: str, value: str) -> None:
             f"{path}: <{element}> has {key} = {value!r}, which SUMO takes for an address to connect to. "
             "Remove it, or give a file name without a colon."
         )
-    if value and (target := path.parent / value).exists() and not (target.is_file() or str(target) == "/dev/null"):
+    if value not in ("", "NUL", "/dev/null") and (target := path.parent / value).exists() and not target.is_file():
         raise ValueError(f"{path}: <{element}> has {key} = {value!r}, which is a device, pipe or folder. Remove it.")

@@ -47,7 +47,14 @@ NETS = {
 }  # fmt: skip
 """The networks by name. SUMO's authors made them from OpenStreetMap, which is therefore attributed too."""
 
-_SOURCES = ("build.py", "build_from_sumo_package.py", "demand.py", "density.py", "gate_flows.py", "common/vtypes.add.xml")
+_SOURCES = (
+    "build.py",
+    "build_from_sumo_package.py",
+    "demand.py",
+    "density.py",
+    "gate_flows.py",
+    "common/vtypes.add.xml",
+)
 """Files on which the generated folders depend."""
 
 

@@ -20,7 +20,6 @@ from cosim.mobility.source import SHAPE_OF_CLASS, TrafficEnded, world_from_bumpe
 from cosim.world import World
 from results.archive import open_run
 from results.run import Run
-from sensors.boxes import Boxes
 from sensors.scene import Shape
 from sumo_nets import vtypes
 from sumo_nets.vtypes import check_size
@@ -208,8 +207,7 @@ class RunReplay:
         order = np.argsort(number)
         number = number[order]
         xyz_m, yaw_rad, speed = (rows[name][order] for name in ("xyz_m", "yaw_rad", "speed_mps"))
-        boxes = Boxes(xyz_m, self._registry.lwh_m[number], yaw_rad)
-        return self._counts.add(world_of(step, number, boxes, speed, self._registry, self._frame))
+        return self._counts.add(world_of(step, number, xyz_m, yaw_rad, speed, self._registry, self._frame))
 
     def report(self) -> dict[str, Any]:
         """Counts of the run that is replayed."""
