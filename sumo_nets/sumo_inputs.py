@@ -13,7 +13,7 @@ import re
 from pathlib import Path
 
 from sumo_nets.vtypes import check_size
-from sumo_nets.xml import Attributes, check_prolog, chunks, stream
+from sumo_nets.xml import Attributes, check_prolog, chunks, exists, stream
 
 _WRITES = re.compile(rb"file|dest|output")
 _FILE = re.compile(rb"(?:file|dest|output)\s*=\s*[\"']([^\"'\0]+)")
@@ -73,7 +73,7 @@ def _is_suspicious(path: Path) -> bool:
 
 def _is_special(path: Path, name: bytes) -> bool:
     target = path.parent / os.fsdecode(name)
-    return target.exists() and not target.is_file()
+    return exists(target) and not target.is_file()
 
 
 def _is_odd(value: bytes) -> bool:
@@ -90,7 +90,7 @@ def _checked(path: Path) -> list[Path]:
     def start(name: str, attributes: Attributes) -> None:
         if name == "include":
             target = path.parent / attributes.get("href", "")
-            if not target.is_file():
+            if not (exists(target) and target.is_file()):
                 raise ValueError(f"{path}: includes {target}, which is no file. Correct the path.")
             found.append(target)
         if name == "vType":
@@ -126,5 +126,5 @@ def _check_name(path: Path, element: str, key: str, value: str) -> None:
             f"{path}: <{element}> has {key} = {value!r}, which SUMO takes for an address to connect to. "
             "Remove it, or give a file name without a colon."
         )
-    if value not in ("", "NUL", "/dev/null") and (target := path.parent / value).exists() and not target.is_file():
+    if value not in ("", "NUL", "/dev/null") and exists(target := path.parent / value) and not target.is_file():
         raise ValueError(f"{path}: <{element}> has {key} = {value!r}, which is a device, pipe or folder. Remove it.")

@@ -12,7 +12,7 @@ from xml.sax.saxutils import quoteattr
 
 from sumo_nets.sumo_inputs import check_input
 from sumo_nets.sumo_options import IGNORED, PASSED, READS, REFUSED, SYNONYMS
-from sumo_nets.xml import Attributes, Enough, contains, stream
+from sumo_nets.xml import Attributes, Enough, contains, exists, stream
 
 _REQUIRED = ("net-file", "route-files", "additional-files")
 """Options whose files are checked for existence; SUMO itself reports others."""
@@ -85,7 +85,7 @@ def read(path: Path) -> Sumocfg:
     included: list[Path] = []
     for option, named in files.items():
         for file in named:
-            if not file.exists():
+            if not exists(file):
                 if option not in _REQUIRED:
                     raise ValueError(f"{path}: {option} names {file}, which does not exist. Correct the path.")
                 raise ValueError(f"{path}: names {file}, which does not exist. Correct the path in the .sumocfg.")

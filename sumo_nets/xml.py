@@ -127,6 +127,14 @@ def check_regular(path: Path | str) -> None:
         raise ValueError(f"{path}: not a regular file, but a folder, device or pipe. Give a file.")
 
 
+def exists(path: Path) -> bool:
+    """Whether there is something of this name; a name that no file can have is none."""
+    try:
+        return path.exists()
+    except (OSError, ValueError):
+        return False
+
+
 def open_input(path: Path | str) -> BinaryIO:
     """A regular file for reading, decompressed if gzip'ed."""
     check_regular(path)

@@ -104,6 +104,7 @@ HARMFUL = {
     "no height": ("odd.rou.xml", '<routes><vType id="t" height="0"/></routes>', "vType 't': height = 0 m should be"),
     "a NaN height": ("odd.rou.xml", '<routes><vType id="t" height="nan"/></routes>', "height = nan m should be"),
     "an endless length": ("odd.rou.xml", '<routes><vType id="t" length="inf"/></routes>', "length = inf m should be"),
+    "a length in words": ("odd.rou.xml", '<routes><vType id="t" length="x"/></routes>', "length = x m should be"),
     "a negative width": ("odd.rou.xml", '<routes><vType id="t" width="-1"/></routes>', "width = -1 m should be"),
     "an endless gap": ("odd.rou.xml", '<routes><vType id="t" minGap="inf"/></routes>', "minGap = inf is not a finite"),
 }  # fmt: skip
