@@ -45,7 +45,7 @@ def drivable(
         use[run[0]] += 1
         use[run[-1]] += 1
     stubs = [(index, a, b) for index, (_, run) in enumerate(runs) for a, b in _split(run, use)]
-    gates = _gates(extract, runs, stubs, edge_m, extract.box if dead_ends else None, dead_ends)
+    gates = _gates(extract, runs, stubs, edge_m, extract.box if dead_ends else None)
     arcs = []  # (run, first, last, forward)
     for index, a, b in stubs:
         way, run = runs[index]
@@ -91,14 +91,8 @@ def _split(run: tuple[int, ...], use: dict[int, int]) -> list[tuple[int, int]]:
 
 
 def _gates(
-    extract: Extract,
-    runs,
-    stubs,
-    edge_m: float,
-    box: tuple[float, float, float, float] | None,
-    motorways: bool,
+    extract: Extract, runs, stubs, edge_m: float, box: tuple[float, float, float, float] | None
 ) -> frozenset[int]:
-    """Ends of streets that continue outside; with `motorways` also every loose end of one, wherever it lies."""
     ends: dict[int, int] = defaultdict(int)
     for index, a, b in stubs:
         ends[runs[index][1][a]] += 1
@@ -113,8 +107,7 @@ def _gates(
         for node, cut in ((run[0], run[0] != way.nodes[0]), (run[-1], run[-1] != way.nodes[-1])):
             here = np.array(extract.place[node])
             near = (np.minimum(here - low, high - here) * metres).min() < edge_m
-            loose = motorways and way.tags.get("highway") in ("motorway", "trunk") and not all(_directions(way))
-            if ends[node] == 1 and (cut or near or loose):
+            if ends[node] == 1 and (cut or near):
                 gates.add(node)
     return frozenset(gates)
 

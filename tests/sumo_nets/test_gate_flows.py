@@ -5,7 +5,7 @@ import tomllib
 
 import pytest
 
-from sumo_nets import catalogue, demand, density, gate_flows, osm, streets
+from sumo_nets import catalogue, demand, density, gate_flows, osm
 from sumo_nets.build_from_osm import from_osm
 from tests.sumo_nets.test_build_from_osm import grid_town
 
@@ -47,16 +47,3 @@ def test_a_box_cut_out_of_an_extract(tmp_path):
     assert catalogue.open_folder(tmp_path / "half").vehicles_per_hour > 0
     with pytest.raises(ValueError, match=r"has no ways in the box 7,50,8,51: .* The file reaches over 9,50"):
         osm.read(path, (7.0, 50.0, 8.0, 51.0))
-
-
-def test_a_motorway_that_ends_inside_the_extract_continues_outside():
-    """An extract with whole ways reaches beyond the motorway's ends, which are gates all the same."""
-    extract = osm.Extract()
-    extract.place.update({1: (9.00, 50.0), 2: (9.01, 50.0), 3: (9.02, 50.0), 4: (8.9, 49.9), 5: (9.1, 50.1)})
-    extract.ways[1] = osm.Way(1, (1, 2, 3), {"highway": "motorway", "oneway": "yes"})
-    extract.ways[2] = osm.Way(2, (2, 4), {"highway": "residential"})
-    classes = frozenset({"motorway", "residential"})
-    assert {1, 3} <= streets.drivable(extract, classes, frozenset(), 50.0, dead_ends=True).gates
-    extract.ways[1] = osm.Way(1, (1, 2, 3), {"highway": "secondary", "oneway": "yes"})
-    classes = frozenset({"secondary", "residential"})
-    assert not {1, 3} & streets.drivable(extract, classes, frozenset(), 50.0, dead_ends=True).gates
