@@ -42,11 +42,14 @@ class Scenario:
     origin_m: tuple[float, float] = (0.0, 0.0)
     """Where the world's origin lies in the network's coordinates."""
 
-    def traffic(self, params: TrafficParams, registry: ActorRegistry) -> TrafficSource:
-        """The source of traffic; ValueError in one line where it cannot be read."""
+    def traffic(self, params: TrafficParams, registry: ActorRegistry, has_driver: bool = False) -> TrafficSource:
+        """The source of traffic; ValueError in one line where it cannot be read.
+
+        With a driver, its worlds have lane paths where SUMO runs.
+        """
         if self.trace is None:
             assert self.sumocfg is not None
-            return SumoTraffic(params, self.sumocfg, registry, self.origin_m)
+            return SumoTraffic(params, self.sumocfg, registry, self.origin_m, has_driver)
         if self.trace.is_dir():
             return RunReplay(params, self.trace, registry)
         return TraceReplay(params, self.trace, registry, self.types, self.origin_m)

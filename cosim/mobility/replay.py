@@ -8,13 +8,20 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Int
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from cosim.actors import ActorRegistry
 from cosim.mobility.fcd import Timestep, timesteps
 from cosim.mobility.params import TrafficParams
-from cosim.mobility.source import SHAPE_OF_CLASS, TrafficEnded, TrafficError, world_from_bumpers, world_of
+from cosim.mobility.source import (
+    SHAPE_OF_CLASS,
+    TrafficEnded,
+    TrafficError,
+    refuse_commands,
+    world_from_bumpers,
+    world_of,
+)
 from cosim.world import World
 from results.archive import open_run
 from results.run import Run
@@ -91,6 +98,10 @@ class TraceReplay:
             step, number, timestep.front_m[rows], timestep.compass_deg[rows], timestep.speed_mps[rows],
             self._registry, self._origin_m,
         )  # fmt: skip
+
+    def command(self, actor: Int[ndarray, "c"], speed_mps: Float[ndarray, "c"]) -> None:
+        """Refused: replayed traffic cannot be commanded."""
+        refuse_commands(str(self._path), len(actor))
 
     def report(self) -> dict[str, Any]:
         return {"actors_left_out": dict(sorted(Counter(self._left_out.values()).items()))}
@@ -185,6 +196,10 @@ class RunReplay:
         number = number[order]
         xyz_m, yaw_rad, speed = (rows[name][order] for name in ("xyz_m", "yaw_rad", "speed_mps"))
         return world_of(step, number, Boxes(xyz_m, self._registry.lwh_m[number], yaw_rad), speed, self._registry)
+
+    def command(self, actor: Int[ndarray, "c"], speed_mps: Float[ndarray, "c"]) -> None:
+        """Refused: replayed traffic cannot be commanded."""
+        refuse_commands(str(self._run.path), len(actor))
 
     def report(self) -> dict[str, Any]:
         """Counts of the run that is replayed."""
