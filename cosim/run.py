@@ -17,8 +17,9 @@ from cosim.config import Config, chosen
 from cosim.cycle import State, step
 from cosim.driver.driver import largest_step_s
 from cosim.manifest import Manifest
+from cosim.mobility.remarks import traffic_remarks
 from cosim.mobility.source import TrafficEnded, TrafficError, TrafficSource
-from cosim.parts import Parts, sources
+from cosim.parts import Parts, check_choices, sources
 from cosim.radio.rsu import NO_RSUS, RsuAntennas, place_rsus
 from cosim.scenario import Scenario, find
 from cosim.stopwatch import Stopwatch
@@ -40,6 +41,7 @@ def check(config: Config) -> Scenario:
     """The scenario that a config asks for; ValueError where it could not run."""
     scenario = find(config.traffic.scenario, config.traffic.trace)
     roadside_units(config, scenario)
+    check_choices(config)
     _check_driver(config, scenario)
     lidar.beams(config.lidar)
     if config.lidar.engine != "columnar":  # the others are libraries that may not be there
@@ -102,7 +104,7 @@ def run(config: Config, out: Path | None, advance: Advance) -> Path:
     traffic = scenario.traffic(config.traffic, registry, has_driver=config.driver.model != "none")
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        manifest = Manifest(folder, config, scenario.certificate(), sources(config))
+        manifest = Manifest(folder, config, scenario.provenance(), sources(config))
         (folder / "config.toml").write_text(tomli_w.dumps(without_nulls(config.to_dict())), encoding="utf-8")
         manifest.write("running")
         try:
@@ -125,14 +127,7 @@ def run(config: Config, out: Path | None, advance: Advance) -> Path:
 def remarks(folder: Path) -> list[str]:
     """What a user should know of a finished run before they trust its figures; mostly nothing."""
     summary = json.loads((folder / "manifest.json").read_text(encoding="utf-8"))["summary"]
-    said = []
-    if "ended_early" in summary:
-        said.append(f"note: {summary['ended_early']}.")
-    if left_out := summary.get("actors_left_out"):
-        counts = ", ".join(f"{n} {kind}" for kind, n in left_out.items())
-        said.append(f"note: left out, because they are not on the road: {counts}.")
-    said += [f"note: SUMO went on, but: {complaint}" for complaint in summary.get("sumo_errors", [])]
-    return said
+    return traffic_remarks(summary)
 
 
 def _threads(config: Config, n_equipped: int) -> int:

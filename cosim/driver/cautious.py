@@ -34,7 +34,7 @@ class CautiousParams:
     share_p: Annotated[float, Ge(0), Le(1)] = 1.0
     """Share of the equipped vehicles whose drivers react, decided vehicle by vehicle from its name."""
     min_score: Annotated[float, Ge(0), Le(1)] = 0.25
-    """Smallest score of a fused object that is believed; under TruPercept few honest objects of one source reach 0.5."""
+    """Smallest score of a fused object that is believed; under TruPercept few real objects of one source reach 0.5."""
     half_width_m: Annotated[float, Gt(0)] = 1.5
     """Half width of the corridor along the lane path in which an object is in the way [m]."""
     horizon_s: Annotated[float, Gt(0)] = 4.0

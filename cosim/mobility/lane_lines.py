@@ -1,13 +1,10 @@
 """Centre lines of lanes joined along routes, each sequence of lanes once."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
-
-Points = Sequence[tuple[float, float]]
 
 
 @dataclass(slots=True)
@@ -22,9 +19,9 @@ class LaneLines:
     _xy_m: list[Float[ndarray, "v 2"]] = field(default_factory=list)
     _along_m: list[Float[ndarray, "v"]] = field(default_factory=list)
 
-    def add(self, lanes: tuple[str, ...], shapes: Sequence[Points], first_length_m: float) -> int:
+    def add(self, lanes: tuple[str, ...], shapes: list[Float[ndarray, "k 2"]], first_length_m: float) -> int:
         """Number of the line of a new sequence of lanes."""
-        xy = np.concatenate([np.array([point[:2] for point in shape], float) for shape in shapes])
+        xy = np.concatenate(shapes)
         steps = np.hypot(*np.diff(xy, axis=0).T)
         keep = np.append(True, steps > 1e-6)  # a lane begins where the one before it ends
         if keep.sum() < 2:

@@ -18,11 +18,16 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 
 from cosim.actors import ActorRegistry
+from cosim.mobility.frame import Frame, TrafficError
 from cosim.mobility.lane_lines import LaneLines
 from cosim.mobility.params import TrafficParams
-from cosim.mobility.source import SHAPE_OF_CLASS, TrafficEnded, TrafficError, world_from_bumpers
+from cosim.mobility.remarks import FlowCounts
+from cosim.mobility.source import SHAPE_OF_CLASS, TrafficEnded, world_from_bumpers
 from cosim.world import LanePaths, World
 from sumo_nets import sumocfg
+from sumo_nets.catalogue import bounds_m
+from sumo_nets.sumocfg import first_departure_s
+from sumo_nets.vtypes import check_size
 
 _UNKNOWN, _LEFT_OUT = -2, -1
 _NO_POSITION_M = -1e9
@@ -75,20 +80,23 @@ class SumoTraffic:
         params: TrafficParams,
         config: Path,
         registry: ActorRegistry,
-        origin_m: tuple[float, float] = (0.0, 0.0),
+        frame: Frame | None = None,
         has_driver: bool = False,
     ) -> None:
         """Load the scenario; ValueError with SUMO's message when SUMO refuses it.
 
         With a driver, worlds have lane paths, and collisions, junctions included, are counted and do not teleport.
         """
-        self._registry, self._config, self._origin_m = registry, config, origin_m
-        self._ways = _WaysAhead(origin_m) if has_driver else None
+        self._registry, self._config = registry, config
+        self._frame = frame or Frame(f"traffic.scenario = {config}", bounds_m=bounds_m(sumocfg.read(config).net))
+        self._ways = _WaysAhead(self._frame) if has_driver else None
         self._commanded: dict[str, int] = {}
         """Vehicles under a command, and the speed mode that SUMO gave them."""
-        self._n_collisions = 0
+        self._collisions: set[tuple[str, ...]] = set()
         self._domains = (_Domain("vehicle"), _Domain("person"))
         self._step = 0
+        self._counts = FlowCounts()
+        self._warmup_s = 0.0
         self._left_out: Counter[str] = Counter()
         self.n_teleports = 0
         """Vehicles that SUMO has teleported since recording began."""
@@ -110,7 +118,8 @@ class SumoTraffic:
         while (done := libsumo.simulation.getTime() - begin) < seconds - 1e-6:
             self.move()
             yield done
-        self.n_teleports = self._n_collisions = 0
+        self.n_teleports, self._warmup_s = 0, seconds
+        self._collisions.clear()
 
     def advance(self) -> World:
         """Simulate one step and read all actors."""
@@ -121,7 +130,8 @@ class SumoTraffic:
         self._register(present, step)
         parts = [_read(domain, names, number) for domain, names, number in present]
         number, front_m, angle, speed = (np.concatenate(column) for column in zip(*parts, strict=True))
-        world = world_from_bumpers(step, number, front_m, angle, speed, self._registry, self._origin_m)
+        world = world_from_bumpers(step, number, front_m, angle, speed, self._registry, self._frame)
+        self._counts.add(world)
         if self._ways is None:
             return world
         rows = np.flatnonzero(world.equipped)
@@ -158,7 +168,8 @@ class SumoTraffic:
             libsumo.simulationStep()
         self.n_teleports += libsumo.simulation.getStartingTeleportNumber()
         if self._ways is not None:
-            self._n_collisions += libsumo.simulation.getCollidingVehiclesNumber()
+            pairs = (sorted((found.collider, found.victim)) for found in libsumo.simulation.getCollisions())
+            self._collisions.update(map(tuple, pairs))
         if libsumo.simulation.getMinExpectedNumber() <= 0:
             raise TrafficEnded(f"at {libsumo.simulation.getTime():g} s all vehicles have left, and none is to depart")
 
@@ -172,9 +183,17 @@ class SumoTraffic:
             "vehicles_waiting_to_enter_at_end": len(libsumo.simulation.getPendingVehicles()),
             "teleports": self.n_teleports,
             "actors_left_out": dict(sorted(self._left_out.items())),
-            **({} if self._ways is None else {"vehicles_collided": self._n_collisions}),
+            **({} if self._ways is None else {"collisions": len(self._collisions)}),
+            **self._counts.report(),
+            **self._first_departure(),
             **({"sumo_errors": errors[:9]} if (errors := self._errors_since(0)) else {}),
         }
+
+    def _first_departure(self) -> dict[str, float]:
+        """The first departure of the demand, where no vehicle was ever on the road."""
+        if self._counts.n_vehicles or (first_s := first_departure_s(sumocfg.read(self._config).routes)) is None:
+            return {}
+        return {"first_departure_s": first_s, "warmup_s": self._warmup_s}
 
     def close(self) -> None:
         try:
@@ -207,7 +226,13 @@ class SumoTraffic:
                     continue
                 kept.append((domain, name))
                 shapes.append(shape)
-                lwh_m.append([domain.getter[what](name) for what in ("Length", "Width", "Height")])
+                where = f"traffic.scenario = {self._config}: {domain.name} {name!r}"
+                lwh_m.append(
+                    [
+                        check_size(where, what.lower(), domain.getter[what](name))
+                        for what in ("Length", "Width", "Height")
+                    ]
+                )
         if kept:
             new = self._registry.register(
                 [name for _, name in kept], np.array(shapes, np.uint8), np.array(lwh_m, float), step
@@ -254,7 +279,7 @@ def _read(domain: _Domain, names: tuple[str, ...] | list[str], number: ndarray) 
 class _WaysAhead:
     """Lane paths of vehicles, by SUMO's routes and lanes."""
 
-    origin_m: tuple[float, float]
+    frame: Frame
     lines: LaneLines = field(default_factory=LaneLines)
     line_of: dict[tuple[str, str, int], int] = field(default_factory=dict)
     """Number of the line by lane, route, and place on the route."""
@@ -275,7 +300,7 @@ class _WaysAhead:
         ptr, xy_m, along_m = self.lines.arrays()
         return LanePaths(
             rows, line, position * np.array(self.lines.scale)[line] if len(line) else position, ptr,
-            xy_m - np.array(self.origin_m), along_m,
+            xy_m, along_m,
         )  # fmt: skip
 
     def _line(self, name: str, lane: str) -> int:
@@ -294,7 +319,8 @@ class _WaysAhead:
         number = self.lines.number.get(key)
         if number is not None:
             return number
-        return self.lines.add(key, list(map(libsumo.lane.getShape, lanes)), libsumo.lane.getLength(lane))
+        shapes = [np.array(libsumo.lane.getShape(part))[:, :2] - self.frame.origin_m for part in lanes]
+        return self.lines.add(key, shapes, libsumo.lane.getLength(lane))
 
 
 def _drive_at(name: str, speed_mps: float, mode: int, dt_s: float) -> None:
@@ -314,9 +340,11 @@ def _give_back(name: str, mode: int) -> None:
 
 
 def _options(params: TrafficParams, config: sumocfg.Sumocfg, scratch: Path, has_driver: bool) -> list[str]:
-    """SUMO's command line: the configuration without messages and without output files."""
+    """SUMO's command line: a copy of the configuration with harmless options only, written to the temporary folder."""
+    copy = scratch / "scenario.sumocfg"
+    copy.write_text(config.text(), encoding="utf-8")
     options = {
-        "configuration-file": config.path,
+        "configuration-file": copy,
         "seed": params.seed,
         "step-length": params.step_s,
         "no-step-log": "true",
@@ -333,7 +361,6 @@ def _options(params: TrafficParams, config: sumocfg.Sumocfg, scratch: Path, has_
         **({"collision.action": "warn", "collision.check-junctions": "true"} if has_driver else {}),
         **({} if params.begin_s is None else {"begin": params.begin_s}),
         **({} if params.scale == 1 else {"scale": params.scale}),
-        **dict.fromkeys(config.outputs, os.devnull),
     }
     return [word for name, value in options.items() for word in (f"--{name}", str(value))]
 

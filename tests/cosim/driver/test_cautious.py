@@ -43,7 +43,8 @@ def test_three_vehicles_and_a_ghost_before_the_second():
     """Fronts at 100, 60 and 40 m, all at 10 m/s. The second believes in a person whose near side is 20 m ahead.
 
     Comfortable deceleration b = 2.5 m/s2, step t = 0.5 s, so b t = 1.25 m/s. Free way 20 - 2.5 = 17.5 m.
-    v = -1.25 + sqrt(1.25^2 + 2 x 2.5 x 17.5) = -1.25 + sqrt(89.0625) = 8.18729 m/s: (10 - 8.18729) / 0.5 = 3.62542 m/s2.
+    v = -1.25 + sqrt(1.25^2 + 2 x 2.5 x 17.5) = -1.25 + sqrt(89.0625) = 8.18729 m/s, which is
+    (10 - 8.18729) / 0.5 = 3.62542 m/s2.
     It drives 8.18729 x 0.5 = 4.09364 m, gap 15.90636 m, free 13.40636 m, and the next speed is
     -1.25 + sqrt(1.5625 + 67.0318) = 7.03217 m/s: 2.31024 m/s2. The first and the third are not commanded.
     """

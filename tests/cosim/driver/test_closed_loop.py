@@ -40,7 +40,8 @@ print(json.dumps(speeds))
 
 
 def test_only_the_believer_reacts_before_its_brake_lights_matter(tmp_path):
-    """Three cars at 10 m/s, fronts 40 and 20 m apart; the second believes, from step 4 on, in a person 20 m ahead of it.
+    """Three cars at 10 m/s, fronts 40 and 20 m apart; the second believes, from step 4 on, in a person
+    20 m ahead of it.
 
     Derived in test_cautious: its speed is 8.187 m/s in step 5 and 7.032 m/s in step 6. The first never brakes. The
     third has 15 m to the second and SUMO's time headway of 1 s: it is still at 10 m/s in step 5, when the second has
