@@ -10,7 +10,7 @@ run: $(READY)  ## Drive the shipped city, and show what came of it
 	$(BIN)/cosim run
 
 test: $(READY)  ## The tests
-	$(BIN)/python -m pytest -q -n 2
+	$(BIN)/python -m pytest -q -n 2 --typecheck=trust
 
 lint: $(READY)  ## Style and types
 	$(BIN)/ruff check .
@@ -21,7 +21,7 @@ verify: $(READY)  ## Everything, the slow verification included
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check --quiet .
 	$(BIN)/mypy
-	$(BIN)/python -m pytest -q -n 2 -m ""
+	$(BIN)/python -m pytest -q -n 2 --typecheck=trust -m ""
 
 bench: $(READY)  ## Speed, with peers in the same run
 	$(BIN)/cosim bench

@@ -62,7 +62,7 @@ class TrustModel(Protocol):
         ...
 
 
-def params_of(model: type[TrustModel], trust: object, own: dict[str, Any] | None = None) -> Any:
+def params_of(model: type, trust: object, own: dict[str, Any] | None = None) -> Any:
     """Parameters of a model from the section [trust].
 
     Parameters
