@@ -40,7 +40,7 @@ from cosim.v2x.messages import (
     trust_broadcast_bytes,
 )
 from cosim.v2x.pseudonyms import PseudonymState, PseudonymUse
-from cosim.v2x.trust_hosts import Lookups, ServerTraffic, TrustState
+from cosim.v2x.trust_hosts import Lookups, ObjectScorer, ServerTraffic, TrustState
 from cosim.v2x.trust_server import LinkStats
 from cosim.world import World
 from results.encounters import Rows
@@ -254,8 +254,11 @@ def step(world: World, state: State, parts: Parts) -> tuple[State, StepResult]:
         from_own_m = _distance_m(listed, np.arange(len(listed)), observed, detections.message)
         fused = [
             _fuse(known, groups_known, detections, lists, evaluated, reported, used, look_up, alone, evidence,
-                  from_own_m, variant.trust) if variant.fused else None
-            for variant, look_up in zip(parts.trust.variants, _per_variant(lookups, parts), strict=True)
+                  from_own_m, variant.trust, scorer) if variant.fused else None
+            for variant, look_up, scorer in zip(
+                parts.trust.variants, _per_variant(lookups, parts), _per_variant(parts.trust.scorers(s.trust), parts),
+                strict=True,
+            )
         ]  # fmt: skip
     with watch("driver"):
         assert fused[0] is not None
@@ -384,13 +387,13 @@ def _distance_m(
 def _fuse(
     known: ObjectLists, groups: tables.Groups, detections: tables.Detections, lists: ObjectLists,
     evaluated: Evaluations, reported: Evaluations, used: Receptions, look_up: Lookups, alone: bool,
-    evidence: SensorEvidence, from_own_m: Float[ndarray, "d"], params: Any,
+    evidence: SensorEvidence, from_own_m: Float[ndarray, "d"], params: Any, scorer: ObjectScorer | None,
 ) -> Fused:  # fmt: skip
     """Every vehicle's final objects with the trust of one variant."""
     trust = SenderTrust(
         ptr_of(used.receiver, len(known.owner)), used.message, look_up.trust, np.full(len(used.message), alone)
     )
-    fused = fuse(known, groups, detections, lists, evaluated, reported, trust, evidence, from_own_m, params)
+    fused = fuse(known, groups, detections, lists, evaluated, reported, trust, evidence, from_own_m, params, scorer)
     return fused.take(fused.score >= params.min_score)
 
 
