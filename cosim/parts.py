@@ -1,15 +1,16 @@
 """The parts of a step, built once from the config: perception, adversary, medium, trust, pseudonyms, driver."""
 
 from dataclasses import dataclass, field
+from typing import Any
 
 from cosim import choices, config
 from cosim.adversary.adversary import Adversary
 from cosim.config import Config
 from cosim.driver.driver import Driver
-from cosim.manifest import Stopwatch
 from cosim.perception import Perception
 from cosim.radio.medium import Medium
 from cosim.radio.rsu import NO_RSUS, RsuAntennas
+from cosim.stopwatch import Stopwatch
 from cosim.v2x.pseudonyms import Pseudonyms
 from cosim.v2x.trust_hosts import TrustHosts, Variant
 from results.codes import BASE_VARIANT
@@ -36,9 +37,7 @@ class Parts:
     """Measures how long each stage takes; changes nothing."""
 
     @staticmethod
-    def of(
-        experiment: Config, city: Scene, rsus: RsuAntennas = NO_RSUS, watch: Stopwatch | None = None
-    ) -> "Parts":
+    def of(experiment: Config, city: Scene, rsus: RsuAntennas = NO_RSUS, watch: Stopwatch | None = None) -> "Parts":
         """The parts that a config names; ValueError in one line where one of them cannot be had."""
         c = experiment
         dt_s = c.traffic.step_s
@@ -48,7 +47,7 @@ class Parts:
             city=city,
             walls=walls,
             rsus=rsus,
-            perception=Perception(city, c.lidar, _make(c, "detector"), c.trust.self_reports, c.seed, dt_s),
+            perception=perception_of(c, city),
             adversary=Adversary.of(c.attacks, [_make(c, "attacks", n) for n in range(len(c.attacks))], c.seed),
             medium=_make_medium(c, LosCache.of(walls)),
             pseudonyms=Pseudonyms(_make(c, "pseudonyms"), c.seed, dt_s),
@@ -60,6 +59,23 @@ class Parts:
     def senses(self, step: int) -> bool:
         """Whether vehicles sense and talk in this step."""
         return step % self.config.sense_every_steps == 0
+
+
+def perception_of(experiment: Config, city: Scene) -> Perception:
+    """The LiDAR and the detector that a config names."""
+    c = experiment
+    return Perception(city, c.lidar, _make(c, "detector"), c.trust.self_reports, c.seed, c.traffic.step_s)
+
+
+def check_choices(experiment: Config) -> None:
+    """ValueError in one line where one of the parts that a config names cannot be had."""
+    for section in ("detector", "pseudonyms", "driver"):
+        _make(experiment, section)
+    for number in range(len(experiment.attacks)):
+        _make(experiment, "attacks", number)
+    _make_medium(experiment, None)
+    c = experiment
+    TrustHosts.of(variants(c), c.server, c.seed, c.sensing_interval_s, c.traffic.step_s).start()
 
 
 def variants(experiment: Config) -> list[Variant]:
@@ -86,13 +102,13 @@ def sources(experiment: Config) -> dict[str, choices.Source]:
     return found
 
 
-def _make(experiment: Config, section: str, number: int | None = None):
-    """An instance of the class that a section names; without parameters of its own it is made without any."""
+def _make(experiment: Config, section: str, number: int | None = None) -> Any:
+    """An instance of the class that a section names."""
     choice, own = config.chosen(experiment, section, number)
-    return choice.of() if choice.params is None else choice.of(own)
+    return choices.make(choice, *(() if choice.params is None else (own,)))
 
 
-def _make_medium(experiment: Config, sight: LosCache | None) -> Medium:
+def _make_medium(experiment: Config, los: LosCache | None) -> Medium:
     choice, own = config.chosen(experiment, "radio")
     params = experiment.radio if own is None else own
-    return choice.of(params, experiment.timeout_s, experiment.seed, sight)
+    return choices.make(choice, params, experiment.timeout_s, experiment.seed, los)

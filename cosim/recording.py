@@ -10,12 +10,13 @@ import cosim.codes  # noqa: F401  the codes that are written are those that the 
 from cosim.actors import ActorRegistry
 from cosim.cycle import Sensed, StepResult
 from cosim.radio.message_round import Outcome
+from cosim.reactions import Reactions
 from cosim.trackers.channel_counts import latency_histogram, pdr_by_distance, vehicle_channel
 from cosim.v2x.messages import FABRICATED
 from cosim.v2x.pseudonyms import PseudonymUse
 from cosim.world import World
 from results.codes import MessageType, TrustSource
-from results.encounters import Rows
+from results.encounters import Rows, by_variant
 from results.recorder import Recorder
 from sensors.boxes import Boxes
 
@@ -34,6 +35,8 @@ def step(recorder: Recorder, happened: StepResult, dt_s: float) -> None:
     """Everything that the result of a step says."""
     at = happened.world.step
     _actors(recorder, happened.world)
+    if happened.reactions is not None:
+        _reactions(recorder, at, happened.reactions)
     encounters(recorder, at, happened.encounters)
     pseudonyms(recorder, at, happened.ended_pseudonyms)
     sensed = happened.sensed
@@ -55,10 +58,24 @@ def _actors(recorder: Recorder, world: World) -> None:
     })  # fmt: skip
 
 
+def _reactions(recorder: Recorder, at: int, found: Reactions) -> None:
+    why = found.commands.reasons
+    assert why is not None, "reactions have reasons"
+    recorder.append("reactions", at, {
+        "vehicle": found.commands.actor, "source_step": why.source_step, "source": why.source,
+        "source_index": why.source_index, "gap_m": why.gap_m, "speed_mps": found.commands.speed_mps,
+        "deceleration_mps2": found.deceleration_mps2, "fabricated": found.fabricated,
+        "truth_actor": found.truth_actor, "truth_actor__valid": found.is_real,
+    })  # fmt: skip
+
+
 def encounters(recorder: Recorder, at: int, closed: Sequence[Rows]) -> None:
     """Encounters that are over, by definition."""
     for rows in closed:
-        recorder.append("encounters", at, rows)
+        base, others = by_variant(rows)
+        recorder.append("encounters", at, base)
+        if others:
+            recorder.append("encounter_trust", at, others)
 
 
 def pseudonyms(recorder: Recorder, at: int, ended: PseudonymUse) -> None:
@@ -150,9 +167,12 @@ def _trust(recorder: Recorder, at: int, sensed: Sensed, dt_s: float) -> None:
             "weight": scores.weight, "n_evaluations": scores.n_evaluations,
             "newest_age_s": (at - scores.newest_step) * dt_s, "oldest_age_s": (at - scores.oldest_step) * dt_s,
         })  # fmt: skip
-    if sensed.server is not None:
-        up, down = sensed.server.up, sensed.server
+    for variant, server in enumerate(sensed.server):
+        if server is None:
+            continue
+        up, down = server.up, server
         recorder.append("server", at, {
+            "variant": np.array([variant]),
             "n_reports": np.array([up.n_reports]), "n_reached": np.array([up.n_reached]),
             "n_lost": np.array([up.n_lost]), "n_over_capacity": np.array([up.n_over_capacity]),
             "n_outage": np.array([up.n_outage]), "uplink_bytes": np.array([up.uplink_bytes]),

@@ -1,18 +1,20 @@
-"""LiDAR sweeps of a finished run: its worlds are read from the tables and cast again."""
+"""LiDAR sweeps of a finished run: its worlds are read from the tables and cast again.
 
+They equal the run's, because noise is a function of vehicle and step.
+"""
+
+import logging
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import pyarrow.compute as pc
-from jaxtyping import Int
-from numpy import ndarray
 
-from cosim import rng
 from cosim.actors import ActorRegistry
 from cosim.config import Config, load
 from cosim.mobility.replay import RunReplay
+from cosim.parts import perception_of
 from cosim.scenario import find
 from cosim.world import World
 from results.figures import style
@@ -20,8 +22,10 @@ from results.figures.sweep import draw
 from results.run import Run
 from sensors import cloud
 from sensors.boxes import Boxes
-from sensors.lidar import Sweeps, scan
+from sensors.lidar import Sweeps
 from sensors.scene import Scene
+
+_LOG = logging.getLogger(__name__)
 
 
 def config_of(run: Run) -> Config:
@@ -43,12 +47,6 @@ def worlds(run: Run, config: Config) -> Iterator[World]:
             yield traffic.advance()
     finally:
         traffic.close()
-
-
-def sweep(world: World, observers: Int[ndarray, "e"], city: Scene, config: Config, out: Sweeps | None = None) -> Sweeps:
-    """The sweeps of these rows of the world; equal to the run's, because noise is a function of vehicle and step."""
-    keys = rng.keys(rng.key(config.seed, rng.Stream.SWEEP, world.step), world.name_key[observers])
-    return scan(world.boxes, world.shape, np.asarray(observers), city, config.lidar, keys, out)
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,13 +72,16 @@ def replay_scan(run: Run, vehicle: int, step: int) -> ReplayedScan:
             + (f", and senses in every {every}th." if every > 1 else ".")
         )
     run.require("actors", "vehicles", "detections")
+    scenario = find(config.traffic.scenario, config.traffic.trace)
+    if changed := scenario.changed_inputs(run.manifest.get("net", {})):
+        _LOG.warning("%s: changed since it was recorded: %s", run.path, ", ".join(changed))
     world = next(w for w in worlds(run, config) if w.step == step)
     equipped = world.actor[world.equipped]
     if vehicle not in equipped:
         some = ", ".join(map(str, equipped[:8]))
         raise ValueError(f"--vehicle {vehicle} has no sensor on the road in step {step}. These have: {some}, ...")
     row = np.flatnonzero(world.actor == vehicle)
-    sweeps = sweep(world, row, city_of(config), config)
+    sweeps = perception_of(config, city_of(config)).sweep(world, row)
     rows = np.flatnonzero(np.linalg.norm(world.boxes.xyz_m - sweeps.poses.origin_m, axis=1) < config.lidar.max_range_m)
     rows = rows[rows != row]
     own = run.subjects.index[run.subjects.vehicle == vehicle].tolist()

@@ -22,7 +22,7 @@ from results.codes import (
 )
 from results.columns import LEVELS, Column, Level, Table
 
-SCHEMA_VERSION = 4
+SCHEMA_VERSION = 5
 """Raised whenever a table or column changes its name, type, unit or meaning."""
 
 
@@ -139,6 +139,21 @@ TABLES: Mapping[str, Table] = {
             **_trust_at_contact("b", "a"),
         },
     ),
+    "encounter_trust": Table(
+        "summary",
+        "The trust columns of `encounters` for the trust variants that do not act; one row per encounter and variant.",
+        {
+            "variant": _VARIANT,
+            "a": _key("The smaller of the two actor numbers."),
+            "b": _key("The larger of the two actor numbers."),
+            "start_step": _key("First step in contact."),
+            "radius_m": Column("float32", unit="m", key=True, meaning="Largest distance that counts as contact."),
+            "pairs": Column("category", key=True, categories=labels(EncounterPairs), meaning="Which pairs count, as in `encounters`."),
+            "hysteresis_s": Column("float32", unit="s", key=True, meaning="A break in contact shorter than this does not end the encounter."),
+            **_trust_at_contact("a", "b"),
+            **_trust_at_contact("b", "a"),
+        },
+    ),
     "observability": Table(
         "standard",
         "What every LiDAR could have detected: one row per actor that at least one beam would hit if nothing stood in between.",
@@ -249,6 +264,7 @@ TABLES: Mapping[str, Table] = {
         "Links to the trust server and back; empty where there is none.",
         {
             "step": _STEP,
+            "variant": _VARIANT,
             "n_reports": _count("Reports with evaluations that vehicles had for the server."),
             "n_reached": _count("Of these, those that reach it, in this step or later."),
             "n_lost": _count("Of these, lost on the way, or received by no roadside unit."),
@@ -322,6 +338,22 @@ TABLES: Mapping[str, Table] = {
             "fabricated": Column("bool", truth=True, meaning="The box was fabricated by an attack."),
             "truth_actor": replace(_TRUTH_ACTOR, via="source"),
             "truth_iou": replace(_TRUTH_IOU, via="source", meaning="3D intersection over union of the box, as its source gave it, with that actor's true box."),
+        },
+    ),
+    "reactions": Table(
+        "standard",
+        "Speeds that drivers command because of what their vehicles believe, in the step before they are driven; empty without such a driver.",
+        {
+            "step": _STEP,
+            "vehicle": _key("Vehicle that reacts (actor number)."),
+            "source_step": Column("int32", meaning="Step of the detection that it reacts to."),
+            "source": Column("int32", meaning="Pseudonym of the vehicle whose detection it is."),
+            "source_index": Column("int16", meaning="Number of that detection in its list."),
+            "gap_m": Column("float32", unit="m", bits=7, meaning="From the front bumper to the object along the lane path."),
+            "speed_mps": Column("float32", unit="m/s", bits=8, meaning="Speed commanded for the next step; SUMO's own rules may keep the vehicle slower."),
+            "deceleration_mps2": Column("float32", unit="m/s2", bits=8, meaning="From the present speed to the commanded one within a step; negative where the vehicle may gain speed."),
+            "fabricated": Column("bool", truth=True, meaning="The object was fabricated by an attack."),
+            "truth_actor": replace(_TRUTH_ACTOR, meaning="Actor that it really is; null where it is no actor (false positive of a detector, fabricated)."),
         },
     ),
 }

@@ -92,7 +92,7 @@ class TrustState:
 
 @dataclass(frozen=True, slots=True)
 class ServerTraffic:
-    """A step's messages between vehicles and the trust server that acts."""
+    """A step's messages between vehicles and a trust server."""
 
     up: LinkStats
     n_addressed: int
@@ -120,7 +120,9 @@ class TrustHosts:
     """Evaluation of an unmatched detection, the same for all."""
 
     @staticmethod
-    def of(variants: Sequence[Variant], server: ServerParams, seed: int, interval_s: float, dt_s: float) -> "TrustHosts":
+    def of(
+        variants: Sequence[Variant], server: ServerParams, seed: int, interval_s: float, dt_s: float
+    ) -> "TrustHosts":
         """Hosts for these variants; the first one acts."""
         keys: list[tuple] = []
         host_of: list[int] = []
@@ -130,7 +132,7 @@ class TrustHosts:
                 keys.append(key)
             host_of.append(keys.index(key))
         first = [variants[host_of.index(h)] for h in range(len(keys))]
-        for h, variant in enumerate(first[1:], 1):
+        for variant in first[1:]:
             if server.uplink == "rsu" and variant.trust.host == "central":
                 raise ValueError(
                     f'trust_variant "{variant.name}" would broadcast other trust values than [trust], and with '
@@ -158,15 +160,15 @@ class TrustHosts:
 
     def publish(
         self, state: TrustState, step: int, time_s: float, vehicle: Int[ndarray, "e"], name_key: UInt64[ndarray, "e"]
-    ) -> tuple[TrustState, list[TrustScores | None], tuple[int, int]]:
+    ) -> tuple[TrustState, list[TrustScores | None], list[tuple[int, int]]]:
         """Reports reach the server; where it is time, it computes trust and broadcasts it.
 
         Returns
         -------
-        The state; per host, what its server computed now; of the acting host, vehicles addressed and informed.
+        The state; per host, what its server computed now, and the vehicles addressed and informed.
         """
         published: list[TrustScores | None] = [None] * len(self.params)
-        counts = 0, 0
+        counts = [(0, 0)] * len(self.params)
         if not self._any("central"):
             return state, published, counts
         uplink, arrived = self.uplink.arrived(state.uplink, time_s)
@@ -187,9 +189,16 @@ class TrustHosts:
                 host.downlink, TrustBroadcast(time_s, scores), step, vehicle, name_key
             )
             state.hosts[h] = HostState(host.model, downlink, time_s)
-            if h == self.host_of[0]:
-                counts = (len(vehicle), n_informed) if self.server.uplink == "cellular" else (0, 0)
+            if self.server.uplink == "cellular":
+                counts[h] = len(vehicle), n_informed
         return state, published, counts
+
+    def traffic(self, up: LinkStats, informed: Sequence[tuple[int, int]]) -> list[ServerTraffic | None]:
+        """Messages to and from the server of each host, given the vehicles addressed and informed by each."""
+        return [
+            ServerTraffic(up, *counts) if params.host == "central" else None
+            for params, counts in zip(self.params, informed, strict=True)
+        ]
 
     def pending_rsu_broadcast(self, state: TrustState, time_s: float) -> tuple[TrustState, TrustBroadcast | None]:
         """What roadside units have to send in a round that begins at `time_s`, once."""
@@ -203,7 +212,11 @@ class TrustHosts:
         return TrustState(hosts, state.uplink), broadcast
 
     def receive_from_rsu(
-        self, state: TrustState, vehicle: Int[ndarray, "e"], receiver: Int[ndarray, "m"], received_s: Float[ndarray, "m"]
+        self,
+        state: TrustState,
+        vehicle: Int[ndarray, "e"],
+        receiver: Int[ndarray, "m"],
+        received_s: Float[ndarray, "m"],
     ) -> tuple[TrustState, tuple[int, int]]:
         """Vehicles received the roadside units' broadcast; vehicles addressed and informed."""
         h = self.host_of[0]
@@ -228,7 +241,9 @@ class TrustHosts:
 
     def add_own(self, state: TrustState, messages: EvaluationMessages, vehicle: Int[ndarray, "v"]) -> TrustState:
         """Evaluations reach their own evaluators: vehicles, aligned with the messages."""
-        self._add_local(state, ReceivedEvaluations(messages, vehicle, np.arange(len(vehicle)), self.eta), of_others=False)
+        self._add_local(
+            state, ReceivedEvaluations(messages, vehicle, np.arange(len(vehicle)), self.eta), of_others=False
+        )
         return state
 
     def add_received(
@@ -309,8 +324,8 @@ class TrustHosts:
         return {cause.name.lower(): int(n) for cause, n in zip(RejectReason, counts, strict=False) if n}
 
     def scorers(self, state: TrustState) -> list[ObjectScorer | None]:
-        """Per host: the scores that its model gives to objects, None where it gives none."""
-        return [_scorer(host.model) for host in state.hosts]
+        """Per variant: the scores that its model gives to objects, None where it gives none."""
+        return [_scorer(state.hosts[h].model) for h in self.host_of]
 
     def _scores(self, state: TrustState, h: int, step: int | None = None) -> TrustScores:
         """Trust scores of a host's model, checked."""

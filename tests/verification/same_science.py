@@ -1,9 +1,11 @@
-"""Holds the tables of this code against those of the first schema, value for value under the new names.
+"""Holds the tables of schema 4, when it was new, against those of schema 3, value for value under the new names.
 
-    python -m tests.verification.same_science [--before COMMIT] [--keep FOLDER]
+    python -m tests.verification.same_science [--before COMMIT] [--after COMMIT] [--keep FOLDER]
 
-drives four experiments twice, with the code of COMMIT (the last one of schema 3) in a worktree of its own and with this
-code, and compares every table. What differs is printed with its count; only what `EXPLAINED` names may differ.
+drives four experiments with the code of two commits, each in a worktree of its own, and compares every table. By
+default these are the last commit of schema 3 and the first whole one of the pure step; what changed results since then
+stands in CHANGELOG.md under "Numbers change". Columns that differ are printed with their count; only what `EXPLAINED`
+names may differ.
 """
 
 import argparse
@@ -19,7 +21,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 ROOT = Path(__file__).parents[2]
-BEFORE = "8de4442"
+BEFORE = "The price of reading, measured last"
+AFTER = "The cycle as a pure step of parts: same tables, value for value"
 FULL = '[record]\nlevel = "full"\n'
 
 EXPERIMENTS: dict[str, tuple[str, str]] = {
@@ -38,7 +41,8 @@ max_hops = 3
 n_at_junctions = 6
 [server]
 uplink = "rsu"
-""" + FULL,
+"""
+        + FULL,
         """
 [traffic]
 duration_s = 120
@@ -58,7 +62,8 @@ max_hops = 3
 n_at_junctions = 6
 [server]
 uplink = "rsu"
-""" + FULL,
+"""
+        + FULL,
     ),
     "local": (
         """
@@ -69,7 +74,8 @@ duration_s = 120
 start_s = 20
 [trust]
 where = "local"
-""" + FULL,
+"""
+        + FULL,
         """
 [traffic]
 scenario = "koenigs-wusterhausen"
@@ -84,7 +90,8 @@ role = "unreliable"
 start_s = 20
 [trust]
 host = "local"
-""" + FULL,
+"""
+        + FULL,
     ),
     "replay": (
         """
@@ -99,7 +106,8 @@ cpm_rules = "etsi"
 max_hops = 2
 [trust]
 method = "trupercept_1"
-""" + FULL,
+"""
+        + FULL,
         """
 [traffic]
 scenario = "{folder}/after-default"
@@ -118,7 +126,8 @@ cpm_rules = "etsi"
 max_hops = 2
 [trust]
 method = "trupercept_1"
-""" + FULL,
+"""
+        + FULL,
     ),
 }
 """Config of each experiment in the former schema, and in this one."""
@@ -153,7 +162,10 @@ LABELS = {"detections": "cpm", "verdicts": "evaluation", "open": "los", "wall": 
 """Labels that have other names now, in columns of kinds."""
 
 EXPLAINED = {
-    ("fused", "score"): "an attacker fuses with its own honest evaluations, no longer with those that vouch for its lies",
+    (
+        "fused",
+        "score",
+    ): "an attacker fuses with its own honest evaluations, no longer with those that vouch for its lies",
     ("fused", "pose"): "follows the score",
     ("fused", "pose_index"): "follows the score",
 }
@@ -205,32 +217,51 @@ def compare(before: Path, after: Path) -> tuple[int, list[str]]:
     return n_equal, lines
 
 
+DRIVE = """
+import sys
+from pathlib import Path
+from cosim import run
+from cosim.config import load
+run.run(load(Path(sys.argv[1])), Path(sys.argv[2]), lambda *_: None)
+"""
+"""A run without its closing summary."""
+
+
 def drive(code: Path, config: Path, out: Path) -> None:
     """A run with the code of a checkout."""
     env = os.environ | {"PYTHONPATH": str(code)}
     done = subprocess.run(
-        [sys.executable, "-m", "cosim", "run", str(config), "--out", str(out)],
+        [sys.executable, "-c", DRIVE, str(config), str(out)],
         env=env, cwd=code, capture_output=True, text=True,
     )  # fmt: skip
     if done.returncode:
         raise SystemExit(f"{out}: {done.stderr[-2000:]}")
 
 
+def checkout(folder: Path, commit: str) -> Path:
+    """A worktree of a commit, given by its name or the first line of its message."""
+    if not folder.exists():
+        git = ["git", "-C", str(ROOT)]
+        found = subprocess.run([*git, "log", "--format=%H", f"--grep=^{commit}"], capture_output=True, text=True).stdout
+        name = found.split()[0] if found.strip() else commit
+        subprocess.run([*git, "worktree", "add", "--detach", str(folder), name], check=True)
+    return folder
+
+
 def main() -> None:
     """Both sides of every experiment, and what differs."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--before", default=BEFORE)
+    parser.add_argument("--after", default=AFTER)
     parser.add_argument("--keep", type=Path)
     given = parser.parse_args()
     folder = given.keep or Path(tempfile.mkdtemp(prefix="same-science-"))
     folder.mkdir(parents=True, exist_ok=True)
-    old_code = folder / "code"
-    if not old_code.exists():
-        subprocess.run(["git", "worktree", "add", "--detach", str(old_code), given.before], cwd=ROOT, check=True)
+    codes = [checkout(folder / "code-before", given.before), checkout(folder / "code-after", given.after)]
     total, wrong = 0, 0
     try:
         for name, configs in EXPERIMENTS.items():
-            for side, config, code in zip(("before", "after"), configs, (old_code, ROOT), strict=True):
+            for side, config, code in zip(("before", "after"), configs, codes, strict=True):
                 out = folder / f"{side}-{name}"
                 if not out.exists():
                     path = folder / f"{side}-{name}.toml"
@@ -242,7 +273,8 @@ def main() -> None:
             print(f"{name}: {n_equal:,} values equal", *lines, sep="\n")
     finally:
         if not given.keep:
-            subprocess.run(["git", "worktree", "remove", "--force", str(old_code)], cwd=ROOT, check=False)
+            for code in codes:
+                subprocess.run(["git", "-C", str(ROOT), "worktree", "remove", "--force", str(code)], check=False)
     print(f"{total:,} values compared and equal; {wrong} columns differ without an explanation")
     sys.exit(bool(wrong))
 
