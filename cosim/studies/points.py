@@ -89,5 +89,5 @@ def _own(config: Config) -> Mapping[str, str]:
 @cache
 def _files(scenario: str, trace: str | None) -> Mapping[str, str]:
     """Checksums of the files of a scenario."""
-    about = find(scenario, trace).certificate()
+    about = find(scenario, trace).provenance()
     return {name: text for name, text in about.items() if name.startswith("sha256") or name == "origin"}
