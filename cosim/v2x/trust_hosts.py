@@ -127,7 +127,7 @@ class TrustHosts:
         keys: list[tuple] = []
         host_of: list[int] = []
         for variant in variants:
-            key = _host_key(variant)
+            key = host_key(variant)
             if key not in keys:
                 keys.append(key)
             host_of.append(keys.index(key))
@@ -343,7 +343,7 @@ class TrustHosts:
         return any(params.host == host for params in self.params)
 
 
-def _host_key(variant: Variant) -> tuple:
+def host_key(variant: Variant) -> tuple:
     """What a host depends on; variants of one key share it."""
     kept = {f.name for f in fields(TrustParams)} - FUSION_KEYS - set(EVIDENCE_KEYS) - {"model"}
     return variant.model, repr(variant.own), *(getattr(variant.trust, name) for name in sorted(kept))
