@@ -7,7 +7,9 @@ from tests import typecheck
 
 def pytest_addoption(parser):
     parser.addoption("--update-golden", action="store_true", help="write the golden figures anew; say why in CHANGELOG")
-    parser.addoption("--typecheck", default="", help="packages whose shapes and types are checked, such as trust,sensors")
+    parser.addoption(
+        "--typecheck", default="", help="packages whose shapes and types are checked: trust"
+    )
 
 
 def pytest_configure(config):

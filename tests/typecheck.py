@@ -1,4 +1,4 @@
-"""Checks shapes and types of arguments, results and fields while tests run: `pytest --typecheck=trust,sensors`.
+"""Checks shapes and types of arguments, results and fields while tests run: `pytest --typecheck=trust`.
 
 Every annotated function and dataclass of these packages is checked by jaxtyping and beartype; compiled functions, which
 have no annotations, are left alone.
