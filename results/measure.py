@@ -9,7 +9,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from results.metrics import contact_graph, detection, encounters, freshness, misbehaviour, radio, registry, trust
+from results.metrics import (
+    contact_graph,
+    detection,
+    encounters,
+    freshness,
+    misbehaviour,
+    radio,
+    registry,
+    safety,
+    trust,
+)
 from results.metrics.kitti import FEWEST
 from results.metrics.registry import METRICS
 from results.run import Run
@@ -25,6 +35,7 @@ TOPICS: Mapping[str, ModuleType] = {
     "radio": radio,
     "detection": detection,
     "contacts": contact_graph,
+    "safety": safety,
 }
 """Modules of metrics by topic, as `run.measure.<topic>`."""
 
@@ -70,6 +81,7 @@ def measure(
         "radio": lambda: _radio(run),
         "detection": lambda: _detection(run, max_frames),
         "attack": lambda: _attack(run),
+        "safety": lambda: _safety(run),
     }
     rows: list[Row] = []
     for topic in topics:
@@ -257,3 +269,14 @@ def _detection(run: Run, max_frames: int) -> Iterator[Row]:
 
 def _attack(run: Run) -> Iterator[Row]:
     yield from _rows(detection.attack_success(run), "", {"n_fabricated": "fabricated.n", "share": "accepted.share"})
+
+
+def _safety(run: Run) -> Iterator[Row]:
+    found = safety.summary(run)
+    yield from ((str(name), "", float(value)) for name, value in found.items())
+    if "reactions" in run.tables and run.n_blocks("reactions"):
+        yield from _rows(safety.by_kind(run), "{kind}", {
+            "n": "reactions.n", "per_km": "reactions.per_km", "hard_per_km": "reactions_hard.per_km",
+            "taken_mean_mps": "speed_taken.mean_mps", "wave_mean_n": "wave.vehicles.mean",
+            "wave_mean_m": "wave.length.mean_m",
+        })  # fmt: skip
