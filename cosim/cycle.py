@@ -222,7 +222,7 @@ def _meet(world: World, s: State, parts: Parts, vehicles: Vehicles, time_s: floa
     closed, holder, other = s.encounters.update(world, parts.walls)
     s.trust = parts.trust.receive(s.trust, vehicles.actor, time_s)
     known = _per_variant(parts.trust.lookup(s.trust, holder, s.pseudonyms.of(other), time_s), parts)
-    columns = ([getattr(found, name) for found in known] for name in ("trust", "source", "age_s"))
+    columns = ([getattr(found, name) for found in known] for name in ("trust", "source", "state", "age_s"))
     s.encounters.first_contact(holder, other, *(np.stack(column, axis=1) for column in columns))
     return closed
 
@@ -240,9 +240,9 @@ def _track(
         track_receptions(tracker, world.step, happened, received, pairs, vehicles.actor)
         for tracker, happened, received, pairs in zip(s.inter_reception, rounds, between, in_range, strict=True)
     ]
-    sources = np.stack([found.source for found in lookups], axis=1)
+    known = np.stack([found.is_known for found in lookups], axis=1)
     count_in_encounters(
-        s.encounters, rounds, between, used, sources, matched.lists, listed.detections.message, vehicles.actor
+        s.encounters, rounds, between, used, known, matched.lists, listed.detections.message, vehicles.actor
     )
     return in_range, inter_reception
 

@@ -11,6 +11,7 @@ from results.codes import (
     BASE_VARIANT,
     DISTANCE_BIN_M,
     EncounterPairs,
+    LookupState,
     LosState,
     MessageType,
     ObjectClass,
@@ -57,11 +58,18 @@ def _trust_at_contact(one: str, other: str) -> dict[str, Column]:
     return {
         f"trust_{one}{other}": Column("float32", unit="1", null=True, meaning=f"Trust in {other} that {one} would look up at first contact; null where {one} could look up none (not equipped)."),
         f"source_{one}{other}": Column("category", null=True, categories=labels(TrustSource), meaning="Where that trust came from."),
+        f"state_{one}{other}": Column("category", null=True, categories=labels(LookupState), meaning="What stood behind it: an evaluation within the window (judged), older ones (stale), a value without any (unjudged), or no value (default)."),
         f"age_{one}{other}_s": Column("float32", unit="s", null=True, bits=10, meaning="Age of that trust; null for the default."),
-        f"trusted_after_{one}{other}_s": Column("float32", unit="s", null=True, meaning=f"From the start until {one} first looked up a value for {other} other than the default; null if it never did."),
+        f"trusted_after_{one}{other}_s": Column("float32", unit="s", null=True, meaning=f"From the start until {one} first looked up a value for {other} that rests on an evaluation; null if it never did."),
     }
 
 
+_EVALUATIONS = {
+    "n_evaluations": _count("Evaluations behind the value, by other vehicles than the subject that could see (visibility above 0)."),
+    "n_evaluators": Column("int32", null=True, meaning="Different vehicles that made them; null where the trust model does not count them."),
+    "newest_evaluation_age_s": Column("float32", unit="s", null=True, bits=10, meaning="Age of the newest of them: time since the sweep that it judges; null where there is none."),
+    "oldest_evaluation_age_s": Column("float32", unit="s", null=True, bits=10, meaning="Age of the oldest of them; null where there is none."),
+}
 _MESSAGE_TYPE = Column("category", key=True, categories=labels(MessageType), meaning="What the round of messages carries: collective perception messages with own detections (cpm), or evaluations of the detections of others; roadside units broadcast trust values in the second round.")
 _IN_RANGE = _count("(Frame, receiver) pairs within communication range, forwarded frames included: what could have been received.")
 _DELIVERED = _count("Of these, received.")
@@ -300,9 +308,8 @@ TABLES: Mapping[str, Table] = {
             "trust": Column("float32", unit="1", meaning="Trust in [0, 1]: the expectation."),
             "uncertainty": Column("float32", unit="1", null=True, meaning="Uncertainty of it in [0, 1]; null where the trust model has none."),
             "weight": Column("float32", unit="1", meaning="Sum of the weights of the detections behind it."),
-            "n_evaluations": _count("Evaluations behind it."),
-            "newest_age_s": Column("float32", unit="s", null=True, bits=10, meaning="Age of the newest of them; null where there is none."),
-            "oldest_age_s": Column("float32", unit="s", null=True, bits=10, meaning="Age of the oldest of them; null where there is none."),
+            "state": Column("category", categories=labels(LookupState), meaning="Whether an evaluation stands behind it (judged) or none (unjudged)."),
+            **_EVALUATIONS,
         },
     ),
     "trust_lookups": Table(
@@ -313,9 +320,11 @@ TABLES: Mapping[str, Table] = {
             "variant": _VARIANT,
             "receiver": _key("Vehicle that looks the value up (actor number)."),
             "subject": _key("Pseudonym that the value is about."),
-            "trust": Column("float32", unit="1", meaning="Value, in [0, 1]."),
-            "source": Column("category", categories=labels(TrustSource), meaning="From the server, from own evidence, or the default."),
-            "age_s": Column("float32", unit="s", null=True, bits=10, meaning="Time since the server computed it; of an own value, age of the newest evaluation behind it; null for the default."),
+            "trust": Column("float32", unit="1", meaning="Value that is used, in [0, 1]."),
+            "source": Column("category", categories=labels(TrustSource), meaning="Where it comes from: the server, own evidence, or the default, which also stands in for an unjudged value under trust.unjudged = \"default\"."),
+            "state": Column("category", categories=labels(LookupState), meaning="What is known: an evaluation within the window (judged), older ones only (stale), a value without any (unjudged), or no value (default)."),
+            "age_s": Column("float32", unit="s", null=True, bits=10, meaning="Time since the value was computed: 0 for own values, which are computed when they are looked up; null where the source is the default."),
+            **_EVALUATIONS,
         },
     ),
     "fused": Table(

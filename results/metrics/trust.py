@@ -23,14 +23,13 @@ def kept_at(run: Run) -> At:
 def values(run: Run) -> pd.DataFrame:
     """Trust in each pseudonym while it is in use: step, time_s, subject, vehicle, role, trust, rated.
 
-    Every value that the server computed; `rated` says whether it rests on at least one evaluation with a weight (the
-    ledger has 0 for a subject that no evaluator could see). Without a server, the mean over the receivers that look
-    the subject up and hold a value of their own, at 600 instants at most; what those rest on is not recorded:
-    `rated` is true of all.
+    Every value that the server computed; `rated` says whether it rests on at least one evaluation by another vehicle
+    that could see. Without a server, the mean over the receivers that look the subject up and hold such a value of
+    their own, at 600 instants at most.
     """
     if kept_at(run) == "server":
-        frame = run.variant_table("trust", ["step", "subject", "trust", "n_evaluations"])
-        frame = frame.assign(rated=frame.n_evaluations > 0)
+        frame = run.variant_table("trust", ["step", "subject", "trust", "state"])
+        frame = frame.assign(rated=frame.state == "judged")
     else:
         frame = _own(run).assign(rated=True)
     frame = frame[frame.step <= frame.subject.map(run.subjects.to_step)]
@@ -48,8 +47,8 @@ def _own(run: Run) -> pd.DataFrame:
     steps = np.unique(np.concatenate([[0], *(part.step.unique() for part in parts)]))
     chosen = pc.field("step").isin(steps[:: -(-len(steps) // _INSTANTS)].tolist())
     means = [
-        part[part.source == "own"].groupby(["step", "subject"], as_index=False).trust.mean()
-        for part in run.variant_parts("trust_lookups", ["step", "subject", "source", "trust"], chosen)
+        part[(part.source == "own") & (part.n_evaluations > 0)].groupby(["step", "subject"], as_index=False).trust.mean()
+        for part in run.variant_parts("trust_lookups", ["step", "subject", "source", "n_evaluations", "trust"], chosen)
     ]
     frame = pd.concat(means) if means else pd.DataFrame()
     if frame.empty:
