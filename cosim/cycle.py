@@ -18,6 +18,7 @@ from jaxtyping import Bool, Int
 from numpy import ndarray
 
 from cosim import stages
+from cosim.attack_outcomes import attack_outcomes
 from cosim.driver.driver import SpeedCommands
 from cosim.ground_truth import GroundTruth
 from cosim.parts import Parts
@@ -90,6 +91,8 @@ class Sensed:
     listed: Detections
     """Detections as each vehicle lists and transmits them, attacks included."""
     truth: GroundTruth
+    withheld: Bool[ndarray, "d"]
+    """Kept from others by an attack."""
     detections: tables.Detections
     """The same as trust sees them: sender as a row of `vehicles`."""
     rounds: tuple[MessageRound, MessageRound]
@@ -118,6 +121,8 @@ class Sensed:
     """Per round: senders and the vehicles within range of them; rows of `vehicles`."""
     inter_reception: list[Rows]
     """Per round: columns of the table `packet_inter_reception`."""
+    attack_outcomes: list[Rows]
+    """Per trust variant that fuses: columns of the table `attack_outcomes`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -199,11 +204,13 @@ def step(world: World, state: State, parts: Parts) -> tuple[State, StepResult]:
     with watch("track"):
         rounds, all_links = (round_1, round_2), (links_1, links_2)
         in_range, inter_reception = _track(world, s, listed, rounds, all_links, used, lookups, matched, vehicles)
+        outcomes = attack_outcomes(world, listed, links_1.vehicles, matched, fused, vehicles)
     server = parts.trust.traffic(up, informed)
     return s, StepResult(world, closed, ended, Sensed(
-        vehicles, observed, listed.objects, listed.truth, listed.detections, rounds, all_links, matched.lists,
+        vehicles, observed, listed.objects, listed.truth, listed.withheld, listed.detections, rounds, all_links, matched.lists,
         evaluated.reported, evaluated.n_points, evaluated.plausible, matched.lists_groups.ego_detected, used, lookups,
         fused, _per_variant(published, parts), _per_variant(server, parts), in_range, inter_reception,
+        outcomes,
     ), commands)  # fmt: skip
 
 

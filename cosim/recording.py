@@ -45,6 +45,8 @@ def step(recorder: Recorder, happened: StepResult, dt_s: float) -> None:
     _evaluations(recorder, at, sensed)
     _trust(recorder, at, sensed, dt_s)
     _fused(recorder, at, sensed)
+    for rows in sensed.attack_outcomes:
+        recorder.append("attack_outcomes", at, rows)
 
 
 def _actors(recorder: Recorder, world: World) -> None:
@@ -87,6 +89,8 @@ def _detections(recorder: Recorder, world: World, sensed: Sensed) -> None:
         "observer": sensed.vehicles.pseudonym[sensed.detections.message], "detection_index": listed.detection_index,
         "class": listed.label, **_box_columns(listed.boxes), "score": listed.score, "n_points": listed.n_points,
         "origin": listed.origin, "transmitted": listed.transmitted,
+        "withheld": sensed.withheld, "target": world.actor[listed.target],
+        "target__valid": listed.target != listed.observer,
         "truth_actor": world.actor[truth.actor_row], "truth_actor__valid": truth.is_real,
         "truth_iou": truth.iou, "truth_iou__valid": truth.is_real,
         "truth_occlusion": truth.occlusion, "truth_occlusion__valid": truth.is_sensed,

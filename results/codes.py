@@ -50,6 +50,13 @@ class TrustSource(IntEnum):
     DEFAULT = 2
 
 
+class AttackEffect(IntEnum):
+    """What an attack does to a list: a fabricated detection is inserted, a real one withheld."""
+
+    INSERTED = 0
+    REMOVED = 1
+
+
 class LookupState(IntEnum):
     """What stands behind a trust value when it is looked up.
 

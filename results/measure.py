@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from results.metrics import contact_graph, detection, encounters, freshness, misbehaviour, radio, registry, trust
+from results.metrics import attack, contact_graph, detection, encounters, freshness, misbehaviour, radio, registry, trust
 from results.metrics.intervals import FEW
 from results.metrics.kitti import FEWEST
 from results.metrics.registry import METRICS
@@ -25,6 +25,7 @@ TOPICS: Mapping[str, ModuleType] = {
     "freshness": freshness,
     "radio": radio,
     "detection": detection,
+    "attack": attack,
     "contacts": contact_graph,
 }
 """Modules of metrics by topic, as `run.measure.<topic>`."""
@@ -290,4 +291,15 @@ def _detection(run: Run, max_frames: int) -> Iterator[Row]:
 
 
 def _attack(run: Run) -> Iterator[Row]:
-    yield from _rows(detection.attack_success(run), "", {"n_fabricated": "fabricated.n", "share": "accepted.share"})
+    for one in attack.success(run).to_dict("records"):
+        if one["receivers"] == attack.HONEST:
+            group = f"{one['threshold']:g}, {one['among']}, {one['role']}"
+            name = "believed" if one["effect"] == "inserted" else "missing"
+            yield Row(f"{name}.share", group, one["share"], one["low"], one["high"], one["n_units"])
+            if one["threshold"] == attack.THRESHOLDS[0]:
+                yield Row(f"{name}.pairs.n", f"{one['among']}, {one['role']}", one["n"])
+    yield from _rows(attack.per_lie(run), "{threshold:g}, {role}", {"share": "believed_by_any.share"}, "share")
+    yield from _rows(attack.believed_duration(run), "{among}, {role}", {"mean_s": "believed_duration.mean_s"}, "mean_s")
+    yield from _rows(attack.false_in_path(run), "{among}", {
+        "share": "false_in_path.share", "boxes_mean": "false_in_path.boxes_mean",
+    }, "share")  # fmt: skip

@@ -9,6 +9,7 @@ import pyarrow as pa
 
 from results.codes import (
     BASE_VARIANT,
+    AttackEffect,
     DISTANCE_BIN_M,
     EncounterPairs,
     LookupState,
@@ -186,6 +187,8 @@ TABLES: Mapping[str, Table] = {
             "n_points": _count("Returns of the observer's own sweep inside the box."),
             "origin": Column("category", categories=labels(Origin), truth=True, meaning="Made by the detector, the vehicle's self report, or fabricated by an attack."),
             "transmitted": Column("bool", truth=True, meaning="Is in the message that was sent (an attack may withhold what was detected)."),
+            "withheld": Column("bool", truth=True, meaning="Kept from others by an attack."),
+            "target": Column("int32", null=True, truth=True, meaning="Vehicle that an attack aims at with this detection (actor number); null where at none."),
             "truth_actor": _TRUTH_ACTOR,
             "truth_iou": _TRUTH_IOU,
             "truth_occlusion": Column("float32", unit="1", null=True, truth=True, bits=8, meaning="Share of that actor hidden from the observer."),
@@ -325,6 +328,22 @@ TABLES: Mapping[str, Table] = {
             "state": Column("category", categories=labels(LookupState), meaning="What is known: an evaluation within the window (judged), older ones only (stale), a value without any (unjudged), or no value (default)."),
             "age_s": Column("float32", unit="s", null=True, bits=10, meaning="Time since the value was computed: 0 for own values, which are computed when they are looked up; null where the source is the default."),
             **_EVALUATIONS,
+        },
+    ),
+    "attack_outcomes": Table(
+        "summary",
+        "What attacks achieve: a row for every fabricated detection and other vehicle that received it, and for every detection of a real actor that an attack withheld and vehicle that received the message without it; of trust variants whose fused objects are computed.",
+        {
+            "step": _STEP,
+            "variant": _VARIANT,
+            "effect": Column("category", key=True, categories=labels(AttackEffect), truth=True, meaning="Fabricated (inserted) or withheld (removed)."),
+            "observer": _key("Pseudonym of the attacker: with detection_index it names the detection."),
+            "detection_index": _key("Number of the detection in the attacker's list.", "int16"),
+            "receiver": _key("Vehicle that received the message (actor number), never the attacker itself."),
+            "intended": Column("bool", truth=True, meaning="The attack aims at this receiver."),
+            "in_path": Column("bool", truth=True, meaning="The box is in the receiver's path: the straight strip of its width, 50 m ahead of its centre."),
+            "ego_detected": Column("bool", truth=True, meaning="The receiver detected the withheld actor itself."),
+            "score": Column("float32", unit="1", null=True, truth=True, bits=12, meaning="Score of the object among the receiver's fused objects: of the one that the fabricated detection is part of, if its box is a fabricated one; of the best one that really is the withheld actor. Null where there is none (of a score of at least trust.min_score)."),
         },
     ),
     "fused": Table(

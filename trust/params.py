@@ -50,6 +50,9 @@ class TrustParams(TruPerceptParams):
     """Matching, evaluation, trust and fusion; the parameters of the default trust model included."""
 
     # trust
+    unseen: Literal["zero", "skip"] = "skip"
+    """A detection that only its detector could see: no evidence, or object trust 0 with its full weight (the paper's
+    rule; `results/FRESHNESS.md` says why it is not the default here)."""
     model: str = "trupercept"
     """Trust model by name."""
     host: Literal["central", "local", "none"] = "central"

@@ -22,7 +22,7 @@ AGES: Mapping[str, str] = {
 }
 """What ages, and the column of `trust_lookups` that says how old it is."""
 
-_EDGES_S = np.concatenate([[0.0], np.geomspace(0.05, 1e5, 600)])
+_EDGES_S = np.concatenate([[0.0, 1e-6], np.geomspace(0.05, 1e5, 600)])
 """Bins of age for quantiles of tables larger than memory: 2.4 % wide."""
 _PEAK_BLOCKS = 20
 

@@ -44,6 +44,8 @@ _ROLE, _DEFINITION, _MESSAGE_TYPE, _LIST = (
 )
 _ROLE_ALL = "role of the subject, or all"
 _RECEIVERS = "vehicles that look up"
+_SUCCESS = "score threshold, among, role of the attacker"
+_ATTACKERS = "attackers"
 _IN_WORDS = "what it is, in words"
 
 # fmt: off
@@ -129,8 +131,14 @@ METRICS: Mapping[str, Metric] = {
     "radio.server_broadcasts.reached.share": Metric("broadcasts that reach vehicles", "1", "Share of (broadcast of trust values, vehicle on the road) pairs in which it is received."),
     "detection.ap40": Metric("AP 3D, 40 recall points", "%", "Average precision by KITTI's rules at 40 recall points, ranked over all sampled frames together; levels with fewer than 41 objects are left out.", "list, class, level"),
     "detection.awareness_70m.share": Metric("environmental awareness within 70 m", "1", "Share of the actors within 70 m of an equipped vehicle for which it has a box with a score of at least 0.5.", _LIST),
-    "attack.fabricated.n": Metric("fabricated boxes", "", "Fabricated boxes that were sent."),
-    "attack.accepted.share": Metric("fabricated boxes accepted", "1", "Share of them that at least one other vehicle accepts among its fused objects with a score of at least 0.5."),
+    "attack.believed.share": Metric("fabricated objects believed", "1", "Share of the pairs (fabricated detection, honest vehicle that received it) in which the vehicle's fused objects hold it with at least the threshold's score. Among intended: the vehicle that the attack aims at.", _SUCCESS, _ATTACKERS),
+    "attack.believed.pairs.n": Metric("pairs behind it", "", "Number of these pairs: the denominator.", "among, role of the attacker"),
+    "attack.believed_by_any.share": Metric("fabricated objects believed by any", "1", "Share of the fabricated detections that an honest vehicle received of which at least one of these believes; it grows with the number of receivers.", "score threshold, role of the attacker", _ATTACKERS),
+    "attack.believed_duration.mean_s": Metric("believed for, mean", "s", "Mean length of the successive sensing steps in which an honest vehicle believes a fabricated detection of one attacker, at a score of 0.5.", "among, role of the attacker", _ATTACKERS),
+    "attack.false_in_path.share": Metric("believed false box in the path", "1", "Share of the vehicle-steps, of honest vehicles that received a fabricated detection in them, with one in the vehicle's path (a straight strip of its width, 50 m ahead) that it believes with a score of at least 0.5.", "among", "vehicles"),
+    "attack.false_in_path.boxes_mean": Metric("believed false boxes in the path, mean", "", "Mean number of these boxes per vehicle-step.", "among"),
+    "attack.missing.share": Metric("withheld objects missing", "1", "Share of the pairs (withheld detection of a real actor, honest vehicle that received the message without it and did not detect the actor itself) in which the vehicle's fused objects hold the actor with no score of at least the threshold.", _SUCCESS, _ATTACKERS),
+    "attack.missing.pairs.n": Metric("pairs behind it", "", "Number of these pairs: the denominator.", "among, role of the attacker"),
     **{f"{topic}.not_measured": Metric("not measured", "", "The run cannot answer; the group says why.", "reason") for topic in TOPICS},
 }
 # fmt: on
