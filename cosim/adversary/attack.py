@@ -83,7 +83,7 @@ def fabricated(
     listed: Detections, observer: Int[ndarray, "c"], label: ndarray, boxes: Boxes, score: Float[ndarray, "c"],
     target: Int[ndarray, "c"] | None = None,
 ) -> Detections:  # fmt: skip
-    """The lists with detections added that nobody made, numbered on from each observer's last.
+    """The lists with fabricated detections added, numbered on from each observer's last.
 
     Parameters
     ----------
