@@ -16,6 +16,7 @@ from cosim.v2x.messages import FABRICATED
 from cosim.world import World
 from results.codes import AttackEffect
 from results.encounters import Rows
+from sensors.boxes import Boxes
 from trust.fusion import Fused
 
 PATH_M = 50.0
@@ -52,7 +53,7 @@ def attack_outcomes(
         "detection_index": objects.detection_index[detection],
         "receiver": vehicles.actor[receiver],
         "intended": objects.target[detection] == vehicles.row[receiver],
-        "in_path": _in_path(world, vehicles.row[receiver], objects.boxes.xyz_m[detection], objects.boxes.lwh_m[detection]),
+        "in_path": _in_path(world, vehicles.row[receiver], objects.boxes.take(detection)),
         "ego_detected": is_removal & np.isin(receiver * n + truth.actor_row[detection], detected),
     }  # fmt: skip
     rows = []
@@ -79,7 +80,7 @@ def attack_outcomes(
 def _inserted(
     listed: Listed, matched: Matched
 ) -> tuple[tuple[Int[ndarray, "k"], Int[ndarray, "k"]], Int[ndarray, "k"]]:
-    """Fabricated detections in the lists of others: detection and list; and the detection that gives its group's box."""
+    """Fabricated detections in the lists of others: detection and list; the detection that gives its group's box."""
     known, message = matched.known, listed.detections.message
     of_list = known.of_member()
     fabricated = listed.objects.origin[known.member] == FABRICATED
@@ -111,12 +112,10 @@ def _best(
     return np.where(there, score[at] if len(score) else 0.0, 0.0), there
 
 
-def _in_path(
-    world: World, row: Int[ndarray, "k"], xyz_m: Float[ndarray, "k 3"], lwh_m: Float[ndarray, "k 3"]
-) -> Bool[ndarray, "k"]:
+def _in_path(world: World, row: Int[ndarray, "k"], boxes: Boxes) -> Bool[ndarray, "k"]:
     """Boxes that a vehicle would drive into if it went straight on for `PATH_M`."""
-    away_m = xyz_m[:, :2] - world.boxes.xyz_m[row, :2]
+    away_m = boxes.xyz_m[:, :2] - world.boxes.xyz_m[row, :2]
     cos, sin = np.cos(world.boxes.yaw_rad[row]), np.sin(world.boxes.yaw_rad[row])
     ahead_m, left_m = cos * away_m[:, 0] + sin * away_m[:, 1], cos * away_m[:, 1] - sin * away_m[:, 0]
-    reach_m = (world.boxes.lwh_m[row, 1] + lwh_m[:, 1]) / 2
+    reach_m = (world.boxes.lwh_m[row, 1] + boxes.lwh_m[:, 1]) / 2
     return (ahead_m > 0) & (ahead_m <= PATH_M) & (np.abs(left_m) <= reach_m)

@@ -207,7 +207,8 @@ def step(world: World, state: State, parts: Parts) -> tuple[State, StepResult]:
         outcomes = attack_outcomes(world, listed, links_1.vehicles, matched, fused, vehicles)
     server = parts.trust.traffic(up, informed)
     return s, StepResult(world, closed, ended, Sensed(
-        vehicles, observed, listed.objects, listed.truth, listed.withheld, listed.detections, rounds, all_links, matched.lists,
+        vehicles, observed, listed.objects, listed.truth, listed.withheld, listed.detections, rounds, all_links,
+        matched.lists,
         evaluated.reported, evaluated.n_points, evaluated.plausible, matched.lists_groups.ego_detected, used, lookups,
         fused, _per_variant(published, parts), _per_variant(server, parts), in_range, inter_reception,
         outcomes,

@@ -9,7 +9,17 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from results.metrics import attack, contact_graph, detection, encounters, freshness, misbehaviour, radio, registry, trust
+from results.metrics import (
+    attack,
+    contact_graph,
+    detection,
+    encounters,
+    freshness,
+    misbehaviour,
+    radio,
+    registry,
+    trust,
+)
 from results.metrics.intervals import FEW
 from results.metrics.kitti import FEWEST
 from results.metrics.registry import METRICS
@@ -29,6 +39,7 @@ TOPICS: Mapping[str, ModuleType] = {
     "contacts": contact_graph,
 }
 """Modules of metrics by topic, as `run.measure.<topic>`."""
+
 
 class Row(NamedTuple):
     """A metric's value; rows of a run without interval have none."""
@@ -156,9 +167,7 @@ class Topic:
         return FIGURES[self._topic]([self._run], **options)
 
 
-def _rows(
-    frame: pd.DataFrame, group: str, metrics: Mapping[str, str], interval: str | None = None
-) -> Iterator[Row]:
+def _rows(frame: pd.DataFrame, group: str, metrics: Mapping[str, str], interval: str | None = None) -> Iterator[Row]:
     """Of every row, the metrics by column where they have a value; `group` is filled in from the row.
 
     `interval` names the column to which the columns low, high and n_units belong.

@@ -9,8 +9,8 @@ import pyarrow as pa
 
 from results.codes import (
     BASE_VARIANT,
-    AttackEffect,
     DISTANCE_BIN_M,
+    AttackEffect,
     EncounterPairs,
     LookupState,
     LosState,

@@ -61,7 +61,7 @@ def success(run: Run, thresholds: Sequence[float] = THRESHOLDS) -> pd.DataFrame:
 
 
 def curve(run: Run, n_thresholds: int = 51) -> pd.DataFrame:
-    """The same shares over thresholds from 0 to 1 without intervals: effect, role, receivers, among, threshold, share."""
+    """The same shares over thresholds from 0 to 1: effect, role, receivers, among, threshold, share."""
     thresholds = np.linspace(0, 1, n_thresholds)
     rows = []
     for key, pairs in _groups(outcomes(run)):

@@ -109,4 +109,3 @@ def awareness(
             "n_known": counts["sum"], "share": counts["sum"] / counts["size"],
         }))  # fmt: skip
     return pd.concat(rows, ignore_index=True)
-

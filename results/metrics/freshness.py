@@ -147,7 +147,7 @@ def within(run: Run, fresh_s: float = 10.0) -> pd.DataFrame:
 
 
 def behind(run: Run) -> pd.DataFrame:
-    """How much stands behind the values with evaluations: what (evaluations, evaluators), n, mean, low, high, n_units."""
+    """How much stands behind values with evaluations: what (evaluations, evaluators), n, mean, low, high, n_units."""
     rows = []
     for what, column in (("evaluations", "n_evaluations"), ("evaluators", "n_evaluators")):
         sums, counts = _Totals(1), _Totals(1)

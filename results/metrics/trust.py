@@ -28,8 +28,8 @@ def values(run: Run) -> pd.DataFrame:
     their own, at 600 instants at most.
     """
     if kept_at(run) == "server":
-        frame = run.variant_table("trust", ["step", "subject", "trust", "state"])
-        frame = frame.assign(rated=frame.state == "judged")
+        frame = run.variant_table("trust", ["step", "subject", "trust", "n_evaluations"])
+        frame = frame.assign(rated=frame.n_evaluations > 0)
     else:
         frame = _own(run).assign(rated=True)
     frame = frame[frame.step <= frame.subject.map(run.subjects.to_step)]
@@ -46,9 +46,10 @@ def _own(run: Run) -> pd.DataFrame:
     parts = run.variant_parts("trust_lookups", ["step"])
     steps = np.unique(np.concatenate([[0], *(part.step.unique() for part in parts)]))
     chosen = pc.field("step").isin(steps[:: -(-len(steps) // _INSTANTS)].tolist())
+    chosen &= (pc.field("source") == "own") & (pc.field("n_evaluations") > 0)
     means = [
-        part[(part.source == "own") & (part.n_evaluations > 0)].groupby(["step", "subject"], as_index=False).trust.mean()
-        for part in run.variant_parts("trust_lookups", ["step", "subject", "source", "n_evaluations", "trust"], chosen)
+        part.groupby(["step", "subject"], as_index=False).trust.mean()
+        for part in run.variant_parts("trust_lookups", ["step", "subject", "trust"], chosen)
     ]
     frame = pd.concat(means) if means else pd.DataFrame()
     if frame.empty:

@@ -70,7 +70,9 @@ def write(folder, seed=0, steps=240, level="full", block_steps=60, reach_m=200.0
     manifest = {
         "schema_version": SCHEMA_VERSION, "status": "finished", "dt_s": 1.0, "steps": steps, "seed": seed,
         "config": {
-            "radio": {"model": "unit_disk", "range_m": reach_m, "unit_disk": {"loss_p": 0.05}, "relay": {"max_hops": 1}},
+            "radio": {
+                "model": "unit_disk", "range_m": reach_m, "unit_disk": {"loss_p": 0.05}, "relay": {"max_hops": 1},
+            },
             "fleet": {"penetration_p": 0.6, "equipped_kinds": ["car"]}, "trust": {"window_s": window_s},
         }, "versions": {"cosim": "0.1.0"},
         "net": {"name": "grid", "sha256": "0" * 64}, "timings_s": {"traffic": 1.5, "sensing": 3.2, "trust": 0.7},
@@ -229,6 +231,13 @@ def _see(record, step, here, talk, xyz, yaw, lwh, kind, role, lied, rng):
         "evaluation": np.where(true[j], score[j], -1), "visibility": rng.random(len(e)),
         "n_points": rng.integers(0, 90, len(e)),
         "plausible": None, "matched": true[j],
+    })  # fmt: skip
+    lie = np.flatnonzero(origin[j] == 2)
+    record.append("attack_outcomes", step, {
+        "variant": np.zeros(len(lie), int), "effect": np.zeros(len(lie), int), "observer": observer[j[lie]],
+        "detection_index": k[j[lie]], "receiver": e[lie], "intended": e[lie] % 5 == observer[j[lie]] % 5,
+        "in_path": e[lie] % 2 == 0, "ego_detected": np.zeros(len(lie), bool), "score": np.full(len(lie), 0.6),
+        "score__valid": e[lie] % 3 == 0,
     })  # fmt: skip
     own = np.flatnonzero(origin == 0)
     believes, row = np.r_[observer[own], e], np.r_[own, j]
