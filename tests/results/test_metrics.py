@@ -97,22 +97,8 @@ def test_evidence(tiny):
     newest, oldest = "newest_evaluation_age_s", "oldest_evaluation_age_s"
     rows = [
         {"step": 0, "subject": 0, "n_evaluations": 0, "state": "unjudged"},
-        {
-            "step": 1,
-            "subject": 0,
-            "n_evaluations": 4,
-            "newest_evaluation_age_s": 1,
-            "oldest_evaluation_age_s": 9,
-            **behind,
-        },
-        {
-            "step": 2,
-            "subject": 0,
-            "n_evaluations": 6,
-            "newest_evaluation_age_s": 3,
-            "oldest_evaluation_age_s": 11,
-            **behind,
-        },
+        {"step": 1, "subject": 0, "n_evaluations": 4, newest: 1, oldest: 9},
+        {"step": 2, "subject": 0, "n_evaluations": 6, newest: 3, oldest: 11},
     ]
     (row,) = freshness.evidence(tiny(3, vehicles=fleet("honest"), trust=rows)).itertuples()
     assert (row.n, row.unjudged_share, row.newest_s, row.oldest_s) == (3, pytest.approx(1 / 3), 2, 10)
