@@ -63,7 +63,7 @@ def draw(runs: Sequence[Run], vehicles: Sequence[int] = ()) -> Figure:
 
 
 def _before(run: Run) -> str:
-    """How attackers and honest vehicles compare before any attack, while all behave alike; empty without such a time."""
+    """How attackers and honest vehicles compare before any attack, while all behave alike; empty where never."""
     starts, frame = run.vehicles.attack_start_step.dropna(), trust.values(run)
     frame = frame[frame.rated & (frame.step < (starts.min() if len(starts) else 0))]
     found = {
