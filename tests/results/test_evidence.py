@@ -19,7 +19,8 @@ def test_by_hand():
     e, phi = np.array([1, 1, -1, 1, 1, 1, 1.0]), np.array([1, 1, 1, 1, 1, 0, 0.5])
     row = audit(evaluator, detection, e, phi, message, actor, real, fabricated, np.array([0, 1, 1]) > 0, 4, None)
     assert {name: int(values[0]) for name, values in row.items()} == {
-        "n_copies": 4, "n_evaluations": 5, "n_looks": 4, "n_echoes": 1, "n_fused_evaluations": 0, "n_fused_evaluators": 0
+        "n_copies": 4, "n_evaluations": 5, "n_looks": 4, "n_echoes": 1, "n_fused_evaluations": 0,
+        "n_fused_evaluators": 0,
     }  # fmt: skip
     assert count_looks(evaluator[:0], detection[:0], message, actor, real) == 0
 
