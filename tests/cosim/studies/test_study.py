@@ -135,7 +135,9 @@ def test_folder_of_another_study_is_left_alone(tmp_path):
 
 
 def test_study_file_of_a_folder_gives_the_same_points(tmp_path):
-    text = HEAD + "[grid]\ntrust.freshness_s = [5, 'off']\n[[zip]]\nradio.range_m = [100, 200]\ntrust.tau = [0.1, 0.2]\n"
+    text = (
+        HEAD + "[grid]\ntrust.freshness_s = [5, 'off']\n[[zip]]\nradio.range_m = [100, 200]\ntrust.tau = [0.1, 0.2]\n"
+    )
     study = load(write(tmp_path, text))
     kept = tmp_path / "kept.toml"
     kept.write_text(study.to_toml())
