@@ -18,11 +18,13 @@ from jaxtyping import Bool, Int
 from numpy import ndarray
 
 from cosim import stages
+from cosim.attack_outcomes import attack_outcomes
 from cosim.driver.driver import SpeedCommands
 from cosim.ground_truth import GroundTruth
 from cosim.parts import Parts
 from cosim.perception import Observed
 from cosim.radio.message_round import LinkReceptions, MessageRound, Receptions, RoundKind, by_link
+from cosim.reactions import Reactions, ReactionTruth
 from cosim.stages import Listed, Matched, Piggybacked, Vehicles
 from cosim.trackers.attack_start import AttackStartTracker
 from cosim.trackers.encounters import EncounterTrackers
@@ -48,6 +50,8 @@ class State:
     trust: TrustState
     encounters: EncounterTrackers
     driver: object = None
+    reaction_truth: ReactionTruth = field(default_factory=ReactionTruth)
+    """For the table of reactions alone."""
     pseudonyms: PseudonymState = field(default_factory=PseudonymState)
     included: InclusionMemory = field(default_factory=InclusionMemory)
     piggybacked: Piggybacked | None = None
@@ -90,6 +94,8 @@ class Sensed:
     listed: Detections
     """Detections as each vehicle lists and transmits them, attacks included."""
     truth: GroundTruth
+    withheld: Bool[ndarray, "d"]
+    """Kept from others by an attack."""
     detections: tables.Detections
     """The same as trust sees them: sender as a row of `vehicles`."""
     rounds: tuple[MessageRound, MessageRound]
@@ -118,6 +124,8 @@ class Sensed:
     """Per round: senders and the vehicles within range of them; rows of `vehicles`."""
     inter_reception: list[Rows]
     """Per round: columns of the table `packet_inter_reception`."""
+    attack_outcomes: list[Rows]
+    """Per trust variant that fuses: columns of the table `attack_outcomes`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,6 +140,8 @@ class StepResult:
     """None in steps between two sweeps, and without equipped vehicles."""
     commands: SpeedCommands
     """What drivers do next."""
+    reactions: Reactions | None
+    """The same with what they react to; None where the driver gives no reasons."""
 
 
 def step(world: World, state: State, parts: Parts) -> tuple[State, StepResult]:
@@ -143,7 +153,10 @@ def step(world: World, state: State, parts: Parts) -> tuple[State, StepResult]:
     with watch("encounters"):
         closed = _meet(world, s, parts, vehicles, time_s)
     if not parts.senses(world.step) or not len(vehicles):
-        return s, StepResult(world, closed, ended, None, SpeedCommands.none())
+        with watch("driver"):
+            s.driver, commands = parts.driver.commands(s.driver, world, None, c.traffic.step_s)
+            reactions = s.reaction_truth.of(commands, world, c.traffic.step_s)
+        return s, StepResult(world, closed, ended, None, commands, reactions)
 
     with watch("server"):
         s.trust, published, informed = parts.trust.publish(
@@ -191,20 +204,27 @@ def step(world: World, state: State, parts: Parts) -> tuple[State, StepResult]:
             parts.trust.lookup(s.trust, vehicles.actor[used.receiver], vehicles.pseudonym[used.message], fused_s), parts
         )
     with watch("fuse"):
-        fused = stages.fuse_objects(matched, evaluated, listed, observed, used, lookups, parts)
+        fused = stages.fuse_objects(matched, evaluated, listed, observed, used, lookups, s.trust, parts)
     with watch("driver"):
         assert fused[0] is not None, "the acting variant is always fused"
-        beliefs = stages.beliefs_of(fused[0], listed, vehicles)
+        beliefs = stages.beliefs_of(fused[0], listed, vehicles, fused_s)
         s.driver, commands = parts.driver.commands(s.driver, world, beliefs, c.traffic.step_s)
+        if c.driver.model != "none":
+            observer = vehicles.pseudonym[listed.detections.message]
+            s.reaction_truth.add(world, listed.objects, listed.truth, observer, c.traffic.step_s)
+        reactions = s.reaction_truth.of(commands, world, c.traffic.step_s)
     with watch("track"):
         rounds, all_links = (round_1, round_2), (links_1, links_2)
         in_range, inter_reception = _track(world, s, listed, rounds, all_links, used, lookups, matched, vehicles)
+        outcomes = attack_outcomes(world, listed, links_1.vehicles, matched, fused, vehicles)
     server = parts.trust.traffic(up, informed)
     return s, StepResult(world, closed, ended, Sensed(
-        vehicles, observed, listed.objects, listed.truth, listed.detections, rounds, all_links, matched.lists,
+        vehicles, observed, listed.objects, listed.truth, listed.withheld, listed.detections, rounds, all_links,
+        matched.lists,
         evaluated.reported, evaluated.n_points, evaluated.plausible, matched.lists_groups.ego_detected, used, lookups,
         fused, _per_variant(published, parts), _per_variant(server, parts), in_range, inter_reception,
-    ), commands)  # fmt: skip
+        outcomes,
+    ), commands, reactions)  # fmt: skip
 
 
 def _identify(world: World, s: State, parts: Parts) -> tuple[Vehicles, PseudonymUse]:
@@ -222,7 +242,7 @@ def _meet(world: World, s: State, parts: Parts, vehicles: Vehicles, time_s: floa
     closed, holder, other = s.encounters.update(world, parts.walls)
     s.trust = parts.trust.receive(s.trust, vehicles.actor, time_s)
     known = _per_variant(parts.trust.lookup(s.trust, holder, s.pseudonyms.of(other), time_s), parts)
-    columns = ([getattr(found, name) for found in known] for name in ("trust", "source", "age_s"))
+    columns = ([getattr(found, name) for found in known] for name in ("trust", "source", "state", "age_s"))
     s.encounters.first_contact(holder, other, *(np.stack(column, axis=1) for column in columns))
     return closed
 
@@ -240,9 +260,9 @@ def _track(
         track_receptions(tracker, world.step, happened, received, pairs, vehicles.actor)
         for tracker, happened, received, pairs in zip(s.inter_reception, rounds, between, in_range, strict=True)
     ]
-    sources = np.stack([found.source for found in lookups], axis=1)
+    known = np.stack([found.is_known for found in lookups], axis=1)
     count_in_encounters(
-        s.encounters, rounds, between, used, sources, matched.lists, listed.detections.message, vehicles.actor
+        s.encounters, rounds, between, used, known, matched.lists, listed.detections.message, vehicles.actor
     )
     return in_range, inter_reception
 

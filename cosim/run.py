@@ -13,8 +13,9 @@ import tomli_w
 from cosim import recording
 from cosim.actors import ActorRegistry
 from cosim.adversary.adversary import roles_of
-from cosim.config import Config
+from cosim.config import Config, chosen
 from cosim.cycle import State, step
+from cosim.driver.driver import largest_step_s
 from cosim.manifest import Manifest
 from cosim.mobility.remarks import traffic_remarks
 from cosim.mobility.source import TrafficEnded, TrafficError, TrafficSource
@@ -27,6 +28,7 @@ from sensors import lidar
 from sensors.boxes import Boxes
 from sensors.scene import Scene, Shape
 from sumo_nets.network import junctions
+from trust.models.interface import ModelError
 
 Advance = Callable[[str, int, int, str], None]
 """Told of progress: phase, done, total, a note."""
@@ -41,12 +43,31 @@ def check(config: Config) -> Scenario:
     scenario = find(config.traffic.scenario, config.traffic.trace)
     roadside_units(config, scenario)
     check_choices(config)
+    _check_driver(config, scenario)
     lidar.beams(config.lidar)
     if config.lidar.engine != "columnar":  # the others are libraries that may not be there
         one = Boxes(np.zeros((1, 3)), np.ones((1, 3)), np.zeros(1))
         car, first = np.array([Shape.CAR], np.uint8), np.zeros(1, np.int64)
         lidar.scan(one, car, first, Scene.empty(), config.lidar, np.zeros(1, np.uint64))
     return scenario
+
+
+def _check_driver(config: Config, scenario: Scenario) -> None:
+    """ValueError where the traffic cannot do what the driver commands."""
+    limit_s = largest_step_s(chosen(config, "driver")[0].of)
+    if limit_s is None:
+        return
+    name = f'driver.model = "{config.driver.model}"'
+    if scenario.trace is not None:
+        raise ValueError(
+            f"{name}: {scenario.trace} is replayed: nothing can brake in it. Run SUMO (no traffic.trace), or set "
+            'driver.model = "none".'
+        )
+    if config.traffic.step_s > limit_s + 1e-9:
+        raise ValueError(
+            f"traffic.step_s = {config.traffic.step_s:g} s is too long for {name}: drivers behind would brake too late "
+            f"and too hard. Set traffic.step_s to {limit_s:g} or less."
+        )
 
 
 def roadside_units(config: Config, scenario: Scenario) -> RsuAntennas:
@@ -69,8 +90,11 @@ def without_nulls(data: Any) -> Any:
     return [without_nulls(v) for v in data] if isinstance(data, list | tuple) else data
 
 
-def run(config: Config, out: Path | None, advance: Advance) -> Path:
+def run(config: Config, out: Path | None, advance: Advance, traffic_from: Path | None = None) -> Path:
     """Drive, sense, talk, trust and record; the folder that it wrote.
+
+    `traffic_from` is a folder that `record_traffic` wrote for the same `[traffic]`: it is replayed instead of driving
+    SUMO, with the same tables.
 
     Nothing is written before the config has been checked and SUMO has accepted the scenario.
     """
@@ -81,23 +105,56 @@ def run(config: Config, out: Path | None, advance: Advance) -> Path:
         city = scenario.city()
     parts = Parts.of(config, city, roadside_units(config, scenario), watch)
     registry = ActorRegistry(config.fleet, config.seed, tuple(attack.share_p for attack in config.attacks))
-    traffic = scenario.traffic(config.traffic, registry)
+    recorded = scenario if traffic_from is None else replace(scenario, trace=traffic_from, warmup_s=0.0)
+    params = config.traffic if traffic_from is None else replace(config.traffic, begin_s=None, warmup_s=0.0)
+    traffic = recorded.traffic(params, registry, has_driver=config.driver.model != "none")
     try:
         folder.mkdir(parents=True, exist_ok=True)
         manifest = Manifest(folder, config, scenario.provenance(), sources(config))
         (folder / "config.toml").write_text(tomli_w.dumps(without_nulls(config.to_dict())), encoding="utf-8")
         manifest.write("running")
         try:
+            _warm_up(0.0 if traffic_from is not None else _warmup_s(config, scenario), traffic, watch, advance)
             _drive(parts, scenario, traffic, registry, manifest, advance)
         except KeyboardInterrupt:
             manifest.write("interrupted")
             raise
-        except TrafficError:
+        except (TrafficError, ModelError):
             manifest.write("failed")
             raise
         except Exception as error:
             manifest.write("failed")
             raise RuntimeError(f"{folder}: the run failed at step {manifest.steps}") from error
+    finally:
+        traffic.close()
+    manifest.write("finished")
+    return folder
+
+
+def record_traffic(config: Config, folder: Path, advance: Advance) -> Path:
+    """Drive and record the traffic of a config, nobody equipped; a folder for `run(..., traffic_from=folder)`."""
+    own = {section: values for section, values in config.own.items() if not section.startswith("attacks.")}
+    config = replace(config, attacks=(), trust_variant=(), own=own)
+    scenario, watch = check(config), Stopwatch()
+    registry = ActorRegistry(replace(config.fleet, penetration_p=0.0), config.seed)
+    traffic = scenario.traffic(config.traffic, registry)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        manifest = Manifest(folder, config, scenario.provenance(), sources(config))
+        manifest.write("running")
+        _warm_up(_warmup_s(config, scenario), traffic, watch, advance)
+        with Recorder(folder, "standard", config.record.block_steps) as recorder:
+            for number in range(config.n_steps):
+                try:
+                    world = traffic.advance()
+                except TrafficEnded:
+                    break
+                recording.actors(recorder, world)
+                manifest.steps = number + 1
+                advance("traffic", number + 1, config.n_steps, f"steps, {len(world)} actors")
+            nobody = np.zeros(len(registry), np.int32), np.zeros(len(registry), bool)
+            recording.vehicles(recorder, registry, roles_of(()), *nobody, max(0, manifest.steps - 1))
+        manifest.timings_s, manifest.summary = watch.seconds, traffic.report()
     finally:
         traffic.close()
     manifest.write("finished")
@@ -120,7 +177,6 @@ def _drive(
     advance: Advance,
 ) -> None:  # fmt: skip
     config, watch = parts.config, parts.watch
-    _warm_up(config, scenario, traffic, watch, advance)
     state = State.start(parts)
     variants = [variant.name for variant in parts.trust.variants]
     n_on_road, ended = 0, ""
@@ -137,11 +193,7 @@ def _drive(
             state, happened = step(world, state, parts)
             with watch("record"):
                 recording.step(recorder, happened, config.traffic.step_s)
-            if len(happened.commands):
-                raise ValueError(
-                    f"driver.model = {config.driver.model}: it commands speeds, which this traffic does not take. "
-                    "Choose a driver that commands none."
-                )
+            traffic.command(happened.commands.actor, happened.commands.speed_mps)
             n_on_road += int((world.shape != Shape.PEDESTRIAN).sum())
             manifest.steps = number + 1
             advance("run", number + 1, config.n_steps, f"steps, {len(world)} actors")
@@ -163,8 +215,11 @@ def _drive(
     }
 
 
-def _warm_up(config: Config, scenario: Scenario, traffic: TrafficSource, watch: Stopwatch, advance: Advance) -> None:
-    warmup_s = scenario.warmup_s if config.traffic.warmup_s is None else config.traffic.warmup_s
+def _warmup_s(config: Config, scenario: Scenario) -> float:
+    return scenario.warmup_s if config.traffic.warmup_s is None else config.traffic.warmup_s
+
+
+def _warm_up(warmup_s: float, traffic: TrafficSource, watch: Stopwatch, advance: Advance) -> None:
     with watch("warm-up"):
         try:
             for done_s in traffic.warm_up(warmup_s):

@@ -2,12 +2,14 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from numba import njit, prange
 from numpy import ndarray
 
+from trust.object_reports import ObjectReports, object_reports
 from trust.params import AVERAGES, Method, TrustParams
 from trust.tables import Detections, Evaluations, Groups, ObjectLists, int64
 from trust.threads import threads_for
@@ -42,7 +44,8 @@ class Fused:
     score: Float[ndarray, "f"]  # in [0, 1]
     ego_detected: Bool[ndarray, "f"]  # the seed is the ego's detection
     n_sources: Int[ndarray, "f"]  # detections in the group
-    n_evaluations: Int[ndarray, "f"]  # evaluations behind the score
+    n_evaluations: Int[ndarray, "f"]  # evaluations behind the score: pairs of a detection and an evaluator
+    n_evaluators: Int[ndarray, "f"]  # vehicles that made them
 
     def take(self, rows: ndarray) -> "Fused":
         """The chosen rows (a mask or row numbers)."""
@@ -76,11 +79,63 @@ class Parity:
     certain_score: Float[ndarray, "g"]  # sum of score x certainty x trust
 
 
+class _Lists(NamedTuple):
+    """Object lists of the egos, and the message of each detection."""
+
+    ptr: ndarray
+    member: ndarray
+    owner: ndarray
+    message: ndarray
+
+
+class _Evaluated(NamedTuple):
+    """Evaluations by list of their evaluator; `by` is that list's row per message row, -1 for none."""
+
+    ptr: ndarray
+    member: ndarray
+    by: ndarray
+    own_e: ndarray
+    own_phi: ndarray
+    reported_e: ndarray
+    reported_phi: ndarray
+
+
+class _Weights(NamedTuple):
+    """Trust of each ego in the messages it received, and what stands in for the rest."""
+
+    ptr: ndarray
+    message: ndarray
+    trust: ndarray
+    has_evaluations: ndarray
+    ego_trust: float
+    ego_computed: bool
+    default_trust: float
+    unit_trust: bool
+
+
+class _MemberSums(NamedTuple):
+    """Per position of the egos' lists: sum Phi T e, sum Phi T, number of evaluations, trust of its detector, group.
+
+    Per group: number of evaluators, and the last one as a row of the received messages.
+    """
+
+    num: ndarray
+    den: ndarray
+    n: ndarray
+    detector: ndarray
+    group: ndarray
+    n_evaluators: ndarray
+    last: ndarray
+
+
 @njit(cache=True, parallel=True)
-def _accumulate(list_ptr, member, owner, n_detections, evaluated_ptr, evaluated, evaluated_by, own_e, own_phi,
-                reported_e, reported_phi, received_ptr, received, trust, has_evaluations, ego_trust, ego_computed,
-                default_trust, unit_trust, message, n_chunks, num, den, n, detector):  # fmt: skip
-    """Per position of the egos' lists: sum Phi T e, sum Phi T, number of evaluations, trust of its detector."""
+def _accumulate(lists, of, weights, n_chunks, sums):
+    """Fill the sums of all members."""
+    list_ptr, member, owner, message = lists
+    evaluated_ptr, evaluated, evaluated_by, own_e, own_phi, reported_e, reported_phi = of
+    received_ptr, received, trust, has_evaluations, ego_trust, ego_computed, default_trust, unit_trust = weights
+    num, den, n, detector, group, n_evaluators, last = sums
+    n_detections = message.size
     n_messages = evaluated_by.size
     for chunk in prange(n_chunks):
         at = np.full(n_detections, -1, np.int64)
@@ -108,6 +163,10 @@ def _accumulate(list_ptr, member, owner, n_detections, evaluated_ptr, evaluated,
                         num[p] += w * e[s]
                         den[p] += w
                         n[p] += 1
+                        g = group[p]
+                        if last[g] != h:
+                            last[g] = h
+                            n_evaluators[g] += 1
             for p in range(list_ptr[x], list_ptr[x + 1]):
                 at[member[p]] = -1
             for h in range(received_ptr[x], received_ptr[x + 1]):
@@ -219,6 +278,7 @@ def fuse(
     evidence: SensorEvidence,
     distance_m: Float[ndarray, "d"],
     params: TrustParams,
+    score_objects: Callable[[ObjectReports], Float[ndarray, "g"]] | None = None,
 ) -> Fused:
     """Final score and pose of each group of each ego.
 
@@ -239,6 +299,8 @@ def fuse(
         Rows go with `groups.seeds()`.
     distance_m
         Of each detection from its own detector's sensor [m].
+    score_objects
+        Scores of a trust model that scores objects, instead of those of `params.method`.
 
     Returns
     -------
@@ -254,6 +316,8 @@ def fuse(
     object does not count once per message; "Phi < 10" in TruPercept 3 is read as fewer than 10 returns.
     """
     m = lists.member.size
+    seeds = groups.seeds()
+    group, n_evaluators = np.searchsorted(seeds, groups.seed), np.zeros(seeds.size, np.int64)
     num, den, detector = np.zeros(m), np.zeros(m), np.zeros(m)
     n = np.zeros(m, np.int64)
     rows = (lists.owner, evaluated.owner, sender_trust.message, detections.message)
@@ -266,17 +330,18 @@ def fuse(
     arrived = np.ones(n_received, bool) if sender_trust.has_evaluations is None else sender_trust.has_evaluations
     n_sums = m + n_received * evaluated.member.size / max(1, evaluated.owner.size)
     with threads_for(n_sums) as n_threads:
-        _accumulate(
-            int64(lists.ptr), int64(lists.member), int64(lists.owner), len(detections),
-            int64(evaluated.ptr), int64(evaluated.member), evaluated_by,
-            own.evaluation, own.visibility, reported.evaluation, reported.visibility,
+        of_lists = _Lists(int64(lists.ptr), int64(lists.member), int64(lists.owner), int64(detections.message))
+        of_evaluations = _Evaluated(
+            int64(evaluated.ptr), int64(evaluated.member), evaluated_by, own.evaluation, own.visibility,
+            reported.evaluation, reported.visibility,
+        )  # fmt: skip
+        weights = _Weights(
             int64(sender_trust.ptr), int64(sender_trust.message), sender_trust.trust, arrived,
             params.ego_trust, computed, params.default_trust, params.code_parity,
-            int64(detections.message), n_threads, num, den, n, detector,
         )  # fmt: skip
+        sums_of_members = _MemberSums(num, den, n, detector, group, n_evaluators, np.full(seeds.size, -2))
+        _accumulate(of_lists, of_evaluations, weights, n_threads, sums_of_members)
 
-    seeds = groups.seeds()
-    group = np.searchsorted(seeds, groups.seed)
     member, row = lists.member, lists.member[seeds]
     score_of_member = detections.score[member]
 
@@ -299,7 +364,13 @@ def fuse(
         size, groups.ego_detected[seeds], score_of_member[seeds], total(score_of_member),
         total(score_of_member * detector), total(detector), total(num), total(den), parity, evidence,
     )  # fmt: skip
-    score = np.clip(METHODS[params.method](sums, params), 0.0, 1.0)
+    if score_objects is None:
+        score = np.clip(METHODS[params.method](sums, params), 0.0, 1.0)
+    else:
+        received = sender_trust.ptr, sender_trust.message, sender_trust.trust, arrived
+        score = score_objects(object_reports(
+            lists, groups, detections, evaluated, own, reported, received, params.ego_trust, n_threads
+        ))  # fmt: skip
 
     pose = row
     if params.method in CORRECTED and not params.code_parity:
@@ -311,7 +382,7 @@ def fuse(
         pose = np.where(score > 0, pose, row)
     fused = Fused(
         lists.of_member()[seeds], row, pose, score, sums.ego_detected, size,
-        total(n.astype(float)).astype(np.int64),
+        total(n.astype(float)).astype(np.int64), n_evaluators,
     )  # fmt: skip
     return fused.take(~(sums.ego_detected & detections.is_self[row]))
 
