@@ -5,7 +5,7 @@ what variants have in common (the evidence store of one model with several windo
 server) is kept once.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
@@ -22,9 +22,12 @@ from cosim.v2x.trust_server import (
     Uplink,
     UplinkState,
 )
-from results.codes import TrustSource
+from results.codes import LookupState, TrustSource
 from trust.models import TrustModel
-from trust.params import EVIDENCE_KEYS, TrustParams, eta_of
+from trust.models.interface import checked_object_scores, checked_scores
+from trust.models.stepwise import share_logs
+from trust.object_reports import ObjectReports
+from trust.params import EVIDENCE_KEYS, TrustParams, eta_of, is_within
 from trust.step_evidence import RejectReason
 from trust.tables import SERVER, EvaluationMessages, ReceivedEvaluations, TrustScores
 
@@ -35,6 +38,10 @@ FUSION_KEYS = frozenset({
 """Keys of [trust] that say what trust is used for: variants that differ in these alone share one host."""
 
 
+ObjectScorer = Callable[[ObjectReports], Float[ndarray, "g"]]
+"""Scores of groups of detections by a trust model that scores objects."""
+
+
 @dataclass(frozen=True, slots=True)
 class Lookups:
     """Trust of some subjects as some vehicles know it here and now; rows as asked."""
@@ -42,14 +49,23 @@ class Lookups:
     trust: Float[ndarray, "n"]
     source: UInt8[ndarray, "n"]
     """As `TrustSource`."""
+    state: UInt8[ndarray, "n"]
+    """As `LookupState`."""
     age_s: Float[ndarray, "n"]
-    """Of the value, since it was computed; read only where it is no default."""
-    judged: Bool[ndarray, "n"]
-    """Whether an evaluation by another vehicle that could see stands behind it."""
+    """Of the value, since it was computed (own values are computed when they are looked up); read only where it is no
+    default."""
     newest_evaluation_age_s: Float[ndarray, "n"]
-    """Of those evaluations; read only where `judged`."""
+    """Of the evaluations, by other vehicles than the subject that could see, that the value rests on; read only where
+    `is_known`."""
     oldest_evaluation_age_s: Float[ndarray, "n"]
     n_evaluations: Int[ndarray, "n"]
+    n_evaluators: Int[ndarray, "n"] | None
+    """Different vehicles that made them; None where the trust model does not count them."""
+
+    @property
+    def is_known(self) -> Bool[ndarray, "n"]:
+        """Values that rest on at least one evaluation, however old: what counts as knowledge."""
+        return (self.state == LookupState.JUDGED) | (self.state == LookupState.STALE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,6 +163,8 @@ class TrustHosts:
             built = build(own, self.dt_s) if build else [model(p, self.dt_s) for p in own]
             for h, made in zip(group, built, strict=True):
                 models[h] = made
+        for kind in {_kind(p) for p in self.params}:
+            share_logs([m for m, p in zip(models, self.params, strict=True) if m is not None and _kind(p) == kind])
         return TrustState([HostState(m) for m in models])
 
     def publish(
@@ -175,7 +193,7 @@ class TrustHosts:
             host = state.hosts[h]
             if time_s - host.last_broadcast_s < self.params[h].server_period_s - 1e-9:
                 continue
-            scores = published[h] = self._model(state, h).scores(step)
+            scores = published[h] = self._scores(state, h, step)
             downlink, n_informed = self.downlink.publish(
                 host.downlink, TrustBroadcast(time_s, scores), step, vehicle, name_key
             )
@@ -287,32 +305,56 @@ class TrustHosts:
     ) -> Lookups:
         n, params = len(vehicle), self.params[h]
         found = Lookups(
-            np.full(n, params.default_trust), np.full(n, TrustSource.DEFAULT, np.uint8), np.zeros(n),
-            np.zeros(n, bool), np.zeros(n), np.zeros(n), np.zeros(n, np.int64),
+            np.full(n, params.default_trust), np.full(n, TrustSource.DEFAULT, np.uint8),
+            np.full(n, LookupState.DEFAULT, np.uint8), np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n, np.int64),
+            np.zeros(n, np.int64),
         )  # fmt: skip
+        counted = True
         if params.host == "central":
             for broadcast, rows, at in self.downlink.lookup(state.hosts[h].downlink, vehicle, subject):
-                self._fill(found, rows, broadcast.scores, at, TrustSource.SERVER, time_s)
+                counted &= self._fill(found, rows, broadcast.scores, at, h, time_s)
                 found.age_s[rows] = time_s - broadcast.time_s
         elif params.host == "local":
-            scores = self._model(state, h).scores()
+            scores = self._scores(state, h)
             at, known = scores.rows_of(vehicle, subject)
-            self._fill(found, np.flatnonzero(known), scores, at[known], TrustSource.OWN, time_s)
-            found.age_s[known] = time_s - scores.newest_step[at[known]] * self.dt_s
-        return found
+            counted &= self._fill(found, np.flatnonzero(known), scores, at[known], h, time_s)
+        return found if counted else replace(found, n_evaluators=None)
 
-    def _fill(
-        self, found: Lookups, rows: ndarray, scores: TrustScores, at: ndarray, source: TrustSource, time_s: float
-    ) -> None:
-        found.trust[rows], found.source[rows] = scores.trust[at], source
-        found.judged[rows], found.n_evaluations[rows] = scores.is_judged[at], scores.n_evaluations[at]
-        found.newest_evaluation_age_s[rows] = time_s - scores.newest_evaluation_step[at] * self.dt_s
+    def _fill(self, found: Lookups, rows: ndarray, scores: TrustScores, at: ndarray, h: int, time_s: float) -> bool:
+        """Write down values of a host for some rows; whether its model counts evaluators."""
+        params, is_judged = self.params[h], scores.is_judged[at]
+        source = TrustSource.SERVER if params.host == "central" else TrustSource.OWN
+        used = is_judged if params.unjudged == "default" else np.ones(len(rows), bool)
+        found.trust[rows[used]], found.source[rows[used]] = scores.trust[at[used]], source
+        found.n_evaluations[rows] = scores.n_evaluations[at]
+        newest_s = time_s - scores.newest_evaluation_step[at] * self.dt_s
+        found.newest_evaluation_age_s[rows] = newest_s
         found.oldest_evaluation_age_s[rows] = time_s - scores.oldest_evaluation_step[at] * self.dt_s
+        fresh = is_within(newest_s, params) if self._has_window(h) else np.ones(len(rows), bool)
+        found.state[rows] = np.where(
+            is_judged, np.where(fresh, LookupState.JUDGED, LookupState.STALE), LookupState.UNJUDGED
+        )
+        if scores.n_evaluators is None or found.n_evaluators is None:
+            return False
+        found.n_evaluators[rows] = scores.n_evaluators[at]
+        return True
+
+    def _has_window(self, h: int) -> bool:
+        """Whether the host's model drops evidence of a certain age."""
+        return "freshness_s" in {f.name for f in fields(self.models[h][0].Params)}
 
     def rejected(self, state: TrustState) -> dict[str, int]:
         """Evaluations that the acting model rejected so far, by cause, where it counts them."""
         counts = getattr(state.hosts[self.host_of[0]].model, "rejected", ())
         return {cause.name.lower(): int(n) for cause, n in zip(RejectReason, counts, strict=False) if n}
+
+    def scorers(self, state: TrustState) -> list[ObjectScorer | None]:
+        """Per variant: the scores that its model gives to objects, None where it gives none."""
+        return [_scorer(state.hosts[h].model) for h in self.host_of]
+
+    def _scores(self, state: TrustState, h: int, step: int | None = None) -> TrustScores:
+        """Trust scores of a host's model, checked."""
+        return checked_scores(self._model(state, h).scores(step), self.models[h][0])
 
     def _model(self, state: TrustState, h: int) -> TrustModel:
         model = state.hosts[h].model
@@ -332,10 +374,23 @@ def host_key(variant: Variant) -> tuple:
     return variant.model, repr(variant.own), *(getattr(variant.trust, name) for name in sorted(kept))
 
 
+def _scorer(model: TrustModel | None) -> ObjectScorer | None:
+    score = getattr(model, "score_objects", None)
+    if score is None:
+        return None
+    name = type(model).__name__
+    return lambda reports: checked_object_scores(score(reports), reports.n_groups, name)
+
+
+def _kind(params: TrustParams) -> tuple[str, str]:
+    """Hosts of one kind hear the same evaluations."""
+    return params.host, params.local_evidence
+
+
 def _shared(params: Sequence[TrustParams], models: Sequence[tuple[type, Any]]) -> list[list[int]]:
     """Hosts whose models hear the same evaluations: of one class, at one kind of host."""
     groups: dict[tuple, list[int]] = {}
     for h, (p, (model, _)) in enumerate(zip(params, models, strict=True)):
         if p.host != "none":
-            groups.setdefault((model, p.host, p.local_evidence), []).append(h)
+            groups.setdefault((model, *_kind(p)), []).append(h)
     return list(groups.values())
