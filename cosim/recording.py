@@ -11,6 +11,7 @@ from cosim.actors import ActorRegistry
 from cosim.cycle import Sensed, StepResult
 from cosim.radio.message_round import Outcome
 from cosim.reactions import Reactions
+from cosim.trackers import evidence_audit
 from cosim.trackers.channel_counts import latency_histogram, pdr_by_distance, vehicle_channel
 from cosim.v2x.messages import FABRICATED
 from cosim.v2x.pseudonyms import PseudonymUse
@@ -48,6 +49,7 @@ def step(recorder: Recorder, happened: StepResult, dt_s: float) -> None:
     _channel(recorder, at, sensed)
     _receptions(recorder, at, sensed)
     _evaluations(recorder, at, sensed)
+    _evidence(recorder, happened.world, sensed)
     _trust(recorder, at, sensed, dt_s)
     _fused(recorder, at, sensed)
     for rows in sensed.attack_outcomes:
@@ -178,6 +180,16 @@ def _transmitted(recorder: Recorder, at: int, sensed: Sensed) -> None:
         "observer": sensed.vehicles.pseudonym[detections.message[chosen]],
         "detection_index": detections.detection_index[chosen], "score": detections.score[chosen],
     })  # fmt: skip
+
+
+def _evidence(recorder: Recorder, world: World, sensed: Sensed) -> None:
+    listed, truth, reported = sensed.listed, sensed.truth, sensed.reported
+    recorder.append("evidence", world.step, evidence_audit.audit(
+        sensed.lists.of_member(), sensed.lists.member, reported.evaluation, reported.visibility,
+        sensed.detections.message, truth.actor_row, truth.is_real, listed.origin == FABRICATED,
+        world.attack[sensed.vehicles.row] > 0, sum(happened.frames.n_duplicate for happened in sensed.rounds),
+        sensed.fused[0],
+    ))  # fmt: skip
 
 
 def _trust(recorder: Recorder, at: int, sensed: Sensed, dt_s: float) -> None:
