@@ -193,6 +193,39 @@ def report(
 
 
 @app.command()
+def export(
+    form: Annotated[str, typer.Argument(metavar="FORMAT", help="kitti, trupercept, opv2v, veremi, veremi-nextgen.")],
+    folder: Annotated[Path, typer.Argument(metavar="RUN", help="Run folder.")],
+    out: Annotated[Path, typer.Option(help="New folder to write; an export that was interrupted goes on in its own.")],
+    vehicles: Annotated[
+        str | None,
+        typer.Option(help="Vehicles with a LiDAR, such as 3,17,20-25; all by default. trupercept: ego first."),
+    ] = None,
+    steps: Annotated[str | None, typer.Option(help="Steps, such as 0-59; all by default.")] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Write a run in the layout that other tools read."""
+    from cosim.export import export as write
+    from results.archive import open_run
+
+    bar = Progress(
+        SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(),
+        TimeRemainingColumn(), console=notes, disable=not notes.is_terminal,
+    )  # fmt: skip
+    with bar:
+        task = bar.add_task(form, total=None)
+        done = write(
+            open_run(folder), form, out, vehicles, steps,
+            lambda what, n, total: bar.update(task, description=f"{form}, {what}", completed=n, total=total),
+        )  # fmt: skip
+    if as_json:
+        print_json(done)
+        return
+    said = f"wrote {done['files']:,} files, {done['bytes'] / 1e6:,.1f} MB, in {done['out']}"
+    screen.print(said, highlight=False, markup=False, soft_wrap=True)
+
+
+@app.command()
 def reproduce(
     scenario: Annotated[Literal["scenario-1", "scenario-2"], typer.Argument(help="Which scenario of the paper.")],
     out: Annotated[Path | None, typer.Option(help="Folder for the pictures; by default runs/<scenario>.")] = None,

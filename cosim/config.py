@@ -7,6 +7,7 @@ import math
 import tomllib
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
+from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, get_args, get_origin
 
@@ -328,10 +329,15 @@ def _take_own(section: dict[str, Any], name: str, model: Any, where: str, folder
     return {k: made[k] for k in made if k in of_class}
 
 
+@cache
+def _adapter(model: Any) -> TypeAdapter:
+    return TypeAdapter(model)
+
+
 def validated(model: Any, data: Any, prefix: str, where: str) -> Any:
     """Typed parameters from plain data; ValueError in one line for a mistake."""
     try:
-        return TypeAdapter(model).validate_json(json.dumps(data, default=str), strict=True)
+        return _adapter(model).validate_json(json.dumps(data, default=str), strict=True)
     except ValidationError as error:
         first = error.errors()[0]
         name = ".".join([*([prefix] if prefix else []), *(str(p) for p in first["loc"])])

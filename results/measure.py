@@ -14,6 +14,7 @@ from results.metrics import (
     contact_graph,
     detection,
     encounters,
+    evidence,
     freshness,
     misbehaviour,
     radio,
@@ -33,6 +34,7 @@ TOPICS: Mapping[str, ModuleType] = {
     "encounters": encounters,
     "trust": trust,
     "misbehaviour": misbehaviour,
+    "evidence": evidence,
     "freshness": freshness,
     "radio": radio,
     "detection": detection,
@@ -91,6 +93,7 @@ def measure(
         "encounters": lambda: _encounters(run),
         "trust": lambda: _trust(run),
         "misbehaviour": lambda: _misbehaviour(run, threshold, false_positives),
+        "evidence": lambda: _evidence(run),
         "freshness": lambda: _freshness(run, fresh_s),
         "radio": lambda: _radio(run),
         "detection": lambda: _detection(run, max_frames),
@@ -242,6 +245,13 @@ def _misbehaviour(run: Run, threshold: float, false_positives: float) -> Iterato
         yield from _rows(misbehaviour.detection_summary(run, value, at), "{role}", {
             "share": f"time_to_detection{which}.share", "median_s": f"time_to_detection{which}.median_s",
         })  # fmt: skip
+
+
+def _evidence(run: Run) -> Iterator[Row]:
+    yield from _rows(evidence.multiplicity(run), "", {
+        "trust": "trust.multiplicity", "fused": "fused.multiplicity", "echoes": "echoes.share",
+        "copies": "copies_per_evaluation",
+    })  # fmt: skip
 
 
 def _freshness(run: Run, fresh_s: float) -> Iterator[Row]:
