@@ -7,6 +7,7 @@ import math
 import tomllib
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
+from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, get_args, get_origin
 
@@ -43,6 +44,10 @@ CHOICES: Mapping[str, tuple[str, Mapping[str, Any], str]] = {
     "attacks": ("attack", ATTACKS, ""),
 }
 """Sections in which a class is chosen: the key that names it, what is at hand, and the methods it needs."""
+
+PAPER_RULE: dict[str, Any] = {"name": "paper", "fused": True, "unseen": "zero", "unjudged": "value"}
+"""Trust variant that the run without a config carries beside its own: unseen detections count as 0, as in Hurl et
+al., TruPercept, 2020."""
 
 FORMER = {
     "adversary": "[[attacks]], one section for each attack",
@@ -198,6 +203,8 @@ def load(path: Path | None = None, overrides: list[str] | None = None) -> Config
     data = with_defaults({} if path is None else read_toml(path, "config file"))
     for text in overrides or []:
         _override(data, text)
+    if path is None and data.get("server", {}).get("uplink") != "rsu":  # there, every variant loads the channel
+        data.setdefault("trust_variant", [copy.deepcopy(PAPER_RULE)])
     return resolve_data(data, "the config" if path is None else path.name, None if path is None else path.parent)
 
 
@@ -322,10 +329,15 @@ def _take_own(section: dict[str, Any], name: str, model: Any, where: str, folder
     return {k: made[k] for k in made if k in of_class}
 
 
+@cache
+def _adapter(model: Any) -> TypeAdapter:
+    return TypeAdapter(model)
+
+
 def validated(model: Any, data: Any, prefix: str, where: str) -> Any:
     """Typed parameters from plain data; ValueError in one line for a mistake."""
     try:
-        return TypeAdapter(model).validate_json(json.dumps(data, default=str), strict=True)
+        return _adapter(model).validate_json(json.dumps(data, default=str), strict=True)
     except ValidationError as error:
         first = error.errors()[0]
         name = ".".join([*([prefix] if prefix else []), *(str(p) for p in first["loc"])])

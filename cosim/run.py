@@ -28,6 +28,7 @@ from sensors import lidar
 from sensors.boxes import Boxes
 from sensors.scene import Scene, Shape
 from sumo_nets.network import junctions
+from trust.models.interface import ModelError
 
 Advance = Callable[[str, int, int, str], None]
 """Told of progress: phase, done, total, a note."""
@@ -118,7 +119,7 @@ def run(config: Config, out: Path | None, advance: Advance, traffic_from: Path |
         except KeyboardInterrupt:
             manifest.write("interrupted")
             raise
-        except TrafficError:
+        except (TrafficError, ModelError):
             manifest.write("failed")
             raise
         except Exception as error:

@@ -16,7 +16,7 @@ from cosim.perception import Observed
 from cosim.radio.message_round import LinkReceptions, Messages, Receptions, Stations
 from cosim.ragged import ptr_of
 from cosim.v2x.cpm_generation import InclusionMemory, select_objects
-from cosim.v2x.messages import FABRICATED, Detections, cpm_bytes, is_sound, piggyback_bytes
+from cosim.v2x.messages import FABRICATED, SENSED, Detections, cpm_bytes, is_sound, piggyback_bytes
 from cosim.v2x.trust_hosts import Lookups, TrustState
 from cosim.v2x.trust_server import LinkStats
 from cosim.world import World
@@ -62,6 +62,8 @@ class Listed:
     """The same as trust sees them: sender as a row of `Vehicles`."""
     ptr: Int[ndarray, "e+1"]
     """Where the detections of each vehicle begin."""
+    withheld: Bool[ndarray, "d"]
+    """Made by the detector, and kept from others by an attack."""
     n_malformed: int
     """Detections dropped because they cannot be: no finite pose, no size, no score."""
 
@@ -75,12 +77,13 @@ def list_objects(
     if not sound.all():
         assert (objects.origin[~sound] == FABRICATED).all()
         objects = objects.take(np.flatnonzero(sound))
+    withheld = (objects.origin == SENSED) & ~objects.transmitted
     if parts.config.radio.cpm_rules == "etsi":
         chosen, included = select_objects(included, objects, world.actor[objects.observer], time_s)
         objects = replace(objects, transmitted=chosen)
     truth = ground_truth_of(objects, world, observed.observability, vehicles.row, observed.is_real, observed.actor_row)
     detections, ptr = object_lists.for_trust(objects, vehicles.row)
-    return Listed(objects, truth, detections, ptr, int((~sound).sum())), included
+    return Listed(objects, truth, detections, ptr, withheld, int((~sound).sum())), included
 
 
 def stations_of(world: World, vehicles: Vehicles, parts: Parts) -> Stations:
