@@ -29,7 +29,9 @@ Overrides = Annotated[
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON on standard output.")]
 RunPaths = Annotated[list[Path], typer.Argument(help="Folders that `cosim run` wrote.")]
-Picture = Literal["trust", "misbehaviour", "encounters", "freshness", "radio", "detection", "map", "contacts", "sweep"]
+Picture = Literal[
+    "trust", "misbehaviour", "encounters", "freshness", "radio", "detection", "map", "contacts", "safety", "sweep"
+]
 
 
 @app.command()
