@@ -151,8 +151,8 @@ class Config:
             )
         if self.meshes and self.lidar.engine == "columnar":
             raise ValueError(
-                'lidar.engine = "columnar" casts upright prisms, and there are [[meshes]]. Set lidar.engine to "embree" '
-                'or "open3d".'
+                'lidar.engine = "columnar" casts upright prisms, and there are [[meshes]]. Set lidar.engine to '
+                '"embree" or "open3d".'
             )
         check_shares(self.attacks)
 
