@@ -226,6 +226,39 @@ def export(
 
 
 @app.command()
+def view(
+    folder: Annotated[Path, typer.Argument(metavar="RUN", help="Run folder.")],
+    out: Annotated[Path, typer.Option(help="File to write, .rrd; open it with `rerun FILE.rrd`.")],
+    vehicles: Annotated[
+        list[int] | None, typer.Option("--vehicle", help="Show its clouds, detections and beliefs. Repeatable.")
+    ] = None,
+    from_s: Annotated[float, typer.Option("--from", help="Begin, in seconds.")] = 0.0,
+    to_s: Annotated[float | None, typer.Option("--to", help="End, in seconds.")] = None,
+    clouds: Annotated[bool, typer.Option(help="Point clouds of the vehicles shown.")] = True,
+    as_json: AsJson = False,
+) -> None:
+    """Write a run as a recording for the Rerun viewer: map, city in 3D, trust over time."""
+    from cosim.view import view as write
+    from results.archive import open_run
+
+    bar = Progress(
+        SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(),
+        TimeRemainingColumn(), console=notes, disable=not notes.is_terminal,
+    )  # fmt: skip
+    with bar:
+        task = bar.add_task("view", total=None)
+        done = write(
+            open_run(folder), out, tuple(vehicles or ()), from_s, to_s, clouds,
+            lambda what, n, total: bar.update(task, description=what, completed=n, total=total),
+        )  # fmt: skip
+    if as_json:
+        print_json(done)
+        return
+    said = f"wrote {out}, {done['bytes'] / 1e6:,.1f} MB; open it with: rerun {out}"
+    screen.print(said, highlight=False, markup=False, soft_wrap=True)
+
+
+@app.command()
 def reproduce(
     scenario: Annotated[Literal["scenario-1", "scenario-2"], typer.Argument(help="Which scenario of the paper.")],
     out: Annotated[Path | None, typer.Option(help="Folder for the pictures; by default runs/<scenario>.")] = None,
