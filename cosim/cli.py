@@ -30,7 +30,17 @@ Overrides = Annotated[
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON on standard output.")]
 RunPaths = Annotated[list[Path], typer.Argument(help="Folders that `cosim run` wrote.")]
 Picture = Literal[
-    "trust", "misbehaviour", "encounters", "freshness", "radio", "detection", "map", "contacts", "safety", "sweep"
+    "trust",
+    "misbehaviour",
+    "encounters",
+    "freshness",
+    "radio",
+    "detection",
+    "map",
+    "contacts",
+    "safety",
+    "sweep",
+    "movie",
 ]
 
 
@@ -162,6 +172,14 @@ def plot(
         if len(runs) != 1 or step is None or not vehicles or len(vehicles) != 1:
             raise ValueError("cosim plot sweep shows one sweep: cosim plot sweep RUN --vehicle V --step S")
         screen.print(f"wrote {write(open_run(runs[0]), vehicles[0], step, out)}", highlight=False, soft_wrap=True)
+        return
+    if what == "movie":
+        from cosim.replay_lidar import film
+
+        if len(runs) != 1 or len(vehicles or ()) > 1:
+            raise ValueError("cosim plot movie films one run: cosim plot movie RUN [--vehicle V]")
+        path = film(open_run(runs[0]), vehicles[0] if vehicles else None, out)
+        screen.print(f"wrote {path}", highlight=False, soft_wrap=True)
         return
     if step is not None:
         raise ValueError(f"--step goes with `cosim plot sweep`, not with {what}. Leave it out.")

@@ -6,7 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
+from cosim.replay_lidar import film
 from cosim.view import colours, view
 from results.archive import open_run
 from tests.drive import drive
@@ -32,9 +34,9 @@ def test_the_viewers_own_tools_accept_it(folder, tmp_path):
     assert done["steps"] == 5 and done["bytes"] == out.stat().st_size
     assert rerun("verify", str(out)).returncode == 0
     stats = rerun("stats", str(out)).stdout
-    for path in ("city/buildings", "city/actors", "map/streets", "map/actors", f"city/clouds/{vehicle}", "city/detected",
-                 "city/received", "city/believed"):  # fmt: skip
-        assert f"/{path}:" in stats, path
+    for path in ("buildings", "actors", f"clouds/{vehicle}", "detected", "received", "believed"):
+        assert f"/city/{path}:" in stats, path
+    assert "/map/streets:" in stats and "/map/actors:" in stats
     without = view(run, tmp_path / "without.rrd", [vehicle], from_s=2, to_s=7, clouds=False)
     assert (
         without["bytes"] < done["bytes"] and "city/clouds" not in rerun("stats", str(tmp_path / "without.rrd")).stdout
@@ -61,3 +63,20 @@ def test_mistakes(folder, tmp_path, out, more, says):
     with pytest.raises(ValueError, match=says):
         view(open_run(folder), tmp_path / out, **more)
     assert not (tmp_path / "run.rrd").exists()
+
+
+def test_movie(folder, tmp_path):
+    run = open_run(folder)
+    vehicle = int(run.vehicles[run.vehicles.equipped & (run.vehicles.first_step == 0)].vehicle.iloc[0])
+    shown = []
+    out = film(run, vehicle, tmp_path / "m.gif", lambda done, total: shown.append((done, total)))
+    steps = int(run.vehicles.set_index("vehicle").last_step[vehicle]) + 1
+    assert shown == [(n + 1, steps) for n in range(steps)]
+    picture = Image.open(out)
+    assert picture.n_frames == steps and picture.size[0] == picture.size[1] > 500
+    for name, number, says in (
+        ("m.avi", vehicle, "ends in .gif or .mp4"), ("m.gif", 99_999, "carries a LiDAR"),
+        ("m.gif/x.gif", vehicle, "cannot be written"),
+    ):  # fmt: skip
+        with pytest.raises(ValueError, match=says):
+            film(run, number, tmp_path / name)
