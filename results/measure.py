@@ -19,6 +19,7 @@ from results.metrics import (
     misbehaviour,
     radio,
     registry,
+    safety,
     security,
     trust,
 )
@@ -41,6 +42,7 @@ TOPICS: Mapping[str, ModuleType] = {
     "detection": detection,
     "attack": attack,
     "contacts": contact_graph,
+    "safety": safety,
 }
 """Modules of metrics by topic, as `run.measure.<topic>`."""
 
@@ -99,6 +101,7 @@ def measure(
         "radio": lambda: _radio(run),
         "detection": lambda: _detection(run, max_frames),
         "attack": lambda: _attack(run),
+        "safety": lambda: _safety(run),
     }
     rows: list[Row] = []
     for topic in topics:
@@ -335,3 +338,14 @@ def _attack(run: Run) -> Iterator[Row]:
     yield from _rows(attack.false_in_path(run), "{among}", {
         "share": "false_in_path.share", "boxes_mean": "false_in_path.boxes_mean",
     }, "share")  # fmt: skip
+
+
+def _safety(run: Run) -> Iterator[Row]:
+    found = safety.summary(run)
+    yield from (Row(str(name), "", float(value)) for name, value in found.items())
+    if "reactions" in run.tables and run.n_blocks("reactions"):
+        yield from _rows(safety.by_kind(run), "{kind}", {
+            "n": "reactions.n", "per_km": "reactions.per_km", "hard_per_km": "reactions_hard.per_km",
+            "taken_mean_mps": "speed_taken.mean_mps", "wave_mean_n": "wave.vehicles.mean",
+            "wave_mean_m": "wave.length.mean_m",
+        })  # fmt: skip

@@ -314,6 +314,30 @@ TABLES: Mapping[str, Table] = {
             "matched": Column("bool", meaning="Matched a detection of the evaluator's own."),
         },
     ),
+    "transmitted_evaluations": Table(
+        "full",
+        "Evaluations as they were transmitted, unrounded, beside those that the evaluator keeps for itself: what trust is computed from.",
+        {
+            "step": _key("Step of the detection and of the evaluation."),
+            "evaluator": _key("Pseudonym of the vehicle that evaluates."),
+            "observer": _key("Pseudonym of the vehicle that made the detection."),
+            "detection_index": _key("Number of the detection in its list.", "int16"),
+            "evaluation": Column("float64", unit="1", meaning="As in `evaluations`, as transmitted."),
+            "visibility": Column("float64", unit="1", meaning="As in `evaluations`, as transmitted."),
+            "own_evaluation": Column("float64", unit="1", meaning="The same as the evaluator keeps it, no attack."),
+            "own_visibility": Column("float64", unit="1", meaning="The same as the evaluator keeps it, no attack."),
+        },
+    ),
+    "transmitted_scores": Table(
+        "full",
+        "Scores of the detections that were transmitted, unrounded.",
+        {
+            "step": _STEP,
+            "observer": _key("Pseudonym of the vehicle that made the detection."),
+            "detection_index": _key("Number of the detection in its list.", "int16"),
+            "score": Column("float64", unit="1", meaning="Confidence in [0, 1]."),
+        },
+    ),
     "trust": Table(
         "summary",
         "Trust in each pseudonym as the trust server computes it, at every step in which it does.",

@@ -36,6 +36,7 @@ TOPICS: Mapping[str, str] = {
     "radio": "What the radio delivers, beside the assumptions that this rests on.",
     "detection": "Detections and fused objects against ground truth.",
     "attack": "What attacks achieve.",
+    "safety": "What drivers suffer, and what those brake for who react to what their vehicles believe.",
 }
 
 _ROLE, _DEFINITION, _MESSAGE_TYPE, _LIST = (
@@ -44,6 +45,7 @@ _ROLE, _DEFINITION, _MESSAGE_TYPE, _LIST = (
     "message type",
     "own sensor or fused",
 )
+_KIND = "what is reacted to: ghost, false positive, real"
 _ROLE_ALL = "role of the subject, or all"
 _RECEIVERS = "vehicles that look up"
 _SUCCESS = "score threshold, among, role of the attacker"
@@ -153,6 +155,22 @@ METRICS: Mapping[str, Metric] = {
     "radio.server_broadcasts.reached.share": Metric("broadcasts that reach vehicles", "1", "Share of (broadcast of trust values, vehicle on the road) pairs in which it is received."),
     "detection.ap40": Metric("AP 3D, 40 recall points", "%", "Average precision by KITTI's rules at 40 recall points, ranked over all sampled frames together; levels with fewer than 41 objects are left out.", "list, class, level"),
     "detection.awareness_70m.share": Metric("environmental awareness within 70 m", "1", "Share of the actors within 70 m of an equipped vehicle for which it has a box with a score of at least 0.5.", _LIST),
+    "safety.driven_km": Metric("vehicle-kilometres", "km", "Way driven by all vehicles, pedestrians left out."),
+    "safety.travel_time.s_per_km": Metric("travel time per kilometre", "s/km", "Vehicle-seconds on the road per vehicle-kilometre; delay is the difference between two runs of the same traffic."),
+    "safety.hard_braking.per_km": Metric("hard braking", "1/km", "Decelerations of 3 m/s2 or more per vehicle-kilometre; one ends below 1 m/s2."),
+    "safety.emergency_braking.per_km": Metric("emergency braking", "1/km", "The same with 4.5 m/s2 or more."),
+    "safety.ttc.per_km": Metric("conflicts by time to collision", "1/km", "Episodes of a vehicle and its leader with a time to collision below 3 s, per vehicle-kilometre."),
+    "safety.drac.per_km": Metric("conflicts by deceleration to avoid a crash", "1/km", "Episodes of a vehicle and its leader in which more than 3 m/s2 would avoid a crash, per vehicle-kilometre."),
+    "safety.pet.per_km": Metric("conflicts by post-encroachment time", "1/km", "Pairs of vehicles on crossing ways with a post-encroachment time below 2 s, per vehicle-kilometre."),
+    "safety.near_misses.per_km": Metric("near misses", "1/km", "Conflicts with a time to collision or a post-encroachment time below 1 s, per vehicle-kilometre."),
+    "safety.collisions.n": Metric("overlapping vehicles", "", "Pairs of vehicles whose footprints were in each other by more than 0.3 m while one moved; SUMO's own count of collisions is in the manifest."),
+    "safety.stops.per_km": Metric("stops", "1/km", "Times that a vehicle became slower than 0.1 m/s after more than 2 m/s, per vehicle-kilometre."),
+    "safety.reactions.n": Metric("reactions", "", "Episodes in which a driver was commanded because of what its vehicle believes; those to ghosts and false positives are false alarms.", _KIND),
+    "safety.reactions.per_km": Metric("reactions per kilometre", "1/km", "The same per vehicle-kilometre of all vehicles.", _KIND),
+    "safety.reactions_hard.per_km": Metric("hard reactions", "1/km", "Of these, with a commanded deceleration of 3 m/s2 or more.", _KIND),
+    "safety.speed_taken.mean_mps": Metric("speed taken by a reaction", "m/s", "Mean over reactions of the speed that commands took away, summed: the cost of a false alarm, or the use of a warning.", _KIND),
+    "safety.wave.vehicles.mean": Metric("braking wave, vehicles", "", "Mean number of drivers behind a reaction of 2 m/s2 or more who braked as hard within 20 s, one behind the other.", _KIND),
+    "safety.wave.length.mean_m": Metric("braking wave, length", "m", "Mean distance from the vehicle that reacted to the last of them.", _KIND),
     "attack.believed.share": Metric("fabricated objects believed", "1", "Share of the pairs (fabricated detection, honest vehicle that received it) in which the vehicle's fused objects hold it with at least the threshold's score. Among intended: the vehicle that the attack aims at.", _SUCCESS, _ATTACKERS),
     "attack.believed.pairs.n": Metric("pairs behind it", "", "Number of these pairs: the denominator.", "among, role of the attacker"),
     "attack.believed_by_any.share": Metric("fabricated objects believed by any", "1", "Share of the fabricated detections that an honest vehicle received of which at least one of these believes; it grows with the number of receivers.", "score threshold, role of the attacker", _ATTACKERS),
