@@ -15,6 +15,7 @@ from numpy import ndarray
 
 from cosim.actors import actor_key
 from cosim.config import Config, load
+from cosim.meshes import with_meshes
 from cosim.perception import sweep_keys
 from cosim.scenario import find
 from cosim.world import World
@@ -35,8 +36,8 @@ def config_of(run: Run) -> Config:
 
 
 def city_of(config: Config) -> Scene:
-    """The buildings of its scenario."""
-    return find(config.traffic.scenario, config.traffic.trace).city()
+    """The buildings of its scenario, and its meshes."""
+    return with_meshes(find(config.traffic.scenario, config.traffic.trace).city(), config.meshes)
 
 
 def worlds(run: Run, config: Config, steps: Int[ndarray, "s"] | None = None) -> Iterator[World]:
