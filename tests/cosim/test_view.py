@@ -72,8 +72,8 @@ def test_movie(folder, tmp_path):
     out = film(run, vehicle, tmp_path / "m.gif", lambda done, total: shown.append((done, total)))
     steps = int(run.vehicles.set_index("vehicle").last_step[vehicle]) + 1
     assert shown == [(n + 1, steps) for n in range(steps)]
-    picture = Image.open(out)
-    assert picture.n_frames == steps and picture.size[0] == picture.size[1] > 500
+    with Image.open(out) as picture:
+        assert picture.n_frames == steps and picture.size[0] == picture.size[1] > 500
     for name, number, says in (
         ("m.avi", vehicle, "ends in .gif or .mp4"), ("m.gif", 99_999, "carries a LiDAR"),
         ("m.gif/x.gif", vehicle, "cannot be written"),
