@@ -30,7 +30,17 @@ Overrides = Annotated[
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON on standard output.")]
 RunPaths = Annotated[list[Path], typer.Argument(help="Folders that `cosim run` wrote.")]
 Picture = Literal[
-    "trust", "misbehaviour", "encounters", "freshness", "radio", "detection", "map", "contacts", "safety", "sweep"
+    "trust",
+    "misbehaviour",
+    "encounters",
+    "freshness",
+    "radio",
+    "detection",
+    "map",
+    "contacts",
+    "safety",
+    "security",
+    "sweep",
 ]
 
 
