@@ -39,6 +39,7 @@ Picture = Literal[
     "map",
     "contacts",
     "safety",
+    "security",
     "sweep",
     "movie",
 ]
