@@ -286,8 +286,8 @@ class _Met:
         for way in ("ab", "ba"):
             self._columns |= {
                 f"trust_{way}": np.zeros(shape, np.float32), f"source_{way}": np.zeros(shape, np.int8),
-                f"state_{way}": np.zeros(shape, np.int8), f"age_{way}": np.zeros(shape, np.float32), f"known_{way}": np.zeros(len(frame), bool),
-                f"after_{way}": np.full(shape, -1),
+                f"state_{way}": np.zeros(shape, np.int8), f"age_{way}": np.zeros(shape, np.float32),
+                f"known_{way}": np.zeros(len(frame), bool), f"after_{way}": np.full(shape, -1),
             }  # fmt: skip
         self._live = np.zeros(0, np.int64)
 
