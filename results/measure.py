@@ -14,10 +14,12 @@ from results.metrics import (
     contact_graph,
     detection,
     encounters,
+    evidence,
     freshness,
     misbehaviour,
     radio,
     registry,
+    safety,
     trust,
 )
 from results.metrics.intervals import FEW
@@ -32,11 +34,13 @@ TOPICS: Mapping[str, ModuleType] = {
     "encounters": encounters,
     "trust": trust,
     "misbehaviour": misbehaviour,
+    "evidence": evidence,
     "freshness": freshness,
     "radio": radio,
     "detection": detection,
     "attack": attack,
     "contacts": contact_graph,
+    "safety": safety,
 }
 """Modules of metrics by topic, as `run.measure.<topic>`."""
 
@@ -89,10 +93,12 @@ def measure(
         "encounters": lambda: _encounters(run),
         "trust": lambda: _trust(run),
         "misbehaviour": lambda: _misbehaviour(run, threshold, false_positives),
+        "evidence": lambda: _evidence(run),
         "freshness": lambda: _freshness(run, fresh_s),
         "radio": lambda: _radio(run),
         "detection": lambda: _detection(run, max_frames),
         "attack": lambda: _attack(run),
+        "safety": lambda: _safety(run),
     }
     rows: list[Row] = []
     for topic in topics:
@@ -237,6 +243,13 @@ def _misbehaviour(run: Run, threshold: float, false_positives: float) -> Iterato
         })  # fmt: skip
 
 
+def _evidence(run: Run) -> Iterator[Row]:
+    yield from _rows(evidence.multiplicity(run), "", {
+        "trust": "trust.multiplicity", "fused": "fused.multiplicity", "echoes": "echoes.share",
+        "copies": "copies_per_evaluation",
+    })  # fmt: skip
+
+
 def _freshness(run: Run, fresh_s: float) -> Iterator[Row]:
     yield from _rows(freshness.evidence(run), "{role}", {
         "unjudged_share": "server_unjudged.share", "newest_s": "server_newest_evaluation.median_s",
@@ -308,3 +321,14 @@ def _attack(run: Run) -> Iterator[Row]:
     yield from _rows(attack.false_in_path(run), "{among}", {
         "share": "false_in_path.share", "boxes_mean": "false_in_path.boxes_mean",
     }, "share")  # fmt: skip
+
+
+def _safety(run: Run) -> Iterator[Row]:
+    found = safety.summary(run)
+    yield from (Row(str(name), "", float(value)) for name, value in found.items())
+    if "reactions" in run.tables and run.n_blocks("reactions"):
+        yield from _rows(safety.by_kind(run), "{kind}", {
+            "n": "reactions.n", "per_km": "reactions.per_km", "hard_per_km": "reactions_hard.per_km",
+            "taken_mean_mps": "speed_taken.mean_mps", "wave_mean_n": "wave.vehicles.mean",
+            "wave_mean_m": "wave.length.mean_m",
+        })  # fmt: skip
