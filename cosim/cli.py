@@ -10,7 +10,7 @@ from rich.box import SIMPLE
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from cosim.console import notes, print_json, print_metrics, print_run_summary, rows_of, screen, table_of
+from cosim.console import notes, print_json, print_metrics, print_run_summary, screen, table_of
 from cosim.nets import nets
 from cosim.studies import commands as studies
 
@@ -87,7 +87,8 @@ def measure(
     metrics: Annotated[
         list[str] | None, typer.Option("--metric", help="study: show this metric, or METRIC:GROUP. Repeatable.")
     ] = None,
-    variant: Annotated[str, typer.Option(help="Trust variant of the runs.")] = "base",
+    variant: Annotated[str, typer.Option(help="Trust variant of the runs; all: each beside the others.")] = "base",
+    csv: Annotated[Path | None, typer.Option("--csv", help="Write the metrics to this file.")] = None,
     threshold: Annotated[float, typer.Option(min=0, max=1, help="Trust below which a vehicle is suspected.")] = 0.25,
     fresh_s: Annotated[float, typer.Option(help="Oldest age at which trust counts as fresh, in seconds.")] = 10.0,
     false_positives: Annotated[float, typer.Option(min=0, max=1, help="False positive rate to compare at.")] = 0.05,
@@ -104,18 +105,11 @@ def measure(
         return
     if metrics:
         raise ValueError("--metric goes with a study. Leave it out, or give the folder of a `cosim sweep`.")
+    from cosim.side_by_side import of_variants, print_measures
     from results.archive import open_run
-    from results.measure import measure as measured
 
-    tables = {
-        str(folder): measured(open_run(folder).as_variant(variant), threshold, fresh_s, false_positives)
-        for folder in runs
-    }
-    if as_json:
-        print_json({name: rows_of(table) for name, table in tables.items()})
-        return
-    for name, table in tables.items():
-        screen.print(table_of(name, rows_of(table)))
+    chosen = [one for folder in runs for one in of_variants(open_run(folder), variant)]
+    print_measures(chosen, as_json, csv, threshold=threshold, fresh_s=fresh_s, false_positives=false_positives)
 
 
 @app.command()
