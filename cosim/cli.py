@@ -134,7 +134,10 @@ def plot(
     where: Annotated[
         list[str] | None, typer.Option(help="study: hold a swept key at a value, KEY=VALUE. Repeatable.")
     ] = None,
-    fresh_s: Annotated[float | None, typer.Option(help="freshness: oldest that is fresh, in seconds.")] = None,
+    variant: Annotated[str, typer.Option(help="Trust variant of the runs; all: each as a run of its own.")] = "base",
+    threshold: Annotated[
+        float | None, typer.Option(min=0, max=1, help="freshness over a key: score from which a ghost is believed.")
+    ] = None,
     radius_m: Annotated[float | None, typer.Option(help="map, contacts: which of the radii, in metres.")] = None,
     pairs: Annotated[str | None, typer.Option(help="map, contacts: which of the kinds of pairs.")] = None,
 ) -> None:
@@ -146,6 +149,7 @@ def plot(
         raise ValueError("--by, --metric and --where go with a study. Leave them out.")
     from inspect import signature
 
+    from cosim.side_by_side import of_variants
     from results.archive import open_run
     from results.figures import style
     from results.figures.catalogue import FIGURES
@@ -159,14 +163,15 @@ def plot(
         return
     if step is not None:
         raise ValueError(f"--step goes with `cosim plot sweep`, not with {what}. Leave it out.")
-    options = {"vehicles": vehicles, "over": over, "fresh_s": fresh_s, "radius_m": radius_m, "pairs": pairs}
+    options = {"vehicles": vehicles, "over": over, "threshold": threshold, "radius_m": radius_m, "pairs": pairs}
     given = {name: value for name, value in options.items() if value}
     for name in given:
         takers = [figure for figure, draw in FIGURES.items() if name in signature(draw).parameters]
         if what not in takers:
             flag = "vehicle" if name == "vehicles" else name.replace("_", "-")
             raise ValueError(f"--{flag} goes with `cosim plot {' or '.join(takers)}`, not with {what}. Leave it out.")
-    path = style.save(FIGURES[what]([open_run(folder) for folder in runs], **given), out or runs[0] / f"{what}.png")
+    chosen = [one for folder in runs for one in of_variants(open_run(folder), variant)]
+    path = style.save(FIGURES[what](chosen, **given), out or runs[0] / f"{what}.png")
     screen.print(f"wrote {path}", highlight=False, soft_wrap=True)
 
 
