@@ -30,7 +30,18 @@ Overrides = Annotated[
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON on standard output.")]
 RunPaths = Annotated[list[Path], typer.Argument(help="Folders that `cosim run` wrote.")]
 Picture = Literal[
-    "trust", "misbehaviour", "encounters", "freshness", "radio", "detection", "map", "contacts", "safety", "sweep"
+    "trust",
+    "misbehaviour",
+    "encounters",
+    "freshness",
+    "radio",
+    "detection",
+    "map",
+    "contacts",
+    "safety",
+    "security",
+    "sweep",
+    "movie",
 ]
 
 
@@ -161,6 +172,14 @@ def plot(
             raise ValueError("cosim plot sweep shows one sweep: cosim plot sweep RUN --vehicle V --step S")
         screen.print(f"wrote {write(open_run(runs[0]), vehicles[0], step, out)}", highlight=False, soft_wrap=True)
         return
+    if what == "movie":
+        from cosim.replay_lidar import film
+
+        if len(runs) != 1 or len(vehicles or ()) > 1:
+            raise ValueError("cosim plot movie films one run: cosim plot movie RUN [--vehicle V]")
+        path = film(open_run(runs[0]), vehicles[0] if vehicles else None, out)
+        screen.print(f"wrote {path}", highlight=False, soft_wrap=True)
+        return
     if step is not None:
         raise ValueError(f"--step goes with `cosim plot sweep`, not with {what}. Leave it out.")
     options = {"vehicles": vehicles, "over": over, "threshold": threshold, "radius_m": radius_m, "pairs": pairs}
@@ -221,6 +240,39 @@ def export(
         print_json(done)
         return
     said = f"wrote {done['files']:,} files, {done['bytes'] / 1e6:,.1f} MB, in {done['out']}"
+    screen.print(said, highlight=False, markup=False, soft_wrap=True)
+
+
+@app.command()
+def view(
+    folder: Annotated[Path, typer.Argument(metavar="RUN", help="Run folder.")],
+    out: Annotated[Path, typer.Option(help="File to write, .rrd; open it with `rerun FILE.rrd`.")],
+    vehicles: Annotated[
+        list[int] | None, typer.Option("--vehicle", help="Show its clouds, detections and beliefs. Repeatable.")
+    ] = None,
+    from_s: Annotated[float, typer.Option("--from", help="Begin, in seconds.")] = 0.0,
+    to_s: Annotated[float | None, typer.Option("--to", help="End, in seconds.")] = None,
+    clouds: Annotated[bool, typer.Option(help="Point clouds of the vehicles shown.")] = True,
+    as_json: AsJson = False,
+) -> None:
+    """Write a run as a recording for the Rerun viewer: map, city in 3D, trust over time."""
+    from cosim.view import view as write
+    from results.archive import open_run
+
+    bar = Progress(
+        SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(),
+        TimeRemainingColumn(), console=notes, disable=not notes.is_terminal,
+    )  # fmt: skip
+    with bar:
+        task = bar.add_task("view", total=None)
+        done = write(
+            open_run(folder), out, tuple(vehicles or ()), from_s, to_s, clouds,
+            lambda what, n, total: bar.update(task, description=what, completed=n, total=total),
+        )  # fmt: skip
+    if as_json:
+        print_json(done)
+        return
+    said = f"wrote {out}, {done['bytes'] / 1e6:,.1f} MB; open it with: rerun {out}"
     screen.print(said, highlight=False, markup=False, soft_wrap=True)
 
 

@@ -20,6 +20,7 @@ from results.metrics import (
     radio,
     registry,
     safety,
+    security,
     trust,
 )
 from results.metrics.intervals import FEW
@@ -34,6 +35,7 @@ TOPICS: Mapping[str, ModuleType] = {
     "encounters": encounters,
     "trust": trust,
     "misbehaviour": misbehaviour,
+    "security": security,
     "evidence": evidence,
     "freshness": freshness,
     "radio": radio,
@@ -93,6 +95,7 @@ def measure(
         "encounters": lambda: _encounters(run),
         "trust": lambda: _trust(run),
         "misbehaviour": lambda: _misbehaviour(run, threshold, false_positives),
+        "security": lambda: _security(run, threshold),
         "evidence": lambda: _evidence(run),
         "freshness": lambda: _freshness(run, fresh_s),
         "radio": lambda: _radio(run),
@@ -241,6 +244,16 @@ def _misbehaviour(run: Run, threshold: float, false_positives: float) -> Iterato
         yield from _rows(misbehaviour.detection_summary(run, value, at), "{role}", {
             "share": f"time_to_detection{which}.share", "median_s": f"time_to_detection{which}.median_s",
         })  # fmt: skip
+
+
+def _security(run: Run, threshold: float) -> Iterator[Row]:
+    for suffix, relative in (("", None), ("_relative", 0.5)):
+        yield from _rows(security.confusion(run, threshold, relative), "{unit}", {
+            name: name + suffix for name in ("precision", "recall", "fpr", "f1", "mcc", "informedness")
+        })  # fmt: skip
+        yield Row(f"false_exclusions_per_h{suffix}", "", security.false_exclusions(run, threshold, relative))
+    yield Row("average_precision", "", security.average_precision(run))
+    yield from _rows(security.trust_error(run), "{role}", {"error": "trust_error"})
 
 
 def _evidence(run: Run) -> Iterator[Row]:
