@@ -19,6 +19,7 @@ from cosim.choices import Choice, resolve
 from cosim.driver.driver import DriverParams
 from cosim.driver.drivers import DRIVERS
 from cosim.fleet import FleetParams
+from cosim.meshes import MeshParams
 from cosim.mobility.params import TrafficParams, resolved_input
 from cosim.radio.medium import MEDIA
 from cosim.radio.params import RadioParams
@@ -110,9 +111,12 @@ class Config:
     """Seed of everything but SUMO."""
     sensing_interval_s: Annotated[float, Ge(0.1)] = 1.0
     """Time between two sweeps of every LiDAR, and two rounds of messages [s]; a multiple of traffic.step_s."""
+    sensing: bool = True
+    """Vehicles sense, talk and trust; without, traffic and encounters alone are simulated: fast."""
     traffic: TrafficParams = field(default_factory=TrafficParams)
     fleet: FleetParams = field(default_factory=FleetParams)
     lidar: LidarParams = field(default_factory=LidarParams)
+    meshes: tuple[MeshParams, ...] = ()
     area: AreaParams = field(default_factory=AreaParams)
     detector: DetectorParams = field(default_factory=DetectorParams)
     attacks: tuple[AttackParams, ...] = ()
@@ -146,6 +150,11 @@ class Config:
             raise ValueError(
                 'server.uplink = "rsu", but there are no roadside units: nothing would ever reach the server. '
                 "Set rsu.at or rsu.n_at_junctions."
+            )
+        if self.meshes and self.lidar.engine == "columnar":
+            raise ValueError(
+                'lidar.engine = "columnar" casts upright prisms, and there are [[meshes]]. Set lidar.engine to '
+                '"embree" or "open3d".'
             )
         check_shares(self.attacks)
 
@@ -245,6 +254,9 @@ def resolve_data(data: dict[str, Any], where: str, folder: Path | None) -> Confi
         if isinstance(given, str):
             cities = catalogue.names() if name == "scenario" else ()
             data["traffic"][name] = resolved_input(given, folder or Path(), cities)
+    for mesh in data.get("meshes", []):
+        if isinstance(mesh.get("file"), str):
+            mesh["file"] = str(((folder or Path()) / mesh["file"]).resolve())
     traffic = data.get("traffic", {})
     if isinstance(traffic.get("scenario"), str) and not {"step_s", "trace"} & traffic.keys():
         if (own_s := _own_step_s(traffic["scenario"])) is not None:
