@@ -10,7 +10,7 @@ from rich.box import SIMPLE
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from cosim.console import notes, print_json, print_metrics, print_run_summary, rows_of, screen, table_of
+from cosim.console import notes, print_json, print_metrics, print_run_summary, screen, table_of
 from cosim.nets import nets
 from cosim.studies import commands as studies
 
@@ -114,7 +114,8 @@ def measure(
     metrics: Annotated[
         list[str] | None, typer.Option("--metric", help="study: show this metric, or METRIC:GROUP. Repeatable.")
     ] = None,
-    variant: Annotated[str, typer.Option(help="Trust variant of the runs.")] = "base",
+    variant: Annotated[str, typer.Option(help="Trust variant of the runs; all: each beside the others.")] = "base",
+    csv: Annotated[Path | None, typer.Option("--csv", help="Write the metrics to this file.")] = None,
     threshold: Annotated[float, typer.Option(min=0, max=1, help="Trust below which a vehicle is suspected.")] = 0.25,
     fresh_s: Annotated[float, typer.Option(help="Oldest age at which trust counts as fresh, in seconds.")] = 10.0,
     false_positives: Annotated[float, typer.Option(min=0, max=1, help="False positive rate to compare at.")] = 0.05,
@@ -131,18 +132,11 @@ def measure(
         return
     if metrics:
         raise ValueError("--metric goes with a study. Leave it out, or give the folder of a `cosim sweep`.")
+    from cosim.side_by_side import of_variants, print_measures
     from results.archive import open_run
-    from results.measure import measure as measured
 
-    tables = {
-        str(folder): measured(open_run(folder).as_variant(variant), threshold, fresh_s, false_positives)
-        for folder in runs
-    }
-    if as_json:
-        print_json({name: rows_of(table) for name, table in tables.items()})
-        return
-    for name, table in tables.items():
-        screen.print(table_of(name, rows_of(table)))
+    chosen = [one for folder in runs for one in of_variants(open_run(folder), variant)]
+    print_measures(chosen, as_json, csv, threshold=threshold, fresh_s=fresh_s, false_positives=false_positives)
 
 
 @app.command()
@@ -167,7 +161,10 @@ def plot(
     where: Annotated[
         list[str] | None, typer.Option(help="study: hold a swept key at a value, KEY=VALUE. Repeatable.")
     ] = None,
-    fresh_s: Annotated[float | None, typer.Option(help="freshness: oldest that is fresh, in seconds.")] = None,
+    variant: Annotated[str, typer.Option(help="Trust variant of the runs; all: each as a run of its own.")] = "base",
+    threshold: Annotated[
+        float | None, typer.Option(min=0, max=1, help="freshness over a key: score from which a ghost is believed.")
+    ] = None,
     radius_m: Annotated[float | None, typer.Option(help="map, contacts: which of the radii, in metres.")] = None,
     pairs: Annotated[str | None, typer.Option(help="map, contacts: which of the kinds of pairs.")] = None,
 ) -> None:
@@ -179,6 +176,7 @@ def plot(
         raise ValueError("--by, --metric and --where go with a study. Leave them out.")
     from inspect import signature
 
+    from cosim.side_by_side import of_variants
     from results.archive import open_run
     from results.figures import style
     from results.figures.catalogue import FIGURES
@@ -200,14 +198,15 @@ def plot(
         return
     if step is not None:
         raise ValueError(f"--step goes with `cosim plot sweep`, not with {what}. Leave it out.")
-    options = {"vehicles": vehicles, "over": over, "fresh_s": fresh_s, "radius_m": radius_m, "pairs": pairs}
+    options = {"vehicles": vehicles, "over": over, "threshold": threshold, "radius_m": radius_m, "pairs": pairs}
     given = {name: value for name, value in options.items() if value}
     for name in given:
         takers = [figure for figure, draw in FIGURES.items() if name in signature(draw).parameters]
         if what not in takers:
             flag = "vehicle" if name == "vehicles" else name.replace("_", "-")
             raise ValueError(f"--{flag} goes with `cosim plot {' or '.join(takers)}`, not with {what}. Leave it out.")
-    path = style.save(FIGURES[what]([open_run(folder) for folder in runs], **given), out or runs[0] / f"{what}.png")
+    chosen = [one for folder in runs for one in of_variants(open_run(folder), variant)]
+    path = style.save(FIGURES[what](chosen, **given), out or runs[0] / f"{what}.png")
     screen.print(f"wrote {path}", highlight=False, soft_wrap=True)
 
 

@@ -111,6 +111,8 @@ class Config:
     """Seed of everything but SUMO."""
     sensing_interval_s: Annotated[float, Ge(0.1)] = 1.0
     """Time between two sweeps of every LiDAR, and two rounds of messages [s]; a multiple of traffic.step_s."""
+    sensing: bool = True
+    """Vehicles sense, talk and trust; without, traffic and encounters alone are simulated: fast."""
     traffic: TrafficParams = field(default_factory=TrafficParams)
     fleet: FleetParams = field(default_factory=FleetParams)
     lidar: LidarParams = field(default_factory=LidarParams)

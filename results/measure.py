@@ -191,12 +191,8 @@ def _rows(frame: pd.DataFrame, group: str, metrics: Mapping[str, str], interval:
 
 
 def _named(frame: pd.DataFrame) -> pd.DataFrame:
-    """With the column `definition`: pairs and radius, and the hysteresis where definitions differ in it alone."""
-    text = [f"{pairs}, {radius:g} m" for pairs, radius in zip(frame.pairs, frame.radius_m, strict=True)]
-    frame = frame.assign(definition=text)
-    twice = frame.definition.duplicated(keep=False)
-    longer = frame.definition + frame.hysteresis_s.map(lambda s: f", {s:g} s")
-    return frame.assign(definition=frame.definition.where(~twice, longer))
+    """With the column `definition`: a name for each definition of an encounter."""
+    return frame.assign(definition=encounters.named(frame))
 
 
 def _traffic(run: Run) -> Iterator[Row]:
