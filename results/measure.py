@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
+from results.durable import Damaged
 from results.metrics import contact_graph, detection, encounters, freshness, misbehaviour, radio, registry, trust
 from results.metrics.kitti import FEWEST
 from results.metrics.registry import METRICS
@@ -79,6 +80,8 @@ def measure(
             for name, group, value in ask[topic]():
                 rows.append((f"{topic}.{name}", group, value))
         except ValueError as reason:
+            if isinstance(reason, Damaged) and str(reason) not in run.damage:
+                run.damage.append(str(reason))
             rows.append((f"{topic}.not_measured", str(reason), np.nan))
     return pd.DataFrame(
         [(metric, group, value, METRICS[metric].unit, METRICS[metric].label) for metric, group, value in rows],
