@@ -1,7 +1,8 @@
-"""Speed, room by room, on this machine and now: what every claim of speed rests on."""
+"""Speed of every room on this machine."""
 
 import os
 import platform
+from dataclasses import replace
 from importlib import import_module
 from time import perf_counter
 
@@ -9,16 +10,16 @@ import numba
 import numpy as np
 
 from cosim.actors import ActorRegistry
-from cosim.config import Config, load
-from cosim.cycle import State, Turn, turn
-from cosim.manifest import Stopwatch
+from cosim.config import load
+from cosim.cycle import Sensed, State, step
 from cosim.mobility.sumo import SumoTraffic
+from cosim.parts import Parts
 from cosim.scenario import find
-from cosim.v2x.messages import SELF
+from cosim.stopwatch import Stopwatch
 from sensors.boxes import overlapping_pairs
 from trust.evaluation import evaluate
 from trust.matching import match
-from trust.tables import Detections as Claims
+from trust.params import TrustParams
 
 Row = tuple[str, float, str]
 """What was measured, the figure, its unit."""
@@ -27,52 +28,52 @@ STEPS = 60
 
 
 def bench() -> list[Row]:
-    """The shipped city, everybody equipped: the stages of the cycle."""
-    config = load(None, ["fleet.penetration_p=1", "adversary.start_s=0"])
+    """The shipped city with every vehicle equipped: the stages of the cycle."""
+    config = load(None, ["fleet.penetration_p=1", "attacks.0.start_s=0", "attacks.1.start_s=0"])
     scenario = find(config.traffic.scenario)
-    registry = ActorRegistry(config.fleet, config.seed)
+    registry = ActorRegistry(config.fleet, config.seed, tuple(attack.share_p for attack in config.attacks))
     assert scenario.sumocfg is not None
     traffic = SumoTraffic(config.traffic, scenario.sumocfg, registry)
     for _ in traffic.warm_up(scenario.warmup_s):
         pass
-    city = scenario.city()
-    state, watch = State.start(config, city), Stopwatch()
-    for world in (traffic.advance(), traffic.advance()):  # compiles, and fills memories
-        turn(world, city, state, config, watch)
-    read_s, watch, n_equipped = 0.0, Stopwatch(), 0
+    parts = Parts.of(config, scenario.city())
+    state = State.start(parts)
+    for world in (traffic.advance(), traffic.advance()):  # compiles, and fills caches
+        state, _ = step(world, state, parts)
+    watch = Stopwatch()
+    parts, read_s, n_equipped = replace(parts, watch=watch), 0.0, 0
     for _ in range(STEPS):
         begin = perf_counter()
         world = traffic.advance()
         read_s += perf_counter() - begin
-        happened = turn(world, city, state, config, watch)
+        state, happened = step(world, state, parts)
         n_equipped += int(world.equipped.sum())
     traffic.close()
-    rate = _verdicts_per_s(happened, config)
+    assert happened.sensed is not None
+    rate = _evaluations_per_s(happened.sensed, config.trust)
     return [
         ("equipped vehicles, mean", n_equipped / STEPS, ""),
-        ("cycle, all stages", 1e6 * sum(watch.seconds.values()) / n_equipped, "µs per equipped vehicle and turn"),
-        *((f"cycle, {stage}", 1e6 * s / n_equipped, "µs per equipped vehicle and turn")
+        ("cycle, all stages", 1e6 * sum(watch.seconds.values()) / n_equipped, "µs per equipped vehicle and step"),
+        *((f"cycle, {stage}", 1e6 * s / n_equipped, "µs per equipped vehicle and step")
           for stage, s in watch.seconds.items()),
-        ("verdicts on one core: IoU, matching, evaluation", 1e-6 * rate, "million verdicts/s"),
+        ("evaluations on one core: IoU, matching, evaluation", 1e-6 * rate, "million evaluations/s"),
         ("faster than real time at that size", STEPS / (sum(watch.seconds.values()) + read_s), "times"),
     ]  # fmt: skip
 
 
-def _verdicts_per_s(happened: Turn, config: Config) -> float:
-    """Verdicts per second and core, from boxes and points per box, best of several rounds."""
-    said, views = happened.said, happened.views
-    sender = np.searchsorted(happened.observers, said.observer)
-    claims = Claims(sender, said.k, said.label, said.score, said.origin == SELF)
+def _evaluations_per_s(sensed: Sensed, params: TrustParams) -> float:
+    """Evaluations per second and core, from boxes and points per box, best of several rounds."""
+    listed, lists, detections = sensed.listed, sensed.lists, sensed.detections
     threads, best = numba.get_num_threads(), np.inf
     numba.set_num_threads(1)
     for _ in range(7):
         begin = perf_counter()
-        pairs = overlapping_pairs(said.boxes, said.label, said.observer)
-        groups = match(views, claims, pairs, config.trust)
-        evaluate(views, groups, claims, happened.n_points, happened.plausible, config.trust)
+        pairs = overlapping_pairs(listed.boxes, listed.label, listed.observer)
+        groups = match(lists, detections, pairs, params)
+        evaluate(lists, groups, detections, sensed.n_points, sensed.plausible, params)
         best = min(best, perf_counter() - begin)
     numba.set_num_threads(threads)
-    return len(views.member) / best
+    return len(lists.member) / best
 
 
 BENCHES: dict[str, str] = {

@@ -2,7 +2,7 @@
 
     python -m cosim.calibrate avod --fit runs/a runs/b --hold-out runs/c runs/d
 
-drives nothing: it takes observability and false positives from runs that exist, moves the parameters of each class
+runs no simulation: it takes observability and false positives from runs that exist, moves the parameters of each class
 until the KITTI figures of single vehicles come to the published ones, and writes `sensors/profiles/<name>.toml` with
 the figures on runs that the fit has not seen, and curves beside it.
 """
@@ -25,7 +25,7 @@ from scipy.special import expit, logit
 
 import sensors
 from cosim import replay_lidar
-from cosim.cycle import detector_draws
+from cosim.parts import perception_of
 from cosim.world import LABELS
 from results.archive import open_run
 from results.figures import calibration as pictures
@@ -36,7 +36,6 @@ from results.run import Run
 from sensors.boxes import Boxes, iou_3d
 from sensors.evidence import Observability, observability
 from sensors.false_positives import false_positives
-from sensors.lidar import Sweeps
 from sensors.reports import Reports
 from sensors.statistical_detector import DetectorParams, pair_normals, reports_of_actors
 
@@ -65,7 +64,7 @@ GENERATIONS = 30
 
 @dataclass(frozen=True, slots=True)
 class Sample:
-    """What the detectors of a run had before them: one frame per equipped vehicle and step."""
+    """Input of the detectors of a run: one frame per equipped vehicle and step."""
 
     name: str
     truth: Objects
@@ -80,8 +79,8 @@ class Sample:
 
 
 @dataclass(frozen=True, slots=True)
-class Said:
-    """What the detectors made of some samples, as the metrics want it."""
+class Reported:
+    """What the detectors report on some samples, as the metrics take it."""
 
     truth: Objects
     found: Objects
@@ -93,21 +92,20 @@ def sample(run: Run, profile: str, model: SimpleNamespace, max_frames: int) -> S
     """Frames of a run, evenly spread over it; the false positives are those of the model."""
     params = DetectorParams(model=profile)  # type: ignore[arg-type]
     config = replace(replay_lidar.config_of(run), detector=params)
-    city = replay_lidar.city_of(config)
+    perception = perception_of(config, replay_lidar.city_of(config))
     steps = kitti_frames.sampled_steps(run, max_frames)
     truth, poses = kitti_frames.actors_ahead(run, steps, RANGE_M)
     seen, boxes, label, origin_m, z, false = (list[Any]() for _ in range(6))
     n_frames = n_actors = 0
-    sweeps: Sweeps | None = None
     for world in replay_lidar.worlds(run, config):
         observers = np.flatnonzero(world.equipped)
         if world.step not in steps or not len(observers):
             continue
-        sweeps = replay_lidar.sweep(world, observers, city, config, sweeps)
-        here, draws = observability(sweeps, world.boxes, world.shape), detector_draws(world, observers, config)
+        sweeps = perception.sweep(world, observers)
+        here, draws = observability(sweeps, world.boxes, world.shape), perception.draws(world, observers)
         z.append(pair_normals(here, draws, model))
-        made_up = false_positives(sweeps, here, draws, model)
-        false.append((made_up.observer + n_frames, made_up.label, made_up.boxes, made_up.score))
+        spurious = false_positives(sweeps, here, draws, model)
+        false.append((spurious.observer + n_frames, spurious.label, spurious.boxes, spurious.score))
         seen.append((here.observer + n_frames, here.actor + n_actors, here.n_returns, here.n_unoccluded, here.range_m))
         boxes.append(world.boxes)
         label.append(world.label)
@@ -115,15 +113,15 @@ def sample(run: Run, profile: str, model: SimpleNamespace, max_frames: int) -> S
         n_frames += len(observers)
         n_actors += len(world)
     assert n_frames == len(poses), f"{run.path}: {len(poses)} frames in its tables, {n_frames} when cast again"
-    frame, kind, made_up_boxes, score = zip(*false, strict=True)
+    frame, kind, false_boxes, score = zip(*false, strict=True)
     return Sample(
         run.name, truth, poses, Observability(*map(np.concatenate, zip(*seen, strict=True))), Boxes.concat(boxes),
         np.concatenate(label), np.concatenate(origin_m), np.concatenate(z),
-        (np.concatenate(frame), np.concatenate(kind), Boxes.concat(made_up_boxes), np.concatenate(score)),
+        (np.concatenate(frame), np.concatenate(kind), Boxes.concat(false_boxes), np.concatenate(score)),
     )  # fmt: skip
 
 
-def said(samples: Sequence[Sample], model: SimpleNamespace | None, label: str | None = None) -> Said:
+def reported(samples: Sequence[Sample], model: SimpleNamespace | None, label: str | None = None) -> Reported:
     """What the detectors report, of all classes or of one alone; without a model, everything with a return."""
     parts, first = [], 0
     for one in samples:
@@ -134,7 +132,7 @@ def said(samples: Sequence[Sample], model: SimpleNamespace | None, label: str | 
         parts.append((_later(truth, first), _later(found, first), iou))
         first += len(one.poses)
     truths, founds, ious = zip(*parts, strict=True)
-    return Said(_joined(truths), _joined(founds), np.concatenate(ious))
+    return Reported(_joined(truths), _joined(founds), np.concatenate(ious))
 
 
 def _found(one: Sample, model: SimpleNamespace | None) -> tuple[Objects, ndarray]:
@@ -147,10 +145,10 @@ def _found(one: Sample, model: SimpleNamespace | None) -> tuple[Objects, ndarray
     else:
         made = reports_of_actors(one.seen, one.boxes, one.label, one.origin_m, one.z, model)
         false, least = one.false, model.min_score
-    o, label, made_up, score = false
+    o, label, false_boxes, score = false
     iou = np.concatenate([iou_3d(made.boxes, one.boxes.take(made.actor)), np.zeros(len(o))])
     frame, label = np.concatenate([made.observer, o]), np.concatenate([made.label, label])
-    boxes, score = Boxes.concat([made.boxes, made_up]), np.concatenate([made.score, score])
+    boxes, score = Boxes.concat([made.boxes, false_boxes]), np.concatenate([made.score, score])
     order = np.lexsort([-score, frame])
     order = order[score[order] >= least]
     table = np.column_stack([boxes.xyz_m, boxes.lwh_m, boxes.yaw_rad])[order]
@@ -172,29 +170,29 @@ def _joined(parts: Sequence[Objects]) -> Objects:
     return Objects(*(np.concatenate([getattr(part, name) for part in parts]) for name in _COLUMNS))
 
 
-def of_the_seen(samples: Sequence[Sample], label: str, everything: Said) -> dict[str, Precision]:
-    """The same where only actors with a return are labelled, as data sets are that people or pixels label."""
+def of_actors_with_returns(samples: Sequence[Sample], label: str, everything: Reported) -> dict[str, Precision]:
+    """The same where only actors with a return are labelled, as in data sets labelled by people or from pixels."""
     mine = _rows(everything.truth, everything.truth.label == label)
-    ideal = said(samples, None, label).found
+    ideal = reported(samples, None, label).found
     where = [np.ascontiguousarray(np.column_stack([a.frame, a.box[:, :2]])).view("V24")[:, 0] for a in (mine, ideal)]
     found = _rows(everything.found, everything.found.label == label)
     return average_precision(_rows(mine, np.isin(where[0], where[1])), found, label)
 
 
-def figures(one: Said, label: str) -> dict[str, Precision]:
+def figures(one: Reported, label: str) -> dict[str, Precision]:
     """Average precision by level, 3D, KITTI's limits."""
     return average_precision(one.truth, one.found, label)
 
 
 def ceiling(samples: Sequence[Sample], label: str) -> dict[str, Precision]:
     """What a detector would reach that reports everything with a return, exactly, and nothing else."""
-    return figures(said(samples, None, label), label)
+    return figures(reported(samples, None, label), label)
 
 
 def fit(samples: Sequence[Sample], label: str, target: Sequence[float], start: SimpleNamespace) -> SimpleNamespace:
     """The model whose figures of one class come closest to the published ones; the other classes stay.
 
-    Where the world lets nobody reach a figure, what can be reached stands for it.
+    A figure beyond the ceiling of the data is replaced by what can be reached.
     """
     row, n = LABELS.index(label), len(target)
     limit = ceiling(samples, label)
@@ -209,7 +207,7 @@ def fit(samples: Sequence[Sample], label: str, target: Sequence[float], start: S
         return model
 
     def cost(x: ndarray) -> float:
-        answer = figures(said(samples, model_at(x), label), label)
+        answer = figures(reported(samples, model_at(x), label), label)
         off = np.array([answer[level].ap11 for level in LEVELS[:n]]) - aim
         return float(((off / CLOSE) ** 2).sum() + PRIOR * (x**2).sum())
 
@@ -231,7 +229,7 @@ def as_written(values: ndarray) -> list[float]:
 
 
 def calibrate(name: str, fitted_on: Sequence[Run], held_out: Sequence[Run], max_frames: int = 1500) -> Path:
-    """Fit, judge on runs that the fit has not seen, and write the profile and its picture."""
+    """Fit, evaluate on runs that the fit has not seen, and write the profile and its picture."""
     path = PROFILES / f"{name}.toml"
     profile = tomllib.loads(path.read_text(encoding="utf-8"))
     guess = {k: v for k, v in profile["first_guess"].items() if k != "source"}
@@ -243,7 +241,7 @@ def calibrate(name: str, fitted_on: Sequence[Run], held_out: Sequence[Run], max_
     model = as_model(guess | fitted)
 
     fresh = [sample(run, name, model, max_frames) for run in held_out]
-    everything = said(fresh, model)
+    everything = reported(fresh, model)
     n_frames = sum(len(one.poses) for one in fresh)
     report: dict[str, Any] = {
         "fitted_on": [about(run) for run in fitted_on], "held_out": [about(run) for run in held_out],
@@ -257,9 +255,9 @@ def calibrate(name: str, fitted_on: Sequence[Run], held_out: Sequence[Run], max_
             **{what: [round(float(answer[level].ap11), 1) for level in LEVELS]
                for what, answer in (
                    ("reached", on_fresh),
-                   ("on_fitted_runs", figures(said(samples, model, label), label)),
+                   ("on_fitted_runs", figures(reported(samples, model, label), label)),
                    ("most_that_can_be", ceiling(fresh, label)),
-                   ("reached_of_the_seen", of_the_seen(fresh, label, everything)),
+                   ("reached_of_the_seen", of_actors_with_returns(fresh, label, everything)),
                )},
         }  # fmt: skip
         own = everything.found.label == label
@@ -300,7 +298,7 @@ def main() -> None:
     asked = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     asked.add_argument("profile", choices=sorted(p.stem for p in PROFILES.glob("*.toml")))
     asked.add_argument("--fit", nargs="+", required=True, type=Path, help="run folders to fit on")
-    asked.add_argument("--hold-out", nargs="+", required=True, type=Path, help="run folders to judge on")
+    asked.add_argument("--hold-out", nargs="+", required=True, type=Path, help="run folders to evaluate on")
     words = asked.parse_args()
     fitted_on, held_out = ([open_run(path) for path in paths] for paths in (words.fit, words.hold_out))
     print(calibrate(words.profile, fitted_on, held_out))

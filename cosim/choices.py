@@ -107,7 +107,7 @@ def _load(key: str, where: str, class_name: str, folder: Path | None) -> tuple[M
                     raise
             return sys.modules[name], Source(f"{path}:{class_name}", str(path), digest)
         module = importlib.import_module(where)
-        file = Path(module.__file__) if getattr(module, "__file__", None) else None
+        file = Path(module.__file__) if module.__file__ else None
         digest = hashlib.sha256(file.read_bytes()).hexdigest() if file is not None else ""
         return module, Source(f"{where}:{class_name}", str(file or ""), digest)
     except ValueError:

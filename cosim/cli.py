@@ -25,7 +25,7 @@ ConfigPath = Annotated[Path | None, typer.Argument(help="TOML file; without one,
 Overrides = Annotated[
     list[str] | None, typer.Option("--set", help="Change one key, e.g. radio.range_m=150. Repeatable.")
 ]
-AsJson = Annotated[bool, typer.Option("--json", help="Answer in JSON on standard output.")]
+AsJson = Annotated[bool, typer.Option("--json", help="Print JSON on standard output.")]
 RunPaths = Annotated[list[Path], typer.Argument(help="Folders that `cosim run` wrote.")]
 Picture = Literal["trust", "misbehaviour", "encounters", "freshness", "radio", "detection", "map", "contacts", "sweep"]
 
@@ -37,7 +37,7 @@ def run(
     out: Annotated[Path | None, typer.Option(help="Folder to write; by default the next runs/<city>-N.")] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Drive, sense, talk and trust; write a run folder."""
+    """Simulate traffic, sensors, messages and trust; write a run folder."""
     from cosim import run as running
     from cosim.config import load
 
@@ -62,7 +62,7 @@ def run(
 
 @app.command()
 def check(config: ConfigPath = None, overrides: Overrides = None, as_json: AsJson = False) -> None:
-    """Say whether a config would run, and print it resolved."""
+    """Check whether a config would run, and print it resolved."""
     import tomli_w
 
     from cosim import run as running
@@ -171,7 +171,7 @@ def reproduce(
     out: Annotated[Path | None, typer.Option(help="Folder for the pictures; by default runs/<scenario>.")] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Play a scenario of the paper, and hold it against the paper."""
+    """Play a scenario of the paper, and compare it with the paper."""
     from cosim.reproduce import SCENARIOS
 
     folder = out or Path("runs") / scenario
@@ -179,15 +179,15 @@ def reproduce(
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ValueError(f"--out {folder} cannot be a folder: {error.strerror}. Give another one.") from None
-    answer = SCENARIOS[scenario](folder)
+    compared = SCENARIOS[scenario](folder)
     if as_json:
-        print_json({"scenario": scenario} | asdict(answer))
+        print_json({"scenario": scenario} | asdict(compared))
         return
-    table = Table(*answer.rows[0], title=scenario, title_justify="left", box=SIMPLE)
-    for row in answer.rows:
+    table = Table(*compared.rows[0], title=scenario, title_justify="left", box=SIMPLE)
+    for row in compared.rows:
         table.add_row(*("-" if v is None else f"{v:.3f}" if isinstance(v, float) else v for v in row.values()))
     screen.print(table)
-    for line in answer.notes + [f"drawn in {path}" for path in answer.pictures]:
+    for line in compared.notes + [f"drawn in {path}" for path in compared.pictures]:
         screen.print(line, highlight=False, soft_wrap=True)
 
 

@@ -13,18 +13,18 @@ from typing import Annotated, Any, get_args, get_origin
 from annotated_types import Ge
 from pydantic import TypeAdapter, ValidationError
 
-from cosim.fleet import FleetParams
 from cosim.adversary.adversary import ATTACKS, PAPER, AttackParams, check_shares
 from cosim.choices import Choice, resolve
 from cosim.driver.driver import DRIVERS, DriverParams
+from cosim.fleet import FleetParams
 from cosim.mobility.params import TrafficParams
 from cosim.radio.medium import MEDIA
 from cosim.radio.params import RadioParams
 from cosim.radio.rsu import RsuParams
 from cosim.v2x.pseudonyms import POLICIES, PseudonymParams
 from cosim.v2x.trust_server import ServerParams
-from results.encounters import EncounterParams
 from results.columns import Level
+from results.encounters import EncounterParams
 from sensors.detector import DETECTORS
 from sensors.evidence import AreaParams
 from sensors.lidar import LidarParams

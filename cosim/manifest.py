@@ -6,7 +6,6 @@ import platform
 from dataclasses import asdict, dataclass, field
 from importlib.metadata import version
 from pathlib import Path
-from time import perf_counter
 from typing import Any
 
 from cosim.choices import Source
@@ -15,23 +14,6 @@ from results.codes import BASE_VARIANT, Role, labels
 from results.tables import SCHEMA_VERSION
 
 PACKAGES = ("cosim", "eclipse-sumo", "libsumo", "numpy", "scipy", "numba", "pyarrow", "pandas", "embreex")
-
-
-class Stopwatch:
-    """Seconds spent per stage: `with watch("sense"): ...`."""
-
-    def __init__(self) -> None:
-        self.seconds: dict[str, float] = {}
-        self._stage, self._since = "", 0.0
-
-    def __call__(self, stage: str) -> "Stopwatch":
-        self._stage, self._since = stage, perf_counter()
-        return self
-
-    def __enter__(self) -> None: ...
-
-    def __exit__(self, *_: object) -> None:
-        self.seconds[self._stage] = self.seconds.get(self._stage, 0.0) + perf_counter() - self._since
 
 
 def sha256(path: Path) -> str:

@@ -21,9 +21,7 @@ from trust.tables import EvaluationMessages, Evaluations, ObjectLists
 def for_trust(listed: Detections, observers: Int[ndarray, "e"]) -> tuple[tables.Detections, Int[ndarray, "e+1"]]:
     """The detections as trust sees them, and where those of each equipped vehicle begin."""
     message = np.searchsorted(observers, listed.observer)
-    detections = tables.Detections(
-        message, listed.detection_index, listed.label, listed.score, listed.origin == SELF
-    )
+    detections = tables.Detections(message, listed.detection_index, listed.label, listed.score, listed.origin == SELF)
     return detections, ptr_of(message, len(observers))
 
 
@@ -69,9 +67,7 @@ def as_reported(
     world: World, time_s: float,
 ) -> Evaluations:  # fmt: skip
     """Evaluations as they will be sent."""
-    rows = EvaluationRows(
-        observers[lists.of_member()], lists.member, evaluated.evaluation, evaluated.visibility
-    )
+    rows = EvaluationRows(observers[lists.of_member()], lists.member, evaluated.evaluation, evaluated.visibility)
     evaluation, visibility = adversary.evaluations(rows, listed, world, time_s)
     if evaluation is rows.evaluation and visibility is rows.visibility:
         return evaluated

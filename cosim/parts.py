@@ -6,10 +6,10 @@ from cosim import choices, config
 from cosim.adversary.adversary import Adversary
 from cosim.config import Config
 from cosim.driver.driver import Driver
-from cosim.manifest import Stopwatch
 from cosim.perception import Perception
 from cosim.radio.medium import Medium
 from cosim.radio.rsu import NO_RSUS, RsuAntennas
+from cosim.stopwatch import Stopwatch
 from cosim.v2x.pseudonyms import Pseudonyms
 from cosim.v2x.trust_hosts import TrustHosts, Variant
 from results.codes import BASE_VARIANT
@@ -36,9 +36,7 @@ class Parts:
     """Measures how long each stage takes; changes nothing."""
 
     @staticmethod
-    def of(
-        experiment: Config, city: Scene, rsus: RsuAntennas = NO_RSUS, watch: Stopwatch | None = None
-    ) -> "Parts":
+    def of(experiment: Config, city: Scene, rsus: RsuAntennas = NO_RSUS, watch: Stopwatch | None = None) -> "Parts":
         """The parts that a config names; ValueError in one line where one of them cannot be had."""
         c = experiment
         dt_s = c.traffic.step_s
@@ -48,7 +46,7 @@ class Parts:
             city=city,
             walls=walls,
             rsus=rsus,
-            perception=Perception(city, c.lidar, _make(c, "detector"), c.trust.self_reports, c.seed, dt_s),
+            perception=perception_of(c, city),
             adversary=Adversary.of(c.attacks, [_make(c, "attacks", n) for n in range(len(c.attacks))], c.seed),
             medium=_make_medium(c, LosCache.of(walls)),
             pseudonyms=Pseudonyms(_make(c, "pseudonyms"), c.seed, dt_s),
@@ -60,6 +58,12 @@ class Parts:
     def senses(self, step: int) -> bool:
         """Whether vehicles sense and talk in this step."""
         return step % self.config.sense_every_steps == 0
+
+
+def perception_of(experiment: Config, city: Scene) -> Perception:
+    """The LiDAR and the detector that a config names."""
+    c = experiment
+    return Perception(city, c.lidar, _make(c, "detector"), c.trust.self_reports, c.seed, c.traffic.step_s)
 
 
 def variants(experiment: Config) -> list[Variant]:

@@ -7,6 +7,7 @@ from jaxtyping import Bool, Int
 from numpy import ndarray
 
 from cosim import rng
+from cosim.stopwatch import Stopwatch
 from cosim.v2x.messages import SENSED, Detections, self_reports
 from cosim.world import World
 from sensors import detector, evidence, lidar
@@ -43,6 +44,13 @@ class Perception:
     _memory: lidar.Sweeps | None = field(default=None, repr=False)
     """Of the last sweeps, written over by the next."""
 
+    def __call__(self, world: World, observers: Int[ndarray, "e"], watch: Stopwatch) -> Observed:
+        """What these rows of the world perceive."""
+        with watch("sweep"):
+            sweeps = self.sweep(world, observers)
+        with watch("detect"):
+            return self.detect(world, observers, sweeps)
+
     def sweep(self, world: World, observers: Int[ndarray, "e"]) -> lidar.Sweeps:
         """Range images of these rows of the world."""
         keys = rng.keys(rng.key(self.seed, rng.Stream.SWEEP, world.step), world.name_key[observers])
@@ -52,7 +60,7 @@ class Perception:
     def detect(self, world: World, observers: Int[ndarray, "e"], sweeps: lidar.Sweeps) -> Observed:
         """Detections of these rows of the world, from their sweeps; the truth's name is dropped here."""
         seen = evidence.observability(sweeps, world.boxes, world.shape)
-        draws = self._draws(world, observers)
+        draws = self.draws(world, observers)
         found = detector.detect(self.detector, sweeps, seen, world.boxes, world.label, draws)
         n = len(found.observer)
         sensed = Detections(
@@ -68,7 +76,8 @@ class Perception:
         parts = [self_reports(world, observers), sensed] if self.self_reports else [sensed]
         return Observed(sweeps, seen, Detections.concat(parts), ~found.is_false_positive, found.actor)
 
-    def _draws(self, world: World, observers: Int[ndarray, "e"]) -> DetectorDraws:
+    def draws(self, world: World, observers: Int[ndarray, "e"]) -> DetectorDraws:
+        """Keys of the detector's randomness in these rows of the world."""
         names, step, site = world.name_key, world.step, rng.key(self.seed, rng.Stream.CLUTTER_MEMORY)
         return DetectorDraws(
             time_s=step * self.dt_s,

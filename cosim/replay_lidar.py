@@ -1,4 +1,7 @@
-"""LiDAR sweeps of a finished run: its worlds are read from the tables and cast again."""
+"""LiDAR sweeps of a finished run: its worlds are read from the tables and cast again.
+
+They equal the run's, because noise is a function of vehicle and step.
+"""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -6,13 +9,11 @@ from pathlib import Path
 
 import numpy as np
 import pyarrow.compute as pc
-from jaxtyping import Int
-from numpy import ndarray
 
-from cosim import rng
 from cosim.actors import ActorRegistry
 from cosim.config import Config, load
 from cosim.mobility.replay import RunReplay
+from cosim.parts import perception_of
 from cosim.scenario import find
 from cosim.world import World
 from results.figures import style
@@ -20,7 +21,7 @@ from results.figures.sweep import draw
 from results.run import Run
 from sensors import cloud
 from sensors.boxes import Boxes
-from sensors.lidar import Sweeps, scan
+from sensors.lidar import Sweeps
 from sensors.scene import Scene
 
 
@@ -43,12 +44,6 @@ def worlds(run: Run, config: Config) -> Iterator[World]:
             yield traffic.advance()
     finally:
         traffic.close()
-
-
-def sweep(world: World, observers: Int[ndarray, "e"], city: Scene, config: Config, out: Sweeps | None = None) -> Sweeps:
-    """The sweeps of these rows of the world; equal to the run's, because noise is a function of vehicle and step."""
-    keys = rng.keys(rng.key(config.seed, rng.Stream.SWEEP, world.step), world.name_key[observers])
-    return scan(world.boxes, world.shape, np.asarray(observers), city, config.lidar, keys, out)
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +75,7 @@ def replay_scan(run: Run, vehicle: int, step: int) -> ReplayedScan:
         some = ", ".join(map(str, equipped[:8]))
         raise ValueError(f"--vehicle {vehicle} has no sensor on the road in step {step}. These have: {some}, ...")
     row = np.flatnonzero(world.actor == vehicle)
-    sweeps = sweep(world, row, city_of(config), config)
+    sweeps = perception_of(config, city_of(config)).sweep(world, row)
     rows = np.flatnonzero(np.linalg.norm(world.boxes.xyz_m - sweeps.poses.origin_m, axis=1) < config.lidar.max_range_m)
     rows = rows[rows != row]
     own = run.subjects.index[run.subjects.vehicle == vehicle].tolist()

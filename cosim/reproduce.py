@@ -9,7 +9,7 @@ import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
@@ -17,35 +17,37 @@ from numpy import ndarray
 
 from cosim import rng
 from cosim.config import Config, load
-from cosim.cycle import Perceived, State, Turn, turn
-from cosim.manifest import Stopwatch
-from cosim.v2x.messages import FABRICATED, SELF, SENSED, Detections, self_reports
-from cosim.world import BEHAVIOURS, LABELS, World
+from cosim.cycle import Sensed, State, step
+from cosim.parts import Parts
+from cosim.v2x.messages import FABRICATED, SELF
+from cosim.world import LABELS, World
 from results.figures import scenario as pictures
 from results.figures import style
-from sensors import evidence
 from sensors.boxes import Boxes
+from sensors.evidence import Observability
 from sensors.lidar import Sweeps
+from sensors.reports import DetectorDraws, Reports
 from sensors.scene import Scene, Shape
+from trust.fusion import Fused
 from trust.models.trupercept import TruPercept
 from trust.params import Method, TrustParams
 from trust.tables import SERVER, ReceivedEvaluations, messages_from_rows
 
 FOLDER = Path(__file__).parent / "scenarios"
-EGO, LIAR, THIRD = range(3)
+EGO, ATTACKER, THIRD = range(3)
 """Equipped vehicles, in the order of the scene: rows of actors, of observers and of trust."""
 PEDESTRIAN = LABELS.index("pedestrian")
 METHODS: dict[Method, str] = {"trupercept_1": "TP1", "trupercept_2": "TP2", "trupercept_3": "TP3"}
-ATTACKS: dict[Literal["car", "three_cars"], int] = {"car": 1, "three_cars": 3}
-"""Number of lies per frame."""
+GHOSTS = {"car": 1, "three_cars": 3}
+"""Ghosts per frame, by `attacks.0.ghosts`."""
 WINDOW_M = (-12.5, 12.5, -4.0, 53.0)
 
 Rows = list[dict[str, Any]]
 
 
 @dataclass(frozen=True, slots=True)
-class Answer:
-    """What a scenario came to: figures beside the paper's, remarks on them, and files with pictures."""
+class ReproductionReport:
+    """Figures of a scenario beside the paper's, remarks on them, and files with pictures."""
 
     rows: Rows
     notes: list[str]
@@ -53,88 +55,94 @@ class Answer:
 
 
 @dataclass(frozen=True, slots=True)
-class Stage:
-    """Who stands where, what their detectors say, and the walls."""
+class ScriptedDetector:
+    """A detector that reports true boxes with given scores."""
+
+    observer: Int[ndarray, "d"]
+    """Row of the sweep; ascending."""
+    actor: Int[ndarray, "d"]
+    """Row of the actor that it detects."""
+    score: Float[ndarray, "d"]
+
+    def detect(
+        self, sweeps: Sweeps, seen: Observability, boxes: Boxes, label: UInt8[ndarray, "n"], draws: DetectorDraws
+    ) -> Reports:
+        """The same in every step."""
+        return Reports(
+            self.observer, label[self.actor], boxes.take(self.actor), self.score, self.actor,
+            np.zeros(len(self.actor), bool),
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class ScriptedScene:
+    """Actors that stand still, what the equipped ones detect, and the walls."""
 
     names: list[str]
     shape: UInt8[ndarray, "n"]
     boxes: Boxes
     equipped: Bool[ndarray, "n"]
-    role: UInt8[ndarray, "n"]
-    observer: Int[ndarray, "d"]  # rows of the actors; sorted
-    detected: Int[ndarray, "d"]
-    score: Float[ndarray, "d"]
+    attack: UInt8[ndarray, "n"]
+    """Number of the attack that each carries out, as `World.attack`."""
+    detector: ScriptedDetector
     city: Scene
 
     @staticmethod
-    def load(path: Path = FOLDER / "scene.toml") -> "Stage":
+    def load(path: Path = FOLDER / "scene.toml") -> "ScriptedScene":
         """The scene of a TOML file."""
         data = tomllib.loads(path.read_text(encoding="utf-8"))
         names, actors = list(data["actors"]), list(data["actors"].values())
         lwh_m = np.array([a["lwh_m"] for a in actors])
         xyz_m = np.column_stack([[a["xy_m"] for a in actors], lwh_m[:, 2] / 2])
+        equipped = np.array(["scores" in a for a in actors])
         scores = [
-            (row, names.index(other), score)
-            for row, a in enumerate(actors) for other, score in a.get("scores", {}).items()
+            (observer, names.index(other), score)
+            for observer, row in enumerate(np.flatnonzero(equipped)) for other, score in actors[row]["scores"].items()
         ]  # fmt: skip
-        observer, detected, score = (np.array(column) for column in zip(*scores, strict=True))
         walls = data["walls"]
         rings = [[np.column_stack([np.repeat(w["x_m"], 2), w["y_m"] + w["y_m"][::-1]])] for w in walls]
-        return Stage(
+        return ScriptedScene(
             names=names,
             shape=np.array([Shape[a["shape"].upper()] for a in actors], np.uint8),
             boxes=Boxes(xyz_m, lwh_m, np.radians([a["heading_deg"] for a in actors])),
-            equipped=np.array(["scores" in a for a in actors]),
-            role=np.array([ROLES.index(a.get("behaviour", "honest")) for a in actors], np.uint8),
-            observer=observer,
-            detected=detected,
-            score=score,
+            equipped=equipped,
+            attack=np.array([a.get("attack", 0) for a in actors], np.uint8),
+            detector=ScriptedDetector(*(np.array(column) for column in zip(*scores, strict=True))),
             city=Scene.from_footprints(rings, [0.0] * len(walls), [w["top_m"] for w in walls]),
         )
 
-    def play(self, config: Config, n_frames: int) -> Iterator[tuple[Turn, Sweeps]]:
-        """The same frame over and over: what happens in it, and what the sensors see."""
-        state, watch = State.start(config, self.city), Stopwatch()
-        for step in range(n_frames):
-            happened = turn(self.world(step), self.city, state, config, watch, self.perceive)
-            assert state.sweeps is not None
-            yield happened, state.sweeps
+    def parts(self, config: Config) -> Parts:
+        """The parts that a config names, with the scene's own detector."""
+        parts = Parts.of(config, self.city)
+        return replace(parts, perception=replace(parts.perception, detector=self.detector))
 
-    def world(self, step: int) -> World:
-        """Everybody."""
+    def play(self, config: Config, n_frames: int) -> Iterator[Sensed]:
+        """The same frame over and over: what happens in it. Sweeps are valid until the next frame."""
+        parts = self.parts(config)
+        state = State.start(parts)
+        for number in range(n_frames):
+            state, happened = step(self.world(number), state, parts)
+            assert happened.sensed is not None
+            yield happened.sensed
+
+    def world(self, number: int) -> World:
+        """All actors in the step of this number."""
         n = len(self.names)
         return World(
-            step=step,
+            step=number,
             actor=np.arange(n, dtype=np.int32),
             name_key=np.array([rng.name_key("vehicle/" + name) for name in self.names], np.uint64),
             shape=self.shape,
             boxes=self.boxes,
             speed_mps=np.zeros(n),
             equipped=self.equipped,
-            role=self.role,
+            attack=self.attack,
         )
 
-    def perceive(self, world: World, observers: Int[ndarray, "e"], sweeps: Sweeps, config: Config) -> Perceived:
-        """True boxes with the given scores."""
-        rows = np.searchsorted(observers, self.observer)
-        boxes, n = self.boxes.take(self.detected), len(self.observer)
-        sensed = Detections(
-            observer=self.observer,
-            k=1 + np.arange(n) - np.searchsorted(self.observer, self.observer),
-            label=world.label[self.detected],
-            boxes=boxes,
-            score=self.score,
-            n_points=evidence.points_in_boxes(sweeps, rows, boxes),
-            origin=np.full(n, SENSED, np.uint8),
-            said=np.ones(n, bool),
-        )
-        seen = Detections.concat([self_reports(world, observers), sensed])
-        return evidence.observability(sweeps, world.boxes, world.shape), seen, np.ones(n, bool), self.detected
 
-
-def scenario_1(out: Path) -> Answer:
+def scenario_1(out: Path) -> ReproductionReport:
     """One frame: a pedestrian whom the ego cannot see, and a car that is not there."""
-    stage, config = Stage.load(), load(FOLDER / "scenario-1.toml")
+    scene, config = ScriptedScene.load(), load(FOLDER / "scenario-1.toml")
     found: dict[tuple[str, bool], dict[str, float]] = {}
     panels = []
     for method in METHODS:
@@ -142,14 +150,14 @@ def scenario_1(out: Path) -> Answer:
             trust = replace(
                 config.trust, method=method, plausibility_in_evaluation=checked, plausibility_in_fusion=checked
             )
-            happened, sweeps = next(stage.play(replace(config, trust=trust), 1))
-            found[method, checked] = _believed(happened)
+            (sensed,) = scene.play(replace(config, trust=trust), 1)
+            found[method, checked] = _fused_scores(sensed)
             if method == "trupercept_1":
-                panels.append(_fused(happened, sweeps, "Fused, checked" if checked else "Fused, unchecked"))
-    panels = [_said(happened, sweeps, EGO, "Ego alone"), _said(happened, sweeps, LIAR, "The liar's message"), *panels]
-    said = happened.said
-    hidden = np.flatnonzero((said.label == PEDESTRIAN) & (said.observer == LIAR))
-    n_hidden, n_false = _returns(happened, hidden), _returns(happened, np.flatnonzero(said.origin == FABRICATED))
+                panels.append(_fused(sensed, "Fused, checked" if checked else "Fused, unchecked"))
+    panels = [_listed(sensed, EGO, "Ego alone"), _listed(sensed, ATTACKER, "The attacker's message"), *panels]
+    listed = sensed.listed
+    hidden = np.flatnonzero((listed.label == PEDESTRIAN) & (listed.observer == ATTACKER))
+    n_hidden, n_false = _returns(sensed, hidden), _returns(sensed, np.flatnonzero(listed.origin == FABRICATED))
     expected = {
         ("pedestrian", False): ("found", 1.0), ("pedestrian", True): ("kept", 1.0),
         ("false car", False): ("below 1", 0.964), ("false car", True): ("removed", None),
@@ -160,56 +168,65 @@ def scenario_1(out: Path) -> Answer:
         for (thing, checked), (paper, code) in expected.items()
     ]
     notes = [
-        f"The ego has {n_hidden} returns in the pedestrian: others found it. It has {n_false} in the false car, all of "
-        "the ground: even without the check it denies the car, which is claimed with score 1, with full visibility.",
+        f"The ego has {n_hidden} returns in the pedestrian: others detected it. It has {n_false} in the false car, all "
+        "from the ground: even without the check it denies the car, sent with score 1, with full visibility.",
         "TruPercept 1 (TP1) averages this denial (eta = 0): a lower score, as in the paper. TP2 subtracts it "
         "(eta = -1), TP3 asks for fewer than 10 returns: gone at once. In the published code 0.964 was left, "
-        "because there the lie has the number, and so the praise, of the liar's report of itself.",
+        "because there the false car has the detection index, and so the positive evaluations, of the attacker's self "
+        "report.",
     ]
     path = out / "scene.png"
-    style.save(pictures.from_above(panels, _footprints(stage.boxes), stage.names, WINDOW_M), path)
-    return Answer(rows, notes, [path])
+    style.save(pictures.from_above(panels, _footprints(scene.boxes), scene.names, WINDOW_M), path)
+    return ReproductionReport(rows, notes, [path])
 
 
-def _returns(happened: Turn, detection: Int[ndarray, "1"]) -> int:
-    """Returns of the ego in a box that it was told of."""
-    views = happened.views
-    (at,) = np.flatnonzero((views.of_member() == EGO) & (views.member == detection))
-    return int(happened.n_points[at])
+def _returns(sensed: Sensed, detection: Int[ndarray, "1"]) -> int:
+    """Returns of the ego in a box that it received."""
+    lists = sensed.lists
+    (at,) = np.flatnonzero((lists.of_member() == EGO) & (lists.member == detection))
+    return int(sensed.n_points[at])
 
 
-def _believed(happened: Turn) -> dict[str, float]:
+def _of_ego(sensed: Sensed) -> Fused:
+    """The ego's fused objects, under the acting trust."""
+    fused = sensed.fused[0]
+    assert fused is not None
+    return fused.take(fused.ego == EGO)
+
+
+def _fused_scores(sensed: Sensed) -> dict[str, float]:
     """Final scores of the ego for what it did not detect itself."""
-    fused, said = happened.fused, happened.said
-    mine = fused.take((fused.ego == EGO) & ~fused.ego_detected)
+    fused, listed = _of_ego(sensed), sensed.listed
+    foreign = fused.take(~fused.ego_detected)
     return {
-        "false car" if said.origin[seed] == FABRICATED else LABELS[said.label[seed]]: float(score)
-        for seed, score in zip(mine.seed, mine.score, strict=True)
+        "false car" if listed.origin[seed] == FABRICATED else LABELS[listed.label[seed]]: float(score)
+        for seed, score in zip(foreign.seed, foreign.score, strict=True)
     }
 
 
-def _said(happened: Turn, sweeps: Sweeps, row: int, title: str) -> pictures.Panel:
-    said = happened.said
-    own = np.flatnonzero((said.observer == row) & (said.origin != SELF))
-    return _panel(title, sweeps, row, said, own, said.score[own])
+def _listed(sensed: Sensed, row: int, title: str) -> pictures.Panel:
+    listed = sensed.listed
+    own = np.flatnonzero((listed.observer == row) & (listed.origin != SELF))
+    return _panel(title, sensed, row, own, listed.score[own])
 
 
-def _fused(happened: Turn, sweeps: Sweeps, title: str) -> pictures.Panel:
-    mine = happened.fused.take(happened.fused.ego == EGO)
-    return _panel(title, sweeps, EGO, happened.said, mine.seed, mine.score)
+def _fused(sensed: Sensed, title: str) -> pictures.Panel:
+    fused = _of_ego(sensed)
+    return _panel(title, sensed, EGO, fused.seed, fused.score)
 
 
-def _panel(title: str, sweeps: Sweeps, o: int, said: Detections, rows: ndarray, score: ndarray) -> pictures.Panel:
-    points = sweeps.poses.to_world(o, sweeps.xyz(o))[:, :2]
-    false = said.origin[rows] == FABRICATED
-    return pictures.Panel(title, points, _footprints(said.boxes.take(rows)), false, [f"{s:.2f}" for s in score])
+def _panel(title: str, sensed: Sensed, observer: int, rows: ndarray, score: ndarray) -> pictures.Panel:
+    sweeps, listed = sensed.observed.sweeps, sensed.listed
+    points = sweeps.poses.to_world(observer, sweeps.xyz(observer))[:, :2]
+    false = listed.origin[rows] == FABRICATED
+    return pictures.Panel(title, points, _footprints(listed.boxes.take(rows)), false, [f"{s:.2f}" for s in score])
 
 
 def _footprints(boxes: Boxes) -> Float[ndarray, "n 5"]:
     return np.column_stack([boxes.xyz_m[:, :2], boxes.lwh_m[:, :2], boxes.yaw_rad])
 
 
-HONEST_TALK: dict[str, list[tuple[float, list[tuple[str, float, float]]]]] = {
+HONEST_EVALUATIONS: dict[str, list[tuple[float, list[tuple[str, float, float]]]]] = {
     "ego": [(0.9, [("malicious", 0.8, 1.0)]), (0.5, [("third", 0.856, 0.4)])],
     "malicious": [
         (0.92, [("ego", 1.0, 1.0), ("third", 0.25, 0.25)]),
@@ -217,74 +234,78 @@ HONEST_TALK: dict[str, list[tuple[float, list[tuple[str, float, float]]]]] = {
     ],
     "third": [(0.8, [("ego", 1.0, 1.0)]), (0.6, [("malicious", 0.93, 1.0)])],
 }
-"""Per vehicle its detections of a frame: score, and who answers with which e and Phi; made to fit the paper's trust."""
-LIE = (1.0, [("ego", -1.0, 1.0), ("third", -1.0, 1.0)])
+"""Per vehicle its detections of a frame: score, and its evaluators with evaluation and visibility; made to fit the
+paper's trust."""
+GHOST_EVALUATIONS = (1.0, [("ego", -1.0, 1.0), ("third", -1.0, 1.0)])
 
 
-def paper_ledger(n_lies: int, first_lie: int = 50, n_frames: int = 100) -> Float[ndarray, "f 3"]:
-    """Trust of ego, liar and third after each frame, if the vehicles said `HONEST_TALK` and the lies."""
-    ids = {name: i for i, name in enumerate(HONEST_TALK)}
-    everybody = np.arange(len(ids))
-    ledger, out = TruPercept(TrustParams(freshness_s=50.0), 1.0), np.empty((n_frames, len(ids)))
-    for step in range(n_frames):
-        lies = [LIE] * (n_lies if step >= first_lie else 0)
-        talk = {name: said + lies * (name == "malicious") for name, said in HONEST_TALK.items()}
-        said = [(ids[name], k, score) for name, d in talk.items() for k, (score, _) in enumerate(d)]
-        ledger.open_step(step, everybody, *(np.array(column) for column in zip(*said, strict=True)))
-        answers = [
-            (ids[by], ids[name], k, e, phi)
-            for name, d in talk.items() for k, (_, given) in enumerate(d) for by, e, phi in given
+def paper_trust(n_ghosts: int, first_attack: int = 50, n_frames: int = 100) -> Float[ndarray, "f 3"]:
+    """Trust of ego, attacker and third after each frame, from `HONEST_EVALUATIONS` and those of the ghosts."""
+    pseudonyms = {name: i for i, name in enumerate(HONEST_EVALUATIONS)}
+    everyone = np.arange(len(pseudonyms))
+    model, trust = TruPercept(TrustParams(freshness_s=50.0), 1.0), np.empty((n_frames, len(pseudonyms)))
+    for number in range(n_frames):
+        ghosts = [GHOST_EVALUATIONS] * (n_ghosts if number >= first_attack else 0)
+        lists = {name: honest + ghosts * (name == "malicious") for name, honest in HONEST_EVALUATIONS.items()}
+        sent = [(pseudonyms[name], k, score) for name, d in lists.items() for k, (score, _) in enumerate(d)]
+        model.open_step(number, everyone, *(np.array(column) for column in zip(*sent, strict=True)))
+        rows = [
+            (pseudonyms[by], pseudonyms[name], k, evaluation, visibility)
+            for name, d in lists.items() for k, (_, given) in enumerate(d) for by, evaluation, visibility in given
         ]  # fmt: skip
-        told = messages_from_rows(step, *np.array(answers, float).T)
-        n = len(told.evaluator)
-        ledger.add_evaluations(ReceivedEvaluations(told, np.full(n, SERVER), np.arange(n)))
-        out[step] = ledger.scores(step).trust_of(np.full(len(ids), SERVER), everybody, 0.5)
-    return out
+        messages = messages_from_rows(number, *np.array(rows, float).T)
+        n = len(messages.evaluator)
+        model.add_evaluations(ReceivedEvaluations(messages, np.full(n, SERVER), np.arange(n)))
+        trust[number] = model.scores(number).trust_of(np.full(len(pseudonyms), SERVER), everyone, 0.5)
+    return trust
 
 
-def scenario_2(out: Path) -> Answer:
-    """A hundred frames, lies from the fiftieth on: what becomes of trust."""
-    stage, config = Stage.load(), load(FOLDER / "scenario-2.toml")
-    n, first = config.n_steps, round(config.adversary.start_s / config.traffic.step_s)
+def scenario_2(out: Path) -> ReproductionReport:
+    """A hundred frames, false cars from the fiftieth on: trust of the three vehicles."""
+    scene = ScriptedScene.load()
     run, paper = {}, {}
-    for attack, n_lies in ATTACKS.items():
-        armed = replace(config, adversary=replace(config.adversary, attack=attack))
+    for ghosts, n_ghosts in GHOSTS.items():
+        config = load(FOLDER / "scenario-2.toml", [f"attacks.0.ghosts={ghosts}"])
+        n, first = config.n_steps, round(config.attacks[0].start_s / config.traffic.step_s)
         # the server computes at the start of a frame, from the frames before it
-        standings = [s for happened, _ in stage.play(armed, n + 1) if (s := happened.standing) and len(s.subject)]
-        run[attack] = np.array([s.trust for s in standings])
-        weight = standings[0].weight[LIAR]
-        paper[attack] = paper_ledger(n_lies, first, n)
+        published = [s for sensed in scene.play(config, n + 1) if (s := sensed.published[0]) and len(s.subject)]
+        run[ghosts] = np.array([s.trust for s in published])
+        weight = published[0].weight[ATTACKER]
+        paper[ghosts] = paper_trust(n_ghosts, first, n)
     one, three = run["car"], run["three_cars"]
     steady = max(float(np.ptp(r[:, [EGO, THIRD]], axis=0).max()) for r in run.values())
-    columns = ("trust", "paper", "code", "ledger", "obtained")
-    before, ledger = first - 1, paper["car"]
+    columns = ("trust", "paper", "code", "fitted", "obtained")
+    before, fitted = first - 1, paper["car"]
     rows = [dict(zip(columns, row, strict=True)) for row in (
-        ("ego", 0.82, 0.826, ledger[-1, EGO], one[-1, EGO]),
-        ("third", 0.97, 0.969, ledger[-1, THIRD], one[-1, THIRD]),
-        ("ego and third, change", 0.0, None, float(np.ptp(ledger[:, [EGO, THIRD]], axis=0).max()), steady),
-        ("malicious, before it lies", 0.81, 0.803, ledger[before, LIAR], one[before, LIAR]),
-        (f"malicious, frame {n}, 1 false car", 0.15, 0.455, ledger[-1, LIAR], one[-1, LIAR]),
-        (f"malicious, frame {n}, 3 false cars", 0.0, 0.0, paper["three_cars"][-1, LIAR], three[-1, LIAR]),
+        ("ego", 0.82, 0.826, fitted[-1, EGO], one[-1, EGO]),
+        ("third", 0.97, 0.969, fitted[-1, THIRD], one[-1, THIRD]),
+        ("ego and third, change", 0.0, None, float(np.ptp(fitted[:, [EGO, THIRD]], axis=0).max()), steady),
+        ("malicious, before its attack", 0.81, 0.803, fitted[before, ATTACKER], one[before, ATTACKER]),
+        (f"malicious, frame {n}, 1 false car", 0.15, 0.455, fitted[-1, ATTACKER], one[-1, ATTACKER]),
+        (f"malicious, frame {n}, 3 false cars", 0.0, 0.0, paper["three_cars"][-1, ATTACKER], three[-1, ATTACKER]),
     )]  # fmt: skip
-    start = one[before, LIAR] * weight
+    start = one[before, ATTACKER] * weight
     notes = [
-        f"Not 0.15: a lie with a number of its own adds one denied detection of score 1 to the {weight:.2f} that the "
-        f"liar says anyway: ({start:.2f} - 1) / ({weight:.2f} + 1) = {(start - 1) / (weight + 1):.2f}. 0.15 needs a "
-        "liar that says two things (ledger, made to fit the paper), or lies with numbers of real detections (code).",
-        "code: the published code on this scene; before the lies its last version, at the end that before August 2019, "
-        "whose window forgets exactly.",
+        f"Not 0.15: a false car with a detection index of its own adds one denied detection of score 1 to the "
+        f"{weight:.2f} that the attacker sends anyway: ({start:.2f} - 1) / ({weight:.2f} + 1) = "
+        f"{(start - 1) / (weight + 1):.2f}. 0.15 needs an attacker that sends two detections (fitted: evaluations made "
+        "to fit the paper), or false cars with indices of real detections (code).",
+        "code: the published code on this scene; before the attack its last version, at the end that before August "
+        "2019, whose window forgets exactly.",
     ]
     curves = {
-        "ego": pictures.Curve(one[:, EGO], ledger[:, EGO]),
-        "malicious, one false car": pictures.Curve(one[:, LIAR], ledger[:, LIAR], is_malicious=True),
-        "third": pictures.Curve(one[:, THIRD], ledger[:, THIRD]),
-        "malicious, three false cars": pictures.Curve(three[:, LIAR], paper["three_cars"][:, LIAR], is_malicious=True),
+        "ego": pictures.Curve(one[:, EGO], fitted[:, EGO]),
+        "malicious, one false car": pictures.Curve(one[:, ATTACKER], fitted[:, ATTACKER], is_malicious=True),
+        "third": pictures.Curve(one[:, THIRD], fitted[:, THIRD]),
+        "malicious, three false cars": pictures.Curve(
+            three[:, ATTACKER], paper["three_cars"][:, ATTACKER], is_malicious=True
+        ),
     }
     printed = [(first, 0.82), (n, 0.82), (first, 0.97), (n, 0.97), (first, 0.81), (n, 0.15), (n, 0.0)]
     path = out / "trust.png"
-    style.save(pictures.trust_over_frames(curves, printed, first, "paper's ledger"), path)
-    return Answer(rows, notes, [path])
+    style.save(pictures.trust_over_frames(curves, printed, first, "fitted to the paper"), path)
+    return ReproductionReport(rows, notes, [path])
 
 
 SCENARIOS = {"scenario-1": scenario_1, "scenario-2": scenario_2}
-"""What can be reproduced, by name; each draws into the folder that it is given."""
+"""What can be reproduced, by name; each writes its pictures into the folder that it is given."""

@@ -15,11 +15,12 @@ from cosim.actors import ActorRegistry
 from cosim.adversary.adversary import roles_of
 from cosim.config import Config
 from cosim.cycle import State, step
-from cosim.manifest import Manifest, Stopwatch
+from cosim.manifest import Manifest
 from cosim.mobility.source import TrafficEnded, TrafficError, TrafficSource
 from cosim.parts import Parts, sources
 from cosim.radio.rsu import NO_RSUS, RsuAntennas, place_rsus
 from cosim.scenario import Scenario, find
+from cosim.stopwatch import Stopwatch
 from results.recorder import Recorder
 from sensors import lidar
 from sensors.boxes import Boxes
@@ -128,9 +129,7 @@ def _drive(
     state = State.start(parts)
     variants = [variant.name for variant in parts.trust.variants]
     n_on_road, ended = 0, ""
-    with Recorder(
-        manifest.folder, config.record.level, config.record.block_steps, variants=variants
-    ) as recorder:
+    with Recorder(manifest.folder, config.record.level, config.record.block_steps, variants=variants) as recorder:
         for number in range(config.n_steps):
             with watch("traffic"):
                 try:
@@ -144,7 +143,10 @@ def _drive(
             with watch("record"):
                 recording.step(recorder, happened, config.traffic.step_s)
             if len(happened.commands):
-                traffic.command(happened.commands)
+                raise ValueError(
+                    f"driver.model = {config.driver.model}: it commands speeds, which this traffic does not take. "
+                    "Choose a driver that commands none."
+                )
             n_on_road += int((world.shape != Shape.PEDESTRIAN).sum())
             manifest.steps = number + 1
             advance("run", number + 1, config.n_steps, f"steps, {len(world)} actors")
@@ -166,9 +168,7 @@ def _drive(
     }
 
 
-def _warm_up(
-    config: Config, scenario: Scenario, traffic: TrafficSource, watch: Stopwatch, advance: Advance
-) -> None:
+def _warm_up(config: Config, scenario: Scenario, traffic: TrafficSource, watch: Stopwatch, advance: Advance) -> None:
     warmup_s = scenario.warmup_s if config.traffic.warmup_s is None else config.traffic.warmup_s
     with watch("warm-up"):
         try:

@@ -137,7 +137,7 @@ def _measure(scene, boxes, shape, observers, runs) -> list[tuple[str, float, str
     asked = boxes.take(row)
     crowd = Boxes(asked.xyz_m + np.random.default_rng(1).normal(0, 0.2, asked.xyz_m.shape), asked.lwh_m, asked.yaw_rad)
     label = LABEL_OF_SHAPE[shape][row]
-    n_pairs = len(overlapping_pairs(crowd, label, o)[0])
+    n_pairs, walls = len(overlapping_pairs(crowd, label, o)[0]), WallIndex.of(scene.buildings)
     seen, model = observability(sweeps, boxes, shape), resolved(DetectorParams())
     fresh, actors = keys + np.uint64(10_000), np.arange(len(boxes), dtype=np.uint64)
     draws = DetectorDraws(0.0, actors, fresh, keys, np.uint64(1), fresh, keys)

@@ -38,7 +38,8 @@ class AttackContext:
 
         The same whatever else happens, so that switching an attack off changes no other draw.
         """
-        return rng.uniforms(rng.key(self.seed, Stream.ATTACK, self.world.step), np.uint64(self.number), *names, n=n)
+        number = np.asarray(self.number, np.uint64)
+        return rng.uniforms(rng.key(self.seed, Stream.ATTACK, self.world.step), number, *names, n=n)
 
     def draw(self, stream: Stream, *names: ndarray, n: int = 1) -> Float[ndarray, "rows n"]:
         """The same from a stream of the attack's own."""

@@ -18,10 +18,10 @@ SENSED, SELF, FABRICATED = Origin
 
 @dataclass(frozen=True, slots=True)
 class Detections:
-    """D detections of one step, world frame, sorted by (observer, detection_index), which with the step is the key of a detection.
+    """D detections of one step, world frame, sorted by (observer, detection_index): with the step, a detection's key.
 
-    `observer` is a row of the step's world. Index 0 is the self report, then detections by the detector, then fabricated
-    ones. A detection with `transmitted` false stays with its observer.
+    `observer` is a row of the step's world. Index 0 is the self report, then come detections by the detector, then
+    fabricated ones. A detection with `transmitted` false stays with its observer.
     """
 
     observer: Int[ndarray, "d"]
@@ -103,6 +103,7 @@ def self_reports(world: World, observers: Int[ndarray, "o"]) -> Detections:
     """Each equipped vehicle's own box, as it reports itself: index 0, score 1."""
     n = len(observers)
     return Detections(
-        observer=observers, detection_index=np.zeros(n, int), label=world.label[observers], boxes=world.boxes.take(observers),
-        score=np.ones(n), n_points=np.zeros(n, np.int32), origin=np.full(n, SELF, np.uint8), transmitted=np.ones(n, bool),
+        observer=observers, detection_index=np.zeros(n, int), label=world.label[observers],
+        boxes=world.boxes.take(observers), score=np.ones(n), n_points=np.zeros(n, np.int32),
+        origin=np.full(n, SELF, np.uint8), transmitted=np.ones(n, bool),
     )  # fmt: skip

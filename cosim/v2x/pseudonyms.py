@@ -257,9 +257,7 @@ class Pseudonyms:
         )  # fmt: skip
         changes = ~new & np.asarray(self.policy.changes(ages), bool)
         given_up = actor[changes]
-        ended = PseudonymUse(
-            state.current[given_up], given_up, state.since_step[given_up], state.seen_step[given_up]
-        )
+        ended = PseudonymUse(state.current[given_up], given_up, state.since_step[given_up], state.seen_step[given_up])
         fresh = np.flatnonzero(new | changes)
         taking = actor[fresh]
         current, since, seen = state.current.copy(), state.since_step.copy(), state.seen_step.copy()
@@ -294,7 +292,8 @@ def _grown(state: PseudonymState, size: int) -> PseudonymState:
         return np.concatenate([a, np.full((more, *a.shape[1:]), fill, a.dtype)])
 
     return replace(
-        state, current=longer(state.current, -1), since_step=longer(state.since_step), seen_step=longer(state.seen_step),
+        state, current=longer(state.current, -1), since_step=longer(state.since_step),
+        seen_step=longer(state.seen_step),
         n_changes=longer(state.n_changes), n_messages=longer(state.n_messages), distance_m=longer(state.distance_m),
         xy_m=longer(state.xy_m),
     )  # fmt: skip

@@ -113,7 +113,9 @@ class TrustHosts:
     """Evaluation of an unmatched detection, the same for all."""
 
     @staticmethod
-    def of(variants: Sequence[Variant], server: ServerParams, seed: int, interval_s: float, dt_s: float) -> "TrustHosts":
+    def of(
+        variants: Sequence[Variant], server: ServerParams, seed: int, interval_s: float, dt_s: float
+    ) -> "TrustHosts":
         """Hosts for these variants; the first one acts."""
         keys: list[tuple] = []
         host_of: list[int] = []
@@ -123,7 +125,7 @@ class TrustHosts:
                 keys.append(key)
             host_of.append(keys.index(key))
         first = [variants[host_of.index(h)] for h in range(len(keys))]
-        for h, variant in enumerate(first[1:], 1):
+        for variant in first[1:]:
             if server.uplink == "rsu" and variant.trust.host == "central":
                 raise ValueError(
                     f'trust_variant "{variant.name}" would broadcast other trust values than [trust], and with '
@@ -194,7 +196,11 @@ class TrustHosts:
         return TrustState(hosts, state.uplink), broadcast
 
     def receive_from_rsu(
-        self, state: TrustState, vehicle: Int[ndarray, "e"], receiver: Int[ndarray, "m"], received_s: Float[ndarray, "m"]
+        self,
+        state: TrustState,
+        vehicle: Int[ndarray, "e"],
+        receiver: Int[ndarray, "m"],
+        received_s: Float[ndarray, "m"],
     ) -> tuple[TrustState, tuple[int, int]]:
         """Vehicles received the roadside units' broadcast; vehicles addressed and informed."""
         h = self.host_of[0]
@@ -219,7 +225,9 @@ class TrustHosts:
 
     def add_own(self, state: TrustState, messages: EvaluationMessages, vehicle: Int[ndarray, "v"]) -> TrustState:
         """Evaluations reach their own evaluators: vehicles, aligned with the messages."""
-        self._add_local(state, ReceivedEvaluations(messages, vehicle, np.arange(len(vehicle)), self.eta), of_others=False)
+        self._add_local(
+            state, ReceivedEvaluations(messages, vehicle, np.arange(len(vehicle)), self.eta), of_others=False
+        )
         return state
 
     def add_received(

@@ -195,9 +195,7 @@ class Downlink:
         coming = (*state.under_way, (arrival_s[arrives], vehicle[arrives], step))
         return DownlinkState(broadcasts, state.last, coming, state.pending_rsu, state.on_air), int(arrives.sum())
 
-    def pending_rsu_broadcast(
-        self, state: DownlinkState, time_s: float
-    ) -> tuple[DownlinkState, TrustBroadcast | None]:
+    def pending_rsu_broadcast(self, state: DownlinkState, time_s: float) -> tuple[DownlinkState, TrustBroadcast | None]:
         """What roadside units send in a round that begins at `time_s`, once."""
         if state.pending_rsu is None or state.pending_rsu[0] > time_s:
             return state, None
@@ -217,7 +215,7 @@ class Downlink:
         return DownlinkState(state.broadcasts, state.last, coming, state.pending_rsu, state.on_air), int(got.sum())
 
     def receive(self, state: DownlinkState, present: Int[ndarray, "m"], time_s: float) -> DownlinkState:
-        """What has arrived by `time_s` is received; what no vehicle on the road (`present`, ascending) has is dropped."""
+        """What arrived by `time_s` is received; what no vehicle on the road (`present`, ascending) has is dropped."""
         last = state.last
         size = int(present[-1]) + 1 if len(present) else 0
         if size > len(last):

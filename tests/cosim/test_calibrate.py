@@ -25,12 +25,12 @@ def test_the_same_figures_as_the_metrics(run):
     one = calibrate.sample(run, "avod", model, 10_000)
     table = precision(run, ("local",), max_frames=10_000).set_index(["class", "level"])
     for label in ("car", "pedestrian"):
-        answer = calibrate.figures(calibrate.said([one], model, label), label)
+        answer = calibrate.figures(calibrate.reported([one], model, label), label)
         for level in LEVELS:
             assert answer[level].n_truth == table.n_truth[label, level]
             assert answer[level].ap40 == pytest.approx(table.ap40[label, level], abs=0.5)
         most = calibrate.ceiling([one], label)
-        seen = calibrate.of_the_seen([one], label, calibrate.said([one], model))
+        seen = calibrate.of_actors_with_returns([one], label, calibrate.reported([one], model))
         assert all(answer[level].ap11 <= most[level].ap11 for level in LEVELS)
         assert seen["easy"].n_truth == answer["easy"].n_truth and seen["all"].n_truth < answer["all"].n_truth
 
@@ -42,7 +42,7 @@ def test_a_fit_moves_one_class_towards_its_aim(run, monkeypatch):
     aim = [30.0, 25.0, 20.0]
     model = calibrate.fit([one], "car", aim, start)
     before, after = (
-        np.array([calibrate.figures(calibrate.said([one], m, "car"), "car")[v].ap11 for v in LEVELS[:3]])
+        np.array([calibrate.figures(calibrate.reported([one], m, "car"), "car")[v].ap11 for v in LEVELS[:3]])
         for m in (start, model)
     )
     assert np.abs(after - aim).max() < np.abs(before - aim).max()

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -19,7 +18,6 @@ from sensors.evidence import (
 from sensors.lidar import Beams, LidarParams, Poses, Sweeps, beams, scan
 from sensors.scene import Hit, Scene
 from tests.sensors import whole_cloud
-from tests.sensors.test_boxes import footprint, moved
 from tests.sensors.town import (
     SIZE_M,
     blocks,
@@ -31,7 +29,6 @@ from tests.sensors.town import (
     labelled,
     random_boxes,
     random_scene,
-    to_scene,
     traffic,
 )  # fmt: skip
 

@@ -38,7 +38,8 @@ max_hops = 3
 n_at_junctions = 6
 [server]
 uplink = "rsu"
-""" + FULL,
+"""
+        + FULL,
         """
 [traffic]
 duration_s = 120
@@ -58,7 +59,8 @@ max_hops = 3
 n_at_junctions = 6
 [server]
 uplink = "rsu"
-""" + FULL,
+"""
+        + FULL,
     ),
     "local": (
         """
@@ -69,7 +71,8 @@ duration_s = 120
 start_s = 20
 [trust]
 where = "local"
-""" + FULL,
+"""
+        + FULL,
         """
 [traffic]
 scenario = "koenigs-wusterhausen"
@@ -84,7 +87,8 @@ role = "unreliable"
 start_s = 20
 [trust]
 host = "local"
-""" + FULL,
+"""
+        + FULL,
     ),
     "replay": (
         """
@@ -99,7 +103,8 @@ cpm_rules = "etsi"
 max_hops = 2
 [trust]
 method = "trupercept_1"
-""" + FULL,
+"""
+        + FULL,
         """
 [traffic]
 scenario = "{folder}/after-default"
@@ -118,7 +123,8 @@ cpm_rules = "etsi"
 max_hops = 2
 [trust]
 method = "trupercept_1"
-""" + FULL,
+"""
+        + FULL,
     ),
 }
 """Config of each experiment in the former schema, and in this one."""
@@ -153,7 +159,10 @@ LABELS = {"detections": "cpm", "verdicts": "evaluation", "open": "los", "wall": 
 """Labels that have other names now, in columns of kinds."""
 
 EXPLAINED = {
-    ("fused", "score"): "an attacker fuses with its own honest evaluations, no longer with those that vouch for its lies",
+    (
+        "fused",
+        "score",
+    ): "an attacker fuses with its own honest evaluations, no longer with those that vouch for its lies",
     ("fused", "pose"): "follows the score",
     ("fused", "pose_index"): "follows the score",
 }

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-
 from cosim.v2x.adversary import AdversaryParams, tamper
+
 from cosim.v2x.messages import FABRICATED, SELF, SENSED, Detections, self_reports
 from cosim.world import HONEST, MALICIOUS, UNRELIABLE, World
 from sensors.boxes import Boxes

@@ -4,16 +4,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from trust.page import Refusal
 
 from cosim import cycle, rng
 from cosim.config import load
 from cosim.cycle import FROM_SERVER, State, turn
-from cosim.manifest import Stopwatch
 from cosim.radio.message_round import Receptions
 from cosim.radio.rsu import NO_RSUS, RsuAntennas
 from cosim.reproduce import FOLDER, Stage
+from cosim.stopwatch import Stopwatch
 from tests.drive import cosim
-from trust.page import Refusal
 
 BASE = ("server.cellular.delay_min_s=0.001", "server.cellular.delay_mean_s=0.002", "server.backhaul_s=0.005",
         "adversary.start_s=1000")  # fmt: skip

@@ -9,7 +9,6 @@ from cosim import rng
 from cosim.radio.message_round import Receptions
 from cosim.v2x.cellular import CellularParams, delay_s, transfer_delay_s, within_capacity
 from cosim.v2x.trust_server import Downlink, LinkStats, ServerParams, TrustBroadcast, Uplink
-from trust.tables import Told
 
 KEY = rng.key(3, rng.Stream.UPLINK, 1)
 

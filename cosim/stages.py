@@ -1,0 +1,253 @@
+"""The stages of a step, in the order of `cosim.cycle.step`: plain functions of arrays and parts."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Bool, Float, Int, UInt64
+from numpy import ndarray
+
+from cosim import object_lists
+from cosim.config import Config
+from cosim.driver.driver import Beliefs
+from cosim.ground_truth import GroundTruth, ground_truth_of
+from cosim.object_lists import messages_of, received_lists, subset, sweep_evidence
+from cosim.parts import Parts
+from cosim.perception import Observed
+from cosim.radio.message_round import LinkReceptions, Messages, Receptions, Stations
+from cosim.ragged import ptr_of
+from cosim.v2x.cpm_generation import InclusionMemory, select_objects
+from cosim.v2x.messages import FABRICATED, Detections, cpm_bytes, is_sound, piggyback_bytes
+from cosim.v2x.trust_hosts import Lookups, TrustState
+from cosim.v2x.trust_server import LinkStats
+from cosim.world import World
+from sensors.boxes import overlapping_pairs
+from sensors.evidence import in_evaluation_area
+from trust import tables
+from trust.evaluation import evaluate
+from trust.fusion import Fused, SenderTrust, SensorEvidence, fuse
+from trust.matching import match
+from trust.tables import EvaluationMessages, Evaluations, Groups, ObjectLists
+
+
+@dataclass(frozen=True, slots=True)
+class Vehicles:
+    """Equipped vehicles on the road, by actor number."""
+
+    row: Int[ndarray, "e"]
+    """Row of the world."""
+    actor: Int[ndarray, "e"]
+    name_key: UInt64[ndarray, "e"]
+    pseudonym: Int[ndarray, "e"]
+
+    def __len__(self) -> int:
+        return len(self.row)
+
+
+@dataclass(frozen=True, slots=True)
+class Piggybacked:
+    """Evaluations of the last step, waiting for the next detection message."""
+
+    messages: EvaluationMessages
+    vehicle: Int[ndarray, "v"]
+    """Actor number of each message's sender."""
+
+
+@dataclass(frozen=True, slots=True)
+class Listed:
+    """What every vehicle lists, and transmits or keeps to itself; attacks included."""
+
+    objects: Detections
+    truth: GroundTruth
+    detections: tables.Detections
+    """The same as trust sees them: sender as a row of `Vehicles`."""
+    ptr: Int[ndarray, "e+1"]
+    """Where the detections of each vehicle begin."""
+    n_malformed: int
+    """Detections dropped because they cannot be: no finite pose, no size, no score."""
+
+
+def list_objects(
+    observed: Observed, vehicles: Vehicles, included: InclusionMemory, world: World, parts: Parts, time_s: float
+) -> tuple[Listed, InclusionMemory]:
+    """Detections as each vehicle lists them, after attacks and generation rules."""
+    objects = parts.adversary.detections(observed.detections, world, time_s)
+    sound = is_sound(objects)
+    if not sound.all():
+        assert (objects.origin[~sound] == FABRICATED).all()
+        objects = objects.take(np.flatnonzero(sound))
+    if parts.config.radio.cpm_rules == "etsi":
+        chosen, included = select_objects(included, objects, world.actor[objects.observer], time_s)
+        objects = replace(objects, transmitted=chosen)
+    truth = ground_truth_of(objects, world, observed.observability, vehicles.row, observed.is_real, observed.actor_row)
+    detections, ptr = object_lists.for_trust(objects, vehicles.row)
+    return Listed(objects, truth, detections, ptr, int((~sound).sum())), included
+
+
+def stations_of(world: World, vehicles: Vehicles, parts: Parts) -> Stations:
+    """Antennas of vehicles and roadside units."""
+    key = np.concatenate([vehicles.name_key, parts.rsus.key])
+    xyz_m = np.concatenate([world.boxes.xyz_m[vehicles.row], parts.rsus.xyz_m])
+    xyz_m[: len(vehicles), 2] += world.boxes.lwh_m[vehicles.row, 2] / 2 + parts.config.radio.antenna_above_roof_m
+    return Stations(key, xyz_m, len(vehicles))
+
+
+def messages(length_bytes: Int[ndarray, "e"], parts: Parts, rsu_bytes: int = 0) -> Messages:
+    """One message per station, roadside units included."""
+    return Messages.one_each(np.concatenate([length_bytes, np.full(len(parts.rsus), rsu_bytes)]))
+
+
+def cpm_lengths(listed: Listed, vehicles: Vehicles, piggybacked: Piggybacked | None, c: Config) -> Int[ndarray, "e"]:
+    """Length of each vehicle's detection message, with the evaluations that it carries; 0 for none [B]."""
+    n_objects = np.bincount(listed.detections.message[listed.objects.transmitted], minlength=len(vehicles))
+    n_carried = np.zeros(len(vehicles), np.int64)
+    if piggybacked is not None:
+        _, there, row = np.intersect1d(piggybacked.vehicle, vehicles.actor, assume_unique=True, return_indices=True)
+        n_carried[row] = np.diff(piggybacked.messages.ptr)[there]
+    length = cpm_bytes(n_objects) + np.where(n_carried > 0, piggyback_bytes(n_carried), 0)
+    return length if c.radio.cpm_rules == "all" else np.where((n_objects > 0) | (n_carried > 0), length, 0)
+
+
+@dataclass(frozen=True, slots=True)
+class Matched:
+    """Object lists, and their members grouped into objects."""
+
+    known: ObjectLists
+    """Everything that each vehicle knows of: its own detections and those received; what it fuses."""
+    groups: Groups
+    """Of `known`."""
+    inside: Bool[ndarray, "k"]
+    """Members of `known` in the area that the vehicle evaluates."""
+    lists: ObjectLists
+    """These alone: what each vehicle evaluates."""
+    lists_groups: Groups
+    """Of `lists`."""
+
+
+def match_objects(
+    listed: Listed, received: Receptions, observed: Observed, vehicles: Vehicles, world: World, c: Config
+) -> Matched:
+    """One object, several sources: the lists of all vehicles, grouped by overlap."""
+    objects = listed.objects
+    pairs = overlapping_pairs(objects.boxes, objects.label, objects.observer)
+    known = received_lists(received, listed.ptr, objects.transmitted, len(vehicles))
+    inside = in_evaluation_area(
+        observed.sweeps, known.of_member(), objects.boxes, c.area, known.member, objects.label,
+        world.boxes.take(vehicles.row),
+    )  # fmt: skip
+    lists = subset(known, inside)
+    groups, lists_groups = (match(x, listed.detections, pairs, c.trust) for x in (known, lists))
+    return Matched(known, groups, inside, lists, lists_groups)
+
+
+@dataclass(frozen=True, slots=True)
+class Evaluated:
+    """What every vehicle thinks of the detections before it, by its own sweep; `k` and `m` as in `Matched`."""
+
+    n_points_known: Int[ndarray, "k"]
+    plausible_known: Bool[ndarray, "k"]
+    n_points: Int[ndarray, "m"]
+    """Returns of its own sweep inside the box."""
+    plausible: Bool[ndarray, "m"]
+    """Whether its own sweep allows that something stands there; asked of what it did not detect itself."""
+    own: Evaluations
+    """As each vehicle makes them."""
+    reported: Evaluations
+    """As each vehicle transmits them; the same object where no attack altered any."""
+    own_messages: EvaluationMessages
+    sent: EvaluationMessages
+
+
+def evaluate_objects(
+    matched: Matched, listed: Listed, observed: Observed, vehicles: Vehicles, world: World, parts: Parts, time_s: float
+) -> Evaluated:
+    """Evaluation, visibility and plausibility, and the messages that carry them."""
+    c, known, groups, lists = parts.config, matched.known, matched.lists_groups, matched.lists
+    foreign = np.zeros(len(known.member), bool)  # members of which a vehicle asks its sweep whether they can be there
+    foreign[matched.groups.seeds()] = True
+    foreign &= ~matched.groups.ego_detected
+    foreign[np.flatnonzero(matched.inside)[~groups.ego_detected]] = True
+    points, possible = sweep_evidence(
+        observed.sweeps, known, matched.inside, foreign, listed.objects.boxes, listed.detections, c.area
+    )
+    n_points, plausible = points[matched.inside], possible[matched.inside]
+    own = evaluate(lists, groups, listed.detections, n_points, plausible, c.trust)
+    reported = object_lists.as_reported(parts.adversary, own, lists, listed.objects, vehicles.row, world, time_s)
+    own_messages, sent = (
+        messages_of(world.step, vehicles.pseudonym, lists, listed.detections, e, listed.objects.transmitted)
+        for e in (own, reported)
+    )
+    return Evaluated(points, possible, n_points, plausible, own, reported, own_messages, sent)
+
+
+def update_trust(
+    trust: TrustState, step: int, listed: Listed, own: EvaluationMessages, carried: Piggybacked | None,
+    links: LinkReceptions, begin_s: float, vehicles: Vehicles, parts: Parts,
+) -> tuple[TrustState, LinkStats]:  # fmt: skip
+    """Trust learns what was transmitted, what vehicles think themselves, and the evaluations that arrived.
+
+    Parameters
+    ----------
+    carried, links, begin_s
+        Evaluation messages, and the round that carried them to other vehicles and to roadside units.
+    """
+    sent, detections = listed.objects.transmitted, listed.detections
+    trust = parts.trust.open_step(
+        trust, step, vehicles.pseudonym, detections.message[sent], detections.detection_index[sent],
+        detections.score[sent],
+    )  # fmt: skip
+    trust = parts.trust.add_own(trust, own, vehicles.actor)
+    if carried is None:
+        return trust, LinkStats()
+    row = np.full(len(vehicles), -1)  # of each vehicle's message
+    _, which, at = np.intersect1d(carried.vehicle, vehicles.actor, assume_unique=True, return_indices=True)
+    row[at] = which
+    got = links.vehicles.take(row[links.vehicles.message] >= 0)
+    trust = parts.trust.add_received(trust, carried.messages, vehicles.actor[got.receiver], row[got.message])
+    up = links.uplink.take(row[links.uplink.message] >= 0)
+    return parts.trust.report_by_rsu(trust, carried.messages, row[up.message], begin_s + up.received_s)
+
+
+def fuse_objects(
+    matched: Matched, evaluated: Evaluated, listed: Listed, observed: Observed, used: Receptions,
+    lookups: list[Lookups], parts: Parts,
+) -> list[Fused | None]:  # fmt: skip
+    """Every vehicle's final objects, per trust variant; None where they are not asked for.
+
+    Parameters
+    ----------
+    used
+        Messages whose senders' trust each vehicle has looked up; rows of `lookups`.
+    """
+    c, known, boxes = parts.config, matched.known, listed.objects.boxes
+    origin_m = observed.sweeps.poses.origin_m
+    seeds = matched.groups.seeds()
+    away_m = _distance_m(boxes.xyz_m[known.member[seeds]], origin_m[known.of_member()[seeds]])
+    evidence = SensorEvidence(
+        evaluated.n_points_known[seeds], evaluated.plausible_known[seeds], away_m < c.area.range_m
+    )
+    from_own_m = _distance_m(boxes.xyz_m, origin_m[listed.detections.message])
+    ptr = ptr_of(used.receiver, len(known.owner))
+    in_time = np.full(len(used.message), c.radio.evaluations == "alone")
+    fused: list[Fused | None] = []
+    for variant, found in zip(parts.trust.variants, lookups, strict=True):
+        if not variant.fused:
+            fused.append(None)
+            continue
+        objects = fuse(
+            known, matched.groups, listed.detections, matched.lists, evaluated.own, evaluated.reported,
+            SenderTrust(ptr, used.message, found.trust, in_time), evidence, from_own_m, variant.trust,
+        )  # fmt: skip
+        fused.append(objects.take(objects.score >= variant.trust.min_score))
+    return fused
+
+
+def beliefs_of(fused: Fused, listed: Listed, vehicles: Vehicles) -> Beliefs:
+    """Fused objects as drivers see them."""
+    boxes, pose = listed.objects.boxes.take(fused.seed), listed.objects.boxes.take(fused.pose)
+    boxes = replace(boxes, xyz_m=pose.xyz_m, yaw_rad=pose.yaw_rad)
+    label = listed.objects.label[fused.seed]
+    return Beliefs(vehicles.row[fused.ego], label, boxes, fused.score, fused.ego_detected)
+
+
+def _distance_m(a_m: Float[ndarray, "n 3"], b_m: Float[ndarray, "n 3"]) -> Float[ndarray, "n"]:
+    return np.linalg.norm(a_m - b_m, axis=1)
