@@ -5,8 +5,9 @@ import hashlib
 import json
 import os
 import stat
+from io import BufferedReader
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 PARTIAL = ".partial"
 """Suffix of a file that is being written."""
@@ -18,7 +19,7 @@ class Damaged(ValueError):
     """A run folder does not hold what its inventory says; commands end with exit status 1."""
 
 
-def write(path: Path, content: bytes) -> None:
+def write(path: Path, content: bytes | memoryview) -> None:
     """Write a file whole, so that neither a kill nor a power cut leaves a part of it; replaces one that is there."""
     partial = path.with_name(path.name + PARTIAL)
     flags = os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_NOFOLLOW
@@ -46,7 +47,7 @@ def sync_folder(folder: Path) -> None:
         os.close(handle)
 
 
-def open_regular(path: Path) -> BinaryIO:
+def open_regular(path: Path) -> BufferedReader:
     """A file for reading; ValueError where it is no regular file (a device or a pipe may never end)."""
     handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
     if not stat.S_ISREG(os.fstat(handle).st_mode):
@@ -96,9 +97,14 @@ class Lock:
             os.close(self._handle)  # its last owner has removed the file since it was opened
 
     def release(self) -> None:
-        """Give it back and remove its file."""
-        self._path.unlink(missing_ok=True)
-        os.close(self._handle)
+        """Give it back and remove its file; once more does nothing."""
+        if self._handle < 0:
+            return
+        handle, self._handle = self._handle, -1
+        try:
+            self._path.unlink(missing_ok=True)
+        finally:
+            os.close(handle)
 
 
 def is_locked(folder: Path) -> bool:

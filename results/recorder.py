@@ -19,6 +19,8 @@ from results.durable import Damaged
 from results.inventory import Block, Inventory, Part
 from results.tables import TABLES, kept, schema
 
+Columns = Mapping[str, ndarray | None]
+"""Columns of a table by name, masks included."""
 VALID = "__valid"
 """Suffix of the mask that goes with a column that may be null."""
 
@@ -114,7 +116,7 @@ class Recorder:
 
     def flush(
         self,
-        open_rows: Mapping[str, Sequence[Mapping[str, ndarray | None]]] | None = None,
+        open_rows: Mapping[str, Sequence[Columns]] | None = None,
         checkpoint: Mapping[str, bytes] | None = None,
     ) -> None:
         """Commit the block in memory.
@@ -126,8 +128,10 @@ class Recorder:
         checkpoint
             By name, the files from which a resumed run goes on; those named `state-...` replace earlier ones.
         """
-        if self._last_step < self.inventory.end_step:
-            return
+        if self._last_step >= self.inventory.end_step:
+            self._commit(open_rows or {}, checkpoint or {})
+
+    def _commit(self, open_rows: Mapping[str, Sequence[Columns]], checkpoint: Mapping[str, bytes]) -> None:
         end_step = self._last_step + 1
         parts = [
             _write(self.folder, name, f"part-{self._block:05d}.parquet", rows, self.labels)
@@ -135,9 +139,9 @@ class Recorder:
         ]  # fmt: skip
         opened = [
             _write(self.folder, name, f"open-{self._block:05d}.parquet", rows, self.labels)
-            for name, rows in self._open(open_rows or {}, end_step - 1)
+            for name, rows in self._made(open_rows, end_step - 1)
         ]
-        files = {f"{CHECKPOINT}/{name}": content for name, content in (checkpoint or {}).items()}
+        files = {f"{CHECKPOINT}/{name}": content for name, content in checkpoint.items()}
         if files:
             (self.folder / CHECKPOINT).mkdir(exist_ok=True)
         for name, content in files.items():
@@ -154,17 +158,23 @@ class Recorder:
         if before.blocks:
             for part in before.blocks[-1].open:
                 (self.folder / part.name).unlink(missing_ok=True)
-            for name in before.blocks[-1].checkpoint:
-                if is_state(name):
+        if files:
+            for block in before.blocks[-1:]:
+                for name in filter(is_state, block.checkpoint):
                     (self.folder / name).unlink(missing_ok=True)
 
-    def close(self) -> None:
-        """Write what is left."""
-        self.flush()
+    def close(self, final_rows: Mapping[str, Sequence[Columns]] | None = None) -> None:
+        """Commit what is left, and rows of what ends with the run."""
+        is_committed = self._last_step < self.inventory.end_step
+        for name, rows in self._made(final_rows or {}, self._last_step):
+            self._rows[name] += rows
+        if is_committed and any(self._rows.values()):
+            self._block += 1
+        elif is_committed:
+            return
+        self._commit({}, {})
 
-    def _open(
-        self, rows: Mapping[str, Sequence[Mapping[str, ndarray | None]]], step: int
-    ) -> Iterator[tuple[str, list[dict[str, ndarray]]]]:
+    def _made(self, rows: Mapping[str, Sequence[Columns]], step: int) -> Iterator[tuple[str, list[dict[str, ndarray]]]]:
         for name, several in rows.items():
             if name in self.tables:
                 made = [_checked(name, step, columns, self.labels) for columns in several]
@@ -273,7 +283,9 @@ def _stored(name: str, column: Column, values: ndarray, valid: ndarray | None, c
     return values.astype(dtype)
 
 
-def _write(path: Path, table: str, rows: list[dict[str, ndarray]], of_run: Mapping[str, tuple[str, ...]]) -> None:
+def _write(
+    folder: Path, table: str, file: str, rows: list[dict[str, ndarray]], of_run: Mapping[str, tuple[str, ...]]
+) -> Part:
     """One part file, sorted by key."""
     columns = {name: np.concatenate([row[name] for row in rows]) for name in rows[0]}
     ordered, tied = _order(columns, TABLES[table].key)

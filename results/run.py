@@ -16,7 +16,6 @@ from results.durable import Damaged
 from results.inventory import Inventory, Part
 from results.tables import TABLES, schema
 
-
 OVER = ("finished", "interrupted")
 """Statuses of a run that ended with everything written."""
 
@@ -74,7 +73,8 @@ class Run:
         """Names of the tables that the run holds."""
         kept = self.config.get("record", {}).get("level")
         return tuple(
-            name for name in TABLES
+            name
+            for name in TABLES
             if (self.path / name).is_dir() or self.inventory.of(name) or (kept and name in tables.kept(kept))
         )
 

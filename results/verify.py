@@ -69,11 +69,10 @@ def _problems(folder: Path, manifest: dict[str, Any], found: Inventory) -> Itera
         for part in listed:
             if not any(problem.startswith(part.name) for problem in wrong):
                 yield from _content(folder, part, found.end_step)
-    for name, digest in found.blocks[-1].checkpoint.items() if found.blocks and not is_finished else ():
-        yield from _file(folder, name, digest)
-    for block in found.blocks if not is_finished else ():
+    whole = found.whole().blocks
+    for block in whole if not is_finished else ():
         for name, digest in block.checkpoint.items():
-            if not is_state(name) and block is not found.blocks[-1]:
+            if block is whole[-1] or not is_state(name):
                 yield from _file(folder, name, digest)
     for path in sorted(folder.iterdir()):
         if path.is_symlink() and (path.name in TABLES or path.name in _OWN or path.name == CHECKPOINT):
