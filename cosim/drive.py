@@ -76,6 +76,7 @@ class Drive:
             state, happened = step(world, state, self.parts)
             with self.parts.watch("record"):
                 recording.step(recorder, happened, config.traffic.step_s)
+                recorder.reach(number)
                 self.manifest.steps = number + 1
                 if recorder.is_block_end(number) and number + 1 < config.n_steps:
                     self._commit(state)

@@ -1,6 +1,7 @@
 """The parts of a step, built once from the config: perception, adversary, medium, trust, pseudonyms, driver."""
 
 from dataclasses import dataclass, field
+from typing import Any
 
 from cosim import choices, config
 from cosim.adversary.adversary import Adversary
@@ -66,6 +67,17 @@ def perception_of(experiment: Config, city: Scene) -> Perception:
     return Perception(city, c.lidar, _make(c, "detector"), c.trust.self_reports, c.seed, c.traffic.step_s)
 
 
+def check_choices(experiment: Config) -> None:
+    """ValueError in one line where one of the parts that a config names cannot be had."""
+    for section in ("detector", "pseudonyms", "driver"):
+        _make(experiment, section)
+    for number in range(len(experiment.attacks)):
+        _make(experiment, "attacks", number)
+    _make_medium(experiment, None)
+    c = experiment
+    TrustHosts.of(variants(c), c.server, c.seed, c.sensing_interval_s, c.traffic.step_s).start()
+
+
 def variants(experiment: Config) -> list[Variant]:
     """The acting way of trusting, and the trust variants."""
     choice, own = config.chosen(experiment, "trust")
@@ -95,13 +107,13 @@ def sources(experiment: Config) -> dict[str, choices.Source]:
     return {key: choice.source for key, choice in chosen(experiment).items()}
 
 
-def _make(experiment: Config, section: str, number: int | None = None):
-    """An instance of the class that a section names; without parameters of its own it is made without any."""
+def _make(experiment: Config, section: str, number: int | None = None) -> Any:
+    """An instance of the class that a section names."""
     choice, own = config.chosen(experiment, section, number)
-    return choice.of() if choice.params is None else choice.of(own)
+    return choices.make(choice, *(() if choice.params is None else (own,)))
 
 
-def _make_medium(experiment: Config, sight: LosCache | None) -> Medium:
+def _make_medium(experiment: Config, los: LosCache | None) -> Medium:
     choice, own = config.chosen(experiment, "radio")
     params = experiment.radio if own is None else own
-    return choice.of(params, experiment.timeout_s, experiment.seed, sight)
+    return choices.make(choice, params, experiment.timeout_s, experiment.seed, los)

@@ -17,7 +17,7 @@ from cosim.v2x.messages import FABRICATED
 from cosim.v2x.pseudonyms import PseudonymUse
 from cosim.world import World
 from results.codes import MessageType, TrustSource
-from results.encounters import Rows
+from results.encounters import Rows, by_variant
 from results.recorder import Recorder
 from sensors.boxes import Boxes
 
@@ -63,7 +63,10 @@ def _actors(recorder: Recorder, world: World) -> None:
 def encounters(recorder: Recorder, at: int, closed: Sequence[Rows]) -> None:
     """Encounters that are over, by definition."""
     for rows in closed:
-        recorder.append("encounters", at, rows)
+        base, others = by_variant(rows)
+        recorder.append("encounters", at, base)
+        if others:
+            recorder.append("encounter_trust", at, others)
 
 
 def pseudonyms(recorder: Recorder, at: int, ended: PseudonymUse) -> None:
@@ -158,9 +161,12 @@ def _trust(recorder: Recorder, at: int, sensed: Sensed, dt_s: float) -> None:
             "weight": scores.weight, "n_evaluations": scores.n_evaluations,
             "newest_age_s": (at - scores.newest_step) * dt_s, "oldest_age_s": (at - scores.oldest_step) * dt_s,
         })  # fmt: skip
-    if sensed.server is not None:
-        up, down = sensed.server.up, sensed.server
+    for variant, server in enumerate(sensed.server):
+        if server is None:
+            continue
+        up, down = server.up, server
         recorder.append("server", at, {
+            "variant": np.array([variant]),
             "n_reports": np.array([up.n_reports]), "n_reached": np.array([up.n_reached]),
             "n_lost": np.array([up.n_lost]), "n_over_capacity": np.array([up.n_over_capacity]),
             "n_outage": np.array([up.n_outage]), "uplink_bytes": np.array([up.uplink_bytes]),
@@ -199,9 +205,11 @@ def open_rows(state: State, parts: Parts, registry: ActorRegistry, end_step: int
     All actors, once; `role` by number of the attack, 0 for none.
     """
     lwh = registry.lwh_m
+    split = [by_variant(rows) for rows in copy.deepcopy(state.encounters).close(end_step)]
     attack_start_step, attacked = state.attack_start.first_steps(len(registry))
     return {
-        "encounters": list(copy.deepcopy(state.encounters).close(end_step)),
+        "encounters": [base for base, _ in split],
+        "encounter_trust": [others for _, others in split if others],
         "pseudonyms": [_pseudonym_rows(parts.pseudonyms.in_use(state.pseudonyms))],
         "vehicles": [{
             "vehicle": np.arange(len(registry), dtype=np.int32), "sumo_id": np.array(registry.names, object),

@@ -128,5 +128,5 @@ def persistent(
 
 
 def name_key(name: str) -> int:
-    """The 64-bit identity of an actor: a hash of its name, so it depends on nobody else."""
+    """The 64-bit identity of an actor: a hash of its name, whoever else is there."""
     return int.from_bytes(blake2b(name.encode(), digest_size=8).digest(), "little")

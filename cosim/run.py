@@ -17,8 +17,9 @@ from cosim.config import Config, resolve_data
 from cosim.cycle import State
 from cosim.drive import STATE_VERSION, Advance, Drive, own_modules
 from cosim.manifest import CONFIG, Manifest, versions
+from cosim.mobility.remarks import traffic_remarks
 from cosim.mobility.source import TrafficError, TrafficSource
-from cosim.parts import Parts, sources
+from cosim.parts import Parts, check_choices, sources
 from cosim.radio.rsu import NO_RSUS, RsuAntennas, place_rsus
 from cosim.run_folder import RunFolder
 from cosim.scenario import Scenario, find
@@ -41,6 +42,7 @@ def check(config: Config) -> Scenario:
     """The scenario that a config asks for; ValueError where it could not run."""
     scenario = find(config.traffic.scenario, config.traffic.trace)
     roadside_units(config, scenario)
+    check_choices(config)
     lidar.beams(config.lidar)
     if config.lidar.engine != "columnar":  # the others are libraries that may not be there
         one = Boxes(np.zeros((1, 3)), np.ones((1, 3)), np.zeros(1))
@@ -75,7 +77,7 @@ def run(config: Config, out: Path | None, advance: Advance) -> Path:
         try:
             folder = run_folder.create(out, scenario.name)
             try:
-                manifest = Manifest(folder.path, config, scenario.certificate(), sources(config))
+                manifest = Manifest(folder.path, config, scenario.provenance(), sources(config))
                 manifest.begin()
                 recorder = _recorder(folder.path, parts, 0)
                 drive = Drive(parts, scenario, traffic, registry, recorder, manifest, advance, stop)
@@ -101,7 +103,7 @@ def resume(path: Path, advance: Advance) -> Path:
     manifest = read_manifest(path)
     config = _resumable(path, manifest)
     scenario = check(config)
-    if (now := scenario.certificate()) != manifest["net"]:
+    if (now := scenario.provenance()) != manifest["net"]:
         changed = sorted(key for key in now.keys() | manifest["net"].keys() if now.get(key) != manifest["net"].get(key))
         raise ValueError(f"{path}: its inputs have changed since: {', '.join(changed)}. Run again.")
     with StopRequest() as stop:
@@ -259,12 +261,4 @@ def _fail(drive: Drive, folder: RunFolder, message: str) -> bool:
 
 def remarks(folder: Path) -> list[str]:
     """What a user should know of a finished run before they trust its figures; mostly nothing."""
-    summary = read_manifest(folder)["summary"]
-    said = []
-    if "ended_early" in summary:
-        said.append(f"note: {summary['ended_early']}.")
-    if left_out := summary.get("actors_left_out"):
-        counts = ", ".join(f"{n} {kind}" for kind, n in left_out.items())
-        said.append(f"note: left out, because they are not on the road: {counts}.")
-    said += [f"note: SUMO went on, but: {complaint}" for complaint in summary.get("sumo_errors", [])]
-    return said
+    return traffic_remarks(read_manifest(folder)["summary"])

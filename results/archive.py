@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from results import durable, inventory
 from results.durable import Damaged
 from results.run import Run
-from results.tables import SCHEMA_VERSION
+from results.tables import SCHEMA_VERSION, TABLES
 
 if TYPE_CHECKING:
     from results.measure import Measures
@@ -50,7 +50,7 @@ def open_run(path: str | Path, unfinished: bool = False) -> OpenRun:
     run = OpenRun(path, manifest)
     if status == "finished":
         summary = run.inventory.summary(run.manifest["inventory"]["tables"])
-        if summary != manifest["inventory"] or manifest["steps"] != run.inventory.end_step:
+        if summary != manifest["inventory"]:
             raise Damaged(f"{path} is damaged: {inventory.FILE} is not the one that manifest.json was written with.")
     elif not unfinished:
         raise ValueError(
@@ -88,6 +88,14 @@ def write_manifest(folder: Path, content: Mapping[str, Any]) -> None:
     text = json.dumps(durable.seal(dict(content)), indent=1, ensure_ascii=False)
     durable.write(folder / MANIFEST, text.encode())
     durable.sync_folder(folder)
+
+
+def finish(folder: Path, content: Mapping[str, Any]) -> None:
+    """Write the manifest of a finished run, with the inventory of what its recorder wrote."""
+    tables = [name for name in TABLES if (folder / name).is_dir()]
+    summary = inventory.read(folder).summary(tables)
+    about = {"schema_version": SCHEMA_VERSION, "status": "finished", "steps": summary["end_step"]}
+    write_manifest(folder, about | dict(content) | {"inventory": summary})
 
 
 def status_of(path: Path, manifest: Mapping[str, Any]) -> str:

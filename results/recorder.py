@@ -101,14 +101,19 @@ class Recorder:
             raise ValueError(f"There is no table {table!r}. The tables are {', '.join(TABLES)}.")
         if step // self.block_steps != self._block:
             assert step >= self._block * self.block_steps, f"step {step} lies in a block that is on disk"
-            self.flush()
-            self._block = step // self.block_steps
-        self._last_step = max(self._last_step, step)
+        self.reach(step)
         if table not in self.tables:
             return
         rows = _checked(table, step, columns, self.labels)
         if len(next(iter(rows.values()))):
             self._rows[table].append(rows)
+
+    def reach(self, step: int) -> None:
+        """Say that a step is done, with or without rows."""
+        if step // self.block_steps != self._block:
+            self.flush()
+            self._block = step // self.block_steps
+        self._last_step = max(self._last_step, step)
 
     def is_block_end(self, step: int) -> bool:
         """Whether a step is the last one of its block."""

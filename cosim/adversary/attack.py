@@ -82,7 +82,7 @@ class Attack(Protocol):
 def fabricated(
     listed: Detections, observer: Int[ndarray, "c"], label: ndarray, boxes: Boxes, score: Float[ndarray, "c"]
 ) -> Detections:
-    """The lists with detections added that nobody made, numbered on from each observer's last.
+    """The lists with fabricated detections added, numbered on from each observer's last.
 
     Parameters
     ----------

@@ -17,10 +17,15 @@ import numpy as np
 from numpy import ndarray
 
 from cosim.actors import ActorRegistry
+from cosim.mobility.frame import Frame, TrafficError
 from cosim.mobility.params import TrafficParams
-from cosim.mobility.source import SHAPE_OF_CLASS, TrafficEnded, TrafficError, world_from_bumpers
+from cosim.mobility.remarks import FlowCounts
+from cosim.mobility.source import SHAPE_OF_CLASS, TrafficEnded, world_from_bumpers
 from cosim.world import World
 from sumo_nets import sumocfg
+from sumo_nets.catalogue import bounds_m
+from sumo_nets.sumocfg import first_departure_s
+from sumo_nets.vtypes import check_size
 
 _UNKNOWN, _LEFT_OUT = -2, -1
 _NO_POSITION_M = -1e9
@@ -63,12 +68,15 @@ class SumoTraffic:
     """
 
     def __init__(
-        self, params: TrafficParams, config: Path, registry: ActorRegistry, origin_m: tuple[float, float] = (0.0, 0.0)
+        self, params: TrafficParams, config: Path, registry: ActorRegistry, frame: Frame | None = None
     ) -> None:
         """Load the scenario; ValueError with SUMO's message when SUMO refuses it."""
-        self._registry, self._config, self._origin_m = registry, config, origin_m
+        self._registry, self._config = registry, config
+        self._frame = frame or Frame(f"traffic.scenario = {config}", bounds_m=bounds_m(sumocfg.read(config).net))
         self._domains = (_Domain("vehicle"), _Domain("person"))
         self._step = 0
+        self._counts = FlowCounts()
+        self._warmup_s = 0.0
         self._left_out: Counter[str] = Counter()
         self.n_teleports = 0
         """Vehicles that SUMO has teleported since recording began."""
@@ -89,7 +97,7 @@ class SumoTraffic:
         while (done := libsumo.simulation.getTime() - begin) < seconds - 1e-6:
             self.move()
             yield done
-        self.n_teleports = 0
+        self.n_teleports, self._warmup_s = 0, seconds
 
     def advance(self) -> World:
         """Simulate one step and read all actors."""
@@ -100,7 +108,7 @@ class SumoTraffic:
         self._register(present, step)
         parts = [_read(domain, names, number) for domain, names, number in present]
         number, front_m, angle, speed = (np.concatenate(column) for column in zip(*parts, strict=True))
-        return world_from_bumpers(step, number, front_m, angle, speed, self._registry, self._origin_m)
+        return self._counts.add(world_from_bumpers(step, number, front_m, angle, speed, self._registry, self._frame))
 
     def move(self) -> None:
         """Simulate one step without reading."""
@@ -123,8 +131,16 @@ class SumoTraffic:
             "vehicles_waiting_to_enter_at_end": len(libsumo.simulation.getPendingVehicles()),
             "teleports": self.n_teleports,
             "actors_left_out": dict(sorted(self._left_out.items())),
+            **self._counts.report(),
+            **self._first_departure(),
             **({"sumo_errors": errors[:9]} if (errors := self._errors_since(0)) else {}),
         }
+
+    def _first_departure(self) -> dict[str, float]:
+        """The first departure of the demand, where no vehicle was ever on the road."""
+        if self._counts.n_vehicles or (first_s := first_departure_s(sumocfg.read(self._config).routes)) is None:
+            return {}
+        return {"first_departure_s": first_s, "warmup_s": self._warmup_s}
 
     def close(self) -> None:
         libsumo.close()
@@ -153,7 +169,13 @@ class SumoTraffic:
                     continue
                 kept.append((domain, name))
                 shapes.append(shape)
-                lwh_m.append([domain.getter[what](name) for what in ("Length", "Width", "Height")])
+                where = f"traffic.scenario = {self._config}: {domain.name} {name!r}"
+                lwh_m.append(
+                    [
+                        check_size(where, what.lower(), domain.getter[what](name))
+                        for what in ("Length", "Width", "Height")
+                    ]
+                )
         if kept:
             new = self._registry.register(
                 [name for _, name in kept], np.array(shapes, np.uint8), np.array(lwh_m, float), step
@@ -197,9 +219,11 @@ def _read(domain: _Domain, names: tuple[str, ...] | list[str], number: ndarray) 
 
 
 def _options(params: TrafficParams, config: sumocfg.Sumocfg, scratch: Path) -> list[str]:
-    """SUMO's command line: the configuration without messages and without output files."""
+    """SUMO's command line: a copy of the configuration with harmless options only, written to the temporary folder."""
+    copy = scratch / "scenario.sumocfg"
+    copy.write_text(config.text(), encoding="utf-8")
     options = {
-        "configuration-file": config.path,
+        "configuration-file": copy,
         "seed": params.seed,
         "step-length": params.step_s,
         "no-step-log": "true",
@@ -215,7 +239,6 @@ def _options(params: TrafficParams, config: sumocfg.Sumocfg, scratch: Path) -> l
         "output-prefix": _prefix(scratch),
         **({} if params.begin_s is None else {"begin": params.begin_s}),
         **({} if params.scale == 1 else {"scale": params.scale}),
-        **dict.fromkeys(config.outputs, os.devnull),
     }
     return [word for name, value in options.items() for word in (f"--{name}", str(value))]
 
