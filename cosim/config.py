@@ -15,7 +15,8 @@ from pydantic import TypeAdapter, ValidationError
 
 from cosim.adversary.adversary import ATTACKS, PAPER, AttackParams, check_shares
 from cosim.choices import Choice, resolve
-from cosim.driver.driver import DRIVERS, DriverParams
+from cosim.driver.driver import DriverParams
+from cosim.driver.drivers import DRIVERS
 from cosim.fleet import FleetParams
 from cosim.mobility.params import TrafficParams, resolved_input
 from cosim.radio.medium import MEDIA

@@ -23,6 +23,7 @@ from cosim.ground_truth import GroundTruth
 from cosim.parts import Parts
 from cosim.perception import Observed
 from cosim.radio.message_round import LinkReceptions, MessageRound, Receptions, RoundKind, by_link
+from cosim.reactions import Reactions, ReactionTruth
 from cosim.stages import Listed, Matched, Piggybacked, Vehicles
 from cosim.trackers.attack_start import AttackStartTracker
 from cosim.trackers.encounters import EncounterTrackers
@@ -48,6 +49,8 @@ class State:
     trust: TrustState
     encounters: EncounterTrackers
     driver: object = None
+    reaction_truth: ReactionTruth = field(default_factory=ReactionTruth)
+    """For the table of reactions alone."""
     pseudonyms: PseudonymState = field(default_factory=PseudonymState)
     included: InclusionMemory = field(default_factory=InclusionMemory)
     piggybacked: Piggybacked | None = None
@@ -132,6 +135,8 @@ class StepResult:
     """None in steps between two sweeps, and without equipped vehicles."""
     commands: SpeedCommands
     """What drivers do next."""
+    reactions: Reactions | None
+    """The same with what they react to; None where the driver gives no reasons."""
 
 
 def step(world: World, state: State, parts: Parts) -> tuple[State, StepResult]:
@@ -143,7 +148,10 @@ def step(world: World, state: State, parts: Parts) -> tuple[State, StepResult]:
     with watch("encounters"):
         closed = _meet(world, s, parts, vehicles, time_s)
     if not parts.senses(world.step) or not len(vehicles):
-        return s, StepResult(world, closed, ended, None, SpeedCommands.none())
+        with watch("driver"):
+            s.driver, commands = parts.driver.commands(s.driver, world, None, c.traffic.step_s)
+            reactions = s.reaction_truth.of(commands, world, c.traffic.step_s)
+        return s, StepResult(world, closed, ended, None, commands, reactions)
 
     with watch("server"):
         s.trust, published, informed = parts.trust.publish(
@@ -194,8 +202,12 @@ def step(world: World, state: State, parts: Parts) -> tuple[State, StepResult]:
         fused = stages.fuse_objects(matched, evaluated, listed, observed, used, lookups, parts)
     with watch("driver"):
         assert fused[0] is not None, "the acting variant is always fused"
-        beliefs = stages.beliefs_of(fused[0], listed, vehicles)
+        beliefs = stages.beliefs_of(fused[0], listed, vehicles, fused_s)
         s.driver, commands = parts.driver.commands(s.driver, world, beliefs, c.traffic.step_s)
+        if c.driver.model != "none":
+            observer = vehicles.pseudonym[listed.detections.message]
+            s.reaction_truth.add(world, listed.objects, listed.truth, observer, c.traffic.step_s)
+        reactions = s.reaction_truth.of(commands, world, c.traffic.step_s)
     with watch("track"):
         rounds, all_links = (round_1, round_2), (links_1, links_2)
         in_range, inter_reception = _track(world, s, listed, rounds, all_links, used, lookups, matched, vehicles)
@@ -204,7 +216,7 @@ def step(world: World, state: State, parts: Parts) -> tuple[State, StepResult]:
         vehicles, observed, listed.objects, listed.truth, listed.detections, rounds, all_links, matched.lists,
         evaluated.reported, evaluated.n_points, evaluated.plausible, matched.lists_groups.ego_detected, used, lookups,
         fused, _per_variant(published, parts), _per_variant(server, parts), in_range, inter_reception,
-    ), commands)  # fmt: skip
+    ), commands, reactions)  # fmt: skip
 
 
 def _identify(world: World, s: State, parts: Parts) -> tuple[Vehicles, PseudonymUse]:

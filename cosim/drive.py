@@ -5,6 +5,8 @@ from dataclasses import dataclass, field
 
 import numba
 import numpy as np
+from jaxtyping import Float, Int
+from numpy import ndarray
 
 from cosim import checkpoint, recording
 from cosim.actors import ActorRegistry
@@ -23,6 +25,9 @@ from sensors.scene import Shape
 Advance = Callable[[str, int, int, str], None]
 """Told of progress: phase, done, total, a note."""
 
+Commands = tuple[Int[ndarray, "c"], Float[ndarray, "c"]]
+"""Actors, and the speeds that they shall drive [m/s]."""
+NO_COMMANDS: Commands = (np.zeros(0, np.int64), np.zeros(0))
 STATE_VERSION = 1
 """Raised whenever a state of an earlier version would be misread."""
 _CORES = numba.get_num_threads()
@@ -46,10 +51,13 @@ class Drive:
     """At the first step that is recorded; None at the first of all, or where it is to be computed again."""
     expected: dict[str, np.ndarray] | None = None
     """Rows of the table `actors` of the last step that a resumed run finds recorded."""
+    commands: dict[int, Commands] = field(default_factory=dict)
+    """By step, what drivers commanded in the steps that a resumed run finds recorded."""
     n_on_road: int = 0
     ended: str = ""
     """Why the traffic ended before the time asked for."""
-    _keeps_state: bool = field(default=True)
+    _of_block: dict[int, Commands] = field(default_factory=dict)
+    _keeps_state: bool = True
 
     def run(self) -> None:
         """Warm up, repeat the traffic of what is recorded already, and go on to the end or to a signal."""
@@ -66,8 +74,11 @@ class Drive:
             if (world := self._next(number)) is None:
                 break
             if number < first:
+                commands = self.commands.get(number, NO_COMMANDS)
                 if recomputes:
-                    state, _ = step(world, state, self.parts)
+                    state, happened = step(world, state, self.parts)
+                    commands = happened.commands.actor, happened.commands.speed_mps
+                self.traffic.command(*commands)
                 if number == first - 1:
                     self._check_repeated(world)
                 self.advance("repeat traffic", number + 1, first, "steps")
@@ -78,13 +89,12 @@ class Drive:
                 recording.step(recorder, happened, config.traffic.step_s)
                 recorder.reach(number)
                 self.manifest.steps = number + 1
+                commands = happened.commands.actor, happened.commands.speed_mps
+                if len(happened.commands):
+                    self._of_block[number] = commands
                 if recorder.is_block_end(number) and number + 1 < config.n_steps:
                     self._commit(state)
-            if len(happened.commands):
-                raise ValueError(
-                    f"driver.model = {config.driver.model}: it commands speeds, which this traffic does not take. "
-                    "Choose a driver that commands none."
-                )
+            self.traffic.command(*commands)
             self.advance("run", number + 1, config.n_steps, f"steps, {len(world)} actors")
             if self.stop.signum is not None:
                 break
@@ -112,9 +122,12 @@ class Drive:
     def _commit(self, state: State) -> None:
         """A whole block, with what a resumed run needs to go on from it."""
         files = {}
+        if self._of_block:
+            files[f"commands-{self.manifest.steps:07d}.bin"] = checkpoint.encode(self._of_block)
+            self._of_block = {}
         if self._keeps_state:
             try:
-                files[f"state-{self.recorder.inventory.end_step:07d}.bin"] = checkpoint.encode(
+                files[f"state-{self.manifest.steps:07d}.bin"] = checkpoint.encode(
                     (STATE_VERSION, state), own_modules(self.parts.config)
                 )
             except CannotCheckpoint as error:

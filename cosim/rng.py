@@ -47,6 +47,7 @@ class Stream(IntEnum):
     CLUTTER_MEMORY = 17
     ATTACK = 18
     PSEUDONYM = 19
+    DRIVER = 20
 
 
 @njit(cache=True, inline="always")

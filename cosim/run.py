@@ -2,6 +2,7 @@
 
 import hashlib
 import shutil
+from collections.abc import Collection
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -13,9 +14,10 @@ import pyarrow.parquet as pq
 
 from cosim import checkpoint, run_folder
 from cosim.actors import ActorRegistry
-from cosim.config import Config, resolve_data
+from cosim.config import Config, chosen, resolve_data
 from cosim.cycle import State
-from cosim.drive import STATE_VERSION, Advance, Drive, own_modules
+from cosim.drive import STATE_VERSION, Advance, Commands, Drive, own_modules
+from cosim.driver.driver import largest_step_s
 from cosim.manifest import CONFIG, Manifest, versions
 from cosim.mobility.remarks import traffic_remarks
 from cosim.mobility.source import TrafficError, TrafficSource
@@ -43,12 +45,31 @@ def check(config: Config) -> Scenario:
     scenario = find(config.traffic.scenario, config.traffic.trace)
     roadside_units(config, scenario)
     check_choices(config)
+    _check_driver(config, scenario)
     lidar.beams(config.lidar)
     if config.lidar.engine != "columnar":  # the others are libraries that may not be there
         one = Boxes(np.zeros((1, 3)), np.ones((1, 3)), np.zeros(1))
         car, first = np.array([Shape.CAR], np.uint8), np.zeros(1, np.int64)
         lidar.scan(one, car, first, Scene.empty(), config.lidar, np.zeros(1, np.uint64))
     return scenario
+
+
+def _check_driver(config: Config, scenario: Scenario) -> None:
+    """ValueError where the traffic cannot do what the driver commands."""
+    limit_s = largest_step_s(chosen(config, "driver")[0].of)
+    if limit_s is None:
+        return
+    name = f'driver.model = "{config.driver.model}"'
+    if scenario.trace is not None:
+        raise ValueError(
+            f"{name}: {scenario.trace} is replayed: nothing can brake in it. Run SUMO (no traffic.trace), or set "
+            'driver.model = "none".'
+        )
+    if config.traffic.step_s > limit_s + 1e-9:
+        raise ValueError(
+            f"traffic.step_s = {config.traffic.step_s:g} s is too long for {name}: drivers behind would brake too late "
+            f"and too hard. Set traffic.step_s to {limit_s:g} or less."
+        )
 
 
 def roadside_units(config: Config, scenario: Scenario) -> RsuAntennas:
@@ -121,6 +142,7 @@ def resume(path: Path, advance: Advance) -> Path:
                 went.resumed_at = [*manifest.get("resumed_at", []), found.end_step]
                 drive = Drive(parts, scenario, traffic, registry, recorder, went, advance, stop)
                 drive.state, drive.expected = _kept_state(path, found, config), _last_poses(path, found)
+                drive.commands = _kept_commands(path, found)
                 went.write("running")
                 _carry_out(drive, folder)
             finally:
@@ -160,7 +182,8 @@ def _loaded(config: Config, scenario: Scenario) -> tuple[Parts, ActorRegistry, T
         city = scenario.city()
     parts = Parts.of(config, city, roadside_units(config, scenario), watch)
     registry = ActorRegistry(config.fleet, config.seed, tuple(attack.share_p for attack in config.attacks))
-    return parts, registry, scenario.traffic(config.traffic, registry)
+    traffic = scenario.traffic(config.traffic, registry, has_driver=config.driver.model != "none")
+    return parts, registry, traffic
 
 
 def _recorder(folder: Path, parts: Parts, resume_at: int) -> Recorder:
@@ -169,19 +192,34 @@ def _recorder(folder: Path, parts: Parts, resume_at: int) -> Recorder:
     return Recorder(folder, record.level, record.block_steps, resume_at, variants=variants)
 
 
+def _kept_commands(path: Path, found: Inventory) -> dict[int, Commands]:
+    """Speeds that drivers commanded, by step; they belong to the traffic that is repeated."""
+    commands: dict[int, Commands] = {}
+    for block in found.blocks:
+        for name in block.checkpoint:
+            if not is_state(name):
+                commands |= _decoded(path, name, block.checkpoint[name], ())
+    return commands
+
+
+def _decoded(path: Path, name: str, digest: str, own: Collection[str]) -> Any:
+    """What a file of a checkpoint holds."""
+    with open_regular(path / name) as file:
+        content = file.read()
+    if hashlib.sha256(content).hexdigest() != digest:
+        raise Damaged(f"{path} is damaged: {name} is not what was written. Run again.")
+    try:
+        return checkpoint.decode(content, own)
+    except ValueError as error:
+        raise Damaged(f"{path}/{name}: {error}. Run again.") from None
+
+
 def _kept_state(path: Path, found: Inventory, config: Config) -> State | None:
     """The state at the end of the last whole block; None where all has to be computed again."""
     names = [name for name in (found.blocks[-1].checkpoint if found.blocks else ()) if is_state(name)]
     if not names:
         return None
-    with open_regular(path / names[0]) as file:
-        content = file.read()
-    if hashlib.sha256(content).hexdigest() != found.blocks[-1].checkpoint[names[0]]:
-        raise Damaged(f"{path} is damaged: {names[0]} is not what was written. Run again.")
-    try:
-        state_version, state = checkpoint.decode(content, own_modules(config))
-    except ValueError as error:
-        raise Damaged(f"{path}/{names[0]}: {error}. Run again.") from None
+    state_version, state = _decoded(path, names[0], found.blocks[-1].checkpoint[names[0]], own_modules(config))
     if state_version != STATE_VERSION or not isinstance(state, State):
         raise ValueError(f"{path} was begun with another cosim. Run again.")
     return state

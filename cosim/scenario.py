@@ -50,13 +50,16 @@ class Scenario:
     inputs: tuple[Path, ...] = ()
     """Every file that is read, whatever it holds."""
 
-    def traffic(self, params: TrafficParams, registry: ActorRegistry) -> TrafficSource:
-        """The source of traffic; ValueError in one line where it cannot be read."""
+    def traffic(self, params: TrafficParams, registry: ActorRegistry, has_driver: bool = False) -> TrafficSource:
+        """The source of traffic; ValueError in one line where it cannot be read.
+
+        With a driver, its worlds have lane paths where SUMO runs.
+        """
         source = f"traffic.scenario = {params.scenario}" if self.trace is None else f"traffic.trace = {self.trace}"
         frame = Frame(source, self.origin_m, self.bounds_m)
         if self.trace is None:
             assert self.sumocfg is not None
-            return SumoTraffic(params, self.sumocfg, registry, frame)
+            return SumoTraffic(params, self.sumocfg, registry, frame, has_driver)
         if self.trace.is_dir():
             changed = self.changed_inputs(open_run(self.trace).manifest.get("net", {}))
             return RunReplay(params, self.trace, registry, frame, changed)

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Int
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from cosim.actors import ActorRegistry
@@ -16,7 +16,7 @@ from cosim.mobility.fcd import Timestep, timesteps
 from cosim.mobility.frame import Frame, TrafficError
 from cosim.mobility.params import TrafficParams
 from cosim.mobility.remarks import FlowCounts
-from cosim.mobility.source import SHAPE_OF_CLASS, TrafficEnded, world_from_bumpers, world_of
+from cosim.mobility.source import SHAPE_OF_CLASS, TrafficEnded, refuse_commands, world_from_bumpers, world_of
 from cosim.world import World
 from results.archive import open_run
 from results.run import Run
@@ -98,6 +98,10 @@ class TraceReplay:
             self._registry, self._frame,
         )  # fmt: skip
         return self._counts.add(world)
+
+    def command(self, actor: Int[ndarray, "c"], speed_mps: Float[ndarray, "c"]) -> None:
+        """Refused: replayed traffic cannot be commanded."""
+        refuse_commands(str(self._path), len(actor))
 
     def report(self) -> dict[str, Any]:
         report: dict[str, Any] = {"actors_left_out": dict(sorted(Counter(self._left_out.values()).items()))}
@@ -208,6 +212,10 @@ class RunReplay:
         number = number[order]
         xyz_m, yaw_rad, speed = (rows[name][order] for name in ("xyz_m", "yaw_rad", "speed_mps"))
         return self._counts.add(world_of(step, number, xyz_m, yaw_rad, speed, self._registry, self._frame))
+
+    def command(self, actor: Int[ndarray, "c"], speed_mps: Float[ndarray, "c"]) -> None:
+        """Refused: replayed traffic cannot be commanded."""
+        refuse_commands(str(self._run.path), len(actor))
 
     def report(self) -> dict[str, Any]:
         """Counts of the run that is replayed."""

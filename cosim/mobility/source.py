@@ -44,6 +44,15 @@ class TrafficEnded(Exception):
     """No actor is left and none will depart, or the source ends; says why."""
 
 
+def refuse_commands(what: str, n: int) -> None:
+    """TrafficError where there is any command for traffic that is replayed."""
+    if n:
+        raise TrafficError(
+            f"{what} is replayed: nothing can brake in it. Run SUMO (no traffic.trace), or choose a driver that "
+            "commands no speeds."
+        )
+
+
 class TrafficSource(Protocol):
     """A source of traffic, read into arrays step by step."""
 
@@ -52,6 +61,12 @@ class TrafficSource(Protocol):
 
     def advance(self) -> World:
         """The world of the next step; raises TrafficEnded where there is none."""
+
+    def command(self, actor: Int[ndarray, "c"], speed_mps: Float[ndarray, "c"]) -> None:
+        """Speeds that vehicles drive in the next step; all others drive on their own.
+
+        TrafficError where the traffic cannot be commanded.
+        """
 
     def report(self) -> dict[str, Any]:
         """Counts for the run's summary."""
