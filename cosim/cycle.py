@@ -199,7 +199,7 @@ def step(world: World, state: State, parts: Parts) -> tuple[State, StepResult]:
             parts.trust.lookup(s.trust, vehicles.actor[used.receiver], vehicles.pseudonym[used.message], fused_s), parts
         )
     with watch("fuse"):
-        fused = stages.fuse_objects(matched, evaluated, listed, observed, used, lookups, parts)
+        fused = stages.fuse_objects(matched, evaluated, listed, observed, used, lookups, s.trust, parts)
     with watch("driver"):
         assert fused[0] is not None, "the acting variant is always fused"
         beliefs = stages.beliefs_of(fused[0], listed, vehicles, fused_s)

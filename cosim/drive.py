@@ -18,6 +18,7 @@ from cosim.mobility.source import TrafficEnded, TrafficError, TrafficSource
 from cosim.parts import Parts, chosen
 from cosim.scenario import Scenario
 from cosim.stop import StopRequest
+from cosim.stopwatch import Stopwatch
 from cosim.world import World
 from results.recorder import Recorder
 from sensors.scene import Shape
@@ -41,6 +42,7 @@ class Drive:
 
     parts: Parts
     scenario: Scenario
+    warmup_s: float
     traffic: TrafficSource
     registry: ActorRegistry
     recorder: Recorder
@@ -63,7 +65,7 @@ class Drive:
         """Warm up, repeat the traffic of what is recorded already, and go on to the end or to a signal."""
         config, recorder = self.parts.config, self.recorder
         first = recorder.inventory.end_step
-        self._warm_up()
+        warm_up(self.warmup_s, self.traffic, self.parts.watch, self.advance)
         recomputes = first > 0 and self.state is None
         state = State.start(self.parts) if self.state is None else self.state
         self.state = None
@@ -167,18 +169,16 @@ class Drive:
                 "another SUMO or other files. Run again."
             )
 
-    def _warm_up(self) -> None:
-        params = self.parts.config.traffic
-        warmup_s = self.scenario.warmup_s if params.warmup_s is None else params.warmup_s
-        with self.parts.watch("warm-up"):
-            try:
-                for done_s in self.traffic.warm_up(warmup_s):
-                    self.advance("warm-up", int(done_s), int(warmup_s), "s")
-            except TrafficEnded as over:
-                raise TrafficError(
-                    f"traffic.warmup_s = {warmup_s:g} s outlasts the traffic: {over}. Shorten it."
-                ) from None
-            self.advance("warm-up", int(warmup_s), int(warmup_s), "s")
+
+def warm_up(warmup_s: float, traffic: TrafficSource, watch: Stopwatch, advance: Advance) -> None:
+    """Traffic before the first step."""
+    with watch("warm-up"):
+        try:
+            for done_s in traffic.warm_up(warmup_s):
+                advance("warm-up", int(done_s), int(warmup_s), "s")
+        except TrafficEnded as over:
+            raise TrafficError(f"traffic.warmup_s = {warmup_s:g} s outlasts the traffic: {over}. Shorten it.") from None
+        advance("warm-up", int(warmup_s), int(warmup_s), "s")
 
 
 def own_modules(config: Config) -> tuple[str, ...]:

@@ -13,6 +13,7 @@ from cosim.cycle import Sensed, State, StepResult
 from cosim.parts import Parts
 from cosim.radio.message_round import Outcome
 from cosim.reactions import Reactions
+from cosim.trackers.attack_start import AttackStartTracker
 from cosim.trackers.channel_counts import latency_histogram, pdr_by_distance, vehicle_channel
 from cosim.v2x.messages import FABRICATED
 from cosim.v2x.pseudonyms import PseudonymUse
@@ -39,7 +40,7 @@ OUTCOMES = {
 def step(recorder: Recorder, happened: StepResult, dt_s: float) -> None:
     """Everything that the result of a step says."""
     at = happened.world.step
-    _actors(recorder, happened.world)
+    actors(recorder, happened.world)
     if happened.reactions is not None:
         _reactions(recorder, at, happened.reactions)
     encounters(recorder, at, happened.encounters)
@@ -55,7 +56,8 @@ def step(recorder: Recorder, happened: StepResult, dt_s: float) -> None:
     _fused(recorder, at, sensed)
 
 
-def _actors(recorder: Recorder, world: World) -> None:
+def actors(recorder: Recorder, world: World) -> None:
+    """Poses of all actors."""
     xyz, yaw = world.boxes.xyz_m, world.boxes.yaw_rad
     recorder.append("actors", world.step, {
         "actor": world.actor, "x_m": xyz[:, 0], "y_m": xyz[:, 1], "z_m": xyz[:, 2], "yaw_rad": yaw,
@@ -214,22 +216,26 @@ def _fused(recorder: Recorder, at: int, sensed: Sensed) -> None:
 
 
 def open_rows(state: State, parts: Parts, registry: ActorRegistry, end_step: int) -> dict[str, list[Columns]]:
-    """By table, the rows of what is not over yet, as they would be if recording ended before `end_step`.
-
-    All actors, once; `role` by number of the attack, 0 for none.
-    """
-    lwh = registry.lwh_m
+    """By table, the rows of what is not over yet, as they would be if recording ended before `end_step`."""
     split = [by_variant(rows) for rows in copy.deepcopy(state.encounters).close(end_step)]
-    attack_start_step, attacked = state.attack_start.first_steps(len(registry))
     return {
         "encounters": [base for base, _ in split],
         "encounter_trust": [others for _, others in split if others],
         "pseudonyms": [_pseudonym_rows(parts.pseudonyms.in_use(state.pseudonyms))],
-        "vehicles": [{
-            "vehicle": np.arange(len(registry), dtype=np.int32), "sumo_id": np.array(registry.names, object),
-            "vehicle_class": registry.shape, "length_m": lwh[:, 0], "width_m": lwh[:, 1], "height_m": lwh[:, 2],
-            "equipped": registry.equipped, "role": roles_of(parts.config.attacks)[registry.attack],
-            "role__valid": registry.equipped, "first_step": registry.first_step, "last_step": registry.last_step,
-            "attack_start_step": attack_start_step, "attack_start_step__valid": attacked,
-        }],
+        "vehicles": [vehicle_rows(registry, roles_of(parts.config.attacks), state.attack_start)],
+    }
+
+
+def vehicle_rows(
+    registry: ActorRegistry, role_of_attack: UInt8[ndarray, "a"], attack_start: AttackStartTracker
+) -> Columns:
+    """All actors; `role_of_attack` by number of the attack, 0 for none."""
+    lwh = registry.lwh_m
+    attack_start_step, attacked = attack_start.first_steps(len(registry))
+    return {
+        "vehicle": np.arange(len(registry), dtype=np.int32), "sumo_id": np.array(registry.names, object),
+        "vehicle_class": registry.shape, "length_m": lwh[:, 0], "width_m": lwh[:, 1], "height_m": lwh[:, 2],
+        "equipped": registry.equipped, "role": role_of_attack[registry.attack], "role__valid": registry.equipped,
+        "first_step": registry.first_step, "last_step": registry.last_step,
+        "attack_start_step": attack_start_step, "attack_start_step__valid": attacked,
     }  # fmt: skip

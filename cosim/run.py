@@ -12,21 +12,22 @@ import numpy as np
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from cosim import checkpoint, run_folder
+from cosim import checkpoint, recording, run_folder
 from cosim.actors import ActorRegistry
 from cosim.config import Config, chosen, resolve_data
 from cosim.cycle import State
-from cosim.drive import STATE_VERSION, Advance, Commands, Drive, own_modules
+from cosim.drive import STATE_VERSION, Advance, Commands, Drive, own_modules, warm_up
 from cosim.driver.driver import largest_step_s
 from cosim.manifest import CONFIG, Manifest, versions
 from cosim.mobility.remarks import traffic_remarks
-from cosim.mobility.source import TrafficError, TrafficSource
+from cosim.mobility.source import TrafficEnded, TrafficError, TrafficSource
 from cosim.parts import Parts, check_choices, sources
 from cosim.radio.rsu import NO_RSUS, RsuAntennas, place_rsus
 from cosim.run_folder import RunFolder
 from cosim.scenario import Scenario, find
 from cosim.stop import Failed, Stopped, StopRequest
 from cosim.stopwatch import Stopwatch
+from cosim.trackers.attack_start import AttackStartTracker
 from results import inventory
 from results.archive import read_manifest
 from results.durable import PARTIAL, Damaged, open_regular, sha256
@@ -85,8 +86,11 @@ def roadside_units(config: Config, scenario: Scenario) -> RsuAntennas:
     return replace(sites, xyz_m=sites.xyz_m - np.array([*scenario.origin_m, 0.0]))
 
 
-def run(config: Config, out: Path | None, advance: Advance) -> Path:
+def run(config: Config, out: Path | None, advance: Advance, traffic_from: Path | None = None) -> Path:
     """Drive, sense, talk, trust and record; the folder that it wrote.
+
+    `traffic_from` is a folder that `record_traffic` wrote for the same `[traffic]`: it is replayed instead of driving
+    SUMO, with the same tables.
 
     Nothing is written before the config has been checked and SUMO has accepted the scenario. Stopped where a signal
     asks for it.
@@ -94,14 +98,15 @@ def run(config: Config, out: Path | None, advance: Advance) -> Path:
     run_folder.check(out)
     scenario = check(config)
     with StopRequest() as stop:
-        parts, registry, traffic = _loaded(config, scenario)
+        parts, registry, traffic = _loaded(config, scenario, traffic_from)
         try:
             folder = run_folder.create(out, scenario.name)
             try:
                 manifest = Manifest(folder.path, config, scenario.provenance(), sources(config))
                 manifest.begin()
                 recorder = _recorder(folder.path, parts, 0)
-                drive = Drive(parts, scenario, traffic, registry, recorder, manifest, advance, stop)
+                warmup_s = 0.0 if traffic_from is not None else _warmup_s(config, scenario)
+                drive = Drive(parts, scenario, warmup_s, traffic, registry, recorder, manifest, advance, stop)
             except BaseException as error:
                 with suppress(OSError):
                     folder.remove()
@@ -140,7 +145,8 @@ def resume(path: Path, advance: Advance) -> Path:
                 recorder = _recorder(path, parts, found.end_step)
                 went = Manifest(path, config, manifest["net"], sources(config), steps=found.end_step)
                 went.resumed_at = [*manifest.get("resumed_at", []), found.end_step]
-                drive = Drive(parts, scenario, traffic, registry, recorder, went, advance, stop)
+                warmup_s = _warmup_s(config, scenario)
+                drive = Drive(parts, scenario, warmup_s, traffic, registry, recorder, went, advance, stop)
                 drive.state, drive.expected = _kept_state(path, found, config), _last_poses(path, found)
                 drive.commands = _kept_commands(path, found)
                 went.write("running")
@@ -150,6 +156,37 @@ def resume(path: Path, advance: Advance) -> Path:
         except BaseException:
             folder.release()
             raise
+    return path
+
+
+def record_traffic(config: Config, path: Path, advance: Advance) -> Path:
+    """Drive and record the traffic of a config, nobody equipped; a folder for `run(..., traffic_from=path)`."""
+    own = {section: values for section, values in config.own.items() if not section.startswith("attacks.")}
+    config = replace(config, attacks=(), trust_variant=(), own=own)
+    scenario, watch = check(config), Stopwatch()
+    registry = ActorRegistry(replace(config.fleet, penetration_p=0.0), config.seed)
+    traffic = scenario.traffic(config.traffic, registry)
+    try:
+        folder = run_folder.create(path, scenario.name)
+        manifest = Manifest(path, config, scenario.provenance(), sources(config))
+        manifest.begin()
+        warm_up(_warmup_s(config, scenario), traffic, watch, advance)
+        recorder = Recorder(path, "standard", config.record.block_steps)
+        for number in range(config.n_steps):
+            try:
+                world = traffic.advance()
+            except TrafficEnded:
+                break
+            recording.actors(recorder, world)
+            recorder.reach(number)
+            manifest.steps = number + 1
+            advance("traffic", number + 1, config.n_steps, f"steps, {len(world)} actors")
+        recorder.close({"vehicles": [recording.vehicle_rows(registry, np.zeros(1, np.uint8), AttackStartTracker())]})
+        manifest.timings_s, manifest.summary = watch.seconds, traffic.report()
+    finally:
+        traffic.close()
+    manifest.write("finished", recorder.inventory)
+    folder.release()
     return path
 
 
@@ -176,13 +213,21 @@ def _resumable(path: Path, manifest: dict[str, Any]) -> Config:
     return resolve_data(manifest["config"], f"{path}/manifest.json", None)
 
 
-def _loaded(config: Config, scenario: Scenario) -> tuple[Parts, ActorRegistry, TrafficSource]:
+def _warmup_s(config: Config, scenario: Scenario) -> float:
+    return scenario.warmup_s if config.traffic.warmup_s is None else config.traffic.warmup_s
+
+
+def _loaded(
+    config: Config, scenario: Scenario, traffic_from: Path | None = None
+) -> tuple[Parts, ActorRegistry, TrafficSource]:
     watch = Stopwatch()
     with watch("city"):
         city = scenario.city()
     parts = Parts.of(config, city, roadside_units(config, scenario), watch)
     registry = ActorRegistry(config.fleet, config.seed, tuple(attack.share_p for attack in config.attacks))
-    traffic = scenario.traffic(config.traffic, registry, has_driver=config.driver.model != "none")
+    recorded = scenario if traffic_from is None else replace(scenario, trace=traffic_from, warmup_s=0.0)
+    params = config.traffic if traffic_from is None else replace(config.traffic, begin_s=None, warmup_s=0.0)
+    traffic = recorded.traffic(params, registry, has_driver=config.driver.model != "none")
     return parts, registry, traffic
 
 

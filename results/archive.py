@@ -1,7 +1,8 @@
 """Opening a run: its tables, and the metrics read off them."""
 
 import json
-from collections.abc import Mapping
+import shutil
+from collections.abc import Collection, Mapping
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -96,6 +97,18 @@ def finish(folder: Path, content: Mapping[str, Any]) -> None:
     summary = inventory.read(folder).summary(tables)
     about = {"schema_version": SCHEMA_VERSION, "status": "finished", "steps": summary["end_step"]}
     write_manifest(folder, about | dict(content) | {"inventory": summary})
+
+
+def drop_tables(folder: Path, names: Collection[str]) -> None:
+    """Delete tables of a finished run that are not to be kept; its manifest says which."""
+    manifest = read_manifest(folder)
+    gone = {*manifest.get("dropped", ()), *names}
+    if manifest["status"] != "finished":
+        raise ValueError(f"{folder} is not finished: tables are dropped from finished runs only.")
+    write_manifest(folder, manifest | {"dropped": [name for name in TABLES if name in gone]})
+    for name in gone:
+        if (folder / name).is_dir():
+            shutil.rmtree(folder / name)
 
 
 def status_of(path: Path, manifest: Mapping[str, Any]) -> str:

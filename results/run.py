@@ -10,7 +10,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from results import durable, inventory, tables, virtual_columns
+from results import durable, inventory, virtual_columns
 from results.codes import BASE_VARIANT
 from results.durable import Damaged
 from results.inventory import Inventory, Part
@@ -71,12 +71,12 @@ class Run:
     @property
     def tables(self) -> tuple[str, ...]:
         """Names of the tables that the run holds."""
-        kept = self.config.get("record", {}).get("level")
+        recorded = self.manifest.get("inventory", {}).get("tables", ())
         return tuple(
-            name
-            for name in TABLES
-            if (self.path / name).is_dir() or self.inventory.of(name) or (kept and name in tables.kept(kept))
-        )
+            name for name in TABLES
+            if name not in self.manifest.get("dropped", ())
+            and ((self.path / name).is_dir() or self.inventory.of(name) or name in recorded)
+        )  # fmt: skip
 
     def table(
         self, name: str, columns: Sequence[str] | None = None, where: pc.Expression | None = None

@@ -61,6 +61,8 @@ def _problems(folder: Path, manifest: dict[str, Any], found: Inventory) -> Itera
         yield f"config.toml cannot be read ({error})"
     level = (manifest["config"].get("record") or {}).get("level", "full")
     for table in TABLES:
+        if table in manifest.get("dropped", ()):
+            continue
         listed = found.of(table)
         if listed and table not in kept(level):
             yield f"{table} is in the inventory, but record.level = {level} does not keep it"
