@@ -16,10 +16,12 @@ from cosim.cycle import State, step
 from cosim.manifest import Manifest
 from cosim.mobility.source import TrafficEnded, TrafficError, TrafficSource
 from cosim.parts import Parts, chosen
+from cosim.run_folder import RunFolder
 from cosim.scenario import Scenario
 from cosim.stop import StopRequest
 from cosim.stopwatch import Stopwatch
 from cosim.world import World
+from results.codes import DetectionFault, labels
 from results.recorder import Recorder
 from sensors.scene import Shape
 
@@ -42,6 +44,7 @@ class Drive:
 
     parts: Parts
     scenario: Scenario
+    folder: RunFolder
     warmup_s: float
     traffic: TrafficSource
     registry: ActorRegistry
@@ -123,6 +126,7 @@ class Drive:
 
     def _commit(self, state: State) -> None:
         """A whole block, with what a resumed run needs to go on from it."""
+        self.folder.check()
         files = {}
         if self._of_block:
             files[f"commands-{self.manifest.steps:07d}.bin"] = checkpoint.encode(self._of_block)
@@ -140,6 +144,7 @@ class Drive:
 
     def _end(self, state: State) -> None:
         """The last block: of a run that is over with what is open in its parts, of an interrupted one beside them."""
+        self.folder.check()
         rows = recording.open_rows(state, self.parts, self.registry, self.manifest.steps)
         if not self.is_over:
             self.recorder.flush(rows)
@@ -148,7 +153,9 @@ class Drive:
         self.manifest.summary |= {
             "vehicles_on_road_mean": round(self.n_on_road / self.manifest.steps, 2),
             **self.traffic.report(),
-            "detections_malformed": state.n_malformed,
+            "detections_dropped": {
+                name: int(n) for name, n in zip(labels(DetectionFault), state.n_dropped, strict=True) if n
+            },
             "evaluations_rejected": self.parts.trust.rejected(state.trust),
             **({"ended_early": self.ended} if self.ended else {}),
         }

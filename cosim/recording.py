@@ -4,6 +4,7 @@ import copy
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+from jaxtyping import UInt8
 from numpy import ndarray
 
 import cosim.codes  # noqa: F401  the codes that are written are those that the tables render
@@ -115,6 +116,8 @@ def _detections(recorder: Recorder, world: World, sensed: Sensed) -> None:
         "truth_iou": truth.iou, "truth_iou__valid": truth.is_real,
         "truth_occlusion": truth.occlusion, "truth_occlusion__valid": truth.is_sensed,
     })  # fmt: skip
+    faults = np.flatnonzero(sensed.n_dropped)
+    recorder.append("dropped_detections", world.step, {"cause": faults, "n": sensed.n_dropped[faults]})
     recorder.append("observability", world.step, {
         "observer": sensed.vehicles.actor[seen.observer], "actor": world.actor[seen.actor],
         "n_points": seen.n_returns, "n_unoccluded": seen.n_unoccluded,

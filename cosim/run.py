@@ -106,7 +106,7 @@ def run(config: Config, out: Path | None, advance: Advance, traffic_from: Path |
                 manifest.begin()
                 recorder = _recorder(folder.path, parts, 0)
                 warmup_s = 0.0 if traffic_from is not None else _warmup_s(config, scenario)
-                drive = Drive(parts, scenario, warmup_s, traffic, registry, recorder, manifest, advance, stop)
+                drive = Drive(parts, scenario, folder, warmup_s, traffic, registry, recorder, manifest, advance, stop)
             except BaseException as error:
                 with suppress(OSError):
                     folder.remove()
@@ -146,7 +146,7 @@ def resume(path: Path, advance: Advance) -> Path:
                 went = Manifest(path, config, manifest["net"], sources(config), steps=found.end_step)
                 went.resumed_at = [*manifest.get("resumed_at", []), found.end_step]
                 warmup_s = _warmup_s(config, scenario)
-                drive = Drive(parts, scenario, warmup_s, traffic, registry, recorder, went, advance, stop)
+                drive = Drive(parts, scenario, folder, warmup_s, traffic, registry, recorder, went, advance, stop)
                 drive.state, drive.expected = _kept_state(path, found, config), _last_poses(path, found)
                 drive.commands = _kept_commands(path, found)
                 went.write("running")
@@ -294,6 +294,8 @@ def _carry_out(drive: Drive, folder: RunFolder) -> None:
         folder.release()
         message = f"interrupted before anything was added. Continue with: cosim resume {folder.path}"
         raise Stopped(error.signum, message) from None
+    except Failed:
+        raise
     except TrafficError as error:
         _fail(drive, folder, str(error))
         raise
@@ -328,6 +330,8 @@ def _carry_out(drive: Drive, folder: RunFolder) -> None:
 def _fail(drive: Drive, folder: RunFolder, message: str) -> bool:
     """Say in the manifest that the run failed; a folder without any steps is removed. Whether steps are kept."""
     manifest, recorder = drive.manifest, drive.recorder
+    if not folder.lock.is_held():
+        return False
     if not recorder.inventory.blocks:
         with suppress(OSError):
             folder.remove()

@@ -5,6 +5,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+from cosim.stop import Failed
 from results.durable import Lock, is_lock
 
 
@@ -17,13 +18,19 @@ class RunFolder:
     made: tuple[Path, ...] = ()
     """Folders that were made for it, the outermost first."""
 
+    def check(self) -> None:
+        """Failed where the folder was removed meanwhile, or is another run's by now."""
+        if not self.lock.is_held():
+            raise Failed(f"{self.path} was removed while the run wrote into it. Nothing more is written.")
+
     def release(self) -> None:
         """Let others write."""
         self.lock.release()
 
     def remove(self) -> None:
         """Leave no trace of a run that recorded nothing."""
-        for item in list(self.path.iterdir()) if self.path.is_dir() else []:
+        ours = self.path.is_dir() and self.lock.is_held()
+        for item in list(self.path.iterdir()) if ours else []:
             if not is_lock(item):
                 shutil.rmtree(item) if item.is_dir() and not item.is_symlink() else item.unlink()
         self.release()

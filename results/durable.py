@@ -96,13 +96,21 @@ class Lock:
                 raise
             os.close(self._handle)  # its last owner has removed the file since it was opened
 
+    def is_held(self) -> bool:
+        """Whether the folder still is the one that was locked, and not a later one of the same name."""
+        try:
+            return self._handle >= 0 and self._path.stat().st_ino == os.fstat(self._handle).st_ino
+        except OSError:
+            return False
+
     def release(self) -> None:
         """Give it back and remove its file; once more does nothing."""
         if self._handle < 0:
             return
         handle, self._handle = self._handle, -1
         try:
-            self._path.unlink(missing_ok=True)
+            if self._path.exists() and self._path.stat().st_ino == os.fstat(handle).st_ino:
+                self._path.unlink(missing_ok=True)
         finally:
             os.close(handle)
 
