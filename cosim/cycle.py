@@ -18,6 +18,7 @@ from jaxtyping import Bool, Int
 from numpy import ndarray
 
 from cosim import stages
+from cosim.attack_outcomes import attack_outcomes
 from cosim.driver.driver import SpeedCommands
 from cosim.ground_truth import GroundTruth
 from cosim.parts import Parts
@@ -94,6 +95,8 @@ class Sensed:
     listed: Detections
     """Detections as each vehicle lists and transmits them, attacks included."""
     truth: GroundTruth
+    withheld: Bool[ndarray, "d"]
+    """Kept from others by an attack."""
     detections: tables.Detections
     """The same as trust sees them: sender as a row of `vehicles`."""
     rounds: tuple[MessageRound, MessageRound]
@@ -124,6 +127,8 @@ class Sensed:
     """Per round: columns of the table `packet_inter_reception`."""
     n_dropped: Int[ndarray, "f"]
     """Detections that could not be sent, by `DetectionFault`."""
+    attack_outcomes: list[Rows]
+    """Per trust variant that fuses: columns of the table `attack_outcomes`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -214,11 +219,14 @@ def step(world: World, state: State, parts: Parts) -> tuple[State, StepResult]:
     with watch("track"):
         rounds, all_links = (round_1, round_2), (links_1, links_2)
         in_range, inter_reception = _track(world, s, listed, rounds, all_links, used, lookups, matched, vehicles)
+        outcomes = attack_outcomes(world, listed, links_1.vehicles, matched, fused, vehicles)
     server = parts.trust.traffic(up, informed)
     return s, StepResult(world, closed, ended, Sensed(
-        vehicles, observed, listed.objects, listed.truth, listed.detections, rounds, all_links, matched.lists,
+        vehicles, observed, listed.objects, listed.truth, listed.withheld, listed.detections, rounds, all_links,
+        matched.lists,
         evaluated.reported, evaluated.n_points, evaluated.plausible, matched.lists_groups.ego_detected, used, lookups,
-        fused, _per_variant(published, parts), _per_variant(server, parts), in_range, inter_reception, listed.n_dropped,
+        fused, _per_variant(published, parts), _per_variant(server, parts), in_range, inter_reception,
+        listed.n_dropped, outcomes,
     ), commands, reactions)  # fmt: skip
 
 
@@ -237,7 +245,7 @@ def _meet(world: World, s: State, parts: Parts, vehicles: Vehicles, time_s: floa
     closed, holder, other = s.encounters.update(world, parts.walls)
     s.trust = parts.trust.receive(s.trust, vehicles.actor, time_s)
     known = _per_variant(parts.trust.lookup(s.trust, holder, s.pseudonyms.of(other), time_s), parts)
-    columns = ([getattr(found, name) for found in known] for name in ("trust", "source", "age_s"))
+    columns = ([getattr(found, name) for found in known] for name in ("trust", "source", "state", "age_s"))
     s.encounters.first_contact(holder, other, *(np.stack(column, axis=1) for column in columns))
     return closed
 
@@ -255,9 +263,9 @@ def _track(
         track_receptions(tracker, world.step, happened, received, pairs, vehicles.actor)
         for tracker, happened, received, pairs in zip(s.inter_reception, rounds, between, in_range, strict=True)
     ]
-    sources = np.stack([found.source for found in lookups], axis=1)
+    known = np.stack([found.is_known for found in lookups], axis=1)
     count_in_encounters(
-        s.encounters, rounds, between, used, sources, matched.lists, listed.detections.message, vehicles.actor
+        s.encounters, rounds, between, used, known, matched.lists, listed.detections.message, vehicles.actor
     )
     return in_range, inter_reception
 

@@ -16,7 +16,7 @@ from cosim.perception import Observed
 from cosim.radio.message_round import LinkReceptions, Messages, Receptions, Stations
 from cosim.ragged import ptr_of
 from cosim.v2x.cpm_generation import InclusionMemory, select_objects
-from cosim.v2x.messages import Detections, cpm_bytes, faults, piggyback_bytes
+from cosim.v2x.messages import SENSED, Detections, cpm_bytes, faults, piggyback_bytes
 from cosim.v2x.trust_hosts import Lookups, TrustState
 from cosim.v2x.trust_server import LinkStats
 from cosim.world import World
@@ -63,6 +63,8 @@ class Listed:
     """The same as trust sees them: sender as a row of `Vehicles`."""
     ptr: Int[ndarray, "e+1"]
     """Where the detections of each vehicle begin."""
+    withheld: Bool[ndarray, "d"]
+    """Made by the detector, and kept from others by an attack."""
     n_dropped: Int[ndarray, "f"]
     """Detections that cannot be sent, by `DetectionFault`."""
 
@@ -76,13 +78,14 @@ def list_objects(
     if (fault >= 0).any():
         rows = np.flatnonzero(fault < 0)
         objects = objects.take(rows[np.lexsort((objects.detection_index[rows], objects.observer[rows]))])
+    withheld = (objects.origin == SENSED) & ~objects.transmitted
     if parts.config.radio.cpm_rules == "etsi":
         chosen, included = select_objects(included, objects, world.actor[objects.observer], time_s)
         objects = replace(objects, transmitted=chosen)
     n_dropped = np.bincount(fault[fault >= 0], minlength=len(DetectionFault))
     truth = ground_truth_of(objects, world, observed.observability, vehicles.row, observed.is_real, observed.actor_row)
     detections, ptr = object_lists.for_trust(objects, vehicles.row)
-    return Listed(objects, truth, detections, ptr, n_dropped), included
+    return Listed(objects, truth, detections, ptr, withheld, n_dropped), included
 
 
 def stations_of(world: World, vehicles: Vehicles, parts: Parts) -> Stations:

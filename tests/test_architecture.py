@@ -37,9 +37,9 @@ ONE_FILE = {
 ORDER = (
     "rng", "ragged", "stopwatch", "stop", "scratch", "choices", "console", "world", "fleet", "actors", "mobility",
     "radio", "codes", "v2x", "trackers", "tracking", "driver", "perception", "ground_truth", "reactions",
-    "adversary", "object_lists", "config", "manifest", "parts", "stages", "cycle", "scenario", "replay_lidar",
-    "calibrate", "recording", "checkpoint", "run_folder", "drive", "run", "reproduce", "bench", "nets", "studies",
-    "cli", "__main__",
+    "adversary", "object_lists", "config", "manifest", "parts", "stages", "attack_outcomes", "cycle", "scenario",
+    "replay_lidar", "calibrate", "recording", "checkpoint", "run_folder", "drive", "run", "reproduce", "bench", "nets",
+    "studies", "cli", "__main__",
 )  # fmt: skip
 """Inside the hall: each may use those before it."""
 

@@ -80,19 +80,23 @@ class Attack(Protocol):
 
 
 def fabricated(
-    listed: Detections, observer: Int[ndarray, "c"], label: ndarray, boxes: Boxes, score: Float[ndarray, "c"]
-) -> Detections:
+    listed: Detections, observer: Int[ndarray, "c"], label: ndarray, boxes: Boxes, score: Float[ndarray, "c"],
+    target: Int[ndarray, "c"] | None = None,
+) -> Detections:  # fmt: skip
     """The lists with fabricated detections added, numbered on from each observer's last.
 
     Parameters
     ----------
     observer
         Row of the world of the vehicle that adds each, in any order.
+    target
+        Row of the world of the vehicle that each is meant for; left out, none in particular.
     """
     n = len(observer)
     added = Detections(
         observer=observer, detection_index=np.arange(n), label=label.astype(np.uint8), boxes=boxes, score=score,
         n_points=np.zeros(n, np.int32), origin=np.full(n, FABRICATED, np.uint8), transmitted=np.ones(n, bool),
+        target=observer if target is None else target,
     )  # fmt: skip
     added = added.take(np.argsort(observer, kind="stable"))
     last = np.full(max(int(listed.observer.max(initial=-1)), int(observer.max(initial=-1))) + 1, -1)

@@ -1,6 +1,6 @@
 """Content and length of messages."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 import numpy as np
@@ -30,7 +30,8 @@ class Detections:
     """D detections of one step, world frame, sorted by (observer, detection_index): with the step, a detection's key.
 
     `observer` is a row of the step's world. Index 0 is the self report, then come detections by the detector, then
-    fabricated ones. A detection with `transmitted` false stays with its observer.
+    fabricated ones. A detection with `transmitted` false stays with its observer. `target` is a row of the world too:
+    the vehicle that an attack aims at with the detection, the observer itself where it aims at none.
     """
 
     observer: Int[ndarray, "d"]
@@ -41,6 +42,11 @@ class Detections:
     n_points: Int[ndarray, "d"]
     origin: UInt8[ndarray, "d"]
     transmitted: Bool[ndarray, "d"]
+    target: Int[ndarray, "d"] = field(default=None)  # type: ignore[assignment]  # left out: nobody's
+
+    def __post_init__(self) -> None:
+        if self.target is None:
+            object.__setattr__(self, "target", self.observer)
 
     def __len__(self) -> int:
         return len(self.observer)
