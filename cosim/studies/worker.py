@@ -9,6 +9,7 @@ import os
 import shutil
 import sys
 import threading
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +34,9 @@ def make(job: Path) -> None:
         if study.is_finished(asked["id"]):
             return
         folder = study.run(asked["id"])
+        if status_of(folder) in ("running", "interrupted"):
+            with suppress(ValueError):  # another version, other inputs: made anew
+                running.resume(folder, lambda *_: None)
         if status_of(folder) != "finished":
             if folder.exists():
                 shutil.rmtree(folder)
