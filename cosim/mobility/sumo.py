@@ -1,95 +1,371 @@
-# Changelog
+"""Traffic by SUMO, through libsumo, which holds one simulation per process."""
 
-What changed for users, newest first. "Numbers change" says where results move.
+import os
+import re
+import sys
+import tempfile
+from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from itertools import chain, compress, repeat
+from pathlib import Path
+from typing import Any
 
-## Unreleased
+import libsumo
+import numpy as np
+from jaxtyping import Float, Int
+from numpy import ndarray
 
-### Added
-- A run folder is a unit: created for one run alone, locked while written, with checksums of every part, block and
-  manifest; `cosim verify`. `cosim resume` continues a run that was stopped or killed from its last whole block, to the
-  tables of a run never interrupted. SIGTERM and SIGINT stop at the next step with everything written (exit status 143,
-  130). `measure`, `plot` and `report` show unfinished runs as far as they are whole, say so, and end with exit status 1
-  where damage leaves a figure out. Parts of open encounters, vehicles and pseudonyms with every block.
-- Table `dropped_detections`: what no message can hold is dropped before it is sent, and counted by cause.
-- `tests/hostile/`: configs from the schema, damaged folders, kills; counts printed, cases kept.
-- Belief moves traffic: `driver.model = "cautious"` brakes for objects in its lane path that others report and its own
-  detector does not, as behind a virtual leader; drivers behind react by SUMO's car following. Table `reactions`. Steps of
-  0.5 s or less; replayed traffic refuses it. A driver of one's own is called in every step, with `beliefs = None` between
-  two sweeps, and finds lane paths in `world.paths`.
-- Metrics have stable identifiers (`trust.final.median`) with label, unit and definition: `cosim measure --explain`,
-  `--json`, `run.measure.value(...)`, the report; what a metric is split by is its `group`. `results/TABLES.md` describes
-  words, tables and metrics.
-- Trust variants (column `variant`) and roles of a run's own in the tables; table `pseudonyms`; `trust.uncertainty`.
-- The house: `sensors`, `trust`, `results`, `sumo_nets` and the hall `cosim`, with a test that guards the doors.
-- Central Helsinki as a shipped city with demand for an ordinary afternoon.
-- `cosim run | check | measure | plot | report | nets list | bench`.
-- `cosim nets build` makes a city from an OpenStreetMap file or box; `cosim nets show` describes and draws one;
-  `adlershof`, `braunschweig` and `koenigs-wusterhausen` from SUMO's own package by name.
-- Any `.sumocfg` as `traffic.scenario`: nothing is written beside it, whatever is not on the road is left out and counted, a
-  run that outlives its traffic ends and says so. `traffic.begin_s` and `traffic.scale`.
-- Traces (SUMO's FCD as XML, CSV or Parquet) and earlier runs as traffic, with the tables of the live run.
-- Radio: roadside units (`rsu.at`, `rsu.n_at_junctions`); the trust server through them or through a cellular network with
-  second attempts and full cells (`server.uplink`, `server.cellular`); `server.outages`; generation rules
-  (`radio.cpm_rules = "etsi"`); `radio.verdicts = "piggybacked"`. Tables `latencies`, `silences`, `ears` and `server`;
-  delivery by what stands between; `cosim plot radio` with latency, inter-reception time and maps; `cosim measure` says
-  under what conditions the radio's figures hold.
+from cosim.actors import ActorRegistry
+from cosim.mobility.frame import Frame, TrafficError
+from cosim.mobility.lane_lines import LaneLines
+from cosim.mobility.params import TrafficParams
+from cosim.mobility.remarks import FlowCounts
+from cosim.mobility.source import SHAPE_OF_CLASS, TrafficEnded, world_from_bumpers
+from cosim.scratch import Scratch
+from cosim.world import LanePaths, World
+from sumo_nets import sumocfg
+from sumo_nets.catalogue import bounds_m
+from sumo_nets.sumocfg import first_departure_s
+from sumo_nets.vtypes import check_size
 
-- `cosim reproduce scenario-1 | scenario-2`: the paper's scenes through the real pipeline; `adversary.victim`.
-- LiDAR: tractors with trailers, articulated buses, meshes, roadside posts; Open3D as a third engine (extra `open3d`);
-  `cosim plot sweep` draws a cloud again, or writes it as .ply, .pcd, .bin, .npy; `python -m cosim.calibrate`.
-- Relays by flat probability (`radio.relay.rule`).
-- Trust models behind one interface (`trust.model`): `trupercept` and `beta`; `trust.freshness_s = "off"` with
-  `trust.grace_s`; variants of `trupercept` share their evidence.
-- `cosim plot freshness --over KEY` holds several runs against the number in which they differ.
-- `cosim plot liars`, `cosim measure --false-positives`, `run.measure.liars`: ROC curve and its area, true positives and
-  time until suspected at a fixed share of false positives, false alarms among honest vehicles.
-- False boxes cling to places (`detector.clutter_memory_s`, `clutter_memory_share`, `clutter_shared`), and may be any
-  number per sweep. Profiles state where each published figure is from.
-- `cosim nets build --overpass | --left-hand`; what `--bbox` fetched is kept. `cosim nets list` fills every cell.
-- Polygons in any additional file, also in longitudes and latitudes, become buildings, and stand on the hill that the
-  streets climb. Errors after which SUMO goes on are told.
-- Trust variants have rows of their own in the table `server`, and their trust at encounters in the new table
-  `encounter_trust`: a variant's tables are those of a run of its own, value for value (schema version 5).
-- `cosim sweep STUDY.toml --out DIR`: studies. Points that differ in trust alone are trust variants of one run, runs of the
-  same traffic replay it; `--dry-run`, `--scheduler`, `--workers`; `cosim status`, `cosim cache`. `cosim measure`, `plot` and
-  `report` take a study: means with 95 % intervals, paired differences against a baseline, swept keys on axis and colour.
-  In Python `results.study.open_study`. New dependencies: Dask's `distributed`, `psutil`.
+_UNKNOWN, _LEFT_OUT = -2, -1
+_NO_POSITION_M = -1e9
+"""SUMO's coordinate of an actor without a position (-2^30) is below this."""
+_LOOK_AHEAD_M = 150.0
+"""Lane paths reach this far beyond the end of a vehicle's present lane, or to the end of its route."""
+_KNOWN_WAYS = 100_000
+"""Ways ahead that are kept in memory; beyond it they are asked of SUMO anew."""
+_REGARD_MAX_DECELERATION = 4
+"""Bit of SUMO's speed mode."""
 
-### Changed
-- Every number of the config has bounds, those inside lists too; what is outside is refused in one line. At most 255
-  objects in a message. Schema version 6: `summary.detections_malformed` is `summary.detections_dropped`, by cause.
-- `trust.where` is `trust.host`, and `trust.local_evidence = "heard"` is `"received"`. `trust.certify_own_lies` is gone: what a
-  malicious vehicle reports of its own detections is the attack's business. The manifest's `unknown_vehicle` among rejected
-  evaluations is `unknown_observer`.
-- Schema version 4: tables, columns and metrics carry the field's words (`uses` is `trust_lookups`,
-  `verdicts` is `evaluations`, `behaviour` is `role`, ...). Observers, evaluators and subjects are pseudonyms. `encounters`
-  has its `hysteresis_s` in the key, so that definitions which differ in it alone no longer collide. Run folders of a
-  former schema are refused with one line. `cosim plot liars` is `cosim plot misbehaviour`.
-- The summary at the end of a run fits on 15 lines. Malicious is red in every picture.
-- A `.sumocfg` keeps its own step-length where `traffic.step_s` is not set; it was 1 s.
-- `random`, threads and `remote-port` of a `.sumocfg` are overruled.
-- Figures about liars are a topic of their own, `liars`, no longer `trust`. `Run` is in `results.run`; `open_run` stays in
-  `results.archive`.
-- Judging and fusing cost a quarter of what they did, recording a third: a turn of 950 equipped vehicles in Bologna's
-  rush hour takes half a second where it took 1.3.
-- Relays are events in the channel's loop, exact to the nanosecond, no longer cut into windows of 2 ms: 3 hops among 62
-  radios cost 3.5 ms per round instead of 71. A round of messages takes about half the time, the second of a turn a fifth.
-- `cosim bench v2x` shows whole rounds and relays beside the network step, in processor time.
-- `compute.threads = 0` takes one thread for every hundred equipped vehicles, not all cores: small runs side by side no
-  longer wait for one another.
-- `server.delay_min_s` and its kin are now in `[server.cellular]`. Schema version 3: runs of earlier versions are run again.
 
-### Numbers change
-- Adlershof and Braunschweig come without railways, with more gates. Towns built from OpenStreetMap: heights of 38 more
-  kinds of building. Scenarios with elevation: buildings no longer stand at z = 0; heights pass through single precision.
-- All false boxes are new ones; how many, and their scores, are as before, but those at far walls are a little rarer. AP
-  moves by 0.2 points at most, final mean trust by 0.003.
-- Runs with relays move by about 1 %; runs with one hop do not move.
-- `propagation.walls = "sommer"`: losses no longer depend on which end is asked where an antenna stands exactly on a wall.
-- A vehicle is suspected only by trust that rests on a verdict, while it is on the road; the 0 of a vehicle that nobody
-  could see no longer counts as found out.
-- Poses are rounded to 1/256 m and 1/512 rad, and speeds to 1/256 m/s, as the table `actors` keeps them, before anybody
-  senses; newcomers of a step are numbered by name, vehicles first.
-- A cellular report that fails is tried twice more: 1 in a million is lost, not 1 in a hundred.
-- Detections: the `avod` profile is calibrated, luck lasts for some seconds per observer and actor, doubles and confused
-  classes occur, clutter lies along walls. `detector.clutter_lwh_m` is now `detector.mean_lwh_m`.
+@dataclass(slots=True)
+class _Domain:
+    """Vehicles or persons: libsumo's functions for them, and the number of each name."""
+
+    name: str
+    number: dict[str, int] = field(default_factory=dict)
+    getter: dict[str, Callable[[str], Any]] = field(init=False)
+
+    def __post_init__(self) -> None:
+        what = ("Position3D", "Angle", "Speed", "VehicleClass", "Length", "Width", "Height")
+        self.getter = {name: getattr(getattr(libsumo, self.name), f"get{name}") for name in what}
+
+    def present(self) -> tuple[str, ...] | list[str]:
+        """Names of those on the road, without persons inside vehicles."""
+        if self.name == "vehicle":
+            return libsumo.vehicle.getIDList()
+        names = libsumo.person.getIDList()
+        vehicles = map(libsumo.person.getVehicle, names)
+        return [name for name, vehicle in zip(names, vehicles, strict=True) if not vehicle]
+
+    def numbers(self, names: tuple[str, ...] | list[str]) -> ndarray:
+        return np.fromiter(map(self.number.get, names, repeat(_UNKNOWN)), np.int32, len(names))
+
+    def floats(self, what: str, names: tuple[str, ...] | list[str]) -> ndarray:
+        return np.fromiter(map(self.getter[what], names), float, len(names))
+
+
+class SumoTraffic:
+    """A running SUMO simulation, read into arrays step by step.
+
+    libsumo returns one value of one actor per call; the calls are made by `map`. No file is written outside of a
+    temporary folder: outputs of the configuration are switched off, and those of its additional files (detectors)
+    go to that folder.
+    """
+
+    def __init__(
+        self,
+        params: TrafficParams,
+        config: Path,
+        registry: ActorRegistry,
+        frame: Frame | None = None,
+        has_driver: bool = False,
+    ) -> None:
+        """Load the scenario; ValueError with SUMO's message when SUMO refuses it.
+
+        With a driver, worlds have lane paths, and collisions, junctions included, are counted and do not teleport.
+        """
+        self._registry, self._config = registry, config
+        self._frame = frame or Frame(f"traffic.scenario = {config}", bounds_m=bounds_m(sumocfg.read(config).net))
+        self._ways = _WaysAhead(self._frame) if has_driver else None
+        self._commanded: dict[str, int] = {}
+        """Vehicles under a command, and the speed mode that SUMO gave them."""
+        self._collisions: set[tuple[str, ...]] = set()
+        self._domains = (_Domain("vehicle"), _Domain("person"))
+        self._step = 0
+        self._counts = FlowCounts()
+        self._warmup_s = 0.0
+        self._left_out: Counter[str] = Counter()
+        self.n_teleports = 0
+        """Vehicles that SUMO has teleported since recording began."""
+        self._stderr = tempfile.TemporaryFile("w+b")  # noqa: SIM115
+        self._scratch = Scratch()
+        try:
+            with self._one_line_errors("refuses it"):
+                options = _options(params, sumocfg.read(config), self._scratch.path, has_driver)
+                libsumo.start(["sumo", *options])
+        except Exception:
+            self._clean()
+            raise
+        self._end_s = libsumo.simulation.getEndTime()
+        self._dt_s = libsumo.simulation.getDeltaT()
+
+    def warm_up(self, seconds: float) -> Iterator[float]:
+        """Simulate `seconds` without reading; yields the seconds done."""
+        begin = libsumo.simulation.getTime()
+        while (done := libsumo.simulation.getTime() - begin) < seconds - 1e-6:
+            self.move()
+            yield done
+        self.n_teleports, self._warmup_s = 0, seconds
+        self._collisions.clear()
+
+    def advance(self) -> World:
+        """Simulate one step and read all actors."""
+        if self._step:
+            self.move()
+        step, self._step = self._step, self._step + 1
+        present = [(domain, names, domain.numbers(names)) for domain in self._domains for names in (domain.present(),)]
+        self._register(present, step)
+        parts = [_read(domain, names, number) for domain, names, number in present]
+        number, front_m, angle, speed = (np.concatenate(column) for column in zip(*parts, strict=True))
+        world = world_from_bumpers(step, number, front_m, angle, speed, self._registry, self._frame)
+        self._counts.add(world)
+        if self._ways is None:
+            return world
+        rows = np.flatnonzero(world.equipped)
+        names = list(map(self._registry.names.__getitem__, world.actor[rows].tolist()))
+        return replace(world, paths=self._ways.paths(rows, names))
+
+    def command(self, actor: Int[ndarray, "c"], speed_mps: Float[ndarray, "c"]) -> None:
+        """Speeds of the next step, within the limits of the road and of the vehicle.
+
+        SUMO's safe speeds, junctions and red lights still apply. Vehicles that were commanded before and are not
+        again are given back; so are those whose speed is not finite.
+        """
+        finite = np.isfinite(speed_mps)
+        names = map(self._registry.names.__getitem__, actor[finite].tolist())
+        wanted = dict(zip(names, speed_mps[finite].tolist(), strict=True))
+        if not wanted and not self._commanded:
+            return
+        present = set(libsumo.vehicle.getIDList())
+        for name in self._commanded.keys() - wanted.keys():
+            if name in present:
+                _give_back(name, self._commanded[name])
+            del self._commanded[name]
+        for name in wanted.keys() & present:
+            if name not in self._commanded:
+                self._commanded[name] = libsumo.vehicle.getSpeedMode(name)
+            _drive_at(name, wanted[name], self._commanded[name], self._dt_s)
+
+    def move(self) -> None:
+        """Simulate one step without reading."""
+        now = libsumo.simulation.getTime()
+        if 0 <= self._end_s < now + self._dt_s - 1e-6:
+            raise TrafficEnded(f"the scenario ends at {self._end_s:g} s")
+        with self._one_line_errors("gives up"):
+            libsumo.simulationStep()
+        self.n_teleports += libsumo.simulation.getStartingTeleportNumber()
+        if self._ways is not None:
+            pairs = (sorted((found.collider, found.victim)) for found in libsumo.simulation.getCollisions())
+            self._collisions.update(map(tuple, pairs))
+        if libsumo.simulation.getMinExpectedNumber() <= 0:
+            raise TrafficEnded(f"at {libsumo.simulation.getTime():g} s all vehicles have left, and none is to depart")
+
+    @property
+    def n_vehicles(self) -> int:
+        """Vehicles on the road."""
+        return libsumo.vehicle.getIDCount()
+
+    def report(self) -> dict[str, Any]:
+        return {
+            "vehicles_waiting_to_enter_at_end": len(libsumo.simulation.getPendingVehicles()),
+            "teleports": self.n_teleports,
+            "actors_left_out": dict(sorted(self._left_out.items())),
+            **({} if self._ways is None else {"collisions": len(self._collisions)}),
+            **self._counts.report(),
+            **self._first_departure(),
+            **({"sumo_errors": errors[:9]} if (errors := self._errors_since(0)) else {}),
+        }
+
+    def _first_departure(self) -> dict[str, float]:
+        """The first departure of the demand, where no vehicle was ever on the road."""
+        if self._counts.n_vehicles or (first_s := first_departure_s(sumocfg.read(self._config).routes)) is None:
+            return {}
+        return {"first_departure_s": first_s, "warmup_s": self._warmup_s}
+
+    def close(self) -> None:
+        try:
+            self.command(np.zeros(0, np.int64), np.zeros(0))
+        except (libsumo.TraCIException, libsumo.FatalTraCIError):  # SUMO has given up: no vehicle is left
+            self._commanded.clear()
+        libsumo.close()
+        self._clean()
+
+    def _clean(self) -> None:
+        self._stderr.close()
+        self._scratch.remove()
+
+    def _register(self, present: list[tuple[_Domain, Any, ndarray]], step: int) -> None:
+        """Register the actors that have no number yet; fills their numbers in place."""
+        unregistered = [
+            (domain, [names[row] for row in rows], number, rows)
+            for domain, names, number in present
+            if len(rows := np.flatnonzero(number == _UNKNOWN))
+        ]
+        kept: list[tuple[_Domain, str]] = []
+        shapes, lwh_m = [], []
+        for domain, names, _, _ in unregistered:
+            for name in names:
+                vclass = domain.getter["VehicleClass"](name)
+                shape = SHAPE_OF_CLASS.get(vclass)
+                if shape is None:
+                    domain.number[name] = _LEFT_OUT
+                    self._left_out[vclass] += 1
+                    continue
+                kept.append((domain, name))
+                shapes.append(shape)
+                where = f"traffic.scenario = {self._config}: {domain.name} {name!r}"
+                lwh_m.append(
+                    [
+                        check_size(where, what.lower(), domain.getter[what](name))
+                        for what in ("Length", "Width", "Height")
+                    ]
+                )
+        if kept:
+            new = self._registry.register(
+                [name for _, name in kept], np.array(shapes, np.uint8), np.array(lwh_m, float), step
+            )
+            for (domain, name), number in zip(kept, new.tolist(), strict=True):
+                domain.number[name] = number
+        for domain, names, number, rows in unregistered:
+            number[rows] = domain.numbers(names)
+
+    def _errors_since(self, begin: int) -> list[str]:
+        """SUMO's error messages since that byte of its log, each once and in one line; SUMO continues after many."""
+        self._stderr.seek(begin)
+        text = self._stderr.read().decode(errors="replace").replace(_prefix(self._scratch.path), "")
+        errors = re.findall(r"^Error: (.*(?:\n .*)*)", text, re.MULTILINE)
+        return list(dict.fromkeys(" ".join(error.split()) for error in errors))
+
+    @contextmanager
+    def _one_line_errors(self, what: str) -> Iterator[None]:
+        """SUMO's exceptions as one line with the reason that its C++ writes to standard error."""
+        sys.stderr.flush()
+        terminal, begin = os.dup(2), self._stderr.seek(0, os.SEEK_END)
+        os.dup2(self._stderr.fileno(), 2)
+        try:
+            yield
+        except (libsumo.TraCIException, libsumo.FatalTraCIError) as error:
+            reason = " ".join(self._errors_since(begin)) or str(error)
+            raise TrafficError(f"traffic.scenario = {self._config}: SUMO {what}: {reason}") from None
+        finally:
+            os.dup2(terminal, 2)
+            os.close(terminal)
+
+
+def _read(domain: _Domain, names: tuple[str, ...] | list[str], number: ndarray) -> tuple[ndarray, ...]:
+    if (number < 0).any():
+        names, number = list(compress(names, number >= 0)), number[number >= 0]
+    positions = chain.from_iterable(map(domain.getter["Position3D"], names))
+    front_m = np.fromiter(positions, float, 3 * len(names)).reshape(-1, 3)
+    read = number, front_m, domain.floats("Angle", names), domain.floats("Speed", names)
+    has_position = front_m[:, 0] > _NO_POSITION_M
+    return read if has_position.all() else tuple(column[has_position] for column in read)
+
+
+@dataclass(slots=True)
+class _WaysAhead:
+    """Lane paths of vehicles, by SUMO's routes and lanes."""
+
+    frame: Frame
+    lines: LaneLines = field(default_factory=LaneLines)
+    line_of: dict[tuple[str, str, int], int] = field(default_factory=dict)
+    """Number of the line by lane, route, and place on the route."""
+
+    def paths(self, rows: Int[ndarray, "e"], names: list[str]) -> LanePaths:
+        """Of these rows of the world; vehicles that are on no lane, as while they are teleported, have none."""
+        ask = libsumo.vehicle
+        lanes = list(map(ask.getLaneID, names))
+        on_lane = np.fromiter(map(bool, lanes), bool, len(lanes))
+        rows, names, lanes = rows[on_lane], list(compress(names, on_lane)), list(compress(lanes, on_lane))
+        keys = list(zip(lanes, map(ask.getRouteID, names), map(ask.getRouteIndex, names), strict=True))
+        line = np.fromiter(map(self.line_of.get, keys, repeat(-1)), np.int64, len(keys))
+        if len(self.line_of) > _KNOWN_WAYS:
+            self.line_of.clear()
+        for i in np.flatnonzero(line < 0).tolist():
+            line[i] = self.line_of[keys[i]] = self._line(names[i], lanes[i])
+        position = np.fromiter(map(ask.getLanePosition, names), float, len(names))
+        ptr, xy_m, along_m = self.lines.arrays()
+        return LanePaths(
+            rows, line, position * np.array(self.lines.scale)[line] if len(line) else position, ptr,
+            xy_m, along_m,
+        )  # fmt: skip
+
+    def _line(self, name: str, lane: str) -> int:
+        lanes, ahead_m = [lane], 0.0
+        for link in libsumo.vehicle.getNextLinks(name):
+            inside = link[4]
+            while inside:  # a junction can be crossed on several lanes of its own
+                lanes.append(inside)
+                ahead_m += libsumo.lane.getLength(inside)
+                inside = next((onward[4] for onward in libsumo.lane.getLinks(inside)), "")
+            lanes.append(link[0])
+            ahead_m += libsumo.lane.getLength(link[0])
+            if ahead_m > _LOOK_AHEAD_M:
+                break
+        key = tuple(lanes)
+        number = self.lines.number.get(key)
+        if number is not None:
+            return number
+        shapes = [np.array(libsumo.lane.getShape(part))[:, :2] - self.frame.origin_m for part in lanes]
+        return self.lines.add(key, shapes, libsumo.lane.getLength(lane))
+
+
+def _drive_at(name: str, speed_mps: float, mode: int, dt_s: float) -> None:
+    """Command a speed; where it takes more than the vehicle's usual deceleration, that limit is lifted."""
+    of = libsumo.vehicle
+    now_mps = of.getSpeed(name)
+    slowest_mps = now_mps - of.getEmergencyDecel(name) * dt_s
+    is_emergency = speed_mps < now_mps - of.getDecel(name) * dt_s - 1e-6
+    of.setSpeedMode(name, mode & ~_REGARD_MAX_DECELERATION if is_emergency else mode)
+    of.setSpeed(name, max(0.0, slowest_mps, min(speed_mps, of.getAllowedSpeed(name))))
+
+
+def _give_back(name: str, mode: int) -> None:
+    """SUMO's own speeds again."""
+    libsumo.vehicle.setSpeed(name, -1)
+    libsumo.vehicle.setSpeedMode(name, mode)
+
+
+def _options(params: TrafficParams, config: sumocfg.Sumocfg, scratch: Path, has_driver: bool) -> list[str]:
+    """SUMO's command line: a copy of the configuration with harmless options only, written to the temporary folder."""
+    copy = scratch / "scenario.sumocfg"
+    copy.write_text(config.text(), encoding="utf-8")
+    options = {
+        "configuration-file": copy,
+        "seed": params.seed,
+        "step-length": params.step_s,
+        "no-step-log": "true",
+        "duration-log.disable": "true",
+        "duration-log.statistics": "false",
+        "no-warnings": "true",
+        "verbose": "false",
+        # overrides the configuration: no TraCI client is waited for, and the same seed gives the same traffic
+        "remote-port": 0,
+        "random": "false",
+        "threads": 1,
+        "device.rerouting.threads": 0,
+        "output-prefix": _prefix(scratch),
+        **({"collision.action": "warn", "collision.check-junctions": "true"} if has_driver else {}),
+        **({} if params.begin_s is None else {"begin": params.begin_s}),
+        **({} if params.scale == 1 else {"scale": params.scale}),
+    }
+    return [word for name, value in options.items() for word in (f"--{name}", str(value))]
+
+
+def _prefix(scratch: Path) -> str:
+    """SUMO puts it before a file's base name: from any folder up to the root and down to the temporary folder."""
+    return "../" * 64 + str(scratch).lstrip("/") + "/"
