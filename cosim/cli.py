@@ -21,7 +21,7 @@ from rich.progress import (
 )
 from rich.table import Table
 
-from cosim.console import notes, print_json, print_metrics, print_run_summary, rows_of, screen, table_of
+from cosim.console import notes, print_json, print_metrics, print_run_summary, screen, table_of
 from cosim.nets import nets
 from cosim.stop import Failed, Stopped
 from cosim.studies import commands as studies
@@ -45,7 +45,20 @@ Overrides = Annotated[
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON on standard output.")]
 RunPaths = Annotated[list[Path], typer.Argument(help="Folders that `cosim run` wrote.")]
-Picture = Literal["trust", "misbehaviour", "encounters", "freshness", "radio", "detection", "map", "contacts", "sweep"]
+Picture = Literal[
+    "trust",
+    "misbehaviour",
+    "encounters",
+    "freshness",
+    "radio",
+    "detection",
+    "map",
+    "contacts",
+    "safety",
+    "security",
+    "sweep",
+    "movie",
+]
 
 
 @app.command()
@@ -167,7 +180,8 @@ def measure(
     metrics: Annotated[
         list[str] | None, typer.Option("--metric", help="study: show this metric, or METRIC:GROUP. Repeatable.")
     ] = None,
-    variant: Annotated[str, typer.Option(help="Trust variant of the runs.")] = "base",
+    variant: Annotated[str, typer.Option(help="Trust variant of the runs; all: each beside the others.")] = "base",
+    csv: Annotated[Path | None, typer.Option("--csv", help="Write the metrics to this file.")] = None,
     threshold: Annotated[float, typer.Option(min=0, max=1, help="Trust below which a vehicle is suspected.")] = 0.25,
     fresh_s: Annotated[float, typer.Option(help="Oldest age at which trust counts as fresh, in seconds.")] = 10.0,
     false_positives: Annotated[float, typer.Option(min=0, max=1, help="False positive rate to compare at.")] = 0.05,
@@ -186,15 +200,11 @@ def measure(
         return
     if metrics:
         raise ValueError("--metric goes with a study. Leave it out, or give the folder of a `cosim sweep`.")
-    from results.measure import measure as measured
+    from cosim.side_by_side import of_variants, print_measures
 
-    opened = {str(folder): _opened(folder).as_variant(variant) for folder in runs}
-    tables = {name: measured(run, threshold, fresh_s, false_positives) for name, run in opened.items()}
-    if as_json:
-        print_json({name: rows_of(table) for name, table in tables.items()})
-    for name, table in tables.items() if not as_json else ():
-        screen.print(table_of(name, rows_of(table)))
-    _say_damage(opened.values())
+    chosen = [one for folder in runs for one in of_variants(_opened(folder), variant)]
+    print_measures(chosen, as_json, csv, threshold=threshold, fresh_s=fresh_s, false_positives=false_positives)
+    _say_damage(chosen)
 
 
 @app.command()
@@ -219,7 +229,10 @@ def plot(
     where: Annotated[
         list[str] | None, typer.Option(help="study: hold a swept key at a value, KEY=VALUE. Repeatable.")
     ] = None,
-    fresh_s: Annotated[float | None, typer.Option(help="freshness: oldest that is fresh, in seconds.")] = None,
+    variant: Annotated[str, typer.Option(help="Trust variant of the runs; all: each as a run of its own.")] = "base",
+    threshold: Annotated[
+        float | None, typer.Option(min=0, max=1, help="freshness over a key: score from which a ghost is believed.")
+    ] = None,
     radius_m: Annotated[float | None, typer.Option(help="map, contacts: which of the radii, in metres.")] = None,
     pairs: Annotated[str | None, typer.Option(help="map, contacts: which of the kinds of pairs.")] = None,
 ) -> None:
@@ -231,6 +244,7 @@ def plot(
         raise ValueError("--by, --metric and --where go with a study. Leave them out.")
     from inspect import signature
 
+    from cosim.side_by_side import of_variants
     from results.figures import style
     from results.figures.catalogue import FIGURES
 
@@ -241,16 +255,25 @@ def plot(
             raise ValueError("cosim plot sweep shows one sweep: cosim plot sweep RUN --vehicle V --step S")
         screen.print(f"wrote {write(_opened(runs[0]), vehicles[0], step, out)}", highlight=False, soft_wrap=True)
         return
+    if what == "movie":
+        from cosim.replay_lidar import film
+
+        if len(runs) != 1 or len(vehicles or ()) > 1:
+            raise ValueError("cosim plot movie films one run: cosim plot movie RUN [--vehicle V]")
+        path = film(_opened(runs[0]), vehicles[0] if vehicles else None, out)
+        screen.print(f"wrote {path}", highlight=False, soft_wrap=True)
+        return
     if step is not None:
         raise ValueError(f"--step goes with `cosim plot sweep`, not with {what}. Leave it out.")
-    options = {"vehicles": vehicles, "over": over, "fresh_s": fresh_s, "radius_m": radius_m, "pairs": pairs}
+    options = {"vehicles": vehicles, "over": over, "threshold": threshold, "radius_m": radius_m, "pairs": pairs}
     given = {name: value for name, value in options.items() if value}
     for name in given:
         takers = [figure for figure, draw in FIGURES.items() if name in signature(draw).parameters]
         if what not in takers:
             flag = "vehicle" if name == "vehicles" else name.replace("_", "-")
             raise ValueError(f"--{flag} goes with `cosim plot {' or '.join(takers)}`, not with {what}. Leave it out.")
-    path = style.save(FIGURES[what]([_opened(folder) for folder in runs], **given), out or runs[0] / f"{what}.png")
+    chosen = [one for folder in runs for one in of_variants(_opened(folder), variant)]
+    path = style.save(FIGURES[what](chosen, **given), out or runs[0] / f"{what}.png")
     screen.print(f"wrote {path}", highlight=False, soft_wrap=True)
 
 
@@ -269,6 +292,72 @@ def report(
     path = write(run, out or folder / "report.html")
     screen.print(f"wrote {path}", soft_wrap=True)
     _say_damage([run])
+
+
+@app.command()
+def export(
+    form: Annotated[str, typer.Argument(metavar="FORMAT", help="kitti, trupercept, opv2v, veremi, veremi-nextgen.")],
+    folder: Annotated[Path, typer.Argument(metavar="RUN", help="Run folder.")],
+    out: Annotated[Path, typer.Option(help="New folder to write; an export that was interrupted goes on in its own.")],
+    vehicles: Annotated[
+        str | None,
+        typer.Option(help="Vehicles with a LiDAR, such as 3,17,20-25; all by default. trupercept: ego first."),
+    ] = None,
+    steps: Annotated[str | None, typer.Option(help="Steps, such as 0-59; all by default.")] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Write a run in the layout that other tools read."""
+    from cosim.export import export as write
+    from results.archive import open_run
+
+    bar = Progress(
+        SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(),
+        TimeRemainingColumn(), console=notes, disable=not notes.is_terminal,
+    )  # fmt: skip
+    with bar:
+        task = bar.add_task(form, total=None)
+        done = write(
+            open_run(folder), form, out, vehicles, steps,
+            lambda what, n, total: bar.update(task, description=f"{form}, {what}", completed=n, total=total),
+        )  # fmt: skip
+    if as_json:
+        print_json(done)
+        return
+    said = f"wrote {done['files']:,} files, {done['bytes'] / 1e6:,.1f} MB, in {done['out']}"
+    screen.print(said, highlight=False, markup=False, soft_wrap=True)
+
+
+@app.command()
+def view(
+    folder: Annotated[Path, typer.Argument(metavar="RUN", help="Run folder.")],
+    out: Annotated[Path, typer.Option(help="File to write, .rrd; open it with `rerun FILE.rrd`.")],
+    vehicles: Annotated[
+        list[int] | None, typer.Option("--vehicle", help="Show its clouds, detections and beliefs. Repeatable.")
+    ] = None,
+    from_s: Annotated[float, typer.Option("--from", help="Begin, in seconds.")] = 0.0,
+    to_s: Annotated[float | None, typer.Option("--to", help="End, in seconds.")] = None,
+    clouds: Annotated[bool, typer.Option(help="Point clouds of the vehicles shown.")] = True,
+    as_json: AsJson = False,
+) -> None:
+    """Write a run as a recording for the Rerun viewer: map, city in 3D, trust over time."""
+    from cosim.view import view as write
+    from results.archive import open_run
+
+    bar = Progress(
+        SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(),
+        TimeRemainingColumn(), console=notes, disable=not notes.is_terminal,
+    )  # fmt: skip
+    with bar:
+        task = bar.add_task("view", total=None)
+        done = write(
+            open_run(folder), out, tuple(vehicles or ()), from_s, to_s, clouds,
+            lambda what, n, total: bar.update(task, description=what, completed=n, total=total),
+        )  # fmt: skip
+    if as_json:
+        print_json(done)
+        return
+    said = f"wrote {out}, {done['bytes'] / 1e6:,.1f} MB; open it with: rerun {out}"
+    screen.print(said, highlight=False, markup=False, soft_wrap=True)
 
 
 @app.command()

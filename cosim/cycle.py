@@ -39,7 +39,7 @@ from results.codes import DetectionFault
 from results.encounters import Rows
 from trust import tables
 from trust.fusion import Fused
-from trust.tables import Evaluations, ObjectLists, TrustScores
+from trust.tables import EvaluationMessages, Evaluations, ObjectLists, TrustScores
 
 
 @dataclass(slots=True)
@@ -107,6 +107,8 @@ class Sensed:
     """What each vehicle evaluates."""
     reported: Evaluations
     """Evaluations as transmitted."""
+    messages: tuple[EvaluationMessages, EvaluationMessages]
+    """Evaluations of what was transmitted: as transmitted, and as evaluators keep them; the same rows."""
     n_points: Int[ndarray, "m"]
     plausible: Bool[ndarray, "m"]
     matched: Bool[ndarray, "m"]
@@ -223,8 +225,8 @@ def step(world: World, state: State, parts: Parts) -> tuple[State, StepResult]:
     server = parts.trust.traffic(up, informed)
     return s, StepResult(world, closed, ended, Sensed(
         vehicles, observed, listed.objects, listed.truth, listed.withheld, listed.detections, rounds, all_links,
-        matched.lists,
-        evaluated.reported, evaluated.n_points, evaluated.plausible, matched.lists_groups.ego_detected, used, lookups,
+        matched.lists, evaluated.reported, (evaluated.sent, evaluated.own_messages), evaluated.n_points,
+        evaluated.plausible, matched.lists_groups.ego_detected, used, lookups,
         fused, _per_variant(published, parts), _per_variant(server, parts), in_range, inter_reception,
         listed.n_dropped, outcomes,
     ), commands, reactions)  # fmt: skip

@@ -58,7 +58,7 @@ class Parts:
 
     def senses(self, step: int) -> bool:
         """Whether vehicles sense and talk in this step."""
-        return step % self.config.sense_every_steps == 0
+        return self.config.sensing and step % self.config.sense_every_steps == 0
 
 
 def perception_of(experiment: Config, city: Scene) -> Perception:

@@ -19,6 +19,7 @@ from cosim.cycle import State
 from cosim.drive import STATE_VERSION, Advance, Commands, Drive, own_modules, warm_up
 from cosim.driver.driver import largest_step_s
 from cosim.manifest import CONFIG, Manifest, versions
+from cosim.meshes import with_meshes
 from cosim.mobility.remarks import traffic_remarks
 from cosim.mobility.source import TrafficEnded, TrafficError, TrafficSource
 from cosim.parts import Parts, check_choices, sources
@@ -39,6 +40,7 @@ from sensors import lidar
 from sensors.boxes import Boxes
 from sensors.scene import Scene, Shape
 from sumo_nets.network import junctions
+from trust.models.interface import ModelError
 
 
 def check(config: Config) -> Scenario:
@@ -48,6 +50,7 @@ def check(config: Config) -> Scenario:
     check_choices(config)
     _check_driver(config, scenario)
     lidar.beams(config.lidar)
+    with_meshes(Scene.empty(), config.meshes)
     if config.lidar.engine != "columnar":  # the others are libraries that may not be there
         one = Boxes(np.zeros((1, 3)), np.ones((1, 3)), np.zeros(1))
         car, first = np.array([Shape.CAR], np.uint8), np.zeros(1, np.int64)
@@ -222,7 +225,7 @@ def _loaded(
 ) -> tuple[Parts, ActorRegistry, TrafficSource]:
     watch = Stopwatch()
     with watch("city"):
-        city = scenario.city()
+        city = with_meshes(scenario.city(), config.meshes)
     parts = Parts.of(config, city, roadside_units(config, scenario), watch)
     registry = ActorRegistry(config.fleet, config.seed, tuple(attack.share_p for attack in config.attacks))
     recorded = scenario if traffic_from is None else replace(scenario, trace=traffic_from, warmup_s=0.0)
@@ -296,7 +299,7 @@ def _carry_out(drive: Drive, folder: RunFolder) -> None:
         raise Stopped(error.signum, message) from None
     except Failed:
         raise
-    except TrafficError as error:
+    except (TrafficError, ModelError) as error:
         _fail(drive, folder, str(error))
         raise
     except OSError as error:

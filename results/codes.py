@@ -99,11 +99,19 @@ class LosState(IntEnum):
 
 
 class EncounterPairs(IntEnum):
-    """Which pairs can have an encounter: all vehicles, equipped ones, or equipped ones with line of sight."""
+    """Which pairs can have an encounter: all, equipped ones, equipped ones with line of sight, or all with it."""
 
     ALL = 0
     EQUIPPED = 1
     LOS = 2
+    ALL_LOS = 3
+
+
+class LosBlockers(IntEnum):
+    """What cuts a line of sight between two actors: buildings, or the bodies of third actors too."""
+
+    BUILDINGS = 0
+    BUILDINGS_AND_VEHICLES = 1
 
 
 def labels(codes: type[IntEnum]) -> tuple[str, ...]:

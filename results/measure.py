@@ -15,10 +15,13 @@ from results.metrics import (
     contact_graph,
     detection,
     encounters,
+    evidence,
     freshness,
     misbehaviour,
     radio,
     registry,
+    safety,
+    security,
     trust,
 )
 from results.metrics.intervals import FEW
@@ -33,11 +36,14 @@ TOPICS: Mapping[str, ModuleType] = {
     "encounters": encounters,
     "trust": trust,
     "misbehaviour": misbehaviour,
+    "security": security,
+    "evidence": evidence,
     "freshness": freshness,
     "radio": radio,
     "detection": detection,
     "attack": attack,
     "contacts": contact_graph,
+    "safety": safety,
 }
 """Modules of metrics by topic, as `run.measure.<topic>`."""
 
@@ -90,10 +96,13 @@ def measure(
         "encounters": lambda: _encounters(run),
         "trust": lambda: _trust(run),
         "misbehaviour": lambda: _misbehaviour(run, threshold, false_positives),
+        "security": lambda: _security(run, threshold),
+        "evidence": lambda: _evidence(run),
         "freshness": lambda: _freshness(run, fresh_s),
         "radio": lambda: _radio(run),
         "detection": lambda: _detection(run, max_frames),
         "attack": lambda: _attack(run),
+        "safety": lambda: _safety(run),
     }
     rows: list[Row] = []
     for topic in topics:
@@ -185,12 +194,8 @@ def _rows(frame: pd.DataFrame, group: str, metrics: Mapping[str, str], interval:
 
 
 def _named(frame: pd.DataFrame) -> pd.DataFrame:
-    """With the column `definition`: pairs and radius, and the hysteresis where definitions differ in it alone."""
-    text = [f"{pairs}, {radius:g} m" for pairs, radius in zip(frame.pairs, frame.radius_m, strict=True)]
-    frame = frame.assign(definition=text)
-    twice = frame.definition.duplicated(keep=False)
-    longer = frame.definition + frame.hysteresis_s.map(lambda s: f", {s:g} s")
-    return frame.assign(definition=frame.definition.where(~twice, longer))
+    """With the column `definition`: a name for each definition of an encounter."""
+    return frame.assign(definition=encounters.named(frame))
 
 
 def _traffic(run: Run) -> Iterator[Row]:
@@ -242,6 +247,23 @@ def _misbehaviour(run: Run, threshold: float, false_positives: float) -> Iterato
         yield from _rows(misbehaviour.detection_summary(run, value, at), "{role}", {
             "share": f"time_to_detection{which}.share", "median_s": f"time_to_detection{which}.median_s",
         })  # fmt: skip
+
+
+def _security(run: Run, threshold: float) -> Iterator[Row]:
+    for suffix, relative in (("", None), ("_relative", 0.5)):
+        yield from _rows(security.confusion(run, threshold, relative), "{unit}", {
+            name: name + suffix for name in ("precision", "recall", "fpr", "f1", "mcc", "informedness")
+        })  # fmt: skip
+        yield Row(f"false_exclusions_per_h{suffix}", "", security.false_exclusions(run, threshold, relative))
+    yield Row("average_precision", "", security.average_precision(run))
+    yield from _rows(security.trust_error(run), "{role}", {"error": "trust_error"})
+
+
+def _evidence(run: Run) -> Iterator[Row]:
+    yield from _rows(evidence.multiplicity(run), "", {
+        "trust": "trust.multiplicity", "fused": "fused.multiplicity", "echoes": "echoes.share",
+        "copies": "copies_per_evaluation",
+    })  # fmt: skip
 
 
 def _freshness(run: Run, fresh_s: float) -> Iterator[Row]:
@@ -315,3 +337,14 @@ def _attack(run: Run) -> Iterator[Row]:
     yield from _rows(attack.false_in_path(run), "{among}", {
         "share": "false_in_path.share", "boxes_mean": "false_in_path.boxes_mean",
     }, "share")  # fmt: skip
+
+
+def _safety(run: Run) -> Iterator[Row]:
+    found = safety.summary(run)
+    yield from (Row(str(name), "", float(value)) for name, value in found.items())
+    if "reactions" in run.tables and run.n_blocks("reactions"):
+        yield from _rows(safety.by_kind(run), "{kind}", {
+            "n": "reactions.n", "per_km": "reactions.per_km", "hard_per_km": "reactions_hard.per_km",
+            "taken_mean_mps": "speed_taken.mean_mps", "wave_mean_n": "wave.vehicles.mean",
+            "wave_mean_m": "wave.length.mean_m",
+        })  # fmt: skip

@@ -22,8 +22,8 @@ from cosim.mobility.frame import Frame, TrafficError
 from cosim.mobility.lane_lines import LaneLines
 from cosim.mobility.params import TrafficParams
 from cosim.mobility.remarks import FlowCounts
+from cosim.mobility.scratch import Scratch
 from cosim.mobility.source import SHAPE_OF_CLASS, TrafficEnded, world_from_bumpers
-from cosim.scratch import Scratch
 from cosim.world import LanePaths, World
 from sumo_nets import sumocfg
 from sumo_nets.catalogue import bounds_m
