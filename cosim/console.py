@@ -12,8 +12,8 @@ from rich.console import Console
 from rich.table import Column, Table
 from rich.text import Text
 
-screen = Console()
-notes = Console(stderr=True)
+screen = Console(markup=False, highlight=False, emoji=False)  # a user's names are shown as they are
+notes = Console(stderr=True, markup=False, highlight=False, emoji=False)
 
 Get = Callable[[str], Mapping[str, float]]
 """Values of a metric by group; empty where it has none."""

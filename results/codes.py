@@ -42,6 +42,19 @@ class Origin(IntEnum):
     FABRICATED = 2
 
 
+class DetectionFault(IntEnum):
+    """Why a detection is dropped before it is sent, the first that applies."""
+
+    NOT_FINITE = 0
+    TOO_FAR = 1
+    BAD_SIZE = 2
+    BAD_SCORE = 3
+    UNKNOWN_CLASS = 4
+    BAD_NUMBER = 5
+    REPEATED_NUMBER = 6
+    TOO_MANY = 7
+
+
 class TrustSource(IntEnum):
     """Where a trust value comes from: the trust server, the holder's own evidence, the default of the config."""
 

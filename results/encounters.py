@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import Annotated, Literal
 
 import numpy as np
-from annotated_types import Ge, Gt
+from annotated_types import Ge, Gt, Le
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
@@ -18,9 +18,9 @@ Rows = dict[str, ndarray]
 class EncounterParams:
     """What counts as an encounter."""
 
-    radius_m: Annotated[float, Gt(0)] = 100.0
+    radius_m: Annotated[float, Gt(0), Le(100_000)] = 100.0
     """Largest distance that counts as contact [m]."""
-    hysteresis_s: Annotated[float, Ge(0)] = 3.0
+    hysteresis_s: Annotated[float, Ge(0), Le(1e7)] = 3.0
     """A break in contact shorter than this does not end an encounter [s]."""
     pairs: Literal["all", "equipped", "los", "all_los"] = "equipped"
     """Which pairs count: all, equipped ones, equipped ones while they have line of sight, or all while they have it."""

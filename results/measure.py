@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import pandas as pd
 
+from results.durable import Damaged
 from results.metrics import (
     attack,
     contact_graph,
@@ -112,6 +113,8 @@ def measure(
                 made = Row(*row)
                 rows.append(made._replace(name=f"{topic}.{made.name}"))
         except ValueError as reason:
+            if isinstance(reason, Damaged) and str(reason) not in run.damage:
+                run.damage.append(str(reason))
             rows.append(Row(f"{topic}.not_measured", str(reason), np.nan))
     return pd.DataFrame(
         [(*row, METRICS[row.name].unit, METRICS[row.name].label, _note(row)) for row in rows],

@@ -11,6 +11,7 @@ from results.codes import (
     BASE_VARIANT,
     DISTANCE_BIN_M,
     AttackEffect,
+    DetectionFault,
     EncounterPairs,
     LookupState,
     LosBlockers,
@@ -25,7 +26,7 @@ from results.codes import (
 )
 from results.columns import LEVELS, Column, Level, Table
 
-SCHEMA_VERSION = 5
+SCHEMA_VERSION = 6
 """Raised whenever a table or column changes its name, type, unit or meaning."""
 
 
@@ -197,6 +198,15 @@ TABLES: Mapping[str, Table] = {
             "truth_actor": _TRUTH_ACTOR,
             "truth_iou": _TRUTH_IOU,
             "truth_occlusion": Column("float32", unit="1", null=True, truth=True, bits=8, meaning="Share of that actor hidden from the observer."),
+        },
+    ),
+    "dropped_detections": Table(
+        "summary",
+        "Detections in the lists that attacks make up or change that no message can hold, and that are dropped before they are sent, by cause.",
+        {
+            "step": _STEP,
+            "cause": Column("category", key=True, categories=labels(DetectionFault), meaning="First cause that applies: not finite; more than 10 km from the observer, or a heading beyond a full turn; a size of 0 or less or above 1 km; a score outside [0, 1]; a class that does not exist; a number outside of 15 bits; a number that the list has already; more than 255 objects."),
+            "n": _count("Detections dropped."),
         },
     ),
     "receptions": Table(

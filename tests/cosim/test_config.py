@@ -7,7 +7,7 @@ import pytest
 import tomli_w
 
 from cosim.config import Config, load
-from cosim.run import without_nulls
+from cosim.manifest import without_nulls
 
 
 def test_defaults_survive_the_way_to_disk_and_back(tmp_path):
