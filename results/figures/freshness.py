@@ -121,7 +121,10 @@ def _over(runs: Sequence[Run], key: str, threshold: float) -> Figure:
     figure, axes = style.sheet(columns=3, width=9.6, height=3.7)
     beside = [name for name in compare.differing(runs) if name != key]
     values = [dict(compare.flat(run.config)) for run in runs]
-    groups = sorted({tuple((name, value.get(name)) for name in beside) for value in values}, key=str)
+    groups = sorted(
+        {tuple((name, value.get(name)) for name in beside) for value in values},
+        key=lambda group: [compare.sort_key(x) for _, x in group],
+    )
     asked = {name: question for panel in panels.values() for name, question in panel.items()}
     frame = compare.tabulate(runs, key, asked)
     frame["group"] = [groups.index(tuple((name, values[i].get(name)) for name in beside)) for i in frame["row"]]
