@@ -4,13 +4,16 @@ VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
-.PHONY: run test lint verify bench lock clean
+.PHONY: run test types lint verify bench lock clean
 
 run: $(READY)  ## Drive the shipped city, and show what came of it
 	$(BIN)/cosim run
 
 test: $(READY)  ## The tests
-	$(BIN)/python -m pytest -q -n 2 --typecheck=trust
+	$(BIN)/python -m pytest -q -n 2
+
+types: $(READY)  ## Shapes and types of arrays, checked while the tests of trust run
+	$(BIN)/python -m pytest -q -n 2 --typecheck=trust tests/trust
 
 lint: $(READY)  ## Style and types
 	$(BIN)/ruff check .
@@ -21,7 +24,7 @@ verify: $(READY)  ## Everything, the slow verification included
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check --quiet .
 	$(BIN)/mypy
-	$(BIN)/python -m pytest -q -n 2 --typecheck=trust -m ""
+	$(BIN)/python -m pytest -q -n 2 -m ""
 
 bench: $(READY)  ## Speed, with peers in the same run
 	$(BIN)/cosim bench

@@ -35,6 +35,7 @@ from cosim.v2x.messages import FABRICATED, Detections, evaluation_bytes, trust_b
 from cosim.v2x.pseudonyms import PseudonymState, PseudonymUse
 from cosim.v2x.trust_hosts import Lookups, ServerTraffic, TrustState
 from cosim.world import World
+from results.codes import DetectionFault
 from results.encounters import Rows
 from trust import tables
 from trust.fusion import Fused
@@ -60,8 +61,8 @@ class State:
     )
     """Of detection and of evaluation messages."""
     attack_start: AttackStartTracker = field(default_factory=AttackStartTracker)
-    n_malformed: int = 0
-    """Detections dropped so far because they cannot be: no finite pose, no size, no score."""
+    n_dropped: Int[ndarray, "f"] = field(default_factory=lambda: np.zeros(len(DetectionFault), np.int64))
+    """Detections dropped so far because they cannot be sent, by `DetectionFault`."""
     is_consumed: bool = False
 
     @staticmethod
@@ -126,6 +127,8 @@ class Sensed:
     """Per round: senders and the vehicles within range of them; rows of `vehicles`."""
     inter_reception: list[Rows]
     """Per round: columns of the table `packet_inter_reception`."""
+    n_dropped: Int[ndarray, "f"]
+    """Detections that could not be sent, by `DetectionFault`."""
     attack_outcomes: list[Rows]
     """Per trust variant that fuses: columns of the table `attack_outcomes`."""
 
@@ -167,7 +170,7 @@ def step(world: World, state: State, parts: Parts) -> tuple[State, StepResult]:
     observed = parts.perception(world, vehicles.row, watch)
     with watch("attack"):
         listed, s.included = stages.list_objects(observed, vehicles, s.included, world, parts, time_s)
-        s.n_malformed += listed.n_malformed
+        s.n_dropped = s.n_dropped + listed.n_dropped
     with watch("radio"):  # detections are broadcast
         stations = stages.stations_of(world, vehicles, parts)
         cpms = stages.messages(stages.cpm_lengths(listed, vehicles, s.piggybacked, c), parts)
@@ -225,7 +228,7 @@ def step(world: World, state: State, parts: Parts) -> tuple[State, StepResult]:
         matched.lists, evaluated.reported, (evaluated.sent, evaluated.own_messages), evaluated.n_points,
         evaluated.plausible, matched.lists_groups.ego_detected, used, lookups,
         fused, _per_variant(published, parts), _per_variant(server, parts), in_range, inter_reception,
-        outcomes,
+        listed.n_dropped, outcomes,
     ), commands, reactions)  # fmt: skip
 
 

@@ -16,10 +16,11 @@ from cosim.perception import Observed
 from cosim.radio.message_round import LinkReceptions, Messages, Receptions, Stations
 from cosim.ragged import ptr_of
 from cosim.v2x.cpm_generation import InclusionMemory, select_objects
-from cosim.v2x.messages import FABRICATED, SENSED, Detections, cpm_bytes, is_sound, piggyback_bytes
+from cosim.v2x.messages import SENSED, Detections, cpm_bytes, faults, piggyback_bytes
 from cosim.v2x.trust_hosts import Lookups, TrustState
 from cosim.v2x.trust_server import LinkStats
 from cosim.world import World
+from results.codes import DetectionFault
 from sensors.boxes import overlapping_pairs
 from sensors.evidence import in_evaluation_area
 from trust import tables
@@ -64,8 +65,8 @@ class Listed:
     """Where the detections of each vehicle begin."""
     withheld: Bool[ndarray, "d"]
     """Made by the detector, and kept from others by an attack."""
-    n_malformed: int
-    """Detections dropped because they cannot be: no finite pose, no size, no score."""
+    n_dropped: Int[ndarray, "f"]
+    """Detections that cannot be sent, by `DetectionFault`."""
 
 
 def list_objects(
@@ -73,17 +74,18 @@ def list_objects(
 ) -> tuple[Listed, InclusionMemory]:
     """Detections as each vehicle lists them, after attacks and generation rules."""
     objects = parts.adversary.detections(observed.detections, world, time_s)
-    sound = is_sound(objects)
-    if not sound.all():
-        assert (objects.origin[~sound] == FABRICATED).all()
-        objects = objects.take(np.flatnonzero(sound))
+    fault = faults(objects, world.boxes.xyz_m)
+    if (fault >= 0).any():
+        rows = np.flatnonzero(fault < 0)
+        objects = objects.take(rows[np.lexsort((objects.detection_index[rows], objects.observer[rows]))])
     withheld = (objects.origin == SENSED) & ~objects.transmitted
     if parts.config.radio.cpm_rules == "etsi":
         chosen, included = select_objects(included, objects, world.actor[objects.observer], time_s)
         objects = replace(objects, transmitted=chosen)
+    n_dropped = np.bincount(fault[fault >= 0], minlength=len(DetectionFault))
     truth = ground_truth_of(objects, world, observed.observability, vehicles.row, observed.is_real, observed.actor_row)
     detections, ptr = object_lists.for_trust(objects, vehicles.row)
-    return Listed(objects, truth, detections, ptr, withheld, int((~sound).sum())), included
+    return Listed(objects, truth, detections, ptr, withheld, n_dropped), included
 
 
 def stations_of(world: World, vehicles: Vehicles, parts: Parts) -> Stations:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import pandas as pd
 
+from results.durable import Damaged
 from results.metrics import (
     attack,
     contact_graph,
@@ -20,6 +21,7 @@ from results.metrics import (
     radio,
     registry,
     safety,
+    security,
     trust,
 )
 from results.metrics.intervals import FEW
@@ -34,6 +36,7 @@ TOPICS: Mapping[str, ModuleType] = {
     "encounters": encounters,
     "trust": trust,
     "misbehaviour": misbehaviour,
+    "security": security,
     "evidence": evidence,
     "freshness": freshness,
     "radio": radio,
@@ -93,6 +96,7 @@ def measure(
         "encounters": lambda: _encounters(run),
         "trust": lambda: _trust(run),
         "misbehaviour": lambda: _misbehaviour(run, threshold, false_positives),
+        "security": lambda: _security(run, threshold),
         "evidence": lambda: _evidence(run),
         "freshness": lambda: _freshness(run, fresh_s),
         "radio": lambda: _radio(run),
@@ -109,6 +113,8 @@ def measure(
                 made = Row(*row)
                 rows.append(made._replace(name=f"{topic}.{made.name}"))
         except ValueError as reason:
+            if isinstance(reason, Damaged) and str(reason) not in run.damage:
+                run.damage.append(str(reason))
             rows.append(Row(f"{topic}.not_measured", str(reason), np.nan))
     return pd.DataFrame(
         [(*row, METRICS[row.name].unit, METRICS[row.name].label, _note(row)) for row in rows],
@@ -188,12 +194,8 @@ def _rows(frame: pd.DataFrame, group: str, metrics: Mapping[str, str], interval:
 
 
 def _named(frame: pd.DataFrame) -> pd.DataFrame:
-    """With the column `definition`: pairs and radius, and the hysteresis where definitions differ in it alone."""
-    text = [f"{pairs}, {radius:g} m" for pairs, radius in zip(frame.pairs, frame.radius_m, strict=True)]
-    frame = frame.assign(definition=text)
-    twice = frame.definition.duplicated(keep=False)
-    longer = frame.definition + frame.hysteresis_s.map(lambda s: f", {s:g} s")
-    return frame.assign(definition=frame.definition.where(~twice, longer))
+    """With the column `definition`: a name for each definition of an encounter."""
+    return frame.assign(definition=encounters.named(frame))
 
 
 def _traffic(run: Run) -> Iterator[Row]:
@@ -245,6 +247,16 @@ def _misbehaviour(run: Run, threshold: float, false_positives: float) -> Iterato
         yield from _rows(misbehaviour.detection_summary(run, value, at), "{role}", {
             "share": f"time_to_detection{which}.share", "median_s": f"time_to_detection{which}.median_s",
         })  # fmt: skip
+
+
+def _security(run: Run, threshold: float) -> Iterator[Row]:
+    for suffix, relative in (("", None), ("_relative", 0.5)):
+        yield from _rows(security.confusion(run, threshold, relative), "{unit}", {
+            name: name + suffix for name in ("precision", "recall", "fpr", "f1", "mcc", "informedness")
+        })  # fmt: skip
+        yield Row(f"false_exclusions_per_h{suffix}", "", security.false_exclusions(run, threshold, relative))
+    yield Row("average_precision", "", security.average_precision(run))
+    yield from _rows(security.trust_error(run), "{role}", {"error": "trust_error"})
 
 
 def _evidence(run: Run) -> Iterator[Row]:

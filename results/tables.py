@@ -11,8 +11,10 @@ from results.codes import (
     BASE_VARIANT,
     DISTANCE_BIN_M,
     AttackEffect,
+    DetectionFault,
     EncounterPairs,
     LookupState,
+    LosBlockers,
     LosState,
     MessageType,
     ObjectClass,
@@ -24,7 +26,7 @@ from results.codes import (
 )
 from results.columns import LEVELS, Column, Level, Table
 
-SCHEMA_VERSION = 5
+SCHEMA_VERSION = 6
 """Raised whenever a table or column changes its name, type, unit or meaning."""
 
 
@@ -128,8 +130,10 @@ TABLES: Mapping[str, Table] = {
             "b": _key("The larger of the two actor numbers."),
             "start_step": _key("First step in contact."),
             "radius_m": Column("float32", unit="m", key=True, meaning="Largest distance that counts as contact."),
-            "pairs": Column("category", key=True, categories=labels(EncounterPairs), meaning="Which pairs count: all vehicles, pairs of equipped ones, or equipped pairs with line of sight (los)."),
+            "pairs": Column("category", key=True, categories=labels(EncounterPairs), meaning="Which pairs count: all, pairs of equipped vehicles, equipped pairs with line of sight (los), or all with line of sight (all_los)."),
             "hysteresis_s": Column("float32", unit="s", key=True, meaning="A break in contact shorter than this does not end the encounter."),
+            "los": Column("category", key=True, categories=labels(LosBlockers), meaning="What cuts a line of sight, from 0.23 m (lidar.mount_above_roof_m) above one roof to the other: buildings, or the bodies of other actors too."),
+            "pedestrians": Column("bool", key=True, meaning="Whether pedestrians count as actors; vehicles alone do otherwise."),
             "end_step": Column("int32", meaning="First step no longer in contact."),
             "duration_s": Column("float32", unit="s", meaning="(end_step - start_step) * dt_s, bridged breaks included."),
             "censored_left": Column("bool", meaning="In contact already when recording began: lasted longer."),
@@ -159,6 +163,8 @@ TABLES: Mapping[str, Table] = {
             "radius_m": Column("float32", unit="m", key=True, meaning="Largest distance that counts as contact."),
             "pairs": Column("category", key=True, categories=labels(EncounterPairs), meaning="Which pairs count, as in `encounters`."),
             "hysteresis_s": Column("float32", unit="s", key=True, meaning="A break in contact shorter than this does not end the encounter."),
+            "los": Column("category", key=True, categories=labels(LosBlockers), meaning="What cuts a line of sight, from 0.23 m (lidar.mount_above_roof_m) above one roof to the other: buildings, or the bodies of other actors too."),
+            "pedestrians": Column("bool", key=True, meaning="Whether pedestrians count as actors; vehicles alone do otherwise."),
             **_trust_at_contact("a", "b"),
             **_trust_at_contact("b", "a"),
         },
@@ -192,6 +198,15 @@ TABLES: Mapping[str, Table] = {
             "truth_actor": _TRUTH_ACTOR,
             "truth_iou": _TRUTH_IOU,
             "truth_occlusion": Column("float32", unit="1", null=True, truth=True, bits=8, meaning="Share of that actor hidden from the observer."),
+        },
+    ),
+    "dropped_detections": Table(
+        "summary",
+        "Detections in the lists that attacks make up or change that no message can hold, and that are dropped before they are sent, by cause.",
+        {
+            "step": _STEP,
+            "cause": Column("category", key=True, categories=labels(DetectionFault), meaning="First cause that applies: not finite; more than 10 km from the observer, or a heading beyond a full turn; a size of 0 or less or above 1 km; a score outside [0, 1]; a class that does not exist; a number outside of 15 bits; a number that the list has already; more than 255 objects."),
+            "n": _count("Detections dropped."),
         },
     ),
     "receptions": Table(

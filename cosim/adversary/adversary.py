@@ -30,7 +30,7 @@ class AttackParams:
     """What its vehicles are called in tables and figures."""
     share_p: Annotated[float, Ge(0), Le(1)] = 0.1
     """Share of the equipped vehicles that carry it out, decided vehicle by vehicle from its name."""
-    start_s: Annotated[float, Ge(0)] = 60.0
+    start_s: Annotated[float, Ge(0), Le(1e8)] = 60.0
     """Recorded time from which it is carried out [s]; until then its vehicles are honest and build up trust."""
 
 

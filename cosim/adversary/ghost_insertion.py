@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import Annotated, Literal
 
 import numpy as np
-from annotated_types import Gt
+from annotated_types import Gt, Le
 from jaxtyping import Int
 from numpy import ndarray
 from scipy.spatial import cKDTree
@@ -32,9 +32,9 @@ class GhostInsertionParams:
 
     ghosts: Literal["car_and_pedestrian", "car", "three_cars"] = "car_and_pedestrian"
     """Objects inserted in front of the victim, oncoming."""
-    ahead_m: Annotated[float, Gt(0)] = 8.0
+    ahead_m: Annotated[float, Gt(0), Le(1000)] = 8.0
     """Distance of the inserted object ahead of the victim's centre [m]."""
-    victim_range_m: Annotated[float, Gt(0)] = 100.0
+    victim_range_m: Annotated[float, Gt(0), Le(10_000)] = 100.0
     """The victim is the nearest other equipped vehicle within this distance [m]."""
     victim: str = ""
     """SUMO id of the one equipped vehicle that all attackers aim at, as in the paper; empty: each picks the nearest."""

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 from typing import Annotated, Protocol
 
 import numpy as np
-from annotated_types import Gt, Interval
+from annotated_types import Gt, Interval, Le
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
@@ -57,7 +57,7 @@ class Never:
 class PeriodicalParams:
     """Parameters of `periodical`."""
 
-    period_s: Annotated[float, Gt(0)] = 240.0
+    period_s: Annotated[float, Gt(0), Le(1e8)] = 240.0
     """Life of a pseudonym [s]; default as in F2MD."""
 
 
@@ -78,7 +78,7 @@ class Periodical:
 class DisposableParams:
     """Parameters of `disposable`."""
 
-    n_messages: Annotated[int, Gt(0)] = 10
+    n_messages: Annotated[int, Gt(0), Le(2**31 - 1)] = 10
     """Messages sent under one pseudonym; default as in F2MD."""
 
 
@@ -99,7 +99,7 @@ class Disposable:
 class DistanceParams:
     """Parameters of `distance`."""
 
-    distance_m: Annotated[float, Gt(0)] = 80.0
+    distance_m: Annotated[float, Gt(0), Le(1e9)] = 80.0
     """Way driven under one pseudonym [m]; default as in F2MD."""
 
 

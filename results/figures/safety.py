@@ -32,16 +32,19 @@ def draw(runs: Sequence[Run]) -> Figure:
     width = 0.8 / len(runs)
     for i, run in enumerate(runs):
         found = safety.summary(run)
+        if not found["driven_km"]:
+            raise ValueError(f"{run.path}: no vehicle was ever on the road. Let it run longer, or scale the demand up.")
         at = np.arange(len(_COUNTS)) + (i - (len(runs) - 1) / 2) * width
         values = [found.get(name, 0.0) for name in _COUNTS]
         hatch = style.HATCHES[i % len(style.HATCHES)]
-        events.bar(at, values, width, color=style.ink(i), hatch=hatch, edgecolor="#333333", linewidth=0.5)
+        events.barh(at, values, width, color=style.ink(i), hatch=hatch, edgecolor="#333333", linewidth=0.5)
         _over_time(over_time, run, i)
-    events.set_xticks(range(len(_COUNTS)), list(_COUNTS.values()), fontsize=7, rotation=30, ha="right")
-    style.panel(events, "Safety events", "", "Per vehicle-kilometre [1/km]")
+    events.set_yticks(range(len(_COUNTS)), list(_COUNTS.values()))
+    events.invert_yaxis()
+    style.panel(events, "Safety events", "Per vehicle-kilometre [1/km]", "")
     style.panel(over_time, "Hard braking", style.TIME, "Per vehicle-kilometre [1/km]")
     _causes(causes, runs)
-    style.panel(causes, "What drivers react to", "", "Reactions per vehicle-kilometre [1/km]")
+    style.panel(causes, "What drivers react to", "Reactions per vehicle-kilometre [1/km]", "")
     kinds = [Patch(facecolor=ink, edgecolor="#333333", label=kind) for kind, ink in _INKS.items()]
     style.legend(figure, kinds, style.series_entries(runs))
     return figure
@@ -61,11 +64,12 @@ def _over_time(axes: Axes, run: Run, i: int) -> None:
 def _causes(axes: Axes, runs: Sequence[Run]) -> None:
     """Reactions per kilometre by kind, one bar per run."""
     for i, run in enumerate(runs):
+        axes.barh(i, 0.0, 0.6)
         if "reactions" not in run.tables or not run.n_blocks("reactions"):
             continue
         bottom = 0.0
         for row in safety.by_kind(run).itertuples():
-            axes.bar(i, row.per_km, 0.6, bottom, color=_INKS[row.kind], edgecolor="#333333", linewidth=0.5)
+            axes.barh(i, row.per_km, 0.6, bottom, color=_INKS[row.kind], edgecolor="#333333", linewidth=0.5)
             bottom += row.per_km
-    axes.set_xticks(range(len(runs)), style.names(runs), rotation=30 if len(runs) > 1 else 0, fontsize=7)
-    axes.set_xlim(-0.7, len(runs) - 0.3)
+    axes.set_yticks(range(len(runs)), style.names(runs) if len(runs) > 1 else [""])
+    axes.set_ylim(len(runs) - 0.3, -0.7)

@@ -30,6 +30,7 @@ TOPICS: Mapping[str, str] = {
     "encounters": "Who was near whom, and for how long.",
     "trust": "Trust in pseudonyms.",
     "misbehaviour": "How well and how soon attackers are told from honest vehicles by trust.",
+    "security": "Trust as a classifier of attackers: confusion matrix, false exclusions, trust error.",
     "evidence": "How often one look counts more than once on its way into trust values and fused scores.",
     "freshness": "What stands behind trust when it is looked up, and how old it is (results/FRESHNESS.md).",
     "radio": "What the radio delivers, beside the assumptions that this rests on.",
@@ -83,6 +84,22 @@ METRICS: Mapping[str, Metric] = {
     "misbehaviour.time_to_detection_at_fpr.share": Metric("ever suspected at the false positive rate", "1", "Share ever suspected at that threshold.", _ROLE),
     "misbehaviour.time_to_detection_at_vehicle.median_s": Metric("time to detection at a vehicle, median", "s", "Time until the first vehicle looks up a server's value below the threshold; only where there is a server.", _ROLE),
     "misbehaviour.time_to_detection_at_vehicle.share": Metric("ever suspected at a vehicle", "1", "Share for which a vehicle ever looked up such a value.", _ROLE),
+    **{
+        f"security.{name}{suffix}": Metric(f"{label}{', relative threshold' if suffix else ''}", "1", f"{text} A subject is excluded while it is rated and below {'half of the median of the rated values of that moment' if suffix else 'the threshold'}.", "value (each moment) or vehicle (the last)")
+        for suffix in ("", "_relative")
+        for name, label, text in (
+            ("precision", "precision", "Share of the excluded that attack."),
+            ("recall", "recall", "Share of the attackers that are excluded."),
+            ("fpr", "false positive rate", "Share of the honest that are excluded."),
+            ("f1", "F1", "Harmonic mean of precision and recall."),
+            ("mcc", "Matthews correlation", "Correlation of attacking and being excluded: 0 is chance."),
+            ("informedness", "informedness", "Recall less false positive rate: 0 is chance."),
+        )
+    },
+    "security.average_precision": Metric("average precision", "1", "Area under the precision-recall curve of values; those that are not rated are never excluded."),
+    "security.false_exclusions_per_h": Metric("false exclusions", "1/h", "Times that an honest vehicle becomes excluded at the threshold, per hour that honest vehicles are watched for."),
+    "security.false_exclusions_per_h_relative": Metric("false exclusions, relative threshold", "1/h", "The same at half of the median of the rated values of that moment."),
+    "security.trust_error": Metric("trust error", "1", "Mean distance of rated trust from 1 (honest) or 0 (attackers).", _ROLE),
     "evidence.trust.multiplicity": Metric("evaluations per look", "1", "Evaluations with visibility above 0 of others' detections, over the distinct looks (evaluator, observer, actual object) behind them: 1 if no look counts twice in a trust value."),
     "evidence.fused.multiplicity": Metric("evaluations per evaluator of a fused object", "1", "Evaluations behind a fused object, over the vehicles that made them: how often one look counts in a sum over members and evaluators. Models that score objects give each vehicle one vote."),
     "evidence.echoes.share": Metric("echoes", "1", "Share of the evaluations by which an attacker confirms what another attacker fabricated."),

@@ -147,7 +147,8 @@ def test_study_file_of_a_folder_gives_the_same_points(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("name", "n_points", "n_runs"), [("freshness", 300, 15), ("exposure", 27, 27), ("encounters", 9, 9)]
+    ("name", "n_points", "n_runs"),
+    [("freshness", 300, 15), ("exposure", 27, 27), ("encounters", 9, 9), ("safety", 72, 72)],
 )
 def test_shipped_studies(name, n_points, n_runs):
     found = points_of(load(Path(name)), name)
