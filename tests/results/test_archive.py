@@ -11,7 +11,7 @@ from results.measure import measure
 from results.tables import TABLES
 from tests.results.synthetic import write
 
-EMPTY = ("encounter_trust", "reactions", "dropped_detections")
+EMPTY = ("encounter_trust", "reactions", "dropped_detections", "evidence")
 """Tables without rows in a run with one trust variant and no driver."""
 
 

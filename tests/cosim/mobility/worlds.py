@@ -55,7 +55,7 @@ Path({str(target)!r}).write_bytes(pickle.dumps((worlds, report)))
 
 
 def registry() -> ActorRegistry:
-    return ActorRegistry(FleetParams(malicious_p=0.3, unreliable_p=0.3), seed=4)
+    return ActorRegistry(FleetParams(), 4, (0.3, 0.3))
 
 
 def same(one: list[dict[str, np.ndarray]], other: list[dict[str, np.ndarray]]) -> None:
