@@ -42,7 +42,7 @@ class Detections:
     n_points: Int[ndarray, "d"]
     origin: UInt8[ndarray, "d"]
     transmitted: Bool[ndarray, "d"]
-    target: Int[ndarray, "d"] = field(default=None)  # type: ignore[assignment]  # left out: nobody's
+    target: Int[ndarray, "d"] = field(default=None)  # type: ignore[arg-type]  # left out: nobody's
 
     def __post_init__(self) -> None:
         if self.target is None:
