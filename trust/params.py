@@ -105,10 +105,10 @@ class TrustParams(TruPerceptParams):
 
     def __post_init__(self) -> None:
         for label, low, high in zip(_LABELS, self.gamma_lower_points, self.gamma_upper_points, strict=True):
-            if not 0 <= low < high <= 1e6:
+            if not 0 <= low <= high <= 1e6:
                 raise ValueError(
                     f"trust.gamma_lower_points = {low:g} and trust.gamma_upper_points = {high:g} returns of a {label}: "
-                    "visibility needs 0 <= lower < upper <= 1e6."
+                    "visibility needs 0 <= lower <= upper <= 1e6."
                 )
 
 

@@ -11,7 +11,10 @@ from results.measure import measure
 from results.tables import TABLES
 from tests.results.synthetic import write
 
-EMPTY = ("encounter_trust", "reactions", "dropped_detections", "evidence")
+EMPTY = (
+    "encounter_trust", "reactions", "dropped_detections", "evidence", "transmitted_evaluations", "transmitted_scores",
+    "attack_outcomes",
+)  # fmt: skip
 """Tables without rows in a run with one trust variant and no driver."""
 
 

@@ -13,7 +13,7 @@ from cosim.fleet import FleetParams
 from cosim.mobility.params import TrafficParams
 from cosim.mobility.source import TrafficEnded, TrafficSource
 
-COLUMNS = ("actor", "name_key", "shape", "speed_mps", "equipped", "role")
+COLUMNS = ("actor", "name_key", "shape", "speed_mps", "equipped", "attack")
 
 
 def collect(traffic: TrafficSource, warmup_s: float, n_steps: int) -> list[dict[str, np.ndarray]]:
