@@ -47,6 +47,9 @@ class Stream(IntEnum):
     CLUTTER_MEMORY = 17
     ATTACK = 18
     PSEUDONYM = 19
+    ATTACK_LASTING = 20
+    ATTACK_TIME = 21
+    SENDER = 22
 
 
 @njit(cache=True, inline="always")
