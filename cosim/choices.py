@@ -83,6 +83,17 @@ def resolve(key: str, name: str, at_hand: Mapping[str, Any], folder: Path | None
     return Choice(key, found, params, source)
 
 
+def make(choice: Choice, *arguments: Any) -> Any:
+    """An instance of a choice; ValueError in one line where a user's own class refuses."""
+    if not is_own(choice.source.name):
+        return choice.of(*arguments)
+    try:
+        return choice.of(*arguments)
+    except Exception as error:  # whatever a user's class does
+        reason = " ".join(f"{type(error).__name__}: {error}".split())
+        raise ValueError(f"{choice.key} = {choice.source.name}: cannot be made: {reason}.") from error
+
+
 def _load(key: str, where: str, class_name: str, folder: Path | None) -> tuple[ModuleType, Source]:
     """The module of a user's own choice."""
     try:

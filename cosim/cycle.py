@@ -64,7 +64,9 @@ class State:
     def start(parts: Parts) -> "State":
         """Before the first step."""
         c = parts.config
-        encounters = EncounterTrackers(c.encounters, c.traffic.step_s, c.lidar.mount_above_roof_m)
+        encounters = EncounterTrackers(
+            c.encounters, c.traffic.step_s, c.lidar.mount_above_roof_m, len(parts.trust.variants)
+        )
         return State(parts.medium.start(), parts.trust.start(), encounters)
 
     def copy(self) -> "State":
@@ -110,8 +112,8 @@ class Sensed:
     """Per trust variant; None where it was not asked for."""
     published: list[TrustScores | None]
     """Per trust variant: what its server computed in this step."""
-    server: ServerTraffic | None
-    """None where the acting trust does not live on a server."""
+    server: list[ServerTraffic | None]
+    """Per trust variant; None where its trust does not live on a server."""
     in_range: list[tuple[Int[ndarray, "p"], Int[ndarray, "p"]]]
     """Per round: senders and the vehicles within range of them; rows of `vehicles`."""
     inter_reception: list[Rows]
@@ -180,7 +182,7 @@ def step(world: World, state: State, parts: Parts) -> tuple[State, StepResult]:
             s.trust, up = parts.trust.report_by_cellular(s.trust, sent.messages, vehicles.name_key, xy_m, evaluated_s)
         if pending is not None:
             arrival_s = evaluated_s + links_2.downlink.received_s
-            s.trust, informed = parts.trust.receive_from_rsu(
+            s.trust, informed[parts.trust.host_of[0]] = parts.trust.receive_from_rsu(
                 s.trust, vehicles.actor, links_2.downlink.receiver, arrival_s
             )
         used = links.vehicles
@@ -197,11 +199,11 @@ def step(world: World, state: State, parts: Parts) -> tuple[State, StepResult]:
     with watch("track"):
         rounds, all_links = (round_1, round_2), (links_1, links_2)
         in_range, inter_reception = _track(world, s, listed, rounds, all_links, used, lookups, matched, vehicles)
-    server = ServerTraffic(up, *informed) if c.trust.host == "central" else None
+    server = parts.trust.traffic(up, informed)
     return s, StepResult(world, closed, ended, Sensed(
         vehicles, observed, listed.objects, listed.truth, listed.detections, rounds, all_links, matched.lists,
         evaluated.reported, evaluated.n_points, evaluated.plausible, matched.lists_groups.ego_detected, used, lookups,
-        fused, _per_variant(published, parts), server, in_range, inter_reception,
+        fused, _per_variant(published, parts), _per_variant(server, parts), in_range, inter_reception,
     ), commands)  # fmt: skip
 
 
@@ -219,8 +221,9 @@ def _meet(world: World, s: State, parts: Parts, vehicles: Vehicles, time_s: floa
     """Who is near whom, and what they know of each other when they meet; rows of encounters that are over."""
     closed, holder, other = s.encounters.update(world, parts.walls)
     s.trust = parts.trust.receive(s.trust, vehicles.actor, time_s)
-    known = parts.trust.lookup(s.trust, holder, s.pseudonyms.of(other), time_s)[parts.trust.host_of[0]]
-    s.encounters.first_contact(holder, other, known.trust, known.source, known.age_s)
+    known = _per_variant(parts.trust.lookup(s.trust, holder, s.pseudonyms.of(other), time_s), parts)
+    columns = ([getattr(found, name) for found in known] for name in ("trust", "source", "age_s"))
+    s.encounters.first_contact(holder, other, *(np.stack(column, axis=1) for column in columns))
     return closed
 
 
@@ -237,8 +240,9 @@ def _track(
         track_receptions(tracker, world.step, happened, received, pairs, vehicles.actor)
         for tracker, happened, received, pairs in zip(s.inter_reception, rounds, between, in_range, strict=True)
     ]
+    sources = np.stack([found.source for found in lookups], axis=1)
     count_in_encounters(
-        s.encounters, rounds, between, used, lookups[0].source, matched.lists, listed.detections.message, vehicles.actor
+        s.encounters, rounds, between, used, sources, matched.lists, listed.detections.message, vehicles.actor
     )
     return in_range, inter_reception
 

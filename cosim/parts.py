@@ -1,6 +1,7 @@
 """The parts of a step, built once from the config: perception, adversary, medium, trust, pseudonyms, driver."""
 
 from dataclasses import dataclass, field
+from typing import Any
 
 from cosim import choices, config
 from cosim.adversary.adversary import Adversary
@@ -90,13 +91,13 @@ def sources(experiment: Config) -> dict[str, choices.Source]:
     return found
 
 
-def _make(experiment: Config, section: str, number: int | None = None):
-    """An instance of the class that a section names; without parameters of its own it is made without any."""
+def _make(experiment: Config, section: str, number: int | None = None) -> Any:
+    """An instance of the class that a section names."""
     choice, own = config.chosen(experiment, section, number)
-    return choice.of() if choice.params is None else choice.of(own)
+    return choices.make(choice, *(() if choice.params is None else (own,)))
 
 
-def _make_medium(experiment: Config, sight: LosCache | None) -> Medium:
+def _make_medium(experiment: Config, los: LosCache) -> Medium:
     choice, own = config.chosen(experiment, "radio")
     params = experiment.radio if own is None else own
-    return choice.of(params, experiment.timeout_s, experiment.seed, sight)
+    return choices.make(choice, params, experiment.timeout_s, experiment.seed, los)

@@ -15,7 +15,7 @@ from cosim.v2x.messages import FABRICATED
 from cosim.v2x.pseudonyms import PseudonymUse
 from cosim.world import World
 from results.codes import MessageType, TrustSource
-from results.encounters import Rows
+from results.encounters import Rows, by_variant
 from results.recorder import Recorder
 from sensors.boxes import Boxes
 
@@ -58,7 +58,10 @@ def _actors(recorder: Recorder, world: World) -> None:
 def encounters(recorder: Recorder, at: int, closed: Sequence[Rows]) -> None:
     """Encounters that are over, by definition."""
     for rows in closed:
-        recorder.append("encounters", at, rows)
+        base, others = by_variant(rows)
+        recorder.append("encounters", at, base)
+        if others:
+            recorder.append("encounter_trust", at, others)
 
 
 def pseudonyms(recorder: Recorder, at: int, ended: PseudonymUse) -> None:
@@ -150,9 +153,12 @@ def _trust(recorder: Recorder, at: int, sensed: Sensed, dt_s: float) -> None:
             "weight": scores.weight, "n_evaluations": scores.n_evaluations,
             "newest_age_s": (at - scores.newest_step) * dt_s, "oldest_age_s": (at - scores.oldest_step) * dt_s,
         })  # fmt: skip
-    if sensed.server is not None:
-        up, down = sensed.server.up, sensed.server
+    for variant, server in enumerate(sensed.server):
+        if server is None:
+            continue
+        up, down = server.up, server
         recorder.append("server", at, {
+            "variant": np.array([variant]),
             "n_reports": np.array([up.n_reports]), "n_reached": np.array([up.n_reached]),
             "n_lost": np.array([up.n_lost]), "n_over_capacity": np.array([up.n_over_capacity]),
             "n_outage": np.array([up.n_outage]), "uplink_bytes": np.array([up.uplink_bytes]),

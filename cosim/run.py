@@ -39,6 +39,7 @@ def check(config: Config) -> Scenario:
     """The scenario that a config asks for; ValueError where it could not run."""
     scenario = find(config.traffic.scenario, config.traffic.trace)
     roadside_units(config, scenario)
+    Parts.of(config, Scene.empty())
     lidar.beams(config.lidar)
     if config.lidar.engine != "columnar":  # the others are libraries that may not be there
         one = Boxes(np.zeros((1, 3)), np.ones((1, 3)), np.zeros(1))

@@ -40,14 +40,13 @@ def count_in_encounters(
     Parameters
     ----------
     source
-        Of the trust looked up, rows as in `used`: a code of `TrustSource`.
+        Of the trust looked up, rows as in `used`, a column per trust variant: a code of `TrustSource`.
     message
         Sender of each detection, a station row.
     """
     for happened, found in zip(rounds, received, strict=True):
         trackers.count_messages(actor[happened.station[found.message]], actor[found.receiver])
-    looked_up = source != TrustSource.DEFAULT
-    trackers.note_trust(actor[used.receiver[looked_up]], actor[used.message[looked_up]])
+    trackers.note_trust(actor[used.receiver], actor[used.message], source != TrustSource.DEFAULT)
     evaluator, observer = lists.of_member(), message[lists.member]
     others, n = evaluator != observer, len(actor)
     pair, count = np.unique(evaluator[others] * n + observer[others], return_counts=True)

@@ -27,17 +27,19 @@ class EncounterParams:
 
 
 _LIVE: dict[str, type] = {
-    "start": np.int32,      # first step in contact
-    "end": np.int32,        # one past the last step in contact
-    "n": np.int32,          # steps in contact
+    "start": np.int32,  # first step in contact
+    "end": np.int32,  # one past the last step in contact
+    "n": np.int32,  # steps in contact
     "n_los": np.int32,
     "sum_m": np.float64,
     "min_m": np.float64,
     "previous_end": np.int32,
-    "again": np.bool_,      # the two had an encounter before
+    "again": np.bool_,  # the two had an encounter before
     "censored_left": np.bool_,
     "entered": np.bool_,
     **{f"n_{what}_{way}": np.int32 for what in ("messages", "evaluations") for way in ("ab", "ba")},
+}
+_TRUST: dict[str, type] = {
     **{f"trusted_{way}": np.bool_ for way in ("ab", "ba")},
     **{f"trusted_step_{way}": np.int32 for way in ("ab", "ba")},
     **{f"trust_{way}": np.float32 for way in ("ab", "ba")},
@@ -45,6 +47,7 @@ _LIVE: dict[str, type] = {
     **{f"source_{way}": np.int8 for way in ("ab", "ba")},
     **{f"age_{way}_s": np.float32 for way in ("ab", "ba")},
 }  # fmt: skip
+"""Columns of which there is one per trust variant."""
 
 _PENDING = 4096
 """Ended encounters gathered before they join the sorted memory of past ones."""
@@ -66,11 +69,14 @@ class EncounterTracker:
     as long as its duration says. An actor that leaves the simulation ends its encounters: that is
     no censoring, because the pair no longer exists; `departed` marks them for another convention.
     The end of a pair's last encounter is remembered while both are on the road.
+
+    With `n_variants` trust variants, columns of trust are arrays (encounter, variant): `by_variant` takes them apart.
     """
 
-    def __init__(self, params: EncounterParams, dt_s: float) -> None:
+    def __init__(self, params: EncounterParams, dt_s: float, n_variants: int = 1) -> None:
         self.params = params
         self.dt_s = dt_s
+        self.n_variants = n_variants
         # A break of m steps ends the encounter once m * dt_s >= hysteresis_s (but for rounding).
         self._patience = max(1, int(np.ceil(params.hysteresis_s / dt_s - 1e-9)))
         self._step: int | None = None
@@ -78,7 +84,7 @@ class EncounterTracker:
         self._pair = np.zeros(0, np.int64)  # a << 32 | b, sorted
         self._slot = np.zeros(0, np.int64)  # where the columns hold each pair
         self._free = np.zeros(0, np.int64)  # slots that hold none
-        self._live: Rows = {name: np.zeros(0, dtype) for name, dtype in _LIVE.items()}
+        self._live: Rows = self._columns(0)
         self._past = (
             np.zeros(0, np.int64),
             np.zeros(0, np.int32),
@@ -179,32 +185,42 @@ class EncounterTracker:
         """Add evaluations of `evaluator` on detections of `observer`."""
         self._count("evaluations", evaluator, observer, n)
 
-    def note_trust(self, holder: Int[ndarray, "n"], other: Int[ndarray, "n"]) -> None:
-        """Note which holders look up, in this step, a trust value for which other that is not the default."""
+    def note_trust(
+        self, holder: Int[ndarray, "n"], other: Int[ndarray, "n"], looked_up: Bool[ndarray, "n v"] | None = None
+    ) -> None:
+        """Note which holders look up, in this step, a trust value for which other that is not the default.
+
+        `looked_up` says in which trust variants; left out, in all.
+        """
         assert self._step is not None
         at, known, way = self._ordered(holder, other)
         for ab, name in ((True, "ab"), (False, "ba")):
-            where = at[known & (way == ab)]
-            where = where[~self._live[f"trusted_{name}"][where]]
-            self._live[f"trusted_{name}"][where] = True
-            self._live[f"trusted_step_{name}"][where] = self._step
+            rows = known & (way == ab)
+            where = at[rows]
+            first = ~self._live[f"trusted_{name}"][where]
+            if looked_up is not None:
+                first &= looked_up[rows]
+            row, variant = np.nonzero(first)
+            self._live[f"trusted_{name}"][where[row], variant] = True
+            self._live[f"trusted_step_{name}"][where[row], variant] = self._step
 
     def first_contact(
         self,
         holder: Int[ndarray, "n"],
         other: Int[ndarray, "n"],
-        trust: Float[ndarray, "n"],
-        source: Int[ndarray, "n"],
-        age_s: Float[ndarray, "n"],
+        trust: Float[ndarray, "n v"],
+        source: Int[ndarray, "n v"],
+        age_s: Float[ndarray, "n v"],
     ) -> None:
         """Note the trust in `other` that `holder` would look up now; kept of pairs whose encounter begins now.
 
-        `source` holds codes of `TrustSource`; the age of a default is ignored. Other pairs are left out.
+        One column per trust variant; with one variant they may be flat. `source` holds codes of `TrustSource`; the age
+        of a default is ignored. Other pairs are left out.
         """
+        trust, source, age_s = (np.asarray(x).reshape(len(holder), self.n_variants) for x in (trust, source, age_s))
         at, known, way = self._ordered(holder, other)
         known[known] = self._live["start"][at[known]] == self._step
-        given = known & (np.asarray(source) != TrustSource.DEFAULT)
-        self.note_trust(holder[given], other[given])
+        self.note_trust(holder[known], other[known], source[known] != TrustSource.DEFAULT)
         for ab, name in ((True, "ab"), (False, "ba")):
             rows = known & (way == ab)
             where = at[rows]
@@ -237,7 +253,7 @@ class EncounterTracker:
         self, step: int, pair: ndarray, metres: ndarray, visible: ndarray, came: ndarray, first: bool
     ) -> dict[str, ndarray]:
         """Live columns of encounters that begin now."""
-        opened: Rows = {name: np.zeros(len(pair), dtype) for name, dtype in _LIVE.items()}
+        opened = self._columns(len(pair))
         for past in (self._past, self._pending):  # the later one holds the later encounter
             at, met = _find(past[0], pair)
             opened["previous_end"][met] = past[1][at[met]]
@@ -249,6 +265,11 @@ class EncounterTracker:
             opened["entered"][:] = np.isin(pair >> 32, came) | np.isin(pair & 0xFFFFFFFF, came)
         return opened
 
+    def _columns(self, n: int) -> Rows:
+        """Live columns of `n` encounters, all zero."""
+        flat = {name: np.zeros(n, dtype) for name, dtype in _LIVE.items()}
+        return flat | {name: np.zeros((n, self.n_variants), dtype) for name, dtype in _TRUST.items()}
+
     def _merge(self, keep: Bool[ndarray, "live"], pair: Int[ndarray, "k"], opened: dict[str, ndarray]) -> None:
         """Drop encounters that are over, let new ones in, stay sorted."""
         if keep.all() and not len(pair):
@@ -258,7 +279,7 @@ class EncounterTracker:
             size = len(self._live["n"])
             more = size + len(pair)  # at least twice as many as are held
             self._free = np.concatenate([self._free, np.arange(size, size + more)])
-            self._live = {name: np.concatenate([v, np.zeros(more, v.dtype)]) for name, v in self._live.items()}
+            self._live = {name: np.concatenate([self._live[name], v]) for name, v in self._columns(more).items()}
         slots, self._free = self._free[: len(pair)], self._free[len(pair) :]
         for name, values in opened.items():
             self._live[name][slots] = values
@@ -289,9 +310,11 @@ class EncounterTracker:
                 f"source_{way}__valid": known,
                 f"age_{way}_s": live[f"age_{way}_s"],
                 f"age_{way}_s__valid": known & (live[f"source_{way}"] != TrustSource.DEFAULT),
-                f"trusted_after_{way}_s": (live[f"trusted_step_{way}"] - live["start"]) * self.dt_s,
+                f"trusted_after_{way}_s": (live[f"trusted_step_{way}"] - live["start"][:, None]) * self.dt_s,
                 f"trusted_after_{way}_s__valid": live[f"trusted_{way}"],
             }
+        if self.n_variants == 1:
+            trust = {name: values[:, 0] for name, values in trust.items()}
         return {
             "a": (self._pair[at] >> 32).astype(np.int32),
             "b": (self._pair[at] & 0xFFFFFFFF).astype(np.int32),
@@ -314,6 +337,22 @@ class EncounterTracker:
                for what in ("messages", "evaluations") for way in ("ab", "ba")},
             **trust,
         }  # fmt: skip
+
+
+ENCOUNTER_KEY = ("a", "b", "start_step", "radius_m", "pairs", "hysteresis_s")
+"""Columns that name an encounter."""
+
+
+def by_variant(rows: Rows) -> tuple[Rows, Rows]:
+    """A tracker's rows as rows of the tables `encounters` (trust of the variant that acts) and `encounter_trust`."""
+    of_variants = {name: values for name, values in rows.items() if values.ndim == 2}
+    if not of_variants:
+        return rows, {}
+    n, n_variants = next(iter(of_variants.values())).shape
+    variant = np.repeat(np.arange(1, n_variants), n)
+    others = {"variant": variant} | {name: np.tile(rows[name], n_variants - 1) for name in ENCOUNTER_KEY}
+    others |= {name: values[:, 1:].T.ravel() for name, values in of_variants.items()}
+    return rows | {name: values[:, 0] for name, values in of_variants.items()}, others
 
 
 def _pair(a: Int[ndarray, "n"], b: Int[ndarray, "n"]) -> Int[ndarray, "n"]:

@@ -239,7 +239,7 @@ def _radio(run: Run) -> Iterator[Row]:
     yield "pir.after_loss.share", "", lost.n_received.sum() / pir.n_received.sum()
     if lost.n_received.sum():
         yield "lost_in_a_row.mean", "", float(np.average(lost.n_lost, weights=lost.n_received))
-    if "server" in run.tables and len(run.server):
+    if "server" in run.tables and len(run.variant_table("server", ["step"])):
         links = radio.to_server(run)
         for name in ("reached", "lost", "over_capacity", "outage"):
             yield from _rows(links, "", {name: f"server_reports.{name}.share"})

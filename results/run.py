@@ -80,8 +80,18 @@ class Run:
     def variant_table(
         self, name: str, columns: Sequence[str] | None = None, where: pc.Expression | None = None
     ) -> pd.DataFrame:
-        """The same as `table`, rows of the run's `variant` only."""
+        """The same as `table`, rows of the run's `variant` only; the trust columns of `encounters` are its own."""
+        if name == "encounters" and self.variant != BASE_VARIANT:
+            return self._variant_encounters(columns, where)
         return self.table(name, columns, self._of_variant(name, where))
+
+    def _variant_encounters(self, columns: Sequence[str] | None, where: pc.Expression | None) -> pd.DataFrame:
+        wanted = list(TABLES["encounters"].columns if columns is None else columns)
+        own = [c for c in TABLES["encounter_trust"].columns if c != "variant"]
+        key = [c for c in own if c in TABLES["encounters"].key]
+        mine = self.table("encounter_trust", own, self._of_variant("encounter_trust", None))
+        kept = [c for c in TABLES["encounters"].columns if c in key or (c in wanted and c not in own)]
+        return self.table("encounters", kept, where).merge(mine, on=key, how="left")[wanted]
 
     def variant_parts(
         self, name: str, columns: Sequence[str] | None = None, where: pc.Expression | None = None

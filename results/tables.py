@@ -22,7 +22,7 @@ from results.codes import (
 )
 from results.columns import LEVELS, Column, Level, Table
 
-SCHEMA_VERSION = 4
+SCHEMA_VERSION = 5
 """Raised whenever a table or column changes its name, type, unit or meaning."""
 
 
@@ -139,6 +139,21 @@ TABLES: Mapping[str, Table] = {
             **_trust_at_contact("b", "a"),
         },
     ),
+    "encounter_trust": Table(
+        "summary",
+        "The trust columns of `encounters` for the trust variants that do not act; one row per encounter and variant.",
+        {
+            "variant": _VARIANT,
+            "a": _key("The smaller of the two actor numbers."),
+            "b": _key("The larger of the two actor numbers."),
+            "start_step": _key("First step in contact."),
+            "radius_m": Column("float32", unit="m", key=True, meaning="Largest distance that counts as contact."),
+            "pairs": Column("category", key=True, categories=labels(EncounterPairs), meaning="Which pairs count, as in `encounters`."),
+            "hysteresis_s": Column("float32", unit="s", key=True, meaning="A break in contact shorter than this does not end the encounter."),
+            **_trust_at_contact("a", "b"),
+            **_trust_at_contact("b", "a"),
+        },
+    ),
     "observability": Table(
         "standard",
         "What every LiDAR could have detected: one row per actor that at least one beam would hit if nothing stood in between.",
@@ -249,6 +264,7 @@ TABLES: Mapping[str, Table] = {
         "Links to the trust server and back; empty where there is none.",
         {
             "step": _STEP,
+            "variant": _VARIANT,
             "n_reports": _count("Reports with evaluations that vehicles had for the server."),
             "n_reached": _count("Of these, those that reach it, in this step or later."),
             "n_lost": _count("Of these, lost on the way, or received by no roadside unit."),

@@ -33,10 +33,10 @@ ONE_FILE = {
 """Libraries that one file alone may know."""
 
 ORDER = (
-    "rng", "ragged", "stopwatch", "choices", "console", "world", "fleet", "actors", "mobility", "radio", "codes", "v2x", "trackers",
-    "tracking", "driver", "perception", "ground_truth", "adversary", "object_lists", "config", "manifest", "parts",
-    "stages", "cycle", "scenario", "replay_lidar", "calibrate", "recording", "run", "reproduce", "bench", "nets", "cli",
-    "__main__",
+    "rng", "ragged", "stopwatch", "choices", "console", "world", "fleet", "actors", "mobility", "radio", "codes",
+    "v2x", "trackers", "tracking", "driver", "perception", "ground_truth", "adversary", "object_lists", "config",
+    "manifest", "parts", "stages", "cycle", "scenario", "replay_lidar", "calibrate", "recording", "run", "reproduce",
+    "bench", "nets", "cli", "__main__",
 )  # fmt: skip
 """Inside the hall: each may use those before it."""
 

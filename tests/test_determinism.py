@@ -1,4 +1,4 @@
-"""The same experiment gives the same tables, whoever computes it and whatever else is switched on."""
+"""The same experiment gives the same tables, whatever the threads and whatever else is switched on."""
 
 import pandas as pd
 import pytest
@@ -9,6 +9,17 @@ from results.tables import TABLES
 from tests.drive import drive
 
 FULL = "record.level=full"
+
+PSEUDONYMS = {
+    "detections": ("observer",),
+    "evaluations": ("evaluator", "observer"),
+    "trust": ("subject",),
+    "trust_lookups": ("subject",),
+    "fused": ("source", "pose"),
+    "receptions": ("sender",),
+    "pseudonyms": ("pseudonym",),
+}
+"""Columns that hold pseudonyms."""
 
 
 @pytest.fixture(scope="module")
@@ -31,16 +42,17 @@ def test_seed_changes_what_is_seen_but_not_the_traffic(base, tmp_path):
     assert same == {"actors"}
 
 
-def test_without_liars_every_honest_detection_is_bit_identical(base, tmp_path):
-    quiet = drive(tmp_path / "quiet", FULL, "fleet.malicious_p=0", "fleet.unreliable_p=0")
-    with_liars, without = open_run(base), open_run(quiet)
-    sensed = with_liars.detections[with_liars.detections.origin != "fabricated"].drop(columns="transmitted")
-    assert len(sensed) > 1000 and (with_liars.detections.origin == "fabricated").sum() > 50
-    pd.testing.assert_frame_equal(sensed.reset_index(drop=True), without.detections.drop(columns="transmitted"))
-    pd.testing.assert_frame_equal(with_liars.observability, without.observability)
+def test_without_attackers_every_honest_detection_is_bit_identical(base, tmp_path):
+    quiet = drive(tmp_path / "quiet", FULL, "attacks.0.share_p=0", "attacks.1.share_p=0")
+    attacked, honest = open_run(base), open_run(quiet)
+    found = attacked.detections
+    sensed = found[found.origin != "fabricated"].drop(columns="transmitted")
+    assert len(sensed) > 1000 and (found.origin == "fabricated").sum() > 50
+    pd.testing.assert_frame_equal(sensed.reset_index(drop=True), honest.detections.drop(columns="transmitted"))
+    pd.testing.assert_frame_equal(attacked.observability, honest.observability)
 
 
-def test_raising_penetration_keeps_everybody_who_was_equipped(base, tmp_path):
+def test_raising_penetration_keeps_all_that_were_equipped(base, tmp_path):
     more = open_run(drive(tmp_path / "more", "fleet.penetration_p=0.6")).vehicles.set_index("sumo_id")
     fewer = open_run(base).vehicles.set_index("sumo_id")
     assert more.equipped[fewer.index[fewer.equipped]].all()
@@ -49,29 +61,40 @@ def test_raising_penetration_keeps_everybody_who_was_equipped(base, tmp_path):
     assert (more.role[both] == fewer.role[both]).all()
 
 
-def test_no_truth_leaks(base, tmp_path):
-    """With the names of all that is seen mixed up, only truth columns change."""
-    mixed = drive(
-        tmp_path / "mixed",
-        FULL,
-        before="""
-import dataclasses
-import numpy as np
-honest = cycle.detector.detect
-def mixed(*args):
-    found = honest(*args)
-    real = np.flatnonzero(~found.is_false_positive)
-    actor = found.actor.copy()
-    actor[real] = actor[real[np.lexsort((-real, found.observer[real]))]]  # each observer's list, back to front
-    return dataclasses.replace(found, actor=actor)
-cycle.detector.detect = mixed
-""",
-    )
-    one, other = open_run(base), open_run(mixed)
+def assert_only_truth_differs(one, other):
+    """Every column but those of truth is the same, and some column of truth is not."""
     changed = False
     for name, table in TABLES.items():
-        shown = [column for column, about in table.columns.items() if not about.truth]
-        pd.testing.assert_frame_equal(one.table(name, shown), other.table(name, shown))
+        known = [column for column, about in table.columns.items() if not about.truth]
         truths = [column for column, about in table.columns.items() if about.truth]
+        pd.testing.assert_frame_equal(one.table(name, known), other.table(name, known))
         changed |= bool(truths) and not one.table(name, truths).equals(other.table(name, truths))
     assert changed
+
+
+def test_no_truth_leaks(base, tmp_path):
+    """With the true actors of all detections mixed up, only truth columns change."""
+    mixed = drive(tmp_path / "mixed", FULL, "detector.model=tests.parts:MixedActors")
+    assert_only_truth_differs(open_run(base), open_run(mixed))
+
+
+def test_origin_is_truth(tmp_path):
+    """With what attackers sensed and what they fabricated mixed up, only truth columns change."""
+    ghosts = (FULL, "attacks.0.attack=tests.parts:Ghosts", "attacks.0.ghosts=car_and_pedestrian")
+    one = drive(tmp_path / "one", *ghosts)
+    other = drive(tmp_path / "other", *ghosts, "attacks.0.mixed=true")
+    assert_only_truth_differs(open_run(one), open_run(other))
+
+
+def test_pseudonyms_are_names(base, tmp_path):
+    """Numbered otherwise, they change nothing but themselves."""
+    one = open_run(base)
+    other = open_run(drive(tmp_path / "other", FULL, "pseudonyms.policy=tests.parts:Renumbered"))
+    names = other.pseudonyms.set_index("pseudonym").vehicle
+    assert names.is_unique and (names.index != names).any()
+    for name, table in TABLES.items():
+        a, b = one.table(name), other.table(name)
+        columns = [column for column in PSEUDONYMS.get(name, ()) if column in table.columns]
+        for column in columns:
+            b[column] = b[column].map(names).astype(a[column].dtype)
+        pd.testing.assert_frame_equal(a, b)

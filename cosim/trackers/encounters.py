@@ -54,8 +54,10 @@ def near_pairs(
 class EncounterTrackers:
     """One tracker per definition in the config, updated at every step of the traffic, sensing or not."""
 
-    def __init__(self, params: Sequence[EncounterParams], dt_s: float, mount_above_roof_m: float) -> None:
-        self.trackers = [EncounterTracker(p, dt_s) for p in params]
+    def __init__(
+        self, params: Sequence[EncounterParams], dt_s: float, mount_above_roof_m: float, n_variants: int = 1
+    ) -> None:
+        self.trackers = [EncounterTracker(p, dt_s, n_variants) for p in params]
         self.radius_m = max((p.radius_m for p in params), default=0.0)
         self.equipped_only = all(p.pairs != "all" for p in params)
         self.mount_above_roof_m = mount_above_roof_m
@@ -84,11 +86,11 @@ class EncounterTrackers:
         self,
         holder: Int[ndarray, "k"],
         other: Int[ndarray, "k"],
-        trust: Float[ndarray, "k"],
-        source: Int[ndarray, "k"],
-        age_s: Float[ndarray, "k"],
+        trust: Float[ndarray, "k v"],
+        source: Int[ndarray, "k v"],
+        age_s: Float[ndarray, "k v"],
     ) -> None:
-        """The trust that each holder would look up for each other actor now; `source` as `TrustSource`."""
+        """The trust that each holder would look up for each other actor now, per variant; `source` as `TrustSource`."""
         for tracker in self.trackers:
             tracker.first_contact(holder, other, trust, source, age_s)
 
@@ -104,10 +106,10 @@ class EncounterTrackers:
         for tracker in self.trackers:
             tracker.count_evaluations(evaluator, observer, n)
 
-    def note_trust(self, holder: Int[ndarray, "m"], other: Int[ndarray, "m"]) -> None:
+    def note_trust(self, holder: Int[ndarray, "m"], other: Int[ndarray, "m"], looked_up: Bool[ndarray, "m v"]) -> None:
         """Note which holders looked up, in this step, a value other than the default for which other actor."""
         for tracker in self.trackers:
-            tracker.note_trust(holder, other)
+            tracker.note_trust(holder, other, looked_up)
 
     def close(self, end_step: int) -> list[Rows]:
         """Rows of the encounters under way when recording ends; `end_step` is one past the last step."""

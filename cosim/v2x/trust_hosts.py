@@ -85,7 +85,7 @@ class TrustState:
 
 @dataclass(frozen=True, slots=True)
 class ServerTraffic:
-    """A step's messages between vehicles and the trust server that acts."""
+    """A step's messages between vehicles and a trust server."""
 
     up: LinkStats
     n_addressed: int
@@ -151,15 +151,15 @@ class TrustHosts:
 
     def publish(
         self, state: TrustState, step: int, time_s: float, vehicle: Int[ndarray, "e"], name_key: UInt64[ndarray, "e"]
-    ) -> tuple[TrustState, list[TrustScores | None], tuple[int, int]]:
+    ) -> tuple[TrustState, list[TrustScores | None], list[tuple[int, int]]]:
         """Reports reach the server; where it is time, it computes trust and broadcasts it.
 
         Returns
         -------
-        The state; per host, what its server computed now; of the acting host, vehicles addressed and informed.
+        The state; per host, what its server computed now, and the vehicles addressed and informed.
         """
         published: list[TrustScores | None] = [None] * len(self.params)
-        counts = 0, 0
+        counts = [(0, 0)] * len(self.params)
         if not self._any("central"):
             return state, published, counts
         uplink, arrived = self.uplink.arrived(state.uplink, time_s)
@@ -180,9 +180,16 @@ class TrustHosts:
                 host.downlink, TrustBroadcast(time_s, scores), step, vehicle, name_key
             )
             state.hosts[h] = HostState(host.model, downlink, time_s)
-            if h == self.host_of[0]:
-                counts = (len(vehicle), n_informed) if self.server.uplink == "cellular" else (0, 0)
+            if self.server.uplink == "cellular":
+                counts[h] = len(vehicle), n_informed
         return state, published, counts
+
+    def traffic(self, up: LinkStats, informed: Sequence[tuple[int, int]]) -> list[ServerTraffic | None]:
+        """Messages to and from the server of each host, given the vehicles addressed and informed by each."""
+        return [
+            ServerTraffic(up, *counts) if params.host == "central" else None
+            for params, counts in zip(self.params, informed, strict=True)
+        ]
 
     def pending_rsu_broadcast(self, state: TrustState, time_s: float) -> tuple[TrustState, TrustBroadcast | None]:
         """What roadside units have to send in a round that begins at `time_s`, once."""

@@ -210,7 +210,7 @@ def without_trust(run: Run) -> pd.DataFrame:
     pairs, radius_m, hysteresis_s, n (both directions of every encounter), n_without, share, and wait_median_s: time
     from the start to the first value, of those that had none at the start.
     """
-    frame = run.table(
+    frame = run.variant_table(
         "encounters", ["pairs", "radius_m", "hysteresis_s", "a", "b", "trusted_after_ab_s", "trusted_after_ba_s"]
     )
     frame = frame[frame.a.isin(run.roles.index) & frame.b.isin(run.roles.index)]

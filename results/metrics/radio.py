@@ -130,7 +130,7 @@ def by_place(run: Run, cell_m: float = 50.0) -> pd.DataFrame:
 
 def to_server(run: Run) -> pd.DataFrame:
     """One row: n_reports, shares reached, lost, over_capacity and outage of them, n_addressed, share informed."""
-    total = run.server.drop(columns="step").sum()
+    total = run.variant_table("server").drop(columns=["step", "variant"]).sum()
     if not total.get("n_reports", 0):
         raise ValueError(f'{run.path} holds no reports to a trust server. Set trust.host = "central".')
     shares = {name: total["n_" + name] / total.n_reports for name in ("reached", "lost", "over_capacity", "outage")}

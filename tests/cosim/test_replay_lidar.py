@@ -21,27 +21,28 @@ def folder(tmp_path_factory):
 def test_the_same_returns(folder):
     run = open_run(folder)
     config = replay_lidar.config_of(run)
-    city, told, n = replay_lidar.city_of(config), run.observability, 0
+    perception = perception_of(config, replay_lidar.city_of(config))
+    recorded, n = run.observability, 0
     for world in replay_lidar.worlds(run, config):
         observers = np.flatnonzero(world.equipped)
-        seen = observability(replay_lidar.sweep(world, observers, city, config), world.boxes, world.shape)
+        seen = observability(perception.sweep(world, observers), world.boxes, world.shape)
         again = pd.DataFrame({
             "observer": world.actor[observers[seen.observer]], "actor": world.actor[seen.actor],
             "n_points": seen.n_returns, "n_unoccluded": seen.n_unoccluded,
         })  # fmt: skip
-        here = told[told.step == world.step].drop(columns="step").reset_index(drop=True)
+        here = recorded[recorded.step == world.step].drop(columns="step").reset_index(drop=True)
         pd.testing.assert_frame_equal(again.astype(np.int64), here[again.columns].astype(np.int64))
         n += len(here)
-    assert n == len(told) > 0
+    assert n == len(recorded) > 0
 
 
 def test_plot_sweep(folder, tmp_path):
     run = open_run(folder)
-    told = run.detections
-    told = told[(told.step == 4) & (told.origin == "sensed")]
-    vehicle = int(told.observer.value_counts().index[0])
+    recorded = run.detections
+    recorded = recorded[(recorded.step == 4) & (recorded.origin == "sensed")]
+    vehicle = int(sensed.observer.value_counts().index[0])
     seen = replay_lidar.replay_scan(run, vehicle, 4)
-    assert len(seen.reported) == (told.observer == vehicle).sum() and len(seen.actors) > 0
+    assert len(seen.reported) == (sensed.observer == vehicle).sum() and len(seen.actors) > 0
     words = ("plot", "sweep", str(folder), "--vehicle", str(vehicle), "--step", "4", "--out")
     for name in ("above.png", "cloud.npy"):
         done = cosim(*words, str(tmp_path / name))

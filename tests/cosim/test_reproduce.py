@@ -1,4 +1,4 @@
-"""The paper's scenarios, through sweeps, messages, verdicts, the server and fusion."""
+"""The paper's scenarios, through sweeps, messages, evaluations, the server and fusion."""
 
 import json
 from dataclasses import replace
@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from cosim.config import load
-from cosim.reproduce import EGO, FOLDER, LIAR, METHODS, THIRD, Stage, paper_ledger, scenario_1, scenario_2
+from cosim.reproduce import ATTACKER, EGO, FOLDER, METHODS, THIRD, ScriptedScene, paper_trust, scenario_1, scenario_2
 from cosim.v2x.messages import FABRICATED
 from cosim.world import LABELS
 from sensors import evidence
@@ -16,44 +16,44 @@ from tests.drive import cosim
 from tests.trust.reference import load as reference
 
 CAR, PEDESTRIAN = LABELS.index("car"), LABELS.index("pedestrian")
-IDS = {"1000001": EGO, "50434": LIAR, "27650": THIRD}
+IDS = {"1000001": EGO, "50434": ATTACKER, "27650": THIRD}
 """Names of the vehicles in the reference vectors."""
 
 
-def config_of(name, attack=None, **trust):
-    config = load(FOLDER / f"{name}.toml")
-    adversary = replace(config.adversary, attack=attack or config.adversary.attack)
-    return replace(config, adversary=adversary, trust=replace(config.trust, **trust))
+def config_of(name, ghosts=None, **trust):
+    config = load(FOLDER / f"{name}.toml", [f"attacks.0.ghosts={ghosts}"] if ghosts else [])
+    return replace(config, trust=replace(config.trust, **trust))
 
 
 def frame(name="scenario-1", **options):
-    return next(Stage.load().play(config_of(name, **options), 1))
+    (sensed,) = ScriptedScene.load().play(config_of(name, **options), 1)
+    return sensed
 
 
-def final(happened):
-    """What the ego believes: class, invented?, score, opened by the ego?"""
-    fused, said = happened.fused, happened.said
-    mine = np.flatnonzero(fused.ego == EGO)
-    seed = fused.seed[mine]
-    columns = said.label[seed], said.origin[seed] == FABRICATED, fused.score[mine], fused.ego_detected[mine]
+def final(sensed):
+    """The ego's fused objects: class, fabricated, score, detected by the ego."""
+    fused, listed = sensed.fused[0], sensed.listed
+    own = np.flatnonzero(fused.ego == EGO)
+    seed = fused.seed[own]
+    columns = listed.label[seed], listed.origin[seed] == FABRICATED, fused.score[own], fused.ego_detected[own]
     return list(zip(*columns, strict=True))
 
 
 def checked(method, on):
-    return frame(method=method, plausibility_in_evaluation=on, plausibility_in_fusion=on)[0]
+    return frame(method=method, plausibility_in_evaluation=on, plausibility_in_fusion=on)
 
 
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("on", [False, True])
 def test_the_hidden_pedestrian_is_found(method, on):
-    happened = checked(method, on)
-    ((_, _, score, local),) = [row for row in final(happened) if row[0] == PEDESTRIAN]
-    assert score > 0.5 and not local
-    views = happened.views
-    told = (views.of_member() == EGO) & (happened.said.label[views.member] == PEDESTRIAN)
-    assert told.sum() == 2  # the liar's and the third's
-    assert (happened.n_points[told] == 0).all() and (happened.verdicts.visibility[told] == 0).all()
-    assert happened.plausible[told].all()
+    sensed = checked(method, on)
+    ((_, _, score, ego_detected),) = [row for row in final(sensed) if row[0] == PEDESTRIAN]
+    assert score > 0.5 and not ego_detected
+    lists = sensed.lists
+    received = (lists.of_member() == EGO) & (sensed.listed.label[lists.member] == PEDESTRIAN)
+    assert received.sum() == 2  # the attacker's and the third's
+    assert (sensed.n_points[received] == 0).all() and (sensed.reported.visibility[received] == 0).all()
+    assert sensed.plausible[received].all()
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -63,24 +63,25 @@ def test_the_check_removes_the_false_car(method):
 
 
 def test_without_the_check_the_false_car_is_weaker_but_there():
-    """TruPercept 1, everybody but the ego trusted with 0.5; Phi of the third as its sweep says.
+    """TruPercept 1, all but the ego trusted with 0.5; visibility of the third from its sweep.
 
-    The liar praises its lie with e = Phi = 1; ego (Phi 1) and third say 0.
+    The attacker vouches for the false car with evaluation and visibility 1; ego (visibility 1) and third evaluate it
+    with 0.
     """
-    happened = checked("trupercept_1", False)
-    views = happened.views
-    lie = happened.said.origin[views.member] == FABRICATED
-    phi_ego, phi_liar, phi_third = happened.verdicts.visibility[lie]
-    assert (phi_ego, phi_liar) == (1, 1) and phi_third < 0.2
-    ((_, _, score, local),) = [row for row in final(happened) if row[1]]
+    sensed = checked("trupercept_1", False)
+    ghost = sensed.listed.origin[sensed.lists.member] == FABRICATED
+    phi_ego, phi_attacker, phi_third = sensed.reported.visibility[ghost]
+    assert (phi_ego, phi_attacker) == (1, 1) and phi_third < 0.2
+    ((_, _, score, ego_detected),) = [row for row in final(sensed) if row[1]]
     assert score == pytest.approx(0.5 / (1 + 0.5 + 0.5 * phi_third), abs=1e-9)
-    assert 0 < score < 1 and not local
+    assert 0 < score < 1 and not ego_detected
     assert not [row for row in final(checked("trupercept_2", False)) if row[1]]  # 0.5 - 1 - 0.5 phi < 0
 
 
 def test_what_the_ego_has_in_the_false_car_is_ground():
-    happened, sweeps = frame()
-    box = happened.said.boxes.take(np.flatnonzero(happened.said.origin == FABRICATED))
+    sensed = frame()
+    sweeps = sensed.observed.sweeps
+    box = sensed.listed.boxes.take(np.flatnonzero(sensed.listed.origin == FABRICATED))
     (n,) = evidence.points_in_boxes(sweeps, np.array([EGO]), box)
     column, row = np.nonzero(np.isfinite(sweeps.range_m[EGO]))
     points = sweeps.poses.to_world(EGO, sweeps.points(np.full(len(column), EGO), column, row))
@@ -88,37 +89,38 @@ def test_what_the_ego_has_in_the_false_car_is_ground():
     assert n > 100 and (sweeps.hit[EGO, column[near], row[near]] == Hit.GROUND).all()
 
 
-@pytest.mark.parametrize(("attack", "where"), [
+@pytest.mark.parametrize(("ghosts", "where"), [
     ("car", [(0, 8)]),
     ("three_cars", [(0, 8), (-4, 8), (-2, 15)]),  # right and ahead of the ego [m], as in the published code
 ])  # fmt: skip
-def test_the_attack_is_aimed_at_the_ego(attack, where):
-    happened, _ = frame(attack=attack)
-    stage, said = Stage.load(), happened.said
-    lies = np.flatnonzero(said.origin == FABRICATED)
-    assert (said.observer[lies] == LIAR).all() and (said.score[lies] == 1).all() and (said.label[lies] == CAR).all()
-    assert len(set(said.k[said.observer == LIAR])) == 3 + len(where)  # no number twice
-    ahead = said.boxes.xyz_m[lies, :2] - stage.boxes.xyz_m[EGO, :2]
+def test_the_attack_is_aimed_at_the_ego(ghosts, where):
+    sensed = frame(ghosts=ghosts)
+    scene, listed = ScriptedScene.load(), sensed.listed
+    rows = np.flatnonzero(listed.origin == FABRICATED)
+    assert (listed.observer[rows] == ATTACKER).all() and (listed.score[rows] == 1).all()
+    assert (listed.label[rows] == CAR).all()
+    assert len(set(listed.detection_index[listed.observer == ATTACKER])) == 3 + len(where)  # no index twice
+    ahead = listed.boxes.xyz_m[rows, :2] - scene.boxes.xyz_m[EGO, :2]
     assert ahead == pytest.approx(np.array(where, float), abs=1e-9)  # the ego heads north
-    assert said.boxes.yaw_rad[lies] == pytest.approx(-np.pi / 2)
-    assert not happened.truth.is_real[lies].any()
+    assert listed.boxes.yaw_rad[rows] == pytest.approx(-np.pi / 2)
+    assert not sensed.truth.is_real[rows].any()
 
 
-def trust(attack):
-    standings = [happened.standing for happened, _ in Stage.load().play(config_of("scenario-2", attack), 101)]
-    assert all(list(s.subject) == [EGO, LIAR, THIRD] for s in standings[1:])
-    return standings[1:]
+def trust(ghosts):
+    published = [sensed.published[0] for sensed in ScriptedScene.load().play(config_of("scenario-2", ghosts), 101)]
+    assert all(list(s.subject) == [EGO, ATTACKER, THIRD] for s in published[1:])
+    return published[1:]
 
 
 @pytest.fixture(scope="module", params=["car", "three_cars"])
 def course(request):
-    """Attack, number of lies, trust after each frame, and what the liar's trust weighs at the end of frame 49."""
-    standings = trust(request.param)
-    n_lies = {"car": 1, "three_cars": 3}[request.param]
-    return n_lies, np.array([s.trust for s in standings]), standings[49].weight[LIAR] / 50
+    """Ghosts per frame, trust after each frame, and weight of the attacker's trust per frame at the end of frame 49."""
+    published = trust(request.param)
+    n_ghosts = {"car": 1, "three_cars": 3}[request.param]
+    return n_ghosts, np.array([s.trust for s in published]), published[49].weight[ATTACKER] / 50
 
 
-def test_trust_before_the_lies(course):
+def test_trust_before_the_attack(course):
     """Paper: 0.82, 0.81, 0.97."""
     before = course[1][:50]
     assert np.ptp(before, axis=0).max() < 1e-9
@@ -129,16 +131,16 @@ def test_honest_vehicles_keep_their_trust(course):
     assert np.ptp(course[1][:, [EGO, THIRD]], axis=0).max() < 1e-6
 
 
-def test_the_liar_falls(course):
-    """k false frames of 50 in the window: ((50 - k) S0 + k (S0 - m)) / ((50 - k) C0 + k (C0 + m)), at least 0."""
-    n_lies, values, weight = course
-    liar, k = values[:, LIAR], np.arange(1, 51)
+def test_trust_of_the_attacker_falls(course):
+    """k attacked frames of 50 in the window: ((50 - k) S0 + k (S0 - m)) / ((50 - k) C0 + k (C0 + m)), at least 0."""
+    n_ghosts, values, weight = course
+    attacker, k = values[:, ATTACKER], np.arange(1, 51)
     assert weight == pytest.approx(1 + 0.96 + 0.96)  # self report, ego, pedestrian
-    expected = (50 * liar[0] * weight - k * n_lies) / (50 * weight + k * n_lies)
-    assert liar[50:] == pytest.approx(np.maximum(0, expected), abs=1e-9)
-    falls = np.diff(liar[49:])
-    assert (falls[liar[50:] > 0] < 0).all() and (falls <= 0).all()
-    assert liar[-1] == (0 if n_lies == 3 else pytest.approx(0.34, abs=0.01))
+    expected = (50 * attacker[0] * weight - k * n_ghosts) / (50 * weight + k * n_ghosts)
+    assert attacker[50:] == pytest.approx(np.maximum(0, expected), abs=1e-9)
+    falls = np.diff(attacker[49:])
+    assert (falls[attacker[50:] > 0] < 0).all() and (falls <= 0).all()
+    assert attacker[-1] == (0 if n_ghosts == 3 else pytest.approx(0.34, abs=0.01))
 
 
 def test_as_the_published_code_before_the_attack(course):
@@ -150,43 +152,48 @@ def test_as_the_published_code_before_the_attack(course):
         assert ours == pytest.approx(other, abs=0.003)
 
 
-def test_verdicts_as_the_published_code():
+def test_evaluations_as_the_published_code():
     """Every evaluation; visibility but for what a cabin is less than a box."""
-    happened, _ = frame()
-    said, views, verdicts, worst = happened.said, happened.views, happened.verdicts, 0.0
+    sensed, worst = frame(), 0.0
+    detector = ScriptedScene.load().detector
+    first = np.searchsorted(detector.observer, detector.observer)
+    index = 1 + np.arange(len(first)) - first  # in the reference, in the order of the scene; 0 is the self report
+    index_of = dict(zip(zip(detector.observer.tolist(), detector.actor.tolist(), strict=True), index, strict=True))
+    listed, lists, reported = sensed.listed, sensed.lists, sensed.reported
+    observer, actor = listed.observer.tolist(), sensed.truth.actor_row.tolist()
     ours = {
-        (int(views.owner[v]), int(said.observer[d]), int(said.k[d])): (e, phi)
-        for v, d, e, phi in zip(views.of_member(), views.member, verdicts.evaluation, verdicts.visibility, strict=True)
-        if said.origin[d] != FABRICATED
+        (int(lists.owner[v]), observer[d], index_of.get((observer[d], actor[d]), 0)): (e, phi)
+        for v, d, e, phi in zip(lists.of_member(), lists.member, reported.evaluation, reported.visibility, strict=True)
+        if listed.origin[d] != FABRICATED
     }
     theirs = {
         (IDS[str(r["evaluator"])], IDS[subject], r["det_idx"]): (r["eval"], r["certainty"])
-        for subject, told in reference("k_scenarios")["scenario1"]["None"]["evals"].items() for r in told["evals"]
+        for subject, rows in reference("k_scenarios")["scenario1"]["None"]["evals"].items() for r in rows["evals"]
     }  # fmt: skip
     assert ours.keys() == theirs.keys()
     for key, (e, phi) in theirs.items():
         assert ours[key][0] == pytest.approx(e)
         worst = max(worst, abs(ours[key][1] - phi))
-    print(f"{len(theirs)} verdicts, largest difference of visibility {worst:.2f}")
+    print(f"{len(theirs)} evaluations, largest difference of visibility {worst:.2f}")
     assert worst < 0.15
 
 
-@pytest.mark.parametrize(("n_lies", "end"), [(1, 0.15), (3, 0.0)])
-def test_paper_ledger(n_lies, end):
-    values = paper_ledger(n_lies)
+@pytest.mark.parametrize(("n_ghosts", "end"), [(1, 0.15), (3, 0.0)])
+def test_paper_trust(n_ghosts, end):
+    values = paper_trust(n_ghosts)
     assert values[49] == pytest.approx([0.82, 0.81, 0.97], abs=1e-3)
     assert values[-1] == pytest.approx([0.82, end, 0.97], abs=1e-3)
 
 
 def test_a_frame_repeats_to_the_bit():
-    first, second = (happened for happened, _ in Stage.load().play(config_of("scenario-2"), 2))
+    first, second = ScriptedScene.load().play(config_of("scenario-2"), 2)
     for name in ("evaluation", "visibility"):
-        assert np.array_equal(getattr(first.verdicts, name), getattr(second.verdicts, name))
+        assert np.array_equal(getattr(first.reported, name), getattr(second.reported, name))
     assert np.array_equal(first.n_points, second.n_points)
 
 
 @pytest.mark.parametrize("play", [scenario_1, scenario_2])
-def test_an_answer_is_the_same_every_time(tmp_path, play):
+def test_a_report_is_the_same_every_time(tmp_path, play):
     first = play(tmp_path)
     drawn = [path.read_bytes() for path in first.pictures]
     again = play(tmp_path)

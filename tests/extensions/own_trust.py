@@ -31,16 +31,16 @@ class Beta:
 
     def add_evaluations(self, received):
         rows = received.rows()
-        at = self.pairs.add(rows.holder, rows.observer)
+        at = self.pairs.rows(rows.holder, rows.observer)
         self.sums = np.concatenate([self.sums, np.zeros((len(self.pairs) - len(self.sums), 3))])
         np.add.at(self.sums, at, np.column_stack([rows.pos, rows.neg, np.ones(len(at))]))
 
     def scores(self, now_step=None):
-        r, s, n = self.sums.T
+        holder, subject, at = self.pairs.sorted()
+        r, s, n = self.sums[at].T
         total = r + s + 2 * self.params.prior
         step = np.full(len(n), self.step)
-        scores = TrustScores(
-            self.step, *self.pairs.pairs(), (r + self.params.prior) / total, 2 * self.params.prior / total, r + s,
+        return TrustScores(
+            self.step, holder, subject, (r + self.params.prior) / total, 2 * self.params.prior / total, r + s,
             n.astype(int), step, step, step, step, n > 0,
         )  # fmt: skip
-        return scores.sorted()

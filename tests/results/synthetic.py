@@ -159,7 +159,8 @@ def _meet(record, ledgers, step, here, talk, xyz, belief, reach_m, rng, heard_s)
     one_row = {name: np.array([n]) for name, n in (("n_reports", sent), ("n_reached", sent - 1), ("n_lost", 1),
                ("n_over_capacity", 0), ("n_outage", 0), ("uplink_bytes", 300.0 * sent))}  # fmt: skip
     record.append("server", step, {
-        **one_row, "n_addressed": np.array([sent * (step % 5 == 4)]), "n_informed": np.array([sent * (step % 5 == 4)]),
+        "variant": np.zeros(1, np.int8), **one_row,
+        "n_addressed": np.array([sent * (step % 5 == 4)]), "n_informed": np.array([sent * (step % 5 == 4)]),
     })  # fmt: skip
     record.append("receptions", step, {
         "message_type": np.zeros(got.sum(), int),

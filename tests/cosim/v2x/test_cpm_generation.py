@@ -31,7 +31,7 @@ def story(*frames):
     return out
 
 
-def test_what_stands_is_said_once_a_second():
+def test_what_stands_is_sent_once_a_second():
     parked = list_of((0, CAR, 0, 0), (0, CAR, 30, 0))
     assert story(*((t / 10, parked) for t in range(12))) == [[t in (0, 10)] * 2 for t in range(12)]
 
@@ -59,22 +59,22 @@ def test_people_go_together_after_half_a_second():
     assert story((0, crowd), (0.1, more))[1] == [False, True, True, True]  # one is new, so all
 
 
-def test_everybody_remembers_for_themselves():
+def test_every_vehicle_has_a_memory_of_its_own():
     two = list_of((0, CAR, 0, 0), (0, CAR, 30, 0), (1, CAR, 60, 0), (1, CAR, 30, 0))
     one = list_of((0, CAR, 0, 0), (0, CAR, 30, 0))
     assert story((0, one), (0.1, two))[1] == [False, False, True, True]
 
 
 @pytest.mark.parametrize("interval_s", [1.0, 2.0])
-def test_at_one_hertz_all_is_said(interval_s):
+def test_at_one_hertz_all_is_sent(interval_s):
     g = np.random.default_rng(1)
     rows = [(o, int(g.integers(0, 4)), float(g.uniform(0, 60)), 0.0) for o in range(20) for _ in range(8)]
     assert all(all(chosen) for chosen in story(*((t * interval_s, list_of(*rows)) for t in range(4))))
 
 
-def test_what_is_kept_back_is_not_included_and_nobody_says_nothing():
+def test_what_an_attack_hides_is_not_included():
     seen = list_of((0, CAR, 0, 0), (0, CAR, 30, 0))
-    seen.said[1] = False
+    seen.transmitted[1] = False
     chosen, memory = select_objects(InclusionMemory(), seen, seen.observer, 0.0)
     assert chosen.tolist() == [True, False] and len(memory.of) == 1
     nothing = seen.take(np.zeros(0, int))

@@ -1,0 +1,51 @@
+"""Short runs for the tests of studies, and their tables side by side."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pandas as pd
+
+from results.archive import open_run
+from results.codes import BASE_VARIANT
+from results.run import Run
+from results.tables import TABLES
+
+SHORT = ("traffic.duration_s=24", "traffic.warmup_s=60", "attacks.0.start_s=5", "attacks.1.start_s=5",
+         "attacks.0.share_p=0.3", "compute.threads=1")  # fmt: skip
+"""Twenty-four seconds of the shipped city, with attacks."""
+
+DRIVE = """
+from pathlib import Path
+import sys
+from cosim import run
+from cosim.config import load
+run.run(load(None, sys.argv[2:]), Path(sys.argv[1]), lambda *_: None)
+"""
+
+
+def drive(folder: Path, *overrides: str) -> Run:
+    """A run of the shipped city, in a process of its own."""
+    words = [sys.executable, "-c", DRIVE, str(folder), *SHORT, *overrides]
+    done = subprocess.run(words, capture_output=True, text=True, timeout=600)
+    assert done.returncode == 0, done.stderr
+    return open_run(folder)
+
+
+def of_variant(run: Run, table: str) -> pd.DataFrame:
+    """A table as a run of this variant alone would hold it."""
+    frame = run.variant_table(table).reset_index(drop=True)
+    if "variant" in frame:
+        assert set(frame.variant) <= {run.variant}
+        frame = frame.assign(variant=BASE_VARIANT)
+    return frame
+
+
+def assert_same(one: Run, other: Run, but: tuple[str, ...] = ()) -> None:
+    """All tables have the same rows, value for value, each run seen as its variant."""
+    assert set(one.tables) ^ set(other.tables) <= {*but, "encounter_trust"}
+    for name in TABLES:
+        if name in one.tables and name not in (*but, "encounter_trust"):
+            pd.testing.assert_frame_equal(
+                of_variant(one, name), of_variant(other, name), check_exact=True, obj=name, check_categorical=False
+            )
