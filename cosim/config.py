@@ -13,7 +13,8 @@ from typing import Annotated, Any, get_args, get_origin
 from annotated_types import Ge
 from pydantic import TypeAdapter, ValidationError
 
-from cosim.adversary.adversary import ATTACKS, PAPER, AttackParams, check_shares
+from cosim.adversary.catalogue import ATTACKS
+from cosim.adversary.params import PAPER, AttackParams, check_attacks
 from cosim.choices import Choice, resolve
 from cosim.driver.driver import DRIVERS, DriverParams
 from cosim.fleet import FleetParams
@@ -137,7 +138,7 @@ class Config:
                 'server.uplink = "rsu", but there are no roadside units: nothing would ever reach the server. '
                 "Set rsu.at or rsu.n_at_junctions."
             )
-        check_shares(self.attacks)
+        check_attacks(self.attacks, self.trust.freshness_s, self.sensing_interval_s)
 
     @property
     def sense_every_steps(self) -> int:

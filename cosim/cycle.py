@@ -14,22 +14,26 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Int
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from cosim import stages
+from cosim.adversary.adversary import AttackState
+from cosim.adversary.attack import Sending
 from cosim.driver.driver import SpeedCommands
 from cosim.ground_truth import GroundTruth
 from cosim.parts import Parts
 from cosim.perception import Observed
-from cosim.radio.message_round import LinkReceptions, MessageRound, Receptions, RoundKind, by_link
-from cosim.stages import Listed, Matched, Piggybacked, Vehicles
+from cosim.radio.message_round import LinkReceptions, MessageRound, Receptions, RoundKind
+from cosim.senders import OnAir, Senders, Vehicles, sending_of
+from cosim.stages import Evaluated, Listed, Matched, Piggybacked
 from cosim.trackers.attack_start import AttackStartTracker
 from cosim.trackers.encounters import EncounterTrackers
 from cosim.trackers.inter_reception import InterReceptionTracker
+from cosim.trackers.motion import AccelerationTracker
 from cosim.tracking import count_in_encounters, pairs_in_range, track_receptions
 from cosim.v2x.cpm_generation import InclusionMemory
-from cosim.v2x.messages import FABRICATED, Detections, evaluation_bytes, trust_broadcast_bytes
+from cosim.v2x.messages import Detections, evaluation_bytes, trust_broadcast_bytes
 from cosim.v2x.pseudonyms import PseudonymState, PseudonymUse
 from cosim.v2x.trust_hosts import Lookups, ServerTraffic, TrustState
 from cosim.world import World
@@ -47,6 +51,7 @@ class State:
     medium: Any
     trust: TrustState
     encounters: EncounterTrackers
+    attacks: AttackState
     driver: object = None
     pseudonyms: PseudonymState = field(default_factory=PseudonymState)
     included: InclusionMemory = field(default_factory=InclusionMemory)
@@ -56,6 +61,7 @@ class State:
     )
     """Of detection and of evaluation messages."""
     attack_start: AttackStartTracker = field(default_factory=AttackStartTracker)
+    accelerations: AccelerationTracker = field(default_factory=AccelerationTracker)
     n_malformed: int = 0
     """Detections dropped so far because they cannot be: no finite pose, no size, no score."""
     is_consumed: bool = False
@@ -67,7 +73,7 @@ class State:
         encounters = EncounterTrackers(
             c.encounters, c.traffic.step_s, c.lidar.mount_above_roof_m, len(parts.trust.variants)
         )
-        return State(parts.medium.start(), parts.trust.start(), encounters)
+        return State(parts.medium.start(), parts.trust.start(), encounters, parts.adversary.start())
 
     def copy(self) -> "State":
         """A state that shares nothing with this one."""
@@ -86,24 +92,28 @@ class Sensed:
     """What happened in a step in which vehicles sense and talk."""
 
     vehicles: Vehicles
+    senders: Senders
+    """Messages of either kind, by vehicle and identity."""
     observed: Observed
     listed: Detections
     """Detections as each vehicle lists and transmits them, attacks included."""
     truth: GroundTruth
     detections: tables.Detections
-    """The same as trust sees them: sender as a row of `vehicles`."""
+    """The same as trust sees them: message as a row of `senders`."""
     rounds: tuple[MessageRound, MessageRound]
     """Of detection messages, and of evaluation messages."""
     links: tuple[LinkReceptions, LinkReceptions]
     """Their receptions by kind of link."""
     lists: ObjectLists
-    """What each vehicle evaluates."""
+    """What is evaluated under each identity of each vehicle."""
     reported: Evaluations
     """Evaluations as transmitted."""
     n_points: Int[ndarray, "m"]
     plausible: Bool[ndarray, "m"]
     matched: Bool[ndarray, "m"]
     """The vehicle detected the object itself."""
+    lied: Bool[ndarray, "m"]
+    """Transmitted otherwise than made."""
     used: Receptions
     """Messages whose senders' trust each vehicle looks up."""
     lookups: list[Lookups]
@@ -139,7 +149,9 @@ def step(world: World, state: State, parts: Parts) -> tuple[State, StepResult]:
     s, c, watch = state.consume(), parts.config, parts.watch
     time_s = world.step * c.traffic.step_s
     evaluated_s, fused_s = time_s + c.timeout_s, time_s + 2 * c.timeout_s
-    vehicles, ended = _identify(world, s, parts)
+    accelerations = s.accelerations.update(world.step, world.actor, world.speed_mps, c.traffic.step_s)
+    told = _own_trust(world, s, parts, time_s)
+    vehicles, ended = _identify(world, s, parts, told, time_s)
     with watch("encounters"):
         closed = _meet(world, s, parts, vehicles, time_s)
     if not parts.senses(world.step) or not len(vehicles):
@@ -149,37 +161,54 @@ def step(world: World, state: State, parts: Parts) -> tuple[State, StepResult]:
         s.trust, published, informed = parts.trust.publish(
             s.trust, world.step, time_s, vehicles.actor, vehicles.name_key
         )
+        s.pseudonyms = parts.linkage.accused(s.pseudonyms, s.trust.arrived)
+        s.pseudonyms = parts.revocation.decided(
+            s.pseudonyms, published[parts.trust.host_of[0]], world.step, c.traffic.step_s
+        )
     observed = parts.perception(world, vehicles.row, watch)
     with watch("attack"):
-        listed, s.included = stages.list_objects(observed, vehicles, s.included, world, parts, time_s)
+        active = parts.adversary.active(s.attacks, world, time_s, told)
+        senders = _senders(world, s, parts, vehicles, active.identities(len(world)))
+        sender = senders.by_actor(vehicles.actor)
+        sending = sending_of(active.sending(len(world)), vehicles)
+        listed, s.included = stages.list_objects(
+            observed, senders, s.included, world, accelerations, active, vehicles, c, time_s
+        )
         s.n_malformed += listed.n_malformed
     with watch("radio"):  # detections are broadcast
         stations = stages.stations_of(world, vehicles, parts)
-        cpms = stages.messages(stages.cpm_lengths(listed, vehicles, s.piggybacked, c), parts)
-        s.medium, round_1 = parts.medium.broadcast(s.medium, RoundKind.CPM, world.step, time_s, stations, cpms)
-        links_1 = by_link(round_1, len(vehicles))
+        lengths = stages.cpm_lengths(listed, senders, sender, s.piggybacked, c)
+        cpms = OnAir.of(senders, lengths, len(parts.rsus), sending=sending)
+        s.medium, round_1 = parts.medium.broadcast(s.medium, RoundKind.CPM, world.step, time_s, stations, cpms.messages)
+        links_1 = cpms.links(round_1, len(vehicles))
+        accepted_1 = _accepted(links_1, senders)
     with watch("match"):
-        matched = stages.match_objects(listed, links_1.vehicles, observed, vehicles, world, c)
+        matched = stages.match_objects(listed, accepted_1.vehicles, observed, senders, vehicles, world, c)
     with watch("evaluate"):
-        evaluated = stages.evaluate_objects(matched, listed, observed, vehicles, world, parts, time_s)
+        evaluated = stages.evaluate_objects(matched, listed, observed, senders, vehicles, world.step, active, c)
     with watch("radio"):  # evaluations are broadcast, unless they wait for the next detection message
-        alone, sent = c.radio.evaluations == "alone", Piggybacked(evaluated.sent, vehicles.actor)
+        alone, sent = c.radio.evaluations == "alone", Piggybacked(evaluated.sent, sender)
         s.trust, pending = parts.trust.pending_rsu_broadcast(s.trust, evaluated_s)
         rsu_bytes = 0 if pending is None else trust_broadcast_bytes(len(pending.scores.subject))
-        reports = stages.messages(evaluation_bytes(np.diff(sent.messages.ptr)) * alone, parts, rsu_bytes)
+        lengths = evaluation_bytes(np.diff(sent.messages.ptr)) * alone
+        reports = OnAir.of(senders, lengths, len(parts.rsus), rsu_bytes)
         s.medium, round_2 = parts.medium.broadcast(
-            s.medium, RoundKind.EVALUATION, world.step, evaluated_s, stations, reports
+            s.medium, RoundKind.EVALUATION, world.step, evaluated_s, stations, reports.messages
         )
-        links_2 = by_link(round_2, len(vehicles))
+        links_2 = reports.links(round_2, len(vehicles))
         carried, s.piggybacked = (sent, None) if alone else (s.piggybacked, sent)
-        links, begin_s = (links_2, evaluated_s) if alone else (links_1, time_s)
+        links, begin_s = (_accepted(links_2, senders), evaluated_s) if alone else (accepted_1, time_s)
     with watch("trust"):
         s.trust, up = stages.update_trust(
-            s.trust, world.step, listed, evaluated.own_messages, carried, links, begin_s, vehicles, parts
-        )
+            s.trust, world.step, listed, evaluated.own_messages, carried, links, begin_s, senders, sender, vehicles,
+            s.pseudonyms, parts,
+        )  # fmt: skip
         if c.server.uplink == "cellular":
-            xy_m = world.boxes.xyz_m[vehicles.row, :2]
-            s.trust, up = parts.trust.report_by_cellular(s.trust, sent.messages, vehicles.name_key, xy_m, evaluated_s)
+            s.trust, up = parts.trust.report_by_cellular(
+                s.trust, parts.linkage.messages(s.pseudonyms, sent.messages), senders.key,
+                world.boxes.xyz_m[vehicles.row[senders.vehicle], :2], evaluated_s, senders.is_valid,
+                None if sending is None else sending.n_reports[senders.vehicle],
+            )  # fmt: skip
         if pending is not None:
             arrival_s = evaluated_s + links_2.downlink.received_s
             s.trust, informed[parts.trust.host_of[0]] = parts.trust.receive_from_rsu(
@@ -187,62 +216,123 @@ def step(world: World, state: State, parts: Parts) -> tuple[State, StepResult]:
             )
         used = links.vehicles
         s.trust = parts.trust.receive(s.trust, vehicles.actor, fused_s)
-        lookups = _per_variant(
-            parts.trust.lookup(s.trust, vehicles.actor[used.receiver], vehicles.pseudonym[used.message], fused_s), parts
-        )
+        subject = parts.linkage.subjects(s.pseudonyms, senders.pseudonym)[used.message]
+        lookups = _per_variant(parts.trust.lookup(s.trust, vehicles.actor[used.receiver], subject, fused_s), parts)
     with watch("fuse"):
-        fused = stages.fuse_objects(matched, evaluated, listed, observed, used, lookups, parts)
+        fused = stages.fuse_objects(matched, evaluated, listed, observed, senders, used, lookups, parts)
     with watch("driver"):
         assert fused[0] is not None, "the acting variant is always fused"
         beliefs = stages.beliefs_of(fused[0], listed, vehicles)
         s.driver, commands = parts.driver.commands(s.driver, world, beliefs, c.traffic.step_s)
     with watch("track"):
         rounds, all_links = (round_1, round_2), (links_1, links_2)
-        in_range, inter_reception = _track(world, s, listed, rounds, all_links, used, lookups, matched, vehicles)
+        _note_attacks(world, s, listed, evaluated, senders, vehicles, sending)
+        in_range, inter_reception = _track(
+            world, s, listed, rounds, all_links, used, lookups, matched, vehicles, senders
+        )
     server = parts.trust.traffic(up, informed)
+    named = [None if scores is None else parts.linkage.scores(s.pseudonyms, scores) for scores in published]
     return s, StepResult(world, closed, ended, Sensed(
-        vehicles, observed, listed.objects, listed.truth, listed.detections, rounds, all_links, matched.lists,
-        evaluated.reported, evaluated.n_points, evaluated.plausible, matched.lists_groups.ego_detected, used, lookups,
-        fused, _per_variant(published, parts), _per_variant(server, parts), in_range, inter_reception,
+        vehicles, senders, observed, listed.objects, listed.truth, listed.detections, rounds, all_links,
+        evaluated.lists, evaluated.reported, evaluated.n_points, evaluated.plausible, evaluated.matched, evaluated.lied,
+        used, lookups, fused, _per_variant(named, parts), _per_variant(server, parts), in_range, inter_reception,
     ), commands)  # fmt: skip
 
 
-def _identify(world: World, s: State, parts: Parts) -> tuple[Vehicles, PseudonymUse]:
+def _own_trust(world: World, s: State, parts: Parts, time_s: float) -> Float[ndarray, "n"] | None:
+    """Trust in each actor as it was last told itself, by row of the world; None where no attack reads it."""
+    if not parts.adversary.reads_trust:
+        return None
+    row = np.flatnonzero(world.equipped)
+    actor = world.actor[row]
+    subject = parts.linkage.subjects(s.pseudonyms, s.pseudonyms.of(actor))
+    found = parts.trust.lookup(s.trust, actor, subject, time_s)[parts.trust.host_of[0]]
+    told = np.full(len(world), parts.config.trust.default_trust)
+    told[row] = found.trust
+    return told
+
+
+def _identify(
+    world: World, s: State, parts: Parts, told: Float[ndarray, "n"] | None, time_s: float
+) -> tuple[Vehicles, PseudonymUse]:
     """Equipped vehicles on the road under their present pseudonyms; in steps with messages some change."""
     row = np.flatnonzero(world.equipped)
     actor, names = world.actor[row], world.name_key[row]
     if not parts.senses(world.step):
         return Vehicles(row, actor, names, s.pseudonyms.of(actor)), PseudonymUse.none()
-    s.pseudonyms, pseudonym, ended = parts.pseudonyms.issue(s.pseudonyms, world, row)
+    wants = None
+    if parts.adversary.renews:
+        age_s = (world.step - s.pseudonyms.begun(world.actor, world.step)) * parts.config.traffic.step_s
+        wants = parts.adversary.renewals(world, time_s, told, age_s)[row]
+    s.pseudonyms, pseudonym, ended = parts.pseudonyms.issue(s.pseudonyms, world, row, wants)
     return Vehicles(row, actor, names, pseudonym), ended
+
+
+def _senders(world: World, s: State, parts: Parts, vehicles: Vehicles, n_extra: Int[ndarray, "n"]) -> Senders:
+    """Messages of this step, with their pseudonyms; `n_extra` further identities by row of the world."""
+    senders = Senders.of(vehicles, n_extra[vehicles.row])
+    more = np.flatnonzero(senders.identity)
+    if len(more):
+        pseudonym = senders.pseudonym.copy()
+        s.pseudonyms, pseudonym[more] = parts.pseudonyms.issue_extra(
+            s.pseudonyms, vehicles.actor[senders.vehicle[more]], senders.identity[more], world.step
+        )
+        senders = replace(senders, pseudonym=pseudonym)
+    is_valid, s.pseudonyms = parts.revocation.valid(s.pseudonyms, senders.pseudonym, world.step)
+    return replace(senders, is_valid=is_valid)
+
+
+def _accepted(links: LinkReceptions, senders: Senders) -> LinkReceptions:
+    """Receptions without those of revoked senders."""
+    if senders.is_valid.all():
+        return links
+    return LinkReceptions(
+        links.vehicles.take(senders.is_valid[links.vehicles.message]),
+        links.uplink.take(senders.is_valid[links.uplink.message]),
+        links.downlink,
+    )
 
 
 def _meet(world: World, s: State, parts: Parts, vehicles: Vehicles, time_s: float) -> list[Rows]:
     """Who is near whom, and what they know of each other when they meet; rows of encounters that are over."""
     closed, holder, other = s.encounters.update(world, parts.walls)
     s.trust = parts.trust.receive(s.trust, vehicles.actor, time_s)
-    known = _per_variant(parts.trust.lookup(s.trust, holder, s.pseudonyms.of(other), time_s), parts)
+    subject = parts.linkage.subjects(s.pseudonyms, s.pseudonyms.of(other))
+    known = _per_variant(parts.trust.lookup(s.trust, holder, subject, time_s), parts)
     columns = ([getattr(found, name) for found in known] for name in ("trust", "source", "age_s"))
     s.encounters.first_contact(holder, other, *(np.stack(column, axis=1) for column in columns))
     return closed
 
 
+def _note_attacks(
+    world: World, s: State, listed: Listed, evaluated: Evaluated, senders: Senders, vehicles: Vehicles,
+    sending: Sending | None,
+) -> None:  # fmt: skip
+    """Who attacks in this step."""
+    attacker = [world.actor[listed.objects.observer[listed.truth.lied]]]
+    if evaluated.lied.any():
+        by = evaluated.lists.owner[evaluated.lists.of_member()[evaluated.lied]]
+        attacker.append(vehicles.actor[senders.vehicle[by]])
+    if sending is not None:
+        attacker.append(vehicles.actor[(sending.delay_s > 0) | (sending.n_copies > 0) | (sending.n_reports > 0)])
+    s.attack_start.update(world.step, np.concatenate(attacker))
+
+
 def _track(
     world: World, s: State, listed: Listed, rounds: tuple[MessageRound, MessageRound],
     links: tuple[LinkReceptions, LinkReceptions], used: Receptions, lookups: list[Lookups], matched: Matched,
-    vehicles: Vehicles,
+    vehicles: Vehicles, senders: Senders,
 ) -> tuple[list[tuple[ndarray, ndarray]], list[Rows]]:  # fmt: skip
-    """Attack starts, inter-reception times and encounters go on; pairs in range and rows of reception per round."""
-    objects, between = listed.objects, (links[0].vehicles, links[1].vehicles)
-    s.attack_start.update(world.step, world.actor[objects.observer[objects.origin == FABRICATED]])
+    """Inter-reception times and encounters go on; pairs in range and rows of reception per round."""
+    between = (links[0].vehicles, links[1].vehicles)
     in_range = [pairs_in_range(happened, len(vehicles)) for happened in rounds]
     inter_reception = [
-        track_receptions(tracker, world.step, happened, received, pairs, vehicles.actor)
-        for tracker, happened, received, pairs in zip(s.inter_reception, rounds, between, in_range, strict=True)
+        track_receptions(tracker, world.step, received, pairs, vehicles.actor, senders.vehicle)
+        for tracker, received, pairs in zip(s.inter_reception, between, in_range, strict=True)
     ]
     sources = np.stack([found.source for found in lookups], axis=1)
     count_in_encounters(
-        s.encounters, rounds, between, used, sources, matched.lists, listed.detections.message, vehicles.actor
+        s.encounters, between, used, sources, matched.lists, listed.detections.message, vehicles.actor, senders.vehicle
     )
     return in_range, inter_reception
 

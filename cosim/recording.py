@@ -67,8 +67,9 @@ def encounters(recorder: Recorder, at: int, closed: Sequence[Rows]) -> None:
 def pseudonyms(recorder: Recorder, at: int, ended: PseudonymUse) -> None:
     """Pseudonyms that are no longer used."""
     recorder.append("pseudonyms", at, {
-        "pseudonym": ended.pseudonym, "vehicle": ended.vehicle, "from_step": ended.from_step,
-        "to_step": ended.to_step,
+        "pseudonym": ended.pseudonym, "vehicle": ended.vehicle, "identity": ended.identity,
+        "from_step": ended.from_step, "to_step": ended.to_step, "refused_step": ended.refused_step,
+        "refused_step__valid": ended.refused_step >= 0,
     })  # fmt: skip
 
 
@@ -84,9 +85,12 @@ def _box_columns(boxes: Boxes) -> Rows:
 def _detections(recorder: Recorder, world: World, sensed: Sensed) -> None:
     listed, truth, seen = sensed.listed, sensed.truth, sensed.observed.observability
     recorder.append("detections", world.step, {
-        "observer": sensed.vehicles.pseudonym[sensed.detections.message], "detection_index": listed.detection_index,
+        "observer": sensed.senders.pseudonym[sensed.detections.message], "detection_index": listed.detection_index,
         "class": listed.label, **_box_columns(listed.boxes), "score": listed.score, "n_points": listed.n_points,
-        "origin": listed.origin, "transmitted": listed.transmitted,
+        "speed_mps": np.nan_to_num(listed.speed_mps), "speed_mps__valid": ~np.isnan(listed.speed_mps),
+        "acceleration_mps2": np.nan_to_num(listed.acceleration_mps2),
+        "acceleration_mps2__valid": ~np.isnan(listed.acceleration_mps2),
+        "origin": listed.origin, "transmitted": listed.transmitted, "lied": truth.lied,
         "truth_actor": world.actor[truth.actor_row], "truth_actor__valid": truth.is_real,
         "truth_iou": truth.iou, "truth_iou__valid": truth.is_real,
         "truth_occlusion": truth.occlusion, "truth_occlusion__valid": truth.is_sensed,
@@ -127,19 +131,22 @@ def _receptions(recorder: Recorder, at: int, sensed: Sensed) -> None:
     for message_type, links in zip(MessageType, sensed.links, strict=True):
         found = links.vehicles
         recorder.append("receptions", at, _of(message_type, {
-            "sender": sensed.vehicles.pseudonym[found.message], "receiver": sensed.vehicles.actor[found.receiver],
+            "sender": sensed.senders.pseudonym[found.message], "receiver": sensed.vehicles.actor[found.receiver],
             "hops": found.hops, "generation_offset_s": found.generation_offset_s,
             "access_delay_s": found.access_delay_s, "latency_s": found.latency_s, "distance_m": found.distance_m,
         }))  # fmt: skip
 
 
 def _evaluations(recorder: Recorder, at: int, sensed: Sensed) -> None:
-    member, pseudonym = sensed.lists.member, sensed.vehicles.pseudonym
+    lists, pseudonym = sensed.lists, sensed.senders.pseudonym
+    member = lists.member
     recorder.append("evaluations", at, {
-        "evaluator": pseudonym[sensed.lists.of_member()], "observer": pseudonym[sensed.detections.message[member]],
+        "evaluator": pseudonym[lists.owner[lists.of_member()]],
+        "observer": pseudonym[sensed.detections.message[member]],
         "detection_index": sensed.listed.detection_index[member], "evaluation": sensed.reported.evaluation,
         "visibility": sensed.reported.visibility, "n_points": sensed.n_points, "plausible": sensed.plausible,
         "plausible__valid": ~sensed.matched, "matched": sensed.matched,
+        "lied": sensed.lied,
     })  # fmt: skip
 
 
@@ -165,7 +172,7 @@ def _trust(recorder: Recorder, at: int, sensed: Sensed, dt_s: float) -> None:
             "n_addressed": np.array([down.n_addressed]), "n_informed": np.array([down.n_informed]),
         })  # fmt: skip
     used = sensed.used
-    receiver, subject = sensed.vehicles.actor[used.receiver], sensed.vehicles.pseudonym[used.message]
+    receiver, subject = sensed.vehicles.actor[used.receiver], sensed.senders.pseudonym[used.message]
     for variant, found in enumerate(sensed.lookups):
         recorder.append("trust_lookups", at, {
             "variant": np.full(len(receiver), variant), "receiver": receiver, "subject": subject,
@@ -175,7 +182,7 @@ def _trust(recorder: Recorder, at: int, sensed: Sensed, dt_s: float) -> None:
 
 
 def _fused(recorder: Recorder, at: int, sensed: Sensed) -> None:
-    listed, pseudonym = sensed.listed, sensed.vehicles.pseudonym[sensed.detections.message]
+    listed, pseudonym = sensed.listed, sensed.senders.pseudonym[sensed.detections.message]
     for variant, fused in enumerate(sensed.fused):
         if fused is None:
             continue

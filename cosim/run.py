@@ -12,7 +12,7 @@ import tomli_w
 
 from cosim import recording
 from cosim.actors import ActorRegistry
-from cosim.adversary.adversary import roles_of
+from cosim.adversary.params import named, roles_of, shares
 from cosim.config import Config
 from cosim.cycle import State, step
 from cosim.manifest import Manifest
@@ -79,7 +79,7 @@ def run(config: Config, out: Path | None, advance: Advance) -> Path:
     with watch("city"):
         city = scenario.city()
     parts = Parts.of(config, city, roadside_units(config, scenario), watch)
-    registry = ActorRegistry(config.fleet, config.seed, tuple(attack.share_p for attack in config.attacks))
+    registry = ActorRegistry(config.fleet, config.seed, shares(config.attacks), named(config.attacks))
     traffic = scenario.traffic(config.traffic, registry)
     try:
         folder.mkdir(parents=True, exist_ok=True)

@@ -144,5 +144,3 @@ def distinct(number: Int[ndarray, "m"], message: Int[ndarray, "d"]) -> tuple[Int
     """Numbers that several messages may share, each once and ascending, and the row of each message's number."""
     once, row = np.unique(number, return_inverse=True)
     return once, row.reshape(-1)[message]
-
-

@@ -110,9 +110,7 @@ class Adversary:
     ) -> "Adversary":  # fmt: skip
         """Attacks with their parameters; `freshness_s` is the window of evidence in which periods may be given."""
         period_s = [p.period_s if p.when != "on_off" else p.period_of(freshness_s) for p in params]
-        return Adversary(
-            tuple(params), tuple(attacks), owners(params), tuple(s / dt_s for s in period_s), seed, dt_s
-        )
+        return Adversary(tuple(params), tuple(attacks), owners(params), tuple(s / dt_s for s in period_s), seed, dt_s)
 
     def start(self) -> AttackState:
         """Before the first step."""
@@ -125,15 +123,20 @@ class Adversary:
         """Whether any attacker follows what is broadcast about itself."""
         return any(p.reads_trust for p in self.params)
 
+    @property
+    def renews(self) -> bool:
+        """Whether any attacker changes its pseudonym of its own accord."""
+        return any(p.renewal != "by_policy" for p in self.params)
+
     def renewals(
-        self, world: World, time_s: float, trust: Float[ndarray, "n"], age_s: Float[ndarray, "n"]
+        self, world: World, time_s: float, trust: Float[ndarray, "n"] | None, age_s: Float[ndarray, "n"]
     ) -> Bool[ndarray, "n"]:
         """Actors that change their pseudonyms of their own accord.
 
         Parameters
         ----------
         trust
-            In each actor, as it was last told.
+            In each actor, as it was last told; None where no attack reads it.
         age_s
             Of each actor's present pseudonym.
         """
@@ -141,7 +144,11 @@ class Adversary:
         for number, p in enumerate(self.params):
             if p.renewal == "by_policy" or time_s < p.start_s:
                 continue
-            wants = trust < p.renew_below if p.renewal == "whitewashing" else age_s >= p.renew_s - 1e-9
+            if p.renewal == "whitewashing":
+                assert trust is not None, "told where an attack reads it"
+                wants = trust < p.renew_below
+            else:
+                wants = age_s >= p.renew_s - 1e-9
             found |= wants & self._members(world, number)
         return found
 
@@ -177,9 +184,7 @@ class Adversary:
     def _members(self, world: World, number: int) -> Bool[ndarray, "n"]:
         return world.equipped & (world.attack == self.owner[number] + 1)
 
-    def _rings(
-        self, state: AttackState, world: World, number: int, member: Bool[ndarray, "n"]
-    ) -> Int[ndarray, "n"]:
+    def _rings(self, state: AttackState, world: World, number: int, member: Bool[ndarray, "n"]) -> Int[ndarray, "n"]:
         """Ring of each member."""
         size = self.params[number].ring_size
         if not size:

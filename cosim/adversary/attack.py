@@ -34,7 +34,7 @@ class AttackContext:
     seed: int
     number: int
     """Position of the attack in the config."""
-    params: AttackParams = AttackParams()
+    params: AttackParams = field(default_factory=AttackParams)
     """Who, when, whom."""
     member: Bool[ndarray, "n"] = field(default_factory=lambda: np.zeros(0, bool))
     """Actors of this attack, those included that are honest at the moment."""
@@ -114,9 +114,7 @@ class Sending:
 
     def and_also(self, other: "Sending") -> "Sending":
         """Both at a time."""
-        return Sending(
-            self.delay_s + other.delay_s, self.n_copies + other.n_copies, self.n_reports + other.n_reports
-        )
+        return Sending(self.delay_s + other.delay_s, self.n_copies + other.n_copies, self.n_reports + other.n_reports)
 
     def is_plain(self) -> bool:
         """Whether nobody does anything of it."""

@@ -151,7 +151,9 @@ class MajorityCopying(_Voices):
         weight = np.where(honest, rows.visibility, 0.0)
         total = np.bincount(rows.detection, weight, n)
         voters = np.bincount(rows.detection, weight > 0, n)
-        mean = np.divide(np.bincount(rows.detection, weight * rows.evaluation, n), total, out=np.zeros(n), where=total > 0)
+        mean = np.divide(
+            np.bincount(rows.detection, weight * rows.evaluation, n), total, out=np.zeros(n), where=total > 0
+        )
         loud = np.divide(total, voters, out=np.zeros(n), where=voters > 0)
         at = rows.detection
         return np.where(chosen, mean[at], rows.evaluation), np.where(chosen, loud[at], rows.visibility)

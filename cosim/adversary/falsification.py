@@ -85,9 +85,7 @@ class OffsetParams(FalsifiedParams):
 
     def __post_init__(self) -> None:
         if self.min_m > self.max_m:
-            raise ValueError(
-                f"attacks.min_m = {self.min_m:g} m is above attacks.max_m = {self.max_m:g} m. Swap them."
-            )
+            raise ValueError(f"attacks.min_m = {self.min_m:g} m is above attacks.max_m = {self.max_m:g} m. Swap them.")
 
 
 class Offset:

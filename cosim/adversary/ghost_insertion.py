@@ -74,4 +74,3 @@ class GhostInsertion:
     ) -> tuple[ndarray, ndarray]:
         """The ghosts vouched for."""
         return certified(rows, detections, context)
-

@@ -92,9 +92,8 @@ class Replay(Vouched):
 
     Notes
     -----
-    Deviations: NextGen replays whole messages; here it is detections, of senders within
-    range in the oldest step within `age_s`, sender and detection by chance. It is not asked whether the attacker received
-    them.
+    Deviations: NextGen replays whole messages; here it is detections, of senders within range in the oldest step within
+    `age_s`, sender and detection by chance. It is not asked whether the attacker received them.
     """
 
     Params = ReplayParams

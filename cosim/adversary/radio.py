@@ -22,8 +22,8 @@ class DenialOfService:
 
     Notes
     -----
-    Deviations: a receiver that gets several copies counts the first (they carry one signature and one time); what copies
-    do is load the channel.
+    Deviations: a receiver that gets several copies counts the first (they carry one signature and one time); what
+    copies do is load the channel.
     """
 
     Params = DenialOfServiceParams

@@ -1,6 +1,6 @@
 """Content and length of messages."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -18,10 +18,12 @@ SENSED, SELF, FABRICATED = Origin
 
 @dataclass(frozen=True, slots=True)
 class Detections:
-    """D detections of one step, world frame, sorted by (observer, detection_index): with the step, a detection's key.
+    """D detections of one step, world frame, sorted by (observer, identity, detection_index): with the step, its key.
 
     `observer` is a row of the step's world. Index 0 is the self report, then come detections by the detector, then
-    fabricated ones. A detection with `transmitted` false stays with its observer.
+    fabricated ones. A detection with `transmitted` false stays with its observer. `identity` is 0 for what a vehicle
+    sends under its own pseudonym; a Sybil attacker sends under further ones. Speed and acceleration stand in self
+    reports alone, and are NaN elsewhere.
     """
 
     observer: Int[ndarray, "d"]
@@ -32,6 +34,10 @@ class Detections:
     n_points: Int[ndarray, "d"]
     origin: UInt8[ndarray, "d"]
     transmitted: Bool[ndarray, "d"]
+    identity: Int[ndarray, "d"]
+    speed_mps: Float[ndarray, "d"]
+    acceleration_mps2: Float[ndarray, "d"]
+    """Along the heading."""
 
     def __len__(self) -> int:
         return len(self.observer)
@@ -45,6 +51,18 @@ class Detections:
         return [getattr(self, f.name) for f in fields(self)]
 
     @staticmethod
+    def perceived(
+        observer: Int[ndarray, "d"], detection_index: Int[ndarray, "d"], label: UInt8[ndarray, "d"], boxes: Boxes,
+        score: Float[ndarray, "d"], n_points: Int[ndarray, "d"], origin: UInt8[ndarray, "d"],
+    ) -> "Detections":  # fmt: skip
+        """Detections that are all to be transmitted, under the vehicles' own identities."""
+        n = len(observer)
+        return Detections(
+            observer, detection_index, label, boxes, score, n_points, origin, np.ones(n, bool), np.zeros(n, np.int64),
+            np.full(n, np.nan), np.full(n, np.nan),
+        )  # fmt: skip
+
+    @staticmethod
     def of(columns: list[Any]) -> "Detections":
         """Detections from all columns, in the order of the fields."""
         return Detections(*columns)
@@ -54,7 +72,7 @@ class Detections:
         """All rows of all parts, sorted by key."""
         columns = zip(*(part.columns() for part in parts), strict=True)
         joined = Detections.of([Boxes.concat(c) if isinstance(c[0], Boxes) else np.concatenate(c) for c in columns])
-        return joined.take(np.lexsort((joined.detection_index, joined.observer)))
+        return joined.take(np.lexsort((joined.detection_index, joined.identity, joined.observer)))
 
 
 def cpm_bytes(n_objects: Int[ndarray, "n"]) -> Int[ndarray, "n"]:
@@ -102,8 +120,18 @@ def is_sound(listed: Detections) -> Bool[ndarray, "d"]:
 def self_reports(world: World, observers: Int[ndarray, "o"]) -> Detections:
     """Each equipped vehicle's own box, as it reports itself: index 0, score 1."""
     n = len(observers)
-    return Detections(
-        observer=observers, detection_index=np.zeros(n, int), label=world.label[observers],
-        boxes=world.boxes.take(observers), score=np.ones(n), n_points=np.zeros(n, np.int32),
-        origin=np.full(n, SELF, np.uint8), transmitted=np.ones(n, bool),
+    return Detections.perceived(
+        observers, np.zeros(n, int), world.label[observers], world.boxes.take(observers), np.ones(n),
+        np.zeros(n, np.int32), np.full(n, SELF, np.uint8),
     )  # fmt: skip
+
+
+def with_motion(
+    listed: Detections, speed_mps: Float[ndarray, "n"], acceleration_mps2: Float[ndarray, "n"]
+) -> Detections:
+    """The same with speed and acceleration, by row of the world, in the self reports."""
+    speed, acceleration = listed.speed_mps.copy(), listed.acceleration_mps2.copy()
+    rows = np.flatnonzero(listed.origin == SELF)
+    speed[rows] = speed_mps[listed.observer[rows]]
+    acceleration[rows] = acceleration_mps2[listed.observer[rows]]
+    return replace(listed, speed_mps=speed, acceleration_mps2=acceleration)
