@@ -90,7 +90,7 @@ class Reported:
 
 def sample(run: Run, profile: str, model: SimpleNamespace, max_frames: int) -> Sample:
     """Frames of a run, evenly spread over it; the false positives are those of the model."""
-    params = DetectorParams(model=profile)  # type: ignore[arg-type]
+    params = DetectorParams(model=profile)
     config = replace(replay_lidar.config_of(run), detector=params)
     perception = perception_of(config, replay_lidar.city_of(config))
     steps = kitti_frames.sampled_steps(run, max_frames)

@@ -16,9 +16,10 @@ from pydantic import TypeAdapter, ValidationError
 from cosim.adversary.catalogue import ATTACKS
 from cosim.adversary.params import PAPER, AttackParams, check_attacks
 from cosim.choices import Choice, resolve
-from cosim.driver.driver import DRIVERS, DriverParams
+from cosim.driver.driver import DriverParams
+from cosim.driver.drivers import DRIVERS
 from cosim.fleet import FleetParams
-from cosim.mobility.params import TrafficParams
+from cosim.mobility.params import TrafficParams, resolved_input
 from cosim.radio.medium import MEDIA
 from cosim.radio.params import RadioParams
 from cosim.radio.rsu import RsuParams
@@ -55,6 +56,10 @@ FORMER = {
     "radio.disk": "[radio.unit_disk]",
     "radio.verdicts": "radio.evaluations",
     "radio.relay.reach_m": "radio.relay.forward_range_m",
+    "radio.propagation.reach_m": "radio.propagation.interference_range_m",
+    "radio.propagation.reach_nlos_m": "radio.propagation.interference_range_nlos_m",
+    "detector.taken_for_p": "detector.confusion_p",
+    "detector.clutter_per_sweep": "detector.false_positive_per_sweep",
 }
 """Keys of the former schema, and what they have become."""
 
@@ -227,8 +232,9 @@ def resolve_data(data: dict[str, Any], where: str, folder: Path | None) -> Confi
     _check_keys(data, Config, "", where)
     for name in ("scenario", "trace"):
         given = data.get("traffic", {}).get(name)
-        if folder is not None and isinstance(given, str) and _is_input(beside := folder / given):
-            data["traffic"][name] = str(beside)
+        if isinstance(given, str):
+            cities = catalogue.names() if name == "scenario" else ()
+            data["traffic"][name] = resolved_input(given, folder or Path(), cities)
     traffic = data.get("traffic", {})
     if isinstance(traffic.get("scenario"), str) and not {"step_s", "trace"} & traffic.keys():
         if (own_s := _own_step_s(traffic["scenario"])) is not None:
@@ -326,10 +332,6 @@ def _validated(model: Any, data: Any, prefix: str, where: str) -> Any:
             raise ValueError(f"{name}: missing. Set {name} in {where}.") from None
         reason = first["msg"].removeprefix("Input should be ")
         raise ValueError(f"{name} = {first['input']!r} should be {reason}. Set {name} in {where}.") from None
-
-
-def _is_input(path: Path) -> bool:
-    return path.is_file() or (path / "manifest.json").is_file() or any(path.glob("*.sumocfg"))
 
 
 def _own_step_s(scenario: str) -> float | None:

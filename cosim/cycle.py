@@ -25,6 +25,7 @@ from cosim.ground_truth import GroundTruth
 from cosim.parts import Parts
 from cosim.perception import Observed
 from cosim.radio.message_round import LinkReceptions, MessageRound, Receptions, RoundKind
+from cosim.reactions import Reactions, ReactionTruth
 from cosim.senders import OnAir, Senders, Vehicles, sending_of
 from cosim.stages import Evaluated, Listed, Matched, Piggybacked
 from cosim.trackers.attack_start import AttackStartTracker
@@ -53,6 +54,8 @@ class State:
     encounters: EncounterTrackers
     attacks: AttackState
     driver: object = None
+    reaction_truth: ReactionTruth = field(default_factory=ReactionTruth)
+    """For the table of reactions alone."""
     pseudonyms: PseudonymState = field(default_factory=PseudonymState)
     included: InclusionMemory = field(default_factory=InclusionMemory)
     piggybacked: Piggybacked | None = None
@@ -142,6 +145,8 @@ class StepResult:
     """None in steps between two sweeps, and without equipped vehicles."""
     commands: SpeedCommands
     """What drivers do next."""
+    reactions: Reactions | None
+    """The same with what they react to; None where the driver gives no reasons."""
 
 
 def step(world: World, state: State, parts: Parts) -> tuple[State, StepResult]:
@@ -155,7 +160,10 @@ def step(world: World, state: State, parts: Parts) -> tuple[State, StepResult]:
     with watch("encounters"):
         closed = _meet(world, s, parts, vehicles, time_s)
     if not parts.senses(world.step) or not len(vehicles):
-        return s, StepResult(world, closed, ended, None, SpeedCommands.none())
+        with watch("driver"):
+            s.driver, commands = parts.driver.commands(s.driver, world, None, c.traffic.step_s)
+            reactions = s.reaction_truth.of(commands, world, c.traffic.step_s)
+        return s, StepResult(world, closed, ended, None, commands, reactions)
 
     with watch("server"):
         s.trust, published, informed = parts.trust.publish(
@@ -222,8 +230,12 @@ def step(world: World, state: State, parts: Parts) -> tuple[State, StepResult]:
         fused = stages.fuse_objects(matched, evaluated, listed, observed, senders, used, lookups, parts)
     with watch("driver"):
         assert fused[0] is not None, "the acting variant is always fused"
-        beliefs = stages.beliefs_of(fused[0], listed, vehicles)
+        beliefs = stages.beliefs_of(fused[0], listed, vehicles, fused_s)
         s.driver, commands = parts.driver.commands(s.driver, world, beliefs, c.traffic.step_s)
+        if c.driver.model != "none":
+            observer = senders.pseudonym[listed.detections.message]
+            s.reaction_truth.add(world, listed.objects, listed.truth, observer, c.traffic.step_s)
+        reactions = s.reaction_truth.of(commands, world, c.traffic.step_s)
     with watch("track"):
         rounds, all_links = (round_1, round_2), (links_1, links_2)
         _note_attacks(world, s, listed, evaluated, senders, vehicles, sending)
@@ -236,7 +248,7 @@ def step(world: World, state: State, parts: Parts) -> tuple[State, StepResult]:
         vehicles, senders, observed, listed.objects, listed.truth, listed.detections, rounds, all_links,
         evaluated.lists, evaluated.reported, evaluated.n_points, evaluated.plausible, evaluated.matched, evaluated.lied,
         used, lookups, fused, _per_variant(named, parts), _per_variant(server, parts), in_range, inter_reception,
-    ), commands)  # fmt: skip
+    ), commands, reactions)  # fmt: skip
 
 
 def _own_trust(world: World, s: State, parts: Parts, time_s: float) -> Float[ndarray, "n"] | None:

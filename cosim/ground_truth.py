@@ -69,14 +69,16 @@ def lies_in_detections(perceived: Detections, sent: Detections, on_purpose: Bool
     Parameters
     ----------
     sent
-        The same lists with what attacks changed, hid and added; none of the perceived rows is gone.
+        The same lists with what attacks changed, hid and added.
     on_purpose
         Actors, rows of the world, that attack on purpose.
     """
-    lied = sent.origin == FABRICATED
-    rows = np.flatnonzero(~lied)
-    now = sent.take(rows)
-    assert np.array_equal(now.detection_index, perceived.detection_index), "attacks hide rows, and drop none"
+    lied = np.ones(len(sent), bool)
+    key, kept = (d.observer.astype(np.int64) << 32 | d.detection_index for d in (perceived, sent))
+    at = np.minimum(np.searchsorted(key, kept), max(len(key) - 1, 0))
+    same = (sent.origin != FABRICATED) & (sent.identity == 0) & (key[at] == kept if len(key) else False)
+    rows = np.flatnonzero(same)
+    now, perceived = sent.take(rows), perceived.take(at[rows])
     a, b = now.boxes, perceived.boxes
     turned = np.abs(np.pi - np.mod(np.pi - (a.yaw_rad - b.yaw_rad), 2 * np.pi))
     changed = (np.linalg.norm(a.xyz_m - b.xyz_m, axis=1) > NOISE_M) | (turned > NOISE_RAD)

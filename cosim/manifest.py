@@ -1,4 +1,4 @@
-"""The birth certificate of a run: what was asked, with what, and how it went."""
+"""The manifest of a run: what was asked, with which versions and inputs, and how it went."""
 
 import hashlib
 import json

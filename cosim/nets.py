@@ -111,7 +111,9 @@ def show(
 def build(
     out: Annotated[Path, typer.Option(help="Folder to write; then `--set traffic.scenario=FOLDER` drives it.")],
     osm: Annotated[Path | None, typer.Option(help="OpenStreetMap file: .osm, .osm.gz, .osm.xml.gz, .osm.pbf.")] = None,
-    bbox: Annotated[str | None, typer.Option(help="west,south,east,north in degrees, from Overpass.")] = None,
+    bbox: Annotated[
+        str | None, typer.Option(help="west,south,east,north [degrees], of --osm or from Overpass.")
+    ] = None,
     overpass: Annotated[str | None, typer.Option(help="Another Overpass service: http://host/api/interpreter.")] = None,
     density: Annotated[float, typer.Option(help="Vehicles on the road per km of street and direction.")] = 2.0,
     hour: Annotated[int, typer.Option(help="Hour of a working day, 0 to 23: 16 is the busiest.")] = 16,
@@ -125,11 +127,12 @@ def build(
     from cosim.scenario import find
     from sumo_nets import build_from_osm, catalogue, flow
     from sumo_nets.density import Density
+    from sumo_nets.overpass import degrees
 
-    if (osm is None) == (bbox is None):
-        raise ValueError("cosim nets build wants one of --osm FILE and --bbox west,south,east,north.")
-    if overpass is not None and bbox is None:
-        raise ValueError("--overpass goes with --bbox west,south,east,north. Leave it out.")
+    if osm is None and bbox is None:
+        raise ValueError("cosim nets build needs --osm FILE, --bbox west,south,east,north, or both.")
+    if overpass is not None and (bbox is None or osm is not None):
+        raise ValueError("--overpass goes with --bbox west,south,east,north and without --osm. Leave it out.")
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise ValueError(f"--out {out} is not empty. Give a folder that is empty or does not exist.")
     if not density > 0 or density > 100:
@@ -139,7 +142,8 @@ def build(
     wanted = Density(per_km=density, hour=hour, seed=seed)
     with notes.status("building streets, buildings and demand ..."):
         if osm is not None:
-            build_from_osm.from_osm(osm, out, wanted, name, left_hand)
+            box = None if bbox is None else degrees(bbox)
+            build_from_osm.from_osm(osm, out, wanted, name, left_hand, box)
         else:
             build_from_osm.from_box(bbox or "", out, wanted, name, left_hand, overpass)
     net = catalogue.open_folder(out)

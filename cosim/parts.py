@@ -76,6 +76,17 @@ def perception_of(experiment: Config, city: Scene) -> Perception:
     return Perception(city, c.lidar, _make(c, "detector"), c.trust.self_reports, c.seed, c.traffic.step_s)
 
 
+def check_choices(experiment: Config) -> None:
+    """ValueError in one line where one of the parts that a config names cannot be had."""
+    for section in ("detector", "pseudonyms", "driver"):
+        _make(experiment, section)
+    for number in range(len(experiment.attacks)):
+        _make(experiment, "attacks", number)
+    _make_medium(experiment, None)
+    c = experiment
+    TrustHosts.of(variants(c), c.server, c.seed, c.sensing_interval_s, c.traffic.step_s).start()
+
+
 def variants(experiment: Config) -> list[Variant]:
     """The acting way of trusting, and the trust variants."""
     choice, own = config.chosen(experiment, "trust")
@@ -106,7 +117,7 @@ def _make(experiment: Config, section: str, number: int | None = None) -> Any:
     return choices.make(choice, *(() if choice.params is None else (own,)))
 
 
-def _make_medium(experiment: Config, los: LosCache) -> Medium:
+def _make_medium(experiment: Config, los: LosCache | None) -> Medium:
     choice, own = config.chosen(experiment, "radio")
     params = experiment.radio if own is None else own
     return choices.make(choice, params, experiment.timeout_s, experiment.seed, los)

@@ -10,6 +10,7 @@ import cosim.codes  # noqa: F401  the codes that are written are those that the 
 from cosim.actors import ActorRegistry
 from cosim.cycle import Sensed, StepResult
 from cosim.radio.message_round import Outcome
+from cosim.reactions import Reactions
 from cosim.trackers.channel_counts import latency_histogram, pdr_by_distance, vehicle_channel
 from cosim.v2x.messages import FABRICATED
 from cosim.v2x.pseudonyms import PseudonymUse
@@ -34,6 +35,8 @@ def step(recorder: Recorder, happened: StepResult, dt_s: float) -> None:
     """Everything that the result of a step says."""
     at = happened.world.step
     _actors(recorder, happened.world)
+    if happened.reactions is not None:
+        _reactions(recorder, at, happened.reactions)
     encounters(recorder, at, happened.encounters)
     pseudonyms(recorder, at, happened.ended_pseudonyms)
     sensed = happened.sensed
@@ -52,6 +55,17 @@ def _actors(recorder: Recorder, world: World) -> None:
     recorder.append("actors", world.step, {
         "actor": world.actor, "x_m": xyz[:, 0], "y_m": xyz[:, 1], "z_m": xyz[:, 2], "yaw_rad": yaw,
         "speed_mps": world.speed_mps,
+    })  # fmt: skip
+
+
+def _reactions(recorder: Recorder, at: int, found: Reactions) -> None:
+    why = found.commands.reasons
+    assert why is not None, "reactions have reasons"
+    recorder.append("reactions", at, {
+        "vehicle": found.commands.actor, "source_step": why.source_step, "source": why.source,
+        "source_index": why.source_index, "gap_m": why.gap_m, "speed_mps": found.commands.speed_mps,
+        "deceleration_mps2": found.deceleration_mps2, "fabricated": found.fabricated,
+        "truth_actor": found.truth_actor, "truth_actor__valid": found.is_real,
     })  # fmt: skip
 
 

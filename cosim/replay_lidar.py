@@ -3,6 +3,7 @@
 They equal the run's, because noise is a function of vehicle and step.
 """
 
+import logging
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -23,6 +24,8 @@ from sensors import cloud
 from sensors.boxes import Boxes
 from sensors.lidar import Sweeps
 from sensors.scene import Scene
+
+_LOG = logging.getLogger(__name__)
 
 
 def config_of(run: Run) -> Config:
@@ -69,6 +72,9 @@ def replay_scan(run: Run, vehicle: int, step: int) -> ReplayedScan:
             + (f", and senses in every {every}th." if every > 1 else ".")
         )
     run.require("actors", "vehicles", "detections")
+    scenario = find(config.traffic.scenario, config.traffic.trace)
+    if changed := scenario.changed_inputs(run.manifest.get("net", {})):
+        _LOG.warning("%s: changed since it was recorded: %s", run.path, ", ".join(changed))
     world = next(w for w in worlds(run, config) if w.step == step)
     equipped = world.actor[world.equipped]
     if vehicle not in equipped:

@@ -47,9 +47,10 @@ class Stream(IntEnum):
     CLUTTER_MEMORY = 17
     ATTACK = 18
     PSEUDONYM = 19
-    ATTACK_LASTING = 20
-    ATTACK_TIME = 21
-    SENDER = 22
+    DRIVER = 20
+    ATTACK_LASTING = 21
+    ATTACK_TIME = 22
+    SENDER = 23
 
 
 @njit(cache=True, inline="always")
@@ -131,5 +132,5 @@ def persistent(
 
 
 def name_key(name: str) -> int:
-    """The 64-bit identity of an actor: a hash of its name, so it depends on nobody else."""
+    """The 64-bit identity of an actor: a hash of its name, whoever else is there."""
     return int.from_bytes(blake2b(name.encode(), digest_size=8).digest(), "little")

@@ -13,11 +13,13 @@ import tomli_w
 from cosim import recording
 from cosim.actors import ActorRegistry
 from cosim.adversary.params import named, roles_of, shares
-from cosim.config import Config
+from cosim.config import Config, chosen
 from cosim.cycle import State, step
+from cosim.driver.driver import largest_step_s
 from cosim.manifest import Manifest
+from cosim.mobility.remarks import traffic_remarks
 from cosim.mobility.source import TrafficEnded, TrafficError, TrafficSource
-from cosim.parts import Parts, sources
+from cosim.parts import Parts, check_choices, sources
 from cosim.radio.rsu import NO_RSUS, RsuAntennas, place_rsus
 from cosim.scenario import Scenario, find
 from cosim.stopwatch import Stopwatch
@@ -39,13 +41,32 @@ def check(config: Config) -> Scenario:
     """The scenario that a config asks for; ValueError where it could not run."""
     scenario = find(config.traffic.scenario, config.traffic.trace)
     roadside_units(config, scenario)
-    Parts.of(config, Scene.empty())
+    check_choices(config)
+    _check_driver(config, scenario)
     lidar.beams(config.lidar)
     if config.lidar.engine != "columnar":  # the others are libraries that may not be there
         one = Boxes(np.zeros((1, 3)), np.ones((1, 3)), np.zeros(1))
         car, first = np.array([Shape.CAR], np.uint8), np.zeros(1, np.int64)
         lidar.scan(one, car, first, Scene.empty(), config.lidar, np.zeros(1, np.uint64))
     return scenario
+
+
+def _check_driver(config: Config, scenario: Scenario) -> None:
+    """ValueError where the traffic cannot do what the driver commands."""
+    limit_s = largest_step_s(chosen(config, "driver")[0].of)
+    if limit_s is None:
+        return
+    name = f'driver.model = "{config.driver.model}"'
+    if scenario.trace is not None:
+        raise ValueError(
+            f"{name}: {scenario.trace} is replayed: nothing can brake in it. Run SUMO (no traffic.trace), or set "
+            'driver.model = "none".'
+        )
+    if config.traffic.step_s > limit_s + 1e-9:
+        raise ValueError(
+            f"traffic.step_s = {config.traffic.step_s:g} s is too long for {name}: drivers behind would brake too late "
+            f"and too hard. Set traffic.step_s to {limit_s:g} or less."
+        )
 
 
 def roadside_units(config: Config, scenario: Scenario) -> RsuAntennas:
@@ -80,10 +101,10 @@ def run(config: Config, out: Path | None, advance: Advance) -> Path:
         city = scenario.city()
     parts = Parts.of(config, city, roadside_units(config, scenario), watch)
     registry = ActorRegistry(config.fleet, config.seed, shares(config.attacks), named(config.attacks))
-    traffic = scenario.traffic(config.traffic, registry)
+    traffic = scenario.traffic(config.traffic, registry, has_driver=config.driver.model != "none")
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        manifest = Manifest(folder, config, scenario.certificate(), sources(config))
+        manifest = Manifest(folder, config, scenario.provenance(), sources(config))
         (folder / "config.toml").write_text(tomli_w.dumps(without_nulls(config.to_dict())), encoding="utf-8")
         manifest.write("running")
         try:
@@ -106,14 +127,7 @@ def run(config: Config, out: Path | None, advance: Advance) -> Path:
 def remarks(folder: Path) -> list[str]:
     """What a user should know of a finished run before they trust its figures; mostly nothing."""
     summary = json.loads((folder / "manifest.json").read_text(encoding="utf-8"))["summary"]
-    said = []
-    if "ended_early" in summary:
-        said.append(f"note: {summary['ended_early']}.")
-    if left_out := summary.get("actors_left_out"):
-        counts = ", ".join(f"{n} {kind}" for kind, n in left_out.items())
-        said.append(f"note: left out, because they are not on the road: {counts}.")
-    said += [f"note: SUMO went on, but: {complaint}" for complaint in summary.get("sumo_errors", [])]
-    return said
+    return traffic_remarks(summary)
 
 
 def _threads(config: Config, n_equipped: int) -> int:
@@ -143,11 +157,7 @@ def _drive(
             state, happened = step(world, state, parts)
             with watch("record"):
                 recording.step(recorder, happened, config.traffic.step_s)
-            if len(happened.commands):
-                raise ValueError(
-                    f"driver.model = {config.driver.model}: it commands speeds, which this traffic does not take. "
-                    "Choose a driver that commands none."
-                )
+            traffic.command(happened.commands.actor, happened.commands.speed_mps)
             n_on_road += int((world.shape != Shape.PEDESTRIAN).sum())
             manifest.steps = number + 1
             advance("run", number + 1, config.n_steps, f"steps, {len(world)} actors")

@@ -8,6 +8,7 @@ import numpy as np
 from cosim.actors import ActorRegistry
 from cosim.manifest import sha256
 from cosim.mobility import fcd
+from cosim.mobility.frame import Bounds, Frame, origin_of
 from cosim.mobility.params import TrafficParams
 from cosim.mobility.replay import RunReplay, TraceReplay
 from cosim.mobility.source import TrafficSource
@@ -20,8 +21,11 @@ from sumo_nets.footprints import read_footprints
 from sumo_nets.ground import standing_on
 from sumo_nets.network import check_for_cars
 
-FARTHEST_M = 32_000.0
-"""Coordinates beyond this get an origin within the network, because tables keep them in single precision."""
+COMMON_STEMS = frozenset((
+    "osm", "run", "sim", "simulation", "scenario", "sumo", "config", "configuration", "main", "test", "default", "net",
+    "network", "map", "demo", "dua", "due", "static", "fcd", "trace", "cfg",
+))  # fmt: skip
+"""File names that say nothing of the scenario."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,15 +45,25 @@ class Scenario:
     """A trace or a run folder to replay; None runs SUMO."""
     origin_m: tuple[float, float] = (0.0, 0.0)
     """Where the world's origin lies in the network's coordinates."""
+    bounds_m: Bounds | None = None
+    """Of the network, in its coordinates."""
+    inputs: tuple[Path, ...] = ()
+    """Every file that is read, whatever it holds."""
 
-    def traffic(self, params: TrafficParams, registry: ActorRegistry) -> TrafficSource:
-        """The source of traffic; ValueError in one line where it cannot be read."""
+    def traffic(self, params: TrafficParams, registry: ActorRegistry, has_driver: bool = False) -> TrafficSource:
+        """The source of traffic; ValueError in one line where it cannot be read.
+
+        With a driver, its worlds have lane paths where SUMO runs.
+        """
+        source = f"traffic.scenario = {params.scenario}" if self.trace is None else f"traffic.trace = {self.trace}"
+        frame = Frame(source, self.origin_m, self.bounds_m)
         if self.trace is None:
             assert self.sumocfg is not None
-            return SumoTraffic(params, self.sumocfg, registry, self.origin_m)
+            return SumoTraffic(params, self.sumocfg, registry, frame, has_driver)
         if self.trace.is_dir():
-            return RunReplay(params, self.trace, registry)
-        return TraceReplay(params, self.trace, registry, self.types, self.origin_m)
+            changed = self.changed_inputs(open_run(self.trace).manifest.get("net", {}))
+            return RunReplay(params, self.trace, registry, frame, changed)
+        return TraceReplay(params, self.trace, registry, self.types, frame)
 
     def city(self) -> Scene:
         """The buildings, as the scene that rays are cast into."""
@@ -60,14 +74,34 @@ class Scenario:
         rings = [[ring - origin for ring in (f.outer, *f.holes)] for f in footprints]
         return Scene.from_footprints(rings, [f.base_z_m for f in footprints], [f.top_z_m for f in footprints])
 
-    def certificate(self) -> dict[str, str]:
-        """Where the network comes from, and checksums of its files."""
-        trace = self.trace / "manifest.json" if self.trace is not None and self.trace.is_dir() else self.trace
-        files = [p for p in (self.sumocfg, self.net, *self.buildings, trace) if p is not None]
+    def provenance(self) -> dict[str, str]:
+        """Name, licence and attribution of the data, and the SHA-256 of every file that is read."""
         about = {"name": self.name, "licence": self.licence, "attribution": self.attribution}
         if any(self.origin_m):
             about["origin"] = "{:.0f} m east, {:.0f} m north of the network's own".format(*self.origin_m)
-        return about | {f"sha256 {p.name}": sha256(p) for p in files}
+        return about | {f"sha256 {name}": sha256(path) for name, path in self._named_inputs().items()}
+
+    def changed_inputs(self, provenance: dict[str, str]) -> list[str]:
+        """Names of the files whose content differs from the provenance of an earlier run of this scenario."""
+        named = ((name, path, provenance.get(f"sha256 {name}")) for name, path in self._named_inputs().items())
+        return [name for name, path, before in named if path != self._recorded and before not in (None, sha256(path))]
+
+    @property
+    def _recorded(self) -> Path | None:
+        """The manifest of the run that is replayed."""
+        return (self.trace / "manifest.json").resolve() if self.trace is not None and self.trace.is_dir() else None
+
+    def _named_inputs(self) -> dict[str, Path]:
+        """The files that are read by name; a name that two files share is followed by a number."""
+        trace = self._recorded or self.trace
+        given = (self.sumocfg, self.net, *self.buildings, *self.types, *self.inputs, trace)
+        named: dict[str, Path] = {}
+        for path in dict.fromkeys(p.resolve() for p in given if p is not None):
+            n, name = 1, path.name
+            while name in named:
+                n, name = n + 1, f"{path.name} ({n + 1})"
+            named[name] = path
+        return named
 
 
 def find(scenario: str, trace: str | None = None) -> Scenario:
@@ -100,7 +134,8 @@ def _find(scenario: str) -> Scenario:
         name = path.name
         for suffix in sorted(fcd.SUFFIXES, key=len, reverse=True):
             name = name.removesuffix(suffix)
-        return Scenario(name, None, None, (), trace=path)
+        named = _name_of(path.with_name(name + ".xml"))
+        return Scenario(named, None, None, (), trace=path)
     raise ValueError(
         f"traffic.scenario = {scenario}: no city of that name ships, and it is no .sumocfg, folder or trace. "
         f"Set it to one of {', '.join(catalogue.names())}, or to the path of a .sumocfg."
@@ -138,22 +173,22 @@ def _of_net(net: Net) -> Scenario:
     types = (net.folder / "vtypes.add.xml",)
     return Scenario(
         net.name, net.sumocfg_path, net.net_path, (net.buildings_path,), types, net.warm_up_s, net.licence,
-        net.attribution, origin_m=_origin_m(net.bounds_m),
+        net.attribution, origin_m=origin_of(net.bounds_m), bounds_m=net.bounds_m,
+        inputs=sumocfg.read(net.sumocfg_path).inputs,
     )  # fmt: skip
 
 
 def _of_sumocfg(path: Path) -> Scenario:
     config = sumocfg.read(path)
     check_for_cars(config.net)
+    bounds_m = catalogue.bounds_m(config.net)
     return Scenario(
-        path.stem, path, config.net, config.buildings, (*config.additional, *config.routes),
-        origin_m=_origin_m(catalogue.bounds_m(config.net)),
+        _name_of(path), path, config.net, config.buildings, (*config.additional, *config.routes),
+        origin_m=origin_of(bounds_m), bounds_m=bounds_m, inputs=config.inputs,
     )  # fmt: skip
 
 
-def _origin_m(bounds_m: tuple[float, float, float, float]) -> tuple[float, float]:
-    """The network's own origin, or where that is far away, its centre rounded to the kilometre."""
-    if max(map(abs, bounds_m)) < FARTHEST_M:
-        return 0.0, 0.0
-    x0, y0, x1, y1 = bounds_m
-    return round((x0 + x1) / 2, -3), round((y0 + y1) / 2, -3)
+def _name_of(path: Path) -> str:
+    """A scenario's name for its runs: the file's stem, or that of its folder where the stem is a common word."""
+    folder = path.resolve().parent.name
+    return folder if path.stem.lower() in COMMON_STEMS and folder else path.stem

@@ -14,6 +14,25 @@ LABELS = labels(ObjectClass)
 
 
 @dataclass(frozen=True, slots=True)
+class LanePaths:
+    """Centre lines of the lanes that P vehicles have ahead of them on their routes; world frame, seen from above.
+
+    Vehicles on one lane with the same way ahead share a line, which begins where their present lane begins.
+    """
+
+    row: Int[ndarray, "p"]
+    """Row of the world, ascending."""
+    line: Int[ndarray, "p"]
+    front_m: Float[ndarray, "p"]
+    """Where on the line its front bumper is, from the line's begin."""
+    ptr: Int[ndarray, "l+1"]
+    """Vertices of line i are ptr[i]:ptr[i + 1]; there are two or more."""
+    xy_m: Float[ndarray, "v 2"]
+    along_m: Float[ndarray, "v"]
+    """Distance of each vertex from its line's begin."""
+
+
+@dataclass(frozen=True, slots=True)
 class World:
     """N actors of one step, sorted by `actor`; world frame (x east, y north, z up; SUMO's net origin).
 
@@ -29,6 +48,7 @@ class World:
     speed_mps: Float[ndarray, "n"]
     equipped: Bool[ndarray, "n"]
     attack: UInt8[ndarray, "n"]  # number of the attack that it carries out, from 1 in the config's order; 0 for none
+    paths: LanePaths | None = None  # of the equipped vehicles; None where no driver asks for them
 
     def __len__(self) -> int:
         return len(self.actor)

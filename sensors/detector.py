@@ -22,7 +22,7 @@ class Detector(Protocol):
     """A 3D object detector, the same for every observer.
 
     A class of this interface is constructed with an instance of its attribute `Params`, a frozen dataclass; without
-    that attribute, with None.
+    that attribute, without arguments.
     """
 
     def detect(

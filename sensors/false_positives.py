@@ -8,6 +8,7 @@ draws persist for some time, and in part they are common to all observers.
 from __future__ import annotations
 
 from types import SimpleNamespace
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int, UInt64
@@ -118,13 +119,16 @@ def _at_sites(
     hidden = (seen.occlusion > HIDDEN) & (seen.n_returns > 0)
     actor, n_returns = seen.actor[hidden], seen.n_returns[hidden]
     ptr = np.searchsorted(seen.observer[hidden], np.arange(len(sweeps.observers) + 1))
+    keys = _SiteKeys(
+        draws.site, draws.site_observer, draws.site_step, draws.actor, draws.time_s,
+        float(model.false_positive_memory_s),
+    )  # fmt: skip
+    rates = _Rates(shares, float(model.false_positive_per_sweep), float(model.false_positive_road_p))
     capacity = INITIAL_CAPACITY
     while True:
         n, site, ray, uniform = _all_sweeps(
             sweeps.range_m, sweeps.hit, sweeps.poses.origin_m, sweeps.poses.yaw_rad, sweeps.beams,
-            float(sweeps.max_range_m), ptr, actor, n_returns, draws.site, draws.site_observer, draws.site_step,
-            draws.actor, draws.time_s, float(model.false_positive_memory_s), shares,
-            float(model.false_positive_per_sweep), float(model.false_positive_road_p), capacity,
+            float(sweeps.max_range_m), _Hidden(ptr, actor, n_returns), keys, rates, capacity,
         )  # fmt: skip
         if n.max(initial=0) <= capacity:
             break
@@ -226,12 +230,39 @@ def _nearest(ranges, hits, beams, x, y, cos, sin, first, last, code, to_x, to_y)
     return best
 
 
+class _SiteKeys(NamedTuple):
+    """Keys of the draws of sites, as in `DetectorDraws`, and the time over which lasting ones change."""
+
+    common: np.uint64
+    observer: ndarray
+    step: ndarray
+    actor: ndarray
+    time_s: float
+    memory_s: float
+
+
+class _Rates(NamedTuple):
+    """How many false positives there are, and where."""
+
+    shares: ndarray
+    per_sweep: float
+    road_p: float
+
+
+class _Hidden(NamedTuple):
+    """Partly hidden actors of all observers: row and returns, by observer."""
+
+    ptr: ndarray
+    actor: ndarray
+    n_returns: ndarray
+
+
 @njit(cache=True)
-def _one_sweep(
-    ranges, hits, beams, x, y, yaw, actor, n_returns, common, observer, step, actor_key, time_s, memory_s, shares,
-    rate, road_p, half, site, ray, uniform,
-):  # fmt: skip
+def _one_sweep(ranges, hits, beams, pose, half, actor, n_returns, observer, step, keys, rates, site, ray, uniform):
     """Number of false positives of one sweep; as many as fit are written to `site`, `ray` and `uniform`."""
+    x, y, yaw = pose
+    common, _, _, actor_key, time_s, memory_s = keys
+    shares, rate, road_p = rates
     side, sampled = 2 * half + 1, 1.0 / (COLUMN_STEP * ROW_STEP)
     cos, sin = np.cos(yaw), np.sin(yaw)
     x0, y0 = np.int64(np.floor(x / CELL_M)) - half, np.int64(np.floor(y / CELL_M)) - half
@@ -268,20 +299,16 @@ def _one_sweep(
 
 
 @njit(cache=True, parallel=True)
-def _all_sweeps(
-    range_m, hit, origin_m, yaw_rad, beams, max_range_m, ptr, actor, n_returns, common, observer, step, actor_key,
-    time_s, memory_s, shares, rate, road_p, capacity,
-):  # fmt: skip
+def _all_sweeps(range_m, hit, origin_m, yaw_rad, beams, max_range_m, hidden, keys, rates, capacity):
     """Per sweep: number of false positives; of the first `capacity`: key of the site, ray, U / p and a uniform."""
     n_sweeps, half = len(hit), min(np.int64(max_range_m / CELL_M) + 2, FARTHEST_CELLS)
     found = np.empty(n_sweeps, np.int64)
     site, ray = np.empty((n_sweeps, capacity), np.uint64), np.empty((n_sweeps, capacity), np.int64)
     uniform = np.empty((n_sweeps, capacity, 2))
     for o in prange(n_sweeps):
-        first, last = ptr[o], ptr[o + 1]
+        first, last = hidden.ptr[o], hidden.ptr[o + 1]
         found[o] = _one_sweep(
-            range_m[o], hit[o], beams, origin_m[o, 0], origin_m[o, 1], yaw_rad[o], actor[first:last],
-            n_returns[first:last], common, observer[o], step[o], actor_key, time_s, memory_s, shares, rate, road_p,
-            half, site[o], ray[o], uniform[o],
+            range_m[o], hit[o], beams, (origin_m[o, 0], origin_m[o, 1], yaw_rad[o]), half, hidden.actor[first:last],
+            hidden.n_returns[first:last], keys.observer[o], keys.step[o], keys, rates, site[o], ray[o], uniform[o],
         )  # fmt: skip
     return found, site, ray, uniform

@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields
 from functools import lru_cache
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Annotated, Literal
+from typing import Annotated
 
 import numpy as np
 from annotated_types import Ge, Gt, Le
@@ -38,9 +38,9 @@ class DetectorParams:
     Tuples hold one value per class: car, pedestrian, cyclist, truck.
     """
 
-    model: Literal["avod", "pointpillars", "ideal"] = "avod"
+    model: str = "avod"
     """`avod`, `pointpillars`: fitted to the detectors of that name. `ideal`: everything with a return is detected,
-    exactly, with score 1, and nothing else."""
+    exactly, with score 1, and nothing else. Or one of your own: path.py:Name."""
     found_max_p: PerClass | None = None
     """Probability to detect an unoccluded object with very many returns."""
     half_returns: PerClass | None = None

@@ -17,6 +17,7 @@ from typing import Any
 
 from sumo_nets import buildings, buses, demand, osm, streets, sumotools
 from sumo_nets.footprints import write_footprints
+from sumo_nets.gate_flows import gate_flows, gate_trips
 from sumo_nets.ground import ground_of
 
 _HERE = Path(__file__).parent
@@ -73,7 +74,8 @@ def build(recipe_path: Path, source: Path | None, out: Path) -> None:
     recipe = tomllib.loads(text)
     with tempfile.TemporaryDirectory(prefix="sumo_nets.") as name:
         work = Path(name)
-        extract = osm.read(_source(recipe["source"], source, work))
+        box = recipe["source"].get("box")
+        extract = osm.read(_source(recipe["source"], source, work), tuple(box) if box else None)
         make(recipe, text, extract, work, out)
 
 
@@ -114,7 +116,7 @@ def write_checksums(folder: Path) -> None:
     (folder / "SHA256SUMS").write_text("".join(lines), encoding="utf-8", newline="\n")
 
 
-def _source(wanted: dict[str, str], given: Path | None, work: Path) -> Path:
+def _source(wanted: dict[str, Any], given: Path | None, work: Path) -> Path:
     if given is None and "package" not in wanted:
         name = wanted.get("file", "a file")
         raise ValueError(f"the recipe was made for {name}, which no package carries. Name it with --source FILE.")
@@ -189,6 +191,7 @@ def _demand(recipe: dict[str, Any], extract: osm.Extract, gates: frozenset[str],
     trips = demand.walks(roads, wanted["pedestrian"], seed, end_s)
     for kind in demand.KINDS:
         trips += demand.vehicle_trips(roads, kind, wanted["vehicles"] | wanted[kind], seed, end_s)
+    trips += gate_trips(gate_flows(net, roads, wanted), seed, end_s)
     demand.write_trips(work / "buses.rou.xml", buses.departures(lines, wanted["bus"], seed, end_s))
     route(trips, wanted, work)
 

@@ -14,16 +14,25 @@ from typing import Any
 
 from sumo_nets import build, demand, osm, overpass
 from sumo_nets.density import Density, trips_per_hour
+from sumo_nets.gate_flows import gate_flows, rates_at
 from sumo_nets.xml import check_prolog
 
 _HERE = Path(__file__).parent
 _LOG = logging.getLogger("sumo_nets.build_from_osm")
 
 
-def from_osm(path: Path, out: Path, density: Density, name: str | None = None, left_hand: bool = False) -> None:
+def from_osm(
+    path: Path,
+    out: Path,
+    density: Density,
+    name: str | None = None,
+    left_hand: bool = False,
+    box: overpass.Box | None = None,
+) -> None:
     """Build streets, buildings and demand from an OpenStreetMap file into the folder `out`.
 
-    `left_hand`: whether traffic keeps to the left, which an extract does not say.
+    `left_hand`: whether traffic keeps to the left, which an extract does not say. `box` cuts a region (west, south,
+    east, north in degrees) out of a larger extract.
 
     Raises
     ------
@@ -38,10 +47,11 @@ def from_osm(path: Path, out: Path, density: Density, name: str | None = None, l
         name = re.sub(r"[^\w-]+", "-", out.resolve().name).strip("-") or "town"
     elif not re.fullmatch(r"[\w-]+", name):
         raise ValueError(f"--name {name}: files are named after it. Use letters, digits, - and _ only.")
-    extract = osm.read(path)
+    extract = osm.read(path, box)
     about = {
         "name": name,
         "description": f"{name}, from {path.name}",
+        "box": "" if box is None else f"\nbox = [{', '.join(map(repr, box))}]",
         "licence": "ODbL-1.0",
         "attribution": "© OpenStreetMap contributors",
         "file": path.name,
@@ -57,8 +67,7 @@ def from_osm(path: Path, out: Path, density: Density, name: str | None = None, l
         except ValueError as error:
             raise ValueError(f"--osm {path}: {error}") from None
         _LOG.info("network made")
-        figures = _trips_of(work / "net.net.xml", gates, density)
-        text = _filled(template, about, density, figures)
+        text = _recipe(template, about, density, work / "net.net.xml", gates)
         recipe = tomllib.loads(text)
         build.furnish(recipe, extract, gates, work)
         build.pack(recipe, text, work, out)
@@ -96,9 +105,9 @@ def _filled(template: str, about: dict[str, str], density: Density, figures: dic
     """The recipe of a city: its template with the values filled in."""
     values: dict[str, Any] = {
         **about, "density": f"{density.per_km:g}", "hour": density.hour, "at_least": 300.0,
-        **dict.fromkeys((*demand.KINDS, "pedestrian"), 0), **figures,
+        **dict.fromkeys((*demand.KINDS, "pedestrian", "through"), 0), **rates_at(density.hour), **figures,
     }  # fmt: skip
-    text = re.sub(r"@(\w+)@", lambda match: escaped(values[match[1]]), template)
+    text = re.sub(r"@(\w+)@", lambda match: escaped(values[match[1]]) if match[1] != "box" else values["box"], template)
     return text.replace("\nseed = 1\n", f"\nseed = {density.seed}\n")
 
 
@@ -107,9 +116,12 @@ def escaped(value: object) -> str:
     return re.sub(r'["\\]|[\x00-\x1f\x7f]', "_", str(value))
 
 
-def _trips_of(net_path: Path, gates: frozenset[str], density: Density) -> dict[str, float]:
-    """Trips per hour of each vehicle class for the wanted density."""
+def _recipe(template: str, about: dict[str, str], density: Density, net_path: Path, gates: frozenset[str]) -> str:
+    """The recipe with the trips per hour for the wanted density, and through traffic."""
     import sumolib
 
-    streets = demand.streets_of(sumolib.net.readNet(str(net_path)), gates)
-    return trips_per_hour(streets, density)
+    net = sumolib.net.readNet(str(net_path))
+    streets = demand.streets_of(net, gates)
+    figures: dict[str, float] = trips_per_hour(streets, density)
+    flows = gate_flows(net, streets, tomllib.loads(_filled(template, about, density, figures))["demand"])
+    return _filled(template, about, density, figures | {"through": float(round(sum(one.per_hour for one in flows)))})

@@ -14,6 +14,7 @@ from sumo_nets import build, demand, sumotools
 from sumo_nets.build_from_osm import escaped
 from sumo_nets.density import trips_per_hour
 from sumo_nets.footprints import read_footprints, write_footprints
+from sumo_nets.gate_flows import gate_flows, gate_trips, rates_at
 from sumo_nets.sumo_package_nets import NETS, PackageNet, cached_folder
 
 BOUNDARY_M = 120.0
@@ -53,6 +54,11 @@ at_least_m = {at_least}
 from_inside = 0.3
 to_inside = 0.3
 gate_weight = {{ motorway = 6.0, trunk = 5.0, primary = 3.0, secondary = 2.0, tertiary = 1.2, unclassified = 0.3, residential = 0.2 }}
+
+[demand.gates]
+# Vehicles per hour and lane that enter at a gate, by class of its street; per_hour is their sum without the trips above.
+per_hour_and_lane = {{ motorway = {motorway}, trunk = {trunk} }}
+per_hour = {through}
 
 [demand.car]
 per_hour = {car}
@@ -111,17 +117,24 @@ def _make(net: PackageNet, source: Path, work: Path, out: Path) -> None:
     sumotools.run("netconvert", {"sumo-net-file": source, "output-file": "net.net.xml", **REBUILD}, work)
     read = sumolib.net.readNet(str(work / "net.net.xml"))
     streets = demand.streets_of(read, _boundary_nodes(read))
-    figures: dict[str, Any] = trips_per_hour(streets, net.density)
-    text = RECIPE.format(
-        name=net.name, description=escaped(net.description), licence=net.licence, attribution=net.attribution,
-        net=net.net, sha256=hashlib.sha256(source.read_bytes()).hexdigest(), seed=net.density.seed,
-        density=net.density.per_km, hour=net.density.hour, **figures,
-    )  # fmt: skip
+    figures: dict[str, Any] = {**trips_per_hour(streets, net.density), **rates_at(net.density.hour), "through": 0}
+
+    def filled() -> str:
+        return RECIPE.format(
+            name=net.name, description=escaped(net.description), licence=net.licence, attribution=net.attribution,
+            net=net.net, sha256=hashlib.sha256(source.read_bytes()).hexdigest(), seed=net.density.seed,
+            density=net.density.per_km, hour=net.density.hour, **figures,
+        )  # fmt: skip
+
+    flows = gate_flows(read, streets, tomllib.loads(filled())["demand"])
+    figures["through"] = round(sum(one.per_hour for one in flows))
+    text = filled()
     recipe = tomllib.loads(text)
     wanted = recipe["demand"]
     trips = demand.walks(streets, wanted["pedestrian"], wanted["seed"], wanted["end_s"]) if _walkable(streets) else []
     for kind in demand.KINDS:
         trips += demand.vehicle_trips(streets, kind, wanted["vehicles"] | wanted[kind], wanted["seed"], wanted["end_s"])
+    trips += gate_trips(flows, wanted["seed"], wanted["end_s"])
     build.route(trips, wanted, work)
     found = read_footprints(sumotools.home() / net.polygons) if net.polygons else []
     write_footprints(work / "buildings.poly.xml", ((f"b{i}", footprint) for i, footprint in enumerate(found)))

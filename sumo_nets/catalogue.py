@@ -105,7 +105,9 @@ def _opened(folder: Path, recipe: dict[str, Any]) -> Net:
         buildings_path=folder / "buildings.poly.xml.gz",
         warm_up_s=float(recipe["warm_up_s"]),
         end_s=float(demand["end_s"]),
-        vehicles_per_hour=float(sum(demand[kind]["per_hour"] for kind in ("car", "van", "truck", "bicycle"))),
+        vehicles_per_hour=float(
+            sum(demand.get(kind, {"per_hour": 0})["per_hour"] for kind in ("car", "van", "truck", "bicycle", "gates"))
+        ),
         pedestrians_per_hour=float(demand["pedestrian"]["per_hour"]),
         bounds_m=bounds_m(net_path),
     )

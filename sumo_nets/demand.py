@@ -92,14 +92,18 @@ def _turns_only(neighbours: Any, other_end: Any) -> bool:
     return all(other_end in (edge.getFromNode(), edge.getToNode()) for edge in neighbours)
 
 
+def gate_weight_of(street: Street, weights: dict[str, float]) -> float:
+    """Share of a gate in the trips that enter or leave, relative to other gates."""
+    return weights.get(street.id, weights.get(street.kind, 1.0) * street.lanes)
+
+
 def vehicle_trips(streets: list[Street], kind: str, recipe: dict[str, Any], seed: int, end_s: float) -> list[str]:
     """Trips of one vehicle class, sorted by departure."""
     draw = Draw(seed, kind)
-    gate = recipe["gate_weight"]
     through = [street for street in streets if kind != "bicycle" or street.cyclable]
 
     def at_gate(street: Street) -> float:
-        return gate.get(street.id, gate.get(street.kind, 1.0) * street.lanes)
+        return gate_weight_of(street, recipe["gate_weight"])
 
     inside = [street for street in through if not street.is_entry and not street.is_exit]
     entries = [street for street in through if street.is_entry]

@@ -15,6 +15,8 @@ from sumo_nets.xml import Attributes, Enough, stream
 LANE_M = 3.2
 """Default width of a lane [m]; SUMO's own."""
 
+LARGEST_WIDTH_M = 1000.0
+
 MOTORS = frozenset((
     "passenger", "private", "emergency", "authority", "army", "vip", "hov", "taxi", "bus", "coach", "delivery", "truck",
     "trailer", "evehicle", "motorcycle", "moped", "custom1", "custom2",
@@ -82,7 +84,10 @@ def lanes(net_path: Path | str) -> list[Lane]:
         elif name == "lane" and function not in ("crossing", "walkingarea") and _admits(attributes, MOTORS | OTHERS):
             points = [(*point.split(","), "0")[:3] for point in attributes["shape"].split()]
             width_m = float(attributes.get("width", LANE_M))
-            found.append(Lane(np.array(points, float), width_m, _admits(attributes, MOTORS), function == "internal"))
+            line_m = np.array(points, float) if {len(point) for point in points} == {3} else np.zeros((0, 3))
+            if len(line_m) < 2 or not np.isfinite(line_m).all() or not 0 < width_m < LARGEST_WIDTH_M:
+                raise ValueError(f"lane {attributes.get('id', '?')!r} has no line of finite points, or no width")
+            found.append(Lane(line_m, width_m, _admits(attributes, MOTORS), function == "internal"))
 
     stream(net_path, start)
     return found

@@ -41,13 +41,20 @@ NETS = {
         ),
         PackageNet(
             "koenigs-wusterhausen", "Motorways A 10 and A 13 and the town of Königs Wusterhausen: 2.5 x 3.2 km",
-            "tools/game/A10KW/osm.net.xml", "tools/game/A10KW/osm.poly.xml", Density(per_km=8.0), 7.89, 3624, 1449,
+            "tools/game/A10KW/osm.net.xml", "tools/game/A10KW/osm.poly.xml", Density(per_km=8.0), 7.89, 5062, 1449,
         ),
     )
 }  # fmt: skip
 """The networks by name. SUMO's authors made them from OpenStreetMap, which is therefore attributed too."""
 
-_SOURCES = ("build.py", "build_from_sumo_package.py", "demand.py", "density.py", "common/vtypes.add.xml")
+_SOURCES = (
+    "build.py",
+    "build_from_sumo_package.py",
+    "demand.py",
+    "density.py",
+    "gate_flows.py",
+    "common/vtypes.add.xml",
+)
 """Files on which the generated folders depend."""
 
 

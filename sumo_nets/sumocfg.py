@@ -1,24 +1,21 @@
-"""A SUMO configuration: the files that it reads, those that it would write, and its step length."""
+"""A SUMO configuration: the files that it reads, its harmless options, and its step length."""
 
 from __future__ import annotations
 
+import difflib
 import os
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from urllib.parse import unquote
+from urllib.parse import quote, unquote
+from xml.sax.saxutils import quoteattr
 
-from sumo_nets.xml import Attributes, check_prolog, contains, stream
+from sumo_nets.sumo_inputs import check_input
+from sumo_nets.sumo_options import IGNORED, PASSED, READS, REFUSED, SYNONYMS
+from sumo_nets.xml import Attributes, Enough, contains, exists, stream
 
-_SYNONYMS = {
-    "net": "net-file", "n": "net-file", "additional": "additional-files", "a": "additional-files",
-    "routes": "route-files", "r": "route-files", "b": "begin", "e": "end", "log-file": "log", "l": "log",
-    "ndump": "netstate-dump", "netstate": "netstate-dump", "netstate-output": "netstate-dump",
-    "person-fcd": "person-fcd-output", "summary": "summary-output", "tripinfo": "tripinfo-output",
-    "personinfo": "personinfo-output", "vehroutes": "vehroute-output", "personroutes": "personroute-output",
-    "statistics-output": "statistic-output",
-}  # fmt: skip
-_READ = ("net-file", "additional-files", "route-files")
-_WRITTEN = ("netstate-dump", "log", "message-log", "error-log")
+_REQUIRED = ("net-file", "route-files", "additional-files")
+"""Options whose files are checked for existence; SUMO itself reports others."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,39 +23,74 @@ class Sumocfg:
     """The parts of a configuration that a run needs."""
 
     path: Path
-    net: Path
-    additional: tuple[Path, ...]
-    routes: tuple[Path, ...]
-    outputs: tuple[str, ...]
-    """Options in it that would write a file."""
+    files: dict[str, tuple[Path, ...]]
+    """By option, in the order given."""
+    options: dict[str, str]
+    """Values of options that change the traffic only."""
+    included: tuple[Path, ...]
+    """Files that its files include."""
+
+    @property
+    def net(self) -> Path:
+        return self.files["net-file"][0]
+
+    @property
+    def additional(self) -> tuple[Path, ...]:
+        return self.files["additional-files"]
+
+    @property
+    def routes(self) -> tuple[Path, ...]:
+        return self.files["route-files"]
 
     @property
     def buildings(self) -> tuple[Path, ...]:
         """The additional files that contain polygons."""
         return tuple(path for path in self.additional if contains(path, b"<poly"))
 
+    @property
+    def inputs(self) -> tuple[Path, ...]:
+        """Every file that is read, the configuration first."""
+        return tuple(dict.fromkeys((self.path, *(p for paths in self.files.values() for p in paths), *self.included)))
+
+    def text(self) -> str:
+        """A configuration with these files, by absolute path, and these options, and nothing else."""
+        paths = {name: ",".join(quote(str(p.resolve())) for p in paths) for name, paths in self.files.items() if paths}
+        lines = [f"    <{name} value={quoteattr(value)}/>\n" for name, value in (paths | self.options).items()]
+        return "<configuration>\n" + "".join(lines) + "</configuration>\n"
+
 
 def read(path: Path) -> Sumocfg:
-    """Read a .sumocfg, and check that every file that it names exists and is harmless.
+    """Read a .sumocfg, and check its options, and that every file that it names exists and is harmless.
 
     Raises
     ------
     ValueError
-        Names the configuration, the file and the cause.
+        Names the configuration, the option or file, and the cause.
     """
     values = _values(path)
-    found = {option: _files(path.parent, values.get(option, "")) for option in _READ}
-    if not found["net-file"]:
+    options: dict[str, str] = {}
+    for name, value in values.items():
+        if name in REFUSED:
+            raise ValueError(f"{path}: the option {name} is refused: with it SUMO {REFUSED[name]}. Remove it.")
+        if name in PASSED:
+            options[name] = value
+        elif name not in IGNORED and name not in READS:
+            near = difflib.get_close_matches(name, (*READS, *PASSED, *IGNORED), 1)
+            hint = f" Did you mean {near[0]}?" if near else ""
+            raise ValueError(f"{path}: SUMO 1.28 has no option {name}.{hint} Correct or remove it.")
+    files = {option: _files(path.parent, values[option]) for option in READS if option in values}
+    files = {option: files.get(option, ()) for option in (*_REQUIRED, *files)}
+    if not files["net-file"]:
         raise ValueError(f'{path}: names no network. Add <net-file value="..."/> to its <input>.')
-    for named in found.values():
+    included: list[Path] = []
+    for option, named in files.items():
         for file in named:
-            if not file.is_file():
+            if not exists(file):
+                if option not in _REQUIRED:
+                    raise ValueError(f"{path}: {option} names {file}, which does not exist. Correct the path.")
                 raise ValueError(f"{path}: names {file}, which does not exist. Correct the path in the .sumocfg.")
-            check_prolog(file)
-    outputs = tuple(
-        name for name, value in values.items() if value and (name.endswith(("-output", ".output")) or name in _WRITTEN)
-    )
-    return Sumocfg(path, found["net-file"][0], found["additional-files"], found["route-files"], outputs)
+            included += check_input(file)
+    return Sumocfg(path, files, options, tuple(included))
 
 
 def step_s(path: Path) -> float:
@@ -69,22 +101,40 @@ def step_s(path: Path) -> float:
         return 1.0
 
 
+def first_departure_s(routes: Iterable[Path]) -> float | None:
+    """The earliest departure among the first of each route file [s]; SUMO wants them sorted. None without any."""
+    found: list[float] = []
+
+    def start(name: str, attributes: Attributes) -> None:
+        text = attributes.get("depart", attributes.get("begin", ""))
+        if name in ("vehicle", "trip", "flow", "person", "personFlow") and text[:1].isdigit():
+            parts = [float(part) for part in text.split(":")]
+            found.append(sum(part * 60.0**n for n, part in enumerate(reversed(parts[-3:]))))
+            raise Enough
+
+    for path in routes:
+        stream(path, start)
+    return min(found, default=None)
+
+
 def _values(path: Path) -> dict[str, str]:
-    """Values of the options of a configuration, by name."""
+    """Values of the options of a configuration, by name; sections and empty options are left out."""
     values: dict[str, str] = {}
     text: list[str] = []
 
     def start(name: str, attributes: Attributes) -> None:
         text.clear()
-        values[_SYNONYMS.get(name, name)] = attributes.get("value", attributes.get("v", ""))
+        value = attributes.get("value", attributes.get("v"))
+        if value is not None:
+            values[SYNONYMS.get(name, name)] = value
 
     def end(name: str) -> None:
         if written := "".join(text).strip():
-            values[_SYNONYMS.get(name, name)] = written
+            values[SYNONYMS.get(name, name)] = written
         text.clear()
 
     stream(path, start, end, text.append)
-    return values
+    return {name: value for name, value in values.items() if value}
 
 
 def _files(folder: Path, value: str) -> tuple[Path, ...]:

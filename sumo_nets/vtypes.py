@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from math import nan
 from pathlib import Path
 from typing import NamedTuple
 
@@ -47,6 +48,21 @@ _HINTS = {
 """Substring of a type's name, and the class that it suggests; the first match is used."""
 
 
+LARGEST_M = {"length": 1000.0, "width": 100.0, "height": 100.0}
+"""Largest size of an actor; trains, ships and aircraft are left out before they are placed."""
+
+
+def check_size(where: str, what: str, value: str | float) -> float:
+    """A length, width or height [m]; ValueError where it is not a positive number of a possible size."""
+    try:
+        size_m = float(value)
+    except ValueError:
+        size_m = nan
+    if not 0 < size_m <= LARGEST_M[what]:
+        raise ValueError(f"{where}: {what} = {value} m should be more than 0 and at most {LARGEST_M[what]:g} m.")
+    return size_m
+
+
 def read(paths: Iterable[Path]) -> dict[str, VehicleType]:
     """The types that additional or route files define."""
     found: dict[str, VehicleType] = {}
@@ -57,10 +73,8 @@ def read(paths: Iterable[Path]) -> dict[str, VehicleType]:
                 vclass = attributes.get("vClass", "passenger")
                 sizes = SIZES_M.get(vclass, _CAR)
                 named = zip(("length", "width", "height"), sizes, strict=True)
-                try:
-                    length, width, height = (float(attributes.get(what, size)) for what, size in named)
-                except ValueError:
-                    raise ValueError(f"{path}: vType {attributes.get('id')!r}: its size is not a number") from None
+                where = f"{path}: vType {attributes.get('id', '?')!r}"
+                length, width, height = (check_size(where, what, attributes.get(what, size)) for what, size in named)
                 found[attributes.get("id", "")] = VehicleType(vclass, (length, width, height))
 
         stream(path, start)

@@ -3,15 +3,21 @@
 from __future__ import annotations
 
 import gzip
+import io
+import stat
 import zlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import IO, cast
+from typing import Any, BinaryIO, cast
 from xml.parsers import expat
 
 Attributes = dict[str, str]
 
 _CHUNK_BYTES = 1 << 16
+LARGEST_RATIO = 200
+"""Times its size that a compressed file may expand to; SUMO's files reach 30."""
+FREE_BYTES = 100_000_000
+"""Size up to which a compressed file may expand at any ratio."""
 
 
 class Enough(Exception):
@@ -41,12 +47,23 @@ def check_prolog(path: Path | str) -> None:
 def contains(path: Path, text: bytes) -> bool:
     """Whether a file, gzip'ed or not, contains these bytes; much faster than parsing XML."""
     tail = b""
-    with _open(path) as file:
-        while chunk := file.read(_CHUNK_BYTES):
-            if text in tail + chunk:
-                return True
-            tail = chunk[-len(text) :]
+    for chunk in chunks(path):
+        if text in tail + chunk:
+            return True
+        tail = chunk[-len(text) :]
     return False
+
+
+def chunks(path: Path) -> Iterator[bytes]:
+    """The content of a file, gzip'ed or not, piece by piece; ValueError names the file and the cause."""
+    try:
+        with open_input(path) as file:
+            while chunk := file.read(_CHUNK_BYTES):
+                yield chunk
+    except (gzip.BadGzipFile, EOFError, zlib.error) as error:
+        raise ValueError(f"{path}: damaged gzip file ({error})") from None
+    except OSError as error:
+        raise ValueError(f"{path}: cannot be read ({error.strerror or error})") from None
 
 
 def feed(
@@ -82,23 +99,72 @@ def feed(
     if text is not None:
         parser.CharacterDataHandler = text
     try:
-        with _open(path) as file:
-            while chunk := file.read(_CHUNK_BYTES):
-                parser.Parse(chunk, False)
-                yield
+        for chunk in chunks(path):
+            parser.Parse(chunk, False)
+            yield
         parser.Parse(b"", True)
     except Enough:
         return
     except expat.ExpatError as error:
         cause = expat.ErrorString(error.code)
         raise ValueError(f"{path}, line {error.lineno}: not well-formed XML ({cause})") from None
-    except (gzip.BadGzipFile, EOFError, zlib.error) as error:
-        raise ValueError(f"{path}: damaged gzip file ({error})") from None
+    except (KeyError, IndexError, TypeError) as error:
+        missing = f"no {error.args[0]}" if isinstance(error, KeyError) else f"{error}"
+        raise ValueError(f"{path}, line {parser.CurrentLineNumber}: {missing}. Correct the file.") from None
+    except ValueError as error:
+        if str(path) in str(error):
+            raise
+        raise ValueError(f"{path}, line {parser.CurrentLineNumber}: {error}. Correct the file.") from None
+
+
+def check_regular(path: Path | str) -> None:
+    """Refuse devices, pipes and folders, which could be read for ever; ValueError in one line."""
+    try:
+        mode = Path(path).stat().st_mode
     except OSError as error:
         raise ValueError(f"{path}: cannot be read ({error.strerror or error})") from None
+    if not stat.S_ISREG(mode):
+        raise ValueError(f"{path}: not a regular file, but a folder, device or pipe. Give a file.")
 
 
-def _open(path: Path) -> IO[bytes]:
-    with path.open("rb") as file:
-        zipped = file.read(2) == b"\x1f\x8b"
-    return cast("IO[bytes]", gzip.open(path, "rb")) if zipped else path.open("rb")
+def exists(path: Path) -> bool:
+    """Whether there is something of this name; a name that no file can have is none."""
+    try:
+        return path.exists()
+    except (OSError, ValueError):
+        return False
+
+
+def open_input(path: Path | str) -> BinaryIO:
+    """A regular file for reading, decompressed if gzip'ed."""
+    check_regular(path)
+    file = Path(path).open("rb")  # noqa: SIM115
+    zipped = file.read(2) == b"\x1f\x8b"
+    file.seek(0)
+    return cast("BinaryIO", io.BufferedReader(_Gunzip(path, file), _CHUNK_BYTES)) if zipped else file
+
+
+class _Gunzip(io.RawIOBase):
+    """A gzip'ed file that refuses to expand beyond what text can be compressed to."""
+
+    def __init__(self, path: Path | str, file: BinaryIO) -> None:
+        self._path, self._file, self._gzip = path, file, gzip.GzipFile(fileobj=file)
+        self._n_bytes = 0
+
+    def readable(self) -> bool:
+        return True
+
+    def readinto(self, buffer: Any) -> int:
+        content = self._gzip.read(len(buffer))
+        buffer[: len(content)] = content
+        self._n_bytes += len(content)
+        if self._n_bytes > max(FREE_BYTES, LARGEST_RATIO * self._file.tell()):
+            raise ValueError(
+                f"{self._path}: expands to more than {LARGEST_RATIO} times its size: damaged, or a decompression bomb."
+            )
+        return len(content)
+
+    def close(self) -> None:
+        self._gzip.close()
+        self._file.close()
+        super().close()

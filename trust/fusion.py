@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -76,11 +77,57 @@ class Parity:
     certain_score: Float[ndarray, "g"]  # sum of score x certainty x trust
 
 
-@njit(cache=True, parallel=True)
-def _accumulate(list_ptr, member, owner, n_detections, evaluated_ptr, evaluated, evaluated_by, own_e, own_phi,
-                reported_e, reported_phi, received_ptr, received, trust, has_evaluations, ego_trust, ego_computed,
-                default_trust, unit_trust, message, n_chunks, num, den, n, detector):  # fmt: skip
+class _Lists(NamedTuple):
+    """Object lists of the egos, and the message of each detection."""
+
+    ptr: ndarray
+    member: ndarray
+    owner: ndarray
+    message: ndarray
+
+
+class _Evaluated(NamedTuple):
+    """Evaluations by list of their evaluator; `by` is that list's row per message row, -1 for none."""
+
+    ptr: ndarray
+    member: ndarray
+    by: ndarray
+    own_e: ndarray
+    own_phi: ndarray
+    reported_e: ndarray
+    reported_phi: ndarray
+
+
+class _Weights(NamedTuple):
+    """Trust of each ego in the messages it received, and what stands in for the rest."""
+
+    ptr: ndarray
+    message: ndarray
+    trust: ndarray
+    has_evaluations: ndarray
+    ego_trust: float
+    ego_computed: bool
+    default_trust: float
+    unit_trust: bool
+
+
+class _MemberSums(NamedTuple):
     """Per position of the egos' lists: sum Phi T e, sum Phi T, number of evaluations, trust of its detector."""
+
+    num: ndarray
+    den: ndarray
+    n: ndarray
+    detector: ndarray
+
+
+@njit(cache=True, parallel=True)
+def _accumulate(lists, of, weights, n_chunks, sums):
+    """Fill the sums of all members."""
+    list_ptr, member, owner, message = lists
+    evaluated_ptr, evaluated, evaluated_by, own_e, own_phi, reported_e, reported_phi = of
+    received_ptr, received, trust, has_evaluations, ego_trust, ego_computed, default_trust, unit_trust = weights
+    num, den, n, detector = sums
+    n_detections = message.size
     n_messages = evaluated_by.size
     for chunk in prange(n_chunks):
         at = np.full(n_detections, -1, np.int64)
@@ -266,14 +313,16 @@ def fuse(
     arrived = np.ones(n_received, bool) if sender_trust.has_evaluations is None else sender_trust.has_evaluations
     n_sums = m + n_received * evaluated.member.size / max(1, evaluated.owner.size)
     with threads_for(n_sums) as n_threads:
-        _accumulate(
-            int64(lists.ptr), int64(lists.member), int64(lists.owner), len(detections),
-            int64(evaluated.ptr), int64(evaluated.member), evaluated_by,
-            own.evaluation, own.visibility, reported.evaluation, reported.visibility,
+        of_lists = _Lists(int64(lists.ptr), int64(lists.member), int64(lists.owner), int64(detections.message))
+        of_evaluations = _Evaluated(
+            int64(evaluated.ptr), int64(evaluated.member), evaluated_by, own.evaluation, own.visibility,
+            reported.evaluation, reported.visibility,
+        )  # fmt: skip
+        weights = _Weights(
             int64(sender_trust.ptr), int64(sender_trust.message), sender_trust.trust, arrived,
             params.ego_trust, computed, params.default_trust, params.code_parity,
-            int64(detections.message), n_threads, num, den, n, detector,
         )  # fmt: skip
+        _accumulate(of_lists, of_evaluations, weights, n_threads, _MemberSums(num, den, n, detector))
 
     seeds = groups.seeds()
     group = np.searchsorted(seeds, groups.seed)

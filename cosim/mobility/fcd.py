@@ -1,5 +1,6 @@
 """SUMO's floating car data (`--fcd-output`): XML, CSV or Parquet, gzip'ed or not, read timestep by timestep."""
 
+import zlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import pairwise
@@ -13,8 +14,8 @@ import pyarrow.parquet as pq
 from jaxtyping import Float
 from numpy import ndarray
 
-from cosim.mobility.source import TrafficError
-from sumo_nets.xml import Attributes, feed
+from cosim.mobility.frame import TrafficError
+from sumo_nets.xml import Attributes, check_regular, feed, open_input
 
 SUFFIXES = (".xml", ".xml.gz", ".csv", ".csv.gz", ".parquet")
 """File name endings of traces."""
@@ -112,13 +113,16 @@ def _xml(path: Path) -> Iterator[Timestep]:
 
 def _csv(path: Path) -> Iterator[Timestep]:
     def batches() -> Iterator[pa.RecordBatch]:
-        with pa.input_stream(path, compression="detect") as source:
+        with open_input(path) as source:
             head = source.read(1 << 16).partition(b"\n")[0].decode(errors="replace").strip()
         separator = next((s for s in ";,\t|" if s in head), ";")
-        text = {n: pa.string() for n in head.replace('"', "").split(separator) if n.endswith(("id", "type"))}
-        with pa.input_stream(path, compression="detect") as source:
+        columns = head.replace('"', "").split(separator)
+        if twice := sorted({name for name in columns if columns.count(name) > 1}):
+            raise TrafficError(f"{path}: its header has the column {twice[0]} twice. Remove one of them.")
+        text = {n: pa.string() for n in columns if n.endswith(("id", "type"))}
+        with open_input(path) as source:
             yield from pcsv.open_csv(
-                source,
+                pa.PythonFile(source, mode="r"),
                 pcsv.ReadOptions(block_size=1 << 22),
                 pcsv.ParseOptions(delimiter=separator),
                 pcsv.ConvertOptions(column_types=text, strings_can_be_null=True, quoted_strings_can_be_null=False),
@@ -129,7 +133,10 @@ def _csv(path: Path) -> Iterator[Timestep]:
 
 def _parquet(path: Path) -> Iterator[Timestep]:
     def batches() -> Iterator[pa.RecordBatch]:
+        check_regular(path)
         with pq.ParquetFile(path) as file:
+            if len(set(file.schema_arrow.names)) < len(file.schema_arrow.names):
+                raise TrafficError(f"{path}: two of its columns have the same name. Remove one of them.")
             yield from file.iter_batches(_BLOCK_ROWS)
 
     return _arrow(path, batches)
@@ -155,8 +162,11 @@ def _arrow(path: Path, batches: Callable[[], Iterator[pa.RecordBatch]]) -> Itera
                 raise TrafficError(f"{path}: more than {left.num_rows} rows of one time. Is its first column the time?")
         if left is not None and left.num_rows:
             yield _timestep(left)
-    except (pa.ArrowException, OSError) as error:
-        raise TrafficError(f"{path}: damaged, or not a trace: {str(error).splitlines()[0]}.") from None
+    except TrafficError:
+        raise
+    except (pa.ArrowException, OSError, EOFError, zlib.error, ValueError) as error:
+        cause = (str(error) or type(error).__name__).splitlines()[0].removeprefix(f"{path}: ")
+        raise TrafficError(f"{path}: damaged, or not a trace: {cause}.") from None
 
 
 def _needed(path: Path, batch: pa.RecordBatch) -> pa.RecordBatch:

@@ -1,6 +1,8 @@
 """Parameters of traffic. Imports nothing heavy, because every reading of a config imports it."""
 
+from collections.abc import Collection
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Annotated
 
 from annotated_types import Ge, Gt
@@ -27,3 +29,21 @@ class TrafficParams:
     """Recorded time after warm-up [s]; less if the traffic ends before."""
     step_s: Annotated[float, Ge(0.1)] = 1.0
     """Length of one step of traffic [s]; when not set, that of the .sumocfg, and 1 s of a trace."""
+
+
+def resolved_input(name: str, folder: Path, cities: Collection[str]) -> str:
+    """The absolute path of a scenario or trace, so that a config means the same in every working directory.
+
+    `folder` is that of the config file. A file or folder beside it is preferred to a city of the same name, a city to
+    a file or folder in the working directory; a name of neither is returned as it is.
+    """
+    if _is_input(beside := folder / name):
+        return str(beside.resolve())
+    if name not in cities and _is_input(Path(name)):
+        return str(Path(name).resolve())
+    return name
+
+
+def _is_input(path: Path) -> bool:
+    names = ("manifest.json", "recipe.toml")
+    return path.is_file() or any((path / name).is_file() for name in names) or any(path.glob("*.sumocfg"))

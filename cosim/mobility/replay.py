@@ -1,26 +1,28 @@
 """Replayed traffic: a trace that SUMO wrote, or the tables of an earlier run."""
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import cache
 from itertools import repeat
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Int
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from cosim.actors import ActorRegistry
 from cosim.mobility.fcd import Timestep, timesteps
+from cosim.mobility.frame import Frame, TrafficError
 from cosim.mobility.params import TrafficParams
-from cosim.mobility.source import SHAPE_OF_CLASS, TrafficEnded, TrafficError, world_from_bumpers, world_of
+from cosim.mobility.remarks import FlowCounts
+from cosim.mobility.source import SHAPE_OF_CLASS, TrafficEnded, refuse_commands, world_from_bumpers, world_of
 from cosim.world import World
 from results.archive import open_run
 from results.run import Run
-from sensors.boxes import Boxes
 from sensors.scene import Shape
 from sumo_nets import vtypes
+from sumo_nets.vtypes import check_size
 
 _UNKNOWN, _LEFT_OUT = -2, -1
 _TOLERANCE_S = 1e-4
@@ -43,9 +45,10 @@ class TraceReplay:
         path: Path,
         registry: ActorRegistry,
         files: tuple[Path, ...] = (),
-        origin_m: tuple[float, float] = (0.0, 0.0),
+        frame: Frame | None = None,
     ) -> None:
-        self._path, self._registry, self._origin_m = path, registry, origin_m
+        self._path, self._registry = path, registry
+        self._frame = frame or Frame(str(path))
         self._types = _types_of(files)
         self._dt_s = params.step_s
         self._number: dict[tuple[str, bool], int] = {}
@@ -54,6 +57,7 @@ class TraceReplay:
         self._ahead = [timestep for _, timestep in zip(range(_N_PROBED), self._timesteps, strict=False)]
         if not any(timestep.names for timestep in self._ahead) and len(self._ahead) < _N_PROBED:
             raise TrafficError(f"{path}: an empty trace: no actor is ever on the road.")
+        self._frame = self._frame.around(np.concatenate([timestep.front_m for timestep in self._ahead]))
         times_s = np.array([timestep.time_s for timestep in self._ahead])
         every_s = np.diff(times_s).min() if len(times_s) > 1 else self._dt_s
         steps = self._dt_s / every_s
@@ -64,6 +68,7 @@ class TraceReplay:
             )
         self._begin_s = float(times_s[0]) if params.begin_s is None else params.begin_s
         self._n_skipped = self._step = 0
+        self._counts = FlowCounts()
 
     def warm_up(self, seconds: float) -> Iterator[float]:
         """Skip the first `seconds`; yields the seconds done."""
@@ -74,6 +79,7 @@ class TraceReplay:
         """The world of the next step."""
         step, self._step = self._step, self._step + 1
         timestep = self._at(self._begin_s + (self._n_skipped + step - 1) * self._dt_s)
+        self._frame = self._frame.around(timestep.front_m)
         shape = np.fromiter(map(self._shape_of, timestep.types), np.int16, len(timestep.types))
         for row in np.flatnonzero(shape == _LEFT_OUT).tolist():
             self._left_out.setdefault(timestep.names[row], self._types(timestep.types[row]).vclass)
@@ -87,13 +93,20 @@ class TraceReplay:
         if len(values) < len(number):
             name = keys[int(np.flatnonzero(number == values[n > 1][0])[0])][0]
             raise TrafficError(f"{self._path}: {name!r} is there twice at {timestep.time_s:g} s. Remove the copies.")
-        return world_from_bumpers(
+        world = world_from_bumpers(
             step, number, timestep.front_m[rows], timestep.compass_deg[rows], timestep.speed_mps[rows],
-            self._registry, self._origin_m,
+            self._registry, self._frame,
         )  # fmt: skip
+        return self._counts.add(world)
+
+    def command(self, actor: Int[ndarray, "c"], speed_mps: Float[ndarray, "c"]) -> None:
+        """Refused: replayed traffic cannot be commanded."""
+        refuse_commands(str(self._path), len(actor))
 
     def report(self) -> dict[str, Any]:
-        return {"actors_left_out": dict(sorted(Counter(self._left_out.values()).items()))}
+        report: dict[str, Any] = {"actors_left_out": dict(sorted(Counter(self._left_out.values()).items()))}
+        report |= self._counts.report()
+        return report | ({"origin_m": list(self._frame.origin_m)} if self._frame.is_around else {})
 
     def close(self) -> None:
         self._timesteps.close()  # type: ignore[attr-defined]
@@ -138,7 +151,17 @@ def _inside_vehicle(timestep: Timestep, shape: Int[ndarray, "n"]) -> Bool[ndarra
 class RunReplay:
     """The tables `actors` and `vehicles` of an earlier run: the worlds of that run, bit for bit."""
 
-    def __init__(self, params: TrafficParams, folder: Path, registry: ActorRegistry) -> None:
+    def __init__(
+        self,
+        params: TrafficParams,
+        folder: Path,
+        registry: ActorRegistry,
+        frame: Frame | None = None,
+        inputs_changed: Sequence[str] = (),
+    ) -> None:
+        """`inputs_changed`: files of the scenario that have changed since the run was recorded, for the report."""
+        self._inputs_changed = list(inputs_changed)
+        self._frame = frame or Frame(f"traffic.trace = {folder}")
         run = open_run(folder)
         run.require("actors", "vehicles")
         every = params.step_s / run.dt_s
@@ -156,12 +179,16 @@ class RunReplay:
         self._names = vehicles.sumo_id.tolist()
         self._shape = np.array([Shape[k.upper()] for k in vehicles.vehicle_class], np.uint8)
         self._lwh_m = vehicles[["length_m", "width_m", "height_m"]].to_numpy(float)
+        for name, sizes in zip(self._names, self._lwh_m.tolist(), strict=True):
+            for what, size in zip(("length", "width", "height"), sizes, strict=True):
+                check_size(f"{folder}: vehicle {name!r}", what, size)
         self._number = np.full(len(vehicles), _UNKNOWN, np.int32)
         self._run, self._registry, self._dt_s = run, registry, params.step_s
         self._every = round(every)
         self._steps = _steps_of(run)
         self._ahead: tuple[int, dict[str, ndarray]] | None = None
         self._n_skipped = self._step = 0
+        self._counts = FlowCounts()
 
     def warm_up(self, seconds: float) -> Iterator[float]:
         """Skip the first `seconds`; yields the seconds done."""
@@ -184,12 +211,18 @@ class RunReplay:
         order = np.argsort(number)
         number = number[order]
         xyz_m, yaw_rad, speed = (rows[name][order] for name in ("xyz_m", "yaw_rad", "speed_mps"))
-        return world_of(step, number, Boxes(xyz_m, self._registry.lwh_m[number], yaw_rad), speed, self._registry)
+        return self._counts.add(world_of(step, number, xyz_m, yaw_rad, speed, self._registry, self._frame))
+
+    def command(self, actor: Int[ndarray, "c"], speed_mps: Float[ndarray, "c"]) -> None:
+        """Refused: replayed traffic cannot be commanded."""
+        refuse_commands(str(self._run.path), len(actor))
 
     def report(self) -> dict[str, Any]:
         """Counts of the run that is replayed."""
         summary = self._run.manifest.get("summary", {})
-        return {name: summary[name] for name in ("teleports", "actors_left_out") if name in summary}
+        report: dict[str, Any] = {n: summary[n] for n in ("teleports", "actors_left_out") if n in summary}
+        report |= self._counts.report()
+        return report | ({"inputs_changed": self._inputs_changed} if self._inputs_changed else {})
 
     def close(self) -> None:
         self._steps.close()  # type: ignore[attr-defined]

@@ -13,6 +13,8 @@ from numba import njit
 from numpy import ndarray
 
 from cosim.actors import ActorRegistry
+from cosim.mobility.frame import Frame
+from cosim.mobility.frame import TrafficError as TrafficError
 from cosim.world import World
 from results.tables import TABLES
 from sensors.boxes import Boxes
@@ -42,8 +44,13 @@ class TrafficEnded(Exception):
     """No actor is left and none will depart, or the source ends; says why."""
 
 
-class TrafficError(ValueError):
-    """The user's scenario or trace is wrong, found while it ran: one line for the user."""
+def refuse_commands(what: str, n: int) -> None:
+    """TrafficError where there is any command for traffic that is replayed."""
+    if n:
+        raise TrafficError(
+            f"{what} is replayed: nothing can brake in it. Run SUMO (no traffic.trace), or choose a driver that "
+            "commands no speeds."
+        )
 
 
 class TrafficSource(Protocol):
@@ -54,6 +61,12 @@ class TrafficSource(Protocol):
 
     def advance(self) -> World:
         """The world of the next step; raises TrafficEnded where there is none."""
+
+    def command(self, actor: Int[ndarray, "c"], speed_mps: Float[ndarray, "c"]) -> None:
+        """Speeds that vehicles drive in the next step; all others drive on their own.
+
+        TrafficError where the traffic cannot be commanded.
+        """
 
     def report(self) -> dict[str, Any]:
         """Counts for the run's summary."""
@@ -69,7 +82,7 @@ def world_from_bumpers(
     compass_deg: Float[ndarray, "n"],
     speed_mps: Float[ndarray, "n"],
     registry: ActorRegistry,
-    origin_m: tuple[float, float] = (0.0, 0.0),
+    frame: Frame,
 ) -> World:
     """The world of a step from SUMO's values of each actor, in any order.
 
@@ -78,46 +91,55 @@ def world_from_bumpers(
     world from SUMO, from a trace, or from the tables of an earlier run.
     """
     order = np.argsort(number)
-    number, xyz_m, lwh_m, yaw_rad, speed = _placed(
-        order, number, front_m, compass_deg, speed_mps, registry.lwh_m, *origin_m
+    number, xyz_m, yaw_rad, speed = _placed(
+        order, number, front_m, compass_deg, speed_mps, registry.lwh_m, *frame.origin_m
     )
-    return world_of(step, number, Boxes(xyz_m, lwh_m, yaw_rad), speed, registry)
+    return world_of(step, number, xyz_m, yaw_rad, speed, registry, frame)
 
 
 @njit(cache=True)
 def _placed(order, actor, front_m, compass_deg, speed_mps, size_m, east_m, north_m):
-    """Actors, centres and sizes of boxes, yaw and speed from front bumpers on the road, in order and rounded."""
+    """Actors, centres of boxes, yaw and speed from front bumpers on the road, in order and rounded."""
     n = len(order)
-    number, xyz_m, lwh_m, yaw_rad, speed = (
-        np.empty(n, np.int32), np.empty((n, 3)), np.empty((n, 3)), np.empty(n), np.empty(n)
-    )  # fmt: skip
+    number, xyz_m, yaw_rad, speed = np.empty(n, np.int32), np.empty((n, 3)), np.empty(n), np.empty(n)
     for i in range(n):
         row = order[i]
         number[i] = actor[row]
-        for axis in range(3):
-            lwh_m[i, axis] = size_m[number[i], axis]
         yaw = np.deg2rad(90.0 - np.float64(np.float32(compass_deg[row])))
         yaw = np.pi - np.mod(np.pi - yaw, 2 * np.pi)  # (-pi, pi]
-        back = lwh_m[i, 0] / 2
+        back = size_m[number[i], 0] / 2
         xyz_m[i, 0] = np.rint((front_m[row, 0] - east_m - np.cos(yaw) * back) * _PER_M) / _PER_M
         xyz_m[i, 1] = np.rint((front_m[row, 1] - north_m - np.sin(yaw) * back) * _PER_M) / _PER_M
-        xyz_m[i, 2] = np.rint((np.float64(np.float32(front_m[row, 2])) + lwh_m[i, 2] / 2) * _PER_M) / _PER_M
+        xyz_m[i, 2] = np.rint((np.float64(np.float32(front_m[row, 2])) + size_m[number[i], 2] / 2) * _PER_M) / _PER_M
         yaw_rad[i] = np.rint(yaw * _PER_RAD) / _PER_RAD
         speed[i] = np.rint(np.float64(np.float32(speed_mps[row])) * _PER_MPS) / _PER_MPS
-    return number, xyz_m, lwh_m, yaw_rad, speed
+    return number, xyz_m, yaw_rad, speed
 
 
 def world_of(
-    step: int, number: Int[ndarray, "n"], boxes: Boxes, speed_mps: Float[ndarray, "n"], registry: ActorRegistry
+    step: int,
+    number: Int[ndarray, "n"],
+    xyz_m: Float[ndarray, "n 3"],
+    yaw_rad: Float[ndarray, "n"],
+    speed_mps: Float[ndarray, "n"],
+    registry: ActorRegistry,
+    frame: Frame,
 ) -> World:
-    """The world of a step from poses at the resolution of the table `actors`; `number` is sorted."""
+    """The world of a step from poses of boxes at the resolution of the table `actors`; `number` is sorted.
+
+    Raises
+    ------
+    TrafficError
+        An actor is not finite or far outside of the frame's region.
+    """
+    frame.check(step, registry.names, number, xyz_m, yaw_rad, speed_mps)
     registry.mark_present(number, step)
     return World(
         step=step,
         actor=number,
         name_key=registry.name_key[number],
         shape=registry.shape[number],
-        boxes=boxes,
+        boxes=Boxes(xyz_m, registry.lwh_m[number], yaw_rad),
         speed_mps=speed_mps,
         equipped=registry.equipped[number],
         attack=registry.attack[number],

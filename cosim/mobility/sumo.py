@@ -7,24 +7,37 @@ import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import chain, compress, repeat
 from pathlib import Path
 from typing import Any
 
 import libsumo
 import numpy as np
+from jaxtyping import Float, Int
 from numpy import ndarray
 
 from cosim.actors import ActorRegistry
+from cosim.mobility.frame import Frame, TrafficError
+from cosim.mobility.lane_lines import LaneLines
 from cosim.mobility.params import TrafficParams
-from cosim.mobility.source import SHAPE_OF_CLASS, TrafficEnded, TrafficError, world_from_bumpers
-from cosim.world import World
+from cosim.mobility.remarks import FlowCounts
+from cosim.mobility.source import SHAPE_OF_CLASS, TrafficEnded, world_from_bumpers
+from cosim.world import LanePaths, World
 from sumo_nets import sumocfg
+from sumo_nets.catalogue import bounds_m
+from sumo_nets.sumocfg import first_departure_s
+from sumo_nets.vtypes import check_size
 
 _UNKNOWN, _LEFT_OUT = -2, -1
 _NO_POSITION_M = -1e9
 """SUMO's coordinate of an actor without a position (-2^30) is below this."""
+_LOOK_AHEAD_M = 150.0
+"""Lane paths reach this far beyond the end of a vehicle's present lane, or to the end of its route."""
+_KNOWN_WAYS = 100_000
+"""Ways ahead that are kept in memory; beyond it they are asked of SUMO anew."""
+_REGARD_MAX_DECELERATION = 4
+"""Bit of SUMO's speed mode."""
 
 
 @dataclass(slots=True)
@@ -63,12 +76,27 @@ class SumoTraffic:
     """
 
     def __init__(
-        self, params: TrafficParams, config: Path, registry: ActorRegistry, origin_m: tuple[float, float] = (0.0, 0.0)
+        self,
+        params: TrafficParams,
+        config: Path,
+        registry: ActorRegistry,
+        frame: Frame | None = None,
+        has_driver: bool = False,
     ) -> None:
-        """Load the scenario; ValueError with SUMO's message when SUMO refuses it."""
-        self._registry, self._config, self._origin_m = registry, config, origin_m
+        """Load the scenario; ValueError with SUMO's message when SUMO refuses it.
+
+        With a driver, worlds have lane paths, and collisions, junctions included, are counted and do not teleport.
+        """
+        self._registry, self._config = registry, config
+        self._frame = frame or Frame(f"traffic.scenario = {config}", bounds_m=bounds_m(sumocfg.read(config).net))
+        self._ways = _WaysAhead(self._frame) if has_driver else None
+        self._commanded: dict[str, int] = {}
+        """Vehicles under a command, and the speed mode that SUMO gave them."""
+        self._collisions: set[tuple[str, ...]] = set()
         self._domains = (_Domain("vehicle"), _Domain("person"))
         self._step = 0
+        self._counts = FlowCounts()
+        self._warmup_s = 0.0
         self._left_out: Counter[str] = Counter()
         self.n_teleports = 0
         """Vehicles that SUMO has teleported since recording began."""
@@ -76,7 +104,8 @@ class SumoTraffic:
         self._scratch = tempfile.TemporaryDirectory(prefix="cosim.", ignore_cleanup_errors=True)
         try:
             with self._one_line_errors("refuses it"):
-                libsumo.start(["sumo", *_options(params, sumocfg.read(config), Path(self._scratch.name))])
+                options = _options(params, sumocfg.read(config), Path(self._scratch.name), has_driver)
+                libsumo.start(["sumo", *options])
         except Exception:
             self._clean()
             raise
@@ -89,7 +118,8 @@ class SumoTraffic:
         while (done := libsumo.simulation.getTime() - begin) < seconds - 1e-6:
             self.move()
             yield done
-        self.n_teleports = 0
+        self.n_teleports, self._warmup_s = 0, seconds
+        self._collisions.clear()
 
     def advance(self) -> World:
         """Simulate one step and read all actors."""
@@ -100,7 +130,34 @@ class SumoTraffic:
         self._register(present, step)
         parts = [_read(domain, names, number) for domain, names, number in present]
         number, front_m, angle, speed = (np.concatenate(column) for column in zip(*parts, strict=True))
-        return world_from_bumpers(step, number, front_m, angle, speed, self._registry, self._origin_m)
+        world = world_from_bumpers(step, number, front_m, angle, speed, self._registry, self._frame)
+        self._counts.add(world)
+        if self._ways is None:
+            return world
+        rows = np.flatnonzero(world.equipped)
+        names = list(map(self._registry.names.__getitem__, world.actor[rows].tolist()))
+        return replace(world, paths=self._ways.paths(rows, names))
+
+    def command(self, actor: Int[ndarray, "c"], speed_mps: Float[ndarray, "c"]) -> None:
+        """Speeds of the next step, within the limits of the road and of the vehicle.
+
+        SUMO's safe speeds, junctions and red lights still apply. Vehicles that were commanded before and are not
+        again are given back; so are those whose speed is not finite.
+        """
+        finite = np.isfinite(speed_mps)
+        names = map(self._registry.names.__getitem__, actor[finite].tolist())
+        wanted = dict(zip(names, speed_mps[finite].tolist(), strict=True))
+        if not wanted and not self._commanded:
+            return
+        present = set(libsumo.vehicle.getIDList())
+        for name in self._commanded.keys() - wanted.keys():
+            if name in present:
+                _give_back(name, self._commanded[name])
+            del self._commanded[name]
+        for name in wanted.keys() & present:
+            if name not in self._commanded:
+                self._commanded[name] = libsumo.vehicle.getSpeedMode(name)
+            _drive_at(name, wanted[name], self._commanded[name], self._dt_s)
 
     def move(self) -> None:
         """Simulate one step without reading."""
@@ -110,6 +167,9 @@ class SumoTraffic:
         with self._one_line_errors("gives up"):
             libsumo.simulationStep()
         self.n_teleports += libsumo.simulation.getStartingTeleportNumber()
+        if self._ways is not None:
+            pairs = (sorted((found.collider, found.victim)) for found in libsumo.simulation.getCollisions())
+            self._collisions.update(map(tuple, pairs))
         if libsumo.simulation.getMinExpectedNumber() <= 0:
             raise TrafficEnded(f"at {libsumo.simulation.getTime():g} s all vehicles have left, and none is to depart")
 
@@ -123,10 +183,23 @@ class SumoTraffic:
             "vehicles_waiting_to_enter_at_end": len(libsumo.simulation.getPendingVehicles()),
             "teleports": self.n_teleports,
             "actors_left_out": dict(sorted(self._left_out.items())),
+            **({} if self._ways is None else {"collisions": len(self._collisions)}),
+            **self._counts.report(),
+            **self._first_departure(),
             **({"sumo_errors": errors[:9]} if (errors := self._errors_since(0)) else {}),
         }
 
+    def _first_departure(self) -> dict[str, float]:
+        """The first departure of the demand, where no vehicle was ever on the road."""
+        if self._counts.n_vehicles or (first_s := first_departure_s(sumocfg.read(self._config).routes)) is None:
+            return {}
+        return {"first_departure_s": first_s, "warmup_s": self._warmup_s}
+
     def close(self) -> None:
+        try:
+            self.command(np.zeros(0, np.int64), np.zeros(0))
+        except (libsumo.TraCIException, libsumo.FatalTraCIError):  # SUMO has given up: no vehicle is left
+            self._commanded.clear()
         libsumo.close()
         self._clean()
 
@@ -153,7 +226,13 @@ class SumoTraffic:
                     continue
                 kept.append((domain, name))
                 shapes.append(shape)
-                lwh_m.append([domain.getter[what](name) for what in ("Length", "Width", "Height")])
+                where = f"traffic.scenario = {self._config}: {domain.name} {name!r}"
+                lwh_m.append(
+                    [
+                        check_size(where, what.lower(), domain.getter[what](name))
+                        for what in ("Length", "Width", "Height")
+                    ]
+                )
         if kept:
             new = self._registry.register(
                 [name for _, name in kept], np.array(shapes, np.uint8), np.array(lwh_m, float), step
@@ -196,10 +275,76 @@ def _read(domain: _Domain, names: tuple[str, ...] | list[str], number: ndarray) 
     return read if has_position.all() else tuple(column[has_position] for column in read)
 
 
-def _options(params: TrafficParams, config: sumocfg.Sumocfg, scratch: Path) -> list[str]:
-    """SUMO's command line: the configuration without messages and without output files."""
+@dataclass(slots=True)
+class _WaysAhead:
+    """Lane paths of vehicles, by SUMO's routes and lanes."""
+
+    frame: Frame
+    lines: LaneLines = field(default_factory=LaneLines)
+    line_of: dict[tuple[str, str, int], int] = field(default_factory=dict)
+    """Number of the line by lane, route, and place on the route."""
+
+    def paths(self, rows: Int[ndarray, "e"], names: list[str]) -> LanePaths:
+        """Of these rows of the world; vehicles that are on no lane, as while they are teleported, have none."""
+        ask = libsumo.vehicle
+        lanes = list(map(ask.getLaneID, names))
+        on_lane = np.fromiter(map(bool, lanes), bool, len(lanes))
+        rows, names, lanes = rows[on_lane], list(compress(names, on_lane)), list(compress(lanes, on_lane))
+        keys = list(zip(lanes, map(ask.getRouteID, names), map(ask.getRouteIndex, names), strict=True))
+        line = np.fromiter(map(self.line_of.get, keys, repeat(-1)), np.int64, len(keys))
+        if len(self.line_of) > _KNOWN_WAYS:
+            self.line_of.clear()
+        for i in np.flatnonzero(line < 0).tolist():
+            line[i] = self.line_of[keys[i]] = self._line(names[i], lanes[i])
+        position = np.fromiter(map(ask.getLanePosition, names), float, len(names))
+        ptr, xy_m, along_m = self.lines.arrays()
+        return LanePaths(
+            rows, line, position * np.array(self.lines.scale)[line] if len(line) else position, ptr,
+            xy_m, along_m,
+        )  # fmt: skip
+
+    def _line(self, name: str, lane: str) -> int:
+        lanes, ahead_m = [lane], 0.0
+        for link in libsumo.vehicle.getNextLinks(name):
+            inside = link[4]
+            while inside:  # a junction can be crossed on several lanes of its own
+                lanes.append(inside)
+                ahead_m += libsumo.lane.getLength(inside)
+                inside = next((onward[4] for onward in libsumo.lane.getLinks(inside)), "")
+            lanes.append(link[0])
+            ahead_m += libsumo.lane.getLength(link[0])
+            if ahead_m > _LOOK_AHEAD_M:
+                break
+        key = tuple(lanes)
+        number = self.lines.number.get(key)
+        if number is not None:
+            return number
+        shapes = [np.array(libsumo.lane.getShape(part))[:, :2] - self.frame.origin_m for part in lanes]
+        return self.lines.add(key, shapes, libsumo.lane.getLength(lane))
+
+
+def _drive_at(name: str, speed_mps: float, mode: int, dt_s: float) -> None:
+    """Command a speed; where it takes more than the vehicle's usual deceleration, that limit is lifted."""
+    of = libsumo.vehicle
+    now_mps = of.getSpeed(name)
+    slowest_mps = now_mps - of.getEmergencyDecel(name) * dt_s
+    is_emergency = speed_mps < now_mps - of.getDecel(name) * dt_s - 1e-6
+    of.setSpeedMode(name, mode & ~_REGARD_MAX_DECELERATION if is_emergency else mode)
+    of.setSpeed(name, max(0.0, slowest_mps, min(speed_mps, of.getAllowedSpeed(name))))
+
+
+def _give_back(name: str, mode: int) -> None:
+    """SUMO's own speeds again."""
+    libsumo.vehicle.setSpeed(name, -1)
+    libsumo.vehicle.setSpeedMode(name, mode)
+
+
+def _options(params: TrafficParams, config: sumocfg.Sumocfg, scratch: Path, has_driver: bool) -> list[str]:
+    """SUMO's command line: a copy of the configuration with harmless options only, written to the temporary folder."""
+    copy = scratch / "scenario.sumocfg"
+    copy.write_text(config.text(), encoding="utf-8")
     options = {
-        "configuration-file": config.path,
+        "configuration-file": copy,
         "seed": params.seed,
         "step-length": params.step_s,
         "no-step-log": "true",
@@ -213,9 +358,9 @@ def _options(params: TrafficParams, config: sumocfg.Sumocfg, scratch: Path) -> l
         "threads": 1,
         "device.rerouting.threads": 0,
         "output-prefix": _prefix(scratch),
+        **({"collision.action": "warn", "collision.check-junctions": "true"} if has_driver else {}),
         **({} if params.begin_s is None else {"begin": params.begin_s}),
         **({} if params.scale == 1 else {"scale": params.scale}),
-        **dict.fromkeys(config.outputs, os.devnull),
     }
     return [word for name, value in options.items() for word in (f"--{name}", str(value))]
 

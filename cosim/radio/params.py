@@ -65,9 +65,9 @@ class RelayParams:
 class RadioParams:
     """V2X broadcast between vehicles and roadside units."""
 
-    model: Literal["csma", "unit_disk"] = "csma"
+    model: str = "csma"
     """`csma`: packet by packet, with the city's propagation. `unit_disk`: every station in range receives, but for a
-    constant loss probability."""
+    constant loss probability. Or one of your own: path.py:Name."""
     range_m: Annotated[float, Gt(0)] = 300.0
     """Communication range: largest horizontal distance of one hop [m]. Frames from farther away are not received, and
     under `csma` still interfere."""

@@ -205,7 +205,7 @@ def _candidates(truth: Objects, found: Objects, overlap: Overlap) -> tuple[ndarr
 
 
 def _absorbed(truth: Objects, found: Objects, limit: float) -> Bool[ndarray, "m"]:
-    """Detections that lie mostly in an area that nobody labelled."""
+    """Detections mostly inside an area without labels."""
     areas = np.flatnonzero(truth.label == "dontcare")
     i, j = _same_frame(truth.frame[areas], found.frame)
     boxes = _image(found)[j]

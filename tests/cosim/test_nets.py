@@ -77,7 +77,7 @@ def test_show(built, tmp_path):
     ("words", "says"),
     [
         (["show", "atlantis"], "no city of that name"),
-        (["build", "--out", "x"], "wants one of --osm FILE and --bbox"),
+        (["build", "--out", "x"], "needs --osm FILE, --bbox west"),
         (["build", "--out", "x", "--osm", "gone.osm"], "gone.osm: no such file"),
         (["build", "--out", "x", "--osm", "bad.osm"], "bad.osm"),
         (["build", "--out", ".", "--osm", "bad.osm"], "is not empty"),

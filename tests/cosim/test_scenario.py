@@ -5,9 +5,14 @@ import json
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from cosim.mobility.remarks import FlowCounts, traffic_remarks
 from cosim.scenario import find
+from cosim.world import World
+from sensors.boxes import Boxes
+from sensors.scene import Shape
 from tests.cosim.mobility import mixed_scenario
 from tests.drive import cosim
 
@@ -33,6 +38,9 @@ def edited(scenario, tmp_path, name, change):
 
 LATE = '<vehicle id="lost" depart="600"><route edges="nowhere"/></vehicle></routes>'
 
+COMPLAINT = '<collision.action value="zz"/></processing>'
+"""SUMO reports this as an error, and continues."""
+
 SUNK = '><param key="top_z_m" value="-1"/></poly>'
 STATE = '<load-state value="gone.xml"/>'
 
@@ -51,7 +59,7 @@ REFUSED = {
     "an unknown edge": ("odd.rou.xml", lambda t: t.replace('edges="db bc"', 'edges="db xx"'), "'xx'"),
     "an unknown option": ("odd.sumocfg", lambda t: t.replace("verbose", "verbosity"), "verbosity"),
     "a folder that is not there": ("odd.add.xml", lambda t: t.replace("loop", "gone/loop"), "gone/loop.xml' (No such"),
-    "a state that is not there": ("odd.sumocfg", lambda t: t.replace("<input>", "<input>" + STATE), "gone.xml'!"),
+    "a state that is not there": ("odd.sumocfg", lambda t: t.replace("<input>", "<input>" + STATE), "load-state names"),
     "a house on its head": ("odd.poly.xml", lambda t: t.replace("/>", SUNK, 1), "polygon 'h': reaches from"),
     "a house on the globe": ("odd.poly.xml", lambda t: t.replace("<poly", '<poly geo="true"', 1), "no projection"),
     "a torn polygon file": ("odd.poly.xml", lambda t: t[:60], "odd.poly.xml"),
@@ -71,8 +79,7 @@ def test_refused_before_anything_is_written(scenario, tmp_path, what):
 def test_demand_that_turns_out_wrong_later(scenario, tmp_path):
     """SUMO reads demand bit by bit: what is wrong in its tenth minute is told in its tenth minute."""
     config = edited(scenario, tmp_path, "odd.rou.xml", lambda t: t.replace("</routes>", LATE))
-    grumble = "<routing></routing><report>"  # SUMO complains of that, and goes on
-    config.write_text(config.read_text().replace("<report>", grumble))
+    config.write_text(config.read_text().replace("</processing>", COMPLAINT))
     sets = (f"traffic.scenario={config}", "traffic.warmup_s=100", "traffic.duration_s=550", "fleet.penetration_p=0")
     done = cosim("run", *(word for s in sets for word in ("--set", s)), "--out", str(tmp_path / "run"))
     assert done.returncode == 2
@@ -81,11 +88,11 @@ def test_demand_that_turns_out_wrong_later(scenario, tmp_path):
 
 
 def test_what_sumo_complains_of_though_it_goes_on_is_told(scenario, tmp_path):
-    config = edited(scenario, tmp_path, "odd.sumocfg", lambda t: t.replace("<report>", "<routing></routing><report>"))
+    config = edited(scenario, tmp_path, "odd.sumocfg", lambda t: t.replace("</processing>", COMPLAINT))
     sets = (f"traffic.scenario={config}", "traffic.duration_s=5", "fleet.penetration_p=0")
     done = cosim("run", *(w for s in sets for w in ("--set", s)), "--out", str(tmp_path / "run"))
     assert done.returncode == 0
-    assert "note: SUMO went on, but: Could not set option 'routing'" in done.stderr
+    assert "note: SUMO went on, but: Invalid collision.action 'zz'" in done.stderr
 
 
 def test_a_run_that_outlives_the_demand_says_so_and_counts_who_was_left_out(scenario, tmp_path):
@@ -162,3 +169,73 @@ def test_half_an_hour_without_a_warning(tmp_path, city):
     assert manifest["steps"] == 1800 and manifest["summary"]["vehicles_on_road_mean"] > 50
     if "/" in city:
         assert sorted(BOLOGNA.iterdir()) == before
+
+
+@pytest.mark.parametrize(
+    ("file", "name"), [("osm.sumocfg", "Ghent"), ("run.sumocfg", "Ghent"), ("Scenario.sumocfg", "Ghent"),
+                       ("ghent-2.sumocfg", "ghent-2")],
+)  # fmt: skip
+def test_a_scenario_is_named_after_its_folder_where_the_file_name_is_a_common_word(scenario, tmp_path, file, name):
+    folder = tmp_path / "Ghent"
+    folder.mkdir()
+    edited(scenario, folder, "odd.sumocfg", lambda t: t).rename(folder / file)
+    assert find(str(folder / file)).name == find(str(folder)).name == name
+
+
+def test_traffic_that_begins_later_is_named_with_its_time(scenario, tmp_path):
+    def later(text):
+        return '<routes><vehicle id="v" depart="3:00:00"><route edges="ab bd"/></vehicle></routes>'
+
+    config = edited(scenario, tmp_path, "odd.rou.xml", later)
+    config.write_text(config.read_text().replace('<end value="700"/>', ""))
+    sets = (f"traffic.scenario={config}", "traffic.duration_s=20", "traffic.warmup_s=30", "fleet.penetration_p=1")
+    done = cosim("run", *(w for s in sets for w in ("--set", s)), "--out", str(tmp_path / "run"))
+    assert done.returncode == 0, done.stderr
+    assert "the first of the scenario departs at 10800 s. Set traffic.begin_s = 10770." in done.stderr
+
+
+def test_provenance_names_every_file_and_notices_a_change(scenario, tmp_path):
+    config = edited(scenario, tmp_path, "odd.sumocfg", lambda t: t)
+    before = find(str(config)).provenance()
+    names = {key.removeprefix("sha256 ") for key in before if key.startswith("sha256 ")}
+    assert names == {"odd.sumocfg", "odd net.net.xml", "odd.rou.xml", "odd.add.xml", "odd.poly.xml"}
+    assert find(str(config)).changed_inputs(before) == []
+    with (tmp_path / "odd.rou.xml").open("a") as file:
+        file.write("\n")
+    assert find(str(config)).changed_inputs(before) == ["odd.rou.xml"]
+
+
+def test_a_run_is_replayed_from_elsewhere_and_a_changed_input_is_told(scenario, tmp_path):
+    """The config names its scenario relatively; the run's own config drives it again from another folder."""
+    city, elsewhere = tmp_path / "city", tmp_path / "elsewhere"
+    city.mkdir(), elsewhere.mkdir()
+    edited(scenario, city, "odd.sumocfg", lambda t: t)
+    (tmp_path / "mine.toml").write_text('[traffic]\nscenario = "city"\nduration_s = 5\n[fleet]\npenetration_p = 0.0\n')
+    done = cosim("run", "mine.toml", "--out", "one", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    done = cosim("run", str(tmp_path / "one" / "config.toml"), "--out", "two", cwd=elsewhere)
+    assert done.returncode == 0, done.stderr
+    with (city / "odd.poly.xml").open("a") as file:
+        file.write("\n")
+    done = cosim("run", "--set", f"traffic.scenario={tmp_path / 'one'}", "--set", "traffic.duration_s=5",
+                 "--set", "fleet.penetration_p=0", "--out", "three", cwd=elsewhere)  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert "note: changed since the replayed run was recorded: odd.poly.xml." in done.stderr
+
+
+def test_remarks_on_standing_and_waiting_vehicles():
+    summary = {"vehicles_standing_p": 0.52, "vehicles_waiting_to_enter_at_end": 457, "vehicles_on_road_mean": 900.0}
+    first, second = traffic_remarks(summary)
+    assert first.startswith("note: 52 % of the vehicles stand") and "457 vehicles wait to enter" in second
+    assert traffic_remarks(summary | {"vehicles_standing_p": 0.49, "vehicles_waiting_to_enter_at_end": 90}) == []
+
+
+def test_standing_vehicles_are_counted_by_hand():
+    """Two cars and a pedestrian over two steps: 0.05, 5 and 0 m/s, then 0, 0 and 0: three of four stand."""
+    counts = FlowCounts()
+    for speeds in ([0.05, 5.0, 0.0], [0.0, 0.0, 0.0]):
+        boxes = Boxes(np.zeros((3, 3)), np.ones((3, 3)), np.zeros(3))
+        shape = np.array([Shape.CAR, Shape.CAR, Shape.PEDESTRIAN], np.uint8)
+        nobody, n = np.zeros(3, bool), np.arange(3)
+        counts.add(World(0, n, n.astype(np.uint64), shape, boxes, np.array(speeds), nobody, nobody.astype(np.uint8)))
+    assert counts.report() == {"vehicles_standing_p": 0.75}

@@ -23,6 +23,8 @@ class Logger:
         self.params = params
 
     def commands(self, state, world, beliefs, dt_s):
+        if beliefs is None:  # between two sweeps
+            return state, SpeedCommands.none()
         unseen = ~beliefs.ego_detected & (beliefs.score > 0.5)
         with Path(self.params.log).open("a", encoding="utf-8") as file:
             file.write(f"{world.step} {int(unseen.sum())}\n")

@@ -117,7 +117,7 @@ def test_night_is_quieter_than_the_afternoon(built, tmp_path):
 ROADLESS = grid_town().replace('k="highway"', 'k="waterway"')
 
 BAD = {
-    "roadless.osm": (ROADLESS.encode(), "no connected network of street"),
+    "roadless.osm": (ROADLESS.encode(), "no connected network"),
     "torn.osm": (grid_town()[:3000].encode(), "not an OpenStreetMap file"),
     "torn.osm.gz": (gzip.compress(grid_town().encode())[:-30], "damaged gzip file|not an OpenStreetMap file"),
     "empty.osm": (b"", "not well-formed XML|not an OpenStreetMap"),
@@ -125,7 +125,7 @@ BAD = {
     "bomb.osm": (b'<!DOCTYPE a [<!ENTITY a "b">]><osm version="0.6">&a;</osm>', "declares a document type"),
     "noise.osm.pbf": (b"\x00\x00\x00\x0dnothing", "not an OpenStreetMap file"),
     "bare.osm": (b'<osm version="0.6"></osm>', "has no ways"),
-    "paths.osm": (re.sub('v="(secondary|residential)"', 'v="footway"', grid_town()).encode(), "no connected network of street"),
+    "paths.osm": (re.sub('v="(secondary|residential)"', 'v="footway"', grid_town()).encode(), "no connected network"),
 }  # fmt: skip
 
 

@@ -102,7 +102,7 @@ REFUSED = {
     "torn": (200, TORN, "what the Overpass service sent"),
     "gave up half-way": (200, GAVE_UP, "the Overpass service gave up (runtime error: Query timed out"),
     "nothing there": (200, BARE, "what the Overpass service sent has no ways"),
-    "no connected network of street there": (200, answer(ROADLESS), "what the Overpass service sent: the extract has no connected network of street"),
+    "no connected network of street there": (200, answer(ROADLESS), "sent: the extract has no connected network"),
     "hostile": (200, SPY, "declares a document type"),
 }  # fmt: skip
 

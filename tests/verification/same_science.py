@@ -1,9 +1,11 @@
-"""Holds the tables of this code against those of the first schema, value for value under the new names.
+"""Holds the tables of schema 4, when it was new, against those of schema 3, value for value under the new names.
 
-    python -m tests.verification.same_science [--before COMMIT] [--keep FOLDER]
+    python -m tests.verification.same_science [--before COMMIT] [--after COMMIT] [--keep FOLDER]
 
-drives four experiments twice, with the code of COMMIT (the last one of schema 3) in a worktree of its own and with this
-code, and compares every table. What differs is printed with its count; only what `EXPLAINED` names may differ.
+drives four experiments with the code of two commits, each in a worktree of its own, and compares every table. By
+default these are the last commit of schema 3 and the first whole one of the pure step; what changed results since then
+stands in CHANGELOG.md under "Numbers change". Columns that differ are printed with their count; only what `EXPLAINED`
+names may differ.
 """
 
 import argparse
@@ -19,7 +21,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 ROOT = Path(__file__).parents[2]
-BEFORE = "8de4442"
+BEFORE = "The price of reading, measured last"
+AFTER = "The cycle as a pure step of parts: same tables, value for value"
 FULL = '[record]\nlevel = "full"\n'
 
 EXPERIMENTS: dict[str, tuple[str, str]] = {
@@ -214,32 +217,51 @@ def compare(before: Path, after: Path) -> tuple[int, list[str]]:
     return n_equal, lines
 
 
+DRIVE = """
+import sys
+from pathlib import Path
+from cosim import run
+from cosim.config import load
+run.run(load(Path(sys.argv[1])), Path(sys.argv[2]), lambda *_: None)
+"""
+"""A run without its closing summary."""
+
+
 def drive(code: Path, config: Path, out: Path) -> None:
     """A run with the code of a checkout."""
     env = os.environ | {"PYTHONPATH": str(code)}
     done = subprocess.run(
-        [sys.executable, "-m", "cosim", "run", str(config), "--out", str(out)],
+        [sys.executable, "-c", DRIVE, str(config), str(out)],
         env=env, cwd=code, capture_output=True, text=True,
     )  # fmt: skip
     if done.returncode:
         raise SystemExit(f"{out}: {done.stderr[-2000:]}")
 
 
+def checkout(folder: Path, commit: str) -> Path:
+    """A worktree of a commit, given by its name or the first line of its message."""
+    if not folder.exists():
+        git = ["git", "-C", str(ROOT)]
+        found = subprocess.run([*git, "log", "--format=%H", f"--grep=^{commit}"], capture_output=True, text=True).stdout
+        name = found.split()[0] if found.strip() else commit
+        subprocess.run([*git, "worktree", "add", "--detach", str(folder), name], check=True)
+    return folder
+
+
 def main() -> None:
     """Both sides of every experiment, and what differs."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--before", default=BEFORE)
+    parser.add_argument("--after", default=AFTER)
     parser.add_argument("--keep", type=Path)
     given = parser.parse_args()
     folder = given.keep or Path(tempfile.mkdtemp(prefix="same-science-"))
     folder.mkdir(parents=True, exist_ok=True)
-    old_code = folder / "code"
-    if not old_code.exists():
-        subprocess.run(["git", "worktree", "add", "--detach", str(old_code), given.before], cwd=ROOT, check=True)
+    codes = [checkout(folder / "code-before", given.before), checkout(folder / "code-after", given.after)]
     total, wrong = 0, 0
     try:
         for name, configs in EXPERIMENTS.items():
-            for side, config, code in zip(("before", "after"), configs, (old_code, ROOT), strict=True):
+            for side, config, code in zip(("before", "after"), configs, codes, strict=True):
                 out = folder / f"{side}-{name}"
                 if not out.exists():
                     path = folder / f"{side}-{name}.toml"
@@ -251,7 +273,8 @@ def main() -> None:
             print(f"{name}: {n_equal:,} values equal", *lines, sep="\n")
     finally:
         if not given.keep:
-            subprocess.run(["git", "worktree", "remove", "--force", str(old_code)], cwd=ROOT, check=False)
+            for code in codes:
+                subprocess.run(["git", "-C", str(ROOT), "worktree", "remove", "--force", str(code)], check=False)
     print(f"{total:,} values compared and equal; {wrong} columns differ without an explanation")
     sys.exit(bool(wrong))
 

@@ -119,10 +119,14 @@ def test_honest_rows_are_untouched_and_keys_unique(ghosts):
 def test_all_attackers_aim_at_a_named_victim():
     world = world_of([[0, 0], [10, 0], [60, 0], [500, 0]], np.zeros(4), [MALICIOUS, HONEST, MALICIOUS, MALICIOUS])
     world.name_key[1] = name_key("vehicle/ego")
-    ghosts = ghosts_of(acting(adversary_of(ghosts="car", victim="one", victim_id="ego"), world).detections(lists_of(world, 1)))
+    ghosts = ghosts_of(
+        acting(adversary_of(ghosts="car", victim="one", victim_id="ego"), world).detections(lists_of(world, 1))
+    )
     assert ghosts.observer.tolist() == [0, 2]  # the third attacker is too far away
     np.testing.assert_allclose(ghosts.boxes.xyz_m[:, 0], 18.0)
-    assert not len(ghosts_of(acting(adversary_of(victim="one", victim_id="gone"), world).detections(lists_of(world, 1))))
+    assert not len(
+        ghosts_of(acting(adversary_of(victim="one", victim_id="gone"), world).detections(lists_of(world, 1)))
+    )
 
 
 @pytest.mark.parametrize("number", [MALICIOUS, UNRELIABLE])

@@ -5,6 +5,7 @@ import pytest
 
 from cosim.actors import ActorRegistry
 from cosim.fleet import FleetParams
+from cosim.mobility.frame import Frame
 from cosim.mobility.source import world_from_bumpers
 from sensors.scene import Shape
 from tests.cosim.mobility import mixed_scenario
@@ -15,7 +16,7 @@ def pose(x, y, z, compass_deg, lwh):
     registry = ActorRegistry(FleetParams(), seed=1)
     number = registry.register(["a"], np.array([Shape.TRUCK], np.uint8), np.array([lwh], float), 0)
     front_m, angle = np.array([[x, y, z]], float), np.array([compass_deg], float)
-    boxes = world_from_bumpers(0, number, front_m, angle, np.zeros(1), registry).boxes
+    boxes = world_from_bumpers(0, number, front_m, angle, np.zeros(1), registry, Frame()).boxes
     return boxes.xyz_m[0], boxes.lwh_m[0], boxes.yaw_rad[0]
 
 
@@ -60,6 +61,6 @@ def test_whatever_a_configuration_asks_for_nobody_is_waited_for_and_traffic_is_r
 def test_what_sumo_complains_of_though_it_goes_on_is_told(tmp_path):
     config = mixed_scenario.write(tmp_path)
     assert "sumo_errors" not in live(str(config), tmp_path / "worlds", 0, 5)[1]
-    config.write_text(config.read_text().replace("<report>", "<routing></routing><report>"))
+    config.write_text(config.read_text().replace("</processing>", '<collision.action value="zz"/></processing>'))
     report = live(str(config), tmp_path / "worlds", 0, 5)[1]
-    assert report["sumo_errors"] == ["Could not set option 'routing' because attribute 'value' is missing."]
+    assert report["sumo_errors"] == ["Invalid collision.action 'zz'."]

@@ -1,0 +1,267 @@
+"""A driver that brakes for what its vehicle believes and its own sensors do not see."""
+
+from dataclasses import dataclass, fields, replace
+from typing import Annotated
+
+import numpy as np
+from annotated_types import Ge, Gt, Le
+from jaxtyping import Bool, Float, Int, UInt8
+from numpy import ndarray
+
+from cosim import rng
+from cosim.driver.driver import Beliefs, Reasons, SpeedCommands
+from cosim.driver.lane_path import ahead_on_path
+from cosim.ragged import expand
+from cosim.world import LABELS, LanePaths, World
+
+_PEDESTRIAN = LABELS.index("pedestrian")
+_ALONG = 0.5
+"""Cosine of the largest angle between an object's heading and the path at which it counts as driving along it."""
+_GATE_M, _FASTEST_MPS = 3.0, 40.0
+"""An object of the next sweep is the same if it lies this near to where it was expected; where its speed is not known
+yet, anywhere that the fastest could have come to."""
+_LEVEL_M = 3.0
+"""Objects whose footing is this much higher or lower than the vehicle's are on another road."""
+_ACCELERATION_MPS2 = 2.6
+"""What a car gains at most, as SUMO's default: a speed that it cannot reach in a step commands nothing."""
+_EPS_S = 1e-6
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class CautiousParams:
+    """Who reacts, to what, when, and how."""
+
+    share_p: Annotated[float, Ge(0), Le(1)] = 1.0
+    """Share of the equipped vehicles whose drivers react, decided vehicle by vehicle from its name."""
+    min_score: Annotated[float, Ge(0), Le(1)] = 0.25
+    """Smallest score of a fused object that is believed; under TruPercept few real objects of one source reach 0.5."""
+    half_width_m: Annotated[float, Gt(0)] = 1.5
+    """Half width of the corridor along the lane path in which an object is in the way [m]."""
+    horizon_s: Annotated[float, Gt(0)] = 4.0
+    """Objects that the vehicle would reach within this time at its present speed are reacted to [s]."""
+    reaction_s: Annotated[float, Ge(0)] = 0.5
+    """From the fusion of an object to the first command [s]."""
+    comfort_mps2: Annotated[float, Gt(0)] = 2.5
+    """Deceleration with which the driver approaches an object, where there is room [m/s2]."""
+    emergency_mps2: Annotated[float, Gt(0)] = 4.5
+    """Largest deceleration where there is not [m/s2]; beyond that of SUMO's vehicle type its own limit is lifted."""
+    release_s: Annotated[float, Ge(0)] = 1.0
+    """How long an object is reacted to after it was last believed [s]."""
+    standstill_m: Annotated[float, Ge(0)] = 2.5
+    """Gap that is left to an object [m]; that of SUMO's drivers."""
+    also_confirmed: bool = False
+    """Also react to what the own detector reports. SUMO's drivers know everything but persons beside crossings."""
+
+
+@dataclass(frozen=True, slots=True)
+class Believed:
+    """Objects that drivers watch, from sweep to sweep: K rows, by ego."""
+
+    ego: Int[ndarray, "k"]
+    """Actor number of the vehicle that believes."""
+    label: UInt8[ndarray, "k"]
+    xy_m: Float[ndarray, "k 2"]
+    """Where the centre is expected now."""
+    seen_xy_m: Float[ndarray, "k 2"]
+    """Where it was in the last sweep in which it was believed."""
+    lw_m: Float[ndarray, "k 2"]
+    yaw_rad: Float[ndarray, "k"]
+    speed_mps: Float[ndarray, "k"]
+    """Along its heading, from its last two places."""
+    has_speed: Bool[ndarray, "k"]
+    known_s: Float[ndarray, "k"]
+    """When it was first fused."""
+    seen_s: Float[ndarray, "k"]
+    """Of the last sweep in which it was believed."""
+    source_step: Int[ndarray, "k"]
+    source: Int[ndarray, "k"]
+    source_index: Int[ndarray, "k"]
+
+    def __len__(self) -> int:
+        return len(self.ego)
+
+    def take(self, rows: ndarray) -> "Believed":
+        """These rows, in this order."""
+        return Believed(*(getattr(self, f.name)[rows] for f in fields(self)))
+
+    @staticmethod
+    def concat(parts: list["Believed"]) -> "Believed":
+        """All rows of all parts."""
+        return Believed(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Believed)))
+
+    @staticmethod
+    def of(beliefs: Beliefs, rows: Int[ndarray, "k"], world: World, dt_s: float) -> "Believed":
+        """These beliefs, seen for the first time."""
+        boxes, n = beliefs.boxes, len(rows)
+        xy = boxes.xyz_m[rows, :2]
+        return Believed(
+            world.actor[beliefs.ego[rows]].astype(np.int64), beliefs.label[rows], xy, xy, boxes.lwh_m[rows, :2],
+            boxes.yaw_rad[rows], np.zeros(n), np.zeros(n, bool), np.full(n, beliefs.known_s),
+            np.full(n, world.step * dt_s), np.full(n, world.step), beliefs.source[rows].astype(np.int64),
+            beliefs.source_index[rows].astype(np.int64),
+        )  # fmt: skip
+
+
+class Cautious:
+    """Follows an object in its path that others report, and its own detector does not, as a virtual leader [1]_.
+
+    An object that drives along the path moves with the speed that its last two places show, and is reacted to from the
+    second sweep on; everything else in the path, persons and vehicles that face the driver among it, counts as
+    standing. Between two sweeps objects are moved on by their speed. The speed commanded is that from which the
+    driver can, after one step and with its comfortable deceleration, stop behind where the object would stop with the
+    same; no step takes more speed than the emergency deceleration allows.
+
+    Notes
+    -----
+    With b the comfortable deceleration, t the step, g the gap less the standstill gap and u the object's speed:
+    v = -b t + sqrt((b t)^2 + u^2 + 2 b g).   Deviations: none but the two decelerations.
+
+    References
+    ----------
+    .. [1] Krauss, "Microscopic Modeling of Traffic Flow", 1998: safe speed behind a leader.
+    """
+
+    Params = CautiousParams
+    LARGEST_STEP_S = 0.5
+
+    def __init__(self, params: CautiousParams) -> None:
+        self.params = params
+
+    def commands(
+        self, state: object, world: World, beliefs: Beliefs | None, dt_s: float
+    ) -> tuple[Believed | None, SpeedCommands]:
+        """Speeds behind virtual leaders, of the vehicles that have to brake for one."""
+        p, now_s, paths = self.params, world.step * dt_s, world.paths
+        assert paths is not None, "the traffic offers lane paths to drivers"
+        watched = state if isinstance(state, Believed) else None
+        if watched is not None:
+            going = np.isin(watched.ego, world.actor[paths.row]) & (now_s - watched.seen_s <= p.release_s + _EPS_S)
+            watched = _moved(watched.take(np.flatnonzero(going)), dt_s)
+        if beliefs is not None:
+            watched = self._believe(watched, world, paths, beliefs, dt_s)
+        if watched is None or not len(watched):
+            return None, SpeedCommands.none()
+        return watched, self._follow(watched, world, paths, now_s, dt_s)
+
+    def _believe(
+        self, watched: Believed | None, world: World, paths: LanePaths, beliefs: Beliefs, dt_s: float
+    ) -> Believed | None:
+        """What is watched after a sweep: objects in the way, as the ones they were before where they are the same."""
+        p, boxes = self.params, beliefs.boxes
+        path = _path_of(world, paths)
+        asked = (beliefs.score >= p.min_score) & (path[beliefs.ego] >= 0) & self._reacts(world)[beliefs.ego]
+        asked &= p.also_confirmed | ~beliefs.ego_detected
+        look_m = self._look_m(world)
+        front = world.boxes.xyz_m[beliefs.ego, :2]
+        reach_m = look_m[beliefs.ego] + world.boxes.lwh_m[beliefs.ego, 0] + boxes.circumradius_m
+        asked &= np.hypot(*(boxes.xyz_m[:, :2] - front).T) <= reach_m
+        footing = (b.xyz_m[:, 2] - b.lwh_m[:, 2] / 2 for b in (boxes, world.boxes.take(beliefs.ego)))
+        asked &= np.abs(np.subtract(*footing)) <= _LEVEL_M
+        rows = np.flatnonzero(asked)
+        if not p.also_confirmed:
+            own = np.flatnonzero(beliefs.ego_detected)
+            rows = rows[~_overlaps_own(beliefs, rows, own)]
+            if watched is not None and len(watched):
+                watched = watched.take(np.flatnonzero(~_seen_by_own(watched, beliefs, own, world)))
+        ego = beliefs.ego[rows]
+        gap_m, _ = ahead_on_path(
+            paths, path[ego], boxes.xyz_m[rows, :2], boxes.lwh_m[rows, :2], boxes.yaw_rad[rows], look_m[ego],
+            p.half_width_m,
+        )  # fmt: skip
+        found = Believed.of(beliefs, rows[np.isfinite(gap_m)], world, dt_s)
+        return found if watched is None or not len(watched) else _continued(watched, found)
+
+    def _follow(self, watched: Believed, world: World, paths: LanePaths, now_s: float, dt_s: float) -> SpeedCommands:
+        """The lowest speed that any watched object asks for, per vehicle."""
+        p = self.params
+        row = np.searchsorted(world.actor, watched.ego)
+        gap_m, heading = ahead_on_path(
+            paths, _path_of(world, paths)[row], watched.xy_m, watched.lw_m, watched.yaw_rad, self._look_m(world)[row],
+            p.half_width_m,
+        )  # fmt: skip
+        along = np.cos(watched.yaw_rad - heading)
+        drives = (along > _ALONG) & (watched.label != _PEDESTRIAN)
+        due = np.isfinite(gap_m) & (now_s >= watched.known_s + p.reaction_s - _EPS_S)
+        due &= ~drives | watched.has_speed
+        leader_mps = np.where(drives, np.maximum(watched.speed_mps * along, 0.0), 0.0)
+        speed = world.speed_mps[row]
+        bt = p.comfort_mps2 * dt_s
+        free_m = np.maximum(np.where(due, gap_m, 0.0) - p.standstill_m, 0.0)
+        safe = -bt + np.sqrt(bt**2 + leader_mps**2 + 2 * p.comfort_mps2 * free_m)
+        wanted = np.maximum(np.maximum(safe, speed - p.emergency_mps2 * dt_s), 0.0)
+        rows = np.flatnonzero(due & (wanted < speed + _ACCELERATION_MPS2 * dt_s))
+        rows = rows[np.lexsort((watched.source_index[rows], watched.source[rows], wanted[rows], watched.ego[rows]))]
+        rows = rows[np.diff(watched.ego[rows], prepend=-1) > 0]
+        reasons = Reasons(watched.source_step[rows], watched.source[rows], watched.source_index[rows], gap_m[rows])
+        return SpeedCommands(watched.ego[rows], wanted[rows], reasons)
+
+    def _reacts(self, world: World) -> Bool[ndarray, "n"]:
+        """Actors whose drivers react."""
+        return rng.uniforms(rng.key(0, rng.Stream.DRIVER), world.name_key)[:, 0] < self.params.share_p
+
+    def _look_m(self, world: World) -> Float[ndarray, "n"]:
+        """How far ahead each actor looks: the horizon, and at least some room in front of the standstill gap."""
+        return np.maximum(world.speed_mps * self.params.horizon_s, 2 * self.params.standstill_m)
+
+
+def _path_of(world: World, paths: LanePaths) -> Int[ndarray, "n"]:
+    """Row of `paths` of each actor; -1 where it has none."""
+    path = np.full(len(world), -1)
+    path[paths.row] = np.arange(len(paths.row))
+    return path
+
+
+def _moved(watched: Believed, dt_s: float) -> Believed:
+    """Everything a step on, by its speed."""
+    way = watched.speed_mps * watched.has_speed * dt_s
+    heading = np.column_stack([np.cos(watched.yaw_rad), np.sin(watched.yaw_rad)])
+    return replace(watched, xy_m=watched.xy_m + way[:, None] * heading)
+
+
+def _pairs(a: Int[ndarray, "a"], b: Int[ndarray, "b"]) -> tuple[ndarray, ndarray]:
+    """Rows of all pairs with the same number in both; by row of `a`."""
+    order = np.argsort(b, kind="stable")
+    at, which = expand(np.searchsorted(b[order], a, "left"), np.searchsorted(b[order], a, "right"))
+    return which, order[at]
+
+
+def _overlaps_own(beliefs: Beliefs, rows: Int[ndarray, "k"], own: Int[ndarray, "o"]) -> Bool[ndarray, "k"]:
+    """Objects at which the vehicle's own detector reports something: their centres lie half a length apart or less."""
+    one, other = _pairs(beliefs.ego[rows], beliefs.ego[own])
+    i, j, boxes = rows[one], own[other], beliefs.boxes
+    apart_m = np.hypot(*(boxes.xyz_m[i, :2] - boxes.xyz_m[j, :2]).T)
+    near = apart_m <= (boxes.lwh_m[i, 0] + boxes.lwh_m[j, 0]) / 4
+    return np.bincount(one[near], minlength=len(rows)) > 0
+
+
+def _seen_by_own(watched: Believed, beliefs: Beliefs, own: Int[ndarray, "o"], world: World) -> Bool[ndarray, "k"]:
+    """The same for what was watched before."""
+    one, other = _pairs(watched.ego, world.actor[beliefs.ego[own]])
+    j, boxes = own[other], beliefs.boxes
+    apart_m = np.hypot(*(watched.xy_m[one] - boxes.xyz_m[j, :2]).T)
+    near = apart_m <= (watched.lw_m[one, 0] + boxes.lwh_m[j, 0]) / 4
+    return np.bincount(one[near], minlength=len(watched)) > 0
+
+
+def _continued(watched: Believed, found: Believed) -> Believed:
+    """Objects found, with what is known of them from before; those that are not found again stay for a while."""
+    new, old = _pairs(found.ego, watched.ego)
+    away_m = np.hypot(*(found.xy_m[new] - watched.xy_m[old]).T)
+    since_s = found.seen_s[new] - watched.seen_s[old]
+    gate_m = _GATE_M + np.where(watched.has_speed[old], 0.0, _FASTEST_MPS * since_s)
+    same = (away_m <= gate_m) & (found.label[new] == watched.label[old])
+    new, old, away_m, since_s = new[same], old[same], away_m[same], since_s[same]
+    order = np.lexsort((old, away_m, new))
+    order = order[np.diff(new[order], prepend=-1) > 0]  # the nearest of each
+    new, old, since_s = new[order], old[order], since_s[order]
+    heading = np.column_stack([np.cos(found.yaw_rad[new]), np.sin(found.yaw_rad[new])])
+    shown = np.clip(
+        np.sum((found.seen_xy_m[new] - watched.seen_xy_m[old]) * heading, axis=1) / since_s, 0, _FASTEST_MPS
+    )
+    speed, has_speed, known_s = found.speed_mps.copy(), found.has_speed.copy(), found.known_s.copy()
+    speed[new] = np.where(watched.has_speed[old], (watched.speed_mps[old] + shown) / 2, shown)
+    has_speed[new], known_s[new] = True, watched.known_s[old]
+    found = replace(found, speed_mps=speed, has_speed=has_speed, known_s=known_s)
+    left = np.setdiff1d(np.arange(len(watched)), old)
+    both = Believed.concat([found, watched.take(left)])
+    return both.take(np.lexsort((both.source_index, both.source, both.ego)))
