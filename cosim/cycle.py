@@ -230,7 +230,7 @@ def step(world: World, state: State, parts: Parts) -> tuple[State, StepResult]:
         fused = stages.fuse_objects(matched, evaluated, listed, observed, senders, used, lookups, parts)
     with watch("driver"):
         assert fused[0] is not None, "the acting variant is always fused"
-        beliefs = stages.beliefs_of(fused[0], listed, vehicles, fused_s)
+        beliefs = stages.beliefs_of(fused[0], listed, senders, vehicles, fused_s)
         s.driver, commands = parts.driver.commands(s.driver, world, beliefs, c.traffic.step_s)
         if c.driver.model != "none":
             observer = senders.pseudonym[listed.detections.message]

@@ -264,12 +264,12 @@ def fuse_objects(
     return fused
 
 
-def beliefs_of(fused: Fused, listed: Listed, vehicles: Vehicles, known_s: float) -> Beliefs:
+def beliefs_of(fused: Fused, listed: Listed, senders: Senders, vehicles: Vehicles, known_s: float) -> Beliefs:
     """Fused objects as drivers see them, known at that time."""
     boxes, pose = listed.objects.boxes.take(fused.seed), listed.objects.boxes.take(fused.pose)
     boxes = replace(boxes, xyz_m=pose.xyz_m, yaw_rad=pose.yaw_rad)
     label = listed.objects.label[fused.seed]
-    source = vehicles.pseudonym[listed.detections.message[fused.seed]], listed.objects.detection_index[fused.seed]
+    source = senders.pseudonym[listed.detections.message[fused.seed]], listed.objects.detection_index[fused.seed]
     return Beliefs(known_s, vehicles.row[fused.ego], label, boxes, fused.score, fused.ego_detected, *source)
 
 

@@ -34,9 +34,9 @@ ONE_FILE = {
 
 ORDER = (
     "rng", "ragged", "stopwatch", "choices", "console", "world", "fleet", "actors", "mobility", "radio", "codes",
-    "v2x", "trackers", "tracking", "driver", "perception", "ground_truth", "reactions", "adversary", "object_lists",
-    "config", "manifest", "parts", "stages", "cycle", "scenario", "replay_lidar", "calibrate", "recording", "run", "reproduce",
-    "bench", "nets", "cli", "__main__",
+    "v2x", "trackers", "tracking", "driver", "perception", "ground_truth", "reactions", "adversary", "senders",
+    "object_lists", "config", "manifest", "parts", "stages", "cycle", "scenario", "replay_lidar", "calibrate",
+    "recording", "run", "reproduce", "bench", "nets", "cli", "__main__",
 )  # fmt: skip
 """Inside the hall: each may use those before it."""
 

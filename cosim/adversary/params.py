@@ -63,6 +63,7 @@ class AttackParams:
     """When its vehicles change their pseudonyms: by_policy as all do; whitewashing: also once their own trust, as last
     broadcast, is below renew_below; newcomer: also every renew_s, to live on the default trust."""
     renew_below: Annotated[float, Ge(0), Le(1)] = 0.5
+    """whitewashing: trust below which a vehicle takes a new pseudonym."""
     renew_s: Annotated[float, Gt(0)] = 10.0
     """newcomer: life of a pseudonym [s]."""
 

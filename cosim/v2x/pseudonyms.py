@@ -201,6 +201,7 @@ class PseudonymParams:
     """What happens to a subject that the acting server trusts less than revoke_below: nothing; receivers drop its
     messages at once; from the next revocation list on; or it gets no new pseudonym after its present one."""
     revoke_below: Annotated[float, Interval(ge=0, le=1)] = 0.25
+    """Trust at the acting server below which a subject is revoked."""
     min_evaluations: Annotated[int, Gt(0)] = 5
     """Evaluations that a revocation takes at least."""
     list_every_s: Annotated[float, Gt(0)] = 60.0
