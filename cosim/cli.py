@@ -12,6 +12,7 @@ from rich.table import Table
 
 from cosim.console import notes, print_json, print_metrics, print_run_summary, rows_of, screen, table_of
 from cosim.nets import nets
+from cosim.studies import commands as studies
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -20,6 +21,7 @@ app = typer.Typer(
     help="Co-simulation of cooperative perception under trust at city scale.",
 )
 app.add_typer(nets, name="nets")
+studies.add_to(app)
 
 ConfigPath = Annotated[Path | None, typer.Argument(help="TOML file; without one, the shipped city.")]
 Overrides = Annotated[
@@ -80,18 +82,26 @@ def check(config: ConfigPath = None, overrides: Overrides = None, as_json: AsJso
 def measure(
     runs: Annotated[list[Path] | None, typer.Argument(help="Folders that `cosim run` wrote.")] = None,
     explain: Annotated[bool, typer.Option("--explain", help="List all metrics with their definitions.")] = False,
+    metrics: Annotated[
+        list[str] | None, typer.Option("--metric", help="study: show this metric, or METRIC:GROUP. Repeatable.")
+    ] = None,
     variant: Annotated[str, typer.Option(help="Trust variant of the runs.")] = "base",
     threshold: Annotated[float, typer.Option(min=0, max=1, help="Trust below which a vehicle is suspected.")] = 0.25,
     fresh_s: Annotated[float, typer.Option(help="Oldest age at which trust counts as fresh, in seconds.")] = 10.0,
     false_positives: Annotated[float, typer.Option(min=0, max=1, help="False positive rate to compare at.")] = 0.05,
     as_json: AsJson = False,
 ) -> None:
-    """Print the metrics of runs."""
+    """Print the metrics of runs; of a study, means over replicates with 95 % intervals and paired differences."""
     if explain:
         print_metrics(as_json)
         return
     if not runs:
         raise ValueError("There is no run to measure. Name at least one run folder, or ask with --explain.")
+    if studies.is_study(runs):
+        studies.measure(runs[0], metrics or [], as_json)
+        return
+    if metrics:
+        raise ValueError("--metric goes with a study. Leave it out, or give the folder of a `cosim sweep`.")
     from results.archive import open_run
     from results.measure import measure as measured
 
@@ -119,13 +129,25 @@ def plot(
     ] = None,
     step: Annotated[int | None, typer.Option(help="sweep: of which step.")] = None,
     over: Annotated[
-        str | None, typer.Option(help="freshness: draw the runs over this key of the config, e.g. trust.freshness_s.")
+        str | None, typer.Option(help="Key on the axis, e.g. trust.freshness_s; of a study, or of runs by freshness.")
+    ] = None,
+    by: Annotated[str | None, typer.Option(help="study: swept key as colour.")] = None,
+    metrics: Annotated[
+        list[str] | None, typer.Option("--metric", help="study: draw this metric, or METRIC:GROUP. Repeatable.")
+    ] = None,
+    where: Annotated[
+        list[str] | None, typer.Option(help="study: hold a swept key at a value, KEY=VALUE. Repeatable.")
     ] = None,
     fresh_s: Annotated[float | None, typer.Option(help="freshness: oldest that is fresh, in seconds.")] = None,
     radius_m: Annotated[float | None, typer.Option(help="map, contacts: which of the radii, in metres.")] = None,
     pairs: Annotated[str | None, typer.Option(help="map, contacts: which of the kinds of pairs.")] = None,
 ) -> None:
-    """Draw a figure of one or several runs."""
+    """Draw a figure of one or several runs, or of a study over a swept key."""
+    if studies.is_study(runs):
+        studies.plot(what, runs[0], out, over, by, metrics or [], where or [])
+        return
+    if by or metrics or where:
+        raise ValueError("--by, --metric and --where go with a study. Leave them out.")
     from inspect import signature
 
     from results.archive import open_run
@@ -154,10 +176,13 @@ def plot(
 
 @app.command()
 def report(
-    folder: Annotated[Path, typer.Argument(help="Run folder.")],
-    out: Annotated[Path | None, typer.Option(help="File to write; by default report.html in the run folder.")] = None,
+    folder: Annotated[Path, typer.Argument(help="Folder of a run or of a study.")],
+    out: Annotated[Path | None, typer.Option(help="File to write; by default report.html in the folder.")] = None,
 ) -> None:
-    """Write one self-contained HTML page about a run."""
+    """Write one self-contained HTML page about a run or a study."""
+    if studies.is_study([folder]):
+        studies.report(folder, out)
+        return
     from results.archive import open_run
     from results.report import write
 

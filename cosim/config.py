@@ -191,28 +191,32 @@ def _chosen(section: str, holder: Any, own: dict[str, Any]) -> tuple[Choice, Any
     if isinstance(holder, choice.params):
         return choice, holder
     shared = {f.name: getattr(holder, f.name) for f in fields(choice.params) if hasattr(holder, f.name)}
-    return choice, _validated(choice.params, shared | own, section, "the config")
+    return choice, validated(choice.params, shared | own, section, "the config")
 
 
 def load(path: Path | None = None, overrides: list[str] | None = None) -> Config:
     """Experiment from a TOML file, then from `key=value` overrides; ValueError in one line for a mistake."""
-    data: dict[str, Any] = {}
-    where = "the config"
-    if path is not None:
-        where = path.name
-        try:
-            data = tomllib.loads(path.read_text(encoding="utf-8"))
-        except FileNotFoundError:
-            raise ValueError(f"{path}: no such config file. Give the path of a TOML file, or none.") from None
-        except (OSError, UnicodeDecodeError) as error:
-            raise ValueError(f"{path}: cannot be read as a config file: {error}.") from None
-        except tomllib.TOMLDecodeError as error:
-            raise ValueError(f"{path}: not valid TOML: {error}.") from None
-    data.setdefault("attacks", copy.deepcopy(list(PAPER)))
-    data.setdefault("encounters", [{}])
+    data = with_defaults({} if path is None else read_toml(path, "config file"))
     for text in overrides or []:
         _override(data, text)
-    return resolve_data(data, where, None if path is None else path.parent)
+    return resolve_data(data, "the config" if path is None else path.name, None if path is None else path.parent)
+
+
+def read_toml(path: Path, what: str) -> dict[str, Any]:
+    """Plain data of a TOML file; ValueError in one line where it cannot be read."""
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise ValueError(f"{path}: no such {what}. Give the path of a TOML file.") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise ValueError(f"{path}: cannot be read as a {what}: {error}.") from None
+    except tomllib.TOMLDecodeError as error:
+        raise ValueError(f"{path}: not valid TOML: {error}.") from None
+
+
+def with_defaults(data: dict[str, Any]) -> dict[str, Any]:
+    """Plain data with the lists that a config has when it does not state them."""
+    return {"attacks": copy.deepcopy(list(PAPER)), "encounters": [{}]} | data
 
 
 def resolve_data(data: dict[str, Any], where: str, folder: Path | None) -> Config:
@@ -239,7 +243,7 @@ def resolve_data(data: dict[str, Any], where: str, folder: Path | None) -> Confi
     if isinstance(traffic.get("scenario"), str) and not {"step_s", "trace"} & traffic.keys():
         if (own_s := _own_step_s(traffic["scenario"])) is not None:
             traffic["step_s"] = own_s
-    config = _validated(Config, data, "", where)
+    config = validated(Config, data, "", where)
     stated = data["trust"] | own.get("trust", {})
     config = replace(config, own={section: values for section, values in own.items() if values})
     return replace(config, trust_variant=_variants(variants, stated, config, where, folder))
@@ -274,7 +278,7 @@ def _variants(
         if "model" in changes:
             changes["model"] = merged["model"]
         _check_keys(merged, TrustParams, f"{place}.", where)
-        trust = _validated(TrustParams, merged, place, where)
+        trust = validated(TrustParams, merged, place, where)
         if key := differing_evidence_key(config.trust, trust):
             raise ValueError(
                 f'{place} ("{name}"): {key} changes what vehicles evaluate, so this variant cannot share the evidence '
@@ -315,11 +319,11 @@ def _take_own(section: dict[str, Any], name: str, model: Any, where: str, folder
         hint = f"Did you mean {name}.{near[0]}?" if near else f"Known: {known}."
         raise ValueError(f"{name}.{unknown[0]}: unknown key in {where}. {_former(f'{name}.{unknown[0]}') or hint}")
     _check_finite(taken, f"{name}.", where)
-    made = asdict(_validated(choice.params, taken, name, where))
+    made = asdict(validated(choice.params, taken, name, where))
     return {k: made[k] for k in made if k in of_class}
 
 
-def _validated(model: Any, data: Any, prefix: str, where: str) -> Any:
+def validated(model: Any, data: Any, prefix: str, where: str) -> Any:
     """Typed parameters from plain data; ValueError in one line for a mistake."""
     try:
         return TypeAdapter(model).validate_json(json.dumps(data, default=str), strict=True)
@@ -357,23 +361,28 @@ def _override(data: Any, text: str) -> None:
         parsed = tomllib.loads(f"value = {value}")["value"]
     except tomllib.TOMLDecodeError:
         parsed = value
-    *sections, last = name.strip().split(".")
+    assign(data, name.strip(), parsed, f"--set {text}")
+
+
+def assign(data: Any, name: str, value: Any, said: str) -> None:
+    """Set the key `name` in plain data; `said` is what the user wrote, for messages."""
+    *sections, last = name.split(".")
     for section in sections:
-        data = _item(data, section, text)
+        data = _item(data, section, said)
         if not isinstance(data, dict | list):
-            raise ValueError(f"--set {text}: {section} is a value, not a section.")
+            raise ValueError(f"{said}: {section} is a value, not a section.")
     if isinstance(data, list):
-        raise ValueError(f"--set {text}: {sections[-1]} is a list; name an item and a key, as in {sections[-1]}.0.KEY.")
-    data[last] = parsed
+        raise ValueError(f"{said}: {sections[-1]} is a list; name an item and a key, as in {sections[-1]}.0.KEY.")
+    data[last] = value
 
 
-def _item(data: Any, name: str, text: str) -> Any:
+def _item(data: Any, name: str, said: str) -> Any:
     """A section, made if it is not there."""
     if isinstance(data, dict):
         lists = name == "trust_variant"
         return data.setdefault(name, [] if lists else {})
     if not name.isdecimal() or int(name) > len(data):
-        raise ValueError(f"--set {text}: {name} is no item of a list of {len(data)}; they are numbered from 0.")
+        raise ValueError(f"{said}: {name} is no item of a list of {len(data)}; they are numbered from 0.")
     if int(name) == len(data):
         data.append({})
     return data[int(name)]

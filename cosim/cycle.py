@@ -227,7 +227,7 @@ def step(world: World, state: State, parts: Parts) -> tuple[State, StepResult]:
         subject = parts.linkage.subjects(s.pseudonyms, senders.pseudonym)[used.message]
         lookups = _per_variant(parts.trust.lookup(s.trust, vehicles.actor[used.receiver], subject, fused_s), parts)
     with watch("fuse"):
-        fused = stages.fuse_objects(matched, evaluated, listed, observed, senders, used, lookups, parts)
+        fused = stages.fuse_objects(matched, evaluated, listed, observed, senders, used, lookups, s.trust, parts)
     with watch("driver"):
         assert fused[0] is not None, "the acting variant is always fused"
         beliefs = stages.beliefs_of(fused[0], listed, senders, vehicles, fused_s)

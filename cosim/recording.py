@@ -34,7 +34,7 @@ OUTCOMES = {
 def step(recorder: Recorder, happened: StepResult, dt_s: float) -> None:
     """Everything that the result of a step says."""
     at = happened.world.step
-    _actors(recorder, happened.world)
+    actors(recorder, happened.world)
     if happened.reactions is not None:
         _reactions(recorder, at, happened.reactions)
     encounters(recorder, at, happened.encounters)
@@ -50,7 +50,8 @@ def step(recorder: Recorder, happened: StepResult, dt_s: float) -> None:
     _fused(recorder, at, sensed)
 
 
-def _actors(recorder: Recorder, world: World) -> None:
+def actors(recorder: Recorder, world: World) -> None:
+    """Poses of all actors."""
     xyz, yaw = world.boxes.xyz_m, world.boxes.yaw_rad
     recorder.append("actors", world.step, {
         "actor": world.actor, "x_m": xyz[:, 0], "y_m": xyz[:, 1], "z_m": xyz[:, 2], "yaw_rad": yaw,

@@ -89,8 +89,11 @@ def without_nulls(data: Any) -> Any:
     return [without_nulls(v) for v in data] if isinstance(data, list | tuple) else data
 
 
-def run(config: Config, out: Path | None, advance: Advance) -> Path:
+def run(config: Config, out: Path | None, advance: Advance, traffic_from: Path | None = None) -> Path:
     """Drive, sense, talk, trust and record; the folder that it wrote.
+
+    `traffic_from` is a folder that `record_traffic` wrote for the same `[traffic]`: it is replayed instead of driving
+    SUMO, with the same tables.
 
     Nothing is written before the config has been checked and SUMO has accepted the scenario.
     """
@@ -101,13 +104,16 @@ def run(config: Config, out: Path | None, advance: Advance) -> Path:
         city = scenario.city()
     parts = Parts.of(config, city, roadside_units(config, scenario), watch)
     registry = ActorRegistry(config.fleet, config.seed, shares(config.attacks), named(config.attacks))
-    traffic = scenario.traffic(config.traffic, registry, has_driver=config.driver.model != "none")
+    recorded = scenario if traffic_from is None else replace(scenario, trace=traffic_from, warmup_s=0.0)
+    params = config.traffic if traffic_from is None else replace(config.traffic, begin_s=None, warmup_s=0.0)
+    traffic = recorded.traffic(params, registry, has_driver=config.driver.model != "none")
     try:
         folder.mkdir(parents=True, exist_ok=True)
         manifest = Manifest(folder, config, scenario.provenance(), sources(config))
         (folder / "config.toml").write_text(tomli_w.dumps(without_nulls(config.to_dict())), encoding="utf-8")
         manifest.write("running")
         try:
+            _warm_up(0.0 if traffic_from is not None else _warmup_s(config, scenario), traffic, watch, advance)
             _drive(parts, scenario, traffic, registry, manifest, advance)
         except KeyboardInterrupt:
             manifest.write("interrupted")
@@ -118,6 +124,36 @@ def run(config: Config, out: Path | None, advance: Advance) -> Path:
         except Exception as error:
             manifest.write("failed")
             raise RuntimeError(f"{folder}: the run failed at step {manifest.steps}") from error
+    finally:
+        traffic.close()
+    manifest.write("finished")
+    return folder
+
+
+def record_traffic(config: Config, folder: Path, advance: Advance) -> Path:
+    """Drive and record the traffic of a config, nobody equipped; a folder for `run(..., traffic_from=folder)`."""
+    own = {section: values for section, values in config.own.items() if not section.startswith("attacks.")}
+    config = replace(config, attacks=(), trust_variant=(), own=own)
+    scenario, watch = check(config), Stopwatch()
+    registry = ActorRegistry(replace(config.fleet, penetration_p=0.0), config.seed)
+    traffic = scenario.traffic(config.traffic, registry)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        manifest = Manifest(folder, config, scenario.provenance(), sources(config))
+        manifest.write("running")
+        _warm_up(_warmup_s(config, scenario), traffic, watch, advance)
+        with Recorder(folder, "standard", config.record.block_steps) as recorder:
+            for number in range(config.n_steps):
+                try:
+                    world = traffic.advance()
+                except TrafficEnded:
+                    break
+                recording.actors(recorder, world)
+                manifest.steps = number + 1
+                advance("traffic", number + 1, config.n_steps, f"steps, {len(world)} actors")
+            nobody = np.zeros(len(registry), np.int32), np.zeros(len(registry), bool)
+            recording.vehicles(recorder, registry, roles_of(()), *nobody, max(0, manifest.steps - 1))
+        manifest.timings_s, manifest.summary = watch.seconds, traffic.report()
     finally:
         traffic.close()
     manifest.write("finished")
@@ -140,7 +176,6 @@ def _drive(
     advance: Advance,
 ) -> None:  # fmt: skip
     config, watch = parts.config, parts.watch
-    _warm_up(config, scenario, traffic, watch, advance)
     state = State.start(parts)
     variants = [variant.name for variant in parts.trust.variants]
     n_on_road, ended = 0, ""
@@ -179,8 +214,11 @@ def _drive(
     }
 
 
-def _warm_up(config: Config, scenario: Scenario, traffic: TrafficSource, watch: Stopwatch, advance: Advance) -> None:
-    warmup_s = scenario.warmup_s if config.traffic.warmup_s is None else config.traffic.warmup_s
+def _warmup_s(config: Config, scenario: Scenario) -> float:
+    return scenario.warmup_s if config.traffic.warmup_s is None else config.traffic.warmup_s
+
+
+def _warm_up(warmup_s: float, traffic: TrafficSource, watch: Stopwatch, advance: Advance) -> None:
     with watch("warm-up"):
         try:
             for done_s in traffic.warm_up(warmup_s):

@@ -232,7 +232,7 @@ def update_trust(
 
 def fuse_objects(
     matched: Matched, evaluated: Evaluated, listed: Listed, observed: Observed, senders: Senders, used: Receptions,
-    lookups: list[Lookups], parts: Parts,
+    lookups: list[Lookups], trust: TrustState, parts: Parts,
 ) -> list[Fused | None]:  # fmt: skip
     """Every vehicle's final objects, per trust variant; None where they are not asked for.
 
@@ -252,13 +252,13 @@ def fuse_objects(
     ptr = ptr_of(used.receiver, len(known.owner))
     in_time = np.full(len(used.message), c.radio.evaluations == "alone")
     fused: list[Fused | None] = []
-    for variant, found in zip(parts.trust.variants, lookups, strict=True):
+    for variant, found, scorer in zip(parts.trust.variants, lookups, parts.trust.scorers(trust), strict=True):
         if not variant.fused:
             fused.append(None)
             continue
         objects = fuse(
             known, matched.groups, listed.detections, evaluated.lists, evaluated.own, evaluated.reported,
-            SenderTrust(ptr, used.message, found.trust, in_time), evidence, from_own_m, variant.trust,
+            SenderTrust(ptr, used.message, found.trust, in_time), evidence, from_own_m, variant.trust, scorer,
         )  # fmt: skip
         fused.append(objects.take(objects.score >= variant.trust.min_score))
     return fused

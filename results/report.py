@@ -15,7 +15,7 @@ from results.metrics.registry import METRICS, TOPICS
 from results.run import Run
 from results.tables import SCHEMA_VERSION, TABLES
 
-_STYLE = """
+STYLE = """
 :root { --ink: #1b2433; --soft: #5c6675; --line: #dfe3e8; --accent: #16325c; --tint: #f5f7fa; }
 * { box-sizing: border-box; }
 body { font: 15px/1.5 system-ui, "Segoe UI", "DejaVu Sans", sans-serif; color: var(--ink); margin: 0 auto;
@@ -76,7 +76,7 @@ def page(run: Run) -> str:
     return (
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"<title>{escape(run.name)}</title><style>{_STYLE}</style></head>\n<body>\n{body}\n</body></html>\n"
+        f"<title>{escape(run.name)}</title><style>{STYLE}</style></head>\n<body>\n{body}\n</body></html>\n"
     )
 
 

@@ -18,7 +18,7 @@ FOREIGN = {
     "sumo_nets": {"annotated_types", "jaxtyping", "numpy", "shapely", "osmium", "sumo", "sumolib"},
     "cosim": {
         "annotated_types", "jaxtyping", "numpy", "scipy", "numba", "libsumo", "pyarrow", "pydantic", "typer", "rich",
-        "tomli_w", "shapely",
+        "tomli_w", "shapely", "pandas", "distributed", "psutil",
     },
 }  # fmt: skip
 """Foreign libraries that each room may use."""
@@ -29,6 +29,8 @@ ONE_FILE = {
     "open3d": {"sensors/raycast/open3d.py"},
     "pydantic": {"cosim/config.py"},
     "osmium": {"sumo_nets/osm.py"},
+    "distributed": {"cosim/studies/engine.py"},
+    "psutil": {"cosim/studies/engine.py"},
 }
 """Libraries that one file alone may know."""
 
@@ -36,7 +38,7 @@ ORDER = (
     "rng", "ragged", "stopwatch", "choices", "console", "world", "fleet", "actors", "mobility", "radio", "codes",
     "v2x", "trackers", "tracking", "driver", "perception", "ground_truth", "reactions", "adversary", "senders",
     "object_lists", "config", "manifest", "parts", "stages", "cycle", "scenario", "replay_lidar", "calibrate",
-    "recording", "run", "reproduce", "bench", "nets", "cli", "__main__",
+    "recording", "run", "reproduce", "bench", "nets", "studies", "cli", "__main__",
 )  # fmt: skip
 """Inside the hall: each may use those before it."""
 

@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float, Int
 from numba import njit, prange
 from numpy import ndarray
 
+from trust.object_reports import ObjectReports, object_reports
 from trust.params import AVERAGES, Method, TrustParams
 from trust.tables import Detections, Evaluations, Groups, ObjectLists, int64
 from trust.threads import threads_for
@@ -266,6 +267,7 @@ def fuse(
     evidence: SensorEvidence,
     distance_m: Float[ndarray, "d"],
     params: TrustParams,
+    score_objects: Callable[[ObjectReports], Float[ndarray, "g"]] | None = None,
 ) -> Fused:
     """Final score and pose of each group of each ego.
 
@@ -286,6 +288,8 @@ def fuse(
         Rows go with `groups.seeds()`.
     distance_m
         Of each detection from its own detector's sensor [m].
+    score_objects
+        Scores of a trust model that scores objects, instead of those of `params.method`.
 
     Returns
     -------
@@ -348,7 +352,13 @@ def fuse(
         size, groups.ego_detected[seeds], score_of_member[seeds], total(score_of_member),
         total(score_of_member * detector), total(detector), total(num), total(den), parity, evidence,
     )  # fmt: skip
-    score = np.clip(METHODS[params.method](sums, params), 0.0, 1.0)
+    if score_objects is None:
+        score = np.clip(METHODS[params.method](sums, params), 0.0, 1.0)
+    else:
+        received = sender_trust.ptr, sender_trust.message, sender_trust.trust, arrived
+        score = score_objects(object_reports(
+            lists, groups, detections, evaluated, own, reported, received, params.ego_trust, n_threads
+        ))  # fmt: skip
 
     pose = row
     if params.method in CORRECTED and not params.code_parity:

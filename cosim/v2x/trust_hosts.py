@@ -5,7 +5,7 @@ what variants have in common (the evidence store of one model with several windo
 server) is kept once.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
@@ -24,6 +24,9 @@ from cosim.v2x.trust_server import (
 )
 from results.codes import TrustSource
 from trust.models import TrustModel
+from trust.models.interface import checked_object_scores, checked_scores
+from trust.models.stepwise import share_logs
+from trust.object_reports import ObjectReports
 from trust.params import EVIDENCE_KEYS, TrustParams, eta_of
 from trust.step_evidence import RejectReason
 from trust.tables import SERVER, EvaluationMessages, ReceivedEvaluations, TrustScores
@@ -33,6 +36,10 @@ FUSION_KEYS = frozenset({
     "code_aggregate", "ego_trust", "ego_trust_from",
 })  # fmt: skip
 """Keys of [trust] that say what trust is used for: variants that differ in these alone share one host."""
+
+
+ObjectScorer = Callable[[ObjectReports], Float[ndarray, "g"]]
+"""Scores of groups of detections by a trust model that scores objects."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,7 +129,7 @@ class TrustHosts:
         keys: list[tuple] = []
         host_of: list[int] = []
         for variant in variants:
-            key = _host_key(variant)
+            key = host_key(variant)
             if key not in keys:
                 keys.append(key)
             host_of.append(keys.index(key))
@@ -149,6 +156,8 @@ class TrustHosts:
             built = build(own, self.dt_s) if build else [model(p, self.dt_s) for p in own]
             for h, made in zip(group, built, strict=True):
                 models[h] = made
+        for kind in {_kind(p) for p in self.params}:
+            share_logs([m for m, p in zip(models, self.params, strict=True) if m is not None and _kind(p) == kind])
         return TrustState([HostState(m) for m in models])
 
     def publish(
@@ -177,7 +186,7 @@ class TrustHosts:
             host = state.hosts[h]
             if time_s - host.last_broadcast_s < self.params[h].server_period_s - 1e-9:
                 continue
-            scores = published[h] = self._model(state, h).scores(step)
+            scores = published[h] = self._scores(state, h, step)
             downlink, n_informed = self.downlink.publish(
                 host.downlink, TrustBroadcast(time_s, scores), step, vehicle, name_key
             )
@@ -308,7 +317,7 @@ class TrustHosts:
                 self._fill(found, rows, broadcast.scores, at, TrustSource.SERVER, time_s)
                 found.age_s[rows] = time_s - broadcast.time_s
         elif params.host == "local":
-            scores = self._model(state, h).scores()
+            scores = self._scores(state, h)
             at, known = scores.rows_of(vehicle, subject)
             self._fill(found, np.flatnonzero(known), scores, at[known], TrustSource.OWN, time_s)
             found.age_s[known] = time_s - scores.newest_step[at[known]] * self.dt_s
@@ -327,6 +336,14 @@ class TrustHosts:
         counts = getattr(state.hosts[self.host_of[0]].model, "rejected", ())
         return {cause.name.lower(): int(n) for cause, n in zip(RejectReason, counts, strict=False) if n}
 
+    def scorers(self, state: TrustState) -> list[ObjectScorer | None]:
+        """Per variant: the scores that its model gives to objects, None where it gives none."""
+        return [_scorer(state.hosts[h].model) for h in self.host_of]
+
+    def _scores(self, state: TrustState, h: int, step: int | None = None) -> TrustScores:
+        """Trust scores of a host's model, checked."""
+        return checked_scores(self._model(state, h).scores(step), self.models[h][0])
+
     def _model(self, state: TrustState, h: int) -> TrustModel:
         model = state.hosts[h].model
         assert model is not None
@@ -339,10 +356,23 @@ class TrustHosts:
         return any(params.host == host for params in self.params)
 
 
-def _host_key(variant: Variant) -> tuple:
+def host_key(variant: Variant) -> tuple:
     """What a host depends on; variants of one key share it."""
     kept = {f.name for f in fields(TrustParams)} - FUSION_KEYS - set(EVIDENCE_KEYS) - {"model"}
     return variant.model, repr(variant.own), *(getattr(variant.trust, name) for name in sorted(kept))
+
+
+def _scorer(model: TrustModel | None) -> ObjectScorer | None:
+    score = getattr(model, "score_objects", None)
+    if score is None:
+        return None
+    name = type(model).__name__
+    return lambda reports: checked_object_scores(score(reports), reports.n_groups, name)
+
+
+def _kind(params: TrustParams) -> tuple[str, str]:
+    """Hosts of one kind hear the same evaluations."""
+    return params.host, params.local_evidence
 
 
 def _shared(params: Sequence[TrustParams], models: Sequence[tuple[type, Any]]) -> list[list[int]]:
@@ -350,5 +380,5 @@ def _shared(params: Sequence[TrustParams], models: Sequence[tuple[type, Any]]) -
     groups: dict[tuple, list[int]] = {}
     for h, (p, (model, _)) in enumerate(zip(params, models, strict=True)):
         if p.host != "none":
-            groups.setdefault((model, p.host, p.local_evidence), []).append(h)
+            groups.setdefault((model, *_kind(p)), []).append(h)
     return list(groups.values())

@@ -1,10 +1,35 @@
 """Trust models by name: one file per model, behind `interface.TrustModel`."""
 
+from trust.models.announcement import Announcement
 from trust.models.beta import Beta
-from trust.models.interface import TrustModel, params_of
+from trust.models.beta_discounted import BetaDiscounted
+from trust.models.eigentrust import EigenTrust
+from trust.models.interface import ScoresObjects, TrustModel, params_of
+from trust.models.majority_ban import MajorityBan
+from trust.models.mate import Mate
+from trust.models.minhas import Minhas
+from trust.models.raya import RayaBayes, RayaDempsterShafer, RayaMajority, RayaMostTrusted, RayaWeighted
+from trust.models.report_count import ReportCount
+from trust.models.subjective_logic import SubjectiveLogic
 from trust.models.trupercept import TruPercept
 
-MODELS: dict[str, type[TrustModel]] = {"trupercept": TruPercept, "beta": Beta}
+MODELS: dict[str, type[TrustModel]] = {
+    "trupercept": TruPercept,
+    "beta": Beta,
+    "beta_discounted": BetaDiscounted,
+    "subjective_logic": SubjectiveLogic,
+    "mate": Mate,
+    "raya_majority": RayaMajority,
+    "raya_most_trusted": RayaMostTrusted,
+    "raya_weighted": RayaWeighted,
+    "raya_bayes": RayaBayes,
+    "raya_dempster_shafer": RayaDempsterShafer,
+    "minhas": Minhas,
+    "announcement": Announcement,
+    "eigentrust": EigenTrust,
+    "report_count": ReportCount,
+    "majority_ban": MajorityBan,
+}
 """Constructors by the value of `trust.model`."""
 
-__all__ = ["MODELS", "TrustModel", "params_of"]
+__all__ = ["MODELS", "ScoresObjects", "TrustModel", "params_of"]

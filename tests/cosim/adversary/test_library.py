@@ -275,7 +275,10 @@ def test_sybil(honest):
     ghosts = found[~found.observer.isin(range(N))]
     assert len(ghosts) == 6 * 5 * len(LIARS) and (ghosts.detection_index == 0).all() and ghosts.lied.all()
     ghosts = ghosts.merge(names, left_on="observer", right_on="pseudonym")
-    assert set(ghosts.vehicle) == set(WHO) and (ghosts.observer.groupby([ghosts["at"], ghosts.vehicle]).nunique() == 5).all()
+    assert (
+        set(ghosts.vehicle) == set(WHO)
+        and (ghosts.observer.groupby([ghosts["at"], ghosts.vehicle]).nunique() == 5).all()
+    )
     own = found[found.detection_index == 0].set_index(["at", "observer"])
     at = own.loc[list(zip(ghosts["at"], ghosts.vehicle, strict=True))]
     number = ghosts.identity.to_numpy() - 1

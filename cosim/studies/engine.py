@@ -1,0 +1,196 @@
+"""Runs on Dask distributed: on this machine, or on the workers of a scheduler.
+
+Every run is a subprocess of a worker, so that one that crashes is a failed run and not a lost worker; results stay on
+disk, and paths travel.
+"""
+
+import hashlib
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import psutil
+from distributed import Client, Future, LocalCluster, as_completed
+
+from cosim.studies.folder import Attempt, StudyFolder
+from cosim.studies.study import Limits
+
+_POLL_S = 0.2
+_ONE_THREAD = dict.fromkeys(("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+
+
+@dataclass(frozen=True, slots=True)
+class Work:
+    """Jobs of a study: folders with a `job.json`, and the traffic that each waits for."""
+
+    runs: Mapping[str, str]
+    """Name of the traffic by run; empty for none."""
+    traffic: Mapping[str, Path]
+    """By name: plain data of a config whose traffic is driven first."""
+    cache: Path
+
+
+@contextmanager
+def connected(scheduler: str | None, workers: int, study: Path) -> Iterator[Client]:
+    """A client of the scheduler, or of a cluster in this process; ValueError where it cannot do the work."""
+    if scheduler is None:
+        with (
+            LocalCluster(
+                n_workers=1, threads_per_worker=workers, processes=False, dashboard_address=None, memory_limit=0,
+            ) as cluster,
+            Client(cluster) as client,
+        ):  # fmt: skip
+            yield client
+        return
+    try:
+        client = Client(scheduler, timeout=10)
+    except (OSError, ValueError, TimeoutError) as error:
+        reason = " ".join(str(error).split())[:120]
+        raise ValueError(
+            f"--scheduler {scheduler}: no scheduler answers there ({reason}). Start one: dask scheduler"
+        ) from None
+    with client:
+        _check(client, scheduler, study)
+        yield client
+
+
+def _check(client: Client, scheduler: str, study: Path) -> None:
+    """Refuse workers that run another cosim or do not see the study."""
+    if not client.scheduler_info()["workers"]:
+        raise ValueError(
+            f"--scheduler {scheduler}: it has no workers. Start some: dask worker {scheduler} --nthreads 1"
+        )
+    try:
+        seen = client.run(_look, str(study))
+    except Exception as error:  # whatever a worker without this code answers
+        reason = " ".join(f"{type(error).__name__}: {error}".split())[:120]
+        raise ValueError(
+            f"--scheduler {scheduler}: its workers cannot run cosim ({reason}). Install it there."
+        ) from None
+    mine = code_digest()
+    for worker, (digest, is_there) in seen.items():
+        if digest != mine:
+            raise ValueError(
+                f"--scheduler {scheduler}: worker {worker} runs another version of cosim ({digest}, here {mine}). "
+                "Install the same one, and start the workers again."
+            )
+        if not is_there:
+            raise ValueError(f"--scheduler {scheduler}: worker {worker} does not see {study}. Use a shared folder.")
+
+
+def _look(study: str) -> tuple[str, bool]:
+    return code_digest(), Path(study, "study.toml").is_file()
+
+
+def code_digest() -> str:
+    """Hash of the source of all rooms: what a worker must have in common with this process."""
+    root = Path(__file__).parents[2]
+    found = hashlib.sha256()
+    for room in ("cosim", "sensors", "trust", "results", "sumo_nets"):
+        for path in sorted((root / room).rglob("*.py")):
+            found.update(path.relative_to(root).as_posix().encode() + path.read_bytes())
+    return found.hexdigest()[:12]
+
+
+def execute(client: Client, study: StudyFolder, work: Work, limits: Limits) -> Iterator[tuple[str, Attempt]]:
+    """Make all runs; yields each, and each traffic, with its last attempt as it ends."""
+    first: dict[str, Future] = {
+        name: client.submit(
+            drive_traffic, str(work.cache), name, str(path), str(study.path), limits.timeout_s, key=f"traffic-{name}",
+            pure=False,
+        )
+        for name, path in work.traffic.items()
+    }  # fmt: skip
+    runs = {
+        client.submit(
+            make_run, str(study.path), id, limits.retries, limits.timeout_s, limits.memory_gb,
+            first.get(traffic), key=f"run-{study.path.name}-{id}-{time.time_ns()}", pure=False,
+        ): id
+        for id, traffic in work.runs.items()
+    }  # fmt: skip
+    runs |= {future: name for name, future in first.items()}
+    for future in as_completed(list(runs)):
+        id = runs[future]
+        try:
+            yield id, Attempt(**future.result())
+        except Exception as error:  # the worker died as often as the scheduler allows
+            lost = Attempt("failed", 0.0, 0, f"worker lost: {type(error).__name__}")
+            if id in work.runs:
+                study.add_attempt(id, lost)
+            yield id, lost
+
+
+def make_run(
+    study: str, id: str, retries: int, timeout_s: float, memory_gb: float, after: Any = None
+) -> dict[str, Any]:
+    """A run and its metrics, in a subprocess, as often as it may fail; on a worker."""
+    folder = StudyFolder(Path(study))
+    attempt = Attempt("stopped", 0.0, 0)
+    for _ in range(retries + 1):
+        if folder.stop.exists():
+            break
+        attempt = _attempt(["run", str(folder.job(id))], folder.job(id) / "log.txt", folder.stop, timeout_s, memory_gb)
+        folder.add_attempt(id, attempt)
+        if attempt.outcome in ("ok", "stopped"):
+            break
+    return asdict(attempt)
+
+
+def drive_traffic(cache: str, name: str, config: str, study: str, timeout_s: float) -> dict[str, Any]:
+    """Traffic for several runs, in a subprocess, on a worker; where it fails each run drives its own."""
+    words = ["traffic", cache, name, config]
+    log = Path(config).with_suffix(".log")
+    return asdict(_attempt(words, log, StudyFolder(Path(study)).stop, timeout_s, 1e3))
+
+
+def _attempt(words: Sequence[str], log: Path, stop: Path, timeout_s: float, memory_gb: float) -> Attempt:
+    """Run `cosim.studies.worker` once, within limits."""
+    begun, outcome, peak = time.monotonic(), "", 0
+    with log.open("ab") as out:
+        process = subprocess.Popen(
+            [sys.executable, "-m", "cosim.studies.worker", *words], stdin=subprocess.PIPE, stdout=out, stderr=out,
+            env=os.environ | _ONE_THREAD, start_new_session=True,
+        )  # fmt: skip
+        try:
+            while process.poll() is None:
+                time.sleep(_POLL_S)
+                peak = max(peak, _resident(process.pid))
+                if stop.exists():
+                    outcome = "stopped"
+                elif time.monotonic() - begun > timeout_s:
+                    outcome = "timeout"
+                elif peak > memory_gb * 1e9:
+                    outcome = "memory"
+                if outcome:
+                    process.kill()
+                    process.wait()
+        finally:
+            process.kill()
+            process.wait()
+    wall_s = round(time.monotonic() - begun, 2)
+    said = {
+        "": "", "stopped": "", "timeout": f"longer than limits.timeout_s = {timeout_s:g} s",
+        "memory": f"more than limits.memory_gb = {memory_gb:g} GB",
+    }[outcome]  # fmt: skip
+    if not outcome:
+        outcome = "failed" if process.returncode else "ok"
+        said = _last_line(log) or f"ended with status {process.returncode}" if process.returncode else ""
+    return Attempt(outcome, wall_s, peak, said)
+
+
+def _resident(pid: int) -> int:
+    try:
+        return int(psutil.Process(pid).memory_info().rss)
+    except psutil.Error:
+        return 0
+
+
+def _last_line(log: Path) -> str:
+    lines = log.read_text(errors="replace").strip().splitlines()
+    return lines[-1][:300] if lines else ""

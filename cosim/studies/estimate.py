@@ -1,0 +1,72 @@
+"""How long a plan takes and what its reuse saves, before anything has run."""
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+
+from cosim.scenario import find
+from cosim.studies.plan import Plan
+from cosim.studies.points import Point
+
+START_S = 6.0
+"""Start of a process, imports and compiled kernels included [s]."""
+SUMO_S = 0.004
+"""SUMO and reading it, per second of central Helsinki [s]."""
+STEP_S = 0.035
+"""A step in which vehicles sense, without any equipped vehicle [s]."""
+VEHICLE_S = 0.35e-3
+"""Per equipped vehicle and step, on one core [s]."""
+VARIANT_S = 0.003
+"""Trust of one more variant, per step, at the 60 equipped vehicles of central Helsinki [s]."""
+VEHICLES = 200
+"""On the road in central Helsinki; other cities are not told apart."""
+BYTES = 500
+"""Per equipped vehicle and second at record.level = "standard"."""
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """Rough figures; one core, an idle machine."""
+
+    separate_s: float
+    """Every missing point as a run of its own."""
+    planned_s: float
+    """The plan, all workers together."""
+    merged_saves_s: float
+    """Saved by trust variants."""
+    traffic_saves_s: float
+    """Saved by replaying traffic."""
+    bytes: float
+    is_measured: bool
+    """Whether runs of this study that are finished say how long one takes."""
+
+
+def estimate(points: Sequence[Point], made: Plan, stored: Collection[str], run_s: float | None) -> Estimate:
+    """Time of the plan beside that of one run per point; `run_s` is the measured time of a run, if there is one."""
+    separate = sum(_run_s(point.config) + _traffic_s(point.config) for point in points)
+    merged = sum(
+        _run_s(run.config) + _traffic_s(run.config) + (len(run.members) - 1) * run.config.n_steps * VARIANT_S
+        for run in made.runs
+    )
+    replayed = sum(_traffic_s(run.config) for run in made.runs if run.traffic)
+    driven = sum(_traffic_s(config) + START_S for name, config in made.traffic.items() if name not in stored)
+    size = sum(BYTES * VEHICLES * run.config.fleet.penetration_p * run.config.traffic.duration_s for run in made.runs)
+    planned = merged - replayed + driven
+    scale = 1.0
+    if run_s is not None and made.runs:
+        scale = run_s * len(made.runs) / planned
+    return Estimate(
+        separate * scale, planned * scale, (separate - merged) * scale, (replayed - driven) * scale, size,
+        run_s is not None,
+    )  # fmt: skip
+
+
+def _traffic_s(config) -> float:
+    warmup_s = config.traffic.warmup_s
+    if warmup_s is None:
+        warmup_s = find(config.traffic.scenario, config.traffic.trace).warmup_s
+    return (warmup_s + config.traffic.duration_s) * SUMO_S
+
+
+def _run_s(config) -> float:
+    sensing = config.traffic.duration_s / config.sensing_interval_s
+    return START_S + sensing * (STEP_S + VEHICLE_S * VEHICLES * config.fleet.penetration_p)

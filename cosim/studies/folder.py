@@ -1,0 +1,179 @@
+"""A study on disk. What state it is in is read off its folders, so that a killed sweep needs no repair."""
+
+import fcntl
+import json
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from cosim.config import read_toml
+from cosim.studies.plan import PlannedRun, as_data
+from cosim.studies.points import Point
+from cosim.studies.study import Study
+
+STATES = ("finished", "failed", "unfinished", "waiting")
+"""Of a point: its run is there; its last attempt failed; it was begun; nothing was done yet."""
+
+
+@dataclass(frozen=True, slots=True)
+class Attempt:
+    """One attempt at a run."""
+
+    outcome: str
+    """ok, failed, timeout, memory or stopped."""
+    wall_s: float
+    memory_bytes: int
+    """Largest resident memory."""
+    error: str = ""
+    """Last line of its log where it failed."""
+
+
+@dataclass(frozen=True, slots=True)
+class StudyFolder:
+    """`study.toml`, `index.parquet`, `runs/<id>/` as `cosim run` writes them, and `jobs/<id>/` with plan, log and
+    metrics of each."""
+
+    path: Path
+
+    def run(self, id: str) -> Path:
+        return self.path / "runs" / id
+
+    def job(self, id: str) -> Path:
+        return self.path / "jobs" / id
+
+    @property
+    def stop(self) -> Path:
+        """A file that tells workers to stop."""
+        return self.path / "stop"
+
+    def prepare(self, study: Study) -> None:
+        """Make the folder, or make sure that it is this study's."""
+        if self.path.exists() and not self.path.is_dir():
+            raise ValueError(f"--out {self.path} is a file. Give a folder.")
+        kept = self.path / "study.toml"
+        if kept.is_file():
+            name = read_toml(kept, "study file").get("study", {}).get("name")
+            if name != study.head.name:
+                raise ValueError(
+                    f'{self.path} holds the study "{name}", not "{study.head.name}". Nothing was changed. '
+                    "Give another --out."
+                )
+        elif self.path.is_dir() and any(self.path.iterdir()):
+            raise ValueError(f"--out {self.path} is not empty and holds no study. Give another folder.")
+        (self.path / "runs").mkdir(parents=True, exist_ok=True)
+        write_whole(kept, study.to_toml().encode())
+
+    @contextmanager
+    def locked(self) -> Iterator[None]:
+        """Nobody else sweeps this folder meanwhile."""
+        with (self.path / "lock").open("w") as file:
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except OSError:
+                raise ValueError(f"{self.path}: another `cosim sweep` works in this folder. Wait for it.") from None
+            yield
+
+    def write_job(self, planned: PlannedRun, more: Mapping[str, Any]) -> None:
+        """What the process that makes the run has to know."""
+        self.job(planned.id).mkdir(parents=True, exist_ok=True)
+        data = as_data(planned) | dict(more)
+        write_whole(self.job(planned.id) / "job.json", json.dumps(data, default=str).encode())
+
+    def is_finished(self, id: str) -> bool:
+        """Whether a run is there, and measured."""
+        return status_of(self.run(id)) == "finished" and (self.job(id) / "measures.parquet").is_file()
+
+    def answers(self) -> dict[str, tuple[str, str]]:
+        """Run and trust variant by point, of all points that have been planned; finished runs first."""
+        found: dict[str, tuple[str, str]] = {}
+        jobs = sorted(path.parent.name for path in (self.path / "jobs").glob("*/job.json"))
+        for id in sorted(jobs, key=lambda id: not self.is_finished(id)):
+            for point, variant in json.loads((self.job(id) / "job.json").read_text())["members"].items():
+                found.setdefault(point, (id, variant))
+        return found
+
+    def state(self, id: str) -> str:
+        """State of a run, as of its points."""
+        if self.is_finished(id):
+            return "finished"
+        done = self.attempts(id)
+        if done and done[-1].outcome not in ("ok", "stopped"):
+            return "failed"
+        return "unfinished" if self.run(id).exists() else "waiting"
+
+    def attempts(self, id: str) -> list[Attempt]:
+        """Attempts at a run so far."""
+        path = self.job(id) / "attempts.json"
+        return [Attempt(**row) for row in json.loads(path.read_text())] if path.is_file() else []
+
+    def add_attempt(self, id: str, attempt: Attempt) -> None:
+        rows = [asdict(a) for a in (*self.attempts(id), attempt)]
+        write_whole(self.job(id) / "attempts.json", json.dumps(rows).encode())
+
+    def write_index(self, study: Study, points: Sequence[Point]) -> dict[str, int]:
+        """`index.parquet`: one row per point; and how many points are in which state."""
+        answers = self.answers()
+        rows: list[dict[str, Any]] = []
+        of_run: dict[str, dict[str, Any]] = {}
+        for point in points:
+            id, variant = answers.get(point.id, ("", ""))
+            if id not in of_run:
+                done = self.attempts(id) if id else []
+                of_run[id] = {
+                    "state": self.state(id) if id else "waiting",
+                    "attempts": len(done),
+                    "wall_s": sum(a.wall_s for a in done),
+                    "memory_bytes": max((a.memory_bytes for a in done), default=0),
+                    "disk_bytes": _size(self.run(id)) if id else 0,
+                }
+            rows.append({"point": point.id, "run": id, "variant": variant, "replicate": point.replicate} | of_run[id])
+        columns: dict[str, Any] = {name: [row[name] for row in rows] for name in (rows[0] if rows else {})}
+        for key in study.keys:
+            columns[key] = _column([point.keys[key] for point in points])
+        head = {
+            "name": study.head.name, "question": study.head.question, "keys": list(study.keys),
+            "baseline": study.head.baseline, "measure": asdict(study.measuring),
+        }  # fmt: skip
+        table = pa.table(columns).replace_schema_metadata({"study": json.dumps(head)})
+        partial = self.path / "index.parquet.partial"
+        pq.write_table(table, partial)
+        partial.replace(self.path / "index.parquet")
+        states = [row["state"] for row in rows]
+        return {state: states.count(state) for state in STATES}
+
+
+def status_of(run: Path) -> str:
+    """Status in a run's manifest; empty where there is none."""
+    try:
+        return str(json.loads((run / "manifest.json").read_text(encoding="utf-8"))["status"])
+    except (OSError, ValueError, KeyError):
+        return ""
+
+
+def write_whole(path: Path, content: bytes) -> None:
+    """A file that is there whole or not at all."""
+    partial = path.with_name(f"{path.name}.{os.getpid()}.partial")
+    with partial.open("wb") as file:
+        file.write(content)
+        file.flush()
+        os.fsync(file.fileno())
+    partial.replace(path)
+
+
+def _column(values: Sequence[Any]) -> Sequence[Any]:
+    """Values of a key as a column: numbers as they are, anything else as text."""
+    if all(isinstance(v, bool) for v in values) or all(isinstance(v, str) for v in values):
+        return values
+    if all(isinstance(v, int | float) and not isinstance(v, bool) for v in values):
+        return [float(v) for v in values]
+    return [v if isinstance(v, str) else json.dumps(v) for v in values]
+
+
+def _size(folder: Path) -> int:
+    return sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())

@@ -1,0 +1,132 @@
+"""What to run for the points of a study, so that nothing is computed twice.
+
+Points that differ in trust alone become trust variants of one run; runs of the same traffic replay it. What cannot be
+shared is run by itself, and the plan says why.
+"""
+
+import json
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from cosim.config import Config, resolve_data
+from cosim.parts import variants
+from cosim.studies.points import Point, identity, shared_identity, traffic_identity
+from cosim.v2x.trust_hosts import host_key
+from results.codes import BASE_VARIANT
+from trust.params import EVIDENCE_KEYS, eta_of
+
+TRAFFIC_VERSION = 1
+"""Raised whenever the traffic of the same `[traffic]` changes; `tests/cosim/studies/test_stages.py` guards it."""
+
+MOST_VARIANTS = 60
+"""Points in one run at most."""
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedRun:
+    """One run, and the points that it answers."""
+
+    id: str
+    config: Config
+    members: tuple[tuple[str, str], ...]
+    """Point and the trust variant that is its answer."""
+    traffic: str
+    """Name of the traffic that it replays; empty if it drives its own."""
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """Runs to be made, and the traffic that several of them replay."""
+
+    runs: tuple[PlannedRun, ...]
+    traffic: Mapping[str, Config]
+    """By name: a config whose traffic is driven once."""
+    remarks: tuple[str, ...]
+    """What could not be shared, and why."""
+
+
+def plan(points: Sequence[Point], fused: bool, stored: Collection[str] = ()) -> Plan:
+    """Runs for these points.
+
+    Parameters
+    ----------
+    fused
+        Whether every point needs its fused objects.
+    stored
+        Names of traffic that the cache holds.
+    """
+    groups: dict[str, list[Point]] = {}
+    remarks: dict[str, None] = {}
+    for point in points:
+        key, remark = _mergeable(point.config)
+        groups.setdefault(key, []).append(point)
+        if remark:
+            remarks[remark] = None
+    merged = [
+        _merged(group[i : i + MOST_VARIANTS], fused)
+        for group in groups.values() for i in range(0, len(group), MOST_VARIANTS)
+    ]  # fmt: skip
+    return _share_traffic(merged, stored, tuple(remarks))
+
+
+def _mergeable(config: Config) -> tuple[str, str]:
+    """Points with this key in common can be one run; and a remark where something keeps them apart."""
+    if config.driver.model != "none":
+        return "alone " + identity(
+            config
+        ), "driver: what vehicles believe drives them, so every point has its own traffic"
+    evidence = [eta_of(config.trust) if k == "eta" else getattr(config.trust, k) for k in EVIDENCE_KEYS]
+    key = shared_identity(config, repr(evidence))
+    if config.server.uplink == "rsu":
+        key += repr(host_key(variants(config)[0]))
+        return key, 'server.uplink = "rsu": broadcasts of trust load the channel, so other trust is another run'
+    return key, ""
+
+
+def _merged(group: Sequence[Point], fused: bool) -> PlannedRun:
+    """One run for points that differ in trust alone; the first one acts."""
+    base = group[0].config
+    if len(group) == 1:
+        return PlannedRun(group[0].id, base, ((group[0].id, BASE_VARIANT),), "")
+    data = base.to_dict()
+    acting = data["trust"]
+    data["trust_variant"] = [
+        {"name": point.id, "fused": fused}
+        | {k: v for k, v in point.config.to_dict()["trust"].items() if k not in acting or acting[k] != v}
+        for point in group[1:]
+    ]
+    config = resolve_data(json.loads(json.dumps(data, default=str)), "the plan", None)
+    members = ((group[0].id, BASE_VARIANT), *((point.id, point.id) for point in group[1:]))
+    return PlannedRun(identity(config), config, members, "")
+
+
+def _share_traffic(runs: Sequence[PlannedRun], stored: Collection[str], remarks: tuple[str, ...]) -> Plan:
+    """The same runs, replaying traffic that several of them have in common or that is stored."""
+    names: dict[str, str] = {}
+    for run in runs:
+        if run.config.driver.model == "none" and not _is_replay(run.config):
+            names[run.id] = traffic_identity(run.config, TRAFFIC_VERSION)
+    used = list(names.values())
+    shared = {name for name in used if used.count(name) > 1 or name in stored}
+    traffic: dict[str, Config] = {}
+    planned = []
+    for run in runs:
+        name = names.get(run.id, "")
+        if name in shared:
+            traffic.setdefault(name, run.config)
+            run = replace(run, traffic=name)
+        planned.append(run)
+    return Plan(tuple(planned), traffic, remarks)
+
+
+def _is_replay(config: Config) -> bool:
+    """Whether it replays already: a trace, or the folder of a run."""
+    from cosim.scenario import find
+
+    return find(config.traffic.scenario, config.traffic.trace).trace is not None
+
+
+def as_data(run: PlannedRun) -> dict[str, Any]:
+    """A planned run as plain data, for the process that makes it."""
+    return {"id": run.id, "config": run.config.to_dict(), "members": dict(run.members), "traffic": run.traffic}

@@ -1,0 +1,93 @@
+"""The points of a study: one config each, named by what it computes."""
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import Any
+
+from cosim.config import Config
+from cosim.parts import sources
+from cosim.scenario import find
+from cosim.studies.study import Keys, Study, config_at
+
+HOW = ("compute", "record")
+"""Sections of a config that change no result."""
+
+
+@dataclass(frozen=True, slots=True)
+class Point:
+    """One run that was asked for."""
+
+    id: str
+    keys: Keys
+    replicate: int
+    config: Config
+
+    @property
+    def said(self) -> str:
+        """Swept keys and replicate in one line."""
+        return ", ".join([*(f"{k} = {v}" for k, v in self.keys.items()), f"replicate {self.replicate}"])
+
+
+def points_of(study: Study, where: str) -> list[Point]:
+    """All points, replicate by replicate; ValueError where one cannot be, or two are the same experiment."""
+    found: dict[str, Point] = {}
+    for replicate in range(study.head.replicates):
+        for keys in study.combinations():
+            config = config_at(study, keys, replicate, where)
+            point = Point(identity(config), keys, replicate, config)
+            if (same := found.get(point.id)) is not None:
+                raise ValueError(
+                    f"{where}: two points resolve to the same experiment: ({same.said}) and ({point.said}). "
+                    "Take one of them out."
+                )
+            found[point.id] = point
+    return list(found.values())
+
+
+def identity(config: Config) -> str:
+    """Name of what a config computes: a hash of the resolved config and of the contents of all files that it names."""
+    data = config.to_dict()
+    for section in HOW:
+        del data[section]
+    content = {"config": data, "files": _files(config.traffic.scenario, config.traffic.trace), "own": _own(config)}
+    data["traffic"] |= {"scenario": "", "trace": ""}  # named by their content
+    return digest(content)
+
+
+def traffic_identity(config: Config, version: int) -> str:
+    """Name of the traffic that a config drives: `[traffic]`, contents of its files, SUMO's version."""
+    from importlib.metadata import version as version_of
+
+    data = config.to_dict()["traffic"] | {"scenario": "", "trace": ""}
+    files = _files(config.traffic.scenario, config.traffic.trace)
+    return digest({"traffic": data, "files": files, "sumo": version_of("libsumo"), "stage_version": version})
+
+
+def shared_identity(config: Config, level: str) -> str:
+    """Name of what a config computes but for trust."""
+    return identity(replace(config, trust=type(config.trust)(), trust_variant=(), own=_without_trust(config))) + level
+
+
+def digest(content: Any) -> str:
+    """Sixteen hexadecimal digits of plain data."""
+    text = json.dumps(content, sort_keys=True, default=str)
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def _without_trust(config: Config) -> dict[str, dict[str, Any]]:
+    return {section: values for section, values in config.own.items() if section != "trust"}
+
+
+def _own(config: Config) -> Mapping[str, str]:
+    """Checksums of the user's own classes, by key of the config."""
+    return {key: source.sha256 for key, source in sources(config).items() if source.file}
+
+
+@cache
+def _files(scenario: str, trace: str | None) -> Mapping[str, str]:
+    """Checksums of the files of a scenario."""
+    about = find(scenario, trace).provenance()
+    return {name: text for name, text in about.items() if name.startswith("sha256") or name == "origin"}

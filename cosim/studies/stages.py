@@ -1,0 +1,126 @@
+"""Results of stages, kept by what they were computed from: traffic that many runs replay.
+
+An entry is a folder `<cache>/<stage>/<name>/` with a `stage.json` that lists the checksums of its files; it is there
+whole or not at all, and one that was changed afterwards is made anew.
+"""
+
+import json
+import logging
+import os
+import shutil
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from time import time
+
+from cosim import run as running
+from cosim.config import Config, resolve_data
+from cosim.manifest import sha256
+from cosim.studies.folder import write_whole
+
+LIMIT_GB = 10.0
+"""Size above which the entries used longest ago are deleted, unless COSIM_CACHE_GB says otherwise."""
+
+_log = logging.getLogger(__name__)
+
+
+def default_folder() -> Path:
+    """Where stages are kept: COSIM_CACHE, or the user's cache folder."""
+    named = os.environ.get("COSIM_CACHE")
+    return (
+        Path(named) if named else Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "cosim" / "stages"
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """One result of a stage."""
+
+    stage: str
+    name: str
+    bytes: int
+    used_s: float
+    """When it was last used [s since 1970]."""
+    seconds: float
+    """What it took to make."""
+
+
+@dataclass(frozen=True, slots=True)
+class Cache:
+    """Results of stages in a folder."""
+
+    path: Path
+
+    def find(self, stage: str, name: str) -> Path | None:
+        """The folder of an entry that is whole and unchanged; None where there is none."""
+        entry = self.path / stage / name
+        try:
+            files = json.loads((entry / "stage.json").read_text())["files"]
+        except FileNotFoundError:
+            return None
+        except (OSError, ValueError, KeyError, TypeError):
+            files = None
+        if files is None or _files(entry) != files:
+            _log.warning("%s was changed after it was written: it is not used, and made anew.", entry)
+            shutil.rmtree(entry, ignore_errors=True)
+            return None
+        os.utime(entry / "stage.json")
+        return entry
+
+    def names(self, stage: str) -> set[str]:
+        """Names of the entries of a stage, unchecked."""
+        return {path.parent.name for path in (self.path / stage).glob("*/stage.json")}
+
+    def make_traffic(self, name: str, config: Path) -> None:
+        """Drive the traffic of a config (its plain data as JSON) unless it is there."""
+        if self.find("traffic", name) is None:
+            self._keep("traffic", name, resolve_data(json.loads(config.read_text()), "the plan", None))
+
+    def _keep(self, stage: str, name: str, config: Config) -> None:
+        entry = self.path / stage / name
+        partial = entry.with_name(f"{name}.{os.getpid()}.partial")
+        shutil.rmtree(partial, ignore_errors=True)
+        partial.mkdir(parents=True)
+        begun_s = time()
+        running.record_traffic(config, partial, lambda *_: None)
+        for empty in [path for path in partial.iterdir() if path.is_dir() and not any(path.iterdir())]:
+            empty.rmdir()
+        content = {"files": _files(partial), "seconds": round(time() - begun_s, 2)}
+        write_whole(partial / "stage.json", json.dumps(content, indent=1).encode())
+        try:
+            partial.replace(entry)
+        except OSError:  # another process was faster
+            shutil.rmtree(partial)
+        self.shrink(float(os.environ.get("COSIM_CACHE_GB", LIMIT_GB)), {name})
+
+    def entries(self) -> list[Entry]:
+        """All entries, those used last first."""
+        return sorted(self._entries(), key=lambda entry: -entry.used_s)
+
+    def _entries(self) -> Iterator[Entry]:
+        for path in self.path.glob("*/*/stage.json"):
+            size = sum(f.stat().st_size for f in path.parent.rglob("*") if f.is_file())
+            try:
+                seconds = float(json.loads(path.read_text()).get("seconds", 0))
+            except (ValueError, AttributeError):
+                seconds = 0.0
+            yield Entry(path.parent.parent.name, path.parent.name, size, path.stat().st_mtime, seconds)
+
+    def shrink(self, limit_gb: float, spared: set[str]) -> list[Entry]:
+        """Delete the entries used longest ago until the rest fits; those deleted."""
+        total, gone = 0, []
+        for entry in self.entries():
+            total += entry.bytes
+            if total > limit_gb * 1e9 and entry.name not in spared:
+                shutil.rmtree(self.path / entry.stage / entry.name, ignore_errors=True)
+                gone.append(entry)
+                total -= entry.bytes
+        return gone
+
+
+def _files(entry: Path) -> dict[str, str]:
+    """Checksums of an entry's files."""
+    return {
+        path.relative_to(entry).as_posix(): sha256(path)
+        for path in sorted(entry.rglob("*")) if path.is_file() and path.name != "stage.json"
+    }  # fmt: skip

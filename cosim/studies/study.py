@@ -1,0 +1,262 @@
+"""A study file: a base config, the keys that are swept, replicates, limits, and what is kept."""
+
+import copy
+import itertools
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import Annotated, Any
+
+import tomli_w
+from annotated_types import Ge, Gt
+
+from cosim import config as configs
+from cosim.mobility.params import TrafficParams
+from cosim.run import without_nulls
+from results.metrics.registry import TOPICS
+from results.tables import TABLES
+
+Keys = Mapping[str, Any]
+"""Swept keys of the config and their values at one point."""
+
+SECTIONS = ("study", "base", "grid", "zip", "limits", "keep", "measure")
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Head:
+    """What is asked: the section `[study]`."""
+
+    name: str
+    """Name; the folder of a study belongs to one name."""
+    question: str = ""
+    """What the study asks, for its report."""
+    config: str = ""
+    """Config that all points start from; empty for the shipped city. `[base]` changes it."""
+    replicates: Annotated[int, Ge(1)] = 1
+    """Runs per combination; replicate r adds r to `seed` and to `traffic.seed`."""
+    baseline: dict[str, Any] = field(default_factory=dict)
+    """Swept keys and values of the combinations that the others are compared with."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Limits:
+    """What a run may take: the section `[limits]`."""
+
+    retries: Annotated[int, Ge(0)] = 1
+    """Further attempts after a run failed."""
+    timeout_s: Annotated[float, Gt(0)] = 86_400.0
+    """Longest time that one attempt may take [s]."""
+    memory_gb: Annotated[float, Gt(0)] = 8.0
+    """Largest resident memory of a run [GB]."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Keep:
+    """What is measured and kept of every run: the section `[keep]`."""
+
+    topics: tuple[str, ...] = ()
+    """Topics of metrics that are measured when a run ends; empty for all."""
+    tables: tuple[str, ...] | None = None
+    """Tables kept on disk; unset for all that `record.level` keeps."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Measuring:
+    """Options of the metrics: the section `[measure]`."""
+
+    threshold: float = 0.25
+    """Trust below which a subject is suspected."""
+    fresh_s: float = 10.0
+    """Oldest age at which trust counts as fresh [s]."""
+    false_positives: float = 0.05
+    """False positive rate at which recall is taken."""
+
+
+@dataclass(frozen=True, slots=True)
+class Study:
+    """A study, read and checked."""
+
+    head: Head
+    limits: Limits
+    keep: Keep
+    measuring: Measuring
+    base: dict[str, Any]
+    """Plain data of the config that all points start from, with absolute paths."""
+    axes: tuple[tuple[Keys, ...], ...]
+    """Each axis: what it sets, value by value; a point takes one of every axis."""
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """Swept keys, in the order of the file."""
+        return tuple(key for axis in self.axes for key in axis[0])
+
+    def combinations(self) -> list[dict[str, Any]]:
+        """Swept keys of every point but for its replicate, in the order of the file."""
+        return [{k: v for part in parts for k, v in part.items()} for parts in itertools.product(*self.axes)]
+
+    def to_toml(self) -> str:
+        """The study as a file of its own: the base is complete and needs no other file."""
+        data = {
+            "study": {f.name: getattr(self.head, f.name) for f in fields(Head) if f.name != "config"},
+            "limits": {f.name: getattr(self.limits, f.name) for f in fields(Limits)},
+            "keep": {f.name: getattr(self.keep, f.name) for f in fields(Keep)},
+            "measure": {f.name: getattr(self.measuring, f.name) for f in fields(Measuring)},
+            "base": self.base,
+            "grid": {
+                next(iter(axis[0])): [next(iter(p.values())) for p in axis] for axis in self.axes if len(axis[0]) == 1
+            },
+            "zip": [{k: [p[k] for p in axis] for k in axis[0]} for axis in self.axes if len(axis[0]) > 1],
+        }  # fmt: skip
+        return tomli_w.dumps(without_nulls(data))
+
+
+def load(path: Path) -> Study:
+    """A study from its TOML file; ValueError in one line for a mistake."""
+    data = configs.read_toml(path, "study file")
+    where = path.name
+    for name in data:
+        if name not in SECTIONS:
+            raise ValueError(
+                f"{name}: unknown section in {where}. A study has {', '.join(f'[{s}]' for s in SECTIONS)}."
+            )
+    head = _section(Head, {"name": path.stem} | data.get("study", {}), "study", where)
+    keep = _section(Keep, data.get("keep", {}), "keep", where)
+    for known, given, what in ((TOPICS, keep.topics, "topics"), (TABLES, keep.tables or (), "tables")):
+        if unknown := [name for name in given if name not in known]:
+            raise ValueError(f"keep.{what}: there is no {unknown[0]!r}. There are {', '.join(known)}. Change {where}.")
+    base: dict[str, Any] = {}
+    if head.config:
+        beside = path.parent / head.config
+        named = beside if beside.is_file() else Path(head.config)
+        base = _absolute(configs.read_toml(named, "config file"), named.name, named.parent)
+    merge(base, data.get("base", {}))
+    base = _absolute(base, f"[base] of {where}", path.parent)
+    if "trust_variant" in base:
+        raise ValueError(
+            f"trust_variant in {where}: a study makes its trust variants itself. Sweep keys of [trust] in [grid]."
+        )
+    axes = tuple(
+        tuple({key: _beside(key, value, path.parent) for key, value in part.items()} for part in axis)
+        for axis in _axes(data, where)
+    )
+    study = Study(
+        head, _section(Limits, data.get("limits", {}), "limits", where), keep,
+        _section(Measuring, data.get("measure", {}), "measure", where), base, axes,
+    )  # fmt: skip
+    for key, value in head.baseline.items():
+        if key not in study.keys:
+            raise ValueError(
+                f"study.baseline names {key}, which is not swept in {where}. Swept: {', '.join(study.keys)}."
+            )
+        if not any(part.get(key) == value for axis in axes for part in axis):
+            raise ValueError(f"study.baseline: {key} = {value!r} is none of its values in {where}. Take one of them.")
+    return study
+
+
+def config_at(study: Study, keys: Keys, replicate: int, where: str) -> configs.Config:
+    """The config of a point."""
+    data = copy.deepcopy(study.base)
+    for key, value in keys.items():
+        configs.assign(data, key, copy.deepcopy(value), f"{key} in {where}")
+    for section, seed in ((data, configs.Config().seed), (data.setdefault("traffic", {}), TrafficParams().seed)):
+        stated = section.get("seed", seed)
+        section["seed"] = stated + replicate if isinstance(stated, int) else stated
+    said = ", ".join(f"{k} = {v}" for k, v in keys.items())
+    return configs.resolve_data(data, f"{where} (point {said})", None)
+
+
+def _absolute(stated: dict[str, Any], where: str, folder: Path) -> dict[str, Any]:
+    """The same plain data, checked, with absolute names of the user's own files."""
+    stated = configs.with_defaults(stated)
+    complete = configs.resolve_data(copy.deepcopy(stated), where, folder.resolve()).to_dict()
+    named = [("traffic", "scenario"), ("traffic", "trace")]
+    named += [(section, key) for section, (key, _, _) in configs.CHOICES.items()]
+    for section, key in named:
+        pairs = [(stated.get(section, {}), complete[section])]
+        if isinstance(complete[section], list):
+            pairs = list(zip(stated[section], complete[section], strict=True))
+        for given, found in pairs:
+            if key in given:
+                given[key] = found[key]
+    return stated
+
+
+def _beside(key: str, value: Any, folder: Path) -> Any:
+    """A value that names a file beside the study, as an absolute name."""
+    file, colon, name = value.rpartition(":") if isinstance(value, str) and ".py:" in value else (value, "", "")
+    is_name = isinstance(file, str) and (colon or key in ("traffic.scenario", "traffic.trace"))
+    return str((folder / file).resolve()) + colon + name if is_name and (folder / file).exists() else value
+
+
+def merge(data: dict[str, Any], changes: Mapping[str, Any]) -> None:
+    """Changes into plain data, section by section; dotted keys may be quoted or not."""
+    for key, value in changes.items():
+        if isinstance(value, Mapping):
+            inner = data.setdefault(key, {})
+            if isinstance(inner, dict):
+                merge(inner, value)
+                continue
+        if "." in key:
+            configs.assign(data, key, copy.deepcopy(value), f"{key} in [base]")
+        else:
+            data[key] = copy.deepcopy(value)
+
+
+def _section(model: type, given: Any, name: str, where: str) -> Any:
+    if not isinstance(given, dict):
+        raise ValueError(f"{name} should be a section [{name}] in {where}.")
+    known = [f.name for f in fields(model)]
+    if unknown := [key for key in given if key not in known]:
+        raise ValueError(f"{name}.{unknown[0]}: unknown key in {where}. Known: {', '.join(known)}.")
+    return configs.validated(model, given, name, where)
+
+
+def _axes(data: Mapping[str, Any], where: str) -> tuple[tuple[Keys, ...], ...]:
+    """Axes of the grid and of the sections `[[zip]]`."""
+    grid, zips = data.get("grid", {}), data.get("zip", [])
+    if not isinstance(grid, dict):
+        raise ValueError(f"grid should be a section [grid] in {where}.")
+    if not isinstance(zips, list) or not all(isinstance(z, dict) for z in zips):
+        raise ValueError(f"zip should be a list of sections [[zip]] in {where}.")
+    axes: list[tuple[Keys, ...]] = []
+    for key, values in _flat(grid):
+        axes.append(tuple({key: value} for value in _values(key, values, "grid", where)))
+    for section in zips:
+        columns = {key: _values(key, values, "zip", where) for key, values in _flat(section)}
+        lengths = {key: len(values) for key, values in columns.items()}
+        if len(set(lengths.values())) > 1:
+            raise ValueError(
+                f"[[zip]] in {where}: values that change together must be as many of each key: "
+                + ", ".join(f"{key} has {n}" for key, n in lengths.items()) + "."
+            )  # fmt: skip
+        if columns:
+            axes.append(tuple(dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)))
+    if not axes:
+        raise ValueError(f"{where} sweeps nothing. Give [grid] at least one key with a list of values.")
+    names = [key for axis in axes for key in axis[0]]
+    if twice := [key for key in names if names.count(key) > 1]:
+        raise ValueError(f"{twice[0]} is swept twice in {where}. Leave it in one place.")
+    if seeds := [key for key in names if key in ("seed", "traffic.seed")]:
+        raise ValueError(f"{seeds[0]} is swept in {where}: chance is varied by study.replicates. Leave it out.")
+    return tuple(axes)
+
+
+def _flat(section: Mapping[str, Any], prefix: str = "") -> list[tuple[str, Any]]:
+    """Dotted keys and their values, whether the keys are quoted or not."""
+    found: list[tuple[str, Any]] = []
+    for key, value in section.items():
+        if isinstance(value, Mapping):
+            found += _flat(value, f"{prefix}{key}.")
+        else:
+            found.append((prefix + key, value))
+    return found
+
+
+def _values(key: str, values: Any, section: str, where: str) -> Sequence[Any]:
+    if not isinstance(values, list) or not values:
+        raise ValueError(f"{section}: {key} = {values!r} should be a list of at least one value in {where}.")
+    said = [json.dumps(value, sort_keys=True, default=str) for value in values]
+    if twice := [text for text in said if said.count(text) > 1]:
+        raise ValueError(f"{section}: {key} has the value {twice[0]} twice in {where}. Leave one out.")
+    return values

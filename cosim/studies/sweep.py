@@ -1,0 +1,141 @@
+"""A study from its file to its folder."""
+
+import json
+import statistics
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numba
+
+from cosim.studies.engine import Work, connected, execute
+from cosim.studies.estimate import Estimate, estimate
+from cosim.studies.folder import Attempt, StudyFolder, write_whole
+from cosim.studies.plan import TRAFFIC_VERSION, Plan, PlannedRun, plan
+from cosim.studies.points import Point, points_of
+from cosim.studies.stages import Cache, default_folder
+from cosim.studies.study import Study, load
+
+FUSED_TOPICS = {"detection", "attack"}
+"""Topics of metrics that need the fused objects of every point."""
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """What is left to do of a study."""
+
+    study: Study
+    folder: StudyFolder
+    points: list[Point]
+    plan: Plan
+    n_finished: int
+    """Points that are there already."""
+    cache: Cache
+    estimate: Estimate
+
+
+Told = Callable[[int, int, int, str], None]
+"""Told of progress: runs done, runs in all, points answered, a note."""
+
+
+def prepare(file: Path, out: Path, merge: bool = True) -> Task:
+    """What a sweep would do; nothing is written."""
+    study = load(file)
+    folder = StudyFolder(out)
+    points = points_of(study, file.name)
+    answers = folder.answers()
+    there = {point.id for point in points if point.id in answers and folder.is_finished(answers[point.id][0])}
+    cache = Cache(default_folder())
+    missing = [point for point in points if point.id not in there]
+    made = plan(missing, needs_fused(study), cache.names("traffic")) if merge else separate(missing)
+    done = [a.wall_s for id, _ in set(answers.values()) for a in folder.attempts(id) if a.outcome == "ok"]
+    typical_s = statistics.median(done) if done else None
+    return Task(
+        study, folder, points, made, len(there), cache, estimate(missing, made, cache.names("traffic"), typical_s)
+    )
+
+
+def separate(points: Sequence[Point]) -> Plan:
+    """One run for each point, sharing nothing."""
+    return Plan(tuple(PlannedRun(p.id, p.config, ((p.id, "base"),), "") for p in points), {}, ())
+
+
+def needs_fused(study: Study) -> bool:
+    """Whether what is measured or kept of every point includes its fused objects."""
+    topics = set(study.keep.topics)
+    if study.keep.tables is None:
+        return not topics or bool(topics & FUSED_TOPICS)
+    return "fused" in study.keep.tables or not topics or bool(topics & FUSED_TOPICS)
+
+
+def sweep(
+    task: Task, told: Told, scheduler: str | None = None, workers: int | None = None
+) -> tuple[dict[str, int], list[tuple[str, Attempt]]]:
+    """Make what is missing. Points by state at the end, and the runs that failed."""
+    study, folder = task.study, task.folder
+    folder.prepare(study)
+    with folder.locked():
+        folder.stop.unlink(missing_ok=True)
+        work = _write(task)
+        folder.write_index(study, task.points)
+        failed: list[tuple[str, Attempt]] = []
+        n_points = {run.id: len(run.members) for run in task.plan.runs}
+        done = answered = 0
+        told(0, len(n_points), task.n_finished, "")
+        try:
+            if n_points:
+                n_workers = workers or max(1, numba.config.NUMBA_NUM_THREADS)
+                with connected(scheduler, n_workers, folder.path.resolve()) as client:
+                    try:
+                        for id, attempt in execute(client, StudyFolder(folder.path.resolve()), work, study.limits):
+                            if id in work.runs:
+                                done += 1
+                                answered += n_points[id] * (attempt.outcome == "ok")
+                            if attempt.outcome != "ok":
+                                failed.append((id, attempt))
+                            told(
+                                done,
+                                len(n_points),
+                                task.n_finished + answered,
+                                f"{len(failed)} failed" if failed else "",
+                            )
+                    except BaseException:
+                        folder.stop.touch()  # workers end their runs
+                        raise
+        finally:
+            states = folder.write_index(study, task.points)
+    return states, failed
+
+
+def _write(task: Task) -> Work:
+    """The jobs, ready for the processes that do them."""
+    study, folder, cache = task.study, task.folder, task.cache
+    more = {
+        "topics": study.keep.topics, "tables": study.keep.tables, "measure": asdict(study.measuring),
+        "cache": str(cache.path.resolve()),
+    }  # fmt: skip
+    for run in task.plan.runs:
+        folder.write_job(run, more)
+    (folder.path / "traffic").mkdir(exist_ok=True)
+    traffic = {}
+    for name, config in task.plan.traffic.items():
+        if cache.find("traffic", name) is None:
+            traffic[name] = (folder.path / "traffic" / f"{name}.json").resolve()
+            write_whole(traffic[name], json.dumps(config.to_dict(), default=str).encode())
+    return Work({run.id: run.traffic for run in task.plan.runs}, traffic, cache.path.resolve())
+
+
+def status(folder: StudyFolder) -> tuple[Study, list[Point], dict[str, int], list[tuple[str, Attempt]]]:
+    """Study, points, points by state and failed runs of a folder, read off what is there."""
+    file = folder.path / "study.toml"
+    if not file.is_file():
+        raise ValueError(f"{folder.path} holds no study. Give the folder of a `cosim sweep`.")
+    study = load(file)
+    points = points_of(study, str(file))
+    states = folder.write_index(study, points)
+    ids = {id for point, (id, _) in folder.answers().items() if point in {p.id for p in points}}
+    failed = [(id, folder.attempts(id)[-1]) for id in sorted(ids) if folder.state(id) == "failed"]
+    return study, points, states, failed
+
+
+__all__ = ["TRAFFIC_VERSION", "Task", "prepare", "status", "sweep"]

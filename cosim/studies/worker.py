@@ -1,0 +1,87 @@
+"""The process that makes one run of a study: `python -m cosim.studies.worker JOB` for a folder with a `job.json`.
+
+It ends as soon as the process that started it is gone, because its standard input is then closed.
+"""
+
+import fcntl
+import json
+import os
+import shutil
+import sys
+import threading
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from cosim import run as running
+from cosim.config import resolve_data
+from cosim.studies.folder import StudyFolder, status_of
+from cosim.studies.stages import Cache
+from results.archive import open_run
+from results.measure import measure
+from results.metrics.registry import TOPICS
+from results.tables import TABLES
+
+
+def make(job: Path) -> None:
+    """The run of a job, and its metrics; what is there already stays."""
+    study = StudyFolder(job.parent.parent)
+    asked = json.loads((job / "job.json").read_text())
+    with (job / "lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)  # an orphan of an earlier sweep may still be at it
+        if study.is_finished(asked["id"]):
+            return
+        folder = study.run(asked["id"])
+        if status_of(folder) != "finished":
+            if folder.exists():
+                shutil.rmtree(folder)
+            config = resolve_data(asked["config"], "the plan", None)
+            traffic = None if not asked["traffic"] else Cache(Path(asked["cache"])).find("traffic", asked["traffic"])
+            running.run(config, folder, lambda *_: None, traffic)
+        _measure(folder, job, asked)
+        _drop(folder, asked["tables"])
+
+
+def _measure(folder: Path, job: Path, asked: dict[str, Any]) -> None:
+    """Metrics of every point of the run, kept beside it."""
+    run = open_run(folder)
+    frames = []
+    for point, variant in asked["members"].items():
+        topics = tuple(asked["topics"]) or tuple(TOPICS)
+        found = measure(run.as_variant(variant), topics=topics, **asked["measure"])
+        frames.append(found.assign(point=point))
+    partial = job / "measures.parquet.partial"
+    pd.concat(frames, ignore_index=True).to_parquet(partial, index=False)
+    partial.replace(job / "measures.parquet")
+
+
+def _drop(folder: Path, kept: list[str] | None) -> None:
+    """Delete tables that are not to be kept."""
+    if kept is not None:
+        for name in TABLES:
+            if name not in kept and (folder / name).is_dir():
+                shutil.rmtree(folder / name)
+
+
+def _end_with_parent() -> None:
+    while os.read(0, 4096):
+        pass
+    os._exit(3)
+
+
+def main() -> None:
+    if not sys.stdin.isatty():
+        threading.Thread(target=_end_with_parent, daemon=True).start()
+    kind, *words = sys.argv[1:]
+    try:
+        if kind == "run":
+            make(Path(words[0]))
+        else:
+            Cache(Path(words[0])).make_traffic(words[1], Path(words[2]))
+    except ValueError as error:
+        sys.exit(" ".join(str(error).split()))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,179 @@
+"""A study's metrics over a swept key: mean over replicates with its 95 % interval."""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from results.figures import style
+from results.study import Study, chosen, within_run
+
+SHOWN: Mapping[str, tuple[str, ...]] = {
+    "encounters": ("encounters.duration.km_median_s",),
+    "trust": ("trust.final.median:honest", "trust.final.median:malicious"),
+    "misbehaviour": (
+        "misbehaviour.time_to_detection.share:malicious", "misbehaviour.time_to_detection.median_s:malicious",
+    ),
+    "freshness": (
+        "freshness.age_at_use.mean_s:server", "freshness.newest_evidence_at_use.mean_s:honest",
+        "freshness.state.share:default",
+    ),
+    "radio": ("radio.pdr.all",),
+    "detection": ("detection.awareness_70m.share:fused",),
+}  # fmt: skip
+"""Metrics that a topic shows unless others are asked for."""
+
+_MOST_PANELS = 4
+
+
+@style.styled
+def draw(
+    study: Study,
+    topic: str,
+    metrics: Sequence[str] = (),
+    over: str | None = None,
+    by: str | None = None,
+    where: Mapping[str, Any] | None = None,
+) -> Figure:
+    """A row of panels per metric.
+
+    Parameters
+    ----------
+    metrics
+        Identifiers, `identifier:group` for one group; left out, those of the topic in `SHOWN`.
+    over, by
+        Swept keys on the axis and as colour; left out, the first and the second. Of encounters, `radius_m` and `pairs`
+        of their definition can be named too. A third key gives a column of panels for each of its values.
+    where
+        Values that other keys are held at.
+    """
+    asked = tuple(metrics) or SHOWN.get(topic, ())
+    if not asked:
+        raise ValueError(
+            f"No metric of {topic} is drawn by itself. Name some with --metric, as `cosim measure` lists them."
+        )
+    frame = study.summary
+    keys = list(study.keys)
+    if all(name.startswith("encounters.") for name in asked):
+        frame = within_run(chosen(frame, asked))
+        keys += ["radius_m", "pairs"]
+    for key, value in (where or {}).items():
+        if key not in keys:
+            raise ValueError(f"{key} is not swept in {study.name}. Swept: {', '.join(keys)}.")
+        frame = frame[frame[key].astype(str) == str(value)]
+        if not len(frame):
+            raise ValueError(f"{study.name} has no point with {key} = {value}.")
+    varied = [key for key in keys if frame[key].nunique() > 1]
+    order = [key for key in (over, by) if key] + [key for key in varied if key not in (over, by)]
+    if unknown := [key for key in order if key not in keys]:
+        raise ValueError(f"{unknown[0]} is not swept in {study.name}. Swept: {', '.join(keys)}.")
+    if len(order) > 3:
+        raise ValueError(
+            f"{study.name} varies {', '.join(order)}: a figure shows three. Hold others with --where {order[3]}=VALUE."
+        )
+    if not order:
+        raise ValueError(f"{study.name} has no two points to draw. Run `cosim sweep` on.")
+    x, colour, column = order[0], (order[1:2] or [""])[0], (order[2:3] or [""])[0]
+    columns = sorted(frame[column].unique()) if column else [None]
+    if len(columns) > _MOST_PANELS:
+        raise ValueError(f"{column} has {len(columns)} values: too many panels. Choose with --over, --by and --where.")
+    return _draw(frame, asked, x, colour, column, columns)
+
+
+def _draw(
+    frame: pd.DataFrame, asked: Sequence[str], x: str, colour: str, column: str, columns: Sequence[Any]
+) -> Figure:
+    width = 7.2 if len(columns) < 3 else 2.6 * len(columns)
+    figure, panels = style.sheet(len(columns), width, 0.4 + 2.5 * len(asked), len(asked))
+    colours = sorted(frame[colour].unique()) if colour else [None]
+    for row, name in enumerate(asked):
+        of_metric = chosen(frame, [name])
+        in_row = panels[row * len(columns) : (row + 1) * len(columns)]
+        for axes, value in zip(in_row, columns, strict=True):
+            part = of_metric if value is None else of_metric[of_metric[column] == value]
+            for i, hue in enumerate(colours):
+                _line(axes, part if hue is None else part[part[colour] == hue], frame[x], i, len(colours))
+            first = of_metric.iloc[0]
+            unit = "" if first.unit in ("", "1") else f" [{first.unit}]"
+            group = f", {first.group}" if ":" in name and first.group else ""
+            title = f"{label_of(column)} = {_said(value)}" if value is not None else first.label + group
+            y = f"{first.label}{group}{unit}"
+            style.panel(axes, title, label_of(x), _wrapped(y) if axes is in_row[0] else "")
+            if first.unit == "1":
+                style.share_axis(axes, max(0.05, float(of_metric[["mean", "high"]].max().max())))
+            else:
+                axes.set_ylim(0, 1.06 * float(of_metric[["mean", "high"]].max().max()) or 1.0)
+            _ticks(axes, frame[x])
+    entries = [
+        Line2D(
+            [], [], color=style.ink(i), marker=style.marker(i), linestyle=style.dash(i),
+            label=f"{label_of(colour)} = {_said(hue)}",
+        )
+        for i, hue in enumerate(colours) if hue is not None
+    ]  # fmt: skip
+    style.legend(figure, entries)
+    return figure
+
+
+def _line(axes: Axes, part: pd.DataFrame, values: pd.Series, i: int, n: int) -> None:
+    """Line `i` of `n`, a little aside of the others so that their intervals can be told apart."""
+    found = np.sort(values.unique())
+    aside = 0.012 * (i - (n - 1) / 2)
+    x = part[values.name].to_numpy()
+    if values.dtype.kind != "f":
+        at = np.searchsorted(found, x) + aside * max(1, len(found) - 1)
+    elif _is_wide(found):
+        at = x * (found[-1] / found[0]) ** aside
+    else:
+        at = x + aside * (found[-1] - found[0])
+    order = np.argsort(at)
+    at, mean = at[order], part["mean"].to_numpy()[order]
+    half = (part.high - part["mean"]).fillna(0.0).to_numpy()[order]
+    axes.errorbar(
+        at, mean, half, color=style.ink(i), marker=style.marker(i), linestyle=style.dash(i), capsize=2.5, elinewidth=1.0
+    )
+
+
+def _is_wide(found: np.ndarray) -> bool:
+    """Whether the values call for a logarithmic axis: they span a factor of ten."""
+    return bool(found[0] > 0 and found[-1] / found[0] >= 10)
+
+
+def _ticks(axes: Axes, values: pd.Series) -> None:
+    """The swept values themselves; on a logarithmic axis where they span a factor of ten."""
+    found = np.sort(values.unique())
+    if values.dtype.kind != "f":
+        axes.set_xticks(range(len(found)), [_said(v) for v in found])
+        return
+    if _is_wide(found):
+        axes.set_xscale("log")
+        axes.minorticks_off()
+    axes.set_xticks(found, [_said(v) for v in found])
+
+
+def label_of(key: str) -> str:
+    """A key of the config as an axis says it: its last word, with the unit that its name ends in."""
+    name = key.rsplit(".", 1)[-1]
+    for suffix, unit in (("_mps", "m/s"), ("_s", "s"), ("_m", "m"), ("_p", "")):
+        if name.endswith(suffix):
+            said = name.removesuffix(suffix).replace("_", " ")
+            return f"{said} [{unit}]" if unit else said
+    return name.replace("_", " ")
+
+
+def _said(value: Any) -> str:
+    return f"{value:g}" if isinstance(value, float | np.floating) and not math.isnan(value) else str(value)
+
+
+def _wrapped(text: str, width: int = 32) -> str:
+    words, lines = text.split(), [""]
+    for word in words:
+        if len(lines[-1]) + len(word) > width:
+            lines.append("")
+        lines[-1] = f"{lines[-1]} {word}".strip()
+    return "\n".join(lines)

@@ -1,0 +1,163 @@
+"""A study on disk: its points, their runs, and every metric by swept key with its interval."""
+
+import json
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pyarrow.parquet as pq
+from scipy.stats import t as student
+
+from results.archive import OpenRun, open_run
+from results.metrics.registry import TOPICS
+
+CONFIDENCE = 0.95
+_WITHIN = ["radius_m", "pairs"]
+"""Columns read off the group of encounter metrics, which names the definition."""
+
+
+class Study:
+    """The folder of a `cosim sweep`."""
+
+    def __init__(self, path: Path, head: Mapping[str, Any], points: pd.DataFrame) -> None:
+        self.path = path
+        self.name: str = head["name"]
+        self.question: str = head["question"]
+        self.keys: tuple[str, ...] = tuple(head["keys"])
+        """Swept keys of the config."""
+        self.baseline: dict[str, Any] = head["baseline"]
+        """Swept keys and values of the points that the others are compared with."""
+        self.points = points
+        """One row per point: point, run, variant, replicate, state, attempts, wall_s, memory_bytes, disk_bytes, and a
+        column per swept key."""
+
+    def run(self, point: str) -> OpenRun:
+        """The run of a point, seen as the point's trust variant."""
+        found = self.points[self.points.point == point]
+        if not len(found):
+            raise ValueError(f"{self.path} has no point {point!r}. `study.points` lists them.")
+        row = found.iloc[0]
+        return open_run(self.path / "runs" / str(row["run"])).as_variant(str(row.variant))
+
+    @cached_property
+    def measures(self) -> pd.DataFrame:
+        """Every metric of every finished point: the swept keys, replicate, metric, group, value, unit, label."""
+        frames = []
+        for run in self.points["run"].unique():
+            path = self.path / "jobs" / str(run) / "measures.parquet"
+            if path.is_file():
+                frames.append(pd.read_parquet(path))
+        if not frames:
+            raise ValueError(f"{self.path} has no finished run yet. Run `cosim sweep` on.")
+        columns = ["point", "replicate", *self.keys]
+        found = self.points[columns].merge(pd.concat(frames, ignore_index=True), on="point", how="inner")
+        return found[~found.metric.str.endswith(".not_measured")].reset_index(drop=True)
+
+    @cached_property
+    def summary(self) -> pd.DataFrame:
+        """Mean over replicates and its 95 % interval: the swept keys, metric, group, n, mean, low, high, unit, label.
+
+        Notes
+        -----
+        The interval is Student's: mean plus and minus t(n - 1) s / sqrt(n); missing for one replicate.
+        """
+        return self._intervals(self.measures)
+
+    @cached_property
+    def differences(self) -> pd.DataFrame:
+        """Paired differences against the baseline, columns as in `summary`.
+
+        A point's counterpart has the same replicate and keys, but for those that the baseline names: the same traffic
+        and, where only trust differs, the same detections. The interval is Student's, of the differences.
+        """
+        if not self.baseline:
+            raise ValueError(f"{self.path}: the study names no baseline. Set study.baseline and sweep again.")
+        frame = self.measures
+        is_base = np.ones(len(frame), bool)
+        for key, value in self.baseline.items():
+            is_base &= (frame[key] == _as_column(frame[key], value)).to_numpy()
+        others = [key for key in self.keys if key not in self.baseline]
+        on = [*others, "replicate", "metric", "group"]
+        pairs = frame[~is_base].merge(frame.loc[is_base, [*on, "value"]], on=on, suffixes=("", "_base"))
+        return self._intervals(pairs.assign(value=pairs.value - pairs.value_base))
+
+    def _intervals(self, frame: pd.DataFrame) -> pd.DataFrame:
+        by = [*self.keys, "metric", "group", "unit", "label"]
+        values = frame.groupby(by, sort=False, dropna=False).value
+        found = values.agg(n="count", mean="mean", s="std").reset_index()
+        half = student.ppf(0.5 + CONFIDENCE / 2, np.maximum(found.n - 1, 1)) * found.s / np.sqrt(found.n)
+        half = half.where(found.n > 1)
+        found = found.assign(low=found["mean"] - half, high=found["mean"] + half)
+        return found[[*self.keys, "metric", "group", "n", "mean", "low", "high", "unit", "label"]]
+
+    def write(self, folder: Path | None = None) -> list[Path]:
+        """`measures`, `summary` and, with a baseline, `differences` as Parquet and CSV."""
+        folder = self.path if folder is None else folder
+        tables = {"measures": self.measures, "summary": self.summary}
+        if self.baseline:
+            tables["differences"] = self.differences
+        written = []
+        for name, table in tables.items():
+            table.to_parquet(folder / f"{name}.parquet", index=False)
+            table.to_csv(folder / f"{name}.csv", index=False)
+            written += [folder / f"{name}.parquet", folder / f"{name}.csv"]
+        return written
+
+    def __repr__(self) -> str:
+        states = self.points.state.value_counts().to_dict()
+        return f"Study({str(self.path)!r}: {len(self.points)} points, {states}, swept {', '.join(self.keys)})"
+
+
+def open_study(path: str | Path) -> Study:
+    """Open the folder of a `cosim sweep`, finished or not."""
+    path = Path(path)
+    if not is_study(path):
+        raise ValueError(f"{path} is not a study: it holds no index.parquet. Give the folder of a `cosim sweep`.")
+    try:
+        table = pq.read_table(path / "index.parquet")
+        head = json.loads((table.schema.metadata or {})[b"study"])
+        return Study(path, head, table.to_pandas())
+    except (OSError, ValueError, KeyError) as error:
+        reason = str(error).splitlines()[0]
+        raise ValueError(
+            f"{path}/index.parquet is damaged ({reason}). `cosim status {path}` writes it anew."
+        ) from error
+
+
+def is_study(path: Path) -> bool:
+    """Whether a folder is a study's."""
+    return (path / "index.parquet").is_file()
+
+
+def within_run(frame: pd.DataFrame) -> pd.DataFrame:
+    """Rows of encounter metrics with what their group says, as columns: radius_m and pairs."""
+    parts = frame.group.str.extract(r"^(?P<pairs>\w+), (?P<radius_m>[\d.]+) m")
+    return frame.assign(radius_m=parts.radius_m.astype(float), pairs=parts.pairs)
+
+
+def chosen(frame: pd.DataFrame, metrics: Sequence[str]) -> pd.DataFrame:
+    """Rows of these metrics: an identifier, `identifier:group`, or a topic."""
+    kept = np.zeros(len(frame), bool)
+    for name in metrics:
+        metric, _, group = name.partition(":")
+        rows = (frame.metric.str.startswith(metric + ".") if metric in TOPICS else frame.metric == metric).to_numpy(
+            copy=True
+        )
+        if group:
+            rows &= (frame.group == group).to_numpy()
+        if not rows.any():
+            raise ValueError(
+                f"The study measured no {name!r}. It has {', '.join(sorted(frame.metric.unique())[:12])}, ..."
+            )
+        kept |= rows
+    return frame[kept]
+
+
+def _as_column(column: pd.Series, value: Any) -> Any:
+    """A value of a swept key as its column holds it."""
+    if column.dtype.kind in "fb":
+        return value
+    return value if isinstance(value, str) else json.dumps(value)

@@ -1,0 +1,81 @@
+"""The report of a study as one HTML page: what was asked, figures, table of means, paired differences, points."""
+
+from html import escape
+from pathlib import Path
+
+import pandas as pd
+
+from results.figures import study as figure
+from results.figures import style
+from results.report import STYLE
+from results.study import Study
+
+_MOST_ROWS = 400
+
+
+def write(study: Study, path: str | Path | None = None) -> Path:
+    """Write the page; it needs no network and no other file. Left out, `path` is report.html in the study's folder."""
+    path = study.path / "report.html" if path is None else Path(path)
+    if not path.parent.is_dir():
+        raise ValueError(f"The folder {path.parent} does not exist. Make it first.")
+    path.write_text(page(study), encoding="utf-8")
+    return path
+
+
+def page(study: Study) -> str:
+    """The page as HTML."""
+    states = ", ".join(f"{n} {state}" for state, n in study.points.state.value_counts().items())
+    parts = [
+        f"<h1>{escape(study.name)}</h1>",
+        f"<p>{escape(study.question)}</p>",
+        f'<p class="soft">{len(study.points)} points ({states}) of {study.points["run"].nunique()} runs; '
+        f"swept: {escape(', '.join(study.keys))}; {study.points.replicate.nunique()} replicates.</p>",
+        '<h2 id="figures">Figures</h2>',
+        *(_figure(study, topic) for topic in figure.SHOWN if _measured(study, topic)),
+        '<h2 id="numbers">Means over replicates</h2>',
+        "<p>With 95 % intervals of Student's t.</p>",
+        _table(study, study.summary),
+    ]
+    if study.baseline:
+        said = ", ".join(f"{key} = {value}" for key, value in study.baseline.items())
+        parts += [
+            '<h2 id="differences">Paired differences</h2>',
+            f"<p>Against {escape(said)}, replicate by replicate, with 95 % intervals of Student's t.</p>",
+            _table(study, study.differences),
+        ]
+    body = "\n".join(parts)
+    return (
+        f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>{escape(study.name)}</title>'
+        f"<style>{STYLE}</style></head><body>\n{body}\n</body></html>\n"
+    )
+
+
+def _measured(study: Study, topic: str) -> bool:
+    return bool(study.summary.metric.str.startswith(topic + ".").any())
+
+
+def _figure(study: Study, topic: str) -> str:
+    try:
+        drawn = figure.draw(study, topic)
+    except ValueError as reason:
+        return f'<h3>{escape(topic)}</h3><p class="missing">{escape(str(reason))}</p>'
+    url = style.data_url(drawn)
+    return f'<h3>{escape(topic)}</h3><figure><img src="{url}" alt="{escape(topic)} by swept key"></figure>'
+
+
+def _table(study: Study, frame: pd.DataFrame) -> str:
+    shown = frame.head(_MOST_ROWS)
+    names = [*study.keys, "metric", "group", "n", "mean", "low", "high", "unit"]
+    head = "".join(f"<th>{escape(name)}</th>" for name in names)
+    rows = "".join(
+        "<tr>" + "".join(_cell(value) for value in row) + "</tr>" for row in shown[names].itertuples(index=False)
+    )
+    more = len(frame) - len(shown)
+    note = f'<p class="soft">{more} more rows in summary.csv.</p>' if more > 0 else ""
+    return f'<div class="wide"><table><tr>{head}</tr>{rows}</table></div>{note}'
+
+
+def _cell(value: object) -> str:
+    if isinstance(value, float):
+        return f'<td class="number">{"" if value != value else f"{value:.4g}"}</td>'
+    return f"<td>{escape(str(value))}</td>"

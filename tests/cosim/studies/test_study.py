@@ -1,0 +1,144 @@
+"""Study files and plans: what is asked, what is shared, and what a mistake is answered with. Nothing is driven."""
+
+import pytest
+
+from cosim.studies.plan import plan
+from cosim.studies.points import identity, points_of
+from cosim.studies.study import load
+from cosim.studies.sweep import prepare
+
+HEAD = """
+[study]
+name = "try"
+replicates = 2
+[base]
+traffic.duration_s = 10
+"""
+
+
+def write(tmp_path, text):
+    path = tmp_path / "study.toml"
+    path.write_text(text)
+    return path
+
+
+def points(tmp_path, text):
+    return points_of(load(write(tmp_path, text)), "study.toml")
+
+
+def test_grid_and_zip_make_every_combination(tmp_path):
+    found = points(tmp_path, HEAD + """
+[grid]
+trust.freshness_s = [5, 10]
+"fleet.penetration_p" = [0.2, 0.4, 0.6]
+[[zip]]
+radio.range_m = [100, 200]
+encounters.0.radius_m = [50, 80]
+""")  # fmt: skip
+    assert len(found) == 2 * 3 * 2 * 2  # windows, penetrations, pairs of values, replicates
+    assert {(p.config.radio.range_m, p.config.encounters[0].radius_m) for p in found} == {(100, 50), (200, 80)}
+    one, other = found[0].config, found[len(found) // 2].config
+    assert (other.seed, other.traffic.seed) == (one.seed + 1, one.traffic.seed + 1)
+
+
+def test_identity_is_of_what_is_computed(tmp_path):
+    text = HEAD + "[grid]\ntrust.freshness_s = [5, 10]\n"
+    plain = [p.id for p in points(tmp_path, text)]
+    same = text.replace("[base]", "[base]\ncompute.threads = 2\nrecord.level = 'full'")
+    assert [p.id for p in points(tmp_path, same)] == plain
+    assert not {p.id for p in points(tmp_path, text.replace("_s = 10", "_s = 11"))} & set(plain)
+    assert len(set(plain)) == 4
+
+
+def test_trust_is_merged_and_traffic_shared(tmp_path):
+    found = points(tmp_path, HEAD + """
+[grid]
+trust.freshness_s = [5, 10, 20]
+trust.server_period_s = [1, 2]
+trust.host = ["central", "local"]
+fleet.penetration_p = [0.2, 0.4]
+""")  # fmt: skip
+    made = plan(found, fused=False)
+    assert len(found) == 48 and len(made.runs) == 4  # penetrations, replicates
+    assert sorted(point for run in made.runs for point, _ in run.members) == sorted(p.id for p in found)
+    assert len(made.traffic) == 2 and all(run.traffic for run in made.runs)  # replicates
+    by_id = {p.id: p for p in found}
+    for run in made.runs:
+        variants = {v.name: v for v in run.config.trust_variant}
+        for point, variant in run.members:
+            trust = run.config.trust if variant == "base" else variants[variant].trust
+            assert trust == by_id[point].config.trust
+
+
+def test_points_that_change_the_evidence_are_runs_of_their_own(tmp_path):
+    for key, values in (("trust.tau", [0.1, 0.2]), ("trust.method", ["trupercept_3", "trupercept_1"])):
+        assert len(plan(points(tmp_path, HEAD + f"[grid]\n{key} = {values}"), fused=False).runs) == 4
+
+
+def test_broadcasts_by_roadside_units_are_not_merged(tmp_path):
+    text = HEAD + 'server.uplink = "rsu"\nrsu.n_at_junctions = 2\n[grid]\ntrust.server_period_s = [1, 2]\n'
+    made = plan(points(tmp_path, text), fused=False)
+    assert len(made.runs) == 4 and "rsu" in made.remarks[0]
+
+
+def test_merged_run_is_the_same_for_any_order_of_the_file(tmp_path):
+    one = plan(points(tmp_path, HEAD + "[grid]\ntrust.freshness_s = [5, 10]\n"), fused=False)
+    other = plan(points(tmp_path, HEAD + '[grid]\n"trust.freshness_s" = [5, 10]\n'), fused=False)
+    assert [run.id for run in one.runs] == [run.id for run in other.runs]
+    assert all(identity(run.config) == run.id for run in one.runs)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (HEAD, "sweeps nothing"),
+        (HEAD + "[grid]\n", "sweeps nothing"),
+        (HEAD + "[grid]\ntrust.freshness_s = []\n", "at least one value"),
+        (HEAD + "[grid]\ntrust.freshness_s = 5\n", "list of at least one value"),
+        (HEAD + "[grid]\ntrust.freshness_s = [5, 5]\n", "twice"),
+        (HEAD + "[grid]\ntrust.freshnes_s = [5, 6]\n", "unknown key"),
+        (HEAD + "[grid]\ntrust.freshness_s = [5, -6]\n", "greater than 0"),
+        (HEAD + "[grid]\nseed = [5, 6]\n", "study.replicates"),
+        (HEAD + "[grid]\ncompute.threads = [1, 2]\n", "two points resolve to the same experiment"),
+        (HEAD + "[[zip]]\nradio.range_m = [1, 2]\ntrust.freshness_s = [5]\n", "as many"),
+        (HEAD + "[grid]\nradio.range_m = [100, 200]\n[[zip]]\nradio.range_m = [1, 2]\n", "swept twice"),
+        (HEAD + "[grids]\nradio.range_m = [100, 200]\n", "unknown section"),
+        (HEAD + "[keep]\ntables = ['lies']\n[grid]\nradio.range_m = [100, 200]\n", "there is no 'lies'"),
+        (HEAD + "[limits]\nretry = 1\n[grid]\nradio.range_m = [100, 200]\n", "unknown key"),
+        (HEAD + "[[base.trust_variant]]\nname = 'v'\n[grid]\nradio.range_m = [100, 200]\n", "trust_variant"),
+        (
+            HEAD.replace("[base]", "baseline = {'trust.tau' = 1}\n[base]") + "[grid]\nradio.range_m = [1, 2]\n",
+            "not swept",
+        ),
+    ],
+)
+def test_mistakes_are_one_line(tmp_path, text, said):
+    with pytest.raises(ValueError, match=said) as error:
+        points(tmp_path, text)
+    assert "\n" not in str(error.value)
+
+
+def test_folder_of_another_study_is_left_alone(tmp_path):
+    text = HEAD + "[grid]\nradio.range_m = [100, 200]\n"
+    task = prepare(write(tmp_path, text), tmp_path / "out")
+    task.folder.prepare(task.study)
+    before = (tmp_path / "out" / "study.toml").read_text()
+    other = prepare(write(tmp_path, text.replace('"try"', '"other"')), tmp_path / "out")
+    with pytest.raises(ValueError, match='holds the study "try"'):
+        other.folder.prepare(other.study)
+    assert (tmp_path / "out" / "study.toml").read_text() == before
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "thesis.txt").write_text("all of it")
+    third = prepare(write(tmp_path, text), tmp_path / "mine")
+    with pytest.raises(ValueError, match="holds no study"):
+        third.folder.prepare(third.study)
+
+
+def test_study_file_of_a_folder_gives_the_same_points(tmp_path):
+    text = (
+        HEAD + "[grid]\ntrust.freshness_s = [5, 'off']\n[[zip]]\nradio.range_m = [100, 200]\ntrust.tau = [0.1, 0.2]\n"
+    )
+    study = load(write(tmp_path, text))
+    kept = tmp_path / "kept.toml"
+    kept.write_text(study.to_toml())
+    assert [p.id for p in points_of(load(kept), "kept")] == [p.id for p in points_of(study, "study.toml")]

@@ -1,0 +1,144 @@
+"""Evaluations that holders have received of the recent steps: one log for all models that read it."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Float, Int
+from numpy import ndarray
+
+from trust.open_steps import OpenSteps
+from trust.pair_index import PairIndex
+from trust.tables import DetectionRows, ObserverRows, ReceivedEvaluations
+
+_QUANTUM = float(1 << 32)
+
+
+def exact(values: Float[ndarray, "n"]) -> Float[ndarray, "n"]:
+    """Values as multiples of 2^-32: sums of them, up to 2^20 in size, are the same in any order."""
+    return np.rint(values * _QUANTUM) / _QUANTUM
+
+
+def exact_sums(group: Int[ndarray, "n"], values: Float[ndarray, "n"], n_groups: int) -> Float[ndarray, "n_groups"]:
+    """Sums of `exact` values by group."""
+    return np.bincount(group, exact(values), n_groups).astype(float)
+
+
+@dataclass(slots=True)
+class StepRows:
+    """Accepted evaluations of one step by others than the subject that could see the detection, in any order.
+
+    Rows of (holder, subject) are those of `EvaluationLog.pairs`, of (evaluator, observer) those of `.edges`.
+    """
+
+    evaluator: Int[ndarray, "n"]  # row of (holder, evaluator); one table row per holder, evaluator and observer
+    observer: Int[ndarray, "n"]  # row of (holder, observer)
+    edge: Int[ndarray, "n"]  # row of (evaluator, observer)
+    pos: Float[ndarray, "n"]  # sum of the positive evidence
+    neg: Float[ndarray, "n"]  # sum of the negative evidence
+    n: Int[ndarray, "n"]  # evaluations
+    row: Int[ndarray, "k"]  # of every single evaluation: its row above
+    object: Int[ndarray, "k"]  # of every single evaluation: the detection, numbered by holder, observer and index
+    object_pos: Float[ndarray, "k"]
+    object_neg: Float[ndarray, "k"]
+    n_objects: int
+
+    def per_observer(self, values: Float[ndarray, "n"], n_pairs: int) -> Float[ndarray, "n_pairs"]:
+        """Sums of `exact` values over the rows of each (holder, observer)."""
+        return exact_sums(self.observer, values, n_pairs)
+
+    def per_object(self, values: Float[ndarray, "k"]) -> Float[ndarray, "n_objects"]:
+        """Sums of `exact` values over the evaluations of each detection."""
+        return exact_sums(self.object, values, self.n_objects)
+
+    def observer_of_objects(self) -> Int[ndarray, "n_objects"]:
+        """Row of (holder, observer) of each detection."""
+        observer = np.zeros(self.n_objects, np.int64)
+        observer[self.object] = self.observer[self.row]
+        return observer
+
+
+@dataclass(slots=True)
+class _Step:
+    """What has been received of one step so far."""
+
+    parts: list[tuple[ObserverRows, DetectionRows]] = field(default_factory=list)
+    rows: StepRows | None = None
+    n_additions: int = 0
+
+
+class EvaluationLog:
+    """Accepted evaluations by step, and a row for each (holder, pseudonym) that any of them names.
+
+    Several models may read one log: each passes on every call that it is given, and the log acts on the first of them.
+    Then all of them must have been given a call before any of them is asked for scores.
+    """
+
+    def __init__(self, n_steps: int) -> None:
+        self.steps = OpenSteps(n_steps)
+        self.pairs = PairIndex()
+        self.edges = PairIndex()
+        self._open: dict[int, _Step] = {}
+        self._n_added = 0
+
+    def open(self, step: int, pseudonyms, observer_row, detection_index, score) -> None:
+        """Begin a step, once; the arguments are those of `TrustModel.open_step`."""
+        if step in self._open:
+            return
+        self.advance(step)
+        self.steps.open(step, pseudonyms, observer_row, detection_index, score)
+        self._open[step] = _Step()
+
+    def advance(self, now_step: int) -> None:
+        """Close the steps that are too old. What a closed step holds is kept until the next step, for all to read."""
+        if now_step <= self.steps.now:
+            return
+        for step in [s for s in self._open if s <= self.steps.now - self.steps.n_steps]:
+            del self._open[step]
+        self.steps.advance(now_step)
+
+    def add(self, number: int, received: ReceivedEvaluations) -> None:
+        """Add what a model was given as its `number`-th."""
+        if number < self._n_added:
+            return
+        self._n_added += 1
+        accepted = self.steps.accepted(received)
+        if accepted is not None and len(accepted):
+            step = self._open[received.messages.step]
+            step.parts.append(accepted.both())
+            step.n_additions, step.rows = step.n_additions + 1, None
+
+    def versions(self) -> dict[int, int]:
+        """Steps whose rows are at hand, ascending, with the number of additions to each."""
+        return {step: self._open[step].n_additions for step in sorted(self._open)}
+
+    def is_closed(self, step: int) -> bool:
+        """Whether nothing is accepted for the step any more."""
+        return step <= self.steps.now - self.steps.n_steps
+
+    def rows(self, step: int) -> StepRows:
+        """What has been received of a step."""
+        of_step = self._open[step]
+        if of_step.rows is None:
+            of_step.rows = self._merged(of_step.parts)
+        return of_step.rows
+
+    def _merged(self, parts: list[tuple[ObserverRows, DetectionRows]]) -> StepRows:
+        if not parts:
+            parts = [(ObserverRows(*[np.zeros(0, np.int64)] * 6), DetectionRows(*[np.zeros(0, np.int64)] * 4))]
+        first = np.cumsum([0, *(len(observers.n) for observers, _ in parts)])
+        holder, evaluator, observer, pos, neg, n = (np.concatenate(c) for c in zip(*(o for o, _ in parts), strict=True))
+        row = np.concatenate([d.row + begin for (_, d), begin in zip(parts, first, strict=False)])
+        index, object_pos, object_neg = (
+            np.concatenate([d[column] for _, d in parts]) for column in range(1, 4)
+        )  # fmt: skip
+        evaluator, observer = self.pairs.rows(holder, evaluator), self.pairs.rows(holder, observer)
+        used = np.zeros(len(self.pairs), np.int64)
+        used[observer] = 1
+        width = int(index.max(initial=0)) + 1
+        number = (np.cumsum(used) - used)[observer[row]] * width + index
+        taken = np.zeros(int(used.sum()) * width, np.int64)
+        taken[number] = 1
+        return StepRows(
+            evaluator, observer, self.edges.rows(evaluator, observer), pos, neg, n,
+            row, (np.cumsum(taken) - taken)[number], object_pos, object_neg, int(taken.sum()),
+        )  # fmt: skip

@@ -1,0 +1,103 @@
+"""Reputation-based announcement: ratings that age, averaged per rater, then over raters."""
+
+from dataclasses import dataclass
+from typing import Annotated, ClassVar
+
+import numpy as np
+from annotated_types import Gt, Interval
+from jaxtyping import Int
+from numpy import ndarray
+
+from trust.evaluation_log import StepRows, exact_sums
+from trust.models.stepwise import Reading, Stepwise
+from trust.pair_index import with_rows
+
+_UNIT = float(1 << 20)  # of a rating
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class AnnouncementParams:
+    """Parameters of the model `announcement`; all defaults are ours."""
+
+    validity_s: Annotated[float, Gt(0)] = 600.0
+    """Psi: age at which a rating counts nothing any more [s]."""
+    usable_above: Annotated[float, Interval(ge=0, le=1)] = 0.6
+    """Trust above which a vehicle's messages may be used."""
+    grace_s: Annotated[float, Gt(0)] = 10.0
+    """Age at which evidence is final [s]: evaluations that arrive later have no effect."""
+
+
+@dataclass(frozen=True, slots=True)
+class Ratings:
+    """Ratings within the validity, and sums of them; integers, so that what expires is taken off exactly."""
+
+    sums: Int[ndarray, "edges 4"]  # per (rater, subject): number, sum of steps, of ratings, of rating x step
+    newest: Int[ndarray, "pairs"]  # step of the newest rating of each subject
+    history: tuple[tuple[int, Int[ndarray, "n"], Int[ndarray, "n"]], ...] = ()  # step, edges, ratings
+
+    def added(self, sign: int, step: int, edge: ndarray, rating: ndarray) -> None:
+        """Add the ratings of a step to the sums, or take them off."""
+        terms = np.ones(edge.size, np.int64), np.full(edge.size, step), rating, rating * step
+        for column, term in enumerate(terms):
+            np.add.at(self.sums[:, column], edge, sign * term)
+
+
+class Announcement(Stepwise):
+    """Reputation of the announcement scheme of Li et al. [6]_.
+
+    Notes
+    -----
+    A rating is pos / (pos + neg) of one evaluator's evaluations of a subject in one step. Per rater the mean of its
+    ratings with weight 1 - age / Psi, 0 beyond Psi; then the mean over raters; then times 1 - age / Psi of the newest
+    rating, as the certificate that states it ages. A vehicle is usable above 0.6. Weight: number of raters.
+
+    Deviations: equations from memory of the paper; a rating is graded; a certificate is issued with each rating. The
+    trust of a vehicle that nobody has rated, in the paper a start value, is `trust.default_trust` (0.7 is ours).
+
+    [6] Li, Malip, Martin, Ng, Zhang: A Reputation-Based Announcement Scheme for VANETs. IEEE Transactions on
+    Vehicular Technology, 2012.
+    """
+
+    Params: ClassVar[type] = AnnouncementParams
+
+    def start(self) -> Ratings:
+        """No ratings."""
+        return Ratings(np.zeros((0, 4), np.int64), np.zeros(0, np.int64))
+
+    def advance(self, state: Ratings, n_steps: int, step: int, rows: StepRows, n_pairs: int) -> Ratings:
+        """Ratings of a step added, old ones taken off."""
+        new = self._valid(state, step, len(self.log.edges))
+        total = rows.pos + rows.neg
+        rated = np.flatnonzero(total > 0)
+        rating = np.rint(rows.pos[rated] / total[rated] * _UNIT).astype(np.int64)
+        edge = rows.edge[rated]
+        new.added(1, step, edge, rating)
+        newest = with_rows(state.newest, n_pairs).copy()
+        newest[rows.observer[rated]] = step
+        return Ratings(new.sums, newest, (*new.history, (step, edge, rating)))
+
+    def read(self, state: Ratings, n_steps: int, now: int) -> Reading:
+        """Mean over raters of their means, aged as its certificate."""
+        validity = self.params.validity_s / self.dt_s
+        n, steps, ratings, rated_steps = self._valid(state, now, len(self.log.edges)).sums.T
+        weight = n - (now * n - steps) / validity
+        value = (ratings - (now * ratings - rated_steps) / validity) / _UNIT
+        _, subject, row = self.log.edges.sorted()
+        weight, value, steps, n = weight[row], value[row], steps[row], n[row]
+        has = n > 0
+        size = len(self.log.pairs)
+        raters = np.bincount(subject[has], minlength=size)
+        mean = exact_sums(subject[has], value[has] / weight[has], size) / np.maximum(raters, 1)
+        age = np.clip(1 - (now - with_rows(state.newest, size)[:size]) / validity, 0, 1)
+        return Reading(np.clip(mean, 0, 1) * age, raters.astype(float), None, self.params.validity_s)
+
+    def _valid(self, state: Ratings, now: int, n_edges: int) -> Ratings:
+        """A copy without what has expired."""
+        new = Ratings(with_rows(state.sums, n_edges).copy(), state.newest)
+        n_old = 0
+        for step, edge, rating in state.history:
+            if (now - step) * self.dt_s < self.params.validity_s:
+                break
+            new.added(-1, step, edge, rating)
+            n_old += 1
+        return Ratings(new.sums, state.newest, state.history[n_old:])

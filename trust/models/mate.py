@@ -1,0 +1,113 @@
+"""MATE: Beta distributions for vehicles and for objects, each from the other."""
+
+from dataclasses import dataclass
+from typing import Annotated, ClassVar
+
+import numpy as np
+from annotated_types import Ge, Gt, Interval
+from jaxtyping import Float
+from numpy import ndarray
+
+from trust.evaluation_log import StepRows, exact_sums
+from trust.models.stepwise import Reading, Stepwise
+from trust.pair_index import with_rows
+
+PRIOR = 0.5
+"""alpha and beta without evidence."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class MateParams:
+    """Parameters of the model `mate`."""
+
+    negative_gain: Annotated[float, Ge(1)] = 4.0
+    """n of a measurement of a vehicle below `negative_below`; 1 above."""
+    negative_below: Annotated[float, Interval(ge=0, le=1)] = 0.4
+    """v below which a measurement of a vehicle counts as negative."""
+    propagation_s: Annotated[float, Gt(1)] = 10.0
+    """1 / `propagation_s` of the distance to the prior is lost in 1 s."""
+    believed_above: Annotated[float, Interval(ge=0, le=1)] = 0.4
+    """Mean above which an object is believed."""
+    grace_s: Annotated[float, Gt(0)] = 10.0
+    """Age at which evidence is final [s]: evaluations that arrive later have no effect."""
+
+
+def gained(v: ndarray, c: ndarray, n: ndarray | float) -> tuple[ndarray, ndarray]:
+    """What a measurement v of confidence c adds to alpha and beta: n / (n + 1) c v and n^2 / (n + 1) c (1 - v)."""
+    return n / (n + 1) * c * v, n * n / (n + 1) * c * (1 - v)
+
+
+def mean(alpha_beta: Float[ndarray, "... 2"]) -> Float[ndarray, "..."]:
+    """alpha / (alpha + beta)."""
+    return alpha_beta[..., 0] / alpha_beta.sum(axis=-1)
+
+
+def confidence(alpha_beta: Float[ndarray, "... 2"]) -> Float[ndarray, "..."]:
+    """clip(1 - 2 std, 1e-4, 0.9999) of a Beta distribution."""
+    total = alpha_beta.sum(axis=-1)
+    return np.clip(1 - 2 * np.sqrt(alpha_beta.prod(axis=-1) / (total**2 * (total + 1))), 1e-4, 0.9999)
+
+
+class Mate(Stepwise):
+    """Trust of vehicles and objects from multi-agent consistency, as in MATE [4]_.
+
+    Notes
+    -----
+    A measurement v of confidence c: alpha += n / (n + 1) c v, beta += n^2 / (n + 1) c (1 - v).
+    Object: v = 1 from its detector and from evaluators that matched it, 0 from those that could see it and did not;
+    c = mean of the vehicle before the step, n = 1; it begins at alpha = beta = 0.5.
+    Vehicle: v = mean of the object for those with v = 1, else 1 - mean; c = clip(1 - 2 std, 1e-4, 0.9999) of the
+    object; n = 4 if v < 0.4, else 1. alpha and beta return to 0.5 by 1 / 10 of the distance per second.
+    Trust is the mean of the vehicle; uncertainty 2 std; weight alpha + beta - 1.
+
+    Deviations: an object is a detection of one step, the evaluators' matching groups being unknown to a server; in
+    view is visibility above 0; the published pull dt / 10 s depends on the step, here it is 1 - 0.9^dt, the same at
+    1 s; a vehicle that is absent is kept, where the published code deletes it at once.
+
+    [4] Hallyburton et al.: Trust estimation in AVstack (MATE), CCS 2025, and its published code.
+    """
+
+    Params: ClassVar[type] = MateParams
+
+    def start(self) -> Float[ndarray, "p 2"]:
+        """alpha and beta of each pair, less the prior."""
+        return np.zeros((0, 2))
+
+    def advance(self, state: ndarray, n_steps: int, step: int, rows: StepRows, n_pairs: int) -> ndarray:
+        """alpha and beta after a step."""
+        new = with_rows(self._pulled(state, n_steps), n_pairs)
+        trusted = mean(new + PRIOR)
+        by, of = rows.evaluator[rows.row], rows.observer_of_objects()
+        matched, missed = rows.object_pos > 0, rows.object_neg > 0
+        source = np.column_stack([
+            trusted[of] + rows.per_object(trusted[by] * matched), rows.per_object(trusted[by] * missed)
+        ])  # fmt: skip
+        objects = PRIOR + 0.5 * source
+        v, c = mean(objects), confidence(objects)
+        judged = np.bincount(rows.object[matched | missed], minlength=rows.n_objects) > 0
+        self._measured(new, of[judged], v[judged], c[judged])
+        for agrees, value in ((matched, v), (missed, 1 - v)):
+            at = rows.object[agrees]
+            self._measured(new, by[agrees], value[at], c[at])
+        return new
+
+    def read(self, state: ndarray, n_steps: int, now: int) -> Reading:
+        """Mean of the vehicle's Beta distribution."""
+        excess = self._pulled(state, n_steps)
+        alpha_beta = excess + PRIOR
+        total = alpha_beta.sum(axis=1)
+        std = np.sqrt(alpha_beta.prod(axis=1) / (total**2 * (total + 1)))
+        return Reading(mean(alpha_beta), excess.sum(axis=1), 2 * std, self.horizon_s(self._per_s))
+
+    @property
+    def _per_s(self) -> float:
+        return 1 - 1 / self.params.propagation_s
+
+    def _pulled(self, state: ndarray, n_steps: int) -> ndarray:
+        return state * self.decay(self._per_s, n_steps)
+
+    def _measured(self, state: ndarray, vehicle: ndarray, v: ndarray, c: ndarray) -> None:
+        """Add measurements of vehicles."""
+        p = self.params
+        for column, gain in enumerate(gained(v, c, np.where(v < p.negative_below, p.negative_gain, 1.0))):
+            state[:, column] += exact_sums(vehicle, gain, len(state))

@@ -1,0 +1,69 @@
+"""Report count: the more misbehaviour reports, the more guilty."""
+
+from dataclasses import dataclass
+from typing import Annotated, ClassVar
+
+import numpy as np
+from annotated_types import Gt
+from jaxtyping import Float, Int
+from numpy import ndarray
+
+from trust.evaluation_log import StepRows
+from trust.models.stepwise import Reading, Stepwise
+from trust.pair_index import with_rows
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ReportCountParams:
+    """Parameters of the model `report_count`."""
+
+    guilty_above: Annotated[float, Gt(0)] = 5.0
+    """Reports above which a vehicle is guilty; its trust is then below 1/2."""
+    sanction_above: tuple[float, ...] = (20.0, 50.0, 250.0, 1250.0)
+    """Reports above which each further level of sanction begins."""
+    grace_s: Annotated[float, Gt(0)] = 10.0
+    """Age at which evidence is final [s]: evaluations that arrive later have no effect."""
+
+    def __post_init__(self) -> None:
+        levels = [self.guilty_above, *self.sanction_above]
+        if levels != sorted(set(levels)):
+            raise ValueError(
+                f"trust.sanction_above = {list(self.sanction_above)}: levels must rise, from guilty_above on."
+            )
+
+
+def sanction(n_reports: Float[ndarray, "n"], params: ReportCountParams) -> Int[ndarray, "n"]:
+    """Level of sanction: 0 none, 1 guilty, then those of `sanction_above`."""
+    return np.searchsorted([params.guilty_above, *params.sanction_above], n_reports, side="left")
+
+
+class ReportCount(Stepwise):
+    """Misbehaviour authority that counts reports, as in F2MD [8]_.
+
+    Notes
+    -----
+    A report is an evaluator's message of one step that is against the subject (neg > pos). With n reports trust is
+    5 / (5 + n): below 1/2 exactly where the vehicle is guilty, n > 5. Levels of sanction begin above 5, 20, 50, 250 and
+    1,250 reports (`sanction`). Weight: reports.
+
+    Deviations: reports come from evaluations instead of plausibility checks; the published code's chain of conditions
+    reaches the first sanction alone; the trust value is ours.
+
+    [8] Kamel et al.: Simulation Framework for Misbehavior Detection in Vehicular Networks (F2MD), published code.
+    """
+
+    Params: ClassVar[type] = ReportCountParams
+
+    def start(self) -> Float[ndarray, "p"]:
+        """Reports about each pair."""
+        return np.zeros(0)
+
+    def advance(self, state: ndarray, n_steps: int, step: int, rows: StepRows, n_pairs: int) -> ndarray:
+        """Reports after a step."""
+        new = with_rows(state, n_pairs).copy()
+        return new + rows.per_observer((rows.neg > rows.pos).astype(float), len(new))
+
+    def read(self, state: ndarray, n_steps: int, now: int) -> Reading:
+        """limit / (limit + reports)."""
+        limit = self.params.guilty_above
+        return Reading(limit / (limit + state), state)

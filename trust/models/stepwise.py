@@ -1,0 +1,168 @@
+"""Models whose state goes on from step to step: the evidence of a step changes it at once, whenever it arrived."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Generic, TypeVar
+
+import numpy as np
+from jaxtyping import Float, Int
+from numpy import ndarray
+
+from trust.evaluation_log import EvaluationLog, StepRows
+from trust.pair_index import with_rows
+from trust.params import grace_steps
+from trust.tables import ReceivedEvaluations, TrustScores
+
+S = TypeVar("S")
+Advance = Callable[[S, int, int, StepRows, int], S]
+"""State after a step, from: the state before it, the steps since then, the step, its rows, the number of pairs."""
+
+
+class Replay(Generic[S]):
+    """A state after each step whose evidence is at hand: late evidence takes it up again from its own step on."""
+
+    def __init__(self, start: S, advance: Advance) -> None:
+        self._before, self._before_step, self._advance = start, -1, advance
+        self._after: dict[int, tuple[int, S]] = {}  # by step: number of additions that it rests on, state
+
+    def state(self, log: EvaluationLog) -> tuple[int, S]:
+        """Newest step, and the state after it."""
+        step, state = self._before_step, self._before
+        changed = False
+        for g, n_additions in log.versions().items():
+            if g <= self._before_step:
+                continue
+            known = self._after.get(g)
+            if changed or known is None or known[0] != n_additions:
+                rows = log.rows(g)
+                n_steps = g - step if step >= 0 else 0
+                self._after[g] = n_additions, self._advance(state, n_steps, g, rows, len(log.pairs))
+                changed = True
+            step, state = g, self._after[g][1]
+        return step, state
+
+    def fold(self, log: EvaluationLog) -> None:
+        """Keep one state alone of the steps that are closed."""
+        closed = [g for g in log.versions() if g > self._before_step and log.is_closed(g)]
+        if closed:
+            self.state(log)
+            self._before_step, self._before = closed[-1], self._after[closed[-1]][1]
+            self._after = {g: known for g, known in self._after.items() if g > closed[-1]}
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """What a model says of each (holder, subject); rows as in `EvaluationLog.pairs`."""
+
+    trust: Float[ndarray, "p"]
+    weight: Float[ndarray, "p"]
+    uncertainty: Float[ndarray, "p"] | None = None
+    horizon_s: float = np.inf
+    """Age from which evaluations are no evidence any more: a pair without a younger one has no row."""
+
+
+def _counted(state: Int[ndarray, "p 3"], _: int, step: int, rows: StepRows, n_pairs: int) -> Int[ndarray, "p 3"]:
+    """Evaluations, newest and oldest step of each pair, with those of one more step."""
+    new = with_rows(state, n_pairs).copy()
+    n = np.bincount(rows.observer, rows.n, len(new)).astype(np.int64)
+    seen = n > 0
+    new[seen, 2] = np.where(new[seen, 0] == 0, step, new[seen, 2])
+    new[seen, 1] = step
+    new[:, 0] += n
+    return new
+
+
+class Stepwise:
+    """A trust model that is a state, a function that takes it a step on, and one that reads trust from it.
+
+    A model of this kind defines `Params` with `grace_s`, `start`, `advance` and `read`. `advance` returns a new state
+    and leaves the given one as it is. Sums over rows go through `exact`: then no order of arrival changes a bit.
+    """
+
+    def __init__(self, params: Any, dt_s: float) -> None:
+        self.params, self.dt_s = params, dt_s
+        self.log = EvaluationLog(grace_steps(params.grace_s, dt_s))
+        """Shared by models where the host says so."""
+        self._n_added = 0
+        self._replay: Replay[Any] = Replay(self.start(), self.advance)
+        self._counts: Replay[ndarray] = Replay(np.zeros((0, 3), np.int64), _counted)
+
+    def start(self) -> Any:
+        """State before any evidence."""
+        raise NotImplementedError
+
+    def advance(self, state: Any, n_steps: int, step: int, rows: StepRows, n_pairs: int) -> Any:
+        """State after a step.
+
+        Parameters
+        ----------
+        n_steps
+            Since the step that `state` is of.
+        n_pairs
+            Pairs that the log knows.
+        """
+        raise NotImplementedError
+
+    def read(self, state: Any, n_steps: int, now: int) -> Reading:
+        """Trust at step `now`, `n_steps` after the step that `state` is of."""
+        raise NotImplementedError
+
+    def open_step(
+        self,
+        step: int,
+        pseudonyms: Int[ndarray, "n"],
+        observer_row: Int[ndarray, "d"],
+        detection_index: Int[ndarray, "d"],
+        score: Float[ndarray, "d"],
+    ) -> None:
+        """Begin a step; see `TrustModel`."""
+        self.log.open(step, pseudonyms, observer_row, detection_index, score)
+        self._fold()
+
+    def add_evaluations(self, received: ReceivedEvaluations) -> None:
+        """Add received evaluations; see `TrustModel`."""
+        self.log.add(self._n_added, received)
+        self._n_added += 1
+
+    def scores(self, now_step: int | None = None) -> TrustScores:
+        """Trust of every subject with evidence; see `TrustModel`."""
+        now = self.log.steps.now if now_step is None else now_step
+        self.log.advance(now)
+        self._fold()
+        step, state = self._replay.state(self.log)
+        counts = with_rows(self._counts.state(self.log)[1], len(self.log.pairs))
+        reading = self.read(state, now - step if step >= 0 else 0, now)
+        holder, subject, row = self.log.pairs.sorted()
+        n, newest, oldest = counts[row].T
+        known = (n > 0) & ((now - newest) * self.dt_s < reading.horizon_s)
+        holder, subject, row, n, newest, oldest = (a[known] for a in (holder, subject, row, n, newest, oldest))
+        uncertainty = np.full(row.size, np.nan) if reading.uncertainty is None else reading.uncertainty[row]
+        return TrustScores(
+            now, holder, subject, reading.trust[row], uncertainty, reading.weight[row], n,
+            newest, oldest, newest.copy(), oldest.copy(), n > 0,
+        )  # fmt: skip
+
+    @property
+    def rejected(self) -> Int[ndarray, "reasons"]:
+        """Evaluations rejected so far, by `RejectReason`."""
+        return self.log.steps.rejected
+
+    def decay(self, per_s: float, n_steps: int) -> float:
+        """Share that is left after some steps of what loses 1 - `per_s` in a second."""
+        return per_s ** (n_steps * self.dt_s)
+
+    def horizon_s(self, per_s: float) -> float:
+        """Age at which less than 2^-40 is left of what loses 1 - `per_s` in a second."""
+        return np.inf if per_s == 1 else 40 / -np.log2(per_s)
+
+    def _fold(self) -> None:
+        self._replay.fold(self.log)
+        self._counts.fold(self.log)
+
+
+def share_logs(models: Sequence[object]) -> None:
+    """One log for models of this kind that accept evaluations for equally long: all are given the same."""
+    logs: dict[int, EvaluationLog] = {}
+    for model in models:
+        if isinstance(model, Stepwise):
+            model.log = logs.setdefault(model.log.steps.n_steps, model.log)

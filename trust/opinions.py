@@ -1,0 +1,73 @@
+"""Opinions of subjective logic: belief, disbelief, uncertainty, as rows (b, d, u) that sum to 1.
+
+Jøsang: Subjective Logic. Springer, 2016. Fusion takes two opinions about one thing; two opinions without uncertainty
+(u = 0) are fused to their mean.
+"""
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+BASE_RATE = 0.5
+"""a: probability without evidence."""
+
+
+def projected(opinion: Float[ndarray, "... 3"], base_rate: float = BASE_RATE) -> Float[ndarray, "..."]:
+    """Projected probability P = b + a u."""
+    return opinion[..., 0] + base_rate * opinion[..., 2]
+
+
+def of_check(ok: Float[ndarray, "..."], bad: Float[ndarray, "..."], base: float = 1.3) -> Float[ndarray, "... 3"]:
+    """Opinion from the weights of checks that an object passed and failed: S = ok + bad, b + d = 1 - base^-S."""
+    s = ok + bad
+    gained = -np.expm1(-s * np.log(base))
+    share = np.divide(gained, s, out=np.zeros_like(gained), where=s > 0)
+    return np.stack([ok * share, bad * share, 1 - gained], axis=-1)
+
+
+def cumulative(x: Float[ndarray, "... 3"], y: Float[ndarray, "... 3"]) -> Float[ndarray, "... 3"]:
+    """Cumulative fusion, of independent evidence: k = ux + uy - ux uy, b = (bx uy + by ux) / k, u = ux uy / k."""
+    ux, uy = x[..., 2:], y[..., 2:]
+    return _or_mean(x, y, np.concatenate([x[..., :2] * uy + y[..., :2] * ux, ux * uy], -1), ux + uy - ux * uy)
+
+
+def averaging(x: Float[ndarray, "... 3"], y: Float[ndarray, "... 3"]) -> Float[ndarray, "... 3"]:
+    """Averaging fusion, of the same evidence: b = (bx uy + by ux) / (ux + uy), u = 2 ux uy / (ux + uy)."""
+    ux, uy = x[..., 2:], y[..., 2:]
+    return _or_mean(x, y, np.concatenate([x[..., :2] * uy + y[..., :2] * ux, 2 * ux * uy], -1), ux + uy)
+
+
+def weighted(x: Float[ndarray, "... 3"], y: Float[ndarray, "... 3"]) -> Float[ndarray, "... 3"]:
+    """Weighted fusion, by confidence c = 1 - u: b = (bx cx uy + by cy ux) / k, k = ux + uy - 2 ux uy."""
+    ux, uy = x[..., 2:], y[..., 2:]
+    cx, cy = 1 - ux, 1 - uy
+    fused = np.concatenate([x[..., :2] * cx * uy + y[..., :2] * cy * ux, (cx + cy) * ux * uy], -1)
+    return _or_mean(x, y, fused, ux + uy - 2 * ux * uy)
+
+
+def discounted(probability: Float[ndarray, "..."], opinion: Float[ndarray, "... 3"]) -> Float[ndarray, "... 3"]:
+    """A source's opinion, as good as the source: b = P b', d = P d', u = 1 - P (b' + d')."""
+    known = probability[..., None] * opinion[..., :2]
+    return np.concatenate([known, 1 - known.sum(axis=-1, keepdims=True)], axis=-1)
+
+
+def discounted_opposite(source: Float[ndarray, "... 3"], opinion: Float[ndarray, "... 3"]) -> Float[ndarray, "... 3"]:
+    """Discounting that favours the opposite belief: b = b b' + d d', d = b d' + d b', u = u + (b + d) u'."""
+    b, d, u = np.moveaxis(source, -1, 0)
+    ours, theirs, unknown = np.moveaxis(opinion, -1, 0)
+    return np.stack([b * ours + d * theirs, b * theirs + d * ours, u + (b + d) * unknown], axis=-1)
+
+
+def of_evidence(evidence: Float[ndarray, "... 2"]) -> Float[ndarray, "... 3"]:
+    """Opinion from (b / u, d / u): the form in which cumulative fusion is a sum."""
+    u = 1 / (1 + evidence.sum(axis=-1, keepdims=True))
+    return np.concatenate([evidence * u, u], axis=-1)
+
+
+def evidence_of(opinion: Float[ndarray, "... 3"]) -> Float[ndarray, "... 2"]:
+    """(b / u, d / u); u above 0."""
+    return opinion[..., :2] / opinion[..., 2:]
+
+
+def _or_mean(x: ndarray, y: ndarray, fused: ndarray, k: ndarray) -> Float[ndarray, "... 3"]:
+    return np.where(k > 0, np.divide(fused, k, out=np.zeros_like(fused), where=k > 0), (x + y) / 2)
