@@ -36,8 +36,10 @@ from cosim.tracking import count_in_encounters, pairs_in_range, track_receptions
 from cosim.v2x.cpm_generation import InclusionMemory
 from cosim.v2x.messages import Detections, evaluation_bytes, trust_broadcast_bytes
 from cosim.v2x.pseudonyms import PseudonymState, PseudonymUse
+from cosim.v2x.relinking import HeardSenders, fallen_back, heard, noted
 from cosim.v2x.trust_hosts import Lookups, ServerTraffic, TrustState
 from cosim.world import World
+from results.codes import TrustSource
 from results.encounters import Rows
 from trust import tables
 from trust.fusion import Fused
@@ -64,6 +66,8 @@ class State:
     )
     """Of detection and of evaluation messages."""
     attack_start: AttackStartTracker = field(default_factory=AttackStartTracker)
+    heard: HeardSenders = field(default_factory=HeardSenders)
+    """With pseudonyms.linkage = "own" alone."""
     accelerations: AccelerationTracker = field(default_factory=AccelerationTracker)
     n_malformed: int = 0
     """Detections dropped so far because they cannot be: no finite pose, no size, no score."""
@@ -225,7 +229,10 @@ def step(world: World, state: State, parts: Parts) -> tuple[State, StepResult]:
         used = links.vehicles
         s.trust = parts.trust.receive(s.trust, vehicles.actor, fused_s)
         subject = parts.linkage.subjects(s.pseudonyms, senders.pseudonym)[used.message]
-        lookups = _per_variant(parts.trust.lookup(s.trust, vehicles.actor[used.receiver], subject, fused_s), parts)
+        found = parts.trust.lookup(s.trust, vehicles.actor[used.receiver], subject, fused_s)
+        if c.pseudonyms.linkage == "own":
+            found = _relinked(s, parts, listed, senders, vehicles, accepted_1.vehicles, used, found, time_s, fused_s)
+        lookups = _per_variant(found, parts)
     with watch("fuse"):
         fused = stages.fuse_objects(matched, evaluated, listed, observed, senders, used, lookups, s.trust, parts)
     with watch("driver"):
@@ -303,6 +310,41 @@ def _accepted(links: LinkReceptions, senders: Senders) -> LinkReceptions:
         links.uplink.take(senders.is_valid[links.uplink.message]),
         links.downlink,
     )
+
+
+def _relinked(
+    s: State, parts: Parts, listed: Listed, senders: Senders, vehicles: Vehicles, received: Receptions,
+    used: Receptions, found: list[Lookups], time_s: float, now_s: float,
+) -> list[Lookups]:  # fmt: skip
+    """Look-ups of receivers that link pseudonyms themselves; what they remember of senders goes on."""
+    objects, owners = listed.objects, parts.pseudonyms.owners
+    report = np.full(len(senders), -1)  # of each message: the sender's report of itself
+    selves = np.flatnonzero(listed.detections.is_self & objects.transmitted)
+    report[listed.detections.message[selves]] = selves
+    received = received.take(report[received.message] >= 0)
+    row = report[received.message]
+    yaw, speed = objects.boxes.yaw_rad[row], np.nan_to_num(objects.speed_mps[row])
+    velocity = speed[:, None] * np.column_stack([np.cos(yaw), np.sin(yaw)])
+    pseudonym = senders.pseudonym[received.message]
+    s.heard = heard(
+        s.heard, vehicles.actor[received.receiver], pseudonym, objects.boxes.xyz_m[row, :2], velocity, time_s,
+        owners(s.pseudonyms, pseudonym)[0], owners(s.pseudonyms, s.heard.pseudonym)[0], parts.config.pseudonyms,
+    )  # fmt: skip
+    holder, asked = vehicles.actor[used.receiver], senders.pseudonym[used.message]
+    at = np.minimum(s.heard.rows_of(holder, asked), max(len(s.heard.receiver) - 1, 0))
+    there = np.zeros(len(asked), bool)
+    if len(s.heard.receiver):
+        there = (s.heard.receiver[at] == holder) & (s.heard.pseudonym[at] == asked)
+    base = found[parts.trust.host_of[0]].source != TrustSource.DEFAULT
+    s.heard = noted(s.heard, at[there], base[there])
+    results = []
+    old = np.where(there, s.heard.linked[at] if len(s.heard.receiver) else -1, -1)
+    for h, one in enumerate(found):
+        rows = np.flatnonzero((one.source == TrustSource.DEFAULT) & (old >= 0))
+        if len(rows):
+            one = fallen_back(one, rows, parts.trust.lookup(s.trust, holder[rows], old[rows], now_s)[h])
+        results.append(one)
+    return results
 
 
 def _meet(world: World, s: State, parts: Parts, vehicles: Vehicles, time_s: float) -> list[Rows]:

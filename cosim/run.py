@@ -210,8 +210,22 @@ def _drive(
         **traffic.report(),
         "detections_malformed": state.n_malformed,
         "evaluations_rejected": parts.trust.rejected(state.trust),
+        **_pseudonym_summary(config, state),
         **({"ended_early": ended} if ended else {}),
     }
+
+
+def _pseudonym_summary(config: Config, state: State) -> dict[str, Any]:
+    """What became of pseudonyms, where anything can."""
+    found: dict[str, Any] = {}
+    if config.pseudonyms.revocation != "none":
+        found["revoked"] = len(state.pseudonyms.revoked)
+    if config.pseudonyms.linkage == "on_demand":
+        found["linked_on_demand"] = int((state.pseudonyms.linked >= 0).sum())
+    if config.pseudonyms.linkage == "own":
+        heard = state.heard
+        found["relinked"] = {"changes": heard.n_changes, "linked": heard.n_linked, "right": heard.n_right}
+    return found
 
 
 def _warmup_s(config: Config, scenario: Scenario) -> float:
