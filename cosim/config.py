@@ -45,6 +45,10 @@ CHOICES: Mapping[str, tuple[str, Mapping[str, Any], str]] = {
 }
 """Sections in which a class is chosen: the key that names it, what is at hand, and the methods it needs."""
 
+PAPER_RULE: dict[str, Any] = {"name": "paper", "fused": True, "unseen": "zero", "unjudged": "value"}
+"""Trust variant that the run without a config carries beside its own: unseen detections count as 0, as in Hurl et
+al., TruPercept, 2020."""
+
 FORMER = {
     "adversary": "[[attacks]], one section for each attack",
     "fleet.malicious_p": "attacks.0.share_p",
@@ -165,7 +169,7 @@ class Config:
             if p.reads_trust and self.trust.host != "central":
                 what = f'when = "{p.when}"' if p.when in ("sleeper", "camouflage") else 'renewal = "whitewashing"'
                 raise ValueError(
-                    f"attacks.{number}.{what}: its vehicles follow what the trust server says of them, but trust.host = "
+                    f"attacks.{number}.{what}: its vehicles follow what the trust server says, but trust.host = "
                     f'"{self.trust.host}". Set trust.host = "central", or another {what.partition(" ")[0]}.'
                 )
 
@@ -223,6 +227,8 @@ def load(path: Path | None = None, overrides: list[str] | None = None) -> Config
     data = with_defaults({} if path is None else read_toml(path, "config file"))
     for text in overrides or []:
         _override(data, text)
+    if path is None and data.get("server", {}).get("uplink") != "rsu":  # there, every variant loads the channel
+        data.setdefault("trust_variant", [copy.deepcopy(PAPER_RULE)])
     return resolve_data(data, "the config" if path is None else path.name, None if path is None else path.parent)
 
 

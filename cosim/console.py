@@ -21,7 +21,8 @@ Get = Callable[[str], Mapping[str, float]]
 SUMMARY_METRICS = (
     "traffic.duration_s", "traffic.actors.mean", "traffic.equipped.n", "encounters.n",
     "encounters.duration.km_median_s", "encounters.duration.km_mean_s", "trust.final.median", "misbehaviour.auc",
-    "misbehaviour.time_to_detection.median_s", "freshness.state.share", "freshness.age_at_use.mean_s",
+    "misbehaviour.time_to_detection.median_s", "freshness.lookup_state.share",
+    "freshness.newest_evaluation_age.mean_s", "freshness.newest_evaluation_age.p90_s",
     "freshness.encounters_without_trust.share", "radio.pdr.all", "radio.pdr.cpm", "radio.pdr.evaluation",
     "radio.cbr.mean", "radio.pir.mean_s",
 )  # fmt: skip
@@ -119,14 +120,16 @@ def _trust(get: Get) -> list[str]:
 
 
 def _freshness(get: Get) -> list[str]:
-    state, age_s = get("freshness.state.share"), get("freshness.age_at_use.mean_s")
+    state = {name.removesuffix(", all"): x for name, x in get("freshness.lookup_state.share").items()}
     if not state:
         return ["no trust value was looked up"]
+    mean_s, p90_s = (get(f"freshness.newest_evaluation_age.{name}").get("all") for name in ("mean_s", "p90_s"))
     lines = [
-        f"trust values looked up: {state['fresh']:.0%} fresh (at most 10 s old), {state['stale']:.0%} stale, "
-        f"{state['default']:.0%} the default"
-        + "".join(f"; mean age {x:.1f} s ({source})" for source, x in age_s.items())
+        f"trust values looked up: {state['judged']:.0%} rest on another vehicle's evaluation within the window, "
+        f"{state['stale']:.0%} on older ones, {state['unjudged']:.0%} on none, {state['default']:.0%} no value"
     ]
+    if mean_s is not None and p90_s is not None:
+        lines.append(f"newest evaluation behind them: {mean_s:.1f} s old on average, one in ten over {p90_s:.1f} s")
     for definition, share in get("freshness.encounters_without_trust.share").items():
         lines.append(f"{share:.0%} of encounters ({definition}) over before one knew a trust value of the other")
     return lines

@@ -20,6 +20,7 @@ from numpy import ndarray
 from cosim import stages
 from cosim.adversary.adversary import AttackState
 from cosim.adversary.attack import Sending
+from cosim.attack_outcomes import attack_outcomes
 from cosim.driver.driver import SpeedCommands
 from cosim.ground_truth import GroundTruth
 from cosim.parts import Parts
@@ -105,6 +106,8 @@ class Sensed:
     listed: Detections
     """Detections as each vehicle lists and transmits them, attacks included."""
     truth: GroundTruth
+    withheld: Bool[ndarray, "d"]
+    """Kept from others by an attack."""
     detections: tables.Detections
     """The same as trust sees them: message as a row of `senders`."""
     rounds: tuple[MessageRound, MessageRound]
@@ -135,6 +138,8 @@ class Sensed:
     """Per round: senders and the vehicles within range of them; rows of `vehicles`."""
     inter_reception: list[Rows]
     """Per round: columns of the table `packet_inter_reception`."""
+    attack_outcomes: list[Rows]
+    """Per trust variant that fuses: columns of the table `attack_outcomes`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -249,12 +254,14 @@ def step(world: World, state: State, parts: Parts) -> tuple[State, StepResult]:
         in_range, inter_reception = _track(
             world, s, listed, rounds, all_links, used, lookups, matched, vehicles, senders
         )
+        outcomes = attack_outcomes(world, listed, links_1.vehicles, matched, fused, senders, vehicles)
     server = parts.trust.traffic(up, informed)
     named = [None if scores is None else parts.linkage.scores(s.pseudonyms, scores) for scores in published]
     return s, StepResult(world, closed, ended, Sensed(
-        vehicles, senders, observed, listed.objects, listed.truth, listed.detections, rounds, all_links,
-        evaluated.lists, evaluated.reported, evaluated.n_points, evaluated.plausible, evaluated.matched, evaluated.lied,
-        used, lookups, fused, _per_variant(named, parts), _per_variant(server, parts), in_range, inter_reception,
+        vehicles, senders, observed, listed.objects, listed.truth, listed.withheld, listed.detections, rounds,
+        all_links, evaluated.lists, evaluated.reported, evaluated.n_points, evaluated.plausible, evaluated.matched,
+        evaluated.lied, used, lookups, fused, _per_variant(named, parts), _per_variant(server, parts), in_range,
+        inter_reception, outcomes,
     ), commands, reactions)  # fmt: skip
 
 
@@ -353,7 +360,7 @@ def _meet(world: World, s: State, parts: Parts, vehicles: Vehicles, time_s: floa
     s.trust = parts.trust.receive(s.trust, vehicles.actor, time_s)
     subject = parts.linkage.subjects(s.pseudonyms, s.pseudonyms.of(other))
     known = _per_variant(parts.trust.lookup(s.trust, holder, subject, time_s), parts)
-    columns = ([getattr(found, name) for found in known] for name in ("trust", "source", "age_s"))
+    columns = ([getattr(found, name) for found in known] for name in ("trust", "source", "state", "age_s"))
     s.encounters.first_contact(holder, other, *(np.stack(column, axis=1) for column in columns))
     return closed
 
@@ -384,9 +391,9 @@ def _track(
         track_receptions(tracker, world.step, received, pairs, vehicles.actor, senders.vehicle)
         for tracker, received, pairs in zip(s.inter_reception, between, in_range, strict=True)
     ]
-    sources = np.stack([found.source for found in lookups], axis=1)
+    known = np.stack([found.is_known for found in lookups], axis=1)
     count_in_encounters(
-        s.encounters, between, used, sources, matched.lists, listed.detections.message, vehicles.actor, senders.vehicle
+        s.encounters, between, used, known, matched.lists, listed.detections.message, vehicles.actor, senders.vehicle
     )
     return in_range, inter_reception
 

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from jaxtyping import Bool, Int, UInt8
+from jaxtyping import Bool, Float, Int, UInt8
 from numpy import ndarray
 
 import cosim.codes  # noqa: F401  the codes that are written are those that the tables render
@@ -15,7 +15,7 @@ from cosim.trackers.channel_counts import latency_histogram, pdr_by_distance, ve
 from cosim.v2x.messages import FABRICATED
 from cosim.v2x.pseudonyms import PseudonymUse
 from cosim.world import World
-from results.codes import MessageType, TrustSource
+from results.codes import LookupState, MessageType, TrustSource
 from results.encounters import Rows, by_variant
 from results.recorder import Recorder
 from sensors.boxes import Boxes
@@ -48,6 +48,8 @@ def step(recorder: Recorder, happened: StepResult, dt_s: float) -> None:
     _evaluations(recorder, at, sensed)
     _trust(recorder, at, sensed, dt_s)
     _fused(recorder, at, sensed)
+    for rows in sensed.attack_outcomes:
+        recorder.append("attack_outcomes", at, rows)
 
 
 def actors(recorder: Recorder, world: World) -> None:
@@ -106,6 +108,8 @@ def _detections(recorder: Recorder, world: World, sensed: Sensed) -> None:
         "acceleration_mps2": np.nan_to_num(listed.acceleration_mps2),
         "acceleration_mps2__valid": ~np.isnan(listed.acceleration_mps2),
         "origin": listed.origin, "transmitted": listed.transmitted, "lied": truth.lied,
+        "withheld": sensed.withheld, "target": world.actor[listed.target],
+        "target__valid": listed.target != listed.observer,
         "truth_actor": world.actor[truth.actor_row], "truth_actor__valid": truth.is_real,
         "truth_iou": truth.iou, "truth_iou__valid": truth.is_real,
         "truth_occlusion": truth.occlusion, "truth_occlusion__valid": truth.is_sensed,
@@ -172,8 +176,12 @@ def _trust(recorder: Recorder, at: int, sensed: Sensed, dt_s: float) -> None:
         recorder.append("trust", at, {
             "variant": np.full(len(scores.subject), variant), "subject": scores.subject, "trust": scores.trust,
             "uncertainty": np.nan_to_num(scores.uncertainty), "uncertainty__valid": ~np.isnan(scores.uncertainty),
-            "weight": scores.weight, "n_evaluations": scores.n_evaluations,
-            "newest_age_s": (at - scores.newest_step) * dt_s, "oldest_age_s": (at - scores.oldest_step) * dt_s,
+            "weight": scores.weight,
+            "state": np.where(scores.is_judged, LookupState.JUDGED, LookupState.UNJUDGED),
+            **_evaluations_behind(
+                scores.n_evaluations, scores.n_evaluators, (at - scores.newest_evaluation_step) * dt_s,
+                (at - scores.oldest_evaluation_step) * dt_s, scores.is_judged,
+            ),
         })  # fmt: skip
     for variant, server in enumerate(sensed.server):
         if server is None:
@@ -191,9 +199,27 @@ def _trust(recorder: Recorder, at: int, sensed: Sensed, dt_s: float) -> None:
     for variant, found in enumerate(sensed.lookups):
         recorder.append("trust_lookups", at, {
             "variant": np.full(len(receiver), variant), "receiver": receiver, "subject": subject,
-            "trust": found.trust, "source": found.source, "age_s": found.age_s,
+            "trust": found.trust, "source": found.source, "state": found.state, "age_s": found.age_s,
             "age_s__valid": found.source != TrustSource.DEFAULT,
+            **_evaluations_behind(
+                found.n_evaluations, found.n_evaluators, found.newest_evaluation_age_s, found.oldest_evaluation_age_s,
+                found.is_known,
+            ),
         })  # fmt: skip
+
+
+def _evaluations_behind(
+    n: Int[ndarray, "n"], n_evaluators: Int[ndarray, "n"] | None, newest_s: Float[ndarray, "n"],
+    oldest_s: Float[ndarray, "n"], some: Bool[ndarray, "n"],
+) -> Rows:  # fmt: skip
+    """Columns about the evaluations behind trust values; `some` says where there are any."""
+    return {
+        "n_evaluations": n,
+        "n_evaluators": n if n_evaluators is None else n_evaluators,
+        "n_evaluators__valid": np.full(len(n), n_evaluators is not None),
+        "newest_evaluation_age_s": np.where(some, newest_s, 0.0), "newest_evaluation_age_s__valid": some,
+        "oldest_evaluation_age_s": np.where(some, oldest_s, 0.0), "oldest_evaluation_age_s__valid": some,
+    }  # fmt: skip
 
 
 def _fused(recorder: Recorder, at: int, sensed: Sensed) -> None:

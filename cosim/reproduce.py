@@ -30,7 +30,7 @@ from sensors.reports import DetectorDraws, Reports
 from sensors.scene import Scene, Shape
 from trust.fusion import Fused
 from trust.models.trupercept import TruPercept
-from trust.params import Method, TrustParams
+from trust.params import Method, TruPerceptParams
 from trust.tables import SERVER, ReceivedEvaluations, messages_from_rows
 
 FOLDER = Path(__file__).parent / "scenarios"
@@ -243,7 +243,7 @@ def paper_trust(n_ghosts: int, first_attack: int = 50, n_frames: int = 100) -> F
     """Trust of ego, attacker and third after each frame, from `HONEST_EVALUATIONS` and those of the ghosts."""
     pseudonyms = {name: i for i, name in enumerate(HONEST_EVALUATIONS)}
     everyone = np.arange(len(pseudonyms))
-    model, trust = TruPercept(TrustParams(freshness_s=50.0), 1.0), np.empty((n_frames, len(pseudonyms)))
+    model, trust = TruPercept(TruPerceptParams(freshness_s=50.0), 1.0), np.empty((n_frames, len(pseudonyms)))
     for number in range(n_frames):
         ghosts = [GHOST_EVALUATIONS] * (n_ghosts if number >= first_attack else 0)
         lists = {name: honest + ghosts * (name == "malicious") for name, honest in HONEST_EVALUATIONS.items()}

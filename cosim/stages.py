@@ -18,7 +18,7 @@ from cosim.radio.message_round import LinkReceptions, Receptions, Stations
 from cosim.ragged import ptr_of
 from cosim.senders import Senders, Vehicles, distinct, lists_of_voices
 from cosim.v2x.cpm_generation import InclusionMemory, select_objects
-from cosim.v2x.messages import FABRICATED, Detections, cpm_bytes, is_sound, piggyback_bytes, with_motion
+from cosim.v2x.messages import FABRICATED, SENSED, Detections, cpm_bytes, is_sound, piggyback_bytes, with_motion
 from cosim.v2x.pseudonyms import PseudonymState
 from cosim.v2x.trust_hosts import Lookups, TrustState
 from cosim.v2x.trust_server import LinkStats
@@ -51,6 +51,8 @@ class Listed:
     """The same as trust sees them: message as a row of `Senders`."""
     ptr: Int[ndarray, "m+1"]
     """Where the detections of each message begin."""
+    withheld: Bool[ndarray, "d"]
+    """Made by the detector, and kept from others by an attack."""
     n_malformed: int
     """Detections dropped because they cannot be: no finite pose, no size, no score."""
 
@@ -66,6 +68,7 @@ def list_objects(
     if not sound.all():
         assert (objects.origin[~sound] == FABRICATED).all()
         objects = objects.take(np.flatnonzero(sound))
+    withheld = (objects.origin == SENSED) & ~objects.transmitted
     lied = lies_in_detections(perceived, objects, active.malicious(len(world)))
     if c.radio.cpm_rules == "etsi":
         chosen, included = select_objects(
@@ -77,7 +80,7 @@ def list_objects(
     )
     message = senders.message_of(objects, vehicles.row)
     detections, ptr = object_lists.for_trust(objects, message, len(senders))
-    return Listed(objects, truth, detections, ptr, int((~sound).sum())), included
+    return Listed(objects, truth, detections, ptr, withheld, int((~sound).sum())), included
 
 
 def stations_of(world: World, vehicles: Vehicles, parts: Parts) -> Stations:

@@ -1,13 +1,12 @@
 """What is followed from step to step beside the cycle: inter-reception times, and what happens within encounters."""
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Bool, Int
 from numpy import ndarray
 
 from cosim.radio.message_round import MessageRound, Receptions
 from cosim.trackers.encounters import EncounterTrackers
 from cosim.trackers.inter_reception import InterReceptionTracker, unique_pairs
-from results.codes import TrustSource
 from results.encounters import Rows
 from trust.tables import ObjectLists
 
@@ -40,15 +39,15 @@ def track_receptions(
 
 
 def count_in_encounters(
-    trackers: EncounterTrackers, received: tuple[Receptions, ...], used: Receptions, source: ndarray,
+    trackers: EncounterTrackers, received: tuple[Receptions, ...], used: Receptions, is_known: Bool[ndarray, "m v"],
     lists: ObjectLists, message: Int[ndarray, "d"], actor: Int[ndarray, "e"], vehicle: Int[ndarray, "m"],
 ) -> None:  # fmt: skip
     """Add a step's messages, lookups and evaluations to the encounters under way.
 
     Parameters
     ----------
-    source
-        Of the trust looked up, rows as in `used`, a column per trust variant: a code of `TrustSource`.
+    is_known
+        Whether the trust looked up rests on an evaluation: rows as in `used`, a column per trust variant.
     message
         Of each detection.
     vehicle
@@ -56,7 +55,7 @@ def count_in_encounters(
     """
     for found in received:
         trackers.count_messages(actor[vehicle[found.message]], actor[found.receiver])
-    trackers.note_trust(actor[used.receiver], actor[vehicle[used.message]], source != TrustSource.DEFAULT)
+    trackers.note_trust(actor[used.receiver], actor[vehicle[used.message]], is_known)
     evaluator, observer = lists.of_member(), vehicle[message[lists.member]]
     others, n = evaluator != observer, len(actor)
     pair, count = np.unique(evaluator[others] * n + observer[others], return_counts=True)

@@ -50,6 +50,26 @@ class TrustSource(IntEnum):
     DEFAULT = 2
 
 
+class AttackEffect(IntEnum):
+    """What an attack does to a list: a fabricated detection is inserted, a real one withheld."""
+
+    INSERTED = 0
+    REMOVED = 1
+
+
+class LookupState(IntEnum):
+    """What stands behind a trust value when it is looked up.
+
+    Judged: an evaluation within the window, by another vehicle than the subject that could see (visibility above 0).
+    Unjudged: a value, but no such evaluation. Stale: such evaluations, all older than the window. Default: no value.
+    """
+
+    JUDGED = 0
+    UNJUDGED = 1
+    STALE = 2
+    DEFAULT = 3
+
+
 class MessageType(IntEnum):
     """What a round of messages carries: collective perception messages, or evaluations of their detections."""
 

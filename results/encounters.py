@@ -8,7 +8,7 @@ from annotated_types import Ge, Gt
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
-from results.codes import EncounterPairs, TrustSource
+from results.codes import EncounterPairs, LookupState, TrustSource
 
 Rows = dict[str, ndarray]
 """Columns of the table `encounters`, ready for the recorder."""
@@ -45,6 +45,7 @@ _TRUST: dict[str, type] = {
     **{f"trust_{way}": np.float32 for way in ("ab", "ba")},
     **{f"known_{way}": np.bool_ for way in ("ab", "ba")},
     **{f"source_{way}": np.int8 for way in ("ab", "ba")},
+    **{f"state_{way}": np.int8 for way in ("ab", "ba")},
     **{f"age_{way}_s": np.float32 for way in ("ab", "ba")},
 }  # fmt: skip
 """Columns of which there is one per trust variant."""
@@ -188,7 +189,7 @@ class EncounterTracker:
     def note_trust(
         self, holder: Int[ndarray, "n"], other: Int[ndarray, "n"], looked_up: Bool[ndarray, "n v"] | None = None
     ) -> None:
-        """Note which holders look up, in this step, a trust value for which other that is not the default.
+        """Note which holders look up, in this step, a trust value that rests on an evaluation, for which other.
 
         `looked_up` says in which trust variants; left out, in all.
         """
@@ -210,23 +211,27 @@ class EncounterTracker:
         other: Int[ndarray, "n"],
         trust: Float[ndarray, "n v"],
         source: Int[ndarray, "n v"],
+        state: Int[ndarray, "n v"],
         age_s: Float[ndarray, "n v"],
     ) -> None:
         """Note the trust in `other` that `holder` would look up now; kept of pairs whose encounter begins now.
 
-        One column per trust variant; with one variant they may be flat. `source` holds codes of `TrustSource`; the age
-        of a default is ignored. Other pairs are left out.
+        One column per trust variant; with one variant they may be flat. `source` and `state` hold codes of
+        `TrustSource` and `LookupState`; the age of a default is ignored. Other pairs are left out.
         """
-        trust, source, age_s = (np.asarray(x).reshape(len(holder), self.n_variants) for x in (trust, source, age_s))
+        trust, source, state, age_s = (
+            np.asarray(x).reshape(len(holder), self.n_variants) for x in (trust, source, state, age_s)
+        )
         at, known, way = self._ordered(holder, other)
         known[known] = self._live["start"][at[known]] == self._step
-        self.note_trust(holder[known], other[known], source[known] != TrustSource.DEFAULT)
+        self.note_trust(holder[known], other[known], np.isin(state[known], (LookupState.JUDGED, LookupState.STALE)))
         for ab, name in ((True, "ab"), (False, "ba")):
             rows = known & (way == ab)
             where = at[rows]
             self._live[f"known_{name}"][where] = True
             self._live[f"trust_{name}"][where] = trust[rows]
             self._live[f"source_{name}"][where] = source[rows]
+            self._live[f"state_{name}"][where] = state[rows]
             self._live[f"age_{name}_s"][where] = np.where(source[rows] == TrustSource.DEFAULT, 0, age_s[rows])
 
     def _count(self, what: str, one: ndarray, other: ndarray, n: ndarray | None) -> None:
@@ -308,6 +313,8 @@ class EncounterTracker:
                 f"trust_{way}__valid": known,
                 f"source_{way}": live[f"source_{way}"],
                 f"source_{way}__valid": known,
+                f"state_{way}": live[f"state_{way}"],
+                f"state_{way}__valid": known,
                 f"age_{way}_s": live[f"age_{way}_s"],
                 f"age_{way}_s__valid": known & (live[f"source_{way}"] != TrustSource.DEFAULT),
                 f"trusted_after_{way}_s": (live[f"trusted_step_{way}"] - live["start"][:, None]) * self.dt_s,

@@ -4,12 +4,23 @@ from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from inspect import isfunction, signature
 from types import ModuleType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 
-from results.metrics import contact_graph, detection, encounters, freshness, misbehaviour, radio, registry, trust
+from results.metrics import (
+    attack,
+    contact_graph,
+    detection,
+    encounters,
+    freshness,
+    misbehaviour,
+    radio,
+    registry,
+    trust,
+)
+from results.metrics.intervals import FEW
 from results.metrics.kitti import FEWEST
 from results.metrics.registry import METRICS
 from results.run import Run
@@ -24,12 +35,23 @@ TOPICS: Mapping[str, ModuleType] = {
     "freshness": freshness,
     "radio": radio,
     "detection": detection,
+    "attack": attack,
     "contacts": contact_graph,
 }
 """Modules of metrics by topic, as `run.measure.<topic>`."""
 
-Row = tuple[str, str, float]
-"""Identifier without its topic, group, value."""
+
+class Row(NamedTuple):
+    """A metric's value; rows of a run without interval have none."""
+
+    name: str
+    """Identifier without its topic."""
+    group: str
+    value: float
+    low: float = float("nan")
+    high: float = float("nan")
+    n_units: float = float("nan")
+    """Vehicles (or other units that are independent of each other) that the value rests on."""
 
 
 def measure(
@@ -57,11 +79,12 @@ def measure(
 
     Returns
     -------
-    metric (an identifier of `results.metrics.registry.METRICS`), group, value, unit, label. A topic that the run
+    metric (an identifier of `results.metrics.registry.METRICS`), group, value, low and high (95 % interval, null where
+    the metric has none), n_units (what the interval is clustered by), unit, label, note. A topic that the run
     cannot answer has one row `<topic>.not_measured` with the reason as group and no value; a metric that is not
     defined (a median that was not reached) has no row.
     """
-    ask: Mapping[str, Callable[[], Iterator[Row]]] = {
+    ask: Mapping[str, Callable[[], Iterator[tuple]]] = {
         "traffic": lambda: _traffic(run),
         "encounters": lambda: _encounters(run),
         "trust": lambda: _trust(run),
@@ -76,14 +99,22 @@ def measure(
         if topic not in ask:
             raise ValueError(f"There is no topic {topic!r}. The topics are {', '.join(ask)}.")
         try:
-            for name, group, value in ask[topic]():
-                rows.append((f"{topic}.{name}", group, value))
+            for row in ask[topic]():
+                made = Row(*row)
+                rows.append(made._replace(name=f"{topic}.{made.name}"))
         except ValueError as reason:
-            rows.append((f"{topic}.not_measured", str(reason), np.nan))
+            rows.append(Row(f"{topic}.not_measured", str(reason), np.nan))
     return pd.DataFrame(
-        [(metric, group, value, METRICS[metric].unit, METRICS[metric].label) for metric, group, value in rows],
-        columns=["metric", "group", "value", "unit", "label"],
+        [(*row, METRICS[row.name].unit, METRICS[row.name].label, _note(row)) for row in rows],
+        columns=["metric", "group", "value", "low", "high", "n_units", "unit", "label", "note"],
     )
+
+
+def _note(row: Row) -> str:
+    """A warning where a value rests on too few units."""
+    if row.name.endswith("not_measured") or not row.n_units < FEW:
+        return ""
+    return f"too few: {row.n_units:.0f} of {FEW} {METRICS[row.name].unit_of_chance or 'units'}"
 
 
 class Measures:
@@ -136,12 +167,18 @@ class Topic:
         return FIGURES[self._topic]([self._run], **options)
 
 
-def _rows(frame: pd.DataFrame, group: str, metrics: Mapping[str, str]) -> Iterator[Row]:
-    """Of every row, the metrics by column where they have a value; `group` is filled in from the row."""
+def _rows(frame: pd.DataFrame, group: str, metrics: Mapping[str, str], interval: str | None = None) -> Iterator[Row]:
+    """Of every row, the metrics by column where they have a value; `group` is filled in from the row.
+
+    `interval` names the column to which the columns low, high and n_units belong.
+    """
     for row in frame.to_dict("records"):
         for column, metric in metrics.items():
             if pd.notna(row[column]):
-                yield metric, group.format_map(row), float(row[column])
+                found = Row(metric, group.format_map(row), float(row[column]))
+                if column == interval:
+                    found = found._replace(low=row["low"], high=row["high"], n_units=row["n_units"])
+                yield found
 
 
 def _named(frame: pd.DataFrame) -> pd.DataFrame:
@@ -205,18 +242,25 @@ def _misbehaviour(run: Run, threshold: float, false_positives: float) -> Iterato
 
 
 def _freshness(run: Run, fresh_s: float) -> Iterator[Row]:
-    yield from _rows(freshness.evidence(run), "{role}", {"newest_age_s": "newest_evidence.median_s"})
+    yield from _rows(freshness.evidence(run), "{role}", {
+        "unjudged_share": "server_unjudged.share", "newest_s": "server_newest_evaluation.median_s",
+    })  # fmt: skip
     yield from _rows(_named(freshness.without_trust(run)), "{definition}", {
         "share": "encounters_without_trust.share", "wait_median_s": "wait_in_encounter.median_s",
-    })  # fmt: skip
-    yield from _rows(freshness.shares(run, fresh_s), "{state}", {"share": "state.share"})
-    yield from _rows(freshness.shares_by_role(run, fresh_s), "{state}, {role}", {"share": "state_by_role.share"})
-    known = freshness.at_lookup(run).query("source != 'default'")
-    yield from _rows(known, "{source}", {"mean_s": "age_at_use.mean_s", "peak_s": "age_at_use.peak_s"})
-    if len(known):
-        yield from _rows(freshness.evidence_at_lookup(run), "{role}", {
-            "newest_s": "newest_evidence_at_use.mean_s", "oldest_s": "oldest_evidence_at_use.mean_s",
-        })  # fmt: skip
+    }, "share")  # fmt: skip
+    yield from _rows(freshness.states(run), "{state}, {role}", {"share": "lookup_state.share"}, "share")
+    yield from _rows(freshness.within(run, fresh_s), "{role}", {"share": "evaluation_within.share"}, "share")
+    found = freshness.ages(run)
+    for what, ages in found.groupby("what", sort=False):
+        name = str(what).replace(" ", "_")
+        yield from _rows(ages, "{role}", {
+            "mean_s": f"{name}_age.mean_s", "median_s": f"{name}_age.median_s", "p90_s": f"{name}_age.p90_s",
+        }, "mean_s")  # fmt: skip
+    for peak in freshness.peaks(run).to_dict("records"):
+        name = peak["what"].replace(" ", "_")
+        yield Row(f"{name}_age.peak_s", "", peak["mean_s"], peak["low"], peak["high"], peak["n_units"])
+    for one in freshness.behind(run).to_dict("records"):
+        yield Row(f"{one['what']}.mean", "", one["mean"], one["low"], one["high"], one["n_units"])
 
 
 def _radio(run: Run) -> Iterator[Row]:
@@ -256,4 +300,15 @@ def _detection(run: Run, max_frames: int) -> Iterator[Row]:
 
 
 def _attack(run: Run) -> Iterator[Row]:
-    yield from _rows(detection.attack_success(run), "", {"n_fabricated": "fabricated.n", "share": "accepted.share"})
+    for one in attack.success(run).to_dict("records"):
+        if one["receivers"] == attack.HONEST:
+            group = f"{one['threshold']:g}, {one['among']}, {one['role']}"
+            name = "believed" if one["effect"] == "inserted" else "missing"
+            yield Row(f"{name}.share", group, one["share"], one["low"], one["high"], one["n_units"])
+            if one["threshold"] == attack.THRESHOLDS[0]:
+                yield Row(f"{name}.pairs.n", f"{one['among']}, {one['role']}", one["n"])
+    yield from _rows(attack.per_lie(run), "{threshold:g}, {role}", {"share": "believed_by_any.share"}, "share")
+    yield from _rows(attack.believed_duration(run), "{among}, {role}", {"mean_s": "believed_duration.mean_s"}, "mean_s")
+    yield from _rows(attack.false_in_path(run), "{among}", {
+        "share": "false_in_path.share", "boxes_mean": "false_in_path.boxes_mean",
+    }, "share")  # fmt: skip

@@ -50,8 +50,13 @@ class Run:
 
     @property
     def config(self) -> dict[str, Any]:
-        """The resolved configuration."""
-        return self.manifest["config"]
+        """The resolved configuration; its [trust] is that of the run's `variant`."""
+        config = self.manifest["config"]
+        if self.variant == BASE_VARIANT:
+            return config
+        (mine,) = (v for v in config["trust_variant"] if v["name"] == self.variant)
+        changes = {key: value for key, value in mine.items() if key not in ("name", "fused")}
+        return config | {"trust": config["trust"] | changes}
 
     @property
     def tables(self) -> tuple[str, ...]:

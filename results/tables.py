@@ -10,7 +10,9 @@ import pyarrow as pa
 from results.codes import (
     BASE_VARIANT,
     DISTANCE_BIN_M,
+    AttackEffect,
     EncounterPairs,
+    LookupState,
     LosState,
     MessageType,
     ObjectClass,
@@ -57,11 +59,18 @@ def _trust_at_contact(one: str, other: str) -> dict[str, Column]:
     return {
         f"trust_{one}{other}": Column("float32", unit="1", null=True, meaning=f"Trust in {other} that {one} would look up at first contact; null where {one} could look up none (not equipped)."),
         f"source_{one}{other}": Column("category", null=True, categories=labels(TrustSource), meaning="Where that trust came from."),
+        f"state_{one}{other}": Column("category", null=True, categories=labels(LookupState), meaning="What stood behind it: an evaluation within the window (judged), older ones (stale), a value without any (unjudged), or no value (default)."),
         f"age_{one}{other}_s": Column("float32", unit="s", null=True, bits=10, meaning="Age of that trust; null for the default."),
-        f"trusted_after_{one}{other}_s": Column("float32", unit="s", null=True, meaning=f"From the start until {one} first looked up a value for {other} other than the default; null if it never did."),
+        f"trusted_after_{one}{other}_s": Column("float32", unit="s", null=True, meaning=f"From the start until {one} first looked up a value for {other} that rests on an evaluation; null if it never did."),
     }
 
 
+_EVALUATIONS = {
+    "n_evaluations": _count("Evaluations behind the value, by other vehicles than the subject that could see (visibility above 0)."),
+    "n_evaluators": Column("int32", null=True, meaning="Different vehicles that made them; null where the trust model does not count them."),
+    "newest_evaluation_age_s": Column("float32", unit="s", null=True, bits=10, meaning="Age of the newest of them: time since the sweep that it judges; null where there is none."),
+    "oldest_evaluation_age_s": Column("float32", unit="s", null=True, bits=10, meaning="Age of the oldest of them; null where there is none."),
+}
 _MESSAGE_TYPE = Column("category", key=True, categories=labels(MessageType), meaning="What the round of messages carries: collective perception messages with own detections (cpm), or evaluations of the detections of others; roadside units broadcast trust values in the second round.")
 _IN_RANGE = _count("(Frame, receiver) pairs within communication range, forwarded frames included: what could have been received.")
 _DELIVERED = _count("Of these, received.")
@@ -183,6 +192,8 @@ TABLES: Mapping[str, Table] = {
             "origin": Column("category", categories=labels(Origin), truth=True, meaning="Made by the detector, the vehicle's self report, or fabricated by an attack."),
             "transmitted": Column("bool", truth=True, meaning="Is in the message that was sent (an attack may withhold what was detected)."),
             "lied": Column("bool", truth=True, meaning="A lie: fabricated; sent otherwise than perceived by more than noise (0.5 m, 10 degrees, 20 % of the size, 0.1 of the score, another class, 0.5 m/s or m/s2); or withheld by a malicious vehicle."),
+            "withheld": Column("bool", truth=True, meaning="Kept from others by an attack."),
+            "target": Column("int32", null=True, truth=True, meaning="Vehicle that an attack aims at with this detection (actor number); null where at none."),
             "truth_actor": _TRUTH_ACTOR,
             "truth_iou": _TRUTH_IOU,
             "truth_occlusion": Column("float32", unit="1", null=True, truth=True, bits=8, meaning="Share of that actor hidden from the observer."),
@@ -306,9 +317,8 @@ TABLES: Mapping[str, Table] = {
             "trust": Column("float32", unit="1", meaning="Trust in [0, 1]: the expectation."),
             "uncertainty": Column("float32", unit="1", null=True, meaning="Uncertainty of it in [0, 1]; null where the trust model has none."),
             "weight": Column("float32", unit="1", meaning="Sum of the weights of the detections behind it."),
-            "n_evaluations": _count("Evaluations behind it."),
-            "newest_age_s": Column("float32", unit="s", null=True, bits=10, meaning="Age of the newest of them; null where there is none."),
-            "oldest_age_s": Column("float32", unit="s", null=True, bits=10, meaning="Age of the oldest of them; null where there is none."),
+            "state": Column("category", categories=labels(LookupState), meaning="Whether an evaluation stands behind it (judged) or none (unjudged)."),
+            **_EVALUATIONS,
         },
     ),
     "trust_lookups": Table(
@@ -319,9 +329,27 @@ TABLES: Mapping[str, Table] = {
             "variant": _VARIANT,
             "receiver": _key("Vehicle that looks the value up (actor number)."),
             "subject": _key("Pseudonym that the value is about."),
-            "trust": Column("float32", unit="1", meaning="Value, in [0, 1]."),
-            "source": Column("category", categories=labels(TrustSource), meaning="From the server, from own evidence, or the default."),
-            "age_s": Column("float32", unit="s", null=True, bits=10, meaning="Time since the server computed it; of an own value, age of the newest evaluation behind it; null for the default."),
+            "trust": Column("float32", unit="1", meaning="Value that is used, in [0, 1]."),
+            "source": Column("category", categories=labels(TrustSource), meaning="Where it comes from: the server, own evidence, or the default, which also stands in for an unjudged value under trust.unjudged = \"default\"."),
+            "state": Column("category", categories=labels(LookupState), meaning="What is known: an evaluation within the window (judged), older ones only (stale), a value without any (unjudged), or no value (default)."),
+            "age_s": Column("float32", unit="s", null=True, bits=10, meaning="Time since the value was computed: 0 for own values, which are computed when they are looked up; null where the source is the default."),
+            **_EVALUATIONS,
+        },
+    ),
+    "attack_outcomes": Table(
+        "summary",
+        "What attacks achieve: a row for every fabricated detection and other vehicle that received it, and for every detection of a real actor that an attack withheld and vehicle that received the message without it; of trust variants whose fused objects are computed.",
+        {
+            "step": _STEP,
+            "variant": _VARIANT,
+            "effect": Column("category", key=True, categories=labels(AttackEffect), truth=True, meaning="Fabricated (inserted) or withheld (removed)."),
+            "observer": _key("Pseudonym of the attacker: with detection_index it names the detection."),
+            "detection_index": _key("Number of the detection in the attacker's list.", "int16"),
+            "receiver": _key("Vehicle that received the message (actor number), never the attacker itself."),
+            "intended": Column("bool", truth=True, meaning="The attack aims at this receiver."),
+            "in_path": Column("bool", truth=True, meaning="The box is in the receiver's path: the straight strip of its width, 50 m ahead of its centre."),
+            "ego_detected": Column("bool", truth=True, meaning="The receiver detected the withheld actor itself."),
+            "score": Column("float32", unit="1", null=True, truth=True, bits=12, meaning="Score of the object among the receiver's fused objects: of the one that the fabricated detection is part of, if its box is a fabricated one; of the best one that really is the withheld actor. Null where there is none (of a score of at least trust.min_score)."),
         },
     ),
     "fused": Table(

@@ -37,8 +37,8 @@ ONE_FILE = {
 ORDER = (
     "rng", "ragged", "stopwatch", "choices", "console", "world", "fleet", "actors", "mobility", "radio", "codes",
     "v2x", "trackers", "tracking", "driver", "perception", "ground_truth", "reactions", "adversary", "senders",
-    "object_lists", "config", "manifest", "parts", "stages", "cycle", "scenario", "replay_lidar", "calibrate",
-    "recording", "run", "reproduce", "bench", "nets", "studies", "cli", "__main__",
+    "object_lists", "config", "manifest", "parts", "stages", "attack_outcomes", "cycle", "scenario", "replay_lidar",
+    "calibrate", "recording", "run", "reproduce", "bench", "nets", "studies", "cli", "__main__",
 )  # fmt: skip
 """Inside the hall: each may use those before it."""
 

@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
+from trust.evaluator_counts import EvaluatorTable
 from trust.step_evidence import RejectReason, StepEvidence, open_step_evidence
 from trust.tables import ReceivedEvaluations, int64, pair_key
 
@@ -45,6 +46,7 @@ class EvidenceStore:
         self.keys: Int[ndarray, "p"] = np.empty(0, np.int64)  # `pair_key`, ascending
         self.rows: Int[ndarray, "p"] = np.empty(0, np.int64)  # row of each key
         self.n_uses = np.zeros(16, np.int64)  # of each row: steps that use it, and views that keep it
+        self.evaluators = EvaluatorTable()
         self._by_score, self._skip_unseen = by_score, skip_unseen
         self._opened, self._n_bad = -1, 0
         self._additions: list[_Addition] = []
@@ -88,7 +90,7 @@ class EvidenceStore:
 
     def expire(self) -> None:
         """Drop the steps that have left the windows of all views."""
-        horizon = min(view.now - view.window for view in self.views)
+        horizon = self._horizon()
         old = [step for step in self.steps if step <= horizon]
         for step in old:
             evidence = self.steps.pop(step)
@@ -97,11 +99,18 @@ class EvidenceStore:
             in_use = self.n_uses[self.rows] > 0
             self.keys, self.rows = self.keys[in_use], self.rows[in_use]
 
+    def _horizon(self) -> int:
+        """Newest step that has left the windows of all views."""
+        return min(view.now - view.window for view in self.views)
+
     def aggregated(self, step: int) -> StepEvidence:
         """The step's evidence with its sums up to date and a row for each of its pairs."""
         evidence = self.steps[step]
         evidence.aggregate(self._by_score, self._skip_unseen)
         self._assign(evidence)
+        rows, evaluators = evidence.evaluators(evidence.n_noted)
+        self.evaluators.note(rows, evaluators, step, self._horizon())
+        evidence.n_noted = int(evidence.n_used[3])
         return evidence
 
     def keep(self, chosen: Bool[ndarray, "rows"]) -> None:
@@ -137,4 +146,4 @@ class EvidenceStore:
     def nbytes(self) -> int:
         """Memory [B]."""
         own = self.keys.nbytes + self.rows.nbytes + self.n_uses.nbytes
-        return own + sum(evidence.nbytes for evidence in self.steps.values())
+        return own + self.evaluators.nbytes + sum(evidence.nbytes for evidence in self.steps.values())

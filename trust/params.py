@@ -4,7 +4,10 @@ import math
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
+import numpy as np
 from annotated_types import Ge, Gt, Interval
+from jaxtyping import Bool, Float
+from numpy import ndarray
 
 Method = Literal[
     "trupercept_1",
@@ -47,6 +50,9 @@ class TrustParams(TruPerceptParams):
     """Matching, evaluation, trust and fusion; the parameters of the default trust model included."""
 
     # trust
+    unseen: Literal["zero", "skip"] = "skip"
+    """A detection that only its detector could see: no evidence, or object trust 0 with its full weight (the paper's
+    rule; `results/FRESHNESS.md` says why it is not the default here)."""
     model: str = "trupercept"
     """Trust model by name."""
     host: Literal["central", "local", "none"] = "central"
@@ -56,7 +62,10 @@ class TrustParams(TruPerceptParams):
     local_evidence: Literal["received", "own"] = "received"
     """Evidence of a vehicle's trust scores: all evaluations it receives, or its own alone; `host = "local"` only."""
     default_trust: Annotated[float, Interval(ge=0, le=1)] = 0.5
-    """Trust of a vehicle without evidence."""
+    """Trust of a vehicle about which nothing is known."""
+    unjudged: Literal["default", "value"] = "default"
+    """Used where a value rests on no evaluation by another vehicle that could see: `default_trust`, or the value
+    itself, which for TruPercept is 0 (the paper's rule)."""
     ego_trust: Annotated[float, Gt(0)] = 1.0
     """Weight of the ego's own evaluations; above 1 biases towards them."""
     ego_trust_from: Literal["fixed", "computed"] = "fixed"
@@ -134,6 +143,14 @@ def window_steps(params: TruPerceptParams, dt_s: float) -> int:
     """
     assert params.freshness_s != "off"
     return _steps(params.freshness_s, dt_s, params.window == "closed")
+
+
+def is_within(age_s: Float[ndarray, "n"], params: TruPerceptParams) -> Bool[ndarray, "n"]:
+    """Whether evidence of an age is within the window, at any instant: age < f (half open) or <= f (closed)."""
+    if params.freshness_s == "off":
+        return np.ones(age_s.shape, bool)
+    slack_s = 1e-9 * params.freshness_s  # of rounding
+    return age_s < params.freshness_s + (slack_s if params.window == "closed" else -slack_s)
 
 
 def grace_steps(grace_s: float, dt_s: float) -> int:

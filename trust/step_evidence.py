@@ -49,7 +49,7 @@ class _Read(NamedTuple):
 
 
 @njit(cache=True)
-def _slot(keys, key):
+def find_slot(keys, key):
     """Position of a key, or where to insert it, in an open-addressed table (a power of two long, -1 is free)."""
     h = np.uint64(key) * np.uint64(0x9E3779B97F4A7C15)
     i = np.int64(h >> np.uint64(20)) & (keys.size - 1)
@@ -65,7 +65,7 @@ def _moved(keys, values, size):
     new_values = np.zeros(size, values.dtype)
     for i in range(keys.size):
         if keys[i] != -1:
-            s = _slot(new_keys, keys[i])
+            s = find_slot(new_keys, keys[i])
             new_keys[s] = keys[i]
             new_values[s] = values[i]
     return new_keys, new_values
@@ -146,6 +146,7 @@ def _add(
     dirty,
     mask_table,
     sums,
+    made_by,
     n_used,
     rejected,
 ):
@@ -157,6 +158,7 @@ def _add(
     base_of = np.zeros(n_rows, np.int64)
     block_of = np.zeros(n_rows, np.int64)
     found = np.full(n_rows, -1, np.int64)
+    noted = np.full(n_rows, -1, np.int64)
     for d in range(start, holder.size):
         h, i = np.int64(holder[d]), message_row[d]
         v = np.int64(row[i])
@@ -166,6 +168,7 @@ def _add(
             or n_used[0] + need[i, 0] > dirty.size
             or n_used[1] + need[i, 1] > sums.shape[0]
             or 2 * (n_used[2] + n_words) > mask_keys.size
+            or n_used[3] + need[i, 0] > made_by.shape[0]
         ):
             return d
         word, at = -1, -1
@@ -176,7 +179,7 @@ def _add(
             if number[p] >> 6 != word:
                 word = number[p] >> 6
                 key = (h << (_MESSAGE + _WORD)) | (v << _WORD) | word
-                at = _slot(mask_keys, key)
+                at = find_slot(mask_keys, key)
                 if mask_keys[at] == -1:
                     mask_keys[at] = key
                     n_used[2] += 1
@@ -189,7 +192,7 @@ def _add(
             if found[s] != h:
                 found[s] = h
                 key = (h << _MESSAGE) | s
-                x = _slot(block_keys, key)
+                x = find_slot(block_keys, key)
                 if block_keys[x] == -1:
                     b = n_used[0]
                     block_keys[x] = key
@@ -210,6 +213,11 @@ def _add(
                 sums[slot, 1] += value[p]
                 sums[slot, 2] |= 1
                 sums[slot, 2] += 2 * (weight[p] > 0)
+                if weight[p] > 0 and noted[s] != d:
+                    noted[s] = d
+                    made_by[n_used[3], 0] = block_of[s]
+                    made_by[n_used[3], 1] = v
+                    n_used[3] += 1
     return holder.size
 
 
@@ -255,7 +263,7 @@ class StepEvidence:
     pseudonyms: Int[ndarray, "n"]  # present in the step, ascending
     first: Int[ndarray, "n+1"]  # detections of row r are first[r]:first[r + 1], in the order of detection_index
     score: Float[ndarray, "d"]  # NaN where a detection_index was not transmitted
-    n_used: Int[ndarray, "3"] = field(default_factory=lambda: np.zeros(3, np.int64))  # blocks, slots, words
+    n_used: Int[ndarray, "4"] = field(default_factory=lambda: np.zeros(4, np.int64))  # blocks, slots, words, made_by
     # per block: holder, row of the subject, first of its slots
     blocks: Int[ndarray, "b 3"] = field(default_factory=lambda: np.zeros((16, 3), np.int64))
     dirty: Bool[ndarray, "b"] = field(default_factory=lambda: np.zeros(16, np.bool_))
@@ -265,6 +273,9 @@ class StepEvidence:
     n_assigned: int = 0  # blocks whose pair row is known
     # per slot, of the others: Phi, Phi e (fixed point), 2 x their number with Phi > 0, + 1 if evaluated at all
     sums: Int[ndarray, "x 3"] = field(default_factory=lambda: np.zeros((256, 3), np.int64))
+    # block and row of the evaluator, for every message with an evaluation by another that could see
+    made_by: Int[ndarray, "y 2"] = field(default_factory=lambda: np.zeros((64, 2), np.int64))
+    n_noted: int = 0  # of these, those that `EvaluatorTable` has
     block_table: tuple[ndarray, ndarray] = field(default_factory=lambda: _empty_table(np.int32))
     mask_table: tuple[ndarray, ndarray] = field(default_factory=lambda: _empty_table(np.uint64))
     # the detections that each evaluator has evaluated, in the order of their numbers, a part per message
@@ -296,7 +307,7 @@ class StepEvidence:
         while True:
             start = _add(
                 start, holder, message_row, ptr, index, read, self.count, self.first, self.block_table,
-                self.blocks, self.dirty, self.mask_table, self.sums, self.n_used, rejected,
+                self.blocks, self.dirty, self.mask_table, self.sums, self.made_by, self.n_used, rejected,
             )  # fmt: skip
             if start == holder.size:
                 return
@@ -308,6 +319,7 @@ class StepEvidence:
         self.aggregated, self.n_evaluations = _room(self.aggregated, n_blocks), _room(self.n_evaluations, n_blocks)
         self.pair_row = _room(self.pair_row, n_blocks)
         self.sums = _room(self.sums, n_slots)
+        self.made_by = _room(self.made_by, int(self.n_used[3] + need[0]))
         for table, n in (("block_table", n_blocks), ("mask_table", int(self.n_used[2]) + n_words)):
             keys, values = getattr(self, table)
             size = 1 << (2 * n - 1).bit_length()
@@ -321,12 +333,17 @@ class StepEvidence:
             by_score, skip_unseen, self.aggregated, self.n_evaluations,
         )  # fmt: skip
 
+    def evaluators(self, start: int = 0) -> tuple[Int[ndarray, "y"], Int[ndarray, "y"]]:
+        """Pair row and pseudonym of every evaluator that could see, from the `start`-th on; some stand twice."""
+        block, v = self.made_by[start : self.n_used[3]].T
+        return self.pair_row[block], self.pseudonyms[v]
+
     @property
     def nbytes(self) -> int:
         """Memory [B]."""
         arrays = (self.pseudonyms, self.first, self.score, self.blocks, self.dirty, self.aggregated, self.n_evaluations)
         tables = (*self.block_table, *self.mask_table, self.pair_row, self.sums, self.head, self.count)
-        return sum(a.nbytes for a in (*arrays, *tables, self.known, self.parts))
+        return sum(a.nbytes for a in (*arrays, *tables, self.known, self.parts, self.made_by))
 
 
 def open_step_evidence(

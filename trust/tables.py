@@ -248,6 +248,7 @@ class TrustScores:
     newest_evaluation_step: Int[ndarray, "n"]
     oldest_evaluation_step: Int[ndarray, "n"]
     is_judged: Bool[ndarray, "n"]  # n_evaluations > 0
+    n_evaluators: Int[ndarray, "n"] | None = None  # different evaluators of these; None where the model counts none
 
     def rows_of(
         self, holder: Int[ndarray, "q"], subject: Int[ndarray, "q"]

@@ -147,14 +147,17 @@ class Attack(Protocol):
 
 def fabricated(
     listed: Detections, observer: Int[ndarray, "c"], label: ndarray, boxes: Boxes, score: Float[ndarray, "c"],
-    identity: Int[ndarray, "c"] | None = None, speed_mps: Float[ndarray, "c"] | None = None,
+    target: Int[ndarray, "c"] | None = None, identity: Int[ndarray, "c"] | None = None,
+    speed_mps: Float[ndarray, "c"] | None = None,
 ) -> Detections:  # fmt: skip
-    """The lists with detections added that nobody made, numbered on from the last of each observer and identity.
+    """The lists with fabricated detections added, numbered on from the last of each observer and identity.
 
     Parameters
     ----------
     observer
         Row of the world of the vehicle that adds each, in any order.
+    target
+        Row of the world of the vehicle that each is meant for; left out, none in particular.
     identity
         Under which it is sent, 0 (the vehicle's own) for all if not given. The first under another identity has
         index 0: it is that identity's report of itself.
@@ -167,6 +170,7 @@ def fabricated(
     added = Detections(
         observer=observer, detection_index=np.arange(n), label=label.astype(np.uint8), boxes=boxes, score=score,
         n_points=np.zeros(n, np.int32), origin=np.full(n, FABRICATED, np.uint8), transmitted=np.ones(n, bool),
+        target=observer if target is None else target,
         identity=identity, speed_mps=absent if speed_mps is None else speed_mps, acceleration_mps2=absent,
     )  # fmt: skip
     added = added.take(np.lexsort((identity, observer)))

@@ -67,7 +67,7 @@ class GhostInsertion:
         lwh = np.where((label == CAR)[:, None], world.boxes.lwh_m[attacker], PEDESTRIAN_LWH_M)
         ground = world.boxes.xyz_m[victim, 2] - world.boxes.lwh_m[victim, 2] / 2
         xyz[:, 2] = ground + lwh[:, 2] / 2
-        return fabricated(listed, attacker, label, Boxes(xyz, lwh, yaw), np.ones(len(attacker)))
+        return fabricated(listed, attacker, label, Boxes(xyz, lwh, yaw), np.ones(len(attacker)), victim)
 
     def evaluations(
         self, rows: EvaluationRows, detections: Detections, context: AttackContext

@@ -68,7 +68,7 @@ class ApproachingGhost(Vouched):
         lwh = np.tile(CAR_LWH_M, (n, 1))
         xyz, yaw = placed(world, victim, ahead_m, np.zeros(n), np.full(n, np.pi))
         xyz[:, 2] = world.boxes.xyz_m[victim, 2] - world.boxes.lwh_m[victim, 2] / 2 + lwh[:, 2] / 2
-        return fabricated(listed, attacker, np.full(n, CAR), Boxes(xyz, lwh, yaw), np.ones(n))
+        return fabricated(listed, attacker, np.full(n, CAR), Boxes(xyz, lwh, yaw), np.ones(n), victim)
 
 
 CAR_LWH_M = (4.5, 2.0, 1.6)
@@ -107,11 +107,11 @@ class Replay(Vouched):
         xy = world.boxes.xyz_m[:, :2]
         past = context.memory.setdefault("past", [])
         heard = np.flatnonzero(listed.transmitted & (listed.origin != FABRICATED))
+        while past and past[0][0] < context.time_s - p.age_s - 1e-9:
+            past.pop(0)
         old = past[0] if past else None
         now = listed.take(heard)
         past.append((context.time_s, now, world.actor[now.observer], xy[now.observer]))
-        while past[0][0] < context.time_s - p.age_s - 1e-9:
-            past.pop(0)
         if old is None or not len(old[1]):
             return listed
         _, said, by, from_xy = old

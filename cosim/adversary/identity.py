@@ -63,8 +63,8 @@ class Sybil:
         lwh = np.tile(CAR_LWH_M, (len(row), 1))
         xyz[:, 2] = world.boxes.xyz_m[row, 2] - world.boxes.lwh_m[row, 2] / 2 + lwh[:, 2] / 2
         return fabricated(
-            listed, row, np.full(len(row), CAR), Boxes(xyz, lwh, yaw), np.ones(len(row)), number + 1,
-            world.speed_mps[row],
+            listed, row, np.full(len(row), CAR), Boxes(xyz, lwh, yaw), np.ones(len(row)),
+            identity=number + 1, speed_mps=world.speed_mps[row],
         )  # fmt: skip
 
     def evaluations(

@@ -88,11 +88,12 @@ class EncounterTrackers:
         other: Int[ndarray, "k"],
         trust: Float[ndarray, "k v"],
         source: Int[ndarray, "k v"],
+        state: Int[ndarray, "k v"],
         age_s: Float[ndarray, "k v"],
     ) -> None:
-        """The trust that each holder would look up for each other actor now, per variant; `source` as `TrustSource`."""
+        """The trust that each holder would look up for each other actor now, per variant; see `EncounterTracker`."""
         for tracker in self.trackers:
-            tracker.first_contact(holder, other, trust, source, age_s)
+            tracker.first_contact(holder, other, trust, source, state, age_s)
 
     def count_messages(self, sender: Int[ndarray, "m"], receiver: Int[ndarray, "m"]) -> None:
         """Add messages received in this step; actor numbers."""
@@ -107,7 +108,7 @@ class EncounterTrackers:
             tracker.count_evaluations(evaluator, observer, n)
 
     def note_trust(self, holder: Int[ndarray, "m"], other: Int[ndarray, "m"], looked_up: Bool[ndarray, "m v"]) -> None:
-        """Note which holders looked up, in this step, a value other than the default for which other actor."""
+        """Note which holders looked up, in this step, a value that rests on an evaluation for which other actor."""
         for tracker in self.trackers:
             tracker.note_trust(holder, other, looked_up)
 

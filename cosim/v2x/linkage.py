@@ -8,7 +8,7 @@ References
 .. [1] ETSI TS 102 941 and SCMS (second hand): pseudonym certificates, linkage authorities, revocation lists.
 """
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 from jaxtyping import Bool, Int
@@ -71,7 +71,8 @@ class Linkage:
         order = np.lexsort((subject, scores.holder))
         if (np.diff(order) == 1).all():
             return renamed
-        columns = {name: getattr(renamed, name)[order] for name in TrustScores.__slots__ if name != "step"}
+        columns = {f.name: getattr(renamed, f.name) for f in fields(TrustScores) if f.name != "step"}
+        columns = {name: None if column is None else column[order] for name, column in columns.items()}
         return replace(renamed, **columns)
 
     def accused(self, state: PseudonymState, reports: list[EvaluationMessages]) -> PseudonymState:

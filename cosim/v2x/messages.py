@@ -1,6 +1,6 @@
 """Content and length of messages."""
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
@@ -23,7 +23,8 @@ class Detections:
     `observer` is a row of the step's world. Index 0 is the self report, then come detections by the detector, then
     fabricated ones. A detection with `transmitted` false stays with its observer. `identity` is 0 for what a vehicle
     sends under its own pseudonym; a Sybil attacker sends under further ones. Speed and acceleration stand in self
-    reports alone, and are NaN elsewhere.
+    reports alone, and are NaN elsewhere. `target` is a row of the world too: the vehicle that an attack aims at with
+    the detection, the observer itself where it aims at none.
     """
 
     observer: Int[ndarray, "d"]
@@ -34,10 +35,21 @@ class Detections:
     n_points: Int[ndarray, "d"]
     origin: UInt8[ndarray, "d"]
     transmitted: Bool[ndarray, "d"]
-    identity: Int[ndarray, "d"]
-    speed_mps: Float[ndarray, "d"]
-    acceleration_mps2: Float[ndarray, "d"]
+    target: Int[ndarray, "d"] = field(default=None)  # type: ignore[assignment]  # left out: nobody's
+    identity: Int[ndarray, "d"] = field(default=None)  # type: ignore[assignment]  # left out: the vehicle's own
+    speed_mps: Float[ndarray, "d"] = field(default=None)  # type: ignore[assignment]  # left out: absent
+    acceleration_mps2: Float[ndarray, "d"] = field(default=None)  # type: ignore[assignment]  # left out: absent
     """Along the heading."""
+
+    def __post_init__(self) -> None:
+        n = len(self.observer)
+        if self.target is None:
+            object.__setattr__(self, "target", self.observer)
+        if self.identity is None:
+            object.__setattr__(self, "identity", np.zeros(n, np.int64))
+        for name in ("speed_mps", "acceleration_mps2"):
+            if getattr(self, name) is None:
+                object.__setattr__(self, name, np.full(n, np.nan))
 
     def __len__(self) -> int:
         return len(self.observer)
@@ -56,11 +68,8 @@ class Detections:
         score: Float[ndarray, "d"], n_points: Int[ndarray, "d"], origin: UInt8[ndarray, "d"],
     ) -> "Detections":  # fmt: skip
         """Detections that are all to be transmitted, under the vehicles' own identities."""
-        n = len(observer)
-        return Detections(
-            observer, detection_index, label, boxes, score, n_points, origin, np.ones(n, bool), np.zeros(n, np.int64),
-            np.full(n, np.nan), np.full(n, np.nan),
-        )  # fmt: skip
+        sent = np.ones(len(observer), bool)
+        return Detections(observer, detection_index, label, boxes, score, n_points, origin, sent)
 
     @staticmethod
     def of(columns: list[Any]) -> "Detections":

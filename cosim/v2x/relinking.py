@@ -1,7 +1,7 @@
 """Receivers that link a new pseudonym to one that has fallen silent, by place and speed.
 
-A sender that is heard for the first time stands where another one would be by now, of which nothing has been heard since:
-the receiver takes the two for one, and falls back on what it knows of the old one as long as it knows nothing of the new.
+A sender that is heard for the first time stands where another one would be by now, of which nothing is heard any more:
+the receiver takes the two for one, and uses what it knows of the old one as long as it knows nothing of the new.
 """
 
 from dataclasses import dataclass, field, fields, replace
@@ -117,9 +117,12 @@ def noted(memory: HeardSenders, rows: Int[ndarray, "q"], known: Bool[ndarray, "q
 def fallen_back(found: Lookups, rows: Int[ndarray, "k"], of_old: Lookups) -> Lookups:
     """Look-ups with the default replaced, in these rows, by what is known of the old pseudonym."""
     better = of_old.source != TrustSource.DEFAULT
-    columns = {}
+    columns: dict[str, ndarray | None] = {}
     for f in fields(Lookups):
-        column = getattr(found, f.name).copy()
-        column[rows[better]] = getattr(of_old, f.name)[better]
-        columns[f.name] = column
+        new, old = getattr(found, f.name), getattr(of_old, f.name)
+        if new is None or old is None:  # the trust model does not count it
+            columns[f.name] = None
+            continue
+        columns[f.name] = new.copy()
+        columns[f.name][rows[better]] = old[better]
     return replace(found, **columns)

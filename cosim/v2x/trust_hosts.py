@@ -22,12 +22,12 @@ from cosim.v2x.trust_server import (
     Uplink,
     UplinkState,
 )
-from results.codes import TrustSource
+from results.codes import LookupState, TrustSource
 from trust.models import TrustModel
 from trust.models.interface import checked_object_scores, checked_scores
 from trust.models.stepwise import share_logs
 from trust.object_reports import ObjectReports
-from trust.params import EVIDENCE_KEYS, TrustParams, eta_of
+from trust.params import EVIDENCE_KEYS, TrustParams, eta_of, is_within
 from trust.step_evidence import RejectReason
 from trust.tables import SERVER, EvaluationMessages, ReceivedEvaluations, TrustScores
 
@@ -49,14 +49,23 @@ class Lookups:
     trust: Float[ndarray, "n"]
     source: UInt8[ndarray, "n"]
     """As `TrustSource`."""
+    state: UInt8[ndarray, "n"]
+    """As `LookupState`."""
     age_s: Float[ndarray, "n"]
-    """Of the value, since it was computed; read only where it is no default."""
-    judged: Bool[ndarray, "n"]
-    """Whether an evaluation by another vehicle that could see stands behind it."""
+    """Of the value, since it was computed (own values are computed when they are looked up); read only where it is no
+    default."""
     newest_evaluation_age_s: Float[ndarray, "n"]
-    """Of those evaluations; read only where `judged`."""
+    """Of the evaluations, by other vehicles than the subject that could see, that the value rests on; read only where
+    `is_known`."""
     oldest_evaluation_age_s: Float[ndarray, "n"]
     n_evaluations: Int[ndarray, "n"]
+    n_evaluators: Int[ndarray, "n"] | None
+    """Different vehicles that made them; None where the trust model does not count them."""
+
+    @property
+    def is_known(self) -> Bool[ndarray, "n"]:
+        """Values that rest on at least one evaluation, however old: what counts as knowledge."""
+        return (self.state == LookupState.JUDGED) | (self.state == LookupState.STALE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -309,27 +318,43 @@ class TrustHosts:
     ) -> Lookups:
         n, params = len(vehicle), self.params[h]
         found = Lookups(
-            np.full(n, params.default_trust), np.full(n, TrustSource.DEFAULT, np.uint8), np.zeros(n),
-            np.zeros(n, bool), np.zeros(n), np.zeros(n), np.zeros(n, np.int64),
+            np.full(n, params.default_trust), np.full(n, TrustSource.DEFAULT, np.uint8),
+            np.full(n, LookupState.DEFAULT, np.uint8), np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n, np.int64),
+            np.zeros(n, np.int64),
         )  # fmt: skip
+        counted = True
         if params.host == "central":
             for broadcast, rows, at in self.downlink.lookup(state.hosts[h].downlink, vehicle, subject):
-                self._fill(found, rows, broadcast.scores, at, TrustSource.SERVER, time_s)
+                counted &= self._fill(found, rows, broadcast.scores, at, h, time_s)
                 found.age_s[rows] = time_s - broadcast.time_s
         elif params.host == "local":
             scores = self._scores(state, h)
             at, known = scores.rows_of(vehicle, subject)
-            self._fill(found, np.flatnonzero(known), scores, at[known], TrustSource.OWN, time_s)
-            found.age_s[known] = time_s - scores.newest_step[at[known]] * self.dt_s
-        return found
+            counted &= self._fill(found, np.flatnonzero(known), scores, at[known], h, time_s)
+        return found if counted else replace(found, n_evaluators=None)
 
-    def _fill(
-        self, found: Lookups, rows: ndarray, scores: TrustScores, at: ndarray, source: TrustSource, time_s: float
-    ) -> None:
-        found.trust[rows], found.source[rows] = scores.trust[at], source
-        found.judged[rows], found.n_evaluations[rows] = scores.is_judged[at], scores.n_evaluations[at]
-        found.newest_evaluation_age_s[rows] = time_s - scores.newest_evaluation_step[at] * self.dt_s
+    def _fill(self, found: Lookups, rows: ndarray, scores: TrustScores, at: ndarray, h: int, time_s: float) -> bool:
+        """Write down values of a host for some rows; whether its model counts evaluators."""
+        params, is_judged = self.params[h], scores.is_judged[at]
+        source = TrustSource.SERVER if params.host == "central" else TrustSource.OWN
+        used = is_judged if params.unjudged == "default" else np.ones(len(rows), bool)
+        found.trust[rows[used]], found.source[rows[used]] = scores.trust[at[used]], source
+        found.n_evaluations[rows] = scores.n_evaluations[at]
+        newest_s = time_s - scores.newest_evaluation_step[at] * self.dt_s
+        found.newest_evaluation_age_s[rows] = newest_s
         found.oldest_evaluation_age_s[rows] = time_s - scores.oldest_evaluation_step[at] * self.dt_s
+        fresh = is_within(newest_s, params) if self._has_window(h) else np.ones(len(rows), bool)
+        found.state[rows] = np.where(
+            is_judged, np.where(fresh, LookupState.JUDGED, LookupState.STALE), LookupState.UNJUDGED
+        )
+        if scores.n_evaluators is None or found.n_evaluators is None:
+            return False
+        found.n_evaluators[rows] = scores.n_evaluators[at]
+        return True
+
+    def _has_window(self, h: int) -> bool:
+        """Whether the host's model drops evidence of a certain age."""
+        return "freshness_s" in {f.name for f in fields(self.models[h][0].Params)}
 
     def rejected(self, state: TrustState) -> dict[str, int]:
         """Evaluations that the acting model rejected so far, by cause, where it counts them."""

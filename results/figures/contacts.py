@@ -19,17 +19,18 @@ def draw(runs: Sequence[Run], every_s: float = 10.0, radius_m: float | None = No
 
     Long runs are drawn as means of a sixtieth of their time, a single one with their range.
     """
-    style.need(runs)
+    runs = style.arranged(runs)
     figure, (degree, largest, reached) = style.sheet(columns=3, width=8.8, height=3.0)
     for i, run in enumerate(runs):
         frame = contact_graph.over_time(run, every_s, radius_m, pairs)
-        line: dict[str, Any] = {"color": style.ink(i), "linestyle": style.dash(i), "marker": style.marker(i)}
+        ink = style.inks(runs)[i]
+        line: dict[str, Any] = {"color": ink, "linestyle": style.dash(i), "marker": style.marker(i)}
         for axes, values in ((degree, frame.degree_mean), (largest, frame.largest_share)):
             spread = values.groupby(np.arange(len(frame)) // max(1, len(frame) // _POINTS)).agg(["mean", "min", "max"])
             time_s = frame.time_s.to_numpy()[:: max(1, len(frame) // _POINTS)]
             axes.plot(time_s, spread["mean"], **line, markevery=style.sparse(len(spread)))
             if len(runs) == 1:
-                axes.fill_between(time_s, spread["min"], spread["max"], color=style.ink(i), alpha=0.18, linewidth=0)
+                axes.fill_between(time_s, spread["min"], spread["max"], color=ink, alpha=0.18, linewidth=0)
         reachable = contact_graph.temporal_reachability(run, every_s, radius_m, pairs)
         reached.plot(reachable.time_s, reachable.reached_mean, **line, markevery=style.sparse(len(reachable)))
     style.panel(degree, "Contacts per actor in contact", style.TIME, "Mean degree")

@@ -23,7 +23,7 @@ def draw(runs: Sequence[Run], max_frames: int = 4000, range_m: float = 70.0) -> 
 
     Levels with too few objects to rank are left out.
     """
-    style.need(runs)
+    runs = style.arranged(runs)
     precisions = [_precision(run, max_frames) for run in runs]
     known = [detection.awareness(run, range_m, max_frames=max_frames) for run in runs]
     met = {row for frame in precisions for row in zip(frame["class"], frame.level, strict=True)}
@@ -34,8 +34,8 @@ def draw(runs: Sequence[Run], max_frames: int = 4000, range_m: float = 70.0) -> 
         for which, filled in (("local", False), ("fused", True)):
             frame = precision[(precision.boxes == which)]
             y = [rows.index(row) + offset for row in zip(frame["class"], frame.level, strict=True)]
-            face = style.ink(i) if filled else "white"
-            dots: dict[str, Any] = {"color": style.ink(i), "marker": style.marker(i), "markerfacecolor": face}
+            face = style.inks(runs)[i] if filled else "white"
+            dots: dict[str, Any] = {"color": style.inks(runs)[i], "marker": style.marker(i), "markerfacecolor": face}
             left.plot(frame.ap40, y, linestyle="", **dots)
             curve = aware[aware.boxes == which]
             right.plot(curve.distance_m, curve.share, linestyle="-" if filled else _BROKEN, **dots)

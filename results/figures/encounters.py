@@ -14,7 +14,7 @@ from results.tables import axis_label
 @style.styled
 def draw(runs: Sequence[Run], departure: encounters.Departure = "ends") -> Figure:
     """Kaplan-Meier curves by definition, with their 95 % bands; the axis ends where 1 % is left."""
-    style.need(runs)
+    runs = style.arranged(runs, most=4)
     figure, (axes,) = style.sheet()
     curves = [encounters.survival(run, departure) for run in runs]
     kinds = sorted({

@@ -1,107 +1,141 @@
-"""How fresh trust is when it is looked up."""
+"""What stands behind trust when it is looked up, how old it is, and what attacks achieve meanwhile."""
 
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 import pandas as pd
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from results.figures import style
-from results.metrics import compare, freshness, misbehaviour
+from results.metrics import attack, compare, freshness
 from results.run import Run
 from results.tables import axis_label
 
 
 @style.styled
-def draw(runs: Sequence[Run], fresh_s: float = 10.0, over: str | None = None) -> Figure:
-    """Distribution of the age of trust at the lookup, and the shares of fresh, stale and default values.
+def draw(runs: Sequence[Run], over: str | None = None, threshold: float = 0.5) -> Figure:
+    """Age, at lookups, of the newest evaluation by another vehicle that could see, and what lookups rest on.
 
-    Runs that differ in one number alone, or in the one named by `over`, are also drawn over it.
+    Runs that differ in one number alone, or in the one named by `over`, are drawn over it instead: ages, what lookups
+    rest on, and the success of attacks at a score of `threshold`, with the means of repetitions as lines.
     """
     style.need(runs)
     studied = compare.axis(runs, over)
-    if studied is None:
-        figure, (ages, shares) = style.sheet(columns=2, height=max(3.2, 1.6 + 0.36 * len(runs)))
-    else:
-        figure, (ages, shares, below, beside) = style.sheet(columns=2, rows=2, height=6.4)
-        _against(runs, studied[0], below, beside, fresh_s)
-    bars = [freshness.shares(run, fresh_s) for run in runs]
+    if studied is not None:
+        return _over(runs, studied[0], threshold)
+    runs = style.arranged(runs)
+    bars = [_shares(run, "all") for run in runs]
     labels = style.names(runs)
     if len(runs) == 1:
-        groups = freshness.shares_by_role(runs[0], fresh_s).groupby("role", sort=False)
-        bars, labels = [*bars, *(frame for _, frame in groups)], ["all", *(str(role) for role, _ in groups)]
+        roles = freshness.states(runs[0]).role.unique()
+        bars, labels = [_shares(runs[0], role) for role in roles], list(roles)
+    figure, (ages, shares) = style.sheet(columns=2, height=max(3.2, 1.6 + 0.36 * len(bars)))
     longest_s = 0.0
     for i, run in enumerate(runs):
-        if bars[i].n.iloc[:2].sum() == 0:
-            continue  # the default has no age
-        curve = freshness.distribution(run)
-        ages.plot(
-            curve.age_s, curve.share, color=style.ink(i), linestyle=style.dash(i), marker=style.marker(i),
-            markevery=0.12,
-        )  # fmt: skip
-        longest_s = max(longest_s, float(curve.age_s[curve.share >= 0.99].min()))
+        for what, dash in (("newest evaluation", style.dash(0)), ("value", style.dash(2))):
+            try:
+                curve = freshness.distribution(run, what)
+            except ValueError:
+                continue  # nothing but defaults
+            line = ages.plot(curve.age_s, curve.share, color=style.inks(runs)[i], linestyle=dash)
+            if len(runs) == 1:
+                line[0].set_label({"value": "the value itself"}.get(what, what))
+            longest_s = max(longest_s, float(curve.age_s[curve.share >= 0.99].min()))
     if longest_s == 0:
-        ages.text(0.5, 0.5, "no value but the default", ha="center", transform=ages.transAxes)
+        ages.text(0.5, 0.5, "no value rests on an evaluation", ha="center", transform=ages.transAxes)
+    elif len(runs) == 1:
+        ages.legend(loc="lower right")
     for i, bar in enumerate(bars):
-        style.shares_bar(shares, i, bar.share.tolist(), _FILLS)
-    if 0 < fresh_s < longest_s:
-        ages.axvline(fresh_s, color="#777777", linewidth=0.9)
-        ages.annotate(
-            f"stale beyond {fresh_s:g} s", (fresh_s, 0.04), xytext=(4, 0), textcoords="offset points", fontsize=8
-        )
+        style.shares_bar(shares, i, bar, _FILLS)
     style.panel(
-        ages,
-        "Age of trust when looked up",
-        axis_label("trust_lookups", "age_s", "Age"),
-        "Share of lookups at most this old",
-    )
+        ages, "Age when looked up" if len(runs) == 1 else "Age when looked up (dotted: the value)",
+        axis_label("trust_lookups", "age_s", "Age"), "Share of values at most this old",
+    )  # fmt: skip
     style.share_axis(ages)
     ages.set_xlim(0, max(longest_s, 1.0) * 1.05)
-    title = "How fresh" + (", by role" if len(runs) == 1 else "")
-    style.panel(shares, title, f"Share of lookups (fresh: at most {fresh_s:g} s)", "")
+    style.panel(shares, "What lookups rest on" + (", by role" if len(runs) == 1 else ""), "Share of lookups", "")
     style.bars_axis(shares, labels)
-    entries = style.bar_entries(freshness.STATES, _FILLS)
-    style.legend(figure, entries, style.series_entries(runs))
+    style.legend(figure, style.bar_entries(freshness.STATES, _FILLS), style.colour_entries(runs))
     return figure
 
 
-_FILLS = (style.INKS[0], "#e8b9a6", "#ffffff")
-
-_AGES: Mapping[str, Callable[[Run], float]] = {
-    "value": lambda run: _mean(freshness.at_lookup(run).query("source != 'default'"), "mean_s"),
-    "newest evidence": lambda run: _mean(freshness.evidence_at_lookup(run), "newest_s"),
-    "oldest evidence": lambda run: _mean(freshness.evidence_at_lookup(run), "oldest_s"),
-}
+_FILLS = (style.INKS[0], style.PALE, "#e8b9a6", "#ffffff")
 
 
-def _against(runs: Sequence[Run], key: str, ages: Axes, shares: Axes, fresh_s: float) -> None:
-    """Means of every run over the number in which they differ; a line through repetitions' means."""
-    of_lookups: Mapping[str, Callable[[Run], float]] = {
-        "default": lambda run: freshness.shares(run, fresh_s).share.iloc[2],
-        "stale": lambda run: freshness.shares(run, fresh_s).share.iloc[1],
-        "encounters over without trust": lambda run: _mean(freshness.without_trust(run), "share"),
-        "honest above malicious": misbehaviour.separation,
-    }
-    frame = compare.tabulate(runs, key, {**_AGES, **of_lookups})
-    for axes, names in ((ages, list(_AGES)), (shares, list(of_lookups))):
+def _shares(run: Run, role: str) -> list[float]:
+    frame = freshness.states(run)
+    frame = frame[frame.role == role].set_index("state").share
+    return [float(frame.get(state, 0.0)) for state in freshness.STATES]
+
+
+def _age(what: str) -> Callable[[Run], float]:
+    def found(run: Run) -> float:
+        frame = freshness.ages(run)
+        return float(frame.mean_s[(frame.what == what) & (frame.role == "all")].max())
+
+    return found
+
+
+def _state(state: str) -> Callable[[Run], float]:
+    return lambda run: _shares(run, "all")[freshness.STATES.index(state)]
+
+
+def _success(among: str, threshold: float) -> Callable[[Run], float]:
+    def found(run: Run) -> float:
+        rows = attack.success(run, (threshold,))
+        chosen = {"effect": "inserted", "receivers": attack.HONEST, "among": among, "role": "malicious"}
+        rows = rows[np.all([rows[name] == value for name, value in chosen.items()], axis=0)]
+        if rows.empty:
+            raise ValueError(f"{run.path} holds no lies of malicious vehicles.")
+        return float(rows.share.iloc[0])
+
+    return found
+
+
+def _over(runs: Sequence[Run], key: str, threshold: float) -> Figure:
+    """Three panels over a number; runs that differ in another key have lines of their own."""
+    panels: Mapping[str, Mapping[str, Callable[[Run], float]]] = {
+        "Mean age at lookup": {what: _age(what) for what in freshness.AGES},
+        "What lookups rest on": {state: _state(state) for state in freshness.STATES},
+        f"Ghosts believed (score {threshold:g})": {
+            "by receivers": _success("received", threshold), "by the victim": _success("intended", threshold),
+        },
+    }  # fmt: skip
+    figure, axes = style.sheet(columns=3, width=9.6, height=3.7)
+    beside = [name for name in compare.differing(runs) if name != key]
+    values = [dict(compare.flat(run.config)) for run in runs]
+    groups = sorted({tuple((name, value.get(name)) for name in beside) for value in values}, key=str)
+    asked = {name: question for panel in panels.values() for name, question in panel.items()}
+    frame = compare.tabulate(runs, key, asked)
+    frame["group"] = [groups.index(tuple((name, values[i].get(name)) for name in beside)) for i in frame["row"]]
+    at, ticks = _positions(frame[key])
+    for panel, (title, names) in zip(axes, panels.items(), strict=True):
         for i, name in enumerate(names):
-            one = frame[[key, name]].dropna()
-            if one.empty:
-                continue
-            mean = one.groupby(key)[name].mean()
-            axes.plot(one[key], one[name], linestyle="", marker=style.marker(i), color=style.ink(i))
-            axes.plot(mean.index, mean, linestyle=style.dash(i), marker=style.marker(i), color=style.ink(i), label=name)
-        axes.legend(fontsize=7.5, handlelength=2.2)
-    style.panel(
-        ages, "Age where trust is looked up, mean", compare.label(key), axis_label("trust_lookups", "age_s", "Age")
-    )
-    ages.set_ylim(bottom=0)
-    style.panel(shares, "Trust where it is looked up", compare.label(key), "Share")
-    style.share_axis(shares)
+            for g in range(len(groups)):
+                one = frame[(frame.group == g) & frame[name].notna()]
+                if one.empty:
+                    continue
+                mean = one.groupby(key)[name].mean()
+                panel.plot(at(one[key]), one[name], linestyle="", marker=style.marker(i), color=style.ink(i), alpha=0.5)
+                panel.plot(at(mean.index), mean, linestyle=style.dash(g), marker=style.marker(i), color=style.ink(i),
+                           label=name if g == 0 else None)  # fmt: skip
+        style.panel(panel, title, compare.label(key), "Age [s]" if panel is axes[0] else "Share")
+        panel.set_xscale("log")
+        panel.set_xticks(list(ticks), list(ticks.values()), minor=False)
+        panel.minorticks_off()
+        if panel.lines:
+            panel.legend(fontsize=7.5, handlelength=2.2)
+    axes[0].set_ylim(bottom=0)
+    style.share_axis(axes[1])
+    axes[2].set_ylim(bottom=0)
+    style.legend(figure, style.dash_entries([", ".join(f"{k} = {v}" for k, v in group) for group in groups]))
+    return figure
 
 
-def _mean(frame: pd.DataFrame, column: str) -> float:
-    """Mean of a column, weighted by `n`."""
-    known = frame[frame[column].notna()]
-    return float(np.average(known[column], weights=known.n)) if len(known) else float("nan")
+def _positions(values: pd.Series) -> tuple[Callable[[Sequence[float]], np.ndarray], dict[float, str]]:
+    """Places on a logarithmic axis, and their labels; "off" (infinite) stands a step beyond the largest, 0 before."""
+    finite = sorted({v for v in values if np.isfinite(v) and v > 0}) or [1.0]
+    place = {v: v for v in finite}
+    place |= {np.inf: finite[-1] * 2.0, 0.0: finite[0] / 2.0}
+    labels = {place[v]: "off" if v == np.inf else f"{v:g}" for v in sorted(set(values))}
+    return lambda wanted: np.array([place[v] for v in wanted]), labels

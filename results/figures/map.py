@@ -21,7 +21,7 @@ _OFFSET = 1 << 30
 @style.styled
 def draw(runs: Sequence[Run], cell_m: float = 25.0, radius_m: float | None = None, pairs: str | None = None) -> Figure:
     """Encounters begun per cell and hour, at the middle of the two, over the streets as they were driven."""
-    style.need(runs)
+    runs = style.arranged(runs, most=4)
     begun = [_begun(run, radius_m, pairs) for run in runs]
     streets = [_streets(run) for run in runs]
     spans = [np.ptp(street, axis=0) for street in streets]
@@ -35,12 +35,19 @@ def draw(runs: Sequence[Run], cell_m: float = 25.0, radius_m: float | None = Non
     lowest = min(rate[rate > 0].min() for rate in rates)
     lowest = min(lowest, top / 2)
     norm = LogNorm(lowest, top)
-    for axes, run_name, street, rate, (_, x, y) in zip(panels, style.names(runs), streets, rates, counts, strict=True):
+
+    def _definition(run: Run) -> str:
+        chosen = contact_graph.definition(run, radius_m, pairs)
+        return f"{chosen['pairs']} pairs within {chosen['radius_m']:g} m"
+
+    each = zip(panels, runs, style.names(runs), streets, rates, counts, strict=True)
+    for axes, run, run_name, street, rate, (_, x, y) in each:
         axes.scatter(street[:, 0], street[:, 1], s=1.2, color=style.PALE, linewidths=0, rasterized=True)
         mesh = axes.pcolormesh(x, y, np.ma.masked_equal(rate, 0).T, norm=norm, cmap="viridis_r", rasterized=True)
         axes.set_aspect("equal")
         axes.grid(visible=False)
-        style.panel(axes, run_name if len(runs) > 1 else "Where encounters begin", "East [m]", "North [m]")
+        title = f"{run_name}\n{_definition(run)}" if len(runs) > 1 else f"Where encounters begin: {_definition(run)}"
+        style.panel(axes, title, "East [m]", "North [m]")
     credits = sorted({credit for run in runs if (credit := run.manifest.get("net", {}).get("attribution"))})
     if credits:
         panels[-1].annotate(

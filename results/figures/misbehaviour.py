@@ -19,7 +19,7 @@ def draw(runs: Sequence[Run], false_positives: float = 0.05) -> Figure:
     the server's; without one, on the left the mean of the values that receivers hold, on the right that of the first
     of them to fall below the threshold.
     """
-    style.need(runs)
+    runs = style.arranged(runs, most=4)
     roles = style.roles_of(runs)
     figure, (curves, delays) = style.sheet(columns=2, height=3.9)
     curves.plot([0, 1], [0, 1], color="#777777", linewidth=0.9, linestyle=(0, (2, 2)))

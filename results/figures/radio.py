@@ -23,14 +23,14 @@ _LOS_STATES = {"los": "line of sight", "nlos": "behind buildings", "unknown": "l
 def draw(runs: Sequence[Run], every_s: float = 10.0, cell_m: float = 50.0) -> Figure:
     """Packet delivery ratio by distance and over time, losses by cause, latency, packet inter-reception time, channel
     busy ratio; maps of a single run."""
-    style.need(runs)
+    runs = style.arranged(runs)
     alone = len(runs) == 1 and "vehicle_channel" in runs[0].tables and "actors" in runs[0].tables
     figure, panels = style.sheet(columns=4 if alone else 3, rows=2, width=11.4 if alone else 8.8, height=5.8)
     if alone:
         distance, losses, late, gaps, timed, busy, *maps = panels
     else:
         (distance, losses, late, gaps, timed, busy), maps = panels, []
-    lines = [_line(i) for i in range(len(runs))]
+    lines = [_line(i, colour) for i, colour in enumerate(style.inks(runs))]
     found = {state for run in runs for state in run.pdr_by_distance.los_state.unique()}
     states = sorted(found, key=list(_LOS_STATES).index)
     for i, (run, line) in enumerate(zip(runs, lines, strict=True)):
@@ -74,8 +74,8 @@ def draw(runs: Sequence[Run], every_s: float = 10.0, cell_m: float = 50.0) -> Fi
     return figure
 
 
-def _line(i: int) -> dict[str, Any]:
-    return {"color": style.ink(i), "linestyle": style.dash(i), "marker": style.marker(i)}
+def _line(i: int, colour: str) -> dict[str, Any]:
+    return {"color": colour, "linestyle": style.dash(i), "marker": style.marker(i)}
 
 
 def _by_distance(axes: Axes, run: Run, line: dict[str, Any]) -> None:

@@ -20,8 +20,8 @@ SHOWN: Mapping[str, tuple[str, ...]] = {
         "misbehaviour.time_to_detection.share:malicious", "misbehaviour.time_to_detection.median_s:malicious",
     ),
     "freshness": (
-        "freshness.age_at_use.mean_s:server", "freshness.newest_evidence_at_use.mean_s:honest",
-        "freshness.state.share:default",
+        "freshness.newest_evaluation_age.mean_s:all", "freshness.value_age.mean_s:all",
+        "freshness.lookup_state.share:default, all",
     ),
     "radio": ("radio.pdr.all",),
     "detection": ("detection.awareness_70m.share:fused",),

@@ -15,6 +15,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
+from results.codes import BASE_VARIANT
+from results.metrics import compare
 from results.run import Run
 
 TIME = "Time [s]"
@@ -152,18 +154,66 @@ def series_entries(runs: Sequence[Run], lines: bool = True) -> list[Line2D]:
     if len(runs) < 2:
         return []
     return [
-        Line2D([], [], color=ink(i), marker=marker(i), linestyle=dash(i) if lines else "", label=name)
+        Line2D([], [], color=inks(runs)[i], marker=marker(i), linestyle=dash(i) if lines else "", label=name)
         for i, name in enumerate(names(runs))
     ]
 
 
 def names(runs: Sequence[Run]) -> list[str]:
-    """Names of runs, with the parent folder where two are called the same."""
-    short = [run.name for run in runs]
+    """Names of runs: the value of the key in which they differ, if it is one alone and tells all apart.
+
+    Else their folders' names, with the parent folder where two are called the same, and the trust variant.
+    """
+    found = compare.differing(runs)
+    if len(runs) > 1 and len(found) == 1:
+        ((key, values),) = found.items()
+        if len(set(map(str, values))) == len(runs):
+            return [f"{key} = {_plain(value)}" for value in values]
+    short = [run.name if run.variant == BASE_VARIANT else f"{run.name}, {run.variant}" for run in runs]
     return [
         name if short.count(name) == 1 else f"{run.path.parent.name}/{name}"
         for run, name in zip(runs, short, strict=True)
     ]
+
+
+def _plain(value: Any) -> str:
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def arranged(runs: Sequence[Run], most: int = 12) -> list[Run]:
+    """The runs in the order of the values in which they differ; ValueError for more than a picture can tell apart."""
+    need(runs)
+    if len(runs) > most:
+        keys = ", ".join(compare.differing(runs)) or "their seeds alone"
+        raise ValueError(
+            f"{len(runs)} runs are more than one picture can tell apart ({most}); they differ in {keys}. Draw fewer, "
+            "draw them over a key with cosim plot freshness --over KEY, or compare figures with cosim measure --csv."
+        )
+    found = compare.differing(runs)
+    order = sorted(range(len(runs)), key=lambda i: [compare.sort_key(values[i]) for values in found.values()])
+    return [runs[i] for i in order]
+
+
+def inks(runs: Sequence[Run]) -> list[str]:
+    """A colour for each run: those of a ramp, light to dark, where the runs are many, by the key that differs."""
+    if len(runs) <= len(INKS):
+        return [ink(i) for i in range(len(runs))]
+    ramp = mpl.colormaps["viridis_r"](np.linspace(0.08, 1, len(runs)))
+    return [mpl.colors.to_hex(colour) for colour in ramp]
+
+
+def colour_entries(runs: Sequence[Run]) -> list[Line2D]:
+    """Legend entries of runs that have a colour each, needed only where there are several."""
+    if len(runs) < 2:
+        return []
+    return [Line2D([], [], color=colour, label=name) for colour, name in zip(inks(runs), names(runs), strict=True)]
+
+
+def dash_entries(labels: Sequence[str]) -> list[Line2D]:
+    """Legend entries of line styles, needed only where there are several."""
+    if len(labels) < 2:
+        return []
+    return [Line2D([], [], color="black", linestyle=dash(i), label=label) for i, label in enumerate(labels)]
 
 
 def dash(i: int) -> Any:

@@ -2,11 +2,12 @@
 
 from collections.abc import Sequence
 
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from results.figures import style
-from results.metrics import trust
+from results.metrics import intervals, trust
 from results.run import Run
 from results.tables import axis_label
 
@@ -18,14 +19,15 @@ def draw(runs: Sequence[Run], vehicles: Sequence[int] = ()) -> Figure:
     It is the server's at the time of its computation; without a server, the mean of the values that receivers hold
     of their own. `vehicles` (actor numbers) are drawn one by one as thin lines beside it.
     """
-    style.need(runs)
+    runs = style.arranged(runs, most=4)
     roles = style.roles_of(runs)
     figure, (axes,) = style.sheet()
-    shown = set()
+    shown, tops = set(), 0.0
     for i, run in enumerate(runs):
         for role, quartiles in trust.over_time(run).groupby("role", observed=True):
             shown.add(str(role))
             look = style.role_look(str(role), roles)
+            tops = max(tops, float(quartiles.q75.quantile(0.98)))
             if len(runs) == 1:
                 axes.fill_between(
                     quartiles.time_s, quartiles.q25, quartiles.q75, color=look["color"], alpha=0.18, linewidth=0
@@ -35,6 +37,7 @@ def draw(runs: Sequence[Run], vehicles: Sequence[int] = ()) -> Figure:
                 markevery=(2 * roles.index(str(role)), style.sparse(len(quartiles))), **look,
             )  # fmt: skip
         _single(axes, run, vehicles, roles)
+    n_medians = len(axes.lines)
     starts = [run.vehicles.attack_start_step.dropna() for run in runs]
     begins_s = {float(start.min()) * run.dt_s for run, start in zip(runs, starts, strict=True) if len(start)}
     for begin_s in begins_s if len(begins_s) == 1 else ():
@@ -47,10 +50,38 @@ def draw(runs: Sequence[Run], vehicles: Sequence[int] = ()) -> Figure:
     places = {"server": "at the server", "vehicles": "at those who receive their messages"}
     where = " or ".join(text for at, text in places.items() if any(trust.kept_at(run) == at for run in runs))
     style.panel(axes, f"Trust in vehicles {where}: {what}", style.TIME, axis_label("trust", "trust", "Trust"))
-    style.share_axis(axes)
+    top = max((float(np.max(line.get_ydata())) for line in axes.lines[:n_medians]), default=1.0)
+    if len(runs) == 1:
+        top = max(top, tops)
+    style.share_axis(axes, min(1.0, 1.15 * float(top)))
     axes.set_xlim(left=0)
+    before = _before(runs[0]) if len(runs) == 1 else ""
+    if before:
+        axes.text(0.01, 0.985, before, transform=axes.transAxes, va="top", fontsize=7.5, color="#444444")
     style.legend(figure, style.role_entries(shown, roles), style.run_entries(runs))
     return figure
+
+
+def _before(run: Run) -> str:
+    """How attackers and honest vehicles compare before any attack, while all behave alike; empty where never."""
+    starts, frame = run.vehicles.attack_start_step.dropna(), trust.values(run)
+    frame = frame[frame.rated & (frame.step < (starts.min() if len(starts) else 0))]
+    found = {
+        str(role): intervals.ratio(one.groupby("subject").trust.sum(), one.groupby("subject").size())
+        for role, one in frame.groupby("role", observed=True)
+    }
+    known = {role: x for role, x in found.items() if x.low == x.low}
+    if len(known) < 2 or "honest" not in known:
+        return ""
+    text = ", ".join(f"{role} {x.value:.2f} [{x.low:.2f}, {x.high:.2f}] ({x.n_units})" for role, x in known.items())
+    honest = known["honest"]
+    apart = [role for role, x in known.items() if role != "honest" and (x.low > honest.high or x.high < honest.low)]
+    reason = (
+        f"{' and '.join(apart)} differ from honest: where they drive, not what they do"
+        if apart
+        else "all are honest until then: the difference is chance, within the intervals"
+    )
+    return f"before any attack, mean [95 %] (vehicles): {text};\n{reason}"
 
 
 def _single(axes: Axes, run: Run, vehicles: Sequence[int], roles: Sequence[str]) -> None:

@@ -11,17 +11,17 @@ from results.run import Run
 DICE = ("seed", "traffic.seed")
 """Keys that only throw the dice again: runs that differ in them are repetitions."""
 
-_IDLE = ("record.", "compute.")
-"""Sections that change nothing of what happens."""
+_IDLE = ("record.", "compute.", "trust_variant.")
+"""Sections that change nothing of what happens to the variant that is measured."""
 
 _UNITS = {"s": "s", "m": "m", "mps": "m/s", "deg": "°", "rad": "rad", "dbm": "dBm", "db": "dB", "hz": "Hz"}
 
 
 def differing(runs: Sequence[Run]) -> dict[str, list[Any]]:
     """Keys of the configuration whose values differ, seeds left out, and their value in every run."""
-    flat = [dict(_flat(run.config)) for run in runs]
-    keys = sorted({key for one in flat for key in one if key not in DICE and not key.startswith(_IDLE)})
-    values = {key: [one.get(key) for one in flat] for key in keys}
+    leaves = [dict(flat(run.config)) for run in runs]
+    keys = sorted({key for one in leaves for key in one if key not in DICE and not key.startswith(_IDLE)})
+    values = {key: [one.get(key) for one in leaves] for key in keys}
     return {key: found for key, found in values.items() if any(v != found[0] for v in found)}
 
 
@@ -31,7 +31,7 @@ def axis(runs: Sequence[Run], over: str | None = None) -> tuple[str, np.ndarray]
     Left out, it is the one number in which their configurations differ; None where there is no such number.
     """
     found = differing(runs)
-    numbers = {key: values for key, values in found.items() if all(_is_number(v) for v in values)}
+    numbers = {key: [_number(v) for v in values] for key, values in found.items() if all(map(_is_number, values))}
     if over is None:
         return next(((k, np.array(v, float)) for k, v in numbers.items()), None) if len(found) == 1 else None
     if over not in numbers:
@@ -49,7 +49,8 @@ def label(key: str) -> str:
 
 
 def tabulate(runs: Sequence[Run], over: str | None, ask: Mapping[str, Callable[[Run], float]]) -> pd.DataFrame:
-    """One row per run, sorted by the number that differs: that number (named by its key), run, and every answer.
+    """One row per run, sorted by the number that differs: that number (named by its key), run, row (its position among
+    the runs given), and every answer.
 
     What a run cannot answer is null.
     """
@@ -59,8 +60,8 @@ def tabulate(runs: Sequence[Run], over: str | None, ask: Mapping[str, Callable[[
         raise ValueError(f"The runs do not differ in one number alone, but in {keys}. Say which one to compare over.")
     key, values = found
     rows = [
-        {key: value, "run": run.name} | {name: _answer(run, question) for name, question in ask.items()}
-        for run, value in zip(runs, values, strict=True)
+        {key: value, "run": run.name, "row": row} | {name: _answer(run, question) for name, question in ask.items()}
+        for row, (run, value) in enumerate(zip(runs, values, strict=True))
     ]
     return pd.DataFrame(rows).sort_values(key, kind="stable", ignore_index=True)
 
@@ -72,7 +73,7 @@ def _answer(run: Run, question: Callable[[Run], float]) -> float:
         return float("nan")
 
 
-def _flat(value: Any, name: str = "") -> list[tuple[str, Any]]:
+def flat(value: Any, name: str = "") -> list[tuple[str, Any]]:
     """Leaves of nested sections and of lists of sections: trust.freshness_s, encounters.0.radius_m."""
     if isinstance(value, dict):
         items = [(str(k), v) for k, v in value.items()]
@@ -80,8 +81,18 @@ def _flat(value: Any, name: str = "") -> list[tuple[str, Any]]:
         items = [(str(i), v) for i, v in enumerate(value)]
     else:
         return [(name, value)]
-    return [leaf for k, v in items for leaf in _flat(v, f"{name}.{k}" if name else k)]
+    return [leaf for k, v in items for leaf in flat(v, f"{name}.{k}" if name else k)]
+
+
+def sort_key(value: Any) -> tuple[bool, float, str]:
+    """Numbers by size, "off" behind them, words behind that."""
+    return (not _is_number(value), _number(value) if _is_number(value) else 0.0, str(value))
 
 
 def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)
+    return value == "off" or (isinstance(value, int | float) and not isinstance(value, bool))
+
+
+def _number(value: Any) -> float:
+    """`trust.freshness_s = "off"` is a window without end."""
+    return float("inf") if value == "off" else float(value)

@@ -13,19 +13,29 @@ from scipy.sparse.csgraph import connected_components
 from results.run import Run
 
 
-def contacts(run: Run, radius_m: float | None = None, pairs: str | None = None) -> pd.DataFrame:
-    """Intervals of contact: a, b, start_s, end_s.
+def definition(run: Run, radius_m: float | None = None, pairs: str | None = None) -> dict[str, float | str]:
+    """The definition of an encounter that is meant: radius_m, pairs and hysteresis_s.
 
-    Of the smallest radius and the first kind of pairs unless named, and of their smallest hysteresis.
+    The smallest radius and the first kind of pairs unless named, and their smallest hysteresis.
     """
-    frame = run.table("encounters", ["a", "b", "start_step", "end_step", "radius_m", "pairs", "hysteresis_s"])
+    frame = run.table("encounters", ["radius_m", "pairs", "hysteresis_s"])
     if frame.empty:
         raise ValueError(f"{run.path} holds no encounters: no two came within the radius of each other.")
+    found: dict[str, float | str] = {}
     for name, wanted in (("radius_m", radius_m), ("pairs", pairs), ("hysteresis_s", None)):
         there = sorted(frame[name].unique().tolist())
         chosen = there[0] if wanted is None else wanted
         if chosen not in there:
             raise ValueError(f"{run.path} recorded no encounters with {name} = {wanted}; it has {there}.")
+        frame = frame[frame[name] == chosen]
+        found[name] = chosen
+    return found
+
+
+def contacts(run: Run, radius_m: float | None = None, pairs: str | None = None) -> pd.DataFrame:
+    """Intervals of contact by one definition of an encounter, see `definition`: a, b, start_s, end_s."""
+    frame = run.table("encounters", ["a", "b", "start_step", "end_step", "radius_m", "pairs", "hysteresis_s"])
+    for name, chosen in definition(run, radius_m, pairs).items():
         frame = frame[frame[name] == chosen]
     return frame.assign(start_s=frame.start_step * run.dt_s, end_s=frame.end_step * run.dt_s)[
         ["a", "b", "start_s", "end_s"]

@@ -1,4 +1,4 @@
-"""Detections and fused objects against ground truth: average precision, awareness, success of attacks."""
+"""Detections and fused objects against ground truth: average precision, awareness."""
 
 import numpy as np
 import pandas as pd
@@ -109,30 +109,3 @@ def awareness(
             "n_known": counts["sum"], "share": counts["sum"] / counts["size"],
         }))  # fmt: skip
     return pd.concat(rows, ignore_index=True)
-
-
-def attack_success(run: Run, min_score: float = 0.5) -> pd.DataFrame:
-    """How many fabricated boxes are accepted by other vehicles.
-
-    Returns
-    -------
-    One row: n_fabricated (boxes sent), n_accepted (by at least one other vehicle, with at least `min_score`),
-    share, and victims_mean: vehicles that accept an accepted one.
-    """
-    run.require("detections", "fused")
-    sent = run.table("detections", ["origin"], where=pc.field("transmitted") & pc.field("truth_actor").is_null())
-    n_made = int((sent.origin == "fabricated").sum())
-    if not n_made:
-        raise ValueError(
-            f"{run.path} holds no attack: no vehicle fabricated a box. Raise fleet.malicious_p, run again."
-        )
-    accepted = run.variant_table(
-        "fused", ["step", "observer", "source", "source_index"],
-        where=pc.field("fabricated") & (pc.field("score") >= min_score),
-    )  # fmt: skip
-    attacker = accepted.source.map(run.subjects.vehicle)
-    victims = accepted[accepted.observer != attacker].groupby(["step", "source", "source_index"]).observer.nunique()
-    return pd.DataFrame([{
-        "n_fabricated": n_made, "n_accepted": len(victims), "share": len(victims) / n_made,
-        "victims_mean": float(victims.mean()) if len(victims) else 0.0,
-    }])  # fmt: skip

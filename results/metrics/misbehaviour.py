@@ -13,7 +13,7 @@ import pyarrow.compute as pc
 from jaxtyping import Float
 from numpy import ndarray
 
-from results.metrics import freshness, trust
+from results.metrics import trust
 from results.metrics.survival import kaplan_meier, median
 from results.run import Run
 
@@ -127,14 +127,8 @@ def detection_delay(run: Run, threshold: float = 0.25, at: trust.At = "server") 
     """
     who = _watched(run)
     is_low = pc.field("trust") < threshold
-    if at == "server":
-        low = run.variant_table("trust", ["step", "subject"], is_low & (pc.field("n_evaluations") > 0))
-    else:
-        low = run.variant_table(
-            "trust_lookups", ["step", "subject", "source", "age_s"], is_low & pc.field("age_s").is_valid()
-        )
-        newest_s, _ = freshness.ServerEvidence(run).ages(low)
-        low = low[~np.isnan(newest_s)]
+    table = "trust" if at == "server" else "trust_lookups"
+    low = run.variant_table(table, ["step", "subject"], is_low & (pc.field("n_evaluations") > 0))
     low = low.merge(who.reset_index(), on="subject").query("since <= step <= until")
     first = low.groupby("subject").step.min().reindex(who.index)
     found = first.notna()

@@ -21,6 +21,8 @@ class Metric:
     definition: str
     group: str = ""
     """What its group names; empty where it has none."""
+    unit_of_chance: str = ""
+    """What its interval is clustered by; empty where it has none."""
 
 
 TOPICS: Mapping[str, str] = {
@@ -28,7 +30,7 @@ TOPICS: Mapping[str, str] = {
     "encounters": "Who was near whom, and for how long.",
     "trust": "Trust in pseudonyms.",
     "misbehaviour": "How well and how soon attackers are told from honest vehicles by trust.",
-    "freshness": "How old trust is when it is looked up.",
+    "freshness": "What stands behind trust when it is looked up, and how old it is (results/FRESHNESS.md).",
     "radio": "What the radio delivers, beside the assumptions that this rests on.",
     "detection": "Detections and fused objects against ground truth.",
     "attack": "What attacks achieve.",
@@ -40,6 +42,10 @@ _ROLE, _DEFINITION, _MESSAGE_TYPE, _LIST = (
     "message type",
     "own sensor or fused",
 )
+_ROLE_ALL = "role of the subject, or all"
+_RECEIVERS = "vehicles that look up"
+_SUCCESS = "score threshold, among, role of the attacker"
+_ATTACKERS = "attackers"
 _IN_WORDS = "what it is, in words"
 
 # fmt: off
@@ -74,15 +80,25 @@ METRICS: Mapping[str, Metric] = {
     "misbehaviour.time_to_detection_at_fpr.share": Metric("ever suspected at the false positive rate", "1", "Share ever suspected at that threshold.", _ROLE),
     "misbehaviour.time_to_detection_at_vehicle.median_s": Metric("time to detection at a vehicle, median", "s", "Time until the first vehicle looks up a server's value below the threshold; only where there is a server.", _ROLE),
     "misbehaviour.time_to_detection_at_vehicle.share": Metric("ever suspected at a vehicle", "1", "Share for which a vehicle ever looked up such a value.", _ROLE),
-    "freshness.newest_evidence.median_s": Metric("newest evidence at the server, median age", "s", "Median age of the newest evaluation behind the server's values, when they are computed.", _ROLE),
-    "freshness.encounters_without_trust.share": Metric("encounters over before trust was known", "1", "Share of encounters of equipped vehicles, both directions counted, in which one never looked up a value for the other but the default.", _DEFINITION),
-    "freshness.wait_in_encounter.median_s": Metric("wait for trust in an encounter, median", "s", "Time from the start of an encounter to the first value other than the default, of those that had none at its start.", _DEFINITION),
-    "freshness.state.share": Metric("trust values looked up", "1", "Share of lookups whose value is fresh (at most fresh_s old), stale, or the default.", "state"),
-    "freshness.state_by_role.share": Metric("trust values looked up, by role", "1", "The same share among the lookups for subjects of each role.", "state, role of the subject"),
-    "freshness.age_at_use.mean_s": Metric("age at lookup, mean", "s", "Mean age of the values looked up, defaults left out: time since the server computed it; of an own value, age of its newest evaluation.", "source"),
-    "freshness.age_at_use.peak_s": Metric("age at lookup, peak", "s", "Mean age just before a receiver's value of a subject is renewed (peak age of information).", "source"),
-    "freshness.newest_evidence_at_use.mean_s": Metric("newest evidence at lookup, mean age", "s", "Mean age, at the lookup, of the newest evaluation behind the value.", _ROLE),
-    "freshness.oldest_evidence_at_use.mean_s": Metric("oldest evidence at lookup, mean age", "s", "Mean age, at the lookup, of the oldest evaluation behind a server's value.", _ROLE),
+    "freshness.server_unjudged.share": Metric("server's values without an evaluation", "1", "Share of the server's values, when they are computed, that rest on no evaluation by another vehicle that could see.", _ROLE),
+    "freshness.server_newest_evaluation.median_s": Metric("newest evaluation at the server, median age", "s", "Median age of the newest such evaluation behind the server's values, when they are computed.", _ROLE),
+    "freshness.encounters_without_trust.share": Metric("encounters over before trust was known", "1", "Share of encounters of equipped vehicles, both directions counted, in which one never looked up a value for the other that rests on an evaluation.", _DEFINITION, "vehicles that would know"),
+    "freshness.wait_in_encounter.median_s": Metric("wait for trust in an encounter, median", "s", "Time from the start of an encounter to the first value that rests on an evaluation, of those that had none at its start.", _DEFINITION),
+    "freshness.lookup_state.share": Metric("what stands behind a value looked up", "1", "Share of all lookups in each state: judged (an evaluation within the window, by another vehicle than the subject that could see), stale (such evaluations, all older than the window), unjudged (a value without any), default (no value).", "state, role of the subject", _RECEIVERS),
+    "freshness.evaluation_within.share": Metric("evaluation at most fresh_s old", "1", "Share of all lookups whose value rests on such an evaluation at most fresh_s old (10 s unless told), whatever the window.", _ROLE_ALL, _RECEIVERS),
+    "freshness.value_age.mean_s": Metric("age of the value at lookup, mean", "s", "Mean age of information of the value at use: time since it was computed; 0 for own values, which are computed when they are looked up; defaults left out.", _ROLE_ALL, _RECEIVERS),
+    "freshness.value_age.median_s": Metric("age of the value at lookup, median", "s", "Median of the same age.", _ROLE_ALL),
+    "freshness.value_age.p90_s": Metric("age of the value at lookup, 90th percentile", "s", "90th percentile of the same age.", _ROLE_ALL),
+    "freshness.value_age.peak_s": Metric("age of the value at lookup, peak", "s", "Mean age of the value at the last lookup before it is renewed (peak age of information, sampled at lookups).", "", _RECEIVERS),
+    "freshness.newest_evaluation_age.mean_s": Metric("newest evaluation at lookup, mean age", "s", "Mean age, at the lookup, of the newest evaluation behind the value, by another vehicle than the subject that could see; of lookups with such an evaluation.", _ROLE_ALL, _RECEIVERS),
+    "freshness.newest_evaluation_age.median_s": Metric("newest evaluation at lookup, median age", "s", "Median of the same age.", _ROLE_ALL),
+    "freshness.newest_evaluation_age.p90_s": Metric("newest evaluation at lookup, 90th percentile", "s", "90th percentile of the same age.", _ROLE_ALL),
+    "freshness.newest_evaluation_age.peak_s": Metric("newest evaluation at lookup, peak age", "s", "Mean of the same age at the last lookup before a newer evaluation stands behind the value.", "", _RECEIVERS),
+    "freshness.oldest_evaluation_age.mean_s": Metric("oldest evaluation at lookup, mean age", "s", "Mean age, at the lookup, of the oldest such evaluation behind the value.", _ROLE_ALL, _RECEIVERS),
+    "freshness.oldest_evaluation_age.median_s": Metric("oldest evaluation at lookup, median age", "s", "Median of the same age.", _ROLE_ALL),
+    "freshness.oldest_evaluation_age.p90_s": Metric("oldest evaluation at lookup, 90th percentile", "s", "90th percentile of the same age.", _ROLE_ALL),
+    "freshness.evaluations.mean": Metric("evaluations behind a value, mean", "", "Mean number of such evaluations behind the values looked up that have any.", "", _RECEIVERS),
+    "freshness.evaluators.mean": Metric("evaluators behind a value, mean", "", "Mean number of different vehicles that made them.", "", _RECEIVERS),
     "radio.condition.model": Metric("medium", "", "Model of the medium (radio.model).", _IN_WORDS),
     "radio.condition.range": Metric("communication range", "m", "Largest distance of one hop (radio.range_m)."),
     "radio.condition.max_hops": Metric("hops at most", "", "Hops that a message may travel (radio.relay.max_hops)."),
@@ -115,8 +131,14 @@ METRICS: Mapping[str, Metric] = {
     "radio.server_broadcasts.reached.share": Metric("broadcasts that reach vehicles", "1", "Share of (broadcast of trust values, vehicle on the road) pairs in which it is received."),
     "detection.ap40": Metric("AP 3D, 40 recall points", "%", "Average precision by KITTI's rules at 40 recall points, ranked over all sampled frames together; levels with fewer than 41 objects are left out.", "list, class, level"),
     "detection.awareness_70m.share": Metric("environmental awareness within 70 m", "1", "Share of the actors within 70 m of an equipped vehicle for which it has a box with a score of at least 0.5.", _LIST),
-    "attack.fabricated.n": Metric("fabricated boxes", "", "Fabricated boxes that were sent."),
-    "attack.accepted.share": Metric("fabricated boxes accepted", "1", "Share of them that at least one other vehicle accepts among its fused objects with a score of at least 0.5."),
+    "attack.believed.share": Metric("fabricated objects believed", "1", "Share of the pairs (fabricated detection, honest vehicle that received it) in which the vehicle's fused objects hold it with at least the threshold's score. Among intended: the vehicle that the attack aims at.", _SUCCESS, _ATTACKERS),
+    "attack.believed.pairs.n": Metric("pairs behind it", "", "Number of these pairs: the denominator.", "among, role of the attacker"),
+    "attack.believed_by_any.share": Metric("fabricated objects believed by any", "1", "Share of the fabricated detections that an honest vehicle received of which at least one of these believes; it grows with the number of receivers.", "score threshold, role of the attacker", _ATTACKERS),
+    "attack.believed_duration.mean_s": Metric("believed for, mean", "s", "Mean length of the successive sensing steps in which an honest vehicle believes a fabricated detection of one attacker, at a score of 0.5.", "among, role of the attacker", _ATTACKERS),
+    "attack.false_in_path.share": Metric("believed false box in the path", "1", "Share of the vehicle-steps, of honest vehicles that received a fabricated detection in them, with one in the vehicle's path (a straight strip of its width, 50 m ahead) that it believes with a score of at least 0.5.", "among", "vehicles"),
+    "attack.false_in_path.boxes_mean": Metric("believed false boxes in the path, mean", "", "Mean number of these boxes per vehicle-step.", "among"),
+    "attack.missing.share": Metric("withheld objects missing", "1", "Share of the pairs (withheld detection of a real actor, honest vehicle that received the message without it and did not detect the actor itself) in which the vehicle's fused objects hold the actor with no score of at least the threshold.", _SUCCESS, _ATTACKERS),
+    "attack.missing.pairs.n": Metric("pairs behind it", "", "Number of these pairs: the denominator.", "among, role of the attacker"),
     **{f"{topic}.not_measured": Metric("not measured", "", "The run cannot answer; the group says why.", "reason") for topic in TOPICS},
 }
 # fmt: on

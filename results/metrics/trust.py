@@ -23,10 +23,9 @@ def kept_at(run: Run) -> At:
 def values(run: Run) -> pd.DataFrame:
     """Trust in each pseudonym while it is in use: step, time_s, subject, vehicle, role, trust, rated.
 
-    Every value that the server computed; `rated` says whether it rests on at least one evaluation with a weight (the
-    ledger has 0 for a subject that no evaluator could see). Without a server, the mean over the receivers that look
-    the subject up and hold a value of their own, at 600 instants at most; what those rest on is not recorded:
-    `rated` is true of all.
+    Every value that the server computed; `rated` says whether it rests on at least one evaluation by another vehicle
+    that could see. Without a server, the mean over the receivers that look the subject up and hold such a value of
+    their own, at 600 instants at most.
     """
     if kept_at(run) == "server":
         frame = run.variant_table("trust", ["step", "subject", "trust", "n_evaluations"])
@@ -47,9 +46,10 @@ def _own(run: Run) -> pd.DataFrame:
     parts = run.variant_parts("trust_lookups", ["step"])
     steps = np.unique(np.concatenate([[0], *(part.step.unique() for part in parts)]))
     chosen = pc.field("step").isin(steps[:: -(-len(steps) // _INSTANTS)].tolist())
+    chosen &= (pc.field("source") == "own") & (pc.field("n_evaluations") > 0)
     means = [
-        part[part.source == "own"].groupby(["step", "subject"], as_index=False).trust.mean()
-        for part in run.variant_parts("trust_lookups", ["step", "subject", "source", "trust"], chosen)
+        part.groupby(["step", "subject"], as_index=False).trust.mean()
+        for part in run.variant_parts("trust_lookups", ["step", "subject", "trust"], chosen)
     ]
     frame = pd.concat(means) if means else pd.DataFrame()
     if frame.empty:

@@ -39,8 +39,7 @@ def together(tmp_path_factory):
 
 def of(run, table, name):
     frame = run.table(table)
-    frame = frame[frame.variant == name].drop(columns="variant").reset_index(drop=True)
-    return frame
+    return frame[frame.variant == name].drop(columns="variant").reset_index(drop=True)
 
 
 @pytest.mark.parametrize("name", VARIANTS)

@@ -48,10 +48,12 @@ def write(folder, seed=0, steps=240, level="full", block_steps=60, reach_m=200.0
                 record.append("trust", step, {
                     "variant": np.zeros(len(talk), int), "subject": talk, "trust": belief[talk], "uncertainty": None,
                     "weight": evidence[talk] * 0.7,
-                    "n_evaluations": evidence[talk], "newest_age_s": rng.exponential(2, len(talk)),
-                    "newest_age_s__valid": evidence[talk] > 0,
-                    "oldest_age_s": np.minimum(step - first[talk], window_s) * 1.0,
-                    "oldest_age_s__valid": evidence[talk] > 0,
+                    "state": np.where(evidence[talk] > 0, 0, 1), "n_evaluations": evidence[talk],
+                    "n_evaluators": np.minimum(evidence[talk], 7),
+                    "newest_evaluation_age_s": rng.exponential(2, len(talk)),
+                    "newest_evaluation_age_s__valid": evidence[talk] > 0,
+                    "oldest_evaluation_age_s": np.minimum(step - first[talk], window_s) * 1.0,
+                    "oldest_evaluation_age_s__valid": evidence[talk] > 0,
                 })  # fmt: skip
         for ledger in ledgers:
             record.append("encounters", steps - 1, ledger.close(steps))
@@ -68,7 +70,9 @@ def write(folder, seed=0, steps=240, level="full", block_steps=60, reach_m=200.0
     manifest = {
         "schema_version": SCHEMA_VERSION, "status": "finished", "dt_s": 1.0, "steps": steps, "seed": seed,
         "config": {
-            "radio": {"model": "unit_disk", "range_m": reach_m, "unit_disk": {"loss_p": 0.05}, "relay": {"max_hops": 1}},
+            "radio": {
+                "model": "unit_disk", "range_m": reach_m, "unit_disk": {"loss_p": 0.05}, "relay": {"max_hops": 1},
+            },
             "fleet": {"penetration_p": 0.6, "equipped_kinds": ["car"]}, "trust": {"window_s": window_s},
         }, "versions": {"cosim": "0.1.0"},
         "net": {"name": "grid", "sha256": "0" * 64}, "timings_s": {"traffic": 1.5, "sensing": 3.2, "trust": 0.7},
@@ -121,7 +125,8 @@ def _meet(record, ledgers, step, here, talk, xyz, belief, reach_m, rng, heard_s)
         for x, y in ((a[new], b[new]), (b[new], a[new])):
             known = heard_s[x, y] >= 0
             age = np.where(known, step - heard_s[x, y], 0)
-            ledger.first_contact(x, y, np.where(known, belief[y], 0.5), np.where(known, 0, 2), age)
+            source, state = np.where(known, 0, 2), np.where(known, 0, 3)
+            ledger.first_contact(x, y, np.where(known, belief[y], 0.5), source, state, age)
         ledger.count_messages(one[got], other[got])
         had = got & (heard_s[other, one] >= 0)
         ledger.note_trust(other[had], one[had])
@@ -173,11 +178,14 @@ def _meet(record, ledgers, step, here, talk, xyz, belief, reach_m, rng, heard_s)
     subject, receiver = one[got], other[got]
     heard_s[receiver[renew], subject[renew]] = step - rng.integers(0, 3, renew.sum())
     known = heard_s[receiver, subject] >= 0
+    age_s = (step - heard_s[receiver, subject]).clip(0) * 1.0
     record.append("trust_lookups", step, {
         "variant": np.zeros(len(receiver), int), "receiver": receiver, "subject": subject,
         "trust": np.where(known, belief[subject], 0.5),
-        "source": np.where(known, 0, 2),
-        "age_s": (step - heard_s[receiver, subject]).clip(0) * 1.0, "age_s__valid": known,
+        "source": np.where(known, 0, 2), "state": np.where(known, 0, 3), "age_s": age_s, "age_s__valid": known,
+        "n_evaluations": 9 * known, "n_evaluators": 3 * known,
+        "newest_evaluation_age_s": age_s + 1, "newest_evaluation_age_s__valid": known,
+        "oldest_evaluation_age_s": age_s + 9, "oldest_evaluation_age_s__valid": known,
     })  # fmt: skip
 
 
@@ -211,7 +219,8 @@ def _see(record, step, here, talk, xyz, yaw, lwh, kind, role, lied, rng):
     truths = {"truth_actor": truth, "truth_actor__valid": true, "truth_iou": iou, "truth_iou__valid": true}
     record.append("detections", step, {
         "observer": observer, "detection_index": k, "class": label[truth], **boxes, "score": score,
-        "n_points": np.r_[np.zeros(s, int), points, np.zeros(m, int)], "origin": origin, "transmitted": sent, **truths,
+        "n_points": np.r_[np.zeros(s, int), points, np.zeros(m, int)], "origin": origin, "transmitted": sent,
+        "withheld": ~sent, "target": None, **truths,
         "truth_occlusion": np.r_[np.zeros(s), 1 - points / free, np.zeros(m)], "truth_occlusion__valid": true,
     })  # fmt: skip
     e, j = (grid.ravel() for grid in np.meshgrid(talk, np.flatnonzero(sent), indexing="ij"))
@@ -222,6 +231,13 @@ def _see(record, step, here, talk, xyz, yaw, lwh, kind, role, lied, rng):
         "evaluation": np.where(true[j], score[j], -1), "visibility": rng.random(len(e)),
         "n_points": rng.integers(0, 90, len(e)),
         "plausible": None, "matched": true[j],
+    })  # fmt: skip
+    lie = np.flatnonzero(origin[j] == 2)
+    record.append("attack_outcomes", step, {
+        "variant": np.zeros(len(lie), int), "effect": np.zeros(len(lie), int), "observer": observer[j[lie]],
+        "detection_index": k[j[lie]], "receiver": e[lie], "intended": e[lie] % 5 == observer[j[lie]] % 5,
+        "in_path": e[lie] % 2 == 0, "ego_detected": np.zeros(len(lie), bool), "score": np.full(len(lie), 0.6),
+        "score__valid": e[lie] % 3 == 0,
     })  # fmt: skip
     own = np.flatnonzero(origin == 0)
     believes, row = np.r_[observer[own], e], np.r_[own, j]

@@ -23,7 +23,7 @@ def test_tables_are_typed(run):
     for name in TABLES:
         frame = run.table(name)
         assert list(frame.columns) == list(TABLES[name].columns)
-        assert len(frame), name
+        assert len(frame) or name == "encounter_trust", name  # of runs with variants
         for label, column in TABLES[name].columns.items():
             dtype = frame[label].dtype
             if column.categories:

@@ -50,7 +50,7 @@ def test_only_one_number(study):
 
 def test_table_is_sorted_and_says_what_is_missing(study):
     runs = study(*({"trust": {"freshness_s": v}} for v in (30, 10)))
-    frame = compare.tabulate(runs, None, {"steps": lambda run: run.manifest["steps"], "stale": freshness.shares})
+    frame = compare.tabulate(runs, None, {"steps": lambda run: run.manifest["steps"], "stale": freshness.states})
     assert frame["trust.freshness_s"].tolist() == [10, 30] and frame.run.tolist() == ["run-1", "run-0"]
     assert frame.steps.tolist() == [20, 20] and frame.stale.isna().all()
 
@@ -59,9 +59,10 @@ def test_picture_over_the_number(run, tmp_path):
     """Two repetitions at one value, one run at another: points for all, lines through means."""
     shorter = [write(tmp_path / name, seed=seed, reach_m=120.0) for name, seed in (("a", 1), ("b", 2))]
     figure = FIGURES["freshness"]([run, *map(open_run, shorter)])
-    below, beside = figure.axes[2:]
-    assert below.get_xlabel() == beside.get_xlabel() == "radio.range_m [m]"
-    dots, line = below.lines[:2]
+    ages, rests, believed = figure.axes
+    assert ages.get_xlabel() == rests.get_xlabel() == believed.get_xlabel() == "radio.range_m [m]"
+    assert ages.get_xscale() == "log"
+    dots, line = ages.lines[:2]
     assert len(dots.get_xdata()) == 3 and list(line.get_xdata()) == [120, 200]
     with pytest.raises(ValueError, match=r"cannot be compared over trust\.host"):
         FIGURES["freshness"]([run, open_run(shorter[0])], over="trust.host")

@@ -180,8 +180,12 @@ def test_counts_and_first_contact():
     def talk(tracker, step, opened, pairs):
         a, b = (side[opened] for side in pairs)
         if len(opened):
-            tracker.first_contact(b, a, np.full(len(a), 0.25), np.full(len(a), 0), np.full(len(a), 7.0))
-            tracker.first_contact(a, b, np.full(len(a), 0.5), np.full(len(a), 2), np.full(len(a), 0.0))
+            tracker.first_contact(
+                b, a, np.full(len(a), 0.25), np.full(len(a), 0), np.full(len(a), 0), np.full(len(a), 7.0)
+            )
+            tracker.first_contact(
+                a, b, np.full(len(a), 0.5), np.full(len(a), 2), np.full(len(a), 3), np.full(len(a), 0.0)
+            )
         tracker.count_messages(np.array([0, 0, 1, 5]), np.array([1, 1, 0, 0]))
         tracker.count_evaluations(np.array([1, 0]), np.array([0, 1]), np.array([4, 1]))
 
@@ -198,7 +202,8 @@ def test_trusted_after():
 
     def talk(tracker, step, opened, pairs):
         if len(opened):
-            tracker.first_contact(np.array([1]), np.array([0]), np.array([0.5]), np.array([0]), np.array([9.0]))
+            judged = np.array([0])
+            tracker.first_contact(np.array([1]), np.array([0]), np.array([0.5]), np.array([0]), judged, np.array([9.0]))
         if step >= 3:
             tracker.note_trust(np.array([0, 1]), np.array([1, 0]))
 
@@ -250,7 +255,7 @@ def test_first_contact_counts_only_when_an_encounter_begins():
 
     def talk(tracker, step, opened, pairs):
         trust = np.array([0.25 + 0.25 * step])
-        tracker.first_contact(np.array([0]), np.array([1]), trust, np.array([0]), np.array([1.0]))
+        tracker.first_contact(np.array([0]), np.array([1]), trust, np.array([0]), np.array([0]), np.array([1.0]))
 
     (row,) = follow(on_a_line(50, 5, 5, 50, 50, 50), EncounterParams(radius_m=10, pairs="all"), before_close=talk)
     assert row["trust_ab"] == 0.5

@@ -6,7 +6,7 @@ import pandas as pd
 import pytest
 
 from results.measure import measure
-from results.metrics import contact_graph, detection, encounters, freshness, misbehaviour, radio, trust
+from results.metrics import attack, contact_graph, detection, encounters, freshness, misbehaviour, radio, trust
 from results.metrics.registry import METRICS
 from tests.results.tiny import fleet
 
@@ -43,23 +43,47 @@ def test_freshness_on_a_timeline(tiny):
     """The server computes at 5, 10, 15, 20 s; a value takes 1 s to arrive; that of 15 s is lost.
 
     Vehicle 1 uses it every second from 0 to 22: six defaults, ages 1-5 (from 6 s), 1-5 (from 11 s), 6-10 (no
-    news at 16 s), 1, 2 (from 21 s). Sum of the 17 ages 15 + 15 + 40 + 3 = 73; peaks 5 and 10.
+    news at 16 s), 1, 2 (from 21 s). Sum of the 17 ages 15 + 15 + 40 + 3 = 73; peaks 5 and 10. The evaluation behind
+    a value is 1 s older than the value; within a window of 6 s (age below 6) are the values up to 4 s old.
     """
     ages = [None] * 6 + [1, 2, 3, 4, 5] * 2 + [6, 7, 8, 9, 10, 1, 2]
     lookups = [
-        {"step": i, "receiver": 1, "subject": 2, "source": "default" if age is None else "server", "age_s": age}
+        {"step": i, "receiver": 1, "subject": 2, "source": "default", "state": "default"} if age is None else
+        {"step": i, "receiver": 1, "subject": 2, "source": "server", "state": "judged" if age < 5 else "stale",
+         "age_s": age, "newest_evaluation_age_s": age + 1, "oldest_evaluation_age_s": age + 3, "n_evaluations": 2,
+         "n_evaluators": 1}
         for i, age in enumerate(ages)
     ]  # fmt: skip
     run = tiny(23, vehicles=fleet(*["honest"] * 3), trust_lookups=lookups)
-    assert freshness.shares(run, 5).set_index("state").n.to_dict() == {"fresh": 12, "stale": 5, "default": 6}
-    server = freshness.at_lookup(run).set_index("source").loc["server"]
-    assert server.mean_s == pytest.approx(73 / 17)
-    assert server.median_s == pytest.approx(4, rel=0.03)
+    counts = freshness.states(run).query("role == 'all'").set_index("state").n.to_dict()
+    assert counts == {"judged": 10, "unjudged": 0, "stale": 7, "default": 6}
+    found = freshness.ages(run).query("role == 'all'").set_index("what")
+    assert found.mean_s.to_dict() == pytest.approx({
+        "value": 73 / 17, "newest evaluation": 90 / 17, "oldest evaluation": 124 / 17
+    })  # fmt: skip
+    assert found.median_s["value"] == pytest.approx(4, rel=0.03) and found.n_units["value"] == 1
     # Blocks of 10 steps: the renewal at 11 s has its peak (10 s) in the same block, that at 21 s too.
-    assert server.peak_s == pytest.approx(7.5)
-    over_time = freshness.over_time(run, 10, 5)
+    assert freshness.peaks(run).set_index("what").mean_s.to_dict() == {"value": 7.5, "newest evaluation": 8.5}
+    assert freshness.within(run, 5).share.tolist() == pytest.approx([10 / 23, 10 / 23])
+    assert freshness.behind(run).set_index("what")["mean"].to_dict() == {"evaluations": 2, "evaluators": 1}
+    over_time = freshness.over_time(run, 10)
     assert over_time.default.tolist() == pytest.approx([0.6, 0, 0])
-    assert over_time.stale.tolist() == pytest.approx([0, 0.4, 1 / 3])
+    assert over_time.stale.tolist() == pytest.approx([0, 0.6, 1 / 3])
+
+
+def test_a_value_without_judgement_is_no_knowledge(tiny):
+    """Two lookups of unjudged values, one judged: the unjudged have no age of an evaluation and count in no mean."""
+    lookups = [
+        {"step": s, "receiver": 0, "subject": 1, "source": "server", "state": "unjudged", "age_s": 1} for s in (1, 2)
+    ]
+    lookups += [{"step": 3, "receiver": 0, "subject": 1, "source": "server", "state": "judged", "age_s": 2,
+                 "newest_evaluation_age_s": 3, "oldest_evaluation_age_s": 3, "n_evaluations": 4}]  # fmt: skip
+    run = tiny(5, vehicles=fleet("honest", "malicious"), trust_lookups=lookups)
+    shares = freshness.states(run).query("role == 'malicious'").set_index("state").share
+    assert shares.to_dict() == pytest.approx({"judged": 1 / 3, "unjudged": 2 / 3, "stale": 0, "default": 0})
+    found = freshness.ages(run).query("role == 'all'").set_index("what")
+    assert found.n.to_dict() == {"value": 3, "newest evaluation": 1, "oldest evaluation": 1}
+    assert freshness.within(run, 10).share.iloc[0] == pytest.approx(1 / 3)
 
 
 def test_encounters_without_trust(tiny):
@@ -70,36 +94,14 @@ def test_encounters_without_trust(tiny):
 
 
 def test_evidence(tiny):
+    newest, oldest = "newest_evaluation_age_s", "oldest_evaluation_age_s"
     rows = [
-        {"step": 0, "subject": 0, "n_evaluations": 0},
-        {"step": 1, "subject": 0, "n_evaluations": 4, "newest_age_s": 1, "oldest_age_s": 9},
-        {"step": 2, "subject": 0, "n_evaluations": 6, "newest_age_s": 3, "oldest_age_s": 11},
+        {"step": 0, "subject": 0, "n_evaluations": 0, "state": "unjudged"},
+        {"step": 1, "subject": 0, "n_evaluations": 4, newest: 1, oldest: 9},
+        {"step": 2, "subject": 0, "n_evaluations": 6, newest: 3, oldest: 11},
     ]
     (row,) = freshness.evidence(tiny(3, vehicles=fleet("honest"), trust=rows)).itertuples()
-    assert (row.n, row.none_share, row.newest_age_s, row.oldest_age_s) == (3, pytest.approx(1 / 3), 2, 10)
-
-
-def test_evidence_where_it_is_used(tiny):
-    """Vehicle 2's values of 5 s have evidence 1 s to 9 s old, those of 0 s none.
-
-    Used at 6.2 s: 2.2 s and 10.2 s old; used at 3.2 s: none; an own value whose newest evidence is 4 s old.
-    """
-    rows = [
-        {"step": 0, "subject": 2}, {"step": 5, "subject": 1, "n_evaluations": 1, "newest_age_s": 7, "oldest_age_s": 7},
-        {"step": 5, "subject": 2, "n_evaluations": 2, "newest_age_s": 1, "oldest_age_s": 9},
-    ]  # fmt: skip
-    lookups = [
-        {"step": s, "receiver": r, "subject": 2, "source": source, "age_s": age}
-        for s, r, source, age in (
-            (6, 1, "server", 1.2), (3, 1, "server", 3.2), (6, 0, "own", 4), (7, 0, "default", None),
-        )
-    ]  # fmt: skip
-    run = tiny(9, vehicles=fleet("honest", "honest", "unreliable"), trust=rows, trust_lookups=lookups)
-    (row,) = freshness.evidence_at_lookup(run).itertuples()
-    assert (row.role, row.n, row.none_share) == ("unreliable", 3, pytest.approx(1 / 3))
-    assert (row.newest_s, row.oldest_s) == (pytest.approx((2.2 + 4) / 2, abs=1e-3), pytest.approx(10.2, abs=1e-3))
-    shares = freshness.shares_by_role(run, 2).set_index("state")
-    assert shares.n.to_dict() == {"fresh": 1, "stale": 2, "default": 1}
+    assert (row.n, row.unjudged_share, row.newest_s, row.oldest_s) == (3, pytest.approx(1 / 3), 2, 10)
 
 
 def test_trust_by_hand(tiny):
@@ -116,11 +118,12 @@ def test_trust_by_hand(tiny):
 def test_trust_without_a_server(tiny):
     """Means over hearers: of vehicle 2 0.3 (0.2 and 0.4; a default says nothing), of vehicle 1 0.8, later 0.1."""
     lookups = [
-        {"step": 2, "receiver": r, "subject": s, "trust": t, "source": "own", "age_s": 1}
+        {"step": 2, "receiver": r, "subject": s, "trust": t, "source": "own", "n_evaluations": 1}
         for r, s, t in ((0, 2, 0.2), (1, 2, 0.4), (0, 1, 0.8))
     ]
     lookups += [{"step": 2, "receiver": 2, "subject": 1, "trust": 0.1, "source": "default"}]
-    lookups += [{"step": 4, "receiver": 0, "subject": 1, "trust": 0.1, "source": "own", "age_s": 2}]
+    lookups += [{"step": 4, "receiver": 0, "subject": 1, "trust": 0.1, "source": "own", "n_evaluations": 1}]
+    lookups += [{"step": 4, "receiver": 1, "subject": 1, "trust": 0.9, "source": "own", "state": "unjudged"}]
     frame = trust.values(tiny(20, vehicles=fleet("honest", "honest", "malicious"), trust_lookups=lookups))
     assert frame[["time_s", "vehicle"]].to_numpy().tolist() == [[2, 1], [2, 2], [4, 1]]
     assert frame.trust.tolist() == pytest.approx([0.8, 0.3, 0.1])
@@ -201,13 +204,6 @@ def test_awareness_on_a_scene(scene):
     assert detection.awareness(scene, range_m=30, min_score=0.7).share.tolist() == [0, 0]
 
 
-def test_attack_on_a_scene(scene):
-    """Ten boxes fabricated, five accepted by one other."""
-    (row,) = detection.attack_success(scene).itertuples()
-    assert (row.n_fabricated, row.n_accepted, row.share, row.victims_mean) == (10, 5, 0.5, 1)
-    assert detection.attack_success(scene, 0.8).share.item() == 0
-
-
 def test_contacts_by_hand(tiny):
     """0-1 meet in [0, 2), 1-2 in [1, 3), 2-3 in [0, 1): a message of 0 reaches 1 at 0 s, 2 at 1 s, 3 never."""
     run = tiny(4, encounters=[encounter(0, 1, 0, 2), encounter(1, 2, 1, 3), encounter(2, 3, 0, 1)])
@@ -265,7 +261,7 @@ def test_relays(run):
 
 def test_measure_is_tidy(run):
     numbers = measure(run)
-    assert list(numbers.columns) == ["metric", "group", "value", "unit", "label"]
+    assert list(numbers.columns) == ["metric", "group", "value", "low", "high", "n_units", "unit", "label", "note"]
     assert not numbers.metric.str.endswith("not_measured").any()
     assert not numbers.duplicated(["metric", "group"]).any()
     assert set(numbers.metric) <= set(METRICS)
@@ -276,8 +272,8 @@ def test_measure_is_tidy(run):
 
 
 @pytest.mark.parametrize(
-    "ask", [encounters.survival, freshness.at_lookup, freshness.over_time, radio.overall, radio.by_distance,
-            misbehaviour.roc, trust.over_time, detection.precision, detection.awareness, detection.attack_success,
+    "ask", [encounters.survival, freshness.states, freshness.over_time, radio.overall, radio.by_distance,
+            misbehaviour.roc, trust.over_time, detection.precision, detection.awareness, attack.success,
             contact_graph.contacts]
 )  # fmt: skip
 def test_nothing_to_measure_is_one_clear_line(tiny, ask):

@@ -77,11 +77,12 @@ def test_delays_by_hand(town):
 
 
 def test_suspected_by_vehicles(tiny):
-    """A server's value counts from the evaluation behind it on: that of step 4 has none, that of step 8 has one."""
+    """A server's value counts where an evaluation stands behind it: behind that of step 5 there is none."""
     lookups = [
-        {"step": s, "receiver": 0, "subject": 1, "trust": t, "age_s": 1} for s, t in ((3, 0.5), (5, 0), (9, 0.1))
+        {"step": s, "receiver": 0, "subject": 1, "trust": t, "n_evaluations": n}
+        for s, t, n in ((3, 0.5, 1), (5, 0, 0), (9, 0.1, 2))
     ]
-    rows = [{"step": 4, "subject": 1}, {"step": 8, "subject": 1, "n_evaluations": 2, "newest_age_s": 1}]
+    rows = [{"step": 4, "subject": 1}]
     run = tiny(20, vehicles=attacking(["honest", "malicious"], {1: 3}), trust_lookups=lookups, trust=rows)
     assert misbehaviour.detection_delay(run, 0.25, "vehicles").set_index("subject").delay_s.to_dict() == {0: 16, 1: 6}
 
@@ -89,7 +90,7 @@ def test_suspected_by_vehicles(tiny):
 def test_without_a_server(tiny):
     """Means over receivers: attacker 0.3 (0.2 and 0.4), vehicle 1 0.8, later 0.1; the first below 0.25 counts."""
     lookups = [
-        {"step": s, "receiver": r, "subject": v, "trust": t, "source": "own", "age_s": 1}
+        {"step": s, "receiver": r, "subject": v, "trust": t, "source": "own", "n_evaluations": 1}
         for s, r, v, t in ((2, 0, 2, 0.2), (2, 1, 2, 0.4), (2, 0, 1, 0.8), (4, 0, 1, 0.1))
     ]
     run = tiny(20, vehicles=attacking(["honest", "honest", "malicious"], {2: 1}), trust_lookups=lookups)

@@ -16,7 +16,8 @@ def trust_of(subject, trust):
     return {
         "variant": np.zeros(n, int), "subject": np.array(subject), "trust": np.array(trust, float),
         "uncertainty": None, "weight": np.ones(n),
-        "n_evaluations": np.ones(n, int), "newest_age_s": np.zeros(n), "oldest_age_s": None,
+        "state": np.zeros(n, int), "n_evaluations": np.ones(n, int), "n_evaluators": None,
+        "newest_evaluation_age_s": np.zeros(n), "oldest_evaluation_age_s": None,
     }  # fmt: skip
 
 
@@ -36,7 +37,7 @@ def test_round_trip(tmp_path):
     assert frame.step.tolist() == [0, 0, 5]
     assert frame.subject.tolist() == [3, 7, 3]  # sorted by key
     assert frame.trust.tolist() == [0.75, 0.25, 0.5]
-    assert frame.oldest_age_s.isna().all() and not frame.newest_age_s.isna().any()
+    assert frame.oldest_evaluation_age_s.isna().all() and not frame.newest_evaluation_age_s.isna().any()
 
 
 @pytest.mark.parametrize(
@@ -49,7 +50,7 @@ def test_round_trip(tmp_path):
         ({"subject": np.array([1.0, 2.0])}, "whole numbers are wanted"),
         ({"subject": np.array([1, 2**31])}, "outside"),
         ({"subject": np.array([4, 4])}, "two rows with step = 0, variant = 0, subject = 4"),
-        ({"newest_age_s__valid": np.ones(1, bool)}, "trust.newest_age_s has shape"),
+        ({"newest_evaluation_age_s__valid": np.ones(1, bool)}, "trust.newest_evaluation_age_s has shape"),
         ({"weight__valid": np.array([True, False])}, "trust.weight cannot be null"),
     ],
 )
@@ -76,7 +77,12 @@ def test_refuses_unknown_labels(tmp_path):
         "receiver": np.array([1]),
         "subject": np.array([2]),
         "trust": np.ones(1),
+        "state": np.array([0]),
         "age_s": None,
+        "n_evaluations": np.ones(1, int),
+        "n_evaluators": None,
+        "newest_evaluation_age_s": None,
+        "oldest_evaluation_age_s": None,
     }
     with Recorder(tmp_path, "standard") as record:
         with pytest.raises(ValueError, match=r"trust_lookups.source = 'srver' is none of server, own, default"):
@@ -131,7 +137,7 @@ def test_fingerprint_sees_values_only(tmp_path):
     one, other = (fingerprint(write(tmp_path / str(block), steps=40, block_steps=block)) for block in (7, 40))
     assert one == other and set(one) == set(TABLES)
     changed = fingerprint(write(tmp_path / "seed", seed=1, steps=40))
-    assert all(changed[name] != one[name] for name in one)
+    assert all(changed[name] != one[name] for name in one if name != "encounter_trust")
 
 
 def test_fingerprint_sees_one_bit(tmp_path):

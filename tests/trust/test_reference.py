@@ -128,7 +128,7 @@ def test_vehicle_trust():
     for case in cases:
         f = case["freshness"] or 1000
         ids = np.array(sorted(case["vehicles"]))
-        model = TruPercept(TrustParams(freshness_s=float(f)), dt_s=1.0)
+        model = TruPercept(TrustParams(unseen="zero", freshness_s=float(f)), dt_s=1.0)
         sound = case["freshness"] is None or case["score_mode"] == "ones"
         n_exact += not sound
         for t, frame in enumerate(case["frames"]):
@@ -318,7 +318,7 @@ def test_pipeline_trust():
         if not any(key[0] == name for key in cases):
             continue
         ids = np.array(vehicles)
-        model = TruPercept(TrustParams(freshness_s=1e6), dt_s=1.0)
+        model = TruPercept(TrustParams(unseen="zero", freshness_s=1e6), dt_s=1.0)
         tainted = set()
         for t, frame in enumerate(run["frames"]):
             of_frame = [cases[name, frame, v] for v in vehicles if (name, frame, v) in cases]

@@ -46,14 +46,14 @@ def curves(n_false, params, n_steps=101, honest=EVALUATED, false=FALSE, start=50
 
 def test_scenario_2():
     """0.82, 0.97, and 0.81 falling to 0.15 with one false detection per step and to 0 with three."""
-    ego, malicious, third = curves(1, TrustParams(freshness_s=50.0))
+    ego, malicious, third = curves(1, TrustParams(unseen="zero", freshness_s=50.0))
     assert ego == pytest.approx(0.82, abs=1e-3)
     assert third == pytest.approx(0.97, abs=1e-3)
     assert malicious[:50] == pytest.approx(0.81, abs=1e-3)
     # k false detections in the window: ((50 - k) S0 + k (S0 - 1)) / (50 C0 + k), S0 = 1.4113, C0 = 1.7424
     for step, value in ((50, 0.790), (60, 0.607), (75, 0.394), (99, 0.150), (100, 0.150)):
         assert malicious[step] == pytest.approx(value, abs=1e-3)
-    *_, worse, still = malicious, *curves(3, TrustParams(freshness_s=50.0))[1:]
+    *_, worse, still = malicious, *curves(3, TrustParams(unseen="zero", freshness_s=50.0))[1:]
     assert still == pytest.approx(0.97, abs=1e-3)
     assert worse[72] > 0
     assert not worse[73:].any()
@@ -63,7 +63,7 @@ def test_scenario_2():
 @pytest.mark.parametrize("n_false", [1, 3])
 def test_paper_analytic(window, name, n_false):
     reference = load("k_scenarios")["paper_analytic"]["curves"]
-    ours = curves(n_false, TrustParams(freshness_s=50.0, window=window))
+    ours = curves(n_false, TrustParams(unseen="zero", freshness_s=50.0, window=window))
     expected = (reference["ego"], reference[f"malicious_{n_false}false_{name}"], reference["third"])
     worst = max(np.abs(a - np.maximum(0, b)).max() for a, b in zip(ours, expected, strict=True))
     print(f"scenario 2, {n_false} false detections, {name}: max error {worst:.1e}")
@@ -82,7 +82,7 @@ def test_scene_before_the_attack(variant, weighting):
                 (int(r["evaluator"]), r["eval"], r["certainty"])
             )
         honest[int(v)] = [by_k[k] for k in sorted(by_k)]
-    params = TrustParams(freshness_s=50.0, weighting=weighting)
+    params = TrustParams(unseen="zero", freshness_s=50.0, weighting=weighting)
     ours = curves(0, params, 50, honest)
     for step in range(50):
         for row, v in enumerate(sorted(honest)):

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.trust.histories import COLUMNS, add, assert_same, histories, open_step
+from tests.trust.histories import COLUMNS, add, assert_same, histories, open_step, received_by
 from tests.verification import paper
 from trust.models.trupercept import TruPercept
 from trust.params import TrustParams
@@ -41,6 +41,52 @@ def test_twin(world, f, unseen, weighting, window):
             )
             ours = scores.trust_of(np.array([SERVER]), np.array([v]), 0.5)[0]
             assert ours == pytest.approx(expected, abs=1e-11)
+        assert_evaluators(scores, step - steps, by_name, records, weighting)
+
+
+def assert_evaluators(scores, after, by_name, records, weighting):
+    """Newest and oldest evaluation by another that could see, their number and that of their authors, in plain loops.
+
+    Detections of a step whose weights sum to 0 are no part of the value.
+    """
+    for row, subject in enumerate(scores.subject.tolist()):
+        made = []
+        for step in range(after + 1, scores.step + 1):
+            of_step = {k: said for (s, v, k), said in records.items() if s == step and v == subject}
+            if any(weighting == "one" or by_name[step, subject, k] > 0 for k in of_step):
+                made += [(step, who) for said in of_step.values() for who, (_, phi) in said.items()
+                         if who != subject and phi > 0]  # fmt: skip
+        assert scores.n_evaluations[row] == len(made) and scores.is_judged[row] == bool(made)
+        assert scores.n_evaluators[row] == len({who for _, who in made})
+        if made:
+            assert scores.newest_evaluation_step[row] == max(made)[0]
+            assert scores.oldest_evaluation_step[row] == min(made)[0]
+
+
+@given(world=histories, f=st.integers(1, 4))
+@settings(max_examples=60, deadline=None)
+def test_evaluators_of_shared_windows(world, f):
+    """Windows that share their evidence, one without end among them, count evaluators as each would alone."""
+    frames, rows = world
+    params = [TrustParams(freshness_s=x, grace_s=2.0) for x in (1.0, float(f), "off")]
+    shared, alone = TruPercept.build_shared(params, 1.0), [TruPercept(p, 1.0) for p in params]
+    for step, (frame, evaluated) in enumerate(zip(frames, rows, strict=True)):
+        for model in (*shared, *alone):
+            open_step(model, step, frame)
+        received = received_by(step, evaluated)
+        for model in (*shared, *alone):
+            model.add_evaluations(received)
+        for one, other in zip(shared, alone, strict=True):
+            assert one.scores().n_evaluators.tolist() == other.scores().n_evaluators.tolist()
+    ever = {}
+    for evaluated in rows:
+        for who, subject, _, _, phi in evaluated:
+            if phi > 0 and who != subject:
+                ever.setdefault(subject, set()).add(who)
+    last = shared[2].scores()
+    for subject, n, judged in zip(last.subject.tolist(), last.n_evaluators, last.is_judged, strict=True):
+        if judged:
+            assert n == len(ever[subject])
 
 
 @given(world=histories, seed=st.integers(0, 2**32 - 1), f=st.integers(2, 8))

@@ -7,6 +7,7 @@ from jaxtyping import Float, Int
 from numba import njit
 from numpy import ndarray
 
+from trust.evaluator_counts import NEVER, EvaluatorTable
 from trust.evidence_store import EvidenceStore
 from trust.params import TruPerceptParams, open_window_steps
 from trust.step_evidence import RejectReason
@@ -79,6 +80,7 @@ class TruPercept:
         self.store.views.append(self)
         self._opened = -1
         self._folded = _Sums(0) if params.freshness_s == "off" else None
+        self._folded_evaluators = EvaluatorTable()
         self._folded_until = -1
 
     @classmethod
@@ -160,16 +162,20 @@ class TruPercept:
         keys, rows = store.keys[has], store.rows[has]
         weight, n_evaluations, span = sums.total[rows, 1], sums.count[rows, 1], sums.span[rows]
         trust = np.maximum(0.0, sums.total[rows, 0] / weight)
+        n_evaluators = store.evaluators.count(n, self.now - self.window, self._folded_evaluators)
+        if self._folded is not None:
+            n_evaluators += self._folded_evaluators.count(n, NEVER)
         return TrustScores(
             self.now, keys >> 31, keys & (1 << 31) - 1, trust, np.full(keys.size, np.nan), weight, n_evaluations,
-            span[:, 0], span[:, 1], span[:, 2], span[:, 3], n_evaluations > 0,
+            span[:, 0], span[:, 1], span[:, 2], span[:, 3], n_evaluations > 0, n_evaluators[rows],
         )  # fmt: skip
 
     @property
     def nbytes(self) -> int:
         """Memory, the shared store included [B]."""
         f = self._folded
-        return self.store.nbytes + (0 if f is None else f.total.nbytes + f.count.nbytes + f.span.nbytes)
+        own = 0 if f is None else f.total.nbytes + f.count.nbytes + f.span.nbytes
+        return self.store.nbytes + own + self._folded_evaluators.nbytes
 
     def _fold(self, now: int) -> None:
         """Add the steps that are no longer open to the running sums, in the order of time."""
@@ -183,4 +189,5 @@ class TruPercept:
                 sums.total, sums.count, sums.span,
             )  # fmt: skip
             self.store.keep((sums.count[:, 0] > 0) & ~known)
+            self._folded_evaluators.note(*evidence.evaluators(), step)
         self._folded_until = max(self._folded_until, now - self.window)

@@ -15,9 +15,9 @@ from cosim.world import World
 from sensors.boxes import Boxes
 from sensors.scene import Scene, Shape
 
-N, SPACING_M, SPEED_MPS = 40, 15.0, 10.0
+N, SPACING_M, SPEED_MPS = 40, 17.0, 10.0
 NAMES = [f"v{i:02}" for i in range(N)]
-"""In the order of their actor numbers: four lanes of ten, 15 m apart, heading east at 10 m/s."""
+"""In the order of their actor numbers: four lanes of ten, 17 m apart, heading east at 10 m/s."""
 
 
 class Tables(dict):

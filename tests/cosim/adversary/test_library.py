@@ -6,7 +6,7 @@ import pytest
 
 from cosim.adversary.catalogue import ATTACKS
 from results.codes import Origin
-from tests.cosim.adversary.plain import N, NAMES, play
+from tests.cosim.adversary.plain import NAMES, N, play
 
 LIARS = ["v00", "v07", "v15", "v23"]
 WHO = np.array([NAMES.index(name) for name in LIARS])
@@ -110,7 +110,8 @@ def test_one_falsified_column(honest, attack, keys, column, made):
     rows = beside(tables, honest)
     own = rows[rows.observer.isin(WHO) & (rows.origin == 0)]
     np.testing.assert_allclose(own[column], made(own), atol=1e-9)
-    assert own.lied.all() and len(lies_of(tables)) == len(own) > 50
+    changed = (own.score - own.score_was).abs() > 0.1 if attack == "score" else np.full(len(own), True)
+    assert (own.lied == changed).all() and len(lies_of(tables)) == changed.sum() > 50
     assert_others_untouched(tables, honest)
 
 
@@ -148,7 +149,7 @@ def test_speed(honest):
 
 
 def test_self_reports_carry_speed_and_acceleration():
-    found = play(speeds=[10.0, 12.0, 9.0])["detections"]
+    found = play(speeds=[10.0, 12.0, 9.0], n_steps=3)["detections"]
     own = found[found.detection_index == 0]
     assert own.groupby("at").speed_mps.unique().explode().tolist() == [10.0, 12.0, 9.0]
     assert own.groupby("at").acceleration_mps2.unique().explode().tolist() == [0.0, 2.0, -3.0]
@@ -222,9 +223,9 @@ def test_collusion_in_rings_of_two(honest):
 
 def test_discrimination(honest):
     rows = reported(play([BY | {"attack": "discrimination", "group_p": 0.3}]), honest)
-    denied = (rows.evaluation == -1) & (rows.visibility == 1)
-    group = rows.observer[denied].unique()
-    assert denied.any() and rows.observer.isin(group)[~denied].sum() == 0
+    changed = (rows.evaluation != rows.evaluation_was) | (rows.visibility != rows.visibility_was)
+    group = rows.observer[changed].unique()
+    assert changed.any() and (rows.evaluation[rows.observer.isin(group)] == -1).all()
     assert 0.05 < len(group) / N < 0.6
 
 

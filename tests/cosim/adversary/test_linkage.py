@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from tests.cosim.adversary.plain import N, NAMES, play
+from tests.cosim.adversary.plain import NAMES, N, play
 
 LIARS = ["v00", "v07", "v15", "v23"]
 WHO = [NAMES.index(name) for name in LIARS]

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cosim.config import resolve_data
-from tests.cosim.adversary.plain import N, NAMES, play
+from tests.cosim.adversary.plain import NAMES, N, play
 
 LIARS = ["v00", "v07", "v15", "v23"]
 WHO = [NAMES.index(name) for name in LIARS]
@@ -74,7 +74,7 @@ def test_victims(keys):
     pairs = pairs[in_front]
     assert len(pairs) == len(ghosts) and (pairs.actor != pairs.observer).all()
     x, y = pairs.x_m_of - 10.0 * pairs["at"], pairs.y_m_of
-    liar_x, liar_y = 15.0 * (pairs.observer % 10), 4.0 * (pairs.observer // 10)
+    liar_x, liar_y = SPACING_M * (pairs.observer % 10), 4.0 * (pairs.observer // 10)
     away = np.hypot(x - liar_x, y - liar_y)
     if keys["victim"] == "one":
         assert (pairs.actor == 11).all()
@@ -115,7 +115,7 @@ def test_newcomers_change_after_a_time():
     ({"attacks": [{"ids": ["a", "b"], "ring_size": 3}]}, "ring_size = 3 is larger than its 2 attackers"),
     ({"attacks": [{"when": "on_off", "period_s": 0.5}]}, "a period of 0.5 s is shorter than one step, 1 s"),
     ({"attacks": [{"when": "on_off", "period_windows": 0.5}], "trust": {"freshness_s": 1.0}}, "period of 0.5 s"),
-    ({"attacks": [{"when": "on_off", "period_windows": 1.0}], "trust": {"freshness_s": "off"}}, "no length of a window"),
+    ({"attacks": [{"when": "on_off", "period_windows": 1.0}], "trust": {"freshness_s": "off"}}, "no length of a"),
     ({"attacks": [{"attack": "gohst"}]}, 'attacks.attack = "gohst": no such choice'),
     ({"attacks": [{"attack": "offset", "min_m": 9.0, "max_m": 3.0}]}, "attacks.min_m = 9 m is above attacks.max_m = 3 m"),
     ({"attacks": [{"attack": "offset", "ghosts": "car"}]}, "attacks.ghosts: unknown key"),
