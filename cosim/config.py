@@ -23,6 +23,7 @@ from cosim.mobility.params import TrafficParams, resolved_input
 from cosim.radio.medium import MEDIA
 from cosim.radio.params import RadioParams
 from cosim.radio.rsu import RsuParams
+from cosim.v2x.linkage import check_server
 from cosim.v2x.pseudonyms import POLICIES, PseudonymParams
 from cosim.v2x.trust_server import ServerParams
 from results.columns import Level
@@ -148,30 +149,9 @@ class Config:
                 "Set rsu.at or rsu.n_at_junctions."
             )
         check_attacks(self.attacks, self.trust.freshness_s, self.sensing_interval_s)
-        self._check_server()
-
-    def _check_server(self) -> None:
-        """ValueError where something needs a trust server and there is none."""
-        hosts = [self.trust.host, *(v.trust.host for v in self.trust_variant)]
-        linkage, revocation = self.pseudonyms.linkage, self.pseudonyms.revocation
-        if linkage in ("server", "on_demand") and set(hosts) != {"central"}:
-            other = next(host for host in hosts if host != "central")
-            raise ValueError(
-                f'pseudonyms.linkage = "{linkage}" needs a trust server, but trust.host = "{other}". '
-                'Set trust.host = "central" in [trust] and in every variant, or pseudonyms.linkage.'
-            )
-        if revocation != "none" and self.trust.host != "central":
-            raise ValueError(
-                f'pseudonyms.revocation = "{revocation}" is decided by the trust server, but trust.host = '
-                f'"{self.trust.host}". Set trust.host = "central", or pseudonyms.revocation = "none".'
-            )
-        for number, p in enumerate(self.attacks):
-            if p.reads_trust and self.trust.host != "central":
-                what = f'when = "{p.when}"' if p.when in ("sleeper", "camouflage") else 'renewal = "whitewashing"'
-                raise ValueError(
-                    f"attacks.{number}.{what}: its vehicles follow what the trust server says, but trust.host = "
-                    f'"{self.trust.host}". Set trust.host = "central", or another {what.partition(" ")[0]}.'
-                )
+        check_server(
+            self.pseudonyms, self.attacks, [t.host for t in (self.trust, *(v.trust for v in self.trust_variant))]
+        )
 
     @property
     def sense_every_steps(self) -> int:

@@ -8,7 +8,9 @@ References
 .. [1] ETSI TS 102 941 and SCMS (second hand): pseudonym certificates, linkage authorities, revocation lists.
 """
 
+from collections.abc import Sequence
 from dataclasses import fields, replace
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Int
@@ -169,3 +171,33 @@ class Revocation:
         for p in pseudonym[bad].tolist():
             first.setdefault(p, step)
         return ~bad, replace(state, refused=first)
+
+
+def check_server(params: PseudonymParams, attacks: Sequence[Any], hosts: Sequence[str]) -> None:
+    """ValueError in one line where something needs a trust server that is not there.
+
+    Parameters
+    ----------
+    attacks
+        `[[attacks]]` sections.
+    hosts
+        `trust.host` of the acting trust, then of the variants.
+    """
+    if params.linkage in ("server", "on_demand") and set(hosts) != {"central"}:
+        other = next(host for host in hosts if host != "central")
+        raise ValueError(
+            f'pseudonyms.linkage = "{params.linkage}" needs a trust server, but trust.host = "{other}". '
+            'Set trust.host = "central" in [trust] and in every variant, or another pseudonyms.linkage.'
+        )
+    if params.revocation != "none" and hosts[0] != "central":
+        raise ValueError(
+            f'pseudonyms.revocation = "{params.revocation}" is decided by the trust server, but trust.host = '
+            f'"{hosts[0]}". Set trust.host = "central", or pseudonyms.revocation = "none".'
+        )
+    for number, attack in enumerate(attacks):
+        if attack.reads_trust and hosts[0] != "central":
+            key = "renewal" if attack.renewal == "whitewashing" else "when"
+            raise ValueError(
+                f'attacks.{number}.{key} = "{getattr(attack, key)}": its vehicles follow what the trust server says, '
+                f'but trust.host = "{hosts[0]}". Set trust.host = "central", or another {key}.'
+            )

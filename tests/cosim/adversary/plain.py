@@ -57,6 +57,7 @@ def play(attacks=(), n_steps=6, penetration_p=1.0, speeds=None, **sections):
     sections.setdefault("radio", {"model": "unit_disk", "unit_disk": {"loss_p": 0.0}})
     sections.setdefault("server", {"cellular": {"delay_min_s": 0.001, "delay_mean_s": 0.002, "uplink_loss_p": 0.0,
                                                 "downlink_loss_p": 0.0}})  # fmt: skip
+    sections["trust"] = {"server_period_s": 1.0} | sections.get("trust", {})
     sections.setdefault("lidar", {"n_azimuths": 256})
     sections.setdefault("fleet", {"penetration_p": penetration_p})
     attacks = [{"start_s": 0.0} | a for a in attacks]
