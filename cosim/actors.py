@@ -63,10 +63,7 @@ class ActorRegistry:
                 setattr(self, column, np.concatenate([old, np.zeros_like(old)]))
         rows = slice(first, first + n)
         keys = np.array(
-            [
-                name_key(("person/" if person else "vehicle/") + name)
-                for name, person in zip(names, is_person, strict=True)
-            ],
+            [actor_key(name, person) for name, person in zip(names, is_person, strict=True)],
             np.uint64,
         )
         equipped = self._can_be_equipped[shape] & (uniforms(self._equipped_key, keys)[:, 0] < self.params.penetration_p)
@@ -98,3 +95,8 @@ class ActorRegistry:
     attack = property(lambda self: self._attack[: self._n])
     first_step = property(lambda self: self._first_step[: self._n])
     last_step = property(lambda self: self._last_step[: self._n])
+
+
+def actor_key(name: str, is_person: bool) -> int:
+    """The identity of an actor in random draws; a person and a vehicle of the same name are two actors."""
+    return name_key(("person/" if is_person else "vehicle/") + name)

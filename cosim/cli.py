@@ -29,7 +29,9 @@ Overrides = Annotated[
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON on standard output.")]
 RunPaths = Annotated[list[Path], typer.Argument(help="Folders that `cosim run` wrote.")]
-Picture = Literal["trust", "misbehaviour", "encounters", "freshness", "radio", "detection", "map", "contacts", "sweep"]
+Picture = Literal[
+    "trust", "misbehaviour", "encounters", "freshness", "radio", "detection", "map", "contacts", "safety", "sweep"
+]
 
 
 @app.command()
@@ -188,6 +190,39 @@ def report(
 
     path = write(open_run(folder), out or folder / "report.html")
     screen.print(f"wrote {path}", highlight=False, soft_wrap=True)
+
+
+@app.command()
+def export(
+    form: Annotated[str, typer.Argument(metavar="FORMAT", help="kitti, trupercept, opv2v, veremi, veremi-nextgen.")],
+    folder: Annotated[Path, typer.Argument(metavar="RUN", help="Run folder.")],
+    out: Annotated[Path, typer.Option(help="New folder to write; an export that was interrupted goes on in its own.")],
+    vehicles: Annotated[
+        str | None,
+        typer.Option(help="Vehicles with a LiDAR, such as 3,17,20-25; all by default. trupercept: ego first."),
+    ] = None,
+    steps: Annotated[str | None, typer.Option(help="Steps, such as 0-59; all by default.")] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Write a run in the layout that other tools read."""
+    from cosim.export import export as write
+    from results.archive import open_run
+
+    bar = Progress(
+        SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(),
+        TimeRemainingColumn(), console=notes, disable=not notes.is_terminal,
+    )  # fmt: skip
+    with bar:
+        task = bar.add_task(form, total=None)
+        done = write(
+            open_run(folder), form, out, vehicles, steps,
+            lambda what, n, total: bar.update(task, description=f"{form}, {what}", completed=n, total=total),
+        )  # fmt: skip
+    if as_json:
+        print_json(done)
+        return
+    said = f"wrote {done['files']:,} files, {done['bytes'] / 1e6:,.1f} MB, in {done['out']}"
+    screen.print(said, highlight=False, markup=False, soft_wrap=True)
 
 
 @app.command()

@@ -7,6 +7,7 @@ import math
 import tomllib
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
+from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, get_args, get_origin
 
@@ -19,6 +20,7 @@ from cosim.choices import Choice, resolve
 from cosim.driver.driver import DriverParams
 from cosim.driver.drivers import DRIVERS
 from cosim.fleet import FleetParams
+from cosim.meshes import MeshParams
 from cosim.mobility.params import TrafficParams, resolved_input
 from cosim.radio.medium import MEDIA
 from cosim.radio.params import RadioParams
@@ -114,6 +116,7 @@ class Config:
     traffic: TrafficParams = field(default_factory=TrafficParams)
     fleet: FleetParams = field(default_factory=FleetParams)
     lidar: LidarParams = field(default_factory=LidarParams)
+    meshes: tuple[MeshParams, ...] = ()
     area: AreaParams = field(default_factory=AreaParams)
     detector: DetectorParams = field(default_factory=DetectorParams)
     attacks: tuple[AttackParams, ...] = ()
@@ -147,6 +150,11 @@ class Config:
             raise ValueError(
                 'server.uplink = "rsu", but there are no roadside units: nothing would ever reach the server. '
                 "Set rsu.at or rsu.n_at_junctions."
+            )
+        if self.meshes and self.lidar.engine == "columnar":
+            raise ValueError(
+                'lidar.engine = "columnar" casts upright prisms, and there are [[meshes]]. Set lidar.engine to '
+                '"embree" or "open3d".'
             )
         check_attacks(self.attacks, self.trust.freshness_s, self.sensing_interval_s)
         check_server(
@@ -249,6 +257,9 @@ def resolve_data(data: dict[str, Any], where: str, folder: Path | None) -> Confi
         if isinstance(given, str):
             cities = catalogue.names() if name == "scenario" else ()
             data["traffic"][name] = resolved_input(given, folder or Path(), cities)
+    for mesh in data.get("meshes", []):
+        if isinstance(mesh.get("file"), str):
+            mesh["file"] = str(((folder or Path()) / mesh["file"]).resolve())
     traffic = data.get("traffic", {})
     if isinstance(traffic.get("scenario"), str) and not {"step_s", "trace"} & traffic.keys():
         if (own_s := _own_step_s(traffic["scenario"])) is not None:
@@ -333,10 +344,15 @@ def _take_own(section: dict[str, Any], name: str, model: Any, where: str, folder
     return {k: made[k] for k in made if k in of_class}
 
 
+@cache
+def _adapter(model: Any) -> TypeAdapter:
+    return TypeAdapter(model)
+
+
 def validated(model: Any, data: Any, prefix: str, where: str) -> Any:
     """Typed parameters from plain data; ValueError in one line for a mistake."""
     try:
-        return TypeAdapter(model).validate_json(json.dumps(data, default=str), strict=True)
+        return _adapter(model).validate_json(json.dumps(data, default=str), strict=True)
     except ValidationError as error:
         first = error.errors()[0]
         name = ".".join([*([prefix] if prefix else []), *(str(p) for p in first["loc"])])

@@ -44,7 +44,7 @@ from results.codes import TrustSource
 from results.encounters import Rows
 from trust import tables
 from trust.fusion import Fused
-from trust.tables import Evaluations, ObjectLists, TrustScores
+from trust.tables import EvaluationMessages, Evaluations, ObjectLists, TrustScores
 
 
 @dataclass(slots=True)
@@ -118,6 +118,8 @@ class Sensed:
     """What is evaluated under each identity of each vehicle."""
     reported: Evaluations
     """Evaluations as transmitted."""
+    messages: tuple[EvaluationMessages, EvaluationMessages]
+    """Evaluations of what was transmitted: as transmitted, and as evaluators keep them; the same rows."""
     n_points: Int[ndarray, "m"]
     plausible: Bool[ndarray, "m"]
     matched: Bool[ndarray, "m"]
@@ -259,8 +261,8 @@ def step(world: World, state: State, parts: Parts) -> tuple[State, StepResult]:
     named = [None if scores is None else parts.linkage.scores(s.pseudonyms, scores) for scores in published]
     return s, StepResult(world, closed, ended, Sensed(
         vehicles, senders, observed, listed.objects, listed.truth, listed.withheld, listed.detections, rounds,
-        all_links, evaluated.lists, evaluated.reported, evaluated.n_points, evaluated.plausible, evaluated.matched,
-        evaluated.lied, used, lookups, fused, _per_variant(named, parts), _per_variant(server, parts), in_range,
+        all_links, evaluated.lists, evaluated.reported, (evaluated.sent, evaluated.kept_messages), evaluated.n_points,
+        evaluated.plausible, evaluated.matched, evaluated.lied, used, lookups, fused, _per_variant(named, parts), _per_variant(server, parts), in_range,
         inter_reception, outcomes,
     ), commands, reactions)  # fmt: skip
 

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field
 
 import numpy as np
-from jaxtyping import Bool, Int
+from jaxtyping import Bool, Int, UInt64
 from numpy import ndarray
 
 from cosim import rng
@@ -53,7 +53,7 @@ class Perception:
 
     def sweep(self, world: World, observers: Int[ndarray, "e"]) -> lidar.Sweeps:
         """Range images of these rows of the world."""
-        keys = rng.keys(rng.key(self.seed, rng.Stream.SWEEP, world.step), world.name_key[observers])
+        keys = sweep_keys(self.seed, world, observers)
         self._memory = lidar.scan(world.boxes, world.shape, observers, self.city, self.lidar, keys, self._memory)
         return self._memory
 
@@ -87,3 +87,8 @@ class Perception:
             site_step=rng.keys(rng.key(self.seed, rng.Stream.CLUTTER, step), names[observers]),
             site_observer=rng.keys(site, names[observers]),
         )
+
+
+def sweep_keys(seed: int, world: World, observers: Int[ndarray, "e"]) -> UInt64[ndarray, "e"]:
+    """Keys of the LiDARs' randomness in these rows of the world."""
+    return rng.keys(rng.key(seed, rng.Stream.SWEEP, world.step), world.name_key[observers])

@@ -11,14 +11,17 @@ from cosim.actors import ActorRegistry
 from cosim.cycle import Sensed, StepResult
 from cosim.radio.message_round import Outcome
 from cosim.reactions import Reactions
+from cosim.trackers import evidence_audit
 from cosim.trackers.channel_counts import latency_histogram, pdr_by_distance, vehicle_channel
 from cosim.v2x.messages import FABRICATED
 from cosim.v2x.pseudonyms import PseudonymUse
+from cosim.v2x.trust_hosts import Lookups, ServerTraffic
 from cosim.world import World
 from results.codes import LookupState, MessageType, TrustSource
 from results.encounters import Rows, by_variant
 from results.recorder import Recorder
 from sensors.boxes import Boxes
+from trust.tables import TrustScores
 
 OUTCOMES = {
     "n_delivered": Outcome.RECEIVED,
@@ -46,6 +49,7 @@ def step(recorder: Recorder, happened: StepResult, dt_s: float) -> None:
     _channel(recorder, at, sensed)
     _receptions(recorder, at, sensed)
     _evaluations(recorder, at, sensed)
+    _evidence(recorder, happened.world, sensed)
     _trust(recorder, at, sensed, dt_s)
     _fused(recorder, at, sensed)
     for rows in sensed.attack_outcomes:
@@ -167,10 +171,47 @@ def _evaluations(recorder: Recorder, at: int, sensed: Sensed) -> None:
         "plausible__valid": ~sensed.matched, "matched": sensed.matched,
         "lied": sensed.lied,
     })  # fmt: skip
+    if "transmitted_evaluations" in recorder.tables:
+        _transmitted(recorder, at, sensed)
+
+
+def _transmitted(recorder: Recorder, at: int, sensed: Sensed) -> None:
+    sent, own = sensed.messages
+    recorder.append("transmitted_evaluations", at, {
+        "evaluator": np.repeat(sent.evaluator, np.diff(sent.ptr)), "observer": sent.observer,
+        "detection_index": sent.detection_index, "evaluation": sent.evaluation, "visibility": sent.visibility,
+        "own_evaluation": own.evaluation, "own_visibility": own.visibility,
+    })  # fmt: skip
+    detections, chosen = sensed.detections, sensed.listed.transmitted
+    recorder.append("transmitted_scores", at, {
+        "observer": sensed.senders.pseudonym[detections.message[chosen]],
+        "detection_index": detections.detection_index[chosen], "score": detections.score[chosen],
+    })  # fmt: skip
+
+
+def _evidence(recorder: Recorder, world: World, sensed: Sensed) -> None:
+    listed, truth, reported = sensed.listed, sensed.truth, sensed.reported
+    recorder.append("evidence", world.step, evidence_audit.audit(
+        sensed.lists.owner[sensed.lists.of_member()], sensed.lists.member, reported.evaluation, reported.visibility,
+        sensed.detections.message, truth.actor_row, truth.is_real, listed.origin == FABRICATED,
+        world.attack[sensed.vehicles.row[sensed.senders.vehicle]] > 0, sum(happened.frames.n_duplicate for happened in sensed.rounds),
+        sensed.fused[0],
+    ))  # fmt: skip
 
 
 def _trust(recorder: Recorder, at: int, sensed: Sensed, dt_s: float) -> None:
-    for variant, scores in enumerate(sensed.published):
+    used = sensed.used
+    receiver, subject = sensed.vehicles.actor[used.receiver], sensed.vehicles.pseudonym[used.message]
+    trust(recorder, at, dt_s, sensed.published, sensed.server, receiver, subject, sensed.lookups)
+
+
+def trust(
+    recorder: Recorder, at: int, dt_s: float, published: Sequence[TrustScores | None],
+    servers: Sequence[ServerTraffic | None], receiver: Int[ndarray, "n"], subject: Int[ndarray, "n"],
+    lookups: Sequence[Lookups],
+) -> None:  # fmt: skip
+    """What trust computed, sent and answered in a step, per trust variant; `lookups` are of `subject` by `receiver`."""
+    for variant, scores in enumerate(published):
         if scores is None:
             continue
         recorder.append("trust", at, {
@@ -183,7 +224,7 @@ def _trust(recorder: Recorder, at: int, sensed: Sensed, dt_s: float) -> None:
                 (at - scores.oldest_evaluation_step) * dt_s, scores.is_judged,
             ),
         })  # fmt: skip
-    for variant, server in enumerate(sensed.server):
+    for variant, server in enumerate(servers):
         if server is None:
             continue
         up, down = server.up, server
@@ -194,9 +235,7 @@ def _trust(recorder: Recorder, at: int, sensed: Sensed, dt_s: float) -> None:
             "n_outage": np.array([up.n_outage]), "uplink_bytes": np.array([up.uplink_bytes]),
             "n_addressed": np.array([down.n_addressed]), "n_informed": np.array([down.n_informed]),
         })  # fmt: skip
-    used = sensed.used
-    receiver, subject = sensed.vehicles.actor[used.receiver], sensed.senders.pseudonym[used.message]
-    for variant, found in enumerate(sensed.lookups):
+    for variant, found in enumerate(lookups):
         recorder.append("trust_lookups", at, {
             "variant": np.full(len(receiver), variant), "receiver": receiver, "subject": subject,
             "trust": found.trust, "source": found.source, "state": found.state, "age_s": found.age_s,

@@ -5,25 +5,27 @@ They equal the run's, because noise is a function of vehicle and step.
 
 import logging
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pyarrow.compute as pc
+from jaxtyping import Int
+from numpy import ndarray
 
-from cosim.actors import ActorRegistry
+from cosim.actors import actor_key
 from cosim.config import Config, load
-from cosim.mobility.replay import RunReplay
-from cosim.parts import perception_of
+from cosim.meshes import with_meshes
+from cosim.perception import sweep_keys
 from cosim.scenario import find
 from cosim.world import World
 from results.figures import style
 from results.figures.sweep import draw
 from results.run import Run
-from sensors import cloud
+from sensors import cloud, lidar
 from sensors.boxes import Boxes
 from sensors.lidar import Sweeps
-from sensors.scene import Scene
+from sensors.scene import Scene, Shape
 
 _LOG = logging.getLogger(__name__)
 
@@ -34,19 +36,35 @@ def config_of(run: Run) -> Config:
 
 
 def city_of(config: Config) -> Scene:
-    """The buildings of its scenario."""
-    return find(config.traffic.scenario, config.traffic.trace).city()
+    """The buildings of its scenario, and its meshes."""
+    return with_meshes(find(config.traffic.scenario, config.traffic.trace).city(), config.meshes)
 
 
-def worlds(run: Run, config: Config) -> Iterator[World]:
-    """The world of every step, as it was sensed."""
-    params = replace(config.traffic, begin_s=None, warmup_s=None, trace=None)
-    traffic = RunReplay(params, run.path, ActorRegistry(config.fleet, config.seed))
-    try:
-        for _ in range(int(run.manifest["steps"])):
-            yield traffic.advance()
-    finally:
-        traffic.close()
+def worlds(run: Run, config: Config, steps: Int[ndarray, "s"] | None = None) -> Iterator[World]:
+    """The worlds of these steps, as they were sensed, in ascending order; of all without them."""
+    run.require("actors", "vehicles")
+    steps = np.arange(int(run.manifest["steps"])) if steps is None else steps
+    vehicles = run.table("vehicles").sort_values("vehicle")
+    shape = np.array([Shape[c.upper()] for c in vehicles.vehicle_class], np.uint8)
+    lwh_m = vehicles[["length_m", "width_m", "height_m"]].to_numpy(float)
+    names = zip(vehicles.sumo_id, (shape == Shape.PEDESTRIAN).tolist(), strict=True)
+    name_key = np.array([actor_key(name, person) for name, person in names], np.uint64)
+    equipped = vehicles.equipped.to_numpy(bool)
+    for part in run.parts("actors", where=pc.field("step").isin(np.asarray(steps).tolist())):
+        for step, rows in part.sort_values(["step", "actor"]).groupby("step"):
+            actor = rows.actor.to_numpy(np.int64)
+            boxes = Boxes(rows[["x_m", "y_m", "z_m"]].to_numpy(float), lwh_m[actor], rows.yaw_rad.to_numpy(float))
+            yield World(
+                int(step), actor, name_key[actor], shape[actor], boxes, rows.speed_mps.to_numpy(float),
+                equipped[actor], np.zeros(len(actor), np.uint8),
+            )  # fmt: skip
+
+
+def sweep(config: Config, city: Scene, world: World, rows: Int[ndarray, "e"]) -> Sweeps:
+    """Sweeps of these rows of the world, in memory of their own."""
+    return lidar.scan(
+        world.boxes, world.shape, rows, city, config.lidar, sweep_keys(config.seed, world, rows)
+    )  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,13 +93,15 @@ def replay_scan(run: Run, vehicle: int, step: int) -> ReplayedScan:
     scenario = find(config.traffic.scenario, config.traffic.trace)
     if changed := scenario.changed_inputs(run.manifest.get("net", {})):
         _LOG.warning("%s: changed since it was recorded: %s", run.path, ", ".join(changed))
-    world = next(w for w in worlds(run, config) if w.step == step)
+    world = next(worlds(run, config, np.array([step])), None)
+    if world is None:
+        raise ValueError(f"--step {step}: nobody is on the road then.")
     equipped = world.actor[world.equipped]
     if vehicle not in equipped:
         some = ", ".join(map(str, equipped[:8]))
         raise ValueError(f"--vehicle {vehicle} has no sensor on the road in step {step}. These have: {some}, ...")
     row = np.flatnonzero(world.actor == vehicle)
-    sweeps = perception_of(config, city_of(config)).sweep(world, row)
+    sweeps = sweep(config, city_of(config), world, row)
     rows = np.flatnonzero(np.linalg.norm(world.boxes.xyz_m - sweeps.poses.origin_m, axis=1) < config.lidar.max_range_m)
     rows = rows[rows != row]
     own = run.subjects.index[run.subjects.vehicle == vehicle].tolist()

@@ -17,6 +17,7 @@ from cosim.config import Config, chosen
 from cosim.cycle import State, step
 from cosim.driver.driver import largest_step_s
 from cosim.manifest import Manifest
+from cosim.meshes import with_meshes
 from cosim.mobility.remarks import traffic_remarks
 from cosim.mobility.source import TrafficEnded, TrafficError, TrafficSource
 from cosim.parts import Parts, check_choices, sources
@@ -28,6 +29,7 @@ from sensors import lidar
 from sensors.boxes import Boxes
 from sensors.scene import Scene, Shape
 from sumo_nets.network import junctions
+from trust.models.interface import ModelError
 
 Advance = Callable[[str, int, int, str], None]
 """Told of progress: phase, done, total, a note."""
@@ -44,6 +46,7 @@ def check(config: Config) -> Scenario:
     check_choices(config)
     _check_driver(config, scenario)
     lidar.beams(config.lidar)
+    with_meshes(Scene.empty(), config.meshes)
     if config.lidar.engine != "columnar":  # the others are libraries that may not be there
         one = Boxes(np.zeros((1, 3)), np.ones((1, 3)), np.zeros(1))
         car, first = np.array([Shape.CAR], np.uint8), np.zeros(1, np.int64)
@@ -101,7 +104,7 @@ def run(config: Config, out: Path | None, advance: Advance, traffic_from: Path |
     folder = _folder(out, scenario.name)
     watch = Stopwatch()
     with watch("city"):
-        city = scenario.city()
+        city = with_meshes(scenario.city(), config.meshes)
     parts = Parts.of(config, city, roadside_units(config, scenario), watch)
     registry = ActorRegistry(config.fleet, config.seed, shares(config.attacks), named(config.attacks))
     recorded = scenario if traffic_from is None else replace(scenario, trace=traffic_from, warmup_s=0.0)
@@ -118,7 +121,7 @@ def run(config: Config, out: Path | None, advance: Advance, traffic_from: Path |
         except KeyboardInterrupt:
             manifest.write("interrupted")
             raise
-        except TrafficError:
+        except (TrafficError, ModelError):
             manifest.write("failed")
             raise
         except Exception as error:

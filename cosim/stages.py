@@ -167,6 +167,8 @@ class Evaluated:
     """A message per vehicle."""
     sent: EvaluationMessages
     """A message per row of `Senders`."""
+    kept_messages: EvaluationMessages
+    """The same rows with the evaluations that the vehicles keep."""
 
 
 def evaluate_objects(
@@ -195,8 +197,9 @@ def evaluate_objects(
     if at is not None:
         n_points, plausible, ego, lied = n_points[at], plausible[at], ego[at], lied[at]
         own, reported = (Evaluations(e.evaluation[at], e.visibility[at]) for e in (own, reported))
+    kept = own_messages if at is None else carried(lists, own)
     sent = carried(lists, reported)
-    return Evaluated(points, possible, lists, n_points, plausible, ego, own, reported, lied, own_messages, sent)
+    return Evaluated(points, possible, lists, n_points, plausible, ego, own, reported, lied, own_messages, sent, kept)
 
 
 def update_trust(

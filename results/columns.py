@@ -14,7 +14,7 @@ LEVELS: tuple[Level, ...] = ("summary", "standard", "full")
 class Column:
     """One column. What is absent is null (only where `null`), never a sentinel number."""
 
-    type: Literal["int32", "int16", "uint8", "float32", "bool", "string", "category"]
+    type: Literal["int32", "int16", "uint8", "float32", "float64", "bool", "string", "category"]
     _: KW_ONLY
     meaning: str
     unit: str = ""

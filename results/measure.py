@@ -14,10 +14,13 @@ from results.metrics import (
     contact_graph,
     detection,
     encounters,
+    evidence,
     freshness,
     misbehaviour,
     radio,
     registry,
+    safety,
+    security,
     trust,
 )
 from results.metrics.intervals import FEW
@@ -32,11 +35,14 @@ TOPICS: Mapping[str, ModuleType] = {
     "encounters": encounters,
     "trust": trust,
     "misbehaviour": misbehaviour,
+    "security": security,
+    "evidence": evidence,
     "freshness": freshness,
     "radio": radio,
     "detection": detection,
     "attack": attack,
     "contacts": contact_graph,
+    "safety": safety,
 }
 """Modules of metrics by topic, as `run.measure.<topic>`."""
 
@@ -89,10 +95,13 @@ def measure(
         "encounters": lambda: _encounters(run),
         "trust": lambda: _trust(run),
         "misbehaviour": lambda: _misbehaviour(run, threshold, false_positives),
+        "security": lambda: _security(run, threshold),
+        "evidence": lambda: _evidence(run),
         "freshness": lambda: _freshness(run, fresh_s),
         "radio": lambda: _radio(run),
         "detection": lambda: _detection(run, max_frames),
         "attack": lambda: _attack(run),
+        "safety": lambda: _safety(run),
     }
     rows: list[Row] = []
     for topic in topics:
@@ -241,6 +250,23 @@ def _misbehaviour(run: Run, threshold: float, false_positives: float) -> Iterato
         })  # fmt: skip
 
 
+def _security(run: Run, threshold: float) -> Iterator[Row]:
+    for suffix, relative in (("", None), ("_relative", 0.5)):
+        yield from _rows(security.confusion(run, threshold, relative), "{unit}", {
+            name: name + suffix for name in ("precision", "recall", "fpr", "f1", "mcc", "informedness")
+        })  # fmt: skip
+        yield Row(f"false_exclusions_per_h{suffix}", "", security.false_exclusions(run, threshold, relative))
+    yield Row("average_precision", "", security.average_precision(run))
+    yield from _rows(security.trust_error(run), "{role}", {"error": "trust_error"})
+
+
+def _evidence(run: Run) -> Iterator[Row]:
+    yield from _rows(evidence.multiplicity(run), "", {
+        "trust": "trust.multiplicity", "fused": "fused.multiplicity", "echoes": "echoes.share",
+        "copies": "copies_per_evaluation",
+    })  # fmt: skip
+
+
 def _freshness(run: Run, fresh_s: float) -> Iterator[Row]:
     yield from _rows(freshness.evidence(run), "{role}", {
         "unjudged_share": "server_unjudged.share", "newest_s": "server_newest_evaluation.median_s",
@@ -312,3 +338,14 @@ def _attack(run: Run) -> Iterator[Row]:
     yield from _rows(attack.false_in_path(run), "{among}", {
         "share": "false_in_path.share", "boxes_mean": "false_in_path.boxes_mean",
     }, "share")  # fmt: skip
+
+
+def _safety(run: Run) -> Iterator[Row]:
+    found = safety.summary(run)
+    yield from (Row(str(name), "", float(value)) for name, value in found.items())
+    if "reactions" in run.tables and run.n_blocks("reactions"):
+        yield from _rows(safety.by_kind(run), "{kind}", {
+            "n": "reactions.n", "per_km": "reactions.per_km", "hard_per_km": "reactions_hard.per_km",
+            "taken_mean_mps": "speed_taken.mean_mps", "wave_mean_n": "wave.vehicles.mean",
+            "wave_mean_m": "wave.length.mean_m",
+        })  # fmt: skip

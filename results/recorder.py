@@ -210,7 +210,7 @@ def _write(path: Path, table: str, rows: list[dict[str, ndarray]], of_run: Mappi
             arrays.append(pa.DictionaryArray.from_arrays(codes, list(column.labels(of_run))))
         else:
             arrays.append(pa.array(columns[name], column.arrow_type, mask=mask))
-    floats = [name for name, column in TABLES[table].stored.items() if column.type == "float32"]
+    floats = [name for name, column in TABLES[table].stored.items() if column.type.startswith("float")]
     partial = path.with_suffix(_PARTIAL)
     pq.write_table(
         pa.Table.from_arrays(arrays, schema=schema(table)),
@@ -265,6 +265,8 @@ def _cell_hash(cells: pa.Array, column: Column) -> ndarray:
         values = hash_array(cells.fill_null("").to_numpy(zero_copy_only=False), categorize=False)
     elif column.type == "float32":
         values = (cells.fill_null(0).to_numpy() + np.float32(0)).view(np.uint32).astype(np.uint64)
+    elif column.type == "float64":
+        values = (cells.fill_null(0).to_numpy() + 0.0).view(np.uint64)
     elif column.type == "bool":
         values = cells.fill_null(False).to_numpy(zero_copy_only=False).astype(np.uint64)
     else:

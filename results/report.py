@@ -99,6 +99,7 @@ def _facts(run: Run, numbers: pd.DataFrame) -> str:
         ("trust.final.median", "malicious", "final trust, malicious"),
         ("misbehaviour.auc", "malicious", "AUC, honest against malicious"),
         ("radio.pdr.all", None, "packet delivery ratio"),
+        ("safety.hard_braking.per_km", None, "hard braking per vehicle-kilometre"),
     ]
     boxes = []
     for metric, group, text in wanted:

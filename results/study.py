@@ -31,8 +31,8 @@ class Study:
         self.baseline: dict[str, Any] = head["baseline"]
         """Swept keys and values of the points that the others are compared with."""
         self.points = points
-        """One row per point: point, run, variant, replicate, state, attempts, wall_s, memory_bytes, disk_bytes, and a
-        column per swept key."""
+        """One row per point: point, run, variant, replicate, state, attempts, wall_s, cpu_s, memory_bytes, disk_bytes,
+        and a column per swept key."""
 
     def run(self, point: str) -> OpenRun:
         """The run of a point, seen as the point's trust variant."""

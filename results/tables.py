@@ -24,7 +24,7 @@ from results.codes import (
 )
 from results.columns import LEVELS, Column, Level, Table
 
-SCHEMA_VERSION = 6
+SCHEMA_VERSION = 7
 """Raised whenever a table or column changes its name, type, unit or meaning."""
 
 
@@ -214,6 +214,19 @@ TABLES: Mapping[str, Table] = {
             "distance_m": Column("float32", unit="m", bits=5, meaning="Between author and receiver, when sent."),
         },
     ),
+    "evidence": Table(
+        "summary",
+        "How often one look counts more than once on its way into trust values and fused scores.",
+        {
+            "step": _STEP,
+            "n_copies": _count("Copies of messages that their receivers already had, set aside."),
+            "n_evaluations": _count("Evaluations of others' detections with visibility above 0, as sent: the evidence for trust values."),
+            "n_looks": replace(_count("Distinct looks behind them: an evaluator, an observer and an actual object."), truth=True),
+            "n_echoes": replace(_count("Of the evaluations, those by which an attacker confirms what another attacker fabricated."), truth=True),
+            "n_fused_evaluations": _count("Evaluations behind the fused objects: pairs of a detection and an evaluator."),
+            "n_fused_evaluators": _count("Pairs of a fused object and an evaluator behind it."),
+        },
+    ),
     "radio": Table(
         "summary",
         "The channel, all stations together.",
@@ -305,6 +318,30 @@ TABLES: Mapping[str, Table] = {
             "plausible": Column("bool", null=True, meaning="Free-space test in its own sweep; null where not made."),
             "matched": Column("bool", meaning="Matched a detection of the evaluator's own."),
             "lied": Column("bool", truth=True, meaning="A lie: sent otherwise than made, by more than 0.1 of evaluation times visibility."),
+        },
+    ),
+    "transmitted_evaluations": Table(
+        "full",
+        "Evaluations as they were transmitted, unrounded, beside those that the evaluator keeps for itself: what trust is computed from.",
+        {
+            "step": _key("Step of the detection and of the evaluation."),
+            "evaluator": _key("Pseudonym of the vehicle that evaluates."),
+            "observer": _key("Pseudonym of the vehicle that made the detection."),
+            "detection_index": _key("Number of the detection in its list.", "int16"),
+            "evaluation": Column("float64", unit="1", meaning="As in `evaluations`, as transmitted."),
+            "visibility": Column("float64", unit="1", meaning="As in `evaluations`, as transmitted."),
+            "own_evaluation": Column("float64", unit="1", meaning="The same as the evaluator keeps it, no attack."),
+            "own_visibility": Column("float64", unit="1", meaning="The same as the evaluator keeps it, no attack."),
+        },
+    ),
+    "transmitted_scores": Table(
+        "full",
+        "Scores of the detections that were transmitted, unrounded.",
+        {
+            "step": _STEP,
+            "observer": _key("Pseudonym of the vehicle that made the detection."),
+            "detection_index": _key("Number of the detection in its list.", "int16"),
+            "score": Column("float64", unit="1", meaning="Confidence in [0, 1]."),
         },
     ),
     "trust": Table(

@@ -44,7 +44,8 @@ class Fused:
     score: Float[ndarray, "f"]  # in [0, 1]
     ego_detected: Bool[ndarray, "f"]  # the seed is the ego's detection
     n_sources: Int[ndarray, "f"]  # detections in the group
-    n_evaluations: Int[ndarray, "f"]  # evaluations behind the score
+    n_evaluations: Int[ndarray, "f"]  # evaluations behind the score: pairs of a detection and an evaluator
+    n_evaluators: Int[ndarray, "f"]  # vehicles that made them
 
     def take(self, rows: ndarray) -> "Fused":
         """The chosen rows (a mask or row numbers)."""
@@ -113,12 +114,18 @@ class _Weights(NamedTuple):
 
 
 class _MemberSums(NamedTuple):
-    """Per position of the egos' lists: sum Phi T e, sum Phi T, number of evaluations, trust of its detector."""
+    """Per position of the egos' lists: sum Phi T e, sum Phi T, number of evaluations, trust of its detector, group.
+
+    Per group: number of evaluators, and the last one as a row of the received messages.
+    """
 
     num: ndarray
     den: ndarray
     n: ndarray
     detector: ndarray
+    group: ndarray
+    n_evaluators: ndarray
+    last: ndarray
 
 
 @njit(cache=True, parallel=True)
@@ -127,7 +134,7 @@ def _accumulate(lists, of, weights, n_chunks, sums):
     list_ptr, member, owner, message = lists
     evaluated_ptr, evaluated, evaluated_by, own_e, own_phi, reported_e, reported_phi = of
     received_ptr, received, trust, has_evaluations, ego_trust, ego_computed, default_trust, unit_trust = weights
-    num, den, n, detector = sums
+    num, den, n, detector, group, n_evaluators, last = sums
     n_detections = message.size
     n_messages = evaluated_by.size
     for chunk in prange(n_chunks):
@@ -156,6 +163,10 @@ def _accumulate(lists, of, weights, n_chunks, sums):
                         num[p] += w * e[s]
                         den[p] += w
                         n[p] += 1
+                        g = group[p]
+                        if last[g] != h:
+                            last[g] = h
+                            n_evaluators[g] += 1
             for p in range(list_ptr[x], list_ptr[x + 1]):
                 at[member[p]] = -1
             for h in range(received_ptr[x], received_ptr[x + 1]):
@@ -305,6 +316,8 @@ def fuse(
     object does not count once per message; "Phi < 10" in TruPercept 3 is read as fewer than 10 returns.
     """
     m = lists.member.size
+    seeds = groups.seeds()
+    group, n_evaluators = np.searchsorted(seeds, groups.seed), np.zeros(seeds.size, np.int64)
     num, den, detector = np.zeros(m), np.zeros(m), np.zeros(m)
     n = np.zeros(m, np.int64)
     rows = (lists.owner, evaluated.owner, sender_trust.message, detections.message)
@@ -326,10 +339,9 @@ def fuse(
             int64(sender_trust.ptr), int64(sender_trust.message), sender_trust.trust, arrived,
             params.ego_trust, computed, params.default_trust, params.code_parity,
         )  # fmt: skip
-        _accumulate(of_lists, of_evaluations, weights, n_threads, _MemberSums(num, den, n, detector))
+        sums_of_members = _MemberSums(num, den, n, detector, group, n_evaluators, np.full(seeds.size, -2))
+        _accumulate(of_lists, of_evaluations, weights, n_threads, sums_of_members)
 
-    seeds = groups.seeds()
-    group = np.searchsorted(seeds, groups.seed)
     member, row = lists.member, lists.member[seeds]
     score_of_member = detections.score[member]
 
@@ -370,7 +382,7 @@ def fuse(
         pose = np.where(score > 0, pose, row)
     fused = Fused(
         lists.of_member()[seeds], row, pose, score, sums.ego_detected, size,
-        total(n.astype(float)).astype(np.int64),
+        total(n.astype(float)).astype(np.int64), n_evaluators,
     )  # fmt: skip
     return fused.take(~(sums.ego_detected & detections.is_self[row]))
 

@@ -80,19 +80,23 @@ class OpenSteps:
         sent_by = np.repeat(np.arange(t.evaluator.size), np.diff(t.ptr))
         observer, index = int64(t.observer), int64(t.detection_index)
         present, transmitted = self._pseudonyms[t.step], self._detections[t.step]
-        in_range = (index >= 0) & (index < MAX_DETECTIONS) & _is_in(observer, present)
-        key = np.where(in_range, pair_key(observer, index), -1)
-        known = np.flatnonzero(_is_in(key, transmitted))
-        repeated = np.ones(key.size, bool)
-        numbers = sent_by[known] * transmitted.size + np.searchsorted(transmitted, key[known])
-        repeated[known[np.unique(numbers, return_index=True)[1]]] = False
+        at, is_transmitted = _find(pair_key(observer, index), transmitted)
+        is_transmitted &= (index >= 0) & (index < MAX_DETECTIONS) & (observer >= 0)
+        is_present = is_transmitted.copy()
+        others = np.flatnonzero(~is_transmitted)
+        is_present[others] = _find(observer[others], present)[1]
+        known = np.flatnonzero(is_transmitted)
+        numbers = sent_by[known] * transmitted.size + at[known]
+        order = np.argsort(numbers, kind="stable")  # in time proportional to their number where lists are by observer
+        repeated = np.zeros(sent_by.size, bool)
+        repeated[known[order[1:][numbers[order[1:]] == numbers[order[:-1]]]]] = True
         with np.errstate(invalid="ignore"):
             valid = (np.abs(t.evaluation) <= 1.0) & (t.visibility >= 0.0) & (t.visibility <= 1.0)
         return np.select(
             [
-                ~_is_in(int64(t.evaluator), present)[sent_by],
-                ~_is_in(observer, present),
-                ~_is_in(key, transmitted),
+                ~_find(int64(t.evaluator), present)[1][sent_by],
+                ~is_present,
+                ~is_transmitted,
                 ~valid,
                 repeated,
             ],
@@ -107,7 +111,9 @@ class OpenSteps:
         )
 
 
-def _is_in(values: Int[ndarray, "n"], ascending: Int[ndarray, "m"]) -> Bool[ndarray, "n"]:
+def _find(values: Int[ndarray, "n"], ascending: Int[ndarray, "m"]) -> tuple[Int[ndarray, "n"], Bool[ndarray, "n"]]:
+    """Position of each value, and whether it is there."""
     if not ascending.size:
-        return np.zeros(values.shape, bool)
-    return ascending[np.minimum(np.searchsorted(ascending, values), ascending.size - 1)] == values
+        return np.zeros(values.shape, np.int64), np.zeros(values.shape, bool)
+    at = np.minimum(np.searchsorted(ascending, values), ascending.size - 1)
+    return at, ascending[at] == values

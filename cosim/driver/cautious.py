@@ -22,6 +22,9 @@ _GATE_M, _FASTEST_MPS = 3.0, 40.0
 yet, anywhere that the fastest could have come to."""
 _LEVEL_M = 3.0
 """Objects whose footing is this much higher or lower than the vehicle's are on another road."""
+_PERSON_SHARES = (0.5, 1.0)
+"""Of the time in which persons may step into the corridor, when they are looked for there."""
+_FASTEST_PERSON_MPS = 3.0
 _ACCELERATION_MPS2 = 2.6
 """What a car gains at most, as SUMO's default: a speed that it cannot reach in a step commands nothing."""
 _EPS_S = 1e-6
@@ -49,8 +52,11 @@ class CautiousParams:
     """How long an object is reacted to after it was last believed [s]."""
     standstill_m: Annotated[float, Ge(0)] = 2.5
     """Gap that is left to an object [m]; that of SUMO's drivers."""
-    also_confirmed: bool = False
-    """Also react to what the own detector reports. SUMO's drivers know everything but persons beside crossings."""
+    persons_ahead_s: Annotated[float, Ge(0)] = 0.0
+    """Also brake for persons that would step into the corridor within this time at the speed they show [s]; city
+    pavements are full of persons near the lane, whose speeds two noisy places tell badly."""
+    own_persons: bool = False
+    """Also brake for persons that the own detector reports, which SUMO's drivers see at crossings only."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,8 +72,8 @@ class Believed:
     """Where it was in the last sweep in which it was believed."""
     lw_m: Float[ndarray, "k 2"]
     yaw_rad: Float[ndarray, "k"]
-    speed_mps: Float[ndarray, "k"]
-    """Along its heading, from its last two places."""
+    velocity_mps: Float[ndarray, "k 2"]
+    """From its last places; of all but persons, along the heading."""
     has_speed: Bool[ndarray, "k"]
     known_s: Float[ndarray, "k"]
     """When it was first fused."""
@@ -96,7 +102,7 @@ class Believed:
         xy = boxes.xyz_m[rows, :2]
         return Believed(
             world.actor[beliefs.ego[rows]].astype(np.int64), beliefs.label[rows], xy, xy, boxes.lwh_m[rows, :2],
-            boxes.yaw_rad[rows], np.zeros(n), np.zeros(n, bool), np.full(n, beliefs.known_s),
+            boxes.yaw_rad[rows], np.zeros((n, 2)), np.zeros(n, bool), np.full(n, beliefs.known_s),
             np.full(n, world.step * dt_s), np.full(n, world.step), beliefs.source[rows].astype(np.int64),
             beliefs.source_index[rows].astype(np.int64),
         )  # fmt: skip
@@ -150,7 +156,7 @@ class Cautious:
         p, boxes = self.params, beliefs.boxes
         path = _path_of(world, paths)
         asked = (beliefs.score >= p.min_score) & (path[beliefs.ego] >= 0) & self._reacts(world)[beliefs.ego]
-        asked &= p.also_confirmed | ~beliefs.ego_detected
+        asked &= ~beliefs.ego_detected | (p.own_persons & (beliefs.label == _PEDESTRIAN))
         look_m = self._look_m(world)
         front = world.boxes.xyz_m[beliefs.ego, :2]
         reach_m = look_m[beliefs.ego] + world.boxes.lwh_m[beliefs.ego, 0] + boxes.circumradius_m
@@ -158,17 +164,17 @@ class Cautious:
         footing = (b.xyz_m[:, 2] - b.lwh_m[:, 2] / 2 for b in (boxes, world.boxes.take(beliefs.ego)))
         asked &= np.abs(np.subtract(*footing)) <= _LEVEL_M
         rows = np.flatnonzero(asked)
-        if not p.also_confirmed:
-            own = np.flatnonzero(beliefs.ego_detected)
-            rows = rows[~_overlaps_own(beliefs, rows, own)]
-            if watched is not None and len(watched):
-                watched = watched.take(np.flatnonzero(~_seen_by_own(watched, beliefs, own, world)))
+        own = np.flatnonzero(beliefs.ego_detected & ~(p.own_persons & (beliefs.label == _PEDESTRIAN)))
+        rows = rows[~_overlaps_own(beliefs, rows, own)]
+        if watched is not None and len(watched):
+            watched = watched.take(np.flatnonzero(~_seen_by_own(watched, beliefs, own, world)))
         ego = beliefs.ego[rows]
         gap_m, _ = ahead_on_path(
             paths, path[ego], boxes.xyz_m[rows, :2], boxes.lwh_m[rows, :2], boxes.yaw_rad[rows], look_m[ego],
             p.half_width_m,
         )  # fmt: skip
-        found = Believed.of(beliefs, rows[np.isfinite(gap_m)], world, dt_s)
+        steps_out = (beliefs.label[rows] == _PEDESTRIAN) & (p.persons_ahead_s > 0)
+        found = Believed.of(beliefs, rows[np.isfinite(gap_m) | steps_out], world, dt_s)
         return found if watched is None or not len(watched) else _continued(watched, found)
 
     def _follow(self, watched: Believed, world: World, paths: LanePaths, now_s: float, dt_s: float) -> SpeedCommands:
@@ -179,11 +185,19 @@ class Cautious:
             paths, _path_of(world, paths)[row], watched.xy_m, watched.lw_m, watched.yaw_rad, self._look_m(world)[row],
             p.half_width_m,
         )  # fmt: skip
+        is_person = watched.label == _PEDESTRIAN
+        for share in _PERSON_SHARES if p.persons_ahead_s else ():
+            then_m = watched.xy_m + share * p.persons_ahead_s * watched.velocity_mps
+            later_m, _ = ahead_on_path(
+                paths, _path_of(world, paths)[row], then_m, watched.lw_m, watched.yaw_rad, self._look_m(world)[row],
+                p.half_width_m,
+            )  # fmt: skip
+            gap_m = np.where(is_person & watched.has_speed, np.minimum(gap_m, later_m), gap_m)
         along = np.cos(watched.yaw_rad - heading)
-        drives = (along > _ALONG) & (watched.label != _PEDESTRIAN)
+        drives = (along > _ALONG) & ~is_person
         due = np.isfinite(gap_m) & (now_s >= watched.known_s + p.reaction_s - _EPS_S)
         due &= ~drives | watched.has_speed
-        leader_mps = np.where(drives, np.maximum(watched.speed_mps * along, 0.0), 0.0)
+        leader_mps = np.where(drives, np.hypot(*watched.velocity_mps.T) * np.maximum(along, 0.0), 0.0)
         speed = world.speed_mps[row]
         bt = p.comfort_mps2 * dt_s
         free_m = np.maximum(np.where(due, gap_m, 0.0) - p.standstill_m, 0.0)
@@ -213,9 +227,7 @@ def _path_of(world: World, paths: LanePaths) -> Int[ndarray, "n"]:
 
 def _moved(watched: Believed, dt_s: float) -> Believed:
     """Everything a step on, by its speed."""
-    way = watched.speed_mps * watched.has_speed * dt_s
-    heading = np.column_stack([np.cos(watched.yaw_rad), np.sin(watched.yaw_rad)])
-    return replace(watched, xy_m=watched.xy_m + way[:, None] * heading)
+    return replace(watched, xy_m=watched.xy_m + watched.velocity_mps * dt_s)
 
 
 def _pairs(a: Int[ndarray, "a"], b: Int[ndarray, "b"]) -> tuple[ndarray, ndarray]:
@@ -254,14 +266,17 @@ def _continued(watched: Believed, found: Believed) -> Believed:
     order = np.lexsort((old, away_m, new))
     order = order[np.diff(new[order], prepend=-1) > 0]  # the nearest of each
     new, old, since_s = new[order], old[order], since_s[order]
+    shown = (found.seen_xy_m[new] - watched.seen_xy_m[old]) / since_s[:, None]
     heading = np.column_stack([np.cos(found.yaw_rad[new]), np.sin(found.yaw_rad[new])])
-    shown = np.clip(
-        np.sum((found.seen_xy_m[new] - watched.seen_xy_m[old]) * heading, axis=1) / since_s, 0, _FASTEST_MPS
+    forward = np.clip(np.sum(shown * heading, axis=1), 0, _FASTEST_MPS)[:, None] * heading
+    pace = np.maximum(np.hypot(*shown.T), 1e-9)[:, None]
+    shown = np.where(
+        (found.label[new] == _PEDESTRIAN)[:, None], shown * np.minimum(1, _FASTEST_PERSON_MPS / pace), forward
     )
-    speed, has_speed, known_s = found.speed_mps.copy(), found.has_speed.copy(), found.known_s.copy()
-    speed[new] = np.where(watched.has_speed[old], (watched.speed_mps[old] + shown) / 2, shown)
-    has_speed[new], known_s[new] = True, watched.known_s[old]
-    found = replace(found, speed_mps=speed, has_speed=has_speed, known_s=known_s)
+    before = np.where(watched.has_speed[old][:, None], watched.velocity_mps[old], shown)
+    velocity, has_speed, known_s = found.velocity_mps.copy(), found.has_speed.copy(), found.known_s.copy()
+    velocity[new], has_speed[new], known_s[new] = (before + shown) / 2, True, watched.known_s[old]
+    found = replace(found, velocity_mps=velocity, has_speed=has_speed, known_s=known_s)
     left = np.setdiff1d(np.arange(len(watched)), old)
     both = Believed.concat([found, watched.take(left)])
     return both.take(np.lexsort((both.source_index, both.source, both.ego)))

@@ -15,12 +15,14 @@ StudyPath = Annotated[Path, typer.Argument(help="Folder that `cosim sweep` wrote
 
 def add_to(app: typer.Typer) -> None:
     """Commands of studies beside the others."""
-    for command in (sweep, status, cache):
+    for command in (sweep, status, retrust, cache):
         app.command()(command)
 
 
 def sweep(
-    study: Annotated[Path, typer.Argument(help="Study file (TOML).")],
+    study: Annotated[
+        Path, typer.Argument(help="Study file (TOML), or one that ships: freshness, exposure, encounters.")
+    ],
     out: Annotated[Path, typer.Option(help="Folder of the study; what is there already is not done again.")],
     scheduler: Annotated[
         str | None, typer.Option(help="Address of a running Dask scheduler; by default this machine alone.")
@@ -64,6 +66,17 @@ def status(folder: StudyPath, as_json: AsJson = False) -> None:
 
     study, _, states, failed = sweeping.status(StudyFolder(folder))
     _print_states(study.head.name, folder, states, failed, as_json)
+
+
+def retrust(
+    run: Annotated[Path, typer.Argument(help='Folder of a run at record.level = "full".')],
+    variants: Annotated[Path, typer.Option(help="TOML file with sections [[trust_variant]].")],
+    out: Annotated[Path, typer.Option(help="Folder to write: the run, with these variants beside its own.")],
+) -> None:
+    """Compute other trust models and windows on the evidence of a run that is on disk."""
+    from cosim.studies.retrust import retrust as compute
+
+    screen.print(f"wrote {compute(run, variants, out)}", highlight=False, soft_wrap=True)
 
 
 def cache(

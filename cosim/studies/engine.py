@@ -42,7 +42,8 @@ def connected(scheduler: str | None, workers: int, study: Path) -> Iterator[Clie
     if scheduler is None:
         with (
             LocalCluster(
-                n_workers=1, threads_per_worker=workers, processes=False, dashboard_address=None, memory_limit=0,
+                n_workers=1, threads_per_worker=workers, processes=False, memory_limit=0,
+                dashboard_address="127.0.0.1:0",
             ) as cluster,
             Client(cluster) as client,
         ):  # fmt: skip
@@ -151,7 +152,7 @@ def drive_traffic(cache: str, name: str, config: str, study: str, timeout_s: flo
 
 def _attempt(words: Sequence[str], log: Path, stop: Path, timeout_s: float, memory_gb: float) -> Attempt:
     """Run `cosim.studies.worker` once, within limits."""
-    begun, outcome, peak = time.monotonic(), "", 0
+    begun, outcome, peak, cpu_s = time.monotonic(), "", 0, 0.0
     with log.open("ab") as out:
         process = subprocess.Popen(
             [sys.executable, "-m", "cosim.studies.worker", *words], stdin=subprocess.PIPE, stdout=out, stderr=out,
@@ -160,7 +161,8 @@ def _attempt(words: Sequence[str], log: Path, stop: Path, timeout_s: float, memo
         try:
             while process.poll() is None:
                 time.sleep(_POLL_S)
-                peak = max(peak, _resident(process.pid))
+                resident, cpu_s = _used(process.pid, cpu_s)
+                peak = max(peak, resident)
                 if stop.exists():
                     outcome = "stopped"
                 elif time.monotonic() - begun > timeout_s:
@@ -181,14 +183,18 @@ def _attempt(words: Sequence[str], log: Path, stop: Path, timeout_s: float, memo
     if not outcome:
         outcome = "failed" if process.returncode else "ok"
         said = _last_line(log) or f"ended with status {process.returncode}" if process.returncode else ""
-    return Attempt(outcome, wall_s, peak, said)
+    return Attempt(outcome, wall_s, peak, said, round(cpu_s, 2))
 
 
-def _resident(pid: int) -> int:
+def _used(pid: int, before_s: float) -> tuple[int, float]:
+    """Resident memory now, and processor time so far; that of before where the process is gone."""
     try:
-        return int(psutil.Process(pid).memory_info().rss)
+        process = psutil.Process(pid)
+        with process.oneshot():
+            spent = process.cpu_times()
+            return int(process.memory_info().rss), max(before_s, spent.user + spent.system)
     except psutil.Error:
-        return 0
+        return 0, before_s
 
 
 def _last_line(log: Path) -> str:

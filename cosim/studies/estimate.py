@@ -3,9 +3,8 @@
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
-from cosim.scenario import find
 from cosim.studies.plan import Plan
-from cosim.studies.points import Point
+from cosim.studies.points import Point, scenario_of
 
 START_S = 6.0
 """Start of a process, imports and compiled kernels included [s]."""
@@ -63,7 +62,7 @@ def estimate(points: Sequence[Point], made: Plan, stored: Collection[str], run_s
 def _traffic_s(config) -> float:
     warmup_s = config.traffic.warmup_s
     if warmup_s is None:
-        warmup_s = find(config.traffic.scenario, config.traffic.trace).warmup_s
+        warmup_s = scenario_of(config.traffic.scenario, config.traffic.trace).warmup_s
     return (warmup_s + config.traffic.duration_s) * SUMO_S
 
 

@@ -32,6 +32,8 @@ class Attempt:
     """Largest resident memory."""
     error: str = ""
     """Last line of its log where it failed."""
+    cpu_s: float = 0.0
+    """Processor time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,6 +131,7 @@ class StudyFolder:
                     "state": self.state(id) if id else "waiting",
                     "attempts": len(done),
                     "wall_s": sum(a.wall_s for a in done),
+                    "cpu_s": sum(a.cpu_s for a in done),
                     "memory_bytes": max((a.memory_bytes for a in done), default=0),
                     "disk_bytes": _size(self.run(id)) if id else 0,
                 }

@@ -11,7 +11,7 @@ from typing import Any
 
 from cosim.config import Config, resolve_data
 from cosim.parts import variants
-from cosim.studies.points import Point, identity, shared_identity, traffic_identity
+from cosim.studies.points import Point, identity, scenario_of, shared_identity, traffic_identity
 from cosim.v2x.trust_hosts import host_key
 from results.codes import BASE_VARIANT
 from trust.params import EVIDENCE_KEYS, eta_of
@@ -122,9 +122,7 @@ def _share_traffic(runs: Sequence[PlannedRun], stored: Collection[str], remarks:
 
 def _is_replay(config: Config) -> bool:
     """Whether it replays already: a trace, or the folder of a run."""
-    from cosim.scenario import find
-
-    return find(config.traffic.scenario, config.traffic.trace).trace is not None
+    return scenario_of(config.traffic.scenario, config.traffic.trace).trace is not None
 
 
 def as_data(run: PlannedRun) -> dict[str, Any]:

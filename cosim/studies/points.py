@@ -9,7 +9,7 @@ from typing import Any
 
 from cosim.config import Config
 from cosim.parts import sources
-from cosim.scenario import find
+from cosim.scenario import Scenario, find
 from cosim.studies.study import Keys, Study, config_at
 
 HOW = ("compute", "record")
@@ -87,7 +87,13 @@ def _own(config: Config) -> Mapping[str, str]:
 
 
 @cache
+def scenario_of(scenario: str, trace: str | None) -> Scenario:
+    """What a config's `[traffic]` names, read once."""
+    return find(scenario, trace)
+
+
+@cache
 def _files(scenario: str, trace: str | None) -> Mapping[str, str]:
     """Checksums of the files of a scenario."""
-    about = find(scenario, trace).provenance()
+    about = scenario_of(scenario, trace).provenance()
     return {name: text for name, text in about.items() if name.startswith("sha256") or name == "origin"}

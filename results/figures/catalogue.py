@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 
 from matplotlib.figure import Figure
 
-from results.figures import contacts, detection, encounters, freshness, map, misbehaviour, radio, trust
+from results.figures import contacts, detection, encounters, freshness, map, misbehaviour, radio, safety, trust
 
 FIGURES: Mapping[str, Callable[..., Figure]] = {
     "trust": trust.draw,
@@ -15,4 +15,5 @@ FIGURES: Mapping[str, Callable[..., Figure]] = {
     "detection": detection.draw,
     "map": map.draw,
     "contacts": contacts.draw,
+    "safety": safety.draw,
 }

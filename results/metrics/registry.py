@@ -30,10 +30,13 @@ TOPICS: Mapping[str, str] = {
     "encounters": "Who was near whom, and for how long.",
     "trust": "Trust in pseudonyms.",
     "misbehaviour": "How well and how soon attackers are told from honest vehicles by trust.",
+    "security": "Trust as a classifier of attackers: confusion matrix, false exclusions, trust error.",
+    "evidence": "How often one look counts more than once on its way into trust values and fused scores.",
     "freshness": "What stands behind trust when it is looked up, and how old it is (results/FRESHNESS.md).",
     "radio": "What the radio delivers, beside the assumptions that this rests on.",
     "detection": "Detections and fused objects against ground truth.",
     "attack": "What attacks achieve.",
+    "safety": "What drivers suffer, and what those brake for who react to what their vehicles believe.",
 }
 
 _ROLE, _DEFINITION, _MESSAGE_TYPE, _LIST = (
@@ -42,6 +45,7 @@ _ROLE, _DEFINITION, _MESSAGE_TYPE, _LIST = (
     "message type",
     "own sensor or fused",
 )
+_KIND = "what is reacted to: ghost, false positive, real"
 _ROLE_ALL = "role of the subject, or all"
 _RECEIVERS = "vehicles that look up"
 _SUCCESS = "score threshold, among, role of the attacker"
@@ -80,6 +84,26 @@ METRICS: Mapping[str, Metric] = {
     "misbehaviour.time_to_detection_at_fpr.share": Metric("ever suspected at the false positive rate", "1", "Share ever suspected at that threshold.", _ROLE),
     "misbehaviour.time_to_detection_at_vehicle.median_s": Metric("time to detection at a vehicle, median", "s", "Time until the first vehicle looks up a server's value below the threshold; only where there is a server.", _ROLE),
     "misbehaviour.time_to_detection_at_vehicle.share": Metric("ever suspected at a vehicle", "1", "Share for which a vehicle ever looked up such a value.", _ROLE),
+    **{
+        f"security.{name}{suffix}": Metric(f"{label}{', relative threshold' if suffix else ''}", "1", f"{text} A subject is excluded while it is rated and below {'half of the median of the rated values of that moment' if suffix else 'the threshold'}.", "value (each moment) or vehicle (the last)")
+        for suffix in ("", "_relative")
+        for name, label, text in (
+            ("precision", "precision", "Share of the excluded that attack."),
+            ("recall", "recall", "Share of the attackers that are excluded."),
+            ("fpr", "false positive rate", "Share of the honest that are excluded."),
+            ("f1", "F1", "Harmonic mean of precision and recall."),
+            ("mcc", "Matthews correlation", "Correlation of attacking and being excluded: 0 is chance."),
+            ("informedness", "informedness", "Recall less false positive rate: 0 is chance."),
+        )
+    },
+    "security.average_precision": Metric("average precision", "1", "Area under the precision-recall curve of values; those that are not rated are never excluded."),
+    "security.false_exclusions_per_h": Metric("false exclusions", "1/h", "Times that an honest vehicle becomes excluded at the threshold, per hour that honest vehicles are watched for."),
+    "security.false_exclusions_per_h_relative": Metric("false exclusions, relative threshold", "1/h", "The same at half of the median of the rated values of that moment."),
+    "security.trust_error": Metric("trust error", "1", "Mean distance of rated trust from 1 (honest) or 0 (attackers).", _ROLE),
+    "evidence.trust.multiplicity": Metric("evaluations per look", "1", "Evaluations with visibility above 0 of others' detections, over the distinct looks (evaluator, observer, actual object) behind them: 1 if no look counts twice in a trust value."),
+    "evidence.fused.multiplicity": Metric("evaluations per evaluator of a fused object", "1", "Evaluations behind a fused object, over the vehicles that made them: how often one look counts in a sum over members and evaluators. Models that score objects give each vehicle one vote."),
+    "evidence.echoes.share": Metric("echoes", "1", "Share of the evaluations by which an attacker confirms what another attacker fabricated."),
+    "evidence.copies_per_evaluation": Metric("copies set aside per evaluation", "1", "Copies of messages that receivers already had and that count nowhere, over the evaluations."),
     "freshness.server_unjudged.share": Metric("server's values without an evaluation", "1", "Share of the server's values, when they are computed, that rest on no evaluation by another vehicle that could see.", _ROLE),
     "freshness.server_newest_evaluation.median_s": Metric("newest evaluation at the server, median age", "s", "Median age of the newest such evaluation behind the server's values, when they are computed.", _ROLE),
     "freshness.encounters_without_trust.share": Metric("encounters over before trust was known", "1", "Share of encounters of equipped vehicles, both directions counted, in which one never looked up a value for the other that rests on an evaluation.", _DEFINITION, "vehicles that would know"),
@@ -131,6 +155,22 @@ METRICS: Mapping[str, Metric] = {
     "radio.server_broadcasts.reached.share": Metric("broadcasts that reach vehicles", "1", "Share of (broadcast of trust values, vehicle on the road) pairs in which it is received."),
     "detection.ap40": Metric("AP 3D, 40 recall points", "%", "Average precision by KITTI's rules at 40 recall points, ranked over all sampled frames together; levels with fewer than 41 objects are left out.", "list, class, level"),
     "detection.awareness_70m.share": Metric("environmental awareness within 70 m", "1", "Share of the actors within 70 m of an equipped vehicle for which it has a box with a score of at least 0.5.", _LIST),
+    "safety.driven_km": Metric("vehicle-kilometres", "km", "Way driven by all vehicles, pedestrians left out."),
+    "safety.travel_time.s_per_km": Metric("travel time per kilometre", "s/km", "Vehicle-seconds on the road per vehicle-kilometre; delay is the difference between two runs of the same traffic."),
+    "safety.hard_braking.per_km": Metric("hard braking", "1/km", "Decelerations of 3 m/s2 or more per vehicle-kilometre; one ends below 1 m/s2."),
+    "safety.emergency_braking.per_km": Metric("emergency braking", "1/km", "The same with 4.5 m/s2 or more."),
+    "safety.ttc.per_km": Metric("conflicts by time to collision", "1/km", "Episodes of a vehicle and its leader with a time to collision below 3 s, per vehicle-kilometre."),
+    "safety.drac.per_km": Metric("conflicts by deceleration to avoid a crash", "1/km", "Episodes of a vehicle and its leader in which more than 3 m/s2 would avoid a crash, per vehicle-kilometre."),
+    "safety.pet.per_km": Metric("conflicts by post-encroachment time", "1/km", "Pairs of vehicles on crossing ways with a post-encroachment time below 2 s, per vehicle-kilometre."),
+    "safety.near_misses.per_km": Metric("near misses", "1/km", "Conflicts with a time to collision or a post-encroachment time below 1 s, per vehicle-kilometre."),
+    "safety.collisions.n": Metric("overlapping vehicles", "", "Pairs of vehicles whose footprints were in each other by more than 0.3 m while one moved; SUMO's own count of collisions is in the manifest."),
+    "safety.stops.per_km": Metric("stops", "1/km", "Times that a vehicle became slower than 0.1 m/s after more than 2 m/s, per vehicle-kilometre."),
+    "safety.reactions.n": Metric("reactions", "", "Episodes in which a driver was commanded because of what its vehicle believes; those to ghosts and false positives are false alarms.", _KIND),
+    "safety.reactions.per_km": Metric("reactions per kilometre", "1/km", "The same per vehicle-kilometre of all vehicles.", _KIND),
+    "safety.reactions_hard.per_km": Metric("hard reactions", "1/km", "Of these, with a commanded deceleration of 3 m/s2 or more.", _KIND),
+    "safety.speed_taken.mean_mps": Metric("speed taken by a reaction", "m/s", "Mean over reactions of the speed that commands took away, summed: the cost of a false alarm, or the use of a warning.", _KIND),
+    "safety.wave.vehicles.mean": Metric("braking wave, vehicles", "", "Mean number of drivers behind a reaction of 2 m/s2 or more who braked as hard within 20 s, one behind the other.", _KIND),
+    "safety.wave.length.mean_m": Metric("braking wave, length", "m", "Mean distance from the vehicle that reacted to the last of them.", _KIND),
     "attack.believed.share": Metric("fabricated objects believed", "1", "Share of the pairs (fabricated detection, honest vehicle that received it) in which the vehicle's fused objects hold it with at least the threshold's score. Among intended: the vehicle that the attack aims at.", _SUCCESS, _ATTACKERS),
     "attack.believed.pairs.n": Metric("pairs behind it", "", "Number of these pairs: the denominator.", "among, role of the attacker"),
     "attack.believed_by_any.share": Metric("fabricated objects believed by any", "1", "Share of the fabricated detections that an honest vehicle received of which at least one of these believes; it grows with the number of receivers.", "score threshold, role of the attacker", _ATTACKERS),

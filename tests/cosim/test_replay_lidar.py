@@ -21,11 +21,11 @@ def folder(tmp_path_factory):
 def test_the_same_returns(folder):
     run = open_run(folder)
     config = replay_lidar.config_of(run)
-    perception = perception_of(config, replay_lidar.city_of(config))
+    city = replay_lidar.city_of(config)
     recorded, n = run.observability, 0
     for world in replay_lidar.worlds(run, config):
         observers = np.flatnonzero(world.equipped)
-        seen = observability(perception.sweep(world, observers), world.boxes, world.shape)
+        seen = observability(replay_lidar.sweep(config, city, world, observers), world.boxes, world.shape)
         again = pd.DataFrame({
             "observer": world.actor[observers[seen.observer]], "actor": world.actor[seen.actor],
             "n_points": seen.n_returns, "n_unoccluded": seen.n_unoccluded,
@@ -38,8 +38,8 @@ def test_the_same_returns(folder):
 
 def test_plot_sweep(folder, tmp_path):
     run = open_run(folder)
-    recorded = run.detections
-    recorded = recorded[(recorded.step == 4) & (recorded.origin == "sensed")]
+    sensed = run.detections
+    sensed = sensed[(sensed.step == 4) & (sensed.origin == "sensed")]
     vehicle = int(sensed.observer.value_counts().index[0])
     seen = replay_lidar.replay_scan(run, vehicle, 4)
     assert len(seen.reported) == (sensed.observer == vehicle).sum() and len(seen.actors) > 0

@@ -50,6 +50,23 @@ def test_trust_model(beside):
     assert len(choices["trust.model"]["sha256"]) == 64
 
 
+@pytest.mark.parametrize(
+    ("returned", "told"),
+    [("trust=s.trust * np.nan", "trust = nan of subject"), ("weight=s.weight[:2]", "weight is of shape (2,)")],
+)
+def test_trust_model_that_returns_what_cannot_be(tmp_path, returned, told):
+    (tmp_path / "bad.py").write_text(
+        "import numpy as np\nfrom dataclasses import replace\nfrom trust.models import MODELS\n"
+        "class Bad(MODELS['beta']):\n    def scores(self, now_step=None):\n        s = super().scores(now_step)\n"
+        f"        return replace(s, {returned}) if s.subject.size > 2 else s\n"
+    )
+    done = cosim(
+        "run", "--set", "trust.model=bad.py:Bad", "--set", "traffic.duration_s=8", "--out", "run", cwd=tmp_path
+    )
+    assert done.returncode == 2 and done.stderr.count("\n") == 1
+    assert done.stderr.startswith("error: trust model Bad: scores()") and told in done.stderr
+
+
 def test_attack_on_detections(beside):
     folder = beside("own_attack.py")
     run, _ = drive(folder, BASE + """

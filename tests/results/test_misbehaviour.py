@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from scipy.stats import mannwhitneyu
 
 from results.measure import measure
-from results.metrics import misbehaviour
+from results.metrics import misbehaviour, security
 from tests.results.tiny import fleet
 
 trusts = st.lists(st.sampled_from([0.0, 0.1, 0.25, 0.5, 0.9]), min_size=1, max_size=30).map(np.array)
@@ -160,3 +160,30 @@ def test_no_attack(tiny):
     assert misbehaviour.below(run).share.tolist() == [0.5]
     with pytest.raises(ValueError, match="holds no attacks"):
         misbehaviour.classification(run)
+
+
+def test_confusion_by_hand(town):
+    """Below 0.35 and rated: attackers' 0.3, 0.1, 0.3 of 5, honest 0.2 of 9 (the 0.0 of vehicle 2 is not rated).
+
+    At the last moment: attackers 0.1 and 0.3, honest 0.2 of three. Half of the median of a moment: 0.3, 0.25, 0.15,
+    below which only 0.1 lies.
+    """
+    value, vehicle = security.confusion(town, 0.35).to_dict("records")
+    assert [value[k] for k in ("tp", "fp", "fn", "tn")] == [3, 1, 2, 8]
+    assert (value["precision"], value["recall"], value["fpr"], value["f1"]) == (3 / 4, 3 / 5, 1 / 9, 6 / 9)
+    assert value["mcc"] == pytest.approx((3 * 8 - 1 * 2) / np.sqrt(4 * 5 * 9 * 10))
+    assert value["informedness"] == pytest.approx(3 / 5 - 1 / 9)
+    assert [vehicle[k] for k in ("tp", "fp", "fn", "tn")] == [2, 1, 0, 2]
+    relative = security.confusion(town, relative=0.5)
+    assert relative[["tp", "fp", "fn", "tn"]].to_numpy().tolist() == [[1, 0, 4, 9], [1, 0, 1, 3]]
+    assert np.isnan(security.rates(0, 0, 0, 5)["recall"])
+
+
+def test_false_exclusions_precision_and_error_by_hand(town):
+    # vehicle 0 falls to 0.2 once; three honest vehicles are watched from step 3 to 7: 12 s
+    assert security.false_exclusions(town, 0.35) == pytest.approx(3600 / 12)
+    assert security.false_exclusions(town, relative=0.5) == 0
+    # from below: 0.1 a, 0.2 h, 0.3 a a, 0.4 h h, 0.5 a, 0.6 h h, 0.7 a, 0.8 h, 0.9 h
+    assert security.average_precision(town) == pytest.approx(0.2 + 0.4 * 3 / 4 + 0.2 * 4 / 7 + 0.2 * 5 / 10)
+    error = security.trust_error(town).set_index("role").error
+    assert error["malicious"] == pytest.approx(1.9 / 5) and error["honest"] == pytest.approx(1 - 3.9 / 7)

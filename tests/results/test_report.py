@@ -37,7 +37,7 @@ def test_page(run, tmp_path):
     outline.feed(text)
     assert not outline.open
     pictures = [attributes["src"] for tag, attributes in outline.seen if tag == "img"]
-    assert len(pictures) == 8 and all(source.startswith("data:image/svg+xml;base64,") for source in pictures)
+    assert len(pictures) == 9 and all(source.startswith("data:image/svg+xml;base64,") for source in pictures)
     links = [attributes["href"] for tag, attributes in outline.seen if tag == "a"]
     anchors = {attributes["id"] for _, attributes in outline.seen if "id" in attributes}
     assert links and all(link[0] == "#" and link[1:] in anchors for link in links)

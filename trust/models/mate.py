@@ -64,7 +64,7 @@ class Mate(Stepwise):
     view is visibility above 0; the published pull dt / 10 s depends on the step, here it is 1 - 0.9^dt, the same at
     1 s; a vehicle that is absent is kept, where the published code deletes it at once.
 
-    [4] Hallyburton et al.: Trust estimation in AVstack (MATE), CCS 2025, and its published code.
+    [4] MATE: multi-agent trust estimation in AVstack. CCS, 2025, and published code.
     """
 
     Params: ClassVar[type] = MateParams

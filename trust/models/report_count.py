@@ -49,7 +49,7 @@ class ReportCount(Stepwise):
     Deviations: reports come from evaluations instead of plausibility checks; the published code's chain of conditions
     reaches the first sanction alone; the trust value is ours.
 
-    [8] Kamel et al.: Simulation Framework for Misbehavior Detection in Vehicular Networks (F2MD), published code.
+    [8] F2MD: a framework for misbehaviour detection in VANETs, published code of its authority.
     """
 
     Params: ClassVar[type] = ReportCountParams

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cosim.config import resolve_data
-from tests.cosim.adversary.plain import NAMES, N, play
+from tests.cosim.adversary.plain import N, NAMES, SPACING_M, play
 
 LIARS = ["v00", "v07", "v15", "v23"]
 WHO = [NAMES.index(name) for name in LIARS]
@@ -38,7 +38,7 @@ def test_on_off(keys):
 
 
 def test_sleeper_wakes_for_good_once_it_is_trusted():
-    tables = play([GHOST | {"when": "sleeper", "wake_trust": 0.3}], n_steps=8)
+    tables = play([GHOST | {"when": "sleeper", "wake_trust": 0.3}], n_steps=8, trust={"default_trust": 0.2})
     trust, lies = tables["trust"], liars_by_step(tables)
     for who in WHO:
         trusted = trust[(trust.subject == who) & (trust.trust >= 0.3)]["at"].min()

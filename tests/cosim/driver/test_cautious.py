@@ -135,3 +135,20 @@ def test_paths_turn_at_junctions():
     )
     np.testing.assert_allclose(gap, [17.6, np.inf, np.inf])
     np.testing.assert_allclose(heading[0], np.pi / 2)
+
+
+def test_persons_who_step_out():
+    """A person at y = -4 m walks at 1.4 m/s towards the path: two sweeps 0.5 s apart show it at -4.0 and -3.3 m.
+    In 2 s it is at -0.5 m, in the corridor; without looking ahead nothing is commanded."""
+    for ahead_s, n in ((2.0, 1), (0.0, 0)):
+        driver = Cautious(replace(NOW, persons_ahead_s=ahead_s))
+        state, _ = driver.commands(None, world([0], [10]), belief(0, 25.0, y_m=-4.0), 0.5)
+        _, commands = driver.commands(state, world([5], [10], 1), belief(0, 25.0, y_m=-3.3), 0.5)
+        assert len(commands) == n
+
+
+def test_persons_of_the_own_detector():
+    """They command only where asked for; SUMO's drivers do not see them beside crossings."""
+    for own, n in ((True, 1), (False, 0)):
+        driver = Cautious(replace(NOW, own_persons=own))
+        assert len(driver.commands(None, world([0], [10]), belief(0, 20.0, own=True), 0.5)[1]) == n

@@ -1,5 +1,7 @@
 """Study files and plans: what is asked, what is shared, and what a mistake is answered with. Nothing is driven."""
 
+from pathlib import Path
+
 import pytest
 
 from cosim.studies.plan import plan
@@ -142,3 +144,12 @@ def test_study_file_of_a_folder_gives_the_same_points(tmp_path):
     kept = tmp_path / "kept.toml"
     kept.write_text(study.to_toml())
     assert [p.id for p in points_of(load(kept), "kept")] == [p.id for p in points_of(study, "study.toml")]
+
+
+@pytest.mark.parametrize(
+    ("name", "n_points", "n_runs"),
+    [("freshness", 300, 15), ("exposure", 27, 27), ("encounters", 9, 9), ("safety", 72, 72)],
+)
+def test_shipped_studies(name, n_points, n_runs):
+    found = points_of(load(Path(name)), name)
+    assert len(found) == n_points and len(plan(found, fused=False).runs) == n_runs

@@ -1,0 +1,75 @@
+"""What drivers suffer from what vehicles believe."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+
+from results.figures import style
+from results.metrics import safety
+from results.metrics.conflicts import tracks
+from results.run import Run
+
+_INKS = {"ghost": style.ROLE_INKS["malicious"], "false positive": style.INKS[3], "real": style.INKS[0]}
+_COUNTS = {
+    "hard_braking.per_km": "hard braking", "emergency_braking.per_km": "emergency\nbraking",
+    "ttc.per_km": "time to\ncollision < 3 s", "pet.per_km": "post-encroach-\nment < 2 s", "stops.per_km": "stops",
+}  # fmt: skip
+
+
+@style.styled
+def draw(runs: Sequence[Run]) -> Figure:
+    """Safety events per vehicle-kilometre, hard braking over time, and what drivers reacted to.
+
+    Time is drawn in twenty parts of the run. Reactions are speeds commanded because of fused objects that the own
+    detector does not report; those to ghosts and to false positives are false alarms. Without a driver that reacts
+    there are none.
+    """
+    style.need(runs)
+    figure, (events, over_time, causes) = style.sheet(columns=3, width=10.4, height=3.8)
+    width = 0.8 / len(runs)
+    for i, run in enumerate(runs):
+        found = safety.summary(run)
+        if not found["driven_km"]:
+            raise ValueError(f"{run.path}: no vehicle was ever on the road. Let it run longer, or scale the demand up.")
+        at = np.arange(len(_COUNTS)) + (i - (len(runs) - 1) / 2) * width
+        values = [found.get(name, 0.0) for name in _COUNTS]
+        hatch = style.HATCHES[i % len(style.HATCHES)]
+        events.barh(at, values, width, color=style.ink(i), hatch=hatch, edgecolor="#333333", linewidth=0.5)
+        _over_time(over_time, run, i)
+    events.set_yticks(range(len(_COUNTS)), list(_COUNTS.values()))
+    events.invert_yaxis()
+    style.panel(events, "Safety events", "Per vehicle-kilometre [1/km]", "")
+    style.panel(over_time, "Hard braking", style.TIME, "Per vehicle-kilometre [1/km]")
+    _causes(causes, runs)
+    style.panel(causes, "What drivers react to", "Reactions per vehicle-kilometre [1/km]", "")
+    kinds = [Patch(facecolor=ink, edgecolor="#333333", label=kind) for kind, ink in _INKS.items()]
+    style.legend(figure, kinds, style.series_entries(runs))
+    return figure
+
+
+def _over_time(axes: Axes, run: Run, i: int) -> None:
+    """Hard braking per kilometre in twenty parts of the run."""
+    poses = tracks(run)
+    edges = np.linspace(0, run.manifest["steps"], 21)
+    way_km, _ = np.histogram(poses.step, edges, weights=poses.speed_mps * run.dt_s / 1000)
+    events = safety.braking(run, poses)
+    n, _ = np.histogram(events.step[events.severity == "hard"], edges)
+    rate = np.divide(n, way_km, out=np.zeros(len(n)), where=way_km > 0)
+    axes.plot(edges[1:] * run.dt_s, rate, color=style.ink(i), marker=style.marker(i), linestyle=style.dash(i))
+
+
+def _causes(axes: Axes, runs: Sequence[Run]) -> None:
+    """Reactions per kilometre by kind, one bar per run."""
+    for i, run in enumerate(runs):
+        axes.barh(i, 0.0, 0.6)
+        if "reactions" not in run.tables or not run.n_blocks("reactions"):
+            continue
+        bottom = 0.0
+        for row in safety.by_kind(run).itertuples():
+            axes.barh(i, row.per_km, 0.6, bottom, color=_INKS[row.kind], edgecolor="#333333", linewidth=0.5)
+            bottom += row.per_km
+    axes.set_yticks(range(len(runs)), style.names(runs) if len(runs) > 1 else [""])
+    axes.set_ylim(len(runs) - 0.3, -0.7)

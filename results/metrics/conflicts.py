@@ -1,0 +1,209 @@
+"""Surrogate safety measures from poses alone: time to collision, deceleration to avoid a crash, post-encroachment time.
+
+Geometry: a vehicle's leader is the nearest vehicle ahead of it whose heading differs by less than 45 degrees and whose
+footprint overlaps the straight extension of its own, at most 50 m away. In bends this misses leaders that a lane would
+show. Definitions follow SUMO's SSM device, against which they are verified.
+"""
+
+from collections.abc import Iterator
+
+import numpy as np
+import pandas as pd
+from jaxtyping import Bool, Float, Int
+from numpy import ndarray
+from scipy.spatial import cKDTree
+
+from results.run import Run
+
+RANGE_M = 50.0
+_ALONG = np.cos(np.pi / 4)
+_CROSSING = np.cos(np.pi / 6)
+"""Paths that differ by more than 30 degrees cross; others follow each other."""
+_SEGMENT_M, _PET_S = 12.0, 5.0
+"""Longest way of a step that is looked at, and largest post-encroachment time that is looked for."""
+
+
+def tracks(run: Run) -> pd.DataFrame:
+    """Vehicles' poses with their sizes, pedestrians left out: step, actor, x_m, y_m, yaw_rad, speed_mps, length_m,
+    width_m, acceleration_mps2 (missing in a vehicle's first step); by step, then actor."""
+    run.require("actors", "vehicles")
+    about = run.table("vehicles", ["vehicle", "vehicle_class", "length_m", "width_m"]).set_index("vehicle")
+    poses = run.table("actors", ["step", "actor", "x_m", "y_m", "yaw_rad", "speed_mps"])
+    poses = poses.join(about, on="actor")
+    poses = poses[poses.vehicle_class != "pedestrian"].drop(columns="vehicle_class")
+    before = poses[["step", "actor", "speed_mps"]].assign(step=poses.step + 1)
+    joined = poses.merge(before, on=["step", "actor"], how="left", suffixes=("", "_before"))
+    acceleration = (joined.speed_mps - joined.speed_mps_before).astype(float) / run.dt_s
+    return joined.drop(columns="speed_mps_before").assign(acceleration_mps2=acceleration)
+
+
+def following(run: Run, poses: pd.DataFrame | None = None) -> pd.DataFrame:
+    """Every vehicle's leader in every step.
+
+    Returns
+    -------
+    step, actor, leader, gap_m (bumper to bumper, at least 0), closing_mps, ttc_s (time to collision: gap over closing
+    speed; missing where the gap does not close), drac_mps2 (deceleration rate to avoid a crash: closing speed squared
+    over twice the gap).
+    """
+    poses = tracks(run) if poses is None else poses
+    parts = [_leaders(step, frame) for step, frame in _steps(poses)]
+    return pd.concat(parts, ignore_index=True) if parts else _leaders(0, poses)
+
+
+def _steps(poses: pd.DataFrame) -> Iterator[tuple[int, dict[str, ndarray]]]:
+    columns = {name: poses[name].to_numpy() for name in poses.columns}
+    step = columns["step"]
+    cuts = np.flatnonzero(np.diff(step)) + 1
+    for begin, end in zip(np.append(0, cuts).tolist(), np.append(cuts, len(step)).tolist(), strict=True):
+        if end > begin:
+            yield int(step[begin]), {name: column[begin:end] for name, column in columns.items()}
+
+
+def _leaders(step: int, at: dict[str, ndarray] | pd.DataFrame) -> pd.DataFrame:
+    xy = np.column_stack([np.asarray(at["x_m"], float), np.asarray(at["y_m"], float)])
+    length, width, yaw, speed = (
+        np.asarray(at[name], float) for name in ("length_m", "width_m", "yaw_rad", "speed_mps")
+    )
+    if len(xy) < 2:
+        pairs = np.zeros((0, 2), int)
+    else:
+        pairs = cKDTree(xy).query_pairs(RANGE_M + length.max(), output_type="ndarray")
+    i, j = np.concatenate([pairs, pairs[:, ::-1]]).T
+    apart, c, s = xy[j] - xy[i], np.cos(yaw[i]), np.sin(yaw[i])
+    ahead, left = c * apart[:, 0] + s * apart[:, 1], c * apart[:, 1] - s * apart[:, 0]
+    along = np.cos(yaw[j] - yaw[i])
+    gap = ahead - (length[i] + length[j]) / 2
+    ok = (ahead > 0) & (np.abs(left) < (width[i] + width[j]) / 2) & (along > _ALONG) & (gap <= RANGE_M)
+    i, j, gap, along = i[ok], j[ok], np.maximum(gap[ok], 0.0), along[ok]
+    order = np.lexsort((gap, i))
+    order = order[np.diff(i[order], prepend=-1) > 0]
+    i, j, gap, along = i[order], j[order], gap[order], along[order]
+    closing = speed[i] - speed[j] * along
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ttc = np.where(closing > 1e-6, gap / closing, np.nan)
+        drac = np.where(closing > 1e-6, closing**2 / (2 * gap), 0.0)
+    actor = np.asarray(at["actor"])
+    return pd.DataFrame({
+        "step": np.full(len(i), step), "actor": actor[i], "leader": actor[j], "gap_m": gap, "closing_mps": closing,
+        "ttc_s": ttc, "drac_mps2": drac,
+    })  # fmt: skip
+
+
+def encroachments(run: Run, poses: pd.DataFrame | None = None) -> pd.DataFrame:
+    """Vehicles whose ways cross within 5 s of each other.
+
+    Returns
+    -------
+    first, second, time_s (at which the second arrives), pet_s (post-encroachment time: from when the first has left
+    the common area until the second arrives; negative where both were in it at once). The area is where the two
+    footprints, on straight ways, would overlap.
+    """
+    poses = tracks(run) if poses is None else poses
+    poses = poses.sort_values(["actor", "step"], kind="stable")
+    column = {name: poses[name].to_numpy(float) for name in poses.columns}
+    actor, step = poses.actor.to_numpy(), poses.step.to_numpy()
+    a = np.flatnonzero((np.diff(actor) == 0) & (np.diff(step) == 1))
+    way = np.column_stack([np.diff(column["x_m"])[a], np.diff(column["y_m"])[a]])
+    length = np.hypot(*way.T)
+    moves = (length > 0.1) & (length < _SEGMENT_M)
+    a, way, length = a[moves], way[moves], length[moves]
+    start = np.column_stack([column["x_m"], column["y_m"]])[a]
+    scale = _SEGMENT_M / _PET_S
+    points = np.column_stack([start + way / 2, step[a] * run.dt_s * scale])
+    found = [_crossing(pairs, actor[a], start, way, length) for pairs in _near(points)]
+    i, j, u, v = (np.concatenate(c) for c in zip(*found, strict=True)) if found else (np.zeros(0, int),) * 4
+    at_i, at_j = ((step[a[row]] + share) * run.dt_s for row, share in ((i, u), (j, v)))
+    in_i, in_j = (_half(column, a, way, length, *rows) * run.dt_s / length[rows[0]] for rows in ((i, j), (j, i)))
+    i_first = at_i <= at_j
+    frame = pd.DataFrame({
+        "first": np.where(i_first, actor[a[i]], actor[a[j]]), "second": np.where(i_first, actor[a[j]], actor[a[i]]),
+        "time_s": np.where(i_first, at_j - in_j, at_i - in_i),
+        "pet_s": np.abs(at_j - at_i) - in_i - in_j,
+    })  # fmt: skip
+    frame = frame[frame.pet_s <= _PET_S].sort_values(["first", "second", "pet_s"], kind="stable")
+    return frame.drop_duplicates(["first", "second"]).reset_index(drop=True)
+
+
+def _near(points: Float[ndarray, "n 3"]) -> Iterator[Int[ndarray, "p 2"]]:
+    """Pairs of rows that lie close in place and time, a stretch of time after another."""
+    edges = np.arange(points[:, 2].min(initial=0.0), points[:, 2].max(initial=0.0) + 600.0, 600.0)
+    for begin in edges.tolist():
+        rows = np.flatnonzero((points[:, 2] >= begin) & (points[:, 2] < begin + 600.0 + _SEGMENT_M))
+        if len(rows) > 1:
+            yield rows[cKDTree(points[rows]).query_pairs(_SEGMENT_M, output_type="ndarray")]
+
+
+def _crossing(
+    pairs: Int[ndarray, "p 2"], actor: ndarray, start: ndarray, way: ndarray, length: ndarray
+) -> tuple[ndarray, ndarray, ndarray, ndarray]:
+    """Pairs of ways of different vehicles that intersect, and where on each, as a share of it."""
+    i, j = pairs.T
+    along = np.sum(way[i] * way[j], axis=1) / (length[i] * length[j])
+    keep = (actor[i] != actor[j]) & (along < _CROSSING)
+    i, j = i[keep], j[keep]
+    det = way[i, 0] * way[j, 1] - way[i, 1] * way[j, 0]
+    d = start[j] - start[i]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        u = (d[:, 0] * way[j, 1] - d[:, 1] * way[j, 0]) / det
+        v = (d[:, 0] * way[i, 1] - d[:, 1] * way[i, 0]) / det
+    inside = (u >= 0) & (u < 1) & (v >= 0) & (v < 1)
+    return i[inside], j[inside], u[inside], v[inside]
+
+
+def _half(
+    column: dict[str, ndarray], a: ndarray, way: ndarray, length: ndarray, row: ndarray, other: ndarray
+) -> ndarray:
+    """Half the way on which a vehicle's footprint is in the common area: its length and the other's width, slanted."""
+    cross = np.abs(way[row, 0] * way[other, 1] - way[row, 1] * way[other, 0]) / (length[row] * length[other])
+    return (column["length_m"][a[row]] + column["width_m"][a[other]] / np.maximum(cross, 0.5)) / 2
+
+
+def overlaps(run: Run, poses: pd.DataFrame | None = None, depth_m: float = 0.3) -> pd.DataFrame:
+    """Pairs of vehicles whose footprints are in each other by more than `depth_m`, one of them moving: a, b, step.
+
+    Notes
+    -----
+    SUMO checks vehicles of one lane, and of crossing lanes at junctions; this sees everything, also vehicles that SUMO
+    lets pass through each other between lanes.
+    """
+    poses = tracks(run) if poses is None else poses
+    found = []
+    for step, at in _steps(poses):
+        xy = np.column_stack([at["x_m"], at["y_m"]]).astype(float)
+        reach = np.hypot(at["length_m"], at["width_m"]).astype(float)
+        if len(xy) < 2:
+            continue
+        i, j = cKDTree(xy).query_pairs(reach.max(), output_type="ndarray").T
+        close = np.hypot(*(xy[i] - xy[j]).T) < (reach[i] + reach[j]) / 2
+        i, j = i[close], j[close]
+        hit = (_depth(at, xy, i, j) > depth_m) & (np.maximum(at["speed_mps"][i], at["speed_mps"][j]) > 0.5)
+        a, b = at["actor"][i[hit]], at["actor"][j[hit]]
+        found.append(pd.DataFrame({"a": np.minimum(a, b), "b": np.maximum(a, b), "step": np.full(len(a), step)}))
+    frame = pd.concat(found, ignore_index=True) if found else pd.DataFrame({"a": [], "b": [], "step": []}, dtype=int)
+    return frame.drop_duplicates(["a", "b"]).reset_index(drop=True)
+
+
+def _depth(at: dict[str, ndarray], xy: ndarray, i: ndarray, j: ndarray) -> Float[ndarray, "p"]:
+    """Penetration of two rectangles along the axis on which it is least; negative where they are apart."""
+    depth = np.full(len(i), np.inf)
+    apart = xy[j] - xy[i]
+    for own in (i, j):
+        for turn in (0.0, np.pi / 2):
+            axis = at["yaw_rad"][own].astype(float) + turn
+            reach = np.zeros(len(i))
+            for row in (i, j):
+                angle = at["yaw_rad"][row] - axis
+                reach += (np.abs(at["length_m"][row] * np.cos(angle)) + np.abs(at["width_m"][row] * np.sin(angle))) / 2
+            depth = np.minimum(depth, reach - np.abs(apart[:, 0] * np.cos(axis) + apart[:, 1] * np.sin(axis)))
+    return depth
+
+
+def begins(on: Bool[ndarray, "n"], off: Bool[ndarray, "n"], track: ndarray) -> Bool[ndarray, "n"]:
+    """Where events begin: `on` holds, and since the event before `off` has held or another track has begun."""
+    new_track = np.append(True, track[1:] != track[:-1])[: len(track)]
+    state = np.where(on, 1, np.where(off | new_track, -1, 0))
+    last = np.maximum.accumulate(np.where(state != 0, np.arange(len(state)), 0))
+    now = state[last]
+    before = np.where(new_track, -1, np.append(-1, now[:-1]))
+    return (now == 1) & (before == -1)

@@ -1,0 +1,33 @@
+"""Audit of evidence: how often one look counts more than once on its way into trust values and fused scores."""
+
+import numpy as np
+import pandas as pd
+
+from results.run import Run
+
+
+def multiplicity(run: Run) -> pd.DataFrame:
+    """One row: trust and fused (how often a look counts), echoes (share of the evaluations), copies (per evaluation).
+
+    NaN where there is nothing to count.
+    """
+    return pd.DataFrame([_ratios(run.evidence.drop(columns="step").sum())])
+
+
+def over_time(run: Run, every_s: float = 10.0) -> pd.DataFrame:
+    """The same in windows of time: time_s (of their start) and the columns of `multiplicity`."""
+    frame = run.evidence
+    slots = frame.drop(columns="step").groupby(np.floor(frame.step * run.dt_s / every_s) * every_s).sum()
+    return pd.DataFrame([{"time_s": time_s} | _ratios(total) for time_s, total in slots.iterrows()])
+
+
+def _ratios(total: pd.Series) -> dict[str, float]:
+    def over(a: str, b: str) -> float:
+        return float(total[a] / total[b]) if total[b] else float("nan")
+
+    return {
+        "trust": over("n_evaluations", "n_looks"),
+        "fused": over("n_fused_evaluations", "n_fused_evaluators"),
+        "echoes": over("n_echoes", "n_evaluations"),
+        "copies": over("n_copies", "n_evaluations"),
+    }

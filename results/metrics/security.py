@@ -1,0 +1,100 @@
+"""Trust as a classifier of vehicles: confusion matrix and what follows from it, precision and recall, false exclusions.
+
+A subject (a pseudonym) is watched as in `misbehaviour`, and positive if its vehicle attacks. It is excluded while it is
+rated and its trust is below a threshold: an absolute one, or one relative to the population, a share of the median of
+all rated values of that moment. In sparse traffic all values are low, and an absolute threshold says little. The
+relative one uses no ground truth.
+"""
+
+import math
+
+import numpy as np
+import pandas as pd
+
+from results.metrics.misbehaviour import HONEST, scored_vehicles
+from results.run import Run
+
+
+def excluded(run: Run, threshold: float = 0.25, relative: float | None = None) -> pd.DataFrame:
+    """Rows of `misbehaviour.scored_vehicles` with attacker, and excluded at that moment.
+
+    Parameters
+    ----------
+    relative
+        Share of the median of the rated values of a moment that is the threshold, instead of `threshold`.
+    """
+    frame = scored_vehicles(run)
+    limit: pd.Series | float = threshold
+    if relative is not None:
+        limit = frame.step.map(relative * frame.trust.where(frame.rated).groupby(frame.step).median())
+    return frame.assign(attacker=frame.role != HONEST, excluded=frame.rated & (frame.trust < limit))
+
+
+def confusion(run: Run, threshold: float = 0.25, relative: float | None = None) -> pd.DataFrame:
+    """One row by moment (`unit` = value: a subject whenever trust is computed) and one by vehicle (the last moment).
+
+    Returns
+    -------
+    unit, tp, fp, fn, tn, and of `rates`. A subject that is not rated is not excluded.
+    """
+    frame = excluded(run, threshold, relative)
+    rows = []
+    for unit, some in (("value", frame), ("vehicle", frame.drop_duplicates("subject", keep="last"))):
+        counts = pd.crosstab(some.attacker, some.excluded).reindex(
+            index=[False, True], columns=[False, True], fill_value=0
+        )
+        (tn, fp), (fn, tp) = counts.to_numpy().tolist()
+        rows.append({"unit": unit, "tp": tp, "fp": fp, "fn": fn, "tn": tn} | rates(tp, fp, fn, tn))
+    return pd.DataFrame(rows)
+
+
+def rates(tp: float, fp: float, fn: float, tn: float) -> dict[str, float]:
+    """precision, recall, fpr, f1, mcc (Matthews 1975), informedness (recall - fpr); NaN where not defined."""
+
+    def over(a: float, b: float) -> float:
+        return a / b if b else math.nan
+
+    recall, fpr = over(tp, tp + fn), over(fp, fp + tn)
+    return {
+        "precision": over(tp, tp + fp), "recall": recall, "fpr": fpr, "f1": over(2 * tp, 2 * tp + fp + fn),
+        "mcc": over(tp * tn - fp * fn, math.sqrt((tp + fp) * (tp + fn) * (tn + fp) * (tn + fn))),
+        "informedness": recall - fpr,
+    }  # fmt: skip
+
+
+def precision_recall(run: Run) -> pd.DataFrame:
+    """Curve over all thresholds, of values: threshold, precision, recall. Who is not rated is not excluded."""
+    frame = scored_vehicles(run)
+    attacker, rated = (frame.role != HONEST).to_numpy(), frame.rated.to_numpy()
+    value, label = frame.trust.to_numpy(np.float64)[rated], attacker[rated]
+    order = np.argsort(value, kind="stable")
+    value, tp = value[order], np.cumsum(label[order])
+    last = np.append(value[1:] != value[:-1], True) if len(value) else np.zeros(0, bool)
+    n = np.arange(1, len(value) + 1)
+    return pd.DataFrame({
+        "threshold": np.nextafter(value[last], np.inf), "precision": tp[last] / n[last],
+        "recall": tp[last] / max(1, attacker.sum()),
+    })  # fmt: skip
+
+
+def average_precision(run: Run) -> float:
+    """Area under the curve of `precision_recall`, as a sum of precision over steps of recall."""
+    curve = precision_recall(run)
+    return float((curve.precision * np.diff(curve.recall, prepend=0.0)).sum())
+
+
+def false_exclusions(run: Run, threshold: float = 0.25, relative: float | None = None) -> float:
+    """Times that an honest vehicle becomes excluded, per hour that honest vehicles are watched for."""
+    frame = excluded(run, threshold, relative)
+    honest = frame[~frame.attacker].sort_values(["subject", "step"])
+    before = honest.excluded.groupby(honest.subject).shift(fill_value=False)
+    watched = honest.groupby("subject").step.agg(["min", "max"])
+    hours = float(((watched["max"] - watched["min"]) * run.dt_s).sum()) / 3600
+    return float((honest.excluded & ~before).sum()) / hours if hours else math.nan
+
+
+def trust_error(run: Run) -> pd.DataFrame:
+    """By role: mean distance of rated trust from 1 (honest) or 0 (attackers)."""
+    frame = scored_vehicles(run).query("rated")
+    error = np.abs(frame.trust - (frame.role == HONEST))
+    return error.groupby(frame.role, observed=True).mean().rename("error").reset_index()

@@ -1,0 +1,51 @@
+"""Trust on the evidence of a run on disk: tables as if the variants had been in the run."""
+
+import pytest
+
+from cosim.studies.retrust import retrust
+from results.archive import open_run
+from tests.cosim.studies.runs import assert_same, drive
+
+VARIANTS = """
+[[trust_variant]]
+name = "short"
+freshness_s = 7
+server_period_s = 2
+[[trust_variant]]
+name = "own"
+host = "local"
+[[trust_variant]]
+name = "beta"
+model = "beta"
+"""
+
+
+@pytest.mark.parametrize("how", ["alone", "piggybacked"])
+def test_as_if_they_had_been_in_the_run(tmp_path, how):
+    common = ("record.level=full", f"radio.evaluations={how}", "record.block_steps=10")
+    run = drive(tmp_path / "run", *common)
+    (tmp_path / "variants.toml").write_text(VARIANTS)
+    words = [
+        "trust_variant.0.name=short", "trust_variant.0.freshness_s=7", "trust_variant.0.server_period_s=2",
+        "trust_variant.1.name=own", "trust_variant.1.host=local",
+        "trust_variant.2.name=beta", "trust_variant.2.model=beta",
+    ]  # fmt: skip
+    with_variants = drive(tmp_path / "live", *common, *words)
+    again = open_run(retrust(run.path, tmp_path / "variants.toml", tmp_path / "again"))
+    assert again.variants == ("base", "short", "own", "beta")
+    for name in again.variants:
+        assert_same(with_variants.as_variant(name), again.as_variant(name))
+    (tmp_path / "one.toml").write_text(VARIANTS[: VARIANTS.index("[[trust_variant]]", 5)])
+    (tmp_path / "rest.toml").write_text(VARIANTS[VARIANTS.index("[[trust_variant]]", 5) :])
+    first = retrust(run.path, tmp_path / "one.toml", tmp_path / "first")
+    then = open_run(retrust(first, tmp_path / "rest.toml", tmp_path / "then"))
+    for name in again.variants:
+        assert_same(again.as_variant(name), then.as_variant(name))
+
+
+def test_what_cannot_be_had_is_said(tmp_path):
+    run = drive(tmp_path / "run")
+    (tmp_path / "variants.toml").write_text(VARIANTS)
+    with pytest.raises(ValueError, match=r"record\.level"):
+        retrust(run.path, tmp_path / "variants.toml", tmp_path / "again")
+    assert not (tmp_path / "again").exists()

@@ -1,0 +1,159 @@
+"""Studies that run: what is shared changes no value, and nothing that goes wrong is lost."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from cosim.studies.folder import StudyFolder
+from cosim.studies.stages import Cache
+from results.codes import BASE_VARIANT
+from results.study import open_study
+from tests.cosim.studies.runs import SHORT, assert_same, drive
+
+STUDY = """
+[study]
+name = "short"
+replicates = 2
+baseline = { "trust.freshness_s" = 20 }
+[base]
+traffic.duration_s = 24
+traffic.warmup_s = 60
+compute.threads = 1
+attacks = [
+  { attack = "ghost_insertion", role = "malicious", start_s = 5, share_p = 0.3 },
+  { attack = "unreliable", role = "unreliable", start_s = 5 },
+]
+[grid]
+trust.freshness_s = [6, 20]
+trust.host = ["central", "local"]
+fleet.penetration_p = [0.2, 0.3]
+[limits]
+retries = 0
+"""
+
+CRASH = '''
+"""An attack that fails."""
+
+
+class Crash:
+    def detections(self, listed, context):
+        raise RuntimeError("as intended")
+'''
+
+
+def cosim(folder, *words):
+    """`cosim` in a folder, with a cache of its own."""
+    env = os.environ | {"COSIM_CACHE": str(folder / "cache")}
+    return subprocess.run(
+        [sys.executable, "-m", "cosim", *words], cwd=folder, env=env, capture_output=True, text=True, timeout=900
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def swept(tmp_path_factory):
+    """A folder with a study that was killed twice, then finished."""
+    folder = tmp_path_factory.mktemp("study")
+    (folder / "study.toml").write_text(STUDY)
+    env = os.environ | {"COSIM_CACHE": str(folder / "cache")}
+    words = [sys.executable, "-m", "cosim", "sweep", "study.toml", "--out", "out", "--workers", "2"]
+    for kill_after_s in (6, 12):
+        process = subprocess.Popen(words, cwd=folder, env=env, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        time.sleep(kill_after_s)
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+    done = cosim(folder, *words[3:])
+    assert done.returncode == 0, done.stderr + done.stdout
+    return folder
+
+
+def test_merged_and_replayed_points_equal_plain_runs(swept, tmp_path):
+    study = open_study(swept / "out")
+    assert (study.points.state == "finished").all() and len(study.points) == 16
+    assert study.points["run"].nunique() == 4 and len(list((swept / "cache" / "traffic").iterdir())) == 2
+    points = study.points.query("replicate == 1 and `fleet.penetration_p` == 0.2")
+    for row in points.to_dict("records"):
+        plain = drive(
+            tmp_path / row["point"], *(text for text in SHORT if "share" not in text), "attacks.0.share_p=0.3",
+            f"trust.freshness_s={row['trust.freshness_s']}", f"trust.host={row['trust.host']}",
+            "fleet.penetration_p=0.2", "seed=5", "traffic.seed=1",
+        )  # fmt: skip
+        assert_same(plain, study.run(row["point"]))
+
+
+def test_finished_points_are_skipped(swept):
+    again = cosim(swept, "sweep", "study.toml", "--out", "out", "--dry-run", "--json")
+    plan = json.loads(again.stdout)
+    assert (plan["points"], plan["finished"], plan["runs"]) == (16, 16, 0)
+    more = STUDY.replace("[6, 20]", "[6, 20, 40]")
+    (swept / "more.toml").write_text(more)
+    plan = json.loads(cosim(swept, "sweep", "more.toml", "--out", "out", "--dry-run", "--json").stdout)
+    assert (plan["points"], plan["finished"], plan["runs"]) == (24, 16, 4)
+
+
+def test_answers(swept):
+    study = open_study(swept / "out")
+    summary = study.summary.query("metric == 'freshness.age_at_use.mean_s' and group == 'server'")
+    assert len(summary) == 4 and (summary.n == 2).all() and (summary.low <= summary["mean"]).all()
+    one = summary.iloc[0]
+    keys = {key: one[key] for key in study.keys}
+    mine = study.measures.query("metric == 'freshness.age_at_use.mean_s' and group == 'server'")
+    for key, value in keys.items():
+        mine = mine[mine[key] == value]
+    a, b = mine.value  # by hand: t(1) at 97.5 % is 12.706
+    assert one["mean"] == pytest.approx((a + b) / 2) and one.high - one["mean"] == pytest.approx(
+        12.7062 * abs(a - b) / 2
+    )
+    difference = study.differences.query("metric == 'trust.final.median'")
+    assert (difference["trust.freshness_s"] == 6).all() and len(difference)
+    done = cosim(swept, "measure", "out")
+    assert done.returncode == 0, done.stderr
+    assert {"summary.csv", "summary.parquet", "differences.csv", "measures.parquet"} <= {
+        path.name for path in (swept / "out").iterdir()
+    }
+    assert cosim(swept, "plot", "freshness", "out", "--where", "trust.host=central").returncode == 0
+    assert cosim(swept, "report", "out").returncode == 0
+    wrong = cosim(swept, "plot", "freshness", "out", "--over", "lidar.range_m")
+    assert wrong.returncode == 2 and "is not swept" in wrong.stderr
+
+
+def test_a_run_that_fails_does_not_stop_the_others(swept, tmp_path):
+    (tmp_path / "crash.py").write_text(CRASH)
+    text = STUDY.replace("replicates = 2", "replicates = 1").replace('baseline = { "trust.freshness_s" = 20 }', "")
+    grid = '[grid]\nattacks.0.attack = ["ghost_insertion", "crash.py:Crash"]\n'
+    text = text[: text.index("[grid]")] + grid + text[text.index("[limits]") :]
+    (tmp_path / "study.toml").write_text(text)
+    (tmp_path / "cache").symlink_to(swept / "cache")
+    done = cosim(tmp_path, "sweep", "study.toml", "--out", "out", "--json")
+    assert done.returncode == 1
+    answer = json.loads(done.stdout)
+    assert answer["points"]["finished"] == 1 and answer["points"]["failed"] == 1
+    assert "failed at step" in next(iter(answer["failed"].values()))
+    logs = [path.read_text() for path in (tmp_path / "out" / "jobs").glob("*/log.txt")]
+    assert any("as intended" in log for log in logs)
+    assert json.loads(cosim(tmp_path, "status", "out", "--json").stdout)["points"] == answer["points"]
+
+
+def test_a_cache_that_was_changed_is_not_used(swept, tmp_path):
+    cache = Cache(swept / "cache")
+    name = sorted(cache.names("traffic"))[0]
+    entry = cache.find("traffic", name)
+    part = next((entry / "actors").glob("*.parquet"))
+    part.write_bytes(part.read_bytes()[:-8] + b"tampered")
+    assert cache.find("traffic", name) is None and not entry.exists()
+
+
+def test_scheduler_that_is_not_there(swept):
+    done = cosim(swept, "sweep", "study.toml", "--out", "elsewhere", "--scheduler", "tcp://127.0.0.1:9")
+    assert done.returncode == 2 and done.stderr.count("\n") == 1 and "no scheduler answers" in done.stderr
+
+
+def test_two_sweeps_of_one_folder(swept):
+    folder = StudyFolder(swept / "out")
+    with folder.locked(), pytest.raises(ValueError, match="another `cosim sweep`"), folder.locked():
+        pass
+    assert BASE_VARIANT in set(open_study(swept / "out").points.variant)

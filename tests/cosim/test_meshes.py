@@ -1,0 +1,80 @@
+"""Meshes from files: judged as prisms are, by the columnar caster, and refused in one line."""
+
+import numpy as np
+import pytest
+
+from cosim.config import load
+from cosim.meshes import MeshParams, read, with_meshes
+from sensors.boxes import Boxes
+from sensors.lidar import LidarParams, scan
+from sensors.scene import Scene
+
+trimesh = pytest.importorskip("trimesh", reason="trimesh is not installed: pip install cosim[mesh]")
+
+SIZE = (12.0, 6.0, 9.0)
+
+
+@pytest.fixture(scope="module", params=["obj", "ply", "stl", "glb"])
+def house(request, tmp_path_factory):
+    """A box on the ground around its origin, 12 m long, 6 m wide and 9 m high, as a file of each form."""
+    box = trimesh.creation.box(SIZE)
+    box.apply_translation((0, 0, SIZE[2] / 2))
+    if request.param == "glb":  # y is up there
+        box.apply_transform([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
+    path = tmp_path_factory.mktemp("mesh") / f"house.{request.param}"
+    box.export(path)
+    return path
+
+
+def sweep(scene, engine):
+    n = 6
+    angle = np.arange(n)
+    xyz = np.column_stack([40 + 25 * np.cos(angle), -20 + 25 * np.sin(angle), np.full(n, 0.75)])
+    cars = Boxes(xyz, np.tile([4.5, 1.8, 1.5], (n, 1)), angle + np.pi)
+    params = LidarParams(profile="vlp16", range_sigma_m=0.0, engine=engine)
+    return scan(cars, np.zeros(n, np.uint8), np.arange(n), scene, params, np.arange(n, dtype=np.uint64))
+
+
+def test_a_house_of_triangles_is_seen_as_one_of_prisms(house):
+    """Turned by 30 degrees and moved: 99.99 % of the rays agree to 1 mm with the columnar caster's prism."""
+    cos, sin = np.cos(np.pi / 6), np.sin(np.pi / 6)
+    corner = np.array([[-6, -3], [6, -3], [6, 3], [-6, 3]]) @ np.array([[cos, sin], [-sin, cos]]) + [40, -20]
+    prism = sweep(Scene.from_footprints([[corner]], [0.0], [SIZE[2]]), "columnar")
+    mesh = sweep(with_meshes(Scene.empty(), [MeshParams(file=str(house), at_m=(40, -20, 0), yaw_deg=30)]), "embree")
+    far = [np.where(np.isfinite(s.range_m), s.range_m, 1e3) for s in (prism, mesh)]
+    differ = np.abs(far[0] - far[1]) > 1e-3
+    assert (prism.hit == 2).sum() > 2000, "the house is seen"
+    assert differ.mean() <= 1e-4 and (prism.hit != mesh.hit)[~differ].mean() <= 1e-4
+
+
+def test_scale(house):
+    half = with_meshes(Scene.empty(), [MeshParams(file=str(house), scale=0.5)])
+    assert half.triangles_m.max(axis=(0, 1)) == pytest.approx([3, 1.5, 4.5])
+    assert half.triangles_m.min(axis=(0, 1)) == pytest.approx([-3, -1.5, 0])
+
+
+def test_mistakes_are_one_line(tmp_path):
+    torn = trimesh.creation.box(SIZE)
+    torn.update_faces(np.arange(12) > 0)
+    torn.export(tmp_path / "torn.obj")
+    (tmp_path / "broken.glb").write_bytes(b"no mesh at all")
+    (tmp_path / "empty.ply").write_text("")
+    for name, says in (
+        ("torn.obj", "open edges"), ("broken.glb", "cannot be read as a mesh"), ("empty.ply", "empty.ply: "),
+        ("house.dwg", "no such form of mesh"), ("nowhere.stl", "no such file"),
+    ):  # fmt: skip
+        with pytest.raises(ValueError, match=rf"meshes\.0\.file.*{says}") as error:
+            with_meshes(Scene.empty(), [MeshParams(file=str(tmp_path / name))])
+        assert "\n" not in str(error.value)
+
+
+def test_in_the_config(house, tmp_path):
+    config = tmp_path / "mine.toml"
+    (tmp_path / house.name).write_bytes(house.read_bytes())
+    config.write_text(f'lidar.engine = "embree"\n[[meshes]]\nfile = "{house.name}"\nat_m = [1, 2, 3]\n')
+    (mesh,) = load(config).meshes
+    assert mesh.file == str(tmp_path / house.name) and mesh.at_m == (1, 2, 3), "beside the config, wherever one stands"
+    assert len(read("meshes.0.file", house)[1]) == 12
+    config.write_text(f'[[meshes]]\nfile = "{house.name}"\n')
+    with pytest.raises(ValueError, match=r'lidar\.engine = "columnar" casts upright prisms'):
+        load(config)

@@ -1,0 +1,56 @@
+"""The audit of evidence: counted by hand, and again in plain pandas from the tables of a run."""
+
+import numpy as np
+import pytest
+
+from cosim.trackers.evidence_audit import audit, count_looks
+from results.archive import open_run
+from results.measure import measure
+from tests.drive import drive
+
+
+def test_by_hand():
+    # vehicle 1 reports actor 7 twice (rows 1, 2) and fabricates row 3; vehicle 0 reports actor 7 once (row 0)
+    message, actor = np.array([0, 1, 1, 1]), np.array([7, 7, 7, 0])
+    real, fabricated = np.array([True, True, True, False]), np.array([False, False, False, True])
+    # evaluator 0 sees all three of vehicle 1; evaluator 2, an attacker, confirms the fabricated one and row 0;
+    # the own evaluation (1, 3) and the one without visibility (2, 1) are no evidence
+    evaluator, detection = np.array([0, 0, 0, 1, 2, 2, 2]), np.array([1, 2, 3, 3, 0, 1, 3])
+    e, phi = np.array([1, 1, -1, 1, 1, 1, 1.0]), np.array([1, 1, 1, 1, 1, 0, 0.5])
+    row = audit(evaluator, detection, e, phi, message, actor, real, fabricated, np.array([0, 1, 1]) > 0, 4, None)
+    assert {name: int(values[0]) for name, values in row.items()} == {
+        "n_copies": 4, "n_evaluations": 5, "n_looks": 4, "n_echoes": 1, "n_fused_evaluations": 0,
+        "n_fused_evaluators": 0,
+    }  # fmt: skip
+    assert count_looks(evaluator[:0], detection[:0], message, actor, real) == 0
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("evidence") / "run"
+    return open_run(drive(folder, "record.level=full", "traffic.duration_s=15"))
+
+
+def test_against_the_tables(run):
+    seen = run.evaluations.merge(
+        run.detections[["step", "observer", "detection_index", "origin", "truth_actor"]],
+        on=["step", "observer", "detection_index"],
+    )
+    seen = seen[(seen.visibility > 0) & (seen.evaluator != seen.observer)]
+    n = seen.groupby("step").size()
+    found = run.evidence.set_index("step")
+    assert found.n_evaluations[found.n_evaluations > 0].to_dict() == n.to_dict()
+    real = seen.dropna(subset="truth_actor")
+    n_looks = len(real.drop_duplicates(["step", "evaluator", "observer", "truth_actor"]))
+    n_looks += seen.truth_actor.isna().sum()
+    assert found.n_looks.sum() == n_looks
+    roles = run.vehicles.set_index("vehicle").role
+    lying = (seen.origin == "fabricated") & (seen.evaluation > 0) & (seen.evaluator.map(roles) != "honest")
+    assert found.n_echoes.sum() == lying.sum()
+    assert found.n_copies.sum() == run.radio.n_duplicate.sum()
+    value = measure(run, topics=("evidence",)).set_index("metric").value
+    assert value["evidence.trust.multiplicity"] == pytest.approx(n.sum() / n_looks)
+    assert value["evidence.fused.multiplicity"] > 1.2  # every member of a group is evaluated with the same look
+    assert value["evidence.fused.multiplicity"] == pytest.approx(
+        found.n_fused_evaluations.sum() / found.n_fused_evaluators.sum()
+    )
