@@ -261,9 +261,9 @@ def step(world: World, state: State, parts: Parts) -> tuple[State, StepResult]:
     named = [None if scores is None else parts.linkage.scores(s.pseudonyms, scores) for scores in published]
     return s, StepResult(world, closed, ended, Sensed(
         vehicles, senders, observed, listed.objects, listed.truth, listed.withheld, listed.detections, rounds,
-        all_links, evaluated.lists, evaluated.reported, (evaluated.sent, evaluated.kept_messages), evaluated.n_points,
-        evaluated.plausible, evaluated.matched, evaluated.lied, used, lookups, fused, _per_variant(named, parts), _per_variant(server, parts), in_range,
-        inter_reception, outcomes,
+        all_links, evaluated.lists, evaluated.reported, (evaluated.sent, evaluated.kept_messages),
+        evaluated.n_points, evaluated.plausible, evaluated.matched, evaluated.lied, used, lookups, fused,
+        _per_variant(named, parts), _per_variant(server, parts), in_range, inter_reception, outcomes,
     ), commands, reactions)  # fmt: skip
 
 

@@ -194,14 +194,15 @@ def _evidence(recorder: Recorder, world: World, sensed: Sensed) -> None:
     recorder.append("evidence", world.step, evidence_audit.audit(
         sensed.lists.owner[sensed.lists.of_member()], sensed.lists.member, reported.evaluation, reported.visibility,
         sensed.detections.message, truth.actor_row, truth.is_real, listed.origin == FABRICATED,
-        world.attack[sensed.vehicles.row[sensed.senders.vehicle]] > 0, sum(happened.frames.n_duplicate for happened in sensed.rounds),
+        world.attack[sensed.vehicles.row[sensed.senders.vehicle]] > 0,
+        sum(happened.frames.n_duplicate for happened in sensed.rounds),
         sensed.fused[0],
     ))  # fmt: skip
 
 
 def _trust(recorder: Recorder, at: int, sensed: Sensed, dt_s: float) -> None:
     used = sensed.used
-    receiver, subject = sensed.vehicles.actor[used.receiver], sensed.vehicles.pseudonym[used.message]
+    receiver, subject = sensed.vehicles.actor[used.receiver], sensed.senders.pseudonym[used.message]
     trust(recorder, at, dt_s, sensed.published, sensed.server, receiver, subject, sensed.lookups)
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cosim.config import resolve_data
-from tests.cosim.adversary.plain import N, NAMES, SPACING_M, play
+from tests.cosim.adversary.plain import NAMES, SPACING_M, N, play
 
 LIARS = ["v00", "v07", "v15", "v23"]
 WHO = [NAMES.index(name) for name in LIARS]
