@@ -12,6 +12,7 @@ from cosim.config import resolve_data
 from cosim.cycle import State, step
 from cosim.parts import Parts
 from cosim.world import World
+from results.tables import TABLES
 from sensors.boxes import Boxes
 from sensors.scene import Scene, Shape
 
@@ -25,7 +26,7 @@ class Tables(dict):
 
     def __init__(self):
         super().__init__()
-        self._rows = defaultdict(list)
+        self._rows, self.tables = defaultdict(list), tuple(TABLES)
 
     def append(self, table, at, columns):
         """Rows of one step."""
