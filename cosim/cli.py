@@ -1,22 +1,37 @@
 """The commands."""
 
+import os
 import sys
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 from rich.box import SIMPLE
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeRemainingColumn
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    SpinnerColumn,
+    TaskID,
+    TextColumn,
+    TimeRemainingColumn,
+)
 from rich.table import Table
 
-from cosim.console import notes, print_json, print_metrics, print_run_summary, rows_of, screen, table_of
+from cosim.console import notes, print_json, print_metrics, print_run_summary, screen, table_of
 from cosim.nets import nets
+from cosim.stop import Failed, Stopped
 from cosim.studies import commands as studies
+from results.durable import Damaged
+
+if TYPE_CHECKING:
+    from results.archive import OpenRun
 
 app = typer.Typer(
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
     help="Co-simulation of cooperative perception under trust at city scale.",
 )
@@ -30,8 +45,36 @@ Overrides = Annotated[
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON on standard output.")]
 RunPaths = Annotated[list[Path], typer.Argument(help="Folders that `cosim run` wrote.")]
 Picture = Literal[
-    "trust", "misbehaviour", "encounters", "freshness", "radio", "detection", "map", "contacts", "safety", "sweep"
+    "trust",
+    "misbehaviour",
+    "encounters",
+    "freshness",
+    "radio",
+    "detection",
+    "map",
+    "contacts",
+    "safety",
+    "security",
+    "sweep",
+    "movie",
 ]
+
+
+def _say_version(wanted: bool) -> None:
+    if wanted:
+        from importlib.metadata import version
+
+        screen.print(f"cosim {version('cosim')}", highlight=False)
+        raise typer.Exit
+
+
+@app.callback()
+def options(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_say_version, is_eager=True, help="Print the version and exit.")
+    ] = False,
+) -> None:
+    """Options of all commands."""
 
 
 @app.command()
@@ -46,22 +89,87 @@ def run(
     from cosim.config import load
 
     experiment = load(config, overrides)
+    with _progress() as advance:
+        folder = running.run(experiment, out, advance)
+    _conclude(folder, as_json)
+
+
+@app.command()
+def resume(
+    folder: Annotated[Path, typer.Argument(help="Folder of a run that was killed or interrupted.")],
+    as_json: AsJson = False,
+) -> None:
+    """Go on with a run from its last whole block; the tables are those of a run never interrupted."""
+    from cosim import run as running
+
+    with _progress() as advance:
+        running.resume(folder, advance)
+    _conclude(folder, as_json)
+
+
+@app.command()
+def verify(runs: RunPaths, as_json: AsJson = False) -> None:
+    """Hold run folders against their inventories: nothing missing, changed or foreign; exit status 1 if anything is."""
+    from results.verify import verify as verified
+
+    found = {str(folder): verified(folder) for folder in runs}
+    if as_json:
+        print_json({name: about | {"problems": problems} for name, (about, problems) in found.items()})
+    for name, (about, problems) in found.items() if not as_json else ():
+        for problem in problems:
+            screen.print(f"{name}: {problem}", soft_wrap=True)
+        what = "damaged" if problems else "whole"
+        screen.print(
+            f"{name}: {what}; {about['status']}, {about['steps']} steps, {about['tables']} tables, "
+            f"{about['parts']} parts, {about['rows']:,} rows, {about['bytes']:,} bytes", soft_wrap=True,
+        )  # fmt: skip
+    if any(problems for _, problems in found.values()):
+        raise typer.Exit(1)
+
+
+@contextmanager
+def _progress() -> Iterator[Callable[[str, int, int, str], None]]:
+    """A bar per phase on a terminal; nothing elsewhere."""
     bar = Progress(
         SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(),
         TimeRemainingColumn(), TextColumn("{task.fields[note]}"), console=notes, disable=not notes.is_terminal,
     )  # fmt: skip
+    tasks: dict[str, TaskID] = {}
+
+    def advance(phase: str, done: int, total: int, note: str = "") -> None:
+        if phase not in tasks:
+            tasks[phase] = bar.add_task(phase, total=total, note=note)
+        bar.update(tasks[phase], completed=done, note=note)
+
     with bar:
-        tasks: dict[str, object] = {}
+        yield advance
 
-        def advance(phase: str, done: int, total: int, note: str = "") -> None:
-            if phase not in tasks:
-                tasks[phase] = bar.add_task(phase, total=total, note=note)
-            bar.update(tasks[phase], completed=done, note=note)  # type: ignore[arg-type]
 
-        folder = running.run(experiment, out, advance)
+def _conclude(folder: Path, as_json: bool) -> None:
+    from cosim.run import remarks
+
     print_run_summary(folder, as_json)
-    for remark in running.remarks(folder):
-        notes.print(remark, highlight=False, markup=False, soft_wrap=True)
+    for remark in remarks(folder):
+        notes.print(remark, soft_wrap=True)
+
+
+def _opened(folder: Path) -> "OpenRun":
+    """A run to be measured or drawn; what is unfinished is said."""
+    from results.archive import open_run, status_of
+
+    run = open_run(folder, unfinished=True)
+    if (status := status_of(run.path, run.manifest)) != "finished":
+        notes.print(f"note: {folder} is {status}: its first {run.manifest['steps']} steps are shown.", soft_wrap=True)
+    return run
+
+
+def _say_damage(runs: Iterable["OpenRun"]) -> None:
+    """What could not be shown because of damage; exit status 1 if there is any."""
+    said = list(dict.fromkeys(line for run in runs for line in run.damage))
+    for line in said:
+        notes.print(f"error: {line}", soft_wrap=True)
+    if said:
+        raise typer.Exit(1)
 
 
 @app.command()
@@ -71,13 +179,14 @@ def check(config: ConfigPath = None, overrides: Overrides = None, as_json: AsJso
 
     from cosim import run as running
     from cosim.config import load
+    from cosim.manifest import without_nulls
 
     experiment = load(config, overrides)
     running.check(experiment)
     if as_json:
         print_json(experiment.to_dict())
     else:
-        screen.print(tomli_w.dumps(running.without_nulls(experiment.to_dict())), highlight=False, markup=False)
+        screen.print(tomli_w.dumps(without_nulls(experiment.to_dict())), highlight=False, markup=False)
 
 
 @app.command()
@@ -87,7 +196,8 @@ def measure(
     metrics: Annotated[
         list[str] | None, typer.Option("--metric", help="study: show this metric, or METRIC:GROUP. Repeatable.")
     ] = None,
-    variant: Annotated[str, typer.Option(help="Trust variant of the runs.")] = "base",
+    variant: Annotated[str, typer.Option(help="Trust variant of the runs; all: each beside the others.")] = "base",
+    csv: Annotated[Path | None, typer.Option("--csv", help="Write the metrics to this file.")] = None,
     threshold: Annotated[float, typer.Option(min=0, max=1, help="Trust below which a vehicle is suspected.")] = 0.25,
     fresh_s: Annotated[float, typer.Option(help="Oldest age at which trust counts as fresh, in seconds.")] = 10.0,
     false_positives: Annotated[float, typer.Option(min=0, max=1, help="False positive rate to compare at.")] = 0.05,
@@ -99,23 +209,18 @@ def measure(
         return
     if not runs:
         raise ValueError("There is no run to measure. Name at least one run folder, or ask with --explain.")
+    if not fresh_s >= 0:
+        raise ValueError(f"--fresh-s {fresh_s:g}: an age is 0 or more. Give seconds.")
     if studies.is_study(runs):
         studies.measure(runs[0], metrics or [], as_json)
         return
     if metrics:
         raise ValueError("--metric goes with a study. Leave it out, or give the folder of a `cosim sweep`.")
-    from results.archive import open_run
-    from results.measure import measure as measured
+    from cosim.side_by_side import of_variants, print_measures
 
-    tables = {
-        str(folder): measured(open_run(folder).as_variant(variant), threshold, fresh_s, false_positives)
-        for folder in runs
-    }
-    if as_json:
-        print_json({name: rows_of(table) for name, table in tables.items()})
-        return
-    for name, table in tables.items():
-        screen.print(table_of(name, rows_of(table)))
+    chosen = [one for folder in runs for one in of_variants(_opened(folder), variant)]
+    print_measures(chosen, as_json, csv, threshold=threshold, fresh_s=fresh_s, false_positives=false_positives)
+    _say_damage(chosen)
 
 
 @app.command()
@@ -140,7 +245,10 @@ def plot(
     where: Annotated[
         list[str] | None, typer.Option(help="study: hold a swept key at a value, KEY=VALUE. Repeatable.")
     ] = None,
-    fresh_s: Annotated[float | None, typer.Option(help="freshness: oldest that is fresh, in seconds.")] = None,
+    variant: Annotated[str, typer.Option(help="Trust variant of the runs; all: each as a run of its own.")] = "base",
+    threshold: Annotated[
+        float | None, typer.Option(min=0, max=1, help="freshness over a key: score from which a ghost is believed.")
+    ] = None,
     radius_m: Annotated[float | None, typer.Option(help="map, contacts: which of the radii, in metres.")] = None,
     pairs: Annotated[str | None, typer.Option(help="map, contacts: which of the kinds of pairs.")] = None,
 ) -> None:
@@ -152,7 +260,7 @@ def plot(
         raise ValueError("--by, --metric and --where go with a study. Leave them out.")
     from inspect import signature
 
-    from results.archive import open_run
+    from cosim.side_by_side import of_variants
     from results.figures import style
     from results.figures.catalogue import FIGURES
 
@@ -161,18 +269,27 @@ def plot(
 
         if len(runs) != 1 or step is None or not vehicles or len(vehicles) != 1:
             raise ValueError("cosim plot sweep shows one sweep: cosim plot sweep RUN --vehicle V --step S")
-        screen.print(f"wrote {write(open_run(runs[0]), vehicles[0], step, out)}", highlight=False, soft_wrap=True)
+        screen.print(f"wrote {write(_opened(runs[0]), vehicles[0], step, out)}", highlight=False, soft_wrap=True)
+        return
+    if what == "movie":
+        from cosim.replay_lidar import film
+
+        if len(runs) != 1 or len(vehicles or ()) > 1:
+            raise ValueError("cosim plot movie films one run: cosim plot movie RUN [--vehicle V]")
+        path = film(_opened(runs[0]), vehicles[0] if vehicles else None, out)
+        screen.print(f"wrote {path}", highlight=False, soft_wrap=True)
         return
     if step is not None:
         raise ValueError(f"--step goes with `cosim plot sweep`, not with {what}. Leave it out.")
-    options = {"vehicles": vehicles, "over": over, "fresh_s": fresh_s, "radius_m": radius_m, "pairs": pairs}
+    options = {"vehicles": vehicles, "over": over, "threshold": threshold, "radius_m": radius_m, "pairs": pairs}
     given = {name: value for name, value in options.items() if value}
     for name in given:
         takers = [figure for figure, draw in FIGURES.items() if name in signature(draw).parameters]
         if what not in takers:
             flag = "vehicle" if name == "vehicles" else name.replace("_", "-")
             raise ValueError(f"--{flag} goes with `cosim plot {' or '.join(takers)}`, not with {what}. Leave it out.")
-    path = style.save(FIGURES[what]([open_run(folder) for folder in runs], **given), out or runs[0] / f"{what}.png")
+    chosen = [one for folder in runs for one in of_variants(_opened(folder), variant)]
+    path = style.save(FIGURES[what](chosen, **given), out or runs[0] / f"{what}.png")
     screen.print(f"wrote {path}", highlight=False, soft_wrap=True)
 
 
@@ -185,11 +302,12 @@ def report(
     if studies.is_study([folder]):
         studies.report(folder, out)
         return
-    from results.archive import open_run
     from results.report import write
 
-    path = write(open_run(folder), out or folder / "report.html")
-    screen.print(f"wrote {path}", highlight=False, soft_wrap=True)
+    run = _opened(folder)
+    path = write(run, out or folder / "report.html")
+    screen.print(f"wrote {path}", soft_wrap=True)
+    _say_damage([run])
 
 
 @app.command()
@@ -222,6 +340,39 @@ def export(
         print_json(done)
         return
     said = f"wrote {done['files']:,} files, {done['bytes'] / 1e6:,.1f} MB, in {done['out']}"
+    screen.print(said, highlight=False, markup=False, soft_wrap=True)
+
+
+@app.command()
+def view(
+    folder: Annotated[Path, typer.Argument(metavar="RUN", help="Run folder.")],
+    out: Annotated[Path, typer.Option(help="File to write, .rrd; open it with `rerun FILE.rrd`.")],
+    vehicles: Annotated[
+        list[int] | None, typer.Option("--vehicle", help="Show its clouds, detections and beliefs. Repeatable.")
+    ] = None,
+    from_s: Annotated[float, typer.Option("--from", help="Begin, in seconds.")] = 0.0,
+    to_s: Annotated[float | None, typer.Option("--to", help="End, in seconds.")] = None,
+    clouds: Annotated[bool, typer.Option(help="Point clouds of the vehicles shown.")] = True,
+    as_json: AsJson = False,
+) -> None:
+    """Write a run as a recording for the Rerun viewer: map, city in 3D, trust over time."""
+    from cosim.view import view as write
+    from results.archive import open_run
+
+    bar = Progress(
+        SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(),
+        TimeRemainingColumn(), console=notes, disable=not notes.is_terminal,
+    )  # fmt: skip
+    with bar:
+        task = bar.add_task("view", total=None)
+        done = write(
+            open_run(folder), out, tuple(vehicles or ()), from_s, to_s, clouds,
+            lambda what, n, total: bar.update(task, description=what, completed=n, total=total),
+        )  # fmt: skip
+    if as_json:
+        print_json(done)
+        return
+    said = f"wrote {out}, {done['bytes'] / 1e6:,.1f} MB; open it with: rerun {out}"
     screen.print(said, highlight=False, markup=False, soft_wrap=True)
 
 
@@ -273,16 +424,48 @@ def bench(
 
 def main() -> None:
     """Run a command; a user's mistake is one line on standard error and exit status 2."""
+    _open_standard_streams()
+    status: int | None
     try:
         status = app(standalone_mode=False)
+        sys.stdout.flush()
     except typer.TyperException as error:
-        if message := error.format_message():
-            notes.print(f"error: {message}", highlight=False, markup=False, soft_wrap=True)
-        status = 2
+        status = _say(error.format_message(), 2)
     except (typer.Abort, KeyboardInterrupt):
-        notes.print("interrupted")
-        status = 130
+        status = _say("interrupted", 130)
+    except Stopped as stopped:
+        notes.print(str(stopped), soft_wrap=True)
+        status = 128 + stopped.signum
+    except BrokenPipeError:
+        status = 1
+    except (Damaged, Failed) as error:
+        status = _say(str(error), 1)
+    except RecursionError:
+        status = _say("the input is nested too deeply.", 2)
     except ValueError as error:
-        notes.print(f"error: {' '.join(str(error).split())}", highlight=False, markup=False, soft_wrap=True)
-        status = 2
+        status = _say(str(error), 2)
+    except OSError as error:
+        status = _say(f"{error.filename or 'output'}: {error.strerror or error}.", 1)
+    try:
+        sys.stdout.flush()
+    except OSError:  # nobody reads it any more: the interpreter shall not try again
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
     sys.exit(status)
+
+
+def _say(message: str, status: int) -> int:
+    if message:
+        with suppress(OSError):
+            notes.print(f"error: {' '.join(message.split())}", soft_wrap=True)
+    return status
+
+
+def _open_standard_streams() -> None:
+    """Standard streams that were closed become the null device, so that no file takes their numbers."""
+    for number, name, mode in ((0, "stdin", "r"), (1, "stdout", "w"), (2, "stderr", "w")):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.dup2(os.open(os.devnull, os.O_RDWR), number)
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(number, mode, closefd=False))  # noqa: SIM115

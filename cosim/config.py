@@ -11,7 +11,7 @@ from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, get_args, get_origin
 
-from annotated_types import Ge
+from annotated_types import Ge, Le
 from pydantic import TypeAdapter, ValidationError
 
 from cosim.adversary.catalogue import ATTACKS
@@ -29,6 +29,7 @@ from cosim.v2x.linkage import check_server
 from cosim.v2x.pseudonyms import POLICIES, PseudonymParams
 from cosim.v2x.trust_server import ServerParams
 from results.columns import Level
+from results.durable import open_regular
 from results.encounters import EncounterParams
 from sensors.detector import DETECTORS
 from sensors.evidence import AreaParams
@@ -37,6 +38,8 @@ from sensors.statistical_detector import DetectorParams
 from sumo_nets import catalogue, sumocfg
 from trust.models import MODELS
 from trust.params import TrustParams, differing_evidence_key
+
+_MOST_CONFIG_BYTES = 10_000_000
 
 CHOICES: Mapping[str, tuple[str, Mapping[str, Any], str]] = {
     "detector": ("model", DETECTORS, "detect"),
@@ -75,7 +78,7 @@ FORMER = {
 class ComputeParams:
     """How the work is done; nothing here changes a result."""
 
-    threads: Annotated[int, Ge(0)] = 0
+    threads: Annotated[int, Ge(0), Le(1024)] = 0
     """Threads of the compiled kernels, at most one per core; 0 takes one for every hundred equipped vehicles."""
 
 
@@ -85,7 +88,7 @@ class RecordParams:
 
     level: Level = "standard"
     """Which tables: summary, standard or full; see results/TABLES.md."""
-    block_steps: Annotated[int, Ge(1)] = 60
+    block_steps: Annotated[int, Ge(1), Le(1_000_000)] = 60
     """Steps between two writes to disk; a crash loses at most one block."""
 
 
@@ -109,10 +112,12 @@ class TrustVariant:
 class Config:
     """One experiment."""
 
-    seed: Annotated[int, Ge(0)] = 4
+    seed: Annotated[int, Ge(0), Le(2**63 - 1)] = 4
     """Seed of everything but SUMO."""
-    sensing_interval_s: Annotated[float, Ge(0.1)] = 1.0
+    sensing_interval_s: Annotated[float, Ge(0.1), Le(3600)] = 1.0
     """Time between two sweeps of every LiDAR, and two rounds of messages [s]; a multiple of traffic.step_s."""
+    sensing: bool = True
+    """Vehicles sense, talk and trust; without, traffic and encounters alone are simulated: fast."""
     traffic: TrafficParams = field(default_factory=TrafficParams)
     fleet: FleetParams = field(default_factory=FleetParams)
     lidar: LidarParams = field(default_factory=LidarParams)
@@ -135,6 +140,11 @@ class Config:
     file they stand in the section itself."""
 
     def __post_init__(self) -> None:
+        if self.traffic.duration_s < self.traffic.step_s - 1e-9:
+            raise ValueError(
+                f"traffic.duration_s = {self.traffic.duration_s:g} s is shorter than one step of "
+                f"{self.traffic.step_s:g} s. Set it to traffic.step_s or more."
+            )
         steps = self.sensing_interval_s / self.traffic.step_s
         if abs(steps - round(steps)) > 1e-9 or steps < 1:
             raise ValueError(
@@ -223,13 +233,19 @@ def load(path: Path | None = None, overrides: list[str] | None = None) -> Config
 def read_toml(path: Path, what: str) -> dict[str, Any]:
     """Plain data of a TOML file; ValueError in one line where it cannot be read."""
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        with open_regular(path) as file:
+            text = file.read(_MOST_CONFIG_BYTES + 1)
+        if len(text) > _MOST_CONFIG_BYTES:
+            raise ValueError(f"{path}: larger than {_MOST_CONFIG_BYTES:,} bytes: no {what}.")
+        return tomllib.loads(text.decode("utf-8"))
     except FileNotFoundError:
         raise ValueError(f"{path}: no such {what}. Give the path of a TOML file.") from None
     except (OSError, UnicodeDecodeError) as error:
         raise ValueError(f"{path}: cannot be read as a {what}: {error}.") from None
     except tomllib.TOMLDecodeError as error:
         raise ValueError(f"{path}: not valid TOML: {error}.") from None
+    except RecursionError:
+        raise ValueError(f"{path}: nested too deeply.") from None
 
 
 def with_defaults(data: dict[str, Any]) -> dict[str, Any]:
@@ -383,10 +399,14 @@ def _override(data: Any, text: str) -> None:
     name, sign, value = text.partition("=")
     if not sign or not name.strip():
         raise ValueError(f"--set {text}: no key=value. Write for example --set radio.range_m=150.")
+    if not text.isprintable():
+        raise ValueError(f"--set {text!r}: one line without control characters, please; repeat --set for more keys.")
     try:
         parsed = tomllib.loads(f"value = {value}")["value"]
     except tomllib.TOMLDecodeError:
         parsed = value
+    except RecursionError:
+        raise ValueError(f"--set {name}: its value is nested too deeply.") from None
     assign(data, name.strip(), parsed, f"--set {text}")
 
 
@@ -421,7 +441,9 @@ def _former(name: str) -> str:
 
 
 def _check_finite(data: Any, name: str, where: str) -> None:
-    """Refuse numbers that are none, however deep they stand."""
+    """Refuse numbers that are none or larger than any quantity here, however deep they stand."""
+    if isinstance(data, int) and not isinstance(data, bool) and abs(data) >= 2**63:
+        raise ValueError(f"{name} is a whole number of more than 63 bits. Set {name} in {where}.")
     if isinstance(data, float) and not math.isfinite(data):
         raise ValueError(f"{name} = {data}: not a finite number. Set {name} in {where}.")
     items = data.items() if isinstance(data, dict) else enumerate(data) if isinstance(data, list) else ()

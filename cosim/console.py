@@ -12,8 +12,8 @@ from rich.console import Console
 from rich.table import Column, Table
 from rich.text import Text
 
-screen = Console()
-notes = Console(stderr=True)
+screen = Console(markup=False, highlight=False, emoji=False)  # a user's names are shown as they are
+notes = Console(stderr=True, markup=False, highlight=False, emoji=False)
 
 Get = Callable[[str], Mapping[str, float]]
 """Values of a metric by group; empty where it has none."""
@@ -170,7 +170,7 @@ def print_metrics(as_json: bool) -> None:
 
 def rows_of(table: Any) -> list[dict[str, object]]:
     """Measures as plain rows."""
-    return [row | {"value": None if row["value"] != row["value"] else row["value"]} for row in table.to_dict("records")]
+    return [{name: None if x != x else x for name, x in row.items()} for row in table.to_dict("records")]
 
 
 def plain(value: float) -> str:
@@ -179,10 +179,18 @@ def plain(value: float) -> str:
     return f"{value:,.0f}" if whole else f"{value:.3g}"
 
 
+def _interval(row: Mapping[str, Any]) -> str:
+    """The interval of a row of measures; empty where it has none."""
+    low, high = row.get("low"), row.get("high")
+    return "" if low is None or high is None or low != low else f"{plain(low)} to {plain(high)}"
+
+
 def table_of(title: str, rows: list[dict]) -> Table:
     """Measures as a table for the screen."""
     name_column, value_column = Column("metric", no_wrap=True), Column("value", justify="right")
-    table = Table(name_column, "group", value_column, "unit", title=title, box=SIMPLE)
+    noted = any(row.get("note") or _interval(row) for row in rows)
+    more = (Column("95 %", justify="right"), "note") if noted else ()
+    table = Table(name_column, "group", value_column, "unit", *more, title=title, box=SIMPLE)
     table.title_justify = "left"
     last = ""
     for row in rows:
@@ -190,6 +198,7 @@ def table_of(title: str, rows: list[dict]) -> Table:
         if last and metric.split(".")[0] != last.split(".")[0]:
             table.add_section()
         number, unit = "" if value is None else plain(value), "" if row["unit"] == "1" else row["unit"]
-        table.add_row(metric if metric != last else "", row["group"], number, unit)
+        extra = (_interval(row), str(row.get("note") or "")) if noted else ()
+        table.add_row(metric if metric != last else "", row["group"], number, unit, *extra)
         last = metric
     return table

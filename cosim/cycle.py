@@ -40,7 +40,7 @@ from cosim.v2x.pseudonyms import PseudonymState, PseudonymUse
 from cosim.v2x.relinking import HeardSenders, fallen_back, heard, noted
 from cosim.v2x.trust_hosts import Lookups, ServerTraffic, TrustState
 from cosim.world import World
-from results.codes import TrustSource
+from results.codes import DetectionFault, TrustSource
 from results.encounters import Rows
 from trust import tables
 from trust.fusion import Fused
@@ -70,8 +70,8 @@ class State:
     heard: HeardSenders = field(default_factory=HeardSenders)
     """With pseudonyms.linkage = "own" alone."""
     accelerations: AccelerationTracker = field(default_factory=AccelerationTracker)
-    n_malformed: int = 0
-    """Detections dropped so far because they cannot be: no finite pose, no size, no score."""
+    n_dropped: Int[ndarray, "f"] = field(default_factory=lambda: np.zeros(len(DetectionFault), np.int64))
+    """Detections dropped so far because they cannot be sent, by `DetectionFault`."""
     is_consumed: bool = False
 
     @staticmethod
@@ -140,6 +140,8 @@ class Sensed:
     """Per round: senders and the vehicles within range of them; rows of `vehicles`."""
     inter_reception: list[Rows]
     """Per round: columns of the table `packet_inter_reception`."""
+    n_dropped: Int[ndarray, "f"]
+    """Detections that could not be sent, by `DetectionFault`."""
     attack_outcomes: list[Rows]
     """Per trust variant that fuses: columns of the table `attack_outcomes`."""
 
@@ -193,7 +195,7 @@ def step(world: World, state: State, parts: Parts) -> tuple[State, StepResult]:
         listed, s.included = stages.list_objects(
             observed, senders, s.included, world, accelerations, active, vehicles, c, time_s
         )
-        s.n_malformed += listed.n_malformed
+        s.n_dropped = s.n_dropped + listed.n_dropped
     with watch("radio"):  # detections are broadcast
         stations = stages.stations_of(world, vehicles, parts)
         lengths = stages.cpm_lengths(listed, senders, sender, s.piggybacked, c)
@@ -263,7 +265,8 @@ def step(world: World, state: State, parts: Parts) -> tuple[State, StepResult]:
         vehicles, senders, observed, listed.objects, listed.truth, listed.withheld, listed.detections, rounds,
         all_links, evaluated.lists, evaluated.reported, (evaluated.sent, evaluated.kept_messages),
         evaluated.n_points, evaluated.plausible, evaluated.matched, evaluated.lied, used, lookups, fused,
-        _per_variant(named, parts), _per_variant(server, parts), in_range, inter_reception, outcomes,
+        _per_variant(named, parts), _per_variant(server, parts), in_range, inter_reception,
+        listed.n_dropped, outcomes,
     ), commands, reactions)  # fmt: skip
 
 

@@ -1,25 +1,39 @@
 """The manifest of a run: what was asked, with which versions and inputs, and how it went."""
 
-import hashlib
-import json
+import os
 import platform
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+import tomli_w
+
 from cosim.choices import Source
 from cosim.config import Config
+from results import archive, durable
 from results.codes import BASE_VARIANT, Role, labels
-from results.tables import SCHEMA_VERSION
+from results.durable import sha256 as sha256
+from results.inventory import Inventory
+from results.tables import SCHEMA_VERSION, kept
 
 PACKAGES = ("cosim", "eclipse-sumo", "libsumo", "numpy", "scipy", "numba", "pyarrow", "pandas", "embreex")
+CONFIG = "config.toml"
+_RESERVE = ".reserve"
+_RESERVE_BYTES = 1 << 16
 
 
-def sha256(path: Path) -> str:
-    """Checksum of a file."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+def versions() -> dict[str, str]:
+    """Of Python and of the packages on which results depend."""
+    return {"python": platform.python_version()} | {p: version(p) for p in PACKAGES}
+
+
+def without_nulls(data: Any) -> Any:
+    """Plain data without what is not set, as TOML needs it."""
+    if isinstance(data, dict):
+        return {k: without_nulls(v) for k, v in data.items() if v is not None}
+    return [without_nulls(v) for v in data] if isinstance(data, list | tuple) else data
 
 
 @dataclass(slots=True)
@@ -33,29 +47,52 @@ class Manifest:
     choices: dict[str, Source]
     """Which class every choice of the config is, with the file and checksum of a user's own."""
     steps: int = 0
-    """Steps recorded so far."""
+    """Steps done so far."""
     timings_s: dict[str, float] = field(default_factory=dict)
     summary: dict[str, Any] = field(default_factory=dict)
+    error: str = ""
+    """Why the run failed."""
+    resumed_at: list[int] = field(default_factory=list)
+    """Steps at which the run was resumed."""
 
-    def write(self, status: str) -> None:
-        """Save with `status`: running, finished, interrupted or failed."""
+    def begin(self) -> None:
+        """Write the config, and a manifest that says that the run is running."""
+        durable.write(self.folder / CONFIG, self._config())
+        self.write("running")
+
+    def write(self, status: str, inventory: Inventory | None = None) -> None:
+        """Save with `status`: running, finished, interrupted or failed.
+
+        A run that is running holds some space for its last words, so that they fit on a full disk.
+        """
+        inventory = inventory or Inventory()
         content = {
             "schema_version": SCHEMA_VERSION,
             "status": status,
             "dt_s": self.config.traffic.step_s,
-            "steps": self.steps,
+            "steps": inventory.end_step,
             "sense_every_steps": self.config.sense_every_steps,
             "seed": self.config.seed,
             "traffic_seed": self.config.traffic.seed,
             "variants": [BASE_VARIANT, *(variant.name for variant in self.config.trust_variant)],
             "roles": labels(Role),
             "config": self.config.to_dict(),
-            "versions": {"python": platform.python_version()} | {p: version(p) for p in PACKAGES},
+            "config_sha256": durable.sha256(self.folder / CONFIG),
+            "versions": versions(),
             "net": self.net,
             "choices": {key: asdict(source) for key, source in self.choices.items()},
             "timings_s": {stage: round(s, 3) for stage, s in self.timings_s.items()},
             "summary": self.summary,
+            "inventory": inventory.summary(kept(self.config.record.level)),
+            **({"error": self.error} if self.error else {}),
+            **({"resumed_at": self.resumed_at} if self.resumed_at else {}),
         }
-        partial = self.folder / "manifest.json.partial"
-        partial.write_text(json.dumps(content, indent=1, ensure_ascii=False), encoding="utf-8")
-        partial.replace(self.folder / "manifest.json")
+        reserve = self.folder / _RESERVE
+        reserve.unlink(missing_ok=True)
+        archive.write_manifest(self.folder, content)
+        if status == "running":
+            with suppress(OSError), open(reserve, "wb") as file:  # file systems without it have no such promise
+                os.posix_fallocate(file.fileno(), 0, _RESERVE_BYTES)
+
+    def _config(self) -> bytes:
+        return tomli_w.dumps(without_nulls(self.config.to_dict())).encode()

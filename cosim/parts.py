@@ -67,7 +67,7 @@ class Parts:
 
     def senses(self, step: int) -> bool:
         """Whether vehicles sense and talk in this step."""
-        return step % self.config.sense_every_steps == 0
+        return self.config.sensing and step % self.config.sense_every_steps == 0
 
 
 def perception_of(experiment: Config, city: Scene) -> Perception:
@@ -98,17 +98,22 @@ def variants(experiment: Config) -> list[Variant]:
     return [base, *others]
 
 
-def sources(experiment: Config) -> dict[str, choices.Source]:
-    """Where every choice of a config comes from, by its key."""
+def chosen(experiment: Config) -> dict[str, choices.Choice]:
+    """Every choice of a config, by its key."""
     found = {
-        f"{section}.{key}": config.chosen(experiment, section)[0].source
+        f"{section}.{key}": config.chosen(experiment, section)[0]
         for section, (key, _, _) in config.CHOICES.items() if section != "attacks"
     }  # fmt: skip
     for number in range(len(experiment.attacks)):
-        found[f"attacks.{number}.attack"] = config.chosen(experiment, "attacks", number)[0].source
+        found[f"attacks.{number}.attack"] = config.chosen(experiment, "attacks", number)[0]
     for number, variant in enumerate(experiment.trust_variant):
-        found[f"trust_variant.{number}.model"] = config.chosen_model(variant)[0].source
+        found[f"trust_variant.{number}.model"] = config.chosen_model(variant)[0]
     return found
+
+
+def sources(experiment: Config) -> dict[str, choices.Source]:
+    """Where every choice of a config comes from, by its key."""
+    return {key: choice.source for key, choice in chosen(experiment).items()}
 
 
 def _make(experiment: Config, section: str, number: int | None = None) -> Any:

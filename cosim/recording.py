@@ -1,5 +1,6 @@
 """From the result of a step to the rows of the run's tables; it asks nothing of the simulation."""
 
+import copy
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -8,10 +9,13 @@ from numpy import ndarray
 
 import cosim.codes  # noqa: F401  the codes that are written are those that the tables render
 from cosim.actors import ActorRegistry
-from cosim.cycle import Sensed, StepResult
+from cosim.adversary.params import roles_of
+from cosim.cycle import Sensed, State, StepResult
+from cosim.parts import Parts
 from cosim.radio.message_round import Outcome
 from cosim.reactions import Reactions
 from cosim.trackers import evidence_audit
+from cosim.trackers.attack_start import AttackStartTracker
 from cosim.trackers.channel_counts import latency_histogram, pdr_by_distance, vehicle_channel
 from cosim.v2x.messages import FABRICATED
 from cosim.v2x.pseudonyms import PseudonymUse
@@ -22,6 +26,9 @@ from results.encounters import Rows, by_variant
 from results.recorder import Recorder
 from sensors.boxes import Boxes
 from trust.tables import TrustScores
+
+Columns = Mapping[str, ndarray | None]
+"""Columns of a table, ready for the recorder."""
 
 OUTCOMES = {
     "n_delivered": Outcome.RECEIVED,
@@ -87,11 +94,15 @@ def encounters(recorder: Recorder, at: int, closed: Sequence[Rows]) -> None:
 
 def pseudonyms(recorder: Recorder, at: int, ended: PseudonymUse) -> None:
     """Pseudonyms that are no longer used."""
-    recorder.append("pseudonyms", at, {
-        "pseudonym": ended.pseudonym, "vehicle": ended.vehicle, "identity": ended.identity,
-        "from_step": ended.from_step, "to_step": ended.to_step, "refused_step": ended.refused_step,
-        "refused_step__valid": ended.refused_step >= 0,
-    })  # fmt: skip
+    recorder.append("pseudonyms", at, _pseudonym_rows(ended))
+
+
+def _pseudonym_rows(used: PseudonymUse) -> Rows:
+    return {
+        "pseudonym": used.pseudonym, "vehicle": used.vehicle, "identity": used.identity,
+        "from_step": used.from_step, "to_step": used.to_step, "refused_step": used.refused_step,
+        "refused_step__valid": used.refused_step >= 0,
+    }  # fmt: skip
 
 
 def _box_columns(boxes: Boxes) -> Rows:
@@ -118,6 +129,8 @@ def _detections(recorder: Recorder, world: World, sensed: Sensed) -> None:
         "truth_iou": truth.iou, "truth_iou__valid": truth.is_real,
         "truth_occlusion": truth.occlusion, "truth_occlusion__valid": truth.is_sensed,
     })  # fmt: skip
+    faults = np.flatnonzero(sensed.n_dropped)
+    recorder.append("dropped_detections", world.step, {"cause": faults, "n": sensed.n_dropped[faults]})
     recorder.append("observability", world.step, {
         "observer": sensed.vehicles.actor[seen.observer], "actor": world.actor[seen.actor],
         "n_points": seen.n_returns, "n_unoccluded": seen.n_unoccluded,
@@ -279,16 +292,27 @@ def _fused(recorder: Recorder, at: int, sensed: Sensed) -> None:
         })  # fmt: skip
 
 
-def vehicles(
-    recorder: Recorder, registry: ActorRegistry, role_of_attack: UInt8[ndarray, "a"],
-    attack_start_step: Int[ndarray, "n"], attacked: Bool[ndarray, "n"], last_step: int,
-) -> None:  # fmt: skip
-    """All actors, once, when recording ends; `role_of_attack` by number of the attack, 0 for none."""
+def open_rows(state: State, parts: Parts, registry: ActorRegistry, end_step: int) -> dict[str, list[Columns]]:
+    """By table, the rows of what is not over yet, as they would be if recording ended before `end_step`."""
+    split = [by_variant(rows) for rows in copy.deepcopy(state.encounters).close(end_step)]
+    return {
+        "encounters": [base for base, _ in split],
+        "encounter_trust": [others for _, others in split if others],
+        "pseudonyms": [_pseudonym_rows(parts.pseudonyms.in_use(state.pseudonyms))],
+        "vehicles": [vehicle_rows(registry, roles_of(parts.config.attacks), state.attack_start)],
+    }
+
+
+def vehicle_rows(
+    registry: ActorRegistry, role_of_attack: UInt8[ndarray, "a"], attack_start: AttackStartTracker
+) -> Columns:
+    """All actors; `role_of_attack` by number of the attack, 0 for none."""
     lwh = registry.lwh_m
-    recorder.append("vehicles", last_step, {
+    attack_start_step, attacked = attack_start.first_steps(len(registry))
+    return {
         "vehicle": np.arange(len(registry), dtype=np.int32), "sumo_id": np.array(registry.names, object),
         "vehicle_class": registry.shape, "length_m": lwh[:, 0], "width_m": lwh[:, 1], "height_m": lwh[:, 2],
         "equipped": registry.equipped, "role": role_of_attack[registry.attack], "role__valid": registry.equipped,
         "first_step": registry.first_step, "last_step": registry.last_step,
         "attack_start_step": attack_start_step, "attack_start_step__valid": attacked,
-    })  # fmt: skip
+    }  # fmt: skip

@@ -4,12 +4,13 @@ They equal the run's, because noise is a function of vehicle and step.
 """
 
 import logging
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pyarrow.compute as pc
+import shapely
 from jaxtyping import Int
 from numpy import ndarray
 
@@ -19,13 +20,14 @@ from cosim.meshes import with_meshes
 from cosim.perception import sweep_keys
 from cosim.scenario import find
 from cosim.world import World
-from results.figures import style
+from results.figures import movie, style
 from results.figures.sweep import draw
 from results.run import Run
 from sensors import cloud, lidar
 from sensors.boxes import Boxes
 from sensors.lidar import Sweeps
 from sensors.scene import Scene, Shape
+from sumo_nets import network
 
 _LOG = logging.getLogger(__name__)
 
@@ -136,3 +138,15 @@ def write(run: Run, vehicle: int, step: int, out: Path | None) -> Path:
     }
     title = f"LiDAR sweep of vehicle {vehicle} at {step * run.dt_s:g} s: {len(points[0]):,} returns"
     return style.save(draw(*points, boxes, title), out)
+
+
+def film(
+    run: Run, vehicle: int | None, out: Path | None, progress: Callable[[int, int], None] = lambda done, total: None
+) -> Path:
+    """A movie of a run on the map of its city."""
+    config = config_of(run)
+    scenario = find(config.traffic.scenario, config.traffic.trace)
+    lanes = [] if scenario.net is None else network.lanes(scenario.net)
+    streets = [lane.line_m[:, :2] - scenario.origin_m for lane in lanes]
+    buildings = [shapely.get_coordinates(shapely.get_exterior_ring(polygon)) for polygon in city_of(config).footprints]
+    return movie.write(run, out or run.path / "movie.gif", vehicle, streets, buildings, progress)

@@ -1,42 +1,47 @@
 """A run, from config to folder."""
 
-import json
-from collections.abc import Callable
+import hashlib
+import shutil
+from collections.abc import Collection
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numba
 import numpy as np
-import tomli_w
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
 
-from cosim import recording
+from cosim import checkpoint, recording, run_folder
 from cosim.actors import ActorRegistry
-from cosim.adversary.params import named, roles_of, shares
-from cosim.config import Config, chosen
-from cosim.cycle import State, step
+from cosim.adversary.params import named, shares
+from cosim.config import Config, chosen, resolve_data
+from cosim.cycle import State
+from cosim.drive import STATE_VERSION, Advance, Commands, Drive, own_modules, warm_up
 from cosim.driver.driver import largest_step_s
-from cosim.manifest import Manifest
+from cosim.manifest import CONFIG, Manifest, versions
 from cosim.meshes import with_meshes
 from cosim.mobility.remarks import traffic_remarks
 from cosim.mobility.source import TrafficEnded, TrafficError, TrafficSource
 from cosim.parts import Parts, check_choices, sources
 from cosim.radio.rsu import NO_RSUS, RsuAntennas, place_rsus
+from cosim.run_folder import RunFolder
 from cosim.scenario import Scenario, find
+from cosim.stop import Failed, Stopped, StopRequest
 from cosim.stopwatch import Stopwatch
-from results.recorder import Recorder
+from cosim.trackers.attack_start import AttackStartTracker
+from results import inventory
+from results.archive import read_manifest
+from results.durable import PARTIAL, Damaged, open_regular, sha256
+from results.inventory import Inventory
+from results.recorder import CHECKPOINT, Recorder, is_state
+from results.run import content_problem
+from results.tables import SCHEMA_VERSION
 from sensors import lidar
 from sensors.boxes import Boxes
 from sensors.scene import Scene, Shape
 from sumo_nets.network import junctions
 from trust.models.interface import ModelError
-
-Advance = Callable[[str, int, int, str], None]
-"""Told of progress: phase, done, total, a note."""
-
-_CORES = numba.get_num_threads()
-_EQUIPPED_PER_THREAD = 100
-"""Below it a step takes some 20 ms, and threads lose more than they gain wherever the cores have other work."""
 
 
 def check(config: Config) -> Scenario:
@@ -85,23 +90,140 @@ def roadside_units(config: Config, scenario: Scenario) -> RsuAntennas:
     return replace(sites, xyz_m=sites.xyz_m - np.array([*scenario.origin_m, 0.0]))
 
 
-def without_nulls(data: Any) -> Any:
-    """Plain data without what is not set, as TOML needs it."""
-    if isinstance(data, dict):
-        return {k: without_nulls(v) for k, v in data.items() if v is not None}
-    return [without_nulls(v) for v in data] if isinstance(data, list | tuple) else data
-
-
 def run(config: Config, out: Path | None, advance: Advance, traffic_from: Path | None = None) -> Path:
     """Drive, sense, talk, trust and record; the folder that it wrote.
 
     `traffic_from` is a folder that `record_traffic` wrote for the same `[traffic]`: it is replayed instead of driving
     SUMO, with the same tables.
 
-    Nothing is written before the config has been checked and SUMO has accepted the scenario.
+    Nothing is written before the config has been checked and SUMO has accepted the scenario. Stopped where a signal
+    asks for it.
     """
+    run_folder.check(out)
     scenario = check(config)
-    folder = _folder(out, scenario.name)
+    with StopRequest() as stop:
+        parts, registry, traffic = _loaded(config, scenario, traffic_from)
+        try:
+            folder = run_folder.create(out, scenario.name)
+            try:
+                manifest = Manifest(folder.path, config, scenario.provenance(), sources(config))
+                manifest.begin()
+                recorder = _recorder(folder.path, parts, 0)
+                warmup_s = 0.0 if traffic_from is not None else _warmup_s(config, scenario)
+                drive = Drive(parts, scenario, folder, warmup_s, traffic, registry, recorder, manifest, advance, stop)
+            except BaseException as error:
+                with suppress(OSError):
+                    folder.remove()
+                if isinstance(error, OSError):
+                    raise Failed(f"{folder.path}: {error.strerror or error}. Nothing was written.") from None
+                raise
+            _carry_out(drive, folder)
+        finally:
+            traffic.close()
+    return folder.path
+
+
+def resume(path: Path, advance: Advance) -> Path:
+    """Go on with a run that was killed or interrupted, from its last whole block: the tables are those of a run
+    never interrupted.
+
+    The traffic is repeated from its beginning, because SUMO's own saved state is not exact; everything else goes on
+    from the state that was kept with the block. Nothing in the folder is executed.
+    """
+    manifest = read_manifest(path)
+    config = _resumable(path, manifest)
+    scenario = check(config)
+    if (now := scenario.provenance()) != manifest["net"]:
+        changed = sorted(key for key in now.keys() | manifest["net"].keys() if now.get(key) != manifest["net"].get(key))
+        raise ValueError(f"{path}: its inputs have changed since: {', '.join(changed)}. Run again.")
+    with StopRequest() as stop:
+        folder = run_folder.reopen(path)
+        try:
+            if read_manifest(path)["status"] == "finished":
+                return path
+            found = inventory.read(path).whole()
+            if problem := next((p for part in found.parts if (p := content_problem(path, part))), ""):
+                raise Damaged(f"{path} is damaged: {problem}. Run again.")
+            parts, registry, traffic = _loaded(config, scenario)
+            try:
+                recorder = _recorder(path, parts, found.end_step)
+                went = Manifest(path, config, manifest["net"], sources(config), steps=found.end_step)
+                went.resumed_at = [*manifest.get("resumed_at", []), found.end_step]
+                warmup_s = _warmup_s(config, scenario)
+                drive = Drive(parts, scenario, folder, warmup_s, traffic, registry, recorder, went, advance, stop)
+                drive.state, drive.expected = _kept_state(path, found, config), _last_poses(path, found)
+                drive.commands = _kept_commands(path, found)
+                went.write("running")
+                _carry_out(drive, folder)
+            finally:
+                traffic.close()
+        except BaseException:
+            folder.release()
+            raise
+    return path
+
+
+def record_traffic(config: Config, path: Path, advance: Advance) -> Path:
+    """Drive and record the traffic of a config, nobody equipped; a folder for `run(..., traffic_from=path)`."""
+    own = {section: values for section, values in config.own.items() if not section.startswith("attacks.")}
+    config = replace(config, attacks=(), trust_variant=(), own=own)
+    scenario, watch = check(config), Stopwatch()
+    registry = ActorRegistry(replace(config.fleet, penetration_p=0.0), config.seed)
+    traffic = scenario.traffic(config.traffic, registry)
+    try:
+        folder = run_folder.create(path, scenario.name)
+        manifest = Manifest(path, config, scenario.provenance(), sources(config))
+        manifest.begin()
+        warm_up(_warmup_s(config, scenario), traffic, watch, advance)
+        recorder = Recorder(path, "standard", config.record.block_steps)
+        for number in range(config.n_steps):
+            try:
+                world = traffic.advance()
+            except TrafficEnded:
+                break
+            recording.actors(recorder, world)
+            recorder.reach(number)
+            manifest.steps = number + 1
+            advance("traffic", number + 1, config.n_steps, f"steps, {len(world)} actors")
+        recorder.close({"vehicles": [recording.vehicle_rows(registry, np.zeros(1, np.uint8), AttackStartTracker())]})
+        manifest.timings_s, manifest.summary = watch.seconds, traffic.report()
+    finally:
+        traffic.close()
+    manifest.write("finished", recorder.inventory)
+    folder.release()
+    return path
+
+
+def _resumable(path: Path, manifest: dict[str, Any]) -> Config:
+    """The config of a run that can be resumed; ValueError in one line where it cannot."""
+    if manifest["schema_version"] != SCHEMA_VERSION:
+        raise ValueError(
+            f"{path} was written with schema version {manifest['schema_version']}, this cosim writes {SCHEMA_VERSION}. "
+            "Run again."
+        )
+    if sha256(path / CONFIG) != manifest["config_sha256"]:
+        raise ValueError(f"{path}/{CONFIG} was changed since. A resumed run goes on with the same config: run again.")
+    now = versions()
+    if other := [f"{p} {v} (now {now.get(p)})" for p, v in manifest["versions"].items() if now.get(p) != v]:
+        raise ValueError(f"{path} was begun with {', '.join(other)}: the tables would be of two kinds. Run again.")
+    for key, source in manifest["choices"].items():
+        if not source["file"]:
+            continue
+        file = Path(source["file"])
+        if path.resolve() in file.resolve().parents:
+            raise ValueError(f"{path}: {key} names {file}, inside the run folder, from which nothing is executed.")
+        if not file.is_file() or sha256(file) != source["sha256"]:
+            raise ValueError(f"{path}: {key} names {file}, which was changed since. Run again.")
+    return resolve_data(manifest["config"], f"{path}/manifest.json", None)
+
+
+def _warmup_s(config: Config, scenario: Scenario) -> float:
+    return scenario.warmup_s if config.traffic.warmup_s is None else config.traffic.warmup_s
+
+
+def _loaded(
+    config: Config, scenario: Scenario, traffic_from: Path | None = None
+) -> tuple[Parts, ActorRegistry, TrafficSource]:
     watch = Stopwatch()
     with watch("city"):
         city = with_meshes(scenario.city(), config.meshes)
@@ -110,150 +232,124 @@ def run(config: Config, out: Path | None, advance: Advance, traffic_from: Path |
     recorded = scenario if traffic_from is None else replace(scenario, trace=traffic_from, warmup_s=0.0)
     params = config.traffic if traffic_from is None else replace(config.traffic, begin_s=None, warmup_s=0.0)
     traffic = recorded.traffic(params, registry, has_driver=config.driver.model != "none")
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        manifest = Manifest(folder, config, scenario.provenance(), sources(config))
-        (folder / "config.toml").write_text(tomli_w.dumps(without_nulls(config.to_dict())), encoding="utf-8")
-        manifest.write("running")
-        try:
-            _warm_up(0.0 if traffic_from is not None else _warmup_s(config, scenario), traffic, watch, advance)
-            _drive(parts, scenario, traffic, registry, manifest, advance)
-        except KeyboardInterrupt:
-            manifest.write("interrupted")
-            raise
-        except (TrafficError, ModelError):
-            manifest.write("failed")
-            raise
-        except Exception as error:
-            manifest.write("failed")
-            raise RuntimeError(f"{folder}: the run failed at step {manifest.steps}") from error
-    finally:
-        traffic.close()
-    manifest.write("finished")
-    return folder
+    return parts, registry, traffic
 
 
-def record_traffic(config: Config, folder: Path, advance: Advance) -> Path:
-    """Drive and record the traffic of a config, nobody equipped; a folder for `run(..., traffic_from=folder)`."""
-    own = {section: values for section, values in config.own.items() if not section.startswith("attacks.")}
-    config = replace(config, attacks=(), trust_variant=(), own=own)
-    scenario, watch = check(config), Stopwatch()
-    registry = ActorRegistry(replace(config.fleet, penetration_p=0.0), config.seed)
-    traffic = scenario.traffic(config.traffic, registry)
+def _recorder(folder: Path, parts: Parts, resume_at: int) -> Recorder:
+    variants = [variant.name for variant in parts.trust.variants]
+    record = parts.config.record
+    return Recorder(folder, record.level, record.block_steps, resume_at, variants=variants)
+
+
+def _kept_commands(path: Path, found: Inventory) -> dict[int, Commands]:
+    """Speeds that drivers commanded, by step; they belong to the traffic that is repeated."""
+    commands: dict[int, Commands] = {}
+    for block in found.blocks:
+        for name in block.checkpoint:
+            if not is_state(name):
+                commands |= _decoded(path, name, block.checkpoint[name], ())
+    return commands
+
+
+def _decoded(path: Path, name: str, digest: str, own: Collection[str]) -> Any:
+    """What a file of a checkpoint holds."""
+    with open_regular(path / name) as file:
+        content = file.read()
+    if hashlib.sha256(content).hexdigest() != digest:
+        raise Damaged(f"{path} is damaged: {name} is not what was written. Run again.")
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        manifest = Manifest(folder, config, scenario.provenance(), sources(config))
-        manifest.write("running")
-        _warm_up(_warmup_s(config, scenario), traffic, watch, advance)
-        with Recorder(folder, "standard", config.record.block_steps) as recorder:
-            for number in range(config.n_steps):
-                try:
-                    world = traffic.advance()
-                except TrafficEnded:
-                    break
-                recording.actors(recorder, world)
-                manifest.steps = number + 1
-                advance("traffic", number + 1, config.n_steps, f"steps, {len(world)} actors")
-            nobody = np.zeros(len(registry), np.int32), np.zeros(len(registry), bool)
-            recording.vehicles(recorder, registry, roles_of(()), *nobody, max(0, manifest.steps - 1))
-        manifest.timings_s, manifest.summary = watch.seconds, traffic.report()
-    finally:
-        traffic.close()
-    manifest.write("finished")
-    return folder
+        return checkpoint.decode(content, own)
+    except ValueError as error:
+        raise Damaged(f"{path}/{name}: {error}. Run again.") from None
+
+
+def _kept_state(path: Path, found: Inventory, config: Config) -> State | None:
+    """The state at the end of the last whole block; None where all has to be computed again."""
+    names = [name for name in (found.blocks[-1].checkpoint if found.blocks else ()) if is_state(name)]
+    if not names:
+        return None
+    state_version, state = _decoded(path, names[0], found.blocks[-1].checkpoint[names[0]], own_modules(config))
+    if state_version != STATE_VERSION or not isinstance(state, State):
+        raise ValueError(f"{path} was begun with another cosim. Run again.")
+    return state
+
+
+def _last_poses(path: Path, found: Inventory) -> dict[str, np.ndarray] | None:
+    """Rows of the table `actors` of the last step that is kept; None where the run does not keep them."""
+    last = found.end_step - 1
+    parts = [part for part in found.of("actors") if part.first_step <= last <= part.last_step]
+    if not parts:
+        return None
+    columns = ["actor", "x_m", "y_m", "z_m", "yaw_rad", "speed_mps"]
+    table = pq.read_table(path / parts[0].name, columns=columns, filters=pc.field("step") == last, partitioning=None)
+    return {name: table.column(name).to_numpy() for name in columns}
+
+
+def _carry_out(drive: Drive, folder: RunFolder) -> None:
+    """A run, and its status in the manifest, whatever happens."""
+    manifest, recorder = drive.manifest, drive.recorder
+    try:
+        drive.run()
+    except Stopped as error:
+        if not recorder.inventory.blocks:
+            _fail(drive, folder, "")
+            raise
+        manifest.write("interrupted", recorder.inventory)
+        folder.release()
+        message = f"interrupted before anything was added. Continue with: cosim resume {folder.path}"
+        raise Stopped(error.signum, message) from None
+    except Failed:
+        raise
+    except (TrafficError, ModelError) as error:
+        _fail(drive, folder, str(error))
+        raise
+    except OSError as error:
+        message = f"{folder.path}: {error.strerror or error}, at step {manifest.steps}"
+        kept = _fail(drive, folder, message)
+        raise Failed(
+            message + (f". Continue with: cosim resume {folder.path}" if kept else ". Nothing is kept.")
+        ) from None
+    except MemoryError:
+        message = f"{folder.path}: out of memory at step {manifest.steps}"
+        _fail(drive, folder, message)
+        raise Failed(message + ".") from None
+    except Exception as error:
+        _fail(drive, folder, f"{type(error).__name__}: {error}")
+        raise RuntimeError(f"{folder.path}: the run failed at step {manifest.steps}") from error
+    manifest.timings_s = drive.parts.watch.seconds
+    if not drive.is_over:
+        manifest.write("interrupted", recorder.inventory)
+        folder.release()
+        assert drive.stop.signum is not None
+        raise Stopped(
+            drive.stop.signum,
+            f"interrupted after {manifest.steps} of {drive.parts.config.n_steps} steps, all written. "
+            f"Continue with: cosim resume {folder.path}",
+        )
+    manifest.write("finished", recorder.inventory)
+    shutil.rmtree(folder.path / CHECKPOINT, ignore_errors=True)
+    folder.release()
+
+
+def _fail(drive: Drive, folder: RunFolder, message: str) -> bool:
+    """Say in the manifest that the run failed; a folder without any steps is removed. Whether steps are kept."""
+    manifest, recorder = drive.manifest, drive.recorder
+    if not folder.lock.is_held():
+        return False
+    if not recorder.inventory.blocks:
+        with suppress(OSError):
+            folder.remove()
+        return False
+    manifest.error, manifest.timings_s = message, drive.parts.watch.seconds
+    with suppress(OSError):  # a full disk, a folder that is gone: "running" without a lock says as much
+        for leftover in folder.path.rglob("*" + PARTIAL):
+            leftover.unlink()
+        manifest.write("failed", recorder.inventory)
+    with suppress(OSError):
+        folder.release()
+    return True
 
 
 def remarks(folder: Path) -> list[str]:
     """What a user should know of a finished run before they trust its figures; mostly nothing."""
-    summary = json.loads((folder / "manifest.json").read_text(encoding="utf-8"))["summary"]
-    return traffic_remarks(summary)
-
-
-def _threads(config: Config, n_equipped: int) -> int:
-    """Threads for one step: what the config says, or as many as are worth it."""
-    return min(config.compute.threads or max(1, n_equipped // _EQUIPPED_PER_THREAD), _CORES)
-
-
-def _drive(
-    parts: Parts, scenario: Scenario, traffic: TrafficSource, registry: ActorRegistry, manifest: Manifest,
-    advance: Advance,
-) -> None:  # fmt: skip
-    config, watch = parts.config, parts.watch
-    state = State.start(parts)
-    variants = [variant.name for variant in parts.trust.variants]
-    n_on_road, ended = 0, ""
-    with Recorder(manifest.folder, config.record.level, config.record.block_steps, variants=variants) as recorder:
-        for number in range(config.n_steps):
-            with watch("traffic"):
-                try:
-                    world = traffic.advance()
-                except TrafficEnded as over:
-                    asked_s = config.n_steps * config.traffic.step_s
-                    ended = f"the traffic ended before the {asked_s:g} s asked for: {over}"
-                    break
-            numba.set_num_threads(_threads(config, int(world.equipped.sum())))
-            state, happened = step(world, state, parts)
-            with watch("record"):
-                recording.step(recorder, happened, config.traffic.step_s)
-            traffic.command(happened.commands.actor, happened.commands.speed_mps)
-            n_on_road += int((world.shape != Shape.PEDESTRIAN).sum())
-            manifest.steps = number + 1
-            advance("run", number + 1, config.n_steps, f"steps, {len(world)} actors")
-        if not manifest.steps:
-            raise TrafficError(f"traffic.scenario = {scenario.name}: there is nothing to record: {ended}.")
-        last = manifest.steps - 1
-        recording.encounters(recorder, last, state.encounters.close(manifest.steps))
-        recording.pseudonyms(recorder, last, parts.pseudonyms.in_use(state.pseudonyms))
-        recording.vehicles(
-            recorder, registry, roles_of(config.attacks), *state.attack_start.first_steps(len(registry)), last
-        )
-    manifest.timings_s = watch.seconds
-    manifest.summary = {
-        "vehicles_on_road_mean": round(n_on_road / manifest.steps, 2),
-        **traffic.report(),
-        "detections_malformed": state.n_malformed,
-        "evaluations_rejected": parts.trust.rejected(state.trust),
-        **_pseudonym_summary(config, state),
-        **({"ended_early": ended} if ended else {}),
-    }
-
-
-def _pseudonym_summary(config: Config, state: State) -> dict[str, Any]:
-    """What became of pseudonyms, where anything can."""
-    found: dict[str, Any] = {}
-    if config.pseudonyms.revocation != "none":
-        found["revoked"] = len(state.pseudonyms.revoked)
-    if config.pseudonyms.linkage == "on_demand":
-        found["linked_on_demand"] = int((state.pseudonyms.linked >= 0).sum())
-    if config.pseudonyms.linkage == "own":
-        heard = state.heard
-        found["relinked"] = {"changes": heard.n_changes, "linked": heard.n_linked, "right": heard.n_right}
-    return found
-
-
-def _warmup_s(config: Config, scenario: Scenario) -> float:
-    return scenario.warmup_s if config.traffic.warmup_s is None else config.traffic.warmup_s
-
-
-def _warm_up(warmup_s: float, traffic: TrafficSource, watch: Stopwatch, advance: Advance) -> None:
-    with watch("warm-up"):
-        try:
-            for done_s in traffic.warm_up(warmup_s):
-                advance("warm-up", int(done_s), int(warmup_s), "s")
-        except TrafficEnded as over:
-            raise TrafficError(f"traffic.warmup_s = {warmup_s:g} s outlasts the traffic: {over}. Shorten it.") from None
-        advance("warm-up", int(warmup_s), int(warmup_s), "s")
-
-
-def _folder(out: Path | None, name: str) -> Path:
-    if out is None:
-        n = 1
-        while (folder := Path("runs") / f"{name}-{n}").exists():
-            n += 1
-        return folder
-    if out.exists() and not out.is_dir():
-        raise ValueError(f"--out {out} is a file. Give a folder that is empty or does not exist.")
-    if out.is_dir() and any(out.iterdir()):
-        what = "already holds a run" if (out / "manifest.json").exists() else "is not empty"
-        raise ValueError(f"--out {out} {what}. Give a folder that is empty or does not exist.")
-    return out
+    return traffic_remarks(read_manifest(folder)["summary"])

@@ -8,10 +8,9 @@ import numpy as np
 from numpy import ndarray
 from scipy.spatial import cKDTree
 
-from results.archive import open_run
+from results.archive import finish, open_run
 from results.encounters import EncounterParams, EncounterTracker
 from results.recorder import Recorder
-from results.tables import SCHEMA_VERSION
 
 N_VEHICLES, AREA_M, REACH_M = 1000, 2000.0, 236.0
 """Gives each vehicle 40 neighbours."""
@@ -57,7 +56,6 @@ def _disk(rng: np.random.Generator, steps: int) -> tuple[float, float, int, int]
     """Time to write and to read the table `trust_lookups` of that traffic, its rows and its bytes."""
     receiver, subject = np.divmod(np.sort(rng.choice(N_VEHICLES**2, 40 * N_VEHICLES, replace=False)), N_VEHICLES)
     trust = rng.random(N_VEHICLES)
-    manifest = '{"schema_version": %d, "status": "finished", "dt_s": 1.0, "steps": %d, "config": {}}'
     with tempfile.TemporaryDirectory() as folder:
         begin = process_time()
         with Recorder(Path(folder), "standard") as recorder:
@@ -68,7 +66,7 @@ def _disk(rng: np.random.Generator, steps: int) -> tuple[float, float, int, int]
                     "source": np.zeros(len(subject), np.int8), "age_s": np.full(len(subject), step % 5 + 0.2),
                 })  # fmt: skip
         written = process_time()
-        (Path(folder) / "manifest.json").write_text(manifest % (SCHEMA_VERSION, steps))
+        finish(Path(folder), {"dt_s": 1.0, "config": {}})
         n_rows = len(open_run(folder).trust_lookups)
         read = process_time()
         n_bytes = sum(part.stat().st_size for part in (Path(folder) / "trust_lookups").iterdir())

@@ -42,6 +42,19 @@ class Origin(IntEnum):
     FABRICATED = 2
 
 
+class DetectionFault(IntEnum):
+    """Why a detection is dropped before it is sent, the first that applies."""
+
+    NOT_FINITE = 0
+    TOO_FAR = 1
+    BAD_SIZE = 2
+    BAD_SCORE = 3
+    UNKNOWN_CLASS = 4
+    BAD_NUMBER = 5
+    REPEATED_NUMBER = 6
+    TOO_MANY = 7
+
+
 class TrustSource(IntEnum):
     """Where a trust value comes from: the trust server, the holder's own evidence, the default of the config."""
 
@@ -86,11 +99,19 @@ class LosState(IntEnum):
 
 
 class EncounterPairs(IntEnum):
-    """Which pairs can have an encounter: all vehicles, equipped ones, or equipped ones with line of sight."""
+    """Which pairs can have an encounter: all, equipped ones, equipped ones with line of sight, or all with it."""
 
     ALL = 0
     EQUIPPED = 1
     LOS = 2
+    ALL_LOS = 3
+
+
+class LosBlockers(IntEnum):
+    """What cuts a line of sight between two actors: buildings, or the bodies of third actors too."""
+
+    BUILDINGS = 0
+    BUILDINGS_AND_VEHICLES = 1
 
 
 def labels(codes: type[IntEnum]) -> tuple[str, ...]:

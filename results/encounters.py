@@ -4,11 +4,11 @@ from dataclasses import dataclass
 from typing import Annotated, Literal
 
 import numpy as np
-from annotated_types import Ge, Gt
+from annotated_types import Ge, Gt, Le
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
-from results.codes import EncounterPairs, LookupState, TrustSource
+from results.codes import EncounterPairs, LookupState, LosBlockers, TrustSource
 
 Rows = dict[str, ndarray]
 """Columns of the table `encounters`, ready for the recorder."""
@@ -18,12 +18,23 @@ Rows = dict[str, ndarray]
 class EncounterParams:
     """What counts as an encounter."""
 
-    radius_m: Annotated[float, Gt(0)] = 100.0
+    radius_m: Annotated[float, Gt(0), Le(100_000)] = 100.0
     """Largest distance that counts as contact [m]."""
-    hysteresis_s: Annotated[float, Ge(0)] = 3.0
+    hysteresis_s: Annotated[float, Ge(0), Le(1e7)] = 3.0
     """A break in contact shorter than this does not end an encounter [s]."""
-    pairs: Literal["all", "equipped", "los"] = "equipped"
-    """Which pairs count: all vehicles, equipped pairs, or equipped pairs while they have line of sight."""
+    pairs: Literal["all", "equipped", "los", "all_los"] = "equipped"
+    """Which pairs count: all, equipped ones, equipped ones while they have line of sight, or all while they have it."""
+    los: Literal["buildings", "buildings_and_vehicles"] = "buildings_and_vehicles"
+    """What cuts a line of sight between two roofs: buildings, or the bodies of other actors too."""
+    pedestrians: bool = False
+    """Pedestrians count too, with `pairs = "all"` or `"all_los"`."""
+
+    def __post_init__(self) -> None:
+        if self.pedestrians and self.pairs not in ("all", "all_los"):
+            raise ValueError(
+                f'encounters.pedestrians = true with encounters.pairs = "{self.pairs}": pedestrians are not equipped. '
+                'Set encounters.pairs to "all" or "all_los".'
+            )
 
 
 _LIVE: dict[str, type] = {
@@ -128,9 +139,9 @@ class EncounterTracker:
         assert self._step is None or step == self._step + 1, f"step {step} does not follow {self._step}"
         first = self._step is None
         contact = distance_m <= self.params.radius_m
-        if self.params.pairs != "all" and equipped is not None:
+        if self.params.pairs in ("equipped", "los") and equipped is not None:
             contact &= equipped
-        if self.params.pairs == "los":
+        if self.params.pairs in ("los", "all_los"):
             contact &= los
         given = np.flatnonzero(contact)
         pair = _pair(a[given], b[given])
@@ -329,6 +340,8 @@ class EncounterTracker:
             "radius_m": np.full(n, self.params.radius_m, np.float32),
             "pairs": np.full(n, EncounterPairs[self.params.pairs.upper()], np.int8),
             "hysteresis_s": np.full(n, self.params.hysteresis_s, np.float32),
+            "los": np.full(n, LosBlockers[self.params.los.upper()], np.int8),
+            "pedestrians": np.full(n, self.params.pedestrians),
             "end_step": live["end"],
             "duration_s": (live["end"] - live["start"]) * self.dt_s,
             "censored_left": live["censored_left"],
@@ -346,7 +359,7 @@ class EncounterTracker:
         }  # fmt: skip
 
 
-ENCOUNTER_KEY = ("a", "b", "start_step", "radius_m", "pairs", "hysteresis_s")
+ENCOUNTER_KEY = ("a", "b", "start_step", "radius_m", "pairs", "hysteresis_s", "los", "pedestrians")
 """Columns that name an encounter."""
 
 

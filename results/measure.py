@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import pandas as pd
 
+from results.durable import Damaged
 from results.metrics import (
     attack,
     contact_graph,
@@ -112,6 +113,8 @@ def measure(
                 made = Row(*row)
                 rows.append(made._replace(name=f"{topic}.{made.name}"))
         except ValueError as reason:
+            if isinstance(reason, Damaged) and str(reason) not in run.damage:
+                run.damage.append(str(reason))
             rows.append(Row(f"{topic}.not_measured", str(reason), np.nan))
     return pd.DataFrame(
         [(*row, METRICS[row.name].unit, METRICS[row.name].label, _note(row)) for row in rows],
@@ -191,12 +194,8 @@ def _rows(frame: pd.DataFrame, group: str, metrics: Mapping[str, str], interval:
 
 
 def _named(frame: pd.DataFrame) -> pd.DataFrame:
-    """With the column `definition`: pairs and radius, and the hysteresis where definitions differ in it alone."""
-    text = [f"{pairs}, {radius:g} m" for pairs, radius in zip(frame.pairs, frame.radius_m, strict=True)]
-    frame = frame.assign(definition=text)
-    twice = frame.definition.duplicated(keep=False)
-    longer = frame.definition + frame.hysteresis_s.map(lambda s: f", {s:g} s")
-    return frame.assign(definition=frame.definition.where(~twice, longer))
+    """With the column `definition`: a name for each definition of an encounter."""
+    return frame.assign(definition=encounters.named(frame))
 
 
 def _traffic(run: Run) -> Iterator[Row]:

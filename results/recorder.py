@@ -1,8 +1,8 @@
 """Writing a run: one Parquet dataset per table, a block of steps at a time."""
 
 import hashlib
-import re
-from collections.abc import Mapping, Sequence
+import io
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 
@@ -12,15 +12,22 @@ import pyarrow.parquet as pq
 from numpy import ndarray
 from pandas.util import hash_array
 
+from results import durable, inventory
 from results.codes import BASE_VARIANT, Role, labels
 from results.columns import Column, Level
+from results.durable import Damaged
+from results.inventory import Block, Inventory, Part
 from results.tables import TABLES, kept, schema
 
+Columns = Mapping[str, ndarray | None]
+"""Columns of a table by name, masks included."""
 VALID = "__valid"
 """Suffix of the mask that goes with a column that may be null."""
 
-_PART = re.compile(r"part-(\d{5})\.parquet")
-_PARTIAL = ".partial"
+CHECKPOINT = "checkpoint"
+"""Folder of the files from which a resumed run goes on; a finished run has none."""
+_STEPS = ("step", "first_step", "last_step", "from_step", "to_step", "start_step", "end_step")
+"""Columns that count steps."""
 _MOST_LABELS = 127
 """Codes of a category are int8."""
 
@@ -28,9 +35,9 @@ _MOST_LABELS = 127
 class Recorder:
     """Collects the rows of a run, table by table, and writes them to disk block by block.
 
-    Block `i` holds what was appended in steps `i * block_steps` up to `(i + 1) * block_steps` and becomes
-    `<folder>/<table>/part-<i>.parquet`, whole or not at all: a crash loses at most the block in memory.
-    A run is resumed at the first step of a block; what was recorded from there on is dropped.
+    Block `i` holds what was appended in steps `i * block_steps` up to `(i + 1) * block_steps`. Its parts
+    `<folder>/<table>/part-<i>.parquet` are synced first, then what is open, then the checkpoint, and the line of the
+    inventory last: before that line the block was never there. A crash loses at most the block in memory.
 
     Parameters
     ----------
@@ -41,7 +48,7 @@ class Recorder:
     block_steps
         Steps per block.
     resume_at
-        First step to come, a multiple of `block_steps`; 0 starts anew.
+        First step to come, at the end of a committed block; what was recorded from there on is dropped. 0 starts anew.
     variants
         Names of the run's trust variants: labels of the columns `variant`, in the order of their codes.
     roles
@@ -72,14 +79,16 @@ class Recorder:
                 raise ValueError(f"{what} = {list(given)}: 1 to {_MOST_LABELS} names, each once.")
         self.tables = kept(level)
         self.block_steps = block_steps
-        self._block = resume_at // block_steps
+        self._block, self._last_step = resume_at // block_steps, resume_at - 1
         self._rows: dict[str, list[dict[str, ndarray]]] = {name: [] for name in self.tables}
+        self.inventory = Inventory(tuple(b for b in _committed(self.folder).blocks if b.end_step <= resume_at))
+        """What is on disk."""
+        if (folder / inventory.FILE).exists():
+            inventory.rewrite(self.folder, self.inventory)
         for name in self.tables:
             (self.folder / name).mkdir(exist_ok=True)
-            for part in (self.folder / name).iterdir():
-                numbered = _PART.fullmatch(part.name)
-                if part.suffix == _PARTIAL or (numbered and int(numbered[1]) >= self._block):
-                    part.unlink()
+        self._tidy()
+        durable.sync_folder(self.folder)
 
     def append(self, table: str, step: int, columns: Mapping[str, ndarray | None]) -> None:
         """Add rows of one step.
@@ -92,24 +101,100 @@ class Recorder:
             raise ValueError(f"There is no table {table!r}. The tables are {', '.join(TABLES)}.")
         if step // self.block_steps != self._block:
             assert step >= self._block * self.block_steps, f"step {step} lies in a block that is on disk"
-            self.flush()
-            self._block = step // self.block_steps
+        self.reach(step)
         if table not in self.tables:
             return
         rows = _checked(table, step, columns, self.labels)
         if len(next(iter(rows.values()))):
             self._rows[table].append(rows)
 
-    def flush(self) -> None:
-        """Write the block in memory to disk."""
-        for name, rows in self._rows.items():
-            if rows:
-                _write(self.folder / name / f"part-{self._block:05d}.parquet", name, rows, self.labels)
-                rows.clear()
+    def reach(self, step: int) -> None:
+        """Say that a step is done, with or without rows."""
+        if step // self.block_steps != self._block:
+            self.flush()
+            self._block = step // self.block_steps
+        self._last_step = max(self._last_step, step)
 
-    def close(self) -> None:
-        """Write what is left."""
-        self.flush()
+    def is_block_end(self, step: int) -> bool:
+        """Whether a step is the last one of its block."""
+        return (step + 1) % self.block_steps == 0
+
+    def flush(
+        self,
+        open_rows: Mapping[str, Sequence[Columns]] | None = None,
+        checkpoint: Mapping[str, bytes] | None = None,
+    ) -> None:
+        """Commit the block in memory.
+
+        Parameters
+        ----------
+        open_rows
+            By table, rows of what is not over yet, as they would be if the run ended here.
+        checkpoint
+            By name, the files from which a resumed run goes on; those named `state-...` replace earlier ones.
+        """
+        if self._last_step >= self.inventory.end_step:
+            self._commit(open_rows or {}, checkpoint or {})
+
+    def _commit(self, open_rows: Mapping[str, Sequence[Columns]], checkpoint: Mapping[str, bytes]) -> None:
+        end_step = self._last_step + 1
+        parts = [
+            _write(self.folder, name, f"part-{self._block:05d}.parquet", rows, self.labels)
+            for name, rows in self._rows.items() if rows
+        ]  # fmt: skip
+        opened = [
+            _write(self.folder, name, f"open-{self._block:05d}.parquet", rows, self.labels)
+            for name, rows in self._made(open_rows, end_step - 1)
+        ]
+        files = {f"{CHECKPOINT}/{name}": content for name, content in checkpoint.items()}
+        if files:
+            (self.folder / CHECKPOINT).mkdir(exist_ok=True)
+        for name, content in files.items():
+            durable.write(self.folder / name, content)
+        for name in sorted({part.table for part in (*parts, *opened)} | ({CHECKPOINT} if files else set())):
+            durable.sync_folder(self.folder / name)
+        block = Block(
+            self._block, end_step, self.is_block_end(end_step - 1), tuple(parts), tuple(opened),
+            {name: hashlib.sha256(content).hexdigest() for name, content in files.items()},
+        )  # fmt: skip
+        before, self.inventory = self.inventory, inventory.commit(self.folder, self.inventory, block)
+        for rows in self._rows.values():
+            rows.clear()
+        if before.blocks:
+            for part in before.blocks[-1].open:
+                (self.folder / part.name).unlink(missing_ok=True)
+        if files:
+            for block in before.blocks[-1:]:
+                for name in filter(is_state, block.checkpoint):
+                    (self.folder / name).unlink(missing_ok=True)
+
+    def close(self, final_rows: Mapping[str, Sequence[Columns]] | None = None) -> None:
+        """Commit what is left, and rows of what ends with the run."""
+        is_committed = self._last_step < self.inventory.end_step
+        for name, rows in self._made(final_rows or {}, self._last_step):
+            self._rows[name] += rows
+        if is_committed and any(self._rows.values()):
+            self._block += 1
+        elif is_committed:
+            return
+        self._commit({}, {})
+
+    def _made(self, rows: Mapping[str, Sequence[Columns]], step: int) -> Iterator[tuple[str, list[dict[str, ndarray]]]]:
+        for name, several in rows.items():
+            if name in self.tables:
+                made = [_checked(name, step, columns, self.labels) for columns in several]
+                if made := [columns for columns in made if len(next(iter(columns.values())))]:
+                    yield name, made
+
+    def _tidy(self) -> None:
+        """Remove what belongs to no committed block."""
+        known = {part.name for part in self.inventory.parts}
+        known |= {name for block in self.inventory.blocks for name in block.checkpoint}
+        for folder in (*self.tables, CHECKPOINT):
+            for path in sorted((self.folder / folder).glob("*")):
+                is_ours = path.name.startswith(("part-", "open-", "state-", "commands-"))
+                if is_ours and f"{folder}/{path.name}" not in known:
+                    path.unlink()
 
     def __enter__(self) -> "Recorder":
         return self
@@ -119,6 +204,18 @@ class Recorder:
     ) -> None:
         if error is None:  # after an error the last step may be incomplete; a resumed run repeats the block
             self.close()
+
+
+def is_state(name: str) -> bool:
+    """Whether a file of a checkpoint is replaced by that of the next block."""
+    return Path(name).name.startswith("state-")
+
+
+def _committed(folder: Path) -> Inventory:
+    try:
+        return inventory.read(folder)
+    except Damaged as error:
+        raise Damaged(f"{error} Nothing can be added to this run.") from None
 
 
 def _checked(
@@ -191,7 +288,9 @@ def _stored(name: str, column: Column, values: ndarray, valid: ndarray | None, c
     return values.astype(dtype)
 
 
-def _write(path: Path, table: str, rows: list[dict[str, ndarray]], of_run: Mapping[str, tuple[str, ...]]) -> None:
+def _write(
+    folder: Path, table: str, file: str, rows: list[dict[str, ndarray]], of_run: Mapping[str, tuple[str, ...]]
+) -> Part:
     """One part file, sorted by key."""
     columns = {name: np.concatenate([row[name] for row in rows]) for name in rows[0]}
     ordered, tied = _order(columns, TABLES[table].key)
@@ -211,15 +310,21 @@ def _write(path: Path, table: str, rows: list[dict[str, ndarray]], of_run: Mappi
         else:
             arrays.append(pa.array(columns[name], column.arrow_type, mask=mask))
     floats = [name for name, column in TABLES[table].stored.items() if column.type.startswith("float")]
-    partial = path.with_suffix(_PARTIAL)
+    sink = io.BytesIO()
     pq.write_table(
         pa.Table.from_arrays(arrays, schema=schema(table)),
-        partial,
+        sink,
         compression="zstd",
         use_dictionary=[name for name in TABLES[table].stored if name not in floats],
         use_byte_stream_split=floats,
     )
-    partial.replace(path)
+    content = sink.getbuffer()
+    durable.write(folder / table / file, content)
+    steps = [columns[name] for name in _STEPS if name in columns]
+    return Part(
+        table, file, len(arrays[0]), len(content), hashlib.sha256(content).hexdigest(),
+        min(int(s.min()) for s in steps), max(int(s.max()) for s in steps),
+    )  # fmt: skip
 
 
 def _order(columns: dict[str, ndarray], key: tuple[str, ...]) -> tuple[bool, ndarray]:

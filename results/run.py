@@ -10,9 +10,14 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from results import virtual_columns
+from results import durable, inventory, virtual_columns
 from results.codes import BASE_VARIANT
+from results.durable import Damaged
+from results.inventory import Inventory, Part
 from results.tables import TABLES, schema
+
+OVER = ("finished", "interrupted")
+"""Statuses of a run that ended with everything written."""
 
 
 class Run:
@@ -27,6 +32,14 @@ class Run:
         self.manifest = manifest
         self.variant = variant
         """Trust variant that metrics and figures are of; the tables as attributes hold the rows of all variants."""
+        self.damage: list[str] = []
+        """What was found damaged while tables were read; whoever shows figures says it."""
+        self._sound: set[str] = set()
+
+    @cached_property
+    def inventory(self) -> Inventory:
+        """What the run folder should hold."""
+        return inventory.read(self.path)
 
     @property
     def variants(self) -> tuple[str, ...]:
@@ -37,7 +50,9 @@ class Run:
         """The same run, measured and drawn as one of its trust variants."""
         if name not in self.variants:
             raise ValueError(f"{self.path} has no trust variant {name!r}. It has {', '.join(self.variants)}.")
-        return type(self)(self.path, self.manifest, name)
+        other = type(self)(self.path, self.manifest, name)
+        other.damage, other._sound = self.damage, self._sound
+        return other
 
     @property
     def name(self) -> str:
@@ -61,7 +76,12 @@ class Run:
     @property
     def tables(self) -> tuple[str, ...]:
         """Names of the tables that the run holds."""
-        return tuple(name for name in TABLES if (self.path / name).is_dir())
+        recorded = self.manifest.get("inventory", {}).get("tables", ())
+        return tuple(
+            name for name in TABLES
+            if name not in self.manifest.get("dropped", ())
+            and ((self.path / name).is_dir() or self.inventory.of(name) or name in recorded)
+        )  # fmt: skip
 
     def table(
         self, name: str, columns: Sequence[str] | None = None, where: pc.Expression | None = None
@@ -71,7 +91,7 @@ class Run:
         `where` picks rows, as in `run.table("fused", where=pyarrow.compute.field("score") > 0.5)`.
         """
         wanted = self._wanted(name, columns)
-        parts = [virtual_columns.read(_part, path, wanted.names, where) for path in self._paths(name)]
+        parts = [virtual_columns.read(self._part, path, wanted.names, where) for path in self._paths(name)]
         return self._pandas(pa.concat_tables([wanted.empty_table(), *parts]), name)
 
     def parts(
@@ -80,7 +100,7 @@ class Run:
         """The same, one block of steps after another, for tables larger than memory."""
         wanted = self._wanted(name, columns)
         for path in self._paths(name):
-            yield self._pandas(virtual_columns.read(_part, path, wanted.names, where), name)
+            yield self._pandas(virtual_columns.read(self._part, path, wanted.names, where), name)
 
     def variant_table(
         self, name: str, columns: Sequence[str] | None = None, where: pc.Expression | None = None
@@ -138,7 +158,26 @@ class Run:
         return whole if columns is None else pa.schema([whole.field(c) for c in columns])
 
     def _paths(self, name: str) -> list[Path]:
-        return sorted((self.path / name).glob("part-*.parquet"))
+        """The parts of a table; Damaged where the folder holds others than the inventory."""
+        if problem := next(problems_of(self.path, name, self.inventory, self.manifest["status"] in OVER), None):
+            self._found_damaged(problem)
+        return [self.path / part.name for part in self.inventory.of(name)]
+
+    def _part(self, path: Path, names: Sequence[str], where: pc.Expression | None) -> pa.Table:
+        """Columns of a part, once its checksum has been found right."""
+        name = path.relative_to(self.path).as_posix()
+        if name not in self._sound:
+            part = next((part for part in self.inventory.of(path.parent.name) if part.name == name), None)
+            if part is None or (problem := content_problem(self.path, part)):
+                self._found_damaged(problem if part is not None else f"{name} is not in the inventory")
+            self._sound.add(name)
+        return _read(path, names, where)
+
+    def _found_damaged(self, problem: str) -> None:
+        message = f"{self.path} is damaged: {problem}. `cosim verify {self.path}` lists all that is wrong."
+        if message not in self.damage:
+            self.damage.append(message)
+        raise Damaged(message)
 
     def _pandas(self, table: pa.Table, name: str) -> pd.DataFrame:
         """pandas with null-aware integers and booleans where a column may be null, and all categories known."""
@@ -183,7 +222,41 @@ class Run:
         return TABLES["vehicles"].columns["role"].labels(self.manifest)
 
 
-def _part(path: Path, names: Sequence[str], where: pc.Expression | None) -> pa.Table:
+def problems_of(folder: Path, table: str, found: Inventory, is_over: bool) -> Iterator[str]:
+    """Parts of a table that are missing, of another size, or not in the inventory.
+
+    Unless the run is over, there may be parts of the block that is being written; nobody reads them.
+    """
+    known = {part.file: part for part in found.of(table)}
+    try:
+        there = {path.name: path for path in sorted((folder / table).iterdir())}
+    except (FileNotFoundError, NotADirectoryError):
+        there = {}
+    for file, part in known.items():
+        if file not in there:
+            yield f"{part.name} is missing"
+        elif there[file].is_symlink() or not there[file].is_file():
+            yield f"{part.name} is no regular file"
+        elif (size := there[file].stat().st_size) != part.n_bytes:
+            yield f"{part.name} has {size} bytes and should have {part.n_bytes}"
+    last = found.blocks[-1].number if found.blocks else -1
+    for file in sorted(there.keys() - known.keys()):
+        stem = file.removesuffix(durable.PARTIAL)
+        under_way = stem in {f"part-{last + 1:05d}.parquet", *(f"open-{n:05d}.parquet" for n in (last - 1, last + 1))}
+        if is_over or not under_way:
+            yield f"{table}/{file} is not in the inventory"
+
+
+def content_problem(folder: Path, part: Part) -> str:
+    """What is wrong with the content of a part; empty for nothing."""
+    try:
+        digest = durable.sha256(folder / part.name)
+    except (OSError, ValueError) as error:
+        return f"{part.name} cannot be read ({error})"
+    return "" if digest == part.sha256 else f"{part.name} is not what was written: its checksum differs"
+
+
+def _read(path: Path, names: Sequence[str], where: pc.Expression | None) -> pa.Table:
     try:
         return pq.read_table(path, columns=list(names), filters=where, partitioning=None)
     except (pa.ArrowException, OSError) as error:
@@ -193,7 +266,7 @@ def _part(path: Path, names: Sequence[str], where: pc.Expression | None) -> pa.T
                 f"{path} has no column {', '.join(sorted(missing))}: another cosim wrote it. Run again."
             ) from error
         reason = str(error).splitlines()[0]
-        raise ValueError(f"{path} is damaged ({reason}). Delete the run and run it again.") from error
+        raise Damaged(f"{path} is damaged ({reason}). Delete the run and run it again.") from error
 
 
 def _columns(path: Path) -> set[str]:

@@ -10,6 +10,7 @@ import pyarrow.compute as pc
 from numpy import ndarray
 
 from results.columns import Table
+from results.durable import Damaged
 from results.tables import TABLES
 
 Read = Callable[[Path, Sequence[str], pc.Expression | None], pa.Table]
@@ -35,8 +36,6 @@ def read(read: Read, path: Path, columns: Sequence[str], where: pc.Expression | 
     stored = [name for name in table.stored if name in columns or late is not None or name in _LINKS]
     rows = read(path, stored, None if late is not None else where)
     beside = path.parent.parent / "detections" / path.name
-    if not beside.is_file():
-        raise ValueError(f"{beside} is missing: {path} names detections in it. Delete the run and run it again.")
     named = read(beside, [*_NAME, *virtual], None)
     at = _named(rows, named, path)
     for name in virtual:
@@ -65,5 +64,5 @@ def _find(held: ndarray, wanted: ndarray, path: Path) -> ndarray:
     order = np.argsort(held, kind="stable")
     at = np.minimum(np.searchsorted(held[order], wanted), len(held) - 1)
     if len(wanted) and (not len(held) or (held[order][at] != wanted).any()):
-        raise ValueError(f"{path} is damaged: it names detections that do not exist. Delete the run and run it again.")
+        raise Damaged(f"{path} is damaged: it names detections that do not exist. Delete the run and run it again.")
     return order[at]

@@ -21,13 +21,13 @@ from sensors.scene import ObjectClass, prisms
 class AreaParams:
     """The area in which an observer evaluates boxes."""
 
-    range_m: Annotated[float, Gt(0)] = 70.0
+    range_m: Annotated[float, Gt(0), Le(1000)] = 70.0
     """Distance of the bottom centre [m]."""
-    slack_m: Annotated[float, Ge(0)] = 2.0
+    slack_m: Annotated[float, Ge(0), Le(100)] = 2.0
     """Tolerance in range and beside the field of view [m]; 0 is the paper's strict area."""
-    height_m: Annotated[float, Gt(0)] = 3.0
+    height_m: Annotated[float, Gt(0), Le(100)] = 3.0
     """Largest height of the bottom above or below the sensor [m]."""
-    own_radius_m: Annotated[float, Ge(0)] = 1.5
+    own_radius_m: Annotated[float, Ge(0), Le(100)] = 1.5
     """A car this near to the observer's own box is kept outside the field of view: a report about the observer [m]."""
 
 

@@ -8,7 +8,7 @@ from functools import lru_cache
 from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
-from annotated_types import Ge, Gt, Lt
+from annotated_types import Ge, Gt, Le, Lt
 from jaxtyping import Float, Float32, Int, Int32, UInt8, UInt64
 from numba import njit, prange
 from numpy import ndarray
@@ -64,6 +64,10 @@ PROFILES: dict[str, Profile] = {
 }  # fmt: skip
 
 
+_MOST_RAYS = 2_000_000
+"""Rays of one sweep; the largest product has 230,000."""
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class LidarParams:
     """The LiDAR that every equipped vehicle carries."""
@@ -72,15 +76,15 @@ class LidarParams:
     """Product whose beams are used; the next three replace parts of it."""
     elevation_deg: tuple[float, ...] | None = None
     """Elevation of each beam, ascending [deg]; none: the profile's."""
-    n_azimuths: Annotated[int, Gt(0)] | None = None
+    n_azimuths: Annotated[int, Gt(0), Le(100_000)] | None = None
     """Columns of one sweep over the field of view; none: the profile's."""
-    fov_deg: Annotated[float, Gt(0)] | None = None
+    fov_deg: Annotated[float, Gt(0), Le(360)] | None = None
     """Horizontal field of view, centred straight ahead, at most 360 [deg]; none: the profile's."""
-    max_range_m: Annotated[float, Gt(0)] = 80.0
+    max_range_m: Annotated[float, Gt(0), Le(1000)] = 80.0
     """Farthest return [m]."""
-    mount_above_roof_m: Annotated[float, Ge(0)] = 0.23
+    mount_above_roof_m: Annotated[float, Ge(0), Le(20)] = 0.23
     """Height of the sensor over the centre of the roof [m]; 1.73 m above the road on a car of 1.50 m, as KITTI's."""
-    range_sigma_m: Annotated[float, Ge(0)] = 0.02
+    range_sigma_m: Annotated[float, Ge(0), Le(10)] = 0.02
     """Standard deviation of one range [m]: HDL-64E S2 data sheet, < 2 cm."""
     dropout_p: Annotated[float, Ge(0), Lt(1)] = 0.0
     """Probability that a return is lost."""
@@ -119,6 +123,11 @@ def beams(params: LidarParams) -> Beams:
         raise ValueError(
             f"lidar.elevation_deg = {tuple(elevation)}: beams must be given in ascending order, each once, strictly "
             "between -90 and 90 degrees. Sort lidar.elevation_deg."
+        )
+    if n * len(elevation) > _MOST_RAYS:
+        raise ValueError(
+            f"lidar.n_azimuths = {n} columns of {len(elevation)} beams are more than {_MOST_RAYS:,} rays per sweep. "
+            "Set lidar.n_azimuths lower."
         )
     if not 0 < fov <= 360 or n < 1:
         raise ValueError(

@@ -27,8 +27,16 @@ N_DRAWS = 16
 duplicated, and of the duplicate the score, x, y and heading."""
 
 Share = Annotated[float, Ge(0), Le(1)]
-PerClass = tuple[float, float, float, float]
-"""Car, pedestrian, cyclist, truck."""
+Shares = tuple[Share, Share, Share, Share]
+"""Per class: car, pedestrian, cyclist, truck; so are the next."""
+_NotNegative = Annotated[float, Ge(0), Le(1000)]
+NotNegative = tuple[_NotNegative, _NotNegative, _NotNegative, _NotNegative]
+_Positive = Annotated[float, Gt(0), Le(1_000_000)]
+Positive = tuple[_Positive, _Positive, _Positive, _Positive]
+_LogOdds = Annotated[float, Ge(-100), Le(100)]
+LogOdds = tuple[_LogOdds, _LogOdds, _LogOdds, _LogOdds]
+_Length = Annotated[float, Gt(0), Le(100)]
+Size = tuple[_Length, _Length, _Length]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -41,57 +49,57 @@ class DetectorParams:
     model: str = "avod"
     """`avod`, `pointpillars`: fitted to the detectors of that name. `ideal`: everything with a return is detected,
     exactly, with score 1, and nothing else. Or one of your own: path.py:Name."""
-    found_max_p: PerClass | None = None
+    found_max_p: Shares | None = None
     """Probability to detect an unoccluded object with very many returns."""
-    half_returns: PerClass | None = None
+    half_returns: Positive | None = None
     """Returns at which half of `found_max_p` is reached."""
-    steepness: Annotated[float, Gt(0)] | None = None
+    steepness: Annotated[float, Gt(0), Le(100)] | None = None
     """Slope of that curve over the logarithm of the returns."""
-    occlusion_loss: PerClass | None = None
+    occlusion_loss: Shares | None = None
     """Share of that probability that is lost at full occlusion, beyond the effect of the lost returns."""
-    score_logit: PerClass | None = None
+    score_logit: LogOdds | None = None
     """Mean log-odds of the score at `half_returns`."""
-    score_gain: Annotated[float, Ge(0)] | None = None
+    score_gain: Annotated[float, Ge(0), Le(100)] | None = None
     """Log-odds gained per e-fold of returns."""
-    score_occlusion: Annotated[float, Ge(0)] | None = None
+    score_occlusion: Annotated[float, Ge(0), Le(100)] | None = None
     """Log-odds lost at full occlusion."""
-    score_error: PerClass | None = None
+    score_error: NotNegative | None = None
     """Log-odds lost per unit of squared horizontal error in standard deviations: inaccurate boxes score lower."""
-    score_sigma: Annotated[float, Ge(0)] | None = None
+    score_sigma: Annotated[float, Ge(0), Le(100)] | None = None
     """Spread of the log-odds."""
-    xy_sigma_m: PerClass | None = None
+    xy_sigma_m: NotNegative | None = None
     """Smallest position error along and across the box [m]."""
-    xy_sigma_per_m: Annotated[float, Ge(0)] | None = None
+    xy_sigma_per_m: Annotated[float, Ge(0), Le(1)] | None = None
     """Position error gained per metre of range [m/m]."""
-    xy_sigma_sparse_m: PerClass | None = None
+    xy_sigma_sparse_m: NotNegative | None = None
     """Position error of an object with one return, falling with the square root of the returns [m]."""
-    z_share: Annotated[float, Ge(0)] | None = None
+    z_share: Annotated[float, Ge(0), Le(100)] | None = None
     """Vertical position error as a share of the horizontal one: the height of the road is well known."""
-    size_sigma: PerClass | None = None
+    size_sigma: NotNegative | None = None
     """Relative error of length, width and height of a dense object."""
-    size_sigma_sparse: PerClass | None = None
+    size_sigma_sparse: NotNegative | None = None
     """Relative size error added at one return, falling with the square root of the returns."""
-    yaw_sigma_rad: PerClass | None = None
+    yaw_sigma_rad: NotNegative | None = None
     """Heading error of a dense object [rad]."""
-    yaw_sigma_sparse_rad: Annotated[float, Ge(0)] | None = None
+    yaw_sigma_sparse_rad: Annotated[float, Ge(0), Le(10)] | None = None
     """Heading error added at one return, falling with the square root of the returns [rad]."""
     flip_p: Share | None = None
     """Probability that the heading is reversed."""
-    confusion_p: tuple[PerClass, PerClass, PerClass, PerClass] | None = None
+    confusion_p: tuple[Shares, Shares, Shares, Shares] | None = None
     """Probability that an object of the row's class is reported as one of the column's."""
     duplicate_p: Share | None = None
     """Probability that a detected object is reported a second time, with a larger error and a lower score."""
-    duplicate_logit: Annotated[float, Ge(0)] | None = None
+    duplicate_logit: Annotated[float, Ge(0), Le(100)] | None = None
     """Mean log-odds by which the second report scores lower."""
-    duplicate_sigma: Annotated[float, Ge(0)] | None = None
+    duplicate_sigma: Annotated[float, Ge(0), Le(100)] | None = None
     """Position error of the second report, in lengths and widths of its box."""
-    false_positive_per_sweep: Annotated[float, Ge(0)] | None = None
+    false_positive_per_sweep: Annotated[float, Ge(0), Le(200)] | None = None
     """Mean number of false positives per sweep."""
-    false_positive_mix: PerClass | None = None
+    false_positive_mix: Shares | None = None
     """Class shares of false positives."""
     false_positive_road_p: Share | None = None
     """Share of the false positives that may stand on open road; the others stand at walls and hidden actors."""
-    false_positive_memory_s: Annotated[float, Gt(0)] | None = None
+    false_positive_memory_s: Annotated[float, Gt(0), Le(1e7)] | None = None
     """Mean time until the persistent draw of a site is renewed [s]."""
     false_positive_memory_share: Share | None = None
     """Share of the false positives that persist; the rest are drawn anew in every sweep."""
@@ -99,16 +107,19 @@ class DetectorParams:
     """Share of the persistent ones that belong to the site, common to all observers on the same side of it."""
     false_positive_logit: Annotated[float, Ge(-20), Le(20)] | None = None
     """Mean log-odds of a false positive's score."""
-    false_positive_sigma: Annotated[float, Ge(0)] | None = None
+    false_positive_sigma: Annotated[float, Ge(0), Le(100)] | None = None
     """Spread of those log-odds."""
-    mean_lwh_m: tuple[tuple[float, float, float], ...] | None = None
+    mean_lwh_m: tuple[Size, Size, Size, Size] | None = None
     """Mean size of a class: that of false positives, and of objects reported as another class [m]."""
     min_score: Share | None = None
     """Boxes of a lower score are not reported."""
-    memory_s: Annotated[float, Gt(0)] | None = None
+    memory_s: Annotated[float, Gt(0), Le(1e7)] | None = None
     """Time over which the draws of one (observer, actor) change [s]; see `sensors.hash_rng.persistent_normals`."""
     memory_share: Share | None = None
     """Share of the variance of those draws that persists; the rest is new in every sweep."""
+
+    def __post_init__(self) -> None:
+        _check_shares(self)
 
 
 @lru_cache(maxsize=8)
@@ -117,6 +128,16 @@ def _profile(name: str) -> dict:
     path = Path(__file__).parent / "profiles" / f"{'avod' if name == 'ideal' else name}.toml"
     stated = tomllib.loads(path.read_text(encoding="utf-8"))
     return stated["first_guess"] | stated["fitted"]
+
+
+def _check_shares(params: DetectorParams) -> None:
+    """ValueError where shares that belong together do not add up."""
+    mix = params.false_positive_mix
+    if mix is not None and not 0 < sum(mix) <= 1 + 1e-9:
+        raise ValueError(f"detector.false_positive_mix = {mix}: shares of classes add up to 1.")
+    for row in params.confusion_p or ():
+        if sum(row) > 1 + 1e-9:
+            raise ValueError(f"detector.confusion_p: the row {row} adds up to more than 1.")
 
 
 def resolved(params: DetectorParams) -> SimpleNamespace:

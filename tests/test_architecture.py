@@ -18,7 +18,7 @@ FOREIGN = {
     "sumo_nets": {"annotated_types", "jaxtyping", "numpy", "shapely", "osmium", "sumo", "sumolib"},
     "cosim": {
         "annotated_types", "jaxtyping", "numpy", "scipy", "numba", "libsumo", "pyarrow", "pydantic", "typer", "rich",
-        "tomli_w", "shapely", "trimesh", "pandas", "distributed", "psutil",
+        "tomli_w", "shapely", "trimesh", "rerun", "pandas", "distributed", "psutil",
     },
 }  # fmt: skip
 """Foreign libraries that each room may use."""
@@ -28,6 +28,7 @@ ONE_FILE = {
     "embreex": {"sensors/raycast/embree.py"},
     "open3d": {"sensors/raycast/open3d.py"},
     "pydantic": {"cosim/config.py"},
+    "rerun": {"cosim/view.py"},
     "trimesh": {"cosim/meshes.py"},
     "osmium": {"sumo_nets/osm.py"},
     "distributed": {"cosim/studies/engine.py"},
@@ -36,10 +37,11 @@ ONE_FILE = {
 """Libraries that one file alone may know."""
 
 ORDER = (
-    "rng", "ragged", "stopwatch", "choices", "console", "world", "fleet", "meshes", "actors", "mobility", "radio",
-    "codes", "v2x", "trackers", "tracking", "driver", "perception", "ground_truth", "reactions", "adversary", "senders",
-    "object_lists", "config", "manifest", "parts", "stages", "attack_outcomes", "cycle", "scenario", "replay_lidar",
-    "export", "calibrate", "recording", "run", "reproduce", "bench", "nets", "studies", "cli", "__main__",
+    "rng", "ragged", "stopwatch", "stop", "choices", "console", "world", "fleet", "meshes", "actors",
+    "mobility", "radio", "codes", "v2x", "trackers", "tracking", "driver", "perception", "ground_truth", "reactions",
+    "adversary", "senders", "object_lists", "config", "manifest", "parts", "stages", "attack_outcomes", "cycle",
+    "scenario", "replay_lidar", "export", "view", "calibrate", "recording", "checkpoint", "run_folder", "drive", "run", "reproduce",
+    "bench", "nets", "studies", "side_by_side", "cli", "__main__",
 )  # fmt: skip
 """Inside the hall: each may use those before it."""
 

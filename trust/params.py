@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Annotated, Literal
 
 import numpy as np
-from annotated_types import Ge, Gt, Interval
+from annotated_types import Ge, Gt, Interval, Le
 from jaxtyping import Bool, Float
 from numpy import ndarray
 
@@ -32,11 +32,11 @@ Method = Literal[
 class TruPerceptParams:
     """Parameters of the model `trupercept`."""
 
-    freshness_s: Annotated[float, Gt(0)] | Literal["off"] = 50.0
+    freshness_s: Annotated[float, Gt(0), Le(1e8)] | Literal["off"] = 50.0
     """f: age at which evidence expires [s]; "off": never."""
     window: Literal["half_open", "closed"] = "half_open"
     """Evidence of age exactly f has expired (f steps, the published code) or still counts (f + 1, [-f, 0])."""
-    grace_s: Annotated[float, Gt(0)] = 10.0
+    grace_s: Annotated[float, Gt(0), Le(1e8)] = 10.0
     """Age at which evidence is folded into running sums [s]: evaluations that arrive later have no effect.
     For models whose evidence does not expire: `beta`, and `trupercept` with `freshness_s = "off"`."""
     unseen: Literal["zero", "skip"] = "zero"
@@ -57,7 +57,7 @@ class TrustParams(TruPerceptParams):
     """Trust model by name."""
     host: Literal["central", "local", "none"] = "central"
     """Where trust scores are computed: on a trust server, in every vehicle for itself, or nowhere."""
-    server_period_s: Annotated[float, Gt(0)] = 5.0
+    server_period_s: Annotated[float, Gt(0), Le(1e8)] = 5.0
     """Time between two broadcasts of the server's trust values [s]; `host = "central"` only."""
     local_evidence: Literal["received", "own"] = "received"
     """Evidence of a vehicle's trust scores: all evaluations it receives, or its own alone; `host = "local"` only."""
@@ -66,7 +66,7 @@ class TrustParams(TruPerceptParams):
     unjudged: Literal["default", "value"] = "default"
     """Used where a value rests on no evaluation by another vehicle that could see: `default_trust`, or the value
     itself, which for TruPercept is 0 (the paper's rule)."""
-    ego_trust: Annotated[float, Gt(0)] = 1.0
+    ego_trust: Annotated[float, Gt(0), Le(1e6)] = 1.0
     """Weight of the ego's own evaluations; above 1 biases towards them."""
     ego_trust_from: Literal["fixed", "computed"] = "fixed"
     """`ego_trust`, or the ego's own vehicle trust as it knows it."""
@@ -92,7 +92,7 @@ class TrustParams(TruPerceptParams):
     """How an ego scores a group."""
     plausibility_in_fusion: bool = True
     """An implausible group that the ego did not detect scores 0."""
-    blind_points: Annotated[int, Ge(1)] = 10
+    blind_points: Annotated[int, Ge(1), Le(1_000_000)] = 10
     """TruPercept 3 takes another vehicle's detection only where the ego has fewer returns than this."""
     self_report_poses: bool = True
     """Corrected may take a vehicle's pose from that vehicle's own report."""
@@ -103,6 +103,16 @@ class TrustParams(TruPerceptParams):
     code_aggregate: Literal["by_method", "sum", "mean"] = "by_method"
     """Evaluations per detection under `code_parity`: sum, weighted mean, or mean for the averages only."""
 
+    def __post_init__(self) -> None:
+        for label, low, high in zip(_LABELS, self.gamma_lower_points, self.gamma_upper_points, strict=True):
+            if not 0 <= low < high <= 1e6:
+                raise ValueError(
+                    f"trust.gamma_lower_points = {low:g} and trust.gamma_upper_points = {high:g} returns of a {label}: "
+                    "visibility needs 0 <= lower < upper <= 1e6."
+                )
+
+
+_LABELS = ("car", "pedestrian", "cyclist", "truck")
 
 AVERAGES: frozenset[Method] = frozenset({"trupercept_1", "trupercept_1_local_bias"})
 """Methods whose score is a weighted average, hence eta = 0."""

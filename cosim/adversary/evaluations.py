@@ -163,7 +163,7 @@ class MajorityCopying(_Voices):
 class ReplayedEvaluationsParams(VoicesParams):
     """How old evaluations are."""
 
-    n_messages: Annotated[int, Gt(0)] = 10
+    n_messages: Annotated[int, Gt(0), Le(10_000)] = 10
     """Every evaluation is the attacker's own of so many messages ago, of the same sender and detection index."""
 
 

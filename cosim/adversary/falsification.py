@@ -78,9 +78,9 @@ class OffsetParams(FalsifiedParams):
 
     offset: Literal["constant", "random"] = "constant"
     """constant: one shift per attacker, for good; random: another one for every detection and message."""
-    min_m: Annotated[float, Ge(0)] = 20.0
+    min_m: Annotated[float, Ge(0), Le(1000)] = 20.0
     """Smallest shift per axis [m]; default as in NextGen."""
-    max_m: Annotated[float, Gt(0)] = 70.0
+    max_m: Annotated[float, Gt(0), Le(1000)] = 70.0
     """Largest shift per axis [m]; default as in NextGen."""
 
     def __post_init__(self) -> None:
@@ -119,9 +119,9 @@ class Offset:
 class DriftParams(FalsifiedParams):
     """How fast positions drift away."""
 
-    speed_mps: Annotated[float, Gt(0)] = 0.5
+    speed_mps: Annotated[float, Gt(0), Le(100)] = 0.5
     """Shift gained per second of attack [m/s]."""
-    max_m: Annotated[float, Gt(0)] = 20.0
+    max_m: Annotated[float, Gt(0), Le(1000)] = 20.0
     """Largest shift [m]."""
 
 
@@ -190,7 +190,7 @@ class Heading:
 class SizeParams(FalsifiedParams):
     """How sizes are changed."""
 
-    factor: Annotated[float, Gt(0)] = 2.0
+    factor: Annotated[float, Gt(0), Le(100)] = 2.0
     """Length, width and height are multiplied by it; boxes keep standing on the ground."""
 
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import Annotated, Literal
 
 import numpy as np
-from annotated_types import Gt
+from annotated_types import Gt, Le
 from numpy import ndarray
 
 from cosim.adversary.attack import AttackContext, EvaluationRows, certified, fabricated, placed
@@ -29,7 +29,7 @@ class GhostInsertionParams:
 
     ghosts: Literal["car_and_pedestrian", "car", "three_cars"] = "car_and_pedestrian"
     """Objects inserted in front of the victim, oncoming."""
-    ahead_m: Annotated[float, Gt(0)] = 8.0
+    ahead_m: Annotated[float, Gt(0), Le(1000)] = 8.0
     """Distance of the inserted object ahead of the victim's centre [m]."""
 
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
-from annotated_types import Ge, Gt
+from annotated_types import Ge, Gt, Le
 from jaxtyping import Float, Int
 from numpy import ndarray
 from scipy.spatial import cKDTree
@@ -29,11 +29,11 @@ class Vouched:
 class ApproachingGhostParams:
     """How a ghost comes nearer."""
 
-    from_m: Annotated[float, Gt(0)] = 60.0
+    from_m: Annotated[float, Gt(0), Le(1000)] = 60.0
     """Distance ahead of the victim's centre in the attacker's first message [m]."""
-    step_m: Annotated[float, Gt(0)] = 5.0
+    step_m: Annotated[float, Gt(0), Le(1000)] = 5.0
     """Nearer by this in every further message [m]."""
-    to_m: Annotated[float, Gt(0)] = 5.0
+    to_m: Annotated[float, Gt(0), Le(1000)] = 5.0
     """At this distance it begins anew [m]."""
 
     def __post_init__(self) -> None:
@@ -79,11 +79,11 @@ CAR_LWH_M = (4.5, 2.0, 1.6)
 class ReplayParams:
     """What is said again."""
 
-    n_objects: Annotated[int, Gt(0)] = 6
+    n_objects: Annotated[int, Gt(0), Le(255)] = 6
     """Detections replayed in each message; NextGen replays 4 to 8 messages."""
-    age_s: Annotated[float, Gt(0)] = 5.0
+    age_s: Annotated[float, Gt(0), Le(1e4)] = 5.0
     """How old they are at most [s]; default as in NextGen."""
-    range_m: Annotated[float, Gt(0)] = 400.0
+    range_m: Annotated[float, Gt(0), Le(10_000)] = 400.0
     """Largest distance from the attacker to those who made them [m]; default as in NextGen."""
 
 
@@ -145,7 +145,7 @@ def _scaled(draw: Float[ndarray, "n"], below: Int[ndarray, "n"]) -> Int[ndarray,
 class StaleParams:
     """How old content is."""
 
-    n_messages: Annotated[int, Ge(1)] = 60
+    n_messages: Annotated[int, Ge(1), Le(10_000)] = 60
     """Every message has the content of the one that was due so many messages ago; default as in F2MD."""
 
 

@@ -22,9 +22,9 @@ class SybilParams:
     n_ghosts: Annotated[int, Gt(0), Le(20)] = 5
     """Ghost vehicles per attacker, each with a pseudonym and messages of its own; F2MD has 5, NextGen 4 to 6. SCMS
     issues 20 certificates that are valid at once."""
-    spacing_m: Annotated[float, Gt(0)] = 5.0
+    spacing_m: Annotated[float, Gt(0), Le(1000)] = 5.0
     """Between two ghosts along the road [m]; default as in F2MD."""
-    aside_m: Annotated[float, Ge(0)] = 2.0
+    aside_m: Annotated[float, Ge(0), Le(1000)] = 2.0
     """Ghosts stand to the left of the attacker and to its right, in turn [m]; default as in F2MD."""
     agree: bool = True
     """Ghosts confirm each other and the attacker: evaluation and visibility 1."""

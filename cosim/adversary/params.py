@@ -28,21 +28,21 @@ class AttackParams:
     """Share of the equipped vehicles that carry it out, decided vehicle by vehicle from its name."""
     ids: tuple[str, ...] = ()
     """SUMO ids of the vehicles that carry it out, where they are equipped; share_p is then not read."""
-    together_with: Annotated[int, Ge(0)] | None = None
+    together_with: Annotated[int, Ge(0), Le(255)] | None = None
     """Number of an earlier section, from 0, whose vehicles carry this one out too; share_p is then not read."""
-    ring_size: Annotated[int, Ge(0)] = 0
+    ring_size: Annotated[int, Ge(0), Le(1_000_000)] = 0
     """Attackers per ring of colluders, in the order in which they appear, those who appear at once by place; 0: all of
     the section are one ring."""
-    start_s: Annotated[float, Ge(0)] = 60.0
+    start_s: Annotated[float, Ge(0), Le(1e8)] = 60.0
     """Recorded time from which it is carried out [s]; until then its vehicles are honest and build up trust."""
     when: When = "persistent"
     """persistent: in every step; sporadic: with probability active_p; on_off: for duty_p of every period; sleeper: once
     the attacker's own trust has reached wake_trust; camouflage: while its own trust is above keep_above."""
     active_p: Annotated[float, Ge(0), Le(1)] = 0.5
     """sporadic: chance of a step in which it is carried out, vehicle by vehicle."""
-    period_s: Annotated[float, Gt(0)] = 50.0
+    period_s: Annotated[float, Gt(0), Le(1e8)] = 50.0
     """on_off: length of a period, which begins with the attack; all vehicles of the section at once [s]."""
-    period_windows: Annotated[float, Gt(0)] | None = None
+    period_windows: Annotated[float, Gt(0), Le(1e6)] | None = None
     """on_off: the same in windows of evidence (trust.freshness_s); period_s is then not read."""
     duty_p: Annotated[float, Ge(0), Le(1)] = 0.5
     """on_off: share of the period, at its beginning, in which it is carried out."""
@@ -55,7 +55,7 @@ class AttackParams:
     region, or a random one in every step; always within victim_range_m."""
     victim_id: str = ""
     """one: SUMO id of the vehicle that all attackers aim at, as in the paper."""
-    victim_range_m: Annotated[float, Gt(0)] = 100.0
+    victim_range_m: Annotated[float, Gt(0), Le(10_000)] = 100.0
     """Farthest victim [m]."""
     region_m: tuple[float, float, float] = (0.0, 0.0, 100.0)
     """region: x, y and radius, in the world's frame [m]."""
@@ -64,7 +64,7 @@ class AttackParams:
     broadcast, is below renew_below; newcomer: also every renew_s, to live on the default trust."""
     renew_below: Annotated[float, Ge(0), Le(1)] = 0.5
     """whitewashing: trust below which a vehicle takes a new pseudonym."""
-    renew_s: Annotated[float, Gt(0)] = 10.0
+    renew_s: Annotated[float, Gt(0), Le(1e8)] = 10.0
     """newcomer: life of a pseudonym [s]."""
 
     @property

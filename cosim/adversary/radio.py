@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
-from annotated_types import Ge, Gt
+from annotated_types import Ge, Gt, Le
 
 from cosim.adversary.attack import AttackContext, Sending
 
@@ -13,7 +13,7 @@ from cosim.adversary.attack import AttackContext, Sending
 class DenialOfServiceParams:
     """How many copies."""
 
-    n_copies: Annotated[int, Gt(0)] = 3
+    n_copies: Annotated[int, Gt(0), Le(1000)] = 3
     """Further copies of every detection message. F2MD sends at four times the rate: 3 copies."""
 
 
@@ -41,7 +41,7 @@ class DenialOfService:
 class DelayParams:
     """How late."""
 
-    delay_s: Annotated[float, Ge(0)] = 0.2
+    delay_s: Annotated[float, Ge(0), Le(10)] = 0.2
     """Added before the detection message goes on the air [s]; beyond the round (radio.timeout_s) it comes too late."""
 
 
@@ -63,7 +63,7 @@ class Delay:
 class ServerFloodingParams:
     """How many reports."""
 
-    n_reports: Annotated[int, Gt(0)] = 50
+    n_reports: Annotated[int, Gt(0), Le(100_000)] = 50
     """Further copies of every report to the trust server."""
 
 

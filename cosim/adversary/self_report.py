@@ -29,9 +29,9 @@ def _told(
 class SpeedParams:
     """How wrong the speed is."""
 
-    min_mps: Annotated[float, Ge(0)] = 1.0
+    min_mps: Annotated[float, Ge(0), Le(100)] = 1.0
     """Smallest error [m/s]; default as in NextGen."""
-    max_mps: Annotated[float, Gt(0)] = 7.0
+    max_mps: Annotated[float, Gt(0), Le(100)] = 7.0
     """Largest error [m/s]; default as in NextGen."""
 
     def __post_init__(self) -> None:
@@ -62,11 +62,11 @@ class Speed:
 class BrakingParams:
     """How hard the feigned braking is."""
 
-    min_factor: Annotated[float, Gt(0)] = 2.0
+    min_factor: Annotated[float, Gt(0), Le(100)] = 2.0
     """Smallest factor; default as in NextGen."""
-    max_factor: Annotated[float, Gt(0)] = 4.0
+    max_factor: Annotated[float, Gt(0), Le(100)] = 4.0
     """Largest factor; default as in NextGen."""
-    least_mps2: Annotated[float, Gt(0)] = 1.0
+    least_mps2: Annotated[float, Gt(0), Le(100)] = 1.0
     """Deceleration that is multiplied where the vehicle does not brake at all [m/s2]."""
 
     def __post_init__(self) -> None:

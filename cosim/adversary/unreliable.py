@@ -21,7 +21,7 @@ class UnreliableParams:
     """Chance, per own detection, that a copy is added somewhere in the forward view."""
     remove_p: Annotated[float, Ge(0), Le(1)] = 0.1
     """Chance, per own detection, that it is not transmitted."""
-    add_range_m: Annotated[float, Gt(0)] = 70.0
+    add_range_m: Annotated[float, Gt(0), Le(1000)] = 70.0
     """Farthest that a copy is added [m]."""
 
 

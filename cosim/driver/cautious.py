@@ -38,19 +38,19 @@ class CautiousParams:
     """Share of the equipped vehicles whose drivers react, decided vehicle by vehicle from its name."""
     min_score: Annotated[float, Ge(0), Le(1)] = 0.25
     """Smallest score of a fused object that is believed; under TruPercept few real objects of one source reach 0.5."""
-    half_width_m: Annotated[float, Gt(0)] = 1.5
+    half_width_m: Annotated[float, Gt(0), Le(100)] = 1.5
     """Half width of the corridor along the lane path in which an object is in the way [m]."""
-    horizon_s: Annotated[float, Gt(0)] = 4.0
+    horizon_s: Annotated[float, Gt(0), Le(100)] = 4.0
     """Objects that the vehicle would reach within this time at its present speed are reacted to [s]."""
-    reaction_s: Annotated[float, Ge(0)] = 0.5
+    reaction_s: Annotated[float, Ge(0), Le(100)] = 0.5
     """From the fusion of an object to the first command [s]."""
-    comfort_mps2: Annotated[float, Gt(0)] = 2.5
+    comfort_mps2: Annotated[float, Gt(0), Le(50)] = 2.5
     """Deceleration with which the driver approaches an object, where there is room [m/s2]."""
-    emergency_mps2: Annotated[float, Gt(0)] = 4.5
+    emergency_mps2: Annotated[float, Gt(0), Le(50)] = 4.5
     """Largest deceleration where there is not [m/s2]; beyond that of SUMO's vehicle type its own limit is lifted."""
-    release_s: Annotated[float, Ge(0)] = 1.0
+    release_s: Annotated[float, Ge(0), Le(1000)] = 1.0
     """How long an object is reacted to after it was last believed [s]."""
-    standstill_m: Annotated[float, Ge(0)] = 2.5
+    standstill_m: Annotated[float, Ge(0), Le(1000)] = 2.5
     """Gap that is left to an object [m]; that of SUMO's drivers."""
     persons_ahead_s: Annotated[float, Ge(0)] = 0.0
     """Also brake for persons that would step into the corridor within this time at the speed they show [s]; city

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from annotated_types import Ge, Gt
+from annotated_types import Ge, Gt, Le
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -17,17 +17,17 @@ class TrafficParams:
     folder that `cosim nets build` made, of a run to replay, or of a trace that SUMO wrote with --fcd-output."""
     trace: str | None = None
     """Replay this trace or run folder in the network of `scenario`, instead of running SUMO."""
-    seed: Annotated[int, Ge(0)] = 1
+    seed: Annotated[int, Ge(0), Le(2**31 - 1)] = 1
     """Seed of SUMO."""
-    scale: Annotated[float, Gt(0)] = 1.0
+    scale: Annotated[float, Gt(0), Le(1000)] = 1.0
     """Factor on the demand; below 1 SUMO leaves vehicles out, above 1 it repeats some. Traces are not scaled."""
-    begin_s: Annotated[float, Ge(0)] | None = None
+    begin_s: Annotated[float, Ge(0), Le(1e8)] | None = None
     """Time of the scenario at which to begin, warm-up included [s]; the scenario's own when not set."""
-    warmup_s: Annotated[float, Ge(0)] | None = None
+    warmup_s: Annotated[float, Ge(0), Le(1e7)] | None = None
     """Simulated time before anything is sensed or recorded [s]; the shipped network's own when not set."""
-    duration_s: Annotated[float, Gt(0)] = 300.0
+    duration_s: Annotated[float, Gt(0), Le(1e8)] = 300.0
     """Recorded time after warm-up [s]; less if the traffic ends before."""
-    step_s: Annotated[float, Ge(0.1)] = 1.0
+    step_s: Annotated[float, Ge(0.1), Le(60)] = 1.0
     """Length of one step of traffic [s]; when not set, that of the .sumocfg, and 1 s of a trace."""
 
 

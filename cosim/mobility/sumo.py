@@ -22,6 +22,7 @@ from cosim.mobility.frame import Frame, TrafficError
 from cosim.mobility.lane_lines import LaneLines
 from cosim.mobility.params import TrafficParams
 from cosim.mobility.remarks import FlowCounts
+from cosim.mobility.scratch import Scratch
 from cosim.mobility.source import SHAPE_OF_CLASS, TrafficEnded, world_from_bumpers
 from cosim.world import LanePaths, World
 from sumo_nets import sumocfg
@@ -101,10 +102,10 @@ class SumoTraffic:
         self.n_teleports = 0
         """Vehicles that SUMO has teleported since recording began."""
         self._stderr = tempfile.TemporaryFile("w+b")  # noqa: SIM115
-        self._scratch = tempfile.TemporaryDirectory(prefix="cosim.", ignore_cleanup_errors=True)
+        self._scratch = Scratch()
         try:
             with self._one_line_errors("refuses it"):
-                options = _options(params, sumocfg.read(config), Path(self._scratch.name), has_driver)
+                options = _options(params, sumocfg.read(config), self._scratch.path, has_driver)
                 libsumo.start(["sumo", *options])
         except Exception:
             self._clean()
@@ -205,7 +206,7 @@ class SumoTraffic:
 
     def _clean(self) -> None:
         self._stderr.close()
-        self._scratch.cleanup()
+        self._scratch.remove()
 
     def _register(self, present: list[tuple[_Domain, Any, ndarray]], step: int) -> None:
         """Register the actors that have no number yet; fills their numbers in place."""
@@ -245,7 +246,7 @@ class SumoTraffic:
     def _errors_since(self, begin: int) -> list[str]:
         """SUMO's error messages since that byte of its log, each once and in one line; SUMO continues after many."""
         self._stderr.seek(begin)
-        text = self._stderr.read().decode(errors="replace").replace(_prefix(Path(self._scratch.name)), "")
+        text = self._stderr.read().decode(errors="replace").replace(_prefix(self._scratch.path), "")
         errors = re.findall(r"^Error: (.*(?:\n .*)*)", text, re.MULTILINE)
         return list(dict.fromkeys(" ".join(error.split()) for error in errors))
 

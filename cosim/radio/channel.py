@@ -13,7 +13,7 @@ from functools import lru_cache
 from typing import Annotated
 
 import numpy as np
-from annotated_types import Gt
+from annotated_types import Gt, Le
 from jaxtyping import Float, Int, UInt8, UInt64
 from numpy import ndarray
 
@@ -69,15 +69,15 @@ class AccessParams:
     """Idle slots before access, for VO, VI, BE, BK."""
     cw: tuple[int, int, int, int] = (3, 7, 15, 15)
     """Largest back-off [slots], for VO, VI, BE, BK."""
-    queue_max: Annotated[int, Gt(0)] = 100
+    queue_max: Annotated[int, Gt(0), Le(100_000)] = 100
     """Capacity of the queue of one access category of one station [packets]."""
-    lifetime_s: Annotated[float, Gt(0)] = 1.0
+    lifetime_s: Annotated[float, Gt(0), Le(3600)] = 1.0
     """Age at which a waiting packet is dropped [s], unless the packet has its own."""
 
     def __post_init__(self) -> None:
         for name in ("aifsn", "cw"):
             value = getattr(self, name)
-            if len(value) != dtypes.N_ACCESS or min(value) < (2 if name == "aifsn" else 0):
+            if len(value) != dtypes.N_ACCESS or min(value) < (2 if name == "aifsn" else 0) or max(value) > 65_535:
                 raise ValueError(
                     f"radio.access.{name} = {value} needs four whole numbers (VO, VI, BE, BK) of at least "
                     f"{2 if name == 'aifsn' else 0}."

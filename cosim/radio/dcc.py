@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
-from annotated_types import Gt, Le
+from annotated_types import Ge, Gt, Le
 from jaxtyping import Float, Int, UInt64
 from numpy import ndarray
 
@@ -28,15 +28,15 @@ class DccParams:
     """Least time between two frames in the states relaxed to restrictive [s]."""
     smoothing: Annotated[float, Gt(0), Le(1)] = 0.5
     """Weight of the newest busy ratio in the running mean."""
-    period_s: Annotated[float, Gt(0)] = 0.1
+    period_s: Annotated[float, Ge(0.001), Le(60)] = 0.1
     """Time over which the busy ratio is measured; the state moves one step in each [s]."""
 
     def __post_init__(self) -> None:
         bounds, gaps = self.cbr_bounds, self.t_off_s
         if len(bounds) != 4 or list(bounds) != sorted(set(bounds)) or not 0 < bounds[0] <= bounds[-1] <= 1:
             raise ValueError(f"radio.dcc.cbr_bounds = {bounds} must be four increasing busy ratios in (0, 1].")
-        if len(gaps) != 5 or list(gaps) != sorted(gaps) or gaps[0] < 0:
-            raise ValueError(f"radio.dcc.t_off_s = {gaps} must be five times [s] that do not decrease.")
+        if len(gaps) != 5 or list(gaps) != sorted(gaps) or gaps[0] < 0 or gaps[-1] > 60:
+            raise ValueError(f"radio.dcc.t_off_s = {gaps} must be five times [s] from 0 to 60 that do not decrease.")
 
 
 @dataclass(frozen=True, slots=True)

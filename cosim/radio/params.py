@@ -19,9 +19,9 @@ class UnitDiskParams:
 
     loss_p: Annotated[float, Ge(0), Le(1)] = 0.05
     """Probability that one hop fails at one receiver."""
-    latency_min_s: Annotated[float, Ge(0)] = 0.0004
+    latency_min_s: Annotated[float, Ge(0), Le(3600)] = 0.0004
     """Shortest time from a hop's start to its reception [s]; the default is that of Eclipse MOSAIC's SNS."""
-    latency_max_s: Annotated[float, Ge(0)] = 0.0024
+    latency_max_s: Annotated[float, Ge(0), Le(3600)] = 0.0024
     """Longest time from a hop's start to its reception [s]; uniformly distributed between the two."""
 
     def __post_init__(self) -> None:
@@ -38,19 +38,19 @@ class RelayParams:
 
     max_hops: Annotated[int, Ge(1), Le(10)] = 1
     """Largest number of hops of a message; 1 is no forwarding."""
-    forward_range_m: Annotated[float, Gt(0)] = 600.0
+    forward_range_m: Annotated[float, Gt(0), Le(100_000)] = 600.0
     """Largest distance from its sender at which a message is forwarded [m]."""
     rule: Literal["contention", "probability"] = "contention"
     """`contention`: the farthest station forwards first, and stations that receive its copy do not (under `unit_disk`
     all forward). `probability`: each station forwards with `forward_p`, whatever it receives."""
     forward_p: Annotated[float, Ge(0), Le(1)] = 0.5
     """Probability that a station forwards a message, under `probability`."""
-    timer_min_s: Annotated[float, Gt(0)] = 0.001
+    timer_min_s: Annotated[float, Gt(0), Le(10)] = 0.001
     """Contention timer at `timer_distance_m` from the previous hop, and beyond [s]."""
-    timer_max_s: Annotated[float, Gt(0)] = 0.1
+    timer_max_s: Annotated[float, Gt(0), Le(10)] = 0.1
     """Contention timer at distance 0 from the previous hop [s]. Under `probability` timers are uniformly distributed
     between the two."""
-    timer_distance_m: Annotated[float, Gt(0)] = 400.0
+    timer_distance_m: Annotated[float, Gt(0), Le(100_000)] = 400.0
     """Distance from which the contention timer is shortest [m]."""
 
     def __post_init__(self) -> None:
@@ -68,12 +68,12 @@ class RadioParams:
     model: str = "csma"
     """`csma`: packet by packet, with the city's propagation. `unit_disk`: every station in range receives, but for a
     constant loss probability. Or one of your own: path.py:Name."""
-    range_m: Annotated[float, Gt(0)] = 300.0
+    range_m: Annotated[float, Gt(0), Le(100_000)] = 300.0
     """Communication range: largest horizontal distance of one hop [m]. Frames from farther away are not received, and
     under `csma` still interfere."""
-    timeout_s: Annotated[float, Gt(0)] | None = None
+    timeout_s: Annotated[float, Gt(0), Le(3600)] | None = None
     """Duration of a round of messages, of which a step has two [s]; two fifths of the sensing interval if not set."""
-    antenna_above_roof_m: Annotated[float, Ge(0)] = 0.1
+    antenna_above_roof_m: Annotated[float, Ge(0), Le(100)] = 0.1
     """Height of the antenna above the roof [m]."""
     cpm_rules: Literal["all", "etsi"] = "all"
     """Objects in a detection message: all of them, or those selected by the rules of ETSI TS 103 324."""

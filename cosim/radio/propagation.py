@@ -55,31 +55,31 @@ class PropagationParams:
     """Carrier [GHz]."""
     tx_power_dbm: Annotated[float, Ge(-20), Le(33)] = 23.0
     """Transmitted power, antenna gains included [dBm]."""
-    exponent: Annotated[float, Gt(0)] = 2.75
+    exponent: Annotated[float, Gt(0), Le(10)] = 2.75
     """Path loss exponent of `log_distance`."""
-    near_exponent: Annotated[float, Gt(0)] = 2.0
+    near_exponent: Annotated[float, Gt(0), Le(10)] = 2.0
     """Path loss exponent of `dual_slope` up to the break point."""
-    far_exponent: Annotated[float, Gt(0)] = 4.0
+    far_exponent: Annotated[float, Gt(0), Le(10)] = 4.0
     """Path loss exponent of `dual_slope` beyond the break point."""
-    break_m: Annotated[float, Gt(1)] = 100.0
+    break_m: Annotated[float, Gt(1), Le(100_000)] = 100.0
     """Break point of `dual_slope` [m]."""
-    permittivity: Annotated[float, Gt(1)] = 1.02
+    permittivity: Annotated[float, Gt(1), Le(100)] = 1.02
     """Relative permittivity of the road, for `two_ray_interference`."""
     walls: Literal["3gpp", "sommer"] = "3gpp"
     """Loss without line of sight: the path loss of TR 37.885 (`urban` and `highway` only), or per wall and metre."""
-    wall_db: Annotated[float, Ge(0)] = 9.0
+    wall_db: Annotated[float, Ge(0), Le(1000)] = 9.0
     """Loss per wall crossed, for `sommer` [dB]."""
-    indoors_db_per_m: Annotated[float, Ge(0)] = 0.4
+    indoors_db_per_m: Annotated[float, Ge(0), Le(1000)] = 0.4
     """Loss per metre inside buildings, for `sommer` [dB/m]."""
     shadowing: bool = True
     """Whether links are shadowed."""
-    sigma_los_db: Annotated[float, Ge(0)] = 3.0
+    sigma_los_db: Annotated[float, Ge(0), Le(50)] = 3.0
     """Standard deviation of shadowing with line of sight by buildings [dB]."""
-    sigma_nlos_db: Annotated[float, Ge(0)] = 4.0
+    sigma_nlos_db: Annotated[float, Ge(0), Le(50)] = 4.0
     """Standard deviation of shadowing without line of sight [dB]."""
-    decorrelation_los_m: Annotated[float, Gt(0)] = 10.0
+    decorrelation_los_m: Annotated[float, Gt(0), Le(10_000)] = 10.0
     """Movement of one end that reduces the correlation of shadowing to 1/e, line of sight [m]; 25 on highways."""
-    decorrelation_nlos_m: Annotated[float, Gt(0)] = 13.0
+    decorrelation_nlos_m: Annotated[float, Gt(0), Le(10_000)] = 13.0
     """Movement of one end that reduces the correlation of shadowing to 1/e, otherwise [m]; 25 on highways."""
     blockage: Literal["none", "probabilistic"] = "probabilistic"
     """Blockage by vehicles of links with line of sight by buildings (urban and highway models)."""
@@ -87,9 +87,9 @@ class PropagationParams:
     """Density of traffic, for probabilistic blockage."""
     fading: Literal["none", "nakagami", "rayleigh", "cheng"] = "nakagami"
     """Fading per packet and receiver."""
-    interference_range_m: Annotated[float, Gt(0)] = 1000.0
+    interference_range_m: Annotated[float, Gt(0), Le(100_000)] = 1000.0
     """Longer links are neglected, as interference too [m]."""
-    interference_range_nlos_m: Annotated[float, Gt(0)] = 300.0
+    interference_range_nlos_m: Annotated[float, Gt(0), Le(100_000)] = 300.0
     """Longer links without line of sight are neglected, as interference too [m]."""
     cutoff_dbm: Annotated[float, Ge(-140), Le(-60)] = -110.0
     """Links of less mean power are neglected, as interference too [dBm]."""

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Annotated, Protocol
 
 import numpy as np
-from annotated_types import Ge, Gt
+from annotated_types import Ge, Gt, Le
 from jaxtyping import Float, UInt64
 from numpy import ndarray
 
@@ -18,19 +18,19 @@ class RsuParams:
 
     at: tuple[tuple[float, float, float], ...] = ()
     """East and north in the network, and height of the antenna above the street, of each unit [m]."""
-    n_at_junctions: Annotated[int, Ge(0)] = 0
+    n_at_junctions: Annotated[int, Ge(0), Le(10_000)] = 0
     """Further units, one at each of the junctions with the most incoming lanes."""
-    apart_m: Annotated[float, Ge(0)] = 100.0
+    apart_m: Annotated[float, Ge(0), Le(1e6)] = 100.0
     """Least distance between two units at junctions [m]."""
-    height_m: Annotated[float, Gt(0)] = 6.0
+    height_m: Annotated[float, Gt(0), Le(1000)] = 6.0
     """Height of the antennas at junctions above the street [m]."""
 
     def __post_init__(self) -> None:
         for i, (x, y, height) in enumerate(self.at):
-            if not (np.isfinite([x, y, height]).all() and height > 0):
+            if not (max(abs(x), abs(y)) <= 1e8 and 0 < height <= 1000):
                 raise ValueError(
                     f"rsu.at[{i}] = [{x:g}, {y:g}, {height:g}] is no place for an antenna. "
-                    "Give finite [east, north, height] in metres, with a height above 0."
+                    "Give [east, north, height] in metres, with a height above 0 and up to 1000."
                 )
 
 

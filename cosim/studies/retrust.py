@@ -286,8 +286,8 @@ class _Met:
         for way in ("ab", "ba"):
             self._columns |= {
                 f"trust_{way}": np.zeros(shape, np.float32), f"source_{way}": np.zeros(shape, np.int8),
-                f"age_{way}": np.zeros(shape, np.float32), f"known_{way}": np.zeros(len(frame), bool),
-                f"after_{way}": np.full(shape, -1),
+                f"state_{way}": np.zeros(shape, np.int8), f"age_{way}": np.zeros(shape, np.float32),
+                f"known_{way}": np.zeros(len(frame), bool), f"after_{way}": np.full(shape, -1),
             }  # fmt: skip
         self._live = np.zeros(0, np.int64)
 
@@ -310,14 +310,15 @@ class _Met:
                 default = found.source[row] == TrustSource.DEFAULT
                 c[f"trust_{way}"][at, v], c[f"source_{way}"][at, v] = found.trust[row], found.source[row]
                 c[f"age_{way}"][at, v] = np.where(default, 0, found.age_s[row])
-                c[f"after_{way}"][at[~default], v] = step
+                c[f"state_{way}"][at, v] = found.state[row]
+                c[f"after_{way}"][at[found.is_known[row]], v] = step
 
     def note(self, step: int, holder: ndarray, other: ndarray, lookups: Sequence[Lookups]) -> None:
-        """Which holders looked up a value other than the default."""
+        """Which holders looked up a value that rests on an evaluation."""
         for row, at, way in self._rows(self._live, holder, other):
             for v, found in enumerate(lookups):
                 after = self._columns[f"after_{way}"]
-                rows = at[(found.source[row] != TrustSource.DEFAULT) & (after[at, v] < 0)]
+                rows = at[found.is_known[row] & (after[at, v] < 0)]
                 after[rows, v] = step
 
     def _rows(self, live: ndarray, holder: ndarray, other: ndarray) -> Iterator[tuple[ndarray, ndarray, str]]:
@@ -360,6 +361,8 @@ class _Met:
                 f"trust_{way}__valid": known,
                 f"source_{way}": source,
                 f"source_{way}__valid": known,
+                f"state_{way}": np.concatenate([c[f"state_{way}"][rows, v] for v in others]),
+                f"state_{way}__valid": known,
                 f"age_{way}_s": np.concatenate([c[f"age_{way}"][rows, v] for v in others]),
                 f"age_{way}_s__valid": known & (source != TrustSource.DEFAULT),
                 f"trusted_after_{way}_s": (after - start) * self._dt_s,

@@ -12,8 +12,8 @@ import tomli_w
 from annotated_types import Ge, Gt
 
 from cosim import config as configs
+from cosim.manifest import without_nulls
 from cosim.mobility.params import TrafficParams
-from cosim.run import without_nulls
 from results.metrics.registry import TOPICS
 from results.tables import TABLES
 

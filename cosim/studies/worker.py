@@ -9,6 +9,7 @@ import os
 import shutil
 import sys
 import threading
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ from cosim import run as running
 from cosim.config import resolve_data
 from cosim.studies.folder import StudyFolder, status_of
 from cosim.studies.stages import Cache
-from results.archive import open_run
+from results.archive import drop_tables, open_run
 from results.measure import measure
 from results.metrics.registry import TOPICS
 from results.tables import TABLES
@@ -33,6 +34,9 @@ def make(job: Path) -> None:
         if study.is_finished(asked["id"]):
             return
         folder = study.run(asked["id"])
+        if status_of(folder) in ("running", "interrupted"):
+            with suppress(ValueError):  # another version, other inputs: made anew
+                running.resume(folder, lambda *_: None)
         if status_of(folder) != "finished":
             if folder.exists():
                 shutil.rmtree(folder)
@@ -59,9 +63,7 @@ def _measure(folder: Path, job: Path, asked: dict[str, Any]) -> None:
 def _drop(folder: Path, kept: list[str] | None) -> None:
     """Delete tables that are not to be kept."""
     if kept is not None:
-        for name in TABLES:
-            if name not in kept and (folder / name).is_dir():
-                shutil.rmtree(folder / name)
+        drop_tables(folder, [name for name in TABLES if name not in kept])
 
 
 def _end_with_parent() -> None:

@@ -1,6 +1,6 @@
 """Encounters by all definitions of the config: pairs near each other, and their line of sight."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,18 +21,28 @@ class NearPairs:
     a: Int[ndarray, "p"]
     b: Int[ndarray, "p"]
     distance_m: Float[ndarray, "p"]
-    los: Bool[ndarray, "p"]
+    los: Mapping[str, Bool[ndarray, "p"]]
+    """By what cuts a line of sight, as `EncounterParams.los` names it."""
     equipped: Bool[ndarray, "p"]
     """Both are equipped."""
+    on_foot: Bool[ndarray, "p"]
+    """One of them is a pedestrian."""
     present: Int[ndarray, "v"]
-    """All vehicles that were searched."""
+    """All actors that were searched."""
 
 
 def near_pairs(
-    world: World, walls: WallIndex, radius_m: float, equipped_only: bool, mount_above_roof_m: float
-) -> NearPairs:
-    """Pairs of vehicles within `radius_m` between the centres of their boxes; pedestrians are left out."""
-    searched = world.shape != Shape.PEDESTRIAN
+    world: World, walls: WallIndex, radius_m: float, equipped_only: bool, mount_above_roof_m: float,
+    blockers: Collection[str] = ("buildings_and_vehicles",), pedestrians: bool = False,
+) -> NearPairs:  # fmt: skip
+    """Pairs of actors within `radius_m` between the centres of their boxes; pedestrians only where asked for.
+
+    Parameters
+    ----------
+    blockers
+        What lines of sight are computed for, as `EncounterParams.los`.
+    """
+    searched = np.full(len(world), pedestrians) | (world.shape != Shape.PEDESTRIAN)
     if equipped_only:
         searched &= world.equipped
     rows = np.flatnonzero(searched)
@@ -45,8 +55,14 @@ def near_pairs(
         a=world.actor[a],
         b=world.actor[b],
         distance_m=np.sqrt(east_m * east_m + north_m * north_m),
-        los=los_between_actors(walls, world.boxes, world.shape, a, b, mount_above_roof_m),
+        los={
+            what: los_between_actors(
+                walls, world.boxes, world.shape, a, b, mount_above_roof_m, bodies=what == "buildings_and_vehicles"
+            )
+            for what in blockers
+        },
         equipped=world.equipped[a] & world.equipped[b],
+        on_foot=(world.shape[a] == Shape.PEDESTRIAN) | (world.shape[b] == Shape.PEDESTRIAN),
         present=world.actor[rows],
     )
 
@@ -59,7 +75,9 @@ class EncounterTrackers:
     ) -> None:
         self.trackers = [EncounterTracker(p, dt_s, n_variants) for p in params]
         self.radius_m = max((p.radius_m for p in params), default=0.0)
-        self.equipped_only = all(p.pairs != "all" for p in params)
+        self.equipped_only = all(p.pairs in ("equipped", "los") for p in params)
+        self.blockers = sorted({p.los for p in params})
+        self.pedestrians = any(p.pedestrians for p in params)
         self.mount_above_roof_m = mount_above_roof_m
 
     def update(self, world: World, walls: WallIndex) -> tuple[list[Rows], Int[ndarray, "k"], Int[ndarray, "k"]]:
@@ -70,14 +88,23 @@ class EncounterTrackers:
         Rows of the table `encounters` for those now over; and holders and others of the equipped pairs whose
         encounter begins, both ways, for which the caller says the trust by `first_contact`.
         """
-        near = near_pairs(world, walls, self.radius_m, self.equipped_only, self.mount_above_roof_m)
+        near = near_pairs(
+            world, walls, self.radius_m, self.equipped_only, self.mount_above_roof_m, self.blockers, self.pedestrians
+        )
         closed, begins = [], np.zeros(len(near.a), bool)
         for tracker in self.trackers:
+            kept = np.flatnonzero(~near.on_foot | tracker.params.pedestrians)
             rows, opened = tracker.update(
-                world.step, near.a, near.b, near.distance_m, near.los, near.present, near.equipped
+                world.step,
+                near.a[kept],
+                near.b[kept],
+                near.distance_m[kept],
+                near.los[tracker.params.los][kept],
+                near.present,
+                near.equipped[kept],
             )
             closed.append(rows)
-            begins[opened] = True
+            begins[kept[opened]] = True
         begins &= near.equipped
         a, b = near.a[begins], near.b[begins]
         return closed, np.concatenate([a, b]), np.concatenate([b, a])

@@ -19,9 +19,9 @@ HEADER_BYTES = 18 + 20 + 8
 class CellularParams:
     """Public cellular network; defaults as Eclipse MOSAIC's LTE cell (Tiergarten)."""
 
-    delay_min_s: Annotated[float, Ge(0)] = 0.05
+    delay_min_s: Annotated[float, Ge(0), Le(1e6)] = 0.05
     """Shortest delay of one attempt, either way [s]."""
-    delay_mean_s: Annotated[float, Ge(0)] = 0.15
+    delay_mean_s: Annotated[float, Ge(0), Le(1e6)] = 0.15
     """Mean delay of one attempt, either way [s]; what exceeds the shortest is Gamma distributed, shape 2."""
     uplink_loss_p: Annotated[float, Ge(0), Le(1)] = 0.01
     """Probability that one attempt of a vehicle's report fails."""
@@ -29,11 +29,11 @@ class CellularParams:
     """Probability that a vehicle misses a broadcast of trust values; there are no retries."""
     n_retries: Annotated[int, Ge(0), Le(10)] = 2
     """Retries of a report that failed, each with a delay of its own."""
-    cell_m: Annotated[float, Gt(0)] = 1000.0
+    cell_m: Annotated[float, Gt(0), Le(1e6)] = 1000.0
     """Side of a cell; cells are the squares of a grid from the network's origin [m]."""
-    cell_up_bytes_per_s: Annotated[float, Gt(0)] = 3.5e6
+    cell_up_bytes_per_s: Annotated[float, Gt(0), Le(1e12)] = 3.5e6
     """Capacity of one cell for reports; what exceeds it is dropped [B/s]."""
-    cell_down_bytes_per_s: Annotated[float, Gt(0)] = 5.275e6
+    cell_down_bytes_per_s: Annotated[float, Gt(0), Le(1e12)] = 5.275e6
     """Capacity of one cell for the broadcast of trust values [B/s]."""
 
     def __post_init__(self) -> None:

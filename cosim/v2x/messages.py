@@ -9,11 +9,20 @@ from numpy import ndarray
 
 from cosim.radio.segmentation import ENVELOPE_BYTES
 from cosim.world import World
-from results.codes import Origin
+from results.codes import DetectionFault, ObjectClass, Origin
 from sensors.boxes import Boxes
 
 SENSED, SELF, FABRICATED = Origin
 """Origin of a detection: the detector, the vehicle's own pose, an attack or fault."""
+
+
+FARTHEST_M = 10_000.0
+"""Farthest that a detection may be from its observer, along an axis."""
+LARGEST_M = 1_000.0
+"""Largest length, width or height of a detection."""
+LARGEST_NUMBER = 2**15 - 1
+MOST_OBJECTS = 255
+"""Objects in one message: ETSI TS 103 324, `PerceivedObjects`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,13 +126,39 @@ def trust_broadcast_bytes(n_vehicles: int) -> int:
     return 44 + 96 + 16 + 6 * n_vehicles
 
 
-def is_sound(listed: Detections) -> Bool[ndarray, "d"]:
-    """Detections with a finite pose, a positive size and a score in [0, 1]."""
-    xyz, lwh, yaw = listed.boxes.xyz_m, listed.boxes.lwh_m, listed.boxes.yaw_rad
-    return (
-        np.isfinite(xyz).all(axis=1) & np.isfinite(lwh).all(axis=1) & np.isfinite(yaw) & (lwh > 0).all(axis=1)
-        & (listed.score >= 0) & (listed.score <= 1)
-    )  # fmt: skip
+def faults(listed: Detections, xyz_m: Float[ndarray, "w 3"]) -> Int[ndarray, "d"]:
+    """Why each detection cannot be sent, as `DetectionFault`; -1 for nothing.
+
+    A message holds what its format can (ETSI TS 103 324: 255 objects), of known classes, with numbers of 15 bits that
+    are unique in the list, within `FARTHEST_M` of the observer, whose position is a row of `xyz_m`.
+    """
+    n, boxes = len(listed), listed.boxes
+    with np.errstate(invalid="ignore", over="ignore"):
+        away_m = np.abs(boxes.xyz_m - xyz_m[listed.observer]).max(axis=1, initial=0.0)
+        number = np.asarray(listed.detection_index)
+        wrong = {
+            DetectionFault.NOT_FINITE: ~(
+                np.isfinite(boxes.xyz_m).all(axis=1) & np.isfinite(boxes.lwh_m).all(axis=1)
+                & np.isfinite(boxes.yaw_rad) & np.isfinite(listed.score)
+            ),
+            DetectionFault.TOO_FAR: ~((away_m <= FARTHEST_M) & (np.abs(boxes.yaw_rad) <= 2 * np.pi)),
+            DetectionFault.BAD_SIZE: ~((boxes.lwh_m > 0) & (boxes.lwh_m <= LARGEST_M)).all(axis=1),
+            DetectionFault.BAD_SCORE: ~((listed.score >= 0) & (listed.score <= 1)),
+            DetectionFault.UNKNOWN_CLASS: np.asarray(listed.label).astype(np.int64) >= len(ObjectClass),
+            DetectionFault.BAD_NUMBER: (number < 0) | (number > LARGEST_NUMBER),
+        }  # fmt: skip
+    found, message = np.full(n, -1), listed.observer.astype(np.int64) << 16 | listed.identity
+    for fault in reversed(wrong):
+        found[wrong[fault]] = fault
+    left = np.flatnonzero(found < 0)
+    order = left[np.lexsort((listed.origin[left], number[left], message[left]))]
+    again = np.zeros(len(order), bool)
+    again[1:] = (np.diff(message[order]) == 0) & (np.diff(number[order]) == 0)
+    found[order[again]] = DetectionFault.REPEATED_NUMBER
+    order = order[~again]
+    _, first, count = np.unique(message[order], return_index=True, return_counts=True)
+    found[order[np.arange(len(order)) - np.repeat(first, count) >= MOST_OBJECTS]] = DetectionFault.TOO_MANY
+    return found
 
 
 def self_reports(world: World, observers: Int[ndarray, "o"]) -> Detections:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 from typing import Annotated, Literal, Protocol
 
 import numpy as np
-from annotated_types import Gt, Interval
+from annotated_types import Gt, Interval, Le
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
@@ -57,7 +57,7 @@ class Never:
 class PeriodicalParams:
     """Parameters of `periodical`."""
 
-    period_s: Annotated[float, Gt(0)] = 240.0
+    period_s: Annotated[float, Gt(0), Le(1e8)] = 240.0
     """Life of a pseudonym [s]; default as in F2MD."""
 
 
@@ -78,7 +78,7 @@ class Periodical:
 class DisposableParams:
     """Parameters of `disposable`."""
 
-    n_messages: Annotated[int, Gt(0)] = 10
+    n_messages: Annotated[int, Gt(0), Le(2**31 - 1)] = 10
     """Messages sent under one pseudonym; default as in F2MD."""
 
 
@@ -99,7 +99,7 @@ class Disposable:
 class DistanceParams:
     """Parameters of `distance`."""
 
-    distance_m: Annotated[float, Gt(0)] = 80.0
+    distance_m: Annotated[float, Gt(0), Le(1e9)] = 80.0
     """Way driven under one pseudonym [m]; default as in F2MD."""
 
 
@@ -191,20 +191,20 @@ class PseudonymParams:
     """How trust copes with a change: none: a new pseudonym is a newcomer; server: reputation stays with the vehicle, is
     broadcast under its present pseudonym; on_demand: pseudonyms are linked from the one on that has been accused
     n_accusations times; own: each receiver links them itself, by place and speed."""
-    n_accusations: Annotated[int, Gt(0)] = 10
+    n_accusations: Annotated[int, Gt(0), Le(2**31 - 1)] = 10
     """on_demand: reports against one pseudonym after which the vehicle's later ones are linked to it."""
-    own_gap_s: Annotated[float, Gt(0)] = 1.5
+    own_gap_s: Annotated[float, Gt(0), Le(1e4)] = 1.5
     """own: longest time between the last message of the old pseudonym and the first of the new one [s]."""
-    own_gate_m: Annotated[float, Gt(0)] = 3.0
+    own_gate_m: Annotated[float, Gt(0), Le(10_000)] = 3.0
     """own: farthest that the new pseudonym may stand from where the old one is expected [m]."""
     revocation: Literal["none", "immediate", "list", "not_renewed"] = "none"
     """What happens to a subject that the acting server trusts less than revoke_below: nothing; receivers drop its
     messages at once; from the next revocation list on; or it gets no new pseudonym after its present one."""
     revoke_below: Annotated[float, Interval(ge=0, le=1)] = 0.25
     """Trust at the acting server below which a subject is revoked."""
-    min_evaluations: Annotated[int, Gt(0)] = 5
+    min_evaluations: Annotated[int, Gt(0), Le(2**31 - 1)] = 5
     """Evaluations that a revocation takes at least."""
-    list_every_s: Annotated[float, Gt(0)] = 60.0
+    list_every_s: Annotated[float, Gt(0), Le(1e8)] = 60.0
     """list: time between two revocation lists [s]."""
 
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from typing import Annotated, Literal
 
 import numpy as np
-from annotated_types import Ge
+from annotated_types import Ge, Le
 from jaxtyping import Bool, Float, Int, UInt64
 from numpy import ndarray
 
@@ -23,7 +23,7 @@ class ServerParams:
 
     uplink: Literal["cellular", "rsu"] = "cellular"
     """Way of evaluations to the server, and of trust values back: cellular, or through roadside units in range."""
-    backhaul_s: Annotated[float, Ge(0)] = 0.01
+    backhaul_s: Annotated[float, Ge(0), Le(1e6)] = 0.01
     """Delay between a roadside unit and the server, either way [s]."""
     outages: tuple[tuple[float, float], ...] = ()
     """Recorded times [start, end) in which the server is unreachable: nothing goes up or down [s]."""
@@ -31,7 +31,7 @@ class ServerParams:
 
     def __post_init__(self) -> None:
         for i, (start, end) in enumerate(self.outages):
-            if not 0 <= start < end:
+            if not 0 <= start < end <= 1e9:
                 raise ValueError(
                     f"server.outages[{i}] = [{start:g}, {end:g}] s is no span of time. "
                     "Give [start, end] in recorded seconds, 0 <= start < end."

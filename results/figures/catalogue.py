@@ -4,11 +4,23 @@ from collections.abc import Callable, Mapping
 
 from matplotlib.figure import Figure
 
-from results.figures import contacts, detection, encounters, freshness, map, misbehaviour, radio, safety, trust
+from results.figures import (
+    contacts,
+    detection,
+    encounters,
+    freshness,
+    map,
+    misbehaviour,
+    radio,
+    safety,
+    security,
+    trust,
+)
 
 FIGURES: Mapping[str, Callable[..., Figure]] = {
     "trust": trust.draw,
     "misbehaviour": misbehaviour.draw,
+    "security": security.draw,
     "encounters": encounters.draw,
     "freshness": freshness.draw,
     "radio": radio.draw,

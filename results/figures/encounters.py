@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+import pandas as pd
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
@@ -17,13 +18,14 @@ def draw(runs: Sequence[Run], departure: encounters.Departure = "ends") -> Figur
     runs = style.arranged(runs, most=4)
     figure, (axes,) = style.sheet()
     curves = [encounters.survival(run, departure) for run in runs]
-    kinds = sorted({
-        kind for curve in curves for kind in zip(curve.radius_m, curve.pairs, curve.hysteresis_s, strict=True)
-    })  # fmt: skip
+    all_kinds = pd.concat([curve[[*encounters.DEFINITION]] for curve in curves]).drop_duplicates()
+    all_kinds = all_kinds.sort_values(["radius_m", "pairs", "hysteresis_s"]).reset_index(drop=True)
+    labels = encounters.named(all_kinds).tolist()
+    kinds = list(all_kinds.itertuples(index=False, name=None))
     longest_s = 0.0
     for i, curve in enumerate(curves):
-        for kind, one in curve.groupby(["radius_m", "pairs", "hysteresis_s"], observed=True):
-            code = kinds.index((kind[0], kind[1], kind[2]))
+        for kind, one in curve.groupby([*encounters.DEFINITION], observed=True):
+            code = kinds.index(kind)
             axes.plot(
                 one.duration_s, one.survival, drawstyle="steps-post", color=style.ink(code), linestyle=style.dash(i),
                 marker=style.marker(code), markevery=0.08,
@@ -38,15 +40,8 @@ def draw(runs: Sequence[Run], departure: encounters.Departure = "ends") -> Figur
     style.share_axis(axes)
     axes.set_xlim(0, max(longest_s, 1.0) * 1.02)
     entries = [
-        Line2D([], [], color=style.ink(code), marker=style.marker(code), label=_label(kind, kinds))
-        for code, kind in enumerate(kinds)
+        Line2D([], [], color=style.ink(code), marker=style.marker(code), label=label)
+        for code, label in enumerate(labels)
     ]
     style.legend(figure, entries, style.run_entries(runs))
     return figure
-
-
-def _label(kind: tuple[float, str, float], kinds: Sequence[tuple[float, str, float]]) -> str:
-    """Name of a definition, with the hysteresis where it alone tells two apart."""
-    radius_m, pairs, hysteresis_s = kind
-    alone = sum(other[:2] == kind[:2] for other in kinds) == 1
-    return f"{pairs}, within {radius_m:g} m" + ("" if alone else f", breaks below {hysteresis_s:g} s bridged")

@@ -62,22 +62,38 @@ def draw(runs: Sequence[Run], over: str | None = None, threshold: float = 0.5) -
 _FILLS = (style.INKS[0], style.PALE, "#e8b9a6", "#ffffff")
 
 
+def _once(ask: Callable[[Run], pd.DataFrame]) -> Callable[[Run], pd.DataFrame]:
+    """The same question, answered once per run."""
+    found: dict[int, pd.DataFrame] = {}
+
+    def answer(run: Run) -> pd.DataFrame:
+        if id(run) not in found:
+            found[id(run)] = ask(run)
+        return found[id(run)]
+
+    return answer
+
+
 def _shares(run: Run, role: str) -> list[float]:
     frame = freshness.states(run)
     frame = frame[frame.role == role].set_index("state").share
     return [float(frame.get(state, 0.0)) for state in freshness.STATES]
 
 
-def _age(what: str) -> Callable[[Run], float]:
+def _age(what: str, ages: Callable[[Run], pd.DataFrame]) -> Callable[[Run], float]:
     def found(run: Run) -> float:
-        frame = freshness.ages(run)
+        frame = ages(run)
         return float(frame.mean_s[(frame.what == what) & (frame.role == "all")].max())
 
     return found
 
 
-def _state(state: str) -> Callable[[Run], float]:
-    return lambda run: _shares(run, "all")[freshness.STATES.index(state)]
+def _state(state: str, states: Callable[[Run], pd.DataFrame]) -> Callable[[Run], float]:
+    def found(run: Run) -> float:
+        frame = states(run)
+        return float(frame.share[(frame.role == "all") & (frame.state == state)].max())
+
+    return found
 
 
 def _success(among: str, threshold: float) -> Callable[[Run], float]:
@@ -94,9 +110,10 @@ def _success(among: str, threshold: float) -> Callable[[Run], float]:
 
 def _over(runs: Sequence[Run], key: str, threshold: float) -> Figure:
     """Three panels over a number; runs that differ in another key have lines of their own."""
+    ages, states = _once(freshness.ages), _once(freshness.states)
     panels: Mapping[str, Mapping[str, Callable[[Run], float]]] = {
-        "Mean age at lookup": {what: _age(what) for what in freshness.AGES},
-        "What lookups rest on": {state: _state(state) for state in freshness.STATES},
+        "Mean age at lookup": {what: _age(what, ages) for what in freshness.AGES},
+        "What lookups rest on": {state: _state(state, states) for state in freshness.STATES},
         f"Ghosts believed (score {threshold:g})": {
             "by receivers": _success("received", threshold), "by the victim": _success("intended", threshold),
         },
@@ -104,7 +121,10 @@ def _over(runs: Sequence[Run], key: str, threshold: float) -> Figure:
     figure, axes = style.sheet(columns=3, width=9.6, height=3.7)
     beside = [name for name in compare.differing(runs) if name != key]
     values = [dict(compare.flat(run.config)) for run in runs]
-    groups = sorted({tuple((name, value.get(name)) for name in beside) for value in values}, key=str)
+    groups = sorted(
+        {tuple((name, value.get(name)) for name in beside) for value in values},
+        key=lambda group: [compare.sort_key(x) for _, x in group],
+    )
     asked = {name: question for panel in panels.values() for name, question in panel.items()}
     frame = compare.tabulate(runs, key, asked)
     frame["group"] = [groups.index(tuple((name, values[i].get(name)) for name in beside)) for i in frame["row"]]

@@ -28,6 +28,15 @@ SHOWN: Mapping[str, tuple[str, ...]] = {
 }  # fmt: skip
 """Metrics that a topic shows unless others are asked for."""
 
+LABELS: Mapping[str, str] = {
+    "freshness_s": "window [s]",
+    "share_p": "share of attackers",
+    "loss_p": "loss per frame",
+    "scale": "demand",
+    "pairs": "pairs",
+}
+"""Keys whose last word says too little on an axis."""
+
 _MOST_PANELS = 4
 
 
@@ -105,7 +114,7 @@ def _draw(
             y = f"{first.label}{group}{unit}"
             style.panel(axes, title, label_of(x), _wrapped(y) if axes is in_row[0] else "")
             if first.unit == "1":
-                style.share_axis(axes, max(0.05, float(of_metric[["mean", "high"]].max().max())))
+                style.share_axis(axes, min(1.0, max(0.05, float(of_metric[["mean", "high"]].max().max()))))
             else:
                 axes.set_ylim(0, 1.06 * float(of_metric[["mean", "high"]].max().max()) or 1.0)
             _ticks(axes, frame[x])
@@ -159,6 +168,8 @@ def _ticks(axes: Axes, values: pd.Series) -> None:
 def label_of(key: str) -> str:
     """A key of the config as an axis says it: its last word, with the unit that its name ends in."""
     name = key.rsplit(".", 1)[-1]
+    if name in LABELS:
+        return LABELS[name]
     for suffix, unit in (("_mps", "m/s"), ("_s", "s"), ("_m", "m"), ("_p", "")):
         if name.endswith(suffix):
             said = name.removesuffix(suffix).replace("_", " ")

@@ -57,7 +57,10 @@ def draw(runs: Sequence[Run], vehicles: Sequence[int] = ()) -> Figure:
     axes.set_xlim(left=0)
     before = _before(runs[0]) if len(runs) == 1 else ""
     if before:
-        axes.text(0.01, 0.985, before, transform=axes.transAxes, va="top", fontsize=7.5, color="#444444")
+        note = axes.text(
+            0.99, 0.985, before, transform=axes.transAxes, va="top", ha="right", fontsize=7, color="#444444"
+        )
+        note.set_in_layout(False)
     style.legend(figure, style.role_entries(shown, roles), style.run_entries(runs))
     return figure
 
@@ -73,7 +76,9 @@ def _before(run: Run) -> str:
     known = {role: x for role, x in found.items() if x.low == x.low}
     if len(known) < 2 or "honest" not in known:
         return ""
-    text = ", ".join(f"{role} {x.value:.2f} [{x.low:.2f}, {x.high:.2f}] ({x.n_units})" for role, x in known.items())
+    text = "".join(
+        f"\n{role} {x.value:.2f} [{x.low:.2f}, {x.high:.2f}], {x.n_units} vehicles" for role, x in known.items()
+    )
     honest = known["honest"]
     apart = [role for role, x in known.items() if role != "honest" and (x.low > honest.high or x.high < honest.low)]
     reason = (

@@ -10,19 +10,26 @@ import pandas as pd
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from results.metrics.encounters import DEFINITION
 from results.run import Run
 
 
 def definition(run: Run, radius_m: float | None = None, pairs: str | None = None) -> dict[str, float | str]:
-    """The definition of an encounter that is meant: radius_m, pairs and hysteresis_s.
+    """The definition of an encounter that is meant, by column of `encounters.DEFINITION`.
 
-    The smallest radius and the first kind of pairs unless named, and their smallest hysteresis.
+    The smallest radius and the first kind of pairs unless named, and the first of the rest.
     """
-    frame = run.table("encounters", ["radius_m", "pairs", "hysteresis_s"])
+    frame = run.table("encounters", DEFINITION)
     if frame.empty:
         raise ValueError(f"{run.path} holds no encounters: no two came within the radius of each other.")
     found: dict[str, float | str] = {}
-    for name, wanted in (("radius_m", radius_m), ("pairs", pairs), ("hysteresis_s", None)):
+    for name, wanted in (
+        ("radius_m", radius_m),
+        ("pairs", pairs),
+        ("hysteresis_s", None),
+        ("los", None),
+        ("pedestrians", None),
+    ):
         there = sorted(frame[name].unique().tolist())
         chosen = there[0] if wanted is None else wanted
         if chosen not in there:
@@ -34,7 +41,7 @@ def definition(run: Run, radius_m: float | None = None, pairs: str | None = None
 
 def contacts(run: Run, radius_m: float | None = None, pairs: str | None = None) -> pd.DataFrame:
     """Intervals of contact by one definition of an encounter, see `definition`: a, b, start_s, end_s."""
-    frame = run.table("encounters", ["a", "b", "start_step", "end_step", "radius_m", "pairs", "hysteresis_s"])
+    frame = run.table("encounters", ["a", "b", "start_step", "end_step", *DEFINITION])
     for name, chosen in definition(run, radius_m, pairs).items():
         frame = frame[frame[name] == chosen]
     return frame.assign(start_s=frame.start_step * run.dt_s, end_s=frame.end_step * run.dt_s)[

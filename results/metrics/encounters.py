@@ -11,16 +11,32 @@ from results.run import Run
 Departure = Literal["ends", "censors"]
 """Whether an actor that leaves the simulation ends its encounters, or censors them."""
 
-DEFINITION = ("pairs", "radius_m", "hysteresis_s")
+DEFINITION = ("pairs", "radius_m", "hysteresis_s", "los", "pedestrians")
 """Columns that say which definition of an encounter a row is of."""
 
 _COLUMNS = (
-    "pairs", "radius_m", "hysteresis_s", "duration_s", "censored_left", "censored_right", "departed", "gap_s",
+    *DEFINITION, "duration_s", "censored_left", "censored_right", "departed", "gap_s",
 )  # fmt: skip
 
 
+def named(frame: pd.DataFrame) -> pd.Series:
+    """A name for the definition of each row: pairs and radius, and what else is needed to tell definitions apart."""
+    kinds = frame[[*DEFINITION]].astype({"pairs": str, "los": str}).drop_duplicates()
+    text = kinds.pairs + kinds.radius_m.map(lambda m: f", {m:g} m")
+    more = {
+        "hysteresis_s": lambda s: f", {s:g} s", "los": lambda los: f", {los.replace('_', ' ')}",
+        "pedestrians": lambda some: ", pedestrians" if some else "",
+    }  # fmt: skip
+    for column, words in more.items():
+        if kinds[column].nunique() > 1:
+            text = text.where(~text.duplicated(keep=False), text + kinds[column].map(words))
+    names = dict(zip(kinds.itertuples(index=False, name=None), text, strict=True))
+    keys = frame[[*DEFINITION]].astype({"pairs": str, "los": str}).itertuples(index=False, name=None)
+    return pd.Series([names[key] for key in keys], frame.index, dtype=object)
+
+
 def durations(run: Run, departure: Departure = "ends") -> pd.DataFrame:
-    """One row per encounter: pairs, radius_m, hysteresis_s, duration_s, gap_s, `start_seen` and `end_seen`."""
+    """One row per encounter: the columns of `DEFINITION`, duration_s, gap_s, `start_seen` and `end_seen`."""
     frame = run.table("encounters", _COLUMNS)
     if frame.empty:
         raise ValueError(
@@ -40,7 +56,7 @@ def survival(run: Run, departure: Departure = "ends") -> pd.DataFrame:
 
     Returns
     -------
-    pairs, radius_m, hysteresis_s, duration_s, survival, and low, high: its 95 % confidence band (Greenwood, log-log).
+    the columns of `DEFINITION`, duration_s, survival, and low, high: its 95 % confidence band (Greenwood, log-log).
 
     Notes
     -----
@@ -63,11 +79,11 @@ def summary(run: Run, departure: Departure = "ends") -> pd.DataFrame:
     the one before.
     """
     rows = []
-    for (pairs, radius_m, hysteresis_s), frame in durations(run, departure).groupby([*DEFINITION], observed=True):
+    for kind, frame in durations(run, departure).groupby([*DEFINITION], observed=True):
         curve = _curve(frame)
         again = frame.gap_s.dropna()
         rows.append({
-            "pairs": pairs, "radius_m": radius_m, "hysteresis_s": hysteresis_s, "n": len(frame),
+            **dict(zip(DEFINITION, kind, strict=True)), "n": len(frame),
             "n_start_unseen": int((~frame.start_seen).sum()), "n_end_unseen": int((~frame.end_seen).sum()),
             "mean_s": float(frame.duration_s.mean()), "median_s": float(frame.duration_s.median()),
             "km_mean_s": restricted_mean(curve), "km_median_s": median(curve),

@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 
 from results.codes import LookupState, labels
+from results.metrics.encounters import DEFINITION
 from results.metrics.intervals import Estimate, ratio
 from results.run import Run
 
@@ -190,26 +191,24 @@ def without_trust(run: Run) -> pd.DataFrame:
 
     Returns
     -------
-    pairs, radius_m, hysteresis_s, n (both directions of every encounter), n_without, share, low, high (clustered by
+    the columns of `encounters.DEFINITION`, n (both directions of every encounter), n_without, share, low, high (by
     the vehicle that would know), n_units, and wait_median_s: time from the start to the first such value, of those
     that had none at the start.
     """
-    frame = run.variant_table(
-        "encounters", ["pairs", "radius_m", "hysteresis_s", "a", "b", "trusted_after_ab_s", "trusted_after_ba_s"]
-    )
+    frame = run.variant_table("encounters", [*DEFINITION, "a", "b", "trusted_after_ab_s", "trusted_after_ba_s"])
     frame = frame[frame.a.isin(run.roles.index) & frame.b.isin(run.roles.index)]
     rows = []
-    for (pairs, radius_m, hysteresis_s), found in frame.groupby(["pairs", "radius_m", "hysteresis_s"], observed=True):
+    for kind, found in frame.groupby([*DEFINITION], observed=True):
         after_s = np.r_[found.trusted_after_ab_s, found.trusted_after_ba_s]
         who = np.r_[found.a, found.b].astype(np.int64)
         waited_s = after_s[after_s > 0]
         without = np.isnan(after_s)
         rows.append({
-            "pairs": pairs, "radius_m": radius_m, "hysteresis_s": hysteresis_s, "n": len(after_s),
+            **dict(zip(DEFINITION, kind, strict=True)), "n": len(after_s),
             "n_without": int(without.sum()), **_columns(ratio(np.bincount(who, without), np.bincount(who)), "share"),
             "wait_median_s": float(np.median(waited_s)) if len(waited_s) else np.nan,
         })  # fmt: skip
-    columns = ["pairs", "radius_m", "hysteresis_s", "n", "n_without", "share", "low", "high", "n_units"]
+    columns = [*DEFINITION, "n", "n_without", "share", "low", "high", "n_units"]
     return pd.DataFrame(rows, columns=[*columns, "wait_median_s"])
 
 

@@ -1,6 +1,8 @@
 """The commands, as a user meets them: what they print, what they leave behind, and how they say no."""
 
 import json
+from importlib.metadata import version
+from pathlib import Path
 
 import pytest
 
@@ -131,3 +133,10 @@ def test_a_mistake_gets_one_line_and_status_2(tmp_path, words, says):
     assert says in done.stderr and "Traceback" not in done.stderr
     assert done.stderr.count("\n") == 1 and done.stdout == ""
     assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_version_and_completion():
+    assert cosim("--version").stdout.strip() == f"cosim {version('cosim')}"
+    assert "--show-completion" in cosim("--help").stdout
+    about = (Path(__file__).parents[2] / "CITATION.cff").read_text().splitlines()
+    assert f"version: {version('cosim')}" in about

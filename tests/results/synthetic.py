@@ -1,12 +1,10 @@
 """A made-up run with the structure of a real one: traffic on a grid, liars found out, a radio that fades."""
 
-import json
-
 import numpy as np
 
+from results.archive import finish
 from results.encounters import EncounterParams, EncounterTracker
 from results.recorder import Recorder
-from results.tables import SCHEMA_VERSION
 
 N, BLOCK_M, SIDE = 60, 120.0, 6
 SIZE = {"car": (4.5, 1.8, 1.5), "truck": (9.0, 2.5, 3.2), "pedestrian": (0.5, 0.6, 1.7)}
@@ -68,17 +66,16 @@ def write(folder, seed=0, steps=240, level="full", block_steps=60, reach_m=200.0
             "from_step": first[equipped], "to_step": last[equipped],
         })  # fmt: skip
     manifest = {
-        "schema_version": SCHEMA_VERSION, "status": "finished", "dt_s": 1.0, "steps": steps, "seed": seed,
+        "dt_s": 1.0, "steps": steps, "seed": seed,
         "config": {
-            "radio": {
-                "model": "unit_disk", "range_m": reach_m, "unit_disk": {"loss_p": 0.05}, "relay": {"max_hops": 1},
-            },
+            "radio": {"model": "unit_disk", "range_m": reach_m, "unit_disk": {"loss_p": 0.05},
+                      "relay": {"max_hops": 1}},
             "fleet": {"penetration_p": 0.6, "equipped_kinds": ["car"]}, "trust": {"window_s": window_s},
         }, "versions": {"cosim": "0.1.0"},
         "net": {"name": "grid", "sha256": "0" * 64}, "timings_s": {"traffic": 1.5, "sensing": 3.2, "trust": 0.7},
         "summary": {"vehicles": 50},
     }  # fmt: skip
-    (folder / "manifest.json").write_text(json.dumps(manifest))
+    finish(folder, manifest)
     return folder
 
 

@@ -1,16 +1,13 @@
 """Trust variants and roles of a run's own: labels, pseudonyms, and metrics of one variant."""
 
-import json
-
 import numpy as np
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import pytest
 
-from results.archive import open_run
+from results.archive import finish, open_run
 from results.codes import Role, labels
 from results.recorder import Recorder
-from results.tables import SCHEMA_VERSION
 from tests.results.tiny import columns, fleet
 
 VARIANTS, ROLES = ("base", "short_window"), (*labels(Role), "ghost")
@@ -38,10 +35,10 @@ def run(tmp_path):
         record.append("detections", 5, columns("detections", [sensed]) | {"step": np.array([5])})
         believed = [{"observer": 0, "source": 4, "source_index": 1, "score": 0.5 + code / 4} for code in (0, 1)]
         record.append("fused", 5, columns("fused", believed) | {"step": np.full(2, 5), "variant": np.arange(2)})
-    (tmp_path / "manifest.json").write_text(json.dumps({
-        "schema_version": SCHEMA_VERSION, "status": "finished", "dt_s": 1.0, "steps": 6, "config": {},
+    finish(tmp_path, {
+        "dt_s": 1.0, "steps": 6, "config": {},
         "variants": VARIANTS, "roles": ROLES,
-    }))  # fmt: skip
+    })  # fmt: skip
     return open_run(tmp_path)
 
 

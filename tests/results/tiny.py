@@ -1,12 +1,10 @@
 """Runs of a few rows, for figures derived by hand."""
 
-import json
-
 import numpy as np
 
-from results.archive import open_run
+from results.archive import finish, open_run
 from results.recorder import Recorder
-from results.tables import SCHEMA_VERSION, TABLES
+from results.tables import TABLES
 
 
 def make(folder, steps, config=None, **tables):
@@ -20,15 +18,11 @@ def make(folder, steps, config=None, **tables):
         for v in tables.get("vehicles", []) if v.get("equipped")
     ])  # fmt: skip
     with Recorder(folder, "full", block_steps=10) as record:
-        for name, rows in tables.items():
-            rows = sorted(rows, key=lambda row: row.get("step", 0))
-            for step in sorted({row.get("step", 0) for row in rows}):
-                record.append(name, step, columns(name, [r for r in rows if r.get("step", 0) == step]))
-            record.flush()
-            record._block = 0
-    (folder / "manifest.json").write_text(json.dumps({
-        "schema_version": SCHEMA_VERSION, "status": "finished", "dt_s": 1.0, "steps": steps, "config": config or {},
-    }))  # fmt: skip
+        for step in sorted({row.get("step", 0) for rows in tables.values() for row in rows}):
+            for name, rows in tables.items():
+                if now := [row for row in rows if row.get("step", 0) == step]:
+                    record.append(name, step, columns(name, now))
+    finish(folder, {"dt_s": 1.0, "steps": steps, "config": config or {}})
     return open_run(folder)
 
 

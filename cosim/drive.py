@@ -1,0 +1,213 @@
+"""The loop of a run: traffic, the step, the recorder; from the first step, or from where a resumed run goes on."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numba
+import numpy as np
+from jaxtyping import Float, Int
+from numpy import ndarray
+
+from cosim import checkpoint, recording
+from cosim.actors import ActorRegistry
+from cosim.checkpoint import CannotCheckpoint
+from cosim.config import Config
+from cosim.cycle import State, step
+from cosim.manifest import Manifest
+from cosim.mobility.source import TrafficEnded, TrafficError, TrafficSource
+from cosim.parts import Parts, chosen
+from cosim.run_folder import RunFolder
+from cosim.scenario import Scenario
+from cosim.stop import StopRequest
+from cosim.stopwatch import Stopwatch
+from cosim.world import World
+from results.codes import DetectionFault, labels
+from results.recorder import Recorder
+from sensors.scene import Shape
+
+Advance = Callable[[str, int, int, str], None]
+"""Told of progress: phase, done, total, a note."""
+
+Commands = tuple[Int[ndarray, "c"], Float[ndarray, "c"]]
+"""Actors, and the speeds that they shall drive [m/s]."""
+NO_COMMANDS: Commands = (np.zeros(0, np.int64), np.zeros(0))
+STATE_VERSION = 2
+"""Raised whenever a state of an earlier version would be misread."""
+_CORES = numba.get_num_threads()
+_EQUIPPED_PER_THREAD = 100
+"""Below it a step takes some 20 ms, and threads lose more than they gain wherever the cores have other work."""
+
+
+@dataclass(slots=True)
+class Drive:
+    """A run under way."""
+
+    parts: Parts
+    scenario: Scenario
+    folder: RunFolder
+    warmup_s: float
+    traffic: TrafficSource
+    registry: ActorRegistry
+    recorder: Recorder
+    manifest: Manifest
+    advance: Advance
+    stop: StopRequest
+    state: State | None = None
+    """At the first step that is recorded; None at the first of all, or where it is to be computed again."""
+    expected: dict[str, np.ndarray] | None = None
+    """Rows of the table `actors` of the last step that a resumed run finds recorded."""
+    commands: dict[int, Commands] = field(default_factory=dict)
+    """By step, what drivers commanded in the steps that a resumed run finds recorded."""
+    n_on_road: int = 0
+    ended: str = ""
+    """Why the traffic ended before the time asked for."""
+    _of_block: dict[int, Commands] = field(default_factory=dict)
+    _keeps_state: bool = True
+
+    def run(self) -> None:
+        """Warm up, repeat the traffic of what is recorded already, and go on to the end or to a signal."""
+        config, recorder = self.parts.config, self.recorder
+        first = recorder.inventory.end_step
+        warm_up(self.warmup_s, self.traffic, self.parts.watch, self.advance)
+        recomputes = first > 0 and self.state is None
+        state = State.start(self.parts) if self.state is None else self.state
+        self.state = None
+        self.stop.at_once = first > 0
+        for number in range(config.n_steps):
+            if number == first:
+                self.stop.at_once = False
+            if (world := self._next(number)) is None:
+                break
+            if number < first:
+                commands = self.commands.get(number, NO_COMMANDS)
+                if recomputes:
+                    state, happened = step(world, state, self.parts)
+                    commands = happened.commands.actor, happened.commands.speed_mps
+                self.traffic.command(*commands)
+                if number == first - 1:
+                    self._check_repeated(world)
+                self.advance("repeat traffic", number + 1, first, "steps")
+                continue
+            numba.set_num_threads(_threads(config, int(world.equipped.sum())))
+            state, happened = step(world, state, self.parts)
+            with self.parts.watch("record"):
+                recording.step(recorder, happened, config.traffic.step_s)
+                recorder.reach(number)
+                self.manifest.steps = number + 1
+                commands = happened.commands.actor, happened.commands.speed_mps
+                if len(happened.commands):
+                    self._of_block[number] = commands
+                if recorder.is_block_end(number) and number + 1 < config.n_steps:
+                    self._commit(state)
+            self.traffic.command(*commands)
+            self.advance("run", number + 1, config.n_steps, f"steps, {len(world)} actors")
+            if self.stop.signum is not None:
+                break
+        if not self.manifest.steps:
+            raise TrafficError(f"traffic.scenario = {self.scenario.name}: there is nothing to record: {self.ended}.")
+        with self.parts.watch("record"):
+            self._end(state)
+
+    @property
+    def is_over(self) -> bool:
+        """Whether every step asked for, or every one that the traffic has, is recorded."""
+        return bool(self.ended) or self.manifest.steps >= self.parts.config.n_steps
+
+    def _next(self, number: int) -> World | None:
+        with self.parts.watch("traffic"):
+            try:
+                world = self.traffic.advance()
+            except TrafficEnded as over:
+                asked_s = self.parts.config.n_steps * self.parts.config.traffic.step_s
+                self.ended = f"the traffic ended before the {asked_s:g} s asked for: {over}"
+                return None
+        self.n_on_road += int((world.shape != Shape.PEDESTRIAN).sum())
+        return world
+
+    def _commit(self, state: State) -> None:
+        """A whole block, with what a resumed run needs to go on from it."""
+        self.folder.check()
+        files = {}
+        if self._of_block:
+            files[f"commands-{self.manifest.steps:07d}.bin"] = checkpoint.encode(self._of_block)
+            self._of_block = {}
+        if self._keeps_state:
+            try:
+                files[f"state-{self.manifest.steps:07d}.bin"] = checkpoint.encode(
+                    (STATE_VERSION, state), own_modules(self.parts.config)
+                )
+            except CannotCheckpoint as error:
+                self._keeps_state = False
+                self.manifest.summary["not_kept_for_resume"] = f"{error}: a resumed run computes all steps again"
+        rows = recording.open_rows(state, self.parts, self.registry, self.manifest.steps)
+        self.recorder.flush(rows, files)
+
+    def _end(self, state: State) -> None:
+        """The last block: of a run that is over with what is open in its parts, of an interrupted one beside them."""
+        self.folder.check()
+        rows = recording.open_rows(state, self.parts, self.registry, self.manifest.steps)
+        if not self.is_over:
+            self.recorder.flush(rows)
+        else:
+            self.recorder.close(rows)
+        self.manifest.summary |= {
+            "vehicles_on_road_mean": round(self.n_on_road / self.manifest.steps, 2),
+            **self.traffic.report(),
+            "detections_dropped": {
+                name: int(n) for name, n in zip(labels(DetectionFault), state.n_dropped, strict=True) if n
+            },
+            "evaluations_rejected": self.parts.trust.rejected(state.trust),
+            **_pseudonym_summary(self.parts.config, state),
+            **({"ended_early": self.ended} if self.ended else {}),
+        }
+
+    def _check_repeated(self, world: World) -> None:
+        """The traffic repeated must be the one recorded: the same SUMO, the same files."""
+        if (want := self.expected) is None:
+            return
+        poses = {"yaw_rad": world.boxes.yaw_rad, "speed_mps": world.speed_mps} | {
+            f"{axis}_m": world.boxes.xyz_m[:, column] for column, axis in enumerate("xyz")
+        }
+        same = np.array_equal(want["actor"], world.actor) and all(
+            np.array_equal(want[name], values.astype(np.float32)) for name, values in poses.items()
+        )
+        if not same:
+            raise ValueError(
+                f"{self.manifest.folder}: the traffic of step {world.step} is not the one recorded: "
+                "another SUMO or other files. Run again."
+            )
+
+
+def warm_up(warmup_s: float, traffic: TrafficSource, watch: Stopwatch, advance: Advance) -> None:
+    """Traffic before the first step."""
+    with watch("warm-up"):
+        try:
+            for done_s in traffic.warm_up(warmup_s):
+                advance("warm-up", int(done_s), int(warmup_s), "s")
+        except TrafficEnded as over:
+            raise TrafficError(f"traffic.warmup_s = {warmup_s:g} s outlasts the traffic: {over}. Shorten it.") from None
+        advance("warm-up", int(warmup_s), int(warmup_s), "s")
+
+
+def own_modules(config: Config) -> tuple[str, ...]:
+    """Modules of the user's own choices that this config names."""
+    return tuple(sorted({choice.of.__module__ for choice in chosen(config).values()}))
+
+
+def _pseudonym_summary(config: Config, state: State) -> dict[str, Any]:
+    """What became of pseudonyms, where anything can."""
+    found: dict[str, Any] = {}
+    if config.pseudonyms.revocation != "none":
+        found["revoked"] = len(state.pseudonyms.revoked)
+    if config.pseudonyms.linkage == "on_demand":
+        found["linked_on_demand"] = int((state.pseudonyms.linked >= 0).sum())
+    if config.pseudonyms.linkage == "own":
+        heard = state.heard
+        found["relinked"] = {"changes": heard.n_changes, "linked": heard.n_linked, "right": heard.n_right}
+    return found
+
+
+def _threads(config: Config, n_equipped: int) -> int:
+    """Threads for one step: what the config says, or as many as are worth it."""
+    return min(config.compute.threads or max(1, n_equipped // _EQUIPPED_PER_THREAD), _CORES)

@@ -1,0 +1,157 @@
+"""A short film of the map: who is trusted, who lies, and what one vehicle sees and believes."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+import pyarrow.compute as pc
+from jaxtyping import Float
+from matplotlib import colormaps
+from matplotlib.animation import FFMpegWriter, PillowWriter
+from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.lines import Line2D
+from numpy import ndarray
+
+from results.figures import style
+from results.run import Run
+
+FORMATS = (".gif", ".mp4")
+MOST_FRAMES = 120
+HALF_WIDTH_M = 110.0
+"""Of the square that is shown around a vehicle."""
+PICTURES_PER_S = 6
+TRUST = colormaps["RdYlBu"].with_extremes(bad="white")
+"""Colours of trust; white is not rated."""
+SEEN, BELIEVED, LIE = style.INKS[2], style.INKS[4], style.ROLE_INKS["malicious"]
+
+
+def write(
+    run: Run, out: Path, vehicle: int | None, streets: Sequence[Float[ndarray, "k 2"]],
+    buildings: Sequence[Float[ndarray, "k 2"]], progress: Callable[[int, int], None] = lambda done, total: None,
+) -> Path:  # fmt: skip
+    """Film a run, around a vehicle while it is on the road or of the whole city.
+
+    Parameters
+    ----------
+    streets, buildings
+        Lines and outlines, world frame.
+
+    Raises
+    ------
+    ValueError
+        In one line: no such form of file, no writer for it, a vehicle that was never there.
+    """
+    if out.suffix not in FORMATS:
+        raise ValueError(f"--out {out}: a movie ends in {' or '.join(FORMATS)}.")
+    if out.suffix == ".mp4" and not FFMpegWriter.isAvailable():
+        raise ValueError(f"--out {out}: there is no ffmpeg to write MP4. Install it, or write a .gif.")
+    run.require("actors", "vehicles", "detections", "trust")
+    spans = run.table("vehicles").set_index("vehicle")
+    first, last = 0, int(run.manifest["steps"]) - 1
+    if vehicle is not None:
+        if vehicle not in spans.index or not spans.equipped[vehicle]:
+            raise ValueError(f"--vehicle {vehicle} is none that carries a LiDAR in {run.path}.")
+        first, last = int(spans.first_step[vehicle]), int(spans.last_step[vehicle])
+    steps = np.arange(first, last + 1)[:: -(-(last + 1 - first) // MOST_FRAMES)]
+    film = _Film(run, vehicle, steps, streets, buildings)
+    partial = out.with_name(f"{out.stem}.partial{out.suffix}")
+    writer = (FFMpegWriter if out.suffix == ".mp4" else PillowWriter)(fps=PICTURES_PER_S)
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        with writer.saving(film.figure, str(partial), dpi=90):
+            for number, step in enumerate(steps.tolist()):
+                film.show(step)
+                writer.grab_frame()
+                progress(number + 1, len(steps))
+        partial.replace(out)
+    except OSError as error:
+        raise ValueError(f"--out {out} cannot be written: {error.strerror or error}.") from None
+    return out
+
+
+class _Film:
+    """The picture that changes from step to step."""
+
+    def __init__(self, run: Run, vehicle: int | None, steps: ndarray, streets, buildings) -> None:  # type: ignore[no-untyped-def]
+        self.vehicle, self._dt_s = vehicle, run.dt_s
+        where = pc.field("step").isin(steps.tolist())
+        self._actors = dict(iter(run.table("actors", ["step", "actor", "x_m", "y_m"], where).groupby("step")))
+        found = run.table("detections", ["step", "observer", "x_m", "y_m", "origin"], where)
+        of = run.subjects.vehicle
+        self._lies = dict(iter(found[found.origin == "fabricated"].groupby("step")))
+        mine = found[(found.origin == "sensed") & (found.observer.map(of) == vehicle)]
+        self._seen = dict(iter(mine.groupby("step")))
+        fused = None
+        if vehicle is not None and "fused" in run.tables:
+            fused = run.variant_table("fused", ["step", "x_m", "y_m"], where & (pc.field("observer") == vehicle))
+        self._believed = {} if fused is None else dict(iter(fused.groupby("step")))
+        trust = run.variant_table("trust", ["step", "subject", "trust", "n_evaluations"])
+        trust = trust[trust.n_evaluations > 0]
+        self._trust = trust.assign(vehicle=trust.subject.map(of)).sort_values("step")
+        self._roles = run.roles.astype(object)
+        self._begin(streets, buildings)
+
+    @style.styled
+    def _begin(self, streets, buildings):  # type: ignore[no-untyped-def]
+        self.figure, (self._axes,) = style.sheet(width=6.4, height=6.4)
+        axes = self._axes
+        axes.add_collection(PolyCollection(buildings, facecolor=style.PALE, edgecolor="none", zorder=1))
+        axes.add_collection(LineCollection(streets, colors="#e2e5ea", linewidths=2.0, zorder=0))
+        axes.set_aspect("equal")
+        axes.grid(visible=False)
+        axes.set_xlabel("East [m]")
+        axes.set_ylabel("North [m]")
+        if self.vehicle is None and len(streets):
+            corner = np.concatenate(streets)
+            axes.set_xlim(corner[:, 0].min(), corner[:, 0].max())
+            axes.set_ylim(corner[:, 1].min(), corner[:, 1].max())
+        none = np.zeros((0, 2))
+        size = 42 if self.vehicle is not None else 14
+        self._others = axes.scatter(*none.T, s=0.4 * size, color="#8a8f98", zorder=2)
+        self._equipped = axes.scatter(
+            *none.T, c=[], s=size, cmap=TRUST, vmin=0, vmax=1, edgecolors="#333333", linewidths=0.6, zorder=4
+        )
+        self._liars = axes.scatter(*none.T, s=3.2 * size, facecolors="none", edgecolors=LIE, linewidths=1.3, zorder=4)
+        self._ghosts = axes.scatter(*none.T, s=1.6 * size, marker="x", color=LIE, linewidths=1.6, zorder=5)
+        squares = {"marker": "s", "facecolors": "none", "zorder": 3}
+        self._finds = axes.scatter(*none.T, s=2.6 * size, edgecolors=SEEN, linewidths=1.5, **squares)
+        self._beliefs = axes.scatter(*none.T, s=5.0 * size, edgecolors=BELIEVED, linewidths=1.1, **squares)
+        self._me = axes.scatter(*none.T, s=5 * size, marker="*", color="black", zorder=6)
+        self.figure.colorbar(self._equipped, ax=axes, shrink=0.6, label="Trust")
+        marks = [
+            ("o", "#8a8f98", "not equipped", True),
+            ("o", "#333333", "not rated", False),
+            ("o", LIE, "attacker", False),
+            ("x", LIE, "fabricated", True),
+        ]
+        if self.vehicle is not None:
+            marks += [("*", "black", f"vehicle {self.vehicle}", True), ("s", SEEN, "it detects", False),
+                      ("s", BELIEVED, "it believes", False)]  # fmt: skip
+        handles = [
+            Line2D([], [], linestyle="", marker=m, color=c, label=text, markerfacecolor=c if full else "none")
+            for m, c, text, full in marks
+        ]
+        axes.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.1), ncols=3)
+        return self.figure
+
+    def show(self, step: int) -> None:
+        """Draw the figure of this step."""
+        rows = self._actors.get(step)
+        number = np.zeros(0, int) if rows is None else rows.actor.to_numpy()
+        xy = np.zeros((0, 2)) if rows is None else rows[["x_m", "y_m"]].to_numpy(float)
+        role = self._roles.reindex(number).to_numpy(object)
+        equipped = np.array([isinstance(r, str) for r in role], bool)
+        known = self._trust[self._trust.step <= step].drop_duplicates("vehicle", keep="last").set_index("vehicle").trust
+        trust = known.reindex(number[equipped]).to_numpy(float)
+        self._others.set_offsets(xy[~equipped])
+        self._equipped.set_offsets(xy[equipped])
+        self._equipped.set_array(np.ma.masked_invalid(trust))
+        self._liars.set_offsets(xy[equipped & (role != "honest")])
+        for marks, table in ((self._ghosts, self._lies), (self._finds, self._seen), (self._beliefs, self._believed)):
+            found = table.get(step)
+            marks.set_offsets(np.zeros((0, 2)) if found is None else found[["x_m", "y_m"]].to_numpy(float))
+        if self.vehicle is not None and len(at := xy[number == self.vehicle]):
+            self._me.set_offsets(at)
+            self._axes.set_xlim(at[0, 0] - HALF_WIDTH_M, at[0, 0] + HALF_WIDTH_M)
+            self._axes.set_ylim(at[0, 1] - HALF_WIDTH_M, at[0, 1] + HALF_WIDTH_M)
+        self._axes.set_title(f"{step * self._dt_s:g} s")

@@ -1,0 +1,172 @@
+"""What a run folder holds, block by block: every part with its rows, steps and checksum.
+
+`inventory.jsonl` has one line per committed block. A line is on disk only after all that it lists, and each carries
+the checksum of itself and of the line before, so that none can be changed, left out or moved unnoticed. A line cut
+off by a crash was never committed.
+"""
+
+import hashlib
+import json
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+from results import durable
+from results.durable import Damaged
+from results.tables import TABLES
+
+FILE = "inventory.jsonl"
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """One Parquet file."""
+
+    table: str
+    file: str
+    """Name in the folder of the table."""
+    n_rows: int
+    n_bytes: int
+    sha256: str
+    first_step: int
+    last_step: int
+
+    @property
+    def name(self) -> str:
+        """Path in the run folder."""
+        return f"{self.table}/{self.file}"
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    """One committed block of steps, all tables together."""
+
+    number: int
+    end_step: int
+    """One past its last step."""
+    is_whole: bool
+    """False for the last steps of a run that was interrupted inside a block: a resumed run makes them again."""
+    parts: tuple[Part, ...]
+    open: tuple[Part, ...] = ()
+    """What is not over at the end of the block, as it would be if the run ended there; replaces that of the block
+    before."""
+    checkpoint: Mapping[str, str] = field(default_factory=dict)
+    """Checksums by path of the files from which a resumed run goes on."""
+    chain: str = ""
+    """Checksum of this line and of all before."""
+
+    def line(self, before: str) -> tuple["Block", bytes]:
+        """The block with its checksum, and the line that says it."""
+        text = json.dumps(asdict(self) | {"chain": before}, separators=(",", ":"))
+        digest = hashlib.sha256(text.encode()).hexdigest()
+        content = asdict(self) | {"chain": digest}
+        chained = Block(**{name: getattr(self, name) for name in self.__slots__ if name != "chain"}, chain=digest)
+        return chained, json.dumps(content, separators=(",", ":")).encode()
+
+
+@dataclass(frozen=True, slots=True)
+class Inventory:
+    """All committed blocks of a run."""
+
+    blocks: tuple[Block, ...] = ()
+
+    @property
+    def end_step(self) -> int:
+        """Steps committed."""
+        return self.blocks[-1].end_step if self.blocks else 0
+
+    @property
+    def chain(self) -> str:
+        """Checksum of the whole."""
+        return self.blocks[-1].chain if self.blocks else ""
+
+    @property
+    def parts(self) -> list[Part]:
+        """Every part that counts, in the order of steps."""
+        closed = [part for block in self.blocks for part in block.parts]
+        return closed + list(self.blocks[-1].open if self.blocks else ())
+
+    def of(self, table: str) -> list[Part]:
+        """The parts of a table."""
+        return [part for part in self.parts if part.table == table]
+
+    def whole(self) -> "Inventory":
+        """The whole blocks alone: where a resumed run goes on."""
+        return Inventory(tuple(block for block in self.blocks if block.is_whole))
+
+    def summary(self, tables: Iterable[str]) -> dict[str, Any]:
+        """For the manifest: of every table, parts, rows, bytes, steps and a checksum over its parts."""
+        tables_ = {}
+        for name in tables:
+            parts = self.of(name)
+            digest = hashlib.sha256("".join(part.sha256 for part in parts).encode()).hexdigest()
+            tables_[name] = {
+                "parts": len(parts), "rows": sum(part.n_rows for part in parts),
+                "bytes": sum(part.n_bytes for part in parts),
+                "first_step": min((part.first_step for part in parts), default=None),
+                "last_step": max((part.last_step for part in parts), default=None), "sha256": digest,
+            }  # fmt: skip
+        return {"blocks": len(self.blocks), "end_step": self.end_step, "sha256": self.chain, "tables": tables_}
+
+
+def read(folder: Path) -> Inventory:
+    """The inventory of a run folder; Damaged where a line is not what was written."""
+    path = folder / FILE
+    try:
+        with durable.open_regular(path) as file:
+            text = file.read()
+    except FileNotFoundError:
+        return Inventory()
+    except (OSError, ValueError) as error:
+        raise Damaged(f"{path} cannot be read ({error}).") from None
+    *lines, rest = text.split(b"\n")
+    blocks: list[Block] = []
+    for number, line in enumerate(lines):
+        try:
+            block = _block(json.loads(line))
+            chained, again = block.line(blocks[-1].chain if blocks else "")
+        except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
+            chained, again = None, b""
+        if chained is None or again != line:
+            raise Damaged(f"{path}: line {number + 1} is damaged, or a line before it is missing.")
+        if chained.end_step < (blocks[-1].end_step if blocks else 0):
+            raise Damaged(f"{path}: line {number + 1} ends before the line before it.")
+        blocks.append(chained)
+    del rest  # a line that a crash cut off: never committed
+    return Inventory(tuple(blocks))
+
+
+def _block(line: dict[str, Any]) -> Block:
+    parts, open_ = (tuple(_part(part) for part in line[name]) for name in ("parts", "open"))
+    return Block(
+        int(line["number"]), int(line["end_step"]), bool(line["is_whole"]), parts, open_, dict(line["checkpoint"]),
+        str(line["chain"]),
+    )  # fmt: skip
+
+
+def _part(content: dict[str, Any]) -> Part:
+    part = Part(**content)
+    if part.table not in TABLES or Path(part.file).name != part.file:
+        raise ValueError(part.name)
+    return part
+
+
+def rewrite(folder: Path, inventory: Inventory) -> None:
+    """Make this the inventory of the folder."""
+    lines, before = b"", ""
+    for block in inventory.blocks:
+        chained, line = block.line(before)
+        lines, before = lines + line + b"\n", chained.chain
+    durable.write(folder / FILE, lines)
+    durable.sync_folder(folder)
+
+
+def commit(folder: Path, inventory: Inventory, block: Block) -> Inventory:
+    """Add a block whose files are on disk."""
+    chained, line = block.line(inventory.chain)
+    is_first = not inventory.blocks
+    durable.append_line(folder / FILE, line)
+    if is_first:
+        durable.sync_folder(folder)
+    return Inventory((*inventory.blocks, chained))

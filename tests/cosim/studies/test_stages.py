@@ -1,0 +1,49 @@
+"""Stages that are kept: their versions are raised when their content changes, and the cache keeps to its limit."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+from cosim.studies.plan import TRAFFIC_VERSION
+from cosim.studies.stages import Cache
+from results.recorder import fingerprint
+
+GOLDEN = Path(__file__).parents[2] / "golden" / "traffic_stage.json"
+
+DRIVE = """
+import sys
+from pathlib import Path
+from cosim.config import load
+from cosim.run import record_traffic
+record_traffic(load(None, ["traffic.duration_s=20", "traffic.warmup_s=60"]), Path(sys.argv[1]), lambda *_: None)
+"""
+
+
+def test_version_of_the_traffic_stage(tmp_path, update_golden):
+    """Where this fails, the same `[traffic]` gives other traffic: raise TRAFFIC_VERSION, renew the golden tables."""
+    subprocess.run([sys.executable, "-c", DRIVE, str(tmp_path / "traffic")], check=True, timeout=600)
+    found = fingerprint(tmp_path / "traffic")
+    now = {"version": TRAFFIC_VERSION, "actors": found["actors"], "vehicles": found["vehicles"]}
+    if update_golden:
+        GOLDEN.write_text(json.dumps(now, indent=1) + "\n")
+    assert json.loads(GOLDEN.read_text()) == now
+
+
+def entry(folder, name, size, used_s):
+    path = folder / "traffic" / name
+    path.mkdir(parents=True)
+    (path / "data").write_bytes(b"x" * size)
+    (path / "stage.json").write_text(json.dumps({"files": {}, "seconds": 1.0}))
+    os.utime(path / "stage.json", (used_s, used_s))
+
+
+def test_what_was_used_longest_ago_goes_first(tmp_path):
+    for number, name in enumerate(("old", "middle", "new")):
+        entry(tmp_path, name, 1_000_000, 1_000_000 + number)
+    cache = Cache(tmp_path)
+    assert [e.name for e in cache.entries()] == ["new", "middle", "old"]
+    assert [e.name for e in cache.shrink(2.1e-3, set())] == ["old"]
+    assert [e.name for e in cache.shrink(1.1e-3, {"middle"})] == []
+    assert [e.name for e in cache.shrink(0.0, set())] == ["new", "middle"] and not cache.entries()

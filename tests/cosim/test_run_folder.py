@@ -1,0 +1,75 @@
+"""Folders of runs: one run each, however many begin together; a killed run continues to the same tables."""
+
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from results.recorder import fingerprint
+from results.verify import verify
+from tests.drive import cosim
+
+CLAIM = """
+import sys, time
+from pathlib import Path
+from cosim import run_folder
+out = Path(sys.argv[1]) if len(sys.argv) > 1 else None
+try:
+    folder = run_folder.create(out, "town")
+except ValueError as error:
+    sys.exit(f"refused: {error}")
+(folder.path / "manifest.json").write_text("{}")
+time.sleep(3)
+folder.release()
+print(folder.path)
+"""
+
+
+def claims(folder, *words):
+    many = [
+        subprocess.Popen(
+            [sys.executable, "-c", CLAIM, *words], cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        )
+        for _ in range(12)
+    ]
+    return [(p.communicate(), p.returncode) for p in many]
+
+
+def test_twelve_at_once_get_twelve_folders(tmp_path):
+    done = claims(tmp_path)
+    assert all(status == 0 for _, status in done), done
+    assert len({out for (out, _), _ in done}) == 12
+
+
+def test_twelve_into_one_folder_are_one_run_and_refusals(tmp_path):
+    done = claims(tmp_path, "mine")
+    assert sorted(status for _, status in done) == [0] + [1] * 11
+    assert all("refused: " in err and err.count("\n") == 1 for (_, err), status in done if status)
+
+
+SHORT = [
+    word for key in ("traffic.duration_s=12", "traffic.warmup_s=60", "record.block_steps=4") for word in ("--set", key)
+]  # fmt: skip
+
+
+@pytest.mark.verify
+@pytest.mark.parametrize("signum", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT])
+def test_a_resumed_run_has_the_tables_of_one_never_interrupted(tmp_path, signum):
+    assert cosim("run", *SHORT, "--out", "whole", cwd=tmp_path).returncode == 0
+    out = tmp_path / "broken"
+    run = subprocess.Popen(
+        [sys.executable, "-m", "cosim", "run", *SHORT, "--out", str(out)], stderr=subprocess.PIPE, text=True
+    )
+    while run.poll() is None and not (out / "inventory.jsonl").exists():
+        time.sleep(0.02)
+    run.send_signal(signum)
+    _, said = run.communicate()
+    assert run.returncode == (-9 if signum == signal.SIGKILL else 128 + signum)
+    assert signum == signal.SIGKILL or ("cosim resume" in said and said.count("\n") == 1)
+    assert verify(out)[1] == []
+    done = cosim("resume", str(out))
+    assert done.returncode == 0, done.stderr
+    assert fingerprint(out) == fingerprint(tmp_path / "whole")
+    assert verify(out)[0]["status"] == "finished" and verify(out)[1] == []
