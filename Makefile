@@ -4,13 +4,16 @@ VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
-.PHONY: run test lint verify bench lock clean
+.PHONY: run test types lint verify bench lock clean
 
 run: $(READY)  ## Drive the shipped city, and show what came of it
 	$(BIN)/cosim run
 
 test: $(READY)  ## The tests
 	$(BIN)/python -m pytest -q -n 2
+
+types: $(READY)  ## Shapes and types of arrays, checked while the tests of trust run
+	$(BIN)/python -m pytest -q -n 2 --typecheck=trust tests/trust
 
 lint: $(READY)  ## Style and types
 	$(BIN)/ruff check .

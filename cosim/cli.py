@@ -29,6 +29,7 @@ from results.durable import Damaged
 
 if TYPE_CHECKING:
     from results.archive import OpenRun
+    from results.run import Run
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -163,7 +164,7 @@ def _opened(folder: Path) -> "OpenRun":
     return run
 
 
-def _say_damage(runs: Iterable["OpenRun"]) -> None:
+def _say_damage(runs: Iterable["Run"]) -> None:
     """What could not be shown because of damage; exit status 1 if there is any."""
     said = list(dict.fromkeys(line for run in runs for line in run.damage))
     for line in said:

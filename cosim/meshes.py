@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from annotated_types import Gt
@@ -56,7 +56,7 @@ def read(key: str, path: Path) -> tuple[Float[ndarray, "v 3"], Int[ndarray, "t 3
     except ImportError:
         raise ValueError(f"{key} = {path}: meshes are read by trimesh. Install it: pip install cosim[mesh]") from None
     try:
-        mesh = trimesh.load(path, force="mesh")
+        mesh: Any = trimesh.load(path, force="mesh")
         vertices, faces = np.asarray(mesh.vertices, float), np.asarray(mesh.faces, np.int64)
     except Exception as error:  # whatever a damaged file makes of the reader
         reason = " ".join(f"{type(error).__name__}: {error}".split())

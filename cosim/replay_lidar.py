@@ -7,6 +7,7 @@ import logging
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import pyarrow.compute as pc
@@ -57,7 +58,7 @@ def worlds(run: Run, config: Config, steps: Int[ndarray, "s"] | None = None) -> 
             actor = rows.actor.to_numpy(np.int64)
             boxes = Boxes(rows[["x_m", "y_m", "z_m"]].to_numpy(float), lwh_m[actor], rows.yaw_rad.to_numpy(float))
             yield World(
-                int(step), actor, name_key[actor], shape[actor], boxes, rows.speed_mps.to_numpy(float),
+                int(cast(int, step)), actor, name_key[actor], shape[actor], boxes, rows.speed_mps.to_numpy(float),
                 equipped[actor], np.zeros(len(actor), np.uint8),
             )  # fmt: skip
 

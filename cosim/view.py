@@ -8,7 +8,7 @@ Nothing is served, and nothing but the file is written. The viewer itself collec
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pandas as pd
@@ -257,5 +257,5 @@ def _over_time(  # type: ignore[no-untyped-def]
     series |= {f"vehicle_{v}": part[part.vehicle == v].set_index("step").trust for v in vehicles}
     for name, values in series.items():
         for step, value in values.items():
-            recording.set_time("time", duration=float(step) * run.dt_s)
+            recording.set_time("time", duration=float(cast(int, step)) * run.dt_s)
             recording.log(f"trust/{name}", rerun.Scalars(float(value)))

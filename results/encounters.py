@@ -283,7 +283,7 @@ class EncounterTracker:
 
     def _columns(self, n: int) -> Rows:
         """Live columns of `n` encounters, all zero."""
-        flat = {name: np.zeros(n, dtype) for name, dtype in _LIVE.items()}
+        flat: Rows = {name: np.zeros(n, dtype) for name, dtype in _LIVE.items()}
         return flat | {name: np.zeros((n, self.n_variants), dtype) for name, dtype in _TRUST.items()}
 
     def _merge(self, keep: Bool[ndarray, "live"], pair: Int[ndarray, "k"], opened: dict[str, ndarray]) -> None:

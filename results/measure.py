@@ -202,11 +202,11 @@ def _traffic(run: Run) -> Iterator[Row]:
     vehicles = run.vehicles
     time_s = run.manifest["steps"] * run.dt_s
     on_road = (vehicles.last_step - vehicles.first_step + 1) * run.dt_s / time_s
-    yield "duration_s", "", time_s
-    yield "actors.mean", "all", float(on_road.sum())
-    yield "actors.mean", "equipped", float(on_road[vehicles.equipped].sum())
+    yield Row("duration_s", "", time_s)
+    yield Row("actors.mean", "all", float(on_road.sum()))
+    yield Row("actors.mean", "equipped", float(on_road[vehicles.equipped].sum()))
     for role, n in run.roles.value_counts().sort_index().items():
-        yield "equipped.n", str(role), float(n)
+        yield Row("equipped.n", str(role), float(n))
 
 
 def _encounters(run: Run) -> Iterator[Row]:
@@ -236,7 +236,7 @@ def _misbehaviour(run: Run, threshold: float, false_positives: float) -> Iterato
     })  # fmt: skip
     yield from _rows(frame[:1], "", {"threshold": "fpr_threshold"})
     if not np.isnan(final := misbehaviour.separation(run)):
-        yield "auc_final", "", final
+        yield Row("auc_final", "", final)
     limit, kept = float(frame.threshold.iloc[0]), trust.kept_at(run)
     if np.isnan(limit):
         return
@@ -290,24 +290,24 @@ def _freshness(run: Run, fresh_s: float) -> Iterator[Row]:
 
 def _radio(run: Run) -> Iterator[Row]:
     for condition in radio.conditions(run).to_dict("records"):
-        yield f"condition.{condition['condition']}", condition["is"], condition["value"]
+        yield Row(f"condition.{condition['condition']}", condition["is"], condition["value"])
     frame = radio.overall(run)
     yield from _rows(frame, "", {"n_sent": "sent.n", "pdr": "pdr.all"})
     yield from _rows(radio.overall(run, "cpm"), "", {"pdr": "pdr.cpm"})
     yield from _rows(radio.overall(run, "evaluation"), "", {"pdr": "pdr.evaluation"})
     yield from _rows(frame, "", {name[2:]: name[2:].replace("_", ".", 1) for name in radio.LOST})
     for los_state, part in radio.by_distance(run, by_los=True).groupby("los_state", observed=True):
-        yield "pdr_by_los", str(los_state), float(np.average(part.pdr, weights=part.n_in_range))
+        yield Row("pdr_by_los", str(los_state), float(np.average(part.pdr, weights=part.n_in_range)))
     yield from _rows(frame, "", {"cbr": "cbr.mean"})
     late = radio.latency(run).groupby("latency_s").n_delivered.sum().cumsum()
     for share, name in ((0.5, "median_s"), (0.95, "p95_s")):
-        yield f"latency.{name}", "", float(late.index[late >= share * late.iloc[-1]][0])
+        yield Row(f"latency.{name}", "", float(late.index[late >= share * late.iloc[-1]][0]))
     pir = radio.inter_reception(run)
-    yield "pir.mean_s", "", float(np.average(pir.pir_s, weights=pir.n_received))
+    yield Row("pir.mean_s", "", float(np.average(pir.pir_s, weights=pir.n_received)))
     lost = pir[pir.n_lost > 0]
-    yield "pir.after_loss.share", "", lost.n_received.sum() / pir.n_received.sum()
+    yield Row("pir.after_loss.share", "", lost.n_received.sum() / pir.n_received.sum())
     if lost.n_received.sum():
-        yield "lost_in_a_row.mean", "", float(np.average(lost.n_lost, weights=lost.n_received))
+        yield Row("lost_in_a_row.mean", "", float(np.average(lost.n_lost, weights=lost.n_received)))
     if "server" in run.tables and len(run.variant_table("server", ["step"])):
         links = radio.to_server(run)
         for name in ("reached", "lost", "over_capacity", "outage"):
@@ -321,7 +321,7 @@ def _detection(run: Run, max_frames: int) -> Iterator[Row]:
         yield from _rows(some, f"{boxes}, {{class}}, {{level}}", {"ap40": "ap40"})
     known = detection.awareness(run, max_frames=max_frames).groupby("boxes")[["n_known", "n_present"]].sum()
     for which, share in (known.n_known / known.n_present).items():
-        yield "awareness_70m.share", str(which), share
+        yield Row("awareness_70m.share", str(which), share)
 
 
 def _attack(run: Run) -> Iterator[Row]:

@@ -196,7 +196,7 @@ class Scene:
 
     @staticmethod
     def from_footprints(
-        rings: Sequence[Sequence[Float[ndarray, "k 2"]]],
+        rings: Sequence[Sequence[Float[ndarray, "_ 2"]]],
         base_z_m: Float[ndarray, "n"] | Sequence[float],
         top_z_m: Float[ndarray, "n"] | Sequence[float],
     ) -> Scene:

@@ -124,7 +124,8 @@ class EvaluationLog:
 
     def _merged(self, parts: list[tuple[ObserverRows, DetectionRows]]) -> StepRows:
         if not parts:
-            parts = [(ObserverRows(*[np.zeros(0, np.int64)] * 6), DetectionRows(*[np.zeros(0, np.int64)] * 4))]
+            row, real = np.zeros(0, np.int64), np.zeros(0)
+            parts = [(ObserverRows(row, row, row, real, real, row), DetectionRows(row, row, real, real))]
         first = np.cumsum([0, *(len(observers.n) for observers, _ in parts)])
         holder, evaluator, observer, pos, neg, n = (np.concatenate(c) for c in zip(*(o for o, _ in parts), strict=True))
         row = np.concatenate([d.row + begin for (_, d), begin in zip(parts, first, strict=False)])

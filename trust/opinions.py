@@ -12,7 +12,7 @@ BASE_RATE = 0.5
 """a: probability without evidence."""
 
 
-def projected(opinion: Float[ndarray, "... 3"], base_rate: float = BASE_RATE) -> Float[ndarray, "..."]:
+def projected(opinion: Float[ndarray, "... 3"], base_rate: float = BASE_RATE) -> Float[ndarray, "..."] | np.floating:
     """Projected probability P = b + a u."""
     return opinion[..., 0] + base_rate * opinion[..., 2]
 

@@ -197,8 +197,8 @@ class ReceivedEvaluations:
             np.repeat(int64(self.holder), n),
             np.repeat(int64(t.evaluator)[self.message_row], n),
             (key & (1 << 31) - 1)[at],
-            np.bincount(group, pos, key.size)[at],
-            np.bincount(group, neg, key.size)[at],
+            np.bincount(group, pos, key.size).astype(float)[at],
+            np.bincount(group, neg, key.size).astype(float)[at],
             size[at],
         )
         if not detections:

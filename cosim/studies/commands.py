@@ -92,7 +92,7 @@ def cache(
     from cosim.studies.stages import Cache, default_folder
 
     kept = Cache(default_folder())
-    gone = kept.shrink(0.0 if clear else limit_gb, set()) if clear or limit_gb is not None else []
+    gone = kept.shrink(0.0 if clear or limit_gb is None else limit_gb, set()) if clear or limit_gb is not None else []
     entries = kept.entries()
     rows = [
         {"stage": e.stage, "name": e.name, "MB": round(e.bytes / 1e6, 2), "seconds": e.seconds,

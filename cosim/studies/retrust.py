@@ -6,7 +6,7 @@ import shutil
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pandas as pd
@@ -191,11 +191,12 @@ def _present(run: OpenRun) -> Iterator[tuple[int, ndarray, ndarray]]:
     """Actors and positions of every step, empty ones included."""
     following = 0
     for part in run.parts("actors", ["step", "actor", "x_m", "y_m"]):
-        for step, rows in part.groupby("step", sort=True):
-            for empty in range(following, int(step)):
+        for key, rows in part.groupby("step", sort=True):
+            step = int(cast(int, key))
+            for empty in range(following, step):
                 yield empty, np.zeros(0, np.int64), np.zeros((0, 2))
-            following = int(step) + 1
-            yield int(step), rows.actor.to_numpy(np.int64), rows[["x_m", "y_m"]].to_numpy(float)
+            following = step + 1
+            yield step, rows.actor.to_numpy(np.int64), rows[["x_m", "y_m"]].to_numpy(float)
     for empty in range(following, run.manifest["steps"]):
         yield empty, np.zeros(0, np.int64), np.zeros((0, 2))
 
@@ -257,7 +258,7 @@ class _Steps:
             if part is None:
                 break
             self._empty = part.iloc[:0]
-            self._now = {int(s): rows for s, rows in part.groupby("step")}
+            self._now = {int(cast(int, s)): rows for s, rows in part.groupby("step")}
             self._last = max(self._now, default=self._last)
         found = self._now.get(step)
         if found is None:

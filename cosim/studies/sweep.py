@@ -84,7 +84,7 @@ def sweep(
         told(0, len(n_points), task.n_finished, "")
         try:
             if n_points:
-                n_workers = workers or max(1, numba.config.NUMBA_NUM_THREADS)
+                n_workers = workers or max(1, numba.config.NUMBA_NUM_THREADS)  # type: ignore[attr-defined]
                 with connected(scheduler, n_workers, folder.path.resolve()) as client:
                     try:
                         for id, attempt in execute(client, StudyFolder(folder.path.resolve()), work, study.limits):

@@ -44,10 +44,10 @@ class Detections:
     n_points: Int[ndarray, "d"]
     origin: UInt8[ndarray, "d"]
     transmitted: Bool[ndarray, "d"]
-    target: Int[ndarray, "d"] = field(default=None)  # type: ignore[assignment]  # left out: nobody's
-    identity: Int[ndarray, "d"] = field(default=None)  # type: ignore[assignment]  # left out: the vehicle's own
-    speed_mps: Float[ndarray, "d"] = field(default=None)  # type: ignore[assignment]  # left out: absent
-    acceleration_mps2: Float[ndarray, "d"] = field(default=None)  # type: ignore[assignment]  # left out: absent
+    target: Int[ndarray, "d"] = field(default=None)  # type: ignore[arg-type]  # left out: nobody's
+    identity: Int[ndarray, "d"] = field(default=None)  # type: ignore[arg-type]  # left out: the vehicle's own
+    speed_mps: Float[ndarray, "d"] = field(default=None)  # type: ignore[arg-type]  # left out: absent
+    acceleration_mps2: Float[ndarray, "d"] = field(default=None)  # type: ignore[arg-type]  # left out: absent
     """Along the heading."""
 
     def __post_init__(self) -> None:

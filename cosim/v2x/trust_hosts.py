@@ -121,7 +121,7 @@ class TrustHosts:
     """Of each variant: which host it asks."""
     params: tuple[TrustParams, ...]
     """Of each host."""
-    models: tuple[tuple[type, Any], ...]
+    models: tuple[tuple[type[Any], Any], ...]
     """Of each host: class of its model, and the model's own parameters."""
     uplink: Uplink
     downlink: Downlink

@@ -15,6 +15,7 @@ import csv
 import io
 from collections.abc import Iterator
 from functools import partial
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -148,7 +149,9 @@ def sequences_of(selection: Selection) -> pd.DataFrame:
 def _sequences(selection: Selection, clouds: Clouds) -> Iterator[File]:
     """Everything of the tracking benchmark, and the tables that say what the numbers are."""
     frames = sequences_of(selection)
-    which = {(f.step, f.vehicle): (f.sequence, f.frame) for f in frames.itertuples()}
+    which: dict[tuple[Any, Any], tuple[Any, Any]] = {
+        (f.step, f.vehicle): (f.sequence, f.frame) for f in frames.itertuples()
+    }
     text: dict[int, list[str]] = {int(s): [] for s in frames.sequence.unique()}
     for steps in selection.blocks():
         for moment in selection.moments(steps):

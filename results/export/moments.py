@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import cast
 
 import numpy as np
 import pandas as pd
@@ -136,15 +137,16 @@ class Selection:
         actors = actors.join(self.bodies, on="actor")
         detections = self._detections(where)
         visible = self.run.table("observability", where=where & pc.field("observer").isin(list(self.vehicles)))
-        lists = {int(step): part for step, part in detections.groupby("step")}
+        lists = {int(cast(int, step)): part for step, part in detections.groupby("step")}
         seen = _visible(visible)
-        for step, rows in actors.groupby("step"):
-            here = lists.get(int(step), detections[:0])
+        for key, rows in actors.groupby("step"):
+            step = int(cast(int, key))
+            here = lists.get(step, detections[:0])
             yield Moment(
-                int(step), rows.actor.to_numpy(np.int64), rows.vehicle_class.astype(object).to_numpy(),
+                step, rows.actor.to_numpy(np.int64), rows.vehicle_class.astype(object).to_numpy(),
                 rows[BOX].to_numpy(np.float64), rows.speed_mps.to_numpy(np.float64),
-                {int(v): part for v, part in here.groupby("vehicle")},
-                seen.get(int(step), {}),
+                {int(cast(int, v)): part for v, part in here.groupby("vehicle")},
+                seen.get(step, {}),
             )  # fmt: skip
 
     def _detections(self, where: pc.Expression) -> pd.DataFrame:

@@ -98,7 +98,8 @@ def _groups(selection: Selection, vehicles: Int[ndarray, "v"], steps: Int[ndarra
     """Disjoint groups of up to `MOST`, by distance in the middle of the steps; who is alone is left out."""
     moment = next(selection.moments(steps[[len(steps) // 2]]))
     xy = moment.box[[moment.row(v) for v in vehicles.tolist()], :2]
-    left, groups = np.ones(len(vehicles), bool), []
+    left = np.ones(len(vehicles), bool)
+    groups: list[tuple[int, ...]] = []
     tree = cKDTree(xy)
     near = [np.array(rows) for rows in tree.query_ball_point(xy, RANGE_M)]
     while True:

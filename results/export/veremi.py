@@ -53,7 +53,7 @@ def _receivers(sent: Messages, receivers: list[int], clouds: Clouds) -> Iterator
 def _trace(sent: Messages, own: pd.DataFrame, got: pd.DataFrame) -> bytes:
     times_s = own.step.to_numpy() * sent.selection.run.dt_s
     lines = [f'{{"type":2,"rcvTime":{t:.9f},{m}}}' for t, m in zip(times_s.tolist(), _state(own), strict=True)]
-    number = sent.number(got.step, got.sender)
+    number = sent.number(got.step.to_numpy(), got.sender.to_numpy())
     rows = zip(got.receive_s, got.send_s, got.vehicle, got.sender, number, _state(got), strict=True)
     lines += [
         f'{{"type":3,"rcvTime":{r:.9f},"sendTime":{s:.9f},"sender":{v},"senderPseudo":{p},"messageID":{n},{m}}}'
@@ -75,7 +75,7 @@ def _ground_truth(sent: Messages, clouds: Clouds) -> Iterator[File]:
 
 
 def _truth(sent: Messages, whole: pd.DataFrame) -> bytes:
-    number = sent.number(whole.step, whole.observer)
+    number = sent.number(whole.step.to_numpy(), whole.observer.to_numpy())
     rows = zip(whole.step * sent.selection.run.dt_s, whole.vehicle, whole.observer, number, _state(whole), strict=True)
     return "".join(
         f'{{"type":4,"sendTime":{s:.9f},"sender":{v},"senderPseudo":{p},"messageID":{n},{m}}}\n'

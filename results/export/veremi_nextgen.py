@@ -52,7 +52,7 @@ def _array(sent: Messages, own: pd.DataFrame, got: pd.DataFrame) -> bytes:
     at = np.searchsorted(own.step.to_numpy(), got.step.to_numpy())
     receiver = _states(own.iloc[at])
     sender = [s | {"distance_to_road_edge": f"{e:.4f}"} for s, e in zip(_states(got), got.edge_m, strict=True)]
-    number = sent.number(got.step, got.sender)
+    number = sent.number(got.step.to_numpy(), got.sender.to_numpy())
     heads = zip(_ns(got.receive_s), _ns(got.send_s), got.vehicle, got.sender, number, got.is_attack, strict=True)
     array = [
         {"rcvTime": r, "sendTime": s, "sender_id": f"veh_{v}", "sender_alias": str(p), "messageID": str(n),
@@ -67,7 +67,14 @@ def _ns(time_s: pd.Series) -> list[str]:
 
 
 def _states(rows: pd.DataFrame) -> list[dict[str, str]]:
-    columns = (rows.x_m, rows.y_m, rows.z_m, rows.speed_mps, rows.acceleration_mps2, compass_deg(rows.yaw_rad))
+    columns = (
+        rows.x_m,
+        rows.y_m,
+        rows.z_m,
+        rows.speed_mps,
+        rows.acceleration_mps2,
+        compass_deg(rows.yaw_rad.to_numpy()),
+    )
     return [
         {"pos": f"{x:.4f},{y:.4f},{z:.4f}", "spd": f"{v:.4f}", "acl": f"{a:.4f}", "hed": f"{h:.4f}"} | NO_NOISE
         for x, y, z, v, a, h in zip(*map(np.asarray, columns), strict=True)

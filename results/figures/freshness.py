@@ -76,8 +76,8 @@ def _once(ask: Callable[[Run], pd.DataFrame]) -> Callable[[Run], pd.DataFrame]:
 
 def _shares(run: Run, role: str) -> list[float]:
     frame = freshness.states(run)
-    frame = frame[frame.role == role].set_index("state").share
-    return [float(frame.get(state, 0.0)) for state in freshness.STATES]
+    share = frame[frame.role == role].set_index("state").share
+    return [float(share.get(state, 0.0)) for state in freshness.STATES]
 
 
 def _age(what: str, ages: Callable[[Run], pd.DataFrame]) -> Callable[[Run], float]:
@@ -152,7 +152,7 @@ def _over(runs: Sequence[Run], key: str, threshold: float) -> Figure:
     return figure
 
 
-def _positions(values: pd.Series) -> tuple[Callable[[Sequence[float]], np.ndarray], dict[float, str]]:
+def _positions(values: pd.Series) -> tuple[Callable[[pd.Series | pd.Index], np.ndarray], dict[float, str]]:
     """Places on a logarithmic axis, and their labels; "off" (infinite) stands a step beyond the largest, 0 before."""
     finite = sorted({v for v in values if np.isfinite(v) and v > 0}) or [1.0]
     place = {v: v for v in finite}

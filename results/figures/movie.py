@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow.compute as pc
@@ -105,18 +106,20 @@ class _Film:
             corner = np.concatenate(streets)
             axes.set_xlim(corner[:, 0].min(), corner[:, 0].max())
             axes.set_ylim(corner[:, 1].min(), corner[:, 1].max())
-        none = np.zeros((0, 2))
+        none = np.zeros(0)
         size = 42 if self.vehicle is not None else 14
-        self._others = axes.scatter(*none.T, s=0.4 * size, color="#8a8f98", zorder=2)
+        self._others = axes.scatter(none, none, s=0.4 * size, color="#8a8f98", zorder=2)
         self._equipped = axes.scatter(
-            *none.T, c=[], s=size, cmap=TRUST, vmin=0, vmax=1, edgecolors="#333333", linewidths=0.6, zorder=4
+            none, none, c=[], s=size, cmap=TRUST, vmin=0, vmax=1, edgecolors="#333333", linewidths=0.6, zorder=4
         )
-        self._liars = axes.scatter(*none.T, s=3.2 * size, facecolors="none", edgecolors=LIE, linewidths=1.3, zorder=4)
-        self._ghosts = axes.scatter(*none.T, s=1.6 * size, marker="x", color=LIE, linewidths=1.6, zorder=5)
-        squares = {"marker": "s", "facecolors": "none", "zorder": 3}
-        self._finds = axes.scatter(*none.T, s=2.6 * size, edgecolors=SEEN, linewidths=1.5, **squares)
-        self._beliefs = axes.scatter(*none.T, s=5.0 * size, edgecolors=BELIEVED, linewidths=1.1, **squares)
-        self._me = axes.scatter(*none.T, s=5 * size, marker="*", color="black", zorder=6)
+        self._liars = axes.scatter(
+            none, none, s=3.2 * size, facecolors="none", edgecolors=LIE, linewidths=1.3, zorder=4
+        )
+        self._ghosts = axes.scatter(none, none, s=1.6 * size, marker="x", color=LIE, linewidths=1.6, zorder=5)
+        squares: dict[str, Any] = {"marker": "s", "facecolors": "none", "zorder": 3}
+        self._finds = axes.scatter(none, none, s=2.6 * size, edgecolors=SEEN, linewidths=1.5, **squares)
+        self._beliefs = axes.scatter(none, none, s=5.0 * size, edgecolors=BELIEVED, linewidths=1.1, **squares)
+        self._me = axes.scatter(none, none, s=5 * size, marker="*", color="black", zorder=6)
         self.figure.colorbar(self._equipped, ax=axes, shrink=0.6, label="Trust")
         marks = [
             ("o", "#8a8f98", "not equipped", True),

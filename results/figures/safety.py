@@ -1,6 +1,7 @@
 """What drivers suffer from what vehicles believe."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -68,6 +69,7 @@ def _causes(axes: Axes, runs: Sequence[Run]) -> None:
         if "reactions" not in run.tables or not run.n_blocks("reactions"):
             continue
         bottom = 0.0
+        row: Any
         for row in safety.by_kind(run).itertuples():
             axes.barh(i, row.per_km, 0.6, bottom, color=_INKS[row.kind], edgecolor="#333333", linewidth=0.5)
             bottom += row.per_km

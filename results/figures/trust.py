@@ -70,7 +70,9 @@ def _before(run: Run) -> str:
     starts, frame = run.vehicles.attack_start_step.dropna(), trust.values(run)
     frame = frame[frame.rated & (frame.step < (starts.min() if len(starts) else 0))]
     found = {
-        str(role): intervals.ratio(one.groupby("subject").trust.sum(), one.groupby("subject").size())
+        str(role): intervals.ratio(
+            one.groupby("subject").trust.sum().to_numpy(), one.groupby("subject").size().to_numpy()
+        )
         for role, one in frame.groupby("role", observed=True)
     }
     known = {role: x for role, x in found.items() if x.low == x.low}

@@ -6,6 +6,7 @@ the message with it (or without it). Lists of attackers are apart. Definitions a
 """
 
 from collections.abc import Iterator, Sequence
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -51,7 +52,7 @@ def success(run: Run, thresholds: Sequence[float] = THRESHOLDS) -> pd.DataFrame:
     effect, role (of the attacker), receivers (honest, or attackers: those of any other role), among (`AMONG`),
     threshold, n (pairs: the denominator), share, low, high (95 %, clustered by attacker), n_units (attackers).
     """
-    rows = []
+    rows: list[dict[str, Any]] = []
     for key, pairs in _groups(outcomes(run)):
         attacker = _codes(pairs.attacker)
         for threshold in thresholds:
@@ -158,7 +159,7 @@ def _groups(frame: pd.DataFrame) -> Iterator[tuple[dict[str, str], pd.DataFrame]
         for among in AMONG:
             chosen = pairs if among == "received" else pairs[pairs.intended.astype(bool)]
             if len(chosen):
-                yield {"effect": effect, "role": role, "receivers": of, "among": among}, chosen
+                yield {"effect": str(effect), "role": str(role), "receivers": str(of), "among": among}, chosen
 
 
 def _by_among(frame: pd.DataFrame, by: list[str]) -> Iterator[tuple[tuple[str, ...], pd.DataFrame]]:

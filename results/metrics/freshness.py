@@ -4,6 +4,7 @@ Definitions and sources are in `results/FRESHNESS.md`.
 """
 
 from collections.abc import Iterator, Mapping
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -197,7 +198,7 @@ def without_trust(run: Run) -> pd.DataFrame:
     """
     frame = run.variant_table("encounters", [*DEFINITION, "a", "b", "trusted_after_ab_s", "trusted_after_ba_s"])
     frame = frame[frame.a.isin(run.roles.index) & frame.b.isin(run.roles.index)]
-    rows = []
+    rows: list[dict[str, Any]] = []
     for kind, found in frame.groupby([*DEFINITION], observed=True):
         after_s = np.r_[found.trusted_after_ab_s, found.trusted_after_ba_s]
         who = np.r_[found.a, found.b].astype(np.int64)

@@ -1,5 +1,7 @@
 """What drivers suffer: braking, conflicts, collisions, stops and time, per vehicle-kilometre; and why they brake."""
 
+from typing import Any
+
 import numpy as np
 import pandas as pd
 
@@ -87,6 +89,8 @@ def waves(run: Run, poses: pd.DataFrame | None = None) -> pd.DataFrame:
     by_step = {step: rows for step, rows in chain.groupby("step")}
     place = steps.set_index(["step", "actor"])[["x_m", "y_m"]]
     found = []
+    cause: Any
+    row: Any
     for cause in causes.itertuples():
         members, length_m = {cause.vehicle}, 0.0
         for step in range(int(cause.step), int(cause.step + WAVE_S / run.dt_s)):

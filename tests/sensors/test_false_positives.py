@@ -13,7 +13,7 @@ from sensors.scene import Hit, Scene
 from sensors.statistical_detector import DetectorParams, resolved
 from tests.sensors.town import blocks, car, draws_of, exact, traffic
 
-FRONT = Scene.from_footprints([[[(-60, 8), (60, 8), (60, 20), (-60, 20)]]], [-0.1], [12.0])
+FRONT = Scene.from_footprints([[np.array([(-60.0, 8), (60, 8), (60, 20), (-60, 20)])]], [-0.1], [12.0])
 """A wall along x, 8 m to the left of an observer at the origin that faces +x."""
 
 

@@ -3,7 +3,6 @@
 import tomllib
 from dataclasses import fields
 from pathlib import Path
-from typing import get_args, get_type_hints
 
 import pytest
 
@@ -18,7 +17,7 @@ FAR_OFF = {("avod", "pedestrian", "all"), ("pointpillars", "cyclist", "moderate"
 
 
 def test_every_profile_has_a_file():
-    assert {*FILES, "ideal"} == set(get_args(get_type_hints(DetectorParams)["model"])) == set(DETECTORS)
+    assert {*FILES, "ideal"} == set(DETECTORS)
 
 
 @pytest.mark.parametrize("name", FILES)

@@ -145,6 +145,7 @@ SCORES = TrustScores(3, *(np.array([1, 2]) for _ in range(2)), *(np.array([0.5, 
                      *(np.array([1, 1]) for _ in range(5)), np.ones(2, bool))  # fmt: skip
 
 
+@pytest.mark.misuse
 @pytest.mark.parametrize(
     ("change", "told"),
     [
@@ -162,6 +163,7 @@ def test_what_a_model_may_not_return(change, told):
     assert str(error.value).startswith("trust model Beta: scores()") and "\n" not in str(error.value)
 
 
+@pytest.mark.misuse
 def test_what_a_model_may_not_score():
     with pytest.raises(ValueError, match=r"one score for each of 3 objects"):
         checked_object_scores(np.zeros(2), 3, "Mine")

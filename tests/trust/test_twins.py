@@ -83,7 +83,7 @@ def test_operators_of_subjective_logic():
     x, y = np.array([0.2, 0.8, 0.0]), np.array([0.4, 0.0, 0.6])
     for fused in (opinions.cumulative(x, y), opinions.averaging(x, y), opinions.weighted(x, y)):
         np.testing.assert_allclose(fused, [0.2, 0.8, 0.0], atol=1e-12)
-    np.testing.assert_allclose(opinions.discounted(opinions.projected(x), y), [0.08, 0.0, 0.92], atol=1e-12)
+    np.testing.assert_allclose(opinions.discounted(np.asarray(opinions.projected(x)), y), [0.08, 0.0, 0.92], atol=1e-12)
     # opposite belief, by hand: b = .2 .4 + .8 0, d = .2 0 + .8 .4, u = 0 + 1 .6
     np.testing.assert_allclose(opinions.discounted_opposite(x, y), [0.08, 0.32, 0.6], atol=1e-12)
     # two certain opinions: their mean
@@ -121,7 +121,7 @@ def test_mate_of_published_figures():
         excess += np.column_stack(gained(np.array([1.0]), np.array([0.5]), 1.0))
     assert PRIOR + excess[0] == pytest.approx([2.696, 0.5], abs=5e-4)
     # a negative measurement weighs more: v = 0, c = 1, n = 4 adds 16 / 5 to beta
-    assert gained(0.0, 1.0, 4.0) == (0.0, pytest.approx(3.2))
+    assert gained(np.zeros(1), np.ones(1), 4.0) == (0.0, pytest.approx(3.2))
 
 
 def test_an_absent_vehicle_is_not_forgotten():
@@ -181,7 +181,7 @@ def test_announcement_by_hand():
 
 def test_every_sanction_can_be_reached():
     """Published code asks `> 5` before `> 20` in a chain of else-if: no later level is ever reached."""
-    n = np.array([0, 5, 6, 20, 21, 51, 250, 251, 1251])
+    n = np.array([0.0, 5, 6, 20, 21, 51, 250, 251, 1251])
     assert sanction(n, ReportCountParams()).tolist() == [0, 0, 1, 1, 2, 3, 3, 4, 5]
     model = build("report_count")
     for step in range(6):

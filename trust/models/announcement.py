@@ -33,7 +33,7 @@ class Ratings:
 
     sums: Int[ndarray, "edges 4"]  # per (rater, subject): number, sum of steps, of ratings, of rating x step
     newest: Int[ndarray, "pairs"]  # step of the newest rating of each subject
-    history: tuple[tuple[int, Int[ndarray, "n"], Int[ndarray, "n"]], ...] = ()  # step, edges, ratings
+    history: tuple[tuple[int, Int[ndarray, "_"], Int[ndarray, "_"]], ...] = ()  # step, edges, ratings
 
     def added(self, sign: int, step: int, edge: ndarray, rating: ndarray) -> None:
         """Add the ratings of a step to the sums, or take them off."""

@@ -120,7 +120,7 @@ _COLUMNS = (
 )  # fmt: skip
 
 
-def params_of(model: type[TrustModel], trust: object, own: dict[str, Any] | None = None) -> Any:
+def params_of(model: Any, trust: object, own: dict[str, Any] | None = None) -> Any:
     """Parameters of a model from the section [trust].
 
     Parameters

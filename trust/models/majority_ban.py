@@ -34,7 +34,7 @@ class Strikes:
 
     evidence: Float[ndarray, "p 2"]
     banned: Bool[ndarray, "p"]
-    history: tuple[tuple[int, Int[ndarray, "n"], Int[ndarray, "n"]], ...] = ()  # step, pairs, their strikes
+    history: tuple[tuple[int, Int[ndarray, "_"], Int[ndarray, "_"]], ...] = ()  # step, pairs, their strikes
 
 
 class MajorityBan(Stepwise):

@@ -61,7 +61,7 @@ class Reading:
     """Age from which evaluations are no evidence any more: a pair without a younger one has no row."""
 
 
-def _counted(state: Int[ndarray, "p 3"], _: int, step: int, rows: StepRows, n_pairs: int) -> Int[ndarray, "p 3"]:
+def _counted(state: Int[ndarray, "p 3"], _: int, step: int, rows: StepRows, n_pairs: int) -> Int[ndarray, "q 3"]:
     """Evaluations, newest and oldest step of each pair, with those of one more step."""
     new = with_rows(state, n_pairs).copy()
     n = np.bincount(rows.observer, rows.n, len(new)).astype(np.int64)

@@ -1,7 +1,7 @@
 """Subjective logic: opinions on objects, discounted by trust in who holds them, fused to an opinion on their sender."""
 
 from dataclasses import dataclass
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal, cast
 
 import numpy as np
 from annotated_types import Gt, Interval
@@ -60,7 +60,7 @@ class SubjectiveLogic(Stepwise):
         opinion = opinions.of_check(rows.object_pos, rows.object_neg, p.check_base)
         by = rows.evaluator[rows.row]
         if p.discounting == "probability":
-            opinion = opinions.discounted(opinions.projected(source)[by], opinion)
+            opinion = opinions.discounted(cast(ndarray, opinions.projected(source))[by], opinion)
         elif p.discounting == "opposite":
             opinion = opinions.discounted_opposite(source[by], opinion)
         about = rows.observer[rows.row]
@@ -73,4 +73,4 @@ class SubjectiveLogic(Stepwise):
         evidence = state * self.decay(self.params.decay_per_s, n_steps)
         opinion = opinions.of_evidence(evidence)
         horizon_s = self.horizon_s(self.params.decay_per_s)
-        return Reading(opinions.projected(opinion), evidence.sum(axis=1), opinion[:, 2], horizon_s)
+        return Reading(cast(ndarray, opinions.projected(opinion)), evidence.sum(axis=1), opinion[:, 2], horizon_s)
