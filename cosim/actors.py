@@ -1,5 +1,6 @@
 """Registry of all actors that have been on the road: names, sizes, equipment and attacks by actor number."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -21,6 +22,8 @@ class ActorRegistry:
     seed: int
     attack_shares: tuple[float, ...] = ()
     """Of each attack of the config: share of the equipped vehicles that carry it out."""
+    attack_of: Mapping[str, int] = field(default_factory=dict)
+    """Vehicles that are named as attackers, and the position of their attack in the config."""
     names: list[str] = field(default_factory=list)
     _n: int = 0
     _name_key: UInt64[ndarray, "capacity"] = field(default_factory=lambda: np.zeros(1024, np.uint64))
@@ -69,6 +72,9 @@ class ActorRegistry:
             draw = uniforms(self._attack_key, keys)[:, 0]
             number = 1 + np.searchsorted(np.cumsum(self.attack_shares), draw, "right")
             self._attack[rows] = np.where(equipped & (number <= len(self.attack_shares)), number, 0)
+        for row in np.flatnonzero(equipped).tolist() if self.attack_of else ():
+            if names[row] in self.attack_of:
+                self._attack[first + row] = 1 + self.attack_of[names[row]]
 
         self.names.extend(names)
         self._name_key[rows], self._shape[rows], self._lwh_m[rows] = keys, shape, lwh_m.astype(np.float32)

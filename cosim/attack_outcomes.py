@@ -11,7 +11,8 @@ from numpy import ndarray
 
 from cosim.radio.message_round import Receptions
 from cosim.ragged import expand
-from cosim.stages import Listed, Matched, Vehicles
+from cosim.senders import Senders, Vehicles
+from cosim.stages import Listed, Matched
 from cosim.v2x.messages import FABRICATED
 from cosim.world import World
 from results.codes import AttackEffect
@@ -25,7 +26,7 @@ PATH_M = 50.0
 
 def attack_outcomes(
     world: World, listed: Listed, received: Receptions, matched: Matched, fused: Sequence[Fused | None],
-    vehicles: Vehicles,
+    senders: Senders, vehicles: Vehicles,
 ) -> list[Rows]:  # fmt: skip
     """Columns of the table `attack_outcomes`, per trust variant that fuses.
 
@@ -36,7 +37,7 @@ def attack_outcomes(
     fused
         Per trust variant.
     """
-    inserted, seed = _inserted(listed, matched)
+    inserted, seed = _inserted(listed, matched, senders)
     removed = _removed(listed, received, vehicles)
     detection = np.concatenate([inserted[0], removed[0]])
     receiver = np.concatenate([inserted[1], removed[1]])  # rows of vehicles, as are lists
@@ -46,10 +47,10 @@ def attack_outcomes(
     objects, truth = listed.objects, listed.truth
     n = len(world)
     own = np.flatnonzero(truth.is_sensed)
-    detected = np.unique(listed.detections.message[own] * n + truth.actor_row[own])
+    detected = np.unique(senders.vehicle[listed.detections.message[own]] * n + truth.actor_row[own])
     common = {
         "effect": np.where(is_removal, AttackEffect.REMOVED, AttackEffect.INSERTED),
-        "observer": vehicles.pseudonym[listed.detections.message[detection]],
+        "observer": senders.pseudonym[listed.detections.message[detection]],
         "detection_index": objects.detection_index[detection],
         "receiver": vehicles.actor[receiver],
         "intended": objects.target[detection] == vehicles.row[receiver],
@@ -78,13 +79,13 @@ def attack_outcomes(
 
 
 def _inserted(
-    listed: Listed, matched: Matched
+    listed: Listed, matched: Matched, senders: Senders
 ) -> tuple[tuple[Int[ndarray, "k"], Int[ndarray, "k"]], Int[ndarray, "k"]]:
     """Fabricated detections in the lists of others: detection and list; the detection that gives its group's box."""
     known, message = matched.known, listed.detections.message
     of_list = known.of_member()
     fabricated = listed.objects.origin[known.member] == FABRICATED
-    at = np.flatnonzero(fabricated & (message[known.member] != known.owner[of_list]))
+    at = np.flatnonzero(fabricated & (senders.vehicle[message[known.member]] != of_list))
     return (known.member[at], of_list[at]), known.member[matched.groups.seed[at]]
 
 

@@ -10,6 +10,7 @@ import numba
 import numpy as np
 
 from cosim.actors import ActorRegistry
+from cosim.adversary.params import shares
 from cosim.config import load
 from cosim.cycle import Sensed, State, step
 from cosim.mobility.sumo import SumoTraffic
@@ -31,7 +32,7 @@ def bench() -> list[Row]:
     """The shipped city with every vehicle equipped: the stages of the cycle."""
     config = load(None, ["fleet.penetration_p=1", "attacks.0.start_s=0", "attacks.1.start_s=0"])
     scenario = find(config.traffic.scenario)
-    registry = ActorRegistry(config.fleet, config.seed, tuple(attack.share_p for attack in config.attacks))
+    registry = ActorRegistry(config.fleet, config.seed, shares(config.attacks))
     assert scenario.sumocfg is not None
     traffic = SumoTraffic(config.traffic, scenario.sumocfg, registry)
     for _ in traffic.warm_up(scenario.warmup_s):

@@ -14,7 +14,8 @@ from typing import Annotated, Any, get_args, get_origin
 from annotated_types import Ge, Le
 from pydantic import TypeAdapter, ValidationError
 
-from cosim.adversary.adversary import ATTACKS, PAPER, AttackParams, check_shares
+from cosim.adversary.catalogue import ATTACKS
+from cosim.adversary.params import PAPER, AttackParams, check_attacks
 from cosim.choices import Choice, resolve
 from cosim.driver.driver import DriverParams
 from cosim.driver.drivers import DRIVERS
@@ -24,6 +25,7 @@ from cosim.mobility.params import TrafficParams, resolved_input
 from cosim.radio.medium import MEDIA
 from cosim.radio.params import RadioParams
 from cosim.radio.rsu import RsuParams
+from cosim.v2x.linkage import check_server
 from cosim.v2x.pseudonyms import POLICIES, PseudonymParams
 from cosim.v2x.trust_server import ServerParams
 from results.columns import Level
@@ -164,7 +166,10 @@ class Config:
                 'lidar.engine = "columnar" casts upright prisms, and there are [[meshes]]. Set lidar.engine to '
                 '"embree" or "open3d".'
             )
-        check_shares(self.attacks)
+        check_attacks(self.attacks, self.trust.freshness_s, self.sensing_interval_s)
+        check_server(
+            self.pseudonyms, self.attacks, [t.host for t in (self.trust, *(v.trust for v in self.trust_variant))]
+        )
 
     @property
     def sense_every_steps(self) -> int:

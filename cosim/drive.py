@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any
 
 import numba
 import numpy as np
@@ -31,7 +32,7 @@ Advance = Callable[[str, int, int, str], None]
 Commands = tuple[Int[ndarray, "c"], Float[ndarray, "c"]]
 """Actors, and the speeds that they shall drive [m/s]."""
 NO_COMMANDS: Commands = (np.zeros(0, np.int64), np.zeros(0))
-STATE_VERSION = 1
+STATE_VERSION = 2
 """Raised whenever a state of an earlier version would be misread."""
 _CORES = numba.get_num_threads()
 _EQUIPPED_PER_THREAD = 100
@@ -157,6 +158,7 @@ class Drive:
                 name: int(n) for name, n in zip(labels(DetectionFault), state.n_dropped, strict=True) if n
             },
             "evaluations_rejected": self.parts.trust.rejected(state.trust),
+            **_pseudonym_summary(self.parts.config, state),
             **({"ended_early": self.ended} if self.ended else {}),
         }
 
@@ -191,6 +193,19 @@ def warm_up(warmup_s: float, traffic: TrafficSource, watch: Stopwatch, advance: 
 def own_modules(config: Config) -> tuple[str, ...]:
     """Modules of the user's own choices that this config names."""
     return tuple(sorted({choice.of.__module__ for choice in chosen(config).values()}))
+
+
+def _pseudonym_summary(config: Config, state: State) -> dict[str, Any]:
+    """What became of pseudonyms, where anything can."""
+    found: dict[str, Any] = {}
+    if config.pseudonyms.revocation != "none":
+        found["revoked"] = len(state.pseudonyms.revoked)
+    if config.pseudonyms.linkage == "on_demand":
+        found["linked_on_demand"] = int((state.pseudonyms.linked >= 0).sum())
+    if config.pseudonyms.linkage == "own":
+        heard = state.heard
+        found["relinked"] = {"changes": heard.n_changes, "linked": heard.n_linked, "right": heard.n_right}
+    return found
 
 
 def _threads(config: Config, n_equipped: int) -> int:

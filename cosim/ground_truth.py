@@ -10,6 +10,7 @@ from cosim.v2x.messages import FABRICATED, SELF, SENSED, Detections
 from cosim.world import World
 from sensors.boxes import iou_3d
 from sensors.evidence import Observability
+from trust.tables import Evaluations
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,6 +22,7 @@ class GroundTruth:
     iou: Float[ndarray, "d"]  # with that actor's true box, where real
     occlusion: Float[ndarray, "d"]  # share of the actor hidden from the observer, where sensed
     is_sensed: Bool[ndarray, "d"]
+    lied: Bool[ndarray, "d"]  # what was sent differs from what the vehicle perceived by more than noise
 
 
 def ground_truth_of(
@@ -30,6 +32,7 @@ def ground_truth_of(
     observers: Int[ndarray, "e"],
     sensed_is_real: Bool[ndarray, "s"],
     sensed_actor_row: Int[ndarray, "s"],
+    lied: Bool[ndarray, "d"],
 ) -> GroundTruth:
     """Ground truth of each detection.
 
@@ -48,4 +51,49 @@ def ground_truth_of(
     n = len(world)
     at = np.searchsorted(observers[sights.observer] * n + sights.actor, said.observer[rows] * n + actor_row[rows])
     occlusion[rows] = sights.occlusion[at]
-    return GroundTruth(is_real, actor_row, iou, occlusion, sensed & is_real)
+    return GroundTruth(is_real, actor_row, iou, occlusion, sensed & is_real, lied)
+
+
+NOISE_M, NOISE_RAD, NOISE_SIZE, NOISE_SCORE, NOISE_MPS = 0.5, np.radians(10.0), 0.2, 0.1, 0.5
+"""Beyond these a changed box is a lie: position, heading, size (relative), score, and speed or acceleration."""
+
+NOISE_EVALUATION = 0.1
+"""Beyond this a changed evaluation, times its visibility, is a lie."""
+
+
+def lies_in_detections(perceived: Detections, sent: Detections, on_purpose: Bool[ndarray, "n"]) -> Bool[ndarray, "d"]:
+    """Which detections, as they are sent, are lies: fabricated, falsified by more than noise, or withheld.
+
+    A detection that gets lost by a fault is none: it looks like one that the sensor missed.
+
+    Parameters
+    ----------
+    sent
+        The same lists with what attacks changed, hid and added.
+    on_purpose
+        Actors, rows of the world, that attack on purpose.
+    """
+    lied = np.ones(len(sent), bool)
+    key, kept = (d.observer.astype(np.int64) << 32 | d.detection_index for d in (perceived, sent))
+    at = np.minimum(np.searchsorted(key, kept), max(len(key) - 1, 0))
+    same = (sent.origin != FABRICATED) & (sent.identity == 0) & (key[at] == kept if len(key) else False)
+    rows = np.flatnonzero(same)
+    now, perceived = sent.take(rows), perceived.take(at[rows])
+    a, b = now.boxes, perceived.boxes
+    turned = np.abs(np.pi - np.mod(np.pi - (a.yaw_rad - b.yaw_rad), 2 * np.pi))
+    changed = (np.linalg.norm(a.xyz_m - b.xyz_m, axis=1) > NOISE_M) | (turned > NOISE_RAD)
+    changed |= (np.abs(a.lwh_m / b.lwh_m - 1) > NOISE_SIZE).any(axis=1) | (now.label != perceived.label)
+    changed |= np.abs(now.score - perceived.score) > NOISE_SCORE
+    for x, y in ((now.speed_mps, perceived.speed_mps), (now.acceleration_mps2, perceived.acceleration_mps2)):
+        changed |= np.abs(x - y) > NOISE_MPS  # false where there is none
+    withheld = perceived.transmitted & ~now.transmitted & on_purpose[now.observer]
+    lied[rows] = changed | withheld
+    return lied
+
+
+def lies_in_evaluations(own: Evaluations, reported: Evaluations) -> Bool[ndarray, "m"]:
+    """Which evaluations were sent otherwise than they were made, by more than noise."""
+    if reported is own:
+        return np.zeros(len(own.evaluation), bool)
+    made, sent = (e.evaluation * e.visibility for e in (own, reported))
+    return np.abs(sent - made) > NOISE_EVALUATION

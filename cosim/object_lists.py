@@ -4,12 +4,11 @@ import numpy as np
 from jaxtyping import Bool, Int
 from numpy import ndarray
 
-from cosim.adversary.adversary import Adversary
+from cosim.adversary.adversary import Active
 from cosim.adversary.attack import EvaluationRows
 from cosim.radio.message_round import Receptions
 from cosim.ragged import expand, ptr_of
 from cosim.v2x.messages import SELF, Detections
-from cosim.world import World
 from sensors import evidence
 from sensors.boxes import Boxes
 from sensors.evidence import AreaParams
@@ -18,26 +17,39 @@ from trust import tables
 from trust.tables import EvaluationMessages, Evaluations, ObjectLists
 
 
-def for_trust(listed: Detections, observers: Int[ndarray, "e"]) -> tuple[tables.Detections, Int[ndarray, "e+1"]]:
-    """The detections as trust sees them, and where those of each equipped vehicle begin."""
-    message = np.searchsorted(observers, listed.observer)
-    detections = tables.Detections(message, listed.detection_index, listed.label, listed.score, listed.origin == SELF)
-    return detections, ptr_of(message, len(observers))
+def for_trust(
+    listed: Detections, message: Int[ndarray, "d"], n_messages: int
+) -> tuple[tables.Detections, Int[ndarray, "m+1"]]:
+    """The detections as trust sees them, by message, and where those of each message begin."""
+    is_self = (listed.origin == SELF) | ((listed.identity > 0) & (listed.detection_index == 0))  # as messages claim
+    detections = tables.Detections(message, listed.detection_index, listed.label, listed.score, is_self)
+    return detections, ptr_of(message, n_messages)
 
 
 def received_lists(
-    received: Receptions, ptr: Int[ndarray, "e+1"], transmitted: Bool[ndarray, "d"], n: int
-) -> ObjectLists:
-    """What each vehicle knows of: all its own detections, then those it received, by (message, detection index)."""
-    owners = np.arange(n)
-    receiver = np.concatenate([owners, received.receiver])
-    message = np.concatenate([owners, received.message])
-    order = np.lexsort((message, receiver != message, receiver))
+    received: Receptions, ptr: Int[ndarray, "m+1"], transmitted: Bool[ndarray, "d"], vehicle: Int[ndarray, "m"],
+    own: Int[ndarray, "e"],
+) -> ObjectLists:  # fmt: skip
+    """What each vehicle knows of: all its own detections, then those it received, by (message, detection index).
+
+    What it sends itself under further identities counts among the latter.
+
+    Parameters
+    ----------
+    vehicle
+        Sender of each message.
+    own
+        Each vehicle's message under its own identity.
+    """
+    receiver = np.concatenate([vehicle, received.receiver])
+    message = np.concatenate([np.arange(len(vehicle)), received.message])
+    is_own = message == own[receiver]
+    order = np.lexsort((message, ~is_own, receiver))
     receiver, message = receiver[order], message[order]
     member, which = expand(ptr[message], ptr[message + 1])
-    of_list, own = receiver[which], (receiver == message)[which]
-    keep = own | transmitted[member]
-    return ObjectLists(ptr_of(of_list[keep], n), member[keep], owners)
+    of_list = receiver[which]
+    keep = is_own[order][which] | transmitted[member]
+    return ObjectLists(ptr_of(of_list[keep], len(own)), member[keep], own)
 
 
 def subset(lists: ObjectLists, keep: Bool[ndarray, "m"]) -> ObjectLists:
@@ -55,7 +67,7 @@ def sweep_evidence(
     """
     o, b = lists.of_member(), lists.member
     n_points, plausible = np.zeros(len(b), np.int32), np.ones(len(b), bool)
-    asked = np.flatnonzero((evaluated | foreign) & ~(detections.is_self[b] & (detections.message[b] == o)))
+    asked = np.flatnonzero((evaluated | foreign) & ~(detections.is_self[b] & (detections.message[b] == lists.owner[o])))
     n_points[asked] = evidence.points_in_boxes(sweeps, o[asked], boxes, b[asked])
     asked = np.flatnonzero(foreign)
     plausible[asked] = evidence.plausible(sweeps, o[asked], boxes, b[asked], area)
@@ -63,19 +75,18 @@ def sweep_evidence(
 
 
 def as_reported(
-    adversary: Adversary, evaluated: Evaluations, lists: ObjectLists, listed: Detections, observers: ndarray,
-    world: World, time_s: float,
-) -> Evaluations:  # fmt: skip
-    """Evaluations as they will be sent."""
+    active: Active, evaluated: Evaluations, lists: ObjectLists, listed: Detections, observers: ndarray
+) -> Evaluations:
+    """Evaluations as they will be sent; the same object where nobody changes any."""
     rows = EvaluationRows(observers[lists.of_member()], lists.member, evaluated.evaluation, evaluated.visibility)
-    evaluation, visibility = adversary.evaluations(rows, listed, world, time_s)
+    evaluation, visibility = active.evaluations(rows, listed)
     if evaluation is rows.evaluation and visibility is rows.visibility:
         return evaluated
     return Evaluations(evaluation, visibility)
 
 
 def messages_of(
-    step: int, pseudonyms: Int[ndarray, "e"], lists: ObjectLists, detections: tables.Detections,
+    step: int, pseudonyms: Int[ndarray, "m"], lists: ObjectLists, detections: tables.Detections,
     evaluations: Evaluations, transmitted: Bool[ndarray, "d"],
 ) -> EvaluationMessages:  # fmt: skip
     """The evaluations as messages: one per evaluator, on everything that was transmitted."""

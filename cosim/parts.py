@@ -11,6 +11,7 @@ from cosim.perception import Perception
 from cosim.radio.medium import Medium
 from cosim.radio.rsu import NO_RSUS, RsuAntennas
 from cosim.stopwatch import Stopwatch
+from cosim.v2x.linkage import Linkage, Revocation
 from cosim.v2x.pseudonyms import Pseudonyms
 from cosim.v2x.trust_hosts import TrustHosts, Variant
 from results.codes import BASE_VARIANT
@@ -31,6 +32,8 @@ class Parts:
     adversary: Adversary
     medium: Medium
     pseudonyms: Pseudonyms
+    linkage: Linkage
+    revocation: Revocation
     trust: TrustHosts
     driver: Driver
     watch: Stopwatch = field(default_factory=Stopwatch)
@@ -42,15 +45,21 @@ class Parts:
         c = experiment
         dt_s = c.traffic.step_s
         walls = WallIndex.of(city.buildings)
+        pseudonyms = Pseudonyms(_make(c, "pseudonyms"), c.seed, dt_s)
+        linkage = Linkage(c.pseudonyms, pseudonyms)
         return Parts(
             config=c,
             city=city,
             walls=walls,
             rsus=rsus,
             perception=perception_of(c, city),
-            adversary=Adversary.of(c.attacks, [_make(c, "attacks", n) for n in range(len(c.attacks))], c.seed),
+            adversary=Adversary.of(
+                c.attacks, [_make(c, "attacks", n) for n in range(len(c.attacks))], c.seed, dt_s, c.trust.freshness_s
+            ),
             medium=_make_medium(c, LosCache.of(walls)),
-            pseudonyms=Pseudonyms(_make(c, "pseudonyms"), c.seed, dt_s),
+            pseudonyms=pseudonyms,
+            linkage=linkage,
+            revocation=Revocation(c.pseudonyms, linkage),
             trust=TrustHosts.of(variants(c), c.server, c.seed, c.sensing_interval_s, dt_s),
             driver=_make(c, "driver"),
             watch=Stopwatch() if watch is None else watch,

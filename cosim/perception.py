@@ -63,7 +63,7 @@ class Perception:
         draws = self.draws(world, observers)
         found = detector.detect(self.detector, sweeps, seen, world.boxes, world.label, draws)
         n = len(found.observer)
-        sensed = Detections(
+        sensed = Detections.perceived(
             observer=observers[found.observer],
             detection_index=1 + np.arange(n) - np.searchsorted(found.observer, found.observer),
             label=found.label,
@@ -71,7 +71,6 @@ class Perception:
             score=found.score,
             n_points=found.n_points,
             origin=np.full(n, SENSED, np.uint8),
-            transmitted=np.ones(n, bool),
         )
         parts = [self_reports(world, observers), sensed] if self.self_reports else [sensed]
         return Observed(sweeps, seen, Detections.concat(parts), ~found.is_false_positive, found.actor)

@@ -9,7 +9,7 @@ from numpy import ndarray
 
 import cosim.codes  # noqa: F401  the codes that are written are those that the tables render
 from cosim.actors import ActorRegistry
-from cosim.adversary.adversary import roles_of
+from cosim.adversary.params import roles_of
 from cosim.cycle import Sensed, State, StepResult
 from cosim.parts import Parts
 from cosim.radio.message_round import Outcome
@@ -99,7 +99,9 @@ def pseudonyms(recorder: Recorder, at: int, ended: PseudonymUse) -> None:
 
 def _pseudonym_rows(used: PseudonymUse) -> Rows:
     return {
-        "pseudonym": used.pseudonym, "vehicle": used.vehicle, "from_step": used.from_step, "to_step": used.to_step,
+        "pseudonym": used.pseudonym, "vehicle": used.vehicle, "identity": used.identity,
+        "from_step": used.from_step, "to_step": used.to_step, "refused_step": used.refused_step,
+        "refused_step__valid": used.refused_step >= 0,
     }  # fmt: skip
 
 
@@ -115,9 +117,12 @@ def _box_columns(boxes: Boxes) -> Rows:
 def _detections(recorder: Recorder, world: World, sensed: Sensed) -> None:
     listed, truth, seen = sensed.listed, sensed.truth, sensed.observed.observability
     recorder.append("detections", world.step, {
-        "observer": sensed.vehicles.pseudonym[sensed.detections.message], "detection_index": listed.detection_index,
+        "observer": sensed.senders.pseudonym[sensed.detections.message], "detection_index": listed.detection_index,
         "class": listed.label, **_box_columns(listed.boxes), "score": listed.score, "n_points": listed.n_points,
-        "origin": listed.origin, "transmitted": listed.transmitted,
+        "speed_mps": np.nan_to_num(listed.speed_mps), "speed_mps__valid": ~np.isnan(listed.speed_mps),
+        "acceleration_mps2": np.nan_to_num(listed.acceleration_mps2),
+        "acceleration_mps2__valid": ~np.isnan(listed.acceleration_mps2),
+        "origin": listed.origin, "transmitted": listed.transmitted, "lied": truth.lied,
         "withheld": sensed.withheld, "target": world.actor[listed.target],
         "target__valid": listed.target != listed.observer,
         "truth_actor": world.actor[truth.actor_row], "truth_actor__valid": truth.is_real,
@@ -162,19 +167,22 @@ def _receptions(recorder: Recorder, at: int, sensed: Sensed) -> None:
     for message_type, links in zip(MessageType, sensed.links, strict=True):
         found = links.vehicles
         recorder.append("receptions", at, _of(message_type, {
-            "sender": sensed.vehicles.pseudonym[found.message], "receiver": sensed.vehicles.actor[found.receiver],
+            "sender": sensed.senders.pseudonym[found.message], "receiver": sensed.vehicles.actor[found.receiver],
             "hops": found.hops, "generation_offset_s": found.generation_offset_s,
             "access_delay_s": found.access_delay_s, "latency_s": found.latency_s, "distance_m": found.distance_m,
         }))  # fmt: skip
 
 
 def _evaluations(recorder: Recorder, at: int, sensed: Sensed) -> None:
-    member, pseudonym = sensed.lists.member, sensed.vehicles.pseudonym
+    lists, pseudonym = sensed.lists, sensed.senders.pseudonym
+    member = lists.member
     recorder.append("evaluations", at, {
-        "evaluator": pseudonym[sensed.lists.of_member()], "observer": pseudonym[sensed.detections.message[member]],
+        "evaluator": pseudonym[lists.owner[lists.of_member()]],
+        "observer": pseudonym[sensed.detections.message[member]],
         "detection_index": sensed.listed.detection_index[member], "evaluation": sensed.reported.evaluation,
         "visibility": sensed.reported.visibility, "n_points": sensed.n_points, "plausible": sensed.plausible,
         "plausible__valid": ~sensed.matched, "matched": sensed.matched,
+        "lied": sensed.lied,
     })  # fmt: skip
     if "transmitted_evaluations" in recorder.tables:
         _transmitted(recorder, at, sensed)
@@ -189,7 +197,7 @@ def _transmitted(recorder: Recorder, at: int, sensed: Sensed) -> None:
     })  # fmt: skip
     detections, chosen = sensed.detections, sensed.listed.transmitted
     recorder.append("transmitted_scores", at, {
-        "observer": sensed.vehicles.pseudonym[detections.message[chosen]],
+        "observer": sensed.senders.pseudonym[detections.message[chosen]],
         "detection_index": detections.detection_index[chosen], "score": detections.score[chosen],
     })  # fmt: skip
 
@@ -197,16 +205,17 @@ def _transmitted(recorder: Recorder, at: int, sensed: Sensed) -> None:
 def _evidence(recorder: Recorder, world: World, sensed: Sensed) -> None:
     listed, truth, reported = sensed.listed, sensed.truth, sensed.reported
     recorder.append("evidence", world.step, evidence_audit.audit(
-        sensed.lists.of_member(), sensed.lists.member, reported.evaluation, reported.visibility,
+        sensed.lists.owner[sensed.lists.of_member()], sensed.lists.member, reported.evaluation, reported.visibility,
         sensed.detections.message, truth.actor_row, truth.is_real, listed.origin == FABRICATED,
-        world.attack[sensed.vehicles.row] > 0, sum(happened.frames.n_duplicate for happened in sensed.rounds),
+        world.attack[sensed.vehicles.row[sensed.senders.vehicle]] > 0,
+        sum(happened.frames.n_duplicate for happened in sensed.rounds),
         sensed.fused[0],
     ))  # fmt: skip
 
 
 def _trust(recorder: Recorder, at: int, sensed: Sensed, dt_s: float) -> None:
     used = sensed.used
-    receiver, subject = sensed.vehicles.actor[used.receiver], sensed.vehicles.pseudonym[used.message]
+    receiver, subject = sensed.vehicles.actor[used.receiver], sensed.senders.pseudonym[used.message]
     trust(recorder, at, dt_s, sensed.published, sensed.server, receiver, subject, sensed.lookups)
 
 
@@ -267,7 +276,7 @@ def _evaluations_behind(
 
 
 def _fused(recorder: Recorder, at: int, sensed: Sensed) -> None:
-    listed, pseudonym = sensed.listed, sensed.vehicles.pseudonym[sensed.detections.message]
+    listed, pseudonym = sensed.listed, sensed.senders.pseudonym[sensed.detections.message]
     for variant, fused in enumerate(sensed.fused):
         if fused is None:
             continue

@@ -48,6 +48,9 @@ class Stream(IntEnum):
     ATTACK = 18
     PSEUDONYM = 19
     DRIVER = 20
+    ATTACK_LASTING = 21
+    ATTACK_TIME = 22
+    SENDER = 23
 
 
 @njit(cache=True, inline="always")

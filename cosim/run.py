@@ -14,6 +14,7 @@ import pyarrow.parquet as pq
 
 from cosim import checkpoint, recording, run_folder
 from cosim.actors import ActorRegistry
+from cosim.adversary.params import named, shares
 from cosim.config import Config, chosen, resolve_data
 from cosim.cycle import State
 from cosim.drive import STATE_VERSION, Advance, Commands, Drive, own_modules, warm_up
@@ -227,7 +228,7 @@ def _loaded(
     with watch("city"):
         city = with_meshes(scenario.city(), config.meshes)
     parts = Parts.of(config, city, roadside_units(config, scenario), watch)
-    registry = ActorRegistry(config.fleet, config.seed, tuple(attack.share_p for attack in config.attacks))
+    registry = ActorRegistry(config.fleet, config.seed, shares(config.attacks), named(config.attacks))
     recorded = scenario if traffic_from is None else replace(scenario, trace=traffic_from, warmup_s=0.0)
     params = config.traffic if traffic_from is None else replace(config.traffic, begin_s=None, warmup_s=0.0)
     traffic = recorded.traffic(params, registry, has_driver=config.driver.model != "none")

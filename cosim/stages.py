@@ -3,20 +3,23 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, UInt64
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from cosim import object_lists
+from cosim.adversary.adversary import Active
 from cosim.config import Config
 from cosim.driver.driver import Beliefs
-from cosim.ground_truth import GroundTruth, ground_truth_of
+from cosim.ground_truth import GroundTruth, ground_truth_of, lies_in_detections, lies_in_evaluations
 from cosim.object_lists import messages_of, received_lists, subset, sweep_evidence
 from cosim.parts import Parts
 from cosim.perception import Observed
-from cosim.radio.message_round import LinkReceptions, Messages, Receptions, Stations
+from cosim.radio.message_round import LinkReceptions, Receptions, Stations
 from cosim.ragged import ptr_of
+from cosim.senders import Senders, Vehicles, distinct, lists_of_voices
 from cosim.v2x.cpm_generation import InclusionMemory, select_objects
-from cosim.v2x.messages import SENSED, Detections, cpm_bytes, faults, piggyback_bytes
+from cosim.v2x.messages import SENSED, Detections, cpm_bytes, faults, piggyback_bytes, with_motion
+from cosim.v2x.pseudonyms import PseudonymState
 from cosim.v2x.trust_hosts import Lookups, TrustState
 from cosim.v2x.trust_server import LinkStats
 from cosim.world import World
@@ -31,26 +34,12 @@ from trust.tables import EvaluationMessages, Evaluations, Groups, ObjectLists
 
 
 @dataclass(frozen=True, slots=True)
-class Vehicles:
-    """Equipped vehicles on the road, by actor number."""
-
-    row: Int[ndarray, "e"]
-    """Row of the world."""
-    actor: Int[ndarray, "e"]
-    name_key: UInt64[ndarray, "e"]
-    pseudonym: Int[ndarray, "e"]
-
-    def __len__(self) -> int:
-        return len(self.row)
-
-
-@dataclass(frozen=True, slots=True)
 class Piggybacked:
     """Evaluations of the last step, waiting for the next detection message."""
 
     messages: EvaluationMessages
-    vehicle: Int[ndarray, "v"]
-    """Actor number of each message's sender."""
+    sender: Int[ndarray, "v"]
+    """Actor number and identity of each message's sender, as `Senders.by_actor`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,9 +49,9 @@ class Listed:
     objects: Detections
     truth: GroundTruth
     detections: tables.Detections
-    """The same as trust sees them: sender as a row of `Vehicles`."""
-    ptr: Int[ndarray, "e+1"]
-    """Where the detections of each vehicle begin."""
+    """The same as trust sees them: message as a row of `Senders`."""
+    ptr: Int[ndarray, "m+1"]
+    """Where the detections of each message begin."""
     withheld: Bool[ndarray, "d"]
     """Made by the detector, and kept from others by an attack."""
     n_dropped: Int[ndarray, "f"]
@@ -70,21 +59,30 @@ class Listed:
 
 
 def list_objects(
-    observed: Observed, vehicles: Vehicles, included: InclusionMemory, world: World, parts: Parts, time_s: float
-) -> tuple[Listed, InclusionMemory]:
+    observed: Observed, senders: Senders, included: InclusionMemory, world: World, acceleration_mps2: ndarray,
+    active: Active, vehicles: Vehicles, c: Config, time_s: float,
+) -> tuple[Listed, InclusionMemory]:  # fmt: skip
     """Detections as each vehicle lists them, after attacks and generation rules."""
-    objects = parts.adversary.detections(observed.detections, world, time_s)
+    perceived = with_motion(observed.detections, world.speed_mps, acceleration_mps2)
+    objects = active.detections(perceived)
     fault = faults(objects, world.boxes.xyz_m)
     if (fault >= 0).any():
         rows = np.flatnonzero(fault < 0)
-        objects = objects.take(rows[np.lexsort((objects.detection_index[rows], objects.observer[rows]))])
+        by = np.lexsort((objects.detection_index[rows], objects.identity[rows], objects.observer[rows]))
+        objects = objects.take(rows[by])
     withheld = (objects.origin == SENSED) & ~objects.transmitted
-    if parts.config.radio.cpm_rules == "etsi":
-        chosen, included = select_objects(included, objects, world.actor[objects.observer], time_s)
+    lied = lies_in_detections(perceived, objects, active.malicious(len(world)))
+    if c.radio.cpm_rules == "etsi":
+        chosen, included = select_objects(
+            included, objects, world.actor[objects.observer].astype(np.int64) << 16 | objects.identity, time_s
+        )
         objects = replace(objects, transmitted=chosen)
     n_dropped = np.bincount(fault[fault >= 0], minlength=len(DetectionFault))
-    truth = ground_truth_of(objects, world, observed.observability, vehicles.row, observed.is_real, observed.actor_row)
-    detections, ptr = object_lists.for_trust(objects, vehicles.row)
+    truth = ground_truth_of(
+        objects, world, observed.observability, vehicles.row, observed.is_real, observed.actor_row, lied
+    )
+    message = senders.message_of(objects, vehicles.row)
+    detections, ptr = object_lists.for_trust(objects, message, len(senders))
     return Listed(objects, truth, detections, ptr, withheld, n_dropped), included
 
 
@@ -96,17 +94,17 @@ def stations_of(world: World, vehicles: Vehicles, parts: Parts) -> Stations:
     return Stations(key, xyz_m, len(vehicles))
 
 
-def messages(length_bytes: Int[ndarray, "e"], parts: Parts, rsu_bytes: int = 0) -> Messages:
-    """One message per station, roadside units included."""
-    return Messages.one_each(np.concatenate([length_bytes, np.full(len(parts.rsus), rsu_bytes)]))
+def cpm_lengths(
+    listed: Listed, senders: Senders, sender: Int[ndarray, "m"], piggybacked: Piggybacked | None, c: Config
+) -> Int[ndarray, "m"]:
+    """Length of each detection message, with the evaluations that it carries; 0 for none [B].
 
-
-def cpm_lengths(listed: Listed, vehicles: Vehicles, piggybacked: Piggybacked | None, c: Config) -> Int[ndarray, "e"]:
-    """Length of each vehicle's detection message, with the evaluations that it carries; 0 for none [B]."""
-    n_objects = np.bincount(listed.detections.message[listed.objects.transmitted], minlength=len(vehicles))
-    n_carried = np.zeros(len(vehicles), np.int64)
+    `sender` names the messages' senders as `Piggybacked` does.
+    """
+    n_objects = np.bincount(listed.detections.message[listed.objects.transmitted], minlength=len(senders))
+    n_carried = np.zeros(len(senders), np.int64)
     if piggybacked is not None:
-        _, there, row = np.intersect1d(piggybacked.vehicle, vehicles.actor, assume_unique=True, return_indices=True)
+        _, there, row = np.intersect1d(piggybacked.sender, sender, assume_unique=True, return_indices=True)
         n_carried[row] = np.diff(piggybacked.messages.ptr)[there]
     length = cpm_bytes(n_objects) + np.where(n_carried > 0, piggyback_bytes(n_carried), 0)
     return length if c.radio.cpm_rules == "all" else np.where((n_objects > 0) | (n_carried > 0), length, 0)
@@ -129,12 +127,13 @@ class Matched:
 
 
 def match_objects(
-    listed: Listed, received: Receptions, observed: Observed, vehicles: Vehicles, world: World, c: Config
-) -> Matched:
+    listed: Listed, received: Receptions, observed: Observed, senders: Senders, vehicles: Vehicles, world: World,
+    c: Config,
+) -> Matched:  # fmt: skip
     """One object, several sources: the lists of all vehicles, grouped by overlap."""
     objects = listed.objects
-    pairs = overlapping_pairs(objects.boxes, objects.label, objects.observer)
-    known = received_lists(received, listed.ptr, objects.transmitted, len(vehicles))
+    pairs = overlapping_pairs(objects.boxes, objects.label, listed.detections.message)
+    known = received_lists(received, listed.ptr, objects.transmitted, senders.vehicle, senders.own)
     inside = in_evaluation_area(
         observed.sweeps, known.of_member(), objects.boxes, c.area, known.member, objects.label,
         world.boxes.take(vehicles.row),
@@ -146,27 +145,41 @@ def match_objects(
 
 @dataclass(frozen=True, slots=True)
 class Evaluated:
-    """What every vehicle thinks of the detections before it, by its own sweep; `k` and `m` as in `Matched`."""
+    """What every vehicle thinks of the detections before it, by its own sweep; `k` as in `Matched`.
+
+    `v` counts the members of `lists`. All identities of a vehicle evaluate the same.
+    """
 
     n_points_known: Int[ndarray, "k"]
     plausible_known: Bool[ndarray, "k"]
-    n_points: Int[ndarray, "m"]
+    lists: ObjectLists
+    """What is evaluated under each identity; the same object as in `Matched` where nobody has a second one."""
+    n_points: Int[ndarray, "v"]
     """Returns of its own sweep inside the box."""
-    plausible: Bool[ndarray, "m"]
+    plausible: Bool[ndarray, "v"]
     """Whether its own sweep allows that something stands there; asked of what it did not detect itself."""
+    matched: Bool[ndarray, "v"]
+    """The vehicle detected the object itself."""
     own: Evaluations
     """As each vehicle makes them."""
     reported: Evaluations
     """As each vehicle transmits them; the same object where no attack altered any."""
+    lied: Bool[ndarray, "v"]
+    """Transmitted otherwise than made."""
     own_messages: EvaluationMessages
+    """A message per vehicle."""
     sent: EvaluationMessages
+    """A message per row of `Senders`."""
+    kept_messages: EvaluationMessages
+    """The same rows with the evaluations that the vehicles keep."""
 
 
 def evaluate_objects(
-    matched: Matched, listed: Listed, observed: Observed, vehicles: Vehicles, world: World, parts: Parts, time_s: float
-) -> Evaluated:
+    matched: Matched, listed: Listed, observed: Observed, senders: Senders, vehicles: Vehicles, step: int,
+    active: Active, c: Config,
+) -> Evaluated:  # fmt: skip
     """Evaluation, visibility and plausibility, and the messages that carry them."""
-    c, known, groups, lists = parts.config, matched.known, matched.lists_groups, matched.lists
+    known, groups, lists = matched.known, matched.lists_groups, matched.lists
     foreign = np.zeros(len(known.member), bool)  # members of which a vehicle asks its sweep whether they can be there
     foreign[matched.groups.seeds()] = True
     foreign &= ~matched.groups.ego_detected
@@ -174,19 +187,28 @@ def evaluate_objects(
     points, possible = sweep_evidence(
         observed.sweeps, known, matched.inside, foreign, listed.objects.boxes, listed.detections, c.area
     )
-    n_points, plausible = points[matched.inside], possible[matched.inside]
+    n_points, plausible, ego = points[matched.inside], possible[matched.inside], groups.ego_detected
     own = evaluate(lists, groups, listed.detections, n_points, plausible, c.trust)
-    reported = object_lists.as_reported(parts.adversary, own, lists, listed.objects, vehicles.row, world, time_s)
-    own_messages, sent = (
-        messages_of(world.step, vehicles.pseudonym, lists, listed.detections, e, listed.objects.transmitted)
-        for e in (own, reported)
-    )
-    return Evaluated(points, possible, n_points, plausible, own, reported, own_messages, sent)
+    reported = object_lists.as_reported(active, own, lists, listed.objects, vehicles.row)
+    lied = lies_in_evaluations(own, reported)
+
+    def carried(by: ObjectLists, values: Evaluations) -> EvaluationMessages:
+        return messages_of(step, senders.pseudonym, by, listed.detections, values, listed.objects.transmitted)
+
+    own_messages = carried(lists, own)
+    lists, at = lists_of_voices(lists, senders)
+    if at is not None:
+        n_points, plausible, ego, lied = n_points[at], plausible[at], ego[at], lied[at]
+        own, reported = (Evaluations(e.evaluation[at], e.visibility[at]) for e in (own, reported))
+    kept = own_messages if at is None else carried(lists, own)
+    sent = carried(lists, reported)
+    return Evaluated(points, possible, lists, n_points, plausible, ego, own, reported, lied, own_messages, sent, kept)
 
 
 def update_trust(
     trust: TrustState, step: int, listed: Listed, own: EvaluationMessages, carried: Piggybacked | None,
-    links: LinkReceptions, begin_s: float, vehicles: Vehicles, parts: Parts,
+    links: LinkReceptions, begin_s: float, senders: Senders, sender: Int[ndarray, "m"], vehicles: Vehicles,
+    names: PseudonymState, parts: Parts,
 ) -> tuple[TrustState, LinkStats]:  # fmt: skip
     """Trust learns what was transmitted, what vehicles think themselves, and the evaluations that arrived.
 
@@ -194,26 +216,31 @@ def update_trust(
     ----------
     carried, links, begin_s
         Evaluation messages, and the round that carried them to other vehicles and to roadside units.
+    sender
+        Names of the messages' senders, as `Piggybacked` has them.
     """
-    sent, detections = listed.objects.transmitted, listed.detections
-    trust = parts.trust.open_step(
-        trust, step, vehicles.pseudonym, detections.message[sent], detections.detection_index[sent],
-        detections.score[sent],
-    )  # fmt: skip
-    trust = parts.trust.add_own(trust, own, vehicles.actor)
+    transmitted, detections, linkage = listed.objects.transmitted, listed.detections, parts.linkage
+    message, index = detections.message[transmitted], detections.detection_index[transmitted]
+    subject = linkage.subjects(names, senders.pseudonym)
+    _, index = linkage.keys(names, senders.pseudonym[message], index)
+    if linkage.renames:
+        subject, message = distinct(subject, message)
+    trust = parts.trust.open_step(trust, step, subject, message, index, detections.score[transmitted])
+    trust = parts.trust.add_own(trust, linkage.messages(names, own), vehicles.actor)
     if carried is None:
         return trust, LinkStats()
-    row = np.full(len(vehicles), -1)  # of each vehicle's message
-    _, which, at = np.intersect1d(carried.vehicle, vehicles.actor, assume_unique=True, return_indices=True)
+    row = np.full(len(senders), -1)  # of each message of this step among those carried
+    _, which, at = np.intersect1d(carried.sender, sender, assume_unique=True, return_indices=True)
     row[at] = which
+    sent = linkage.messages(names, carried.messages)
     got = links.vehicles.take(row[links.vehicles.message] >= 0)
-    trust = parts.trust.add_received(trust, carried.messages, vehicles.actor[got.receiver], row[got.message])
+    trust = parts.trust.add_received(trust, sent, vehicles.actor[got.receiver], row[got.message])
     up = links.uplink.take(row[links.uplink.message] >= 0)
-    return parts.trust.report_by_rsu(trust, carried.messages, row[up.message], begin_s + up.received_s)
+    return parts.trust.report_by_rsu(trust, sent, row[up.message], begin_s + up.received_s)
 
 
 def fuse_objects(
-    matched: Matched, evaluated: Evaluated, listed: Listed, observed: Observed, used: Receptions,
+    matched: Matched, evaluated: Evaluated, listed: Listed, observed: Observed, senders: Senders, used: Receptions,
     lookups: list[Lookups], trust: TrustState, parts: Parts,
 ) -> list[Fused | None]:  # fmt: skip
     """Every vehicle's final objects, per trust variant; None where they are not asked for.
@@ -230,7 +257,7 @@ def fuse_objects(
     evidence = SensorEvidence(
         evaluated.n_points_known[seeds], evaluated.plausible_known[seeds], away_m < c.area.range_m
     )
-    from_own_m = _distance_m(boxes.xyz_m, origin_m[listed.detections.message])
+    from_own_m = _distance_m(boxes.xyz_m, origin_m[senders.vehicle[listed.detections.message]])
     ptr = ptr_of(used.receiver, len(known.owner))
     in_time = np.full(len(used.message), c.radio.evaluations == "alone")
     fused: list[Fused | None] = []
@@ -239,19 +266,19 @@ def fuse_objects(
             fused.append(None)
             continue
         objects = fuse(
-            known, matched.groups, listed.detections, matched.lists, evaluated.own, evaluated.reported,
+            known, matched.groups, listed.detections, evaluated.lists, evaluated.own, evaluated.reported,
             SenderTrust(ptr, used.message, found.trust, in_time), evidence, from_own_m, variant.trust, scorer,
         )  # fmt: skip
         fused.append(objects.take(objects.score >= variant.trust.min_score))
     return fused
 
 
-def beliefs_of(fused: Fused, listed: Listed, vehicles: Vehicles, known_s: float) -> Beliefs:
+def beliefs_of(fused: Fused, listed: Listed, senders: Senders, vehicles: Vehicles, known_s: float) -> Beliefs:
     """Fused objects as drivers see them, known at that time."""
     boxes, pose = listed.objects.boxes.take(fused.seed), listed.objects.boxes.take(fused.pose)
     boxes = replace(boxes, xyz_m=pose.xyz_m, yaw_rad=pose.yaw_rad)
     label = listed.objects.label[fused.seed]
-    source = vehicles.pseudonym[listed.detections.message[fused.seed]], listed.objects.detection_index[fused.seed]
+    source = senders.pseudonym[listed.detections.message[fused.seed]], listed.objects.detection_index[fused.seed]
     return Beliefs(known_s, vehicles.row[fused.ego], label, boxes, fused.score, fused.ego_detected, *source)
 
 

@@ -20,19 +20,27 @@ def pairs_in_range(happened: MessageRound, n: int) -> tuple[Int[ndarray, "p"], I
 
 
 def track_receptions(
-    tracker: InterReceptionTracker, step: int, happened: MessageRound, received: Receptions,
-    pairs: tuple[Int[ndarray, "p"], Int[ndarray, "p"]], actor: Int[ndarray, "e"],
+    tracker: InterReceptionTracker, step: int, received: Receptions,
+    pairs: tuple[Int[ndarray, "p"], Int[ndarray, "p"]], actor: Int[ndarray, "e"], vehicle: Int[ndarray, "m"],
 ) -> Rows:  # fmt: skip
-    """Rows of the table `packet_inter_reception` after a round of messages; `received` are those between vehicles."""
+    """Rows of the table `packet_inter_reception` after a round of messages.
+
+    Parameters
+    ----------
+    received
+        Receptions between vehicles.
+    vehicle
+        Sender of each message, a station row.
+    """
     sender, receiver = pairs
     n = len(actor)
-    got = np.isin(sender * n + receiver, happened.station[received.message] * n + received.receiver)
+    got = np.isin(sender * n + receiver, vehicle[received.message] * n + received.receiver)
     return tracker.update(step, actor[sender], actor[receiver], got)
 
 
 def count_in_encounters(
-    trackers: EncounterTrackers, rounds: tuple[MessageRound, ...], received: tuple[Receptions, ...], used: Receptions,
-    is_known: Bool[ndarray, "m v"], lists: ObjectLists, message: Int[ndarray, "d"], actor: Int[ndarray, "e"],
+    trackers: EncounterTrackers, received: tuple[Receptions, ...], used: Receptions, is_known: Bool[ndarray, "m v"],
+    lists: ObjectLists, message: Int[ndarray, "d"], actor: Int[ndarray, "e"], vehicle: Int[ndarray, "m"],
 ) -> None:  # fmt: skip
     """Add a step's messages, lookups and evaluations to the encounters under way.
 
@@ -41,12 +49,14 @@ def count_in_encounters(
     is_known
         Whether the trust looked up rests on an evaluation: rows as in `used`, a column per trust variant.
     message
-        Sender of each detection, a station row.
+        Of each detection.
+    vehicle
+        Sender of each message, a station row.
     """
-    for happened, found in zip(rounds, received, strict=True):
-        trackers.count_messages(actor[happened.station[found.message]], actor[found.receiver])
-    trackers.note_trust(actor[used.receiver], actor[used.message], is_known)
-    evaluator, observer = lists.of_member(), message[lists.member]
+    for found in received:
+        trackers.count_messages(actor[vehicle[found.message]], actor[found.receiver])
+    trackers.note_trust(actor[used.receiver], actor[vehicle[used.message]], is_known)
+    evaluator, observer = lists.of_member(), vehicle[message[lists.member]]
     others, n = evaluator != observer, len(actor)
     pair, count = np.unique(evaluator[others] * n + observer[others], return_counts=True)
     trackers.count_evaluations(actor[pair // n], actor[pair % n], count)

@@ -26,7 +26,7 @@ from results.codes import (
 )
 from results.columns import LEVELS, Column, Level, Table
 
-SCHEMA_VERSION = 6
+SCHEMA_VERSION = 7
 """Raised whenever a table or column changes its name, type, unit or meaning."""
 
 
@@ -99,7 +99,7 @@ TABLES: Mapping[str, Table] = {
             "role": Column("category", meaning="How an equipped vehicle behaves; null if not equipped.", categories=labels(Role), labels_of_run="roles", null=True),
             "first_step": Column("int32", meaning="First step on the road."),
             "last_step": Column("int32", meaning="Last step on the road."),
-            "attack_start_step": Column("int32", null=True, meaning="Step of its first message with a fabricated detection; null if there was none."),
+            "attack_start_step": Column("int32", null=True, meaning="First step in which it lied in a detection or an evaluation, or attacked the channel or the server; null if it never did."),
         },
     ),
     "pseudonyms": Table(
@@ -108,8 +108,10 @@ TABLES: Mapping[str, Table] = {
         {
             "pseudonym": _key("Identity that messages carry, and all that receivers, trust and trust server know of a sender; used by one vehicle only. Under pseudonyms.policy = \"none\" it is the vehicle's actor number."),
             "vehicle": Column("int32", truth=True, meaning="Vehicle that used it, as in `vehicles`."),
+            "identity": Column("int16", truth=True, meaning="0 for the vehicle's own; from 1 on for the further ones of a Sybil attacker."),
             "from_step": Column("int32", truth=True, meaning="First step in use."),
             "to_step": Column("int32", truth=True, meaning="Last step in use."),
+            "refused_step": Column("int32", null=True, truth=True, meaning="First step in which receivers dropped its messages, because it was revoked; null where they never did."),
         },
     ),
     "actors": Table(
@@ -191,8 +193,11 @@ TABLES: Mapping[str, Table] = {
             **_BOX,
             "score": _SCORE,
             "n_points": _count("Returns of the observer's own sweep inside the box."),
+            "speed_mps": Column("float32", unit="m/s", null=True, bits=7, meaning="Speed, in self reports; null elsewhere."),
+            "acceleration_mps2": Column("float32", unit="m/s2", null=True, bits=7, meaning="Acceleration along the heading, in self reports; null elsewhere."),
             "origin": Column("category", categories=labels(Origin), truth=True, meaning="Made by the detector, the vehicle's self report, or fabricated by an attack."),
             "transmitted": Column("bool", truth=True, meaning="Is in the message that was sent (an attack may withhold what was detected)."),
+            "lied": Column("bool", truth=True, meaning="A lie: fabricated; sent otherwise than perceived by more than noise (0.5 m, 10 degrees, 20 % of the size, 0.1 of the score, another class, 0.5 m/s or m/s2); or withheld by a malicious vehicle."),
             "withheld": Column("bool", truth=True, meaning="Kept from others by an attack."),
             "target": Column("int32", null=True, truth=True, meaning="Vehicle that an attack aims at with this detection (actor number); null where at none."),
             "truth_actor": _TRUTH_ACTOR,
@@ -327,6 +332,7 @@ TABLES: Mapping[str, Table] = {
             "n_points": _count("Returns of the evaluator's own sweep inside the box."),
             "plausible": Column("bool", null=True, meaning="Free-space test in its own sweep; null where not made."),
             "matched": Column("bool", meaning="Matched a detection of the evaluator's own."),
+            "lied": Column("bool", truth=True, meaning="A lie: sent otherwise than made, by more than 0.1 of evaluation times visibility."),
         },
     ),
     "transmitted_evaluations": Table(

@@ -1,96 +1,215 @@
-"""All attacks of a run: who carries out which, from when on."""
+"""All attacks of a run: who carries out which now, and what they make of what is sent."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Annotated, Any, Literal
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
-from annotated_types import Ge, Le
-from jaxtyping import Float, UInt8
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
-from cosim.adversary.attack import Attack, AttackContext, EvaluationRows
-from cosim.adversary.ghost_insertion import GhostInsertion
-from cosim.adversary.unreliable import Unreliable
+from cosim import rng
+from cosim.adversary.attack import Attack, AttackContext, EvaluationRows, Sending
+from cosim.adversary.params import AttackParams, owners
 from cosim.v2x.messages import Detections
 from cosim.world import World
 from results.codes import Role
 
-ATTACKS: Mapping[str, type] = {"ghost_insertion": GhostInsertion, "unreliable": Unreliable}
-"""Attacks at hand, by the config's name."""
+_CELL_M = 200.0
+"""Attackers that appear at once are numbered cell by cell, so that rings are neighbours."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class AttackParams:
-    """One attack: what, by whom, from when on. Its own parameters stand in the same section."""
+@dataclass(slots=True)
+class AttackState:
+    """What attacks keep from step to step: one row per section of the config, one column per actor number."""
 
-    attack: str = "ghost_insertion"
-    """Name of the attack, or one of your own: path.py:Name."""
-    role: Literal["malicious", "unreliable"] = "malicious"
-    """What its vehicles are called in tables and figures."""
-    share_p: Annotated[float, Ge(0), Le(1)] = 0.1
-    """Share of the equipped vehicles that carry it out, decided vehicle by vehicle from its name."""
-    start_s: Annotated[float, Ge(0), Le(1e8)] = 60.0
-    """Recorded time from which it is carried out [s]; until then its vehicles are honest and build up trust."""
+    rank: Int[ndarray, "a capacity"]
+    """Number of each attacker within its section, in the order of appearance; -1 for others."""
+    awake: Bool[ndarray, "a capacity"]
+    """Sleepers that have begun."""
+    n_active: Int[ndarray, "a capacity"]
+    """Steps with messages since each began, or began again."""
+    memory: list[dict[str, Any]] = field(default_factory=list)
+    """Of each section, what its attack keeps."""
+
+    def with_room(self, capacity: int) -> None:
+        """Columns for actor numbers below `capacity`."""
+        more = capacity - self.rank.shape[1]
+        if more > 0:
+            more = max(more, 256)
+            self.rank = np.pad(self.rank, ((0, 0), (0, more)), constant_values=-1)
+            self.awake = np.pad(self.awake, ((0, 0), (0, more)))
+            self.n_active = np.pad(self.n_active, ((0, 0), (0, more)))
 
 
-PAPER: tuple[dict[str, Any], ...] = (
-    {"attack": "ghost_insertion", "role": "malicious"},
-    {"attack": "unreliable", "role": "unreliable"},
-)
-"""The two behaviours of TruPercept's experiments: the default."""
+@dataclass(frozen=True, slots=True)
+class Active:
+    """Attacks that are carried out in one step, in the order of the config."""
+
+    attacks: tuple[tuple[Attack, AttackContext], ...]
+
+    def _with(self, hook: str) -> list[tuple[Any, AttackContext]]:
+        return [(attack, context) for attack, context in self.attacks if hasattr(attack, hook)]
+
+    def detections(self, listed: Detections) -> Detections:
+        """What each vehicle will send of its list."""
+        for attack, context in self._with("detections"):
+            listed = attack.detections(listed, context)
+        return listed
+
+    def evaluations(
+        self, rows: EvaluationRows, detections: Detections
+    ) -> tuple[Float[ndarray, "m"], Float[ndarray, "m"]]:
+        """Evaluation and visibility as each vehicle will send them; the same arrays where nobody changes any."""
+        evaluation, visibility = rows.evaluation, rows.visibility
+        for attack, context in self._with("evaluations"):
+            now = EvaluationRows(rows.evaluator, rows.detection, evaluation, visibility)
+            evaluation, visibility = attack.evaluations(now, detections, context)
+        return evaluation, visibility
+
+    def identities(self, n: int) -> Int[ndarray, "n"]:
+        """Identities beside its own under which each actor sends."""
+        found = np.zeros(n, np.int64)
+        for attack, context in self._with("identities"):
+            found = np.maximum(found, np.where(context.attacker, attack.identities(context), 0))
+        return found
+
+    def sending(self, n: int) -> Sending:
+        """How each actor's messages are sent."""
+        found = Sending.plain(n)
+        for attack, context in self._with("sending"):
+            found = found.and_also(attack.sending(context))
+        return found
+
+    def malicious(self, n: int) -> Bool[ndarray, "n"]:
+        """Actors that attack now on purpose, not by a fault."""
+        found = np.zeros(n, bool)
+        for _, context in self.attacks:
+            if context.params.role == Role.MALICIOUS.name.lower():
+                found |= context.attacker
+        return found
 
 
 @dataclass(frozen=True, slots=True)
 class Adversary:
     """The attacks of a run, in the order of the config; `world.attack` numbers them from 1."""
 
+    params: tuple[AttackParams, ...]
     attacks: tuple[Attack, ...]
-    start_s: tuple[float, ...]
+    owner: tuple[int, ...]
+    """Of each section: the section that says who its vehicles are."""
+    period_steps: tuple[float, ...]
+    """Of each section: length of a period of `on_off`."""
     seed: int
+    dt_s: float
 
     @staticmethod
-    def of(params: Sequence[AttackParams], attacks: Sequence[Attack], seed: int) -> "Adversary":
-        return Adversary(tuple(attacks), tuple(p.start_s for p in params), seed)
+    def of(
+        params: Sequence[AttackParams], attacks: Sequence[Attack], seed: int, dt_s: float = 1.0,
+        freshness_s: float | str = "off",
+    ) -> "Adversary":  # fmt: skip
+        """Attacks with their parameters; `freshness_s` is the window of evidence in which periods may be given."""
+        period_s = [p.period_s if p.when != "on_off" else p.period_of(freshness_s) for p in params]
+        return Adversary(tuple(params), tuple(attacks), owners(params), tuple(s / dt_s for s in period_s), seed, dt_s)
 
-    def detections(self, listed: Detections, world: World, time_s: float) -> Detections:
-        """What each vehicle will send of its list."""
-        for attack, context in self._active(world, time_s):
-            if hasattr(attack, "detections"):
-                listed = attack.detections(listed, context)
-        return listed
+    def start(self) -> AttackState:
+        """Before the first step."""
+        n = len(self.params)
+        nothing = np.zeros((n, 0), np.int64)
+        return AttackState(nothing, nothing.astype(bool), nothing, [{} for _ in range(n)])
 
-    def evaluations(
-        self, rows: EvaluationRows, detections: Detections, world: World, time_s: float
-    ) -> tuple[Float[ndarray, "m"], Float[ndarray, "m"]]:
-        """Evaluation and visibility as each vehicle will send them."""
-        evaluation, visibility = rows.evaluation, rows.visibility
-        for attack, context in self._active(world, time_s):
-            if hasattr(attack, "evaluations"):
-                now = EvaluationRows(rows.evaluator, rows.detection, evaluation, visibility)
-                evaluation, visibility = attack.evaluations(now, detections, context)
-        return evaluation, visibility
+    @property
+    def reads_trust(self) -> bool:
+        """Whether any attacker follows what is broadcast about itself."""
+        return any(p.reads_trust for p in self.params)
 
-    def _active(self, world: World, time_s: float) -> list[tuple[Attack, AttackContext]]:
-        """Attacks that have begun and have somebody to carry them out."""
-        active = []
-        for number, (attack, start_s) in enumerate(zip(self.attacks, self.start_s, strict=True)):
-            attacker = world.equipped & (world.attack == number + 1)
-            if time_s >= start_s and attacker.any():
-                active.append((attack, AttackContext(world, attacker, time_s, self.seed, number)))
-        return active
+    @property
+    def renews(self) -> bool:
+        """Whether any attacker changes its pseudonym of its own accord."""
+        return any(p.renewal != "by_policy" for p in self.params)
 
+    def renewals(
+        self, world: World, time_s: float, trust: Float[ndarray, "n"] | None, age_s: Float[ndarray, "n"]
+    ) -> Bool[ndarray, "n"]:
+        """Actors that change their pseudonyms of their own accord.
 
-def check_shares(params: Sequence[AttackParams]) -> None:
-    """ValueError where more vehicles would attack than there are."""
-    total = sum(p.share_p for p in params)
-    if total > 1 + 1e-9:
-        raise ValueError(
-            f"attacks: the shares share_p sum to {total:g}, more than all equipped vehicles. "
-            "Lower one of them so that they sum to at most 1."
-        )
+        Parameters
+        ----------
+        trust
+            In each actor, as it was last told; None where no attack reads it.
+        age_s
+            Of each actor's present pseudonym.
+        """
+        found = np.zeros(len(world), bool)
+        for number, p in enumerate(self.params):
+            if p.renewal == "by_policy" or time_s < p.start_s:
+                continue
+            if p.renewal == "whitewashing":
+                assert trust is not None, "told where an attack reads it"
+                wants = trust < p.renew_below
+            else:
+                wants = age_s >= p.renew_s - 1e-9
+            found |= wants & self._members(world, number)
+        return found
 
+    def active(
+        self, state: AttackState, world: World, time_s: float, trust: Float[ndarray, "n"] | None = None
+    ) -> Active:
+        """Attacks that have begun and have somebody to carry them out now; the state goes on.
 
-def roles_of(params: Sequence[AttackParams]) -> UInt8[ndarray, "a"]:
-    """Code of the role (`results.codes.Role`) that goes with each number of `world.attack`; 0 is honest."""
-    return np.array([Role.HONEST, *(Role[p.role.upper()] for p in params)], np.uint8)
+        Parameters
+        ----------
+        trust
+            In each actor, as it was last told; None where no attack reads it.
+        """
+        found = []
+        state.with_room(int(world.actor.max(initial=-1)) + 1)
+        for number, (p, attack) in enumerate(zip(self.params, self.attacks, strict=True)):
+            member = self._members(world, number)
+            if not member.any():
+                continue
+            ring = self._rings(state, world, number, member)
+            now = member & (time_s >= p.start_s)
+            if now.any() and p.when != "persistent":
+                now &= self._on(state, world, number, trust)
+            actor = world.actor
+            n_active = state.n_active[number, actor]
+            state.n_active[number, actor] = np.where(now, n_active + 1, 0)
+            if now.any():
+                found.append((attack, AttackContext(
+                    world, now, time_s, self.seed, number, p, member, ring, n_active, state.memory[number]
+                )))  # fmt: skip
+        return Active(tuple(found))
+
+    def _members(self, world: World, number: int) -> Bool[ndarray, "n"]:
+        return world.equipped & (world.attack == self.owner[number] + 1)
+
+    def _rings(self, state: AttackState, world: World, number: int, member: Bool[ndarray, "n"]) -> Int[ndarray, "n"]:
+        """Ring of each member."""
+        size = self.params[number].ring_size
+        if not size:
+            return np.zeros(len(world), np.int64)
+        rank = state.rank[number]
+        new = np.flatnonzero(member & (rank[world.actor] < 0))
+        x, y = np.floor(world.boxes.xyz_m[new, :2] / _CELL_M).T
+        new = new[np.lexsort((world.actor[new], y, x))]
+        rank[world.actor[new]] = rank.max(initial=-1) + 1 + np.arange(len(new))
+        return rank[world.actor] // size
+
+    def _on(
+        self, state: AttackState, world: World, number: int, trust: Float[ndarray, "n"] | None
+    ) -> Bool[ndarray, "n"]:
+        """Actors that would attack now, by `when`."""
+        p = self.params[number]
+        if p.when == "sporadic":
+            key = rng.key(self.seed, rng.Stream.ATTACK_TIME, world.step)
+            return rng.uniforms(key, np.uint64(number), world.name_key)[:, 0] < p.active_p
+        if p.when == "on_off":
+            period = self.period_steps[number]
+            since = world.step - np.ceil(p.start_s / self.dt_s - 1e-9)
+            return np.full(len(world), np.mod(since + 1e-9, period) < p.duty_p * period)
+        assert trust is not None, "told where an attack reads it"
+        if p.when == "camouflage":
+            return trust > p.keep_above
+        state.awake[number, world.actor] |= trust >= p.wake_trust
+        return state.awake[number, world.actor]

@@ -5,14 +5,11 @@ from typing import Annotated, Literal
 
 import numpy as np
 from annotated_types import Gt, Le
-from jaxtyping import Int
 from numpy import ndarray
-from scipy.spatial import cKDTree
 
-from cosim import rng
 from cosim.adversary.attack import AttackContext, EvaluationRows, certified, fabricated, placed
 from cosim.v2x.messages import Detections
-from cosim.world import LABELS, World
+from cosim.world import LABELS
 from sensors.boxes import Boxes
 
 CAR, PEDESTRIAN = LABELS.index("car"), LABELS.index("pedestrian")
@@ -28,16 +25,12 @@ GHOSTS = {
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class GhostInsertionParams:
-    """What is inserted, and in front of whom."""
+    """What is inserted, and how far ahead of the victim (keys victim, victim_id, victim_range_m)."""
 
     ghosts: Literal["car_and_pedestrian", "car", "three_cars"] = "car_and_pedestrian"
     """Objects inserted in front of the victim, oncoming."""
     ahead_m: Annotated[float, Gt(0), Le(1000)] = 8.0
     """Distance of the inserted object ahead of the victim's centre [m]."""
-    victim_range_m: Annotated[float, Gt(0), Le(10_000)] = 100.0
-    """The victim is the nearest other equipped vehicle within this distance [m]."""
-    victim: str = ""
-    """SUMO id of the one equipped vehicle that all attackers aim at, as in the paper; empty: each picks the nearest."""
 
 
 class GhostInsertion:
@@ -49,7 +42,7 @@ class GhostInsertion:
     Notes
     -----
     Deviations: ghosts have detection indices of their own (the published code re-used those of real detections); in
-    the paper all attackers aim at one ego vehicle, in a city each aims at its nearest neighbour unless `victim` is set.
+    the paper all attackers aim at one ego vehicle, in a city each aims at its nearest neighbour by default.
 
     References
     ----------
@@ -64,7 +57,7 @@ class GhostInsertion:
     def detections(self, listed: Detections, context: AttackContext) -> Detections:
         """The ghosts added."""
         p, world = self.params, context.world
-        attacker, victim = _victims(world, np.flatnonzero(context.attacker), p)
+        attacker, victim = context.victims()
         ghosts = GHOSTS[p.ghosts]
         label = np.tile([g[0] for g in ghosts], len(attacker)).astype(np.uint8)
         ahead_m = p.ahead_m + np.tile([g[1] for g in ghosts], len(attacker))
@@ -81,28 +74,3 @@ class GhostInsertion:
     ) -> tuple[ndarray, ndarray]:
         """The ghosts vouched for."""
         return certified(rows, detections, context)
-
-
-def _victims(
-    world: World, attackers: Int[ndarray, "a"], params: GhostInsertionParams
-) -> tuple[Int[ndarray, "b"], Int[ndarray, "b"]]:
-    """Attackers that have a victim within range, and their victims; rows of the world."""
-    equipped = np.flatnonzero(world.equipped)
-    xy = world.boxes.xyz_m[:, :2]
-    nothing = np.zeros(0, int), np.zeros(0, int)
-    if params.victim:
-        named = equipped[world.name_key[equipped] == rng.name_key("vehicle/" + params.victim)]
-        if not len(named):
-            return nothing
-        (one,) = named
-        within = np.linalg.norm(xy[attackers] - xy[one], axis=1) <= params.victim_range_m
-        attackers = attackers[within & (attackers != one)]
-        return attackers, np.full(len(attackers), one)
-    if len(equipped) < 2 or not len(attackers):
-        return nothing
-    distance, near = cKDTree(xy[equipped]).query(xy[attackers], k=2)
-    nearest = equipped[near]
-    other = np.where(nearest[:, 0] == attackers, 1, 0)  # the attacker itself is at distance 0, mostly first
-    pick = np.arange(len(attackers)), other
-    within = distance[pick] <= params.victim_range_m
-    return attackers[within], nearest[pick][within]

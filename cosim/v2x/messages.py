@@ -1,6 +1,6 @@
 """Content and length of messages."""
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
@@ -27,11 +27,13 @@ MOST_OBJECTS = 255
 
 @dataclass(frozen=True, slots=True)
 class Detections:
-    """D detections of one step, world frame, sorted by (observer, detection_index): with the step, a detection's key.
+    """D detections of one step, world frame, sorted by (observer, identity, detection_index): with the step, its key.
 
     `observer` is a row of the step's world. Index 0 is the self report, then come detections by the detector, then
-    fabricated ones. A detection with `transmitted` false stays with its observer. `target` is a row of the world too:
-    the vehicle that an attack aims at with the detection, the observer itself where it aims at none.
+    fabricated ones. A detection with `transmitted` false stays with its observer. `identity` is 0 for what a vehicle
+    sends under its own pseudonym; a Sybil attacker sends under further ones. Speed and acceleration stand in self
+    reports alone, and are NaN elsewhere. `target` is a row of the world too: the vehicle that an attack aims at with
+    the detection, the observer itself where it aims at none.
     """
 
     observer: Int[ndarray, "d"]
@@ -43,10 +45,20 @@ class Detections:
     origin: UInt8[ndarray, "d"]
     transmitted: Bool[ndarray, "d"]
     target: Int[ndarray, "d"] = field(default=None)  # type: ignore[arg-type]  # left out: nobody's
+    identity: Int[ndarray, "d"] = field(default=None)  # type: ignore[arg-type]  # left out: the vehicle's own
+    speed_mps: Float[ndarray, "d"] = field(default=None)  # type: ignore[arg-type]  # left out: absent
+    acceleration_mps2: Float[ndarray, "d"] = field(default=None)  # type: ignore[arg-type]  # left out: absent
+    """Along the heading."""
 
     def __post_init__(self) -> None:
+        n = len(self.observer)
         if self.target is None:
             object.__setattr__(self, "target", self.observer)
+        if self.identity is None:
+            object.__setattr__(self, "identity", np.zeros(n, np.int64))
+        for name in ("speed_mps", "acceleration_mps2"):
+            if getattr(self, name) is None:
+                object.__setattr__(self, name, np.full(n, np.nan))
 
     def __len__(self) -> int:
         return len(self.observer)
@@ -60,6 +72,15 @@ class Detections:
         return [getattr(self, f.name) for f in fields(self)]
 
     @staticmethod
+    def perceived(
+        observer: Int[ndarray, "d"], detection_index: Int[ndarray, "d"], label: UInt8[ndarray, "d"], boxes: Boxes,
+        score: Float[ndarray, "d"], n_points: Int[ndarray, "d"], origin: UInt8[ndarray, "d"],
+    ) -> "Detections":  # fmt: skip
+        """Detections that are all to be transmitted, under the vehicles' own identities."""
+        sent = np.ones(len(observer), bool)
+        return Detections(observer, detection_index, label, boxes, score, n_points, origin, sent)
+
+    @staticmethod
     def of(columns: list[Any]) -> "Detections":
         """Detections from all columns, in the order of the fields."""
         return Detections(*columns)
@@ -69,7 +90,7 @@ class Detections:
         """All rows of all parts, sorted by key."""
         columns = zip(*(part.columns() for part in parts), strict=True)
         joined = Detections.of([Boxes.concat(c) if isinstance(c[0], Boxes) else np.concatenate(c) for c in columns])
-        return joined.take(np.lexsort((joined.detection_index, joined.observer)))
+        return joined.take(np.lexsort((joined.detection_index, joined.identity, joined.observer)))
 
 
 def cpm_bytes(n_objects: Int[ndarray, "n"]) -> Int[ndarray, "n"]:
@@ -126,16 +147,16 @@ def faults(listed: Detections, xyz_m: Float[ndarray, "w 3"]) -> Int[ndarray, "d"
             DetectionFault.UNKNOWN_CLASS: np.asarray(listed.label).astype(np.int64) >= len(ObjectClass),
             DetectionFault.BAD_NUMBER: (number < 0) | (number > LARGEST_NUMBER),
         }  # fmt: skip
-    found = np.full(n, -1)
+    found, message = np.full(n, -1), listed.observer.astype(np.int64) << 16 | listed.identity
     for fault in reversed(wrong):
         found[wrong[fault]] = fault
     left = np.flatnonzero(found < 0)
-    order = left[np.lexsort((listed.origin[left], number[left], listed.observer[left]))]
+    order = left[np.lexsort((listed.origin[left], number[left], message[left]))]
     again = np.zeros(len(order), bool)
-    again[1:] = (np.diff(listed.observer[order]) == 0) & (np.diff(number[order]) == 0)
+    again[1:] = (np.diff(message[order]) == 0) & (np.diff(number[order]) == 0)
     found[order[again]] = DetectionFault.REPEATED_NUMBER
     order = order[~again]
-    _, first, count = np.unique(listed.observer[order], return_index=True, return_counts=True)
+    _, first, count = np.unique(message[order], return_index=True, return_counts=True)
     found[order[np.arange(len(order)) - np.repeat(first, count) >= MOST_OBJECTS]] = DetectionFault.TOO_MANY
     return found
 
@@ -143,8 +164,18 @@ def faults(listed: Detections, xyz_m: Float[ndarray, "w 3"]) -> Int[ndarray, "d"
 def self_reports(world: World, observers: Int[ndarray, "o"]) -> Detections:
     """Each equipped vehicle's own box, as it reports itself: index 0, score 1."""
     n = len(observers)
-    return Detections(
-        observer=observers, detection_index=np.zeros(n, int), label=world.label[observers],
-        boxes=world.boxes.take(observers), score=np.ones(n), n_points=np.zeros(n, np.int32),
-        origin=np.full(n, SELF, np.uint8), transmitted=np.ones(n, bool),
+    return Detections.perceived(
+        observers, np.zeros(n, int), world.label[observers], world.boxes.take(observers), np.ones(n),
+        np.zeros(n, np.int32), np.full(n, SELF, np.uint8),
     )  # fmt: skip
+
+
+def with_motion(
+    listed: Detections, speed_mps: Float[ndarray, "n"], acceleration_mps2: Float[ndarray, "n"]
+) -> Detections:
+    """The same with speed and acceleration, by row of the world, in the self reports."""
+    speed, acceleration = listed.speed_mps.copy(), listed.acceleration_mps2.copy()
+    rows = np.flatnonzero(listed.origin == SELF)
+    speed[rows] = speed_mps[listed.observer[rows]]
+    acceleration[rows] = acceleration_mps2[listed.observer[rows]]
+    return replace(listed, speed_mps=speed, acceleration_mps2=acceleration)

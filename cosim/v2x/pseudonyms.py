@@ -6,7 +6,7 @@ stands in the table `pseudonyms`, which is ground truth.
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Annotated, Protocol
+from typing import Annotated, Literal, Protocol
 
 import numpy as np
 from annotated_types import Gt, Interval, Le
@@ -165,9 +165,17 @@ class Bsp:
         return np.where(ages.n_changes == 0, first, later)
 
 
+class Scms:
+    """The rule of SAE J2945/1, second hand: every 5 min, but not before 2 km have been driven under a pseudonym."""
+
+    def changes(self, ages: PseudonymAges) -> Bool[ndarray, "e"]:
+        """Those that have driven long and far enough."""
+        return (ages.age_s >= 300.0 - 1e-9) & (ages.distance_m >= 2000.0)
+
+
 POLICIES: Mapping[str, type] = {
     "none": Never, "periodical": Periodical, "disposable": Disposable, "distance": Distance, "random": Random,
-    "c2c": C2c, "bsp": Bsp,
+    "c2c": C2c, "bsp": Bsp, "scms": Scms,
 }  # fmt: skip
 """Policies at hand, by the config's name."""
 
@@ -177,14 +185,33 @@ class PseudonymParams:
     """Which identities messages carry."""
 
     policy: str = "none"
-    """When a vehicle changes its pseudonym: none, periodical, disposable, distance, random, c2c, bsp, or your own."""
+    """When a vehicle changes its pseudonym: none, periodical, disposable, distance, random, c2c, bsp, scms, or your
+    own."""
+    linkage: Literal["none", "server", "on_demand", "own"] = "none"
+    """How trust copes with a change: none: a new pseudonym is a newcomer; server: reputation stays with the vehicle, is
+    broadcast under its present pseudonym; on_demand: pseudonyms are linked from the one on that has been accused
+    n_accusations times; own: each receiver links them itself, by place and speed."""
+    n_accusations: Annotated[int, Gt(0), Le(2**31 - 1)] = 10
+    """on_demand: reports against one pseudonym after which the vehicle's later ones are linked to it."""
+    own_gap_s: Annotated[float, Gt(0), Le(1e4)] = 1.5
+    """own: longest time between the last message of the old pseudonym and the first of the new one [s]."""
+    own_gate_m: Annotated[float, Gt(0), Le(10_000)] = 3.0
+    """own: farthest that the new pseudonym may stand from where the old one is expected [m]."""
+    revocation: Literal["none", "immediate", "list", "not_renewed"] = "none"
+    """What happens to a subject that the acting server trusts less than revoke_below: nothing; receivers drop its
+    messages at once; from the next revocation list on; or it gets no new pseudonym after its present one."""
+    revoke_below: Annotated[float, Interval(ge=0, le=1)] = 0.25
+    """Trust at the acting server below which a subject is revoked."""
+    min_evaluations: Annotated[int, Gt(0), Le(2**31 - 1)] = 5
+    """Evaluations that a revocation takes at least."""
+    list_every_s: Annotated[float, Gt(0), Le(1e8)] = 60.0
+    """list: time between two revocation lists [s]."""
 
 
 @dataclass(frozen=True, slots=True)
 class PseudonymState:
-    """Pseudonyms in use, by actor number; rows of `log` are all that ever were."""
+    """Pseudonyms in use, by actor number, and all that were ever issued."""
 
-    n_issued: int = 0
     current: Int[ndarray, "capacity"] = field(default_factory=lambda: np.full(0, -1, np.int64))
     since_step: Int[ndarray, "capacity"] = field(default_factory=lambda: np.zeros(0, np.int64))
     seen_step: Int[ndarray, "capacity"] = field(default_factory=lambda: np.zeros(0, np.int64))
@@ -192,12 +219,32 @@ class PseudonymState:
     n_messages: Int[ndarray, "capacity"] = field(default_factory=lambda: np.zeros(0, np.int64))
     distance_m: Float[ndarray, "capacity"] = field(default_factory=lambda: np.zeros(0))
     xy_m: Float[ndarray, "capacity 2"] = field(default_factory=lambda: np.zeros((0, 2)))
+    linked: Int[ndarray, "capacity"] = field(default_factory=lambda: np.full(0, -1, np.int64))
+    """Pseudonym of each vehicle to which its later ones are linked on demand; -1 for none."""
+    issued: Int[ndarray, "n_issued 3"] = field(default_factory=lambda: np.zeros((0, 3), np.int64))
+    """Vehicle, identity and first step of each pseudonym that is no vehicle's number, in the order of issue."""
+    extra: Int[ndarray, "x 4"] = field(default_factory=lambda: np.zeros((0, 4), np.int64))
+    """Further identities: vehicle and identity in one number, ascending; pseudonym, first and last step in use."""
+    accusations: dict[int, int] = field(default_factory=dict)
+    """Of pseudonyms that are not linked yet."""
+    revoked: dict[int, int] = field(default_factory=dict)
+    """Subjects that lose their certificates, and from which step on."""
+    refused: dict[int, int] = field(default_factory=dict)
+    """Pseudonyms whose messages were dropped, and since which step."""
 
     def of(self, actor: Int[ndarray, "n"]) -> Int[ndarray, "n"]:
         """Present pseudonym of each vehicle; -1 where it has had none yet."""
         found = np.full(len(actor), -1)
         known = actor < len(self.current)
         found[known] = self.current[actor[known]]
+        return found
+
+    def begun(self, actor: Int[ndarray, "n"], now_step: int) -> Int[ndarray, "n"]:
+        """Step in which each vehicle took its present pseudonym; now for those without any."""
+        found = np.full(len(actor), now_step)
+        known = np.flatnonzero(actor < len(self.current))
+        known = known[self.current[actor[known]] >= 0]
+        found[known] = self.since_step[actor[known]]
         return found
 
 
@@ -209,11 +256,22 @@ class PseudonymUse:
     vehicle: Int[ndarray, "p"]
     from_step: Int[ndarray, "p"]
     to_step: Int[ndarray, "p"]
+    identity: Int[ndarray, "p"]
+    """0 for the vehicle's own."""
+    refused_step: Int[ndarray, "p"]
+    """First step in which receivers dropped its messages; -1 for none."""
 
     @staticmethod
     def none() -> "PseudonymUse":
         nothing = np.zeros(0, np.int64)
-        return PseudonymUse(nothing, nothing, nothing, nothing)
+        return PseudonymUse(nothing, nothing, nothing, nothing, nothing, nothing)
+
+    @staticmethod
+    def of(state: PseudonymState, pseudonym, vehicle, from_step, to_step, identity=None) -> "PseudonymUse":
+        """Rows of these pseudonyms."""
+        identity = np.zeros(len(pseudonym), np.int64) if identity is None else identity
+        refused = np.array([state.refused.get(p, -1) for p in pseudonym.tolist()], np.int64)
+        return PseudonymUse(pseudonym, vehicle, from_step, to_step, identity, refused)
 
 
 @dataclass(frozen=True, slots=True)
@@ -230,14 +288,17 @@ class Pseudonyms:
         return isinstance(self.policy, Never)
 
     def issue(
-        self, state: PseudonymState, world: World, observers: Int[ndarray, "e"]
-    ) -> tuple[PseudonymState, Int[ndarray, "e"], PseudonymUse]:
+        self, state: PseudonymState, world: World, observers: Int[ndarray, "e"],
+        wants: Bool[ndarray, "e"] | None = None,
+    ) -> tuple[PseudonymState, Int[ndarray, "e"], PseudonymUse]:  # fmt: skip
         """The pseudonym of each equipped vehicle in this step.
 
         Parameters
         ----------
         observers
             Equipped vehicles, rows of the world.
+        wants
+            Those that change of their own accord, whatever the policy says.
 
         Returns
         -------
@@ -255,30 +316,86 @@ class Pseudonyms:
             rng.uniforms(rng.key(self.seed, rng.Stream.PSEUDONYM), names, n_changes, n=4),
             rng.uniforms(rng.key(self.seed, rng.Stream.PSEUDONYM, world.step + 1), names)[:, 0],
         )  # fmt: skip
-        changes = ~new & np.asarray(self.policy.changes(ages), bool)
+        changes = np.asarray(self.policy.changes(ages), bool)
+        changes = ~new & (changes if wants is None else changes | wants)
         given_up = actor[changes]
-        ended = PseudonymUse(state.current[given_up], given_up, state.since_step[given_up], state.seen_step[given_up])
+        ended = PseudonymUse.of(
+            state, state.current[given_up], given_up, state.since_step[given_up], state.seen_step[given_up]
+        )
         fresh = np.flatnonzero(new | changes)
         taking = actor[fresh]
         current, since, seen = state.current.copy(), state.since_step.copy(), state.seen_step.copy()
         n_changes_all, n_messages, place = state.n_changes.copy(), state.n_messages.copy(), state.xy_m.copy()
-        n_issued = state.n_issued
+        numbered = taking[changes[fresh]] if self.by_number else taking
         if self.by_number:
             current[taking] = taking
-        else:
-            current[taking] = n_issued + np.arange(len(taking))
-            n_issued += len(taking)
+        current[numbered], state = self._numbers(state, numbered, np.zeros(len(numbered), np.int64), world.step)
         since[taking], n_messages[taking], distance_m[taking] = world.step, 0, 0.0
         n_changes_all[given_up] += 1
         n_messages[actor] += 1
         seen[actor], place[actor] = world.step, xy
-        state = PseudonymState(n_issued, current, since, seen, n_changes_all, n_messages, distance_m, place)
+        state = replace(
+            state, current=current, since_step=since, seen_step=seen, n_changes=n_changes_all, n_messages=n_messages,
+            distance_m=distance_m, xy_m=place,
+        )  # fmt: skip
         return state, current[actor], ended
+
+    def issue_extra(
+        self, state: PseudonymState, vehicle: Int[ndarray, "x"], identity: Int[ndarray, "x"], step: int
+    ) -> tuple[PseudonymState, Int[ndarray, "x"]]:
+        """Pseudonyms of further identities of vehicles, given by actor number; each keeps its own for good."""
+        key = vehicle.astype(np.int64) << 16 | identity
+        new = np.setdiff1d(key, state.extra[:, 0])
+        numbers, state = self._numbers(state, new >> 16, new & (1 << 16) - 1, step)
+        rows = np.column_stack([new, numbers, np.full((len(new), 2), step)])
+        extra = np.concatenate([state.extra, rows])
+        extra = extra[np.argsort(extra[:, 0], kind="stable")]
+        at = np.searchsorted(extra[:, 0], key)
+        extra[at, 3] = step
+        return replace(state, extra=extra), extra[at, 1]
+
+    def owners(
+        self, state: PseudonymState, pseudonym: Int[ndarray, "n"]
+    ) -> tuple[Int[ndarray, "n"], Int[ndarray, "n"]]:
+        """Vehicle and identity behind each pseudonym; -1 for those that were never issued."""
+        return self._issued(state, pseudonym, 0, pseudonym), self._issued(state, pseudonym, 1, 0)
+
+    def since(self, state: PseudonymState, pseudonym: Int[ndarray, "n"]) -> Int[ndarray, "n"]:
+        """First step of each pseudonym; -1 for those that are a vehicle's number."""
+        return self._issued(state, pseudonym, 2, -1)
+
+    def _issued(self, state: PseudonymState, pseudonym: ndarray, column: int, of_number: ndarray | int) -> ndarray:
+        at = pseudonym - FIRST_EXTRA if self.by_number else pseudonym
+        inside = (at >= 0) & (at < len(state.issued))
+        found = np.full(len(pseudonym), -1)
+        found[inside] = state.issued[at[inside], column]
+        if self.by_number:
+            number = (pseudonym >= 0) & (pseudonym < len(state.current))
+            number[number] = state.current[pseudonym[number]] >= 0
+            found[number] = np.broadcast_to(of_number, len(pseudonym))[number]
+        return found
+
+    def _numbers(
+        self, state: PseudonymState, vehicle: Int[ndarray, "k"], identity: Int[ndarray, "k"], step: int
+    ) -> tuple[Int[ndarray, "k"], PseudonymState]:
+        """New pseudonyms, numbered on."""
+        if not len(vehicle):
+            return np.zeros(0, np.int64), state
+        numbers = len(state.issued) + np.arange(len(vehicle)) + (FIRST_EXTRA if self.by_number else 0)
+        rows = np.column_stack([vehicle, identity, np.full(len(vehicle), step)])
+        return numbers, replace(state, issued=np.concatenate([state.issued, rows]))
 
     def in_use(self, state: PseudonymState) -> PseudonymUse:
         """Pseudonyms that were never given up, when recording ends."""
-        vehicle = np.flatnonzero(state.current >= 0)
-        return PseudonymUse(state.current[vehicle], vehicle, state.since_step[vehicle], state.seen_step[vehicle])
+        vehicle, extra = np.flatnonzero(state.current >= 0), state.extra
+        return PseudonymUse.of(
+            state,
+            np.concatenate([state.current[vehicle], extra[:, 1]]),
+            np.concatenate([vehicle, extra[:, 0] >> 16]),
+            np.concatenate([state.since_step[vehicle], extra[:, 2]]),
+            np.concatenate([state.seen_step[vehicle], extra[:, 3]]),
+            np.concatenate([np.zeros(len(vehicle), np.int64), extra[:, 0] & (1 << 16) - 1]),
+        )
 
 
 def _grown(state: PseudonymState, size: int) -> PseudonymState:
@@ -295,5 +412,5 @@ def _grown(state: PseudonymState, size: int) -> PseudonymState:
         state, current=longer(state.current, -1), since_step=longer(state.since_step),
         seen_step=longer(state.seen_step),
         n_changes=longer(state.n_changes), n_messages=longer(state.n_messages), distance_m=longer(state.distance_m),
-        xy_m=longer(state.xy_m),
+        xy_m=longer(state.xy_m), linked=longer(state.linked, -1),
     )  # fmt: skip

@@ -97,6 +97,8 @@ class TrustState:
 
     hosts: list[HostState]
     uplink: UplinkState = field(default_factory=UplinkState)
+    arrived: list[EvaluationMessages] = field(default_factory=list)
+    """Reports that reached the server in the last `publish`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -181,7 +183,7 @@ class TrustHosts:
         if not self._any("central"):
             return state, published, counts
         uplink, arrived = self.uplink.arrived(state.uplink, time_s)
-        state = TrustState(list(state.hosts), uplink)
+        state = TrustState(list(state.hosts), uplink, arrived)
         for messages in arrived:
             n = len(messages.evaluator)
             received = ReceivedEvaluations(messages, np.full(n, SERVER), np.arange(n), self.eta)
@@ -268,12 +270,23 @@ class TrustHosts:
                 self._model(state, h).add_evaluations(received)
 
     def report_by_cellular(
-        self, state: TrustState, messages: EvaluationMessages, name_key: ndarray, xy_m: ndarray, time_s: float
-    ) -> tuple[TrustState, LinkStats]:
-        """Reports leave for the server through the cellular network."""
+        self, state: TrustState, messages: EvaluationMessages, key: ndarray, xy_m: ndarray, time_s: float,
+        is_valid: Bool[ndarray, "m"] | None = None, n_copies: Int[ndarray, "m"] | None = None,
+    ) -> tuple[TrustState, LinkStats]:  # fmt: skip
+        """Reports leave for the server through the cellular network; all arguments go with the messages.
+
+        Parameters
+        ----------
+        key
+            Of each message's draws.
+        is_valid
+            Whether the server takes it; all if not given.
+        n_copies
+            Further copies, which take capacity and add nothing; none if not given.
+        """
         if self.server.uplink != "cellular" or not self._any("central"):
             return state, LinkStats()
-        uplink, stats = self.uplink.by_cellular(state.uplink, messages, name_key, xy_m, time_s)
+        uplink, stats = self.uplink.by_cellular(state.uplink, messages, key, xy_m, time_s, is_valid, n_copies)
         return TrustState(state.hosts, uplink), stats
 
     def report_by_rsu(

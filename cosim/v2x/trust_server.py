@@ -81,18 +81,28 @@ class Uplink:
 
     def by_cellular(
         self, state: UplinkState, messages: EvaluationMessages, name_key: UInt64[ndarray, "v"],
-        xy_m: Float[ndarray, "v 2"], time_s: float,
+        xy_m: Float[ndarray, "v 2"], time_s: float, is_valid: Bool[ndarray, "v"] | None = None,
+        n_copies: Int[ndarray, "v"] | None = None,
     ) -> tuple[UplinkState, LinkStats]:  # fmt: skip
-        """Each evaluator's report leaves at `time_s`; the other arguments are aligned with the messages."""
+        """Each evaluator's report leaves at `time_s`; the other arguments are aligned with the messages.
+
+        Reports that are not valid reach nobody; further copies of a report take capacity of the cell, and no more.
+        """
         p, n = self.params.cellular, np.diff(messages.ptr)
         key = rng.key(self.seed, rng.Stream.UPLINK, messages.step)
         length = np.where(n > 0, report_bytes(n) + cellular.HEADER_BYTES, 0)
         delay_s = transfer_delay_s(key, name_key, p.uplink_loss_p, p.n_retries, p)
-        taken = within_capacity(
-            xy_m, length, rng.keys(key, name_key), p.cell_up_bytes_per_s * self.interval_s, p.cell_m
-        )
+        if is_valid is not None:
+            delay_s[~is_valid] = np.inf
+        keys, sent, place = rng.keys(key, name_key), length, xy_m
+        if n_copies is not None and n_copies.any():
+            of = np.repeat(np.arange(len(n)), np.where(length > 0, n_copies, 0))
+            number = np.arange(len(of)) - np.searchsorted(of, of)
+            keys = np.concatenate([keys, rng.keys(key, name_key[of], 1 + number)])
+            sent, place = np.concatenate([length, length[of]]), np.concatenate([xy_m, xy_m[of]])
+        taken = within_capacity(place, sent, keys, p.cell_up_bytes_per_s * self.interval_s, p.cell_m)[: len(n)]
         out = np.full(len(n), bool(self.params.is_out(time_s)))
-        return self._send(state, messages, time_s + delay_s, ~taken & ~out, out, int(length.sum()))
+        return self._send(state, messages, time_s + delay_s, ~taken & ~out, out, int(sent.sum()))
 
     def by_rsu(
         self, state: UplinkState, messages: EvaluationMessages, message: Int[ndarray, "m"],

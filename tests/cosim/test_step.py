@@ -74,9 +74,9 @@ def test_asking_changes_nothing(midway):
 class Backwards(Pseudonyms):
     """Pseudonyms in the reverse order of the vehicles' numbers."""
 
-    def issue(self, state, world, observers):
+    def issue(self, state, world, observers, wants=None):
         """1000 minus the vehicle's number."""
-        state, _, ended = super().issue(state, world, observers)
+        state, _, ended = super().issue(state, world, observers, wants)
         actor = world.actor[observers]
         current = state.current.copy()
         current[actor] = 1000 - actor

@@ -8,6 +8,7 @@ import pytest
 from cosim.adversary.adversary import Adversary
 from cosim.adversary.attack import AttackContext, EvaluationRows
 from cosim.adversary.ghost_insertion import GhostInsertion, GhostInsertionParams
+from cosim.adversary.params import AttackParams
 from cosim.adversary.unreliable import Unreliable, UnreliableParams
 from cosim.rng import name_key
 from cosim.v2x.messages import FABRICATED, SELF, SENSED, Detections, self_reports
@@ -19,9 +20,14 @@ HONEST, MALICIOUS, UNRELIABLE = range(3)
 """Numbers of `World.attack` for the attacks of `adversary_of`."""
 
 
-def adversary_of(start_s=0.0, seed=1, **ghosts):
-    attacks = GhostInsertion(GhostInsertionParams(**ghosts)), Unreliable(UnreliableParams())
-    return Adversary(attacks, (start_s, start_s), seed)
+def adversary_of(start_s=0.0, seed=1, ghosts="car_and_pedestrian", **keys):
+    attacks = GhostInsertion(GhostInsertionParams(ghosts=ghosts)), Unreliable(UnreliableParams())
+    params = AttackParams(start_s=start_s, **keys), AttackParams(start_s=start_s, role="unreliable")
+    return Adversary.of(params, attacks, seed)
+
+
+def acting(adversary, world, time_s=0.0):
+    return adversary.active(adversary.start(), world, time_s)
 
 
 def world_of(xy, yaw, attack, step=0):
@@ -40,9 +46,9 @@ def lists_of(world, n_each):
     observer = np.repeat(observers, n_each)
     index = np.tile(np.arange(1, n_each + 1), len(world))
     n = len(observer)
-    found = Detections(
+    found = Detections.perceived(
         observer, index, np.zeros(n, np.uint8), world.boxes.take(observer), np.full(n, 0.7), np.full(n, 50, np.int32),
-        np.full(n, SENSED, np.uint8), np.ones(n, bool),
+        np.full(n, SENSED, np.uint8),
     )  # fmt: skip
     return Detections.concat([self_reports(world, observers), found])
 
@@ -57,7 +63,7 @@ def test_car_and_pedestrian_in_front_of_the_nearest_neighbour():
     The pedestrian stands 2 m to the victim's right: heading north, that is east: (12, 8).
     """
     world = world_of([[0, 0], [10, 0], [60, 0]], [0, np.pi / 2, 0], [MALICIOUS, HONEST, HONEST])
-    ghosts = ghosts_of(adversary_of().detections(lists_of(world, 2), world, 0.0))
+    ghosts = ghosts_of(acting(adversary_of(), world).detections(lists_of(world, 2)))
     assert ghosts.observer.tolist() == [0, 0] and ghosts.detection_index.tolist() == [3, 4]
     assert ghosts.label.tolist() == [0, 1] and (ghosts.score == 1).all()
     np.testing.assert_allclose(ghosts.boxes.xyz_m, [[10, 8, 0.75], [12, 8, 0.875]], atol=1e-9)
@@ -66,15 +72,15 @@ def test_car_and_pedestrian_in_front_of_the_nearest_neighbour():
 
 def test_no_victim_in_range_no_ghost():
     world = world_of([[0, 0], [200, 0]], [0, 0], [MALICIOUS, HONEST])
-    assert len(adversary_of().detections(lists_of(world, 1), world, 0.0)) == 4
+    assert len(acting(adversary_of(), world).detections(lists_of(world, 1))) == 4
 
 
 def test_before_the_start_nothing_changes():
     world = world_of([[0, 0], [10, 0]], [0, 0], [MALICIOUS, UNRELIABLE])
     listed = lists_of(world, 20)
-    assert adversary_of(start_s=10.0).detections(listed, world, 9.0) is listed
+    assert acting(adversary_of(start_s=10.0), world, 9.0).detections(listed) is listed
     rows = EvaluationRows(np.array([0]), np.array([0]), np.array([0.5]), np.array([0.5]))
-    evaluation, visibility = adversary_of(start_s=10.0).evaluations(rows, listed, world, 9.0)
+    evaluation, visibility = acting(adversary_of(start_s=10.0), world, 9.0).evaluations(rows, listed)
     assert evaluation is rows.evaluation and visibility is rows.visibility
 
 
@@ -82,7 +88,7 @@ def test_unreliable_omits_and_adds_about_a_tenth():
     n = 300
     xy = np.random.default_rng(0).uniform(0, 5000, (n, 2))
     world = world_of(xy, np.zeros(n), np.full(n, UNRELIABLE))
-    listed = adversary_of(seed=3).detections(lists_of(world, 20), world, 0.0)
+    listed = acting(adversary_of(seed=3), world).detections(lists_of(world, 20))
     omitted = ~listed.transmitted
     added = listed.origin == FABRICATED
     assert not (omitted & (listed.origin != SENSED)).any()
@@ -99,13 +105,13 @@ def test_honest_rows_are_untouched_and_keys_unique(ghosts):
     xy = np.random.default_rng(1).uniform(0, 200, (30, 2))
     world = world_of(xy, np.linspace(-3, 3, 30), attack)
     before = lists_of(world, 5)
-    after = adversary_of(ghosts=ghosts).detections(before, world, 0.0)
+    after = acting(adversary_of(ghosts=ghosts), world).detections(before)
     assert (np.diff(after.observer * 1000 + after.detection_index) > 0).all()
     honest = after.take(np.flatnonzero(attack[after.observer] == HONEST))
     same = before.take(np.flatnonzero(attack[before.observer] == HONEST))
     for f in fields(Detections):
         if f.name != "boxes":
-            assert np.array_equal(getattr(honest, f.name), getattr(same, f.name)), f.name
+            np.testing.assert_array_equal(getattr(honest, f.name), getattr(same, f.name), f.name)
     assert np.array_equal(honest.boxes.xyz_m, same.boxes.xyz_m)
     assert (after.origin[after.detection_index == 0] == SELF).all()
 
@@ -113,10 +119,14 @@ def test_honest_rows_are_untouched_and_keys_unique(ghosts):
 def test_all_attackers_aim_at_a_named_victim():
     world = world_of([[0, 0], [10, 0], [60, 0], [500, 0]], np.zeros(4), [MALICIOUS, HONEST, MALICIOUS, MALICIOUS])
     world.name_key[1] = name_key("vehicle/ego")
-    ghosts = ghosts_of(adversary_of(ghosts="car", victim="ego").detections(lists_of(world, 1), world, 0.0))
+    ghosts = ghosts_of(
+        acting(adversary_of(ghosts="car", victim="one", victim_id="ego"), world).detections(lists_of(world, 1))
+    )
     assert ghosts.observer.tolist() == [0, 2]  # the third attacker is too far away
     np.testing.assert_allclose(ghosts.boxes.xyz_m[:, 0], 18.0)
-    assert not len(ghosts_of(adversary_of(victim="gone").detections(lists_of(world, 1), world, 0.0)))
+    assert not len(
+        ghosts_of(acting(adversary_of(victim="one", victim_id="gone"), world).detections(lists_of(world, 1)))
+    )
 
 
 @pytest.mark.parametrize("number", [MALICIOUS, UNRELIABLE])
@@ -125,11 +135,11 @@ def test_attackers_vouch_for_their_own_fabrications_alone(number):
     attack = np.where(np.arange(60) % 3 == 0, number, HONEST)
     xy = np.random.default_rng(2).uniform(0, 300, (60, 2))
     world = world_of(xy, np.zeros(60), attack)
-    adversary = adversary_of()
-    listed = adversary.detections(lists_of(world, 4), world, 0.0)
+    adversary = acting(adversary_of(), world)
+    listed = adversary.detections(lists_of(world, 4))
     evaluator, detection = (a.ravel() for a in np.meshgrid(np.arange(60), np.arange(len(listed)), indexing="ij"))
     rows = EvaluationRows(evaluator, detection, np.full(len(evaluator), -0.5), np.full(len(evaluator), 0.3))
-    evaluation, visibility = adversary.evaluations(rows, listed, world, 0.0)
+    evaluation, visibility = adversary.evaluations(rows, listed)
     own = (listed.observer[detection] == evaluator) & (listed.origin[detection] == FABRICATED)
     assert own.sum() > 5
     assert (evaluation == np.where(own, 1.0, -0.5)).all() and (visibility == np.where(own, 1.0, 0.3)).all()
@@ -147,10 +157,10 @@ class Deny:
 
 def test_an_attack_may_have_one_hook_alone():
     world = world_of([[0, 0], [10, 0]], [0, 0], [1, 0])
-    listed, adversary = lists_of(world, 0), Adversary((Deny(),), (0.0,), 1)
-    assert adversary.detections(listed, world, 0.0) is listed
+    listed, adversary = lists_of(world, 0), acting(Adversary.of([AttackParams(start_s=0)], [Deny()], 1), world)
+    assert adversary.detections(listed) is listed
     rows = EvaluationRows(np.array([0, 0, 1, 1]), np.array([0, 1, 0, 1]), np.full(4, 0.5), np.ones(4))
-    evaluation, _ = adversary.evaluations(rows, listed, world, 0.0)
+    evaluation, _ = adversary.evaluations(rows, listed)
     assert evaluation.tolist() == [0.5, -1.0, 0.5, 0.5]
 
 
@@ -158,7 +168,7 @@ def test_vehicles_without_equipment_attack_nothing():
     world = world_of([[0, 0], [10, 0]], [0, 0], [MALICIOUS, HONEST])
     world = replace(world, equipped=np.array([False, True]))
     listed = lists_of(world, 1)
-    assert adversary_of().detections(listed, world, 0.0) is listed
+    assert acting(adversary_of(), world).detections(listed) is listed
 
 
 def test_draws_depend_on_nothing_but_names():

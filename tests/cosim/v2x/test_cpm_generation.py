@@ -15,10 +15,10 @@ def list_of(*rows):
     observer, label, x, yaw = (np.array(column) for column in zip(*rows, strict=True))
     n = len(rows)
     k = np.arange(n) - np.searchsorted(observer, observer)
-    return Detections(
+    return Detections.perceived(
         observer, k, label.astype(np.uint8), Boxes(np.column_stack([x, np.zeros(n), np.zeros(n)]).astype(float),
         np.ones((n, 3)), np.radians(yaw.astype(float))), np.ones(n), np.zeros(n, np.int32),
-        np.where(k == 0, SELF, SENSED).astype(np.uint8), np.ones(n, bool),
+        np.where(k == 0, SELF, SENSED).astype(np.uint8),
     )  # fmt: skip
 
 

@@ -1,0 +1,38 @@
+"""All attacks that ship, by name."""
+
+from collections.abc import Mapping
+
+from cosim.adversary import evaluations, falsification, ghosts, identity, radio, self_report
+from cosim.adversary.ghost_insertion import GhostInsertion
+from cosim.adversary.unreliable import Unreliable
+
+ATTACKS: Mapping[str, type] = {
+    "ghost_insertion": GhostInsertion,
+    "unreliable": Unreliable,
+    "approaching_ghost": ghosts.ApproachingGhost,
+    "replay": ghosts.Replay,
+    "stale": ghosts.Stale,
+    "removal": falsification.Removal,
+    "offset": falsification.Offset,
+    "drift": falsification.Drift,
+    "mirror": falsification.Mirror,
+    "heading": falsification.Heading,
+    "size": falsification.Size,
+    "classification": falsification.Classification,
+    "score": falsification.Score,
+    "speed": self_report.Speed,
+    "braking": self_report.Braking,
+    "stop": self_report.Stop,
+    "bad_mouthing": evaluations.BadMouthing,
+    "ballot_stuffing": evaluations.BallotStuffing,
+    "collusion": evaluations.Collusion,
+    "discrimination": evaluations.Discrimination,
+    "random_evaluations": evaluations.RandomEvaluations,
+    "majority_copying": evaluations.MajorityCopying,
+    "replayed_evaluations": evaluations.ReplayedEvaluations,
+    "sybil": identity.Sybil,
+    "denial_of_service": radio.DenialOfService,
+    "delay": radio.Delay,
+    "server_flooding": radio.ServerFlooding,
+}
+"""Attacks at hand, by the config's name."""

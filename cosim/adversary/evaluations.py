@@ -1,0 +1,203 @@
+"""False evaluations of others' detections: attacks on the trust that everybody has in everybody else."""
+
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+from annotated_types import Ge, Gt, Le
+from jaxtyping import Bool, Float, Int
+from numpy import ndarray
+
+from cosim.adversary.attack import AttackContext, EvaluationRows
+from cosim.v2x.messages import Detections
+
+Reported = tuple[Float[ndarray, "m"], Float[ndarray, "m"]]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class VoicesParams:
+    """Under how many identities evaluations go out."""
+
+    n_voices: Annotated[int, Ge(1), Le(20)] = 1
+    """Identities under which each attacker sends its evaluations, its own included: Sybil voices, each with a
+    pseudonym and messages of its own. SCMS issues 20 certificates that are valid at once."""
+
+
+class _Voices:
+    """Attackers speak with several voices."""
+
+    Params: type = VoicesParams
+
+    def __init__(self, params: VoicesParams) -> None:
+        self.params = params
+
+    def identities(self, context: AttackContext) -> Int[ndarray, "n"]:
+        """Those beside its own."""
+        return np.full(len(context.world), self.params.n_voices - 1)
+
+
+def _falsified(rows: EvaluationRows, chosen: Bool[ndarray, "m"], evaluation: ndarray | float) -> Reported:
+    """Chosen rows with another evaluation and full visibility."""
+    return np.where(chosen, evaluation, rows.evaluation), np.where(chosen, 1.0, rows.visibility)
+
+
+def _of_others(rows: EvaluationRows, detections: Detections, context: AttackContext) -> tuple[ndarray, ndarray]:
+    """Rows by attackers about others, and the observer of each row."""
+    observer = detections.observer[rows.detection]
+    return context.attacker[rows.evaluator] & (observer != rows.evaluator), observer
+
+
+def _accomplices(rows: EvaluationRows, observer: Int[ndarray, "m"], context: AttackContext) -> Bool[ndarray, "m"]:
+    """Rows about members of the evaluator's own ring."""
+    return context.member[observer] & (context.ring[observer] == context.ring[rows.evaluator])
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class BadMouthingParams(VoicesParams):
+    """Whom it denies."""
+
+    only_victim: bool = False
+    """Deny the detections of the victim alone; else of all who are no accomplices."""
+
+
+class BadMouthing(_Voices):
+    """Detections of others are denied: evaluation -1 and visibility 1; accomplices are spared."""
+
+    Params = BadMouthingParams
+
+    def evaluations(self, rows: EvaluationRows, detections: Detections, context: AttackContext) -> Reported:
+        """Rows about others denied."""
+        chosen, observer = _of_others(rows, detections, context)
+        chosen &= ~_accomplices(rows, observer, context)
+        if self.params.only_victim:
+            chosen &= observer == context.victim_of()[rows.evaluator]
+        return _falsified(rows, chosen, -1.0)
+
+
+class BallotStuffing(_Voices):
+    """Whatever accomplices detect or make up is confirmed: evaluation 1 and visibility 1."""
+
+    def evaluations(self, rows: EvaluationRows, detections: Detections, context: AttackContext) -> Reported:
+        """Rows about accomplices confirmed."""
+        chosen, observer = _of_others(rows, detections, context)
+        return _falsified(rows, chosen & _accomplices(rows, observer, context), 1.0)
+
+
+class Collusion(_Voices):
+    """A ring confirms its members and denies everybody else: ballot stuffing and bad-mouthing."""
+
+    Params = BadMouthingParams
+
+    def evaluations(self, rows: EvaluationRows, detections: Detections, context: AttackContext) -> Reported:
+        """Rows about others, for or against."""
+        chosen, observer = _of_others(rows, detections, context)
+        friends = _accomplices(rows, observer, context)
+        denied = np.ones(len(friends), bool)
+        if self.params.only_victim:
+            denied = observer == context.victim_of()[rows.evaluator]
+        return _falsified(rows, chosen & (friends | denied), np.where(friends, 1.0, -1.0))
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class DiscriminationParams(VoicesParams):
+    """Who is treated unfairly."""
+
+    group_p: Annotated[float, Ge(0), Le(1)] = 0.3
+    """Share of the vehicles that form the group, decided from their names, the same for all attackers."""
+
+
+class Discrimination(_Voices):
+    """Honest to most, and bad-mouthing towards one group, so that opinions of the attacker differ."""
+
+    Params = DiscriminationParams
+
+    def evaluations(self, rows: EvaluationRows, detections: Detections, context: AttackContext) -> Reported:
+        """Rows about the group denied."""
+        chosen, observer = _of_others(rows, detections, context)
+        group = context.lasting(context.world.name_key)[:, 0] < self.params.group_p
+        return _falsified(rows, chosen & group[observer], -1.0)
+
+
+class RandomEvaluations(_Voices):
+    """Evaluations drawn from U(-1, 1) with full visibility, about everybody else."""
+
+    def evaluations(self, rows: EvaluationRows, detections: Detections, context: AttackContext) -> Reported:
+        """Rows about others drawn."""
+        chosen, _ = _of_others(rows, detections, context)
+        at = np.flatnonzero(chosen)
+        detection = rows.detection[at]
+        draws = context.uniforms(
+            context.name_key(rows.evaluator[at]), context.name_key(detections.observer[detection]),
+            detections.identity[detection], detections.detection_index[detection],
+        )[:, 0]  # fmt: skip
+        drawn = np.zeros(len(chosen))
+        drawn[at] = 2.0 * draws - 1.0
+        return _falsified(rows, chosen, drawn)
+
+
+class MajorityCopying(_Voices):
+    """A free rider: it does not judge, but says what most others say of each detection, as loud as they do.
+
+    Notes
+    -----
+    Deviations: it knows all evaluations of the same step, as if it waited until all had been sent and heard them all.
+    """
+
+    def evaluations(self, rows: EvaluationRows, detections: Detections, context: AttackContext) -> Reported:
+        """Rows replaced by the mean of the others, where there are any; else left out (visibility 0)."""
+        chosen, _ = _of_others(rows, detections, context)
+        n = len(detections)
+        honest = ~context.attacker[rows.evaluator] & (rows.evaluator != detections.observer[rows.detection])
+        weight = np.where(honest, rows.visibility, 0.0)
+        total = np.bincount(rows.detection, weight, n)
+        voters = np.bincount(rows.detection, weight > 0, n)
+        mean = np.divide(
+            np.bincount(rows.detection, weight * rows.evaluation, n), total, out=np.zeros(n), where=total > 0
+        )
+        loud = np.divide(total, voters, out=np.zeros(n), where=voters > 0)
+        at = rows.detection
+        return np.where(chosen, mean[at], rows.evaluation), np.where(chosen, loud[at], rows.visibility)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ReplayedEvaluationsParams(VoicesParams):
+    """How old evaluations are."""
+
+    n_messages: Annotated[int, Gt(0), Le(10_000)] = 10
+    """Every evaluation is the attacker's own of so many messages ago, of the same sender and detection index."""
+
+
+class ReplayedEvaluations(_Voices):
+    """Old evaluations sent again for detections of the same number; left out (visibility 0) where there were none.
+
+    Notes
+    -----
+    Deviations: in the first messages the oldest evaluations are repeated.
+    """
+
+    Params = ReplayedEvaluationsParams
+
+    def evaluations(self, rows: EvaluationRows, detections: Detections, context: AttackContext) -> Reported:
+        """Rows replaced by old ones."""
+        chosen, observer = _of_others(rows, detections, context)
+        actor = context.world.actor.astype(np.int64)
+        at = np.flatnonzero(chosen)
+        detection = rows.detection[at]
+        key = np.column_stack([
+            actor[rows.evaluator[at]] << 32 | actor[observer[at]],
+            detections.identity[detection] << 20 | detections.detection_index[detection],
+        ])  # fmt: skip
+        past = context.memory.setdefault("past", [])
+        past.append((key, rows.evaluation[at], rows.visibility[at]))
+        del past[: -self.params.n_messages - 1]
+        old_key, old_e, old_phi = past[0]
+        e, phi = rows.evaluation.copy(), rows.visibility.copy()
+        joined, which = np.unique(np.concatenate([old_key, key]), axis=0, return_inverse=True)
+        which = which.reshape(-1)
+        was = np.full(len(joined), -1)
+        was[which[: len(old_key)]] = np.arange(len(old_key))
+        found = was[which[len(old_key) :]]
+        known = found >= 0
+        e[at[known]], phi[at[known]] = old_e[found[known]], old_phi[found[known]]
+        phi[at[~known]] = 0.0
+        return e, phi

@@ -1,0 +1,133 @@
+"""What a vehicle falsifies about its own motion: speed, braking, stopping."""
+
+from dataclasses import dataclass, replace
+from typing import Annotated
+
+import numpy as np
+from annotated_types import Ge, Gt, Le
+from jaxtyping import Bool, Float, Int
+from numpy import ndarray
+
+from cosim.adversary.attack import AttackContext, per_actor
+from cosim.v2x.messages import SELF, Detections
+
+
+def _selves(listed: Detections, chosen: Bool[ndarray, "n"]) -> Int[ndarray, "r"]:
+    """Self reports of these actors, rows of the world."""
+    return np.flatnonzero(chosen[listed.observer] & (listed.origin == SELF))
+
+
+def _told(
+    listed: Detections, rows: Int[ndarray, "r"], speed_mps: Float[ndarray, "r"], acceleration_mps2: Float[ndarray, "r"]
+) -> Detections:
+    speed, acceleration = listed.speed_mps.copy(), listed.acceleration_mps2.copy()
+    speed[rows], acceleration[rows] = speed_mps, acceleration_mps2
+    return replace(listed, speed_mps=speed, acceleration_mps2=acceleration)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class SpeedParams:
+    """How wrong the speed is."""
+
+    min_mps: Annotated[float, Ge(0), Le(100)] = 1.0
+    """Smallest error [m/s]; default as in NextGen."""
+    max_mps: Annotated[float, Gt(0), Le(100)] = 7.0
+    """Largest error [m/s]; default as in NextGen."""
+
+    def __post_init__(self) -> None:
+        if self.min_mps > self.max_mps:
+            raise ValueError(
+                f"attacks.min_mps = {self.min_mps:g} m/s is above attacks.max_mps = {self.max_mps:g} m/s. Swap them."
+            )
+
+
+class Speed:
+    """A wrong speed: +-U(min_mps, max_mps), drawn for every message, never below 0 (NextGen)."""
+
+    Params = SpeedParams
+
+    def __init__(self, params: SpeedParams) -> None:
+        self.params = params
+
+    def detections(self, listed: Detections, context: AttackContext) -> Detections:
+        """Self reports with another speed."""
+        p, rows = self.params, _selves(listed, context.attacker)
+        u = context.uniforms(context.name_key(listed.observer[rows]), n=2)
+        error = (p.min_mps + (p.max_mps - p.min_mps) * u[:, 0]) * np.where(u[:, 1] < 0.5, -1.0, 1.0)
+        speed = np.maximum(listed.speed_mps[rows] + error, 0.0)
+        return _told(listed, rows, speed, listed.acceleration_mps2[rows])
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class BrakingParams:
+    """How hard the feigned braking is."""
+
+    min_factor: Annotated[float, Gt(0), Le(100)] = 2.0
+    """Smallest factor; default as in NextGen."""
+    max_factor: Annotated[float, Gt(0), Le(100)] = 4.0
+    """Largest factor; default as in NextGen."""
+    least_mps2: Annotated[float, Gt(0), Le(100)] = 1.0
+    """Deceleration that is multiplied where the vehicle does not brake at all [m/s2]."""
+
+    def __post_init__(self) -> None:
+        if self.min_factor > self.max_factor:
+            raise ValueError(
+                f"attacks.min_factor = {self.min_factor:g} is above attacks.max_factor = {self.max_factor:g}. "
+                "Swap them."
+            )
+
+
+class Braking:
+    """Feigned braking: the vehicle's own deceleration times U(2, 4), as NextGen has it, for every message.
+
+    Notes
+    -----
+    Deviations: a vehicle that does not brake pretends to, from `least_mps2` on; the reported speed stays.
+    """
+
+    Params = BrakingParams
+
+    def __init__(self, params: BrakingParams) -> None:
+        self.params = params
+
+    def detections(self, listed: Detections, context: AttackContext) -> Detections:
+        """Self reports with another acceleration."""
+        p, rows = self.params, _selves(listed, context.attacker)
+        u = context.uniforms(context.name_key(listed.observer[rows]))[:, 0]
+        factor = p.min_factor + (p.max_factor - p.min_factor) * u
+        brakes = np.maximum(-listed.acceleration_mps2[rows], p.least_mps2)
+        return _told(listed, rows, listed.speed_mps[rows], -factor * brakes)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class StopParams:
+    """When a vehicle pretends to stop."""
+
+    stop_p: Annotated[float, Ge(0), Le(1)] = 0.05
+    """Chance, per message, that it begins to pretend; from then on it does. Default as in NextGen; 1 stops at once."""
+
+
+class Stop:
+    """A sudden or eventual stop: speed 0, at the place where it begins, for good (NextGen, F2MD)."""
+
+    Params = StopParams
+
+    def __init__(self, params: StopParams) -> None:
+        self.params = params
+
+    def detections(self, listed: Detections, context: AttackContext) -> Detections:
+        """Self reports that stay where they were."""
+        world, attacker = context.world, context.attacker
+        begins = context.uniforms(world.name_key)[:, 0] < self.params.stop_p
+        anew = attacker & (context.n_active == 0)
+        stood = per_actor(context, "stands", anew, 0.0) > 0
+        pose = np.column_stack([world.boxes.xyz_m, world.boxes.yaw_rad])
+        now = attacker & begins & ~stood
+        stands = (per_actor(context, "stands", now, 1.0) > 0) & attacker
+        pose = per_actor(context, "pose", now, pose)
+        rows = _selves(listed, stands)
+        who = listed.observer[rows]
+        xyz, yaw = listed.boxes.xyz_m.copy(), listed.boxes.yaw_rad.copy()
+        xyz[rows], yaw[rows] = pose[who, :3], pose[who, 3]
+        held = replace(listed, boxes=replace(listed.boxes, xyz_m=xyz, yaw_rad=yaw))
+        return _told(held, rows, np.zeros(len(rows)), np.zeros(len(rows)))

@@ -1,0 +1,146 @@
+"""Who sends in a step: every equipped vehicle under its own identity, and attackers under further ones."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Bool, Int, UInt64
+from numpy import ndarray
+
+from cosim import rng
+from cosim.adversary.attack import Sending
+from cosim.radio.message_round import LinkReceptions, MessageRound, Messages, Receptions, by_link
+from cosim.ragged import expand
+from cosim.v2x.messages import Detections
+from trust.tables import ObjectLists
+
+
+@dataclass(frozen=True, slots=True)
+class Vehicles:
+    """Equipped vehicles on the road, by actor number."""
+
+    row: Int[ndarray, "e"]
+    """Row of the world."""
+    actor: Int[ndarray, "e"]
+    name_key: UInt64[ndarray, "e"]
+    pseudonym: Int[ndarray, "e"]
+    """Of each vehicle's own identity."""
+
+    def __len__(self) -> int:
+        return len(self.row)
+
+
+@dataclass(frozen=True, slots=True)
+class Senders:
+    """Messages of one kind in a step: one per vehicle and identity, by vehicle, the own identity first."""
+
+    vehicle: Int[ndarray, "m"]
+    """Row of `Vehicles`, and of the sending station."""
+    identity: Int[ndarray, "m"]
+    """0 for the vehicle's own."""
+    pseudonym: Int[ndarray, "m"]
+    own: Int[ndarray, "e"]
+    """Message of each vehicle's own identity."""
+    key: UInt64[ndarray, "m"]
+    """Of each message's draws: the vehicle's for its own identity."""
+    is_valid: Bool[ndarray, "m"]
+    """False where the pseudonym has been revoked: receivers drop the message."""
+
+    def __len__(self) -> int:
+        return len(self.vehicle)
+
+    @property
+    def n_vehicles(self) -> int:
+        return len(self.own)
+
+    @staticmethod
+    def of(vehicles: Vehicles, n_extra: Int[ndarray, "e"]) -> "Senders":
+        """The own identity of each vehicle, and these numbers of further ones, whose pseudonyms are still missing."""
+        vehicle = np.repeat(np.arange(len(vehicles)), 1 + n_extra)
+        own = np.searchsorted(vehicle, np.arange(len(vehicles)))
+        identity = np.arange(len(vehicle)) - own[vehicle]
+        key = vehicles.name_key[vehicle]
+        more = np.flatnonzero(identity)
+        if len(more):
+            key[more] = rng.keys(rng.key(0, rng.Stream.SENDER), key[more], identity[more])
+        pseudonym = vehicles.pseudonym[vehicle]
+        return Senders(vehicle, identity, pseudonym, own, key, np.ones(len(vehicle), bool))
+
+    def message_of(self, listed: Detections, observers: Int[ndarray, "e"]) -> Int[ndarray, "d"]:
+        """Message that contains each detection; `observers` are the vehicles' rows of the world."""
+        return self.own[np.searchsorted(observers, listed.observer)] + listed.identity
+
+    def by_actor(self, actor: Int[ndarray, "e"]) -> Int[ndarray, "m"]:
+        """Actor number and identity in one number that is the same in every step."""
+        return actor[self.vehicle].astype(np.int64) << 16 | self.identity
+
+
+@dataclass(frozen=True, slots=True)
+class OnAir:
+    """Frames to be sent in a round: a message row each, copies included, then those of roadside units."""
+
+    messages: Messages
+    message: Int[ndarray, "a"]
+    """Row of `Senders`; for roadside units numbered on."""
+
+    @staticmethod
+    def of(
+        senders: Senders, length_bytes: Int[ndarray, "m"], n_rsus: int, rsu_bytes: int = 0,
+        sending: Sending | None = None,
+    ) -> "OnAir":  # fmt: skip
+        """What vehicles and roadside units send; `sending` by row of `Vehicles`, if any of them attacks the channel."""
+        n, stations = len(senders), senders.n_vehicles + np.arange(n_rsus)
+        length = np.concatenate([length_bytes, np.full(n_rsus, rsu_bytes)])
+        station, message = np.concatenate([senders.vehicle, stations]), np.arange(n + n_rsus)
+        if sending is None:
+            return OnAir(Messages(station, length), message)
+        delay_s = np.concatenate([sending.delay_s[senders.vehicle], np.zeros(n_rsus)])
+        times = np.concatenate([1 + sending.n_copies[senders.vehicle], np.ones(n_rsus, np.int64)])
+        row = np.repeat(message, times)
+        number = np.arange(len(row)) - np.searchsorted(row, row)
+        order = np.lexsort((row, number, station[row]))  # copies after all that the station has to say
+        row = row[order]
+        return OnAir(Messages(station[row], length[row], delay_s[row]), row)
+
+    def links(self, happened: MessageRound, n_vehicles: int) -> LinkReceptions:
+        """Receptions by kind of link, by row of `Senders`; of several copies the first to arrive counts."""
+        links = by_link(happened, n_vehicles)
+        if (np.diff(self.message) == 1).all():
+            return links
+        return LinkReceptions(*(self._once(found) for found in links))
+
+    def _once(self, found: Receptions) -> Receptions:
+        found = replace(found, message=self.message[found.message])
+        found = found.take(np.lexsort((found.received_s, found.message, found.receiver)))
+        pair = found.receiver.astype(np.int64) << 32 | found.message
+        return found.take(np.append(True, pair[1:] != pair[:-1])[: len(pair)])
+
+
+def lists_of_voices(lists: ObjectLists, senders: Senders) -> tuple[ObjectLists, Int[ndarray, "m"] | None]:
+    """What is evaluated under every identity: all identities of a vehicle evaluate the same.
+
+    Parameters
+    ----------
+    lists
+        What each vehicle evaluates.
+
+    Returns
+    -------
+    A list per message, and its members' positions in `lists`; None where nobody has a second identity.
+    """
+    if len(senders) == senders.n_vehicles:
+        return lists, None
+    at, of = expand(lists.ptr[senders.vehicle], lists.ptr[senders.vehicle + 1])
+    ptr = np.searchsorted(of, np.arange(len(senders) + 1))
+    return ObjectLists(ptr, lists.member[at], np.arange(len(senders))), at
+
+
+def sending_of(sending: Sending, vehicles: Vehicles) -> Sending | None:
+    """The same by row of `Vehicles`; None where nobody attacks the channel or the server."""
+    mine = Sending(*(column[vehicles.row] for column in (sending.delay_s, sending.n_copies, sending.n_reports)))
+    return None if mine.is_plain() else mine
+
+
+def distinct(number: Int[ndarray, "m"], message: Int[ndarray, "d"]) -> tuple[Int[ndarray, "k"], Int[ndarray, "d"]]:
+    """Numbers that several messages may share, each once and ascending, and the row of each message's number."""
+    once, row = np.unique(number, return_inverse=True)
+    return once, row.reshape(-1)[message]

@@ -1,0 +1,128 @@
+"""Receivers that link a new pseudonym to one that has fallen silent, by place and speed.
+
+A sender that is heard for the first time stands where another one would be by now, of which nothing is heard any more:
+the receiver takes the two for one, and uses what it knows of the old one as long as it knows nothing of the new.
+"""
+
+from dataclasses import dataclass, field, fields, replace
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from numpy import ndarray
+
+from cosim.ragged import expand
+from cosim.v2x.pseudonyms import PseudonymParams
+from cosim.v2x.trust_hosts import Lookups
+from results.codes import TrustSource
+
+
+@dataclass(frozen=True, slots=True)
+class HeardSenders:
+    """What receivers remember of senders: a row per receiver (actor number) and pseudonym, sorted."""
+
+    receiver: Int[ndarray, "n"] = field(default_factory=lambda: np.zeros(0, np.int64))
+    pseudonym: Int[ndarray, "n"] = field(default_factory=lambda: np.zeros(0, np.int64))
+    xy_m: Float[ndarray, "n 2"] = field(default_factory=lambda: np.zeros((0, 2)))
+    velocity_mps: Float[ndarray, "n 2"] = field(default_factory=lambda: np.zeros((0, 2)))
+    time_s: Float[ndarray, "n"] = field(default_factory=lambda: np.zeros(0))
+    linked: Int[ndarray, "n"] = field(default_factory=lambda: np.zeros(0, np.int64))
+    """Earlier pseudonym of which the receiver knew a trust value; -1 for none."""
+    rated: Bool[ndarray, "n"] = field(default_factory=lambda: np.zeros(0, bool))
+    """Whether the receiver knew a trust value of this pseudonym itself."""
+    n_changes: int = 0
+    """Changes so far of senders that the receiver had heard just before; ground truth, read by nobody."""
+    n_linked: int = 0
+    n_right: int = 0
+    """Of those linked, pairs of one sender; ground truth, read by nobody."""
+
+    @property
+    def key(self) -> Int[ndarray, "n"]:
+        return self.receiver << 31 | self.pseudonym
+
+    def take(self, rows: ndarray) -> "HeardSenders":
+        """These rows."""
+        columns = {f.name: getattr(self, f.name)[rows] for f in fields(self) if not f.name.startswith("n_")}
+        return replace(self, **columns)
+
+    def rows_of(self, receiver: Int[ndarray, "q"], pseudonym: Int[ndarray, "q"]) -> Int[ndarray, "q"]:
+        """Row of each pair; all of them are remembered."""
+        return np.searchsorted(self.key, receiver.astype(np.int64) << 31 | pseudonym)
+
+
+def heard(
+    before: HeardSenders, receiver: Int[ndarray, "r"], pseudonym: Int[ndarray, "r"], xy_m: Float[ndarray, "r 2"],
+    velocity_mps: Float[ndarray, "r 2"], time_s: float, owner: Int[ndarray, "r"], owner_before: Int[ndarray, "n"],
+    params: PseudonymParams,
+) -> HeardSenders:  # fmt: skip
+    """Remember the senders of one round, and link those that are new.
+
+    Parameters
+    ----------
+    receiver, pseudonym, xy_m, velocity_mps
+        Of every reception, each pair once; as the message says.
+    owner, owner_before
+        Vehicles behind the pseudonyms, and behind those of `before`: for counting alone.
+    """
+    order = np.lexsort((pseudonym, receiver))
+    n = len(order)
+    now = HeardSenders(
+        receiver[order].astype(np.int64), pseudonym[order].astype(np.int64), xy_m[order], velocity_mps[order],
+        np.full(n, time_s), np.full(n, -1), np.zeros(n, bool), before.n_changes, before.n_linked, before.n_right,
+    )  # fmt: skip
+    owner = owner[order]
+    there = np.isin(now.key, before.key)
+    was = np.searchsorted(before.key, now.key[there])
+    now.linked[there], now.rated[there] = before.linked[was], before.rated[was]
+    silent = ~np.isin(before.key, now.key) & (time_s - before.time_s <= params.own_gap_s + 1e-9)
+    lost, new = np.flatnonzero(silent), np.flatnonzero(~there)
+    begin, end = (np.searchsorted(before.receiver[lost], now.receiver[new], side) for side in ("left", "right"))
+    at, which = expand(begin, end)
+    a, b = new[which], lost[at]
+    expected = before.xy_m[b] + before.velocity_mps[b] * (time_s - before.time_s[b])[:, None]
+    off_m = np.hypot(*(now.xy_m[a] - expected).T)
+    fits = off_m <= params.own_gate_m
+    n_changes = int((owner[a] == owner_before[b]).sum())
+    a, b, off_m = a[fits], b[fits], off_m[fits]
+    order = np.lexsort((b, a, off_m))
+    a, b = a[order], b[order]
+    best = np.zeros(len(a), bool)
+    best[np.unique(a, return_index=True)[1]] = True
+    mutual = np.zeros(len(a), bool)
+    mutual[np.unique(b, return_index=True)[1]] = True
+    a, b = a[best & mutual], b[best & mutual]
+    now.linked[a] = np.where(before.rated[b], before.pseudonym[b], before.linked[b])
+    n_right = int((owner[a] == owner_before[b]).sum())
+    now = replace(
+        now, n_changes=now.n_changes + n_changes, n_linked=now.n_linked + len(a), n_right=now.n_right + n_right
+    )
+    return _joined(now, before.take(lost[~np.isin(lost, b)]))
+
+
+def _joined(one: HeardSenders, other: HeardSenders) -> HeardSenders:
+    columns = {
+        f.name: np.concatenate([getattr(one, f.name), getattr(other, f.name)])
+        for f in fields(one) if not f.name.startswith("n_")
+    }  # fmt: skip
+    joined = replace(one, **columns)
+    return joined.take(np.argsort(joined.key, kind="stable"))
+
+
+def noted(memory: HeardSenders, rows: Int[ndarray, "q"], known: Bool[ndarray, "q"]) -> HeardSenders:
+    """Remember of which pseudonyms a trust value was known when it was looked up."""
+    rated = memory.rated.copy()
+    rated[rows] = known
+    return replace(memory, rated=rated)
+
+
+def fallen_back(found: Lookups, rows: Int[ndarray, "k"], of_old: Lookups) -> Lookups:
+    """Look-ups with the default replaced, in these rows, by what is known of the old pseudonym."""
+    better = of_old.source != TrustSource.DEFAULT
+    columns: dict[str, ndarray | None] = {}
+    for f in fields(Lookups):
+        new, old = getattr(found, f.name), getattr(of_old, f.name)
+        if new is None or old is None:  # the trust model does not count it
+            columns[f.name] = None
+            continue
+        columns[f.name] = new.copy()
+        columns[f.name][rows[better]] = old[better]
+    return replace(found, **columns)
