@@ -94,7 +94,7 @@ def key(seed: int, stream: Stream, step: int = 0) -> np.uint64:
     return _mix_rows(np.uint64(seed), prefix)[0]
 
 
-def keys(prefix: np.uint64, *ids: ndarray) -> UInt64[ndarray, "n"]:
+def keys(prefix: np.uint64, *ids: ndarray | np.unsignedinteger) -> UInt64[ndarray, "n"]:
     """One key per row of identifiers (arrays of one length, or scalars beside one)."""
     columns = [np.atleast_1d(np.asarray(i)).astype(np.uint64) for i in ids]
     rows = np.empty((np.broadcast(*columns).size, len(columns)), np.uint64)
@@ -103,7 +103,7 @@ def keys(prefix: np.uint64, *ids: ndarray) -> UInt64[ndarray, "n"]:
     return _mix_rows(prefix, rows)
 
 
-def uniforms(prefix: np.uint64, *ids: ndarray, n: int = 1) -> Float[ndarray, "rows n"]:
+def uniforms(prefix: np.uint64, *ids: ndarray | np.unsignedinteger, n: int = 1) -> Float[ndarray, "rows n"]:
     """`n` uniforms in [0, 1) for each row of identifiers."""
     return _uniform_rows(keys(prefix, *ids), n)
 

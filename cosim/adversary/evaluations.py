@@ -69,7 +69,7 @@ class BadMouthing(_Voices):
         """Rows about others denied."""
         chosen, observer = _of_others(rows, detections, context)
         chosen &= ~_accomplices(rows, observer, context)
-        if self.params.only_victim:
+        if self.params.only_victim:  # type: ignore[attr-defined]
             chosen &= observer == context.victim_of()[rows.evaluator]
         return _falsified(rows, chosen, -1.0)
 
@@ -93,7 +93,7 @@ class Collusion(_Voices):
         chosen, observer = _of_others(rows, detections, context)
         friends = _accomplices(rows, observer, context)
         denied = np.ones(len(friends), bool)
-        if self.params.only_victim:
+        if self.params.only_victim:  # type: ignore[attr-defined]
             denied = observer == context.victim_of()[rows.evaluator]
         return _falsified(rows, chosen & (friends | denied), np.where(friends, 1.0, -1.0))
 
@@ -114,7 +114,7 @@ class Discrimination(_Voices):
     def evaluations(self, rows: EvaluationRows, detections: Detections, context: AttackContext) -> Reported:
         """Rows about the group denied."""
         chosen, observer = _of_others(rows, detections, context)
-        group = context.lasting(context.world.name_key)[:, 0] < self.params.group_p
+        group = context.lasting(context.world.name_key)[:, 0] < self.params.group_p  # type: ignore[attr-defined]
         return _falsified(rows, chosen & group[observer], -1.0)
 
 
@@ -189,7 +189,7 @@ class ReplayedEvaluations(_Voices):
         ])  # fmt: skip
         past = context.memory.setdefault("past", [])
         past.append((key, rows.evaluation[at], rows.visibility[at]))
-        del past[: -self.params.n_messages - 1]
+        del past[: -self.params.n_messages - 1]  # type: ignore[attr-defined]
         old_key, old_e, old_phi = past[0]
         e, phi = rows.evaluation.copy(), rows.visibility.copy()
         joined, which = np.unique(np.concatenate([old_key, key]), axis=0, return_inverse=True)

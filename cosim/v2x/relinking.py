@@ -103,7 +103,7 @@ def _joined(one: HeardSenders, other: HeardSenders) -> HeardSenders:
         f.name: np.concatenate([getattr(one, f.name), getattr(other, f.name)])
         for f in fields(one) if not f.name.startswith("n_")
     }  # fmt: skip
-    joined = replace(one, **columns)
+    joined = replace(one, **columns)  # type: ignore[arg-type]
     return joined.take(np.argsort(joined.key, kind="stable"))
 
 
@@ -124,5 +124,5 @@ def fallen_back(found: Lookups, rows: Int[ndarray, "k"], of_old: Lookups) -> Loo
             columns[f.name] = None
             continue
         columns[f.name] = new.copy()
-        columns[f.name][rows[better]] = old[better]
-    return replace(found, **columns)
+        columns[f.name][rows[better]] = old[better]  # type: ignore[index]
+    return replace(found, **columns)  # type: ignore[arg-type]
