@@ -63,7 +63,8 @@ def write(folder, seed=0, steps=240, level="full", block_steps=60, reach_m=200.0
         })  # fmt: skip
         record.append("pseudonyms", steps - 1, {
             "pseudonym": np.flatnonzero(equipped), "vehicle": np.flatnonzero(equipped),
-            "from_step": first[equipped], "to_step": last[equipped],
+            "identity": np.zeros(equipped.sum(), int), "from_step": first[equipped], "to_step": last[equipped],
+        "refused_step": None,
         })  # fmt: skip
     manifest = {
         "dt_s": 1.0, "steps": steps, "seed": seed,
@@ -216,7 +217,10 @@ def _see(record, step, here, talk, xyz, yaw, lwh, kind, role, lied, rng):
     truths = {"truth_actor": truth, "truth_actor__valid": true, "truth_iou": iou, "truth_iou__valid": true}
     record.append("detections", step, {
         "observer": observer, "detection_index": k, "class": label[truth], **boxes, "score": score,
-        "n_points": np.r_[np.zeros(s, int), points, np.zeros(m, int)], "origin": origin, "transmitted": sent,
+        "n_points": np.r_[np.zeros(s, int), points, np.zeros(m, int)],
+        "speed_mps": np.zeros(len(box)), "speed_mps__valid": origin == 0,
+        "acceleration_mps2": np.zeros(len(box)), "acceleration_mps2__valid": origin == 0,
+        "origin": origin, "transmitted": sent, "lied": origin == 2,
         "withheld": ~sent, "target": None, **truths,
         "truth_occlusion": np.r_[np.zeros(s), 1 - points / free, np.zeros(m)], "truth_occlusion__valid": true,
     })  # fmt: skip
@@ -227,7 +231,7 @@ def _see(record, step, here, talk, xyz, yaw, lwh, kind, role, lied, rng):
         "evaluator": e, "observer": observer[j], "detection_index": k[j],
         "evaluation": np.where(true[j], score[j], -1), "visibility": rng.random(len(e)),
         "n_points": rng.integers(0, 90, len(e)),
-        "plausible": None, "matched": true[j],
+        "plausible": None, "matched": true[j], "lied": np.zeros(len(e), bool),
     })  # fmt: skip
     lie = np.flatnonzero(origin[j] == 2)
     record.append("attack_outcomes", step, {
