@@ -88,7 +88,7 @@ def test_pseudonyms_are_names(base, tmp_path):
     other = open_run(drive(tmp_path / "other", FULL, "pseudonyms.policy=tests.parts:Renumbered"))
     names = other.pseudonyms.set_index("pseudonym").vehicle
     assert names.is_unique and (names.index != names).any()
-    for name, table in TABLES.items():
+    for name, _table in TABLES.items():
         a, b = one.table(name), other.table(name)
         for column in PSEUDONYMS[name] + ["pseudonym"] * (name == "pseudonyms"):
             b[column] = b[column].map(names).astype(a[column].dtype)
