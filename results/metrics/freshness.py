@@ -11,7 +11,7 @@ import pandas as pd
 
 from results.codes import LookupState, labels
 from results.metrics.encounters import DEFINITION
-from results.metrics.intervals import UNKNOWN, Estimate, ratio, share
+from results.metrics.intervals import Estimate, ratio, share, without_interval
 from results.run import Run
 
 STATES = labels(LookupState)
@@ -68,7 +68,7 @@ def states(run: Run) -> pd.DataFrame:
     if "trust_lookups" not in run.tables:
         total = _totals(run).n
         return pd.DataFrame([
-            {"role": "all", "state": state, "n": int(n)} | _columns(UNKNOWN._replace(value=n / total.sum()), "share")
+            {"role": "all", "state": state, "n": int(n)} | _columns(without_interval(n / total.sum()), "share")
             for state, n in total.items()
         ])  # fmt: skip
     counts = _per_receiver(run, ["state"], lambda part: part.state.cat.codes.to_numpy(), len(STATES))
@@ -239,7 +239,7 @@ def _ages_of_totals(run: Run) -> pd.DataFrame:
     counts = {"value": int(total.n_valued.sum()), "newest evaluation": n_known, "oldest evaluation": n_known}
     rows = [
         {"what": what, "role": "all", "n": n, "median_s": np.nan, "p90_s": np.nan}
-        | _columns(UNKNOWN._replace(value=float(total[column.replace("_s", "_sum_s")].sum()) / n), "mean_s")
+        | _columns(without_interval(float(total[column.replace("_s", "_sum_s")].sum()) / n), "mean_s")
         for (what, column), n in zip(AGES.items(), counts.values(), strict=True)
         if n
     ]
