@@ -56,6 +56,7 @@ Picture = Literal[
     "contacts",
     "safety",
     "security",
+    "attacks",
     "sweep",
     "movie",
 ]

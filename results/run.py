@@ -209,11 +209,11 @@ class Run:
 
     @cached_property
     def subjects(self) -> pd.DataFrame:
-        """Pseudonyms by number: vehicle, role, from_step and to_step of use, attack_start_step of the vehicle.
+        """Pseudonyms by number: vehicle, from_step and to_step of use; role, attack and attack_start_step of the vehicle.
 
         The one place where what trust knows is joined with what is true.
         """
-        vehicles = self.table("vehicles", ["vehicle", "role", "attack_start_step"]).set_index("vehicle")
+        vehicles = self.table("vehicles", ["vehicle", "role", "attack", "attack_start_step"]).set_index("vehicle")
         return self.table("pseudonyms").set_index("pseudonym").join(vehicles, on="vehicle")
 
     @property

@@ -5,6 +5,7 @@ from collections.abc import Callable, Mapping
 from matplotlib.figure import Figure
 
 from results.figures import (
+    attacks,
     contacts,
     detection,
     encounters,
@@ -21,6 +22,7 @@ FIGURES: Mapping[str, Callable[..., Figure]] = {
     "trust": trust.draw,
     "misbehaviour": misbehaviour.draw,
     "security": security.draw,
+    "attacks": attacks.draw,
     "encounters": encounters.draw,
     "freshness": freshness.draw,
     "radio": radio.draw,
