@@ -57,6 +57,7 @@ Picture = Literal[
     "safety",
     "security",
     "attacks",
+    "delays",
     "sweep",
     "movie",
 ]

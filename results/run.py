@@ -209,7 +209,7 @@ class Run:
 
     @cached_property
     def subjects(self) -> pd.DataFrame:
-        """Pseudonyms by number: vehicle, from_step and to_step of use; role, attack and attack_start_step of the vehicle.
+        """Pseudonyms by number: vehicle, from_step, to_step; role, attack and attack_start_step of the vehicle.
 
         The one place where what trust knows is joined with what is true.
         """

@@ -65,8 +65,10 @@ def over_time(run: Run) -> pd.DataFrame:
 
 
 def _panel(axes: Axes, run: Run) -> None:
-    for attack, one in over_time(run).groupby("attack"):
-        look = _look(int(attack)) if int(attack) >= 0 else {"color": style.ROLE_INKS[_HONEST]}
+    found = over_time(run)
+    for attack in sorted(set(found.attack)):
+        one = found[found.attack == attack]
+        look = _look(attack) if attack >= 0 else {"color": style.ROLE_INKS[_HONEST]}
         axes.plot(one.time_s, one["median"], **look)
     starts = run.vehicles.attack_start_step.dropna()
     if len(starts):

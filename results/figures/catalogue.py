@@ -7,6 +7,7 @@ from matplotlib.figure import Figure
 from results.figures import (
     attacks,
     contacts,
+    delays,
     detection,
     encounters,
     freshness,
@@ -23,6 +24,7 @@ FIGURES: Mapping[str, Callable[..., Figure]] = {
     "misbehaviour": misbehaviour.draw,
     "security": security.draw,
     "attacks": attacks.draw,
+    "delays": delays.draw,
     "encounters": encounters.draw,
     "freshness": freshness.draw,
     "radio": radio.draw,
