@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 import matplotlib as mpl
+import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -23,27 +24,32 @@ def draw(runs: Sequence[Run], threshold: float = 0.25) -> Figure:
     """
     style.need(runs)
     variants = [run.as_variant(name) for run in runs for name in run.variants]
-    figure, panels = style.sheet(columns=3, width=10.4, height=3.9)
-    colours = [mpl.colors.to_hex(c) for c in mpl.colormaps["viridis"]([i / max(1, len(variants) - 1) for i in
-               range(len(variants))])]  # fmt: skip
-    for i, run in enumerate(variants):
-        _curve(panels[0], misbehaviour.detection_delay(run, threshold, "server"), colours[i], i)
-        if "trust_lookups" in run.tables:
-            _curve(panels[1], misbehaviour.detection_delay(run, threshold, "vehicles"), colours[i], i)
-        if run.variant == BASE_VARIANT and run.config.get("pseudonyms", {}).get("revocation", "none") != "none":
-            _curve(panels[2], security.exclusion_delay(run), colours[i], i)
-    titles = (f"Below {threshold:g} at the server", "First vehicle that knows it", "Revoked")
-    for axes, title in zip(panels, titles, strict=True):
-        style.panel(axes, title, "Time since the first attack [s]", "Share of attackers" if axes is panels[0] else "")
+    panels = {f"Below {threshold:g} at the server": [(i, misbehaviour.detection_delay(run, threshold, "server"))
+              for i, run in enumerate(variants)]}  # fmt: skip
+    if all("trust_lookups" in run.tables for run in variants):
+        panels["First vehicle that knows it"] = [
+            (i, misbehaviour.detection_delay(run, threshold, "vehicles")) for i, run in enumerate(variants)
+        ]
+    if revoking := [(i, security.exclusion_delay(run)) for i, run in enumerate(variants) if _revokes(run)]:
+        panels["Revoked"] = revoking
+    figure, all_axes = style.sheet(columns=len(panels), width=0.5 + 3.4 * len(panels), height=3.9)
+    ramp = mpl.colormaps["viridis"](np.linspace(0, 1, len(variants)))
+    colours = [mpl.colors.to_hex(colour) for colour in ramp]
+    for axes, (title, curves) in zip(all_axes, panels.items(), strict=True):
+        for i, delays in curves:
+            _curve(axes, delays, colours[i], i)
+        style.panel(axes, title, "Time since the first attack [s]", "Share of attackers" if axes is all_axes[0] else "")
         style.share_axis(axes)
         axes.set_xlim(left=0)
-        if not axes.lines:
-            axes.text(0.5, 0.5, "not in this run", ha="center", transform=axes.transAxes)
     names = [run.variant if len(runs) == 1 else f"{run.path.name}, {run.variant}" for run in variants]
     style.legend(figure, [
         Line2D([], [], color=colours[i], linestyle=style.dash(i), label=name) for i, name in enumerate(names)
     ])  # fmt: skip
     return figure
+
+
+def _revokes(run: Run) -> bool:
+    return run.variant == BASE_VARIANT and run.config.get("pseudonyms", {}).get("revocation", "none") != "none"
 
 
 def _curve(axes: Axes, delays: pd.DataFrame, colour: str, i: int) -> None:

@@ -72,6 +72,7 @@ def write(folder, seed=0, steps=240, level="full", block_steps=60, reach_m=200.0
         "config": {
             "radio": {"model": "unit_disk", "range_m": reach_m, "unit_disk": {"loss_p": 0.05},
                       "relay": {"max_hops": 1}},
+            "attacks": [{"attack": "ghost_insertion", "share_p": 0.13}, {"attack": "unreliable", "share_p": 0.1}],
             "fleet": {"penetration_p": 0.6, "equipped_kinds": ["car"]}, "trust": {"window_s": window_s},
         }, "versions": {"cosim": "0.1.0"},
         "net": {"name": "grid", "sha256": "0" * 64}, "timings_s": {"traffic": 1.5, "sensing": 3.2, "trust": 0.7},

@@ -135,7 +135,7 @@ def test_mistakes_are_one_line(sections, told):
 
 
 def test_a_ring_larger_than_the_attackers_is_told():
-    """Ten of forty attack by share: rings of ten are whole, rings of twelve never; those who join in count as theirs."""
+    """Ten of forty attack by share: rings of ten are whole, rings of twelve, of the same vehicles, never."""
     attack = np.repeat(np.array([0, 1], np.uint8), [30, 10])
     sections = [AttackParams(ring_size=10), AttackParams(together_with=0, ring_size=12), AttackParams(ring_size=2)]
     first, second = rings_too_large(sections, attack)
