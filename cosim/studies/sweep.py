@@ -16,8 +16,10 @@ from cosim.studies.points import Point, points_of
 from cosim.studies.stages import Cache, default_folder
 from cosim.studies.study import Study, load
 
-FUSED_TOPICS = {"detection", "attack"}
+FUSED_TOPICS = {"detection", "attack", "evidence"}
 """Topics of metrics that need the fused objects of every point."""
+FUSED_TABLES = {"fused", "fused_evidence", "attack_outcomes"}
+"""Tables of the fused objects of every point."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,9 +65,8 @@ def separate(points: Sequence[Point]) -> Plan:
 def needs_fused(study: Study) -> bool:
     """Whether what is measured or kept of every point includes its fused objects."""
     topics = set(study.keep.topics)
-    if study.keep.tables is None:
-        return not topics or bool(topics & FUSED_TOPICS)
-    return "fused" in study.keep.tables or not topics or bool(topics & FUSED_TOPICS)
+    kept = set(study.keep.tables or ())
+    return bool(kept & FUSED_TABLES) or not topics or bool(topics & FUSED_TOPICS)
 
 
 def sweep(

@@ -49,12 +49,11 @@ def make(job: Path) -> None:
 
 def _measure(folder: Path, job: Path, asked: dict[str, Any]) -> None:
     """Metrics of every point of the run, kept beside it."""
-    run = open_run(folder)
-    frames = []
-    for point, variant in asked["members"].items():
-        topics = tuple(asked["topics"]) or tuple(TOPICS)
-        found = measure(run.as_variant(variant), topics=topics, **asked["measure"])
-        frames.append(found.assign(point=point))
+    topics, frames = tuple(asked["topics"]) or tuple(TOPICS), []
+    with open_run(folder).variants_apart() as run:
+        for point, variant in asked["members"].items():
+            found = measure(run.as_variant(variant), topics=topics, **asked["measure"])
+            frames.append(found.assign(point=point))
     partial = job / "measures.parquet.partial"
     pd.concat(frames, ignore_index=True).to_parquet(partial, index=False)
     partial.replace(job / "measures.parquet")
