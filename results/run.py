@@ -1,11 +1,11 @@
 """A run on disk: its tables as pandas DataFrames, loaded when first asked for."""
 
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Self, TypeVar
 
 import pandas as pd
 import pyarrow as pa
@@ -18,6 +18,8 @@ from results.codes import BASE_VARIANT
 from results.durable import Damaged
 from results.inventory import Inventory, Part
 from results.tables import TABLES, schema
+
+T = TypeVar("T")
 
 OVER = ("finished", "interrupted")
 """Statuses of a run that ended with everything written."""
@@ -42,6 +44,7 @@ class Run:
         """What all trust variants have in common, once it was asked for."""
         self._apart: Path | None = None
         """Folder of the rows of each trust variant, where they are set apart."""
+        self._own: dict[str, Any] = {}
 
     @cached_property
     def inventory(self) -> Inventory:
@@ -74,6 +77,12 @@ class Run:
         with tempfile.TemporaryDirectory(prefix="cosim-variants-") as folder:
             other._apart = Path(folder) if len(self.variants) > 1 else None
             yield other
+
+    def once(self, name: str, make: Callable[[], T]) -> T:
+        """What several metrics of this variant begin with, made once; not to be changed."""
+        if name not in self._own:
+            self._own[name] = make()
+        return self._own[name]
 
     @property
     def name(self) -> str:
@@ -184,6 +193,10 @@ class Run:
     def n_blocks(self, name: str) -> int:
         """How many parts a table has."""
         return len(self._paths(name))
+
+    def n_rows(self, name: str) -> int:
+        """How many rows a table has, of all variants."""
+        return sum(part.n_rows for part in self.inventory.of(name))
 
     def require(self, *names: str) -> None:
         """Refuse, with one clear line, if the run does not hold these tables."""

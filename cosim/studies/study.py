@@ -262,6 +262,7 @@ def _values(key: str, values: Any, section: str, where: str) -> Sequence[Any]:
     if not isinstance(values, list) or not values:
         raise ValueError(f"{section}: {key} = {values!r} should be a list of at least one value in {where}.")
     said = [json.dumps(value, sort_keys=True, default=str) for value in values]
-    if twice := [text for text in said if said.count(text) > 1]:
+    twice = [text for text in said if said.count(text) > 1]
+    if twice and section == "grid":  # in [[zip]] it may stand beside several values of another key
         raise ValueError(f"{section}: {key} has the value {twice[0]} twice in {where}. Leave one out.")
     return values

@@ -3,7 +3,7 @@
 Definitions and sources are in `results/FRESHNESS.md`.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -248,9 +248,21 @@ def _columns(estimate: Estimate, value: str) -> dict[str, float]:
     return {value: estimate.value, "low": estimate.low, "high": estimate.high, "n_units": estimate.n_units}
 
 
+_IN_MEMORY = 2_000_000
+"""Rows of `trust_lookups` up to which they are read once for all metrics."""
+_ASKED = ["step", "receiver", "subject", "state", *AGES.values(), "n_evaluations", "n_evaluators"]
+
+
 def _lookups(run: Run, columns: list[str]) -> Iterator[pd.DataFrame]:
+    """Lookups of the run's variant, block by block."""
+    parts: Iterable[pd.DataFrame]
+    if run.n_rows("trust_lookups") // len(run.variants) <= _IN_MEMORY:
+        kept = run.once("freshness.lookups", lambda: list(run.variant_parts("trust_lookups", _ASKED)))
+        parts = (part[columns] for part in kept)
+    else:
+        parts = run.variant_parts("trust_lookups", columns)
     empty = True
-    for part in run.variant_parts("trust_lookups", columns):
+    for part in parts:
         empty &= part.empty
         yield part
     if empty:

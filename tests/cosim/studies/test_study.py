@@ -148,7 +148,7 @@ def test_study_file_of_a_folder_gives_the_same_points(tmp_path):
 
 @pytest.mark.parametrize(
     ("name", "n_points", "n_runs"),
-    [("freshness", 300, 15), ("exposure", 27, 27), ("encounters", 9, 9), ("safety", 72, 72)],
+    [("freshness", 300, 15), ("exposure", 27, 27), ("encounters", 9, 9), ("safety", 24, 24)],
 )
 def test_shipped_studies(name, n_points, n_runs):
     found = points_of(load(Path(name)), name)
