@@ -77,6 +77,7 @@ def sweep(
     folder.prepare(study)
     with folder.locked():
         folder.stop.unlink(missing_ok=True)
+        folder.tidy()
         work = _write(task)
         folder.write_index(study, task.points)
         failed: list[tuple[str, Attempt]] = []
