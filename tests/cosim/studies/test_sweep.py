@@ -56,16 +56,15 @@ def cosim(folder, *words):
 
 @pytest.fixture(scope="module")
 def swept(tmp_path_factory):
-    """A folder with a study that was killed twice, then finished."""
+    """A folder with a study that was killed, then finished."""
     folder = tmp_path_factory.mktemp("study")
     (folder / "study.toml").write_text(STUDY)
     env = os.environ | {"COSIM_CACHE": str(folder / "cache")}
     words = [sys.executable, "-m", "cosim", "sweep", "study.toml", "--out", "out", "--workers", "2"]
-    for kill_after_s in (6, 12):
-        process = subprocess.Popen(words, cwd=folder, env=env, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-        time.sleep(kill_after_s)
-        process.send_signal(signal.SIGKILL)
-        process.wait()
+    process = subprocess.Popen(words, cwd=folder, env=env, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    time.sleep(8)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
     done = cosim(folder, *words[3:])
     assert done.returncode == 0, done.stderr + done.stdout
     return folder
@@ -77,7 +76,8 @@ def test_merged_and_replayed_points_equal_plain_runs(swept, tmp_path):
     assert study.points["run"].nunique() == 4 and len(Cache(swept / "cache").names("traffic")) == 2
     assert not list(swept.rglob("*.partial"))
     points = study.points.query("replicate == 1 and `fleet.penetration_p` == 0.2")
-    for row in points.to_dict("records"):
+    assert len(points) == 4
+    for row in points.iloc[[0, 3]].to_dict("records"):  # the acting variant, and one with another window and host
         plain = drive(
             tmp_path / row["point"], *(text for text in SHORT if "share" not in text), "attacks.0.share_p=0.3",
             f"trust.freshness_s={row['trust.freshness_s']}", f"trust.host={row['trust.host']}",
