@@ -31,6 +31,7 @@ N = 20
 def bench() -> list[Row]:
     """The shipped city: TruPercept with one window of evidence and with twenty; step and recording, one thread."""
     one, many, fused = _config(1), _config(N), _config(N, fused=True)
+    local, many_local = _config(1, host="local"), _config(N, host="local")
     scenario = find(one.traffic.scenario)
     registry = ActorRegistry(one.fleet, one.seed, shares(one.attacks))
     assert scenario.sumocfg is not None
@@ -42,10 +43,11 @@ def bench() -> list[Row]:
     city, threads = scenario.city(), numba.get_num_threads()
     numba.set_num_threads(1)
     spent: list[list[float]] = []
-    for config in (one, many, fused):
+    configs = (one, many, fused, local, many_local)
+    for config in configs:
         _drive(config, city, worlds[:3], registry)  # compiles
     for _ in range(ROUNDS):  # in turns
-        spent.append([_drive(config, city, worlds, registry) for config in (one, many, fused)])
+        spent.append([_drive(config, city, worlds, registry) for config in configs])
     numba.set_num_threads(threads)
     rows = np.array(spent)
     return [
@@ -53,17 +55,18 @@ def bench() -> list[Row]:
         ("step and recording, one trust variant", 1e3 * median(rows[:, 0]) / STEPS, "ms of processor time per step"),
         (f"{N} trust variants", median(rows[:, 1] / rows[:, 0]), "times that"),
         (f"{N} trust variants, all with fused objects", median(rows[:, 2] / rows[:, 0]), "times that"),
+        (f"{N} trust variants, kept by every vehicle", median(rows[:, 4] / rows[:, 3]), "times one of these"),
     ]
 
 
-def _config(n: int, fused: bool = False) -> Config:
+def _config(n: int, fused: bool = False, host: str = "central") -> Config:
     """The shipped city with `n` windows of 5 s and more."""
     windows_s = np.linspace(5.0, 100.0, N).tolist()
     sections = [
         f"{{ name = 'window {s:g} s', freshness_s = {s}, fused = {str(fused).lower()} }}" for s in windows_s[1:n]
     ]
     return load(None, [
-        f"trust.freshness_s={windows_s[0]}", f"trust_variant=[{', '.join(sections)}]",
+        f"trust.host={host}", f"trust.freshness_s={windows_s[0]}", f"trust_variant=[{', '.join(sections)}]",
         "attacks.0.start_s=10", "attacks.1.start_s=10",
     ])  # fmt: skip
 
