@@ -1,6 +1,7 @@
 """What the commands print: tables and sentences for people, JSON for machines."""
 
 import json
+import math
 import sys
 from collections.abc import Callable, Mapping
 from dataclasses import asdict
@@ -169,8 +170,11 @@ def print_metrics(as_json: bool) -> None:
 
 
 def rows_of(table: Any) -> list[dict[str, object]]:
-    """Measures as plain rows."""
-    return [{name: None if x != x else x for name, x in row.items()} for row in table.to_dict("records")]
+    """Measures as plain rows; None for what is not known, and for the upper end of an interval without one."""
+    return [
+        {name: None if isinstance(x, float) and not math.isfinite(x) else x for name, x in row.items()}
+        for row in table.to_dict("records")
+    ]
 
 
 def plain(value: float) -> str:
@@ -182,7 +186,9 @@ def plain(value: float) -> str:
 def _interval(row: Mapping[str, Any]) -> str:
     """The interval of a row of measures; empty where it has none."""
     low, high = row.get("low"), row.get("high")
-    return "" if low is None or high is None or low != low else f"{plain(low)} to {plain(high)}"
+    if low is None or low != low:
+        return ""
+    return f"{plain(low)} or more" if high is None else f"{plain(low)} to {plain(high)}"
 
 
 def table_of(title: str, rows: list[dict]) -> Table:

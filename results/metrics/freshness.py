@@ -11,7 +11,7 @@ import pandas as pd
 
 from results.codes import LookupState, labels
 from results.metrics.encounters import DEFINITION
-from results.metrics.intervals import Estimate, ratio
+from results.metrics.intervals import Estimate, ratio, share
 from results.run import Run
 
 STATES = labels(LookupState)
@@ -67,7 +67,7 @@ def states(run: Run) -> pd.DataFrame:
     for role, of_role in _with_all(run, counts):
         lookups = of_role.sum(axis=1)
         for state, n in zip(STATES, of_role.T, strict=True):
-            rows.append({"role": role, "state": state, "n": int(n.sum())} | _columns(ratio(n, lookups), "share"))
+            rows.append({"role": role, "state": state, "n": int(n.sum())} | _columns(share(n, lookups), "share"))
     return pd.DataFrame(rows)
 
 
@@ -143,7 +143,7 @@ def within(run: Run, fresh_s: float = 10.0) -> pd.DataFrame:
         run, ["newest_evaluation_age_s"], lambda part: (part.newest_evaluation_age_s <= fresh_s).to_numpy(int), 2
     )
     return pd.DataFrame([
-        {"role": role, "n": int(n.sum())} | _columns(ratio(n[:, 1], n.sum(axis=1)), "share")
+        {"role": role, "n": int(n.sum())} | _columns(share(n[:, 1], n.sum(axis=1)), "share")
         for role, n in _with_all(run, counts)
     ])  # fmt: skip
 
@@ -206,7 +206,7 @@ def without_trust(run: Run) -> pd.DataFrame:
         without = np.isnan(after_s)
         rows.append({
             **dict(zip(DEFINITION, kind, strict=True)), "n": len(after_s),
-            "n_without": int(without.sum()), **_columns(ratio(np.bincount(who, without), np.bincount(who)), "share"),
+            "n_without": int(without.sum()), **_columns(share(np.bincount(who, without), np.bincount(who)), "share"),
             "wait_median_s": float(np.median(waited_s)) if len(waited_s) else np.nan,
         })  # fmt: skip
     columns = [*DEFINITION, "n", "n_without", "share", "low", "high", "n_units"]
