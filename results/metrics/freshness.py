@@ -119,7 +119,7 @@ def peaks(run: Run) -> pd.DataFrame:
     rows = []
     for what in ("value", "newest evaluation"):
         sums, counts = _Totals(1), _Totals(1)
-        for block, part in enumerate(_lookups(run, ["receiver", "subject", AGES[what]])):
+        for block, part in enumerate(_lookups(run, ["receiver", "subject", AGES[what]], by_block=True)):
             if block % stride == 0:
                 age_s = part[AGES[what]].to_numpy(np.float64)
                 at = _before_renewal(part, age_s)
@@ -253,14 +253,13 @@ _IN_MEMORY = 2_000_000
 _ASKED = ["step", "receiver", "subject", "state", *AGES.values(), "n_evaluations", "n_evaluators"]
 
 
-def _lookups(run: Run, columns: list[str]) -> Iterator[pd.DataFrame]:
-    """Lookups of the run's variant, block by block."""
+def _lookups(run: Run, columns: list[str], by_block: bool = False) -> Iterator[pd.DataFrame]:
+    """Lookups of the run's variant: together where they fit into memory, else block by block."""
     parts: Iterable[pd.DataFrame]
-    if run.n_rows("trust_lookups") // len(run.variants) <= _IN_MEMORY:
-        kept = run.once("freshness.lookups", lambda: list(run.variant_parts("trust_lookups", _ASKED)))
-        parts = (part[columns] for part in kept)
-    else:
+    if by_block or run.n_rows("trust_lookups") // len(run.variants) > _IN_MEMORY:
         parts = run.variant_parts("trust_lookups", columns)
+    else:
+        parts = [run.once("freshness.lookups", lambda: run.variant_table("trust_lookups", _ASKED))[columns]]
     empty = True
     for part in parts:
         empty &= part.empty
