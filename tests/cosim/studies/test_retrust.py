@@ -21,7 +21,7 @@ model = "beta"
 """
 
 
-@pytest.mark.parametrize("how", ["alone", "piggybacked"])
+@pytest.mark.parametrize("how", ["alone", pytest.param("piggybacked", marks=pytest.mark.verify)])
 def test_as_if_they_had_been_in_the_run(tmp_path, how):
     common = ("record.level=full", f"radio.evaluations={how}", "record.block_steps=10")
     run = drive(tmp_path / "run", *common, "trust_variant=[]")
