@@ -162,7 +162,7 @@ def portrait(run: Run, vehicles: list[int], step: int, out: Path | None) -> Path
         chosen = equipped[np.argsort(away[middle], kind="stable")[:3]]
     city = city_of(config)
     sweeps = sweep(config, city, world, chosen)
-    clouds = [_in_world(sweeps, o) for o in range(len(chosen))]
+    clouds = [in_world(sweeps, o) for o in range(len(chosen))]
     scenario = find(config.traffic.scenario, config.traffic.trace)
     lanes = [] if scenario.net is None else [lane for lane in network.lanes(scenario.net) if lane.for_cars]
     of = run.subjects.vehicle
@@ -194,7 +194,7 @@ def portrait(run: Run, vehicles: list[int], step: int, out: Path | None) -> Path
     )
 
 
-def _in_world(sweeps: Sweeps, o: int) -> Float[ndarray, "k 3"]:
+def in_world(sweeps: Sweeps, o: int) -> Float[ndarray, "k 3"]:
     """The returns of one sweep in the world frame."""
     xyz = sweeps.xyz(o)
     cos, sin = np.cos(sweeps.poses.yaw_rad[o]), np.sin(sweeps.poses.yaw_rad[o])
