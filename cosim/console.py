@@ -2,6 +2,7 @@
 
 import json
 import math
+import os
 import sys
 from collections.abc import Callable, Mapping
 from dataclasses import asdict
@@ -13,7 +14,12 @@ from rich.console import Console
 from rich.table import Column, Table
 from rich.text import Text
 
-screen = Console(markup=False, highlight=False, emoji=False)  # a user's names are shown as they are
+_PIPED_WIDTH = 160
+"""Columns of tables where standard output is no terminal."""
+screen = Console(  # a user's names are shown as they are
+    markup=False, highlight=False, emoji=False,
+    width=None if (sys.stdout is not None and sys.stdout.isatty()) or "COLUMNS" in os.environ else _PIPED_WIDTH,
+)  # fmt: skip
 notes = Console(stderr=True, markup=False, highlight=False, emoji=False)
 
 Get = Callable[[str], Mapping[str, float]]
@@ -129,8 +135,9 @@ def _freshness(get: Get) -> list[str]:
         f"trust values looked up: {state['judged']:.0%} rest on another vehicle's evaluation within the window, "
         f"{state['stale']:.0%} on older ones, {state['unjudged']:.0%} on none, {state['default']:.0%} no value"
     ]
-    if mean_s is not None and p90_s is not None:
-        lines.append(f"newest evaluation behind them: {mean_s:.1f} s old on average, one in ten over {p90_s:.1f} s")
+    if mean_s is not None:
+        tail = "" if p90_s is None else f", one in ten over {p90_s:.1f} s"
+        lines.append(f"newest evaluation behind them: {mean_s:.1f} s old on average{tail}")
     for definition, share in get("freshness.encounters_without_trust.share").items():
         lines.append(f"{share:.0%} of encounters ({definition}) over before one knew a trust value of the other")
     return lines

@@ -269,6 +269,31 @@ def _lookups(
             joined("oldest_evaluation_age_s"), joined("is_known"), np.repeat(counted, n),
         ),
     })  # fmt: skip
+    recorder.append("lookup_totals", at, _lookup_totals(lookups))
+
+
+def _lookup_totals(lookups: Sequence[Lookups]) -> Rows:
+    """Lookups of a step added up by variant and state; states that do not occur are left out."""
+    n_states, n_variants = len(LookupState), len(lookups)
+    group = np.concatenate([v * n_states + found.state.astype(np.int64) for v, found in enumerate(lookups)])
+    valued, known = (
+        np.concatenate(masks)
+        for masks in ([found.source != TrustSource.DEFAULT for found in lookups], [x.is_known for x in lookups])
+    )
+
+    def total(name: str, where: Bool[ndarray, "n"]) -> ndarray:
+        values = np.concatenate([getattr(found, name) for found in lookups])
+        return np.bincount(group[where], values[where], n_states * n_variants)
+
+    n = np.bincount(group, minlength=n_states * n_variants)
+    rows = {
+        "variant": np.repeat(np.arange(n_variants), n_states), "state": np.tile(np.arange(n_states), n_variants),
+        "n": n, "n_valued": np.bincount(group[valued], minlength=len(n)),
+        "age_sum_s": total("age_s", valued),
+        "newest_evaluation_age_sum_s": total("newest_evaluation_age_s", known),
+        "oldest_evaluation_age_sum_s": total("oldest_evaluation_age_s", known),
+    }  # fmt: skip
+    return {name: column[n > 0] for name, column in rows.items()}
 
 
 def _evaluations_behind(

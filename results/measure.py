@@ -124,7 +124,7 @@ def measure(
 
 def _note(row: Row) -> str:
     """A warning where a value rests on too few units."""
-    if row.name.endswith("not_measured") or not row.n_units < FEW:
+    if not 0 < row.n_units < FEW:
         return ""
     units = METRICS[row.name].unit_of_chance or _UNITS.get(row.name.split(".")[0], "units")
     return f"too few: {row.n_units:.0f} of {FEW} {units}"
@@ -281,13 +281,15 @@ def _freshness(run: Run, fresh_s: float) -> Iterator[Row]:
         "share": "encounters_without_trust.share", "wait_median_s": "wait_in_encounter.median_s",
     }, "share")  # fmt: skip
     yield from _rows(freshness.states(run), "{state}, {role}", {"share": "lookup_state.share"}, "share")
-    yield from _rows(freshness.within(run, fresh_s), "{role}", {"share": "evaluation_within.share"}, "share")
     found = freshness.ages(run)
     for what, ages in found.groupby("what", sort=False):
         name = str(what).replace(" ", "_")
         yield from _rows(ages, "{role}", {
             "mean_s": f"{name}_age.mean_s", "median_s": f"{name}_age.median_s", "p90_s": f"{name}_age.p90_s",
         }, "mean_s")  # fmt: skip
+    if "trust_lookups" not in run.tables:
+        return
+    yield from _rows(freshness.within(run, fresh_s), "{role}", {"share": "evaluation_within.share"}, "share")
     for peak in freshness.peaks(run).to_dict("records"):
         name = peak["what"].replace(" ", "_")
         yield Row(f"{name}_age.peak_s", "", peak["mean_s"], peak["low"], peak["high"], peak["n_units"])

@@ -38,7 +38,7 @@ NEEDED = (
 )
 """Tables that hold the evidence; a run at record.level = "full" has them all."""
 
-WRITTEN = ("trust", "trust_lookups", "server", "encounter_trust")
+WRITTEN = ("trust", "trust_lookups", "lookup_totals", "server", "encounter_trust")
 """Tables that depend on trust, but for the fused objects: those ask the sweeps, which are not on disk."""
 
 
@@ -401,7 +401,7 @@ class _Met:
 
 def _check_base(run: Path, out: Path, names: Sequence[str]) -> None:
     """The variants that the run had must come out as they are in it."""
-    for table in ("trust", "trust_lookups", "server"):
+    for table in ("trust", "trust_lookups", "lookup_totals", "server"):
         before, after = (
             found[found.variant.isin(names)].reset_index(drop=True)
             for found in (open_run(folder).table(table).astype({"variant": str}) for folder in (run, out))

@@ -26,7 +26,12 @@ class Estimate(NamedTuple):
     """Units with something to count."""
 
 
-UNKNOWN = Estimate(float("nan"), float("nan"), float("nan"), 0)
+def without_interval(value: float) -> Estimate:
+    """A value of which no more is known."""
+    return Estimate(value, float("nan"), float("nan"), 0)
+
+
+UNKNOWN = without_interval(float("nan"))
 
 
 def ratio(top: Float[ndarray, "u"], bottom: Float[ndarray, "u"], level: float = LEVEL) -> Estimate:
