@@ -224,7 +224,7 @@ def load(path: Path | None = None, overrides: list[str] | None = None) -> Config
     """Experiment from a TOML file, then from `key=value` overrides; ValueError in one line for a mistake."""
     data = with_defaults({} if path is None else read_toml(path, "config file"))
     for text in overrides or []:
-        _override(data, text)
+        override(data, text)
     if path is None and data.get("server", {}).get("uplink") != "rsu":  # there, every variant loads the channel
         data.setdefault("trust_variant", [copy.deepcopy(PAPER_RULE)])
     return resolve_data(data, "the config" if path is None else path.name, None if path is None else path.parent)
@@ -394,7 +394,7 @@ def _own_step_s(scenario: str) -> float | None:
     return own_s
 
 
-def _override(data: Any, text: str) -> None:
+def override(data: Any, text: str) -> None:
     """Set one key; `encounters.0.radius_m` names an item of a list, the one behind the last makes a new one."""
     name, sign, value = text.partition("=")
     if not sign or not name.strip():

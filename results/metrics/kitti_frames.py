@@ -43,8 +43,8 @@ def at_steps(steps: np.ndarray) -> pc.Expression:
     return pc.field("step").isin(steps.tolist())
 
 
-def posed(run: Run, steps: np.ndarray) -> tuple[Poses, pd.DataFrame]:
-    """Observers, and all actors with their size and class, in these steps."""
+def posed(run: Run, steps: np.ndarray, observers: np.ndarray | None = None) -> tuple[Poses, pd.DataFrame]:
+    """Observers (the equipped vehicles, or these of them), and all actors with size and class, in these steps."""
     actors = run.table("actors", ["step", "actor", "x_m", "y_m", "z_m", "yaw_rad"], where=at_steps(steps))
     vehicles = run.table("vehicles", ["vehicle", "vehicle_class", "length_m", "width_m", "height_m", "equipped"])
     vehicles["label"] = vehicles.vehicle_class.astype(object).map(_OBJECT_CLASS)
@@ -52,7 +52,8 @@ def posed(run: Run, steps: np.ndarray) -> tuple[Poses, pd.DataFrame]:
         columns="vehicle"
     )
     actors = actors.sort_values(["step", "actor"], ignore_index=True)
-    poses = actors[actors.equipped].rename(columns={"actor": "observer"}).reset_index(drop=True)
+    chosen = actors.equipped if observers is None else actors.equipped & actors.actor.isin(observers)
+    poses = actors[chosen].rename(columns={"actor": "observer"}).reset_index(drop=True)
     return poses.assign(frame=np.arange(len(poses))), actors
 
 
@@ -78,9 +79,11 @@ def near(poses: Poses, actors: pd.DataFrame, range_m: float) -> tuple[np.ndarray
     return pairs["i"][order], pairs["j"][order]
 
 
-def actors_ahead(run: Run, steps: np.ndarray, range_m: float) -> tuple[Objects, Poses]:
-    """Actors ahead of each equipped vehicle, and the observers of the frames."""
-    poses, actors = posed(run, steps)
+def actors_ahead(
+    run: Run, steps: np.ndarray, range_m: float, observers: np.ndarray | None = None
+) -> tuple[Objects, Poses]:
+    """Actors ahead of each equipped vehicle, or of these of them, and the observers of the frames."""
+    poses, actors = posed(run, steps, observers)
     i, j = near(poses, actors, range_m)
     other = poses.observer.to_numpy()[i] != actors.actor.to_numpy()[j]
     i, j = i[other], j[other]
@@ -101,7 +104,10 @@ def boxes_ahead(run: Run, which: Lists, steps: np.ndarray, poses: Poses, range_m
     """Boxes ahead of each equipped vehicle, numbered by the frames of `poses`."""
     index = "fused_index" if which == "fused" else "detection_index"
     columns = ["step", "observer", index, "class", *BOX, "score"]
-    where = at_steps(steps) if which == "fused" else at_steps(steps) & (pc.field("origin") == "sensed")
+    if which == "fused":
+        where = at_steps(steps) & pc.field("observer").isin(poses.observer.unique().tolist())
+    else:
+        where = at_steps(steps) & (pc.field("origin") == "sensed")
     boxes = observed_by_vehicle(run, which, columns, where)
     frames = poses.set_index(["step", "observer"]).frame
     at = frames.reindex(pd.MultiIndex.from_frame(boxes[["step", "observer"]])).to_numpy(np.float64)
