@@ -22,6 +22,7 @@ from cosim.driver.drivers import DRIVERS
 from cosim.fleet import FleetParams
 from cosim.meshes import MeshParams
 from cosim.mobility.params import TrafficParams, resolved_input
+from cosim.positioning import GnssParams
 from cosim.radio.medium import MEDIA
 from cosim.radio.params import RadioParams
 from cosim.radio.rsu import RsuParams
@@ -121,6 +122,7 @@ class Config:
     traffic: TrafficParams = field(default_factory=TrafficParams)
     fleet: FleetParams = field(default_factory=FleetParams)
     lidar: LidarParams = field(default_factory=LidarParams)
+    gnss: GnssParams = field(default_factory=GnssParams)
     meshes: tuple[MeshParams, ...] = ()
     area: AreaParams = field(default_factory=AreaParams)
     detector: DetectorParams = field(default_factory=DetectorParams)

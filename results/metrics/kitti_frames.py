@@ -114,12 +114,23 @@ def boxes_ahead(run: Run, which: Lists, steps: np.ndarray, poses: Poses, range_m
     boxes, at = boxes[~np.isnan(at)], at[~np.isnan(at)].astype(int)
     order = np.lexsort([boxes[index], at])
     boxes, at = boxes.iloc[order], at[order]
-    box, ahead, height_px = ahead_of(poses, at, boxes[[*BOX]].to_numpy(np.float64), range_m)
+    world = boxes[[*BOX]].to_numpy(np.float64, copy=True)
+    world[:, :2] -= position_errors(run, poses)[at]
+    box, ahead, height_px = ahead_of(poses, at, world, range_m)
     n = int(ahead.sum())
     return Objects(
         at[ahead], boxes["class"].astype(object).to_numpy()[ahead], box[ahead], height_px[ahead],
         np.zeros(n, int), np.zeros(n), boxes.score.to_numpy(np.float64)[ahead],
     )  # fmt: skip
+
+
+def position_errors(run: Run, poses: Poses) -> np.ndarray:
+    """How far each observer believes to be from where it is, east and north [n, 2]: so far are its boxes displaced."""
+    if "position_errors" not in run.tables:
+        return np.zeros((len(poses), 2))
+    found = run.table("position_errors", where=at_steps(poses.step.unique())).set_index(["step", "vehicle"])
+    found = found.reindex(pd.MultiIndex.from_frame(poses[["step", "observer"]]))
+    return found[["error_x_m", "error_y_m"]].fillna(0.0).to_numpy(np.float64)
 
 
 def ahead_of(poses: Poses, i: np.ndarray, box: np.ndarray, range_m: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
