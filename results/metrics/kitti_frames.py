@@ -84,11 +84,7 @@ def actors_ahead(
 ) -> tuple[Objects, Poses]:
     """Actors ahead of each equipped vehicle, or of these of them, and the observers of the frames."""
     poses, actors = posed(run, steps, observers)
-    i, j = near(poses, actors, range_m)
-    other = poses.observer.to_numpy()[i] != actors.actor.to_numpy()[j]
-    i, j = i[other], j[other]
-    box, ahead, height_px = ahead_of(poses, i, actors[[*BOX]].to_numpy(np.float64)[j], range_m)
-    i, j = i[ahead], j[ahead]
+    i, j, box, height_px = pairs_ahead(poses, actors, range_m)
     seen = run.table("observability", where=at_steps(steps)).set_index(["step", "observer", "actor"])
     key = pd.MultiIndex.from_arrays(
         [poses.step.to_numpy()[i], poses.observer.to_numpy()[i], actors.actor.to_numpy()[j]]
@@ -97,7 +93,18 @@ def actors_ahead(
     hidden = 1 - seen.n_points.to_numpy(np.float64) / np.maximum(seen.n_unoccluded.to_numpy(np.float64), 1)
     level = np.where(np.isnan(hidden), 3, (hidden > 0.2).astype(int) + (hidden > 0.5))
     label = actors.label.to_numpy(object)[j]
-    return Objects(i, label, box[ahead], height_px[ahead], level, np.zeros(len(i)), np.ones(len(i))), poses
+    return Objects(i, label, box, height_px, level, np.zeros(len(i)), np.ones(len(i))), poses
+
+
+def pairs_ahead(
+    poses: Poses, actors: pd.DataFrame, range_m: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Pairs of an observer and an actor ahead of it, rows of both; box and height of the actor as of `ahead_of`."""
+    i, j = near(poses, actors, range_m)
+    other = poses.observer.to_numpy()[i] != actors.actor.to_numpy()[j]
+    i, j = i[other], j[other]
+    box, ahead, height_px = ahead_of(poses, i, actors[[*BOX]].to_numpy(np.float64)[j], range_m)
+    return i[ahead], j[ahead], box[ahead], height_px[ahead]
 
 
 def boxes_ahead(run: Run, which: Lists, steps: np.ndarray, poses: Poses, range_m: float) -> Objects:
