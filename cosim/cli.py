@@ -175,18 +175,16 @@ def _say_damage(runs: Iterable["Run"]) -> None:
 @app.command()
 def check(config: ConfigPath = None, overrides: Overrides = None, as_json: AsJson = False) -> None:
     """Check whether a config would run, and print it resolved."""
-    import tomli_w
-
     from cosim import run as running
     from cosim.config import load
-    from cosim.manifest import without_nulls
+    from cosim.manifest import toml_text
 
     experiment = load(config, overrides)
     running.check(experiment)
     if as_json:
         print_json(experiment.to_dict())
     else:
-        screen.print(tomli_w.dumps(without_nulls(experiment.to_dict())), highlight=False, markup=False)
+        screen.print(toml_text(experiment.to_dict()), soft_wrap=True)
 
 
 @app.command()
