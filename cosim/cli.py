@@ -55,6 +55,7 @@ Picture = Literal[
     "contacts",
     "safety",
     "security",
+    "scene",
     "sweep",
     "movie",
 ]
@@ -230,9 +231,9 @@ def plot(
     ] = None,
     vehicles: Annotated[
         list[int] | None,
-        typer.Option("--vehicle", help="trust: draw this vehicle too. Repeatable. sweep: whose point cloud."),
+        typer.Option("--vehicle", help="trust: draw this vehicle too. Repeatable. sweep, scene: whose cloud."),
     ] = None,
-    step: Annotated[int | None, typer.Option(help="sweep: of which step.")] = None,
+    step: Annotated[int | None, typer.Option(help="sweep, scene: of which step.")] = None,
     over: Annotated[
         str | None, typer.Option(help="Key on the axis, e.g. trust.freshness_s; of a study, or of runs by freshness.")
     ] = None,
@@ -269,6 +270,14 @@ def plot(
             raise ValueError("cosim plot sweep shows one sweep: cosim plot sweep RUN --vehicle V --step S")
         screen.print(f"wrote {write(_opened(runs[0]), vehicles[0], step, out)}", highlight=False, soft_wrap=True)
         return
+    if what == "scene":
+        from cosim.replay_lidar import portrait
+
+        if len(runs) != 1 or step is None:
+            raise ValueError("cosim plot scene shows one moment: cosim plot scene RUN --step S [--vehicle V]")
+        path = portrait(_opened(runs[0]), vehicles or [], step, out)
+        screen.print(f"wrote {path}", highlight=False, soft_wrap=True)
+        return
     if what == "movie":
         from cosim.replay_lidar import film
 
@@ -278,7 +287,7 @@ def plot(
         screen.print(f"wrote {path}", highlight=False, soft_wrap=True)
         return
     if step is not None:
-        raise ValueError(f"--step goes with `cosim plot sweep`, not with {what}. Leave it out.")
+        raise ValueError(f"--step goes with `cosim plot sweep` or scene, not with {what}. Leave it out.")
     options = {"vehicles": vehicles, "over": over, "threshold": threshold, "radius_m": radius_m, "pairs": pairs}
     given = {name: value for name, value in options.items() if value}
     for name in given:
