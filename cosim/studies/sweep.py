@@ -42,9 +42,13 @@ Told = Callable[[int, int, int, str], None]
 
 def prepare(file: Path, out: Path, merge: bool = True) -> Task:
     """What a sweep would do; nothing is written."""
-    study = load(file)
+    return prepare_study(load(file), file.name, out, merge)
+
+
+def prepare_study(study: Study, where: str, out: Path, merge: bool = True) -> Task:
+    """The same of a study that was read from the file `where`."""
     folder = StudyFolder(out)
-    points = points_of(study, file.name)
+    points = points_of(study, where)
     answers = folder.answers()
     there = {point.id for point in points if point.id in answers and folder.is_finished(answers[point.id][0])}
     cache = Cache(default_folder())
@@ -66,7 +70,7 @@ def needs_fused(study: Study) -> bool:
     """Whether what is measured or kept of every point includes its fused objects."""
     topics = set(study.keep.topics)
     kept = set(study.keep.tables or ())
-    return bool(kept & FUSED_TABLES) or not topics or bool(topics & FUSED_TOPICS)
+    return bool(study.measuring.own or kept & FUSED_TABLES or not topics or topics & FUSED_TOPICS)
 
 
 def sweep(

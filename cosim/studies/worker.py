@@ -15,6 +15,7 @@ from typing import Any
 
 import pandas as pd
 
+from cosim import choices
 from cosim import run as running
 from cosim.config import resolve_data
 from cosim.stop import Failed
@@ -60,10 +61,14 @@ def _drive(folder: Path, config: dict[str, Any], traffic: Path | None) -> None:
 def _measure(folder: Path, job: Path, asked: dict[str, Any]) -> None:
     """Metrics of every point of the run, kept beside it."""
     topics, frames = tuple(asked["topics"]) or tuple(TOPICS), []
+    options = dict(asked["measure"])
+    own = options.pop("own", "")
     with open_run(folder).variants_apart() as run:
         for point, variant in asked["members"].items():
-            found = measure(run.as_variant(variant), topics=topics, **asked["measure"])
-            frames.append(found.assign(point=point))
+            one = run.as_variant(variant)
+            frames.append(measure(one, topics=topics, **options).assign(point=point))
+            if own:
+                frames.append(choices.function("measure.own", own)(one).assign(point=point))
     partial = job / "measures.parquet.partial"
     pd.concat(frames, ignore_index=True).to_parquet(partial, index=False)
     partial.replace(job / "measures.parquet")
