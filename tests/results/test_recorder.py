@@ -139,7 +139,7 @@ def test_fingerprint_sees_values_only(tmp_path):
     changed = fingerprint(write(tmp_path / "seed", seed=1, steps=40))
     without_rows = {
         "encounter_trust", "reactions", "dropped_detections", "evidence", "transmitted_evaluations",
-        "transmitted_scores", "attack_outcomes",
+        "transmitted_scores", "attack_outcomes", "lookup_totals",
     }  # fmt: skip
     assert {name for name in one if changed[name] == one[name]} <= without_rows
 
