@@ -129,6 +129,11 @@ def _detections(recorder: Recorder, world: World, sensed: Sensed) -> None:
         "truth_iou": truth.iou, "truth_iou__valid": truth.is_real,
         "truth_occlusion": truth.occlusion, "truth_occlusion__valid": truth.is_sensed,
     })  # fmt: skip
+    if sensed.position_error_m is not None:
+        x, y = sensed.position_error_m.T
+        recorder.append("position_errors", world.step, {
+            "vehicle": sensed.vehicles.actor, "error_x_m": x, "error_y_m": y,
+        })  # fmt: skip
     faults = np.flatnonzero(sensed.n_dropped)
     recorder.append("dropped_detections", world.step, {"cause": faults, "n": sensed.n_dropped[faults]})
     recorder.append("observability", world.step, {

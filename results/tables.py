@@ -214,6 +214,16 @@ TABLES: Mapping[str, Table] = {
             "n": _count("Detections dropped."),
         },
     ),
+    "position_errors": Table(
+        "standard",
+        "Errors of the positions that equipped vehicles believe in, where the config has [gnss]. All boxes of a vehicle's detections, its report of itself included, and of its fused objects are displaced by its own error.",
+        {
+            "step": _STEP,
+            "vehicle": _key("Vehicle (actor number)."),
+            "error_x_m": Column("float32", unit="m", truth=True, bits=10, meaning="Believed less true position, east."),
+            "error_y_m": Column("float32", unit="m", truth=True, bits=10, meaning="The same, north."),
+        },
+    ),
     "receptions": Table(
         "full",
         "Messages that were received.",

@@ -40,9 +40,13 @@ Told = Callable[[int, int, int, str], None]
 
 def prepare(file: Path, out: Path, merge: bool = True) -> Task:
     """What a sweep would do; nothing is written."""
-    study = load(file)
+    return prepare_study(load(file), file.name, out, merge)
+
+
+def prepare_study(study: Study, where: str, out: Path, merge: bool = True) -> Task:
+    """The same of a study that was read from the file `where`."""
     folder = StudyFolder(out)
-    points = points_of(study, file.name)
+    points = points_of(study, where)
     answers = folder.answers()
     there = {point.id for point in points if point.id in answers and folder.is_finished(answers[point.id][0])}
     cache = Cache(default_folder())
@@ -63,6 +67,8 @@ def separate(points: Sequence[Point]) -> Plan:
 def needs_fused(study: Study) -> bool:
     """Whether what is measured or kept of every point includes its fused objects."""
     topics = set(study.keep.topics)
+    if study.measuring.own:
+        return True
     if study.keep.tables is None:
         return not topics or bool(topics & FUSED_TOPICS)
     return "fused" in study.keep.tables or not topics or bool(topics & FUSED_TOPICS)

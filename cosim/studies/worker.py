@@ -15,6 +15,7 @@ from typing import Any
 
 import pandas as pd
 
+from cosim import choices
 from cosim import run as running
 from cosim.config import resolve_data
 from cosim.studies.folder import StudyFolder, status_of
@@ -50,11 +51,15 @@ def make(job: Path) -> None:
 def _measure(folder: Path, job: Path, asked: dict[str, Any]) -> None:
     """Metrics of every point of the run, kept beside it."""
     run = open_run(folder)
+    options = dict(asked["measure"])
+    own = options.pop("own", "")
     frames = []
     for point, variant in asked["members"].items():
         topics = tuple(asked["topics"]) or tuple(TOPICS)
-        found = measure(run.as_variant(variant), topics=topics, **asked["measure"])
-        frames.append(found.assign(point=point))
+        one = run.as_variant(variant)
+        frames.append(measure(one, topics=topics, **options).assign(point=point))
+        if own:
+            frames.append(choices.function("measure.own", own)(one).assign(point=point))
     partial = job / "measures.parquet.partial"
     pd.concat(frames, ignore_index=True).to_parquet(partial, index=False)
     partial.replace(job / "measures.parquet")
