@@ -59,7 +59,8 @@ def labels(run: Run) -> list[str]:
 def over_time(run: Run) -> pd.DataFrame:
     """Trust by attack: time_s, attack (position of the section, -1: honest), n (vehicles), median. Rated values."""
     frame = trust.values(run).query("rated")
-    frame = frame.assign(attack=frame.subject.map(run.subjects.attack).fillna(-1).astype(int))
+    section = run.table("vehicles", ["vehicle", "attack"]).set_index("vehicle").attack
+    frame = frame.assign(attack=frame.vehicle.map(section).fillna(-1).astype(int))
     found = frame.groupby(["time_s", "attack"]).trust.agg(n="size", median="median")
     return found.reset_index()
 
