@@ -22,9 +22,10 @@ from sensors.scene import Hit, Prisms, Scene
 
 def cast(range_m, hit, poses, ground_m, observers, beams, max_range_m, boxes: Boxes, bodies: Prisms, scene: Scene):
     """Fill `range_m` and `hit` of every observer; see `sensors.lidar.scan`."""
-    if scene.triangles_m is not None:
+    if scene.triangles_m is not None or scene.bodies_m:
+        meshes = [*scene.bodies_m.values(), *([] if scene.triangles_m is None else [scene.triangles_m])]
         raise ValueError(
-            f'lidar.engine = "columnar" casts upright prisms, and the scene has a mesh of {len(scene.triangles_m)} '
+            f'lidar.engine = "columnar" casts upright prisms, and the scene has a mesh of {sum(map(len, meshes))} '
             'triangles. Set lidar.engine to "embree" or "open3d".'
         )
     ptr, row = neighbours(poses.origin_m, boxes, max_range_m)
