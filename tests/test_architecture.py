@@ -41,7 +41,7 @@ ORDER = (
     "mobility", "radio", "codes", "v2x", "trackers", "tracking", "driver", "perception", "ground_truth", "reactions",
     "adversary", "senders", "object_lists", "config", "manifest", "parts", "stages", "attack_outcomes", "cycle",
     "scenario", "replay_lidar", "export", "view", "calibrate", "recording", "checkpoint", "run_folder", "drive", "run",
-    "reproduce", "bench", "nets", "studies", "side_by_side", "cli", "__main__",
+    "reproduce", "bench_scale", "bench", "nets", "studies", "side_by_side", "cli", "__main__",
 )  # fmt: skip
 """Inside the hall: each may use those before it."""
 
