@@ -56,6 +56,7 @@ Picture = Literal[
     "contacts",
     "safety",
     "security",
+    "scene",
     "sweep",
     "movie",
 ]
@@ -176,18 +177,16 @@ def _say_damage(runs: Iterable["Run"]) -> None:
 @app.command()
 def check(config: ConfigPath = None, overrides: Overrides = None, as_json: AsJson = False) -> None:
     """Check whether a config would run, and print it resolved."""
-    import tomli_w
-
     from cosim import run as running
     from cosim.config import load
-    from cosim.manifest import without_nulls
+    from cosim.manifest import toml_text
 
     experiment = load(config, overrides)
     running.check(experiment)
     if as_json:
         print_json(experiment.to_dict())
     else:
-        screen.print(tomli_w.dumps(without_nulls(experiment.to_dict())), highlight=False, markup=False)
+        screen.print(toml_text(experiment.to_dict()), soft_wrap=True)
 
 
 @app.command()
@@ -233,9 +232,9 @@ def plot(
     ] = None,
     vehicles: Annotated[
         list[int] | None,
-        typer.Option("--vehicle", help="trust: draw this vehicle too. Repeatable. sweep: whose point cloud."),
+        typer.Option("--vehicle", help="trust: draw this vehicle too. Repeatable. sweep, scene: whose cloud."),
     ] = None,
-    step: Annotated[int | None, typer.Option(help="sweep: of which step.")] = None,
+    step: Annotated[int | None, typer.Option(help="sweep, scene: of which step.")] = None,
     over: Annotated[
         str | None, typer.Option(help="Key on the axis, e.g. trust.freshness_s; of a study, or of runs by freshness.")
     ] = None,
@@ -272,6 +271,14 @@ def plot(
             raise ValueError("cosim plot sweep shows one sweep: cosim plot sweep RUN --vehicle V --step S")
         screen.print(f"wrote {write(_opened(runs[0]), vehicles[0], step, out)}", highlight=False, soft_wrap=True)
         return
+    if what == "scene":
+        from cosim.replay_lidar import portrait
+
+        if len(runs) != 1 or step is None:
+            raise ValueError("cosim plot scene shows one moment: cosim plot scene RUN --step S [--vehicle V]")
+        path = portrait(_opened(runs[0]), vehicles or [], step, out)
+        screen.print(f"wrote {path}", highlight=False, soft_wrap=True)
+        return
     if what == "movie":
         from cosim.replay_lidar import film
 
@@ -281,7 +288,7 @@ def plot(
         screen.print(f"wrote {path}", highlight=False, soft_wrap=True)
         return
     if step is not None:
-        raise ValueError(f"--step goes with `cosim plot sweep`, not with {what}. Leave it out.")
+        raise ValueError(f"--step goes with `cosim plot sweep` or scene, not with {what}. Leave it out.")
     options = {"vehicles": vehicles, "over": over, "threshold": threshold, "radius_m": radius_m, "pairs": pairs}
     given = {name: value for name, value in options.items() if value}
     for name in given:

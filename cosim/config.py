@@ -264,6 +264,8 @@ def resolve_data(data: dict[str, Any], where: str, folder: Path | None) -> Confi
             if isinstance(listed, list):
                 for number, item in enumerate(listed):
                     if isinstance(item, dict):
+                        if item.get("attack") == "unreliable":
+                            item.setdefault("role", "unreliable")
                         own[f"{section}.{number}"] = _take_own(item, section, AttackParams, where, folder)
         elif isinstance(data.get(section, {}), dict):
             own[section] = _take_own(data.setdefault(section, {}), section, types[section], where, folder)

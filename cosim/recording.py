@@ -259,6 +259,25 @@ def trust(
                 found.is_known,
             ),
         })  # fmt: skip
+        recorder.append("lookup_totals", at, _lookup_totals(variant, found))
+
+
+def _lookup_totals(variant: int, found: Lookups) -> Rows:
+    """Lookups of a step added up by state; states that do not occur are left out."""
+    valued = found.source != TrustSource.DEFAULT
+
+    def total(values: ndarray, where: Bool[ndarray, "n"]) -> ndarray:
+        return np.bincount(found.state[where], values[where], len(LookupState))
+
+    n = np.bincount(found.state, minlength=len(LookupState))
+    rows = {
+        "variant": np.full(len(n), variant), "state": np.arange(len(n)), "n": n,
+        "n_valued": np.bincount(found.state[valued], minlength=len(LookupState)),
+        "age_sum_s": total(found.age_s, valued),
+        "newest_evaluation_age_sum_s": total(found.newest_evaluation_age_s, found.is_known),
+        "oldest_evaluation_age_sum_s": total(found.oldest_evaluation_age_s, found.is_known),
+    }  # fmt: skip
+    return {name: column[n > 0] for name, column in rows.items()}
 
 
 def _evaluations_behind(

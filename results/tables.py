@@ -388,6 +388,20 @@ TABLES: Mapping[str, Table] = {
             **_EVALUATIONS,
         },
     ),
+    "lookup_totals": Table(
+        "summary",
+        "Lookups of trust values added up, by what is known: numbers, and sums from which mean ages follow.",
+        {
+            "step": _STEP,
+            "variant": _VARIANT,
+            "state": Column("category", key=True, categories=labels(LookupState), meaning="As in `trust_lookups`."),
+            "n": _count("Lookups in this state."),
+            "n_valued": _count("Of these, with a value of the server's or of its own, no default."),
+            "age_sum_s": Column("float32", unit="s", meaning="Sum of the ages of these values (`age_s`)."),
+            "newest_evaluation_age_sum_s": Column("float32", unit="s", meaning="Sum of the ages of the newest evaluations, over lookups that are judged or stale; 0 in other states."),
+            "oldest_evaluation_age_sum_s": Column("float32", unit="s", meaning="The same of the oldest evaluations."),
+        },
+    ),
     "attack_outcomes": Table(
         "summary",
         "What attacks achieve: a row for every fabricated detection and other vehicle that received it, and for every detection of a real actor that an attack withheld and vehicle that received the message without it; of trust variants whose fused objects are computed.",

@@ -206,6 +206,11 @@ class RangeImages:
         column, row = np.nonzero(np.isfinite(self.range_m[o]))
         return self.points(np.full(len(column), o), column, row)
 
+    def cloud(self, o: int) -> Float32[ndarray, "k 3"]:
+        """The same, rounded to single precision: what files of point clouds hold."""
+        grid = self.beams
+        return _cloud(self.range_m[o], grid.cos_az, grid.sin_az, grid.cos_el, grid.sin_el)
+
     def points(self, o: Int[ndarray, "k"], column: Int[ndarray, "k"], row: Int[ndarray, "k"]) -> Float[ndarray, "k 3"]:
         """The ends of single rays that returned, in the frame of their sensor [m]."""
         r = self.range_m[o, column, row].astype(np.float64)
@@ -286,3 +291,18 @@ def buffer(size: tuple[int, int, int], kind: type, old: ndarray | None) -> ndarr
     if whole is None or whole.shape[1:] != size[1:] or len(whole) < size[0]:
         whole = np.empty((size[0] + size[0] // 8, *size[1:]), kind)
     return whole[: size[0]]
+
+
+@njit(cache=True, nogil=True)
+def _cloud(range_m, cos_az, sin_az, cos_el, sin_el):
+    """Ends of the rays that returned, in single precision."""
+    xyz = np.empty((np.isfinite(range_m).sum(), 3), np.float32)
+    k = 0
+    for c in range(range_m.shape[0]):
+        for r in range(range_m.shape[1]):
+            far = np.float64(range_m[c, r])
+            if np.isfinite(far):
+                flat = far * cos_el[r]
+                xyz[k, 0], xyz[k, 1], xyz[k, 2] = flat * cos_az[c], flat * sin_az[c], far * sin_el[r]
+                k += 1
+    return xyz

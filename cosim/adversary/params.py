@@ -23,7 +23,7 @@ class AttackParams:
     attack: str = "ghost_insertion"
     """Name of the attack, or one of your own: path.py:Name."""
     role: Literal["malicious", "unreliable"] = "malicious"
-    """What its vehicles are called in tables and figures."""
+    """What its vehicles are called in tables and figures; unreliable where it is left out and the attack is."""
     share_p: Annotated[float, Ge(0), Le(1)] = 0.1
     """Share of the equipped vehicles that carry it out, decided vehicle by vehicle from its name."""
     ids: tuple[str, ...] = ()

@@ -35,7 +35,7 @@ NEEDED = (
 )
 """Tables that hold the evidence; a run at record.level = "full" has them all."""
 
-WRITTEN = ("trust", "trust_lookups", "server", "encounter_trust")
+WRITTEN = ("trust", "trust_lookups", "lookup_totals", "server", "encounter_trust")
 """Tables that depend on trust, but for the fused objects: those ask the sweeps, which are not on disk."""
 
 
@@ -375,7 +375,7 @@ class _Met:
 def _check_base(run: Path, out: Path, n_variants: int) -> None:
     """The variants that the run had must come out as they are in it."""
     names = open_run(run).variants[:n_variants]
-    for table in ("trust", "trust_lookups", "server"):
+    for table in ("trust", "trust_lookups", "lookup_totals", "server"):
         before, after = (_rows_of(folder / table, names) for folder in (run, out))
         if not before.equals(after):
             raise ValueError(

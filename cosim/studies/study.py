@@ -8,11 +8,10 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Annotated, Any
 
-import tomli_w
 from annotated_types import Ge, Gt
 
 from cosim import config as configs
-from cosim.manifest import without_nulls
+from cosim.manifest import toml_text
 from cosim.mobility.params import TrafficParams
 from results.metrics.registry import TOPICS
 from results.tables import TABLES
@@ -108,7 +107,7 @@ class Study:
             },
             "zip": [{k: [p[k] for p in axis] for k in axis[0]} for axis in self.axes if len(axis[0]) > 1],
         }  # fmt: skip
-        return tomli_w.dumps(without_nulls(data))
+        return toml_text(data)
 
 
 SHIPPED = Path(__file__).parent / "shipped"

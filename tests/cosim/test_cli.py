@@ -108,7 +108,6 @@ FOOTPATH = NET + (
         (["measure", "full", "--threshold", "7"], "threshold"),
         (["run", "--frobnicate"], "No such option"),
         (["frobnicate"], "No such command"),
-        (["measure", "taken"], "manifest.json is damaged"),
         (["measure", "nowhere"], "nowhere is not a folder"),
         (["plot", "trust", "full"], "is not a run"),
         (["plot", "love", "full"], "love"),
@@ -133,6 +132,17 @@ def test_a_mistake_gets_one_line_and_status_2(tmp_path, words, says):
     assert says in done.stderr and "Traceback" not in done.stderr
     assert done.stderr.count("\n") == 1 and done.stdout == ""
     assert sorted(tmp_path.rglob("*")) == before
+
+
+@pytest.mark.parametrize("words", [["measure"], ["report"], ["plot", "trust"], ["verify"], ["resume"]])
+def test_damage_gets_one_line_and_status_1(tmp_path, words):
+    (tmp_path / "taken").mkdir()
+    (tmp_path / "taken" / "manifest.json").write_text("{}")
+    done = cosim(*words, "taken", cwd=tmp_path)
+    said = done.stderr + done.stdout
+    assert done.returncode == 1
+    assert "manifest.json is damaged" in said and "Traceback" not in said
+    assert sorted(path.name for path in tmp_path.rglob("*")) == ["manifest.json", "taken"]
 
 
 def test_version_and_completion():

@@ -11,6 +11,7 @@ import pytest
 from cosim.mobility.remarks import FlowCounts, traffic_remarks
 from cosim.scenario import find
 from cosim.world import World
+from results.verify import verify
 from sensors.boxes import Boxes
 from sensors.scene import Shape
 from tests.cosim.mobility import mixed_scenario
@@ -36,7 +37,9 @@ def edited(scenario, tmp_path, name, change):
     return tmp_path / scenario.name
 
 
-LATE = '<vehicle id="lost" depart="600"><route edges="nowhere"/></vehicle></routes>'
+LOST = '<vehicle id="lost" depart="600"><route edges="nowhere"/></vehicle></routes>'
+LATE = '<vehicle id="before" depart="450"><route edges="db bc"/></vehicle>' + LOST
+"""SUMO reads 200 s ahead: at 250 s it goes on to the vehicle that cannot drive."""
 
 COMPLAINT = '<collision.action value="zz"/></processing>'
 """SUMO reports this as an error, and continues."""
@@ -76,15 +79,21 @@ def test_refused_before_anything_is_written(scenario, tmp_path, what):
     assert says in done.stderr and done.stderr.count("\n") == 1 and "Traceback" not in done.stderr
 
 
-def test_demand_that_turns_out_wrong_later(scenario, tmp_path):
-    """SUMO reads demand bit by bit: what is wrong in its tenth minute is told in its tenth minute."""
-    config = edited(scenario, tmp_path, "odd.rou.xml", lambda t: t.replace("</routes>", LATE))
+@pytest.mark.parametrize(("demand", "is_kept"), [(LATE, True), (LOST, False)])
+def test_demand_that_turns_out_wrong_later(scenario, tmp_path, demand, is_kept):
+    """SUMO reads demand bit by bit: what is recorded until then is kept; a folder without any step is removed."""
+    config = edited(scenario, tmp_path, "odd.rou.xml", lambda t: t.replace("</routes>", demand))
     config.write_text(config.read_text().replace("</processing>", COMPLAINT))
     sets = (f"traffic.scenario={config}", "traffic.warmup_s=100", "traffic.duration_s=550", "fleet.penetration_p=0")
-    done = cosim("run", *(word for s in sets for word in ("--set", s)), "--out", str(tmp_path / "run"))
+    out = tmp_path / "run"
+    done = cosim("run", *(word for s in sets for word in ("--set", s)), "--out", str(out))
     assert done.returncode == 2
     assert re.fullmatch(r"error: .*odd\.sumocfg: SUMO gives up: The edge 'nowhere'.*\n", done.stderr)
-    assert json.loads((tmp_path / "run" / "manifest.json").read_text())["status"] == "failed"
+    assert out.exists() == is_kept
+    if is_kept:
+        assert json.loads((out / "manifest.json").read_text())["status"] == "failed"
+        about, problems = verify(out)
+        assert about["steps"] in range(60, 550, 60) and problems == []
 
 
 def test_what_sumo_complains_of_though_it_goes_on_is_told(scenario, tmp_path):

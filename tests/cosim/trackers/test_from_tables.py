@@ -16,8 +16,8 @@ RANGE_M = 150.0
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
-    changes = ('radio.model="disk"', "radio.disk.loss_p=0.3", f"radio.reach_m={RANGE_M}", "traffic.duration_s=12")
-    return open_run(drive(tmp_path_factory.mktemp("run") / "disk", "record.level=full", *changes))
+    changes = ("radio.model=unit_disk", "radio.unit_disk.loss_p=0.3", f"radio.range_m={RANGE_M}", "record.level=full")
+    return open_run(drive(tmp_path_factory.mktemp("run") / "unit_disk", *changes, "traffic.duration_s=12"))
 
 
 @pytest.fixture(scope="module")

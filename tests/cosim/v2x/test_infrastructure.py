@@ -138,8 +138,8 @@ def test_without_new_objects_no_message_is_sent():
     [
         ("rsu.at=[[99999, 0, 6]]", r"rsu.at[0] = [99999, 0] m lies outside the network"),
         ("server.uplink=rsu", "there are no roadside units"),
-        ("rsu.n_at_junctions=100000", "the network has no more than"),
-        ("server.outages=[[9, 3]]", "server.outages[0] = [9, 3] s is not an interval of time"),
+        ("rsu.n_at_junctions=9999", "the network has no more than"),
+        ("server.outages=[[9, 3]]", "server.outages[0] = [9, 3] s is no span of time"),
         ("radio.access.lifetime_s=0.0001", "shorter than the transmission"),
     ],
 )
