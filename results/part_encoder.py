@@ -2,9 +2,10 @@
 
 import hashlib
 import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -26,6 +27,9 @@ _STEPS = ("step", "first_step", "last_step", "from_step", "to_step", "start_step
 
 _GROUP_ROWS = 300_000
 """Rows from which a row group is encoded: encoded rows take a tenth of the memory."""
+
+_TRIED_ROWS, _SAMPLE_ROWS = 20_000, 100_000
+"""Rows from which layouts are tried, and of which the first row group is tried with."""
 
 _MOST_WAITING = 2
 """Row groups of one table that wait for the encoder."""
@@ -120,13 +124,42 @@ class PartEncoder:
         steps = [columns[name] for name in _STEPS if name in columns]
         self._first_step = min(self._first_step, *(int(s.min()) for s in steps))
         self._last_step = max(self._last_step, *(int(s.max()) for s in steps))
+        group = pa.Table.from_arrays(arrays, schema=schema(table))
         if self._writer is None:
-            floats = [name for name, column in stored.items() if column.type.startswith("float")]
-            self._writer = pq.ParquetWriter(
-                self._sink, schema(table), compression="zstd",
-                use_dictionary=[name for name in stored if name not in floats], use_byte_stream_split=floats,
-            )  # fmt: skip
-        self._writer.write_table(pa.Table.from_arrays(arrays, schema=schema(table)), row_group_size=len(arrays[0]))
+            self._writer = pq.ParquetWriter(self._sink, group.schema, compression="zstd", **_encodings(group))
+        self._writer.write_table(group, row_group_size=len(group))
+
+
+def _encodings(group: pa.Table) -> dict[str, Any]:
+    """How Parquet shall lay out each column: by a dictionary, byte by byte, or as it is; whatever compresses best.
+
+    Few rows are not tried: floats are split into bytes, others go by a dictionary.
+    """
+    by_dictionary, split = [], []
+    for field in group.schema:
+        is_number = pa.types.is_floating(field.type) or pa.types.is_integer(field.type)
+        best = "bytes" if pa.types.is_floating(field.type) else "dictionary"
+        if is_number and len(group) >= _TRIED_ROWS:
+            sample = group.select([field.name]).slice(0, _SAMPLE_ROWS)
+            best = min(_LAYOUTS, key=lambda layout: _encoded_bytes(sample, **_LAYOUTS[layout](field.name)))
+        if best == "dictionary":
+            by_dictionary.append(field.name)
+        elif best == "bytes":
+            split.append(field.name)
+    return {"use_dictionary": by_dictionary, "column_encoding": dict.fromkeys(split, "BYTE_STREAM_SPLIT")}
+
+
+_LAYOUTS: dict[str, Callable[[str], dict[str, Any]]] = {
+    "dictionary": lambda name: {"use_dictionary": [name]},
+    "bytes": lambda name: {"use_dictionary": False, "column_encoding": {name: "BYTE_STREAM_SPLIT"}},
+    "plain": lambda name: {"use_dictionary": False},
+}
+
+
+def _encoded_bytes(sample: pa.Table, **layout: Any) -> int:
+    sink = io.BytesIO()
+    pq.write_table(sample, sink, compression="zstd", **layout)
+    return sink.tell()
 
 
 def _order(columns: Rows, key: tuple[str, ...]) -> tuple[bool, ndarray]:

@@ -21,14 +21,14 @@ def _in_view(forward, left, fov_rad, slope, slack_m):
     return forward >= 0.0 or abs(left) >= -forward * slope - slack_m
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True)
 def in_area(o, b, xyz, lwh, exempt, own_xyz, own_lwh, range_m, height_m, fov_rad, slope, slack_m, own_radius_m):
     """Whether box k (sensor frame; number b[k]) lies in the area of sensor o[k].
 
     Those of the boxes `exempt` that are near to the sensor's own box need not be in view; both may be empty.
     """
     found = np.zeros(len(o), np.bool_)
-    for k in prange(len(o)):
+    for k in range(len(o)):
         x, y, z = xyz[k, 0], xyz[k, 1], xyz[k, 2]
         bottom = z - 0.5 * lwh[k, 2]
         if np.sqrt(x * x + y * y + bottom * bottom) <= range_m and abs(bottom) <= height_m:
@@ -41,11 +41,11 @@ def in_area(o, b, xyz, lwh, exempt, own_xyz, own_lwh, range_m, height_m, fov_rad
     return found
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True)
 def testable(xyz, lwh, range_m, height_m, fov_rad, slope):
     """Whether the free-space test applies to each box (sensor frame)."""
     found = np.zeros(len(xyz), np.bool_)
-    for k in prange(len(xyz)):
+    for k in range(len(xyz)):
         x, y, z = xyz[k, 0], xyz[k, 1], xyz[k, 2]
         bottom = z - 0.5 * lwh[k, 2]
         near_enough = np.sqrt(x * x + y * y + bottom * bottom) < range_m and abs(bottom) <= height_m
@@ -54,14 +54,16 @@ def testable(xyz, lwh, range_m, height_m, fov_rad, slope):
     return found
 
 
-@njit(cache=True, inline="always")
-def _cross(a, b, out):
-    out[0] = a[1] * b[2] - a[2] * b[1]
-    out[1] = a[2] * b[0] - a[0] * b[2]
-    out[2] = a[0] * b[1] - a[1] * b[0]
+@njit(cache=True)
+def _cross(corner, a, b, sign, plane, p):
+    """Normal of the plane through the sensor and two corners."""
+    ax, ay, az, bx, by, bz = corner[a, 0], corner[a, 1], corner[a, 2], corner[b, 0], corner[b, 1], corner[b, 2]
+    plane[p, 0] = sign * (ay * bz - az * by)
+    plane[p, 1] = sign * (az * bx - ax * bz)
+    plane[p, 2] = sign * (ax * by - ay * bx)
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True)
 def frustum(xyz, lwh):
     """The pyramid from the sensor through a small square in the middle of each box (sensor frame).
 
@@ -77,52 +79,56 @@ def frustum(xyz, lwh):
     """
     n = len(xyz)
     planes, distance, window = np.empty((n, 4, 3)), np.empty(n), np.empty((n, 4))
-    for k in prange(n):
+    corner = np.empty((4, 3))  # top left, top right, bottom left, bottom right
+    for k in range(n):
         x, y, z = xyz[k, 0], xyz[k, 1], xyz[k, 2] - 0.5 * lwh[k, 2]
         away = np.sqrt(x * x + y * y + z * z)
         steep = (x * x + y * y) / z
         size = np.sqrt(x * x + y * y + steep * steep)
-        down, sight = np.array([x / size, y / size, steep / size]), np.array([x / away, y / away, z / away])
-        right = np.empty(3)
-        _cross(down, sight, right)
         s = min(lwh[k, 0], lwh[k, 1]) / 4.0
-        corner = np.empty((4, 3))  # top left, top right, bottom left, bottom right
-        for i in range(3):
-            corner[0, i], corner[1, i] = xyz[k, i] - s * down[i] - s * right[i], xyz[k, i] - s * down[i] + s * right[i]
-            corner[2, i], corner[3, i] = xyz[k, i] + s * down[i] - s * right[i], xyz[k, i] + s * down[i] + s * right[i]
+        down_x, down_y, down_z = x / size, y / size, steep / size
+        sight_x, sight_y, sight_z = x / away, y / away, z / away
+        right_x, right_y = down_y * sight_z - down_z * sight_y, down_z * sight_x - down_x * sight_z
+        right_z = down_x * sight_y - down_y * sight_x
+        for c in range(4):
+            for i in range(3):
+                down = down_x if i == 0 else (down_y if i == 1 else down_z)
+                right = right_x if i == 0 else (right_y if i == 1 else right_z)
+                height = xyz[k, i] - s * down if c < 2 else xyz[k, i] + s * down
+                corner[c, i] = height - s * right if c % 2 == 0 else height + s * right
         plane = planes[k]
-        _cross(corner[1], corner[0], plane[0])
-        _cross(corner[3], corner[2], plane[1])
-        _cross(corner[1], corner[3], plane[2])
-        _cross(corner[0], corner[2], plane[3])
-        plane[1:3] *= -1.0
+        _cross(corner, 1, 0, 1.0, plane, 0)
+        _cross(corner, 3, 2, -1.0, plane, 1)
+        _cross(corner, 1, 3, -1.0, plane, 2)
+        _cross(corner, 0, 2, 1.0, plane, 3)
         distance[k] = away
-        window[k] = _window(xyz[k], corner, plane)
+        window[k, 0] = np.arctan2(xyz[k, 1], xyz[k, 0])
+        window[k, 1], window[k, 2], window[k, 3] = _window(window[k, 0], corner, plane)
     return planes, distance, window
 
 
 @njit(cache=True)
-def _window(centre, corner, plane):
-    """Azimuth of the middle of a pyramid, half its width, lowest and highest slope."""
-    middle, half, low, high = np.arctan2(centre[1], centre[0]), 0.0, np.inf, -np.inf
+def _window(middle, corner, plane):
+    """Half the width of a pyramid, lowest and highest slope."""
+    half, low, high = 0.0, np.inf, -np.inf
     # Beside a large box the planes may bound no pyramid through the corners: then every ray is tested.
     sound = True
     for c in range(4):
         x, y, z = corner[c, 0], corner[c, 1], corner[c, 2]
-        off = np.arctan2(y, x) - middle
-        half = max(half, abs(off - 2.0 * np.pi * np.round(off / (2.0 * np.pi))))
-        slope = z / np.hypot(x, y)
-        low, high = min(low, slope), max(high, slope)
+        off = abs(np.arctan2(y, x) - middle)
+        off = 2.0 * np.pi - off if off > np.pi else off
+        slope = z / np.sqrt(x * x + y * y)
+        half, low, high = max(half, off), min(low, slope), max(high, slope)
         for p in range(4):
             lies_on = (p == 0 and c < 2) or (p == 1 and c >= 2) or (p == 2 and c % 2 == 1) or (p == 3 and c % 2 == 0)
             sound = sound and (lies_on or x * plane[p, 0] + y * plane[p, 1] + z * plane[p, 2] < 0.0)
     if not (sound and half < 1.5):
-        return middle, np.pi, -np.inf, np.inf
+        return np.pi, -np.inf, np.inf
     # The side of a pyramid between two corners is a great circle: its slope is larger by 1 / cos of half its arc.
     bulge = 1.0 / np.cos(half)
     low = low * bulge if low < 0.0 else low / bulge
     high = high * bulge if high > 0.0 else high / bulge
-    return middle, half + MARGIN_RAD, low, high
+    return half + MARGIN_RAD, low, high
 
 
 @njit(cache=True, inline="always")

@@ -15,7 +15,7 @@ from sensors.evidence import (
     plausible,
     points_in_boxes,
 )
-from sensors.lidar import Beams, LidarParams, Poses, beams, scan
+from sensors.lidar import Beams, LidarParams, Poses, RangeImages, beams, scan
 from sensors.scene import Hit, Scene
 from tests.sensors import whole_cloud
 from tests.sensors.town import (
