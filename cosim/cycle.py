@@ -25,6 +25,7 @@ from cosim.driver.driver import SpeedCommands
 from cosim.ground_truth import GroundTruth
 from cosim.parts import Parts
 from cosim.perception import Observed
+from cosim.positioning import PositionErrors, as_believed, believed_world
 from cosim.radio.message_round import LinkReceptions, MessageRound, Receptions, RoundKind
 from cosim.reactions import Reactions, ReactionTruth
 from cosim.senders import OnAir, Senders, Vehicles, sending_of
@@ -70,6 +71,7 @@ class State:
     heard: HeardSenders = field(default_factory=HeardSenders)
     """With pseudonyms.linkage = "own" alone."""
     accelerations: AccelerationTracker = field(default_factory=AccelerationTracker)
+    position_errors: PositionErrors = field(default_factory=PositionErrors)
     n_dropped: Int[ndarray, "f"] = field(default_factory=lambda: np.zeros(len(DetectionFault), np.int64))
     """Detections dropped so far because they cannot be sent, by `DetectionFault`."""
     is_consumed: bool = False
@@ -144,6 +146,8 @@ class Sensed:
     """Detections that could not be sent, by `DetectionFault`."""
     attack_outcomes: list[Rows]
     """Per trust variant that fuses: columns of the table `attack_outcomes`."""
+    position_error_m: Float[ndarray, "e 2"] | None
+    """Where vehicles believe to be less where they are, east and north; None without `[gnss]`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -187,6 +191,13 @@ def step(world: World, state: State, parts: Parts) -> tuple[State, StepResult]:
             s.pseudonyms, published[parts.trust.host_of[0]], world.step, c.traffic.step_s
         )
     observed = parts.perception(world, vehicles.row, watch)
+    believed, position_error_m = world, None
+    if c.gnss.std_m > 0:
+        position_error_m = s.position_errors.update(
+            world.step, vehicles.actor, vehicles.name_key, c.gnss, c.traffic.step_s, c.seed
+        )
+        observed = as_believed(observed, vehicles.row, position_error_m)
+        believed = believed_world(world, vehicles.row, position_error_m)
     with watch("attack"):
         active = parts.adversary.active(s.attacks, world, time_s, told)
         senders = _senders(world, s, parts, vehicles, active.identities(len(world)))
@@ -204,7 +215,7 @@ def step(world: World, state: State, parts: Parts) -> tuple[State, StepResult]:
         links_1 = cpms.links(round_1, len(vehicles))
         accepted_1 = _accepted(links_1, senders)
     with watch("match"):
-        matched = stages.match_objects(listed, accepted_1.vehicles, observed, senders, vehicles, world, c)
+        matched = stages.match_objects(listed, accepted_1.vehicles, observed, senders, vehicles, believed, c)
     with watch("evaluate"):
         evaluated = stages.evaluate_objects(matched, listed, observed, senders, vehicles, world.step, active, c)
     with watch("radio"):  # evaluations are broadcast, unless they wait for the next detection message
@@ -246,7 +257,7 @@ def step(world: World, state: State, parts: Parts) -> tuple[State, StepResult]:
         fused = stages.fuse_objects(matched, evaluated, listed, observed, senders, used, lookups, s.trust, parts)
     with watch("driver"):
         assert fused[0] is not None, "the acting variant is always fused"
-        beliefs = stages.beliefs_of(fused[0], listed, senders, vehicles, fused_s)
+        beliefs = stages.beliefs_of(fused[0], listed, senders, vehicles, position_error_m, fused_s)
         s.driver, commands = parts.driver.commands(s.driver, world, beliefs, c.traffic.step_s)
         if c.driver.model != "none":
             observer = senders.pseudonym[listed.detections.message]
@@ -258,7 +269,7 @@ def step(world: World, state: State, parts: Parts) -> tuple[State, StepResult]:
         in_range, inter_reception = _track(
             world, s, listed, rounds, all_links, used, lookups, matched, vehicles, senders
         )
-        outcomes = attack_outcomes(world, listed, links_1.vehicles, matched, fused, senders, vehicles)
+        outcomes = attack_outcomes(believed, listed, links_1.vehicles, matched, fused, senders, vehicles)
     server = parts.trust.traffic(up, informed)
     named = [None if scores is None else parts.linkage.scores(s.pseudonyms, scores) for scores in published]
     return s, StepResult(world, closed, ended, Sensed(
@@ -266,7 +277,7 @@ def step(world: World, state: State, parts: Parts) -> tuple[State, StepResult]:
         all_links, evaluated.lists, evaluated.reported, (evaluated.sent, evaluated.kept_messages),
         evaluated.n_points, evaluated.plausible, evaluated.matched, evaluated.lied, used, lookups, fused,
         _per_variant(named, parts), _per_variant(server, parts), in_range, inter_reception,
-        listed.n_dropped, outcomes,
+        listed.n_dropped, outcomes, position_error_m,
     ), commands, reactions)  # fmt: skip
 
 

@@ -32,7 +32,7 @@ Advance = Callable[[str, int, int, str], None]
 Commands = tuple[Int[ndarray, "c"], Float[ndarray, "c"]]
 """Actors, and the speeds that they shall drive [m/s]."""
 NO_COMMANDS: Commands = (np.zeros(0, np.int64), np.zeros(0))
-STATE_VERSION = 2
+STATE_VERSION = 3
 """Raised whenever a state of an earlier version would be misread."""
 _CORES = numba.get_num_threads()
 _EQUIPPED_PER_THREAD = 100

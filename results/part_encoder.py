@@ -14,10 +14,8 @@ from numpy import ndarray
 
 from results import durable
 from results.inventory import Part
+from results.stored_columns import VALID
 from results.tables import TABLES, schema
-
-VALID = "__valid"
-"""Suffix of the mask that goes with a column that may be null."""
 
 Rows = dict[str, ndarray]
 """Columns of a table in their stored types, masks included."""

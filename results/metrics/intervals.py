@@ -1,5 +1,6 @@
 """Intervals of ratios and means over units that are independent of each other: vehicles, not messages."""
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -59,9 +60,15 @@ def ratio(top: Float[ndarray, "u"], bottom: Float[ndarray, "u"], level: float = 
     value = float(top.sum() / bottom.sum())
     if n < _FEWEST:
         return Estimate(value, float("nan"), float("nan"), n)
-    drawn = np.random.default_rng(0).multinomial(n, np.full(n, 1 / n), size=_DRAWS)
+    drawn = _drawn(n)
     low, high = np.quantile((drawn @ top) / (drawn @ bottom), [(1 - level) / 2, (1 + level) / 2])
     return Estimate(value, float(low), float(high), n)
+
+
+@lru_cache(maxsize=8)
+def _drawn(n: int) -> Int[ndarray, "draws n"]:
+    """How often each of `n` units is drawn, in every draw; metrics of one run ask for the same few `n` again."""
+    return np.random.default_rng(0).multinomial(n, np.full(n, 1 / n), size=_DRAWS)
 
 
 def share(top: Float[ndarray, "u"], bottom: Float[ndarray, "u"], level: float = LEVEL) -> Estimate:

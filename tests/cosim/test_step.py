@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from cosim.cycle import State, step
-from cosim.reproduce import ScriptedScene
+from cosim.reproduce.scenarios import ScriptedScene
 from cosim.v2x.pseudonyms import Never, Pseudonyms
 from tests.scene import assert_same, parts_of, play
 

@@ -33,7 +33,7 @@ from trust.models.trupercept import TruPercept
 from trust.params import Method, TruPerceptParams
 from trust.tables import SERVER, ReceivedEvaluations, messages_from_rows
 
-FOLDER = Path(__file__).parent / "scenarios"
+FOLDER = Path(__file__).parents[1] / "scenarios"
 EGO, ATTACKER, THIRD = range(3)
 """Equipped vehicles, in the order of the scene: rows of actors, of observers and of trust."""
 PEDESTRIAN = LABELS.index("pedestrian")
