@@ -13,10 +13,12 @@ import numpy as np
 from cosim.actors import ActorRegistry
 from cosim.adversary.params import shares
 from cosim.config import load
-from cosim.cycle import Sensed, State, step
+from cosim.cycle import step
 from cosim.mobility.sumo import SumoTraffic
 from cosim.parts import Parts
 from cosim.scenario import find
+from cosim.state import State
+from cosim.step_result import Sensed
 from cosim.stopwatch import Stopwatch
 from sensors.boxes import overlapping_pairs
 from trust.evaluation import evaluate

@@ -18,10 +18,11 @@ from cosim import recording
 from cosim.actors import ActorRegistry
 from cosim.adversary.params import shares
 from cosim.config import Config, load
-from cosim.cycle import State, step
+from cosim.cycle import step
 from cosim.mobility.source import TrafficEnded
 from cosim.parts import Parts
 from cosim.scenario import Scenario, find
+from cosim.state import State
 from cosim.world import World
 from results.recorder import Recorder
 

@@ -13,12 +13,13 @@ from cosim import checkpoint, recording
 from cosim.actors import ActorRegistry
 from cosim.checkpoint import CannotCheckpoint
 from cosim.config import Config
-from cosim.cycle import State, step
+from cosim.cycle import step
 from cosim.manifest import Manifest
 from cosim.mobility.source import TrafficEnded, TrafficError, TrafficSource
 from cosim.parts import Parts, chosen
 from cosim.run_folder import RunFolder
 from cosim.scenario import Scenario
+from cosim.state import State
 from cosim.stop import StopRequest
 from cosim.stopwatch import Stopwatch
 from cosim.world import World

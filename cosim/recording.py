@@ -10,10 +10,11 @@ from numpy import ndarray
 import cosim.codes  # noqa: F401  the codes that are written are those that the tables render
 from cosim.actors import ActorRegistry
 from cosim.adversary.params import roles_of
-from cosim.cycle import Sensed, State, StepResult
 from cosim.parts import Parts
 from cosim.radio.message_round import Outcome
 from cosim.reactions import Reactions
+from cosim.state import State
+from cosim.step_result import Sensed, StepResult
 from cosim.trackers import evidence_audit
 from cosim.trackers.attack_start import AttackStartTracker
 from cosim.trackers.channel_counts import latency_histogram, pdr_by_distance, vehicle_channel

@@ -16,7 +16,6 @@ from cosim import checkpoint, recording, run_folder
 from cosim.actors import ActorRegistry
 from cosim.adversary.params import named, shares
 from cosim.config import Config, chosen, resolve_data
-from cosim.cycle import State
 from cosim.drive import STATE_VERSION, Advance, Commands, Drive, own_modules, warm_up
 from cosim.driver.driver import largest_step_s
 from cosim.manifest import CONFIG, Manifest, versions
@@ -27,6 +26,7 @@ from cosim.parts import Parts, check_choices, sources
 from cosim.radio.rsu import NO_RSUS, RsuAntennas, place_rsus
 from cosim.run_folder import RunFolder
 from cosim.scenario import Scenario, find
+from cosim.state import State
 from cosim.stop import Failed, Stopped, StopRequest
 from cosim.stopwatch import Stopwatch
 from cosim.trackers.attack_start import AttackStartTracker
