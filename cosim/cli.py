@@ -4,12 +4,10 @@ import os
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
-from rich.box import SIMPLE
 from rich.progress import (
     BarColumn,
     MofNCompleteColumn,
@@ -19,10 +17,10 @@ from rich.progress import (
     TextColumn,
     TimeRemainingColumn,
 )
-from rich.table import Table
 
 from cosim.console import notes, print_json, print_metrics, print_run_summary, screen, table_of
 from cosim.nets import nets
+from cosim.reproduce import commands as reproductions
 from cosim.stop import Failed, Stopped
 from cosim.studies import commands as studies
 from results.durable import Damaged
@@ -38,6 +36,7 @@ app = typer.Typer(
 )
 app.add_typer(nets, name="nets")
 studies.add_to(app)
+reproductions.add_to(app)
 
 ConfigPath = Annotated[Path | None, typer.Argument(help="TOML file; without one, the shipped city.")]
 Overrides = Annotated[
@@ -385,39 +384,27 @@ def view(
 
 
 @app.command()
-def reproduce(
-    scenario: Annotated[Literal["scenario-1", "scenario-2"], typer.Argument(help="Which scenario of the paper.")],
-    out: Annotated[Path | None, typer.Option(help="Folder for the pictures; by default runs/<scenario>.")] = None,
-    as_json: AsJson = False,
-) -> None:
-    """Play a scenario of the paper, and compare it with the paper."""
-    from cosim.reproduce import SCENARIOS
-
-    folder = out or Path("runs") / scenario
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ValueError(f"--out {folder} cannot be a folder: {error.strerror}. Give another one.") from None
-    compared = SCENARIOS[scenario](folder)
-    if as_json:
-        print_json({"scenario": scenario} | asdict(compared))
-        return
-    table = Table(*compared.rows[0], title=scenario, title_justify="left", box=SIMPLE)
-    for row in compared.rows:
-        table.add_row(*("-" if v is None else f"{v:.3f}" if isinstance(v, float) else v for v in row.values()))
-    screen.print(table)
-    for line in compared.notes + [f"drawn in {path}" for path in compared.pictures]:
-        screen.print(line, highlight=False, soft_wrap=True)
-
-
-@app.command()
 def bench(
-    only: Annotated[list[str] | None, typer.Argument(help="sensors, trust, radio, mobility, results, cycle.")] = None,
+    only: Annotated[
+        list[str] | None,
+        typer.Argument(help="sensors, trust, radio, mobility, results, cycle, variants; or scale, alone."),
+    ] = None,
+    scenario: Annotated[str, typer.Option(help="scale: a city or .sumocfg, as traffic.scenario.")] = "helsinki",
+    trace: Annotated[str | None, typer.Option(help="scale: recorded traffic, as traffic.trace.")] = None,
+    vehicles: Annotated[str, typer.Option(help="scale: numbers of actors to crop to.")] = "250,500,1000,2000,5000",
+    seconds: Annotated[int, typer.Option(min=1, max=3600, help="scale: simulated seconds to measure.")] = 5,
     as_json: AsJson = False,
 ) -> None:
     """Measure the speed of every room on this machine."""
-    from cosim.bench import BENCHES, machine, run
+    from cosim.bench import BENCHES, machine, run, run_scale
 
+    if only == ["scale"]:
+        rows = run_scale(scenario, trace, vehicles, seconds)
+        if as_json:
+            print_json({"machine": machine(), "figures": rows})
+        else:
+            screen.print(table_of(machine(), rows))
+        return
     if unknown := set(only or ()) - set(BENCHES):
         raise ValueError(f"cosim bench {' '.join(unknown)}: no such benchmark. There are {', '.join(BENCHES)}.")
     rows = [
