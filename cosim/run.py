@@ -14,6 +14,7 @@ import pyarrow.parquet as pq
 
 from cosim import checkpoint, recording, run_folder
 from cosim.actors import ActorRegistry
+from cosim.adversary.checked import AttackError
 from cosim.adversary.params import named, shares
 from cosim.config import Config, chosen, resolve_data
 from cosim.cycle import State
@@ -300,7 +301,7 @@ def _carry_out(drive: Drive, folder: RunFolder) -> None:
         raise Stopped(error.signum, message) from None
     except Failed:
         raise
-    except (TrafficError, ModelError) as error:
+    except (TrafficError, ModelError, AttackError) as error:
         _fail(drive, folder, str(error))
         raise
     except OSError as error:

@@ -92,7 +92,8 @@ def panel(axes: Axes, title: str, x: str, y: str) -> None:
 
 
 def share_axis(axes: Axes, top: float = 1.0) -> None:
-    """A vertical axis from 0 to 1, with room for the line width."""
+    """A vertical axis from 0 to `top`, or to 1 where that is next to nothing, with room for the line width."""
+    top = top if top > 1e-6 else 1.0
     axes.set_ylim(-0.02 * top, 1.03 * top)
 
 
