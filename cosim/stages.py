@@ -63,7 +63,7 @@ def list_objects(
 ) -> tuple[Listed, InclusionMemory]:  # fmt: skip
     """Detections as each vehicle lists them, after attacks and generation rules."""
     perceived = with_motion(observed.detections, world.speed_mps, acceleration_mps2)
-    objects, n_dropped = active.detections(perceived, world.boxes.xyz_m)
+    objects, n_dropped = active.detections(perceived)
     withheld = (objects.origin == SENSED) & ~objects.transmitted
     lied = lies_in_detections(perceived, objects, active.malicious(len(world)))
     if c.radio.cpm_rules == "etsi":

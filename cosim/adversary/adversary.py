@@ -54,21 +54,18 @@ class Active:
     """Attacks that are carried out in one step, in the order of the config."""
 
     attacks: tuple[tuple[Attack, AttackContext], ...]
+    xyz_m: Float[ndarray, "n 3"]
+    """Positions of all actors."""
 
     def _with(self, hook: str) -> list[tuple[Any, AttackContext]]:
         return [(attack, context) for attack, context in self.attacks if hasattr(attack, hook)]
 
-    def detections(
-        self, listed: Detections, xyz_m: Float[ndarray, "n 3"]
-    ) -> tuple[Detections, Int[ndarray, "f"]]:  # fmt: skip
-        """What each vehicle will send of its list; how many cannot be sent and are dropped, by `DetectionFault`.
-
-        `xyz_m` are the positions of all actors.
-        """
+    def detections(self, listed: Detections) -> tuple[Detections, Int[ndarray, "f"]]:
+        """What each vehicle will send of its list; how many cannot be sent and are dropped, by `DetectionFault`."""
         attacks, n_dropped = self._with("detections"), np.zeros(len(DetectionFault), np.int64)
         if not attacks:
-            return without_faults(listed, xyz_m)
-        n_identities = self.identities(len(xyz_m))
+            return without_faults(listed, self.xyz_m)
+        n_identities = self.identities(len(self.xyz_m))
         for attack, context in attacks:
             listed, n = checked_detections(attack, context, listed, attack.detections(listed, context), n_identities)
             n_dropped += n
@@ -198,7 +195,7 @@ class Adversary:
                 found.append((attack, AttackContext(
                     world, now, time_s, self.seed, number, p, member, ring, n_active, state.memory[number]
                 )))  # fmt: skip
-        return Active(tuple(found))
+        return Active(tuple(found), world.boxes.xyz_m)
 
     def _members(self, world: World, number: int) -> Bool[ndarray, "n"]:
         return world.equipped & (world.attack == self.owner[number] + 1)

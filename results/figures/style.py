@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
+from results import durable
 from results.codes import BASE_VARIANT
 from results.metrics import compare
 from results.run import Run
@@ -263,7 +264,9 @@ def save(figure: Figure, path: str | Path) -> Path:
         raise ValueError(f"{path} has no picture format. End it in {', '.join(FORMATS)}.")
     if not path.parent.is_dir():
         raise ValueError(f"The folder {path.parent} does not exist. Make it first.")
-    write(figure, path, path.suffix.lower()[1:])
+    content = io.BytesIO()
+    write(figure, content, path.suffix.lower()[1:])
+    durable.write_output(path, content.getvalue())
     return path
 
 

@@ -139,7 +139,7 @@ def _carried_out(
         if kill_after_s is not None and waited_s > kill_after_s and not killed:
             os.kill(pid, signum)
             killed = True
-        if waited_s > 6 * cpu_s:  # it sleeps
+        if waited_s > 20 * cpu_s:  # it sleeps
             os.kill(pid, XCPU)
         time.sleep(0.002)
     left = sorted(path.name for path in scratch.iterdir())
