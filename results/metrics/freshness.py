@@ -88,11 +88,11 @@ def ages(run: Run) -> pd.DataFrame:
         for part in _lookups(run, ["receiver", "subject", column]):
             age_s = part[column].to_numpy(np.float64)
             there = ~np.isnan(age_s)
-            role, receiver = role_of(part.subject.to_numpy()[there]), part.receiver.to_numpy()[there]
-            sums.add(receiver, role, age_s[there])
-            counts.add(receiver, role)
-            for code in np.unique(role):
-                histograms[code] += _histogram(age_s[there][role == code])
+            code_of, receiver = role_of(part.subject.to_numpy()[there]), part.receiver.to_numpy()[there]
+            sums.add(receiver, code_of, age_s[there])
+            counts.add(receiver, code_of)
+            for code in np.unique(code_of):
+                histograms[code] += _histogram(age_s[there][code_of == code])
         for code, role in enumerate(roles):
             chosen = slice(None) if code == 0 else slice(code - 1, code)
             n, histogram = counts.table[:, chosen].sum(axis=1), histograms[chosen].sum(axis=0)
