@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
-.PHONY: run test types lint verify bench lock clean
+.PHONY: run test types lint verify docs bench lock clean
 
 run: $(READY)  ## Drive the shipped city, and show what came of it
 	$(BIN)/cosim run
@@ -26,11 +26,16 @@ verify: $(READY)  ## Everything, the slow verification included
 	$(BIN)/mypy
 	$(BIN)/python -m pytest -q -n 2 -m ""
 
+docs: $(READY) $(VENV)/.docs  ## The documentation site, in build/site; warnings are errors
+	$(BIN)/python -m cosim.docs.site build/site
+	@echo "build/site/index.html"
+
 bench: $(READY)  ## Speed, with peers in the same run
 	$(BIN)/cosim bench
 
 lock:  ## Pin the dependencies anew (needs uv)
 	uv pip compile -q pyproject.toml --extra dev --extra build --universal --python-version 3.11 --no-emit-index-url --no-header --generate-hashes -o requirements.lock
+	uv pip compile -q pyproject.toml --extra docs -c requirements.lock --universal --python-version 3.11 --no-emit-index-url --no-header --generate-hashes -o cosim/docs/requirements.lock
 
 clean:
 	rm -rf $(VENV) build *.egg-info
@@ -41,3 +46,7 @@ $(READY): requirements.lock pyproject.toml
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
 	@touch $(READY)
+
+$(VENV)/.docs: $(READY) cosim/docs/requirements.lock
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r cosim/docs/requirements.lock
+	@touch $(VENV)/.docs

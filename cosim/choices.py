@@ -4,7 +4,7 @@ import hashlib
 import importlib
 import importlib.util
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, is_dataclass
 from pathlib import Path
 from types import ModuleType
@@ -81,6 +81,18 @@ def resolve(key: str, name: str, at_hand: Mapping[str, Any], folder: Path | None
     if params is not None and not (is_dataclass(params) and isinstance(params, type)):
         raise ValueError(f"{key} = {name}: {found.__name__}.Params is no dataclass. Make it a frozen dataclass.")
     return Choice(key, found, params, source)
+
+
+def function(key: str, name: str) -> Callable[..., Any]:
+    """The function that `path.py:name` or `package.module:name` names; ValueError in one line where there is none."""
+    where, colon, of = name.rpartition(":")
+    if not colon:
+        raise ValueError(f"{key} = {name}: name a function as path.py:name or package.module:name.")
+    module, _ = _load(key, where, of, None)
+    found = getattr(module, of, None)
+    if not callable(found):
+        raise ValueError(f"{key} = {name}: {where} defines no function {of}. Name a function of that file.")
+    return found
 
 
 def make(choice: Choice, *arguments: Any) -> Any:

@@ -4,12 +4,10 @@ import os
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
-from rich.box import SIMPLE
 from rich.progress import (
     BarColumn,
     MofNCompleteColumn,
@@ -19,11 +17,11 @@ from rich.progress import (
     TextColumn,
     TimeRemainingColumn,
 )
-from rich.table import Table
 
 from cosim.console import notes, print_json, print_metrics, print_run_summary, screen, table_of
 from cosim.mobility.scratch import Scratch
 from cosim.nets import nets
+from cosim.reproduce import commands as reproductions
 from cosim.stop import Failed, Stopped
 from cosim.studies import commands as studies
 from results.durable import Damaged
@@ -39,6 +37,7 @@ app = typer.Typer(
 )
 app.add_typer(nets, name="nets")
 studies.add_to(app)
+reproductions.add_to(app)
 
 ConfigPath = Annotated[Path | None, typer.Argument(help="TOML file; without one, the shipped city.")]
 Overrides = Annotated[
@@ -57,6 +56,7 @@ Picture = Literal[
     "contacts",
     "safety",
     "security",
+    "scene",
     "sweep",
     "movie",
 ]
@@ -179,18 +179,16 @@ def _say_damage(runs: Iterable["Run"]) -> None:
 @app.command()
 def check(config: ConfigPath = None, overrides: Overrides = None, as_json: AsJson = False) -> None:
     """Check whether a config would run, and print it resolved."""
-    import tomli_w
-
     from cosim import run as running
     from cosim.config import load
-    from cosim.manifest import without_nulls
+    from cosim.manifest import toml_text
 
     experiment = load(config, overrides)
     running.check(experiment)
     if as_json:
         print_json(experiment.to_dict())
     else:
-        screen.print(tomli_w.dumps(without_nulls(experiment.to_dict())), highlight=False, markup=False)
+        screen.print(toml_text(experiment.to_dict()), soft_wrap=True)
 
 
 @app.command()
@@ -238,9 +236,9 @@ def plot(
     ] = None,
     vehicles: Annotated[
         list[int] | None,
-        typer.Option("--vehicle", help="trust: draw this vehicle too. Repeatable. sweep: whose point cloud."),
+        typer.Option("--vehicle", help="trust: draw this vehicle too. Repeatable. sweep, scene: whose cloud."),
     ] = None,
-    step: Annotated[int | None, typer.Option(help="sweep: of which step.")] = None,
+    step: Annotated[int | None, typer.Option(help="sweep, scene: of which step.")] = None,
     over: Annotated[
         str | None, typer.Option(help="Key on the axis, e.g. trust.freshness_s; of a study, or of runs by freshness.")
     ] = None,
@@ -277,6 +275,14 @@ def plot(
             raise ValueError("cosim plot sweep shows one sweep: cosim plot sweep RUN --vehicle V --step S")
         screen.print(f"wrote {write(_opened(runs[0]), vehicles[0], step, out)}", highlight=False, soft_wrap=True)
         return
+    if what == "scene":
+        from cosim.replay_lidar import portrait
+
+        if len(runs) != 1 or step is None:
+            raise ValueError("cosim plot scene shows one moment: cosim plot scene RUN --step S [--vehicle V]")
+        path = portrait(_opened(runs[0]), vehicles or [], step, out)
+        screen.print(f"wrote {path}", highlight=False, soft_wrap=True)
+        return
     if what == "movie":
         from cosim.replay_lidar import film
 
@@ -286,7 +292,7 @@ def plot(
         screen.print(f"wrote {path}", highlight=False, soft_wrap=True)
         return
     if step is not None:
-        raise ValueError(f"--step goes with `cosim plot sweep`, not with {what}. Leave it out.")
+        raise ValueError(f"--step goes with `cosim plot sweep` or scene, not with {what}. Leave it out.")
     options = {"vehicles": vehicles, "over": over, "threshold": threshold, "radius_m": radius_m, "pairs": pairs}
     given = {name: value for name, value in options.items() if value}
     for name in given:
@@ -383,34 +389,10 @@ def view(
 
 
 @app.command()
-def reproduce(
-    scenario: Annotated[Literal["scenario-1", "scenario-2"], typer.Argument(help="Which scenario of the paper.")],
-    out: Annotated[Path | None, typer.Option(help="Folder for the pictures; by default runs/<scenario>.")] = None,
-    as_json: AsJson = False,
-) -> None:
-    """Play a scenario of the paper, and compare it with the paper."""
-    from cosim.reproduce import SCENARIOS
-
-    folder = out or Path("runs") / scenario
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ValueError(f"--out {folder} cannot be a folder: {error.strerror}. Give another one.") from None
-    compared = SCENARIOS[scenario](folder)
-    if as_json:
-        print_json({"scenario": scenario} | asdict(compared))
-        return
-    table = Table(*compared.rows[0], title=scenario, title_justify="left", box=SIMPLE)
-    for row in compared.rows:
-        table.add_row(*("-" if v is None else f"{v:.3f}" if isinstance(v, float) else v for v in row.values()))
-    screen.print(table)
-    for line in compared.notes + [f"drawn in {path}" for path in compared.pictures]:
-        screen.print(line, highlight=False, soft_wrap=True)
-
-
-@app.command()
 def bench(
-    only: Annotated[list[str] | None, typer.Argument(help="sensors, trust, radio, mobility, results, cycle.")] = None,
+    only: Annotated[
+        list[str] | None, typer.Argument(help="sensors, trust, radio, mobility, results, cycle, variants.")
+    ] = None,
     as_json: AsJson = False,
 ) -> None:
     """Measure the speed of every room on this machine."""

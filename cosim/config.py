@@ -22,6 +22,7 @@ from cosim.driver.drivers import DRIVERS
 from cosim.fleet import FleetParams
 from cosim.meshes import MeshParams
 from cosim.mobility.params import TrafficParams, resolved_input
+from cosim.positioning import GnssParams
 from cosim.radio.medium import MEDIA
 from cosim.radio.params import RadioParams
 from cosim.radio.rsu import RsuParams
@@ -121,6 +122,7 @@ class Config:
     traffic: TrafficParams = field(default_factory=TrafficParams)
     fleet: FleetParams = field(default_factory=FleetParams)
     lidar: LidarParams = field(default_factory=LidarParams)
+    gnss: GnssParams = field(default_factory=GnssParams)
     meshes: tuple[MeshParams, ...] = ()
     area: AreaParams = field(default_factory=AreaParams)
     detector: DetectorParams = field(default_factory=DetectorParams)
@@ -224,7 +226,7 @@ def load(path: Path | None = None, overrides: list[str] | None = None) -> Config
     """Experiment from a TOML file, then from `key=value` overrides; ValueError in one line for a mistake."""
     data = with_defaults({} if path is None else read_toml(path, "config file"))
     for text in overrides or []:
-        _override(data, text)
+        override(data, text)
     if path is None and data.get("server", {}).get("uplink") != "rsu":  # there, every variant loads the channel
         data.setdefault("trust_variant", [copy.deepcopy(PAPER_RULE)])
     return resolve_data(data, "the config" if path is None else path.name, None if path is None else path.parent)
@@ -264,6 +266,8 @@ def resolve_data(data: dict[str, Any], where: str, folder: Path | None) -> Confi
             if isinstance(listed, list):
                 for number, item in enumerate(listed):
                     if isinstance(item, dict):
+                        if item.get("attack") == "unreliable":
+                            item.setdefault("role", "unreliable")
                         own[f"{section}.{number}"] = _take_own(item, section, AttackParams, where, folder)
         elif isinstance(data.get(section, {}), dict):
             own[section] = _take_own(data.setdefault(section, {}), section, types[section], where, folder)
@@ -394,7 +398,7 @@ def _own_step_s(scenario: str) -> float | None:
     return own_s
 
 
-def _override(data: Any, text: str) -> None:
+def override(data: Any, text: str) -> None:
     """Set one key; `encounters.0.radius_m` names an item of a list, the one behind the last makes a new one."""
     name, sign, value = text.partition("=")
     if not sign or not name.strip():

@@ -1,6 +1,8 @@
 """What the commands print: tables and sentences for people, JSON for machines."""
 
 import json
+import math
+import os
 import sys
 from collections.abc import Callable, Mapping
 from dataclasses import asdict
@@ -12,7 +14,12 @@ from rich.console import Console
 from rich.table import Column, Table
 from rich.text import Text
 
-screen = Console(markup=False, highlight=False, emoji=False)  # a user's names are shown as they are
+_PIPED_WIDTH = 160
+"""Columns of tables where standard output is no terminal."""
+screen = Console(  # a user's names are shown as they are
+    markup=False, highlight=False, emoji=False,
+    width=None if (sys.stdout is not None and sys.stdout.isatty()) or "COLUMNS" in os.environ else _PIPED_WIDTH,
+)  # fmt: skip
 notes = Console(stderr=True, markup=False, highlight=False, emoji=False)
 
 Get = Callable[[str], Mapping[str, float]]
@@ -128,8 +135,9 @@ def _freshness(get: Get) -> list[str]:
         f"trust values looked up: {state['judged']:.0%} rest on another vehicle's evaluation within the window, "
         f"{state['stale']:.0%} on older ones, {state['unjudged']:.0%} on none, {state['default']:.0%} no value"
     ]
-    if mean_s is not None and p90_s is not None:
-        lines.append(f"newest evaluation behind them: {mean_s:.1f} s old on average, one in ten over {p90_s:.1f} s")
+    if mean_s is not None:
+        tail = "" if p90_s is None else f", one in ten over {p90_s:.1f} s"
+        lines.append(f"newest evaluation behind them: {mean_s:.1f} s old on average{tail}")
     for definition, share in get("freshness.encounters_without_trust.share").items():
         lines.append(f"{share:.0%} of encounters ({definition}) over before one knew a trust value of the other")
     return lines
@@ -169,8 +177,11 @@ def print_metrics(as_json: bool) -> None:
 
 
 def rows_of(table: Any) -> list[dict[str, object]]:
-    """Measures as plain rows."""
-    return [{name: None if x != x else x for name, x in row.items()} for row in table.to_dict("records")]
+    """Measures as plain rows; None for what is not known, and for the upper end of an interval without one."""
+    return [
+        {name: None if isinstance(x, float) and not math.isfinite(x) else x for name, x in row.items()}
+        for row in table.to_dict("records")
+    ]
 
 
 def plain(value: float) -> str:
@@ -182,7 +193,9 @@ def plain(value: float) -> str:
 def _interval(row: Mapping[str, Any]) -> str:
     """The interval of a row of measures; empty where it has none."""
     low, high = row.get("low"), row.get("high")
-    return "" if low is None or high is None or low != low else f"{plain(low)} to {plain(high)}"
+    if low is None or low != low:
+        return ""
+    return f"{plain(low)} or more" if high is None else f"{plain(low)} to {plain(high)}"
 
 
 def table_of(title: str, rows: list[dict]) -> Table:

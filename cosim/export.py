@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import shapely
-from jaxtyping import Float, Float32, Int
+from jaxtyping import Float, Int
 from numpy import ndarray
 
 from cosim.config import Config
@@ -22,7 +22,6 @@ from results.export.folder import Folder
 from results.export.formats import FORMATS, Format
 from results.export.moments import Cloud, Plan, Selection
 from results.run import Run
-from sensors.lidar import Sweeps
 from sensors.scene import Scene
 from sumo_nets import network
 
@@ -57,11 +56,7 @@ class Sweeper:
             self._block = {world.step: world for world in worlds(self.run, self.config, block)}
         world = self._block[step]
         sweeps = sweep(self.config, self.city, world, np.searchsorted(world.actor, np.asarray(vehicles)))
-        return [partial(_points, sweeps, i) for i in range(len(vehicles))]
-
-
-def _points(sweeps: Sweeps, o: int) -> Float32[ndarray, "k 3"]:
-    return sweeps.xyz(o).astype(np.float32)
+        return [partial(sweeps.cloud, i) for i in range(len(vehicles))]
 
 
 def export(

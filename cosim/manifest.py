@@ -2,6 +2,7 @@
 
 import os
 import platform
+import re
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from importlib.metadata import version
@@ -30,11 +31,19 @@ def versions() -> dict[str, str]:
     return {"python": platform.python_version()} | {p: version(p) for p in PACKAGES}
 
 
-def without_nulls(data: Any) -> Any:
-    """Plain data without what is not set, as TOML needs it."""
+_UNSET = "\0"
+_UNSET_LINE = re.compile(r'^(\s*)(.+) = "\\u0000"$', re.MULTILINE)
+
+
+def toml_text(data: dict[str, Any]) -> str:
+    """Plain data as TOML; a key that is not set is a comment."""
+    return _UNSET_LINE.sub(r"\1# \2 is not set", tomli_w.dumps(_marked(data)))
+
+
+def _marked(data: Any) -> Any:
     if isinstance(data, dict):
-        return {k: without_nulls(v) for k, v in data.items() if v is not None}
-    return [without_nulls(v) for v in data] if isinstance(data, list | tuple) else data
+        return {k: _UNSET if v is None else _marked(v) for k, v in data.items()}
+    return [_marked(v) for v in data] if isinstance(data, list | tuple) else data
 
 
 @dataclass(slots=True)
@@ -97,4 +106,4 @@ class Manifest:
                 os.posix_fallocate(file.fileno(), 0, _RESERVE_BYTES)
 
     def _config(self) -> bytes:
-        return tomli_w.dumps(without_nulls(self.config.to_dict())).encode()
+        return toml_text(self.config.to_dict()).encode()

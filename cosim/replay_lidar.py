@@ -12,7 +12,7 @@ from typing import cast
 import numpy as np
 import pyarrow.compute as pc
 import shapely
-from jaxtyping import Int
+from jaxtyping import Float, Int
 from numpy import ndarray
 
 from cosim.actors import actor_key
@@ -21,7 +21,7 @@ from cosim.meshes import with_meshes
 from cosim.perception import sweep_keys
 from cosim.scenario import find
 from cosim.world import World
-from results.figures import movie, style
+from results.figures import movie, scene, style
 from results.figures.sweep import draw
 from results.run import Run
 from sensors import cloud, lidar
@@ -139,6 +139,70 @@ def write(run: Run, vehicle: int, step: int, out: Path | None) -> Path:
     }
     title = f"LiDAR sweep of vehicle {vehicle} at {step * run.dt_s:g} s: {len(points[0]):,} returns"
     return style.save(draw(*points, boxes, title), out)
+
+
+def portrait(run: Run, vehicles: list[int], step: int, out: Path | None) -> Path:
+    """The city at one step: trust, and clouds of these vehicles, or of one with many others around and two of them."""
+    out = out or run.path / f"scene-{step}.png"
+    config = config_of(run)
+    world = next(worlds(run, config, np.array([step])), None)
+    if world is None or step % config.sense_every_steps:
+        raise ValueError(f"--step {step}: nobody senses then in {run.path}.")
+    equipped = np.flatnonzero(world.equipped)
+    for vehicle in vehicles:
+        if vehicle not in world.actor[equipped]:
+            raise ValueError(f"--vehicle {vehicle} has no sensor on the road in step {step}.")
+    if not len(equipped):
+        raise ValueError(f"--step {step}: nobody with a LiDAR is on the road then.")
+    xy_m = world.boxes.xyz_m[:, :2]
+    chosen = np.searchsorted(world.actor, np.asarray(vehicles, int))
+    if not vehicles:
+        away = np.linalg.norm(xy_m[equipped, None] - xy_m[equipped], axis=2)
+        middle = int(np.argmax((away < 80.0).sum(axis=1)))
+        chosen = equipped[np.argsort(away[middle], kind="stable")[:3]]
+    city = city_of(config)
+    sweeps = sweep(config, city, world, chosen)
+    clouds = [in_world(sweeps, o) for o in range(len(chosen))]
+    scenario = find(config.traffic.scenario, config.traffic.trace)
+    lanes = [] if scenario.net is None else [lane for lane in network.lanes(scenario.net) if lane.for_cars]
+    of = run.subjects.vehicle
+    known = run.variant_table("trust", ["step", "subject", "trust", "n_evaluations"])
+    known = known[(known.step <= step) & (known.n_evaluations > 0)].sort_values("step")
+    known = known.assign(vehicle=known.subject.map(of)).drop_duplicates("vehicle", keep="last")
+    malicious = run.table("vehicles", ["vehicle", "role", "attack_start_step"]).set_index("vehicle")
+    started = malicious[malicious.role == "malicious"].attack_start_step
+    lies = run.table("detections", where=(pc.field("step") == step))
+    lies = lies[(lies.origin == "fabricated") & lies.transmitted]
+    columns = ["x_m", "y_m", "z_m", "length_m", "width_m", "height_m", "yaw_rad"]
+    b = world.boxes
+    moment = scene.Moment(
+        centre_m=xy_m[chosen[0]],
+        streets=[lane.line_m[:, :2] - scenario.origin_m for lane in lanes],
+        buildings=[
+            (shapely.get_coordinates(shapely.get_exterior_ring(polygon))[:-1], base, top)
+            for polygon, base, top in zip(city.footprints, city.buildings.base_m, city.buildings.top_m, strict=True)
+        ],
+        clouds=clouds,
+        boxes=np.column_stack([b.xyz_m, b.lwh_m, b.yaw_rad]),
+        equipped=world.equipped,
+        trust=known.set_index("vehicle").trust.reindex(world.actor).to_numpy(float),
+        attacks=(started.reindex(world.actor).astype("Float64").fillna(np.inf) <= step).to_numpy(bool),
+        ghosts=lies[columns].to_numpy(float),
+    )
+    return style.save(
+        scene.draw(moment, f"{step * run.dt_s:g} s: clouds of vehicles {_named(world.actor[chosen])}"), out
+    )
+
+
+def in_world(sweeps: Sweeps, o: int) -> Float[ndarray, "k 3"]:
+    """The returns of one sweep in the world frame."""
+    xyz = sweeps.xyz(o)
+    cos, sin = np.cos(sweeps.poses.yaw_rad[o]), np.sin(sweeps.poses.yaw_rad[o])
+    return xyz @ np.array([[cos, sin, 0], [-sin, cos, 0], [0, 0, 1]]) + sweeps.poses.origin_m[o]
+
+
+def _named(numbers: Int[ndarray, "n"]) -> str:
+    return ", ".join(map(str, numbers.tolist()))
 
 
 def film(

@@ -51,6 +51,8 @@ class Stream(IntEnum):
     ATTACK_LASTING = 21
     ATTACK_TIME = 22
     SENDER = 23
+    VICTIM = 24
+    POSITIONING = 25
 
 
 @njit(cache=True, inline="always")

@@ -266,10 +266,15 @@ def fuse_objects(
     return fused
 
 
-def beliefs_of(fused: Fused, listed: Listed, senders: Senders, vehicles: Vehicles, known_s: float) -> Beliefs:
-    """Fused objects as drivers see them, known at that time."""
+def beliefs_of(
+    fused: Fused, listed: Listed, senders: Senders, vehicles: Vehicles, position_error_m: ndarray | None, known_s: float
+) -> Beliefs:
+    """Fused objects as drivers see them, from where they are and not from where they believe to be."""
     boxes, pose = listed.objects.boxes.take(fused.seed), listed.objects.boxes.take(fused.pose)
     boxes = replace(boxes, xyz_m=pose.xyz_m, yaw_rad=pose.yaw_rad)
+    if position_error_m is not None:
+        apart_m = np.column_stack([position_error_m[fused.ego], np.zeros(len(fused.ego))])
+        boxes = replace(boxes, xyz_m=boxes.xyz_m - apart_m)
     label = listed.objects.label[fused.seed]
     source = senders.pseudonym[listed.detections.message[fused.seed]], listed.objects.detection_index[fused.seed]
     return Beliefs(known_s, vehicles.row[fused.ego], label, boxes, fused.score, fused.ego_detected, *source)

@@ -124,9 +124,14 @@ def measure(
 
 def _note(row: Row) -> str:
     """A warning where a value rests on too few units."""
-    if row.name.endswith("not_measured") or not row.n_units < FEW:
+    if not 0 < row.n_units < FEW:
         return ""
-    return f"too few: {row.n_units:.0f} of {FEW} {METRICS[row.name].unit_of_chance or 'units'}"
+    units = METRICS[row.name].unit_of_chance or _UNITS.get(row.name.split(".")[0], "units")
+    return f"too few: {row.n_units:.0f} of {FEW} {units}"
+
+
+_UNITS = {"encounters": "actors"} | dict.fromkeys(("trust", "misbehaviour", "security"), "subjects")
+"""What is independent of each other in a topic, where its metric does not say."""
 
 
 class Measures:
@@ -182,12 +187,15 @@ class Topic:
 def _rows(frame: pd.DataFrame, group: str, metrics: Mapping[str, str], interval: str | None = None) -> Iterator[Row]:
     """Of every row, the metrics by column where they have a value; `group` is filled in from the row.
 
-    `interval` names the column to which the columns low, high and n_units belong.
+    A column may have its interval beside it (`intervals.columns`); `interval` names the column to which the columns
+    low, high and n_units belong.
     """
-    for row in frame.to_dict("records"):
-        for column, metric in metrics.items():
+    rows = frame.to_dict("records")
+    for column, metric in metrics.items():
+        for row in rows:
             if pd.notna(row[column]):
-                found = Row(metric, group.format_map(row), float(row[column]))
+                beside = (row.get(f"{column}_{end}", np.nan) for end in ("low", "high", "units"))
+                found = Row(metric, group.format_map(row), float(row[column]), *beside)
                 if column == interval:
                     found = found._replace(low=row["low"], high=row["high"], n_units=row["n_units"])
                 yield found
@@ -211,9 +219,8 @@ def _traffic(run: Run) -> Iterator[Row]:
 
 def _encounters(run: Run) -> Iterator[Row]:
     frame = _named(encounters.summary(run))
-    frame = frame.assign(start_unseen=frame.n_start_unseen / frame.n, end_unseen=frame.n_end_unseen / frame.n)
     yield from _rows(frame, "{definition}", {
-        "n": "n", "start_unseen": "censored_left.share", "end_unseen": "censored_right.share",
+        "n": "n", "censored_left": "censored_left.share", "censored_right": "censored_right.share",
         "mean_s": "duration.mean_s", "median_s": "duration.median_s",
         "km_mean_s": "duration.km_mean_s", "km_median_s": "duration.km_median_s", "again_share": "again.share",
     })  # fmt: skip
@@ -235,8 +242,8 @@ def _misbehaviour(run: Run, threshold: float, false_positives: float) -> Iterato
         "true_positives": "recall_at_fpr", "suspected": "suspected_at_fpr.share",
     })  # fmt: skip
     yield from _rows(frame[:1], "", {"threshold": "fpr_threshold"})
-    if not np.isnan(final := misbehaviour.separation(run)):
-        yield Row("auc_final", "", final)
+    if not np.isnan((final := misbehaviour.separation(run)).value):
+        yield Row("auc_final", "", *final)
     limit, kept = float(frame.threshold.iloc[0]), trust.kept_at(run)
     if np.isnan(limit):
         return
@@ -254,7 +261,7 @@ def _security(run: Run, threshold: float) -> Iterator[Row]:
         yield from _rows(security.confusion(run, threshold, relative), "{unit}", {
             name: name + suffix for name in ("precision", "recall", "fpr", "f1", "mcc", "informedness")
         })  # fmt: skip
-        yield Row(f"false_exclusions_per_h{suffix}", "", security.false_exclusions(run, threshold, relative))
+        yield Row(f"false_exclusions_per_h{suffix}", "", *security.false_exclusions(run, threshold, relative))
     yield Row("average_precision", "", security.average_precision(run))
     yield from _rows(security.trust_error(run), "{role}", {"error": "trust_error"})
 
@@ -274,13 +281,15 @@ def _freshness(run: Run, fresh_s: float) -> Iterator[Row]:
         "share": "encounters_without_trust.share", "wait_median_s": "wait_in_encounter.median_s",
     }, "share")  # fmt: skip
     yield from _rows(freshness.states(run), "{state}, {role}", {"share": "lookup_state.share"}, "share")
-    yield from _rows(freshness.within(run, fresh_s), "{role}", {"share": "evaluation_within.share"}, "share")
     found = freshness.ages(run)
     for what, ages in found.groupby("what", sort=False):
         name = str(what).replace(" ", "_")
         yield from _rows(ages, "{role}", {
             "mean_s": f"{name}_age.mean_s", "median_s": f"{name}_age.median_s", "p90_s": f"{name}_age.p90_s",
         }, "mean_s")  # fmt: skip
+    if "trust_lookups" not in run.tables:
+        return
+    yield from _rows(freshness.within(run, fresh_s), "{role}", {"share": "evaluation_within.share"}, "share")
     for peak in freshness.peaks(run).to_dict("records"):
         name = peak["what"].replace(" ", "_")
         yield Row(f"{name}_age.peak_s", "", peak["mean_s"], peak["low"], peak["high"], peak["n_units"])

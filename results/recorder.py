@@ -17,13 +17,11 @@ from results.codes import BASE_VARIANT, Role, labels
 from results.columns import Column, Level
 from results.durable import Damaged
 from results.inventory import Block, Inventory, Part
+from results.stored_columns import VALID, checked, stored_columns
 from results.tables import TABLES, kept, schema
 
 Columns = Mapping[str, ndarray | None]
 """Columns of a table by name, masks included."""
-VALID = "__valid"
-"""Suffix of the mask that goes with a column that may be null."""
-
 CHECKPOINT = "checkpoint"
 """Folder of the files from which a resumed run goes on; a finished run has none."""
 _STEPS = ("step", "first_step", "last_step", "from_step", "to_step", "start_step", "end_step")
@@ -78,6 +76,7 @@ class Recorder:
             if not 0 < len(given) <= _MOST_LABELS or len(set(given)) < len(given):
                 raise ValueError(f"{what} = {list(given)}: 1 to {_MOST_LABELS} names, each once.")
         self.tables = kept(level)
+        self._columns = {name: stored_columns(name, self.labels) for name in self.tables}
         self.block_steps = block_steps
         self._block, self._last_step = resume_at // block_steps, resume_at - 1
         self._rows: dict[str, list[dict[str, ndarray]]] = {name: [] for name in self.tables}
@@ -104,7 +103,7 @@ class Recorder:
         self.reach(step)
         if table not in self.tables:
             return
-        rows = _checked(table, step, columns, self.labels)
+        rows = checked(table, step, columns, self._columns[table])
         if len(next(iter(rows.values()))):
             self._rows[table].append(rows)
 
@@ -182,7 +181,7 @@ class Recorder:
     def _made(self, rows: Mapping[str, Sequence[Columns]], step: int) -> Iterator[tuple[str, list[dict[str, ndarray]]]]:
         for name, several in rows.items():
             if name in self.tables:
-                made = [_checked(name, step, columns, self.labels) for columns in several]
+                made = [checked(name, step, columns, self._columns[name]) for columns in several]
                 if made := [columns for columns in made if len(next(iter(columns.values())))]:
                     yield name, made
 
@@ -216,76 +215,6 @@ def _committed(folder: Path) -> Inventory:
         return inventory.read(folder)
     except Damaged as error:
         raise Damaged(f"{error} Nothing can be added to this run.") from None
-
-
-def _checked(
-    table: str, step: int, columns: Mapping[str, ndarray | None], of_run: Mapping[str, tuple[str, ...]]
-) -> dict[str, ndarray]:
-    """The columns in their stored types, masks included."""
-    known = TABLES[table].stored
-    given = {name.removesuffix(VALID) for name in columns}
-    wanted = set(known) - ({"step"} - set(columns))
-    if given != wanted:
-        extra, missing = sorted(given - wanted), sorted(wanted - given)
-        wrong = [f"{word} {', '.join(names)}" for word, names in (("unknown", extra), ("missing", missing)) if names]
-        raise ValueError(f"Table {table}: {'; '.join(wrong)}. The columns are {', '.join(known)}.")
-    n = next((len(values) for values in columns.values() if values is not None), 0)
-    rows: dict[str, ndarray] = {}
-    for name, column in known.items():
-        values = columns.get(name) if name in columns else np.full(n, step, np.int32)
-        valid = columns.get(name + VALID)
-        if values is None:
-            values, valid = np.zeros(n, _dtype(column)), np.zeros(n, bool)
-        values = np.asarray(values)
-        if values.shape != (n,) or (valid is not None and np.shape(valid) != (n,)):
-            raise ValueError(f"{table}.{name} has shape {values.shape}, other columns have {n} rows.")
-        if valid is not None and not column.null:
-            if not np.all(valid):
-                raise ValueError(f"{table}.{name} cannot be null.")
-            valid = None
-        rows[name] = _stored(f"{table}.{name}", column, values, valid, column.labels(of_run))
-        if column.null:
-            rows[name + VALID] = np.ones(n, bool) if valid is None else np.array(valid, bool)
-    return rows
-
-
-def _dtype(column: Column) -> np.dtype:
-    if column.type == "category":
-        return np.dtype(np.int8)
-    return np.dtype(object) if column.type == "string" else np.dtype(column.type)
-
-
-def _stored(name: str, column: Column, values: ndarray, valid: ndarray | None, categories: tuple[str, ...]) -> ndarray:
-    """Values cast to the column's type; refuses what would change a value beyond its rounding."""
-    if column.type == "string":
-        return values.astype(object)
-    if column.type == "category" and values.dtype.kind in "OUT":
-        codes = np.full(len(values), -1, np.int8)
-        for code, label in enumerate(categories):
-            codes[values == label] = code
-        known = codes >= 0 if valid is None else (codes >= 0) | ~valid
-        if not known.all():
-            raise ValueError(f"{name} = '{values[~known][0]}' is none of {', '.join(categories)}.")
-        return codes
-    used = values if valid is None else values[valid]
-    dtype = _dtype(column)
-    if dtype.kind in "iu":
-        if values.dtype.kind not in "iu":
-            raise ValueError(f"{name} has dtype {values.dtype}; whole numbers are wanted.")
-        top = len(categories) - 1 if categories else np.iinfo(dtype).max
-        bottom = 0 if categories else np.iinfo(dtype).min
-        if used.size and not bottom <= int(used.min()) <= int(used.max()) <= top:
-            raise ValueError(f"{name} holds {used.min()} to {used.max()}, outside {bottom} to {top}.")
-    elif dtype.kind == "b":
-        if values.dtype.kind != "b":
-            raise ValueError(f"{name} has dtype {values.dtype}; true or false is wanted.")
-    elif values.dtype.kind not in "fiu" or not np.isfinite(used).all():
-        raise ValueError(f"{name} holds something that is not a finite number.")
-    if valid is not None:
-        values = np.where(valid, values, np.zeros((), values.dtype))
-    if column.bits is not None:
-        values = np.round(np.asarray(values, np.float64) * 2.0**column.bits) * 2.0**-column.bits
-    return values.astype(dtype)
 
 
 def _write(

@@ -1,6 +1,7 @@
 """The report of a run as one HTML page: figures, metrics, dictionary, provenance."""
 
 import json
+import math
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -133,12 +134,16 @@ def _topic(topic: str, frame: pd.DataFrame) -> str:
     rows = "".join(
         f"<tr{'' if new else ' class=more'}><td title='{escape(METRICS[metric].definition)}'>"
         f"{escape(METRICS[metric].label) if new else ''}</td><td>{f'<code>{metric}</code>' if new else ''}</td>"
-        f'<td>{escape(group)}</td><td class="number">{_number(value, unit)}</td></tr>'
-        for new, metric, group, value, unit in zip(
-            first, frame.metric, frame.group, frame.value, frame.unit, strict=True
+        f'<td>{escape(group)}</td><td class="number">{_number(value, unit)}</td><td class="number soft">'
+        f'{_interval(low, high)}</td><td class="soft">{escape(note)}</td></tr>'
+        for new, metric, group, value, unit, low, high, note in zip(
+            first, frame.metric, frame.group, frame.value, frame.unit, frame.low, frame.high, frame.note, strict=True
         )
     )
-    names = '<tr><th>metric</th><th>identifier</th><th>group</th><th class="number">value</th></tr>'
+    names = (
+        '<tr><th>metric</th><th>identifier</th><th>group</th><th class="number">value</th>'
+        '<th class="number">95 % interval</th><th>note</th></tr>'
+    )
     return f"{head}<table class='numbers'>{names}{rows}</table>{gap}"
 
 
@@ -184,6 +189,12 @@ def _number(value: float, unit: str) -> str:
         return "-"
     text = f"{value:,.0f}" if value == int(value) and abs(value) < 1e15 else f"{value:.3g}"
     return text if unit in ("", "1") else f"{text} {escape(unit)}"
+
+
+def _interval(low: float, high: float) -> str:
+    if pd.isna(low):
+        return ""
+    return f"{_number(low, '1')} to {_number(high, '1')}" if high < math.inf else f"{_number(low, '1')} or more"
 
 
 def _code(text: str) -> str:

@@ -85,12 +85,7 @@ class Study:
         return self._intervals(pairs.assign(value=pairs.value - pairs.value_base))
 
     def _intervals(self, frame: pd.DataFrame) -> pd.DataFrame:
-        by = [*self.keys, "metric", "group", "unit", "label"]
-        values = frame.groupby(by, sort=False, dropna=False).value
-        found = values.agg(n="count", mean="mean", s="std").reset_index()
-        half = student.ppf(0.5 + CONFIDENCE / 2, np.maximum(found.n - 1, 1)) * found.s / np.sqrt(found.n)
-        half = half.where(found.n > 1)
-        found = found.assign(low=found["mean"] - half, high=found["mean"] + half)
+        found = intervals(frame, [*self.keys, "metric", "group", "unit", "label"])
         return found[[*self.keys, "metric", "group", "n", "mean", "low", "high", "unit", "label"]]
 
     def write(self, folder: Path | None = None) -> list[Path]:
@@ -109,6 +104,15 @@ class Study:
     def __repr__(self) -> str:
         states = self.points.state.value_counts().to_dict()
         return f"Study({str(self.path)!r}: {len(self.points)} points, {states}, swept {', '.join(self.keys)})"
+
+
+def intervals(frame: pd.DataFrame, by: Sequence[str]) -> pd.DataFrame:
+    """Of the column `value`, by these columns: n, mean, and low and high of its 95 % interval (Student's)."""
+    values = frame.groupby(list(by), sort=False, dropna=False).value
+    found = values.agg(n="count", mean="mean", s="std").reset_index()
+    half = student.ppf(0.5 + CONFIDENCE / 2, np.maximum(found.n - 1, 1)) * found.s / np.sqrt(found.n)
+    half = half.where(found.n > 1)
+    return found.assign(low=found["mean"] - half, high=found["mean"] + half).drop(columns="s")
 
 
 def open_study(path: str | Path) -> Study:

@@ -26,7 +26,7 @@ from results.codes import (
 )
 from results.columns import LEVELS, Column, Level, Table
 
-SCHEMA_VERSION = 7
+SCHEMA_VERSION = 8
 """Raised whenever a table or column changes its name, type, unit or meaning."""
 
 
@@ -214,6 +214,16 @@ TABLES: Mapping[str, Table] = {
             "n": _count("Detections dropped."),
         },
     ),
+    "position_errors": Table(
+        "standard",
+        "Errors of the positions that equipped vehicles believe in, where the config has [gnss]. All boxes of a vehicle's detections, its report of itself included, and of its fused objects are displaced by its own error.",
+        {
+            "step": _STEP,
+            "vehicle": _key("Vehicle (actor number)."),
+            "error_x_m": Column("float32", unit="m", truth=True, bits=10, meaning="Believed less true position, east."),
+            "error_y_m": Column("float32", unit="m", truth=True, bits=10, meaning="The same, north."),
+        },
+    ),
     "receptions": Table(
         "full",
         "Messages that were received.",
@@ -231,15 +241,23 @@ TABLES: Mapping[str, Table] = {
     ),
     "evidence": Table(
         "summary",
-        "How often one look counts more than once on its way into trust values and fused scores.",
+        "How often one look counts more than once on its way into trust values.",
         {
             "step": _STEP,
             "n_copies": _count("Copies of messages that their receivers already had, set aside."),
             "n_evaluations": _count("Evaluations of others' detections with visibility above 0, as sent: the evidence for trust values."),
             "n_looks": replace(_count("Distinct looks behind them: an evaluator, an observer and an actual object."), truth=True),
             "n_echoes": replace(_count("Of the evaluations, those by which an attacker confirms what another attacker fabricated."), truth=True),
-            "n_fused_evaluations": _count("Evaluations behind the fused objects: pairs of a detection and an evaluator."),
-            "n_fused_evaluators": _count("Pairs of a fused object and an evaluator behind it."),
+        },
+    ),
+    "fused_evidence": Table(
+        "summary",
+        "How often one evaluator counts more than once behind a fused object; of trust variants whose fused objects are computed.",
+        {
+            "step": _STEP,
+            "variant": _VARIANT,
+            "n_evaluations": _count("Evaluations behind the fused objects: pairs of a detection and an evaluator."),
+            "n_evaluators": _count("Pairs of a fused object and an evaluator behind it."),
         },
     ),
     "radio": Table(
@@ -386,6 +404,20 @@ TABLES: Mapping[str, Table] = {
             "state": Column("category", categories=labels(LookupState), meaning="What is known: an evaluation within the window (judged), older ones only (stale), a value without any (unjudged), or no value (default)."),
             "age_s": Column("float32", unit="s", null=True, bits=10, meaning="Time since the value was computed: 0 for own values, which are computed when they are looked up; null where the source is the default."),
             **_EVALUATIONS,
+        },
+    ),
+    "lookup_totals": Table(
+        "summary",
+        "Lookups of trust values added up, by what is known: numbers, and sums from which mean ages follow.",
+        {
+            "step": _STEP,
+            "variant": _VARIANT,
+            "state": Column("category", key=True, categories=labels(LookupState), meaning="As in `trust_lookups`."),
+            "n": _count("Lookups in this state."),
+            "n_valued": _count("Of these, with a value of the server's or of its own, no default."),
+            "age_sum_s": Column("float32", unit="s", meaning="Sum of the ages of these values (`age_s`)."),
+            "newest_evaluation_age_sum_s": Column("float32", unit="s", meaning="Sum of the ages of the newest evaluations, over lookups that are judged or stale; 0 in other states."),
+            "oldest_evaluation_age_sum_s": Column("float32", unit="s", meaning="The same of the oldest evaluations."),
         },
     ),
     "attack_outcomes": Table(

@@ -204,6 +204,11 @@ class Sweeps:
         column, row = np.nonzero(np.isfinite(self.range_m[o]))
         return self.points(np.full(len(column), o), column, row)
 
+    def cloud(self, o: int) -> Float32[ndarray, "k 3"]:
+        """The same, rounded to single precision: what files of point clouds hold."""
+        grid = self.beams
+        return _cloud(self.range_m[o], grid.cos_az, grid.sin_az, grid.cos_el, grid.sin_el)
+
     def points(self, o: Int[ndarray, "k"], column: Int[ndarray, "k"], row: Int[ndarray, "k"]) -> Float[ndarray, "k 3"]:
         """The ends of single rays that returned, in the frame of their sensor [m]."""
         r = self.range_m[o, column, row].astype(np.float64)
@@ -275,6 +280,21 @@ def _levels() -> Float32[ndarray, "k"]:
     """Standard normal quantiles in the middle of 4,096 equally probable bins, at unit variance."""
     z = ndtri((np.arange(4096) + 0.5) / 4096)
     return (z / z.std()).astype(np.float32)
+
+
+@njit(cache=True, nogil=True)
+def _cloud(range_m, cos_az, sin_az, cos_el, sin_el):
+    """Ends of the rays that returned, in single precision."""
+    xyz = np.empty((np.isfinite(range_m).sum(), 3), np.float32)
+    k = 0
+    for c in range(range_m.shape[0]):
+        for r in range(range_m.shape[1]):
+            far = np.float64(range_m[c, r])
+            if np.isfinite(far):
+                flat = far * cos_el[r]
+                xyz[k, 0], xyz[k, 1], xyz[k, 2] = flat * cos_az[c], flat * sin_az[c], far * sin_el[r]
+                k += 1
+    return xyz
 
 
 @njit(cache=True, parallel=True)

@@ -19,6 +19,7 @@ FOREIGN = {
     "cosim": {
         "annotated_types", "jaxtyping", "numpy", "scipy", "numba", "libsumo", "pyarrow", "pydantic", "typer", "rich",
         "tomli_w", "shapely", "trimesh", "rerun", "pandas", "distributed", "psutil",
+        "latex2mathml",
     },
 }  # fmt: skip
 """Foreign libraries that each room may use."""
@@ -33,15 +34,18 @@ ONE_FILE = {
     "osmium": {"sumo_nets/osm.py"},
     "distributed": {"cosim/studies/engine.py"},
     "psutil": {"cosim/studies/engine.py"},
+    "latex2mathml": {"cosim/docs/equations.py"},
 }
 """Libraries that one file alone may know."""
 
 ORDER = (
-    "rng", "ragged", "stopwatch", "stop", "choices", "console", "world", "fleet", "meshes", "actors",
-    "mobility", "radio", "codes", "v2x", "trackers", "tracking", "driver", "perception", "ground_truth", "reactions",
-    "adversary", "senders", "object_lists", "config", "manifest", "parts", "stages", "attack_outcomes", "cycle",
-    "scenario", "replay_lidar", "export", "view", "calibrate", "recording", "checkpoint", "run_folder", "drive", "run",
-    "reproduce", "bench", "nets", "studies", "side_by_side", "cli", "__main__",
+    "rng", "ragged", "stopwatch", "stop", "choices", "console", "world", "fleet", "meshes", "actors", "mobility",
+    "radio", "codes", "v2x", "trackers", "tracking", "driver", "perception", "positioning", "ground_truth",
+    "reactions", "adversary", "senders", "object_lists", "config", "manifest", "parts", "stages", "attack_outcomes",
+    "state", "step_result", "cycle", "scenario", "replay_lidar", "export", "view", "calibrate", "recording",
+    "checkpoint", "run_folder",
+    "drive", "run", "bench", "bench_variants", "nets", "studies", "reproduce", "side_by_side", "cli", "docs",
+    "__main__",
 )  # fmt: skip
 """Inside the hall: each may use those before it."""
 

@@ -72,7 +72,7 @@ class AttackContext:
         """Attackers that have a victim within range, and their victims; rows of the world."""
         rows = np.flatnonzero(self.attacker)
         draw = self.uniforms(self.name_key(rows))[:, 0] if self.params.victim == "random" else np.zeros(len(rows))
-        return victims.victims(self.world, rows, self.params, draw)
+        return victims.victims(self.world, rows, self.params, draw, self.seed)
 
     def victim_of(self) -> Int[ndarray, "n"]:
         """Victim of each actor, a row of the world; -1 for those without."""

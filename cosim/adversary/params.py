@@ -12,7 +12,7 @@ from numpy import ndarray
 from results.codes import Role
 
 When = Literal["persistent", "sporadic", "on_off", "sleeper", "camouflage"]
-Victim = Literal["nearest", "one", "region", "random"]
+Victim = Literal["nearest", "one", "region", "random", "designated"]
 Renewal = Literal["by_policy", "whitewashing", "newcomer"]
 Coordinate = Annotated[float, Ge(-1e6), Le(1e6)]
 """In the world's frame [m]."""
@@ -25,7 +25,7 @@ class AttackParams:
     attack: str = "ghost_insertion"
     """Name of the attack, or one of your own: path.py:Name."""
     role: Literal["malicious", "unreliable"] = "malicious"
-    """What its vehicles are called in tables and figures."""
+    """What its vehicles are called in tables and figures; unreliable where it is left out and the attack is."""
     share_p: Annotated[float, Ge(0), Le(1)] = 0.1
     """Share of the equipped vehicles that carry it out, decided vehicle by vehicle from its name."""
     ids: tuple[str, ...] = ()
@@ -54,11 +54,14 @@ class AttackParams:
     """camouflage: it is carried out while the vehicle's trust, as last broadcast, is above this."""
     victim: Victim = "nearest"
     """Which other equipped vehicle an attacker aims at: the nearest, the one of victim_id, the nearest of those in a
-    region, or a random one in every step; always within victim_range_m."""
+    region, a random one in every step, or the nearest of those designated; always within victim_range_m."""
     victim_id: str = ""
     """one: SUMO id of the vehicle that all attackers aim at, as in the paper."""
     victim_range_m: Annotated[float, Gt(0), Le(10_000)] = 100.0
     """Farthest victim [m]."""
+    victim_p: Annotated[float, Ge(0), Le(1)] = 0.05
+    """designated: share of the equipped vehicles that are victims, decided vehicle by vehicle from its name; attackers
+    are none. All attackers around one aim at it, as in the paper."""
     region_m: tuple[Coordinate, Coordinate, Annotated[float, Gt(0), Le(1e6)]] = (0.0, 0.0, 100.0)
     """region: x, y and radius, in the world's frame [m]."""
     renewal: Renewal = "by_policy"

@@ -1,7 +1,7 @@
 """Whom each attacker aims at."""
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, UInt64
 from numpy import ndarray
 from scipy.spatial import cKDTree
 
@@ -12,15 +12,19 @@ from cosim.world import World
 Pairs = tuple[Int[ndarray, "b"], Int[ndarray, "b"]]
 
 
-def victims(world: World, attackers: Int[ndarray, "a"], params: AttackParams, draw: Float[ndarray, "a"]) -> Pairs:
+def victims(
+    world: World, attackers: Int[ndarray, "a"], params: AttackParams, draw: Float[ndarray, "a"], seed: int
+) -> Pairs:
     """Attackers that have a victim within range, and their victims; rows of the world.
 
     Parameters
     ----------
     draw
         A uniform in [0, 1) for each attacker; read with `victim = "random"` alone.
+    seed
+        Of the run; read with `victim = "designated"` alone.
     """
-    aims = _eligible(world, params)
+    aims = _eligible(world, params, seed)
     if not len(aims) or not len(attackers):
         return np.zeros(0, int), np.zeros(0, int)
     xy = world.boxes.xyz_m[:, :2]
@@ -36,11 +40,19 @@ def victims(world: World, attackers: Int[ndarray, "a"], params: AttackParams, dr
     return attackers[within], nearest[pick][within]
 
 
-def _eligible(world: World, params: AttackParams) -> Int[ndarray, "v"]:
+def designated(seed: int, name_key: UInt64[ndarray, "n"], victim_p: float) -> Bool[ndarray, "n"]:
+    """Which actors are victims under `victim = "designated"`, if they are equipped and no attackers."""
+    return rng.uniforms(rng.key(seed, rng.Stream.VICTIM), name_key)[:, 0] < victim_p
+
+
+def _eligible(world: World, params: AttackParams, seed: int) -> Int[ndarray, "v"]:
     """Equipped vehicles that may be victims, ascending."""
     equipped = np.flatnonzero(world.equipped)
     if params.victim == "one":
         return equipped[world.name_key[equipped] == rng.name_key("vehicle/" + params.victim_id)]
+    if params.victim == "designated":
+        chosen = designated(seed, world.name_key[equipped], params.victim_p)
+        return equipped[chosen & (world.attack[equipped] == 0)]
     if params.victim == "region":
         x, y, radius = params.region_m
         inside: Bool[ndarray, "e"] = np.hypot(*(world.boxes.xyz_m[equipped, :2] - [x, y]).T) <= radius

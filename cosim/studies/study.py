@@ -4,15 +4,15 @@ import copy
 import itertools
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Annotated, Any
 
-import tomli_w
 from annotated_types import Ge, Gt
 
+from cosim import choices
 from cosim import config as configs
-from cosim.manifest import without_nulls
+from cosim.manifest import toml_text
 from cosim.mobility.params import TrafficParams
 from results.metrics.registry import TOPICS
 from results.tables import TABLES
@@ -71,6 +71,9 @@ class Measuring:
     """Oldest age at which trust counts as fresh [s]."""
     false_positives: float = 0.05
     """False positive rate at which recall is taken."""
+    own: str = ""
+    """Metrics of one's own, as path.py:name or package.module:name: a function of a `results.run.Run` that returns
+    columns metric, group, value, unit and label; empty for none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,7 +111,7 @@ class Study:
             },
             "zip": [{k: [p[k] for p in axis] for k in axis[0]} for axis in self.axes if len(axis[0]) > 1],
         }  # fmt: skip
-        return tomli_w.dumps(without_nulls(data))
+        return toml_text(data)
 
 
 SHIPPED = Path(__file__).parent / "shipped"
@@ -116,7 +119,7 @@ SHIPPED = Path(__file__).parent / "shipped"
 
 def load(path: Path) -> Study:
     """A study from its TOML file, or one that ships, by name; ValueError in one line for a mistake."""
-    if not path.exists() and (shipped := SHIPPED / f"{path}.toml").is_file():
+    if not path.is_file() and (shipped := SHIPPED / f"{path}.toml").is_file():
         path = shipped
     data = configs.read_toml(path, "study file")
     where = path.name
@@ -130,6 +133,10 @@ def load(path: Path) -> Study:
     for known, given, what in ((TOPICS, keep.topics, "topics"), (TABLES, keep.tables or (), "tables")):
         if unknown := [name for name in given if name not in known]:
             raise ValueError(f"keep.{what}: there is no {unknown[0]!r}. There are {', '.join(known)}. Change {where}.")
+    measuring = _section(Measuring, data.get("measure", {}), "measure", where)
+    if measuring.own:
+        measuring = replace(measuring, own=_beside("measure.own", measuring.own, path.parent))
+        choices.function(f"measure.own in {where}", measuring.own)
     base: dict[str, Any] = {}
     if head.config:
         beside = path.parent / head.config
@@ -146,8 +153,7 @@ def load(path: Path) -> Study:
         for axis in _axes(data, where)
     )
     study = Study(
-        head, _section(Limits, data.get("limits", {}), "limits", where), keep,
-        _section(Measuring, data.get("measure", {}), "measure", where), base, axes,
+        head, _section(Limits, data.get("limits", {}), "limits", where), keep, measuring, base, axes,
     )  # fmt: skip
     for key, value in head.baseline.items():
         if key not in study.keys:
@@ -226,7 +232,7 @@ def _axes(data: Mapping[str, Any], where: str) -> tuple[tuple[Keys, ...], ...]:
         raise ValueError(f"zip should be a list of sections [[zip]] in {where}.")
     axes: list[tuple[Keys, ...]] = []
     for key, values in _flat(grid):
-        axes.append(tuple({key: value} for value in _values(key, values, "grid", where)))
+        axes.append(tuple({key: value} for value in _once(f"grid: {key}", _values(key, values, "grid", where), where)))
     for section in zips:
         columns = {key: _values(key, values, "zip", where) for key, values in _flat(section)}
         lengths = {key: len(values) for key, values in columns.items()}
@@ -236,7 +242,8 @@ def _axes(data: Mapping[str, Any], where: str) -> tuple[tuple[Keys, ...], ...]:
                 + ", ".join(f"{key} has {n}" for key, n in lengths.items()) + "."
             )  # fmt: skip
         if columns:
-            axes.append(tuple(dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)))
+            rows = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
+            axes.append(tuple(_once("[[zip]]", rows, where)))
     if not axes:
         raise ValueError(f"{where} sweeps nothing. Give [grid] at least one key with a list of values.")
     names = [key for axis in axes for key in axis[0]]
@@ -261,7 +268,12 @@ def _flat(section: Mapping[str, Any], prefix: str = "") -> list[tuple[str, Any]]
 def _values(key: str, values: Any, section: str, where: str) -> Sequence[Any]:
     if not isinstance(values, list) or not values:
         raise ValueError(f"{section}: {key} = {values!r} should be a list of at least one value in {where}.")
+    return values
+
+
+def _once(name: str, values: Sequence[Any], where: str) -> Sequence[Any]:
+    """The same values; ValueError where one stands twice."""
     said = [json.dumps(value, sort_keys=True, default=str) for value in values]
     if twice := [text for text in said if said.count(text) > 1]:
-        raise ValueError(f"{section}: {key} has the value {twice[0]} twice in {where}. Leave one out.")
+        raise ValueError(f"{name} has the value {twice[0]} twice in {where}. Leave one out.")
     return values

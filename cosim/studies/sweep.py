@@ -16,8 +16,10 @@ from cosim.studies.points import Point, points_of
 from cosim.studies.stages import Cache, default_folder
 from cosim.studies.study import Study, load
 
-FUSED_TOPICS = {"detection", "attack"}
+FUSED_TOPICS = {"detection", "attack", "evidence"}
 """Topics of metrics that need the fused objects of every point."""
+FUSED_TABLES = {"fused", "fused_evidence", "attack_outcomes"}
+"""Tables of the fused objects of every point."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,9 +42,13 @@ Told = Callable[[int, int, int, str], None]
 
 def prepare(file: Path, out: Path, merge: bool = True) -> Task:
     """What a sweep would do; nothing is written."""
-    study = load(file)
+    return prepare_study(load(file), file.name, out, merge)
+
+
+def prepare_study(study: Study, where: str, out: Path, merge: bool = True) -> Task:
+    """The same of a study that was read from the file `where`."""
     folder = StudyFolder(out)
-    points = points_of(study, file.name)
+    points = points_of(study, where)
     answers = folder.answers()
     there = {point.id for point in points if point.id in answers and folder.is_finished(answers[point.id][0])}
     cache = Cache(default_folder())
@@ -63,9 +69,8 @@ def separate(points: Sequence[Point]) -> Plan:
 def needs_fused(study: Study) -> bool:
     """Whether what is measured or kept of every point includes its fused objects."""
     topics = set(study.keep.topics)
-    if study.keep.tables is None:
-        return not topics or bool(topics & FUSED_TOPICS)
-    return "fused" in study.keep.tables or not topics or bool(topics & FUSED_TOPICS)
+    kept = set(study.keep.tables or ())
+    return bool(study.measuring.own or kept & FUSED_TABLES or not topics or topics & FUSED_TOPICS)
 
 
 def sweep(
@@ -76,6 +81,7 @@ def sweep(
     folder.prepare(study)
     with folder.locked():
         folder.stop.unlink(missing_ok=True)
+        folder.tidy()
         work = _write(task)
         folder.write_index(study, task.points)
         failed: list[tuple[str, Attempt]] = []

@@ -8,15 +8,12 @@ import pyarrow.compute as pc
 from jaxtyping import Int
 from numpy import ndarray
 
-from results import tables as schemas
 from results.export.moments import Selection
 
 TABLES = ("actors", "vehicles", "pseudonyms", "detections", "receptions")
 
 RECEIVERS = 40
 """Receivers of one unit of work."""
-
-DETECTIONS = schemas.TABLES["detections"]
 
 POSE = ["x_m", "y_m", "z_m", "yaw_rad", "speed_mps", "acceleration_mps2"]
 
@@ -39,9 +36,8 @@ class Messages:
         self.selection = selection
         self._run = selection.run
         self._in_steps = pc.field("step").isin(selection.steps.tolist())
-        reported = [name for name in POSE if name in DETECTIONS.columns]
         where = self._in_steps & (pc.field("detection_index") == 0)
-        found = self._run.table("detections", ["step", "observer", *reported, "transmitted"], where)
+        found = self._run.table("detections", ["step", "observer", *POSE, "transmitted"], where)
         found = found[found.transmitted]
         if found.empty:
             raise ValueError(
@@ -50,12 +46,10 @@ class Messages:
         subjects = self._run.subjects
         start = subjects.attack_start_step.astype("Float64").fillna(np.inf).astype(float)
         vehicle = found.observer.map(subjects.vehicle).astype(np.int64)
-        sent = found.drop(columns="transmitted").assign(
+        self.sent = found.drop(columns="transmitted").assign(
             vehicle=vehicle, is_attack=found.step.to_numpy() >= found.observer.map(start).to_numpy()
         )
-        true = self.own(np.unique(vehicle).tolist())[["step", "vehicle", *(n for n in POSE if n not in reported)]]
-        self.sent = sent.merge(true, on=["step", "vehicle"])
-        """step, observer (pseudonym), vehicle, `POSE` as reported, is_attack; true where reports do not say it."""
+        """step, observer (pseudonym), vehicle, `POSE` as reported, is_attack."""
         self._digits = len(str(int(found.observer.max())))
 
     def number(self, step: Int[ndarray, "n"], pseudonym: Int[ndarray, "n"]) -> Int[ndarray, "n"]:

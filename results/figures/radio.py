@@ -53,7 +53,7 @@ def draw(runs: Sequence[Run], every_s: float = 10.0, cell_m: float = 50.0) -> Fi
     style.panel(late, "Latency", "Latency [ms]", "Share at most this late")
     style.panel(gaps, "Packet inter-reception", "Packet inter-reception time [s]", "Share longer")
     style.panel(timed, "Delivery over time", style.TIME, "Packet delivery ratio")
-    style.panel(busy, "Channel busy ratio over time", style.TIME, axis_label("radio", "cbr", "Channel busy ratio"))
+    style.panel(busy, "Channel busy ratio", style.TIME, axis_label("radio", "cbr", "Channel busy ratio"))
     if not distance.lines:
         distance.text(0.5, 0.5, "too few messages", transform=distance.transAxes, ha="center", color="#666666")
     for axes in (distance, late, timed):

@@ -40,12 +40,13 @@ def draw(runs: Sequence[Run]) -> Figure:
         hatch = style.HATCHES[i % len(style.HATCHES)]
         events.barh(at, values, width, color=style.ink(i), hatch=hatch, edgecolor="#333333", linewidth=0.5)
         _over_time(over_time, run, i)
+    over_time.set_ylim(bottom=0)
     events.set_yticks(range(len(_COUNTS)), list(_COUNTS.values()))
     events.invert_yaxis()
     style.panel(events, "Safety events", "Per vehicle-kilometre [1/km]", "")
     style.panel(over_time, "Hard braking", style.TIME, "Per vehicle-kilometre [1/km]")
     _causes(causes, runs)
-    style.panel(causes, "What drivers react to", "Reactions per vehicle-kilometre [1/km]", "")
+    style.panel(causes, "What drivers react to", "Per vehicle-kilometre [1/km]", "")
     kinds = [Patch(facecolor=ink, edgecolor="#333333", label=kind) for kind, ink in _INKS.items()]
     style.legend(figure, kinds, style.series_entries(runs))
     return figure
@@ -73,5 +74,6 @@ def _causes(axes: Axes, runs: Sequence[Run]) -> None:
         for row in safety.by_kind(run).itertuples():
             axes.barh(i, row.per_km, 0.6, bottom, color=_INKS[row.kind], edgecolor="#333333", linewidth=0.5)
             bottom += row.per_km
+    axes.set_xlim(left=0)
     axes.set_yticks(range(len(runs)), style.names(runs) if len(runs) > 1 else [""])
     axes.set_ylim(len(runs) - 0.3, -0.7)

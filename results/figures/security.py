@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from results.figures import style
-from results.metrics import misbehaviour, security, trust
+from results.metrics import intervals, misbehaviour, security, trust
 from results.run import Run
 
 
@@ -17,7 +17,7 @@ def draw(runs: Sequence[Run], false_positives: float = 0.05) -> Figure:
 
     Every run is drawn once for each of its trust variants, with all its attackers together. The line is chance. In the
     middle and on the right the threshold is each variant's own: that of the stated share of false positives among
-    honest values.
+    honest values. Bars are 95 % intervals, clustered by vehicle (pseudonym).
     """
     style.need(runs)
     variants = [run.as_variant(name) for run in runs for name in run.variants]
@@ -26,13 +26,17 @@ def draw(runs: Sequence[Run], false_positives: float = 0.05) -> Figure:
     figure, (ranks, found, mistakes) = style.sheet(columns=3, width=10.4, height=height)
     few = f"{100 * false_positives:g} %"
     for i, run in enumerate(variants):
-        honest, attacking = _values(run)
-        _dot(ranks, misbehaviour.auc(honest, attacking), i)
-        limit = misbehaviour.threshold_at(honest, false_positives)
+        frame = misbehaviour.scored_vehicles(run).query("rated")
+        is_honest = frame.role == misbehaviour.HONEST
+        honest, attacking = frame[is_honest], frame[~is_honest]
+        _dot(ranks, intervals.auc(honest.trust.to_numpy(np.float64), honest.subject.to_numpy(),
+                                  attacking.trust.to_numpy(np.float64), attacking.subject.to_numpy()), i)  # fmt: skip
+        limit = misbehaviour.threshold_at(honest.trust.to_numpy(np.float64), false_positives)
         if np.isnan(limit):
             continue
         delays = misbehaviour.detection_delay(run, limit, trust.kept_at(run))
-        _dot(found, float(delays.found[delays.role != misbehaviour.HONEST].mean()), i)
+        delays = delays[delays.role != misbehaviour.HONEST]
+        _dot(found, intervals.of_units(delays.found.to_numpy(bool), delays.subject.to_numpy()), i)
         _dot(mistakes, security.false_exclusions(run, limit), i)
     ranks.axvline(0.5, color="#777777", linewidth=0.9, linestyle=(0, (2, 2)))
     titles = (
@@ -50,13 +54,9 @@ def draw(runs: Sequence[Run], false_positives: float = 0.05) -> Figure:
     return figure
 
 
-def _values(run: Run) -> tuple[np.ndarray, np.ndarray]:
-    """Rated trust values of honest vehicles, and of attackers."""
-    frame = misbehaviour.scored_vehicles(run).query("rated")
-    is_honest = frame.role == misbehaviour.HONEST
-    return frame.trust[is_honest].to_numpy(np.float64), frame.trust[~is_honest].to_numpy(np.float64)
-
-
-def _dot(axes: Axes, value: float, i: int) -> None:
-    """One value in its row."""
-    axes.plot(value, i, color=style.ink(0), marker="o", linestyle="")
+def _dot(axes: Axes, found: intervals.Estimate, i: int) -> None:
+    """One value in its row, with its interval."""
+    colour = style.ink(0)
+    axes.plot(found.value, i, color=colour, marker="o", linestyle="")
+    if not np.isnan(found.low):
+        axes.plot([found.low, found.high], [i, i], color=colour, linewidth=1.2)

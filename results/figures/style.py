@@ -132,16 +132,21 @@ def legend(figure: Figure, entries: Sequence[Any], runs: Sequence[Any] = ()) -> 
     """One legend below all panels, in as few rows as fit; where it takes two, the runs have the second."""
     if not entries and not runs:
         return
-    n = max(len(entries), len(runs))
-    entries = [*entries, *runs]
-    longest = max(len(entry.get_label()) for entry in entries)
-    columns = max(1, int(figure.get_figwidth() / (0.075 * longest + 0.6)))
-    rows = -(-len(entries) // columns)
-    if runs and len(entries) > len(runs) and rows > 1 and n <= columns:
-        blank = [Line2D([], [], linestyle="", label=" ")] * n  # a legend is filled column by column
-        pairs = zip([*entries[: -len(runs)], *blank][:n], [*runs, *blank][:n], strict=True)
-        entries, rows = [entry for pair in pairs for entry in pair], 2
-    figure.legend(handles=list(entries), loc="outside lower center", ncols=-(-len(entries) // rows))
+    whole, most = [*entries, *runs], max(len(entries), len(runs))
+    if entries and runs:
+        blank = [Line2D([], [], linestyle="", label=" ")] * most  # a legend is filled column by column
+        two_rows = [
+            entry for pair in zip([*entries, *blank][:most], [*runs, *blank][:most], strict=True) for entry in pair
+        ]
+        tries = [(whole, len(whole)), (two_rows, most)]
+    else:
+        tries = [(whole, len(whole))]
+    tries += [(whole, -(-len(whole) // rows)) for rows in range(2, len(whole) + 1)]
+    for handles, columns in tries:
+        made = figure.legend(handles=handles, loc="outside lower center", ncols=columns)
+        if made.get_window_extent().width <= figure.bbox.width or columns == 1:
+            return
+        made.remove()
 
 
 def run_entries(runs: Sequence[Run]) -> list[Line2D]:

@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 
 from results.codes import AttackEffect, labels
-from results.metrics.intervals import Estimate, ratio
+from results.metrics.intervals import Estimate, of_units, ratio
 from results.run import Run
 
 THRESHOLDS = (0.1, 0.3, 0.5, 0.7)
@@ -56,7 +56,7 @@ def success(run: Run, thresholds: Sequence[float] = THRESHOLDS) -> pd.DataFrame:
     for key, pairs in _groups(outcomes(run)):
         attacker = _codes(pairs.attacker)
         for threshold in thresholds:
-            share = _ratio_by(attacker, _succeeds(pairs, threshold))
+            share = of_units(_succeeds(pairs, threshold), attacker)
             rows.append({**key, "threshold": threshold, "n": len(pairs), **_columns(share, "share")})
     return pd.DataFrame(rows)
 
@@ -87,7 +87,7 @@ def per_lie(run: Run, thresholds: Sequence[float] = THRESHOLDS) -> pd.DataFrame:
         )
         attacker = _codes(lies.attacker)
         for threshold in thresholds:
-            share = _ratio_by(attacker, (lies.best >= threshold).to_numpy())
+            share = of_units((lies.best >= threshold).to_numpy(), attacker)
             rows.append({
                 "role": role, "threshold": threshold, "n": len(lies), **_columns(share, "share"),
                 "receivers_mean": float(lies.n.mean()),
@@ -137,7 +137,7 @@ def false_in_path(run: Run, threshold: float = 0.5) -> pd.DataFrame:
     for (among,), pairs in _by_among(_honest(outcomes(run), "inserted"), []):
         wrong = pairs.in_path.astype(bool) & (pairs.score >= threshold)
         seconds = wrong.groupby([pairs.receiver, pairs.step]).sum().reset_index(name="n")
-        share = _ratio_by(_codes(seconds.receiver), (seconds.n > 0).to_numpy())
+        share = of_units((seconds.n > 0).to_numpy(), seconds.receiver.to_numpy())
         rows.append({
             "among": among, "n": len(seconds), **_columns(share, "share"), "boxes_mean": float(seconds.n.mean())
         })  # fmt: skip
@@ -175,10 +175,6 @@ def _by_among(frame: pd.DataFrame, by: list[str]) -> Iterator[tuple[tuple[str, .
 def _succeeds(pairs: pd.DataFrame, threshold: float) -> np.ndarray:
     believed = (pairs.score >= threshold).to_numpy()
     return np.where((pairs.effect == "inserted").to_numpy(), believed, ~believed)
-
-
-def _ratio_by(unit: np.ndarray, succeeded: np.ndarray) -> Estimate:
-    return ratio(np.bincount(unit, succeeded), np.bincount(unit))
 
 
 def _codes(values: pd.Series) -> np.ndarray:

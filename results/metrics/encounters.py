@@ -5,7 +5,8 @@ from typing import Literal
 import numpy as np
 import pandas as pd
 
-from results.metrics.survival import kaplan_meier, median, restricted_mean
+from results.metrics import intervals
+from results.metrics.survival import kaplan_meier, median, median_band, restricted_mean
 from results.run import Run
 
 Departure = Literal["ends", "censors"]
@@ -15,7 +16,7 @@ DEFINITION = ("pairs", "radius_m", "hysteresis_s", "los", "pedestrians")
 """Columns that say which definition of an encounter a row is of."""
 
 _COLUMNS = (
-    *DEFINITION, "duration_s", "censored_left", "censored_right", "departed", "gap_s",
+    *DEFINITION, "a", "b", "duration_s", "censored_left", "censored_right", "departed", "gap_s",
 )  # fmt: skip
 
 
@@ -36,7 +37,7 @@ def named(frame: pd.DataFrame) -> pd.Series:
 
 
 def durations(run: Run, departure: Departure = "ends") -> pd.DataFrame:
-    """One row per encounter: the columns of `DEFINITION`, duration_s, gap_s, `start_seen` and `end_seen`."""
+    """One row per encounter: the columns of `DEFINITION`, a, b, duration_s, gap_s, `start_seen` and `end_seen`."""
     frame = run.table("encounters", _COLUMNS)
     if frame.empty:
         raise ValueError(
@@ -47,7 +48,7 @@ def durations(run: Run, departure: Departure = "ends") -> pd.DataFrame:
     if departure == "censors":
         end_seen &= ~frame.departed
     return frame.assign(start_seen=~frame.censored_left, end_seen=end_seen)[
-        [*DEFINITION, "duration_s", "gap_s", "start_seen", "end_seen"]
+        [*DEFINITION, "a", "b", "duration_s", "gap_s", "start_seen", "end_seen"]
     ]
 
 
@@ -76,21 +77,33 @@ def summary(run: Run, departure: Departure = "ends") -> pd.DataFrame:
     n; n_start_unseen, n_end_unseen (censored left and right); mean_s, median_s of the durations as recorded;
     km_median_s (null where more than half were not observed to end) and km_mean_s, restricted to the longest
     duration observed, `horizon_s`; again_share: share that are not the first of their pair; gap_median_s: time since
-    the one before.
+    the one before. mean_s, the shares censored_left, censored_right and again_share have intervals in which encounters
+    that share an actor depend on each other (`intervals.mean_of_pairs`); that of km_median_s takes them as independent.
     """
     rows = []
     for kind, frame in durations(run, departure).groupby([*DEFINITION], observed=True):
         curve = _curve(frame)
         again = frame.gap_s.dropna()
-        rows.append({
-            **dict(zip(DEFINITION, kind, strict=True)), "n": len(frame),
+        definition: dict[str, object] = dict(zip(DEFINITION, kind, strict=True))
+        rows.append(definition | {
+            "n": len(frame),
             "n_start_unseen": int((~frame.start_seen).sum()), "n_end_unseen": int((~frame.end_seen).sum()),
-            "mean_s": float(frame.duration_s.mean()), "median_s": float(frame.duration_s.median()),
-            "km_mean_s": restricted_mean(curve), "km_median_s": median(curve),
-            "horizon_s": float(curve.duration_s.iloc[-1]), "again_share": len(again) / len(frame),
+            **_mean(frame, frame.duration_s, "mean_s"), "median_s": float(frame.duration_s.median()),
+            **_mean(frame, ~frame.start_seen, "censored_left"), **_mean(frame, ~frame.end_seen, "censored_right"),
+            "km_mean_s": restricted_mean(curve),
+            **intervals.columns(intervals.Estimate(median(curve), *median_band(curve), len(frame)), "km_median_s"),
+            "horizon_s": float(curve.duration_s.iloc[-1]), **_mean(frame, frame.gap_s.notna(), "again_share"),
             "gap_median_s": float(again.median()) if len(again) else np.nan,
         })  # fmt: skip
     return pd.DataFrame(rows)
+
+
+def _mean(frame: pd.DataFrame, values: pd.Series, name: str) -> dict[str, float]:
+    """Mean over encounters with its interval; a share stays within 0 and 1."""
+    found = intervals.mean_of_pairs(values.to_numpy(np.float64), frame.a.to_numpy(), frame.b.to_numpy())
+    if values.dtype == bool:
+        found = found._replace(low=max(0.0, found.low), high=min(1.0, found.high))
+    return intervals.columns(found, name)
 
 
 def _curve(frame: pd.DataFrame) -> pd.DataFrame:

@@ -3,7 +3,7 @@
 Definitions and sources are in `results/FRESHNESS.md`.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -11,11 +11,13 @@ import pandas as pd
 
 from results.codes import LookupState, labels
 from results.metrics.encounters import DEFINITION
-from results.metrics.intervals import Estimate, ratio
+from results.metrics.intervals import Estimate, ratio, share, without_interval
 from results.run import Run
 
 STATES = labels(LookupState)
 """Of a lookup, in this order."""
+KNOWN = ("judged", "stale")
+"""States in which a value rests on an evaluation."""
 
 AGES: Mapping[str, str] = {
     "value": "age_s",
@@ -60,14 +62,21 @@ def states(run: Run) -> pd.DataFrame:
 
     Returns
     -------
-    role ("all" first), state, n, share, low, high (95 %, clustered by the vehicle that looks up), n_units.
+    role ("all" first), state, n, share, low, high (95 %, clustered by the vehicle that looks up), n_units. From totals,
+    where single lookups were not kept: of all alone, and without intervals.
     """
+    if "trust_lookups" not in run.tables:
+        total = _totals(run).n
+        return pd.DataFrame([
+            {"role": "all", "state": state, "n": int(n)} | _columns(without_interval(n / total.sum()), "share")
+            for state, n in total.items()
+        ])  # fmt: skip
     counts = _per_receiver(run, ["state"], lambda part: part.state.cat.codes.to_numpy(), len(STATES))
     rows = []
     for role, of_role in _with_all(run, counts):
         lookups = of_role.sum(axis=1)
         for state, n in zip(STATES, of_role.T, strict=True):
-            rows.append({"role": role, "state": state, "n": int(n.sum())} | _columns(ratio(n, lookups), "share"))
+            rows.append({"role": role, "state": state, "n": int(n.sum())} | _columns(share(n, lookups), "share"))
     return pd.DataFrame(rows)
 
 
@@ -77,8 +86,11 @@ def ages(run: Run) -> pd.DataFrame:
     Returns
     -------
     what (a key of `AGES`), role ("all" first), n, mean_s, low, high (95 % interval of the mean, clustered by the
-    vehicle that looks up), n_units, median_s, p90_s.
+    vehicle that looks up), n_units, median_s, p90_s. From totals, where single lookups were not kept: mean_s of all
+    alone, and without intervals.
     """
+    if "trust_lookups" not in run.tables:
+        return _ages_of_totals(run)
     roles, n_bins = ("all", *run.role_labels), len(_EDGES_S) - 1
     rows = []
     for what, column in AGES.items():
@@ -119,7 +131,7 @@ def peaks(run: Run) -> pd.DataFrame:
     rows = []
     for what in ("value", "newest evaluation"):
         sums, counts = _Totals(1), _Totals(1)
-        for block, part in enumerate(_lookups(run, ["receiver", "subject", AGES[what]])):
+        for block, part in enumerate(_lookups(run, ["receiver", "subject", AGES[what]], by_block=True)):
             if block % stride == 0:
                 age_s = part[AGES[what]].to_numpy(np.float64)
                 at = _before_renewal(part, age_s)
@@ -143,7 +155,7 @@ def within(run: Run, fresh_s: float = 10.0) -> pd.DataFrame:
         run, ["newest_evaluation_age_s"], lambda part: (part.newest_evaluation_age_s <= fresh_s).to_numpy(int), 2
     )
     return pd.DataFrame([
-        {"role": role, "n": int(n.sum())} | _columns(ratio(n[:, 1], n.sum(axis=1)), "share")
+        {"role": role, "n": int(n.sum())} | _columns(share(n[:, 1], n.sum(axis=1)), "share")
         for role, n in _with_all(run, counts)
     ])  # fmt: skip
 
@@ -206,11 +218,34 @@ def without_trust(run: Run) -> pd.DataFrame:
         without = np.isnan(after_s)
         rows.append({
             **dict(zip(DEFINITION, kind, strict=True)), "n": len(after_s),
-            "n_without": int(without.sum()), **_columns(ratio(np.bincount(who, without), np.bincount(who)), "share"),
+            "n_without": int(without.sum()), **_columns(share(np.bincount(who, without), np.bincount(who)), "share"),
             "wait_median_s": float(np.median(waited_s)) if len(waited_s) else np.nan,
         })  # fmt: skip
     columns = [*DEFINITION, "n", "n_without", "share", "low", "high", "n_units"]
     return pd.DataFrame(rows, columns=[*columns, "wait_median_s"])
+
+
+def _totals(run: Run) -> pd.DataFrame:
+    """Sums of the table `lookup_totals`, by state in the order of `STATES`."""
+    frame = run.variant_table("lookup_totals")
+    if frame.empty:
+        raise ValueError(f"{run.path} {_NO_LOOKUPS}")
+    return frame.groupby(frame.state.astype(str)).sum(numeric_only=True).reindex(STATES, fill_value=0)
+
+
+def _ages_of_totals(run: Run) -> pd.DataFrame:
+    total = _totals(run)
+    n_known = int(total.n[list(KNOWN)].sum())
+    counts = {"value": int(total.n_valued.sum()), "newest evaluation": n_known, "oldest evaluation": n_known}
+    rows = [
+        {"what": what, "role": "all", "n": n, "median_s": np.nan, "p90_s": np.nan}
+        | _columns(without_interval(float(total[column.replace("_s", "_sum_s")].sum()) / n), "mean_s")
+        for (what, column), n in zip(AGES.items(), counts.values(), strict=True)
+        if n
+    ]
+    if not rows:
+        raise ValueError(f"{run.path} {_NO_EVALUATION}")
+    return pd.DataFrame(rows)
 
 
 class _Totals:
@@ -248,9 +283,20 @@ def _columns(estimate: Estimate, value: str) -> dict[str, float]:
     return {value: estimate.value, "low": estimate.low, "high": estimate.high, "n_units": estimate.n_units}
 
 
-def _lookups(run: Run, columns: list[str]) -> Iterator[pd.DataFrame]:
+_IN_MEMORY = 2_000_000
+"""Rows of `trust_lookups` up to which they are read once for all metrics."""
+_ASKED = ["step", "receiver", "subject", "state", *AGES.values(), "n_evaluations", "n_evaluators"]
+
+
+def _lookups(run: Run, columns: list[str], by_block: bool = False) -> Iterator[pd.DataFrame]:
+    """Lookups of the run's variant: together where they fit into memory, else block by block."""
+    parts: Iterable[pd.DataFrame]
+    if by_block or run.n_rows("trust_lookups") // len(run.variants) > _IN_MEMORY:
+        parts = run.variant_parts("trust_lookups", columns)
+    else:
+        parts = [run.once("freshness.lookups", lambda: run.variant_table("trust_lookups", _ASKED))[columns]]
     empty = True
-    for part in run.variant_parts("trust_lookups", columns):
+    for part in parts:
         empty &= part.empty
         yield part
     if empty:

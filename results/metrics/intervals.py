@@ -1,10 +1,12 @@
 """Intervals of ratios and means over units that are independent of each other: vehicles, not messages."""
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray
+from scipy import stats
 
 LEVEL = 0.95
 FEW = 10
@@ -22,6 +24,14 @@ class Estimate(NamedTuple):
     high: float
     n_units: int
     """Units with something to count."""
+
+
+def without_interval(value: float) -> Estimate:
+    """A value of which no more is known."""
+    return Estimate(value, float("nan"), float("nan"), 0)
+
+
+UNKNOWN = without_interval(float("nan"))
 
 
 def ratio(top: Float[ndarray, "u"], bottom: Float[ndarray, "u"], level: float = LEVEL) -> Estimate:
@@ -46,10 +56,139 @@ def ratio(top: Float[ndarray, "u"], bottom: Float[ndarray, "u"], level: float = 
     top, bottom = np.asarray(top, float)[some], np.asarray(bottom, float)[some]
     n = len(bottom)
     if not n:
-        return Estimate(float("nan"), float("nan"), float("nan"), 0)
+        return UNKNOWN
     value = float(top.sum() / bottom.sum())
     if n < _FEWEST:
         return Estimate(value, float("nan"), float("nan"), n)
-    drawn = np.random.default_rng(0).multinomial(n, np.full(n, 1 / n), size=_DRAWS)
+    drawn = _drawn(n)
     low, high = np.quantile((drawn @ top) / (drawn @ bottom), [(1 - level) / 2, (1 + level) / 2])
     return Estimate(value, float(low), float(high), n)
+
+
+@lru_cache(maxsize=8)
+def _drawn(n: int) -> Int[ndarray, "draws n"]:
+    """How often each of `n` units is drawn, in every draw; metrics of one run ask for the same few `n` again."""
+    return np.random.default_rng(0).multinomial(n, np.full(n, 1 / n), size=_DRAWS)
+
+
+def share(top: Float[ndarray, "u"], bottom: Float[ndarray, "u"], level: float = LEVEL) -> Estimate:
+    """As `ratio`, of counts; where none or all of what was counted has the property, or every unit counted once and
+    no more, after Wilson [1]_, with units as trials: a bootstrap of equal values has no width.
+
+    References
+    ----------
+    .. [1] Wilson, "Probable inference, the law of succession, and statistical inference", JASA 22(158), 1927.
+    """
+    top, bottom = np.asarray(top, float), np.asarray(bottom, float)
+    some = bottom > 0
+    n, value = int(some.sum()), float(top.sum() / bottom.sum()) if some.any() else float("nan")
+    if n and (value in (0, 1) or (bottom[some] == 1).all()):
+        found = stats.binomtest(round(value * n), n).proportion_ci(level, method="wilson")
+        return Estimate(value, float(found.low), float(found.high), n)
+    return ratio(top, bottom, level)
+
+
+def mean_of_pairs(
+    values: Float[ndarray, "p"], a: Int[ndarray, "p"], b: Int[ndarray, "p"], level: float = LEVEL
+) -> Estimate:
+    """Mean over pairs of units, where pairs that share a unit are not independent [1]_.
+
+    Parameters
+    ----------
+    a, b
+        Numbers of the two units of each pair.
+
+    Notes
+    -----
+    Variance of the mean: sum over pairs of pairs that share a unit of the product of their residuals, over n^2; with
+    Student's t of as many degrees of freedom as there are units, less one.
+
+    References
+    ----------
+    .. [1] Aronow, Samii, Assenova, "Cluster-robust variance estimation for dyadic data", Political Analysis 23, 2015.
+    """
+    units, at = np.unique(np.concatenate([a, b]), return_inverse=True)
+    n, value = len(units), float(np.mean(values)) if len(values) else float("nan")
+    if n < _FEWEST:
+        return Estimate(value, float("nan"), float("nan"), n)
+    residual = np.asarray(values, float) - value
+    _, pair = np.unique(np.sort(np.stack([a, b]), axis=0), axis=1, return_inverse=True)
+    of_unit = np.bincount(at, np.tile(residual, 2))
+    of_pair = np.bincount(pair.ravel(), residual)  # the same two may meet again; they share both units
+    variance = max(0.0, float((of_unit**2).sum() - (of_pair**2).sum())) / len(values) ** 2
+    half = float(stats.t.ppf((1 + level) / 2, n - 1)) * variance**0.5
+    return Estimate(value, value - half, value + half, n)
+
+
+def median(values: Float[ndarray, "u"], level: float = LEVEL) -> Estimate:
+    """Median of independent values, with the interval between two of them that holds for any distribution [1]_.
+
+    References
+    ----------
+    .. [1] Conover, "Practical Nonparametric Statistics", 3rd ed., 1999, section 3.2.
+    """
+    ordered = np.sort(values)
+    n = len(ordered)
+    if not n:
+        return UNKNOWN
+    below = int(stats.binom.ppf((1 - level) / 2, n, 0.5))
+    if stats.binom.cdf(below, n, 0.5) > (1 - level) / 2:
+        below -= 1  # the smallest and largest rank whose tails are no larger than allowed
+    if below < 0:
+        return Estimate(float(np.median(ordered)), float("nan"), float("nan"), n)
+    return Estimate(float(np.median(ordered)), float(ordered[below]), float(ordered[n - 1 - below]), n)
+
+
+def auc(
+    high: Float[ndarray, "h"], high_unit: Int[ndarray, "h"], low: Float[ndarray, "l"], low_unit: Int[ndarray, "l"],
+    level: float = LEVEL,
+) -> Estimate:  # fmt: skip
+    """Probability that a value of the first kind is above one of the second, ties counting half, both clustered by
+    unit [1]_; n_units is the smaller number of units.
+
+    Notes
+    -----
+    With V the placement of each value among all of the other kind, the variance is the sum over both kinds of
+    I / (I - 1) * sum over its I units of (sum of V of the unit - m * AUC)^2 / N^2, where m values are in the unit and
+    N of the kind. The interval is normal in the logit of the AUC.
+
+    References
+    ----------
+    .. [1] Obuchowski, "Nonparametric analysis of clustered ROC curve data", Biometrics 53(2), 1997.
+    """
+    n_units = min(len(np.unique(high_unit)), len(np.unique(low_unit)))
+    if not n_units:
+        return UNKNOWN
+    above = _placement(high, low)
+    value = float(above.mean())
+    if n_units < _FEWEST or value in (0, 1):
+        return Estimate(value, float("nan"), float("nan"), n_units)
+    variance = 0.0
+    for placed, unit in ((above, high_unit), (1 - _placement(low, high), low_unit)):
+        _, at = np.unique(unit, return_inverse=True)
+        total = np.bincount(at, placed - value)
+        variance += len(total) / (len(total) - 1) * float((total**2).sum()) / len(placed) ** 2
+    half = float(stats.norm.ppf((1 + level) / 2)) * variance**0.5 / (value * (1 - value))
+    centre = np.log(value / (1 - value))
+    low_end, high_end = 1 / (1 + np.exp(-(centre + np.array([-half, half]))))
+    return Estimate(value, float(low_end), float(high_end), n_units)
+
+
+def _placement(values: Float[ndarray, "n"], others: Float[ndarray, "m"]) -> Float[ndarray, "n"]:
+    """Share of the others that is below each value, ties counting half."""
+    others = np.sort(others)
+    return (np.searchsorted(others, values, "left") + np.searchsorted(others, values, "right")) / 2 / len(others)
+
+
+def of_units(values: Float[ndarray, "n"] | Bool[ndarray, "n"], unit: Int[ndarray, "n"]) -> Estimate:
+    """Mean of values that come from units: `ratio` of sums and counts by unit, or `share` where they are yes or no."""
+    _, at = np.unique(unit, return_inverse=True)
+    return (share if values.dtype == bool else ratio)(np.bincount(at, values), np.bincount(at))
+
+
+def columns(estimate: Estimate, name: str) -> dict[str, float]:
+    """An estimate as columns of a row: `name`, `name_low`, `name_high` and `name_units`."""
+    return {
+        name: estimate.value, f"{name}_low": estimate.low, f"{name}_high": estimate.high,
+        f"{name}_units": estimate.n_units,
+    }  # fmt: skip

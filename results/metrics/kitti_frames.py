@@ -43,8 +43,8 @@ def at_steps(steps: np.ndarray) -> pc.Expression:
     return pc.field("step").isin(steps.tolist())
 
 
-def posed(run: Run, steps: np.ndarray) -> tuple[Poses, pd.DataFrame]:
-    """Observers, and all actors with their size and class, in these steps."""
+def posed(run: Run, steps: np.ndarray, observers: np.ndarray | None = None) -> tuple[Poses, pd.DataFrame]:
+    """Observers (the equipped vehicles, or these of them), and all actors with size and class, in these steps."""
     actors = run.table("actors", ["step", "actor", "x_m", "y_m", "z_m", "yaw_rad"], where=at_steps(steps))
     vehicles = run.table("vehicles", ["vehicle", "vehicle_class", "length_m", "width_m", "height_m", "equipped"])
     vehicles["label"] = vehicles.vehicle_class.astype(object).map(_OBJECT_CLASS)
@@ -52,7 +52,8 @@ def posed(run: Run, steps: np.ndarray) -> tuple[Poses, pd.DataFrame]:
         columns="vehicle"
     )
     actors = actors.sort_values(["step", "actor"], ignore_index=True)
-    poses = actors[actors.equipped].rename(columns={"actor": "observer"}).reset_index(drop=True)
+    chosen = actors.equipped if observers is None else actors.equipped & actors.actor.isin(observers)
+    poses = actors[chosen].rename(columns={"actor": "observer"}).reset_index(drop=True)
     return poses.assign(frame=np.arange(len(poses))), actors
 
 
@@ -78,14 +79,12 @@ def near(poses: Poses, actors: pd.DataFrame, range_m: float) -> tuple[np.ndarray
     return pairs["i"][order], pairs["j"][order]
 
 
-def actors_ahead(run: Run, steps: np.ndarray, range_m: float) -> tuple[Objects, Poses]:
-    """Actors ahead of each equipped vehicle, and the observers of the frames."""
-    poses, actors = posed(run, steps)
-    i, j = near(poses, actors, range_m)
-    other = poses.observer.to_numpy()[i] != actors.actor.to_numpy()[j]
-    i, j = i[other], j[other]
-    box, ahead, height_px = ahead_of(poses, i, actors[[*BOX]].to_numpy(np.float64)[j], range_m)
-    i, j = i[ahead], j[ahead]
+def actors_ahead(
+    run: Run, steps: np.ndarray, range_m: float, observers: np.ndarray | None = None
+) -> tuple[Objects, Poses]:
+    """Actors ahead of each equipped vehicle, or of these of them, and the observers of the frames."""
+    poses, actors = posed(run, steps, observers)
+    i, j, box, height_px = pairs_ahead(poses, actors, range_m)
     seen = run.table("observability", where=at_steps(steps)).set_index(["step", "observer", "actor"])
     key = pd.MultiIndex.from_arrays(
         [poses.step.to_numpy()[i], poses.observer.to_numpy()[i], actors.actor.to_numpy()[j]]
@@ -94,26 +93,51 @@ def actors_ahead(run: Run, steps: np.ndarray, range_m: float) -> tuple[Objects, 
     hidden = 1 - seen.n_points.to_numpy(np.float64) / np.maximum(seen.n_unoccluded.to_numpy(np.float64), 1)
     level = np.where(np.isnan(hidden), 3, (hidden > 0.2).astype(int) + (hidden > 0.5))
     label = actors.label.to_numpy(object)[j]
-    return Objects(i, label, box[ahead], height_px[ahead], level, np.zeros(len(i)), np.ones(len(i))), poses
+    return Objects(i, label, box, height_px, level, np.zeros(len(i)), np.ones(len(i))), poses
+
+
+def pairs_ahead(
+    poses: Poses, actors: pd.DataFrame, range_m: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Pairs of an observer and an actor ahead of it, rows of both; box and height of the actor as of `ahead_of`."""
+    i, j = near(poses, actors, range_m)
+    other = poses.observer.to_numpy()[i] != actors.actor.to_numpy()[j]
+    i, j = i[other], j[other]
+    box, ahead, height_px = ahead_of(poses, i, actors[[*BOX]].to_numpy(np.float64)[j], range_m)
+    return i[ahead], j[ahead], box[ahead], height_px[ahead]
 
 
 def boxes_ahead(run: Run, which: Lists, steps: np.ndarray, poses: Poses, range_m: float) -> Objects:
     """Boxes ahead of each equipped vehicle, numbered by the frames of `poses`."""
     index = "fused_index" if which == "fused" else "detection_index"
     columns = ["step", "observer", index, "class", *BOX, "score"]
-    where = at_steps(steps) if which == "fused" else at_steps(steps) & (pc.field("origin") == "sensed")
+    if which == "fused":
+        where = at_steps(steps) & pc.field("observer").isin(poses.observer.unique().tolist())
+    else:
+        where = at_steps(steps) & (pc.field("origin") == "sensed")
     boxes = observed_by_vehicle(run, which, columns, where)
     frames = poses.set_index(["step", "observer"]).frame
     at = frames.reindex(pd.MultiIndex.from_frame(boxes[["step", "observer"]])).to_numpy(np.float64)
     boxes, at = boxes[~np.isnan(at)], at[~np.isnan(at)].astype(int)
     order = np.lexsort([boxes[index], at])
     boxes, at = boxes.iloc[order], at[order]
-    box, ahead, height_px = ahead_of(poses, at, boxes[[*BOX]].to_numpy(np.float64), range_m)
+    world = boxes[[*BOX]].to_numpy(np.float64, copy=True)
+    world[:, :2] -= position_errors(run, poses)[at]
+    box, ahead, height_px = ahead_of(poses, at, world, range_m)
     n = int(ahead.sum())
     return Objects(
         at[ahead], boxes["class"].astype(object).to_numpy()[ahead], box[ahead], height_px[ahead],
         np.zeros(n, int), np.zeros(n), boxes.score.to_numpy(np.float64)[ahead],
     )  # fmt: skip
+
+
+def position_errors(run: Run, poses: Poses) -> np.ndarray:
+    """How far each observer believes to be from where it is, east and north [n, 2]: so far are its boxes displaced."""
+    if "position_errors" not in run.tables:
+        return np.zeros((len(poses), 2))
+    found = run.table("position_errors", where=at_steps(poses.step.unique())).set_index(["step", "vehicle"])
+    found = found.reindex(pd.MultiIndex.from_frame(poses[["step", "observer"]]))
+    return found[["error_x_m", "error_y_m"]].fillna(0.0).to_numpy(np.float64)
 
 
 def ahead_of(poses: Poses, i: np.ndarray, box: np.ndarray, range_m: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -13,8 +13,8 @@ import pyarrow.compute as pc
 from jaxtyping import Float
 from numpy import ndarray
 
-from results.metrics import trust
-from results.metrics.survival import kaplan_meier, median
+from results.metrics import intervals, trust
+from results.metrics.survival import kaplan_meier, median, median_band
 from results.run import Run
 
 HONEST = "honest"
@@ -28,6 +28,10 @@ def scored_vehicles(run: Run) -> pd.DataFrame:
     -------
     step, subject, role, trust (null where the ledger has none), rated.
     """
+    return run.once("misbehaviour.scored_vehicles", lambda: _scored(run))
+
+
+def _scored(run: Run) -> pd.DataFrame:
     known = trust.values(run)
     who = _watched(run).reset_index()
     steps = np.unique(known.step)
@@ -51,7 +55,8 @@ def classification(run: Run, false_positives: float = 0.05) -> pd.DataFrame:
     their trust; auc: probability that an honest value is above an attacker's (ties count half); auc_unrated: the same
     with the values that rest on no evaluation; threshold: the largest with no more false positives than allowed;
     true_positives, false_positives: shares of the rated values below it (recall, false positive rate); suspected:
-    share of the attackers' time in use in which they are suspected, rated or not.
+    share of the attackers' time in use in which they are suspected, rated or not. auc, true_positives and suspected
+    have intervals clustered by subject; those of shares take the threshold as given.
 
     Notes
     -----
@@ -99,18 +104,23 @@ def roc(run: Run) -> pd.DataFrame:
 
 
 def below(run: Run, threshold: float = 0.25) -> pd.DataFrame:
-    """Share of all values below a threshold, by role: role, n, share, and rated_share, of the rated."""
-    frame = trust.values(run)
-    low = frame.assign(share=frame.trust < threshold, n=1).groupby("role", observed=True)
-    rated = frame[frame.rated]
-    of_rated = (rated.trust < threshold).groupby(rated.role, observed=True).mean()
-    return low.agg({"n": "size", "share": "mean"}).assign(rated_share=of_rated).reset_index()
+    """Share of all values below a threshold, by role: role, n, share, and rated_share, of the rated; both with
+    intervals clustered by subject."""
+    rows = []
+    for role, frame in trust.values(run).groupby("role", observed=True):
+        row: dict[str, object] = {"role": role, "n": len(frame)}
+        for name, some in (("share", frame), ("rated_share", frame[frame.rated])):
+            low = (some.trust < threshold).to_numpy()
+            row |= intervals.columns(intervals.of_units(low, some.subject.to_numpy()), name)
+        rows.append(row)
+    return pd.DataFrame(rows)
 
 
-def separation(run: Run) -> float:
+def separation(run: Run) -> intervals.Estimate:
     """Probability that the last rated value of an honest subject is above that of a malicious one (ties half)."""
     last = scored_vehicles(run).query("rated").drop_duplicates("subject", keep="last")
-    return auc(_rated(last, HONEST), _rated(last, "malicious"))
+    honest, attacking = _rated(last, HONEST), _rated(last, "malicious")
+    return intervals.auc(honest, np.arange(len(honest)), attacking, np.arange(len(attacking)))
 
 
 def detection_delay(run: Run, threshold: float = 0.25, at: trust.At = "server") -> pd.DataFrame:
@@ -129,7 +139,8 @@ def detection_delay(run: Run, threshold: float = 0.25, at: trust.At = "server") 
     is_low = pc.field("trust") < threshold
     table = "trust" if at == "server" else "trust_lookups"
     low = run.variant_table(table, ["step", "subject"], is_low & (pc.field("n_evaluations") > 0))
-    low = low.merge(who.reset_index(), on="subject").query("since <= step <= until")
+    low = low.merge(who.reset_index(), on="subject")
+    low = low[(low.since <= low.step) & (low.step <= low.until)]
     first = low.groupby("subject").step.min().reindex(who.index)
     found = first.notna()
     delay_s = (first.where(found, who.until) - who.since) * run.dt_s
@@ -137,29 +148,25 @@ def detection_delay(run: Run, threshold: float = 0.25, at: trust.At = "server") 
 
 
 def detection_summary(run: Run, threshold: float = 0.25, at: trust.At = "server") -> pd.DataFrame:
-    """Of `detection_delay`: role, n, share that was ever suspected, median_s (null: fewer than half were).
+    """Of `detection_delay`: role, n, share that was ever suspected, median_s (null: fewer than half were); both with
+    intervals.
 
     Those not suspected count for as long as they were watched (Kaplan and Meier).
     """
-    rows = [
-        {"role": role, "n": len(one), "share": one.found.mean(), "median_s": median(waiting(one))}
-        for role, one in detection_delay(run, threshold, at).groupby("role", observed=True)
-    ]
+    rows = []
+    for role, one in detection_delay(run, threshold, at).groupby("role", observed=True):
+        curve = waiting(one)
+        rows.append(
+            {"role": role, "n": len(one)}
+            | intervals.columns(intervals.of_units(one.found.to_numpy(bool), one.subject.to_numpy()), "share")
+            | intervals.columns(intervals.Estimate(median(curve), *median_band(curve), len(one)), "median_s")
+        )
     return pd.DataFrame(rows)
 
 
 def waiting(delays: pd.DataFrame) -> pd.DataFrame:
     """Share not suspected yet after a time, of rows of `detection_delay`: as of `survival.kaplan_meier`."""
     return kaplan_meier(delays.delay_s.to_numpy(np.float64), delays.found.to_numpy(bool))
-
-
-def auc(honest: Float[ndarray, "h"], attacking: Float[ndarray, "l"]) -> float:
-    """Probability that an honest value is above an attacking one, ties counting half; NaN where one is empty."""
-    if not len(honest) or not len(attacking):
-        return float("nan")
-    attacking = np.sort(attacking)
-    wins = np.searchsorted(attacking, honest, "left") + np.searchsorted(attacking, honest, "right")
-    return float(wins.mean() / 2 / len(attacking))
 
 
 def threshold_at(honest: Float[ndarray, "h"], false_positives: float) -> float:
@@ -179,9 +186,13 @@ _NONE_RATED = (
 
 def _watched(run: Run) -> pd.DataFrame:
     """Subjects to be classified, by number: role, and the steps `since` and `until` which they are watched."""
+    return run.once("misbehaviour.watched", lambda: _watched_of(run))
+
+
+def _watched_of(run: Run) -> pd.DataFrame:
     who = run.subjects
     if not who.attack_start_step.notna().any():
-        raise ValueError(f"{run.path} holds no attacks. Raise fleet.malicious_p, or run past adversary.start_s.")
+        raise ValueError(f"{run.path} holds no attacks. Raise the share_p of an attack, or run past its start_s.")
     honest = who.role == HONEST
     who = who[honest | who.attack_start_step.notna()]
     begin = who.attack_start_step.where(who.role != HONEST, who.attack_start_step.min())
@@ -197,23 +208,37 @@ def _rated(frame: pd.DataFrame, role: str) -> Float[ndarray, "n"]:
 
 def _classified(frame: pd.DataFrame, false_positives: float, threshold: float | None) -> list[dict[str, float | str]]:
     """Rows of `classification`; the threshold is found where none is given."""
+    rated, scored = frame[frame.rated], frame[frame.trust.notna()]
     honest = _rated(frame, HONEST)
     limit = threshold_at(honest, false_positives) if threshold is None else threshold
     groups = {str(role): one for role, one in frame.groupby("role", observed=False)}
-    with_unrated = {role: one.trust.dropna().to_numpy(np.float64) for role, one in groups.items()}
     rows: list[dict[str, float | str]] = []
     for role, mine in groups.items():
         if role == HONEST or mine.empty:
             continue
-        attacking = _rated(mine, role)
+        attacking = rated[rated.role == role]
+        low = (attacking.trust < limit).to_numpy()
+        suspected = mine.rated & (mine.trust < limit)
+        of_time = intervals.of_units(suspected.to_numpy(bool), mine.subject.to_numpy())
+        if np.isnan(limit):
+            of_time = intervals.UNKNOWN
         rows.append({
             "role": role, "n": mine.subject.nunique(), "rated": len(attacking) / len(mine),
-            "rated_honest": _share(groups[HONEST].rated), "auc": auc(honest, attacking),
-            "auc_unrated": auc(with_unrated[HONEST], with_unrated[role]), "threshold": limit,
-            "true_positives": _share(attacking < limit), "false_positives": _share(honest < limit),
-            "suspected": float("nan") if np.isnan(limit) else float((attacking < limit).sum()) / len(mine),
+            "rated_honest": _share(groups[HONEST].rated), **intervals.columns(_auc(rated, role), "auc"),
+            **intervals.columns(_auc(scored, role), "auc_unrated"), "threshold": limit,
+            **intervals.columns(intervals.of_units(low, attacking.subject.to_numpy()), "true_positives"),
+            "false_positives": _share(honest < limit), **intervals.columns(of_time, "suspected"),
         })  # fmt: skip
     return rows
+
+
+def _auc(frame: pd.DataFrame, role: str) -> intervals.Estimate:
+    """Of the honest values of a frame above those of a role."""
+    honest, attacking = frame[frame.role == HONEST], frame[frame.role == role]
+    return intervals.auc(
+        honest.trust.to_numpy(np.float64), honest.subject.to_numpy(),
+        attacking.trust.to_numpy(np.float64), attacking.subject.to_numpy(),
+    )  # fmt: skip
 
 
 def _share(which: ndarray | pd.Series) -> float:

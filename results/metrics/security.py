@@ -11,6 +11,7 @@ import math
 import numpy as np
 import pandas as pd
 
+from results.metrics import intervals
 from results.metrics.misbehaviour import HONEST, scored_vehicles
 from results.run import Run
 
@@ -35,7 +36,8 @@ def confusion(run: Run, threshold: float = 0.25, relative: float | None = None) 
 
     Returns
     -------
-    unit, tp, fp, fn, tn, and of `rates`. A subject that is not rated is not excluded.
+    unit, tp, fp, fn, tn, and of `rates`; precision, recall and fpr with intervals clustered by subject. A subject that
+    is not rated is not excluded.
     """
     frame = excluded(run, threshold, relative)
     rows = []
@@ -45,6 +47,12 @@ def confusion(run: Run, threshold: float = 0.25, relative: float | None = None) 
         )
         (tn, fp), (fn, tp) = counts.to_numpy().tolist()
         rows.append({"unit": unit, "tp": tp, "fp": fp, "fn": fn, "tn": tn} | rates(tp, fp, fn, tn))
+        for name, value, among in (
+            ("precision", some.attacker, some.excluded), ("recall", some.excluded, some.attacker),
+            ("fpr", some.excluded, ~some.attacker),
+        ):  # fmt: skip
+            found = intervals.of_units(value[among].to_numpy(bool), some.subject[among].to_numpy())
+            rows[-1] |= intervals.columns(found, name)
     return pd.DataFrame(rows)
 
 
@@ -83,18 +91,24 @@ def average_precision(run: Run) -> float:
     return float((curve.precision * np.diff(curve.recall, prepend=0.0)).sum())
 
 
-def false_exclusions(run: Run, threshold: float = 0.25, relative: float | None = None) -> float:
+def false_exclusions(run: Run, threshold: float = 0.25, relative: float | None = None) -> intervals.Estimate:
     """Times that an honest vehicle becomes excluded, per hour that honest vehicles are watched for."""
     frame = excluded(run, threshold, relative)
     honest = frame[~frame.attacker].sort_values(["subject", "step"])
     before = honest.excluded.groupby(honest.subject).shift(fill_value=False)
+    times = (honest.excluded & ~before).groupby(honest.subject).sum()
     watched = honest.groupby("subject").step.agg(["min", "max"])
-    hours = float(((watched["max"] - watched["min"]) * run.dt_s).sum()) / 3600
-    return float((honest.excluded & ~before).sum()) / hours if hours else math.nan
+    hours = (watched["max"] - watched["min"]) * run.dt_s / 3600
+    return intervals.ratio(times.to_numpy(np.float64), hours.to_numpy(np.float64))
 
 
 def trust_error(run: Run) -> pd.DataFrame:
-    """By role: mean distance of rated trust from 1 (honest) or 0 (attackers)."""
+    """By role: mean distance of rated trust from 1 (honest) or 0 (attackers), with an interval clustered by subject."""
     frame = scored_vehicles(run).query("rated")
     error = np.abs(frame.trust - (frame.role == HONEST))
-    return error.groupby(frame.role, observed=True).mean().rename("error").reset_index()
+    return pd.DataFrame([
+        {"role": role} | intervals.columns(
+            intervals.of_units(error[one.index].to_numpy(np.float64), one.subject.to_numpy()), "error"
+        )
+        for role, one in frame.groupby("role", observed=True)
+    ])  # fmt: skip

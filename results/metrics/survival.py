@@ -42,6 +42,15 @@ def median(curve: pd.DataFrame) -> float:
     return float(below.iloc[0]) if len(below) else float("nan")
 
 
+def median_band(curve: pd.DataFrame) -> tuple[float, float]:
+    """95 % interval of the median: durations at which the band of the curve falls to one half (Brookmeyer and Crowley
+    1982) [s]; the upper end is infinite where the band stays above."""
+    low, high = (curve.duration_s[curve[name] <= 0.5] for name in ("low", "high"))
+    if not len(low):
+        return float("nan"), float("nan")
+    return float(low.iloc[0]), float(high.iloc[0]) if len(high) else float("inf")
+
+
 def restricted_mean(curve: pd.DataFrame) -> float:
     """Mean duration up to the longest one seen: the area under the survival curve [s]."""
     return float((curve.survival.to_numpy()[:-1] * np.diff(curve.duration_s)).sum())

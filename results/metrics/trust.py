@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 import pyarrow.compute as pc
 
+from results.metrics import intervals
 from results.run import Run
 
 At = Literal["server", "vehicles"]
@@ -17,7 +18,7 @@ _INSTANTS = 600
 
 def kept_at(run: Run) -> At:
     """Where trust is kept: at the server if it ever computed any."""
-    return "server" if len(run.variant_table("trust", ["step"])) else "vehicles"
+    return run.once("trust.kept_at", lambda: "server" if len(run.variant_table("trust", ["step"])) else "vehicles")
 
 
 def values(run: Run) -> pd.DataFrame:
@@ -27,6 +28,10 @@ def values(run: Run) -> pd.DataFrame:
     that could see. Without a server, the mean over the receivers that look the subject up and hold such a value of
     their own, at 600 instants at most.
     """
+    return run.once("trust.values", lambda: _values(run))
+
+
+def _values(run: Run) -> pd.DataFrame:
     if kept_at(run) == "server":
         frame = run.variant_table("trust", ["step", "subject", "trust", "n_evaluations"])
         frame = frame.assign(rated=frame.n_evaluations > 0)
@@ -61,8 +66,12 @@ def _own(run: Run) -> pd.DataFrame:
 
 
 def mean(run: Run) -> pd.DataFrame:
-    """Mean of all values: role, n, mean."""
-    return values(run).groupby("role", observed=True).trust.agg(n="size", mean="mean").reset_index()
+    """Mean of all values: role, n, mean with its interval (clustered by subject; see `intervals.columns`)."""
+    return pd.DataFrame([
+        {"role": role, "n": len(of_role)}
+        | intervals.columns(intervals.of_units(of_role.trust.to_numpy(np.float64), of_role.subject.to_numpy()), "mean")
+        for role, of_role in values(run).groupby("role", observed=True)
+    ])  # fmt: skip
 
 
 def over_time(run: Run) -> pd.DataFrame:
@@ -71,8 +80,17 @@ def over_time(run: Run) -> pd.DataFrame:
 
 
 def final(run: Run) -> pd.DataFrame:
-    """Quartiles over subjects of the last value of each: role, n, mean, q25, median, q75."""
-    return _quartiles(values(run).drop_duplicates("subject", keep="last"), ["role"])
+    """Quartiles over subjects of the last value of each: role, n, mean, q25, median, q75; mean and median with their
+    intervals (see `intervals.columns`)."""
+    last = values(run).drop_duplicates("subject", keep="last")
+    rows = [
+        {"role": role}
+        | intervals.columns(intervals.of_units(one.to_numpy(np.float64), np.arange(len(one))), "mean")
+        | intervals.columns(intervals.median(one.to_numpy(np.float64)), "median")
+        for role, one in last.groupby("role", observed=True).trust
+    ]
+    found = _quartiles(last, ["role"]).drop(columns=["mean", "median"])
+    return found.merge(pd.DataFrame(rows), on="role")
 
 
 def _quartiles(frame: pd.DataFrame, by: list[str]) -> pd.DataFrame:

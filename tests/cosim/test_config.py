@@ -4,15 +4,14 @@ import tomllib
 from dataclasses import replace
 
 import pytest
-import tomli_w
 
 from cosim.config import Config, load
-from cosim.manifest import without_nulls
+from cosim.manifest import toml_text
 
 
 def test_defaults_survive_the_way_to_disk_and_back(tmp_path):
     path = tmp_path / "config.toml"
-    path.write_text(tomli_w.dumps(without_nulls(load().to_dict())))
+    path.write_text(toml_text(load().to_dict()))
     assert load(path) == load()
     plain = replace(load(), attacks=(), own={}, trust_variant=())  # a file states its own attacks and variants
     assert plain == Config()
@@ -134,4 +133,4 @@ def test_every_knob_says_its_meaning():
 
 
 def test_toml_round_trip_is_plain_toml():
-    assert tomllib.loads(tomli_w.dumps(without_nulls(Config().to_dict())))["radio"]["range_m"] == 300.0
+    assert tomllib.loads(toml_text(Config().to_dict()))["radio"]["range_m"] == 300.0

@@ -71,3 +71,24 @@ def test_mistakes(folder, vehicle, step, out, says):
 def test_a_mistake_is_one_line(folder):
     done = cosim("plot", "sweep", str(folder), "--step", "2")
     assert done.returncode == 2 and "plot sweep RUN" in done.stderr and len(done.stderr.strip().splitlines()) == 1
+
+
+def test_plot_scene(folder, tmp_path):
+    """The city at one moment; clouds in the world frame lie where the actors that returned them are."""
+    run = open_run(folder)
+    out = replay_lidar.portrait(run, [], 4, tmp_path / "scene.png")
+    assert out.stat().st_size > 50_000
+    config = replay_lidar.config_of(run)
+    world = next(replay_lidar.worlds(run, config, np.array([4])))
+    sweeps = replay_lidar.sweep(config, replay_lidar.city_of(config), world, np.flatnonzero(world.equipped)[:4])
+    for o in range(4):
+        xyz, hit = replay_lidar.in_world(sweeps, o), sweeps.hit[o][np.isfinite(sweeps.range_m[o])]
+        of = hit[hit >= 3] - 3
+        away = np.abs(xyz[hit >= 3] - world.boxes.xyz_m[of])
+        assert (
+            np.linalg.norm(away[:, :2], axis=1) < 0.5 * np.linalg.norm(world.boxes.lwh_m[of, :2], axis=1) + 0.2
+        ).all()
+    done = cosim("plot", "scene", str(folder), "--step", "4", "--vehicle", "999999", "--out", str(tmp_path / "no.png"))
+    assert done.returncode == 2 and "--vehicle 999999 has no sensor on the road in step 4" in done.stderr
+    done = cosim("plot", "scene", str(folder))
+    assert done.returncode == 2 and len(done.stderr.splitlines()) == 1

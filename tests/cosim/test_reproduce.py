@@ -7,7 +7,17 @@ import numpy as np
 import pytest
 
 from cosim.config import load
-from cosim.reproduce import ATTACKER, EGO, FOLDER, METHODS, THIRD, ScriptedScene, paper_trust, scenario_1, scenario_2
+from cosim.reproduce.scenarios import (
+    ATTACKER,
+    EGO,
+    FOLDER,
+    METHODS,
+    THIRD,
+    ScriptedScene,
+    paper_trust,
+    scenario_1,
+    scenario_2,
+)
 from cosim.v2x.messages import FABRICATED
 from cosim.world import LABELS
 from sensors import evidence

@@ -1,4 +1,4 @@
-"""The examples of the README are run as they are printed there."""
+"""The examples of the pages are run as they are printed there."""
 
 import re
 from pathlib import Path
@@ -8,9 +8,11 @@ import pytest
 from results.archive import open_run
 from tests.drive import cosim
 
-README = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
+ROOT = Path(__file__).parents[2]
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+EXTEND = (ROOT / "cosim/docs/pages/howto/extend.md").read_text(encoding="utf-8")
 EXAMPLES = {
-    name: code for name, code in re.findall(r"```python\n# (\w+\.py) .*?\n(.*?)```", README, flags=re.DOTALL)
+    name: code for name, code in re.findall(r"```python\n# (\w+\.py) .*?\n(.*?)```", EXTEND, flags=re.DOTALL)
 }  # fmt: skip
 CONFIGS = {
     "beta.py": '[trust]\nmodel = "beta.py:Beta"\nprior = 2.0\n',

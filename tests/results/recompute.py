@@ -88,25 +88,35 @@ def attacks(run):
     """Fabricated detections and the other vehicles that received them, with the score that they have there or NaN.
 
     A lie has the score of the fused object whose box it gave, or else of the one whose box another lie of its class
-    gave that overlaps it (IoU above 0.1, the largest).
+    gave that overlaps it (IoU above 0.1, the largest), unless a real detection overlaps it more: it is then part of a
+    real object.
     """
-    lies = run.detections
-    lies = lies[(lies.origin == "fabricated") & lies.transmitted]
+    boxes = run.detections
+    lies = boxes[(boxes.origin == "fabricated") & boxes.transmitted]
     heard = run.receptions
     heard = heard[heard.message_type == "cpm"][["step", "sender", "receiver"]]
     pairs = lies.merge(heard, left_on=["step", "observer"], right_on=["step", "sender"]).drop(columns="score")
     fused = run.table("fused", ["step", "variant", "observer", "source", "source_index", "score", "fabricated"])
-    fused = fused[(fused.variant == run.variant) & fused.fabricated]
+    fused = fused[fused.variant == run.variant]
     fused = fused.rename(columns={"observer": "receiver", "source": "observer", "source_index": "detection_index"})
     key = ["step", "receiver", "observer", "detection_index"]
-    pairs = pairs.merge(fused[[*key, "score"]], "left", on=key)
+    pairs = pairs.merge(fused.loc[fused.fabricated, [*key, "score"]], "left", on=key)
     name = ["step", "observer", "detection_index"]
-    there = fused[[*key, "score"]].merge(lies[[*name, "class", *BOX]], on=name)
-    rest = (
-        pairs[pairs.score.isna()].reset_index().merge(there, on=["step", "receiver", "class"], suffixes=("", "_there"))
-    )
-    rest["iou"] = [_iou(row[BOX], row[[c + "_there" for c in BOX]]) for _, row in rest.iterrows()]
-    best = rest[rest.iou > 0.1].sort_values("iou").drop_duplicates("index", keep="last").set_index("index")
+    rest = pairs[pairs.score.isna()].reset_index()
+    near = rest[[*name, "class", *BOX]].drop_duplicates(name)
+    near = near.merge(boxes[["step", "observer", "detection_index", "class", "origin", "transmitted", *BOX]],
+                      on=["step", "class"], suffixes=("", "_there"))  # fmt: skip
+    near = near[near.transmitted & (np.hypot(near.x_m - near.x_m_there, near.y_m - near.y_m_there) < 10)]
+    near["iou"] = [_iou(row[BOX], row[[c + "_there" for c in BOX]]) for _, row in near.iterrows()]
+    near = near[(near.iou > 0.1) & ((near.observer != near.observer_there)
+                                    | (near.detection_index != near.detection_index_there))]  # fmt: skip
+    real = near[near.origin != "fabricated"].groupby(name).iou.max().rename("real")
+    lied = near[near.origin == "fabricated"].join(real, on=name)
+    lied = lied[~(lied.real > lied.iou)][[*name, "observer_there", "detection_index_there", "iou"]]
+    there = fused.loc[fused.fabricated, [*key, "score"]].set_axis([c + "_there" for c in [*key, "score"]], axis=1)
+    there = there.rename(columns={"step_there": "step", "receiver_there": "receiver"})
+    rest = rest.merge(lied, on=name).merge(there, on=["step", "receiver", "observer_there", "detection_index_there"])
+    best = rest.sort_values("iou").drop_duplicates("index", keep="last").set_index("index")
     pairs.loc[best.index, "score"] = best.score_there
     return pairs
 

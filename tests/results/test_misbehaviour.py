@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from scipy.stats import mannwhitneyu
 
 from results.measure import measure
-from results.metrics import misbehaviour, security
+from results.metrics import intervals, misbehaviour, security
 from tests.results.tiny import fleet
 
 trusts = st.lists(st.sampled_from([0.0, 0.1, 0.25, 0.5, 0.9]), min_size=1, max_size=30).map(np.array)
@@ -55,7 +55,7 @@ def test_classification_by_hand(town):
     assert (row["true_positives"], row["false_positives"], row["suspected"]) == (3 / 5, 1 / 7, 3 / 5)
     (row,) = misbehaviour.classification(town).to_dict("records")
     assert row["threshold"] == pytest.approx(0.2) and (row["true_positives"], row["false_positives"]) == (1 / 5, 0)
-    assert misbehaviour.separation(town) == 5 / 6  # last values: 0.2, 0.4, 0.9 above 0.1, and 0.4, 0.9 above 0.3
+    assert misbehaviour.separation(town).value == 5 / 6  # last values: 0.2, 0.4, 0.9 above 0.1, and 0.4, 0.9 above 0.3
     late = misbehaviour.recall_over_time(town, 5.0, 0.15).set_index("time_s")
     assert late.auc.to_dict() == pytest.approx({0: 1, 5: 14 / 20})  # above 0.3, 0.7, 0.1, 0.3: 4 + 1 + 5 + 4
 
@@ -117,10 +117,13 @@ def test_against_the_u_test(run):
 
 @given(trusts, trusts)
 def test_laws_of_the_area(honest, lies):
-    area = misbehaviour.auc(honest, lies)
+    def auc(high, low):
+        return intervals.auc(high, np.arange(len(high)), low, np.arange(len(low))).value
+
+    area = auc(honest, lies)
     assert area == pytest.approx(mannwhitneyu(honest, lies).statistic / len(honest) / len(lies))
-    assert area + misbehaviour.auc(lies, honest) == pytest.approx(1)
-    assert area == pytest.approx(misbehaviour.auc(honest**2, lies**2))
+    assert area + auc(lies, honest) == pytest.approx(1)
+    assert area == pytest.approx(auc(honest**2, lies**2))
 
 
 @given(trusts, st.floats(0, 1))
@@ -181,8 +184,8 @@ def test_confusion_by_hand(town):
 
 def test_false_exclusions_precision_and_error_by_hand(town):
     # vehicle 0 falls to 0.2 once; three honest vehicles are watched from step 3 to 7: 12 s
-    assert security.false_exclusions(town, 0.35) == pytest.approx(3600 / 12)
-    assert security.false_exclusions(town, relative=0.5) == 0
+    assert security.false_exclusions(town, 0.35).value == pytest.approx(3600 / 12)
+    assert security.false_exclusions(town, relative=0.5).value == 0
     # from below: 0.1 a, 0.2 h, 0.3 a a, 0.4 h h, 0.5 a, 0.6 h h, 0.7 a, 0.8 h, 0.9 h
     assert security.average_precision(town) == pytest.approx(0.2 + 0.4 * 3 / 4 + 0.2 * 4 / 7 + 0.2 * 5 / 10)
     error = security.trust_error(town).set_index("role").error

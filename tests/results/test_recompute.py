@@ -17,14 +17,31 @@ VARIANTS = {
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
+    return open_run(drive(tmp_path_factory.mktemp("run") / "full", *_changes("full")))
+
+
+def _changes(level):
     changes = [f"server.cellular.{name}=0.0" for name in LINKS]
-    changes += ["record.level=full", "trust.freshness_s=4.0", "traffic.duration_s=14"]
+    changes += [f"record.level={level}", "trust.freshness_s=4.0", "traffic.duration_s=14"]
     for i, name in enumerate(list(VARIANTS)[1:]):
         host, window_s, period_s = VARIANTS[name]
         keys = {"name": f'"{name}"', "host": f'"{host}"', "freshness_s": window_s, "fused": "true"}
         keys |= {"server_period_s": period_s} if period_s else {}
         changes += [f"trust_variant.{i}.{key}={value}" for key, value in keys.items()]
-    return open_run(drive(tmp_path_factory.mktemp("run") / "full", *changes))
+    return changes
+
+
+def test_totals_of_lookups_say_the_same_as_single_ones(run, tmp_path):
+    """A run at level `summary`, which keeps no single lookups, has the same shares of states and mean ages."""
+    brief = open_run(drive(tmp_path / "brief", *_changes("summary")))
+    assert "trust_lookups" in run.tables and "trust_lookups" not in brief.tables
+    for name in VARIANTS:
+        of_all = freshness.states(run.as_variant(name)).query("role == 'all'").set_index("state")
+        assert freshness.states(brief.as_variant(name)).set_index("state").n.to_dict() == of_all.n.to_dict()
+        ages = freshness.ages(run.as_variant(name)).query("role == 'all'").set_index("what")
+        totals = freshness.ages(brief.as_variant(name)).set_index("what")
+        assert totals.n.to_dict() == ages.n.to_dict()
+        np.testing.assert_allclose(totals.mean_s, ages.mean_s, rtol=1e-3)
 
 
 @pytest.mark.parametrize("name", VARIANTS)

@@ -39,3 +39,11 @@ def test_ply_and_pcd_as_open3d_reads_them(sample, form, tmp_path):
 def test_no_returns():
     nothing = np.zeros((0, 3)), np.zeros(0, np.int32)
     assert all(b"0" in write(nothing) or write(nothing) == b"" for write in cloud.FORMATS.values())
+
+
+def test_single_precision_is_the_rounded_cloud():
+    rng = np.random.default_rng(3)
+    boxes, shape = traffic(rng, 40)
+    sweeps = exact(boxes, shape, np.flatnonzero(shape == 0)[:4], blocks(rng))
+    for o in range(4):
+        assert sweeps.cloud(o).tobytes() == sweeps.xyz(o).astype(np.float32).tobytes()

@@ -62,7 +62,7 @@ def test_camouflage_lies_while_it_is_trusted_above_the_threshold():
 
 @pytest.mark.parametrize("keys", [
     {"victim": "one", "victim_id": "v11"}, {"victim": "region", "region_m": [60.0, 4.0, 20.0]},
-    {"victim": "random", "victim_range_m": 40.0}, {"victim": "nearest"},
+    {"victim": "random", "victim_range_m": 40.0}, {"victim": "nearest"}, {"victim": "designated", "victim_p": 0.2},
 ])  # fmt: skip
 def test_victims(keys):
     tables = play([GHOST | keys], n_steps=8)
@@ -82,6 +82,13 @@ def test_victims(keys):
         assert (np.hypot(pairs.x_m_of - 60.0, pairs.y_m_of - 4.0) <= 20.0).all()
     elif keys["victim"] == "random":
         assert (away <= 40.0).all() and pairs.groupby("observer").actor.nunique().min() > 3
+    elif keys["victim"] == "designated":
+        egos = np.array(sorted(set(pairs.actor)))
+        assert 3 <= len(egos) < 20 and not set(egos) & set(WHO), "a share of all, and none that attacks"
+        ego_x, ego_y = SPACING_M * (egos % 10), 4.0 * (egos // 10)
+        nearest = np.hypot(ego_x[:, None] - liar_x.to_numpy(), ego_y[:, None] - liar_y.to_numpy()).min(axis=0)
+        assert (away >= nearest - 1e-9).all(), "the nearest of these"
+        assert pairs.groupby("observer").actor.nunique().max() == 1, "and the same in every step"
     else:
         np.testing.assert_allclose(away, 4.0)
 

@@ -9,7 +9,7 @@ from cosim import rng
 from cosim.config import load
 from cosim.radio.message_round import Receptions
 from cosim.radio.rsu import RsuAntennas
-from cosim.reproduce import FOLDER
+from cosim.reproduce.scenarios import FOLDER
 from results.codes import TrustSource
 from tests.drive import cosim
 from tests.parts import DuplicatingMedium

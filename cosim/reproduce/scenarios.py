@@ -17,8 +17,10 @@ from numpy import ndarray
 
 from cosim import rng
 from cosim.config import Config, load
-from cosim.cycle import Sensed, State, step
+from cosim.cycle import step
 from cosim.parts import Parts
+from cosim.state import State
+from cosim.step_result import Sensed
 from cosim.v2x.messages import FABRICATED, SELF
 from cosim.world import LABELS, World
 from results.figures import scenario as pictures
@@ -33,7 +35,7 @@ from trust.models.trupercept import TruPercept
 from trust.params import Method, TruPerceptParams
 from trust.tables import SERVER, ReceivedEvaluations, messages_from_rows
 
-FOLDER = Path(__file__).parent / "scenarios"
+FOLDER = Path(__file__).parents[1] / "scenarios"
 EGO, ATTACKER, THIRD = range(3)
 """Equipped vehicles, in the order of the scene: rows of actors, of observers and of trust."""
 PEDESTRIAN = LABELS.index("pedestrian")

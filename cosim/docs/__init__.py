@@ -1,0 +1,1 @@
+"""The documentation site: pages of prose, and pages rendered from the code."""

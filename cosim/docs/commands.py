@@ -1,0 +1,72 @@
+"""Every command of the command line as Markdown, read off the program itself."""
+
+from typing import Any
+
+import typer
+
+from cosim.cli import app
+
+
+def markdown() -> str:
+    """The page."""
+    lines = [
+        "# The command line",
+        "",
+        "A mistake of the user is one line on standard error and exit status 2; damage or a failed run is 1; a run",
+        "stopped by a signal is 130 or 143. `--json`, where there is one, prints JSON on standard output and nothing",
+        "else there.",
+        "`cosim --install-completion` sets up completion for your shell.",
+        "",
+    ]
+    for words, command in commands():
+        lines += _command(words, command)
+    return "\n".join(lines) + "\n"
+
+
+def commands() -> list[tuple[str, Any]]:
+    """Every command that does something, with the words that call it."""
+    found: list[tuple[str, Any]] = []
+
+    def walk(words: str, command: Any) -> None:
+        if hasattr(command, "commands"):
+            for name in sorted(command.commands):
+                walk(f"{words} {name}", command.commands[name])
+        else:
+            found.append((words, command))
+
+    walk("cosim", typer.main.get_command(app))
+    return found
+
+
+def _command(words: str, command: Any) -> list[str]:
+    context = command.make_context(words, [], resilient_parsing=True)
+    rows = [
+        f"| {_spelled(one)} | {_kind(one, context)} | {_default(one)} | {(one.help or '').replace('|', '/')} |"
+        for one in command.params if one.name != "help" and not one.hidden
+    ]  # fmt: skip
+    usage = command.get_usage(context).removeprefix("Usage: ")
+    head = ["| argument or option | takes | default | meaning |", "|---|---|---|---|"]
+    return [f"## {words}", "", command.help or "", "", "```text", usage, "```", "", *head, *rows, ""]
+
+
+def _spelled(one: Any) -> str:
+    if one.param_type_name == "argument":
+        return f"`{(one.metavar or one.name).upper()}`"
+    return ", ".join(f"`{name}`" for name in (*one.opts, *one.secondary_opts))
+
+
+def _kind(one: Any, context: Any) -> str:
+    if getattr(one, "is_flag", False):
+        return "nothing"
+    kind = one.display_type(context).strip("<>")
+    many = kind.startswith("list[")
+    choices = kind.removeprefix("list[").removesuffix("]").split("|")
+    kind = choices[0] if len(choices) == 1 else ", ".join(f"`{choice}`" for choice in choices)
+    kind = {"str": "text", "Path": "path", "int": "whole number", "float": "number"}.get(kind, kind)
+    return f"{kind}, several" if many else kind
+
+
+def _default(one: Any) -> str:
+    if one.required:
+        return "required"
+    return "" if one.default in (None, (), [], False, "") or callable(one.default) else f"`{one.default}`"

@@ -1,0 +1,193 @@
+"""Every key of the config as Markdown: type, default, bounds and meaning, read off the dataclasses."""
+
+import ast
+import inspect
+import textwrap
+from collections.abc import Iterator, Mapping
+from dataclasses import MISSING, Field, fields, is_dataclass
+from types import NoneType, UnionType
+from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
+
+import annotated_types as at
+
+from cosim.config import CHOICES, Config, TrustVariant
+from trust.params import TrustParams
+
+_SIGNS = {at.Ge: ("ge", "≥"), at.Gt: ("gt", ">"), at.Le: ("le", "≤"), at.Lt: ("lt", "<")}
+_NAMES = {str: "text", int: "whole number", float: "number", bool: "true or false", NoneType: "unset", dict: "section"}
+
+
+def markdown() -> str:
+    """The page."""
+    lines = [
+        "# Every key of the config",
+        "",
+        "A config is a TOML file. A dot in a key is a section: `radio.range_m` is `range_m` in `[radio]`.",
+        "`--set KEY=VALUE` changes one on the command line, items of lists by their number: `attacks.0.share_p`.",
+        "What is not stated keeps its default; what is not known is refused. `cosim check FILE` prints it resolved.",
+        "",
+    ]
+    parts: list[tuple[str, Any]] = []
+    lines += _table("Top level", "", Config, parts, "")
+    while parts:
+        name, model = parts.pop(0)
+        lines += _table(f"[{name}]" if "[" not in name else name, name.strip("[]"), model, parts, _about(model))
+    lines += [*_variant(), *_own()]
+    return "\n".join(lines) + "\n"
+
+
+def keys() -> list[str]:
+    """Every key, lists of sections by their name alone: `attacks.share_p`."""
+    found: list[str] = []
+
+    def walk(model: Any, prefix: str) -> None:
+        for one in _shown(model):
+            nested = _section_of(one.type)
+            if nested is None:
+                found.append(prefix + one.name)
+            else:
+                walk(nested, f"{prefix}{one.name}.")
+
+    walk(Config, "")
+    return found
+
+
+def _table(title: str, prefix: str, model: Any, parts: list[tuple[str, Any]], about: str) -> list[str]:
+    rows, inner = [], []
+    said = meanings(model)
+    for one in _shown(model):
+        name = f"{prefix}.{one.name}" if prefix else one.name
+        nested = _section_of(one.type)
+        if nested is None:
+            rows.append(_row(name, one, said.get(one.name, ""), _hints(model)[one.name]))
+        else:
+            inner.append((f"[[{name}]]" if get_origin(one.type) is tuple else name, nested))
+    parts[:0] = inner
+    return _section(title, about, rows)
+
+
+def _section(title: str, about: str, rows: list[str]) -> list[str]:
+    if not rows:
+        return []
+    head = ["| key | type | default | meaning |", "|---|---|---|---|"]
+    return [f"## {title}", "", *([about, ""] if about else []), *head, *rows, ""]
+
+
+def _shown(model: Any) -> list[Field[Any]]:
+    return [one for one in fields(model) if not (model is Config and one.name in ("own", "trust_variant"))]
+
+
+def _variant() -> list[str]:
+    said = meanings(TrustVariant)
+    rows = [
+        _row(f"trust_variant.{n}", _field(TrustVariant, n), said[n], _hints(TrustVariant)[n]) for n in ("name", "fused")
+    ]
+    about = "Another trust on the same evidence, in the same run. Beside these two, any key of `[trust]` to replace."
+    return _section("[[trust_variant]]", about, rows)
+
+
+def _own() -> Iterator[str]:
+    """Keys that belong to what a section chooses."""
+    for section, (key, at_hand, _) in CHOICES.items():
+        listed = section == "attacks"
+        for name, made in at_hand.items():
+            params = getattr(made, "Params", None)
+            shared = {f.name for f in fields(TrustParams)} if section == "trust" else set()
+            if params is None or _is_section(params, section):
+                continue
+            said, hints = meanings(params), _hints(params)
+            mine = [one for one in fields(params) if one.name not in shared]
+            rows = [_row(f"{section}.{one.name}", one, said.get(one.name, ""), hints[one.name]) for one in mine]
+            title = f"[[{section}]]" if listed else f"[{section}]"
+            yield from _section(f'{title} {key} = "{name}"', _about(made), rows)
+
+
+def _is_section(params: Any, section: str) -> bool:
+    """Whether these are the section's own keys, which have their table."""
+    return any(one.name == section and one.type is params for one in fields(Config))
+
+
+def _row(name: str, one: Field[Any], meaning: str, hint: Any) -> str:
+    kind, bounds = _kind(hint)
+    cells = [f"`{name}`", "; ".join(x for x in (kind, bounds) if x), _default(one), meaning]
+    return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
+
+
+def _kind(hint: Any) -> tuple[str, str]:
+    """A type in words, and its bounds."""
+    origin, inner = get_origin(hint), get_args(hint)
+    if origin is Annotated:
+        kind, bounds = _kind(inner[0])
+        return kind, ", ".join(x for x in (bounds, *(_bound(mark) for mark in inner[1:])) if x)
+    if origin is Literal:
+        return ", ".join(f"`{value}`" for value in inner), ""
+    if origin in (Union, UnionType):
+        kinds = [_kind(part) for part in inner]
+        return " or ".join(dict.fromkeys(k for k, _ in kinds)), " ".join(b for _, b in kinds if b)
+    if origin is tuple:
+        of = [part for part in inner if part is not Ellipsis]
+        kind, bounds = _kind(of[0])
+        many = "list of" if len(of) < len(inner) else f"{len(of)}"
+        return f"{many}: {kind}", bounds
+    if origin is dict:
+        return "section", ""
+    return _NAMES.get(hint, getattr(hint, "__name__", str(hint))), ""
+
+
+def _bound(mark: Any) -> str:
+    if isinstance(mark, at.Interval):
+        return ", ".join(f"{sign} {v:g}" for name, sign in _SIGNS.values() if (v := getattr(mark, name)) is not None)
+    for kind, (name, sign) in _SIGNS.items():
+        if isinstance(mark, kind):
+            return f"{sign} {getattr(mark, name):g}"
+    return ""
+
+
+def _default(one: Field[Any]) -> str:
+    value = one.default if one.default is not MISSING else None
+    if one.default is MISSING and one.default_factory is MISSING:
+        return "required"
+    if one.default is MISSING and one.default_factory is not MISSING:
+        value = one.default_factory()
+    if value is None:
+        return "unset"
+    if isinstance(value, bool):
+        return f"`{str(value).lower()}`"
+    if isinstance(value, tuple):
+        return "`[" + ", ".join(f'"{x}"' if isinstance(x, str) else f"{x:g}" for x in value) + "]`"
+    return f'`"{value}"`' if isinstance(value, str) else f"`{value:g}`" if isinstance(value, float) else f"`{value}`"
+
+
+def _section_of(kind: Any) -> Any:
+    """The dataclass of a section, or of the sections of a list; None for a value."""
+    if get_origin(kind) is tuple:
+        kind = get_args(kind)[0]
+    return kind if isinstance(kind, type) and is_dataclass(kind) else None
+
+
+def _field(model: Any, name: str) -> Field[Any]:
+    return next(one for one in fields(model) if one.name == name)
+
+
+def _hints(model: Any) -> dict[str, Any]:
+    return get_type_hints(model, include_extras=True)
+
+
+def _about(model: Any) -> str:
+    """First paragraph of what a class says of itself."""
+    return " ".join((inspect.getdoc(model) or "").split("\n\n")[0].split())
+
+
+def meanings(model: type) -> Mapping[str, str]:
+    """What stands below each field of a dataclass, those of its bases included."""
+    found: dict[str, str] = {}
+    for base in reversed(model.__mro__):
+        if not is_dataclass(base):
+            continue
+        (body,) = ast.parse(textwrap.dedent(inspect.getsource(base))).body
+        assert isinstance(body, ast.ClassDef)
+        for one, after in zip(body.body, body.body[1:], strict=False):
+            if isinstance(one, ast.AnnAssign) and isinstance(one.target, ast.Name):
+                if isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant):
+                    found[one.target.id] = " ".join(str(after.value.value).split())
+    return found

@@ -1,0 +1,21 @@
+"""Equations of pages: LaTeX in fences ```math and in $`...`$ becomes MathML, which browsers show without a script."""
+
+import re
+
+_BLOCK = re.compile(r"^```math\n(.*?)^```$", flags=re.DOTALL | re.MULTILINE)
+_INLINE = re.compile(r"\$`([^`]+)`\$")
+
+
+def rendered(text: str) -> str:
+    """A page whose equations are MathML."""
+    if not (_BLOCK.search(text) or _INLINE.search(text)):
+        return text
+    from latex2mathml.converter import convert
+
+    def block(found: re.Match[str]) -> str:
+        return f'<div class="equation">{convert(found.group(1).strip(), display="block")}</div>'
+
+    def inline(found: re.Match[str]) -> str:
+        return f"<span>{convert(found.group(1))}</span>"  # at the beginning of a line, <math> would end a paragraph
+
+    return _INLINE.sub(inline, _BLOCK.sub(block, text))

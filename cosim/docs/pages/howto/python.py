@@ -1,0 +1,68 @@
+# %% [markdown]
+# # Analyse in Python
+#
+# A notebook in plain Python: `cosim/docs/pages/howto/python.py`, in cells that editors know. Any run folder will do;
+# make one with `cosim run --set traffic.duration_s=60 --out runs/mine`.
+
+# %%
+from pathlib import Path
+
+from results.archive import open_run
+from results.figures.style import save
+
+run = open_run("runs/mine")
+print(run)
+
+# %% [markdown]
+# ## Tables are DataFrames
+#
+# Each is read when it is asked for. `run.table` reads some columns of a large one.
+
+# %%
+vehicles = run.vehicles
+print(vehicles.groupby(["vehicle_class", "equipped"], observed=True).size().unstack(fill_value=0))
+
+speeds = run.table("actors", ["step", "actor", "speed_mps"])
+print(f"mean speed {3.6 * speeds.speed_mps.mean():.1f} km/h")
+
+# %% [markdown]
+# ## Who meets whom, and for how long
+#
+# Encounters that were under way when recording began or ended are censored: the mean of the recorded durations is too
+# short. Kaplan and Meier's estimator takes care of that.
+
+# %%
+print(run.measure.encounters.summary())
+survival = run.measure.encounters.survival()
+print(survival.head())
+
+# %% [markdown]
+# ## Does trust tell liars apart?
+#
+# `subjects` joins pseudonyms with vehicles: truth, which no vehicle knows.
+
+# %%
+trust = run.trust[run.trust.n_evaluations > 0].merge(run.subjects, left_on="subject", right_index=True)
+last = trust.sort_values("step").groupby("subject").tail(1)
+print(last.groupby("role", observed=True).trust.describe()[["count", "25%", "50%", "75%"]])
+
+honest, malicious = (last.trust[last.role == role].to_numpy() for role in ("honest", "malicious"))
+if len(honest) and len(malicious):
+    above = (honest[:, None] > malicious).mean() + 0.5 * (honest[:, None] == malicious).mean()
+    print(f"an honest value is above a malicious one in {100 * above:.0f} % of pairs")
+
+# %% [markdown]
+# ## How old is the trust that is used?
+
+# %%
+lookups = run.trust_lookups
+print(lookups.groupby("state", observed=True).newest_evaluation_age_s.describe()[["count", "50%", "max"]])
+print(lookups.state.value_counts(normalize=True).round(3).to_dict())
+
+# %% [markdown]
+# ## Everything at once, and a figure
+
+# %%
+metrics = run.measure()
+print(metrics[metrics.metric.str.startswith("freshness.")][["metric", "group", "value", "unit"]].head(12))
+save(run.measure.trust.plot(), Path("trust.svg"))

@@ -1,0 +1,117 @@
+"""The site's pages, gathered from prose, the rooms' READMEs and the code; `python -m cosim.docs.site OUT` builds it.
+
+Pages of prose are in `pages/`. What stands elsewhere in the repository is taken from there and not copied: its links
+are turned to the site's pages, and those to source files become plain names.
+"""
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+
+from cosim.docs import commands, config_keys, equations
+
+HERE = Path(__file__).parent
+ROOT = HERE.parents[1]
+CONFIG = "mkdocs.yml"
+
+TAKEN: Mapping[str, str] = {
+    "results/TABLES.md": "reference/tables.md",
+    "results/FRESHNESS.md": "models/freshness.md",
+    "sensors/README.md": "models/sensors.md",
+    "cosim/radio/README.md": "models/radio.md",
+    "cosim/v2x/README.md": "models/v2x.md",
+    "cosim/adversary/README.md": "models/attacks.md",
+    "trust/README.md": "models/trust.md",
+    "cosim/driver/README.md": "models/driver.md",
+    "results/README.md": "reference/results.md",
+    "cosim/studies/README.md": "howto/studies.md",
+    "sumo_nets/README.md": "models/cities.md",
+    "sumo_nets/helsinki/README.md": "models/helsinki.md",
+    "CHANGELOG.md": "changelog.md",
+}
+"""Pages that stand elsewhere in the repository, and where they are on the site."""
+
+_LINK = re.compile(r"(!?)\[([^\]]*)\]\(([^)\s]+)\)")
+_FENCE = re.compile(r"(^```.*?^```$)", flags=re.DOTALL | re.MULTILINE)
+
+
+def pages() -> dict[str, str]:
+    """Every page of the site by its path: Markdown with links between pages of the site, equations as LaTeX."""
+    found = {
+        path.relative_to(HERE / "pages").as_posix(): path.read_text(encoding="utf-8")
+        for path in sorted((HERE / "pages").rglob("*.md"))
+    }
+    found |= {at: _turned((ROOT / source).read_text(encoding="utf-8"), source, at) for source, at in TAKEN.items()}
+    found["reference/config.md"] = config_keys.markdown()
+    found["reference/cli.md"] = commands.markdown()
+    found["howto/python.md"] = _notebook((HERE / "pages/howto/python.py").read_text(encoding="utf-8"))
+    return dict(sorted(found.items()))
+
+
+def build(out: Path) -> None:
+    """Write the site to a folder; MkDocs ends with an error where a page has a warning."""
+    work = out.with_name(out.name + "-pages")
+    shutil.rmtree(work, ignore_errors=True)
+    for at, text in pages().items():
+        (work / "docs" / at).parent.mkdir(parents=True, exist_ok=True)
+        (work / "docs" / at).write_text(equations.rendered(text), encoding="utf-8")
+    shutil.copytree(ROOT / "results" / "pictures", work / "docs" / "pictures")
+    shutil.copytree(ROOT / "sensors" / "profiles", work / "docs" / "models" / "profiles",
+                    ignore=lambda folder, names: [n for n in names if not n.endswith(".png")])  # fmt: skip
+    for name in (CONFIG, "site.css"):
+        shutil.copy(HERE / name, work / ("docs" if name.endswith(".css") else "") / name)
+    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "-f", str(work / CONFIG)]
+    command += ["-d", str(out.resolve())]
+    if subprocess.run(command, env=os.environ | {"NO_MKDOCS_2_WARNING": "1"}).returncode:
+        sys.exit("error: the site has warnings, see above; without MkDocs: pip install cosim[docs]")
+
+
+def _turned(text: str, source: str, at: str) -> str:
+    """A page of the repository with its links turned to the site."""
+
+    def link(found: re.Match[str]) -> str:
+        picture, label, target = found.groups()
+        place, _, anchor = target.partition("#")
+        if "://" in target or not place:
+            return found.group()
+        path = (ROOT / source).parent.joinpath(place).resolve().relative_to(ROOT).as_posix()
+        if f"{path}/README.md" in TAKEN:
+            path = f"{path}/README.md"
+        if path in TAKEN:
+            return f"{picture}[{label}]({_relative(TAKEN[path], at)}{'#' + anchor if anchor else ''})"
+        if path.startswith("results/pictures/"):
+            return f"{picture}[{label}]({_relative(path.removeprefix('results/'), at)})"
+        if path == "README.md":
+            return f"{picture}[{label}]({_relative('index.md', at)})"
+        if picture:
+            return f"![{label}]({place})"
+        if not (ROOT / path).exists():
+            raise ValueError(f"{source}: links to {target}, which is not there.")
+        return label if label.startswith("`") else f"{label} (`{path}`)"
+
+    parts = _FENCE.split(text)
+    return "".join(part if part.startswith("```") else _LINK.sub(link, part) for part in parts)
+
+
+def _relative(target: str, at: str) -> str:
+    return "../" * at.count("/") + target
+
+
+def _notebook(text: str) -> str:
+    """A Python file of cells as a page: `# %% [markdown]` cells as text, others as code."""
+    lines = []
+    for cell in re.split(r"^# %%", text, flags=re.MULTILINE)[1:]:
+        kind, _, body = cell.partition("\n")
+        if "[markdown]" in kind:
+            lines.append(re.sub(r"^# ?", "", body.strip(), flags=re.MULTILINE))
+        else:
+            lines.append(f"```python\n{body.strip()}\n```")
+    return "\n\n".join(lines) + "\n"
+
+
+if __name__ == "__main__":
+    build(Path(sys.argv[1]))

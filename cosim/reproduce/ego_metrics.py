@@ -1,0 +1,67 @@
+"""Of one run what the paper's tables hold: average precision before its egos, and trust at the end.
+
+An ego is an equipped vehicle that the config designates (`attacks.0.victim = "designated"`) and that is no attacker in
+any setting: roles are drawn from names, so all settings of a replicate have the same egos.
+"""
+
+from collections.abc import Iterator
+
+import numpy as np
+import pandas as pd
+
+from cosim import replay_lidar
+from cosim.actors import actor_key
+from cosim.adversary.victims import designated
+from results.metrics import trust
+from results.metrics.kitti import FEWEST, LEVELS, STRICT, average_precision
+from results.metrics.kitti_frames import actors_ahead, boxes_ahead
+from results.run import Run
+
+CLASSES = ("car", "pedestrian")
+RANGE_M = 140.0
+_COLUMNS = ["metric", "group", "value", "unit", "label"]
+
+
+def measures(run: Run) -> pd.DataFrame:
+    """Rows metric, group, value, unit, label of a run's trust variant, for `measure.own` of a study."""
+    return pd.DataFrame([*_precision(run), *_trust(run)], columns=_COLUMNS)
+
+
+def egos_of(run: Run) -> np.ndarray:
+    """Numbers of the actors through which the tables look, ascending."""
+    config = replay_lidar.config_of(run)
+    if not config.attacks or config.attacks[0].victim != "designated":
+        raise ValueError(f'{run.path} designates no egos. Set attacks.0.victim to "designated".')
+    cars = run.vehicles[run.vehicles.equipped]
+    keys = np.array([actor_key(name, False) for name in cars.sumo_id], np.uint64)
+    chosen = designated(config.seed, keys, config.attacks[0].victim_p) & (cars.role == "honest").to_numpy(bool)
+    return np.sort(cars.vehicle.to_numpy()[chosen])
+
+
+def _precision(run: Run) -> Iterator[tuple[str, str, float, str, str]]:
+    """Average precision of the fused objects of all egos, all steps together, with the objects that count."""
+    egos = egos_of(run)
+    steps = np.arange(int(run.manifest["steps"]))
+    truth, poses = actors_ahead(run, steps, RANGE_M, egos)
+    yield "paper.egos.n", "", float(poses.observer.nunique()), "", "egos"
+    yield "paper.frames.n", "", float(len(poses)), "", "frames"
+    if not len(poses):
+        return
+    found = boxes_ahead(run, "fused", steps, poses, RANGE_M)
+    for label in CLASSES:
+        if not (truth.label == label).any():
+            continue
+        answer = average_precision(truth, found, label, "3d", STRICT[label])
+        for level in LEVELS:
+            yield "paper.objects.n", f"{label}, {level}", float(answer[level].n_truth), "", "objects that count"
+            if answer[level].n_truth >= FEWEST:
+                yield "paper.ap11", f"{label}, {level}", answer[level].ap11, "%", "AP 3D, 11 recall points"
+
+
+def _trust(run: Run) -> Iterator[tuple[str, str, float, str, str]]:
+    """Mean over equipped vehicles but egos of the last value that the server computed; without one the default."""
+    cars = run.vehicles[run.vehicles.equipped & ~run.vehicles.vehicle.isin(egos_of(run))]
+    last = trust.values(run).drop_duplicates("subject", keep="last").set_index("vehicle").trust
+    value = cars.vehicle.map(last).astype(float).fillna(float(run.config["trust"]["default_trust"]))
+    for role, some in value.groupby(cars.role.astype(str)):
+        yield "paper.final_trust.mean", str(role), float(some.mean()), "1", "mean trust at the end"

@@ -1,0 +1,158 @@
+"""The paper's quantitative experiments as studies, and their outcome beside what the paper prints."""
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from cosim import config as configs
+from cosim.reproduce.published import AP, FINAL_TRUST
+from cosim.studies import sweep as sweeping
+from cosim.studies.study import SHIPPED, Study, load
+from results import study as studies
+from results.figures import paper as pictures
+from results.figures import style
+from results.metrics.kitti import LEVELS
+
+EXPERIMENTS: Mapping[str, str] = {"tables": "paper_tables", "trust-levels": "paper_trust_levels"}
+"""Shipped study by what `cosim reproduce` calls it."""
+
+CITY, METHOD, SELF_REPORTS = "traffic.scenario", "trust.method", "trust.self_reports"
+START, ATTACK = "attacks.0.start_s", "attacks.0.attack"
+NEVER_S = 1e8
+"""Start of an attack that is never carried out."""
+
+_FIRST = ["what", "setting", "city", "method", "self_reports", "class", "level", "unit"]
+_SHOWN: Mapping[str, tuple[str, str]] = {
+    "misbehaviour.time_to_detection.median_s": ("first lie to half the default trust, at the server, median", "{}"),
+    "misbehaviour.time_to_detection.share": ("share of attackers that the server trusts below half the default", "{}"),
+    "misbehaviour.time_to_detection_at_vehicle.median_s": (
+        "first lie to half the default trust, as vehicles look it up, median", "{}",
+    ),
+    "encounters.duration.km_median_s": ("encounter within 100 m, median", ""),
+    "encounters.duration.km_mean_s": ("encounter within 100 m, mean", ""),
+    "attack.believed.share": ("inserted objects that their victim believes", "0.5, intended, {}"),
+    "paper.egos.n": ("egos of a drive", ""),
+    "paper.frames.n": ("frames of a drive", ""),
+}  # fmt: skip
+"""Further figures: metric, what it is, and its group, which may name the role of the attackers."""
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """An experiment, made."""
+
+    name: str
+    rows: pd.DataFrame
+    """what, setting, city, method, self_reports, class, level, unit; paper; n, mean, low, high over replicates; and
+    change, change_low, change_high against the ego alone (tables) or honest vehicles (trust levels), paired, with
+    paper_change."""
+    files: list[Path]
+    """Table and picture."""
+
+
+def study_of(name: str, overrides: Sequence[str] = (), replicates: int | None = None) -> Study:
+    """The study of an experiment, with keys of its base changed; ValueError in one line for a mistake."""
+    if replicates is not None and replicates < 1:
+        raise ValueError(f"--replicates {replicates}: at least one run is needed. Give 1 or more.")
+    study = load(SHIPPED / f"{EXPERIMENTS[name]}.toml")
+    for text in overrides:
+        key = text.partition("=")[0].strip()
+        if key in study.keys or key in ("seed", "traffic.seed"):
+            raise ValueError(f"--set {text}: {key} is varied by the experiment. Leave it out.")
+        configs.override(study.base, text)
+    return study if replicates is None else replace(study, head=replace(study.head, replicates=replicates))
+
+
+def task_of(study: Study, name: str, out: Path) -> sweeping.Task:
+    """What is left to do; nothing is written."""
+    return sweeping.prepare_study(study, f"{EXPERIMENTS[name]}.toml", out)
+
+
+def conclude(name: str, out: Path) -> Outcome:
+    """The outcome of an experiment whose runs are made: a table and a picture in its folder."""
+    rows = outcome(studies.open_study(out), name)
+    table, picture = out / f"{name}.csv", out / f"{name}.png"
+    rows.to_csv(table, index=False)
+    plain = out / f"{name}.json"
+    plain.write_text(json.dumps(as_data(rows), indent=1) + "\n", encoding="utf-8")
+    draw = pictures.draw_tables if name == "tables" else pictures.draw_trust_levels
+    return Outcome(name, rows, [table, plain, style.save(draw(rows), picture)])
+
+
+def as_data(rows: pd.DataFrame) -> list[dict[Any, Any]]:
+    """Rows as plain data, absent values as None."""
+    return rows.astype(object).where(rows.notna(), None).to_dict("records")
+
+
+def outcome(study: studies.Study, name: str) -> pd.DataFrame:
+    """Rows of `Outcome` from the measures of a study."""
+    frame = study.measures
+    start = frame[START] if START in frame else pd.Series(NEVER_S, frame.index)
+    attack = frame[ATTACK] if ATTACK in frame else pd.Series("", frame.index)
+    kind = attack.map({"unreliable": "unreliable"}).fillna("malicious")
+    self_reports = frame[SELF_REPORTS] if SELF_REPORTS in frame else pd.Series(True, frame.index)
+    frame = frame.assign(
+        setting=kind.where(start < NEVER_S, "trustworthy"), city=frame[CITY], method=frame[METHOD],
+        self_reports=self_reports.astype(bool), **{"class": "", "level": ""},
+    )  # fmt: skip
+    found = [_precision(frame, name), _final_trust(frame)]
+    for metric, (what, group) in _SHOWN.items():
+        found.append(_further(frame[frame.metric == metric], what, group))
+    return pd.concat(found, ignore_index=True)[
+        [*_FIRST, "paper", "n", "mean", "low", "high", "change", "change_low", "change_high", "paper_change"]
+    ]
+
+
+def _precision(frame: pd.DataFrame, name: str) -> pd.DataFrame:
+    """Average precision beside the paper's, and its change."""
+    ap = frame[frame.metric == "paper.ap11"].assign(what="average precision")
+    parts = ap.group.str.split(", ", expand=True)
+    ap = ap.assign(**{"class": parts[0], "level": parts[1]}) if len(ap) else ap
+    reference = ap[ap.method == "local"] if name == "tables" else ap[ap.setting == "trustworthy"]
+    on = ["replicate", "city", "class", "level", "self_reports", "setting" if name == "tables" else "method"]
+    rows = _with_change(ap, reference, on)
+    printed = [AP[key] for key in zip(rows.method, rows["class"], rows.level, strict=True)]
+    base = [AP["local", label, level] for label, level in zip(rows["class"], rows.level, strict=True)]
+    rows = rows.assign(paper=printed).assign(paper_change=lambda r: r.paper - base)
+    if name != "tables":
+        rows = rows.assign(paper=rows.paper.where(rows.setting == "trustworthy"), paper_change=float("nan"))
+    order = {level: i for i, level in enumerate(LEVELS)}
+    return rows.sort_values("level", key=lambda c: c.map(order), kind="stable").sort_values(
+        ["setting", "city", "class"], kind="stable"
+    )
+
+
+def _final_trust(frame: pd.DataFrame) -> pd.DataFrame:
+    """Mean trust at the end, of those that are drawn as attackers and of the others."""
+    frame = frame[(frame.metric == "paper.final_trust.mean") & (frame.method.isin(("local", "trupercept_1")))]
+    what = "mean trust at the end, " + frame.group.where(frame.group == "honest", "attackers").map(
+        {"honest": "all others", "attackers": "attackers, if they attack"}
+    )
+    rows = _with_change(frame.assign(what=what), frame.iloc[:0].assign(what=""), ["replicate"])
+    printed = rows.setting.map(FINAL_TRUST).where((rows.setting == "trustworthy") == rows.what.str.endswith("others"))
+    return rows.assign(paper=printed.where(rows.method == "local"), paper_change=float("nan"))
+
+
+def _further(frame: pd.DataFrame, what: str, group: str) -> pd.DataFrame:
+    """A figure that does not depend on how objects are fused; the paper prints none of them."""
+    if group:
+        frame = frame[(frame.group == frame.setting.map(group.format)) & (frame.setting != "trustworthy")]
+    if "believed" not in what:
+        frame = frame[frame.method == "local"]
+    if what.startswith(("egos", "frames", "encounter")):
+        frame = frame[(frame.setting == "trustworthy") & frame.self_reports]
+    rows = _with_change(frame.assign(what=what), frame.iloc[:0].assign(what=""), ["replicate"])
+    return rows.assign(paper=float("nan"), paper_change=float("nan"))
+
+
+def _with_change(frame: pd.DataFrame, reference: pd.DataFrame, on: list[str]) -> pd.DataFrame:
+    """Means with intervals, and those of the paired differences against the reference where it has a counterpart."""
+    rows = studies.intervals(frame, _FIRST)
+    pairs = frame.merge(reference[[*on, "value"]], on=on, suffixes=("", "_reference"))
+    apart = studies.intervals(pairs.assign(value=pairs.value - pairs.value_reference), _FIRST)
+    apart = apart.rename(columns={"mean": "change", "low": "change_low", "high": "change_high"}).drop(columns="n")
+    return rows.merge(apart, on=_FIRST, how="left")

@@ -1,0 +1,141 @@
+"""The city at one moment, seen obliquely from the south: buildings, point clouds, and trust in vehicles."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+from matplotlib import colormaps
+from matplotlib.cm import ScalarMappable
+from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from numpy import ndarray
+
+from results.figures import style
+
+TILT = np.radians(50.0)
+"""Elevation of the view over the horizon."""
+HALF_WIDTH_M, HALF_DEPTH_M = 120.0, 95.0
+"""Of the part of the city that is shown."""
+TRUST = colormaps["RdYlBu"]
+WALL, ROOF, ROAD, UNKNOWN, PLAIN = "#b9bec8", "#dcdfe5", "#eceef1", "#ffffff", "#8a8f98"
+LIE = style.ROLE_INKS["malicious"]
+MOST_POINTS = 120_000
+CLOUDS = ("#0b5c8c", "#2f8f6b", "#8c4a9e", "#a86a12", "#4a4a4a")
+"""A colour per point cloud."""
+
+
+@dataclass(frozen=True, slots=True)
+class Moment:
+    """What is where; world frame. A box is x, y, z of its centre, length, width, height and yaw."""
+
+    centre_m: Float[ndarray, "2"]
+    streets: Sequence[Float[ndarray, "k 2"]]
+    buildings: Sequence[tuple[Float[ndarray, "k 2"], float, float]]
+    """Outer ring counter-clockwise, base and top."""
+    clouds: Sequence[Float[ndarray, "k 3"]]
+    boxes: Float[ndarray, "n 7"]
+    equipped: Bool[ndarray, "n"]
+    trust: Float[ndarray, "n"]
+    """nan where nothing is known."""
+    attacks: Bool[ndarray, "n"]
+    ghosts: Float[ndarray, "m 7"]
+
+
+@style.styled
+def draw(moment: Moment, title: str) -> Figure:
+    """The part of the city around the centre."""
+    figure, (axes,) = style.sheet(width=7.6, height=5.0)
+    _ground(axes, moment)
+    low, high = moment.centre_m - [HALF_WIDTH_M, HALF_DEPTH_M], moment.centre_m + [HALF_WIDTH_M, HALF_DEPTH_M]
+    near = [b for b in moment.buildings if (b[0].max(axis=0) > low - 60).all() and (b[0].min(axis=0) < high + 60).all()]
+    walls, fills = [], []
+    for ring, base, top in sorted(near, key=lambda b: -float(b[0][:, 1].mean())):
+        faces, kinds = _prism(ring, base, top)
+        walls += faces
+        fills += [ROOF if roof else WALL for roof in kinds]
+    axes.add_collection(
+        PolyCollection(walls, facecolors=fills, edgecolors="#9aa0ab", linewidths=0.25, alpha=0.72, zorder=2)
+    )
+    for i, cloud in enumerate(moment.clouds):
+        thin = cloud[:: max(1, len(cloud) * len(moment.clouds) // MOST_POINTS)]
+        axes.plot(*_flat(thin).T, ",", color=CLOUDS[i % len(CLOUDS)], alpha=0.5, zorder=3, rasterized=True)
+    _vehicles(axes, moment)
+    corner = _flat(np.array([[*low, 0.0], [*high, 0.0]]))
+    axes.set_xlim(corner[0, 0], corner[1, 0])
+    axes.set_ylim(corner[0, 1], corner[1, 1])
+    axes.set_aspect("equal")
+    axes.set_axis_off()
+    axes.set_title(title)
+    figure.colorbar(ScalarMappable(Normalize(0, 1), TRUST), ax=axes, shrink=0.6, label="Trust", pad=0.01)
+    style.legend(figure, _entries(len(moment.clouds)))
+    return figure
+
+
+def _flat(xyz: Float[ndarray, "... 3"]) -> Float[ndarray, "... 2"]:
+    """Where points are on the page [m]."""
+    return np.stack([xyz[..., 0], xyz[..., 1] * np.sin(TILT) + xyz[..., 2] * np.cos(TILT)], axis=-1)
+
+
+def _ground(axes, moment: Moment) -> None:  # type: ignore[no-untyped-def]
+    streets = [_flat(np.column_stack([line, np.zeros(len(line))])) for line in moment.streets]
+    axes.add_collection(LineCollection(streets, colors=ROAD, linewidths=5.0, zorder=0))
+
+
+def _prism(ring: Float[ndarray, "k 2"], base: float, top: float) -> tuple[list[Float[ndarray, "_ 2"]], list[bool]]:
+    """Faces of an upright prism that are seen from the south, far ones first, and which is the roof."""
+    a, b = ring, np.roll(ring, -1, axis=0)
+    seen = np.flatnonzero(a[:, 0] < b[:, 0])  # the outside is on the right of a counter-clockwise ring
+    seen = seen[np.argsort(-(a[seen, 1] + b[seen, 1]))]
+    faces = [
+        _flat(np.array([[*a[i], base], [*b[i], base], [*b[i], top], [*a[i], top]])) for i in seen.tolist()
+    ]  # fmt: skip
+    roof = _flat(np.column_stack([ring, np.full(len(ring), top)]))
+    return [*faces, roof], [False] * len(faces) + [True]
+
+
+def _vehicles(axes, moment: Moment) -> None:  # type: ignore[no-untyped-def]
+    order = np.argsort(-moment.boxes[:, 1])
+    faces, fills, edges = [], [], []
+    for i in order.tolist():
+        known = moment.equipped[i] and np.isfinite(moment.trust[i])
+        fill = TRUST(float(moment.trust[i])) if known else UNKNOWN if moment.equipped[i] else PLAIN
+        made, kinds = _prism(*_outline(moment.boxes[i]))
+        faces += made
+        fills += [fill] * len(kinds)
+        edges += [LIE if moment.attacks[i] else "#222222"] * len(kinds)
+    if faces:
+        axes.add_collection(PolyCollection(faces, facecolors=fills, edgecolors=edges, linewidths=0.5, zorder=4))
+    for box in moment.ghosts:
+        made, _ = _prism(*_outline(box))
+        axes.add_collection(
+            PolyCollection(made, facecolors=(0.76, 0.15, 0.18, 0.25), edgecolors=LIE, linewidths=0.9, zorder=5)
+        )
+    ring = _flat(moment.boxes[moment.attacks, :3])
+    axes.scatter(*ring.T, s=160, facecolors="none", edgecolors=LIE, linewidths=1.3, zorder=6)
+
+
+def _outline(box: Float[ndarray, "7"]) -> tuple[Float[ndarray, "4 2"], float, float]:
+    half = 0.5 * box[3:5] * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+    cos, sin = np.cos(box[6]), np.sin(box[6])
+    ring = half @ np.array([[cos, sin], [-sin, cos]]) + box[:2]
+    return ring, float(box[2] - 0.5 * box[5]), float(box[2] + 0.5 * box[5])
+
+
+def _entries(n_clouds: int) -> list[Line2D]:
+    """Legend: what the marks are."""
+    marks = [
+        ("s", PLAIN, PLAIN, "not equipped"),
+        ("s", UNKNOWN, "#222222", "equipped, not rated"),
+        ("o", "none", LIE, "attacker"),
+        ("s", "#efc9cb", LIE, "fabricated"),
+    ]
+    clouds = [
+        Line2D([], [], linestyle="", marker=".", color=CLOUDS[i], label=f"cloud {i + 1}") for i in range(n_clouds)
+    ]
+    return [
+        Line2D([], [], linestyle="", marker=m, markerfacecolor=face, color=edge, label=text)
+        for m, face, edge, text in marks
+    ] + clouds  # fmt: skip

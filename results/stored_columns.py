@@ -1,0 +1,114 @@
+"""Columns of a table as they are stored: cast, rounded, and refused where that would change a value further."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy import ndarray
+
+from results.columns import Column
+from results.tables import TABLES
+
+VALID = "__valid"
+"""Suffix of the mask that goes with a column that may be null."""
+
+
+@dataclass(frozen=True, slots=True)
+class StoredColumn:
+    """How the values of one column are stored."""
+
+    name: str
+    dtype: np.dtype
+    null: bool
+    categories: tuple[str, ...]
+    bottom: int
+    """Smallest and largest value of whole numbers and codes."""
+    top: int
+    scale: float | None
+    """Stored values are multiples of 1 / scale, where it is given."""
+
+    @staticmethod
+    def of(table: str, name: str, column: Column, of_run: Mapping[str, tuple[str, ...]]) -> "StoredColumn":
+        """Of a column of the dictionary; `of_run` holds the labels of this run."""
+        categories = column.labels(of_run)
+        plain = {"category": "int8", "string": "O"}.get(column.type, column.type)
+        dtype = np.dtype(plain)
+        limits = np.iinfo(dtype) if dtype.kind in "iu" else None
+        bottom, top = (0, 0) if limits is None else (int(limits.min), int(limits.max))
+        if column.type == "category":
+            bottom, top = 0, len(categories) - 1
+        scale = None if column.bits is None else 2.0**column.bits
+        return StoredColumn(f"{table}.{name}", dtype, column.null, categories, bottom, top, scale)
+
+    def store(self, values: ndarray, valid: ndarray | None) -> ndarray:
+        """Values cast to the column's type, 0 where not valid; refuses what would change beyond its rounding."""
+        kind, given = self.dtype.kind, values.dtype.kind
+        if kind == "O":
+            return values.astype(object)
+        if self.categories and given in "OUT":
+            return self._codes(values, valid)
+        if valid is not None and valid.all():
+            valid = None
+        used = values if valid is None else values[valid]
+        if kind in "iu":
+            if given not in "iu":
+                raise ValueError(f"{self.name} has dtype {values.dtype}; whole numbers are wanted.")
+            if (self.categories or values.dtype != self.dtype) and used.size:
+                low, high = int(used.min()), int(used.max())
+                if low < self.bottom or high > self.top:
+                    raise ValueError(f"{self.name} holds {low} to {high}, outside {self.bottom} to {self.top}.")
+        elif kind == "b":
+            if given != "b":
+                raise ValueError(f"{self.name} has dtype {values.dtype}; true or false is wanted.")
+        elif given not in "fiu" or not np.isfinite(used).all():
+            raise ValueError(f"{self.name} holds something that is not a finite number.")
+        if valid is not None:
+            values = np.where(valid, values, np.zeros((), values.dtype))
+        if self.scale is not None:
+            values = np.round(np.asarray(values, np.float64) * self.scale) * (1 / self.scale)
+        return values.astype(self.dtype)
+
+    def _codes(self, values: ndarray, valid: ndarray | None) -> ndarray:
+        """Labels as codes."""
+        codes = np.full(len(values), -1, np.int8)
+        for code, label in enumerate(self.categories):
+            codes[values == label] = code
+        known = codes >= 0 if valid is None else (codes >= 0) | ~valid
+        if not known.all():
+            raise ValueError(f"{self.name} = '{values[~known][0]}' is none of {', '.join(self.categories)}.")
+        return codes
+
+
+def stored_columns(table: str, of_run: Mapping[str, tuple[str, ...]]) -> dict[str, StoredColumn]:
+    """All columns of a table that are on disk, by name."""
+    return {name: StoredColumn.of(table, name, column, of_run) for name, column in TABLES[table].stored.items()}
+
+
+def checked(
+    table: str, step: int, columns: Mapping[str, ndarray | None], known: Mapping[str, StoredColumn]
+) -> dict[str, ndarray]:
+    """The columns of a table in their stored types, masks included; `step` where that column is left out."""
+    unknown = [name for name in columns if name.removesuffix(VALID) not in known]
+    missing = [name for name in known if name not in columns and name != "step"]
+    if unknown or missing:
+        wrong = [f"{word} {', '.join(sorted(names))}" for word, names in (("unknown", unknown), ("missing", missing))
+                 if names]  # fmt: skip
+        raise ValueError(f"Table {table}: {'; '.join(wrong)}. The columns are {', '.join(known)}.")
+    n = next((len(values) for values in columns.values() if values is not None), 0)
+    rows: dict[str, ndarray] = {}
+    for name, column in known.items():
+        values = columns[name] if name in columns else np.full(n, step, np.int32)
+        valid = columns.get(name + VALID)
+        if values is None:
+            values, valid = np.zeros(n, column.dtype), np.zeros(n, bool)
+        values = np.asarray(values)
+        if values.shape != (n,) or (valid is not None and np.shape(valid) != (n,)):
+            raise ValueError(f"{table}.{name} has shape {values.shape}, other columns have {n} rows.")
+        if valid is not None and not column.null:
+            if not np.all(valid):
+                raise ValueError(f"{table}.{name} cannot be null.")
+            valid = None
+        rows[name] = column.store(values, valid)
+        if column.null:
+            rows[name + VALID] = np.ones(n, bool) if valid is None else np.array(valid, bool)
+    return rows

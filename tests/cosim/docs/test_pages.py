@@ -1,0 +1,130 @@
+"""The documentation: links lead somewhere, every key and command is there, every command shown is accepted."""
+
+import importlib.util
+import re
+import shlex
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+import typer
+
+from cosim.cli import app
+from cosim.config import Config
+from cosim.docs import commands, config_keys, site
+from results.metrics.registry import METRICS
+from results.tables import TABLES
+from tests.cosim.docs import fences
+from tests.cosim.docs.fences import ROOT
+
+SOURCES = {
+    **{path.relative_to(ROOT).as_posix(): path for path in sorted(fences.PAGES.rglob("*.md"))},
+    **{name: ROOT / name for name in ("README.md", *site.TAKEN)},
+}
+PAGES = site.pages()
+
+
+def test_every_page_is_in_the_navigation():
+    nav = (ROOT / "cosim/docs/mkdocs.yml").read_text().split("\nnav:")[1]
+    assert sorted(re.findall(r": ([\w/-]+\.md)$", nav, flags=re.MULTILINE)) == sorted(PAGES)
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_links_lead_to_pages(page):
+    for label, target in re.findall(
+        r"(?<!!)\[([^\]]*)\]\(([^)\s]+)\)", re.sub(r"```.*?```", "", PAGES[page], flags=re.S)
+    ):
+        if "://" in target or target.startswith("#"):
+            continue
+        path = (Path("/") / page).parent.joinpath(target.partition("#")[0])
+        where = Path(*[p for p in Path(*path.parts[1:]).parts])
+        parts: list[str] = []
+        for part in where.parts:
+            parts = parts[:-1] if part == ".." else [*parts, part]
+        assert "/".join(parts) in PAGES, f"{page}: [{label}]({target})"
+
+
+def test_every_key_has_a_row_with_a_meaning():
+    text = PAGES["reference/config.md"]
+    for key in config_keys.keys():  # noqa: SIM118
+        (row,) = [line for line in text.splitlines() if line.startswith(f"| `{key}` |")]
+        assert len(row.split(" | ")[3]) > 5, f"{key} has no meaning"
+    assert {"seed", "radio.range_m", "trust.freshness_s", "attacks.share_p", "server.cellular.n_retries"} <= {
+        *config_keys.keys()
+    }
+    stated = Config().to_dict()
+    for section, values in stated.items():
+        names = [section] if not isinstance(values, dict) else [f"{section}.{name}" for name in values]
+        for name in names if not isinstance(values, list | tuple) else ():
+            assert f"`{name}" in text, name
+    assert "| `radio.range_m` | number; > 0, ≤ 100000 | `300` |" in text
+    assert '## [[attacks]] attack = "sybil"' in text and "| `attacks.n_ghosts` |" in text
+
+
+def test_every_command_and_option_is_there():
+    text = PAGES["reference/cli.md"]
+    found = commands.commands()
+    assert {"cosim run", "cosim nets build", "cosim export", "cosim sweep"} <= {words for words, _ in found}
+    for words, command in found:
+        section = text.split(f"## {words}\n")[1].split("\n## ")[0]
+        for option in command.params:
+            assert all(
+                f"`{name}`" in section for name in option.opts if name.startswith("--") and option.name != "help"
+            )
+
+
+def test_every_table_and_metric_is_there():
+    text = PAGES["reference/tables.md"]
+    assert all(f"\n## {name}\n" in text for name in TABLES) and all(f"`{name}`" in text for name in METRICS)
+
+
+@pytest.mark.parametrize("source", SOURCES)
+def test_commands_are_accepted(source):
+    """Every command of every page is one of the program's, with options that it has and values that they take."""
+    for line in fences.commands(SOURCES[source].read_text(encoding="utf-8")):
+        words = shlex.split(line.split(" || ")[0].split(" && ")[0])
+        if "cosim" in words:
+            words = words[words.index("cosim") :]
+        if words[0] == "make":
+            done = subprocess.run(["make", "-n", *words[1:]], cwd=ROOT, capture_output=True, text=True)
+            assert done.returncode == 0, done.stderr
+        elif words[0] == "cosim":
+            _accepted(words[1:])
+        else:
+            assert words[0] in ("source", "pip", "dask", "rerun", "python", "python3", "netedit"), line
+
+
+def _accepted(words):
+    command, name = typer.main.get_command(app), "cosim"
+    while hasattr(command, "commands") and words and not words[0].startswith("-"):
+        name, words = f"{name} {words[0]}", words[1:]
+        command = command.commands[name.rpartition(" ")[2]]
+    try:
+        command.make_context(name, list(words))
+    except typer.Exit:  # --version, --help
+        assert words[0] in ("--version", "--help")
+
+
+@pytest.mark.parametrize("source", SOURCES)
+def test_configs_are_toml(source):
+    for block in fences.blocks(SOURCES[source].read_text(encoding="utf-8")):
+        if block.language == "toml":
+            tomllib.loads(block.text)
+        if block.language == "python" and block.title:
+            compile(block.text, block.title, "exec")
+
+
+def test_the_site_is_built_without_a_warning(tmp_path):
+    if any(importlib.util.find_spec(name) is None for name in ("mkdocs", "material", "latex2mathml")):
+        pytest.skip("MkDocs is not installed: make docs")
+    done = subprocess.run(
+        [sys.executable, "-m", "cosim.docs.site", str(tmp_path / "site")], cwd=ROOT, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    assert "<math" in (tmp_path / "site/models/index.html").read_text()
+    for page in (tmp_path / "site").rglob("*.html"):
+        assert not re.findall(r'(?:src|href)="https?://[^"]*\.(?:js|css|woff2?)"', page.read_text()), (
+            "nothing from outside"
+        )
