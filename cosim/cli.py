@@ -19,7 +19,7 @@ from rich.progress import (
 )
 
 from cosim.console import notes, print_json, print_metrics, print_run_summary, screen, table_of
-from cosim.mobility.scratch import Scratch
+from cosim.mobility.scratch import Scratch, can_hold_files
 from cosim.nets import nets
 from cosim.reproduce import commands as reproductions
 from cosim.stop import Failed, Stopped
@@ -447,10 +447,8 @@ def main() -> None:
 
 def _place_for_kernels() -> Scratch | None:
     """A temporary folder for compiled kernels, where neither the installation nor the user's cache can be written."""
-    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser())
-    places = [Path(__file__).parent, cache, *cache.parents]
-    there = [place for place in places[:1] + [p for p in places[1:] if p.exists()][:1]]
-    if "NUMBA_CACHE_DIR" in os.environ or any(os.access(place, os.W_OK) for place in there):
+    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser()) / "numba"
+    if "NUMBA_CACHE_DIR" in os.environ or any(map(can_hold_files, (Path(__file__).parent / "__pycache__", cache))):
         return None
     folder = Scratch()
     os.environ["NUMBA_CACHE_DIR"] = str(folder.path)
