@@ -52,7 +52,7 @@ def check(config: Config) -> Scenario:
     check_choices(config)
     _check_driver(config, scenario)
     lidar.beams(config.lidar)
-    with_meshes(Scene.empty(), config.meshes)
+    with_meshes(Scene.empty(), config.meshes, config.vehicle_meshes)
     if config.lidar.engine != "columnar":  # the others are libraries that may not be there
         one = Boxes(np.zeros((1, 3)), np.ones((1, 3)), np.zeros(1))
         car, first = np.array([Shape.CAR], np.uint8), np.zeros(1, np.int64)
@@ -227,7 +227,7 @@ def _loaded(
 ) -> tuple[Parts, ActorRegistry, TrafficSource]:
     watch = Stopwatch()
     with watch("city"):
-        city = with_meshes(scenario.city(), config.meshes)
+        city = with_meshes(scenario.city(), config.meshes, config.vehicle_meshes)
     parts = Parts.of(config, city, roadside_units(config, scenario), watch)
     registry = ActorRegistry(config.fleet, config.seed, shares(config.attacks), named(config.attacks))
     recorded = scenario if traffic_from is None else replace(scenario, trace=traffic_from, warmup_s=0.0)
