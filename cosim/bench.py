@@ -12,10 +12,12 @@ import numpy as np
 from cosim.actors import ActorRegistry
 from cosim.adversary.params import shares
 from cosim.config import load
-from cosim.cycle import Sensed, State, step
+from cosim.cycle import step
 from cosim.mobility.sumo import SumoTraffic
 from cosim.parts import Parts
 from cosim.scenario import find
+from cosim.state import State
+from cosim.step_result import Sensed
 from cosim.stopwatch import Stopwatch
 from sensors.boxes import overlapping_pairs
 from trust.evaluation import evaluate
@@ -84,6 +86,7 @@ BENCHES: dict[str, str] = {
     "mobility": "cosim.mobility.bench",
     "results": "results.bench",
     "cycle": "cosim.bench",
+    "variants": "cosim.bench_variants",
 }
 """Modules whose `bench()` measures a room."""
 

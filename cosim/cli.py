@@ -385,7 +385,9 @@ def view(
 
 @app.command()
 def bench(
-    only: Annotated[list[str] | None, typer.Argument(help="sensors, trust, radio, mobility, results, cycle.")] = None,
+    only: Annotated[
+        list[str] | None, typer.Argument(help="sensors, trust, radio, mobility, results, cycle, variants.")
+    ] = None,
     as_json: AsJson = False,
 ) -> None:
     """Measure the speed of every room on this machine."""

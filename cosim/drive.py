@@ -13,12 +13,13 @@ from cosim import checkpoint, recording
 from cosim.actors import ActorRegistry
 from cosim.checkpoint import CannotCheckpoint
 from cosim.config import Config
-from cosim.cycle import State, step
+from cosim.cycle import step
 from cosim.manifest import Manifest
 from cosim.mobility.source import TrafficEnded, TrafficError, TrafficSource
 from cosim.parts import Parts, chosen
 from cosim.run_folder import RunFolder
 from cosim.scenario import Scenario
+from cosim.state import State
 from cosim.stop import StopRequest
 from cosim.stopwatch import Stopwatch
 from cosim.world import World
@@ -32,7 +33,7 @@ Advance = Callable[[str, int, int, str], None]
 Commands = tuple[Int[ndarray, "c"], Float[ndarray, "c"]]
 """Actors, and the speeds that they shall drive [m/s]."""
 NO_COMMANDS: Commands = (np.zeros(0, np.int64), np.zeros(0))
-STATE_VERSION = 2
+STATE_VERSION = 3
 """Raised whenever a state of an earlier version would be misread."""
 _CORES = numba.get_num_threads()
 _EQUIPPED_PER_THREAD = 100

@@ -10,10 +10,11 @@ from numpy import ndarray
 import cosim.codes  # noqa: F401  the codes that are written are those that the tables render
 from cosim.actors import ActorRegistry
 from cosim.adversary.params import roles_of
-from cosim.cycle import Sensed, State, StepResult
 from cosim.parts import Parts
 from cosim.radio.message_round import Outcome
 from cosim.reactions import Reactions
+from cosim.state import State
+from cosim.step_result import Sensed, StepResult
 from cosim.trackers import evidence_audit
 from cosim.trackers.attack_start import AttackStartTracker
 from cosim.trackers.channel_counts import latency_histogram, pdr_by_distance, vehicle_channel
@@ -214,7 +215,6 @@ def _evidence(recorder: Recorder, world: World, sensed: Sensed) -> None:
         sensed.detections.message, truth.actor_row, truth.is_real, listed.origin == FABRICATED,
         world.attack[sensed.vehicles.row[sensed.senders.vehicle]] > 0,
         sum(happened.frames.n_duplicate for happened in sensed.rounds),
-        sensed.fused[0],
     ))  # fmt: skip
 
 
@@ -243,57 +243,75 @@ def trust(
                 (at - scores.oldest_evaluation_step) * dt_s, scores.is_judged,
             ),
         })  # fmt: skip
-    for variant, server in enumerate(servers):
-        if server is None:
-            continue
-        up, down = server.up, server
-        recorder.append("server", at, {
-            "variant": np.array([variant]),
-            "n_reports": np.array([up.n_reports]), "n_reached": np.array([up.n_reached]),
-            "n_lost": np.array([up.n_lost]), "n_over_capacity": np.array([up.n_over_capacity]),
-            "n_outage": np.array([up.n_outage]), "uplink_bytes": np.array([up.uplink_bytes]),
-            "n_addressed": np.array([down.n_addressed]), "n_informed": np.array([down.n_informed]),
-        })  # fmt: skip
-    for variant, found in enumerate(lookups):
-        recorder.append("trust_lookups", at, {
-            "variant": np.full(len(receiver), variant), "receiver": receiver, "subject": subject,
-            "trust": found.trust, "source": found.source, "state": found.state, "age_s": found.age_s,
-            "age_s__valid": found.source != TrustSource.DEFAULT,
-            **_evaluations_behind(
-                found.n_evaluations, found.n_evaluators, found.newest_evaluation_age_s, found.oldest_evaluation_age_s,
-                found.is_known,
-            ),
-        })  # fmt: skip
-        recorder.append("lookup_totals", at, _lookup_totals(variant, found))
+    of_server = [(v, server) for v, server in enumerate(servers) if server is not None]
+    counts = {name: np.array([getattr(server.up, name) for _, server in of_server], np.int64) for name in _UP}
+    counts |= {name: np.array([getattr(server, name) for _, server in of_server], np.int64) for name in _DOWN}
+    recorder.append("server", at, {"variant": np.array([v for v, _ in of_server], np.int64)} | counts)
+    _lookups(recorder, at, receiver, subject, lookups)
 
 
-def _lookup_totals(variant: int, found: Lookups) -> Rows:
-    """Lookups of a step added up by state; states that do not occur are left out."""
-    valued = found.source != TrustSource.DEFAULT
+_UP = ("n_reports", "n_reached", "n_lost", "n_over_capacity", "n_outage", "uplink_bytes")
+_DOWN = ("n_addressed", "n_informed")
 
-    def total(values: ndarray, where: Bool[ndarray, "n"]) -> ndarray:
-        return np.bincount(found.state[where], values[where], len(LookupState))
 
-    n = np.bincount(found.state, minlength=len(LookupState))
+def _lookups(
+    recorder: Recorder, at: int, receiver: Int[ndarray, "n"], subject: Int[ndarray, "n"], lookups: Sequence[Lookups]
+) -> None:
+    """Rows of all variants at once."""
+    n, n_variants = len(receiver), len(lookups)
+
+    def joined(name: str) -> ndarray:
+        return np.concatenate([getattr(found, name) for found in lookups])
+
+    counted = [found.n_evaluators is not None for found in lookups]
+    evaluators = [np.zeros(n, np.int64) if found.n_evaluators is None else found.n_evaluators for found in lookups]
+    source = joined("source")
+    recorder.append("trust_lookups", at, {
+        "variant": np.repeat(np.arange(n_variants), n), "receiver": np.tile(receiver, n_variants),
+        "subject": np.tile(subject, n_variants), "trust": joined("trust"), "source": source, "state": joined("state"),
+        "age_s": joined("age_s"), "age_s__valid": source != TrustSource.DEFAULT,
+        **_evaluations_behind(
+            joined("n_evaluations"), np.concatenate(evaluators), joined("newest_evaluation_age_s"),
+            joined("oldest_evaluation_age_s"), joined("is_known"), np.repeat(counted, n),
+        ),
+    })  # fmt: skip
+    recorder.append("lookup_totals", at, _lookup_totals(lookups))
+
+
+def _lookup_totals(lookups: Sequence[Lookups]) -> Rows:
+    """Lookups of a step added up by variant and state; states that do not occur are left out."""
+    n_states, n_variants = len(LookupState), len(lookups)
+    group = np.concatenate([v * n_states + found.state.astype(np.int64) for v, found in enumerate(lookups)])
+    valued, known = (
+        np.concatenate(masks)
+        for masks in ([found.source != TrustSource.DEFAULT for found in lookups], [x.is_known for x in lookups])
+    )
+
+    def total(name: str, where: Bool[ndarray, "n"]) -> ndarray:
+        values = np.concatenate([getattr(found, name) for found in lookups])
+        return np.bincount(group[where], values[where], n_states * n_variants)
+
+    n = np.bincount(group, minlength=n_states * n_variants)
     rows = {
-        "variant": np.full(len(n), variant), "state": np.arange(len(n)), "n": n,
-        "n_valued": np.bincount(found.state[valued], minlength=len(LookupState)),
-        "age_sum_s": total(found.age_s, valued),
-        "newest_evaluation_age_sum_s": total(found.newest_evaluation_age_s, found.is_known),
-        "oldest_evaluation_age_sum_s": total(found.oldest_evaluation_age_s, found.is_known),
+        "variant": np.repeat(np.arange(n_variants), n_states), "state": np.tile(np.arange(n_states), n_variants),
+        "n": n, "n_valued": np.bincount(group[valued], minlength=len(n)),
+        "age_sum_s": total("age_s", valued),
+        "newest_evaluation_age_sum_s": total("newest_evaluation_age_s", known),
+        "oldest_evaluation_age_sum_s": total("oldest_evaluation_age_s", known),
     }  # fmt: skip
     return {name: column[n > 0] for name, column in rows.items()}
 
 
 def _evaluations_behind(
     n: Int[ndarray, "n"], n_evaluators: Int[ndarray, "n"] | None, newest_s: Float[ndarray, "n"],
-    oldest_s: Float[ndarray, "n"], some: Bool[ndarray, "n"],
+    oldest_s: Float[ndarray, "n"], some: Bool[ndarray, "n"], counted: Bool[ndarray, "n"] | None = None,
 ) -> Rows:  # fmt: skip
-    """Columns about the evaluations behind trust values; `some` says where there are any."""
+    """Columns about the evaluations behind trust values; `some` says where there are any, `counted` where their
+    evaluators are counted (left out: wherever they are given)."""
     return {
         "n_evaluations": n,
         "n_evaluators": n if n_evaluators is None else n_evaluators,
-        "n_evaluators__valid": np.full(len(n), n_evaluators is not None),
+        "n_evaluators__valid": np.full(len(n), n_evaluators is not None) if counted is None else counted,
         "newest_evaluation_age_s": np.where(some, newest_s, 0.0), "newest_evaluation_age_s__valid": some,
         "oldest_evaluation_age_s": np.where(some, oldest_s, 0.0), "oldest_evaluation_age_s__valid": some,
     }  # fmt: skip
@@ -305,6 +323,10 @@ def _fused(recorder: Recorder, at: int, sensed: Sensed) -> None:
         if fused is None:
             continue
         ego, moved = fused.ego, fused.pose != fused.seed
+        recorder.append("fused_evidence", at, {
+            "variant": np.array([variant]), "n_evaluations": np.array([fused.n_evaluations.sum()]),
+            "n_evaluators": np.array([fused.n_evaluators.sum()]),
+        })  # fmt: skip
         recorder.append("fused", at, {
             "variant": np.full(len(ego), variant), "observer": sensed.vehicles.actor[ego],
             "fused_index": np.arange(len(ego)) - np.searchsorted(ego, ego),

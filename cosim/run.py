@@ -16,7 +16,6 @@ from cosim import checkpoint, recording, run_folder
 from cosim.actors import ActorRegistry
 from cosim.adversary.params import named, shares
 from cosim.config import Config, chosen, resolve_data
-from cosim.cycle import State
 from cosim.drive import STATE_VERSION, Advance, Commands, Drive, own_modules, warm_up
 from cosim.driver.driver import largest_step_s
 from cosim.manifest import CONFIG, Manifest, versions
@@ -27,6 +26,7 @@ from cosim.parts import Parts, check_choices, sources
 from cosim.radio.rsu import NO_RSUS, RsuAntennas, place_rsus
 from cosim.run_folder import RunFolder
 from cosim.scenario import Scenario, find
+from cosim.state import State
 from cosim.stop import Failed, Stopped, StopRequest
 from cosim.stopwatch import Stopwatch
 from cosim.trackers.attack_start import AttackStartTracker
@@ -123,12 +123,12 @@ def run(config: Config, out: Path | None, advance: Advance, traffic_from: Path |
     return folder.path
 
 
-def resume(path: Path, advance: Advance) -> Path:
+def resume(path: Path, advance: Advance, traffic_from: Path | None = None) -> Path:
     """Go on with a run that was killed or interrupted, from its last whole block: the tables are those of a run
     never interrupted.
 
     The traffic is repeated from its beginning, because SUMO's own saved state is not exact; everything else goes on
-    from the state that was kept with the block. Nothing in the folder is executed.
+    from the state that was kept with the block. Nothing in the folder is executed. `traffic_from` as in `run`.
     """
     manifest = read_manifest(path)
     config = _resumable(path, manifest)
@@ -144,12 +144,12 @@ def resume(path: Path, advance: Advance) -> Path:
             found = inventory.read(path).whole()
             if problem := next((p for part in found.parts if (p := content_problem(path, part))), ""):
                 raise Damaged(f"{path} is damaged: {problem}. Run again.")
-            parts, registry, traffic = _loaded(config, scenario)
+            parts, registry, traffic = _loaded(config, scenario, traffic_from)
             try:
                 recorder = _recorder(path, parts, found.end_step)
                 went = Manifest(path, config, manifest["net"], sources(config), steps=found.end_step)
                 went.resumed_at = [*manifest.get("resumed_at", []), found.end_step]
-                warmup_s = _warmup_s(config, scenario)
+                warmup_s = 0.0 if traffic_from is not None else _warmup_s(config, scenario)
                 drive = Drive(parts, scenario, folder, warmup_s, traffic, registry, recorder, went, advance, stop)
                 drive.state, drive.expected = _kept_state(path, found, config), _last_poses(path, found)
                 drive.commands = _kept_commands(path, found)

@@ -1,20 +1,26 @@
 """A run on disk: its tables as pandas DataFrames, loaded when first asked for."""
 
-from collections.abc import Iterator, Sequence
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Self, TypeVar
 
+import numpy as np
 import pandas as pd
 import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
+from pyarrow import feather
 
 from results import durable, inventory, virtual_columns
 from results.codes import BASE_VARIANT
 from results.durable import Damaged
 from results.inventory import Inventory, Part
 from results.tables import TABLES, schema
+
+T = TypeVar("T")
 
 OVER = ("finished", "interrupted")
 """Statuses of a run that ended with everything written."""
@@ -35,6 +41,11 @@ class Run:
         self.damage: list[str] = []
         """What was found damaged while tables were read; whoever shows figures says it."""
         self._sound: set[str] = set()
+        self._common: dict[str, Any] = {}
+        """What all trust variants have in common, once it was asked for."""
+        self._apart: Path | None = None
+        """Folder of the rows of each trust variant, where they are set apart."""
+        self._own: dict[str, Any] = {}
 
     @cached_property
     def inventory(self) -> Inventory:
@@ -52,7 +63,27 @@ class Run:
             raise ValueError(f"{self.path} has no trust variant {name!r}. It has {', '.join(self.variants)}.")
         other = type(self)(self.path, self.manifest, name)
         other.damage, other._sound = self.damage, self._sound
+        other._common, other._apart = self._common, self._apart
+        other.__dict__["inventory"] = self.inventory
         return other
+
+    @contextmanager
+    def variants_apart(self) -> Iterator[Self]:
+        """The same run, to be seen as its variants one after another.
+
+        The rows of each are written to temporary files of their own first, in one pass over the tables: then each
+        variant reads its own rows alone, instead of all rows of all variants.
+        """
+        other = self.as_variant(self.variant)
+        with tempfile.TemporaryDirectory(prefix="cosim-variants-") as folder:
+            other._apart = Path(folder) if len(self.variants) > 1 else None
+            yield other
+
+    def once(self, name: str, make: Callable[[], T]) -> T:
+        """What several metrics of this variant begin with, made once; not to be changed."""
+        if name not in self._own:
+            self._own[name] = make()
+        return self._own[name]
 
     @property
     def name(self) -> str:
@@ -90,17 +121,27 @@ class Run:
 
         `where` picks rows, as in `run.table("fused", where=pyarrow.compute.field("score") > 0.5)`.
         """
+        return self._table(name, columns, where, self._part)
+
+    def _table(
+        self, name: str, columns: Sequence[str] | None, where: pc.Expression | None, part: virtual_columns.Read
+    ) -> pd.DataFrame:
         wanted = self._wanted(name, columns)
-        parts = [virtual_columns.read(self._part, path, wanted.names, where) for path in self._paths(name)]
+        parts = [virtual_columns.read(part, path, wanted.names, where) for path in self._paths(name)]
         return self._pandas(pa.concat_tables([wanted.empty_table(), *parts]), name)
 
     def parts(
         self, name: str, columns: Sequence[str] | None = None, where: pc.Expression | None = None
     ) -> Iterator[pd.DataFrame]:
         """The same, one block of steps after another, for tables larger than memory."""
+        yield from self._parts(name, columns, where, self._part)
+
+    def _parts(
+        self, name: str, columns: Sequence[str] | None, where: pc.Expression | None, part: virtual_columns.Read
+    ) -> Iterator[pd.DataFrame]:
         wanted = self._wanted(name, columns)
         for path in self._paths(name):
-            yield self._pandas(virtual_columns.read(self._part, path, wanted.names, where), name)
+            yield self._pandas(virtual_columns.read(part, path, wanted.names, where), name)
 
     def variant_table(
         self, name: str, columns: Sequence[str] | None = None, where: pc.Expression | None = None
@@ -108,31 +149,61 @@ class Run:
         """The same as `table`, rows of the run's `variant` only; the trust columns of `encounters` are its own."""
         if name == "encounters" and self.variant != BASE_VARIANT:
             return self._variant_encounters(columns, where)
-        return self.table(name, columns, self._of_variant(name, where))
+        return self._table(name, columns, *self._of_variant(name, where))
 
     def _variant_encounters(self, columns: Sequence[str] | None, where: pc.Expression | None) -> pd.DataFrame:
         wanted = list(TABLES["encounters"].columns if columns is None else columns)
         own = [c for c in TABLES["encounter_trust"].columns if c != "variant"]
         key = [c for c in own if c in TABLES["encounters"].key]
-        mine = self.table("encounter_trust", own, self._of_variant("encounter_trust", None))
-        kept = [c for c in TABLES["encounters"].columns if c in key or (c in wanted and c not in own)]
-        return self.table("encounters", kept, where).merge(mine, on=key, how="left")[wanted]
+        mine = self._table("encounter_trust", own, *self._of_variant("encounter_trust", None))
+        if where is not None:
+            kept = [c for c in TABLES["encounters"].columns if c in key or (c in wanted and c not in own)]
+            return self.table("encounters", kept, where).merge(mine, on=key, how="left")[wanted]
+        frame = self.encounters
+        at = np.empty(len(frame), np.int64)  # every encounter has one row of each variant
+        at[_order(frame, key)] = _order(mine, key)
+        assert len(frame) == len(mine), "encounters and encounter_trust have the same encounters"
+        return pd.DataFrame({c: (mine[c].take(at) if c in own else frame[c]).array for c in wanted})
 
     def variant_parts(
         self, name: str, columns: Sequence[str] | None = None, where: pc.Expression | None = None
     ) -> Iterator[pd.DataFrame]:
         """The same as `parts`, rows of the run's `variant` only."""
-        return self.parts(name, columns, self._of_variant(name, where))
+        return self._parts(name, columns, *self._of_variant(name, where))
 
-    def _of_variant(self, name: str, where: pc.Expression | None) -> pc.Expression | None:
+    def _of_variant(self, name: str, where: pc.Expression | None) -> tuple[pc.Expression | None, virtual_columns.Read]:
+        """Which rows are the variant's, and how parts are read."""
         if len(self.variants) == 1 or name not in TABLES or "variant" not in TABLES[name].columns:
-            return where
+            return where, self._part
+        if self._apart is not None:
+            return where, self._part_apart
         mine = pc.field("variant") == self.variant
-        return mine if where is None else mine & where
+        return mine if where is None else mine & where, self._part
+
+    def _part_apart(self, path: Path, names: Sequence[str], where: pc.Expression | None) -> pa.Table:
+        """As `_part`, the variant's own rows alone."""
+        table = path.parent.name
+        if "variant" not in TABLES[table].columns:
+            return self._part(path, names, where)
+        assert self._apart is not None
+        folder = self._apart / table / path.stem
+        if not folder.exists():
+            whole = self._part(path, list(TABLES[table].stored), None)
+            folder.mkdir(parents=True)
+            for number, variant in enumerate(self.variants):
+                rows = whole.filter(pc.field("variant") == variant)
+                feather.write_feather(rows, folder / f"{number}.arrow", compression="lz4")
+        wanted = None if where is not None else list(names)
+        rows = feather.read_table(folder / f"{self.variants.index(self.variant)}.arrow", wanted, use_threads=False)
+        return rows.select(names) if where is None else rows.filter(where).select(names)
 
     def n_blocks(self, name: str) -> int:
         """How many parts a table has."""
         return len(self._paths(name))
+
+    def n_rows(self, name: str) -> int:
+        """How many rows a table has, of all variants."""
+        return sum(part.n_rows for part in self.inventory.of(name))
 
     def require(self, *names: str) -> None:
         """Refuse, with one clear line, if the run does not hold these tables."""
@@ -194,32 +265,43 @@ class Run:
     def __getattr__(self, name: str) -> pd.DataFrame:
         if name not in TABLES:
             raise AttributeError(f"A run has no {name!r}. The tables are {', '.join(TABLES)}.")
-        frame = self.table(name)
-        setattr(self, name, frame)
-        return frame
+        if name not in self._common:
+            self._common[name] = self.table(name)
+        return self._common[name]
 
     def __repr__(self) -> str:
         return f"Run({str(self.path)!r}: {self.manifest['steps']} steps, tables {', '.join(self.tables)})"
 
-    @cached_property
+    @property
     def roles(self) -> pd.Series:
         """Role by actor number, equipped vehicles only."""
-        vehicles = self.table("vehicles", ["vehicle", "equipped", "role"])
-        return vehicles[vehicles.equipped].set_index("vehicle").role
+        if "roles of vehicles" not in self._common:
+            vehicles = self.table("vehicles", ["vehicle", "equipped", "role"])
+            self._common["roles of vehicles"] = vehicles[vehicles.equipped].set_index("vehicle").role
+        return self._common["roles of vehicles"]
 
-    @cached_property
+    @property
     def subjects(self) -> pd.DataFrame:
         """Pseudonyms by number: vehicle, role, from_step and to_step of use, attack_start_step of the vehicle.
 
         The one place where what trust knows is joined with what is true.
         """
-        vehicles = self.table("vehicles", ["vehicle", "role", "attack_start_step"]).set_index("vehicle")
-        return self.table("pseudonyms").set_index("pseudonym").join(vehicles, on="vehicle")
+        if "roles of pseudonyms" not in self._common:
+            vehicles = self.table("vehicles", ["vehicle", "role", "attack_start_step"]).set_index("vehicle")
+            found = self.table("pseudonyms").set_index("pseudonym").join(vehicles, on="vehicle")
+            self._common["roles of pseudonyms"] = found
+        return self._common["roles of pseudonyms"]
 
     @property
     def role_labels(self) -> tuple[str, ...]:
         """Labels of the roles of this run, in the order of their codes."""
         return TABLES["vehicles"].columns["role"].labels(self.manifest)
+
+
+def _order(frame: pd.DataFrame, key: Sequence[str]) -> np.ndarray:
+    """Rows in the order of their key."""
+    columns = [frame[c].cat.codes if isinstance(frame[c].dtype, pd.CategoricalDtype) else frame[c] for c in key[::-1]]
+    return np.lexsort([column.to_numpy() for column in columns])
 
 
 def problems_of(folder: Path, table: str, found: Inventory, is_over: bool) -> Iterator[str]:

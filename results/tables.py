@@ -26,7 +26,7 @@ from results.codes import (
 )
 from results.columns import LEVELS, Column, Level, Table
 
-SCHEMA_VERSION = 7
+SCHEMA_VERSION = 8
 """Raised whenever a table or column changes its name, type, unit or meaning."""
 
 
@@ -241,15 +241,23 @@ TABLES: Mapping[str, Table] = {
     ),
     "evidence": Table(
         "summary",
-        "How often one look counts more than once on its way into trust values and fused scores.",
+        "How often one look counts more than once on its way into trust values.",
         {
             "step": _STEP,
             "n_copies": _count("Copies of messages that their receivers already had, set aside."),
             "n_evaluations": _count("Evaluations of others' detections with visibility above 0, as sent: the evidence for trust values."),
             "n_looks": replace(_count("Distinct looks behind them: an evaluator, an observer and an actual object."), truth=True),
             "n_echoes": replace(_count("Of the evaluations, those by which an attacker confirms what another attacker fabricated."), truth=True),
-            "n_fused_evaluations": _count("Evaluations behind the fused objects: pairs of a detection and an evaluator."),
-            "n_fused_evaluators": _count("Pairs of a fused object and an evaluator behind it."),
+        },
+    ),
+    "fused_evidence": Table(
+        "summary",
+        "How often one evaluator counts more than once behind a fused object; of trust variants whose fused objects are computed.",
+        {
+            "step": _STEP,
+            "variant": _VARIANT,
+            "n_evaluations": _count("Evaluations behind the fused objects: pairs of a detection and an evaluator."),
+            "n_evaluators": _count("Pairs of a fused object and an evaluator behind it."),
         },
     ),
     "radio": Table(

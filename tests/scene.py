@@ -5,10 +5,11 @@ from dataclasses import fields, is_dataclass, replace
 import numpy as np
 
 from cosim.config import load
-from cosim.cycle import State, step
+from cosim.cycle import step
 from cosim.parts import Parts
 from cosim.radio.rsu import NO_RSUS
 from cosim.reproduce.scenarios import FOLDER, ScriptedScene
+from cosim.state import State
 
 QUIET = (
     "server.cellular.delay_min_s=0.001", "server.cellular.delay_mean_s=0.002", "server.backhaul_s=0.005",

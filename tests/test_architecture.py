@@ -39,11 +39,12 @@ ONE_FILE = {
 """Libraries that one file alone may know."""
 
 ORDER = (
-    "rng", "ragged", "stopwatch", "stop", "choices", "console", "world", "fleet", "meshes", "actors",
-    "mobility", "radio", "codes", "v2x", "trackers", "tracking", "driver", "perception", "positioning", "ground_truth",
-    "reactions", "adversary", "senders", "object_lists", "config", "manifest", "parts", "stages",
-    "attack_outcomes", "cycle", "scenario", "replay_lidar", "export", "view", "calibrate", "recording",
-    "checkpoint", "run_folder", "drive", "run", "bench", "nets", "studies", "reproduce", "side_by_side", "cli", "docs",
+    "rng", "ragged", "stopwatch", "stop", "choices", "console", "world", "fleet", "meshes", "actors", "mobility",
+    "radio", "codes", "v2x", "trackers", "tracking", "driver", "perception", "positioning", "ground_truth",
+    "reactions", "adversary", "senders", "object_lists", "config", "manifest", "parts", "stages", "attack_outcomes",
+    "state", "step_result", "cycle", "scenario", "replay_lidar", "export", "view", "calibrate", "recording",
+    "checkpoint", "run_folder",
+    "drive", "run", "bench", "bench_variants", "nets", "studies", "reproduce", "side_by_side", "cli", "docs",
     "__main__",
 )  # fmt: skip
 """Inside the hall: each may use those before it."""

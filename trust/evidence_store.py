@@ -106,11 +106,14 @@ class EvidenceStore:
     def aggregated(self, step: int) -> StepEvidence:
         """The step's evidence with its sums up to date and a row for each of its pairs."""
         evidence = self.steps[step]
+        if evidence.is_current:
+            return evidence
         evidence.aggregate(self._by_score, self._skip_unseen)
         self._assign(evidence)
         rows, evaluators = evidence.evaluators(evidence.n_noted)
         self.evaluators.note(rows, evaluators, step, self._horizon())
         evidence.n_noted = int(evidence.n_used[3])
+        evidence.is_current = True
         return evidence
 
     def keep(self, chosen: Bool[ndarray, "rows"]) -> None:

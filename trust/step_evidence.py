@@ -271,6 +271,7 @@ class StepEvidence:
     n_evaluations: Int[ndarray, "b"] = field(default_factory=lambda: np.zeros(16, np.int64))
     pair_row: Int[ndarray, "b"] = field(default_factory=lambda: np.zeros(16, np.int64))
     n_assigned: int = 0  # blocks whose pair row is known
+    is_current: bool = False  # sums, pair rows and evaluators are those of all that was added
     # per slot, of the others: Phi, Phi e (fixed point), 2 x their number with Phi > 0, + 1 if evaluated at all
     sums: Int[ndarray, "x 3"] = field(default_factory=lambda: np.zeros((256, 3), np.int64))
     # block and row of the evaluator, for every message with an evaluation by another that could see
@@ -294,6 +295,7 @@ class StepEvidence:
         self, messages: EvaluationMessages, holder: Int[ndarray, "m"], message_row: Int[ndarray, "m"], rejected
     ) -> None:
         """Add messages: `message_row[i]` was received by `holder[i]`; rejected evaluations are counted by reason."""
+        self.is_current = False
         ptr, index = int64(messages.ptr), int64(messages.detection_index)
         n_evaluations, n_parts = self.n_known.tolist()
         self.known = _room(self.known, n_evaluations + index.size)

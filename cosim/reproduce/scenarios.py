@@ -17,8 +17,10 @@ from numpy import ndarray
 
 from cosim import rng
 from cosim.config import Config, load
-from cosim.cycle import Sensed, State, step
+from cosim.cycle import step
 from cosim.parts import Parts
+from cosim.state import State
+from cosim.step_result import Sensed
 from cosim.v2x.messages import FABRICATED, SELF
 from cosim.world import LABELS, World
 from results.figures import scenario as pictures

@@ -200,7 +200,8 @@ def _print_plan(task, as_json: bool) -> None:
         f"{merged} points are trust variants of runs that differ in trust alone: saves {round(cost.merged_saves_s)} s",
         f"{facts['runs_that_replay_traffic']} runs replay {len(made.traffic)} recorded traffics: "
         f"saves {round(cost.traffic_saves_s)} s",
-        f"about {facts['seconds']} s on one core instead of {facts['seconds_separately']} s, {facts['MB']} MB "
+        f"about {facts['seconds']} s on one core instead of {facts['seconds_separately']} s"
+        f" ({cost.separate_s / max(cost.planned_s, 1e-9):.1f} times less), {facts['MB']} MB "
         f"({facts['estimate']})",
         *(f"not shared: {remark}" for remark in made.remarks),
     ]

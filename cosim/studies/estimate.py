@@ -6,16 +6,18 @@ from dataclasses import dataclass
 from cosim.studies.plan import Plan
 from cosim.studies.points import Point, scenario_of
 
-START_S = 6.0
+START_S = 4.0
 """Start of a process, imports and compiled kernels included [s]."""
 SUMO_S = 0.004
 """SUMO and reading it, per second of central Helsinki [s]."""
-STEP_S = 0.035
+STEP_S = 0.018
 """A step in which vehicles sense, without any equipped vehicle [s]."""
 VEHICLE_S = 0.35e-3
 """Per equipped vehicle and step, on one core [s]."""
-VARIANT_S = 0.003
-"""Trust of one more variant, per step, at the 60 equipped vehicles of central Helsinki [s]."""
+VARIANT_S = 0.0004
+"""Trust of one more variant, per step, at the 60 equipped vehicles of central Helsinki [s]: `cosim bench variants`."""
+METRICS_S = 0.2
+"""Metrics of one point [s]."""
 VEHICLES = 200
 """On the road in central Helsinki; other cities are not told apart."""
 BYTES = 500
@@ -43,7 +45,9 @@ def estimate(points: Sequence[Point], made: Plan, stored: Collection[str], run_s
     """Time of the plan beside that of one run per point; `run_s` is the measured time of a run, if there is one."""
     separate = sum(_run_s(point.config) + _traffic_s(point.config) for point in points)
     merged = sum(
-        _run_s(run.config) + _traffic_s(run.config) + (len(run.members) - 1) * run.config.n_steps * VARIANT_S
+        _run_s(run.config)
+        + _traffic_s(run.config)
+        + (len(run.members) - 1) * (run.config.n_steps * VARIANT_S + METRICS_S)
         for run in made.runs
     )
     replayed = sum(_traffic_s(run.config) for run in made.runs if run.traffic)
@@ -68,4 +72,4 @@ def _traffic_s(config) -> float:
 
 def _run_s(config) -> float:
     sensing = config.traffic.duration_s / config.sensing_interval_s
-    return START_S + sensing * (STEP_S + VEHICLE_S * VEHICLES * config.fleet.penetration_p)
+    return START_S + METRICS_S + sensing * (STEP_S + VEHICLE_S * VEHICLES * config.fleet.penetration_p)

@@ -1,6 +1,7 @@
 """A study on disk. What state it is in is read off its folders, so that a killed sweep needs no repair."""
 
 import fcntl
+import io
 import json
 import os
 from collections.abc import Iterator, Mapping, Sequence
@@ -81,6 +82,12 @@ class StudyFolder:
                 raise ValueError(f"{self.path}: another `cosim sweep` works in this folder. Wait for it.") from None
             yield
 
+    def tidy(self) -> None:
+        """Remove what a sweep that was killed left half written."""
+        for pattern in ("*.partial", "jobs/*/*.partial", "traffic/*.partial"):
+            for path in self.path.glob(pattern):
+                path.unlink(missing_ok=True)
+
     def write_job(self, planned: PlannedRun, more: Mapping[str, Any]) -> None:
         """What the process that makes the run has to know."""
         self.job(planned.id).mkdir(parents=True, exist_ok=True)
@@ -144,9 +151,9 @@ class StudyFolder:
             "baseline": study.head.baseline, "measure": asdict(study.measuring),
         }  # fmt: skip
         table = pa.table(columns).replace_schema_metadata({"study": json.dumps(head)})
-        partial = self.path / "index.parquet.partial"
-        pq.write_table(table, partial)
-        partial.replace(self.path / "index.parquet")
+        sink = io.BytesIO()
+        pq.write_table(table, sink)
+        write_whole(self.path / "index.parquet", sink.getvalue())
         states = [row["state"] for row in rows]
         return {state: states.count(state) for state in STATES}
 
@@ -162,11 +169,14 @@ def status_of(run: Path) -> str:
 def write_whole(path: Path, content: bytes) -> None:
     """A file that is there whole or not at all."""
     partial = path.with_name(f"{path.name}.{os.getpid()}.partial")
-    with partial.open("wb") as file:
-        file.write(content)
-        file.flush()
-        os.fsync(file.fileno())
-    partial.replace(path)
+    try:
+        with partial.open("wb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        partial.replace(path)
+    finally:
+        partial.unlink(missing_ok=True)
 
 
 def _column(values: Sequence[Any]) -> Sequence[Any]:

@@ -11,6 +11,7 @@ from cosim.config import Config
 from cosim.parts import sources
 from cosim.scenario import Scenario, find
 from cosim.studies.study import Keys, Study, config_at
+from results.tables import SCHEMA_VERSION
 
 HOW = ("compute", "record")
 """Sections of a config that change no result."""
@@ -58,12 +59,15 @@ def identity(config: Config) -> str:
 
 
 def traffic_identity(config: Config, version: int) -> str:
-    """Name of the traffic that a config drives: `[traffic]`, contents of its files, SUMO's version."""
+    """Name of the traffic that a config drives: `[traffic]`, contents of its files, versions of SUMO and of tables."""
     from importlib.metadata import version as version_of
 
     data = config.to_dict()["traffic"] | {"scenario": "", "trace": ""}
     files = _files(config.traffic.scenario, config.traffic.trace)
-    return digest({"traffic": data, "files": files, "sumo": version_of("libsumo"), "stage_version": version})
+    return digest({
+        "traffic": data, "files": files, "sumo": version_of("libsumo"), "stage_version": version,
+        "schema_version": SCHEMA_VERSION,
+    })  # fmt: skip
 
 
 def shared_identity(config: Config, level: str) -> str:

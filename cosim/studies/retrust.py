@@ -4,7 +4,7 @@ import json
 import os
 import shutil
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -15,12 +15,15 @@ from numpy import ndarray
 from cosim import recording
 from cosim.actors import ActorRegistry
 from cosim.config import Config, read_toml, resolve_data
-from cosim.parts import variants
+from cosim.parts import chosen, variants
 from cosim.v2x.trust_hosts import Lookups, TrustHosts, TrustState
-from results.archive import OpenRun, open_run
+from results import inventory
+from results.archive import OpenRun, open_run, write_manifest
 from results.codes import TrustSource
 from results.encounters import ENCOUNTER_KEY, Rows
+from results.inventory import Inventory
 from results.recorder import Recorder
+from results.tables import TABLES
 from sensors.scene import Shape
 from trust.tables import EvaluationMessages
 
@@ -39,6 +42,10 @@ WRITTEN = ("trust", "trust_lookups", "lookup_totals", "server", "encounter_trust
 """Tables that depend on trust, but for the fused objects: those ask the sweeps, which are not on disk."""
 
 
+_UNKNOWN = ("identities", "sending")
+"""What attacks do that the tables do not hold."""
+
+
 def retrust(run: Path, file: Path, out: Path) -> Path:
     """A copy of a run, with the trust variants of a file (`[[trust_variant]]` sections) beside its own.
 
@@ -52,23 +59,53 @@ def retrust(run: Path, file: Path, out: Path) -> Path:
     config = _with_variants(found, file)
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise ValueError(f"--out {out} is not empty. Give a folder that is empty or does not exist.")
+    made = not out.exists()
     out.mkdir(parents=True, exist_ok=True)
-    for table in found.tables:
-        if table not in WRITTEN:
-            shutil.copytree(run / table, out / table, copy_function=_link)
-    hosts = TrustHosts.of(variants(config), config.server, config.seed, config.sensing_interval_s, found.dt_s)
-    names = [variant.name for variant in hosts.variants]
-    written = _Tables(out, WRITTEN)
-    with Recorder(written.beside, config.record.level, config.record.block_steps, variants=names) as recorder:
-        _replay(found, config, hosts, recorder)
-    written.take()
-    _check_base(run, out, n_variants=len(found.variants))
-    (out / "config.toml").write_bytes((run / "config.toml").read_bytes())
-    manifest = found.manifest | {"variants": names, "config": config.to_dict()}
-    (out / "manifest.json").write_text(
-        json.dumps(manifest, indent=1, ensure_ascii=False, default=str), encoding="utf-8"
-    )
+    try:
+        _write(found, config, out)
+    except BaseException:
+        for path in list(out.iterdir()):
+            shutil.rmtree(path) if path.is_dir() else path.unlink()
+        if made:
+            out.rmdir()
+        raise
     return out
+
+
+def _write(run: OpenRun, config: Config, out: Path) -> None:
+    """The copy: the tables of the run as they are, and those of trust with all variants."""
+    for table in run.tables:
+        if table not in WRITTEN and (run.path / table).is_dir():
+            shutil.copytree(run.path / table, out / table, copy_function=_link)
+    hosts = TrustHosts.of(variants(config), config.server, config.seed, config.sensing_interval_s, run.dt_s)
+    names = [variant.name for variant in hosts.variants]
+    beside = out / "retrust.partial"
+    beside.mkdir()
+    with Recorder(beside, config.record.level, config.record.block_steps, variants=names) as recorder:
+        _replay(run, config, hosts, recorder)
+    merged = _merged(run.inventory, inventory.read(beside))
+    for table in WRITTEN:
+        if table in run.tables:
+            (beside / table).replace(out / table)
+    shutil.rmtree(beside)
+    inventory.rewrite(out, merged)
+    (out / "config.toml").write_bytes((run.path / "config.toml").read_bytes())
+    content = run.manifest | {"variants": names, "config": config.to_dict()}
+    content["inventory"] = inventory.read(out).summary(run.manifest["inventory"]["tables"])
+    write_manifest(out, content)
+    _check_base(run.path, out, names=run.variants)
+
+
+def _merged(old: Inventory, new: Inventory) -> Inventory:
+    """The parts of a run, those of the tables of trust from another inventory with the same blocks."""
+    found = {block.number: block.parts for block in new.blocks}
+    blocks = []
+    for block in old.blocks:
+        kept = (p for p in block.parts if p.table not in WRITTEN)
+        replaced = (p for p in found.get(block.number, ()) if p.table in WRITTEN)
+        parts = sorted((*kept, *replaced), key=lambda p: list(TABLES).index(p.table))
+        blocks.append(replace(block, parts=tuple(parts), checkpoint={}))
+    return Inventory(tuple(blocks))
 
 
 def _with_variants(run: OpenRun, file: Path) -> Config:
@@ -92,27 +129,16 @@ def _with_variants(run: OpenRun, file: Path) -> Config:
         raise ValueError(
             f'{run.path}: pseudonyms.policy = "{config.pseudonyms.policy}": retrust needs "none". Run again.'
         )
+    if config.pseudonyms.revocation != "none":
+        raise ValueError(
+            f'{run.path}: pseudonyms.revocation = "{config.pseudonyms.revocation}": retrust needs "none". Run again.'
+        )
+    for key, choice in chosen(config).items():
+        if key.startswith("attacks.") and (hook := next((h for h in _UNKNOWN if hasattr(choice.of, h)), None)):
+            raise ValueError(
+                f"{run.path}: {key} = {choice.source.name}: its {hook} is not on disk. Run again with these variants."
+            )
     return config
-
-
-@dataclass(frozen=True, slots=True)
-class _Tables:
-    """Some tables of a recorder that writes beside the run."""
-
-    folder: Path
-    names: Sequence[str]
-
-    @property
-    def beside(self) -> Path:
-        path = self.folder / "retrust.partial"
-        path.mkdir(exist_ok=True)
-        return path
-
-    def take(self) -> None:
-        for name in self.names:
-            if (self.beside / name).is_dir():
-                (self.beside / name).replace(self.folder / name)
-        shutil.rmtree(self.beside)
 
 
 def _link(source: str, target: str) -> None:
@@ -155,6 +181,7 @@ def _replay(run: OpenRun, config: Config, hosts: TrustHosts, recorder: Recorder)
             servers = _per_variant(hosts, hosts.traffic(up, informed))
             recording.trust(recorder, step, dt_s, _per_variant(hosts, published), servers, receiver, sender, lookups)
         met.end(step, recorder)
+        recorder.reach(step)
     met.close(run.manifest["steps"], recorder)
 
 
@@ -372,20 +399,15 @@ class _Met:
         recorder.append("encounter_trust", step, found)
 
 
-def _check_base(run: Path, out: Path, n_variants: int) -> None:
+def _check_base(run: Path, out: Path, names: Sequence[str]) -> None:
     """The variants that the run had must come out as they are in it."""
-    names = open_run(run).variants[:n_variants]
     for table in ("trust", "trust_lookups", "lookup_totals", "server"):
-        before, after = (_rows_of(folder / table, names) for folder in (run, out))
+        before, after = (
+            found[found.variant.isin(names)].reset_index(drop=True)
+            for found in (open_run(folder).table(table).astype({"variant": str}) for folder in (run, out))
+        )
         if not before.equals(after):
             raise ValueError(
-                f"{run}: table {table} does not come out as it is on disk: another cosim made the run. Run it again."
+                f"{run}: table {table} does not come out as it is on disk: another cosim made the run, or an attack "
+                "acts on what the tables do not hold. Run it again with these variants in its config."
             )
-
-
-def _rows_of(table: Path, names: Sequence[str]) -> pd.DataFrame:
-    parts = [pd.read_parquet(path) for path in sorted(table.glob("part-*.parquet"))]
-    if not parts:
-        return pd.DataFrame()
-    frame = pd.concat([part.assign(variant=part.variant.astype(str)) for part in parts], ignore_index=True)
-    return frame[frame.variant.isin(names)].reset_index(drop=True)

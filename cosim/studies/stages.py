@@ -4,11 +4,13 @@ An entry is a folder `<cache>/<stage>/<name>/` with a `stage.json` that lists th
 whole or not at all, and one that was changed afterwards is made anew.
 """
 
+import fcntl
 import json
 import logging
 import os
 import shutil
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from time import time
@@ -17,6 +19,7 @@ from cosim import run as running
 from cosim.config import Config, resolve_data
 from cosim.manifest import sha256
 from cosim.studies.folder import write_whole
+from results.durable import PARTIAL
 
 LIMIT_GB = 10.0
 """Size above which the entries used longest ago are deleted, unless COSIM_CACHE_GB says otherwise."""
@@ -73,24 +76,31 @@ class Cache:
 
     def make_traffic(self, name: str, config: Path) -> None:
         """Drive the traffic of a config (its plain data as JSON) unless it is there."""
-        if self.find("traffic", name) is None:
-            self._keep("traffic", name, resolve_data(json.loads(config.read_text()), "the plan", None))
+        with self._making("traffic", name):
+            if self.find("traffic", name) is None:
+                self._keep("traffic", name, resolve_data(json.loads(config.read_text()), "the plan", None))
+
+    @contextmanager
+    def _making(self, stage: str, name: str) -> Iterator[None]:
+        """One process at a time makes an entry; what one that was killed left behind is removed."""
+        folder = self.path / stage
+        folder.mkdir(parents=True, exist_ok=True)
+        with (folder / f"{name}.lock").open("w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            shutil.rmtree(folder / f"{name}{PARTIAL}", ignore_errors=True)
+            yield
 
     def _keep(self, stage: str, name: str, config: Config) -> None:
         entry = self.path / stage / name
-        partial = entry.with_name(f"{name}.{os.getpid()}.partial")
-        shutil.rmtree(partial, ignore_errors=True)
-        partial.mkdir(parents=True)
+        partial = entry.with_name(f"{name}{PARTIAL}")
+        partial.mkdir()
         begun_s = time()
         running.record_traffic(config, partial, lambda *_: None)
         for empty in [path for path in partial.iterdir() if path.is_dir() and not any(path.iterdir())]:
             empty.rmdir()
         content = {"files": _files(partial), "seconds": round(time() - begun_s, 2)}
         write_whole(partial / "stage.json", json.dumps(content, indent=1).encode())
-        try:
-            partial.replace(entry)
-        except OSError:  # another process was faster
-            shutil.rmtree(partial)
+        partial.replace(entry)
         self.shrink(float(os.environ.get("COSIM_CACHE_GB", LIMIT_GB)), {name})
 
     def entries(self) -> list[Entry]:

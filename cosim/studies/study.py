@@ -119,7 +119,7 @@ SHIPPED = Path(__file__).parent / "shipped"
 
 def load(path: Path) -> Study:
     """A study from its TOML file, or one that ships, by name; ValueError in one line for a mistake."""
-    if not path.exists() and (shipped := SHIPPED / f"{path}.toml").is_file():
+    if not path.is_file() and (shipped := SHIPPED / f"{path}.toml").is_file():
         path = shipped
     data = configs.read_toml(path, "study file")
     where = path.name

@@ -16,8 +16,10 @@ from cosim.studies.points import Point, points_of
 from cosim.studies.stages import Cache, default_folder
 from cosim.studies.study import Study, load
 
-FUSED_TOPICS = {"detection", "attack"}
+FUSED_TOPICS = {"detection", "attack", "evidence"}
 """Topics of metrics that need the fused objects of every point."""
+FUSED_TABLES = {"fused", "fused_evidence", "attack_outcomes"}
+"""Tables of the fused objects of every point."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,11 +69,8 @@ def separate(points: Sequence[Point]) -> Plan:
 def needs_fused(study: Study) -> bool:
     """Whether what is measured or kept of every point includes its fused objects."""
     topics = set(study.keep.topics)
-    if study.measuring.own:
-        return True
-    if study.keep.tables is None:
-        return not topics or bool(topics & FUSED_TOPICS)
-    return "fused" in study.keep.tables or not topics or bool(topics & FUSED_TOPICS)
+    kept = set(study.keep.tables or ())
+    return bool(study.measuring.own or kept & FUSED_TABLES or not topics or topics & FUSED_TOPICS)
 
 
 def sweep(
@@ -82,6 +81,7 @@ def sweep(
     folder.prepare(study)
     with folder.locked():
         folder.stop.unlink(missing_ok=True)
+        folder.tidy()
         work = _write(task)
         folder.write_index(study, task.points)
         failed: list[tuple[str, Attempt]] = []

@@ -5,11 +5,11 @@ It ends as soon as the process that started it is gone, because its standard inp
 
 import fcntl
 import json
+import logging
 import os
 import shutil
 import sys
 import threading
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -18,12 +18,15 @@ import pandas as pd
 from cosim import choices
 from cosim import run as running
 from cosim.config import resolve_data
+from cosim.stop import Failed
 from cosim.studies.folder import StudyFolder, status_of
 from cosim.studies.stages import Cache
 from results.archive import drop_tables, open_run
 from results.measure import measure
 from results.metrics.registry import TOPICS
 from results.tables import TABLES
+
+_log = logging.getLogger(__name__)
 
 
 def make(job: Path) -> None:
@@ -35,31 +38,37 @@ def make(job: Path) -> None:
         if study.is_finished(asked["id"]):
             return
         folder = study.run(asked["id"])
-        if status_of(folder) in ("running", "interrupted"):
-            with suppress(ValueError):  # another version, other inputs: made anew
-                running.resume(folder, lambda *_: None)
         if status_of(folder) != "finished":
-            if folder.exists():
-                shutil.rmtree(folder)
-            config = resolve_data(asked["config"], "the plan", None)
             traffic = None if not asked["traffic"] else Cache(Path(asked["cache"])).find("traffic", asked["traffic"])
-            running.run(config, folder, lambda *_: None, traffic)
+            _drive(folder, asked["config"], traffic)
         _measure(folder, job, asked)
         _drop(folder, asked["tables"])
 
 
+def _drive(folder: Path, config: dict[str, Any], traffic: Path | None) -> None:
+    """The run, from its last whole block where an attempt was cut off."""
+    if status_of(folder):
+        try:
+            running.resume(folder, lambda *_: None, traffic)
+            return
+        except ValueError as error:  # nothing whole is there, another version, other inputs, damage
+            _log.warning("%s: made anew (%s)", folder, " ".join(str(error).split()))
+    if folder.exists():
+        shutil.rmtree(folder)
+    running.run(resolve_data(config, "the plan", None), folder, lambda *_: None, traffic)
+
+
 def _measure(folder: Path, job: Path, asked: dict[str, Any]) -> None:
     """Metrics of every point of the run, kept beside it."""
-    run = open_run(folder)
+    topics, frames = tuple(asked["topics"]) or tuple(TOPICS), []
     options = dict(asked["measure"])
     own = options.pop("own", "")
-    frames = []
-    for point, variant in asked["members"].items():
-        topics = tuple(asked["topics"]) or tuple(TOPICS)
-        one = run.as_variant(variant)
-        frames.append(measure(one, topics=topics, **options).assign(point=point))
-        if own:
-            frames.append(choices.function("measure.own", own)(one).assign(point=point))
+    with open_run(folder).variants_apart() as run:
+        for point, variant in asked["members"].items():
+            one = run.as_variant(variant)
+            frames.append(measure(one, topics=topics, **options).assign(point=point))
+            if own:
+                frames.append(choices.function("measure.own", own)(one).assign(point=point))
     partial = job / "measures.parquet.partial"
     pd.concat(frames, ignore_index=True).to_parquet(partial, index=False)
     partial.replace(job / "measures.parquet")
@@ -86,7 +95,7 @@ def main() -> None:
             make(Path(words[0]))
         else:
             Cache(Path(words[0])).make_traffic(words[1], Path(words[2]))
-    except ValueError as error:
+    except (ValueError, Failed, OSError) as error:
         sys.exit(" ".join(str(error).split()))
 
 

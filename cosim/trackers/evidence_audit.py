@@ -1,10 +1,8 @@
-"""How often one look counts more than once on its way into trust values and fused scores."""
+"""How often one look counts more than once on its way into trust values."""
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
-
-from trust.fusion import Fused
 
 
 def count_looks(
@@ -44,7 +42,6 @@ def audit(
     is_fabricated: Bool[ndarray, "d"],
     attacks: Bool[ndarray, "e"],
     n_copies: int,
-    fused: Fused | None,
 ) -> dict[str, ndarray]:
     """Columns of the table `evidence`, one row.
 
@@ -61,7 +58,5 @@ def audit(
         "n_evaluations": len(by),
         "n_looks": count_looks(by, of, message, actor, is_real),
         "n_echoes": int(echoes.sum()),
-        "n_fused_evaluations": 0 if fused is None else int(fused.n_evaluations.sum()),
-        "n_fused_evaluators": 0 if fused is None else int(fused.n_evaluators.sum()),
     }
     return {name: np.array([value]) for name, value in row.items()}

@@ -323,6 +323,8 @@ class TrustHosts:
             np.zeros(n, np.int64),
         )  # fmt: skip
         counted = True
+        if not n:
+            return found
         if params.host == "central":
             for broadcast, rows, at in self.downlink.lookup(state.hosts[h].downlink, vehicle, subject):
                 counted &= self._fill(found, rows, broadcast.scores, at, h, time_s)

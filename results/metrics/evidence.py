@@ -9,16 +9,23 @@ from results.run import Run
 def multiplicity(run: Run) -> pd.DataFrame:
     """One row: trust and fused (how often a look counts), echoes (share of the evaluations), copies (per evaluation).
 
-    NaN where there is nothing to count.
+    NaN where there is nothing to count; of the run's variant.
     """
-    return pd.DataFrame([_ratios(run.evidence.drop(columns="step").sum())])
+    return pd.DataFrame([_ratios(_counts(run).sum())])
 
 
 def over_time(run: Run, every_s: float = 10.0) -> pd.DataFrame:
     """The same in windows of time: time_s (of their start) and the columns of `multiplicity`."""
-    frame = run.evidence
-    slots = frame.drop(columns="step").groupby(np.floor(frame.step * run.dt_s / every_s) * every_s).sum()
+    counts = _counts(run)
+    slots = counts.groupby(np.floor(counts.index * run.dt_s / every_s) * every_s).sum()
     return pd.DataFrame([{"time_s": time_s} | _ratios(total) for time_s, total in slots.iterrows()])
+
+
+def _counts(run: Run) -> pd.DataFrame:
+    """Counts of both tables by step; those of fused objects as n_fused_evaluations and n_fused_evaluators."""
+    fused = run.variant_table("fused_evidence", ["step", "n_evaluations", "n_evaluators"]).set_index("step")
+    fused.columns = ["n_fused_evaluations", "n_fused_evaluators"]
+    return run.evidence.set_index("step").join(fused)
 
 
 def _ratios(total: pd.Series) -> dict[str, float]:

@@ -3,7 +3,7 @@
 Definitions and sources are in `results/FRESHNESS.md`.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -131,7 +131,7 @@ def peaks(run: Run) -> pd.DataFrame:
     rows = []
     for what in ("value", "newest evaluation"):
         sums, counts = _Totals(1), _Totals(1)
-        for block, part in enumerate(_lookups(run, ["receiver", "subject", AGES[what]])):
+        for block, part in enumerate(_lookups(run, ["receiver", "subject", AGES[what]], by_block=True)):
             if block % stride == 0:
                 age_s = part[AGES[what]].to_numpy(np.float64)
                 at = _before_renewal(part, age_s)
@@ -283,9 +283,20 @@ def _columns(estimate: Estimate, value: str) -> dict[str, float]:
     return {value: estimate.value, "low": estimate.low, "high": estimate.high, "n_units": estimate.n_units}
 
 
-def _lookups(run: Run, columns: list[str]) -> Iterator[pd.DataFrame]:
+_IN_MEMORY = 2_000_000
+"""Rows of `trust_lookups` up to which they are read once for all metrics."""
+_ASKED = ["step", "receiver", "subject", "state", *AGES.values(), "n_evaluations", "n_evaluators"]
+
+
+def _lookups(run: Run, columns: list[str], by_block: bool = False) -> Iterator[pd.DataFrame]:
+    """Lookups of the run's variant: together where they fit into memory, else block by block."""
+    parts: Iterable[pd.DataFrame]
+    if by_block or run.n_rows("trust_lookups") // len(run.variants) > _IN_MEMORY:
+        parts = run.variant_parts("trust_lookups", columns)
+    else:
+        parts = [run.once("freshness.lookups", lambda: run.variant_table("trust_lookups", _ASKED))[columns]]
     empty = True
-    for part in run.variant_parts("trust_lookups", columns):
+    for part in parts:
         empty &= part.empty
         yield part
     if empty:

@@ -1,5 +1,6 @@
 """Intervals of ratios and means over units that are independent of each other: vehicles, not messages."""
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -12,6 +13,7 @@ FEW = 10
 """Fewer units than this are too few for a figure: a result then says so."""
 _DRAWS = 1000
 _FEWEST = 3
+_FEW_TO_KEEP = 200
 
 
 class Estimate(NamedTuple):
@@ -59,9 +61,23 @@ def ratio(top: Float[ndarray, "u"], bottom: Float[ndarray, "u"], level: float = 
     value = float(top.sum() / bottom.sum())
     if n < _FEWEST:
         return Estimate(value, float("nan"), float("nan"), n)
-    drawn = np.random.default_rng(0).multinomial(n, np.full(n, 1 / n), size=_DRAWS)
+    drawn = _drawn(n)
     low, high = np.quantile((drawn @ top) / (drawn @ bottom), [(1 - level) / 2, (1 + level) / 2])
     return Estimate(value, float(low), float(high), n)
+
+
+def _drawn(n: int) -> Float[ndarray, "draws n"]:
+    """How often each of `n` units is drawn, in every draw; kept for few units, where it takes longer than its use."""
+    return _kept(n) if n <= _FEW_TO_KEEP else _multinomial(n)
+
+
+@lru_cache(maxsize=64)
+def _kept(n: int) -> Float[ndarray, "draws n"]:
+    return _multinomial(n)
+
+
+def _multinomial(n: int) -> Float[ndarray, "draws n"]:
+    return np.random.default_rng(0).multinomial(n, np.full(n, 1 / n), size=_DRAWS).astype(float)
 
 
 def share(top: Float[ndarray, "u"], bottom: Float[ndarray, "u"], level: float = LEVEL) -> Estimate:

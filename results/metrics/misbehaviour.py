@@ -28,6 +28,10 @@ def scored_vehicles(run: Run) -> pd.DataFrame:
     -------
     step, subject, role, trust (null where the ledger has none), rated.
     """
+    return run.once("misbehaviour.scored_vehicles", lambda: _scored(run))
+
+
+def _scored(run: Run) -> pd.DataFrame:
     known = trust.values(run)
     who = _watched(run).reset_index()
     steps = np.unique(known.step)
@@ -135,7 +139,8 @@ def detection_delay(run: Run, threshold: float = 0.25, at: trust.At = "server") 
     is_low = pc.field("trust") < threshold
     table = "trust" if at == "server" else "trust_lookups"
     low = run.variant_table(table, ["step", "subject"], is_low & (pc.field("n_evaluations") > 0))
-    low = low.merge(who.reset_index(), on="subject").query("since <= step <= until")
+    low = low.merge(who.reset_index(), on="subject")
+    low = low[(low.since <= low.step) & (low.step <= low.until)]
     first = low.groupby("subject").step.min().reindex(who.index)
     found = first.notna()
     delay_s = (first.where(found, who.until) - who.since) * run.dt_s
@@ -181,6 +186,10 @@ _NONE_RATED = (
 
 def _watched(run: Run) -> pd.DataFrame:
     """Subjects to be classified, by number: role, and the steps `since` and `until` which they are watched."""
+    return run.once("misbehaviour.watched", lambda: _watched_of(run))
+
+
+def _watched_of(run: Run) -> pd.DataFrame:
     who = run.subjects
     if not who.attack_start_step.notna().any():
         raise ValueError(f"{run.path} holds no attacks. Raise the share_p of an attack, or run past its start_s.")

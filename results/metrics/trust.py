@@ -18,7 +18,7 @@ _INSTANTS = 600
 
 def kept_at(run: Run) -> At:
     """Where trust is kept: at the server if it ever computed any."""
-    return "server" if len(run.variant_table("trust", ["step"])) else "vehicles"
+    return run.once("trust.kept_at", lambda: "server" if len(run.variant_table("trust", ["step"])) else "vehicles")
 
 
 def values(run: Run) -> pd.DataFrame:
@@ -28,6 +28,10 @@ def values(run: Run) -> pd.DataFrame:
     that could see. Without a server, the mean over the receivers that look the subject up and hold such a value of
     their own, at 600 instants at most.
     """
+    return run.once("trust.values", lambda: _values(run))
+
+
+def _values(run: Run) -> pd.DataFrame:
     if kept_at(run) == "server":
         frame = run.variant_table("trust", ["step", "subject", "trust", "n_evaluations"])
         frame = frame.assign(rated=frame.n_evaluations > 0)

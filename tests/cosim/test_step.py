@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cosim.cycle import State, step
+from cosim.cycle import step
 from cosim.reproduce.scenarios import ScriptedScene
+from cosim.state import State
 from cosim.v2x.pseudonyms import Never, Pseudonyms
 from tests.scene import assert_same, parts_of, play
 

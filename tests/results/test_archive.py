@@ -12,8 +12,8 @@ from results.tables import TABLES
 from tests.results.synthetic import write
 
 EMPTY = (
-    "encounter_trust", "reactions", "dropped_detections", "evidence", "transmitted_evaluations", "transmitted_scores",
-    "attack_outcomes",
+    "encounter_trust", "reactions", "dropped_detections", "evidence", "fused_evidence", "transmitted_evaluations",
+    "transmitted_scores", "attack_outcomes", "lookup_totals", "position_errors",
 )  # fmt: skip
 """Tables without rows in a run with one trust variant and no driver."""
 

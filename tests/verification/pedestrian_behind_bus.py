@@ -18,8 +18,9 @@ import numpy as np
 
 from cosim import rng
 from cosim.config import load
-from cosim.cycle import State, step
+from cosim.cycle import step
 from cosim.parts import Parts
+from cosim.state import State
 from cosim.world import LanePaths, World
 from sensors.boxes import Boxes
 from sensors.scene import Scene, Shape

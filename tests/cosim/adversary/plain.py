@@ -9,8 +9,9 @@ from cosim import recording
 from cosim.actors import ActorRegistry
 from cosim.adversary.params import named, shares
 from cosim.config import resolve_data
-from cosim.cycle import State, step
+from cosim.cycle import step
 from cosim.parts import Parts
+from cosim.state import State
 from cosim.world import World
 from results.tables import TABLES
 from sensors.boxes import Boxes

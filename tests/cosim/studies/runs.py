@@ -35,8 +35,6 @@ def drive(folder: Path, *overrides: str) -> Run:
 def of_variant(run: Run, table: str) -> pd.DataFrame:
     """A table as a run of this variant alone would hold it."""
     frame = run.variant_table(table).reset_index(drop=True)
-    if table == "evidence":  # counts of what the acting variant fuses; a run has one
-        frame = frame.drop(columns=["n_fused_evaluations", "n_fused_evaluators"])
     if "variant" in frame:
         assert set(frame.variant) <= {run.variant}
         frame = frame.assign(variant=BASE_VARIANT)

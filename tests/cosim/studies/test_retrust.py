@@ -4,6 +4,7 @@ import pytest
 
 from cosim.studies.retrust import retrust
 from results.archive import open_run
+from results.verify import verify
 from tests.cosim.studies.runs import assert_same, drive
 
 VARIANTS = """
@@ -20,10 +21,10 @@ model = "beta"
 """
 
 
-@pytest.mark.parametrize("how", ["alone", "piggybacked"])
+@pytest.mark.parametrize("how", ["alone", pytest.param("piggybacked", marks=pytest.mark.verify)])
 def test_as_if_they_had_been_in_the_run(tmp_path, how):
     common = ("record.level=full", f"radio.evaluations={how}", "record.block_steps=10")
-    run = drive(tmp_path / "run", *common)
+    run = drive(tmp_path / "run", *common, "trust_variant=[]")
     (tmp_path / "variants.toml").write_text(VARIANTS)
     words = [
         "trust_variant.0.name=short", "trust_variant.0.freshness_s=7", "trust_variant.0.server_period_s=2",
@@ -35,6 +36,7 @@ def test_as_if_they_had_been_in_the_run(tmp_path, how):
     assert again.variants == ("base", "short", "own", "beta")
     for name in again.variants:
         assert_same(with_variants.as_variant(name), again.as_variant(name))
+    assert verify(again.path)[1] == []
     (tmp_path / "one.toml").write_text(VARIANTS[: VARIANTS.index("[[trust_variant]]", 5)])
     (tmp_path / "rest.toml").write_text(VARIANTS[VARIANTS.index("[[trust_variant]]", 5) :])
     first = retrust(run.path, tmp_path / "one.toml", tmp_path / "first")
