@@ -386,13 +386,25 @@ def view(
 @app.command()
 def bench(
     only: Annotated[
-        list[str] | None, typer.Argument(help="sensors, trust, radio, mobility, results, cycle, variants.")
+        list[str] | None,
+        typer.Argument(help="sensors, trust, radio, mobility, results, cycle, variants; or scale, alone."),
     ] = None,
+    scenario: Annotated[str, typer.Option(help="scale: a city or .sumocfg, as traffic.scenario.")] = "helsinki",
+    trace: Annotated[str | None, typer.Option(help="scale: recorded traffic, as traffic.trace.")] = None,
+    vehicles: Annotated[str, typer.Option(help="scale: numbers of actors to crop to.")] = "250,500,1000,2000,5000",
+    seconds: Annotated[int, typer.Option(min=1, max=3600, help="scale: simulated seconds to measure.")] = 5,
     as_json: AsJson = False,
 ) -> None:
     """Measure the speed of every room on this machine."""
-    from cosim.bench import BENCHES, machine, run
+    from cosim.bench import BENCHES, machine, run, run_scale
 
+    if only == ["scale"]:
+        rows = run_scale(scenario, trace, vehicles, seconds)
+        if as_json:
+            print_json({"machine": machine(), "figures": rows})
+        else:
+            screen.print(table_of(machine(), rows))
+        return
     if unknown := set(only or ()) - set(BENCHES):
         raise ValueError(f"cosim bench {' '.join(unknown)}: no such benchmark. There are {', '.join(BENCHES)}.")
     rows = [

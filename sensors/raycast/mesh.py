@@ -12,6 +12,7 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 
 from sensors.boxes import Boxes
+from sensors.range_noise import RangeNoise, add_noise_to_all
 from sensors.scene import Hit, Prisms, Scene, roof_triangles
 
 TILE_M = 256.0
@@ -24,6 +25,7 @@ Tracer = Callable[[Float[ndarray, "r 3"], Float[ndarray, "r 3"]], tuple[Float[nd
 def cast(
     tracer_of: Callable[[ndarray], Tracer],
     range_m, hit, poses, ground_m, observers, beams, max_range_m, boxes: Boxes, bodies: Prisms, scene: Scene,
+    noise: RangeNoise,
 ):  # fmt: skip
     """Fill `range_m` and `hit` of every observer; `tracer_of` makes an engine from triangles (t, 3, 3)."""
     city, body = city_triangles(scene), body_triangles(bodies)
@@ -44,6 +46,7 @@ def cast(
                 range_m[o], hit[o], poses.origin_m[o] - centre, poses.yaw_rad[o], ground_m[o] - centre[2],
                 Hit.ACTOR + observers[o], beams, max_range_m, trace, code[close],
             )  # fmt: skip
+    add_noise_to_all(range_m, hit, noise)
 
 
 def _sweep(range_m, hit, origin, yaw, ground, own, beams, max_range_m, trace: Tracer | None, code) -> None:
