@@ -74,9 +74,8 @@ class Drive:
         recomputes = first > 0 and self.state is None
         state = State.start(self.parts) if self.state is None else self.state
         self.state = None
-        self.stop.at_once = first > 0
         for number in range(config.n_steps):
-            if number == first:
+            if number == max(first, 1):  # the very first step may compile kernels, for a minute
                 self.stop.at_once = False
             if (world := self._next(number)) is None:
                 break
@@ -161,7 +160,14 @@ class Drive:
             "evaluations_rejected": self.parts.trust.rejected(state.trust),
             **_pseudonym_summary(self.parts.config, state),
             **({"ended_early": self.ended} if self.ended else {}),
+            **({"victims_absent": absent} if (absent := self._absent_victims()) else {}),
         }
+
+    def _absent_victims(self) -> list[str]:
+        """Keys of the config that name a victim that was never on the road."""
+        known = set(self.registry.names)
+        named = ((n, p.victim_id) for n, p in enumerate(self.parts.config.attacks) if p.victim == "one")
+        return [f'attacks.{n}.victim_id = "{name}"' for n, name in named if name not in known]
 
     def _check_repeated(self, world: World) -> None:
         """The traffic repeated must be the one recorded: the same SUMO, the same files."""

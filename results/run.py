@@ -7,6 +7,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Self, TypeVar
 
+import numpy as np
 import pandas as pd
 import pyarrow as pa
 import pyarrow.compute as pc
@@ -155,8 +156,14 @@ class Run:
         own = [c for c in TABLES["encounter_trust"].columns if c != "variant"]
         key = [c for c in own if c in TABLES["encounters"].key]
         mine = self._table("encounter_trust", own, *self._of_variant("encounter_trust", None))
-        kept = [c for c in TABLES["encounters"].columns if c in key or (c in wanted and c not in own)]
-        return self.table("encounters", kept, where).merge(mine, on=key, how="left")[wanted]
+        if where is not None:
+            kept = [c for c in TABLES["encounters"].columns if c in key or (c in wanted and c not in own)]
+            return self.table("encounters", kept, where).merge(mine, on=key, how="left")[wanted]
+        frame = self.encounters
+        at = np.empty(len(frame), np.int64)  # every encounter has one row of each variant
+        at[_order(frame, key)] = _order(mine, key)
+        assert len(frame) == len(mine), "encounters and encounter_trust have the same encounters"
+        return pd.DataFrame({c: (mine[c].take(at) if c in own else frame[c]).array for c in wanted})
 
     def variant_parts(
         self, name: str, columns: Sequence[str] | None = None, where: pc.Expression | None = None
@@ -289,6 +296,12 @@ class Run:
     def role_labels(self) -> tuple[str, ...]:
         """Labels of the roles of this run, in the order of their codes."""
         return TABLES["vehicles"].columns["role"].labels(self.manifest)
+
+
+def _order(frame: pd.DataFrame, key: Sequence[str]) -> np.ndarray:
+    """Rows in the order of their key."""
+    columns = [frame[c].cat.codes if isinstance(frame[c].dtype, pd.CategoricalDtype) else frame[c] for c in key[::-1]]
+    return np.lexsort([column.to_numpy() for column in columns])
 
 
 def problems_of(folder: Path, table: str, found: Inventory, is_over: bool) -> Iterator[str]:

@@ -210,7 +210,7 @@ TABLES: Mapping[str, Table] = {
         "Detections in the lists that attacks make up or change that no message can hold, and that are dropped before they are sent, by cause.",
         {
             "step": _STEP,
-            "cause": Column("category", key=True, categories=labels(DetectionFault), meaning="First cause that applies: not finite; more than 10 km from the observer, or a heading beyond a full turn; a size of 0 or less or above 1 km; a score outside [0, 1]; a class that does not exist; a number outside of 15 bits; a number that the list has already; more than 255 objects."),
+            "cause": Column("category", key=True, categories=labels(DetectionFault), meaning="First cause that applies: not finite; more than 10 km from the observer, or a heading beyond a full turn; a size of 0 or less or above 1 km; a score outside [0, 1]; a class that does not exist; a number outside of 15 bits, or a count of returns outside of 31; a number that the list has already; more than 255 objects; a speed or an acceleration beyond 1,000."),
             "n": _count("Detections dropped."),
         },
     ),

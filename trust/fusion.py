@@ -64,7 +64,8 @@ class GroupSums:
     trust: Float[ndarray, "g"]  # sum of the detectors' trust
     numerator: Float[ndarray, "g"]  # sum over members and evaluators of Phi T e
     weight: Float[ndarray, "g"]  # sum over members and evaluators of Phi T
-    parity: "Parity"
+    parity: "Parity | None"
+    """None where the formulas are not those of the published code."""
     evidence: SensorEvidence
 
 
@@ -184,7 +185,7 @@ def _implausible(g: GroupSums, p: TrustParams) -> Bool[ndarray, "g"]:
 
 
 def _average(g: GroupSums, p: TrustParams) -> ndarray:
-    return g.parity.mean_or_own if p.code_parity else _ratio(g.numerator, g.weight)
+    return g.parity.mean_or_own if g.parity else _ratio(g.numerator, g.weight)
 
 
 def _trupercept_1(g: GroupSums, p: TrustParams) -> ndarray:
@@ -197,7 +198,7 @@ def _local_bias(g: GroupSums, p: TrustParams) -> ndarray:
 
 
 def _unchecked_2(g: GroupSums, p: TrustParams) -> ndarray:
-    return g.parity.mean_or_score if p.code_parity else g.numerator / g.n
+    return g.parity.mean_or_score if g.parity else g.numerator / g.n
 
 
 def _trupercept_2(g: GroupSums, p: TrustParams) -> ndarray:
@@ -205,7 +206,7 @@ def _trupercept_2(g: GroupSums, p: TrustParams) -> ndarray:
 
 
 def _trupercept_3(g: GroupSums, p: TrustParams) -> ndarray:
-    near, far = (g.own, g.parity.of_seed) if p.code_parity else (_unchecked_2(g, p), _unchecked_2(g, p))
+    near, far = (g.own, g.parity.of_seed) if g.parity else (_unchecked_2(g, p), _unchecked_2(g, p))
     unseen = (g.evidence.n_points < p.blind_points) & ~_implausible(g, p)
     foreign = np.where(g.evidence.in_range, np.where(unseen, near, 0.0), far)
     return np.where(g.ego_detected, g.own, foreign)
@@ -232,13 +233,13 @@ def _local_confirmed(g: GroupSums, p: TrustParams) -> ndarray:
 
 
 def _averaging(g: GroupSums, p: TrustParams) -> ndarray:
-    if p.code_parity:
+    if g.parity:
         return _ratio(g.parity.certain_score, g.n * g.parity.certain)
     return _ratio(g.trusted_scores, g.trust)
 
 
 def _additive(g: GroupSums, p: TrustParams) -> ndarray:
-    return g.parity.certain_score if p.code_parity else g.trusted_scores
+    return g.parity.certain_score if g.parity else g.trusted_scores
 
 
 def _half_additive(g: GroupSums, p: TrustParams) -> ndarray:
@@ -317,7 +318,8 @@ def fuse(
     """
     m = lists.member.size
     seeds = groups.seeds()
-    group, n_evaluators = np.searchsorted(seeds, groups.seed), np.zeros(seeds.size, np.int64)
+    group = (np.cumsum(groups.seed == np.arange(m)) - 1)[groups.seed]
+    n_evaluators = np.zeros(seeds.size, np.int64)
     num, den, detector = np.zeros(m), np.zeros(m), np.zeros(m)
     n = np.zeros(m, np.int64)
     rows = (lists.owner, evaluated.owner, sender_trust.message, detections.message)
@@ -349,17 +351,12 @@ def fuse(
         return np.bincount(group, x, seeds.size).astype(float)  # integers where there is nothing
 
     size = np.bincount(group, minlength=seeds.size)
-    mean = params.method in AVERAGES if params.code_aggregate == "by_method" else params.code_aggregate == "mean"
-    aggregate = _ratio(num, den) if mean else num
-    certain = np.where(detections.is_self[member], 1.0, -1.0) * detector
-    by_ego = detections.message[member] == lists.owner[lists.of_member()]
-    parity = Parity(
-        mean_or_own=total(np.where(n > 0, aggregate, np.where(by_ego, score_of_member, 0.0))) / size,
-        mean_or_score=total(np.where(n > 0, aggregate, score_of_member)) / size,
-        of_seed=aggregate[seeds],
-        certain=total(certain),
-        certain_score=total(score_of_member * certain),
-    )
+    parity = None
+    if params.code_parity:
+        by_ego = detections.message[member] == lists.owner[lists.of_member()]
+        parity = _parity(
+            num, den, n, score_of_member, detections.is_self[member], detector, by_ego, seeds, total, params
+        )
     sums = GroupSums(
         size, groups.ego_detected[seeds], score_of_member[seeds], total(score_of_member),
         total(score_of_member * detector), total(detector), total(num), total(den), parity, evidence,
@@ -385,6 +382,24 @@ def fuse(
         total(n.astype(float)).astype(np.int64), n_evaluators,
     )  # fmt: skip
     return fused.take(~(sums.ego_detected & detections.is_self[row]))
+
+
+def _parity(
+    num: Float[ndarray, "m"], den: Float[ndarray, "m"], n: Int[ndarray, "m"], score: Float[ndarray, "m"],
+    is_self: Bool[ndarray, "m"], detector: Float[ndarray, "m"], by_ego: Bool[ndarray, "m"], seeds: Int[ndarray, "g"],
+    total: Callable[[ndarray], ndarray], params: TrustParams,
+) -> Parity:  # fmt: skip
+    """Per group what the published code's formulas need; arguments per member, `total` sums them per group."""
+    mean = params.method in AVERAGES if params.code_aggregate == "by_method" else params.code_aggregate == "mean"
+    aggregate = _ratio(num, den) if mean else num
+    certain, size = np.where(is_self, 1.0, -1.0) * detector, total(np.ones(len(num)))
+    return Parity(
+        mean_or_own=total(np.where(n > 0, aggregate, np.where(by_ego, score, 0.0))) / size,
+        mean_or_score=total(np.where(n > 0, aggregate, score)) / size,
+        of_seed=aggregate[seeds],
+        certain=total(certain),
+        certain_score=total(score * certain),
+    )
 
 
 def _canonical(sender_trust: SenderTrust) -> SenderTrust:

@@ -225,9 +225,12 @@ class Downlink:
         return DownlinkState(state.broadcasts, state.last, coming, state.pending_rsu, state.on_air), int(got.sum())
 
     def receive(self, state: DownlinkState, present: Int[ndarray, "m"], time_s: float) -> DownlinkState:
-        """What arrived by `time_s` is received; what no vehicle on the road (`present`, ascending) has is dropped."""
+        """What arrived by `time_s` is received; broadcasts that no vehicle on the road has are dropped with the next
+        arrival. `present` is ascending."""
         last = state.last
         size = int(present[-1]) + 1 if len(present) else 0
+        if not state.under_way and size <= len(last):
+            return state
         if size > len(last):
             last = np.concatenate([last, np.full(max(size, 2 * len(last), 64) - len(last), -1)])
         else:

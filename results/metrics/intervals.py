@@ -13,6 +13,7 @@ FEW = 10
 """Fewer units than this are too few for a figure: a result then says so."""
 _DRAWS = 1000
 _FEWEST = 3
+_FEW_TO_KEEP = 200
 
 
 class Estimate(NamedTuple):
@@ -65,10 +66,18 @@ def ratio(top: Float[ndarray, "u"], bottom: Float[ndarray, "u"], level: float = 
     return Estimate(value, float(low), float(high), n)
 
 
-@lru_cache(maxsize=8)
-def _drawn(n: int) -> Int[ndarray, "draws n"]:
-    """How often each of `n` units is drawn, in every draw; metrics of one run ask for the same few `n` again."""
-    return np.random.default_rng(0).multinomial(n, np.full(n, 1 / n), size=_DRAWS)
+def _drawn(n: int) -> Float[ndarray, "draws n"]:
+    """How often each of `n` units is drawn, in every draw; kept for few units, where it takes longer than its use."""
+    return _kept(n) if n <= _FEW_TO_KEEP else _multinomial(n)
+
+
+@lru_cache(maxsize=64)
+def _kept(n: int) -> Float[ndarray, "draws n"]:
+    return _multinomial(n)
+
+
+def _multinomial(n: int) -> Float[ndarray, "draws n"]:
+    return np.random.default_rng(0).multinomial(n, np.full(n, 1 / n), size=_DRAWS).astype(float)
 
 
 def share(top: Float[ndarray, "u"], bottom: Float[ndarray, "u"], level: float = LEVEL) -> Estimate:
