@@ -20,6 +20,8 @@ from results.encounters import Rows
 from sensors.boxes import Boxes
 from trust.fusion import Fused
 
+_BUCKETS = 1 << 16
+
 PATH_M = 50.0
 """Length of a vehicle's path, straight ahead of its centre [m]: the distance to stop from 80 km/h or less."""
 
@@ -105,6 +107,10 @@ def _best(
     key: Int[ndarray, "f"], score: Float[ndarray, "f"], wanted: Int[ndarray, "k"]
 ) -> tuple[Float[ndarray, "k"], Bool[ndarray, "k"]]:
     """Largest score of each wanted key, and whether it has any."""
+    asked = np.zeros(_BUCKETS, bool)  # few keys are wanted: the others are not sorted
+    asked[wanted & _BUCKETS - 1] = True
+    rows = np.flatnonzero(asked[key & _BUCKETS - 1])
+    key, score = key[rows], score[rows]
     order = np.lexsort((score, key))
     key, score = key[order], score[order]
     at = np.searchsorted(key, wanted, "right") - 1

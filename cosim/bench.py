@@ -5,6 +5,7 @@ import platform
 from dataclasses import replace
 from importlib import import_module
 from time import perf_counter
+from typing import Any
 
 import numba
 import numpy as np
@@ -86,6 +87,7 @@ BENCHES: dict[str, str] = {
     "mobility": "cosim.mobility.bench",
     "results": "results.bench",
     "cycle": "cosim.bench",
+    "driver": "cosim.driver.bench",
     "variants": "cosim.bench_variants",
 }
 """Modules whose `bench()` measures a room."""
@@ -94,6 +96,21 @@ BENCHES: dict[str, str] = {
 def run(name: str) -> list[Row]:
     """The figures of one benchmark."""
     return import_module(BENCHES[name]).bench()
+
+
+def run_scale(scenario: str, trace: str | None, vehicles: str, seconds: int) -> list[dict[str, Any]]:
+    """Figures of `cosim.bench_scale`; ValueError in one line for numbers that are none."""
+    try:
+        sizes = tuple(int(size) for size in vehicles.split(","))
+    except ValueError:
+        sizes = ()
+    if not sizes or min(sizes) < 1:
+        raise ValueError(f"--vehicles {vehicles}: whole numbers from 1, with commas between them, are wanted.")
+    figures = import_module("cosim.bench_scale").bench(scenario, trace, sizes, seconds)
+    return [
+        {"metric": f"scale.{figure}", "group": "", "value": value, "unit": unit, "label": ""}
+        for figure, value, unit in figures
+    ]  # fmt: skip
 
 
 def machine() -> str:

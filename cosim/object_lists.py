@@ -12,7 +12,7 @@ from cosim.v2x.messages import SELF, Detections
 from sensors import evidence
 from sensors.boxes import Boxes
 from sensors.evidence import AreaParams
-from sensors.lidar import Sweeps
+from sensors.lidar import RangeImages
 from trust import tables
 from trust.tables import EvaluationMessages, Evaluations, ObjectLists
 
@@ -44,7 +44,7 @@ def received_lists(
     receiver = np.concatenate([vehicle, received.receiver])
     message = np.concatenate([np.arange(len(vehicle)), received.message])
     is_own = message == own[receiver]
-    order = np.lexsort((message, ~is_own, receiver))
+    order = np.argsort((receiver * 2 + ~is_own) * len(vehicle) + message, kind="stable")
     receiver, message = receiver[order], message[order]
     member, which = expand(ptr[message], ptr[message + 1])
     of_list = receiver[which]
@@ -58,7 +58,7 @@ def subset(lists: ObjectLists, keep: Bool[ndarray, "m"]) -> ObjectLists:
 
 
 def sweep_evidence(
-    sweeps: Sweeps, lists: ObjectLists, evaluated: Bool[ndarray, "m"], foreign: Bool[ndarray, "m"], boxes: Boxes,
+    sweeps: RangeImages, lists: ObjectLists, evaluated: Bool[ndarray, "m"], foreign: Bool[ndarray, "m"], boxes: Boxes,
     detections: tables.Detections, area: AreaParams,
 ) -> tuple[Int[ndarray, "m"], Bool[ndarray, "m"]]:  # fmt: skip
     """What each vehicle's own sweep says of the boxes in its list: returns inside, and whether free space allows them.

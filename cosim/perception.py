@@ -1,9 +1,10 @@
 """What equipped vehicles perceive: sweeps, which actors could be seen in them, detections and self reports."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, replace
+from typing import Any, TypeVar
 
 import numpy as np
-from jaxtyping import Bool, Int, UInt64
+from jaxtyping import Bool, Float32, Int, Int32, UInt64
 from numpy import ndarray
 
 from cosim import rng
@@ -11,15 +12,21 @@ from cosim.stopwatch import Stopwatch
 from cosim.v2x.messages import SENSED, Detections, self_reports
 from cosim.world import World
 from sensors import detector, evidence, lidar
+from sensors.boxes import Boxes
 from sensors.detector import Detector, DetectorDraws
 from sensors.scene import Scene
+
+_Rows = TypeVar("_Rows", evidence.Observability, detector.DetectedBoxes)
+
+GROUP = 2048
+"""Observers whose sweeps are read at once for what their rays met."""
 
 
 @dataclass(frozen=True, slots=True)
 class Observed:
     """What all equipped vehicles perceived in one step; `e` counts them."""
 
-    sweeps: lidar.Sweeps
+    sweeps: lidar.RangeImages
     """Valid until the next step is perceived: its memory is used again."""
     observability: evidence.Observability
     detections: Detections
@@ -41,27 +48,48 @@ class Perception:
     """Whether every vehicle also reports itself."""
     seed: int
     dt_s: float
-    _memory: lidar.Sweeps | None = field(default=None, repr=False)
-    """Of the last sweeps, written over by the next."""
+    _range_m: Float32[ndarray, "n a e"] | None = field(default=None, repr=False)
+    """Memory of the last sweeps, written over by the next."""
+    _hit: Int32[ndarray, "n a e"] | None = field(default=None, repr=False)
+    """The same of what their rays met, which is read group by group of observers."""
 
     def __call__(self, world: World, observers: Int[ndarray, "e"], watch: Stopwatch) -> Observed:
         """What these rows of the world perceive."""
-        with watch("sweep"):
-            sweeps = self.sweep(world, observers)
+        rays = lidar.n_rays(self.lidar)
+        range_m = self._range_m = lidar.buffer((len(observers), *rays), np.float32, self._range_m)
+        hit = self._hit = lidar.buffer((min(len(observers), GROUP), *rays), np.int32, self._hit)
+        images: list[lidar.RangeImages] = []
+        seen: list[evidence.Observability] = []
+        found: list[detector.DetectedBoxes] = []
+        for first in range(0, len(observers), GROUP):
+            some = observers[first : first + GROUP]
+            with watch("sweep"):
+                memory = range_m[first : first + GROUP], hit[: len(some)]
+                sweeps = self._scan(world, some, memory)
+            with watch("detect"):
+                here = evidence.observability(sweeps, world.boxes, world.shape)
+                draws = self.draws(world, some)
+                reports = detector.detect(self.detector, sweeps, here, world.boxes, world.label, draws)
+            images.append(sweeps)
+            seen.append(replace(here, observer=here.observer + np.int32(first)))
+            found.append(replace(reports, observer=reports.observer + np.int32(first)))
         with watch("detect"):
-            return self.detect(world, observers, sweeps)
+            whole = lidar.joined(range_m, images)
+            return self._observed(world, observers, whole, _concat(seen), _concat(found))
 
     def sweep(self, world: World, observers: Int[ndarray, "e"]) -> lidar.Sweeps:
-        """Range images of these rows of the world."""
-        keys = sweep_keys(self.seed, world, observers)
-        self._memory = lidar.scan(world.boxes, world.shape, observers, self.city, self.lidar, keys, self._memory)
-        return self._memory
+        """Sweeps of these rows of the world, with what each ray met; in memory of their own."""
+        return self._scan(world, observers, None)
 
-    def detect(self, world: World, observers: Int[ndarray, "e"], sweeps: lidar.Sweeps) -> Observed:
-        """Detections of these rows of the world, from their sweeps; the truth's name is dropped here."""
-        seen = evidence.observability(sweeps, world.boxes, world.shape)
-        draws = self.draws(world, observers)
-        found = detector.detect(self.detector, sweeps, seen, world.boxes, world.label, draws)
+    def _scan(self, world: World, observers: Int[ndarray, "e"], memory: tuple[ndarray, ndarray] | None) -> lidar.Sweeps:
+        keys = sweep_keys(self.seed, world, observers)
+        return lidar.scan(world.boxes, world.shape, observers, self.city, self.lidar, keys, memory)
+
+    def _observed(
+        self, world: World, observers: Int[ndarray, "e"], sweeps: lidar.RangeImages, seen: evidence.Observability,
+        found: detector.DetectedBoxes,
+    ) -> Observed:  # fmt: skip
+        """The truth's name is dropped here."""
         n = len(found.observer)
         sensed = Detections.perceived(
             observer=observers[found.observer],
@@ -87,6 +115,15 @@ class Perception:
             site_step=rng.keys(rng.key(self.seed, rng.Stream.CLUTTER, step), names[observers]),
             site_observer=rng.keys(site, names[observers]),
         )
+
+
+def _concat(parts: list[_Rows]) -> _Rows:
+    """The rows of all parts, in order."""
+    joined: dict[str, Any] = {}
+    for column in fields(parts[0]):
+        values = [getattr(part, column.name) for part in parts]
+        joined[column.name] = Boxes.concat(values) if isinstance(values[0], Boxes) else np.concatenate(values)
+    return replace(parts[0], **joined)
 
 
 def sweep_keys(seed: int, world: World, observers: Int[ndarray, "e"]) -> UInt64[ndarray, "e"]:

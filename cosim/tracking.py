@@ -5,8 +5,9 @@ from jaxtyping import Bool, Int
 from numpy import ndarray
 
 from cosim.radio.message_round import MessageRound, Receptions
+from cosim.ragged import order_by_two
 from cosim.trackers.encounters import EncounterTrackers
-from cosim.trackers.inter_reception import InterReceptionTracker, unique_pairs
+from cosim.trackers.inter_reception import InterReceptionTracker, contained, unique_pairs
 from results.encounters import Rows
 from trust.tables import ObjectLists
 
@@ -34,7 +35,8 @@ def track_receptions(
     """
     sender, receiver = pairs
     n = len(actor)
-    got = np.isin(sender * n + receiver, vehicle[received.message] * n + received.receiver)
+    order = order_by_two(vehicle[received.message], received.receiver, n)
+    got = contained(sender, receiver, vehicle[received.message[order]], received.receiver[order])
     return tracker.update(step, actor[sender], actor[receiver], got)
 
 
@@ -58,5 +60,7 @@ def count_in_encounters(
     trackers.note_trust(actor[used.receiver], actor[vehicle[used.message]], is_known)
     evaluator, observer = lists.of_member(), vehicle[message[lists.member]]
     others, n = evaluator != observer, len(actor)
-    pair, count = np.unique(evaluator[others] * n + observer[others], return_counts=True)
-    trackers.count_evaluations(actor[pair // n], actor[pair % n], count)
+    pair = evaluator[others] * n + observer[others]
+    begins = np.flatnonzero(np.diff(pair, prepend=-1))  # lists go by evaluator, then by message
+    count = np.diff(begins, append=len(pair))
+    trackers.count_evaluations(actor[pair[begins] // n], actor[pair[begins] % n], count)

@@ -1,7 +1,6 @@
 """Writing a run: one Parquet dataset per table, a block of steps at a time."""
 
 import hashlib
-import io
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
@@ -16,16 +15,16 @@ from results import durable, inventory
 from results.codes import BASE_VARIANT, Role, labels
 from results.columns import Column, Level
 from results.durable import Damaged
-from results.inventory import Block, Inventory, Part
-from results.stored_columns import VALID, checked, stored_columns
+from results.inventory import Block, Inventory
+from results.part_encoder import Encoder
+from results.stored_columns import checked, stored_columns
 from results.tables import TABLES, kept, schema
 
 Columns = Mapping[str, ndarray | None]
 """Columns of a table by name, masks included."""
+
 CHECKPOINT = "checkpoint"
 """Folder of the files from which a resumed run goes on; a finished run has none."""
-_STEPS = ("step", "first_step", "last_step", "from_step", "to_step", "start_step", "end_step")
-"""Columns that count steps."""
 _MOST_LABELS = 127
 """Codes of a category are int8."""
 
@@ -79,7 +78,8 @@ class Recorder:
         self._columns = {name: stored_columns(name, self.labels) for name in self.tables}
         self.block_steps = block_steps
         self._block, self._last_step = resume_at // block_steps, resume_at - 1
-        self._rows: dict[str, list[dict[str, ndarray]]] = {name: [] for name in self.tables}
+        self._encoder = Encoder()
+        self._parts = {name: self._encoder.part(name, self.labels) for name in self.tables}
         self.inventory = Inventory(tuple(b for b in _committed(self.folder).blocks if b.end_step <= resume_at))
         """What is on disk."""
         if (folder / inventory.FILE).exists():
@@ -105,13 +105,16 @@ class Recorder:
             return
         rows = checked(table, step, columns, self._columns[table])
         if len(next(iter(rows.values()))):
-            self._rows[table].append(rows)
+            self._parts[table].append(rows)
 
     def reach(self, step: int) -> None:
         """Say that a step is done, with or without rows."""
         if step // self.block_steps != self._block:
             self.flush()
             self._block = step // self.block_steps
+        if step > self._last_step:
+            for rows_of in self._parts.values():
+                rows_of.end_step()
         self._last_step = max(self._last_step, step)
 
     def is_block_end(self, step: int) -> bool:
@@ -137,14 +140,11 @@ class Recorder:
 
     def _commit(self, open_rows: Mapping[str, Sequence[Columns]], checkpoint: Mapping[str, bytes]) -> None:
         end_step = self._last_step + 1
-        parts = [
-            _write(self.folder, name, f"part-{self._block:05d}.parquet", rows, self.labels)
-            for name, rows in self._rows.items() if rows
-        ]  # fmt: skip
-        opened = [
-            _write(self.folder, name, f"open-{self._block:05d}.parquet", rows, self.labels)
-            for name, rows in self._made(open_rows, end_step - 1)
-        ]
+        opening = [self._encoder.part(name, self.labels, rows) for name, rows in self._made(open_rows, end_step - 1)]
+        for waiting in (*self._parts.values(), *opening):
+            waiting.end_block()
+        parts = [p.write(self.folder, f"part-{self._block:05d}.parquet") for p in self._parts.values() if len(p)]
+        opened = [p.write(self.folder, f"open-{self._block:05d}.parquet") for p in opening]
         files = {f"{CHECKPOINT}/{name}": content for name, content in checkpoint.items()}
         if files:
             (self.folder / CHECKPOINT).mkdir(exist_ok=True)
@@ -157,8 +157,7 @@ class Recorder:
             {name: hashlib.sha256(content).hexdigest() for name, content in files.items()},
         )  # fmt: skip
         before, self.inventory = self.inventory, inventory.commit(self.folder, self.inventory, block)
-        for rows in self._rows.values():
-            rows.clear()
+        self._parts = {name: self._encoder.part(name, self.labels) for name in self.tables}
         if before.blocks:
             for part in before.blocks[-1].open:
                 (self.folder / part.name).unlink(missing_ok=True)
@@ -171,8 +170,9 @@ class Recorder:
         """Commit what is left, and rows of what ends with the run."""
         is_committed = self._last_step < self.inventory.end_step
         for name, rows in self._made(final_rows or {}, self._last_step):
-            self._rows[name] += rows
-        if is_committed and any(self._rows.values()):
+            for columns in rows:
+                self._parts[name].append(columns)
+        if is_committed and any(len(part) for part in self._parts.values()):
             self._block += 1
         elif is_committed:
             return
@@ -215,56 +215,6 @@ def _committed(folder: Path) -> Inventory:
         return inventory.read(folder)
     except Damaged as error:
         raise Damaged(f"{error} Nothing can be added to this run.") from None
-
-
-def _write(
-    folder: Path, table: str, file: str, rows: list[dict[str, ndarray]], of_run: Mapping[str, tuple[str, ...]]
-) -> Part:
-    """One part file, sorted by key."""
-    columns = {name: np.concatenate([row[name] for row in rows]) for name in rows[0]}
-    ordered, tied = _order(columns, TABLES[table].key)
-    if not ordered:
-        order = np.lexsort([columns[name] for name in TABLES[table].key[::-1]])
-        columns = {name: values[order] for name, values in columns.items()}
-        _, tied = _order(columns, TABLES[table].key)
-    if len(tied):
-        named = ", ".join(f"{name} = {columns[name][tied[0]]}" for name in TABLES[table].key)
-        raise ValueError(f"Table {table} has two rows with {named}.")
-    arrays = []
-    for name, column in TABLES[table].stored.items():
-        mask = ~columns[name + VALID] if column.null else None
-        if column.categories:
-            codes = pa.array(columns[name], pa.int8(), mask=mask)
-            arrays.append(pa.DictionaryArray.from_arrays(codes, list(column.labels(of_run))))
-        else:
-            arrays.append(pa.array(columns[name], column.arrow_type, mask=mask))
-    floats = [name for name, column in TABLES[table].stored.items() if column.type.startswith("float")]
-    sink = io.BytesIO()
-    pq.write_table(
-        pa.Table.from_arrays(arrays, schema=schema(table)),
-        sink,
-        compression="zstd",
-        use_dictionary=[name for name in TABLES[table].stored if name not in floats],
-        use_byte_stream_split=floats,
-    )
-    content = sink.getbuffer()
-    durable.write(folder / table / file, content)
-    steps = [columns[name] for name in _STEPS if name in columns]
-    return Part(
-        table, file, len(arrays[0]), len(content), hashlib.sha256(content).hexdigest(),
-        min(int(s.min()) for s in steps), max(int(s.max()) for s in steps),
-    )  # fmt: skip
-
-
-def _order(columns: dict[str, ndarray], key: tuple[str, ...]) -> tuple[bool, ndarray]:
-    """Whether rows are sorted by key, and which have the key of the next one."""
-    tied = np.ones(len(columns[key[0]]) - 1, bool)
-    ordered = True
-    for name in key:
-        one, next_ = columns[name][:-1], columns[name][1:]
-        ordered &= not (tied & (next_ < one)).any()
-        tied &= one == next_
-    return bool(ordered), np.flatnonzero(tied)
 
 
 def fingerprint(folder: Path) -> dict[str, str]:

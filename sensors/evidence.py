@@ -10,9 +10,9 @@ from annotated_types import Ge, Gt, Le
 from jaxtyping import Bool, Float, Int, Int32, UInt8
 from numpy import ndarray
 
-from sensors import range_image
+from sensors import box_points, evidence_kernels, range_image
 from sensors.boxes import Boxes
-from sensors.lidar import Sweeps
+from sensors.lidar import RangeImages, Sweeps
 from sensors.neighbours import neighbours
 from sensors.scene import ObjectClass, prisms
 
@@ -42,7 +42,7 @@ class PlausibilityParams:
 
 
 def in_evaluation_area(
-    sweeps: Sweeps,
+    sweeps: RangeImages,
     o: Int[ndarray, "n"],
     boxes: Boxes,
     params: AreaParams,
@@ -66,40 +66,27 @@ def in_evaluation_area(
     the slack beside their edges; 360 degrees have no edge.
     """
     sensed = sweeps.poses.to_sensor(o, boxes, b)
-    bottom_m, away_m = _bottom(sensed)
-    keep = (away_m <= params.range_m + params.slack_m) & (np.abs(bottom_m) <= params.height_m)
-    in_view = _in_view(sensed, sweeps.beams.fov_rad, params.slack_m)
+    exempt, near = np.zeros(0, bool), boxes.take(slice(0, 0))
     if label is not None and own is not None:
-        rows = np.flatnonzero(keep & ~in_view)
-        rows = rows[label[rows if b is None else b[rows]] == ObjectClass.CAR]
-        own_sensed = sweeps.poses.to_sensor(np.arange(len(own)), own)
-        apart = sensed.xyz_m[rows] - own_sensed.xyz_m[o[rows]]
-        apart[:, 2] -= 0.5 * (sensed.lwh_m[rows, 2] - own_sensed.lwh_m[o[rows], 2])
-        in_view[rows] = _norm(apart) <= params.own_radius_m
-    return keep & in_view
+        exempt, near = label == ObjectClass.CAR, sweeps.poses.to_sensor(np.arange(len(own)), own)
+    return evidence_kernels.in_area(
+        np.asarray(o, np.int64), np.arange(len(sensed)) if b is None else np.asarray(b, np.int64), sensed.xyz_m,
+        sensed.lwh_m, exempt, near.xyz_m, near.lwh_m, params.range_m + params.slack_m, params.height_m,
+        sweeps.beams.fov_rad, edge_slope(sweeps.beams.fov_rad), params.slack_m, params.own_radius_m,
+    )  # fmt: skip
 
 
-def _bottom(sensed: Boxes) -> tuple[Float[ndarray, "n"], Float[ndarray, "n"]]:
-    """Of the centre of each box's bottom: height over the sensor, and distance from it [m]."""
-    x, y, z = sensed.xyz_m.T
-    bottom_m = z - 0.5 * sensed.lwh_m[:, 2]
-    return bottom_m, np.sqrt(x * x + y * y + bottom_m * bottom_m)
+def edge_slope(fov_rad: float) -> float:
+    """Sideways over along, of the edge of the field of view; from behind where it is wider than half a turn."""
+    return float(np.tan(0.5 * fov_rad if fov_rad <= np.pi else np.pi - 0.5 * fov_rad))
 
 
 def _norm(xyz: Float[ndarray, "n 3"]) -> Float[ndarray, "n"]:
     return np.sqrt((xyz * xyz).sum(axis=1))
 
 
-def _in_view(sensed: Boxes, fov_rad: float, slack_m: float) -> Bool[ndarray, "n"]:
-    """Inside the field of view or at most the slack beside it."""
-    forward, left = sensed.xyz_m[:, 0], np.abs(sensed.xyz_m[:, 1])
-    if fov_rad <= np.pi:
-        return (forward >= 0.0) & (left <= forward * np.tan(0.5 * fov_rad) + slack_m)
-    return (forward >= 0.0) | (left >= -forward * np.tan(np.pi - 0.5 * fov_rad) - slack_m)
-
-
 def points_in_boxes(
-    sweeps: Sweeps, o: Int[ndarray, "n"], boxes: Boxes, b: Int[ndarray, "n"] | None = None
+    sweeps: RangeImages, o: Int[ndarray, "n"], boxes: Boxes, b: Int[ndarray, "n"] | None = None
 ) -> Int32[ndarray, "n"]:
     """Returns of observer o[k] strictly inside box b[k]; all boxes, in order, when `b` is not given.
 
@@ -109,11 +96,13 @@ def points_in_boxes(
     the box can fill is searched.
     """
     sensed = sweeps.poses.to_sensor(o, boxes, b)
-    return range_image.points_in_boxes(sweeps.range_m, sweeps.beams, o, sensed.xyz_m, sensed.lwh_m, sensed.yaw_rad)
+    o = np.asarray(o, np.int64)
+    run = np.flatnonzero(np.concatenate([[True], o[1:] != o[:-1], [True]])) if len(o) else np.zeros(1, np.int64)
+    return box_points.points_in_boxes(sweeps.range_m, sweeps.beams, o, run, sensed.xyz_m, sensed.lwh_m, sensed.yaw_rad)
 
 
 def plausible(
-    sweeps: Sweeps,
+    sweeps: RangeImages,
     o: Int[ndarray, "n"],
     boxes: Boxes,
     b: Int[ndarray, "n"] | None = None,
@@ -133,19 +122,20 @@ def plausible(
     sensed = sweeps.poses.to_sensor(o, boxes, b)
     tested = is_testable(sensed, sweeps.beams.fov_rad, area)
     result = np.ones(len(sensed), bool)
-    planes, distance, window = range_image.frustum(sensed.xyz_m[tested], sensed.lwh_m[tested])
+    planes, distance, window = evidence_kernels.frustum(sensed.xyz_m[tested], sensed.lwh_m[tested])
     rows = np.asarray(o)[tested]
-    seen, closer = range_image.free_space(sweeps.range_m, sweeps.beams, rows, planes, distance, window, params.margin_m)
+    seen, closer = evidence_kernels.free_space(
+        sweeps.range_m, sweeps.beams, rows, planes, distance, window, params.margin_m
+    )
     result[tested] = closer > params.min_share * seen
     return result
 
 
 def is_testable(sensed: Boxes, fov_rad: float, area: AreaParams) -> Bool[ndarray, "n"]:
     """Whether the free-space test applies to each box (sensor frame)."""
-    bottom_m, away_m = _bottom(sensed)
-    near_enough = (away_m < area.range_m) & (np.abs(bottom_m) <= area.height_m)
-    ahead = (sensed.xyz_m[:, :2] != 0.0).any(axis=1)  # straight below there is no pyramid
-    return _in_view(sensed, fov_rad, 0.0) & near_enough & (sensed.xyz_m[:, 2] <= 0.0) & ahead
+    return evidence_kernels.testable(
+        sensed.xyz_m, sensed.lwh_m, area.range_m, area.height_m, fov_rad, edge_slope(fov_rad)
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -181,6 +171,7 @@ def observability(sweeps: Sweeps, boxes: Boxes, shape: UInt8[ndarray, "n"]) -> O
         sweeps.hit, sweeps.poses.origin_m, sweeps.poses.yaw_rad, sweeps.beams, float(sweeps.max_range_m),
         boxes.xyz_m, boxes.circumradius_m, boxes.lwh_m[:, 2], ptr, row, sweeps.observers, prisms(shape, boxes),
     )  # fmt: skip
+    n_unoccluded = np.maximum(n_unoccluded, n_returns)  # bodies from meshes may reach beyond their prisms
     keep = n_unoccluded > 0
     o = np.repeat(np.arange(len(ptr) - 1, dtype=np.int32), np.diff(ptr))[keep]
     actor = row[keep].astype(np.int32)

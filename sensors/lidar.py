@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 from annotated_types import Ge, Gt, Le, Lt
 from jaxtyping import Float, Float32, Int, Int32, UInt8, UInt64
-from numba import njit, prange
+from numba import njit
 from numpy import ndarray
-from scipy.special import ndtri
 
 from sensors.boxes import Boxes
-from sensors.hash_rng import GOLDEN, splitmix64
+from sensors.range_noise import RangeNoise
 from sensors.raycast import columnar, embree, open3d
-from sensors.scene import Hit, Scene, prisms
+from sensors.scene import Scene, prisms
 
 
 class Profile(NamedTuple):
@@ -176,6 +174,12 @@ def _turned(o, b, origin, cos, sin, heading, xyz, lwh, yaw):
     return there, size, turned
 
 
+def n_rays(params: LidarParams) -> tuple[int, int]:
+    """Columns and rows of a sweep."""
+    grid = beams(params)
+    return len(grid.azimuth_rad), len(grid.elevation_rad)
+
+
 def mount(boxes: Boxes, observers: Int[ndarray, "m"], params: LidarParams) -> Poses:
     """The sensors of these actors: over the centre of the roof, looking ahead."""
     origin = boxes.xyz_m[observers].copy()
@@ -184,13 +188,11 @@ def mount(boxes: Boxes, observers: Int[ndarray, "m"], params: LidarParams) -> Po
 
 
 @dataclass(frozen=True, slots=True)
-class Sweeps:
+class RangeImages:
     """One organised cloud (range image) per observer."""
 
     range_m: Float32[ndarray, "m a e"]
     """Range; inf where nothing returned [m]."""
-    hit: Int32[ndarray, "m a e"]
-    """What returned, as a `Hit` code. Truth: only truth columns may read it."""
     poses: Poses
     observers: Int[ndarray, "m"]
     """Actor row that carries each sensor."""
@@ -217,6 +219,14 @@ class Sweeps:
         return np.column_stack([flat * grid.cos_az[column], flat * grid.sin_az[column], r * grid.sin_el[row]])
 
 
+@dataclass(frozen=True, slots=True)
+class Sweeps(RangeImages):
+    """Range images, and what each ray met."""
+
+    hit: Int32[ndarray, "m a e"]
+    """What returned, as a `Hit` code. Truth: only truth columns may read it."""
+
+
 ENGINES: dict[str, Callable[..., None]] = {"columnar": columnar.cast, "embree": embree.cast, "open3d": open3d.cast}
 
 
@@ -227,7 +237,7 @@ def scan(
     scene: Scene,
     params: LidarParams,
     keys: UInt64[ndarray, "m"],
-    out: Sweeps | None = None,
+    out: Sweeps | tuple[ndarray, ndarray] | None = None,
 ) -> Sweeps:
     """One sweep of every observer, all at one instant.
 
@@ -240,7 +250,8 @@ def scan(
     keys
         One number per observer that its range noise and dropouts are a function of.
     out
-        An earlier result, whose arrays are overwritten where they are large enough: saves allocation and page faults.
+        Arrays `range_m` and `hit` to fill; or an earlier result, whose arrays are overwritten where they are large
+        enough: saves allocation and page faults.
 
     Notes
     -----
@@ -256,30 +267,30 @@ def scan(
     poses = mount(boxes, observers, params)
     ground_m = boxes.xyz_m[observers, 2] - 0.5 * boxes.lwh_m[observers, 2]
     size = (len(observers), len(grid.azimuth_rad), len(grid.elevation_rad))
-    range_m = _buffer(size, np.float32, None if out is None else out.range_m)
-    hit = _buffer(size, np.int32, None if out is None else out.hit)
+    old_range_m, old_hit = out if isinstance(out, tuple) else (None, None) if out is None else (out.range_m, out.hit)
+    range_m, hit = buffer(size, np.float32, old_range_m), buffer(size, np.int32, old_hit)
     ENGINES[params.engine](
-        range_m, hit, poses, ground_m, observers, grid, params.max_range_m, boxes, prisms(shape, boxes), scene
-    )
-    if params.range_sigma_m > 0.0 or params.dropout_p > 0.0:
-        seeds = np.asarray(keys, np.uint64)
-        _add_noise(range_m, hit, seeds, np.float32(params.range_sigma_m), float(params.dropout_p), _levels())
-    return Sweeps(range_m, hit, poses, observers, ground_m, grid, params.max_range_m)
+        range_m, hit, poses, ground_m, observers, grid, params.max_range_m, boxes, prisms(shape, boxes), scene,
+        RangeNoise.of(keys, params.range_sigma_m, params.dropout_p),
+    )  # fmt: skip
+    return Sweeps(range_m, poses, observers, ground_m, grid, params.max_range_m, hit)
 
 
-def _buffer(size: tuple[int, int, int], kind: type, old: ndarray | None) -> ndarray:
+def joined(range_m: Float32[ndarray, "m a e"], parts: Sequence[RangeImages]) -> RangeImages:
+    """The range images of all parts, whose ranges stand in one array."""
+    origin_m, yaw_rad = (np.concatenate([getattr(p.poses, name) for p in parts]) for name in ("origin_m", "yaw_rad"))
+    observers, ground_m = (np.concatenate([getattr(p, name) for p in parts]) for name in ("observers", "ground_m"))
+    return RangeImages(range_m, Poses(origin_m, yaw_rad), observers, ground_m, parts[0].beams, parts[0].max_range_m)
+
+
+def buffer(size: tuple[int, int, int], kind: type, old: ndarray | None) -> ndarray:
     """An array of this size, in the memory of an old one if that suffices; one eighth is spare, for growing fleets."""
+    if old is not None and old.shape == size:
+        return old
     whole = old if old is None or old.base is None else old.base
     if whole is None or whole.shape[1:] != size[1:] or len(whole) < size[0]:
         whole = np.empty((size[0] + size[0] // 8, *size[1:]), kind)
     return whole[: size[0]]
-
-
-@lru_cache(maxsize=1)
-def _levels() -> Float32[ndarray, "k"]:
-    """Standard normal quantiles in the middle of 4,096 equally probable bins, at unit variance."""
-    z = ndtri((np.arange(4096) + 0.5) / 4096)
-    return (z / z.std()).astype(np.float32)
 
 
 @njit(cache=True, nogil=True)
@@ -295,19 +306,3 @@ def _cloud(range_m, cos_az, sin_az, cos_el, sin_el):
                 xyz[k, 0], xyz[k, 1], xyz[k, 2] = flat * cos_az[c], flat * sin_az[c], far * sin_el[r]
                 k += 1
     return xyz
-
-
-@njit(cache=True, parallel=True)
-def _add_noise(range_m, hit, keys, sigma, dropout_p, levels):
-    """Range noise and dropouts in place, each a function of (key, ray)."""
-    n_el = range_m.shape[2]
-    lost_below = np.uint64(dropout_p * 2.0**52)
-    for o in prange(len(keys)):
-        seed = splitmix64(keys[o] + GOLDEN)
-        for c in range(range_m.shape[1]):
-            for r in range(n_el):
-                bits = splitmix64(seed + np.uint64(c * n_el + r) * GOLDEN)
-                range_m[o, c, r] = max(np.float32(0.0), range_m[o, c, r] + sigma * levels[bits >> np.uint64(52)])
-                if (bits & np.uint64((1 << 52) - 1)) < lost_below:
-                    range_m[o, c, r] = np.inf
-                    hit[o, c, r] = Hit.NOTHING

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float, Int
 from numba import njit, prange
 from numpy import ndarray
 
-from trust.object_reports import ObjectReports, object_reports
+from trust.object_reports import ObjectReports, ObjectVotes, object_votes
 from trust.params import AVERAGES, Method, TrustParams
 from trust.tables import Detections, Evaluations, Groups, ObjectLists, int64
 from trust.threads import threads_for
@@ -64,7 +64,8 @@ class GroupSums:
     trust: Float[ndarray, "g"]  # sum of the detectors' trust
     numerator: Float[ndarray, "g"]  # sum over members and evaluators of Phi T e
     weight: Float[ndarray, "g"]  # sum over members and evaluators of Phi T
-    parity: "Parity"
+    parity: "Parity | None"
+    """None where the formulas are not those of the published code."""
     evidence: SensorEvidence
 
 
@@ -184,7 +185,7 @@ def _implausible(g: GroupSums, p: TrustParams) -> Bool[ndarray, "g"]:
 
 
 def _average(g: GroupSums, p: TrustParams) -> ndarray:
-    return g.parity.mean_or_own if p.code_parity else _ratio(g.numerator, g.weight)
+    return g.parity.mean_or_own if g.parity else _ratio(g.numerator, g.weight)
 
 
 def _trupercept_1(g: GroupSums, p: TrustParams) -> ndarray:
@@ -197,7 +198,7 @@ def _local_bias(g: GroupSums, p: TrustParams) -> ndarray:
 
 
 def _unchecked_2(g: GroupSums, p: TrustParams) -> ndarray:
-    return g.parity.mean_or_score if p.code_parity else g.numerator / g.n
+    return g.parity.mean_or_score if g.parity else g.numerator / g.n
 
 
 def _trupercept_2(g: GroupSums, p: TrustParams) -> ndarray:
@@ -205,7 +206,7 @@ def _trupercept_2(g: GroupSums, p: TrustParams) -> ndarray:
 
 
 def _trupercept_3(g: GroupSums, p: TrustParams) -> ndarray:
-    near, far = (g.own, g.parity.of_seed) if p.code_parity else (_unchecked_2(g, p), _unchecked_2(g, p))
+    near, far = (g.own, g.parity.of_seed) if g.parity else (_unchecked_2(g, p), _unchecked_2(g, p))
     unseen = (g.evidence.n_points < p.blind_points) & ~_implausible(g, p)
     foreign = np.where(g.evidence.in_range, np.where(unseen, near, 0.0), far)
     return np.where(g.ego_detected, g.own, foreign)
@@ -232,13 +233,13 @@ def _local_confirmed(g: GroupSums, p: TrustParams) -> ndarray:
 
 
 def _averaging(g: GroupSums, p: TrustParams) -> ndarray:
-    if p.code_parity:
+    if g.parity:
         return _ratio(g.parity.certain_score, g.n * g.parity.certain)
     return _ratio(g.trusted_scores, g.trust)
 
 
 def _additive(g: GroupSums, p: TrustParams) -> ndarray:
-    return g.parity.certain_score if p.code_parity else g.trusted_scores
+    return g.parity.certain_score if g.parity else g.trusted_scores
 
 
 def _half_additive(g: GroupSums, p: TrustParams) -> ndarray:
@@ -279,6 +280,7 @@ def fuse(
     distance_m: Float[ndarray, "d"],
     params: TrustParams,
     score_objects: Callable[[ObjectReports], Float[ndarray, "g"]] | None = None,
+    votes: ObjectVotes | None = None,
 ) -> Fused:
     """Final score and pose of each group of each ego.
 
@@ -301,6 +303,8 @@ def fuse(
         Of each detection from its own detector's sensor [m].
     score_objects
         Scores of a trust model that scores objects, instead of those of `params.method`.
+    votes
+        What `votes_of` makes of these arguments, where several fusions differ in trust alone; else it is made here.
 
     Returns
     -------
@@ -317,7 +321,8 @@ def fuse(
     """
     m = lists.member.size
     seeds = groups.seeds()
-    group, n_evaluators = np.searchsorted(seeds, groups.seed), np.zeros(seeds.size, np.int64)
+    group = (np.cumsum(groups.seed == np.arange(m)) - 1)[groups.seed]
+    n_evaluators = np.zeros(seeds.size, np.int64)
     num, den, detector = np.zeros(m), np.zeros(m), np.zeros(m)
     n = np.zeros(m, np.int64)
     rows = (lists.owner, evaluated.owner, sender_trust.message, detections.message)
@@ -349,17 +354,12 @@ def fuse(
         return np.bincount(group, x, seeds.size).astype(float)  # integers where there is nothing
 
     size = np.bincount(group, minlength=seeds.size)
-    mean = params.method in AVERAGES if params.code_aggregate == "by_method" else params.code_aggregate == "mean"
-    aggregate = _ratio(num, den) if mean else num
-    certain = np.where(detections.is_self[member], 1.0, -1.0) * detector
-    by_ego = detections.message[member] == lists.owner[lists.of_member()]
-    parity = Parity(
-        mean_or_own=total(np.where(n > 0, aggregate, np.where(by_ego, score_of_member, 0.0))) / size,
-        mean_or_score=total(np.where(n > 0, aggregate, score_of_member)) / size,
-        of_seed=aggregate[seeds],
-        certain=total(certain),
-        certain_score=total(score_of_member * certain),
-    )
+    parity = None
+    if params.code_parity:
+        by_ego = detections.message[member] == lists.owner[lists.of_member()]
+        parity = _parity(
+            num, den, n, score_of_member, detections.is_self[member], detector, by_ego, seeds, total, params
+        )
     sums = GroupSums(
         size, groups.ego_detected[seeds], score_of_member[seeds], total(score_of_member),
         total(score_of_member * detector), total(detector), total(num), total(den), parity, evidence,
@@ -367,10 +367,9 @@ def fuse(
     if score_objects is None:
         score = np.clip(METHODS[params.method](sums, params), 0.0, 1.0)
     else:
-        received = sender_trust.ptr, sender_trust.message, sender_trust.trust, arrived
-        score = score_objects(object_reports(
-            lists, groups, detections, evaluated, own, reported, received, params.ego_trust, n_threads
-        ))  # fmt: skip
+        if votes is None:
+            votes = votes_of(lists, groups, detections, evaluated, own, reported, sender_trust)
+        score = score_objects(votes.with_trust(sender_trust.trust, params.ego_trust))
 
     pose = row
     if params.method in CORRECTED and not params.code_parity:
@@ -385,6 +384,36 @@ def fuse(
         total(n.astype(float)).astype(np.int64), n_evaluators,
     )  # fmt: skip
     return fused.take(~(sums.ego_detected & detections.is_self[row]))
+
+
+def votes_of(
+    lists: ObjectLists, groups: Groups, detections: Detections, evaluated: ObjectLists, own: Evaluations,
+    reported: Evaluations, sender_trust: SenderTrust,
+) -> ObjectVotes:  # fmt: skip
+    """Votes on the groups of each ego; the arguments are those of `fuse`, and no trust is read."""
+    t = _canonical(sender_trust)
+    arrived = np.ones(t.message.size, bool) if t.has_evaluations is None else t.has_evaluations
+    received = t.ptr, t.message, arrived
+    with threads_for(t.message.size * evaluated.member.size / max(1, evaluated.owner.size)) as n_threads:
+        return object_votes(lists, groups, detections, evaluated, own, reported, received, n_threads)
+
+
+def _parity(
+    num: Float[ndarray, "m"], den: Float[ndarray, "m"], n: Int[ndarray, "m"], score: Float[ndarray, "m"],
+    is_self: Bool[ndarray, "m"], detector: Float[ndarray, "m"], by_ego: Bool[ndarray, "m"], seeds: Int[ndarray, "g"],
+    total: Callable[[ndarray], ndarray], params: TrustParams,
+) -> Parity:  # fmt: skip
+    """Per group what the published code's formulas need; arguments per member, `total` sums them per group."""
+    mean = params.method in AVERAGES if params.code_aggregate == "by_method" else params.code_aggregate == "mean"
+    aggregate = _ratio(num, den) if mean else num
+    certain, size = np.where(is_self, 1.0, -1.0) * detector, total(np.ones(len(num)))
+    return Parity(
+        mean_or_own=total(np.where(n > 0, aggregate, np.where(by_ego, score, 0.0))) / size,
+        mean_or_score=total(np.where(n > 0, aggregate, score)) / size,
+        of_seed=aggregate[seeds],
+        certain=total(certain),
+        certain_score=total(score * certain),
+    )
 
 
 def _canonical(sender_trust: SenderTrust) -> SenderTrust:

@@ -53,15 +53,32 @@ class InterReceptionTracker:
         gone[at[stays]] = False
         ended = step - last[received & has_last]
         censored = self._step - self._last[gone & self._received]
-        lengths, which = np.unique(np.concatenate([ended, censored]), return_inverse=True)
-        by_reception = np.arange(len(which)) < len(ended)
+        n_received, n_censored = np.bincount(ended), np.bincount(censored)
+        lengths = np.union1d(np.flatnonzero(n_received), np.flatnonzero(n_censored))
         self._pair, self._step = pair, step
         self._last, self._received = np.where(received, step, last), received | has_last
         return {
             "pir_steps": lengths,
-            "n_received": np.bincount(which[by_reception], minlength=len(lengths)),
-            "n_censored": np.bincount(which[~by_reception], minlength=len(lengths)),
+            "n_received": _at(n_received, lengths),
+            "n_censored": _at(n_censored, lengths),
         }
+
+
+def _at(count: Int[ndarray, "k"], lengths: Int[ndarray, "n"]) -> Int[ndarray, "n"]:
+    """Counts of these lengths; 0 beyond the longest that was counted."""
+    return np.pad(count, (0, max(0, int(lengths.max(initial=-1)) + 1 - len(count))))[lengths]
+
+
+@njit(cache=True)
+def contained(one, other, of_one, of_other):
+    """Whether each pair is among some others; both are sorted."""
+    found = np.zeros(len(one), np.bool_)
+    at = 0
+    for row in range(len(one)):
+        while at < len(of_one) and (of_one[at] < one[row] or (of_one[at] == one[row] and of_other[at] < other[row])):
+            at += 1
+        found[row] = at < len(of_one) and of_one[at] == one[row] and of_other[at] == other[row]
+    return found
 
 
 @njit(cache=True)

@@ -15,43 +15,54 @@ from numba import njit, prange
 
 from sensors.boxes import Boxes
 from sensors.neighbours import neighbours
+from sensors.range_noise import RangeNoise, add_noise
 from sensors.raycast.city import close_columns, gather, toggle_levels
-from sensors.raycast.column import actor_columns, below, in_prism_frame, profile, rectangle, surface
+from sensors.raycast.column import actor_columns, below, in_prism_frame, profile, rectangle
 from sensors.scene import Hit, Prisms, Scene
 
 
-def cast(range_m, hit, poses, ground_m, observers, beams, max_range_m, boxes: Boxes, bodies: Prisms, scene: Scene):
+def cast(
+    range_m, hit, poses, ground_m, observers, beams, max_range_m, boxes: Boxes, bodies: Prisms, scene: Scene,
+    noise: RangeNoise,
+):  # fmt: skip
     """Fill `range_m` and `hit` of every observer; see `sensors.lidar.scan`."""
-    if scene.triangles_m is not None:
+    if scene.triangles_m is not None or scene.bodies_m:
+        meshes = [*scene.bodies_m.values(), *([] if scene.triangles_m is None else [scene.triangles_m])]
         raise ValueError(
-            f'lidar.engine = "columnar" casts upright prisms, and the scene has a mesh of {len(scene.triangles_m)} '
+            f'lidar.engine = "columnar" casts upright prisms, and the scene has a mesh of {sum(map(len, meshes))} '
             'triangles. Set lidar.engine to "embree" or "open3d".'
         )
     ptr, row = neighbours(poses.origin_m, boxes, max_range_m)
     _cast(
         range_m, hit, poses.origin_m, poses.yaw_rad, ground_m, observers, beams, float(max_range_m),
-        boxes.xyz_m, boxes.circumradius_m, ptr, row, bodies, scene.buildings,
+        boxes.xyz_m, boxes.circumradius_m, ptr, row, bodies, scene.buildings, noise,
     )  # fmt: skip
 
 
 @njit(cache=True, parallel=True)
-def _cast(range_m, hit, origin, yaw, ground, own, beams, limit, xyz, radius, ptr, row, bodies, city):
+def _cast(range_m, hit, origin, yaw, ground, own, beams, limit, xyz, radius, ptr, row, bodies, city, noise):
+    """Sweep by sweep, so that each is finished while it is in the cache of its core."""
     for o in prange(len(origin)):
         x, y, z, cos, sin = origin[o, 0], origin[o, 1], origin[o, 2], np.cos(yaw[o]), np.sin(yaw[o])
+        ranges, hits = range_m[o], hit[o]
         nearest = np.full(len(beams.azimuth_rad), 1.0 / limit)
-        _city(range_m[o], hit[o], x, y, z, ground[o], cos, sin, beams, limit, nearest, city)
+        _city(ranges, hits, x, y, z, ground[o], cos, sin, beams, limit, nearest, city)
         for a in row[ptr[o] : ptr[o + 1]]:
             if a != own[o]:
                 dx, dy = xyz[a, 0] - x, xyz[a, 1] - y
-                _actor(range_m[o], hit[o], a, dx, dy, radius[a], x, y, z, cos, sin, beams, limit, nearest, bodies)
+                _actor(ranges, hits, a, dx, dy, radius[a], x, y, z, cos, sin, beams, limit, nearest, bodies)
+        add_noise(ranges, hits, noise.key[o], noise)
 
 
-@njit(cache=True)
-def _paint(ranges, hits, r, d, limit, code):
-    """Keep the nearer of two surfaces; the lower code where they touch, independent of order."""
-    if d <= limit and (d < ranges[r] or (d == ranges[r] and code < hits[r])):
-        ranges[r] = d
-        hits[r] = code
+@njit(cache=True, inline="always")
+def _paint(ranges, hits, c, r, d, limit, code):
+    """Keep the nearer of two surfaces; the lower code where they touch, independent of order.
+
+    Column and row are unsigned: an index that might be negative costs a comparison.
+    """
+    if d <= limit and (d < ranges[c, r] or (d == ranges[c, r] and code < hits[c, r])):
+        ranges[c, r] = d
+        hits[c, r] = code
 
 
 @njit(cache=True)
@@ -90,8 +101,9 @@ def _city(ranges, hits, x, y, z, ground, cos, sin, beams, limit, nearest, city):
                 w = u * beams.cos_az[c] + v * beams.sin_az[c]
                 if nearest[c] < w < open_wall[i, 8]:
                     t = 1.0 / w
-                    for r in range(below(beams.tan_el, bottom * w), below(beams.tan_el, top * w)):
-                        _paint(ranges[c], hits[c], r, np.float32(t * inv_cos[r]), limit, Hit.BUILDING)
+                    first, last = below(beams.tan_el, bottom * w), below(beams.tan_el, top * w)
+                    for r in range(np.uint64(first), np.uint64(last)):
+                        _paint(ranges, hits, np.uint64(c), r, np.float32(t * inv_cos[r]), limit, Hit.BUILDING)
     toggled = np.empty((n if n_flat > 0 else 0, m + 1), np.uint8)
     for i in range(n_flat):
         k, inside = flat[i, 0], flat[i, 1]
@@ -117,14 +129,14 @@ def _level(ranges, hits, height, inside, beams, limit, toggled):
                 if beams.tan_el[r] >= 0.0:
                     break
                 if odd:
-                    _paint(ranges[c], hits[c], r, np.float32(height / beams.sin_el[r]), limit, Hit.BUILDING)
+                    _paint(ranges, hits, c, r, np.float32(height / beams.sin_el[r]), limit, Hit.BUILDING)
         else:
             for r in range(m - 1, -1, -1):
                 odd ^= toggled[c, r + 1]
                 if beams.tan_el[r] <= 0.0:
                     break
                 if odd:
-                    _paint(ranges[c], hits[c], r, np.float32(height / beams.sin_el[r]), limit, Hit.BUILDING)
+                    _paint(ranges, hits, c, r, np.float32(height / beams.sin_el[r]), limit, Hit.BUILDING)
 
 
 @njit(cache=True)
@@ -146,5 +158,10 @@ def _actor(ranges, hits, a, dx, dy, radius, x, y, z, cos, sin, beams, limit, nea
                 if leave <= max(enter, 0.0) or enter * nearest[c] >= 1.0:
                     continue
                 first, s0, s1, last, t, low, high = profile(enter, leave, bottom, top, beams.tan_el)
-                for r in range(first, last):
-                    _paint(ranges[c], hits[c], r, surface(r, s0, s1, t, low, high, beams), limit, Hit.ACTOR + a)
+                column, code = np.uint64(c), Hit.ACTOR + a
+                for r in range(np.uint64(first), np.uint64(s0)):
+                    _paint(ranges, hits, column, r, np.float32(low / beams.sin_el[r]), limit, code)
+                for r in range(np.uint64(s0), np.uint64(s1)):
+                    _paint(ranges, hits, column, r, np.float32(t / beams.cos_el[r]), limit, code)
+                for r in range(np.uint64(s1), np.uint64(last)):
+                    _paint(ranges, hits, column, r, np.float32(high / beams.sin_el[r]), limit, code)

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sensors import range_image
+from sensors import evidence_kernels
 from sensors.boxes import Boxes
 from sensors.evidence import (
     AreaParams,
@@ -15,7 +15,7 @@ from sensors.evidence import (
     plausible,
     points_in_boxes,
 )
-from sensors.lidar import Beams, LidarParams, Poses, Sweeps, beams, scan
+from sensors.lidar import Beams, LidarParams, Poses, RangeImages, beams, scan
 from sensors.scene import Hit, Scene
 from tests.sensors import whole_cloud
 from tests.sensors.town import (
@@ -33,12 +33,12 @@ from tests.sensors.town import (
 )  # fmt: skip
 
 
-def blind(n=1, fov_deg=90.0) -> Sweeps:
+def blind(n=1, fov_deg=90.0) -> RangeImages:
     """Sensors at the origin that returned nothing."""
     grid = beams(LidarParams(fov_deg=fov_deg))
     empty = np.full((n, len(grid.azimuth_rad), len(grid.elevation_rad)), np.inf, np.float32)
     poses = Poses(np.zeros((n, 3)), np.zeros(n))
-    return Sweeps(empty, np.zeros(empty.shape, np.int32), poses, np.arange(n), np.zeros(n), grid, 80.0)
+    return RangeImages(empty, poses, np.arange(n), np.zeros(n), grid, 80.0)
 
 
 def by_cloud(found: list[dict]):
@@ -60,7 +60,7 @@ def test_plausibility_vectors():
         boxes = labelled([c["box"] for c in here])
         asked = is_testable(boxes, np.pi / 2, AreaParams())
         assert asked.tolist() == [c["reason"] not in early for c in here]
-        planes, distance, _ = range_image.frustum(boxes.xyz_m[asked], boxes.lwh_m[asked])
+        planes, distance, _ = evidence_kernels.frustum(boxes.xyz_m[asked], boxes.lwh_m[asked])
         seen, closer = whole_cloud.free_space_xyz(points, planes, distance, 0.25)
         here_asked = [c for c, a in zip(here, asked, strict=True) if a]
         assert seen.tolist() == [c["frustum_points"] for c in here_asked]
@@ -130,8 +130,10 @@ def test_windows_equal_whole_clouds(seed, profile):
         whole = whole_cloud.points_in_boxes_xyz(sweeps.xyz(o), sensed.xyz_m, sensed.lwh_m, sensed.yaw_rad)
         assert (points_in_boxes(sweeps, at, asked) == whole).all()
         free = is_testable(sensed, sweeps.beams.fov_rad, AreaParams())
-        planes, distance, window = range_image.frustum(sensed.xyz_m[free], sensed.lwh_m[free])
-        seen, closer = range_image.free_space(sweeps.range_m, sweeps.beams, at[free], planes, distance, window, 0.25)
+        planes, distance, window = evidence_kernels.frustum(sensed.xyz_m[free], sensed.lwh_m[free])
+        seen, closer = evidence_kernels.free_space(
+            sweeps.range_m, sweeps.beams, at[free], planes, distance, window, 0.25
+        )
         whole_seen, whole_closer = whole_cloud.free_space_xyz(sweeps.xyz(o), planes, distance, 0.25)
         assert (seen == whole_seen).all() and (closer == whole_closer).all()
         assert (plausible(sweeps, at, asked)[free] == (whole_closer > 0.1 * whole_seen)).all()

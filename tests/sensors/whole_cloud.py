@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from sensors.range_image import in_box, in_frustum
+from sensors.box_points import in_box
+from sensors.evidence_kernels import in_frustum
 
 
 @njit(cache=True)

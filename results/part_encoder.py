@@ -1,0 +1,171 @@
+"""Parquet parts of one block of steps, encoded by a thread of their own while the simulation goes on."""
+
+import hashlib
+import io
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy import ndarray
+
+from results import durable
+from results.inventory import Part
+from results.stored_columns import VALID
+from results.tables import TABLES, schema
+
+Rows = dict[str, ndarray]
+"""Columns of a table in their stored types, masks included."""
+
+_STEPS = ("step", "first_step", "last_step", "from_step", "to_step", "start_step", "end_step")
+"""Columns that count steps."""
+
+_GROUP_ROWS = 300_000
+"""Rows from which a row group is encoded: encoded rows take a tenth of the memory."""
+
+_TRIED_ROWS, _SAMPLE_ROWS = 20_000, 100_000
+"""Rows from which layouts are tried, and of which the first row group is tried with."""
+
+_MOST_WAITING = 2
+"""Row groups of one table that wait for the encoder."""
+
+
+class Encoder:
+    """One thread that sorts and compresses, so that memory is that of encoded rows and the other core has work."""
+
+    def __init__(self) -> None:
+        self._pool = ThreadPoolExecutor(max_workers=1, thread_name_prefix="encoder")
+
+    def part(self, table: str, of_run: Mapping[str, tuple[str, ...]], rows: Sequence[Rows] = ()) -> "PartEncoder":
+        """A part of a table, with these rows; `of_run` are the labels of the run."""
+        return PartEncoder(table, of_run, self._pool, rows)
+
+
+class PartEncoder:
+    """Rows of one table and block, on their way into one file sorted by key."""
+
+    def __init__(
+        self, table: str, of_run: Mapping[str, tuple[str, ...]], pool: ThreadPoolExecutor, rows: Sequence[Rows]
+    ) -> None:
+        self._table, self._of_run, self._pool = table, of_run, pool
+        self._rows: list[Rows] = []
+        self._n_new = self._n = 0
+        self._waiting: list[Future[None]] = []
+        self._sink = io.BytesIO()
+        self._writer: pq.ParquetWriter | None = None
+        self._first_step, self._last_step = np.iinfo(np.int64).max, 0
+        for columns in rows:
+            self.append(columns)
+
+    def __len__(self) -> int:
+        return self._n
+
+    def append(self, rows: Rows) -> None:
+        """Add rows; they belong to the encoder from now on."""
+        n = len(next(iter(rows.values())))
+        self._rows.append(rows)
+        self._n_new += n
+        self._n += n
+
+    def end_step(self) -> None:
+        """No rows of earlier steps follow: what there is may be encoded where steps come first in the key."""
+        if self._n_new >= _GROUP_ROWS and TABLES[self._table].key[0] == "step":
+            self._submit()
+
+    def end_block(self) -> None:
+        """No rows follow."""
+        if self._n_new:
+            self._submit()
+
+    def write(self, folder: Path, file: str) -> Part:
+        """The file, synced; ValueError for two rows with one key."""
+        for group in self._waiting:
+            group.result()
+        assert self._writer is not None, "a part has rows"
+        self._writer.close()
+        content = self._sink.getbuffer()
+        durable.write(folder / self._table / file, content)
+        return Part(
+            self._table, file, self._n, len(content), hashlib.sha256(content).hexdigest(), self._first_step,
+            self._last_step,
+        )  # fmt: skip
+
+    def _submit(self) -> None:
+        rows, self._rows, self._n_new = self._rows, [], 0
+        while len(self._waiting) >= _MOST_WAITING:
+            self._waiting.pop(0).result()
+        self._waiting.append(self._pool.submit(self._encode, rows))
+
+    def _encode(self, rows: list[Rows]) -> None:
+        """One row group, sorted by key."""
+        table, stored = self._table, TABLES[self._table].stored
+        columns = {name: np.concatenate([row[name] for row in rows]) for name in rows[0]}
+        ordered, tied = _order(columns, TABLES[table].key)
+        if not ordered:
+            order = np.lexsort([columns[name] for name in TABLES[table].key[::-1]])
+            columns = {name: values[order] for name, values in columns.items()}
+            _, tied = _order(columns, TABLES[table].key)
+        if len(tied):
+            named = ", ".join(f"{name} = {columns[name][tied[0]]}" for name in TABLES[table].key)
+            raise ValueError(f"Table {table} has two rows with {named}.")
+        arrays = []
+        for name, column in stored.items():
+            mask = ~columns[name + VALID] if column.null else None
+            if column.categories:
+                codes = pa.array(columns[name], pa.int8(), mask=mask)
+                arrays.append(pa.DictionaryArray.from_arrays(codes, list(column.labels(self._of_run))))
+            else:
+                arrays.append(pa.array(columns[name], column.arrow_type, mask=mask))
+        steps = [columns[name] for name in _STEPS if name in columns]
+        self._first_step = min(self._first_step, *(int(s.min()) for s in steps))
+        self._last_step = max(self._last_step, *(int(s.max()) for s in steps))
+        group = pa.Table.from_arrays(arrays, schema=schema(table))
+        if self._writer is None:
+            self._writer = pq.ParquetWriter(self._sink, group.schema, compression="zstd", **_encodings(group))
+        self._writer.write_table(group, row_group_size=len(group))
+
+
+def _encodings(group: pa.Table) -> dict[str, Any]:
+    """How Parquet shall lay out each column: by a dictionary, byte by byte, or as it is; whatever compresses best.
+
+    Few rows are not tried: floats are split into bytes, others go by a dictionary.
+    """
+    by_dictionary, split = [], []
+    for field in group.schema:
+        is_number = pa.types.is_floating(field.type) or pa.types.is_integer(field.type)
+        best = "bytes" if pa.types.is_floating(field.type) else "dictionary"
+        if is_number and len(group) >= _TRIED_ROWS:
+            sample = group.select([field.name]).slice(0, _SAMPLE_ROWS)
+            best = min(_LAYOUTS, key=lambda layout: _encoded_bytes(sample, **_LAYOUTS[layout](field.name)))
+        if best == "dictionary":
+            by_dictionary.append(field.name)
+        elif best == "bytes":
+            split.append(field.name)
+    return {"use_dictionary": by_dictionary, "column_encoding": dict.fromkeys(split, "BYTE_STREAM_SPLIT")}
+
+
+_LAYOUTS: dict[str, Callable[[str], dict[str, Any]]] = {
+    "dictionary": lambda name: {"use_dictionary": [name]},
+    "bytes": lambda name: {"use_dictionary": False, "column_encoding": {name: "BYTE_STREAM_SPLIT"}},
+    "plain": lambda name: {"use_dictionary": False},
+}
+
+
+def _encoded_bytes(sample: pa.Table, **layout: Any) -> int:
+    sink = io.BytesIO()
+    pq.write_table(sample, sink, compression="zstd", **layout)
+    return sink.tell()
+
+
+def _order(columns: Rows, key: tuple[str, ...]) -> tuple[bool, ndarray]:
+    """Whether rows are sorted by key, and which have the key of the next one."""
+    tied = np.ones(len(columns[key[0]]) - 1, bool)
+    ordered = True
+    for name in key:
+        one, next_ = columns[name][:-1], columns[name][1:]
+        ordered &= not (tied & (next_ < one)).any()
+        tied &= one == next_
+    return bool(ordered), np.flatnonzero(tied)

@@ -1,0 +1,70 @@
+"""Range noise and dropouts of a sweep, each a function of (key of the sweep, ray)."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float32, UInt64
+from numba import njit, prange
+from numpy import ndarray
+from scipy.special import ndtri
+
+from sensors.hash_rng import GOLDEN, splitmix64
+from sensors.scene import Hit
+
+_LOWEST_52 = np.uint64((1 << 52) - 1)
+_S52 = np.uint64(52)
+
+
+class RangeNoise(NamedTuple):
+    """Noise along the ray: normal, in 4,096 equiprobable levels."""
+
+    key: UInt64[ndarray, "m"]
+    """Of each sweep."""
+    sigma_m: np.float32
+    dropout_p: float
+    level: Float32[ndarray, "4096"]
+    """Standard normal quantiles in the middle of equally probable bins, at unit variance."""
+
+    @staticmethod
+    def of(keys: UInt64[ndarray, "m"], sigma_m: float, dropout_p: float) -> RangeNoise:
+        """The noise of sweeps with these keys."""
+        return RangeNoise(np.asarray(keys, np.uint64), np.float32(sigma_m), float(dropout_p), _levels())
+
+
+@lru_cache(maxsize=1)
+def _levels() -> Float32[ndarray, "k"]:
+    z = ndtri((np.arange(4096) + 0.5) / 4096)
+    return (z / z.std()).astype(np.float32)
+
+
+@njit(cache=True)
+def add_noise(ranges, hits, key, noise):
+    """Range noise and dropouts of one sweep, in place."""
+    if noise.sigma_m <= 0.0 and noise.dropout_p <= 0.0:
+        return
+    seed = splitmix64(key + GOLDEN)
+    n, m = np.uint64(ranges.shape[0]), np.uint64(ranges.shape[1])
+    zero, sigma, level = np.float32(0.0), noise.sigma_m, noise.level
+    for c in range(n):
+        first = seed + c * m * GOLDEN
+        for r in range(m):
+            bits = splitmix64(first + r * GOLDEN)
+            ranges[c, r] = max(zero, ranges[c, r] + sigma * level[bits >> _S52])
+    if noise.dropout_p > 0.0:
+        lost_below = np.uint64(noise.dropout_p * 2.0**52)
+        for c in range(n):
+            for r in range(m):
+                bits = splitmix64(seed + (c * m + r) * GOLDEN)
+                if (bits & _LOWEST_52) < lost_below:
+                    ranges[c, r] = np.inf
+                    hits[c, r] = Hit.NOTHING
+
+
+@njit(cache=True, parallel=True)
+def add_noise_to_all(range_m, hit, noise):
+    """Range noise and dropouts of all sweeps, in place."""
+    for o in prange(len(noise.key)):
+        add_noise(range_m[o], hit[o], noise.key[o], noise)
