@@ -20,7 +20,7 @@ from cosim.choices import Choice, resolve
 from cosim.driver.driver import DriverParams
 from cosim.driver.drivers import DRIVERS
 from cosim.fleet import FleetParams
-from cosim.meshes import MeshParams
+from cosim.meshes import MeshParams, VehicleMeshParams, check_vehicle_meshes
 from cosim.mobility.params import TrafficParams, resolved_input
 from cosim.positioning import GnssParams
 from cosim.radio.medium import MEDIA
@@ -124,6 +124,7 @@ class Config:
     lidar: LidarParams = field(default_factory=LidarParams)
     gnss: GnssParams = field(default_factory=GnssParams)
     meshes: tuple[MeshParams, ...] = ()
+    vehicle_meshes: tuple[VehicleMeshParams, ...] = ()
     area: AreaParams = field(default_factory=AreaParams)
     detector: DetectorParams = field(default_factory=DetectorParams)
     attacks: tuple[AttackParams, ...] = ()
@@ -163,9 +164,11 @@ class Config:
                 'server.uplink = "rsu", but there are no roadside units: nothing would ever reach the server. '
                 "Set rsu.at or rsu.n_at_junctions."
             )
-        if self.meshes and self.lidar.engine == "columnar":
+        check_vehicle_meshes(self.vehicle_meshes)
+        if (self.meshes or self.vehicle_meshes) and self.lidar.engine == "columnar":
+            which = "meshes" if self.meshes else "vehicle_meshes"
             raise ValueError(
-                'lidar.engine = "columnar" casts upright prisms, and there are [[meshes]]. Set lidar.engine to '
+                f'lidar.engine = "columnar" casts upright prisms, and there are [[{which}]]. Set lidar.engine to '
                 '"embree" or "open3d".'
             )
         check_attacks(self.attacks, self.trust.freshness_s, self.sensing_interval_s)
@@ -277,7 +280,7 @@ def resolve_data(data: dict[str, Any], where: str, folder: Path | None) -> Confi
         if isinstance(given, str):
             cities = catalogue.names() if name == "scenario" else ()
             data["traffic"][name] = resolved_input(given, folder or Path(), cities)
-    for mesh in data.get("meshes", []):
+    for mesh in [*data.get("meshes", []), *data.get("vehicle_meshes", [])]:
         if isinstance(mesh.get("file"), str):
             mesh["file"] = str(((folder or Path()) / mesh["file"]).resolve())
     traffic = data.get("traffic", {})

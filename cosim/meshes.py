@@ -3,14 +3,14 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from annotated_types import Gt
 from jaxtyping import Float, Int
 from numpy import ndarray
 
-from sensors.scene import Scene
+from sensors.scene import Scene, Shape
 
 SUFFIXES = (".glb", ".obj", ".ply", ".stl")
 
@@ -32,8 +32,38 @@ class MeshParams:
     """Metres per unit of the file."""
 
 
-def with_meshes(scene: Scene, meshes: Sequence[MeshParams]) -> Scene:
-    """The scene and these solids; ValueError in one line where a file is no closed mesh."""
+BodyClass = Literal["car", "van", "truck", "bus", "motorcycle", "bicycle", "pedestrian"]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class VehicleMeshParams:
+    """The body that all vehicles of a class have for LiDARs, instead of prisms: a `[[vehicle_meshes]]` section."""
+
+    file: str
+    """A closed mesh, .glb, .obj, .ply or .stl; relative to the config file. Ahead is +x, up is z; in .glb, y. It is
+    stretched to each vehicle's length, width and height."""
+    vehicle_class: BodyClass = "car"
+    """Whose body it is: one section for a class."""
+
+
+def check_vehicle_meshes(meshes: Sequence[VehicleMeshParams]) -> None:
+    """ValueError where a class has two bodies."""
+    classes = [mesh.vehicle_class for mesh in meshes]
+    for number, name in enumerate(classes):
+        if name in classes[:number]:
+            raise ValueError(
+                f'vehicle_meshes.{number}.vehicle_class = "{name}" has a mesh already. Leave one of the sections out.'
+            )
+
+
+def with_meshes(scene: Scene, meshes: Sequence[MeshParams], vehicle_meshes: Sequence[VehicleMeshParams] = ()) -> Scene:
+    """The scene with these solids and bodies; ValueError in one line where a file is no closed mesh."""
+    for number, body in enumerate(vehicle_meshes):
+        vertices, faces = read(f"vehicle_meshes.{number}.file", Path(body.file))
+        try:
+            scene = scene.with_body(Shape[body.vehicle_class.upper()], vertices, faces)
+        except ValueError as error:
+            raise ValueError(f"vehicle_meshes.{number}.file = {body.file}: {error}") from None
     for number, mesh in enumerate(meshes):
         vertices, faces = read(f"meshes.{number}.file", Path(mesh.file))
         cos, sin = np.cos(np.radians(mesh.yaw_deg)), np.sin(np.radians(mesh.yaw_deg))

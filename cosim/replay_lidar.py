@@ -40,7 +40,8 @@ def config_of(run: Run) -> Config:
 
 def city_of(config: Config) -> Scene:
     """The buildings of its scenario, and its meshes."""
-    return with_meshes(find(config.traffic.scenario, config.traffic.trace).city(), config.meshes)
+    city = find(config.traffic.scenario, config.traffic.trace).city()
+    return with_meshes(city, config.meshes, config.vehicle_meshes)
 
 
 def worlds(run: Run, config: Config, steps: Int[ndarray, "s"] | None = None) -> Iterator[World]:

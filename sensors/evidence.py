@@ -171,6 +171,7 @@ def observability(sweeps: Sweeps, boxes: Boxes, shape: UInt8[ndarray, "n"]) -> O
         sweeps.hit, sweeps.poses.origin_m, sweeps.poses.yaw_rad, sweeps.beams, float(sweeps.max_range_m),
         boxes.xyz_m, boxes.circumradius_m, boxes.lwh_m[:, 2], ptr, row, sweeps.observers, prisms(shape, boxes),
     )  # fmt: skip
+    n_unoccluded = np.maximum(n_unoccluded, n_returns)  # bodies from meshes may reach beyond their prisms
     keep = n_unoccluded > 0
     o = np.repeat(np.arange(len(ptr) - 1, dtype=np.int32), np.diff(ptr))[keep]
     actor = row[keep].astype(np.int32)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from functools import lru_cache
 from typing import NamedTuple
@@ -101,6 +101,8 @@ class Prisms(NamedTuple):
     half_w_m: ndarray
     bottom_m: ndarray
     top_m: ndarray
+    shape: ndarray
+    """uint8 [n]: `Shape` of each actor."""
 
 
 def prisms(shape: UInt8[ndarray, "n"], boxes: Boxes) -> Prisms:
@@ -144,6 +146,7 @@ def prisms(shape: UInt8[ndarray, "n"], boxes: Boxes) -> Prisms:
         half_w_m=0.5 * width * w,
         bottom_m=z + (bottom - 0.5) * h,
         top_m=z + (top - 0.5) * h,
+        shape=np.asarray(shape, np.uint8),
     )
 
 
@@ -188,6 +191,9 @@ class Scene:
     """Footprints without area, which are left out."""
     triangles_m: Float[ndarray, "t 3 3"] | None = None
     """Solids of any other form, as closed meshes; Embree and Open3D cast them, the columnar caster refuses them."""
+    bodies_m: Mapping[int, Float[ndarray, "t 3 3"]] = field(default_factory=dict)
+    """Closed meshes that actors of a `Shape` have for bodies instead of prisms, 1 m long, wide and high around the
+    origin, ahead along +x; they are stretched to each actor's box. Cast as those above."""
 
     @staticmethod
     def empty() -> Scene:
@@ -261,22 +267,41 @@ class Scene:
         ------
         ValueError for a mesh that is not closed, and for one that names vertices it does not have.
         """
-        vertices, faces = np.asarray(vertices_m, float), np.asarray(faces, int)
-        if not len(faces) or faces.min() < 0 or faces.max() >= len(vertices) or not np.isfinite(vertices).all():
-            raise ValueError(
-                f"a mesh of {len(vertices)} vertices and {len(faces)} faces: each face names three of the vertices, "
-                "from 0 on, and each vertex has three finite coordinates."
-            )
-        _, same = np.unique(vertices, axis=0, return_inverse=True)
-        n_open = _open_edges(same.reshape(-1)[faces])
-        if n_open:
-            raise ValueError(
-                f"a mesh with {n_open} open edges: its inside would be visible. Every edge must belong to two faces "
-                "that run along it in opposite directions; close the holes and turn faces that are inside out."
-            )
-        own = vertices[faces]
+        own = _closed(vertices_m, faces)
         both = own if self.triangles_m is None else np.concatenate([self.triangles_m, own])
         return replace(self, triangles_m=both)
+
+    def with_body(self, shape: Shape, vertices_m: Float[ndarray, "v 3"], faces: Int[ndarray, "t 3"]) -> Scene:
+        """This scene, in which actors of a shape have this mesh for a body: ahead along +x, up along +z.
+
+        Errors
+        ------
+        ValueError for a mesh that is not closed, that is flat, or that names vertices it does not have.
+        """
+        own = _closed(vertices_m, faces)
+        low, high = own.min(axis=(0, 1)), own.max(axis=(0, 1))
+        if not (high - low > 0).all():
+            raise ValueError("a mesh without length, width or height is no body. Every extent must be above 0.")
+        unit = (own - 0.5 * (low + high)) / (high - low)
+        return replace(self, bodies_m={**self.bodies_m, int(shape): unit})
+
+
+def _closed(vertices_m: Float[ndarray, "v 3"], faces: Int[ndarray, "t 3"]) -> Float[ndarray, "t 3 3"]:
+    """Triangles of a closed mesh; ValueError for any other."""
+    vertices, faces = np.asarray(vertices_m, float), np.asarray(faces, int)
+    if not len(faces) or faces.min() < 0 or faces.max() >= len(vertices) or not np.isfinite(vertices).all():
+        raise ValueError(
+            f"a mesh of {len(vertices)} vertices and {len(faces)} faces: each face names three of the vertices, "
+            "from 0 on, and each vertex has three finite coordinates."
+        )
+    _, same = np.unique(vertices, axis=0, return_inverse=True)
+    n_open = _open_edges(same.reshape(-1)[faces])
+    if n_open:
+        raise ValueError(
+            f"a mesh with {n_open} open edges: its inside would be visible. Every edge must belong to two faces "
+            "that run along it in opposite directions; close the holes and turn faces that are inside out."
+        )
+    return vertices[faces]
 
 
 def _open_edges(faces: Int[ndarray, "t 3"]) -> int:

@@ -26,9 +26,10 @@ def cast(
     noise: RangeNoise,
 ):  # fmt: skip
     """Fill `range_m` and `hit` of every observer; see `sensors.lidar.scan`."""
-    if scene.triangles_m is not None:
+    if scene.triangles_m is not None or scene.bodies_m:
+        meshes = [*scene.bodies_m.values(), *([] if scene.triangles_m is None else [scene.triangles_m])]
         raise ValueError(
-            f'lidar.engine = "columnar" casts upright prisms, and the scene has a mesh of {len(scene.triangles_m)} '
+            f'lidar.engine = "columnar" casts upright prisms, and the scene has a mesh of {sum(map(len, meshes))} '
             'triangles. Set lidar.engine to "embree" or "open3d".'
         )
     ptr, row = neighbours(poses.origin_m, boxes, max_range_m)

@@ -28,9 +28,8 @@ def cast(
     noise: RangeNoise,
 ):  # fmt: skip
     """Fill `range_m` and `hit` of every observer; `tracer_of` makes an engine from triangles (t, 3, 3)."""
-    city, body = city_triangles(scene), body_triangles(bodies)
+    city, (body, actor) = city_triangles(scene), _bodies(bodies, boxes, scene)
     mesh = np.concatenate([city, body])
-    actor = np.repeat(np.repeat(np.arange(len(boxes)), np.diff(bodies.ptr)), 12)
     code = np.concatenate([np.full(len(city), Hit.BUILDING), Hit.ACTOR + actor]).astype(np.int32)
     low, high = mesh[:, :, :2].min(axis=1), mesh[:, :, :2].max(axis=1)
 
@@ -107,6 +106,23 @@ def city_triangles(scene: Scene) -> Float[ndarray, "t 3 3"]:
         for z in (city.base_m, city.top_m)
     ]
     return np.concatenate([walls, *levels, *([] if scene.triangles_m is None else [scene.triangles_m])])
+
+
+def _bodies(bodies: Prisms, boxes: Boxes, scene: Scene) -> tuple[Float[ndarray, "t 3 3"], Int[ndarray, "t"]]:
+    """Triangles of all actors, and the actor of each: meshes of the scene where their shape has one, else prisms."""
+    is_mesh = np.isin(bodies.shape, list(scene.bodies_m))
+    owner = np.repeat(np.repeat(np.arange(len(boxes)), np.diff(bodies.ptr)), 12)
+    upright = ~is_mesh[owner]
+    parts, actors = [body_triangles(bodies)[upright]], [owner[upright]]
+    for shape, unit in scene.bodies_m.items():
+        rows = np.flatnonzero(bodies.shape == shape)
+        local = unit * boxes.lwh_m[rows, None, None, :]
+        cos, sin = np.cos(boxes.yaw_rad[rows])[:, None, None], np.sin(boxes.yaw_rad[rows])[:, None, None]
+        x, y = cos * local[..., 0] - sin * local[..., 1], sin * local[..., 0] + cos * local[..., 1]
+        turned = np.stack([x, y, local[..., 2]], axis=-1)
+        parts.append((turned + boxes.xyz_m[rows, None, None, :]).reshape(-1, 3, 3))
+        actors.append(np.repeat(rows, len(unit)))
+    return np.concatenate(parts), np.concatenate(actors)
 
 
 _FACES = np.array(

@@ -4,10 +4,12 @@ import numpy as np
 import pytest
 
 from cosim.config import load
-from cosim.meshes import MeshParams, read, with_meshes
+from cosim.meshes import MeshParams, VehicleMeshParams, read, with_meshes
 from sensors.boxes import Boxes
+from sensors.evidence import observability
 from sensors.lidar import LidarParams, scan
-from sensors.scene import Scene
+from sensors.raycast.mesh import body_triangles
+from sensors.scene import Hit, Scene, Shape, prisms
 
 trimesh = pytest.importorskip("trimesh", reason="trimesh is not installed: pip install cosim[mesh]")
 
@@ -78,3 +80,80 @@ def test_in_the_config(house, tmp_path):
     config.write_text(f'[[meshes]]\nfile = "{house.name}"\n')
     with pytest.raises(ValueError, match=r'lidar\.engine = "columnar" casts upright prisms'):
         load(config)
+
+
+@pytest.fixture(scope="module", params=["obj", "ply", "stl", "glb"])
+def car(request, tmp_path_factory):
+    """The prisms of a car of 10 x 4 x 3 units as a file of each form."""
+    unit = Boxes(np.zeros((1, 3)), np.array([[10.0, 4.0, 3.0]]), np.zeros(1))
+    triangles = body_triangles(prisms(np.array([Shape.CAR], np.uint8), unit))
+    mesh = trimesh.Trimesh(triangles.reshape(-1, 3), np.arange(3 * len(triangles)).reshape(-1, 3), process=False)
+    if request.param == "glb":
+        mesh.apply_transform([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
+    path = tmp_path_factory.mktemp("mesh") / f"car.{request.param}"
+    mesh.export(path)
+    return path
+
+
+def test_cars_of_triangles_are_seen_as_those_of_prisms(car):
+    """Turning cars of several sizes around vans with sensors: 99.99 % of the rays agree to 1 mm with the prisms'.
+
+    A mesh fills its box and prisms do not quite: the cars of triangles have the extent of the prisms for a box.
+    """
+    rng = np.random.default_rng(5)
+    n, van = 40, 4
+    shape = np.where(np.arange(n) < van, Shape.VAN, Shape.CAR).astype(np.uint8)
+    lwh = rng.uniform([3.5, 1.6, 1.4], [5.5, 2.1, 1.9], (n, 3))
+    xyz = np.column_stack([rng.uniform(-45, 45, (n, 2)), 0.5 * lwh[:, 2]])
+    boxes = Boxes(xyz, lwh, rng.uniform(-np.pi, np.pi, n))
+    unit = body_triangles(
+        prisms(np.array([Shape.CAR], np.uint8), Boxes(np.zeros((1, 3)), np.ones((1, 3)), np.zeros(1)))
+    )
+    low, high = unit.min(axis=(0, 1)), unit.max(axis=(0, 1))
+    ahead = np.column_stack([np.cos(boxes.yaw_rad), np.sin(boxes.yaw_rad)])
+    middle = 0.5 * (low + high) * lwh
+    cars = shape == Shape.CAR
+    own_xyz, own_lwh = xyz.copy(), lwh.copy()
+    own_xyz[cars, :2] += middle[cars, :1] * ahead[cars]
+    own_xyz[cars, 2] += middle[cars, 2]
+    own_lwh[cars] *= high - low
+    seen = [
+        scan(b, shape, np.arange(van), scene, LidarParams(profile="os1_64", range_sigma_m=0.0, engine=engine), keys)
+        for b, scene, engine, keys in (
+            (boxes, Scene.empty(), "columnar", np.zeros(van, np.uint64)),
+            (
+                Boxes(own_xyz, own_lwh, boxes.yaw_rad),
+                with_meshes(Scene.empty(), [], [VehicleMeshParams(file=str(car))]),
+                "embree",
+                np.zeros(van, np.uint64),
+            ),
+        )
+    ]
+    far = [np.where(np.isfinite(s.range_m), s.range_m, 1e3) for s in seen]
+    differ = np.abs(far[0] - far[1]) > 1e-3
+    assert (seen[0].hit >= Hit.ACTOR + van).sum() > 3000, "cars are seen"
+    assert differ.mean() <= 1e-4 and (seen[0].hit != seen[1].hit)[~differ].mean() <= 1e-4
+    counted = observability(seen[1], boxes, shape)
+    assert (counted.n_returns <= counted.n_unoccluded).all()
+
+
+def test_mistakes_with_vehicles_are_one_line(car, tmp_path):
+    torn = trimesh.creation.box(SIZE)
+    torn.update_faces(np.arange(12) > 0)
+    torn.export(tmp_path / "torn.obj")
+    with pytest.raises(ValueError, match=r"vehicle_meshes\.0\.file = .*open edges"):
+        with_meshes(Scene.empty(), [], [VehicleMeshParams(file=str(tmp_path / "torn.obj"))])
+    config = tmp_path / "mine.toml"
+    section = f'[[vehicle_meshes]]\nfile = "{car}"\n'
+    config.write_text(section)
+    with pytest.raises(ValueError, match=r"columnar.*\[\[vehicle_meshes\]\]"):
+        load(config)
+    config.write_text('lidar.engine = "embree"\n' + 2 * section)
+    with pytest.raises(ValueError, match=r'vehicle_meshes\.1\.vehicle_class = "car" has a mesh already'):
+        load(config)
+    config.write_text('lidar.engine = "embree"\n' + section + 'vehicle_class = "boat"\n')
+    with pytest.raises(ValueError, match=r"vehicle_meshes\.0\.vehicle_class"):
+        load(config)
+    bodies = with_meshes(Scene.empty(), [], [VehicleMeshParams(file=str(car))])
+    with pytest.raises(ValueError, match="casts upright prisms"):
+        sweep(bodies, "columnar")
