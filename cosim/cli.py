@@ -56,6 +56,8 @@ Picture = Literal[
     "contacts",
     "safety",
     "security",
+    "attacks",
+    "delays",
     "scene",
     "sweep",
     "movie",

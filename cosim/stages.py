@@ -27,7 +27,7 @@ from sensors.boxes import overlapping_pairs
 from sensors.evidence import in_evaluation_area
 from trust import tables
 from trust.evaluation import evaluate
-from trust.fusion import Fused, SenderTrust, SensorEvidence, fuse
+from trust.fusion import Fused, SenderTrust, SensorEvidence, fuse, votes_of
 from trust.matching import match
 from trust.tables import EvaluationMessages, Evaluations, Groups, ObjectLists
 
@@ -253,15 +253,17 @@ def fuse_objects(
     from_own_m = _distance_m(boxes.xyz_m, origin_m[senders.vehicle[listed.detections.message]])
     ptr = ptr_of(used.receiver, len(known.owner))
     in_time = np.full(len(used.message), c.radio.evaluations == "alone")
+    given = known, matched.groups, listed.detections, evaluated.lists, evaluated.own, evaluated.reported
     fused: list[Fused | None] = []
+    votes = None
     for variant, found, scorer in zip(parts.trust.variants, lookups, parts.trust.scorers(trust), strict=True):
         if not variant.fused:
             fused.append(None)
             continue
-        objects = fuse(
-            known, matched.groups, listed.detections, evaluated.lists, evaluated.own, evaluated.reported,
-            SenderTrust(ptr, used.message, found.trust, in_time), evidence, from_own_m, variant.trust, scorer,
-        )  # fmt: skip
+        sender_trust = SenderTrust(ptr, used.message, found.trust, in_time)
+        if scorer is not None and votes is None:
+            votes = votes_of(*given, sender_trust)
+        objects = fuse(*given, sender_trust, evidence, from_own_m, variant.trust, scorer, votes)
         fused.append(objects.take(objects.score >= variant.trust.min_score))
     return fused
 

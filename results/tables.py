@@ -97,6 +97,7 @@ TABLES: Mapping[str, Table] = {
             "height_m": Column("float32", unit="m", meaning="Vertical extent."),
             "equipped": Column("bool", meaning="Carries a LiDAR and a radio."),
             "role": Column("category", meaning="How an equipped vehicle behaves; null if not equipped.", categories=labels(Role), labels_of_run="roles", null=True),
+            "attack": Column("int16", null=True, meaning="Section of `attacks` in the config, from 0, that its vehicle belongs to; null if honest or not equipped."),
             "first_step": Column("int32", meaning="First step on the road."),
             "last_step": Column("int32", meaning="Last step on the road."),
             "attack_start_step": Column("int32", null=True, meaning="First step in which it lied in a detection or an evaluation, or attacked the channel or the server; null if it never did."),

@@ -135,6 +135,23 @@ def _check(p: AttackParams, number: int, freshness_s: float | str, interval_s: f
         raise ValueError(f'{where}.victim_id = "{p.victim_id}" is read with victim = "one" alone. Set {where}.victim.')
 
 
+def rings_too_large(params: Sequence[AttackParams], attack: UInt8[ndarray, "n"]) -> list[str]:
+    """A line for each section whose rings are larger than all its vehicles: with a share, known when a run ends.
+
+    Parameters
+    ----------
+    attack
+        Of all actors of the run, as in `world.attack`.
+    """
+    n_of = np.bincount(attack, minlength=len(params) + 1)
+    return [
+        f"attacks.{number}.ring_size = {p.ring_size} is larger than its {n_of[owner + 1]} attackers: no ring was ever "
+        f"whole. Raise share_p or fleet.penetration_p, or set it to at most {n_of[owner + 1]}."
+        for number, (p, owner) in enumerate(zip(params, owners(params), strict=True))
+        if p.ring_size > n_of[owner + 1]
+    ]
+
+
 def owners(params: Sequence[AttackParams]) -> tuple[int, ...]:
     """Per section, the section that says who its vehicles are."""
     found: list[int] = []
