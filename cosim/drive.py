@@ -32,12 +32,12 @@ from sensors.scene import Shape
 _log = logging.getLogger(__name__)
 
 Advance = Callable[[str, int, int, str], None]
-"""Told of progress: phase, done, total, a note."""
+"""Called with progress: phase, done, total, a note."""
 
 Commands = tuple[Int[ndarray, "c"], Float[ndarray, "c"]]
 """Actors, and the speeds that they shall drive [m/s]."""
 NO_COMMANDS: Commands = (np.zeros(0, np.int64), np.zeros(0))
-STATE_VERSION = 3
+STATE_VERSION = 4
 """Raised whenever a state of an earlier version would be misread."""
 _CORES = numba.get_num_threads()
 _EQUIPPED_PER_THREAD = 100
@@ -222,8 +222,8 @@ def _pseudonym_summary(config: Config, state: State) -> dict[str, Any]:
     if config.pseudonyms.linkage == "on_demand":
         found["linked_on_demand"] = int((state.pseudonyms.linked >= 0).sum())
     if config.pseudonyms.linkage == "own":
-        heard = state.heard
-        found["relinked"] = {"changes": heard.n_changes, "linked": heard.n_linked, "right": heard.n_right}
+        known = state.known_senders
+        found["relinked"] = {"changes": known.n_changes, "linked": known.n_linked, "right": known.n_right}
     return found
 
 

@@ -152,7 +152,7 @@ class Adversary:
         Parameters
         ----------
         trust
-            In each actor, as it was last told; None where no attack reads it.
+            In each actor, as it last learned it; None where no attack reads it.
         age_s
             Of each actor's present pseudonym.
         """
@@ -161,7 +161,7 @@ class Adversary:
             if p.renewal == "by_policy" or time_s < p.start_s:
                 continue
             if p.renewal == "whitewashing":
-                assert trust is not None, "told where an attack reads it"
+                assert trust is not None, "given where an attack reads it"
                 wants = trust < p.renew_below
             else:
                 wants = age_s >= p.renew_s - 1e-9
@@ -176,7 +176,7 @@ class Adversary:
         Parameters
         ----------
         trust
-            In each actor, as it was last told; None where no attack reads it.
+            In each actor, as it last learned it; None where no attack reads it.
         """
         found = []
         state.with_room(int(world.actor.max(initial=-1)) + 1)
@@ -224,7 +224,7 @@ class Adversary:
             period = self.period_steps[number]
             since = world.step - np.ceil(p.start_s / self.dt_s - 1e-9)
             return np.full(len(world), np.mod(since + 1e-9, period) < p.duty_p * period)
-        assert trust is not None, "told where an attack reads it"
+        assert trust is not None, "given where an attack reads it"
         if p.when == "camouflage":
             return trust > p.keep_above
         state.awake[number, world.actor] |= trust >= p.wake_trust

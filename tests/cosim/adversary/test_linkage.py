@@ -102,12 +102,12 @@ def test_linkage_on_demand_begins_with_the_accused_pseudonym():
 
 
 def test_receivers_link_by_place_and_speed():
-    """All change every 3 s, drive straight on and are heard every second: nearly all links are found, and right."""
+    """All change every 3 s, drive straight on and are received every second: nearly all links are found, and right."""
     pseudonyms = {"policy": "periodical", "period_s": 3.0, "linkage": "own"}
     tables = play([GHOST], n_steps=10, pseudonyms=pseudonyms)
-    heard = tables.state.heard
-    assert heard.n_changes > 1000 and heard.n_linked > 0.95 * heard.n_changes
-    assert heard.n_right > 0.95 * heard.n_linked
+    known = tables.state.known_senders
+    assert known.n_changes > 1000 and known.n_linked > 0.95 * known.n_changes
+    assert known.n_right > 0.95 * known.n_linked
 
 
 @pytest.mark.parametrize(("how", "first"), [("immediate", None), ("list", 6)])
