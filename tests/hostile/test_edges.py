@@ -168,7 +168,8 @@ def test_a_full_disk(tmp_path, words, kilobytes):
         f"mkdir disk && mount -t tmpfs -o size={kilobytes}k none disk && cd disk && "
         f"$COSIM run {line} --out run 1>&2; status=$?; cp -r {tmp_path}/disk {kept}; exit $status"
     )
-    done = shell(f'unshare -m bash -c "{script}"', tmp_path)
+    (tmp_path / "fill.sh").write_text(script)
+    done = shell("unshare -m bash fill.sh", tmp_path)
     assert "Traceback" not in done.stderr, done.stderr
     assert done.returncode == 1, done
     if (kept / "run").exists():
