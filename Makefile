@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
-.PHONY: run test types lint verify docs bench lock clean
+.PHONY: run test types bounds lint verify docs bench lock clean
 
 run: $(READY)  ## Drive the shipped city, and show what came of it
 	$(BIN)/cosim run
@@ -14,6 +14,10 @@ test: $(READY)  ## The tests
 
 types: $(READY)  ## Shapes and types of arrays, checked while the tests of trust run
 	$(BIN)/python -m pytest -q -n 2 --typecheck=trust tests/trust
+
+bounds: $(READY)  ## Index ranges of all kernels, checked while the tests run; compiles everything anew
+	rm -rf build/bounds
+	NUMBA_BOUNDSCHECK=1 NUMBA_CACHE_DIR=$(CURDIR)/build/bounds $(BIN)/python -m pytest -q -n 2
 
 lint: $(READY)  ## Style and types
 	$(BIN)/ruff check .

@@ -87,6 +87,7 @@ BENCHES: dict[str, str] = {
     "mobility": "cosim.mobility.bench",
     "results": "results.bench",
     "cycle": "cosim.bench",
+    "driver": "cosim.driver.bench",
     "variants": "cosim.bench_variants",
 }
 """Modules whose `bench()` measures a room."""

@@ -81,7 +81,7 @@ def bench(
     yield "actors of the whole traffic", len(worlds[-1]), ""
     yield f"neighbours within {_NEAR_M:g} m, of the whole traffic", whole, "actors"
     for size in [*sizes, len(worlds[-1])] if len(sizes) < len(vehicles) else sizes:
-        actor, neighbours = _piece(worlds[-1], size, whole)
+        actor, neighbours = piece(worlds[-1], size, whole)
         yield f"{size} actors: neighbours within {_NEAR_M:g} m", neighbours, "actors"
         cropped = [_taken(world, np.flatnonzero(np.isin(world.actor, actor))) for world in worlds]
         for n in sorted({1, threads}):
@@ -149,7 +149,7 @@ def _worlds(config: Config, scenario: Scenario, n: int) -> tuple[list[World], Ac
     return worlds, registry
 
 
-def _piece(world: World, n: int, wanted: float) -> tuple[Int[ndarray, "n"], float]:
+def piece(world: World, n: int, wanted: float) -> tuple[Int[ndarray, "n"], float]:
     """About n actors of one connected area that have about as many neighbours as those of the whole traffic.
 
     The area is halved along its longer side, again and again, so that the pieces are as dense as the whole on average.

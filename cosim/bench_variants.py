@@ -15,10 +15,11 @@ from cosim.actors import ActorRegistry
 from cosim.adversary.params import shares
 from cosim.bench import Row
 from cosim.config import Config, load
-from cosim.cycle import State, step
+from cosim.cycle import step
 from cosim.mobility.sumo import SumoTraffic
 from cosim.parts import Parts
 from cosim.scenario import find
+from cosim.state import State
 from cosim.world import World
 from results.recorder import Recorder
 from sensors.scene import Scene

@@ -19,6 +19,7 @@ from rich.progress import (
 )
 
 from cosim.console import notes, print_json, print_metrics, print_run_summary, screen, table_of
+from cosim.mobility.scratch import Scratch, can_hold_files
 from cosim.nets import nets
 from cosim.reproduce import commands as reproductions
 from cosim.stop import Failed, Stopped
@@ -55,6 +56,8 @@ Picture = Literal[
     "contacts",
     "safety",
     "security",
+    "attacks",
+    "delays",
     "scene",
     "sweep",
     "movie",
@@ -90,6 +93,8 @@ def run(
     from cosim.config import load
 
     experiment = load(config, overrides)
+    for remark in running.changed_since(config, experiment):
+        notes.print(remark, soft_wrap=True)
     with _progress() as advance:
         folder = running.run(experiment, out, advance)
     _conclude(folder, as_json)
@@ -215,10 +220,12 @@ def measure(
         return
     if metrics:
         raise ValueError("--metric goes with a study. Leave it out, or give the folder of a `cosim sweep`.")
-    from cosim.side_by_side import of_variants, print_measures
+    from cosim.side_by_side import engines_remark, of_variants, print_measures
 
     chosen = [one for folder in runs for one in of_variants(_opened(folder), variant)]
     print_measures(chosen, as_json, csv, threshold=threshold, fresh_s=fresh_s, false_positives=false_positives)
+    if remark := engines_remark(chosen):
+        notes.print(remark, soft_wrap=True)
     _say_damage(chosen)
 
 
@@ -421,7 +428,9 @@ def main() -> None:
     """Run a command; a user's mistake is one line on standard error and exit status 2."""
     _open_standard_streams()
     status: int | None
+    kernels = None
     try:
+        kernels = _place_for_kernels()
         status = app(standalone_mode=False)
         sys.stdout.flush()
     except typer.TyperException as error:
@@ -445,7 +454,19 @@ def main() -> None:
         sys.stdout.flush()
     except OSError:  # nobody reads it any more: the interpreter shall not try again
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+    if kernels is not None:
+        kernels.remove()
     sys.exit(status)
+
+
+def _place_for_kernels() -> Scratch | None:
+    """A temporary folder for compiled kernels, where neither the installation nor the user's cache can be written."""
+    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser()) / "numba"
+    if "NUMBA_CACHE_DIR" in os.environ or any(map(can_hold_files, (Path(__file__).parent / "__pycache__", cache))):
+        return None
+    folder = Scratch()
+    os.environ["NUMBA_CACHE_DIR"] = str(folder.path)
+    return folder
 
 
 def _say(message: str, status: int) -> int:

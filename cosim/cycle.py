@@ -32,7 +32,7 @@ from cosim.step_result import Sensed, StepResult
 from cosim.tracking import count_in_encounters, pairs_in_range, track_receptions
 from cosim.v2x.messages import evaluation_bytes, trust_broadcast_bytes
 from cosim.v2x.pseudonyms import PseudonymUse
-from cosim.v2x.relinking import fallen_back, heard, noted
+from cosim.v2x.relinking import fallen_back, noted, update_senders
 from cosim.v2x.trust_hosts import Lookups
 from cosim.v2x.trust_server import LinkStats
 from cosim.world import World
@@ -321,19 +321,21 @@ def _relinked(
     yaw, speed = objects.boxes.yaw_rad[row], np.nan_to_num(objects.speed_mps[row])
     velocity = speed[:, None] * np.column_stack([np.cos(yaw), np.sin(yaw)])
     pseudonym = senders.pseudonym[received.message]
-    s.heard = heard(
-        s.heard, vehicles.actor[received.receiver], pseudonym, objects.boxes.xyz_m[row, :2], velocity, now.begin_s,
-        owners(s.pseudonyms, pseudonym)[0], owners(s.pseudonyms, s.heard.pseudonym)[0], parts.config.pseudonyms,
+    known = update_senders(
+        s.known_senders, vehicles.actor[received.receiver], pseudonym, objects.boxes.xyz_m[row, :2], velocity,
+        now.begin_s, owners(s.pseudonyms, pseudonym)[0], owners(s.pseudonyms, s.known_senders.pseudonym)[0],
+        parts.config.pseudonyms,
     )  # fmt: skip
     holder, asked = vehicles.actor[used.receiver], senders.pseudonym[used.message]
-    at = np.minimum(s.heard.rows_of(holder, asked), max(len(s.heard.receiver) - 1, 0))
-    there = np.zeros(len(asked), bool)
-    if len(s.heard.receiver):
-        there = (s.heard.receiver[at] == holder) & (s.heard.pseudonym[at] == asked)
-    base = found[parts.trust.host_of[0]].source != TrustSource.DEFAULT
-    s.heard = noted(s.heard, at[there], base[there])
+    there, old = np.zeros(len(asked), bool), np.full(len(asked), -1)
+    if len(known.receiver):
+        at = np.minimum(known.rows_of(holder, asked), len(known.receiver) - 1)
+        there = (known.receiver[at] == holder) & (known.pseudonym[at] == asked)
+        base = found[parts.trust.host_of[0]].source != TrustSource.DEFAULT
+        known = noted(known, at[there], base[there])
+        old[there] = known.linked[at[there]]
+    s.known_senders = known
     results = []
-    old = np.where(there, s.heard.linked[at] if len(s.heard.receiver) else -1, -1)
     for h, one in enumerate(found):
         rows = np.flatnonzero((one.source == TrustSource.DEFAULT) & (old >= 0))
         if len(rows):

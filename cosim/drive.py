@@ -1,5 +1,6 @@
 """The loop of a run: traffic, the step, the recorder; from the first step, or from where a resumed run goes on."""
 
+import logging
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
@@ -11,6 +12,7 @@ from numpy import ndarray
 
 from cosim import checkpoint, recording
 from cosim.actors import ActorRegistry
+from cosim.adversary.params import rings_too_large
 from cosim.checkpoint import CannotCheckpoint
 from cosim.config import Config
 from cosim.cycle import step
@@ -27,13 +29,15 @@ from results.codes import DetectionFault, labels
 from results.recorder import Recorder
 from sensors.scene import Shape
 
+_log = logging.getLogger(__name__)
+
 Advance = Callable[[str, int, int, str], None]
-"""Told of progress: phase, done, total, a note."""
+"""Called with progress: phase, done, total, a note."""
 
 Commands = tuple[Int[ndarray, "c"], Float[ndarray, "c"]]
 """Actors, and the speeds that they shall drive [m/s]."""
 NO_COMMANDS: Commands = (np.zeros(0, np.int64), np.zeros(0))
-STATE_VERSION = 3
+STATE_VERSION = 4
 """Raised whenever a state of an earlier version would be misread."""
 _CORES = numba.get_num_threads()
 _EQUIPPED_PER_THREAD = 100
@@ -74,9 +78,8 @@ class Drive:
         recomputes = first > 0 and self.state is None
         state = State.start(self.parts) if self.state is None else self.state
         self.state = None
-        self.stop.at_once = first > 0
         for number in range(config.n_steps):
-            if number == first:
+            if number == max(first, 1):  # the very first step may compile kernels, for a minute
                 self.stop.at_once = False
             if (world := self._next(number)) is None:
                 break
@@ -160,8 +163,23 @@ class Drive:
             },
             "evaluations_rejected": self.parts.trust.rejected(state.trust),
             **_pseudonym_summary(self.parts.config, state),
+            **self._incomplete_rings(),
             **({"ended_early": self.ended} if self.ended else {}),
+            **({"victims_absent": absent} if (absent := self._absent_victims()) else {}),
         }
+
+    def _incomplete_rings(self) -> dict[str, Any]:
+        """Rings of attackers that were larger than the attackers there were; told once the run is over."""
+        found = rings_too_large(self.parts.config.attacks, self.registry.attack) if self.is_over else []
+        for line in found:
+            _log.warning(line)
+        return {"rings_too_large": found} if found else {}
+
+    def _absent_victims(self) -> list[str]:
+        """Keys of the config that name a victim that was never on the road."""
+        known = set(self.registry.names)
+        named = ((n, p.victim_id) for n, p in enumerate(self.parts.config.attacks) if p.victim == "one")
+        return [f'attacks.{n}.victim_id = "{name}"' for n, name in named if name not in known]
 
     def _check_repeated(self, world: World) -> None:
         """The traffic repeated must be the one recorded: the same SUMO, the same files."""
@@ -204,8 +222,8 @@ def _pseudonym_summary(config: Config, state: State) -> dict[str, Any]:
     if config.pseudonyms.linkage == "on_demand":
         found["linked_on_demand"] = int((state.pseudonyms.linked >= 0).sum())
     if config.pseudonyms.linkage == "own":
-        heard = state.heard
-        found["relinked"] = {"changes": heard.n_changes, "linked": heard.n_linked, "right": heard.n_right}
+        known = state.known_senders
+        found["relinked"] = {"changes": known.n_changes, "linked": known.n_linked, "right": known.n_right}
     return found
 
 

@@ -21,6 +21,7 @@ from results.tables import SCHEMA_VERSION, kept
 
 PACKAGES = ("cosim", "eclipse-sumo", "libsumo", "numpy", "scipy", "numba", "pyarrow", "pandas", "embreex")
 CONFIG = "config.toml"
+GRAZING = "not columnar: where rays graze edges, tables differ from those of the columnar caster"
 _RESERVE = ".reserve"
 _RESERVE_BYTES = 1 << 16
 
@@ -93,6 +94,7 @@ class Manifest:
             "timings_s": {stage: round(s, 3) for stage, s in self.timings_s.items()},
             "summary": self.summary,
             "inventory": inventory.summary(kept(self.config.record.level)),
+            **({"lidar_engine": GRAZING} if self.config.lidar.engine != "columnar" else {}),
             **({"error": self.error} if self.error else {}),
             **({"resumed_at": self.resumed_at} if self.resumed_at else {}),
         }

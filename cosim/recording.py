@@ -359,6 +359,7 @@ def vehicle_rows(
         "vehicle": np.arange(len(registry), dtype=np.int32), "sumo_id": np.array(registry.names, object),
         "vehicle_class": registry.shape, "length_m": lwh[:, 0], "width_m": lwh[:, 1], "height_m": lwh[:, 2],
         "equipped": registry.equipped, "role": role_of_attack[registry.attack], "role__valid": registry.equipped,
+        "attack": registry.attack.astype(np.int16) - 1, "attack__valid": registry.equipped & (registry.attack > 0),
         "first_step": registry.first_step, "last_step": registry.last_step,
         "attack_start_step": attack_start_step, "attack_start_step__valid": attacked,
     }  # fmt: skip

@@ -14,6 +14,7 @@ import pyarrow.parquet as pq
 
 from cosim import checkpoint, recording, run_folder
 from cosim.actors import ActorRegistry
+from cosim.adversary.checked import AttackError
 from cosim.adversary.params import named, shares
 from cosim.config import Config, chosen, resolve_data
 from cosim.drive import STATE_VERSION, Advance, Commands, Drive, own_modules, warm_up
@@ -27,7 +28,7 @@ from cosim.radio.rsu import NO_RSUS, RsuAntennas, place_rsus
 from cosim.run_folder import RunFolder
 from cosim.scenario import Scenario, find
 from cosim.state import State
-from cosim.stop import Failed, Stopped, StopRequest
+from cosim.stop import NOTHING_WRITTEN, Failed, Stopped, StopRequest
 from cosim.stopwatch import Stopwatch
 from cosim.trackers.attack_start import AttackStartTracker
 from results import inventory
@@ -300,7 +301,7 @@ def _carry_out(drive: Drive, folder: RunFolder) -> None:
         raise Stopped(error.signum, message) from None
     except Failed:
         raise
-    except (TrafficError, ModelError) as error:
+    except (TrafficError, ModelError, AttackError, Damaged) as error:
         _fail(drive, folder, str(error))
         raise
     except OSError as error:
@@ -314,6 +315,9 @@ def _carry_out(drive: Drive, folder: RunFolder) -> None:
         _fail(drive, folder, message)
         raise Failed(message + ".") from None
     except Exception as error:
+        if drive.stop.signum is not None and not recorder.inventory.blocks:  # the signal came out of compiled code
+            _fail(drive, folder, "")
+            raise Stopped(drive.stop.signum, NOTHING_WRITTEN) from None
         _fail(drive, folder, f"{type(error).__name__}: {error}")
         raise RuntimeError(f"{folder.path}: the run failed at step {manifest.steps}") from error
     manifest.timings_s = drive.parts.watch.seconds
@@ -352,4 +356,17 @@ def _fail(drive: Drive, folder: RunFolder, message: str) -> bool:
 
 def remarks(folder: Path) -> list[str]:
     """What a user should know of a finished run before they trust its figures; mostly nothing."""
-    return traffic_remarks(read_manifest(folder)["summary"])
+    summary = read_manifest(folder)["summary"]
+    absent = [f"note: {key}: no vehicle of that id was on the road." for key in summary.get("victims_absent", ())]
+    return traffic_remarks(summary) + absent
+
+
+def changed_since(path: Path | None, config: Config) -> list[str]:
+    """A remark where the config is that of a recorded run, and the files of its scenario have changed since."""
+    if path is None or not (path.parent / "manifest.json").is_file():
+        return []
+    with suppress(ValueError):
+        before = read_manifest(path.parent)["net"]
+        if changed := find(config.traffic.scenario, config.traffic.trace).changed_inputs(before):
+            return [f"note: changed since {path.parent} was recorded: {', '.join(changed)}. The tables will differ."]
+    return []

@@ -13,6 +13,8 @@ from results.measure import measure
 from results.metrics.compare import differing
 from results.run import Run
 
+ENGINES_DIFFER = "where rays graze edges, tables of one ray caster differ from those of another."
+
 
 def of_variants(run: Run, variant: str) -> list[Run]:
     """The run as one of its trust variants, or once for each with `variant = "all"`."""
@@ -48,6 +50,12 @@ def print_measures(runs: list[Run], as_json: bool, csv: Path | None, **options: 
         screen.print(table_of(str(runs[0].path), rows_of(tables[0])))
     else:
         screen.print(_side_by_side(labels, tables, keys))
+
+
+def engines_remark(runs: list[Run]) -> str:
+    """Said where runs were cast by several ray casters; empty otherwise."""
+    engines = sorted({str(run.config.get("lidar", {}).get("engine", "columnar")) for run in runs})
+    return "" if len(engines) < 2 else f"note: the runs were cast by {' and '.join(engines)}: {ENGINES_DIFFER}"
 
 
 def _side_by_side(labels: list[str], tables: list[pd.DataFrame], keys: dict[str, list[Any]]) -> Table:

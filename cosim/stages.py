@@ -18,17 +18,16 @@ from cosim.radio.message_round import LinkReceptions, Receptions, Stations
 from cosim.ragged import ptr_of
 from cosim.senders import Senders, Vehicles, distinct, lists_of_voices
 from cosim.v2x.cpm_generation import InclusionMemory, select_objects
-from cosim.v2x.messages import SENSED, Detections, cpm_bytes, faults, piggyback_bytes, with_motion
+from cosim.v2x.messages import SENSED, Detections, cpm_bytes, piggyback_bytes, with_motion
 from cosim.v2x.pseudonyms import PseudonymState
 from cosim.v2x.trust_hosts import Lookups, TrustState
 from cosim.v2x.trust_server import LinkStats
 from cosim.world import World
-from results.codes import DetectionFault
 from sensors.boxes import overlapping_pairs
 from sensors.evidence import in_evaluation_area
 from trust import tables
 from trust.evaluation import evaluate
-from trust.fusion import Fused, SenderTrust, SensorEvidence, fuse
+from trust.fusion import Fused, SenderTrust, SensorEvidence, fuse, votes_of
 from trust.matching import match
 from trust.tables import EvaluationMessages, Evaluations, Groups, ObjectLists
 
@@ -64,12 +63,7 @@ def list_objects(
 ) -> tuple[Listed, InclusionMemory]:  # fmt: skip
     """Detections as each vehicle lists them, after attacks and generation rules."""
     perceived = with_motion(observed.detections, world.speed_mps, acceleration_mps2)
-    objects = active.detections(perceived)
-    fault = faults(objects, world.boxes.xyz_m)
-    if (fault >= 0).any():
-        rows = np.flatnonzero(fault < 0)
-        by = np.lexsort((objects.detection_index[rows], objects.identity[rows], objects.observer[rows]))
-        objects = objects.take(rows[by])
+    objects, n_dropped = active.detections(perceived)
     withheld = (objects.origin == SENSED) & ~objects.transmitted
     lied = lies_in_detections(perceived, objects, active.malicious(len(world)))
     if c.radio.cpm_rules == "etsi":
@@ -77,7 +71,6 @@ def list_objects(
             included, objects, world.actor[objects.observer].astype(np.int64) << 16 | objects.identity, time_s
         )
         objects = replace(objects, transmitted=chosen)
-    n_dropped = np.bincount(fault[fault >= 0], minlength=len(DetectionFault))
     truth = ground_truth_of(
         objects, world, observed.observability, vehicles.row, observed.is_real, observed.actor_row, lied
     )
@@ -260,15 +253,17 @@ def fuse_objects(
     from_own_m = _distance_m(boxes.xyz_m, origin_m[senders.vehicle[listed.detections.message]])
     ptr = ptr_of(used.receiver, len(known.owner))
     in_time = np.full(len(used.message), c.radio.evaluations == "alone")
+    given = known, matched.groups, listed.detections, evaluated.lists, evaluated.own, evaluated.reported
     fused: list[Fused | None] = []
+    votes = None
     for variant, found, scorer in zip(parts.trust.variants, lookups, parts.trust.scorers(trust), strict=True):
         if not variant.fused:
             fused.append(None)
             continue
-        objects = fuse(
-            known, matched.groups, listed.detections, evaluated.lists, evaluated.own, evaluated.reported,
-            SenderTrust(ptr, used.message, found.trust, in_time), evidence, from_own_m, variant.trust, scorer,
-        )  # fmt: skip
+        sender_trust = SenderTrust(ptr, used.message, found.trust, in_time)
+        if scorer is not None and votes is None:
+            votes = votes_of(*given, sender_trust)
+        objects = fuse(*given, sender_trust, evidence, from_own_m, variant.trust, scorer, votes)
         fused.append(objects.take(objects.score >= variant.trust.min_score))
     return fused
 

@@ -19,7 +19,7 @@ from cosim.trackers.inter_reception import InterReceptionTracker
 from cosim.trackers.motion import AccelerationTracker
 from cosim.v2x.cpm_generation import InclusionMemory
 from cosim.v2x.pseudonyms import PseudonymState
-from cosim.v2x.relinking import HeardSenders
+from cosim.v2x.relinking import KnownSenders
 from cosim.v2x.trust_hosts import TrustState
 from results.codes import DetectionFault
 
@@ -44,7 +44,7 @@ class State:
     )
     """Of detection and of evaluation messages."""
     attack_start: AttackStartTracker = field(default_factory=AttackStartTracker)
-    heard: HeardSenders = field(default_factory=HeardSenders)
+    known_senders: KnownSenders = field(default_factory=KnownSenders)
     """With pseudonyms.linkage = "own" alone."""
     accelerations: AccelerationTracker = field(default_factory=AccelerationTracker)
     position_errors: PositionErrors = field(default_factory=PositionErrors)

@@ -8,6 +8,9 @@ from types import FrameType
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
+NOTHING_WRITTEN = "interrupted before the first step was done; nothing was written"
+
+
 class Failed(RuntimeError):
     """A run that could not go on for want of disk, memory or its folder: one line, exit status 1."""
 
@@ -48,4 +51,4 @@ class StopRequest:
             os.kill(os.getpid(), signum)
         self.signum = signum
         if self.at_once:
-            raise Stopped(signum, "interrupted before the first step; nothing was written")
+            raise Stopped(signum, NOTHING_WRITTEN)

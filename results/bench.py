@@ -64,6 +64,8 @@ def _disk(rng: np.random.Generator, steps: int) -> tuple[float, float, int, int]
                     "variant": np.zeros(len(subject), np.int8),
                     "receiver": receiver, "subject": subject, "trust": trust[subject],
                     "source": np.zeros(len(subject), np.int8), "age_s": np.full(len(subject), step % 5 + 0.2),
+                    "state": np.zeros(len(subject), np.int8), "n_evaluations": np.full(len(subject), step % 7),
+                    "n_evaluators": None, "newest_evaluation_age_s": None, "oldest_evaluation_age_s": None,
                 })  # fmt: skip
         written = process_time()
         finish(Path(folder), {"dt_s": 1.0, "config": {}})

@@ -53,6 +53,7 @@ class DetectionFault(IntEnum):
     BAD_NUMBER = 5
     REPEATED_NUMBER = 6
     TOO_MANY = 7
+    BAD_MOTION = 8
 
 
 class TrustSource(IntEnum):

@@ -30,6 +30,19 @@ def write(path: Path, content: bytes | memoryview) -> None:
     partial.replace(path)
 
 
+def write_output(path: Path, content: bytes) -> None:
+    """Write a file under a name that the user gave, whole or not at all; a symbolic link is replaced, not followed.
+
+    ValueError where it is a folder. Devices and pipes are written to.
+    """
+    if path.is_dir():
+        raise ValueError(f"{path} is a folder. Give the name of a file.")
+    if path.exists() and not path.is_symlink() and not path.is_file():
+        path.write_bytes(content)
+    else:
+        write(path, content)
+
+
 def append_line(path: Path, line: bytes) -> None:
     """Add a line at the end of a file, on disk when this returns."""
     with open(os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_NOFOLLOW, 0o666), "ab") as file:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import pandas as pd
 
+from results.codes import BASE_VARIANT
 from results.durable import Damaged
 from results.metrics import (
     attack,
@@ -262,6 +263,10 @@ def _security(run: Run, threshold: float) -> Iterator[Row]:
             name: name + suffix for name in ("precision", "recall", "fpr", "f1", "mcc", "informedness")
         })  # fmt: skip
         yield Row(f"false_exclusions_per_h{suffix}", "", *security.false_exclusions(run, threshold, relative))
+    if run.variant == BASE_VARIANT and run.config.get("pseudonyms", {}).get("revocation", "none") != "none":
+        yield from _rows(misbehaviour.summary_of(security.exclusion_delay(run)), "{role}", {
+            "share": "time_to_exclusion.share", "median_s": "time_to_exclusion.median_s",
+        })  # fmt: skip
     yield Row("average_precision", "", security.average_precision(run))
     yield from _rows(security.trust_error(run), "{role}", {"error": "trust_error"})
 
@@ -343,6 +348,9 @@ def _attack(run: Run) -> Iterator[Row]:
                 yield Row(f"{name}.pairs.n", f"{one['among']}, {one['role']}", one["n"])
     yield from _rows(attack.per_lie(run), "{threshold:g}, {role}", {"share": "believed_by_any.share"}, "share")
     yield from _rows(attack.believed_duration(run), "{among}, {role}", {"mean_s": "believed_duration.mean_s"}, "mean_s")
+    harm = attack.damage(run)
+    yield from _rows(harm, "{among}, {role}", {"per_attacker_s": "damage.per_attacker_s"}, "per_attacker_s")
+    yield from _rows(harm.drop(columns=["low", "high"]), "{among}, {role}", {"total_s": "damage.total_s"})
     yield from _rows(attack.false_in_path(run), "{among}", {
         "share": "false_in_path.share", "boxes_mean": "false_in_path.boxes_mean",
     }, "share")  # fmt: skip

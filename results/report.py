@@ -8,6 +8,7 @@ from typing import Any
 
 import pandas as pd
 
+from results import durable
 from results.columns import Column
 from results.figures import style
 from results.figures.catalogue import FIGURES
@@ -52,7 +53,7 @@ def write(run: Run, path: str | Path | None = None) -> Path:
     path = run.path / "report.html" if path is None else Path(path)
     if not path.parent.is_dir():
         raise ValueError(f"The folder {path.parent} does not exist. Make it first.")
-    path.write_text(page(run), encoding="utf-8")
+    durable.write_output(path, page(run).encode())
     return path
 
 

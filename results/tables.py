@@ -97,6 +97,7 @@ TABLES: Mapping[str, Table] = {
             "height_m": Column("float32", unit="m", meaning="Vertical extent."),
             "equipped": Column("bool", meaning="Carries a LiDAR and a radio."),
             "role": Column("category", meaning="How an equipped vehicle behaves; null if not equipped.", categories=labels(Role), labels_of_run="roles", null=True),
+            "attack": Column("int16", null=True, meaning="Section of `attacks` in the config, from 0, that its vehicle belongs to; null if honest or not equipped."),
             "first_step": Column("int32", meaning="First step on the road."),
             "last_step": Column("int32", meaning="Last step on the road."),
             "attack_start_step": Column("int32", null=True, meaning="First step in which it lied in a detection or an evaluation, or attacked the channel or the server; null if it never did."),
@@ -210,7 +211,7 @@ TABLES: Mapping[str, Table] = {
         "Detections in the lists that attacks make up or change that no message can hold, and that are dropped before they are sent, by cause.",
         {
             "step": _STEP,
-            "cause": Column("category", key=True, categories=labels(DetectionFault), meaning="First cause that applies: not finite; more than 10 km from the observer, or a heading beyond a full turn; a size of 0 or less or above 1 km; a score outside [0, 1]; a class that does not exist; a number outside of 15 bits; a number that the list has already; more than 255 objects."),
+            "cause": Column("category", key=True, categories=labels(DetectionFault), meaning="First cause that applies: not finite; more than 10 km from the observer, or a heading beyond a full turn; a size of 0 or less or above 1 km; a score outside [0, 1]; a class that does not exist; a number outside of 15 bits, or a count of returns outside of 31; a number that the list has already; more than 255 objects; a speed or an acceleration beyond 1,000."),
             "n": _count("Detections dropped."),
         },
     ),

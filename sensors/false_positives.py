@@ -189,7 +189,8 @@ def _side(x, y):
 def _tally(ranges, hits, beams, x, y, cos, sin, x0, y0, side):
     """Cells and kinds (wall, road) of one sweep: which, returns, first and last column; and returns by kind."""
     number = np.zeros(2 * side * side, np.int32)  # place in the list, from 1
-    met = np.empty((4, 1 + hits.size // COLUMN_STEP), np.int32)
+    n_looked_at = -(-hits.shape[0] // COLUMN_STEP) * -(-hits.shape[1] // ROW_STEP)
+    met = np.empty((4, n_looked_at), np.int32)
     total = np.zeros(2, np.int64)
     k = 0
     x, y, top = x / CELL_M - x0, y / CELL_M - y0, side - 0.5

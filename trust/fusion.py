@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float, Int
 from numba import njit, prange
 from numpy import ndarray
 
-from trust.object_reports import ObjectReports, object_reports
+from trust.object_reports import ObjectReports, ObjectVotes, object_votes
 from trust.params import AVERAGES, Method, TrustParams
 from trust.tables import Detections, Evaluations, Groups, ObjectLists, int64
 from trust.threads import threads_for
@@ -280,6 +280,7 @@ def fuse(
     distance_m: Float[ndarray, "d"],
     params: TrustParams,
     score_objects: Callable[[ObjectReports], Float[ndarray, "g"]] | None = None,
+    votes: ObjectVotes | None = None,
 ) -> Fused:
     """Final score and pose of each group of each ego.
 
@@ -302,6 +303,8 @@ def fuse(
         Of each detection from its own detector's sensor [m].
     score_objects
         Scores of a trust model that scores objects, instead of those of `params.method`.
+    votes
+        What `votes_of` makes of these arguments, where several fusions differ in trust alone; else it is made here.
 
     Returns
     -------
@@ -364,10 +367,9 @@ def fuse(
     if score_objects is None:
         score = np.clip(METHODS[params.method](sums, params), 0.0, 1.0)
     else:
-        received = sender_trust.ptr, sender_trust.message, sender_trust.trust, arrived
-        score = score_objects(object_reports(
-            lists, groups, detections, evaluated, own, reported, received, params.ego_trust, n_threads
-        ))  # fmt: skip
+        if votes is None:
+            votes = votes_of(lists, groups, detections, evaluated, own, reported, sender_trust)
+        score = score_objects(votes.with_trust(sender_trust.trust, params.ego_trust))
 
     pose = row
     if params.method in CORRECTED and not params.code_parity:
@@ -382,6 +384,18 @@ def fuse(
         total(n.astype(float)).astype(np.int64), n_evaluators,
     )  # fmt: skip
     return fused.take(~(sums.ego_detected & detections.is_self[row]))
+
+
+def votes_of(
+    lists: ObjectLists, groups: Groups, detections: Detections, evaluated: ObjectLists, own: Evaluations,
+    reported: Evaluations, sender_trust: SenderTrust,
+) -> ObjectVotes:  # fmt: skip
+    """Votes on the groups of each ego; the arguments are those of `fuse`, and no trust is read."""
+    t = _canonical(sender_trust)
+    arrived = np.ones(t.message.size, bool) if t.has_evaluations is None else t.has_evaluations
+    received = t.ptr, t.message, arrived
+    with threads_for(t.message.size * evaluated.member.size / max(1, evaluated.owner.size)) as n_threads:
+        return object_votes(lists, groups, detections, evaluated, own, reported, received, n_threads)
 
 
 def _parity(

@@ -25,6 +25,22 @@ class ObjectReports:
     n_groups: int
 
 
+@dataclass(frozen=True, slots=True)
+class ObjectVotes:
+    """The same without trust, which is all that differs between the trust variants of a step."""
+
+    group: Int[ndarray, "r"]
+    in_favour: Bool[ndarray, "r"]
+    visibility: Float[ndarray, "r"]
+    received: Int[ndarray, "r"]  # row of the messages that the egos received; -1 for the ego's own vote
+    n_groups: int
+
+    def with_trust(self, trust: Float[ndarray, "h"], ego_trust: float) -> ObjectReports:
+        """The reports, with the egos' trust in the senders of the messages received, and in themselves."""
+        of_vote = np.append(trust, ego_trust)[self.received]
+        return ObjectReports(self.group, self.in_favour, self.visibility, of_vote, self.n_groups)
+
+
 @njit(cache=True, parallel=True)
 def _reports(list_ptr, member, owner, group, evaluated_ptr, evaluated, evaluated_by, own_e, own_phi, reported_e,
              reported_phi, received_ptr, received, has_evaluations, message, n_detections, n_messages, n_chunks,
@@ -94,25 +110,24 @@ def _reports(list_ptr, member, owner, group, evaluated_ptr, evaluated, evaluated
     return n_rows
 
 
-def object_reports(
+def object_votes(
     lists: ObjectLists,
     groups: Groups,
     detections: Detections,
     evaluated: ObjectLists,
     own: Evaluations,
     reported: Evaluations,
-    received: tuple[Int[ndarray, "e+1"], Int[ndarray, "h"], Float[ndarray, "h"], Bool[ndarray, "h"]],
-    ego_trust: float,
+    received: tuple[Int[ndarray, "e+1"], Int[ndarray, "h"], Bool[ndarray, "h"]],
     n_threads: int,
-) -> ObjectReports:
+) -> ObjectVotes:
     """Votes on the groups of each ego; the arguments are those of `trust.fusion.fuse`.
 
     Parameters
     ----------
     received
-        `SenderTrust`: ptr, message, trust, has_evaluations.
+        `SenderTrust`: ptr, message, has_evaluations.
     """
-    ptr, message, trust, arrived = received
+    ptr, message, arrived = received
     seeds = groups.seeds()
     group = np.searchsorted(seeds, groups.seed)
     n_messages = 1 + int(max(a.max(initial=-1) for a in (lists.owner, evaluated.owner, message, detections.message)))
@@ -135,6 +150,4 @@ def object_reports(
         _reports(*given, row_ptr, *out)
     of_group, _, position, in_favour, visibility = out
     is_own = position < ptr[np.repeat(np.arange(n_egos), n_rows)]
-    value = np.full(position.size, ego_trust)
-    value[~is_own] = trust[position[~is_own]]
-    return ObjectReports(of_group, in_favour, visibility, value, seeds.size)
+    return ObjectVotes(of_group, in_favour, visibility, np.where(is_own, -1, position), seeds.size)

@@ -10,10 +10,17 @@ from numpy import ndarray
 
 from cosim import rng
 from cosim.adversary.attack import Attack, AttackContext, EvaluationRows, Sending
+from cosim.adversary.checked import (
+    checked_detections,
+    checked_evaluations,
+    checked_identities,
+    checked_sending,
+    without_faults,
+)
 from cosim.adversary.params import AttackParams, owners
 from cosim.v2x.messages import Detections
 from cosim.world import World
-from results.codes import Role
+from results.codes import DetectionFault, Role
 
 _CELL_M = 200.0
 """Attackers that appear at once are numbered cell by cell, so that rings are neighbours."""
@@ -47,15 +54,22 @@ class Active:
     """Attacks that are carried out in one step, in the order of the config."""
 
     attacks: tuple[tuple[Attack, AttackContext], ...]
+    xyz_m: Float[ndarray, "n 3"]
+    """Positions of all actors."""
 
     def _with(self, hook: str) -> list[tuple[Any, AttackContext]]:
         return [(attack, context) for attack, context in self.attacks if hasattr(attack, hook)]
 
-    def detections(self, listed: Detections) -> Detections:
-        """What each vehicle will send of its list."""
-        for attack, context in self._with("detections"):
-            listed = attack.detections(listed, context)
-        return listed
+    def detections(self, listed: Detections) -> tuple[Detections, Int[ndarray, "f"]]:
+        """What each vehicle will send of its list; how many cannot be sent and are dropped, by `DetectionFault`."""
+        attacks, n_dropped = self._with("detections"), np.zeros(len(DetectionFault), np.int64)
+        if not attacks:
+            return without_faults(listed, self.xyz_m)
+        n_identities = self.identities(len(self.xyz_m))
+        for attack, context in attacks:
+            listed, n = checked_detections(attack, context, listed, attack.detections(listed, context), n_identities)
+            n_dropped += n
+        return listed, n_dropped
 
     def evaluations(
         self, rows: EvaluationRows, detections: Detections
@@ -64,21 +78,23 @@ class Active:
         evaluation, visibility = rows.evaluation, rows.visibility
         for attack, context in self._with("evaluations"):
             now = EvaluationRows(rows.evaluator, rows.detection, evaluation, visibility)
-            evaluation, visibility = attack.evaluations(now, detections, context)
+            returned = attack.evaluations(now, detections, context)
+            evaluation, visibility = checked_evaluations(attack, context, now, returned)
         return evaluation, visibility
 
     def identities(self, n: int) -> Int[ndarray, "n"]:
         """Identities beside its own under which each actor sends."""
         found = np.zeros(n, np.int64)
         for attack, context in self._with("identities"):
-            found = np.maximum(found, np.where(context.attacker, attack.identities(context), 0))
+            numbers = checked_identities(attack, context, attack.identities(context))
+            found = np.maximum(found, np.where(context.attacker, numbers, 0))
         return found
 
     def sending(self, n: int) -> Sending:
         """How each actor's messages are sent."""
         found = Sending.plain(n)
         for attack, context in self._with("sending"):
-            found = found.and_also(attack.sending(context))
+            found = found.and_also(checked_sending(attack, context, attack.sending(context)))
         return found
 
     def malicious(self, n: int) -> Bool[ndarray, "n"]:
@@ -136,7 +152,7 @@ class Adversary:
         Parameters
         ----------
         trust
-            In each actor, as it was last told; None where no attack reads it.
+            In each actor, as it last learned it; None where no attack reads it.
         age_s
             Of each actor's present pseudonym.
         """
@@ -145,7 +161,7 @@ class Adversary:
             if p.renewal == "by_policy" or time_s < p.start_s:
                 continue
             if p.renewal == "whitewashing":
-                assert trust is not None, "told where an attack reads it"
+                assert trust is not None, "given where an attack reads it"
                 wants = trust < p.renew_below
             else:
                 wants = age_s >= p.renew_s - 1e-9
@@ -160,7 +176,7 @@ class Adversary:
         Parameters
         ----------
         trust
-            In each actor, as it was last told; None where no attack reads it.
+            In each actor, as it last learned it; None where no attack reads it.
         """
         found = []
         state.with_room(int(world.actor.max(initial=-1)) + 1)
@@ -179,7 +195,7 @@ class Adversary:
                 found.append((attack, AttackContext(
                     world, now, time_s, self.seed, number, p, member, ring, n_active, state.memory[number]
                 )))  # fmt: skip
-        return Active(tuple(found))
+        return Active(tuple(found), world.boxes.xyz_m)
 
     def _members(self, world: World, number: int) -> Bool[ndarray, "n"]:
         return world.equipped & (world.attack == self.owner[number] + 1)
@@ -208,7 +224,7 @@ class Adversary:
             period = self.period_steps[number]
             since = world.step - np.ceil(p.start_s / self.dt_s - 1e-9)
             return np.full(len(world), np.mod(since + 1e-9, period) < p.duty_p * period)
-        assert trust is not None, "told where an attack reads it"
+        assert trust is not None, "given where an attack reads it"
         if p.when == "camouflage":
             return trust > p.keep_above
         state.awake[number, world.actor] |= trust >= p.wake_trust

@@ -14,6 +14,8 @@ from results.codes import Role
 When = Literal["persistent", "sporadic", "on_off", "sleeper", "camouflage"]
 Victim = Literal["nearest", "one", "region", "random", "designated"]
 Renewal = Literal["by_policy", "whitewashing", "newcomer"]
+Coordinate = Annotated[float, Ge(-1e6), Le(1e6)]
+"""In the world's frame [m]."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -60,7 +62,7 @@ class AttackParams:
     victim_p: Annotated[float, Ge(0), Le(1)] = 0.05
     """designated: share of the equipped vehicles that are victims, decided vehicle by vehicle from its name; attackers
     are none. All attackers around one aim at it, as in the paper."""
-    region_m: tuple[float, float, float] = (0.0, 0.0, 100.0)
+    region_m: tuple[Coordinate, Coordinate, Annotated[float, Gt(0), Le(1e6)]] = (0.0, 0.0, 100.0)
     """region: x, y and radius, in the world's frame [m]."""
     renewal: Renewal = "by_policy"
     """When its vehicles change their pseudonyms: by_policy as all do; whitewashing: also once their own trust, as last
@@ -131,8 +133,23 @@ def _check(p: AttackParams, number: int, freshness_s: float | str, interval_s: f
         raise ValueError(f'{where}.victim = "one" of which vehicle? Set {where}.victim_id to its SUMO id.')
     if p.victim_id and p.victim != "one":
         raise ValueError(f'{where}.victim_id = "{p.victim_id}" is read with victim = "one" alone. Set {where}.victim.')
-    if p.victim == "region" and not p.region_m[2] > 0:
-        raise ValueError(f"{where}.region_m = {list(p.region_m)}: its radius, the third number, must be above 0.")
+
+
+def rings_too_large(params: Sequence[AttackParams], attack: UInt8[ndarray, "n"]) -> list[str]:
+    """A line for each section whose rings are larger than all its vehicles: with a share, known when a run ends.
+
+    Parameters
+    ----------
+    attack
+        Of all actors of the run, as in `world.attack`.
+    """
+    n_of = np.bincount(attack, minlength=len(params) + 1)
+    return [
+        f"attacks.{number}.ring_size = {p.ring_size} is larger than its {n_of[owner + 1]} attackers: no ring was ever "
+        f"whole. Raise share_p or fleet.penetration_p, or set it to at most {n_of[owner + 1]}."
+        for number, (p, owner) in enumerate(zip(params, owners(params), strict=True))
+        if p.ring_size > n_of[owner + 1]
+    ]
 
 
 def owners(params: Sequence[AttackParams]) -> tuple[int, ...]:

@@ -155,17 +155,12 @@ class Cautious:
         """What is watched after a sweep: objects in the way, as the ones they were before where they are the same."""
         p, boxes = self.params, beliefs.boxes
         path = _path_of(world, paths)
-        asked = (beliefs.score >= p.min_score) & (path[beliefs.ego] >= 0) & self._reacts(world)[beliefs.ego]
-        asked &= ~beliefs.ego_detected | (p.own_persons & (beliefs.label == _PEDESTRIAN))
+        own_person = p.own_persons & (beliefs.label == _PEDESTRIAN)
+        own = np.flatnonzero(beliefs.ego_detected & ~own_person)
+        can = (path >= 0) & self._reacts(world)
+        rows = np.flatnonzero((beliefs.score >= p.min_score) & (~beliefs.ego_detected | own_person) & can[beliefs.ego])
         look_m = self._look_m(world)
-        front = world.boxes.xyz_m[beliefs.ego, :2]
-        reach_m = look_m[beliefs.ego] + world.boxes.lwh_m[beliefs.ego, 0] + boxes.circumradius_m
-        asked &= np.hypot(*(boxes.xyz_m[:, :2] - front).T) <= reach_m
-        footing = (b.xyz_m[:, 2] - b.lwh_m[:, 2] / 2 for b in (boxes, world.boxes.take(beliefs.ego)))
-        asked &= np.abs(np.subtract(*footing)) <= _LEVEL_M
-        rows = np.flatnonzero(asked)
-        own = np.flatnonzero(beliefs.ego_detected & ~(p.own_persons & (beliefs.label == _PEDESTRIAN)))
-        rows = rows[~_overlaps_own(beliefs, rows, own)]
+        rows = rows[self._within_reach(world, beliefs, rows, look_m)]
         if watched is not None and len(watched):
             watched = watched.take(np.flatnonzero(~_seen_by_own(watched, beliefs, own, world)))
         ego = beliefs.ego[rows]
@@ -174,8 +169,20 @@ class Cautious:
             p.half_width_m,
         )  # fmt: skip
         steps_out = (beliefs.label[rows] == _PEDESTRIAN) & (p.persons_ahead_s > 0)
-        found = Believed.of(beliefs, rows[np.isfinite(gap_m) | steps_out], world, dt_s)
+        rows = rows[np.isfinite(gap_m) | steps_out]
+        found = Believed.of(beliefs, rows[~_overlaps_own(beliefs, rows, own)], world, dt_s)
         return found if watched is None or not len(watched) else _continued(watched, found)
+
+    def _within_reach(
+        self, world: World, beliefs: Beliefs, rows: Int[ndarray, "k"], look_m: Float[ndarray, "n"]
+    ) -> Bool[ndarray, "k"]:
+        """Objects on the vehicle's level that may lie as near as it looks ahead."""
+        ego, vehicle = beliefs.ego[rows], world.boxes
+        xyz_m, lwh_m = beliefs.boxes.xyz_m[rows], beliefs.boxes.lwh_m[rows]
+        reach_m = (look_m + vehicle.lwh_m[:, 0])[ego] + np.hypot(lwh_m[:, 0], lwh_m[:, 1]) / 2
+        near = np.hypot(*(xyz_m[:, :2] - vehicle.xyz_m[ego, :2]).T) <= reach_m
+        footing_m = (vehicle.xyz_m[:, 2] - vehicle.lwh_m[:, 2] / 2)[ego]
+        return near & (np.abs(xyz_m[:, 2] - lwh_m[:, 2] / 2 - footing_m) <= _LEVEL_M)
 
     def _follow(self, watched: Believed, world: World, paths: LanePaths, now_s: float, dt_s: float) -> SpeedCommands:
         """The lowest speed that any watched object asks for, per vehicle."""

@@ -59,7 +59,9 @@ def _ahead(ptr, line_xy, along, line, front, xy, lw, yaw, look, half_width, samp
             best, at, direction = np.inf, 0.0, 0.0
             for v in range(first, last - 1):
                 length = along[v + 1] - along[v]
-                if length <= 0.0 or along[v + 1] < begin or along[v] > end:
+                if along[v] > end:
+                    break
+                if length <= 0.0 or along[v + 1] < begin:
                     continue
                 ux, uy = (line_xy[v + 1, 0] - line_xy[v, 0]) / length, (line_xy[v + 1, 1] - line_xy[v, 1]) / length
                 t = (x - line_xy[v, 0]) * ux + (y - line_xy[v, 1]) * uy
@@ -69,6 +71,8 @@ def _ahead(ptr, line_xy, along, line, front, xy, lw, yaw, look, half_width, samp
                     best, at, direction = away, along[v] + t, np.arctan2(uy, ux)
             if k == 0:
                 centre_ahead = at > begin + 1e-9
+                if not centre_ahead or best > half_width + np.hypot(lw[i, 0], lw[i, 1]) / 2 + 1e-6:
+                    break  # no point of the footprint is on the path
             if best <= half_width and at - begin < gap[i]:
                 gap[i], heading[i] = at - begin, direction
         if not centre_ahead:

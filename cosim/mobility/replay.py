@@ -67,6 +67,7 @@ class TraceReplay:
                 "it. Set traffic.step_s to a multiple, or record the trace more finely."
             )
         self._begin_s = float(times_s[0]) if params.begin_s is None else params.begin_s
+        self._last_s = self._begin_s
         self._n_skipped = self._step = 0
         self._counts = FlowCounts()
 
@@ -112,17 +113,16 @@ class TraceReplay:
         self._timesteps.close()  # type: ignore[attr-defined]
 
     def _at(self, time_s: float) -> Timestep:
-        last_s = self._begin_s
         while True:
             if not self._ahead and (timestep := next(self._timesteps, None)) is not None:
                 self._ahead.append(timestep)
             if not self._ahead:
-                raise TrafficEnded(f"{self._path} ends at {last_s:g} s")
+                raise TrafficEnded(f"{self._path} ends at {self._last_s:g} s")
             first = self._ahead[0]
             if first.time_s > time_s + _TOLERANCE_S:  # the road was empty: such timesteps have no row
                 return Timestep(time_s, [], [], np.zeros((0, 3)), np.zeros(0), np.zeros(0))
             self._ahead.pop(0)
-            last_s = first.time_s
+            self._last_s = first.time_s
             if first.time_s > time_s - _TOLERANCE_S:
                 return first
 

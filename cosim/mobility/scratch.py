@@ -28,6 +28,16 @@ class Scratch:
             shutil.rmtree(self.path, ignore_errors=True)
 
 
+def can_hold_files(folder: Path) -> bool:
+    """Whether files can be written into a folder, which is made if it is not there."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            return True
+    except OSError:
+        return False
+
+
 def remove_orphans() -> None:
     """Remove this user's folders whose process is gone."""
     for path in Path(tempfile.gettempdir()).glob(f"{_PREFIX}*.*"):

@@ -59,8 +59,13 @@ def _precision(run: Run) -> Iterator[tuple[str, str, float, str, str]]:
 
 
 def _trust(run: Run) -> Iterator[tuple[str, str, float, str, str]]:
-    """Mean over equipped vehicles but egos of the last value that the server computed; without one the default."""
+    """Mean over equipped vehicles but egos of the last value that the server computed; without one the default.
+
+    Attackers that never met an ego, and so never attacked, are left out; where nobody ever attacks they count.
+    """
     cars = run.vehicles[run.vehicles.equipped & ~run.vehicles.vehicle.isin(egos_of(run))]
+    if cars.attack_start_step.notna().any():
+        cars = cars[(cars.role == "honest") | cars.attack_start_step.notna()]
     last = trust.values(run).drop_duplicates("subject", keep="last").set_index("vehicle").trust
     value = cars.vehicle.map(last).astype(float).fillna(float(run.config["trust"]["default_trust"]))
     for role, some in value.groupby(cars.role.astype(str)):

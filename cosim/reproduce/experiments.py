@@ -22,6 +22,7 @@ EXPERIMENTS: Mapping[str, str] = {"tables": "paper_tables", "trust-levels": "pap
 
 CITY, METHOD, SELF_REPORTS = "traffic.scenario", "trust.method", "trust.self_reports"
 START, ATTACK = "attacks.0.start_s", "attacks.0.attack"
+SETTINGS = ("trustworthy", "unreliable", "malicious")
 NEVER_S = 1e8
 """Start of an attack that is never carried out."""
 
@@ -102,7 +103,8 @@ def outcome(study: studies.Study, name: str) -> pd.DataFrame:
     found = [_precision(frame, name), _final_trust(frame)]
     for metric, (what, group) in _SHOWN.items():
         found.append(_further(frame[frame.metric == metric], what, group))
-    return pd.concat(found, ignore_index=True)[
+    rows = pd.concat(found, ignore_index=True)
+    return rows.sort_values("setting", key=lambda c: c.map(SETTINGS.index), kind="stable", ignore_index=True)[
         [*_FIRST, "paper", "n", "mean", "low", "high", "change", "change_low", "change_high", "paper_change"]
     ]
 
@@ -122,15 +124,15 @@ def _precision(frame: pd.DataFrame, name: str) -> pd.DataFrame:
         rows = rows.assign(paper=rows.paper.where(rows.setting == "trustworthy"), paper_change=float("nan"))
     order = {level: i for i, level in enumerate(LEVELS)}
     return rows.sort_values("level", key=lambda c: c.map(order), kind="stable").sort_values(
-        ["setting", "city", "class"], kind="stable"
+        ["city", "class"], kind="stable"
     )
 
 
 def _final_trust(frame: pd.DataFrame) -> pd.DataFrame:
     """Mean trust at the end, of those that are drawn as attackers and of the others."""
     frame = frame[(frame.metric == "paper.final_trust.mean") & (frame.method.isin(("local", "trupercept_1")))]
-    what = "mean trust at the end, " + frame.group.where(frame.group == "honest", "attackers").map(
-        {"honest": "all others", "attackers": "attackers, if they attack"}
+    what = "mean trust at the end, " + pd.Series("drawn as attackers", frame.index).where(
+        frame.group != "honest", "all others"
     )
     rows = _with_change(frame.assign(what=what), frame.iloc[:0].assign(what=""), ["replicate"])
     printed = rows.setting.map(FINAL_TRUST).where((rows.setting == "trustworthy") == rows.what.str.endswith("others"))

@@ -50,10 +50,10 @@ def sweep(
     with bar:
         shown = bar.add_task(task.study.head.name, total=None, note="")
 
-        def told(done: int, total: int, answered: int, note: str) -> None:
+        def report(done: int, total: int, answered: int, note: str) -> None:
             bar.update(shown, completed=done, total=total, note=f"{answered} of {len(task.points)} points {note}")
 
-        states, failed = sweeping.sweep(task, told, scheduler, workers)
+        states, failed = sweeping.sweep(task, report, scheduler, workers)
     _print_states(task.study.head.name, out, states, failed, as_json)
     if failed:
         raise typer.Exit(1)

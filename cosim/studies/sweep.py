@@ -36,8 +36,8 @@ class Task:
     estimate: Estimate
 
 
-Told = Callable[[int, int, int, str], None]
-"""Told of progress: runs done, runs in all, points answered, a note."""
+Report = Callable[[int, int, int, str], None]
+"""Called with progress: runs done, runs in all, points answered, a note."""
 
 
 def prepare(file: Path, out: Path, merge: bool = True) -> Task:
@@ -74,7 +74,7 @@ def needs_fused(study: Study) -> bool:
 
 
 def sweep(
-    task: Task, told: Told, scheduler: str | None = None, workers: int | None = None
+    task: Task, report: Report, scheduler: str | None = None, workers: int | None = None
 ) -> tuple[dict[str, int], list[tuple[str, Attempt]]]:
     """Make what is missing. Points by state at the end, and the runs that failed."""
     study, folder = task.study, task.folder
@@ -87,7 +87,7 @@ def sweep(
         failed: list[tuple[str, Attempt]] = []
         n_points = {run.id: len(run.members) for run in task.plan.runs}
         done = answered = 0
-        told(0, len(n_points), task.n_finished, "")
+        report(0, len(n_points), task.n_finished, "")
         try:
             if n_points:
                 n_workers = workers or max(1, numba.config.NUMBA_NUM_THREADS)  # type: ignore[attr-defined]
@@ -99,7 +99,7 @@ def sweep(
                                 answered += n_points[id] * (attempt.outcome == "ok")
                             if attempt.outcome != "ok":
                                 failed.append((id, attempt))
-                            told(
+                            report(
                                 done,
                                 len(n_points),
                                 task.n_finished + answered,

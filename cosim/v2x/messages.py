@@ -20,7 +20,10 @@ FARTHEST_M = 10_000.0
 """Farthest that a detection may be from its observer, along an axis."""
 LARGEST_M = 1_000.0
 """Largest length, width or height of a detection."""
+FASTEST = 1_000.0
+"""Largest speed [m/s] and acceleration [m/s2] that a detection may claim."""
 LARGEST_NUMBER = 2**15 - 1
+MOST_RETURNS = 2**31 - 1
 MOST_OBJECTS = 255
 """Objects in one message: ETSI TS 103 324, `PerceivedObjects`."""
 
@@ -140,12 +143,16 @@ def faults(listed: Detections, xyz_m: Float[ndarray, "w 3"]) -> Int[ndarray, "d"
             DetectionFault.NOT_FINITE: ~(
                 np.isfinite(boxes.xyz_m).all(axis=1) & np.isfinite(boxes.lwh_m).all(axis=1)
                 & np.isfinite(boxes.yaw_rad) & np.isfinite(listed.score)
+                & ~np.isinf(listed.speed_mps) & ~np.isinf(listed.acceleration_mps2)
             ),
             DetectionFault.TOO_FAR: ~((away_m <= FARTHEST_M) & (np.abs(boxes.yaw_rad) <= 2 * np.pi)),
             DetectionFault.BAD_SIZE: ~((boxes.lwh_m > 0) & (boxes.lwh_m <= LARGEST_M)).all(axis=1),
             DetectionFault.BAD_SCORE: ~((listed.score >= 0) & (listed.score <= 1)),
             DetectionFault.UNKNOWN_CLASS: np.asarray(listed.label).astype(np.int64) >= len(ObjectClass),
-            DetectionFault.BAD_NUMBER: (number < 0) | (number > LARGEST_NUMBER),
+            DetectionFault.BAD_MOTION: (np.abs(listed.speed_mps) > FASTEST)
+            | (np.abs(listed.acceleration_mps2) > FASTEST),
+            DetectionFault.BAD_NUMBER: (number < 0) | (number > LARGEST_NUMBER)
+            | (listed.n_points < 0) | (listed.n_points > MOST_RETURNS),
         }  # fmt: skip
     found, message = np.full(n, -1), listed.observer.astype(np.int64) << 16 | listed.identity
     for fault in reversed(wrong):

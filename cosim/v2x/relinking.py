@@ -1,6 +1,6 @@
 """Receivers that link a new pseudonym to one that has fallen silent, by place and speed.
 
-A sender that is heard for the first time stands where another one would be by now, of which nothing is heard any more:
+A sender received for the first time stands where another one would be by now, of which nothing is heard any more:
 the receiver takes the two for one, and uses what it knows of the old one as long as it knows nothing of the new.
 """
 
@@ -17,7 +17,7 @@ from results.codes import TrustSource
 
 
 @dataclass(frozen=True, slots=True)
-class HeardSenders:
+class KnownSenders:
     """What receivers remember of senders: a row per receiver (actor number) and pseudonym, sorted."""
 
     receiver: Int[ndarray, "n"] = field(default_factory=lambda: np.zeros(0, np.int64))
@@ -30,7 +30,7 @@ class HeardSenders:
     rated: Bool[ndarray, "n"] = field(default_factory=lambda: np.zeros(0, bool))
     """Whether the receiver knew a trust value of this pseudonym itself."""
     n_changes: int = 0
-    """Changes so far of senders that the receiver had heard just before; ground truth, read by nobody."""
+    """Changes so far of senders that the receiver had received just before; ground truth, read by nothing."""
     n_linked: int = 0
     n_right: int = 0
     """Of those linked, pairs of one sender; ground truth, read by nobody."""
@@ -39,7 +39,7 @@ class HeardSenders:
     def key(self) -> Int[ndarray, "n"]:
         return self.receiver << 31 | self.pseudonym
 
-    def take(self, rows: ndarray) -> "HeardSenders":
+    def take(self, rows: ndarray) -> "KnownSenders":
         """These rows."""
         columns = {f.name: getattr(self, f.name)[rows] for f in fields(self) if not f.name.startswith("n_")}
         return replace(self, **columns)
@@ -49,11 +49,11 @@ class HeardSenders:
         return np.searchsorted(self.key, receiver.astype(np.int64) << 31 | pseudonym)
 
 
-def heard(
-    before: HeardSenders, receiver: Int[ndarray, "r"], pseudonym: Int[ndarray, "r"], xy_m: Float[ndarray, "r 2"],
+def update_senders(
+    before: KnownSenders, receiver: Int[ndarray, "r"], pseudonym: Int[ndarray, "r"], xy_m: Float[ndarray, "r 2"],
     velocity_mps: Float[ndarray, "r 2"], time_s: float, owner: Int[ndarray, "r"], owner_before: Int[ndarray, "n"],
     params: PseudonymParams,
-) -> HeardSenders:  # fmt: skip
+) -> KnownSenders:  # fmt: skip
     """Remember the senders of one round, and link those that are new.
 
     Parameters
@@ -65,7 +65,7 @@ def heard(
     """
     order = np.lexsort((pseudonym, receiver))
     n = len(order)
-    now = HeardSenders(
+    now = KnownSenders(
         receiver[order].astype(np.int64), pseudonym[order].astype(np.int64), xy_m[order], velocity_mps[order],
         np.full(n, time_s), np.full(n, -1), np.zeros(n, bool), before.n_changes, before.n_linked, before.n_right,
     )  # fmt: skip
@@ -98,7 +98,7 @@ def heard(
     return _joined(now, before.take(lost[~np.isin(lost, b)]))
 
 
-def _joined(one: HeardSenders, other: HeardSenders) -> HeardSenders:
+def _joined(one: KnownSenders, other: KnownSenders) -> KnownSenders:
     columns = {
         f.name: np.concatenate([getattr(one, f.name), getattr(other, f.name)])
         for f in fields(one) if not f.name.startswith("n_")
@@ -107,7 +107,7 @@ def _joined(one: HeardSenders, other: HeardSenders) -> HeardSenders:
     return joined.take(np.argsort(joined.key, kind="stable"))
 
 
-def noted(memory: HeardSenders, rows: Int[ndarray, "q"], known: Bool[ndarray, "q"]) -> HeardSenders:
+def noted(memory: KnownSenders, rows: Int[ndarray, "q"], known: Bool[ndarray, "q"]) -> KnownSenders:
     """Remember of which pseudonyms a trust value was known when it was looked up."""
     rated = memory.rated.copy()
     rated[rows] = known

@@ -5,7 +5,9 @@ from collections.abc import Callable, Mapping
 from matplotlib.figure import Figure
 
 from results.figures import (
+    attacks,
     contacts,
+    delays,
     detection,
     encounters,
     freshness,
@@ -21,6 +23,8 @@ FIGURES: Mapping[str, Callable[..., Figure]] = {
     "trust": trust.draw,
     "misbehaviour": misbehaviour.draw,
     "security": security.draw,
+    "attacks": attacks.draw,
+    "delays": delays.draw,
     "encounters": encounters.draw,
     "freshness": freshness.draw,
     "radio": radio.draw,

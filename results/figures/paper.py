@@ -82,7 +82,7 @@ def draw_trust_levels(rows: pd.DataFrame) -> Figure:
     figure, (left, middle, right) = style.sheet(3, width=9.5, height=3.6)
     trusted = rows[rows.what.str.startswith("mean trust at the end") & (rows.method == "local")]
     for at, setting in enumerate(SETTINGS):
-        for i, who in enumerate(("all others", "attackers, if they attack")):
+        for i, who in enumerate(("all others", "drawn as attackers")):
             found = trusted[(trusted.setting == setting) & trusted.what.str.endswith(who)]
             x = at + 0.24 * (i - 0.5)
             if found.paper.notna().any():

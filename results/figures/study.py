@@ -49,7 +49,7 @@ def draw(
     by: str | None = None,
     where: Mapping[str, Any] | None = None,
 ) -> Figure:
-    """A row of panels per metric.
+    """A row of panels per metric; where two keys are words, as attacks and trust models are, a heat map per metric.
 
     Parameters
     ----------
@@ -88,6 +88,8 @@ def draw(
     if not order:
         raise ValueError(f"{study.name} has no two points to draw. Run `cosim sweep` on.")
     x, colour, column = order[0], (order[1:2] or [""])[0], (order[2:3] or [""])[0]
+    if colour and not column and all(frame[key].dtype.kind not in "fib" for key in (x, colour)):
+        return _heat_maps(frame, asked, x, colour)
     columns = sorted(frame[column].unique()) if column else [None]
     if len(columns) > _MOST_PANELS:
         raise ValueError(f"{column} has {len(columns)} values: too many panels. Choose with --over, --by and --where.")
@@ -126,6 +128,34 @@ def _draw(
         for i, hue in enumerate(colours) if hue is not None
     ]  # fmt: skip
     style.legend(figure, entries)
+    return figure
+
+
+def _heat_maps(frame: pd.DataFrame, asked: Sequence[str], x: str, y: str) -> Figure:
+    """A map per metric, where both keys are words: mean and 95 % interval written into each cell."""
+    rows, columns = list(dict.fromkeys(frame[y])), list(dict.fromkeys(frame[x]))
+    size = 2.2 + 0.62 * len(columns), (1.5 + 0.36 * len(rows)) * len(asked)
+    figure, panels = style.sheet(1, *size, rows=len(asked))
+    for axes, name in zip(panels, asked, strict=True):
+        of_metric = chosen(frame, [name])
+        cells = of_metric.drop_duplicates([y, x]).set_index([y, x])
+        if len(cells) < len(of_metric):
+            raise ValueError(f"{name} has several groups. Choose one as {name}:GROUP.")
+        grid = cells.reindex(pd.MultiIndex.from_product([rows, columns]))
+        mean, low, high = (grid[k].to_numpy(float).reshape(len(rows), -1) for k in ("mean", "low", "high"))
+        first = of_metric.iloc[0]
+        top = 1.0 if first.unit == "1" else float(np.nanmax(mean)) or 1.0
+        image = axes.imshow(mean, cmap="cividis", vmin=0, vmax=top, aspect="auto")
+        for i, j in np.argwhere(~np.isnan(mean)):
+            text = f"{mean[i, j]:.2f}" + ("" if np.isnan(low[i, j]) else f"\n{low[i, j]:.2f} to {high[i, j]:.2f}")
+            ink = "black" if mean[i, j] > 0.55 * top else "white"
+            axes.text(j, i, text, ha="center", va="center", fontsize=5.5, color=ink)
+        axes.set_xticks(range(len(columns)), [_said(v) for v in columns], rotation=40, ha="right")
+        axes.set_yticks(range(len(rows)), [_said(v) for v in rows])
+        axes.grid(visible=False)
+        group = f", {first.group}" if ":" in name and first.group else ""
+        style.panel(axes, f"{first.label}{group}: mean and 95 % interval", label_of(x), label_of(y))
+        figure.colorbar(image, ax=axes, fraction=0.03, pad=0.02)
     return figure
 
 

@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
+from results import durable
 from results.codes import BASE_VARIANT
 from results.metrics import compare
 from results.run import Run
@@ -92,7 +93,8 @@ def panel(axes: Axes, title: str, x: str, y: str) -> None:
 
 
 def share_axis(axes: Axes, top: float = 1.0) -> None:
-    """A vertical axis from 0 to 1, with room for the line width."""
+    """A vertical axis from 0 to `top`, or to 1 where that is next to nothing, with room for the line width."""
+    top = top if top > 1e-6 else 1.0
     axes.set_ylim(-0.02 * top, 1.03 * top)
 
 
@@ -267,7 +269,9 @@ def save(figure: Figure, path: str | Path) -> Path:
         raise ValueError(f"{path} has no picture format. End it in {', '.join(FORMATS)}.")
     if not path.parent.is_dir():
         raise ValueError(f"The folder {path.parent} does not exist. Make it first.")
-    write(figure, path, path.suffix.lower()[1:])
+    content = io.BytesIO()
+    write(figure, content, path.suffix.lower()[1:])
+    durable.write_output(path, content.getvalue())
     return path
 
 

@@ -144,6 +144,28 @@ def false_in_path(run: Run, threshold: float = 0.5) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=["among", "n", "share", "low", "high", "n_units", "boxes_mean"])
 
 
+def damage(run: Run, threshold: float = 0.5) -> pd.DataFrame:
+    """Believed ghosts x seconds x victims: each fabricated detection that an honest vehicle believes in a sensing step
+    counts for the time to the next one.
+
+    Returns
+    -------
+    role (of the attacker), among, n (believed pairs), total_s, per_attacker_s, low, high (clustered by attacker),
+    n_units (attackers with a lie that an honest vehicle received).
+    """
+    every_s = run.config.get("sensing_interval_s", run.dt_s)
+    rows = []
+    for (role, among), pairs in _by_among(_honest(outcomes(run), "inserted"), ["role"]):
+        believed = (pairs.score >= threshold).to_numpy()
+        of_attacker = np.bincount(_codes(pairs.attacker), believed) * every_s
+        mean = ratio(of_attacker, np.ones(len(of_attacker)))
+        rows.append({
+            "role": role, "among": among, "n": int(believed.sum()), "total_s": float(of_attacker.sum()),
+            **_columns(mean, "per_attacker_s"),
+        })  # fmt: skip
+    return pd.DataFrame(rows, columns=["role", "among", "n", "total_s", "per_attacker_s", "low", "high", "n_units"])
+
+
 _MORE = "Raise the share_p of an attack, or run longer than its start_s,"
 
 

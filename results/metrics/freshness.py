@@ -96,15 +96,15 @@ def ages(run: Run) -> pd.DataFrame:
     for what, column in AGES.items():
         sums, counts = _Totals(len(run.role_labels)), _Totals(len(run.role_labels))
         histograms = np.zeros((len(run.role_labels), n_bins), np.int64)
-        role_of = _role_codes(run)
+        role_of = _RoleCodes(run)
         for part in _lookups(run, ["receiver", "subject", column]):
             age_s = part[column].to_numpy(np.float64)
             there = ~np.isnan(age_s)
-            role, receiver = role_of[part.subject.to_numpy()[there]], part.receiver.to_numpy()[there]
-            sums.add(receiver, role, age_s[there])
-            counts.add(receiver, role)
-            for code in np.unique(role):
-                histograms[code] += _histogram(age_s[there][role == code])
+            code_of, receiver = role_of(part.subject.to_numpy()[there]), part.receiver.to_numpy()[there]
+            sums.add(receiver, code_of, age_s[there])
+            counts.add(receiver, code_of)
+            for code in np.unique(code_of):
+                histograms[code] += _histogram(age_s[there][code_of == code])
         for code, role in enumerate(roles):
             chosen = slice(None) if code == 0 else slice(code - 1, code)
             n, histogram = counts.table[:, chosen].sum(axis=1), histograms[chosen].sum(axis=0)
@@ -265,9 +265,9 @@ class _Totals:
 
 def _per_receiver(run: Run, columns: list[str], code_of, n_codes: int) -> np.ndarray:
     """Lookups by receiver, role of the subject, and a code of each lookup."""
-    role_of, n_roles, totals = _role_codes(run), len(run.role_labels), _Totals(len(run.role_labels) * n_codes)
+    role_of, n_roles, totals = _RoleCodes(run), len(run.role_labels), _Totals(len(run.role_labels) * n_codes)
     for part in _lookups(run, ["receiver", "subject", *columns]):
-        totals.add(part.receiver.to_numpy(), role_of[part.subject.to_numpy()] * n_codes + code_of(part))
+        totals.add(part.receiver.to_numpy(), role_of(part.subject.to_numpy()) * n_codes + code_of(part))
     return totals.table.reshape(-1, n_roles, n_codes)
 
 
@@ -303,12 +303,15 @@ def _lookups(run: Run, columns: list[str], by_block: bool = False) -> Iterator[p
         raise ValueError(f"{run.path} {_NO_LOOKUPS}")
 
 
-def _role_codes(run: Run) -> np.ndarray:
-    """Code of the role by pseudonym."""
-    role = run.subjects.role
-    codes = np.zeros(int(role.index.max()) + 1 if len(role) else 0, np.int64)
-    codes[role.index] = role.cat.codes
-    return codes
+class _RoleCodes:
+    """Code of the role by pseudonym, whatever the largest number of a pseudonym."""
+
+    def __init__(self, run: Run) -> None:
+        role = run.subjects.role.sort_index()
+        self.pseudonym, self.code = role.index.to_numpy(), role.cat.codes.to_numpy(np.int64)
+
+    def __call__(self, pseudonym: np.ndarray) -> np.ndarray:
+        return self.code[np.searchsorted(self.pseudonym, pseudonym)]
 
 
 def _before_renewal(part: pd.DataFrame, age_s: np.ndarray) -> np.ndarray:

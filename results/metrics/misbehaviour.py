@@ -33,7 +33,7 @@ def scored_vehicles(run: Run) -> pd.DataFrame:
 
 def _scored(run: Run) -> pd.DataFrame:
     known = trust.values(run)
-    who = _watched(run).reset_index()
+    who = watched(run).reset_index()
     steps = np.unique(known.step)
     at, row = np.nonzero((who.since.to_numpy() <= steps[:, None]) & (steps[:, None] <= who.until.to_numpy()))
     there = who.iloc[row][["subject", "role"]].assign(step=steps[at])
@@ -135,7 +135,7 @@ def detection_delay(run: Run, threshold: float = 0.25, at: trust.At = "server") 
     -------
     subject, role, delay_s, found: where not found, the delay is the time it was watched for (censored).
     """
-    who = _watched(run)
+    who = watched(run)
     is_low = pc.field("trust") < threshold
     table = "trust" if at == "server" else "trust_lookups"
     low = run.variant_table(table, ["step", "subject"], is_low & (pc.field("n_evaluations") > 0))
@@ -153,8 +153,13 @@ def detection_summary(run: Run, threshold: float = 0.25, at: trust.At = "server"
 
     Those not suspected count for as long as they were watched (Kaplan and Meier).
     """
+    return summary_of(detection_delay(run, threshold, at))
+
+
+def summary_of(delays: pd.DataFrame) -> pd.DataFrame:
+    """Rows of `detection_summary`, of any delays: subject, role, delay_s, found."""
     rows = []
-    for role, one in detection_delay(run, threshold, at).groupby("role", observed=True):
+    for role, one in delays.groupby("role", observed=True):
         curve = waiting(one)
         rows.append(
             {"role": role, "n": len(one)}
@@ -184,7 +189,7 @@ _NONE_RATED = (
 )
 
 
-def _watched(run: Run) -> pd.DataFrame:
+def watched(run: Run) -> pd.DataFrame:
     """Subjects to be classified, by number: role, and the steps `since` and `until` which they are watched."""
     return run.once("misbehaviour.watched", lambda: _watched_of(run))
 

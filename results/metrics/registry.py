@@ -85,7 +85,7 @@ METRICS: Mapping[str, Metric] = {
     "misbehaviour.time_to_detection_at_vehicle.median_s": Metric("time to detection at a vehicle, median", "s", "Time until the first vehicle looks up a server's value below the threshold; only where there is a server.", _ROLE),
     "misbehaviour.time_to_detection_at_vehicle.share": Metric("ever suspected at a vehicle", "1", "Share for which a vehicle ever looked up such a value.", _ROLE),
     **{
-        f"security.{name}{suffix}": Metric(f"{label}{', relative threshold' if suffix else ''}", "1", f"{text} A subject is excluded while it is rated and below {'half of the median of the rated values of that moment' if suffix else 'the threshold'}.", "value (each moment) or vehicle (the last)")
+        f"security.{name}{suffix}": Metric(f"{label}{', relative threshold' if suffix else ''}", "1", f"{text} A subject is excluded while it is rated and below {'half of the median of the rated values of that moment' if suffix else 'the threshold'}.", "value (each moment), vehicle (the last), or message (lied)")
         for suffix in ("", "_relative")
         for name, label, text in (
             ("precision", "precision", "Share of the excluded that attack."),
@@ -99,6 +99,8 @@ METRICS: Mapping[str, Metric] = {
     "security.average_precision": Metric("average precision", "1", "Area under the precision-recall curve of values; those that are not rated are never excluded."),
     "security.false_exclusions_per_h": Metric("false exclusions", "1/h", "Times that an honest vehicle becomes excluded at the threshold, per hour that honest vehicles are watched for."),
     "security.false_exclusions_per_h_relative": Metric("false exclusions, relative threshold", "1/h", "The same at half of the median of the rated values of that moment."),
+    "security.time_to_exclusion.median_s": Metric("time to exclusion, median", "s", "Time from the first attack until receivers drop the messages of half of the vehicles because their pseudonyms are revoked (Kaplan-Meier; missing where fewer are); of honest ones, from the first attack of any. Only with pseudonyms.revocation.", _ROLE),
+    "security.time_to_exclusion.share": Metric("ever revoked", "1", "Share of vehicles of which a pseudonym was revoked.", _ROLE),
     "security.trust_error": Metric("trust error", "1", "Mean distance of rated trust from 1 (honest) or 0 (attackers).", _ROLE),
     "evidence.trust.multiplicity": Metric("evaluations per look", "1", "Evaluations with visibility above 0 of others' detections, over the distinct looks (evaluator, observer, actual object) behind them: 1 if no look counts twice in a trust value."),
     "evidence.fused.multiplicity": Metric("evaluations per evaluator of a fused object", "1", "Evaluations behind a fused object, over the vehicles that made them: how often one look counts in a sum over members and evaluators. Models that score objects give each vehicle one vote."),
@@ -177,6 +179,8 @@ METRICS: Mapping[str, Metric] = {
     "attack.believed_duration.mean_s": Metric("believed for, mean", "s", "Mean length of the successive sensing steps in which an honest vehicle believes a fabricated detection of one attacker, at a score of 0.5.", "among, role of the attacker", _ATTACKERS),
     "attack.false_in_path.share": Metric("believed false box in the path", "1", "Share of the vehicle-steps, of honest vehicles that received a fabricated detection in them, with one in the vehicle's path (a straight strip of its width, 50 m ahead) that it believes with a score of at least 0.5.", "among", "vehicles"),
     "attack.false_in_path.boxes_mean": Metric("believed false boxes in the path, mean", "", "Mean number of these boxes per vehicle-step.", "among"),
+    "attack.damage.total_s": Metric("damage", "s", "Believed ghosts x seconds x victims: every fabricated detection that an honest vehicle believes with a score of at least 0.5 counts for the time to the next sensing step.", "among, role of the attacker"),
+    "attack.damage.per_attacker_s": Metric("damage per attacker", "s", "The same over the attackers with a lie that an honest vehicle received.", "among, role of the attacker", _ATTACKERS),
     "attack.missing.share": Metric("withheld objects missing", "1", "Share of the pairs (withheld detection of a real actor, honest vehicle that received the message without it and did not detect the actor itself) in which the vehicle's fused objects hold the actor with no score of at least the threshold.", _SUCCESS, _ATTACKERS),
     "attack.missing.pairs.n": Metric("pairs behind it", "", "Number of these pairs: the denominator.", "among, role of the attacker"),
     **{f"{topic}.not_measured": Metric("not measured", "", "The run cannot answer; the group says why.", "reason") for topic in TOPICS},

@@ -1,6 +1,7 @@
 """Trust as a classifier of vehicles: confusion matrix and what follows from it, precision and recall, false exclusions.
 
-A subject (a pseudonym) is watched as in `misbehaviour`, and positive if its vehicle attacks. It is excluded while it is
+A subject (a pseudonym) is watched as in `misbehaviour`, and positive if its vehicle attacks; a message is positive if
+anything in it is a lie. It is excluded while it is
 rated and its trust is below a threshold: an absolute one, or one relative to the population, a share of the median of
 all rated values of that moment. In sparse traffic all values are low, and an absolute threshold says little. The
 relative one uses no ground truth.
@@ -12,7 +13,7 @@ import numpy as np
 import pandas as pd
 
 from results.metrics import intervals
-from results.metrics.misbehaviour import HONEST, scored_vehicles
+from results.metrics.misbehaviour import HONEST, scored_vehicles, watched
 from results.run import Run
 
 
@@ -32,7 +33,8 @@ def excluded(run: Run, threshold: float = 0.25, relative: float | None = None) -
 
 
 def confusion(run: Run, threshold: float = 0.25, relative: float | None = None) -> pd.DataFrame:
-    """One row by moment (`unit` = value: a subject whenever trust is computed) and one by vehicle (the last moment).
+    """One row by moment (`unit` = value: a subject whenever trust is computed), one by vehicle (the last moment), and
+    one by message where the run holds detections: those with a lie are positive, whoever sent them.
 
     Returns
     -------
@@ -41,7 +43,10 @@ def confusion(run: Run, threshold: float = 0.25, relative: float | None = None) 
     """
     frame = excluded(run, threshold, relative)
     rows = []
-    for unit, some in (("value", frame), ("vehicle", frame.drop_duplicates("subject", keep="last"))):
+    units = [("value", frame), ("vehicle", frame.drop_duplicates("subject", keep="last"))]
+    if "detections" in run.tables:
+        units.append(("message", messages(run, frame)))
+    for unit, some in units:
         counts = pd.crosstab(some.attacker, some.excluded).reindex(
             index=[False, True], columns=[False, True], fill_value=0
         )
@@ -54,6 +59,44 @@ def confusion(run: Run, threshold: float = 0.25, relative: float | None = None) 
             found = intervals.of_units(value[among].to_numpy(bool), some.subject[among].to_numpy())
             rows[-1] |= intervals.columns(found, name)
     return pd.DataFrame(rows)
+
+
+def messages(run: Run, frame: pd.DataFrame) -> pd.DataFrame:
+    """Messages with detections of watched subjects: step, subject, attacker (it holds a lie), excluded.
+
+    Parameters
+    ----------
+    frame
+        Of `excluded`: a message is excluded if its sender was when trust was last computed before it was sent.
+    """
+    listed = run.table("detections", ["step", "observer", "lied"]).astype({"step": np.int64, "observer": np.int64})
+    lied = listed.groupby(["step", "observer"]).lied.any()
+    sent = lied.rename("attacker").rename_axis(["step", "subject"]).reset_index()
+    sent = sent.merge(watched(run)[["since", "until"]].reset_index(), on="subject")
+    sent = sent[(sent.since <= sent.step) & (sent.step <= sent.until)].sort_values("step")
+    known = frame[["step", "subject", "excluded"]].astype({"step": np.int64, "subject": np.int64}).sort_values("step")
+    found = pd.merge_asof(sent, known, on="step", by="subject")
+    return found.assign(excluded=found.excluded.eq(True))[["step", "subject", "attacker", "excluded"]]
+
+
+def exclusion_delay(run: Run) -> pd.DataFrame:
+    """Time until receivers drop the messages of a vehicle because one of its pseudonyms was revoked.
+
+    Returns
+    -------
+    subject (vehicle), role, delay_s (of attackers from their first attack, of others from the first of any), found:
+    where not found, the time it was watched for (censored). ValueError where the run revokes nothing.
+    """
+    policy = run.config.get("pseudonyms", {}).get("revocation", "none")
+    if policy == "none":
+        raise ValueError(f'{run.path} revokes no pseudonyms. Set pseudonyms.revocation, for example to "immediate".')
+    who = watched(run).join(run.subjects[["vehicle", "refused_step"]])
+    who = who.groupby("vehicle").agg(
+        role=("role", "first"), since=("since", "min"), until=("until", "max"), refused=("refused_step", "min")
+    )
+    found = who.refused.notna()
+    delay_s = (who.refused.where(found, who.until).astype(float) - who.since).clip(lower=0) * run.dt_s
+    return pd.DataFrame({"role": who.role, "delay_s": delay_s, "found": found}).rename_axis("subject").reset_index()
 
 
 def rates(tp: float, fp: float, fn: float, tn: float) -> dict[str, float]:

@@ -17,9 +17,11 @@ def gather(city, west, south, east, north):
     x0, y0 = max(0, int(np.floor((west - gx) / GRID_CELL_M))), max(0, int(np.floor((south - gy) / GRID_CELL_M)))
     x1 = min(columns - 1, int(np.floor((east - gx) / GRID_CELL_M)))
     y1 = min(rows - 1, int(np.floor((north - gy) / GRID_CELL_M)))
+    if x1 < x0:  # the rectangle lies beside the grid
+        return np.empty(0, np.int64)
     total = 0
     for cy in range(y0, y1 + 1):
-        total += city.grid_ptr[cy * columns + max(x0, x1 + 1)] - city.grid_ptr[cy * columns + x0]
+        total += city.grid_ptr[cy * columns + x1 + 1] - city.grid_ptr[cy * columns + x0]
     found = np.empty(total, np.int64)
     n = 0
     for cy in range(y0, y1 + 1):

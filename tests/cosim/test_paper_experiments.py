@@ -213,8 +213,10 @@ def test_final_trust_of_a_run_by_hand(drive):
     until = drive.trust.subject.map(drive.pseudonyms.set_index("pseudonym").to_step)
     last = drive.trust[drive.trust.step <= until].sort_values("step").groupby("subject").trust.last()
     egos = set(ego_metrics.egos_of(drive))
+    liars = set(drive.detections[drive.detections.lied].observer.map(drive.subjects.vehicle))
     for role in ("honest", "malicious"):
         mine = [v for v in vehicles[vehicles.equipped & (vehicles.role == role)].vehicle if v not in egos]
+        mine = [v for v in mine if role == "honest" or v in liars]
         assert found["paper.final_trust.mean", role] == pytest.approx(np.mean([last.get(names[v], 0.5) for v in mine]))
 
 

@@ -21,7 +21,6 @@ from cosim.reproduce.scenarios import (
 from cosim.v2x.messages import FABRICATED
 from cosim.world import LABELS
 from sensors import evidence
-from sensors.scene import Hit
 from tests.drive import cosim
 from tests.trust.reference import load as reference
 
@@ -96,7 +95,8 @@ def test_what_the_ego_has_in_the_false_car_is_ground():
     column, row = np.nonzero(np.isfinite(sweeps.range_m[EGO]))
     points = sweeps.poses.to_world(EGO, sweeps.points(np.full(len(column), EGO), column, row))
     near = (np.abs(points[:, :2] - box.xyz_m[0, :2]) < (box.lwh_m[0, 1] / 2, box.lwh_m[0, 0] / 2)).all(axis=1)
-    assert n > 100 and (sweeps.hit[EGO, column[near], row[near]] == Hit.GROUND).all()
+    assert n > 100 and near.sum() >= n
+    assert points[near, 2] == pytest.approx(sweeps.ground_m[EGO], abs=1e-4)
 
 
 @pytest.mark.parametrize(("ghosts", "where"), [

@@ -1,5 +1,6 @@
 """Configs from the schema: every key with values that no experiment has."""
 
+import math
 import random
 import signal
 import typing
@@ -9,6 +10,7 @@ from dataclasses import fields, is_dataclass
 
 from cosim.config import CHOICES, Config, load
 from cosim.run import check
+from trust.params import TrustParams
 
 NUMBERS = (
     "nan", "inf", "-inf", "-1", "0", "-0.0", "1e-300", "5e-324", "1e300", "-1e300", "1.5", "0.1", "2147483648",
@@ -20,28 +22,30 @@ OTHERS = (
 )  # fmt: skip
 
 
-def keys() -> list[tuple[str, typing.Any]]:
-    """Every key of the config, those of the choices at hand included, with its type."""
-    found: list[tuple[str, typing.Any]] = []
+def keys() -> list[tuple[str, typing.Any, tuple[str, ...]]]:
+    """Every key of the config, those of the choices at hand included: name, type, what has to be chosen for it."""
+    found: dict[str, tuple[typing.Any, tuple[str, ...]]] = {}
 
-    def walk(model: typing.Any, prefix: str) -> None:
+    def walk(model: typing.Any, prefix: str, chosen: tuple[str, ...] = ()) -> None:
         hints = typing.get_type_hints(model, include_extras=True)
         for field in fields(model):
             of = hints[field.name]
             items = typing.get_args(of)
             if is_dataclass(of):
-                walk(of, f"{prefix}{field.name}.")
+                walk(of, f"{prefix}{field.name}.", chosen)
             elif typing.get_origin(of) is tuple and items and is_dataclass(items[0]):
-                walk(items[0], f"{prefix}{field.name}.0.")
+                walk(items[0], f"{prefix}{field.name}.0.", chosen)
             else:
-                found.append((prefix + field.name, of))
+                found.setdefault(prefix + field.name, (of, chosen))
 
     walk(Config, "")
-    for section, (_, at_hand, _) in CHOICES.items():
-        for choice in at_hand.values():
+    for section, (key, at_hand, _) in CHOICES.items():
+        prefix = "attacks.0." if section == "attacks" else f"{section}."
+        for name, choice in at_hand.items():
             if (params := getattr(choice, "Params", None)) is not None:
-                walk(params, f"{section}." if section != "attacks" else "attacks.0.")
-    return sorted({name: of for name, of in found}.items(), key=lambda item: item[0])
+                walk(params, prefix, (f"{prefix}{key}={name}",))
+    walk(TrustParams, "trust_variant.0.", ("trust_variant.0.name=other",))
+    return sorted((name, *rest) for name, rest in found.items())
 
 
 def cases(seed: int, n: int) -> Iterator[list[str]]:
@@ -49,24 +53,49 @@ def cases(seed: int, n: int) -> Iterator[list[str]]:
     rng = random.Random(seed)
     known = keys()
     for i in range(n):
-        name, of = known[i % len(known)] if i < 2 * len(known) else rng.choice(known)
-        sets = [f"{name}={_value(rng, of)}"]
-        if rng.random() < 0.3:
-            other, its = rng.choice(known)
-            sets.append(f"{other}={_value(rng, its)}")
+        sets: list[str] = []
+        first = known[i % len(known)] if i < 2 * len(known) else rng.choice(known)
+        for name, of, chosen in (first, rng.choice(known))[: 1 + (rng.random() < 0.3)]:
+            sets += [choice for choice in chosen if choice not in sets]
+            sets.append(f"{name}={_value(rng, of)}")
         yield sets
 
 
 def _value(rng: random.Random, of: typing.Any) -> str:
     text = str(of)
-    if "tuple" in text and rng.random() < 0.7:
+    if "tuple" in text and rng.random() < 0.8:
         n = rng.choice([0, 1, 2, 3, 4, 5, 4, 4, 2])
-        inner = ", ".join(rng.choice(NUMBERS) for _ in range(n))
+        inner = ", ".join(rng.choice(NUMBERS) if rng.random() < 0.4 else _edge(rng, of) for _ in range(n))
         return f"[{inner}]" if rng.random() < 0.7 else f"[[{inner}], [{inner}]]"
-    if "Literal" in text and rng.random() < 0.5:
+    if "Literal" in text and rng.random() < 0.8:
         options = [v for a in typing.get_args(of) for v in (typing.get_args(a) or [a]) if isinstance(v, str)]
         return f'"{rng.choice(options)}"' if options else '"?"'
+    if ("float" in text or "int" in text) and rng.random() < 0.7:
+        return _edge(rng, of)
     return rng.choice(NUMBERS if rng.random() < 0.75 else OTHERS)
+
+
+def _edge(rng: random.Random, of: typing.Any) -> str:
+    """A bound of a number, just inside or outside of it, or anywhere within, small numbers as often as large ones."""
+    bounds = sorted(b for b in _metadata(of) if isinstance(b, int | float))
+    if not bounds:
+        return rng.choice(NUMBERS)
+    bound = float(rng.choice(bounds))
+    if rng.random() < 0.5:
+        low, high = (max(abs(float(b)), 1e-9) for b in (bounds[0], bounds[-1]))
+        bound = math.copysign(math.exp(rng.uniform(*sorted((math.log(low), math.log(high))))), bound)
+    if "float" not in str(of):
+        return str(int(bound) + rng.choice([-1, 0, 1]))
+    return repr(rng.choice([bound, math.nextafter(bound, math.inf), math.nextafter(bound, -math.inf)]))
+
+
+def _metadata(of: typing.Any) -> Iterator[typing.Any]:
+    """Bounds anywhere in an annotation."""
+    for item in (*getattr(of, "__metadata__", ()), *typing.get_args(of)):
+        for name in ("ge", "gt", "le", "lt"):
+            if hasattr(item, name):
+                yield getattr(item, name)
+        yield from _metadata(item)
 
 
 class TooLong(BaseException):

@@ -73,7 +73,8 @@ def edit_manifest(folder: Path, rng: random.Random) -> str:
     path = folder / "manifest.json"
     content = json.loads(path.read_text())
     key = rng.choice(["steps", "status", "dt_s", "config", "schema_version", "inventory"])
-    content[key] = rng.choice([0, -1, 10, None, "finished", [], {}, 1e300, "x" * 1000])
+    values = [0, -1, 10, None, "finished", [], {}, 1e300, "x" * 1000]
+    content[key] = rng.choice([value for value in values if value != content[key]])
     path.write_text(json.dumps(content))
     return f"manifest: {key} = {str(content[key])[:20]}"
 

@@ -59,6 +59,7 @@ def write(folder, seed=0, steps=240, level="full", block_steps=60, reach_m=200.0
             "vehicle": np.arange(N), "sumo_id": np.array([f"trip_{i}" for i in range(N)]), "vehicle_class": kind,
             "length_m": lwh[:, 0], "width_m": lwh[:, 1], "height_m": lwh[:, 2], "equipped": equipped,
             "role": role, "role__valid": equipped, "first_step": first, "last_step": last,
+            "attack": (role == "unreliable").astype(int), "attack__valid": equipped & (role != "honest"),
             "attack_start_step": lied[1], "attack_start_step__valid": lied[0] & (lied[1] <= last),
         })  # fmt: skip
         record.append("pseudonyms", steps - 1, {
@@ -71,6 +72,7 @@ def write(folder, seed=0, steps=240, level="full", block_steps=60, reach_m=200.0
         "config": {
             "radio": {"model": "unit_disk", "range_m": reach_m, "unit_disk": {"loss_p": 0.05},
                       "relay": {"max_hops": 1}},
+            "attacks": [{"attack": "ghost_insertion", "share_p": 0.13}, {"attack": "unreliable", "share_p": 0.1}],
             "fleet": {"penetration_p": 0.6, "equipped_kinds": ["car"]}, "trust": {"window_s": window_s},
         }, "versions": {"cosim": "0.1.0"},
         "net": {"name": "grid", "sha256": "0" * 64}, "timings_s": {"traffic": 1.5, "sensing": 3.2, "trust": 0.7},

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from scipy.stats import mannwhitneyu
 
 from results.measure import measure
-from results.metrics import intervals, misbehaviour, security
+from results.metrics import attack, intervals, misbehaviour, security
 from tests.results.tiny import fleet
 
 trusts = st.lists(st.sampled_from([0.0, 0.1, 0.25, 0.5, 0.9]), min_size=1, max_size=30).map(np.array)
@@ -171,13 +171,13 @@ def test_confusion_by_hand(town):
     At the last moment: attackers 0.1 and 0.3, honest 0.2 of three. Half of the median of a moment: 0.3, 0.25, 0.15,
     below which only 0.1 lies.
     """
-    value, vehicle = security.confusion(town, 0.35).to_dict("records")
+    value, vehicle, _ = security.confusion(town, 0.35).to_dict("records")
     assert [value[k] for k in ("tp", "fp", "fn", "tn")] == [3, 1, 2, 8]
     assert (value["precision"], value["recall"], value["fpr"], value["f1"]) == (3 / 4, 3 / 5, 1 / 9, 6 / 9)
     assert value["mcc"] == pytest.approx((3 * 8 - 1 * 2) / np.sqrt(4 * 5 * 9 * 10))
     assert value["informedness"] == pytest.approx(3 / 5 - 1 / 9)
     assert [vehicle[k] for k in ("tp", "fp", "fn", "tn")] == [2, 1, 0, 2]
-    relative = security.confusion(town, relative=0.5)
+    relative = security.confusion(town, relative=0.5)[:2]
     assert relative[["tp", "fp", "fn", "tn"]].to_numpy().tolist() == [[1, 0, 4, 9], [1, 0, 1, 3]]
     assert np.isnan(security.rates(0, 0, 0, 5)["recall"])
 
@@ -190,3 +190,72 @@ def test_false_exclusions_precision_and_error_by_hand(town):
     assert security.average_precision(town) == pytest.approx(0.2 + 0.4 * 3 / 4 + 0.2 * 4 / 7 + 0.2 * 5 / 10)
     error = security.trust_error(town).set_index("role").error
     assert error["malicious"] == pytest.approx(1.9 / 5) and error["honest"] == pytest.approx(1 - 3.9 / 7)
+
+
+def test_messages_by_hand(tiny):
+    """Attacker 1 from step 2; below 0.25 from step 5 on. A message is a lie if any detection in it is.
+
+    Watched messages with a lie: steps 2, 4, 6 of vehicle 1 (6 after it is excluded); without: 3 and 7 of vehicle 1 (7
+    excluded) and 2 and 6 of vehicle 0, which is excluded from step 5 on too. Step 1 is before any attack.
+    """
+    lists = [
+        (1, 1, [1]),
+        (2, 1, [0, 1]),
+        (3, 1, [0]),
+        (4, 1, [1]),
+        (6, 1, [1, 1]),
+        (7, 1, [0]),
+        (2, 0, [0]),
+        (6, 0, [0]),
+    ]
+    rows = [
+        {"step": s, "observer": v, "detection_index": k, "lied": bool(x)} for s, v, all_of in lists
+        for k, x in enumerate(all_of)
+    ]  # fmt: skip
+    table = {2: [0.9, 0.9], 5: [0.2, 0.1]}
+    run = tiny(20, vehicles=attacking(["honest", "malicious"], {1: 2}), trust=values(table), detections=rows)
+    row = security.confusion(run, 0.25).set_index("unit").loc["message"]
+    assert [row[k] for k in ("tp", "fp", "fn", "tn")] == [1, 2, 2, 2]
+    assert (row.precision, row.recall, row.fpr) == (1 / 3, 1 / 3, 2 / 4)
+
+
+def test_exclusion_by_hand(tiny):
+    """Attacker 1 from step 3, its second pseudonym refused from 9 on: 6 s. Attacker 2 from 5, never: to its end, 19.
+
+    Honest 0 is revoked at 4, a second after the first attack; without revocation there is nothing to say.
+    """
+    names = [
+        {"pseudonym": p, "vehicle": v, "from_step": a, "to_step": b, "refused_step": r}
+        for p, v, a, b, r in ((0, 0, 0, 99, 4), (1, 1, 0, 6, None), (3, 1, 7, 99, 9), (2, 2, 0, 99, None))
+    ]
+    vehicles = attacking(["honest", "malicious", "malicious"], {1: 3, 2: 5})
+    given = {"vehicles": vehicles, "pseudonyms": names}
+    run = tiny(20, config={"pseudonyms": {"revocation": "list"}}, **given)
+    delay = security.exclusion_delay(run).set_index("subject")
+    assert delay.delay_s.to_dict() == {0: 1, 1: 6, 2: 14} and delay.found.tolist() == [True, True, False]
+    found = misbehaviour.summary_of(security.exclusion_delay(run)).set_index("role")
+    assert found.share.to_dict() == {"honest": 1, "malicious": 0.5} and found.median_s["malicious"] == 6
+    with pytest.raises(ValueError, match="revokes no pseudonyms"):
+        security.exclusion_delay(open_run_without(run))
+
+
+def open_run_without(run):
+    """The same run, as if it revoked nothing."""
+    return type(run)(run.path, run.manifest | {"config": {}})
+
+
+def test_damage_by_hand(tiny):
+    """Sweeps every 2 s. Attacker 2's ghosts: believed by 0 and 1 at step 4, by 0 at 6 with 0.4, by 3, an attacker.
+
+    Two pairs of 2 s each; the pair with 0.4 counts at a threshold of 0.3. Attacker 3 lied, and nobody believed: half.
+    """
+    pairs = [(4, 2, 0, 0.9), (4, 2, 1, 0.6), (6, 2, 0, 0.4), (6, 2, 3, 0.9), (6, 3, 1, None)]
+    rows = [
+        {"step": s, "observer": o, "detection_index": 1, "receiver": r, "effect": "inserted", "score": x}
+        for s, o, r, x in pairs
+    ]
+    vehicles = attacking(["honest", "honest", "malicious", "malicious"], {2: 3, 3: 3})
+    run = tiny(20, config={"sensing_interval_s": 2.0}, vehicles=vehicles, attack_outcomes=rows)
+    row = attack.damage(run).set_index("among").loc["received"]
+    assert (row.n, row.total_s, row.per_attacker_s) == (2, 4, 2)
+    assert attack.damage(run, 0.3).set_index("among").total_s["received"] == 6

@@ -63,7 +63,7 @@ def test_car_and_pedestrian_in_front_of_the_nearest_neighbour():
     The pedestrian stands 2 m to the victim's right: heading north, that is east: (12, 8).
     """
     world = world_of([[0, 0], [10, 0], [60, 0]], [0, np.pi / 2, 0], [MALICIOUS, HONEST, HONEST])
-    ghosts = ghosts_of(acting(adversary_of(), world).detections(lists_of(world, 2)))
+    ghosts = ghosts_of(acting(adversary_of(), world).detections(lists_of(world, 2))[0])
     assert ghosts.observer.tolist() == [0, 0] and ghosts.detection_index.tolist() == [3, 4]
     assert ghosts.label.tolist() == [0, 1] and (ghosts.score == 1).all()
     np.testing.assert_allclose(ghosts.boxes.xyz_m, [[10, 8, 0.75], [12, 8, 0.875]], atol=1e-9)
@@ -72,13 +72,13 @@ def test_car_and_pedestrian_in_front_of_the_nearest_neighbour():
 
 def test_no_victim_in_range_no_ghost():
     world = world_of([[0, 0], [200, 0]], [0, 0], [MALICIOUS, HONEST])
-    assert len(acting(adversary_of(), world).detections(lists_of(world, 1))) == 4
+    assert len(acting(adversary_of(), world).detections(lists_of(world, 1))[0]) == 4
 
 
 def test_before_the_start_nothing_changes():
     world = world_of([[0, 0], [10, 0]], [0, 0], [MALICIOUS, UNRELIABLE])
     listed = lists_of(world, 20)
-    assert acting(adversary_of(start_s=10.0), world, 9.0).detections(listed) is listed
+    assert acting(adversary_of(start_s=10.0), world, 9.0).detections(listed)[0] is listed
     rows = EvaluationRows(np.array([0]), np.array([0]), np.array([0.5]), np.array([0.5]))
     evaluation, visibility = acting(adversary_of(start_s=10.0), world, 9.0).evaluations(rows, listed)
     assert evaluation is rows.evaluation and visibility is rows.visibility
@@ -88,7 +88,7 @@ def test_unreliable_omits_and_adds_about_a_tenth():
     n = 300
     xy = np.random.default_rng(0).uniform(0, 5000, (n, 2))
     world = world_of(xy, np.zeros(n), np.full(n, UNRELIABLE))
-    listed = acting(adversary_of(seed=3), world).detections(lists_of(world, 20))
+    listed = acting(adversary_of(seed=3), world).detections(lists_of(world, 20))[0]
     omitted = ~listed.transmitted
     added = listed.origin == FABRICATED
     assert not (omitted & (listed.origin != SENSED)).any()
@@ -105,7 +105,7 @@ def test_honest_rows_are_untouched_and_keys_unique(ghosts):
     xy = np.random.default_rng(1).uniform(0, 200, (30, 2))
     world = world_of(xy, np.linspace(-3, 3, 30), attack)
     before = lists_of(world, 5)
-    after = acting(adversary_of(ghosts=ghosts), world).detections(before)
+    after = acting(adversary_of(ghosts=ghosts), world).detections(before)[0]
     assert (np.diff(after.observer * 1000 + after.detection_index) > 0).all()
     honest = after.take(np.flatnonzero(attack[after.observer] == HONEST))
     same = before.take(np.flatnonzero(attack[before.observer] == HONEST))
@@ -120,12 +120,12 @@ def test_all_attackers_aim_at_a_named_victim():
     world = world_of([[0, 0], [10, 0], [60, 0], [500, 0]], np.zeros(4), [MALICIOUS, HONEST, MALICIOUS, MALICIOUS])
     world.name_key[1] = name_key("vehicle/ego")
     ghosts = ghosts_of(
-        acting(adversary_of(ghosts="car", victim="one", victim_id="ego"), world).detections(lists_of(world, 1))
+        acting(adversary_of(ghosts="car", victim="one", victim_id="ego"), world).detections(lists_of(world, 1))[0]
     )
     assert ghosts.observer.tolist() == [0, 2]  # the third attacker is too far away
     np.testing.assert_allclose(ghosts.boxes.xyz_m[:, 0], 18.0)
     assert not len(
-        ghosts_of(acting(adversary_of(victim="one", victim_id="gone"), world).detections(lists_of(world, 1)))
+        ghosts_of(acting(adversary_of(victim="one", victim_id="gone"), world).detections(lists_of(world, 1))[0])
     )
 
 
@@ -136,7 +136,7 @@ def test_attackers_vouch_for_their_own_fabrications_alone(number):
     xy = np.random.default_rng(2).uniform(0, 300, (60, 2))
     world = world_of(xy, np.zeros(60), attack)
     adversary = acting(adversary_of(), world)
-    listed = adversary.detections(lists_of(world, 4))
+    listed = adversary.detections(lists_of(world, 4))[0]
     evaluator, detection = (a.ravel() for a in np.meshgrid(np.arange(60), np.arange(len(listed)), indexing="ij"))
     rows = EvaluationRows(evaluator, detection, np.full(len(evaluator), -0.5), np.full(len(evaluator), 0.3))
     evaluation, visibility = adversary.evaluations(rows, listed)
@@ -158,7 +158,7 @@ class Deny:
 def test_an_attack_may_have_one_hook_alone():
     world = world_of([[0, 0], [10, 0]], [0, 0], [1, 0])
     listed, adversary = lists_of(world, 0), acting(Adversary.of([AttackParams(start_s=0)], [Deny()], 1), world)
-    assert adversary.detections(listed) is listed
+    assert adversary.detections(listed)[0] is listed
     rows = EvaluationRows(np.array([0, 0, 1, 1]), np.array([0, 1, 0, 1]), np.full(4, 0.5), np.ones(4))
     evaluation, _ = adversary.evaluations(rows, listed)
     assert evaluation.tolist() == [0.5, -1.0, 0.5, 0.5]
@@ -168,7 +168,7 @@ def test_vehicles_without_equipment_attack_nothing():
     world = world_of([[0, 0], [10, 0]], [0, 0], [MALICIOUS, HONEST])
     world = replace(world, equipped=np.array([False, True]))
     listed = lists_of(world, 1)
-    assert acting(adversary_of(), world).detections(listed) is listed
+    assert acting(adversary_of(), world).detections(listed)[0] is listed
 
 
 def test_draws_depend_on_nothing_but_names():

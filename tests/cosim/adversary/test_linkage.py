@@ -11,7 +11,7 @@ WHO = [NAMES.index(name) for name in LIARS]
 GHOST = {"ids": LIARS, "attack": "ghost_insertion", "ghosts": "car"}
 POLICIES = {
     "periodical": {"period_s": 2.0}, "disposable": {"n_messages": 3}, "distance": {"distance_m": 25.0},
-    "random": {"change_p": 0.4},
+    "random": {"change_p": 0.4}
 }  # fmt: skip
 NAMED = {"observer", "evaluator", "sender", "subject", "source", "pose", "pseudonym"}
 
@@ -60,6 +60,20 @@ def test_sybil_identities_are_one_vehicle_to_a_linking_server():
         honest].mean(), "without linkage each voice counts"  # fmt: skip
 
 
+FAST, SLOW_STEPS = [500.0] * 8, {"traffic": {"step_s": 50.0}, "sensing_interval_s": 50.0}
+"""Everybody drives half a kilometre per step; steps of 50 s, so that rules in minutes and kilometres change names."""
+
+
+@pytest.mark.parametrize("policy", ["c2c", "bsp", "scms"])
+def test_the_same_of_policies_in_minutes_and_kilometres(policy):
+    given = {"n_steps": 8, "speeds": FAST, "trust": {"freshness_s": 1000.0}} | (SLOW_STEPS if policy != "bsp" else {})
+    tables = play([GHOST], pseudonyms={"policy": policy, "linkage": "server"}, **given)
+    assert tables["pseudonyms"].groupby("vehicle").size().mean() > 1.05
+    found, constant = with_vehicles(tables), with_vehicles(play([GHOST], **given))
+    for name in constant:
+        pd.testing.assert_frame_equal(found[name], constant[name], check_exact=True, check_dtype=False)
+
+
 def trust_used(tables):
     """Trust that receivers look up for attackers in the last four steps, and the share of defaults among it."""
     names = tables["pseudonyms"].set_index("pseudonym").vehicle
@@ -88,12 +102,12 @@ def test_linkage_on_demand_begins_with_the_accused_pseudonym():
 
 
 def test_receivers_link_by_place_and_speed():
-    """All change every 3 s, drive straight on and are heard every second: nearly all links are found, and right."""
+    """All change every 3 s, drive straight on and are received every second: nearly all links are found, and right."""
     pseudonyms = {"policy": "periodical", "period_s": 3.0, "linkage": "own"}
     tables = play([GHOST], n_steps=10, pseudonyms=pseudonyms)
-    heard = tables.state.heard
-    assert heard.n_changes > 1000 and heard.n_linked > 0.95 * heard.n_changes
-    assert heard.n_right > 0.95 * heard.n_linked
+    known = tables.state.known_senders
+    assert known.n_changes > 1000 and known.n_linked > 0.95 * known.n_changes
+    assert known.n_right > 0.95 * known.n_linked
 
 
 @pytest.mark.parametrize(("how", "first"), [("immediate", None), ("list", 6)])

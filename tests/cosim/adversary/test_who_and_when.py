@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from cosim.adversary.params import AttackParams, rings_too_large
 from cosim.config import resolve_data
 from tests.cosim.adversary.plain import NAMES, SPACING_M, N, play
 
@@ -138,3 +139,13 @@ def test_mistakes_are_one_line(sections, told):
     with pytest.raises(ValueError) as error:
         resolve_data({"encounters": [{}], **sections}, "a test", None)
     assert told in str(error.value) and "\n" not in str(error.value)
+
+
+def test_a_ring_larger_than_the_attackers_is_told():
+    """Ten of forty attack by share: rings of ten are whole, rings of twelve, of the same vehicles, never."""
+    attack = np.repeat(np.array([0, 1], np.uint8), [30, 10])
+    sections = [AttackParams(ring_size=10), AttackParams(together_with=0, ring_size=12), AttackParams(ring_size=2)]
+    first, second = rings_too_large(sections, attack)
+    assert first.startswith("attacks.1.ring_size = 12 is larger than its 10 attackers")
+    assert second.startswith("attacks.2.ring_size = 2 is larger than its 0 attackers") and "\n" not in first
+    assert not rings_too_large(sections[:1], attack)

@@ -1,0 +1,87 @@
+"""Several attacks in one run: trust in the vehicles of each over time, under every trust model."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from results.figures import style
+from results.metrics import trust
+from results.run import Run
+
+_HONEST = "honest"
+
+
+@style.styled
+def draw(runs: Sequence[Run]) -> Figure:
+    """Median trust, over vehicles, of each attack of the config and of honest vehicles; a panel per trust variant.
+
+    Attacks are told apart by the keys in which their sections differ; the dashed line is the first attack.
+    """
+    style.need(runs)
+    variants = [run.as_variant(name) for run in runs for name in run.variants]
+    columns = min(4, len(variants))
+    rows = -(-len(variants) // columns)
+    figure, panels = style.sheet(columns, 2.6 * columns + 0.4, 0.7 + 2.0 * rows, rows)
+    names = labels(runs[0])
+    if any(labels(run) != names for run in runs[1:]):
+        raise ValueError("The runs have different attacks. Draw them one by one.")
+    for i, (axes, run) in enumerate(zip(panels, variants, strict=False)):
+        _panel(axes, run)
+        title = run.variant if len(runs) == 1 else f"{run.path.name}, {run.variant}"
+        is_last, is_first = i >= len(variants) - columns, i % columns == 0
+        style.panel(axes, title, style.TIME if is_last else "", "Trust (median)" if is_first else "")
+    for axes in panels[len(variants) :]:
+        axes.set_axis_off()
+    entries = [Line2D([], [], color=style.ROLE_INKS[_HONEST], label=_HONEST)]
+    style.legend(figure, [*entries, *(Line2D([], [], label=name, **_look(i)) for i, name in enumerate(names))])
+    return figure
+
+
+def labels(run: Run) -> list[str]:
+    """What each section of `attacks` is called: the attack, and the keys in which sections of this name differ."""
+    sections: list[Mapping[str, Any]] = run.config.get("attacks", [])
+    if not sections:
+        raise ValueError(f"{run.path} has no [[attacks]]. Add a section, and run again.")
+    found = []
+    for section in sections:
+        alike = [other for other in sections if other["attack"] == section["attack"]]
+        keys = [key for key in section if key != "ids" and any(o.get(key) != section[key] for o in alike)]
+        text = ", ".join(f"{key} {_plain(section[key])}" for key in keys)
+        found.append(f"{section['attack']}, {text}" if text else str(section["attack"]))
+    return [f"{i}: {name}" if found.count(name) > 1 else name for i, name in enumerate(found)]
+
+
+def over_time(run: Run) -> pd.DataFrame:
+    """Trust by attack: time_s, attack (position of the section, -1: honest), n (vehicles), median. Rated values."""
+    frame = trust.values(run).query("rated")
+    section = run.table("vehicles", ["vehicle", "attack"]).set_index("vehicle").attack
+    frame = frame.assign(attack=frame.vehicle.map(section).fillna(-1).astype(int))
+    found = frame.groupby(["time_s", "attack"]).trust.agg(n="size", median="median")
+    return found.reset_index()
+
+
+def _panel(axes: Axes, run: Run) -> None:
+    found = over_time(run)
+    for attack in sorted(set(found.attack)):
+        one = found[found.attack == attack]
+        look = _look(attack) if attack >= 0 else {"color": style.ROLE_INKS[_HONEST]}
+        axes.plot(one.time_s, one["median"], **look)
+    starts = run.vehicles.attack_start_step.dropna()
+    if len(starts):
+        axes.axvline(float(starts.min()) * run.dt_s, color="#444444", linewidth=0.8, linestyle=(0, (2, 2)))
+    style.share_axis(axes)
+    axes.set_xlim(left=0)
+
+
+def _look(i: int) -> dict[str, Any]:
+    inks = (*style.INKS[1:], style.INKS[0])
+    return {"color": inks[i % len(inks)], "linestyle": style.dash(i)}
+
+
+def _plain(value: Any) -> str:
+    return f"{value:g}" if isinstance(value, float | np.floating) else str(value)

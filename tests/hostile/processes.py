@@ -1,0 +1,187 @@
+"""Commands in children of one warm process: a whole `cosim run` of a few steps in a fraction of a second.
+
+`Warm` starts `python -m tests.hostile.processes`, which imports the program, makes one run of a trace so that all
+kernels are loaded, and then forks a child for every command that it reads. A child has a limit on processor time and
+memory, files as standard streams and a temporary folder of its own, so that what it leaves behind is seen.
+"""
+
+import json
+import os
+import resource
+import signal
+import subprocess
+import sys
+import time
+import traceback
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+MEMORY_BYTES = 6 << 30
+"""Address space that a child may take beyond that of the warm process."""
+XCPU = signal.SIGXCPU
+
+
+@dataclass(frozen=True, slots=True)
+class Ended:
+    """How a command ended."""
+
+    status: int
+    """Exit status; negative for a signal."""
+    out: str
+    err: str
+    cpu_s: float
+    left: list[str] = field(default_factory=list)
+    """What it left in its temporary folder."""
+
+    @property
+    def wrong(self) -> str:
+        """Why no user should ever see this; empty where it is well-behaved."""
+        if self.status == -XCPU:
+            return f"no end within {self.cpu_s:.0f} s of processor time"
+        if self.status < 0:
+            return f"signal {signal.Signals(-self.status).name}"
+        if "Traceback" in self.err:
+            return "traceback: " + self.err.strip().splitlines()[-1]
+        if self.status not in (0, 1, 2, 130, 143):
+            return f"status {self.status}"
+        if self.status in (1, 2) and not (self.err.startswith("error: ") and self.err.count("\n") == 1):
+            return f"status {self.status} with {self.err.count(chr(10))} lines: {self.err[:200]!r}"
+        if self.left:
+            return f"left behind: {self.left}"
+        return "warning: " + self.err[:200] if "Warning" in self.err else ""
+
+
+class Warm:
+    """Runs commands; a context manager."""
+
+    def __init__(self, folder: Path, cpu_s: float = 10.0) -> None:
+        self.folder, self.cpu_s = folder, cpu_s
+
+    def __enter__(self) -> "Warm":
+        environment = {
+            **os.environ, "NUMBA_THREADING_LAYER": "workqueue", "COLUMNS": "1000", "PYTHONWARNINGS": "default",
+        }  # fmt: skip
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", "tests.hostile.processes", str(self.folder)], stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE, text=True, env=environment, cwd=Path(__file__).parents[2],
+        )  # fmt: skip
+        assert self._said() == "ready", "the warm process did not start"
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        self._process.stdin.close()
+        self._process.wait()
+        self._process.stdout.close()
+
+    def __call__(self, *words: str, cwd: Path, cpu_s: float | None = None, **more: Any) -> Ended:
+        """`cosim WORDS`; `more` is `kill_after_s` with `signum`, or `environment`."""
+        assert self._process.stdin is not None
+        asked = {"words": words, "cwd": str(cwd), "cpu_s": cpu_s or self.cpu_s, **more}
+        self._process.stdin.write(json.dumps(asked) + "\n")
+        self._process.stdin.flush()
+        return Ended(**self._said())
+
+    def _said(self) -> Any:
+        assert self._process.stdout is not None
+        line = self._process.stdout.readline()
+        assert line, "the warm process ended"
+        return json.loads(line)
+
+
+def _serve(folder: Path) -> None:
+    from cosim.cli import main
+    from tests.hostile.scenes import write_trace
+
+    answers = os.fdopen(os.dup(1), "w")
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+    sys.argv = ["cosim", "run", *sets_of_trace(write_trace(folder)), "--out", str(folder / "warm")]
+    try:
+        main()
+    except SystemExit as ended:
+        assert not ended.code, "the first run failed"
+    with answers:
+        answers.write('"ready"\n')
+        answers.flush()
+        for line in sys.stdin:
+            answers.write(json.dumps(asdict(_carried_out(main, **json.loads(line)))) + "\n")
+            answers.flush()
+
+
+def sets_of_trace(path: Path) -> list[str]:
+    """Words of a short run of a trace with everything on."""
+    keys = (
+        f"traffic.scenario={path}", "fleet.penetration_p=1", "record.level=full", "record.block_steps=2",
+        "attacks.0.start_s=0", "attacks.0.share_p=0.3", "attacks.1.start_s=0", "attacks.1.share_p=0.2",
+        "lidar.n_azimuths=300", "trust.server_period_s=2", "traffic.duration_s=6",
+    )  # fmt: skip
+    return [word for key in keys for word in ("--set", key)]
+
+
+def _carried_out(
+    main: Any, words: list[str], cwd: str, cpu_s: float, kill_after_s: float | None = None,
+    signum: int = signal.SIGKILL, environment: dict[str, str] | None = None,
+) -> Ended:  # fmt: skip
+    place = Path(cwd)
+    scratch, out, err = place / ".tmp", place / ".out", place / ".err"
+    scratch.mkdir(exist_ok=True)
+    pid = os.fork()
+    if not pid:
+        os._exit(_child(main, words, place, cpu_s, environment or {}))
+    begin, killed = time.monotonic(), False
+    while True:
+        ended, status, usage = os.wait4(pid, os.WNOHANG)
+        if ended:
+            break
+        waited_s = time.monotonic() - begin
+        if kill_after_s is not None and waited_s > kill_after_s and not killed:
+            os.kill(pid, signum)
+            killed = True
+        if waited_s > 20 * cpu_s:  # it sleeps
+            os.kill(pid, XCPU)
+        time.sleep(0.002)
+    left = sorted(path.name for path in scratch.iterdir())
+    for path in left:
+        subprocess.run(["rm", "-rf", str(scratch / path)], check=False)
+    texts = [path.read_text(errors="replace") if path.exists() else "" for path in (out, err)]
+    return Ended(os.waitstatus_to_exitcode(status), *texts, usage.ru_utime + usage.ru_stime, left)
+
+
+def _child(main: Any, words: list[str], place: Path, cpu_s: float, environment: dict[str, str]) -> int:
+    """What a process of its own would do, from its arguments to its exit status."""
+    import tempfile
+
+    os.chdir(place)
+    os.environ |= environment
+    tempfile.tempdir = str(place / ".tmp")
+    for number, name in ((0, os.devnull), (1, ".out"), (2, ".err")):
+        os.dup2(os.open(name, os.O_RDWR | os.O_CREAT | os.O_TRUNC, 0o666), number)
+    used_s = sum(resource.getrusage(resource.RUSAGE_SELF)[:2])
+    resource.setrlimit(resource.RLIMIT_CPU, (int(used_s + cpu_s + 1), int(used_s + cpu_s + 5)))
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    pages = int(Path("/proc/self/statm").read_text().split()[0])
+    limit = pages * resource.getpagesize() + MEMORY_BYTES
+    resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    sys.argv = ["cosim", *words]
+    try:
+        main()
+        status = 0
+    except SystemExit as ended:
+        status = ended.code if isinstance(ended.code, int) else int(ended.code is not None)
+    except BaseException:
+        traceback.print_exc()
+        status = 1
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            stream.flush()
+        except (OSError, ValueError):
+            status = status or 120
+    return status
+
+
+if __name__ == "__main__":
+    _serve(Path(sys.argv[1]))

@@ -1,0 +1,71 @@
+"""Whole runs with hostile configs: finished and whole, or refused in one line that leaves nothing behind."""
+
+import shutil
+import tomllib
+from collections import Counter
+from pathlib import Path
+
+import pytest
+
+from results.verify import verify
+from tests.hostile import SEED, N
+from tests.hostile.configs import cases
+from tests.hostile.processes import Ended, sets_of_trace
+from tests.hostile.scenes import write_town, write_trace
+
+KEPT = tomllib.loads((Path(__file__).parent / "kept.toml").read_text(encoding="utf-8"))
+
+
+@pytest.fixture(scope="module")
+def bases(tmp_path_factory):
+    """Words of two short runs: of a trace, and of SUMO with drivers that brake."""
+    folder = tmp_path_factory.mktemp("scenes")
+    town = sets_of_trace(write_town(folder / "town"))
+    town += [w for key in ("traffic.warmup_s=5", "driver.model=cautious", "traffic.step_s=0.5") for w in ("--set", key)]
+    return {"trace": sets_of_trace(write_trace(folder)), "town": town}
+
+
+def judged(ended: Ended, out: Path) -> str:
+    """What is wrong with how a run ended or with what it left; empty for nothing."""
+    if ended.wrong:
+        return ended.wrong
+    if not out.exists():
+        return "" if ended.status else "status 0 without a folder"
+    about, problems = verify(out)
+    if problems:
+        return f"status {ended.status} with a folder of which {problems[0]}"
+    return (
+        "" if about["status"] == ("failed" if ended.status else "finished") else f"a folder that is {about['status']}"
+    )
+
+
+def attempt(cosim, base, sets, folder):
+    """One run and all its metrics: how it ended, and what is wrong."""
+    folder.mkdir()
+    words = [word for key in sets for word in ("--set", key)]
+    ended = cosim("run", *base, *words, "--out", "run", "--json", cwd=folder)
+    wrong = judged(ended, folder / "run")
+    shutil.rmtree(folder)
+    return ended, wrong
+
+
+@pytest.mark.verify
+@pytest.mark.parametrize("case", KEPT["runs"], ids=lambda case: case["set"][0][:40])
+def test_kept(cosim, bases, tmp_path, case):
+    ended, wrong = attempt(cosim, bases[case["of"]], case["set"], tmp_path / "one")
+    assert not wrong
+    assert ended.status == case["status"], ended.err
+
+
+@pytest.mark.verify
+def test_generated(cosim, bases, tmp_path):
+    counts, wrongs = Counter(), []
+    for number, sets in enumerate(cases(SEED, N)):
+        base = "town" if number % 4 == 3 else "trace"
+        ended, wrong = attempt(cosim, bases[base], sets, tmp_path / f"case-{number}")
+        counts[f"{base}, status {ended.status}"] += 1
+        if wrong:
+            wrongs.append(f"{base} {[s[:120] for s in sets]}: {wrong}")
+            print(wrongs[-1], flush=True)
+    print(f"\nruns with hostile configs, seed {SEED}: {dict(sorted(counts.items()))}, {len(wrongs)} wrong of {N}")
+    assert not wrongs, "\n".join(wrongs)
