@@ -82,3 +82,13 @@ def test_mistakes(folder, tmp_path, form, more, says):
 def test_a_mistake_is_one_line(folder, tmp_path):
     done = cosim("export", "kitti", str(folder), "--out", str(tmp_path), "--vehicles", "x")
     assert done.returncode == 2 and len(done.stderr.strip().splitlines()) == 1 and done.stdout == ""
+
+
+@pytest.mark.parametrize(
+    "words", [("nuscenes",), ("kitti", "--vehicles", "99999"), ("kitti", "--vehicles", "../<b>x</b>"), ("veremi",)]
+)
+def test_mistakes_on_the_command_line(folder, tmp_path, words):
+    """One line, exit status 2, nothing written."""
+    done = cosim("export", words[0], str(folder), "--out", str(tmp_path / "out"), *words[1:])
+    assert done.returncode == 2 and len(done.stderr.strip().splitlines()) == 1 and done.stdout == ""
+    assert not (tmp_path / "out").exists()
