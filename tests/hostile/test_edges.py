@@ -3,7 +3,6 @@
 import json
 import os
 import shutil
-import signal
 import subprocess
 import sys
 import time
@@ -210,24 +209,6 @@ def test_twelve_whole_runs_together(tmp_path, words):
     for folder in folders:
         about, problems = verify(folder)
         assert about["status"] == "finished" and problems == []
-
-
-def test_a_signal_while_the_first_step_compiles(tmp_path, words):
-    """With an empty cache of kernels the first step takes a minute; the signal is heeded within it."""
-    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "kernels"), "PYTHONPATH": str(ROOT)}
-    process = subprocess.Popen(
-        [sys.executable, "-m", "cosim", "run", *words, "--out", "run"], cwd=tmp_path, env=environment,
-        stderr=subprocess.PIPE, text=True,
-    )  # fmt: skip
-    while process.poll() is None and not (tmp_path / "run" / "manifest.json").exists():
-        time.sleep(0.05)
-    time.sleep(2)
-    process.send_signal(signal.SIGTERM)
-    begin = time.monotonic()
-    _, said = process.communicate(timeout=120)
-    assert process.returncode == 143 and said.count("\n") == 1 and "Traceback" not in said, said
-    print(f"\nSIGTERM while compiling: ended after {time.monotonic() - begin:.1f} s")
-    assert not (tmp_path / "run").exists()
 
 
 def test_a_changed_input_is_said(cosim, run, tmp_path):
