@@ -107,7 +107,7 @@ def test_two_pictures(run, other):
     alone = FIGURES["radio"]([run])
     titles = [axes.get_title(loc="left") for axes in alone.axes]
     assert {
-        "Delivery by distance", "Latency", "Packet inter-reception", "Channel busy ratio over time",
+        "Delivery by distance", "Latency", "Packet inter-reception", "Channel busy ratio",
         "Packet delivery ratio",
     } <= set(titles)  # fmt: skip
     beside = FIGURES["radio"]([run, other])

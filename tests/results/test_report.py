@@ -8,6 +8,7 @@ import pytest
 
 from results import report
 from results.archive import open_run
+from results.figures.catalogue import FIGURES
 from results.tables import TABLES
 from tests.results.synthetic import write
 
@@ -37,7 +38,7 @@ def test_page(run, tmp_path):
     outline.feed(text)
     assert not outline.open
     pictures = [attributes["src"] for tag, attributes in outline.seen if tag == "img"]
-    assert len(pictures) == 10 and all(source.startswith("data:image/svg+xml;base64,") for source in pictures)
+    assert len(pictures) == len(FIGURES) and all(source.startswith("data:image/svg+xml;base64,") for source in pictures)
     links = [attributes["href"] for tag, attributes in outline.seen if tag == "a"]
     anchors = {attributes["id"] for _, attributes in outline.seen if "id" in attributes}
     assert links and all(link[0] == "#" and link[1:] in anchors for link in links)
@@ -57,7 +58,7 @@ def test_names_cannot_break_the_page(tmp_path):
 def test_what_is_missing_is_said(tmp_path):
     path = write(tmp_path / "run", steps=20, level="summary")
     text = report.page(open_run(path))
-    assert "No figure of freshness" in text and "holds no table trust_lookups" in text
+    assert "No figure of freshness" in text and "holds no trust lookups" in text
     assert "not in this run: kept from record level full up" in text
     shutil.rmtree(path)
 
