@@ -37,6 +37,8 @@ Advance = Callable[[str, int, int, str], None]
 Commands = tuple[Int[ndarray, "c"], Float[ndarray, "c"]]
 """Actors, and the speeds that they shall drive [m/s]."""
 NO_COMMANDS: Commands = (np.zeros(0, np.int64), np.zeros(0))
+_MOST_AT_ONCE = 10
+"""Steps without sensing at the beginning of a run, which a signal ends at once and leaves nothing of."""
 STATE_VERSION = 4
 """Raised whenever a state of an earlier version would be misread."""
 _CORES = numba.get_num_threads()
@@ -79,7 +81,7 @@ class Drive:
         state = State.start(self.parts) if self.state is None else self.state
         self.state = None
         for number in range(config.n_steps):
-            if number == max(first, 1):  # the very first step may compile kernels, for a minute
+            if number == first > 0:
                 self.stop.at_once = False
             if (world := self._next(number)) is None:
                 break
@@ -95,6 +97,8 @@ class Drive:
                 continue
             numba.set_num_threads(_threads(config, int(world.equipped.sum())))
             state, happened = step(world, state, self.parts)
+            if happened.sensed is not None or number + 1 >= min(_MOST_AT_ONCE, recorder.block_steps):
+                self.stop.at_once = False  # until now a step may have compiled kernels, for a minute
             with self.parts.watch("record"):
                 recording.step(recorder, happened, config.traffic.step_s)
                 recorder.reach(number)
