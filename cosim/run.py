@@ -143,7 +143,8 @@ def resume(path: Path, advance: Advance, traffic_from: Path | None = None) -> Pa
             if read_manifest(path)["status"] == "finished":
                 return path
             found = inventory.read(path).whole()
-            if problem := next((p for part in found.parts if (p := content_problem(path, part))), ""):
+            closed = [part for block in found.blocks for part in block.parts]
+            if problem := next((p for part in closed if (p := content_problem(path, part))), ""):
                 raise Damaged(f"{path} is damaged: {problem}. Run again.")
             parts, registry, traffic = _loaded(config, scenario, traffic_from)
             try:

@@ -152,14 +152,16 @@ def _part(content: dict[str, Any]) -> Part:
     return part
 
 
-def rewrite(folder: Path, inventory: Inventory) -> None:
-    """Make this the inventory of the folder."""
-    lines, before = b"", ""
+def rewrite(folder: Path, inventory: Inventory) -> Inventory:
+    """Make this the inventory of the folder; returns it with its checksums."""
+    lines, before, blocks = b"", "", []
     for block in inventory.blocks:
         chained, line = block.line(before)
         lines, before = lines + line + b"\n", chained.chain
+        blocks.append(chained)
     durable.write(folder / FILE, lines)
     durable.sync_folder(folder)
+    return Inventory(tuple(blocks))
 
 
 def commit(folder: Path, inventory: Inventory, block: Block) -> Inventory:

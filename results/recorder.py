@@ -2,6 +2,7 @@
 
 import hashlib
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 
@@ -80,10 +81,13 @@ class Recorder:
         self._block, self._last_step = resume_at // block_steps, resume_at - 1
         self._encoder = Encoder()
         self._parts = {name: self._encoder.part(name, self.labels) for name in self.tables}
-        self.inventory = Inventory(tuple(b for b in _committed(self.folder).blocks if b.end_step <= resume_at))
+        blocks = tuple(b for b in _committed(self.folder).blocks if b.end_step <= resume_at)
+        if blocks and not all((self.folder / part.name).exists() for part in blocks[-1].open):
+            blocks = (*blocks[:-1], replace(blocks[-1], open=()))  # those of a part of a block took their place
+        self.inventory = Inventory(blocks)
         """What is on disk."""
         if (folder / inventory.FILE).exists():
-            inventory.rewrite(self.folder, self.inventory)
+            self.inventory = inventory.rewrite(self.folder, self.inventory)
         for name in self.tables:
             (self.folder / name).mkdir(exist_ok=True)
         self._tidy()
