@@ -99,7 +99,7 @@ def _removed(listed: Listed, received: Receptions, vehicles: Vehicles) -> tuple[
     first, last = (np.searchsorted(received.message[order], message, side) for side in ("left", "right"))
     at, which = expand(first, last)
     receiver, detection = received.receiver[order[at]], row[which]
-    other = vehicles.row[receiver] != listed.truth.actor_row[detection]  # nobody needs to be told of itself
+    other = vehicles.row[receiver] != listed.truth.actor_row[detection]  # no vehicle needs a report of itself
     return detection[other], receiver[other]
 
 

@@ -2,23 +2,15 @@
 
 import os
 import sys
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Iterable
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    SpinnerColumn,
-    TaskID,
-    TextColumn,
-    TimeRemainingColumn,
-)
 
-from cosim.console import notes, print_json, print_metrics, print_run_summary, screen, table_of
+from cosim import interchange
+from cosim.console import notes, print_json, print_metrics, print_run_summary, progress, screen, table_of
 from cosim.mobility.scratch import Scratch, can_hold_files
 from cosim.nets import nets
 from cosim.reproduce import commands as reproductions
@@ -38,6 +30,7 @@ app = typer.Typer(
 app.add_typer(nets, name="nets")
 studies.add_to(app)
 reproductions.add_to(app)
+interchange.add_to(app)
 
 ConfigPath = Annotated[Path | None, typer.Argument(help="TOML file; without one, the shipped city.")]
 Overrides = Annotated[
@@ -95,7 +88,7 @@ def run(
     experiment = load(config, overrides)
     for remark in running.changed_since(config, experiment):
         notes.print(remark, soft_wrap=True)
-    with _progress() as advance:
+    with progress() as advance:
         folder = running.run(experiment, out, advance)
     _conclude(folder, as_json)
 
@@ -108,7 +101,7 @@ def resume(
     """Go on with a run from its last whole block; the tables are those of a run never interrupted."""
     from cosim import run as running
 
-    with _progress() as advance:
+    with progress() as advance:
         running.resume(folder, advance)
     _conclude(folder, as_json)
 
@@ -131,24 +124,6 @@ def verify(runs: RunPaths, as_json: AsJson = False) -> None:
         )  # fmt: skip
     if any(problems for _, problems in found.values()):
         raise typer.Exit(1)
-
-
-@contextmanager
-def _progress() -> Iterator[Callable[[str, int, int, str], None]]:
-    """A bar per phase on a terminal; nothing elsewhere."""
-    bar = Progress(
-        SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(),
-        TimeRemainingColumn(), TextColumn("{task.fields[note]}"), console=notes, disable=not notes.is_terminal,
-    )  # fmt: skip
-    tasks: dict[str, TaskID] = {}
-
-    def advance(phase: str, done: int, total: int, note: str = "") -> None:
-        if phase not in tasks:
-            tasks[phase] = bar.add_task(phase, total=total, note=note)
-        bar.update(tasks[phase], completed=done, note=note)
-
-    with bar:
-        yield advance
 
 
 def _conclude(folder: Path, as_json: bool) -> None:
@@ -325,72 +300,6 @@ def report(
 
 
 @app.command()
-def export(
-    form: Annotated[str, typer.Argument(metavar="FORMAT", help="kitti, trupercept, opv2v, veremi, veremi-nextgen.")],
-    folder: Annotated[Path, typer.Argument(metavar="RUN", help="Run folder.")],
-    out: Annotated[Path, typer.Option(help="New folder to write; an export that was interrupted goes on in its own.")],
-    vehicles: Annotated[
-        str | None,
-        typer.Option(help="Vehicles with a LiDAR, such as 3,17,20-25; all by default. trupercept: ego first."),
-    ] = None,
-    steps: Annotated[str | None, typer.Option(help="Steps, such as 0-59; all by default.")] = None,
-    as_json: AsJson = False,
-) -> None:
-    """Write a run in the layout that other tools read."""
-    from cosim.export import export as write
-    from results.archive import open_run
-
-    bar = Progress(
-        SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(),
-        TimeRemainingColumn(), console=notes, disable=not notes.is_terminal,
-    )  # fmt: skip
-    with bar:
-        task = bar.add_task(form, total=None)
-        done = write(
-            open_run(folder), form, out, vehicles, steps,
-            lambda what, n, total: bar.update(task, description=f"{form}, {what}", completed=n, total=total),
-        )  # fmt: skip
-    if as_json:
-        print_json(done)
-        return
-    said = f"wrote {done['files']:,} files, {done['bytes'] / 1e6:,.1f} MB, in {done['out']}"
-    screen.print(said, highlight=False, markup=False, soft_wrap=True)
-
-
-@app.command()
-def view(
-    folder: Annotated[Path, typer.Argument(metavar="RUN", help="Run folder.")],
-    out: Annotated[Path, typer.Option(help="File to write, .rrd; open it with `rerun FILE.rrd`.")],
-    vehicles: Annotated[
-        list[int] | None, typer.Option("--vehicle", help="Show its clouds, detections and beliefs. Repeatable.")
-    ] = None,
-    from_s: Annotated[float, typer.Option("--from", help="Begin, in seconds.")] = 0.0,
-    to_s: Annotated[float | None, typer.Option("--to", help="End, in seconds.")] = None,
-    clouds: Annotated[bool, typer.Option(help="Point clouds of the vehicles shown.")] = True,
-    as_json: AsJson = False,
-) -> None:
-    """Write a run as a recording for the Rerun viewer: map, city in 3D, trust over time."""
-    from cosim.view import view as write
-    from results.archive import open_run
-
-    bar = Progress(
-        SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(),
-        TimeRemainingColumn(), console=notes, disable=not notes.is_terminal,
-    )  # fmt: skip
-    with bar:
-        task = bar.add_task("view", total=None)
-        done = write(
-            open_run(folder), out, tuple(vehicles or ()), from_s, to_s, clouds,
-            lambda what, n, total: bar.update(task, description=what, completed=n, total=total),
-        )  # fmt: skip
-    if as_json:
-        print_json(done)
-        return
-    said = f"wrote {out}, {done['bytes'] / 1e6:,.1f} MB; open it with: rerun {out}"
-    screen.print(said, highlight=False, markup=False, soft_wrap=True)
-
-
-@app.command()
 def bench(
     only: Annotated[
         list[str] | None,
@@ -452,7 +361,7 @@ def main() -> None:
         status = _say(f"{error.filename or 'output'}: {error.strerror or error}.", 1)
     try:
         sys.stdout.flush()
-    except OSError:  # nobody reads it any more: the interpreter shall not try again
+    except OSError:  # it has no reader any more: the interpreter shall not try again
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
     if kernels is not None:
         kernels.remove()

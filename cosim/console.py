@@ -4,13 +4,23 @@ import json
 import math
 import os
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from rich.box import SIMPLE
 from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    SpinnerColumn,
+    TaskID,
+    TextColumn,
+    TimeRemainingColumn,
+)
 from rich.table import Column, Table
 from rich.text import Text
 
@@ -34,6 +44,28 @@ SUMMARY_METRICS = (
     "radio.cbr.mean", "radio.pir.mean_s",
 )  # fmt: skip
 """Metrics that the closing summary of a run is made of."""
+
+
+Advance = Callable[[str, int, int, str], None]
+"""Called with progress: phase, done, total, a note."""
+
+
+@contextmanager
+def progress() -> Iterator[Advance]:
+    """A bar per phase on a terminal; nothing elsewhere."""
+    bar = Progress(
+        SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(),
+        TimeRemainingColumn(), TextColumn("{task.fields[note]}"), console=notes, disable=not notes.is_terminal,
+    )  # fmt: skip
+    tasks: dict[str, TaskID] = {}
+
+    def advance(phase: str, done: int, total: int, note: str = "") -> None:
+        if phase not in tasks:
+            tasks[phase] = bar.add_task(phase, total=total, note=note)
+        bar.update(tasks[phase], completed=done, total=total, note=note)
+
+    with bar:
+        yield advance
 
 
 def print_json(content: object) -> None:

@@ -77,7 +77,7 @@ def sweep_evidence(
 def as_reported(
     active: Active, evaluated: Evaluations, lists: ObjectLists, listed: Detections, observers: ndarray
 ) -> Evaluations:
-    """Evaluations as they will be sent; the same object where nobody changes any."""
+    """Evaluations as they will be sent; the same object where no attack changes any."""
     rows = EvaluationRows(observers[lists.of_member()], lists.member, evaluated.evaluation, evaluated.visibility)
     evaluation, visibility = active.evaluations(rows, listed)
     if evaluation is rows.evaluation and visibility is rows.visibility:

@@ -99,7 +99,7 @@ def replay_scan(run: Run, vehicle: int, step: int) -> ReplayedScan:
         _LOG.warning("%s: changed since it was recorded: %s", run.path, ", ".join(changed))
     world = next(worlds(run, config, np.array([step])), None)
     if world is None:
-        raise ValueError(f"--step {step}: nobody is on the road then.")
+        raise ValueError(f"--step {step}: no actor is on the road then.")
     equipped = world.actor[world.equipped]
     if vehicle not in equipped:
         some = ", ".join(map(str, equipped[:8]))
@@ -148,13 +148,13 @@ def portrait(run: Run, vehicles: list[int], step: int, out: Path | None) -> Path
     config = config_of(run)
     world = next(worlds(run, config, np.array([step])), None)
     if world is None or step % config.sense_every_steps:
-        raise ValueError(f"--step {step}: nobody senses then in {run.path}.")
+        raise ValueError(f"--step {step}: no vehicle senses then in {run.path}.")
     equipped = np.flatnonzero(world.equipped)
     for vehicle in vehicles:
         if vehicle not in world.actor[equipped]:
             raise ValueError(f"--vehicle {vehicle} has no sensor on the road in step {step}.")
     if not len(equipped):
-        raise ValueError(f"--step {step}: nobody with a LiDAR is on the road then.")
+        raise ValueError(f"--step {step}: no vehicle with a LiDAR is on the road then.")
     xy_m = world.boxes.xyz_m[:, :2]
     chosen = np.searchsorted(world.actor, np.asarray(vehicles, int))
     if not vehicles:

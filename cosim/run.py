@@ -166,7 +166,7 @@ def resume(path: Path, advance: Advance, traffic_from: Path | None = None) -> Pa
 
 
 def record_traffic(config: Config, path: Path, advance: Advance) -> Path:
-    """Drive and record the traffic of a config, nobody equipped; a folder for `run(..., traffic_from=path)`."""
+    """Drive and record the traffic of a config, no vehicle equipped; a folder for `run(..., traffic_from=path)`."""
     own = {section: values for section, values in config.own.items() if not section.startswith("attacks.")}
     config = replace(config, attacks=(), trust_variant=(), own=own)
     scenario, watch = check(config), Stopwatch()

@@ -115,7 +115,7 @@ class OnAir:
         return found.take(np.append(True, pair[1:] != pair[:-1])[: len(pair)])
 
 
-def lists_of_voices(lists: ObjectLists, senders: Senders) -> tuple[ObjectLists, Int[ndarray, "m"] | None]:
+def lists_of_identities(lists: ObjectLists, senders: Senders) -> tuple[ObjectLists, Int[ndarray, "m"] | None]:
     """What is evaluated under every identity: all identities of a vehicle evaluate the same.
 
     Parameters
@@ -125,7 +125,7 @@ def lists_of_voices(lists: ObjectLists, senders: Senders) -> tuple[ObjectLists, 
 
     Returns
     -------
-    A list per message, and its members' positions in `lists`; None where nobody has a second identity.
+    A list per message, and its members' positions in `lists`; None where no vehicle has a second identity.
     """
     if len(senders) == senders.n_vehicles:
         return lists, None
@@ -135,7 +135,7 @@ def lists_of_voices(lists: ObjectLists, senders: Senders) -> tuple[ObjectLists, 
 
 
 def sending_of(sending: Sending, vehicles: Vehicles) -> Sending | None:
-    """The same by row of `Vehicles`; None where nobody attacks the channel or the server."""
+    """The same by row of `Vehicles`; None where no vehicle attacks the channel or the server."""
     mine = Sending(*(column[vehicles.row] for column in (sending.delay_s, sending.n_copies, sending.n_reports)))
     return None if mine.is_plain() else mine
 

@@ -16,7 +16,7 @@ from cosim.parts import Parts
 from cosim.perception import Observed
 from cosim.radio.message_round import LinkReceptions, Receptions, Stations
 from cosim.ragged import ptr_of
-from cosim.senders import Senders, Vehicles, distinct, lists_of_voices
+from cosim.senders import Senders, Vehicles, distinct, lists_of_identities
 from cosim.v2x.cpm_generation import InclusionMemory, select_objects
 from cosim.v2x.messages import SENSED, Detections, cpm_bytes, piggyback_bytes, with_motion
 from cosim.v2x.pseudonyms import PseudonymState
@@ -146,7 +146,7 @@ class Evaluated:
     n_points_known: Int[ndarray, "k"]
     plausible_known: Bool[ndarray, "k"]
     lists: ObjectLists
-    """What is evaluated under each identity; the same object as in `Matched` where nobody has a second one."""
+    """What is evaluated under each identity; the same object as in `Matched` where no vehicle has a second one."""
     n_points: Int[ndarray, "v"]
     """Returns of its own sweep inside the box."""
     plausible: Bool[ndarray, "v"]
@@ -189,7 +189,7 @@ def evaluate_objects(
         return messages_of(step, senders.pseudonym, by, listed.detections, values, listed.objects.transmitted)
 
     own_messages = carried(lists, own)
-    lists, at = lists_of_voices(lists, senders)
+    lists, at = lists_of_identities(lists, senders)
     if at is not None:
         n_points, plausible, ego, lied = n_points[at], plausible[at], ego[at], lied[at]
         own, reported = (Evaluations(e.evaluation[at], e.visibility[at]) for e in (own, reported))

@@ -74,7 +74,7 @@ class Active:
     def evaluations(
         self, rows: EvaluationRows, detections: Detections
     ) -> tuple[Float[ndarray, "m"], Float[ndarray, "m"]]:
-        """Evaluation and visibility as each vehicle will send them; the same arrays where nobody changes any."""
+        """Evaluation and visibility as each vehicle will send them; the same arrays where no attack changes any."""
         evaluation, visibility = rows.evaluation, rows.visibility
         for attack, context in self._with("evaluations"):
             now = EvaluationRows(rows.evaluator, rows.detection, evaluation, visibility)

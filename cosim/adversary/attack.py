@@ -117,7 +117,7 @@ class Sending:
         return Sending(self.delay_s + other.delay_s, self.n_copies + other.n_copies, self.n_reports + other.n_reports)
 
     def is_plain(self) -> bool:
-        """Whether nobody does anything of it."""
+        """Whether no vehicle does anything of it."""
         return not (self.delay_s.any() or self.n_copies.any() or self.n_reports.any())
 
 

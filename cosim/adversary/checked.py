@@ -1,7 +1,7 @@
 """What the hooks of an attack return, if it can be: content that no message can hold is dropped, all else is an error.
 
 An attack may be a user's own. Values in the detections that it makes up are what a hostile sender may send: they are
-counted and dropped. Arrays of another shape, rows that are nobody's, and numbers of messages that no station can send
+counted and dropped. Arrays of another shape, rows of no vehicle, and numbers of messages that no station can send
 are mistakes of the attack: `AttackError` names it in one line.
 """
 

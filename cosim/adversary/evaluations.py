@@ -1,4 +1,4 @@
-"""False evaluations of others' detections: attacks on the trust that everybody has in everybody else."""
+"""False evaluations of others' detections: attacks on the trust that vehicles have in each other."""
 
 from dataclasses import dataclass
 from typing import Annotated
@@ -15,25 +15,25 @@ Reported = tuple[Float[ndarray, "m"], Float[ndarray, "m"]]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class VoicesParams:
+class IdentitiesParams:
     """Under how many identities evaluations go out."""
 
-    n_voices: Annotated[int, Ge(1), Le(20)] = 1
-    """Identities under which each attacker sends its evaluations, its own included: Sybil voices, each with a
+    n_identities: Annotated[int, Ge(1), Le(20)] = 1
+    """Identities under which each attacker sends its evaluations, its own included: a Sybil attack, each with a
     pseudonym and messages of its own. SCMS issues 20 certificates that are valid at once."""
 
 
-class _Voices:
-    """Attackers speak with several voices."""
+class _WithIdentities:
+    """Attackers send under several identities."""
 
-    Params: type = VoicesParams
+    Params: type = IdentitiesParams
 
-    def __init__(self, params: VoicesParams) -> None:
+    def __init__(self, params: IdentitiesParams) -> None:
         self.params = params
 
     def identities(self, context: AttackContext) -> Int[ndarray, "n"]:
         """Those beside its own."""
-        return np.full(len(context.world), self.params.n_voices - 1)
+        return np.full(len(context.world), self.params.n_identities - 1)
 
 
 def _falsified(rows: EvaluationRows, chosen: Bool[ndarray, "m"], evaluation: ndarray | float) -> Reported:
@@ -53,14 +53,14 @@ def _accomplices(rows: EvaluationRows, observer: Int[ndarray, "m"], context: Att
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class BadMouthingParams(VoicesParams):
+class BadMouthingParams(IdentitiesParams):
     """Whom it denies."""
 
     only_victim: bool = False
     """Deny the detections of the victim alone; else of all who are no accomplices."""
 
 
-class BadMouthing(_Voices):
+class BadMouthing(_WithIdentities):
     """Detections of others are denied: evaluation -1 and visibility 1; accomplices are spared."""
 
     Params = BadMouthingParams
@@ -74,7 +74,7 @@ class BadMouthing(_Voices):
         return _falsified(rows, chosen, -1.0)
 
 
-class BallotStuffing(_Voices):
+class BallotStuffing(_WithIdentities):
     """Whatever accomplices detect or make up is confirmed: evaluation 1 and visibility 1."""
 
     def evaluations(self, rows: EvaluationRows, detections: Detections, context: AttackContext) -> Reported:
@@ -83,8 +83,8 @@ class BallotStuffing(_Voices):
         return _falsified(rows, chosen & _accomplices(rows, observer, context), 1.0)
 
 
-class Collusion(_Voices):
-    """A ring confirms its members and denies everybody else: ballot stuffing and bad-mouthing."""
+class Collusion(_WithIdentities):
+    """A ring confirms its members and denies all others: ballot stuffing and bad-mouthing."""
 
     Params = BadMouthingParams
 
@@ -99,14 +99,14 @@ class Collusion(_Voices):
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class DiscriminationParams(VoicesParams):
+class DiscriminationParams(IdentitiesParams):
     """Who is treated unfairly."""
 
     group_p: Annotated[float, Ge(0), Le(1)] = 0.3
     """Share of the vehicles that form the group, decided from their names, the same for all attackers."""
 
 
-class Discrimination(_Voices):
+class Discrimination(_WithIdentities):
     """Honest to most, and bad-mouthing towards one group, so that opinions of the attacker differ."""
 
     Params = DiscriminationParams
@@ -118,8 +118,8 @@ class Discrimination(_Voices):
         return _falsified(rows, chosen & group[observer], -1.0)
 
 
-class RandomEvaluations(_Voices):
-    """Evaluations drawn from U(-1, 1) with full visibility, about everybody else."""
+class RandomEvaluations(_WithIdentities):
+    """Evaluations drawn from U(-1, 1) with full visibility, about all others."""
 
     def evaluations(self, rows: EvaluationRows, detections: Detections, context: AttackContext) -> Reported:
         """Rows about others drawn."""
@@ -135,12 +135,12 @@ class RandomEvaluations(_Voices):
         return _falsified(rows, chosen, drawn)
 
 
-class MajorityCopying(_Voices):
-    """A free rider: it does not judge, but says what most others say of each detection, as loud as they do.
+class MajorityCopying(_WithIdentities):
+    """It does not look itself, but reports what most others report of each detection, with their weight.
 
     Notes
     -----
-    Deviations: it knows all evaluations of the same step, as if it waited until all had been sent and heard them all.
+    Deviations: it knows all evaluations of the same step, as if it waited until all were in.
     """
 
     def evaluations(self, rows: EvaluationRows, detections: Detections, context: AttackContext) -> Reported:
@@ -160,14 +160,14 @@ class MajorityCopying(_Voices):
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class ReplayedEvaluationsParams(VoicesParams):
+class ReplayedEvaluationsParams(IdentitiesParams):
     """How old evaluations are."""
 
     n_messages: Annotated[int, Gt(0), Le(10_000)] = 10
     """Every evaluation is the attacker's own of so many messages ago, of the same sender and detection index."""
 
 
-class ReplayedEvaluations(_Voices):
+class ReplayedEvaluations(_WithIdentities):
     """Old evaluations sent again for detections of the same number; left out (visibility 0) where there were none.
 
     Notes

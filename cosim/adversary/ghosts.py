@@ -106,11 +106,11 @@ class Replay(Vouched):
         p, world = self.params, context.world
         xy = world.boxes.xyz_m[:, :2]
         past = context.memory.setdefault("past", [])
-        heard = np.flatnonzero(listed.transmitted & (listed.origin != FABRICATED))
+        received = np.flatnonzero(listed.transmitted & (listed.origin != FABRICATED))
         while past and past[0][0] < context.time_s - p.age_s - 1e-9:
             past.pop(0)
         old = past[0] if past else None
-        now = listed.take(heard)
+        now = listed.take(received)
         past.append((context.time_s, now, world.actor[now.observer], xy[now.observer]))
         if old is None or not len(old[1]):
             return listed

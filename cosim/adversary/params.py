@@ -126,8 +126,8 @@ def _check(p: AttackParams, number: int, freshness_s: float | str, interval_s: f
             )
         if (period_s := p.period_of(freshness_s)) < interval_s - 1e-9:
             raise ValueError(
-                f"{where}: a period of {period_s:g} s is shorter than one step, {interval_s:g} s: nobody could be on "
-                f"and off in it. Set {where}.period_s to {2 * interval_s:g} or more."
+                f"{where}: a period of {period_s:g} s is shorter than one step, {interval_s:g} s: no vehicle could be "
+                f"on and off in it. Set {where}.period_s to {2 * interval_s:g} or more."
             )
     if p.victim == "one" and not p.victim_id:
         raise ValueError(f'{where}.victim = "one" of which vehicle? Set {where}.victim_id to its SUMO id.')

@@ -7,10 +7,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 from rich.box import SIMPLE
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeRemainingColumn
 from rich.table import Column, Table
 
-from cosim.console import notes, print_json, screen
+from cosim.console import notes, print_json, progress, screen
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -75,14 +74,9 @@ def _experiment(
 
     study = experiments.study_of(name, overrides, replicates)
     task = experiments.task_of(study, name, folder)
-    bar = Progress(
-        SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("runs"),
-        TimeRemainingColumn(), console=notes, disable=not notes.is_terminal,
-    )  # fmt: skip
-    with bar:
-        shown = bar.add_task(name, total=None)
+    with progress() as advance:
         _, failed = sweeping.sweep(
-            task, lambda done, total, answered, note: bar.update(shown, completed=done, total=total), None, workers
+            task, lambda done, total, answered, note: advance(f"{name}, runs", done, total, ""), None, workers
         )
     for id, attempt in failed:
         notes.print(f"failed: {id}: {attempt.error}; log in {folder / 'jobs' / id / 'log.txt'}", soft_wrap=True)

@@ -4,10 +4,9 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from cosim.console import notes, print_json, screen
+from cosim.console import print_json, progress, screen
 
 AsJson = Annotated[bool, typer.Option("--json", help="Answer in JSON on standard output.")]
 StudyPath = Annotated[Path, typer.Argument(help="Folder that `cosim sweep` wrote.")]
@@ -43,15 +42,11 @@ def sweep(
     if dry_run:
         _print_plan(task, as_json)
         return
-    bar = Progress(
-        SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("runs"),
-        TimeRemainingColumn(), TextColumn("{task.fields[note]}"), console=notes, disable=not notes.is_terminal,
-    )  # fmt: skip
-    with bar:
-        shown = bar.add_task(task.study.head.name, total=None, note="")
+    with progress() as advance:
 
         def report(done: int, total: int, answered: int, note: str) -> None:
-            bar.update(shown, completed=done, total=total, note=f"{answered} of {len(task.points)} points {note}")
+            note = f"{answered} of {len(task.points)} points {note}"
+            advance(f"{task.study.head.name}, runs", done, total, note)
 
         states, failed = sweeping.sweep(task, report, scheduler, workers)
     _print_states(task.study.head.name, out, states, failed, as_json)

@@ -1,6 +1,6 @@
 """Receivers that link a new pseudonym to one that has fallen silent, by place and speed.
 
-A sender received for the first time stands where another one would be by now, of which nothing is heard any more:
+A sender received for the first time stands where another one would be by now, of which nothing is received any more:
 the receiver takes the two for one, and uses what it knows of the old one as long as it knows nothing of the new.
 """
 

@@ -257,9 +257,9 @@ def test_replayed_evaluations(honest):
     assert (rows.visibility[~known] == 0).all()
 
 
-def test_sybil_voices(honest):
-    """Three voices: each of the attackers' evaluations goes out three times, under three pseudonyms."""
-    tables = play([BY | {"attack": "bad_mouthing", "n_voices": 3}])
+def test_evaluations_under_several_identities(honest):
+    """Three identities: each of the attackers' evaluations goes out three times, under three pseudonyms."""
+    tables = play([BY | {"attack": "bad_mouthing", "n_identities": 3}])
     names = tables["pseudonyms"]
     assert names[names.vehicle.isin(WHO)].groupby("vehicle").identity.apply(sorted).tolist() == [[0, 1, 2]] * len(LIARS)
     said = tables["evaluations"].merge(names, left_on="evaluator", right_on="pseudonym")

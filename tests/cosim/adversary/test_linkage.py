@@ -49,15 +49,15 @@ def test_linkage_at_the_server_equals_no_policy_but_for_names(policy, constant):
 
 
 def test_sybil_identities_are_one_vehicle_to_a_linking_server():
-    attack = {"ids": LIARS, "attack": "bad_mouthing", "n_voices": 4}
+    attack = {"ids": LIARS, "attack": "bad_mouthing", "n_identities": 4}
     linked = play([attack], pseudonyms={"linkage": "server"})
-    alone = play([attack | {"n_voices": 1}])
+    alone = play([attack | {"n_identities": 1}])
     a, b = (t["trust"].set_index(["at", "subject"]).trust for t in (linked, alone))
-    assert len(a) > 100 and a.equals(b), "four voices of one vehicle count once"
+    assert len(a) > 100 and a.equals(b), "four identities of one vehicle count once"
     many = play([attack])["trust"].set_index(["at", "subject"]).trust
     honest = [i for i in range(N) if i not in WHO]
     assert many[many.index.get_level_values("subject").isin(honest)].mean() < alone["trust"].set_index("subject").trust[
-        honest].mean(), "without linkage each voice counts"  # fmt: skip
+        honest].mean(), "without linkage each identity counts"  # fmt: skip
 
 
 FAST, SLOW_STEPS = [500.0] * 8, {"traffic": {"step_s": 50.0}, "sensing_interval_s": 50.0}

@@ -111,9 +111,9 @@ def _accepted(words):
 def test_configs_are_toml(source):
     for block in fences.blocks(SOURCES[source].read_text(encoding="utf-8")):
         if block.language == "toml":
-            tomllib.loads(block.text)
+            assert tomllib.loads(block.text), block.text
         if block.language == "python" and block.title:
-            compile(block.text, block.title, "exec")
+            assert compile(block.text, block.title, "exec").co_names, block.title
 
 
 def test_the_site_is_built_without_a_warning(tmp_path):
