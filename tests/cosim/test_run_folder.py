@@ -7,9 +7,15 @@ import time
 
 import pytest
 
+from cosim.config import load
+from cosim.manifest import Manifest
+from cosim.parts import sources
+from cosim.run import check
 from results.recorder import fingerprint
 from results.verify import verify
 from tests.drive import cosim
+from tests.hostile.processes import sets_of_trace
+from tests.hostile.scenes import write_trace
 
 CLAIM = """
 import sys, time
@@ -73,3 +79,40 @@ def test_a_resumed_run_has_the_tables_of_one_never_interrupted(tmp_path, signum)
     assert done.returncode == 0, done.stderr
     assert fingerprint(out) == fingerprint(tmp_path / "whole")
     assert verify(out)[0]["status"] == "finished" and verify(out)[1] == []
+
+
+def begun(folder, sets):
+    """A folder in which a run has begun, and was killed before its config was on disk."""
+    folder.mkdir()
+    config = load(None, sets)
+    scenario = check(config)
+    Manifest(folder, config, scenario.provenance(), sources(config)).begin()
+    (folder / "config.toml").unlink()
+    (folder / ".lock").touch()
+
+
+def test_a_run_killed_before_its_first_step_goes_on(tmp_path):
+    """Whatever is on disk by then: nothing, a part of the manifest, or the manifest alone."""
+    words = sets_of_trace(write_trace(tmp_path))
+    assert cosim("run", *words, "--out", "whole", cwd=tmp_path).returncode == 0
+    (tmp_path / "early").mkdir()
+    for name in (".lock", "manifest.json.partial"):
+        (tmp_path / "early" / name).touch()
+    begun(tmp_path / "later", words[1::2])
+    assert verify(tmp_path / "later") == (verify(tmp_path / "later")[0] | {"status": "killed", "steps": 0}, [])
+    for again in (["run", *words, "--out", "early"], ["resume", "later"]):
+        done = cosim(*again, cwd=tmp_path)
+        assert done.returncode == 0, done.stderr
+        folder = tmp_path / again[-1]
+        assert fingerprint(folder) == fingerprint(tmp_path / "whole") and verify(folder)[1] == []
+        names = sorted(path.name for path in (tmp_path / "whole").iterdir())
+        assert sorted(path.name for path in folder.iterdir()) == names
+    done = cosim("run", *words, "--out", "later", cwd=tmp_path)
+    assert done.returncode == 2 and "cosim resume later" in done.stderr
+
+
+def test_a_config_that_is_another_by_now_is_not_gone_on_with(tmp_path):
+    begun(tmp_path / "run", sets_of_trace(write_trace(tmp_path))[1::2])
+    (tmp_path / "run" / "config.toml").write_text("seed = 4")
+    done = cosim("resume", "run", cwd=tmp_path)
+    assert done.returncode == 2 and "was changed since" in done.stderr
