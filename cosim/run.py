@@ -19,7 +19,8 @@ from cosim.adversary.params import named, shares
 from cosim.config import Config, chosen, resolve_data
 from cosim.drive import STATE_VERSION, Advance, Commands, Drive, own_modules, warm_up
 from cosim.driver.driver import largest_step_s
-from cosim.manifest import CONFIG, Manifest, versions
+from cosim.inputs import changed_inputs, provenance
+from cosim.manifest import Manifest, versions
 from cosim.meshes import with_meshes
 from cosim.mobility.remarks import traffic_remarks
 from cosim.mobility.source import TrafficEnded, TrafficError, TrafficSource
@@ -107,7 +108,7 @@ def run(config: Config, out: Path | None, advance: Advance, traffic_from: Path |
         try:
             folder = run_folder.create(out, scenario.name)
             try:
-                manifest = Manifest(folder.path, config, scenario.provenance(), sources(config))
+                manifest = Manifest(folder.path, config, provenance(config, scenario), sources(config))
                 manifest.begin()
                 recorder = _recorder(folder.path, parts, 0)
                 warmup_s = 0.0 if traffic_from is not None else _warmup_s(config, scenario)
@@ -134,7 +135,7 @@ def resume(path: Path, advance: Advance, traffic_from: Path | None = None) -> Pa
     manifest = read_manifest(path)
     config = _resumable(path, manifest)
     scenario = check(config)
-    if (now := scenario.provenance()) != manifest["net"]:
+    if (now := provenance(config, scenario)) != manifest["net"]:
         changed = sorted(key for key in now.keys() | manifest["net"].keys() if now.get(key) != manifest["net"].get(key))
         raise ValueError(f"{path}: its inputs have changed since: {', '.join(changed)}. Run again.")
     with StopRequest() as stop:
@@ -148,8 +149,9 @@ def resume(path: Path, advance: Advance, traffic_from: Path | None = None) -> Pa
                 raise Damaged(f"{path} is damaged: {problem}. Run again.")
             parts, registry, traffic = _loaded(config, scenario, traffic_from)
             try:
-                recorder = _recorder(path, parts, found.end_step)
                 went = Manifest(path, config, manifest["net"], sources(config), steps=found.end_step)
+                went.keep_config(manifest)
+                recorder = _recorder(path, parts, found.end_step)
                 went.resumed_at = [*manifest.get("resumed_at", []), found.end_step]
                 warmup_s = 0.0 if traffic_from is not None else _warmup_s(config, scenario)
                 drive = Drive(parts, scenario, folder, warmup_s, traffic, registry, recorder, went, advance, stop)
@@ -174,7 +176,7 @@ def record_traffic(config: Config, path: Path, advance: Advance) -> Path:
     traffic = scenario.traffic(config.traffic, registry)
     try:
         folder = run_folder.create(path, scenario.name)
-        manifest = Manifest(path, config, scenario.provenance(), sources(config))
+        manifest = Manifest(path, config, provenance(config, scenario), sources(config))
         manifest.begin()
         warm_up(_warmup_s(config, scenario), traffic, watch, advance)
         recorder = Recorder(path, "standard", config.record.block_steps)
@@ -203,8 +205,6 @@ def _resumable(path: Path, manifest: dict[str, Any]) -> Config:
             f"{path} was written with schema version {manifest['schema_version']}, this cosim writes {SCHEMA_VERSION}. "
             "Run again."
         )
-    if sha256(path / CONFIG) != manifest["config_sha256"]:
-        raise ValueError(f"{path}/{CONFIG} was changed since. A resumed run goes on with the same config: run again.")
     now = versions()
     if other := [f"{p} {v} (now {now.get(p)})" for p, v in manifest["versions"].items() if now.get(p) != v]:
         raise ValueError(f"{path} was begun with {', '.join(other)}: the tables would be of two kinds. Run again.")
@@ -363,11 +363,11 @@ def remarks(folder: Path) -> list[str]:
 
 
 def changed_since(path: Path | None, config: Config) -> list[str]:
-    """A remark where the config is that of a recorded run, and the files of its scenario have changed since."""
+    """A remark where the config is that of a recorded run, and files that it names have changed since."""
     if path is None or not (path.parent / "manifest.json").is_file():
         return []
     with suppress(ValueError):
         before = read_manifest(path.parent)["net"]
-        if changed := find(config.traffic.scenario, config.traffic.trace).changed_inputs(before):
+        if changed := changed_inputs(config, find(config.traffic.scenario, config.traffic.trace), before):
             return [f"note: changed since {path.parent} was recorded: {', '.join(changed)}. The tables will differ."]
     return []
