@@ -76,13 +76,12 @@ def print_json(content: object) -> None:
 def print_run_summary(folder: Path, as_json: bool) -> None:
     """What was driven and what came of it, in a few lines; the picture of trust over time is drawn beside."""
     from results.archive import open_run
-    from results.figures import style
-    from results.figures.catalogue import FIGURES
+    from results.figures import style, trust
     from results.measure import measure
 
     run = open_run(folder)
     try:
-        picture = str(style.save(FIGURES["trust"]([run]), folder / "trust.png"))
+        picture = str(style.save(trust.draw([run]), folder / "trust.png"))
     except ValueError as nothing_to_draw:
         picture = f"not drawn: {nothing_to_draw}"
     manifest = run.manifest

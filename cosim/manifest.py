@@ -53,7 +53,7 @@ class Manifest:
     folder: Path
     config: Config
     net: dict[str, str]
-    """Name, licence, attribution and checksums of the network's files."""
+    """Name, licence and attribution of the network; checksums of all files that are read."""
     choices: dict[str, Source]
     """Which class every choice of the config is, with the file and checksum of a user's own."""
     steps: int = 0

@@ -19,6 +19,7 @@ from cosim.adversary.params import named, shares
 from cosim.config import Config, chosen, resolve_data
 from cosim.drive import STATE_VERSION, Advance, Commands, Drive, own_modules, warm_up
 from cosim.driver.driver import largest_step_s
+from cosim.inputs import changed_inputs, provenance
 from cosim.manifest import CONFIG, Manifest, versions
 from cosim.meshes import with_meshes
 from cosim.mobility.remarks import traffic_remarks
@@ -112,7 +113,7 @@ def run(
         try:
             folder = run_folder.create(out, scenario.name)
             try:
-                manifest = Manifest(folder.path, config, scenario.provenance(), sources(config))
+                manifest = Manifest(folder.path, config, provenance(config, scenario), sources(config))
                 manifest.begin()
                 recorder = _recorder(folder.path, parts, 0)
                 warmup_s = 0.0 if traffic_from is not None else _warmup_s(config, scenario)
@@ -143,7 +144,7 @@ def resume(
     manifest = read_manifest(path)
     config = _resumable(path, manifest)
     scenario = check(config)
-    if (now := scenario.provenance()) != manifest["net"]:
+    if (now := provenance(config, scenario)) != manifest["net"]:
         changed = sorted(key for key in now.keys() | manifest["net"].keys() if now.get(key) != manifest["net"].get(key))
         raise ValueError(f"{path}: its inputs have changed since: {', '.join(changed)}. Run again.")
     with StopRequest() as stop:
@@ -183,7 +184,7 @@ def record_traffic(config: Config, path: Path, advance: Advance) -> Path:
     traffic = scenario.traffic(config.traffic, registry)
     try:
         folder = run_folder.create(path, scenario.name)
-        manifest = Manifest(path, config, scenario.provenance(), sources(config))
+        manifest = Manifest(path, config, provenance(config, scenario), sources(config))
         manifest.begin()
         warm_up(_warmup_s(config, scenario), traffic, watch, advance)
         recorder = Recorder(path, "standard", config.record.block_steps)
@@ -391,11 +392,11 @@ def remarks(folder: Path) -> list[str]:
 
 
 def changed_since(path: Path | None, config: Config) -> list[str]:
-    """A remark where the config is that of a recorded run, and the files of its scenario have changed since."""
+    """A remark where the config is that of a recorded run, and files that it names have changed since."""
     if path is None or not (path.parent / "manifest.json").is_file():
         return []
     with suppress(ValueError):
         before = read_manifest(path.parent)["net"]
-        if changed := find(config.traffic.scenario, config.traffic.trace).changed_inputs(before):
+        if changed := changed_inputs(config, find(config.traffic.scenario, config.traffic.trace), before):
             return [f"note: changed since {path.parent} was recorded: {', '.join(changed)}. The tables will differ."]
     return []

@@ -14,7 +14,8 @@ from numpy import ndarray
 
 from cosim import recording
 from cosim.actors import ActorRegistry
-from cosim.config import Config, read_toml, resolve_data
+from cosim.config import Config, resolve_data
+from cosim.config_data import read_toml
 from cosim.parts import chosen, variants
 from cosim.v2x.trust_hosts import Lookups, TrustHosts, TrustState
 from results import inventory
