@@ -19,7 +19,7 @@ from results.archive import read_manifest
 from results.recorder import fingerprint
 from tests.cosim.studies.runs import SHORT, environment, loopback, wait_for
 
-CONFIG = (*SHORT, "traffic.duration_s=40", "fleet.penetration_p=0.5", "record.level=full", "record.block_steps=4",
+CONFIG = (*SHORT, "fleet.penetration_p=0.5", "record.level=full", "record.block_steps=2",
           "gnss.std_m=0.5", "sensing_interval_s=2", "attacks.0.attack=sybil")  # fmt: skip
 """Vehicles err about their own positions, some have further identities, and every other step is between sweeps."""
 
@@ -45,7 +45,7 @@ def recorded(tmp_path_factory):
     return running.record_traffic(config, tmp_path_factory.mktemp("recorded") / "traffic", lambda *_: None)
 
 
-@pytest.mark.parametrize("sweeps_per_shard", [16, 300])
+@pytest.mark.parametrize("sweeps_per_shard", [16, pytest.param(300, marks=pytest.mark.verify)])
 def test_sharded_is_plain(plain, recorded, tmp_path, sweeps_per_shard):
     """A step is cut into shards of some observers; and shards hold several steps."""
     config = load(None, CONFIG)
@@ -72,6 +72,7 @@ def test_a_driver_that_acts_cannot_be_sensed_ahead(tmp_path):
     assert not (tmp_path / "run").exists()
 
 
+@pytest.mark.verify
 def test_no_scheduler_there(tmp_path):
     more = ("--scheduler", "tcp://127.0.0.1:9")
     done = subprocess.run(
