@@ -3,7 +3,7 @@
 import gc
 import os
 import sys
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -150,9 +150,10 @@ def verify(runs: RunPaths, as_json: AsJson = False) -> None:
 def _conclude(folder: Path, as_json: bool) -> None:
     from cosim.run import remarks
 
-    print_run_summary(folder, as_json)
+    run = print_run_summary(folder, as_json)
     for remark in remarks(folder):
         notes.print(remark, soft_wrap=True)
+    _say_damage([run])
 
 
 def _opened(folder: Path) -> "OpenRun":
@@ -354,15 +355,15 @@ def bench(
         screen.print(table_of(machine(), rows))
 
 
-def main() -> None:
-    """Run a command; a user's mistake is one line on standard error and exit status 2."""
+def main(command: Callable[..., int | None] = app) -> None:
+    """Run what the command line asks for; a user's mistake is one line on standard error and exit status 2."""
     _open_standard_streams()
     gc.set_threshold(100_000, 50, 100)  # imports and arrays leave little garbage; looking for it cost 5 % of a run
     status: int | None
     kernels = None
     try:
         kernels = _place_for_kernels()
-        status = app(standalone_mode=False)
+        status = command(standalone_mode=False)
         sys.stdout.flush()
     except typer.TyperException as error:
         status = _say(error.format_message(), 2)

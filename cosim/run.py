@@ -20,7 +20,7 @@ from cosim.config import Config, chosen, resolve_data
 from cosim.drive import STATE_VERSION, Advance, Commands, Drive, own_modules, warm_up
 from cosim.driver.driver import largest_step_s
 from cosim.inputs import changed_inputs, provenance
-from cosim.manifest import CONFIG, Manifest, versions
+from cosim.manifest import Manifest, versions
 from cosim.meshes import with_meshes
 from cosim.mobility.remarks import traffic_remarks
 from cosim.mobility.source import TrafficEnded, TrafficError, TrafficSource
@@ -158,8 +158,9 @@ def resume(
                 raise Damaged(f"{path} is damaged: {problem}. Run again.")
             parts, registry, traffic = _loaded(config, scenario, traffic_from, perceive)
             try:
-                recorder = _recorder(path, parts, found.end_step)
                 went = Manifest(path, config, manifest["net"], sources(config), steps=found.end_step)
+                went.keep_config(manifest)
+                recorder = _recorder(path, parts, found.end_step)
                 went.resumed_at = [*manifest.get("resumed_at", []), found.end_step]
                 warmup_s = 0.0 if traffic_from is not None else _warmup_s(config, scenario)
                 drive = Drive(parts, scenario, folder, warmup_s, traffic, registry, recorder, went, advance, stop)
@@ -213,8 +214,6 @@ def _resumable(path: Path, manifest: dict[str, Any]) -> Config:
             f"{path} was written with schema version {manifest['schema_version']}, this cosim writes {SCHEMA_VERSION}. "
             "Run again."
         )
-    if sha256(path / CONFIG) != manifest["config_sha256"]:
-        raise ValueError(f"{path}/{CONFIG} was changed since. A resumed run goes on with the same config: run again.")
     now = versions()
     if other := [f"{p} {v} (now {now.get(p)})" for p, v in manifest["versions"].items() if now.get(p) != v]:
         raise ValueError(f"{path} was begun with {', '.join(other)}: the tables would be of two kinds. Run again.")

@@ -36,6 +36,17 @@ def default_folder() -> Path:
     )
 
 
+def limit_gb() -> float:
+    """Size of the cache [GB]: COSIM_CACHE_GB, or LIMIT_GB."""
+    said = os.environ.get("COSIM_CACHE_GB", str(LIMIT_GB))
+    try:
+        if (limit := float(said)) >= 0:
+            return limit
+    except ValueError:
+        pass
+    raise ValueError(f"COSIM_CACHE_GB = {said}: gigabytes, 0 or more, are wanted.")
+
+
 @dataclass(frozen=True, slots=True)
 class Entry:
     """One result of a stage."""
@@ -62,7 +73,7 @@ class Cache:
             files = json.loads((entry / "stage.json").read_text())["files"]
         except FileNotFoundError:
             return None
-        except (OSError, ValueError, KeyError, TypeError):
+        except (OSError, ValueError, KeyError, TypeError, RecursionError):
             files = None
         if files is None or _files(entry) != files:
             _log.warning("%s was changed after it was written: it is not used, and made anew.", entry)
@@ -102,7 +113,7 @@ class Cache:
         content = {"files": _files(partial), "seconds": round(time() - begun_s, 2)}
         write_whole(partial / "stage.json", json.dumps(content, indent=1).encode())
         partial.replace(entry)
-        self.shrink(float(os.environ.get("COSIM_CACHE_GB", LIMIT_GB)), {name})
+        self.shrink(limit_gb(), {name})
 
     def entries(self) -> list[Entry]:
         """All entries, those used last first."""
@@ -113,7 +124,7 @@ class Cache:
             size = sum(f.stat().st_size for f in path.parent.rglob("*") if f.is_file())
             try:
                 seconds = float(json.loads(path.read_text()).get("seconds", 0))
-            except (ValueError, AttributeError):
+            except (OSError, ValueError, AttributeError, TypeError, RecursionError):  # `find` will not take it either
                 seconds = 0.0
             yield Entry(path.parent.parent.name, path.parent.name, size, path.stat().st_mtime, seconds)
 
