@@ -1,6 +1,5 @@
 """What drivers suffer: braking, conflicts, collisions, stops and time, per vehicle-kilometre; and why they brake."""
 
-
 import numpy as np
 import pandas as pd
 
