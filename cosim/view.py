@@ -96,7 +96,7 @@ def _open(out: Path):  # type: ignore[no-untyped-def]
         out.parent.mkdir(parents=True, exist_ok=True)
         out.write_bytes(b"")
     except OSError as error:
-        raise ValueError(f"--out {out} cannot be written: {error.strerror}.") from None
+        raise ValueError(f"--out {out} cannot be written: {error.strerror or error}.") from None
     recording = rerun.RecordingStream("cosim")
     recording.save(out)
     views = b.Horizontal(
