@@ -1,8 +1,9 @@
 """The commands."""
 
+import gc
 import os
 import sys
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -37,6 +38,12 @@ Overrides = Annotated[
     list[str] | None, typer.Option("--set", help="Change one key, e.g. radio.range_m=150. Repeatable.")
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON on standard output.")]
+Scheduler = Annotated[
+    str | None, typer.Option(help="Address of a Dask scheduler whose workers compute sweeps and detections.")
+]
+Workers = Annotated[
+    int | None, typer.Option(min=1, help="The same by this many processes on this machine; the tables stay the same.")
+]
 RunPaths = Annotated[list[Path], typer.Argument(help="Folders that `cosim run` wrote.")]
 Picture = Literal[
     "trust",
@@ -79,6 +86,8 @@ def run(
     config: ConfigPath = None,
     overrides: Overrides = None,
     out: Annotated[Path | None, typer.Option(help="Folder to write; by default the next runs/<city>-N.")] = None,
+    scheduler: Scheduler = None,
+    workers: Workers = None,
     as_json: AsJson = False,
 ) -> None:
     """Simulate traffic, sensors, messages and trust; write a run folder."""
@@ -89,20 +98,32 @@ def run(
     for remark in running.changed_since(config, experiment):
         notes.print(remark, soft_wrap=True)
     with progress() as advance:
-        folder = running.run(experiment, out, advance)
+        if scheduler or workers:
+            from cosim.studies import shards
+
+            folder = shards.run(experiment, out, advance, scheduler, workers or 1)
+        else:
+            folder = running.run(experiment, out, advance)
     _conclude(folder, as_json)
 
 
 @app.command()
 def resume(
     folder: Annotated[Path, typer.Argument(help="Folder of a run that was killed or interrupted.")],
+    scheduler: Scheduler = None,
+    workers: Workers = None,
     as_json: AsJson = False,
 ) -> None:
     """Go on with a run from its last whole block; the tables are those of a run never interrupted."""
     from cosim import run as running
 
     with progress() as advance:
-        running.resume(folder, advance)
+        if scheduler or workers:
+            from cosim.studies import shards
+
+            shards.resume(folder, advance, scheduler, workers or 1)
+        else:
+            running.resume(folder, advance)
     _conclude(folder, as_json)
 
 
@@ -129,9 +150,10 @@ def verify(runs: RunPaths, as_json: AsJson = False) -> None:
 def _conclude(folder: Path, as_json: bool) -> None:
     from cosim.run import remarks
 
-    print_run_summary(folder, as_json)
+    run = print_run_summary(folder, as_json)
     for remark in remarks(folder):
         notes.print(remark, soft_wrap=True)
+    _say_damage([run])
 
 
 def _opened(folder: Path) -> "OpenRun":
@@ -333,14 +355,15 @@ def bench(
         screen.print(table_of(machine(), rows))
 
 
-def main() -> None:
-    """Run a command; a user's mistake is one line on standard error and exit status 2."""
+def main(command: Callable[..., int | None] = app) -> None:
+    """Run what the command line asks for; a user's mistake is one line on standard error and exit status 2."""
     _open_standard_streams()
+    gc.set_threshold(100_000, 50, 100)  # imports and arrays leave little garbage; looking for it cost 5 % of a run
     status: int | None
     kernels = None
     try:
         kernels = _place_for_kernels()
-        status = app(standalone_mode=False)
+        status = command(standalone_mode=False)
         sys.stdout.flush()
     except typer.TyperException as error:
         status = _say(error.format_message(), 2)

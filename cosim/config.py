@@ -2,21 +2,18 @@
 
 import copy
 import difflib
-import json
 import math
-import tomllib
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
-from functools import cache
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
-from typing import Annotated, Any, get_args, get_origin
+from typing import Annotated, Any
 
 from annotated_types import Ge, Le
-from pydantic import TypeAdapter, ValidationError
 
 from cosim.adversary.catalogue import ATTACKS
 from cosim.adversary.params import PAPER, AttackParams, check_attacks
 from cosim.choices import Choice, resolve
+from cosim.config_data import check_finite, check_keys, former, override, read_toml, validated
 from cosim.driver.driver import DriverParams
 from cosim.driver.drivers import DRIVERS
 from cosim.fleet import FleetParams
@@ -30,7 +27,6 @@ from cosim.v2x.linkage import check_server
 from cosim.v2x.pseudonyms import POLICIES, PseudonymParams
 from cosim.v2x.trust_server import ServerParams
 from results.columns import Level
-from results.durable import open_regular
 from results.encounters import EncounterParams
 from sensors.detector import DETECTORS
 from sensors.evidence import AreaParams
@@ -39,8 +35,6 @@ from sensors.statistical_detector import DetectorParams
 from sumo_nets import catalogue, sumocfg
 from trust.models import MODELS
 from trust.params import TrustParams, differing_evidence_key
-
-_MOST_CONFIG_BYTES = 10_000_000
 
 CHOICES: Mapping[str, tuple[str, Mapping[str, Any], str]] = {
     "detector": ("model", DETECTORS, "detect"),
@@ -55,24 +49,6 @@ CHOICES: Mapping[str, tuple[str, Mapping[str, Any], str]] = {
 PAPER_RULE: dict[str, Any] = {"name": "paper", "fused": True, "unseen": "zero", "unjudged": "value"}
 """Trust variant that the run without a config carries beside its own: unseen detections count as 0, as in Hurl et
 al., TruPercept, 2020."""
-
-FORMER = {
-    "adversary": "[[attacks]], one section for each attack",
-    "fleet.malicious_p": "attacks.0.share_p",
-    "fleet.unreliable_p": "attacks.1.share_p",
-    "trust.where": "trust.host",
-    "trust.certify_own_lies": "nothing: attackers vouch for what they fabricate",
-    "detector.profile": "detector.model",
-    "radio.reach_m": "radio.range_m",
-    "radio.disk": "[radio.unit_disk]",
-    "radio.verdicts": "radio.evaluations",
-    "radio.relay.reach_m": "radio.relay.forward_range_m",
-    "radio.propagation.reach_m": "radio.propagation.interference_range_m",
-    "radio.propagation.reach_nlos_m": "radio.propagation.interference_range_nlos_m",
-    "detector.taken_for_p": "detector.confusion_p",
-    "detector.clutter_per_sweep": "detector.false_positive_per_sweep",
-}
-"""Keys of the former schema, and what they have become."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -138,7 +114,7 @@ class Config:
     encounters: tuple[EncounterParams, ...] = (EncounterParams(),)
     record: RecordParams = field(default_factory=RecordParams)
     compute: ComputeParams = field(default_factory=ComputeParams)
-    own: dict[str, dict[str, Any]] = field(default_factory=dict)
+    own: dict[str, dict[str, Any]] = field(default_factory=dict, metadata={"internal": True})
     """Parameters that belong to a chosen class and not to its section, by section (`trust`, `attacks.0`); in a config
     file they stand in the section itself."""
 
@@ -235,24 +211,6 @@ def load(path: Path | None = None, overrides: list[str] | None = None) -> Config
     return resolve_data(data, "the config" if path is None else path.name, None if path is None else path.parent)
 
 
-def read_toml(path: Path, what: str) -> dict[str, Any]:
-    """Plain data of a TOML file; ValueError in one line where it cannot be read."""
-    try:
-        with open_regular(path) as file:
-            text = file.read(_MOST_CONFIG_BYTES + 1)
-        if len(text) > _MOST_CONFIG_BYTES:
-            raise ValueError(f"{path}: larger than {_MOST_CONFIG_BYTES:,} bytes: no {what}.")
-        return tomllib.loads(text.decode("utf-8"))
-    except FileNotFoundError:
-        raise ValueError(f"{path}: no such {what}. Give the path of a TOML file.") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise ValueError(f"{path}: cannot be read as a {what}: {error}.") from None
-    except tomllib.TOMLDecodeError as error:
-        raise ValueError(f"{path}: not valid TOML: {error}.") from None
-    except RecursionError:
-        raise ValueError(f"{path}: nested too deeply.") from None
-
-
 def with_defaults(data: dict[str, Any]) -> dict[str, Any]:
     """Plain data with the lists that a config has when it does not state them."""
     return {"attacks": copy.deepcopy(list(PAPER)), "encounters": [{}]} | data
@@ -274,7 +232,7 @@ def resolve_data(data: dict[str, Any], where: str, folder: Path | None) -> Confi
                         own[f"{section}.{number}"] = _take_own(item, section, AttackParams, where, folder)
         elif isinstance(data.get(section, {}), dict):
             own[section] = _take_own(data.setdefault(section, {}), section, types[section], where, folder)
-    _check_keys(data, Config, "", where)
+    check_keys(data, Config, "", where)
     for name in ("scenario", "trace"):
         given = data.get("traffic", {}).get(name)
         if isinstance(given, str):
@@ -321,7 +279,7 @@ def _variants(
         own = _take_own(merged, "trust", TrustParams, where, folder)
         if "model" in changes:
             changes["model"] = merged["model"]
-        _check_keys(merged, TrustParams, f"{place}.", where)
+        check_keys(merged, TrustParams, f"{place}.", where)
         trust = validated(TrustParams, merged, place, where)
         if key := differing_evidence_key(config.trust, trust):
             raise ValueError(
@@ -361,30 +319,10 @@ def _take_own(section: dict[str, Any], name: str, model: Any, where: str, folder
         known = ", ".join(sorted(of_section | of_class))
         near = difflib.get_close_matches(unknown[0], [*of_section, *of_class], 1)
         hint = f"Did you mean {name}.{near[0]}?" if near else f"Known: {known}."
-        raise ValueError(f"{name}.{unknown[0]}: unknown key in {where}. {_former(f'{name}.{unknown[0]}') or hint}")
-    _check_finite(taken, f"{name}.", where)
+        raise ValueError(f"{name}.{unknown[0]}: unknown key in {where}. {former(f'{name}.{unknown[0]}') or hint}")
+    check_finite(taken, f"{name}.", where)
     made = asdict(validated(choice.params, taken, name, where))
     return {k: made[k] for k in made if k in of_class}
-
-
-@cache
-def _adapter(model: Any) -> TypeAdapter:
-    return TypeAdapter(model)
-
-
-def validated(model: Any, data: Any, prefix: str, where: str) -> Any:
-    """Typed parameters from plain data; ValueError in one line for a mistake."""
-    try:
-        return _adapter(model).validate_json(json.dumps(data, default=str), strict=True)
-    except ValidationError as error:
-        first = error.errors()[0]
-        name = ".".join([*([prefix] if prefix else []), *(str(p) for p in first["loc"])])
-        if first["type"] == "value_error":
-            raise ValueError(first["msg"].removeprefix("Value error, ")) from None
-        if first["type"] == "missing":
-            raise ValueError(f"{name}: missing. Set {name} in {where}.") from None
-        reason = first["msg"].removeprefix("Input should be ")
-        raise ValueError(f"{name} = {first['input']!r} should be {reason}. Set {name} in {where}.") from None
 
 
 def _own_step_s(scenario: str) -> float | None:
@@ -399,81 +337,3 @@ def _own_step_s(scenario: str) -> float | None:
             "Set traffic.step_s to 0.1 or more to drive it otherwise."
         )
     return own_s
-
-
-def override(data: Any, text: str) -> None:
-    """Set one key; `encounters.0.radius_m` names an item of a list, the one behind the last makes a new one."""
-    name, sign, value = text.partition("=")
-    if not sign or not name.strip():
-        raise ValueError(f"--set {text}: no key=value. Write for example --set radio.range_m=150.")
-    if not text.isprintable():
-        raise ValueError(f"--set {text!r}: one line without control characters, please; repeat --set for more keys.")
-    try:
-        parsed = tomllib.loads(f"value = {value}")["value"]
-    except tomllib.TOMLDecodeError:
-        parsed = value
-    except RecursionError:
-        raise ValueError(f"--set {name}: its value is nested too deeply.") from None
-    assign(data, name.strip(), parsed, f"--set {text}")
-
-
-def assign(data: Any, name: str, value: Any, said: str) -> None:
-    """Set the key `name` in plain data; `said` is what the user wrote, for messages."""
-    *sections, last = name.split(".")
-    for section in sections:
-        data = _item(data, section, said)
-        if not isinstance(data, dict | list):
-            raise ValueError(f"{said}: {section} is a value, not a section.")
-    if isinstance(data, list):
-        raise ValueError(f"{said}: {sections[-1]} is a list; name an item and a key, as in {sections[-1]}.0.KEY.")
-    data[last] = value
-
-
-def _item(data: Any, name: str, said: str) -> Any:
-    """A section, made if it is not there."""
-    if isinstance(data, dict):
-        lists = name == "trust_variant"
-        return data.setdefault(name, [] if lists else {})
-    if not name.isdecimal() or int(name) > len(data):
-        raise ValueError(f"{said}: {name} is no item of a list of {len(data)}; they are numbered from 0.")
-    if int(name) == len(data):
-        data.append({})
-    return data[int(name)]
-
-
-def _former(name: str) -> str:
-    """Says what a key of the former schema has become; empty for others."""
-    now = next((new for old, new in FORMER.items() if name == old or name.startswith(old + ".")), None)
-    return "" if now is None else f"It is a key of the former schema; now it is {now}."
-
-
-def _check_finite(data: Any, name: str, where: str) -> None:
-    """Refuse numbers that are none or larger than any quantity here, however deep they stand."""
-    if isinstance(data, int) and not isinstance(data, bool) and abs(data) >= 2**63:
-        raise ValueError(f"{name} is a whole number of more than 63 bits. Set {name} in {where}.")
-    if isinstance(data, float) and not math.isfinite(data):
-        raise ValueError(f"{name} = {data}: not a finite number. Set {name} in {where}.")
-    items = data.items() if isinstance(data, dict) else enumerate(data) if isinstance(data, list) else ()
-    for key, value in items:
-        _check_finite(value, f"{name}{'' if name.endswith('.') or not name else '.'}{key}", where)
-
-
-def _check_keys(data: dict[str, Any], model: Any, prefix: str, where: str) -> None:
-    known = {f.name: f for f in fields(model) if f.name != "own" or model is not Config}
-    for name, value in data.items():
-        full = prefix + name
-        if name not in known:
-            near = difflib.get_close_matches(name, known, 1)
-            hint = f"Did you mean {prefix}{near[0]}?" if near else f"Known: {', '.join(known)}."
-            raise ValueError(f"{full}: unknown key in {where}. {_former(full) or hint}")
-        if get_origin(known[name].type) is tuple and is_dataclass(model_of := get_args(known[name].type)[0]):
-            if not isinstance(value, list) or not all(isinstance(v, dict) for v in value):
-                raise ValueError(f"{full} should be a list of sections [[{full}]] in {where}.")
-            for item in value:
-                _check_keys(item, model_of, full + ".", where)
-        elif is_dataclass(known[name].type):
-            if not isinstance(value, dict):
-                raise ValueError(f"{full} = {value!r} should be a section [{full}] in {where}.")
-            _check_keys(value, known[name].type, full + ".", where)
-        else:
-            _check_finite(value, full, where)

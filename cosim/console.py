@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich.box import SIMPLE
 from rich.console import Console
@@ -23,6 +23,9 @@ from rich.progress import (
 )
 from rich.table import Column, Table
 from rich.text import Text
+
+if TYPE_CHECKING:
+    from results.run import Run
 
 _PIPED_WIDTH = 160
 """Columns of tables where standard output is no terminal."""
@@ -73,16 +76,18 @@ def print_json(content: object) -> None:
     sys.stdout.write(json.dumps(content, indent=1, ensure_ascii=False, default=str) + "\n")
 
 
-def print_run_summary(folder: Path, as_json: bool) -> None:
-    """What was driven and what came of it, in a few lines; the picture of trust over time is drawn beside."""
+def print_run_summary(folder: Path, as_json: bool) -> "Run":
+    """What was driven and what came of it, in a few lines; the picture of trust over time is drawn beside.
+
+    Returns the run, which knows what of it could not be shown.
+    """
     from results.archive import open_run
-    from results.figures import style
-    from results.figures.catalogue import FIGURES
+    from results.figures import style, trust
     from results.measure import measure
 
     run = open_run(folder)
     try:
-        picture = str(style.save(FIGURES["trust"]([run]), folder / "trust.png"))
+        picture = str(style.save(trust.draw([run]), folder / "trust.png"))
     except ValueError as nothing_to_draw:
         picture = f"not drawn: {nothing_to_draw}"
     manifest = run.manifest
@@ -90,7 +95,7 @@ def print_run_summary(folder: Path, as_json: bool) -> None:
     if as_json:
         measures = rows_of(measure(run, max_frames=200))
         print_json({"run": str(folder), "summary": manifest["summary"], "seconds": spent_s, "measures": measures})
-        return
+        return run
     topics = tuple(dict.fromkeys(name.split(".")[0] for name in SUMMARY_METRICS))
     frame = measure(run, topics=topics)
     by_metric = {
@@ -111,6 +116,7 @@ def print_run_summary(folder: Path, as_json: bool) -> None:
     for name, sentences in lines.items():
         for i, sentence in enumerate(sentences):
             screen.print(Text.assemble((f"{name if i == 0 else '':<12}", "bold"), sentence), soft_wrap=True)
+    return run
 
 
 def _summary(get: Get, city: str) -> dict[str, list[str]]:

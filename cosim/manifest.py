@@ -1,8 +1,10 @@
 """The manifest of a run: what was asked, with which versions and inputs, and how it went."""
 
+import hashlib
 import os
 import platform
 import re
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from importlib.metadata import version
@@ -53,7 +55,7 @@ class Manifest:
     folder: Path
     config: Config
     net: dict[str, str]
-    """Name, licence, attribution and checksums of the network's files."""
+    """Name, licence and attribution of the network; checksums of all files that are read."""
     choices: dict[str, Source]
     """Which class every choice of the config is, with the file and checksum of a user's own."""
     steps: int = 0
@@ -64,11 +66,28 @@ class Manifest:
     """Why the run failed."""
     resumed_at: list[int] = field(default_factory=list)
     """Steps at which the run was resumed."""
+    config_sha256: str = ""
+    """Checksum of the file of the config."""
 
     def begin(self) -> None:
-        """Write the config, and a manifest that says that the run is running."""
-        durable.write(self.folder / CONFIG, self._config())
+        """Write a manifest that says that the run is running, then the config: with a manifest, it can be resumed."""
+        self.config_sha256 = hashlib.sha256(self._config()).hexdigest()
         self.write("running")
+        durable.write(self.folder / CONFIG, self._config())
+        durable.sync_folder(self.folder)
+
+    def keep_config(self, before: Mapping[str, Any]) -> None:
+        """Hold the config against the manifest of a run to be resumed; it is written where a kill came before it.
+
+        ValueError where the file is another, or would be.
+        """
+        path = self.folder / CONFIG
+        is_there = path.exists() or path.is_symlink()
+        self.config_sha256 = before["config_sha256"]
+        if (durable.sha256(path) if is_there else hashlib.sha256(self._config()).hexdigest()) != self.config_sha256:
+            raise ValueError(f"{path} was changed since. A resumed run goes on with the same config: run again.")
+        if not is_there:
+            durable.write(path, self._config())
 
     def write(self, status: str, inventory: Inventory | None = None) -> None:
         """Save with `status`: running, finished, interrupted or failed.
@@ -87,7 +106,7 @@ class Manifest:
             "variants": [BASE_VARIANT, *(variant.name for variant in self.config.trust_variant)],
             "roles": labels(Role),
             "config": self.config.to_dict(),
-            "config_sha256": durable.sha256(self.folder / CONFIG),
+            "config_sha256": self.config_sha256,
             "versions": versions(),
             "net": self.net,
             "choices": {key: asdict(source) for key, source in self.choices.items()},

@@ -17,6 +17,7 @@ from numpy import ndarray
 
 from cosim.actors import actor_key
 from cosim.config import Config, load
+from cosim.inputs import changed_inputs
 from cosim.meshes import with_meshes
 from cosim.perception import sweep_keys
 from cosim.scenario import find
@@ -34,8 +35,12 @@ _LOG = logging.getLogger(__name__)
 
 
 def config_of(run: Run) -> Config:
-    """The config of a run."""
-    return load(run.path / "config.toml")
+    """The config of a run; a warning is logged where files that it names have changed since."""
+    config = load(run.path / "config.toml")
+    scenario = find(config.traffic.scenario, config.traffic.trace)
+    if changed := changed_inputs(config, scenario, run.manifest.get("net", {})):
+        _LOG.warning("%s: changed since it was recorded: %s", run.path, ", ".join(changed))
+    return config
 
 
 def city_of(config: Config) -> Scene:
@@ -94,9 +99,6 @@ def replay_scan(run: Run, vehicle: int, step: int) -> ReplayedScan:
             + (f", and senses in every {every}th." if every > 1 else ".")
         )
     run.require("actors", "vehicles", "detections")
-    scenario = find(config.traffic.scenario, config.traffic.trace)
-    if changed := scenario.changed_inputs(run.manifest.get("net", {})):
-        _LOG.warning("%s: changed since it was recorded: %s", run.path, ", ".join(changed))
     world = next(worlds(run, config, np.array([step])), None)
     if world is None:
         raise ValueError(f"--step {step}: no actor is on the road then.")

@@ -2,7 +2,7 @@
 
 import hashlib
 import shutil
-from collections.abc import Collection
+from collections.abc import Callable, Collection, Generator
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -19,11 +19,13 @@ from cosim.adversary.params import named, shares
 from cosim.config import Config, chosen, resolve_data
 from cosim.drive import STATE_VERSION, Advance, Commands, Drive, own_modules, warm_up
 from cosim.driver.driver import largest_step_s
-from cosim.manifest import CONFIG, Manifest, versions
+from cosim.inputs import changed_inputs, provenance
+from cosim.manifest import Manifest, versions
 from cosim.meshes import with_meshes
 from cosim.mobility.remarks import traffic_remarks
 from cosim.mobility.source import TrafficEnded, TrafficError, TrafficSource
-from cosim.parts import Parts, check_choices, sources
+from cosim.parts import Parts, check_choices, perception_of, sources
+from cosim.perception import Perceives, Perception
 from cosim.radio.rsu import NO_RSUS, RsuAntennas, place_rsus
 from cosim.run_folder import RunFolder
 from cosim.scenario import Scenario, find
@@ -31,6 +33,7 @@ from cosim.state import State
 from cosim.stop import NOTHING_WRITTEN, Failed, Stopped, StopRequest
 from cosim.stopwatch import Stopwatch
 from cosim.trackers.attack_start import AttackStartTracker
+from cosim.world import World
 from results import inventory
 from results.archive import read_manifest
 from results.durable import PARTIAL, Damaged, open_regular, sha256
@@ -91,11 +94,14 @@ def roadside_units(config: Config, scenario: Scenario) -> RsuAntennas:
     return replace(sites, xyz_m=sites.xyz_m - np.array([*scenario.origin_m, 0.0]))
 
 
-def run(config: Config, out: Path | None, advance: Advance, traffic_from: Path | None = None) -> Path:
+def run(
+    config: Config, out: Path | None, advance: Advance, traffic_from: Path | None = None,
+    perceive: Callable[[Perception], Perceives] = lambda own: own,
+) -> Path:  # fmt: skip
     """Drive, sense, talk, trust and record; the folder that it wrote.
 
     `traffic_from` is a folder that `record_traffic` wrote for the same `[traffic]`: it is replayed instead of driving
-    SUMO, with the same tables.
+    SUMO, with the same tables. `perceive` may give another perception in place of the run's own.
 
     Nothing is written before the config has been checked and SUMO has accepted the scenario. Stopped where a signal
     asks for it.
@@ -103,11 +109,11 @@ def run(config: Config, out: Path | None, advance: Advance, traffic_from: Path |
     run_folder.check(out)
     scenario = check(config)
     with StopRequest() as stop:
-        parts, registry, traffic = _loaded(config, scenario, traffic_from)
+        parts, registry, traffic = _loaded(config, scenario, traffic_from, perceive)
         try:
             folder = run_folder.create(out, scenario.name)
             try:
-                manifest = Manifest(folder.path, config, scenario.provenance(), sources(config))
+                manifest = Manifest(folder.path, config, provenance(config, scenario), sources(config))
                 manifest.begin()
                 recorder = _recorder(folder.path, parts, 0)
                 warmup_s = 0.0 if traffic_from is not None else _warmup_s(config, scenario)
@@ -124,17 +130,21 @@ def run(config: Config, out: Path | None, advance: Advance, traffic_from: Path |
     return folder.path
 
 
-def resume(path: Path, advance: Advance, traffic_from: Path | None = None) -> Path:
+def resume(
+    path: Path, advance: Advance, traffic_from: Path | None = None,
+    perceive: Callable[[Perception], Perceives] = lambda own: own,
+) -> Path:  # fmt: skip
     """Go on with a run that was killed or interrupted, from its last whole block: the tables are those of a run
     never interrupted.
 
     The traffic is repeated from its beginning, because SUMO's own saved state is not exact; everything else goes on
-    from the state that was kept with the block. Nothing in the folder is executed. `traffic_from` as in `run`.
+    from the state that was kept with the block. Nothing in the folder is executed. `traffic_from` and `perceive`
+    as in `run`.
     """
     manifest = read_manifest(path)
     config = _resumable(path, manifest)
     scenario = check(config)
-    if (now := scenario.provenance()) != manifest["net"]:
+    if (now := provenance(config, scenario)) != manifest["net"]:
         changed = sorted(key for key in now.keys() | manifest["net"].keys() if now.get(key) != manifest["net"].get(key))
         raise ValueError(f"{path}: its inputs have changed since: {', '.join(changed)}. Run again.")
     with StopRequest() as stop:
@@ -146,10 +156,11 @@ def resume(path: Path, advance: Advance, traffic_from: Path | None = None) -> Pa
             closed = [part for block in found.blocks for part in block.parts]
             if problem := next((p for part in closed if (p := content_problem(path, part))), ""):
                 raise Damaged(f"{path} is damaged: {problem}. Run again.")
-            parts, registry, traffic = _loaded(config, scenario, traffic_from)
+            parts, registry, traffic = _loaded(config, scenario, traffic_from, perceive)
             try:
-                recorder = _recorder(path, parts, found.end_step)
                 went = Manifest(path, config, manifest["net"], sources(config), steps=found.end_step)
+                went.keep_config(manifest)
+                recorder = _recorder(path, parts, found.end_step)
                 went.resumed_at = [*manifest.get("resumed_at", []), found.end_step]
                 warmup_s = 0.0 if traffic_from is not None else _warmup_s(config, scenario)
                 drive = Drive(parts, scenario, folder, warmup_s, traffic, registry, recorder, went, advance, stop)
@@ -174,7 +185,7 @@ def record_traffic(config: Config, path: Path, advance: Advance) -> Path:
     traffic = scenario.traffic(config.traffic, registry)
     try:
         folder = run_folder.create(path, scenario.name)
-        manifest = Manifest(path, config, scenario.provenance(), sources(config))
+        manifest = Manifest(path, config, provenance(config, scenario), sources(config))
         manifest.begin()
         warm_up(_warmup_s(config, scenario), traffic, watch, advance)
         recorder = Recorder(path, "standard", config.record.block_steps)
@@ -203,8 +214,6 @@ def _resumable(path: Path, manifest: dict[str, Any]) -> Config:
             f"{path} was written with schema version {manifest['schema_version']}, this cosim writes {SCHEMA_VERSION}. "
             "Run again."
         )
-    if sha256(path / CONFIG) != manifest["config_sha256"]:
-        raise ValueError(f"{path}/{CONFIG} was changed since. A resumed run goes on with the same config: run again.")
     now = versions()
     if other := [f"{p} {v} (now {now.get(p)})" for p, v in manifest["versions"].items() if now.get(p) != v]:
         raise ValueError(f"{path} was begun with {', '.join(other)}: the tables would be of two kinds. Run again.")
@@ -223,18 +232,37 @@ def _warmup_s(config: Config, scenario: Scenario) -> float:
     return scenario.warmup_s if config.traffic.warmup_s is None else config.traffic.warmup_s
 
 
+def worlds_of(config: Config, traffic_from: Path | None) -> Generator[World, None, None]:
+    """The worlds that a run of this config will see, ahead of it. Its traffic is replayed, as in `run`."""
+    scenario = find(config.traffic.scenario, config.traffic.trace)
+    _, traffic = _traffic(config, scenario, traffic_from)
+    try:
+        for _ in traffic.warm_up(0.0 if traffic_from is not None else _warmup_s(config, scenario)):
+            pass
+        for _ in range(config.n_steps):
+            yield traffic.advance()
+    except TrafficEnded:
+        pass
+    finally:
+        traffic.close()
+
+
 def _loaded(
-    config: Config, scenario: Scenario, traffic_from: Path | None = None
+    config: Config, scenario: Scenario, traffic_from: Path | None, perceive: Callable[[Perception], Perceives]
 ) -> tuple[Parts, ActorRegistry, TrafficSource]:
     watch = Stopwatch()
     with watch("city"):
         city = with_meshes(scenario.city(), config.meshes, config.vehicle_meshes)
     parts = Parts.of(config, city, roadside_units(config, scenario), watch)
+    parts = replace(parts, perception=perceive(perception_of(config, city)))
+    return parts, *_traffic(config, scenario, traffic_from)
+
+
+def _traffic(config: Config, scenario: Scenario, traffic_from: Path | None) -> tuple[ActorRegistry, TrafficSource]:
     registry = ActorRegistry(config.fleet, config.seed, shares(config.attacks), named(config.attacks))
     recorded = scenario if traffic_from is None else replace(scenario, trace=traffic_from, warmup_s=0.0)
     params = config.traffic if traffic_from is None else replace(config.traffic, begin_s=None, warmup_s=0.0)
-    traffic = recorded.traffic(params, registry, has_driver=config.driver.model != "none")
-    return parts, registry, traffic
+    return registry, recorded.traffic(params, registry, has_driver=config.driver.model != "none")
 
 
 def _recorder(folder: Path, parts: Parts, resume_at: int) -> Recorder:
@@ -363,11 +391,11 @@ def remarks(folder: Path) -> list[str]:
 
 
 def changed_since(path: Path | None, config: Config) -> list[str]:
-    """A remark where the config is that of a recorded run, and the files of its scenario have changed since."""
+    """A remark where the config is that of a recorded run, and files that it names have changed since."""
     if path is None or not (path.parent / "manifest.json").is_file():
         return []
     with suppress(ValueError):
         before = read_manifest(path.parent)["net"]
-        if changed := find(config.traffic.scenario, config.traffic.trace).changed_inputs(before):
+        if changed := changed_inputs(config, find(config.traffic.scenario, config.traffic.trace), before):
             return [f"note: changed since {path.parent} was recorded: {', '.join(changed)}. The tables will differ."]
     return []

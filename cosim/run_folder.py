@@ -6,7 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from cosim.stop import Failed
-from results.durable import Lock, is_lock
+from results.archive import MANIFEST
+from results.durable import PARTIAL, Lock, is_lock
 
 
 @dataclass(slots=True)
@@ -27,12 +28,16 @@ class RunFolder:
         """Let others write."""
         self.lock.release()
 
+    def clear(self) -> None:
+        """Delete all but the lock; the manifest last, because a folder without one is no run."""
+        items = [item for item in self.path.iterdir() if not is_lock(item)]
+        for item in sorted(items, key=lambda item: item.name == MANIFEST):
+            shutil.rmtree(item) if item.is_dir() and not item.is_symlink() else item.unlink()
+
     def remove(self) -> None:
         """Leave no trace of a run that recorded nothing."""
-        ours = self.path.is_dir() and self.lock.is_held()
-        for item in list(self.path.iterdir()) if ours else []:
-            if not is_lock(item):
-                shutil.rmtree(item) if item.is_dir() and not item.is_symlink() else item.unlink()
+        if self.path.is_dir() and self.lock.is_held():
+            self.clear()
         self.release()
         for folder in reversed(self.made):
             with suppress(OSError):
@@ -48,9 +53,13 @@ def check(out: Path | None) -> None:
             raise ValueError(f"--out {out} is a link to nothing. Give a folder that is empty or does not exist.")
         if out.exists() and not out.is_dir():
             raise ValueError(f"--out {out} is a file. Give a folder that is empty or does not exist.")
-        if out.is_dir() and any(not is_lock(item) for item in out.iterdir()):
-            what = "already holds a run" if (out / "manifest.json").exists() else "is not empty"
-            raise ValueError(f"--out {out} {what}. Give a folder that is empty or does not exist.")
+        if out.is_dir() and (out / MANIFEST).exists():
+            raise ValueError(
+                f"--out {out} already holds a run. Give a folder that is empty or does not exist; a run that was cut "
+                f"off goes on with: cosim resume {out}"
+            )
+        if out.is_dir() and any(not _is_leftover(item) for item in out.iterdir()):
+            raise ValueError(f"--out {out} is not empty. Give a folder that is empty or does not exist.")
     except OSError as error:
         raise _cannot(out, error) from None
 
@@ -80,6 +89,24 @@ def create(out: Path | None, name: str) -> RunFolder:
         return RunFolder(out, lock, (*made, *new))
     except OSError as error:
         raise _cannot(out or base, error) from None
+
+
+def _is_leftover(item: Path) -> bool:
+    """What a run leaves that was killed before its manifest was on disk; the next one writes over it."""
+    return is_lock(item) or item.name == MANIFEST + PARTIAL
+
+
+def beside(out: Path) -> RunFolder:
+    """A folder that is renamed to `out` once it is whole; what a killed process left there is removed."""
+    path = out.with_name(out.name + PARTIAL)
+    try:
+        made = _make(path)
+    except OSError as error:
+        raise _cannot(out, error) from None
+    folder = reopen(path)
+    folder.made = (*made, path) if path not in made else made
+    folder.clear()
+    return folder
 
 
 def reopen(path: Path) -> RunFolder:

@@ -39,7 +39,7 @@ def print_measures(runs: list[Run], as_json: bool, csv: Path | None, **options: 
         try:
             whole[[*first, *(c for c in whole.columns if c not in first)]].to_csv(csv, index=False)
         except OSError as error:
-            raise ValueError(f"--csv {csv} cannot be written: {error.strerror}. Give another file.") from None
+            raise ValueError(f"--csv {csv} cannot be written: {error.strerror or error}. Give another file.") from None
         screen.print(f"wrote {csv}", highlight=False, soft_wrap=True)
     elif as_json:
         print_json({

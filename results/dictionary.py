@@ -33,11 +33,8 @@ def markdown() -> str:
         "`pose_index` where they are not null); `open_run` fills it in. Labels of `variant` and `role` are those of",
         "the run: its manifest lists them as `variants` and `roles`.",
         "",
-        "Record levels contain one another:",
-        *(
-            f"`{level}` keeps {', '.join(f'`{name}`' for name in kept(level))}{'.' if level == 'full' else ';'}"
-            for level in LEVELS
-        ),
+        "Each record level keeps more than the one before:",
+        *_levels(),
     ]
     for name, table in TABLES.items():
         lines += [
@@ -70,6 +67,16 @@ def markdown() -> str:
             for name, metric in METRICS.items() if name.startswith(topic + ".")
         ]  # fmt: skip
     return "\n".join(lines) + "\n"
+
+
+def _levels() -> list[str]:
+    """What each record level adds to the one before."""
+    lines, before = [], set[str]()
+    for level in LEVELS:
+        more = [f"`{name}`" for name in kept(level) if name not in before]
+        lines += ["", f"- `{level}`: {', '.join(more)}."]
+        before |= set(kept(level))
+    return lines
 
 
 def _row(name: str, column: Column) -> str:

@@ -2,6 +2,7 @@
 
 import hashlib
 from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
@@ -28,6 +29,8 @@ CHECKPOINT = "checkpoint"
 """Folder of the files from which a resumed run goes on; a finished run has none."""
 _MOST_LABELS = 127
 """Codes of a category are int8."""
+_WRITERS = 8
+"""Files that are synced at once: a disk that is asked for many together takes a tenth of the time."""
 
 
 class Recorder:
@@ -147,17 +150,19 @@ class Recorder:
         opening = [self._encoder.part(name, self.labels, rows) for name, rows in self._made(open_rows, end_step - 1)]
         for waiting in (*self._parts.values(), *opening):
             waiting.end_block()
-        parts = [p.write(self.folder, f"part-{self._block:05d}.parquet") for p in self._parts.values() if len(p)]
-        opened = [p.write(self.folder, f"open-{self._block:05d}.parquet") for p in opening]
         files = {f"{CHECKPOINT}/{name}": content for name, content in checkpoint.items()}
         if files:
             (self.folder / CHECKPOINT).mkdir(exist_ok=True)
-        for name, content in files.items():
-            durable.write(self.folder / name, content)
-        for name in sorted({part.table for part in (*parts, *opened)} | ({CHECKPOINT} if files else set())):
-            durable.sync_folder(self.folder / name)
+        number = f"{self._block:05d}.parquet"
+        with ThreadPoolExecutor(_WRITERS) as disk:
+            to_write = disk.map(lambda p: p.write(self.folder, f"part-{number}"), filter(len, self._parts.values()))
+            to_open = disk.map(lambda p: p.write(self.folder, f"open-{number}"), opening)
+            to_keep = disk.map(lambda name: durable.write(self.folder / name, files[name]), files)
+            parts, opened, _ = tuple(to_write), tuple(to_open), tuple(to_keep)
+            names = sorted({part.table for part in (*parts, *opened)} | ({CHECKPOINT} if files else set()))
+            tuple(disk.map(durable.sync_folder, [self.folder / name for name in names]))
         block = Block(
-            self._block, end_step, self.is_block_end(end_step - 1), tuple(parts), tuple(opened),
+            self._block, end_step, self.is_block_end(end_step - 1), parts, opened,
             {name: hashlib.sha256(content).hexdigest() for name, content in files.items()},
         )  # fmt: skip
         before, self.inventory = self.inventory, inventory.commit(self.folder, self.inventory, block)

@@ -12,7 +12,7 @@ from numpy import ndarray
 
 from sensors import box_points, evidence_kernels, range_image
 from sensors.boxes import Boxes
-from sensors.lidar import RangeImages, Sweeps
+from sensors.lidar import RangeImages, Scanners, Sweeps
 from sensors.scene import ObjectClass, prisms
 
 
@@ -41,7 +41,7 @@ class PlausibilityParams:
 
 
 def in_evaluation_area(
-    sweeps: RangeImages,
+    sweeps: Scanners,
     o: Int[ndarray, "n"],
     boxes: Boxes,
     params: AreaParams,

@@ -19,9 +19,9 @@ def cosim(*words: str, cwd: Path | None = None) -> subprocess.CompletedProcess:
     return subprocess.run([sys.executable, "-m", "cosim", *words], capture_output=True, text=True, cwd=cwd, timeout=600)
 
 
-def drive(folder: Path, *overrides: str) -> Path:
-    """A short run of the shipped city into `folder`; overrides may name parts of `tests.parts`."""
-    sets = [word for override in (*SHORT, *overrides) for word in ("--set", override)]
-    done = cosim("run", *sets, "--out", str(folder), "--json")
+def drive(folder: Path, *overrides: str, config: Path | None = None) -> Path:
+    """A short run of the shipped city, or one of a config, into `folder`; overrides may name parts of `tests.parts`."""
+    sets = [word for override in (*(() if config else SHORT), *overrides) for word in ("--set", override)]
+    done = cosim("run", *([str(config)] if config else []), *sets, "--out", str(folder), "--json")
     assert done.returncode == 0, done.stderr
     return folder

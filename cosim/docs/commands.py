@@ -6,6 +6,11 @@ import typer
 
 from cosim.cli import app
 
+_NAMES = {
+    "str": "text", "Path": "path", "int": "whole number", "float": "number", "int range": "whole number",
+    "float range": "number",
+}  # fmt: skip
+
 
 def markdown() -> str:
     """The page."""
@@ -62,7 +67,10 @@ def _kind(one: Any, context: Any) -> str:
     many = kind.startswith("list[")
     choices = kind.removeprefix("list[").removesuffix("]").split("|")
     kind = choices[0] if len(choices) == 1 else ", ".join(f"`{choice}`" for choice in choices)
-    kind = {"str": "text", "Path": "path", "int": "whole number", "float": "number"}.get(kind, kind)
+    kind = _NAMES.get(kind, kind)
+    low, high = getattr(one, "min", None), getattr(one, "max", None)
+    if low is not None or high is not None:
+        kind += f", {low:g} to {high:g}" if low is not None and high is not None else f", ≥ {low:g}"
     return f"{kind}, several" if many else kind
 
 

@@ -127,8 +127,7 @@ def _kind(hint: Any) -> tuple[str, str]:
     if origin is tuple:
         of = [part for part in inner if part is not Ellipsis]
         kind, bounds = _kind(of[0])
-        many = "list of" if len(of) < len(inner) else f"{len(of)}"
-        return f"{many}: {kind}", bounds
+        return (f"list of: {kind}" if len(of) < len(inner) else f"{len(of)} × {kind}"), bounds
     if origin is dict:
         return "section", ""
     return _NAMES.get(hint, getattr(hint, "__name__", str(hint))), ""
@@ -136,11 +135,18 @@ def _kind(hint: Any) -> tuple[str, str]:
 
 def _bound(mark: Any) -> str:
     if isinstance(mark, at.Interval):
-        return ", ".join(f"{sign} {v:g}" for name, sign in _SIGNS.values() if (v := getattr(mark, name)) is not None)
+        return ", ".join(
+            f"{sign} {_figure(v)}" for name, sign in _SIGNS.values() if (v := getattr(mark, name)) is not None
+        )
     for kind, (name, sign) in _SIGNS.items():
         if isinstance(mark, kind):
-            return f"{sign} {getattr(mark, name):g}"
+            return f"{sign} {_figure(getattr(mark, name))}"
     return ""
+
+
+def _figure(bound: float) -> str:
+    """A bound to the last digit."""
+    return str(int(bound)) if bound == int(bound) else f"{bound:g}"
 
 
 def _default(one: Field[Any]) -> str:

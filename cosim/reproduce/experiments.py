@@ -8,7 +8,7 @@ from typing import Any
 
 import pandas as pd
 
-from cosim import config as configs
+from cosim import config_data
 from cosim.reproduce.published import AP, FINAL_TRUST
 from cosim.studies import sweep as sweeping
 from cosim.studies.study import SHIPPED, Study, load
@@ -64,7 +64,7 @@ def study_of(name: str, overrides: Sequence[str] = (), replicates: int | None = 
         key = text.partition("=")[0].strip()
         if key in study.keys or key in ("seed", "traffic.seed"):
             raise ValueError(f"--set {text}: {key} is varied by the experiment. Leave it out.")
-        configs.override(study.base, text)
+        config_data.override(study.base, text)
     return study if replicates is None else replace(study, head=replace(study.head, replicates=replicates))
 
 

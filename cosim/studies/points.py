@@ -8,6 +8,7 @@ from functools import cache
 from typing import Any
 
 from cosim.config import Config
+from cosim.inputs import mesh_checksums
 from cosim.parts import sources
 from cosim.scenario import Scenario, find
 from cosim.studies.study import Keys, Study, config_at
@@ -54,7 +55,11 @@ def identity(config: Config) -> str:
     for section in HOW:
         del data[section]
     content = {"config": data, "files": _files(config.traffic.scenario, config.traffic.trace), "own": _own(config)}
-    data["traffic"] |= {"scenario": "", "trace": ""}  # named by their content
+    if meshes := mesh_checksums(config):
+        content["meshes"] = meshes
+        for section in ("meshes", "vehicle_meshes"):
+            data[section] = [mesh | {"file": ""} for mesh in data[section]]
+    data["traffic"] |= {"scenario": "", "trace": ""}  # these are named by their content
     return digest(content)
 
 

@@ -16,7 +16,8 @@ from pathlib import Path
 from time import time
 
 from cosim import run as running
-from cosim.config import Config, resolve_data
+from cosim.config import Config
+from cosim.drive import Advance
 from cosim.manifest import sha256
 from cosim.studies.folder import write_whole
 from results.durable import PARTIAL
@@ -33,6 +34,17 @@ def default_folder() -> Path:
     return (
         Path(named) if named else Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "cosim" / "stages"
     )
+
+
+def limit_gb() -> float:
+    """Size of the cache [GB]: COSIM_CACHE_GB, or LIMIT_GB."""
+    said = os.environ.get("COSIM_CACHE_GB", str(LIMIT_GB))
+    try:
+        if (limit := float(said)) >= 0:
+            return limit
+    except ValueError:
+        pass
+    raise ValueError(f"COSIM_CACHE_GB = {said}: gigabytes, 0 or more, are wanted.")
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +73,7 @@ class Cache:
             files = json.loads((entry / "stage.json").read_text())["files"]
         except FileNotFoundError:
             return None
-        except (OSError, ValueError, KeyError, TypeError):
+        except (OSError, ValueError, KeyError, TypeError, RecursionError):
             files = None
         if files is None or _files(entry) != files:
             _log.warning("%s was changed after it was written: it is not used, and made anew.", entry)
@@ -74,11 +86,11 @@ class Cache:
         """Names of the entries of a stage, unchecked."""
         return {path.parent.name for path in (self.path / stage).glob("*/stage.json")}
 
-    def make_traffic(self, name: str, config: Path) -> None:
-        """Drive the traffic of a config (its plain data as JSON) unless it is there."""
+    def make_traffic(self, name: str, config: Config, advance: Advance) -> None:
+        """Drive the traffic of a config unless it is there."""
         with self._making("traffic", name):
             if self.find("traffic", name) is None:
-                self._keep("traffic", name, resolve_data(json.loads(config.read_text()), "the plan", None))
+                self._keep("traffic", name, config, advance)
 
     @contextmanager
     def _making(self, stage: str, name: str) -> Iterator[None]:
@@ -90,18 +102,18 @@ class Cache:
             shutil.rmtree(folder / f"{name}{PARTIAL}", ignore_errors=True)
             yield
 
-    def _keep(self, stage: str, name: str, config: Config) -> None:
+    def _keep(self, stage: str, name: str, config: Config, advance: Advance) -> None:
         entry = self.path / stage / name
         partial = entry.with_name(f"{name}{PARTIAL}")
         partial.mkdir()
         begun_s = time()
-        running.record_traffic(config, partial, lambda *_: None)
+        running.record_traffic(config, partial, advance)
         for empty in [path for path in partial.iterdir() if path.is_dir() and not any(path.iterdir())]:
             empty.rmdir()
         content = {"files": _files(partial), "seconds": round(time() - begun_s, 2)}
         write_whole(partial / "stage.json", json.dumps(content, indent=1).encode())
         partial.replace(entry)
-        self.shrink(float(os.environ.get("COSIM_CACHE_GB", LIMIT_GB)), {name})
+        self.shrink(limit_gb(), {name})
 
     def entries(self) -> list[Entry]:
         """All entries, those used last first."""
@@ -112,7 +124,7 @@ class Cache:
             size = sum(f.stat().st_size for f in path.parent.rglob("*") if f.is_file())
             try:
                 seconds = float(json.loads(path.read_text()).get("seconds", 0))
-            except (ValueError, AttributeError):
+            except (OSError, ValueError, AttributeError, TypeError, RecursionError):  # `find` will not take it either
                 seconds = 0.0
             yield Entry(path.parent.parent.name, path.parent.name, size, path.stat().st_mtime, seconds)
 

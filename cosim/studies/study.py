@@ -10,7 +10,7 @@ from typing import Annotated, Any
 
 from annotated_types import Ge, Gt
 
-from cosim import choices
+from cosim import choices, config_data
 from cosim import config as configs
 from cosim.manifest import toml_text
 from cosim.mobility.params import TrafficParams
@@ -121,7 +121,7 @@ def load(path: Path) -> Study:
     """A study from its TOML file, or one that ships, by name; ValueError in one line for a mistake."""
     if not path.is_file() and (shipped := SHIPPED / f"{path}.toml").is_file():
         path = shipped
-    data = configs.read_toml(path, "study file")
+    data = config_data.read_toml(path, "study file")
     where = path.name
     for name in data:
         if name not in SECTIONS:
@@ -141,7 +141,7 @@ def load(path: Path) -> Study:
     if head.config:
         beside = path.parent / head.config
         named = beside if beside.is_file() else Path(head.config)
-        base = _absolute(configs.read_toml(named, "config file"), named.name, named.parent)
+        base = _absolute(config_data.read_toml(named, "config file"), named.name, named.parent)
     merge(base, data.get("base", {}))
     base = _absolute(base, f"[base] of {where}", path.parent)
     if "trust_variant" in base:
@@ -169,7 +169,7 @@ def config_at(study: Study, keys: Keys, replicate: int, where: str) -> configs.C
     """The config of a point."""
     data = copy.deepcopy(study.base)
     for key, value in keys.items():
-        configs.assign(data, key, copy.deepcopy(value), f"{key} in {where}")
+        config_data.assign(data, key, copy.deepcopy(value), f"{key} in {where}")
     for section, seed in ((data, configs.Config().seed), (data.setdefault("traffic", {}), TrafficParams().seed)):
         stated = section.get("seed", seed)
         section["seed"] = stated + replicate if isinstance(stated, int) else stated
@@ -209,7 +209,7 @@ def merge(data: dict[str, Any], changes: Mapping[str, Any]) -> None:
                 merge(inner, value)
                 continue
         if "." in key:
-            configs.assign(data, key, copy.deepcopy(value), f"{key} in [base]")
+            config_data.assign(data, key, copy.deepcopy(value), f"{key} in [base]")
         else:
             data[key] = copy.deepcopy(value)
 
@@ -220,7 +220,7 @@ def _section(model: type, given: Any, name: str, where: str) -> Any:
     known = [f.name for f in fields(model)]
     if unknown := [key for key in given if key not in known]:
         raise ValueError(f"{name}.{unknown[0]}: unknown key in {where}. Known: {', '.join(known)}.")
-    return configs.validated(model, given, name, where)
+    return config_data.validated(model, given, name, where)
 
 
 def _axes(data: Mapping[str, Any], where: str) -> tuple[tuple[Keys, ...], ...]:

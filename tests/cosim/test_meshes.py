@@ -1,19 +1,31 @@
 """Meshes from files: judged as prisms are, by the columnar caster, and refused in one line."""
 
+import importlib.util
+import logging
+
 import numpy as np
 import pytest
 
+from cosim import replay_lidar
 from cosim.config import load
 from cosim.meshes import MeshParams, VehicleMeshParams, read, with_meshes
+from cosim.run import changed_since, resume
+from cosim.studies.points import identity
+from results.archive import open_run, read_manifest
 from sensors.boxes import Boxes
 from sensors.evidence import observability
 from sensors.lidar import LidarParams, scan
 from sensors.raycast.mesh import body_triangles
 from sensors.scene import Hit, Scene, Shape, prisms
+from tests.drive import drive
 
 trimesh = pytest.importorskip("trimesh", reason="trimesh is not installed: pip install cosim[mesh]")
 
 SIZE = (12.0, 6.0, 9.0)
+
+ENGINES = pytest.mark.parametrize("engine", ["embree", pytest.param("open3d", marks=pytest.mark.skipif(
+    importlib.util.find_spec("open3d") is None, reason="Open3D is not installed: pip install cosim[open3d]"
+))])  # fmt: skip
 
 
 @pytest.fixture(scope="module", params=["obj", "ply", "stl", "glb"])
@@ -37,12 +49,13 @@ def sweep(scene, engine):
     return scan(cars, np.zeros(n, np.uint8), np.arange(n), scene, params, np.arange(n, dtype=np.uint64))
 
 
-def test_a_house_of_triangles_is_seen_as_one_of_prisms(house):
+@ENGINES
+def test_a_house_of_triangles_is_seen_as_one_of_prisms(house, engine):
     """Turned by 30 degrees and moved: 99.99 % of the rays agree to 1 mm with the columnar caster's prism."""
     cos, sin = np.cos(np.pi / 6), np.sin(np.pi / 6)
     corner = np.array([[-6, -3], [6, -3], [6, 3], [-6, 3]]) @ np.array([[cos, sin], [-sin, cos]]) + [40, -20]
     prism = sweep(Scene.from_footprints([[corner]], [0.0], [SIZE[2]]), "columnar")
-    mesh = sweep(with_meshes(Scene.empty(), [MeshParams(file=str(house), at_m=(40, -20, 0), yaw_deg=30)]), "embree")
+    mesh = sweep(with_meshes(Scene.empty(), [MeshParams(file=str(house), at_m=(40, -20, 0), yaw_deg=30)]), engine)
     far = [np.where(np.isfinite(s.range_m), s.range_m, 1e3) for s in (prism, mesh)]
     differ = np.abs(far[0] - far[1]) > 1e-3
     assert (prism.hit == 2).sum() > 2000, "the house is seen"
@@ -95,7 +108,8 @@ def car(request, tmp_path_factory):
     return path
 
 
-def test_cars_of_triangles_are_seen_as_those_of_prisms(car):
+@ENGINES
+def test_cars_of_triangles_are_seen_as_those_of_prisms(car, engine):
     """Turning cars of several sizes around vans with sensors: 99.99 % of the rays agree to 1 mm with the prisms'.
 
     A mesh fills its box and prisms do not quite: the cars of triangles have the extent of the prisms for a box.
@@ -118,13 +132,13 @@ def test_cars_of_triangles_are_seen_as_those_of_prisms(car):
     own_xyz[cars, 2] += middle[cars, 2]
     own_lwh[cars] *= high - low
     seen = [
-        scan(b, shape, np.arange(van), scene, LidarParams(profile="os1_64", range_sigma_m=0.0, engine=engine), keys)
-        for b, scene, engine, keys in (
+        scan(b, shape, np.arange(van), scene, LidarParams(profile="os1_64", range_sigma_m=0.0, engine=name), keys)
+        for b, scene, name, keys in (
             (boxes, Scene.empty(), "columnar", np.zeros(van, np.uint64)),
             (
                 Boxes(own_xyz, own_lwh, boxes.yaw_rad),
                 with_meshes(Scene.empty(), [], [VehicleMeshParams(file=str(car))]),
-                "embree",
+                engine,
                 np.zeros(van, np.uint64),
             ),
         )
@@ -157,3 +171,29 @@ def test_mistakes_with_vehicles_are_one_line(car, tmp_path):
     bodies = with_meshes(Scene.empty(), [], [VehicleMeshParams(file=str(car))])
     with pytest.raises(ValueError, match="casts upright prisms"):
         sweep(bodies, "columnar")
+
+
+def test_a_mesh_that_was_changed_is_noticed(tmp_path, caplog):
+    """By a resumed run, a run of the same config, a replay and a study; another name for the same content is none."""
+    body = tmp_path / "body.ply"
+    trimesh.creation.box((4, 2, 1.5)).export(body)
+    config = tmp_path / "mine.toml"
+    text = 'lidar.engine = "embree"\n[[vehicle_meshes]]\nfile = "body.ply"\n'
+    config.write_text(text)
+    folder = drive(tmp_path / "run", "traffic.duration_s=2", "traffic.warmup_s=30", config=config)
+    before, named = read_manifest(folder)["net"], identity(load(config))
+    assert len(before["sha256 vehicle_meshes.0.file"]) == 64
+    assert changed_since(folder / "config.toml", load(folder / "config.toml")) == []
+    trimesh.creation.box((4, 2, 1.5)).export(tmp_path / "other.ply")
+    config.write_text(text.replace("body", "other"))
+    assert identity(load(config)) == named
+    trimesh.creation.cylinder(1, 2).export(body)
+    config.write_text(text)
+    assert identity(load(config)) != named
+    (remark,) = changed_since(folder / "config.toml", load(folder / "config.toml"))
+    assert "vehicle_meshes.0.file" in remark
+    with pytest.raises(ValueError, match=r"inputs have changed since: sha256 vehicle_meshes\.0\.file"):
+        resume(folder, lambda *step: None)
+    with caplog.at_level(logging.WARNING):
+        replay_lidar.config_of(open_run(folder))
+    assert caplog.messages[-1].endswith("changed since it was recorded: vehicle_meshes.0.file")

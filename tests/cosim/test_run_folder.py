@@ -7,9 +7,16 @@ import time
 
 import pytest
 
+from cosim.config import load
+from cosim.inputs import provenance
+from cosim.manifest import Manifest
+from cosim.parts import sources
+from cosim.run import check, resume, run
 from results.recorder import fingerprint
 from results.verify import verify
 from tests.drive import cosim
+from tests.hostile.processes import sets_of_trace
+from tests.hostile.scenes import write_trace
 
 CLAIM = """
 import sys, time
@@ -73,3 +80,39 @@ def test_a_resumed_run_has_the_tables_of_one_never_interrupted(tmp_path, signum)
     assert done.returncode == 0, done.stderr
     assert fingerprint(out) == fingerprint(tmp_path / "whole")
     assert verify(out)[0]["status"] == "finished" and verify(out)[1] == []
+
+
+def begun(folder, sets):
+    """A folder in which a run has begun, and was killed before its config was on disk."""
+    folder.mkdir()
+    config = load(None, sets)
+    Manifest(folder, config, provenance(config, check(config)), sources(config)).begin()
+    (folder / "config.toml").unlink()
+    (folder / ".lock").touch()
+
+
+def test_a_run_killed_before_its_first_step_goes_on(tmp_path):
+    """Whatever is on disk by then: nothing, a part of the manifest, or the manifest alone."""
+    sets = sets_of_trace(write_trace(tmp_path))[1::2]
+    whole, early, later = (tmp_path / name for name in ("whole", "early", "later"))
+    run(load(None, sets), whole, lambda *_: None)
+    early.mkdir()
+    for name in (".lock", "manifest.json.partial"):
+        (early / name).touch()
+    begun(later, sets)
+    about, problems = verify(later)
+    assert (about["status"], about["steps"], problems) == ("killed", 0, [])
+    with pytest.raises(ValueError, match=r"already holds a run.*cosim resume"):
+        run(load(None, sets), later, lambda *_: None)
+    run(load(None, sets), early, lambda *_: None)
+    resume(later, lambda *_: None)
+    for folder in (early, later):
+        assert fingerprint(folder) == fingerprint(whole) and verify(folder)[1] == []
+        assert sorted(path.name for path in folder.iterdir()) == sorted(path.name for path in whole.iterdir())
+
+
+def test_a_config_that_is_another_by_now_is_not_gone_on_with(tmp_path):
+    begun(tmp_path / "run", sets_of_trace(write_trace(tmp_path))[1::2])
+    (tmp_path / "run" / "config.toml").write_text("seed = 4")
+    with pytest.raises(ValueError, match="was changed since"):
+        resume(tmp_path / "run", lambda *_: None)

@@ -5,6 +5,7 @@ kernels are loaded, and then forks a child for every command that it reads. A ch
 memory, files as standard streams and a temporary folder of its own, so that what it leaves behind is seen.
 """
 
+import gc
 import json
 import os
 import resource
@@ -13,9 +14,12 @@ import subprocess
 import sys
 import time
 import traceback
+from collections import Counter
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
+
+from tests.hostile import SEED
 
 MEMORY_BYTES = 6 << 30
 """Address space that a child may take beyond that of the warm process."""
@@ -77,7 +81,10 @@ class Warm:
         self._process.stdout.close()
 
     def __call__(self, *words: str, cwd: Path, cpu_s: float | None = None, **more: Any) -> Ended:
-        """`cosim WORDS`; `more` is `kill_after_s` with `signum`, or `environment`."""
+        """`cosim WORDS`; `simulate` is `run` without its metrics and its picture, at a third of the cost.
+
+        `more` is `kill_after_s` with `signum`, or `environment`.
+        """
         assert self._process.stdin is not None
         asked = {"words": words, "cwd": str(cwd), "cpu_s": cpu_s or self.cpu_s, **more}
         self._process.stdin.write(json.dumps(asked) + "\n")
@@ -103,6 +110,8 @@ def _serve(folder: Path) -> None:
     except SystemExit as ended:
         assert not ended.code, "the first run failed"
     with answers:
+        gc.collect()
+        gc.freeze()  # so that children need not copy what they only read
         answers.write('"ready"\n')
         answers.flush()
         for line in sys.stdin:
@@ -113,11 +122,18 @@ def _serve(folder: Path) -> None:
 def sets_of_trace(path: Path) -> list[str]:
     """Words of a short run of a trace with everything on."""
     keys = (
-        f"traffic.scenario={path}", "fleet.penetration_p=1", "record.level=full", "record.block_steps=2",
+        f"traffic.scenario={path}", "fleet.penetration_p=1", "record.level=full", "record.block_steps=3",
         "attacks.0.start_s=0", "attacks.0.share_p=0.3", "attacks.1.start_s=0", "attacks.1.share_p=0.2",
         "lidar.n_azimuths=300", "trust.server_period_s=2", "traffic.duration_s=6",
     )  # fmt: skip
     return [word for key in keys for word in ("--set", key)]
+
+
+def conclude(what: str, counts: Counter[str], wrongs: list[str], cpu_s: float) -> None:
+    """Print how many of which cases there were, and fail where any was wrong."""
+    n = sum(counts.values())
+    print(f"\n{what}, seed {SEED}: {dict(sorted(counts.items()))}, {len(wrongs)} wrong of {n} in {cpu_s:.0f} s")
+    assert not wrongs, "\n".join(wrongs)
 
 
 def _carried_out(
@@ -168,7 +184,7 @@ def _child(main: Any, words: list[str], place: Path, cpu_s: float, environment: 
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     sys.argv = ["cosim", *words]
     try:
-        main()
+        main(*([_simulate] if words[0] == "simulate" else []))
         status = 0
     except SystemExit as ended:
         status = ended.code if isinstance(ended.code, int) else int(ended.code is not None)
@@ -181,6 +197,18 @@ def _child(main: Any, words: list[str], place: Path, cpu_s: float, environment: 
         except (OSError, ValueError):
             status = status or 120
     return status
+
+
+def _simulate(standalone_mode: bool) -> None:
+    """`cosim run --set ... --out FOLDER`, as far as the folder is written."""
+    from cosim import run as running
+    from cosim.config import load
+    from cosim.console import progress
+
+    *sets, flag, out = sys.argv[2:]
+    assert flag == "--out" and set(sets[::2]) <= {"--set"} and not standalone_mode
+    with progress() as advance:
+        running.run(load(None, sets[1::2]), Path(out), advance)
 
 
 if __name__ == "__main__":

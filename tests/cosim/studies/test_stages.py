@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import pandas as pd
+import pytest
 
 from cosim.studies.plan import TRAFFIC_VERSION
 from cosim.studies.stages import Cache
@@ -57,3 +58,11 @@ def test_what_was_used_longest_ago_goes_first(tmp_path):
     assert [e.name for e in cache.shrink(2.1e-3, set())] == ["old"]
     assert [e.name for e in cache.shrink(1.1e-3, {"middle"})] == []
     assert [e.name for e in cache.shrink(0.0, set())] == ["new", "middle"] and not cache.entries()
+
+
+@pytest.mark.parametrize("text", ["[]", '{"files": {}, "seconds": [1]}', "\ufffd", "[" * 5000])
+def test_an_entry_that_is_damaged_is_listed_and_deleted(tmp_path, text):
+    entry(tmp_path, "odd", 1000, 1_000_000)
+    (tmp_path / "traffic" / "odd" / "stage.json").write_text(text)
+    assert [e.seconds for e in Cache(tmp_path).entries()] == [0.0]
+    assert len(Cache(tmp_path).shrink(0.0, set())) == 1 and not Cache(tmp_path).entries()

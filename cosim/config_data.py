@@ -1,0 +1,151 @@
+"""A config as plain data: read from TOML, changed key by key, checked against dataclasses."""
+
+import difflib
+import json
+import math
+import tomllib
+from dataclasses import fields, is_dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any, get_args, get_origin
+
+from pydantic import TypeAdapter, ValidationError
+
+from results.durable import open_regular
+
+_MOST_BYTES = 10_000_000
+
+FORMER = {
+    "adversary": "[[attacks]], one section for each attack",
+    "fleet.malicious_p": "attacks.0.share_p",
+    "fleet.unreliable_p": "attacks.1.share_p",
+    "trust.where": "trust.host",
+    "trust.certify_own_lies": "nothing: attackers vouch for what they fabricate",
+    "detector.profile": "detector.model",
+    "radio.reach_m": "radio.range_m",
+    "radio.disk": "[radio.unit_disk]",
+    "radio.verdicts": "radio.evaluations",
+    "radio.relay.reach_m": "radio.relay.forward_range_m",
+    "radio.propagation.reach_m": "radio.propagation.interference_range_m",
+    "radio.propagation.reach_nlos_m": "radio.propagation.interference_range_nlos_m",
+    "detector.taken_for_p": "detector.confusion_p",
+    "detector.clutter_per_sweep": "detector.false_positive_per_sweep",
+}
+"""Keys of the former schema, and what they have become."""
+
+
+def read_toml(path: Path, what: str) -> dict[str, Any]:
+    """Plain data of a TOML file; ValueError in one line where it cannot be read."""
+    try:
+        with open_regular(path) as file:
+            text = file.read(_MOST_BYTES + 1)
+        if len(text) > _MOST_BYTES:
+            raise ValueError(f"{path}: larger than {_MOST_BYTES:,} bytes: no {what}.")
+        return tomllib.loads(text.decode("utf-8"))
+    except FileNotFoundError:
+        raise ValueError(f"{path}: no such {what}. Give the path of a TOML file.") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise ValueError(f"{path}: cannot be read as a {what}: {error}.") from None
+    except tomllib.TOMLDecodeError as error:
+        raise ValueError(f"{path}: not valid TOML: {error}.") from None
+    except RecursionError:
+        raise ValueError(f"{path}: nested too deeply.") from None
+
+
+def override(data: Any, text: str) -> None:
+    """Set one key; `encounters.0.radius_m` names an item of a list, the one behind the last makes a new one."""
+    name, sign, value = text.partition("=")
+    if not sign or not name.strip():
+        raise ValueError(f"--set {text}: no key=value. Write for example --set radio.range_m=150.")
+    if not text.isprintable():
+        raise ValueError(f"--set {text!r}: one line without control characters, please; repeat --set for more keys.")
+    try:
+        parsed = tomllib.loads(f"value = {value}")["value"]
+    except tomllib.TOMLDecodeError:
+        parsed = value
+    except RecursionError:
+        raise ValueError(f"--set {name}: its value is nested too deeply.") from None
+    assign(data, name.strip(), parsed, f"--set {text}")
+
+
+def assign(data: Any, name: str, value: Any, said: str) -> None:
+    """Set the key `name` in plain data; `said` is what the user wrote, for messages."""
+    *sections, last = name.split(".")
+    for section in sections:
+        data = _item(data, section, said)
+        if not isinstance(data, dict | list):
+            raise ValueError(f"{said}: {section} is a value, not a section.")
+    if isinstance(data, list):
+        raise ValueError(f"{said}: {sections[-1]} is a list; name an item and a key, as in {sections[-1]}.0.KEY.")
+    data[last] = value
+
+
+def _item(data: Any, name: str, said: str) -> Any:
+    """A section, made if it is not there."""
+    if isinstance(data, dict):
+        lists = name == "trust_variant"
+        return data.setdefault(name, [] if lists else {})
+    if not name.isdecimal() or int(name) > len(data):
+        raise ValueError(f"{said}: {name} is no item of a list of {len(data)}; they are numbered from 0.")
+    if int(name) == len(data):
+        data.append({})
+    return data[int(name)]
+
+
+def validated(model: Any, data: Any, prefix: str, where: str) -> Any:
+    """Typed parameters from plain data; ValueError in one line for a mistake."""
+    try:
+        return _adapter(model).validate_json(json.dumps(data, default=str), strict=True)
+    except ValidationError as error:
+        first = error.errors()[0]
+        name = ".".join([*([prefix] if prefix else []), *(str(p) for p in first["loc"])])
+        if first["type"] == "value_error":
+            raise ValueError(first["msg"].removeprefix("Value error, ")) from None
+        if first["type"] == "missing":
+            raise ValueError(f"{name}: missing. Set {name} in {where}.") from None
+        reason = first["msg"].removeprefix("Input should be ")
+        raise ValueError(f"{name} = {first['input']!r} should be {reason}. Set {name} in {where}.") from None
+
+
+@cache
+def _adapter(model: Any) -> TypeAdapter:
+    return TypeAdapter(model)
+
+
+def check_keys(data: dict[str, Any], model: Any, prefix: str, where: str) -> None:
+    """Refuse keys that a dataclass does not have, and sections that are none; ValueError in one line."""
+    known = {f.name: f for f in fields(model) if not f.metadata.get("internal")}
+    for name, value in data.items():
+        full = prefix + name
+        if name not in known:
+            near = difflib.get_close_matches(name, known, 1)
+            hint = f"Did you mean {prefix}{near[0]}?" if near else f"Known: {', '.join(known)}."
+            raise ValueError(f"{full}: unknown key in {where}. {former(full) or hint}")
+        if get_origin(known[name].type) is tuple and is_dataclass(model_of := get_args(known[name].type)[0]):
+            if not isinstance(value, list) or not all(isinstance(v, dict) for v in value):
+                raise ValueError(f"{full} should be a list of sections [[{full}]] in {where}.")
+            for item in value:
+                check_keys(item, model_of, full + ".", where)
+        elif is_dataclass(known[name].type):
+            if not isinstance(value, dict):
+                raise ValueError(f"{full} = {value!r} should be a section [{full}] in {where}.")
+            check_keys(value, known[name].type, full + ".", where)
+        else:
+            check_finite(value, full, where)
+
+
+def check_finite(data: Any, name: str, where: str) -> None:
+    """Refuse numbers that are none or larger than any quantity here, however deep they stand."""
+    if isinstance(data, int) and not isinstance(data, bool) and abs(data) >= 2**63:
+        raise ValueError(f"{name} is a whole number of more than 63 bits. Set {name} in {where}.")
+    if isinstance(data, float) and not math.isfinite(data):
+        raise ValueError(f"{name} = {data}: not a finite number. Set {name} in {where}.")
+    items = data.items() if isinstance(data, dict) else enumerate(data) if isinstance(data, list) else ()
+    for key, value in items:
+        check_finite(value, f"{name}{'' if name.endswith('.') or not name else '.'}{key}", where)
+
+
+def former(name: str) -> str:
+    """Says what a key of the former schema has become; empty for others."""
+    now = next((new for old, new in FORMER.items() if name == old or name.startswith(old + ".")), None)
+    return "" if now is None else f"It is a key of the former schema; now it is {now}."
