@@ -233,7 +233,7 @@ def _loaded(
     registry = ActorRegistry(config.fleet, config.seed, shares(config.attacks), named(config.attacks))
     recorded = scenario if traffic_from is None else replace(scenario, trace=traffic_from, warmup_s=0.0)
     params = config.traffic if traffic_from is None else replace(config.traffic, begin_s=None, warmup_s=0.0)
-    traffic = recorded.traffic(params, registry, has_driver=config.driver.model != "none")
+    traffic = recorded.traffic(params, registry, config.driver.model != "none", config.objects)
     return parts, registry, traffic
 
 
