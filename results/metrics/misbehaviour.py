@@ -137,7 +137,7 @@ def detection_delay(run: Run, threshold: float = 0.25, at: trust.At = "server") 
     """
     who = watched(run)
     step, subject = _low_values(run, threshold, at)
-    row, since, until = who.index.get_indexer(subject), who.since.to_numpy(), who.until.to_numpy()
+    row, since, until = who.index.get_indexer(pd.Index(subject)), who.since.to_numpy(), who.until.to_numpy()
     there = (row >= 0) & (since[row] <= step) & (step <= until[row])
     first = np.full(len(who), np.inf)
     np.minimum.at(first, row[there], step[there])
