@@ -53,6 +53,23 @@ def _slots(of: type) -> dict[str, types.MemberDescriptorType]:
     }  # fmt: skip
 
 
+def _described(dtype: np.dtype) -> Any:
+    """A dtype as plain data: its name, or its fields with their names, dtypes and shapes."""
+    if dtype.fields is None:
+        return dtype.str
+    return [[name, _described(dtype[name].base), list(dtype[name].shape)] for name in dtype.fields]
+
+
+def _dtype_of(about: Any) -> np.dtype:
+    """The dtype; ValueError where it holds anything but numbers, text and times."""
+    if isinstance(about, list):
+        return np.dtype([(str(name), _dtype_of(of), tuple(shape)) for name, of, shape in about])
+    dtype = np.dtype(str(about))
+    if dtype.kind not in _PLAIN_KINDS or dtype.hasobject:
+        raise ValueError(f"an array of dtype {about}")
+    return dtype
+
+
 class _Writer:
     def __init__(self, own: frozenset[str]) -> None:
         self.own = own
@@ -98,9 +115,13 @@ class _Writer:
         return ["o", number, name, fields]
 
     def _array(self, array: np.ndarray, where: str) -> int:
-        if array.dtype.kind not in _PLAIN_KINDS or array.dtype.hasobject:
-            raise CannotCheckpoint(f"{where} is an array of dtype {array.dtype}")
-        self.heads.append([array.dtype.str, list(array.shape)])
+        try:
+            about = _described(array.dtype)
+            if _dtype_of(about) != array.dtype:
+                raise ValueError
+        except ValueError:
+            raise CannotCheckpoint(f"{where} is an array of dtype {array.dtype}") from None
+        self.heads.append([about, list(array.shape)])
         self.buffers.append(array.tobytes())
         return len(self.heads) - 1
 
@@ -120,10 +141,10 @@ class _Reader:
         self._made: dict[int, Any] = {}
         self._arrays: list[np.ndarray] = []
         at = 0
-        for text, shape in heads:
-            dtype = np.dtype(str(text))
-            if dtype.kind not in _PLAIN_KINDS or dtype.hasobject or not all(type(n) is int and n >= 0 for n in shape):
-                raise ValueError(f"an array of dtype {text} and shape {shape}")
+        for about, shape in heads:
+            dtype = _dtype_of(about)
+            if not all(type(n) is int and n >= 0 for n in shape):
+                raise ValueError(f"an array of shape {shape}")
             n = 1
             for length in shape:
                 n *= length

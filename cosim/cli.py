@@ -38,6 +38,12 @@ Overrides = Annotated[
     list[str] | None, typer.Option("--set", help="Change one key, e.g. radio.range_m=150. Repeatable.")
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON on standard output.")]
+Scheduler = Annotated[
+    str | None, typer.Option(help="Address of a Dask scheduler whose workers compute sweeps and detections.")
+]
+Workers = Annotated[
+    int | None, typer.Option(min=1, help="The same by this many processes on this machine; the tables stay the same.")
+]
 RunPaths = Annotated[list[Path], typer.Argument(help="Folders that `cosim run` wrote.")]
 Picture = Literal[
     "trust",
@@ -80,6 +86,8 @@ def run(
     config: ConfigPath = None,
     overrides: Overrides = None,
     out: Annotated[Path | None, typer.Option(help="Folder to write; by default the next runs/<city>-N.")] = None,
+    scheduler: Scheduler = None,
+    workers: Workers = None,
     as_json: AsJson = False,
 ) -> None:
     """Simulate traffic, sensors, messages and trust; write a run folder."""
@@ -90,20 +98,32 @@ def run(
     for remark in running.changed_since(config, experiment):
         notes.print(remark, soft_wrap=True)
     with progress() as advance:
-        folder = running.run(experiment, out, advance)
+        if scheduler or workers:
+            from cosim.studies import shards
+
+            folder = shards.run(experiment, out, advance, scheduler, workers or 1)
+        else:
+            folder = running.run(experiment, out, advance)
     _conclude(folder, as_json)
 
 
 @app.command()
 def resume(
     folder: Annotated[Path, typer.Argument(help="Folder of a run that was killed or interrupted.")],
+    scheduler: Scheduler = None,
+    workers: Workers = None,
     as_json: AsJson = False,
 ) -> None:
     """Go on with a run from its last whole block; the tables are those of a run never interrupted."""
     from cosim import run as running
 
     with progress() as advance:
-        running.resume(folder, advance)
+        if scheduler or workers:
+            from cosim.studies import shards
+
+            shards.resume(folder, advance, scheduler, workers or 1)
+        else:
+            running.resume(folder, advance)
     _conclude(folder, as_json)
 
 

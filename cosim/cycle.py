@@ -69,7 +69,7 @@ def step(world: World, state: State, parts: Parts) -> tuple[State, StepResult]:
     with watch("match"):
         matched = stages.match_objects(listed, cpms.accepted.vehicles, observed, senders, vehicles, believed, c)
     with watch("evaluate"):
-        evaluated = stages.evaluate_objects(matched, listed, observed, senders, vehicles, world.step, active, c)
+        evaluated = stages.evaluate_objects(matched, listed, observed, senders, vehicles, world.step, active, parts)
     with watch("radio"):
         reports, carrier = _broadcast_evaluations(
             world, s, parts, evaluated, cpms, senders, vehicles, stations, informed, now

@@ -6,13 +6,12 @@ from numpy import ndarray
 
 from cosim.adversary.adversary import Active
 from cosim.adversary.attack import EvaluationRows
+from cosim.perception import BoxQuestions
 from cosim.radio.message_round import Receptions
 from cosim.ragged import expand, ptr_of
 from cosim.v2x.messages import SELF, Detections
-from sensors import evidence
 from sensors.boxes import Boxes
 from sensors.evidence import AreaParams
-from sensors.lidar import RangeImages
 from trust import tables
 from trust.tables import EvaluationMessages, Evaluations, ObjectLists
 
@@ -57,21 +56,19 @@ def subset(lists: ObjectLists, keep: Bool[ndarray, "m"]) -> ObjectLists:
     return ObjectLists(ptr_of(lists.of_member()[keep], len(lists.owner)), lists.member[keep], lists.owner)
 
 
-def sweep_evidence(
-    sweeps: RangeImages, lists: ObjectLists, evaluated: Bool[ndarray, "m"], foreign: Bool[ndarray, "m"], boxes: Boxes,
+def questions_of(
+    lists: ObjectLists, evaluated: Bool[ndarray, "m"], foreign: Bool[ndarray, "m"], boxes: Boxes,
     detections: tables.Detections, area: AreaParams,
-) -> tuple[Int[ndarray, "m"], Bool[ndarray, "m"]]:  # fmt: skip
-    """What each vehicle's own sweep says of the boxes in its list: returns inside, and whether free space allows them.
+) -> tuple[BoxQuestions, Int[ndarray, "p"], Int[ndarray, "t"]]:  # fmt: skip
+    """What each vehicle asks its own sweep of the boxes in its list, and which members are counted and tested.
 
-    Asked of all that it evaluates and of what is foreign; else 0 and True. A vehicle has no returns from itself.
+    Returns are counted in all that it evaluates and in what is foreign, where free space is tested too. A vehicle has
+    no returns from itself.
     """
     o, b = lists.of_member(), lists.member
-    n_points, plausible = np.zeros(len(b), np.int32), np.ones(len(b), bool)
-    asked = np.flatnonzero((evaluated | foreign) & ~(detections.is_self[b] & (detections.message[b] == lists.owner[o])))
-    n_points[asked] = evidence.points_in_boxes(sweeps, o[asked], boxes, b[asked])
-    asked = np.flatnonzero(foreign)
-    plausible[asked] = evidence.plausible(sweeps, o[asked], boxes, b[asked], area)
-    return n_points, plausible
+    own = detections.is_self[b] & (detections.message[b] == lists.owner[o])
+    counted, tested = np.flatnonzero((evaluated | foreign) & ~own), np.flatnonzero(foreign)
+    return BoxQuestions(boxes, area, o[counted], b[counted], o[tested], b[tested]), counted, tested
 
 
 def as_reported(

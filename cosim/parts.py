@@ -7,7 +7,7 @@ from cosim import choices, config
 from cosim.adversary.adversary import Adversary
 from cosim.config import Config
 from cosim.driver.driver import Driver
-from cosim.perception import Perception
+from cosim.perception import Perceives, Perception
 from cosim.radio.medium import Medium
 from cosim.radio.rsu import NO_RSUS, RsuAntennas
 from cosim.stopwatch import Stopwatch
@@ -28,7 +28,7 @@ class Parts:
     walls: WallIndex
     """Of the city's buildings, for all lines of sight."""
     rsus: RsuAntennas
-    perception: Perception
+    perception: Perceives
     adversary: Adversary
     medium: Medium
     pseudonyms: Pseudonyms

@@ -1,7 +1,9 @@
-"""What equipped vehicles perceive: sweeps, which actors could be seen in them, detections and self reports."""
+"""What equipped vehicles perceive: sweeps, which actors could be seen in them, detections and self reports; and what
+their sweeps say of the boxes that others report."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
-from typing import Any, TypeVar
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 from jaxtyping import Bool, Float32, Int, Int32, UInt64
@@ -14,6 +16,8 @@ from cosim.world import World
 from sensors import detector, evidence, lidar
 from sensors.boxes import Boxes
 from sensors.detector import Detector, DetectorDraws
+from sensors.evidence import AreaParams
+from sensors.neighbours import Neighbours, neighbours
 from sensors.scene import Scene
 
 _Rows = TypeVar("_Rows", evidence.Observability, detector.DetectedBoxes)
@@ -26,8 +30,8 @@ GROUP = 2048
 class Observed:
     """What all equipped vehicles perceived in one step; `e` counts them."""
 
-    sweeps: lidar.RangeImages
-    """Valid until the next step is perceived: its memory is used again."""
+    sweeps: lidar.Scanners
+    """Range images, where this process holds them; valid until the next step, which uses their memory again."""
     observability: evidence.Observability
     detections: Detections
     """Self reports and what the detector reports."""
@@ -35,6 +39,51 @@ class Observed:
     """Truth of the detector's reports, in order: whether there is such an actor."""
     actor_row: Int[ndarray, "s"]
     """Truth: its row of the world."""
+
+
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """What some observers sensed; observers are counted among them."""
+
+    observability: evidence.Observability
+    reports: detector.DetectedBoxes
+
+    def behind(self, n: int) -> "Seen":
+        """The same, counted from `n`."""
+        here, found = self.observability, self.reports
+        return Seen(
+            replace(here, observer=here.observer + np.int32(n)), replace(found, observer=found.observer + np.int32(n))
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class BoxQuestions:
+    """What vehicles ask their own sweeps: rows of the sweeps, ascending, and rows of the boxes."""
+
+    boxes: Boxes
+    area: AreaParams
+    counting: Int[ndarray, "p"]
+    counted: Int[ndarray, "p"]
+    """Returns inside are counted."""
+    testing: Int[ndarray, "t"]
+    tested: Int[ndarray, "t"]
+    """Whether free space allows that something stands there."""
+
+
+BoxAnswers = tuple[Int32[ndarray, "p"], Bool[ndarray, "t"]]
+"""Returns inside, and whether it can be there."""
+
+
+class Perceives(Protocol):
+    """The part of a step that senses, and that keeps range images until the next step."""
+
+    def __call__(self, world: World, observers: Int[ndarray, "e"], watch: Stopwatch) -> Observed:
+        """What these rows of the world perceive."""
+        ...
+
+    def answers(self, sweeps: lidar.Scanners, asked: BoxQuestions) -> BoxAnswers:
+        """What the sweeps of the last step say of boxes; `sweeps` as observed, or where vehicles take them to be."""
+        ...
 
 
 @dataclass(slots=True)
@@ -50,46 +99,65 @@ class Perception:
     dt_s: float
     _range_m: Float32[ndarray, "n a e"] | None = field(default=None, repr=False)
     """Memory of the last sweeps, written over by the next."""
-    _hit: Int32[ndarray, "n a e"] | None = field(default=None, repr=False)
+    _hit: Int[ndarray, "n a e"] | None = field(default=None, repr=False)
     """The same of what their rays met, which is read group by group of observers."""
 
     def __call__(self, world: World, observers: Int[ndarray, "e"], watch: Stopwatch) -> Observed:
         """What these rows of the world perceive."""
         rays = lidar.n_rays(self.lidar)
         range_m = self._range_m = lidar.buffer((len(observers), *rays), np.float32, self._range_m)
-        hit = self._hit = lidar.buffer((min(len(observers), GROUP), *rays), np.int32, self._hit)
-        images: list[lidar.RangeImages] = []
-        seen: list[evidence.Observability] = []
-        found: list[detector.DetectedBoxes] = []
+        hit = self._hit = lidar.buffer((min(len(observers), GROUP), *rays), lidar.hit_type(len(world)), self._hit)
+        with watch("sweep"):
+            origin_m = lidar.mount(world.boxes, observers, self.lidar).origin_m
+            near = neighbours(origin_m, world.boxes, self.lidar.max_range_m)
+        seen = []
         for first in range(0, len(observers), GROUP):
             some = observers[first : first + GROUP]
-            with watch("sweep"):
-                memory = range_m[first : first + GROUP], hit[: len(some)]
-                sweeps = self._scan(world, some, memory)
-            with watch("detect"):
-                here = evidence.observability(sweeps, world.boxes, world.shape)
-                draws = self.draws(world, some)
-                reports = detector.detect(self.detector, sweeps, here, world.boxes, world.label, draws)
-            images.append(sweeps)
-            seen.append(replace(here, observer=here.observer + np.int32(first)))
-            found.append(replace(reports, observer=reports.observer + np.int32(first)))
+            memory = range_m[first : first + GROUP], hit[: len(some)]
+            here = near.part(first, first + len(some))
+            seen.append(self.sense(world, some, watch, memory, here)[1].behind(first))
         with watch("detect"):
-            whole = lidar.joined(range_m, images)
-            return self._observed(world, observers, whole, _concat(seen), _concat(found))
+            on = lidar.scanners(world.boxes, observers, self.lidar)
+            return self.observed(world, observers, lidar.with_ranges(on, range_m), seen)
+
+    def sense(
+        self,
+        world: World,
+        observers: Int[ndarray, "e"],
+        watch: Stopwatch,
+        memory: tuple[ndarray, ndarray] | None = None,
+        near: Neighbours | None = None,
+    ) -> tuple[lidar.Sweeps, Seen]:
+        """The sweeps of these rows of the world, and what is seen in them."""
+        with watch("sweep"):
+            sweeps = self._scan(world, observers, memory, near)
+        with watch("detect"):
+            here = evidence.observability(sweeps, world.boxes, world.shape)
+            draws = self.draws(world, observers)
+            reports = detector.detect(self.detector, sweeps, here, world.boxes, world.label, draws)
+        return sweeps, Seen(here, reports)
+
+    def answers(self, sweeps: lidar.Scanners, asked: BoxQuestions) -> BoxAnswers:
+        """As `Perceives`."""
+        assert isinstance(sweeps, lidar.RangeImages)
+        return answers(sweeps, asked)
 
     def sweep(self, world: World, observers: Int[ndarray, "e"]) -> lidar.Sweeps:
         """Sweeps of these rows of the world, with what each ray met; in memory of their own."""
-        return self._scan(world, observers, None)
+        return self._scan(world, observers)
 
-    def _scan(self, world: World, observers: Int[ndarray, "e"], memory: tuple[ndarray, ndarray] | None) -> lidar.Sweeps:
+    def _scan(
+        self, world: World, observers: Int[ndarray, "e"], memory: tuple[ndarray, ndarray] | None = None,
+        near: Neighbours | None = None,
+    ) -> lidar.Sweeps:  # fmt: skip
         keys = sweep_keys(self.seed, world, observers)
-        return lidar.scan(world.boxes, world.shape, observers, self.city, self.lidar, keys, memory)
+        return lidar.scan(world.boxes, world.shape, observers, self.city, self.lidar, keys, memory, near)
 
-    def _observed(
-        self, world: World, observers: Int[ndarray, "e"], sweeps: lidar.RangeImages, seen: evidence.Observability,
-        found: detector.DetectedBoxes,
-    ) -> Observed:  # fmt: skip
-        """The truth's name is dropped here."""
+    def observed(
+        self, world: World, observers: Int[ndarray, "e"], sweeps: lidar.Scanners, parts: Sequence[Seen]
+    ) -> Observed:
+        """What all observers see, from what each part of them does; the truth's name is dropped here."""
+        seen, found = _concat([part.observability for part in parts]), _concat([part.reports for part in parts])
         n = len(found.observer)
         sensed = Detections.perceived(
             observer=observers[found.observer],
@@ -100,8 +168,8 @@ class Perception:
             n_points=found.n_points,
             origin=np.full(n, SENSED, np.uint8),
         )
-        parts = [self_reports(world, observers), sensed] if self.self_reports else [sensed]
-        return Observed(sweeps, seen, Detections.concat(parts), ~found.is_false_positive, found.actor)
+        listed = [self_reports(world, observers), sensed] if self.self_reports else [sensed]
+        return Observed(sweeps, seen, Detections.concat(listed), ~found.is_false_positive, found.actor)
 
     def draws(self, world: World, observers: Int[ndarray, "e"]) -> DetectorDraws:
         """Keys of the detector's randomness in these rows of the world."""
@@ -115,6 +183,14 @@ class Perception:
             site_step=rng.keys(rng.key(self.seed, rng.Stream.CLUTTER, step), names[observers]),
             site_observer=rng.keys(site, names[observers]),
         )
+
+
+def answers(sweeps: lidar.RangeImages, asked: BoxQuestions) -> BoxAnswers:
+    """What range images say of boxes."""
+    return (
+        evidence.points_in_boxes(sweeps, asked.counting, asked.boxes, asked.counted),
+        evidence.plausible(sweeps, asked.testing, asked.boxes, asked.tested, asked.area),
+    )
 
 
 def _concat(parts: list[_Rows]) -> _Rows:

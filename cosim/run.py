@@ -2,7 +2,7 @@
 
 import hashlib
 import shutil
-from collections.abc import Collection
+from collections.abc import Callable, Collection, Generator
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -24,7 +24,8 @@ from cosim.manifest import Manifest, versions
 from cosim.meshes import with_meshes
 from cosim.mobility.remarks import traffic_remarks
 from cosim.mobility.source import TrafficEnded, TrafficError, TrafficSource
-from cosim.parts import Parts, check_choices, sources
+from cosim.parts import Parts, check_choices, perception_of, sources
+from cosim.perception import Perceives, Perception
 from cosim.radio.rsu import NO_RSUS, RsuAntennas, place_rsus
 from cosim.run_folder import RunFolder
 from cosim.scenario import Scenario, find
@@ -32,6 +33,7 @@ from cosim.state import State
 from cosim.stop import NOTHING_WRITTEN, Failed, Stopped, StopRequest
 from cosim.stopwatch import Stopwatch
 from cosim.trackers.attack_start import AttackStartTracker
+from cosim.world import World
 from results import inventory
 from results.archive import read_manifest
 from results.durable import PARTIAL, Damaged, open_regular, sha256
@@ -92,11 +94,14 @@ def roadside_units(config: Config, scenario: Scenario) -> RsuAntennas:
     return replace(sites, xyz_m=sites.xyz_m - np.array([*scenario.origin_m, 0.0]))
 
 
-def run(config: Config, out: Path | None, advance: Advance, traffic_from: Path | None = None) -> Path:
+def run(
+    config: Config, out: Path | None, advance: Advance, traffic_from: Path | None = None,
+    perceive: Callable[[Perception], Perceives] = lambda own: own,
+) -> Path:  # fmt: skip
     """Drive, sense, talk, trust and record; the folder that it wrote.
 
     `traffic_from` is a folder that `record_traffic` wrote for the same `[traffic]`: it is replayed instead of driving
-    SUMO, with the same tables.
+    SUMO, with the same tables. `perceive` may give another perception in place of the run's own.
 
     Nothing is written before the config has been checked and SUMO has accepted the scenario. Stopped where a signal
     asks for it.
@@ -104,7 +109,7 @@ def run(config: Config, out: Path | None, advance: Advance, traffic_from: Path |
     run_folder.check(out)
     scenario = check(config)
     with StopRequest() as stop:
-        parts, registry, traffic = _loaded(config, scenario, traffic_from)
+        parts, registry, traffic = _loaded(config, scenario, traffic_from, perceive)
         try:
             folder = run_folder.create(out, scenario.name)
             try:
@@ -125,12 +130,16 @@ def run(config: Config, out: Path | None, advance: Advance, traffic_from: Path |
     return folder.path
 
 
-def resume(path: Path, advance: Advance, traffic_from: Path | None = None) -> Path:
+def resume(
+    path: Path, advance: Advance, traffic_from: Path | None = None,
+    perceive: Callable[[Perception], Perceives] = lambda own: own,
+) -> Path:  # fmt: skip
     """Go on with a run that was killed or interrupted, from its last whole block: the tables are those of a run
     never interrupted.
 
     The traffic is repeated from its beginning, because SUMO's own saved state is not exact; everything else goes on
-    from the state that was kept with the block. Nothing in the folder is executed. `traffic_from` as in `run`.
+    from the state that was kept with the block. Nothing in the folder is executed. `traffic_from` and `perceive`
+    as in `run`.
     """
     manifest = read_manifest(path)
     config = _resumable(path, manifest)
@@ -147,7 +156,7 @@ def resume(path: Path, advance: Advance, traffic_from: Path | None = None) -> Pa
             closed = [part for block in found.blocks for part in block.parts]
             if problem := next((p for part in closed if (p := content_problem(path, part))), ""):
                 raise Damaged(f"{path} is damaged: {problem}. Run again.")
-            parts, registry, traffic = _loaded(config, scenario, traffic_from)
+            parts, registry, traffic = _loaded(config, scenario, traffic_from, perceive)
             try:
                 went = Manifest(path, config, manifest["net"], sources(config), steps=found.end_step)
                 went.keep_config(manifest)
@@ -223,18 +232,37 @@ def _warmup_s(config: Config, scenario: Scenario) -> float:
     return scenario.warmup_s if config.traffic.warmup_s is None else config.traffic.warmup_s
 
 
+def worlds_of(config: Config, traffic_from: Path | None) -> Generator[World, None, None]:
+    """The worlds that a run of this config will see, ahead of it. Its traffic is replayed, as in `run`."""
+    scenario = find(config.traffic.scenario, config.traffic.trace)
+    _, traffic = _traffic(config, scenario, traffic_from)
+    try:
+        for _ in traffic.warm_up(0.0 if traffic_from is not None else _warmup_s(config, scenario)):
+            pass
+        for _ in range(config.n_steps):
+            yield traffic.advance()
+    except TrafficEnded:
+        pass
+    finally:
+        traffic.close()
+
+
 def _loaded(
-    config: Config, scenario: Scenario, traffic_from: Path | None = None
+    config: Config, scenario: Scenario, traffic_from: Path | None, perceive: Callable[[Perception], Perceives]
 ) -> tuple[Parts, ActorRegistry, TrafficSource]:
     watch = Stopwatch()
     with watch("city"):
         city = with_meshes(scenario.city(), config.meshes, config.vehicle_meshes)
     parts = Parts.of(config, city, roadside_units(config, scenario), watch)
+    parts = replace(parts, perception=perceive(perception_of(config, city)))
+    return parts, *_traffic(config, scenario, traffic_from)
+
+
+def _traffic(config: Config, scenario: Scenario, traffic_from: Path | None) -> tuple[ActorRegistry, TrafficSource]:
     registry = ActorRegistry(config.fleet, config.seed, shares(config.attacks), named(config.attacks))
     recorded = scenario if traffic_from is None else replace(scenario, trace=traffic_from, warmup_s=0.0)
     params = config.traffic if traffic_from is None else replace(config.traffic, begin_s=None, warmup_s=0.0)
-    traffic = recorded.traffic(params, registry, config.driver.model != "none", config.objects)
-    return parts, registry, traffic
+    return registry, recorded.traffic(params, registry, config.driver.model != "none", config.objects)
 
 
 def _recorder(folder: Path, parts: Parts, resume_at: int) -> Recorder:

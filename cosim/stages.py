@@ -11,7 +11,7 @@ from cosim.adversary.adversary import Active
 from cosim.config import Config
 from cosim.driver.driver import Beliefs
 from cosim.ground_truth import GroundTruth, ground_truth_of, lies_in_detections, lies_in_evaluations
-from cosim.object_lists import messages_of, received_lists, subset, sweep_evidence
+from cosim.object_lists import messages_of, questions_of, received_lists, subset
 from cosim.parts import Parts
 from cosim.perception import Observed
 from cosim.radio.message_round import LinkReceptions, Receptions, Stations
@@ -169,17 +169,20 @@ class Evaluated:
 
 def evaluate_objects(
     matched: Matched, listed: Listed, observed: Observed, senders: Senders, vehicles: Vehicles, step: int,
-    active: Active, c: Config,
+    active: Active, parts: Parts,
 ) -> Evaluated:  # fmt: skip
     """Evaluation, visibility and plausibility, and the messages that carry them."""
+    c = parts.config
     known, groups, lists = matched.known, matched.lists_groups, matched.lists
     foreign = np.zeros(len(known.member), bool)  # members of which a vehicle asks its sweep whether they can be there
     foreign[matched.groups.seeds()] = True
     foreign &= ~matched.groups.ego_detected
     foreign[np.flatnonzero(matched.inside)[~groups.ego_detected]] = True
-    points, possible = sweep_evidence(
-        observed.sweeps, known, matched.inside, foreign, listed.objects.boxes, listed.detections, c.area
+    asked, counted, tested = questions_of(
+        known, matched.inside, foreign, listed.objects.boxes, listed.detections, c.area
     )
+    points, possible = np.zeros(len(known.member), np.int32), np.ones(len(known.member), bool)
+    points[counted], possible[tested] = parts.perception.answers(observed.sweeps, asked)
     n_points, plausible, ego = points[matched.inside], possible[matched.inside], groups.ego_detected
     own = evaluate(lists, groups, listed.detections, n_points, plausible, c.trust)
     reported = object_lists.as_reported(active, own, lists, listed.objects, vehicles.row)

@@ -6,7 +6,7 @@ import numpy as np
 
 from cosim.config import load
 from cosim.cycle import step
-from cosim.parts import Parts
+from cosim.parts import Parts, perception_of
 from cosim.radio.rsu import NO_RSUS
 from cosim.reproduce.scenarios import FOLDER, ScriptedScene
 from cosim.state import State
@@ -22,7 +22,8 @@ def parts_of(scene: ScriptedScene, *overrides: str, rsus=NO_RSUS, **others) -> P
     """Parts of the scene; `others` replace those that the config names."""
     config = load(FOLDER / "scenario-2.toml", [*QUIET, *overrides])
     parts = Parts.of(config, scene.city, rsus)
-    return replace(parts, perception=replace(parts.perception, detector=scene.detector), **others)
+    perception = replace(perception_of(config, scene.city), detector=scene.detector)
+    return replace(parts, perception=perception, **others)
 
 
 def play(n: int, *overrides: str, rsus=NO_RSUS, **others):

@@ -18,7 +18,7 @@ from numpy import ndarray
 from cosim import rng
 from cosim.config import Config, load
 from cosim.cycle import step
-from cosim.parts import Parts
+from cosim.parts import Parts, perception_of
 from cosim.state import State
 from cosim.step_result import Sensed
 from cosim.v2x.messages import FABRICATED, SELF
@@ -27,7 +27,7 @@ from results.figures import scenario as pictures
 from results.figures import style
 from sensors.boxes import Boxes
 from sensors.evidence import Observability
-from sensors.lidar import Sweeps
+from sensors.lidar import RangeImages, Sweeps
 from sensors.reports import DetectorDraws, Reports
 from sensors.scene import Scene, Shape
 from trust.fusion import Fused
@@ -115,8 +115,8 @@ class ScriptedScene:
 
     def parts(self, config: Config) -> Parts:
         """The parts that a config names, with the scene's own detector."""
-        parts = Parts.of(config, self.city)
-        return replace(parts, perception=replace(parts.perception, detector=self.detector))
+        perception = replace(perception_of(config, self.city), detector=self.detector)
+        return replace(Parts.of(config, self.city), perception=perception)
 
     def play(self, config: Config, n_frames: int) -> Iterator[Sensed]:
         """The same frame over and over: what happens in it. Sweeps are valid until the next frame."""
@@ -219,6 +219,7 @@ def _fused(sensed: Sensed, title: str) -> pictures.Panel:
 
 def _panel(title: str, sensed: Sensed, observer: int, rows: ndarray, score: ndarray) -> pictures.Panel:
     sweeps, listed = sensed.observed.sweeps, sensed.listed
+    assert isinstance(sweeps, RangeImages)
     points = sweeps.poses.to_world(observer, sweeps.xyz(observer))[:, :2]
     false = listed.origin[rows] == FABRICATED
     return pictures.Panel(title, points, _footprints(listed.boxes.take(rows)), false, [f"{s:.2f}" for s in score])

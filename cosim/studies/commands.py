@@ -20,7 +20,7 @@ def add_to(app: typer.Typer) -> None:
 
 def sweep(
     study: Annotated[
-        Path, typer.Argument(help="Study file (TOML), or one that ships: freshness, exposure, encounters.")
+        Path, typer.Argument(help="Study file (TOML), or one that ships, by name (cosim/studies/README.md).")
     ],
     out: Annotated[Path, typer.Option(help="Folder of the study; what is there already is not done again.")],
     scheduler: Annotated[

@@ -16,7 +16,8 @@ from pathlib import Path
 from typing import Any
 
 import psutil
-from distributed import Client, Future, LocalCluster, as_completed
+from distributed import CancelledError, Client, Future, KilledWorker, LocalCluster, as_completed
+from distributed.comm import CommClosedError
 
 from cosim.studies.folder import Attempt, StudyFolder
 from cosim.studies.study import Limits
@@ -37,16 +38,20 @@ class Work:
 
 
 @contextmanager
-def connected(scheduler: str | None, workers: int, study: Path) -> Iterator[Client]:
-    """A client of the scheduler, or of a cluster in this process; ValueError where it cannot do the work."""
+def connected(scheduler: str | None, workers: int, needed: Path | None, processes: bool = False) -> Iterator[Client]:
+    """A client of the scheduler, or of a cluster on this machine; ValueError where it cannot do the work.
+
+    `needed` is a file or folder that every worker must see. Without a scheduler workers are threads of this process,
+    which start subprocesses; or processes of their own.
+    """
     if scheduler is None:
+        size = {"n_workers": workers, "threads_per_worker": 1} if processes else {
+            "n_workers": 1, "threads_per_worker": workers
+        }  # fmt: skip
         with (
-            LocalCluster(
-                n_workers=1, threads_per_worker=workers, processes=False, memory_limit=0,
-                dashboard_address="127.0.0.1:0",
-            ) as cluster,
+            LocalCluster(processes=processes, memory_limit=0, dashboard_address="127.0.0.1:0", **size) as cluster,
             Client(cluster) as client,
-        ):  # fmt: skip
+        ):
             yield client
         return
     try:
@@ -57,18 +62,31 @@ def connected(scheduler: str | None, workers: int, study: Path) -> Iterator[Clie
             f"--scheduler {scheduler}: no scheduler answers there ({reason}). Start one: dask scheduler"
         ) from None
     with client:
-        _check(client, scheduler, study)
+        _check(client, scheduler, needed)
         yield client
 
 
-def _check(client: Client, scheduler: str, study: Path) -> None:
-    """Refuse workers that run another cosim or do not see the study."""
+def gathered(client: Client, futures: Sequence[Future]) -> list[Any]:
+    """Results of tasks, in order; what a lost worker held is computed again by another.
+
+    Errors
+    ------
+    ConnectionError where the scheduler is gone or workers are lost as often as it allows; what a task raised.
+    """
+    try:
+        return client.gather(list(futures))
+    except (CancelledError, KilledWorker, CommClosedError) as error:
+        raise ConnectionError(f"workers lost: {type(error).__name__}") from None
+
+
+def _check(client: Client, scheduler: str, needed: Path | None) -> None:
+    """Refuse workers that run another cosim or do not see what they need."""
     if not client.scheduler_info()["workers"]:
         raise ValueError(
             f"--scheduler {scheduler}: it has no workers. Start some: dask worker {scheduler} --nthreads 1"
         )
     try:
-        seen = client.run(_look, str(study))
+        seen = client.run(_look, needed and str(needed))
     except Exception as error:  # whatever a worker without this code answers
         reason = " ".join(f"{type(error).__name__}: {error}".split())[:120]
         raise ValueError(
@@ -82,11 +100,11 @@ def _check(client: Client, scheduler: str, study: Path) -> None:
                 "Install the same one, and start the workers again."
             )
         if not is_there:
-            raise ValueError(f"--scheduler {scheduler}: worker {worker} does not see {study}. Use a shared folder.")
+            raise ValueError(f"--scheduler {scheduler}: worker {worker} does not see {needed}. Use a shared folder.")
 
 
-def _look(study: str) -> tuple[str, bool]:
-    return code_digest(), Path(study, "study.toml").is_file()
+def _look(needed: str | None) -> tuple[str, bool]:
+    return code_digest(), needed is None or Path(needed).exists()
 
 
 def code_digest() -> str:

@@ -16,7 +16,8 @@ from pathlib import Path
 from time import time
 
 from cosim import run as running
-from cosim.config import Config, resolve_data
+from cosim.config import Config
+from cosim.drive import Advance
 from cosim.manifest import sha256
 from cosim.studies.folder import write_whole
 from results.durable import PARTIAL
@@ -85,11 +86,11 @@ class Cache:
         """Names of the entries of a stage, unchecked."""
         return {path.parent.name for path in (self.path / stage).glob("*/stage.json")}
 
-    def make_traffic(self, name: str, config: Path) -> None:
-        """Drive the traffic of a config (its plain data as JSON) unless it is there."""
+    def make_traffic(self, name: str, config: Config, advance: Advance) -> None:
+        """Drive the traffic of a config unless it is there."""
         with self._making("traffic", name):
             if self.find("traffic", name) is None:
-                self._keep("traffic", name, resolve_data(json.loads(config.read_text()), "the plan", None))
+                self._keep("traffic", name, config, advance)
 
     @contextmanager
     def _making(self, stage: str, name: str) -> Iterator[None]:
@@ -101,12 +102,12 @@ class Cache:
             shutil.rmtree(folder / f"{name}{PARTIAL}", ignore_errors=True)
             yield
 
-    def _keep(self, stage: str, name: str, config: Config) -> None:
+    def _keep(self, stage: str, name: str, config: Config, advance: Advance) -> None:
         entry = self.path / stage / name
         partial = entry.with_name(f"{name}{PARTIAL}")
         partial.mkdir()
         begun_s = time()
-        running.record_traffic(config, partial, lambda *_: None)
+        running.record_traffic(config, partial, advance)
         for empty in [path for path in partial.iterdir() if path.is_dir() and not any(path.iterdir())]:
             empty.rmdir()
         content = {"files": _files(partial), "seconds": round(time() - begun_s, 2)}

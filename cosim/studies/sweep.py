@@ -91,7 +91,7 @@ def sweep(
         try:
             if n_points:
                 n_workers = workers or max(1, numba.config.NUMBA_NUM_THREADS)  # type: ignore[attr-defined]
-                with connected(scheduler, n_workers, folder.path.resolve()) as client:
+                with connected(scheduler, n_workers, folder.path.resolve() / "study.toml") as client:
                     try:
                         for id, attempt in execute(client, StudyFolder(folder.path.resolve()), work, study.limits):
                             if id in work.runs:

@@ -94,7 +94,8 @@ def main() -> None:
         if kind == "run":
             make(Path(words[0]))
         else:
-            Cache(Path(words[0])).make_traffic(words[1], Path(words[2]))
+            config = resolve_data(json.loads(Path(words[2]).read_text()), "the plan", None)
+            Cache(Path(words[0])).make_traffic(words[1], config, lambda *_: None)
     except (ValueError, Failed, OSError) as error:
         sys.exit(" ".join(str(error).split()))
 

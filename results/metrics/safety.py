@@ -1,7 +1,5 @@
 """What drivers suffer: braking, conflicts, collisions, stops and time, per vehicle-kilometre; and why they brake."""
 
-from typing import Any
-
 import numpy as np
 import pandas as pd
 
@@ -18,6 +16,8 @@ WAVE_MPS2, WAVE_S = 2.0, 20.0
 """A driver is part of a braking wave who brakes this hard behind another one, within this time of its beginning."""
 SLOW_MPS, MOVING_MPS = 0.1, 2.0
 """A vehicle stops that is slower than the first and was faster than the second."""
+_ACTORS = 1 << 32
+"""More than there are vehicles: a number of two, the second a vehicle."""
 KINDS = ("ghost", "false positive", "real")
 """What a vehicle reacts to: fabricated by an attack, a detector's false positive, an actor."""
 
@@ -85,26 +85,37 @@ def waves(run: Run, poses: pd.DataFrame | None = None) -> pd.DataFrame:
     causes = causes[causes.deceleration_mps2 >= WAVE_MPS2]
     steps = poses[["step", "actor", "x_m", "y_m", "acceleration_mps2"]]
     chain = following(run, poses).merge(steps, on=["step", "actor"])
-    chain = chain[chain.acceleration_mps2 <= -WAVE_MPS2]
-    by_step = {step: rows for step, rows in chain.groupby("step")}
-    place = steps.set_index(["step", "actor"])[["x_m", "y_m"]]
-    found = []
-    cause: Any
-    row: Any
-    for cause in causes.itertuples():
-        members, length_m = {cause.vehicle}, 0.0
-        for step in range(int(cause.step), int(cause.step + WAVE_S / run.dt_s)):
-            behind = by_step.get(step)
-            if behind is None:
-                continue
-            joined = behind[behind.leader.isin(members) & ~behind.actor.isin(members)]
-            for row in joined.itertuples():
-                members.add(row.actor)
-                if (step, cause.vehicle) in place.index:
-                    head = place.loc[(step, cause.vehicle)]
-                    length_m = max(length_m, float(np.hypot(head.x_m - row.x_m, head.y_m - row.y_m)))
-        found.append((cause.vehicle, cause.step, cause.kind, len(members) - 1, length_m))
-    return pd.DataFrame(found, columns=["vehicle", "step", "kind", "n_vehicles", "length_m"])
+    chain = chain[chain.acceleration_mps2 <= -WAVE_MPS2].sort_values("step", kind="stable")
+    causes = causes.sort_values("step", kind="stable")
+    at = {name: chain[name].to_numpy(np.int64) for name in ("step", "actor", "leader")}
+    place_m = chain[["x_m", "y_m"]].to_numpy()
+    steps = steps.assign(key=steps.step.astype(np.int64) * _ACTORS + steps.actor).sort_values("key")
+    key, xy_m = steps.key.to_numpy(), steps[["x_m", "y_m"]].to_numpy()
+    vehicle, first = causes.vehicle.to_numpy(np.int64), causes.step.to_numpy()
+    n, length_m = np.zeros(len(causes), int), np.zeros(len(causes))
+    wave, member = np.zeros(0, int), np.zeros(0, np.int64)  # who takes part in which wave, by member
+    lasts = int(WAVE_S / run.dt_s)
+    for step in np.unique(at["step"]).tolist():
+        begun, over = np.searchsorted(first, [step, step - lasts], "right")
+        fresh = np.setdiff1d(np.arange(over, begun), wave)
+        wave, member = np.append(wave, fresh), np.append(member, vehicle[fresh])
+        order = np.argsort(member, kind="stable")
+        order = order[wave[order] >= over]
+        wave, member = wave[order], member[order]
+        rows = slice(*np.searchsorted(at["step"], [step, step + 1]))
+        low, high = (np.searchsorted(member, at["leader"][rows], side) for side in ("left", "right"))
+        row = np.repeat(np.arange(len(low)), high - low)
+        behind = wave[np.arange(len(row)) + np.repeat(high - np.cumsum(high - low), high - low)]
+        actor = at["actor"][rows][row]
+        new = ~np.isin(behind * _ACTORS + actor, wave * _ACTORS + member)
+        row, behind, actor = row[new], behind[new], actor[new]
+        wave, member = np.append(wave, behind), np.append(member, actor)
+        np.add.at(n, behind, 1)
+        head = np.minimum(np.searchsorted(key, step * _ACTORS + vehicle[behind]), len(key) - 1)
+        there = key[head] == step * _ACTORS + vehicle[behind]
+        away_m = np.hypot(*(xy_m[head] - place_m[rows][row]).T)
+        np.maximum.at(length_m, behind[there], away_m[there])
+    return causes[["vehicle", "step", "kind"]].assign(n_vehicles=n, length_m=length_m).sort_index()
 
 
 def summary(run: Run) -> pd.Series:

@@ -7,6 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from cosim.checkpoint import decode, encode
+from cosim.config import CHOICES
 from cosim.cycle import step
 from cosim.reproduce.scenarios import ScriptedScene
 from cosim.state import State
@@ -49,7 +51,9 @@ def test_a_state_is_consumed_once(midway):
         step(scene.world(4), state, parts)
 
 
-@pytest.mark.parametrize("again", [State.copy, copy.deepcopy, lambda s: pickle.loads(pickle.dumps(s))])
+@pytest.mark.parametrize(
+    "again", [State.copy, copy.deepcopy, lambda s: pickle.loads(pickle.dumps(s)), lambda s: decode(encode(s))]
+)
 def test_copies_continue_to_identical_results(midway, again):
     scene, parts, state = midway
     assert_same(onwards(scene, parts, state.copy()), onwards(scene, parts, again(state)))
@@ -94,3 +98,10 @@ def test_other_pseudonyms_change_nothing_but_names():
         (x,), (y,) = a.published, b.published
         assert (1000 - y.subject[::-1]).tolist() == x.subject.tolist()
         assert y.trust[::-1].tolist() == x.trust.tolist() and y.n_evaluations[::-1].tolist() == x.n_evaluations.tolist()
+
+
+@pytest.mark.parametrize("model", CHOICES["trust"][1])
+@pytest.mark.parametrize("medium", CHOICES["radio"][1])
+def test_the_state_of_every_model_and_medium_is_kept_for_resume(model, medium):
+    parts = parts_of(ScriptedScene.load(), f"trust.model={model}", f"radio.model={medium}")
+    encode(State.start(parts))

@@ -66,6 +66,32 @@ def test_events_do_not_run_over_from_one_vehicle_to_the_next():
     assert conflicts.begins(on, off, np.array([1, 1, 2, 2])).tolist() == [True, False, True, False]
 
 
+class Reacted(Poses):
+    """Stands for a run with reactions: vehicle 1 brakes for a ghost in steps 1 and 2, vehicle 9 alone in step 1."""
+
+    def require(self, *names):
+        assert names == ("reactions",)
+
+    def table(self, name):
+        rows = [(1, 1, True, None, 9.0, 4.0), (2, 1, True, None, 8.0, 4.0), (1, 9, False, 3.0, 9.0, 3.0)]
+        return pd.DataFrame(
+            rows, columns=["step", "vehicle", "fabricated", "truth_actor", "gap_m", "deceleration_mps2"]
+        )
+
+
+def test_a_braking_wave_by_hand():
+    """Four in a row, 20 m apart: the first reacts in step 1, the second brakes with 2 m/s2 in step 2, the third with 3
+    in step 3, the fourth not; the third brakes again in step 5 and counts once. Two drivers, 40 m behind the first at
+    the most: the first stands at 100 m from step 1 on, the third at 60 m. Nobody is behind the vehicle 9."""
+    speeds = {1: [10, 8, 6, 6, 6, 6], 2: [10, 10, 9, 9, 9, 9], 3: [10, 10, 10, 8.5, 8.5, 7], 4: [10] * 6, 9: [10] * 6}
+    place = {1: (100, 0), 2: (80, 0), 3: (60, 0), 4: (40, 0), 9: (0, 500)}
+    tracks = {actor: [(*place[actor], 0.0, v) for v in speed] for actor, speed in speeds.items()}
+    found = safety.waves(Reacted(), poses(tracks))
+    assert found[["vehicle", "step", "kind", "n_vehicles", "length_m"]].to_numpy().tolist() == [
+        [1, 1, "ghost", 2, 40.0], [9, 1, "real", 0, 0.0],
+    ]  # fmt: skip
+
+
 def test_overlaps_by_hand():
     """Two on one place are in each other by 2 m; two side by side, 1.9 m apart, by 0.1 m only."""
     found = conflicts.overlaps(

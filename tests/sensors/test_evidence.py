@@ -38,7 +38,7 @@ def blind(n=1, fov_deg=90.0) -> RangeImages:
     grid = beams(LidarParams(fov_deg=fov_deg))
     empty = np.full((n, len(grid.azimuth_rad), len(grid.elevation_rad)), np.inf, np.float32)
     poses = Poses(np.zeros((n, 3)), np.zeros(n))
-    return RangeImages(empty, poses, np.arange(n), np.zeros(n), grid, 80.0)
+    return RangeImages(poses, np.arange(n), np.zeros(n), grid, 80.0, empty)
 
 
 def by_cloud(found: list[dict]):

@@ -21,11 +21,11 @@ Advance = Callable[[S, int, int, StepRows, int], S]
 class Replay(Generic[S]):
     """A state after each step whose evidence is at hand: late evidence takes it up again from its own step on."""
 
-    def __init__(self, start: S, advance: Advance) -> None:
-        self._before, self._before_step, self._advance = start, -1, advance
+    def __init__(self, start: S) -> None:
+        self._before, self._before_step = start, -1
         self._after: dict[int, tuple[int, S]] = {}  # by step: number of additions that it rests on, state
 
-    def state(self, log: EvaluationLog) -> tuple[int, S]:
+    def state(self, log: EvaluationLog, advance: Advance) -> tuple[int, S]:
         """Newest step, and the state after it."""
         step, state = self._before_step, self._before
         changed = False
@@ -36,16 +36,16 @@ class Replay(Generic[S]):
             if changed or known is None or known[0] != n_additions:
                 rows = log.rows(g)
                 n_steps = g - step if step >= 0 else 0
-                self._after[g] = n_additions, self._advance(state, n_steps, g, rows, len(log.pairs))
+                self._after[g] = n_additions, advance(state, n_steps, g, rows, len(log.pairs))
                 changed = True
             step, state = g, self._after[g][1]
         return step, state
 
-    def fold(self, log: EvaluationLog) -> None:
+    def fold(self, log: EvaluationLog, advance: Advance) -> None:
         """Keep one state alone of the steps that are closed."""
         closed = [g for g in log.versions() if g > self._before_step and log.is_closed(g)]
         if closed:
-            self.state(log)
+            self.state(log, advance)
             self._before_step, self._before = closed[-1], self._after[closed[-1]][1]
             self._after = {g: known for g, known in self._after.items() if g > closed[-1]}
 
@@ -84,8 +84,8 @@ class Stepwise:
         self.log = EvaluationLog(grace_steps(params.grace_s, dt_s))
         """Shared by models where the host says so."""
         self._n_added = 0
-        self._replay: Replay[Any] = Replay(self.start(), self.advance)
-        self._counts: Replay[ndarray] = Replay(np.zeros((0, 3), np.int64), _counted)
+        self._replay: Replay[Any] = Replay(self.start())
+        self._counts: Replay[ndarray] = Replay(np.zeros((0, 3), np.int64))
 
     def start(self) -> Any:
         """State before any evidence."""
@@ -129,8 +129,8 @@ class Stepwise:
         now = self.log.steps.now if now_step is None else now_step
         self.log.advance(now)
         self._fold()
-        step, state = self._replay.state(self.log)
-        counts = with_rows(self._counts.state(self.log)[1], len(self.log.pairs))
+        step, state = self._replay.state(self.log, self.advance)
+        counts = with_rows(self._counts.state(self.log, _counted)[1], len(self.log.pairs))
         reading = self.read(state, now - step if step >= 0 else 0, now)
         holder, subject, row = self.log.pairs.sorted()
         n, newest, oldest = counts[row].T
@@ -156,8 +156,8 @@ class Stepwise:
         return np.inf if per_s == 1 else 40 / -np.log2(per_s)
 
     def _fold(self) -> None:
-        self._replay.fold(self.log)
-        self._counts.fold(self.log)
+        self._replay.fold(self.log, self.advance)
+        self._counts.fold(self.log, _counted)
 
 
 def share_logs(models: Sequence[object]) -> None:

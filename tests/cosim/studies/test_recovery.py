@@ -1,6 +1,5 @@
 """Whatever goes wrong in a sweep, the same command goes on, with the tables of one that nothing happened to."""
 
-import json
 import os
 import random
 import shutil
@@ -9,7 +8,6 @@ import subprocess
 import sys
 import time
 from contextlib import contextmanager
-from pathlib import Path
 
 import psutil
 import pytest
@@ -17,7 +15,7 @@ import pytest
 from cosim.studies.stages import Cache
 from results.archive import read_manifest
 from results.study import open_study
-from tests.cosim.studies.runs import assert_same
+from tests.cosim.studies.runs import ROOT, assert_same, environment, loopback, wait_for
 
 pytestmark = pytest.mark.verify
 
@@ -38,15 +36,10 @@ fleet.penetration_p = [0.3, 0.4]
 retries = 2
 """
 """Two runs of two points each, on one recorded traffic."""
-ROOT = Path(__file__).parents[3]
 
 
 def words(out, *more):
     return [sys.executable, "-m", "cosim", "sweep", "study.toml", "--out", str(out), "--workers", "1", *more]
-
-
-def environment(folder, source=ROOT):
-    return os.environ | {"COSIM_CACHE": str(folder / "cache"), "PYTHONPATH": str(source)}
 
 
 def sweep(folder, out="out", *more):
@@ -66,14 +59,6 @@ def under_way(folder, out="out", *more):
     finally:
         process.kill()
         process.wait()
-
-
-def wait_for(what, timeout_s=300.0):
-    end = time.monotonic() + timeout_s
-    while not (found := what()):
-        assert time.monotonic() < end, "it did not come to that"
-        time.sleep(0.05)
-    return found
 
 
 def n_blocks(study):
@@ -163,33 +148,6 @@ def test_a_folder_of_another_study(whole, folder):
     done = sweep(folder, whole / "out")
     assert done.returncode == 2 and done.stderr.count("\n") == 1 and 'holds the study "small"' in done.stderr
     assert (whole / "out" / "index.parquet").read_bytes() == before
-
-
-@contextmanager
-def loopback(folder, n_workers, source=ROOT):
-    """A Dask scheduler and workers started by hand; its address, and the workers."""
-    address, started = folder / "address.json", []
-
-    def start(kind, *more):
-        command = [sys.executable, "-m", f"distributed.cli.dask_{kind}", *more]
-        process = subprocess.Popen(
-            command, cwd=folder, env=environment(folder, source), start_new_session=True,
-            stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-        )  # fmt: skip
-        started.append(process)
-        return process
-
-    try:
-        start("scheduler", "--port", "0", "--host", "127.0.0.1", "--no-dashboard", "--scheduler-file", str(address))
-        wait_for(address.is_file)
-        options = ("--nthreads", "1", "--no-dashboard", "--scheduler-file", str(address))
-        workers = [start("worker", *options, "--name", str(number)) for number in range(n_workers)]
-
-        yield json.loads(address.read_text())["address"], workers
-    finally:
-        for process in started:
-            os.killpg(process.pid, signal.SIGKILL)
-            process.wait()
 
 
 def test_a_scheduler_and_two_workers_of_which_one_dies(whole, folder):

@@ -157,7 +157,16 @@ def test_study_file_of_a_folder_gives_the_same_points(tmp_path):
 
 @pytest.mark.parametrize(
     ("name", "n_points", "n_runs"),
-    [("freshness", 300, 15), ("exposure", 27, 27), ("encounters", 9, 9), ("safety", 24, 24), ("attacks", 360, 36)],
+    [
+        ("freshness", 300, 15),
+        ("exposure", 27, 27),
+        ("encounters", 9, 9),
+        ("safety", 24, 24),
+        ("attacks", 360, 36),
+        ("safety_half_hour", 21, 21),
+        ("whitewashing", 20, 20),
+        ("revocation", 16, 16),
+    ],
 )
 def test_shipped_studies(name, n_points, n_runs, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
