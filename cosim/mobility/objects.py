@@ -10,7 +10,7 @@ from jaxtyping import Float, Int, UInt8
 from numpy import ndarray
 
 from cosim.actors import ActorRegistry
-from cosim.meshes import BodyClass
+from cosim.fleet import ActorClass
 from cosim.mobility.frame import Frame
 from cosim.mobility.source import PER_M, PER_RAD, TrafficSource, world_of
 from cosim.world import World
@@ -35,7 +35,7 @@ class ObjectParams:
     to it: SUMO drives through what stands on a lane.
     """
 
-    vehicle_class: BodyClass = "car"
+    vehicle_class: ActorClass = "car"
     """What it is to a detector; a dummy of a person is a pedestrian."""
     at_m: tuple[float, float] = (0.0, 0.0)
     """Middle of its box: east, north in the world frame [m]."""
