@@ -28,12 +28,16 @@ class RunFolder:
         """Let others write."""
         self.lock.release()
 
+    def clear(self) -> None:
+        """Delete all but the lock; the manifest last, because a folder without one is no run."""
+        items = [item for item in self.path.iterdir() if not is_lock(item)]
+        for item in sorted(items, key=lambda item: item.name == MANIFEST):
+            shutil.rmtree(item) if item.is_dir() and not item.is_symlink() else item.unlink()
+
     def remove(self) -> None:
         """Leave no trace of a run that recorded nothing."""
-        ours = self.path.is_dir() and self.lock.is_held()
-        items = [item for item in self.path.iterdir() if not is_lock(item)] if ours else []
-        for item in sorted(items, key=lambda item: item.name == MANIFEST):  # the manifest last: until then it is a run
-            shutil.rmtree(item) if item.is_dir() and not item.is_symlink() else item.unlink()
+        if self.path.is_dir() and self.lock.is_held():
+            self.clear()
         self.release()
         for folder in reversed(self.made):
             with suppress(OSError):
@@ -90,6 +94,19 @@ def create(out: Path | None, name: str) -> RunFolder:
 def _is_leftover(item: Path) -> bool:
     """What a run leaves that was killed before its manifest was on disk; the next one writes over it."""
     return is_lock(item) or item.name == MANIFEST + PARTIAL
+
+
+def beside(out: Path) -> RunFolder:
+    """A folder that is renamed to `out` once it is whole; what a killed process left there is removed."""
+    path = out.with_name(out.name + PARTIAL)
+    try:
+        made = _make(path)
+    except OSError as error:
+        raise _cannot(out, error) from None
+    folder = reopen(path)
+    folder.made = (*made, path) if path not in made else made
+    folder.clear()
+    return folder
 
 
 def reopen(path: Path) -> RunFolder:

@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 from numpy import ndarray
 
-from cosim import recording
+from cosim import recording, run_folder
 from cosim.actors import ActorRegistry
 from cosim.config import Config, resolve_data
 from cosim.config_data import read_toml
@@ -21,10 +21,12 @@ from cosim.v2x.trust_hosts import Lookups, TrustHosts, TrustState
 from results import inventory
 from results.archive import OpenRun, open_run, write_manifest
 from results.codes import TrustSource
+from results.durable import Damaged
 from results.encounters import ENCOUNTER_KEY, Rows
 from results.inventory import Inventory
 from results.recorder import Recorder
 from results.tables import TABLES
+from results.verify import verify
 from sensors.scene import Shape
 from trust.tables import EvaluationMessages
 
@@ -54,22 +56,24 @@ def retrust(run: Path, file: Path, out: Path) -> Path:
     ------
     ValueError
         In one line, where the run does not hold the evidence or a variant cannot be had from it.
+    Damaged
+        Where the run is not what was written.
     """
     found = open_run(run)
     found.require(*NEEDED)
     config = _with_variants(found, file)
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise ValueError(f"--out {out} is not empty. Give a folder that is empty or does not exist.")
-    made = not out.exists()
-    out.mkdir(parents=True, exist_ok=True)
+    run_folder.check(out)
+    if problems := verify(run)[1]:
+        raise Damaged(f"{run} is damaged: {problems[0]}. Run again.")
+    whole = out.resolve()
+    folder = run_folder.beside(whole)
     try:
-        _write(found, config, out)
+        _write(found, config, folder.path)
     except BaseException:
-        for path in list(out.iterdir()):
-            shutil.rmtree(path) if path.is_dir() else path.unlink()
-        if made:
-            out.rmdir()
+        folder.remove()
         raise
+    folder.release()
+    folder.path.replace(whole)
     return out
 
 
