@@ -1,4 +1,4 @@
-"""Speed of every room on this machine."""
+"""Speed of every component on this machine."""
 
 import os
 import platform
@@ -90,7 +90,7 @@ BENCHES: dict[str, str] = {
     "driver": "cosim.driver.bench",
     "variants": "cosim.bench_variants",
 }
-"""Modules whose `bench()` measures a room."""
+"""Modules whose `bench()` measures a component."""
 
 
 def run(name: str) -> list[Row]:
