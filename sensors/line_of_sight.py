@@ -141,7 +141,7 @@ def _buildings_by_cell(low: ndarray, cell_m: float, nx: int, ny: int, walls: Wal
     cell = np.concatenate([*cells, np.zeros(0, np.int64)])
     order = np.argsort(cell, kind="stable")
     ptr = np.searchsorted(cell[order], np.arange(nx * ny + 1))
-    return ptr.astype(np.int64), np.concatenate([*ids, np.zeros(0, np.int64)])[order].astype(np.int32)
+    return ptr.astype(np.int32), np.concatenate([*ids, np.zeros(0, np.int64)])[order].astype(np.int32)
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,9 +184,11 @@ class LosCache:
         if blocked is None:
             blocked = index.crosses_filled(xyz, a, b)
         out = np.empty(len(a), np.bool_)
+        place, is_new = _place(cell), np.empty(len(a), np.bool_)
         kernels.has_los_cached(
-            xyz, index.indoors(xyz), _place(cell), a, b, blocked, index.grid, index.walls.segment, self.memo, out
+            xyz, index.indoors(xyz), place, a, b, blocked, index.grid, index.walls.segment, self.memo, out, is_new
         )
+        kernels.remember(place, a, b, out, is_new, self.memo)
         return out
 
     def walls_crossed(
