@@ -3,6 +3,7 @@
 import json
 import resource
 from collections.abc import Callable
+from functools import partial
 from os import cpu_count
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -42,7 +43,7 @@ def _workers(folder: Path) -> list[Row]:
     (folder / "apart.toml").write_text(_APART)
     wall_s = {}
     for n in (1, 2):
-        wall_s[n], _ = _spent(lambda n=n: _swept(folder / "apart.toml", folder / f"apart{n}", n, merge=False))
+        wall_s[n], _ = _spent(partial(_swept, folder / "apart.toml", folder / f"apart{n}", n, merge=False))
     return [
         (f"{N_RUNS} runs that share nothing, one worker", wall_s[1], "s"),
         ("two workers", wall_s[1] / wall_s[2], f"times faster, of {cpu_count()} cores"),
@@ -57,7 +58,7 @@ def _points(folder: Path) -> list[Row]:
     spent = {}
     for name, study in (("one", one), ("many", many)):
         (folder / f"{name}.toml").write_text(study)
-        _, spent[name] = _spent(lambda name=name: _swept(folder / f"{name}.toml", folder / name, 1))
+        _, spent[name] = _spent(partial(_swept, folder / f"{name}.toml", folder / name, 1))
     return [
         ("one point of the study freshness", spent["one"], "s of processor time"),
         ("20 points in one run", spent["many"] / spent["one"], "times that"),
@@ -76,7 +77,7 @@ def _shards(folder: Path) -> list[Row]:
         ("of which workers can compute", 100 * theirs, "%"),
     ]
     for n in (1, 2):
-        wall_s, processor_s = _spent(lambda n=n: shards.run(config, folder / f"shards{n}", lambda *_: None, None, n))
+        wall_s, processor_s = _spent(partial(shards.run, config, folder / f"shards{n}", lambda *_: None, None, n))
         rows += [
             (f"with {n} worker{'s' * (n > 1)}: faster", plain[0] / wall_s, "times"),
             (f"with {n} worker{'s' * (n > 1)}: processor time", processor_s / plain[1], "times"),
