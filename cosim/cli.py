@@ -184,6 +184,8 @@ def check(config: ConfigPath = None, overrides: Overrides = None, as_json: AsJso
 
     experiment = load(config, overrides)
     running.check(experiment)
+    for remark in running.changed_since(config, experiment):
+        notes.print(remark, soft_wrap=True)
     if as_json:
         print_json(experiment.to_dict())
     else:
