@@ -89,6 +89,7 @@ BENCHES: dict[str, str] = {
     "cycle": "cosim.bench",
     "driver": "cosim.driver.bench",
     "variants": "cosim.bench_variants",
+    "studies": "cosim.studies.bench",
 }
 """Modules whose `bench()` measures a component."""
 
