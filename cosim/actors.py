@@ -46,8 +46,9 @@ class ActorRegistry:
         return self._n
 
     def register(
-        self, names: list[str], shape: UInt8[ndarray, "n"], lwh_m: Float[ndarray, "n 3"], step: int
-    ) -> Int[ndarray, "n"]:
+        self, names: list[str], shape: UInt8[ndarray, "n"], lwh_m: Float[ndarray, "n 3"], step: int,
+        may_be_equipped: bool = True,
+    ) -> Int[ndarray, "n"]:  # fmt: skip
         """Numbers of new actors, in the order given; decides their equipment and attacks.
 
         Numbers follow names, vehicles before persons, whatever the order of the input. A person and a vehicle of
@@ -67,6 +68,7 @@ class ActorRegistry:
             np.uint64,
         )
         equipped = self._can_be_equipped[shape] & (uniforms(self._equipped_key, keys)[:, 0] < self.params.penetration_p)
+        equipped &= may_be_equipped
         self._equipped[rows] = equipped
         if equipped.any() and self.attack_shares:
             draw = uniforms(self._attack_key, keys)[:, 0]

@@ -18,6 +18,7 @@ from cosim.driver.driver import DriverParams
 from cosim.driver.drivers import DRIVERS
 from cosim.fleet import FleetParams
 from cosim.meshes import MeshParams, VehicleMeshParams, check_vehicle_meshes
+from cosim.mobility.objects import ObjectParams
 from cosim.mobility.params import TrafficParams, resolved_input
 from cosim.positioning import GnssParams
 from cosim.radio.medium import MEDIA
@@ -99,6 +100,7 @@ class Config:
     fleet: FleetParams = field(default_factory=FleetParams)
     lidar: LidarParams = field(default_factory=LidarParams)
     gnss: GnssParams = field(default_factory=GnssParams)
+    objects: tuple[ObjectParams, ...] = ()
     meshes: tuple[MeshParams, ...] = ()
     vehicle_meshes: tuple[VehicleMeshParams, ...] = ()
     area: AreaParams = field(default_factory=AreaParams)

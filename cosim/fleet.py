@@ -7,6 +7,7 @@ from annotated_types import Ge, Le
 
 Probability = Annotated[float, Ge(0), Le(1)]
 VehicleClass = Literal["car", "van", "truck", "bus", "motorcycle", "bicycle"]
+ActorClass = Literal["car", "van", "truck", "bus", "motorcycle", "bicycle", "pedestrian"]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -3,13 +3,14 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import numpy as np
 from annotated_types import Gt
 from jaxtyping import Float, Int
 from numpy import ndarray
 
+from cosim.fleet import ActorClass
 from sensors.scene import Scene, Shape
 
 SUFFIXES = (".glb", ".obj", ".ply", ".stl")
@@ -32,9 +33,6 @@ class MeshParams:
     """Metres per unit of the file."""
 
 
-BodyClass = Literal["car", "van", "truck", "bus", "motorcycle", "bicycle", "pedestrian"]
-
-
 @dataclass(frozen=True, kw_only=True, slots=True)
 class VehicleMeshParams:
     """The body that all vehicles of a class have for LiDARs, instead of prisms: a `[[vehicle_meshes]]` section."""
@@ -42,7 +40,7 @@ class VehicleMeshParams:
     file: str
     """A closed mesh, .glb, .obj, .ply or .stl; relative to the config file. Ahead is +x, up is z; in .glb, y. It is
     stretched to each vehicle's length, width and height."""
-    vehicle_class: BodyClass = "car"
+    vehicle_class: ActorClass = "car"
     """Whose body it is: one section for a class."""
 
 

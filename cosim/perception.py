@@ -17,6 +17,7 @@ from sensors import detector, evidence, lidar
 from sensors.boxes import Boxes
 from sensors.detector import Detector, DetectorDraws
 from sensors.evidence import AreaParams
+from sensors.neighbours import Neighbours, neighbours
 from sensors.scene import Scene
 
 _Rows = TypeVar("_Rows", evidence.Observability, detector.DetectedBoxes)
@@ -98,19 +99,23 @@ class Perception:
     dt_s: float
     _range_m: Float32[ndarray, "n a e"] | None = field(default=None, repr=False)
     """Memory of the last sweeps, written over by the next."""
-    _hit: Int32[ndarray, "n a e"] | None = field(default=None, repr=False)
+    _hit: Int[ndarray, "n a e"] | None = field(default=None, repr=False)
     """The same of what their rays met, which is read group by group of observers."""
 
     def __call__(self, world: World, observers: Int[ndarray, "e"], watch: Stopwatch) -> Observed:
         """What these rows of the world perceive."""
         rays = lidar.n_rays(self.lidar)
         range_m = self._range_m = lidar.buffer((len(observers), *rays), np.float32, self._range_m)
-        hit = self._hit = lidar.buffer((min(len(observers), GROUP), *rays), np.int32, self._hit)
+        hit = self._hit = lidar.buffer((min(len(observers), GROUP), *rays), lidar.hit_type(len(world)), self._hit)
+        with watch("sweep"):
+            origin_m = lidar.mount(world.boxes, observers, self.lidar).origin_m
+            near = neighbours(origin_m, world.boxes, self.lidar.max_range_m)
         seen = []
         for first in range(0, len(observers), GROUP):
             some = observers[first : first + GROUP]
             memory = range_m[first : first + GROUP], hit[: len(some)]
-            seen.append(self.sense(world, some, watch, memory)[1].behind(first))
+            here = near.part(first, first + len(some))
+            seen.append(self.sense(world, some, watch, memory, here)[1].behind(first))
         with watch("detect"):
             on = lidar.scanners(world.boxes, observers, self.lidar)
             return self.observed(world, observers, lidar.with_ranges(on, range_m), seen)
@@ -121,10 +126,11 @@ class Perception:
         observers: Int[ndarray, "e"],
         watch: Stopwatch,
         memory: tuple[ndarray, ndarray] | None = None,
+        near: Neighbours | None = None,
     ) -> tuple[lidar.Sweeps, Seen]:
         """The sweeps of these rows of the world, and what is seen in them."""
         with watch("sweep"):
-            sweeps = self._scan(world, observers, memory)
+            sweeps = self._scan(world, observers, memory, near)
         with watch("detect"):
             here = evidence.observability(sweeps, world.boxes, world.shape)
             draws = self.draws(world, observers)
@@ -138,11 +144,14 @@ class Perception:
 
     def sweep(self, world: World, observers: Int[ndarray, "e"]) -> lidar.Sweeps:
         """Sweeps of these rows of the world, with what each ray met; in memory of their own."""
-        return self._scan(world, observers, None)
+        return self._scan(world, observers)
 
-    def _scan(self, world: World, observers: Int[ndarray, "e"], memory: tuple[ndarray, ndarray] | None) -> lidar.Sweeps:
+    def _scan(
+        self, world: World, observers: Int[ndarray, "e"], memory: tuple[ndarray, ndarray] | None = None,
+        near: Neighbours | None = None,
+    ) -> lidar.Sweeps:  # fmt: skip
         keys = sweep_keys(self.seed, world, observers)
-        return lidar.scan(world.boxes, world.shape, observers, self.city, self.lidar, keys, memory)
+        return lidar.scan(world.boxes, world.shape, observers, self.city, self.lidar, keys, memory, near)
 
     def observed(
         self, world: World, observers: Int[ndarray, "e"], sweeps: lidar.Scanners, parts: Sequence[Seen]

@@ -257,19 +257,22 @@ _DOWN = ("n_addressed", "n_informed")
 def _lookups(
     recorder: Recorder, at: int, receiver: Int[ndarray, "n"], subject: Int[ndarray, "n"], lookups: Sequence[Lookups]
 ) -> None:
-    """Rows of all variants at once."""
+    """Rows of all variants at once, by subject."""
     n, n_variants = len(receiver), len(lookups)
+    order = np.argsort(subject, kind="stable")
 
     def joined(name: str) -> ndarray:
-        return np.concatenate([getattr(found, name) for found in lookups])
+        return np.concatenate([getattr(found, name)[order] for found in lookups])
 
     counted = [found.n_evaluators is not None for found in lookups]
-    evaluators = [np.zeros(n, np.int64) if found.n_evaluators is None else found.n_evaluators for found in lookups]
+    evaluators = [
+        np.zeros(n, np.int64) if found.n_evaluators is None else found.n_evaluators[order] for found in lookups
+    ]
     source = joined("source")
     recorder.append("trust_lookups", at, {
-        "variant": np.repeat(np.arange(n_variants), n), "receiver": np.tile(receiver, n_variants),
-        "subject": np.tile(subject, n_variants), "trust": joined("trust"), "source": source, "state": joined("state"),
-        "age_s": joined("age_s"), "age_s__valid": source != TrustSource.DEFAULT,
+        "variant": np.repeat(np.arange(n_variants), n), "subject": np.tile(subject[order], n_variants),
+        "receiver": np.tile(receiver[order], n_variants), "trust": joined("trust"), "source": source,
+        "state": joined("state"), "age_s": joined("age_s"), "age_s__valid": source != TrustSource.DEFAULT,
         **_evaluations_behind(
             joined("n_evaluations"), np.concatenate(evaluators), joined("newest_evaluation_age_s"),
             joined("oldest_evaluation_age_s"), joined("is_known"), np.repeat(counted, n),

@@ -262,7 +262,7 @@ def _traffic(config: Config, scenario: Scenario, traffic_from: Path | None) -> t
     registry = ActorRegistry(config.fleet, config.seed, shares(config.attacks), named(config.attacks))
     recorded = scenario if traffic_from is None else replace(scenario, trace=traffic_from, warmup_s=0.0)
     params = config.traffic if traffic_from is None else replace(config.traffic, begin_s=None, warmup_s=0.0)
-    return registry, recorded.traffic(params, registry, has_driver=config.driver.model != "none")
+    return registry, recorded.traffic(params, registry, config.driver.model != "none", config.objects)
 
 
 def _recorder(folder: Path, parts: Parts, resume_at: int) -> Recorder:

@@ -1,5 +1,6 @@
 """Network, buildings and traffic: a city by name, a SUMO scenario of the user's own, or recorded traffic."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -9,6 +10,7 @@ from cosim.actors import ActorRegistry
 from cosim.manifest import sha256
 from cosim.mobility import fcd
 from cosim.mobility.frame import Bounds, Frame, origin_of
+from cosim.mobility.objects import ObjectParams, Placed, WithObjects
 from cosim.mobility.params import TrafficParams
 from cosim.mobility.replay import RunReplay, TraceReplay
 from cosim.mobility.source import TrafficSource
@@ -50,13 +52,23 @@ class Scenario:
     inputs: tuple[Path, ...] = ()
     """Every file that is read, whatever it holds."""
 
-    def traffic(self, params: TrafficParams, registry: ActorRegistry, has_driver: bool = False) -> TrafficSource:
-        """The source of traffic; ValueError in one line where it cannot be read.
+    def traffic(
+        self, params: TrafficParams, registry: ActorRegistry, has_driver: bool = False,
+        objects: Sequence[ObjectParams] = (),
+    ) -> TrafficSource:  # fmt: skip
+        """The source of traffic, with objects beside it; ValueError in one line where it cannot be read.
 
         With a driver, its worlds have lane paths where SUMO runs.
         """
         source = f"traffic.scenario = {params.scenario}" if self.trace is None else f"traffic.trace = {self.trace}"
         frame = Frame(source, self.origin_m, self.bounds_m)
+        placed = Placed.of(objects, frame, params.step_s)
+        found = self._moving(params, registry, frame, has_driver)
+        return WithObjects(found, placed, registry, frame) if objects else found
+
+    def _moving(
+        self, params: TrafficParams, registry: ActorRegistry, frame: Frame, has_driver: bool
+    ) -> TrafficSource:  # fmt: skip
         if self.trace is None:
             assert self.sumocfg is not None
             return SumoTraffic(params, self.sumocfg, registry, frame, has_driver)

@@ -6,6 +6,8 @@ Nothing is served, and nothing but the file is written. The viewer itself collec
 `rerun analytics disable`.
 """
 
+import os
+import shutil
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, cast
@@ -20,6 +22,7 @@ from cosim.config import Config
 from cosim.export import Sweeper
 from cosim.replay_lidar import city_of, config_of
 from cosim.scenario import find
+from results.durable import PARTIAL
 from results.export.moments import BOX
 from results.run import Run
 from sensors.boxes import Boxes
@@ -67,8 +70,30 @@ def view(
             some = ", ".join(map(str, roles.index[:8]))
             raise ValueError(f"--vehicle {vehicle} is none that carries a LiDAR. These do: {some}, ...")
     config = config_of(run)
-    recording = _open(out)
     city = city_of(config)
+    recording = _open(out)
+    try:
+        _write(recording, run, config, city, steps, vehicles, clouds, progress)
+        recording.flush()
+        recording.disconnect()
+        _partial(out).replace(out)
+    except BaseException as error:
+        _partial(out).unlink(missing_ok=True)
+        if not isinstance(error, OSError | RuntimeError):  # the latter: the SDK's writer has stopped
+            raise
+        free = shutil.disk_usage(out.parent).free
+        raise ValueError(
+            f"--out {out} cannot be written to its end, with {free / 1e6:,.1f} MB free on its disk. Show less (--from, "
+            "--to, --no-clouds), or choose another disk."
+        ) from None
+    return {"out": str(out), "steps": len(steps), "bytes": out.stat().st_size}
+
+
+def _write(  # type: ignore[no-untyped-def]
+    recording, run: Run, config: Config, city: Scene, steps: Int[ndarray, "s"], vehicles: Sequence[int], clouds: bool,
+    progress: Progress,
+) -> None:  # fmt: skip
+    """All of the recording."""
     _static(recording, config, city)
     sweeper = Sweeper(run, config, city, steps)
     encounters = run.table("encounters", ["a", "b", "start_step", "end_step", "pairs"])
@@ -80,13 +105,16 @@ def view(
         _block(recording, run, config, block, trust, known, encounters, vehicles, sweeper if clouds else None)
         progress("view", min(len(steps), at + BLOCK_STEPS), len(steps))
     _over_time(recording, run, trust, steps, vehicles)
-    recording.flush()
-    recording.disconnect()
-    return {"out": str(out), "steps": len(steps), "bytes": out.stat().st_size}
+
+
+def _partial(out: Path) -> Path:
+    """What the file is called until it is whole."""
+    return out.with_name(out.name + PARTIAL)
 
 
 def _open(out: Path):  # type: ignore[no-untyped-def]
     """The recording, with a blueprint that shows map, city and trust."""
+    os.environ.setdefault("RUST_LOG", "off")  # of the SDK, which has nothing to say that is not said here
     try:
         import rerun
         from rerun import blueprint as b
@@ -94,11 +122,11 @@ def _open(out: Path):  # type: ignore[no-untyped-def]
         raise ValueError("recordings are written by Rerun's SDK. Install it: pip install cosim[view]") from None
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
-        out.write_bytes(b"")
+        _partial(out).write_bytes(b"")
     except OSError as error:
         raise ValueError(f"--out {out} cannot be written: {error.strerror or error}.") from None
     recording = rerun.RecordingStream("cosim")
-    recording.save(out)
+    recording.save(_partial(out))
     views = b.Horizontal(
         b.Spatial2DView(origin="map", name="Map (north is up)"),
         b.Vertical(

@@ -33,14 +33,19 @@ def write(path: Path, content: bytes | memoryview) -> None:
 def write_output(path: Path, content: bytes) -> None:
     """Write a file under a name that the user gave, whole or not at all; a symbolic link is replaced, not followed.
 
-    ValueError where it is a folder. Devices and pipes are written to.
+    ValueError where it is a folder; OSError that names the file where it cannot be written. Devices and pipes are
+    written to.
     """
     if path.is_dir():
         raise ValueError(f"{path} is a folder. Give the name of a file.")
     if path.exists() and not path.is_symlink() and not path.is_file():
         path.write_bytes(content)
     else:
-        write(path, content)
+        try:
+            write(path, content)
+        except OSError as error:
+            path.with_name(path.name + PARTIAL).unlink(missing_ok=True)
+            raise OSError(error.errno, error.strerror, str(path)) from None
 
 
 def append_line(path: Path, line: bytes) -> None:

@@ -12,7 +12,6 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
-from pyarrow import feather
 
 from results import durable, inventory, virtual_columns
 from results.codes import BASE_VARIANT
@@ -186,15 +185,13 @@ class Run:
         if "variant" not in TABLES[table].columns:
             return self._part(path, names, where)
         assert self._apart is not None
-        folder = self._apart / table / path.stem
-        if not folder.exists():
-            whole = self._part(path, list(TABLES[table].stored), None)
-            folder.mkdir(parents=True)
-            for number, variant in enumerate(self.variants):
-                rows = whole.filter(pc.field("variant") == variant)
-                feather.write_feather(rows, folder / f"{number}.arrow", compression="lz4")
-        wanted = None if where is not None else list(names)
-        rows = feather.read_table(folder / f"{self.variants.index(self.variant)}.arrow", wanted, use_threads=False)
+        file = self._apart / table / f"{path.stem}.arrow"
+        if not file.exists():
+            file.parent.mkdir(exist_ok=True)
+            _write_apart(file, self._part(path, list(TABLES[table].stored), None), self.variants)
+        with pa.memory_map(str(file)) as source:
+            batch = pa.ipc.open_file(source).get_batch(self.variants.index(self.variant))
+        rows = pa.Table.from_batches([batch])
         return rows.select(names) if where is None else rows.filter(where).select(names)
 
     def n_blocks(self, name: str) -> int:
@@ -336,6 +333,19 @@ def content_problem(folder: Path, part: Part) -> str:
     except (OSError, ValueError) as error:
         return f"{part.name} cannot be read ({error})"
     return "" if digest == part.sha256 else f"{part.name} is not what was written: its checksum differs"
+
+
+def _write_apart(file: Path, rows: pa.Table, variants: Sequence[str]) -> None:
+    """The rows of each variant as a batch of its own, in the order of `variants`."""
+    number = pc.index_in(rows.column("variant").cast(pa.string()), pa.array(variants)).to_numpy()
+    order = np.argsort(number, kind="stable")
+    ends = np.searchsorted(number[order], np.arange(len(variants) + 1))
+    (ordered,) = rows.take(pa.array(order)).combine_chunks().to_batches() or [
+        pa.RecordBatch.from_pylist([], rows.schema)
+    ]
+    with pa.ipc.new_file(file, ordered.schema) as out:
+        for begin, end in zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True):
+            out.write_batch(ordered.slice(begin, end - begin))
 
 
 def _read(path: Path, names: Sequence[str], where: pc.Expression | None) -> pa.Table:

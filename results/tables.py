@@ -398,8 +398,8 @@ TABLES: Mapping[str, Table] = {
         {
             "step": _STEP,
             "variant": _VARIANT,
+            "subject": _key("Pseudonym that the value is about; before the receiver, because receivers know much the same."),
             "receiver": _key("Vehicle that looks the value up (actor number)."),
-            "subject": _key("Pseudonym that the value is about."),
             "trust": Column("float32", unit="1", meaning="Value that is used, in [0, 1]."),
             "source": Column("category", categories=labels(TrustSource), meaning="Where it comes from: the server, own evidence, or the default, which also stands in for an unjudged value under trust.unjudged = \"default\"."),
             "state": Column("category", categories=labels(LookupState), meaning="What is known: an evaluation within the window (judged), older ones only (stale), a value without any (unjudged), or no value (default)."),

@@ -2,7 +2,8 @@
 
 A ray crosses an upright box where its horizontal length lies in an interval (one per column of azimuth) and its height
 in another (one per box). Both are widened and narrowed by more than single precision can err; returns between the two
-are tested in double precision, so that the counts are those of the exact test of every return.
+are tested in double precision, so that the counts are those of the exact test of every return. Blocks of rows whose
+returns are all nearer than the box, or all farther, are not looked at.
 """
 
 from __future__ import annotations
@@ -20,6 +21,11 @@ BLOCK = 16
 
 _GRAZING = 1e-7
 """Sine of the angle between a column and a side of the box below which their crossing is not computed."""
+
+_FEW = 16
+"""Boxes of one sweep for which it does not pay to look at the whole sweep first."""
+
+_INF = np.float32(np.inf).view(np.int32)
 
 _WIDE = 4096
 """More than the rows of a column; a sum of float32 that counts two things is exact up to 2^24."""
@@ -67,33 +73,100 @@ def _tally(ranges, c, r0, r1, cos_el, sin_el, middle, half, height, half_h, erro
 
 
 @njit(cache=True)
-def _count(ranges, beams, cos_el, sin_el, a0, a1, r0, r1, x, y, z, cos, sin, half_l, half_w, half_h, near, far):
+def _nearest_and_farthest(ranges, c, r0, r1):
+    """The nearest and farthest return of a column in rows r0 to r1: inf and 0 if there are none.
+
+    As integers, which have the order of the floats that they are: their extrema are found many at a time.
+    """
+    nearest, farthest = _INF, np.int32(0)
+    column = np.uint64(c)
+    for r in range(np.uint64(r0), np.uint64(r1)):
+        d = ranges[column, r]
+        nearest, farthest = min(nearest, d), max(farthest, d if d < _INF else np.int32(0))
+    return nearest, farthest
+
+
+@njit(cache=True)
+def _bounds(ranges, flat, nearest, farthest):
+    """Horizontal lengths between which the returns of a sweep lie, by block and column.
+
+    `flat` are the least and largest cosine of each block's elevations.
+    """
+    n, m = ranges.shape
+    as_integers, low, high = ranges.view(np.int32), nearest.view(np.int32), farthest.view(np.int32)
+    for c in range(n):
+        for b in range(m // BLOCK):
+            low[b, c], high[b, c] = _nearest_and_farthest(as_integers, c, BLOCK * b, BLOCK * b + BLOCK)
+        if m % BLOCK > 0:
+            low[-1, c], high[-1, c] = _nearest_and_farthest(as_integers, c, m // BLOCK * BLOCK, m)
+    for b in range(len(flat)):
+        nearest[b] *= flat[b, 0]
+        farthest[b] *= flat[b, 1]
+
+
+@njit(cache=True)
+def _any_between(nearest, farthest, a0, a1, b0, b1, enter, leave):
+    """Whether a block of these columns may have a return of a length between two."""
+    found = 0
+    for b in range(b0, b1):
+        near, far = nearest[b, a0:a1], farthest[b, a0:a1]
+        for i in range(len(near)):
+            found |= (far[i] >= enter) & (near[i] <= leave)
+    return found > 0
+
+
+@njit(cache=True)
+def _blocks_between(nearest, farthest, a0, a1, b0, b1, enter, leave, error, first, last):
+    """First and last block of each column that may have a return between two lengths of its own; b1, b0 if none."""
+    first[: a1 - a0], last[: a1 - a0] = b1, b0
+    for b in range(b1 - 1, b0 - 1, -1):
+        near, far, here = nearest[b, a0:a1], farthest[b, a0:a1], np.int32(b)
+        for i in range(len(near)):
+            found = (far[i] >= enter[i] - error) & (near[i] <= leave[i] + error)
+            first[i] = here if found else first[i]
+            last[i] = max(last[i], here + np.int32(1)) if found else last[i]
+
+
+@njit(cache=True)
+def _count(ranges, beams, cos_el, sin_el, a0, a1, r0, r1, x, y, z, cos, sin, half_l, half_w, half_h, bounds, scratch):
     """Returns in columns a0 to a1 and rows r0 to r1 that lie inside a box."""
     m = len(cos_el)
-    first, last = r0 // BLOCK * BLOCK, min((r1 + BLOCK - 1) // BLOCK, m // BLOCK) * BLOCK
+    nearest, farthest = bounds
+    near, far, first, until = scratch
+    error = 2e-5 + 2e-6 * (abs(x) + abs(y) + abs(z) + half_l + half_w + half_h)
+    b0, b1 = r0 // BLOCK, (r1 + BLOCK - 1) // BLOCK
+    radius, distance = np.hypot(half_l, half_w), np.hypot(x, y)
+    least, most = np.float32(distance - radius - 3.0 * error), np.float32(distance + radius + 3.0 * error)
+    if not _any_between(nearest, farthest, a0, a1, b0, b1, least, most):
+        return 0
     p, q = -(cos * x + sin * y), -(cos * y - sin * x)
     _crossings(beams, a0, a1, p, q, cos, sin, half_l, half_w, near, far)
-    error = 2e-5 + 2e-6 * (abs(x) + abs(y) + abs(z) + half_l + half_w + half_h)
+    _blocks_between(nearest, farthest, a0, a1, b0, b1, near, far, 3.0 * error, first, until)
     total = 0
     for c in range(a0, a1):
         enter, leave = near[c - a0], far[c - a0]
-        tested = r0  # first row that is tested exactly
+        tested, end = r0, r1  # rows that are tested exactly
         if enter == enter:
             if enter - error >= leave + error or leave + error <= 0.0:
                 continue
             enter = max(enter, -1.0)  # a long interval behind the sensor would cost precision
+            some, last = first[c - a0], until[c - a0]
+            if some >= last:
+                continue
+            whole = min(last, m // BLOCK)
             counted = _tally(
-                ranges, c, first, last, cos_el, sin_el, np.float32(0.5 * (enter + leave)),
+                ranges, c, BLOCK * some, BLOCK * whole, cos_el, sin_el, np.float32(0.5 * (enter + leave)),
                 np.float32(0.5 * (leave - enter)), np.float32(z), np.float32(half_h), np.float32(error),
             )  # fmt: skip
             if counted // _WIDE == counted % _WIDE:
                 total += counted // _WIDE
-                tested = max(r0, last)
+                some = whole
+            tested, end = max(r0, BLOCK * some), min(r1, BLOCK * last)
         ca, sa = beams.cos_az[c], beams.sin_az[c]
-        for r in range(tested, r1):
+        for r in range(tested, end):
             d = np.float64(ranges[c, r])
-            flat = d * beams.cos_el[r]
-            total += in_box(flat * ca, flat * sa, d * beams.sin_el[r], x, y, z, cos, sin, half_l, half_w, half_h)
+            away = d * beams.cos_el[r]
+            total += in_box(away * ca, away * sa, d * beams.sin_el[r], x, y, z, cos, sin, half_l, half_w, half_h)
     return total
 
 
@@ -103,8 +176,17 @@ def points_in_boxes(range_m, beams, o, run, xyz, lwh, yaw):
     out = np.zeros(len(o), np.int32)
     n, m = range_m.shape[1], len(beams.tan_el)
     cos_el, sin_el = beams.cos_el.astype(np.float32), beams.sin_el.astype(np.float32)
+    flat = np.empty(((m + BLOCK - 1) // BLOCK, 2), np.float32)
+    for b in range(len(flat)):
+        block = beams.cos_el[BLOCK * b : BLOCK * (b + 1)]
+        flat[b, 0], flat[b, 1] = block.min(), block.max()
     for i in prange(len(run) - 1):
-        near, far = np.empty(n), np.empty(n)
+        lengths = np.empty((2, len(flat), n), np.float32)
+        bounds = lengths[0], lengths[1]
+        bounds[0][:], bounds[1][:] = 0.0, np.inf
+        if run[i + 1] - run[i] > _FEW:
+            _bounds(range_m[o[run[i]]], flat, bounds[0], bounds[1])
+        scratch = np.empty(n), np.empty(n), np.empty(n, np.int32), np.empty(n, np.int32)
         for k in range(run[i], run[i + 1]):
             x, y, z = xyz[k, 0], xyz[k, 1], xyz[k, 2]
             half_l, half_w, half_h = 0.5 * lwh[k, 0], 0.5 * lwh[k, 1], 0.5 * lwh[k, 2]
@@ -123,6 +205,6 @@ def points_in_boxes(range_m, beams, o, run, xyz, lwh, yaw):
                 if c1 > c0:
                     out[k] += _count(
                         range_m[o[k]], beams, cos_el, sin_el, c0, c1, r0, r1, x, y, z, cos, sin, half_l, half_w,
-                        half_h, near, far,
+                        half_h, bounds, scratch,
                     )  # fmt: skip
     return out

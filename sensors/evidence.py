@@ -13,7 +13,6 @@ from numpy import ndarray
 from sensors import box_points, evidence_kernels, range_image
 from sensors.boxes import Boxes
 from sensors.lidar import RangeImages, Scanners, Sweeps
-from sensors.neighbours import neighbours
 from sensors.scene import ObjectClass, prisms
 
 
@@ -166,7 +165,7 @@ def observability(sweeps: Sweeps, boxes: Boxes, shape: UInt8[ndarray, "n"]) -> O
     -----
     The road occludes nothing in the unoccluded count; dropouts of the sweep count as occlusion.
     """
-    ptr, row = neighbours(sweeps.poses.origin_m, boxes, sweeps.max_range_m)
+    ptr, row = sweeps.near
     n_returns, n_unoccluded = range_image.unoccluded_returns(
         sweeps.hit, sweeps.poses.origin_m, sweeps.poses.yaw_rad, sweeps.beams, float(sweeps.max_range_m),
         boxes.xyz_m, boxes.circumradius_m, boxes.lwh_m[:, 2], ptr, row, sweeps.observers, prisms(shape, boxes),

@@ -186,31 +186,44 @@ def _side(x, y):
 
 
 @njit(cache=True)
+def _places(ranges, hits, cos_el, c, x, y, along_x, along_y, top, side, place):
+    """Cell and kind (wall, road) in which each ray of a column that is counted ended; -1 for neither kind."""
+    column, width = np.uint64(c), np.int32(side)
+    for q in range(np.uint64(len(place))):
+        r = q * np.uint64(ROW_STEP)
+        flat, code = ranges[column, r] * cos_el[r], hits[column, r]
+        i, j = np.int32(min(max(x + flat * along_x, 0.0), top)), np.int32(min(max(y + flat * along_y, 0.0), top))
+        at = np.int32(2) * (i * width + j) + np.int32(code == Hit.GROUND) * np.int32(_ROAD)
+        place[q] = at if (code == Hit.GROUND) | (code == Hit.BUILDING) else np.int32(-1)
+
+
+@njit(cache=True)
 def _tally(ranges, hits, beams, x, y, cos, sin, x0, y0, side):
     """Cells and kinds (wall, road) of one sweep: which, returns, first and last column; and returns by kind."""
     number = np.zeros(2 * side * side, np.int32)  # place in the list, from 1
-    n_looked_at = -(-hits.shape[0] // COLUMN_STEP) * -(-hits.shape[1] // ROW_STEP)
-    met = np.empty((4, n_looked_at), np.int32)
+    n_rows = -(-hits.shape[1] // ROW_STEP)
+    met = np.empty((4, -(-hits.shape[0] // COLUMN_STEP) * n_rows), np.int32)
+    place = np.empty(n_rows, np.int32)
     total = np.zeros(2, np.int64)
     k = 0
     x, y, top = x / CELL_M - x0, y / CELL_M - y0, side - 0.5
     for c in range(0, hits.shape[0], COLUMN_STEP):
         along_x = (cos * beams.cos_az[c] - sin * beams.sin_az[c]) / CELL_M
         along_y = (sin * beams.cos_az[c] + cos * beams.sin_az[c]) / CELL_M
-        for r in range(0, hits.shape[1], ROW_STEP):
-            code = hits[c, r]
-            if code == Hit.GROUND or code == Hit.BUILDING:
-                flat = ranges[c, r] * beams.cos_el[r]
-                i, j = int(min(max(x + flat * along_x, 0.0), top)), int(min(max(y + flat * along_y, 0.0), top))
-                kind = _ROAD if code == Hit.GROUND else _WALL
-                at = 2 * (i * side + j) + kind
+        _places(ranges, hits, beams.cos_el, c, x, y, along_x, along_y, top, side, place)
+        q = 0
+        while q < n_rows:
+            at, first = place[q], q
+            while q < n_rows and place[q] == at:  # neighbours often end in the same cell
+                q += 1
+            if at >= 0:
                 if number[at] == 0:
                     met[0, k], met[1, k], met[2, k] = at, 0, c
                     k += 1
                     number[at] = k
-                met[1, number[at] - 1] += 1
+                met[1, number[at] - 1] += q - first
                 met[3, number[at] - 1] = c
-                total[kind] += 1
+                total[at % 2] += q - first
     return met[:, :k], total
 
 

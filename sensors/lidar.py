@@ -8,14 +8,15 @@ from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 from annotated_types import Ge, Gt, Le, Lt
-from jaxtyping import Float, Float32, Int, Int32, UInt8, UInt64
+from jaxtyping import Float, Float32, Int, UInt8, UInt64
 from numba import njit
 from numpy import ndarray
 
 from sensors.boxes import Boxes
+from sensors.neighbours import Neighbours, neighbours
 from sensors.range_noise import RangeNoise
 from sensors.raycast import columnar, embree, open3d
-from sensors.scene import Scene, prisms
+from sensors.scene import Hit, Scene, prisms
 
 
 class Profile(NamedTuple):
@@ -229,8 +230,10 @@ class RangeImages(Scanners):
 class Sweeps(RangeImages):
     """Range images, and what each ray met."""
 
-    hit: Int32[ndarray, "m a e"]
+    hit: Int[ndarray, "m a e"]
     """What returned, as a `Hit` code. Truth: only truth columns may read it."""
+    near: Neighbours
+    """Actors whose bodies may come within range of each sensor."""
 
 
 ENGINES: dict[str, Callable[..., None]] = {"columnar": columnar.cast, "embree": embree.cast, "open3d": open3d.cast}
@@ -244,6 +247,7 @@ def scan(
     params: LidarParams,
     keys: UInt64[ndarray, "m"],
     out: Sweeps | tuple[ndarray, ndarray] | None = None,
+    near: Neighbours | None = None,
 ) -> Sweeps:
     """One sweep of every observer, all at one instant.
 
@@ -258,6 +262,8 @@ def scan(
     out
         Arrays `range_m` and `hit` to fill; or an earlier result, whose arrays are overwritten where they are large
         enough: saves allocation and page faults.
+    near
+        `neighbours` of the sensors, where they are known already.
 
     Notes
     -----
@@ -273,12 +279,18 @@ def scan(
     grid = on.beams
     size = (len(observers), len(grid.azimuth_rad), len(grid.elevation_rad))
     old_range_m, old_hit = out if isinstance(out, tuple) else (None, None) if out is None else (out.range_m, out.hit)
-    range_m, hit = buffer(size, np.float32, old_range_m), buffer(size, np.int32, old_hit)
+    range_m, hit = buffer(size, np.float32, old_range_m), buffer(size, hit_type(len(boxes)), old_hit)
+    near = neighbours(on.poses.origin_m, boxes, params.max_range_m) if near is None else near
     ENGINES[params.engine](
         range_m, hit, on.poses, on.ground_m, observers, grid, params.max_range_m, boxes, prisms(shape, boxes), scene,
-        RangeNoise.of(keys, params.range_sigma_m, params.dropout_p),
+        RangeNoise.of(keys, params.range_sigma_m, params.dropout_p), near,
     )  # fmt: skip
-    return Sweeps(on.poses, observers, on.ground_m, grid, params.max_range_m, range_m, hit)
+    return Sweeps(on.poses, observers, on.ground_m, grid, params.max_range_m, range_m, hit, near)
+
+
+def hit_type(n_actors: int) -> type:
+    """The narrowest type that holds the codes of so many actors: what rays met is written and read once per sweep."""
+    return np.int16 if n_actors + Hit.ACTOR <= np.iinfo(np.int16).max else np.int32
 
 
 def scanners(boxes: Boxes, observers: Int[ndarray, "m"], params: LidarParams) -> Scanners:
@@ -294,10 +306,10 @@ def with_ranges(on: Scanners, range_m: Float32[ndarray, "m a e"]) -> RangeImages
 
 def buffer(size: tuple[int, int, int], kind: type, old: ndarray | None) -> ndarray:
     """An array of this size, in the memory of an old one if that suffices; one eighth is spare, for growing fleets."""
-    if old is not None and old.shape == size:
+    if old is not None and old.dtype == kind and old.shape == size:
         return old
     whole = old if old is None or old.base is None else old.base
-    if whole is None or whole.shape[1:] != size[1:] or len(whole) < size[0]:
+    if whole is None or whole.dtype != kind or whole.shape[1:] != size[1:] or len(whole) < size[0]:
         whole = np.empty((size[0] + size[0] // 8, *size[1:]), kind)
     return whole[: size[0]]
 

@@ -184,9 +184,11 @@ class LosCache:
         if blocked is None:
             blocked = index.crosses_filled(xyz, a, b)
         out = np.empty(len(a), np.bool_)
+        place, is_new = _place(cell), np.empty(len(a), np.bool_)
         kernels.has_los_cached(
-            xyz, index.indoors(xyz), _place(cell), a, b, blocked, index.grid, index.walls.segment, self.memo, out
+            xyz, index.indoors(xyz), place, a, b, blocked, index.grid, index.walls.segment, self.memo, out, is_new
         )
+        kernels.remember(place, a, b, out, is_new, self.memo)
         return out
 
     def walls_crossed(

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int, UInt8
-from numba import njit
+from numba import njit, prange
 from numpy import ndarray
 
 from sensors.hash_rng import mix
@@ -204,6 +204,8 @@ _AT_ONCE = 3
 N_WAYS = 8
 _WAYS = np.uint64(N_WAYS - 1)
 _REGION = np.uint64(127)
+_CHUNK = 1024
+"""Lines that one thread follows at once."""
 
 
 @inlined
@@ -240,31 +242,57 @@ def has_los(xyz, indoors, a, b, blocked, grid, walls, out):
         out[m] = not _is_cut(xyz, p, q, grid, walls)
 
 
+@inlined
+def _entry(place, p, q, mask):
+    """Where the answer of a pair of places is kept, and the tag that it has there."""
+    one = np.uint64(1)
+    region = mix(place[p], one) & mask & ~_REGION  # pairs of one end lie close together in memory
+    low, high = (place[q], place[p]) if place[p] > place[q] else (place[p], place[q])
+    h = mix(low, high)
+    return np.int64(region | (h & _REGION & ~_WAYS)), mix(h, low) | one
+
+
+@njit(cache=True, parallel=True)
+def has_los_cached(xyz, indoors, place, a, b, blocked, grid, walls, memo, out, is_new):
+    """The same, with the answers in `memo` by the places of both ends; `is_new` are those that it lacks."""
+    n = len(a)
+    for chunk in prange((n + _CHUNK - 1) // _CHUNK):
+        first, end = chunk * _CHUNK, min((chunk + 1) * _CHUNK, n)
+        _has_los_cached(first, end, xyz, indoors, place, a, b, blocked, grid, walls, memo, out, is_new)
+
+
 @kernel
-def has_los_cached(xyz, indoors, place, a, b, blocked, grid, walls, memo, out):
-    """The same, with answers kept in `memo` by the places of both ends."""
+def _has_los_cached(begin, end, xyz, indoors, place, a, b, blocked, grid, walls, memo, out, is_new):
+    """Of the lines from `begin` to before `end`."""
     mask, one = np.uint64(memo.shape[0] - 1), np.uint64(1)
-    for m in range(len(a)):
+    for m in range(begin, end):
         p, q = a[m], b[m]
+        out[m], is_new[m] = False, False
         if blocked[m] or indoors[p] or indoors[q]:
-            out[m] = False
             continue
-        region = mix(place[p], one) & mask & ~_REGION  # pairs of one end lie close together in memory
-        if place[p] > place[q]:
-            p, q = q, p
-        h = mix(place[p], place[q])
-        tag = mix(h, place[p]) | one  # 63 bits of another hash identify the pair, the last bit is the answer
-        first = np.int64(region | (h & _REGION & ~_WAYS))
+        first, tag = _entry(place, p, q, mask)
         way = 0
         while way < N_WAYS and memo[first + way] | one != tag:
             way += 1
         if way < N_WAYS:
             out[m] = memo[first + way] & one
             continue
+        if place[p] > place[q]:
+            p, q = q, p
+        is_new[m] = True
         out[m] = not _is_cut(xyz, p, q, grid, walls)
-        for k in range(N_WAYS - 1, 0, -1):  # the oldest is evicted
-            memo[first + k] = memo[first + k - 1]
-        memo[first] = tag if out[m] else tag ^ one
+
+
+@kernel
+def remember(place, a, b, los, is_new, memo):
+    """Keep new answers."""
+    mask, one = np.uint64(memo.shape[0] - 1), np.uint64(1)
+    for m in range(len(a)):
+        if is_new[m]:
+            first, tag = _entry(place, a[m], b[m], mask)
+            for k in range(N_WAYS - 1, 0, -1):  # the oldest is evicted
+                memo[first + k] = memo[first + k - 1]
+            memo[first] = tag if los[m] else tag ^ one
 
 
 @njit(cache=True)

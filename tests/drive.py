@@ -20,8 +20,8 @@ def cosim(*words: str, cwd: Path | None = None) -> subprocess.CompletedProcess:
 
 
 def drive(folder: Path, *overrides: str, config: Path | None = None) -> Path:
-    """A short run of the shipped city, or of a config, into `folder`; overrides may name parts of `tests.parts`."""
-    sets = [word for override in (*SHORT, *overrides) for word in ("--set", override)]
+    """A short run of the shipped city, or one of a config, into `folder`; overrides may name parts of `tests.parts`."""
+    sets = [word for override in (*(() if config else SHORT), *overrides) for word in ("--set", override)]
     done = cosim("run", *([str(config)] if config else []), *sets, "--out", str(folder), "--json")
     assert done.returncode == 0, done.stderr
     return folder

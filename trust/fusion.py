@@ -81,12 +81,13 @@ class Parity:
 
 
 class _Lists(NamedTuple):
-    """Object lists of the egos, and the message of each detection."""
+    """Object lists of the egos, and message and score of each detection."""
 
     ptr: ndarray
     member: ndarray
     owner: ndarray
     message: ndarray
+    score: ndarray
 
 
 class _Evaluated(NamedTuple):
@@ -129,13 +130,32 @@ class _MemberSums(NamedTuple):
     last: ndarray
 
 
+class _Totals(NamedTuple):
+    """Per group, over its members: their number, and sums as in `GroupSums`."""
+
+    size: ndarray
+    scores: ndarray
+    trusted_scores: ndarray
+    trust: ndarray
+    numerator: ndarray
+    weight: ndarray
+    n_evaluations: ndarray
+
+    @staticmethod
+    def zeros(n: int) -> "_Totals":
+        """Of n groups."""
+        whole, real = np.zeros((2, n), np.int64), np.zeros((5, n))
+        return _Totals(whole[0], real[0], real[1], real[2], real[3], real[4], whole[1])
+
+
 @njit(cache=True, parallel=True)
-def _accumulate(lists, of, weights, n_chunks, sums):
-    """Fill the sums of all members."""
-    list_ptr, member, owner, message = lists
+def _accumulate(lists, of, weights, n_chunks, sums, totals):
+    """Fill the sums of all members, and those of all groups."""
+    list_ptr, member, owner, message, score = lists
     evaluated_ptr, evaluated, evaluated_by, own_e, own_phi, reported_e, reported_phi = of
     received_ptr, received, trust, has_evaluations, ego_trust, ego_computed, default_trust, unit_trust = weights
     num, den, n, detector, group, n_evaluators, last = sums
+    size, scores, trusted, trusts, numerator, weight, n_evaluations = totals
     n_detections = message.size
     n_messages = evaluated_by.size
     for chunk in prange(n_chunks):
@@ -170,6 +190,14 @@ def _accumulate(lists, of, weights, n_chunks, sums):
                             n_evaluators[g] += 1
             for p in range(list_ptr[x], list_ptr[x + 1]):
                 at[member[p]] = -1
+                g, s = group[p], score[member[p]]
+                size[g] += 1
+                scores[g] += s
+                trusted[g] += s * detector[p]
+                trusts[g] += detector[p]
+                numerator[g] += num[p]
+                weight[g] += den[p]
+                n_evaluations[g] += n[p]
             for h in range(received_ptr[x], received_ptr[x + 1]):
                 known[received[h]] = default_trust
             known[ego] = default_trust
@@ -335,7 +363,9 @@ def fuse(
     arrived = np.ones(n_received, bool) if sender_trust.has_evaluations is None else sender_trust.has_evaluations
     n_sums = m + n_received * evaluated.member.size / max(1, evaluated.owner.size)
     with threads_for(n_sums) as n_threads:
-        of_lists = _Lists(int64(lists.ptr), int64(lists.member), int64(lists.owner), int64(detections.message))
+        of_lists = _Lists(
+            int64(lists.ptr), int64(lists.member), int64(lists.owner), int64(detections.message), detections.score
+        )
         of_evaluations = _Evaluated(
             int64(evaluated.ptr), int64(evaluated.member), evaluated_by, own.evaluation, own.visibility,
             reported.evaluation, reported.visibility,
@@ -345,24 +375,22 @@ def fuse(
             params.ego_trust, computed, params.default_trust, params.code_parity,
         )  # fmt: skip
         sums_of_members = _MemberSums(num, den, n, detector, group, n_evaluators, np.full(seeds.size, -2))
-        _accumulate(of_lists, of_evaluations, weights, n_threads, sums_of_members)
+        totals = _Totals.zeros(seeds.size)
+        _accumulate(of_lists, of_evaluations, weights, n_threads, sums_of_members, totals)
 
     member, row = lists.member, lists.member[seeds]
-    score_of_member = detections.score[member]
-
-    def total(x: ndarray) -> ndarray:
-        return np.bincount(group, x, seeds.size).astype(float)  # integers where there is nothing
-
-    size = np.bincount(group, minlength=seeds.size)
     parity = None
     if params.code_parity:
         by_ego = detections.message[member] == lists.owner[lists.of_member()]
-        parity = _parity(
-            num, den, n, score_of_member, detections.is_self[member], detector, by_ego, seeds, total, params
-        )
+
+        def total(x: ndarray) -> ndarray:
+            return np.bincount(group, x, seeds.size).astype(float)  # integers where there is nothing
+
+        score_of_member, is_self = detections.score[member], detections.is_self[member]
+        parity = _parity(num, den, n, score_of_member, is_self, detector, by_ego, seeds, total, params)
     sums = GroupSums(
-        size, groups.ego_detected[seeds], score_of_member[seeds], total(score_of_member),
-        total(score_of_member * detector), total(detector), total(num), total(den), parity, evidence,
+        totals.size, groups.ego_detected[seeds], detections.score[row], totals.scores, totals.trusted_scores,
+        totals.trust, totals.numerator, totals.weight, parity, evidence,
     )  # fmt: skip
     if score_objects is None:
         score = np.clip(METHODS[params.method](sums, params), 0.0, 1.0)
@@ -380,9 +408,8 @@ def fuse(
         pose = member[order[np.searchsorted(group[order], np.arange(seeds.size))]]
         pose = np.where(score > 0, pose, row)
     fused = Fused(
-        lists.of_member()[seeds], row, pose, score, sums.ego_detected, size,
-        total(n.astype(float)).astype(np.int64), n_evaluators,
-    )  # fmt: skip
+        lists.of_member()[seeds], row, pose, score, sums.ego_detected, totals.size, totals.n_evaluations, n_evaluators
+    )
     return fused.take(~(sums.ego_detected & detections.is_self[row]))
 
 

@@ -14,6 +14,7 @@ from numpy import ndarray
 from cosim.actors import ActorRegistry
 from cosim.mobility.fcd import Timestep, timesteps
 from cosim.mobility.frame import Frame, TrafficError
+from cosim.mobility.objects import PREFIX
 from cosim.mobility.params import TrafficParams
 from cosim.mobility.remarks import FlowCounts
 from cosim.mobility.source import SHAPE_OF_CLASS, TrafficEnded, refuse_commands, world_from_bumpers, world_of
@@ -177,6 +178,7 @@ class RunReplay:
             )
         vehicles = run.table("vehicles").sort_values("vehicle")
         self._names = vehicles.sumo_id.tolist()
+        self._is_traffic = ~vehicles.sumo_id.str.startswith(PREFIX).to_numpy(bool)  # the config places objects again
         self._shape = np.array([Shape[k.upper()] for k in vehicles.vehicle_class], np.uint8)
         self._lwh_m = vehicles[["length_m", "width_m", "height_m"]].to_numpy(float)
         for name, sizes in zip(self._names, self._lwh_m.tolist(), strict=True):
@@ -203,6 +205,9 @@ class RunReplay:
             raise TrafficEnded(f"{self._run.path} ends after {self._run.manifest['steps'] * self._run.dt_s:g} s")
         rows = self._at(wanted)
         actor = rows["actor"]
+        if not self._is_traffic.all():
+            rows = {name: column[self._is_traffic[actor]] for name, column in rows.items()}
+            actor = rows["actor"]
         new = actor[self._number[actor] == _UNKNOWN]
         if len(new):
             names = [self._names[i] for i in new.tolist()]

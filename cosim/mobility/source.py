@@ -34,7 +34,7 @@ SHAPE_OF_CLASS = {
 """Shape of each SUMO vehicle class; trains, ships, aircraft and containers are left out: they are not on the road."""
 
 
-_PER_M, _PER_RAD, _PER_MPS = (
+PER_M, PER_RAD, PER_MPS = (
     2.0 ** (TABLES["actors"].columns[name].bits or 0) for name in ("x_m", "yaw_rad", "speed_mps")
 )
 """Resolution at which the table `actors` keeps positions, angles and speeds."""
@@ -108,11 +108,11 @@ def _placed(order, actor, front_m, compass_deg, speed_mps, size_m, east_m, north
         yaw = np.deg2rad(90.0 - np.float64(np.float32(compass_deg[row])))
         yaw = np.pi - np.mod(np.pi - yaw, 2 * np.pi)  # (-pi, pi]
         back = size_m[number[i], 0] / 2
-        xyz_m[i, 0] = np.rint((front_m[row, 0] - east_m - np.cos(yaw) * back) * _PER_M) / _PER_M
-        xyz_m[i, 1] = np.rint((front_m[row, 1] - north_m - np.sin(yaw) * back) * _PER_M) / _PER_M
-        xyz_m[i, 2] = np.rint((np.float64(np.float32(front_m[row, 2])) + size_m[number[i], 2] / 2) * _PER_M) / _PER_M
-        yaw_rad[i] = np.rint(yaw * _PER_RAD) / _PER_RAD
-        speed[i] = np.rint(np.float64(np.float32(speed_mps[row])) * _PER_MPS) / _PER_MPS
+        xyz_m[i, 0] = np.rint((front_m[row, 0] - east_m - np.cos(yaw) * back) * PER_M) / PER_M
+        xyz_m[i, 1] = np.rint((front_m[row, 1] - north_m - np.sin(yaw) * back) * PER_M) / PER_M
+        xyz_m[i, 2] = np.rint((np.float64(np.float32(front_m[row, 2])) + size_m[number[i], 2] / 2) * PER_M) / PER_M
+        yaw_rad[i] = np.rint(yaw * PER_RAD) / PER_RAD
+        speed[i] = np.rint(np.float64(np.float32(speed_mps[row])) * PER_MPS) / PER_MPS
     return number, xyz_m, yaw_rad, speed
 
 

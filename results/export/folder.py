@@ -9,7 +9,9 @@ from typing import Any
 
 from results.export.moments import File
 
-PROGRESS = "export.json"
+PROGRESS = "export.progress"
+"""JSON; its name is none that readers of a layout look for."""
+
 PARTIAL = ".partial"
 
 

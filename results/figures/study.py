@@ -145,6 +145,8 @@ def _heat_maps(frame: pd.DataFrame, asked: Sequence[str], x: str, y: str) -> Fig
         mean, low, high = (grid[k].to_numpy(float).reshape(len(rows), -1) for k in ("mean", "low", "high"))
         first = of_metric.iloc[0]
         top = 1.0 if first.unit == "1" else float(np.nanmax(mean)) or 1.0
+        if first.unit == "1":  # Student's interval of few replicates reaches beyond what a share can be
+            low, high = np.maximum(low, 0.0), np.minimum(high, 1.0)
         image = axes.imshow(mean, cmap="cividis", vmin=0, vmax=top, aspect="auto")
         for i, j in np.argwhere(~np.isnan(mean)):
             text = f"{mean[i, j]:.2f}" + ("" if np.isnan(low[i, j]) else f"\n{low[i, j]:.2f} to {high[i, j]:.2f}")
@@ -154,7 +156,8 @@ def _heat_maps(frame: pd.DataFrame, asked: Sequence[str], x: str, y: str) -> Fig
         axes.set_yticks(range(len(rows)), [_said(v) for v in rows])
         axes.grid(visible=False)
         group = f", {first.group}" if ":" in name and first.group else ""
-        style.panel(axes, f"{first.label}{group}: mean and 95 % interval", label_of(x), label_of(y))
+        n = "" if of_metric.n.max() < 2 else f", {int(of_metric.n.max())} seeds"
+        style.panel(axes, f"{first.label}{group}: mean and 95 % interval{n}", label_of(x), label_of(y))
         figure.colorbar(image, ax=axes, fraction=0.03, pad=0.02)
     return figure
 

@@ -4,6 +4,7 @@ Definitions and sources are in `results/FRESHNESS.md`.
 """
 
 from collections.abc import Iterable, Iterator, Mapping
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -291,16 +292,25 @@ _ASKED = ["step", "receiver", "subject", "state", *AGES.values(), "n_evaluations
 def _lookups(run: Run, columns: list[str], by_block: bool = False) -> Iterator[pd.DataFrame]:
     """Lookups of the run's variant: together where they fit into memory, else block by block."""
     parts: Iterable[pd.DataFrame]
-    if by_block or run.n_rows("trust_lookups") // len(run.variants) > _IN_MEMORY:
+    if run.n_rows("trust_lookups") // len(run.variants) > _IN_MEMORY:
         parts = run.variant_parts("trust_lookups", columns)
     else:
-        parts = [run.once("freshness.lookups", lambda: run.variant_table("trust_lookups", _ASKED))[columns]]
+        frame, ends = run.once("freshness.lookups", lambda: _in_memory(run))
+        frame = frame[columns]
+        parts = (frame.iloc[i:j] for i, j in pairwise(ends)) if by_block else [frame]
     empty = True
     for part in parts:
         empty &= part.empty
         yield part
     if empty:
         raise ValueError(f"{run.path} {_NO_LOOKUPS}")
+
+
+def _in_memory(run: Run) -> tuple[pd.DataFrame, list[int]]:
+    """All lookups of the variant, and where blocks begin and end."""
+    parts = list(run.variant_parts("trust_lookups", _ASKED))
+    frame = pd.concat(parts, ignore_index=True) if parts else run.variant_table("trust_lookups", _ASKED)
+    return frame, [0, *np.cumsum([len(part) for part in parts]).tolist()]
 
 
 class _RoleCodes:

@@ -10,7 +10,7 @@ its trust is below a threshold.
 import numpy as np
 import pandas as pd
 import pyarrow.compute as pc
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from numpy import ndarray
 
 from results.metrics import intervals, trust
@@ -136,15 +136,26 @@ def detection_delay(run: Run, threshold: float = 0.25, at: trust.At = "server") 
     subject, role, delay_s, found: where not found, the delay is the time it was watched for (censored).
     """
     who = watched(run)
-    is_low = pc.field("trust") < threshold
-    table = "trust" if at == "server" else "trust_lookups"
-    low = run.variant_table(table, ["step", "subject"], is_low & (pc.field("n_evaluations") > 0))
-    low = low.merge(who.reset_index(), on="subject")
-    low = low[(low.since <= low.step) & (low.step <= low.until)]
-    first = low.groupby("subject").step.min().reindex(who.index)
-    found = first.notna()
-    delay_s = (first.where(found, who.until) - who.since) * run.dt_s
+    step, subject = _low_values(run, threshold, at)
+    row, since, until = who.index.get_indexer(pd.Index(subject)), who.since.to_numpy(), who.until.to_numpy()
+    there = (row >= 0) & (since[row] <= step) & (step <= until[row])
+    first = np.full(len(who), np.inf)
+    np.minimum.at(first, row[there], step[there])
+    found = np.isfinite(first)
+    delay_s = (np.where(found, first, until) - since) * run.dt_s
     return pd.DataFrame({"role": who.role, "delay_s": delay_s, "found": found}).reset_index()
+
+
+def _low_values(run: Run, threshold: float, at: trust.At) -> tuple[Int[ndarray, "n"], Int[ndarray, "n"]]:
+    """Step and subject of the values below a threshold that rest on an evaluation."""
+    if at == "server" == trust.kept_at(run):
+        known = trust.values(run)
+        low = known[(known.trust.to_numpy(np.float64) < threshold) & known.rated.to_numpy(bool)]
+    else:
+        table = "trust" if at == "server" else "trust_lookups"
+        is_low = (pc.field("trust") < threshold) & (pc.field("n_evaluations") > 0)
+        low = run.variant_table(table, ["step", "subject"], is_low)
+    return low.step.to_numpy(np.int64), low.subject.to_numpy(np.int64)
 
 
 def detection_summary(run: Run, threshold: float = 0.25, at: trust.At = "server") -> pd.DataFrame:

@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit, prange
 
 from sensors.boxes import Boxes
-from sensors.neighbours import neighbours
+from sensors.neighbours import Neighbours
 from sensors.range_noise import RangeNoise, add_noise
 from sensors.raycast.city import close_columns, gather, toggle_levels
 from sensors.raycast.column import actor_columns, below, in_prism_frame, profile, rectangle
@@ -23,7 +23,7 @@ from sensors.scene import Hit, Prisms, Scene
 
 def cast(
     range_m, hit, poses, ground_m, observers, beams, max_range_m, boxes: Boxes, bodies: Prisms, scene: Scene,
-    noise: RangeNoise,
+    noise: RangeNoise, near: Neighbours,
 ):  # fmt: skip
     """Fill `range_m` and `hit` of every observer; see `sensors.lidar.scan`."""
     if scene.triangles_m is not None or scene.bodies_m:
@@ -32,10 +32,9 @@ def cast(
             f'lidar.engine = "columnar" casts upright prisms, and the scene has a mesh of {sum(map(len, meshes))} '
             'triangles. Set lidar.engine to "embree" or "open3d".'
         )
-    ptr, row = neighbours(poses.origin_m, boxes, max_range_m)
     _cast(
         range_m, hit, poses.origin_m, poses.yaw_rad, ground_m, observers, beams, float(max_range_m),
-        boxes.xyz_m, boxes.circumradius_m, ptr, row, bodies, scene.buildings, noise,
+        boxes.xyz_m, boxes.circumradius_m, near.ptr, near.row, bodies, scene.buildings, noise,
     )  # fmt: skip
 
 

@@ -12,6 +12,7 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 
 from sensors.boxes import Boxes
+from sensors.neighbours import Neighbours
 from sensors.range_noise import RangeNoise, add_noise_to_all
 from sensors.scene import Hit, Prisms, Scene, roof_triangles
 
@@ -25,7 +26,7 @@ Tracer = Callable[[Float[ndarray, "r 3"], Float[ndarray, "r 3"]], tuple[Float[nd
 def cast(
     tracer_of: Callable[[ndarray], Tracer],
     range_m, hit, poses, ground_m, observers, beams, max_range_m, boxes: Boxes, bodies: Prisms, scene: Scene,
-    noise: RangeNoise,
+    noise: RangeNoise, _near: Neighbours,
 ):  # fmt: skip
     """Fill `range_m` and `hit` of every observer; `tracer_of` makes an engine from triangles (t, 3, 3)."""
     city, (body, actor) = city_triangles(scene), _bodies(bodies, boxes, scene)

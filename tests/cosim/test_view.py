@@ -11,7 +11,7 @@ from PIL import Image
 from cosim.replay_lidar import film
 from cosim.view import colours, view
 from results.archive import open_run
-from tests.drive import drive
+from tests.drive import cosim, drive
 
 pytest.importorskip("rerun", reason="Rerun's SDK is not installed: pip install cosim[view]")
 
@@ -63,6 +63,25 @@ def test_mistakes(folder, tmp_path, out, more, says):
     with pytest.raises(ValueError, match=says):
         view(open_run(folder), tmp_path / out, **more)
     assert not (tmp_path / "run.rrd").exists()
+
+
+def test_a_full_disk_is_one_line(folder, tmp_path):
+    small = tmp_path / "small"
+    small.mkdir()
+    if subprocess.run(["mount", "-t", "tmpfs", "-o", "size=300k", "tmpfs", str(small)], capture_output=True).returncode:
+        pytest.skip("no file system can be mounted here")
+    try:
+        done = cosim("view", str(folder), "--out", str(small / "run.rrd"))
+        assert done.returncode == 2 and len(done.stderr.strip().splitlines()) == 1 and done.stdout == ""
+        assert "run.rrd cannot be written to its end" in done.stderr and not list(small.iterdir())
+        done = cosim("export", "kitti", str(folder), "--out", str(small / "kitti"))
+        assert done.returncode == 2 and len(done.stderr.strip().splitlines()) == 1 and "are free" in done.stderr
+        (small / "full").write_bytes(bytes(small.stat().st_blksize * 70))
+        done = cosim("plot", "trust", str(folder), "--out", str(small / "trust.png"))
+        assert len(done.stderr.strip().splitlines()) == 1 and "trust.png: No space left on device" in done.stderr
+        assert done.returncode == 1 and {path.name for path in small.iterdir()} == {"kitti", "full"}
+    finally:
+        subprocess.run(["umount", str(small)], check=True)
 
 
 def test_movie(folder, tmp_path):

@@ -4,12 +4,15 @@ from itertools import pairwise
 
 import matplotlib
 import numpy as np
+import pandas as pd
 import pytest
 from matplotlib.colors import to_rgb
 
 from results.archive import open_run
+from results.figures import study as study_figure
 from results.figures import style, trust
 from results.figures.catalogue import FIGURES
+from results.study import Study
 from tests.results.synthetic import write
 
 
@@ -125,3 +128,22 @@ def test_malicious_is_red_and_every_role_has_one_colour(run):
     assert len({style.role_look(role, (*roles, "mine", "yours"))["color"] for role in (*roles, "mine", "yours")}) == 5
     shown = {line.get_label(): line.get_color() for line in trust.draw([run]).legends[0].get_lines()}
     assert shown == {role: style.role_look(role, roles)["color"] for role in roles}
+
+
+def test_heat_map_of_attacks_and_models(tmp_path):
+    """Two seeds at 0.4 and 0.6: Student's interval, 0.5 +- 12.7 x 0.1, is cut to what a share can be."""
+    keys = [("ghosts", "beta"), ("ghosts", "mate"), ("replay", "beta"), ("replay", "mate")]
+    points = pd.DataFrame(
+        [{"point": f"{i}-{r}", "run": "all", "variant": "base", "replicate": r, "attack": a, "model": m}
+         for i, (a, m) in enumerate(keys) for r in (0, 1)]
+    )  # fmt: skip
+    (tmp_path / "jobs" / "all").mkdir(parents=True)
+    pd.DataFrame({
+        "point": points.point, "metric": "misbehaviour.auc", "group": "malicious",
+        "value": 0.4 + 0.2 * points.replicate, "unit": "1", "label": "AUC",
+    }).to_parquet(tmp_path / "jobs" / "all" / "measures.parquet")  # fmt: skip
+    study = Study(tmp_path, {"name": "s", "question": "", "keys": ["attack", "model"], "baseline": {}}, points)
+    axes = study_figure.draw(study, "misbehaviour", ["misbehaviour.auc:malicious"]).axes[0]
+    assert [text.get_text() for text in axes.texts] == ["0.50\n0.00 to 1.00"] * 4
+    assert [label.get_text() for label in axes.get_yticklabels()] == ["beta", "mate"]
+    assert "2 seeds" in axes.get_title(loc="left")

@@ -1,7 +1,8 @@
-"""How many colluders it takes to exclude an honest vehicle, per trust model: `python -m tests.verification.rings OUT`.
+"""How many colluders exclude an honest vehicle, per trust model: `python -m tests.verification.rings OUT [SEEDS]`.
 
 Rings of 1, 2, 4 and 8 vehicles each deny whatever one honest vehicle reports. Victims and their rings are those that
-stay nearest to each other in the shipped city; all trust models judge the same evidence.
+stay nearest to each other in the shipped city; all trust models judge the same evidence. Each seed has its own traffic
+and victims; what is there of an earlier call is not driven again.
 """
 
 import subprocess
@@ -12,7 +13,7 @@ import numpy as np
 import pandas as pd
 
 from results.archive import open_run
-from results.metrics import misbehaviour, trust
+from results.metrics import intervals, misbehaviour, trust
 
 SIZES = (1, 2, 4, 8)
 N_VICTIMS, START_S, DURATION_S = 4, 20.0, 80.0
@@ -60,8 +61,8 @@ def choose(folder: Path) -> dict[int, list[tuple[str, list[str]]]]:
 
 
 def table(folder: Path, rings: dict[int, list[tuple[str, list[str]]]]) -> pd.DataFrame:
-    """Per model and size: victims, their median trust at the end, and how many are below half of the median of the
-    other honest vehicles (size 0: those)."""
+    """Honest vehicles at the end, per model: ring (size; 0 for those without one), trust, and whether it is below half
+    of the median of those without a ring."""
     run = open_run(folder)
     size_of = {name: size for size, some in rings.items() for name, _ in some}
     rows = []
@@ -72,32 +73,49 @@ def table(folder: Path, rings: dict[int, list[tuple[str, list[str]]]]) -> pd.Dat
         names = run.vehicles.set_index("vehicle").sumo_id
         size = last.vehicle.map(names).map(size_of).fillna(0).astype(int)
         limit = 0.5 * last.trust[size == 0].median()
-        rows += [
-            {"model": variant, "ring": n, "victims": len(some), "trust": some.trust.median(),
-             "excluded": int((some.trust < limit).sum())}
-            for n, some in last.groupby(size)
-        ]  # fmt: skip
-    return pd.DataFrame(rows)
+        rows.append(pd.DataFrame(
+            {"model": variant, "ring": size, "trust": last.trust, "excluded": last.trust < limit}
+        ))  # fmt: skip
+    return pd.concat(rows, ignore_index=True)
 
 
-def main(out: Path) -> None:
-    """The run and its table."""
+def summary(victims: pd.DataFrame) -> pd.DataFrame:
+    """Per model and size: victims, their median trust, how many are excluded, and Wilson's 95 % interval of the share;
+    victims are the units."""
+    rows = []
+    for (model, ring), some in victims.groupby(["model", "ring"], sort=False):
+        n, k = len(some), int(some.excluded.sum())
+        found = intervals.share(some.excluded.to_numpy(float), np.ones(n))
+        rows.append((model, ring, n, some.trust.median(), k, found.low, found.high))
+    return pd.DataFrame(rows, columns=["model", "ring", "victims", "trust", "excluded", "low", "high"])
+
+
+def of_seed(out: Path, number: int) -> pd.DataFrame:
+    """Victims of one seed."""
     out.mkdir(parents=True, exist_ok=True)
-    (out / "traffic.toml").write_text("sensing = false\n" + BASE)
-    drive(out / "traffic.toml", out / "traffic")
+    base = f"seed = {4 + number}\n{BASE}".replace("[traffic]", f"[traffic]\nseed = {1 + number}")
+    if not (out / "traffic").exists():
+        (out / "traffic.toml").write_text("sensing = false\n" + base)
+        drive(out / "traffic.toml", out / "traffic")
     rings = choose(out / "traffic")
-    sections = [
-        f'[[attacks]]\nattack = "bad_mouthing"\nids = {ring}\nstart_s = {START_S:g}\nvictim = "one"\n'
-        f'victim_id = "{victim}"\nvictim_range_m = 1000.0\nonly_victim = true\n'
-        for some in rings.values() for victim, ring in some
-    ]  # fmt: skip
-    variants = [f'[[trust_variant]]\nname = "{model}"\nmodel = "{model}"\nfused = false\n' for model in MODELS]
-    (out / "rings.toml").write_text(BASE + "\n".join([*sections, *variants]))
-    drive(out / "rings.toml", out / "rings")
-    found = table(out / "rings", rings)
-    found.to_csv(out / "rings.csv", index=False)
-    sys.stdout.write(found.round(3).to_string(index=False) + "\n")
+    if not (out / "rings").exists():
+        sections = [
+            f'[[attacks]]\nattack = "bad_mouthing"\nids = {ring}\nstart_s = {START_S:g}\nvictim = "one"\n'
+            f'victim_id = "{victim}"\nvictim_range_m = 1000.0\nonly_victim = true\n'
+            for some in rings.values() for victim, ring in some
+        ]  # fmt: skip
+        variants = [f'[[trust_variant]]\nname = "{model}"\nmodel = "{model}"\nfused = false\n' for model in MODELS]
+        (out / "rings.toml").write_text(base + "\n".join([*sections, *variants]))
+        drive(out / "rings.toml", out / "rings")
+    return table(out / "rings", rings).assign(seed=number)
+
+
+def main(out: Path, n_seeds: int = 3) -> None:
+    """The runs and their table."""
+    victims = pd.concat([of_seed(out / f"seed-{number}", number) for number in range(n_seeds)], ignore_index=True)
+    victims.to_csv(out / "victims.csv", index=False)
+    sys.stdout.write(summary(victims).round(3).to_string(index=False) + "\n")
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    main(Path(sys.argv[1]), *(int(n) for n in sys.argv[2:3]))

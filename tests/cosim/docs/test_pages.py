@@ -12,8 +12,10 @@ import pytest
 import typer
 
 from cosim.cli import app
-from cosim.config import Config
+from cosim.config import Config, load
 from cosim.docs import commands, config_keys, site
+from cosim.studies import study
+from cosim.studies.points import points_of
 from results.metrics.registry import METRICS
 from results.tables import TABLES
 from tests.cosim.docs import fences
@@ -114,6 +116,20 @@ def test_configs_are_toml(source):
             assert tomllib.loads(block.text), block.text
         if block.language == "python" and block.title:
             assert compile(block.text, block.title, "exec").co_names, block.title
+
+
+@pytest.mark.parametrize("source", SOURCES)
+def test_files_to_write_are_accepted(source, tmp_path):
+    """Every config and study that a reader is told to write is one that the program takes."""
+    files = [block for block in fences.blocks(SOURCES[source].read_text(encoding="utf-8")) if block.title]
+    for block in files:
+        (tmp_path / block.title).write_text(block.text)
+    for block in files:
+        if block.title.endswith(".toml") and "[study]" in block.text:
+            found = study.load(tmp_path / block.title)
+            assert points_of(found, block.title)
+        elif block.title.endswith(".toml"):
+            assert load(tmp_path / block.title)
 
 
 def test_the_site_is_built_without_a_warning(tmp_path):

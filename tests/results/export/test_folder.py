@@ -25,7 +25,7 @@ def test_refuses_what_is_not_its_own(tmp_path):
     with pytest.raises(ValueError, match="cannot be used"):
         Folder.open(tmp_path / "thesis.tex", {})
     (tmp_path / "broken").mkdir()
-    (tmp_path / "broken/export.json").write_text("{")
+    (tmp_path / "broken/export.progress").write_text("{")
     with pytest.raises(ValueError, match="cannot be used"):
         Folder.open(tmp_path / "broken", {})
 

@@ -1,0 +1,146 @@
+"""Real objects that stand still: parked vehicles, obstacles, dummies. SUMO knows nothing of them."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Annotated, Any
+
+import numpy as np
+from annotated_types import Ge, Gt, Le
+from jaxtyping import Float, Int, UInt8
+from numpy import ndarray
+
+from cosim.actors import ActorRegistry
+from cosim.fleet import ActorClass
+from cosim.mobility.frame import Frame
+from cosim.mobility.source import PER_M, PER_RAD, TrafficSource, world_of
+from cosim.world import World
+from sensors.boxes import Boxes
+from sensors.scene import Shape
+
+PREFIX = "object/"
+"""Begin of their names, which go on with their number in the config."""
+
+TYPICAL_M = {
+    "car": (4.5, 1.85, 1.5), "van": (5.3, 1.95, 2.0), "truck": (8.0, 2.4, 3.3), "bus": (12.0, 2.55, 3.2),
+    "motorcycle": (2.2, 0.9, 1.5), "bicycle": (1.8, 0.65, 1.75), "pedestrian": (0.5, 0.5, 1.75),
+}  # fmt: skip
+"""Length, width and height where the config gives none: those of the shipped vehicle types."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ObjectParams:
+    """One real object that stands still: an `[[objects]]` section.
+
+    It is seen, occludes and is in the tables like any other actor; it is never equipped, and traffic does not react
+    to it: SUMO drives through what stands on a lane.
+    """
+
+    vehicle_class: ActorClass = "car"
+    """What it is to a detector; a dummy of a person is a pedestrian."""
+    at_m: tuple[float, float] = (0.0, 0.0)
+    """Middle of its box: east, north in the world frame [m]."""
+    ground_m: Annotated[float, Ge(-1000), Le(10_000)] = 0.0
+    """Height of the ground under it [m]."""
+    yaw_deg: Annotated[float, Ge(-360), Le(360)] = 0.0
+    """Heading, counter-clockwise from east [deg]."""
+    length_m: Annotated[float, Gt(0), Le(100)] | None = None
+    """Extent along its heading [m]; not set, as usual for its class."""
+    width_m: Annotated[float, Gt(0), Le(100)] | None = None
+    """Extent across it [m]; not set, as usual for its class."""
+    height_m: Annotated[float, Gt(0), Le(100)] | None = None
+    """Vertical extent [m]; not set, as usual for its class."""
+    from_s: Annotated[float, Ge(0), Le(1e8)] = 0.0
+    """When it is put there, since recording began [s]."""
+    to_s: Annotated[float, Gt(0), Le(1e8)] = 1e8
+    """When it is taken away [s]."""
+
+    def __post_init__(self) -> None:
+        if self.to_s <= self.from_s:
+            raise ValueError(f"objects: to_s = {self.to_s:g} s is not after from_s = {self.from_s:g} s. Set it later.")
+
+    @property
+    def lwh_m(self) -> tuple[float, float, float]:
+        """Length, width, height."""
+        length, width, height = TYPICAL_M[self.vehicle_class]
+        return self.length_m or length, self.width_m or width, self.height_m or height
+
+
+@dataclass(frozen=True, slots=True)
+class Placed:
+    """Objects of a config as arrays, world frame, at the resolution of the table `actors`."""
+
+    names: list[str]
+    shape: UInt8[ndarray, "o"]
+    boxes: Boxes
+    from_step: Float[ndarray, "o"]
+    to_step: Float[ndarray, "o"]
+    """One past the last step."""
+
+    @staticmethod
+    def of(objects: Sequence[ObjectParams], frame: Frame, step_s: float) -> "Placed":
+        """TrafficError where one stands far outside of the network."""
+        names = [f"{PREFIX}{i}" for i in range(len(objects))]
+        shape = np.array([Shape[o.vehicle_class.upper()] for o in objects], np.uint8)
+        lwh_m = np.array([o.lwh_m for o in objects]).reshape(-1, 3).astype(np.float32).astype(float)
+        xyz_m = np.array([(*o.at_m, o.ground_m) for o in objects]).reshape(-1, 3)
+        xyz_m[:, 2] += lwh_m[:, 2] / 2
+        yaw = np.radians([o.yaw_deg for o in objects])
+        boxes = Boxes(
+            np.rint(xyz_m * PER_M) / PER_M, lwh_m, np.rint((np.pi - np.mod(np.pi - yaw, 2 * np.pi)) * PER_RAD) / PER_RAD
+        )
+        times = np.array([(o.from_s, o.to_s) for o in objects]).reshape(-1, 2) / step_s
+        frame.check(0, names, np.arange(len(objects)), boxes.xyz_m, boxes.yaw_rad, np.zeros(len(objects)))
+        return Placed(names, shape, boxes, *np.ceil(times - 1e-9).T)
+
+
+class WithObjects:
+    """Traffic with objects beside it; a `TrafficSource`."""
+
+    def __init__(self, traffic: TrafficSource, placed: Placed, registry: ActorRegistry, frame: Frame) -> None:
+        self._traffic, self._placed, self._registry, self._frame = traffic, placed, registry, frame
+        self._number = np.full(len(placed.names), -1, np.int32)
+
+    def warm_up(self, seconds: float) -> Iterator[float]:
+        return self._traffic.warm_up(seconds)
+
+    def advance(self) -> World:
+        """The world of the next step, with the objects that stand there then."""
+        world, p = self._traffic.advance(), self._placed
+        here = np.flatnonzero((p.from_step <= world.step) & (world.step < p.to_step))
+        if not len(here):
+            return world
+        if len(new := here[self._number[here] < 0]):
+            names = [p.names[i] for i in new.tolist()]
+            self._number[new] = self._registry.register(
+                names, p.shape[new], p.boxes.lwh_m[new], world.step, may_be_equipped=False
+            )
+        here = here[np.argsort(self._number[here])]
+        boxes = p.boxes.take(here)
+        objects = world_of(
+            world.step, self._number[here], boxes.xyz_m, boxes.yaw_rad, np.zeros(len(here)), self._registry, self._frame
+        )
+        return _joined(world, objects)
+
+    def command(self, actor: Int[ndarray, "c"], speed_mps: Float[ndarray, "c"]) -> None:
+        self._traffic.command(actor, speed_mps)
+
+    def report(self) -> dict[str, Any]:
+        """Counts of the traffic, and of objects that were there."""
+        return self._traffic.report() | {"objects": int((self._number >= 0).sum())}
+
+    def close(self) -> None:
+        self._traffic.close()
+
+
+def _joined(world: World, objects: World) -> World:
+    """One world of two, sorted by actor."""
+    order = np.argsort(np.concatenate([world.actor, objects.actor]), kind="stable")
+    row = np.empty(len(order), np.int64)
+    row[order] = np.arange(len(order))
+    columns = {
+        name: np.concatenate([getattr(world, name), getattr(objects, name)])[order]
+        for name in ("actor", "name_key", "shape", "speed_mps", "equipped", "attack")
+    }
+    boxes = Boxes.concat([world.boxes, objects.boxes]).take(order)
+    paths = None if world.paths is None else replace(world.paths, row=row[world.paths.row])
+    return World(step=world.step, boxes=boxes, paths=paths, **columns)
