@@ -86,7 +86,7 @@ class Uplink:
     ) -> tuple[UplinkState, LinkStats]:  # fmt: skip
         """Each evaluator's report leaves at `time_s`; the other arguments are aligned with the messages.
 
-        Reports that are not valid reach nobody; further copies of a report take capacity of the cell, and no more.
+        Reports that are not valid do not arrive; further copies of a report take capacity of the cell, and no more.
         """
         p, n = self.params.cellular, np.diff(messages.ptr)
         key = rng.key(self.seed, rng.Stream.UPLINK, messages.step)
