@@ -22,7 +22,7 @@ from sensors.scene import Scene
 
 _Rows = TypeVar("_Rows", evidence.Observability, detector.DetectedBoxes)
 
-GROUP = 2048
+GROUP = 1024
 """Observers whose sweeps are read at once for what their rays met."""
 
 

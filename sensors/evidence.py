@@ -152,6 +152,12 @@ class Observability:
     range_m: Float[ndarray, "s"]
     """Distance from the sensor to the centre of the box [m]."""
 
+    def take(self, rows: Int[ndarray, "k"]) -> Observability:
+        """These rows."""
+        return Observability(
+            self.observer[rows], self.actor[rows], self.n_returns[rows], self.n_unoccluded[rows], self.range_m[rows]
+        )
+
     @property
     def occlusion(self) -> Float[ndarray, "s"]:
         """Share of the unoccluded returns that are missing, in [0, 1]."""

@@ -141,7 +141,7 @@ def _buildings_by_cell(low: ndarray, cell_m: float, nx: int, ny: int, walls: Wal
     cell = np.concatenate([*cells, np.zeros(0, np.int64)])
     order = np.argsort(cell, kind="stable")
     ptr = np.searchsorted(cell[order], np.arange(nx * ny + 1))
-    return ptr.astype(np.int64), np.concatenate([*ids, np.zeros(0, np.int64)])[order].astype(np.int32)
+    return ptr.astype(np.int32), np.concatenate([*ids, np.zeros(0, np.int64)])[order].astype(np.int32)
 
 
 @dataclass(frozen=True, slots=True)

@@ -70,13 +70,13 @@ def _list_segments(low, cell_m, shape, first, second, fill, ptr, out):
 
 
 def by_cell(low: ndarray, cell_m: float, shape: tuple[int, int], a: ndarray, b: ndarray) -> tuple[ndarray, ndarray]:
-    """Segments from a to b by cell, compressed rows."""
+    """Segments from a to b by cell, compressed rows; a city has tens of millions of cells."""
     count = np.zeros(shape[0] * shape[1] + 1, np.int64)
     _list_segments(low, cell_m, shape, a, b, False, count, np.zeros(0, np.int32))
     ptr = np.concatenate([[0], np.cumsum(count[:-1])])
     out = np.empty(ptr[-1], np.int32)
     _list_segments(low, cell_m, shape, a, b, True, ptr.copy(), out)
-    return ptr, out
+    return ptr.astype(np.int32), out
 
 
 @njit(cache=True)

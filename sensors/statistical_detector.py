@@ -169,8 +169,9 @@ class StatisticalDetector:
         draws: DetectorDraws,
     ) -> Reports:
         """See `sensors.detector.Detector`."""
-        z = pair_normals(seen, draws, self.model)
-        found = reports_of_actors(seen, boxes, label, sweeps.poses.origin_m, z, self.model)
+        detected = _detected(seen.take(np.flatnonzero(seen.n_returns > 0)), label, draws, self.model)
+        z = pair_normals(detected, draws, self.model)
+        found = reports_of_actors(detected, boxes, label, sweeps.poses.origin_m, z, self.model)
         every = Reports.concat([found, false_positives(sweeps, seen, draws, self.model)])
         return every.take(np.flatnonzero(every.score >= self.model.min_score))
 
@@ -197,16 +198,26 @@ class IdealDetector:
         return Reports.of_actors(seen, rows, label[actor], boxes.take(actor), np.ones(len(rows)))
 
 
-def pair_normals(seen: Observability, draws: DetectorDraws, model: SimpleNamespace) -> Float[ndarray, "s 16"]:
-    """Standard normals of each (observer, actor), in part new in this step, in part persistent.
+def _detected(
+    seen: Observability, label: UInt8[ndarray, "n"], draws: DetectorDraws, model: SimpleNamespace
+) -> Observability:
+    """Those that are detected: the other draws of the rest are not needed."""
+    p = detection_p(seen.n_returns, seen.occlusion, label[seen.actor], model)
+    return seen.take(np.flatnonzero(uniform_of(pair_normals(seen, draws, model, 1)[:, 0]) < p))
+
+
+def pair_normals(
+    seen: Observability, draws: DetectorDraws, model: SimpleNamespace, n: int = N_DRAWS
+) -> Float[ndarray, "s n"]:
+    """The first `n` standard normals of each (observer, actor), in part new in this step, in part persistent.
 
     Notes
     -----
     An event of probability p happens where |z| is among the p smallest, a gross error where it is among the p largest,
     so that draws that change slowly change events slowly. Zeros mean that everything is detected, without error.
     """
-    fresh = normals(draws.pair_step(seen), N_DRAWS)
-    lasting = persistent_normals(draws.pair(seen), N_DRAWS, draws.time_s, model.memory_s)
+    fresh = normals(draws.pair_step(seen), n)
+    lasting = persistent_normals(draws.pair(seen), n, draws.time_s, model.memory_s)
     return np.sqrt(1.0 - model.memory_share) * fresh + np.sqrt(model.memory_share) * lasting
 
 

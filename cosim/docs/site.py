@@ -1,4 +1,4 @@
-"""The site's pages, gathered from prose, the rooms' READMEs and the code; `python -m cosim.docs.site OUT` builds it.
+"""The site's pages, gathered from prose, the packages' READMEs and the code; `python -m cosim.docs.site OUT` builds it.
 
 Pages of prose are in `pages/`. What stands elsewhere in the repository is taken from there and not copied: its links
 are turned to the site's pages, and those to source files become plain names.
@@ -17,10 +17,12 @@ from cosim.docs import commands, config_keys, equations
 HERE = Path(__file__).parent
 ROOT = HERE.parents[1]
 CONFIG = "mkdocs.yml"
+PAGES = "cosim/docs/pages/"
 
 TAKEN: Mapping[str, str] = {
     "results/TABLES.md": "reference/tables.md",
     "results/FRESHNESS.md": "models/freshness.md",
+    "cosim/PAPER.md": "models/paper.md",
     "sensors/README.md": "models/sensors.md",
     "cosim/radio/README.md": "models/radio.md",
     "cosim/v2x/README.md": "models/v2x.md",
@@ -62,8 +64,9 @@ def build(out: Path) -> None:
     shutil.copytree(ROOT / "results" / "pictures", work / "docs" / "pictures")
     shutil.copytree(ROOT / "sensors" / "profiles", work / "docs" / "models" / "profiles",
                     ignore=lambda folder, names: [n for n in names if not n.endswith(".png")])  # fmt: skip
-    for name in (CONFIG, "site.css"):
-        shutil.copy(HERE / name, work / ("docs" if name.endswith(".css") else "") / name)
+    shutil.copy(HERE / CONFIG, work / CONFIG)
+    for name in ("site.css", "iframe-worker.js"):
+        shutil.copy(HERE / name, work / "docs" / name)
     command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "-f", str(work / CONFIG)]
     command += ["-d", str(out.resolve())]
     if subprocess.run(command, env=os.environ | {"NO_MKDOCS_2_WARNING": "1"}).returncode:
@@ -81,8 +84,9 @@ def _turned(text: str, source: str, at: str) -> str:
         path = (ROOT / source).parent.joinpath(place).resolve().relative_to(ROOT).as_posix()
         if f"{path}/README.md" in TAKEN:
             path = f"{path}/README.md"
-        if path in TAKEN:
-            return f"{picture}[{label}]({_relative(TAKEN[path], at)}{'#' + anchor if anchor else ''})"
+        page = TAKEN.get(path) or (path.removeprefix(PAGES) if path.startswith(PAGES) else "")
+        if page:
+            return f"{picture}[{label}]({_relative(page, at)}{'#' + anchor if anchor else ''})"
         if path.startswith("results/pictures/"):
             return f"{picture}[{label}]({_relative(path.removeprefix('results/'), at)})"
         if path == "README.md":

@@ -44,9 +44,11 @@ class ObjectParams:
     yaw_deg: Annotated[float, Ge(-360), Le(360)] = 0.0
     """Heading, counter-clockwise from east [deg]."""
     length_m: Annotated[float, Gt(0), Le(100)] | None = None
-    """Not set: as usual for its class."""
+    """Extent along its heading [m]; not set, as usual for its class."""
     width_m: Annotated[float, Gt(0), Le(100)] | None = None
+    """Extent across it [m]; not set, as usual for its class."""
     height_m: Annotated[float, Gt(0), Le(100)] | None = None
+    """Vertical extent [m]; not set, as usual for its class."""
     from_s: Annotated[float, Ge(0), Le(1e8)] = 0.0
     """When it is put there, since recording began [s]."""
     to_s: Annotated[float, Gt(0), Le(1e8)] = 1e8

@@ -45,12 +45,7 @@ class InterReceptionTracker:
         Columns pir_steps, n_received, n_censored of the table `packet_inter_reception`.
         """
         pair = (sender.astype(np.int64) << 32) | receiver
-        last, has_last = np.zeros(len(pair), np.int64), np.zeros(len(pair), bool)
-        at = np.minimum(np.searchsorted(self._pair, pair), max(len(self._pair) - 1, 0))
-        stays = self._pair[at] == pair if len(self._pair) else np.zeros(len(pair), bool)
-        last[stays], has_last[stays] = self._last[at[stays]], self._received[at[stays]]
-        gone = np.ones(len(self._pair), bool)
-        gone[at[stays]] = False
+        last, has_last, gone = _carried_on(self._pair, self._last, self._received, pair)
         ended = step - last[received & has_last]
         censored = self._step - self._last[gone & self._received]
         n_received, n_censored = np.bincount(ended), np.bincount(censored)
@@ -62,6 +57,20 @@ class InterReceptionTracker:
             "n_received": _at(n_received, lengths),
             "n_censored": _at(n_censored, lengths),
         }
+
+
+@njit(cache=True)
+def _carried_on(held, held_last, held_received, pair):
+    """What is held of each pair, and which held pairs are not among them; both are sorted."""
+    last, has_last = np.zeros(len(pair), np.int64), np.zeros(len(pair), np.bool_)
+    gone = np.ones(len(held), np.bool_)
+    at = 0
+    for row in range(len(pair)):
+        while at < len(held) and held[at] < pair[row]:
+            at += 1
+        if at < len(held) and held[at] == pair[row]:
+            last[row], has_last[row], gone[at] = held_last[at], held_received[at], False
+    return last, has_last, gone
 
 
 def _at(count: Int[ndarray, "k"], lengths: Int[ndarray, "n"]) -> Int[ndarray, "n"]:

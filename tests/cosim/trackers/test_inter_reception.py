@@ -57,6 +57,7 @@ def naive(rounds, every):
 rounds_of_pairs = st.lists(st.dictionaries(st.sampled_from(PAIRS), st.booleans()), max_size=12)
 
 
+@settings(deadline=None)  # the first call compiles
 @given(rounds_of_pairs, st.integers(1, 3))
 def test_twin(rounds, every):
     assert follow(rounds, every) == naive(rounds, every)
