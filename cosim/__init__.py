@@ -1,1 +1,1 @@
-"""The hall: traffic, chance, messages, the cycle, and the commands that run it all."""
+"""Traffic, chance, messages, the cycle, and the commands that run it all."""

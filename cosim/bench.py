@@ -1,4 +1,4 @@
-"""Speed of every room on this machine."""
+"""Speed of every component on this machine."""
 
 import os
 import platform
@@ -89,8 +89,9 @@ BENCHES: dict[str, str] = {
     "cycle": "cosim.bench",
     "driver": "cosim.driver.bench",
     "variants": "cosim.bench_variants",
+    "studies": "cosim.studies.bench",
 }
-"""Modules whose `bench()` measures a room."""
+"""Modules whose `bench()` measures a component."""
 
 
 def run(name: str) -> list[Row]:

@@ -184,6 +184,8 @@ def check(config: ConfigPath = None, overrides: Overrides = None, as_json: AsJso
 
     experiment = load(config, overrides)
     running.check(experiment)
+    for remark in running.changed_since(config, experiment):
+        notes.print(remark, soft_wrap=True)
     if as_json:
         print_json(experiment.to_dict())
     else:
@@ -333,7 +335,7 @@ def bench(
     seconds: Annotated[int, typer.Option(min=1, max=3600, help="scale: simulated seconds to measure.")] = 5,
     as_json: AsJson = False,
 ) -> None:
-    """Measure the speed of every room on this machine."""
+    """Measure the speed of every component on this machine."""
     from cosim.bench import BENCHES, machine, run, run_scale
 
     if only == ["scale"]:

@@ -1,4 +1,4 @@
-"""Holds codes that two rooms must say alike against each other, by name, when it is imported."""
+"""Holds codes that two packages must say alike against each other, by name, when it is imported."""
 
 from enum import IntEnum
 

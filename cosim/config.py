@@ -1,4 +1,4 @@
-"""One experiment as one typed model: every room's parameters, from TOML and `--set`."""
+"""One experiment as one typed model: all parameters, from TOML and `--set`."""
 
 import copy
 import difflib

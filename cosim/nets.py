@@ -152,7 +152,7 @@ def build(
     if check:
         with notes.status("driving it for half an hour ..."):
             flows = flow.measure(net)
-        facts |= asdict(flows) | {"jammed": len(flows.jammed), "verdict": flows.verdict}
+        facts |= asdict(flows) | {"jammed": len(flows.jammed), "assessment": flows.assessment}
     _print_facts(facts, as_json)
 
 
@@ -233,7 +233,7 @@ LABELS = {
     "collisions": ("collisions", "{:,}"),
     "jammed": ("jammed streets", "{:,}"),
     "jammed_p": ("time spent there", "{:.1%}"),
-    "verdict": ("verdict", "{}"),
+    "assessment": ("assessment", "{}"),
 }
 """Labels and formats of the facts on the screen, in this order; JSON has the keys."""
 

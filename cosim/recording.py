@@ -230,24 +230,35 @@ def trust(
     lookups: Sequence[Lookups],
 ) -> None:  # fmt: skip
     """What trust computed, sent and answered in a step, per trust variant; `lookups` are of `subject` by `receiver`."""
-    for variant, scores in enumerate(published):
-        if scores is None:
-            continue
-        recorder.append("trust", at, {
-            "variant": np.full(len(scores.subject), variant), "subject": scores.subject, "trust": scores.trust,
-            "uncertainty": np.nan_to_num(scores.uncertainty), "uncertainty__valid": ~np.isnan(scores.uncertainty),
-            "weight": scores.weight,
-            "state": np.where(scores.is_judged, LookupState.JUDGED, LookupState.UNJUDGED),
-            **_evaluations_behind(
-                scores.n_evaluations, scores.n_evaluators, (at - scores.newest_evaluation_step) * dt_s,
-                (at - scores.oldest_evaluation_step) * dt_s, scores.is_judged,
-            ),
-        })  # fmt: skip
+    _published(recorder, at, dt_s, [(v, scores) for v, scores in enumerate(published) if scores is not None])
     of_server = [(v, server) for v, server in enumerate(servers) if server is not None]
     counts = {name: np.array([getattr(server.up, name) for _, server in of_server], np.int64) for name in _UP}
     counts |= {name: np.array([getattr(server, name) for _, server in of_server], np.int64) for name in _DOWN}
     recorder.append("server", at, {"variant": np.array([v for v, _ in of_server], np.int64)} | counts)
     _lookups(recorder, at, receiver, subject, lookups)
+
+
+def _published(recorder: Recorder, at: int, dt_s: float, of_variant: Sequence[tuple[int, TrustScores]]) -> None:
+    """Rows of all variants at once, one variant after another."""
+    if not of_variant:
+        return
+
+    def joined(name: str) -> ndarray:
+        return np.concatenate([getattr(scores, name) for _, scores in of_variant])
+
+    n = [len(scores.subject) for _, scores in of_variant]
+    uncertainty, is_judged = joined("uncertainty"), joined("is_judged")
+    evaluators = [scores.n_evaluations if (m := scores.n_evaluators) is None else m for _, scores in of_variant]
+    recorder.append("trust", at, {
+        "variant": np.repeat([v for v, _ in of_variant], n), "subject": joined("subject"), "trust": joined("trust"),
+        "uncertainty": np.nan_to_num(uncertainty), "uncertainty__valid": ~np.isnan(uncertainty),
+        "weight": joined("weight"), "state": np.where(is_judged, LookupState.JUDGED, LookupState.UNJUDGED),
+        **_evaluations_behind(
+            joined("n_evaluations"), np.concatenate(evaluators), (at - joined("newest_evaluation_step")) * dt_s,
+            (at - joined("oldest_evaluation_step")) * dt_s, is_judged,
+            np.repeat([scores.n_evaluators is not None for _, scores in of_variant], n),
+        ),
+    })  # fmt: skip
 
 
 _UP = ("n_reports", "n_reached", "n_lost", "n_over_capacity", "n_outage", "uplink_bytes")
@@ -306,15 +317,13 @@ def _lookup_totals(lookups: Sequence[Lookups]) -> Rows:
 
 
 def _evaluations_behind(
-    n: Int[ndarray, "n"], n_evaluators: Int[ndarray, "n"] | None, newest_s: Float[ndarray, "n"],
-    oldest_s: Float[ndarray, "n"], some: Bool[ndarray, "n"], counted: Bool[ndarray, "n"] | None = None,
+    n: Int[ndarray, "n"], n_evaluators: Int[ndarray, "n"], newest_s: Float[ndarray, "n"],
+    oldest_s: Float[ndarray, "n"], some: Bool[ndarray, "n"], counted: Bool[ndarray, "n"],
 ) -> Rows:  # fmt: skip
     """Columns about the evaluations behind trust values; `some` says where there are any, `counted` where their
-    evaluators are counted (left out: wherever they are given)."""
+    evaluators are counted."""
     return {
-        "n_evaluations": n,
-        "n_evaluators": n if n_evaluators is None else n_evaluators,
-        "n_evaluators__valid": np.full(len(n), n_evaluators is not None) if counted is None else counted,
+        "n_evaluations": n, "n_evaluators": n_evaluators, "n_evaluators__valid": counted,
         "newest_evaluation_age_s": np.where(some, newest_s, 0.0), "newest_evaluation_age_s__valid": some,
         "oldest_evaluation_age_s": np.where(some, oldest_s, 0.0), "oldest_evaluation_age_s__valid": some,
     }  # fmt: skip

@@ -39,7 +39,7 @@ class Flow:
     """Share of the vehicles' time that is spent on jammed streets."""
 
     @property
-    def verdict(self) -> str:
+    def assessment(self) -> str:
         """One line: whether the traffic flows, and if not, why."""
         faults = []
         if self.vehicles_mean < 1:

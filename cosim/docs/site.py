@@ -1,4 +1,4 @@
-"""The site's pages, gathered from prose, the rooms' READMEs and the code; `python -m cosim.docs.site OUT` builds it.
+"""The site's pages, gathered from prose, the packages' READMEs and the code; `python -m cosim.docs.site OUT` builds it.
 
 Pages of prose are in `pages/`. What stands elsewhere in the repository is taken from there and not copied: its links
 are turned to the site's pages, and those to source files become plain names.

@@ -108,11 +108,11 @@ def _look(needed: str | None) -> tuple[str, bool]:
 
 
 def code_digest() -> str:
-    """Hash of the source of all rooms: what a worker must have in common with this process."""
+    """Hash of the source of all packages: what a worker must have in common with this process."""
     root = Path(__file__).parents[2]
     found = hashlib.sha256()
-    for room in ("cosim", "sensors", "trust", "results", "sumo_nets"):
-        for path in sorted((root / room).rglob("*.py")):
+    for package in ("cosim", "sensors", "trust", "results", "sumo_nets"):
+        for path in sorted((root / package).rglob("*.py")):
             found.update(path.relative_to(root).as_posix().encode() + path.read_bytes())
     return found.hexdigest()[:12]
 

@@ -74,7 +74,7 @@ class StudyFolder:
 
     @contextmanager
     def locked(self) -> Iterator[None]:
-        """Nobody else sweeps this folder meanwhile."""
+        """No other process sweeps this folder meanwhile."""
         with (self.path / "lock").open("w") as file:
             try:
                 fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -33,7 +33,7 @@ class KnownSenders:
     """Changes so far of senders that the receiver had received just before; ground truth, read by nothing."""
     n_linked: int = 0
     n_right: int = 0
-    """Of those linked, pairs of one sender; ground truth, read by nobody."""
+    """Of those linked, pairs of one sender; ground truth, which no vehicle reads."""
 
     @property
     def key(self) -> Int[ndarray, "n"]:

@@ -191,13 +191,16 @@ class TrustHosts:
                 self._model(state, h).add_evaluations(received)
         if self.server.is_out(time_s):
             return state, published, counts
+        delay_s: Float[ndarray, "e"] | None = None
         for h in self._hosts("central"):
             host = state.hosts[h]
             if time_s - host.last_broadcast_s < self.params[h].server_period_s - 1e-9:
                 continue
             scores = published[h] = self._scores(state, h, step)
+            if delay_s is None:
+                delay_s = self.downlink.delays_s(step, name_key)
             downlink, n_informed = self.downlink.publish(
-                host.downlink, TrustBroadcast(time_s, scores), step, vehicle, name_key
+                host.downlink, TrustBroadcast(time_s, scores), step, vehicle, delay_s
             )
             state.hosts[h] = HostState(host.model, downlink, time_s)
             if self.server.uplink == "cellular":

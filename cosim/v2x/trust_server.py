@@ -86,7 +86,7 @@ class Uplink:
     ) -> tuple[UplinkState, LinkStats]:  # fmt: skip
         """Each evaluator's report leaves at `time_s`; the other arguments are aligned with the messages.
 
-        Reports that are not valid reach nobody; further copies of a report take capacity of the cell, and no more.
+        Reports that are not valid do not arrive; further copies of a report take capacity of the cell, and no more.
         """
         p, n = self.params.cellular, np.diff(messages.ptr)
         key = rng.key(self.seed, rng.Stream.UPLINK, messages.step)
@@ -184,9 +184,11 @@ class Downlink:
 
     def publish(
         self, state: DownlinkState, broadcast: TrustBroadcast, step: int, vehicle: Int[ndarray, "r"],
-        name_key: UInt64[ndarray, "r"],
+        delay_s: Float[ndarray, "r"],
     ) -> tuple[DownlinkState, int]:  # fmt: skip
         """Send to all equipped vehicles: by cellular at once, by roadside units in one of their next rounds.
+
+        `delay_s`: by cellular, as `delays_s`.
 
         Returns
         -------
@@ -197,13 +199,17 @@ class Downlink:
         if self.params.uplink == "rsu":
             pending = broadcast.time_s + self.params.backhaul_s, step
             return DownlinkState(broadcasts, state.last, state.under_way, pending, state.on_air), 0
-        delay_s = transfer_delay_s(rng.key(self.seed, rng.Stream.DOWNLINK, step), name_key, p.downlink_loss_p, 0, p)
         if trust_broadcast_bytes(len(broadcast.scores.subject)) + cellular.HEADER_BYTES > p.cell_down_bytes_per_s:
             delay_s = np.full(len(vehicle), np.inf)  # one copy per cell, and not even that fits into a second
         arrival_s = broadcast.time_s + delay_s
         arrives = np.isfinite(arrival_s) & ~self.params.is_out(arrival_s)
         coming = (*state.under_way, (arrival_s[arrives], vehicle[arrives], step))
         return DownlinkState(broadcasts, state.last, coming, state.pending_rsu, state.on_air), int(arrives.sum())
+
+    def delays_s(self, step: int, name_key: UInt64[ndarray, "r"]) -> Float[ndarray, "r"]:
+        """What a cellular broadcast of this step takes to each vehicle [s]; inf where it is lost."""
+        p = self.params.cellular
+        return transfer_delay_s(rng.key(self.seed, rng.Stream.DOWNLINK, step), name_key, p.downlink_loss_p, 0, p)
 
     def pending_rsu_broadcast(self, state: DownlinkState, time_s: float) -> tuple[DownlinkState, TrustBroadcast | None]:
         """What roadside units send in a round that begins at `time_s`, once."""

@@ -17,7 +17,7 @@ from sensors.evidence import observability
 from sensors.lidar import LidarParams, scan
 from sensors.raycast.mesh import body_triangles
 from sensors.scene import Hit, Scene, Shape, prisms
-from tests.drive import drive
+from tests.drive import cosim, drive
 
 trimesh = pytest.importorskip("trimesh", reason="trimesh is not installed: pip install cosim[mesh]")
 
@@ -192,6 +192,8 @@ def test_a_mesh_that_was_changed_is_noticed(tmp_path, caplog):
     assert identity(load(config)) != named
     (remark,) = changed_since(folder / "config.toml", load(folder / "config.toml"))
     assert "vehicle_meshes.0.file" in remark
+    checked = cosim("check", str(folder / "config.toml"))
+    assert checked.returncode == 0 and "vehicle_meshes.0.file" in checked.stderr
     with pytest.raises(ValueError, match=r"inputs have changed since: sha256 vehicle_meshes\.0\.file"):
         resume(folder, lambda *step: None)
     with caplog.at_level(logging.WARNING):

@@ -21,7 +21,7 @@ def built(tmp_path_factory):
 
 def test_build_reports_and_draws(built):
     folder, said = built
-    assert said["verdict"] == "it flows" and said["teleports"] == 0 and said["buildings"] == 4
+    assert said["assessment"] == "it flows" and said["teleports"] == 0 and said["buildings"] == 4
     assert (folder / "town" / "city.png").stat().st_size > 10_000
 
 

@@ -59,7 +59,7 @@ def test_a_town_is_built_and_flows(built):
     flows = flow.measure(net, 300)
     # 10 streets of 4 x 129 m or so, both ways: 10 km; Little's law aims at 4 vehicles on each.
     assert 15 < flows.vehicles_mean < 90
-    assert flows.teleports == 0 and flows.verdict == "it flows"
+    assert flows.teleports == 0 and flows.assessment == "it flows"
 
 
 def test_the_same_file_gives_the_same_town(built, tmp_path):
@@ -181,7 +181,7 @@ def test_a_cache_that_cannot_be_written_is_named(tmp_path, monkeypatch):
 def test_the_cities_of_the_wheel_flow(name, tmp_path, monkeypatch):
     monkeypatch.setenv("COSIM_CACHE", str(tmp_path))
     flows = flow.measure(catalogue.find(name), 1800)
-    assert flows.verdict == "it flows" and flows.vehicles_mean > 30, flows
+    assert flows.assessment == "it flows" and flows.vehicles_mean > 30, flows
 
 
 @pytest.mark.verify
@@ -194,4 +194,4 @@ def test_bad_hersfeld_in_two_minutes(tmp_path):
     net = catalogue.open_folder(tmp_path / "hersfeld")
     assert len(net.footprints()) > 11_000
     flows = flow.measure(net)
-    assert flows.verdict == "it flows" and flows.teleports == 0 and 500 < flows.vehicles_mean < 1500
+    assert flows.assessment == "it flows" and flows.teleports == 0 and 500 < flows.vehicles_mean < 1500

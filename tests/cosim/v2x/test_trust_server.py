@@ -139,7 +139,7 @@ def known(down, state, vehicle, subject):
 def test_trust_values_are_received():
     p = ServerParams(outages=((6.0, 16.0),), cellular=CellularParams(downlink_loss_p=0.0))
     down = Downlink(p, 3)
-    state, n_informed = down.publish(DownlinkState(), broadcast(0.0), 0, ALL, keys(3))
+    state, n_informed = down.publish(DownlinkState(), broadcast(0.0), 0, ALL, down.delays_s(0, keys(3)))
     assert n_informed == 3
     state = down.receive(state, ALL, 0.0)
     assert np.isnan(known(down, state, ALL, ALL)[0]).all()
@@ -147,14 +147,16 @@ def test_trust_values_are_received():
         state = down.receive(state, ALL, time_s)
         value, computed_s = known(down, state, ALL, ALL)
         assert (value == 0.3).all() and (computed_s == 0).all()
-    state, n_informed = down.publish(state, broadcast(5.99, 0.8), 6, ALL, keys(3))  # would arrive in the outage
+    state, n_informed = down.publish(
+        state, broadcast(5.99, 0.8), 6, ALL, down.delays_s(6, keys(3))
+    )  # would arrive in the outage
     assert n_informed == 0
     assert (known(down, down.receive(state, ALL, 20.0), ALL, ALL)[0] == 0.3).all()
 
 
 def test_roadside_units_transmit_a_broadcast_once():
     down = Downlink(ServerParams(uplink="rsu"), 3)
-    state, n_informed = down.publish(DownlinkState(), broadcast(1.0), 1, ALL, keys(3))
+    state, n_informed = down.publish(DownlinkState(), broadcast(1.0), 1, ALL, down.delays_s(1, keys(3)))
     assert n_informed == 0
     state, sent = down.pending_rsu_broadcast(state, 1.005)
     assert sent is None  # 10 ms of backhaul
@@ -173,8 +175,8 @@ def test_roadside_units_transmit_a_broadcast_once():
 def test_a_newer_broadcast_replaces_an_older_one_that_arrives_late():
     p = ServerParams(cellular=CellularParams(downlink_loss_p=0.0))
     down, own, seen = Downlink(p, 3), np.array([0]), []
-    state, _ = down.publish(DownlinkState(), broadcast(0.0, 0.1), 0, own, keys(1))
-    state, _ = down.publish(state, broadcast(1e-3, 0.9), 1, own, keys(1))
+    state, _ = down.publish(DownlinkState(), broadcast(0.0, 0.1), 0, own, down.delays_s(0, keys(1)))
+    state, _ = down.publish(state, broadcast(1e-3, 0.9), 1, own, down.delays_s(1, keys(1)))
     for time_s in np.linspace(0, 3, 200):
         state = down.receive(state, own, time_s)
         seen.append(float(known(down, state, own, own)[0][0]))
@@ -199,7 +201,7 @@ def test_a_lookup_changes_nothing_and_unused_broadcasts_expire():
     p = ServerParams(cellular=CellularParams(downlink_loss_p=0.0))
     down, own, state = Downlink(p, 3), np.array([5000]), DownlinkState()
     for step in range(3):
-        state, _ = down.publish(state, broadcast(float(step), 0.1 * step), step, own, keys(1))
+        state, _ = down.publish(state, broadcast(float(step), 0.1 * step), step, own, down.delays_s(step, keys(1)))
     before = pickle.dumps(state)
     assert np.isnan(known(down, state, own, np.array([1]))[0])
     assert pickle.dumps(state) == before and sorted(state.broadcasts) == [0, 1, 2]

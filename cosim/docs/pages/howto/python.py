@@ -37,7 +37,7 @@ survival = run.measure.encounters.survival()
 print(survival.head())
 
 # %% [markdown]
-# ## Does trust tell liars apart?
+# ## Does trust tell attackers apart?
 #
 # `subjects` joins pseudonyms with vehicles: truth, which no vehicle knows.
 
