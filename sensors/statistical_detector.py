@@ -229,10 +229,16 @@ def uniform_of(z: Float[ndarray, "..."]) -> Float[ndarray, "..."]:
 def detection_p(
     n_returns: Int[ndarray, "s"], occlusion: Float[ndarray, "s"], label: UInt8[ndarray, "s"], model: SimpleNamespace
 ) -> Float[ndarray, "s"]:
-    """Probability that an object is detected; 0 without returns."""
-    n = np.asarray(n_returns, float) ** model.steepness
-    half = model.half_returns[label] ** model.steepness
-    return model.found_max_p[label] * n / (n + half) * (1.0 - model.occlusion_loss[label] * occlusion)
+    """Probability that an object is detected; 0 without returns.
+
+    Notes
+    -----
+    Of n returns: found_max_p n^s / (n^s + half_returns^s) (1 - occlusion_loss occlusion), s the steepness.
+    """
+    with np.errstate(divide="ignore"):  # no returns are infinitely fewer than half
+        log_n = np.log(np.asarray(n_returns, float))
+    share = expit(model.steepness * (log_n - np.log(model.half_returns[label])))
+    return model.found_max_p[label] * share * (1.0 - model.occlusion_loss[label] * occlusion)
 
 
 def reports_of_actors(
