@@ -99,7 +99,7 @@ class DetectorParams:
     """Class shares of false positives."""
     false_positive_road_p: Share | None = None
     """Share of the false positives that may stand on open road; the others stand at walls and hidden actors."""
-    false_positive_memory_s: Annotated[float, Gt(0), Le(1e7)] | None = None
+    false_positive_memory_s: Annotated[float, Ge(0.001), Le(1e7)] | None = None
     """Mean time until the persistent draw of a site is renewed [s]."""
     false_positive_memory_share: Share | None = None
     """Share of the false positives that persist; the rest are drawn anew in every sweep."""
@@ -113,7 +113,7 @@ class DetectorParams:
     """Mean size of a class: that of false positives, and of objects reported as another class [m]."""
     min_score: Share | None = None
     """Boxes of a lower score are not reported."""
-    memory_s: Annotated[float, Gt(0), Le(1e7)] | None = None
+    memory_s: Annotated[float, Ge(0.001), Le(1e7)] | None = None
     """Time over which the draws of one (observer, actor) change [s]; see `sensors.hash_rng.persistent_normals`."""
     memory_share: Share | None = None
     """Share of the variance of those draws that persists; the rest is new in every sweep."""
