@@ -3,6 +3,7 @@
 import json
 import math
 import os
+import shlex
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -107,11 +108,12 @@ def print_run_summary(folder: Path, as_json: bool) -> "Run":
         return by_metric.get(metric, {})
 
     speed = plain(manifest["steps"] * run.dt_s / spent_s)
+    given = shlex.quote(str(folder))
     lines = _summary(get, manifest.get("net", {}).get("name", "the network")) | {
         "time": [f"{spent_s:.1f} s of computing, {speed} times real time"],
         "tables": [str(folder)],
         "picture": [picture],
-        "next": [f"cosim report {folder}   cosim measure {folder}   cosim plot radio {folder}"],
+        "next": [f"cosim report {given}   cosim measure {given}   cosim plot radio {given}"],
     }
     for name, sentences in lines.items():
         for i, sentence in enumerate(sentences):

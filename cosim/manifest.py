@@ -7,6 +7,7 @@ import re
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field
+from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -28,6 +29,7 @@ _RESERVE = ".reserve"
 _RESERVE_BYTES = 1 << 16
 
 
+@cache
 def versions() -> dict[str, str]:
     """Of Python and of the packages on which results depend."""
     return {"python": platform.python_version()} | {p: version(p) for p in PACKAGES}

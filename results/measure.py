@@ -191,8 +191,8 @@ def _rows(frame: pd.DataFrame, group: str, metrics: Mapping[str, str], interval:
     A column may have its interval beside it (`intervals.columns`); `interval` names the column to which the columns
     low, high and n_units belong.
     """
-    columns = [frame[name].tolist() for name in frame]
-    rows = [dict(zip(frame.columns, values, strict=True)) for values in zip(*columns, strict=True)]
+    names = list(frame.columns)
+    rows = [dict(zip(names, values, strict=True)) for values in frame.to_numpy(dtype=object).tolist()]
     for column, metric in metrics.items():
         for row in rows:
             if pd.notna(row[column]):

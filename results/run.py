@@ -84,6 +84,12 @@ class Run:
             self._own[name] = make()
         return self._own[name]
 
+    def once_for_all(self, name: str, make: Callable[[], T]) -> T:
+        """The same of what no trust variant changes: made once for all of them."""
+        if name not in self._common:
+            self._common[name] = make()
+        return self._common[name]
+
     @property
     def name(self) -> str:
         return self.path.name

@@ -99,7 +99,7 @@ class DetectorParams:
     """Class shares of false positives."""
     false_positive_road_p: Share | None = None
     """Share of the false positives that may stand on open road; the others stand at walls and hidden actors."""
-    false_positive_memory_s: Annotated[float, Gt(0), Le(1e7)] | None = None
+    false_positive_memory_s: Annotated[float, Ge(0.001), Le(1e7)] | None = None
     """Mean time until the persistent draw of a site is renewed [s]."""
     false_positive_memory_share: Share | None = None
     """Share of the false positives that persist; the rest are drawn anew in every sweep."""
@@ -113,7 +113,7 @@ class DetectorParams:
     """Mean size of a class: that of false positives, and of objects reported as another class [m]."""
     min_score: Share | None = None
     """Boxes of a lower score are not reported."""
-    memory_s: Annotated[float, Gt(0), Le(1e7)] | None = None
+    memory_s: Annotated[float, Ge(0.001), Le(1e7)] | None = None
     """Time over which the draws of one (observer, actor) change [s]; see `sensors.hash_rng.persistent_normals`."""
     memory_share: Share | None = None
     """Share of the variance of those draws that persists; the rest is new in every sweep."""
@@ -229,10 +229,16 @@ def uniform_of(z: Float[ndarray, "..."]) -> Float[ndarray, "..."]:
 def detection_p(
     n_returns: Int[ndarray, "s"], occlusion: Float[ndarray, "s"], label: UInt8[ndarray, "s"], model: SimpleNamespace
 ) -> Float[ndarray, "s"]:
-    """Probability that an object is detected; 0 without returns."""
-    n = np.asarray(n_returns, float) ** model.steepness
-    half = model.half_returns[label] ** model.steepness
-    return model.found_max_p[label] * n / (n + half) * (1.0 - model.occlusion_loss[label] * occlusion)
+    """Probability that an object is detected; 0 without returns.
+
+    Notes
+    -----
+    Of n returns: found_max_p n^s / (n^s + half_returns^s) (1 - occlusion_loss occlusion), s the steepness.
+    """
+    with np.errstate(divide="ignore"):  # no returns are infinitely fewer than half
+        log_n = np.log(np.asarray(n_returns, float))
+    share = expit(model.steepness * (log_n - np.log(model.half_returns[label])))
+    return model.found_max_p[label] * share * (1.0 - model.occlusion_loss[label] * occlusion)
 
 
 def reports_of_actors(

@@ -12,7 +12,7 @@ import os
 import re
 from pathlib import Path
 
-from sumo_nets.vtypes import check_size
+from sumo_nets.vtypes import SMALLEST_M, check_size
 from sumo_nets.xml import Attributes, check_prolog, chunks, exists, stream
 
 _WRITES = re.compile(rb"file|dest|output")
@@ -78,7 +78,7 @@ def _is_special(path: Path, name: bytes) -> bool:
 
 def _is_odd(value: bytes) -> bool:
     try:
-        return not 0 < float(value) < 1000
+        return not SMALLEST_M <= float(value) < 1000
     except ValueError:
         return True
 

@@ -50,6 +50,8 @@ _HINTS = {
 
 LARGEST_M = {"length": 1000.0, "width": 100.0, "height": 100.0}
 """Largest size of an actor; trains, ships and aircraft are left out before they are placed."""
+SMALLEST_M = 0.001
+"""Smallest size of an actor; positions are kept to the millimetre, sizes in single precision."""
 
 
 def check_size(where: str, what: str, value: str | float) -> float:
@@ -58,8 +60,8 @@ def check_size(where: str, what: str, value: str | float) -> float:
         size_m = float(value)
     except ValueError:
         size_m = nan
-    if not 0 < size_m <= LARGEST_M[what]:
-        raise ValueError(f"{where}: {what} = {value} m should be more than 0 and at most {LARGEST_M[what]:g} m.")
+    if not SMALLEST_M <= size_m <= LARGEST_M[what]:
+        raise ValueError(f"{where}: {what} = {value} m should be {SMALLEST_M:g} to {LARGEST_M[what]:g} m.")
     return size_m
 
 

@@ -31,7 +31,7 @@ class ApproachingGhostParams:
 
     from_m: Annotated[float, Gt(0), Le(1000)] = 60.0
     """Distance ahead of the victim's centre in the attacker's first message [m]."""
-    step_m: Annotated[float, Gt(0), Le(1000)] = 5.0
+    step_m: Annotated[float, Ge(0.001), Le(1000)] = 5.0
     """Nearer by this in every further message [m]."""
     to_m: Annotated[float, Gt(0), Le(1000)] = 5.0
     """At this distance it begins anew [m]."""

@@ -43,11 +43,11 @@ class ObjectParams:
     """Height of the ground under it [m]."""
     yaw_deg: Annotated[float, Ge(-360), Le(360)] = 0.0
     """Heading, counter-clockwise from east [deg]."""
-    length_m: Annotated[float, Gt(0), Le(100)] | None = None
+    length_m: Annotated[float, Ge(0.001), Le(100)] | None = None
     """Extent along its heading [m]; not set, as usual for its class."""
-    width_m: Annotated[float, Gt(0), Le(100)] | None = None
+    width_m: Annotated[float, Ge(0.001), Le(100)] | None = None
     """Extent across it [m]; not set, as usual for its class."""
-    height_m: Annotated[float, Gt(0), Le(100)] | None = None
+    height_m: Annotated[float, Ge(0.001), Le(100)] | None = None
     """Vertical extent [m]; not set, as usual for its class."""
     from_s: Annotated[float, Ge(0), Le(1e8)] = 0.0
     """When it is put there, since recording began [s]."""

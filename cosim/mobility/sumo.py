@@ -228,12 +228,11 @@ class SumoTraffic:
                 kept.append((domain, name))
                 shapes.append(shape)
                 where = f"traffic.scenario = {self._config}: {domain.name} {name!r}"
-                lwh_m.append(
-                    [
-                        check_size(where, what.lower(), domain.getter[what](name))
-                        for what in ("Length", "Width", "Height")
-                    ]
-                )
+                size = {what: domain.getter[what.capitalize()](name) for what in ("length", "width", "height")}
+                try:
+                    lwh_m.append([check_size(where, what, value) for what, value in size.items()])
+                except ValueError as error:
+                    raise TrafficError(str(error)) from None
         if kept:
             new = self._registry.register(
                 [name for _, name in kept], np.array(shapes, np.uint8), np.array(lwh_m, float), step

@@ -77,9 +77,9 @@ class PropagationParams:
     """Standard deviation of shadowing with line of sight by buildings [dB]."""
     sigma_nlos_db: Annotated[float, Ge(0), Le(50)] = 4.0
     """Standard deviation of shadowing without line of sight [dB]."""
-    decorrelation_los_m: Annotated[float, Gt(0), Le(10_000)] = 10.0
+    decorrelation_los_m: Annotated[float, Ge(0.1), Le(10_000)] = 10.0
     """Movement of one end that reduces the correlation of shadowing to 1/e, line of sight [m]; 25 on highways."""
-    decorrelation_nlos_m: Annotated[float, Gt(0), Le(10_000)] = 13.0
+    decorrelation_nlos_m: Annotated[float, Ge(0.1), Le(10_000)] = 13.0
     """Movement of one end that reduces the correlation of shadowing to 1/e, otherwise [m]; 25 on highways."""
     blockage: Literal["none", "probabilistic"] = "probabilistic"
     """Blockage by vehicles of links with line of sight by buildings (urban and highway models)."""

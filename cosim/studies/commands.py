@@ -65,7 +65,7 @@ def status(folder: StudyPath, as_json: AsJson = False) -> None:
 
 def retrust(
     run: Annotated[Path, typer.Argument(help='Folder of a run at record.level = "full".')],
-    variants: Annotated[Path, typer.Option(help="TOML file with sections [[trust_variant]].")],
+    variants: Annotated[Path, typer.Option(help="TOML file with trust_variant sections.")],
     out: Annotated[Path, typer.Option(help="Folder to write: the run, with these variants beside its own.")],
 ) -> None:
     """Compute other trust models and windows on the evidence of a run that is on disk."""

@@ -29,7 +29,7 @@ class CellularParams:
     """Probability that a vehicle misses a broadcast of trust values; there are no retries."""
     n_retries: Annotated[int, Ge(0), Le(10)] = 2
     """Retries of a report that failed, each with a delay of its own."""
-    cell_m: Annotated[float, Gt(0), Le(1e6)] = 1000.0
+    cell_m: Annotated[float, Ge(1), Le(1e6)] = 1000.0
     """Side of a cell; cells are the squares of a grid from the network's origin [m]."""
     cell_up_bytes_per_s: Annotated[float, Gt(0), Le(1e12)] = 3.5e6
     """Capacity of one cell for reports; what exceeds it is dropped [B/s]."""

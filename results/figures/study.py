@@ -156,7 +156,8 @@ def _heat_maps(frame: pd.DataFrame, asked: Sequence[str], x: str, y: str) -> Fig
         axes.set_yticks(range(len(rows)), [_said(v) for v in rows])
         axes.grid(visible=False)
         group = f", {first.group}" if ":" in name and first.group else ""
-        n = "" if of_metric.n.max() < 2 else f", {int(of_metric.n.max())} seeds"
+        few, many = int(of_metric.n.min()), int(of_metric.n.max())
+        n = "" if many < 2 else f", {many} seeds" if few == many else f", {few} to {many} seeds"
         style.panel(axes, f"{first.label}{group}: mean and 95 % interval{n}", label_of(x), label_of(y))
         figure.colorbar(image, ax=axes, fraction=0.03, pad=0.02)
     return figure

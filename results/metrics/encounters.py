@@ -1,5 +1,6 @@
 """Encounters: counts, durations, and survival with censoring in mind."""
 
+from collections import Counter
 from typing import Literal
 
 import numpy as np
@@ -22,17 +23,19 @@ _COLUMNS = (
 
 def named(frame: pd.DataFrame) -> pd.Series:
     """A name for the definition of each row: pairs and radius, and what else is needed to tell definitions apart."""
-    kinds = frame[[*DEFINITION]].astype({"pairs": str, "los": str}).drop_duplicates()
-    text = kinds.pairs + kinds.radius_m.map(lambda m: f", {m:g} m")
+    keys = list(zip(*(frame[column].tolist() for column in DEFINITION), strict=True))
+    kinds = list(dict.fromkeys(keys))
+    text = [f"{pairs}, {radius_m:g} m" for pairs, radius_m, *_ in kinds]
     more = {
         "hysteresis_s": lambda s: f", {s:g} s", "los": lambda los: f", {los.replace('_', ' ')}",
         "pedestrians": lambda some: ", pedestrians" if some else "",
     }  # fmt: skip
     for column, words in more.items():
-        if kinds[column].nunique() > 1:
-            text = text.where(~text.duplicated(keep=False), text + kinds[column].map(words))
-    names = dict(zip(kinds.itertuples(index=False, name=None), text, strict=True))
-    keys = frame[[*DEFINITION]].astype({"pairs": str, "los": str}).itertuples(index=False, name=None)
+        values = [kind[DEFINITION.index(column)] for kind in kinds]
+        if len(set(values)) > 1:
+            n = Counter(text)
+            text = [one + words(value) if n[one] > 1 else one for one, value in zip(text, values, strict=True)]
+    names = dict(zip(kinds, text, strict=True))
     return pd.Series([names[key] for key in keys], frame.index, dtype=object)
 
 

@@ -92,9 +92,14 @@ def share(top: Float[ndarray, "u"], bottom: Float[ndarray, "u"], level: float = 
     some = bottom > 0
     n, value = int(some.sum()), float(top.sum() / bottom.sum()) if some.any() else float("nan")
     if n and (value in (0, 1) or (bottom[some] == 1).all()):
-        found = stats.binomtest(round(value * n), n).proportion_ci(level, method="wilson")
-        return Estimate(value, float(found.low), float(found.high), n)
+        return Estimate(value, *_wilson(round(value * n), n, level), n)
     return ratio(top, bottom, level)
+
+
+@lru_cache(maxsize=1024)
+def _wilson(k: int, n: int, level: float) -> tuple[float, float]:
+    found = stats.binomtest(k, n).proportion_ci(level, method="wilson")
+    return float(found.low), float(found.high)
 
 
 def mean_of_pairs(
@@ -140,12 +145,17 @@ def median(values: Float[ndarray, "u"], level: float = LEVEL) -> Estimate:
     n = len(ordered)
     if not n:
         return UNKNOWN
-    below = int(stats.binom.ppf((1 - level) / 2, n, 0.5))
-    if stats.binom.cdf(below, n, 0.5) > (1 - level) / 2:
-        below -= 1  # the smallest and largest rank whose tails are no larger than allowed
+    below = _rank(n, level)
     if below < 0:
         return Estimate(float(np.median(ordered)), float("nan"), float("nan"), n)
     return Estimate(float(np.median(ordered)), float(ordered[below]), float(ordered[n - 1 - below]), n)
+
+
+@lru_cache(maxsize=1024)
+def _rank(n: int, level: float) -> int:
+    """Of the lower end of the interval of a median: its tail is no larger than allowed; -1 where there is none."""
+    rank = int(stats.binom.ppf((1 - level) / 2, n, 0.5))
+    return rank - 1 if stats.binom.cdf(rank, n, 0.5) > (1 - level) / 2 else rank
 
 
 def auc(

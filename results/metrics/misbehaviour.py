@@ -202,7 +202,7 @@ _NONE_RATED = (
 
 def watched(run: Run) -> pd.DataFrame:
     """Subjects to be classified, by number: role, and the steps `since` and `until` which they are watched."""
-    return run.once("misbehaviour.watched", lambda: _watched_of(run))
+    return run.once_for_all("misbehaviour.watched", lambda: _watched_of(run))
 
 
 def _watched_of(run: Run) -> pd.DataFrame:

@@ -38,17 +38,20 @@ def kaplan_meier(lasted_s: ndarray, over: ndarray) -> pd.DataFrame:
 
 def median(curve: pd.DataFrame) -> float:
     """Duration that half of them outlast [s]; NaN where more than half were not seen to end."""
-    below = curve.duration_s[curve.survival <= 0.5]
-    return float(below.iloc[0]) if len(below) else float("nan")
+    return _falls_to_half(curve, "survival", float("nan"))
 
 
 def median_band(curve: pd.DataFrame) -> tuple[float, float]:
     """95 % interval of the median: durations at which the band of the curve falls to one half (Brookmeyer and Crowley
     1982) [s]; the upper end is infinite where the band stays above."""
-    low, high = (curve.duration_s[curve[name] <= 0.5] for name in ("low", "high"))
-    if not len(low):
-        return float("nan"), float("nan")
-    return float(low.iloc[0]), float(high.iloc[0]) if len(high) else float("inf")
+    low = _falls_to_half(curve, "low", float("nan"))
+    return low, float("nan") if np.isnan(low) else _falls_to_half(curve, "high", float("inf"))
+
+
+def _falls_to_half(curve: pd.DataFrame, column: str, never: float) -> float:
+    """First duration at which a column is one half or less [s]; `never` where it stays above."""
+    at = np.flatnonzero(curve[column].to_numpy() <= 0.5)
+    return float(curve.duration_s.to_numpy()[at[0]]) if len(at) else never
 
 
 def restricted_mean(curve: pd.DataFrame) -> float:

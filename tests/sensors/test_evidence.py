@@ -115,13 +115,21 @@ def test_area_follows_the_field_of_view(fov_deg):
 
 
 @settings(max_examples=12, deadline=None)
-@given(seed=st.integers(0, 2**32 - 1), profile=st.sampled_from(["hdl64e_front", "vlp32c", "os1_128"]))
-def test_windows_equal_whole_clouds(seed, profile):
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    profile=st.sampled_from(
+        [
+            LidarParams(profile="hdl64e_front", dropout_p=0.05),
+            LidarParams(profile="vlp32c", dropout_p=0.05),
+            LidarParams(profile="os1_128", dropout_p=0.05),
+            LidarParams(profile="vlp16", elevation_deg=tuple(np.linspace(-24.0, 4.0, 37)), dropout_p=0.05),
+        ]
+    ),
+)
+def test_windows_equal_whole_clouds(seed, params):
     rng = np.random.default_rng(seed)
     (boxes, shape), scene = random_boxes(rng, 20, 25.0), random_scene(rng)
-    sweeps = scan(
-        boxes, shape, np.arange(4), scene, LidarParams(profile=profile, dropout_p=0.05), np.arange(4, dtype=np.uint64)
-    )
+    sweeps = scan(boxes, shape, np.arange(4), scene, params, np.arange(4, dtype=np.uint64))
     asked = Boxes.concat([boxes, random_boxes(rng, 60, 40.0)[0], boxes.take(slice(4))])
     asked = Boxes(asked.xyz_m - np.array([0, 0, 1.0]), asked.lwh_m, asked.yaw_rad)
     for o in range(4):
@@ -161,7 +169,7 @@ def test_observability_by_hand():
 
 
 @settings(max_examples=8, deadline=None)
-@given(seed=st.integers(0, 2**32 - 1), profile=st.sampled_from(["hdl64e_front", "vlp32c"]))
+@given(seed=st.integers(0, 2**32 - 1), params=st.sampled_from(["hdl64e_front", "vlp32c"]))
 def test_unoccluded_returns_equal_casts_alone(seed, profile):
     rng = np.random.default_rng(seed)
     (boxes, shape), scene = random_boxes(rng, 15, 25.0), random_scene(rng)

@@ -156,6 +156,14 @@ def test_errors_grow_with_range(street):
     assert 0.02 < np.concatenate(near).mean() < np.concatenate(far).mean() < 1.0
 
 
+def test_detection_probability_by_hand_and_at_the_bound():
+    # n^s / (n^s + h^s) at n = 0, h/2, h, 2h for s = 2: 0, 1/5, 1/2, 4/5; for s = 100 a step at h.
+    for steepness, expected in ((2.0, (0, 0.2, 0.5, 0.8)), (100.0, (0, 0, 0.5, 1))):
+        model = resolved(DetectorParams(steepness=steepness, half_returns=(10_000.0,) * 4))
+        p = detection_p(np.array([0, 5_000, 10_000, 20_000]), np.zeros(4), np.zeros(4, np.uint8), model)
+        assert p == pytest.approx(np.array(expected) * model.found_max_p[0], abs=1e-12)
+
+
 def test_parameters_that_are_set_override_the_profile():
     plain, own = (resolved(DetectorParams(model="avod", **words)) for words in ({}, {"steepness": 2.5}))
     assert own.steepness == 2.5 != plain.steepness

@@ -102,6 +102,9 @@ HARMFUL = {
     "a device to write": ("odd.add.xml", LOOP.format("/dev/zero"), "a device, pipe or folder"),
     "an included device": ("odd.add.xml", '<additional><include href="/dev/zero"/></additional>', "which is no file"),
     "no height": ("odd.rou.xml", '<routes><vType id="t" height="0"/></routes>', "vType 't': height = 0 m should be"),
+    "a width of nothing": (
+        "odd.rou.xml", '<routes><vType id="t" width="1e-300"/></routes>', "width = 1e-300 m should be",
+    ),
     "a NaN height": ("odd.rou.xml", '<routes><vType id="t" height="nan"/></routes>', "height = nan m should be"),
     "an endless length": ("odd.rou.xml", '<routes><vType id="t" length="inf"/></routes>', "length = inf m should be"),
     "a length in words": ("odd.rou.xml", '<routes><vType id="t" length="x"/></routes>', "length = x m should be"),

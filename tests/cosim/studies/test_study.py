@@ -163,7 +163,7 @@ def test_study_file_of_a_folder_gives_the_same_points(tmp_path):
         ("encounters", 9, 9),
         ("safety", 24, 24),
         ("attacks", 360, 36),
-        ("safety_half_hour", 18, 18),
+        ("safety_half_hour", 24, 24),
         ("whitewashing", 20, 20),
         ("revocation", 16, 16),
     ],
