@@ -172,6 +172,7 @@ def observability(sweeps: Sweeps, boxes: Boxes, shape: UInt8[ndarray, "n"]) -> O
     The road occludes nothing in the unoccluded count; dropouts of the sweep count as occlusion.
     """
     ptr, row = sweeps.near
+    assert len(ptr) == len(sweeps.observers) + 1, "neighbours of other sweeps"
     n_returns, n_unoccluded = range_image.unoccluded_returns(
         sweeps.hit, sweeps.poses.origin_m, sweeps.poses.yaw_rad, sweeps.beams, float(sweeps.max_range_m),
         boxes.xyz_m, boxes.circumradius_m, boxes.lwh_m[:, 2], ptr, row, sweeps.observers, prisms(shape, boxes),

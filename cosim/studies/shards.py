@@ -37,6 +37,8 @@ SHARD_BYTES = 32_000_000
 """Range images of a shard at most; of one observer at least."""
 _AHEAD = 3
 """Shards for each worker that are sensed, or being sensed, before the step that needs them."""
+_STEPS_PER_COUNT = 50
+"""Steps after which workers are counted again."""
 _SOON = 10
 """Priority of what the present step waits for, before what is sensed ahead."""
 
@@ -130,6 +132,7 @@ class ShardedPerception:
         self._now: list[_Piece] = []
         rays = n_rays(own.lidar)
         self._most = max(1, shard_bytes // (4 * rays[0] * rays[1]))
+        self._n_asked, self._n_workers = 0, 1
 
     def __call__(self, world: World, observers: Int[ndarray, "e"], watch: Stopwatch) -> Observed:
         """As `Perceives`."""
@@ -158,7 +161,10 @@ class ShardedPerception:
 
     def _look_ahead(self, step: int) -> None:
         """Hand out shards until every worker has some to do; worlds before `step` are passed over."""
-        wanted = _AHEAD * max(1, len(self._client.nthreads())) * self._most
+        if self._n_asked % _STEPS_PER_COUNT == 0:  # it is a question to the scheduler
+            self._n_workers = max(1, len(self._client.nthreads()))
+        self._n_asked += 1
+        wanted = _AHEAD * self._n_workers * self._most
         n = sum(pieces[-1].end for _, pieces in self._ahead)
         while n < wanted or not self._ahead:
             if not (worlds := self._next(step)):
