@@ -117,7 +117,7 @@ def test_area_follows_the_field_of_view(fov_deg):
 @settings(max_examples=12, deadline=None)
 @given(
     seed=st.integers(0, 2**32 - 1),
-    profile=st.sampled_from(
+    params=st.sampled_from(
         [
             LidarParams(profile="hdl64e_front", dropout_p=0.05),
             LidarParams(profile="vlp32c", dropout_p=0.05),
@@ -169,7 +169,7 @@ def test_observability_by_hand():
 
 
 @settings(max_examples=8, deadline=None)
-@given(seed=st.integers(0, 2**32 - 1), params=st.sampled_from(["hdl64e_front", "vlp32c"]))
+@given(seed=st.integers(0, 2**32 - 1), profile=st.sampled_from(["hdl64e_front", "vlp32c"]))
 def test_unoccluded_returns_equal_casts_alone(seed, profile):
     rng = np.random.default_rng(seed)
     (boxes, shape), scene = random_boxes(rng, 15, 25.0), random_scene(rng)
