@@ -132,7 +132,7 @@ class Perception:
         with watch("sweep"):
             sweeps = self._scan(world, observers, memory, near)
         with watch("detect"):
-            here = evidence.observability(sweeps, world.boxes, world.shape)
+            here = evidence.observability(sweeps, world.boxes, world.shape, near)
             draws = self.draws(world, observers)
             reports = detector.detect(self.detector, sweeps, here, world.boxes, world.label, draws)
         return sweeps, Seen(here, reports)

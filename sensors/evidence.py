@@ -13,6 +13,7 @@ from numpy import ndarray
 from sensors import box_points, evidence_kernels, range_image
 from sensors.boxes import Boxes
 from sensors.lidar import RangeImages, Scanners, Sweeps
+from sensors.neighbours import Neighbours, neighbours
 from sensors.scene import ObjectClass, prisms
 
 
@@ -164,14 +165,21 @@ class Observability:
         return 1.0 - self.n_returns / self.n_unoccluded
 
 
-def observability(sweeps: Sweeps, boxes: Boxes, shape: UInt8[ndarray, "n"]) -> Observability:
+def observability(
+    sweeps: Sweeps, boxes: Boxes, shape: UInt8[ndarray, "n"], near: Neighbours | None = None
+) -> Observability:
     """Every (observer, actor) with at least one ray that would meet the actor if nothing stood in front.
+
+    Parameters
+    ----------
+    near
+        `neighbours` of the sensors among these boxes, where they are known already.
 
     Notes
     -----
     The road occludes nothing in the unoccluded count; dropouts of the sweep count as occlusion.
     """
-    ptr, row = sweeps.near
+    ptr, row = neighbours(sweeps.poses.origin_m, boxes, sweeps.max_range_m) if near is None else near
     assert len(ptr) == len(sweeps.observers) + 1, "neighbours of other sweeps"
     n_returns, n_unoccluded = range_image.unoccluded_returns(
         sweeps.hit, sweeps.poses.origin_m, sweeps.poses.yaw_rad, sweeps.beams, float(sweeps.max_range_m),

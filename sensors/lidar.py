@@ -232,8 +232,6 @@ class Sweeps(RangeImages):
 
     hit: Int[ndarray, "m a e"]
     """What returned, as a `Hit` code. Truth: only truth columns may read it."""
-    near: Neighbours
-    """Actors whose bodies may come within range of each sensor."""
 
 
 ENGINES: dict[str, Callable[..., None]] = {"columnar": columnar.cast, "embree": embree.cast, "open3d": open3d.cast}
@@ -285,7 +283,7 @@ def scan(
         range_m, hit, on.poses, on.ground_m, observers, grid, params.max_range_m, boxes, prisms(shape, boxes), scene,
         RangeNoise.of(keys, params.range_sigma_m, params.dropout_p), near,
     )  # fmt: skip
-    return Sweeps(on.poses, observers, on.ground_m, grid, params.max_range_m, range_m, hit, near)
+    return Sweeps(on.poses, observers, on.ground_m, grid, params.max_range_m, range_m, hit)
 
 
 def hit_type(n_actors: int) -> type:

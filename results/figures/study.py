@@ -134,7 +134,7 @@ def _draw(
 def _heat_maps(frame: pd.DataFrame, asked: Sequence[str], x: str, y: str) -> Figure:
     """A map per metric, where both keys are words: mean and 95 % interval written into each cell."""
     rows, columns = list(dict.fromkeys(frame[y])), list(dict.fromkeys(frame[x]))
-    size = 2.2 + 0.62 * len(columns), (1.5 + 0.36 * len(rows)) * len(asked)
+    size = max(6.4, 2.2 + 0.62 * len(columns)), (1.5 + 0.36 * len(rows)) * len(asked)
     figure, panels = style.sheet(1, *size, rows=len(asked))
     for axes, name in zip(panels, asked, strict=True):
         of_metric = chosen(frame, [name])
@@ -157,8 +157,9 @@ def _heat_maps(frame: pd.DataFrame, asked: Sequence[str], x: str, y: str) -> Fig
         axes.grid(visible=False)
         group = f", {first.group}" if ":" in name and first.group else ""
         few, many = int(of_metric.n.min()), int(of_metric.n.max())
-        n = "" if many < 2 else f", {many} seeds" if few == many else f", {few} to {many} seeds"
-        style.panel(axes, f"{first.label}{group}: mean and 95 % interval{n}", label_of(x), label_of(y))
+        n = f"{many} seeds" if few == many else f"{few} to {many} seeds"
+        told = "" if many < 2 else f": mean and 95 % interval, {n}"
+        style.panel(axes, f"{first.label}{group}{told}", label_of(x), label_of(y))
         figure.colorbar(image, ax=axes, fraction=0.03, pad=0.02)
     return figure
 

@@ -9,7 +9,6 @@ import pytest
 
 from sensors.evidence import observability
 from sensors.false_positives import CELL_M, COLUMN_STEP, ROW_STEP, false_positives
-from sensors.neighbours import Neighbours
 from sensors.scene import Hit, Scene
 from sensors.statistical_detector import DetectorParams, resolved
 from tests.sensors.town import blocks, car, draws_of, exact, traffic
@@ -42,7 +41,6 @@ def queue():
     sweeps = replace(
         sweeps, poses=poses, observers=np.zeros(n, int), ground_m=np.tile(sweeps.ground_m, n),
         range_m=np.tile(sweeps.range_m, (n, 1, 1)), hit=np.tile(sweeps.hit, (n, 1, 1)),
-        near=Neighbours(np.arange(n + 1), np.zeros(n, sweeps.near.row.dtype)),
     )  # fmt: skip
     return sweeps, observability(sweeps, one, shape), 1
 
