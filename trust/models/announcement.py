@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
 import numpy as np
-from annotated_types import Gt, Interval
+from annotated_types import Interval
 from jaxtyping import Int
 from numpy import ndarray
 
@@ -19,11 +19,11 @@ _UNIT = float(1 << 20)  # of a rating
 class AnnouncementParams:
     """Parameters of the model `announcement`; all defaults are ours."""
 
-    validity_s: Annotated[float, Gt(0)] = 600.0
+    validity_s: Annotated[float, Interval(ge=0.001, le=1e8)] = 600.0
     """Psi: age at which a rating counts nothing any more [s]."""
     usable_above: Annotated[float, Interval(ge=0, le=1)] = 0.6
     """Trust above which a vehicle's messages may be used."""
-    grace_s: Annotated[float, Gt(0)] = 10.0
+    grace_s: Annotated[float, Interval(ge=0.001, le=1e8)] = 10.0
     """Age at which evidence is final [s]: evaluations that arrive later have no effect."""
 
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
 import numpy as np
-from annotated_types import Gt, Interval, Le
+from annotated_types import Interval
 from jaxtyping import Float
 from numpy import ndarray
 
@@ -19,7 +19,7 @@ class BetaParams:
 
     decay_per_s: Annotated[float, Interval(gt=0, le=1)] = 0.98
     """lambda: share of the evidence that is left after 1 s; the default is ours."""
-    grace_s: Annotated[float, Gt(0), Le(1e8)] = 10.0
+    grace_s: Annotated[float, Interval(ge=0.001, le=1e8)] = 10.0
     """Age at which evidence is final [s]: evaluations that arrive later have no effect."""
 
 

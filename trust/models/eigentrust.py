@@ -23,7 +23,7 @@ class EigenTrustParams:
     """Change of the vector, summed, at which the iteration ends."""
     decay_per_s: Annotated[float, Interval(gt=0, le=1)] = 1.0
     """Share of the local trust that is left after 1 s; the paper has no decay."""
-    grace_s: Annotated[float, Gt(0)] = 10.0
+    grace_s: Annotated[float, Interval(ge=0.001, le=1e8)] = 10.0
     """Age at which evidence is final [s]: evaluations that arrive later have no effect."""
 
 

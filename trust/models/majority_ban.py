@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
 import numpy as np
-from annotated_types import Ge, Gt, Interval
+from annotated_types import Ge, Interval
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
@@ -20,11 +20,11 @@ class MajorityBanParams:
 
     ban_strikes: Annotated[int, Ge(1)] = 20
     """Strikes within `strike_window_s` that ban a vehicle for good."""
-    strike_window_s: Annotated[float, Gt(0)] = 20.0
+    strike_window_s: Annotated[float, Interval(ge=0.001, le=1e8)] = 20.0
     """Age at which a strike is forgotten [s]."""
     decay_per_s: Annotated[float, Interval(gt=0, le=1)] = 0.98
     """Share of the Beta evidence that is left after 1 s."""
-    grace_s: Annotated[float, Gt(0)] = 10.0
+    grace_s: Annotated[float, Interval(ge=0.001, le=1e8)] = 10.0
     """Age at which evidence is final [s]: evaluations that arrive later have no effect."""
 
 

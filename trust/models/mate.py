@@ -28,7 +28,7 @@ class MateParams:
     """1 / `propagation_s` of the distance to the prior is lost in 1 s."""
     believed_above: Annotated[float, Interval(ge=0, le=1)] = 0.4
     """Mean above which an object is believed."""
-    grace_s: Annotated[float, Gt(0)] = 10.0
+    grace_s: Annotated[float, Interval(ge=0.001, le=1e8)] = 10.0
     """Age at which evidence is final [s]: evaluations that arrive later have no effect."""
 
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
 import numpy as np
-from annotated_types import Gt, Interval
+from annotated_types import Interval
 from jaxtyping import Bool, Float
 from numpy import ndarray
 
@@ -25,7 +25,7 @@ class MinhasParams:
     """lambda: share of a trust value that is left when the next experience comes 1 s later."""
     consensus_margin: Annotated[float, Interval(ge=0, lt=0.5)] = 0.3
     """epsilon: a majority is one with at least 1 - epsilon of the votes."""
-    grace_s: Annotated[float, Gt(0)] = 10.0
+    grace_s: Annotated[float, Interval(ge=0.001, le=1e8)] = 10.0
     """Age at which evidence is final [s]: evaluations that arrive later have no effect."""
 
     def __post_init__(self) -> None:

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
 import numpy as np
-from annotated_types import Gt
+from annotated_types import Gt, Interval
 from jaxtyping import Float, Int
 from numpy import ndarray
 
@@ -21,7 +21,7 @@ class ReportCountParams:
     """Reports above which a vehicle is guilty; its trust is then below 1/2."""
     sanction_above: tuple[float, ...] = (20.0, 50.0, 250.0, 1250.0)
     """Reports above which each further level of sanction begins."""
-    grace_s: Annotated[float, Gt(0)] = 10.0
+    grace_s: Annotated[float, Interval(ge=0.001, le=1e8)] = 10.0
     """Age at which evidence is final [s]: evaluations that arrive later have no effect."""
 
     def __post_init__(self) -> None:

@@ -24,7 +24,7 @@ class SubjectiveLogicParams:
     """1 - check_base^-S: belief or disbelief that checks of total weight S give."""
     decay_per_s: Annotated[float, Interval(gt=0, le=1)] = 0.98
     """Share of the evidence (b / u, d / u) that is left after 1 s; the default is ours."""
-    grace_s: Annotated[float, Gt(0)] = 10.0
+    grace_s: Annotated[float, Interval(ge=0.001, le=1e8)] = 10.0
     """Age at which evidence is final [s]: evaluations that arrive later have no effect."""
 
 
