@@ -37,10 +37,11 @@ _MOST_WAITING = 2
 
 
 class Encoder:
-    """One thread that sorts and compresses, so that memory is that of encoded rows and the other core has work."""
+    """Threads that sort and compress, so that memory is that of encoded rows and the other core has work; at the end of
+    a block, when the simulation waits, both cores."""
 
     def __init__(self) -> None:
-        self._pool = ThreadPoolExecutor(max_workers=1, thread_name_prefix="encoder")
+        self._pool = ThreadPoolExecutor(max_workers=2, thread_name_prefix="encoder")
 
     def part(self, table: str, of_run: Mapping[str, tuple[str, ...]], rows: Sequence[Rows] = ()) -> "PartEncoder":
         """A part of a table, with these rows; `of_run` are the labels of the run."""
@@ -100,10 +101,11 @@ class PartEncoder:
         rows, self._rows, self._n_new = self._rows, [], 0
         while len(self._waiting) >= _MOST_WAITING:
             self._waiting.pop(0).result()
-        self._waiting.append(self._pool.submit(self._encode, rows))
+        before = self._waiting[-1] if self._waiting else None
+        self._waiting.append(self._pool.submit(self._encode, rows, before))
 
-    def _encode(self, rows: list[Rows]) -> None:
-        """One row group, sorted by key."""
+    def _encode(self, rows: list[Rows], before: Future[None] | None) -> None:
+        """One row group, sorted by key, after the one before."""
         table, stored = self._table, TABLES[self._table].stored
         columns = {name: np.concatenate([row[name] for row in rows]) for name in rows[0]}
         ordered, tied = _order(columns, TABLES[table].key)
@@ -122,6 +124,8 @@ class PartEncoder:
                 arrays.append(pa.DictionaryArray.from_arrays(codes, list(column.labels(self._of_run))))
             else:
                 arrays.append(pa.array(columns[name], column.arrow_type, mask=mask))
+        if before is not None:
+            before.result()
         steps = [columns[name] for name in _STEPS if name in columns]
         self._first_step = min(self._first_step, *(int(s.min()) for s in steps))
         self._last_step = max(self._last_step, *(int(s.max()) for s in steps))

@@ -148,7 +148,7 @@ class Recorder:
     def _commit(self, open_rows: Mapping[str, Sequence[Columns]], checkpoint: Mapping[str, bytes]) -> None:
         end_step = self._last_step + 1
         opening = [self._encoder.part(name, self.labels, rows) for name, rows in self._made(open_rows, end_step - 1)]
-        for waiting in (*self._parts.values(), *opening):
+        for waiting in sorted((*self._parts.values(), *opening), key=len, reverse=True):
             waiting.end_block()
         files = {f"{CHECKPOINT}/{name}": content for name, content in checkpoint.items()}
         if files:

@@ -3,8 +3,8 @@
 import heapq
 from collections import defaultdict
 from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
-import networkx as nx
 import numpy as np
 import pandas as pd
 from scipy.sparse import coo_array
@@ -12,6 +12,9 @@ from scipy.sparse.csgraph import connected_components
 
 from results.metrics.encounters import DEFINITION
 from results.run import Run
+
+if TYPE_CHECKING:  # imported where it is used: measuring a run does without
+    import networkx as nx
 
 
 def definition(run: Run, radius_m: float | None = None, pairs: str | None = None) -> dict[str, float | str]:
@@ -49,11 +52,15 @@ def contacts(run: Run, radius_m: float | None = None, pairs: str | None = None) 
     ]
 
 
-def graph(run: Run, start_s: float, end_s: float, radius_m: float | None = None, pairs: str | None = None) -> nx.Graph:
+def graph(
+    run: Run, start_s: float, end_s: float, radius_m: float | None = None, pairs: str | None = None
+) -> "nx.Graph":
     """Actors that met in a time span; edges carry `contact_s`, the time they spent in contact in it."""
     frame = contacts(run, radius_m, pairs)
     frame = frame.assign(contact_s=frame.end_s.clip(upper=end_s) - frame.start_s.clip(lower=start_s))
     total = frame[frame.contact_s > 0].groupby(["a", "b"], as_index=False).contact_s.sum()
+    import networkx as nx
+
     return nx.from_pandas_edgelist(total, "a", "b", "contact_s")
 
 
@@ -138,7 +145,7 @@ def _instants(
         yield float(time * every_s), len(now), actors, member
 
 
-def reception_graph(run: Run, start_s: float = 0.0, end_s: float = np.inf) -> nx.DiGraph:
+def reception_graph(run: Run, start_s: float = 0.0, end_s: float = np.inf) -> "nx.DiGraph":
     """Receptions in a time span: edges from sender to receiver with `n` messages and mean `hops`, `latency_s`."""
     frame = run.table("receptions", ["step", "sender", "receiver", "hops", "latency_s"])
     frame = frame[(frame.step * run.dt_s >= start_s) & (frame.step * run.dt_s < end_s)]
@@ -146,6 +153,8 @@ def reception_graph(run: Run, start_s: float = 0.0, end_s: float = np.inf) -> nx
     edges = frame.groupby(["sender", "receiver"]).agg(
         n=("hops", "size"), hops=("hops", "mean"), latency_s=("latency_s", "mean")
     )
+    import networkx as nx
+
     return nx.from_pandas_edgelist(edges.reset_index(), "sender", "receiver", True, create_using=nx.DiGraph)
 
 
