@@ -1,6 +1,5 @@
 """The commands."""
 
-import gc
 import os
 import sys
 from collections.abc import Callable, Iterable
@@ -360,7 +359,6 @@ def bench(
 def main(command: Callable[..., int | None] = app) -> None:
     """Run what the command line asks for; a user's mistake is one line on standard error and exit status 2."""
     _open_standard_streams()
-    gc.set_threshold(100_000, 50, 100)  # imports and arrays leave little garbage; looking for it cost 5 % of a run
     status: int | None
     kernels = None
     try:

@@ -13,15 +13,6 @@ from typing import TYPE_CHECKING, Any
 
 from rich.box import SIMPLE
 from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    SpinnerColumn,
-    TaskID,
-    TextColumn,
-    TimeRemainingColumn,
-)
 from rich.table import Column, Table
 from rich.text import Text
 
@@ -57,11 +48,20 @@ Advance = Callable[[str, int, int, str], None]
 @contextmanager
 def progress() -> Iterator[Advance]:
     """A bar per phase on a terminal; nothing elsewhere."""
+    from rich.progress import (  # here, because most commands end before anything could be shown
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        SpinnerColumn,
+        TextColumn,
+        TimeRemainingColumn,
+    )
+
     bar = Progress(
         SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(),
         TimeRemainingColumn(), TextColumn("{task.fields[note]}"), console=notes, disable=not notes.is_terminal,
     )  # fmt: skip
-    tasks: dict[str, TaskID] = {}
+    tasks: dict[str, Any] = {}
 
     def advance(phase: str, done: int, total: int, note: str = "") -> None:
         if phase not in tasks:
