@@ -41,13 +41,9 @@ SUMMARY_METRICS = (
 """Metrics that the closing summary of a run is made of."""
 
 
-Advance = Callable[[str, int, int, str], None]
-"""Called with progress: phase, done, total, a note."""
-
-
 @contextmanager
-def progress() -> Iterator[Advance]:
-    """A bar per phase on a terminal; nothing elsewhere."""
+def progress() -> Iterator[Callable[[str, int, int, str], None]]:
+    """A bar per phase on a terminal, nothing elsewhere; a call says phase, done, total and a note."""
     from rich.progress import (  # here, because most commands end before anything could be shown
         BarColumn,
         MofNCompleteColumn,

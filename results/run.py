@@ -310,7 +310,7 @@ def _order(frame: pd.DataFrame, key: Sequence[str]) -> np.ndarray:
 def problems_of(folder: Path, table: str, found: Inventory, is_over: bool) -> Iterator[str]:
     """Parts of a table that are missing, of another size, or not in the inventory.
 
-    Unless the run is over, there may be parts of the block that is being written; nobody reads them.
+    Unless the run is over, there may be parts of the block that is being written; they are not read.
     """
     known = {part.file: part for part in found.of(table)}
     try:

@@ -36,7 +36,7 @@ class ObjectParams:
     """
 
     vehicle_class: ActorClass = "car"
-    """What it is to a detector; a dummy of a person is a pedestrian."""
+    """As what a detector reports it; a dummy of a person is a pedestrian."""
     at_m: tuple[float, float] = (0.0, 0.0)
     """Middle of its box: east, north in the world frame [m]."""
     ground_m: Annotated[float, Ge(-1000), Le(10_000)] = 0.0

@@ -178,7 +178,8 @@ class RunReplay:
             )
         vehicles = run.table("vehicles").sort_values("vehicle")
         self._names = vehicles.sumo_id.tolist()
-        self._is_traffic = ~vehicles.sumo_id.str.startswith(PREFIX).to_numpy(bool)  # the config places objects again
+        placed = [f"{PREFIX}{i}" for i in range(len(run.manifest["config"].get("objects", ())))]
+        self._is_traffic = ~vehicles.sumo_id.isin(placed).to_numpy(bool)  # the config that replays it places its own
         self._shape = np.array([Shape[k.upper()] for k in vehicles.vehicle_class], np.uint8)
         self._lwh_m = vehicles[["length_m", "width_m", "height_m"]].to_numpy(float)
         for name, sizes in zip(self._names, self._lwh_m.tolist(), strict=True):

@@ -61,7 +61,7 @@ def _precision(run: Run) -> Iterator[tuple[str, str, float, str, str]]:
 def _trust(run: Run) -> Iterator[tuple[str, str, float, str, str]]:
     """Mean over equipped vehicles but egos of the last value that the server computed; without one the default.
 
-    Attackers that never met an ego, and so never attacked, are left out; where nobody ever attacks they count.
+    Attackers that never met an ego, and so never attacked, are left out; where there is no attack at all they count.
     """
     cars = run.vehicles[run.vehicles.equipped & ~run.vehicles.vehicle.isin(egos_of(run))]
     if cars.attack_start_step.notna().any():

@@ -10,7 +10,7 @@ import logging
 import os
 import shutil
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from time import time
@@ -39,11 +39,9 @@ def default_folder() -> Path:
 def limit_gb() -> float:
     """Size of the cache [GB]: COSIM_CACHE_GB, or LIMIT_GB."""
     said = os.environ.get("COSIM_CACHE_GB", str(LIMIT_GB))
-    try:
+    with suppress(ValueError):
         if (limit := float(said)) >= 0:
             return limit
-    except ValueError:
-        pass
     raise ValueError(f"COSIM_CACHE_GB = {said}: gigabytes, 0 or more, are wanted.")
 
 

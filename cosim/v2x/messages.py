@@ -47,7 +47,7 @@ class Detections:
     n_points: Int[ndarray, "d"]
     origin: UInt8[ndarray, "d"]
     transmitted: Bool[ndarray, "d"]
-    target: Int[ndarray, "d"] = field(default=None)  # type: ignore[arg-type]  # left out: nobody's
+    target: Int[ndarray, "d"] = field(default=None)  # type: ignore[arg-type]  # left out: the observer's own
     identity: Int[ndarray, "d"] = field(default=None)  # type: ignore[arg-type]  # left out: the vehicle's own
     speed_mps: Float[ndarray, "d"] = field(default=None)  # type: ignore[arg-type]  # left out: absent
     acceleration_mps2: Float[ndarray, "d"] = field(default=None)  # type: ignore[arg-type]  # left out: absent

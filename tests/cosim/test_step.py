@@ -104,4 +104,4 @@ def test_other_pseudonyms_change_nothing_but_names():
 @pytest.mark.parametrize("medium", CHOICES["radio"][1])
 def test_the_state_of_every_model_and_medium_is_kept_for_resume(model, medium):
     parts = parts_of(ScriptedScene.load(), f"trust.model={model}", f"radio.model={medium}")
-    encode(State.start(parts))
+    assert isinstance(decode(encode(State.start(parts))), State)

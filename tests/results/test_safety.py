@@ -33,7 +33,7 @@ def poses(tracks):
 
 def test_time_to_collision_by_hand():
     """20 m behind another centre to centre: gap 15 m; 10 m/s against 4 m/s: 15 / 6 = 2.5 s; 6^2 / (2 x 15) = 1.2 m/s2.
-    A third drives the other way beside them, and is nobody's leader."""
+    A third drives the other way beside them, and is not a leader of either."""
     found = conflicts.following(Poses, poses({1: [(0, 0, 0, 10)], 2: [(20, 0, 0, 4)], 3: [(12, 1, np.pi, 10)]}))
     assert found[["actor", "leader"]].to_numpy().tolist() == [[1, 2]]
     np.testing.assert_allclose(found[["gap_m", "ttc_s", "drac_mps2"]].to_numpy(), [[15, 2.5, 1.2]])
@@ -82,7 +82,7 @@ class Reacted(Poses):
 def test_a_braking_wave_by_hand():
     """Four in a row, 20 m apart: the first reacts in step 1, the second brakes with 2 m/s2 in step 2, the third with 3
     in step 3, the fourth not; the third brakes again in step 5 and counts once. Two drivers, 40 m behind the first at
-    the most: the first stands at 100 m from step 1 on, the third at 60 m. Nobody is behind the vehicle 9."""
+    the most: the first stands at 100 m from step 1 on, the third at 60 m. No vehicle is behind vehicle 9."""
     speeds = {1: [10, 8, 6, 6, 6, 6], 2: [10, 10, 9, 9, 9, 9], 3: [10, 10, 10, 8.5, 8.5, 7], 4: [10] * 6, 9: [10] * 6}
     place = {1: (100, 0), 2: (80, 0), 3: (60, 0), 4: (40, 0), 9: (0, 500)}
     tracks = {actor: [(*place[actor], 0.0, v) for v in speed] for actor, speed in speeds.items()}
