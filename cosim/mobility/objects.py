@@ -37,8 +37,8 @@ class ObjectParams:
 
     vehicle_class: ActorClass = "car"
     """As what a detector reports it; a dummy of a person is a pedestrian."""
-    at_m: tuple[float, float] = (0.0, 0.0)
-    """Middle of its box: east, north in the world frame [m]."""
+    at_m: tuple[float, float] | None = None
+    """Middle of its box: east, north in the world frame [m]; must be given."""
     ground_m: Annotated[float, Ge(-1000), Le(10_000)] = 0.0
     """Height of the ground under it [m]."""
     yaw_deg: Annotated[float, Ge(-360), Le(360)] = 0.0
@@ -55,6 +55,8 @@ class ObjectParams:
     """When it is taken away [s]."""
 
     def __post_init__(self) -> None:
+        if self.at_m is None:
+            raise ValueError("objects: at_m is not given. Say where it stands: at_m = [east, north], in metres.")
         if self.to_s <= self.from_s:
             raise ValueError(f"objects: to_s = {self.to_s:g} s is not after from_s = {self.from_s:g} s. Set it later.")
 
@@ -82,13 +84,14 @@ class Placed:
         names = [f"{PREFIX}{i}" for i in range(len(objects))]
         shape = np.array([Shape[o.vehicle_class.upper()] for o in objects], np.uint8)
         lwh_m = np.array([o.lwh_m for o in objects]).reshape(-1, 3).astype(np.float32).astype(float)
-        xyz_m = np.array([(*o.at_m, o.ground_m) for o in objects]).reshape(-1, 3)
+        xyz_m = np.array([(*(o.at_m or ()), o.ground_m) for o in objects]).reshape(-1, 3)
         xyz_m[:, 2] += lwh_m[:, 2] / 2
         yaw = np.radians([o.yaw_deg for o in objects])
         boxes = Boxes(
             np.rint(xyz_m * PER_M) / PER_M, lwh_m, np.rint((np.pi - np.mod(np.pi - yaw, 2 * np.pi)) * PER_RAD) / PER_RAD
         )
         times = np.array([(o.from_s, o.to_s) for o in objects]).reshape(-1, 2) / step_s
+        frame = replace(frame, source="objects.at_m")
         frame.check(0, names, np.arange(len(objects)), boxes.xyz_m, boxes.yaw_rad, np.zeros(len(objects)))
         return Placed(names, shape, boxes, *np.ceil(times - 1e-9).T)
 

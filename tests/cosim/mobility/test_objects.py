@@ -54,10 +54,12 @@ def test_worlds_by_hand():
 
 
 def test_an_object_far_away_is_refused():
-    with pytest.raises(TrafficError, match="object/0"):
+    with pytest.raises(TrafficError, match="objects.at_m: .*object/0"):
         Placed.of([ObjectParams(at_m=(1e6, 0.0))], FRAME, 1.0)
     with pytest.raises(ValueError, match="to_s = 1 s is not after"):
-        ObjectParams(from_s=2.0, to_s=1.0)
+        ObjectParams(at_m=(0.0, 0.0), from_s=2.0, to_s=1.0)
+    with pytest.raises(ValueError, match="at_m is not given"):
+        ObjectParams()
 
 
 @pytest.fixture(scope="module")
