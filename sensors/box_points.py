@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit, prange
 
+from sensors.kernel import kernel
 from sensors.pairs import in_sensor_frame
 from sensors.raycast.column import below, spans
 
@@ -73,7 +74,7 @@ def _tally(ranges, c, r0, r1, cos_el, sin_el, middle, half, height, half_h, erro
     return int(count)
 
 
-@njit(cache=True)
+@kernel
 def _nearest_and_farthest(ranges, c, r0, r1):
     """The nearest and farthest return of a column in rows r0 to r1: inf and 0 if there are none.
 
@@ -105,7 +106,7 @@ def _bounds(ranges, flat, nearest, farthest):
         farthest[b] *= flat[b, 1]
 
 
-@njit(cache=True)
+@kernel
 def _any_between(nearest, farthest, a0, a1, b0, b1, enter, leave):
     """Whether a block of these columns may have a return of a length between two."""
     found = 0
@@ -116,7 +117,7 @@ def _any_between(nearest, farthest, a0, a1, b0, b1, enter, leave):
     return found > 0
 
 
-@njit(cache=True)
+@kernel
 def _blocks_between(nearest, farthest, a0, a1, b0, b1, enter, leave, error, first, last):
     """First and last block of each column that may have a return between two lengths of its own; b1, b0 if none."""
     first[: a1 - a0], last[: a1 - a0] = b1, b0
@@ -128,7 +129,7 @@ def _blocks_between(nearest, farthest, a0, a1, b0, b1, enter, leave, error, firs
             last[i] = max(last[i], here + np.int32(1)) if found else last[i]
 
 
-@njit(cache=True)
+@kernel
 def _count(ranges, beams, cos_el, sin_el, a0, a1, r0, r1, x, y, z, cos, sin, half_l, half_w, half_h, bounds, scratch):
     """Returns in columns a0 to a1 and rows r0 to r1 that lie inside a box."""
     m = len(cos_el)

@@ -10,6 +10,7 @@ import numpy as np
 from numba import njit, prange
 
 from sensors.box_points import MARGIN_RAD
+from sensors.kernel import kernel
 from sensors.pairs import in_sensor_frame
 from sensors.raycast.column import below, spans
 
@@ -44,7 +45,7 @@ def in_area(pairs, exempt, own_xyz, own_lwh, range_m, height_m, fov_rad, slope, 
     return found
 
 
-@njit(cache=True)
+@kernel
 def is_testable(x, y, z, height, range_m, height_m, fov_rad, slope):
     """Whether the free-space test applies to a box (sensor frame)."""
     bottom = z - 0.5 * height
@@ -53,7 +54,7 @@ def is_testable(x, y, z, height, range_m, height_m, fov_rad, slope):
     return near_enough and ahead and z <= 0.0 and _in_view(x, y, fov_rad, slope, 0.0)
 
 
-@njit(cache=True)
+@kernel
 def _cross(corner, a, b, sign, plane, p):
     """Normal of the plane through the sensor and two corners."""
     ax, ay, az, bx, by, bz = corner[a, 0], corner[a, 1], corner[a, 2], corner[b, 0], corner[b, 1], corner[b, 2]
@@ -62,7 +63,7 @@ def _cross(corner, a, b, sign, plane, p):
     plane[p, 2] = sign * (ax * by - ay * bx)
 
 
-@njit(cache=True)
+@kernel
 def frustum(x, y, middle_z, length, width, height, corner, plane):
     """The pyramid from the sensor through a small square in the middle of a box (sensor frame).
 
@@ -97,7 +98,7 @@ def frustum(x, y, middle_z, length, width, height, corner, plane):
     return away, middle, half, low, high
 
 
-@njit(cache=True)
+@kernel
 def _window(middle, corner, plane):
     """Half the width of a pyramid, lowest and highest slope."""
     half, low, high = 0.0, np.inf, -np.inf
@@ -149,7 +150,7 @@ def free_space(range_m, beams, pairs, run, reach_m, height_m, slope, margin_m):
     return applies, seen, closer
 
 
-@njit(cache=True)
+@kernel
 def _returns_in(sweep, beams, plane, limit, middle, half, low, high):
     """Returns in a pyramid, and how many of them are nearer than a limit."""
     a0, a1, b0, b1 = spans(middle, half, beams)

@@ -14,6 +14,7 @@ import numpy as np
 from numba import njit, prange
 
 from sensors.boxes import Boxes
+from sensors.kernel import kernel
 from sensors.neighbours import Neighbours
 from sensors.range_noise import RangeNoise, add_noise
 from sensors.raycast.city import close_columns, gather, toggle_levels
@@ -117,7 +118,7 @@ def _city(ranges, hits, x, y, z, ground, cos, sin, beams, limit, nearest, city):
             _level(ranges, hits, bottom, inside, beams, limit, toggled)
 
 
-@njit(cache=True)
+@kernel
 def _level(ranges, hits, height, inside, beams, limit, toggled):
     """Paint one roof or underside: where the number of walls before a beam's point is odd."""
     n, m = ranges.shape
@@ -139,7 +140,7 @@ def _level(ranges, hits, height, inside, beams, limit, toggled):
                     _paint(ranges, hits, c, r, np.float32(height / beams.sin_el[r]), limit, Hit.BUILDING)
 
 
-@njit(cache=True)
+@kernel
 def _actor(ranges, hits, a, dx, dy, radius, x, y, z, cos, sin, beams, limit, nearest, bodies):
     """Paint one actor's prisms over the city."""
     a0, a1, b0, b1 = actor_columns(dx, dy, radius, cos, sin, beams)
