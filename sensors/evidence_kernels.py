@@ -142,7 +142,7 @@ def in_frustum(x, y, z, plane):
     )
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, nogil=True, parallel=True)
 def free_space(range_m, beams, o, planes, distance, window, margin_m):
     """Returns of sweep o[k] in the pyramid through box k, and how many of them are nearer than the box."""
     seen, closer = np.zeros(len(o), np.int32), np.zeros(len(o), np.int32)
