@@ -51,16 +51,24 @@ class Boxes:
 
     def take(self, rows: Int[ndarray, "m"] | slice) -> Boxes:
         """The boxes of these rows, in this order."""
-        return Boxes(self.xyz_m[rows], self.lwh_m[rows], self.yaw_rad[rows])
+        return Boxes._of_checked(self.xyz_m[rows], self.lwh_m[rows], self.yaw_rad[rows])
 
     @staticmethod
     def concat(parts: Sequence[Boxes]) -> Boxes:
         """All boxes of all parts, in order."""
-        return Boxes(
+        return Boxes._of_checked(
             np.concatenate([p.xyz_m for p in parts] or [np.empty((0, 3))]),
             np.concatenate([p.lwh_m for p in parts] or [np.empty((0, 3))]),
             np.concatenate([p.yaw_rad for p in parts] or [np.empty(0)]),
         )
+
+    @staticmethod
+    def _of_checked(xyz_m: Float[ndarray, "n 3"], lwh_m: Float[ndarray, "n 3"], yaw_rad: Float[ndarray, "n"]) -> Boxes:
+        """Rows of boxes that exist: nothing is checked again."""
+        made = object.__new__(Boxes)
+        for name, value in (("xyz_m", xyz_m), ("lwh_m", lwh_m), ("yaw_rad", yaw_rad)):
+            object.__setattr__(made, name, np.ascontiguousarray(value))
+        return made
 
 
 def iou_3d(a: Boxes, b: Boxes) -> Float[ndarray, "n"]:
@@ -140,7 +148,7 @@ def _by_cell(xyz, cell_m, n_buckets):
     return order, start, cell
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, nogil=True, parallel=True)
 def _near(xyz, lwh, yaw, radius, label, owner, reach, cell_m, order, start, cell, ptr, out_j, out_iou):
     """Later boxes of one label and other owners whose circles overlap each box: counts them if `out_j` is empty, else
     lists them from `ptr` on, ascending, with their IoU."""

@@ -149,7 +149,7 @@ class _Totals(NamedTuple):
         return _Totals(whole[0], real[0], real[1], real[2], real[3], real[4], whole[1])
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, nogil=True, parallel=True)
 def _accumulate(lists, of, weights, n_chunks, sums, totals):
     """Fill the sums of all members, and those of all groups."""
     list_ptr, member, owner, message, score = lists

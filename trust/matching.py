@@ -52,7 +52,7 @@ def _candidate(p, after, at, member, block, seed, ptr, other, value):
     return best, best_iou
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, nogil=True, parallel=True)
 def _seeds(list_ptr, members, owner, message, ptr, other, value, one_per_vehicle, n_chunks):
     """Seed of each position, and whether it is the owner's detection; what is kept per position is that of one list."""
     n_lists = list_ptr.size - 1

@@ -47,7 +47,7 @@ def pdr_by_distance(
     )
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _counted(distance_m, los_state, outcome, n_states, n_outcomes):
     """Frames by bin of distance and line of sight, and by outcome."""
     n_bins = _bin(np.max(distance_m)) + 1 if len(distance_m) else 0
@@ -57,7 +57,7 @@ def _counted(distance_m, los_state, outcome, n_states, n_outcomes):
     return counts
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _bin(distance_m):
     """Whole bins in a distance, exactly."""
     n = int(distance_m / DISTANCE_BIN_M)

@@ -59,7 +59,7 @@ class InterReceptionTracker:
         }
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _carried_on(held, held_last, held_received, pair):
     """What is held of each pair, and which held pairs are not among them; both are sorted."""
     last, has_last = np.zeros(len(pair), np.int64), np.zeros(len(pair), np.bool_)
@@ -78,7 +78,7 @@ def _at(count: Int[ndarray, "k"], lengths: Int[ndarray, "n"]) -> Int[ndarray, "n
     return np.pad(count, (0, max(0, int(lengths.max(initial=-1)) + 1 - len(count))))[lengths]
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def contained(one, other, of_one, of_other):
     """Whether each pair is among some others; both are sorted."""
     found = np.zeros(len(one), np.bool_)
@@ -90,7 +90,7 @@ def contained(one, other, of_one, of_other):
     return found
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def unique_pairs(one, other, n):
     """Pairs of numbers below n, sorted, each once: sorts by counting, by `other` and then by `one`."""
     by_one, by_other = np.zeros(n + 1, np.int64), np.zeros(n + 1, np.int64)
