@@ -2,7 +2,7 @@
 
 import logging
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numba
@@ -19,8 +19,10 @@ from cosim.cycle import step
 from cosim.manifest import Manifest
 from cosim.mobility.source import TrafficEnded, TrafficError, TrafficSource
 from cosim.parts import Parts, chosen
+from cosim.perception import Perception
 from cosim.run_folder import RunFolder
 from cosim.scenario import Scenario
+from cosim.sensing_ahead import SensingAhead
 from cosim.state import State
 from cosim.stop import StopRequest
 from cosim.stopwatch import Stopwatch
@@ -71,9 +73,27 @@ class Drive:
     """Why the traffic ended before the time asked for."""
     _of_block: dict[int, Commands] = field(default_factory=dict)
     _keeps_state: bool = True
+    _next_worlds: list[World] = field(default_factory=list)
+    """Read already; at most one."""
 
     def run(self) -> None:
         """Warm up, repeat the traffic of what is recorded already, and go on to the end or to a signal."""
+        ahead = self._sensing_ahead()
+        if ahead is None:
+            self._run(None)
+            return
+        with ahead:
+            self.parts = replace(self.parts, perception=ahead)
+            self.manifest.timings_ahead_s = ahead.watch.seconds
+            self._run(ahead)
+
+    def _sensing_ahead(self) -> SensingAhead | None:
+        """Where the next world does not depend on the present step, and there is a core to sense it on."""
+        c, own = self.parts.config, self.parts.perception
+        alone = c.driver.model != "none" or c.compute.threads == 1 or _CORES == 1
+        return SensingAhead(own) if isinstance(own, Perception) and not alone else None
+
+    def _run(self, ahead: SensingAhead | None) -> None:
         config, recorder = self.parts.config, self.recorder
         first = recorder.inventory.end_step
         warm_up(self.warmup_s, self.traffic, self.parts.watch, self.advance)
@@ -83,8 +103,9 @@ class Drive:
         for number in range(config.n_steps):
             if number == first > 0:
                 self.stop.at_once = False
-            if (world := self._next(number)) is None:
+            if (world := self._world()) is None:
                 break
+            self.n_on_road += int((world.shape != Shape.PEDESTRIAN).sum())
             if number < first:
                 commands = self.commands.get(number, NO_COMMANDS)
                 if recomputes:
@@ -96,6 +117,7 @@ class Drive:
                 self.advance("repeat traffic", number + 1, first, "steps")
                 continue
             numba.set_num_threads(_threads(config, int(world.equipped.sum())))
+            self._look_ahead(number, ahead)
             state, happened = step(world, state, self.parts)
             if happened.sensed is not None or number + 1 >= min(_MOST_AT_ONCE, recorder.block_steps):
                 self.stop.at_once = False  # until now a step may have compiled kernels, for a minute
@@ -110,7 +132,7 @@ class Drive:
                     self._commit(state)
             self.traffic.command(*commands)
             self.advance("run", number + 1, config.n_steps, f"steps, {len(world)} actors")
-            if self.stop.signum is not None:
+            if self.stop.signum is not None and not self._next_worlds:
                 break
         if not self.manifest.steps:
             raise TrafficError(f"traffic.scenario = {self.scenario.name}: there is nothing to record: {self.ended}.")
@@ -122,16 +144,29 @@ class Drive:
         """Whether every step asked for, or every one that the traffic has, is recorded."""
         return bool(self.ended) or self.manifest.steps >= self.parts.config.n_steps
 
-    def _next(self, number: int) -> World | None:
+    def _world(self) -> World | None:
+        """That of the next step; None where the traffic has ended."""
+        if self._next_worlds:
+            return self._next_worlds.pop()
+        if self.ended:
+            return None
         with self.parts.watch("traffic"):
             try:
-                world = self.traffic.advance()
+                return self.traffic.advance()
             except TrafficEnded as over:
                 asked_s = self.parts.config.n_steps * self.parts.config.traffic.step_s
                 self.ended = f"the traffic ended before the {asked_s:g} s asked for: {over}"
                 return None
-        self.n_on_road += int((world.shape != Shape.PEDESTRIAN).sum())
-        return world
+
+    def _look_ahead(self, number: int, ahead: SensingAhead | None) -> None:
+        """Have the step after this one sensed while this one goes on; not where recording may end between the two,
+        because actors are registered when they are read."""
+        is_last = number + 1 == self.parts.config.n_steps or self.recorder.is_block_end(number)
+        if ahead is None or is_last or self.stop.signum is not None or (world := self._world()) is None:
+            return
+        self._next_worlds.append(world)
+        if self.parts.senses(number + 1):
+            ahead.expect(world, at_once=not self.parts.senses(number))
 
     def _commit(self, state: State) -> None:
         """A whole block, with what a resumed run needs to go on from it."""

@@ -63,6 +63,8 @@ class Manifest:
     steps: int = 0
     """Steps done so far."""
     timings_s: dict[str, float] = field(default_factory=dict)
+    timings_ahead_s: dict[str, float] = field(default_factory=dict)
+    """Of what was sensed beside these stages, ahead of its step."""
     summary: dict[str, Any] = field(default_factory=dict)
     error: str = ""
     """Why the run failed."""
@@ -112,7 +114,8 @@ class Manifest:
             "versions": versions(),
             "net": self.net,
             "choices": {key: asdict(source) for key, source in self.choices.items()},
-            "timings_s": {stage: round(s, 3) for stage, s in self.timings_s.items()},
+            "timings_s": _rounded(self.timings_s),
+            "timings_ahead_s": _rounded(self.timings_ahead_s),
             "summary": self.summary,
             "inventory": inventory.summary(kept(self.config.record.level)),
             **({"lidar_engine": GRAZING} if self.config.lidar.engine != "columnar" else {}),
@@ -128,3 +131,7 @@ class Manifest:
 
     def _config(self) -> bytes:
         return toml_text(self.config.to_dict()).encode()
+
+
+def _rounded(seconds: dict[str, float]) -> dict[str, float]:
+    return {stage: round(s, 3) for stage, s in seconds.items()}

@@ -172,7 +172,7 @@ def _count(ranges, beams, cos_el, sin_el, a0, a1, r0, r1, x, y, z, cos, sin, hal
     return total
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, nogil=True, parallel=True)
 def points_in_boxes(range_m, beams, pairs, run):
     """Returns of the pair's sweep strictly inside its box, of every pair; `run` as `Pairs.runs`."""
     out = np.zeros(len(pairs.o), np.int32)

@@ -133,7 +133,7 @@ def in_frustum(x, y, z, plane):
     )
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, nogil=True, parallel=True)
 def free_space(range_m, beams, pairs, run, reach_m, height_m, slope, margin_m):
     """Whether the free-space test applies to each pair, and where it does, the returns of its sweep in the pyramid
     through its box, and how many of them are nearer than the box. `run` as `Pairs.runs`."""

@@ -311,7 +311,7 @@ def _one_sweep(ranges, hits, beams, pose, half, actor, n_returns, observer, step
     return found
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, nogil=True, parallel=True)
 def _all_sweeps(range_m, hit, origin_m, yaw_rad, beams, max_range_m, hidden, keys, rates, capacity):
     """Per sweep: number of false positives; of the first `capacity`: key of the site, ray, U / p and a uniform."""
     n_sweeps, half = len(hit), min(np.int64(max_range_m / CELL_M) + 2, FARTHEST_CELLS)

@@ -9,7 +9,7 @@ from sensors.raycast.column import actor_columns, in_prism_frame, profile, recta
 from sensors.scene import Hit
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, nogil=True, parallel=True)
 def unoccluded_returns(hit, origin, yaw, beams, limit, xyz, radius, height, ptr, row, own, bodies):
     """Per candidate (observer, actor): returns in the sweep, and returns if nothing else existed."""
     n_returns, n_unoccluded = np.zeros(len(row), np.int32), np.zeros(len(row), np.int32)

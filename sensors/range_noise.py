@@ -63,7 +63,7 @@ def add_noise(ranges, hits, key, noise):
                     hits[c, r] = Hit.NOTHING
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, nogil=True, parallel=True)
 def add_noise_to_all(range_m, hit, noise):
     """Range noise and dropouts of all sweeps, in place."""
     for o in prange(len(noise.key)):

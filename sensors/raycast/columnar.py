@@ -39,7 +39,7 @@ def cast(
     )  # fmt: skip
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, nogil=True, parallel=True)
 def _cast(range_m, hit, origin, yaw, ground, own, beams, limit, xyz, radius, ptr, row, bodies, city, noise):
     """Sweep by sweep, so that each is finished while it is in the cache of its core."""
     for o in prange(len(origin)):

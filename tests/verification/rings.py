@@ -83,10 +83,11 @@ def summary(victims: pd.DataFrame) -> pd.DataFrame:
     """Per model and size: victims, their median trust, how many are excluded, and Wilson's 95 % interval of the share;
     victims are the units."""
     rows = []
-    for (model, ring), some in victims.groupby(["model", "ring"], sort=False):
-        n, k = len(some), int(some.excluded.sum())
-        found = intervals.share(some.excluded.to_numpy(float), np.ones(n))
-        rows.append((model, ring, n, some.trust.median(), k, found.low, found.high))
+    for model, of_model in victims.groupby("model", sort=False):
+        for ring, some in of_model.groupby("ring"):
+            n, k = len(some), int(some.excluded.sum())
+            found = intervals.share(some.excluded.to_numpy(float), np.ones(n))
+            rows.append((model, ring, n, some.trust.median(), k, found.low, found.high))
     return pd.DataFrame(rows, columns=["model", "ring", "victims", "trust", "excluded", "low", "high"])
 
 

@@ -1,0 +1,49 @@
+"""What is sensed ahead of its step is what the step would have sensed itself."""
+
+from dataclasses import replace
+
+import pytest
+
+from cosim.cycle import step
+from cosim.reproduce.scenarios import ScriptedScene
+from cosim.sensing_ahead import SensingAhead
+from cosim.state import State
+from results.recorder import fingerprint
+from tests.drive import drive
+from tests.scene import assert_same, parts_of, play
+
+N = 6
+
+
+@pytest.mark.parametrize(
+    "setting",
+    [
+        pytest.param(("traffic.step_s=0.5",), id="every other step senses"),
+        pytest.param(("record.block_steps=2",), id="every other step is the last of a block"),
+    ],
+)
+def test_a_run_with_one_thread_has_the_same_tables(tmp_path, setting):
+    two, one = (drive(tmp_path / str(n), f"compute.threads={n}", "traffic.duration_s=12", *setting) for n in (2, 1))
+    assert fingerprint(two) == fingerprint(one)
+
+
+@pytest.mark.parametrize("expected", [1, 2, None])
+@pytest.mark.parametrize("at_once", [False, True])
+def test_each_world_is_sensed_whichever_was_expected(expected, at_once):
+    """The next world is expected before its step begins, the one after it, or none at all."""
+    want, _ = play(N)
+    scene = ScriptedScene.load()
+    parts, found = parts_of(scene), []
+    worlds = [scene.world(number) for number in range(N + 2)]
+    with SensingAhead(parts.perception) as ahead:
+        parts = replace(parts, perception=ahead)
+        state = State.start(parts)
+        for number in range(N):
+            if expected and not at_once:
+                ahead.expect(worlds[number + expected], at_once=False)
+            state, happened = step(worlds[number], state, parts)
+            found.append(happened.sensed)
+            if expected and at_once:
+                ahead.expect(worlds[number + expected], at_once=True)
+    assert_same(found, want)
+    assert bool(ahead.watch.seconds) == bool(expected)
