@@ -41,10 +41,10 @@ def blind(n=1, fov_deg=90.0) -> RangeImages:
     return RangeImages(poses, np.arange(n), np.zeros(n), grid, 80.0, empty)
 
 
-def testable(sensed: Boxes, fov_rad: float):
+def applies_to(sensed: Boxes, fov_rad: float):
     area = AreaParams()
     slope = edge_slope(fov_rad)
-    return whole_cloud.testable(sensed.xyz_m, sensed.lwh_m, area.range_m, area.height_m, fov_rad, slope)
+    return whole_cloud.applies_to(sensed.xyz_m, sensed.lwh_m, area.range_m, area.height_m, fov_rad, slope)
 
 
 def by_cloud(found: list[dict]):
@@ -64,7 +64,7 @@ def test_plausibility_vectors():
     n = 0
     for points, here in by_cloud(cases("f_plausibility")):
         boxes = labelled([c["box"] for c in here])
-        asked = testable(boxes, np.pi / 2)
+        asked = applies_to(boxes, np.pi / 2)
         assert asked.tolist() == [c["reason"] not in early for c in here]
         planes, distance = whole_cloud.frusta(boxes.xyz_m[asked], boxes.lwh_m[asked])
         seen, closer = whole_cloud.free_space_xyz(points, planes, distance, 0.25)
@@ -144,7 +144,7 @@ def test_windows_equal_whole_clouds(seed, params):
         whole = whole_cloud.points_in_boxes_xyz(sweeps.xyz(o), sensed.xyz_m, sensed.lwh_m, sensed.yaw_rad)
         assert (points_in_boxes(sweeps, at, asked) == whole).all()
         fov_rad, area, pairs = sweeps.beams.fov_rad, AreaParams(), sweeps.poses.pairs(at, asked)
-        free = testable(sensed, fov_rad)
+        free = applies_to(sensed, fov_rad)
         planes, distance = whole_cloud.frusta(sensed.xyz_m[free], sensed.lwh_m[free])
         applies, seen, closer = evidence_kernels.free_space(
             sweeps.range_m, sweeps.beams, pairs, pairs.runs(), area.range_m, area.height_m, edge_slope(fov_rad), 0.25

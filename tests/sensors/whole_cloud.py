@@ -37,7 +37,7 @@ def free_space_xyz(points, planes, distance, margin_m):
 
 
 @njit(cache=True)
-def testable(xyz, lwh, range_m, height_m, fov_rad, slope):
+def applies_to(xyz, lwh, range_m, height_m, fov_rad, slope):
     """Whether the free-space test applies to each box (sensor frame)."""
     found = np.zeros(len(xyz), np.bool_)
     for k in range(len(xyz)):
