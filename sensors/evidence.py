@@ -14,7 +14,7 @@ from sensors import box_points, evidence_kernels, range_image
 from sensors.boxes import Boxes
 from sensors.lidar import RangeImages, Scanners, Sweeps
 from sensors.neighbours import Neighbours, neighbours
-from sensors.scene import ObjectClass, prisms
+from sensors.scene import ObjectClass, Prisms, prisms
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -151,14 +151,15 @@ class Observability:
 
 
 def observability(
-    sweeps: Sweeps, boxes: Boxes, shape: UInt8[ndarray, "n"], near: Neighbours | None = None
-) -> Observability:
+    sweeps: Sweeps, boxes: Boxes, shape: UInt8[ndarray, "n"], near: Neighbours | None = None,
+    bodies: Prisms | None = None,
+) -> Observability:  # fmt: skip
     """Every (observer, actor) with at least one ray that would meet the actor if nothing stood in front.
 
     Parameters
     ----------
-    near
-        `neighbours` of the sensors among these boxes, where they are known already.
+    near, bodies
+        `neighbours` of the sensors among these boxes, and their `prisms`, where they are known already.
 
     Notes
     -----
@@ -168,7 +169,8 @@ def observability(
     assert len(ptr) == len(sweeps.observers) + 1, "neighbours of other sweeps"
     n_returns, n_unoccluded = range_image.unoccluded_returns(
         sweeps.hit, sweeps.poses.origin_m, sweeps.poses.yaw_rad, sweeps.beams, float(sweeps.max_range_m),
-        boxes.xyz_m, boxes.circumradius_m, boxes.lwh_m[:, 2], ptr, row, sweeps.observers, prisms(shape, boxes),
+        boxes.xyz_m, boxes.circumradius_m, boxes.lwh_m[:, 2], ptr, row, sweeps.observers,
+        prisms(shape, boxes) if bodies is None else bodies,
     )  # fmt: skip
     n_unoccluded = np.maximum(n_unoccluded, n_returns)  # bodies from meshes may reach beyond their prisms
     keep = n_unoccluded > 0

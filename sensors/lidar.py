@@ -17,7 +17,7 @@ from sensors.neighbours import Neighbours, neighbours
 from sensors.pairs import Pairs, pairs_of, turned
 from sensors.range_noise import RangeNoise
 from sensors.raycast import columnar, embree, open3d
-from sensors.scene import Hit, Scene, prisms
+from sensors.scene import Hit, Prisms, Scene, prisms
 
 
 class Profile(NamedTuple):
@@ -232,6 +232,7 @@ def scan(
     keys: UInt64[ndarray, "m"],
     out: Sweeps | tuple[ndarray, ndarray] | None = None,
     near: Neighbours | None = None,
+    bodies: Prisms | None = None,
 ) -> Sweeps:
     """One sweep of every observer, all at one instant.
 
@@ -246,8 +247,8 @@ def scan(
     out
         Arrays `range_m` and `hit` to fill; or an earlier result, whose arrays are overwritten where they are large
         enough: saves allocation and page faults.
-    near
-        `neighbours` of the sensors, where they are known already.
+    near, bodies
+        `neighbours` of the sensors, and `prisms` of all actors, where they are known already.
 
     Notes
     -----
@@ -266,7 +267,7 @@ def scan(
     range_m, hit = buffer(size, np.float32, old_range_m), buffer(size, hit_type(len(boxes)), old_hit)
     near = neighbours(on.poses.origin_m, boxes, params.max_range_m) if near is None else near
     ENGINES[params.engine](
-        range_m, hit, on.poses, on.ground_m, observers, grid, params.max_range_m, boxes, prisms(shape, boxes), scene,
+        range_m, hit, on.poses, on.ground_m, observers, grid, params.max_range_m, boxes, prisms(shape, boxes) if bodies is None else bodies, scene,
         RangeNoise.of(keys, params.range_sigma_m, params.dropout_p), near,
     )  # fmt: skip
     return Sweeps(on.poses, observers, on.ground_m, grid, params.max_range_m, range_m, hit)
