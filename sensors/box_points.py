@@ -206,8 +206,8 @@ def points_in_boxes(range_m, beams, pairs, run):
             r0, r1 = 0, m
             if close > 1e-6:
                 low, high = z - half_h, z + half_h
-                r0 = max(0, below(beams.tan_el, low / (close if low < 0.0 else distance + radius)) - 1)
-                r1 = min(m, below(beams.tan_el, high / (close if high > 0.0 else distance + radius)) + 1)
+                r0 = max(0, below(beams, low / (close if low < 0.0 else distance + radius)) - 1)
+                r1 = min(m, below(beams, high / (close if high > 0.0 else distance + radius)) + 1)
             for turn in range(2):
                 c0, c1 = (a0, a1) if turn == 0 else (b0, b1)
                 if c1 > c0:

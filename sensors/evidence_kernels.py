@@ -154,8 +154,8 @@ def free_space(range_m, beams, pairs, run, reach_m, height_m, slope, margin_m):
 def _returns_in(sweep, beams, plane, limit, middle, half, low, high):
     """Returns in a pyramid, and how many of them are nearer than a limit."""
     a0, a1, b0, b1 = spans(middle, half, beams)
-    r0 = max(0, below(beams.tan_el, low) - 1)
-    r1 = min(len(beams.tan_el), below(beams.tan_el, high) + 1)
+    r0 = max(0, below(beams, low) - 1)
+    r1 = min(len(beams.tan_el), below(beams, high) + 1)
     cos_el, sin_el = beams.cos_el[r0:r1], beams.sin_el[r0:r1]
     n_seen = n_closer = 0
     for turn in range(2):

@@ -17,6 +17,7 @@ from sensors.neighbours import Neighbours, neighbours
 from sensors.pairs import Pairs, pairs_of, turned
 from sensors.range_noise import RangeNoise
 from sensors.raycast import columnar, embree, open3d
+from sensors.raycast.column import cells_of_slopes
 from sensors.scene import Hit, Prisms, Scene, prisms
 
 
@@ -106,6 +107,10 @@ class Beams(NamedTuple):
     cos_el: ndarray
     sin_el: ndarray
     fov_rad: float
+    cells_per_slope: float
+    first_row: ndarray
+    most_in_cell: int
+    """As `sensors.raycast.column.cells_of_slopes`: in which row a slope lies."""
 
 
 def beams(params: LidarParams) -> Beams:
@@ -136,7 +141,8 @@ def beams(params: LidarParams) -> Beams:
         )
     el = np.radians(elevation)
     az = np.radians(fov) * ((np.arange(n) + 0.5) / n - 0.5)
-    return Beams(az, np.cos(az), np.sin(az), el, np.tan(el), np.cos(el), np.sin(el), float(np.radians(fov)))
+    tan, turn = np.tan(el), float(np.radians(fov))
+    return Beams(az, np.cos(az), np.sin(az), el, tan, np.cos(el), np.sin(el), turn, *cells_of_slopes(tan))
 
 
 @dataclass(frozen=True, slots=True)
@@ -267,7 +273,8 @@ def scan(
     range_m, hit = buffer(size, np.float32, old_range_m), buffer(size, hit_type(len(boxes)), old_hit)
     near = neighbours(on.poses.origin_m, boxes, params.max_range_m) if near is None else near
     ENGINES[params.engine](
-        range_m, hit, on.poses, on.ground_m, observers, grid, params.max_range_m, boxes, prisms(shape, boxes) if bodies is None else bodies, scene,
+        range_m, hit, on.poses, on.ground_m, observers, grid, params.max_range_m, boxes,
+        prisms(shape, boxes) if bodies is None else bodies, scene,
         RangeNoise.of(keys, params.range_sigma_m, params.dropout_p), near,
     )  # fmt: skip
     return Sweeps(on.poses, observers, on.ground_m, grid, params.max_range_m, range_m, hit)

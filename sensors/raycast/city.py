@@ -151,4 +151,4 @@ def toggle_levels(toggled, city, k, height, x, y, cos, sin, beams):
         for turn in range(2):
             for c in range(p0 if turn == 0 else q0, p1 if turn == 0 else q1):
                 w = u * beams.cos_az[c] + v * beams.sin_az[c]
-                toggled[c, below(beams.tan_el, height * w)] ^= 1
+                toggled[c, below(beams, height * w)] ^= 1

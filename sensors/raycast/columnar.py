@@ -89,7 +89,7 @@ def _city(ranges, hits, x, y, z, ground, cos, sin, beams, limit, nearest, city):
         for r in range(np.uint64(m)):
             hits[c, r] = on_road[r]
         if nearest[c] > 1.0 / limit:
-            foot, t = below(beams.tan_el, (ground - z) * nearest[c]), 1.0 / nearest[c]
+            foot, t = below(beams, (ground - z) * nearest[c]), 1.0 / nearest[c]
             for r in range(np.uint64(foot), np.uint64(m)):
                 d = np.float32(t * inv_cos[r])
                 ranges[c, r] = d if d <= limit else np.inf
@@ -102,7 +102,7 @@ def _city(ranges, hits, x, y, z, ground, cos, sin, beams, limit, nearest, city):
                 w = u * beams.cos_az[c] + v * beams.sin_az[c]
                 if nearest[c] < w < open_wall[i, 8]:
                     t = 1.0 / w
-                    first, last = below(beams.tan_el, bottom * w), below(beams.tan_el, top * w)
+                    first, last = below(beams, bottom * w), below(beams, top * w)
                     for r in range(np.uint64(first), np.uint64(last)):
                         _paint(ranges, hits, np.uint64(c), r, np.float32(t * inv_cos[r]), limit, Hit.BUILDING)
     toggled = np.empty((n if n_flat > 0 else 0, m + 1), np.uint8)
@@ -158,7 +158,7 @@ def _actor(ranges, hits, a, dx, dy, radius, x, y, z, cos, sin, beams, limit, nea
                 enter, leave = rectangle(p, q, u * ca - v * sa, v * ca + u * sa, bodies.half_l_m[k], bodies.half_w_m[k])
                 if leave <= max(enter, 0.0) or enter * nearest[c] >= 1.0:
                     continue
-                first, s0, s1, last, t, low, high = profile(enter, leave, bottom, top, beams.tan_el)
+                first, s0, s1, last, t, low, high = profile(enter, leave, bottom, top, beams)
                 column, code = np.uint64(c), Hit.ACTOR + a
                 for r in range(np.uint64(first), np.uint64(s0)):
                     _paint(ranges, hits, column, r, np.float32(low / beams.sin_el[r]), limit, code)
