@@ -13,10 +13,7 @@ from numba import njit, prange
 
 from sensors.kernel import kernel
 from sensors.pairs import in_sensor_frame
-from sensors.raycast.column import below, spans
-
-MARGIN_RAD = 1e-9
-"""Rounding of a window's limits."""
+from sensors.raycast.column import below, rectangle_columns
 
 BLOCK = 16
 """Rows that are compared at once; the rows behind the last whole block are tested one by one."""
@@ -200,9 +197,8 @@ def points_in_boxes(range_m, beams, pairs, run):
                 continue  # beside the field of view
             distance = np.hypot(x, y)
             close = distance - radius
-            half = np.arcsin(radius / distance) + MARGIN_RAD if close > 0.0 else np.pi
-            a0, a1, b0, b1 = spans(np.arctan2(y, x), half, beams)
             cos, sin = np.cos(yaw), np.sin(yaw)
+            a0, a1, b0, b1 = rectangle_columns(x, y, cos, sin, half_l, half_w, beams)
             r0, r1 = 0, m
             if close > 1e-6:
                 low, high = z - half_h, z + half_h

@@ -9,10 +9,9 @@ from __future__ import annotations
 import numpy as np
 from numba import njit, prange
 
-from sensors.box_points import MARGIN_RAD
 from sensors.kernel import kernel
 from sensors.pairs import in_sensor_frame
-from sensors.raycast.column import below, spans
+from sensors.raycast.column import MARGIN_RAD, below, spans
 
 
 @njit(cache=True, inline="always")

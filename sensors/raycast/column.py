@@ -8,6 +8,9 @@ from numpy import ndarray
 
 from sensors.kernel import kernel
 
+MARGIN_RAD = 1e-9
+"""Rounding of a window's limits."""
+
 CELLS_PER_BEAM = 4
 """Cells into which the slopes of the beams are cut, per beam: most hold none or one."""
 
@@ -60,6 +63,19 @@ def actor_columns(dx, dy, radius, cos, sin, beams):
     distance = np.hypot(dx, dy)
     half = np.arcsin(radius / distance) if distance > radius else np.pi
     return spans(np.arctan2(cos * dy - sin * dx, cos * dx + sin * dy), half, beams)
+
+
+@kernel
+def rectangle_columns(x, y, cos, sin, half_l, half_w, beams):
+    """Columns that may cross a rectangle at (x, y) of heading (cos, sin), all in the frame of the sensor.
+
+    Seen along its centre, no corner lies farther aside, and none nearer, than half the extents of the rectangle in
+    these directions.
+    """
+    along, across = abs(cos * x + sin * y), abs(cos * y - sin * x)
+    aside, near = half_l * across + half_w * along, x * x + y * y - half_l * along - half_w * across
+    half = np.arctan(aside / near) + MARGIN_RAD if near > 0.0 else np.pi
+    return spans(np.arctan2(y, x), half, beams)
 
 
 @kernel

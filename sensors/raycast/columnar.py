@@ -18,7 +18,7 @@ from sensors.kernel import kernel
 from sensors.neighbours import Neighbours
 from sensors.range_noise import RangeNoise, add_noise
 from sensors.raycast.city import close_columns, gather, toggle_levels
-from sensors.raycast.column import actor_columns, below, in_prism_frame, profile, rectangle
+from sensors.raycast.column import actor_columns, below, in_prism_frame, profile, rectangle, rectangle_columns
 from sensors.scene import Hit, Prisms, Scene
 
 
@@ -150,12 +150,14 @@ def _actor(ranges, hits, a, dx, dy, radius, x, y, z, cos, sin, beams, limit, nea
     for k in range(bodies.ptr[a], bodies.ptr[a + 1]):
         p, q, u, v = in_prism_frame(bodies, k, x, y, cos, sin)
         bottom, top = bodies.bottom_m[k] - z, bodies.top_m[k] - z
+        half_l, half_w = bodies.half_l_m[k], bodies.half_w_m[k]
+        a0, a1, b0, b1 = rectangle_columns(-p * u - q * v, p * v - q * u, u, -v, half_l, half_w, beams)
         for turn in range(2):
             for c in range(a0 if turn == 0 else b0, a1 if turn == 0 else b1):
                 if clear * nearest[c] >= 1.0:
                     continue
                 ca, sa = beams.cos_az[c], beams.sin_az[c]
-                enter, leave = rectangle(p, q, u * ca - v * sa, v * ca + u * sa, bodies.half_l_m[k], bodies.half_w_m[k])
+                enter, leave = rectangle(p, q, u * ca - v * sa, v * ca + u * sa, half_l, half_w)
                 if leave <= max(enter, 0.0) or enter * nearest[c] >= 1.0:
                     continue
                 first, s0, s1, last, t, low, high = profile(enter, leave, bottom, top, beams)
