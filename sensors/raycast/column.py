@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from sensors.kernel import kernel
+
 
 @njit(cache=True, inline="always")
 def below(tan_el, slope):
@@ -15,7 +17,7 @@ def below(tan_el, slope):
     return count
 
 
-@njit(cache=True)
+@kernel
 def spans(angle, half, beams):
     """Columns within `half` of an azimuth, as two index ranges (the second one for arcs across the rear)."""
     n = len(beams.azimuth_rad)
@@ -29,7 +31,7 @@ def spans(angle, half, beams):
     return a0, max(a0, a1), b0, max(b0, b1)
 
 
-@njit(cache=True)
+@kernel
 def actor_columns(dx, dy, radius, cos, sin, beams):
     """Columns that may cross a circle of radius `radius` at (dx, dy), for a sensor looking along (cos, sin)."""
     distance = np.hypot(dx, dy)
@@ -37,7 +39,7 @@ def actor_columns(dx, dy, radius, cos, sin, beams):
     return spans(np.arctan2(cos * dy - sin * dx, cos * dx + sin * dy), half, beams)
 
 
-@njit(cache=True)
+@kernel
 def in_prism_frame(bodies, k, x, y, cos, sin):
     """A point, and a heading (cos, sin), in the frame of prism k."""
     dx, dy = x - bodies.x_m[k], y - bodies.y_m[k]
@@ -45,7 +47,7 @@ def in_prism_frame(bodies, k, x, y, cos, sin):
     return u * dx + v * dy, u * dy - v * dx, cos * u + sin * v, sin * u - cos * v
 
 
-@njit(cache=True)
+@kernel
 def rectangle(p, q, u, v, half_l, half_w):
     """Where a ray from (p, q) along (u, v) enters and leaves a centred rectangle; enter > leave if it misses."""
     enter, leave = -np.inf, np.inf
@@ -62,7 +64,7 @@ def rectangle(p, q, u, v, half_l, half_w):
     return enter, leave
 
 
-@njit(cache=True)
+@kernel
 def profile(enter, leave, bottom, top, tan_el):
     """Rows of one column that a prism covers: (a, s0, s1, b, t, low, high).
 
@@ -83,7 +85,7 @@ def profile(enter, leave, bottom, top, tan_el):
     return 0, below(tan_el, bottom / leave), below(tan_el, top / leave), len(tan_el), leave, bottom, top
 
 
-@njit(cache=True)
+@kernel
 def surface(r, s0, s1, t, low, high, beams):
     """Range of row r to the face that `profile` gives it."""
     if r < s0:

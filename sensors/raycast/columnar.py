@@ -14,6 +14,7 @@ import numpy as np
 from numba import njit, prange
 
 from sensors.boxes import Boxes
+from sensors.kernel import kernel
 from sensors.neighbours import Neighbours
 from sensors.range_noise import RangeNoise, add_noise
 from sensors.raycast.city import close_columns, gather, toggle_levels
@@ -75,23 +76,24 @@ def _city(ranges, hits, x, y, z, ground, cos, sin, beams, limit, nearest, city):
     open_wall, flat = np.empty((n_walls, 9)), np.empty((len(found), 2), np.int64)
     n_open, n_flat = close_columns(found, x, y, z, ground, cos, sin, city, beams, nearest, open_wall, flat)
 
-    road = np.full(m, np.inf, np.float32)
+    road, on_road = np.full(m, np.inf, np.float32), np.full(m, Hit.NOTHING, hits.dtype)
     for r in range(m):
         if (ground - z) * beams.tan_el[r] > 0.0:
             d = np.float32((ground - z) / beams.sin_el[r])
-            road[r] = d if d <= limit else np.inf
+            if d <= limit:
+                road[r], on_road[r] = d, Hit.GROUND
     inv_cos = 1.0 / beams.cos_el
-    for c in range(n):
-        closed = nearest[c] > 1.0 / limit
-        foot = below(beams.tan_el, (ground - z) * nearest[c]) if closed else m
-        for r in range(foot):
+    for c in range(np.uint64(n)):
+        for r in range(np.uint64(m)):
             ranges[c, r] = road[r]
-            hits[c, r] = Hit.GROUND if road[r] < np.inf else Hit.NOTHING
-        t = 1.0 / nearest[c]
-        for r in range(foot, m):
-            d = np.float32(t * inv_cos[r])
-            ranges[c, r] = d if d <= limit else np.inf
-            hits[c, r] = Hit.BUILDING if d <= limit else Hit.NOTHING
+        for r in range(np.uint64(m)):
+            hits[c, r] = on_road[r]
+        if nearest[c] > 1.0 / limit:
+            foot, t = below(beams.tan_el, (ground - z) * nearest[c]), 1.0 / nearest[c]
+            for r in range(np.uint64(foot), np.uint64(m)):
+                d = np.float32(t * inv_cos[r])
+                ranges[c, r] = d if d <= limit else np.inf
+                hits[c, r] = Hit.BUILDING if d <= limit else Hit.NOTHING
 
     for i in range(n_open):
         u, v, bottom, top = open_wall[i, 4], open_wall[i, 5], open_wall[i, 6], open_wall[i, 7]
@@ -116,7 +118,7 @@ def _city(ranges, hits, x, y, z, ground, cos, sin, beams, limit, nearest, city):
             _level(ranges, hits, bottom, inside, beams, limit, toggled)
 
 
-@njit(cache=True)
+@kernel
 def _level(ranges, hits, height, inside, beams, limit, toggled):
     """Paint one roof or underside: where the number of walls before a beam's point is odd."""
     n, m = ranges.shape
@@ -138,7 +140,7 @@ def _level(ranges, hits, height, inside, beams, limit, toggled):
                     _paint(ranges, hits, c, r, np.float32(height / beams.sin_el[r]), limit, Hit.BUILDING)
 
 
-@njit(cache=True)
+@kernel
 def _actor(ranges, hits, a, dx, dy, radius, x, y, z, cos, sin, beams, limit, nearest, bodies):
     """Paint one actor's prisms over the city."""
     a0, a1, b0, b1 = actor_columns(dx, dy, radius, cos, sin, beams)
