@@ -82,9 +82,8 @@ def _known(received_ptr, received, ptr, n_sent, transmitted, own, n_messages):
 
 def subset(lists: ObjectLists, keep: Bool[ndarray, "m"]) -> ObjectLists:
     """The lists with these members only."""
-    n_kept = np.cumsum(keep)
-    ptr = np.where(lists.ptr > 0, n_kept[lists.ptr - 1], 0) if len(keep) else lists.ptr
-    return ObjectLists(ptr, lists.member[np.flatnonzero(keep)], lists.owner)
+    rows = np.flatnonzero(keep)
+    return ObjectLists(np.searchsorted(rows, lists.ptr), lists.member[rows], lists.owner)
 
 
 def questions_of(
