@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from cosim.radio.message_round import Receptions
-from cosim.ragged import expand
+from cosim.ragged import expand, stable_order
 from cosim.senders import Senders, Vehicles
 from cosim.stages import Listed, Matched
 from cosim.v2x.messages import FABRICATED
@@ -85,20 +85,24 @@ def _inserted(
 ) -> tuple[tuple[Int[ndarray, "k"], Int[ndarray, "k"]], Int[ndarray, "k"]]:
     """Fabricated detections in the lists of others: detection and list; the detection that gives its group's box."""
     known, message = matched.known, listed.detections.message
-    of_list = known.of_member()
-    fabricated = listed.objects.origin[known.member] == FABRICATED
-    at = np.flatnonzero(fabricated & (senders.vehicle[message[known.member]] != of_list))
-    return (known.member[at], of_list[at]), known.member[matched.groups.seed[at]]
+    at = np.flatnonzero((listed.objects.origin == FABRICATED)[known.member])
+    of_list = known.of(at)
+    foreign = senders.vehicle[message[known.member[at]]] != of_list
+    at, of_list = at[foreign], of_list[foreign]
+    return (known.member[at], of_list), known.member[matched.groups.seed[at]]
 
 
 def _removed(listed: Listed, received: Receptions, vehicles: Vehicles) -> tuple[Int[ndarray, "k"], Int[ndarray, "k"]]:
     """Withheld detections of real actors, and the vehicles that received the message without them."""
     row = np.flatnonzero(listed.withheld & listed.truth.is_real)
     message = listed.detections.message[row]  # ascending
-    order = np.argsort(received.message, kind="stable")
-    first, last = (np.searchsorted(received.message[order], message, side) for side in ("left", "right"))
+    concerned = np.zeros(len(listed.ptr), bool)
+    concerned[message] = True
+    found = np.flatnonzero(concerned[received.message])
+    found = found[stable_order(received.message[found])]
+    first, last = (np.searchsorted(received.message[found], message, side) for side in ("left", "right"))
     at, which = expand(first, last)
-    receiver, detection = received.receiver[order[at]], row[which]
+    receiver, detection = received.receiver[found[at]], row[which]
     other = vehicles.row[receiver] != listed.truth.actor_row[detection]  # no vehicle needs a report of itself
     return detection[other], receiver[other]
 

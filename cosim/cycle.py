@@ -81,7 +81,9 @@ def step(world: World, state: State, parts: Parts) -> tuple[State, StepResult]:
     with watch("fuse"):
         fused = stages.fuse_objects(matched, evaluated, listed, observed, senders, used, lookups, s.trust, parts)
     assert fused[0] is not None, "the acting variant is always fused"
-    beliefs = stages.beliefs_of(fused[0], listed, senders, vehicles, error_m, now.fused_s)
+    beliefs = None
+    if c.driver.model != "none":
+        beliefs = stages.beliefs_of(fused[0], listed, senders, vehicles, error_m, now.fused_s)
     commands, reactions = _drive(world, s, parts, beliefs, listed, senders)
     with watch("track"):
         _note_attacks(world, s, listed, evaluated, senders, vehicles, sending)

@@ -2,18 +2,19 @@
 
 import numpy as np
 from jaxtyping import Bool, Int
+from numba import njit
 from numpy import ndarray
 
 from cosim.adversary.adversary import Active
 from cosim.adversary.attack import EvaluationRows
 from cosim.perception import BoxQuestions
 from cosim.radio.message_round import Receptions
-from cosim.ragged import expand, ptr_of
+from cosim.ragged import ptr_of
 from cosim.v2x.messages import SELF, Detections
 from sensors.boxes import Boxes
 from sensors.evidence import AreaParams
 from trust import tables
-from trust.tables import EvaluationMessages, Evaluations, ObjectLists
+from trust.tables import EvaluationMessages, Evaluations, ObjectLists, int64
 
 
 def for_trust(
@@ -40,20 +41,49 @@ def received_lists(
     own
         Each vehicle's message under its own identity.
     """
-    receiver = np.concatenate([vehicle, received.receiver])
-    message = np.concatenate([np.arange(len(vehicle)), received.message])
-    is_own = message == own[receiver]
-    order = np.argsort((receiver * 2 + ~is_own) * len(vehicle) + message, kind="stable")
-    receiver, message = receiver[order], message[order]
-    member, which = expand(ptr[message], ptr[message + 1])
-    of_list = receiver[which]
-    keep = is_own[order][which] | transmitted[member]
-    return ObjectLists(ptr_of(of_list[keep], len(own)), member[keep], own)
+    n_sent = np.concatenate([[0], np.cumsum(transmitted)])[ptr]
+    begins, member = _known(
+        ptr_of(received.receiver, len(own)), int64(received.message), ptr, n_sent, transmitted, int64(own), len(vehicle)
+    )
+    return ObjectLists(begins, member, own)
+
+
+@njit(cache=True, nogil=True)
+def _known(received_ptr, received, ptr, n_sent, transmitted, own, n_messages):
+    """Where each vehicle's list begins, and its members; `n_sent` detections are transmitted before each message."""
+    begins = np.zeros(len(own) + 1, np.int64)
+    for v in range(len(own)):
+        last = own[v + 1] if v + 1 < len(own) else n_messages  # its messages under other identities are before it
+        n = ptr[own[v] + 1] - ptr[own[v]] + n_sent[last] - n_sent[own[v] + 1]
+        for h in range(received_ptr[v], received_ptr[v + 1]):
+            n += n_sent[received[h] + 1] - n_sent[received[h]]
+        begins[v + 1] = begins[v] + n
+    member = np.empty(begins[-1], np.int64)
+    m = 0
+    for v in range(len(own)):
+        for d in range(ptr[own[v]], ptr[own[v] + 1]):
+            member[m] = d
+            m += 1
+        more, last = own[v] + 1, own[v + 1] if v + 1 < len(own) else n_messages
+        h = received_ptr[v]
+        while h < received_ptr[v + 1] or more < last:
+            if more < last and (h == received_ptr[v + 1] or more < received[h]):
+                message = more
+                more += 1
+            else:
+                message = received[h]
+                h += 1
+            for d in range(ptr[message], ptr[message + 1]):
+                if transmitted[d]:
+                    member[m] = d
+                    m += 1
+    return begins, member
 
 
 def subset(lists: ObjectLists, keep: Bool[ndarray, "m"]) -> ObjectLists:
     """The lists with these members only."""
-    return ObjectLists(ptr_of(lists.of_member()[keep], len(lists.owner)), lists.member[keep], lists.owner)
+    rows = np.flatnonzero(keep)
+    return ObjectLists(np.searchsorted(rows, lists.ptr), lists.member[rows], lists.owner)
 
 
 def questions_of(

@@ -18,7 +18,7 @@ from sensors.boxes import Boxes
 from sensors.detector import Detector, DetectorDraws
 from sensors.evidence import AreaParams
 from sensors.neighbours import Neighbours, neighbours
-from sensors.scene import Scene
+from sensors.scene import Prisms, Scene, prisms
 
 _Rows = TypeVar("_Rows", evidence.Observability, detector.DetectedBoxes)
 
@@ -110,12 +110,13 @@ class Perception:
         with watch("sweep"):
             origin_m = lidar.mount(world.boxes, observers, self.lidar).origin_m
             near = neighbours(origin_m, world.boxes, self.lidar.max_range_m)
+            bodies = prisms(world.shape, world.boxes)
         seen = []
         for first in range(0, len(observers), GROUP):
             some = observers[first : first + GROUP]
             memory = range_m[first : first + GROUP], hit[: len(some)]
             here = near.part(first, first + len(some))
-            seen.append(self.sense(world, some, watch, memory, here)[1].behind(first))
+            seen.append(self.sense(world, some, watch, memory, here, bodies)[1].behind(first))
         with watch("detect"):
             on = lidar.scanners(world.boxes, observers, self.lidar)
             return self.observed(world, observers, lidar.with_ranges(on, range_m), seen)
@@ -127,12 +128,13 @@ class Perception:
         watch: Stopwatch,
         memory: tuple[ndarray, ndarray] | None = None,
         near: Neighbours | None = None,
+        bodies: Prisms | None = None,
     ) -> tuple[lidar.Sweeps, Seen]:
         """The sweeps of these rows of the world, and what is seen in them."""
         with watch("sweep"):
-            sweeps = self._scan(world, observers, memory, near)
+            sweeps = self._scan(world, observers, memory, near, bodies)
         with watch("detect"):
-            here = evidence.observability(sweeps, world.boxes, world.shape, near)
+            here = evidence.observability(sweeps, world.boxes, world.shape, near, bodies)
             draws = self.draws(world, observers)
             reports = detector.detect(self.detector, sweeps, here, world.boxes, world.label, draws)
         return sweeps, Seen(here, reports)
@@ -148,10 +150,10 @@ class Perception:
 
     def _scan(
         self, world: World, observers: Int[ndarray, "e"], memory: tuple[ndarray, ndarray] | None = None,
-        near: Neighbours | None = None,
+        near: Neighbours | None = None, bodies: Prisms | None = None,
     ) -> lidar.Sweeps:  # fmt: skip
         keys = sweep_keys(self.seed, world, observers)
-        return lidar.scan(world.boxes, world.shape, observers, self.city, self.lidar, keys, memory, near)
+        return lidar.scan(world.boxes, world.shape, observers, self.city, self.lidar, keys, memory, near, bodies)
 
     def observed(
         self, world: World, observers: Int[ndarray, "e"], sweeps: lidar.Scanners, parts: Sequence[Seen]

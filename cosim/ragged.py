@@ -30,6 +30,14 @@ def offsets(count: Int[ndarray, "r"]) -> Int[ndarray, "r+1"]:
     return np.concatenate([[0], np.cumsum(count, dtype=np.int64)])
 
 
+def stable_order(value: Int[ndarray, "m"]) -> Int[ndarray, "m"]:
+    """Stable order of whole numbers, by counting where they span a range not much larger than their number."""
+    low, high = (int(value.min()), int(value.max())) if len(value) else (0, 0)
+    if high - low > 8 * len(value):
+        return np.argsort(value, kind="stable")
+    return counting_order(np.asarray(value, np.int64) - low, high - low + 1)
+
+
 def order_by_two(first: Int[ndarray, "m"], second: Int[ndarray, "m"], n: int) -> Int[ndarray, "m"]:
     """Order of rows by the first, then by the second column; both hold numbers from 0 to n - 1."""
     order = counting_order(np.asarray(second, np.int64), n)

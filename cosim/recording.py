@@ -12,6 +12,7 @@ from cosim.actors import ActorRegistry
 from cosim.adversary.params import roles_of
 from cosim.parts import Parts
 from cosim.radio.message_round import Outcome
+from cosim.ragged import stable_order
 from cosim.reactions import Reactions
 from cosim.state import State
 from cosim.step_result import Sensed, StepResult
@@ -270,7 +271,7 @@ def _lookups(
 ) -> None:
     """Rows of all variants at once, by subject."""
     n, n_variants = len(receiver), len(lookups)
-    order = np.argsort(subject, kind="stable")
+    order = stable_order(subject)
 
     def joined(name: str) -> ndarray:
         return np.concatenate([getattr(found, name)[order] for found in lookups])

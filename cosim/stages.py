@@ -3,7 +3,8 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Int
+from numba import njit
 from numpy import ndarray
 
 from cosim import object_lists
@@ -249,11 +250,11 @@ def fuse_objects(
     c, known, boxes = parts.config, matched.known, listed.objects.boxes
     origin_m = observed.sweeps.poses.origin_m
     seeds = matched.groups.seeds()
-    away_m = _distance_m(boxes.xyz_m[known.member[seeds]], origin_m[known.of_member()[seeds]])
+    away_m = _distance_m(boxes.xyz_m, known.member[seeds], origin_m, known.of(seeds))
     evidence = SensorEvidence(
         evaluated.n_points_known[seeds], evaluated.plausible_known[seeds], away_m < c.area.range_m
     )
-    from_own_m = _distance_m(boxes.xyz_m, origin_m[senders.vehicle[listed.detections.message]])
+    from_own_m = _distance_m(boxes.xyz_m, np.arange(len(boxes)), origin_m, senders.vehicle[listed.detections.message])
     ptr = ptr_of(used.receiver, len(known.owner))
     in_time = np.full(len(used.message), c.radio.evaluations == "alone")
     given = known, matched.groups, listed.detections, evaluated.lists, evaluated.own, evaluated.reported
@@ -285,5 +286,11 @@ def beliefs_of(
     return Beliefs(known_s, vehicles.row[fused.ego], label, boxes, fused.score, fused.ego_detected, *source)
 
 
-def _distance_m(a_m: Float[ndarray, "n 3"], b_m: Float[ndarray, "n 3"]) -> Float[ndarray, "n"]:
-    return np.linalg.norm(a_m - b_m, axis=1)
+@njit(cache=True)
+def _distance_m(a_m, i, b_m, j):
+    """Distance of each row i of `a_m` from the row j of `b_m`."""
+    out = np.empty(len(i))
+    for k in range(len(i)):
+        x, y, z = a_m[i[k], 0] - b_m[j[k], 0], a_m[i[k], 1] - b_m[j[k], 1], a_m[i[k], 2] - b_m[j[k], 2]
+        out[k] = np.sqrt(x * x + y * y + z * z)
+    return out

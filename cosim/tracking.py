@@ -5,7 +5,7 @@ from jaxtyping import Bool, Int
 from numpy import ndarray
 
 from cosim.radio.message_round import MessageRound, Receptions
-from cosim.ragged import order_by_two
+from cosim.ragged import counting_order
 from cosim.trackers.encounters import EncounterTrackers
 from cosim.trackers.inter_reception import InterReceptionTracker, contained, unique_pairs
 from results.encounters import Rows
@@ -35,7 +35,7 @@ def track_receptions(
     """
     sender, receiver = pairs
     n = len(actor)
-    order = order_by_two(vehicle[received.message], received.receiver, n)
+    order = counting_order(vehicle[received.message], n)  # receptions go by receiver
     got = contained(sender, receiver, vehicle[received.message[order]], received.receiver[order])
     return tracker.update(step, actor[sender], actor[receiver], got)
 

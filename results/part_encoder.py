@@ -14,14 +14,17 @@ from numpy import ndarray
 
 from results import durable
 from results.inventory import Part
-from results.stored_columns import VALID
+from results.stored_columns import VALID, StoredColumn, stored
 from results.tables import TABLES, schema
 
 Rows = dict[str, ndarray]
-"""Columns of a table in their stored types, masks included."""
+"""Columns of a table, masks included."""
 
 _STEPS = ("step", "first_step", "last_step", "from_step", "to_step", "start_step", "end_step")
 """Columns that count steps."""
+
+_STORED_ROWS = 8_000
+"""Rows that are cast, rounded and checked at once: of most tables a step has few, and each column a fixed cost."""
 
 _GROUP_ROWS = 300_000
 """Rows from which a row group is encoded: encoded rows take a tenth of the memory."""
@@ -43,36 +46,55 @@ class Encoder:
     def __init__(self) -> None:
         self._pool = ThreadPoolExecutor(max_workers=2, thread_name_prefix="encoder")
 
-    def part(self, table: str, of_run: Mapping[str, tuple[str, ...]], rows: Sequence[Rows] = ()) -> "PartEncoder":
-        """A part of a table, with these rows; `of_run` are the labels of the run."""
-        return PartEncoder(table, of_run, self._pool, rows)
+    def part(
+        self, table: str, columns: Mapping[str, StoredColumn], rows: Sequence[Rows] = (),
+        like: "PartEncoder | None" = None,
+    ) -> "PartEncoder":  # fmt: skip
+        """A part of a table, with these rows.
+
+        `like` is an earlier part of the table that has been written: layouts tried there are not tried again.
+        """
+        return PartEncoder(table, columns, self._pool, rows, {} if like is None else like.tried)
 
 
 class PartEncoder:
     """Rows of one table and block, on their way into one file sorted by key."""
 
     def __init__(
-        self, table: str, of_run: Mapping[str, tuple[str, ...]], pool: ThreadPoolExecutor, rows: Sequence[Rows]
-    ) -> None:
-        self._table, self._of_run, self._pool = table, of_run, pool
+        self, table: str, columns: Mapping[str, StoredColumn], pool: ThreadPoolExecutor, rows: Sequence[Rows],
+        tried: Mapping[str, str],
+    ) -> None:  # fmt: skip
+        self.tried = tried
+        """Layout of each column, where there were rows enough to try them."""
+        self._table, self._columns, self._pool = table, columns, pool
+        self._given: list[Rows] = []
         self._rows: list[Rows] = []
-        self._n_new = self._n = 0
+        self._n_given = self._n_new = self._n = 0
         self._waiting: list[Future[None]] = []
         self._sink = io.BytesIO()
         self._writer: pq.ParquetWriter | None = None
         self._first_step, self._last_step = np.iinfo(np.int64).max, 0
-        for columns in rows:
-            self.append(columns)
+        for some in rows:
+            self.append(some)
 
     def __len__(self) -> int:
         return self._n
 
     def append(self, rows: Rows) -> None:
-        """Add rows; they belong to the encoder from now on."""
+        """Add rows as `complete` returns them; ValueError for values, of earlier calls too, that cannot be stored."""
         n = len(next(iter(rows.values())))
-        self._rows.append(rows)
+        if n < _STORED_ROWS:
+            rows = {name: values.copy() for name, values in rows.items()}  # the caller may go on to change its own
+        self._given.append(rows)
+        self._n_given += n
         self._n_new += n
         self._n += n
+        if self._n_given >= _STORED_ROWS:
+            self._store()
+
+    def _store(self) -> None:
+        self._rows.append(stored(self._given, self._columns))
+        self._given, self._n_given = [], 0
 
     def end_step(self) -> None:
         """No rows of earlier steps follow: what there is may be encoded where steps come first in the key."""
@@ -98,6 +120,8 @@ class PartEncoder:
         )  # fmt: skip
 
     def _submit(self) -> None:
+        if self._n_given:
+            self._store()
         rows, self._rows, self._n_new = self._rows, [], 0
         while len(self._waiting) >= _MOST_WAITING:
             self._waiting.pop(0).result()
@@ -121,7 +145,7 @@ class PartEncoder:
             mask = ~columns[name + VALID] if column.null else None
             if column.categories:
                 codes = pa.array(columns[name], pa.int8(), mask=mask)
-                arrays.append(pa.DictionaryArray.from_arrays(codes, list(column.labels(self._of_run))))
+                arrays.append(pa.DictionaryArray.from_arrays(codes, list(self._columns[name].categories)))
             else:
                 arrays.append(pa.array(columns[name], column.arrow_type, mask=mask))
         if before is not None:
@@ -131,29 +155,33 @@ class PartEncoder:
         self._last_step = max(self._last_step, *(int(s.max()) for s in steps))
         group = pa.Table.from_arrays(arrays, schema=schema(table))
         if self._writer is None:
+            if not self.tried and len(group) >= _TRIED_ROWS:
+                self.tried = _best_layouts(group)
             self._writer = pq.ParquetWriter(
-                self._sink, group.schema, compression="zstd", compression_level=_LEVEL, **_encodings(group)
+                self._sink, group.schema, compression="zstd", compression_level=_LEVEL, **_encodings(group, self.tried)
             )
         self._writer.write_table(group, row_group_size=len(group))
 
 
-def _encodings(group: pa.Table) -> dict[str, Any]:
+def _encodings(group: pa.Table, tried: Mapping[str, str]) -> dict[str, Any]:
     """How Parquet shall lay out each column: by a dictionary, byte by byte, or as it is; whatever compresses best.
 
-    Few rows are not tried: floats are split into bytes, others go by a dictionary.
+    Where that has not been tried, floats are split into bytes, others go by a dictionary.
     """
-    by_dictionary, split = [], []
-    for field in group.schema:
-        is_number = pa.types.is_floating(field.type) or pa.types.is_integer(field.type)
-        best = "bytes" if pa.types.is_floating(field.type) else "dictionary"
-        if is_number and len(group) >= _TRIED_ROWS:
-            sample = group.select([field.name]).slice(0, _SAMPLE_ROWS)
-            best = min(_LAYOUTS, key=lambda layout: _encoded_bytes(sample, **_LAYOUTS[layout](field.name)))
-        if best == "dictionary":
-            by_dictionary.append(field.name)
-        elif best == "bytes":
-            split.append(field.name)
+    untried = {f.name: "bytes" if pa.types.is_floating(f.type) else "dictionary" for f in group.schema}
+    best = untried | dict(tried)
+    by_dictionary, split = ([name for name, layout in best.items() if layout == one] for one in ("dictionary", "bytes"))
     return {"use_dictionary": by_dictionary, "column_encoding": dict.fromkeys(split, "BYTE_STREAM_SPLIT")}
+
+
+def _best_layouts(group: pa.Table) -> dict[str, str]:
+    """The layout of every column of numbers that compresses best."""
+    best = {}
+    for field in group.schema:
+        if pa.types.is_floating(field.type) or pa.types.is_integer(field.type):
+            sample = group.select([field.name]).slice(0, _SAMPLE_ROWS)
+            best[field.name] = min(_LAYOUTS, key=lambda layout: _encoded_bytes(sample, **_LAYOUTS[layout](field.name)))
+    return best
 
 
 _LAYOUTS: dict[str, Callable[[str], dict[str, Any]]] = {

@@ -19,7 +19,7 @@ from results.columns import Column, Level
 from results.durable import Damaged
 from results.inventory import Block, Inventory
 from results.part_encoder import Encoder
-from results.stored_columns import checked, stored_columns
+from results.stored_columns import complete, stored_columns
 from results.tables import TABLES, kept, schema
 
 Columns = Mapping[str, ndarray | None]
@@ -83,7 +83,7 @@ class Recorder:
         self.block_steps = block_steps
         self._block, self._last_step = resume_at // block_steps, resume_at - 1
         self._encoder = Encoder()
-        self._parts = {name: self._encoder.part(name, self.labels) for name in self.tables}
+        self._parts = {name: self._encoder.part(name, self._columns[name]) for name in self.tables}
         blocks = tuple(b for b in _committed(self.folder).blocks if b.end_step <= resume_at)
         if blocks and not all((self.folder / part.name).exists() for part in blocks[-1].open):
             blocks = (*blocks[:-1], replace(blocks[-1], open=()))  # those of a part of a block took their place
@@ -110,7 +110,7 @@ class Recorder:
         self.reach(step)
         if table not in self.tables:
             return
-        rows = checked(table, step, columns, self._columns[table])
+        rows = complete(table, step, columns, self._columns[table])
         if len(next(iter(rows.values()))):
             self._parts[table].append(rows)
 
@@ -147,7 +147,9 @@ class Recorder:
 
     def _commit(self, open_rows: Mapping[str, Sequence[Columns]], checkpoint: Mapping[str, bytes]) -> None:
         end_step = self._last_step + 1
-        opening = [self._encoder.part(name, self.labels, rows) for name, rows in self._made(open_rows, end_step - 1)]
+        opening = [
+            self._encoder.part(name, self._columns[name], rows) for name, rows in self._made(open_rows, end_step - 1)
+        ]
         for waiting in sorted((*self._parts.values(), *opening), key=len, reverse=True):
             waiting.end_block()
         files = {f"{CHECKPOINT}/{name}": content for name, content in checkpoint.items()}
@@ -166,7 +168,9 @@ class Recorder:
             {name: hashlib.sha256(content).hexdigest() for name, content in files.items()},
         )  # fmt: skip
         before, self.inventory = self.inventory, inventory.commit(self.folder, self.inventory, block)
-        self._parts = {name: self._encoder.part(name, self.labels) for name in self.tables}
+        self._parts = {
+            name: self._encoder.part(name, self._columns[name], like=part) for name, part in self._parts.items()
+        }
         if before.blocks:
             for part in before.blocks[-1].open:
                 (self.folder / part.name).unlink(missing_ok=True)
@@ -190,7 +194,7 @@ class Recorder:
     def _made(self, rows: Mapping[str, Sequence[Columns]], step: int) -> Iterator[tuple[str, list[dict[str, ndarray]]]]:
         for name, several in rows.items():
             if name in self.tables:
-                made = [checked(name, step, columns, self._columns[name]) for columns in several]
+                made = [complete(name, step, columns, self._columns[name]) for columns in several]
                 if made := [columns for columns in made if len(next(iter(columns.values())))]:
                     yield name, made
 

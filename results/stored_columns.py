@@ -1,6 +1,6 @@
 """Columns of a table as they are stored: cast, rounded, and refused where that would change a value further."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -45,8 +45,6 @@ class StoredColumn:
         kind, given = self.dtype.kind, values.dtype.kind
         if kind == "O":
             return values.astype(object)
-        if self.categories and given in "OUT":
-            return self._codes(values, valid)
         if valid is not None and valid.all():
             valid = None
         used = values if valid is None else values[valid]
@@ -68,7 +66,7 @@ class StoredColumn:
             values = np.round(np.asarray(values, np.float64) * self.scale) * (1 / self.scale)
         return values.astype(self.dtype)
 
-    def _codes(self, values: ndarray, valid: ndarray | None) -> ndarray:
+    def codes(self, values: ndarray, valid: ndarray | None) -> ndarray:
         """Labels as codes."""
         codes = np.full(len(values), -1, np.int8)
         for code, label in enumerate(self.categories):
@@ -84,11 +82,14 @@ def stored_columns(table: str, of_run: Mapping[str, tuple[str, ...]]) -> dict[st
     return {name: StoredColumn.of(table, name, column, of_run) for name, column in TABLES[table].stored.items()}
 
 
-def checked(
+def complete(
     table: str, step: int, columns: Mapping[str, ndarray | None], known: Mapping[str, StoredColumn]
 ) -> dict[str, ndarray]:
-    """The columns of a table in their stored types, masks included; `step` where that column is left out."""
-    unknown = [name for name in columns if name.removesuffix(VALID) not in known]
+    """The columns of a table as they are given, all there and of one length; `step` where that column is left out.
+
+    Columns that may be null come with a mask; labels of categories are codes.
+    """
+    unknown = [name for name in columns if name not in known and name.removesuffix(VALID) not in known]
     missing = [name for name in known if name not in columns and name != "step"]
     if unknown or missing:
         wrong = [f"{word} {', '.join(sorted(names))}" for word, names in (("unknown", unknown), ("missing", missing))
@@ -97,18 +98,26 @@ def checked(
     n = next((len(values) for values in columns.values() if values is not None), 0)
     rows: dict[str, ndarray] = {}
     for name, column in known.items():
-        values = columns[name] if name in columns else np.full(n, step, np.int32)
-        valid = columns.get(name + VALID)
-        if values is None:
-            values, valid = np.zeros(n, column.dtype), np.zeros(n, bool)
-        values = np.asarray(values)
+        given = columns[name] if name in columns else np.full(n, step, np.int32)
+        values = np.zeros(n, column.dtype) if given is None else np.asarray(given)
+        valid = np.zeros(n, bool) if given is None else columns.get(name + VALID)
         if values.shape != (n,) or (valid is not None and np.shape(valid) != (n,)):
             raise ValueError(f"{table}.{name} has shape {values.shape}, other columns have {n} rows.")
-        if valid is not None and not column.null:
-            if not np.all(valid):
-                raise ValueError(f"{table}.{name} cannot be null.")
-            valid = None
-        rows[name] = column.store(values, valid)
         if column.null:
-            rows[name + VALID] = np.ones(n, bool) if valid is None else np.array(valid, bool)
+            rows[name + VALID] = np.ones(n, bool) if valid is None else np.asarray(valid, bool)
+        elif valid is not None and not np.all(valid):
+            raise ValueError(f"{table}.{name} cannot be null.")
+        is_label = column.categories and values.dtype.kind in "OUT"
+        rows[name] = column.codes(values, rows.get(name + VALID)) if is_label else values
     return rows
+
+
+def stored(several: Sequence[Mapping[str, ndarray]], known: Mapping[str, StoredColumn]) -> dict[str, ndarray]:
+    """Complete columns of several steps in their stored types, one step after another, masks included."""
+    rows = dict(several[0])
+    if len(several) > 1:
+        rows = {name: np.concatenate([one[name] for one in several]) for name in rows}
+    return {
+        name: known[name].store(values, rows.get(name + VALID)) if name in known else values.copy()
+        for name, values in rows.items()
+    }

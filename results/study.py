@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pyarrow.parquet as pq
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from results.archive import OpenRun, open_run
 from results.metrics.registry import TOPICS
@@ -110,7 +110,7 @@ def intervals(frame: pd.DataFrame, by: Sequence[str]) -> pd.DataFrame:
     """Of the column `value`, by these columns: n, mean, and low and high of its 95 % interval (Student's)."""
     values = frame.groupby(list(by), sort=False, dropna=False).value
     found = values.agg(n="count", mean="mean", s="std").reset_index()
-    half = student.ppf(0.5 + CONFIDENCE / 2, np.maximum(found.n - 1, 1)) * found.s / np.sqrt(found.n)
+    half = stdtrit(np.maximum(found.n - 1, 1), 0.5 + CONFIDENCE / 2) * found.s / np.sqrt(found.n)
     half = half.where(found.n > 1)
     return found.assign(low=found["mean"] - half, high=found["mean"] + half).drop(columns="s")
 

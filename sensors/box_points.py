@@ -11,10 +11,9 @@ from __future__ import annotations
 import numpy as np
 from numba import njit, prange
 
-from sensors.raycast.column import below, spans
-
-MARGIN_RAD = 1e-9
-"""Rounding of a window's limits."""
+from sensors.kernel import kernel
+from sensors.pairs import in_sensor_frame
+from sensors.raycast.column import below, rectangle_columns
 
 BLOCK = 16
 """Rows that are compared at once; the rows behind the last whole block are tested one by one."""
@@ -72,7 +71,7 @@ def _tally(ranges, c, r0, r1, cos_el, sin_el, middle, half, height, half_h, erro
     return int(count)
 
 
-@njit(cache=True)
+@kernel
 def _nearest_and_farthest(ranges, c, r0, r1):
     """The nearest and farthest return of a column in rows r0 to r1: inf and 0 if there are none.
 
@@ -104,7 +103,7 @@ def _bounds(ranges, flat, nearest, farthest):
         farthest[b] *= flat[b, 1]
 
 
-@njit(cache=True)
+@kernel
 def _any_between(nearest, farthest, a0, a1, b0, b1, enter, leave):
     """Whether a block of these columns may have a return of a length between two."""
     found = 0
@@ -115,7 +114,7 @@ def _any_between(nearest, farthest, a0, a1, b0, b1, enter, leave):
     return found > 0
 
 
-@njit(cache=True)
+@kernel
 def _blocks_between(nearest, farthest, a0, a1, b0, b1, enter, leave, error, first, last):
     """First and last block of each column that may have a return between two lengths of its own; b1, b0 if none."""
     first[: a1 - a0], last[: a1 - a0] = b1, b0
@@ -127,7 +126,7 @@ def _blocks_between(nearest, farthest, a0, a1, b0, b1, enter, leave, error, firs
             last[i] = max(last[i], here + np.int32(1)) if found else last[i]
 
 
-@njit(cache=True)
+@kernel
 def _count(ranges, beams, cos_el, sin_el, a0, a1, r0, r1, x, y, z, cos, sin, half_l, half_w, half_h, bounds, scratch):
     """Returns in columns a0 to a1 and rows r0 to r1 that lie inside a box."""
     m = len(cos_el)
@@ -170,41 +169,46 @@ def _count(ranges, beams, cos_el, sin_el, a0, a1, r0, r1, x, y, z, cos, sin, hal
     return total
 
 
-@njit(cache=True, parallel=True)
-def points_in_boxes(range_m, beams, o, run, xyz, lwh, yaw):
-    """Returns of sweep o[k] strictly inside box k (sensor frame); `run` says where another sweep follows."""
-    out = np.zeros(len(o), np.int32)
+@njit(cache=True, nogil=True, parallel=True)
+def points_in_boxes(range_m, beams, pairs, run):
+    """Returns of the pair's sweep strictly inside its box, of every pair; `run` as `Pairs.runs`."""
+    out = np.zeros(len(pairs.o), np.int32)
     n, m = range_m.shape[1], len(beams.tan_el)
     cos_el, sin_el = beams.cos_el.astype(np.float32), beams.sin_el.astype(np.float32)
+    edge_cos, edge_sin = np.cos(0.5 * beams.fov_rad), np.sin(0.5 * beams.fov_rad)
     flat = np.empty(((m + BLOCK - 1) // BLOCK, 2), np.float32)
     for b in range(len(flat)):
         block = beams.cos_el[BLOCK * b : BLOCK * (b + 1)]
         flat[b, 0], flat[b, 1] = block.min(), block.max()
     for i in prange(len(run) - 1):
+        ranges = range_m[pairs.o[run[i]]]
         lengths = np.empty((2, len(flat), n), np.float32)
         bounds = lengths[0], lengths[1]
-        bounds[0][:], bounds[1][:] = 0.0, np.inf
         if run[i + 1] - run[i] > _FEW:
-            _bounds(range_m[o[run[i]]], flat, bounds[0], bounds[1])
+            _bounds(ranges, flat, bounds[0], bounds[1])
+        else:
+            bounds[0][:], bounds[1][:] = 0.0, np.inf
         scratch = np.empty(n), np.empty(n), np.empty(n, np.int32), np.empty(n, np.int32)
         for k in range(run[i], run[i + 1]):
-            x, y, z = xyz[k, 0], xyz[k, 1], xyz[k, 2]
-            half_l, half_w, half_h = 0.5 * lwh[k, 0], 0.5 * lwh[k, 1], 0.5 * lwh[k, 2]
-            cos, sin = np.cos(yaw[k]), np.sin(yaw[k])
-            radius, distance = np.hypot(half_l, half_w), np.hypot(x, y)
+            x, y, z, length, width, height, yaw = in_sensor_frame(pairs, k)
+            half_l, half_w, half_h = 0.5 * length, 0.5 * width, 0.5 * height
+            radius = np.hypot(half_l, half_w)
+            if abs(y) * edge_cos - x * edge_sin > radius:
+                continue  # beside the field of view
+            distance = np.hypot(x, y)
             close = distance - radius
-            half = np.arcsin(radius / distance) + MARGIN_RAD if close > 0.0 else np.pi
-            a0, a1, b0, b1 = spans(np.arctan2(y, x), half, beams)
+            cos, sin = np.cos(yaw), np.sin(yaw)
+            a0, a1, b0, b1 = rectangle_columns(x, y, cos, sin, half_l, half_w, beams)
             r0, r1 = 0, m
             if close > 1e-6:
                 low, high = z - half_h, z + half_h
-                r0 = max(0, below(beams.tan_el, low / (close if low < 0.0 else distance + radius)) - 1)
-                r1 = min(m, below(beams.tan_el, high / (close if high > 0.0 else distance + radius)) + 1)
+                r0 = max(0, below(beams, low / (close if low < 0.0 else distance + radius)) - 1)
+                r1 = min(m, below(beams, high / (close if high > 0.0 else distance + radius)) + 1)
             for turn in range(2):
                 c0, c1 = (a0, a1) if turn == 0 else (b0, b1)
                 if c1 > c0:
                     out[k] += _count(
-                        range_m[o[k]], beams, cos_el, sin_el, c0, c1, r0, r1, x, y, z, cos, sin, half_l, half_w,
-                        half_h, bounds, scratch,
+                        ranges, beams, cos_el, sin_el, c0, c1, r0, r1, x, y, z, cos, sin, half_l, half_w, half_h,
+                        bounds, scratch,
                     )  # fmt: skip
     return out

@@ -14,7 +14,7 @@ from sensors import box_points, evidence_kernels, range_image
 from sensors.boxes import Boxes
 from sensors.lidar import RangeImages, Scanners, Sweeps
 from sensors.neighbours import Neighbours, neighbours
-from sensors.scene import ObjectClass, prisms
+from sensors.scene import ObjectClass, Prisms, prisms
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -65,14 +65,12 @@ def in_evaluation_area(
     Area filter of TruPercept: |left| <= forward + slack for its 90 degrees.   Deviations: other fields of view keep
     the slack beside their edges; 360 degrees have no edge.
     """
-    sensed = sweeps.poses.to_sensor(o, boxes, b)
     exempt, near = np.zeros(0, bool), boxes.take(slice(0, 0))
     if label is not None and own is not None:
         exempt, near = label == ObjectClass.CAR, sweeps.poses.to_sensor(np.arange(len(own)), own)
     return evidence_kernels.in_area(
-        np.asarray(o, np.int64), np.arange(len(sensed)) if b is None else np.asarray(b, np.int64), sensed.xyz_m,
-        sensed.lwh_m, exempt, near.xyz_m, near.lwh_m, params.range_m + params.slack_m, params.height_m,
-        sweeps.beams.fov_rad, edge_slope(sweeps.beams.fov_rad), params.slack_m, params.own_radius_m,
+        sweeps.poses.pairs(o, boxes, b), exempt, near.xyz_m, near.lwh_m, params.range_m + params.slack_m,
+        params.height_m, sweeps.beams.fov_rad, edge_slope(sweeps.beams.fov_rad), params.slack_m, params.own_radius_m,
     )  # fmt: skip
 
 
@@ -95,10 +93,8 @@ def points_in_boxes(
     p(θ) of TruPercept, which visibility is a function of.   Deviations: none; only the window of the range image that
     the box can fill is searched.
     """
-    sensed = sweeps.poses.to_sensor(o, boxes, b)
-    o = np.asarray(o, np.int64)
-    run = np.flatnonzero(np.concatenate([[True], o[1:] != o[:-1], [True]])) if len(o) else np.zeros(1, np.int64)
-    return box_points.points_in_boxes(sweeps.range_m, sweeps.beams, o, run, sensed.xyz_m, sensed.lwh_m, sensed.yaw_rad)
+    pairs = sweeps.poses.pairs(o, boxes, b)
+    return box_points.points_in_boxes(sweeps.range_m, sweeps.beams, pairs, pairs.runs())
 
 
 def plausible(
@@ -119,23 +115,12 @@ def plausible(
     (early exits, bottom centre as distance, margin, empty pyramid); the sensor stands for the camera, and the field
     of view is the sensor's.
     """
-    sensed = sweeps.poses.to_sensor(o, boxes, b)
-    tested = is_testable(sensed, sweeps.beams.fov_rad, area)
-    result = np.ones(len(sensed), bool)
-    planes, distance, window = evidence_kernels.frustum(sensed.xyz_m[tested], sensed.lwh_m[tested])
-    rows = np.asarray(o)[tested]
-    seen, closer = evidence_kernels.free_space(
-        sweeps.range_m, sweeps.beams, rows, planes, distance, window, params.margin_m
-    )
-    result[tested] = closer > params.min_share * seen
-    return result
-
-
-def is_testable(sensed: Boxes, fov_rad: float, area: AreaParams) -> Bool[ndarray, "n"]:
-    """Whether the free-space test applies to each box (sensor frame)."""
-    return evidence_kernels.testable(
-        sensed.xyz_m, sensed.lwh_m, area.range_m, area.height_m, fov_rad, edge_slope(fov_rad)
-    )
+    pairs = sweeps.poses.pairs(o, boxes, b)
+    applies, seen, closer = evidence_kernels.free_space(
+        sweeps.range_m, sweeps.beams, pairs, pairs.runs(), area.range_m, area.height_m,
+        edge_slope(sweeps.beams.fov_rad), params.margin_m,
+    )  # fmt: skip
+    return ~applies | (closer > params.min_share * seen)
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,14 +151,15 @@ class Observability:
 
 
 def observability(
-    sweeps: Sweeps, boxes: Boxes, shape: UInt8[ndarray, "n"], near: Neighbours | None = None
-) -> Observability:
+    sweeps: Sweeps, boxes: Boxes, shape: UInt8[ndarray, "n"], near: Neighbours | None = None,
+    bodies: Prisms | None = None,
+) -> Observability:  # fmt: skip
     """Every (observer, actor) with at least one ray that would meet the actor if nothing stood in front.
 
     Parameters
     ----------
-    near
-        `neighbours` of the sensors among these boxes, where they are known already.
+    near, bodies
+        `neighbours` of the sensors among these boxes, and their `prisms`, where they are known already.
 
     Notes
     -----
@@ -183,7 +169,8 @@ def observability(
     assert len(ptr) == len(sweeps.observers) + 1, "neighbours of other sweeps"
     n_returns, n_unoccluded = range_image.unoccluded_returns(
         sweeps.hit, sweeps.poses.origin_m, sweeps.poses.yaw_rad, sweeps.beams, float(sweeps.max_range_m),
-        boxes.xyz_m, boxes.circumradius_m, boxes.lwh_m[:, 2], ptr, row, sweeps.observers, prisms(shape, boxes),
+        boxes.xyz_m, boxes.circumradius_m, boxes.lwh_m[:, 2], ptr, row, sweeps.observers,
+        prisms(shape, boxes) if bodies is None else bodies,
     )  # fmt: skip
     n_unoccluded = np.maximum(n_unoccluded, n_returns)  # bodies from meshes may reach beyond their prisms
     keep = n_unoccluded > 0

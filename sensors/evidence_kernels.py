@@ -9,8 +9,9 @@ from __future__ import annotations
 import numpy as np
 from numba import njit, prange
 
-from sensors.box_points import MARGIN_RAD
-from sensors.raycast.column import below, spans
+from sensors.kernel import kernel
+from sensors.pairs import in_sensor_frame
+from sensors.raycast.column import MARGIN_RAD, below, spans
 
 
 @njit(cache=True, inline="always")
@@ -22,39 +23,37 @@ def _in_view(forward, left, fov_rad, slope, slack_m):
 
 
 @njit(cache=True)
-def in_area(o, b, xyz, lwh, exempt, own_xyz, own_lwh, range_m, height_m, fov_rad, slope, slack_m, own_radius_m):
-    """Whether box k (sensor frame; number b[k]) lies in the area of sensor o[k].
+def in_area(pairs, exempt, own_xyz, own_lwh, range_m, height_m, fov_rad, slope, slack_m, own_radius_m):
+    """Whether the box of each pair lies in the area of its sensor.
 
-    Those of the boxes `exempt` that are near to the sensor's own box need not be in view; both may be empty.
+    Those of the boxes `exempt` that are near to the sensor's own box (sensor frame) need not be in view; both may be
+    empty.
     """
-    found = np.zeros(len(o), np.bool_)
-    for k in range(len(o)):
-        x, y, z = xyz[k, 0], xyz[k, 1], xyz[k, 2]
-        bottom = z - 0.5 * lwh[k, 2]
+    found = np.zeros(len(pairs.o), np.bool_)
+    for k in range(len(pairs.o)):
+        x, y, z, _, _, height, _ = in_sensor_frame(pairs, k)
+        bottom = z - 0.5 * height
         if np.sqrt(x * x + y * y + bottom * bottom) <= range_m and abs(bottom) <= height_m:
             inside = _in_view(x, y, fov_rad, slope, slack_m)
-            if not inside and len(own_xyz) > 0 and exempt[b[k]]:
-                x, y, z = x - own_xyz[o[k], 0], y - own_xyz[o[k], 1], z - own_xyz[o[k], 2]
-                z -= 0.5 * (lwh[k, 2] - own_lwh[o[k], 2])
+            if not inside and len(own_xyz) > 0 and exempt[pairs.b[k]]:
+                o = pairs.o[k]
+                x, y, z = x - own_xyz[o, 0], y - own_xyz[o, 1], z - own_xyz[o, 2]
+                z -= 0.5 * (height - own_lwh[o, 2])
                 inside = np.sqrt(x * x + y * y + z * z) <= own_radius_m
             found[k] = inside
     return found
 
 
-@njit(cache=True)
-def testable(xyz, lwh, range_m, height_m, fov_rad, slope):
-    """Whether the free-space test applies to each box (sensor frame)."""
-    found = np.zeros(len(xyz), np.bool_)
-    for k in range(len(xyz)):
-        x, y, z = xyz[k, 0], xyz[k, 1], xyz[k, 2]
-        bottom = z - 0.5 * lwh[k, 2]
-        near_enough = np.sqrt(x * x + y * y + bottom * bottom) < range_m and abs(bottom) <= height_m
-        ahead = x != 0.0 or y != 0.0  # straight below there is no pyramid
-        found[k] = near_enough and ahead and z <= 0.0 and _in_view(x, y, fov_rad, slope, 0.0)
-    return found
+@kernel
+def is_testable(x, y, z, height, range_m, height_m, fov_rad, slope):
+    """Whether the free-space test applies to a box (sensor frame)."""
+    bottom = z - 0.5 * height
+    near_enough = np.sqrt(x * x + y * y + bottom * bottom) < range_m and abs(bottom) <= height_m
+    ahead = x != 0.0 or y != 0.0  # straight below there is no pyramid
+    return near_enough and ahead and z <= 0.0 and _in_view(x, y, fov_rad, slope, 0.0)
 
 
-@njit(cache=True)
+@kernel
 def _cross(corner, a, b, sign, plane, p):
     """Normal of the plane through the sensor and two corners."""
     ax, ay, az, bx, by, bz = corner[a, 0], corner[a, 1], corner[a, 2], corner[b, 0], corner[b, 1], corner[b, 2]
@@ -63,51 +62,42 @@ def _cross(corner, a, b, sign, plane, p):
     plane[p, 2] = sign * (ax * by - ay * bx)
 
 
-@njit(cache=True)
-def frustum(xyz, lwh):
-    """The pyramid from the sensor through a small square in the middle of each box (sensor frame).
+@kernel
+def frustum(x, y, middle_z, length, width, height, corner, plane):
+    """The pyramid from the sensor through a small square in the middle of a box (sensor frame).
 
-    Parameters
-    ----------
-    xyz, lwh
-        Boxes whose bottom lies below the sensor, but not straight below.
+    The bottom of the box lies below the sensor, but not straight below. `plane` [4, 3] is written (a point p is inside
+    iff p . plane < 0 for all four), and `corner` [4, 3]: top left, top right, bottom left, bottom right.
 
     Returns
     -------
-    planes (a point p is inside iff p . plane < 0 for all four), the distance of the bottom centre, and the window that
-    holds the pyramid: azimuth of its middle, half its width, lowest and highest slope.
+    The distance of the bottom centre, and the window that holds the pyramid: azimuth of its middle, half its width,
+    lowest and highest slope.
     """
-    n = len(xyz)
-    planes, distance, window = np.empty((n, 4, 3)), np.empty(n), np.empty((n, 4))
-    corner = np.empty((4, 3))  # top left, top right, bottom left, bottom right
-    for k in range(n):
-        x, y, z = xyz[k, 0], xyz[k, 1], xyz[k, 2] - 0.5 * lwh[k, 2]
-        away = np.sqrt(x * x + y * y + z * z)
-        steep = (x * x + y * y) / z
-        size = np.sqrt(x * x + y * y + steep * steep)
-        s = min(lwh[k, 0], lwh[k, 1]) / 4.0
-        down_x, down_y, down_z = x / size, y / size, steep / size
-        sight_x, sight_y, sight_z = x / away, y / away, z / away
-        right_x, right_y = down_y * sight_z - down_z * sight_y, down_z * sight_x - down_x * sight_z
-        right_z = down_x * sight_y - down_y * sight_x
-        for c in range(4):
-            for i in range(3):
-                down = down_x if i == 0 else (down_y if i == 1 else down_z)
-                right = right_x if i == 0 else (right_y if i == 1 else right_z)
-                height = xyz[k, i] - s * down if c < 2 else xyz[k, i] + s * down
-                corner[c, i] = height - s * right if c % 2 == 0 else height + s * right
-        plane = planes[k]
-        _cross(corner, 1, 0, 1.0, plane, 0)
-        _cross(corner, 3, 2, -1.0, plane, 1)
-        _cross(corner, 1, 3, -1.0, plane, 2)
-        _cross(corner, 0, 2, 1.0, plane, 3)
-        distance[k] = away
-        window[k, 0] = np.arctan2(xyz[k, 1], xyz[k, 0])
-        window[k, 1], window[k, 2], window[k, 3] = _window(window[k, 0], corner, plane)
-    return planes, distance, window
+    z = middle_z - 0.5 * height
+    away = np.sqrt(x * x + y * y + z * z)
+    steep = (x * x + y * y) / z
+    size = np.sqrt(x * x + y * y + steep * steep)
+    s = min(length, width) / 4.0
+    down_x, down_y, down_z = x / size, y / size, steep / size
+    sight_x, sight_y, sight_z = x / away, y / away, z / away
+    right_x, right_y = down_y * sight_z - down_z * sight_y, down_z * sight_x - down_x * sight_z
+    right_z = down_x * sight_y - down_y * sight_x
+    for c in range(4):
+        down, right = -s if c < 2 else s, -s if c % 2 == 0 else s
+        corner[c, 0] = x + down * down_x + right * right_x
+        corner[c, 1] = y + down * down_y + right * right_y
+        corner[c, 2] = middle_z + down * down_z + right * right_z
+    _cross(corner, 1, 0, 1.0, plane, 0)
+    _cross(corner, 3, 2, -1.0, plane, 1)
+    _cross(corner, 1, 3, -1.0, plane, 2)
+    _cross(corner, 0, 2, 1.0, plane, 3)
+    middle = np.arctan2(y, x)
+    half, low, high = _window(middle, corner, plane)
+    return away, middle, half, low, high
 
 
-@njit(cache=True)
+@kernel
 def _window(middle, corner, plane):
     """Half the width of a pyramid, lowest and highest slope."""
     half, low, high = 0.0, np.inf, -np.inf
@@ -143,25 +133,38 @@ def in_frustum(x, y, z, plane):
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def free_space(range_m, beams, o, planes, distance, window, margin_m):
-    """Returns of sweep o[k] in the pyramid through box k, and how many of them are nearer than the box."""
-    seen, closer = np.zeros(len(o), np.int32), np.zeros(len(o), np.int32)
-    for k in prange(len(o)):
-        plane, limit = planes[k], distance[k] + margin_m
-        a0, a1, b0, b1 = spans(window[k, 0], window[k, 1], beams)
-        r0 = max(0, below(beams.tan_el, window[k, 2]) - 1)
-        r1 = min(len(beams.tan_el), below(beams.tan_el, window[k, 3]) + 1)
-        cos_el, sin_el = beams.cos_el[r0:r1], beams.sin_el[r0:r1]
-        n_seen = n_closer = 0
-        for turn in range(2):
-            for c in range(a0 if turn == 0 else b0, a1 if turn == 0 else b1):
-                ranges, ca, sa = range_m[o[k], c, r0:r1], beams.cos_az[c], beams.sin_az[c]
-                for r in range(len(ranges)):
-                    d = np.float64(ranges[r])
-                    flat = d * cos_el[r]
-                    x, y, z = flat * ca, flat * sa, d * sin_el[r]
-                    inside = in_frustum(x, y, z, plane) & (d < np.inf)
-                    n_seen += inside
-                    n_closer += inside & (np.sqrt(x * x + y * y + z * z) < limit)
-        seen[k], closer[k] = n_seen, n_closer
-    return seen, closer
+def free_space(range_m, beams, pairs, run, reach_m, height_m, slope, margin_m):
+    """Whether the free-space test applies to each pair, and where it does, the returns of its sweep in the pyramid
+    through its box, and how many of them are nearer than the box. `run` as `Pairs.runs`."""
+    applies = np.zeros(len(pairs.o), np.bool_)
+    seen, closer = np.zeros(len(pairs.o), np.int32), np.zeros(len(pairs.o), np.int32)
+    for i in prange(len(run) - 1):
+        sweep, corner, plane = range_m[pairs.o[run[i]]], np.empty((4, 3)), np.empty((4, 3))
+        for k in range(run[i], run[i + 1]):
+            x, y, z, length, width, height, _ = in_sensor_frame(pairs, k)
+            applies[k] = is_testable(x, y, z, height, reach_m, height_m, beams.fov_rad, slope)
+            if applies[k]:
+                away, middle, half, low, high = frustum(x, y, z, length, width, height, corner, plane)
+                seen[k], closer[k] = _returns_in(sweep, beams, plane, away + margin_m, middle, half, low, high)
+    return applies, seen, closer
+
+
+@kernel
+def _returns_in(sweep, beams, plane, limit, middle, half, low, high):
+    """Returns in a pyramid, and how many of them are nearer than a limit."""
+    a0, a1, b0, b1 = spans(middle, half, beams)
+    r0 = max(0, below(beams, low) - 1)
+    r1 = min(len(beams.tan_el), below(beams, high) + 1)
+    cos_el, sin_el = beams.cos_el[r0:r1], beams.sin_el[r0:r1]
+    n_seen = n_closer = 0
+    for turn in range(2):
+        for c in range(a0 if turn == 0 else b0, a1 if turn == 0 else b1):
+            ranges, ca, sa = sweep[c, r0:r1], beams.cos_az[c], beams.sin_az[c]
+            for r in range(len(ranges)):
+                d = np.float64(ranges[r])
+                flat = d * cos_el[r]
+                x, y, z = flat * ca, flat * sa, d * sin_el[r]
+                inside = in_frustum(x, y, z, plane) & (d < np.inf)
+                n_seen += inside
+                n_closer += inside & (np.sqrt(x * x + y * y + z * z) < limit)
+    return n_seen, n_closer

@@ -19,6 +19,7 @@ from scipy.special import expit, ndtri
 from sensors.boxes import Boxes
 from sensors.evidence import Observability
 from sensors.hash_rng import mix, unit
+from sensors.kernel import kernel
 from sensors.lidar import Sweeps
 from sensors.reports import DetectorDraws, Reports
 from sensors.scene import Hit
@@ -148,7 +149,7 @@ def _uniforms_of_site(site):
     return out
 
 
-@njit(cache=True)
+@kernel
 def _persistent(key, time_s, memory_s):
     """A uniform that is renewed at some moments.
 
@@ -160,7 +161,7 @@ def _persistent(key, time_s, memory_s):
     return unit(mix(mix(key, 3), np.int64(np.floor(time_s / spacing_s + unit(mix(key, 2))))))
 
 
-@njit(cache=True)
+@kernel
 def _rank(aspect, observer, step, time_s, memory_s, shares, p):
     """U of an aspect, where it is below p; else p."""
     best = p
@@ -177,7 +178,7 @@ def _rank(aspect, observer, step, time_s, memory_s, shares, p):
     return best
 
 
-@njit(cache=True)
+@kernel
 def _side(x, y):
     """The side, of four, from which the origin is seen from (x, y)."""
     if abs(x) >= abs(y):
@@ -185,49 +186,47 @@ def _side(x, y):
     return 2 if y >= 0.0 else 3
 
 
-@njit(cache=True)
+@kernel
 def _places(ranges, hits, cos_el, c, x, y, along_x, along_y, top, side, place):
-    """Cell and kind (wall, road) in which each ray of a column that is counted ended; -1 for neither kind."""
+    """Cell and kind (wall, road) in which each ray of a column that is counted ended, from 1; 0 for neither kind."""
     column, width = np.uint64(c), np.int32(side)
     for q in range(np.uint64(len(place))):
         r = q * np.uint64(ROW_STEP)
         flat, code = ranges[column, r] * cos_el[r], hits[column, r]
         i, j = np.int32(min(max(x + flat * along_x, 0.0), top)), np.int32(min(max(y + flat * along_y, 0.0), top))
         at = np.int32(2) * (i * width + j) + np.int32(code == Hit.GROUND) * np.int32(_ROAD)
-        place[q] = at if (code == Hit.GROUND) | (code == Hit.BUILDING) else np.int32(-1)
+        place[q] = at + np.int32(1) if (code == Hit.GROUND) | (code == Hit.BUILDING) else np.int32(0)
 
 
 @njit(cache=True)
 def _tally(ranges, hits, beams, x, y, cos, sin, x0, y0, side):
     """Cells and kinds (wall, road) of one sweep: which, returns, first and last column; and returns by kind."""
-    number = np.zeros(2 * side * side, np.int32)  # place in the list, from 1
     n_rows = -(-hits.shape[1] // ROW_STEP)
-    met = np.empty((4, -(-hits.shape[0] // COLUMN_STEP) * n_rows), np.int32)
+    number = np.zeros(2 * side * side + 1, np.int32)  # place in the list, from 1
+    met = np.empty((4, 2 + -(-hits.shape[0] // COLUMN_STEP) * n_rows), np.int32)  # first those of neither kind
+    number[0], met[1, 1], k = 1, 0, 2
     place = np.empty(n_rows, np.int32)
-    total = np.zeros(2, np.int64)
-    k = 0
     x, y, top = x / CELL_M - x0, y / CELL_M - y0, side - 0.5
     for c in range(0, hits.shape[0], COLUMN_STEP):
         along_x = (cos * beams.cos_az[c] - sin * beams.sin_az[c]) / CELL_M
         along_y = (sin * beams.cos_az[c] + cos * beams.sin_az[c]) / CELL_M
         _places(ranges, hits, beams.cos_el, c, x, y, along_x, along_y, top, side, place)
-        q = 0
-        while q < n_rows:
-            at, first = place[q], q
-            while q < n_rows and place[q] == at:  # neighbours often end in the same cell
-                q += 1
-            if at >= 0:
-                if number[at] == 0:
-                    met[0, k], met[1, k], met[2, k] = at, 0, c
-                    k += 1
-                    number[at] = k
-                met[1, number[at] - 1] += q - first
-                met[3, number[at] - 1] = c
-                total[at % 2] += q - first
-    return met[:, :k], total
+        for at in place:
+            here = number[np.uint32(at)]
+            if here == 0:
+                here = number[np.uint32(at)] = k
+                met[0, k], met[1, k], met[2, k] = at - 1, 0, c
+                k += 1
+            met[1, np.uint32(here)] += 1
+            met[3, np.uint32(here)] = c
+    met = met[:, 2:k]
+    total = np.zeros(2, np.int64)
+    for i in range(met.shape[1]):
+        total[met[0, i] % 2] += met[1, i]
+    return met, total
 
 
-@njit(cache=True)
+@kernel
 def _nearest(ranges, hits, beams, x, y, cos, sin, first, last, code, to_x, to_y):
     """The ray in columns first to last that met `code` and ended nearest to a point."""
     best, least = -1, np.inf

@@ -9,7 +9,7 @@ from typing import Any
 
 from numba import njit
 
-_OPTIONS: dict[str, Any] = {"cache": True, "_nrt": False}
+_OPTIONS: dict[str, Any] = {"cache": True, "nogil": True, "_nrt": False}
 
 kernel = njit(**_OPTIONS)
 """Decorator: compiled, cached, must not allocate."""

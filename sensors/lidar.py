@@ -14,9 +14,11 @@ from numpy import ndarray
 
 from sensors.boxes import Boxes
 from sensors.neighbours import Neighbours, neighbours
+from sensors.pairs import Pairs, pairs_of, turned
 from sensors.range_noise import RangeNoise
 from sensors.raycast import columnar, embree, open3d
-from sensors.scene import Hit, Scene, prisms
+from sensors.raycast.column import cells_of_slopes
+from sensors.scene import Hit, Prisms, Scene, prisms
 
 
 class Profile(NamedTuple):
@@ -105,6 +107,10 @@ class Beams(NamedTuple):
     cos_el: ndarray
     sin_el: ndarray
     fov_rad: float
+    cells_per_slope: float
+    first_row: ndarray
+    most_in_cell: int
+    """As `sensors.raycast.column.cells_of_slopes`: in which row a slope lies."""
 
 
 def beams(params: LidarParams) -> Beams:
@@ -135,7 +141,8 @@ def beams(params: LidarParams) -> Beams:
         )
     el = np.radians(elevation)
     az = np.radians(fov) * ((np.arange(n) + 0.5) / n - 0.5)
-    return Beams(az, np.cos(az), np.sin(az), el, np.tan(el), np.cos(el), np.sin(el), float(np.radians(fov)))
+    tan, turn = np.tan(el), float(np.radians(fov))
+    return Beams(az, np.cos(az), np.sin(az), el, tan, np.cos(el), np.sin(el), turn, *cells_of_slopes(tan))
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,34 +152,19 @@ class Poses:
     origin_m: Float[ndarray, "m 3"]
     yaw_rad: Float[ndarray, "m"]
 
+    def pairs(self, o: Int[ndarray, "n"], boxes: Boxes, b: Int[ndarray, "n"] | None = None) -> Pairs:
+        """World box b[k] and sensor o[k], for every k; the boxes in order when `b` is not given."""
+        return pairs_of(o, self.origin_m, self.yaw_rad, boxes, b)
+
     def to_sensor(self, o: Int[ndarray, "n"], boxes: Boxes, b: Int[ndarray, "n"] | None = None) -> Boxes:
-        """World box b[k] in the frame of sensor o[k], for every k; the boxes in order when `b` is not given."""
-        o, b = np.asarray(o, np.int64), np.arange(len(boxes)) if b is None else np.asarray(b, np.int64)
-        cos, sin = np.cos(self.yaw_rad), np.sin(self.yaw_rad)
-        turned = _turned(o, b, self.origin_m, cos, sin, self.yaw_rad, boxes.xyz_m, boxes.lwh_m, boxes.yaw_rad)
-        return Boxes(*turned)
+        """The same boxes in the frames of these sensors."""
+        return Boxes(*turned(self.pairs(o, boxes, b)))
 
     def to_world(self, o: int, xyz: Float[ndarray, "k 3"]) -> Float[ndarray, "k 3"]:
         """Points of sensor o in the world frame."""
         cos, sin = np.cos(self.yaw_rad[o]), np.sin(self.yaw_rad[o])
         turned = np.column_stack([cos * xyz[:, 0] - sin * xyz[:, 1], sin * xyz[:, 0] + cos * xyz[:, 1], xyz[:, 2]])
         return turned + self.origin_m[o]
-
-
-@njit(cache=True)
-def _turned(o, b, origin, cos, sin, heading, xyz, lwh, yaw):
-    """Boxes b[k] in the frame of sensors o[k]."""
-    n = len(o)
-    there, size, turned = np.empty((n, 3)), np.empty((n, 3)), np.empty(n)
-    for k in range(n):
-        s, w = o[k], b[k]
-        dx, dy = xyz[w, 0] - origin[s, 0], xyz[w, 1] - origin[s, 1]
-        there[k, 0] = cos[s] * dx + sin[s] * dy
-        there[k, 1] = cos[s] * dy - sin[s] * dx
-        there[k, 2] = xyz[w, 2] - origin[s, 2]
-        size[k, 0], size[k, 1], size[k, 2] = lwh[w, 0], lwh[w, 1], lwh[w, 2]
-        turned[k] = yaw[w] - heading[s]
-    return there, size, turned
 
 
 def n_rays(params: LidarParams) -> tuple[int, int]:
@@ -246,6 +238,7 @@ def scan(
     keys: UInt64[ndarray, "m"],
     out: Sweeps | tuple[ndarray, ndarray] | None = None,
     near: Neighbours | None = None,
+    bodies: Prisms | None = None,
 ) -> Sweeps:
     """One sweep of every observer, all at one instant.
 
@@ -260,8 +253,8 @@ def scan(
     out
         Arrays `range_m` and `hit` to fill; or an earlier result, whose arrays are overwritten where they are large
         enough: saves allocation and page faults.
-    near
-        `neighbours` of the sensors, where they are known already.
+    near, bodies
+        `neighbours` of the sensors, and `prisms` of all actors, where they are known already.
 
     Notes
     -----
@@ -280,7 +273,8 @@ def scan(
     range_m, hit = buffer(size, np.float32, old_range_m), buffer(size, hit_type(len(boxes)), old_hit)
     near = neighbours(on.poses.origin_m, boxes, params.max_range_m) if near is None else near
     ENGINES[params.engine](
-        range_m, hit, on.poses, on.ground_m, observers, grid, params.max_range_m, boxes, prisms(shape, boxes), scene,
+        range_m, hit, on.poses, on.ground_m, observers, grid, params.max_range_m, boxes,
+        prisms(shape, boxes) if bodies is None else bodies, scene,
         RangeNoise.of(keys, params.range_sigma_m, params.dropout_p), near,
     )  # fmt: skip
     return Sweeps(on.poses, observers, on.ground_m, grid, params.max_range_m, range_m, hit)

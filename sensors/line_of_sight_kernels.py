@@ -252,7 +252,7 @@ def _entry(place, p, q, mask):
     return np.int64(region | (h & _REGION & ~_WAYS)), mix(h, low) | one
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, nogil=True, parallel=True)
 def has_los_cached(xyz, indoors, place, a, b, blocked, grid, walls, memo, out, is_new):
     """The same, with the answers in `memo` by the places of both ends; `is_new` are those that it lacks."""
     n = len(a)

@@ -36,7 +36,7 @@ def unoccluded_returns(hit, origin, yaw, beams, limit, xyz, radius, height, ptr,
                         if leave <= max(enter, 0.0):
                             continue
                         bottom, top = bodies.bottom_m[k] - z, bodies.top_m[k] - z
-                        first, s0, s1, last, t, low, high = profile(enter, leave, bottom, top, beams.tan_el)
+                        first, s0, s1, last, t, low, high = profile(enter, leave, bottom, top, beams)
                         for r in range(first, last):
                             if taken[r] != column and (
                                 within_limit or surface(r, s0, s1, t, low, high, beams) <= limit

@@ -48,11 +48,16 @@ def add_noise(ranges, hits, key, noise):
     seed = splitmix64(key + GOLDEN)
     n, m = np.uint64(ranges.shape[0]), np.uint64(ranges.shape[1])
     zero, sigma, level = np.float32(0.0), noise.sigma_m, noise.level
-    for c in range(n):
+    drawn, off = np.empty(m, np.uint16), np.empty(m, np.float32)
+    for c in range(n):  # looking up is a loop of its own, because it is not vectorised
         first = seed + c * m * GOLDEN
         for r in range(m):
-            bits = splitmix64(first + r * GOLDEN)
-            ranges[c, r] = max(zero, ranges[c, r] + sigma * level[bits >> _S52])
+            drawn[r] = splitmix64(first + r * GOLDEN) >> _S52
+        for r in range(m):
+            off[r] = level[drawn[r]]
+        for r in range(m):
+            d = ranges[c, r] + sigma * off[r]
+            ranges[c, r] = d if d > zero else zero
     if noise.dropout_p > 0.0:
         lost_below = np.uint64(noise.dropout_p * 2.0**52)
         for c in range(n):

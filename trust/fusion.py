@@ -49,6 +49,7 @@ class Fused:
 
     def take(self, rows: ndarray) -> "Fused":
         """The chosen rows (a mask or row numbers)."""
+        rows = np.flatnonzero(rows) if rows.dtype == bool else rows
         return Fused(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
 
 
@@ -148,7 +149,7 @@ class _Totals(NamedTuple):
         return _Totals(whole[0], real[0], real[1], real[2], real[3], real[4], whole[1])
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, nogil=True, parallel=True)
 def _accumulate(lists, of, weights, n_chunks, sums, totals):
     """Fill the sums of all members, and those of all groups."""
     list_ptr, member, owner, message, score = lists
@@ -159,7 +160,7 @@ def _accumulate(lists, of, weights, n_chunks, sums, totals):
     n_detections = message.size
     n_messages = evaluated_by.size
     for chunk in prange(n_chunks):
-        at = np.full(n_detections, -1, np.int64)
+        at = np.full(n_detections, -1, np.int32)
         known = np.full(n_messages, default_trust)
         for x in range(chunk, owner.size, n_chunks):
             ego = owner[x]
@@ -349,7 +350,7 @@ def fuse(
     """
     m = lists.member.size
     seeds = groups.seeds()
-    group = (np.cumsum(groups.seed == np.arange(m)) - 1)[groups.seed]
+    group = groups.numbers()
     n_evaluators = np.zeros(seeds.size, np.int64)
     num, den, detector = np.zeros(m), np.zeros(m), np.zeros(m)
     n = np.zeros(m, np.int64)
@@ -407,9 +408,7 @@ def fuse(
         order = np.lexsort((far, group))
         pose = member[order[np.searchsorted(group[order], np.arange(seeds.size))]]
         pose = np.where(score > 0, pose, row)
-    fused = Fused(
-        lists.of_member()[seeds], row, pose, score, sums.ego_detected, totals.size, totals.n_evaluations, n_evaluators
-    )
+    fused = Fused(lists.of(seeds), row, pose, score, sums.ego_detected, totals.size, totals.n_evaluations, n_evaluators)
     return fused.take(~(sums.ego_detected & detections.is_self[row]))
 
 

@@ -33,12 +33,12 @@ def _adjacency(n, i, j, iou, tau):
 
 
 @njit(cache=True)
-def _candidate(p, after, at, member, block, seed, ptr, other, value):
-    """First message after block `after` with a seed for p; of its seeds the one of first maximum IoU."""
+def _candidate(d, after, at, block, ptr, other, value):
+    """First message after block `after` with a seed for detection d; of its seeds the one of first maximum IoU."""
     best, best_iou = -1, 0.0
-    for x in range(ptr[member[p]], ptr[member[p] + 1]):
+    for x in range(ptr[d], ptr[d + 1]):
         q = at[other[x]]
-        if q < 0 or block[q] <= after or block[q] >= block[p] or seed[q] != q:
+        if q < 0 or block[q] <= after:
             continue
         if (
             best < 0
@@ -49,67 +49,80 @@ def _candidate(p, after, at, member, block, seed, ptr, other, value):
     return best, best_iou
 
 
-@njit(cache=True, parallel=True)
-def _seeds(list_ptr, member, message, ptr, other, value, one_per_vehicle, n_chunks):
-    m, n_lists = member.size, list_ptr.size - 1
-    seed = np.full(m, -1, np.int64)
-    block = np.empty(m, np.int64)  # position at which the detections of p's message start
-    tried = np.full(m, -1, np.int64)
-    choice = np.full(m, -1, np.int64)
-    choice_iou = np.zeros(m)
-    winner = np.full(m, -1, np.int64)
+@njit(cache=True, nogil=True, parallel=True)
+def _seeds(list_ptr, members, owner, message, ptr, other, value, one_per_vehicle, n_chunks):
+    """Seed of each position, and whether it is the owner's detection."""
+    n_lists = list_ptr.size - 1
+    seeds, by_owner = np.empty(members.size, np.int64), np.empty(members.size, np.bool_)
+    longest = 0
+    for v in range(n_lists):
+        longest = max(longest, list_ptr[v + 1] - list_ptr[v])
     for chunk in prange(n_chunks):
-        at = np.full(message.size, -1, np.int64)
+        # of the list under way, by position in it: where the detections of the same message start, and the seed
+        block, seed = np.empty(longest, np.int32), np.empty(longest, np.int32)
+        at = np.full(message.size, -1, np.int32)  # position of each detection that is a seed of an earlier message
+        n_tried = longest if one_per_vehicle else 0
+        tried, choice, winner = np.empty(n_tried, np.int32), np.empty(n_tried, np.int32), np.empty(n_tried, np.int32)
+        choice_iou = np.empty(n_tried)
         for v in range(chunk, n_lists, n_chunks):
-            a, b = list_ptr[v], list_ptr[v + 1]
-            for p in range(a, b):
-                at[member[p]] = p
-                same = p > a and message[member[p]] == message[member[p - 1]]
-                block[p] = block[p - 1] if same else p
-            if not one_per_vehicle:
-                for p in range(a, b):
-                    q, _ = _candidate(p, -1, at, member, block, seed, ptr, other, value)
-                    seed[p] = q if q >= 0 else p
-            else:
-                s = a
-                while s < b:
-                    t = s + 1
-                    while t < b and block[t] == s:
-                        t += 1
-                    # each message before s in turn: its seeds take their best candidate; the others try the next one
-                    while True:
-                        turn = s
-                        for p in range(s, t):
-                            if seed[p] >= 0:
-                                continue
-                            q, iou = _candidate(p, tried[p], at, member, block, seed, ptr, other, value)
-                            choice[p] = q
-                            choice_iou[p] = iou
-                            if q >= 0 and block[q] < turn:
-                                turn = block[q]
-                        if turn == s:
-                            break
-                        for p in range(s, t):
-                            if seed[p] < 0 and choice[p] >= 0 and block[choice[p]] == turn:
-                                w = winner[choice[p]]
-                                if w < 0 or choice_iou[p] > choice_iou[w]:
-                                    winner[choice[p]] = p
-                        for p in range(s, t):
-                            if seed[p] < 0 and choice[p] >= 0 and block[choice[p]] == turn:
-                                if winner[choice[p]] == p:
-                                    seed[p] = choice[p]
-                                else:
-                                    tried[p] = turn
-                        for p in range(s, t):
-                            if choice[p] >= 0:
-                                winner[choice[p]] = -1
+            member = members[list_ptr[v] : list_ptr[v + 1]]
+            s = 0
+            while s < len(member):
+                t = s
+                while t < len(member) and message[member[t]] == message[member[s]]:
+                    block[t] = s
+                    t += 1
+                if one_per_vehicle:
+                    _one_per_vehicle(
+                        s, t, member, at, block, ptr, other, value, seed, tried, choice, choice_iou, winner
+                    )
+                else:
                     for p in range(s, t):
-                        if seed[p] < 0:
-                            seed[p] = p
-                    s = t
-            for p in range(a, b):
+                        q, _ = _candidate(member[p], -1, at, block, ptr, other, value)
+                        seed[p] = q if q >= 0 else p
+                for p in range(s, t):
+                    if seed[p] == p:
+                        at[member[p]] = p
+                s = t
+            for p in range(len(member)):
                 at[member[p]] = -1
-    return seed
+                seeds[list_ptr[v] + p] = list_ptr[v] + seed[p]
+                by_owner[list_ptr[v] + p] = message[member[seed[p]]] == owner[v]
+    return seeds, by_owner
+
+
+@njit(cache=True)
+def _one_per_vehicle(s, t, member, at, block, ptr, other, value, seed, tried, choice, choice_iou, winner):
+    """Fill `seed` for the detections of one message, s to t; the last four arrays are room."""
+    for p in range(s, t):
+        seed[p], tried[p] = -1, -1
+    # each message before s in turn: its seeds take their best candidate; the others try the next one
+    while True:
+        turn = s
+        for p in range(s, t):
+            choice[p] = -1
+            if seed[p] >= 0:
+                continue
+            q, iou = _candidate(member[p], tried[p], at, block, ptr, other, value)
+            choice[p], choice_iou[p] = q, iou
+            if q >= 0:
+                winner[q] = -1
+                turn = min(turn, block[q])
+        if turn == s:
+            break
+        for p in range(s, t):
+            q = choice[p]
+            if q >= 0 and block[q] == turn and (winner[q] < 0 or choice_iou[p] > choice_iou[winner[q]]):
+                winner[q] = p
+        for p in range(s, t):
+            if choice[p] >= 0 and block[choice[p]] == turn:
+                if winner[choice[p]] == p:
+                    seed[p] = choice[p]
+                else:
+                    tried[p] = turn
+    for p in range(s, t):
+        if seed[p] < 0:
+            seed[p] = p
 
 
 def match(
@@ -141,15 +154,7 @@ def match(
     i, j, iou = pairs
     ptr, other, value = _adjacency(len(detections), int64(i), int64(j), iou, params.tau)
     with threads_for(lists.member.size) as n:
-        seed = _seeds(
-            int64(lists.ptr),
-            int64(lists.member),
-            int64(detections.message),
-            ptr,
-            other,
-            value,
-            params.one_per_vehicle,
-            n,
-        )
-    by_owner = detections.message[lists.member[seed]] == lists.owner[lists.of_member()]
-    return Groups(seed, by_owner)
+        return Groups(*_seeds(
+            int64(lists.ptr), int64(lists.member), int64(lists.owner), int64(detections.message), ptr, other, value,
+            params.one_per_vehicle, n,
+        ))  # fmt: skip

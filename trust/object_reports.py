@@ -41,7 +41,7 @@ class ObjectVotes:
         return ObjectReports(self.group, self.in_favour, self.visibility, of_vote, self.n_groups)
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, nogil=True, parallel=True)
 def _reports(list_ptr, member, owner, group, evaluated_ptr, evaluated, evaluated_by, own_e, own_phi, reported_e,
              reported_phi, received_ptr, received, has_evaluations, message, n_detections, n_messages, n_chunks,
              row_ptr, out_group, out_vehicle, out_received, out_favour, out_phi):  # fmt: skip
@@ -49,7 +49,7 @@ def _reports(list_ptr, member, owner, group, evaluated_ptr, evaluated, evaluated
     n_rows = np.zeros(owner.size, np.int64)
     fill = out_group.size > 0
     for chunk in prange(n_chunks):
-        at = np.full(n_detections, -1, np.int64)
+        at = np.full(n_detections, -1, np.int32)
         begin = np.zeros(n_messages, np.int64)
         end = np.zeros(n_messages, np.int64)
         for x in range(chunk, owner.size, n_chunks):
@@ -128,8 +128,7 @@ def object_votes(
         `SenderTrust`: ptr, message, has_evaluations.
     """
     ptr, message, arrived = received
-    seeds = groups.seeds()
-    group = np.searchsorted(seeds, groups.seed)
+    seeds, group = groups.seeds(), groups.numbers()
     n_messages = 1 + int(max(a.max(initial=-1) for a in (lists.owner, evaluated.owner, message, detections.message)))
     evaluated_by = np.full(n_messages, -1, np.int64)
     evaluated_by[evaluated.owner] = np.arange(evaluated.owner.size)

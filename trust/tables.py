@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
+from numba import njit
 from numpy import ndarray
 
 SERVER = 0
@@ -42,6 +43,10 @@ class ObjectLists:
         """List to which each position belongs."""
         return np.repeat(np.arange(self.owner.size), np.diff(self.ptr))
 
+    def of(self, position: Int[ndarray, "p"]) -> Int[ndarray, "p"]:
+        """List to which each of these ascending positions belongs."""
+        return np.repeat(np.arange(self.owner.size), np.diff(np.searchsorted(position, self.ptr)))
+
 
 @dataclass(frozen=True, slots=True)
 class Groups:
@@ -53,6 +58,23 @@ class Groups:
     def seeds(self) -> Int[ndarray, "g"]:
         """Positions of the seeds, ascending: the canonical order of groups."""
         return np.flatnonzero(self.seed == np.arange(self.seed.size))
+
+    def numbers(self) -> Int[ndarray, "m"]:
+        """Group of each position, numbered in the order of `seeds`."""
+        return _group_numbers(int64(self.seed))
+
+
+@njit(cache=True)
+def _group_numbers(seed):
+    number = np.empty(len(seed), np.int64)
+    n = 0
+    for p in range(len(seed)):
+        if seed[p] == p:
+            number[p] = n
+            n += 1
+    for p in range(len(seed)):
+        number[p] = number[seed[p]]
+    return number
 
 
 @dataclass(frozen=True, slots=True)

@@ -97,6 +97,17 @@ class Links:
     fading: UInt8[ndarray, "m"]
     """Class of the fading's distribution: see `propagation.fading_quantiles`."""
 
+    def __post_init__(self) -> None:
+        n, m = len(self.key), len(self.receiver)
+        if len(self.ptr) != n + 1 or self.ptr[0] != 0 or self.ptr[-1] != m or np.any(np.diff(self.ptr) < 0):
+            raise ValueError(f"links.ptr must rise from 0 to the number of links ({m}) in {n + 1} steps.")
+        if len(self.power_mw) != m or len(self.fading) != m:
+            raise ValueError("links.receiver, power_mw and fading must be of one length.")
+        if m and (self.receiver.min() < 0 or self.receiver.max() >= n or self.fading.max() >= len(fading_quantiles())):
+            raise ValueError(f"links: a receiver is none of the {n} stations, or a class of fading is unknown.")
+        for name, dtype in (("receiver", np.int32), ("power_mw", np.float32), ("fading", np.uint8)):
+            object.__setattr__(self, name, np.asarray(getattr(self, name), dtype))
+
 
 @dataclass(frozen=True, slots=True)
 class Packets:
@@ -176,16 +187,6 @@ def _constants(receiver: ReceiverParams, access: AccessParams) -> dtypes.Constan
     )
 
 
-def _check(links: Links) -> None:
-    n, m = len(links.key), len(links.receiver)
-    if len(links.ptr) != n + 1 or links.ptr[0] != 0 or links.ptr[-1] != m or np.any(np.diff(links.ptr) < 0):
-        raise ValueError(f"links.ptr must rise from 0 to the number of links ({m}) in {n + 1} steps.")
-    if len(links.power_mw) != m or len(links.fading) != m:
-        raise ValueError("links.receiver, power_mw and fading must be of one length.")
-    if m and (links.receiver.min() < 0 or links.receiver.max() >= n or links.fading.max() >= len(fading_quantiles())):
-        raise ValueError(f"links: a receiver is none of the {n} stations, or a class of fading is unknown.")
-
-
 def _records(packets: Packets, n: int, state: ChannelState, until_ns: int, receiver: ReceiverParams) -> ndarray:
     """The packets as records of the event loop; ValueError for invalid ones."""
     new = np.zeros(len(packets), dtypes.PACKET)
@@ -256,7 +257,6 @@ def run_window(
     same contention window.
     """
     n = len(links.key)
-    _check(links)
     if until_ns <= state.now_ns:
         raise ValueError(f"until_ns = {until_ns} is not after the state's now_ns = {state.now_ns}.")
     new = _records(packets, n, state, until_ns, receiver)
@@ -266,29 +266,28 @@ def run_window(
     phy, mac = state.phy, state.mac
     phy["busy_ns"] = phy["strong_ns"] = 0
     mac["gap_ns"][:n] = 0 if gap_ns is None else gap_ns
-    table = np.concatenate([state.packets, new])
+    table = _joined(state.packets, new)
 
-    waiting, on_the_air = table["outcome"] == dtypes.WAITING, table["outcome"] == dtypes.RECEIVED
-    sender = table["sender"][waiting]
+    waiting, on_the_air = table["outcome"] == dtypes.WAITING, np.flatnonzero(table["outcome"] == dtypes.RECEIVED)
+    sender, degree, old_edge = table["sender"][waiting], table["degree"][on_the_air], table["edge"][on_the_air]
     table["edge"][waiting] = links.ptr[sender]
-    table["degree"] = np.where(on_the_air, table["degree"], 0)
-    table["degree"][waiting] = links.ptr[sender + 1] - links.ptr[sender]
-    old_edge = table["edge"][on_the_air]
     table["edge"][on_the_air] += len(links.receiver)
+    table["degree"] = 0
+    table["degree"][waiting] = links.ptr[sender + 1] - links.ptr[sender]
+    table["degree"][on_the_air] = degree
     begins = offsets(table["degree"])
     table["slot"] = begins[:-1]
     reception, receiver_row = np.empty(begins[-1], np.uint8), np.empty(begins[-1], np.int32)
-    degree = table["degree"][on_the_air]
-    to, was = ranges(table["slot"][on_the_air], degree), ranges(old_edge, degree)
-    reception[to], receiver_row[to] = state.reception[was], state.receiver[was]
-    arrival_mw = np.concatenate([np.empty(len(links.receiver), np.float32), state.arrival_mw])
+    if len(on_the_air):
+        to, was = ranges(begins[on_the_air], degree), ranges(old_edge, degree)
+        reception[to], receiver_row[to] = state.reception[was], state.receiver[was]
+    arrival_mw = np.empty(len(links.receiver) + len(state.arrival_mw), np.float32)
+    arrival_mw[len(links.receiver) :] = state.arrival_mw
     row_of_rank = np.empty(len(phy), np.int64)
     row_of_rank[mac["rank"]] = np.arange(len(phy))
     air = Air(
-        phy, mac, row_of_rank, links.ptr,
-        np.concatenate([links.receiver.astype(np.int32, copy=False), state.receiver]),
-        links.power_mw.astype(np.float32, copy=False), links.fading.astype(np.uint8, copy=False), arrival_mw,
-        fading_quantiles(), SIFS_NS + SLOT_NS * np.array(access.aifsn), np.array(access.cw),
+        phy, mac, row_of_rank, links.ptr, _joined(links.receiver, state.receiver), links.power_mw, links.fading,
+        arrival_mw, fading_quantiles(), SIFS_NS + SLOT_NS * np.array(access.aifsn), np.array(access.cw),
         _constants(receiver, access), np.uint64(rng_key),
     )  # fmt: skip
     n_given, max_degree = len(table), int(np.diff(links.ptr).max(initial=0))
@@ -315,6 +314,15 @@ def run_window(
     over = ~on_air & (table["outcome"] != dtypes.WAITING)
     result = _result(table, over, phy, n, receiver_row, reception, until_ns - state.now_ns)
     return next_state(phy, mac, table, ~over, on_air, air.receiver, arrival_mw, reception, until_ns), result
+
+
+def _joined(one: ndarray, more: ndarray) -> ndarray:
+    """Both, one after the other, of the type of the second; the first or second itself where the other is empty."""
+    if not len(one) or not len(more):
+        return more if len(more) else one
+    both = np.empty(len(one) + len(more), more.dtype)
+    both[: len(one)], both[len(one) :] = one, more
+    return both
 
 
 def _result(

@@ -81,6 +81,10 @@ def next_state(
     receiver: ndarray, arrival_mw: ndarray, reception: ndarray, now_ns: int,
 ) -> ChannelState:  # fmt: skip
     """The state after a window: live packets, renumbered, and the receivers of the frames on the air."""
+    if not alive.any():
+        phy["packet"] = mac["head"] = mac["tail"] = dtypes.NONE
+        nothing = (np.zeros(0, column.dtype) for column in (table, receiver, arrival_mw, reception))
+        return ChannelState(now_ns, phy, mac, *nothing)
     number = np.full(len(table) + 1, dtypes.NONE, np.int32)  # one more: NONE maps to NONE
     number[:-1][alive] = np.arange(np.count_nonzero(alive))
     phy["packet"] = number[phy["packet"]]

@@ -75,7 +75,7 @@ def update(state: DccState, key: UInt64[ndarray, "n"], busy: Float[ndarray, "n"]
     The state moves one step towards the one that belongs to the smoothed busy ratio.   Deviations from [1]_: one
     step per period upwards and downwards alike; no control of power, rate or sensitivity.
     """
-    if np.any(~(busy >= 0)) or np.any(busy > 1 + 1e-9):
+    if not ((busy >= 0) & (busy <= 1 + 1e-9)).all():
         raise ValueError("busy ratios must lie in 0 ... 1.")
     now = state.of(key)
     cbr = (1 - params.smoothing) * now.cbr + params.smoothing * busy

@@ -56,7 +56,7 @@ def slant_m(xyz_m: Float[ndarray, "n 3"], range_m: float) -> float:
     return range_m + (float(np.ptp(xyz_m[:, 2])) if len(xyz_m) else 0.0) + 1e-6
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _neighbours(xy, range_m, a, b, distance_m, slant_m, los_state):
     near, length_m = np.empty(len(a), np.int32), np.empty(len(a))
     ptr = np.zeros(len(xy) + 1, np.int64)
@@ -149,7 +149,7 @@ class ReceptionAttempts:
         ))  # fmt: skip
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _attempts(
     ptr, station, length_m, los_state, message, source, transmitter, hop, on_air, begin, count, receiver, reception,
     outcome_of,
@@ -202,7 +202,7 @@ def complete_messages(
     return Receptions(receiver, message, hops, offset_s, access_s, latency_s, distance_m), n_duplicate
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _complete(
     n, to, outcome, first, by_unit, message_of, transmitter, unit, hop, start_ns, end_ns, own_ns, n_segments
 ):  # fmt: skip

@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 from jaxtyping import Float, Int, UInt8
+from numba import njit
 from numpy import ndarray
 
 from results.codes import DISTANCE_BIN_M, LATENCY_EDGES_S, LosState
@@ -33,10 +34,7 @@ def pdr_by_distance(
     Columns of the table `pdr_by_distance` (distance_bin_m, los_state, n_in_range and `columns`), and the totals
     n_in_range and `columns`, one row.
     """
-    n_outcomes = 1 + max(columns.values())
-    cell = (distance_m // DISTANCE_BIN_M).astype(np.int64) * len(LosState) + los_state
-    counted = np.bincount(cell * n_outcomes + outcome)
-    counts = np.append(counted, np.zeros(-len(counted) % n_outcomes, int)).reshape(-1, n_outcomes)
+    counts = _counted(distance_m, los_state, outcome, len(LosState), 1 + max(columns.values()))
     cells, total = np.flatnonzero(counts.any(axis=1)), counts.sum(axis=0)
     return (
         {
@@ -47,6 +45,23 @@ def pdr_by_distance(
         },
         {"n_in_range": np.array([len(outcome)]), **{name: total[[code]] for name, code in columns.items()}},
     )
+
+
+@njit(cache=True, nogil=True)
+def _counted(distance_m, los_state, outcome, n_states, n_outcomes):
+    """Frames by bin of distance and line of sight, and by outcome."""
+    n_bins = _bin(np.max(distance_m)) + 1 if len(distance_m) else 0
+    counts = np.zeros((n_bins * n_states, n_outcomes), np.int64)
+    for f in range(len(outcome)):
+        counts[_bin(distance_m[f]) * n_states + los_state[f], outcome[f]] += 1
+    return counts
+
+
+@njit(cache=True, nogil=True)
+def _bin(distance_m):
+    """Whole bins in a distance, exactly."""
+    n = int(distance_m / DISTANCE_BIN_M)
+    return n - 1 if n * DISTANCE_BIN_M > distance_m else n
 
 
 def latency_histogram(latency_s: Float[ndarray, "m"]) -> Rows:

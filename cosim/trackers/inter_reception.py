@@ -59,7 +59,7 @@ class InterReceptionTracker:
         }
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _carried_on(held, held_last, held_received, pair):
     """What is held of each pair, and which held pairs are not among them; both are sorted."""
     last, has_last = np.zeros(len(pair), np.int64), np.zeros(len(pair), np.bool_)
@@ -78,7 +78,7 @@ def _at(count: Int[ndarray, "k"], lengths: Int[ndarray, "n"]) -> Int[ndarray, "n
     return np.pad(count, (0, max(0, int(lengths.max(initial=-1)) + 1 - len(count))))[lengths]
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def contained(one, other, of_one, of_other):
     """Whether each pair is among some others; both are sorted."""
     found = np.zeros(len(one), np.bool_)
@@ -90,25 +90,30 @@ def contained(one, other, of_one, of_other):
     return found
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def unique_pairs(one, other, n):
-    """Pairs of numbers below n, sorted, each once: counting sorts by `other` and by `one`, duplicates dropped."""
-    order = np.arange(len(one))
-    for column in (other, one):
-        start = np.zeros(n + 1, np.int64)
-        for value in column:
-            start[value + 1] += 1
-        start = np.cumsum(start)
-        placed = np.empty_like(order)
-        for row in order:
-            value = column[row]
-            placed[start[value]] = row
-            start[value] += 1
-        order = placed
-    kept = 0
-    for row in order:
-        last = order[kept - 1]
-        if kept == 0 or one[row] != one[last] or other[row] != other[last]:
-            order[kept] = row
-            kept += 1
-    return one[order[:kept]], other[order[:kept]]
+    """Pairs of numbers below n, sorted, each once: sorts by counting, by `other` and then by `one`."""
+    by_one, by_other = np.zeros(n + 1, np.int64), np.zeros(n + 1, np.int64)
+    for row in range(len(one)):
+        by_one[one[row] + 1] += 1
+        by_other[other[row] + 1] += 1
+    by_one, by_other = np.cumsum(by_one), np.cumsum(by_other)
+    put, first = by_other[:-1].copy(), np.empty(len(one), np.int32)
+    for row in range(len(one)):
+        first[put[other[row]]] = one[row]
+        put[other[row]] += 1
+    put, second = by_one[:-1].copy(), np.empty(len(one), np.int32)
+    for value in range(n):
+        for row in range(by_other[value], by_other[value + 1]):
+            k = put[first[row]]
+            if k == by_one[first[row]] or second[k - 1] != value:
+                second[k] = value
+                put[first[row]] += 1
+    kept = np.sum(put - by_one[:-1])
+    found, of = np.empty(kept, np.int64), np.empty(kept, np.int64)
+    m = 0
+    for value in range(n):
+        for k in range(by_one[value], put[value]):
+            found[m], of[m] = value, second[k]
+            m += 1
+    return found, of

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from sensors.kernel import kernel
 from sensors.raycast.column import below
 from sensors.scene import GRID_CELL_M
 
@@ -42,7 +43,7 @@ def gather(city, west, south, east, north):
     return found[:n]
 
 
-@njit(cache=True)
+@kernel
 def contains(city, k, x, y):
     """Whether a point lies in a footprint: the parity of walls crossed to the east."""
     odd = 0
@@ -55,7 +56,7 @@ def contains(city, k, x, y):
     return odd
 
 
-@njit(cache=True)
+@kernel
 def column_bound(x, y, beams):
     """First column at or counter-clockwise of a point, in [0, n]."""
     n = len(beams.azimuth_rad)
@@ -64,7 +65,7 @@ def column_bound(x, y, beams):
     return min(n, max(0, int(np.ceil((np.arctan2(y, x) - beams.azimuth_rad[0]) * (n / beams.fov_rad)))))
 
 
-@njit(cache=True)
+@kernel
 def wall(city, e, x, y, cos, sin, beams):
     """Wall e as seen from (x, y) looking along (cos, sin): (p0, p1, q0, q1, u, v).
 
@@ -87,7 +88,7 @@ def wall(city, e, x, y, cos, sin, beams):
     return ka, max(ka, kb), 0, 0, u, v
 
 
-@njit(cache=True)
+@kernel
 def close_columns(found, x, y, z, ground, cos, sin, city, beams, nearest, open_wall, flat):
     """Raise `nearest` (1 / distance per column) to the nearest wall that closes the column; list what does not.
 
@@ -137,7 +138,7 @@ def close_columns(found, x, y, z, ground, cos, sin, city, beams, nearest, open_w
     return n_open, n_flat
 
 
-@njit(cache=True)
+@kernel
 def toggle_levels(toggled, city, k, height, x, y, cos, sin, beams):
     """Mark, per column, the rows from which on a beam's point on a level lies beyond one more wall.
 
@@ -150,4 +151,4 @@ def toggle_levels(toggled, city, k, height, x, y, cos, sin, beams):
         for turn in range(2):
             for c in range(p0 if turn == 0 else q0, p1 if turn == 0 else q1):
                 w = u * beams.cos_az[c] + v * beams.sin_az[c]
-                toggled[c, below(beams.tan_el, height * w)] ^= 1
+                toggled[c, below(beams, height * w)] ^= 1

@@ -3,19 +3,47 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+from jaxtyping import Float, Int
+from numpy import ndarray
+
+from sensors.kernel import kernel
+
+MARGIN_RAD = 1e-9
+"""Rounding of a window's limits."""
+
+CELLS_PER_BEAM = 4
+"""Cells into which the slopes of the beams are cut, per beam: most hold none or one."""
 
 
-@njit(cache=True, inline="always")
-def below(tan_el, slope):
+def cells_of_slopes(tan_el: Float[ndarray, "e"]) -> tuple[float, Int[ndarray, "cells"], int]:
+    """Equal cells of slope from the lowest beam to the highest, in which `below` finds a row.
+
+    Returns
+    -------
+    Cells per unit of slope, how many beams lie in the cells before each, and the beams in the fullest cell.
+    """
+    per_slope = float(CELLS_PER_BEAM * len(tan_el) / max(tan_el[-1] - tan_el[0], 1e-9))
+    cell = ((tan_el - tan_el[0]) * per_slope).astype(np.int64)
+    return per_slope, np.searchsorted(cell, np.arange(cell[-1] + 1)).astype(np.int64), int(np.bincount(cell).max())
+
+
+@kernel
+def below(beams, slope):
     """How many beams are lower than a slope: the first row at or above it."""
-    count = 0
-    for r in range(len(tan_el)):
-        count += tan_el[r] < slope
-    return count
+    tan_el = beams.tan_el
+    lowest, m = tan_el[0], len(tan_el)
+    if not slope > lowest:
+        return 0
+    if slope > tan_el[m - 1]:
+        return m
+    # A slope's cell grows with it, also when rounded: beams of cells before are lower, those of cells behind are not.
+    row = beams.first_row[np.uint64((slope - lowest) * beams.cells_per_slope)]
+    for _ in range(beams.most_in_cell):
+        row += tan_el[np.uint64(row)] < slope
+    return row
 
 
-@njit(cache=True)
+@kernel
 def spans(angle, half, beams):
     """Columns within `half` of an azimuth, as two index ranges (the second one for arcs across the rear)."""
     n = len(beams.azimuth_rad)
@@ -29,7 +57,7 @@ def spans(angle, half, beams):
     return a0, max(a0, a1), b0, max(b0, b1)
 
 
-@njit(cache=True)
+@kernel
 def actor_columns(dx, dy, radius, cos, sin, beams):
     """Columns that may cross a circle of radius `radius` at (dx, dy), for a sensor looking along (cos, sin)."""
     distance = np.hypot(dx, dy)
@@ -37,7 +65,20 @@ def actor_columns(dx, dy, radius, cos, sin, beams):
     return spans(np.arctan2(cos * dy - sin * dx, cos * dx + sin * dy), half, beams)
 
 
-@njit(cache=True)
+@kernel
+def rectangle_columns(x, y, cos, sin, half_l, half_w, beams):
+    """Columns that may cross a rectangle at (x, y) of heading (cos, sin), all in the frame of the sensor.
+
+    Seen along its centre, no corner lies farther aside, and none nearer, than half the extents of the rectangle in
+    these directions.
+    """
+    along, across = abs(cos * x + sin * y), abs(cos * y - sin * x)
+    aside, near = half_l * across + half_w * along, x * x + y * y - half_l * along - half_w * across
+    half = np.arctan(aside / near) + MARGIN_RAD if near > 0.0 else np.pi
+    return spans(np.arctan2(y, x), half, beams)
+
+
+@kernel
 def in_prism_frame(bodies, k, x, y, cos, sin):
     """A point, and a heading (cos, sin), in the frame of prism k."""
     dx, dy = x - bodies.x_m[k], y - bodies.y_m[k]
@@ -45,7 +86,7 @@ def in_prism_frame(bodies, k, x, y, cos, sin):
     return u * dx + v * dy, u * dy - v * dx, cos * u + sin * v, sin * u - cos * v
 
 
-@njit(cache=True)
+@kernel
 def rectangle(p, q, u, v, half_l, half_w):
     """Where a ray from (p, q) along (u, v) enters and leaves a centred rectangle; enter > leave if it misses."""
     enter, leave = -np.inf, np.inf
@@ -62,28 +103,28 @@ def rectangle(p, q, u, v, half_l, half_w):
     return enter, leave
 
 
-@njit(cache=True)
-def profile(enter, leave, bottom, top, tan_el):
+@kernel
+def profile(enter, leave, bottom, top, beams):
     """Rows of one column that a prism covers: (a, s0, s1, b, t, low, high).
 
     Rows [a, s0) meet the level `low`, rows [s0, s1) the wall at distance t, rows [s1, b) the level `high`.
     Heights are relative to the sensor. From within, these are the inner faces.
     """
     if enter > 0.0:
-        s0, s1 = below(tan_el, bottom / enter), below(tan_el, top / enter)
-        a = below(tan_el, bottom / leave) if bottom > 0.0 else s0
-        b = below(tan_el, top / leave) if top < 0.0 else s1
+        s0, s1 = below(beams, bottom / enter), below(beams, top / enter)
+        a = below(beams, bottom / leave) if bottom > 0.0 else s0
+        b = below(beams, top / leave) if top < 0.0 else s1
         return a, s0, s1, b, enter, bottom, top
     if top <= 0.0:
-        s = below(tan_el, top / leave)
+        s = below(beams, top / leave)
         return 0, s, s, s, leave, top, top
     if bottom >= 0.0:
-        s = below(tan_el, bottom / leave)
-        return s, s, s, len(tan_el), leave, bottom, bottom
-    return 0, below(tan_el, bottom / leave), below(tan_el, top / leave), len(tan_el), leave, bottom, top
+        s = below(beams, bottom / leave)
+        return s, s, s, len(beams.tan_el), leave, bottom, bottom
+    return 0, below(beams, bottom / leave), below(beams, top / leave), len(beams.tan_el), leave, bottom, top
 
 
-@njit(cache=True)
+@kernel
 def surface(r, s0, s1, t, low, high, beams):
     """Range of row r to the face that `profile` gives it."""
     if r < s0:

@@ -14,10 +14,11 @@ import numpy as np
 from numba import njit, prange
 
 from sensors.boxes import Boxes
+from sensors.kernel import kernel
 from sensors.neighbours import Neighbours
 from sensors.range_noise import RangeNoise, add_noise
 from sensors.raycast.city import close_columns, gather, toggle_levels
-from sensors.raycast.column import actor_columns, below, in_prism_frame, profile, rectangle
+from sensors.raycast.column import actor_columns, below, in_prism_frame, profile, rectangle, rectangle_columns
 from sensors.scene import Hit, Prisms, Scene
 
 
@@ -75,23 +76,24 @@ def _city(ranges, hits, x, y, z, ground, cos, sin, beams, limit, nearest, city):
     open_wall, flat = np.empty((n_walls, 9)), np.empty((len(found), 2), np.int64)
     n_open, n_flat = close_columns(found, x, y, z, ground, cos, sin, city, beams, nearest, open_wall, flat)
 
-    road = np.full(m, np.inf, np.float32)
+    road, on_road = np.full(m, np.inf, np.float32), np.full(m, Hit.NOTHING, hits.dtype)
     for r in range(m):
         if (ground - z) * beams.tan_el[r] > 0.0:
             d = np.float32((ground - z) / beams.sin_el[r])
-            road[r] = d if d <= limit else np.inf
+            if d <= limit:
+                road[r], on_road[r] = d, Hit.GROUND
     inv_cos = 1.0 / beams.cos_el
-    for c in range(n):
-        closed = nearest[c] > 1.0 / limit
-        foot = below(beams.tan_el, (ground - z) * nearest[c]) if closed else m
-        for r in range(foot):
+    for c in range(np.uint64(n)):
+        for r in range(np.uint64(m)):
             ranges[c, r] = road[r]
-            hits[c, r] = Hit.GROUND if road[r] < np.inf else Hit.NOTHING
-        t = 1.0 / nearest[c]
-        for r in range(foot, m):
-            d = np.float32(t * inv_cos[r])
-            ranges[c, r] = d if d <= limit else np.inf
-            hits[c, r] = Hit.BUILDING if d <= limit else Hit.NOTHING
+        for r in range(np.uint64(m)):
+            hits[c, r] = on_road[r]
+        if nearest[c] > 1.0 / limit:
+            foot, t = below(beams, (ground - z) * nearest[c]), 1.0 / nearest[c]
+            for r in range(np.uint64(foot), np.uint64(m)):
+                d = np.float32(t * inv_cos[r])
+                ranges[c, r] = d if d <= limit else np.inf
+                hits[c, r] = Hit.BUILDING if d <= limit else Hit.NOTHING
 
     for i in range(n_open):
         u, v, bottom, top = open_wall[i, 4], open_wall[i, 5], open_wall[i, 6], open_wall[i, 7]
@@ -100,7 +102,7 @@ def _city(ranges, hits, x, y, z, ground, cos, sin, beams, limit, nearest, city):
                 w = u * beams.cos_az[c] + v * beams.sin_az[c]
                 if nearest[c] < w < open_wall[i, 8]:
                     t = 1.0 / w
-                    first, last = below(beams.tan_el, bottom * w), below(beams.tan_el, top * w)
+                    first, last = below(beams, bottom * w), below(beams, top * w)
                     for r in range(np.uint64(first), np.uint64(last)):
                         _paint(ranges, hits, np.uint64(c), r, np.float32(t * inv_cos[r]), limit, Hit.BUILDING)
     toggled = np.empty((n if n_flat > 0 else 0, m + 1), np.uint8)
@@ -116,7 +118,7 @@ def _city(ranges, hits, x, y, z, ground, cos, sin, beams, limit, nearest, city):
             _level(ranges, hits, bottom, inside, beams, limit, toggled)
 
 
-@njit(cache=True)
+@kernel
 def _level(ranges, hits, height, inside, beams, limit, toggled):
     """Paint one roof or underside: where the number of walls before a beam's point is odd."""
     n, m = ranges.shape
@@ -138,7 +140,7 @@ def _level(ranges, hits, height, inside, beams, limit, toggled):
                     _paint(ranges, hits, c, r, np.float32(height / beams.sin_el[r]), limit, Hit.BUILDING)
 
 
-@njit(cache=True)
+@kernel
 def _actor(ranges, hits, a, dx, dy, radius, x, y, z, cos, sin, beams, limit, nearest, bodies):
     """Paint one actor's prisms over the city."""
     a0, a1, b0, b1 = actor_columns(dx, dy, radius, cos, sin, beams)
@@ -148,15 +150,17 @@ def _actor(ranges, hits, a, dx, dy, radius, x, y, z, cos, sin, beams, limit, nea
     for k in range(bodies.ptr[a], bodies.ptr[a + 1]):
         p, q, u, v = in_prism_frame(bodies, k, x, y, cos, sin)
         bottom, top = bodies.bottom_m[k] - z, bodies.top_m[k] - z
+        half_l, half_w = bodies.half_l_m[k], bodies.half_w_m[k]
+        a0, a1, b0, b1 = rectangle_columns(-p * u - q * v, p * v - q * u, u, -v, half_l, half_w, beams)
         for turn in range(2):
             for c in range(a0 if turn == 0 else b0, a1 if turn == 0 else b1):
                 if clear * nearest[c] >= 1.0:
                     continue
                 ca, sa = beams.cos_az[c], beams.sin_az[c]
-                enter, leave = rectangle(p, q, u * ca - v * sa, v * ca + u * sa, bodies.half_l_m[k], bodies.half_w_m[k])
+                enter, leave = rectangle(p, q, u * ca - v * sa, v * ca + u * sa, half_l, half_w)
                 if leave <= max(enter, 0.0) or enter * nearest[c] >= 1.0:
                     continue
-                first, s0, s1, last, t, low, high = profile(enter, leave, bottom, top, beams.tan_el)
+                first, s0, s1, last, t, low, high = profile(enter, leave, bottom, top, beams)
                 column, code = np.uint64(c), Hit.ACTOR + a
                 for r in range(np.uint64(first), np.uint64(s0)):
                     _paint(ranges, hits, column, r, np.float32(low / beams.sin_el[r]), limit, code)

@@ -87,10 +87,27 @@ def test_refuses_unknown_labels(tmp_path):
     with Recorder(tmp_path, "standard") as record:
         with pytest.raises(ValueError, match=r"trust_lookups.source = 'srver' is none of server, own, default"):
             record.append("trust_lookups", 0, row | {"source": np.array(["srver"])})
-        with pytest.raises(ValueError, match=r"trust_lookups.source holds 3 to 3, outside 0 to 2"):
-            record.append("trust_lookups", 0, row | {"source": np.array([3])})
         record.append("trust_lookups", 0, row | {"source": np.array(["own"])})
-    assert stored(tmp_path, "trust_lookups").source.tolist() == ["own"]
+        record.append("trust_lookups", 1, row | {"source": np.array([0])})
+    assert stored(tmp_path, "trust_lookups").source.tolist() == ["own", "server"]
+    (tmp_path / "again").mkdir()
+    refused = pytest.raises(ValueError, match=r"trust_lookups.source holds 3 to 3, outside 0 to 2")
+    with refused, Recorder(tmp_path / "again", "standard") as record:
+        record.append("trust_lookups", 0, row | {"source": np.array([3])})
+
+
+def test_a_callers_arrays_are_its_own(tmp_path):
+    """What was appended is kept, whatever the caller does to its arrays, in a table of few rows and of many."""
+    for n in (2, 10_000):
+        (tmp_path / str(n)).mkdir()
+        given = trust_of(np.arange(n), np.full(n, 0.5))
+        with Recorder(tmp_path / str(n), "summary") as record:
+            record.append("trust", 0, given)
+            for column in given.values():
+                if column is not None:
+                    column[:] = 0
+        frame = stored(tmp_path / str(n), "trust")
+        assert frame.subject.tolist() == list(range(n)) and (frame.trust == 0.5).all()
 
 
 def test_rounding_is_as_documented(tmp_path):

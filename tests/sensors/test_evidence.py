@@ -9,8 +9,8 @@ from sensors import evidence_kernels
 from sensors.boxes import Boxes
 from sensors.evidence import (
     AreaParams,
+    edge_slope,
     in_evaluation_area,
-    is_testable,
     observability,
     plausible,
     points_in_boxes,
@@ -41,6 +41,12 @@ def blind(n=1, fov_deg=90.0) -> RangeImages:
     return RangeImages(poses, np.arange(n), np.zeros(n), grid, 80.0, empty)
 
 
+def applies_to(sensed: Boxes, fov_rad: float):
+    area = AreaParams()
+    slope = edge_slope(fov_rad)
+    return whole_cloud.applies_to(sensed.xyz_m, sensed.lwh_m, area.range_m, area.height_m, fov_rad, slope)
+
+
 def by_cloud(found: list[dict]):
     for name in sorted({c["cloud"] for c in found}):
         yield cloud(name), [c for c in found if c["cloud"] == name]
@@ -58,9 +64,9 @@ def test_plausibility_vectors():
     n = 0
     for points, here in by_cloud(cases("f_plausibility")):
         boxes = labelled([c["box"] for c in here])
-        asked = is_testable(boxes, np.pi / 2, AreaParams())
+        asked = applies_to(boxes, np.pi / 2)
         assert asked.tolist() == [c["reason"] not in early for c in here]
-        planes, distance, _ = evidence_kernels.frustum(boxes.xyz_m[asked], boxes.lwh_m[asked])
+        planes, distance = whole_cloud.frusta(boxes.xyz_m[asked], boxes.lwh_m[asked])
         seen, closer = whole_cloud.free_space_xyz(points, planes, distance, 0.25)
         here_asked = [c for c, a in zip(here, asked, strict=True) if a]
         assert seen.tolist() == [c["frustum_points"] for c in here_asked]
@@ -137,13 +143,15 @@ def test_windows_equal_whole_clouds(seed, params):
         sensed = sweeps.poses.to_sensor(at, asked)
         whole = whole_cloud.points_in_boxes_xyz(sweeps.xyz(o), sensed.xyz_m, sensed.lwh_m, sensed.yaw_rad)
         assert (points_in_boxes(sweeps, at, asked) == whole).all()
-        free = is_testable(sensed, sweeps.beams.fov_rad, AreaParams())
-        planes, distance, window = evidence_kernels.frustum(sensed.xyz_m[free], sensed.lwh_m[free])
-        seen, closer = evidence_kernels.free_space(
-            sweeps.range_m, sweeps.beams, at[free], planes, distance, window, 0.25
+        fov_rad, area, pairs = sweeps.beams.fov_rad, AreaParams(), sweeps.poses.pairs(at, asked)
+        free = applies_to(sensed, fov_rad)
+        planes, distance = whole_cloud.frusta(sensed.xyz_m[free], sensed.lwh_m[free])
+        applies, seen, closer = evidence_kernels.free_space(
+            sweeps.range_m, sweeps.beams, pairs, pairs.runs(), area.range_m, area.height_m, edge_slope(fov_rad), 0.25
         )
+        assert (applies == free).all()
         whole_seen, whole_closer = whole_cloud.free_space_xyz(sweeps.xyz(o), planes, distance, 0.25)
-        assert (seen == whole_seen).all() and (closer == whole_closer).all()
+        assert (seen[free] == whole_seen).all() and (closer[free] == whole_closer).all()
         assert (plausible(sweeps, at, asked)[free] == (whole_closer > 0.1 * whole_seen)).all()
 
 
@@ -207,4 +215,4 @@ def test_an_occluder_never_adds_returns(seed):
 
 
 def test_beams_are_plain_arrays():
-    assert all(isinstance(part, (np.ndarray, float)) for part in beams(LidarParams())) and len(Beams._fields) == 8
+    assert all(isinstance(part, (np.ndarray, float, int)) for part in beams(LidarParams())) and len(Beams._fields) == 11

@@ -9,7 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sensors.boxes import Boxes
-from sensors.lidar import PROFILES, Poses, Sweeps
+from sensors.lidar import PROFILES, LidarParams, Poses, Sweeps, beams
+from sensors.raycast.column import below
 from sensors.raycast.mesh import STEP_M
 from sensors.scene import Hit, Scene, prisms
 from tests.sensors.test_boxes import moved
@@ -177,6 +178,21 @@ def test_thread_count_invariance():
     finally:
         numba.set_num_threads(threads)
     assert (one.range_m == several.range_m).all() and (one.hit == several.hit).all()
+
+
+@settings(max_examples=50, deadline=None)
+@given(
+    elevation=st.lists(st.floats(-89.0, 89.0), min_size=1, max_size=140, unique=True),
+    slope=st.lists(st.floats(), min_size=1, max_size=50),
+)
+def test_a_slope_finds_its_row(elevation, slope):
+    try:
+        grid = beams(LidarParams(elevation_deg=tuple(sorted(elevation)), n_azimuths=1))
+    except ValueError:  # two of them are nearly equal
+        return
+    beside = np.concatenate([np.nextafter(grid.tan_el, side) for side in (-np.inf, np.inf)])
+    for s in [*slope, *grid.tan_el, *beside]:
+        assert below(grid, s) == (grid.tan_el < s).sum()
 
 
 def test_no_ray_passes_between_adjacent_walls():

@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 
 from sensors.box_points import in_box
-from sensors.evidence_kernels import in_frustum
+from sensors.evidence_kernels import frustum, in_frustum, is_testable
 
 
 @njit(cache=True)
@@ -34,3 +34,22 @@ def free_space_xyz(points, planes, distance, margin_m):
                 seen[k] += 1
                 closer[k] += np.sqrt(x * x + y * y + z * z) < distance[k] + margin_m
     return seen, closer
+
+
+@njit(cache=True)
+def applies_to(xyz, lwh, range_m, height_m, fov_rad, slope):
+    """Whether the free-space test applies to each box (sensor frame)."""
+    found = np.zeros(len(xyz), np.bool_)
+    for k in range(len(xyz)):
+        found[k] = is_testable(xyz[k, 0], xyz[k, 1], xyz[k, 2], lwh[k, 2], range_m, height_m, fov_rad, slope)
+    return found
+
+
+@njit(cache=True)
+def frusta(xyz, lwh):
+    """Planes of the pyramid through each box (sensor frame), and the distance of its bottom centre."""
+    planes, distance, corner = np.empty((len(xyz), 4, 3)), np.empty(len(xyz)), np.empty((4, 3))
+    for k in range(len(xyz)):
+        x, y, z, length, width, height = xyz[k, 0], xyz[k, 1], xyz[k, 2], lwh[k, 0], lwh[k, 1], lwh[k, 2]
+        distance[k] = frustum(x, y, z, length, width, height, corner, planes[k])[0]
+    return planes, distance

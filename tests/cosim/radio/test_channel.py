@@ -346,12 +346,12 @@ def test_faults_are_named():
         with pytest.raises(ValueError, match=words):
             hear(links, packets)
     for wrong, words in (
-        (replace(links, ptr=np.array([0, 1])), r"links\.ptr"),
-        (replace(links, fading=links.fading[:1]), "of one length"),
-        (replace(links, receiver=np.array([1, 2])), "none of the 2 stations"),
+        ({"ptr": np.array([0, 1])}, r"links\.ptr"),
+        ({"fading": links.fading[:1]}, "of one length"),
+        ({"receiver": np.array([1, 2])}, "none of the 2 stations"),
     ):
         with pytest.raises(ValueError, match=words):
-            hear(wrong, say(0, 0))
+            replace(links, **wrong)
     with pytest.raises(ValueError, match="one station twice"):
         hear(replace(links, key=np.array([4, 4], np.uint64)), say(0, 0))
     with pytest.raises(ValueError, match="until_ns = 0"):

@@ -3,7 +3,7 @@
 from collections import Counter
 
 import numpy as np
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cosim.trackers.attack_start import AttackStartTracker
@@ -13,6 +13,7 @@ COLUMNS = {"n_delivered": 0, "n_lost_propagation": 1, "n_lost_collision": 2}
 frames = st.lists(st.tuples(st.floats(0, 400), st.integers(0, 2), st.integers(0, 2)), max_size=80)
 
 
+@settings(deadline=None)
 @given(frames)
 def test_pdr_by_distance_twin(rows):
     distance_m = np.array([row[0] for row in rows], float)

@@ -1,0 +1,68 @@
+"""Boxes in the frames of sensors, pair by pair: computed where a kernel needs them, not kept."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+from numba import njit
+from numpy import ndarray
+
+from sensors.boxes import Boxes
+
+
+class Pairs(NamedTuple):
+    """Sensor o[k] looks at box b[k]; all poses in the world frame."""
+
+    o: ndarray
+    """int64 [n]."""
+    b: ndarray
+    """int64 [n]."""
+    origin_m: ndarray
+    """float64 [m, 3]: of the sensors."""
+    cos: ndarray
+    sin: ndarray
+    """Of their headings."""
+    heading_rad: ndarray
+    xyz_m: ndarray
+    """float64 [boxes, 3]."""
+    lwh_m: ndarray
+    yaw_rad: ndarray
+
+    def runs(self) -> Int[ndarray, "r+1"]:
+        """Where pairs of another sensor begin, and where all end."""
+        if not len(self.o):
+            return np.zeros(1, np.int64)
+        return np.flatnonzero(np.concatenate([[True], self.o[1:] != self.o[:-1], [True]]))
+
+
+def pairs_of(
+    o: Int[ndarray, "n"], origin_m: Float[ndarray, "m 3"], heading_rad: Float[ndarray, "m"], boxes: Boxes,
+    b: Int[ndarray, "n"] | None = None,
+) -> Pairs:  # fmt: skip
+    """Box b[k] and sensor o[k]; the boxes in order when `b` is not given."""
+    o, b = np.asarray(o, np.int64), np.arange(len(boxes)) if b is None else np.asarray(b, np.int64)
+    return Pairs(
+        o, b, origin_m, np.cos(heading_rad), np.sin(heading_rad), heading_rad, boxes.xyz_m, boxes.lwh_m, boxes.yaw_rad
+    )
+
+
+@njit(cache=True, inline="always")
+def in_sensor_frame(pairs, k):
+    """Centre (x, y, z), length, width, height and heading of the box of pair k in the frame of its sensor."""
+    s, w = pairs.o[k], pairs.b[k]
+    dx, dy = pairs.xyz_m[w, 0] - pairs.origin_m[s, 0], pairs.xyz_m[w, 1] - pairs.origin_m[s, 1]
+    x, y = pairs.cos[s] * dx + pairs.sin[s] * dy, pairs.cos[s] * dy - pairs.sin[s] * dx
+    z, yaw = pairs.xyz_m[w, 2] - pairs.origin_m[s, 2], pairs.yaw_rad[w] - pairs.heading_rad[s]
+    return x, y, z, pairs.lwh_m[w, 0], pairs.lwh_m[w, 1], pairs.lwh_m[w, 2], yaw
+
+
+@njit(cache=True)
+def turned(pairs):
+    """Centres, sizes and headings of all pairs."""
+    n = len(pairs.o)
+    xyz, lwh, yaw = np.empty((n, 3)), np.empty((n, 3)), np.empty(n)
+    for k in range(n):
+        xyz[k, 0], xyz[k, 1], xyz[k, 2], lwh[k, 0], lwh[k, 1], lwh[k, 2], yaw[k] = in_sensor_frame(pairs, k)
+    return xyz, lwh, yaw
