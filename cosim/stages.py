@@ -31,6 +31,10 @@ from trust.evaluation import evaluate
 from trust.fusion import Fused, SenderTrust, SensorEvidence, fuse, votes_of
 from trust.matching import match
 from trust.tables import EvaluationMessages, Evaluations, Groups, ObjectLists
+from trust.threads import threads_for
+
+_ROWS_PER_BOX = 10
+"""Rows of a table that cost as much as to find what overlaps one box."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,7 +130,8 @@ def match_objects(
 ) -> Matched:  # fmt: skip
     """One object, several sources: the lists of all vehicles, grouped by overlap."""
     objects = listed.objects
-    pairs = overlapping_pairs(objects.boxes, objects.label, listed.detections.message)
+    with threads_for(_ROWS_PER_BOX * len(objects.boxes)):
+        pairs = overlapping_pairs(objects.boxes, objects.label, listed.detections.message)
     known = received_lists(received, listed.ptr, objects.transmitted, senders.vehicle, senders.own)
     inside = in_evaluation_area(
         observed.sweeps, known.of_member(), objects.boxes, c.area, known.member, objects.label,

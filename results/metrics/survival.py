@@ -1,11 +1,11 @@
 """How long something lasts that was not always seen to end (Kaplan and Meier 1958)."""
 
+import warnings
+
 import numpy as np
 import pandas as pd
 from numpy import ndarray
-from scipy.special import ndtri
-
-_Z = float(ndtri(0.975))
+from scipy.stats import CensoredData, ecdf
 
 
 def kaplan_meier(lasted_s: ndarray, over: ndarray) -> pd.DataFrame:
@@ -24,12 +24,12 @@ def kaplan_meier(lasted_s: ndarray, over: ndarray) -> pd.DataFrame:
     """
     if not len(lasted_s):
         return pd.DataFrame({"duration_s": [0.0], "survival": [1.0], "low": [1.0], "high": [1.0]})
-    x, at, size = np.unique(lasted_s, return_inverse=True, return_counts=True)
-    n, ended = len(lasted_s) - (np.cumsum(size) - size), np.bincount(at[over], minlength=len(x))
-    p = 1 - np.cumsum(size) / len(lasted_s) if over.all() else np.cumprod((n - ended) / n)
-    with np.errstate(divide="ignore", invalid="ignore"):  # the band is undefined where all or none are left
-        error = np.sqrt(np.cumsum(ended / (n * (n - ended)))) / -np.log(p)
-        low, high = (p ** np.exp(side * error) for side in (_Z, -_Z))
+    with np.errstate(divide="ignore", invalid="ignore"), warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # the band is undefined where all or none are left
+        curve = ecdf(CensoredData(uncensored=lasted_s[over], right=lasted_s[~over])).sf
+        band = curve.confidence_interval(method="log-log") if over.any() else None
+    x, p = np.asarray(curve.quantiles), np.asarray(curve.probabilities)
+    low, high = (p, p) if band is None else (np.asarray(band.low.probabilities), np.asarray(band.high.probabilities))
     return pd.DataFrame(
         {"duration_s": np.r_[0, x], "survival": np.r_[1, p],
          "low": np.r_[1, np.where(np.isnan(low), p, low)], "high": np.r_[1, np.where(np.isnan(high), p, high)]}

@@ -1,7 +1,5 @@
 """Intervals: by hand, against literal formulas, and how often they cover what is true."""
 
-import warnings
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -79,34 +77,6 @@ def test_median_of_durations_has_the_band_of_the_curve():
     assert (curve.low[curve.duration_s < low] > 0.5).all() and (curve.high[curve.duration_s < high] > 0.5).all()
     assert low in lasted_s and low < 21 < high
     assert np.isnan(median_band(pd.DataFrame({"duration_s": [0.0], "low": [1.0], "high": [1.0]}))[0])
-
-
-@pytest.mark.parametrize("censored_p", [0.0, 0.3, 1.0])
-def test_kaplan_meier_equals_scipy(censored_p):
-    rng = np.random.default_rng(5)
-    lasted_s, over = rng.integers(1, 40, 200) * 1.0, rng.random(200) >= censored_p
-    curve = kaplan_meier(lasted_s, over)
-    with np.errstate(all="ignore"), warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)
-        wanted = stats.ecdf(stats.CensoredData(uncensored=lasted_s[over], right=lasted_s[~over])).sf
-        band = wanted.confidence_interval(method="log-log")
-    assert curve.duration_s[1:].tolist() == wanted.quantiles.tolist()
-    assert curve.survival[1:].tolist() == wanted.probabilities.tolist()
-    for name in ("low", "high"):
-        bound = getattr(band, name).probabilities
-        bound = np.where(np.isnan(bound), wanted.probabilities, bound)
-        assert curve[name][1:].to_numpy() == pytest.approx(bound, abs=1e-12)
-
-
-def test_ranks_and_shares_equal_scipy():
-    for n in (*range(1, 60), 997, 100_000):
-        tail = (1 - intervals.LEVEL) / 2
-        rank = intervals._rank(n, intervals.LEVEL)
-        assert rank < 0 or stats.binom.cdf(rank, n, 0.5) <= tail
-        assert stats.binom.cdf(rank + 1, n, 0.5) > tail
-        for k in {0, 1, n // 3, n}:
-            wanted = stats.binomtest(k, n).proportion_ci(intervals.LEVEL, method="wilson")
-            assert intervals._wilson(k, n, intervals.LEVEL) == pytest.approx((wanted.low, wanted.high), abs=1e-12)
 
 
 @pytest.mark.parametrize("statistic", ["mean", "auc", "pairs"])
