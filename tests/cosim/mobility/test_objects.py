@@ -54,7 +54,7 @@ def test_worlds_by_hand():
 
 
 def test_an_object_far_away_is_refused():
-    with pytest.raises(TrafficError, match="objects.at_m: .*object/0"):
+    with pytest.raises(TrafficError, match=r"objects.at_m: .*object/0"):
         Placed.of([ObjectParams(at_m=(1e6, 0.0))], FRAME, 1.0)
     with pytest.raises(ValueError, match="to_s = 1 s is not after"):
         ObjectParams(at_m=(0.0, 0.0), from_s=2.0, to_s=1.0)
