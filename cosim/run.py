@@ -151,6 +151,7 @@ def resume(
         folder = run_folder.reopen(path)
         try:
             if read_manifest(path)["status"] == "finished":
+                folder.release()  # a kill may have come between the last word of the manifest and the release
                 return path
             found = inventory.read(path).whole()
             closed = [part for block in found.blocks for part in block.parts]

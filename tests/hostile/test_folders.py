@@ -53,10 +53,16 @@ def test_generated(whole, tmp_path):
     assert not missed, "\n".join(missed)
 
 
+def measured(run):
+    """Values by metric and group, without what could not be measured."""
+    values = measure(run).set_index(["metric", "group"]).value
+    return values[~values.index.get_level_values(0).str.endswith("not_measured")]
+
+
 @pytest.mark.verify
 def test_no_figure_out_of_damage(whole, tmp_path):
     """Metrics of a damaged run equal those of the whole one, or their topic says what is damaged."""
-    want = measure(open_run(whole)).set_index(["metric", "group"]).value
+    want = measured(open_run(whole))
     counts: Counter = Counter()
     for number in range(max(10, N // 10)):
         rng = random.Random(SEED * 7919 + number)
@@ -65,13 +71,12 @@ def test_no_figure_out_of_damage(whole, tmp_path):
         said = rng.choice(HARMS)(folder, rng)
         try:
             run = open_run(folder)
-            got = measure(run).set_index(["metric", "group"]).value
+            kept = measured(run)
         except Damaged:
             counts["refused"] += 1
         except ValueError:
             counts["refused for another reason"] += 1
         else:
-            kept = got[~got.index.get_level_values(0).str.endswith("not_measured")]
             assert kept.equals(want.loc[kept.index]), said
             assert len(kept) == len(want) or run.damage, said
             counts["said" if run.damage else "untouched"] += 1
