@@ -91,10 +91,11 @@ def run(
 ) -> None:
     """Simulate traffic, sensors, messages and trust; write a run folder."""
     from cosim import run as running
+    from cosim.check import changed_since
     from cosim.config import load
 
     experiment = load(config, overrides)
-    for remark in running.changed_since(config, experiment):
+    for remark in changed_since(config, experiment):
         notes.print(remark, soft_wrap=True)
     with progress() as advance:
         if scheduler or workers:
@@ -157,7 +158,8 @@ def _conclude(folder: Path, as_json: bool) -> None:
 
 def _opened(folder: Path) -> "OpenRun":
     """A run to be measured or drawn; what is unfinished is said."""
-    from results.archive import open_run, status_of
+    from results.archive import open_run
+    from results.manifest import status_of
 
     run = open_run(folder, unfinished=True)
     if (status := status_of(run.path, run.manifest)) != "finished":
@@ -177,13 +179,13 @@ def _say_damage(runs: Iterable["Run"]) -> None:
 @app.command()
 def check(config: ConfigPath = None, overrides: Overrides = None, as_json: AsJson = False) -> None:
     """Check whether a config would run, and print it resolved."""
-    from cosim import run as running
+    from cosim import check as checking
     from cosim.config import load
     from cosim.manifest import toml_text
 
     experiment = load(config, overrides)
-    running.check(experiment)
-    for remark in running.changed_since(config, experiment):
+    checking.check(experiment)
+    for remark in checking.changed_since(config, experiment):
         notes.print(remark, soft_wrap=True)
     if as_json:
         print_json(experiment.to_dict())

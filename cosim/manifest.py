@@ -16,10 +16,11 @@ import tomli_w
 
 from cosim.choices import Source
 from cosim.config import Config
-from results import archive, durable
+from results import durable
 from results.codes import BASE_VARIANT, Role, labels
 from results.durable import sha256 as sha256
 from results.inventory import Inventory
+from results.manifest import write_manifest
 from results.tables import SCHEMA_VERSION, kept
 
 PACKAGES = ("cosim", "eclipse-sumo", "libsumo", "numpy", "scipy", "numba", "pyarrow", "pandas", "embreex")
@@ -124,7 +125,7 @@ class Manifest:
         }
         reserve = self.folder / _RESERVE
         reserve.unlink(missing_ok=True)
-        archive.write_manifest(self.folder, content)
+        write_manifest(self.folder, content)
         if status == "running":
             with suppress(OSError), open(reserve, "wb") as file:  # file systems without it have no such promise
                 os.posix_fallocate(file.fileno(), 0, _RESERVE_BYTES)

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from cosim.stop import Failed
-from results.archive import MANIFEST
 from results.durable import PARTIAL, Lock, is_lock
+from results.manifest import MANIFEST
 
 
 @dataclass(slots=True)

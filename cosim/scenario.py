@@ -14,7 +14,6 @@ from cosim.mobility.objects import ObjectParams, Placed, WithObjects
 from cosim.mobility.params import TrafficParams
 from cosim.mobility.replay import RunReplay, TraceReplay
 from cosim.mobility.source import TrafficSource
-from cosim.mobility.sumo import SumoTraffic
 from results.archive import open_run
 from sensors.scene import Scene
 from sumo_nets import catalogue, sumocfg
@@ -70,6 +69,8 @@ class Scenario:
         self, params: TrafficParams, registry: ActorRegistry, frame: Frame, has_driver: bool
     ) -> TrafficSource:  # fmt: skip
         if self.trace is None:
+            from cosim.mobility.sumo import SumoTraffic  # here, because SUMO takes its time to load
+
             assert self.sumocfg is not None
             return SumoTraffic(params, self.sumocfg, registry, frame, has_driver)
         if self.trace.is_dir():

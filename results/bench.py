@@ -8,8 +8,9 @@ import numpy as np
 from numpy import ndarray
 from scipy.spatial import cKDTree
 
-from results.archive import finish, open_run
+from results.archive import open_run
 from results.encounters import EncounterParams, EncounterTracker
+from results.manifest import finish
 from results.recorder import Recorder
 
 N_VEHICLES, AREA_M, REACH_M = 1000, 2000.0, 236.0

@@ -9,9 +9,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from results import durable, inventory
-from results.archive import read_manifest, status_of
 from results.durable import Damaged
 from results.inventory import Inventory, Part
+from results.manifest import read_manifest, status_of
 from results.recorder import CHECKPOINT, is_state
 from results.run import OVER, content_problem, problems_of
 from results.tables import SCHEMA_VERSION, TABLES, kept, schema

@@ -19,11 +19,12 @@ from cosim.config_data import read_toml
 from cosim.parts import chosen, variants
 from cosim.v2x.trust_hosts import Lookups, TrustHosts, TrustState
 from results import inventory
-from results.archive import OpenRun, open_run, write_manifest
+from results.archive import OpenRun, open_run
 from results.codes import TrustSource
 from results.durable import Damaged
 from results.encounters import ENCOUNTER_KEY, Rows
 from results.inventory import Inventory
+from results.manifest import write_manifest
 from results.recorder import Recorder
 from results.tables import TABLES
 from results.verify import verify

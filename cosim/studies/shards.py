@@ -18,6 +18,7 @@ from jaxtyping import Int
 from numpy import ndarray
 
 from cosim import run as running
+from cosim.check import check
 from cosim.config import Config, resolve_data
 from cosim.drive import Advance
 from cosim.perception import BoxAnswers, BoxQuestions, Observed, Perceives, Perception
@@ -30,7 +31,7 @@ from cosim.studies.points import traffic_identity
 from cosim.studies.shard_worker import Shard, answers_of, problem_of, seen_of, sense
 from cosim.studies.stages import Cache, default_folder
 from cosim.world import World
-from results.archive import read_manifest
+from results.manifest import read_manifest
 from sensors.lidar import Scanners, n_rays, scanners
 
 SHARD_BYTES = 32_000_000
@@ -46,7 +47,7 @@ _SOON = 10
 def run(config: Config, out: Path | None, advance: Advance, scheduler: str | None = None, workers: int = 1) -> Path:
     """As `cosim.run.run`, with the help of workers; the folder that it wrote."""
     check_folder(out)
-    running.check(config)
+    check(config)
     _check(config)
     traffic = _recorded(config, advance)
     with _helped(config, traffic, scheduler, workers) as perceive:

@@ -21,7 +21,8 @@ from cosim.config import resolve_data
 from cosim.stop import Failed
 from cosim.studies.folder import StudyFolder, status_of
 from cosim.studies.stages import Cache
-from results.archive import drop_tables, open_run
+from results.archive import open_run
+from results.manifest import drop_tables
 from results.measure import measure
 from results.metrics.registry import TOPICS
 from results.tables import TABLES

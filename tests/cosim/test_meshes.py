@@ -7,11 +7,13 @@ import numpy as np
 import pytest
 
 from cosim import replay_lidar
+from cosim.check import changed_since
 from cosim.config import load
 from cosim.meshes import MeshParams, VehicleMeshParams, read, with_meshes
-from cosim.run import changed_since, resume
+from cosim.run import resume
 from cosim.studies.points import identity
-from results.archive import open_run, read_manifest
+from results.archive import open_run
+from results.manifest import read_manifest
 from sensors.boxes import Boxes
 from sensors.evidence import observability
 from sensors.lidar import LidarParams, scan

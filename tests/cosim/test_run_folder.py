@@ -7,11 +7,12 @@ import time
 
 import pytest
 
+from cosim.check import check
 from cosim.config import load
 from cosim.inputs import provenance
 from cosim.manifest import Manifest
 from cosim.parts import sources
-from cosim.run import check, resume, run
+from cosim.run import resume, run
 from results.recorder import fingerprint
 from results.verify import verify
 from tests.drive import cosim

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from results.archive import finish
 from results.encounters import EncounterParams, EncounterTracker
+from results.manifest import finish
 from results.recorder import Recorder
 
 N, BLOCK_M, SIDE = 60, 120.0, 6

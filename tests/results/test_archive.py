@@ -6,7 +6,8 @@ import pandas as pd
 import pyarrow.compute as pc
 import pytest
 
-from results.archive import open_run, read_manifest, write_manifest
+from results.archive import open_run
+from results.manifest import read_manifest, write_manifest
 from results.measure import measure
 from results.tables import TABLES
 from tests.results.synthetic import write

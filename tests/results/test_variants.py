@@ -5,8 +5,9 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import pytest
 
-from results.archive import finish, open_run
+from results.archive import open_run
 from results.codes import Role, labels
+from results.manifest import finish
 from results.recorder import Recorder
 from tests.results.tiny import columns, fleet
 

@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from results.archive import finish, open_run
+from results.archive import open_run
+from results.manifest import finish
 from results.recorder import Recorder
 from results.tables import TABLES
 

@@ -13,7 +13,7 @@ import psutil
 import pytest
 
 from cosim.studies.stages import Cache
-from results.archive import read_manifest
+from results.manifest import read_manifest
 from results.study import open_study
 from tests.cosim.studies.runs import ROOT, assert_same, environment, loopback, wait_for
 

@@ -15,7 +15,7 @@ from cosim import run as running
 from cosim.config import load
 from cosim.studies.engine import connected
 from cosim.studies.shards import ShardedPerception
-from results.archive import read_manifest
+from results.manifest import read_manifest
 from results.recorder import fingerprint
 from tests.cosim.studies.runs import SHORT, environment, loopback, wait_for
 
