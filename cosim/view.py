@@ -6,6 +6,7 @@ Nothing is served, and nothing but the file is written. The viewer itself collec
 `rerun analytics disable`.
 """
 
+import errno
 import os
 import shutil
 from collections.abc import Callable, Sequence
@@ -38,6 +39,10 @@ ZERO, HALF, ONE, GREY = np.array([[213, 50, 40], [240, 240, 235], [30, 90, 200],
 COLOURS = {"detected": (0, 158, 115), "received": (230, 159, 0), "believed": (86, 180, 233), "fabricated": (213, 0, 0)}
 
 BLOCK_STEPS = 60
+_LEAST_FREE_BYTES = 4_000_000
+"""On the disk, for a block without clouds; with less, the SDK's writer may die, and whoever waits for it with it."""
+_PATIENCE_S = 600.0
+"""Longest wait for the SDK's writer at the end."""
 
 
 def view(
@@ -73,8 +78,8 @@ def view(
     city = city_of(config)
     recording = _open(out)
     try:
-        _write(recording, run, config, city, steps, vehicles, clouds, progress)
-        recording.flush()
+        _write(recording, out, run, config, city, steps, vehicles, clouds, progress)
+        recording.flush(timeout_sec=_PATIENCE_S)
         recording.disconnect()
         _partial(out).replace(out)
     except BaseException as error:
@@ -90,10 +95,11 @@ def view(
 
 
 def _write(  # type: ignore[no-untyped-def]
-    recording, run: Run, config: Config, city: Scene, steps: Int[ndarray, "s"], vehicles: Sequence[int], clouds: bool,
-    progress: Progress,
+    recording, out: Path, run: Run, config: Config, city: Scene, steps: Int[ndarray, "s"], vehicles: Sequence[int],
+    clouds: bool, progress: Progress,
 ) -> None:  # fmt: skip
-    """All of the recording."""
+    """All of the recording; OSError where the disk is about to be full, at which the SDK may wait for ever."""
+    _require_space(out)
     _static(recording, config, city)
     sweeper = Sweeper(run, config, city, steps)
     encounters = run.table("encounters", ["a", "b", "start_step", "end_step", "pairs"])
@@ -102,9 +108,15 @@ def _write(  # type: ignore[no-untyped-def]
     known: dict[int, float] = {}
     for at in range(0, len(steps), BLOCK_STEPS):
         block = steps[at : at + BLOCK_STEPS]
+        _require_space(out)
         _block(recording, run, config, block, trust, known, encounters, vehicles, sweeper if clouds else None)
         progress("view", min(len(steps), at + BLOCK_STEPS), len(steps))
     _over_time(recording, run, trust, steps, vehicles)
+
+
+def _require_space(out: Path) -> None:
+    if shutil.disk_usage(out.parent).free < _LEAST_FREE_BYTES:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
 def _partial(out: Path) -> Path:
