@@ -1,4 +1,4 @@
-"""Whether a config would run: what can be found out before anything is loaded or written."""
+"""Whether a config would run, found out before anything is loaded or written; and what changed since it last did."""
 
 from contextlib import suppress
 from dataclasses import replace

@@ -57,7 +57,8 @@ class ComputeParams:
     """How the work is done; nothing here changes a result."""
 
     threads: Annotated[int, Ge(0), Le(1024)] = 0
-    """Threads of the compiled kernels, at most one per core; 0 takes one for every hundred equipped vehicles."""
+    """Threads of the compiled kernels, at most one per core; 0 takes one for every hundred equipped vehicles. Unless it
+    is 1, a further thread senses the next step ahead, where no driver commands the traffic."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -73,8 +73,8 @@ class Drive:
     """Why the traffic ended before the time asked for."""
     _of_block: dict[int, Commands] = field(default_factory=dict)
     _keeps_state: bool = True
-    _next_worlds: list[World] = field(default_factory=list)
-    """Read already; at most one."""
+    _next: World | None = None
+    """World of the step after the present one, where it is read already."""
 
     def run(self) -> None:
         """Warm up, repeat the traffic of what is recorded already, and go on to the end or to a signal."""
@@ -132,7 +132,7 @@ class Drive:
                     self._commit(state)
             self.traffic.command(*commands)
             self.advance("run", number + 1, config.n_steps, f"steps, {len(world)} actors")
-            if self.stop.signum is not None and not self._next_worlds:
+            if self.stop.signum is not None and self._next is None:
                 break
         if not self.manifest.steps:
             raise TrafficError(f"traffic.scenario = {self.scenario.name}: there is nothing to record: {self.ended}.")
@@ -146,8 +146,9 @@ class Drive:
 
     def _world(self) -> World | None:
         """That of the next step; None where the traffic has ended."""
-        if self._next_worlds:
-            return self._next_worlds.pop()
+        if (world := self._next) is not None:
+            self._next = None
+            return world
         if self.ended:
             return None
         with self.parts.watch("traffic"):
@@ -164,7 +165,7 @@ class Drive:
         is_last = number + 1 == self.parts.config.n_steps or self.recorder.is_block_end(number)
         if ahead is None or is_last or self.stop.signum is not None or (world := self._world()) is None:
             return
-        self._next_worlds.append(world)
+        self._next = world
         if self.parts.senses(number + 1):
             ahead.expect(world, at_once=not self.parts.senses(number))
 

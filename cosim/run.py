@@ -192,7 +192,7 @@ def worlds_of(config: Config, traffic_from: Path | None) -> Generator[World, Non
         for _ in range(config.n_steps):
             yield traffic.advance()
     except TrafficEnded:
-        pass  # the run itself meets the same end, and says so
+        return  # the run itself meets the same end, and says so
     finally:
         traffic.close()
 

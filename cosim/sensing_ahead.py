@@ -1,7 +1,7 @@
 """Perception of the next step in a thread of its own, while the present one still sends, trusts, fuses and records.
 
-What vehicles perceive depends on where everybody is and on keyed chance, and not on what was believed before. Where no
-driver commands the traffic, the next world is therefore known early. Its sweeps begin as soon as the range images of
+What vehicles perceive depends on the world and on random draws keyed by names, not on earlier steps. Where no driver
+commands the traffic, the next world is therefore known early. Its sweeps begin as soon as the range images of
 the present step have been asked for the last time, in the same memory; compiled kernels run beside Python (`nogil`).
 """
 

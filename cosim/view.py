@@ -40,7 +40,7 @@ COLOURS = {"detected": (0, 158, 115), "received": (230, 159, 0), "believed": (86
 
 BLOCK_STEPS = 60
 _LEAST_FREE_BYTES = 4_000_000
-"""On the disk, for a block without clouds; with less, the SDK's writer may die, and whoever waits for it with it."""
+"""Space on the disk before each block. On a full one the SDK's writer ends, and a flush may never return."""
 _PATIENCE_S = 600.0
 """Longest wait for the SDK's writer at the end."""
 

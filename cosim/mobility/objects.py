@@ -36,7 +36,7 @@ class ObjectParams:
     """
 
     vehicle_class: ActorClass = "car"
-    """As what a detector reports it; a dummy of a person is a pedestrian."""
+    """Kind of actor that it is: its usual size, and its object class; a dummy of a person is a pedestrian."""
     at_m: tuple[float, float] | None = None
     """Middle of its box: east, north in the world frame [m]; must be given."""
     ground_m: Annotated[float, Ge(-1000), Le(10_000)] = 0.0

@@ -1,6 +1,7 @@
 """The examples of the README run as they stand."""
 
 import re
+from contextlib import chdir
 from pathlib import Path
 
 import pytest
@@ -10,16 +11,16 @@ import results
 from results.measure import TOPICS
 
 
-def test_examples(run, tmp_path, monkeypatch):
+def test_examples(run, tmp_path):
     text = (Path(results.__file__).parent / "README.md").read_text()
     blocks = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
     assert len(blocks) == 3
     (tmp_path / "runs").mkdir()
     (tmp_path / "runs" / "helsinki-1").symlink_to(run.path)
-    monkeypatch.chdir(tmp_path)
     names: dict = {}
-    for block in blocks:
-        exec(block, names)
+    with chdir(tmp_path):
+        for block in blocks:
+            exec(block, names)
     assert (tmp_path / "trust.pdf").exists() and (tmp_path / "encounters.svg").exists()
 
 

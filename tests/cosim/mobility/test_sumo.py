@@ -50,7 +50,7 @@ ASKS = """<random_number><random value="true"/><seed value="77"/></random_number
 <routing><device.rerouting.threads value="4"/></routing><processing><threads value="4"/></processing><report>"""
 
 
-def test_whatever_a_configuration_asks_for_nobody_is_waited_for_and_traffic_is_repeated(tmp_path):
+def test_clients_seeds_and_threads_that_a_configuration_asks_for_change_no_traffic(tmp_path):
     """A seed of the clock's, clients that are to steer it, threads: a run of the same config gives the same tables."""
     plain = live(str(mixed_scenario.write(tmp_path / "plain")), tmp_path / "worlds", 0, 40)[0]
     config = mixed_scenario.write(tmp_path / "asks")
