@@ -13,6 +13,7 @@ from numpy import ndarray
 from cosim import checkpoint, recording
 from cosim.actors import ActorRegistry
 from cosim.adversary.params import rings_too_large
+from cosim.allocator import give_back_freed_memory, keep_freed_memory
 from cosim.checkpoint import CannotCheckpoint
 from cosim.config import Config
 from cosim.cycle import step
@@ -78,6 +79,8 @@ class Drive:
 
     def run(self) -> None:
         """Warm up, repeat the traffic of what is recorded already, and go on to the end or to a signal."""
+        keep_freed_memory()
+        give_back_freed_memory()  # of reading the city
         ahead = self._sensing_ahead()
         if ahead is None:
             self._run(None)
@@ -186,6 +189,7 @@ class Drive:
                 self.manifest.summary["not_kept_for_resume"] = f"{error}: a resumed run computes all steps again"
         rows = recording.open_rows(state, self.parts, self.registry, self.manifest.steps)
         self.recorder.flush(rows, files)
+        give_back_freed_memory()
 
     def _end(self, state: State) -> None:
         """The last block: of a run that is over with what is open in its parts, of an interrupted one beside them."""
