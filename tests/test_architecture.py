@@ -39,7 +39,8 @@ ONE_FILE = {
 """Libraries that one file alone may know."""
 
 ORDER = (
-    "rng", "ragged", "stopwatch", "stop", "choices", "console", "world", "fleet", "meshes", "actors", "mobility",
+    "rng", "ragged", "allocator", "stopwatch", "stop", "choices", "console", "world", "fleet", "meshes", "actors",
+    "mobility",
     "radio", "codes", "v2x", "trackers", "tracking", "driver", "perception", "sensing_ahead", "positioning",
     "ground_truth", "reactions", "adversary", "senders", "object_lists", "config_data", "config", "manifest",
     "parts", "stages", "attack_outcomes", "state", "step_result", "cycle", "scenario", "inputs", "check",
