@@ -45,15 +45,17 @@ def evidence(run: Run) -> pd.DataFrame:
     """
     columns = ["n_evaluations", "n_evaluators", "newest_evaluation_age_s", "oldest_evaluation_age_s"]
     frame = trust.server_values(run)
-    frame = frame.assign(role=frame.subject.map(run.subjects.role))
-    groups = frame.groupby("role", observed=True)
-    some = frame[frame.state == "judged"].groupby("role", observed=True)[columns].median()
-    return (
-        groups.size().to_frame("n")
-        .assign(unjudged_share=groups.state.agg(lambda state: float((state != "judged").mean())))
-        .join(some.rename(columns={columns[2]: "newest_s", columns[3]: "oldest_s"}))
-        .reset_index()
-    )  # fmt: skip
+    code, judged = role_codes(run, frame.subject.to_numpy()), (frame.state == "judged").to_numpy()
+    values = {name: frame[name].to_numpy(np.float64, na_value=np.nan) for name in columns}
+    rows = []
+    for role in np.unique(code):
+        mine = code == role
+        some = mine & judged
+        medians = {name: np.median(value[some]) if some.any() else np.nan for name, value in values.items()}
+        unjudged = float(1 - judged[mine].mean())
+        rows.append({"role": run.role_labels[role], "n": int(mine.sum()), "unjudged_share": unjudged} | medians)
+    found = pd.DataFrame(rows, columns=["role", "n", "unjudged_share", *columns])
+    return found.rename(columns={columns[2]: "newest_s", columns[3]: "oldest_s"})
 
 
 def states(run: Run) -> pd.DataFrame:
@@ -211,12 +213,11 @@ def without_trust(run: Run) -> pd.DataFrame:
     the vehicle that would know), n_units, and wait_median_s: time from the start to the first such value, of those
     that had none at the start.
     """
-    frame = run.variant_table("encounters", [*DEFINITION, "a", "b", "trusted_after_ab_s", "trusted_after_ba_s"])
-    frame = frame[frame.a.isin(run.roles.index) & frame.b.isin(run.roles.index)]
+    frame = run.variant_table("encounters", ["trusted_after_ab_s", "trusted_after_ba_s"])
+    after_ab_s, after_ba_s = (frame[name].to_numpy() for name in frame)
     rows: list[dict[str, Any]] = []
-    for kind, found in frame.groupby([*DEFINITION], observed=True):
-        after_s = np.r_[found.trusted_after_ab_s, found.trusted_after_ba_s]
-        who = np.r_[found.a, found.b].astype(np.int64)
+    for kind, at, who in run.once_for_all("freshness.encounters", lambda: _of_equipped(run)):
+        after_s = np.r_[after_ab_s[at], after_ba_s[at]]
         waited_s = after_s[after_s > 0]
         without = np.isnan(after_s)
         rows.append({
@@ -226,6 +227,14 @@ def without_trust(run: Run) -> pd.DataFrame:
         })  # fmt: skip
     columns = [*DEFINITION, "n", "n_without", "share", "low", "high", "n_units"]
     return pd.DataFrame(rows, columns=[*columns, "wait_median_s"])
+
+
+def _of_equipped(run: Run) -> list[tuple[tuple, np.ndarray, np.ndarray]]:
+    """By definition: rows of the encounters of equipped vehicles, and who would know, all `a` before all `b`."""
+    frame = run.table("encounters", [*DEFINITION, "a", "b"])
+    frame = frame[frame.a.isin(run.roles.index) & frame.b.isin(run.roles.index)]
+    groups = frame.groupby([*DEFINITION], observed=True)
+    return [(kind, one.index.to_numpy(), np.r_[one.a, one.b].astype(np.int64)) for kind, one in groups]
 
 
 def _totals(run: Run) -> pd.DataFrame:

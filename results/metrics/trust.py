@@ -22,8 +22,12 @@ def kept_at(run: Run) -> At:
 
 
 def server_values(run: Run) -> pd.DataFrame:
-    """The table `trust` of the run's variant; not to be changed."""
-    return run.once("trust.server_values", lambda: run.variant_table("trust"))
+    """What metrics need of the table `trust`, of the run's variant; not to be changed."""
+    columns = [
+        "step", "subject", "trust", "state", "n_evaluations", "n_evaluators", "newest_evaluation_age_s",
+        "oldest_evaluation_age_s",
+    ]  # fmt: skip
+    return run.once("trust.server_values", lambda: run.variant_table("trust", columns))
 
 
 def values(run: Run) -> pd.DataFrame:
