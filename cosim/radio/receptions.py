@@ -31,7 +31,7 @@ _RECEIVED, _PROPAGATION, _EXPIRED = int(Outcome.RECEIVED), int(Outcome.PROPAGATI
 
 @dataclass(frozen=True, slots=True)
 class NeighbourList:
-    """Stations in range of each station, compressed rows."""
+    """Stations in range of each station, ascending, compressed rows."""
 
     ptr: Int[ndarray, "n+1"]
     station: Int[ndarray, "m"]
@@ -73,13 +73,20 @@ def _neighbours(xy, range_m, a, b, distance_m, slant_m, los_state):
     for i in range(len(xy)):
         ptr[i + 1] += ptr[i]
     put = ptr[:-1].copy()
-    station, apart_m, state = np.empty(2 * n, np.int32), np.empty(2 * n), np.empty(2 * n, np.uint8)
+    of = np.empty(2 * n, np.int32)  # pairs by station
     for k in range(n):
-        m = near[k]
-        for one, other in ((a[m], b[m]), (b[m], a[m])):
-            row = put[one]
-            station[row], apart_m[row], state[row] = other, length_m[k], los_state[m]
-            put[one] = row + 1
+        for one in (a[near[k]], b[near[k]]):
+            of[put[one]] = k
+            put[one] += 1
+    put = ptr[:-1].copy()
+    station, apart_m, state = np.empty(2 * n, np.int32), np.empty(2 * n), np.empty(2 * n, np.uint8)
+    for one in range(len(xy)):  # so that others come in ascending order
+        for k in of[ptr[one] : ptr[one + 1]]:
+            m = near[k]
+            other = b[m] if a[m] == one else a[m]
+            row = put[other]
+            station[row], apart_m[row], state[row] = one, length_m[k], los_state[m]
+            put[other] = row + 1
     return ptr, station, apart_m, state
 
 
