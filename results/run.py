@@ -166,7 +166,7 @@ class Run:
             return self.table("encounters", kept, where).merge(mine, on=key, how="left")[wanted]
         frame = self.encounters
         at = np.empty(len(frame), np.int64)  # every encounter has one row of each variant
-        at[_order(frame, key)] = _order(mine, key)
+        at[self.once_for_all("encounters in order", lambda: _order(frame, key))] = _order(mine, key)
         assert len(frame) == len(mine), "encounters and encounter_trust have the same encounters"
         return pd.DataFrame({c: (mine[c].take(at) if c in own else frame[c]).array for c in wanted})
 
@@ -175,6 +175,15 @@ class Run:
     ) -> Iterator[pd.DataFrame]:
         """The same as `parts`, rows of the run's `variant` only."""
         return self._parts(name, columns, *self._of_variant(name, where))
+
+    def variant_arrays(self, name: str, columns: Sequence[str]) -> Iterator[dict[str, np.ndarray]]:
+        """The same, columns as plain arrays: labels as their codes (-1: none), numbers that may be null as floats."""
+        wanted = self._wanted(name, columns)
+        where, part = self._of_variant(name, None)
+        labels = {c: TABLES[name].columns[c].labels(self.manifest) for c in wanted.names}
+        for path in self._paths(name):
+            rows = virtual_columns.read(part, path, wanted.names, where)
+            yield {c: _array(rows.column(c).combine_chunks(), labels[c]) for c in wanted.names}
 
     def _of_variant(self, name: str, where: pc.Expression | None) -> tuple[pc.Expression | None, virtual_columns.Read]:
         """Which rows are the variant's, and how parts are read."""
@@ -301,6 +310,13 @@ class Run:
         return TABLES["vehicles"].columns["role"].labels(self.manifest)
 
 
+def _array(column: pa.Array, labels: Sequence[str]) -> np.ndarray:
+    if not pa.types.is_dictionary(column.type):
+        return column.to_numpy(zero_copy_only=False)
+    code = np.array([*map(list(labels).index, column.dictionary.to_pylist()), -1], np.int16)
+    return code[column.indices.fill_null(-1).to_numpy(zero_copy_only=False)]
+
+
 def _order(frame: pd.DataFrame, key: Sequence[str]) -> np.ndarray:
     """Rows in the order of their key."""
     columns = [frame[c].cat.codes if isinstance(frame[c].dtype, pd.CategoricalDtype) else frame[c] for c in key[::-1]]
@@ -343,7 +359,7 @@ def content_problem(folder: Path, part: Part) -> str:
 
 def _write_apart(file: Path, rows: pa.Table, variants: Sequence[str]) -> None:
     """The rows of each variant as a batch of its own, in the order of `variants`."""
-    number = pc.index_in(rows.column("variant").cast(pa.string()), pa.array(variants)).to_numpy()
+    number = _array(rows.column("variant").combine_chunks(), variants)
     order = np.argsort(number, kind="stable")
     ends = np.searchsorted(number[order], np.arange(len(variants) + 1))
     (ordered,) = rows.take(pa.array(order)).combine_chunks().to_batches() or [
