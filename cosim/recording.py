@@ -12,7 +12,7 @@ from cosim.actors import ActorRegistry
 from cosim.adversary.params import roles_of
 from cosim.parts import Parts
 from cosim.radio.message_round import Outcome
-from cosim.ragged import stable_order
+from cosim.ragged import ptr_of, stable_order
 from cosim.reactions import Reactions
 from cosim.state import State
 from cosim.step_result import Sensed, StepResult
@@ -340,7 +340,7 @@ def _fused(recorder: Recorder, at: int, sensed: Sensed) -> None:
         })  # fmt: skip
         recorder.append("fused", at, {
             "variant": np.full(len(ego), variant), "observer": sensed.vehicles.actor[ego],
-            "fused_index": np.arange(len(ego)) - np.searchsorted(ego, ego),
+            "fused_index": np.arange(len(ego)) - ptr_of(ego, len(sensed.vehicles))[ego],
             "score": fused.score, "n_sources": fused.n_sources, "ego_detected": fused.ego_detected,
             "source": pseudonym[fused.seed], "source_index": listed.detection_index[fused.seed],
             "pose": pseudonym[fused.pose], "pose__valid": moved,

@@ -198,21 +198,20 @@ def complete_messages(
     n_segments
         Of each message.
     """
-    m, n_duplicate, receiver, message, hops, times_ns = _complete(
-        len(xy_m), attempts.receiver, attempts.outcome, attempts.first, counting_order(sent.unit, len(own_ns)),
-        sent.message, sent.transmitter, sent.unit, sent.hop, sent.start_ns, sent.end_ns, own_ns, n_segments,
+    n_duplicate, columns = _complete(
+        xy_m, messages.station, attempts.receiver, attempts.outcome, attempts.first,
+        counting_order(sent.unit, len(own_ns)), sent.message, sent.transmitter, sent.unit, sent.hop, sent.start_ns,
+        sent.end_ns, own_ns, n_segments, begin_ns,
     )  # fmt: skip
-    receiver, message, hops, times_ns = receiver[:m], message[:m], hops[:m], times_ns[:, :m]
-    distance_m = np.hypot(*(xy_m[receiver] - xy_m[messages.station[message]]).T)
-    offset_s = 1e-9 * (times_ns[0] - begin_ns)
-    access_s, latency_s = 1e-9 * times_ns[1], 1e-9 * times_ns[2]
-    return Receptions(receiver, message, hops, offset_s, access_s, latency_s, distance_m), n_duplicate
+    return Receptions(*columns), n_duplicate
 
 
 @njit(cache=True, nogil=True)
 def _complete(
-    n, to, outcome, first, by_unit, message_of, transmitter, unit, hop, start_ns, end_ns, own_ns, n_segments
+    xy, station, to, outcome, first, by_unit, message_of, transmitter, unit, hop, start_ns, end_ns, own_ns, n_segments,
+    begin_ns,
 ):  # fmt: skip
+    n = len(xy)
     at = np.zeros(n + 1, np.int64)
     for row in range(len(outcome)):
         at[to[row] + 1] += outcome[row] == _RECEIVED
@@ -227,7 +226,7 @@ def _complete(
                 got[put[r]] = f
                 put[r] += 1
     receiver, message, hops = np.empty(len(got), np.int64), np.empty(len(got), np.int64), np.empty(len(got), np.int32)
-    times_ns = np.empty((3, len(got)), np.int64)  # generation; from there to the last own frame, and to reception
+    offset_s, access_s, latency_s, apart_m = np.empty((4, len(got)))
     m = n_duplicate = 0
     for r in range(n):
         k = at[r]
@@ -248,7 +247,10 @@ def _complete(
                 access_ns = max(access_ns, start_ns[u] - own_ns[u])
                 last_ns = max(last_ns, end_ns[best] - own_ns[u])
             if n_received == n_segments[s]:
-                receiver[m], message[m], hops[m] = r, s, hop_of
-                times_ns[0, m], times_ns[1, m], times_ns[2, m] = own_ns[u], access_ns, last_ns
+                dx, dy = xy[r, 0] - xy[station[s], 0], xy[r, 1] - xy[station[s], 1]
+                receiver[m], message[m], hops[m], apart_m[m] = r, s, hop_of, np.sqrt(dx * dx + dy * dy)
+                offset_s[m], access_s[m], latency_s[m] = 1e-9 * (own_ns[u] - begin_ns), 1e-9 * access_ns, 1e-9 * last_ns
                 m += 1
-    return m, n_duplicate, receiver, message, hops, times_ns
+    return n_duplicate, (
+        receiver[:m], message[:m], hops[:m], offset_s[:m], access_s[:m], latency_s[:m], apart_m[:m],
+    )  # fmt: skip
