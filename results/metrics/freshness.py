@@ -97,13 +97,14 @@ def ages(run: Run) -> pd.DataFrame:
     for what, column in AGES.items():
         sums, counts = _Totals(len(run.role_labels)), _Totals(len(run.role_labels))
         histograms = np.zeros((len(run.role_labels), n_bins), np.int64)
-        for part in blocks(run, ["receiver", "subject", column]):
+        for part in blocks(run, ["receiver", "role", column]):
             there = ~np.isnan(part[column])
             age_s, receiver = part[column][there].astype(np.float64), part["receiver"][there]
-            code_of = role_codes(run, part["subject"][there])
+            code_of = part["role"][there]
             sums.add(receiver, code_of, age_s)
             counts.add(receiver, code_of)
-            histograms += np.bincount(code_of * n_bins + _bin(age_s), minlength=histograms.size).reshape(-1, n_bins)
+            for code in range(len(run.role_labels)):
+                histograms[code] += _histogram(age_s[code_of == code])
         for code, role in enumerate(roles):
             chosen = slice(None) if code == 0 else slice(code - 1, code)
             n, histogram = counts.table[:, chosen].sum(axis=1), histograms[chosen].sum(axis=0)
@@ -185,7 +186,7 @@ def distribution(run: Run, what: str = "newest evaluation") -> pd.DataFrame:
     histogram = np.zeros(len(_EDGES_S) - 1)
     for part in blocks(run, [AGES[what]]):
         age_s = part[AGES[what]].astype(np.float64)
-        histogram += np.bincount(_bin(age_s[~np.isnan(age_s)]), minlength=len(histogram))
+        histogram += _histogram(age_s[~np.isnan(age_s)])
     if not histogram.any():
         raise ValueError(f"{run.path} {_NO_EVALUATION}")
     last = np.flatnonzero(histogram)[-1] + 1
@@ -278,8 +279,8 @@ class _Totals:
 def _per_receiver(run: Run, column: str, code_of: Callable[[np.ndarray], np.ndarray], n_codes: int) -> np.ndarray:
     """Lookups by receiver, role of the subject, and a code of each lookup that follows from a column."""
     n_roles, totals = len(run.role_labels), _Totals(len(run.role_labels) * n_codes)
-    for part in blocks(run, ["receiver", "subject", column]):
-        totals.add(part["receiver"], role_codes(run, part["subject"]) * n_codes + code_of(part[column]))
+    for part in blocks(run, ["receiver", "role", column]):
+        totals.add(part["receiver"], part["role"] * n_codes + code_of(part[column]))
     return totals.table.reshape(-1, n_roles, n_codes)
 
 
@@ -295,9 +296,11 @@ def _columns(estimate: Estimate, value: str) -> dict[str, float]:
     return {value: estimate.value, "low": estimate.low, "high": estimate.high, "n_units": estimate.n_units}
 
 
-def _bin(age_s: np.ndarray) -> np.ndarray:
-    """Bin of `_EDGES_S` in which each age lies."""
-    return np.searchsorted(_EDGES_S, np.clip(age_s, 0, _EDGES_S[-2]), "right") - 1
+def _histogram(age_s: np.ndarray) -> np.ndarray:
+    """Ages by bin of `_EDGES_S`, those beyond its ends in the outermost ones."""
+    at = np.searchsorted(np.sort(age_s), _EDGES_S)
+    at[0], at[-1] = 0, len(age_s)
+    return np.diff(at)
 
 
 def _quantile(histogram: np.ndarray, share: float) -> float:

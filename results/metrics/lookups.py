@@ -21,18 +21,26 @@ NO_LOOKUPS = (
 
 
 def blocks(run: Run, columns: Sequence[str], may_be_none: bool = False) -> Iterator[Mapping[str, ndarray]]:
-    """Lookups of the run's variant, block of steps by block, as of `Run.variant_arrays`; ValueError where there are
-    none, unless there may be none."""
+    """Lookups of the run's variant, block of steps by block, as of `Run.variant_arrays`.
+
+    Besides the columns of the table there is `role`, of `role_codes`. ValueError where there are no lookups, unless
+    there may be none.
+    """
     if run.n_rows("trust_lookups") // len(run.variants) > _IN_MEMORY:
-        found = run.variant_arrays("trust_lookups", columns)
+        found = _read(run, [column for column in columns if column != "role"] + ["subject"])
     else:
-        found = iter(run.once("lookups", lambda: list(run.variant_arrays("trust_lookups", _ASKED))))
+        found = iter(run.once("lookups", lambda: list(_read(run, _ASKED))))
     n_rows = 0
     for block in found:
-        n_rows += len(block[columns[0]])
+        n_rows += len(block["subject"])
         yield block
     if not n_rows and not may_be_none:
         raise ValueError(f"{run.path} {NO_LOOKUPS}")
+
+
+def _read(run: Run, columns: Sequence[str]) -> Iterator[Mapping[str, ndarray]]:
+    for block in run.variant_arrays("trust_lookups", list(dict.fromkeys(columns))):
+        yield block | {"role": role_codes(run, block["subject"])}
 
 
 def role_codes(run: Run, pseudonym: Int[ndarray, "n"]) -> Int[ndarray, "n"]:
