@@ -26,6 +26,9 @@ _FEW = 16
 
 _INF = np.float32(np.inf).view(np.int32)
 
+_REACH_M = 0.01
+"""How far behind the farthest return of a sweep boxes are looked at: more than lengths are rounded by."""
+
 _WIDE = 4096
 """More than the rows of a column; a sum of float32 that counts two things is exact up to 2^24."""
 
@@ -87,7 +90,7 @@ def _nearest_and_farthest(ranges, c, r0, r1):
 
 @njit(cache=True)
 def _bounds(ranges, flat, nearest, farthest):
-    """Horizontal lengths between which the returns of a sweep lie, by block and column.
+    """Horizontal lengths between which the returns of a sweep lie, by block and column; the largest of all.
 
     `flat` are the least and largest cosine of each block's elevations.
     """
@@ -98,9 +101,13 @@ def _bounds(ranges, flat, nearest, farthest):
             low[b, c], high[b, c] = _nearest_and_farthest(as_integers, c, BLOCK * b, BLOCK * b + BLOCK)
         if m % BLOCK > 0:
             low[-1, c], high[-1, c] = _nearest_and_farthest(as_integers, c, m // BLOCK * BLOCK, m)
+    most = np.int32(0)
     for b in range(len(flat)):
+        for c in range(n):
+            most = max(most, high[b, c])
         nearest[b] *= flat[b, 0]
         farthest[b] *= flat[b, 1]
+    return np.int32(most).view(np.float32)
 
 
 @kernel
@@ -134,7 +141,7 @@ def _count(ranges, beams, cos_el, sin_el, a0, a1, r0, r1, x, y, z, cos, sin, hal
     near, far, first, until = scratch
     error = 2e-5 + 2e-6 * (abs(x) + abs(y) + abs(z) + half_l + half_w + half_h)
     b0, b1 = r0 // BLOCK, (r1 + BLOCK - 1) // BLOCK
-    radius, distance = np.hypot(half_l, half_w), np.hypot(x, y)
+    radius, distance = np.sqrt(half_l * half_l + half_w * half_w), np.sqrt(x * x + y * y)
     least, most = np.float32(distance - radius - 3.0 * error), np.float32(distance + radius + 3.0 * error)
     if not _any_between(nearest, farthest, a0, a1, b0, b1, least, most):
         return 0
@@ -185,18 +192,17 @@ def points_in_boxes(range_m, beams, pairs, run):
         lengths = np.empty((2, len(flat), n), np.float32)
         bounds = lengths[0], lengths[1]
         if run[i + 1] - run[i] > _FEW:
-            _bounds(ranges, flat, bounds[0], bounds[1])
+            farthest = _bounds(ranges, flat, bounds[0], bounds[1]) + _REACH_M
         else:
-            bounds[0][:], bounds[1][:] = 0.0, np.inf
+            bounds[0][:], bounds[1][:], farthest = 0.0, np.inf, np.inf
         scratch = np.empty(n), np.empty(n), np.empty(n, np.int32), np.empty(n, np.int32)
         for k in range(run[i], run[i + 1]):
             x, y, z, length, width, height, yaw = in_sensor_frame(pairs, k)
             half_l, half_w, half_h = 0.5 * length, 0.5 * width, 0.5 * height
-            radius = np.hypot(half_l, half_w)
-            if abs(y) * edge_cos - x * edge_sin > radius:
-                continue  # beside the field of view
-            distance = np.hypot(x, y)
+            radius, distance = np.sqrt(half_l * half_l + half_w * half_w), np.sqrt(x * x + y * y)
             close = distance - radius
+            if abs(y) * edge_cos - x * edge_sin > radius or close > farthest:
+                continue  # beside the field of view, or behind all returns
             cos, sin = np.cos(yaw), np.sin(yaw)
             a0, a1, b0, b1 = rectangle_columns(x, y, cos, sin, half_l, half_w, beams)
             r0, r1 = 0, m
