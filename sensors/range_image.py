@@ -42,7 +42,10 @@ def _of_actor(hits, pose, beams, limit, a, xyz, radius, height, bodies, room, n_
     if a1 <= a0 and b1 <= b0:
         return 0, 0, n_columns
     within_limit = np.hypot(np.hypot(dx, dy) + radius, abs(xyz[a, 2] - z) + 0.5 * height) < limit
-    n, code = _seen_from(frame, window, bodies, bodies.ptr[a], bodies.ptr[a + 1], x, y, z, cos, sin, beams), Hit.ACTOR + a
+    n, code = (
+        _seen_from(frame, window, bodies, bodies.ptr[a], bodies.ptr[a + 1], x, y, z, cos, sin, beams),
+        Hit.ACTOR + a,
+    )
     for turn in range(2):
         begin, end = window[0, 2 * turn], window[0, 2 * turn + 1]
         for k in range(1, n):
@@ -53,7 +56,14 @@ def _of_actor(hits, pose, beams, limit, a, xyz, radius, height, bodies, room, n_
             for k in range(n):
                 if not window[k, 2 * turn] <= c < window[k, 2 * turn + 1]:
                     continue
-                p, q, u, v, half_l, half_w = frame[k, 0], frame[k, 1], frame[k, 2], frame[k, 3], frame[k, 4], frame[k, 5]
+                p, q, u, v, half_l, half_w = (
+                    frame[k, 0],
+                    frame[k, 1],
+                    frame[k, 2],
+                    frame[k, 3],
+                    frame[k, 4],
+                    frame[k, 5],
+                )
                 enter, leave = rectangle(p, q, u * ca - v * sa, v * ca + u * sa, half_l, half_w)
                 if leave <= max(enter, 0.0):
                     continue
