@@ -47,14 +47,11 @@ def _of_actor(hits, pose, beams, limit, a, xyz, radius, height, bodies, room, n_
         Hit.ACTOR + a,
     )
     for turn in range(2):
-        begin, end = window[0, 2 * turn], window[0, 2 * turn + 1]
-        for k in range(1, n):
-            begin, end = min(begin, window[k, 2 * turn]), max(end, window[k, 2 * turn + 1])
-        for c in range(begin, end):
+        for c in range(a0 if turn == 0 else b0, a1 if turn == 0 else b1):
             n_columns += 1
             ca, sa = beams.cos_az[c], beams.sin_az[c]
             for k in range(n):
-                if not window[k, 2 * turn] <= c < window[k, 2 * turn + 1]:
+                if not (window[k, 0] <= c < window[k, 1] or window[k, 2] <= c < window[k, 3]):
                     continue
                 p, q, u, v, half_l, half_w = (
                     frame[k, 0],
