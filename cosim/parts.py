@@ -15,7 +15,7 @@ from cosim.v2x.linkage import Linkage, Revocation
 from cosim.v2x.pseudonyms import Pseudonyms
 from cosim.v2x.trust_hosts import TrustHosts, Variant
 from results.codes import BASE_VARIANT
-from sensors.line_of_sight import LosCache, WallIndex
+from sensors.line_of_sight import LosOfPlaces, WallIndex
 from sensors.scene import Scene
 
 
@@ -56,7 +56,7 @@ class Parts:
             adversary=Adversary.of(
                 c.attacks, [_make(c, "attacks", n) for n in range(len(c.attacks))], c.seed, dt_s, c.trust.freshness_s
             ),
-            medium=_make_medium(c, LosCache.of(walls)),
+            medium=_make_medium(c, LosOfPlaces.of(walls)),
             pseudonyms=pseudonyms,
             linkage=linkage,
             revocation=Revocation(c.pseudonyms, linkage),
@@ -122,7 +122,7 @@ def _make(experiment: Config, section: str, number: int | None = None) -> Any:
     return choices.make(choice, *(() if choice.params is None else (own,)))
 
 
-def _make_medium(experiment: Config, los: LosCache | None) -> Medium:
+def _make_medium(experiment: Config, los: LosOfPlaces | None) -> Medium:
     choice, own = config.chosen(experiment, "radio")
     params = experiment.radio if own is None else own
     return choices.make(choice, params, experiment.timeout_s, experiment.seed, los)

@@ -12,7 +12,7 @@ from cosim.actors import ActorRegistry
 from cosim.adversary.params import roles_of
 from cosim.parts import Parts
 from cosim.radio.message_round import Outcome
-from cosim.ragged import stable_order
+from cosim.ragged import ptr_of, stable_order
 from cosim.reactions import Reactions
 from cosim.state import State
 from cosim.step_result import Sensed, StepResult
@@ -23,7 +23,7 @@ from cosim.v2x.messages import FABRICATED
 from cosim.v2x.pseudonyms import PseudonymUse
 from cosim.v2x.trust_hosts import Lookups, ServerTraffic
 from cosim.world import World
-from results.codes import LookupState, MessageType, TrustSource
+from results.codes import LookupState, MessageType
 from results.encounters import Rows, by_variant
 from results.recorder import Recorder
 from sensors.boxes import Boxes
@@ -280,11 +280,10 @@ def _lookups(
     evaluators = [
         np.zeros(n, np.int64) if found.n_evaluators is None else found.n_evaluators[order] for found in lookups
     ]
-    source = joined("source")
     recorder.append("trust_lookups", at, {
         "variant": np.repeat(np.arange(n_variants), n), "subject": np.tile(subject[order], n_variants),
-        "receiver": np.tile(receiver[order], n_variants), "trust": joined("trust"), "source": source,
-        "state": joined("state"), "age_s": joined("age_s"), "age_s__valid": source != TrustSource.DEFAULT,
+        "receiver": np.tile(receiver[order], n_variants), "trust": joined("trust"), "source": joined("source"),
+        "state": joined("state"), "age_s": joined("age_s"), "age_s__valid": ~joined("is_default"),
         **_evaluations_behind(
             joined("n_evaluations"), np.concatenate(evaluators), joined("newest_evaluation_age_s"),
             joined("oldest_evaluation_age_s"), joined("is_known"), np.repeat(counted, n),
@@ -298,8 +297,7 @@ def _lookup_totals(lookups: Sequence[Lookups]) -> Rows:
     n_states, n_variants = len(LookupState), len(lookups)
     group = np.concatenate([v * n_states + found.state.astype(np.int64) for v, found in enumerate(lookups)])
     valued, known = (
-        np.concatenate(masks)
-        for masks in ([found.source != TrustSource.DEFAULT for found in lookups], [x.is_known for x in lookups])
+        np.concatenate(masks) for masks in ([~found.is_default for found in lookups], [x.is_known for x in lookups])
     )
 
     def total(name: str, where: Bool[ndarray, "n"]) -> ndarray:
@@ -342,7 +340,7 @@ def _fused(recorder: Recorder, at: int, sensed: Sensed) -> None:
         })  # fmt: skip
         recorder.append("fused", at, {
             "variant": np.full(len(ego), variant), "observer": sensed.vehicles.actor[ego],
-            "fused_index": np.arange(len(ego)) - np.searchsorted(ego, ego),
+            "fused_index": np.arange(len(ego)) - ptr_of(ego, len(sensed.vehicles))[ego],
             "score": fused.score, "n_sources": fused.n_sources, "ego_detected": fused.ego_detected,
             "source": pseudonym[fused.seed], "source_index": listed.detection_index[fused.seed],
             "pose": pseudonym[fused.pose], "pose__valid": moved,

@@ -28,9 +28,9 @@ from sensors.boxes import overlapping_pairs
 from sensors.evidence import in_evaluation_area
 from trust import tables
 from trust.evaluation import evaluate
-from trust.fusion import Fused, SenderTrust, SensorEvidence, fuse, votes_of
+from trust.fusion import Fused, SensorEvidence, fuse, votes_of
 from trust.matching import match
-from trust.tables import EvaluationMessages, Evaluations, Groups, ObjectLists
+from trust.tables import EvaluationMessages, Evaluations, Groups, ObjectLists, SenderTrust
 from trust.threads import threads_for
 
 _ROWS_PER_BOX = 10
@@ -272,8 +272,8 @@ def fuse_objects(
         sender_trust = SenderTrust(ptr, used.message, found.trust, in_time)
         if scorer is not None and votes is None:
             votes = votes_of(*given, sender_trust)
-        objects = fuse(*given, sender_trust, evidence, from_own_m, variant.trust, scorer, votes)
-        fused.append(objects.take(objects.score >= variant.trust.min_score))
+        trust_of = variant.trust
+        fused.append(fuse(*given, sender_trust, evidence, from_own_m, trust_of, scorer, votes, trust_of.min_score))
     return fused
 
 
@@ -291,7 +291,7 @@ def beliefs_of(
     return Beliefs(known_s, vehicles.row[fused.ego], label, boxes, fused.score, fused.ego_detected, *source)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _distance_m(a_m, i, b_m, j):
     """Distance of each row i of `a_m` from the row j of `b_m`."""
     out = np.empty(len(i))

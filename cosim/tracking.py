@@ -2,12 +2,12 @@
 
 import numpy as np
 from jaxtyping import Bool, Int
+from numba import njit
 from numpy import ndarray
 
 from cosim.radio.message_round import MessageRound, Receptions
-from cosim.ragged import counting_order
 from cosim.trackers.encounters import EncounterTrackers
-from cosim.trackers.inter_reception import InterReceptionTracker, contained, unique_pairs
+from cosim.trackers.inter_reception import InterReceptionTracker, reached, unique_pairs
 from results.encounters import Rows
 from trust.tables import ObjectLists
 
@@ -15,9 +15,19 @@ from trust.tables import ObjectLists
 def pairs_in_range(happened: MessageRound, n: int) -> tuple[Int[ndarray, "p"], Int[ndarray, "p"]]:
     """Senders of messages, and the other vehicles within range of them: each pair of station rows once, sorted."""
     frames = happened.frames
-    sender = happened.station[frames.message]
-    own = np.flatnonzero((frames.hop == 1) & (sender < n) & (frames.receiver < n))
-    return unique_pairs(sender[own].astype(np.int64), frames.receiver[own].astype(np.int64), n)
+    sender, receiver = _first_hops(happened.station, frames.message, frames.receiver, frames.hop, n)
+    return unique_pairs(sender, receiver, n)
+
+
+@njit(cache=True, nogil=True)
+def _first_hops(station, message, receiver, hop, n):
+    """Senders and receivers, below n, of the frames that senders transmit themselves."""
+    one, other = np.empty(len(message), np.int32), np.empty(len(message), np.int32)
+    m = 0
+    for row in range(len(message)):
+        one[m], other[m] = station[message[row]], receiver[row]
+        m += (hop[row] == 1) & (one[m] < n) & (other[m] < n)
+    return one[:m], other[:m]
 
 
 def track_receptions(
@@ -34,9 +44,7 @@ def track_receptions(
         Sender of each message, a station row.
     """
     sender, receiver = pairs
-    n = len(actor)
-    order = counting_order(vehicle[received.message], n)  # receptions go by receiver
-    got = contained(sender, receiver, vehicle[received.message[order]], received.receiver[order])
+    got = reached(sender, receiver, len(actor), vehicle[received.message], received.receiver)
     return tracker.update(step, actor[sender], actor[receiver], got)
 
 
@@ -58,9 +66,25 @@ def count_in_encounters(
     for found in received:
         trackers.count_messages(actor[vehicle[found.message]], actor[found.receiver])
     trackers.note_trust(actor[used.receiver], actor[vehicle[used.message]], is_known)
-    evaluator, observer = lists.of_member(), vehicle[message[lists.member]]
-    others, n = evaluator != observer, len(actor)
-    pair = evaluator[others] * n + observer[others]
-    begins = np.flatnonzero(np.diff(pair, prepend=-1))  # lists go by evaluator, then by message
-    count = np.diff(begins, append=len(pair))
-    trackers.count_evaluations(actor[pair[begins] // n], actor[pair[begins] % n], count)
+    evaluator, observer, n = _evaluated(lists.ptr, lists.member, message, vehicle)
+    trackers.count_evaluations(actor[evaluator], actor[observer], n)
+
+
+@njit(cache=True, nogil=True)
+def _evaluated(ptr, member, message, vehicle):
+    """Whose detections each list holds, and how many; a list's own are left out. Lists go by message."""
+    one, other, n = np.empty(len(member), np.int32), np.empty(len(member), np.int32), np.empty(len(member), np.int64)
+    m = 0
+    for v in range(len(ptr) - 1):
+        last = v
+        for k in range(ptr[v], ptr[v + 1]):
+            observer = vehicle[message[member[k]]]
+            if observer == v:
+                last = v
+                continue
+            if observer != last:
+                one[m], other[m], n[m] = v, observer, 0
+                m += 1
+                last = observer
+            n[m - 1] += 1
+    return one[:m], other[:m], n[:m]

@@ -8,6 +8,7 @@ from annotated_types import Ge, Gt, Le
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
+from results import encounter_counts
 from results.codes import EncounterPairs, LookupState, LosBlockers, TrustSource
 
 Rows = dict[str, ndarray]
@@ -205,16 +206,10 @@ class EncounterTracker:
         `looked_up` says in which trust variants; left out, in all.
         """
         assert self._step is not None
-        at, known, way = self._ordered(holder, other)
-        for ab, name in ((True, "ab"), (False, "ba")):
-            rows = known & (way == ab)
-            where = at[rows]
-            first = ~self._live[f"trusted_{name}"][where]
-            if looked_up is not None:
-                first &= looked_up[rows]
-            row, variant = np.nonzero(first)
-            self._live[f"trusted_{name}"][where[row], variant] = True
-            self._live[f"trusted_step_{name}"][where[row], variant] = self._step
+        if looked_up is None:
+            looked_up = np.ones((len(holder), self.n_variants), bool)
+        columns = (self._live[f"{name}_{way}"] for name in ("trusted", "trusted_step") for way in ("ab", "ba"))
+        encounter_counts.note(self._slots(holder, other), holder, other, looked_up, self._step, *columns)
 
     def first_contact(
         self,
@@ -233,11 +228,13 @@ class EncounterTracker:
         trust, source, state, age_s = (
             np.asarray(x).reshape(len(holder), self.n_variants) for x in (trust, source, state, age_s)
         )
-        at, known, way = self._ordered(holder, other)
-        known[known] = self._live["start"][at[known]] == self._step
-        self.note_trust(holder[known], other[known], np.isin(state[known], (LookupState.JUDGED, LookupState.STALE)))
+        at = self._slots(holder, other)
+        begins = at >= 0
+        begins[begins] = self._live["start"][at[begins]] == self._step
+        self.note_trust(holder[begins], other[begins], np.isin(state[begins], (LookupState.JUDGED, LookupState.STALE)))
+        way = holder < other
         for ab, name in ((True, "ab"), (False, "ba")):
-            rows = known & (way == ab)
+            rows = begins & (way == ab)
             where = at[rows]
             self._live[f"known_{name}"][where] = True
             self._live[f"trust_{name}"][where] = trust[rows]
@@ -246,18 +243,14 @@ class EncounterTracker:
             self._live[f"age_{name}_s"][where] = np.where(source[rows] == TrustSource.DEFAULT, 0, age_s[rows])
 
     def _count(self, what: str, one: ndarray, other: ndarray, n: ndarray | None) -> None:
-        at, known, way = self._ordered(one, other)
-        for ab, name in ((True, "ab"), (False, "ba")):
-            rows = known & (way == ab)
-            weights = None if n is None else np.asarray(n)[rows]
-            added = np.bincount(at[rows], weights, len(self._live["n"]))
-            self._live[f"n_{what}_{name}"] += added.astype(np.int32)
+        added = np.zeros(0, np.int64) if n is None else np.asarray(n, np.int64)
+        counters = self._live[f"n_{what}_ab"], self._live[f"n_{what}_ba"]
+        at = self._slots(other, one) if what == "messages" else self._slots(one, other)  # messages go by receiver
+        encounter_counts.count(at, one, other, added, *counters)
 
-    def _ordered(self, one: ndarray, other: ndarray) -> tuple[ndarray, ndarray, ndarray]:
-        """Slot of each ordered pair, whether its encounter is under way, and whether it runs from a to b."""
-        at, known = _find(self._pair, _pair(np.minimum(one, other), np.maximum(one, other)))
-        at[known] = self._slot[at[known]]
-        return at, known, np.asarray(one) < np.asarray(other)
+    def _slots(self, one: ndarray, other: ndarray) -> Int[ndarray, "n"]:
+        """Slot of the encounter of each two, -1 where none is under way."""
+        return encounter_counts.slots(self._pair, self._slot, one, other)
 
     def _of_any(self, actors: Int[ndarray, "m"]) -> Bool[ndarray, "live"]:
         """Live pairs with one of these actors."""

@@ -160,21 +160,33 @@ class Run:
         wanted = list(TABLES["encounters"].columns if columns is None else columns)
         own = [c for c in TABLES["encounter_trust"].columns if c != "variant"]
         key = [c for c in own if c in TABLES["encounters"].key]
-        mine = self._table("encounter_trust", own, *self._of_variant("encounter_trust", None))
         if where is not None:
+            mine = self._table("encounter_trust", own, *self._of_variant("encounter_trust", None))
             kept = [c for c in TABLES["encounters"].columns if c in key or (c in wanted and c not in own)]
             return self.table("encounters", kept, where).merge(mine, on=key, how="left")[wanted]
-        frame = self.encounters
-        at = np.empty(len(frame), np.int64)  # every encounter has one row of each variant
-        at[_order(frame, key)] = _order(mine, key)
-        assert len(frame) == len(mine), "encounters and encounter_trust have the same encounters"
-        return pd.DataFrame({c: (mine[c].take(at) if c in own else frame[c]).array for c in wanted})
+        frame, parts = self.encounters, list(self.variant_arrays("encounter_trust", key))
+        keys = [np.concatenate([np.zeros(0, np.int8), *(part[c] for part in parts)]) for c in key]
+        others, at = self.once_for_all("rows of encounters", lambda: (keys, _rows_of(frame, keys, key)))
+        if not all(map(np.array_equal, keys, others)):
+            at = _rows_of(frame, keys, key)
+        values = [c for c in wanted if c in own and c not in key]
+        mine = self._table("encounter_trust", values, *self._of_variant("encounter_trust", None))
+        return pd.DataFrame({c: (mine[c].take(at) if c in values else frame[c]).array for c in wanted})
 
     def variant_parts(
         self, name: str, columns: Sequence[str] | None = None, where: pc.Expression | None = None
     ) -> Iterator[pd.DataFrame]:
         """The same as `parts`, rows of the run's `variant` only."""
         return self._parts(name, columns, *self._of_variant(name, where))
+
+    def variant_arrays(self, name: str, columns: Sequence[str]) -> Iterator[dict[str, np.ndarray]]:
+        """The same, columns as plain arrays: labels as their codes (-1: none), numbers that may be null as floats."""
+        wanted = self._wanted(name, columns)
+        where, part = self._of_variant(name, None)
+        labels = {c: TABLES[name].columns[c].labels(self.manifest) for c in wanted.names}
+        for path in self._paths(name):
+            rows = virtual_columns.read(part, path, wanted.names, where)
+            yield {c: _array(rows.column(c).combine_chunks(), labels[c]) for c in wanted.names}
 
     def _of_variant(self, name: str, where: pc.Expression | None) -> tuple[pc.Expression | None, virtual_columns.Read]:
         """Which rows are the variant's, and how parts are read."""
@@ -301,10 +313,23 @@ class Run:
         return TABLES["vehicles"].columns["role"].labels(self.manifest)
 
 
-def _order(frame: pd.DataFrame, key: Sequence[str]) -> np.ndarray:
-    """Rows in the order of their key."""
-    columns = [frame[c].cat.codes if isinstance(frame[c].dtype, pd.CategoricalDtype) else frame[c] for c in key[::-1]]
-    return np.lexsort([column.to_numpy() for column in columns])
+def _array(column: pa.Array, labels: Sequence[str]) -> np.ndarray:
+    if not pa.types.is_dictionary(column.type):
+        return column.to_numpy(zero_copy_only=False)
+    code = np.array([*map(list(labels).index, column.dictionary.to_pylist()), -1], np.int16)
+    return code[column.indices.fill_null(-1).to_numpy(zero_copy_only=False)]
+
+
+def _rows_of(frame: pd.DataFrame, keys: list[np.ndarray], key: Sequence[str]) -> np.ndarray:
+    """Row with the same key, of each row of a frame; both have every key once."""
+    assert len(frame) == len(keys[0]), "encounters and encounter_trust have the same encounters"
+    at = np.empty(len(frame), np.int64)
+    at[np.lexsort([_codes(frame[c]) for c in key[::-1]])] = np.lexsort(keys[::-1])
+    return at
+
+
+def _codes(column: pd.Series) -> np.ndarray:
+    return column.cat.codes.to_numpy() if isinstance(column.dtype, pd.CategoricalDtype) else column.to_numpy()
 
 
 def problems_of(folder: Path, table: str, found: Inventory, is_over: bool) -> Iterator[str]:
@@ -343,7 +368,7 @@ def content_problem(folder: Path, part: Part) -> str:
 
 def _write_apart(file: Path, rows: pa.Table, variants: Sequence[str]) -> None:
     """The rows of each variant as a batch of its own, in the order of `variants`."""
-    number = pc.index_in(rows.column("variant").cast(pa.string()), pa.array(variants)).to_numpy()
+    number = _array(rows.column("variant").combine_chunks(), variants)
     order = np.argsort(number, kind="stable")
     ends = np.searchsorted(number[order], np.arange(len(variants) + 1))
     (ordered,) = rows.take(pa.array(order)).combine_chunks().to_batches() or [

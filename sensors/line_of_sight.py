@@ -1,4 +1,4 @@
-"""Line of sight between points: by buildings, exactly or remembered, and by the bodies of actors.
+"""Line of sight between points: by buildings, exactly or between rounded positions, and by the bodies of actors.
 
 The one index of buildings for straight lines: the radio's lines of sight and those of encounters come from here.
 """
@@ -101,7 +101,8 @@ class WallIndex:
         xyz_m = np.ascontiguousarray(xyz_m, float)
         out = np.empty(len(a), np.bool_)
         blocked = self.crosses_filled(xyz_m, a, b)
-        kernels.has_los(xyz_m, self.indoors(xyz_m), a, b, blocked, self.grid, self.walls.segment, out)
+        rank = np.zeros(len(xyz_m), np.uint64)
+        kernels.has_los(xyz_m, self.indoors(xyz_m), rank, a, b, blocked, self.grid, self.walls.segment, out)
         return out
 
     def walls_crossed(
@@ -145,24 +146,19 @@ def _buildings_by_cell(low: ndarray, cell_m: float, nx: int, ny: int, walls: Wal
 
 
 @dataclass(frozen=True, slots=True)
-class LosCache:
-    """Lines of sight by buildings between places, which are points rounded to a fine grid; answers are remembered.
-
-    The answer is a function of the two places alone: the memory has a fixed size, and an evicted answer is
-    computed again.
-    """
+class LosOfPlaces:
+    """Lines of sight by buildings between places, which are points rounded to a fine grid. Made by `LosOfPlaces.of`."""
 
     index: WallIndex
     snap_m: float
     """Width of a place [m]; heights are rounded to the same."""
-    memo: ndarray
 
     @staticmethod
-    def of(index: WallIndex, snap_m: float = 0.5, n_remembered: int = 1 << 21) -> LosCache:
-        """A memory for at least `n_remembered` pairs."""
+    def of(index: WallIndex, snap_m: float = 0.5) -> LosOfPlaces:
+        """Among these walls."""
         if not snap_m > 0:
             raise ValueError(f"snap_m = {snap_m} m must be positive.")
-        return LosCache(index, snap_m, np.zeros(1 << max(n_remembered - 1, 255).bit_length(), np.uint64))
+        return LosOfPlaces(index, snap_m)
 
     def snap(self, xyz_m: Float[ndarray, "n 3"]) -> Float[ndarray, "n 3"]:
         """The places of these points."""
@@ -184,11 +180,7 @@ class LosCache:
         if blocked is None:
             blocked = index.crosses_filled(xyz, a, b)
         out = np.empty(len(a), np.bool_)
-        place, is_new = _place(cell), np.empty(len(a), np.bool_)
-        kernels.has_los_cached(
-            xyz, index.indoors(xyz), place, a, b, blocked, index.grid, index.walls.segment, self.memo, out, is_new
-        )
-        kernels.remember(place, a, b, out, is_new, self.memo)
+        kernels.has_los(xyz, index.indoors(xyz), _place(cell), a, b, blocked, index.grid, index.walls.segment, out)
         return out
 
     def walls_crossed(
@@ -215,7 +207,7 @@ def _place(cell: Int[ndarray, "n 3"]) -> ndarray:
 
 
 def los_between_actors(
-    los: WallIndex | LosCache,
+    los: WallIndex | LosOfPlaces,
     boxes: Boxes,
     shape: UInt8[ndarray, "n"],
     a: Int[ndarray, "k"],

@@ -11,7 +11,6 @@ from jaxtyping import Float, Int, UInt8
 from numba import njit, prange
 from numpy import ndarray
 
-from sensors.hash_rng import mix
 from sensors.kernel import inlined, kernel
 from sensors.raycast.column import in_prism_frame, rectangle
 
@@ -79,7 +78,7 @@ def by_cell(low: ndarray, cell_m: float, shape: tuple[int, int], a: ndarray, b: 
     return ptr.astype(np.int32), out
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def building_at(xyz, grid, walls):
     """The building that contains each point, by even-odd over its rings; -1 if none. Any height where z is NaN."""
     out = np.full(xyz.shape[0], -1)
@@ -113,52 +112,6 @@ def _over_grid(start, delta, high, t, stop):
         return (t, stop) if 0.0 <= start < high else (1.0, 0.0)
     near, far = -start / delta, (high - start) / delta
     return max(t, min(near, far)), min(stop, max(near, far))
-
-
-@inlined
-def _is_cut(xyz, p, q, grid, walls):
-    """Whether a wall cuts the line between two points outside all buildings; `walls` are segments."""
-    x, y = xyz[p, 0], xyz[p, 1]
-    dx, dy, dz = xyz[q, 0] - x, xyz[q, 1] - y, xyz[q, 2] - xyz[p, 2]
-    nx, ny = grid.step.shape
-    cell_m = grid.cell_m
-    inv = 1.0 / cell_m
-    u, v = (x - grid.low[0]) * inv, (y - grid.low[1]) * inv  # in cells
-    du, dv = dx * inv, dy * inv
-    inv_u = 1.0 / du if du != 0.0 else np.inf
-    inv_v = 1.0 / dv if dv != 0.0 else np.inf
-    # Only the part of the segment over the grid.
-    t, stop = _over_grid(u, du, nx, 0.0, 1.0)
-    t, stop = _over_grid(v, dv, ny, t, stop)
-    cut = False
-    while t < stop and not cut:
-        i = min(max(int(u + t * du), 0), nx - 1)
-        j = min(max(int(v + t * dv), 0), ny - 1)
-        step = grid.step[i, j]
-        if step == 0:
-            cell = i * ny + j
-            for k in range(grid.ptr[cell], grid.ptr[cell + 1]):
-                w = grid.wall[k]
-                ex, ey = walls[w, 2] - walls[w, 0], walls[w, 3] - walls[w, 1]
-                fx, fy = walls[w, 0] - x, walls[w, 1] - y
-                det = dx * ey - dy * ex
-                s = fx * ey - fy * ex  # along the line, times det
-                r = fx * dy - fy * dx  # along the wall, times det
-                if det < 0.0:
-                    det, s, r = -det, -s, -r
-                if det > 0.0 and 0.0 <= s <= det and 0.0 <= r <= det:
-                    z = xyz[p, 2] + s / det * dz
-                    if walls[w, 4] <= z <= walls[w, 5]:
-                        cut = True
-                        break
-            step = 1
-        # Leave the square of cells of which nothing is closer than `step` cells.
-        edge_u = i + step if du > 0.0 else i + 1 - step
-        edge_v = j + step if dv > 0.0 else j + 1 - step
-        t_u = (edge_u - u) * inv_u if du != 0.0 else np.inf
-        t_v = (edge_v - v) * inv_v if dv != 0.0 else np.inf
-        t = max(t, min(t_u, t_v)) + 1e-12
-    return cut
 
 
 @kernel
@@ -201,10 +154,7 @@ def walls_crossed(xyz, a, b, grid, walls, n_walls, inside):
 N_PROBES = 12
 _PROBES = (0.5 + 0.6180339887498949 * np.arange(N_PROBES)) % 1.0  # golden section: any first few are evenly spread
 _AT_ONCE = 3
-N_WAYS = 8
-_WAYS = np.uint64(N_WAYS - 1)
-_REGION = np.uint64(127)
-_CHUNK = 1024
+_CHUNK = 512
 """Lines that one thread follows at once."""
 
 
@@ -232,70 +182,90 @@ def probe(cells, a, b, filled, blocked):
 
 
 @kernel
-def has_los(xyz, indoors, a, b, blocked, grid, walls, out):
-    """Which lines no wall cuts; `blocked` are known to be cut, `indoors` ends have no line of sight."""
-    for m in range(len(a)):
-        p, q = a[m], b[m]
-        if blocked[m] or indoors[p] or indoors[q]:
-            out[m] = False
+def _cut_in_cell(xyz, p, q, cell, grid, walls):
+    """Whether a wall of the cell cuts the line between two points."""
+    x, y = xyz[p, 0], xyz[p, 1]
+    dx, dy, dz = xyz[q, 0] - x, xyz[q, 1] - y, xyz[q, 2] - xyz[p, 2]
+    for k in range(grid.ptr[cell], grid.ptr[cell + 1]):
+        w = grid.wall[k]
+        ex, ey = walls[w, 2] - walls[w, 0], walls[w, 3] - walls[w, 1]
+        fx, fy = walls[w, 0] - x, walls[w, 1] - y
+        det = dx * ey - dy * ex
+        s = fx * ey - fy * ex  # along the line, times det
+        r = fx * dy - fy * dx  # along the wall, times det
+        if det < 0.0:
+            det, s, r = -det, -s, -r
+        if det > 0.0 and 0.0 <= s <= det and 0.0 <= r <= det:
+            z = xyz[p, 2] + s / det * dz
+            if walls[w, 4] <= z <= walls[w, 5]:
+                return True
+    return False
+
+
+@kernel
+def _follow(begin, end, xyz, indoors, rank, a, b, blocked, grid, walls, line, active, course, out):
+    """Lines from `begin` to before `end`, all of them a step at a time: their steps do not wait for each other.
+
+    A row of `course` is start, extent and inverse extent along x and y, in cells; the parameter now and at the end; by
+    axis +1 or -1, and 0 or 1: on which side a line of its direction leaves a cell.
+    """
+    nx, ny = grid.step.shape
+    inv = 1.0 / grid.cell_m
+    n = 0
+    for m in range(begin, end):
+        p, q = (b[m], a[m]) if rank[a[m]] > rank[b[m]] else (a[m], b[m])
+        out[m] = not (blocked[m] or indoors[p] or indoors[q])
+        if not out[m]:
             continue
-        out[m] = not _is_cut(xyz, p, q, grid, walls)
-
-
-@inlined
-def _entry(place, p, q, mask):
-    """Where the answer of a pair of places is kept, and the tag that it has there."""
-    one = np.uint64(1)
-    region = mix(place[p], one) & mask & ~_REGION  # pairs of one end lie close together in memory
-    low, high = (place[q], place[p]) if place[p] > place[q] else (place[p], place[q])
-    h = mix(low, high)
-    return np.int64(region | (h & _REGION & ~_WAYS)), mix(h, low) | one
+        u, v = (xyz[p, 0] - grid.low[0]) * inv, (xyz[p, 1] - grid.low[1]) * inv
+        du, dv = (xyz[q, 0] - xyz[p, 0]) * inv, (xyz[q, 1] - xyz[p, 1]) * inv
+        t, stop = _over_grid(u, du, nx, 0.0, 1.0)  # only the part over the grid
+        t, stop = _over_grid(v, dv, ny, t, stop)
+        line[n], active[n], row = m, n, course[n]
+        row[0], row[1], row[2], row[3] = u, v, du, dv
+        row[4], row[5] = 1.0 / du if du != 0.0 else np.inf, 1.0 / dv if dv != 0.0 else np.inf
+        row[6], row[7] = t, stop
+        row[8], row[9] = (1.0, 0.0) if du >= 0.0 else (-1.0, 1.0)
+        row[10], row[11] = (1.0, 0.0) if dv >= 0.0 else (-1.0, 1.0)
+        n += t < stop
+    while n > 0:
+        left = 0
+        for k in range(n):
+            r = np.uint64(active[k])  # signed numbers of rows would be tested for being negative
+            t = course[r, 6]
+            i = min(max(int(course[r, 0] + t * course[r, 2]), 0), nx - 1)
+            j = min(max(int(course[r, 1] + t * course[r, 3]), 0), ny - 1)
+            step, cut = grid.step[np.uint64(i), np.uint64(j)], False
+            if step == 0:
+                m = line[r]
+                p, q = (b[m], a[m]) if rank[a[m]] > rank[b[m]] else (a[m], b[m])
+                cut = _cut_in_cell(xyz, p, q, i * ny + j, grid, walls)
+                out[m] = not cut
+                step = 1
+            # Leave the square of cells of which nothing is closer than `step` cells.
+            t_u = (i + course[r, 8] * step + course[r, 9] - course[r, 0]) * course[r, 4]
+            t_v = (j + course[r, 10] * step + course[r, 11] - course[r, 1]) * course[r, 5]
+            t = max(t, min(t_u, t_v)) + 1e-12
+            course[r, 6] = t
+            active[left] = r
+            left += (t < course[r, 7]) & (not cut)
+        n = left
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def has_los_cached(xyz, indoors, place, a, b, blocked, grid, walls, memo, out, is_new):
-    """The same, with the answers in `memo` by the places of both ends; `is_new` are those that it lacks."""
+def has_los(xyz, indoors, rank, a, b, blocked, grid, walls, out):
+    """Which lines no wall cuts; `blocked` are known to be cut, `indoors` ends have no line of sight.
+
+    A line is followed from the end of the lower `rank`, from `a` where they are equal.
+    """
     n = len(a)
     for chunk in prange((n + _CHUNK - 1) // _CHUNK):
         first, end = chunk * _CHUNK, min((chunk + 1) * _CHUNK, n)
-        _has_los_cached(first, end, xyz, indoors, place, a, b, blocked, grid, walls, memo, out, is_new)
+        line, active, course = np.empty(_CHUNK, np.int64), np.empty(_CHUNK, np.int64), np.empty((_CHUNK, 12))
+        _follow(first, end, xyz, indoors, rank, a, b, blocked, grid, walls, line, active, course, out)
 
 
-@kernel
-def _has_los_cached(begin, end, xyz, indoors, place, a, b, blocked, grid, walls, memo, out, is_new):
-    """Of the lines from `begin` to before `end`."""
-    mask, one = np.uint64(memo.shape[0] - 1), np.uint64(1)
-    for m in range(begin, end):
-        p, q = a[m], b[m]
-        out[m], is_new[m] = False, False
-        if blocked[m] or indoors[p] or indoors[q]:
-            continue
-        first, tag = _entry(place, p, q, mask)
-        way = 0
-        while way < N_WAYS and memo[first + way] | one != tag:
-            way += 1
-        if way < N_WAYS:
-            out[m] = memo[first + way] & one
-            continue
-        if place[p] > place[q]:
-            p, q = q, p
-        is_new[m] = True
-        out[m] = not _is_cut(xyz, p, q, grid, walls)
-
-
-@kernel
-def remember(place, a, b, los, is_new, memo):
-    """Keep new answers."""
-    mask, one = np.uint64(memo.shape[0] - 1), np.uint64(1)
-    for m in range(len(a)):
-        if is_new[m]:
-            first, tag = _entry(place, a[m], b[m], mask)
-            for k in range(N_WAYS - 1, 0, -1):  # the oldest is evicted
-                memo[first + k] = memo[first + k - 1]
-            memo[first] = tag if los[m] else tag ^ one
-
-
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def cut_by_body(start, end, a, b, place, ptr, row, bodies):
     """Per line from start to end: does it cross a body of an actor other than a and b?
 
@@ -309,7 +279,7 @@ def cut_by_body(start, end, a, b, place, ptr, row, bodies):
     return out
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _meets_body(x, y, z, dx, dy, dz, a, b, row, bodies):
     for actor in row:
         if actor in (a, b):

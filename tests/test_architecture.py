@@ -14,7 +14,9 @@ ROOMS = ("cosim", "sensors", "trust", "results", "sumo_nets")
 FOREIGN = {
     "sensors": {"annotated_types", "jaxtyping", "numpy", "scipy", "numba", "shapely", "embreex", "open3d"},
     "trust": {"annotated_types", "jaxtyping", "numpy", "numba"},
-    "results": {"annotated_types", "jaxtyping", "numpy", "scipy", "pyarrow", "pandas", "networkx", "matplotlib"},
+    "results": {
+        "annotated_types", "jaxtyping", "numpy", "numba", "scipy", "pyarrow", "pandas", "networkx", "matplotlib",
+    },
     "sumo_nets": {"annotated_types", "jaxtyping", "numpy", "shapely", "osmium", "sumo", "sumolib"},
     "cosim": {
         "annotated_types", "jaxtyping", "numpy", "scipy", "numba", "libsumo", "pyarrow", "pydantic", "typer", "rich",

@@ -8,11 +8,11 @@ import numpy as np
 from numpy import ndarray
 
 from trust.evaluation import evaluate
-from trust.fusion import SenderTrust, SensorEvidence, fuse
+from trust.fusion import SensorEvidence, fuse
 from trust.matching import match
 from trust.models.trupercept import TruPercept
 from trust.params import TrustParams
-from trust.tables import SERVER, Detections, ObjectLists, ReceivedEvaluations, as_messages
+from trust.tables import SERVER, Detections, ObjectLists, ReceivedEvaluations, SenderTrust, as_messages
 
 N_SEEN, STRIDE, N_CONSIDERED, N_RECEIVED = 20, 5, 4, 10
 """Objects a vehicle sees, objects to the next vehicle, vehicles considered and received on each side."""

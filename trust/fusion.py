@@ -2,27 +2,16 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from numba import njit, prange
 from numpy import ndarray
 
+from trust.group_sums import MemberSums, sums_of_groups
 from trust.object_reports import ObjectReports, ObjectVotes, object_votes
 from trust.params import AVERAGES, Method, TrustParams
-from trust.tables import Detections, Evaluations, Groups, ObjectLists, int64
+from trust.tables import Detections, Evaluations, Groups, ObjectLists, SenderTrust
 from trust.threads import threads_for
-
-
-@dataclass(frozen=True, slots=True)
-class SenderTrust:
-    """Messages that each ego has received in this step, and its trust in their senders; sorted within an ego."""
-
-    ptr: Int[ndarray, "e+1"]  # ego x received message[ptr[x]:ptr[x + 1]]
-    message: Int[ndarray, "h"]  # message row
-    trust: Float[ndarray, "h"]  # the value that the ego uses for the sender
-    has_evaluations: Bool[ndarray, "h"] | None = None  # whether its evaluations of this step arrived too; None: all did
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,129 +70,6 @@ class Parity:
     certain_score: Float[ndarray, "g"]  # sum of score x certainty x trust
 
 
-class _Lists(NamedTuple):
-    """Object lists of the egos, and message and score of each detection."""
-
-    ptr: ndarray
-    member: ndarray
-    owner: ndarray
-    message: ndarray
-    score: ndarray
-
-
-class _Evaluated(NamedTuple):
-    """Evaluations by list of their evaluator; `by` is that list's row per message row, -1 for none."""
-
-    ptr: ndarray
-    member: ndarray
-    by: ndarray
-    own_e: ndarray
-    own_phi: ndarray
-    reported_e: ndarray
-    reported_phi: ndarray
-
-
-class _Weights(NamedTuple):
-    """Trust of each ego in the messages it received, and what stands in for the rest."""
-
-    ptr: ndarray
-    message: ndarray
-    trust: ndarray
-    has_evaluations: ndarray
-    ego_trust: float
-    ego_computed: bool
-    default_trust: float
-    unit_trust: bool
-
-
-class _MemberSums(NamedTuple):
-    """Per position of the egos' lists: sum Phi T e, sum Phi T, number of evaluations, trust of its detector, group.
-
-    Per group: number of evaluators, and the last one as a row of the received messages.
-    """
-
-    num: ndarray
-    den: ndarray
-    n: ndarray
-    detector: ndarray
-    group: ndarray
-    n_evaluators: ndarray
-    last: ndarray
-
-
-class _Totals(NamedTuple):
-    """Per group, over its members: their number, and sums as in `GroupSums`."""
-
-    size: ndarray
-    scores: ndarray
-    trusted_scores: ndarray
-    trust: ndarray
-    numerator: ndarray
-    weight: ndarray
-    n_evaluations: ndarray
-
-    @staticmethod
-    def zeros(n: int) -> "_Totals":
-        """Of n groups."""
-        whole, real = np.zeros((2, n), np.int64), np.zeros((5, n))
-        return _Totals(whole[0], real[0], real[1], real[2], real[3], real[4], whole[1])
-
-
-@njit(cache=True, nogil=True, parallel=True)
-def _accumulate(lists, of, weights, n_chunks, sums, totals):
-    """Fill the sums of all members, and those of all groups."""
-    list_ptr, member, owner, message, score = lists
-    evaluated_ptr, evaluated, evaluated_by, own_e, own_phi, reported_e, reported_phi = of
-    received_ptr, received, trust, has_evaluations, ego_trust, ego_computed, default_trust, unit_trust = weights
-    num, den, n, detector, group, n_evaluators, last = sums
-    size, scores, trusted, trusts, numerator, weight, n_evaluations = totals
-    n_detections = message.size
-    n_messages = evaluated_by.size
-    for chunk in prange(n_chunks):
-        at = np.full(n_detections, -1, np.int32)
-        known = np.full(n_messages, default_trust)
-        for x in range(chunk, owner.size, n_chunks):
-            ego = owner[x]
-            for h in range(received_ptr[x], received_ptr[x + 1]):
-                known[received[h]] = trust[h]
-            if not ego_computed:
-                known[ego] = ego_trust
-            for p in range(list_ptr[x], list_ptr[x + 1]):
-                at[member[p]] = p
-                detector[p] = known[message[member[p]]]
-            for h in range(received_ptr[x] - 1, received_ptr[x + 1]):
-                is_own = h < received_ptr[x]
-                v = ego if is_own else received[h]
-                if evaluated_by[v] < 0 or (not is_own and (v == ego or not has_evaluations[h])):
-                    continue
-                e, phi = (own_e, own_phi) if is_own else (reported_e, reported_phi)
-                t = 1.0 if unit_trust else known[v]
-                for s in range(evaluated_ptr[evaluated_by[v]], evaluated_ptr[evaluated_by[v] + 1]):
-                    p = at[evaluated[s]]
-                    if p >= 0 and abs(e[s]) <= 1.0 and phi[s] >= 0.0 and phi[s] <= 1.0:
-                        w = phi[s] * t
-                        num[p] += w * e[s]
-                        den[p] += w
-                        n[p] += 1
-                        g = group[p]
-                        if last[g] != h:
-                            last[g] = h
-                            n_evaluators[g] += 1
-            for p in range(list_ptr[x], list_ptr[x + 1]):
-                at[member[p]] = -1
-                g, s = group[p], score[member[p]]
-                size[g] += 1
-                scores[g] += s
-                trusted[g] += s * detector[p]
-                trusts[g] += detector[p]
-                numerator[g] += num[p]
-                weight[g] += den[p]
-                n_evaluations[g] += n[p]
-            for h in range(received_ptr[x], received_ptr[x + 1]):
-                known[received[h]] = default_trust
-            known[ego] = default_trust
-
-
 def _ratio(a: ndarray, b: ndarray) -> ndarray:
     return np.divide(a, b, out=np.zeros_like(a), where=b != 0)
 
@@ -235,7 +101,7 @@ def _trupercept_2(g: GroupSums, p: TrustParams) -> ndarray:
 
 
 def _trupercept_3(g: GroupSums, p: TrustParams) -> ndarray:
-    near, far = (g.own, g.parity.of_seed) if g.parity else (_unchecked_2(g, p), _unchecked_2(g, p))
+    near, far = (g.own, g.parity.of_seed) if g.parity else 2 * (_unchecked_2(g, p),)
     unseen = (g.evidence.n_points < p.blind_points) & ~_implausible(g, p)
     foreign = np.where(g.evidence.in_range, np.where(unseen, near, 0.0), far)
     return np.where(g.ego_detected, g.own, foreign)
@@ -310,6 +176,7 @@ def fuse(
     params: TrustParams,
     score_objects: Callable[[ObjectReports], Float[ndarray, "g"]] | None = None,
     votes: ObjectVotes | None = None,
+    min_score: float = 0.0,
 ) -> Fused:
     """Final score and pose of each group of each ego.
 
@@ -334,6 +201,8 @@ def fuse(
         Scores of a trust model that scores objects, instead of those of `params.method`.
     votes
         What `votes_of` makes of these arguments, where several fusions differ in trust alone; else it is made here.
+    min_score
+        Groups of a lower score are left out.
 
     Returns
     -------
@@ -348,37 +217,11 @@ def fuse(
     detectors alone, which the equations say; the additive sum is divided by the number of members, so that an
     object does not count once per message; "Phi < 10" in TruPercept 3 is read as fewer than 10 returns.
     """
-    m = lists.member.size
-    seeds = groups.seeds()
-    group = groups.numbers()
-    n_evaluators = np.zeros(seeds.size, np.int64)
-    num, den, detector = np.zeros(m), np.zeros(m), np.zeros(m)
-    n = np.zeros(m, np.int64)
-    rows = (lists.owner, evaluated.owner, sender_trust.message, detections.message)
-    evaluated_by = np.full(1 + int(max(a.max(initial=-1) for a in rows)), -1, np.int64)
-    evaluated_by[evaluated.owner] = np.arange(evaluated.owner.size)
-    computed = params.code_parity or params.ego_trust_from == "computed"
-    sender_trust = _canonical(sender_trust)
-    assert np.all(sender_trust.trust >= 0)
-    n_received = sender_trust.message.size
-    arrived = np.ones(n_received, bool) if sender_trust.has_evaluations is None else sender_trust.has_evaluations
-    n_sums = m + n_received * evaluated.member.size / max(1, evaluated.owner.size)
-    with threads_for(n_sums) as n_threads:
-        of_lists = _Lists(
-            int64(lists.ptr), int64(lists.member), int64(lists.owner), int64(detections.message), detections.score
-        )
-        of_evaluations = _Evaluated(
-            int64(evaluated.ptr), int64(evaluated.member), evaluated_by, own.evaluation, own.visibility,
-            reported.evaluation, reported.visibility,
-        )  # fmt: skip
-        weights = _Weights(
-            int64(sender_trust.ptr), int64(sender_trust.message), sender_trust.trust, arrived,
-            params.ego_trust, computed, params.default_trust, params.code_parity,
-        )  # fmt: skip
-        sums_of_members = _MemberSums(num, den, n, detector, group, n_evaluators, np.full(seeds.size, -2))
-        totals = _Totals.zeros(seeds.size)
-        _accumulate(of_lists, of_evaluations, weights, n_threads, sums_of_members, totals)
-
+    seeds, group = groups.seeds(), groups.numbers()
+    sender_trust = sender_trust.canonical()
+    totals, members = sums_of_groups(
+        lists, group, seeds.size, detections, evaluated, own, reported, sender_trust, params
+    )
     member, row = lists.member, lists.member[seeds]
     parity = None
     if params.code_parity:
@@ -388,7 +231,7 @@ def fuse(
             return np.bincount(group, x, seeds.size).astype(float)  # integers where there is nothing
 
         score_of_member, is_self = detections.score[member], detections.is_self[member]
-        parity = _parity(num, den, n, score_of_member, is_self, detector, by_ego, seeds, total, params)
+        parity = _parity(members, score_of_member, is_self, by_ego, seeds, total, params)
     sums = GroupSums(
         totals.size, groups.ego_detected[seeds], detections.score[row], totals.scores, totals.trusted_scores,
         totals.trust, totals.numerator, totals.weight, parity, evidence,
@@ -408,8 +251,10 @@ def fuse(
         order = np.lexsort((far, group))
         pose = member[order[np.searchsorted(group[order], np.arange(seeds.size))]]
         pose = np.where(score > 0, pose, row)
-    fused = Fused(lists.of(seeds), row, pose, score, sums.ego_detected, totals.size, totals.n_evaluations, n_evaluators)
-    return fused.take(~(sums.ego_detected & detections.is_self[row]))
+    fused = Fused(
+        lists.of(seeds), row, pose, score, sums.ego_detected, totals.size, totals.n_evaluations, totals.n_evaluators
+    )
+    return fused.take(~(sums.ego_detected & detections.is_self[row]) & (score >= min_score))
 
 
 def votes_of(
@@ -417,19 +262,18 @@ def votes_of(
     reported: Evaluations, sender_trust: SenderTrust,
 ) -> ObjectVotes:  # fmt: skip
     """Votes on the groups of each ego; the arguments are those of `fuse`, and no trust is read."""
-    t = _canonical(sender_trust)
-    arrived = np.ones(t.message.size, bool) if t.has_evaluations is None else t.has_evaluations
-    received = t.ptr, t.message, arrived
+    t = sender_trust.canonical()
+    received = t.ptr, t.message, t.arrived()
     with threads_for(t.message.size * evaluated.member.size / max(1, evaluated.owner.size)) as n_threads:
         return object_votes(lists, groups, detections, evaluated, own, reported, received, n_threads)
 
 
 def _parity(
-    num: Float[ndarray, "m"], den: Float[ndarray, "m"], n: Int[ndarray, "m"], score: Float[ndarray, "m"],
-    is_self: Bool[ndarray, "m"], detector: Float[ndarray, "m"], by_ego: Bool[ndarray, "m"], seeds: Int[ndarray, "g"],
-    total: Callable[[ndarray], ndarray], params: TrustParams,
+    members: MemberSums, score: Float[ndarray, "m"], is_self: Bool[ndarray, "m"], by_ego: Bool[ndarray, "m"],
+    seeds: Int[ndarray, "g"], total: Callable[[ndarray], ndarray], params: TrustParams,
 ) -> Parity:  # fmt: skip
     """Per group what the published code's formulas need; arguments per member, `total` sums them per group."""
+    num, den, n, detector = members
     mean = params.method in AVERAGES if params.code_aggregate == "by_method" else params.code_aggregate == "mean"
     aggregate = _ratio(num, den) if mean else num
     certain, size = np.where(is_self, 1.0, -1.0) * detector, total(np.ones(len(num)))
@@ -440,16 +284,3 @@ def _parity(
         certain=total(certain),
         certain_score=total(score * certain),
     )
-
-
-def _canonical(sender_trust: SenderTrust) -> SenderTrust:
-    """Each ego's messages ascending, and once."""
-    t = sender_trust
-    ego = np.repeat(np.arange(t.ptr.size - 1), np.diff(t.ptr))
-    key = ego << 32 | t.message
-    if np.all(key[1:] > key[:-1]):
-        return t
-    key, first = np.unique(key, return_index=True)
-    ptr = np.searchsorted(key >> 32, np.arange(t.ptr.size))
-    arrived = None if t.has_evaluations is None else t.has_evaluations[first]
-    return SenderTrust(ptr, t.message[first], t.trust[first], arrived)

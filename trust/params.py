@@ -4,10 +4,7 @@ import math
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
-import numpy as np
 from annotated_types import Ge, Gt, Interval, Le
-from jaxtyping import Bool, Float
-from numpy import ndarray
 
 Method = Literal[
     "trupercept_1",
@@ -155,12 +152,12 @@ def window_steps(params: TruPerceptParams, dt_s: float) -> int:
     return _steps(params.freshness_s, dt_s, params.window == "closed")
 
 
-def is_within(age_s: Float[ndarray, "n"], params: TruPerceptParams) -> Bool[ndarray, "n"]:
-    """Whether evidence of an age is within the window, at any instant: age < f (half open) or <= f (closed)."""
+def window_of(params: TruPerceptParams) -> float:
+    """Age from which on evidence is outside the window [s]."""
     if params.freshness_s == "off":
-        return np.ones(age_s.shape, bool)
+        return float("inf")
     slack_s = 1e-9 * params.freshness_s  # of rounding
-    return age_s < params.freshness_s + (slack_s if params.window == "closed" else -slack_s)
+    return params.freshness_s + (slack_s if params.window == "closed" else -slack_s)
 
 
 def grace_steps(grace_s: float, dt_s: float) -> int:

@@ -57,21 +57,30 @@ class Groups:
 
     def seeds(self) -> Int[ndarray, "g"]:
         """Positions of the seeds, ascending: the canonical order of groups."""
-        return np.flatnonzero(self.seed == np.arange(self.seed.size))
+        return _seeds(int64(self.seed))
 
     def numbers(self) -> Int[ndarray, "m"]:
         """Group of each position, numbered in the order of `seeds`."""
         return _group_numbers(int64(self.seed))
 
 
-@njit(cache=True)
-def _group_numbers(seed):
-    number = np.empty(len(seed), np.int64)
+@njit(cache=True, nogil=True)
+def _seeds(seed):
+    found = np.empty(len(seed), np.int64)
     n = 0
     for p in range(len(seed)):
-        if seed[p] == p:
-            number[p] = n
-            n += 1
+        found[n] = p
+        n += seed[p] == p
+    return found[:n].copy()
+
+
+@njit(cache=True, nogil=True)
+def _group_numbers(seed):
+    number = np.empty(len(seed), np.int32)
+    n = 0
+    for p in range(len(seed)):
+        number[p] = n
+        n += seed[p] == p
     for p in range(len(seed)):
         number[p] = number[seed[p]]
     return number
@@ -83,6 +92,30 @@ class Evaluations:
 
     evaluation: Float[ndarray, "m"]  # e in [-1, 1]
     visibility: Float[ndarray, "m"]  # Phi in [0, 1]
+
+
+@dataclass(frozen=True, slots=True)
+class SenderTrust:
+    """Messages that each ego has received in this step, and its trust in their senders; sorted within an ego."""
+
+    ptr: Int[ndarray, "e+1"]  # ego x received message[ptr[x]:ptr[x + 1]]
+    message: Int[ndarray, "h"]  # message row
+    trust: Float[ndarray, "h"]  # the value that the ego uses for the sender
+    has_evaluations: Bool[ndarray, "h"] | None = None  # whether its evaluations of this step arrived too; None: all did
+
+    def canonical(self) -> "SenderTrust":
+        """Each ego's messages ascending, and once."""
+        key = np.repeat(np.arange(self.ptr.size - 1), np.diff(self.ptr)) << 32 | self.message
+        if np.all(key[1:] > key[:-1]):
+            return self
+        key, first = np.unique(key, return_index=True)
+        ptr = np.searchsorted(key >> 32, np.arange(self.ptr.size))
+        arrived = None if self.has_evaluations is None else self.has_evaluations[first]
+        return SenderTrust(ptr, self.message[first], self.trust[first], arrived)
+
+    def arrived(self) -> Bool[ndarray, "h"]:
+        """Whether the evaluations of each message arrived too."""
+        return np.ones(self.message.size, bool) if self.has_evaluations is None else self.has_evaluations
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,7 +15,7 @@ from cosim.radio.params import RadioParams, RelayParams
 from cosim.radio.phy import ReceiverParams
 from cosim.radio.propagation import PropagationParams
 from cosim.radio.unit_disk import UnitDiskMedium
-from sensors.line_of_sight import LosCache, WallIndex
+from sensors.line_of_sight import LosOfPlaces, WallIndex
 from sensors.scene import Buildings, Scene
 
 WINDOW_NS = 100_000_000
@@ -56,11 +56,11 @@ def _best(times: list[float]) -> float:
     return min(times[1:])  # the first one compiles and fills caches
 
 
-def _los(side_m: float) -> LosCache:
-    return LosCache.of(WallIndex.of(city_blocks(side_m)))
+def _los(side_m: float) -> LosOfPlaces:
+    return LosOfPlaces.of(WallIndex.of(city_blocks(side_m)))
 
 
-def _city(n: int, n_receivers: int, params: PropagationParams) -> tuple[ndarray, LosCache]:
+def _city(n: int, n_receivers: int, params: PropagationParams) -> tuple[ndarray, LosOfPlaces]:
     """Antennas, and the city in which each has so many receivers."""
     side_m, key = 1000.0, np.arange(1, n + 1, dtype=np.uint64)
     for _ in range(12):
@@ -69,7 +69,7 @@ def _city(n: int, n_receivers: int, params: PropagationParams) -> tuple[ndarray,
     return streets(n, side_m), _los(side_m)
 
 
-def _network(xyz: ndarray, los: LosCache, params: PropagationParams) -> tuple[float, float, int]:
+def _network(xyz: ndarray, los: LosOfPlaces, params: PropagationParams) -> tuple[float, float, int]:
     """Seconds of one network step, of the event loop alone, and links."""
     n, key = len(xyz), np.arange(1, len(xyz) + 1, dtype=np.uint64)
     state, whole, events = ChannelState.start(), [], []
@@ -86,7 +86,7 @@ def _network(xyz: ndarray, los: LosCache, params: PropagationParams) -> tuple[fl
 
 
 def _rounds(
-    xyz: ndarray, los: LosCache, params: PropagationParams, relay: RelayParams
+    xyz: ndarray, los: LosOfPlaces, params: PropagationParams, relay: RelayParams
 ) -> tuple[float, float, FrameOutcomes]:
     """Seconds of the two rounds of a step, frame outcomes included, and the last one's frames.
 
@@ -149,9 +149,9 @@ def bench() -> list[tuple[str, float, str]]:
         rows.append((f"round of 3 hops, {n} senders, each transmission", 1e6 * each, "us"))
     xyz = streets(2000, 2000.0)
     index = WallIndex.of(city_blocks(2000.0))
-    los = LosCache.of(index)
+    los = LosOfPlaces.of(index)
     a, b, _ = pairs_within(xyz, 300.0)
-    for name, has_los in (("exact", index.has_los), ("cached", los.has_los)):
+    for name, has_los in (("between points", index.has_los), ("between places", los.has_los)):
         times = []
         for _ in range(_ROUNDS):
             begin = thread_time()

@@ -15,6 +15,7 @@ from typing import Annotated
 import numpy as np
 from annotated_types import Gt, Le
 from jaxtyping import Float, Int, UInt8, UInt64
+from numba import njit
 from numpy import ndarray
 
 from cosim.radio import dtypes
@@ -261,7 +262,7 @@ def run_window(
         raise ValueError(f"until_ns = {until_ns} is not after the state's now_ns = {state.now_ns}.")
     new = _records(packets, n, state, until_ns, receiver)
     new["key"] = links.key[new["sender"]]
-    new = new[np.lexsort((new["seq"], new["key"], new["generated_ns"]))]
+    new = new[_order(new)]
     state = remap_stations(state, links.key)
     phy, mac = state.phy, state.mac
     phy["busy_ns"] = phy["strong_ns"] = 0
@@ -316,6 +317,15 @@ def run_window(
     return next_state(phy, mac, table, ~over, on_air, air.receiver, arrival_mw, reception, until_ns), result
 
 
+def _order(packets: ndarray) -> Int[ndarray, "p"]:
+    """By generation, key and sequence number."""
+    begin_ns = packets["generated_ns"]
+    order = np.argsort(begin_ns, kind="stable")
+    if (np.diff(begin_ns[order]) == 0).any():  # rarely are two generated in the same nanosecond
+        return np.lexsort((packets["seq"], packets["key"], begin_ns))
+    return order
+
+
 def _joined(one: ndarray, more: ndarray) -> ndarray:
     """Both, one after the other, of the type of the second; the first or second itself where the other is empty."""
     if not len(one) or not len(more):
@@ -325,6 +335,19 @@ def _joined(one: ndarray, more: ndarray) -> ndarray:
     return both
 
 
+@njit(cache=True, nogil=True)
+def _chosen(begin, count, one, other):
+    """Ranges of rows of two columns, range after range."""
+    n = np.sum(count)
+    first, second = np.empty(n, one.dtype), np.empty(n, other.dtype)
+    m = 0
+    for r in range(len(begin)):
+        for row in range(begin[r], begin[r] + count[r]):
+            first[m], second[m] = one[row], other[row]
+            m += 1
+    return first, second
+
+
 def _result(
     table: ndarray, done: ndarray, phy: ndarray, n: int, receiver_row: ndarray, reception: ndarray, span_ns: int
 ) -> WindowResult:
@@ -332,8 +355,7 @@ def _result(
     sent = rows["outcome"] == dtypes.RECEIVED
     count = np.where(sent, rows["degree"], 0)
     if count.sum() < len(receiver_row):
-        at = ranges(rows["slot"], count)
-        receiver_row, reception = receiver_row[at], reception[at]
+        receiver_row, reception = _chosen(rows["slot"], count, receiver_row, reception)
     if np.any(receiver_row == dtypes.NONE):
         there = receiver_row != dtypes.NONE
         count = np.bincount(np.repeat(np.arange(len(rows)), count)[there], minlength=len(rows))

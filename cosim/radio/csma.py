@@ -22,7 +22,7 @@ from cosim.radio.params import RadioParams
 from cosim.radio.phy import MAC_OVERHEAD_BYTES, airtime_ns
 from cosim.radio.receptions import NeighbourList, ReceptionAttempts, Transmissions, complete_messages, slant_m
 from cosim.radio.segmentation import segments
-from sensors.line_of_sight import LosCache
+from sensors.line_of_sight import LosOfPlaces
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +58,7 @@ class CsmaMedium:
     round_s: float
     """Duration of one round [s]."""
     seed: int
-    los: LosCache | None
+    los: LosOfPlaces | None
     """Lines of sight in the city; None without buildings."""
 
     def start(self) -> ChannelContext:

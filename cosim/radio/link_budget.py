@@ -25,7 +25,7 @@ from cosim.radio.propagation import (
     mean_loss_db,
 )
 from sensors.kernel import kernel
-from sensors.line_of_sight import LosCache, WallIndex
+from sensors.line_of_sight import LosOfPlaces, WallIndex
 from sensors.line_of_sight_kernels import crosses_filled_cell
 from sensors.scene import Scene
 
@@ -103,7 +103,7 @@ def neighbours(xy_m: Float[ndarray, "n 2"], range_m: float) -> tuple[ndarray, nd
 
 
 def _within(
-    xyz_m: Float[ndarray, "n 3"], range_m: float, los: LosCache | None, nlos_range_m: float
+    xyz_m: Float[ndarray, "n 3"], range_m: float, los: LosOfPlaces | None, nlos_range_m: float
 ) -> tuple[ndarray, ndarray, ndarray, ndarray]:
     """The same, and whether a pair crosses a filled cell; those beyond `nlos_range_m` that do are left out.
 
@@ -190,7 +190,7 @@ def _linear(db: ndarray | float) -> ndarray:
 
 
 def los_pairs(
-    xyz_m: Float[ndarray, "n 3"], params: PropagationParams, los: LosCache | None = None, near_m: float = 0.0
+    xyz_m: Float[ndarray, "n 3"], params: PropagationParams, los: LosOfPlaces | None = None, near_m: float = 0.0
 ) -> PairLos:
     """Line of sight of all pairs up to `near_m`, and of all pairs in the interference range of `params`."""
     xyz_m = np.ascontiguousarray(xyz_m, np.float64)
@@ -207,7 +207,7 @@ def pairs(
     xyz_m: Float[ndarray, "n 3"],
     params: PropagationParams,
     rng_key: np.uint64,
-    los: LosCache | None = None,
+    los: LosOfPlaces | None = None,
     found: PairLos | None = None,
 ) -> Pairs:
     """Losses between stations at these antenna positions.
@@ -263,7 +263,7 @@ def links_between(
     key: UInt64[ndarray, "n"],
     params: PropagationParams,
     rng_key: np.uint64,
-    los: LosCache | None = None,
+    los: LosOfPlaces | None = None,
     tx_power_dbm: Float[ndarray, "n"] | None = None,
     found: PairLos | None = None,
 ) -> tuple[Links, Pairs, Int[ndarray, "links"]]:

@@ -7,7 +7,7 @@ from cosim.radio.csma import CsmaMedium
 from cosim.radio.message_round import MessageRound, Messages, RoundKind, Stations
 from cosim.radio.params import RadioParams
 from cosim.radio.unit_disk import UnitDiskMedium
-from sensors.line_of_sight import LosCache
+from sensors.line_of_sight import LosOfPlaces
 
 
 class Medium(Protocol):
@@ -26,7 +26,7 @@ class Medium(Protocol):
         """One round of messages that begins at `begin_s`; consumes the state."""
 
 
-MEDIA: dict[str, Callable[[RadioParams, float, int, LosCache | None], Medium]] = {
+MEDIA: dict[str, Callable[[RadioParams, float, int, LosOfPlaces | None], Medium]] = {
     "csma": CsmaMedium,
     "unit_disk": UnitDiskMedium,
 }

@@ -31,7 +31,7 @@ _RECEIVED, _PROPAGATION, _EXPIRED = int(Outcome.RECEIVED), int(Outcome.PROPAGATI
 
 @dataclass(frozen=True, slots=True)
 class NeighbourList:
-    """Stations in range of each station, compressed rows."""
+    """Stations in range of each station, ascending, compressed rows."""
 
     ptr: Int[ndarray, "n+1"]
     station: Int[ndarray, "m"]
@@ -73,13 +73,20 @@ def _neighbours(xy, range_m, a, b, distance_m, slant_m, los_state):
     for i in range(len(xy)):
         ptr[i + 1] += ptr[i]
     put = ptr[:-1].copy()
-    station, apart_m, state = np.empty(2 * n, np.int32), np.empty(2 * n), np.empty(2 * n, np.uint8)
+    of = np.empty(2 * n, np.int32)  # pairs by station
     for k in range(n):
-        m = near[k]
-        for one, other in ((a[m], b[m]), (b[m], a[m])):
-            row = put[one]
-            station[row], apart_m[row], state[row] = other, length_m[k], los_state[m]
-            put[one] = row + 1
+        for one in (a[near[k]], b[near[k]]):
+            of[put[one]] = k
+            put[one] += 1
+    put = ptr[:-1].copy()
+    station, apart_m, state = np.empty(2 * n, np.int32), np.empty(2 * n), np.empty(2 * n, np.uint8)
+    for one in range(len(xy)):  # so that others come in ascending order
+        for k in of[ptr[one] : ptr[one + 1]]:
+            m = near[k]
+            other = b[m] if a[m] == one else a[m]
+            row = put[other]
+            station[row], apart_m[row], state[row] = one, length_m[k], los_state[m]
+            put[other] = row + 1
     return ptr, station, apart_m, state
 
 
@@ -191,21 +198,20 @@ def complete_messages(
     n_segments
         Of each message.
     """
-    m, n_duplicate, receiver, message, hops, times_ns = _complete(
-        len(xy_m), attempts.receiver, attempts.outcome, attempts.first, counting_order(sent.unit, len(own_ns)),
-        sent.message, sent.transmitter, sent.unit, sent.hop, sent.start_ns, sent.end_ns, own_ns, n_segments,
+    n_duplicate, columns = _complete(
+        xy_m, messages.station, attempts.receiver, attempts.outcome, attempts.first,
+        counting_order(sent.unit, len(own_ns)), sent.message, sent.transmitter, sent.unit, sent.hop, sent.start_ns,
+        sent.end_ns, own_ns, n_segments, begin_ns,
     )  # fmt: skip
-    receiver, message, hops, times_ns = receiver[:m], message[:m], hops[:m], times_ns[:, :m]
-    distance_m = np.hypot(*(xy_m[receiver] - xy_m[messages.station[message]]).T)
-    offset_s = 1e-9 * (times_ns[0] - begin_ns)
-    access_s, latency_s = 1e-9 * times_ns[1], 1e-9 * times_ns[2]
-    return Receptions(receiver, message, hops, offset_s, access_s, latency_s, distance_m), n_duplicate
+    return Receptions(*columns), n_duplicate
 
 
 @njit(cache=True, nogil=True)
 def _complete(
-    n, to, outcome, first, by_unit, message_of, transmitter, unit, hop, start_ns, end_ns, own_ns, n_segments
+    xy, station, to, outcome, first, by_unit, message_of, transmitter, unit, hop, start_ns, end_ns, own_ns, n_segments,
+    begin_ns,
 ):  # fmt: skip
+    n = len(xy)
     at = np.zeros(n + 1, np.int64)
     for row in range(len(outcome)):
         at[to[row] + 1] += outcome[row] == _RECEIVED
@@ -220,7 +226,7 @@ def _complete(
                 got[put[r]] = f
                 put[r] += 1
     receiver, message, hops = np.empty(len(got), np.int64), np.empty(len(got), np.int64), np.empty(len(got), np.int32)
-    times_ns = np.empty((3, len(got)), np.int64)  # generation; from there to the last own frame, and to reception
+    offset_s, access_s, latency_s, apart_m = np.empty((4, len(got)))
     m = n_duplicate = 0
     for r in range(n):
         k = at[r]
@@ -241,7 +247,10 @@ def _complete(
                 access_ns = max(access_ns, start_ns[u] - own_ns[u])
                 last_ns = max(last_ns, end_ns[best] - own_ns[u])
             if n_received == n_segments[s]:
-                receiver[m], message[m], hops[m] = r, s, hop_of
-                times_ns[0, m], times_ns[1, m], times_ns[2, m] = own_ns[u], access_ns, last_ns
+                dx, dy = xy[r, 0] - xy[station[s], 0], xy[r, 1] - xy[station[s], 1]
+                receiver[m], message[m], hops[m], apart_m[m] = r, s, hop_of, np.sqrt(dx * dx + dy * dy)
+                offset_s[m], access_s[m], latency_s[m] = 1e-9 * (own_ns[u] - begin_ns), 1e-9 * access_ns, 1e-9 * last_ns
                 m += 1
-    return m, n_duplicate, receiver, message, hops, times_ns
+    return n_duplicate, (
+        receiver[:m], message[:m], hops[:m], offset_s[:m], access_s[:m], latency_s[:m], apart_m[:m],
+    )  # fmt: skip

@@ -24,7 +24,7 @@ from cosim.radio.params import RadioParams
 from cosim.ragged import ptr_of
 from cosim.rng import mix, unit
 from sensors.kernel import inlined, kernel
-from sensors.line_of_sight import LosCache
+from sensors.line_of_sight import LosOfPlaces
 
 _RECEIVED, _LATE, _LOST = (int(outcome) for outcome in (Outcome.RECEIVED, Outcome.LATE, Outcome.PROPAGATION))
 
@@ -91,7 +91,7 @@ class UnitDiskMedium:
     round_s: float
     """Duration of one round [s]."""
     seed: int
-    los: LosCache | None = None
+    los: LosOfPlaces | None = None
     """Not used: buildings have no effect."""
 
     def start(self) -> None:

@@ -4,6 +4,7 @@ It ends as soon as the process that started it is gone, because its standard inp
 """
 
 import fcntl
+import gc
 import json
 import logging
 import os
@@ -88,6 +89,7 @@ def _end_with_parent() -> None:
 
 
 def main() -> None:
+    gc.set_threshold(100_000, 50, 100)  # as in `cosim.__main__`
     if not sys.stdin.isatty():
         threading.Thread(target=_end_with_parent, daemon=True).start()
     kind, *words = sys.argv[1:]

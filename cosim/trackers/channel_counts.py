@@ -66,9 +66,23 @@ def _bin(distance_m):
 
 def latency_histogram(latency_s: Float[ndarray, "m"]) -> Rows:
     """Columns latency_s and n_delivered of the table `latency_histogram`: messages by bin of latency."""
-    counts = np.bincount(np.searchsorted(LATENCY_EDGES_S, latency_s, "right"))
+    counts = _by_edge(latency_s, LATENCY_EDGES_S)
     bins = np.flatnonzero(counts)
     return {"latency_s": np.append(0, LATENCY_EDGES_S)[bins], "n_delivered": counts[bins]}
+
+
+@njit(cache=True, nogil=True)
+def _by_edge(values, edges):
+    """Numbers of values below the first edge, from each edge up to the next, and from the last one up."""
+    counts = np.zeros(len(edges) + 1, np.int64)
+    for value in values:
+        first, n = 0, len(edges)
+        while n > 0:
+            half = n >> 1
+            above = edges[first + half] <= value
+            first, n = first + above * (half + 1), half - above * (1 - (n & 1))
+        counts[first] += 1
+    return counts
 
 
 def vehicle_channel(

@@ -2,6 +2,7 @@
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from numba import njit
 from numpy import ndarray
 
 
@@ -21,14 +22,19 @@ def count_looks(
     message, actor
         Of each detection: message row of its observer, actual object; read only where `is_real`.
     """
-    key = message.astype(np.int64) << 32 | actor
-    order = np.flatnonzero(is_real)[np.argsort(key[is_real], kind="stable")]
-    same = key[order[1:]] == key[order[:-1]]
-    repeated = np.zeros(len(message), bool)  # detections of an object that their observer reports several times
-    repeated[order[1:][same]] = repeated[order[:-1][same]] = True
-    some = repeated[detection]
-    pairs = np.column_stack([evaluator[some], key[detection[some]]])
-    return int((~some).sum()) + len(np.unique(pairs, axis=0))
+    real = np.flatnonzero(is_real)
+    key = message[real].astype(np.int64) << 32 | actor[real]
+    order = np.argsort(key, kind="stable")
+    real, key = real[order], key[order]
+    begins = np.append(np.flatnonzero(np.diff(key, prepend=-1)), len(key))
+    n = np.diff(begins)
+    first = np.arange(len(message))  # of the detections of an object by one observer
+    first[real] = np.repeat(real[begins[:-1]], n)
+    repeated = np.zeros(len(message), bool)
+    repeated[real] = np.repeat(n > 1, n)
+    some = np.flatnonzero(repeated[detection])
+    pairs = evaluator[some].astype(np.int64) * len(message) + first[detection[some]]
+    return len(detection) - len(some) + len(np.unique(pairs))
 
 
 def audit(
@@ -50,13 +56,25 @@ def audit(
     attacks
         Message rows whose vehicles carry out an attack.
     """
-    counts = (visibility > 0) & (evaluator != message[detection])
-    by, of, e = evaluator[counts], detection[counts], evaluation[counts]
-    echoes = attacks[by] & is_fabricated[of] & (e > 0)
+    by, of, n_echoes = _counting(evaluator, detection, evaluation, visibility, message, is_fabricated, attacks)
     row = {
         "n_copies": n_copies,
         "n_evaluations": len(by),
         "n_looks": count_looks(by, of, message, actor, is_real),
-        "n_echoes": int(echoes.sum()),
+        "n_echoes": n_echoes,
     }
     return {name: np.array([value]) for name, value in row.items()}
+
+
+@njit(cache=True, nogil=True)
+def _counting(evaluator, detection, evaluation, visibility, message, is_fabricated, attacks):
+    """Evaluations by others than the observer that could see; of these, attackers' in favour of what was fabricated."""
+    by, of = np.empty(len(detection), np.int32), np.empty(len(detection), np.int32)
+    n = n_echoes = 0
+    for row in range(len(detection)):
+        v, d = evaluator[row], detection[row]
+        by[n], of[n] = v, d
+        counts = (visibility[row] > 0) & (v != message[d])
+        n_echoes += counts & attacks[v] & is_fabricated[d] & (evaluation[row] > 0)
+        n += counts
+    return by[:n], of[:n], n_echoes

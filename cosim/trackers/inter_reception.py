@@ -45,54 +45,79 @@ class InterReceptionTracker:
         Columns pir_steps, n_received, n_censored of the table `packet_inter_reception`.
         """
         pair = (sender.astype(np.int64) << 32) | receiver
-        last, has_last, gone = _carried_on(self._pair, self._last, self._received, pair)
-        ended = step - last[received & has_last]
-        censored = self._step - self._last[gone & self._received]
-        n_received, n_censored = np.bincount(ended), np.bincount(censored)
-        lengths = np.union1d(np.flatnonzero(n_received), np.flatnonzero(n_censored))
-        self._pair, self._step = pair, step
-        self._last, self._received = np.where(received, step, last), received | has_last
-        return {
-            "pir_steps": lengths,
-            "n_received": _at(n_received, lengths),
-            "n_censored": _at(n_censored, lengths),
-        }
+        last, received, n_received, n_censored = _carried_on(
+            self._pair, self._last, self._received, pair, received, step, self._step
+        )
+        self._pair, self._last, self._received, self._step = pair, last, received, step
+        lengths = np.flatnonzero(n_received + n_censored)
+        return {"pir_steps": lengths, "n_received": n_received[lengths], "n_censored": n_censored[lengths]}
 
 
 @njit(cache=True, nogil=True)
-def _carried_on(held, held_last, held_received, pair):
-    """What is held of each pair, and which held pairs are not among them; both are sorted."""
-    last, has_last = np.zeros(len(pair), np.int64), np.zeros(len(pair), np.bool_)
-    gone = np.ones(len(held), np.bool_)
+def _carried_on(held, held_last, held_received, pair, received, step, last_step):
+    """Step of the last reception of each pair, if there was one; intervals that end, and that are cut off, by length.
+
+    Both lists of pairs are sorted.
+    """
+    n_ended, n_cut = np.zeros(step + 1, np.int64), np.zeros(step + 1, np.int64)
+    last, has_last = np.empty(len(pair), np.int64), np.empty(len(pair), np.bool_)
     at = 0
-    for row in range(len(pair)):
-        while at < len(held) and held[at] < pair[row]:
+    for row in range(len(pair) + 1):
+        while at < len(held) and (row == len(pair) or held[at] < pair[row]):
+            if held_received[at]:
+                n_cut[last_step - held_last[at]] += 1
             at += 1
+        if row == len(pair):
+            break
+        before, had_one = 0, False
         if at < len(held) and held[at] == pair[row]:
-            last[row], has_last[row], gone[at] = held_last[at], held_received[at], False
-    return last, has_last, gone
-
-
-def _at(count: Int[ndarray, "k"], lengths: Int[ndarray, "n"]) -> Int[ndarray, "n"]:
-    """Counts of these lengths; 0 beyond the longest that was counted."""
-    return np.pad(count, (0, max(0, int(lengths.max(initial=-1)) + 1 - len(count))))[lengths]
+            before, had_one = held_last[at], held_received[at]
+            at += 1
+        ends = received[row] & had_one
+        n_ended[ends * (step - before)] += ends
+        last[row], has_last[row] = step if received[row] else before, received[row] | had_one
+    return last, has_last, n_ended, n_cut
 
 
 @njit(cache=True, nogil=True)
-def contained(one, other, of_one, of_other):
-    """Whether each pair is among some others; both are sorted."""
-    found = np.zeros(len(one), np.bool_)
-    at = 0
-    for row in range(len(one)):
-        while at < len(of_one) and (of_one[at] < one[row] or (of_one[at] == one[row] and of_other[at] < other[row])):
-            at += 1
-        found[row] = at < len(of_one) and of_one[at] == one[row] and of_other[at] == other[row]
+def reached(sender, receiver, n, by, to):
+    """Which of these sorted pairs are among others, `by` and `to`, of which `to` ascends; all are numbers below n."""
+    at = np.zeros(n + 1, np.int64)
+    for row in range(len(sender)):
+        at[sender[row] + 1] += 1
+    for i in range(n):
+        at[i + 1] += at[i]
+    end = at[1:].copy()
+    found = np.zeros(len(sender), np.bool_)
+    for k in range(len(by)):
+        row, last = at[by[k]], end[by[k]]
+        while row < last and receiver[row] < to[k]:
+            row += 1
+        at[by[k]] = row
+        if row < last and receiver[row] == to[k]:
+            found[row] = True
     return found
 
 
 @njit(cache=True, nogil=True)
 def unique_pairs(one, other, n):
-    """Pairs of numbers below n, sorted, each once: sorts by counting, by `other` and then by `one`."""
+    """Pairs of numbers below n, sorted, each once; in one pass where they are sorted but for repetitions."""
+    found, of, seen = np.empty(len(one), np.int64), np.empty(len(one), np.int64), np.full(n, -1)
+    m = 0
+    for row in range(len(one)):
+        a, b = one[row], other[row]
+        if seen[b] == a:
+            continue
+        if m > 0 and (a < found[m - 1] or (a == found[m - 1] and b < of[m - 1])):
+            return _sorted_pairs(one, other, n)
+        seen[b], found[m], of[m] = a, a, b
+        m += 1
+    return found[:m], of[:m]
+
+
+@njit(cache=True, nogil=True)
+def _sorted_pairs(one, other, n):
+    """The same, sorted by counting: by `other` and then by `one`."""
     by_one, by_other = np.zeros(n + 1, np.int64), np.zeros(n + 1, np.int64)
     for row in range(len(one)):
         by_one[one[row] + 1] += 1

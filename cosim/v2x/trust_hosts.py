@@ -7,12 +7,14 @@ server) is kept once.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields, replace
+from functools import cache
 from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8, UInt64
 from numpy import ndarray
 
+from cosim.v2x import lookup_kernels
 from cosim.v2x.trust_server import (
     Downlink,
     DownlinkState,
@@ -27,7 +29,7 @@ from trust.models import TrustModel
 from trust.models.interface import checked_object_scores, checked_scores
 from trust.models.stepwise import share_logs
 from trust.object_reports import ObjectReports
-from trust.params import EVIDENCE_KEYS, TrustParams, eta_of, is_within
+from trust.params import EVIDENCE_KEYS, TrustParams, eta_of, window_of
 from trust.step_evidence import RejectReason
 from trust.tables import SERVER, EvaluationMessages, ReceivedEvaluations, TrustScores
 
@@ -37,6 +39,9 @@ FUSION_KEYS = frozenset({
 })  # fmt: skip
 """Keys of [trust] that say what trust is used for: variants that differ in these alone share one host."""
 
+
+_JUDGED, _STALE, _DEFAULT = (int(c) for c in (LookupState.JUDGED, LookupState.STALE, TrustSource.DEFAULT))
+"""NumPy takes ten times as long with the members themselves."""
 
 ObjectScorer = Callable[[ObjectReports], Float[ndarray, "g"]]
 """Scores of groups of detections by a trust model that scores objects."""
@@ -65,7 +70,12 @@ class Lookups:
     @property
     def is_known(self) -> Bool[ndarray, "n"]:
         """Values that rest on at least one evaluation, however old: what counts as knowledge."""
-        return (self.state == LookupState.JUDGED) | (self.state == LookupState.STALE)
+        return (self.state == _JUDGED) | (self.state == _STALE)
+
+    @property
+    def is_default(self) -> Bool[ndarray, "n"]:
+        """No value of the server's or of the vehicle's own."""
+        return self.source == _DEFAULT
 
 
 @dataclass(frozen=True, slots=True)
@@ -321,45 +331,39 @@ class TrustHosts:
     ) -> Lookups:
         n, params = len(vehicle), self.params[h]
         found = Lookups(
-            np.full(n, params.default_trust), np.full(n, TrustSource.DEFAULT, np.uint8),
-            np.full(n, LookupState.DEFAULT, np.uint8), np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n, np.int64),
-            np.zeros(n, np.int64),
+            np.full(n, params.default_trust), np.full(n, _DEFAULT, np.uint8),
+            np.full(n, int(LookupState.DEFAULT), np.uint8),
+            np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n, np.int64), np.zeros(n, np.int64),
         )  # fmt: skip
         counted = True
         if not n:
             return found
         if params.host == "central":
-            for broadcast, rows, at in self.downlink.lookup(state.hosts[h].downlink, vehicle, subject):
-                counted &= self._fill(found, rows, broadcast.scores, at, h, time_s)
-                found.age_s[rows] = time_s - broadcast.time_s
+            for broadcast, at in self.downlink.lookup(state.hosts[h].downlink, vehicle, subject):
+                counted &= self._fill(found, broadcast.scores, at, h, time_s, time_s - broadcast.time_s)
         elif params.host == "local":
             scores = self._scores(state, h)
             at, known = scores.rows_of(vehicle, subject)
-            counted &= self._fill(found, np.flatnonzero(known), scores, at[known], h, time_s)
+            counted &= self._fill(found, scores, np.where(known, at, -1), h, time_s, 0.0)
         return found if counted else replace(found, n_evaluators=None)
 
-    def _fill(self, found: Lookups, rows: ndarray, scores: TrustScores, at: ndarray, h: int, time_s: float) -> bool:
-        """Write down values of a host for some rows; whether its model counts evaluators."""
-        params, is_judged = self.params[h], scores.is_judged[at]
+    def _fill(
+        self, found: Lookups, scores: TrustScores, at: Int[ndarray, "n"], h: int, time_s: float, age_s: float
+    ) -> bool:
+        """Write down values of a host that are `age_s` old, where `at` is a row of them; whether its model counts
+        evaluators."""
+        params = self.params[h]
+        window_s = window_of(params) if _has_window(self.models[h][0].Params) else np.inf
         source = TrustSource.SERVER if params.host == "central" else TrustSource.OWN
-        used = is_judged if params.unjudged == "default" else np.ones(len(rows), bool)
-        found.trust[rows[used]], found.source[rows[used]] = scores.trust[at[used]], source
-        found.n_evaluations[rows] = scores.n_evaluations[at]
-        newest_s = time_s - scores.newest_evaluation_step[at] * self.dt_s
-        found.newest_evaluation_age_s[rows] = newest_s
-        found.oldest_evaluation_age_s[rows] = time_s - scores.oldest_evaluation_step[at] * self.dt_s
-        fresh = is_within(newest_s, params) if self._has_window(h) else np.ones(len(rows), bool)
-        found.state[rows] = np.where(
-            is_judged, np.where(fresh, LookupState.JUDGED, LookupState.STALE), LookupState.UNJUDGED
-        )
-        if scores.n_evaluators is None or found.n_evaluators is None:
-            return False
-        found.n_evaluators[rows] = scores.n_evaluators[at]
-        return True
-
-    def _has_window(self, h: int) -> bool:
-        """Whether the host's model drops evidence of a certain age."""
-        return "freshness_s" in {f.name for f in fields(self.models[h][0].Params)}
+        n_evaluators = scores.n_evaluations if scores.n_evaluators is None else scores.n_evaluators
+        lookup_kernels.fill(
+            found.trust, found.source, found.state, found.age_s, found.newest_evaluation_age_s,
+            found.oldest_evaluation_age_s, found.n_evaluations, found.n_evaluators, at,
+            int(source), age_s, time_s, self.dt_s, window_s, params.unjudged != "default",
+            scores.trust, scores.is_judged, scores.newest_evaluation_step, scores.oldest_evaluation_step,
+            scores.n_evaluations, n_evaluators,
+        )  # fmt: skip
+        return scores.n_evaluators is not None or not (at >= 0).any()
 
     def rejected(self, state: TrustState) -> dict[str, int]:
         """Evaluations that the acting model rejected so far, by cause, where it counts them."""
@@ -384,6 +388,11 @@ class TrustHosts:
 
     def _any(self, host: str) -> bool:
         return any(params.host == host for params in self.params)
+
+
+@cache
+def _has_window(params: type) -> bool:
+    return "freshness_s" in {f.name for f in fields(params)}
 
 
 def host_key(variant: Variant) -> tuple:

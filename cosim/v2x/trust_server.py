@@ -10,9 +10,10 @@ from jaxtyping import Bool, Float, Int, UInt64
 from numpy import ndarray
 
 from cosim import rng
-from cosim.ragged import expand
+from cosim.ragged import offsets
 from cosim.v2x import cellular
 from cosim.v2x.cellular import CellularParams, transfer_delay_s, within_capacity
+from cosim.v2x.lookup_kernels import rows_heard
 from cosim.v2x.messages import report_bytes, trust_broadcast_bytes
 from trust.tables import EvaluationMessages, TrustScores
 
@@ -141,8 +142,11 @@ class Uplink:
 
 def chosen_messages(messages: EvaluationMessages, chosen: Bool[ndarray, "v"]) -> EvaluationMessages:
     """Only the chosen evaluators' messages."""
-    rows, _ = expand(messages.ptr[:-1][chosen], messages.ptr[1:][chosen])
-    ptr = np.concatenate([[0], np.cumsum(np.diff(messages.ptr)[chosen])])
+    if chosen.all():
+        return messages
+    n = np.diff(messages.ptr)
+    rows = np.flatnonzero(np.repeat(chosen, n))
+    ptr = offsets(n[chosen])
     return EvaluationMessages(
         messages.step, messages.evaluator[chosen], ptr, messages.observer[rows], messages.detection_index[rows],
         messages.evaluation[rows], messages.visibility[rows],
@@ -255,17 +259,10 @@ class Downlink:
 
     def lookup(
         self, state: DownlinkState, vehicle: Int[ndarray, "n"], subject: Int[ndarray, "n"]
-    ) -> Iterator[tuple[TrustBroadcast, Int[ndarray, "k"], Int[ndarray, "k"]]]:
-        """What each vehicle knows about each subject: per broadcast, the rows it answers, and its own rows for them."""
+    ) -> Iterator[tuple[TrustBroadcast, Int[ndarray, "n"]]]:
+        """What each vehicle knows about each subject: per broadcast, the row that answers; -1: none."""
         number_of = np.full(len(vehicle), -1)
         in_range = vehicle < len(state.last)
         number_of[in_range] = state.last[vehicle[in_range]]
         for number, broadcast in state.broadcasts.items():
-            rows = np.flatnonzero(number_of == number)
-            known = broadcast.scores.subject
-            if not len(rows) or not len(known):
-                continue
-            at = np.searchsorted(known, subject[rows])
-            at[at == len(known)] = 0
-            found = known[at] == subject[rows]
-            yield broadcast, rows[found], at[found]
+            yield broadcast, rows_heard(number_of, number, subject, broadcast.scores.subject)

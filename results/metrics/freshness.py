@@ -3,16 +3,17 @@
 Definitions and sources are in `results/FRESHNESS.md`.
 """
 
-from collections.abc import Iterable, Iterator, Mapping
-from itertools import pairwise
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from results.codes import LookupState, labels
+from results.metrics import trust
 from results.metrics.encounters import DEFINITION
 from results.metrics.intervals import Estimate, ratio, share, without_interval
+from results.metrics.lookups import NO_LOOKUPS, blocks, role_codes
 from results.run import Run
 
 STATES = labels(LookupState)
@@ -32,9 +33,6 @@ _EDGES_S = np.concatenate([[0.0, 1e-6], np.geomspace(0.05, 1e5, 600)])
 _PEAK_BLOCKS = 20
 
 _NO_EVALUATION = "holds no lookup of a trust value that rests on an evaluation: trust never reached a vehicle."
-_NO_LOOKUPS = (
-    "holds no trust lookups: no message was received. Raise radio.range_m or fleet.penetration_p, and run again."
-)
 
 
 def evidence(run: Run) -> pd.DataFrame:
@@ -46,16 +44,18 @@ def evidence(run: Run) -> pd.DataFrame:
     newest_s, oldest_s, n_evaluations and n_evaluators over the values that have some.
     """
     columns = ["n_evaluations", "n_evaluators", "newest_evaluation_age_s", "oldest_evaluation_age_s"]
-    frame = run.variant_table("trust", ["subject", "state", *columns])
-    frame = frame.assign(role=frame.subject.map(run.subjects.role))
-    groups = frame.groupby("role", observed=True)
-    some = frame[frame.state == "judged"].groupby("role", observed=True)[columns].median()
-    return (
-        groups.size().to_frame("n")
-        .assign(unjudged_share=groups.state.agg(lambda state: float((state != "judged").mean())))
-        .join(some.rename(columns={columns[2]: "newest_s", columns[3]: "oldest_s"}))
-        .reset_index()
-    )  # fmt: skip
+    frame = trust.server_values(run)
+    code, judged = role_codes(run, frame.subject.to_numpy()), (frame.state == "judged").to_numpy()
+    values = {name: frame[name].to_numpy(np.float64, na_value=np.nan) for name in columns}
+    rows = []
+    for role in np.unique(code):
+        mine = code == role
+        some = mine & judged
+        medians = {name: np.median(value[some]) if some.any() else np.nan for name, value in values.items()}
+        unjudged = float(1 - judged[mine].mean())
+        rows.append({"role": run.role_labels[role], "n": int(mine.sum()), "unjudged_share": unjudged} | medians)
+    found = pd.DataFrame(rows, columns=["role", "n", "unjudged_share", *columns])
+    return found.rename(columns={columns[2]: "newest_s", columns[3]: "oldest_s"})
 
 
 def states(run: Run) -> pd.DataFrame:
@@ -72,7 +72,7 @@ def states(run: Run) -> pd.DataFrame:
             {"role": "all", "state": state, "n": int(n)} | _columns(without_interval(n / total.sum()), "share")
             for state, n in total.items()
         ])  # fmt: skip
-    counts = _per_receiver(run, ["state"], lambda part: part.state.cat.codes.to_numpy(), len(STATES))
+    counts = _per_receiver(run, "state", lambda state: state, len(STATES))
     rows = []
     for role, of_role in _with_all(run, counts):
         lookups = of_role.sum(axis=1)
@@ -97,15 +97,14 @@ def ages(run: Run) -> pd.DataFrame:
     for what, column in AGES.items():
         sums, counts = _Totals(len(run.role_labels)), _Totals(len(run.role_labels))
         histograms = np.zeros((len(run.role_labels), n_bins), np.int64)
-        role_of = _RoleCodes(run)
-        for part in _lookups(run, ["receiver", "subject", column]):
-            age_s = part[column].to_numpy(np.float64)
-            there = ~np.isnan(age_s)
-            code_of, receiver = role_of(part.subject.to_numpy()[there]), part.receiver.to_numpy()[there]
-            sums.add(receiver, code_of, age_s[there])
+        for part in blocks(run, ["receiver", "role", column]):
+            there = ~np.isnan(part[column])
+            age_s, receiver = part[column][there].astype(np.float64), part["receiver"][there]
+            code_of = part["role"][there]
+            sums.add(receiver, code_of, age_s)
             counts.add(receiver, code_of)
-            for code in np.unique(code_of):
-                histograms[code] += _histogram(age_s[there][code_of == code])
+            for code in range(len(run.role_labels)):
+                histograms[code] += _histogram(age_s[code_of == code])
         for code, role in enumerate(roles):
             chosen = slice(None) if code == 0 else slice(code - 1, code)
             n, histogram = counts.table[:, chosen].sum(axis=1), histograms[chosen].sum(axis=0)
@@ -129,19 +128,26 @@ def peaks(run: Run) -> pd.DataFrame:
     the run at most. What was not renewed has no peak.
     """
     stride = -(-run.n_blocks("trust_lookups") // _PEAK_BLOCKS)
-    rows = []
-    for what in ("value", "newest evaluation"):
-        sums, counts = _Totals(1), _Totals(1)
-        for block, part in enumerate(_lookups(run, ["receiver", "subject", AGES[what]], by_block=True)):
-            if block % stride == 0:
-                age_s = part[AGES[what]].to_numpy(np.float64)
-                at = _before_renewal(part, age_s)
-                nobody = np.zeros(len(at), np.int64)
-                sums.add(part.receiver.to_numpy()[at], nobody, age_s[at])
-                counts.add(part.receiver.to_numpy()[at], nobody)
-        n = counts.table[:, 0]
+    renewed = ("value", "newest evaluation")
+    sums, counts = ({what: _Totals(1) for what in renewed} for _ in range(2))
+    for number, part in enumerate(blocks(run, ["receiver", "subject", *(AGES[what] for what in renewed)])):
+        if number % stride:
+            continue
+        pair = (part["receiver"].astype(np.int64) << 32) | part["subject"]
+        order = np.argsort(pair, kind="stable")  # rows are in order of time within a pair
+        same = np.diff(pair[order]) == 0
+        receiver = part["receiver"][order]
+        for what in renewed:
+            age_s = part[AGES[what]][order].astype(np.float64)
+            at = np.flatnonzero(same & (np.diff(age_s) < 0))
+            nobody = np.zeros(len(at), np.int64)
+            sums[what].add(receiver[at], nobody, age_s[at])
+            counts[what].add(receiver[at], nobody)
+    rows: list[dict[str, Any]] = []
+    for what in renewed:
+        n = counts[what].table[:, 0]
         if n.sum():
-            rows.append({"what": what, "n": int(n.sum())} | _columns(ratio(sums.table[:, 0], n), "mean_s"))
+            rows.append({"what": what, "n": int(n.sum())} | _columns(ratio(sums[what].table[:, 0], n), "mean_s"))
     return pd.DataFrame(rows, columns=["what", "n", "mean_s", "low", "high", "n_units"])
 
 
@@ -152,9 +158,7 @@ def within(run: Run, fresh_s: float = 10.0) -> pd.DataFrame:
     -------
     role ("all" first), n (lookups), share, low, high, n_units (vehicles that look up).
     """
-    counts = _per_receiver(
-        run, ["newest_evaluation_age_s"], lambda part: (part.newest_evaluation_age_s <= fresh_s).to_numpy(int), 2
-    )
+    counts = _per_receiver(run, "newest_evaluation_age_s", lambda age_s: age_s <= fresh_s, 2)
     return pd.DataFrame([
         {"role": role, "n": int(n.sum())} | _columns(share(n[:, 1], n.sum(axis=1)), "share")
         for role, n in _with_all(run, counts)
@@ -166,11 +170,11 @@ def behind(run: Run) -> pd.DataFrame:
     rows = []
     for what, column in (("evaluations", "n_evaluations"), ("evaluators", "n_evaluators")):
         sums, counts = _Totals(1), _Totals(1)
-        for part in _lookups(run, ["receiver", "newest_evaluation_age_s", column]):
-            part = part[part.newest_evaluation_age_s.notna() & part[column].notna()]
-            all_one = np.zeros(len(part), np.int64)
-            sums.add(part.receiver.to_numpy(), all_one, part[column].to_numpy(np.float64))
-            counts.add(part.receiver.to_numpy(), all_one)
+        for part in blocks(run, ["receiver", "newest_evaluation_age_s", column]):
+            there = ~np.isnan(part["newest_evaluation_age_s"]) & ~np.isnan(part[column])
+            receiver, all_one = part["receiver"][there], np.zeros(there.sum(), np.int64)
+            sums.add(receiver, all_one, part[column][there].astype(np.float64))
+            counts.add(receiver, all_one)
         if counts.table.sum():
             mean = ratio(sums.table[:, 0], counts.table[:, 0])
             rows.append({"what": what, "n": int(counts.table.sum())} | _columns(mean, "mean"))
@@ -180,8 +184,9 @@ def behind(run: Run) -> pd.DataFrame:
 def distribution(run: Run, what: str = "newest evaluation") -> pd.DataFrame:
     """Cumulative distribution of an age at lookup (a key of `AGES`), where there is one: age_s, share."""
     histogram = np.zeros(len(_EDGES_S) - 1)
-    for part in _lookups(run, [AGES[what]]):
-        histogram += _histogram(part[AGES[what]].dropna().to_numpy(np.float64))
+    for part in blocks(run, [AGES[what]]):
+        age_s = part[AGES[what]].astype(np.float64)
+        histogram += _histogram(age_s[~np.isnan(age_s)])
     if not histogram.any():
         raise ValueError(f"{run.path} {_NO_EVALUATION}")
     last = np.flatnonzero(histogram)[-1] + 1
@@ -192,11 +197,11 @@ def distribution(run: Run, what: str = "newest evaluation") -> pd.DataFrame:
 def over_time(run: Run, every_s: float = 10.0) -> pd.DataFrame:
     """Shares of the states by time: time_s, judged, unjudged, stale, default."""
     parts = []
-    for part in _lookups(run, ["step", "state"]):
-        slot = np.floor(part.step * run.dt_s / every_s) * every_s
-        parts.append(pd.crosstab(slot.rename("time_s"), part.state.astype(str)).reindex(columns=STATES, fill_value=0))
+    for part in blocks(run, ["step", "state"]):
+        slot, at = np.unique(np.floor(part["step"] * run.dt_s / every_s), return_inverse=True)
+        n = np.bincount(at * len(STATES) + part["state"], minlength=len(slot) * len(STATES))
+        parts.append(pd.DataFrame(n.reshape(-1, len(STATES)), pd.Index(slot * every_s, name="time_s"), STATES))
     total = pd.concat(parts).groupby("time_s").sum()
-    total.columns.name = None
     return total.div(total.sum(axis=1), axis=0).reset_index()
 
 
@@ -209,12 +214,11 @@ def without_trust(run: Run) -> pd.DataFrame:
     the vehicle that would know), n_units, and wait_median_s: time from the start to the first such value, of those
     that had none at the start.
     """
-    frame = run.variant_table("encounters", [*DEFINITION, "a", "b", "trusted_after_ab_s", "trusted_after_ba_s"])
-    frame = frame[frame.a.isin(run.roles.index) & frame.b.isin(run.roles.index)]
+    frame = run.variant_table("encounters", ["trusted_after_ab_s", "trusted_after_ba_s"])
+    after_ab_s, after_ba_s = (frame[name].to_numpy() for name in frame)
     rows: list[dict[str, Any]] = []
-    for kind, found in frame.groupby([*DEFINITION], observed=True):
-        after_s = np.r_[found.trusted_after_ab_s, found.trusted_after_ba_s]
-        who = np.r_[found.a, found.b].astype(np.int64)
+    for kind, at, who in run.once_for_all("freshness.encounters", lambda: _of_equipped(run)):
+        after_s = np.r_[after_ab_s[at], after_ba_s[at]]
         waited_s = after_s[after_s > 0]
         without = np.isnan(after_s)
         rows.append({
@@ -226,11 +230,19 @@ def without_trust(run: Run) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=[*columns, "wait_median_s"])
 
 
+def _of_equipped(run: Run) -> list[tuple[tuple, np.ndarray, np.ndarray]]:
+    """By definition: rows of the encounters of equipped vehicles, and who would know, all `a` before all `b`."""
+    frame = run.table("encounters", [*DEFINITION, "a", "b"])
+    frame = frame[frame.a.isin(run.roles.index) & frame.b.isin(run.roles.index)]
+    groups = frame.groupby([*DEFINITION], observed=True)
+    return [(kind, one.index.to_numpy(), np.r_[one.a, one.b].astype(np.int64)) for kind, one in groups]
+
+
 def _totals(run: Run) -> pd.DataFrame:
     """Sums of the table `lookup_totals`, by state in the order of `STATES`."""
     frame = run.variant_table("lookup_totals")
     if frame.empty:
-        raise ValueError(f"{run.path} {_NO_LOOKUPS}")
+        raise ValueError(f"{run.path} {NO_LOOKUPS}")
     return frame.groupby(frame.state.astype(str)).sum(numeric_only=True).reindex(STATES, fill_value=0)
 
 
@@ -264,11 +276,11 @@ class _Totals:
         self.table += np.bincount(key, values, self.table.size).reshape(self.table.shape)
 
 
-def _per_receiver(run: Run, columns: list[str], code_of, n_codes: int) -> np.ndarray:
-    """Lookups by receiver, role of the subject, and a code of each lookup."""
-    role_of, n_roles, totals = _RoleCodes(run), len(run.role_labels), _Totals(len(run.role_labels) * n_codes)
-    for part in _lookups(run, ["receiver", "subject", *columns]):
-        totals.add(part.receiver.to_numpy(), role_of(part.subject.to_numpy()) * n_codes + code_of(part))
+def _per_receiver(run: Run, column: str, code_of: Callable[[np.ndarray], np.ndarray], n_codes: int) -> np.ndarray:
+    """Lookups by receiver, role of the subject, and a code of each lookup that follows from a column."""
+    n_roles, totals = len(run.role_labels), _Totals(len(run.role_labels) * n_codes)
+    for part in blocks(run, ["receiver", "role", column]):
+        totals.add(part["receiver"], part["role"] * n_codes + code_of(part[column]))
     return totals.table.reshape(-1, n_roles, n_codes)
 
 
@@ -284,56 +296,11 @@ def _columns(estimate: Estimate, value: str) -> dict[str, float]:
     return {value: estimate.value, "low": estimate.low, "high": estimate.high, "n_units": estimate.n_units}
 
 
-_IN_MEMORY = 2_000_000
-"""Rows of `trust_lookups` up to which they are read once for all metrics."""
-_ASKED = ["step", "receiver", "subject", "state", *AGES.values(), "n_evaluations", "n_evaluators"]
-
-
-def _lookups(run: Run, columns: list[str], by_block: bool = False) -> Iterator[pd.DataFrame]:
-    """Lookups of the run's variant: together where they fit into memory, else block by block."""
-    parts: Iterable[pd.DataFrame]
-    if run.n_rows("trust_lookups") // len(run.variants) > _IN_MEMORY:
-        parts = run.variant_parts("trust_lookups", columns)
-    else:
-        frame, ends = run.once("freshness.lookups", lambda: _in_memory(run))
-        frame = frame[columns]
-        parts = (frame.iloc[i:j] for i, j in pairwise(ends)) if by_block else [frame]
-    empty = True
-    for part in parts:
-        empty &= part.empty
-        yield part
-    if empty:
-        raise ValueError(f"{run.path} {_NO_LOOKUPS}")
-
-
-def _in_memory(run: Run) -> tuple[pd.DataFrame, list[int]]:
-    """All lookups of the variant, and where blocks begin and end."""
-    parts = list(run.variant_parts("trust_lookups", _ASKED))
-    frame = pd.concat(parts, ignore_index=True) if parts else run.variant_table("trust_lookups", _ASKED)
-    return frame, [0, *np.cumsum([len(part) for part in parts]).tolist()]
-
-
-class _RoleCodes:
-    """Code of the role by pseudonym, whatever the largest number of a pseudonym."""
-
-    def __init__(self, run: Run) -> None:
-        role = run.subjects.role.sort_index()
-        self.pseudonym, self.code = role.index.to_numpy(), role.cat.codes.to_numpy(np.int64)
-
-    def __call__(self, pseudonym: np.ndarray) -> np.ndarray:
-        return self.code[np.searchsorted(self.pseudonym, pseudonym)]
-
-
-def _before_renewal(part: pd.DataFrame, age_s: np.ndarray) -> np.ndarray:
-    """Rows just before a receiver's value of a subject is renewed."""
-    key = (part.receiver.to_numpy(np.int64) << 32) | part.subject.to_numpy()
-    order = np.argsort(key, kind="stable")  # rows are in order of time within a pair
-    return order[:-1][(np.diff(key[order]) == 0) & (np.diff(age_s[order]) < 0)]
-
-
 def _histogram(age_s: np.ndarray) -> np.ndarray:
-    at = np.searchsorted(_EDGES_S, np.clip(age_s, 0, _EDGES_S[-2]), "right") - 1
-    return np.bincount(at, minlength=len(_EDGES_S) - 1)
+    """Ages by bin of `_EDGES_S`, those beyond its ends in the outermost ones."""
+    at = np.searchsorted(np.sort(age_s), _EDGES_S)
+    at[0], at[-1] = 0, len(age_s)
+    return np.diff(at)
 
 
 def _quantile(histogram: np.ndarray, share: float) -> float:

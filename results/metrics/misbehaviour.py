@@ -9,11 +9,10 @@ its trust is below a threshold.
 
 import numpy as np
 import pandas as pd
-import pyarrow.compute as pc
 from jaxtyping import Float, Int
 from numpy import ndarray
 
-from results.metrics import intervals, trust
+from results.metrics import intervals, lookups, trust
 from results.metrics.survival import kaplan_meier, median, median_band
 from results.run import Run
 
@@ -148,13 +147,15 @@ def detection_delay(run: Run, threshold: float = 0.25, at: trust.At = "server") 
 
 def _low_values(run: Run, threshold: float, at: trust.At) -> tuple[Int[ndarray, "n"], Int[ndarray, "n"]]:
     """Step and subject of the values below a threshold that rest on an evaluation."""
-    if at == "server" == trust.kept_at(run):
-        known = trust.values(run)
-        low = known[(known.trust.to_numpy(np.float64) < threshold) & known.rated.to_numpy(bool)]
-    else:
-        table = "trust" if at == "server" else "trust_lookups"
-        is_low = (pc.field("trust") < threshold) & (pc.field("n_evaluations") > 0)
-        low = run.variant_table(table, ["step", "subject"], is_low)
+    if at == "vehicles":
+        found = [(np.zeros(0, np.int64), np.zeros(0, np.int64))]
+        for part in lookups.blocks(run, ["step", "subject", "trust", "n_evaluations"], may_be_none=True):
+            is_low = (part["trust"].astype(np.float64) < threshold) & (part["n_evaluations"] > 0)
+            found.append((part["step"][is_low], part["subject"][is_low]))
+        step, subject = (np.concatenate(one) for one in zip(*found, strict=True))
+        return step, subject
+    known = trust.values(run) if trust.kept_at(run) == "server" else trust.server_values(run).assign(rated=False)
+    low = known[(known.trust.to_numpy(np.float64) < threshold) & known.rated.to_numpy(bool)]
     return low.step.to_numpy(np.int64), low.subject.to_numpy(np.int64)
 
 

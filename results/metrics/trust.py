@@ -18,7 +18,16 @@ _INSTANTS = 600
 
 def kept_at(run: Run) -> At:
     """Where trust is kept: at the server if it ever computed any."""
-    return run.once("trust.kept_at", lambda: "server" if len(run.variant_table("trust", ["step"])) else "vehicles")
+    return run.once("trust.kept_at", lambda: "server" if len(server_values(run)) else "vehicles")
+
+
+def server_values(run: Run) -> pd.DataFrame:
+    """What metrics need of the table `trust`, of the run's variant; not to be changed."""
+    columns = [
+        "step", "subject", "trust", "state", "n_evaluations", "n_evaluators", "newest_evaluation_age_s",
+        "oldest_evaluation_age_s",
+    ]  # fmt: skip
+    return run.once("trust.server_values", lambda: run.variant_table("trust", columns))
 
 
 def values(run: Run) -> pd.DataFrame:
@@ -33,16 +42,15 @@ def values(run: Run) -> pd.DataFrame:
 
 def _values(run: Run) -> pd.DataFrame:
     if kept_at(run) == "server":
-        frame = run.variant_table("trust", ["step", "subject", "trust", "n_evaluations"])
+        frame = server_values(run)
         frame = frame.assign(rated=frame.n_evaluations > 0)
     else:
         frame = _own(run).assign(rated=True)
-    frame = frame[frame.step <= frame.subject.map(run.subjects.to_step)]
-    frame = frame.assign(
-        time_s=frame.step * run.dt_s,
-        vehicle=frame.subject.map(run.subjects.vehicle),
-        role=frame.subject.map(run.subjects.role),
-    )
+    who = run.subjects
+    at = who.index.get_indexer(pd.Index(frame.subject))
+    in_use = (at >= 0) & (frame.step.to_numpy() <= who.to_step.to_numpy()[at])
+    frame, at = frame[in_use], at[in_use]
+    frame = frame.assign(time_s=frame.step * run.dt_s, vehicle=who.vehicle.to_numpy()[at], role=who.role.array.take(at))
     return frame[["step", "time_s", "subject", "vehicle", "role", "trust", "rated"]]
 
 

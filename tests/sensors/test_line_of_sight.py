@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sensors.boxes import Boxes
-from sensors.line_of_sight import LosCache, WallIndex, los_between_actors
+from sensors.line_of_sight import LosOfPlaces, WallIndex, los_between_actors
 from sensors.scene import Scene
 from sumo_nets import catalogue
 from tests.sensors.test_boxes import footprint, moved
@@ -90,7 +90,7 @@ def test_walls_and_metres_are_the_same_from_either_end():
 def test_without_buildings_all_have_los():
     nothing = index_of([])
     assert sees(nothing, (0, 0, 1.5), (500, 20, 1.5))
-    assert sees(LosCache.of(nothing), (0, 0, 1.5), (500, 20, 1.5))
+    assert sees(LosOfPlaces.of(nothing), (0, 0, 1.5), (500, 20, 1.5))
 
 
 def town(n, seed=1):
@@ -135,18 +135,16 @@ def test_helsinki_agrees_with_shapely_on_ten_thousand_pairs():
     assert np.array_equal(clear, by_shapely(buildings, xyz, a, b, 1.5))
 
 
-def test_neither_cache_nor_eviction_changes_an_answer():
+def test_places_are_points_rounded():
     walls, g = index_of(town(6)), np.random.default_rng(6)
     xyz = np.column_stack([g.uniform(-60, 650, 400), g.uniform(-60, 550, 400), np.full(400, 1.5)])
     a, b = g.integers(0, 400, (2, 20_000))
-    large, small = LosCache.of(walls), LosCache.of(walls, n_remembered=256)  # far too few for these
-    first = large.has_los(xyz, a, b)
-    assert np.array_equal(large.has_los(xyz, a, b), first)
-    assert np.array_equal(small.has_los(xyz, a, b), first)
-    assert np.array_equal(small.has_los(xyz, b, a), first)  # a line has no direction
-    snapped = large.snap(xyz)
+    places = LosOfPlaces.of(walls)
+    found = places.has_los(xyz, a, b)
+    assert np.array_equal(places.has_los(xyz, b, a), found)  # a line has no direction
+    snapped = places.snap(xyz)
     assert np.abs(snapped - xyz).max() <= 0.25
-    assert np.array_equal(walls.has_los(snapped, a, b), first)
+    assert np.array_equal(walls.has_los(snapped, a, b), found)
 
 
 def test_a_building_only_removes_los():
@@ -161,9 +159,9 @@ def test_faults_are_named():
     with pytest.raises(ValueError, match="cell_m"):
         index_of([], 0.0)
     with pytest.raises(ValueError, match="snap_m"):
-        LosCache.of(index_of([]), snap_m=0.0)
+        LosOfPlaces.of(index_of([]), snap_m=0.0)
     with pytest.raises(ValueError, match="too far from the buildings"):
-        LosCache.of(index_of([])).has_los(np.array([[0, 0, 1.5], [1e9, 0, 1.5]]), np.array([0]), np.array([1]))
+        LosOfPlaces.of(index_of([])).has_los(np.array([[0, 0, 1.5], [1e9, 0, 1.5]]), np.array([0]), np.array([1]))
 
 
 @settings(max_examples=10, deadline=None)

@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 from tests.trust.worlds import worlds
 from tests.verification import paper
 from trust.evaluation import evaluate
-from trust.fusion import METHODS, SenderTrust, SensorEvidence, fuse
+from trust.fusion import METHODS, SensorEvidence, fuse
 from trust.matching import match
 from trust.params import Method, TrustParams
-from trust.tables import Detections, Evaluations, Groups, ObjectLists
+from trust.tables import Detections, Evaluations, Groups, ObjectLists, SenderTrust
 
 
 def test_every_method_has_a_formula():

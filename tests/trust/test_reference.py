@@ -8,7 +8,7 @@ import pytest
 from tests.trust.reference import LABELS, detections_of, load, one_view
 from tests.verification import paper
 from trust.evaluation import evaluate, visibility
-from trust.fusion import SenderTrust, SensorEvidence, fuse
+from trust.fusion import SensorEvidence, fuse
 from trust.matching import match
 from trust.models.trupercept import TruPercept
 from trust.params import TrustParams
@@ -20,6 +20,7 @@ from trust.tables import (
     Groups,
     ObjectLists,
     ReceivedEvaluations,
+    SenderTrust,
     messages_from_rows,
 )
 

@@ -7,11 +7,19 @@ import pytest
 
 from tests.trust.reference import load
 from trust.evaluation import evaluate
-from trust.fusion import SenderTrust, SensorEvidence, fuse
+from trust.fusion import SensorEvidence, fuse
 from trust.matching import match
 from trust.models.trupercept import TruPercept
 from trust.params import TrustParams
-from trust.tables import SERVER, Detections, Evaluations, ObjectLists, ReceivedEvaluations, messages_from_rows
+from trust.tables import (
+    SERVER,
+    Detections,
+    Evaluations,
+    ObjectLists,
+    ReceivedEvaluations,
+    SenderTrust,
+    messages_from_rows,
+)
 
 EGO, MALICIOUS, THIRD = 1, 2, 3
 NAMES = {"ego": EGO, "malicious": MALICIOUS, "third": THIRD}

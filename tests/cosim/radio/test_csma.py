@@ -12,7 +12,7 @@ from cosim.radio.dcc import DccParams
 from cosim.radio.message_round import LosState, Messages, Outcome, RoundKind, Stations
 from cosim.radio.params import RadioParams, RelayParams
 from cosim.radio.propagation import PropagationParams
-from sensors.line_of_sight import LosCache, WallIndex
+from sensors.line_of_sight import LosOfPlaces, WallIndex
 from sensors.scene import Scene
 
 QUIET = PropagationParams(
@@ -27,7 +27,7 @@ def line(n, apart_m):
 def los_of(rings):
     """Buildings of 20 m."""
     city = Scene.from_footprints([[np.array(r)] for r in rings], [0.0] * len(rings), [20.0] * len(rings))
-    return LosCache.of(WallIndex.of(city.buildings))
+    return LosOfPlaces.of(WallIndex.of(city.buildings))
 
 
 def keys_of(n):

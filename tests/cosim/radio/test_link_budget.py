@@ -3,7 +3,7 @@ import pytest
 
 from cosim.radio.link_budget import links_between, pairs, pairs_within
 from cosim.radio.propagation import PropagationParams, tr37885_db
-from sensors.line_of_sight import LosCache, WallIndex
+from sensors.line_of_sight import LosOfPlaces, WallIndex
 from sensors.scene import Scene
 
 ONE = np.uint64(1)
@@ -13,7 +13,7 @@ PLAIN = {"shadowing": False, "blockage": "none", "fading": "none"}
 def los_of(*rings):
     """Buildings of 9 m."""
     city = Scene.from_footprints([[np.array(r)] for r in rings], [0.0] * len(rings), [9.0] * len(rings))
-    return LosCache.of(WallIndex.of(city.buildings))
+    return LosOfPlaces.of(WallIndex.of(city.buildings))
 
 
 def scatter(n, side_m, seed=0):

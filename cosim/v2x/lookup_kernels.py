@@ -1,0 +1,43 @@
+"""Reading trust scores row by row: what vehicles look up of them, many times in a step."""
+
+import numpy as np
+from jaxtyping import Int
+from numba import njit
+from numpy import ndarray
+
+from results.codes import LookupState
+
+_JUDGED, _UNJUDGED, _STALE = (int(s) for s in (LookupState.JUDGED, LookupState.UNJUDGED, LookupState.STALE))
+
+
+@njit(cache=True, nogil=True)
+def rows_heard(
+    number_of: Int[ndarray, "n"], number: int, subject: Int[ndarray, "n"], known: Int[ndarray, "k"]
+) -> Int[ndarray, "n"]:
+    """Row of `known`, ascending, that holds each subject, where broadcast `number` is the one heard; -1 elsewhere."""
+    at = np.full(len(subject), -1)
+    for i in range(len(subject)):
+        if number_of[i] == number:
+            row = np.searchsorted(known, subject[i])
+            if row < len(known) and known[row] == subject[i]:
+                at[i] = row
+    return at
+
+
+@njit(cache=True, nogil=True)
+def fill(
+    trust, source, state, age_s, newest_age_s, oldest_age_s, n_evaluations, n_evaluators, at, code, value_age_s, time_s,
+    dt_s, window_s, unjudged_is_used, scores_trust, is_judged, newest_step, oldest_step, scores_n, scores_n_evaluators,
+):  # fmt: skip
+    """Columns of `cosim.v2x.trust_hosts.Lookups` where `at` names a row of the scores; others stay as they are."""
+    for i in range(len(at)):
+        row = at[i]
+        if row < 0:
+            continue
+        if is_judged[row] or unjudged_is_used:
+            trust[i], source[i] = scores_trust[row], code
+        age_s[i] = value_age_s
+        newest_age_s[i] = time_s - newest_step[row] * dt_s
+        oldest_age_s[i] = time_s - oldest_step[row] * dt_s
+        n_evaluations[i], n_evaluators[i] = scores_n[row], scores_n_evaluators[row]
+        state[i] = _UNJUDGED if not is_judged[row] else _JUDGED if newest_age_s[i] < window_s else _STALE
