@@ -19,6 +19,7 @@ from sensors.detector import Detector, DetectorDraws
 from sensors.evidence import AreaParams
 from sensors.neighbours import Neighbours, neighbours
 from sensors.scene import Prisms, Scene, prisms
+from sensors.thinned import Thinned
 
 _Rows = TypeVar("_Rows", evidence.Observability, detector.DetectedBoxes)
 
@@ -101,6 +102,8 @@ class Perception:
     """Memory of the last sweeps, written over by the next."""
     _hit: Int[ndarray, "n a e"] | None = field(default=None, repr=False)
     """The same of what their rays met, which is read group by group of observers."""
+    _thinned: Thinned | None = field(default=None, repr=False)
+    """The same of some rays."""
 
     def __call__(self, world: World, observers: Int[ndarray, "e"], watch: Stopwatch) -> Observed:
         """What these rows of the world perceive."""
@@ -114,9 +117,10 @@ class Perception:
         seen = []
         for first in range(0, len(observers), GROUP):
             some = observers[first : first + GROUP]
-            memory = range_m[first : first + GROUP], hit[: len(some)]
-            here = near.part(first, first + len(some))
-            seen.append(self.sense(world, some, watch, memory, here, bodies)[1].behind(first))
+            memory = range_m[first : first + GROUP], hit[: len(some)], self._thinned
+            sweeps, here = self.sense(world, some, watch, memory, near.part(first, first + len(some)), bodies)
+            self._thinned = sweeps.thinned
+            seen.append(here.behind(first))
         with watch("detect"):
             on = lidar.scanners(world.boxes, observers, self.lidar)
             return self.observed(world, observers, lidar.with_ranges(on, range_m), seen)
@@ -126,7 +130,7 @@ class Perception:
         world: World,
         observers: Int[ndarray, "e"],
         watch: Stopwatch,
-        memory: tuple[ndarray, ndarray] | None = None,
+        memory: tuple[ndarray, ndarray, Thinned | None] | None = None,
         near: Neighbours | None = None,
         bodies: Prisms | None = None,
     ) -> tuple[lidar.Sweeps, Seen]:
@@ -149,7 +153,8 @@ class Perception:
         return self._scan(world, observers)
 
     def _scan(
-        self, world: World, observers: Int[ndarray, "e"], memory: tuple[ndarray, ndarray] | None = None,
+        self, world: World, observers: Int[ndarray, "e"],
+        memory: tuple[ndarray, ndarray, Thinned | None] | None = None,
         near: Neighbours | None = None, bodies: Prisms | None = None,
     ) -> lidar.Sweeps:  # fmt: skip
         keys = sweep_keys(self.seed, world, observers)

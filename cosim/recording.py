@@ -123,8 +123,8 @@ def _detections(recorder: Recorder, world: World, sensed: Sensed) -> None:
     recorder.append("detections", world.step, {
         "observer": sensed.senders.pseudonym[sensed.detections.message], "detection_index": listed.detection_index,
         "class": listed.label, **_box_columns(listed.boxes), "score": listed.score, "n_points": listed.n_points,
-        "speed_mps": np.nan_to_num(listed.speed_mps), "speed_mps__valid": ~np.isnan(listed.speed_mps),
-        "acceleration_mps2": np.nan_to_num(listed.acceleration_mps2),
+        "speed_mps": listed.speed_mps, "speed_mps__valid": ~np.isnan(listed.speed_mps),
+        "acceleration_mps2": listed.acceleration_mps2,
         "acceleration_mps2__valid": ~np.isnan(listed.acceleration_mps2),
         "origin": listed.origin, "transmitted": listed.transmitted, "lied": truth.lied,
         "withheld": sensed.withheld, "target": world.actor[listed.target],
@@ -254,7 +254,7 @@ def _published(recorder: Recorder, at: int, dt_s: float, of_variant: Sequence[tu
     evaluators = [scores.n_evaluations if (m := scores.n_evaluators) is None else m for _, scores in of_variant]
     recorder.append("trust", at, {
         "variant": np.repeat([v for v, _ in of_variant], n), "subject": joined("subject"), "trust": joined("trust"),
-        "uncertainty": np.nan_to_num(uncertainty), "uncertainty__valid": ~np.isnan(uncertainty),
+        "uncertainty": uncertainty, "uncertainty__valid": ~np.isnan(uncertainty),
         "weight": joined("weight"), "state": np.where(is_judged, LookupState.JUDGED, LookupState.UNJUDGED),
         **_evaluations_behind(
             joined("n_evaluations"), np.concatenate(evaluators), (at - joined("newest_evaluation_step")) * dt_s,
@@ -317,8 +317,8 @@ def _evaluations_behind(
     evaluators are counted."""
     return {
         "n_evaluations": n, "n_evaluators": n_evaluators, "n_evaluators__valid": counted,
-        "newest_evaluation_age_s": np.where(some, newest_s, 0.0), "newest_evaluation_age_s__valid": some,
-        "oldest_evaluation_age_s": np.where(some, oldest_s, 0.0), "oldest_evaluation_age_s__valid": some,
+        "newest_evaluation_age_s": newest_s, "newest_evaluation_age_s__valid": some,
+        "oldest_evaluation_age_s": oldest_s, "oldest_evaluation_age_s__valid": some,
     }  # fmt: skip
 
 

@@ -95,7 +95,7 @@ def crowd(
         (f"{n_sensors} sensors, range noise included, one thread", best[1], "s"),
         (f"{n_sensors} sensors, range noise included, two threads", best[2], "s"),
         ("two threads / one", best[1] / best[2], "times"),
-        ("memory of their sweeps", (sweeps.range_m.nbytes + sweeps.hit.nbytes) / 1e6, "MB"),
+        ("memory of their sweeps", sum(a.nbytes for a in (sweeps.range_m, sweeps.hit, *sweeps.thinned)) / 1e6, "MB"),
     ]
 
 

@@ -2,7 +2,7 @@
 
 A ray crosses an upright box where its horizontal length lies in an interval (one per column of azimuth) and its height
 in another (one per box). Both are widened and narrowed by more than single precision can err; returns between the two
-are tested in double precision, so that the counts are those of the exact test of every return. Blocks of rows whose
+are tested in double precision, so that the counts are those of the exact test of every return. Stretches of rows whose
 returns are all nearer than the box, or all farther, are not looked at.
 """
 
@@ -18,6 +18,9 @@ from sensors.raycast.column import below, rectangle_columns
 BLOCK = 16
 """Rows that are compared at once; the rows behind the last whole block are tested one by one."""
 
+STRETCH = 32
+"""Rows whose nearest and farthest return are looked up first; whole blocks."""
+
 _GRAZING = 1e-7
 """Sine of the angle between a column and a side of the box below which their crossing is not computed."""
 
@@ -25,6 +28,9 @@ _FEW = 16
 """Boxes of one sweep for which it does not pay to look at the whole sweep first."""
 
 _INF = np.float32(np.inf).view(np.int32)
+
+_REACH_M = 0.01
+"""How far behind the farthest return of a sweep boxes are looked at: more than lengths are rounded by."""
 
 _WIDE = 4096
 """More than the rows of a column; a sum of float32 that counts two things is exact up to 2^24."""
@@ -87,25 +93,29 @@ def _nearest_and_farthest(ranges, c, r0, r1):
 
 @njit(cache=True)
 def _bounds(ranges, flat, nearest, farthest):
-    """Horizontal lengths between which the returns of a sweep lie, by block and column.
+    """Horizontal lengths between which the returns of a sweep lie, by stretch and column; the largest of all.
 
-    `flat` are the least and largest cosine of each block's elevations.
+    `flat` are the least and largest cosine of each stretch's elevations.
     """
     n, m = ranges.shape
     as_integers, low, high = ranges.view(np.int32), nearest.view(np.int32), farthest.view(np.int32)
     for c in range(n):
-        for b in range(m // BLOCK):
-            low[b, c], high[b, c] = _nearest_and_farthest(as_integers, c, BLOCK * b, BLOCK * b + BLOCK)
-        if m % BLOCK > 0:
-            low[-1, c], high[-1, c] = _nearest_and_farthest(as_integers, c, m // BLOCK * BLOCK, m)
+        for b in range(m // STRETCH):
+            low[b, c], high[b, c] = _nearest_and_farthest(as_integers, c, STRETCH * b, STRETCH * b + STRETCH)
+        if m % STRETCH > 0:
+            low[-1, c], high[-1, c] = _nearest_and_farthest(as_integers, c, m // STRETCH * STRETCH, m)
+    most = np.int32(0)
     for b in range(len(flat)):
+        for c in range(n):
+            most = max(most, high[b, c])
         nearest[b] *= flat[b, 0]
         farthest[b] *= flat[b, 1]
+    return np.int32(most).view(np.float32)
 
 
 @kernel
 def _any_between(nearest, farthest, a0, a1, b0, b1, enter, leave):
-    """Whether a block of these columns may have a return of a length between two."""
+    """Whether a stretch of these columns may have a return of a length between two."""
     found = 0
     for b in range(b0, b1):
         near, far = nearest[b, a0:a1], farthest[b, a0:a1]
@@ -115,8 +125,8 @@ def _any_between(nearest, farthest, a0, a1, b0, b1, enter, leave):
 
 
 @kernel
-def _blocks_between(nearest, farthest, a0, a1, b0, b1, enter, leave, error, first, last):
-    """First and last block of each column that may have a return between two lengths of its own; b1, b0 if none."""
+def _stretches_between(nearest, farthest, a0, a1, b0, b1, enter, leave, error, first, last):
+    """First and last stretch of each column that may have a return between two lengths of its own; b1, b0 if none."""
     first[: a1 - a0], last[: a1 - a0] = b1, b0
     for b in range(b1 - 1, b0 - 1, -1):
         near, far, here = nearest[b, a0:a1], farthest[b, a0:a1], np.int32(b)
@@ -133,14 +143,15 @@ def _count(ranges, beams, cos_el, sin_el, a0, a1, r0, r1, x, y, z, cos, sin, hal
     nearest, farthest = bounds
     near, far, first, until = scratch
     error = 2e-5 + 2e-6 * (abs(x) + abs(y) + abs(z) + half_l + half_w + half_h)
-    b0, b1 = r0 // BLOCK, (r1 + BLOCK - 1) // BLOCK
-    radius, distance = np.hypot(half_l, half_w), np.hypot(x, y)
+    b0, b1 = r0 // STRETCH, (r1 + STRETCH - 1) // STRETCH
+    low, high = r0 // BLOCK * BLOCK, min((r1 + BLOCK - 1) // BLOCK, m // BLOCK) * BLOCK  # whole blocks
+    radius, distance = np.sqrt(half_l * half_l + half_w * half_w), np.sqrt(x * x + y * y)
     least, most = np.float32(distance - radius - 3.0 * error), np.float32(distance + radius + 3.0 * error)
     if not _any_between(nearest, farthest, a0, a1, b0, b1, least, most):
         return 0
     p, q = -(cos * x + sin * y), -(cos * y - sin * x)
     _crossings(beams, a0, a1, p, q, cos, sin, half_l, half_w, near, far)
-    _blocks_between(nearest, farthest, a0, a1, b0, b1, near, far, 3.0 * error, first, until)
+    _stretches_between(nearest, farthest, a0, a1, b0, b1, near, far, 3.0 * error, first, until)
     total = 0
     for c in range(a0, a1):
         enter, leave = near[c - a0], far[c - a0]
@@ -149,18 +160,18 @@ def _count(ranges, beams, cos_el, sin_el, a0, a1, r0, r1, x, y, z, cos, sin, hal
             if enter - error >= leave + error or leave + error <= 0.0:
                 continue
             enter = max(enter, -1.0)  # a long interval behind the sensor would cost precision
-            some, last = first[c - a0], until[c - a0]
-            if some >= last:
+            if first[c - a0] >= until[c - a0]:
                 continue
-            whole = min(last, m // BLOCK)
+            some, last = max(low, STRETCH * first[c - a0]), STRETCH * until[c - a0]
+            whole = min(high, last)
             counted = _tally(
-                ranges, c, BLOCK * some, BLOCK * whole, cos_el, sin_el, np.float32(0.5 * (enter + leave)),
+                ranges, c, some, whole, cos_el, sin_el, np.float32(0.5 * (enter + leave)),
                 np.float32(0.5 * (leave - enter)), np.float32(z), np.float32(half_h), np.float32(error),
             )  # fmt: skip
             if counted // _WIDE == counted % _WIDE:
                 total += counted // _WIDE
                 some = whole
-            tested, end = max(r0, BLOCK * some), min(r1, BLOCK * last)
+            tested, end = max(r0, some), min(r1, last)
         ca, sa = beams.cos_az[c], beams.sin_az[c]
         for r in range(tested, end):
             d = np.float64(ranges[c, r])
@@ -176,27 +187,26 @@ def points_in_boxes(range_m, beams, pairs, run):
     n, m = range_m.shape[1], len(beams.tan_el)
     cos_el, sin_el = beams.cos_el.astype(np.float32), beams.sin_el.astype(np.float32)
     edge_cos, edge_sin = np.cos(0.5 * beams.fov_rad), np.sin(0.5 * beams.fov_rad)
-    flat = np.empty(((m + BLOCK - 1) // BLOCK, 2), np.float32)
+    flat = np.empty(((m + STRETCH - 1) // STRETCH, 2), np.float32)
     for b in range(len(flat)):
-        block = beams.cos_el[BLOCK * b : BLOCK * (b + 1)]
-        flat[b, 0], flat[b, 1] = block.min(), block.max()
+        cosines = beams.cos_el[STRETCH * b : STRETCH * (b + 1)]
+        flat[b, 0], flat[b, 1] = cosines.min(), cosines.max()
     for i in prange(len(run) - 1):
         ranges = range_m[pairs.o[run[i]]]
         lengths = np.empty((2, len(flat), n), np.float32)
         bounds = lengths[0], lengths[1]
         if run[i + 1] - run[i] > _FEW:
-            _bounds(ranges, flat, bounds[0], bounds[1])
+            farthest = _bounds(ranges, flat, bounds[0], bounds[1]) + _REACH_M
         else:
-            bounds[0][:], bounds[1][:] = 0.0, np.inf
+            bounds[0][:], bounds[1][:], farthest = 0.0, np.inf, np.inf
         scratch = np.empty(n), np.empty(n), np.empty(n, np.int32), np.empty(n, np.int32)
         for k in range(run[i], run[i + 1]):
             x, y, z, length, width, height, yaw = in_sensor_frame(pairs, k)
             half_l, half_w, half_h = 0.5 * length, 0.5 * width, 0.5 * height
-            radius = np.hypot(half_l, half_w)
-            if abs(y) * edge_cos - x * edge_sin > radius:
-                continue  # beside the field of view
-            distance = np.hypot(x, y)
+            radius, distance = np.sqrt(half_l * half_l + half_w * half_w), np.sqrt(x * x + y * y)
             close = distance - radius
+            if abs(y) * edge_cos - x * edge_sin > radius or close > farthest:
+                continue  # beside the field of view, or behind all returns
             cos, sin = np.cos(yaw), np.sin(yaw)
             a0, a1, b0, b1 = rectangle_columns(x, y, cos, sin, half_l, half_w, beams)
             r0, r1 = 0, m

@@ -23,6 +23,7 @@ from sensors.kernel import kernel
 from sensors.lidar import Sweeps
 from sensors.reports import DetectorDraws, Reports
 from sensors.scene import Hit
+from sensors.thinned import COLUMN_STEP, ROW_STEP
 
 CELL_M = 2.0
 """Edge of a cell [m]: larger than a pedestrian, smaller than a car."""
@@ -32,9 +33,6 @@ FLAT = 0.01
 
 HIDDEN = 0.8
 """Occlusion from which an actor is a site of false positives."""
-
-COLUMN_STEP, ROW_STEP = 4, 2
-"""Every how many columns and rows returns are counted: exact enough for a share, and much faster than all."""
 
 FARTHEST_CELLS = 512
 """Distance up to which cells are told apart; returns from beyond count to the last one."""
@@ -128,7 +126,7 @@ def _at_sites(
     capacity = INITIAL_CAPACITY
     while True:
         n, site, ray, uniform = _all_sweeps(
-            sweeps.range_m, sweeps.hit, sweeps.poses.origin_m, sweeps.poses.yaw_rad, sweeps.beams,
+            sweeps.range_m, sweeps.hit, sweeps.thinned, sweeps.poses.origin_m, sweeps.poses.yaw_rad, sweeps.beams,
             float(sweeps.max_range_m), _Hidden(ptr, actor, n_returns), keys, rates, capacity,
         )  # fmt: skip
         if n.max(initial=0) <= capacity:
@@ -188,29 +186,30 @@ def _side(x, y):
 
 @kernel
 def _places(ranges, hits, cos_el, c, x, y, along_x, along_y, top, side, place):
-    """Cell and kind (wall, road) in which each ray of a column that is counted ended, from 1; 0 for neither kind."""
+    """Cell and kind (wall, road) in which each ray of a thinned column ended, from 1; 0 for neither kind."""
     column, width = np.uint64(c), np.int32(side)
-    for q in range(np.uint64(len(place))):
-        r = q * np.uint64(ROW_STEP)
+    for r in range(np.uint64(len(place))):
         flat, code = ranges[column, r] * cos_el[r], hits[column, r]
         i, j = np.int32(min(max(x + flat * along_x, 0.0), top)), np.int32(min(max(y + flat * along_y, 0.0), top))
         at = np.int32(2) * (i * width + j) + np.int32(code == Hit.GROUND) * np.int32(_ROAD)
-        place[q] = at + np.int32(1) if (code == Hit.GROUND) | (code == Hit.BUILDING) else np.int32(0)
+        place[r] = at + np.int32(1) if (code == Hit.GROUND) | (code == Hit.BUILDING) else np.int32(0)
 
 
 @njit(cache=True)
 def _tally(ranges, hits, beams, x, y, cos, sin, x0, y0, side):
-    """Cells and kinds (wall, road) of one sweep: which, returns, first and last column; and returns by kind."""
-    n_rows = -(-hits.shape[1] // ROW_STEP)
+    """Cells and kinds (wall, road) of a thinned sweep: which, returns, first and last column; and returns by kind."""
+    n_columns, n_rows = hits.shape
+    cos_el = beams.cos_el[::ROW_STEP].copy()
     number = np.zeros(2 * side * side + 1, np.int32)  # place in the list, from 1
-    met = np.empty((4, 2 + -(-hits.shape[0] // COLUMN_STEP) * n_rows), np.int32)  # first those of neither kind
+    met = np.empty((4, 2 + n_columns * n_rows), np.int32)  # first those of neither kind
     number[0], met[1, 1], k = 1, 0, 2
     place = np.empty(n_rows, np.int32)
     x, y, top = x / CELL_M - x0, y / CELL_M - y0, side - 0.5
-    for c in range(0, hits.shape[0], COLUMN_STEP):
+    for column in range(n_columns):
+        c = column * COLUMN_STEP
         along_x = (cos * beams.cos_az[c] - sin * beams.sin_az[c]) / CELL_M
         along_y = (sin * beams.cos_az[c] + cos * beams.sin_az[c]) / CELL_M
-        _places(ranges, hits, beams.cos_el, c, x, y, along_x, along_y, top, side, place)
+        _places(ranges, hits, cos_el, column, x, y, along_x, along_y, top, side, place)
         for at in place:
             here = number[np.uint32(at)]
             if here == 0:
@@ -271,7 +270,9 @@ class _Hidden(NamedTuple):
 
 
 @njit(cache=True)
-def _one_sweep(ranges, hits, beams, pose, half, actor, n_returns, observer, step, keys, rates, site, ray, uniform):
+def _one_sweep(
+    ranges, hits, thinned, beams, pose, half, actor, n_returns, observer, step, keys, rates, site, ray, uniform
+):
     """Number of false positives of one sweep; as many as fit are written to `site`, `ray` and `uniform`."""
     x, y, yaw = pose
     common, _, _, actor_key, time_s, memory_s = keys
@@ -279,7 +280,7 @@ def _one_sweep(ranges, hits, beams, pose, half, actor, n_returns, observer, step
     side, sampled = 2 * half + 1, 1.0 / (COLUMN_STEP * ROW_STEP)
     cos, sin = np.cos(yaw), np.sin(yaw)
     x0, y0 = np.int64(np.floor(x / CELL_M)) - half, np.int64(np.floor(y / CELL_M)) - half
-    met, n = _tally(ranges, hits, beams, x, y, cos, sin, x0, y0, side)
+    met, n = _tally(thinned[0], thinned[1], beams, x, y, cos, sin, x0, y0, side)
     bodies = float(n[_WALL])
     for s in range(len(actor)):
         bodies += sampled * n_returns[s]
@@ -312,7 +313,7 @@ def _one_sweep(ranges, hits, beams, pose, half, actor, n_returns, observer, step
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def _all_sweeps(range_m, hit, origin_m, yaw_rad, beams, max_range_m, hidden, keys, rates, capacity):
+def _all_sweeps(range_m, hit, thinned, origin_m, yaw_rad, beams, max_range_m, hidden, keys, rates, capacity):
     """Per sweep: number of false positives; of the first `capacity`: key of the site, ray, U / p and a uniform."""
     n_sweeps, half = len(hit), min(np.int64(max_range_m / CELL_M) + 2, FARTHEST_CELLS)
     found = np.empty(n_sweeps, np.int64)
@@ -321,7 +322,8 @@ def _all_sweeps(range_m, hit, origin_m, yaw_rad, beams, max_range_m, hidden, key
     for o in prange(n_sweeps):
         first, last = hidden.ptr[o], hidden.ptr[o + 1]
         found[o] = _one_sweep(
-            range_m[o], hit[o], beams, (origin_m[o, 0], origin_m[o, 1], yaw_rad[o]), half, hidden.actor[first:last],
-            hidden.n_returns[first:last], keys.observer[o], keys.step[o], keys, rates, site[o], ray[o], uniform[o],
+            range_m[o], hit[o], (thinned.range_m[o], thinned.hit[o]), beams,
+            (origin_m[o, 0], origin_m[o, 1], yaw_rad[o]), half, hidden.actor[first:last], hidden.n_returns[first:last],
+            keys.observer[o], keys.step[o], keys, rates, site[o], ray[o], uniform[o],
         )  # fmt: skip
     return found, site, ray, uniform

@@ -19,6 +19,7 @@ from sensors.range_noise import RangeNoise
 from sensors.raycast import columnar, embree, open3d
 from sensors.raycast.column import cells_of_slopes
 from sensors.scene import Hit, Prisms, Scene, prisms
+from sensors.thinned import Thinned, thinned_size
 
 
 class Profile(NamedTuple):
@@ -224,6 +225,8 @@ class Sweeps(RangeImages):
 
     hit: Int[ndarray, "m a e"]
     """What returned, as a `Hit` code. Truth: only truth columns may read it."""
+    thinned: Thinned
+    """Some of these rays once more."""
 
 
 ENGINES: dict[str, Callable[..., None]] = {"columnar": columnar.cast, "embree": embree.cast, "open3d": open3d.cast}
@@ -236,7 +239,7 @@ def scan(
     scene: Scene,
     params: LidarParams,
     keys: UInt64[ndarray, "m"],
-    out: Sweeps | tuple[ndarray, ndarray] | None = None,
+    out: Sweeps | tuple[ndarray, ndarray, Thinned | None] | None = None,
     near: Neighbours | None = None,
     bodies: Prisms | None = None,
 ) -> Sweeps:
@@ -251,8 +254,8 @@ def scan(
     keys
         One number per observer that its range noise and dropouts are a function of.
     out
-        Arrays `range_m` and `hit` to fill; or an earlier result, whose arrays are overwritten where they are large
-        enough: saves allocation and page faults.
+        Arrays `range_m`, `hit` and `thinned` to fill; or an earlier result, whose arrays are overwritten where they are
+        large enough: saves allocation and page faults.
     near, bodies
         `neighbours` of the sensors, and `prisms` of all actors, where they are known already.
 
@@ -269,15 +272,17 @@ def scan(
     on = scanners(boxes, observers, params)
     grid = on.beams
     size = (len(observers), len(grid.azimuth_rad), len(grid.elevation_rad))
-    old_range_m, old_hit = out if isinstance(out, tuple) else (None, None) if out is None else (out.range_m, out.hit)
-    range_m, hit = buffer(size, np.float32, old_range_m), buffer(size, hit_type(len(boxes)), old_hit)
+    old = (out.range_m, out.hit, out.thinned) if isinstance(out, Sweeps) else out or (None, None, None)
+    range_m, hit = buffer(size, np.float32, old[0]), buffer(size, hit_type(len(boxes)), old[1])
+    kept = (None, None) if old[2] is None else old[2]
+    thinned = Thinned(*(buffer(thinned_size(size), a.dtype.type, b) for a, b in zip((range_m, hit), kept, strict=True)))
     near = neighbours(on.poses.origin_m, boxes, params.max_range_m) if near is None else near
     ENGINES[params.engine](
         range_m, hit, on.poses, on.ground_m, observers, grid, params.max_range_m, boxes,
         prisms(shape, boxes) if bodies is None else bodies, scene,
-        RangeNoise.of(keys, params.range_sigma_m, params.dropout_p), near,
+        RangeNoise.of(keys, params.range_sigma_m, params.dropout_p), near, thinned,
     )  # fmt: skip
-    return Sweeps(on.poses, observers, on.ground_m, grid, params.max_range_m, range_m, hit)
+    return Sweeps(on.poses, observers, on.ground_m, grid, params.max_range_m, range_m, hit, thinned)
 
 
 def hit_type(n_actors: int) -> type:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit, prange
 
-from sensors.raycast.column import actor_columns, in_prism_frame, profile, rectangle, surface
+from sensors.kernel import kernel
+from sensors.raycast.column import actor_columns, in_prism_frame, profile, rectangle, rectangle_columns, surface
 from sensors.scene import Hit
 
 
@@ -13,35 +14,73 @@ from sensors.scene import Hit
 def unoccluded_returns(hit, origin, yaw, beams, limit, xyz, radius, height, ptr, row, own, bodies):
     """Per candidate (observer, actor): returns in the sweep, and returns if nothing else existed."""
     n_returns, n_unoccluded = np.zeros(len(row), np.int32), np.zeros(len(row), np.int32)
+    most = 0
+    for a in range(len(bodies.ptr) - 1):
+        most = max(most, bodies.ptr[a + 1] - bodies.ptr[a])
     for o in prange(len(own)):
-        taken = np.zeros(len(beams.tan_el), np.int64)  # the last column (of all) in which a row was counted
-        column = 0
-        x, y, z, cos, sin = origin[o, 0], origin[o, 1], origin[o, 2], np.cos(yaw[o]), np.sin(yaw[o])
+        pose = origin[o, 0], origin[o, 1], origin[o, 2], np.cos(yaw[o]), np.sin(yaw[o])
+        taken = np.zeros(len(beams.tan_el), np.int32)  # the last column (of all) in which a row was counted
+        room = taken, np.empty((most, 8)), np.empty((most, 4), np.int64)
+        hits, n_columns = hit[o], 0
         for i in range(ptr[o], ptr[o + 1]):
             a = row[i]
-            if a == own[o]:
-                continue
-            dx, dy = xyz[a, 0] - x, xyz[a, 1] - y
-            a0, a1, b0, b1 = actor_columns(dx, dy, radius[a], cos, sin, beams)
-            within_limit = np.hypot(np.hypot(dx, dy) + radius[a], abs(xyz[a, 2] - z) + 0.5 * height[a]) < limit
-            for turn in range(2):
-                for c in range(a0 if turn == 0 else b0, a1 if turn == 0 else b1):
-                    column += 1
-                    ca, sa = beams.cos_az[c], beams.sin_az[c]
-                    for k in range(bodies.ptr[a], bodies.ptr[a + 1]):
-                        p, q, u, v = in_prism_frame(bodies, k, x, y, cos, sin)
-                        enter, leave = rectangle(
-                            p, q, u * ca - v * sa, v * ca + u * sa, bodies.half_l_m[k], bodies.half_w_m[k]
-                        )
-                        if leave <= max(enter, 0.0):
-                            continue
-                        bottom, top = bodies.bottom_m[k] - z, bodies.top_m[k] - z
-                        first, s0, s1, last, t, low, high = profile(enter, leave, bottom, top, beams)
-                        for r in range(first, last):
-                            if taken[r] != column and (
-                                within_limit or surface(r, s0, s1, t, low, high, beams) <= limit
-                            ):
-                                taken[r] = column
-                                n_unoccluded[i] += 1
-                                n_returns[i] += hit[o, c, r] == Hit.ACTOR + a
+            if a != own[o]:
+                n_returns[i], n_unoccluded[i], n_columns = _of_actor(
+                    hits, pose, beams, limit, a, xyz, radius[a], height[a], bodies, room, n_columns
+                )
     return n_returns, n_unoccluded
+
+
+@kernel
+def _of_actor(hits, pose, beams, limit, a, xyz, radius, height, bodies, room, n_columns):
+    """Returns of one sweep from an actor, and those without anything else; columns looked at so far."""
+    x, y, z, cos, sin = pose
+    taken, frame, window = room
+    n_returned = n_rays = 0
+    dx, dy = xyz[a, 0] - x, xyz[a, 1] - y
+    a0, a1, b0, b1 = actor_columns(dx, dy, radius, cos, sin, beams)
+    if a1 <= a0 and b1 <= b0:
+        return 0, 0, n_columns
+    within_limit = np.hypot(np.hypot(dx, dy) + radius, abs(xyz[a, 2] - z) + 0.5 * height) < limit
+    n, code = (
+        _seen_from(frame, window, bodies, bodies.ptr[a], bodies.ptr[a + 1], x, y, z, cos, sin, beams),
+        Hit.ACTOR + a,
+    )
+    for turn in range(2):
+        for c in range(a0 if turn == 0 else b0, a1 if turn == 0 else b1):
+            n_columns += 1
+            ca, sa = beams.cos_az[c], beams.sin_az[c]
+            for k in range(n):
+                if not (window[k, 0] <= c < window[k, 1] or window[k, 2] <= c < window[k, 3]):
+                    continue
+                p, q, u, v, half_l, half_w = (
+                    frame[k, 0],
+                    frame[k, 1],
+                    frame[k, 2],
+                    frame[k, 3],
+                    frame[k, 4],
+                    frame[k, 5],
+                )
+                enter, leave = rectangle(p, q, u * ca - v * sa, v * ca + u * sa, half_l, half_w)
+                if leave <= max(enter, 0.0):
+                    continue
+                first, s0, s1, last, t, low, high = profile(enter, leave, frame[k, 6], frame[k, 7], beams)
+                for r in range(np.uint64(first), np.uint64(last)):
+                    if taken[r] != n_columns and (within_limit or surface(r, s0, s1, t, low, high, beams) <= limit):
+                        taken[r] = n_columns
+                        n_rays += 1
+                        n_returned += hits[np.uint64(c), r] == code
+    return n_returned, n_rays, n_columns
+
+
+@kernel
+def _seen_from(frame, window, bodies, first, end, x, y, z, cos, sin, beams):
+    """Number of an actor's prisms; of each, the sensor in its frame, its size, and the columns that may cross it."""
+    for k in range(first, end):
+        p, q, u, v = in_prism_frame(bodies, k, x, y, cos, sin)
+        half_l, half_w, i = bodies.half_l_m[k], bodies.half_w_m[k], k - first
+        frame[i, 0], frame[i, 1], frame[i, 2], frame[i, 3], frame[i, 4], frame[i, 5] = p, q, u, v, half_l, half_w
+        frame[i, 6], frame[i, 7] = bodies.bottom_m[k] - z, bodies.top_m[k] - z
+        a0, a1, b0, b1 = rectangle_columns(-p * u - q * v, p * v - q * u, u, -v, half_l, half_w, beams)
+        window[i, 0], window[i, 1], window[i, 2], window[i, 3] = a0, a1, b0, b1
+    return end - first

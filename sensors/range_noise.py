@@ -48,11 +48,13 @@ def add_noise(ranges, hits, key, noise):
     seed = splitmix64(key + GOLDEN)
     n, m = np.uint64(ranges.shape[0]), np.uint64(ranges.shape[1])
     zero, sigma, level = np.float32(0.0), noise.sigma_m, noise.level
-    drawn, off = np.empty(m, np.uint16), np.empty(m, np.float32)
+    drawn, off, ray = np.empty(m, np.uint16), np.empty(m, np.float32), np.empty(m, np.uint64)
+    for r in range(m):
+        ray[r] = r * GOLDEN
     for c in range(n):  # looking up is a loop of its own, because it is not vectorised
         first = seed + c * m * GOLDEN
         for r in range(m):
-            drawn[r] = splitmix64(first + r * GOLDEN) >> _S52
+            drawn[r] = splitmix64(first + ray[r]) >> _S52
         for r in range(m):
             off[r] = level[drawn[r]]
         for r in range(m):

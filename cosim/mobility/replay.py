@@ -1,8 +1,8 @@
 """Replayed traffic: a trace that SUMO wrote, or the tables of an earlier run."""
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
-from functools import cache
+from collections.abc import Callable, Iterator, Sequence
+from functools import cache, partial
 from itertools import repeat
 from pathlib import Path
 from typing import Any
@@ -51,6 +51,7 @@ class TraceReplay:
         self._path, self._registry = path, registry
         self._frame = frame or Frame(str(path))
         self._types = _types_of(files)
+        self._shape_of = cache(partial(_shape_of, self._types))
         self._dt_s = params.step_s
         self._number: dict[tuple[str, bool], int] = {}
         self._left_out: dict[str, str] = {}
@@ -86,7 +87,8 @@ class TraceReplay:
         for row in np.flatnonzero(shape == _LEFT_OUT).tolist():
             self._left_out.setdefault(timestep.names[row], self._types(timestep.types[row]).vclass)
         rows = np.flatnonzero((shape != _LEFT_OUT) & ~_inside_vehicle(timestep, shape))
-        keys = [(timestep.names[row], shape[row] == Shape.PEDESTRIAN) for row in rows.tolist()]
+        is_person = (shape == Shape.PEDESTRIAN)[rows].tolist()
+        keys = list(zip([timestep.names[row] for row in rows.tolist()], is_person, strict=True))
         number = self._numbers(keys)
         if (new := np.flatnonzero(number == _UNKNOWN)).size:
             self._register(timestep, rows[new], shape, step)
@@ -131,21 +133,25 @@ class TraceReplay:
         return np.fromiter(map(self._number.get, keys, repeat(_UNKNOWN)), np.int32, len(keys))
 
     def _register(self, timestep: Timestep, rows: Int[ndarray, "k"], shape: Int[ndarray, "n"], step: int) -> None:
-        names = {(timestep.names[row], shape[row] == Shape.PEDESTRIAN): row for row in rows.tolist()}
+        names = {(timestep.names[row], bool(shape[row] == Shape.PEDESTRIAN)): row for row in rows.tolist()}
         lwh_m = np.array([self._types(timestep.types[row]).lwh_m for row in names.values()], float).reshape(-1, 3)
         shapes = shape[list(names.values())].astype(np.uint8)
         numbers = self._registry.register([name for name, _ in names], shapes, lwh_m, step)
         self._number.update(zip(names, numbers.tolist(), strict=True))
 
-    def _shape_of(self, name: str) -> int:
-        shape = SHAPE_OF_CLASS.get(self._types(name).vclass)
-        return _LEFT_OUT if shape is None else int(shape)
+
+def _shape_of(types: Callable[[str], vtypes.VehicleType], name: str) -> int:
+    """Code of the shape of this type's vehicles."""
+    shape = SHAPE_OF_CLASS.get(types(name).vclass)
+    return _LEFT_OUT if shape is None else int(shape)
 
 
 def _inside_vehicle(timestep: Timestep, shape: Int[ndarray, "n"]) -> Bool[ndarray, "n"]:
     """Persons at the exact position of a vehicle: they ride in it. Live, they are not on the road."""
-    position = timestep.front_m[:, 0] + 1j * timestep.front_m[:, 1]
     is_person = shape == Shape.PEDESTRIAN
+    if not is_person.any():
+        return is_person
+    position = timestep.front_m[:, 0] + 1j * timestep.front_m[:, 1]
     return is_person & np.isin(position, position[~is_person])
 
 

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float, Int, UInt64
 from numpy import ndarray
 
 from cosim import rng
-from cosim.ragged import expand
+from cosim.ragged import offsets
 from cosim.v2x import cellular
 from cosim.v2x.cellular import CellularParams, transfer_delay_s, within_capacity
 from cosim.v2x.lookup_kernels import rows_heard
@@ -142,8 +142,11 @@ class Uplink:
 
 def chosen_messages(messages: EvaluationMessages, chosen: Bool[ndarray, "v"]) -> EvaluationMessages:
     """Only the chosen evaluators' messages."""
-    rows, _ = expand(messages.ptr[:-1][chosen], messages.ptr[1:][chosen])
-    ptr = np.concatenate([[0], np.cumsum(np.diff(messages.ptr)[chosen])])
+    if chosen.all():
+        return messages
+    n = np.diff(messages.ptr)
+    rows = np.flatnonzero(np.repeat(chosen, n))
+    ptr = offsets(n[chosen])
     return EvaluationMessages(
         messages.step, messages.evaluator[chosen], ptr, messages.observer[rows], messages.detection_index[rows],
         messages.evaluation[rows], messages.visibility[rows],

@@ -20,13 +20,14 @@ from sensors.range_noise import RangeNoise, add_noise
 from sensors.raycast.city import close_columns, gather, toggle_levels
 from sensors.raycast.column import actor_columns, below, in_prism_frame, profile, rectangle, rectangle_columns
 from sensors.scene import Hit, Prisms, Scene
+from sensors.thinned import Thinned, thin
 
 
 def cast(
     range_m, hit, poses, ground_m, observers, beams, max_range_m, boxes: Boxes, bodies: Prisms, scene: Scene,
-    noise: RangeNoise, near: Neighbours,
+    noise: RangeNoise, near: Neighbours, thinned: Thinned,
 ):  # fmt: skip
-    """Fill `range_m` and `hit` of every observer; see `sensors.lidar.scan`."""
+    """Fill `range_m`, `hit` and `thinned` of every observer; see `sensors.lidar.scan`."""
     if scene.triangles_m is not None or scene.bodies_m:
         meshes = [*scene.bodies_m.values(), *([] if scene.triangles_m is None else [scene.triangles_m])]
         raise ValueError(
@@ -35,12 +36,12 @@ def cast(
         )
     _cast(
         range_m, hit, poses.origin_m, poses.yaw_rad, ground_m, observers, beams, float(max_range_m),
-        boxes.xyz_m, boxes.circumradius_m, near.ptr, near.row, bodies, scene.buildings, noise,
+        boxes.xyz_m, boxes.circumradius_m, near.ptr, near.row, bodies, scene.buildings, noise, thinned,
     )  # fmt: skip
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def _cast(range_m, hit, origin, yaw, ground, own, beams, limit, xyz, radius, ptr, row, bodies, city, noise):
+def _cast(range_m, hit, origin, yaw, ground, own, beams, limit, xyz, radius, ptr, row, bodies, city, noise, thinned):
     """Sweep by sweep, so that each is finished while it is in the cache of its core."""
     for o in prange(len(origin)):
         x, y, z, cos, sin = origin[o, 0], origin[o, 1], origin[o, 2], np.cos(yaw[o]), np.sin(yaw[o])
@@ -52,6 +53,7 @@ def _cast(range_m, hit, origin, yaw, ground, own, beams, limit, xyz, radius, ptr
                 dx, dy = xyz[a, 0] - x, xyz[a, 1] - y
                 _actor(ranges, hits, a, dx, dy, radius[a], x, y, z, cos, sin, beams, limit, nearest, bodies)
         add_noise(ranges, hits, noise.key[o], noise)
+        thin(ranges, hits, thinned.range_m[o], thinned.hit[o])
 
 
 @njit(cache=True, inline="always")

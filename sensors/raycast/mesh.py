@@ -15,6 +15,7 @@ from sensors.boxes import Boxes
 from sensors.neighbours import Neighbours
 from sensors.range_noise import RangeNoise, add_noise_to_all
 from sensors.scene import Hit, Prisms, Scene, roof_triangles
+from sensors.thinned import Thinned, thin_all
 
 TILE_M = 256.0
 STEP_M = 1e-4  # how far behind a face of one's own body a ray starts again
@@ -26,9 +27,9 @@ Tracer = Callable[[Float[ndarray, "r 3"], Float[ndarray, "r 3"]], tuple[Float[nd
 def cast(
     tracer_of: Callable[[ndarray], Tracer],
     range_m, hit, poses, ground_m, observers, beams, max_range_m, boxes: Boxes, bodies: Prisms, scene: Scene,
-    noise: RangeNoise, _near: Neighbours,
+    noise: RangeNoise, _near: Neighbours, thinned: Thinned,
 ):  # fmt: skip
-    """Fill `range_m` and `hit` of every observer; `tracer_of` makes an engine from triangles (t, 3, 3)."""
+    """Fill `range_m`, `hit` and `thinned` of every observer; `tracer_of` makes an engine from triangles (t, 3, 3)."""
     city, (body, actor) = city_triangles(scene), _bodies(bodies, boxes, scene)
     mesh = np.concatenate([city, body])
     code = np.concatenate([np.full(len(city), Hit.BUILDING), Hit.ACTOR + actor]).astype(np.int32)
@@ -47,6 +48,7 @@ def cast(
                 Hit.ACTOR + observers[o], beams, max_range_m, trace, code[close],
             )  # fmt: skip
     add_noise_to_all(range_m, hit, noise)
+    thin_all(range_m, hit, thinned)
 
 
 def _sweep(range_m, hit, origin, yaw, ground, own, beams, max_range_m, trace: Tracer | None, code) -> None:

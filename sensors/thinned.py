@@ -1,0 +1,57 @@
+"""Every fourth column and every second row of sweeps, side by side in memory.
+
+Exact enough for shares of the returns. The caster fills it while a sweep is in the cache of its core: to pick these
+rays from the whole sweep later would read all of it from memory again.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float32, Int
+from numba import njit, prange
+from numpy import ndarray
+
+from sensors.kernel import kernel
+
+COLUMN_STEP, ROW_STEP = 4, 2
+
+
+class Thinned(NamedTuple):
+    """Some rays of M sweeps."""
+
+    range_m: Float32[ndarray, "m a/4 e/2"]
+    hit: Int[ndarray, "m a/4 e/2"]
+
+    @staticmethod
+    def of(range_m: Float32[ndarray, "m a e"], hit: Int[ndarray, "m a e"]) -> Thinned:
+        """Those of these sweeps."""
+        size = thinned_size(range_m.shape)
+        made = Thinned(np.empty(size, range_m.dtype), np.empty(size, hit.dtype))
+        thin_all(range_m, hit, made)
+        return made
+
+
+def thinned_size(size: tuple[int, int, int]) -> tuple[int, int, int]:
+    """Sweeps, columns and rows that are kept of so many."""
+    m, a, e = size
+    return m, -(-a // COLUMN_STEP), -(-e // ROW_STEP)
+
+
+@kernel
+def thin(ranges, hits, some_ranges, some_hits):
+    """Copy the rays of one sweep that are kept."""
+    step, skip = np.uint64(COLUMN_STEP), np.uint64(ROW_STEP)
+    for c in range(np.uint64(some_hits.shape[0])):
+        for r in range(np.uint64(some_hits.shape[1])):
+            some_ranges[c, r] = ranges[c * step, r * skip]
+        for r in range(np.uint64(some_hits.shape[1])):
+            some_hits[c, r] = hits[c * step, r * skip]
+
+
+@njit(cache=True, nogil=True, parallel=True)
+def thin_all(range_m, hit, made):
+    """Copy those of all sweeps."""
+    for o in prange(len(hit)):
+        thin(range_m[o], hit[o], made.range_m[o], made.hit[o])
