@@ -13,7 +13,6 @@ from sensors.kernel import kernel
 from sensors.pairs import in_sensor_frame
 from sensors.raycast.column import MARGIN_RAD, below, spans
 
-
 _AT_ONCE = 8
 """Rows that are tested at once: a window of as many, or of a multiple, leaves none to be tested one by one."""
 
