@@ -2,6 +2,7 @@
 
 import copy
 from collections.abc import Mapping, Sequence
+from dataclasses import fields
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
@@ -19,6 +20,7 @@ from cosim.step_result import Sensed, StepResult
 from cosim.trackers import evidence_audit
 from cosim.trackers.attack_start import AttackStartTracker
 from cosim.trackers.channel_counts import latency_histogram, pdr_by_distance, vehicle_channel
+from cosim.v2x import lookup_kernels
 from cosim.v2x.messages import FABRICATED
 from cosim.v2x.pseudonyms import PseudonymUse
 from cosim.v2x.trust_hosts import Lookups, ServerTraffic
@@ -121,8 +123,8 @@ def _detections(recorder: Recorder, world: World, sensed: Sensed) -> None:
     recorder.append("detections", world.step, {
         "observer": sensed.senders.pseudonym[sensed.detections.message], "detection_index": listed.detection_index,
         "class": listed.label, **_box_columns(listed.boxes), "score": listed.score, "n_points": listed.n_points,
-        "speed_mps": np.nan_to_num(listed.speed_mps), "speed_mps__valid": ~np.isnan(listed.speed_mps),
-        "acceleration_mps2": np.nan_to_num(listed.acceleration_mps2),
+        "speed_mps": listed.speed_mps, "speed_mps__valid": ~np.isnan(listed.speed_mps),
+        "acceleration_mps2": listed.acceleration_mps2,
         "acceleration_mps2__valid": ~np.isnan(listed.acceleration_mps2),
         "origin": listed.origin, "transmitted": listed.transmitted, "lied": truth.lied,
         "withheld": sensed.withheld, "target": world.actor[listed.target],
@@ -252,7 +254,7 @@ def _published(recorder: Recorder, at: int, dt_s: float, of_variant: Sequence[tu
     evaluators = [scores.n_evaluations if (m := scores.n_evaluators) is None else m for _, scores in of_variant]
     recorder.append("trust", at, {
         "variant": np.repeat([v for v, _ in of_variant], n), "subject": joined("subject"), "trust": joined("trust"),
-        "uncertainty": np.nan_to_num(uncertainty), "uncertainty__valid": ~np.isnan(uncertainty),
+        "uncertainty": uncertainty, "uncertainty__valid": ~np.isnan(uncertainty),
         "weight": joined("weight"), "state": np.where(is_judged, LookupState.JUDGED, LookupState.UNJUDGED),
         **_evaluations_behind(
             joined("n_evaluations"), np.concatenate(evaluators), (at - joined("newest_evaluation_step")) * dt_s,
@@ -271,48 +273,40 @@ def _lookups(
 ) -> None:
     """Rows of all variants at once, by subject."""
     n, n_variants = len(receiver), len(lookups)
+    counted = np.repeat([found.n_evaluators is not None for found in lookups], n)
+    nothing = np.zeros(n, np.int64)
+    whole = Lookups(*(
+        np.concatenate([nothing if (column := getattr(found, f.name)) is None else column for found in lookups])
+        for f in fields(Lookups)
+    ))  # fmt: skip
+    recorder.append("lookup_totals", at, _lookup_totals(whole, n_variants))
     order = stable_order(subject)
-
-    def joined(name: str) -> ndarray:
-        return np.concatenate([getattr(found, name)[order] for found in lookups])
-
-    counted = [found.n_evaluators is not None for found in lookups]
-    evaluators = [
-        np.zeros(n, np.int64) if found.n_evaluators is None else found.n_evaluators[order] for found in lookups
-    ]
+    found = whole.take((np.arange(n_variants)[:, None] * n + order).ravel())
     recorder.append("trust_lookups", at, {
         "variant": np.repeat(np.arange(n_variants), n), "subject": np.tile(subject[order], n_variants),
-        "receiver": np.tile(receiver[order], n_variants), "trust": joined("trust"), "source": joined("source"),
-        "state": joined("state"), "age_s": joined("age_s"), "age_s__valid": ~joined("is_default"),
+        "receiver": np.tile(receiver[order], n_variants), "trust": found.trust, "source": found.source,
+        "state": found.state, "age_s": found.age_s, "age_s__valid": ~found.is_default,
         **_evaluations_behind(
-            joined("n_evaluations"), np.concatenate(evaluators), joined("newest_evaluation_age_s"),
-            joined("oldest_evaluation_age_s"), joined("is_known"), np.repeat(counted, n),
+            found.n_evaluations, np.asarray(found.n_evaluators), found.newest_evaluation_age_s,
+            found.oldest_evaluation_age_s, found.is_known, counted,
         ),
     })  # fmt: skip
-    recorder.append("lookup_totals", at, _lookup_totals(lookups))
 
 
-def _lookup_totals(lookups: Sequence[Lookups]) -> Rows:
-    """Lookups of a step added up by variant and state; states that do not occur are left out."""
-    n_states, n_variants = len(LookupState), len(lookups)
-    group = np.concatenate([v * n_states + found.state.astype(np.int64) for v, found in enumerate(lookups)])
-    valued, known = (
-        np.concatenate(masks) for masks in ([~found.is_default for found in lookups], [x.is_known for x in lookups])
-    )
-
-    def total(name: str, where: Bool[ndarray, "n"]) -> ndarray:
-        values = np.concatenate([getattr(found, name) for found in lookups])
-        return np.bincount(group[where], values[where], n_states * n_variants)
-
-    n = np.bincount(group, minlength=n_states * n_variants)
-    rows = {
+def _lookup_totals(found: Lookups, n_variants: int) -> Rows:
+    """Lookups of a step, one variant after another, added up by variant and state; states that do not occur are left
+    out."""
+    n_states = len(LookupState)
+    sums = lookup_kernels.totals(
+        n_variants, n_states, found.state, found.is_default, found.is_known, found.age_s,
+        found.newest_evaluation_age_s, found.oldest_evaluation_age_s,
+    )  # fmt: skip
+    names = ("n", "n_valued", "age_sum_s", "newest_evaluation_age_sum_s", "oldest_evaluation_age_sum_s")
+    rows = dict(zip(names, sums, strict=True)) | {
         "variant": np.repeat(np.arange(n_variants), n_states), "state": np.tile(np.arange(n_states), n_variants),
-        "n": n, "n_valued": np.bincount(group[valued], minlength=len(n)),
-        "age_sum_s": total("age_s", valued),
-        "newest_evaluation_age_sum_s": total("newest_evaluation_age_s", known),
-        "oldest_evaluation_age_sum_s": total("oldest_evaluation_age_s", known),
     }  # fmt: skip
-    return {name: column[n > 0] for name, column in rows.items()}
+    there = rows["n"] > 0
+    return {name: column[there] for name, column in rows.items()}
 
 
 def _evaluations_behind(
@@ -323,8 +317,8 @@ def _evaluations_behind(
     evaluators are counted."""
     return {
         "n_evaluations": n, "n_evaluators": n_evaluators, "n_evaluators__valid": counted,
-        "newest_evaluation_age_s": np.where(some, newest_s, 0.0), "newest_evaluation_age_s__valid": some,
-        "oldest_evaluation_age_s": np.where(some, oldest_s, 0.0), "oldest_evaluation_age_s__valid": some,
+        "newest_evaluation_age_s": newest_s, "newest_evaluation_age_s__valid": some,
+        "oldest_evaluation_age_s": oldest_s, "oldest_evaluation_age_s__valid": some,
     }  # fmt: skip
 
 

@@ -45,23 +45,20 @@ class StoredColumn:
         kind, given = self.dtype.kind, values.dtype.kind
         if kind == "O":
             return values.astype(object)
-        if valid is not None and valid.all():
-            valid = None
-        used = values if valid is None else values[valid]
+        if valid is not None and not valid.all():
+            values = np.where(valid, values, np.zeros((), values.dtype))
         if kind in "iu":
             if given not in "iu":
                 raise ValueError(f"{self.name} has dtype {values.dtype}; whole numbers are wanted.")
-            if (self.categories or values.dtype != self.dtype) and used.size:
-                low, high = int(used.min()), int(used.max())
+            if (self.categories or values.dtype != self.dtype) and values.size:
+                low, high = int(values.min()), int(values.max())
                 if low < self.bottom or high > self.top:
                     raise ValueError(f"{self.name} holds {low} to {high}, outside {self.bottom} to {self.top}.")
         elif kind == "b":
             if given != "b":
                 raise ValueError(f"{self.name} has dtype {values.dtype}; true or false is wanted.")
-        elif given not in "fiu" or not np.isfinite(used).all():
+        elif given not in "fiu" or not np.isfinite(values).all():
             raise ValueError(f"{self.name} holds something that is not a finite number.")
-        if valid is not None:
-            values = np.where(valid, values, np.zeros((), values.dtype))
         if self.scale is not None:
             values = np.round(np.asarray(values, np.float64) * self.scale) * (1 / self.scale)
         return values.astype(self.dtype)

@@ -41,3 +41,22 @@ def fill(
         oldest_age_s[i] = time_s - oldest_step[row] * dt_s
         n_evaluations[i], n_evaluators[i] = scores_n[row], scores_n_evaluators[row]
         state[i] = _UNJUDGED if not is_judged[row] else _JUDGED if newest_age_s[i] < window_s else _STALE
+
+
+@njit(cache=True, nogil=True)
+def totals(n_variants, n_states, state, is_default, is_known, age_s, newest_age_s, oldest_age_s):
+    """Of lookups of one variant after another, by variant and state: how many, how many with a value, and sums of the
+    ages of these values and of the evaluations that are known."""
+    n, n_valued = np.zeros(n_variants * n_states, np.int64), np.zeros(n_variants * n_states, np.int64)
+    sums = np.zeros((3, n_variants * n_states))
+    per_variant = len(state) // n_variants
+    for i in range(len(state)):
+        group = i // per_variant * n_states + state[i]
+        n[group] += 1
+        if not is_default[i]:
+            n_valued[group] += 1
+            sums[0, group] += age_s[i]
+        if is_known[i]:
+            sums[1, group] += newest_age_s[i]
+            sums[2, group] += oldest_age_s[i]
+    return n, n_valued, sums[0], sums[1], sums[2]

@@ -67,6 +67,11 @@ class Lookups:
     n_evaluators: Int[ndarray, "n"] | None
     """Different vehicles that made them; None where the trust model does not count them."""
 
+    def take(self, rows: Int[ndarray, "k"]) -> "Lookups":
+        """These rows."""
+        columns: dict[str, Any] = {f.name: getattr(self, f.name) for f in fields(self)}
+        return replace(self, **{name: column[rows] for name, column in columns.items() if column is not None})
+
     @property
     def is_known(self) -> Bool[ndarray, "n"]:
         """Values that rest on at least one evaluation, however old: what counts as knowledge."""
