@@ -13,6 +13,9 @@ from sensors.kernel import kernel
 from sensors.pairs import in_sensor_frame
 from sensors.raycast.column import MARGIN_RAD, below, spans
 
+_AT_ONCE = 8
+"""Rows that are tested at once: a window of as many, or of a multiple, leaves none to be tested one by one."""
+
 
 @njit(cache=True, inline="always")
 def _in_view(forward, left, fov_rad, slope, slack_m):
@@ -155,6 +158,9 @@ def _returns_in(sweep, beams, plane, limit, middle, half, low, high):
     a0, a1, b0, b1 = spans(middle, half, beams)
     r0 = max(0, below(beams, low) - 1)
     r1 = min(len(beams.tan_el), below(beams, high) + 1)
+    n_rows = -(-(r1 - r0) // _AT_ONCE) * _AT_ONCE
+    r1 = min(len(beams.tan_el), r0 + n_rows)
+    r0 = max(0, r1 - n_rows)
     cos_el, sin_el = beams.cos_el[r0:r1], beams.sin_el[r0:r1]
     n_seen = n_closer = 0
     for turn in range(2):
