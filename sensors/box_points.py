@@ -108,8 +108,9 @@ def _bounds(ranges, flat, nearest, farthest):
     for b in range(len(flat)):
         for c in range(n):
             most = max(most, high[b, c])
-        nearest[b] *= flat[b, 0]
-        farthest[b] *= flat[b, 1]
+        for c in range(n):
+            nearest[b, c] *= flat[b, 0]
+            farthest[b, c] *= flat[b, 1]
     return np.int32(most).view(np.float32)
 
 
@@ -188,9 +189,10 @@ def points_in_boxes(range_m, beams, pairs, run):
     cos_el, sin_el = beams.cos_el.astype(np.float32), beams.sin_el.astype(np.float32)
     edge_cos, edge_sin = np.cos(0.5 * beams.fov_rad), np.sin(0.5 * beams.fov_rad)
     flat = np.empty(((m + STRETCH - 1) // STRETCH, 2), np.float32)
-    for b in range(len(flat)):
-        cosines = beams.cos_el[STRETCH * b : STRETCH * (b + 1)]
-        flat[b, 0], flat[b, 1] = cosines.min(), cosines.max()
+    flat[:, 0], flat[:, 1] = np.inf, -np.inf
+    for r in range(m):
+        b = r // STRETCH
+        flat[b, 0], flat[b, 1] = min(flat[b, 0], cos_el[r]), max(flat[b, 1], cos_el[r])
     for i in prange(len(run) - 1):
         ranges = range_m[pairs.o[run[i]]]
         lengths = np.empty((2, len(flat), n), np.float32)

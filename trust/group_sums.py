@@ -120,10 +120,9 @@ def _add(of, begin, end, t, message, at, ego):
 
 
 @njit(cache=True, nogil=True)
-def _of_egos(chunk, n_chunks, lists, evaluated_by, own, reported, weights, sums, totals):
+def _of_egos(chunk, n_chunks, longest, lists, evaluated_by, own, reported, weights, sums, totals):
     """The same for every `n_chunks`-th ego."""
     received_ptr, received, trust, has_evaluations, ego_trust, ego_computed, default_trust, unit_trust = weights
-    longest = np.max(np.diff(lists.ptr)) if lists.owner.size else 0
     at = np.full(lists.message.size, -1, np.int32)
     known = np.full(evaluated_by.size, default_trust)
     room = _OfEgo(
@@ -176,13 +175,14 @@ def _of_egos(chunk, n_chunks, lists, evaluated_by, own, reported, weights, sums,
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def _accumulate(lists, evaluated_by, own, reported, weights, n_chunks, sums, totals):
+def _accumulate(longest, lists, evaluated_by, own, reported, weights, n_chunks, sums, totals):
     """Fill the sums of all groups, and those of all members where there is room for them.
 
-    `evaluated_by` is the row of the evaluator's list per message row, -1 for none.
+    `evaluated_by` is the row of the evaluator's list per message row, -1 for none; no ego's list is longer than
+    `longest`.
     """
     for chunk in prange(n_chunks):
-        _of_egos(chunk, n_chunks, lists, evaluated_by, own, reported, weights, sums, totals)
+        _of_egos(chunk, n_chunks, longest, lists, evaluated_by, own, reported, weights, sums, totals)
 
 
 def sums_of_groups(
@@ -209,6 +209,7 @@ def sums_of_groups(
     sent = made if reported is own else _Evaluated.of(evaluated, reported)
     members, totals = MemberSums.of(lists.member.size * params.code_parity), GroupTotals.zeros(n_groups)
     n_sums = lists.member.size + t.message.size * evaluated.member.size / max(1, evaluated.owner.size)
+    longest = int(np.diff(lists.ptr).max(initial=0))
     with threads_for(n_sums) as n_threads:
-        _accumulate(of_lists, evaluated_by, made, sent, weights, n_threads, members, totals)
+        _accumulate(longest, of_lists, evaluated_by, made, sent, weights, n_threads, members, totals)
     return totals, members

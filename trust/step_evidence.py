@@ -125,8 +125,9 @@ def _translate(ids, first, score, evaluator, ptr, observer, index, e, phi, head,
             value[p] = np.int64(np.rint(phi[p] * e[p] * ONE))
         n_new = n_known[0] - old
         if n_new:
-            parts[n_known[1]] = (old, n_known[0], count[v] - n_new, head[v])
-            head[v] = n_known[1]
+            part = n_known[1]
+            parts[part, 0], parts[part, 1], parts[part, 2], parts[part, 3] = old, n_known[0], count[v] - n_new, head[v]
+            head[v] = part
             n_known[1] += 1
     return _Read(code, subject, number, weight, value, row, need)
 

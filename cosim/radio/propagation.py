@@ -289,7 +289,8 @@ def _waves(xy, decorrelation_m, rng_key):
         for i in range(5):
             radius = np.sqrt(-2 * np.log(1 - unit(mix(h, np.uint64(2 * i)))))
             normal[i] = radius * np.cos(2 * np.pi * unit(mix(h, np.uint64(2 * i + 1))))
-        turns[:4, k] = normal[:4] / (abs(normal[4]) * decorrelation_m * 2 * np.pi)
+        for i in range(4):
+            turns[i, k] = normal[i] / (abs(normal[4]) * decorrelation_m * 2 * np.pi)
         turns[4, k] = unit(mix(h, np.uint64(10)))
     out = np.empty((n, 4, N_WAVES), np.float32)
     for j in range(n):
