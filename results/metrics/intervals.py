@@ -13,7 +13,7 @@ FEW = 10
 """Fewer units than this are too few for a figure: a result then says so."""
 _DRAWS = 1000
 _FEWEST = 3
-_FEW_TO_KEEP = 200
+_FEW_TO_KEEP, _MOST_TO_KEEP = 200, 2000
 
 
 class Estimate(NamedTuple):
@@ -67,12 +67,18 @@ def ratio(top: Float[ndarray, "u"], bottom: Float[ndarray, "u"], level: float = 
 
 
 def _drawn(n: int) -> Float[ndarray, "draws n"]:
-    """How often each of `n` units is drawn, in every draw; kept for few units, where it takes longer than its use."""
-    return _kept(n) if n <= _FEW_TO_KEEP else _multinomial(n)
+    """How often each of `n` units is drawn, in every draw; kept where that takes longer than its use and has room."""
+    return _kept(n) if n <= _FEW_TO_KEEP else _last(n) if n <= _MOST_TO_KEEP else _multinomial(n)
 
 
 @lru_cache(maxsize=64)
 def _kept(n: int) -> Float[ndarray, "draws n"]:
+    return _multinomial(n)
+
+
+@lru_cache(maxsize=4)
+def _last(n: int) -> Float[ndarray, "draws n"]:
+    """The last few: metrics of a run ask again and again for the number of its vehicles."""
     return _multinomial(n)
 
 
