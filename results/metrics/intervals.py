@@ -1,10 +1,11 @@
 """Intervals of ratios and means over units that are independent of each other: vehicles, not messages."""
 
+from collections.abc import Iterator
 from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, UInt8
 from numpy import ndarray
 from scipy import stats
 
@@ -13,7 +14,10 @@ FEW = 10
 """Fewer units than this are too few for a figure: a result then says so."""
 _DRAWS = 1000
 _FEWEST = 3
-_FEW_TO_KEEP, _MOST_TO_KEEP = 200, 2000
+_AT_ONCE = 50
+"""Draws that are multiplied at once: a divisor of all; of 5,000 units they fit into a cache."""
+_FEW_AS_USED, _MOST_AS_USED = 200, 2000
+"""Units up to which draws of many, and of a few, such numbers of units are kept as they are used."""
 
 
 class Estimate(NamedTuple):
@@ -61,29 +65,38 @@ def ratio(top: Float[ndarray, "u"], bottom: Float[ndarray, "u"], level: float = 
     value = float(top.sum() / bottom.sum())
     if n < _FEWEST:
         return Estimate(value, float("nan"), float("nan"), n)
-    drawn = _drawn(n)
-    low, high = np.quantile((drawn @ top) / (drawn @ bottom), [(1 - level) / 2, (1 + level) / 2])
+    tops, bottoms = (np.concatenate(sums) for sums in zip(*((d @ top, d @ bottom) for d in _drawn(n)), strict=True))
+    low, high = np.quantile(tops / bottoms, [(1 - level) / 2, (1 + level) / 2])
     return Estimate(value, float(low), float(high), n)
 
 
-def _drawn(n: int) -> Float[ndarray, "draws n"]:
-    """How often each of `n` units is drawn, in every draw; kept where that takes longer than its use and has room."""
-    return _kept(n) if n <= _FEW_TO_KEEP else _last(n) if n <= _MOST_TO_KEEP else _multinomial(n)
+def _drawn(n: int) -> Iterator[Float[ndarray, "some n"]]:
+    """How often each of `n` units is drawn, in every draw; some draws at a time where they are many numbers."""
+    if n <= _MOST_AS_USED:
+        yield _few(n) if n <= _FEW_AS_USED else _some(n)
+        return
+    counts = _counts(n)
+    for first in range(0, _DRAWS, _AT_ONCE):
+        yield counts[first : first + _AT_ONCE].astype(float)
 
 
 @lru_cache(maxsize=64)
-def _kept(n: int) -> Float[ndarray, "draws n"]:
-    return _multinomial(n)
+def _few(n: int) -> Float[ndarray, "draws n"]:
+    return _counts(n).astype(float)
 
 
 @lru_cache(maxsize=4)
-def _last(n: int) -> Float[ndarray, "draws n"]:
-    """The last few: metrics of a run ask again and again for the number of its vehicles."""
-    return _multinomial(n)
+def _some(n: int) -> Float[ndarray, "draws n"]:
+    return _counts(n).astype(float)
 
 
-def _multinomial(n: int) -> Float[ndarray, "draws n"]:
-    return np.random.default_rng(0).multinomial(n, np.full(n, 1 / n), size=_DRAWS).astype(float)
+@lru_cache(maxsize=16)
+def _counts(n: int) -> UInt8[ndarray, "draws n"]:
+    """Kept, because to draw takes longer than to use: metrics of a run ask again and again for the number of its
+    vehicles. That a unit is drawn 256 times does not occur."""
+    random, share = np.random.default_rng(0), np.full(n, 1 / n)
+    blocks = range(0, _DRAWS, _AT_ONCE)
+    return np.concatenate([random.multinomial(n, share, size=_AT_ONCE).astype(np.uint8) for _ in blocks])
 
 
 def share(top: Float[ndarray, "u"], bottom: Float[ndarray, "u"], level: float = LEVEL) -> Estimate:
