@@ -54,7 +54,7 @@ class WallIndex:
         grid = Grid(low, float(cell_m), step.astype(np.uint8), ptr, wall, *by_cell)
         solid = np.tile(np.array([1, 0], np.uint8), (nx, ny, 1))
         index = WallIndex(grid, walls, solid)
-        i, j = np.nonzero(empty)
+        i, j = np.nonzero(empty & (np.diff(grid.building_ptr) > 0).reshape(nx, ny))
         middle = np.column_stack([low[0] + (i + 0.5) * cell_m, low[1] + (j + 0.5) * cell_m, np.full(len(i), np.nan)])
         owner = kernels.building_at(middle, grid, walls)
         i, j, owner = i[owner >= 0], j[owner >= 0], owner[owner >= 0]
@@ -128,21 +128,20 @@ class WallIndex:
 
 
 def _buildings_by_cell(low: ndarray, cell_m: float, nx: int, ny: int, walls: Walls) -> tuple[ndarray, ndarray]:
-    """Buildings by the cells that their bounding box touches, compressed rows."""
-    cells, ids = [], []
-    for k in range(len(walls.ptr) - 1):
-        corner = walls.segment[walls.ptr[k] : walls.ptr[k + 1], :4].reshape(-1, 2)
-        if len(corner) == 0:
-            continue
-        i0, j0 = ((corner.min(0) - low) // cell_m).astype(int)
-        i1, j1 = ((corner.max(0) - low) // cell_m).astype(int)
-        i, j = np.meshgrid(np.arange(i0, i1 + 1), np.arange(j0, j1 + 1), indexing="ij")
-        cells.append((i * ny + j).ravel())
-        ids.append(np.full(i.size, k))
-    cell = np.concatenate([*cells, np.zeros(0, np.int64)])
-    order = np.argsort(cell, kind="stable")
-    ptr = np.searchsorted(cell[order], np.arange(nx * ny + 1))
-    return ptr.astype(np.int32), np.concatenate([*ids, np.zeros(0, np.int64)])[order].astype(np.int32)
+    """Buildings by the cells that their bounding box touches, compressed rows; ascending in each cell."""
+    building = np.flatnonzero(np.diff(walls.ptr))
+    corner, first = walls.segment[:, :2], walls.ptr[building]  # rings are closed: each corner begins a wall
+    (i0, j0), (i1, j1) = (
+        ((bound.reduceat(corner, first) - low) // cell_m).astype(np.int64).T if len(first) else np.zeros((2, 0), int)
+        for bound in (np.minimum, np.maximum)
+    )
+    rows = j1 - j0 + 1
+    count = (i1 - i0 + 1) * rows
+    which = np.repeat(np.arange(len(count)), count)
+    number = np.arange(len(which)) - np.repeat(np.cumsum(count) - count, count)
+    cell = (i0[which] + number // rows[which]) * ny + j0[which] + number % rows[which]
+    ptr = np.concatenate([[0], np.cumsum(np.bincount(cell, minlength=nx * ny))])
+    return ptr.astype(np.int32), building[which[np.argsort(cell, kind="stable")]].astype(np.int32)
 
 
 @dataclass(frozen=True, slots=True)
