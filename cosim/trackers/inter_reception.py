@@ -59,7 +59,10 @@ def _carried_on(held, held_last, held_received, pair, received, step, last_step)
 
     Both lists of pairs are sorted.
     """
-    n_ended, n_cut = np.zeros(step + 1, np.int64), np.zeros(step + 1, np.int64)
+    longest = 0
+    for at in range(len(held)):
+        longest = max(longest, step - held_last[at] if held_received[at] else 0)
+    n_ended, n_cut = np.zeros(longest + 1, np.int64), np.zeros(longest + 1, np.int64)
     last, has_last = np.empty(len(pair), np.int64), np.empty(len(pair), np.bool_)
     at = 0
     for row in range(len(pair) + 1):
