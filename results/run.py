@@ -44,6 +44,8 @@ class Run:
         """What all trust variants have in common, once it was asked for."""
         self._apart: Path | None = None
         """Folder of the rows of each trust variant, where they are set apart."""
+        self._opened: dict[Path, pa.ipc.RecordBatchFileReader] = {}
+        """Its files that are open."""
         self._own: dict[str, Any] = {}
 
     @cached_property
@@ -62,7 +64,7 @@ class Run:
             raise ValueError(f"{self.path} has no trust variant {name!r}. It has {', '.join(self.variants)}.")
         other = type(self)(self.path, self.manifest, name)
         other.damage, other._sound = self.damage, self._sound
-        other._common, other._apart = self._common, self._apart
+        other._common, other._apart, other._opened = self._common, self._apart, self._opened
         other.__dict__["inventory"] = self.inventory
         return other
 
@@ -75,8 +77,9 @@ class Run:
         """
         other = self.as_variant(self.variant)
         with tempfile.TemporaryDirectory(prefix="cosim-variants-") as folder:
-            other._apart = Path(folder) if len(self.variants) > 1 else None
+            other._apart, other._opened = Path(folder) if len(self.variants) > 1 else None, {}
             yield other
+            other._opened.clear()
 
     def once(self, name: str, make: Callable[[], T]) -> T:
         """What several metrics of this variant begin with, made once; not to be changed."""
@@ -112,6 +115,9 @@ class Run:
     @property
     def tables(self) -> tuple[str, ...]:
         """Names of the tables that the run holds."""
+        return self.once_for_all("tables", self._tables_there)
+
+    def _tables_there(self) -> tuple[str, ...]:
         recorded = self.manifest.get("inventory", {}).get("tables", ())
         return tuple(
             name for name in TABLES
@@ -164,14 +170,32 @@ class Run:
             mine = self._table("encounter_trust", own, *self._of_variant("encounter_trust", None))
             kept = [c for c in TABLES["encounters"].columns if c in key or (c in wanted and c not in own)]
             return self.table("encounters", kept, where).merge(mine, on=key, how="left")[wanted]
-        frame, parts = self.encounters, list(self.variant_arrays("encounter_trust", key))
-        keys = [np.concatenate([np.zeros(0, np.int8), *(part[c] for part in parts)]) for c in key]
-        others, at = self.once_for_all("rows of encounters", lambda: (keys, _rows_of(frame, keys, key)))
-        if not all(map(np.array_equal, keys, others)):
-            at = _rows_of(frame, keys, key)
+        frame, at = self.encounters, self._encounter_rows()
         values = [c for c in wanted if c in own and c not in key]
         mine = self._table("encounter_trust", values, *self._of_variant("encounter_trust", None))
         return pd.DataFrame({c: (mine[c].take(at) if c in values else frame[c]).array for c in wanted})
+
+    def _encounter_rows(self) -> np.ndarray:
+        """Row in `encounter_trust`, of the variant's own, of each row of `encounters`."""
+        return self.once_for_all("rows of encounters", self._rows_of_encounters)[self.variants.index(self.variant)]
+
+    def _rows_of_encounters(self) -> dict[int, np.ndarray]:
+        """The same by variant; found once where all have their rows in the same order, as the recorder writes them."""
+        key = list(TABLES["encounters"].key)
+        base, rows = self._array_of("encounters", key), self._array_of("encounter_trust", ["variant", *key])
+        order = np.argsort(rows["variant"], kind="stable")
+        ends = np.searchsorted(rows["variant"][order], np.arange(len(self.variants) + 1))
+        found: dict[int, np.ndarray] = {}
+        before: list[np.ndarray] = []
+        for variant in range(1, len(self.variants)):
+            keys = [rows[c][order[ends[variant] : ends[variant + 1]]] for c in key]
+            if not before or not all(map(np.array_equal, keys, before)):
+                assert len(keys[0]) == len(base["a"]), "encounters and encounter_trust have the same encounters"
+                at = np.empty(len(keys[0]), np.int64)
+                at[np.lexsort([base[c] for c in key[::-1]])] = np.lexsort(keys[::-1])
+                before = keys
+            found[variant] = at
+        return found
 
     def variant_parts(
         self, name: str, columns: Sequence[str] | None = None, where: pc.Expression | None = None
@@ -181,8 +205,37 @@ class Run:
 
     def variant_arrays(self, name: str, columns: Sequence[str]) -> Iterator[dict[str, np.ndarray]]:
         """The same, columns as plain arrays: labels as their codes (-1: none), numbers that may be null as floats."""
+        return self._arrays(name, columns, *self._of_variant(name, None))
+
+    def variant_array(self, name: str, columns: Sequence[str]) -> dict[str, np.ndarray]:
+        """The same of all blocks at once; the trust columns of `encounters` are the variant's own, as in
+        `variant_table`."""
+        if name == "encounters" and self.variant != BASE_VARIANT:
+            own = [c for c in columns if c in TABLES["encounter_trust"].columns and c not in TABLES[name].key]
+            mine, others = self.variant_array("encounter_trust", own), [c for c in columns if c not in own]
+            found = {c: values[self._encounter_rows()] for c, values in mine.items()}
+            return found | (self._array_of(name, others) if others else {})
+        return self._joined(name, columns, self.variant_arrays(name, columns))
+
+    def _array_of(self, name: str, columns: Sequence[str]) -> dict[str, np.ndarray]:
+        """The same, rows of all variants."""
+        return self._joined(name, columns, self.arrays(name, columns))
+
+    def _joined(
+        self, name: str, columns: Sequence[str], blocks: Iterator[dict[str, np.ndarray]]
+    ) -> dict[str, np.ndarray]:
+        empty = self._wanted(name, columns).empty_table()
+        parts = [{c: _array(empty.column(c).combine_chunks(), ()) for c in columns}, *blocks]
+        return {c: np.concatenate([part[c] for part in parts]) for c in columns}
+
+    def arrays(self, name: str, columns: Sequence[str]) -> Iterator[dict[str, np.ndarray]]:
+        """The same, rows of all variants."""
+        return self._arrays(name, columns, None, self._part)
+
+    def _arrays(
+        self, name: str, columns: Sequence[str], where: pc.Expression | None, part: virtual_columns.Read
+    ) -> Iterator[dict[str, np.ndarray]]:
         wanted = self._wanted(name, columns)
-        where, part = self._of_variant(name, None)
         labels = {c: TABLES[name].columns[c].labels(self.manifest) for c in wanted.names}
         for path in self._paths(name):
             rows = virtual_columns.read(part, path, wanted.names, where)
@@ -204,12 +257,11 @@ class Run:
             return self._part(path, names, where)
         assert self._apart is not None
         file = self._apart / table / f"{path.stem}.arrow"
-        if not file.exists():
+        if file not in self._opened:
             file.parent.mkdir(exist_ok=True)
             _write_apart(file, self._part(path, list(TABLES[table].stored), None), self.variants)
-        with pa.memory_map(str(file)) as source:
-            batch = pa.ipc.open_file(source).get_batch(self.variants.index(self.variant))
-        rows = pa.Table.from_batches([batch])
+            self._opened[file] = pa.ipc.open_file(pa.memory_map(str(file)))
+        rows = pa.Table.from_batches([self._opened[file].get_batch(self.variants.index(self.variant))])
         return rows.select(names) if where is None else rows.filter(where).select(names)
 
     def n_blocks(self, name: str) -> int:
@@ -245,6 +297,9 @@ class Run:
 
     def _paths(self, name: str) -> list[Path]:
         """The parts of a table; Damaged where the folder holds others than the inventory."""
+        return self.once_for_all(f"parts of {name}", lambda: self._checked_paths(name))
+
+    def _checked_paths(self, name: str) -> list[Path]:
         if problem := next(problems_of(self.path, name, self.inventory, self.manifest["status"] in OVER), None):
             self._found_damaged(problem)
         return [self.path / part.name for part in self.inventory.of(name)]
@@ -318,18 +373,6 @@ def _array(column: pa.Array, labels: Sequence[str]) -> np.ndarray:
         return column.to_numpy(zero_copy_only=False)
     code = np.array([*map(list(labels).index, column.dictionary.to_pylist()), -1], np.int16)
     return code[column.indices.fill_null(-1).to_numpy(zero_copy_only=False)]
-
-
-def _rows_of(frame: pd.DataFrame, keys: list[np.ndarray], key: Sequence[str]) -> np.ndarray:
-    """Row with the same key, of each row of a frame; both have every key once."""
-    assert len(frame) == len(keys[0]), "encounters and encounter_trust have the same encounters"
-    at = np.empty(len(frame), np.int64)
-    at[np.lexsort([_codes(frame[c]) for c in key[::-1]])] = np.lexsort(keys[::-1])
-    return at
-
-
-def _codes(column: pd.Series) -> np.ndarray:
-    return column.cat.codes.to_numpy() if isinstance(column.dtype, pd.CategoricalDtype) else column.to_numpy()
 
 
 def problems_of(folder: Path, table: str, found: Inventory, is_over: bool) -> Iterator[str]:

@@ -3,34 +3,23 @@
 Definitions and sources are in `results/FRESHNESS.md`.
 """
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from results.codes import LookupState, labels
-from results.metrics import trust
+from results.metrics import lookups, trust
 from results.metrics.encounters import DEFINITION
 from results.metrics.intervals import Estimate, ratio, share, without_interval
-from results.metrics.lookups import NO_LOOKUPS, blocks, role_codes
+from results.metrics.lookups import AGES, EDGES_S, FRESH_S, NO_LOOKUPS, blocks, role_codes
 from results.run import Run
 
 STATES = labels(LookupState)
 """Of a lookup, in this order."""
 KNOWN = ("judged", "stale")
 """States in which a value rests on an evaluation."""
-
-AGES: Mapping[str, str] = {
-    "value": "age_s",
-    "newest evaluation": "newest_evaluation_age_s",
-    "oldest evaluation": "oldest_evaluation_age_s",
-}
-"""What ages, and the column of `trust_lookups` that says how old it is."""
-
-_EDGES_S = np.concatenate([[0.0, 1e-6], np.geomspace(0.05, 1e5, 600)])
-"""Bins of age for quantiles of tables larger than memory: 2.4 % wide."""
-_PEAK_BLOCKS = 20
 
 _NO_EVALUATION = "holds no lookup of a trust value that rests on an evaluation: trust never reached a vehicle."
 
@@ -44,9 +33,9 @@ def evidence(run: Run) -> pd.DataFrame:
     newest_s, oldest_s, n_evaluations and n_evaluators over the values that have some.
     """
     columns = ["n_evaluations", "n_evaluators", "newest_evaluation_age_s", "oldest_evaluation_age_s"]
-    frame = trust.server_values(run)
-    code, judged = role_codes(run, frame.subject.to_numpy()), (frame.state == "judged").to_numpy()
-    values = {name: frame[name].to_numpy(np.float64, na_value=np.nan) for name in columns}
+    known = trust.server_values(run)
+    code, judged = role_codes(run, known["subject"]), known["state"] == LookupState.JUDGED
+    values = {name: known[name].astype(np.float64) for name in columns}
     rows = []
     for role in np.unique(code):
         mine = code == role
@@ -72,12 +61,11 @@ def states(run: Run) -> pd.DataFrame:
             {"role": "all", "state": state, "n": int(n)} | _columns(without_interval(n / total.sum()), "share")
             for state, n in total.items()
         ])  # fmt: skip
-    counts = _per_receiver(run, "state", lambda state: state, len(STATES))
-    rows = []
+    counts, rows = lookups.sums(run).states, []
     for role, of_role in _with_all(run, counts):
-        lookups = of_role.sum(axis=1)
+        n_lookups = of_role.sum(axis=1)
         for state, n in zip(STATES, of_role.T, strict=True):
-            rows.append({"role": role, "state": state, "n": int(n.sum())} | _columns(share(n, lookups), "share"))
+            rows.append({"role": role, "state": state, "n": int(n.sum())} | _columns(share(n, n_lookups), "share"))
     return pd.DataFrame(rows)
 
 
@@ -92,26 +80,15 @@ def ages(run: Run) -> pd.DataFrame:
     """
     if "trust_lookups" not in run.tables:
         return _ages_of_totals(run)
-    roles, n_bins = ("all", *run.role_labels), len(_EDGES_S) - 1
-    rows = []
-    for what, column in AGES.items():
-        sums, counts = _Totals(len(run.role_labels)), _Totals(len(run.role_labels))
-        histograms = np.zeros((len(run.role_labels), n_bins), np.int64)
-        for part in blocks(run, ["receiver", "role", column]):
-            there = ~np.isnan(part[column])
-            age_s, receiver = part[column][there].astype(np.float64), part["receiver"][there]
-            code_of = part["role"][there]
-            sums.add(receiver, code_of, age_s)
-            counts.add(receiver, code_of)
-            for code in range(len(run.role_labels)):
-                histograms[code] += _histogram(age_s[code_of == code])
-        for code, role in enumerate(roles):
+    found, rows = lookups.sums(run), []
+    for number, what in enumerate(AGES):
+        for code, role in enumerate(("all", *run.role_labels)):
             chosen = slice(None) if code == 0 else slice(code - 1, code)
-            n, histogram = counts.table[:, chosen].sum(axis=1), histograms[chosen].sum(axis=0)
+            n, total_s = (table[:, chosen, number].sum(axis=1) for table in (found.aged, found.age_sum_s))
             if n.sum():
-                mean = ratio(sums.table[:, chosen].sum(axis=1), n)
+                histogram = found.histogram[chosen, number].sum(axis=0)
                 rows.append({
-                    "what": what, "role": role, "n": int(n.sum()), **_columns(mean, "mean_s"),
+                    "what": what, "role": role, "n": int(n.sum()), **_columns(ratio(total_s, n), "mean_s"),
                     "median_s": _quantile(histogram, 0.5), "p90_s": _quantile(histogram, 0.9),
                 })  # fmt: skip
     if not rows:
@@ -127,63 +104,39 @@ def peaks(run: Run) -> pd.DataFrame:
     what (value, newest evaluation), n (renewals), mean_s, low, high, n_units (receivers); of 20 blocks spread over
     the run at most. What was not renewed has no peak.
     """
-    stride = -(-run.n_blocks("trust_lookups") // _PEAK_BLOCKS)
-    renewed = ("value", "newest evaluation")
-    sums, counts = ({what: _Totals(1) for what in renewed} for _ in range(2))
-    for number, part in enumerate(blocks(run, ["receiver", "subject", *(AGES[what] for what in renewed)])):
-        if number % stride:
-            continue
-        pair = (part["receiver"].astype(np.int64) << 32) | part["subject"]
-        order = np.argsort(pair, kind="stable")  # rows are in order of time within a pair
-        same = np.diff(pair[order]) == 0
-        receiver = part["receiver"][order]
-        for what in renewed:
-            age_s = part[AGES[what]][order].astype(np.float64)
-            at = np.flatnonzero(same & (np.diff(age_s) < 0))
-            nobody = np.zeros(len(at), np.int64)
-            sums[what].add(receiver[at], nobody, age_s[at])
-            counts[what].add(receiver[at], nobody)
-    rows: list[dict[str, Any]] = []
-    for what in renewed:
-        n = counts[what].table[:, 0]
+    found, rows = lookups.sums(run), []
+    for what, n, total_s in zip(lookups.RENEWED, found.renewed.T, found.peak_sum_s.T, strict=True):
         if n.sum():
-            rows.append({"what": what, "n": int(n.sum())} | _columns(ratio(sums[what].table[:, 0], n), "mean_s"))
+            rows.append({"what": what, "n": int(n.sum())} | _columns(ratio(total_s, n), "mean_s"))
     return pd.DataFrame(rows, columns=["what", "n", "mean_s", "low", "high", "n_units"])
 
 
-def within(run: Run, fresh_s: float = 10.0) -> pd.DataFrame:
+def within(run: Run, fresh_s: float = FRESH_S) -> pd.DataFrame:
     """Share of all lookups with an evaluation at most `fresh_s` old behind the value, whatever the window.
 
     Returns
     -------
     role ("all" first), n (lookups), share, low, high, n_units (vehicles that look up).
     """
-    counts = _per_receiver(run, "newest_evaluation_age_s", lambda age_s: age_s <= fresh_s, 2)
-    return pd.DataFrame([
-        {"role": role, "n": int(n.sum())} | _columns(share(n[:, 1], n.sum(axis=1)), "share")
-        for role, n in _with_all(run, counts)
-    ])  # fmt: skip
+    found = lookups.sums(run, fresh_s)
+    counts = np.stack([found.fresh, found.states.sum(axis=2)], axis=2)
+    return pd.DataFrame(
+        [{"role": role, "n": int(n[:, 1].sum())} | _columns(share(*n.T), "share") for role, n in _with_all(run, counts)]
+    )
 
 
 def behind(run: Run) -> pd.DataFrame:
     """How much stands behind values with evaluations: what (evaluations, evaluators), n, mean, low, high, n_units."""
-    rows = []
-    for what, column in (("evaluations", "n_evaluations"), ("evaluators", "n_evaluators")):
-        sums, counts = _Totals(1), _Totals(1)
-        for part in blocks(run, ["receiver", "newest_evaluation_age_s", column]):
-            there = ~np.isnan(part["newest_evaluation_age_s"]) & ~np.isnan(part[column])
-            receiver, all_one = part["receiver"][there], np.zeros(there.sum(), np.int64)
-            sums.add(receiver, all_one, part[column][there].astype(np.float64))
-            counts.add(receiver, all_one)
-        if counts.table.sum():
-            mean = ratio(sums.table[:, 0], counts.table[:, 0])
-            rows.append({"what": what, "n": int(counts.table.sum())} | _columns(mean, "mean"))
+    found, rows = lookups.sums(run), []
+    for column, n, total in zip(lookups.BEHIND, found.behind.T, found.behind_sum.T, strict=True):
+        if n.sum():
+            rows.append({"what": column.removeprefix("n_"), "n": int(n.sum())} | _columns(ratio(total, n), "mean"))
     return pd.DataFrame(rows, columns=["what", "n", "mean", "low", "high", "n_units"])
 
 
 def distribution(run: Run, what: str = "newest evaluation") -> pd.DataFrame:
     """Cumulative distribution of an age at lookup (a key of `AGES`), where there is one: age_s, share."""
-    histogram = np.zeros(len(_EDGES_S) - 1)
+    histogram = np.zeros(len(EDGES_S) - 1)
     for part in blocks(run, [AGES[what]]):
         age_s = part[AGES[what]].astype(np.float64)
         histogram += _histogram(age_s[~np.isnan(age_s)])
@@ -191,7 +144,7 @@ def distribution(run: Run, what: str = "newest evaluation") -> pd.DataFrame:
         raise ValueError(f"{run.path} {_NO_EVALUATION}")
     last = np.flatnonzero(histogram)[-1] + 1
     share = np.cumsum(histogram)[:last] / histogram.sum()
-    return pd.DataFrame({"age_s": _EDGES_S[: last + 1], "share": np.r_[0, share]})
+    return pd.DataFrame({"age_s": EDGES_S[: last + 1], "share": np.r_[0, share]})
 
 
 def over_time(run: Run, every_s: float = 10.0) -> pd.DataFrame:
@@ -214,8 +167,7 @@ def without_trust(run: Run) -> pd.DataFrame:
     the vehicle that would know), n_units, and wait_median_s: time from the start to the first such value, of those
     that had none at the start.
     """
-    frame = run.variant_table("encounters", ["trusted_after_ab_s", "trusted_after_ba_s"])
-    after_ab_s, after_ba_s = (frame[name].to_numpy() for name in frame)
+    after_ab_s, after_ba_s = run.variant_array("encounters", ["trusted_after_ab_s", "trusted_after_ba_s"]).values()
     rows: list[dict[str, Any]] = []
     for kind, at, who in run.once_for_all("freshness.encounters", lambda: _of_equipped(run)):
         after_s = np.r_[after_ab_s[at], after_ba_s[at]]
@@ -261,29 +213,6 @@ def _ages_of_totals(run: Run) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-class _Totals:
-    """Sums by vehicle and group, whatever the largest number of a vehicle."""
-
-    def __init__(self, n_groups: int) -> None:
-        self.table = np.zeros((0, n_groups))
-
-    def add(self, vehicle: np.ndarray, group: np.ndarray, values: np.ndarray | None = None) -> None:
-        n_groups = self.table.shape[1]
-        more = int(vehicle.max(initial=-1)) + 1 - len(self.table)
-        if more > 0:
-            self.table = np.concatenate([self.table, np.zeros((more, n_groups))])
-        key = vehicle.astype(np.int64) * n_groups + group
-        self.table += np.bincount(key, values, self.table.size).reshape(self.table.shape)
-
-
-def _per_receiver(run: Run, column: str, code_of: Callable[[np.ndarray], np.ndarray], n_codes: int) -> np.ndarray:
-    """Lookups by receiver, role of the subject, and a code of each lookup that follows from a column."""
-    n_roles, totals = len(run.role_labels), _Totals(len(run.role_labels) * n_codes)
-    for part in blocks(run, ["receiver", "role", column]):
-        totals.add(part["receiver"], part["role"] * n_codes + code_of(part[column]))
-    return totals.table.reshape(-1, n_roles, n_codes)
-
-
 def _with_all(run: Run, counts: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
     """Counts by receiver and code: of all subjects, then of each role that occurs."""
     yield "all", counts.sum(axis=1)
@@ -297,14 +226,14 @@ def _columns(estimate: Estimate, value: str) -> dict[str, float]:
 
 
 def _histogram(age_s: np.ndarray) -> np.ndarray:
-    """Ages by bin of `_EDGES_S`, those beyond its ends in the outermost ones."""
-    at = np.searchsorted(np.sort(age_s), _EDGES_S)
+    """Ages by bin of `EDGES_S`, those beyond its ends in the outermost ones."""
+    at = np.searchsorted(np.sort(age_s), EDGES_S)
     at[0], at[-1] = 0, len(age_s)
     return np.diff(at)
 
 
 def _quantile(histogram: np.ndarray, share: float) -> float:
-    """Of a histogram over `_EDGES_S`, linear within a bin."""
+    """Of a histogram over `EDGES_S`, linear within a bin."""
     if not histogram.any():
         return float("nan")
-    return float(np.interp(share * histogram.sum(), np.r_[0, np.cumsum(histogram)], _EDGES_S))
+    return float(np.interp(share * histogram.sum(), np.r_[0, np.cumsum(histogram)], EDGES_S))

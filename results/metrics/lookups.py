@@ -1,46 +1,112 @@
-"""What vehicles look up of trust, as arrays: the largest table of a run, which many metrics go through."""
+"""What vehicles look up of trust: the largest table of a run, read once for many metrics and for all trust variants."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from functools import cache
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Float, Int
 from numpy import ndarray
 
+from results.codes import LookupState
+from results.metrics.trust import watched
 from results.run import Run
 
-_IN_MEMORY = 2_000_000
-"""Rows of `trust_lookups` up to which they are read once for all metrics."""
-_ASKED = (
-    "step", "receiver", "subject", "state", "trust", "age_s", "newest_evaluation_age_s", "oldest_evaluation_age_s",
-    "n_evaluations", "n_evaluators",
-)  # fmt: skip
+AGES: Mapping[str, str] = {
+    "value": "age_s",
+    "newest evaluation": "newest_evaluation_age_s",
+    "oldest evaluation": "oldest_evaluation_age_s",
+}
+"""What ages, and the column of `trust_lookups` that says how old it is."""
+RENEWED = ("value", "newest evaluation")
+"""Of these, what has a peak age."""
+BEHIND = ("n_evaluations", "n_evaluators")
+"""Columns of what stands behind values."""
+FRESH_S = 10.0
+EDGES_S = np.concatenate([[0.0, 1e-6], np.geomspace(0.05, 1e5, 600)])
+"""Bins of age for quantiles of tables larger than memory: 2.4 % wide."""
+
+_DTYPES = {
+    "variant": np.int16, "step": np.int32, "receiver": np.int32, "subject": np.int32, "state": np.int16,
+    "trust": np.float32, "age_s": np.float32, "newest_evaluation_age_s": np.float32,
+    "oldest_evaluation_age_s": np.float32, "n_evaluations": np.int32, "n_evaluators": np.float32,
+}  # fmt: skip
+"""Of the columns that are added up, whatever a block holds, so that kernels are compiled once."""
+_PEAK_BLOCKS = 20
+_BINS_PER_S, _BINNED_S = 1024, 128
+"""Ages are stored in multiples of this part of a second; the bins of those below are looked up."""
 
 NO_LOOKUPS = (
     "holds no trust lookups: no message was received. Raise radio.range_m or fleet.penetration_p, and run again."
 )
 
 
-def blocks(run: Run, columns: Sequence[str], may_be_none: bool = False) -> Iterator[Mapping[str, ndarray]]:
-    """Lookups of the run's variant, block of steps by block, as of `Run.variant_arrays`.
+class Sums(NamedTuple):
+    """Lookups of a trust variant added up by vehicle that looks up (r, by number) and role of the subject."""
 
-    Besides the columns of the table there is `role`, of `role_codes`. ValueError where there are no lookups, unless
-    there may be none.
-    """
-    if run.n_rows("trust_lookups") // len(run.variants) > _IN_MEMORY:
-        found = _read(run, [column for column in columns if column != "role"] + ["subject"])
-    else:
-        found = iter(run.once("lookups", lambda: list(_read(run, _ASKED))))
-    n_rows = 0
-    for block in found:
-        n_rows += len(block["subject"])
-        yield block
-    if not n_rows and not may_be_none:
+    states: Int[ndarray, "r role state"]
+    """Lookups by what stands behind the value."""
+    fresh: Int[ndarray, "r role"]
+    """Those whose value rests on an evaluation at most `fresh_s` old."""
+    aged: Int[ndarray, "r role age"]
+    """Those with each age of `AGES`, and the sum of these."""
+    age_sum_s: Float[ndarray, "r role age"]
+    histogram: Int[ndarray, "role age bin"]
+    """Ages by bin of `EDGES_S`, those beyond its ends in the outermost ones."""
+    behind: Int[ndarray, "r 2"]
+    """Those with evaluations behind the value, with each of `BEHIND`, and the sum of these."""
+    behind_sum: Float[ndarray, "r 2"]
+    renewed: Int[ndarray, "r 2"]
+    """Lookups before which the value, or the newest evaluation, had been renewed, and the sum of the ages until then;
+    of 20 blocks spread over the run at most."""
+    peak_sum_s: Float[ndarray, "r 2"]
+
+
+class Lows(NamedTuple):
+    """Lookups of a trust variant, resting on an evaluation, that are lower than any before of that subject since it is
+    watched (`trust.watched`)."""
+
+    step: Int[ndarray, "n"]
+    subject: Int[ndarray, "n"]
+    trust: Float[ndarray, "n"]
+
+
+class _All(NamedTuple):
+    """The same of all trust variants: a first axis, and a column, more."""
+
+    fresh_s: float
+    sums: Sums
+    variant: Int[ndarray, "n"]
+    lows: Lows
+
+
+def sums(run: Run, fresh_s: float | None = None) -> Sums:
+    """Lookups of the run's variant added up; ValueError where there are none. `fresh_s` concerns `fresh` alone."""
+    found = _all(run)
+    if fresh_s is not None and fresh_s != found.fresh_s:
+        found = run.once_for_all(f"lookups, fresh to {fresh_s} s", lambda: _added(run, fresh_s))
+    mine = Sums(*(table[run.variants.index(run.variant)] for table in found.sums))
+    if not mine.states.any():
         raise ValueError(f"{run.path} {NO_LOOKUPS}")
+    return mine
 
 
-def _read(run: Run, columns: Sequence[str]) -> Iterator[Mapping[str, ndarray]]:
-    for block in run.variant_arrays("trust_lookups", list(dict.fromkeys(columns))):
-        yield block | {"role": role_codes(run, block["subject"])}
+def lows(run: Run) -> Lows:
+    """Trust below any threshold is first looked up at one of these."""
+    found = _all(run)
+    mine = found.variant == run.variants.index(run.variant)
+    return Lows(*(column[mine] for column in found.lows))
+
+
+def blocks(run: Run, columns: Sequence[str]) -> Iterator[Mapping[str, ndarray]]:
+    """Lookups of the run's variant, block of steps by block, as of `Run.variant_arrays`; ValueError where there are
+    none."""
+    n_rows = 0
+    for block in run.variant_arrays("trust_lookups", columns):
+        n_rows += len(block[columns[0]])
+        yield block
+    if not n_rows:
+        raise ValueError(f"{run.path} {NO_LOOKUPS}")
 
 
 def role_codes(run: Run, pseudonym: Int[ndarray, "n"]) -> Int[ndarray, "n"]:
@@ -51,4 +117,81 @@ def role_codes(run: Run, pseudonym: Int[ndarray, "n"]) -> Int[ndarray, "n"]:
 
 def _roles(run: Run) -> tuple[Int[ndarray, "p"], Int[ndarray, "p"]]:
     role = run.subjects.role.sort_index()
-    return role.index.to_numpy(), role.cat.codes.to_numpy(np.int64)
+    return role.index.to_numpy(np.int64), role.cat.codes.to_numpy(np.int64)
+
+
+def _all(run: Run) -> _All:
+    return run.once_for_all("lookups", lambda: _added(run, FRESH_S))
+
+
+def _added(run: Run, fresh_s: float) -> _All:
+    """One pass over the rows of all variants."""
+    from results.metrics import lookup_sums  # here, because little else in measuring needs Numba
+
+    n_variants, n_roles = len(run.variants), len(run.role_labels)
+    known, role_of = run.once_for_all("roles by pseudonym", lambda: _roles(run))
+    since, lowest = _watched_since(run, known), np.full((n_variants, len(known)), np.inf, np.float32)
+    shapes = {
+        "states": (n_roles, len(LookupState)), "fresh": (n_roles,), "aged": (n_roles, len(AGES)),
+        "age_sum_s": (n_roles, len(AGES)), "behind": (2,), "behind_sum": (2,), "renewed": (2,), "peak_sum_s": (2,),
+    }  # fmt: skip
+    tables: dict[str, ndarray] = {
+        name: np.zeros((n_variants, 0, *shape), _dtype(name)) for name, shape in shapes.items()
+    }
+    histogram = np.zeros((n_variants, n_roles, len(AGES), len(EDGES_S) - 1), np.int64)
+    stride = -(-run.n_blocks("trust_lookups") // _PEAK_BLOCKS)
+    lower = [(np.zeros(0, np.int16), Lows(np.zeros(0, np.int32), np.zeros(0, np.int32), np.zeros(0, np.float32)))]
+    for number, block in enumerate(run.arrays("trust_lookups", list(_DTYPES))):
+        rows = {name: _read_only(block[name], dtype) for name, dtype in _DTYPES.items()}
+        variant, receiver, who = rows["variant"], rows["receiver"], np.searchsorted(known, rows["subject"])
+        more = int(receiver.max(initial=-1)) + 1 - tables["states"].shape[1]
+        if more > 0:
+            tables = {
+                name: np.concatenate([t, np.zeros((n_variants, more, *shapes[name]), t.dtype)], axis=1)
+                for name, t in tables.items()
+            }
+        ages_s = tuple(rows[column] for column in AGES.values())
+        lookup_sums.add(
+            variant, receiver, who, rows["state"], ages_s, rows["n_evaluations"], rows["n_evaluators"], role_of,
+            np.float32(fresh_s), EDGES_S, _bins(), _BINS_PER_S, tables["states"], tables["fresh"], tables["aged"],
+            tables["age_sum_s"], histogram, tables["behind"], tables["behind_sum"],
+        )  # fmt: skip
+        if number % stride == 0:
+            lookup_sums.add_peaks(
+                variant, receiver, who, ages_s[: len(RENEWED)], n_variants, tables["renewed"], tables["peak_sum_s"]
+            )
+        at = np.flatnonzero(lookup_sums.new_lows(
+            variant, who, rows["step"], rows["trust"], rows["n_evaluations"], since, lowest
+        ))  # fmt: skip
+        lower.append((variant[at], Lows(*(rows[name][at] for name in Lows._fields))))
+    return _All(
+        fresh_s, Sums(**tables, histogram=histogram), np.concatenate([variant for variant, _ in lower]),
+        Lows(*(np.concatenate(columns) for columns in zip(*(found for _, found in lower), strict=True))),
+    )  # fmt: skip
+
+
+def _read_only(values: ndarray, dtype: type) -> ndarray:
+    """The same values; arrays that come out of Arrow without a copy are read-only, and kernels tell that apart."""
+    values = np.asarray(values, dtype).view()
+    values.flags.writeable = False
+    return values
+
+
+def _dtype(table: str) -> type:
+    return np.float64 if "sum" in table else np.int64
+
+
+@cache
+def _bins() -> Int[ndarray, "n"]:
+    """Bin of `EDGES_S` of every multiple of the part of a second in which ages are stored."""
+    ages_s = np.arange(_BINNED_S * _BINS_PER_S) / _BINS_PER_S
+    return np.clip(np.searchsorted(EDGES_S, ages_s, side="right") - 1, 0, len(EDGES_S) - 2)
+
+
+def _watched_since(run: Run, known: Int[ndarray, "p"]) -> Int[ndarray, "p"]:
+    """First step in which each pseudonym is watched; never where it is not, as where nobody attacks."""
+    since = np.full(len(known), np.iinfo(np.int64).max)
+    if run.subjects.attack_start_step.notna().any():
+        who = watched(run)
+        since[np.searchsorted(known, who.index)] = who.since
+    return since

@@ -7,17 +7,32 @@ rated, it is neither suspected nor cleared, and it is counted (`rated`). A subje
 its trust is below a threshold.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 import pandas as pd
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from results.metrics import intervals, lookups, trust
 from results.metrics.survival import kaplan_meier, median, median_band
+from results.metrics.trust import HONEST, watched
 from results.run import Run
 
-HONEST = "honest"
-"""Role that is classified against all others."""
+
+class Scored(NamedTuple):
+    """Every watched subject whenever trust is computed."""
+
+    step: Int[ndarray, "n"]
+    subject: Int[ndarray, "n"]
+    role: Int[ndarray, "n"]
+    """Code of its role, in the order of `Run.role_labels`."""
+    trust: Float[ndarray, "n"]
+    """NaN where the ledger has none."""
+    rated: Bool[ndarray, "n"]
+
+    def take(self, rows: ndarray) -> "Scored":
+        return Scored(*(column[rows] for column in self))
 
 
 def scored_vehicles(run: Run) -> pd.DataFrame:
@@ -27,17 +42,26 @@ def scored_vehicles(run: Run) -> pd.DataFrame:
     -------
     step, subject, role, trust (null where the ledger has none), rated.
     """
-    return run.once("misbehaviour.scored_vehicles", lambda: _scored(run))
+    found = scored(run)
+    role = pd.CategoricalDtype(list(run.role_labels))
+    return pd.DataFrame(found._asdict() | {"role": pd.Categorical.from_codes(found.role.tolist(), dtype=role)})
 
 
-def _scored(run: Run) -> pd.DataFrame:
-    known = trust.values(run)
-    who = watched(run).reset_index()
-    steps = np.unique(known.step)
+def scored(run: Run) -> Scored:
+    """The same as arrays; not to be changed."""
+    return run.once("misbehaviour.scored", lambda: _scored(run))
+
+
+def _scored(run: Run) -> Scored:
+    known, who = trust.in_use(run), watched(run)
+    steps, at = np.unique(known.step, return_inverse=True)
+    row = who.index.get_indexer(run.subjects.index)[known.who]
+    value, rated = np.full((len(steps), len(who)), np.nan, known.trust.dtype), np.zeros((len(steps), len(who)), bool)
+    there = row >= 0
+    value[at[there], row[there]], rated[at[there], row[there]] = known.trust[there], known.rated[there]
     at, row = np.nonzero((who.since.to_numpy() <= steps[:, None]) & (steps[:, None] <= who.until.to_numpy()))
-    there = who.iloc[row][["subject", "role"]].assign(step=steps[at])
-    there = there.merge(known[["step", "subject", "trust", "rated"]], "left", ["step", "subject"])
-    return there.assign(rated=there.rated.eq(True))[["step", "subject", "role", "trust", "rated"]]
+    role = who.role.cat.codes.to_numpy(np.int64)
+    return Scored(steps[at], who.index.to_numpy()[row], role[row], value[at, row], rated[at, row])
 
 
 def classification(run: Run, false_positives: float = 0.05) -> pd.DataFrame:
@@ -62,7 +86,7 @@ def classification(run: Run, false_positives: float = 0.05) -> pd.DataFrame:
     Values are pooled over subjects and time. `auc` is the area under the curve of `roc`, and Mann and Whitney's U
     over the number of pairs (1947): 1 separates all, 0.5 none.
     """
-    rows = _classified(scored_vehicles(run), false_positives, None)
+    rows = _classified(run, scored(run), false_positives, None)
     if not rows:
         raise ValueError(f"{run.path} {_NONE_RATED}")
     return pd.DataFrame(rows)
@@ -74,22 +98,21 @@ def recall_over_time(run: Run, every_s: float = 10.0, false_positives: float = 0
     The threshold is that of the whole time, so that false positives are what they are in each window.
     """
     threshold = float(classification(run, false_positives).threshold.iloc[0])
-    frame = scored_vehicles(run)
+    found = scored(run)
+    slot = np.floor(found.step * run.dt_s / every_s).astype(int)
     rows = [
-        {"time_s": slot * every_s} | row
-        for slot, window in frame.groupby(np.floor(frame.step * run.dt_s / every_s).astype(int))
-        for row in _classified(window, false_positives, threshold)
-    ]
+        {"time_s": one * every_s} | row
+        for one in np.unique(slot) for row in _classified(run, found.take(slot == one), false_positives, threshold)
+    ]  # fmt: skip
     return pd.DataFrame(rows)
 
 
 def roc(run: Run) -> pd.DataFrame:
     """Receiver operating characteristic: role, threshold, false_positives, true_positives; of rated values."""
-    frame = scored_vehicles(run)
-    honest = np.sort(_rated(frame, HONEST))
-    rows = []
+    found, rows = scored(run), []
+    honest = np.sort(_rated(run, found, HONEST))
     for role in run.role_labels:
-        attacking = np.sort(_rated(frame, role))
+        attacking = np.sort(_rated(run, found, role))
         if role != HONEST and len(attacking) and len(honest):
             threshold = np.append(np.unique(np.concatenate([attacking, honest])), np.inf)
             rows.append(pd.DataFrame({
@@ -105,20 +128,22 @@ def roc(run: Run) -> pd.DataFrame:
 def below(run: Run, threshold: float = 0.25) -> pd.DataFrame:
     """Share of all values below a threshold, by role: role, n, share, and rated_share, of the rated; both with
     intervals clustered by subject."""
-    rows = []
-    for role, frame in trust.values(run).groupby("role", observed=True):
-        row: dict[str, object] = {"role": role, "n": len(frame)}
-        for name, some in (("share", frame), ("rated_share", frame[frame.rated])):
-            low = (some.trust < threshold).to_numpy()
-            row |= intervals.columns(intervals.of_units(low, some.subject.to_numpy()), name)
+    found, rows = trust.in_use(run), []
+    for role, here in trust.by_role(run, found.role):
+        row: dict[str, object] = {"role": role, "n": int(here.sum())}
+        for name, some in (("share", here), ("rated_share", here & found.rated)):
+            low = found.trust[some] < threshold
+            row |= intervals.columns(intervals.of_units(low, found.subject[some]), name)
         rows.append(row)
     return pd.DataFrame(rows)
 
 
 def separation(run: Run) -> intervals.Estimate:
     """Probability that the last rated value of an honest subject is above that of a malicious one (ties half)."""
-    last = scored_vehicles(run).query("rated").drop_duplicates("subject", keep="last")
-    honest, attacking = _rated(last, HONEST), _rated(last, "malicious")
+    rated = scored(run)
+    rated = rated.take(rated.rated)
+    last = rated.take(trust.last_of_each(np.unique(rated.subject, return_inverse=True)[1]))
+    honest, attacking = _rated(run, last, HONEST), _rated(run, last, "malicious")
     return intervals.auc(honest, np.arange(len(honest)), attacking, np.arange(len(attacking)))
 
 
@@ -146,17 +171,17 @@ def detection_delay(run: Run, threshold: float = 0.25, at: trust.At = "server") 
 
 
 def _low_values(run: Run, threshold: float, at: trust.At) -> tuple[Int[ndarray, "n"], Int[ndarray, "n"]]:
-    """Step and subject of the values below a threshold that rest on an evaluation."""
+    """Step and subject of values below a threshold that rest on an evaluation; of those that vehicles look up, the
+    first of each subject is there."""
     if at == "vehicles":
-        found = [(np.zeros(0, np.int64), np.zeros(0, np.int64))]
-        for part in lookups.blocks(run, ["step", "subject", "trust", "n_evaluations"], may_be_none=True):
-            is_low = (part["trust"].astype(np.float64) < threshold) & (part["n_evaluations"] > 0)
-            found.append((part["step"][is_low], part["subject"][is_low]))
-        step, subject = (np.concatenate(one) for one in zip(*found, strict=True))
-        return step, subject
-    known = trust.values(run) if trust.kept_at(run) == "server" else trust.server_values(run).assign(rated=False)
-    low = known[(known.trust.to_numpy(np.float64) < threshold) & known.rated.to_numpy(bool)]
-    return low.step.to_numpy(np.int64), low.subject.to_numpy(np.int64)
+        lows = lookups.lows(run)
+        low = lows.trust.astype(np.float64) < threshold
+        return lows.step[low], lows.subject[low]
+    if trust.kept_at(run) != "server":
+        return np.zeros(0, np.int64), np.zeros(0, np.int64)
+    known = trust.in_use(run)
+    low = (known.trust.astype(np.float64) < threshold) & known.rated
+    return known.step[low], known.subject[low]
 
 
 def detection_summary(run: Run, threshold: float = 0.25, at: trust.At = "server") -> pd.DataFrame:
@@ -170,14 +195,17 @@ def detection_summary(run: Run, threshold: float = 0.25, at: trust.At = "server"
 
 def summary_of(delays: pd.DataFrame) -> pd.DataFrame:
     """Rows of `detection_summary`, of any delays: subject, role, delay_s, found."""
+    code, subject = delays.role.cat.codes.to_numpy(), delays.subject.to_numpy()
+    delay_s, found = delays.delay_s.to_numpy(np.float64), delays.found.to_numpy(bool)
     rows = []
-    for role, one in delays.groupby("role", observed=True):
-        curve = waiting(one)
-        rows.append(
-            {"role": role, "n": len(one)}
-            | intervals.columns(intervals.of_units(one.found.to_numpy(bool), one.subject.to_numpy()), "share")
-            | intervals.columns(intervals.Estimate(median(curve), *median_band(curve), len(one)), "median_s")
-        )
+    for number, role in enumerate(delays.role.cat.categories):
+        if (here := code == number).any():
+            curve = kaplan_meier(delay_s[here], found[here])
+            rows.append(
+                {"role": role, "n": int(here.sum())}
+                | intervals.columns(intervals.of_units(found[here], subject[here]), "share")
+                | intervals.columns(intervals.Estimate(median(curve), *median_band(curve), int(here.sum())), "median_s")
+            )
     return pd.DataFrame(rows)
 
 
@@ -201,62 +229,49 @@ _NONE_RATED = (
 )
 
 
-def watched(run: Run) -> pd.DataFrame:
-    """Subjects to be classified, by number: role, and the steps `since` and `until` which they are watched."""
-    return run.once_for_all("misbehaviour.watched", lambda: _watched_of(run))
+def _of_role(run: Run, found: Scored, role: str) -> Bool[ndarray, "n"]:
+    return found.role == (run.role_labels.index(role) if role in run.role_labels else -1)
 
 
-def _watched_of(run: Run) -> pd.DataFrame:
-    who = run.subjects
-    if not who.attack_start_step.notna().any():
-        raise ValueError(f"{run.path} holds no attacks. Raise the share_p of an attack, or run past its start_s.")
-    honest = who.role == HONEST
-    who = who[honest | who.attack_start_step.notna()]
-    begin = who.attack_start_step.where(who.role != HONEST, who.attack_start_step.min())
-    since = np.maximum(who.from_step, begin.astype(int))
-    until = who.to_step.clip(upper=run.manifest["steps"] - 1)
-    who = pd.DataFrame({"role": who.role, "since": since, "until": until}).rename_axis("subject")
-    return who[who.since <= who.until]
+def _rated(run: Run, found: Scored, role: str) -> Float[ndarray, "n"]:
+    return found.trust[_of_role(run, found, role) & found.rated].astype(np.float64)
 
 
-def _rated(frame: pd.DataFrame, role: str) -> Float[ndarray, "n"]:
-    return frame.trust[(frame.role == role) & frame.rated].to_numpy(np.float64)
-
-
-def _classified(frame: pd.DataFrame, false_positives: float, threshold: float | None) -> list[dict[str, float | str]]:
+def _classified(
+    run: Run, found: Scored, false_positives: float, threshold: float | None
+) -> list[dict[str, float | str]]:
     """Rows of `classification`; the threshold is found where none is given."""
-    rated, scored = frame[frame.rated], frame[frame.trust.notna()]
-    honest = _rated(frame, HONEST)
+    is_honest, has_trust = _of_role(run, found, HONEST), ~np.isnan(found.trust)
+    honest = _rated(run, found, HONEST)
     limit = threshold_at(honest, false_positives) if threshold is None else threshold
-    groups = {str(role): one for role, one in frame.groupby("role", observed=False)}
     rows: list[dict[str, float | str]] = []
-    for role, mine in groups.items():
-        if role == HONEST or mine.empty:
+    for role, mine in trust.by_role(run, found.role):
+        if role == HONEST:
             continue
-        attacking = rated[rated.role == role]
-        low = (attacking.trust < limit).to_numpy()
-        suspected = mine.rated & (mine.trust < limit)
-        of_time = intervals.of_units(suspected.to_numpy(bool), mine.subject.to_numpy())
+        attacking = found.take(mine & found.rated)
+        suspected = found.rated[mine] & (found.trust[mine] < limit)
+        of_time = intervals.of_units(suspected, found.subject[mine])
         if np.isnan(limit):
             of_time = intervals.UNKNOWN
         rows.append({
-            "role": role, "n": mine.subject.nunique(), "rated": len(attacking) / len(mine),
-            "rated_honest": _share(groups[HONEST].rated), **intervals.columns(_auc(rated, role), "auc"),
-            **intervals.columns(_auc(scored, role), "auc_unrated"), "threshold": limit,
-            **intervals.columns(intervals.of_units(low, attacking.subject.to_numpy()), "true_positives"),
+            "role": role, "n": len(np.unique(found.subject[mine])), "rated": len(attacking.step) / int(mine.sum()),
+            "rated_honest": _share(found.rated[is_honest]),
+            **intervals.columns(_auc(found, is_honest & found.rated, mine & found.rated), "auc"),
+            **intervals.columns(_auc(found, is_honest & has_trust, mine & has_trust), "auc_unrated"),
+            "threshold": limit,
+            **intervals.columns(intervals.of_units(attacking.trust < limit, attacking.subject), "true_positives"),
             "false_positives": _share(honest < limit), **intervals.columns(of_time, "suspected"),
         })  # fmt: skip
     return rows
 
 
-def _auc(frame: pd.DataFrame, role: str) -> intervals.Estimate:
-    """Of the honest values of a frame above those of a role."""
-    honest, attacking = frame[frame.role == HONEST], frame[frame.role == role]
+def _auc(found: Scored, honest: Bool[ndarray, "n"], attacking: Bool[ndarray, "n"]) -> intervals.Estimate:
+    """Of some values above others."""
     return intervals.auc(
-        honest.trust.to_numpy(np.float64), honest.subject.to_numpy(),
-        attacking.trust.to_numpy(np.float64), attacking.subject.to_numpy(),
+        found.trust[honest].astype(np.float64), found.subject[honest], found.trust[attacking].astype(np.float64),
+        found.subject[attacking],
     )  # fmt: skip
 
 
-def _share(which: ndarray | pd.Series) -> float:
+def _share(which: ndarray) -> float:
     return float(np.mean(which)) if len(which) else float("nan")

@@ -13,7 +13,8 @@ import numpy as np
 import pandas as pd
 
 from results.metrics import intervals
-from results.metrics.misbehaviour import HONEST, scored_vehicles, watched
+from results.metrics.misbehaviour import scored_vehicles
+from results.metrics.trust import HONEST, watched
 from results.run import Run
 
 

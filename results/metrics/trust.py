@@ -1,10 +1,13 @@
 """Trust in pseudonyms: by role of the vehicle behind them, and over time."""
 
-from typing import Literal
+from collections.abc import Mapping
+from typing import Literal, NamedTuple
 
 import numpy as np
 import pandas as pd
 import pyarrow.compute as pc
+from jaxtyping import Bool, Float, Int
+from numpy import ndarray
 
 from results.metrics import intervals
 from results.run import Run
@@ -12,22 +15,39 @@ from results.run import Run
 At = Literal["server", "vehicles"]
 """Whose trust: that of the trust server, or that which vehicles look up."""
 
+HONEST = "honest"
+"""Role that is classified against all others."""
+
 _INSTANTS = 600
 """Steps that suffice to draw trust over time where every vehicle keeps its own."""
 
 
+class Values(NamedTuple):
+    """Trust in pseudonyms while they are in use, by step."""
+
+    step: Int[ndarray, "n"]
+    subject: Int[ndarray, "n"]
+    who: Int[ndarray, "n"]
+    """Row of the subject in `Run.subjects`."""
+    role: Int[ndarray, "n"]
+    """Code of its role, in the order of `Run.role_labels`."""
+    trust: Float[ndarray, "n"]
+    rated: Bool[ndarray, "n"]
+    """Whether the value rests on at least one evaluation by another vehicle that could see."""
+
+
 def kept_at(run: Run) -> At:
     """Where trust is kept: at the server if it ever computed any."""
-    return run.once("trust.kept_at", lambda: "server" if len(server_values(run)) else "vehicles")
+    return "server" if len(server_values(run)["step"]) else "vehicles"
 
 
-def server_values(run: Run) -> pd.DataFrame:
-    """What metrics need of the table `trust`, of the run's variant; not to be changed."""
+def server_values(run: Run) -> Mapping[str, ndarray]:
+    """What metrics need of the table `trust`, of the run's variant, as of `Run.variant_arrays`."""
     columns = [
         "step", "subject", "trust", "state", "n_evaluations", "n_evaluators", "newest_evaluation_age_s",
         "oldest_evaluation_age_s",
     ]  # fmt: skip
-    return run.once("trust.server_values", lambda: run.variant_table("trust", columns))
+    return run.once("trust.server_values", lambda: run.variant_array("trust", columns))
 
 
 def values(run: Run) -> pd.DataFrame:
@@ -37,21 +57,33 @@ def values(run: Run) -> pd.DataFrame:
     that could see. Without a server, the mean over the receivers that look the subject up and hold such a value of
     their own, at 600 instants at most.
     """
-    return run.once("trust.values", lambda: _values(run))
+    found, who = in_use(run), run.subjects
+    return pd.DataFrame({
+        "step": found.step, "time_s": found.step * run.dt_s, "subject": found.subject,
+        "vehicle": who.vehicle.to_numpy()[found.who], "role": who.role.array.take(found.who), "trust": found.trust,
+        "rated": found.rated,
+    })  # fmt: skip
 
 
-def _values(run: Run) -> pd.DataFrame:
+def in_use(run: Run) -> Values:
+    """The same as arrays; not to be changed."""
+    return run.once("trust.in_use", lambda: _in_use(run))
+
+
+def _in_use(run: Run) -> Values:
     if kept_at(run) == "server":
-        frame = server_values(run)
-        frame = frame.assign(rated=frame.n_evaluations > 0)
+        known = server_values(run)
+        rated = known["n_evaluations"] > 0
     else:
-        frame = _own(run).assign(rated=True)
+        frame = _own(run)
+        known = {name: frame[name].to_numpy() for name in ("step", "subject", "trust")}
+        rated = np.ones(len(frame), bool)
     who = run.subjects
-    at = who.index.get_indexer(pd.Index(frame.subject))
-    in_use = (at >= 0) & (frame.step.to_numpy() <= who.to_step.to_numpy()[at])
-    frame, at = frame[in_use], at[in_use]
-    frame = frame.assign(time_s=frame.step * run.dt_s, vehicle=who.vehicle.to_numpy()[at], role=who.role.array.take(at))
-    return frame[["step", "time_s", "subject", "vehicle", "role", "trust", "rated"]]
+    at = who.index.get_indexer(pd.Index(known["subject"]))
+    used = (at >= 0) & (known["step"] <= who.to_step.to_numpy()[at])
+    at = at[used]
+    role = who.role.cat.codes.to_numpy(np.int64)[at]
+    return Values(known["step"][used], known["subject"][used], at, role, known["trust"][used], rated[used])
 
 
 def _own(run: Run) -> pd.DataFrame:
@@ -73,36 +105,69 @@ def _own(run: Run) -> pd.DataFrame:
     return frame
 
 
+def watched(run: Run) -> pd.DataFrame:
+    """Subjects to be classified, by number: role, and the steps `since` and `until` which they are watched.
+
+    Attackers from their first attack on, honest ones from the first of any. ValueError where nobody attacks.
+    """
+    return run.once_for_all("trust.watched", lambda: _watched_of(run))
+
+
+def _watched_of(run: Run) -> pd.DataFrame:
+    who = run.subjects
+    if not who.attack_start_step.notna().any():
+        raise ValueError(f"{run.path} holds no attacks. Raise the share_p of an attack, or run past its start_s.")
+    honest = who.role == HONEST
+    who = who[honest | who.attack_start_step.notna()]
+    begin = who.attack_start_step.where(who.role != HONEST, who.attack_start_step.min())
+    since = np.maximum(who.from_step, begin.astype(int))
+    until = who.to_step.clip(upper=run.manifest["steps"] - 1)
+    who = pd.DataFrame({"role": who.role, "since": since, "until": until}).rename_axis("subject")
+    return who[who.since <= who.until]
+
+
+def by_role(run: Run, role: Int[ndarray, "n"]) -> list[tuple[str, Bool[ndarray, "n"]]]:
+    """Roles that occur, in the order of their codes, and where."""
+    return [(name, here) for code, name in enumerate(run.role_labels) if (here := role == code).any()]
+
+
 def mean(run: Run) -> pd.DataFrame:
     """Mean of all values: role, n, mean with its interval (clustered by subject; see `intervals.columns`)."""
+    found = in_use(run)
     return pd.DataFrame([
-        {"role": role, "n": len(of_role)}
-        | intervals.columns(intervals.of_units(of_role.trust.to_numpy(np.float64), of_role.subject.to_numpy()), "mean")
-        for role, of_role in values(run).groupby("role", observed=True)
+        {"role": role, "n": int(here.sum())}
+        | intervals.columns(intervals.of_units(found.trust[here].astype(np.float64), found.subject[here]), "mean")
+        for role, here in by_role(run, found.role)
     ])  # fmt: skip
 
 
 def over_time(run: Run) -> pd.DataFrame:
     """Quartiles of trust over subjects: time_s, role, n, mean, q25, median, q75."""
-    return _quartiles(values(run), ["time_s", "role"])
+    groups = values(run).groupby(["time_s", "role"], observed=True).trust
+    quartiles = groups.quantile(np.array([0.25, 0.5, 0.75])).unstack()
+    quartiles.columns = ["q25", "median", "q75"]
+    return groups.agg(n="size", mean="mean").join(quartiles).reset_index()
+
+
+def last_of_each(who: Int[ndarray, "n"]) -> Int[ndarray, "w"]:
+    """Last row of each that occurs, in the order of the rows."""
+    last = np.full(int(who.max(initial=-1)) + 1, -1)
+    last[who] = np.arange(len(who))  # the last one stays
+    return np.sort(last[last >= 0])
 
 
 def final(run: Run) -> pd.DataFrame:
     """Quartiles over subjects of the last value of each: role, n, mean, q25, median, q75; mean and median with their
     intervals (see `intervals.columns`)."""
-    last = values(run).drop_duplicates("subject", keep="last")
-    rows = [
-        {"role": role}
-        | intervals.columns(intervals.of_units(one.to_numpy(np.float64), np.arange(len(one))), "mean")
-        | intervals.columns(intervals.median(one.to_numpy(np.float64)), "median")
-        for role, one in last.groupby("role", observed=True).trust
-    ]
-    found = _quartiles(last, ["role"]).drop(columns=["mean", "median"])
-    return found.merge(pd.DataFrame(rows), on="role")
-
-
-def _quartiles(frame: pd.DataFrame, by: list[str]) -> pd.DataFrame:
-    groups = frame.groupby(by, observed=True).trust
-    quartiles = groups.quantile(np.array([0.25, 0.5, 0.75])).unstack()
-    quartiles.columns = ["q25", "median", "q75"]
-    return groups.agg(n="size", mean="mean").join(quartiles).reset_index()
+    found, rows = in_use(run), []
+    last = last_of_each(found.who)
+    role, trust = found.role[last], found.trust[last].astype(np.float64)
+    for name, here in by_role(run, role):
+        one = trust[here]
+        q25, q75 = np.quantile(one, [0.25, 0.75])
+        rows.append(
+            {"role": name, "n": len(one), "q25": q25, "q75": q75}
+            | intervals.columns(intervals.of_units(one, np.arange(len(one))), "mean")
+            | intervals.columns(intervals.median(one), "median")
+        )
+    return pd.DataFrame(rows)
