@@ -102,3 +102,12 @@ def test_coverage_with_values_that_repeat_each_other(statistic):
             truth, found = 0.0, intervals.mean_of_pairs((level[a] + level[b])[keep], a[keep], b[keep])
         covered += found.low <= truth <= found.high
     assert 0.90 <= covered / 400 <= 0.99
+
+
+@pytest.mark.parametrize("n", [3, 40, 41, 1000])
+def test_quantiles_are_those_of_numpy(n):
+    shares = (0.025, 0.975)
+    for values in np.random.default_rng(n).lognormal(size=(50, n)):
+        assert intervals._quantiles(values, shares) == np.quantile(values, shares).tolist()
+        values[n // 2] = np.nan
+        assert np.isnan(intervals._quantiles(values, shares)).all()
