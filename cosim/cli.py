@@ -92,6 +92,7 @@ def run(
     """Simulate traffic, sensors, messages and trust; write a run folder."""
     from cosim import run as running
     from cosim.check import changed_since
+    from cosim.compile_ahead import CompileAhead
     from cosim.config import load
 
     experiment = load(config, overrides)
@@ -103,7 +104,8 @@ def run(
 
             folder = shards.run(experiment, out, advance, scheduler, workers or 1)
         else:
-            folder = running.run(experiment, out, advance)
+            with CompileAhead(experiment):
+                folder = running.run(experiment, out, advance)
     _conclude(folder, as_json)
 
 

@@ -48,7 +48,7 @@ def received_lists(
     return ObjectLists(begins, member, own)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
 def _known(received_ptr, received, ptr, n_sent, transmitted, own, n_messages):
     """Where each vehicle's list begins, and its members; `n_sent` detections are transmitted before each message."""
     begins = np.zeros(len(own) + 1, np.int64)

@@ -44,7 +44,7 @@ def order_by_two(first: Int[ndarray, "m"], second: Int[ndarray, "m"], n: int) ->
     return order[counting_order(np.asarray(first, np.int64)[order], n)]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
 def counting_order(value, n):
     """Stable order of rows by numbers from 0 to n - 1."""
     at = np.zeros(n + 1, np.int64)

@@ -70,7 +70,7 @@ def unit(h):
     return (h >> _S11) * _TO_UNIT
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
 def _mix_rows(h, ids):
     out = np.empty(ids.shape[0], np.uint64)
     for row in range(ids.shape[0]):
@@ -81,7 +81,7 @@ def _mix_rows(h, ids):
     return out
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
 def _uniform_rows(keys, n):
     out = np.empty((keys.shape[0], n))
     for row in range(keys.shape[0]):

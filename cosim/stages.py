@@ -291,7 +291,7 @@ def beliefs_of(
     return Beliefs(known_s, vehicles.row[fused.ego], label, boxes, fused.score, fused.ego_detected, *source)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
 def _distance_m(a_m, i, b_m, j):
     """Distance of each row i of `a_m` from the row j of `b_m`."""
     out = np.empty(len(i))

@@ -311,7 +311,7 @@ def buffer(size: tuple[int, int, int], kind: type, old: ndarray | None) -> ndarr
     return whole[: size[0]]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
 def _cloud(range_m, cos_az, sin_az, cos_el, sin_el):
     """Ends of the rays that returned, in single precision."""
     xyz = np.empty((np.isfinite(range_m).sum(), 3), np.float32)

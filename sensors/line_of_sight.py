@@ -98,7 +98,7 @@ class WallIndex:
 
     def has_los(self, xyz_m: Float[ndarray, "n 3"], a: Int[ndarray, "m"], b: Int[ndarray, "m"]) -> Bool[ndarray, "m"]:
         """Which of the lines between points `a` and `b` (rows) no building cuts; exact."""
-        xyz_m = np.ascontiguousarray(xyz_m, float)
+        xyz_m, a, b = np.ascontiguousarray(xyz_m, float), _rows(a), _rows(b)
         out = np.empty(len(a), np.bool_)
         blocked = self.crosses_filled(xyz_m, a, b)
         rank = np.zeros(len(xyz_m), np.uint64)
@@ -125,6 +125,11 @@ class WallIndex:
         inside += self.indoors(xyz_m)[b]
         length_m = np.hypot(*(xyz_m[a, :2] - xyz_m[b, :2]).T)
         return n_walls, np.clip(inside, 0, 1) * length_m
+
+
+def _rows(rows: Int[ndarray, "m"]) -> ndarray:
+    """Rows in one type, for which kernels are compiled."""
+    return np.ascontiguousarray(rows, np.int32)
 
 
 def _buildings_by_cell(low: ndarray, cell_m: float, nx: int, ny: int, walls: Walls) -> tuple[ndarray, ndarray]:
@@ -175,7 +180,7 @@ class LosOfPlaces:
             Lines that are known to be cut (`WallIndex.crosses_filled`); computed when not given.
         """
         cell, index = self._cell(xyz_m), self.index
-        xyz = cell * self.snap_m + self._low
+        xyz, a, b = cell * self.snap_m + self._low, _rows(a), _rows(b)
         if blocked is None:
             blocked = index.crosses_filled(xyz, a, b)
         out = np.empty(len(a), np.bool_)

@@ -78,7 +78,7 @@ def by_cell(low: ndarray, cell_m: float, shape: tuple[int, int], a: ndarray, b: 
     return ptr.astype(np.int32), out
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
 def building_at(xyz, grid, walls):
     """The building that contains each point, by even-odd over its rings; -1 if none. Any height where z is NaN."""
     out = np.full(xyz.shape[0], -1)
@@ -252,7 +252,7 @@ def _follow(begin, end, xyz, indoors, rank, a, b, blocked, grid, walls, line, ac
         n = left
 
 
-@njit(cache=True, nogil=True, parallel=True)
+@njit(cache=True, nogil=True, parallel=True, no_cfunc_wrapper=True)
 def has_los(xyz, indoors, rank, a, b, blocked, grid, walls, out):
     """Which lines no wall cuts; `blocked` are known to be cut, `indoors` ends have no line of sight.
 
@@ -265,7 +265,7 @@ def has_los(xyz, indoors, rank, a, b, blocked, grid, walls, out):
         _follow(first, end, xyz, indoors, rank, a, b, blocked, grid, walls, line, active, course, out)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
 def cut_by_body(start, end, a, b, place, ptr, row, bodies):
     """Per line from start to end: does it cross a body of an actor other than a and b?
 
@@ -279,7 +279,7 @@ def cut_by_body(start, end, a, b, place, ptr, row, bodies):
     return out
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
 def _meets_body(x, y, z, dx, dy, dz, a, b, row, bodies):
     for actor in row:
         if actor in (a, b):

@@ -10,7 +10,7 @@ from sensors.raycast.column import actor_columns, in_prism_frame, profile, recta
 from sensors.scene import Hit
 
 
-@njit(cache=True, nogil=True, parallel=True)
+@njit(cache=True, nogil=True, parallel=True, no_cfunc_wrapper=True)
 def unoccluded_returns(hit, origin, yaw, beams, limit, xyz, radius, height, ptr, row, own, bodies):
     """Per candidate (observer, actor): returns in the sweep, and returns if nothing else existed."""
     n_returns, n_unoccluded = np.zeros(len(row), np.int32), np.zeros(len(row), np.int32)
@@ -21,7 +21,7 @@ def unoccluded_returns(hit, origin, yaw, beams, limit, xyz, radius, height, ptr,
         pose = origin[o, 0], origin[o, 1], origin[o, 2], np.cos(yaw[o]), np.sin(yaw[o])
         taken = np.zeros(len(beams.tan_el), np.int32)  # the last column (of all) in which a row was counted
         room = taken, np.empty((most, 8)), np.empty((most, 4), np.int64)
-        hits, n_columns = hit[o], 0
+        hits, n_columns = hit[o], np.int64(0)
         for i in range(ptr[o], ptr[o + 1]):
             a = row[i]
             if a != own[o]:

@@ -40,7 +40,7 @@ def _levels() -> Float32[ndarray, "k"]:
     return (z / z.std()).astype(np.float32)
 
 
-@njit(cache=True)
+@njit(cache=True, no_cfunc_wrapper=True)
 def add_noise(ranges, hits, key, noise):
     """Range noise and dropouts of one sweep, in place."""
     if noise.sigma_m <= 0.0 and noise.dropout_p <= 0.0:
@@ -70,7 +70,7 @@ def add_noise(ranges, hits, key, noise):
                     hits[c, r] = Hit.NOTHING
 
 
-@njit(cache=True, nogil=True, parallel=True)
+@njit(cache=True, nogil=True, parallel=True, no_cfunc_wrapper=True)
 def add_noise_to_all(range_m, hit, noise):
     """Range noise and dropouts of all sweeps, in place."""
     for o in prange(len(noise.key)):

@@ -50,7 +50,7 @@ def thin(ranges, hits, some_ranges, some_hits):
             some_hits[c, r] = hits[c * step, r * skip]
 
 
-@njit(cache=True, nogil=True, parallel=True)
+@njit(cache=True, nogil=True, parallel=True, no_cfunc_wrapper=True)
 def thin_all(range_m, hit, made):
     """Copy those of all sweeps."""
     for o in prange(len(hit)):

@@ -46,8 +46,9 @@ ORDER = (
     "radio", "codes", "v2x", "trackers", "tracking", "driver", "perception", "sensing_ahead", "positioning",
     "ground_truth", "reactions", "adversary", "senders", "object_lists", "config_data", "config", "manifest",
     "parts", "stages", "attack_outcomes", "state", "step_result", "cycle", "scenario", "inputs", "check",
-    "replay_lidar", "export", "view", "interchange", "calibrate", "recording", "checkpoint", "run_folder", "drive",
-    "run", "bench_scale", "bench", "bench_variants", "nets", "studies", "reproduce", "side_by_side", "cli", "docs",
+    "replay_lidar", "export", "view", "interchange", "calibrate", "recording", "compile_ahead", "checkpoint",
+    "run_folder", "drive", "run", "bench_scale", "bench", "bench_variants", "nets", "studies", "reproduce",
+    "side_by_side", "cli", "docs",
     "__main__",
 )  # fmt: skip
 """Inside the hall: each may use those before it."""

@@ -119,7 +119,7 @@ def _add(of, begin, end, t, message, at, ego):
             ego.last[g] = message
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
 def _of_egos(chunk, n_chunks, longest, lists, evaluated_by, own, reported, weights, sums, totals):
     """The same for every `n_chunks`-th ego."""
     received_ptr, received, trust, has_evaluations, ego_trust, ego_computed, default_trust, unit_trust = weights
@@ -174,15 +174,17 @@ def _of_egos(chunk, n_chunks, longest, lists, evaluated_by, own, reported, weigh
         known[ego] = default_trust
 
 
-@njit(cache=True, nogil=True, parallel=True)
+@njit(cache=True, nogil=True, parallel=True, no_cfunc_wrapper=True)
 def _accumulate(longest, lists, evaluated_by, own, reported, weights, n_chunks, sums, totals):
     """Fill the sums of all groups, and those of all members where there is room for them.
 
     `evaluated_by` is the row of the evaluator's list per message row, -1 for none; no ego's list is longer than
     `longest`.
     """
-    for chunk in prange(n_chunks):
-        _of_egos(chunk, n_chunks, longest, lists, evaluated_by, own, reported, weights, sums, totals)
+    for chunk in prange(
+        n_chunks
+    ):  # an unsigned number once it is parallel: for each of both a kernel would be compiled
+        _of_egos(np.int64(chunk), n_chunks, longest, lists, evaluated_by, own, reported, weights, sums, totals)
 
 
 def sums_of_groups(

@@ -10,7 +10,7 @@ from trust.tables import Detections, Groups, ObjectLists, int64
 from trust.threads import threads_for
 
 
-@njit(cache=True)
+@njit(cache=True, no_cfunc_wrapper=True)
 def _adjacency(n, i, j, iou, tau):
     """Symmetric compressed rows of the pairs above tau (False for a NaN)."""
     ptr = np.zeros(n + 1, np.int64)
@@ -32,7 +32,7 @@ def _adjacency(n, i, j, iou, tau):
     return ptr, other, value
 
 
-@njit(cache=True)
+@njit(cache=True, no_cfunc_wrapper=True)
 def _candidate(d, after, at, block, ptr, other, value):
     """First message after block `after` with a seed for detection d; of its seeds the one of first maximum IoU."""
     best, best_iou = -1, 0.0
@@ -49,7 +49,7 @@ def _candidate(d, after, at, block, ptr, other, value):
     return best, best_iou
 
 
-@njit(cache=True, nogil=True, parallel=True)
+@njit(cache=True, nogil=True, parallel=True, no_cfunc_wrapper=True)
 def _seeds(list_ptr, members, owner, message, ptr, other, value, one_per_vehicle, n_chunks):
     """Seed of each position, and whether it is the owner's detection."""
     n_lists = list_ptr.size - 1
@@ -66,7 +66,7 @@ def _seeds(list_ptr, members, owner, message, ptr, other, value, one_per_vehicle
         choice_iou = np.empty(n_tried)
         for v in range(chunk, n_lists, n_chunks):
             member = members[list_ptr[v] : list_ptr[v + 1]]
-            s = 0
+            s = np.int64(0)  # a literal would be a type of its own, for which kernels are compiled once more
             while s < len(member):
                 t = s
                 while t < len(member) and message[member[t]] == message[member[s]]:
@@ -78,7 +78,7 @@ def _seeds(list_ptr, members, owner, message, ptr, other, value, one_per_vehicle
                     )
                 else:
                     for p in range(s, t):
-                        q, _ = _candidate(member[p], -1, at, block, ptr, other, value)
+                        q, _ = _candidate(member[p], np.int32(-1), at, block, ptr, other, value)
                         seed[p] = q if q >= 0 else p
                 for p in range(s, t):
                     if seed[p] == p:
@@ -91,7 +91,7 @@ def _seeds(list_ptr, members, owner, message, ptr, other, value, one_per_vehicle
     return seeds, by_owner
 
 
-@njit(cache=True)
+@njit(cache=True, no_cfunc_wrapper=True)
 def _one_per_vehicle(s, t, member, at, block, ptr, other, value, seed, tried, choice, choice_iou, winner):
     """Fill `seed` for the detections of one message, s to t; the last four arrays are room."""
     for p in range(s, t):

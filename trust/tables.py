@@ -64,7 +64,7 @@ class Groups:
         return _group_numbers(int64(self.seed))
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
 def _seeds(seed):
     found = np.empty(len(seed), np.int64)
     n = 0
@@ -74,7 +74,7 @@ def _seeds(seed):
     return found[:n].copy()
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
 def _group_numbers(seed):
     number = np.empty(len(seed), np.int32)
     n = 0

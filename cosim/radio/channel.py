@@ -335,7 +335,7 @@ def _joined(one: ndarray, more: ndarray) -> ndarray:
     return both
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
 def _chosen(begin, count, one, other):
     """Ranges of rows of two columns, range after range."""
     n = np.sum(count)

@@ -116,7 +116,7 @@ def _arm(phy, mac, air, heap, n):
     """Schedule the station's next access, if it has something to send and may."""
     if mac.n_queued == 0 or mac.gated or phy.busy:
         return n
-    soonest = NEVER
+    soonest = np.int64(NEVER)  # not a literal, for whose type `push` would be compiled once more
     for a in range(N_ACCESS):
         if mac.count[a] > 0:
             soonest = min(soonest, _access_ns(phy, mac, air, a))
@@ -288,7 +288,7 @@ def _end(air, log, heap, n, s, t, forwarding):
         if phy.busy and phy.phase != LOCKED and phy.packet == NONE and phy.energy_mw < c.cca_mw:
             n = _go_idle(phy, macs[j], air, heap, n, t)
     sender.packet = NONE
-    a = frame.access
+    a = np.int64(frame.access)
     sender_mac.slots[a] = _draw_slots(sender_mac, sender.key, air, a)
     sender_mac.since_ns[a] = t
     sender.active = 1
@@ -319,7 +319,7 @@ def _dequeue(mac, packets, a, t):
 @kernel
 def _enqueue(phy, mac, packets, p, air, heap, n, t):
     """A frame joins its station's queue, and requests the medium if it is the first."""
-    a = packets[p].access
+    a = np.int64(packets[p].access)
     if mac.count[a] >= air.c.queue_max:
         packets[p].outcome = QUEUE
         return n
@@ -343,7 +343,7 @@ def _enqueue(phy, mac, packets, p, air, heap, n, t):
 @kernel
 def _pending(air, packets, forwarding, heap):
     """Fill the heap with the events scheduled in an earlier window."""
-    n = schedule_timers(forwarding, heap.times, heap.codes, 0)
+    n = schedule_timers(forwarding, heap.times, heap.codes, np.int64(0))
     for j in range(len(air.phys)):
         mac = air.macs[j]
         if air.phys[j].packet != NONE:

@@ -137,7 +137,7 @@ def _within(
         room = m
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
 def _both_ways(n, a, b, gain, fading, tx_mw, cutoff_mw):
     """Links above the cut-off in both directions, compressed rows by sender."""
     ptr = np.zeros(n + 1, np.int64)
@@ -159,7 +159,7 @@ def _both_ways(n, a, b, gain, fading, tx_mw, cutoff_mw):
     return ptr, receiver, power, kind, pair
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
 def _both_orders(n, a, b, length_m):
     """Each pair in both directions, sorted by counting: by sender, then by receiver."""
     at = np.zeros(n + 1, np.int64)

@@ -277,7 +277,7 @@ def _sine_of_turns(x):
     return y + y * z * s
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
 def _waves(xy, decorrelation_m, rng_key):
     """Hashed plane waves at each position, in turns: cosine and sine of the phase of either end."""
     n = xy.shape[0]

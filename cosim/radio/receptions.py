@@ -56,7 +56,7 @@ def slant_m(xyz_m: Float[ndarray, "n 3"], range_m: float) -> float:
     return range_m + (float(np.ptp(xyz_m[:, 2])) if len(xyz_m) else 0.0) + 1e-6
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
 def _neighbours(xy, range_m, a, b, distance_m, slant_m, los_state):
     near, length_m = np.empty(len(a), np.int32), np.empty(len(a))
     ptr = np.zeros(len(xy) + 1, np.int64)
@@ -156,7 +156,7 @@ class ReceptionAttempts:
         ))  # fmt: skip
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
 def _attempts(
     ptr, station, length_m, los_state, message, source, transmitter, hop, on_air, begin, count, receiver, reception,
     outcome_of,
@@ -200,13 +200,13 @@ def complete_messages(
     """
     n_duplicate, columns = _complete(
         xy_m, messages.station, attempts.receiver, attempts.outcome, attempts.first,
-        counting_order(sent.unit, len(own_ns)), sent.message, sent.transmitter, sent.unit, sent.hop, sent.start_ns,
-        sent.end_ns, own_ns, n_segments, begin_ns,
+        counting_order(np.ascontiguousarray(sent.unit, np.int64), len(own_ns)), sent.message, sent.transmitter,
+        sent.unit, sent.hop, sent.start_ns, sent.end_ns, own_ns, n_segments, begin_ns,
     )  # fmt: skip
     return Receptions(*columns), n_duplicate
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
 def _complete(
     xy, station, to, outcome, first, by_unit, message_of, transmitter, unit, hop, start_ns, end_ns, own_ns, n_segments,
     begin_ns,

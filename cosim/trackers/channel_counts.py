@@ -47,7 +47,7 @@ def pdr_by_distance(
     )
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
 def _counted(distance_m, los_state, outcome, n_states, n_outcomes):
     """Frames by bin of distance and line of sight, and by outcome."""
     n_bins = _bin(np.max(distance_m)) + 1 if len(distance_m) else 0
@@ -57,7 +57,7 @@ def _counted(distance_m, los_state, outcome, n_states, n_outcomes):
     return counts
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
 def _bin(distance_m):
     """Whole bins in a distance, exactly."""
     n = int(distance_m / DISTANCE_BIN_M)
@@ -71,7 +71,7 @@ def latency_histogram(latency_s: Float[ndarray, "m"]) -> Rows:
     return {"latency_s": np.append(0, LATENCY_EDGES_S)[bins], "n_delivered": counts[bins]}
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
 def _by_edge(values, edges):
     """Numbers of values below the first edge, from each edge up to the next, and from the last one up."""
     counts = np.zeros(len(edges) + 1, np.int64)

@@ -66,7 +66,7 @@ def audit(
     return {name: np.array([value]) for name, value in row.items()}
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
 def _counting(evaluator, detection, evaluation, visibility, message, is_fabricated, attacks):
     """Evaluations by others than the observer that could see; of these, attackers' in favour of what was fabricated."""
     by, of = np.empty(len(detection), np.int32), np.empty(len(detection), np.int32)

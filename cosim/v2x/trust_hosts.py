@@ -365,7 +365,8 @@ class TrustHosts:
             found.trust, found.source, found.state, found.age_s, found.newest_evaluation_age_s,
             found.oldest_evaluation_age_s, found.n_evaluations, found.n_evaluators, at,
             int(source), age_s, time_s, self.dt_s, window_s, params.unjudged != "default",
-            scores.trust, scores.is_judged, scores.newest_evaluation_step, scores.oldest_evaluation_step,
+            scores.trust, scores.is_judged, np.ascontiguousarray(scores.newest_evaluation_step),
+            np.ascontiguousarray(scores.oldest_evaluation_step),
             scores.n_evaluations, n_evaluators,
         )  # fmt: skip
         return scores.n_evaluators is not None or not (at >= 0).any()

@@ -10,7 +10,7 @@ from sensors.raycast.column import below
 from sensors.scene import GRID_CELL_M
 
 
-@njit(cache=True)
+@njit(cache=True, no_cfunc_wrapper=True)
 def gather(city, west, south, east, north):
     """Buildings whose bounds touch a rectangle, each once, cell by cell."""
     gx, gy = city.grid_xy_m[0], city.grid_xy_m[1]

@@ -14,7 +14,7 @@ from trust.step_evidence import RejectReason
 from trust.tables import ReceivedEvaluations, TrustScores
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
 def _accumulate(step, pair_row, aggregated, n_evaluations, total, count, span):
     """Add a step to the sums of its pairs; steps come in the order of time."""
     for b in range(pair_row.size):
