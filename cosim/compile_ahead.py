@@ -32,12 +32,14 @@ from cosim import choices, recording, rng
 from cosim.config import Config, resolve_data
 from cosim.cycle import step
 from cosim.driver.driver import DriverParams
-from cosim.parts import Parts, chosen
+from cosim.parts import Parts, chosen, perception_of
 from cosim.perception import BoxAnswers, BoxQuestions, Observed, Perception, Seen
 from cosim.radio.rsu import NO_RSUS, RsuAntennas
 from cosim.state import State
 from cosim.stopwatch import Stopwatch
 from cosim.world import World
+from results.columns import Level
+from results.recorder import Recorder
 from results.tables import kept
 from sensors import evidence, lidar
 from sensors.boxes import Boxes
@@ -135,11 +137,11 @@ class _Told:
         return counts, evidence.plausible(sweeps, asked.testing, asked.boxes, asked.tested, asked.area)
 
 
-class _Nowhere:
+class _Nowhere(Recorder):
     """A recorder that keeps nothing."""
 
-    def __init__(self, tables: tuple[str, ...]) -> None:
-        self.tables = tables
+    def __init__(self, level: Level) -> None:
+        self.tables = kept(level)
 
     def append(self, table: str, step: int, columns: Mapping[str, ndarray | None]) -> None:
         """As `Recorder`."""
@@ -150,9 +152,8 @@ def compile_kernels(config: Config) -> None:
     c = _soon(config)
     city = Scene.from_footprints([[np.array([[20.0, 10], [40, 10], [40, 30], [20, 30]])]], [0.0], [12.0])
     rsus = NO_RSUS if not (c.rsu.at or c.rsu.n_at_junctions) else _one_rsu()
-    parts = Parts.of(c, city, rsus)
-    parts = replace(parts, perception=_Told(parts.perception))
-    state, nowhere = State.start(parts), _Nowhere(kept(c.record.level))
+    parts = replace(Parts.of(c, city, rsus), perception=_Told(perception_of(c, city)))
+    state, nowhere = State.start(parts), _Nowhere(c.record.level)
     for number in range(_SENSING_STEPS * c.sense_every_steps):
         state, happened = step(_world(number, c), state, parts)
         recording.step(nowhere, happened, c.traffic.step_s)
@@ -224,7 +225,7 @@ def _end_with_run() -> None:
 def main() -> None:
     threading.Thread(target=_end_with_run, daemon=True).start()
     os.nice(19)
-    caching.IndexDataCacheFile.save = _save
+    caching.IndexDataCacheFile.save = _save  # type: ignore[method-assign]
     numba.set_num_threads(1)
     compile_kernels(resolve_data(json.loads(sys.argv[1]), "the run", None))
 

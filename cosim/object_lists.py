@@ -2,7 +2,6 @@
 
 import numpy as np
 from jaxtyping import Bool, Int
-from numba import njit
 from numpy import ndarray
 
 from cosim.adversary.adversary import Active
@@ -13,6 +12,7 @@ from cosim.ragged import ptr_of
 from cosim.v2x.messages import SELF, Detections
 from sensors.boxes import Boxes
 from sensors.evidence import AreaParams
+from sensors.kernel import compiled
 from trust import tables
 from trust.tables import EvaluationMessages, Evaluations, ObjectLists, int64
 
@@ -48,7 +48,7 @@ def received_lists(
     return ObjectLists(begins, member, own)
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@compiled
 def _known(received_ptr, received, ptr, n_sent, transmitted, own, n_messages):
     """Where each vehicle's list begins, and its members; `n_sent` detections are transmitted before each message."""
     begins = np.zeros(len(own) + 1, np.int64)

@@ -2,8 +2,9 @@
 
 import numpy as np
 from jaxtyping import Int
-from numba import njit
 from numpy import ndarray
+
+from sensors.kernel import compiled
 
 
 def ptr_of(sorted_rows: Int[ndarray, "m"], n: int) -> Int[ndarray, "n+1"]:
@@ -44,7 +45,7 @@ def order_by_two(first: Int[ndarray, "m"], second: Int[ndarray, "m"], n: int) ->
     return order[counting_order(np.asarray(first, np.int64)[order], n)]
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@compiled
 def counting_order(value, n):
     """Stable order of rows by numbers from 0 to n - 1."""
     at = np.zeros(n + 1, np.int64)

@@ -18,6 +18,8 @@ from numba import njit
 from numpy import ndarray
 from scipy.special import ndtri
 
+from sensors.kernel import compiled
+
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _A = np.uint64(0xBF58476D1CE4E5B9)
 _B = np.uint64(0x94D049BB133111EB)
@@ -70,7 +72,7 @@ def unit(h):
     return (h >> _S11) * _TO_UNIT
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@compiled
 def _mix_rows(h, ids):
     out = np.empty(ids.shape[0], np.uint64)
     for row in range(ids.shape[0]):
@@ -81,7 +83,7 @@ def _mix_rows(h, ids):
     return out
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@compiled
 def _uniform_rows(keys, n):
     out = np.empty((keys.shape[0], n))
     for row in range(keys.shape[0]):

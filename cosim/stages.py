@@ -4,7 +4,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Int
-from numba import njit
 from numpy import ndarray
 
 from cosim import object_lists
@@ -26,6 +25,7 @@ from cosim.v2x.trust_server import LinkStats
 from cosim.world import World
 from sensors.boxes import overlapping_pairs
 from sensors.evidence import in_evaluation_area
+from sensors.kernel import compiled
 from trust import tables
 from trust.evaluation import evaluate
 from trust.fusion import Fused, SensorEvidence, fuse, votes_of
@@ -291,7 +291,7 @@ def beliefs_of(
     return Beliefs(known_s, vehicles.row[fused.ego], label, boxes, fused.score, fused.ego_detected, *source)
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@compiled
 def _distance_m(a_m, i, b_m, j):
     """Distance of each row i of `a_m` from the row j of `b_m`."""
     out = np.empty(len(i))

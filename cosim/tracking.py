@@ -2,13 +2,13 @@
 
 import numpy as np
 from jaxtyping import Bool, Int
-from numba import njit
 from numpy import ndarray
 
 from cosim.radio.message_round import MessageRound, Receptions
 from cosim.trackers.encounters import EncounterTrackers
 from cosim.trackers.inter_reception import InterReceptionTracker, reached, unique_pairs
 from results.encounters import Rows
+from sensors.kernel import compiled
 from trust.tables import ObjectLists
 
 
@@ -19,7 +19,7 @@ def pairs_in_range(happened: MessageRound, n: int) -> tuple[Int[ndarray, "p"], I
     return unique_pairs(sender, receiver, n)
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@compiled
 def _first_hops(station, message, receiver, hop, n):
     """Senders and receivers, below n, of the frames that senders transmit themselves."""
     one, other = np.empty(len(message), np.int32), np.empty(len(message), np.int32)
@@ -70,7 +70,7 @@ def count_in_encounters(
     trackers.count_evaluations(actor[evaluator], actor[observer], n)
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@compiled
 def _evaluated(ptr, member, message, vehicle):
     """Whose detections each list holds, and how many; a list's own are left out. Lists go by message."""
     one, other, n = np.empty(len(member), np.int32), np.empty(len(member), np.int32), np.empty(len(member), np.int64)

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit, prange
 
-from sensors.kernel import kernel
+from sensors.kernel import compiled, kernel, parallel
 from sensors.pairs import in_sensor_frame
 from sensors.raycast.column import below, rectangle_columns
 
@@ -43,7 +43,7 @@ def in_box(x, y, z, cx, cy, cz, cos, sin, half_l, half_w, half_h):
     return (abs(cos * dx + sin * dy) < half_l) & (abs(cos * dy - sin * dx) < half_w) & (abs(dz) < half_h)
 
 
-@njit(cache=True, error_model="numpy", no_cfunc_wrapper=True)
+@njit(cache=True, error_model="numpy")
 def _crossings(beams, a0, a1, p, q, cos, sin, half_l, half_w, near, far):
     """Horizontal lengths at which columns a0 to a1 enter and leave a box; nan where one runs along a side of it.
 
@@ -59,7 +59,7 @@ def _crossings(beams, a0, a1, p, q, cos, sin, half_l, half_w, near, far):
         far[i] = min(leave, max(s, t))
 
 
-@njit(cache=True, fastmath={"reassoc", "nsz"}, no_cfunc_wrapper=True)
+@njit(cache=True, fastmath={"reassoc", "nsz"})
 def _tally(ranges, c, r0, r1, cos_el, sin_el, middle, half, height, half_h, error):
     """Returns of a column that are inside for certain, times `_WIDE`, and those that may be; rows in whole blocks.
 
@@ -91,7 +91,7 @@ def _nearest_and_farthest(ranges, c, r0, r1):
     return nearest, farthest
 
 
-@njit(cache=True, no_cfunc_wrapper=True)
+@compiled
 def _bounds(ranges, flat, nearest, farthest):
     """Horizontal lengths between which the returns of a sweep lie, by stretch and column; the largest of all.
 
@@ -181,7 +181,7 @@ def _count(ranges, beams, cos_el, sin_el, a0, a1, r0, r1, x, y, z, cos, sin, hal
     return total
 
 
-@njit(cache=True, nogil=True, parallel=True, no_cfunc_wrapper=True)
+@parallel
 def points_in_boxes(range_m, beams, pairs, run):
     """Returns of the pair's sweep strictly inside its box, of every pair; `run` as `Pairs.runs`."""
     out = np.zeros(len(pairs.o), np.int32)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit, prange
 
-from sensors.kernel import kernel
+from sensors.kernel import kernel, parallel
 from sensors.pairs import in_sensor_frame
 from sensors.raycast.column import MARGIN_RAD, below, spans
 
@@ -25,7 +25,7 @@ def _in_view(forward, left, fov_rad, slope, slack_m):
     return forward >= 0.0 or abs(left) >= -forward * slope - slack_m
 
 
-@njit(cache=True, no_cfunc_wrapper=True)
+@njit(cache=True)
 def in_area(pairs, exempt, own_xyz, own_lwh, range_m, height_m, fov_rad, slope, slack_m, own_radius_m):
     """Whether the box of each pair lies in the area of its sensor.
 
@@ -135,7 +135,7 @@ def in_frustum(x, y, z, plane):
     )
 
 
-@njit(cache=True, nogil=True, parallel=True, no_cfunc_wrapper=True)
+@parallel
 def free_space(range_m, beams, pairs, run, reach_m, height_m, slope, margin_m):
     """Whether the free-space test applies to each pair, and where it does, the returns of its sweep in the pyramid
     through its box, and how many of them are nearer than the box. `run` as `Pairs.runs`."""

@@ -19,7 +19,7 @@ from scipy.special import expit, ndtri
 from sensors.boxes import Boxes
 from sensors.evidence import Observability
 from sensors.hash_rng import mix, unit
-from sensors.kernel import kernel
+from sensors.kernel import compiled, kernel, parallel
 from sensors.lidar import Sweeps
 from sensors.reports import DetectorDraws, Reports
 from sensors.scene import Hit
@@ -137,7 +137,7 @@ def _at_sites(
     return o, site[at], ray[at], uniform[at][:, 0], uniform[at][:, 1]
 
 
-@njit(cache=True, no_cfunc_wrapper=True)
+@njit(cache=True)
 def _uniforms_of_site(site):
     """Three uniforms that belong to the site for good: class, size, heading."""
     out = np.empty((len(site), 3))
@@ -195,7 +195,7 @@ def _places(ranges, hits, cos_el, c, x, y, along_x, along_y, top, side, place):
         place[r] = at + np.int32(1) if (code == Hit.GROUND) | (code == Hit.BUILDING) else np.int32(0)
 
 
-@njit(cache=True, no_cfunc_wrapper=True)
+@compiled
 def _tally(ranges, hits, beams, x, y, cos, sin, x0, y0, side):
     """Cells and kinds (wall, road) of a thinned sweep: which, returns, first and last column; and returns by kind."""
     n_columns, n_rows = hits.shape
@@ -269,7 +269,7 @@ class _Hidden(NamedTuple):
     n_returns: ndarray
 
 
-@njit(cache=True, no_cfunc_wrapper=True)
+@compiled
 def _one_sweep(
     ranges, hits, thinned, beams, pose, half, actor, n_returns, observer, step, keys, rates, site, ray, uniform
 ):
@@ -312,7 +312,7 @@ def _one_sweep(
     return found
 
 
-@njit(cache=True, nogil=True, parallel=True, no_cfunc_wrapper=True)
+@parallel
 def _all_sweeps(range_m, hit, thinned, origin_m, yaw_rad, beams, max_range_m, hidden, keys, rates, capacity):
     """Per sweep: number of false positives; of the first `capacity`: key of the site, ray, U / p and a uniform."""
     n_sweeps, half = len(hit), min(np.int64(max_range_m / CELL_M) + 2, FARTHEST_CELLS)

@@ -41,7 +41,7 @@ def unit(h):
     return (h >> _S11) * _TO_UNIT
 
 
-@njit(cache=True, no_cfunc_wrapper=True)
+@njit(cache=True)
 def mix_rows(keys: UInt64[ndarray, "k"], ids: UInt64[ndarray, "k"]) -> UInt64[ndarray, "k"]:
     """Each key extended by the identifier in the same row."""
     out = np.empty(len(keys), np.uint64)
@@ -50,7 +50,7 @@ def mix_rows(keys: UInt64[ndarray, "k"], ids: UInt64[ndarray, "k"]) -> UInt64[nd
     return out
 
 
-@njit(cache=True, no_cfunc_wrapper=True)
+@njit(cache=True)
 def uniforms(keys: UInt64[ndarray, "k"], n: int) -> Float[ndarray, "k n"]:
     """`n` uniforms in [0, 1) of each key."""
     out = np.empty((len(keys), n))

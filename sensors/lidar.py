@@ -9,10 +9,10 @@ from typing import Annotated, Literal, NamedTuple
 import numpy as np
 from annotated_types import Ge, Gt, Le, Lt
 from jaxtyping import Float, Float32, Int, UInt8, UInt64
-from numba import njit
 from numpy import ndarray
 
 from sensors.boxes import Boxes
+from sensors.kernel import compiled
 from sensors.neighbours import Neighbours, neighbours
 from sensors.pairs import Pairs, pairs_of, turned
 from sensors.range_noise import RangeNoise
@@ -311,7 +311,7 @@ def buffer(size: tuple[int, int, int], kind: type, old: ndarray | None) -> ndarr
     return whole[: size[0]]
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@compiled
 def _cloud(range_m, cos_az, sin_az, cos_el, sin_el):
     """Ends of the rays that returned, in single precision."""
     xyz = np.empty((np.isfinite(range_m).sum(), 3), np.float32)

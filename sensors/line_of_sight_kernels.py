@@ -8,10 +8,10 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int, UInt8
-from numba import njit, prange
+from numba import prange
 from numpy import ndarray
 
-from sensors.kernel import inlined, kernel
+from sensors.kernel import compiled, inlined, kernel, parallel
 from sensors.raycast.column import in_prism_frame, rectangle
 
 _SLACK_M = 1e-6
@@ -78,7 +78,7 @@ def by_cell(low: ndarray, cell_m: float, shape: tuple[int, int], a: ndarray, b: 
     return ptr.astype(np.int32), out
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@compiled
 def building_at(xyz, grid, walls):
     """The building that contains each point, by even-odd over its rings; -1 if none. Any height where z is NaN."""
     out = np.full(xyz.shape[0], -1)
@@ -252,7 +252,7 @@ def _follow(begin, end, xyz, indoors, rank, a, b, blocked, grid, walls, line, ac
         n = left
 
 
-@njit(cache=True, nogil=True, parallel=True, no_cfunc_wrapper=True)
+@parallel
 def has_los(xyz, indoors, rank, a, b, blocked, grid, walls, out):
     """Which lines no wall cuts; `blocked` are known to be cut, `indoors` ends have no line of sight.
 
@@ -265,7 +265,7 @@ def has_los(xyz, indoors, rank, a, b, blocked, grid, walls, out):
         _follow(first, end, xyz, indoors, rank, a, b, blocked, grid, walls, line, active, course, out)
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@compiled
 def cut_by_body(start, end, a, b, place, ptr, row, bodies):
     """Per line from start to end: does it cross a body of an actor other than a and b?
 
@@ -279,7 +279,7 @@ def cut_by_body(start, end, a, b, place, ptr, row, bodies):
     return out
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@compiled
 def _meets_body(x, y, z, dx, dy, dz, a, b, row, bodies):
     for actor in row:
         if actor in (a, b):

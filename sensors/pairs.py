@@ -58,7 +58,7 @@ def in_sensor_frame(pairs, k):
     return x, y, z, pairs.lwh_m[w, 0], pairs.lwh_m[w, 1], pairs.lwh_m[w, 2], yaw
 
 
-@njit(cache=True, no_cfunc_wrapper=True)
+@njit(cache=True)
 def turned(pairs):
     """Centres, sizes and headings of all pairs."""
     n = len(pairs.o)

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 
-from sensors.kernel import kernel
+from sensors.kernel import kernel, parallel
 from sensors.raycast.column import actor_columns, in_prism_frame, profile, rectangle, rectangle_columns, surface
 from sensors.scene import Hit
 
 
-@njit(cache=True, nogil=True, parallel=True, no_cfunc_wrapper=True)
+@parallel
 def unoccluded_returns(hit, origin, yaw, beams, limit, xyz, radius, height, ptr, row, own, bodies):
     """Per candidate (observer, actor): returns in the sweep, and returns if nothing else existed."""
     n_returns, n_unoccluded = np.zeros(len(row), np.int32), np.zeros(len(row), np.int32)

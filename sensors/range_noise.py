@@ -7,11 +7,12 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float32, UInt64
-from numba import njit, prange
+from numba import prange
 from numpy import ndarray
 from scipy.special import ndtri
 
 from sensors.hash_rng import GOLDEN, splitmix64
+from sensors.kernel import compiled, parallel
 from sensors.scene import Hit
 
 _LOWEST_52 = np.uint64((1 << 52) - 1)
@@ -40,7 +41,7 @@ def _levels() -> Float32[ndarray, "k"]:
     return (z / z.std()).astype(np.float32)
 
 
-@njit(cache=True, no_cfunc_wrapper=True)
+@compiled
 def add_noise(ranges, hits, key, noise):
     """Range noise and dropouts of one sweep, in place."""
     if noise.sigma_m <= 0.0 and noise.dropout_p <= 0.0:
@@ -70,7 +71,7 @@ def add_noise(ranges, hits, key, noise):
                     hits[c, r] = Hit.NOTHING
 
 
-@njit(cache=True, nogil=True, parallel=True, no_cfunc_wrapper=True)
+@parallel
 def add_noise_to_all(range_m, hit, noise):
     """Range noise and dropouts of all sweeps, in place."""
     for o in prange(len(noise.key)):

@@ -10,10 +10,10 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float32, Int
-from numba import njit, prange
+from numba import prange
 from numpy import ndarray
 
-from sensors.kernel import kernel
+from sensors.kernel import kernel, parallel
 
 COLUMN_STEP, ROW_STEP = 4, 2
 
@@ -50,7 +50,7 @@ def thin(ranges, hits, some_ranges, some_hits):
             some_hits[c, r] = hits[c * step, r * skip]
 
 
-@njit(cache=True, nogil=True, parallel=True, no_cfunc_wrapper=True)
+@parallel
 def thin_all(range_m, hit, made):
     """Copy those of all sweeps."""
     for o in prange(len(hit)):

@@ -2,16 +2,16 @@
 
 import numpy as np
 from jaxtyping import Int
-from numba import njit
 from numpy import ndarray
 
+from trust.kernel import compiled
 from trust.step_evidence import find_slot
 
 _EVALUATOR = 31  # bits for a pseudonym
 NEVER = -1
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@compiled
 def _note(keys, newest, n_used, row, evaluator, step):
     for i in range(row.size):
         key = (row[i] << _EVALUATOR) | evaluator[i]
@@ -25,7 +25,7 @@ def _note(keys, newest, n_used, row, evaluator, step):
     return n_used
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@compiled
 def _count(keys, newest, after, beside, out):
     """Add, per row, the evaluators with an evaluation after a step that are not in the table of keys `beside`."""
     for i in range(keys.size):
@@ -33,7 +33,7 @@ def _count(keys, newest, after, beside, out):
             out[keys[i] >> _EVALUATOR] += 1
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@compiled
 def _without_old(keys, newest, horizon, size):
     new_keys = np.full(size, -1, np.int64)
     new_newest = np.zeros(size, np.int64)

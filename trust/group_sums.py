@@ -7,6 +7,7 @@ from jaxtyping import Float, Int
 from numba import njit, prange
 from numpy import ndarray
 
+from trust.kernel import compiled, parallel
 from trust.params import TrustParams
 from trust.tables import Detections, Evaluations, ObjectLists, SenderTrust, int64
 from trust.threads import threads_for
@@ -119,7 +120,7 @@ def _add(of, begin, end, t, message, at, ego):
             ego.last[g] = message
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@compiled
 def _of_egos(chunk, n_chunks, longest, lists, evaluated_by, own, reported, weights, sums, totals):
     """The same for every `n_chunks`-th ego."""
     received_ptr, received, trust, has_evaluations, ego_trust, ego_computed, default_trust, unit_trust = weights
@@ -174,7 +175,7 @@ def _of_egos(chunk, n_chunks, longest, lists, evaluated_by, own, reported, weigh
         known[ego] = default_trust
 
 
-@njit(cache=True, nogil=True, parallel=True, no_cfunc_wrapper=True)
+@parallel
 def _accumulate(longest, lists, evaluated_by, own, reported, weights, n_chunks, sums, totals):
     """Fill the sums of all groups, and those of all members where there is room for them.
 

@@ -5,12 +5,13 @@ from jaxtyping import Float, Int
 from numba import njit, prange
 from numpy import ndarray
 
+from trust.kernel import compiled, parallel
 from trust.params import TrustParams
 from trust.tables import Detections, Groups, ObjectLists, int64
 from trust.threads import threads_for
 
 
-@njit(cache=True, no_cfunc_wrapper=True)
+@njit(cache=True)
 def _adjacency(n, i, j, iou, tau):
     """Symmetric compressed rows of the pairs above tau (False for a NaN)."""
     ptr = np.zeros(n + 1, np.int64)
@@ -32,7 +33,7 @@ def _adjacency(n, i, j, iou, tau):
     return ptr, other, value
 
 
-@njit(cache=True, no_cfunc_wrapper=True)
+@compiled
 def _candidate(d, after, at, block, ptr, other, value):
     """First message after block `after` with a seed for detection d; of its seeds the one of first maximum IoU."""
     best, best_iou = -1, 0.0
@@ -49,7 +50,7 @@ def _candidate(d, after, at, block, ptr, other, value):
     return best, best_iou
 
 
-@njit(cache=True, nogil=True, parallel=True, no_cfunc_wrapper=True)
+@parallel
 def _seeds(list_ptr, members, owner, message, ptr, other, value, one_per_vehicle, n_chunks):
     """Seed of each position, and whether it is the owner's detection."""
     n_lists = list_ptr.size - 1
@@ -91,7 +92,7 @@ def _seeds(list_ptr, members, owner, message, ptr, other, value, one_per_vehicle
     return seeds, by_owner
 
 
-@njit(cache=True, no_cfunc_wrapper=True)
+@compiled
 def _one_per_vehicle(s, t, member, at, block, ptr, other, value, seed, tried, choice, choice_iou, winner):
     """Fill `seed` for the detections of one message, s to t; the last four arrays are room."""
     for p in range(s, t):

@@ -4,9 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from numba import njit, prange
+from numba import prange
 from numpy import ndarray
 
+from trust.kernel import parallel
 from trust.tables import Detections, Evaluations, Groups, ObjectLists, int64
 
 
@@ -41,7 +42,7 @@ class ObjectVotes:
         return ObjectReports(self.group, self.in_favour, self.visibility, of_vote, self.n_groups)
 
 
-@njit(cache=True, nogil=True, parallel=True, no_cfunc_wrapper=True)
+@parallel
 def _reports(list_ptr, member, owner, group, evaluated_ptr, evaluated, evaluated_by, own_e, own_phi, reported_e,
              reported_phi, received_ptr, received, has_evaluations, message, n_detections, n_messages, n_chunks,
              row_ptr, out_group, out_vehicle, out_received, out_favour, out_phi):  # fmt: skip

@@ -11,9 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from numba import njit
 from numpy import ndarray
 
+from trust.kernel import compiled
 from trust.tables import EvaluationMessages, int64
 
 ONE = float(1 << 44)  # fixed point of the sums: error 3e-14 per evaluation, room for half a million of them
@@ -48,7 +48,7 @@ class _Read(NamedTuple):
     need: ndarray  # at most so many new blocks and slots
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@compiled
 def find_slot(keys, key):
     """Position of a key, or where to insert it, in an open-addressed table (a power of two long, -1 is free)."""
     h = np.uint64(key) * np.uint64(0x9E3779B97F4A7C15)
@@ -58,7 +58,7 @@ def find_slot(keys, key):
     return i
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@compiled
 def _moved(keys, values, size):
     """The same table with room for more."""
     new_keys = np.full(size, -1, np.int64)
@@ -71,7 +71,7 @@ def _moved(keys, values, size):
     return new_keys, new_values
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@compiled
 def _translate(ids, first, score, evaluator, ptr, observer, index, e, phi, head, count, known, parts, n_known):
     """Translate messages; each (evaluator, detection) gets a number that never changes."""
     n, n_messages = observer.size, evaluator.size
@@ -132,7 +132,7 @@ def _translate(ids, first, score, evaluator, ptr, observer, index, e, phi, head,
     return _Read(code, subject, number, weight, value, row, need)
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@compiled
 def _add(
     start,
     holder,
@@ -222,7 +222,7 @@ def _add(
     return holder.size
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@compiled
 def _aggregate(n_blocks, blocks, dirty, first, score, sums, by_score, skip_unseen, aggregated, n_evaluations):
     """Equations 3 and 4 within the step, for the blocks that have changed."""
     for b in range(n_blocks):

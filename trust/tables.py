@@ -5,8 +5,9 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
-from numba import njit
 from numpy import ndarray
+
+from trust.kernel import compiled
 
 SERVER = 0
 """Holder of the trust scores of a central trust server."""
@@ -64,7 +65,7 @@ class Groups:
         return _group_numbers(int64(self.seed))
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@compiled
 def _seeds(seed):
     found = np.empty(len(seed), np.int64)
     n = 0
@@ -74,7 +75,7 @@ def _seeds(seed):
     return found[:n].copy()
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@compiled
 def _group_numbers(seed):
     number = np.empty(len(seed), np.int32)
     n = 0

@@ -44,7 +44,7 @@ def ahead_on_path(
     )  # fmt: skip
 
 
-@njit(cache=True, no_cfunc_wrapper=True)
+@njit(cache=True)
 def _ahead(ptr, line_xy, along, line, front, xy, lw, yaw, look, half_width, samples):
     n = xy.shape[0]
     gap, heading = np.full(n, np.inf), np.zeros(n)

@@ -89,7 +89,7 @@ class Frame:
         )
 
 
-@njit(cache=True, no_cfunc_wrapper=True)
+@njit(cache=True)
 def _first_outside(xyz_m, yaw_rad, speed_mps, low, high):
     """The first row that is not within the limits, or -1; a number that is not finite is never within."""
     for row in range(len(xyz_m)):

@@ -97,7 +97,7 @@ def world_from_bumpers(
     return world_of(step, number, xyz_m, yaw_rad, speed, registry, frame)
 
 
-@njit(cache=True, no_cfunc_wrapper=True)
+@njit(cache=True)
 def _placed(order, actor, front_m, compass_deg, speed_mps, size_m, east_m, north_m):
     """Actors, centres of boxes, yaw and speed from front bumpers on the road, in order and rounded."""
     n = len(order)

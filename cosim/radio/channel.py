@@ -15,7 +15,6 @@ from typing import Annotated
 import numpy as np
 from annotated_types import Gt, Le
 from jaxtyping import Float, Int, UInt8, UInt64
-from numba import njit
 from numpy import ndarray
 
 from cosim.radio import dtypes
@@ -25,6 +24,7 @@ from cosim.radio.forwarding import NO_FORWARDING, Forwarding, grown
 from cosim.radio.phy import CURVES, MAC_OVERHEAD_BYTES, ReceiverParams, airtime_ns
 from cosim.radio.propagation import fading_quantiles
 from cosim.ragged import offsets, ranges
+from sensors.kernel import compiled
 
 SIFS_NS = 32_000
 SLOT_NS = 13_000
@@ -335,7 +335,7 @@ def _joined(one: ndarray, more: ndarray) -> ndarray:
     return both
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@compiled
 def _chosen(begin, count, one, other):
     """Ranges of rows of two columns, range after range."""
     n = np.sum(count)

@@ -11,7 +11,6 @@ from functools import cache
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt64
-from numba import njit
 from numpy import ndarray
 
 from cosim import rng
@@ -24,7 +23,7 @@ from cosim.radio.propagation import (
     link_field,
     mean_loss_db,
 )
-from sensors.kernel import kernel
+from sensors.kernel import compiled, kernel
 from sensors.line_of_sight import LosOfPlaces, WallIndex
 from sensors.line_of_sight_kernels import crosses_filled_cell
 from sensors.scene import Scene
@@ -137,7 +136,7 @@ def _within(
         room = m
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@compiled
 def _both_ways(n, a, b, gain, fading, tx_mw, cutoff_mw):
     """Links above the cut-off in both directions, compressed rows by sender."""
     ptr = np.zeros(n + 1, np.int64)
@@ -159,7 +158,7 @@ def _both_ways(n, a, b, gain, fading, tx_mw, cutoff_mw):
     return ptr, receiver, power, kind, pair
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@compiled
 def _both_orders(n, a, b, length_m):
     """Each pair in both directions, sorted by counting: by sender, then by receiver."""
     at = np.zeros(n + 1, np.int64)

@@ -22,12 +22,11 @@ from typing import Annotated, Literal
 import numpy as np
 from annotated_types import Ge, Gt, Le
 from jaxtyping import Bool, Float, Int, UInt8
-from numba import njit
 from numpy import ndarray
 from scipy.special import gammaincinv, ndtr
 
 from cosim.rng import mix, unit
-from sensors.kernel import inlined, kernel
+from sensors.kernel import compiled, inlined, kernel
 
 LIGHT_MPS = 299_792_458.0
 
@@ -277,7 +276,7 @@ def _sine_of_turns(x):
     return y + y * z * s
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@compiled
 def _waves(xy, decorrelation_m, rng_key):
     """Hashed plane waves at each position, in turns: cosine and sine of the phase of either end."""
     n = xy.shape[0]

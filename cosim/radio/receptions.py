@@ -7,13 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
-from numba import njit
 from numpy import ndarray
 
 from cosim.radio.channel import PhyOutcome, WindowResult
 from cosim.radio.link_budget import PairLos
 from cosim.radio.message_round import LosState, Messages, Outcome, Receptions
 from cosim.ragged import counting_order
+from sensors.kernel import compiled
 
 _OUTCOME_OF = np.full(max(PhyOutcome) + 1, Outcome.PROPAGATION, np.int8)
 """`Outcome` by `PhyOutcome`."""
@@ -56,7 +56,7 @@ def slant_m(xyz_m: Float[ndarray, "n 3"], range_m: float) -> float:
     return range_m + (float(np.ptp(xyz_m[:, 2])) if len(xyz_m) else 0.0) + 1e-6
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@compiled
 def _neighbours(xy, range_m, a, b, distance_m, slant_m, los_state):
     near, length_m = np.empty(len(a), np.int32), np.empty(len(a))
     ptr = np.zeros(len(xy) + 1, np.int64)
@@ -156,7 +156,7 @@ class ReceptionAttempts:
         ))  # fmt: skip
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@compiled
 def _attempts(
     ptr, station, length_m, los_state, message, source, transmitter, hop, on_air, begin, count, receiver, reception,
     outcome_of,
@@ -206,7 +206,7 @@ def complete_messages(
     return Receptions(*columns), n_duplicate
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@compiled
 def _complete(
     xy, station, to, outcome, first, by_unit, message_of, transmitter, unit, hop, start_ns, end_ns, own_ns, n_segments,
     begin_ns,

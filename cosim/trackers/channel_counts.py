@@ -4,10 +4,10 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 from jaxtyping import Float, Int, UInt8
-from numba import njit
 from numpy import ndarray
 
 from results.codes import DISTANCE_BIN_M, LATENCY_EDGES_S, LosState
+from sensors.kernel import compiled
 
 Rows = dict[str, ndarray]
 
@@ -47,7 +47,7 @@ def pdr_by_distance(
     )
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@compiled
 def _counted(distance_m, los_state, outcome, n_states, n_outcomes):
     """Frames by bin of distance and line of sight, and by outcome."""
     n_bins = _bin(np.max(distance_m)) + 1 if len(distance_m) else 0
@@ -57,7 +57,7 @@ def _counted(distance_m, los_state, outcome, n_states, n_outcomes):
     return counts
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@compiled
 def _bin(distance_m):
     """Whole bins in a distance, exactly."""
     n = int(distance_m / DISTANCE_BIN_M)
@@ -71,7 +71,7 @@ def latency_histogram(latency_s: Float[ndarray, "m"]) -> Rows:
     return {"latency_s": np.append(0, LATENCY_EDGES_S)[bins], "n_delivered": counts[bins]}
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@compiled
 def _by_edge(values, edges):
     """Numbers of values below the first edge, from each edge up to the next, and from the last one up."""
     counts = np.zeros(len(edges) + 1, np.int64)

@@ -2,8 +2,9 @@
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from numba import njit
 from numpy import ndarray
+
+from sensors.kernel import compiled
 
 
 def count_looks(
@@ -66,7 +67,7 @@ def audit(
     return {name: np.array([value]) for name, value in row.items()}
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@compiled
 def _counting(evaluator, detection, evaluation, visibility, message, is_fabricated, attacks):
     """Evaluations by others than the observer that could see; of these, attackers' in favour of what was fabricated."""
     by, of = np.empty(len(detection), np.int32), np.empty(len(detection), np.int32)

@@ -4,8 +4,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Bool, Int
-from numba import njit
 from numpy import ndarray
+
+from sensors.kernel import compiled
 
 
 @dataclass(slots=True)
@@ -53,7 +54,7 @@ class InterReceptionTracker:
         return {"pir_steps": lengths, "n_received": n_received[lengths], "n_censored": n_censored[lengths]}
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@compiled
 def _carried_on(held, held_last, held_received, pair, received, step, last_step):
     """Step of the last reception of each pair, if there was one; intervals that end, and that are cut off, by length.
 
@@ -82,7 +83,7 @@ def _carried_on(held, held_last, held_received, pair, received, step, last_step)
     return last, has_last, n_ended, n_cut
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@compiled
 def reached(sender, receiver, n, by, to):
     """Which of these sorted pairs are among others, `by` and `to`, of which `to` ascends; all are numbers below n."""
     at = np.zeros(n + 1, np.int64)
@@ -102,7 +103,7 @@ def reached(sender, receiver, n, by, to):
     return found
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@compiled
 def unique_pairs(one, other, n):
     """Pairs of numbers below n, sorted, each once; in one pass where they are sorted but for repetitions."""
     found, of, seen = np.empty(len(one), np.int64), np.empty(len(one), np.int64), np.full(n, -1)
@@ -118,7 +119,7 @@ def unique_pairs(one, other, n):
     return found[:m], of[:m]
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@compiled
 def _sorted_pairs(one, other, n):
     """The same, sorted by counting: by `other` and then by `one`."""
     by_one, by_other = np.zeros(n + 1, np.int64), np.zeros(n + 1, np.int64)

@@ -2,15 +2,15 @@
 
 import numpy as np
 from jaxtyping import Int
-from numba import njit
 from numpy import ndarray
 
 from results.codes import LookupState
+from sensors.kernel import compiled
 
 _JUDGED, _UNJUDGED, _STALE = (int(s) for s in (LookupState.JUDGED, LookupState.UNJUDGED, LookupState.STALE))
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@compiled
 def rows_heard(
     number_of: Int[ndarray, "n"], number: int, subject: Int[ndarray, "n"], known: Int[ndarray, "k"]
 ) -> Int[ndarray, "n"]:
@@ -24,7 +24,7 @@ def rows_heard(
     return at
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@compiled
 def fill(
     trust, source, state, age_s, newest_age_s, oldest_age_s, n_evaluations, n_evaluators, at, code, value_age_s, time_s,
     dt_s, window_s, unjudged_is_used, scores_trust, is_judged, newest_step, oldest_step, scores_n, scores_n_evaluators,
@@ -43,7 +43,7 @@ def fill(
         state[i] = _UNJUDGED if not is_judged[row] else _JUDGED if newest_age_s[i] < window_s else _STALE
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@compiled
 def totals(n_variants, n_states, state, is_default, is_known, age_s, newest_age_s, oldest_age_s):
     """Of lookups of one variant after another, by variant and state: how many, how many with a value, and sums of the
     ages of these values and of the evaluations that are known."""

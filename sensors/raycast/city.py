@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
-from sensors.kernel import kernel
+from sensors.kernel import compiled, kernel
 from sensors.raycast.column import below
 from sensors.scene import GRID_CELL_M
 
 
-@njit(cache=True, no_cfunc_wrapper=True)
+@compiled
 def gather(city, west, south, east, north):
     """Buildings whose bounds touch a rectangle, each once, cell by cell."""
     gx, gy = city.grid_xy_m[0], city.grid_xy_m[1]

@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit, prange
 
 from sensors.boxes import Boxes
-from sensors.kernel import kernel
+from sensors.kernel import compiled, kernel, parallel
 from sensors.neighbours import Neighbours
 from sensors.range_noise import RangeNoise, add_noise
 from sensors.raycast.city import close_columns, gather, toggle_levels
@@ -40,7 +40,7 @@ def cast(
     )  # fmt: skip
 
 
-@njit(cache=True, nogil=True, parallel=True, no_cfunc_wrapper=True)
+@parallel
 def _cast(range_m, hit, origin, yaw, ground, own, beams, limit, xyz, radius, ptr, row, bodies, city, noise, thinned):
     """Sweep by sweep, so that each is finished while it is in the cache of its core."""
     for o in prange(len(origin)):
@@ -67,7 +67,7 @@ def _paint(ranges, hits, c, r, d, limit, code):
         hits[c, r] = code
 
 
-@njit(cache=True, no_cfunc_wrapper=True)
+@compiled
 def _city(ranges, hits, x, y, z, ground, cos, sin, beams, limit, nearest, city):
     """Ground and buildings of one sweep; leaves the nearest closing wall per column in `nearest`."""
     n, m = ranges.shape
