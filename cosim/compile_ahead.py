@@ -100,10 +100,12 @@ class CompileAhead(event.Listener):
         """Nothing to do."""
 
     def _start(self) -> None:
+        """In a group of its own, which Ctrl-C does not reach; in the session of the run, within which its low priority
+        counts."""
         config = json.dumps(self._config.to_dict(), default=str)
         self._helper = subprocess.Popen(
             [sys.executable, "-m", "cosim.compile_ahead", config], stdin=subprocess.PIPE, stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL, start_new_session=True,
+            stderr=subprocess.DEVNULL, process_group=0,
         )  # fmt: skip
 
 
