@@ -16,7 +16,7 @@ VEHICLE_S = 0.35e-3
 """Per equipped vehicle and step, on one core [s]."""
 VARIANT_S = 0.0004
 """Trust of one more variant, per step, at the 60 equipped vehicles of central Helsinki [s]: `cosim bench variants`."""
-METRICS_S = 0.06
+METRICS_S = 0.1
 """Metrics of one point [s]."""
 VEHICLES = 200
 """On the road in central Helsinki; other cities are not told apart."""
