@@ -31,6 +31,7 @@ def test_pdr_by_distance_twin(rows):
     }  # fmt: skip
 
 
+@settings(deadline=None)
 @given(st.lists(st.floats(0, 5), max_size=50))
 def test_latency_histogram_twin(latencies):
     """A bin holds what is at least its lower edge and below the next, a factor of the square root of 2 above."""
@@ -43,6 +44,7 @@ def test_latency_histogram_twin(latencies):
 receivers = st.lists(st.integers(0, 4), max_size=30)
 
 
+@settings(deadline=None)
 @given(st.tuples(receivers, receivers), st.tuples(receivers, receivers), st.booleans())
 def test_vehicle_channel_twin(in_range, received, modelled):
     busy = [np.linspace(0, 1, 7), np.full(7, 0.5) if modelled else None]  # two roadside units behind five vehicles
