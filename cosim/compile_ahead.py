@@ -1,7 +1,7 @@
 """A second process that compiles what a run needs later, while the run compiles and computes what it needs first.
 
 Kernels are compiled where they are called first, one after another: in the first minutes after installation a second
-core would be idle. A helper process therefore plays a few steps among a dozen made-up vehicles, with all parts of the
+core would be idle. A helper process therefore plays a few steps among forty made-up vehicles, with all parts of the
 run's config but its LiDAR: radio, matching, trust and fusion are compiled while the run itself is still busy with the
 sweep and the detector, and it finds them in Numba's cache on disk. The helper starts once a run has had to compile
 some kernels, and ends with the run at the latest, however that ends. Nothing depends on it but time.

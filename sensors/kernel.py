@@ -1,6 +1,6 @@
 """Decorators of compiled functions: cached on disk, run without Python's lock.
 
-None of them has a wrapper for callers in C: nobody calls them from there, and to compile it takes a tenth to a quarter
+None of them has a wrapper for callers in C: no C code calls them, and to compile it takes a tenth to a quarter
 of the time. Numba's own annotations leave that option out.
 
 Inner loops that allocate nothing (`kernel`, `inlined`) are compiled without Numba's reference counts. `_nrt` is private

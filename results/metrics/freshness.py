@@ -136,10 +136,7 @@ def behind(run: Run) -> pd.DataFrame:
 
 def distribution(run: Run, what: str = "newest evaluation") -> pd.DataFrame:
     """Cumulative distribution of an age at lookup (a key of `AGES`), where there is one: age_s, share."""
-    histogram = np.zeros(len(EDGES_S) - 1)
-    for part in blocks(run, [AGES[what]]):
-        age_s = part[AGES[what]].astype(np.float64)
-        histogram += _histogram(age_s[~np.isnan(age_s)])
+    histogram = lookups.sums(run).histogram[:, list(AGES).index(what)].sum(axis=0)
     if not histogram.any():
         raise ValueError(f"{run.path} {_NO_EVALUATION}")
     last = np.flatnonzero(histogram)[-1] + 1
@@ -223,13 +220,6 @@ def _with_all(run: Run, counts: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
 
 def _columns(estimate: Estimate, value: str) -> dict[str, float]:
     return {value: estimate.value, "low": estimate.low, "high": estimate.high, "n_units": estimate.n_units}
-
-
-def _histogram(age_s: np.ndarray) -> np.ndarray:
-    """Ages by bin of `EDGES_S`, those beyond its ends in the outermost ones."""
-    at = np.searchsorted(np.sort(age_s), EDGES_S)
-    at[0], at[-1] = 0, len(age_s)
-    return np.diff(at)
 
 
 def _quantile(histogram: np.ndarray, share: float) -> float:

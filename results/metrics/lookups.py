@@ -189,7 +189,7 @@ def _bins() -> Int[ndarray, "n"]:
 
 
 def _watched_since(run: Run, known: Int[ndarray, "p"]) -> Int[ndarray, "p"]:
-    """First step in which each pseudonym is watched; never where it is not, as where nobody attacks."""
+    """First step in which each pseudonym is watched; later than any step for those that are not watched."""
     since = np.full(len(known), np.iinfo(np.int64).max)
     if run.subjects.attack_start_step.notna().any():
         who = watched(run)

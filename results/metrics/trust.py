@@ -108,7 +108,7 @@ def _own(run: Run) -> pd.DataFrame:
 def watched(run: Run) -> pd.DataFrame:
     """Subjects to be classified, by number: role, and the steps `since` and `until` which they are watched.
 
-    Attackers from their first attack on, honest ones from the first of any. ValueError where nobody attacks.
+    Attackers from their first attack on, honest ones from the first of any. ValueError in a run without attacks.
     """
     return run.once_for_all("trust.watched", lambda: _watched_of(run))
 
