@@ -11,9 +11,9 @@ from __future__ import annotations
 import numpy as np
 from numba import njit, prange
 
-from sensors.kernel import compiled, kernel, parallel
+from sensors.kernel import adding, compiled, dividing, kernel, parallel
 from sensors.pairs import in_sensor_frame
-from sensors.raycast.column import below, rectangle_columns
+from sensors.raycast.column import below, columns_of, rectangle_columns, slopes_of
 
 BLOCK = 16
 """Rows that are compared at once; the rows behind the last whole block are tested one by one."""
@@ -43,23 +43,24 @@ def in_box(x, y, z, cx, cy, cz, cos, sin, half_l, half_w, half_h):
     return (abs(cos * dx + sin * dy) < half_l) & (abs(cos * dy - sin * dx) < half_w) & (abs(dz) < half_h)
 
 
-@njit(cache=True, error_model="numpy")
-def _crossings(beams, a0, a1, p, q, cos, sin, half_l, half_w, near, far):
-    """Horizontal lengths at which columns a0 to a1 enter and leave a box; nan where one runs along a side of it.
+@dividing
+def _crossings(cos_az, sin_az, p, q, cos, sin, half_l, half_w, near, far):
+    """Horizontal lengths at which columns enter and leave a box; nan where one runs along a side of it.
 
     (p, q) is the sensor in the frame of the box, whose heading is (cos, sin) in the frame of the sensor.
     """
-    for i in range(a1 - a0):
-        ca, sa = beams.cos_az[a0 + i], beams.sin_az[a0 + i]
+    for i in range(len(cos_az)):
+        ca, sa = cos_az[i], sin_az[i]
         u, v = cos * ca + sin * sa, cos * sa - sin * ca
-        s, t = (-half_l - p) / u, (half_l - p) / u
+        along, across = 1.0 / u, 1.0 / v
+        s, t = (-half_l - p) * along, (half_l - p) * along
         enter, leave = min(s, t), max(s, t)
-        s, t = (-half_w - q) / v, (half_w - q) / v
+        s, t = (-half_w - q) * across, (half_w - q) * across
         near[i] = np.nan if min(abs(u), abs(v)) < _GRAZING else max(enter, min(s, t))
         far[i] = min(leave, max(s, t))
 
 
-@njit(cache=True, fastmath={"reassoc", "nsz"})
+@adding
 def _tally(ranges, c, r0, r1, cos_el, sin_el, middle, half, height, half_h, error):
     """Returns of a column that are inside for certain, times `_WIDE`, and those that may be; rows in whole blocks.
 
@@ -117,11 +118,11 @@ def _bounds(ranges, flat, nearest, farthest):
 @kernel
 def _any_between(nearest, farthest, a0, a1, b0, b1, enter, leave):
     """Whether a stretch of these columns may have a return of a length between two."""
-    found = 0
+    found = np.int32(0)
     for b in range(b0, b1):
         near, far = nearest[b, a0:a1], farthest[b, a0:a1]
         for i in range(len(near)):
-            found |= (far[i] >= enter) & (near[i] <= leave)
+            found |= np.int32((far[i] >= enter) & (near[i] <= leave))
     return found > 0
 
 
@@ -151,11 +152,11 @@ def _count(ranges, beams, cos_el, sin_el, a0, a1, r0, r1, x, y, z, cos, sin, hal
     if not _any_between(nearest, farthest, a0, a1, b0, b1, least, most):
         return 0
     p, q = -(cos * x + sin * y), -(cos * y - sin * x)
-    _crossings(beams, a0, a1, p, q, cos, sin, half_l, half_w, near, far)
-    _stretches_between(nearest, farthest, a0, a1, b0, b1, near, far, 3.0 * error, first, until)
+    _crossings(beams.cos_az[a0:a1], beams.sin_az[a0:a1], p, q, cos, sin, half_l, half_w, near, far)
+    _stretches_between(nearest, farthest, a0, a1, b0, b1, near, far, np.float32(3.0 * error), first, until)
     total = 0
     for c in range(a0, a1):
-        enter, leave = near[c - a0], far[c - a0]
+        enter, leave = float(near[c - a0]), float(far[c - a0])
         tested, end = r0, r1  # rows that are tested exactly
         if enter == enter:
             if enter - error >= leave + error or leave + error <= 0.0:
@@ -194,14 +195,14 @@ def points_in_boxes(range_m, beams, pairs, run):
         b = r // STRETCH
         flat[b, 0], flat[b, 1] = min(flat[b, 0], cos_el[r]), max(flat[b, 1], cos_el[r])
     for i in prange(len(run) - 1):
-        ranges = range_m[pairs.o[run[i]]]
+        ranges, columns, slopes = range_m[pairs.o[run[i]]], columns_of(beams), slopes_of(beams)
         lengths = np.empty((2, len(flat), n), np.float32)
         bounds = lengths[0], lengths[1]
         if run[i + 1] - run[i] > _FEW:
             farthest = _bounds(ranges, flat, bounds[0], bounds[1]) + _REACH_M
         else:
             bounds[0][:], bounds[1][:], farthest = 0.0, np.inf, np.inf
-        scratch = np.empty(n), np.empty(n), np.empty(n, np.int32), np.empty(n, np.int32)
+        scratch = np.empty(n, np.float32), np.empty(n, np.float32), np.empty(n, np.int32), np.empty(n, np.int32)
         for k in range(run[i], run[i + 1]):
             x, y, z, length, width, height, yaw = in_sensor_frame(pairs, k)
             half_l, half_w, half_h = 0.5 * length, 0.5 * width, 0.5 * height
@@ -210,12 +211,12 @@ def points_in_boxes(range_m, beams, pairs, run):
             if abs(y) * edge_cos - x * edge_sin > radius or close > farthest:
                 continue  # beside the field of view, or behind all returns
             cos, sin = np.cos(yaw), np.sin(yaw)
-            a0, a1, b0, b1 = rectangle_columns(x, y, cos, sin, half_l, half_w, beams)
+            a0, a1, b0, b1 = rectangle_columns(x, y, cos, sin, half_l, half_w, columns)
             r0, r1 = 0, m
             if close > 1e-6:
                 low, high = z - half_h, z + half_h
-                r0 = max(0, below(beams, low / (close if low < 0.0 else distance + radius)) - 1)
-                r1 = min(m, below(beams, high / (close if high > 0.0 else distance + radius)) + 1)
+                r0 = max(0, below(slopes, low / (close if low < 0.0 else distance + radius)) - 1)
+                r1 = min(m, below(slopes, high / (close if high > 0.0 else distance + radius)) + 1)
             for turn in range(2):
                 c0, c1 = (a0, a1) if turn == 0 else (b0, b1)
                 if c1 > c0:

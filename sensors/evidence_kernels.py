@@ -11,7 +11,7 @@ from numba import njit, prange
 
 from sensors.kernel import kernel, parallel
 from sensors.pairs import in_sensor_frame
-from sensors.raycast.column import MARGIN_RAD, below, spans
+from sensors.raycast.column import MARGIN_RAD, below, columns_of, slopes_of, spans
 
 _AT_ONCE = 8
 """Rows that are tested at once: a window of as many, or of a multiple, leaves none to be tested one by one."""
@@ -143,21 +143,24 @@ def free_space(range_m, beams, pairs, run, reach_m, height_m, slope, margin_m):
     seen, closer = np.zeros(len(pairs.o), np.int32), np.zeros(len(pairs.o), np.int32)
     for i in prange(len(run) - 1):
         sweep, corner, plane = range_m[pairs.o[run[i]]], np.empty((4, 3)), np.empty((4, 3))
+        columns, slopes = columns_of(beams), slopes_of(beams)
         for k in range(run[i], run[i + 1]):
             x, y, z, length, width, height, _ = in_sensor_frame(pairs, k)
             applies[k] = is_testable(x, y, z, height, reach_m, height_m, beams.fov_rad, slope)
             if applies[k]:
                 away, middle, half, low, high = frustum(x, y, z, length, width, height, corner, plane)
-                seen[k], closer[k] = _returns_in(sweep, beams, plane, away + margin_m, middle, half, low, high)
+                seen[k], closer[k] = _returns_in(
+                    sweep, beams, columns, slopes, plane, away + margin_m, middle, half, low, high
+                )
     return applies, seen, closer
 
 
 @kernel
-def _returns_in(sweep, beams, plane, limit, middle, half, low, high):
+def _returns_in(sweep, beams, columns, slopes, plane, limit, middle, half, low, high):
     """Returns in a pyramid, and how many of them are nearer than a limit."""
-    a0, a1, b0, b1 = spans(middle, half, beams)
-    r0 = max(0, below(beams, low) - 1)
-    r1 = min(len(beams.tan_el), below(beams, high) + 1)
+    a0, a1, b0, b1 = spans(middle, half, columns)
+    r0 = max(0, below(slopes, low) - 1)
+    r1 = min(len(beams.tan_el), below(slopes, high) + 1)
     n_rows = -(-(r1 - r0) // _AT_ONCE) * _AT_ONCE
     r1 = min(len(beams.tan_el), r0 + n_rows)
     r0 = max(0, r1 - n_rows)

@@ -7,6 +7,7 @@ draws persist for some time, and in part they are common to all observers.
 
 from __future__ import annotations
 
+from functools import lru_cache
 from types import SimpleNamespace
 from typing import NamedTuple
 
@@ -14,13 +15,14 @@ import numpy as np
 from jaxtyping import Float, Int, UInt64
 from numba import njit, prange
 from numpy import ndarray
-from scipy.special import expit, ndtri
+from scipy.special import expit, gammaincinv, ndtri
 
 from sensors.boxes import Boxes
 from sensors.evidence import Observability
 from sensors.hash_rng import mix, unit
 from sensors.kernel import compiled, kernel, parallel
 from sensors.lidar import Sweeps
+from sensors.raycast.column import actor_columns, columns_of
 from sensors.reports import DetectorDraws, Reports
 from sensors.scene import Hit
 from sensors.thinned import COLUMN_STEP, ROW_STEP
@@ -41,6 +43,10 @@ INITIAL_CAPACITY = 16
 """False positives per sweep that memory is allocated for at first."""
 
 _WALL, _ROAD, _ACTOR = range(3)
+
+_N_PACES = 1024
+_PACE_BITS, _PHASE_BITS, _S11, _S32 = np.uint64(10), np.uint64(54), np.uint64(11), np.uint64(32)
+_LOW_32, _TO_UNIT, _TO_UNIT_32 = np.int64(0xFFFFFFFF), 2.0**-53, 2.0**-32
 
 
 def false_positives(sweeps: Sweeps, seen: Observability, draws: DetectorDraws, model: SimpleNamespace) -> Reports:
@@ -120,7 +126,7 @@ def _at_sites(
     ptr = np.searchsorted(seen.observer[hidden], np.arange(len(sweeps.observers) + 1))
     keys = _SiteKeys(
         draws.site, draws.site_observer, draws.site_step, draws.actor, draws.time_s,
-        float(model.false_positive_memory_s),
+        _paces(float(model.false_positive_memory_s)),
     )  # fmt: skip
     rates = _Rates(shares, float(model.false_positive_per_sweep), float(model.false_positive_road_p))
     capacity = INITIAL_CAPACITY
@@ -147,28 +153,35 @@ def _uniforms_of_site(site):
     return out
 
 
+@lru_cache(maxsize=4)
+def _paces(memory_s: float) -> Float[ndarray, "k"]:
+    """Draws per second of persistent uniforms, in equiprobable levels; see `_persistent`."""
+    return 1.0 / (memory_s * gammaincinv(2.0, (np.arange(_N_PACES) + 0.5) / _N_PACES))
+
+
 @kernel
-def _persistent(key, time_s, memory_s):
+def _persistent(key, time_s, pace):
     """A uniform that is renewed at some moments.
 
     The moments are evenly spaced at random phase, their spacing a constant of the key, Gamma distributed of shape 2 and
-    scale `memory_s`, as is the gap of a Poisson process around a given moment: over all keys, the probability that none
-    of them falls into t seconds is exp(-t / memory_s).
+    of the memory's scale, as is the gap of a Poisson process around a given moment: over all keys, the probability that
+    none of them falls into t seconds is exp(-t / memory).
     """
-    spacing_s = memory_s * (1e-9 - np.log((1.0 - unit(mix(key, 0))) * (1.0 - unit(mix(key, 1)))))
-    return unit(mix(mix(key, 3), np.int64(np.floor(time_s / spacing_s + unit(mix(key, 2))))))
+    drawn = mix(key, 0)  # the highest bits are the spacing, all the others the phase
+    phase = (drawn << _PACE_BITS >> _S11) * _TO_UNIT
+    return unit(mix(drawn, np.int64(np.floor(time_s * pace[drawn >> _PHASE_BITS] + phase))))
 
 
 @kernel
-def _rank(aspect, observer, step, time_s, memory_s, shares, p):
+def _rank(aspect, observer, step, time_s, pace, shares, p):
     """U of an aspect, where it is below p; else p."""
     best = p
     for k in range(3):
         if shares[k] > 0.0:
             if k == 0:
-                u = _persistent(aspect, time_s, memory_s)
+                u = _persistent(aspect, time_s, pace)
             elif k == 1:
-                u = _persistent(mix(observer, aspect), time_s, memory_s)
+                u = _persistent(mix(observer, aspect), time_s, pace)
             else:
                 u = unit(mix(step, aspect))
             if u < best:  # otherwise 1 - (1 - u)^(1 / share) is not below it, either
@@ -186,50 +199,49 @@ def _side(x, y):
 
 @kernel
 def _places(ranges, hits, cos_el, c, x, y, along_x, along_y, top, side, place):
-    """Cell and kind (wall, road) in which each ray of a thinned column ended, from 1; 0 for neither kind."""
-    column, width = np.uint64(c), np.int32(side)
+    """Cell and kind (wall, road) in which each ray of a thinned column ended, from 1; 0 for neither kind.
+
+    In single precision, counted in cells from the corner of all of them: right to a hundredth of a millimetre.
+    """
+    column, width, zero = np.uint64(c), np.int32(side), np.float32(0.0)
     for r in range(np.uint64(len(place))):
         flat, code = ranges[column, r] * cos_el[r], hits[column, r]
-        i, j = np.int32(min(max(x + flat * along_x, 0.0), top)), np.int32(min(max(y + flat * along_y, 0.0), top))
+        i, j = np.int32(min(max(x + flat * along_x, zero), top)), np.int32(min(max(y + flat * along_y, zero), top))
         at = np.int32(2) * (i * width + j) + np.int32(code == Hit.GROUND) * np.int32(_ROAD)
         place[r] = at + np.int32(1) if (code == Hit.GROUND) | (code == Hit.BUILDING) else np.int32(0)
 
 
 @compiled
 def _tally(ranges, hits, beams, x, y, cos, sin, x0, y0, side):
-    """Cells and kinds (wall, road) of a thinned sweep: which, returns, first and last column; and returns by kind."""
+    """Cells and kinds (wall, road) of a thinned sweep, in the order met; returns of each place; and by kind."""
     n_columns, n_rows = hits.shape
-    cos_el = beams.cos_el[::ROW_STEP].copy()
-    number = np.zeros(2 * side * side + 1, np.int32)  # place in the list, from 1
-    met = np.empty((4, 2 + n_columns * n_rows), np.int32)  # first those of neither kind
-    number[0], met[1, 1], k = 1, 0, 2
+    cos_el = beams.cos_el[::ROW_STEP].astype(np.float32)
+    count = np.zeros(2 * side * side + 1, np.int32)  # by place, from 1
+    met, k = np.empty(n_columns * n_rows + 1, np.int32), 0
     place = np.empty(n_rows, np.int32)
-    x, y, top = x / CELL_M - x0, y / CELL_M - y0, side - 0.5
+    x, y, top = np.float32(x / CELL_M - x0), np.float32(y / CELL_M - y0), np.float32(side - 0.5)
     for column in range(n_columns):
         c = column * COLUMN_STEP
-        along_x = (cos * beams.cos_az[c] - sin * beams.sin_az[c]) / CELL_M
-        along_y = (sin * beams.cos_az[c] + cos * beams.sin_az[c]) / CELL_M
+        along_x = np.float32((cos * beams.cos_az[c] - sin * beams.sin_az[c]) / CELL_M)
+        along_y = np.float32((sin * beams.cos_az[c] + cos * beams.sin_az[c]) / CELL_M)
         _places(ranges, hits, cos_el, column, x, y, along_x, along_y, top, side, place)
         for at in place:
-            here = number[np.uint32(at)]
-            if here == 0:
-                here = number[np.uint32(at)] = k
-                met[0, k], met[1, k], met[2, k] = at - 1, 0, c
+            if count[np.uint32(at)] == 0:
+                met[np.uint64(k)] = at
                 k += 1
-            met[1, np.uint32(here)] += 1
-            met[3, np.uint32(here)] = c
-    met = met[:, 2:k]
+            count[np.uint32(at)] += 1
     total = np.zeros(2, np.int64)
-    for i in range(met.shape[1]):
-        total[met[0, i] % 2] += met[1, i]
-    return met, total
+    for at in met[:k]:
+        if at > 0:
+            total[(at - 1) % 2] += count[at]
+    return met[:k], count, total
 
 
 @kernel
-def _nearest(ranges, hits, beams, x, y, cos, sin, first, last, code, to_x, to_y):
-    """The ray in columns first to last that met `code` and ended nearest to a point."""
+def _nearest(ranges, hits, beams, x, y, cos, sin, first, end, code, to_x, to_y):
+    """The ray in columns `first` up to `end` that met `code` and ended nearest to a point; -1 if none did."""
     best, least = -1, np.inf
-    for c in range(first, last + 1):
+    for c in range(first, end):
         along_x = cos * beams.cos_az[c] - sin * beams.sin_az[c]
         along_y = sin * beams.cos_az[c] + cos * beams.sin_az[c]
         for r in range(hits.shape[1]):
@@ -242,15 +254,26 @@ def _nearest(ranges, hits, beams, x, y, cos, sin, first, last, code, to_x, to_y)
     return best
 
 
+@kernel
+def _nearest_in_cell(ranges, hits, beams, x, y, cos, sin, i, j, code, to_x, to_y):
+    """The same in the columns that cross a cell; in all of them, where the cell stands for what is farther."""
+    a0, a1, b0, b1 = actor_columns((i + 0.5) * CELL_M - x, (j + 0.5) * CELL_M - y, CELL_M, cos, sin, columns_of(beams))
+    best = _nearest(ranges, hits, beams, x, y, cos, sin, a0, a1, code, to_x, to_y)
+    if b1 > b0 or best < 0:
+        best = _nearest(ranges, hits, beams, x, y, cos, sin, 0, len(hits), code, to_x, to_y)
+    return best
+
+
 class _SiteKeys(NamedTuple):
-    """Keys of the draws of sites, as in `DetectorDraws`, and the time over which lasting ones change."""
+    """Keys of the draws of sites, as in `DetectorDraws`, and how fast lasting ones change."""
 
     common: np.uint64
     observer: ndarray
     step: ndarray
     actor: ndarray
     time_s: float
-    memory_s: float
+    pace: ndarray
+    """Renewals per second of lasting ones, in equiprobable levels."""
 
 
 class _Rates(NamedTuple):
@@ -275,39 +298,47 @@ def _one_sweep(
 ):
     """Number of false positives of one sweep; as many as fit are written to `site`, `ray` and `uniform`."""
     x, y, yaw = pose
-    common, _, _, actor_key, time_s, memory_s = keys
+    common, _, _, actor_key, time_s, pace = keys
     shares, rate, road_p = rates
     side, sampled = 2 * half + 1, 1.0 / (COLUMN_STEP * ROW_STEP)
     cos, sin = np.cos(yaw), np.sin(yaw)
     x0, y0 = np.int64(np.floor(x / CELL_M)) - half, np.int64(np.floor(y / CELL_M)) - half
-    met, n = _tally(thinned[0], thinned[1], beams, x, y, cos, sin, x0, y0, side)
+    met, count, n = _tally(thinned[0], thinned[1], beams, x, y, cos, sin, x0, y0, side)
     bodies = float(n[_WALL])
     for s in range(len(actor)):
         bodies += sampled * n_returns[s]
     road_rate = rate * road_p / max(bodies + n[_ROAD], sampled)
     body_rate = road_rate + rate * (1.0 - road_p) / max(bodies, sampled)
-    found, n_cells = 0, met.shape[1]
-    for k in range(n_cells + len(actor)):
-        if k < n_cells:
-            at, a, b = met[0, k], met[2, k], met[3, k]
+    of_kind, found = (mix(common, _WALL), mix(common, _ROAD), mix(common, _ACTOR)), 0
+    for k in range(len(met) + len(actor)):
+        if k < len(met):
+            at = met[k] - 1
+            if at < 0:
+                continue
             kind, i, j = at % 2, x0 + at // 2 // side, y0 + at // 2 % side
-            code = Hit.GROUND.value if kind == _ROAD else Hit.BUILDING.value
-            key = mix(mix(mix(common, kind), i), j)
-            to_x, to_y = (i + unit(mix(key, 6))) * CELL_M, (j + unit(mix(key, 7))) * CELL_M
+            key = mix(of_kind[_ROAD] if kind == _ROAD else of_kind[_WALL], (i << 32) ^ (j & _LOW_32))
+            spot = mix(key, 6)
+            to_x = (i + (spot >> _S32) * _TO_UNIT_32) * CELL_M
+            to_y = (j + (spot & np.uint64(_LOW_32)) * _TO_UNIT_32) * CELL_M
             aspect = mix(key, _side(x - to_x, y - to_y))
-            p = met[1, k] * (road_rate if kind == _ROAD else body_rate)
+            p = count[at + 1] * (road_rate if kind == _ROAD else body_rate)
         else:
-            s = k - n_cells
-            code, a, b, to_x, to_y = Hit.ACTOR + actor[s], 0, len(hits) - 1, x, y
-            key = aspect = mix(mix(common, _ACTOR), actor_key[actor[s]])
+            s, i, j, to_x, to_y = k - len(met), 0, 0, x, y
+            kind = _ACTOR
+            key = aspect = mix(of_kind[_ACTOR], actor_key[actor[s]])
             p = sampled * n_returns[s] * body_rate
         p = min(1.0, p)
-        rank = _rank(aspect, observer, step, time_s, memory_s, shares, p)
+        rank = _rank(aspect, observer, step, time_s, pace, shares, p)
         if rank < p:
             if found < len(site):
                 site[found] = key
-                ray[found] = _nearest(ranges, hits, beams, x, y, cos, sin, a, b, code, to_x, to_y)
                 uniform[found, 0], uniform[found, 1] = rank / p, unit(mix(mix(step, aspect), 1))
+                if kind == _ACTOR:
+                    code = Hit.ACTOR + actor[k - len(met)]
+                    ray[found] = _nearest(ranges, hits, beams, x, y, cos, sin, 0, len(hits), code, to_x, to_y)
+                else:
+                    code = Hit.GROUND.value if kind == _ROAD else Hit.BUILDING.value
+                    ray[found] = _nearest_in_cell(ranges, hits, beams, x, y, cos, sin, i, j, code, to_x, to_y)
             found += 1
     return found
 

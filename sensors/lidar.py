@@ -111,7 +111,7 @@ class Beams(NamedTuple):
     cells_per_slope: float
     first_row: ndarray
     most_in_cell: int
-    """As `sensors.raycast.column.cells_of_slopes`: in which row a slope lies."""
+    """As in `sensors.raycast.column.Slopes`: in which row a slope lies."""
 
 
 def beams(params: LidarParams) -> Beams:
@@ -143,7 +143,7 @@ def beams(params: LidarParams) -> Beams:
     el = np.radians(elevation)
     az = np.radians(fov) * ((np.arange(n) + 0.5) / n - 0.5)
     tan, turn = np.tan(el), float(np.radians(fov))
-    return Beams(az, np.cos(az), np.sin(az), el, tan, np.cos(el), np.sin(el), turn, *cells_of_slopes(tan))
+    return Beams(az, np.cos(az), np.sin(az), el, tan, np.cos(el), np.sin(el), turn, *cells_of_slopes(tan)[1:])
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,7 +6,16 @@ import numpy as np
 from numba import prange
 
 from sensors.kernel import kernel, parallel
-from sensors.raycast.column import actor_columns, in_prism_frame, profile, rectangle, rectangle_columns, surface
+from sensors.raycast.column import (
+    actor_columns,
+    columns_of,
+    in_prism_frame,
+    profile,
+    rectangle,
+    rectangle_columns,
+    slopes_of,
+    surface,
+)
 from sensors.scene import Hit
 
 
@@ -21,35 +30,36 @@ def unoccluded_returns(hit, origin, yaw, beams, limit, xyz, radius, height, ptr,
         pose = origin[o, 0], origin[o, 1], origin[o, 2], np.cos(yaw[o]), np.sin(yaw[o])
         taken = np.zeros(len(beams.tan_el), np.int32)  # the last column (of all) in which a row was counted
         room = taken, np.empty((most, 8)), np.empty((most, 4), np.int64)
-        hits, n_columns = hit[o], np.int64(0)
+        hits, n_columns, columns, slopes = hit[o], np.int64(0), columns_of(beams), slopes_of(beams)
         for i in range(ptr[o], ptr[o + 1]):
             a = row[i]
             if a != own[o]:
                 n_returns[i], n_unoccluded[i], n_columns = _of_actor(
-                    hits, pose, beams, limit, a, xyz, radius[a], height[a], bodies, room, n_columns
+                    hits, pose, beams, columns, slopes, limit, a, xyz, radius[a], height[a], bodies, room, n_columns
                 )
     return n_returns, n_unoccluded
 
 
 @kernel
-def _of_actor(hits, pose, beams, limit, a, xyz, radius, height, bodies, room, n_columns):
+def _of_actor(hits, pose, beams, columns, slopes, limit, a, xyz, radius, height, bodies, room, n_columns):
     """Returns of one sweep from an actor, and those without anything else; columns looked at so far."""
     x, y, z, cos, sin = pose
     taken, frame, window = room
     n_returned = n_rays = 0
     dx, dy = xyz[a, 0] - x, xyz[a, 1] - y
-    a0, a1, b0, b1 = actor_columns(dx, dy, radius, cos, sin, beams)
+    a0, a1, b0, b1 = actor_columns(dx, dy, radius, cos, sin, columns)
     if a1 <= a0 and b1 <= b0:
         return 0, 0, n_columns
     within_limit = np.hypot(np.hypot(dx, dy) + radius, abs(xyz[a, 2] - z) + 0.5 * height) < limit
     n, code = (
-        _seen_from(frame, window, bodies, bodies.ptr[a], bodies.ptr[a + 1], x, y, z, cos, sin, beams),
+        _seen_from(frame, window, bodies, bodies.ptr[a], bodies.ptr[a + 1], x, y, z, cos, sin, columns),
         Hit.ACTOR + a,
     )
     for turn in range(2):
         for c in range(a0 if turn == 0 else b0, a1 if turn == 0 else b1):
             n_columns += 1
             ca, sa = beams.cos_az[c], beams.sin_az[c]
+            low, high, one_by_one = 0, 0, not within_limit  # rows that are counted at once
             for k in range(n):
                 if not (window[k, 0] <= c < window[k, 1] or window[k, 2] <= c < window[k, 3]):
                     continue
@@ -64,23 +74,34 @@ def _of_actor(hits, pose, beams, limit, a, xyz, radius, height, bodies, room, n_
                 enter, leave = rectangle(p, q, u * ca - v * sa, v * ca + u * sa, half_l, half_w)
                 if leave <= max(enter, 0.0):
                     continue
-                first, s0, s1, last, t, low, high = profile(enter, leave, frame[k, 6], frame[k, 7], beams)
+                first, s0, s1, last, t, bottom, top = profile(enter, leave, frame[k, 6], frame[k, 7], slopes)
+                one_by_one |= low < high and (last < low or high < first)  # a gap between two prisms
+                if not one_by_one:
+                    low, high = (min(low, first), max(high, last)) if low < high else (first, last)
+                    continue
                 for r in range(np.uint64(first), np.uint64(last)):
-                    if taken[r] != n_columns and (within_limit or surface(r, s0, s1, t, low, high, beams) <= limit):
+                    if (
+                        taken[r] != n_columns
+                        and not low <= r < high
+                        and (within_limit or surface(r, s0, s1, t, bottom, top, beams.cos_el, beams.sin_el) <= limit)
+                    ):
                         taken[r] = n_columns
                         n_rays += 1
                         n_returned += hits[np.uint64(c), r] == code
+            n_rays += high - low
+            for r in range(np.uint64(low), np.uint64(high)):
+                n_returned += hits[np.uint64(c), r] == code
     return n_returned, n_rays, n_columns
 
 
 @kernel
-def _seen_from(frame, window, bodies, first, end, x, y, z, cos, sin, beams):
+def _seen_from(frame, window, bodies, first, end, x, y, z, cos, sin, columns):
     """Number of an actor's prisms; of each, the sensor in its frame, its size, and the columns that may cross it."""
     for k in range(first, end):
         p, q, u, v = in_prism_frame(bodies, k, x, y, cos, sin)
         half_l, half_w, i = bodies.half_l_m[k], bodies.half_w_m[k], k - first
         frame[i, 0], frame[i, 1], frame[i, 2], frame[i, 3], frame[i, 4], frame[i, 5] = p, q, u, v, half_l, half_w
         frame[i, 6], frame[i, 7] = bodies.bottom_m[k] - z, bodies.top_m[k] - z
-        a0, a1, b0, b1 = rectangle_columns(-p * u - q * v, p * v - q * u, u, -v, half_l, half_w, beams)
+        a0, a1, b0, b1 = rectangle_columns(-p * u - q * v, p * v - q * u, u, -v, half_l, half_w, columns)
         window[i, 0], window[i, 1], window[i, 2], window[i, 3] = a0, a1, b0, b1
     return end - first

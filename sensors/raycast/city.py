@@ -56,39 +56,37 @@ def contains(city, k, x, y):
 
 
 @kernel
-def column_bound(x, y, beams):
+def column_bound(x, y, columns):
     """First column at or counter-clockwise of a point, in [0, n]."""
-    n = len(beams.azimuth_rad)
-    if x <= 0.0 and beams.fov_rad < np.pi:
+    n = columns.n
+    if x <= 0.0 and columns.fov_rad < np.pi:
         return 0 if y < 0.0 else n  # behind the sensor: the angle is not needed
-    return min(n, max(0, int(np.ceil((np.arctan2(y, x) - beams.azimuth_rad[0]) * (n / beams.fov_rad)))))
+    return min(n, max(0, int(np.ceil((np.arctan2(y, x) - columns.first_rad) * (n / columns.fov_rad)))))
 
 
 @kernel
-def wall(city, e, x, y, cos, sin, beams):
-    """Wall e as seen from (x, y) looking along (cos, sin): (p0, p1, q0, q1, u, v).
+def wall(ax, ay, bx, by, cos, sin, columns):
+    """A wall from (ax, ay) to (bx, by), relative to a sensor looking along (cos, sin): (p0, p1, q0, q1, u, v).
 
     It fills columns [p0, p1) and [q0, q1); there 1 / distance = u cos(azimuth) + v sin(azimuth). Neighbouring walls
     share the column bound of their common corner, so that there is no gap between them.
     """
-    dx, dy = city.ax_m[e] - x, city.ay_m[e] - y
-    ax, ay = cos * dx + sin * dy, cos * dy - sin * dx
-    dx, dy = city.bx_m[e] - x, city.by_m[e] - y
-    bx, by = cos * dx + sin * dy, cos * dy - sin * dx
+    ax, ay = cos * ax + sin * ay, cos * ay - sin * ax
+    bx, by = cos * bx + sin * by, cos * by - sin * bx
     cross = ax * by - ay * bx
     if cross == 0.0:
         return 0, 0, 0, 0, 0.0, 0.0
     u, v = (by - ay) / cross, (ax - bx) / cross
-    ka, kb = column_bound(ax, ay, beams), column_bound(bx, by, beams)
+    ka, kb = column_bound(ax, ay, columns), column_bound(bx, by, columns)
     if cross < 0.0:
         ka, kb, ay, by = kb, ka, by, ay
     if ay >= 0.0 and by < 0.0:  # counter-clockwise across the rear
-        return ka, len(beams.azimuth_rad), 0, kb, u, v
+        return ka, columns.n, 0, kb, u, v
     return ka, max(ka, kb), 0, 0, u, v
 
 
 @kernel
-def close_columns(found, x, y, z, ground, cos, sin, city, beams, nearest, open_wall, flat):
+def close_columns(found, x, y, z, ground, cos, sin, city, beams, columns, nearest, open_wall, flat):
     """Raise `nearest` (1 / distance per column) to the nearest wall that closes the column; list what does not.
 
     A wall closes a column if it stands on the ground and reaches over the highest beam.
@@ -111,10 +109,10 @@ def close_columns(found, x, y, z, ground, cos, sin, city, beams, nearest, open_w
             n_flat += 1
         closing = max(beams.tan_el[-1], 0.0) / top if bottom <= ground - z and top > 0.0 else np.inf
         for e in range(city.ptr[k], city.ptr[k + 1]):
-            front = (city.ax_m[e] - x) * (city.by_m[e] - y) < (city.ay_m[e] - y) * (city.bx_m[e] - x)
-            if not (front or within):
+            ax, ay, bx, by = city.ax_m[e] - x, city.ay_m[e] - y, city.bx_m[e] - x, city.by_m[e] - y
+            if not (ax * by < ay * bx or within):
                 continue  # the back of a wall is visible only from inside
-            p0, p1, q0, q1, u, v = wall(city, e, x, y, cos, sin, beams)
+            p0, p1, q0, q1, u, v = wall(ax, ay, bx, by, cos, sin, columns)
             is_open = False
             for turn in range(2):
                 c0, c1 = (p0, p1) if turn == 0 else (q0, q1)
@@ -138,7 +136,7 @@ def close_columns(found, x, y, z, ground, cos, sin, city, beams, nearest, open_w
 
 
 @kernel
-def toggle_levels(toggled, city, k, height, x, y, cos, sin, beams):
+def toggle_levels(toggled, city, k, height, x, y, cos, sin, beams, columns, slopes):
     """Mark, per column, the rows from which on a beam's point on a level lies beyond one more wall.
 
     The point where a beam meets a level moves monotonically along the column with the beam's elevation; if the number
@@ -146,8 +144,9 @@ def toggle_levels(toggled, city, k, height, x, y, cos, sin, beams):
     """
     toggled[:] = 0
     for e in range(city.ptr[k], city.ptr[k + 1]):
-        p0, p1, q0, q1, u, v = wall(city, e, x, y, cos, sin, beams)
+        ax, ay, bx, by = city.ax_m[e] - x, city.ay_m[e] - y, city.bx_m[e] - x, city.by_m[e] - y
+        p0, p1, q0, q1, u, v = wall(ax, ay, bx, by, cos, sin, columns)
         for turn in range(2):
             for c in range(p0 if turn == 0 else q0, p1 if turn == 0 else q1):
                 w = u * beams.cos_az[c] + v * beams.sin_az[c]
-                toggled[c, below(beams, height * w)] ^= 1
+                toggled[c, below(slopes, height * w)] ^= 1

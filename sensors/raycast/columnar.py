@@ -18,7 +18,16 @@ from sensors.kernel import compiled, kernel, parallel
 from sensors.neighbours import Neighbours
 from sensors.range_noise import RangeNoise, add_noise
 from sensors.raycast.city import close_columns, gather, toggle_levels
-from sensors.raycast.column import actor_columns, below, in_prism_frame, profile, rectangle, rectangle_columns
+from sensors.raycast.column import (
+    actor_columns,
+    below,
+    columns_of,
+    in_prism_frame,
+    profile,
+    rectangle,
+    rectangle_columns,
+    slopes_of,
+)
 from sensors.scene import Hit, Prisms, Scene
 from sensors.thinned import Thinned, thin
 
@@ -45,13 +54,31 @@ def _cast(range_m, hit, origin, yaw, ground, own, beams, limit, xyz, radius, ptr
     """Sweep by sweep, so that each is finished while it is in the cache of its core."""
     for o in prange(len(origin)):
         x, y, z, cos, sin = origin[o, 0], origin[o, 1], origin[o, 2], np.cos(yaw[o]), np.sin(yaw[o])
-        ranges, hits = range_m[o], hit[o]
+        ranges, hits, columns, slopes = range_m[o], hit[o], columns_of(beams), slopes_of(beams)
         nearest = np.full(len(beams.azimuth_rad), 1.0 / limit)
-        _city(ranges, hits, x, y, z, ground[o], cos, sin, beams, limit, nearest, city)
+        _city(ranges, hits, x, y, z, ground[o], cos, sin, beams, columns, slopes, limit, nearest, city)
         for a in row[ptr[o] : ptr[o + 1]]:
             if a != own[o]:
                 dx, dy = xyz[a, 0] - x, xyz[a, 1] - y
-                _actor(ranges, hits, a, dx, dy, radius[a], x, y, z, cos, sin, beams, limit, nearest, bodies)
+                _actor(
+                    ranges,
+                    hits,
+                    a,
+                    dx,
+                    dy,
+                    radius[a],
+                    x,
+                    y,
+                    z,
+                    cos,
+                    sin,
+                    beams,
+                    columns,
+                    slopes,
+                    limit,
+                    nearest,
+                    bodies,
+                )
         add_noise(ranges, hits, noise.key[o], noise)
         thin(ranges, hits, thinned.range_m[o], thinned.hit[o])
 
@@ -68,7 +95,7 @@ def _paint(ranges, hits, c, r, d, limit, code):
 
 
 @compiled
-def _city(ranges, hits, x, y, z, ground, cos, sin, beams, limit, nearest, city):
+def _city(ranges, hits, x, y, z, ground, cos, sin, beams, columns, slopes, limit, nearest, city):
     """Ground and buildings of one sweep; leaves the nearest closing wall per column in `nearest`."""
     n, m = ranges.shape
     found = gather(city, x - limit, y - limit, x + limit, y + limit)
@@ -76,7 +103,7 @@ def _city(ranges, hits, x, y, z, ground, cos, sin, beams, limit, nearest, city):
     for k in found:
         n_walls += city.ptr[k + 1] - city.ptr[k]
     open_wall, flat = np.empty((n_walls, 9)), np.empty((len(found), 2), np.int64)
-    n_open, n_flat = close_columns(found, x, y, z, ground, cos, sin, city, beams, nearest, open_wall, flat)
+    n_open, n_flat = close_columns(found, x, y, z, ground, cos, sin, city, beams, columns, nearest, open_wall, flat)
 
     road, on_road = np.full(m, np.inf, np.float32), np.full(m, Hit.NOTHING, hits.dtype)
     for r in range(m):
@@ -91,7 +118,7 @@ def _city(ranges, hits, x, y, z, ground, cos, sin, beams, limit, nearest, city):
         for r in range(np.uint64(m)):
             hits[c, r] = on_road[r]
         if nearest[c] > 1.0 / limit:
-            foot, t = below(beams, (ground - z) * nearest[c]), 1.0 / nearest[c]
+            foot, t = below(slopes, (ground - z) * nearest[c]), 1.0 / nearest[c]
             for r in range(np.uint64(foot), np.uint64(m)):
                 d = np.float32(t * inv_cos[r])
                 ranges[c, r] = d if d <= limit else np.inf
@@ -104,7 +131,7 @@ def _city(ranges, hits, x, y, z, ground, cos, sin, beams, limit, nearest, city):
                 w = u * beams.cos_az[c] + v * beams.sin_az[c]
                 if nearest[c] < w < open_wall[i, 8]:
                     t = 1.0 / w
-                    first, last = below(beams, bottom * w), below(beams, top * w)
+                    first, last = below(slopes, bottom * w), below(slopes, top * w)
                     for r in range(np.uint64(first), np.uint64(last)):
                         _paint(ranges, hits, np.uint64(c), r, np.float32(t * inv_cos[r]), limit, Hit.BUILDING)
     toggled = np.empty((n if n_flat > 0 else 0, m + 1), np.uint8)
@@ -113,10 +140,10 @@ def _city(ranges, hits, x, y, z, ground, cos, sin, beams, limit, nearest, city):
         bottom, top = city.base_m[k] - z, city.top_m[k] - z
         within = inside == 1 and bottom < 0.0 and top > 0.0
         if top < 0.0 or within:
-            toggle_levels(toggled, city, k, top, x, y, cos, sin, beams)
+            toggle_levels(toggled, city, k, top, x, y, cos, sin, beams, columns, slopes)
             _level(ranges, hits, top, inside, beams, limit, toggled)
         if bottom > 0.0 or within:
-            toggle_levels(toggled, city, k, bottom, x, y, cos, sin, beams)
+            toggle_levels(toggled, city, k, bottom, x, y, cos, sin, beams, columns, slopes)
             _level(ranges, hits, bottom, inside, beams, limit, toggled)
 
 
@@ -143,9 +170,9 @@ def _level(ranges, hits, height, inside, beams, limit, toggled):
 
 
 @kernel
-def _actor(ranges, hits, a, dx, dy, radius, x, y, z, cos, sin, beams, limit, nearest, bodies):
+def _actor(ranges, hits, a, dx, dy, radius, x, y, z, cos, sin, beams, columns, slopes, limit, nearest, bodies):
     """Paint one actor's prisms over the city."""
-    a0, a1, b0, b1 = actor_columns(dx, dy, radius, cos, sin, beams)
+    a0, a1, b0, b1 = actor_columns(dx, dy, radius, cos, sin, columns)
     if a1 <= a0 and b1 <= b0:
         return
     clear = np.hypot(dx, dy) - radius
@@ -153,7 +180,7 @@ def _actor(ranges, hits, a, dx, dy, radius, x, y, z, cos, sin, beams, limit, nea
         p, q, u, v = in_prism_frame(bodies, k, x, y, cos, sin)
         bottom, top = bodies.bottom_m[k] - z, bodies.top_m[k] - z
         half_l, half_w = bodies.half_l_m[k], bodies.half_w_m[k]
-        a0, a1, b0, b1 = rectangle_columns(-p * u - q * v, p * v - q * u, u, -v, half_l, half_w, beams)
+        a0, a1, b0, b1 = rectangle_columns(-p * u - q * v, p * v - q * u, u, -v, half_l, half_w, columns)
         for turn in range(2):
             for c in range(a0 if turn == 0 else b0, a1 if turn == 0 else b1):
                 if clear * nearest[c] >= 1.0:
@@ -162,7 +189,7 @@ def _actor(ranges, hits, a, dx, dy, radius, x, y, z, cos, sin, beams, limit, nea
                 enter, leave = rectangle(p, q, u * ca - v * sa, v * ca + u * sa, half_l, half_w)
                 if leave <= max(enter, 0.0) or enter * nearest[c] >= 1.0:
                     continue
-                first, s0, s1, last, t, low, high = profile(enter, leave, bottom, top, beams)
+                first, s0, s1, last, t, low, high = profile(enter, leave, bottom, top, slopes)
                 column, code = np.uint64(c), Hit.ACTOR + a
                 for r in range(np.uint64(first), np.uint64(s0)):
                     _paint(ranges, hits, column, r, np.float32(low / beams.sin_el[r]), limit, code)

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from sensors.boxes import Boxes
 from sensors.lidar import PROFILES, LidarParams, Poses, Sweeps, beams
-from sensors.raycast.column import below
+from sensors.raycast.column import below, slopes_of
 from sensors.raycast.mesh import STEP_M
 from sensors.scene import Hit, Scene, prisms
 from tests.sensors.test_boxes import moved
@@ -192,7 +192,7 @@ def test_a_slope_finds_its_row(elevation, slope):
         return
     beside = np.concatenate([np.nextafter(grid.tan_el, side) for side in (-np.inf, np.inf)])
     for s in [*slope, *grid.tan_el, *beside]:
-        assert below(grid, s) == (grid.tan_el < s).sum()
+        assert below(slopes_of(grid), s) == (grid.tan_el < s).sum()
 
 
 def test_no_ray_passes_between_adjacent_walls():
