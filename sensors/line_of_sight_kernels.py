@@ -182,12 +182,11 @@ def probe(cells, a, b, filled, blocked):
 
 
 @kernel
-def _cut_in_cell(xyz, p, q, cell, grid, walls):
-    """Whether a wall of the cell cuts the line between two points."""
+def _cut(xyz, p, q, listed, walls):
+    """Whether one of the walls that are listed cuts the line between two points."""
     x, y = xyz[p, 0], xyz[p, 1]
     dx, dy, dz = xyz[q, 0] - x, xyz[q, 1] - y, xyz[q, 2] - xyz[p, 2]
-    for k in range(grid.ptr[cell], grid.ptr[cell + 1]):
-        w = grid.wall[k]
+    for w in listed:
         ex, ey = walls[w, 2] - walls[w, 0], walls[w, 3] - walls[w, 1]
         fx, fy = walls[w, 0] - x, walls[w, 1] - y
         det = dx * ey - dy * ex
@@ -239,7 +238,8 @@ def _follow(begin, end, xyz, indoors, rank, a, b, blocked, grid, walls, line, ac
             if step == 0:
                 m = line[r]
                 p, q = (b[m], a[m]) if rank[a[m]] > rank[b[m]] else (a[m], b[m])
-                cut = _cut_in_cell(xyz, p, q, i * ny + j, grid, walls)
+                cell = i * ny + j
+                cut = _cut(xyz, p, q, grid.wall[grid.ptr[cell] : grid.ptr[cell + 1]], walls)
                 out[m] = not cut
                 step = 1
             # Leave the square of cells of which nothing is closer than `step` cells.
@@ -279,7 +279,7 @@ def cut_by_body(start, end, a, b, place, ptr, row, bodies):
     return out
 
 
-@compiled
+@kernel
 def _meets_body(x, y, z, dx, dy, dz, a, b, row, bodies):
     for actor in row:
         if actor in (a, b):

@@ -12,5 +12,8 @@ _OPTIONS: dict[str, Any] = {"cache": True, "nogil": True, "no_cfunc_wrapper": Tr
 
 compiled = njit(**_OPTIONS)
 """Decorator: compiled, cached."""
+kernel = njit(**_OPTIONS, _nrt=False)
+"""Decorator: the same without reference counts, which cost a call more than its work; must neither allocate nor return
+arrays. `_nrt` is private API of Numba, as in `sensors.kernel`."""
 parallel = njit(**_OPTIONS, parallel=True)
 """Decorator: the same, with `prange` over threads."""

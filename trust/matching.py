@@ -5,7 +5,7 @@ from jaxtyping import Float, Int
 from numba import njit, prange
 from numpy import ndarray
 
-from trust.kernel import compiled, parallel
+from trust.kernel import kernel, parallel
 from trust.params import TrustParams
 from trust.tables import Detections, Groups, ObjectLists, int64
 from trust.threads import threads_for
@@ -33,7 +33,7 @@ def _adjacency(n, i, j, iou, tau):
     return ptr, other, value
 
 
-@compiled
+@kernel
 def _candidate(d, after, at, block, ptr, other, value):
     """First message after block `after` with a seed for detection d; of its seeds the one of first maximum IoU."""
     best, best_iou = -1, 0.0
@@ -92,7 +92,7 @@ def _seeds(list_ptr, members, owner, message, ptr, other, value, one_per_vehicle
     return seeds, by_owner
 
 
-@compiled
+@kernel
 def _one_per_vehicle(s, t, member, at, block, ptr, other, value, seed, tried, choice, choice_iou, winner):
     """Fill `seed` for the detections of one message, s to t; the last four arrays are room."""
     for p in range(s, t):

@@ -2,7 +2,8 @@
 
 One binary heap of (time, kind, rank of the station by key); generations are merged in from the sorted packets.
 A preamble is decided 4 µs after it arrives: lazily, when the receiver is next accessed. Times are integer nanoseconds
-and powers mW. A station has one frame on the air at most, so a frame is identified by its transmitter's row.
+and powers mW. A station has one frame on the air at most, so a frame is identified by its transmitter's row. Functions
+that are called for a receiver are handed the two rules that they need: all of `Air` would cost more than their work.
 """
 
 from typing import NamedTuple
@@ -80,14 +81,13 @@ def _draw_slots(mac, key, air, a):
 
 
 @kernel
-def _elapse(phy, mac, air, t):
+def _elapse(phy, mac, aifs_ns, slot_ns, t):
     """Count back-offs down over the idle time until `t`."""
-    slot_ns = air.c.slot_ns
     free_ns = max(phy.idle_ns, phy.eifs_ns)
     phy.active = mac.n_queued > 0
     for a in range(N_ACCESS):
         if mac.slots[a] > 0:
-            start = max(free_ns + air.aifs_ns[a], mac.since_ns[a])
+            start = max(free_ns + aifs_ns[a], mac.since_ns[a])
             if t > start:
                 k = min((t - start) // slot_ns, mac.slots[a])
                 mac.slots[a] -= k
@@ -102,24 +102,24 @@ def _go_busy(phy, mac, air, t):
         phy.busy = 1
         phy.busy_since_ns = t
         if phy.active:
-            _elapse(phy, mac, air, t)
+            _elapse(phy, mac, air.aifs_ns, air.c.slot_ns, t)
 
 
 @kernel
-def _access_ns(phy, mac, air, a):
+def _access_ns(phy, mac, aifs_ns, slot_ns, a):
     """Earliest access of a queue while the medium stays idle."""
-    return max(max(phy.idle_ns, phy.eifs_ns) + air.aifs_ns[a], mac.since_ns[a]) + mac.slots[a] * air.c.slot_ns
+    return max(max(phy.idle_ns, phy.eifs_ns) + aifs_ns[a], mac.since_ns[a]) + mac.slots[a] * slot_ns
 
 
 @kernel
-def _arm(phy, mac, air, heap, n):
+def _arm(phy, mac, aifs_ns, slot_ns, heap, n):
     """Schedule the station's next access, if it has something to send and may."""
     if mac.n_queued == 0 or mac.gated or phy.busy:
         return n
     soonest = np.int64(NEVER)  # not a literal, for whose type `push` would be compiled once more
     for a in range(N_ACCESS):
         if mac.count[a] > 0:
-            soonest = min(soonest, _access_ns(phy, mac, air, a))
+            soonest = min(soonest, _access_ns(phy, mac, aifs_ns, slot_ns, a))
     if soonest < mac.armed_ns:  # an earlier event checks again when it fires
         mac.armed_ns = soonest
         n = push(heap.times, heap.codes, n, soonest, (_ACCESS << 32) | mac.rank)
@@ -132,7 +132,7 @@ def _go_idle(phy, mac, air, heap, n, t):
     phy.idle_ns = t
     phy.busy_ns += t - phy.busy_since_ns
     if phy.active:
-        n = _arm(phy, mac, air, heap, n)
+        n = _arm(phy, mac, air.aifs_ns, air.c.slot_ns, heap, n)
     return n
 
 
@@ -143,7 +143,7 @@ def _request(phy, mac, air, t, a):
         if mac.slots[a] == 0:
             mac.slots[a] = _draw_slots(mac, phy.key, air, a)
     else:
-        _elapse(phy, mac, air, t)
+        _elapse(phy, mac, air.aifs_ns, air.c.slot_ns, t)
         if mac.slots[a] == 0:
             mac.since_ns[a] = t + air.aifs_ns[a]
     phy.active = 1
@@ -336,7 +336,7 @@ def _enqueue(phy, mac, packets, p, air, heap, n, t):
             n = push(heap.times, heap.codes, n, mac.gate_ns, (_GATE << 32) | mac.rank)
     elif mac.count[a] == 1:
         _request(phy, mac, air, t, a)
-        n = _arm(phy, mac, air, heap, n)
+        n = _arm(phy, mac, air.aifs_ns, air.c.slot_ns, heap, n)
     return n
 
 
@@ -361,7 +361,7 @@ def _choose(phy, mac, air, packets, t):
     """The packet that accesses the medium now; NONE if every queue has to wait longer."""
     winner = NONE
     for a in range(N_ACCESS):
-        if mac.count[a] > 0 and _access_ns(phy, mac, air, a) <= t:
+        if mac.count[a] > 0 and _access_ns(phy, mac, air.aifs_ns, air.c.slot_ns, a) <= t:
             if winner == NONE:
                 winner = _dequeue(mac, packets, a, t)
             else:  # internal collision: the queue of lower priority backs off
@@ -423,14 +423,14 @@ def run_until(until_ns, air, log, heap, at, n_given, max_degree, forwarding):
             for a in range(N_ACCESS):
                 if mac.count[a] > 0:
                     _request(phy, mac, air, t, a)
-            n = _arm(phy, mac, air, heap, n)
+            n = _arm(phy, mac, air.aifs_ns, air.c.slot_ns, heap, n)
         elif t == mac.armed_ns:
             mac.armed_ns = NEVER
             if phy.busy:
                 continue
             winner = _choose(phy, mac, air, packets, t)
             if winner == NONE:
-                n = _arm(phy, mac, air, heap, n)
+                n = _arm(phy, mac, air.aifs_ns, air.c.slot_ns, heap, n)
             else:
                 _start(air, log, j, winner, t)
                 n = push(heap.times, heap.codes, n, t + packets[winner].airtime_ns, (_END << 32) | mac.rank)

@@ -5,6 +5,7 @@ import pytest
 
 from sensors.boxes import Boxes
 from sensors.lidar import PROFILES, LidarParams, beams, mount, scan
+from sensors.range_noise import RangeNoise, add_noise
 from sensors.scene import Hit, Scene
 from tests.sensors.town import blocks, car, exact, traffic
 
@@ -79,6 +80,37 @@ def test_noise_is_a_function_of_key_and_ray():
     # written over an earlier result: the same
     reused = scan(boxes, shape, observers, scene, params, keys, out=exact(boxes, shape, observers[::-1], scene))
     assert (reused.range_m == noisy.range_m).all()
+
+
+@pytest.mark.parametrize("rows", [64, 30])
+def test_noise_of_every_ray_by_hand(rows):
+    mask = 2**64 - 1
+
+    def splitmix(x):
+        x = (x ^ (x >> 30)) * 0xBF58476D1CE4E5B9 & mask
+        x = (x ^ (x >> 27)) * 0x94D049BB133111EB & mask
+        return x ^ (x >> 31)
+
+    key, golden, sigma = 2**63 + 12345, 0x9E3779B97F4A7C15, np.float32(0.02)
+    noise = RangeNoise.of(np.array([key], np.uint64), 0.02, 0.0)
+    ranges, hits = np.full((6, rows), 20.0, np.float32), np.zeros((6, rows), np.int16)
+    add_noise(ranges, hits, noise.key[0], noise)
+    seed, words = splitmix((key + golden) & mask), -(-rows // 4)
+    for c in range(6):
+        for r in range(rows):
+            drawn = splitmix((seed + (c * words + r // 4) * golden) & mask) >> 16 * (r % 4) & 0xFFFF
+            assert ranges[c, r] == np.float32(20.0) + sigma * noise.level[drawn >> 4]
+
+
+def test_noise_of_neighbouring_rays_is_independent():
+    noise = RangeNoise.of(np.arange(1, dtype=np.uint64), 1.0, 0.0)
+    ranges, hits = np.full((4000, 64), 100.0, np.float32), np.zeros((4000, 64), np.int16)
+    add_noise(ranges, hits, noise.key[0], noise)
+    z = ranges.astype(float) - 100.0
+    for columns, rows in [(0, 1), (0, 2), (0, 3), (0, 4), (1, 0), (1, 1)]:
+        a, b = z[: len(z) - columns, : 64 - rows], z[columns:, rows:]
+        for f in (lambda x: x, np.square, np.abs):
+            assert abs(np.corrcoef(f(a).ravel(), f(b).ravel())[0, 1]) < 4.5 / np.sqrt(a.size)
 
 
 def test_noise_never_makes_a_range_negative():
