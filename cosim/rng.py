@@ -14,11 +14,10 @@ from hashlib import blake2b
 
 import numpy as np
 from jaxtyping import Float, UInt64
-from numba import njit
 from numpy import ndarray
 from scipy.special import ndtri
 
-from sensors.kernel import compiled
+from sensors.kernel import compiled, inlined
 
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _A = np.uint64(0xBF58476D1CE4E5B9)
@@ -57,7 +56,7 @@ class Stream(IntEnum):
     POSITIONING = 25
 
 
-@njit(cache=True, inline="always")
+@inlined
 def mix(h, x):
     """Hash `h` of a prefix extended by one identifier `x` (both uint64)."""
     z = h + (x + _ONE) * _GOLDEN
@@ -66,7 +65,7 @@ def mix(h, x):
     return z ^ (z >> _S31)
 
 
-@njit(cache=True, inline="always")
+@inlined
 def unit(h):
     """Uniform in [0, 1) with 53 bits from a hash (uint64)."""
     return (h >> _S11) * _TO_UNIT

@@ -9,9 +9,9 @@ returns are all nearer than the box, or all farther, are not looked at.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 
-from sensors.kernel import adding, compiled, dividing, kernel, parallel
+from sensors.kernel import adding, compiled, dividing, inlined, kernel, parallel
 from sensors.pairs import in_sensor_frame
 from sensors.raycast.column import below, columns_of, rectangle_columns, slopes_of
 
@@ -36,7 +36,7 @@ _WIDE = 4096
 """More than the rows of a column; a sum of float32 that counts two things is exact up to 2^24."""
 
 
-@njit(cache=True, inline="always")
+@inlined
 def in_box(x, y, z, cx, cy, cz, cos, sin, half_l, half_w, half_h):
     """Whether a point lies strictly inside an upright box."""
     dx, dy, dz = x - cx, y - cy, z - cz

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, Int, UInt8
-from numba import njit, prange
+from numba import prange
 from numpy import ndarray
 
-from sensors.kernel import kernel, parallel
+from sensors.kernel import compiled, kernel, parallel
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,7 +130,7 @@ def _bucket(x, y, n_buckets):
     return (x * 73_856_093 ^ y * 19_349_663) & (n_buckets - 1)
 
 
-@njit(cache=True)
+@compiled
 def _by_cell(xyz, cell_m, n_buckets):
     """Rows by bucket, ascending, where each bucket begins, and the cell of every row."""
     cell = np.empty((len(xyz), 2), np.int64)
@@ -184,7 +184,7 @@ def _near(xyz, lwh, yaw, radius, label, owner, reach, cell_m, order, start, cell
                     out_iou[at] = _iou_of(xyz, lwh, yaw, i, xyz, lwh, yaw, np.int64(out_j[at]), room)
 
 
-@njit(cache=True)
+@compiled
 def _iou(a_xyz, a_lwh, a_yaw, b_xyz, b_lwh, b_yaw):
     """IoU of the boxes of the two sets, row by row."""
     out = np.empty(len(a_xyz))

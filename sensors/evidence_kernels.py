@@ -7,9 +7,9 @@ are taken as slices from 0: an index that might be negative prevents vectorisati
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 
-from sensors.kernel import kernel, parallel
+from sensors.kernel import compiled, inlined, kernel, parallel
 from sensors.pairs import in_sensor_frame
 from sensors.raycast.column import MARGIN_RAD, below, columns_of, slopes_of, spans
 
@@ -17,7 +17,7 @@ _AT_ONCE = 8
 """Rows that are tested at once: a window of as many, or of a multiple, leaves none to be tested one by one."""
 
 
-@njit(cache=True, inline="always")
+@inlined
 def _in_view(forward, left, fov_rad, slope, slack_m):
     """Inside the field of view or at most the slack beside it; `slope` as `sensors.evidence.edge_slope`."""
     if fov_rad <= np.pi:
@@ -25,7 +25,7 @@ def _in_view(forward, left, fov_rad, slope, slack_m):
     return forward >= 0.0 or abs(left) >= -forward * slope - slack_m
 
 
-@njit(cache=True)
+@compiled
 def in_area(pairs, exempt, own_xyz, own_lwh, range_m, height_m, fov_rad, slope, slack_m, own_radius_m):
     """Whether the box of each pair lies in the area of its sensor.
 
@@ -124,7 +124,7 @@ def _window(middle, corner, plane):
     return half + MARGIN_RAD, low, high
 
 
-@njit(cache=True, inline="always")
+@inlined
 def in_frustum(x, y, z, plane):
     """Whether a point lies strictly inside the pyramid."""
     return (

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int, UInt64
-from numba import njit, prange
+from numba import prange
 from numpy import ndarray
 from scipy.special import expit, gammaincinv, ndtri
 
@@ -143,7 +143,7 @@ def _at_sites(
     return o, site[at], ray[at], uniform[at][:, 0], uniform[at][:, 1]
 
 
-@njit(cache=True)
+@compiled
 def _uniforms_of_site(site):
     """Three uniforms that belong to the site for good: class, size, heading."""
     out = np.empty((len(site), 3))

@@ -11,9 +11,10 @@ from __future__ import annotations
 
 import numpy as np
 from jaxtyping import Float, UInt64
-from numba import njit
 from numpy import ndarray
 from scipy.special import ndtri
+
+from sensors.kernel import compiled, inlined
 
 GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _A, _B = np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
@@ -21,7 +22,7 @@ _S30, _S27, _S31, _S11, _ONE = np.uint64(30), np.uint64(27), np.uint64(31), np.u
 _TO_UNIT = 2.0**-53
 
 
-@njit(cache=True, inline="always")
+@inlined
 def splitmix64(x):
     """A 64-bit hash of a 64-bit number."""
     x = (x ^ (x >> _S30)) * _A
@@ -29,19 +30,19 @@ def splitmix64(x):
     return x ^ (x >> _S31)
 
 
-@njit(cache=True, inline="always")
+@inlined
 def mix(h, x):
     """Hash of the prefix `h` (uint64) extended by the integer `x`."""
     return splitmix64(h + (np.uint64(x) + _ONE) * GOLDEN)
 
 
-@njit(cache=True, inline="always")
+@inlined
 def unit(h):
     """Uniform in [0, 1) with 53 bits from a hash (uint64)."""
     return (h >> _S11) * _TO_UNIT
 
 
-@njit(cache=True)
+@compiled
 def mix_rows(keys: UInt64[ndarray, "k"], ids: UInt64[ndarray, "k"]) -> UInt64[ndarray, "k"]:
     """Each key extended by the identifier in the same row."""
     out = np.empty(len(keys), np.uint64)
@@ -50,7 +51,7 @@ def mix_rows(keys: UInt64[ndarray, "k"], ids: UInt64[ndarray, "k"]) -> UInt64[nd
     return out
 
 
-@njit(cache=True)
+@compiled
 def uniforms(keys: UInt64[ndarray, "k"], n: int) -> Float[ndarray, "k n"]:
     """`n` uniforms in [0, 1) of each key."""
     out = np.empty((len(keys), n))

@@ -6,10 +6,10 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
-from numba import njit
 from numpy import ndarray
 
 from sensors.boxes import Boxes
+from sensors.kernel import compiled, inlined
 
 
 class Pairs(NamedTuple):
@@ -48,7 +48,7 @@ def pairs_of(
     )
 
 
-@njit(cache=True, inline="always")
+@inlined
 def in_sensor_frame(pairs, k):
     """Centre (x, y, z), length, width, height and heading of the box of pair k in the frame of its sensor."""
     s, w = pairs.o[k], pairs.b[k]
@@ -58,7 +58,7 @@ def in_sensor_frame(pairs, k):
     return x, y, z, pairs.lwh_m[w, 0], pairs.lwh_m[w, 1], pairs.lwh_m[w, 2], yaw
 
 
-@njit(cache=True)
+@compiled
 def turned(pairs):
     """Centres, sizes and headings of all pairs."""
     n = len(pairs.o)

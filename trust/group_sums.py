@@ -4,10 +4,10 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
-from numba import njit, prange
+from numba import prange
 from numpy import ndarray
 
-from trust.kernel import compiled, parallel
+from trust.kernel import compiled, inlined, parallel
 from trust.params import TrustParams
 from trust.tables import Detections, Evaluations, ObjectLists, SenderTrust, int64
 from trust.threads import threads_for
@@ -101,7 +101,7 @@ class _OfEgo(NamedTuple):
     n_evaluators: ndarray
 
 
-@njit(cache=True, nogil=True, inline="always")
+@inlined
 def _add(of, begin, end, t, message, at, ego):
     """Add the evaluations of one message, with the ego's trust in its sender.
 

@@ -2,16 +2,16 @@
 
 import numpy as np
 from jaxtyping import Float, Int
-from numba import njit, prange
+from numba import prange
 from numpy import ndarray
 
-from trust.kernel import kernel, parallel
+from trust.kernel import compiled, kernel, parallel
 from trust.params import TrustParams
 from trust.tables import Detections, Groups, ObjectLists, int64
 from trust.threads import threads_for
 
 
-@njit(cache=True)
+@compiled
 def _adjacency(n, i, j, iou, tau):
     """Symmetric compressed rows of the pairs above tau (False for a NaN)."""
     ptr = np.zeros(n + 1, np.int64)

@@ -2,10 +2,10 @@
 
 import numpy as np
 from jaxtyping import Float, Int
-from numba import njit
 from numpy import ndarray
 
 from cosim.world import LanePaths
+from sensors.kernel import compiled
 
 _SAMPLES = np.array([[0, 0], [1, 1], [1, 0], [1, -1], [0, 1], [0, -1], [-1, 1], [-1, 0], [-1, -1]], float)
 """Points of a footprint that are looked for on the path: centre, corners, middles of the sides; half extents."""
@@ -44,7 +44,7 @@ def ahead_on_path(
     )  # fmt: skip
 
 
-@njit(cache=True)
+@compiled
 def _ahead(ptr, line_xy, along, line, front, xy, lw, yaw, look, half_width, samples):
     n = xy.shape[0]
     gap, heading = np.full(n, np.inf), np.zeros(n)

@@ -4,8 +4,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
-from numba import njit
 from numpy import ndarray
+
+from sensors.kernel import compiled
 
 NETWORK_MARGIN_M = 10_000.0
 """Farthest that an actor may be from the bounds of the network."""
@@ -89,7 +90,7 @@ class Frame:
         )
 
 
-@njit(cache=True)
+@compiled
 def _first_outside(xyz_m, yaw_rad, speed_mps, low, high):
     """The first row that is not within the limits, or -1; a number that is not finite is never within."""
     for row in range(len(xyz_m)):

@@ -9,7 +9,6 @@ from typing import Any, Protocol
 
 import numpy as np
 from jaxtyping import Float, Int
-from numba import njit
 from numpy import ndarray
 
 from cosim.actors import ActorRegistry
@@ -18,6 +17,7 @@ from cosim.mobility.frame import TrafficError as TrafficError
 from cosim.world import World
 from results.tables import TABLES
 from sensors.boxes import Boxes
+from sensors.kernel import compiled
 from sensors.scene import Shape
 
 SHAPE_OF_CLASS = {
@@ -97,7 +97,7 @@ def world_from_bumpers(
     return world_of(step, number, xyz_m, yaw_rad, speed, registry, frame)
 
 
-@njit(cache=True)
+@compiled
 def _placed(order, actor, front_m, compass_deg, speed_mps, size_m, east_m, north_m):
     """Actors, centres of boxes, yaw and speed from front bumpers on the road, in order and rounded."""
     n = len(order)

@@ -11,10 +11,10 @@ nearer surface is kept. Seen from inside, a prism shows its inner faces, as a cl
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 
 from sensors.boxes import Boxes
-from sensors.kernel import compiled, kernel, parallel
+from sensors.kernel import compiled, inlined, kernel, parallel
 from sensors.neighbours import Neighbours
 from sensors.range_noise import RangeNoise, add_noise
 from sensors.raycast.city import close_columns, gather, toggle_levels
@@ -83,7 +83,7 @@ def _cast(range_m, hit, origin, yaw, ground, own, beams, limit, xyz, radius, ptr
         thin(ranges, hits, thinned.range_m[o], thinned.hit[o])
 
 
-@njit(cache=True, inline="always")
+@inlined
 def _paint(ranges, hits, c, r, d, limit, code):
     """Keep the nearer of two surfaces; the lower code where they touch, independent of order.
 
