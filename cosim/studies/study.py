@@ -245,7 +245,10 @@ def _axes(data: Mapping[str, Any], where: str) -> tuple[tuple[Keys, ...], ...]:
             rows = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
             axes.append(tuple(_once("[[zip]]", rows, where)))
     if not axes:
-        raise ValueError(f"{where} sweeps nothing. Give [grid] at least one key with a list of values.")
+        raise ValueError(
+            f"{where} sweeps nothing. Give [grid] at least one key with a list of values; one value is enough for "
+            "replicates of one config."
+        )
     names = [key for axis in axes for key in axis[0]]
     if twice := [key for key in names if names.count(key) > 1]:
         raise ValueError(f"{twice[0]} is swept twice in {where}. Leave it in one place.")
