@@ -33,6 +33,8 @@ VEHICLES = (250, 500, 1000, 2000, 5000)
 WARM_UP_STEPS = 3
 """Steps before the measurement: they compile, and fill caches and memories."""
 _NEAR_M = 100.0
+_N_CENTRES = 100
+"""Points around which a piece is tried."""
 
 
 class CpuStopwatch:
@@ -150,25 +152,16 @@ def _worlds(config: Config, scenario: Scenario, n: int) -> tuple[list[World], Ac
 
 
 def piece(world: World, n: int, wanted: float) -> tuple[Int[ndarray, "n"], float]:
-    """About n actors of one connected area that have about as many neighbours as those of the whole traffic.
+    """The n actors nearest to a point, chosen so that they have about as many neighbours as those of the whole traffic.
 
-    The area is halved along its longer side, again and again, so that the pieces are as dense as the whole on average.
+    Those at the rim have fewer, so that a small piece lies where the traffic is a little denser.
     """
     xy = world.boxes.xyz_m[:, :2]
-    pieces, rows = [], [np.arange(len(world))]
-    while rows:
-        here = rows.pop()
-        if len(here) <= n:
-            pieces.append(here)
-            continue
-        axis = int(np.argmax(np.ptp(xy[here], axis=0)))
-        along = here[np.argsort(xy[here, axis], kind="stable")]
-        cut = n if len(here) < 2 * n else len(here) // 2
-        rows += [along[:cut], along[cut:]]
-    pieces = [piece for piece in pieces if len(piece) > 0.9 * n]
-    neighbours = [_neighbours(world, piece) for piece in pieces]
-    best = int(np.argmin(np.abs(np.array(neighbours) - wanted)))
-    return world.actor[pieces[best]], neighbours[best]
+    centres = np.unique(np.linspace(0, len(world) - 1, _N_CENTRES).astype(int))
+    pieces = cKDTree(xy).query(xy[centres], n)[1].reshape(len(centres), n)
+    neighbours = np.array([_neighbours(world, piece) for piece in pieces])
+    best = int(np.argmin(np.abs(neighbours - wanted)))
+    return world.actor[np.sort(pieces[best])], float(neighbours[best])
 
 
 def _neighbours(world: World, rows: Int[ndarray, "n"]) -> float:

@@ -12,12 +12,14 @@ _JUDGED, _UNJUDGED, _STALE = (int(s) for s in (LookupState.JUDGED, LookupState.U
 
 @compiled
 def rows_heard(
-    number_of: Int[ndarray, "n"], number: int, subject: Int[ndarray, "n"], known: Int[ndarray, "k"]
-) -> Int[ndarray, "n"]:
-    """Row of `known`, ascending, that holds each subject, where broadcast `number` is the one heard; -1 elsewhere."""
+    last: Int[ndarray, "capacity"], vehicle: Int[ndarray, "n"], number: int, subject: Int[ndarray, "n"],
+    known: Int[ndarray, "k"],
+) -> Int[ndarray, "n"]:  # fmt: skip
+    """Row of `known`, ascending, that holds each subject, where broadcast `number` is the last that its vehicle heard;
+    -1 elsewhere."""
     at = np.full(len(subject), -1)
     for i in range(len(subject)):
-        if number_of[i] == number:
+        if vehicle[i] < len(last) and last[vehicle[i]] == number:
             row = np.searchsorted(known, subject[i])
             if row < len(known) and known[row] == subject[i]:
                 at[i] = row

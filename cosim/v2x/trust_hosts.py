@@ -40,7 +40,9 @@ FUSION_KEYS = frozenset({
 """Keys of [trust] that say what trust is used for: variants that differ in these alone share one host."""
 
 
-_JUDGED, _STALE, _DEFAULT = (int(c) for c in (LookupState.JUDGED, LookupState.STALE, TrustSource.DEFAULT))
+_JUDGED, _STALE, _NO_VALUE, _DEFAULT = (
+    int(c) for c in (LookupState.JUDGED, LookupState.STALE, LookupState.DEFAULT, TrustSource.DEFAULT)
+)
 """NumPy takes ten times as long with the members themselves."""
 
 ObjectScorer = Callable[[ObjectReports], Float[ndarray, "g"]]
@@ -335,10 +337,10 @@ class TrustHosts:
         self, state: TrustState, h: int, vehicle: Int[ndarray, "n"], subject: Int[ndarray, "n"], time_s: float
     ) -> Lookups:
         n, params = len(vehicle), self.params[h]
+        ages_s, counts = np.zeros((3, n)), np.zeros((2, n), np.int64)
         found = Lookups(
-            np.full(n, params.default_trust), np.full(n, _DEFAULT, np.uint8),
-            np.full(n, int(LookupState.DEFAULT), np.uint8),
-            np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n, np.int64), np.zeros(n, np.int64),
+            np.full(n, params.default_trust), np.full(n, _DEFAULT, np.uint8), np.full(n, _NO_VALUE, np.uint8),
+            ages_s[0], ages_s[1], ages_s[2], counts[0], counts[1],
         )  # fmt: skip
         counted = True
         if not n:

@@ -251,7 +251,7 @@ class Downlink:
             last[vehicle[here]] = np.maximum(last[vehicle[here]], number)
             if not here.all():
                 waiting.append((arrival[~here], vehicle[~here], number))
-        in_use = set(np.unique(last[present]).tolist()) | {number for _, _, number in waiting}
+        in_use = set(last[present].tolist()) | {number for _, _, number in waiting}
         if state.pending_rsu is not None:
             in_use.add(state.pending_rsu[1])
         broadcasts = {n: b for n, b in state.broadcasts.items() if n in in_use}
@@ -261,8 +261,5 @@ class Downlink:
         self, state: DownlinkState, vehicle: Int[ndarray, "n"], subject: Int[ndarray, "n"]
     ) -> Iterator[tuple[TrustBroadcast, Int[ndarray, "n"]]]:
         """What each vehicle knows about each subject: per broadcast, the row that answers; -1: none."""
-        number_of = np.full(len(vehicle), -1)
-        in_range = vehicle < len(state.last)
-        number_of[in_range] = state.last[vehicle[in_range]]
         for number, broadcast in state.broadcasts.items():
-            yield broadcast, rows_heard(number_of, number, subject, broadcast.scores.subject)
+            yield broadcast, rows_heard(state.last, vehicle, number, subject, broadcast.scores.subject)

@@ -83,11 +83,11 @@ def checked_scores(scores: TrustScores, model: type) -> TrustScores:
         raise ModelError(f"{where} returned {type(scores).__name__}, not trust.tables.TrustScores.")
     n = np.shape(scores.subject)
     for name in _COLUMNS:
-        shape = np.shape(getattr(scores, name))
-        if len(n) != 1 or shape != n or not isinstance(getattr(scores, name), ndarray):
+        column = getattr(scores, name)
+        if not isinstance(column, ndarray) or len(n) != 1 or column.shape != n:
             raise ModelError(
-                f"{where}.{name} is of shape {shape}, subject of shape {n}. Each column is an array with a row for "
-                "every (holder, subject)."
+                f"{where}.{name} is of shape {np.shape(column)}, subject of shape {n}. Each column is an array with a "
+                "row for every (holder, subject)."
             )
     with np.errstate(invalid="ignore"):
         wrong = np.flatnonzero(~((scores.trust >= 0) & (scores.trust <= 1)))
