@@ -15,7 +15,7 @@ from cosim.studies.study import SHIPPED, Study, load
 from results import study as studies
 from results.figures import paper as pictures
 from results.figures import style
-from results.metrics.kitti import LEVELS
+from results.metrics.kitti import FEWEST, LEVELS
 
 EXPERIMENTS: Mapping[str, str] = {"tables": "paper_tables", "trust-levels": "paper_trust_levels"}
 """Shipped study by what `cosim reproduce` calls it."""
@@ -74,8 +74,18 @@ def task_of(study: Study, name: str, out: Path) -> sweeping.Task:
 
 
 def conclude(name: str, out: Path) -> Outcome:
-    """The outcome of an experiment whose runs are made: a table and a picture in its folder."""
+    """The outcome of an experiment whose runs are made: a table and a picture in its folder.
+
+    Errors
+    ------
+    ValueError where the drives are too short for any average precision; nothing is written then.
+    """
     rows = outcome(studies.open_study(out), name)
+    if not (rows.what == "average precision").any():
+        raise ValueError(
+            f"{out}: no average precision, because in no run a class and level has {FEWEST} objects. Set "
+            "traffic.duration_s higher, in another --out."
+        )
     table, picture = out / f"{name}.csv", out / f"{name}.png"
     rows.to_csv(table, index=False)
     plain = out / f"{name}.json"

@@ -236,7 +236,10 @@ def test_label_rules(drive):
 def test_command_from_end_to_end_and_resumed(tmp_path):
     env = {"COSIM_CACHE": str(tmp_path / "cache")}
     os.environ.update(env)
-    words = ("--set", "traffic.duration_s=12", "--set", "traffic.warmup_s=60", "--replicates", "2", "--out", "paper")
+    short = ("--set", "traffic.duration_s=12", "--set", "traffic.warmup_s=60", "--replicates", "1", "--out", "short")
+    none = cosim("reproduce", "tables", *short, cwd=tmp_path)
+    assert none.returncode == 2 and "has 41 objects" in none.stderr and not (tmp_path / "short/tables.csv").exists()
+    words = ("--set", "traffic.duration_s=60", "--set", "traffic.warmup_s=60", "--replicates", "2", "--out", "paper")
     first = cosim("reproduce", "tables", *words, cwd=tmp_path)
     assert first.returncode == 0, first.stderr
     assert "TruPercept 3, no self-reports" in first.stdout and (tmp_path / "paper/tables.png").is_file()
@@ -246,7 +249,7 @@ def test_command_from_end_to_end_and_resumed(tmp_path):
     np.testing.assert_allclose(rows["mean"].astype(float), table["mean"])
     runs = {path.name for path in (tmp_path / "paper/runs").iterdir()}
     assert len(runs) == 16
-    levels = cosim("reproduce", "trust-levels", *words, cwd=tmp_path)
+    levels = cosim("reproduce", "trust-levels", *words, "--json", cwd=tmp_path)
     assert levels.returncode == 0, levels.stderr
     assert len(list((tmp_path / "paper/runs").iterdir())) == 16 + 8, "the honest ones are there already"
-    assert "mean trust at the end" in levels.stdout
+    assert any(row["what"].startswith("mean trust at the end") for row in json.loads(levels.stdout)["rows"])
