@@ -69,7 +69,7 @@ def _displace(ranges, seed, noise):
 
 @compiled
 def _drop(ranges, hits, seed, noise):
-    """Dropouts."""
+    """Dropouts of one sweep: a hash per ray, independent of those of the noise."""
     n, m = np.uint64(ranges.shape[0]), np.uint64(ranges.shape[1])
     lost_below = np.uint64(noise.dropout_p * 2.0**53)
     for c in range(n):

@@ -61,24 +61,9 @@ def _cast(range_m, hit, origin, yaw, ground, own, beams, limit, xyz, radius, ptr
             if a != own[o]:
                 dx, dy = xyz[a, 0] - x, xyz[a, 1] - y
                 _actor(
-                    ranges,
-                    hits,
-                    a,
-                    dx,
-                    dy,
-                    radius[a],
-                    x,
-                    y,
-                    z,
-                    cos,
-                    sin,
-                    beams,
-                    columns,
-                    slopes,
-                    limit,
-                    nearest,
+                    ranges, hits, a, dx, dy, radius[a], x, y, z, cos, sin, beams, columns, slopes, limit, nearest,
                     bodies,
-                )
+                )  # fmt: skip
         add_noise(ranges, hits, noise.key[o], noise)
         thin(ranges, hits, thinned.range_m[o], thinned.hit[o])
 
