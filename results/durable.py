@@ -2,6 +2,7 @@
 
 import fcntl
 import hashlib
+import io
 import json
 import os
 import stat
@@ -19,15 +20,53 @@ class Damaged(ValueError):
     """A run folder does not hold what its inventory says; commands end with exit status 1."""
 
 
+class Growing(io.RawIOBase):
+    """A file that is written piece by piece and has its name once it is whole, on disk; its length and checksum."""
+
+    def __init__(self, partial: Path) -> None:
+        """`partial` is its name until then; a file of that name is replaced."""
+        self._partial = partial
+        flags = os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_NOFOLLOW
+        self._file, self._sha256 = io.BufferedWriter(io.FileIO(os.open(partial, flags, 0o666), "w")), hashlib.sha256()
+        self.n_bytes = 0
+
+    def writable(self) -> bool:
+        """Always."""
+        return True
+
+    def tell(self) -> int:
+        """Bytes written so far."""
+        return self.n_bytes
+
+    def write(self, content: bytes | memoryview) -> int:  # type: ignore[override]
+        """Add all of it."""
+        n = self._file.write(content)
+        self._sha256.update(content)
+        self.n_bytes += n
+        return n
+
+    def finish(self, path: Path) -> str:
+        """Sync it and give it its name; its checksum."""
+        self._file.flush()
+        os.fsync(self._file.fileno())
+        self._file.close()
+        self._partial.replace(path)
+        return self._sha256.hexdigest()
+
+    def close(self) -> None:
+        """Give the handle back; what was not finished stays under its partial name."""
+        self._file.close()
+        super().close()
+
+
 def write(path: Path, content: bytes | memoryview) -> None:
     """Write a file whole, so that neither a kill nor a power cut leaves a part of it; replaces one that is there."""
-    partial = path.with_name(path.name + PARTIAL)
-    flags = os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_NOFOLLOW
-    with open(os.open(partial, flags, 0o666), "wb") as file:
+    file = Growing(path.with_name(path.name + PARTIAL))
+    try:
         file.write(content)
-        file.flush()
-        os.fsync(file.fileno())
-    partial.replace(path)
+        file.finish(path)
+    finally:
+        file.close()
 
 
 def write_output(path: Path, content: bytes) -> None:

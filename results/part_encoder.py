@@ -1,6 +1,5 @@
 """Parquet parts of one block of steps, encoded by a thread of their own while the simulation goes on."""
 
-import hashlib
 import io
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -27,7 +26,7 @@ _STORED_ROWS = 8_000
 """Rows that are cast, rounded and checked at once: of most tables a step has few, and each column a fixed cost."""
 
 _GROUP_ROWS = 300_000
-"""Rows from which a row group is encoded: encoded rows take a tenth of the memory."""
+"""Rows from which a row group is encoded and written: memory is that of the rows that wait."""
 
 _TRIED_ROWS, _SAMPLE_ROWS = 20_000, 100_000
 """Rows from which layouts are tried, and of which the first row group is tried with."""
@@ -40,38 +39,38 @@ _MOST_WAITING = 2
 
 
 class Encoder:
-    """Threads that sort and compress, so that memory is that of encoded rows and the other core has work; at the end of
-    a block, when the simulation waits, both cores."""
+    """Threads that sort, compress and write, so that rows do not stay in memory and the other core has work; at the end
+    of a block, when the simulation waits, both cores."""
 
     def __init__(self) -> None:
         self._pool = ThreadPoolExecutor(max_workers=2, thread_name_prefix="encoder")
 
     def part(
-        self, table: str, columns: Mapping[str, StoredColumn], rows: Sequence[Rows] = (),
+        self, partial: Path, table: str, columns: Mapping[str, StoredColumn], rows: Sequence[Rows] = (),
         like: "PartEncoder | None" = None,
     ) -> "PartEncoder":  # fmt: skip
-        """A part of a table, with these rows.
+        """A part of a table, with these rows; a file of this name until it is whole.
 
         `like` is an earlier part of the table that has been written: layouts tried there are not tried again.
         """
-        return PartEncoder(table, columns, self._pool, rows, {} if like is None else like.tried)
+        return PartEncoder(partial, table, columns, self._pool, rows, {} if like is None else like.tried)
 
 
 class PartEncoder:
     """Rows of one table and block, on their way into one file sorted by key."""
 
     def __init__(
-        self, table: str, columns: Mapping[str, StoredColumn], pool: ThreadPoolExecutor, rows: Sequence[Rows],
-        tried: Mapping[str, str],
+        self, partial: Path, table: str, columns: Mapping[str, StoredColumn], pool: ThreadPoolExecutor,
+        rows: Sequence[Rows], tried: Mapping[str, str],
     ) -> None:  # fmt: skip
         self.tried = tried
         """Layout of each column, where there were rows enough to try them."""
-        self._table, self._columns, self._pool = table, columns, pool
+        self._partial, self._table, self._columns, self._pool = partial, table, columns, pool
         self._given: list[Rows] = []
         self._rows: list[Rows] = []
         self._n_given = self._n_new = self._n = 0
         self._waiting: list[Future[None]] = []
-        self._sink = io.BytesIO()
+        self._file: durable.Growing | None = None
         self._writer: pq.ParquetWriter | None = None
         self._first_step, self._last_step = np.iinfo(np.int64).max, 0
         for some in rows:
@@ -106,18 +105,14 @@ class PartEncoder:
         if self._n_new:
             self._submit()
 
-    def write(self, folder: Path, file: str) -> Part:
-        """The file, synced; ValueError for two rows with one key."""
+    def finish(self, file: str) -> Part:
+        """Sync it and give it its name; ValueError for two rows with one key."""
         for group in self._waiting:
             group.result()
-        assert self._writer is not None, "a part has rows"
+        assert self._writer is not None and self._file is not None, "a part has rows"
         self._writer.close()
-        content = self._sink.getbuffer()
-        durable.write(folder / self._table / file, content)
-        return Part(
-            self._table, file, self._n, len(content), hashlib.sha256(content).hexdigest(), self._first_step,
-            self._last_step,
-        )  # fmt: skip
+        digest = self._file.finish(self._partial.with_name(file))
+        return Part(self._table, file, self._n, self._file.n_bytes, digest, self._first_step, self._last_step)
 
     def _submit(self) -> None:
         if self._n_given:
@@ -155,10 +150,11 @@ class PartEncoder:
         if self._writer is None:
             if not self.tried and len(group) >= _TRIED_ROWS:
                 self.tried = _best_layouts(group)
+            self._file = durable.Growing(self._partial)
             # rows are sorted by the column with statistics; those of others tell no row groups apart and take a quarter
             # of the time
             self._writer = pq.ParquetWriter(
-                self._sink, group.schema, compression="zstd", compression_level=_LEVEL,
+                self._file, group.schema, compression="zstd", compression_level=_LEVEL,
                 write_statistics=[TABLES[table].key[0]], **_encodings(group, self.tried),
             )  # fmt: skip
         self._writer.write_table(group, row_group_size=len(group))

@@ -18,7 +18,7 @@ from results.codes import BASE_VARIANT, Role, labels
 from results.columns import Column, Level
 from results.durable import Damaged
 from results.inventory import Block, Inventory
-from results.part_encoder import Encoder
+from results.part_encoder import Encoder, PartEncoder
 from results.stored_columns import complete, stored_columns
 from results.tables import TABLES, kept, schema
 
@@ -83,7 +83,7 @@ class Recorder:
         self.block_steps = block_steps
         self._block, self._last_step = resume_at // block_steps, resume_at - 1
         self._encoder = Encoder()
-        self._parts = {name: self._encoder.part(name, self._columns[name]) for name in self.tables}
+        self._parts = {name: self._part("part", name) for name in self.tables}
         blocks = tuple(b for b in _committed(self.folder).blocks if b.end_step <= resume_at)
         if blocks and not all((self.folder / part.name).exists() for part in blocks[-1].open):
             blocks = (*blocks[:-1], replace(blocks[-1], open=()))  # those of a part of a block took their place
@@ -147,9 +147,7 @@ class Recorder:
 
     def _commit(self, open_rows: Mapping[str, Sequence[Columns]], checkpoint: Mapping[str, bytes]) -> None:
         end_step = self._last_step + 1
-        opening = [
-            self._encoder.part(name, self._columns[name], rows) for name, rows in self._made(open_rows, end_step - 1)
-        ]
+        opening = [self._part("open", name, rows) for name, rows in self._made(open_rows, end_step - 1)]
         for waiting in sorted((*self._parts.values(), *opening), key=len, reverse=True):
             waiting.end_block()
         files = {f"{CHECKPOINT}/{name}": content for name, content in checkpoint.items()}
@@ -157,8 +155,8 @@ class Recorder:
             (self.folder / CHECKPOINT).mkdir(exist_ok=True)
         number = f"{self._block:05d}.parquet"
         with ThreadPoolExecutor(_WRITERS) as disk:
-            to_write = disk.map(lambda p: p.write(self.folder, f"part-{number}"), filter(len, self._parts.values()))
-            to_open = disk.map(lambda p: p.write(self.folder, f"open-{number}"), opening)
+            to_write = disk.map(lambda p: p.finish(f"part-{number}"), filter(len, self._parts.values()))
+            to_open = disk.map(lambda p: p.finish(f"open-{number}"), opening)
             to_keep = disk.map(lambda name: durable.write(self.folder / name, files[name]), files)
             parts, opened, _ = tuple(to_write), tuple(to_open), tuple(to_keep)
             names = sorted({part.table for part in (*parts, *opened)} | ({CHECKPOINT} if files else set()))
@@ -168,9 +166,7 @@ class Recorder:
             {name: hashlib.sha256(content).hexdigest() for name, content in files.items()},
         )  # fmt: skip
         before, self.inventory = self.inventory, inventory.commit(self.folder, self.inventory, block)
-        self._parts = {
-            name: self._encoder.part(name, self._columns[name], like=part) for name, part in self._parts.items()
-        }
+        self._parts = {name: self._part("part", name, like=part) for name, part in self._parts.items()}
         if before.blocks:
             for part in before.blocks[-1].open:
                 (self.folder / part.name).unlink(missing_ok=True)
@@ -190,6 +186,12 @@ class Recorder:
         elif is_committed:
             return
         self._commit({}, {})
+
+    def _part(
+        self, kind: str, table: str, rows: Sequence[dict[str, ndarray]] = (), like: PartEncoder | None = None
+    ) -> PartEncoder:
+        partial = self.folder / table / f"{kind}-next{durable.PARTIAL}"
+        return self._encoder.part(partial, table, self._columns[table], rows, like)
 
     def _made(self, rows: Mapping[str, Sequence[Columns]], step: int) -> Iterator[tuple[str, list[dict[str, ndarray]]]]:
         for name, several in rows.items():

@@ -395,7 +395,8 @@ def problems_of(folder: Path, table: str, found: Inventory, is_over: bool) -> It
     last = found.blocks[-1].number if found.blocks else -1
     for file in sorted(there.keys() - known.keys()):
         stem = file.removesuffix(durable.PARTIAL)
-        under_way = stem in {f"part-{last + 1:05d}.parquet", *(f"open-{n:05d}.parquet" for n in (last - 1, last + 1))}
+        opened = (f"open-{n:05d}.parquet" for n in (last - 1, last + 1))
+        under_way = stem in {"part-next", "open-next", f"part-{last + 1:05d}.parquet", *opened}
         if is_over or not under_way:
             yield f"{table}/{file} is not in the inventory"
 
