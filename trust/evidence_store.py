@@ -11,6 +11,10 @@ from trust.step_evidence import RejectReason, StepEvidence, open_step_evidence
 from trust.tables import ReceivedEvaluations, int64, pair_key
 
 
+_RECENT = 3
+"""Steps after which nearly all evaluations of a step have arrived."""
+
+
 class View(Protocol):
     """What a store has to know of a model that reads it."""
 
@@ -65,6 +69,8 @@ class EvidenceStore:
                 view.before_open(step)
             self.steps[step], self._n_bad = open_step_evidence(pseudonyms, observer_row, detection_index, score)
             self._opened = step
+            if older := self.steps.get(step - _RECENT):
+                older.trim()
         return self._n_bad
 
     def add(self, view: View, received: ReceivedEvaluations) -> Int[ndarray, "reasons"] | None:

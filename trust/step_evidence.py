@@ -253,6 +253,11 @@ def _room(a: ndarray, n: int) -> ndarray:
     return np.concatenate([a, np.zeros((max(n, 2 * a.shape[0]) - a.shape[0], *a.shape[1:]), a.dtype)])
 
 
+def _table_size(n: int) -> int:
+    """Room of an open-addressed table in which n keys take half of it at most."""
+    return max(64, 1 << (2 * n - 1).bit_length())
+
+
 def _empty_table(dtype) -> tuple[ndarray, ndarray]:
     return np.full(64, -1, np.int64), np.zeros(64, dtype)
 
@@ -276,7 +281,7 @@ class StepEvidence:
     # per slot, of the others: Phi, Phi e (fixed point), 2 x their number with Phi > 0, + 1 if evaluated at all
     sums: Int[ndarray, "x 3"] = field(default_factory=lambda: np.zeros((256, 3), np.int64))
     # block and row of the evaluator, for every message with an evaluation by another that could see
-    made_by: Int[ndarray, "y 2"] = field(default_factory=lambda: np.zeros((64, 2), np.int64))
+    made_by: Int[ndarray, "y 2"] = field(default_factory=lambda: np.zeros((64, 2), np.int32))
     n_noted: int = 0  # of these, those that `EvaluatorTable` has
     block_table: tuple[ndarray, ndarray] = field(default_factory=lambda: _empty_table(np.int32))
     mask_table: tuple[ndarray, ndarray] = field(default_factory=lambda: _empty_table(np.uint64))
@@ -325,9 +330,29 @@ class StepEvidence:
         self.made_by = _room(self.made_by, int(self.n_used[3] + need[0]))
         for table, n in (("block_table", n_blocks), ("mask_table", int(self.n_used[2]) + n_words)):
             keys, values = getattr(self, table)
-            size = 1 << (2 * n - 1).bit_length()
+            size = _table_size(n)
             if size > keys.size:
                 setattr(self, table, _moved(keys, values, 2 * size if keys.size > 64 else size))
+
+    def trim(self) -> None:
+        """Give back the memory that no row uses; more may still be added."""
+        n_blocks, n_slots, n_words, n_noted = self.n_used.tolist()
+        n_known, n_parts = self.n_known.tolist()
+        for n, names in (
+            (n_blocks, ("blocks", "dirty", "aggregated", "n_evaluations", "pair_row")),
+            (n_slots, ("sums",)),
+            (n_noted, ("made_by",)),
+            (n_known, ("known",)),
+            (n_parts, ("parts",)),
+        ):
+            for name in names:
+                rows = getattr(self, name)
+                setattr(self, name, rows[: max(n, 1)].copy() if len(rows) > n else rows)
+        for table, n in (("block_table", n_blocks), ("mask_table", n_words)):
+            keys, values = getattr(self, table)
+            size = _table_size(n)
+            if size < keys.size:
+                setattr(self, table, _moved(keys, values, size))
 
     def aggregate(self, by_score: bool, skip_unseen: bool) -> None:
         """Update sum s T(theta) and sum s of every block that has changed."""
