@@ -64,7 +64,7 @@ def step(world: World, state: State, parts: Parts) -> tuple[State, StepResult]:
             observed, senders, s.included, world, accelerations, active, vehicles, c, now.begin_s
         )
     with watch("radio"):
-        stations = stages.stations_of(world, vehicles, parts)
+        stations = stages.stations_of(world, vehicles.row, parts)
         cpms = _broadcast_detections(world, s, parts, listed, senders, vehicles, stations, sending, now)
     with watch("match"):
         matched = stages.match_objects(listed, cpms.accepted.vehicles, observed, senders, vehicles, believed, c)

@@ -2,7 +2,7 @@
 
 import logging
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numba
@@ -13,6 +13,7 @@ from numpy import ndarray
 from cosim import checkpoint, recording
 from cosim.actors import ActorRegistry
 from cosim.adversary.params import rings_too_large
+from cosim.ahead import Ahead
 from cosim.allocator import give_back_freed_memory, keep_freed_memory
 from cosim.checkpoint import CannotCheckpoint
 from cosim.config import Config
@@ -23,7 +24,6 @@ from cosim.parts import Parts, chosen
 from cosim.perception import Perception
 from cosim.run_folder import RunFolder
 from cosim.scenario import Scenario
-from cosim.sensing_ahead import SensingAhead
 from cosim.state import State
 from cosim.stop import StopRequest
 from cosim.stopwatch import Stopwatch
@@ -81,22 +81,17 @@ class Drive:
         """Warm up, repeat the traffic of what is recorded already, and go on to the end or to a signal."""
         keep_freed_memory()
         give_back_freed_memory()  # of reading the city
-        ahead = self._sensing_ahead()
-        if ahead is None:
-            self._run(None)
+        c = self.parts.config
+        alone = c.driver.model != "none" or c.compute.threads == 1 or _CORES == 1
+        if alone or not isinstance(self.parts.perception, Perception):
+            self._run(None)  # the next world depends on the present step, or no core is left to compute on
             return
-        with ahead:
-            self.parts = replace(self.parts, perception=ahead)
+        with Ahead(self.parts) as ahead:
+            self.parts = ahead.parts
             self.manifest.timings_ahead_s = ahead.watch.seconds
             self._run(ahead)
 
-    def _sensing_ahead(self) -> SensingAhead | None:
-        """Where the next world does not depend on the present step, and there is a core to sense it on."""
-        c, own = self.parts.config, self.parts.perception
-        alone = c.driver.model != "none" or c.compute.threads == 1 or _CORES == 1
-        return SensingAhead(own) if isinstance(own, Perception) and not alone else None
-
-    def _run(self, ahead: SensingAhead | None) -> None:
+    def _run(self, ahead: Ahead | None) -> None:
         config, recorder = self.parts.config, self.recorder
         first = recorder.inventory.end_step
         warm_up(self.warmup_s, self.traffic, self.parts.watch, self.advance)
@@ -162,8 +157,8 @@ class Drive:
                 self.ended = f"the traffic ended before the {asked_s:g} s asked for: {over}"
                 return None
 
-    def _look_ahead(self, number: int, ahead: SensingAhead | None) -> None:
-        """Have the step after this one sensed while this one goes on; not where recording may end between the two,
+    def _look_ahead(self, number: int, ahead: Ahead | None) -> None:
+        """Have the world after this one sensed while this step goes on; not where recording may end between the two,
         because actors are registered when they are read."""
         is_last = number + 1 == self.parts.config.n_steps or self.recorder.is_block_end(number)
         if ahead is None or is_last or self.stop.signum is not None or (world := self._world()) is None:

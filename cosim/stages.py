@@ -84,12 +84,12 @@ def list_objects(
     return Listed(objects, truth, detections, ptr, withheld, n_dropped), included
 
 
-def stations_of(world: World, vehicles: Vehicles, parts: Parts) -> Stations:
-    """Antennas of vehicles and roadside units."""
-    key = np.concatenate([vehicles.name_key, parts.rsus.key])
-    xyz_m = np.concatenate([world.boxes.xyz_m[vehicles.row], parts.rsus.xyz_m])
-    xyz_m[: len(vehicles), 2] += world.boxes.lwh_m[vehicles.row, 2] / 2 + parts.config.radio.antenna_above_roof_m
-    return Stations(key, xyz_m, len(vehicles))
+def stations_of(world: World, row: Int[ndarray, "v"], parts: Parts) -> Stations:
+    """Antennas of the vehicles in these rows of the world, and of roadside units."""
+    key = np.concatenate([world.name_key[row], parts.rsus.key])
+    xyz_m = np.concatenate([world.boxes.xyz_m[row], parts.rsus.xyz_m])
+    xyz_m[: len(row), 2] += world.boxes.lwh_m[row, 2] / 2 + parts.config.radio.antenna_above_roof_m
+    return Stations(key, xyz_m, len(row))
 
 
 def cpm_lengths(

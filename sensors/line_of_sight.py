@@ -72,13 +72,14 @@ class WallIndex:
         """Cells that block every line between points of these heights."""
         level = self._level(np.asarray(z_m, float))
         low, high = int(np.floor(level.min(initial=254.0))), int(np.ceil(level.max(initial=0.0)))
-        if (low, high) not in self._filled:
+        found = self._filled.get((low, high))
+        if found is None:
             if len(self._filled) >= 16:
-                self._filled.clear()
+                self._filled.clear()  # another thread may ask at any time
             base, top = self.solid[:, :, 0], self.solid[:, :, 1]
             bits = np.packbits((base <= low) & (top >= high) & (top > 0), bitorder="little")
-            self._filled[low, high] = FilledCells(bits, *self.solid.shape[:2])
-        return self._filled[low, high]
+            found = self._filled[low, high] = FilledCells(bits, *self.solid.shape[:2])
+        return found
 
     def cells(self, xyz_m: Float[ndarray, "n 3"]) -> Float[ndarray, "n 2"]:
         """Positions of points on the grid, in cells."""

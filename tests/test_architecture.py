@@ -43,11 +43,11 @@ ONE_FILE = {
 ORDER = (
     "rng", "ragged", "allocator", "stopwatch", "stop", "choices", "console", "world", "fleet", "meshes", "actors",
     "mobility",
-    "radio", "codes", "v2x", "trackers", "tracking", "driver", "perception", "sensing_ahead", "positioning",
+    "radio", "codes", "v2x", "trackers", "tracking", "driver", "perception", "positioning",
     "ground_truth", "reactions", "adversary", "senders", "object_lists", "config_data", "config", "manifest",
     "parts", "stages", "attack_outcomes", "state", "step_result", "cycle", "scenario", "inputs", "check",
     "replay_lidar", "export", "view", "interchange", "calibrate", "recording", "compile_ahead", "checkpoint",
-    "run_folder", "drive", "run", "bench_scale", "bench", "bench_variants", "nets", "studies", "reproduce",
+    "run_folder", "ahead", "drive", "run", "bench_scale", "bench", "bench_variants", "nets", "studies", "reproduce",
     "side_by_side", "cli", "docs",
     "__main__",
 )  # fmt: skip

@@ -10,7 +10,6 @@ from trust.evaluator_counts import EvaluatorTable
 from trust.step_evidence import RejectReason, StepEvidence, open_step_evidence
 from trust.tables import ReceivedEvaluations, int64, pair_key
 
-
 _RECENT = 3
 """Steps after which nearly all evaluations of a step have arrived."""
 

@@ -7,7 +7,7 @@ is received when all its segments are.
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float, Int, UInt64
+from jaxtyping import Int, UInt64
 from numpy import ndarray
 
 from cosim import rng
@@ -29,14 +29,9 @@ from sensors.line_of_sight import LosOfPlaces
 class LinkCache:
     """Links and neighbours of the stations of the last round; both rounds of a step have the same positions."""
 
-    xyz_m: Float[ndarray, "n 3"]
-    key: UInt64[ndarray, "n"]
+    stations: Stations
     links: Links
     neighbours: NeighbourList
-
-    def is_of(self, stations: Stations) -> bool:
-        """Whether these are the same stations at the same positions."""
-        return np.array_equal(self.key, stations.key) and np.array_equal(self.xyz_m, stations.xyz_m)
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +69,9 @@ class CsmaMedium:
         p, n = self.params, len(stations)
         begin_ns, end_ns = round(begin_s * 1e9), round((begin_s + self.round_s) * 1e9)
         lifetime_ns = round(p.access.lifetime_s * 1e9)
-        cache = self.links_of(state, stations)
+        cache = state.cache
+        if cache is None or not cache.stations.equals(stations):
+            cache = self.links(stations)
         round_number = len(RoundKind) * step + kind
 
         keys = messages.keys(stations)
@@ -146,17 +143,16 @@ class CsmaMedium:
         after = ChannelContext(now, control, state.n_frames + len(frames), cache)
         return after, MessageRound(messages.station, receptions, outcomes)
 
-    def links_of(self, state: ChannelContext, stations: Stations) -> LinkCache:
-        """Links and neighbours of these stations; those of the last round where no station has moved."""
-        if state.cache is not None and state.cache.is_of(stations):
-            return state.cache
+    def links(self, stations: Stations) -> LinkCache:
+        """Links and neighbours of these stations."""
         p, xyz_m = self.params, stations.xyz_m
         knows_walls = self.los is not None and p.propagation.knows_walls
         found = los_pairs(xyz_m, p.propagation, self.los, slant_m(xyz_m, p.range_m))
         near = NeighbourList.of(xyz_m, p.range_m, found, knows_walls)
         shadowing = rng.key(self.seed, rng.Stream.SHADOWING)
         links, _, _ = links_between(xyz_m, stations.key, p.propagation, shadowing, self.los, found=found)
-        return LinkCache(xyz_m.copy(), stations.key.copy(), links, near)
+        kept = Stations(stations.key.copy(), xyz_m.copy(), stations.n_vehicles)  # the caller may go on to move its own
+        return LinkCache(kept, links, near)
 
     def _idle(
         self, state: ChannelState, control: DccState, links: Links, until_ns: int

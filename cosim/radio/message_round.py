@@ -57,6 +57,10 @@ class Stations:
     def __len__(self) -> int:
         return len(self.key)
 
+    def equals(self, other: "Stations") -> bool:
+        """Whether these are the same stations at the same positions."""
+        return np.array_equal(self.key, other.key) and np.array_equal(self.xyz_m, other.xyz_m)
+
 
 @dataclass(frozen=True, slots=True)
 class Messages:

@@ -51,7 +51,7 @@ def literal(stations, messages, medium, state, i):
     """The same by dictionaries: the channel has no forwarding, and its windows end at every timer."""
     begin, end = round(0.5e9 * i), round(1e9 * (0.5 * i + ROUND_S))
     xyz, keys, relay = stations.xyz_m, stations.key, medium.params.relay
-    links = medium.links_of(state, stations).links
+    links = medium.links(stations).links
     now_state = state.channel
     count, payload = segments(messages.length_bytes)
     n_segments = dict(enumerate(count.tolist()))
