@@ -11,6 +11,7 @@ from tests.drive import drive
 from tests.scene import assert_same, parts_of, play
 
 N = 6
+CSMA = 'radio.model="csma"'
 
 
 @pytest.mark.parametrize(
@@ -29,9 +30,9 @@ def test_a_run_with_one_thread_has_the_same_tables(tmp_path, setting):
 @pytest.mark.parametrize("at_once", [False, True])
 def test_each_world_is_sensed_whichever_was_expected(expected, at_once):
     """The next world is expected before its step begins, the one after it, or none at all."""
-    want, _ = play(N)
+    want, _ = play(N, CSMA)
     scene = ScriptedScene.load()
-    parts, found = parts_of(scene), []
+    parts, found = parts_of(scene, CSMA), []
     worlds = [scene.world(number) for number in range(N + 2)]
     with Ahead(parts) as ahead:
         parts = ahead.parts
