@@ -128,9 +128,10 @@ class _Told:
         found = DetectedBoxes(
             o, world.label[actor], world.boxes.take(actor), np.full(len(o), 0.8), many, actor, actor % 5 == 4
         )
-        range_m = np.full((n, *lidar.n_rays(self.own.lidar)), 40.0, np.float32)
+        step = lidar.step_of(self.own.lidar)
+        images = lidar.with_ranges(on, np.full((n, *lidar.n_rays(self.own.lidar)), 40.0 / step, np.uint16), step)
         seen = Seen(Observability(o, actor, many, 2 * many, away_m), found)
-        return self.own.observed(world, observers, lidar.with_ranges(on, range_m), [seen])
+        return self.own.observed(world, observers, images, [seen])
 
     def answers(self, sweeps: lidar.Scanners, asked: BoxQuestions) -> BoxAnswers:
         """As `Perceives`; returns are not counted, because the detector counts them first."""

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, fields, replace
 from typing import Any, Protocol, TypeVar
 
 import numpy as np
-from jaxtyping import Bool, Float32, Int, Int32, UInt64
+from jaxtyping import Bool, Int, Int32, UInt16, UInt64
 from numpy import ndarray
 
 from cosim import rng
@@ -17,13 +17,13 @@ from sensors import detector, evidence, lidar
 from sensors.boxes import Boxes
 from sensors.detector import Detector, DetectorDraws
 from sensors.evidence import AreaParams
+from sensors.lidar import NO_MEMORY, SweepMemory
 from sensors.neighbours import Neighbours, neighbours
 from sensors.scene import Prisms, Scene, prisms
-from sensors.thinned import Thinned
 
 _Rows = TypeVar("_Rows", evidence.Observability, detector.DetectedBoxes)
 
-GROUP = 1024
+GROUP = 512
 """Observers whose sweeps are read at once for what their rays met."""
 
 
@@ -98,18 +98,15 @@ class Perception:
     """Whether every vehicle also reports itself."""
     seed: int
     dt_s: float
-    _range_m: Float32[ndarray, "n a e"] | None = field(default=None, repr=False)
-    """Memory of the last sweeps, written over by the next."""
-    _hit: Int[ndarray, "n a e"] | None = field(default=None, repr=False)
-    """The same of what their rays met, which is read group by group of observers."""
-    _thinned: Thinned | None = field(default=None, repr=False)
-    """The same of some rays."""
+    _range_steps: UInt16[ndarray, "n a e"] | None = field(default=None, repr=False)
+    """Memory of the last range images, written over by the next."""
+    _group: SweepMemory = field(default=NO_MEMORY, repr=False)
+    """The same of all else in the sweeps of a group of observers."""
 
     def __call__(self, world: World, observers: Int[ndarray, "e"], watch: Stopwatch) -> Observed:
         """What these rows of the world perceive."""
         rays = lidar.n_rays(self.lidar)
-        range_m = self._range_m = lidar.buffer((len(observers), *rays), np.float32, self._range_m)
-        hit = self._hit = lidar.buffer((min(len(observers), GROUP), *rays), lidar.hit_type(len(world)), self._hit)
+        range_steps = self._range_steps = lidar.buffer((len(observers), *rays), np.uint16, self._range_steps)
         with watch("sweep"):
             origin_m = lidar.mount(world.boxes, observers, self.lidar).origin_m
             near = neighbours(origin_m, world.boxes, self.lidar.max_range_m)
@@ -117,20 +114,21 @@ class Perception:
         seen = []
         for first in range(0, len(observers), GROUP):
             some = observers[first : first + GROUP]
-            memory = range_m[first : first + GROUP], hit[: len(some)], self._thinned
+            memory = self._group._replace(range_steps=range_steps[first : first + GROUP])
             sweeps, here = self.sense(world, some, watch, memory, near.part(first, first + len(some)), bodies)
-            self._thinned = sweeps.thinned
+            self._group = SweepMemory(None, sweeps.range_m, sweeps.hit, sweeps.thinned)
             seen.append(here.behind(first))
         with watch("detect"):
             on = lidar.scanners(world.boxes, observers, self.lidar)
-            return self.observed(world, observers, lidar.with_ranges(on, range_m), seen)
+            images = lidar.with_ranges(on, range_steps, lidar.step_of(self.lidar))
+            return self.observed(world, observers, images, seen)
 
     def sense(
         self,
         world: World,
         observers: Int[ndarray, "e"],
         watch: Stopwatch,
-        memory: tuple[ndarray, ndarray, Thinned | None] | None = None,
+        memory: SweepMemory = NO_MEMORY,
         near: Neighbours | None = None,
         bodies: Prisms | None = None,
     ) -> tuple[lidar.Sweeps, Seen]:
@@ -154,7 +152,7 @@ class Perception:
 
     def _scan(
         self, world: World, observers: Int[ndarray, "e"],
-        memory: tuple[ndarray, ndarray, Thinned | None] | None = None,
+        memory: SweepMemory = NO_MEMORY,
         near: Neighbours | None = None, bodies: Prisms | None = None,
     ) -> lidar.Sweeps:  # fmt: skip
         keys = sweep_keys(self.seed, world, observers)

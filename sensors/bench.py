@@ -95,7 +95,7 @@ def crowd(
         (f"{n_sensors} sensors, range noise included, one thread", best[1], "s"),
         (f"{n_sensors} sensors, range noise included, two threads", best[2], "s"),
         ("two threads / one", best[1] / best[2], "times"),
-        ("memory of their sweeps", sum(a.nbytes for a in (sweeps.range_m, sweeps.hit, *sweeps.thinned)) / 1e6, "MB"),
+        ("memory of their range images", sweeps.range_steps.nbytes / 1e6, "MB"),
     ]
 
 

@@ -13,6 +13,7 @@ from numba import prange
 
 from sensors.kernel import adding, compiled, dividing, inlined, kernel, parallel
 from sensors.pairs import in_sensor_frame
+from sensors.range_steps import NO_RETURN
 from sensors.raycast.column import below, columns_of, rectangle_columns, slopes_of
 
 BLOCK = 16
@@ -27,7 +28,7 @@ _GRAZING = 1e-7
 _FEW = 16
 """Boxes of one sweep for which it does not pay to look at the whole sweep first."""
 
-_INF = np.float32(np.inf).view(np.int32)
+_NO_RETURN, _ZERO = np.uint16(NO_RETURN), np.uint16(0)
 
 _REACH_M = 0.01
 """How far behind the farthest return of a sweep boxes are looked at: more than lengths are rounded by."""
@@ -61,9 +62,10 @@ def _crossings(cos_az, sin_az, p, q, cos, sin, half_l, half_w, near, far):
 
 
 @adding
-def _tally(ranges, c, r0, r1, cos_el, sin_el, middle, half, height, half_h, error):
+def _tally(steps, c, r0, r1, cos_el, sin_el, middle, half, height, half_h, error):
     """Returns of a column that are inside for certain, times `_WIDE`, and those that may be; rows in whole blocks.
 
+    `cos_el` and `sin_el` are lengths per step. The box lies nearer than a ray without return is said to end.
     Only whole numbers are added, so that the order of the additions does not matter.
     """
     count = np.float32(0.0)
@@ -72,47 +74,43 @@ def _tally(ranges, c, r0, r1, cos_el, sin_el, middle, half, height, half_h, erro
     for row in range(np.uint64(r0), np.uint64(r1), np.uint64(BLOCK)):
         for i in range(BLOCK):
             r = row + np.uint64(i)
-            d = ranges[column, r]
+            d = np.float32(steps[column, r])
             outside = max(abs(d * cos_el[r] - middle) - half, abs(d * sin_el[r] - height) - half_h)
             count += both if outside < -error else (one if outside < error else none)
     return int(count)
 
 
 @kernel
-def _nearest_and_farthest(ranges, c, r0, r1):
-    """The nearest and farthest return of a column in rows r0 to r1: inf and 0 if there are none.
-
-    As integers, which have the order of the floats that they are: their extrema are found many at a time.
-    """
-    nearest, farthest = _INF, np.int32(0)
+def _nearest_and_farthest(steps, c, r0, r1):
+    """The nearest and farthest return of a column in rows r0 to r1: `NO_RETURN` and 0 if there are none."""
+    nearest, farthest = _NO_RETURN, _ZERO
     column = np.uint64(c)
     for r in range(np.uint64(r0), np.uint64(r1)):
-        d = ranges[column, r]
-        nearest, farthest = min(nearest, d), max(farthest, d if d < _INF else np.int32(0))
+        d = steps[column, r]
+        nearest, farthest = min(nearest, d), max(farthest, d if d < _NO_RETURN else _ZERO)
     return nearest, farthest
 
 
 @compiled
-def _bounds(ranges, flat, nearest, farthest):
-    """Horizontal lengths between which the returns of a sweep lie, by stretch and column; the largest of all.
+def _bounds(steps, flat, nearest, farthest):
+    """Horizontal lengths between which the returns of a sweep lie, by stretch and column; the most steps of all.
 
-    `flat` are the least and largest cosine of each stretch's elevations.
+    `flat` are the least and largest horizontal length of a step in each stretch.
     """
-    n, m = ranges.shape
-    as_integers, low, high = ranges.view(np.int32), nearest.view(np.int32), farthest.view(np.int32)
+    n, m = steps.shape
     for c in range(n):
         for b in range(m // STRETCH):
-            low[b, c], high[b, c] = _nearest_and_farthest(as_integers, c, STRETCH * b, STRETCH * b + STRETCH)
+            nearest[b, c], farthest[b, c] = _nearest_and_farthest(steps, c, STRETCH * b, STRETCH * b + STRETCH)
         if m % STRETCH > 0:
-            low[-1, c], high[-1, c] = _nearest_and_farthest(as_integers, c, m // STRETCH * STRETCH, m)
-    most = np.int32(0)
+            nearest[-1, c], farthest[-1, c] = _nearest_and_farthest(steps, c, m // STRETCH * STRETCH, m)
+    most = np.float32(0.0)
     for b in range(len(flat)):
         for c in range(n):
-            most = max(most, high[b, c])
+            most = max(most, farthest[b, c])
         for c in range(n):
             nearest[b, c] *= flat[b, 0]
             farthest[b, c] *= flat[b, 1]
-    return np.int32(most).view(np.float32)
+    return most
 
 
 @kernel
@@ -139,7 +137,9 @@ def _stretches_between(nearest, farthest, a0, a1, b0, b1, enter, leave, error, f
 
 
 @kernel
-def _count(ranges, beams, cos_el, sin_el, a0, a1, r0, r1, x, y, z, cos, sin, half_l, half_w, half_h, bounds, scratch):
+def _count(
+    steps, step_m, beams, cos_el, sin_el, a0, a1, r0, r1, x, y, z, cos, sin, half_l, half_w, half_h, bounds, scratch
+):
     """Returns in columns a0 to a1 and rows r0 to r1 that lie inside a box."""
     m = len(cos_el)
     nearest, farthest = bounds
@@ -151,6 +151,7 @@ def _count(ranges, beams, cos_el, sin_el, a0, a1, r0, r1, x, y, z, cos, sin, hal
     least, most = np.float32(distance - radius - 3.0 * error), np.float32(distance + radius + 3.0 * error)
     if not _any_between(nearest, farthest, a0, a1, b0, b1, least, most):
         return 0
+    exactly = np.hypot(distance + radius, abs(z) + half_h) + error >= NO_RETURN * step_m
     p, q = -(cos * x + sin * y), -(cos * y - sin * x)
     _crossings(beams.cos_az[a0:a1], beams.sin_az[a0:a1], p, q, cos, sin, half_l, half_w, near, far)
     _stretches_between(nearest, farthest, a0, a1, b0, b1, near, far, np.float32(3.0 * error), first, until)
@@ -165,9 +166,9 @@ def _count(ranges, beams, cos_el, sin_el, a0, a1, r0, r1, x, y, z, cos, sin, hal
             if first[c - a0] >= until[c - a0]:
                 continue
             some, last = max(low, STRETCH * first[c - a0]), STRETCH * until[c - a0]
-            whole = min(high, last)
+            whole = some if exactly else min(high, last)
             counted = _tally(
-                ranges, c, some, whole, cos_el, sin_el, np.float32(0.5 * (enter + leave)),
+                steps, c, some, whole, cos_el, sin_el, np.float32(0.5 * (enter + leave)),
                 np.float32(0.5 * (leave - enter)), np.float32(z), np.float32(half_h), np.float32(error),
             )  # fmt: skip
             if counted // _WIDE == counted % _WIDE:
@@ -176,18 +177,23 @@ def _count(ranges, beams, cos_el, sin_el, a0, a1, r0, r1, x, y, z, cos, sin, hal
             tested, end = max(r0, some), min(r1, last)
         ca, sa = beams.cos_az[c], beams.sin_az[c]
         for r in range(tested, end):
-            d = np.float64(ranges[c, r])
-            away = d * beams.cos_el[r]
-            total += in_box(away * ca, away * sa, d * beams.sin_el[r], x, y, z, cos, sin, half_l, half_w, half_h)
+            d = steps[c, r] * step_m
+            away, up = d * beams.cos_el[r], d * beams.sin_el[r]
+            inside = in_box(away * ca, away * sa, up, x, y, z, cos, sin, half_l, half_w, half_h)
+            total += inside & (steps[c, r] != _NO_RETURN)
     return total
 
 
 @parallel
-def points_in_boxes(range_m, beams, pairs, run):
-    """Returns of the pair's sweep strictly inside its box, of every pair; `run` as `Pairs.runs`."""
+def points_in_boxes(range_steps, step_m, beams, pairs, run):
+    """Returns of the pair's sweep strictly inside its box, of every pair; `run` as `Pairs.runs`.
+
+    `range_steps` and `step_m` as `sensors.lidar.RangeImages`; a step is a power of two, so that single precision holds
+    every range, and lengths per step are exactly as precise as lengths per metre.
+    """
     out = np.zeros(len(pairs.o), np.int32)
-    n, m = range_m.shape[1], len(beams.tan_el)
-    cos_el, sin_el = beams.cos_el.astype(np.float32), beams.sin_el.astype(np.float32)
+    n, m = range_steps.shape[1], len(beams.tan_el)
+    cos_el, sin_el = (step_m * beams.cos_el).astype(np.float32), (step_m * beams.sin_el).astype(np.float32)
     edge_cos, edge_sin = np.cos(0.5 * beams.fov_rad), np.sin(0.5 * beams.fov_rad)
     flat = np.empty(((m + STRETCH - 1) // STRETCH, 2), np.float32)
     flat[:, 0], flat[:, 1] = np.inf, -np.inf
@@ -195,11 +201,11 @@ def points_in_boxes(range_m, beams, pairs, run):
         b = r // STRETCH
         flat[b, 0], flat[b, 1] = min(flat[b, 0], cos_el[r]), max(flat[b, 1], cos_el[r])
     for i in prange(len(run) - 1):
-        ranges, columns, slopes = range_m[pairs.o[run[i]]], columns_of(beams), slopes_of(beams)
+        steps, columns, slopes = range_steps[pairs.o[run[i]]], columns_of(beams), slopes_of(beams)
         lengths = np.empty((2, len(flat), n), np.float32)
         bounds = lengths[0], lengths[1]
         if run[i + 1] - run[i] > _FEW:
-            farthest = _bounds(ranges, flat, bounds[0], bounds[1]) + _REACH_M
+            farthest = _bounds(steps, flat, bounds[0], bounds[1]) * step_m + _REACH_M
         else:
             bounds[0][:], bounds[1][:], farthest = 0.0, np.inf, np.inf
         scratch = np.empty(n, np.float32), np.empty(n, np.float32), np.empty(n, np.int32), np.empty(n, np.int32)
@@ -221,7 +227,7 @@ def points_in_boxes(range_m, beams, pairs, run):
                 c0, c1 = (a0, a1) if turn == 0 else (b0, b1)
                 if c1 > c0:
                     out[k] += _count(
-                        ranges, beams, cos_el, sin_el, c0, c1, r0, r1, x, y, z, cos, sin, half_l, half_w, half_h,
+                        steps, step_m, beams, cos_el, sin_el, c0, c1, r0, r1, x, y, z, cos, sin, half_l, half_w, half_h,
                         bounds, scratch,
                     )  # fmt: skip
     return out

@@ -17,7 +17,7 @@ Cloud = tuple[Float[ndarray, "k 3"], Int32[ndarray, "k"]]
 
 def cloud_of(sweeps: Sweeps, o: int) -> Cloud:
     """The returns of one observer, column by column, each from the lowest beam up."""
-    return sweeps.xyz(o), sweeps.hit[o][np.isfinite(sweeps.range_m[o])]
+    return sweeps.xyz(o), sweeps.hit[o][sweeps.has_return(o)]
 
 
 def npy(cloud: Cloud) -> bytes:

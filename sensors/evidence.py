@@ -94,7 +94,7 @@ def points_in_boxes(
     the box can fill is searched.
     """
     pairs = sweeps.poses.pairs(o, boxes, b)
-    return box_points.points_in_boxes(sweeps.range_m, sweeps.beams, pairs, pairs.runs())
+    return box_points.points_in_boxes(sweeps.range_steps, sweeps.step_m, sweeps.beams, pairs, pairs.runs())
 
 
 def plausible(
@@ -117,7 +117,7 @@ def plausible(
     """
     pairs = sweeps.poses.pairs(o, boxes, b)
     applies, seen, closer = evidence_kernels.free_space(
-        sweeps.range_m, sweeps.beams, pairs, pairs.runs(), area.range_m, area.height_m,
+        sweeps.range_steps, sweeps.step_m, sweeps.beams, pairs, pairs.runs(), area.range_m, area.height_m,
         edge_slope(sweeps.beams.fov_rad), params.margin_m,
     )  # fmt: skip
     return ~applies | (closer > params.min_share * seen)

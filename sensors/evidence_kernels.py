@@ -11,6 +11,7 @@ from numba import prange
 
 from sensors.kernel import compiled, inlined, kernel, parallel
 from sensors.pairs import in_sensor_frame
+from sensors.range_steps import NO_RETURN
 from sensors.raycast.column import MARGIN_RAD, below, columns_of, slopes_of, spans
 
 _AT_ONCE = 8
@@ -136,13 +137,13 @@ def in_frustum(x, y, z, plane):
 
 
 @parallel
-def free_space(range_m, beams, pairs, run, reach_m, height_m, slope, margin_m):
+def free_space(range_steps, step_m, beams, pairs, run, reach_m, height_m, slope, margin_m):
     """Whether the free-space test applies to each pair, and where it does, the returns of its sweep in the pyramid
     through its box, and how many of them are nearer than the box. `run` as `Pairs.runs`."""
     applies = np.zeros(len(pairs.o), np.bool_)
     seen, closer = np.zeros(len(pairs.o), np.int32), np.zeros(len(pairs.o), np.int32)
     for i in prange(len(run) - 1):
-        sweep, corner, plane = range_m[pairs.o[run[i]]], np.empty((4, 3)), np.empty((4, 3))
+        sweep, corner, plane = range_steps[pairs.o[run[i]]], np.empty((4, 3)), np.empty((4, 3))
         columns, slopes = columns_of(beams), slopes_of(beams)
         for k in range(run[i], run[i + 1]):
             x, y, z, length, width, height, _ = in_sensor_frame(pairs, k)
@@ -150,13 +151,13 @@ def free_space(range_m, beams, pairs, run, reach_m, height_m, slope, margin_m):
             if applies[k]:
                 away, middle, half, low, high = frustum(x, y, z, length, width, height, corner, plane)
                 seen[k], closer[k] = _returns_in(
-                    sweep, beams, columns, slopes, plane, away + margin_m, middle, half, low, high
+                    sweep, step_m, beams, columns, slopes, plane, away + margin_m, middle, half, low, high
                 )
     return applies, seen, closer
 
 
 @kernel
-def _returns_in(sweep, beams, columns, slopes, plane, limit, middle, half, low, high):
+def _returns_in(sweep, step_m, beams, columns, slopes, plane, limit, middle, half, low, high):
     """Returns in a pyramid, and how many of them are nearer than a limit."""
     a0, a1, b0, b1 = spans(middle, half, columns)
     r0 = max(0, below(slopes, low) - 1)
@@ -168,12 +169,12 @@ def _returns_in(sweep, beams, columns, slopes, plane, limit, middle, half, low, 
     n_seen = n_closer = 0
     for turn in range(2):
         for c in range(a0 if turn == 0 else b0, a1 if turn == 0 else b1):
-            ranges, ca, sa = sweep[c, r0:r1], beams.cos_az[c], beams.sin_az[c]
-            for r in range(len(ranges)):
-                d = np.float64(ranges[r])
+            steps, ca, sa = sweep[c, r0:r1], beams.cos_az[c], beams.sin_az[c]
+            for r in range(len(steps)):
+                d = steps[r] * step_m
                 flat = d * cos_el[r]
                 x, y, z = flat * ca, flat * sa, d * sin_el[r]
-                inside = in_frustum(x, y, z, plane) & (d < np.inf)
+                inside = in_frustum(x, y, z, plane) & (steps[r] != NO_RETURN)
                 n_seen += inside
                 n_closer += inside & (np.sqrt(x * x + y * y + z * z) < limit)
     return n_seen, n_closer

@@ -75,7 +75,7 @@ def false_positives(sweeps: Sweeps, seen: Observability, draws: DetectorDraws, m
     label = np.searchsorted(share, u[:, 0], side="right").astype(np.uint8)
     lwh = model.mean_lwh_m[label] * np.exp(0.1 * _normal(u[:, 1]))[:, None]
 
-    point = sweeps.points(o, column, row)
+    point = sweeps.ends(o, column, row)
     heading, origin = sweeps.poses.yaw_rad[o], sweeps.poses.origin_m[o]
     yaw = 2.0 * np.pi * u[:, 2] - heading
     at_wall = sweeps.hit[o, column, row] == Hit.BUILDING
@@ -111,7 +111,7 @@ def _tangent(sweeps: Sweeps, o: ndarray, column: ndarray, row: ndarray) -> Float
         return np.full(len(o), np.nan)
     middle = np.clip(column, 2, n - 3)
     with np.errstate(divide="ignore", invalid="ignore"):  # no return, no neighbour
-        a, b = (sweeps.points(o, middle + step, row) for step in (-2, 2))
+        a, b = (sweeps.ends(o, middle + step, row) for step in (-2, 2))
         before, here, after = (1.0 / sweeps.range_m[o, middle + step, row].astype(float) for step in (-2, 0, 2))
         flat = np.abs(before + after - 2.0 * here * np.cos(2.0 * grid.fov_rad / n)) < FLAT * here
         return np.where(flat, np.arctan2(b[:, 1] - a[:, 1], b[:, 0] - a[:, 0]), np.nan)

@@ -8,7 +8,7 @@ from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 from annotated_types import Ge, Gt, Le, Lt
-from jaxtyping import Float, Float32, Int, UInt8, UInt64
+from jaxtyping import Bool, Float, Float32, Int, UInt8, UInt16, UInt64
 from numpy import ndarray
 
 from sensors.boxes import Boxes
@@ -16,6 +16,7 @@ from sensors.kernel import compiled
 from sensors.neighbours import Neighbours, neighbours
 from sensors.pairs import Pairs, pairs_of, turned
 from sensors.range_noise import RangeNoise
+from sensors.range_steps import NO_RETURN, step_m
 from sensors.raycast import columnar, embree, open3d
 from sensors.raycast.column import cells_of_slopes
 from sensors.scene import Hit, Prisms, Scene, prisms
@@ -174,6 +175,11 @@ def n_rays(params: LidarParams) -> tuple[int, int]:
     return len(grid.azimuth_rad), len(grid.elevation_rad)
 
 
+def step_of(params: LidarParams) -> float:
+    """In steps of how many metres a LiDAR reports ranges."""
+    return step_m(params.max_range_m, params.range_sigma_m)
+
+
 def mount(boxes: Boxes, observers: Int[ndarray, "m"], params: LidarParams) -> Poses:
     """The sensors of these actors: over the centre of the roof, looking ahead."""
     origin = boxes.xyz_m[observers].copy()
@@ -198,35 +204,64 @@ class Scanners:
 class RangeImages(Scanners):
     """One organised cloud (range image) per observer."""
 
-    range_m: Float32[ndarray, "m a e"]
-    """Range; inf where nothing returned [m]."""
+    range_steps: UInt16[ndarray, "m a e"]
+    """Range as the sensor reports it, in steps of `step_m`; `NO_RETURN` where nothing returned."""
+    step_m: float
+
+    def has_return(self, o: int) -> Bool[ndarray, "a e"]:
+        """Which rays of observer o returned."""
+        return self.range_steps[o] != NO_RETURN
 
     def xyz(self, o: int) -> Float[ndarray, "k 3"]:
         """The returns of observer o in its sensor frame [m], column by column, each from the lowest beam up."""
-        column, row = np.nonzero(np.isfinite(self.range_m[o]))
+        column, row = np.nonzero(self.has_return(o))
         return self.points(np.full(len(column), o), column, row)
 
     def cloud(self, o: int) -> Float32[ndarray, "k 3"]:
         """The same, rounded to single precision: what files of point clouds hold."""
         grid = self.beams
-        return _cloud(self.range_m[o], grid.cos_az, grid.sin_az, grid.cos_el, grid.sin_el)
+        return _cloud(self.range_steps[o], self.step_m, grid.cos_az, grid.sin_az, grid.cos_el, grid.sin_el)
 
     def points(self, o: Int[ndarray, "k"], column: Int[ndarray, "k"], row: Int[ndarray, "k"]) -> Float[ndarray, "k 3"]:
         """The ends of single rays that returned, in the frame of their sensor [m]."""
-        r = self.range_m[o, column, row].astype(np.float64)
-        grid = self.beams
-        flat = r * grid.cos_el[row]
-        return np.column_stack([flat * grid.cos_az[column], flat * grid.sin_az[column], r * grid.sin_el[row]])
+        return _ends(self.beams, column, row, self.range_steps[o, column, row] * self.step_m)
 
 
 @dataclass(frozen=True, slots=True)
 class Sweeps(RangeImages):
     """Range images, and what each ray met."""
 
+    range_m: Float32[ndarray, "m a e"]
+    """Range before it is rounded to steps; inf where nothing returned [m]."""
     hit: Int[ndarray, "m a e"]
     """What returned, as a `Hit` code. Truth: only truth columns may read it."""
     thinned: Thinned
     """Some of these rays once more."""
+
+    def ends(self, o: Int[ndarray, "k"], column: Int[ndarray, "k"], row: Int[ndarray, "k"]) -> Float[ndarray, "k 3"]:
+        """As `points`, before ranges are rounded to steps."""
+        return _ends(self.beams, column, row, self.range_m[o, column, row].astype(np.float64))
+
+
+def _ends(
+    grid: Beams, column: Int[ndarray, "k"], row: Int[ndarray, "k"], r: Float[ndarray, "k"]
+) -> Float[ndarray, "k 3"]:
+    """Points on rays, at a range."""
+    flat = r * grid.cos_el[row]
+    return np.column_stack([flat * grid.cos_az[column], flat * grid.sin_az[column], r * grid.sin_el[row]])
+
+
+class SweepMemory(NamedTuple):
+    """Arrays that a sweep may be written into; those that are large enough are used."""
+
+    range_steps: ndarray | None = None
+    range_m: ndarray | None = None
+    hit: ndarray | None = None
+    thinned: Thinned | None = None
+
+
+NO_MEMORY = SweepMemory()
+"""Arrays are made anew."""
 
 
 ENGINES: dict[str, Callable[..., None]] = {"columnar": columnar.cast, "embree": embree.cast, "open3d": open3d.cast}
@@ -239,7 +274,7 @@ def scan(
     scene: Scene,
     params: LidarParams,
     keys: UInt64[ndarray, "m"],
-    out: Sweeps | tuple[ndarray, ndarray, Thinned | None] | None = None,
+    out: Sweeps | SweepMemory = NO_MEMORY,
     near: Neighbours | None = None,
     bodies: Prisms | None = None,
 ) -> Sweeps:
@@ -254,15 +289,16 @@ def scan(
     keys
         One number per observer that its range noise and dropouts are a function of.
     out
-        Arrays `range_m`, `hit` and `thinned` to fill; or an earlier result, whose arrays are overwritten where they are
-        large enough: saves allocation and page faults.
+        Arrays to fill, or an earlier result, whose arrays are overwritten where they are large enough: saves
+        allocation and page faults.
     near, bodies
         `neighbours` of the sensors, and `prisms` of all actors, where they are known already.
 
     Notes
     -----
     Level sensors, no motion during the sweep, one return per ray, flat ground at the height of the observer's
-    wheels. Range noise is normal (4,096 equiprobable levels), along the ray.
+    wheels. Range noise is normal (4,096 equiprobable levels), along the ray; reported ranges are rounded to steps, as
+    `sensors.range_steps`.
     """
     observers = np.asarray(observers, dtype=np.int64)
     if len(keys) != len(observers):
@@ -272,17 +308,17 @@ def scan(
     on = scanners(boxes, observers, params)
     grid = on.beams
     size = (len(observers), len(grid.azimuth_rad), len(grid.elevation_rad))
-    old = (out.range_m, out.hit, out.thinned) if isinstance(out, Sweeps) else out or (None, None, None)
-    range_m, hit = buffer(size, np.float32, old[0]), buffer(size, hit_type(len(boxes)), old[1])
-    kept = (None, None) if old[2] is None else old[2]
+    range_steps, range_m = buffer(size, np.uint16, out.range_steps), buffer(size, np.float32, out.range_m)
+    hit, step = buffer(size, hit_type(len(boxes)), out.hit), step_of(params)
+    kept = (None, None) if out.thinned is None else out.thinned
     thinned = Thinned(*(buffer(thinned_size(size), a.dtype.type, b) for a, b in zip((range_m, hit), kept, strict=True)))
     near = neighbours(on.poses.origin_m, boxes, params.max_range_m) if near is None else near
     ENGINES[params.engine](
         range_m, hit, on.poses, on.ground_m, observers, grid, params.max_range_m, boxes,
         prisms(shape, boxes) if bodies is None else bodies, scene,
-        RangeNoise.of(keys, params.range_sigma_m, params.dropout_p), near, thinned,
+        RangeNoise.of(keys, params.range_sigma_m, params.dropout_p), near, thinned, range_steps, np.float32(1.0 / step),
     )  # fmt: skip
-    return Sweeps(on.poses, observers, on.ground_m, grid, params.max_range_m, range_m, hit, thinned)
+    return Sweeps(on.poses, observers, on.ground_m, grid, params.max_range_m, range_steps, step, range_m, hit, thinned)
 
 
 def hit_type(n_actors: int) -> type:
@@ -296,9 +332,9 @@ def scanners(boxes: Boxes, observers: Int[ndarray, "m"], params: LidarParams) ->
     return Scanners(mount(boxes, observers, params), observers, ground_m, beams(params), params.max_range_m)
 
 
-def with_ranges(on: Scanners, range_m: Float32[ndarray, "m a e"]) -> RangeImages:
+def with_ranges(on: Scanners, range_steps: UInt16[ndarray, "m a e"], step: float) -> RangeImages:
     """The range images of these sensors."""
-    return RangeImages(on.poses, on.observers, on.ground_m, on.beams, on.max_range_m, range_m)
+    return RangeImages(on.poses, on.observers, on.ground_m, on.beams, on.max_range_m, range_steps, step)
 
 
 def buffer(size: tuple[int, int, int], kind: type, old: ndarray | None) -> ndarray:
@@ -312,14 +348,14 @@ def buffer(size: tuple[int, int, int], kind: type, old: ndarray | None) -> ndarr
 
 
 @compiled
-def _cloud(range_m, cos_az, sin_az, cos_el, sin_el):
+def _cloud(steps, step, cos_az, sin_az, cos_el, sin_el):
     """Ends of the rays that returned, in single precision."""
-    xyz = np.empty((np.isfinite(range_m).sum(), 3), np.float32)
+    xyz = np.empty(((steps != NO_RETURN).sum(), 3), np.float32)
     k = 0
-    for c in range(range_m.shape[0]):
-        for r in range(range_m.shape[1]):
-            far = np.float64(range_m[c, r])
-            if np.isfinite(far):
+    for c in range(steps.shape[0]):
+        for r in range(steps.shape[1]):
+            far = steps[c, r] * step
+            if steps[c, r] != NO_RETURN:
                 flat = far * cos_el[r]
                 xyz[k, 0], xyz[k, 1], xyz[k, 2] = flat * cos_az[c], flat * sin_az[c], far * sin_el[r]
                 k += 1

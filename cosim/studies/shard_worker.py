@@ -38,7 +38,7 @@ class SensedShard:
 
     def __sizeof__(self) -> int:
         """Bytes, by which Dask knows what it would cost to move them."""
-        return sum(images.range_m.nbytes for images in self.images)
+        return sum(images.range_steps.nbytes for images in self.images)
 
 
 def sense(config: str, shard: Shard) -> SensedShard:
@@ -47,7 +47,7 @@ def sense(config: str, shard: Shard) -> SensedShard:
     perception, images, seen = perception_for(config), [], []
     for world, observers in zip(shard.worlds, shard.observers, strict=True):
         sweeps, found = perception.sense(world, observers, Stopwatch())
-        images.append(with_ranges(sweeps, sweeps.range_m))
+        images.append(with_ranges(sweeps, sweeps.range_steps, sweeps.step_m))
         seen.append(found)
     return SensedShard(tuple(images), tuple(seen))
 

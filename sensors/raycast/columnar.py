@@ -17,6 +17,7 @@ from sensors.boxes import Boxes
 from sensors.kernel import compiled, inlined, kernel, parallel
 from sensors.neighbours import Neighbours
 from sensors.range_noise import RangeNoise, add_noise
+from sensors.range_steps import count_steps
 from sensors.raycast.city import close_columns, gather, toggle_levels
 from sensors.raycast.column import (
     actor_columns,
@@ -34,9 +35,9 @@ from sensors.thinned import Thinned, thin
 
 def cast(
     range_m, hit, poses, ground_m, observers, beams, max_range_m, boxes: Boxes, bodies: Prisms, scene: Scene,
-    noise: RangeNoise, near: Neighbours, thinned: Thinned,
+    noise: RangeNoise, near: Neighbours, thinned: Thinned, range_steps, per_metre,
 ):  # fmt: skip
-    """Fill `range_m`, `hit` and `thinned` of every observer; see `sensors.lidar.scan`."""
+    """Fill `range_m`, `hit`, `thinned` and `range_steps` of every observer; see `sensors.lidar.scan`."""
     if scene.triangles_m is not None or scene.bodies_m:
         meshes = [*scene.bodies_m.values(), *([] if scene.triangles_m is None else [scene.triangles_m])]
         raise ValueError(
@@ -46,11 +47,15 @@ def cast(
     _cast(
         range_m, hit, poses.origin_m, poses.yaw_rad, ground_m, observers, beams, float(max_range_m),
         boxes.xyz_m, boxes.circumradius_m, near.ptr, near.row, bodies, scene.buildings, noise, thinned,
+        range_steps, per_metre,
     )  # fmt: skip
 
 
 @parallel
-def _cast(range_m, hit, origin, yaw, ground, own, beams, limit, xyz, radius, ptr, row, bodies, city, noise, thinned):
+def _cast(
+    range_m, hit, origin, yaw, ground, own, beams, limit, xyz, radius, ptr, row, bodies, city, noise, thinned,
+    range_steps, per_metre,
+):  # fmt: skip
     """Sweep by sweep, so that each is finished while it is in the cache of its core."""
     for o in prange(len(origin)):
         x, y, z, cos, sin = origin[o, 0], origin[o, 1], origin[o, 2], np.cos(yaw[o]), np.sin(yaw[o])
@@ -66,6 +71,7 @@ def _cast(range_m, hit, origin, yaw, ground, own, beams, limit, xyz, radius, ptr
                 )  # fmt: skip
         add_noise(ranges, hits, noise.key[o], noise)
         thin(ranges, hits, thinned.range_m[o], thinned.hit[o])
+        count_steps(ranges, range_steps[o], per_metre)
 
 
 @inlined

@@ -14,6 +14,7 @@ from numpy import ndarray
 from sensors.boxes import Boxes
 from sensors.neighbours import Neighbours
 from sensors.range_noise import RangeNoise, add_noise_to_all
+from sensors.range_steps import count_all_steps
 from sensors.scene import Hit, Prisms, Scene, roof_triangles
 from sensors.thinned import Thinned, thin_all
 
@@ -27,9 +28,12 @@ Tracer = Callable[[Float[ndarray, "r 3"], Float[ndarray, "r 3"]], tuple[Float[nd
 def cast(
     tracer_of: Callable[[ndarray], Tracer],
     range_m, hit, poses, ground_m, observers, beams, max_range_m, boxes: Boxes, bodies: Prisms, scene: Scene,
-    noise: RangeNoise, _near: Neighbours, thinned: Thinned,
+    noise: RangeNoise, _near: Neighbours, thinned: Thinned, range_steps, per_metre,
 ):  # fmt: skip
-    """Fill `range_m`, `hit` and `thinned` of every observer; `tracer_of` makes an engine from triangles (t, 3, 3)."""
+    """Fill `range_m`, `hit`, `thinned` and `range_steps` of every observer.
+
+    `tracer_of` makes an engine from triangles (t, 3, 3).
+    """
     city, (body, actor) = city_triangles(scene), _bodies(bodies, boxes, scene)
     mesh = np.concatenate([city, body])
     code = np.concatenate([np.full(len(city), Hit.BUILDING), Hit.ACTOR + actor]).astype(np.int32)
@@ -49,6 +53,7 @@ def cast(
             )  # fmt: skip
     add_noise_to_all(range_m, hit, noise)
     thin_all(range_m, hit, thinned)
+    count_all_steps(range_m, range_steps, per_metre)
 
 
 def _sweep(range_m, hit, origin, yaw, ground, own, beams, max_range_m, trace: Tracer | None, code) -> None:

@@ -16,6 +16,7 @@ from sensors.evidence import (
     points_in_boxes,
 )
 from sensors.lidar import Beams, LidarParams, Poses, RangeImages, beams, scan
+from sensors.range_steps import FINEST_M, NO_RETURN
 from sensors.scene import Hit, Scene
 from tests.sensors import whole_cloud
 from tests.sensors.town import (
@@ -36,9 +37,9 @@ from tests.sensors.town import (
 def blind(n=1, fov_deg=90.0) -> RangeImages:
     """Sensors at the origin that returned nothing."""
     grid = beams(LidarParams(fov_deg=fov_deg))
-    empty = np.full((n, len(grid.azimuth_rad), len(grid.elevation_rad)), np.inf, np.float32)
+    empty = np.full((n, len(grid.azimuth_rad), len(grid.elevation_rad)), NO_RETURN, np.uint16)
     poses = Poses(np.zeros((n, 3)), np.zeros(n))
-    return RangeImages(poses, np.arange(n), np.zeros(n), grid, 80.0, empty)
+    return RangeImages(poses, np.arange(n), np.zeros(n), grid, 80.0, empty, FINEST_M)
 
 
 def applies_to(sensed: Boxes, fov_rad: float):
@@ -147,8 +148,9 @@ def test_windows_equal_whole_clouds(seed, params):
         free = applies_to(sensed, fov_rad)
         planes, distance = whole_cloud.frusta(sensed.xyz_m[free], sensed.lwh_m[free])
         applies, seen, closer = evidence_kernels.free_space(
-            sweeps.range_m, sweeps.beams, pairs, pairs.runs(), area.range_m, area.height_m, edge_slope(fov_rad), 0.25
-        )
+            sweeps.range_steps, sweeps.step_m, sweeps.beams, pairs, pairs.runs(), area.range_m, area.height_m,
+            edge_slope(fov_rad), 0.25,
+        )  # fmt: skip
         assert (applies == free).all()
         whole_seen, whole_closer = whole_cloud.free_space_xyz(sweeps.xyz(o), planes, distance, 0.25)
         assert (seen[free] == whole_seen).all() and (closer[free] == whole_closer).all()

@@ -54,7 +54,7 @@ def probabilities(sweeps, o, per_sweep, road_p) -> np.ndarray:
         for r in range(0, sweeps.hit.shape[2], ROW_STEP):
             code = sweeps.hit[o, c, r]
             if code in (Hit.GROUND, Hit.BUILDING):
-                point = sweeps.points(np.array([o]), np.array([c]), np.array([r]))
+                point = sweeps.ends(np.array([o]), np.array([c]), np.array([r]))
                 x, y, _ = sweeps.poses.to_world(o, point)[0]
                 (roads if code == Hit.GROUND else walls)[int(np.floor(x / CELL_M)), int(np.floor(y / CELL_M))] += 1
     n_walls, n_all = walls.total(), walls.total() + roads.total()

@@ -41,7 +41,7 @@ def compare(reference, boxes, shape, observers, scene, **params) -> float:
         seen = finite(reference)[o]
         grazing = (seen >= nearby.min(axis=0) - 1e-3) & (seen <= nearby.max(axis=0) + 1e-3)
         column, row = np.nonzero(wrong[o] & ~grazing)
-        end = ours.poses.to_world(o, ours.points(np.full(len(column), o), column, row))
+        end = ours.poses.to_world(o, ours.ends(np.full(len(column), o), column, row))
         assert (gap_to_body(end, boxes, shape, observers[o]) < 2 * STEP_M).all()
     return float(wrong.mean())
 

@@ -1,4 +1,4 @@
-"""Slow twins of the kernels in `sensors.range_image`: every point of an unorganised cloud is tested."""
+"""Slow twins of `sensors.box_points` and `sensors.evidence_kernels`: every point of an unorganised cloud is tested."""
 
 from __future__ import annotations
 

@@ -1,0 +1,49 @@
+"""Ranges as a LiDAR reports them: whole numbers of steps, in 16 bits."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float32, UInt16
+from numba import prange
+from numpy import ndarray
+
+from sensors.kernel import kernel, parallel
+
+NO_RETURN = 65_535
+"""Where nothing returned."""
+
+FINEST_M = 2.0**-9
+"""The step of 2 mm in which HDL-64E reports ranges (Velodyne HDL-64E S2 manual), rounded to a power of two: single
+precision holds every multiple of it."""
+
+_HALF = np.float32(0.5)
+_MOST = np.float32(NO_RETURN)
+
+
+def step_m(max_range_m: float, range_sigma_m: float) -> float:
+    """The finest step in which all ranges with noise can be told: 1.95 mm to 127 m, and twice that to twice as far."""
+    step = FINEST_M
+    while max_range_m + 4.0 * range_sigma_m > (NO_RETURN - 1) * step:
+        step *= 2.0
+    return step
+
+
+@kernel
+def count_steps(ranges, steps, per_metre):
+    """The ranges of one sweep in steps, to the nearest; `per_metre` of them make a metre."""
+    n, m = np.uint64(ranges.shape[0]), np.uint64(ranges.shape[1])
+    for c in range(n):
+        for r in range(m):
+            steps[c, r] = np.int32(min(ranges[c, r] * per_metre + _HALF, _MOST))
+
+
+@parallel
+def count_all_steps(range_m, range_steps, per_metre):
+    """Those of all sweeps."""
+    for o in prange(len(range_m)):
+        count_steps(range_m[o], range_steps[o], per_metre)
+
+
+def metres(range_steps: UInt16[ndarray, "*n"], step: float) -> Float32[ndarray, "*n"]:
+    """Ranges of so many steps [m]; inf where nothing returned."""
+    return np.where(range_steps == NO_RETURN, np.float32(np.inf), range_steps * np.float32(step))
