@@ -116,7 +116,7 @@ class Perception:
             some = observers[first : first + GROUP]
             memory = self._group._replace(range_steps=range_steps[first : first + GROUP])
             sweeps, here = self.sense(world, some, watch, memory, near.part(first, first + len(some)), bodies)
-            self._group = SweepMemory(None, sweeps.range_m, sweeps.hit, sweeps.thinned)
+            self._group = SweepMemory(None, sweeps.hit, sweeps.thinned)
             seen.append(here.behind(first))
         with watch("detect"):
             on = lidar.scanners(world.boxes, observers, self.lidar)

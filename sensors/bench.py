@@ -114,7 +114,7 @@ def _measure(scene, boxes, shape, observers, runs) -> list[tuple[str, float, str
     clean = LidarParams(range_sigma_m=0.0)
     walls = WallIndex.of(scene.buildings)
     sweeps = scan(boxes, shape, observers, scene, clean, keys)
-    rays = sweeps.range_m.size
+    rays = sweeps.hit.size
     columnar = _least_s(lambda: scan(boxes, shape, observers, scene, clean, keys, sweeps), runs)
     noisy = _least_s(lambda: scan(boxes, shape, observers, scene, LidarParams(), keys, sweeps), runs)
     references = {}

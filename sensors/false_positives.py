@@ -22,6 +22,7 @@ from sensors.evidence import Observability
 from sensors.hash_rng import mix, unit
 from sensors.kernel import compiled, kernel, parallel
 from sensors.lidar import Sweeps
+from sensors.range_steps import metres
 from sensors.raycast.column import actor_columns, columns_of
 from sensors.reports import DetectorDraws, Reports
 from sensors.scene import Hit
@@ -75,7 +76,7 @@ def false_positives(sweeps: Sweeps, seen: Observability, draws: DetectorDraws, m
     label = np.searchsorted(share, u[:, 0], side="right").astype(np.uint8)
     lwh = model.mean_lwh_m[label] * np.exp(0.1 * _normal(u[:, 1]))[:, None]
 
-    point = sweeps.ends(o, column, row)
+    point = sweeps.points(o, column, row)
     heading, origin = sweeps.poses.yaw_rad[o], sweeps.poses.origin_m[o]
     yaw = 2.0 * np.pi * u[:, 2] - heading
     at_wall = sweeps.hit[o, column, row] == Hit.BUILDING
@@ -111,8 +112,10 @@ def _tangent(sweeps: Sweeps, o: ndarray, column: ndarray, row: ndarray) -> Float
         return np.full(len(o), np.nan)
     middle = np.clip(column, 2, n - 3)
     with np.errstate(divide="ignore", invalid="ignore"):  # no return, no neighbour
-        a, b = (sweeps.ends(o, middle + step, row) for step in (-2, 2))
-        before, here, after = (1.0 / sweeps.range_m[o, middle + step, row].astype(float) for step in (-2, 0, 2))
+        a, b = (sweeps.points(o, middle + step, row) for step in (-2, 2))
+        before, here, after = (
+            1.0 / metres(sweeps.range_steps[o, middle + step, row], sweeps.step_m).astype(float) for step in (-2, 0, 2)
+        )
         flat = np.abs(before + after - 2.0 * here * np.cos(2.0 * grid.fov_rad / n)) < FLAT * here
         return np.where(flat, np.arctan2(b[:, 1] - a[:, 1], b[:, 0] - a[:, 0]), np.nan)
 
@@ -132,8 +135,9 @@ def _at_sites(
     capacity = INITIAL_CAPACITY
     while True:
         n, site, ray, uniform = _all_sweeps(
-            sweeps.range_m, sweeps.hit, sweeps.thinned, sweeps.poses.origin_m, sweeps.poses.yaw_rad, sweeps.beams,
-            float(sweeps.max_range_m), _Hidden(ptr, actor, n_returns), keys, rates, capacity,
+            (sweeps.range_steps, sweeps.step_m), sweeps.hit, sweeps.thinned, sweeps.poses.origin_m,
+            sweeps.poses.yaw_rad, sweeps.beams, float(sweeps.max_range_m), _Hidden(ptr, actor, n_returns), keys, rates,
+            capacity,
         )  # fmt: skip
         if n.max(initial=0) <= capacity:
             break
@@ -198,24 +202,25 @@ def _side(x, y):
 
 
 @kernel
-def _places(ranges, hits, cos_el, c, x, y, along_x, along_y, top, side, place):
+def _places(steps, hits, cos_el, c, x, y, along_x, along_y, top, side, place):
     """Cell and kind (wall, road) in which each ray of a thinned column ended, from 1; 0 for neither kind.
 
-    In single precision, counted in cells from the corner of all of them: right to a hundredth of a millimetre.
+    `cos_el` are lengths per step. In single precision, counted in cells from the corner of all of them: right to a
+    hundredth of a millimetre.
     """
     column, width, zero = np.uint64(c), np.int32(side), np.float32(0.0)
     for r in range(np.uint64(len(place))):
-        flat, code = ranges[column, r] * cos_el[r], hits[column, r]
+        flat, code = np.float32(steps[column, r]) * cos_el[r], hits[column, r]
         i, j = np.int32(min(max(x + flat * along_x, zero), top)), np.int32(min(max(y + flat * along_y, zero), top))
         at = np.int32(2) * (i * width + j) + np.int32(code == Hit.GROUND) * np.int32(_ROAD)
         place[r] = at + np.int32(1) if (code == Hit.GROUND) | (code == Hit.BUILDING) else np.int32(0)
 
 
 @compiled
-def _tally(ranges, hits, beams, x, y, cos, sin, x0, y0, side):
+def _tally(steps, step_m, hits, beams, x, y, cos, sin, x0, y0, side):
     """Cells and kinds (wall, road) of a thinned sweep, in the order met; returns of each place; and by kind."""
     n_columns, n_rows = hits.shape
-    cos_el = beams.cos_el[::ROW_STEP].astype(np.float32)
+    cos_el = (step_m * beams.cos_el[::ROW_STEP]).astype(np.float32)
     count = np.zeros(2 * side * side + 1, np.int32)  # by place, from 1
     met, k = np.empty(n_columns * n_rows + 1, np.int32), 0
     place = np.empty(n_rows, np.int32)
@@ -224,7 +229,7 @@ def _tally(ranges, hits, beams, x, y, cos, sin, x0, y0, side):
         c = column * COLUMN_STEP
         along_x = np.float32((cos * beams.cos_az[c] - sin * beams.sin_az[c]) / CELL_M)
         along_y = np.float32((sin * beams.cos_az[c] + cos * beams.sin_az[c]) / CELL_M)
-        _places(ranges, hits, cos_el, column, x, y, along_x, along_y, top, side, place)
+        _places(steps, hits, cos_el, column, x, y, along_x, along_y, top, side, place)
         for at in place:
             if count[np.uint32(at)] == 0:
                 met[np.uint64(k)] = at
@@ -240,13 +245,13 @@ def _tally(ranges, hits, beams, x, y, cos, sin, x0, y0, side):
 @kernel
 def _nearest(ranges, hits, beams, x, y, cos, sin, first, end, code, to_x, to_y):
     """The ray in columns `first` up to `end` that met `code` and ended nearest to a point; -1 if none did."""
-    best, least = -1, np.inf
+    best, least, (steps, step_m) = -1, np.inf, ranges
     for c in range(first, end):
         along_x = cos * beams.cos_az[c] - sin * beams.sin_az[c]
         along_y = sin * beams.cos_az[c] + cos * beams.sin_az[c]
         for r in range(hits.shape[1]):
             if hits[c, r] == code:
-                flat = ranges[c, r] * beams.cos_el[r]
+                flat = steps[c, r] * step_m * beams.cos_el[r]
                 gap_x, gap_y = x + flat * along_x - to_x, y + flat * along_y - to_y
                 gap = gap_x * gap_x + gap_y * gap_y
                 if gap < least:
@@ -303,7 +308,7 @@ def _one_sweep(
     side, sampled = 2 * half + 1, 1.0 / (COLUMN_STEP * ROW_STEP)
     cos, sin = np.cos(yaw), np.sin(yaw)
     x0, y0 = np.int64(np.floor(x / CELL_M)) - half, np.int64(np.floor(y / CELL_M)) - half
-    met, count, n = _tally(thinned[0], thinned[1], beams, x, y, cos, sin, x0, y0, side)
+    met, count, n = _tally(thinned[0], ranges[1], thinned[1], beams, x, y, cos, sin, x0, y0, side)
     bodies = float(n[_WALL])
     for s in range(len(actor)):
         bodies += sampled * n_returns[s]
@@ -344,16 +349,17 @@ def _one_sweep(
 
 
 @parallel
-def _all_sweeps(range_m, hit, thinned, origin_m, yaw_rad, beams, max_range_m, hidden, keys, rates, capacity):
+def _all_sweeps(ranges, hit, thinned, origin_m, yaw_rad, beams, max_range_m, hidden, keys, rates, capacity):
     """Per sweep: number of false positives; of the first `capacity`: key of the site, ray, U / p and a uniform."""
     n_sweeps, half = len(hit), min(np.int64(max_range_m / CELL_M) + 2, FARTHEST_CELLS)
     found = np.empty(n_sweeps, np.int64)
     site, ray = np.empty((n_sweeps, capacity), np.uint64), np.empty((n_sweeps, capacity), np.int64)
     uniform = np.empty((n_sweeps, capacity, 2))
+    steps, step_m = ranges
     for o in prange(n_sweeps):
         first, last = hidden.ptr[o], hidden.ptr[o + 1]
         found[o] = _one_sweep(
-            range_m[o], hit[o], (thinned.range_m[o], thinned.hit[o]), beams,
+            (steps[o], step_m), hit[o], (thinned.range_steps[o], thinned.hit[o]), beams,
             (origin_m[o, 0], origin_m[o, 1], yaw_rad[o]), half, hidden.actor[first:last], hidden.n_returns[first:last],
             keys.observer[o], keys.step[o], keys, rates, site[o], ray[o], uniform[o],
         )  # fmt: skip

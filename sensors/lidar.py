@@ -224,38 +224,28 @@ class RangeImages(Scanners):
 
     def points(self, o: Int[ndarray, "k"], column: Int[ndarray, "k"], row: Int[ndarray, "k"]) -> Float[ndarray, "k 3"]:
         """The ends of single rays that returned, in the frame of their sensor [m]."""
-        return _ends(self.beams, column, row, self.range_steps[o, column, row] * self.step_m)
+        r = self.range_steps[o, column, row] * self.step_m
+        grid = self.beams
+        flat = r * grid.cos_el[row]
+        return np.column_stack([flat * grid.cos_az[column], flat * grid.sin_az[column], r * grid.sin_el[row]])
 
 
 @dataclass(frozen=True, slots=True)
 class Sweeps(RangeImages):
     """Range images, and what each ray met."""
 
-    range_m: Float32[ndarray, "m a e"]
-    """Range before it is rounded to steps; inf where nothing returned [m]."""
     hit: Int[ndarray, "m a e"]
     """What returned, as a `Hit` code. Truth: only truth columns may read it."""
     thinned: Thinned
     """Some of these rays once more."""
-
-    def ends(self, o: Int[ndarray, "k"], column: Int[ndarray, "k"], row: Int[ndarray, "k"]) -> Float[ndarray, "k 3"]:
-        """As `points`, before ranges are rounded to steps."""
-        return _ends(self.beams, column, row, self.range_m[o, column, row].astype(np.float64))
-
-
-def _ends(
-    grid: Beams, column: Int[ndarray, "k"], row: Int[ndarray, "k"], r: Float[ndarray, "k"]
-) -> Float[ndarray, "k 3"]:
-    """Points on rays, at a range."""
-    flat = r * grid.cos_el[row]
-    return np.column_stack([flat * grid.cos_az[column], flat * grid.sin_az[column], r * grid.sin_el[row]])
+    range_m: Float32[ndarray, "m a e"]
+    """Range before it is rounded to steps, inf where nothing returned [m]; of no observer where not asked for."""
 
 
 class SweepMemory(NamedTuple):
     """Arrays that a sweep may be written into; those that are large enough are used."""
 
     range_steps: ndarray | None = None
-    range_m: ndarray | None = None
     hit: ndarray | None = None
     thinned: Thinned | None = None
 
@@ -277,6 +267,7 @@ def scan(
     out: Sweeps | SweepMemory = NO_MEMORY,
     near: Neighbours | None = None,
     bodies: Prisms | None = None,
+    unrounded: bool = False,
 ) -> Sweeps:
     """One sweep of every observer, all at one instant.
 
@@ -293,6 +284,8 @@ def scan(
         allocation and page faults.
     near, bodies
         `neighbours` of the sensors, and `prisms` of all actors, where they are known already.
+    unrounded
+        Keep the ranges before rounding, too: to compare casters.
 
     Notes
     -----
@@ -308,17 +301,19 @@ def scan(
     on = scanners(boxes, observers, params)
     grid = on.beams
     size = (len(observers), len(grid.azimuth_rad), len(grid.elevation_rad))
-    range_steps, range_m = buffer(size, np.uint16, out.range_steps), buffer(size, np.float32, out.range_m)
-    hit, step = buffer(size, hit_type(len(boxes)), out.hit), step_of(params)
+    range_steps, hit = buffer(size, np.uint16, out.range_steps), buffer(size, hit_type(len(boxes)), out.hit)
+    range_m, step = np.empty(size if unrounded else (0, *size[1:]), np.float32), step_of(params)
     kept = (None, None) if out.thinned is None else out.thinned
-    thinned = Thinned(*(buffer(thinned_size(size), a.dtype.type, b) for a, b in zip((range_m, hit), kept, strict=True)))
+    thinned = Thinned(
+        *(buffer(thinned_size(size), a.dtype.type, b) for a, b in zip((range_steps, hit), kept, strict=True))
+    )
     near = neighbours(on.poses.origin_m, boxes, params.max_range_m) if near is None else near
     ENGINES[params.engine](
-        range_m, hit, on.poses, on.ground_m, observers, grid, params.max_range_m, boxes,
+        range_steps, np.float32(1.0 / step), hit, on.poses, on.ground_m, observers, grid, params.max_range_m, boxes,
         prisms(shape, boxes) if bodies is None else bodies, scene,
-        RangeNoise.of(keys, params.range_sigma_m, params.dropout_p), near, thinned, range_steps, np.float32(1.0 / step),
+        RangeNoise.of(keys, params.range_sigma_m, params.dropout_p), near, thinned, range_m,
     )  # fmt: skip
-    return Sweeps(on.poses, observers, on.ground_m, grid, params.max_range_m, range_steps, step, range_m, hit, thinned)
+    return Sweeps(on.poses, observers, on.ground_m, grid, params.max_range_m, range_steps, step, hit, thinned, range_m)
 
 
 def hit_type(n_actors: int) -> type:

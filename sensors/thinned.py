@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float32, Int
+from jaxtyping import Int, UInt16
 from numba import prange
 from numpy import ndarray
 
@@ -21,15 +21,15 @@ COLUMN_STEP, ROW_STEP = 4, 2
 class Thinned(NamedTuple):
     """Some rays of M sweeps."""
 
-    range_m: Float32[ndarray, "m a/4 e/2"]
+    range_steps: UInt16[ndarray, "m a/4 e/2"]
     hit: Int[ndarray, "m a/4 e/2"]
 
     @staticmethod
-    def of(range_m: Float32[ndarray, "m a e"], hit: Int[ndarray, "m a e"]) -> Thinned:
+    def of(range_steps: UInt16[ndarray, "m a e"], hit: Int[ndarray, "m a e"]) -> Thinned:
         """Those of these sweeps."""
-        size = thinned_size(range_m.shape)
-        made = Thinned(np.empty(size, range_m.dtype), np.empty(size, hit.dtype))
-        thin_all(range_m, hit, made)
+        size = thinned_size(range_steps.shape)
+        made = Thinned(np.empty(size, range_steps.dtype), np.empty(size, hit.dtype))
+        thin_all(range_steps, hit, made)
         return made
 
 
@@ -40,18 +40,18 @@ def thinned_size(size: tuple[int, int, int]) -> tuple[int, int, int]:
 
 
 @kernel
-def thin(ranges, hits, some_ranges, some_hits):
+def thin(steps, hits, some_steps, some_hits):
     """Copy the rays of one sweep that are kept."""
     step, skip = np.uint64(COLUMN_STEP), np.uint64(ROW_STEP)
     for c in range(np.uint64(some_hits.shape[0])):
         for r in range(np.uint64(some_hits.shape[1])):
-            some_ranges[c, r] = ranges[c * step, r * skip]
+            some_steps[c, r] = steps[c * step, r * skip]
         for r in range(np.uint64(some_hits.shape[1])):
             some_hits[c, r] = hits[c * step, r * skip]
 
 
 @parallel
-def thin_all(range_m, hit, made):
+def thin_all(range_steps, hit, made):
     """Copy those of all sweeps."""
     for o in prange(len(hit)):
-        thin(range_m[o], hit[o], made.range_m[o], made.hit[o])
+        thin(range_steps[o], hit[o], made.range_steps[o], made.hit[o])

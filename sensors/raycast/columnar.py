@@ -34,10 +34,10 @@ from sensors.thinned import Thinned, thin
 
 
 def cast(
-    range_m, hit, poses, ground_m, observers, beams, max_range_m, boxes: Boxes, bodies: Prisms, scene: Scene,
-    noise: RangeNoise, near: Neighbours, thinned: Thinned, range_steps, per_metre,
+    range_steps, per_metre, hit, poses, ground_m, observers, beams, max_range_m, boxes: Boxes, bodies: Prisms,
+    scene: Scene, noise: RangeNoise, near: Neighbours, thinned: Thinned, range_m,
 ):  # fmt: skip
-    """Fill `range_m`, `hit`, `thinned` and `range_steps` of every observer; see `sensors.lidar.scan`."""
+    """Fill `range_steps`, `hit` and `thinned` of every observer, and those of `range_m`; see `sensors.lidar.scan`."""
     if scene.triangles_m is not None or scene.bodies_m:
         meshes = [*scene.bodies_m.values(), *([] if scene.triangles_m is None else [scene.triangles_m])]
         raise ValueError(
@@ -45,21 +45,22 @@ def cast(
             'triangles. Set lidar.engine to "embree" or "open3d".'
         )
     _cast(
-        range_m, hit, poses.origin_m, poses.yaw_rad, ground_m, observers, beams, float(max_range_m),
+        range_steps, per_metre, hit, poses.origin_m, poses.yaw_rad, ground_m, observers, beams, float(max_range_m),
         boxes.xyz_m, boxes.circumradius_m, near.ptr, near.row, bodies, scene.buildings, noise, thinned,
-        range_steps, per_metre,
+        range_m,
     )  # fmt: skip
 
 
 @parallel
 def _cast(
-    range_m, hit, origin, yaw, ground, own, beams, limit, xyz, radius, ptr, row, bodies, city, noise, thinned,
-    range_steps, per_metre,
+    range_steps, per_metre, hit, origin, yaw, ground, own, beams, limit, xyz, radius, ptr, row, bodies, city, noise,
+    thinned, range_m,
 ):  # fmt: skip
     """Sweep by sweep, so that each is finished while it is in the cache of its core."""
     for o in prange(len(origin)):
         x, y, z, cos, sin = origin[o, 0], origin[o, 1], origin[o, 2], np.cos(yaw[o]), np.sin(yaw[o])
-        ranges, hits, columns, slopes = range_m[o], hit[o], columns_of(beams), slopes_of(beams)
+        hits, columns, slopes = hit[o], columns_of(beams), slopes_of(beams)
+        ranges = np.empty(hits.shape, np.float32)
         nearest = np.full(len(beams.azimuth_rad), 1.0 / limit)
         _city(ranges, hits, x, y, z, ground[o], cos, sin, beams, columns, slopes, limit, nearest, city)
         for a in row[ptr[o] : ptr[o + 1]]:
@@ -70,8 +71,10 @@ def _cast(
                     bodies,
                 )  # fmt: skip
         add_noise(ranges, hits, noise.key[o], noise)
-        thin(ranges, hits, thinned.range_m[o], thinned.hit[o])
         count_steps(ranges, range_steps[o], per_metre)
+        thin(range_steps[o], hits, thinned.range_steps[o], thinned.hit[o])
+        if o < len(range_m):
+            range_m[o] = ranges
 
 
 @inlined

@@ -27,13 +27,14 @@ Tracer = Callable[[Float[ndarray, "r 3"], Float[ndarray, "r 3"]], tuple[Float[nd
 
 def cast(
     tracer_of: Callable[[ndarray], Tracer],
-    range_m, hit, poses, ground_m, observers, beams, max_range_m, boxes: Boxes, bodies: Prisms, scene: Scene,
-    noise: RangeNoise, _near: Neighbours, thinned: Thinned, range_steps, per_metre,
+    range_steps, per_metre, hit, poses, ground_m, observers, beams, max_range_m, boxes: Boxes, bodies: Prisms,
+    scene: Scene, noise: RangeNoise, _near: Neighbours, thinned: Thinned, range_m,
 ):  # fmt: skip
-    """Fill `range_m`, `hit`, `thinned` and `range_steps` of every observer.
+    """Fill `range_steps`, `hit` and `thinned` of every observer, and those of `range_m`.
 
     `tracer_of` makes an engine from triangles (t, 3, 3).
     """
+    ranges = range_m if len(range_m) else np.empty(hit.shape, np.float32)
     city, (body, actor) = city_triangles(scene), _bodies(bodies, boxes, scene)
     mesh = np.concatenate([city, body])
     code = np.concatenate([np.full(len(city), Hit.BUILDING), Hit.ACTOR + actor]).astype(np.int32)
@@ -48,12 +49,12 @@ def cast(
         trace = tracer_of((mesh[close] - centre).astype(np.float32)) if close.any() else None
         for o in here:
             _sweep(
-                range_m[o], hit[o], poses.origin_m[o] - centre, poses.yaw_rad[o], ground_m[o] - centre[2],
+                ranges[o], hit[o], poses.origin_m[o] - centre, poses.yaw_rad[o], ground_m[o] - centre[2],
                 Hit.ACTOR + observers[o], beams, max_range_m, trace, code[close],
             )  # fmt: skip
-    add_noise_to_all(range_m, hit, noise)
-    thin_all(range_m, hit, thinned)
-    count_all_steps(range_m, range_steps, per_metre)
+    add_noise_to_all(ranges, hit, noise)
+    count_all_steps(ranges, range_steps, per_metre)
+    thin_all(range_steps, hit, thinned)
 
 
 def _sweep(range_m, hit, origin, yaw, ground, own, beams, max_range_m, trace: Tracer | None, code) -> None:

@@ -48,7 +48,7 @@ def sweep(scene, engine):
     xyz = np.column_stack([40 + 25 * np.cos(angle), -20 + 25 * np.sin(angle), np.full(n, 0.75)])
     cars = Boxes(xyz, np.tile([4.5, 1.8, 1.5], (n, 1)), angle + np.pi)
     params = LidarParams(profile="vlp16", range_sigma_m=0.0, engine=engine)
-    return scan(cars, np.zeros(n, np.uint8), np.arange(n), scene, params, np.arange(n, dtype=np.uint64))
+    return scan(cars, np.zeros(n, np.uint8), np.arange(n), scene, params, np.arange(n, dtype=np.uint64), unrounded=True)
 
 
 @ENGINES
@@ -134,7 +134,15 @@ def test_cars_of_triangles_are_seen_as_those_of_prisms(car, engine):
     own_xyz[cars, 2] += middle[cars, 2]
     own_lwh[cars] *= high - low
     seen = [
-        scan(b, shape, np.arange(van), scene, LidarParams(profile="os1_64", range_sigma_m=0.0, engine=name), keys)
+        scan(
+            b,
+            shape,
+            np.arange(van),
+            scene,
+            LidarParams(profile="os1_64", range_sigma_m=0.0, engine=name),
+            keys,
+            unrounded=True,
+        )
         for b, scene, name, keys in (
             (boxes, Scene.empty(), "columnar", np.zeros(van, np.uint64)),
             (

@@ -10,6 +10,7 @@ import pytest
 from cosim import replay_lidar
 from results.archive import open_run
 from sensors.evidence import observability
+from sensors.range_steps import NO_RETURN
 from tests.drive import cosim, drive
 
 
@@ -49,7 +50,7 @@ def test_plot_sweep(folder, tmp_path):
         assert done.returncode == 0, done.stderr
     assert (tmp_path / "above.png").stat().st_size > 10_000
     points = np.load(io.BytesIO((tmp_path / "cloud.npy").read_bytes()))
-    assert len(points) == np.isfinite(seen.sweeps.range_m).sum() and np.abs(points).max() < 81
+    assert len(points) == (seen.sweeps.range_steps != NO_RETURN).sum() and np.abs(points).max() < 81
 
 
 @pytest.mark.parametrize(
@@ -82,7 +83,7 @@ def test_plot_scene(folder, tmp_path):
     world = next(replay_lidar.worlds(run, config, np.array([4])))
     sweeps = replay_lidar.sweep(config, replay_lidar.city_of(config), world, np.flatnonzero(world.equipped)[:4])
     for o in range(4):
-        xyz, hit = replay_lidar.in_world(sweeps, o), sweeps.hit[o][np.isfinite(sweeps.range_m[o])]
+        xyz, hit = replay_lidar.in_world(sweeps, o), sweeps.hit[o][sweeps.has_return(o)]
         of = hit[hit >= 3] - 3
         away = np.abs(xyz[hit >= 3] - world.boxes.xyz_m[of])
         assert (

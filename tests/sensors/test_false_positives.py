@@ -41,7 +41,7 @@ def queue():
     )
     sweeps = replace(
         sweeps, poses=poses, observers=np.zeros(n, int), ground_m=np.tile(sweeps.ground_m, n),
-        range_m=np.tile(sweeps.range_m, (n, 1, 1)), hit=np.tile(sweeps.hit, (n, 1, 1)),
+        range_steps=np.tile(sweeps.range_steps, (n, 1, 1)), hit=np.tile(sweeps.hit, (n, 1, 1)),
         thinned=Thinned(*(np.tile(image, (n, 1, 1)) for image in sweeps.thinned)),
     )  # fmt: skip
     return sweeps, observability(sweeps, one, shape), 1
@@ -54,7 +54,7 @@ def probabilities(sweeps, o, per_sweep, road_p) -> np.ndarray:
         for r in range(0, sweeps.hit.shape[2], ROW_STEP):
             code = sweeps.hit[o, c, r]
             if code in (Hit.GROUND, Hit.BUILDING):
-                point = sweeps.ends(np.array([o]), np.array([c]), np.array([r]))
+                point = sweeps.points(np.array([o]), np.array([c]), np.array([r]))
                 x, y, _ = sweeps.poses.to_world(o, point)[0]
                 (roads if code == Hit.GROUND else walls)[int(np.floor(x / CELL_M)), int(np.floor(y / CELL_M))] += 1
     n_walls, n_all = walls.total(), walls.total() + roads.total()
@@ -172,7 +172,7 @@ def test_invariance_to_order_other_observers_and_threads(street):
     few = np.array([11, 4, 30, 2, 50, 41, 17, 60])
     poses = replace(sweeps.poses, origin_m=sweeps.poses.origin_m[few], yaw_rad=sweeps.poses.yaw_rad[few])
     some = replace(
-        sweeps, range_m=sweeps.range_m[few], hit=sweeps.hit[few], poses=poses, observers=sweeps.observers[few],
+        sweeps, range_steps=sweeps.range_steps[few], hit=sweeps.hit[few], poses=poses, observers=sweeps.observers[few],
         ground_m=sweeps.ground_m[few], thinned=Thinned(*(image[few] for image in sweeps.thinned)),
     )  # fmt: skip
     rows = np.concatenate([np.flatnonzero(seen.observer == o) for o in few])
@@ -206,7 +206,7 @@ def test_sites_are_walls_road_and_hidden_actors(street):
     for k in range(0, len(o_of), 3):
         o, reach = o_of[k], 0.51 * np.hypot(*boxes.lwh_m[k, :2])
         world = sweeps.poses.to_world(o, sweeps.xyz(o))
-        hits = sweeps.hit[o][np.isfinite(sweeps.range_m[o])]
+        hits = sweeps.hit[o][sweeps.has_return(o)]
         close = np.linalg.norm(world[:, :2] - boxes.xyz_m[k, :2], axis=1) < reach
         assert any(h in (Hit.GROUND, Hit.BUILDING) or (o, h - Hit.ACTOR) in hidden for h in hits[close])
 
@@ -220,6 +220,7 @@ def test_false_cars_at_a_wall_lie_along_it():
     boxes = false_positives(sweeps, seen, draws, stated).boxes
     assert len(boxes) > 5
     # where the next ray meets the road just before the wall, the heading is a little off
-    assert np.median(np.abs(np.sin(boxes.yaw_rad))) < 1e-5 and (np.abs(np.sin(boxes.yaw_rad)) < 0.1).all()
+    # ranges are rounded to 2 mm, and headings are those from one ray to the fourth beside it
+    assert np.median(np.abs(np.sin(boxes.yaw_rad))) < 2e-3 and (np.abs(np.sin(boxes.yaw_rad)) < 0.1).all()
     near = np.abs(boxes.xyz_m[:, 0]) < 20
     assert (boxes.xyz_m[near, 1] + boxes.lwh_m[near, 1] / 2 < 8.8).all() and near.sum() > 3

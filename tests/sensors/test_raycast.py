@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from sensors.boxes import Boxes
 from sensors.lidar import PROFILES, LidarParams, Poses, Sweeps, beams
 from sensors.raycast.column import below, slopes_of
-from sensors.raycast.mesh import STEP_M
+from sensors.raycast.mesh import STEP_M, directions
 from sensors.scene import Hit, Scene, prisms
 from tests.sensors.test_boxes import moved
 from tests.sensors.town import blocks, car, exact, random_boxes, random_scene, sizes, to_scene, traffic
@@ -36,12 +36,13 @@ def compare(reference, boxes, shape, observers, scene, **params) -> float:
     wrong = ~(np.abs(finite(ours) - finite(reference)) <= 1e-3)
     assert wrong.mean() <= 1e-4
     assert np.mean(ours.hit[~wrong] != reference.hit[~wrong]) <= 1e-4  # where two surfaces meet
+    n = len(ours.beams.tan_el)
     for o in np.unique(np.nonzero(wrong)[0]):
         nearby = nudged(boxes, shape, observers[o], scene, ours, params)
         seen = finite(reference)[o]
         grazing = (seen >= nearby.min(axis=0) - 1e-3) & (seen <= nearby.max(axis=0) + 1e-3)
         column, row = np.nonzero(wrong[o] & ~grazing)
-        end = ours.poses.to_world(o, ours.ends(np.full(len(column), o), column, row))
+        end = ours.poses.to_world(o, ours.range_m[o, column, row, None] * directions(0.0, ours.beams)[column * n + row])
         assert (gap_to_body(end, boxes, shape, observers[o]) < 2 * STEP_M).all()
     return float(wrong.mean())
 

@@ -110,11 +110,11 @@ def car(x, y, yaw=0.0, z=0.75) -> Boxes:
 
 
 def exact(boxes, shape, observers, scene=None, **params):
-    """A sweep without noise."""
+    """A sweep without noise, with ranges before rounding."""
     keys = np.arange(len(observers), dtype=np.uint64)
     scene = Scene.empty() if scene is None else scene
     clean = LidarParams(range_sigma_m=0.0, **params)
-    return scan(boxes, np.asarray(shape, np.uint8), np.asarray(observers), scene, clean, keys)
+    return scan(boxes, np.asarray(shape, np.uint8), np.asarray(observers), scene, clean, keys, unrounded=True)
 
 
 def to_scene(polygons, base_m, top_m, turn=0.0, shift=(0.0, 0.0)) -> Scene:
