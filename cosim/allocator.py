@@ -5,7 +5,7 @@ import os
 
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD, _M_ARENA_MAX = -1, -3, -8
 """`mallopt(3)` of glibc."""
-_MAPPED_ALONE_BYTES = 8 << 20
+_MAPPED_ALONE_BYTES = 4 << 20
 _KEPT_FREE_BYTES = 256 << 20
 
 

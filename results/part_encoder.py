@@ -25,7 +25,7 @@ _STEPS = ("step", "first_step", "last_step", "from_step", "to_step", "start_step
 _STORED_ROWS = 8_000
 """Rows that are cast, rounded and checked at once: of most tables a step has few, and each column a fixed cost."""
 
-_GROUP_ROWS = 300_000
+_GROUP_ROWS = 120_000
 """Rows from which a row group is encoded and written: memory is that of the rows that wait."""
 
 _TRIED_ROWS, _SAMPLE_ROWS = 20_000, 100_000

@@ -50,11 +50,14 @@ class WallIndex:
         step = np.full((nx, ny), 255)
         if not empty.all():
             step = np.minimum(distance_transform_cdt(empty, "chessboard"), 255)
-        by_cell = _buildings_by_cell(low, cell_m, nx, ny, walls)
-        grid = Grid(low, float(cell_m), step.astype(np.uint8), ptr, wall, *by_cell)
+        wide = kernels.BUILDING_CELLS
+        squares = -(-nx // wide), -(-ny // wide)
+        building_ptr, building = _buildings_by_square(low, wide * cell_m, *squares, walls)
+        grid = Grid(low, float(cell_m), step.astype(np.uint8), ptr, wall, building_ptr, building)
         solid = np.tile(np.array([1, 0], np.uint8), (nx, ny, 1))
         index = WallIndex(grid, walls, solid)
-        i, j = np.nonzero(empty & (np.diff(grid.building_ptr) > 0).reshape(nx, ny))
+        near = np.kron((np.diff(building_ptr) > 0).reshape(squares), np.ones((wide, wide), bool))
+        i, j = np.nonzero(empty & near[:nx, :ny])
         middle = np.column_stack([low[0] + (i + 0.5) * cell_m, low[1] + (j + 0.5) * cell_m, np.full(len(i), np.nan)])
         owner = kernels.building_at(middle, grid, walls)
         i, j, owner = i[owner >= 0], j[owner >= 0], owner[owner >= 0]
@@ -133,12 +136,12 @@ def _rows(rows: Int[ndarray, "m"]) -> ndarray:
     return np.ascontiguousarray(rows, np.int32)
 
 
-def _buildings_by_cell(low: ndarray, cell_m: float, nx: int, ny: int, walls: Walls) -> tuple[ndarray, ndarray]:
-    """Buildings by the cells that their bounding box touches, compressed rows; ascending in each cell."""
+def _buildings_by_square(low: ndarray, side_m: float, nx: int, ny: int, walls: Walls) -> tuple[ndarray, ndarray]:
+    """Buildings by the squares that their bounding box touches, compressed rows; ascending in each."""
     building = np.flatnonzero(np.diff(walls.ptr))
     corner, first = walls.segment[:, :2], walls.ptr[building]  # rings are closed: each corner begins a wall
     (i0, j0), (i1, j1) = (
-        ((bound.reduceat(corner, first) - low) // cell_m).astype(np.int64).T if len(first) else np.zeros((2, 0), int)
+        ((bound.reduceat(corner, first) - low) // side_m).astype(np.int64).T if len(first) else np.zeros((2, 0), int)
         for bound in (np.minimum, np.maximum)
     )
     rows = j1 - j0 + 1

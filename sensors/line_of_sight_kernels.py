@@ -18,6 +18,10 @@ _SLACK_M = 1e-6
 """A wall is listed under every cell within this distance, so that rounding never omits one."""
 
 
+BUILDING_CELLS = 4
+"""Width of the squares in which buildings are listed [cells]: a city has tens of millions of cells."""
+
+
 class Grid(NamedTuple):
     """Walls and buildings by cell."""
 
@@ -26,7 +30,7 @@ class Grid(NamedTuple):
     step: Int[ndarray, "nx ny"]  # cells to the nearest one with a wall; 0 where there is one
     ptr: Int[ndarray, "cells+1"]
     wall: Int[ndarray, "m"]
-    building_ptr: Int[ndarray, "cells+1"]
+    building_ptr: Int[ndarray, "squares+1"]  # of squares of cells, `BUILDING_CELLS` wide
     building: Int[ndarray, "k"]
 
 
@@ -88,8 +92,8 @@ def building_at(xyz, grid, walls):
         i, j = int((x - grid.low[0]) // grid.cell_m), int((y - grid.low[1]) // grid.cell_m)
         if i < 0 or j < 0 or i >= nx or j >= ny:
             continue
-        cell = i * ny + j
-        for h in range(grid.building_ptr[cell], grid.building_ptr[cell + 1]):
+        square = i // BUILDING_CELLS * ((ny + BUILDING_CELLS - 1) // BUILDING_CELLS) + j // BUILDING_CELLS
+        for h in range(grid.building_ptr[square], grid.building_ptr[square + 1]):
             building = grid.building[h]
             if z < walls.base_m[building] or z > walls.top_m[building]:
                 continue
