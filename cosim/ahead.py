@@ -28,6 +28,7 @@ from cosim.radio.message_round import MessageRound, Messages, RoundKind, Station
 from cosim.stopwatch import Stopwatch
 from cosim.world import World
 from sensors import lidar
+from sensors.kernel import threads_may_meet
 
 
 class Ahead:
@@ -49,7 +50,7 @@ class Ahead:
     def expect(self, world: World, at_once: bool) -> None:
         """The world that the next step with messages will be of: its sweeps begin `at_once` where the step before it
         senses nothing, or when the range images of that step have given their answers."""
-        if world.equipped.any() and _threads_may_meet():
+        if world.equipped.any() and threads_may_meet():
             if self._links is not None:
                 self._links.expect(stages.stations_of(world, np.flatnonzero(world.equipped), self.parts))
             self._sensing.expect(world, at_once)
@@ -130,11 +131,3 @@ class LinksAhead:
         numba.set_num_threads(1)  # the other core is the present step's
         with self._watch("links"):
             return self._own.links(stations)
-
-
-def _threads_may_meet() -> bool:
-    """Whether two threads may run parallel kernels at once: with Numba's layers omp and tbb, and not with workqueue."""
-    try:
-        return numba.threading_layer() != "workqueue"
-    except ValueError:  # no parallel kernel has run yet
-        return False

@@ -2,11 +2,11 @@
 
 import resource
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from time import perf_counter, process_time
+from time import perf_counter, process_time, thread_time
 
 import numba
 import numpy as np
@@ -40,21 +40,31 @@ _N_CENTRES = 100
 class CpuStopwatch:
     """Wall and processor seconds per stage; takes the place of `cosim.stopwatch.Stopwatch`."""
 
-    def __init__(self) -> None:
+    def __init__(self, processor_time: Callable[[], float] = process_time) -> None:
         self.wall_s: dict[str, float] = {}
         self.processor_s: dict[str, float] = {}
-        self._stage, self._begin = "", (0.0, 0.0)
+        self._stage, self._begin, self._processor_time = "", (0.0, 0.0), processor_time
 
     def __call__(self, stage: str) -> "CpuStopwatch":
-        self._stage, self._begin = stage, (perf_counter(), process_time())
+        self._stage, self._begin = stage, (perf_counter(), self._processor_time())
         return self
 
     def __enter__(self) -> None: ...
 
     def __exit__(self, *_: object) -> None:
-        spent = perf_counter() - self._begin[0], process_time() - self._begin[1]
+        spent = perf_counter() - self._begin[0], self._processor_time() - self._begin[1]
         for seconds, more in zip((self.wall_s, self.processor_s), spent, strict=True):
             seconds[self._stage] = seconds.get(self._stage, 0.0) + more
+
+    def of_thread(self) -> "CpuStopwatch":
+        """As `Stopwatch`."""
+        return CpuStopwatch(thread_time)
+
+    def add(self, other: "CpuStopwatch", n_threads: int) -> None:
+        """As `Stopwatch`."""
+        for stage, seconds in other.wall_s.items():
+            self.wall_s[stage] = self.wall_s.get(stage, 0.0) + seconds / n_threads
+            self.processor_s[stage] = self.processor_s.get(stage, 0.0) + other.processor_s[stage]
 
 
 def bench(

@@ -2,9 +2,11 @@
 their sweeps say of the boxes that others report."""
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, Protocol, TypeVar
 
+import numba
 import numpy as np
 from jaxtyping import Bool, Int, Int32, UInt16, UInt64
 from numpy import ndarray
@@ -17,13 +19,14 @@ from sensors import detector, evidence, lidar
 from sensors.boxes import Boxes
 from sensors.detector import Detector, DetectorDraws
 from sensors.evidence import AreaParams
+from sensors.kernel import threads_may_meet
 from sensors.lidar import NO_MEMORY, SweepMemory
 from sensors.neighbours import Neighbours, neighbours
 from sensors.scene import Prisms, Scene, prisms
 
 _Rows = TypeVar("_Rows", evidence.Observability, detector.DetectedBoxes)
 
-GROUP = 512
+GROUP = 320
 """Observers whose sweeps are read at once for what their rays met."""
 
 
@@ -89,7 +92,10 @@ class Perceives(Protocol):
 
 @dataclass(slots=True)
 class Perception:
-    """LiDAR, evidence and detector of all equipped vehicles."""
+    """LiDAR, evidence and detector of all equipped vehicles.
+
+    Threads take groups of observers in turn, so that none waits for another one between two kernels.
+    """
 
     city: Scene
     lidar: lidar.LidarParams
@@ -100,8 +106,8 @@ class Perception:
     dt_s: float
     _range_steps: UInt16[ndarray, "n a e"] | None = field(default=None, repr=False)
     """Memory of the last range images, written over by the next."""
-    _group: SweepMemory = field(default=NO_MEMORY, repr=False)
-    """The same of all else in the sweeps of a group of observers."""
+    _groups: list[SweepMemory] = field(default_factory=list, repr=False)
+    """The same of all else in the sweeps of a group of observers, for each thread."""
 
     def __call__(self, world: World, observers: Int[ndarray, "e"], watch: Stopwatch) -> Observed:
         """What these rows of the world perceive."""
@@ -111,13 +117,27 @@ class Perception:
             origin_m = lidar.mount(world.boxes, observers, self.lidar).origin_m
             near = neighbours(origin_m, world.boxes, self.lidar.max_range_m)
             bodies = prisms(world.shape, world.boxes)
-        seen = []
-        for first in range(0, len(observers), GROUP):
-            some = observers[first : first + GROUP]
-            memory = self._group._replace(range_steps=range_steps[first : first + GROUP])
-            sweeps, here = self.sense(world, some, watch, memory, near.part(first, first + len(some)), bodies)
-            self._group = SweepMemory(None, sweeps.hit, sweeps.thinned)
-            seen.append(here.behind(first))
+        n_threads = numba.get_num_threads() if threads_may_meet() else 1
+        n_groups = max(1, -(-len(observers) // (GROUP * n_threads))) * n_threads
+        begins = np.linspace(0, len(observers), n_groups + 1).astype(int)
+
+        def sense(first: int, last: int) -> tuple[Seen, Stopwatch]:
+            if n_threads > 1:
+                numba.set_num_threads(1)  # a setting of each thread
+            kept, own = self._groups.pop() if self._groups else NO_MEMORY, watch.of_thread() if n_threads > 1 else watch
+            memory, part = kept._replace(range_steps=range_steps[first:last]), near.part(first, last)
+            sweeps, here = self.sense(world, observers[first:last], own, memory, part, bodies)
+            self._groups.append(SweepMemory(None, sweeps.hit, sweeps.thinned))
+            return here.behind(first), own
+
+        if n_threads == 1:
+            found = list(map(sense, begins[:-1], begins[1:]))
+        else:
+            with ThreadPoolExecutor(n_threads, "sensing") as threads:
+                found = list(threads.map(sense, begins[:-1], begins[1:]))
+            for _, own in found:
+                watch.add(own, n_threads)
+        seen = [here for here, _ in found]
         with watch("detect"):
             on = lidar.scanners(world.boxes, observers, self.lidar)
             images = lidar.with_ranges(on, range_steps, lidar.step_of(self.lidar))

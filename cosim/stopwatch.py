@@ -14,6 +14,15 @@ class Stopwatch:
         self._stage, self._since = stage, perf_counter()
         return self
 
+    def of_thread(self) -> "Stopwatch":
+        """Another one of the same kind, for one thread of several."""
+        return Stopwatch()
+
+    def add(self, other: "Stopwatch", n_threads: int) -> None:
+        """Add what one of so many threads measured, which ran at once."""
+        for stage, seconds in other.seconds.items():
+            self.seconds[stage] = self.seconds.get(stage, 0.0) + seconds / n_threads
+
     def __enter__(self) -> None: ...
 
     def __exit__(self, *_: object) -> None:

@@ -11,7 +11,7 @@ of stations.
 
 from typing import Any
 
-from numba import njit
+from numba import njit, threading_layer
 
 _OPTIONS: dict[str, Any] = {"cache": True, "nogil": True, "no_cfunc_wrapper": True}
 _COUNTLESS: dict[str, Any] = _OPTIONS | {"_nrt": False}
@@ -28,3 +28,11 @@ dividing = njit(**_COUNTLESS, error_model="numpy")
 """Decorator: as `kernel`; division by zero is infinite, not an error, and many are made at once."""
 inlined = njit(**_COUNTLESS, inline="always")
 """Decorator: the same, inlined into its callers."""
+
+
+def threads_may_meet() -> bool:
+    """Whether two threads may run parallel kernels at once: with Numba's layers omp and tbb, and not with workqueue."""
+    try:
+        return threading_layer() != "workqueue"
+    except ValueError:  # no parallel kernel has run yet
+        return False
