@@ -95,10 +95,22 @@ def questions_of(
     Returns are counted in all that it evaluates and in what is foreign, where free space is tested too. A vehicle has
     no returns from itself.
     """
-    o, b = lists.of_member(), lists.member
-    own = detections.is_self[b] & (detections.message[b] == lists.owner[o])
-    counted, tested = np.flatnonzero((evaluated | foreign) & ~own), np.flatnonzero(foreign)
+    b = lists.member
+    o, is_counted = _asked(lists.ptr, b, lists.owner, evaluated, foreign, detections.is_self, int64(detections.message))
+    counted, tested = np.flatnonzero(is_counted), np.flatnonzero(foreign)
     return BoxQuestions(boxes, area, o[counted], b[counted], o[tested], b[tested]), counted, tested
+
+
+@compiled
+def _asked(ptr, member, owner, evaluated, foreign, is_self, message):
+    """List of each member, and whether its returns are counted."""
+    o, is_counted = np.empty(len(member), np.int32), np.empty(len(member), np.bool_)
+    for v in range(len(owner)):
+        for m in range(ptr[v], ptr[v + 1]):
+            d = member[m]
+            o[m] = v
+            is_counted[m] = (evaluated[m] or foreign[m]) and not (is_self[d] and message[d] == owner[v])
+    return o, is_counted
 
 
 def as_reported(

@@ -26,8 +26,8 @@ from sensors.scene import Prisms, Scene, prisms
 
 _Rows = TypeVar("_Rows", evidence.Observability, detector.DetectedBoxes)
 
-GROUP = 320
-"""Observers whose sweeps are read at once for what their rays met."""
+GROUP, FEW = 320, 64
+"""Observers whose sweeps are read at once for what their rays met: at most, and at least where there are threads."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,7 +117,7 @@ class Perception:
             origin_m = lidar.mount(world.boxes, observers, self.lidar).origin_m
             near = neighbours(origin_m, world.boxes, self.lidar.max_range_m)
             bodies = prisms(world.shape, world.boxes)
-        n_threads = numba.get_num_threads() if threads_may_meet() else 1
+        n_threads = min(numba.get_num_threads(), len(observers) // FEW + 1) if threads_may_meet() else 1
         n_groups = max(1, -(-len(observers) // (GROUP * n_threads))) * n_threads
         begins = np.linspace(0, len(observers), n_groups + 1).astype(int)
 
