@@ -1,5 +1,6 @@
 """The commands."""
 
+import gc
 import os
 import sys
 from collections.abc import Callable, Iterable
@@ -150,8 +151,11 @@ def verify(runs: RunPaths, as_json: AsJson = False) -> None:
 
 
 def _conclude(folder: Path, as_json: bool) -> None:
+    from cosim.allocator import give_back_freed_memory
     from cosim.run import remarks
 
+    gc.collect()
+    give_back_freed_memory()  # what the run held would be on top of what its measures take
     run = print_run_summary(folder, as_json)
     for remark in remarks(folder):
         notes.print(remark, soft_wrap=True)
