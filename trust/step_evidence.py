@@ -288,7 +288,7 @@ class StepEvidence:
     # the detections that each evaluator has evaluated, in the order of their numbers, a part per message
     head: Int[ndarray, "n"] = field(init=False)  # newest part of each evaluator, -1 for none
     count: Int[ndarray, "n"] = field(init=False)  # evaluations of each evaluator
-    known: Int[ndarray, "v"] = field(default_factory=lambda: np.zeros(64, np.int32))
+    known: Int[ndarray, "v"] = field(init=False)
     # from and to in `known`, first number, part before
     parts: Int[ndarray, "p 4"] = field(default_factory=lambda: np.zeros((16, 4), np.int64))
     n_known: Int[ndarray, "2"] = field(default_factory=lambda: np.zeros(2, np.int64))  # evaluations, parts
@@ -296,6 +296,7 @@ class StepEvidence:
     def __post_init__(self) -> None:
         self.head = np.full(self.pseudonyms.size, -1, np.int64)
         self.count = np.zeros(self.pseudonyms.size, np.int64)
+        self.known = np.zeros(64, np.uint16 if self.score.size <= 1 << 16 else np.int32)  # the longest array of all
 
     def add(
         self, messages: EvaluationMessages, holder: Int[ndarray, "m"], message_row: Int[ndarray, "m"], rejected
