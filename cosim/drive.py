@@ -183,6 +183,7 @@ class Drive:
                 self._keeps_state = False
                 self.manifest.summary["not_kept_for_resume"] = f"{error}: a resumed run computes all steps again"
         rows = recording.open_rows(state, self.parts, self.registry, self.manifest.steps)
+        give_back_freed_memory()  # the last rows of all tables are encoded at once
         self.recorder.flush(rows, files)
         give_back_freed_memory()
 
@@ -190,6 +191,7 @@ class Drive:
         """The last block: of a run that is over with what is open in its parts, of an interrupted one beside them."""
         self.folder.check()
         rows = recording.open_rows(state, self.parts, self.registry, self.manifest.steps)
+        give_back_freed_memory()
         if not self.is_over:
             self.recorder.flush(rows)
         else:

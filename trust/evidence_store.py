@@ -21,6 +21,8 @@ class View(Protocol):
     """Newest step that the model knows of."""
     window: int
     """Steps, the present one included, whose evidence may still change in the model."""
+    folds: bool
+    """Whether it reads a step's evaluators once more when the step leaves its window."""
 
     def before_open(self, step: int) -> None:
         """The step is about to be opened."""
@@ -69,7 +71,7 @@ class EvidenceStore:
             self.steps[step], self._n_bad = open_step_evidence(pseudonyms, observer_row, detection_index, score)
             self._opened = step
             if older := self.steps.get(step - _RECENT):
-                older.trim()
+                older.trim(keep_noted=any(view.folds for view in self.views))
         return self._n_bad
 
     def add(self, view: View, received: ReceivedEvaluations) -> Int[ndarray, "reasons"] | None:

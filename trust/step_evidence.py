@@ -335,8 +335,13 @@ class StepEvidence:
             if size > keys.size:
                 setattr(self, table, _moved(keys, values, 2 * size if keys.size > 64 else size))
 
-    def trim(self) -> None:
-        """Give back the memory that no row uses; more may still be added."""
+    def trim(self, keep_noted: bool) -> None:
+        """Give back the memory that no row uses, and evaluators that `EvaluatorTable` has unless they are to be kept;
+        more may still be added."""
+        if not keep_noted:
+            n_left = int(self.n_used[3]) - self.n_noted
+            self.made_by[:n_left] = self.made_by[self.n_noted : self.n_used[3]].copy()
+            self.n_used[3], self.n_noted = n_left, 0
         n_blocks, n_slots, n_words, n_noted = self.n_used.tolist()
         n_known, n_parts = self.n_known.tolist()
         for n, names in (

@@ -79,7 +79,8 @@ class TruPercept:
         self.store = store or EvidenceStore(params.weighting == "score", params.unseen == "skip")
         self.store.views.append(self)
         self._opened = -1
-        self._folded = _Sums(0) if params.freshness_s == "off" else None
+        self.folds = params.freshness_s == "off"
+        self._folded = _Sums(0) if self.folds else None
         self._folded_evaluators = EvaluatorTable()
         self._folded_until = -1
 
