@@ -38,7 +38,8 @@ class Detector(Protocol):
         Parameters
         ----------
         sweeps
-            Range images `range_m[observer, azimuth, elevation]`, what each ray met (`hit`), poses and beams.
+            Range images `range_m[observer, azimuth, elevation]`, what each ray met (`hit`), poses and beams; of some of
+            the observers, where there are many: threads call this method at once, each for its own.
         seen
             Each (observer, actor) with a ray that could meet the actor: returns, unoccluded returns, range.
         boxes, label

@@ -16,7 +16,7 @@ from sensors.kernel import compiled
 from sensors.neighbours import Neighbours, neighbours
 from sensors.pairs import Pairs, pairs_of, turned
 from sensors.range_noise import RangeNoise
-from sensors.range_steps import NO_RETURN, step_m
+from sensors.range_steps import NO_RETURN, metres, step_m
 from sensors.raycast import columnar, embree, open3d
 from sensors.raycast.column import cells_of_slopes
 from sensors.scene import Hit, Prisms, Scene, prisms
@@ -208,6 +208,11 @@ class RangeImages(Scanners):
     """Range as the sensor reports it, in steps of `step_m`; `NO_RETURN` where nothing returned."""
     step_m: float
 
+    @property
+    def range_m(self) -> Float32[ndarray, "m a e"]:
+        """Range; inf where nothing returned [m]. Made anew each time it is asked for."""
+        return metres(self.range_steps, self.step_m)
+
     def has_return(self, o: int) -> Bool[ndarray, "a e"]:
         """Which rays of observer o returned."""
         return self.range_steps[o] != NO_RETURN
@@ -238,7 +243,7 @@ class Sweeps(RangeImages):
     """What returned, as a `Hit` code. Truth: only truth columns may read it."""
     thinned: Thinned
     """Some of these rays once more."""
-    range_m: Float32[ndarray, "m a e"]
+    unrounded_m: Float32[ndarray, "m a e"]
     """Range before it is rounded to steps, inf where nothing returned [m]; of no observer where not asked for."""
 
 
@@ -302,7 +307,7 @@ def scan(
     grid = on.beams
     size = (len(observers), len(grid.azimuth_rad), len(grid.elevation_rad))
     range_steps, hit = buffer(size, np.uint16, out.range_steps), buffer(size, hit_type(len(boxes)), out.hit)
-    range_m, step = np.empty(size if unrounded else (0, *size[1:]), np.float32), step_of(params)
+    unrounded_m, step = np.empty(size if unrounded else (0, *size[1:]), np.float32), step_of(params)
     kept = (None, None) if out.thinned is None else out.thinned
     thinned = Thinned(
         *(buffer(thinned_size(size), a.dtype.type, b) for a, b in zip((range_steps, hit), kept, strict=True))
@@ -311,9 +316,11 @@ def scan(
     ENGINES[params.engine](
         range_steps, np.float32(1.0 / step), hit, on.poses, on.ground_m, observers, grid, params.max_range_m, boxes,
         prisms(shape, boxes) if bodies is None else bodies, scene,
-        RangeNoise.of(keys, params.range_sigma_m, params.dropout_p), near, thinned, range_m,
+        RangeNoise.of(keys, params.range_sigma_m, params.dropout_p), near, thinned, unrounded_m,
     )  # fmt: skip
-    return Sweeps(on.poses, observers, on.ground_m, grid, params.max_range_m, range_steps, step, hit, thinned, range_m)
+    return Sweeps(
+        on.poses, observers, on.ground_m, grid, params.max_range_m, range_steps, step, hit, thinned, unrounded_m
+    )
 
 
 def hit_type(n_actors: int) -> type:

@@ -35,9 +35,9 @@ from sensors.thinned import Thinned, thin
 
 def cast(
     range_steps, per_metre, hit, poses, ground_m, observers, beams, max_range_m, boxes: Boxes, bodies: Prisms,
-    scene: Scene, noise: RangeNoise, near: Neighbours, thinned: Thinned, range_m,
+    scene: Scene, noise: RangeNoise, near: Neighbours, thinned: Thinned, unrounded_m,
 ):  # fmt: skip
-    """Fill `range_steps`, `hit` and `thinned` of every observer, and those of `range_m`; see `sensors.lidar.scan`."""
+    """Fill `range_steps`, `hit` and `thinned` of every observer, and their `unrounded_m`; see `sensors.lidar.scan`."""
     if scene.triangles_m is not None or scene.bodies_m:
         meshes = [*scene.bodies_m.values(), *([] if scene.triangles_m is None else [scene.triangles_m])]
         raise ValueError(
@@ -47,14 +47,14 @@ def cast(
     _cast(
         range_steps, per_metre, hit, poses.origin_m, poses.yaw_rad, ground_m, observers, beams, float(max_range_m),
         boxes.xyz_m, boxes.circumradius_m, near.ptr, near.row, bodies, scene.buildings, noise, thinned,
-        range_m,
+        unrounded_m,
     )  # fmt: skip
 
 
 @parallel
 def _cast(
     range_steps, per_metre, hit, origin, yaw, ground, own, beams, limit, xyz, radius, ptr, row, bodies, city, noise,
-    thinned, range_m,
+    thinned, unrounded_m,
 ):  # fmt: skip
     """Sweep by sweep, so that each is finished while it is in the cache of its core."""
     for o in prange(len(origin)):
@@ -73,8 +73,8 @@ def _cast(
         add_noise(ranges, hits, noise.key[o], noise)
         count_steps(ranges, range_steps[o], per_metre)
         thin(range_steps[o], hits, thinned.range_steps[o], thinned.hit[o])
-        if o < len(range_m):
-            range_m[o] = ranges
+        if o < len(unrounded_m):
+            unrounded_m[o] = ranges
 
 
 @inlined

@@ -14,7 +14,7 @@ from sensors.raycast import mesh
 
 
 def cast(*sweep) -> None:
-    """Fill `range_steps`, `hit` and `thinned` of every observer, and those of `range_m`; see `sensors.lidar.scan`."""
+    """Fill `range_steps`, `hit` and `thinned` of every observer, and their `unrounded_m`; see `sensors.lidar.scan`."""
     mesh.cast(tracer_of, *sweep)
 
 

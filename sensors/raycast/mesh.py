@@ -28,13 +28,13 @@ Tracer = Callable[[Float[ndarray, "r 3"], Float[ndarray, "r 3"]], tuple[Float[nd
 def cast(
     tracer_of: Callable[[ndarray], Tracer],
     range_steps, per_metre, hit, poses, ground_m, observers, beams, max_range_m, boxes: Boxes, bodies: Prisms,
-    scene: Scene, noise: RangeNoise, _near: Neighbours, thinned: Thinned, range_m,
+    scene: Scene, noise: RangeNoise, _near: Neighbours, thinned: Thinned, unrounded_m,
 ):  # fmt: skip
-    """Fill `range_steps`, `hit` and `thinned` of every observer, and those of `range_m`.
+    """Fill `range_steps`, `hit` and `thinned` of every observer, and their `unrounded_m`.
 
     `tracer_of` makes an engine from triangles (t, 3, 3).
     """
-    ranges = range_m if len(range_m) else np.empty(hit.shape, np.float32)
+    ranges = unrounded_m if len(unrounded_m) else np.empty(hit.shape, np.float32)
     city, (body, actor) = city_triangles(scene), _bodies(bodies, boxes, scene)
     mesh = np.concatenate([city, body])
     code = np.concatenate([np.full(len(city), Hit.BUILDING), Hit.ACTOR + actor]).astype(np.int32)

@@ -58,7 +58,7 @@ def test_a_house_of_triangles_is_seen_as_one_of_prisms(house, engine):
     corner = np.array([[-6, -3], [6, -3], [6, 3], [-6, 3]]) @ np.array([[cos, sin], [-sin, cos]]) + [40, -20]
     prism = sweep(Scene.from_footprints([[corner]], [0.0], [SIZE[2]]), "columnar")
     mesh = sweep(with_meshes(Scene.empty(), [MeshParams(file=str(house), at_m=(40, -20, 0), yaw_deg=30)]), engine)
-    far = [np.where(np.isfinite(s.range_m), s.range_m, 1e3) for s in (prism, mesh)]
+    far = [np.where(np.isfinite(s.unrounded_m), s.unrounded_m, 1e3) for s in (prism, mesh)]
     differ = np.abs(far[0] - far[1]) > 1e-3
     assert (prism.hit == 2).sum() > 2000, "the house is seen"
     assert differ.mean() <= 1e-4 and (prism.hit != mesh.hit)[~differ].mean() <= 1e-4
@@ -153,7 +153,7 @@ def test_cars_of_triangles_are_seen_as_those_of_prisms(car, engine):
             ),
         )
     ]
-    far = [np.where(np.isfinite(s.range_m), s.range_m, 1e3) for s in seen]
+    far = [np.where(np.isfinite(s.unrounded_m), s.unrounded_m, 1e3) for s in seen]
     differ = np.abs(far[0] - far[1]) > 1e-3
     assert (seen[0].hit >= Hit.ACTOR + van).sum() > 3000, "cars are seen"
     assert differ.mean() <= 1e-4 and (seen[0].hit != seen[1].hit)[~differ].mean() <= 1e-4

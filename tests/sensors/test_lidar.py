@@ -20,7 +20,7 @@ def test_road_wall_and_roof_by_hand():
     low = Scene.from_footprints([[[(20, -5), (30, -5), (30, 5), (20, 5)]]], [0.0], [5.0])
     sine, cosine = np.sin(np.radians(10)), np.cos(np.radians(10))
     sweep = exact(car(0, 0), [CAR], [0], high, **LEVEL)
-    assert sweep.range_m[0, 0] == pytest.approx([1.73 / sine, 20, 20 / cosine], rel=1e-6)
+    assert sweep.unrounded_m[0, 0] == pytest.approx([1.73 / sine, 20, 20 / cosine], rel=1e-6)
     assert sweep.hit[0, 0].tolist() == [Hit.GROUND, Hit.BUILDING, Hit.BUILDING]
     assert exact(car(0, 0), [CAR], [0], low, **LEVEL).hit[0, 0].tolist() == [Hit.GROUND, Hit.BUILDING, Hit.NOTHING]
     # From 12 m the beam at -10 degrees meets the roof of 5 m after 7 / sin 10 = 40.31 m, 39.7 m out: past the roof,
@@ -28,7 +28,7 @@ def test_road_wall_and_roof_by_hand():
     for top, hit, distance in ((5.0, Hit.GROUND, 12 / sine), (8.0, Hit.BUILDING, 4 / sine)):
         scene = Scene.from_footprints([[[(20, -5), (30, -5), (30, 5), (20, 5)]]], [0.0], [top])
         sweep = exact(car(0, 0), [CAR], [0], scene, mount_above_roof_m=10.5, **LEVEL)
-        assert (sweep.hit[0, 0, 0], sweep.range_m[0, 0, 0]) == (hit, pytest.approx(distance, rel=1e-6))
+        assert (sweep.hit[0, 0, 0], sweep.unrounded_m[0, 0, 0]) == (hit, pytest.approx(distance, rel=1e-6))
 
 
 def test_actor_by_hand():
@@ -36,7 +36,7 @@ def test_actor_by_hand():
     boxes = Boxes.concat([car(0, 0), Boxes(np.array([[30, 0, 1.6]]), np.array([[12, 2.55, 3.2]]), np.zeros(1))])
     sweep = exact(boxes, [CAR, BUS], [0], **LEVEL)
     assert sweep.hit[0, 0].tolist() == [Hit.GROUND, Hit.ACTOR + 1, Hit.NOTHING]
-    assert sweep.range_m[0, 0, 1] == pytest.approx(24.06, rel=1e-6)
+    assert sweep.unrounded_m[0, 0, 1] == pytest.approx(24.06, rel=1e-6)
     assert sweep.xyz(0) == pytest.approx(np.array([[1.73 / np.tan(np.radians(10)), 0, -1.73], [24.06, 0, 0]]), abs=1e-3)
     world = sweep.poses.to_world(0, sweep.xyz(0))
     assert world[1] == pytest.approx([24.06, 0, 1.73], abs=1e-3)
@@ -45,8 +45,8 @@ def test_actor_by_hand():
 def test_own_body_is_transparent():
     sweep = exact(car(0, 0), [CAR], [0], profile="hdl64e")
     assert (sweep.hit <= Hit.GROUND).all()
-    assert not np.isfinite(sweep.range_m[sweep.hit == Hit.NOTHING]).any()
-    assert np.isfinite(sweep.range_m[sweep.hit == Hit.GROUND]).all()
+    assert not np.isfinite(sweep.unrounded_m[sweep.hit == Hit.NOTHING]).any()
+    assert np.isfinite(sweep.unrounded_m[sweep.hit == Hit.GROUND]).all()
 
 
 @pytest.mark.parametrize("profile", PROFILES)
@@ -66,22 +66,22 @@ def test_noise_is_a_function_of_key_and_ray():
     params = LidarParams(dropout_p=0.1)
     clean = exact(boxes, shape, observers, scene)
     noisy = scan(boxes, shape, observers, scene, params, keys, unrounded=True)
-    kept = np.isfinite(noisy.range_m)
-    returned = np.isfinite(clean.range_m)
+    kept = np.isfinite(noisy.unrounded_m)
+    returned = np.isfinite(clean.unrounded_m)
     assert 1 - kept.sum() / returned.sum() == pytest.approx(0.1, abs=0.002)
     assert (noisy.hit[returned & ~kept] == Hit.NOTHING).all() and (noisy.hit[kept] == clean.hit[kept]).all()
-    error = noisy.range_m[kept] - clean.range_m[kept].astype(float)
+    error = noisy.unrounded_m[kept] - clean.unrounded_m[kept].astype(float)
     assert error.mean() == pytest.approx(0, abs=2e-4) and error.std() == pytest.approx(0.02, rel=0.01)
     assert np.mean(np.abs(error) < 0.02) == pytest.approx(0.683, abs=0.005)
     # fewer observers, in another order: the same sweeps
     some = rng.permutation(len(observers))[:5]
     again = scan(boxes, shape, observers[some], scene, params, keys[some], unrounded=True)
-    assert (again.range_m == noisy.range_m[some]).all() and (again.hit == noisy.hit[some]).all()
+    assert (again.unrounded_m == noisy.unrounded_m[some]).all() and (again.hit == noisy.hit[some]).all()
     # written over an earlier result: the same
     reused = scan(
         boxes, shape, observers, scene, params, keys, exact(boxes, shape, observers[::-1], scene), unrounded=True
     )
-    assert (reused.range_m == noisy.range_m).all()
+    assert (reused.unrounded_m == noisy.unrounded_m).all()
 
 
 @pytest.mark.parametrize("rows", [64, 30])
@@ -132,14 +132,14 @@ def test_reported_ranges_are_the_nearest_whole_steps(max_range_m, step_m):
     sweep = scan(
         boxes, shape, np.arange(40), scene, LidarParams(max_range_m=max_range_m, dropout_p=0.1), keys, unrounded=True
     )
-    returned = np.isfinite(sweep.range_m)
+    returned = np.isfinite(sweep.unrounded_m)
     assert sweep.step_m == step_m and 0.1 < returned.mean() < 0.9
     assert (returned == (sweep.range_steps != 65535)).all()
-    assert np.abs(sweep.range_steps[returned] * step_m - sweep.range_m[returned]).max() <= 0.5 * step_m
+    assert np.abs(sweep.range_steps[returned] * step_m - sweep.unrounded_m[returned]).max() <= 0.5 * step_m
     for o in (0, 39):
         xyz = sweep.xyz(o)
         assert (sweep.has_return(o) == returned[o]).all()
-        assert np.linalg.norm(xyz, axis=1) == pytest.approx(sweep.range_m[o][returned[o]], abs=0.51 * step_m)
+        assert np.linalg.norm(xyz, axis=1) == pytest.approx(sweep.unrounded_m[o][returned[o]], abs=0.51 * step_m)
         assert sweep.cloud(o) == pytest.approx(xyz, rel=1e-6, abs=1e-4)
 
 

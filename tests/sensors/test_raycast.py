@@ -42,7 +42,9 @@ def compare(reference, boxes, shape, observers, scene, **params) -> float:
         seen = finite(reference)[o]
         grazing = (seen >= nearby.min(axis=0) - 1e-3) & (seen <= nearby.max(axis=0) + 1e-3)
         column, row = np.nonzero(wrong[o] & ~grazing)
-        end = ours.poses.to_world(o, ours.range_m[o, column, row, None] * directions(0.0, ours.beams)[column * n + row])
+        end = ours.poses.to_world(
+            o, ours.unrounded_m[o, column, row, None] * directions(0.0, ours.beams)[column * n + row]
+        )
         assert (gap_to_body(end, boxes, shape, observers[o]) < 2 * STEP_M).all()
     return float(wrong.mean())
 
@@ -75,7 +77,7 @@ def gap_to_body(point, boxes, shape, actor) -> np.ndarray:
 
 def finite(sweep: Sweeps) -> np.ndarray:
     """Ranges, with the end of the range for what did not return."""
-    return np.where(np.isfinite(sweep.range_m), sweep.range_m, np.float32(sweep.max_range_m)).astype(float)
+    return np.where(np.isfinite(sweep.unrounded_m), sweep.unrounded_m, np.float32(sweep.max_range_m)).astype(float)
 
 
 @each_reference
@@ -137,7 +139,7 @@ def test_permuting_actors_permutes_the_sweeps(seed):
     swap = rng.permutation(25)
     a = exact(boxes, shape, swap[:6], scene, profile="vlp32c")
     b = exact(boxes.take(swap), shape[swap], np.arange(6), scene, profile="vlp32c")
-    assert (a.range_m == b.range_m).all()
+    assert (a.unrounded_m == b.unrounded_m).all()
     named = np.where(b.hit >= Hit.ACTOR, swap[np.maximum(b.hit - Hit.ACTOR, 0)] + Hit.ACTOR, b.hit)
     assert (a.hit == named).all()
 
@@ -150,7 +152,7 @@ def test_an_occluder_never_lengthens_a_range(seed):
     scene = random_scene(rng)
     with_all = exact(boxes, shape, np.arange(5), scene, profile="vlp32c")
     without_last = exact(boxes.take(slice(19)), shape[:19], np.arange(5), scene, profile="vlp32c")
-    assert (with_all.range_m <= without_last.range_m).all()
+    assert (with_all.unrounded_m <= without_last.unrounded_m).all()
     other = with_all.hit != Hit.ACTOR + 19
     assert (with_all.hit == without_last.hit)[other].all()
 
@@ -178,7 +180,7 @@ def test_thread_count_invariance():
         one = exact(boxes, shape, np.arange(40), scene)
     finally:
         numba.set_num_threads(threads)
-    assert (one.range_m == several.range_m).all() and (one.hit == several.hit).all()
+    assert (one.unrounded_m == several.unrounded_m).all() and (one.hit == several.hit).all()
 
 
 @settings(max_examples=50, deadline=None)
@@ -202,11 +204,11 @@ def test_no_ray_passes_between_adjacent_walls():
     ring = 30.0 * np.column_stack([np.cos(angle), np.sin(angle)])
     scene = Scene.from_footprints([[2 * ring, ring]], [-1.0], [50.0])
     sweep = exact(car(0, 0), [0], [0], scene, profile="os1_128", n_azimuths=3600)
-    assert np.isfinite(sweep.range_m).all() and sweep.range_m.max() < 34
+    assert np.isfinite(sweep.unrounded_m).all() and sweep.unrounded_m.max() < 34
 
 
 def test_empty_worlds():
-    assert exact(car(0, 0), [0], []).range_m.shape == (0, 520, 64)
+    assert exact(car(0, 0), [0], []).unrounded_m.shape == (0, 520, 64)
     none = Poses(np.empty((0, 3)), np.empty(0))
     assert len(none.to_sensor(np.zeros(0, int), Boxes.concat([]))) == 0
 

@@ -66,7 +66,7 @@ def test_a_mesh_is_cast_by_embree_and_open3d(engine):
     level = {"elevation_deg": (0.0,), "n_azimuths": 1, "fov_deg": 1.0}
     sweep = exact(car(0, 0), [0], [0], scene, engine=engine, **level)
     # The sensor is at 1.73 m. The face towards it runs from x = 10 at z = -1 to x = 11 at z = 4: 10 + 2.73 / 5.
-    assert sweep.range_m[0, 0, 0] == pytest.approx(10.546, abs=1e-5) and sweep.hit[0, 0, 0] == Hit.BUILDING
+    assert sweep.unrounded_m[0, 0, 0] == pytest.approx(10.546, abs=1e-5) and sweep.hit[0, 0, 0] == Hit.BUILDING
     with pytest.raises(ValueError, match="4 triangles"):
         exact(car(0, 0), [0], [0], scene, **level)
 
