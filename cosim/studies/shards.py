@@ -132,7 +132,7 @@ class ShardedPerception:
         self._ahead: deque[tuple[World, list[_Piece]]] = deque()
         self._now: list[_Piece] = []
         rays = n_rays(own.lidar)
-        self._most = max(1, shard_bytes // (4 * rays[0] * rays[1]))
+        self._most = max(1, shard_bytes // (np.dtype(np.uint16).itemsize * rays[0] * rays[1]))
         self._n_asked, self._n_workers = 0, 1
 
     def __call__(self, world: World, observers: Int[ndarray, "e"], watch: Stopwatch) -> Observed:

@@ -1,5 +1,6 @@
 """Evidence: reference vectors of the paper, windows against whole clouds, observability."""
 
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -119,6 +120,14 @@ def test_area_follows_the_field_of_view(fov_deg):
     assert in_evaluation_area(blind(fov_deg=360.0), np.zeros(180, int), ring, AreaParams()).all()
     with_slack = in_evaluation_area(blind(fov_deg=fov_deg), np.zeros(180, int), ring, AreaParams())
     assert (with_slack >= kept).all() and with_slack.sum() <= kept.sum() + 4  # 2 m at 60 m is 1.9 degrees
+
+
+@pytest.mark.parametrize("n", [1, 30])
+def test_rays_without_return_are_in_no_box(n):
+    """Boxes at and about the end of the last step, 128 m away, few and many of them."""
+    at = np.column_stack([np.linspace(120.0, 130.0, n), np.zeros(n), np.zeros(n)])
+    boxes = Boxes(at, np.full((n, 3), 30.0), np.zeros(n))
+    assert not points_in_boxes(blind(), np.zeros(n, int), boxes).any()
 
 
 @settings(max_examples=12, deadline=None)

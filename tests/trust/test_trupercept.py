@@ -185,6 +185,27 @@ def test_many_words_and_growing_tables():
     assert scores.n_evaluations.reshape(100, 2).tolist() == [[500, 300]] * 100
 
 
+@pytest.mark.parametrize("freshness_s", [6.0, "off"])
+def test_evidence_may_still_come_when_a_step_has_been_trimmed(freshness_s):
+    """A step's tables shrink to what they hold three steps later; what comes then counts as if it had come at once."""
+    rows = [(v, u, k, 0.5, 1) for v in range(40) for u in range(30) for k in (0, 1)]
+    late, prompt = (TruPercept(TrustParams(freshness_s=freshness_s), 1.0) for _ in range(2))
+    for step in range(10):
+        for model in (late, prompt):
+            open_step(model, step, {v: [0.5, 0.5] for v in range(40)})
+        add(prompt, step, rows)
+        add(late, step, rows[::3])
+        late.scores()
+        if step >= 4:
+            add(late, step - 4, rows)  # a third of them once more
+            add(late, step - 4, [(50, 1, 0, 1, 1)])
+            add(prompt, step - 4, [(50, 1, 0, 1, 1)])
+    for step in range(6, 10):
+        add(late, step, rows)
+    assert_same(late.scores(), prompt.scores())
+    assert rejected(late)["DUPLICATE"] > 1000 and rejected(late)["UNKNOWN_EVALUATOR"] == 6
+
+
 def test_first_of_contradicting_verdicts_counts():
     model = TruPercept(TrustParams(), 1.0)
     open_step(model, 0, {1: [1], 2: []})

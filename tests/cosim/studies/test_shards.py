@@ -55,7 +55,7 @@ def test_sharded_is_plain(plain, recorded, tmp_path, sweeps_per_shard):
 
         def perceive(own):
             plain_data = json.dumps(config.to_dict(), default=str)
-            made.append(ShardedPerception(own, client, plain_data, 2, worlds, sweeps_per_shard * 4 * 520 * 64))
+            made.append(ShardedPerception(own, client, plain_data, 2, worlds, sweeps_per_shard * 2 * 520 * 64))
             return made[-1]
 
         out = running.run(config, tmp_path / "run", lambda *_: None, recorded, perceive)
