@@ -2,7 +2,7 @@
 
 import resource
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -33,8 +33,8 @@ VEHICLES = (250, 500, 1000, 2000, 5000)
 WARM_UP_STEPS = 3
 """Steps before the measurement: they compile, and fill caches and memories."""
 _NEAR_M = 100.0
-_N_CENTRES = 100
-"""Points around which a piece is tried."""
+_N_CENTRES, _N_INSTANTS = 100, 4
+"""Points around which a piece is tried, and into how many parts the time is cut at whose ends it is looked at."""
 
 
 class CpuStopwatch:
@@ -88,12 +88,13 @@ def bench(
     found = find(config.traffic.scenario, config.traffic.trace)
     worlds, registry = _worlds(config, found, WARM_UP_STEPS + seconds)
     parts = Parts.of(config, found.city())
-    whole = _neighbours(worlds[-1], np.arange(len(worlds[-1])))
+    some = worlds[:: -max(1, (len(worlds) - 1) // _N_INSTANTS)]
+    whole = float(np.mean([_neighbours(world, np.arange(len(world))) for world in some]))
     threads, sizes = numba.get_num_threads(), [n for n in sorted(vehicles) if n < len(worlds[-1])]
     yield "actors of the whole traffic", len(worlds[-1]), ""
     yield f"neighbours within {_NEAR_M:g} m, of the whole traffic", whole, "actors"
     for size in [*sizes, len(worlds[-1])] if len(sizes) < len(vehicles) else sizes:
-        actor, neighbours = piece(worlds[-1], size, whole)
+        actor, neighbours = piece(some, size, whole)
         yield f"{size} actors: neighbours within {_NEAR_M:g} m", neighbours, "actors"
         cropped = [_taken(world, np.flatnonzero(np.isin(world.actor, actor))) for world in worlds]
         for n in sorted({1, threads}):
@@ -161,21 +162,27 @@ def _worlds(config: Config, scenario: Scenario, n: int) -> tuple[list[World], Ac
     return worlds, registry
 
 
-def piece(world: World, n: int, wanted: float) -> tuple[Int[ndarray, "n"], float]:
-    """The n actors nearest to a point, chosen so that they have about as many neighbours as those of the whole traffic.
+def piece(worlds: Sequence[World], n: int, wanted: float) -> tuple[Int[ndarray, "n"], float]:
+    """The n actors of the first of these worlds that are nearest to a point, chosen so that they have on average over
+    all of the worlds about as many neighbours as those of the whole traffic.
 
     Those at the rim have fewer, so that a small piece lies where the traffic is a little denser.
     """
+    world = worlds[0]
     xy = world.boxes.xyz_m[:, :2]
     centres = np.unique(np.linspace(0, len(world) - 1, _N_CENTRES).astype(int))
-    pieces = cKDTree(xy).query(xy[centres], n)[1].reshape(len(centres), n)
-    neighbours = np.array([_neighbours(world, piece) for piece in pieces])
+    pieces = world.actor[np.sort(cKDTree(xy).query(xy[centres], n)[1].reshape(len(centres), n))]
+    neighbours = np.array([
+        np.mean([_neighbours(one, np.flatnonzero(np.isin(one.actor, actor))) for one in worlds]) for actor in pieces
+    ])  # fmt: skip
     best = int(np.argmin(np.abs(neighbours - wanted)))
-    return world.actor[np.sort(pieces[best])], float(neighbours[best])
+    return pieces[best], float(neighbours[best])
 
 
 def _neighbours(world: World, rows: Int[ndarray, "n"]) -> float:
     """Mean number of others of these rows within `_NEAR_M`."""
+    if not len(rows):
+        return 0.0
     tree = cKDTree(world.boxes.xyz_m[rows, :2])
     return float(tree.count_neighbors(tree, _NEAR_M) / len(rows) - 1.0)
 

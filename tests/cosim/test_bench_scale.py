@@ -21,7 +21,7 @@ def test_a_piece_is_as_dense_as_the_whole():
     )  # fmt: skip
     apart = np.hypot(x[:, None] - x, xyz[:, 1, None] - xyz[:, 1])
     whole = ((apart <= 100).sum() - n) / n
-    actor, neighbours = piece(world, 300, whole)
+    actor, neighbours = piece([world], 300, whole)
     assert len(actor) == 300 and np.isin(actor, world.actor).all()
     rows = actor - 7
     assert neighbours == pytest.approx(((apart[np.ix_(rows, rows)] <= 100).sum() - len(rows)) / len(rows))

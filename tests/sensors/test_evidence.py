@@ -1,6 +1,5 @@
 """Evidence: reference vectors of the paper, windows against whole clouds, observability."""
 
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
