@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, UInt8
+from jaxtyping import Bool, Float, Int, Int32, UInt8
 from numpy import ndarray
 from scipy.ndimage import distance_transform_cdt
 
@@ -28,8 +28,11 @@ class WallIndex:
 
     grid: Grid
     walls: Walls
-    solid: UInt8[ndarray, "nx ny 2"]
-    """Base and top of the building that fills each cell, as `_level`; base above top if none."""
+    solid: Int32[ndarray, "s"]
+    """Cells that a building fills, counted row by row, ascending."""
+    base: UInt8[ndarray, "s"]
+    top: UInt8[ndarray, "s"]
+    """Its base and top, as `_level`; base above top if it is too flat."""
     _filled: dict[tuple[int, int], FilledCells] = field(default_factory=dict, repr=False, compare=False)
 
     @staticmethod
@@ -54,34 +57,28 @@ class WallIndex:
         squares = -(-nx // wide), -(-ny // wide)
         building_ptr, building = _buildings_by_square(low, wide * cell_m, *squares, walls)
         grid = Grid(low, float(cell_m), step.astype(np.uint8), ptr, wall, building_ptr, building)
-        solid = np.tile(np.array([1, 0], np.uint8), (nx, ny, 1))
-        index = WallIndex(grid, walls, solid)
         near = np.kron((np.diff(building_ptr) > 0).reshape(squares), np.ones((wide, wide), bool))
         i, j = np.nonzero(empty & near[:nx, :ny])
         middle = np.column_stack([low[0] + (i + 0.5) * cell_m, low[1] + (j + 0.5) * cell_m, np.full(len(i), np.nan)])
         owner = kernels.building_at(middle, grid, walls)
         i, j, owner = i[owner >= 0], j[owner >= 0], owner[owner >= 0]
         # Rounded inwards: slightly less is filled.
-        solid[i, j, 0] = np.ceil(index._level(walls.base_m[owner]) - 1e-9)
-        solid[i, j, 1] = np.floor(index._level(walls.top_m[owner]) + 1e-9)
-        return index
-
-    def _level(self, z_m: ndarray) -> ndarray:
-        """Heights in steps of 1/254 of the range from the lowest base to the highest top."""
-        zero_m = float(self.walls.base_m.min(initial=0.0))
-        return (z_m - zero_m) * 254 / max(float(self.walls.top_m.max(initial=1.0)) - zero_m, 1.0)
+        base = np.ceil(_level(walls, walls.base_m[owner]) - 1e-9).astype(np.uint8)
+        top = np.floor(_level(walls, walls.top_m[owner]) + 1e-9).astype(np.uint8)
+        return WallIndex(grid, walls, (i * ny + j).astype(np.int32), base, top)
 
     def filled(self, z_m: Float[ndarray, "n"]) -> FilledCells:
         """Cells that block every line between points of these heights."""
-        level = self._level(np.asarray(z_m, float))
+        level = _level(self.walls, np.asarray(z_m, float))
         low, high = int(np.floor(level.min(initial=254.0))), int(np.ceil(level.max(initial=0.0)))
         found = self._filled.get((low, high))
         if found is None:
             if len(self._filled) >= 16:
                 self._filled.clear()  # another thread may ask at any time
-            base, top = self.solid[:, :, 0], self.solid[:, :, 1]
-            bits = np.packbits((base <= low) & (top >= high) & (top > 0), bitorder="little")
-            found = self._filled[low, high] = FilledCells(bits, *self.solid.shape[:2])
+            nx, ny = self.grid.step.shape
+            is_filled = np.zeros(nx * ny, bool)
+            is_filled[self.solid[(self.base <= low) & (self.top >= high) & (self.top > 0)]] = True
+            found = self._filled[low, high] = FilledCells(np.packbits(is_filled, bitorder="little"), nx, ny)
         return found
 
     def cells(self, xyz_m: Float[ndarray, "n 3"]) -> Float[ndarray, "n 2"]:
@@ -129,6 +126,12 @@ class WallIndex:
         inside += self.indoors(xyz_m)[b]
         length_m = np.hypot(*(xyz_m[a, :2] - xyz_m[b, :2]).T)
         return n_walls, np.clip(inside, 0, 1) * length_m
+
+
+def _level(walls: Walls, z_m: ndarray) -> ndarray:
+    """Heights in steps of 1/254 of the range from the lowest base to the highest top."""
+    zero_m = float(walls.base_m.min(initial=0.0))
+    return (z_m - zero_m) * 254 / max(float(walls.top_m.max(initial=1.0)) - zero_m, 1.0)
 
 
 def _rows(rows: Int[ndarray, "m"]) -> ndarray:

@@ -22,6 +22,7 @@ SUFFIXES = (".xml", ".xml.gz", ".csv", ".csv.gz", ".parquet")
 
 _COLUMNS = ("x", "y", "angle", "speed")
 _BLOCK_ROWS = 1 << 16
+_READ_BYTES = 1 << 16  # of a column at once: else all of it
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,7 +135,7 @@ def _csv(path: Path) -> Iterator[Timestep]:
 def _parquet(path: Path) -> Iterator[Timestep]:
     def batches() -> Iterator[pa.RecordBatch]:
         check_regular(path)
-        with pq.ParquetFile(path) as file:
+        with pq.ParquetFile(path, buffer_size=_READ_BYTES) as file:
             if len(set(file.schema_arrow.names)) < len(file.schema_arrow.names):
                 raise TrafficError(f"{path}: two of its columns have the same name. Remove one of them.")
             yield from file.iter_batches(_BLOCK_ROWS)
