@@ -36,7 +36,7 @@ def _count(keys, newest, after, beside, out):
 @compiled
 def _without_old(keys, newest, horizon, size):
     new_keys = np.full(size, -1, np.int64)
-    new_newest = np.zeros(size, np.int64)
+    new_newest = np.zeros(size, np.int32)
     n = 0
     for i in range(keys.size):
         if keys[i] != -1 and newest[i] > horizon:
@@ -56,7 +56,7 @@ class EvaluatorTable:
 
     def __init__(self) -> None:
         self.keys = np.full(64, -1, np.int64)
-        self.newest = np.zeros(64, np.int64)
+        self.newest = np.zeros(64, np.int32)
         self._n_used = 0
 
     def note(self, row: Int[ndarray, "n"], evaluator: Int[ndarray, "n"], step: int, horizon: int = NEVER) -> None:
