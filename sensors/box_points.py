@@ -65,7 +65,7 @@ def _crossings(cos_az, sin_az, p, q, cos, sin, half_l, half_w, near, far):
 def _tally(steps, c, r0, r1, cos_el, sin_el, middle, half, height, half_h, error):
     """Returns of a column that are inside for certain, times `_WIDE`, and those that may be; rows in whole blocks.
 
-    `cos_el` and `sin_el` are lengths per step. The box lies nearer than a ray without return is said to end.
+    `cos_el` and `sin_el` are lengths per step. The box ends before `NO_RETURN` steps: it is not told from a range.
     Only whole numbers are added, so that the order of the additions does not matter.
     """
     count = np.float32(0.0)

@@ -24,14 +24,6 @@ class Thinned(NamedTuple):
     range_steps: UInt16[ndarray, "m a/4 e/2"]
     hit: Int[ndarray, "m a/4 e/2"]
 
-    @staticmethod
-    def of(range_steps: UInt16[ndarray, "m a e"], hit: Int[ndarray, "m a e"]) -> Thinned:
-        """Those of these sweeps."""
-        size = thinned_size(range_steps.shape)
-        made = Thinned(np.empty(size, range_steps.dtype), np.empty(size, hit.dtype))
-        thin_all(range_steps, hit, made)
-        return made
-
 
 def thinned_size(size: tuple[int, int, int]) -> tuple[int, int, int]:
     """Sweeps, columns and rows that are kept of so many."""

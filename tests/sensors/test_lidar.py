@@ -136,6 +136,8 @@ def test_reported_ranges_are_the_nearest_whole_steps(max_range_m, step_m):
     assert sweep.step_m == step_m and 0.1 < returned.mean() < 0.9
     assert (returned == (sweep.range_steps != 65535)).all()
     assert np.abs(sweep.range_steps[returned] * step_m - sweep.unrounded_m[returned]).max() <= 0.5 * step_m
+    assert (sweep.range_m[returned] == sweep.range_steps[returned] * step_m).all()
+    assert np.isinf(sweep.range_m[~returned]).all()
     for o in (0, 39):
         xyz = sweep.xyz(o)
         assert (sweep.has_return(o) == returned[o]).all()
