@@ -22,8 +22,6 @@ parallel = njit(**_OPTIONS, parallel=True)
 """Decorator: the same, with `prange` over threads."""
 kernel = njit(**_COUNTLESS)
 """Decorator: compiled, cached; must neither allocate nor return arrays, which callers would release once too often."""
-adding = njit(**_COUNTLESS, fastmath={"reassoc", "nsz"})
-"""Decorator: as `kernel`; sums are added up in any order, as only whole numbers may be."""
 dividing = njit(**_COUNTLESS, error_model="numpy")
 """Decorator: as `kernel`; division by zero is infinite, not an error, and many are made at once."""
 inlined = njit(**_COUNTLESS, inline="always")
