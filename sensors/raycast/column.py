@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from sensors.kernel import compiled, kernel
+from sensors.kernel import compiled, inlined, kernel
 
 MARGIN_RAD = 1e-9
 """Rounding of a window's limits."""
@@ -138,7 +138,7 @@ def rectangle(p, q, u, v, half_l, half_w):
     return enter, leave
 
 
-@kernel
+@inlined
 def profile(enter, leave, bottom, top, slopes):
     """Rows of one column that a prism covers: (a, s0, s1, b, t, low, high).
 
