@@ -14,6 +14,9 @@ from sensors.pairs import in_sensor_frame
 from sensors.range_steps import NO_RETURN
 from sensors.raycast.column import MARGIN_RAD, below, columns_of, slopes_of, spans
 
+_WIDEST = 14.0
+"""Tangent of half the width of a pyramid from which on it is a plane rather than a pyramid: 86 degrees."""
+
 _AT_ONCE = 8
 """Rows that are tested at once: a window of as many, or of a multiple, leaves none to be tested one by one."""
 
@@ -96,33 +99,33 @@ def frustum(x, y, middle_z, length, width, height, corner, plane):
     _cross(corner, 3, 2, -1.0, plane, 1)
     _cross(corner, 1, 3, -1.0, plane, 2)
     _cross(corner, 0, 2, 1.0, plane, 3)
-    middle = np.arctan2(y, x)
-    half, low, high = _window(middle, corner, plane)
-    return away, middle, half, low, high
+    flat = np.sqrt(x * x + y * y)
+    half, low, high = _window(x / flat, y / flat, corner, plane)
+    return away, np.arctan2(y, x), half, low, high
 
 
 @kernel
-def _window(middle, corner, plane):
-    """Half the width of a pyramid, lowest and highest slope."""
-    half, low, high = 0.0, np.inf, -np.inf
+def _window(cos, sin, corner, plane):
+    """Half the width of a pyramid whose middle is in the direction (cos, sin), lowest and highest slope."""
+    aside, low, high = 0.0, np.inf, -np.inf
     # Beside a large box the planes may bound no pyramid through the corners: then every ray is tested.
     sound = True
     for c in range(4):
         x, y, z = corner[c, 0], corner[c, 1], corner[c, 2]
-        off = abs(np.arctan2(y, x) - middle)
-        off = 2.0 * np.pi - off if off > np.pi else off
+        along, across = x * cos + y * sin, abs(y * cos - x * sin)
         slope = z / np.sqrt(x * x + y * y)
-        half, low, high = max(half, off), min(low, slope), max(high, slope)
+        sound = sound and across < _WIDEST * along
+        aside, low, high = max(aside, across / along if along > 0.0 else np.inf), min(low, slope), max(high, slope)
         for p in range(4):
             lies_on = (p == 0 and c < 2) or (p == 1 and c >= 2) or (p == 2 and c % 2 == 1) or (p == 3 and c % 2 == 0)
             sound = sound and (lies_on or x * plane[p, 0] + y * plane[p, 1] + z * plane[p, 2] < 0.0)
-    if not (sound and half < 1.5):
+    if not sound:
         return np.pi, -np.inf, np.inf
     # The side of a pyramid between two corners is a great circle: its slope is larger by 1 / cos of half its arc.
-    bulge = 1.0 / np.cos(half)
+    bulge = np.sqrt(1.0 + aside * aside)
     low = low * bulge if low < 0.0 else low / bulge
     high = high * bulge if high > 0.0 else high / bulge
-    return half + MARGIN_RAD, low, high
+    return np.arctan(aside) + MARGIN_RAD, low, high
 
 
 @inlined
