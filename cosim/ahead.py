@@ -1,16 +1,17 @@
 """What depends on the next world alone, computed in a thread of its own while the present step still sends, trusts,
 fuses and records.
 
-What vehicles perceive and how well stations hear each other depends on positions and on random draws keyed by names,
-not on earlier steps. Where no driver commands the traffic, the next world is therefore known early. Its radio links are
-computed while the present step sends and evaluates, which keeps one core busy. Its sweeps begin as soon as the range
-images of the present step have been asked for the last time, in the same memory. Compiled kernels run beside Python
-(`nogil`).
+What vehicles perceive, how well stations hear each other and who is near whom depends on positions and on random draws
+keyed by names, not on earlier steps. Where no driver commands the traffic, the next world is therefore known early. Its
+radio links and near pairs are found while the present step sends and evaluates, which keeps one core busy. Its sweeps
+begin as soon as the range images of the present step have been asked for the last time, in the same memory. Compiled
+kernels run beside Python (`nogil`).
 
 Values are the same in whatever order the threads run: a step waits for what was begun for its world, and computes
 itself what was begun for another.
 """
 
+from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 from types import TracebackType
@@ -26,6 +27,7 @@ from cosim.perception import BoxAnswers, BoxQuestions, Observed, Perception
 from cosim.radio.csma import ChannelContext, CsmaMedium, LinkCache
 from cosim.radio.message_round import MessageRound, Messages, RoundKind, Stations
 from cosim.stopwatch import Stopwatch
+from cosim.trackers.encounters import NearPairs
 from cosim.world import World
 from sensors import lidar
 from sensors.kernel import threads_may_meet
@@ -41,8 +43,9 @@ class Ahead:
         """Seconds per stage of what was computed ahead."""
         self._thread = ThreadPoolExecutor(1, "ahead")
         self._sensing = SensingAhead(parts.perception, self._thread, self.watch)
+        self._pairs = PairsAhead(parts.near_pairs, self._thread, self.watch)
         self._links = None
-        self.parts = replace(parts, perception=self._sensing)
+        self.parts = replace(parts, perception=self._sensing, near_pairs=self._pairs)
         if isinstance(parts.medium, CsmaMedium):
             self._links = LinksAhead(parts.medium, self._thread, self.watch)
             self.parts = replace(self.parts, medium=self._links)
@@ -53,6 +56,7 @@ class Ahead:
         if world.equipped.any() and threads_may_meet():
             if self._links is not None:
                 self._links.expect(stages.stations_of(world, np.flatnonzero(world.equipped), self.parts))
+            self._pairs.expect(world)
             self._sensing.expect(world, at_once)
 
     def __enter__(self) -> "Ahead":
@@ -101,6 +105,30 @@ class SensingAhead:
     def _sense(self, world: World, n_threads: int) -> Observed:
         numba.set_num_threads(n_threads)  # a setting of each thread
         return self._own(world, np.flatnonzero(world.equipped), self._watch)
+
+
+class PairsAhead:
+    """In place of `cosim.trackers.encounters.PairSearch`."""
+
+    def __init__(self, own: Callable[[World], NearPairs], thread: ThreadPoolExecutor, watch: Stopwatch) -> None:
+        self._own, self._thread, self._watch = own, thread, watch
+        self._under_way: list[tuple[World, Future[NearPairs]]] = []
+
+    def expect(self, world: World) -> None:
+        """The world of a later step; those of the present one may not have been asked for yet."""
+        self._under_way = [*self._under_way[-1:], (world, self._thread.submit(self._search, world))]
+
+    def __call__(self, world: World) -> NearPairs:
+        """As `PairSearch`."""
+        for expected, found in self._under_way:
+            if expected is world:
+                return found.result()
+        return self._own(world)
+
+    def _search(self, world: World) -> NearPairs:
+        numba.set_num_threads(1)  # the other core is the present step's
+        with self._watch("pairs"):
+            return self._own(world)
 
 
 class LinksAhead:

@@ -348,7 +348,7 @@ def _relinked(
 
 def _update_encounters(world: World, s: State, parts: Parts, vehicles: Vehicles, time_s: float) -> list[Rows]:
     """Who is near whom, and what they know of each other when they meet; rows of encounters that are over."""
-    closed, holder, other = s.encounters.update(world, parts.walls)
+    closed, holder, other = s.encounters.update(world.step, parts.near_pairs(world))
     s.trust = parts.trust.receive(s.trust, vehicles.actor, time_s)
     subject = parts.linkage.subjects(s.pseudonyms, s.pseudonyms.of(other))
     known = _per_variant(parts.trust.lookup(s.trust, holder, subject, time_s), parts)

@@ -1,5 +1,6 @@
 """The parts of a step, built once from the config: perception, adversary, medium, trust, pseudonyms, driver."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -11,9 +12,11 @@ from cosim.perception import Perceives, Perception
 from cosim.radio.medium import Medium
 from cosim.radio.rsu import NO_RSUS, RsuAntennas
 from cosim.stopwatch import Stopwatch
+from cosim.trackers.encounters import NearPairs, PairSearch
 from cosim.v2x.linkage import Linkage, Revocation
 from cosim.v2x.pseudonyms import Pseudonyms
 from cosim.v2x.trust_hosts import TrustHosts, Variant
+from cosim.world import World
 from results.codes import BASE_VARIANT
 from sensors.line_of_sight import LosOfPlaces, WallIndex
 from sensors.scene import Scene
@@ -25,8 +28,8 @@ class Parts:
 
     config: Config
     city: Scene
-    walls: WallIndex
-    """Of the city's buildings, for all lines of sight."""
+    near_pairs: Callable[[World], NearPairs]
+    """Pairs of actors that encounters are about."""
     rsus: RsuAntennas
     perception: Perceives
     adversary: Adversary
@@ -50,7 +53,7 @@ class Parts:
         return Parts(
             config=c,
             city=city,
-            walls=walls,
+            near_pairs=PairSearch.of(c.encounters, walls, c.lidar.mount_above_roof_m),
             rsus=rsus,
             perception=perception_of(c, city),
             adversary=Adversary.of(

@@ -56,9 +56,7 @@ class State:
     def start(parts: Parts) -> "State":
         """Before the first step."""
         c = parts.config
-        encounters = EncounterTrackers(
-            c.encounters, c.traffic.step_s, c.lidar.mount_above_roof_m, len(parts.trust.variants)
-        )
+        encounters = EncounterTrackers(c.encounters, c.traffic.step_s, len(parts.trust.variants))
         return State(parts.medium.start(), parts.trust.start(), encounters, parts.adversary.start())
 
     def copy(self) -> "State":

@@ -142,8 +142,9 @@ def _is_inside(steps, step_m, beams, c, r, box):
 
 
 @parallel
-def points_in_boxes(range_steps, step_m, beams, pairs, run):
-    """Returns of the pair's sweep strictly inside its box, of every pair; `run` as `Pairs.runs`.
+def points_in_boxes(range_steps, step_m, beams, pairs, run, n_chunks):
+    """Returns of the pair's sweep strictly inside its box, of every pair; `run` as `Pairs.runs`, which threads share
+    in `n_chunks`.
 
     `range_steps` and `step_m` as `sensors.lidar.RangeImages`; a step is a power of two, so that single precision holds
     every range, and lengths per step are exactly as precise as lengths per metre.
@@ -157,32 +158,33 @@ def points_in_boxes(range_steps, step_m, beams, pairs, run):
     for b in range(len(flat)):
         for r in range(max(0, min(LANES * b, m - LANES)), min(LANES * b + LANES, m)):
             flat[b, 0], flat[b, 1] = min(flat[b, 0], cos_el[r]), max(flat[b, 1], cos_el[r])
-    for i in prange(len(run) - 1):
-        steps, columns, slopes = range_steps[pairs.o[run[i]]], columns_of(beams), slopes_of(beams)
+    for chunk in prange(n_chunks):
+        columns, slopes = columns_of(beams), slopes_of(beams)
         lengths = np.empty((2, len(flat), (n + TILE - 1) // TILE), np.float32)
-        bounds = lengths[0], lengths[1]
-        if run[i + 1] - run[i] > _FEW and n >= TILE and m >= LANES:
-            farthest = _bounds(steps, flat, bounds[0], bounds[1]) * step_m + _REACH_M
-        else:
-            bounds[0][:], bounds[1][:], farthest = 0.0, np.inf, np.inf
-        scratch = np.empty(n, np.float32), np.empty(n, np.float32)
-        for k in range(run[i], run[i + 1]):
-            x, y, z, length, width, height, yaw = in_sensor_frame(pairs, k)
-            half_l, half_w, half_h = 0.5 * length, 0.5 * width, 0.5 * height
-            radius, distance = np.sqrt(half_l * half_l + half_w * half_w), np.sqrt(x * x + y * y)
-            close = distance - radius
-            if abs(y) * edge_cos - x * edge_sin > radius or close > farthest:
-                continue  # beside the field of view, or behind all returns
-            cos, sin = np.cos(yaw), np.sin(yaw)
-            a0, a1, b0, b1 = rectangle_columns(x, y, cos, sin, half_l, half_w, columns)
-            r0, r1 = 0, m
-            if close > 1e-6:
-                low, high = z - half_h, z + half_h
-                r0 = max(0, below(slopes, low / (close if low < 0.0 else distance + radius)) - 1)
-                r1 = min(m, below(slopes, high / (close if high > 0.0 else distance + radius)) + 1)
-            box = x, y, z, cos, sin, half_l, half_w, half_h
-            for turn in range(2):
-                c0, c1 = (a0, a1) if turn == 0 else (b0, b1)
-                if c1 > c0:
-                    out[k] += _count(steps, step_m, beams, cos_el, sin_el, c0, c1, r0, r1, box, bounds, scratch)
+        bounds, scratch = (lengths[0], lengths[1]), (np.empty(n, np.float32), np.empty(n, np.float32))
+        for i in range(np.int64(chunk), len(run) - 1, n_chunks):  # neighbours in a city have as many boxes to look at
+            steps = range_steps[pairs.o[run[i]]]
+            if run[i + 1] - run[i] > _FEW and n >= TILE and m >= LANES:
+                farthest = _bounds(steps, flat, bounds[0], bounds[1]) * step_m + _REACH_M
+            else:
+                bounds[0][:], bounds[1][:], farthest = 0.0, np.inf, np.inf
+            for k in range(run[i], run[i + 1]):
+                x, y, z, length, width, height, yaw = in_sensor_frame(pairs, k)
+                half_l, half_w, half_h = 0.5 * length, 0.5 * width, 0.5 * height
+                radius, distance = np.sqrt(half_l * half_l + half_w * half_w), np.sqrt(x * x + y * y)
+                close = distance - radius
+                if abs(y) * edge_cos - x * edge_sin > radius or close > farthest:
+                    continue  # beside the field of view, or behind all returns
+                cos, sin = np.cos(yaw), np.sin(yaw)
+                a0, a1, b0, b1 = rectangle_columns(x, y, cos, sin, half_l, half_w, columns)
+                r0, r1 = 0, m
+                if close > 1e-6:
+                    low, high = z - half_h, z + half_h
+                    r0 = max(0, below(slopes, low / (close if low < 0.0 else distance + radius)) - 1)
+                    r1 = min(m, below(slopes, high / (close if high > 0.0 else distance + radius)) + 1)
+                box = x, y, z, cos, sin, half_l, half_w, half_h
+                for turn in range(2):
+                    c0, c1 = (a0, a1) if turn == 0 else (b0, b1)
+                    if c1 > c0:
+                        out[k] += _count(steps, step_m, beams, cos_el, sin_el, c0, c1, r0, r1, box, bounds, scratch)
     return out

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
+import numba
 import numpy as np
 from annotated_types import Ge, Gt, Le
 from jaxtyping import Bool, Float, Int, Int32, UInt8
@@ -94,7 +95,9 @@ def points_in_boxes(
     the box can fill is searched.
     """
     pairs = sweeps.poses.pairs(o, boxes, b)
-    return box_points.points_in_boxes(sweeps.range_steps, sweeps.step_m, sweeps.beams, pairs, pairs.runs())
+    return box_points.points_in_boxes(
+        sweeps.range_steps, sweeps.step_m, sweeps.beams, pairs, pairs.runs(), numba.get_num_threads()
+    )
 
 
 def plausible(
@@ -118,7 +121,7 @@ def plausible(
     pairs = sweeps.poses.pairs(o, boxes, b)
     applies, seen, closer = evidence_kernels.free_space(
         sweeps.range_steps, sweeps.step_m, sweeps.beams, pairs, pairs.runs(), area.range_m, area.height_m,
-        edge_slope(sweeps.beams.fov_rad), params.margin_m,
+        edge_slope(sweeps.beams.fov_rad), params.margin_m, numba.get_num_threads(),
     )  # fmt: skip
     return ~applies | (closer > params.min_share * seen)
 

@@ -140,22 +140,25 @@ def in_frustum(x, y, z, plane):
 
 
 @parallel
-def free_space(range_steps, step_m, beams, pairs, run, reach_m, height_m, slope, margin_m):
+def free_space(range_steps, step_m, beams, pairs, run, reach_m, height_m, slope, margin_m, n_chunks):
     """Whether the free-space test applies to each pair, and where it does, the returns of its sweep in the pyramid
-    through its box, and how many of them are nearer than the box. `run` as `Pairs.runs`."""
+    through its box, and how many of them are nearer than the box. `run` as `Pairs.runs`, which threads
+    share in `n_chunks`."""
     applies = np.zeros(len(pairs.o), np.bool_)
     seen, closer = np.zeros(len(pairs.o), np.int32), np.zeros(len(pairs.o), np.int32)
-    for i in prange(len(run) - 1):
-        sweep, corner, plane = range_steps[pairs.o[run[i]]], np.empty((4, 3)), np.empty((4, 3))
+    for chunk in prange(n_chunks):
+        corner, plane = np.empty((4, 3)), np.empty((4, 3))
         columns, slopes = columns_of(beams), slopes_of(beams)
-        for k in range(run[i], run[i + 1]):
-            x, y, z, length, width, height, _ = in_sensor_frame(pairs, k)
-            applies[k] = is_testable(x, y, z, height, reach_m, height_m, beams.fov_rad, slope)
-            if applies[k]:
-                away, middle, half, low, high = frustum(x, y, z, length, width, height, corner, plane)
-                seen[k], closer[k] = _returns_in(
-                    sweep, step_m, beams, columns, slopes, plane, away + margin_m, middle, half, low, high
-                )
+        for i in range(np.int64(chunk), len(run) - 1, n_chunks):  # neighbours in a city have as many boxes to look at
+            sweep = range_steps[pairs.o[run[i]]]
+            for k in range(run[i], run[i + 1]):
+                x, y, z, length, width, height, _ = in_sensor_frame(pairs, k)
+                applies[k] = is_testable(x, y, z, height, reach_m, height_m, beams.fov_rad, slope)
+                if applies[k]:
+                    away, middle, half, low, high = frustum(x, y, z, length, width, height, corner, plane)
+                    seen[k], closer[k] = _returns_in(
+                        sweep, step_m, beams, columns, slopes, plane, away + margin_m, middle, half, low, high
+                    )
     return applies, seen, closer
 
 

@@ -1,6 +1,6 @@
 """Encounters by all definitions of the config: pairs near each other, and their line of sight."""
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,71 +31,83 @@ class NearPairs:
     """All actors that were searched."""
 
 
-def near_pairs(
-    world: World, walls: WallIndex, radius_m: float, equipped_only: bool, mount_above_roof_m: float,
-    blockers: Collection[str] = ("buildings_and_vehicles",), pedestrians: bool = False,
-) -> NearPairs:  # fmt: skip
-    """Pairs of actors within `radius_m` between the centres of their boxes; pedestrians only where asked for.
+@dataclass(frozen=True, slots=True)
+class PairSearch:
+    """Finds the pairs of a step that the encounters of a config are about."""
 
-    Parameters
-    ----------
-    blockers
-        What lines of sight are computed for, as `EncounterParams.los`.
-    """
-    searched = np.full(len(world), pedestrians) | (world.shape != Shape.PEDESTRIAN)
-    if equipped_only:
-        searched &= world.equipped
-    rows = np.flatnonzero(searched)
-    xy = world.boxes.xyz_m[rows, :2]
-    pairs = cKDTree(xy).query_pairs(radius_m, output_type="ndarray") if len(rows) else np.zeros((0, 2), int)
-    pair = np.sort((pairs[:, 0] << 32) | pairs[:, 1])
-    a, b = rows[pair >> 32], rows[pair & 0xFFFFFFFF]
-    east_m, north_m = (world.boxes.xyz_m[a, axis] - world.boxes.xyz_m[b, axis] for axis in (0, 1))
-    return NearPairs(
-        a=world.actor[a],
-        b=world.actor[b],
-        distance_m=np.sqrt(east_m * east_m + north_m * north_m),
-        los={
-            what: los_between_actors(
-                walls, world.boxes, world.shape, a, b, mount_above_roof_m, bodies=what == "buildings_and_vehicles"
-            )
-            for what in blockers
-        },
-        equipped=world.equipped[a] & world.equipped[b],
-        on_foot=(world.shape[a] == Shape.PEDESTRIAN) | (world.shape[b] == Shape.PEDESTRIAN),
-        present=world.actor[rows],
-    )
+    walls: WallIndex
+    radius_m: float
+    """Between the centres of their boxes."""
+    equipped_only: bool
+    blockers: tuple[str, ...]
+    """What lines of sight are computed for, as `EncounterParams.los`."""
+    pedestrians: bool
+    mount_above_roof_m: float
+
+    @staticmethod
+    def of(params: Sequence[EncounterParams], walls: WallIndex, mount_above_roof_m: float) -> "PairSearch":
+        """What all these definitions need."""
+        return PairSearch(
+            walls,
+            max((p.radius_m for p in params), default=0.0),
+            all(p.pairs in ("equipped", "los") for p in params),
+            tuple(sorted({p.los for p in params})),
+            any(p.pedestrians for p in params),
+            mount_above_roof_m,
+        )
+
+    def __call__(self, world: World) -> NearPairs:
+        """Pairs of actors within the radius; pedestrians only where asked for."""
+        searched = np.full(len(world), self.pedestrians) | (world.shape != Shape.PEDESTRIAN)
+        if self.equipped_only:
+            searched &= world.equipped
+        rows = np.flatnonzero(searched)
+        xy = world.boxes.xyz_m[rows, :2]
+        pairs = cKDTree(xy).query_pairs(self.radius_m, output_type="ndarray") if len(rows) else np.zeros((0, 2), int)
+        pair = np.sort((pairs[:, 0] << 32) | pairs[:, 1])
+        a, b = rows[pair >> 32], rows[pair & 0xFFFFFFFF]
+        east_m, north_m = (world.boxes.xyz_m[a, axis] - world.boxes.xyz_m[b, axis] for axis in (0, 1))
+        return NearPairs(
+            a=world.actor[a],
+            b=world.actor[b],
+            distance_m=np.sqrt(east_m * east_m + north_m * north_m),
+            los={
+                what: los_between_actors(
+                    self.walls, world.boxes, world.shape, a, b, self.mount_above_roof_m,
+                    bodies=what == "buildings_and_vehicles",
+                )
+                for what in self.blockers
+            },
+            equipped=world.equipped[a] & world.equipped[b],
+            on_foot=(world.shape[a] == Shape.PEDESTRIAN) | (world.shape[b] == Shape.PEDESTRIAN),
+            present=world.actor[rows],
+        )  # fmt: skip
 
 
 class EncounterTrackers:
     """One tracker per definition in the config, updated at every step of the traffic, sensing or not."""
 
-    def __init__(
-        self, params: Sequence[EncounterParams], dt_s: float, mount_above_roof_m: float, n_variants: int = 1
-    ) -> None:
+    def __init__(self, params: Sequence[EncounterParams], dt_s: float, n_variants: int = 1) -> None:
         self.trackers = [EncounterTracker(p, dt_s, n_variants) for p in params]
-        self.radius_m = max((p.radius_m for p in params), default=0.0)
-        self.equipped_only = all(p.pairs in ("equipped", "los") for p in params)
-        self.blockers = sorted({p.los for p in params})
-        self.pedestrians = any(p.pedestrians for p in params)
-        self.mount_above_roof_m = mount_above_roof_m
 
-    def update(self, world: World, walls: WallIndex) -> tuple[list[Rows], Int[ndarray, "k"], Int[ndarray, "k"]]:
+    def update(self, step: int, near: NearPairs) -> tuple[list[Rows], Int[ndarray, "k"], Int[ndarray, "k"]]:
         """Add one step.
+
+        Parameters
+        ----------
+        near
+            What `PairSearch` finds for these definitions.
 
         Returns
         -------
         Rows of the table `encounters` for those now over; and holders and others of the equipped pairs whose
         encounter begins, both ways, for which the caller says the trust by `first_contact`.
         """
-        near = near_pairs(
-            world, walls, self.radius_m, self.equipped_only, self.mount_above_roof_m, self.blockers, self.pedestrians
-        )
         closed, begins = [], np.zeros(len(near.a), bool)
         for tracker in self.trackers:
             kept = np.flatnonzero(~near.on_foot | tracker.params.pedestrians)
             rows, opened = tracker.update(
-                world.step,
+                step,
                 near.a[kept],
                 near.b[kept],
                 near.distance_m[kept],

@@ -157,7 +157,7 @@ def test_windows_equal_whole_clouds(seed, params):
         planes, distance = whole_cloud.frusta(sensed.xyz_m[free], sensed.lwh_m[free])
         applies, seen, closer = evidence_kernels.free_space(
             sweeps.range_steps, sweeps.step_m, sweeps.beams, pairs, pairs.runs(), area.range_m, area.height_m,
-            edge_slope(fov_rad), 0.25,
+            edge_slope(fov_rad), 0.25, 1 + o % 2,
         )  # fmt: skip
         assert (applies == free).all()
         whole_seen, whole_closer = whole_cloud.free_space_xyz(sweeps.xyz(o), planes, distance, 0.25)
