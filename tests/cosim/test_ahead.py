@@ -1,11 +1,14 @@
 """What is computed ahead of its step is what the step would have computed itself."""
 
+from concurrent.futures import ThreadPoolExecutor
+
 import pytest
 
-from cosim.ahead import Ahead
+from cosim.ahead import Ahead, PairsAhead
 from cosim.cycle import step
 from cosim.reproduce.scenarios import ScriptedScene
 from cosim.state import State
+from cosim.stopwatch import Stopwatch
 from results.recorder import fingerprint
 from tests.drive import drive
 from tests.scene import assert_same, parts_of, play
@@ -46,3 +49,15 @@ def test_each_world_is_sensed_whichever_was_expected(expected, at_once):
                 ahead.expect(worlds[number + expected], at_once=True)
     assert_same(found, want)
     assert ("sweep" in ahead.watch.seconds) == bool(expected) == ("links" in ahead.watch.seconds)
+
+
+def test_what_is_expected_before_the_present_step_has_asked_is_found_once():
+    """A run expects the next world first, and then asks for the pairs of the present one."""
+    scene, asked = ScriptedScene.load(), []
+    worlds = [scene.world(number) for number in range(3)]
+    with ThreadPoolExecutor(1) as thread:
+        pairs = PairsAhead(lambda world: asked.append(world.step) or world.step, thread, Stopwatch())
+        pairs.expect(worlds[0])
+        pairs.expect(worlds[1])
+        assert [pairs(world) for world in worlds] == [0, 1, 2]
+    assert asked == [0, 1, 2], "the third one was not expected"
