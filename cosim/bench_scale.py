@@ -90,6 +90,7 @@ def bench(
     parts = Parts.of(config, found.city())
     some = worlds[:: -max(1, (len(worlds) - 1) // _N_INSTANTS)]
     whole = float(np.mean([_neighbours(world, np.arange(len(world))) for world in some]))
+    warm = False
     threads, sizes = numba.get_num_threads(), [n for n in sorted(vehicles) if n < len(worlds[-1])]
     yield "actors of the whole traffic", len(worlds[-1]), ""
     yield f"neighbours within {_NEAR_M:g} m, of the whole traffic", whole, "actors"
@@ -97,6 +98,8 @@ def bench(
         actor, neighbours = piece(some, size, whole)
         yield f"{size} actors: neighbours within {_NEAR_M:g} m", neighbours, "actors"
         cropped = [_taken(world, np.flatnonzero(np.isin(world.actor, actor))) for world in worlds]
+        if not warm:
+            warm = bool(list(_measured("", cropped, parts, registry)))  # some kernels are first called after many steps
         for n in sorted({1, threads}):
             numba.set_num_threads(n)
             yield from _measured(f"{size} actors, {n} thread{'s' * (n > 1)}", cropped, parts, registry)
