@@ -26,7 +26,7 @@ from sensors.scene import Prisms, Scene, prisms
 
 _Rows = TypeVar("_Rows", evidence.Observability, detector.DetectedBoxes)
 
-GROUP, FEW = 256, 64
+GROUP, FEW = 128, 64
 """Observers whose sweeps are read at once for what their rays met: at most, and at least where there are threads."""
 
 
