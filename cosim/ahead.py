@@ -54,9 +54,10 @@ class Ahead:
         """The world that the next step with messages will be of: its sweeps begin `at_once` where the step before it
         senses nothing, or when the range images of that step have given their answers."""
         if world.equipped.any() and threads_may_meet():
-            if self._links is not None:
-                self._links.expect(stages.stations_of(world, np.flatnonzero(world.equipped), self.parts))
-            self._pairs.expect(world)
+            if numba.get_num_threads() > 1:  # of few vehicles they are mostly Python, which holds up the present step
+                if self._links is not None:
+                    self._links.expect(stages.stations_of(world, np.flatnonzero(world.equipped), self.parts))
+                self._pairs.expect(world)
             self._sensing.expect(world, at_once)
 
     def __enter__(self) -> "Ahead":
