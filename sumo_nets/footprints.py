@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 import shapely
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from numpy import ndarray
 from shapely import Polygon
 
@@ -80,28 +80,38 @@ def read_footprints(path: Path | str, net_path: Path | None = None) -> list[Foot
     if geo:
         for k, ring in zip(geo, _projected([outer[k] for k in geo], net_path, where[geo[0]]), strict=True):
             outer[k] = ring
-    return [
-        footprint
-        for ring, (_, params), (poly, _), here in zip(outer, found, found, where, strict=True)
-        for footprint in _footprints(ring, poly, params, here)
-    ]
+    return _footprints(outer, found, where)
 
 
 def pieces_of(shape: shapely.Geometry, least_area_m2: float = 1.0) -> list[Polygon]:
     """The valid polygons of any geometry, oriented, slivers left out."""
-    parts = shapely.get_parts(shapely.make_valid(shape)) if not shape.is_valid else shapely.get_parts(shape)
-    flat = [inner for part in parts for inner in shapely.get_parts(part)]
-    return [
-        shapely.geometry.polygon.orient(part)
-        for part in flat
-        if isinstance(part, Polygon) and part.area >= least_area_m2
-    ]
+    return list(_pieces(np.array([shape]), least_area_m2)[0])
+
+
+def _pieces(shapes: ndarray, least_area_m2: float = 1.0) -> tuple[ndarray, Int[ndarray, "p"]]:
+    """The same of many, and the row of the shape that each belongs to."""
+    shapes, torn = shapes.copy(), ~shapely.is_valid(shapes)
+    shapes[torn] = shapely.make_valid(shapes[torn])
+    parts, of_shape = shapely.get_parts(shapes, return_index=True)
+    parts, of_part = shapely.get_parts(parts, return_index=True)
+    kept = (shapely.get_type_id(parts) == shapely.GeometryType.POLYGON) & (shapely.area(parts) >= least_area_m2)
+    return shapely.orient_polygons(parts[kept]), of_shape[of_part[kept]]
 
 
 def footprint_of(polygon: Polygon, base_z_m: float, top_z_m: float) -> Footprint:
     """A footprint from an oriented, valid polygon."""
-    holes = [np.asarray(ring.coords, dtype=float)[:, :2] for ring in polygon.interiors]
-    return Footprint(np.asarray(polygon.exterior.coords, dtype=float)[:, :2], holes, base_z_m, top_z_m)
+    (rings,) = _rings_of(np.array([polygon]))
+    return Footprint(rings[0], rings[1:], base_z_m, top_z_m)
+
+
+def _rings_of(polygons: ndarray) -> list[list[Float[ndarray, "k 2"]]]:
+    """Of each polygon, the outer ring and those of its holes."""
+    rings, of_polygon = shapely.get_rings(polygons, return_index=True)
+    points, of_ring = shapely.get_coordinates(rings, return_index=True)
+    found: list[list[Float[ndarray, "k 2"]]] = [[] for _ in polygons]
+    for row, ring in zip(of_polygon, np.split(points, np.flatnonzero(np.diff(of_ring)) + 1), strict=True):
+        found[row].append(ring)
+    return found
 
 
 def write_footprints(path: Path, footprints: Iterable[tuple[str, Footprint]]) -> None:
@@ -135,19 +145,43 @@ def _projected(rings: list[Float[ndarray, "k 2"]], net_path: Path | None, where:
         raise ValueError(f'{where}: geo="true", but {error}') from None
 
 
-def _footprints(outer: Float[ndarray, "k 2"], poly: Attributes, params: Attributes, where: str) -> list[Footprint]:
-    holes = [_ring(value, where) for key, value in params.items() if key.startswith("hole.")]
-    if len(outer) < 4:
+def _footprints(
+    outer: list[Float[ndarray, "k 2"]], found: list[tuple[Attributes, Attributes]], where: list[str]
+) -> list[Footprint]:
+    """Those of all polygons of a file."""
+    rings: list[Float[ndarray, "k 2"]] = []
+    of_polygon: list[int] = []
+    kept: list[int] = []
+    for k, (ring, (_, params), here) in enumerate(zip(outer, found, where, strict=True)):
+        holes = [_ring(value, here) for key, value in params.items() if key.startswith("hole.")]
+        if len(ring) > 3:
+            own = [ring, *(hole for hole in holes if len(hole) > 3)]
+            rings += own
+            of_polygon += [len(kept)] * len(own)
+            kept.append(k)
+    if not kept:
         return []
-    polygon = Polygon(outer, [hole for hole in holes if len(hole) > 3])
+    lines = shapely.linearrings(np.concatenate(rings), indices=np.repeat(np.arange(len(rings)), list(map(len, rings))))
+    polygons = shapely.polygons(lines, indices=of_polygon)
+    heights = [
+        _extent(*found[k], area, where[k]) for k, area in zip(kept, shapely.area(polygons).tolist(), strict=True)
+    ]
+    pieces, of_piece = _pieces(polygons)
+    return [
+        Footprint(own[0], own[1:], *heights[k]) for own, k in zip(_rings_of(pieces), of_piece.tolist(), strict=True)
+    ]
+
+
+def _extent(poly: Attributes, params: Attributes, area_m2: float, where: str) -> tuple[float, float]:
+    """Base and top of a building [m]."""
     tags = dict(params)
     tags.setdefault("building", poly.get("type", "").removeprefix("building").lstrip(".") or "yes")
-    height = height_of(tags, polygon.area)
+    height = height_of(tags, area_m2)
     base = _metres(params.get("base_z_m"), height.base_z_m, where)
     top = _metres(params.get("top_z_m"), height.top_z_m, where)
     if not 0.0 <= base < top:
         raise ValueError(f"{where}: reaches from {base} m to {top} m; a building's top must lie above its base")
-    return [footprint_of(piece, base, top) for piece in pieces_of(polygon)]
+    return base, top
 
 
 def _ring(text: str, where: str) -> Float[ndarray, "k 2"]:
