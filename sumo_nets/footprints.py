@@ -109,8 +109,9 @@ def _rings_of(polygons: ndarray) -> list[list[Float[ndarray, "k 2"]]]:
     rings, of_polygon = shapely.get_rings(polygons, return_index=True)
     points, of_ring = shapely.get_coordinates(rings, return_index=True)
     found: list[list[Float[ndarray, "k 2"]]] = [[] for _ in polygons]
-    for row, ring in zip(of_polygon, np.split(points, np.flatnonzero(np.diff(of_ring)) + 1), strict=True):
-        found[row].append(ring)
+    ends = np.cumsum(np.bincount(of_ring, minlength=len(rings)))
+    for row, first, end in zip(of_polygon, ends - np.diff(ends, prepend=0), ends, strict=True):
+        found[row].append(points[first:end])
     return found
 
 

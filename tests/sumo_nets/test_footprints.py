@@ -81,6 +81,8 @@ def test_slivers_and_lines_are_left_out(tmp_path):
     three = f'<poly id="c" type="building" shape="{SQUARE}"><param key="hole.0" value="1,1 2,2"/></poly>'
     (found,) = read_footprints(polys(tmp_path, two, three))
     assert found.polygon.equals(box(0, 0, 10, 10))
+    sliver = '<poly id="d" type="building" shape="0,0 1,0 0.5,0.001"/>'
+    assert read_footprints(polys(tmp_path, sliver)) == read_footprints(polys(tmp_path, two)) == []
     assert pieces_of(Polygon([(0, 0), (1, 0), (0.5, 0.001)])) == []
     assert pieces_of(box(0, 0, 2, 2).intersection(box(2, 0, 4, 2))) == []
 
