@@ -2,6 +2,7 @@
 
 from concurrent.futures import ThreadPoolExecutor
 
+import numba
 import pytest
 
 from cosim.ahead import Ahead, PairsAhead
@@ -31,8 +32,10 @@ def test_a_run_with_one_thread_has_the_same_tables(tmp_path, setting):
 
 @pytest.mark.parametrize("expected", [1, 2, None])
 @pytest.mark.parametrize("at_once", [False, True])
-def test_each_world_is_sensed_whichever_was_expected(expected, at_once):
+@pytest.mark.parametrize("threads", [1, 2])
+def test_each_world_is_sensed_whichever_was_expected(expected, at_once, threads):
     """The next world is expected before its step begins, the one after it, or none at all."""
+    numba.set_num_threads(min(threads, numba.config.NUMBA_NUM_THREADS))
     want, _ = play(N, CSMA)
     scene = ScriptedScene.load()
     parts, found = parts_of(scene, CSMA), []
@@ -48,7 +51,9 @@ def test_each_world_is_sensed_whichever_was_expected(expected, at_once):
             if expected and at_once:
                 ahead.expect(worlds[number + expected], at_once=True)
     assert_same(found, want)
-    assert ("sweep" in ahead.watch.seconds) == bool(expected) == ("links" in ahead.watch.seconds)
+    assert ("sweep" in ahead.watch.seconds) == bool(expected)
+    shares = bool(expected) and numba.get_num_threads() > 1
+    assert ("links" in ahead.watch.seconds) == shares == ("pairs" in ahead.watch.seconds)
 
 
 def test_what_is_expected_before_the_present_step_has_asked_is_found_once():
