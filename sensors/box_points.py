@@ -94,7 +94,7 @@ def _any_between(nearest, farthest, t0, t1, b0, b1, enter, leave):
 @kernel
 def _count(steps, step_m, beams, cos_el, sin_el, a0, a1, r0, r1, box, bounds, scratch):
     """Returns in columns a0 to a1 and rows r0 to r1 that lie inside a box."""
-    n, m = steps.shape
+    m = steps.shape[1]
     x, y, z, cos, sin, half_l, half_w, half_h = box
     (nearest, farthest), (middle, half) = bounds, scratch
     error = 2e-5 + 2e-6 * (abs(x) + abs(y) + abs(z) + half_l + half_w + half_h)
@@ -103,7 +103,6 @@ def _count(steps, step_m, beams, cos_el, sin_el, a0, a1, r0, r1, box, bounds, sc
     least, most = np.float32(distance - radius - 3.0 * error), np.float32(distance + radius + 3.0 * error)
     if not _any_between(nearest, farthest, t0, t1, b0, b1, least, most):
         return 0
-    a0, a1 = TILE * t0, min(TILE * t1, n)  # columns beside the box cross nothing of it
     p, q = -(cos * x + sin * y), -(cos * y - sin * x)
     n_grazing = _crossings(beams.cos_az[a0:a1], beams.sin_az[a0:a1], p, q, cos, sin, half_l, half_w, middle, half)
     b1 = min(b1, m // LANES)  # whole blocks
@@ -111,11 +110,11 @@ def _count(steps, step_m, beams, cos_el, sin_el, a0, a1, r0, r1, box, bounds, sc
         b1 = b0  # no return is not told from a range there
     height, half_height, margin, total = np.float32(z), np.float32(half_h), np.float32(error), 0
     for b in range(b0, b1):
-        near, far, row = nearest[b, t0:t1], farthest[b, t0:t1], np.uint64(b * LANES)
-        for t in range(len(near)):
-            if far[t] >= least and near[t] <= most:
-                for i in range(np.uint64(TILE * t), np.uint64(min(TILE * t + TILE, a1 - a0))):
-                    c = np.uint64(a0) + i
+        row = np.uint64(b * LANES)
+        for t in range(t0, t1):
+            if farthest[b, t] >= least and nearest[b, t] <= most:
+                for c in range(np.uint64(max(TILE * t, a0)), np.uint64(min(TILE * t + TILE, a1))):
+                    i = c - np.uint64(a0)
                     count, undecided = near_box(
                         steps, c, row, cos_el, sin_el, middle[i], half[i], height, half_height, margin
                     )

@@ -129,6 +129,18 @@ def test_rays_without_return_are_in_no_box(n):
     assert not points_in_boxes(blind(), np.zeros(n, int), boxes).any()
 
 
+@pytest.mark.parametrize("n", [1, 3, 4, 5, 6, 7, 9])
+def test_a_full_turn_of_few_columns(n):
+    """A box behind the sensor lies in the first columns and in the last ones: no return is counted twice."""
+    rng, grid = np.random.default_rng(n), beams(LidarParams(profile="vlp16", n_azimuths=n))
+    steps = rng.integers(0, 5000, (1, n, len(grid.elevation_rad))).astype(np.uint16)
+    sweeps = RangeImages(Poses(np.zeros((1, 3)), np.zeros(1)), np.arange(1), np.zeros(1), grid, 80.0, steps, FINEST_M)
+    asked = Boxes(rng.uniform(-6, 6, (300, 3)), rng.uniform(1, 12, (300, 3)), rng.uniform(-np.pi, np.pi, 300))
+    whole = whole_cloud.points_in_boxes_xyz(sweeps.xyz(0), asked.xyz_m, asked.lwh_m, asked.yaw_rad)
+    assert whole.sum() > 100
+    assert (points_in_boxes(sweeps, np.zeros(300, int), asked) == whole).all()
+
+
 @settings(max_examples=12, deadline=None)
 @given(
     seed=st.integers(0, 2**32 - 1),
