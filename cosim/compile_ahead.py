@@ -11,6 +11,7 @@ some kernels, and ends with the run at the latest, however that ends. Nothing de
 for a config as JSON.
 """
 
+import gc
 import json
 import os
 import subprocess
@@ -39,6 +40,7 @@ from cosim.state import State
 from cosim.stopwatch import Stopwatch
 from cosim.world import World
 from results.columns import Level
+from results.metrics import lookups
 from results.recorder import Recorder
 from results.tables import kept
 from sensors import evidence, lidar
@@ -104,9 +106,12 @@ class CompileAhead(event.Listener):
         counts."""
         config = json.dumps(self._config.to_dict(), default=str)
         self._helper = subprocess.Popen(
-            [sys.executable, "-m", "cosim.compile_ahead", config], stdin=subprocess.PIPE, stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL, process_group=0,
-        )  # fmt: skip
+            [sys.executable, "-P", "-m", "cosim.compile_ahead", config],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            process_group=0,
+        )
 
 
 @dataclass(slots=True)
@@ -230,7 +235,9 @@ def main() -> None:
     os.nice(19)
     caching.IndexDataCacheFile.save = _save  # type: ignore[method-assign]
     numba.set_num_threads(1)
+    gc.disable()  # the process is short, and looking for garbage takes a tenth of Numba's time
     compile_kernels(resolve_data(json.loads(sys.argv[1]), "the run", None))
+    lookups.compile_kernels()  # for the summary after the run
 
 
 if __name__ == "__main__":

@@ -1,12 +1,13 @@
 """Lookups of trust added up row by row, trust variants side by side: kernels of `results.metrics.lookups`."""
 
 import numpy as np
-from numba import njit
+
+from results.kernel import compiled
 
 _FIRST_SIZE = 1 << 12
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def add(
     variant, receiver, who, state, ages_s, n_evaluations, n_evaluators, role_of, fresh_s, edges_s, bin_of, bins_per_s,
     states, fresh, aged, age_sum_s, histogram, behind, behind_sum,
@@ -45,7 +46,7 @@ def add(
                 behind_sum[v, r, 1] += n_evaluators[i]
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def new_lows(variant, who, step, trust, n_evaluations, since, lowest):
     """Where trust that rests on an evaluation is lower than ever from step `since` on, by subject; `lowest` by variant
     and subject goes down with it."""
@@ -58,7 +59,7 @@ def new_lows(variant, who, step, trust, n_evaluations, since, lowest):
     return is_lower
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def add_peaks(variant, receiver, who, ages_s, n_variants, renewed, peak_sum_s):
     """Add the ages before each renewal: what a receiver looks up of a subject is younger than at its lookup before."""
     n = 0
@@ -83,7 +84,7 @@ def add_peaks(variant, receiver, who, ages_s, n_variants, renewed, peak_sum_s):
             last_s[k, what] = age_s
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _slot(table, pairs, pair):
     """Where a hash table holds the number of a pair, or would."""
     mask = len(table) - 1
@@ -93,7 +94,7 @@ def _slot(table, pairs, pair):
     return at
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _empty(size, n_variants):
     """A hash table for half as many pairs, the pairs by number, and the two ages last looked up by pair and variant."""
     table, pairs = np.empty(size, np.int64), np.empty(size // 2, np.int64)
@@ -105,7 +106,7 @@ def _empty(size, n_variants):
     return table, pairs, last_s
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _larger(pairs, last_s, n_variants):
     """The same with twice the room."""
     table, more, wider_s = _empty(4 * len(pairs), n_variants)

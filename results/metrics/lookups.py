@@ -126,11 +126,29 @@ def _all(run: Run) -> _All:
 
 def _added(run: Run, fresh_s: float) -> _All:
     """One pass over the rows of all variants."""
+    known, role_of = run.once_for_all("roles by pseudonym", lambda: _roles(run))
+    stride = -(-run.n_blocks("trust_lookups") // _PEAK_BLOCKS)
+    return _add_up(
+        run.arrays("trust_lookups", list(_DTYPES)), known, role_of, _watched_since(run, known), len(run.variants),
+        len(run.role_labels), stride, fresh_s,
+    )  # fmt: skip
+
+
+def compile_kernels() -> None:
+    """Compile what adds up the lookups of a run, of any run."""
+    one, row = np.zeros(1, np.int64), {name: np.zeros(1, dtype) for name, dtype in _DTYPES.items()}
+    _add_up(iter([row]), one, one, one, 1, 1, 1, FRESH_S)
+
+
+def _add_up(
+    blocks: Iterator[Mapping[str, ndarray]], known: Int[ndarray, "p"], role_of: Int[ndarray, "p"],
+    since: Int[ndarray, "p"], n_variants: int, n_roles: int, stride: int, fresh_s: float,
+) -> _All:  # fmt: skip
+    """Blocks of lookups of these pseudonyms, with the role of each and the step since which it is watched; peak ages of
+    every `stride`-th block."""
     from results.metrics import lookup_sums  # here, because little else in measuring needs Numba
 
-    n_variants, n_roles = len(run.variants), len(run.role_labels)
-    known, role_of = run.once_for_all("roles by pseudonym", lambda: _roles(run))
-    since, lowest = _watched_since(run, known), np.full((n_variants, len(known)), np.inf, np.float32)
+    lowest = np.full((n_variants, len(known)), np.inf, np.float32)
     shapes = {
         "states": (n_roles, len(LookupState)), "fresh": (n_roles,), "aged": (n_roles, len(AGES)),
         "age_sum_s": (n_roles, len(AGES)), "behind": (2,), "behind_sum": (2,), "renewed": (2,), "peak_sum_s": (2,),
@@ -139,9 +157,8 @@ def _added(run: Run, fresh_s: float) -> _All:
         name: np.zeros((n_variants, 0, *shape), _dtype(name)) for name, shape in shapes.items()
     }
     histogram = np.zeros((n_variants, n_roles, len(AGES), len(EDGES_S) - 1), np.int64)
-    stride = -(-run.n_blocks("trust_lookups") // _PEAK_BLOCKS)
     lower = [(np.zeros(0, np.int16), Lows(np.zeros(0, np.int32), np.zeros(0, np.int32), np.zeros(0, np.float32)))]
-    for number, block in enumerate(run.arrays("trust_lookups", list(_DTYPES))):
+    for number, block in enumerate(blocks):
         rows = {name: _read_only(block[name], dtype) for name, dtype in _DTYPES.items()}
         variant, receiver, who = rows["variant"], rows["receiver"], np.searchsorted(known, rows["subject"])
         more = int(receiver.max(initial=-1)) + 1 - tables["states"].shape[1]

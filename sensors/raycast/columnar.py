@@ -74,7 +74,9 @@ def _cast(
         count_steps(ranges, range_steps[o], per_metre)
         thin(range_steps[o], hits, thinned.range_steps[o], thinned.hit[o])
         if o < len(unrounded_m):
-            unrounded_m[o] = ranges
+            for c in range(len(ranges)):
+                for r in range(ranges.shape[1]):
+                    unrounded_m[o, c, r] = ranges[c, r]
 
 
 @inlined
@@ -133,12 +135,10 @@ def _city(ranges, hits, x, y, z, ground, cos, sin, beams, columns, slopes, limit
         k, inside = flat[i, 0], flat[i, 1]
         bottom, top = city.base_m[k] - z, city.top_m[k] - z
         within = inside == 1 and bottom < 0.0 and top > 0.0
-        if top < 0.0 or within:
-            toggle_levels(toggled, city, k, top, x, y, cos, sin, beams, columns, slopes)
-            _level(ranges, hits, top, inside, beams, limit, toggled)
-        if bottom > 0.0 or within:
-            toggle_levels(toggled, city, k, bottom, x, y, cos, sin, beams, columns, slopes)
-            _level(ranges, hits, bottom, inside, beams, limit, toggled)
+        for height, is_seen in ((top, top < 0.0 or within), (bottom, bottom > 0.0 or within)):
+            if is_seen:
+                toggle_levels(toggled, city, k, height, x, y, cos, sin, beams, columns, slopes)
+                _level(ranges, hits, height, inside, beams, limit, toggled)
 
 
 @kernel
