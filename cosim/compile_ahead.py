@@ -155,8 +155,8 @@ class _Nowhere(Recorder):
         """As `Recorder`."""
 
 
-def compile_kernels(config: Config) -> None:
-    """Play some steps of a made-up scene with the parts of a config."""
+def compile_all(config: Config) -> None:
+    """Play some steps of a made-up scene with the parts of a config, and add up lookups as the summary does."""
     c = _soon(config)
     city = Scene.from_footprints([[np.array([[20.0, 10], [40, 10], [40, 30], [20, 30]])]], [0.0], [12.0])
     rsus = NO_RSUS if not (c.rsu.at or c.rsu.n_at_junctions) else _one_rsu()
@@ -166,6 +166,7 @@ def compile_kernels(config: Config) -> None:
         state, happened = step(_world(number, c), state, parts)
         recording.step(nowhere, happened, c.traffic.step_s)
     parts.trust.rejected(state.trust)
+    lookups.compile_kernels()
 
 
 def _soon(config: Config) -> Config:
@@ -236,8 +237,7 @@ def main() -> None:
     caching.IndexDataCacheFile.save = _save  # type: ignore[method-assign]
     numba.set_num_threads(1)
     gc.disable()  # the process is short, and looking for garbage takes a tenth of Numba's time
-    compile_kernels(resolve_data(json.loads(sys.argv[1]), "the run", None))
-    lookups.compile_kernels()  # for the summary after the run
+    compile_all(resolve_data(json.loads(sys.argv[1]), "the run", None))
 
 
 if __name__ == "__main__":
