@@ -236,7 +236,7 @@ def main() -> None:
     os.nice(19)
     caching.IndexDataCacheFile.save = _save  # type: ignore[method-assign]
     numba.set_num_threads(1)
-    gc.disable()  # the process is short, and looking for garbage takes a tenth of Numba's time
+    gc.disable()  # the process is short, and looking for garbage takes 5 % of its time
     compile_all(resolve_data(json.loads(sys.argv[1]), "the run", None))
 
 

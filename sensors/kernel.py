@@ -15,15 +15,10 @@ from numba import njit, threading_layer
 
 _OPTIONS: dict[str, Any] = {"cache": True, "nogil": True, "no_cfunc_wrapper": True}
 _COUNTLESS: dict[str, Any] = _OPTIONS | {"_nrt": False}
-_ONLY_PRANGE: Any = dict.fromkeys(
-    ("comprehension", "reduction", "inplace_binop", "setitem", "numpy", "stencil", "fusion"), False
-) | {"prange": True}
-"""Expressions of arrays around the loop would be compiled as parallel kernels of their own, and take longer to start
-than to compute."""
 
 compiled = njit(**_OPTIONS)
 """Decorator: compiled, cached."""
-parallel = njit(**_OPTIONS, parallel=_ONLY_PRANGE)
+parallel = njit(**_OPTIONS, parallel=True)
 """Decorator: the same, with `prange` over threads."""
 kernel = njit(**_COUNTLESS)
 """Decorator: compiled, cached; must neither allocate nor return arrays, which callers would release once too often."""

@@ -11,10 +11,6 @@ from numba import njit
 _OPTIONS: dict[str, Any] = {"cache": True, "nogil": True, "no_cfunc_wrapper": True}
 
 _COUNTLESS: dict[str, Any] = _OPTIONS | {"_nrt": False}
-_ONLY_PRANGE: Any = dict.fromkeys(
-    ("comprehension", "reduction", "inplace_binop", "setitem", "numpy", "stencil", "fusion"), False
-) | {"prange": True}
-"""As in `sensors.kernel`."""
 
 compiled = njit(**_OPTIONS)
 """Decorator: compiled, cached."""
@@ -23,5 +19,5 @@ kernel = njit(**_COUNTLESS)
 arrays. `_nrt` is private API of Numba, as in `sensors.kernel`."""
 inlined = njit(**_OPTIONS, inline="always")
 """Decorator: compiled, cached, inlined into its callers."""
-parallel = njit(**_OPTIONS, parallel=_ONLY_PRANGE)
+parallel = njit(**_OPTIONS, parallel=True)
 """Decorator: the same, with `prange` over threads."""

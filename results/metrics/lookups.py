@@ -1,6 +1,6 @@
 """What vehicles look up of trust: the largest table of a run, read once for many metrics and for all trust variants."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import cache
 from typing import NamedTuple
 
@@ -137,11 +137,11 @@ def _added(run: Run, fresh_s: float) -> _All:
 def compile_kernels() -> None:
     """Compile what adds up the lookups of a run, of any run."""
     one, row = np.zeros(1, np.int64), {name: np.zeros(1, dtype) for name, dtype in _DTYPES.items()}
-    _add_up(iter([row]), one, one, one, 1, 1, 1, FRESH_S)
+    _add_up([row], one, one, one, 1, 1, 1, FRESH_S)
 
 
 def _add_up(
-    blocks: Iterator[Mapping[str, ndarray]], known: Int[ndarray, "p"], role_of: Int[ndarray, "p"],
+    row_blocks: Iterable[Mapping[str, ndarray]], known: Int[ndarray, "p"], role_of: Int[ndarray, "p"],
     since: Int[ndarray, "p"], n_variants: int, n_roles: int, stride: int, fresh_s: float,
 ) -> _All:  # fmt: skip
     """Blocks of lookups of these pseudonyms, with the role of each and the step since which it is watched; peak ages of
@@ -158,7 +158,7 @@ def _add_up(
     }
     histogram = np.zeros((n_variants, n_roles, len(AGES), len(EDGES_S) - 1), np.int64)
     lower = [(np.zeros(0, np.int16), Lows(np.zeros(0, np.int32), np.zeros(0, np.int32), np.zeros(0, np.float32)))]
-    for number, block in enumerate(blocks):
+    for number, block in enumerate(row_blocks):
         rows = {name: _read_only(block[name], dtype) for name, dtype in _DTYPES.items()}
         variant, receiver, who = rows["variant"], rows["receiver"], np.searchsorted(known, rows["subject"])
         more = int(receiver.max(initial=-1)) + 1 - tables["states"].shape[1]

@@ -73,7 +73,7 @@ def _cast(
         add_noise(ranges, hits, noise.key[o], noise)
         count_steps(ranges, range_steps[o], per_metre)
         thin(range_steps[o], hits, thinned.range_steps[o], thinned.hit[o])
-        if o < len(unrounded_m):
+        if o < len(unrounded_m):  # in loops: Numba compiles the words of an error, for 3 s, where arrays are assigned
             for c in range(len(ranges)):
                 for r in range(ranges.shape[1]):
                     unrounded_m[o, c, r] = ranges[c, r]

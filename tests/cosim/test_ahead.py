@@ -30,12 +30,20 @@ def test_a_run_with_one_thread_has_the_same_tables(tmp_path, setting):
     assert fingerprint(two) == fingerprint(one)
 
 
+@pytest.fixture
+def threads(request):
+    """So many threads of kernels, or as many as there are, while a test runs."""
+    before = numba.get_num_threads()
+    numba.set_num_threads(min(request.param, numba.config.NUMBA_NUM_THREADS))
+    yield numba.get_num_threads()
+    numba.set_num_threads(before)
+
+
 @pytest.mark.parametrize("expected", [1, 2, None])
 @pytest.mark.parametrize("at_once", [False, True])
-@pytest.mark.parametrize("threads", [1, 2])
+@pytest.mark.parametrize("threads", [1, 2], indirect=True)
 def test_each_world_is_sensed_whichever_was_expected(expected, at_once, threads):
     """The next world is expected before its step begins, the one after it, or none at all."""
-    numba.set_num_threads(min(threads, numba.config.NUMBA_NUM_THREADS))
     want, _ = play(N, CSMA)
     scene = ScriptedScene.load()
     parts, found = parts_of(scene, CSMA), []
@@ -52,7 +60,7 @@ def test_each_world_is_sensed_whichever_was_expected(expected, at_once, threads)
                 ahead.expect(worlds[number + expected], at_once=True)
     assert_same(found, want)
     assert ("sweep" in ahead.watch.seconds) == bool(expected)
-    shares = bool(expected) and numba.get_num_threads() > 1
+    shares = bool(expected) and threads > 1
     assert ("links" in ahead.watch.seconds) == shares == ("pairs" in ahead.watch.seconds)
 
 
