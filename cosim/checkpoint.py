@@ -23,12 +23,15 @@ class CannotCheckpoint(TypeError):
     """Something in a state is neither data nor an object of plain fields."""
 
 
-def encode(state: Any, own_modules: Collection[str] = ()) -> bytes:
-    """A state as bytes; CannotCheckpoint names what cannot be kept."""
+def encode(state: Any, own_modules: Collection[str] = ()) -> list[bytes | memoryview]:
+    """A state as bytes, in pieces; CannotCheckpoint names what cannot be kept.
+
+    Most pieces are the memory of the state's own arrays: they are to be written before the state changes.
+    """
     writer = _Writer(frozenset(own_modules))
     tree = writer.node(state, "state")
     head = json.dumps({"tree": tree, "arrays": writer.heads}, separators=(",", ":"), allow_nan=False).encode()
-    return b"".join([_MAGIC, len(head).to_bytes(8, "little"), head, *writer.buffers])
+    return [_MAGIC, len(head).to_bytes(8, "little"), head, *writer.buffers]
 
 
 def decode(content: bytes, own_modules: Collection[str] = ()) -> Any:
@@ -74,7 +77,7 @@ class _Writer:
     def __init__(self, own: frozenset[str]) -> None:
         self.own = own
         self.heads: list[list[Any]] = []
-        self.buffers: list[bytes] = []
+        self.buffers: list[memoryview] = []
         self._seen: dict[int, tuple[int, Any]] = {}
 
     def node(self, value: Any, where: str) -> Any:
@@ -122,7 +125,7 @@ class _Writer:
         except ValueError:
             raise CannotCheckpoint(f"{where} is an array of dtype {array.dtype}") from None
         self.heads.append([about, list(array.shape)])
-        self.buffers.append(array.tobytes())
+        self.buffers.append(memoryview(np.ascontiguousarray(array).reshape(-1).view(np.uint8)))
         return len(self.heads) - 1
 
     def _class(self, of: type, where: str) -> str:

@@ -59,12 +59,16 @@ class Growing(io.RawIOBase):
         super().close()
 
 
-def write(path: Path, content: bytes | memoryview) -> None:
-    """Write a file whole, so that neither a kill nor a power cut leaves a part of it; replaces one that is there."""
+def write(path: Path, *pieces: bytes | memoryview) -> str:
+    """Write a file whole, so that neither a kill nor a power cut leaves a part of it; replaces one that is there.
+
+    Returns its checksum.
+    """
     file = Growing(path.with_name(path.name + PARTIAL))
     try:
-        file.write(content)
-        file.finish(path)
+        for piece in pieces:
+            file.write(piece)
+        return file.finish(path)
     finally:
         file.close()
 

@@ -131,7 +131,7 @@ class Recorder:
     def flush(
         self,
         open_rows: Mapping[str, Sequence[Columns]] | None = None,
-        checkpoint: Mapping[str, bytes] | None = None,
+        checkpoint: Mapping[str, Sequence[bytes | memoryview]] | None = None,
     ) -> None:
         """Commit the block in memory.
 
@@ -140,12 +140,14 @@ class Recorder:
         open_rows
             By table, rows of what is not over yet, as they would be if the run ended here.
         checkpoint
-            By name, the files from which a resumed run goes on; those named `state-...` replace earlier ones.
+            By name, the files from which a resumed run goes on, in pieces; those named `state-...` replace earlier ones.
         """
         if self._last_step >= self.inventory.end_step:
             self._commit(open_rows or {}, checkpoint or {})
 
-    def _commit(self, open_rows: Mapping[str, Sequence[Columns]], checkpoint: Mapping[str, bytes]) -> None:
+    def _commit(
+        self, open_rows: Mapping[str, Sequence[Columns]], checkpoint: Mapping[str, Sequence[bytes | memoryview]]
+    ) -> None:
         end_step = self._last_step + 1
         opening = [self._part("open", name, rows) for name, rows in self._made(open_rows, end_step - 1)]
         for waiting in sorted((*self._parts.values(), *opening), key=len, reverse=True):
@@ -157,14 +159,11 @@ class Recorder:
         with ThreadPoolExecutor(_WRITERS) as disk:
             to_write = disk.map(lambda p: p.finish(f"part-{number}"), filter(len, self._parts.values()))
             to_open = disk.map(lambda p: p.finish(f"open-{number}"), opening)
-            to_keep = disk.map(lambda name: durable.write(self.folder / name, files[name]), files)
-            parts, opened, _ = tuple(to_write), tuple(to_open), tuple(to_keep)
+            to_keep = disk.map(lambda name: durable.write(self.folder / name, *files[name]), files)
+            parts, opened, kept_as = tuple(to_write), tuple(to_open), dict(zip(files, to_keep, strict=True))
             names = sorted({part.table for part in (*parts, *opened)} | ({CHECKPOINT} if files else set()))
             tuple(disk.map(durable.sync_folder, [self.folder / name for name in names]))
-        block = Block(
-            self._block, end_step, self.is_block_end(end_step - 1), parts, opened,
-            {name: hashlib.sha256(content).hexdigest() for name, content in files.items()},
-        )  # fmt: skip
+        block = Block(self._block, end_step, self.is_block_end(end_step - 1), parts, opened, kept_as)
         before, self.inventory = self.inventory, inventory.commit(self.folder, self.inventory, block)
         self._parts = {name: self._part("part", name, like=part) for name, part in self._parts.items()}
         if before.blocks:

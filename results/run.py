@@ -23,6 +23,7 @@ T = TypeVar("T")
 
 OVER = ("finished", "interrupted")
 """Statuses of a run that ended with everything written."""
+_PIECE_ROWS = 1_000_000
 
 
 class Run:
@@ -241,6 +242,15 @@ class Run:
             rows = virtual_columns.read(part, path, wanted.names, where)
             yield {c: _array(rows.column(c).combine_chunks(), labels[c]) for c in wanted.names}
 
+    def pieces(self, name: str, columns: Sequence[str]) -> Iterator[tuple[int, dict[str, np.ndarray]]]:
+        """The same in pieces of about a million rows, where blocks are larger; each with the number of its block."""
+        assert not virtual_columns.names(TABLES[name], columns, None), "columns that are on disk"
+        labels = {c: TABLES[name].columns[c].labels(self.manifest) for c in self._wanted(name, columns).names}
+        for number, path in enumerate(self._paths(name)):
+            self._check(path)
+            for rows in _read_pieces(path, columns):
+                yield number, {c: _array(rows.column(c).combine_chunks(), labels[c]) for c in columns}
+
     def _of_variant(self, name: str, where: pc.Expression | None) -> tuple[pc.Expression | None, virtual_columns.Read]:
         """Which rows are the variant's, and how parts are read."""
         if len(self.variants) == 1 or name not in TABLES or "variant" not in TABLES[name].columns:
@@ -306,13 +316,17 @@ class Run:
 
     def _part(self, path: Path, names: Sequence[str], where: pc.Expression | None) -> pa.Table:
         """Columns of a part, once its checksum has been found right."""
+        self._check(path)
+        return _read(path, names, where)
+
+    def _check(self, path: Path) -> None:
+        """Damaged where the checksum of a part is not right; looked at once."""
         name = path.relative_to(self.path).as_posix()
         if name not in self._sound:
             part = next((part for part in self.inventory.of(path.parent.name) if part.name == name), None)
             if part is None or (problem := content_problem(self.path, part)):
                 self._found_damaged(problem if part is not None else f"{name} is not in the inventory")
             self._sound.add(name)
-        return _read(path, names, where)
 
     def _found_damaged(self, problem: str) -> None:
         message = f"{self.path} is damaged: {problem}. `cosim verify {self.path}` lists all that is wrong."
@@ -424,9 +438,28 @@ def _write_apart(file: Path, rows: pa.Table, variants: Sequence[str]) -> None:
 
 
 def _read(path: Path, names: Sequence[str], where: pc.Expression | None) -> pa.Table:
-    try:
+    with _readable(path, names):
         return pq.read_table(path, columns=list(names), filters=where, partitioning=None)
-    except (pa.ArrowException, OSError) as error:
+
+
+def _read_pieces(path: Path, names: Sequence[str]) -> Iterator[pa.Table]:
+    """Rows of a part, as many row groups at once as have `_PIECE_ROWS`, or a little more."""
+    with _readable(path, names), pq.ParquetFile(path) as file:
+        groups, n_rows = [], 0
+        for group in range(file.num_row_groups):
+            groups.append(group)
+            n_rows += file.metadata.row_group(group).num_rows
+            if n_rows >= _PIECE_ROWS or group + 1 == file.num_row_groups:
+                yield file.read_row_groups(groups, list(names)).select(list(names))
+                groups, n_rows = [], 0
+
+
+@contextmanager
+def _readable(path: Path, names: Sequence[str]) -> Iterator[None]:
+    """Says in one line what is wrong with a part from which these columns cannot be read."""
+    try:
+        yield
+    except (pa.ArrowException, OSError, KeyError) as error:
         missing = set(names) - _columns(path)
         if missing:
             raise ValueError(

@@ -72,6 +72,11 @@ class EvidenceStore:
             self._opened = step
             if older := self.steps.get(step - _RECENT):
                 older.trim(keep_noted=any(view.folds for view in self.views))
+            age = _RECENT
+            while age <= step - next(iter(self.steps)):  # again and again, since late evaluations unpack a step
+                if older := self.steps.get(step - age):
+                    older.pack()
+                age *= 2
         return self._n_bad
 
     def add(self, view: View, received: ReceivedEvaluations) -> Int[ndarray, "reasons"] | None:

@@ -10,7 +10,8 @@ from enum import IntEnum
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+import pyarrow as pa
+from jaxtyping import Bool, Float, Int, UInt8
 from numpy import ndarray
 
 from trust.kernel import compiled
@@ -34,6 +35,14 @@ class RejectReason(IntEnum):
     UNKNOWN_OBSERVER = 5  # its observer was not present in that step
     UNKNOWN_DETECTION = 6  # was not transmitted
     DUPLICATE = 7  # the holder has this evaluator's evaluation of this detection already
+
+
+class _Packed(NamedTuple):
+    """Fields of `StepEvidence`, compressed."""
+
+    content: UInt8[ndarray, "bytes"]
+    about: tuple[tuple[str, tuple[tuple[str, tuple[int, ...]], ...]], ...]  # name; dtype and shape of its arrays
+    n_bytes: int  # before
 
 
 class _Read(NamedTuple):
@@ -262,7 +271,14 @@ def _empty_table(dtype) -> tuple[ndarray, ndarray]:
     return np.full(64, -1, np.int64), np.zeros(64, dtype)
 
 
-@dataclass(slots=True)
+_WAITING = (
+    "pseudonyms", "first", "score", "blocks", "dirty", "sums", "made_by", "block_table", "mask_table", "head", "count",
+    "known", "parts",
+)  # fmt: skip
+_CODEC = "zstd"
+
+
+@dataclass(slots=True, repr=False)
 class StepEvidence:
     """Pseudonyms present in one step, their detections, and the evaluations of these."""
 
@@ -292,6 +308,7 @@ class StepEvidence:
     # from and to in `known`, first number, part before
     parts: Int[ndarray, "p 4"] = field(default_factory=lambda: np.zeros((16, 4), np.int64))
     n_known: Int[ndarray, "2"] = field(default_factory=lambda: np.zeros(2, np.int64))  # evaluations, parts
+    packed: _Packed | None = None  # `_WAITING`, which are not there meanwhile
 
     def __post_init__(self) -> None:
         self.head = np.full(self.pseudonyms.size, -1, np.int64)
@@ -302,6 +319,7 @@ class StepEvidence:
         self, messages: EvaluationMessages, holder: Int[ndarray, "m"], message_row: Int[ndarray, "m"], rejected
     ) -> None:
         """Add messages: `message_row[i]` was received by `holder[i]`; rejected evaluations are counted by reason."""
+        self.unpack()
         self.is_current = False
         ptr, index = int64(messages.ptr), int64(messages.detection_index)
         n_evaluations, n_parts = self.n_known.tolist()
@@ -360,6 +378,35 @@ class StepEvidence:
             if size < keys.size:
                 setattr(self, table, _moved(keys, values, size))
 
+    def pack(self) -> None:
+        """Compress what only evaluations yet to come would change, if the sums are up to date."""
+        if self.packed is not None or not self.is_current:
+            return
+        about, pieces = [], []
+        for name in _WAITING:
+            value = getattr(self, name)
+            arrays = value if isinstance(value, tuple) else (value,)
+            about.append((name, tuple((a.dtype.str, a.shape) for a in arrays)))
+            pieces += [a.tobytes() for a in arrays]
+            delattr(self, name)
+        whole = b"".join(pieces)
+        content = np.frombuffer(pa.compress(whole, _CODEC), np.uint8)
+        self.packed = _Packed(content, tuple(about), len(whole))
+
+    def unpack(self) -> None:
+        """Have all fields there again."""
+        if self.packed is None:
+            return
+        (content, about, n_bytes), self.packed = self.packed, None
+        whole, at = pa.decompress(pa.py_buffer(content), n_bytes, _CODEC), 0
+        for name, kinds in about:
+            arrays = []
+            for dtype, shape in kinds:
+                array: ndarray = np.ndarray(shape, dtype, whole, at).copy()
+                arrays.append(array)
+                at += array.nbytes
+            setattr(self, name, arrays[0] if len(arrays) == 1 else tuple(arrays))
+
     def aggregate(self, by_score: bool, skip_unseen: bool) -> None:
         """Update sum s T(theta) and sum s of every block that has changed."""
         _aggregate(
@@ -369,15 +416,18 @@ class StepEvidence:
 
     def evaluators(self, start: int = 0) -> tuple[Int[ndarray, "y"], Int[ndarray, "y"]]:
         """Pair row and pseudonym of every evaluator that could see, from the `start`-th on; some stand twice."""
+        self.unpack()
         block, v = self.made_by[start : self.n_used[3]].T
         return self.pair_row[block], self.pseudonyms[v]
 
     @property
     def nbytes(self) -> int:
         """Memory [B]."""
-        arrays = (self.pseudonyms, self.first, self.score, self.blocks, self.dirty, self.aggregated, self.n_evaluations)
-        tables = (*self.block_table, *self.mask_table, self.pair_row, self.sums, self.head, self.count)
-        return sum(a.nbytes for a in (*arrays, *tables, self.known, self.parts, self.made_by))
+        summed = self.aggregated.nbytes + self.n_evaluations.nbytes + self.pair_row.nbytes
+        if self.packed is not None:
+            return summed + self.packed.content.nbytes
+        waiting = (getattr(self, name) for name in _WAITING)
+        return summed + sum(a.nbytes for value in waiting for a in (value if isinstance(value, tuple) else (value,)))
 
 
 def open_step_evidence(

@@ -60,10 +60,17 @@ def new_lows(variant, who, step, trust, n_evaluations, since, lowest):
 
 
 @compiled
-def add_peaks(variant, receiver, who, ages_s, n_variants, renewed, peak_sum_s):
-    """Add the ages before each renewal: what a receiver looks up of a subject is younger than at its lookup before."""
-    n = 0
+def none_before(n_variants):
+    """What `add_peaks` knows of lookups before the first."""
     table, pairs, last_s = _empty(_FIRST_SIZE, n_variants)
+    return table, pairs, last_s, 0
+
+
+@compiled
+def add_peaks(variant, receiver, who, ages_s, n_variants, before, renewed, peak_sum_s):
+    """Add the ages before each renewal: what a receiver looks up of a subject is younger than at its lookup before.
+    Returns what the rows that follow need to know as `before`."""
+    table, pairs, last_s, n = before
     for i in range(len(variant)):
         v, r = variant[i], receiver[i]
         pair = (np.int64(r) << 32) | who[i]
@@ -82,6 +89,7 @@ def add_peaks(variant, receiver, who, ages_s, n_variants, renewed, peak_sum_s):
                 renewed[v, r, what] += 1
                 peak_sum_s[v, r, what] += last_s[k, what]
             last_s[k, what] = age_s
+    return table, pairs, last_s, n
 
 
 @compiled

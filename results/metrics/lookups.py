@@ -129,7 +129,7 @@ def _added(run: Run, fresh_s: float) -> _All:
     known, role_of = run.once_for_all("roles by pseudonym", lambda: _roles(run))
     stride = -(-run.n_blocks("trust_lookups") // _PEAK_BLOCKS)
     return _add_up(
-        run.arrays("trust_lookups", list(_DTYPES)), known, role_of, _watched_since(run, known), len(run.variants),
+        run.pieces("trust_lookups", list(_DTYPES)), known, role_of, _watched_since(run, known), len(run.variants),
         len(run.role_labels), stride, fresh_s,
     )  # fmt: skip
 
@@ -137,15 +137,15 @@ def _added(run: Run, fresh_s: float) -> _All:
 def compile_kernels() -> None:
     """Compile what adds up the lookups of a run, of any run."""
     one, row = np.zeros(1, np.int64), {name: np.zeros(1, dtype) for name, dtype in _DTYPES.items()}
-    _add_up([row], one, one, one, 1, 1, 1, FRESH_S)
+    _add_up([(0, row)], one, one, one, 1, 1, 1, FRESH_S)
 
 
 def _add_up(
-    row_blocks: Iterable[Mapping[str, ndarray]], known: Int[ndarray, "p"], role_of: Int[ndarray, "p"],
+    pieces: Iterable[tuple[int, Mapping[str, ndarray]]], known: Int[ndarray, "p"], role_of: Int[ndarray, "p"],
     since: Int[ndarray, "p"], n_variants: int, n_roles: int, stride: int, fresh_s: float,
 ) -> _All:  # fmt: skip
-    """Blocks of lookups of these pseudonyms, with the role of each and the step since which it is watched; peak ages of
-    every `stride`-th block."""
+    """Lookups of these pseudonyms, piece by piece with the number of its block; the role of each pseudonym, and the step
+    since which it is watched; peak ages of every `stride`-th block."""
     from results.metrics import lookup_sums  # here, because little else in measuring needs Numba
 
     lowest = np.full((n_variants, len(known)), np.inf, np.float32)
@@ -158,8 +158,11 @@ def _add_up(
     }
     histogram = np.zeros((n_variants, n_roles, len(AGES), len(EDGES_S) - 1), np.int64)
     lower = [(np.zeros(0, np.int16), Lows(np.zeros(0, np.int32), np.zeros(0, np.int32), np.zeros(0, np.float32)))]
-    for number, block in enumerate(row_blocks):
-        rows = {name: _read_only(block[name], dtype) for name, dtype in _DTYPES.items()}
+    before, block = lookup_sums.none_before(n_variants), -1
+    for number, piece in pieces:
+        if number != block:
+            before, block = lookup_sums.none_before(n_variants), number
+        rows = {name: _read_only(piece[name], dtype) for name, dtype in _DTYPES.items()}
         variant, receiver, who = rows["variant"], rows["receiver"], np.searchsorted(known, rows["subject"])
         more = int(receiver.max(initial=-1)) + 1 - tables["states"].shape[1]
         if more > 0:
@@ -174,9 +177,10 @@ def _add_up(
             tables["age_sum_s"], histogram, tables["behind"], tables["behind_sum"],
         )  # fmt: skip
         if number % stride == 0:
-            lookup_sums.add_peaks(
-                variant, receiver, who, ages_s[: len(RENEWED)], n_variants, tables["renewed"], tables["peak_sum_s"]
-            )
+            before = lookup_sums.add_peaks(
+                variant, receiver, who, ages_s[: len(RENEWED)], n_variants, before, tables["renewed"],
+                tables["peak_sum_s"],
+            )  # fmt: skip
         at = np.flatnonzero(lookup_sums.new_lows(
             variant, who, rows["step"], rows["trust"], rows["n_evaluations"], since, lowest
         ))  # fmt: skip

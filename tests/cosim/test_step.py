@@ -52,7 +52,7 @@ def test_a_state_is_consumed_once(midway):
 
 
 @pytest.mark.parametrize(
-    "again", [State.copy, copy.deepcopy, lambda s: pickle.loads(pickle.dumps(s)), lambda s: decode(encode(s))]
+    "again", [State.copy, copy.deepcopy, lambda s: pickle.loads(pickle.dumps(s)), lambda s: decode(b"".join(encode(s)))]
 )
 def test_copies_continue_to_identical_results(midway, again):
     scene, parts, state = midway
@@ -104,4 +104,4 @@ def test_other_pseudonyms_change_nothing_but_names():
 @pytest.mark.parametrize("medium", CHOICES["radio"][1])
 def test_the_state_of_every_model_and_medium_is_kept_for_resume(model, medium):
     parts = parts_of(ScriptedScene.load(), f"trust.model={model}", f"radio.model={medium}")
-    assert isinstance(decode(encode(State.start(parts))), State)
+    assert isinstance(decode(b"".join(encode(State.start(parts)))), State)

@@ -100,6 +100,7 @@ def test_piggybacked_evaluations_come_a_step_later():
     one, other = one.trust.hosts[0].model, other.trust.hosts[0].model
     for step in range(6):
         a, b = one.store.steps[step], other.store.steps[step]  # evaluators are forgotten once they are counted
+        a.unpack(), b.unpack()
         assert np.array_equal(a.n_used[:3], b.n_used[:3]) and np.array_equal(a.sums.sum(axis=0), b.sums.sum(axis=0))
     assert not one.rejected.any() and not other.rejected.any()
     # In fusion each has its own evaluations only.
