@@ -128,6 +128,7 @@ class Drive:
                     self._of_block[number] = commands
                 if recorder.is_block_end(number) and number + 1 < config.n_steps:
                     self._commit(state)
+            del happened  # up to 100 MB of a large fleet, which the next step would have beside its own
             self.traffic.command(*commands)
             self.advance("run", number + 1, config.n_steps, f"steps, {len(world)} actors")
             if self.stop.signum is not None and self._next is None:
