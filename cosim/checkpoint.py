@@ -125,7 +125,7 @@ class _Writer:
         except ValueError:
             raise CannotCheckpoint(f"{where} is an array of dtype {array.dtype}") from None
         self.heads.append([about, list(array.shape)])
-        self.buffers.append(memoryview(np.ascontiguousarray(array).reshape(-1).view(np.uint8)))
+        self.buffers.append(np.ascontiguousarray(array).reshape(-1).view(np.uint8).data)
         return len(self.heads) - 1
 
     def _class(self, of: type, where: str) -> str:

@@ -140,7 +140,8 @@ class Recorder:
         open_rows
             By table, rows of what is not over yet, as they would be if the run ended here.
         checkpoint
-            By name, the files from which a resumed run goes on, in pieces; those named `state-...` replace earlier ones.
+            By name, the files from which a resumed run goes on, piece by piece; those named `state-...` replace
+            earlier ones.
         """
         if self._last_step >= self.inventory.end_step:
             self._commit(open_rows or {}, checkpoint or {})

@@ -144,8 +144,8 @@ def _add_up(
     pieces: Iterable[tuple[int, Mapping[str, ndarray]]], known: Int[ndarray, "p"], role_of: Int[ndarray, "p"],
     since: Int[ndarray, "p"], n_variants: int, n_roles: int, stride: int, fresh_s: float,
 ) -> _All:  # fmt: skip
-    """Lookups of these pseudonyms, piece by piece with the number of its block; the role of each pseudonym, and the step
-    since which it is watched; peak ages of every `stride`-th block."""
+    """Lookups of these pseudonyms, piece by piece with the number of its block; of each pseudonym the role, and the
+    step since which it is watched. Peak ages are those of every `stride`-th block."""
     from results.metrics import lookup_sums  # here, because little else in measuring needs Numba
 
     lowest = np.full((n_variants, len(known)), np.inf, np.float32)

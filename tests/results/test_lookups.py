@@ -4,6 +4,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
+import results.run
+from results import part_encoder
 from results.archive import open_run
 from results.codes import LookupState, labels
 from results.manifest import finish
@@ -18,9 +20,20 @@ STEPS, VEHICLES = 24, 60
 ROLES = ["honest"] * 50 + ["malicious"] * 10
 
 
-@pytest.fixture(scope="module")
-def run(tmp_path_factory):
-    """Two variants, 3,540 pairs, three blocks; ages of up to 400 s, a quarter of them null."""
+@pytest.fixture(scope="module", params=[(120_000, 1_000_000), (5_000, 5_000)], ids=["blocks", "pieces of blocks"])
+def run(request, tmp_path_factory):
+    """Two variants, 3,540 pairs, three blocks; ages of up to 400 s, a quarter of them null.
+
+    The blocks are read at once, or in four pieces each.
+    """
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(part_encoder, "_GROUP_ROWS", request.param[0])
+        patch.setattr(results.run, "_PIECE_ROWS", request.param[1])
+        yield made(tmp_path_factory)
+
+
+def made(tmp_path_factory):
+    """The run on disk, opened."""
     folder, rng = tmp_path_factory.mktemp("lookups"), np.random.default_rng(5)
     receiver, subject = (side.ravel() for side in np.meshgrid(*2 * [np.arange(VEHICLES)]))
     receiver, subject = receiver[receiver != subject], subject[receiver != subject]
@@ -69,6 +82,8 @@ def table(groups, shape):
 
 def test_sums(variant):
     run, rows = variant
+    n_pieces = len(list(run.pieces("trust_lookups", ["step"])))
+    assert n_pieces in (3, 10)
     found, n_roles = lookups.sums(run), len(run.role_labels)
     by_receiver = ["receiver", "role"]
     sizes = (VEHICLES, n_roles)

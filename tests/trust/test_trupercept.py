@@ -1,5 +1,6 @@
 """The trust model `trupercept` by hand."""
 
+import copy
 import pickle
 
 import numpy as np
@@ -196,6 +197,8 @@ def test_evidence_may_still_come_when_a_step_has_been_trimmed(freshness_s):
         add(prompt, step, rows)
         add(late, step, rows[::3])
         late.scores()
+        if step >= 3:
+            assert late.store.steps[step - 3].packed is not None
         if step >= 4:
             add(late, step - 4, rows)  # a third of them once more
             add(late, step - 4, [(50, 1, 0, 1, 1)])
@@ -204,6 +207,29 @@ def test_evidence_may_still_come_when_a_step_has_been_trimmed(freshness_s):
         add(late, step, rows)
     assert_same(late.scores(), prompt.scores())
     assert rejected(late)["DUPLICATE"] > 1000 and rejected(late)["UNKNOWN_EVALUATOR"] == 6
+
+
+def test_what_waits_for_late_evaluations_is_compressed():
+    """Packed evidence takes less than half, and is itself again, field by field."""
+    rows = [(v, u, k, 0.5, 1) for v in range(60) for u in range(50) for k in (0, 1)]
+    model = TruPercept(TrustParams(), 1.0)
+    open_step(model, 0, {v: [0.5, 0.5] for v in range(60)})
+    add(model, 0, rows)
+    evidence = model.store.steps[0]
+    evidence.pack()
+    assert evidence.packed is None, "its sums are not up to date"
+    model.scores()
+    before, n_bytes = copy.deepcopy(evidence), evidence.nbytes
+    evidence.pack()
+    assert evidence.nbytes < 0.5 * n_bytes and not hasattr(evidence, "sums")
+    unpacked = copy.deepcopy(evidence)
+    unpacked.unpack()
+    assert unpacked.nbytes == n_bytes
+    for name in evidence.__dataclass_fields__:
+        for one, other in zip(*(np.atleast_1d(getattr(e, name)) for e in (before, unpacked)), strict=True):
+            assert np.array_equal(one, other), name
+    add(model, 0, rows)
+    assert rejected(model)["DUPLICATE"] == len(rows)
 
 
 def test_first_of_contradicting_verdicts_counts():
