@@ -159,9 +159,10 @@ def mean_of_pairs(
     if n < _FEWEST:
         return Estimate(value, float("nan"), float("nan"), n)
     residual = np.asarray(values, float) - value
-    _, pair = np.unique(np.sort(np.stack([a, b]), axis=0), axis=1, return_inverse=True)
     of_unit = np.bincount(at, np.tile(residual, 2))
-    of_pair = np.bincount(pair.ravel(), residual)  # the same two may meet again; they share both units
+    one, other = at[: len(a)], at[len(a) :]
+    _, pair = np.unique(np.minimum(one, other) * n + np.maximum(one, other), return_inverse=True)
+    of_pair = np.bincount(pair, residual)  # the same two may meet again; they share both units
     variance = max(0.0, float((of_unit**2).sum() - (of_pair**2).sum())) / len(values) ** 2
     half = float(stats.t.ppf((1 + level) / 2, n - 1)) * variance**0.5
     return Estimate(value, value - half, value + half, n)
