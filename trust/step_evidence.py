@@ -390,7 +390,9 @@ class StepEvidence:
             pieces += [a.tobytes() for a in arrays]
             delattr(self, name)
         whole = b"".join(pieces)
-        content = np.frombuffer(pa.compress(whole, _CODEC), np.uint8)
+        compressed = pa.compress(whole, _CODEC)  # in room for as many bytes as before
+        content = np.frombuffer(pa.allocate_buffer(compressed.size), np.uint8)  # beside arrays that come and go
+        content[:] = np.frombuffer(compressed, np.uint8)
         self.packed = _Packed(content, tuple(about), len(whole))
 
     def unpack(self) -> None:
