@@ -8,6 +8,8 @@ whose returns are all nearer than the box, or all farther, are not looked at.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numba import prange
 
@@ -140,7 +142,14 @@ def _is_inside(steps, step_m, beams, c, r, box):
     return inside & (steps[c, r] != _NO_RETURN)
 
 
-@parallel
+@kernel
+def _unbounded(nearest, farthest):
+    """Bounds where a sweep is not looked at as a whole."""
+    for b in range(nearest.shape[0]):
+        for t in range(nearest.shape[1]):
+            nearest[b, t], farthest[b, t] = 0.0, np.inf
+
+
 def points_in_boxes(range_steps, step_m, beams, pairs, run, n_chunks):
     """Returns of the pair's sweep strictly inside its box, of every pair; `run` as `Pairs.runs`, which threads share
     in `n_chunks`.
@@ -148,15 +157,22 @@ def points_in_boxes(range_steps, step_m, beams, pairs, run, n_chunks):
     `range_steps` and `step_m` as `sensors.lidar.RangeImages`; a step is a power of two, so that single precision holds
     every range, and lengths per step are exactly as precise as lengths per metre.
     """
-    out = np.zeros(len(pairs.o), np.int32)
-    n, m = range_steps.shape[1], len(beams.tan_el)
+    # What is small is made here: in a parallel kernel every expression of arrays is compiled as a loop over threads.
     cos_el, sin_el = (step_m * beams.cos_el).astype(np.float32), (step_m * beams.sin_el).astype(np.float32)
-    edge_cos, edge_sin = np.cos(0.5 * beams.fov_rad), np.sin(0.5 * beams.fov_rad)
-    flat = np.empty(((m + LANES - 1) // LANES, 2), np.float32)
-    flat[:, 0], flat[:, 1] = np.inf, -np.inf
-    for b in range(len(flat)):
-        for r in range(max(0, min(LANES * b, m - LANES)), min(LANES * b + LANES, m)):
-            flat[b, 0], flat[b, 1] = min(flat[b, 0], cos_el[r]), max(flat[b, 1], cos_el[r])
+    m, out = len(cos_el), np.zeros(len(pairs.o), np.int32)
+    first = range(0, m, LANES)
+    blocks = [cos_el[max(0, min(row, m - LANES)) : row + LANES] for row in first]
+    flat = np.array([[block.min(), block.max()] for block in blocks], np.float32)
+    edge = math.cos(0.5 * beams.fov_rad), math.sin(0.5 * beams.fov_rad)
+    _add_points(out, range_steps, step_m, beams, cos_el, sin_el, flat, edge, pairs, run, n_chunks)
+    return out
+
+
+@parallel
+def _add_points(out, range_steps, step_m, beams, cos_el, sin_el, flat, edge, pairs, run, n_chunks):
+    """As `points_in_boxes`; `flat` are the least and largest length per step of each block of rows, `edge` the cosine
+    and sine of half the field of view."""
+    n, m = range_steps.shape[1], len(cos_el)
     for chunk in prange(n_chunks):
         columns, slopes = columns_of(beams), slopes_of(beams)
         lengths = np.empty((2, len(flat), (n + TILE - 1) // TILE), np.float32)
@@ -166,13 +182,14 @@ def points_in_boxes(range_steps, step_m, beams, pairs, run, n_chunks):
             if run[i + 1] - run[i] > _FEW and n >= TILE and m >= LANES:
                 farthest = _bounds(steps, flat, bounds[0], bounds[1]) * step_m + _REACH_M
             else:
-                bounds[0][:], bounds[1][:], farthest = 0.0, np.inf, np.inf
+                _unbounded(bounds[0], bounds[1])
+                farthest = np.inf
             for k in range(run[i], run[i + 1]):
                 x, y, z, length, width, height, yaw = in_sensor_frame(pairs, k)
                 half_l, half_w, half_h = 0.5 * length, 0.5 * width, 0.5 * height
                 radius, distance = np.sqrt(half_l * half_l + half_w * half_w), np.sqrt(x * x + y * y)
                 close = distance - radius
-                if abs(y) * edge_cos - x * edge_sin > radius or close > farthest:
+                if abs(y) * edge[0] - x * edge[1] > radius or close > farthest:
                     continue  # beside the field of view, or behind all returns
                 cos, sin = np.cos(yaw), np.sin(yaw)
                 a0, a1, b0, b1 = rectangle_columns(x, y, cos, sin, half_l, half_w, columns)
@@ -186,4 +203,3 @@ def points_in_boxes(range_steps, step_m, beams, pairs, run, n_chunks):
                     c0, c1 = (a0, a1) if turn == 0 else (b0, b1)
                     if c1 > c0:
                         out[k] += _count(steps, step_m, beams, cos_el, sin_el, c0, c1, r0, r1, box, bounds, scratch)
-    return out
