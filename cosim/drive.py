@@ -42,7 +42,7 @@ Commands = tuple[Int[ndarray, "c"], Float[ndarray, "c"]]
 NO_COMMANDS: Commands = (np.zeros(0, np.int64), np.zeros(0))
 _MOST_AT_ONCE = 10
 """Steps without sensing at the beginning of a run, which a signal ends at once and leaves nothing of."""
-STATE_VERSION = 6
+STATE_VERSION = 7
 """Raised whenever a state of an earlier version would be misread."""
 _CORES = numba.get_num_threads()
 _EQUIPPED_PER_THREAD = 100
