@@ -127,6 +127,7 @@ def _measured(name: str, worlds: list[World], parts: Parts, registry: ActorRegis
                 watch.processor_s.clear()
             else:
                 n_equipped += int(world.equipped.sum())
+            del happened  # as in a run
         with watch("record"):
             recorder.flush(recording.open_rows(state, parts, registry, worlds[-1].step + 1))
         wall_s, processor_s = perf_counter() - begin[0], process_time() - begin[1]
