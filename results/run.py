@@ -11,9 +11,8 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 import pyarrow.compute as pc
-import pyarrow.parquet as pq
 
-from results import durable, inventory, virtual_columns
+from results import durable, inventory, part_reader, virtual_columns
 from results.codes import BASE_VARIANT
 from results.durable import Damaged
 from results.inventory import Inventory, Part
@@ -23,7 +22,6 @@ T = TypeVar("T")
 
 OVER = ("finished", "interrupted")
 """Statuses of a run that ended with everything written."""
-_PIECE_ROWS = 1_000_000
 
 
 class Run:
@@ -226,7 +224,7 @@ class Run:
         self, name: str, columns: Sequence[str], blocks: Iterator[dict[str, np.ndarray]]
     ) -> dict[str, np.ndarray]:
         empty = self._wanted(name, columns).empty_table()
-        parts = [{c: _array(empty.column(c).combine_chunks(), ()) for c in columns}, *blocks]
+        parts = [{c: part_reader.plain(empty.column(c).combine_chunks(), ()) for c in columns}, *blocks]
         return {c: np.concatenate([part[c] for part in parts]) for c in columns}
 
     def arrays(self, name: str, columns: Sequence[str]) -> Iterator[dict[str, np.ndarray]]:
@@ -240,16 +238,18 @@ class Run:
         labels = {c: TABLES[name].columns[c].labels(self.manifest) for c in wanted.names}
         for path in self._paths(name):
             rows = virtual_columns.read(part, path, wanted.names, where)
-            yield {c: _array(rows.column(c).combine_chunks(), labels[c]) for c in wanted.names}
+            yield {c: part_reader.plain(rows.column(c).combine_chunks(), labels[c]) for c in wanted.names}
 
-    def pieces(self, name: str, columns: Sequence[str]) -> Iterator[tuple[int, dict[str, np.ndarray]]]:
-        """The same in pieces of about a million rows, where blocks are larger; each with the number of its block."""
+    def pieces(
+        self, name: str, columns: Sequence[str], n_rows: int = 1_000_000
+    ) -> Iterator[tuple[int, dict[str, np.ndarray]]]:
+        """The same, blocks of more rows than that in pieces of some more each; with the number of its block."""
         assert not virtual_columns.names(TABLES[name], columns, None), "columns that are on disk"
         labels = {c: TABLES[name].columns[c].labels(self.manifest) for c in self._wanted(name, columns).names}
         for number, path in enumerate(self._paths(name)):
             self._check(path)
-            for rows in _read_pieces(path, columns):
-                yield number, {c: _array(rows.column(c).combine_chunks(), labels[c]) for c in columns}
+            for rows in part_reader.read_pieces(path, columns, n_rows):
+                yield number, {c: part_reader.plain(rows.column(c).combine_chunks(), labels[c]) for c in columns}
 
     def _of_variant(self, name: str, where: pc.Expression | None) -> tuple[pc.Expression | None, virtual_columns.Read]:
         """Which rows are the variant's, and how parts are read."""
@@ -269,7 +269,7 @@ class Run:
         file = self._apart / table / f"{path.stem}.arrow"
         if file not in self._opened:
             file.parent.mkdir(exist_ok=True)
-            _write_apart(file, self._part(path, list(TABLES[table].stored), None), self.variants)
+            part_reader.write_apart(file, self._part(path, list(TABLES[table].stored), None), self.variants)
             self._opened[file] = pa.ipc.open_file(pa.memory_map(str(file)))
         rows = pa.Table.from_batches([self._opened[file].get_batch(self.variants.index(self.variant))])
         return rows.select(names) if where is None else rows.filter(where).select(names)
@@ -317,7 +317,7 @@ class Run:
     def _part(self, path: Path, names: Sequence[str], where: pc.Expression | None) -> pa.Table:
         """Columns of a part, once its checksum has been found right."""
         self._check(path)
-        return _read(path, names, where)
+        return part_reader.read(path, names, where)
 
     def _check(self, path: Path) -> None:
         """Damaged where the checksum of a part is not right; looked at once."""
@@ -382,13 +382,6 @@ class Run:
         return TABLES["vehicles"].columns["role"].labels(self.manifest)
 
 
-def _array(column: pa.Array, labels: Sequence[str]) -> np.ndarray:
-    if not pa.types.is_dictionary(column.type):
-        return column.to_numpy(zero_copy_only=False)
-    code = np.array([*map(list(labels).index, column.dictionary.to_pylist()), -1], np.int16)
-    return code[column.indices.fill_null(-1).to_numpy(zero_copy_only=False)]
-
-
 def problems_of(folder: Path, table: str, found: Inventory, is_over: bool) -> Iterator[str]:
     """Parts of a table that are missing, of another size, or not in the inventory.
 
@@ -422,56 +415,3 @@ def content_problem(folder: Path, part: Part) -> str:
     except (OSError, ValueError) as error:
         return f"{part.name} cannot be read ({error})"
     return "" if digest == part.sha256 else f"{part.name} is not what was written: its checksum differs"
-
-
-def _write_apart(file: Path, rows: pa.Table, variants: Sequence[str]) -> None:
-    """The rows of each variant as a batch of its own, in the order of `variants`."""
-    number = _array(rows.column("variant").combine_chunks(), variants)
-    order = np.argsort(number, kind="stable")
-    ends = np.searchsorted(number[order], np.arange(len(variants) + 1))
-    (ordered,) = rows.take(pa.array(order)).combine_chunks().to_batches() or [
-        pa.RecordBatch.from_pylist([], rows.schema)
-    ]
-    with pa.ipc.new_file(file, ordered.schema) as out:
-        for begin, end in zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True):
-            out.write_batch(ordered.slice(begin, end - begin))
-
-
-def _read(path: Path, names: Sequence[str], where: pc.Expression | None) -> pa.Table:
-    with _readable(path, names):
-        return pq.read_table(path, columns=list(names), filters=where, partitioning=None)
-
-
-def _read_pieces(path: Path, names: Sequence[str]) -> Iterator[pa.Table]:
-    """Rows of a part, as many row groups at once as have `_PIECE_ROWS`, or a little more."""
-    with _readable(path, names), pq.ParquetFile(path) as file:
-        groups, n_rows = [], 0
-        for group in range(file.num_row_groups):
-            groups.append(group)
-            n_rows += file.metadata.row_group(group).num_rows
-            if n_rows >= _PIECE_ROWS or group + 1 == file.num_row_groups:
-                yield file.read_row_groups(groups, list(names)).select(list(names))
-                groups, n_rows = [], 0
-
-
-@contextmanager
-def _readable(path: Path, names: Sequence[str]) -> Iterator[None]:
-    """Says in one line what is wrong with a part from which these columns cannot be read."""
-    try:
-        yield
-    except (pa.ArrowException, OSError, KeyError) as error:
-        missing = set(names) - _columns(path)
-        if missing:
-            raise ValueError(
-                f"{path} has no column {', '.join(sorted(missing))}: another cosim wrote it. Run again."
-            ) from error
-        reason = str(error).splitlines()[0]
-        raise Damaged(f"{path} is damaged ({reason}). Delete the run and run it again.") from error
-
-
-def _columns(path: Path) -> set[str]:
-    """Columns that a part says it has; all, if it cannot even say that."""
-    try:
-        return set(pq.read_schema(path).names)
-    except (pa.ArrowException, OSError):
-        return set(schema(path.parent.name).names)

@@ -10,11 +10,12 @@ from enum import IntEnum
 from typing import NamedTuple
 
 import numpy as np
-import pyarrow as pa
-from jaxtyping import Bool, Float, Int, UInt8
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
+from trust import packed
 from trust.kernel import compiled
+from trust.packed import Packed
 from trust.tables import EvaluationMessages, int64
 
 ONE = float(1 << 44)  # fixed point of the sums: error 3e-14 per evaluation, room for half a million of them
@@ -35,14 +36,6 @@ class RejectReason(IntEnum):
     UNKNOWN_OBSERVER = 5  # its observer was not present in that step
     UNKNOWN_DETECTION = 6  # was not transmitted
     DUPLICATE = 7  # the holder has this evaluator's evaluation of this detection already
-
-
-class _Packed(NamedTuple):
-    """Fields of `StepEvidence`, compressed."""
-
-    content: UInt8[ndarray, "bytes"]
-    about: tuple[tuple[str, tuple[tuple[str, tuple[int, ...]], ...]], ...]  # name; dtype and shape of its arrays
-    n_bytes: int  # before
 
 
 class _Read(NamedTuple):
@@ -272,10 +265,9 @@ def _empty_table(dtype) -> tuple[ndarray, ndarray]:
 
 
 _WAITING = (
-    "pseudonyms", "first", "score", "blocks", "dirty", "sums", "made_by", "block_table", "mask_table", "head", "count",
-    "known", "parts",
+    "pseudonyms", "first", "score", "blocks", "dirty", "sums", "made_by", "head", "count", "known", "parts",
 )  # fmt: skip
-_CODEC = "zstd"
+"""Arrays of `StepEvidence` that only evaluations yet to come are looked up in or change, beside its two tables."""
 
 
 @dataclass(slots=True, repr=False)
@@ -308,7 +300,7 @@ class StepEvidence:
     # from and to in `known`, first number, part before
     parts: Int[ndarray, "p 4"] = field(default_factory=lambda: np.zeros((16, 4), np.int64))
     n_known: Int[ndarray, "2"] = field(default_factory=lambda: np.zeros(2, np.int64))  # evaluations, parts
-    packed: _Packed | None = None  # `_WAITING`, which are not there meanwhile
+    packed: Packed | None = None  # `_WAITING` and the tables, which are not there meanwhile
 
     def __post_init__(self) -> None:
         self.head = np.full(self.pseudonyms.size, -1, np.int64)
@@ -382,32 +374,21 @@ class StepEvidence:
         """Compress what only evaluations yet to come would change, if the sums are up to date."""
         if self.packed is not None or not self.is_current:
             return
-        about, pieces = [], []
-        for name in _WAITING:
-            value = getattr(self, name)
-            arrays = value if isinstance(value, tuple) else (value,)
-            about.append((name, tuple((a.dtype.str, a.shape) for a in arrays)))
-            pieces += [a.tobytes() for a in arrays]
+        self.packed = packed.pack(self._waiting())
+        for name in (*_WAITING, "block_table", "mask_table"):
             delattr(self, name)
-        whole = b"".join(pieces)
-        compressed = pa.compress(whole, _CODEC)  # in room for as many bytes as before
-        content = np.frombuffer(pa.allocate_buffer(compressed.size), np.uint8)  # beside arrays that come and go
-        content[:] = np.frombuffer(compressed, np.uint8)
-        self.packed = _Packed(content, tuple(about), len(whole))
 
     def unpack(self) -> None:
         """Have all fields there again."""
         if self.packed is None:
             return
-        (content, about, n_bytes), self.packed = self.packed, None
-        whole, at = pa.decompress(pa.py_buffer(content), n_bytes, _CODEC), 0
-        for name, kinds in about:
-            arrays = []
-            for dtype, shape in kinds:
-                array: ndarray = np.ndarray(shape, dtype, whole, at).copy()
-                arrays.append(array)
-                at += array.nbytes
-            setattr(self, name, arrays[0] if len(arrays) == 1 else tuple(arrays))
+        *plain, block_keys, block_at, mask_keys, masks = packed.unpack(self.packed)
+        for name, array in zip(_WAITING, plain, strict=True):
+            setattr(self, name, array)
+        self.block_table, self.mask_table, self.packed = (block_keys, block_at), (mask_keys, masks), None
+
+    def _waiting(self) -> list[ndarray]:
+        return [*(getattr(self, name) for name in _WAITING), *self.block_table, *self.mask_table]
 
     def aggregate(self, by_score: bool, skip_unseen: bool) -> None:
         """Update sum s T(theta) and sum s of every block that has changed."""
@@ -426,10 +407,8 @@ class StepEvidence:
     def nbytes(self) -> int:
         """Memory [B]."""
         summed = self.aggregated.nbytes + self.n_evaluations.nbytes + self.pair_row.nbytes
-        if self.packed is not None:
-            return summed + self.packed.content.nbytes
-        waiting = (getattr(self, name) for name in _WAITING)
-        return summed + sum(a.nbytes for value in waiting for a in (value if isinstance(value, tuple) else (value,)))
+        waiting = self._waiting() if self.packed is None else [self.packed.content]
+        return summed + sum(a.nbytes for a in waiting)
 
 
 def open_step_evidence(

@@ -1,0 +1,75 @@
+"""Part files read back: columns, rows, pieces."""
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+
+from results.durable import Damaged
+from results.tables import schema
+
+
+def plain(column: pa.Array, labels: Sequence[str]) -> np.ndarray:
+    """A column as a plain array: labels as their codes (-1: none), numbers that may be null as floats."""
+    if not pa.types.is_dictionary(column.type):
+        return column.to_numpy(zero_copy_only=False)
+    code = np.array([*map(list(labels).index, column.dictionary.to_pylist()), -1], np.int16)
+    return code[column.indices.fill_null(-1).to_numpy(zero_copy_only=False)]
+
+
+def write_apart(file: Path, rows: pa.Table, variants: Sequence[str]) -> None:
+    """The rows of each variant as a batch of its own, in the order of `variants`."""
+    number = plain(rows.column("variant").combine_chunks(), variants)
+    order = np.argsort(number, kind="stable")
+    ends = np.searchsorted(number[order], np.arange(len(variants) + 1))
+    (ordered,) = rows.take(pa.array(order)).combine_chunks().to_batches() or [
+        pa.RecordBatch.from_pylist([], rows.schema)
+    ]
+    with pa.ipc.new_file(file, ordered.schema) as out:
+        for begin, end in zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True):
+            out.write_batch(ordered.slice(begin, end - begin))
+
+
+def read(path: Path, names: Sequence[str], where: pc.Expression | None) -> pa.Table:
+    """Columns and rows of a part; ValueError or Damaged, in one line, where it cannot be read."""
+    with _readable(path, names):
+        return pq.read_table(path, columns=list(names), filters=where, partitioning=None)
+
+
+def read_pieces(path: Path, names: Sequence[str], n_rows: int) -> Iterator[pa.Table]:
+    """Columns of a part, as many row groups at once as have so many rows, or a little more; errors as `read`."""
+    with _readable(path, names), pq.ParquetFile(path) as file:
+        groups, n_read = [], 0
+        for group in range(file.num_row_groups):
+            groups.append(group)
+            n_read += file.metadata.row_group(group).num_rows
+            if n_read >= n_rows or group + 1 == file.num_row_groups:
+                yield file.read_row_groups(groups, list(names)).select(list(names))
+                groups, n_read = [], 0
+
+
+@contextmanager
+def _readable(path: Path, names: Sequence[str]) -> Iterator[None]:
+    """Says in one line what is wrong with a part from which these columns cannot be read."""
+    try:
+        yield
+    except (pa.ArrowException, OSError, KeyError) as error:
+        missing = set(names) - _columns(path)
+        if missing:
+            raise ValueError(
+                f"{path} has no column {', '.join(sorted(missing))}: another cosim wrote it. Run again."
+            ) from error
+        reason = str(error).splitlines()[0]
+        raise Damaged(f"{path} is damaged ({reason}). Delete the run and run it again.") from error
+
+
+def _columns(path: Path) -> set[str]:
+    """Columns that a part says it has; all, if it cannot even say that."""
+    try:
+        return set(pq.read_schema(path).names)
+    except (pa.ArrowException, OSError):
+        return set(schema(path.parent.name).names)
