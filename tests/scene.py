@@ -4,12 +4,12 @@ from dataclasses import fields, is_dataclass, replace
 
 import numpy as np
 
-from cosim.config import load
-from cosim.cycle import step
-from cosim.parts import Parts, perception_of
+from cosim.config.config import load
 from cosim.radio.rsu import NO_RSUS
 from cosim.reproduce.scenarios import FOLDER, ScriptedScene
-from cosim.state import State
+from cosim.step.cycle import step
+from cosim.step.parts import Parts, perception_of
+from cosim.step.state import State
 
 QUIET = (
     "server.cellular.delay_min_s=0.001", "server.cellular.delay_mean_s=0.002", "server.backhaul_s=0.005",

@@ -4,7 +4,7 @@ from typing import Any
 
 import typer
 
-from cosim.cli import app
+from cosim.cli.main import app
 
 _NAMES = {
     "str": "text", "Path": "path", "int": "whole number", "float": "number", "int range": "whole number",

@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_typ
 
 import annotated_types as at
 
-from cosim.config import CHOICES, Config, TrustVariant
+from cosim.config.config import CHOICES, Config, TrustVariant
 from trust.params import TrustParams
 
 _SIGNS = {at.Ge: ("ge", "≥"), at.Gt: ("gt", ">"), at.Le: ("le", "≤"), at.Lt: ("lt", "<")}

@@ -9,8 +9,8 @@ from annotated_types import Ge, Gt, Le
 from jaxtyping import Float, Int, UInt8
 from numpy import ndarray
 
-from cosim.actors import ActorRegistry
-from cosim.fleet import ActorClass
+from cosim.mobility.actors import ActorRegistry
+from cosim.mobility.fleet import ActorClass
 from cosim.mobility.frame import Frame
 from cosim.mobility.source import PER_M, PER_RAD, TrafficSource, world_of
 from cosim.world import World

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
-from cosim.actors import ActorRegistry
+from cosim.mobility.actors import ActorRegistry
 from cosim.mobility.fcd import Timestep, timesteps
 from cosim.mobility.frame import Frame, TrafficError
 from cosim.mobility.objects import PREFIX

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
-from cosim.actors import ActorRegistry
+from cosim.mobility.actors import ActorRegistry
 from cosim.mobility.frame import Frame
 from cosim.mobility.frame import TrafficError as TrafficError
 from cosim.world import World

@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
-from cosim.actors import ActorRegistry
+from cosim.mobility.actors import ActorRegistry
 from cosim.mobility.frame import Frame, TrafficError
 from cosim.mobility.lane_lines import LaneLines
 from cosim.mobility.params import TrafficParams

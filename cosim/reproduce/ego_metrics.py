@@ -9,9 +9,9 @@ from collections.abc import Iterator
 import numpy as np
 import pandas as pd
 
-from cosim import replay_lidar
-from cosim.actors import actor_key
 from cosim.adversary.victims import designated
+from cosim.mobility.actors import actor_key
+from cosim.offline import replay_lidar
 from results.metrics import trust
 from results.metrics.kitti import FEWEST, LEVELS, STRICT, average_precision
 from results.metrics.kitti_frames import actors_ahead, boxes_ahead

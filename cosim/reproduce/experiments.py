@@ -8,7 +8,7 @@ from typing import Any
 
 import pandas as pd
 
-from cosim import config_data
+from cosim.config import data as config_data
 from cosim.reproduce.published import AP, FINAL_TRUST
 from cosim.studies import sweep as sweeping
 from cosim.studies.study import SHIPPED, Study, load

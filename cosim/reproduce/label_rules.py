@@ -16,8 +16,8 @@ import numpy as np
 import pandas as pd
 from numpy import ndarray
 
-from cosim import replay_lidar
-from cosim.config import Config
+from cosim.config.config import Config
+from cosim.offline import replay_lidar
 from cosim.world import World
 from results.archive import open_run
 from results.metrics.kitti import Objects, average_precision

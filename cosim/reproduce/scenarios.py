@@ -16,11 +16,11 @@ from jaxtyping import Bool, Float, Int, UInt8
 from numpy import ndarray
 
 from cosim import rng
-from cosim.config import Config, load
-from cosim.cycle import step
-from cosim.parts import Parts, perception_of
-from cosim.state import State
-from cosim.step_result import Sensed
+from cosim.config.config import Config, load
+from cosim.step.cycle import step
+from cosim.step.parts import Parts, perception_of
+from cosim.step.result import Sensed
+from cosim.step.state import State
 from cosim.v2x.messages import FABRICATED, SELF
 from cosim.world import LABELS, World
 from results.figures import scenario as pictures
@@ -35,7 +35,7 @@ from trust.models.trupercept import TruPercept
 from trust.params import Method, TruPerceptParams
 from trust.tables import SERVER, ReceivedEvaluations, messages_from_rows
 
-FOLDER = Path(__file__).parents[1] / "scenarios"
+FOLDER = Path(__file__).parent / "scenes"
 EGO, ATTACKER, THIRD = range(3)
 """Equipped vehicles, in the order of the scene: rows of actors, of observers and of trust."""
 PEDESTRIAN = LABELS.index("pedestrian")

@@ -13,7 +13,7 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from cosim.config_data import read_toml
+from cosim.config.data import read_toml
 from cosim.studies.plan import PlannedRun, as_data
 from cosim.studies.points import Point
 from cosim.studies.study import Study

@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
 
-from cosim.config import Config
-from cosim.inputs import mesh_checksums
-from cosim.parts import sources
-from cosim.scenario import Scenario, find
+from cosim.config.config import Config
+from cosim.execution.inputs import mesh_checksums
+from cosim.mobility.scenario import Scenario, find
+from cosim.step.parts import sources
 from cosim.studies.study import Keys, Study, config_at
 from results.tables import SCHEMA_VERSION
 

@@ -12,11 +12,12 @@ import numpy as np
 import pandas as pd
 from numpy import ndarray
 
-from cosim import recording, run_folder
-from cosim.actors import ActorRegistry
-from cosim.config import Config, resolve_data
-from cosim.config_data import read_toml
-from cosim.parts import chosen, variants
+from cosim.config.config import Config, resolve_data
+from cosim.config.data import read_toml
+from cosim.execution import folder as run_folder
+from cosim.execution import recording
+from cosim.mobility.actors import ActorRegistry
+from cosim.step.parts import chosen, variants
 from cosim.v2x.trust_hosts import Lookups, TrustHosts, TrustState
 from results import inventory
 from results.archive import OpenRun, open_run
@@ -155,7 +156,7 @@ def _link(source: str, target: str) -> None:
 
 
 def _replay(run: OpenRun, config: Config, hosts: TrustHosts, recorder: Recorder) -> None:
-    """Trust, step by step, as `cosim.cycle` calls it."""
+    """Trust, step by step, as `cosim.step.cycle` calls it."""
     dt_s, alone = run.dt_s, config.radio.evaluations == "alone"
     state = hosts.start()
     people = _People.of(run, config)

@@ -12,11 +12,11 @@ import numba
 from jaxtyping import Float, Int
 from numpy import ndarray
 
-from cosim.config import resolve_data
-from cosim.parts import perception_of
-from cosim.perception import BoxAnswers, BoxQuestions, Perception, Seen, answers
-from cosim.replay_lidar import city_of
-from cosim.stopwatch import Stopwatch
+from cosim.config.config import resolve_data
+from cosim.offline.replay_lidar import city_of
+from cosim.step.parts import perception_of
+from cosim.step.perception import BoxAnswers, BoxQuestions, Perception, Seen, answers
+from cosim.step.stopwatch import Stopwatch
 from cosim.world import World
 from sensors.lidar import RangeImages, with_ranges
 

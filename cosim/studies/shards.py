@@ -17,14 +17,14 @@ import numpy as np
 from jaxtyping import Int
 from numpy import ndarray
 
-from cosim import run as running
-from cosim.check import check
-from cosim.config import Config, resolve_data
-from cosim.drive import Advance
-from cosim.perception import BoxAnswers, BoxQuestions, Observed, Perceives, Perception
-from cosim.run_folder import check as check_folder
-from cosim.scenario import find
-from cosim.stopwatch import Stopwatch
+from cosim.config.config import Config, resolve_data
+from cosim.execution import run as running
+from cosim.execution.check import check
+from cosim.execution.drive import Advance
+from cosim.execution.folder import check as check_folder
+from cosim.mobility.scenario import find
+from cosim.step.perception import BoxAnswers, BoxQuestions, Observed, Perceives, Perception
+from cosim.step.stopwatch import Stopwatch
 from cosim.studies.engine import Client, Future, connected, gathered
 from cosim.studies.plan import TRAFFIC_VERSION
 from cosim.studies.points import traffic_identity
@@ -45,7 +45,7 @@ _SOON = 10
 
 
 def run(config: Config, out: Path | None, advance: Advance, scheduler: str | None = None, workers: int = 1) -> Path:
-    """As `cosim.run.run`, with the help of workers; the folder that it wrote."""
+    """As `cosim.execution.run.run`, with the help of workers; the folder that it wrote."""
     check_folder(out)
     check(config)
     _check(config)
@@ -55,7 +55,7 @@ def run(config: Config, out: Path | None, advance: Advance, scheduler: str | Non
 
 
 def resume(path: Path, advance: Advance, scheduler: str | None = None, workers: int = 1) -> Path:
-    """As `cosim.run.resume`, with the help of workers."""
+    """As `cosim.execution.run.resume`, with the help of workers."""
     config = resolve_data(read_manifest(path)["config"], f"{path}/manifest.json", None)
     _check(config)
     traffic = _recorded(config, advance)
@@ -109,7 +109,7 @@ class _Piece:
 
 
 class ShardedPerception:
-    """Perception by the workers of a Dask cluster, ahead of time; in place of `cosim.perception.Perception`.
+    """Perception by the workers of a Dask cluster, ahead of time; in place of `cosim.step.perception.Perception`.
 
     Parameters
     ----------

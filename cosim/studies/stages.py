@@ -15,10 +15,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from time import time
 
-from cosim import run as running
-from cosim.config import Config
-from cosim.drive import Advance
-from cosim.manifest import sha256
+from cosim.config.config import Config
+from cosim.execution import run as running
+from cosim.execution.drive import Advance
+from cosim.execution.manifest import sha256
 from cosim.studies.folder import write_whole
 from results.durable import PARTIAL
 

@@ -10,9 +10,10 @@ from typing import Annotated, Any
 
 from annotated_types import Ge, Gt
 
-from cosim import choices, config_data
-from cosim import config as configs
-from cosim.manifest import toml_text
+from cosim.config import choices
+from cosim.config import config as configs
+from cosim.config import data as config_data
+from cosim.execution.manifest import toml_text
 from cosim.mobility.params import TrafficParams
 from results.metrics.registry import TOPICS
 from results.tables import TABLES

@@ -16,10 +16,10 @@ from typing import Any
 
 import pandas as pd
 
-from cosim import choices
-from cosim import run as running
-from cosim.config import resolve_data
-from cosim.stop import Failed
+from cosim.config import choices
+from cosim.config.config import resolve_data
+from cosim.execution import run as running
+from cosim.execution.stop import Failed
 from cosim.studies.folder import StudyFolder, status_of
 from cosim.studies.stages import Cache
 from results.archive import open_run

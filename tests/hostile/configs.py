@@ -8,8 +8,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import fields, is_dataclass
 
-from cosim.check import check
-from cosim.config import CHOICES, Config, load
+from cosim.config.config import CHOICES, Config, load
+from cosim.execution.check import check
 from trust.params import TrustParams
 
 NUMBERS = (

@@ -99,7 +99,7 @@ class Warm:
 
 
 def _serve(folder: Path) -> None:
-    from cosim.cli import main
+    from cosim.cli.main import main
     from tests.hostile.scenes import write_trace
 
     answers = os.fdopen(os.dup(1), "w")
@@ -201,9 +201,9 @@ def _child(main: Any, words: list[str], place: Path, cpu_s: float, environment: 
 
 def _simulate(standalone_mode: bool) -> None:
     """`cosim run --set ... --out FOLDER`, as far as the folder is written."""
-    from cosim import run as running
-    from cosim.config import load
-    from cosim.console import progress
+    from cosim.cli.console import progress
+    from cosim.config.config import load
+    from cosim.execution import run as running
 
     *sets, flag, out = sys.argv[2:]
     assert flag == "--out" and set(sets[::2]) <= {"--set"} and not standalone_mode

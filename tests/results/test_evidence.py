@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from cosim.trackers.evidence_audit import audit, count_looks
+from cosim.step.trackers.evidence_audit import audit, count_looks
 from results.archive import open_run
 from results.measure import measure
 from tests.drive import drive

@@ -144,7 +144,7 @@ def test_a_decompression_bomb_is_not_read_to_its_end(scenario, tmp_path):
 
 
 def test_a_typing_error_in_a_network_names_the_file_and_the_line(scenario, tmp_path):
-    from cosim.scenario import find
+    from cosim.mobility.scenario import find
 
     for change in (
         lambda t: t.replace('shape="', 'shape="x', 3),

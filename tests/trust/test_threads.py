@@ -4,7 +4,7 @@ import numba
 import numpy as np
 import pytest
 
-from trust.bench import street
+from cosim.bench.trust import street
 from trust.evaluation import evaluate
 from trust.fusion import SensorEvidence, fuse
 from trust.matching import match

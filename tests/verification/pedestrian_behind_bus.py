@@ -17,10 +17,10 @@ from pathlib import Path
 import numpy as np
 
 from cosim import rng
-from cosim.config import load
-from cosim.cycle import step
-from cosim.parts import Parts
-from cosim.state import State
+from cosim.config.config import load
+from cosim.step.cycle import step
+from cosim.step.parts import Parts
+from cosim.step.state import State
 from cosim.world import LanePaths, World
 from sensors.boxes import Boxes
 from sensors.scene import Scene, Shape

@@ -220,8 +220,8 @@ def compare(before: Path, after: Path) -> tuple[int, list[str]]:
 DRIVE = """
 import sys
 from pathlib import Path
-from cosim import run
-from cosim.config import load
+from cosim.execution import run
+from cosim.config.config import load
 run.run(load(Path(sys.argv[1])), Path(sys.argv[2]), lambda *_: None)
 """
 """A run without its closing summary."""

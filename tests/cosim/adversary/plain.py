@@ -5,13 +5,13 @@ from collections import defaultdict
 import numpy as np
 import pandas as pd
 
-from cosim import recording
-from cosim.actors import ActorRegistry
 from cosim.adversary.params import named, shares
-from cosim.config import resolve_data
-from cosim.cycle import step
-from cosim.parts import Parts
-from cosim.state import State
+from cosim.config.config import resolve_data
+from cosim.execution import recording
+from cosim.mobility.actors import ActorRegistry
+from cosim.step.cycle import step
+from cosim.step.parts import Parts
+from cosim.step.state import State
 from cosim.world import World
 from results.tables import TABLES
 from sensors.boxes import Boxes

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cosim.adversary.params import AttackParams, rings_too_large
-from cosim.config import resolve_data
+from cosim.config.config import resolve_data
 from tests.cosim.adversary.plain import NAMES, SPACING_M, N, play
 
 LIARS = ["v00", "v07", "v15", "v23"]

@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 import typer
 
-from cosim.cli import app
-from cosim.config import Config, load
+from cosim.cli.main import app
+from cosim.config.config import Config, load
 from cosim.docs import commands, config_keys, site
 from cosim.studies import study
 from cosim.studies.points import points_of

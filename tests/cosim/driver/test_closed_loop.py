@@ -9,11 +9,11 @@ from tests.drive import cosim
 GHOST = """
 import json
 import numpy as np
-from cosim.actors import ActorRegistry
+from cosim.mobility.actors import ActorRegistry
 from cosim.driver.cautious import Cautious, CautiousParams
-from cosim.fleet import FleetParams
+from cosim.mobility.fleet import FleetParams
 from cosim.mobility.params import TrafficParams
-from cosim.scenario import find
+from cosim.mobility.scenario import find
 from tests.cosim.driver.test_cautious import belief
 
 registry = ActorRegistry(FleetParams(penetration_p=1.0), seed=4)
@@ -64,10 +64,10 @@ RELEASE = """
 import json
 import libsumo
 import numpy as np
-from cosim.actors import ActorRegistry
-from cosim.fleet import FleetParams
+from cosim.mobility.actors import ActorRegistry
+from cosim.mobility.fleet import FleetParams
 from cosim.mobility.params import TrafficParams
-from cosim.scenario import find
+from cosim.mobility.scenario import find
 
 registry = ActorRegistry(FleetParams(penetration_p=1.0), seed=4)
 traffic = find("helsinki").traffic(TrafficParams(step_s=0.5), registry, has_driver=True)

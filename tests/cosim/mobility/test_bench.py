@@ -9,7 +9,7 @@ import pytest
 
 @pytest.mark.verify
 def test_bench_compares_sumo_alone_with_sumo_and_reading():
-    code = "import json; from cosim.mobility.bench import bench; print(json.dumps(bench()))"
+    code = "import json; from cosim.bench.mobility import bench; print(json.dumps(bench()))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     answer = {name: value for name, value, _ in json.loads(done.stdout)}
     assert all(value > 0 for value in answer.values())

@@ -8,7 +8,7 @@ import pytest
 
 from cosim.mobility.frame import Frame, TrafficError
 from cosim.mobility.params import TrafficParams
-from cosim.scenario import find
+from cosim.mobility.scenario import find
 from tests.cosim.mobility.worlds import collect, registry
 from tests.drive import cosim
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from cosim.actors import ActorRegistry
-from cosim.fleet import FleetParams
+from cosim.mobility.actors import ActorRegistry
+from cosim.mobility.fleet import FleetParams
 from cosim.mobility.frame import Frame, TrafficError
 from cosim.mobility.objects import ObjectParams, Placed, WithObjects
 from cosim.mobility.source import world_of

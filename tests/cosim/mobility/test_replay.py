@@ -12,8 +12,8 @@ import pyarrow.parquet as pq
 import pytest
 
 from cosim.mobility.params import TrafficParams
+from cosim.mobility.scenario import find
 from cosim.mobility.source import TrafficError
-from cosim.scenario import find
 from results.recorder import fingerprint
 from sumo_nets import catalogue, sumotools
 from tests.cosim.mobility import mixed_scenario

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from cosim.actors import ActorRegistry
-from cosim.fleet import FleetParams
+from cosim.mobility.actors import ActorRegistry
+from cosim.mobility.fleet import FleetParams
 from cosim.mobility.frame import Frame
 from cosim.mobility.source import world_from_bumpers
 from sensors.scene import Shape

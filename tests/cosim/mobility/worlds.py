@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from cosim.actors import ActorRegistry
-from cosim.fleet import FleetParams
+from cosim.mobility.actors import ActorRegistry
+from cosim.mobility.fleet import FleetParams
 from cosim.mobility.params import TrafficParams
 from cosim.mobility.source import TrafficEnded, TrafficSource
 
@@ -41,7 +41,7 @@ import json, pickle
 from pathlib import Path
 from tests.cosim.mobility.worlds import collect, registry
 from cosim.mobility.params import TrafficParams
-from cosim.scenario import find
+from cosim.mobility.scenario import find
 traffic = find({scenario!r}).traffic({params or TrafficParams()!r}, registry())
 report = {{}}
 close, traffic.close = traffic.close, lambda: (report.update(traffic.report()), close())

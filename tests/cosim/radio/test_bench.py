@@ -2,7 +2,7 @@
 
 import pytest
 
-from cosim.radio.bench import bench
+from cosim.bench.radio import bench
 
 
 @pytest.mark.verify

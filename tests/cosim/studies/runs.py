@@ -25,8 +25,8 @@ SHORT = ("traffic.duration_s=24", "traffic.warmup_s=60", "attacks.0.start_s=5", 
 DRIVE = """
 from pathlib import Path
 import sys
-from cosim import run
-from cosim.config import load
+from cosim.execution import run
+from cosim.config.config import load
 run.run(load(None, sys.argv[2:]), Path(sys.argv[1]), lambda *_: None)
 """
 

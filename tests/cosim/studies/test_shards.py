@@ -11,8 +11,8 @@ from contextlib import closing
 import psutil
 import pytest
 
-from cosim import run as running
-from cosim.config import load
+from cosim.config.config import load
+from cosim.execution import run as running
 from cosim.studies.engine import connected
 from cosim.studies.shards import ShardedPerception
 from results.manifest import read_manifest

@@ -18,8 +18,8 @@ GOLDEN = Path(__file__).parents[2] / "golden" / "traffic_stage.json"
 DRIVE = """
 import sys
 from pathlib import Path
-from cosim.config import load
-from cosim.run import record_traffic
+from cosim.config.config import load
+from cosim.execution.run import record_traffic
 record_traffic(load(None, ["traffic.duration_s=20", "traffic.warmup_s=60"]), Path(sys.argv[1]), lambda *_: None)
 """
 

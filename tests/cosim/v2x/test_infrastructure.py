@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cosim import rng
-from cosim.config import load
+from cosim.config.config import load
 from cosim.radio.message_round import Receptions
 from cosim.radio.rsu import RsuAntennas
 from cosim.reproduce.scenarios import FOLDER

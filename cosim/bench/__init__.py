@@ -1,0 +1,1 @@
+"""Speed of every component on this machine."""

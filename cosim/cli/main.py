@@ -1,0 +1,426 @@
+"""The commands."""
+
+import gc
+import os
+import sys
+from collections.abc import Callable, Iterable
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import typer
+
+from cosim.cli import interchange, studies
+from cosim.cli import reproduce as reproductions
+from cosim.cli.console import notes, print_json, print_metrics, print_run_summary, progress, screen, table_of
+from cosim.cli.nets import nets
+from cosim.execution.stop import Failed, Stopped
+from cosim.mobility.scratch import Scratch, can_hold_files
+from results.durable import Damaged
+
+if TYPE_CHECKING:
+    from results.archive import OpenRun
+    from results.run import Run
+
+app = typer.Typer(
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    help="Co-simulation of cooperative perception under trust at city scale.",
+)
+app.add_typer(nets, name="nets")
+studies.add_to(app)
+reproductions.add_to(app)
+interchange.add_to(app)
+
+ConfigPath = Annotated[Path | None, typer.Argument(help="TOML file; without one, the shipped city.")]
+Overrides = Annotated[
+    list[str] | None, typer.Option("--set", help="Change one key, e.g. radio.range_m=150. Repeatable.")
+]
+AsJson = Annotated[bool, typer.Option("--json", help="Print JSON on standard output.")]
+Scheduler = Annotated[
+    str | None, typer.Option(help="Address of a Dask scheduler whose workers compute sweeps and detections.")
+]
+Workers = Annotated[
+    int | None, typer.Option(min=1, help="The same by this many processes on this machine; the tables stay the same.")
+]
+RunPaths = Annotated[list[Path], typer.Argument(help="Folders that `cosim run` wrote.")]
+Picture = Literal[
+    "trust",
+    "misbehaviour",
+    "encounters",
+    "freshness",
+    "radio",
+    "detection",
+    "map",
+    "contacts",
+    "safety",
+    "security",
+    "attacks",
+    "delays",
+    "scene",
+    "sweep",
+    "movie",
+]
+
+
+def _say_version(wanted: bool) -> None:
+    if wanted:
+        from importlib.metadata import version
+
+        screen.print(f"cosim {version('cosim')}", highlight=False)
+        raise typer.Exit
+
+
+@app.callback()
+def options(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_say_version, is_eager=True, help="Print the version and exit.")
+    ] = False,
+) -> None:
+    """Options of all commands."""
+
+
+@app.command()
+def run(
+    config: ConfigPath = None,
+    overrides: Overrides = None,
+    out: Annotated[Path | None, typer.Option(help="Folder to write; by default the next runs/<city>-N.")] = None,
+    scheduler: Scheduler = None,
+    workers: Workers = None,
+    as_json: AsJson = False,
+) -> None:
+    """Simulate traffic, sensors, messages and trust; write a run folder."""
+    from cosim.config.config import load
+    from cosim.execution import run as running
+    from cosim.execution.check import changed_since
+    from cosim.execution.speed.compile_ahead import CompileAhead
+
+    experiment = load(config, overrides)
+    for remark in changed_since(config, experiment):
+        notes.print(remark, soft_wrap=True)
+    with progress() as advance:
+        if scheduler or workers:
+            from cosim.studies import shards
+
+            folder = shards.run(experiment, out, advance, scheduler, workers or 1)
+        else:
+            with CompileAhead(experiment):
+                folder = running.run(experiment, out, advance)
+    _conclude(folder, as_json)
+
+
+@app.command()
+def resume(
+    folder: Annotated[Path, typer.Argument(help="Folder of a run that was killed or interrupted.")],
+    scheduler: Scheduler = None,
+    workers: Workers = None,
+    as_json: AsJson = False,
+) -> None:
+    """Go on with a run from its last whole block; the tables are those of a run never interrupted."""
+    from cosim.execution import run as running
+
+    with progress() as advance:
+        if scheduler or workers:
+            from cosim.studies import shards
+
+            shards.resume(folder, advance, scheduler, workers or 1)
+        else:
+            running.resume(folder, advance)
+    _conclude(folder, as_json)
+
+
+@app.command()
+def verify(runs: RunPaths, as_json: AsJson = False) -> None:
+    """Hold run folders against their inventories: nothing missing, changed or foreign; exit status 1 if anything is."""
+    from results.verify import verify as verified
+
+    found = {str(folder): verified(folder) for folder in runs}
+    if as_json:
+        print_json({name: about | {"problems": problems} for name, (about, problems) in found.items()})
+    for name, (about, problems) in found.items() if not as_json else ():
+        for problem in problems:
+            screen.print(f"{name}: {problem}", soft_wrap=True)
+        what = "damaged" if problems else "whole"
+        screen.print(
+            f"{name}: {what}; {about['status']}, {about['steps']} steps, {about['tables']} tables, "
+            f"{about['parts']} parts, {about['rows']:,} rows, {about['bytes']:,} bytes", soft_wrap=True,
+        )  # fmt: skip
+    if any(problems for _, problems in found.values()):
+        raise typer.Exit(1)
+
+
+def _conclude(folder: Path, as_json: bool) -> None:
+    from cosim.execution.run import remarks
+    from cosim.execution.speed.allocator import give_back_freed_memory
+
+    gc.collect()
+    give_back_freed_memory()  # what the run held would be on top of what its measures take
+    run = print_run_summary(folder, as_json)
+    for remark in remarks(folder):
+        notes.print(remark, soft_wrap=True)
+    _say_damage([run])
+
+
+def _opened(folder: Path) -> "OpenRun":
+    """A run to be measured or drawn; what is unfinished is said."""
+    from results.archive import open_run
+    from results.manifest import status_of
+
+    run = open_run(folder, unfinished=True)
+    if (status := status_of(run.path, run.manifest)) != "finished":
+        notes.print(f"note: {folder} is {status}: its first {run.manifest['steps']} steps are shown.", soft_wrap=True)
+    return run
+
+
+def _say_damage(runs: Iterable["Run"]) -> None:
+    """What could not be shown because of damage; exit status 1 if there is any."""
+    said = list(dict.fromkeys(line for run in runs for line in run.damage))
+    for line in said:
+        notes.print(f"error: {line}", soft_wrap=True)
+    if said:
+        raise typer.Exit(1)
+
+
+@app.command()
+def check(config: ConfigPath = None, overrides: Overrides = None, as_json: AsJson = False) -> None:
+    """Check whether a config would run, and print it resolved."""
+    from cosim.config.config import load
+    from cosim.execution import check as checking
+    from cosim.execution.manifest import toml_text
+
+    experiment = load(config, overrides)
+    checking.check(experiment)
+    for remark in checking.changed_since(config, experiment):
+        notes.print(remark, soft_wrap=True)
+    if as_json:
+        print_json(experiment.to_dict())
+    else:
+        screen.print(toml_text(experiment.to_dict()), soft_wrap=True)
+
+
+@app.command()
+def measure(
+    runs: Annotated[list[Path] | None, typer.Argument(help="Folders that `cosim run` wrote.")] = None,
+    explain: Annotated[bool, typer.Option("--explain", help="List all metrics with their definitions.")] = False,
+    metrics: Annotated[
+        list[str] | None, typer.Option("--metric", help="study: show this metric, or METRIC:GROUP. Repeatable.")
+    ] = None,
+    variant: Annotated[str, typer.Option(help="Trust variant of the runs; all: each beside the others.")] = "base",
+    csv: Annotated[Path | None, typer.Option("--csv", help="Write the metrics to this file.")] = None,
+    threshold: Annotated[float, typer.Option(min=0, max=1, help="Trust below which a vehicle is suspected.")] = 0.25,
+    fresh_s: Annotated[float, typer.Option(help="Oldest age at which trust counts as fresh, in seconds.")] = 10.0,
+    false_positives: Annotated[float, typer.Option(min=0, max=1, help="False positive rate to compare at.")] = 0.05,
+    as_json: AsJson = False,
+) -> None:
+    """Print the metrics of runs; of a study, means over replicates with 95 % intervals and paired differences."""
+    if explain:
+        print_metrics(as_json)
+        return
+    if not runs:
+        raise ValueError("There is no run to measure. Name at least one run folder, or ask with --explain.")
+    if not fresh_s >= 0:
+        raise ValueError(f"--fresh-s {fresh_s:g}: an age is 0 or more. Give seconds.")
+    if studies.is_study(runs):
+        studies.measure(runs[0], metrics or [], as_json)
+        return
+    if metrics:
+        raise ValueError("--metric goes with a study. Leave it out, or give the folder of a `cosim sweep`.")
+    from cosim.cli.side_by_side import engines_remark, of_variants, print_measures
+
+    chosen = [one for folder in runs for one in of_variants(_opened(folder), variant)]
+    print_measures(chosen, as_json, csv, threshold=threshold, fresh_s=fresh_s, false_positives=false_positives)
+    if remark := engines_remark(chosen):
+        notes.print(remark, soft_wrap=True)
+    _say_damage(chosen)
+
+
+@app.command()
+def plot(
+    what: Annotated[Picture, typer.Argument(help="Which figure.")],
+    runs: RunPaths,
+    out: Annotated[
+        Path | None, typer.Option(help="File to write: .png, .svg, .pdf; sweep: or .ply, .pcd, .pcd.txt, .bin, .npy.")
+    ] = None,
+    vehicles: Annotated[
+        list[int] | None,
+        typer.Option("--vehicle", help="trust: draw this vehicle too. Repeatable. sweep, scene: whose cloud."),
+    ] = None,
+    step: Annotated[int | None, typer.Option(help="sweep, scene: of which step.")] = None,
+    over: Annotated[
+        str | None, typer.Option(help="Key on the axis, e.g. trust.freshness_s; of a study, or of runs by freshness.")
+    ] = None,
+    by: Annotated[str | None, typer.Option(help="study: swept key as colour.")] = None,
+    metrics: Annotated[
+        list[str] | None, typer.Option("--metric", help="study: draw this metric, or METRIC:GROUP. Repeatable.")
+    ] = None,
+    where: Annotated[
+        list[str] | None, typer.Option(help="study: hold a swept key at a value, KEY=VALUE. Repeatable.")
+    ] = None,
+    variant: Annotated[str, typer.Option(help="Trust variant of the runs; all: each as a run of its own.")] = "base",
+    threshold: Annotated[
+        float | None, typer.Option(min=0, max=1, help="freshness over a key: score from which a ghost is believed.")
+    ] = None,
+    radius_m: Annotated[float | None, typer.Option(help="map, contacts: which of the radii, in metres.")] = None,
+    pairs: Annotated[str | None, typer.Option(help="map, contacts: which of the kinds of pairs.")] = None,
+) -> None:
+    """Draw a figure of one or several runs, or of a study over a swept key."""
+    if studies.is_study(runs):
+        studies.plot(what, runs[0], out, over, by, metrics or [], where or [])
+        return
+    if by or metrics or where:
+        raise ValueError("--by, --metric and --where go with a study. Leave them out.")
+    from inspect import signature
+
+    from cosim.cli.side_by_side import of_variants
+    from results.figures import style
+    from results.figures.catalogue import FIGURES
+
+    if what == "sweep":
+        from cosim.offline.replay_lidar import write
+
+        if len(runs) != 1 or step is None or not vehicles or len(vehicles) != 1:
+            raise ValueError("cosim plot sweep shows one sweep: cosim plot sweep RUN --vehicle V --step S")
+        screen.print(f"wrote {write(_opened(runs[0]), vehicles[0], step, out)}", highlight=False, soft_wrap=True)
+        return
+    if what == "scene":
+        from cosim.offline.replay_lidar import portrait
+
+        if len(runs) != 1 or step is None:
+            raise ValueError("cosim plot scene shows one moment: cosim plot scene RUN --step S [--vehicle V]")
+        path = portrait(_opened(runs[0]), vehicles or [], step, out)
+        screen.print(f"wrote {path}", highlight=False, soft_wrap=True)
+        return
+    if what == "movie":
+        from cosim.offline.replay_lidar import film
+
+        if len(runs) != 1 or len(vehicles or ()) > 1:
+            raise ValueError("cosim plot movie films one run: cosim plot movie RUN [--vehicle V]")
+        path = film(_opened(runs[0]), vehicles[0] if vehicles else None, out)
+        screen.print(f"wrote {path}", highlight=False, soft_wrap=True)
+        return
+    if step is not None:
+        raise ValueError(f"--step goes with `cosim plot sweep` or scene, not with {what}. Leave it out.")
+    options = {"vehicles": vehicles, "over": over, "threshold": threshold, "radius_m": radius_m, "pairs": pairs}
+    given = {name: value for name, value in options.items() if value}
+    for name in given:
+        takers = [figure for figure, draw in FIGURES.items() if name in signature(draw).parameters]
+        if what not in takers:
+            flag = "vehicle" if name == "vehicles" else name.replace("_", "-")
+            raise ValueError(f"--{flag} goes with `cosim plot {' or '.join(takers)}`, not with {what}. Leave it out.")
+    chosen = [one for folder in runs for one in of_variants(_opened(folder), variant)]
+    path = style.save(FIGURES[what](chosen, **given), out or runs[0] / f"{what}.png")
+    screen.print(f"wrote {path}", highlight=False, soft_wrap=True)
+
+
+@app.command()
+def report(
+    folder: Annotated[Path, typer.Argument(help="Folder of a run or of a study.")],
+    out: Annotated[Path | None, typer.Option(help="File to write; by default report.html in the folder.")] = None,
+) -> None:
+    """Write one self-contained HTML page about a run or a study."""
+    if studies.is_study([folder]):
+        studies.report(folder, out)
+        return
+    from results.report import write
+
+    run = _opened(folder)
+    path = write(run, out or folder / "report.html")
+    screen.print(f"wrote {path}", soft_wrap=True)
+    _say_damage([run])
+
+
+@app.command()
+def bench(
+    only: Annotated[
+        list[str] | None,
+        typer.Argument(help="sensors, trust, radio, mobility, results, cycle, variants; or scale, alone."),
+    ] = None,
+    scenario: Annotated[str, typer.Option(help="scale: a city or .sumocfg, as traffic.scenario.")] = "helsinki",
+    trace: Annotated[str | None, typer.Option(help="scale: recorded traffic, as traffic.trace.")] = None,
+    vehicles: Annotated[str, typer.Option(help="scale: numbers of actors to crop to.")] = "250,500,1000,2000,5000",
+    seconds: Annotated[int, typer.Option(min=1, max=3600, help="scale: simulated seconds to measure.")] = 5,
+    as_json: AsJson = False,
+) -> None:
+    """Measure the speed of every component on this machine."""
+    from cosim.bench.suite import BENCHES, machine, run, run_scale
+
+    if only == ["scale"]:
+        rows = run_scale(scenario, trace, vehicles, seconds)
+        if as_json:
+            print_json({"machine": machine(), "figures": rows})
+        else:
+            screen.print(table_of(machine(), rows))
+        return
+    if unknown := set(only or ()) - set(BENCHES):
+        raise ValueError(f"cosim bench {' '.join(unknown)}: no such benchmark. There are {', '.join(BENCHES)}.")
+    rows = [
+        {"metric": f"{name}.{figure}", "group": "", "value": value, "unit": unit, "label": ""}
+        for name in only or BENCHES for figure, value, unit in run(name)
+    ]  # fmt: skip
+    if as_json:
+        print_json({"machine": machine(), "figures": rows})
+    else:
+        screen.print(table_of(machine(), rows))
+
+
+def main(command: Callable[..., int | None] = app) -> None:
+    """Run what the command line asks for; a user's mistake is one line on standard error and exit status 2."""
+    _open_standard_streams()
+    status: int | None
+    kernels = None
+    try:
+        kernels = _place_for_kernels()
+        status = command(standalone_mode=False)
+        sys.stdout.flush()
+    except typer.TyperException as error:
+        status = _say(error.format_message(), 2)
+    except (typer.Abort, KeyboardInterrupt):
+        status = _say("interrupted", 130)
+    except Stopped as stopped:
+        notes.print(str(stopped), soft_wrap=True)
+        status = 128 + stopped.signum
+    except BrokenPipeError:
+        status = 1
+    except (Damaged, Failed) as error:
+        status = _say(str(error), 1)
+    except RecursionError:
+        status = _say("the input is nested too deeply.", 2)
+    except ValueError as error:
+        status = _say(str(error), 2)
+    except OSError as error:
+        status = _say(f"{error.filename or 'output'}: {error.strerror or error}.", 1)
+    try:
+        sys.stdout.flush()
+    except OSError:  # it has no reader any more: the interpreter shall not try again
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+    if kernels is not None:
+        kernels.remove()
+    sys.exit(status)
+
+
+def _place_for_kernels() -> Scratch | None:
+    """A temporary folder for compiled kernels, where neither the installation nor the user's cache can be written."""
+    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser()) / "numba"
+    if "NUMBA_CACHE_DIR" in os.environ or any(map(can_hold_files, (Path(__file__).parents[1] / "__pycache__", cache))):
+        return None
+    folder = Scratch()
+    os.environ["NUMBA_CACHE_DIR"] = str(folder.path)
+    return folder
+
+
+def _say(message: str, status: int) -> int:
+    if message:
+        with suppress(OSError):
+            notes.print(f"error: {' '.join(message.split())}", soft_wrap=True)
+    return status
+
+
+def _open_standard_streams() -> None:
+    """Standard streams that were closed become the null device, so that no file takes their numbers."""
+    for number, name, mode in ((0, "stdin", "r"), (1, "stdout", "w"), (2, "stderr", "w")):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.dup2(os.open(os.devnull, os.O_RDWR), number)
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(number, mode, closefd=False))  # noqa: SIM115

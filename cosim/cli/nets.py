@@ -1,0 +1,249 @@
+"""The commands on cities: list, show and build."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich.box import SIMPLE
+from rich.table import Column, Table
+from rich.text import Text
+
+from cosim.cli.console import notes, print_json, screen
+
+if TYPE_CHECKING:
+    from numpy import ndarray
+
+    from cosim.mobility.scenario import Scenario
+    from sumo_nets.catalogue import Net
+    from sumo_nets.footprints import Footprint
+    from sumo_nets.sumo_package_nets import PackageNet
+
+nets = typer.Typer(no_args_is_help=True, help="Cities: those that ship, and your own.")
+
+PICTURE = "city.png"
+"""Drawn into the folder of a city that is built."""
+
+AsJson = Annotated[bool, typer.Option("--json", help="Answer in JSON on standard output.")]
+
+
+@nets.command("list")
+def list_(
+    folders: Annotated[
+        list[Path] | None,
+        typer.Argument(help="Folders with built cities; by default the current one."),
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """List the shipped cities, those of SUMO's package, and those built here or one folder below."""
+    from sumo_nets import catalogue, sumo_package_nets
+
+    rows = [_summary(catalogue.find(name)) | {"where": "cosim"} for name in catalogue.shipped()]
+    for name, package_net in sorted(sumo_package_nets.NETS.items()):
+        made = sumo_package_nets.made(name)
+        about = _summary(catalogue.open_folder(made)) if made else _summary_of_package_net(package_net)
+        rows.append(about | {"where": "SUMO", "on_disk": made})
+    for parent in folders or [Path()]:
+        if not parent.is_dir():
+            raise ValueError(f"{parent} is not a folder. Give a folder in which cities were built.")
+        for recipe in sorted({*parent.glob("recipe.toml"), *parent.glob("*/recipe.toml")}):
+            try:
+                rows.append(_summary(catalogue.open_folder(recipe.parent)) | {"where": str(recipe.parent)})
+            except ValueError as error:
+                notes.print(f"note: left out: {error}", highlight=False, markup=False, soft_wrap=True)
+    if as_json:
+        print_json([{"description": row["what"], **row} for row in rows])
+        return
+    sides: list[Column | str] = [Column(head, justify="right") for head in ("km²", "vehicles/h", "on disk")]
+    table = Table("city", *sides, "licence", box=SIMPLE, leading=1)
+    for row in rows:
+        built = row["where"] not in ("cosim", "SUMO")
+        what = row["what"].partition(":")[0].removeprefix(f"{row['name']}, ")
+        table.add_row(
+            Text(row["where"] if built else row["name"], "bold").append(f"\n{what}", "not bold"),
+            f"{row['km2']:.1f}", f"{row['vehicles_per_hour']:,}",
+            f"{row['MB']:.1f} MB" if row["on_disk"] else "when used", row["licence"],
+        )  # fmt: skip
+    screen.print(table)
+    screen.print("`cosim nets show CITY` draws a city, `--set traffic.scenario=CITY` drives it.", highlight=False)
+
+
+@nets.command()
+def show(
+    city: Annotated[str, typer.Argument(help="Name of a city, folder of one that was built, or a .sumocfg.")],
+    out: Annotated[Path | None, typer.Option(help="Picture to write: .png, .svg or .pdf.")] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Print the facts of a city, and draw it."""
+    from cosim.mobility.scenario import find
+    from sumo_nets import catalogue
+    from sumo_nets.network import lanes
+
+    found = find(city)
+    if found.net is None:
+        raise ValueError(f"{city} is a trace: there is no network to show. Give a city or a .sumocfg.")
+    facts: dict[str, Any] = {"name": found.name}
+    if city in catalogue.names():
+        facts |= _summary(catalogue.find(city))
+    elif (Path(city) / "recipe.toml").is_file():
+        facts |= _summary(catalogue.open_folder(Path(city)))
+    else:
+        files = [p for p in (found.sumocfg, found.net, *found.buildings, *found.types) if p is not None]
+        x0, y0, x1, y1 = catalogue.bounds_m(found.net)
+        facts |= {
+            "licence": found.licence,
+            "attribution": found.attribution,
+            "km2": round((x1 - x0) * (y1 - y0) / 1e6, 2),
+            "MB": round(sum(path.stat().st_size for path in set(files)) / 1e6, 2),
+            "on_disk": found.net.parent,
+        }
+    driven = [lane for lane in lanes(found.net) if lane.for_cars and not lane.across]
+    facts["lanes"] = len(driven)
+    facts["lane_km"] = round(sum(_length_m(lane.line_m) for lane in driven) / 1000, 1)
+    facts["buildings"] = len(_footprints(found))
+    facts["picture"] = str(_draw(found, out or Path(f"{found.name}.png")))
+    _print_facts(facts, as_json)
+
+
+@nets.command()
+def build(
+    out: Annotated[Path, typer.Option(help="Folder to write; then `--set traffic.scenario=FOLDER` drives it.")],
+    osm: Annotated[Path | None, typer.Option(help="OpenStreetMap file: .osm, .osm.gz, .osm.xml.gz, .osm.pbf.")] = None,
+    bbox: Annotated[
+        str | None, typer.Option(help="west,south,east,north [degrees], of --osm or from Overpass.")
+    ] = None,
+    overpass: Annotated[str | None, typer.Option(help="Another Overpass service: http://host/api/interpreter.")] = None,
+    density: Annotated[float, typer.Option(help="Vehicles on the road per km of street and direction.")] = 2.0,
+    hour: Annotated[int, typer.Option(help="Hour of a working day, 0 to 23: 16 is the busiest.")] = 16,
+    seed: Annotated[int, typer.Option(min=0, help="Of the trips that are drawn.")] = 1,
+    left_hand: Annotated[bool, typer.Option("--left-hand", help="Traffic keeps to the left.")] = False,
+    name: Annotated[str | None, typer.Option(help="Name of the city; by default the folder's.")] = None,
+    check: Annotated[bool, typer.Option(help="Drive half an hour and report whether traffic flows.")] = True,
+    as_json: AsJson = False,
+) -> None:
+    """Make a city from OpenStreetMap: streets, lights, pavements, buildings, demand, and a report on its traffic."""
+    from cosim.mobility.scenario import find
+    from sumo_nets import build_from_osm, catalogue, flow
+    from sumo_nets.density import Density
+    from sumo_nets.overpass import degrees
+
+    if osm is None and bbox is None:
+        raise ValueError("cosim nets build needs --osm FILE, --bbox west,south,east,north, or both.")
+    if overpass is not None and (bbox is None or osm is not None):
+        raise ValueError("--overpass goes with --bbox west,south,east,north and without --osm. Leave it out.")
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise ValueError(f"--out {out} is not empty. Give a folder that is empty or does not exist.")
+    if not density > 0 or density > 100:
+        raise ValueError(f"--density {density:g}: vehicles per km of street, more than 0 and at most 100.")
+    if not 0 <= hour <= 23:
+        raise ValueError(f"--hour {hour}: hours go from 0 to 23.")
+    wanted = Density(per_km=density, hour=hour, seed=seed)
+    with notes.status("building streets, buildings and demand ..."):
+        if osm is not None:
+            box = None if bbox is None else degrees(bbox)
+            build_from_osm.from_osm(osm, out, wanted, name, left_hand, box)
+        else:
+            build_from_osm.from_box(bbox or "", out, wanted, name, left_hand, overpass)
+    net = catalogue.open_folder(out)
+    picture = _draw(find(str(out)), out / PICTURE)
+    facts = _summary(net) | {"buildings": len(net.footprints()), "picture": str(picture)}
+    if check:
+        with notes.status("driving it for half an hour ..."):
+            flows = flow.measure(net)
+        facts |= asdict(flows) | {"jammed": len(flows.jammed), "assessment": flows.assessment}
+    _print_facts(facts, as_json)
+
+
+def _summary(net: Net) -> dict[str, Any]:
+    (width, height), picture = net.size_m, net.folder / PICTURE
+    return {
+        "name": net.name,
+        "what": net.description,
+        "licence": net.licence,
+        "attribution": net.attribution,
+        "km2": round(width * height / 1e6, 2),
+        "vehicles_per_hour": round(net.vehicles_per_hour),
+        "pedestrians_per_hour": round(net.pedestrians_per_hour),
+        "MB": round(sum(path.stat().st_size for path in net.folder.iterdir() if path.is_file()) / 1e6, 2),
+        "on_disk": net.folder,
+        "picture": picture if picture.is_file() else None,
+    }
+
+
+def _summary_of_package_net(net: PackageNet) -> dict[str, Any]:
+    """The same of a city that is generated on first use."""
+    return {
+        "name": net.name,
+        "what": net.description,
+        "licence": net.licence,
+        "attribution": net.attribution,
+        "km2": net.km2,
+        "vehicles_per_hour": net.vehicles_per_hour,
+        "pedestrians_per_hour": net.pedestrians_per_hour,
+        "MB": 0.0,
+        "on_disk": None,
+        "picture": None,
+    }
+
+
+def _draw(found: Scenario, path: Path) -> Path:
+    from results.figures import city, style
+    from sumo_nets.network import lanes
+
+    assert found.net is not None
+    drawn = lanes(found.net)
+    rings = [footprint.outer for footprint in _footprints(found)]
+    lines, widths_m = [lane.line_m for lane in drawn], [lane.width_m for lane in drawn]
+    return style.save(city.draw(lines, widths_m, rings, found.name, found.attribution), path)
+
+
+def _footprints(found: Scenario) -> list[Footprint]:
+    from sumo_nets.footprints import read_footprints
+
+    return [footprint for path in found.buildings for footprint in read_footprints(path, found.net)]
+
+
+def _length_m(line_m: ndarray) -> float:
+    import numpy as np
+
+    return float(np.hypot(*np.diff(line_m[:, :2], axis=0).T).sum())
+
+
+LABELS = {
+    "name": ("name", "{}"),
+    "what": ("what", "{}"),
+    "licence": ("licence", "{}"),
+    "attribution": ("attribution", "{}"),
+    "km2": ("area", "{:.2f} km²"),
+    "lane_km": ("streets", "{:,.1f} km of lanes"),
+    "buildings": ("buildings", "{:,}"),
+    "vehicles_per_hour": ("vehicles", "{:,} per hour"),
+    "pedestrians_per_hour": ("pedestrians", "{:,} per hour"),
+    "MB": ("size", "{:.2f} MB"),
+    "on_disk": ("files", "{}"),
+    "picture": ("picture", "{}"),
+    "seconds": ("driven", "{:,.0f} s after its warm-up"),
+    "vehicles_mean": ("on the road", "{:,.0f} vehicles"),
+    "speed_kmh": ("mean speed", "{:.1f} km/h"),
+    "trips": ("trips ended", "{:,}"),
+    "teleports": ("teleports", "{:,}"),
+    "waiting": ("waiting to enter", "{:,}"),
+    "collisions": ("collisions", "{:,}"),
+    "jammed": ("jammed streets", "{:,}"),
+    "jammed_p": ("time spent there", "{:.1%}"),
+    "assessment": ("assessment", "{}"),
+}
+"""Labels and formats of the facts on the screen, in this order; JSON has the keys."""
+
+
+def _print_facts(facts: dict[str, Any], as_json: bool) -> None:
+    if as_json:
+        print_json(facts)
+        return
+    table = Table("", Column("", overflow="fold"), box=None, show_header=False, pad_edge=False)
+    for key, (label, shape) in LABELS.items():
+        if facts.get(key, "") != "":
+            table.add_row(label, shape.format(facts[key]))
+    screen.print(table)

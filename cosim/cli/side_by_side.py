@@ -1,0 +1,80 @@
+"""Metrics of one or several runs: a table each, side by side, or a file."""
+
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+from rich.box import SIMPLE
+from rich.table import Column, Table
+
+from cosim.cli.console import plain, print_json, rows_of, screen, table_of
+from results.figures.style import names
+from results.measure import measure
+from results.metrics.compare import differing
+from results.run import Run
+
+ENGINES_DIFFER = "where rays graze edges, tables of one ray caster differ from those of another."
+
+
+def of_variants(run: Run, variant: str) -> list[Run]:
+    """The run as one of its trust variants, or once for each with `variant = "all"`."""
+    return [run.as_variant(name) for name in (run.variants if variant == "all" else (variant,))]
+
+
+def print_measures(runs: list[Run], as_json: bool, csv: Path | None, **options: Any) -> None:
+    """Print the metrics of runs, or write them to a CSV file: one row per run, metric and group.
+
+    Several runs stand side by side, below the keys of the config in which they differ.
+    """
+    tables = [measure(run, **options) for run in runs]
+    keys = differing(runs) if len(runs) > 1 else {}
+    labels = names(runs)
+    if csv is not None:
+        parts = [
+            table.assign(run=str(run.path), variant=run.variant, **{key: str(found[i]) for key, found in keys.items()})
+            for i, (run, table) in enumerate(zip(runs, tables, strict=True))
+        ]  # fmt: skip
+        whole = pd.concat(parts, ignore_index=True)
+        first = ["run", "variant", *keys]
+        try:
+            whole[[*first, *(c for c in whole.columns if c not in first)]].to_csv(csv, index=False)
+        except OSError as error:
+            raise ValueError(f"--csv {csv} cannot be written: {error.strerror or error}. Give another file.") from None
+        screen.print(f"wrote {csv}", highlight=False, soft_wrap=True)
+    elif as_json:
+        print_json({
+            str(run.path) if run.variant == "base" else f"{run.path}:{run.variant}": rows_of(table)
+            for run, table in zip(runs, tables, strict=True)
+        })  # fmt: skip
+    elif len(runs) == 1:
+        screen.print(table_of(str(runs[0].path), rows_of(tables[0])))
+    else:
+        screen.print(_side_by_side(labels, tables, keys))
+
+
+def engines_remark(runs: list[Run]) -> str:
+    """Said where runs were cast by several ray casters; empty otherwise."""
+    engines = sorted({str(run.config.get("lidar", {}).get("engine", "columnar")) for run in runs})
+    return "" if len(engines) < 2 else f"note: the runs were cast by {' and '.join(engines)}: {ENGINES_DIFFER}"
+
+
+def _side_by_side(labels: list[str], tables: list[pd.DataFrame], keys: dict[str, list[Any]]) -> Table:
+    head = [Column(label, justify="right", no_wrap=True, min_width=7, overflow="fold") for label in labels]
+    table = Table(Column("metric", overflow="fold"), Column("group", overflow="fold"), *head, box=SIMPLE)
+    for key, values in keys.items():
+        table.add_row(key, "", *("" if value is None else str(value) for value in values), style="bold")
+    table.add_section()
+    values = [one[one.value.notna()].set_index(["metric", "group"]).value for one in tables]
+    order = pd.concat(tables).drop_duplicates(["metric", "group"])[["metric", "group"]]
+    first_of = {metric: i for i, metric in enumerate(order.metric.unique())}
+    order = order.sort_values("metric", key=lambda names: names.map(first_of), kind="stable")
+    last = ""
+    for metric, group in order.itertuples(index=False, name=None):
+        cells = [plain(float(of[metric, group])) if (metric, group) in of.index else "" for of in values]
+        if not any(cells):
+            continue
+        if last and metric.split(".")[0] != last.split(".")[0]:
+            table.add_section()
+        table.add_row(metric if metric != last else "", group, *cells)
+        last = metric
+    return table

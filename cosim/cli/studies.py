@@ -1,0 +1,219 @@
+"""The commands of studies."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.table import Table
+
+from cosim.cli.console import print_json, progress, screen
+
+AsJson = Annotated[bool, typer.Option("--json", help="Answer in JSON on standard output.")]
+StudyPath = Annotated[Path, typer.Argument(help="Folder that `cosim sweep` wrote.")]
+
+
+def add_to(app: typer.Typer) -> None:
+    """Commands of studies beside the others."""
+    for command in (sweep, status, retrust, cache):
+        app.command()(command)
+
+
+def sweep(
+    study: Annotated[
+        Path, typer.Argument(help="Study file (TOML), or one that ships, by name (cosim/studies/README.md).")
+    ],
+    out: Annotated[Path, typer.Option(help="Folder of the study; what is there already is not done again.")],
+    scheduler: Annotated[
+        str | None, typer.Option(help="Address of a running Dask scheduler; by default this machine alone.")
+    ] = None,
+    workers: Annotated[
+        int | None, typer.Option(min=1, help="Runs at a time on this machine; by default one per core.")
+    ] = None,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Print the plan, and do nothing.")] = False,
+    separate: Annotated[
+        bool, typer.Option("--separate", help="Share nothing between points; to check that sharing changes nothing.")
+    ] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Make all runs of a study; stopped at any moment, the same command goes on."""
+    from cosim.studies import sweep as sweeping
+
+    task = sweeping.prepare(study, out, merge=not separate)
+    if dry_run:
+        _print_plan(task, as_json)
+        return
+    with progress() as advance:
+
+        def report(done: int, total: int, answered: int, note: str) -> None:
+            note = f"{answered} of {len(task.points)} points {note}"
+            advance(f"{task.study.head.name}, runs", done, total, note)
+
+        states, failed = sweeping.sweep(task, report, scheduler, workers)
+    _print_states(task.study.head.name, out, states, failed, as_json)
+    if failed:
+        raise typer.Exit(1)
+
+
+def status(folder: StudyPath, as_json: AsJson = False) -> None:
+    """Say how far a study is."""
+    from cosim.studies import sweep as sweeping
+    from cosim.studies.folder import StudyFolder
+
+    study, _, states, failed = sweeping.status(StudyFolder(folder))
+    _print_states(study.head.name, folder, states, failed, as_json)
+
+
+def retrust(
+    run: Annotated[Path, typer.Argument(help='Folder of a run at record.level = "full".')],
+    variants: Annotated[Path, typer.Option(help="TOML file with trust_variant sections.")],
+    out: Annotated[Path, typer.Option(help="Folder to write: the run, with these variants beside its own.")],
+) -> None:
+    """Compute other trust models and windows on the evidence of a run that is on disk."""
+    from cosim.studies.retrust import retrust as compute
+
+    screen.print(f"wrote {compute(run, variants, out)}", highlight=False, soft_wrap=True)
+
+
+def cache(
+    limit_gb: Annotated[
+        float | None, typer.Option(min=0, help="Delete what was used longest ago until this fits.")
+    ] = None,
+    clear: Annotated[bool, typer.Option("--clear", help="Delete everything.")] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Show, or clean, the traffic that studies have kept for further runs."""
+    from datetime import datetime
+
+    from cosim.studies.stages import Cache, default_folder
+
+    kept = Cache(default_folder())
+    gone = kept.shrink(0.0 if clear or limit_gb is None else limit_gb, set()) if clear or limit_gb is not None else []
+    entries = kept.entries()
+    rows = [
+        {"stage": e.stage, "name": e.name, "MB": round(e.bytes / 1e6, 2), "seconds": e.seconds,
+         "last used": datetime.fromtimestamp(e.used_s).isoformat(" ", "seconds")}
+        for e in entries
+    ]  # fmt: skip
+    if as_json:
+        print_json({"folder": str(kept.path), "entries": rows, "deleted": len(gone)})
+        return
+    table = Table("stage", "name", "MB", "seconds", "last used", title=str(kept.path), title_justify="left", box=None)
+    for row in rows:
+        table.add_row(*(str(value) for value in row.values()))
+    screen.print(table)
+    screen.print(
+        f"{len(entries)} kept, {sum(e.bytes for e in entries) / 1e6:.1f} MB; {len(gone)} deleted", highlight=False
+    )
+
+
+def is_study(folders: list[Path]) -> bool:
+    """Whether these are one study's folder; ValueError where a study stands among runs."""
+    from results.study import is_study as holds_study
+
+    found = [folder for folder in folders if holds_study(folder)]
+    if found and len(folders) > 1:
+        raise ValueError(f"{found[0]} is a study: give it alone.")
+    return bool(found)
+
+
+def measure(folder: Path, metrics: list[str], as_json: bool) -> None:
+    """Means, intervals and paired differences of a study, on the screen and as files."""
+    from results.figures.study import SHOWN
+    from results.study import chosen, open_study
+
+    study = open_study(folder)
+    written = study.write()
+    there = set(study.summary.metric)
+    asked = metrics or [m for names in SHOWN.values() for m in names if m.partition(":")[0] in there]
+    tables = {"summary": study.summary} | ({"differences": study.differences} if study.baseline else {})
+    if as_json:
+        print_json({
+            name: chosen(table, metrics).to_dict("records") if metrics else table.to_dict("records")
+            for name, table in tables.items()
+        })  # fmt: skip
+        return
+    columns = [*study.keys, "metric", "group", "n", "mean", "low", "high", "unit"]
+    for name, frame in tables.items():
+        of = "mean over replicates and 95 % interval (Student's t)"
+        if name == "differences":
+            of = f"paired differences against {study.baseline}, 95 % interval (Student's t)"
+        heads = [key.rsplit(".", 1)[-1] for key in study.keys]
+        table = Table(*heads, *columns[len(heads) :], title=f"{study.name}: {of}", title_justify="left", box=None)
+        for row in chosen(frame, asked)[columns].itertuples(index=False):
+            table.add_row(*("" if v != v else f"{v:.4g}" if isinstance(v, float) else str(v) for v in row))
+        screen.print(table)
+    screen.print("written: " + ", ".join(str(path) for path in written), highlight=False, soft_wrap=True)
+
+
+def plot(
+    topic: str, folder: Path, out: Path | None, over: str | None, by: str | None, metrics: list[str], where: list[str]
+) -> None:
+    """A figure of a study."""
+    from results.figures import study as figure
+    from results.figures import style
+    from results.study import open_study
+
+    if wrong := [text for text in where if "=" not in text]:
+        raise ValueError(f"--where {wrong[0]}: no KEY=VALUE. Write for example --where fleet.penetration_p=0.3.")
+    held = dict(text.split("=", 1) for text in where)
+    drawn = figure.draw(open_study(folder), topic, metrics, over, by, held)
+    screen.print(f"wrote {style.save(drawn, out or folder / f'{topic}.png')}", highlight=False, soft_wrap=True)
+
+
+def report(folder: Path, out: Path | None) -> None:
+    """The page of a study."""
+    from results.study import open_study
+    from results.study_report import write
+
+    screen.print(f"wrote {write(open_study(folder), out)}", highlight=False, soft_wrap=True)
+
+
+def _print_plan(task, as_json: bool) -> None:
+    made, cost = task.plan, task.estimate
+    merged = sum(len(run.members) for run in made.runs if len(run.members) > 1)
+    facts = {
+        "study": task.study.head.name,
+        "points": len(task.points),
+        "finished": task.n_finished,
+        "runs": len(made.runs),
+        "points_as_trust_variants": merged,
+        "traffic_driven": len(made.traffic),
+        "runs_that_replay_traffic": sum(bool(run.traffic) for run in made.runs),
+        "seconds": round(cost.planned_s),
+        "seconds_separately": round(cost.separate_s),
+        "seconds_saved_by_trust_variants": round(cost.merged_saves_s),
+        "seconds_saved_by_traffic": round(cost.traffic_saves_s),
+        "MB": round(cost.bytes / 1e6, 1),
+        "estimate": "from finished runs" if cost.is_measured else "rough: nothing of this study has run",
+        "remarks": list(made.remarks),
+    }
+    if as_json:
+        print_json(facts)
+        return
+    lines = [
+        f"{facts['study']}: {facts['points']} points, {facts['finished']} finished, {facts['runs']} runs to make",
+        f"{merged} points are trust variants of runs that differ in trust alone: saves {round(cost.merged_saves_s)} s",
+        f"{facts['runs_that_replay_traffic']} runs replay {len(made.traffic)} recorded traffics: "
+        f"saves {round(cost.traffic_saves_s)} s",
+        f"about {facts['seconds']} s on one core instead of {facts['seconds_separately']} s"
+        f" ({cost.separate_s / max(cost.planned_s, 1e-9):.1f} times less), {facts['MB']} MB "
+        f"({facts['estimate']})",
+        *(f"not shared: {remark}" for remark in made.remarks),
+    ]
+    for line in lines:
+        screen.print(line, highlight=False, markup=False, soft_wrap=True)
+
+
+def _print_states(name: str, out: Path, states, failed, as_json: bool) -> None:
+    if as_json:
+        print_json({"study": name, "points": states, "failed": {id: a.error for id, a in failed}})
+        return
+    said = ", ".join(f"{n} {state}" for state, n in states.items() if n)
+    screen.print(f"{name}: {said or 'no points'} ({out})", highlight=False, markup=False, soft_wrap=True)
+    for id, attempt in failed:
+        log = out / "jobs" / id / "log.txt"
+        log = log if log.is_file() else out / "traffic" / f"{id}.log"
+        screen.print(
+            f"failed: {id} ({attempt.outcome}): {attempt.error}; log in {log}",
+            highlight=False, markup=False, soft_wrap=True,
+        )  # fmt: skip

@@ -1,0 +1,342 @@
+"""One experiment as one typed model: all parameters, from TOML and `--set`."""
+
+import copy
+import difflib
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, fields, replace
+from pathlib import Path
+from typing import Annotated, Any
+
+from annotated_types import Ge, Le
+
+from cosim.adversary.catalogue import ATTACKS
+from cosim.adversary.params import PAPER, AttackParams, check_attacks
+from cosim.config.choices import Choice, resolve
+from cosim.config.data import check_finite, check_keys, former, override, read_toml, validated
+from cosim.driver.driver import DriverParams
+from cosim.driver.drivers import DRIVERS
+from cosim.mobility.fleet import FleetParams
+from cosim.mobility.meshes import MeshParams, VehicleMeshParams, check_vehicle_meshes
+from cosim.mobility.objects import ObjectParams
+from cosim.mobility.params import TrafficParams, resolved_input
+from cosim.mobility.position_errors import GnssParams
+from cosim.radio.medium import MEDIA
+from cosim.radio.params import RadioParams
+from cosim.radio.rsu import RsuParams
+from cosim.v2x.linkage import check_server
+from cosim.v2x.pseudonyms import POLICIES, PseudonymParams
+from cosim.v2x.trust_server import ServerParams
+from results.columns import Level
+from results.encounters import EncounterParams
+from sensors.detector import DETECTORS
+from sensors.evidence import AreaParams
+from sensors.lidar import LidarParams
+from sensors.statistical_detector import DetectorParams
+from sumo_nets import catalogue, sumocfg
+from trust.models import MODELS
+from trust.params import TrustParams, differing_evidence_key
+
+CHOICES: Mapping[str, tuple[str, Mapping[str, Any], str]] = {
+    "detector": ("model", DETECTORS, "detect"),
+    "radio": ("model", MEDIA, "broadcast"),
+    "pseudonyms": ("policy", POLICIES, "changes"),
+    "trust": ("model", MODELS, "open_step add_evaluations scores"),
+    "driver": ("model", DRIVERS, "commands"),
+    "attacks": ("attack", ATTACKS, ""),
+}
+"""Sections in which a class is chosen: the key that names it, what is at hand, and the methods it needs."""
+
+PAPER_RULE: dict[str, Any] = {"name": "paper", "fused": True, "unseen": "zero", "unjudged": "value"}
+"""Trust variant that the run without a config carries beside its own: unseen detections count as 0, as in Hurl et
+al., TruPercept, 2020."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ComputeParams:
+    """How the work is done; nothing here changes a result."""
+
+    threads: Annotated[int, Ge(0), Le(1024)] = 0
+    """Threads of the compiled kernels, at most one per core; 0 takes one for every hundred equipped vehicles. Unless it
+    is 1, a further thread senses the next step ahead, where no driver commands the traffic."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class RecordParams:
+    """What is kept of a run."""
+
+    level: Level = "standard"
+    """Which tables: summary, standard or full; see results/TABLES.md."""
+    block_steps: Annotated[int, Ge(1), Le(1_000_000)] = 60
+    """Steps between two writes to disk; a crash loses at most one block."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class TrustVariant:
+    """Another trust model, window or host on the same evidence: a `[[trust_variant]]` section."""
+
+    name: str
+    """Label in the column `variant`."""
+    fused: bool = False
+    """Also write its rows of the table `fused`."""
+    changes: dict[str, Any] = field(default_factory=dict)
+    """Keys of [trust] that it sets, as in the config."""
+    trust: TrustParams = field(default_factory=TrustParams)
+    """[trust] with these changes."""
+    own: dict[str, Any] = field(default_factory=dict)
+    """The model's own parameters."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Config:
+    """One experiment."""
+
+    seed: Annotated[int, Ge(0), Le(2**63 - 1)] = 4
+    """Seed of everything but SUMO."""
+    sensing_interval_s: Annotated[float, Ge(0.1), Le(3600)] = 1.0
+    """Time between two sweeps of every LiDAR, and two rounds of messages [s]; a multiple of traffic.step_s."""
+    sensing: bool = True
+    """Vehicles sense, talk and trust; without, traffic and encounters alone are simulated: fast."""
+    traffic: TrafficParams = field(default_factory=TrafficParams)
+    fleet: FleetParams = field(default_factory=FleetParams)
+    lidar: LidarParams = field(default_factory=LidarParams)
+    gnss: GnssParams = field(default_factory=GnssParams)
+    objects: tuple[ObjectParams, ...] = ()
+    meshes: tuple[MeshParams, ...] = ()
+    vehicle_meshes: tuple[VehicleMeshParams, ...] = ()
+    area: AreaParams = field(default_factory=AreaParams)
+    detector: DetectorParams = field(default_factory=DetectorParams)
+    attacks: tuple[AttackParams, ...] = ()
+    radio: RadioParams = field(default_factory=RadioParams)
+    rsu: RsuParams = field(default_factory=RsuParams)
+    server: ServerParams = field(default_factory=ServerParams)
+    pseudonyms: PseudonymParams = field(default_factory=PseudonymParams)
+    trust: TrustParams = field(default_factory=TrustParams)
+    trust_variant: tuple[TrustVariant, ...] = ()
+    driver: DriverParams = field(default_factory=DriverParams)
+    encounters: tuple[EncounterParams, ...] = (EncounterParams(),)
+    record: RecordParams = field(default_factory=RecordParams)
+    compute: ComputeParams = field(default_factory=ComputeParams)
+    own: dict[str, dict[str, Any]] = field(default_factory=dict, metadata={"internal": True})
+    """Parameters that belong to a chosen class and not to its section, by section (`trust`, `attacks.0`); in a config
+    file they stand in the section itself."""
+
+    def __post_init__(self) -> None:
+        if self.traffic.duration_s < self.traffic.step_s - 1e-9:
+            raise ValueError(
+                f"traffic.duration_s = {self.traffic.duration_s:g} s is shorter than one step of "
+                f"{self.traffic.step_s:g} s. Set it to traffic.step_s or more."
+            )
+        steps = self.sensing_interval_s / self.traffic.step_s
+        if abs(steps - round(steps)) > 1e-9 or steps < 1:
+            raise ValueError(
+                f"sensing_interval_s = {self.sensing_interval_s:g} s is no multiple of traffic.step_s = "
+                f"{self.traffic.step_s:g} s: a sweep needs a step to happen in. Change one of them."
+            )
+        if self.radio.timeout_s is not None and 2 * self.radio.timeout_s > self.sensing_interval_s:
+            raise ValueError(
+                f"radio.timeout_s = {self.radio.timeout_s:g} s: two rounds of messages do not fit between two sweeps, "
+                f"sensing_interval_s = {self.sensing_interval_s:g} s apart. Set it to half of that, or less."
+            )
+        if self.server.uplink == "rsu" and not (self.rsu.at or self.rsu.n_at_junctions):
+            raise ValueError(
+                'server.uplink = "rsu", but there are no roadside units: nothing would ever reach the server. '
+                "Set rsu.at or rsu.n_at_junctions."
+            )
+        check_vehicle_meshes(self.vehicle_meshes)
+        if (self.meshes or self.vehicle_meshes) and self.lidar.engine == "columnar":
+            which = "meshes" if self.meshes else "vehicle_meshes"
+            raise ValueError(
+                f'lidar.engine = "columnar" casts upright prisms, and there are [[{which}]]. Set lidar.engine to '
+                '"embree" or "open3d".'
+            )
+        check_attacks(self.attacks, self.trust.freshness_s, self.sensing_interval_s)
+        check_server(
+            self.pseudonyms, self.attacks, [t.host for t in (self.trust, *(v.trust for v in self.trust_variant))]
+        )
+
+    @property
+    def sense_every_steps(self) -> int:
+        return round(self.sensing_interval_s / self.traffic.step_s)
+
+    @property
+    def n_steps(self) -> int:
+        return max(1, math.floor(self.traffic.duration_s / self.traffic.step_s + 1e-9))
+
+    @property
+    def timeout_s(self) -> float:
+        """Length of one round of messages [s]."""
+        return self.radio.round_s(self.sensing_interval_s)
+
+    def to_dict(self) -> dict[str, Any]:
+        """The resolved experiment as plain data, as a config file states it."""
+        data = asdict(self)
+        data["trust_variant"] = [
+            {"name": v.name, "fused": v.fused} | copy.deepcopy(v.changes) for v in self.trust_variant
+        ]
+        for where, values in data.pop("own").items():
+            section, _, number = where.partition(".")
+            (data[section][int(number)] if number else data[section]).update(values)
+        return data
+
+
+def chosen(config: Config, section: str, number: int | None = None) -> tuple[Choice, Any]:
+    """The class that a section names, and its own parameters (None where it has none)."""
+    holder = getattr(config, section)
+    where = section if number is None else f"{section}.{number}"
+    holder = holder if number is None else holder[number]
+    return _chosen(section, holder, config.own.get(where, {}))
+
+
+def chosen_model(variant: TrustVariant) -> tuple[Choice, Any]:
+    """The trust model of a variant, and its own parameters."""
+    return _chosen("trust", variant.trust, variant.own)
+
+
+def _chosen(section: str, holder: Any, own: dict[str, Any]) -> tuple[Choice, Any]:
+    key, at_hand, needs = CHOICES[section]
+    choice = resolve(f"{section}.{key}", getattr(holder, key), at_hand, needs=needs)
+    if choice.params is None:
+        return choice, None
+    if isinstance(holder, choice.params):
+        return choice, holder
+    shared = {f.name: getattr(holder, f.name) for f in fields(choice.params) if hasattr(holder, f.name)}
+    return choice, validated(choice.params, shared | own, section, "the config")
+
+
+def load(path: Path | None = None, overrides: list[str] | None = None) -> Config:
+    """Experiment from a TOML file, then from `key=value` overrides; ValueError in one line for a mistake."""
+    data = with_defaults({} if path is None else read_toml(path, "config file"))
+    for text in overrides or []:
+        override(data, text)
+    if path is None and data.get("server", {}).get("uplink") != "rsu":  # there, every variant loads the channel
+        data.setdefault("trust_variant", [copy.deepcopy(PAPER_RULE)])
+    return resolve_data(data, "the config" if path is None else path.name, None if path is None else path.parent)
+
+
+def with_defaults(data: dict[str, Any]) -> dict[str, Any]:
+    """Plain data with the lists that a config has when it does not state them."""
+    return {"attacks": copy.deepcopy(list(PAPER)), "encounters": [{}]} | data
+
+
+def resolve_data(data: dict[str, Any], where: str, folder: Path | None) -> Config:
+    """Experiment from plain data; relative paths begin in `folder`. The data are used up."""
+    variants = data.pop("trust_variant", [])
+    own: dict[str, dict[str, Any]] = {}
+    types = {f.name: f.type for f in fields(Config)}
+    for section in CHOICES:
+        if section == "attacks":
+            listed = data.get(section, [])
+            if isinstance(listed, list):
+                for number, item in enumerate(listed):
+                    if isinstance(item, dict):
+                        if item.get("attack") == "unreliable":
+                            item.setdefault("role", "unreliable")
+                        own[f"{section}.{number}"] = _take_own(item, section, AttackParams, where, folder)
+        elif isinstance(data.get(section, {}), dict):
+            own[section] = _take_own(data.setdefault(section, {}), section, types[section], where, folder)
+    check_keys(data, Config, "", where)
+    for name in ("scenario", "trace"):
+        given = data.get("traffic", {}).get(name)
+        if isinstance(given, str):
+            cities = catalogue.names() if name == "scenario" else ()
+            data["traffic"][name] = resolved_input(given, folder or Path(), cities)
+    for mesh in [*data.get("meshes", []), *data.get("vehicle_meshes", [])]:
+        if isinstance(mesh.get("file"), str):
+            mesh["file"] = str(((folder or Path()) / mesh["file"]).resolve())
+    traffic = data.get("traffic", {})
+    if isinstance(traffic.get("scenario"), str) and not {"step_s", "trace"} & traffic.keys():
+        if (own_s := _own_step_s(traffic["scenario"])) is not None:
+            traffic["step_s"] = own_s
+    config = validated(Config, data, "", where)
+    stated = data["trust"] | own.get("trust", {})
+    config = replace(config, own={section: values for section, values in own.items() if values})
+    return replace(config, trust_variant=_variants(variants, stated, config, where, folder))
+
+
+def _variants(
+    listed: Any, stated: dict[str, Any], config: Config, where: str, folder: Path | None
+) -> tuple[TrustVariant, ...]:
+    """Trust variants from their sections; each inherits what [trust] states."""
+    if not isinstance(listed, list) or not all(isinstance(v, dict) for v in listed):
+        raise ValueError(f"trust_variant should be a list of sections [[trust_variant]] in {where}.")
+    made: list[TrustVariant] = []
+    for number, section in enumerate(listed):
+        changes = dict(section)
+        name, fused = changes.pop("name", None), changes.pop("fused", False)
+        place = f"trust_variant.{number}"
+        if not isinstance(name, str) or not name or not name.isprintable():
+            raise ValueError(f"{place}.name = {name!r}: a variant needs a name. Set {place}.name in {where}.")
+        if name == "base" or name in {v.name for v in made}:
+            raise ValueError(
+                f'{place}.name = "{name}" is taken'
+                + (" by [trust] itself" if name == "base" else "")
+                + f". Give every variant a name of its own in {where}."
+            )
+        if not isinstance(fused, bool):
+            raise ValueError(f"{place}.fused = {fused!r} should be true or false. Set it in {where}.")
+        merged = stated | changes
+        known = _own_fields(merged, "trust", folder)
+        inherited = {f.name for f in fields(TrustParams)} | known
+        merged = {key: value for key, value in merged.items() if key in inherited or key in changes}
+        own = _take_own(merged, "trust", TrustParams, where, folder)
+        if "model" in changes:
+            changes["model"] = merged["model"]
+        check_keys(merged, TrustParams, f"{place}.", where)
+        trust = validated(TrustParams, merged, place, where)
+        if key := differing_evidence_key(config.trust, trust):
+            raise ValueError(
+                f'{place} ("{name}"): {key} changes what vehicles evaluate, so this variant cannot share the evidence '
+                "of the run. Leave it out here and make it a run of its own."
+            )
+        made.append(TrustVariant(name=name, fused=fused, changes=changes, trust=trust, own=own))
+    return tuple(made)
+
+
+def _own_fields(section: Mapping[str, Any], name: str, folder: Path | None) -> set[str]:
+    """Names of the parameters of the class that a section chooses."""
+    key, at_hand, needs = CHOICES[name]
+    given = section.get(key)
+    if not isinstance(given, str):
+        return set()
+    choice = resolve(f"{name}.{key}", given, at_hand, folder, needs)
+    return set() if choice.params is None else {f.name for f in fields(choice.params)}
+
+
+def _take_own(section: dict[str, Any], name: str, model: Any, where: str, folder: Path | None) -> dict[str, Any]:
+    """Move the chosen class's own parameters out of a section, checked; its name becomes absolute."""
+    key, at_hand, needs = CHOICES[name]
+    default = next(f.default for f in fields(model) if f.name == key)
+    given = section.get(key, default)
+    if not isinstance(given, str):
+        return {}  # the model says what is wrong with it
+    choice = resolve(f"{name}.{key}", given, at_hand, folder, needs)
+    if key in section:
+        section[key] = choice.source.name
+    if choice.params is None or issubclass(model, choice.params):
+        return {}
+    of_section = {f.name for f in fields(model)}
+    of_class = {f.name for f in fields(choice.params)} - of_section
+    taken = {k: section.pop(k) for k in list(section) if k in of_class}
+    if unknown := [k for k in section if k not in of_section]:
+        known = ", ".join(sorted(of_section | of_class))
+        near = difflib.get_close_matches(unknown[0], [*of_section, *of_class], 1)
+        hint = f"Did you mean {name}.{near[0]}?" if near else f"Known: {known}."
+        raise ValueError(f"{name}.{unknown[0]}: unknown key in {where}. {former(f'{name}.{unknown[0]}') or hint}")
+    check_finite(taken, f"{name}.", where)
+    made = asdict(validated(choice.params, taken, name, where))
+    return {k: made[k] for k in made if k in of_class}
+
+
+def _own_step_s(scenario: str) -> float | None:
+    """How long a step of the user's own .sumocfg is."""
+    path = Path(scenario)
+    found = [path] if path.name.endswith(".sumocfg") else sorted(path.glob("*.sumocfg"))
+    if len(found) != 1 or not found[0].is_file() or scenario in catalogue.names():
+        return None
+    if (own_s := sumocfg.step_s(found[0])) < 0.1:
+        raise ValueError(
+            f"{found[0]}: its step-length of {own_s:g} s is shorter than the 0.1 s that a step takes here at least. "
+            "Set traffic.step_s to 0.1 or more to drive it otherwise."
+        )
+    return own_s

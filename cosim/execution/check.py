@@ -1,0 +1,77 @@
+"""Whether a config would run, found out before anything is loaded or written; and what changed since it last did."""
+
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from cosim.config.config import Config, chosen
+from cosim.driver.driver import largest_step_s
+from cosim.execution.inputs import changed_inputs
+from cosim.mobility.meshes import with_meshes
+from cosim.mobility.scenario import Scenario, find
+from cosim.radio.rsu import NO_RSUS, RsuAntennas, place_rsus
+from cosim.step.parts import check_choices
+from results.archive import read_manifest
+from sensors import lidar
+from sensors.boxes import Boxes
+from sensors.scene import Scene, Shape
+from sumo_nets.network import junctions
+
+
+def check(config: Config) -> Scenario:
+    """The scenario that a config asks for; ValueError where it could not run."""
+    scenario = find(config.traffic.scenario, config.traffic.trace)
+    roadside_units(config, scenario)
+    check_choices(config)
+    _check_driver(config, scenario)
+    lidar.beams(config.lidar)
+    with_meshes(Scene.empty(), config.meshes, config.vehicle_meshes)
+    if config.lidar.engine != "columnar":  # the others are libraries that may not be there
+        one = Boxes(np.zeros((1, 3)), np.ones((1, 3)), np.zeros(1))
+        car, first = np.array([Shape.CAR], np.uint8), np.zeros(1, np.int64)
+        lidar.scan(one, car, first, Scene.empty(), config.lidar, np.zeros(1, np.uint64))
+    return scenario
+
+
+def _check_driver(config: Config, scenario: Scenario) -> None:
+    """ValueError where the traffic cannot do what the driver commands."""
+    limit_s = largest_step_s(chosen(config, "driver")[0].of)
+    if limit_s is None:
+        return
+    name = f'driver.model = "{config.driver.model}"'
+    if scenario.trace is not None:
+        raise ValueError(
+            f"{name}: {scenario.trace} is replayed: nothing can brake in it. Run SUMO (no traffic.trace), or set "
+            'driver.model = "none".'
+        )
+    if config.traffic.step_s > limit_s + 1e-9:
+        raise ValueError(
+            f"traffic.step_s = {config.traffic.step_s:g} s is too long for {name}: drivers behind would brake too late "
+            f"and too hard. Set traffic.step_s to {limit_s:g} or less."
+        )
+
+
+def roadside_units(config: Config, scenario: Scenario) -> RsuAntennas:
+    """Where the config's roadside units stand in the scenario's network; ValueError where they cannot."""
+    if not config.rsu.at and not config.rsu.n_at_junctions:
+        return NO_RSUS
+    if scenario.net is None:
+        raise ValueError(
+            "rsu.at, rsu.n_at_junctions: a trace without streets has no network to stand in. "
+            "Leave the roadside units out, or name the streets in traffic.scenario and the trace in traffic.trace."
+        )
+    sites = place_rsus(config.rsu, *junctions(scenario.net))
+    return replace(sites, xyz_m=sites.xyz_m - np.array([*scenario.origin_m, 0.0]))
+
+
+def changed_since(path: Path | None, config: Config) -> list[str]:
+    """A remark where the config is that of a recorded run, and files that it names have changed since."""
+    if path is None or not (path.parent / "manifest.json").is_file():
+        return []
+    with suppress(ValueError):
+        before = read_manifest(path.parent)["net"]
+        if changed := changed_inputs(config, find(config.traffic.scenario, config.traffic.trace), before):
+            return [f"note: changed since {path.parent} was recorded: {', '.join(changed)}. The tables will differ."]
+    return []

@@ -1,0 +1,274 @@
+"""The loop of a run: traffic, the step, the recorder; from the first step, or from where a resumed run goes on."""
+
+import logging
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numba
+import numpy as np
+from jaxtyping import Float, Int
+from numpy import ndarray
+
+from cosim.adversary.params import rings_too_large
+from cosim.config.config import Config
+from cosim.execution import checkpoint, recording
+from cosim.execution.checkpoint import CannotCheckpoint
+from cosim.execution.folder import RunFolder
+from cosim.execution.manifest import Manifest
+from cosim.execution.speed.ahead import Ahead
+from cosim.execution.speed.allocator import give_back_freed_memory, keep_freed_memory
+from cosim.execution.stop import StopRequest
+from cosim.mobility.actors import ActorRegistry
+from cosim.mobility.scenario import Scenario
+from cosim.mobility.source import TrafficEnded, TrafficError, TrafficSource
+from cosim.step.cycle import step
+from cosim.step.parts import Parts, chosen
+from cosim.step.perception import Perception
+from cosim.step.state import State
+from cosim.step.stopwatch import Stopwatch
+from cosim.world import World
+from results.codes import DetectionFault, labels
+from results.recorder import Recorder
+from sensors.scene import Shape
+
+_log = logging.getLogger(__name__)
+
+Advance = Callable[[str, int, int, str], None]
+"""Called with progress: phase, done, total, a note."""
+
+Commands = tuple[Int[ndarray, "c"], Float[ndarray, "c"]]
+"""Actors, and the speeds that they shall drive [m/s]."""
+NO_COMMANDS: Commands = (np.zeros(0, np.int64), np.zeros(0))
+_MOST_AT_ONCE = 10
+"""Steps without sensing at the beginning of a run, which a signal ends at once and leaves nothing of."""
+STATE_VERSION = 7
+"""Raised whenever a state of an earlier version would be misread."""
+_CORES = numba.get_num_threads()
+_EQUIPPED_PER_THREAD = 100
+"""Below it a step takes some 20 ms, and threads lose more than they gain wherever the cores have other work."""
+
+
+@dataclass(slots=True)
+class Drive:
+    """A run under way."""
+
+    parts: Parts
+    scenario: Scenario
+    folder: RunFolder
+    warmup_s: float
+    traffic: TrafficSource
+    registry: ActorRegistry
+    recorder: Recorder
+    manifest: Manifest
+    advance: Advance
+    stop: StopRequest
+    state: State | None = None
+    """At the first step that is recorded; None at the first of all, or where it is to be computed again."""
+    expected: dict[str, np.ndarray] | None = None
+    """Rows of the table `actors` of the last step that a resumed run finds recorded."""
+    commands: dict[int, Commands] = field(default_factory=dict)
+    """By step, what drivers commanded in the steps that a resumed run finds recorded."""
+    n_on_road: int = 0
+    ended: str = ""
+    """Why the traffic ended before the time asked for."""
+    _of_block: dict[int, Commands] = field(default_factory=dict)
+    _keeps_state: bool = True
+    _next: World | None = None
+    """World of the step after the present one, where it is read already."""
+
+    def run(self) -> None:
+        """Warm up, repeat the traffic of what is recorded already, and go on to the end or to a signal."""
+        keep_freed_memory()
+        give_back_freed_memory()  # of reading the city
+        c = self.parts.config
+        alone = c.driver.model != "none" or c.compute.threads == 1 or _CORES == 1
+        if alone or not isinstance(self.parts.perception, Perception):
+            self._run(None)  # the next world depends on the present step, or no core is left to compute on
+            return
+        with Ahead(self.parts) as ahead:
+            self.parts = ahead.parts
+            self.manifest.timings_ahead_s = ahead.watch.seconds
+            self._run(ahead)
+
+    def _run(self, ahead: Ahead | None) -> None:
+        config, recorder = self.parts.config, self.recorder
+        first = recorder.inventory.end_step
+        warm_up(self.warmup_s, self.traffic, self.parts.watch, self.advance)
+        recomputes = first > 0 and self.state is None
+        state = State.start(self.parts) if self.state is None else self.state
+        self.state = None
+        for number in range(config.n_steps):
+            if number == first > 0:
+                self.stop.at_once = False
+            if (world := self._world()) is None:
+                break
+            self.n_on_road += int((world.shape != Shape.PEDESTRIAN).sum())
+            if number < first:
+                commands = self.commands.get(number, NO_COMMANDS)
+                if recomputes:
+                    state, happened = step(world, state, self.parts)
+                    commands = happened.commands.actor, happened.commands.speed_mps
+                self.traffic.command(*commands)
+                if number == first - 1:
+                    self._check_repeated(world)
+                self.advance("repeat traffic", number + 1, first, "steps")
+                continue
+            numba.set_num_threads(_threads(config, int(world.equipped.sum())))
+            self._look_ahead(number, ahead)
+            state, happened = step(world, state, self.parts)
+            if happened.sensed is not None or number + 1 >= min(_MOST_AT_ONCE, recorder.block_steps):
+                self.stop.at_once = False  # until now a step may have compiled kernels, for a minute
+            with self.parts.watch("record"):
+                recording.step(recorder, happened, config.traffic.step_s)
+                recorder.reach(number)
+                self.manifest.steps = number + 1
+                commands = happened.commands.actor, happened.commands.speed_mps
+                if len(happened.commands):
+                    self._of_block[number] = commands
+                if recorder.is_block_end(number) and number + 1 < config.n_steps:
+                    self._commit(state)
+            del happened  # up to 100 MB of a large fleet, which the next step would have beside its own
+            self.traffic.command(*commands)
+            self.advance("run", number + 1, config.n_steps, f"steps, {len(world)} actors")
+            if self.stop.signum is not None and self._next is None:
+                break
+        if not self.manifest.steps:
+            raise TrafficError(f"traffic.scenario = {self.scenario.name}: there is nothing to record: {self.ended}.")
+        with self.parts.watch("record"):
+            self._end(state)
+
+    @property
+    def is_over(self) -> bool:
+        """Whether every step asked for, or every one that the traffic has, is recorded."""
+        return bool(self.ended) or self.manifest.steps >= self.parts.config.n_steps
+
+    def _world(self) -> World | None:
+        """That of the next step; None where the traffic has ended."""
+        if (world := self._next) is not None:
+            self._next = None
+            return world
+        if self.ended:
+            return None
+        with self.parts.watch("traffic"):
+            try:
+                return self.traffic.advance()
+            except TrafficEnded as over:
+                asked_s = self.parts.config.n_steps * self.parts.config.traffic.step_s
+                self.ended = f"the traffic ended before the {asked_s:g} s asked for: {over}"
+                return None
+
+    def _look_ahead(self, number: int, ahead: Ahead | None) -> None:
+        """Have the world after this one sensed while this step goes on; not where recording may end between the two,
+        because actors are registered when they are read."""
+        is_last = number + 1 == self.parts.config.n_steps or self.recorder.is_block_end(number)
+        if ahead is None or is_last or self.stop.signum is not None or (world := self._world()) is None:
+            return
+        self._next = world
+        if self.parts.senses(number + 1):
+            ahead.expect(world, at_once=not self.parts.senses(number))
+
+    def _commit(self, state: State) -> None:
+        """A whole block, with what a resumed run needs to go on from it."""
+        self.folder.check()
+        files = {}
+        if self._of_block:
+            files[f"commands-{self.manifest.steps:07d}.bin"] = checkpoint.encode(self._of_block)
+            self._of_block = {}
+        if self._keeps_state:
+            try:
+                files[f"state-{self.manifest.steps:07d}.bin"] = checkpoint.encode(
+                    (STATE_VERSION, state), own_modules(self.parts.config)
+                )
+            except CannotCheckpoint as error:
+                self._keeps_state = False
+                self.manifest.summary["not_kept_for_resume"] = f"{error}: a resumed run computes all steps again"
+        rows = recording.open_rows(state, self.parts, self.registry, self.manifest.steps)
+        give_back_freed_memory()  # the last rows of all tables are encoded at once
+        self.recorder.flush(rows, files)
+        give_back_freed_memory()
+
+    def _end(self, state: State) -> None:
+        """The last block: of a run that is over with what is open in its parts, of an interrupted one beside them."""
+        self.folder.check()
+        rows = recording.open_rows(state, self.parts, self.registry, self.manifest.steps)
+        give_back_freed_memory()
+        if not self.is_over:
+            self.recorder.flush(rows)
+        else:
+            self.recorder.close(rows)
+        self.manifest.summary |= {
+            "vehicles_on_road_mean": round(self.n_on_road / self.manifest.steps, 2),
+            **self.traffic.report(),
+            "detections_dropped": {
+                name: int(n) for name, n in zip(labels(DetectionFault), state.n_dropped, strict=True) if n
+            },
+            "evaluations_rejected": self.parts.trust.rejected(state.trust),
+            **_pseudonym_summary(self.parts.config, state),
+            **self._incomplete_rings(),
+            **({"ended_early": self.ended} if self.ended else {}),
+            **({"victims_absent": absent} if (absent := self._absent_victims()) else {}),
+        }
+
+    def _incomplete_rings(self) -> dict[str, Any]:
+        """Rings of attackers that were larger than the attackers there were; told once the run is over."""
+        found = rings_too_large(self.parts.config.attacks, self.registry.attack) if self.is_over else []
+        for line in found:
+            _log.warning(line)
+        return {"rings_too_large": found} if found else {}
+
+    def _absent_victims(self) -> list[str]:
+        """Keys of the config that name a victim that was never on the road."""
+        known = set(self.registry.names)
+        named = ((n, p.victim_id) for n, p in enumerate(self.parts.config.attacks) if p.victim == "one")
+        return [f'attacks.{n}.victim_id = "{name}"' for n, name in named if name not in known]
+
+    def _check_repeated(self, world: World) -> None:
+        """The traffic repeated must be the one recorded: the same SUMO, the same files."""
+        if (want := self.expected) is None:
+            return
+        poses = {"yaw_rad": world.boxes.yaw_rad, "speed_mps": world.speed_mps} | {
+            f"{axis}_m": world.boxes.xyz_m[:, column] for column, axis in enumerate("xyz")
+        }
+        same = np.array_equal(want["actor"], world.actor) and all(
+            np.array_equal(want[name], values.astype(np.float32)) for name, values in poses.items()
+        )
+        if not same:
+            raise ValueError(
+                f"{self.manifest.folder}: the traffic of step {world.step} is not the one recorded: "
+                "another SUMO or other files. Run again."
+            )
+
+
+def warm_up(warmup_s: float, traffic: TrafficSource, watch: Stopwatch, advance: Advance) -> None:
+    """Traffic before the first step."""
+    with watch("warm-up"):
+        try:
+            for done_s in traffic.warm_up(warmup_s):
+                advance("warm-up", int(done_s), int(warmup_s), "s")
+        except TrafficEnded as over:
+            raise TrafficError(f"traffic.warmup_s = {warmup_s:g} s outlasts the traffic: {over}. Shorten it.") from None
+        advance("warm-up", int(warmup_s), int(warmup_s), "s")
+
+
+def own_modules(config: Config) -> tuple[str, ...]:
+    """Modules of the user's own choices that this config names."""
+    return tuple(sorted({choice.of.__module__ for choice in chosen(config).values()}))
+
+
+def _pseudonym_summary(config: Config, state: State) -> dict[str, Any]:
+    """What became of pseudonyms, where anything can."""
+    found: dict[str, Any] = {}
+    if config.pseudonyms.revocation != "none":
+        found["revoked"] = len(state.pseudonyms.revoked)
+    if config.pseudonyms.linkage == "on_demand":
+        found["linked_on_demand"] = int((state.pseudonyms.linked >= 0).sum())
+    if config.pseudonyms.linkage == "own":
+        known = state.known_senders
+        found["relinked"] = {"changes": known.n_changes, "linked": known.n_linked, "right": known.n_right}
+    return found
+
+
+def _threads(config: Config, n_equipped: int) -> int:
+    """Threads for one step: what the config says, or as many as are worth it."""
+    return min(config.compute.threads or max(1, n_equipped // _EQUIPPED_PER_THREAD), _CORES)

@@ -1,0 +1,138 @@
+"""The manifest of a run: what was asked, with which versions and inputs, and how it went."""
+
+import hashlib
+import os
+import platform
+import re
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import asdict, dataclass, field
+from functools import cache
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import tomli_w
+
+from cosim.config.choices import Source
+from cosim.config.config import Config
+from results import durable
+from results.codes import BASE_VARIANT, Role, labels
+from results.durable import sha256 as sha256
+from results.inventory import Inventory
+from results.manifest import write_manifest
+from results.tables import SCHEMA_VERSION, kept
+
+PACKAGES = ("cosim", "eclipse-sumo", "libsumo", "numpy", "scipy", "numba", "pyarrow", "pandas", "embreex")
+CONFIG = "config.toml"
+GRAZING = "not columnar: where rays graze edges, tables differ from those of the columnar caster"
+_RESERVE = ".reserve"
+_RESERVE_BYTES = 1 << 16
+
+
+@cache
+def versions() -> dict[str, str]:
+    """Of Python and of the packages on which results depend."""
+    return {"python": platform.python_version()} | {p: version(p) for p in PACKAGES}
+
+
+_UNSET = "\0"
+_UNSET_LINE = re.compile(r'^(\s*)(.+) = "\\u0000"$', re.MULTILINE)
+
+
+def toml_text(data: dict[str, Any]) -> str:
+    """Plain data as TOML; a key that is not set is a comment."""
+    return _UNSET_LINE.sub(r"\1# \2 is not set", tomli_w.dumps(_marked(data)))
+
+
+def _marked(data: Any) -> Any:
+    if isinstance(data, dict):
+        return {k: _UNSET if v is None else _marked(v) for k, v in data.items()}
+    return [_marked(v) for v in data] if isinstance(data, list | tuple) else data
+
+
+@dataclass(slots=True)
+class Manifest:
+    """What `manifest.json` says; rewritten whole, so that it is never half there."""
+
+    folder: Path
+    config: Config
+    net: dict[str, str]
+    """Name, licence and attribution of the network; checksums of all files that are read."""
+    choices: dict[str, Source]
+    """Which class every choice of the config is, with the file and checksum of a user's own."""
+    steps: int = 0
+    """Steps done so far."""
+    timings_s: dict[str, float] = field(default_factory=dict)
+    timings_ahead_s: dict[str, float] = field(default_factory=dict)
+    """Of what was sensed beside these stages, ahead of its step."""
+    summary: dict[str, Any] = field(default_factory=dict)
+    error: str = ""
+    """Why the run failed."""
+    resumed_at: list[int] = field(default_factory=list)
+    """Steps at which the run was resumed."""
+    config_sha256: str = ""
+    """Checksum of the file of the config."""
+
+    def begin(self) -> None:
+        """Write a manifest that says that the run is running, then the config: with a manifest, it can be resumed."""
+        self.config_sha256 = hashlib.sha256(self._config()).hexdigest()
+        self.write("running")
+        durable.write(self.folder / CONFIG, self._config())
+        durable.sync_folder(self.folder)
+
+    def keep_config(self, before: Mapping[str, Any]) -> None:
+        """Hold the config against the manifest of a run to be resumed; it is written where a kill came before it.
+
+        ValueError where the file is another, or would be.
+        """
+        path = self.folder / CONFIG
+        is_there = path.exists() or path.is_symlink()
+        self.config_sha256 = before["config_sha256"]
+        if (durable.sha256(path) if is_there else hashlib.sha256(self._config()).hexdigest()) != self.config_sha256:
+            raise ValueError(f"{path} was changed since. A resumed run goes on with the same config: run again.")
+        if not is_there:
+            durable.write(path, self._config())
+
+    def write(self, status: str, inventory: Inventory | None = None) -> None:
+        """Save with `status`: running, finished, interrupted or failed.
+
+        A run that is running holds some space for its last words, so that they fit on a full disk.
+        """
+        inventory = inventory or Inventory()
+        content = {
+            "schema_version": SCHEMA_VERSION,
+            "status": status,
+            "dt_s": self.config.traffic.step_s,
+            "steps": inventory.end_step,
+            "sense_every_steps": self.config.sense_every_steps,
+            "seed": self.config.seed,
+            "traffic_seed": self.config.traffic.seed,
+            "variants": [BASE_VARIANT, *(variant.name for variant in self.config.trust_variant)],
+            "roles": labels(Role),
+            "config": self.config.to_dict(),
+            "config_sha256": self.config_sha256,
+            "versions": versions(),
+            "net": self.net,
+            "choices": {key: asdict(source) for key, source in self.choices.items()},
+            "timings_s": _rounded(self.timings_s),
+            "timings_ahead_s": _rounded(self.timings_ahead_s),
+            "summary": self.summary,
+            "inventory": inventory.summary(kept(self.config.record.level)),
+            **({"lidar_engine": GRAZING} if self.config.lidar.engine != "columnar" else {}),
+            **({"error": self.error} if self.error else {}),
+            **({"resumed_at": self.resumed_at} if self.resumed_at else {}),
+        }
+        reserve = self.folder / _RESERVE
+        reserve.unlink(missing_ok=True)
+        write_manifest(self.folder, content)
+        if status == "running":
+            with suppress(OSError), open(reserve, "wb") as file:  # file systems without it have no such promise
+                os.posix_fallocate(file.fileno(), 0, _RESERVE_BYTES)
+
+    def _config(self) -> bytes:
+        return toml_text(self.config.to_dict()).encode()
+
+
+def _rounded(seconds: dict[str, float]) -> dict[str, float]:
+    return {stage: round(s, 3) for stage, s in seconds.items()}

@@ -1,0 +1,369 @@
+"""From the result of a step to the rows of the run's tables; it asks nothing of the simulation."""
+
+import copy
+from collections.abc import Mapping, Sequence
+from dataclasses import fields
+
+import numpy as np
+from jaxtyping import Bool, Float, Int, UInt8
+from numpy import ndarray
+
+from cosim.adversary.params import roles_of
+from cosim.mobility.actors import ActorRegistry
+from cosim.radio.message_round import Outcome
+from cosim.ragged import ptr_of, stable_order
+from cosim.step.parts import Parts
+from cosim.step.reactions import Reactions
+from cosim.step.result import Sensed, StepResult
+from cosim.step.state import State
+from cosim.step.trackers import evidence_audit
+from cosim.step.trackers.attack_start import AttackStartTracker
+from cosim.step.trackers.channel_counts import latency_histogram, pdr_by_distance, vehicle_channel
+from cosim.v2x import lookup_kernels
+from cosim.v2x.messages import FABRICATED
+from cosim.v2x.pseudonyms import PseudonymUse
+from cosim.v2x.trust_hosts import Lookups, ServerTraffic
+from cosim.world import World
+from results.codes import LookupState, MessageType
+from results.encounters import Rows, by_variant
+from results.recorder import Recorder
+from sensors.boxes import Boxes
+from trust.tables import TrustScores
+
+Columns = Mapping[str, ndarray | None]
+"""Columns of a table, ready for the recorder."""
+
+OUTCOMES = {
+    "n_delivered": Outcome.RECEIVED,
+    "n_lost_propagation": Outcome.PROPAGATION,
+    "n_lost_collision": Outcome.COLLISION,
+    "n_lost_receiver_busy": Outcome.RECEIVER_BUSY,
+    "n_lost_expired": Outcome.EXPIRED,
+    "n_lost_late": Outcome.LATE,
+}
+"""Columns of the tables `radio` and `pdr_by_distance`, and the outcome that each counts."""
+
+
+def step(recorder: Recorder, happened: StepResult, dt_s: float) -> None:
+    """Everything that the result of a step says."""
+    at = happened.world.step
+    actors(recorder, happened.world)
+    if happened.reactions is not None:
+        _reactions(recorder, at, happened.reactions)
+    encounters(recorder, at, happened.encounters)
+    pseudonyms(recorder, at, happened.ended_pseudonyms)
+    sensed = happened.sensed
+    if sensed is None:
+        return
+    _detections(recorder, happened.world, sensed)
+    _channel(recorder, at, sensed)
+    _receptions(recorder, at, sensed)
+    _evaluations(recorder, at, sensed)
+    _evidence(recorder, happened.world, sensed)
+    _trust(recorder, at, sensed, dt_s)
+    _fused(recorder, at, sensed)
+    for rows in sensed.attack_outcomes:
+        recorder.append("attack_outcomes", at, rows)
+
+
+def actors(recorder: Recorder, world: World) -> None:
+    """Poses of all actors."""
+    xyz, yaw = world.boxes.xyz_m, world.boxes.yaw_rad
+    recorder.append("actors", world.step, {
+        "actor": world.actor, "x_m": xyz[:, 0], "y_m": xyz[:, 1], "z_m": xyz[:, 2], "yaw_rad": yaw,
+        "speed_mps": world.speed_mps,
+    })  # fmt: skip
+
+
+def _reactions(recorder: Recorder, at: int, found: Reactions) -> None:
+    why = found.commands.reasons
+    assert why is not None, "reactions have reasons"
+    recorder.append("reactions", at, {
+        "vehicle": found.commands.actor, "source_step": why.source_step, "source": why.source,
+        "source_index": why.source_index, "gap_m": why.gap_m, "speed_mps": found.commands.speed_mps,
+        "deceleration_mps2": found.deceleration_mps2, "fabricated": found.fabricated,
+        "truth_actor": found.truth_actor, "truth_actor__valid": found.is_real,
+    })  # fmt: skip
+
+
+def encounters(recorder: Recorder, at: int, closed: Sequence[Rows]) -> None:
+    """Encounters that are over, by definition."""
+    for rows in closed:
+        base, others = by_variant(rows)
+        recorder.append("encounters", at, base)
+        if others:
+            recorder.append("encounter_trust", at, others)
+
+
+def pseudonyms(recorder: Recorder, at: int, ended: PseudonymUse) -> None:
+    """Pseudonyms that are no longer used."""
+    recorder.append("pseudonyms", at, _pseudonym_rows(ended))
+
+
+def _pseudonym_rows(used: PseudonymUse) -> Rows:
+    return {
+        "pseudonym": used.pseudonym, "vehicle": used.vehicle, "identity": used.identity,
+        "from_step": used.from_step, "to_step": used.to_step, "refused_step": used.refused_step,
+        "refused_step__valid": used.refused_step >= 0,
+    }  # fmt: skip
+
+
+def _box_columns(boxes: Boxes) -> Rows:
+    x, y, z = boxes.xyz_m.T
+    length, width, height = boxes.lwh_m.T
+    return {
+        "x_m": x, "y_m": y, "z_m": z, "length_m": length, "width_m": width, "height_m": height,
+        "yaw_rad": boxes.yaw_rad,
+    }  # fmt: skip
+
+
+def _detections(recorder: Recorder, world: World, sensed: Sensed) -> None:
+    listed, truth, seen = sensed.listed, sensed.truth, sensed.observed.observability
+    recorder.append("detections", world.step, {
+        "observer": sensed.senders.pseudonym[sensed.detections.message], "detection_index": listed.detection_index,
+        "class": listed.label, **_box_columns(listed.boxes), "score": listed.score, "n_points": listed.n_points,
+        "speed_mps": listed.speed_mps, "speed_mps__valid": ~np.isnan(listed.speed_mps),
+        "acceleration_mps2": listed.acceleration_mps2,
+        "acceleration_mps2__valid": ~np.isnan(listed.acceleration_mps2),
+        "origin": listed.origin, "transmitted": listed.transmitted, "lied": truth.lied,
+        "withheld": sensed.withheld, "target": world.actor[listed.target],
+        "target__valid": listed.target != listed.observer,
+        "truth_actor": world.actor[truth.actor_row], "truth_actor__valid": truth.is_real,
+        "truth_iou": truth.iou, "truth_iou__valid": truth.is_real,
+        "truth_occlusion": truth.occlusion, "truth_occlusion__valid": truth.is_sensed,
+    })  # fmt: skip
+    if sensed.position_error_m is not None:
+        x, y = sensed.position_error_m.T
+        recorder.append("position_errors", world.step, {
+            "vehicle": sensed.vehicles.actor, "error_x_m": x, "error_y_m": y,
+        })  # fmt: skip
+    faults = np.flatnonzero(sensed.n_dropped)
+    recorder.append("dropped_detections", world.step, {"cause": faults, "n": sensed.n_dropped[faults]})
+    recorder.append("observability", world.step, {
+        "observer": sensed.vehicles.actor[seen.observer], "actor": world.actor[seen.actor],
+        "n_points": seen.n_returns, "n_unoccluded": seen.n_unoccluded,
+    })  # fmt: skip
+
+
+def _channel(recorder: Recorder, at: int, sensed: Sensed) -> None:
+    n = len(sensed.vehicles)
+    for message_type, happened, links, pir in zip(
+        MessageType, sensed.rounds, sensed.links, sensed.inter_reception, strict=True
+    ):
+        frames = happened.frames
+        by_distance, total = pdr_by_distance(frames.distance_m, frames.los_state, frames.outcome, OUTCOMES)
+        recorder.append("radio", at, _of(message_type, {
+            "n_sent": np.array([frames.n_transmissions.sum()]), "n_relayed": np.array([frames.n_relayed]),
+            "n_duplicate": np.array([frames.n_duplicate]), "sent_bytes": np.array([frames.sent_bytes]), **total,
+            "cbr": None if frames.cbr is None else np.array([frames.cbr[:n].mean()]),
+        }))  # fmt: skip
+        recorder.append("pdr_by_distance", at, _of(message_type, by_distance))
+        recorder.append("latency_histogram", at, _of(message_type, latency_histogram(links.vehicles.latency_s)))
+        recorder.append("packet_inter_reception", at, _of(message_type, pir))
+    recorder.append("vehicle_channel", at, {"vehicle": sensed.vehicles.actor} | vehicle_channel(
+        n, [receiver for _, receiver in sensed.in_range], [links.vehicles.receiver for links in sensed.links],
+        [happened.frames.cbr for happened in sensed.rounds],
+    ))  # fmt: skip
+
+
+def _of(message_type: MessageType, rows: Mapping[str, ndarray | None]) -> dict[str, ndarray | None]:
+    n = next(len(values) for values in rows.values() if values is not None)
+    return {"message_type": np.full(n, message_type), **rows}
+
+
+def _receptions(recorder: Recorder, at: int, sensed: Sensed) -> None:
+    for message_type, links in zip(MessageType, sensed.links, strict=True):
+        found = links.vehicles
+        recorder.append("receptions", at, _of(message_type, {
+            "sender": sensed.senders.pseudonym[found.message], "receiver": sensed.vehicles.actor[found.receiver],
+            "hops": found.hops, "generation_offset_s": found.generation_offset_s,
+            "access_delay_s": found.access_delay_s, "latency_s": found.latency_s, "distance_m": found.distance_m,
+        }))  # fmt: skip
+
+
+def _evaluations(recorder: Recorder, at: int, sensed: Sensed) -> None:
+    lists, pseudonym = sensed.lists, sensed.senders.pseudonym
+    member = lists.member
+    recorder.append("evaluations", at, {
+        "evaluator": pseudonym[lists.owner[lists.of_member()]],
+        "observer": pseudonym[sensed.detections.message[member]],
+        "detection_index": sensed.listed.detection_index[member], "evaluation": sensed.reported.evaluation,
+        "visibility": sensed.reported.visibility, "n_points": sensed.n_points, "plausible": sensed.plausible,
+        "plausible__valid": ~sensed.matched, "matched": sensed.matched,
+        "lied": sensed.lied,
+    })  # fmt: skip
+    if "transmitted_evaluations" in recorder.tables:
+        _transmitted(recorder, at, sensed)
+
+
+def _transmitted(recorder: Recorder, at: int, sensed: Sensed) -> None:
+    sent, own = sensed.messages
+    recorder.append("transmitted_evaluations", at, {
+        "evaluator": np.repeat(sent.evaluator, np.diff(sent.ptr)), "observer": sent.observer,
+        "detection_index": sent.detection_index, "evaluation": sent.evaluation, "visibility": sent.visibility,
+        "own_evaluation": own.evaluation, "own_visibility": own.visibility,
+    })  # fmt: skip
+    detections, chosen = sensed.detections, sensed.listed.transmitted
+    recorder.append("transmitted_scores", at, {
+        "observer": sensed.senders.pseudonym[detections.message[chosen]],
+        "detection_index": detections.detection_index[chosen], "score": detections.score[chosen],
+    })  # fmt: skip
+
+
+def _evidence(recorder: Recorder, world: World, sensed: Sensed) -> None:
+    listed, truth, reported = sensed.listed, sensed.truth, sensed.reported
+    recorder.append("evidence", world.step, evidence_audit.audit(
+        sensed.lists.owner[sensed.lists.of_member()], sensed.lists.member, reported.evaluation, reported.visibility,
+        sensed.detections.message, truth.actor_row, truth.is_real, listed.origin == FABRICATED,
+        world.attack[sensed.vehicles.row[sensed.senders.vehicle]] > 0,
+        sum(happened.frames.n_duplicate for happened in sensed.rounds),
+    ))  # fmt: skip
+
+
+def _trust(recorder: Recorder, at: int, sensed: Sensed, dt_s: float) -> None:
+    used = sensed.used
+    receiver, subject = sensed.vehicles.actor[used.receiver], sensed.senders.pseudonym[used.message]
+    trust(recorder, at, dt_s, sensed.published, sensed.server, receiver, subject, sensed.lookups)
+
+
+def trust(
+    recorder: Recorder, at: int, dt_s: float, published: Sequence[TrustScores | None],
+    servers: Sequence[ServerTraffic | None], receiver: Int[ndarray, "n"], subject: Int[ndarray, "n"],
+    lookups: Sequence[Lookups],
+) -> None:  # fmt: skip
+    """What trust computed, sent and answered in a step, per trust variant; `lookups` are of `subject` by `receiver`."""
+    _published(recorder, at, dt_s, [(v, scores) for v, scores in enumerate(published) if scores is not None])
+    of_server = [(v, server) for v, server in enumerate(servers) if server is not None]
+    counts = {name: np.array([getattr(server.up, name) for _, server in of_server], np.int64) for name in _UP}
+    counts |= {name: np.array([getattr(server, name) for _, server in of_server], np.int64) for name in _DOWN}
+    recorder.append("server", at, {"variant": np.array([v for v, _ in of_server], np.int64)} | counts)
+    _lookups(recorder, at, receiver, subject, lookups)
+
+
+def _published(recorder: Recorder, at: int, dt_s: float, of_variant: Sequence[tuple[int, TrustScores]]) -> None:
+    """Rows of all variants at once, one variant after another."""
+    if not of_variant:
+        return
+
+    def joined(name: str) -> ndarray:
+        return np.concatenate([getattr(scores, name) for _, scores in of_variant])
+
+    n = [len(scores.subject) for _, scores in of_variant]
+    uncertainty, is_judged = joined("uncertainty"), joined("is_judged")
+    evaluators = [scores.n_evaluations if (m := scores.n_evaluators) is None else m for _, scores in of_variant]
+    recorder.append("trust", at, {
+        "variant": np.repeat([v for v, _ in of_variant], n), "subject": joined("subject"), "trust": joined("trust"),
+        "uncertainty": uncertainty, "uncertainty__valid": ~np.isnan(uncertainty),
+        "weight": joined("weight"), "state": np.where(is_judged, LookupState.JUDGED, LookupState.UNJUDGED),
+        **_evaluations_behind(
+            joined("n_evaluations"), np.concatenate(evaluators), (at - joined("newest_evaluation_step")) * dt_s,
+            (at - joined("oldest_evaluation_step")) * dt_s, is_judged,
+            np.repeat([scores.n_evaluators is not None for _, scores in of_variant], n),
+        ),
+    })  # fmt: skip
+
+
+_UP = ("n_reports", "n_reached", "n_lost", "n_over_capacity", "n_outage", "uplink_bytes")
+_DOWN = ("n_addressed", "n_informed")
+
+
+def _lookups(
+    recorder: Recorder, at: int, receiver: Int[ndarray, "n"], subject: Int[ndarray, "n"], lookups: Sequence[Lookups]
+) -> None:
+    """Rows of all variants at once, by subject."""
+    n, n_variants = len(receiver), len(lookups)
+    counted = np.repeat([found.n_evaluators is not None for found in lookups], n)
+    nothing = np.zeros(n, np.int64)
+    whole = Lookups(*(
+        np.concatenate([nothing if (column := getattr(found, f.name)) is None else column for found in lookups])
+        for f in fields(Lookups)
+    ))  # fmt: skip
+    recorder.append("lookup_totals", at, _lookup_totals(whole, n_variants))
+    order = stable_order(subject)
+    found = whole.take((np.arange(n_variants)[:, None] * n + order).ravel())
+    recorder.append("trust_lookups", at, {
+        "variant": np.repeat(np.arange(n_variants), n), "subject": np.tile(subject[order], n_variants),
+        "receiver": np.tile(receiver[order], n_variants), "trust": found.trust, "source": found.source,
+        "state": found.state, "age_s": found.age_s, "age_s__valid": ~found.is_default,
+        **_evaluations_behind(
+            found.n_evaluations, np.asarray(found.n_evaluators), found.newest_evaluation_age_s,
+            found.oldest_evaluation_age_s, found.is_known, counted,
+        ),
+    })  # fmt: skip
+
+
+def _lookup_totals(found: Lookups, n_variants: int) -> Rows:
+    """Lookups of a step, one variant after another, added up by variant and state; states that do not occur are left
+    out."""
+    n_states = len(LookupState)
+    sums = lookup_kernels.totals(
+        n_variants, n_states, found.state, found.is_default, found.is_known, found.age_s,
+        found.newest_evaluation_age_s, found.oldest_evaluation_age_s,
+    )  # fmt: skip
+    names = ("n", "n_valued", "age_sum_s", "newest_evaluation_age_sum_s", "oldest_evaluation_age_sum_s")
+    rows = dict(zip(names, sums, strict=True)) | {
+        "variant": np.repeat(np.arange(n_variants), n_states), "state": np.tile(np.arange(n_states), n_variants),
+    }  # fmt: skip
+    there = rows["n"] > 0
+    return {name: column[there] for name, column in rows.items()}
+
+
+def _evaluations_behind(
+    n: Int[ndarray, "n"], n_evaluators: Int[ndarray, "n"], newest_s: Float[ndarray, "n"],
+    oldest_s: Float[ndarray, "n"], some: Bool[ndarray, "n"], counted: Bool[ndarray, "n"],
+) -> Rows:  # fmt: skip
+    """Columns about the evaluations behind trust values; `some` says where there are any, `counted` where their
+    evaluators are counted."""
+    return {
+        "n_evaluations": n, "n_evaluators": n_evaluators, "n_evaluators__valid": counted,
+        "newest_evaluation_age_s": newest_s, "newest_evaluation_age_s__valid": some,
+        "oldest_evaluation_age_s": oldest_s, "oldest_evaluation_age_s__valid": some,
+    }  # fmt: skip
+
+
+def _fused(recorder: Recorder, at: int, sensed: Sensed) -> None:
+    listed, pseudonym = sensed.listed, sensed.senders.pseudonym[sensed.detections.message]
+    for variant, fused in enumerate(sensed.fused):
+        if fused is None:
+            continue
+        ego, moved = fused.ego, fused.pose != fused.seed
+        recorder.append("fused_evidence", at, {
+            "variant": np.array([variant]), "n_evaluations": np.array([fused.n_evaluations.sum()]),
+            "n_evaluators": np.array([fused.n_evaluators.sum()]),
+        })  # fmt: skip
+        recorder.append("fused", at, {
+            "variant": np.full(len(ego), variant), "observer": sensed.vehicles.actor[ego],
+            "fused_index": np.arange(len(ego)) - ptr_of(ego, len(sensed.vehicles))[ego],
+            "score": fused.score, "n_sources": fused.n_sources, "ego_detected": fused.ego_detected,
+            "source": pseudonym[fused.seed], "source_index": listed.detection_index[fused.seed],
+            "pose": pseudonym[fused.pose], "pose__valid": moved,
+            "pose_index": listed.detection_index[fused.pose], "pose_index__valid": moved,
+            "fabricated": listed.origin[fused.seed] == FABRICATED,
+        })  # fmt: skip
+
+
+def open_rows(state: State, parts: Parts, registry: ActorRegistry, end_step: int) -> dict[str, list[Columns]]:
+    """By table, the rows of what is not over yet, as they would be if recording ended before `end_step`."""
+    split = [by_variant(rows) for rows in copy.deepcopy(state.encounters).close(end_step)]
+    return {
+        "encounters": [base for base, _ in split],
+        "encounter_trust": [others for _, others in split if others],
+        "pseudonyms": [_pseudonym_rows(parts.pseudonyms.in_use(state.pseudonyms))],
+        "vehicles": [vehicle_rows(registry, roles_of(parts.config.attacks), state.attack_start)],
+    }
+
+
+def vehicle_rows(
+    registry: ActorRegistry, role_of_attack: UInt8[ndarray, "a"], attack_start: AttackStartTracker
+) -> Columns:
+    """All actors; `role_of_attack` by number of the attack, 0 for none."""
+    lwh = registry.lwh_m
+    attack_start_step, attacked = attack_start.first_steps(len(registry))
+    return {
+        "vehicle": np.arange(len(registry), dtype=np.int32), "sumo_id": np.array(registry.names, object),
+        "vehicle_class": registry.shape, "length_m": lwh[:, 0], "width_m": lwh[:, 1], "height_m": lwh[:, 2],
+        "equipped": registry.equipped, "role": role_of_attack[registry.attack], "role__valid": registry.equipped,
+        "attack": registry.attack.astype(np.int16) - 1, "attack__valid": registry.equipped & (registry.attack > 0),
+        "first_step": registry.first_step, "last_step": registry.last_step,
+        "attack_start_step": attack_start_step, "attack_start_step__valid": attacked,
+    }  # fmt: skip

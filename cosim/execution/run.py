@@ -1,0 +1,341 @@
+"""A run, from config to folder."""
+
+import hashlib
+import shutil
+from collections.abc import Callable, Collection, Generator
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+
+from cosim.adversary.checked import AttackError
+from cosim.adversary.params import named, shares
+from cosim.config.config import Config, resolve_data
+from cosim.execution import checkpoint, recording
+from cosim.execution import folder as run_folder
+from cosim.execution.check import check, roadside_units
+from cosim.execution.drive import STATE_VERSION, Advance, Commands, Drive, own_modules, warm_up
+from cosim.execution.folder import RunFolder
+from cosim.execution.inputs import provenance
+from cosim.execution.manifest import Manifest, versions
+from cosim.execution.stop import NOTHING_WRITTEN, Failed, Stopped, StopRequest
+from cosim.mobility.actors import ActorRegistry
+from cosim.mobility.meshes import with_meshes
+from cosim.mobility.remarks import traffic_remarks
+from cosim.mobility.scenario import Scenario, find
+from cosim.mobility.source import TrafficEnded, TrafficError, TrafficSource
+from cosim.step.parts import Parts, perception_of, sources
+from cosim.step.perception import Perceives, Perception
+from cosim.step.state import State
+from cosim.step.stopwatch import Stopwatch
+from cosim.step.trackers.attack_start import AttackStartTracker
+from cosim.world import World
+from results import inventory
+from results.durable import PARTIAL, Damaged, open_regular, sha256
+from results.inventory import Inventory
+from results.manifest import read_manifest
+from results.recorder import CHECKPOINT, Recorder, is_state
+from results.run import content_problem
+from results.tables import SCHEMA_VERSION
+from trust.models.interface import ModelError
+
+
+def run(
+    config: Config, out: Path | None, advance: Advance, traffic_from: Path | None = None,
+    perceive: Callable[[Perception], Perceives] = lambda own: own,
+) -> Path:  # fmt: skip
+    """Drive, sense, talk, trust and record; the folder that it wrote.
+
+    `traffic_from` is a folder that `record_traffic` wrote for the same `[traffic]`: it is replayed instead of driving
+    SUMO, with the same tables. `perceive` may give another perception in place of the run's own.
+
+    Nothing is written before the config has been checked and SUMO has accepted the scenario. Stopped where a signal
+    asks for it.
+    """
+    run_folder.check(out)
+    scenario = check(config)
+    with StopRequest() as stop:
+        parts, registry, traffic = _loaded(config, scenario, traffic_from, perceive)
+        try:
+            folder = run_folder.create(out, scenario.name)
+            try:
+                manifest = Manifest(folder.path, config, provenance(config, scenario), sources(config))
+                manifest.begin()
+                recorder = _recorder(folder.path, parts, 0)
+                warmup_s = 0.0 if traffic_from is not None else _warmup_s(config, scenario)
+                drive = Drive(parts, scenario, folder, warmup_s, traffic, registry, recorder, manifest, advance, stop)
+            except BaseException as error:
+                with suppress(OSError):
+                    folder.remove()
+                if isinstance(error, OSError):
+                    raise Failed(f"{folder.path}: {error.strerror or error}. Nothing was written.") from None
+                raise
+            _carry_out(drive, folder)
+        finally:
+            traffic.close()
+    return folder.path
+
+
+def resume(
+    path: Path, advance: Advance, traffic_from: Path | None = None,
+    perceive: Callable[[Perception], Perceives] = lambda own: own,
+) -> Path:  # fmt: skip
+    """Go on with a run that was killed or interrupted, from its last whole block: the tables are those of a run
+    never interrupted.
+
+    The traffic is repeated from its beginning, because SUMO's own saved state is not exact; everything else goes on
+    from the state that was kept with the block. Nothing in the folder is executed. `traffic_from` and `perceive`
+    as in `run`.
+    """
+    manifest = read_manifest(path)
+    config = _resumable(path, manifest)
+    scenario = check(config)
+    if (now := provenance(config, scenario)) != manifest["net"]:
+        changed = sorted(key for key in now.keys() | manifest["net"].keys() if now.get(key) != manifest["net"].get(key))
+        raise ValueError(f"{path}: its inputs have changed since: {', '.join(changed)}. Run again.")
+    with StopRequest() as stop:
+        folder = run_folder.reopen(path)
+        try:
+            if read_manifest(path)["status"] == "finished":
+                folder.release()  # a kill may have come between the last word of the manifest and the release
+                return path
+            found = inventory.read(path).whole()
+            closed = [part for block in found.blocks for part in block.parts]
+            if problem := next((p for part in closed if (p := content_problem(path, part))), ""):
+                raise Damaged(f"{path} is damaged: {problem}. Run again.")
+            parts, registry, traffic = _loaded(config, scenario, traffic_from, perceive)
+            try:
+                went = Manifest(path, config, manifest["net"], sources(config), steps=found.end_step)
+                went.keep_config(manifest)
+                recorder = _recorder(path, parts, found.end_step)
+                went.resumed_at = [*manifest.get("resumed_at", []), found.end_step]
+                warmup_s = 0.0 if traffic_from is not None else _warmup_s(config, scenario)
+                drive = Drive(parts, scenario, folder, warmup_s, traffic, registry, recorder, went, advance, stop)
+                drive.state, drive.expected = _kept_state(path, found, config), _last_poses(path, found)
+                drive.commands = _kept_commands(path, found)
+                went.write("running")
+                _carry_out(drive, folder)
+            finally:
+                traffic.close()
+        except BaseException:
+            folder.release()
+            raise
+    return path
+
+
+def record_traffic(config: Config, path: Path, advance: Advance) -> Path:
+    """Drive and record the traffic of a config, no vehicle equipped; a folder for `run(..., traffic_from=path)`."""
+    own = {section: values for section, values in config.own.items() if not section.startswith("attacks.")}
+    config = replace(config, attacks=(), trust_variant=(), own=own)
+    scenario, watch = check(config), Stopwatch()
+    registry = ActorRegistry(replace(config.fleet, penetration_p=0.0), config.seed)
+    traffic = scenario.traffic(config.traffic, registry)
+    try:
+        folder = run_folder.create(path, scenario.name)
+        manifest = Manifest(path, config, provenance(config, scenario), sources(config))
+        manifest.begin()
+        warm_up(_warmup_s(config, scenario), traffic, watch, advance)
+        recorder = Recorder(path, "standard", config.record.block_steps)
+        for number in range(config.n_steps):
+            try:
+                world = traffic.advance()
+            except TrafficEnded:
+                break
+            recording.actors(recorder, world)
+            recorder.reach(number)
+            manifest.steps = number + 1
+            advance("traffic", number + 1, config.n_steps, f"steps, {len(world)} actors")
+        recorder.close({"vehicles": [recording.vehicle_rows(registry, np.zeros(1, np.uint8), AttackStartTracker())]})
+        manifest.timings_s, manifest.summary = watch.seconds, traffic.report()
+    finally:
+        traffic.close()
+    manifest.write("finished", recorder.inventory)
+    folder.release()
+    return path
+
+
+def _resumable(path: Path, manifest: dict[str, Any]) -> Config:
+    """The config of a run that can be resumed; ValueError in one line where it cannot."""
+    if manifest["schema_version"] != SCHEMA_VERSION:
+        raise ValueError(
+            f"{path} was written with schema version {manifest['schema_version']}, this cosim writes {SCHEMA_VERSION}. "
+            "Run again."
+        )
+    now = versions()
+    if other := [f"{p} {v} (now {now.get(p)})" for p, v in manifest["versions"].items() if now.get(p) != v]:
+        raise ValueError(f"{path} was begun with {', '.join(other)}: the tables would be of two kinds. Run again.")
+    for key, source in manifest["choices"].items():
+        if not source["file"]:
+            continue
+        file = Path(source["file"])
+        if path.resolve() in file.resolve().parents:
+            raise ValueError(f"{path}: {key} names {file}, inside the run folder, from which nothing is executed.")
+        if not file.is_file() or sha256(file) != source["sha256"]:
+            raise ValueError(f"{path}: {key} names {file}, which was changed since. Run again.")
+    return resolve_data(manifest["config"], f"{path}/manifest.json", None)
+
+
+def _warmup_s(config: Config, scenario: Scenario) -> float:
+    return scenario.warmup_s if config.traffic.warmup_s is None else config.traffic.warmup_s
+
+
+def worlds_of(config: Config, traffic_from: Path | None) -> Generator[World, None, None]:
+    """The worlds that a run of this config will see, ahead of it. Its traffic is replayed, as in `run`."""
+    scenario = find(config.traffic.scenario, config.traffic.trace)
+    _, traffic = _traffic(config, scenario, traffic_from)
+    try:
+        for _ in traffic.warm_up(0.0 if traffic_from is not None else _warmup_s(config, scenario)):
+            pass
+        for _ in range(config.n_steps):
+            yield traffic.advance()
+    except TrafficEnded:
+        return  # the run itself meets the same end, and says so
+    finally:
+        traffic.close()
+
+
+def _loaded(
+    config: Config, scenario: Scenario, traffic_from: Path | None, perceive: Callable[[Perception], Perceives]
+) -> tuple[Parts, ActorRegistry, TrafficSource]:
+    watch = Stopwatch()
+    with watch("city"):
+        city = with_meshes(scenario.city(), config.meshes, config.vehicle_meshes)
+    parts = Parts.of(config, city, roadside_units(config, scenario), watch)
+    parts = replace(parts, perception=perceive(perception_of(config, city)))
+    return parts, *_traffic(config, scenario, traffic_from)
+
+
+def _traffic(config: Config, scenario: Scenario, traffic_from: Path | None) -> tuple[ActorRegistry, TrafficSource]:
+    registry = ActorRegistry(config.fleet, config.seed, shares(config.attacks), named(config.attacks))
+    recorded = scenario if traffic_from is None else replace(scenario, trace=traffic_from, warmup_s=0.0)
+    params = config.traffic if traffic_from is None else replace(config.traffic, begin_s=None, warmup_s=0.0)
+    return registry, recorded.traffic(params, registry, config.driver.model != "none", config.objects)
+
+
+def _recorder(folder: Path, parts: Parts, resume_at: int) -> Recorder:
+    variants = [variant.name for variant in parts.trust.variants]
+    record = parts.config.record
+    return Recorder(folder, record.level, record.block_steps, resume_at, variants=variants)
+
+
+def _kept_commands(path: Path, found: Inventory) -> dict[int, Commands]:
+    """Speeds that drivers commanded, by step; they belong to the traffic that is repeated."""
+    commands: dict[int, Commands] = {}
+    for block in found.blocks:
+        for name in block.checkpoint:
+            if not is_state(name):
+                commands |= _decoded(path, name, block.checkpoint[name], ())
+    return commands
+
+
+def _decoded(path: Path, name: str, digest: str, own: Collection[str]) -> Any:
+    """What a file of a checkpoint holds."""
+    with open_regular(path / name) as file:
+        content = file.read()
+    if hashlib.sha256(content).hexdigest() != digest:
+        raise Damaged(f"{path} is damaged: {name} is not what was written. Run again.")
+    try:
+        return checkpoint.decode(content, own)
+    except ValueError as error:
+        raise Damaged(f"{path}/{name}: {error}. Run again.") from None
+
+
+def _kept_state(path: Path, found: Inventory, config: Config) -> State | None:
+    """The state at the end of the last whole block; None where all has to be computed again."""
+    names = [name for name in (found.blocks[-1].checkpoint if found.blocks else ()) if is_state(name)]
+    if not names:
+        return None
+    state_version, state = _decoded(path, names[0], found.blocks[-1].checkpoint[names[0]], own_modules(config))
+    if state_version != STATE_VERSION or not isinstance(state, State):
+        raise ValueError(f"{path} was begun with another cosim. Run again.")
+    return state
+
+
+def _last_poses(path: Path, found: Inventory) -> dict[str, np.ndarray] | None:
+    """Rows of the table `actors` of the last step that is kept; None where the run does not keep them."""
+    last = found.end_step - 1
+    parts = [part for part in found.of("actors") if part.first_step <= last <= part.last_step]
+    if not parts:
+        return None
+    columns = ["actor", "x_m", "y_m", "z_m", "yaw_rad", "speed_mps"]
+    table = pq.read_table(path / parts[0].name, columns=columns, filters=pc.field("step") == last, partitioning=None)
+    return {name: table.column(name).to_numpy() for name in columns}
+
+
+def _carry_out(drive: Drive, folder: RunFolder) -> None:
+    """A run, and its status in the manifest, whatever happens."""
+    manifest, recorder = drive.manifest, drive.recorder
+    try:
+        drive.run()
+    except Stopped as error:
+        if not recorder.inventory.blocks:
+            _fail(drive, folder, "")
+            raise
+        manifest.write("interrupted", recorder.inventory)
+        folder.release()
+        message = f"interrupted before anything was added. Continue with: cosim resume {folder.path}"
+        raise Stopped(error.signum, message) from None
+    except Failed:
+        raise
+    except (TrafficError, ModelError, AttackError, Damaged) as error:
+        _fail(drive, folder, str(error))
+        raise
+    except OSError as error:
+        message = f"{folder.path}: {error.strerror or error}, at step {manifest.steps}"
+        kept = _fail(drive, folder, message)
+        raise Failed(
+            message + (f". Continue with: cosim resume {folder.path}" if kept else ". Nothing is kept.")
+        ) from None
+    except MemoryError:
+        message = f"{folder.path}: out of memory at step {manifest.steps}"
+        _fail(drive, folder, message)
+        raise Failed(message + ".") from None
+    except Exception as error:
+        if drive.stop.signum is not None and not recorder.inventory.blocks:  # the signal came out of compiled code
+            _fail(drive, folder, "")
+            raise Stopped(drive.stop.signum, NOTHING_WRITTEN) from None
+        _fail(drive, folder, f"{type(error).__name__}: {error}")
+        raise RuntimeError(f"{folder.path}: the run failed at step {manifest.steps}") from error
+    manifest.timings_s = drive.parts.watch.seconds
+    if not drive.is_over:
+        manifest.write("interrupted", recorder.inventory)
+        folder.release()
+        assert drive.stop.signum is not None
+        raise Stopped(
+            drive.stop.signum,
+            f"interrupted after {manifest.steps} of {drive.parts.config.n_steps} steps, all written. "
+            f"Continue with: cosim resume {folder.path}",
+        )
+    manifest.write("finished", recorder.inventory)
+    shutil.rmtree(folder.path / CHECKPOINT, ignore_errors=True)
+    folder.release()
+
+
+def _fail(drive: Drive, folder: RunFolder, message: str) -> bool:
+    """Say in the manifest that the run failed; a folder without any steps is removed. Whether steps are kept."""
+    manifest, recorder = drive.manifest, drive.recorder
+    if not folder.lock.is_held():
+        return False
+    if not recorder.inventory.blocks:
+        with suppress(OSError):
+            folder.remove()
+        return False
+    manifest.error, manifest.timings_s = message, drive.parts.watch.seconds
+    with suppress(OSError):  # a full disk, a folder that is gone: "running" without a lock says as much
+        for leftover in folder.path.rglob("*" + PARTIAL):
+            leftover.unlink()
+        manifest.write("failed", recorder.inventory)
+    with suppress(OSError):
+        folder.release()
+    return True
+
+
+def remarks(folder: Path) -> list[str]:
+    """What a user should know of a finished run before they trust its figures; mostly nothing."""
+    summary = read_manifest(folder)["summary"]
+    absent = [f"note: {key}: no vehicle of that id was on the road." for key in summary.get("victims_absent", ())]
+    return traffic_remarks(summary) + absent

@@ -1,0 +1,207 @@
+"""Network, buildings and traffic: a city by name, a SUMO scenario of the user's own, or recorded traffic."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from cosim.mobility import fcd
+from cosim.mobility.actors import ActorRegistry
+from cosim.mobility.frame import Bounds, Frame, origin_of
+from cosim.mobility.objects import ObjectParams, Placed, WithObjects
+from cosim.mobility.params import TrafficParams
+from cosim.mobility.replay import RunReplay, TraceReplay
+from cosim.mobility.source import TrafficSource
+from results.archive import open_run
+from results.durable import sha256
+from sensors.scene import Scene
+from sumo_nets import catalogue, sumocfg
+from sumo_nets.catalogue import Net
+from sumo_nets.footprints import read_footprints
+from sumo_nets.ground import standing_on
+from sumo_nets.network import check_for_cars
+
+COMMON_STEMS = frozenset((
+    "osm", "run", "sim", "simulation", "scenario", "sumo", "config", "configuration", "main", "test", "default", "net",
+    "network", "map", "demo", "dua", "due", "static", "fcd", "trace", "cfg",
+))  # fmt: skip
+"""File names that say nothing of the scenario."""
+
+
+@dataclass(frozen=True, slots=True)
+class Scenario:
+    """Files of a network, its buildings and its traffic."""
+
+    name: str
+    sumocfg: Path | None
+    net: Path | None
+    buildings: tuple[Path, ...]
+    types: tuple[Path, ...] = ()
+    """Files that define vehicle types, in the order of reading."""
+    warmup_s: float = 0.0
+    licence: str = "the user's own"
+    attribution: str = ""
+    trace: Path | None = None
+    """A trace or a run folder to replay; None runs SUMO."""
+    origin_m: tuple[float, float] = (0.0, 0.0)
+    """Where the world's origin lies in the network's coordinates."""
+    bounds_m: Bounds | None = None
+    """Of the network, in its coordinates."""
+    inputs: tuple[Path, ...] = ()
+    """Every file that is read, whatever it holds."""
+
+    def traffic(
+        self, params: TrafficParams, registry: ActorRegistry, has_driver: bool = False,
+        objects: Sequence[ObjectParams] = (),
+    ) -> TrafficSource:  # fmt: skip
+        """The source of traffic, with objects beside it; ValueError in one line where it cannot be read.
+
+        With a driver, its worlds have lane paths where SUMO runs.
+        """
+        source = f"traffic.scenario = {params.scenario}" if self.trace is None else f"traffic.trace = {self.trace}"
+        frame = Frame(source, self.origin_m, self.bounds_m)
+        placed = Placed.of(objects, frame, params.step_s)
+        found = self._moving(params, registry, frame, has_driver)
+        return WithObjects(found, placed, registry, frame) if objects else found
+
+    def _moving(
+        self, params: TrafficParams, registry: ActorRegistry, frame: Frame, has_driver: bool
+    ) -> TrafficSource:  # fmt: skip
+        if self.trace is None:
+            from cosim.mobility.sumo import SumoTraffic  # here, because SUMO takes its time to load
+
+            assert self.sumocfg is not None
+            return SumoTraffic(params, self.sumocfg, registry, frame, has_driver)
+        if self.trace.is_dir():
+            changed = self.changed_inputs(open_run(self.trace).manifest.get("net", {}))
+            return RunReplay(params, self.trace, registry, frame, changed)
+        return TraceReplay(params, self.trace, registry, self.types, frame)
+
+    def city(self) -> Scene:
+        """The buildings, as the scene that rays are cast into."""
+        footprints = [f for path in self.buildings for f in read_footprints(path, self.net)]
+        if self.net is not None:
+            footprints = standing_on(footprints, self.net)
+        origin = np.array(self.origin_m)
+        rings = [[ring - origin for ring in (f.outer, *f.holes)] for f in footprints]
+        return Scene.from_footprints(rings, [f.base_z_m for f in footprints], [f.top_z_m for f in footprints])
+
+    def provenance(self) -> dict[str, str]:
+        """Name, licence and attribution of the data, and the SHA-256 of every file that is read."""
+        about = {"name": self.name, "licence": self.licence, "attribution": self.attribution}
+        if any(self.origin_m):
+            about["origin"] = "{:.0f} m east, {:.0f} m north of the network's own".format(*self.origin_m)
+        return about | {f"sha256 {name}": sha256(path) for name, path in self._named_inputs().items()}
+
+    def changed_inputs(self, provenance: dict[str, str]) -> list[str]:
+        """Names of the files whose content differs from the provenance of an earlier run of this scenario."""
+        named = ((name, path, provenance.get(f"sha256 {name}")) for name, path in self._named_inputs().items())
+        return [name for name, path, before in named if path != self._recorded and before not in (None, sha256(path))]
+
+    @property
+    def _recorded(self) -> Path | None:
+        """The manifest of the run that is replayed."""
+        return (self.trace / "manifest.json").resolve() if self.trace is not None and self.trace.is_dir() else None
+
+    def _named_inputs(self) -> dict[str, Path]:
+        """The files that are read by name; a name that two files share is followed by a number."""
+        trace = self._recorded or self.trace
+        given = (self.sumocfg, self.net, *self.buildings, *self.types, *self.inputs, trace)
+        named: dict[str, Path] = {}
+        for path in dict.fromkeys(p.resolve() for p in given if p is not None):
+            n, name = 1, path.name
+            while name in named:
+                n, name = n + 1, f"{path.name} ({n + 1})"
+            named[name] = path
+        return named
+
+
+def find(scenario: str, trace: str | None = None) -> Scenario:
+    """What `traffic.scenario` and `traffic.trace` name; ValueError in one line for a mistake."""
+    found = _find(scenario)
+    if trace is None:
+        return found
+    path = Path(trace)
+    if not path.exists():
+        raise ValueError(f"traffic.trace = {trace}: no such file or folder. Give a trace of SUMO's or a run folder.")
+    if not (_is_trace(path) or (path / "manifest.json").is_file()):
+        raise ValueError(
+            f"traffic.trace = {trace}: neither a run folder nor a trace. Give a folder that `cosim run` wrote, or what "
+            f"SUMO wrote with --fcd-output ({', '.join(fcd.SUFFIXES)})."
+        )
+    return replace(found, trace=path, warmup_s=0.0 if path.is_dir() else found.warmup_s)
+
+
+def _find(scenario: str) -> Scenario:
+    if scenario in catalogue.names():
+        return _of_net(catalogue.find(scenario))
+    path = Path(scenario)
+    if path.is_dir():
+        return _in_folder(path)
+    if path.name.endswith(".sumocfg") and not path.is_file():
+        raise ValueError(f"traffic.scenario = {scenario}: no such file. Give the path of a .sumocfg.")
+    if path.is_file() and path.name.endswith(".sumocfg"):
+        return _of_sumocfg(path)
+    if path.is_file() and _is_trace(path):
+        name = path.name
+        for suffix in sorted(fcd.SUFFIXES, key=len, reverse=True):
+            name = name.removesuffix(suffix)
+        named = _name_of(path.with_name(name + ".xml"))
+        return Scenario(named, None, None, (), trace=path)
+    raise ValueError(
+        f"traffic.scenario = {scenario}: no city of that name ships, and it is no .sumocfg, folder or trace. "
+        f"Set it to one of {', '.join(catalogue.names())}, or to the path of a .sumocfg."
+    )
+
+
+def _is_trace(path: Path) -> bool:
+    return path.is_file() and path.name.endswith(fcd.SUFFIXES)
+
+
+def _in_folder(folder: Path) -> Scenario:
+    """A city that `cosim nets build` made, a run to replay, or a folder with one .sumocfg."""
+    if (folder / "recipe.toml").is_file():
+        return _of_net(catalogue.open_folder(folder))
+    if (folder / "manifest.json").is_file():
+        traffic = open_run(folder).config["traffic"]
+        try:
+            streets = _find(traffic["scenario"])
+        except ValueError as error:
+            raise ValueError(
+                f"traffic.scenario = {folder}: the city of that run is not to be found: {error} "
+                f'Or set traffic.scenario to that city, and traffic.trace = "{folder}".'
+            ) from None
+        return replace(streets, trace=folder, warmup_s=0.0)
+    found = sorted(folder.glob("*.sumocfg"))
+    if len(found) == 1:
+        return _of_sumocfg(found[0])
+    raise ValueError(
+        f"traffic.scenario = {folder}: a folder with {len(found) or 'no'} .sumocfg, and neither a run nor a city that "
+        "`cosim nets build` made. Give the path of a .sumocfg."
+    )
+
+
+def _of_net(net: Net) -> Scenario:
+    types = (net.folder / "vtypes.add.xml",)
+    return Scenario(
+        net.name, net.sumocfg_path, net.net_path, (net.buildings_path,), types, net.warm_up_s, net.licence,
+        net.attribution, origin_m=origin_of(net.bounds_m), bounds_m=net.bounds_m,
+        inputs=sumocfg.read(net.sumocfg_path).inputs,
+    )  # fmt: skip
+
+
+def _of_sumocfg(path: Path) -> Scenario:
+    config = sumocfg.read(path)
+    check_for_cars(config.net)
+    bounds_m = catalogue.bounds_m(config.net)
+    return Scenario(
+        _name_of(path), path, config.net, config.buildings, (*config.additional, *config.routes),
+        origin_m=origin_of(bounds_m), bounds_m=bounds_m, inputs=config.inputs,
+    )  # fmt: skip
+
+
+def _name_of(path: Path) -> str:
+    """A scenario's name for its runs: the file's stem, or that of its folder where the stem is a common word."""
+    folder = path.resolve().parent.name
+    return folder if path.stem.lower() in COMMON_STEMS and folder else path.stem

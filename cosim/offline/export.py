@@ -1,0 +1,216 @@
+"""Exports of a run: chosen vehicles and steps, sweeps cast again, and files written in parallel."""
+
+import os
+from collections import deque
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, field
+from functools import cache, partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import shapely
+from jaxtyping import Float, Int
+from numpy import ndarray
+
+from cosim.config.config import Config
+from cosim.mobility.scenario import find
+from cosim.offline.replay_lidar import city_of, config_of, sweep, worlds
+from cosim.world import World
+from results.export.folder import Folder
+from results.export.formats import FORMATS, Format
+from results.export.moments import Cloud, Plan, Selection
+from results.run import Run
+from sensors.scene import Scene
+from sumo_nets import network
+
+Progress = Callable[[str, int, int], None]
+"""Called with what is being done, how much of it is done, and how much there is."""
+
+IN_FLIGHT = 64
+"""Files that are encoded and written at the same time, at most."""
+
+SAMPLE = 16
+"""Sweeps from which the length of all is estimated."""
+
+
+@dataclass(slots=True)
+class Sweeper:
+    """Sweeps of a run, cast again: steps in ascending order are read in blocks, others are looked up anew."""
+
+    run: Run
+    config: Config
+    city: Scene
+    steps: Int[ndarray, "s"]
+    """All steps that will be asked for."""
+    _block: dict[int, World] = field(default_factory=dict)
+
+    def __call__(self, step: int, vehicles: Sequence[int]) -> list[Cloud]:
+        """Returns of these vehicles' LiDARs, in their sensor frames."""
+        if not vehicles:
+            return []
+        if step not in self._block:
+            at = int(np.searchsorted(self.steps, step))
+            block = self.steps[at : at + self.config.record.block_steps]
+            self._block = {world.step: world for world in worlds(self.run, self.config, block)}
+        world = self._block[step]
+        sweeps = sweep(self.config, self.city, world, np.searchsorted(world.actor, np.asarray(vehicles)))
+        return [partial(sweeps.cloud, i) for i in range(len(vehicles))]
+
+
+def export(
+    run: Run, form: str, out: Path, vehicles: str | None = None, steps: str | None = None,
+    progress: Progress = lambda what, done, total: None,
+) -> dict[str, Any]:  # fmt: skip
+    """Write a run, or some vehicles and steps of it, in another tool's layout.
+
+    Returns
+    -------
+    What was written: frames or files, bytes, and what was estimated before.
+
+    Raises
+    ------
+    ValueError
+        In one line: no such format, a table that the run does not hold, a vehicle that was never there, a folder that
+        holds something else, a full disk.
+    """
+    if form not in FORMATS:
+        raise ValueError(f"{form}: no such format. There are {', '.join(FORMATS)}.")
+    fmt = FORMATS[form]
+    run.require(*fmt.tables)
+    config = config_of(run)
+    chosen = Selection(run, _vehicles(run, vehicles), _steps(run, config, steps), _road_edge_m(config))
+    if chosen.presence.empty:
+        raise ValueError("none of these vehicles is on the road in any of these steps. Choose others.")
+    about = {
+        "format": form, "run": str(run.path.resolve()), "vehicles": list(chosen.vehicles), "steps": _span(chosen.steps),
+        "created": run.manifest.get("created"), "schema_version": run.manifest["schema_version"],
+    }  # fmt: skip
+    folder = Folder.open(out, about)
+    return _write(fmt, chosen, folder, Sweeper(run, config, _city(fmt, config), chosen.steps), progress)
+
+
+def _write(fmt: Format, chosen: Selection, folder: Folder, sweeper: Sweeper, progress: Progress) -> dict[str, Any]:
+    plan = fmt.plan(chosen)
+    n_bytes = _estimate(plan, chosen, sweeper)
+    left = [unit for unit in plan.units if unit.name not in folder.done]
+    folder.check_room(n_bytes * len(left) / max(1, len(plan.units)))
+    n_files = written = 0
+    note = f"about {_size(n_bytes)}"
+    with ThreadPoolExecutor(max_workers=os.cpu_count() or 1) as pool:
+        for unit in left:
+            progress(note, len(plan.units) - len(left) + left.index(unit), len(plan.units))
+            ahead: deque[Future[int]] = deque()
+            for file in unit.files(sweeper):
+                if file.same_as:
+                    written += folder.write(file)
+                else:
+                    ahead.append(pool.submit(folder.write, file))
+                n_files += 1
+                while len(ahead) > IN_FLIGHT:
+                    written += ahead.popleft().result()
+            written += sum(one.result() for one in ahead)
+            folder.finish(unit.name)
+    progress(note, len(plan.units), len(plan.units))
+    return {
+        "out": str(folder.path), "files": n_files, "bytes": written, "sweeps": plan.n_sweeps,
+        "estimated_bytes": round(n_bytes), "resumed": len(left) < len(plan.units),
+    }  # fmt: skip
+
+
+def _estimate(plan: Plan, chosen: Selection, sweeper: Sweeper) -> float:
+    """Bytes that a plan will write, from a few of its sweeps."""
+    if not plan.n_sweeps:
+        return plan.text_bytes
+    first = chosen.presence[chosen.presence.step == chosen.presence.step.iloc[0]].vehicle.tolist()[:SAMPLE]
+    points = np.mean([len(cloud()) for cloud in sweeper(int(chosen.presence.step.iloc[0]), first)])
+    return plan.n_sweeps * plan.bytes_per_point * float(points) + plan.text_bytes
+
+
+def _city(fmt: Format, config: Config) -> Scene:
+    """The buildings; none where no point cloud is made."""
+    return city_of(config) if "observability" in fmt.tables else Scene.empty()
+
+
+def _vehicles(run: Run, text: str | None) -> tuple[int, ...]:
+    """Vehicles with a LiDAR, as in `3,17,20-25`; all without one."""
+    known = run.table("vehicles", ["vehicle", "equipped"]).set_index("vehicle").equipped
+    if text is None:
+        return tuple(known.index[known].tolist())
+    chosen = dict.fromkeys(n for a, b in _ranges(text, "--vehicles", "3,17,20-25") for n in range(a, b + 1))
+    for number in chosen:
+        if number not in known.index:
+            raise ValueError(
+                f"--vehicles {number}: there was never such a vehicle in {run.path}; 0 to {known.index[-1]}."
+            )
+        if not known[number]:
+            some = ", ".join(map(str, known.index[known][:8]))
+            raise ValueError(f"--vehicles {number} carries no LiDAR. These do: {some}, ...")
+    return tuple(chosen)
+
+
+def _steps(run: Run, config: Config, text: str | None) -> Int[ndarray, "s"]:
+    """Steps in which vehicles sense, as in `0-59`; all without one."""
+    every = np.arange(0, int(run.manifest["steps"]), config.sense_every_steps)
+    if text is None:
+        return every
+    keep = np.zeros(len(every), bool)
+    for a, b in _ranges(text, "--steps", "0-59"):
+        keep |= (every >= a) & (every <= b)
+    if not keep.any():
+        raise ValueError(f"--steps {text}: no vehicle senses then. {run.path} has the steps 0 to {every[-1]}.")
+    return every[keep]
+
+
+def _ranges(text: str, flag: str, example: str) -> list[tuple[int, int]]:
+    """Numbers and spans of numbers, both ends included."""
+    found = []
+    for part in text.split(","):
+        ends = part.strip().split("-")
+        if (
+            not 1 <= len(ends) <= 2
+            or not all(e.isdecimal() and len(e) < 10 for e in ends)
+            or int(ends[0]) > int(ends[-1])
+        ):
+            raise ValueError(f"{flag} {text}: numbers and spans of them are wanted, as in {flag} {example}")
+        found.append((int(ends[0]), int(ends[-1])))
+    return found
+
+
+def _span(steps: Int[ndarray, "s"]) -> str:
+    return f"{steps[0]} to {steps[-1]}, {len(steps)} of them"
+
+
+def _size(n_bytes: float) -> str:
+    return f"{n_bytes / 1e9:.1f} GB" if n_bytes >= 1e9 else f"{n_bytes / 1e6:.1f} MB"
+
+
+def _road_edge_m(config: Config) -> Callable[[Float[ndarray, "n 2"]], Float[ndarray, "n"]]:
+    """Distance of points to the edge of all lanes for motor vehicles, positive on them."""
+    scenario = find(config.traffic.scenario, config.traffic.trace)
+
+    @cache
+    def road() -> tuple[shapely.Geometry, shapely.STRtree]:
+        lanes = [] if scenario.net is None else [lane for lane in network.lanes(scenario.net) if lane.for_cars]
+        strips = [
+            shapely.buffer(shapely.LineString(lane.line_m[:, :2] - scenario.origin_m), 0.5 * lane.width_m, quad_segs=4)
+            for lane in lanes
+        ]
+        whole = shapely.union_all(strips)
+        if whole.is_empty:
+            raise ValueError("the run's traffic has no network: the distance to the edge of the road is not known.")
+        shapely.prepare(whole)
+        xy, ring = shapely.get_coordinates(shapely.get_rings(shapely.get_parts(whole)), return_index=True)
+        inside = np.flatnonzero(ring[1:] == ring[:-1])
+        return whole, shapely.STRtree(shapely.linestrings(np.stack([xy[inside], xy[inside + 1]], axis=1)))
+
+    def distance_m(xy_m: Float[ndarray, "n 2"]) -> Float[ndarray, "n"]:
+        if not len(xy_m):
+            return np.zeros(0)
+        whole, edge = road()
+        points = shapely.points(xy_m)
+        _, away = edge.query_nearest(points, return_distance=True, all_matches=False)
+        return np.where(shapely.contains(whole, points), away, -away)
+
+    return distance_m

@@ -1,0 +1,220 @@
+"""LiDAR sweeps of a finished run: its worlds are read from the tables and cast again.
+
+They equal the run's, because noise is a function of vehicle and step.
+"""
+
+import logging
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+import pyarrow.compute as pc
+import shapely
+from jaxtyping import Float, Int
+from numpy import ndarray
+
+from cosim.config.config import Config, load
+from cosim.execution.inputs import changed_inputs
+from cosim.mobility.actors import actor_key
+from cosim.mobility.meshes import with_meshes
+from cosim.mobility.scenario import find
+from cosim.step.perception import sweep_keys
+from cosim.world import World
+from results.figures import movie, scene, style
+from results.figures.sweep import draw
+from results.run import Run
+from sensors import cloud, lidar
+from sensors.boxes import Boxes
+from sensors.lidar import Sweeps
+from sensors.scene import Scene, Shape
+from sumo_nets import network
+
+_LOG = logging.getLogger(__name__)
+
+
+def config_of(run: Run) -> Config:
+    """The config of a run; a warning is logged where files that it names have changed since."""
+    config = load(run.path / "config.toml")
+    scenario = find(config.traffic.scenario, config.traffic.trace)
+    if changed := changed_inputs(config, scenario, run.manifest.get("net", {})):
+        _LOG.warning("%s: changed since it was recorded: %s", run.path, ", ".join(changed))
+    return config
+
+
+def city_of(config: Config) -> Scene:
+    """The buildings of its scenario, and its meshes."""
+    city = find(config.traffic.scenario, config.traffic.trace).city()
+    return with_meshes(city, config.meshes, config.vehicle_meshes)
+
+
+def worlds(run: Run, config: Config, steps: Int[ndarray, "s"] | None = None) -> Iterator[World]:
+    """The worlds of these steps, as they were sensed, in ascending order; of all without them."""
+    run.require("actors", "vehicles")
+    steps = np.arange(int(run.manifest["steps"])) if steps is None else steps
+    vehicles = run.table("vehicles").sort_values("vehicle")
+    shape = np.array([Shape[c.upper()] for c in vehicles.vehicle_class], np.uint8)
+    lwh_m = vehicles[["length_m", "width_m", "height_m"]].to_numpy(float)
+    names = zip(vehicles.sumo_id, (shape == Shape.PEDESTRIAN).tolist(), strict=True)
+    name_key = np.array([actor_key(name, person) for name, person in names], np.uint64)
+    equipped = vehicles.equipped.to_numpy(bool)
+    for part in run.parts("actors", where=pc.field("step").isin(np.asarray(steps).tolist())):
+        for step, rows in part.sort_values(["step", "actor"]).groupby("step"):
+            actor = rows.actor.to_numpy(np.int64)
+            boxes = Boxes(rows[["x_m", "y_m", "z_m"]].to_numpy(float), lwh_m[actor], rows.yaw_rad.to_numpy(float))
+            yield World(
+                int(cast(int, step)), actor, name_key[actor], shape[actor], boxes, rows.speed_mps.to_numpy(float),
+                equipped[actor], np.zeros(len(actor), np.uint8),
+            )  # fmt: skip
+
+
+def sweep(config: Config, city: Scene, world: World, rows: Int[ndarray, "e"]) -> Sweeps:
+    """Sweeps of these rows of the world, in memory of their own."""
+    return lidar.scan(
+        world.boxes, world.shape, rows, city, config.lidar, sweep_keys(config.seed, world, rows)
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class ReplayedScan:
+    """The sweep of one vehicle in one step, with actors and detections; sensor frame."""
+
+    sweeps: Sweeps
+    """Of this vehicle only."""
+    actors: Boxes
+    """All other actors within range."""
+    reported: Boxes
+    """Detections that its detector reported."""
+
+
+def replay_scan(run: Run, vehicle: int, step: int) -> ReplayedScan:
+    """The sweep of a vehicle; ValueError where it did not sense in that step."""
+    config = config_of(run)
+    n_steps = int(run.manifest["steps"])
+    if not 0 <= step < n_steps or step % config.sense_every_steps:
+        every = config.sense_every_steps
+        raise ValueError(
+            f"--step {step}: no vehicle sensed then. {run.path} has the steps 0 to {n_steps - 1}"
+            + (f", and senses in every {every}th." if every > 1 else ".")
+        )
+    run.require("actors", "vehicles", "detections")
+    world = next(worlds(run, config, np.array([step])), None)
+    if world is None:
+        raise ValueError(f"--step {step}: no actor is on the road then.")
+    equipped = world.actor[world.equipped]
+    if vehicle not in equipped:
+        some = ", ".join(map(str, equipped[:8]))
+        raise ValueError(f"--vehicle {vehicle} has no sensor on the road in step {step}. These have: {some}, ...")
+    row = np.flatnonzero(world.actor == vehicle)
+    sweeps = sweep(config, city_of(config), world, row)
+    rows = np.flatnonzero(np.linalg.norm(world.boxes.xyz_m - sweeps.poses.origin_m, axis=1) < config.lidar.max_range_m)
+    rows = rows[rows != row]
+    own = run.subjects.index[run.subjects.vehicle == vehicle].tolist()
+    detected = run.table("detections", where=(pc.field("step") == step) & pc.field("observer").isin(own))
+    detected = detected[detected.origin == "sensed"]
+    boxes = Boxes(
+        detected[["x_m", "y_m", "z_m"]].to_numpy(float), detected[["length_m", "width_m", "height_m"]].to_numpy(float),
+        detected.yaw_rad.to_numpy(float),
+    )  # fmt: skip
+    actors, reported = (sweeps.poses.to_sensor(np.zeros(len(b), int), b) for b in (world.boxes.take(rows), boxes))
+    return ReplayedScan(sweeps, actors, reported)
+
+
+def write(run: Run, vehicle: int, step: int, out: Path | None) -> Path:
+    """The sweep as a picture from above, or as a point cloud, by the ending of the file name."""
+    scan_of_step = replay_scan(run, vehicle, step)
+    points = cloud.cloud_of(scan_of_step.sweeps, 0)
+    out = out or run.path / f"sweep-{vehicle}-{step}.png"
+    form = next((end for end in sorted(cloud.FORMATS, key=len, reverse=True) if out.name.endswith(end)), None)
+    if form is not None:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        out.write_bytes(cloud.FORMATS[form](points))
+        return out
+    if out.suffix not in style.FORMATS:
+        raise ValueError(
+            f"--out {out}: {out.suffix or 'no ending'} is neither a picture ({', '.join(style.FORMATS)}) "
+            f"nor a point cloud ({', '.join(cloud.FORMATS)}). Give one of these endings."
+        )
+    boxes = {
+        name: np.column_stack([b.xyz_m[:, :2], b.lwh_m[:, :2], b.yaw_rad])
+        for name, b in (("actors", scan_of_step.actors), ("reported by the detector", scan_of_step.reported))
+    }
+    title = f"LiDAR sweep of vehicle {vehicle} at {step * run.dt_s:g} s: {len(points[0]):,} returns"
+    return style.save(draw(*points, boxes, title), out)
+
+
+def portrait(run: Run, vehicles: list[int], step: int, out: Path | None) -> Path:
+    """The city at one step: trust, and clouds of these vehicles, or of one with many others around and two of them."""
+    out = out or run.path / f"scene-{step}.png"
+    config = config_of(run)
+    world = next(worlds(run, config, np.array([step])), None)
+    if world is None or step % config.sense_every_steps:
+        raise ValueError(f"--step {step}: no vehicle senses then in {run.path}.")
+    equipped = np.flatnonzero(world.equipped)
+    for vehicle in vehicles:
+        if vehicle not in world.actor[equipped]:
+            raise ValueError(f"--vehicle {vehicle} has no sensor on the road in step {step}.")
+    if not len(equipped):
+        raise ValueError(f"--step {step}: no vehicle with a LiDAR is on the road then.")
+    xy_m = world.boxes.xyz_m[:, :2]
+    chosen = np.searchsorted(world.actor, np.asarray(vehicles, int))
+    if not vehicles:
+        away = np.linalg.norm(xy_m[equipped, None] - xy_m[equipped], axis=2)
+        middle = int(np.argmax((away < 80.0).sum(axis=1)))
+        chosen = equipped[np.argsort(away[middle], kind="stable")[:3]]
+    city = city_of(config)
+    sweeps = sweep(config, city, world, chosen)
+    clouds = [in_world(sweeps, o) for o in range(len(chosen))]
+    scenario = find(config.traffic.scenario, config.traffic.trace)
+    lanes = [] if scenario.net is None else [lane for lane in network.lanes(scenario.net) if lane.for_cars]
+    of = run.subjects.vehicle
+    known = run.variant_table("trust", ["step", "subject", "trust", "n_evaluations"])
+    known = known[(known.step <= step) & (known.n_evaluations > 0)].sort_values("step")
+    known = known.assign(vehicle=known.subject.map(of)).drop_duplicates("vehicle", keep="last")
+    malicious = run.table("vehicles", ["vehicle", "role", "attack_start_step"]).set_index("vehicle")
+    started = malicious[malicious.role == "malicious"].attack_start_step
+    lies = run.table("detections", where=(pc.field("step") == step))
+    lies = lies[(lies.origin == "fabricated") & lies.transmitted]
+    columns = ["x_m", "y_m", "z_m", "length_m", "width_m", "height_m", "yaw_rad"]
+    b = world.boxes
+    moment = scene.Moment(
+        centre_m=xy_m[chosen[0]],
+        streets=[lane.line_m[:, :2] - scenario.origin_m for lane in lanes],
+        buildings=[
+            (shapely.get_coordinates(shapely.get_exterior_ring(polygon))[:-1], base, top)
+            for polygon, base, top in zip(city.footprints, city.buildings.base_m, city.buildings.top_m, strict=True)
+        ],
+        clouds=clouds,
+        boxes=np.column_stack([b.xyz_m, b.lwh_m, b.yaw_rad]),
+        equipped=world.equipped,
+        trust=known.set_index("vehicle").trust.reindex(world.actor).to_numpy(float),
+        attacks=(started.reindex(world.actor).astype("Float64").fillna(np.inf) <= step).to_numpy(bool),
+        ghosts=lies[columns].to_numpy(float),
+    )
+    return style.save(
+        scene.draw(moment, f"{step * run.dt_s:g} s: clouds of vehicles {_named(world.actor[chosen])}"), out
+    )
+
+
+def in_world(sweeps: Sweeps, o: int) -> Float[ndarray, "k 3"]:
+    """The returns of one sweep in the world frame."""
+    xyz = sweeps.xyz(o)
+    cos, sin = np.cos(sweeps.poses.yaw_rad[o]), np.sin(sweeps.poses.yaw_rad[o])
+    return xyz @ np.array([[cos, sin, 0], [-sin, cos, 0], [0, 0, 1]]) + sweeps.poses.origin_m[o]
+
+
+def _named(numbers: Int[ndarray, "n"]) -> str:
+    return ", ".join(map(str, numbers.tolist()))
+
+
+def film(
+    run: Run, vehicle: int | None, out: Path | None, progress: Callable[[int, int], None] = lambda done, total: None
+) -> Path:
+    """A movie of a run on the map of its city."""
+    config = config_of(run)
+    scenario = find(config.traffic.scenario, config.traffic.trace)
+    lanes = [] if scenario.net is None else network.lanes(scenario.net)
+    streets = [lane.line_m[:, :2] - scenario.origin_m for lane in lanes]
+    buildings = [shapely.get_coordinates(shapely.get_exterior_ring(polygon)) for polygon in city_of(config).footprints]
+    return movie.write(run, out or run.path / "movie.gif", vehicle, streets, buildings, progress)

@@ -1,0 +1,301 @@
+"""A run as a recording for the Rerun viewer: a map, the city in 3D, and trust over time.
+
+Colours of vehicles go with the trust in them, from red (0) over white to blue (1); grey is not rated or not equipped.
+Fabricated objects are red. Of chosen vehicles there are the clouds, what they detected, received and believe.
+Nothing is served, and nothing but the file is written. The viewer itself collects usage data until one has said
+`rerun analytics disable`.
+"""
+
+import errno
+import os
+import shutil
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+import pandas as pd
+import pyarrow.compute as pc
+from jaxtyping import Float, Int, UInt8
+from numpy import ndarray
+
+from cosim.config.config import Config
+from cosim.mobility.scenario import find
+from cosim.offline.export import Sweeper
+from cosim.offline.replay_lidar import city_of, config_of
+from results.durable import PARTIAL
+from results.export.moments import BOX
+from results.run import Run
+from sensors.boxes import Boxes
+from sensors.raycast.mesh import city_triangles
+from sensors.scene import Scene
+from sumo_nets import network
+
+Progress = Callable[[str, int, int], None]
+
+ZERO, HALF, ONE, GREY = np.array([[213, 50, 40], [240, 240, 235], [30, 90, 200], [150, 150, 150]], np.uint8)
+"""Colours of trust 0, 0.5 and 1, and of no trust."""
+
+COLOURS = {"detected": (0, 158, 115), "received": (230, 159, 0), "believed": (86, 180, 233), "fabricated": (213, 0, 0)}
+
+BLOCK_STEPS = 60
+_LEAST_FREE_BYTES = 4_000_000
+"""Space on the disk before each block. On a full one the SDK's writer ends, and a flush may never return."""
+_PATIENCE_S = 600.0
+"""Longest wait for the SDK's writer at the end."""
+
+
+def view(
+    run: Run, out: Path, vehicles: Sequence[int] = (), from_s: float = 0.0, to_s: float | None = None,
+    clouds: bool = True, progress: Progress = lambda what, done, total: None,
+) -> dict[str, Any]:  # fmt: skip
+    """Write a recording of a run.
+
+    Parameters
+    ----------
+    vehicles
+        Whose clouds, detections and beliefs are shown; none by default.
+
+    Raises
+    ------
+    ValueError
+        In one line: a file that cannot be written, a vehicle without a LiDAR, no step in the span, no viewer.
+    """
+    if out.suffix != ".rrd":
+        raise ValueError(f"--out {out}: a recording ends in .rrd.")
+    run.require("actors", "vehicles", "detections", "trust", "encounters")
+    end_s = int(run.manifest["steps"]) * run.dt_s if to_s is None else to_s
+    steps = np.arange(int(run.manifest["steps"]))
+    steps = steps[(steps * run.dt_s >= from_s - 1e-9) & (steps * run.dt_s < end_s - 1e-9)]
+    if not len(steps):
+        raise ValueError(f"--from {from_s:g} --to {end_s:g}: {run.path} has no step in between.")
+    roles = run.roles
+    for vehicle in vehicles:
+        if vehicle not in roles.index:
+            some = ", ".join(map(str, roles.index[:8]))
+            raise ValueError(f"--vehicle {vehicle} is none that carries a LiDAR. These do: {some}, ...")
+    config = config_of(run)
+    city = city_of(config)
+    recording = _open(out)
+    try:
+        _write(recording, out, run, config, city, steps, vehicles, clouds, progress)
+        recording.flush(timeout_sec=_PATIENCE_S)
+        recording.disconnect()
+        _partial(out).replace(out)
+    except BaseException as error:
+        _partial(out).unlink(missing_ok=True)
+        if not isinstance(error, OSError | RuntimeError):  # the latter: the SDK's writer has stopped
+            raise
+        free = shutil.disk_usage(out.parent).free
+        raise ValueError(
+            f"--out {out} cannot be written to its end, with {free / 1e6:,.1f} MB free on its disk. Show less (--from, "
+            "--to, --no-clouds), or choose another disk."
+        ) from None
+    return {"out": str(out), "steps": len(steps), "bytes": out.stat().st_size}
+
+
+def _write(  # type: ignore[no-untyped-def]
+    recording, out: Path, run: Run, config: Config, city: Scene, steps: Int[ndarray, "s"], vehicles: Sequence[int],
+    clouds: bool, progress: Progress,
+) -> None:  # fmt: skip
+    """All of the recording; OSError where the disk is about to be full, at which the SDK may wait for ever."""
+    _require_space(out)
+    _static(recording, config, city)
+    sweeper = Sweeper(run, config, city, steps)
+    encounters = run.table("encounters", ["a", "b", "start_step", "end_step", "pairs"])
+    encounters = encounters[encounters.pairs != "all"]
+    trust = _trust(run)
+    known: dict[int, float] = {}
+    for at in range(0, len(steps), BLOCK_STEPS):
+        block = steps[at : at + BLOCK_STEPS]
+        _require_space(out)
+        _block(recording, run, config, block, trust, known, encounters, vehicles, sweeper if clouds else None)
+        progress("view", min(len(steps), at + BLOCK_STEPS), len(steps))
+    _over_time(recording, run, trust, steps, vehicles)
+
+
+def _require_space(out: Path) -> None:
+    if shutil.disk_usage(out.parent).free < _LEAST_FREE_BYTES:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
+def _partial(out: Path) -> Path:
+    """What the file is called until it is whole."""
+    return out.with_name(out.name + PARTIAL)
+
+
+def _open(out: Path):  # type: ignore[no-untyped-def]
+    """The recording, with a blueprint that shows map, city and trust."""
+    os.environ.setdefault("RUST_LOG", "off")  # of the SDK, which has nothing to say that is not said here
+    try:
+        import rerun
+        from rerun import blueprint as b
+    except ImportError:
+        raise ValueError("recordings are written by Rerun's SDK. Install it: pip install cosim[view]") from None
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        _partial(out).write_bytes(b"")
+    except OSError as error:
+        raise ValueError(f"--out {out} cannot be written: {error.strerror or error}.") from None
+    recording = rerun.RecordingStream("cosim")
+    recording.save(_partial(out))
+    views = b.Horizontal(
+        b.Spatial2DView(origin="map", name="Map (north is up)"),
+        b.Vertical(
+            b.Spatial3DView(origin="city", name="City"), b.TimeSeriesView(origin="trust", name="Trust"),
+            row_shares=[2, 1],
+        ),
+    )  # fmt: skip
+    recording.send_blueprint(b.Blueprint(views, collapse_panels=True))
+    return recording
+
+
+def _static(recording, config: Config, city: Scene) -> None:  # type: ignore[no-untyped-def]
+    """Buildings and streets."""
+    import rerun
+
+    recording.log("city", rerun.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+    triangles = city_triangles(city)
+    if len(triangles):
+        mesh = rerun.Mesh3D(vertex_positions=triangles.reshape(-1, 3), albedo_factor=[190, 190, 185, 255])
+        recording.log("city/buildings", mesh, static=True)
+        walls = city.buildings
+        ends = ((walls.ax_m, walls.ay_m), (walls.bx_m, walls.by_m))
+        lines = np.stack([np.column_stack([x, -y]) for x, y in ends], axis=1)
+        recording.log("map/buildings", rerun.LineStrips2D(lines, colors=[170, 170, 165], radii=0.4), static=True)
+    scenario = find(config.traffic.scenario, config.traffic.trace)
+    if scenario.net is not None:
+        lanes = [lane.line_m[:, :2] - scenario.origin_m for lane in network.lanes(scenario.net)]
+        flat = [line * [1.0, -1.0] for line in lanes]
+        recording.log("map/streets", rerun.LineStrips2D(flat, colors=[90, 90, 95], radii=0.6), static=True)
+        high = [np.column_stack([line, np.full(len(line), 0.02)]) for line in lanes]
+        recording.log("city/streets", rerun.LineStrips3D(high, colors=[90, 90, 95], radii=0.15), static=True)
+
+
+def _trust(run: Run) -> pd.DataFrame:
+    """Trust of the acting variant by step and vehicle; rated values only."""
+    found = run.variant_table("trust", ["step", "subject", "trust", "n_evaluations"])
+    found = found[found.n_evaluations > 0]
+    found = found.assign(vehicle=found.subject.map(run.subjects.vehicle).astype(np.int64))
+    return found.sort_values(["step", "vehicle"])[["step", "vehicle", "trust"]]
+
+
+def colours(trust: Float[ndarray, "n"]) -> UInt8[ndarray, "n 3"]:
+    """Colours of trust values; nan is none."""
+    low = np.clip(np.nan_to_num(trust) * 2, 0, 1)[:, None]
+    high = np.clip(np.nan_to_num(trust) * 2 - 1, 0, 1)[:, None]
+    mixed = (1 - low) * ZERO + low * ((1 - high) * HALF + high * ONE)
+    return np.where(np.isnan(trust)[:, None], GREY, mixed).astype(np.uint8)
+
+
+def _block(  # type: ignore[no-untyped-def]
+    recording, run: Run, config: Config, steps: Int[ndarray, "b"], trust: pd.DataFrame,
+    known: dict[int, float], encounters: pd.DataFrame, vehicles: Sequence[int], sweeper: Sweeper | None,
+) -> None:  # fmt: skip
+    """A block of steps; `known` is the trust known so far, by vehicle, and is updated."""
+    import rerun
+
+    where = pc.field("step").isin(steps.tolist())
+    columns = ["vehicle", "length_m", "width_m", "height_m"]
+    bodies = run.table("vehicles", columns).set_index("vehicle")
+    actors = run.table("actors", where=where).sort_values(["step", "actor"]).join(bodies, on="actor")
+    own = run.subjects.vehicle[run.subjects.vehicle.isin(vehicles)]
+    shown = {
+        "fabricated": run.table("detections", ["step", *BOX], where & (pc.field("origin") == "fabricated")),
+        "detected": _of(run, "detections", where & pc.field("observer").isin(own.index.tolist()), vehicles),
+        "received": _received(run, where, vehicles),
+        "believed": _of(run, "fused", where & pc.field("observer").isin(list(vehicles)), vehicles),
+    }
+    by_step = {name: dict(iter(rows.groupby("step"))) for name, rows in shown.items()}
+    here = dict(iter(actors.groupby("step")))
+    rated = trust[(trust.step >= steps[0]) & (trust.step <= steps[-1])].groupby("step")
+    updates = {step: dict(zip(rows.vehicle, rows.trust, strict=True)) for step, rows in rated}
+    for step in steps.tolist():
+        recording.set_time("time", duration=step * run.dt_s)
+        now = here.get(step)
+        known.update(updates.get(step, {}))
+        if now is not None:
+            number = now.actor.to_numpy(np.int64)
+            value = np.array([known.get(n, np.nan) for n in number.tolist()])
+            boxes = Boxes(now[BOX[:3]].to_numpy(float), now[BOX[3:6]].to_numpy(float), now.yaw_rad.to_numpy(float))
+            recording.log("city/actors", _boxes(boxes, colours(value), solid=True))
+            flat = boxes.xyz_m[:, :2] * [1.0, -1.0]
+            recording.log("map/actors", rerun.Points2D(flat, colors=colours(value), radii=3.0))
+            met = encounters[(encounters.start_step <= step) & (encounters.end_step > step)]
+            met = met[met.a.isin(number) & met.b.isin(number)]
+            ends = [np.searchsorted(number, met[end].to_numpy()) for end in ("a", "b")]
+            lines = np.stack([flat[e] for e in ends], axis=1)
+            recording.log("map/encounters", rerun.LineStrips2D(lines, colors=[120, 60, 160], radii=0.3))
+            high = np.stack([boxes.xyz_m[e] for e in ends], axis=1)
+            recording.log("city/encounters", rerun.LineStrips3D(high, colors=[120, 60, 160], radii=0.08))
+        if step % config.sense_every_steps:
+            continue
+        for name in shown if vehicles else ("fabricated",):
+            rows = by_step[name].get(step)
+            xyz = np.zeros((0, 3)) if rows is None else rows[BOX[:3]].to_numpy(float)
+            if rows is None:
+                recording.log(f"city/{name}", rerun.Clear(recursive=False))
+                recording.log(f"map/{name}", rerun.Clear(recursive=False))
+                continue
+            boxes = Boxes(xyz, rows[BOX[3:6]].to_numpy(float), rows.yaw_rad.to_numpy(float))
+            recording.log(f"city/{name}", _boxes(boxes, np.array(COLOURS[name], np.uint8)))
+            if name == "fabricated":
+                recording.log(f"map/{name}", rerun.Points2D(xyz[:, :2] * [1.0, -1.0], colors=COLOURS[name], radii=4.0))
+        if now is None or sweeper is None:
+            continue
+        there = [v for v in vehicles if v in set(number.tolist())]
+        for vehicle, cloud in zip(there, sweeper(step, there), strict=True):
+            row = now[now.actor == vehicle].iloc[0]
+            points = cloud()
+            cos, sin = np.cos(row.yaw_rad), np.sin(row.yaw_rad)
+            turned = np.column_stack([cos * points[:, 0] - sin * points[:, 1], sin * points[:, 0] + cos * points[:, 1]])
+            height = row.z_m + 0.5 * row.height_m + config.lidar.mount_above_roof_m
+            world = np.column_stack([turned + [row.x_m, row.y_m], points[:, 2] + height])
+            recording.log(f"city/clouds/{vehicle}", rerun.Points3D(world.astype(np.float32), radii=0.04))
+
+
+def _of(run: Run, table: str, where: pc.Expression, vehicles: Sequence[int]) -> pd.DataFrame:
+    """Boxes of a table, where vehicles are chosen and the run holds it."""
+    if not vehicles or table not in run.tables:
+        return pd.DataFrame(columns=["step", *BOX])
+    if table == "fused":
+        return run.variant_table(table, ["step", *BOX], where)
+    return run.table(table, ["step", *BOX], where & (pc.field("origin") == "sensed"))
+
+
+def _received(run: Run, where: pc.Expression, vehicles: Sequence[int]) -> pd.DataFrame:
+    """Boxes in the messages that the chosen vehicles received; none below level full."""
+    if not vehicles or "receptions" not in run.tables:
+        return pd.DataFrame(columns=["step", *BOX])
+    mine = where & pc.field("receiver").isin(list(vehicles)) & (pc.field("message_type") == "cpm")
+    got = run.table("receptions", ["step", "sender"], mine).drop_duplicates()
+    sent = run.table("detections", ["step", "observer", *BOX, "transmitted"], where)
+    return sent[sent.transmitted].merge(got, left_on=["step", "observer"], right_on=["step", "sender"])
+
+
+def _boxes(boxes: Boxes, colour: UInt8[ndarray, "..."], solid: bool = False):  # type: ignore[no-untyped-def]
+    import rerun
+
+    half = 0.5 * boxes.yaw_rad
+    turn = np.column_stack([np.zeros((len(boxes), 2)), np.sin(half), np.cos(half)]).astype(np.float32)
+    fill = rerun.components.FillMode.Solid if solid else rerun.components.FillMode.MajorWireframe
+    return rerun.Boxes3D(
+        centers=boxes.xyz_m.astype(np.float32), half_sizes=0.5 * boxes.lwh_m.astype(np.float32), quaternions=turn,
+        colors=colour, fill_mode=fill,
+    )  # fmt: skip
+
+
+def _over_time(  # type: ignore[no-untyped-def]
+    recording, run: Run, trust: pd.DataFrame, steps: Int[ndarray, "s"], vehicles: Sequence[int]
+) -> None:
+    """Median trust by role, and that in the chosen vehicles."""
+    import rerun
+
+    part = trust[trust.step.isin(steps.tolist())]
+    role = part.vehicle.map(run.roles).astype(object)
+    series = {str(name): rows.groupby("step").trust.median() for name, rows in part.groupby(role)}
+    series |= {f"vehicle_{v}": part[part.vehicle == v].set_index("step").trust for v in vehicles}
+    for name, values in series.items():
+        for step, value in values.items():
+            recording.set_time("time", duration=float(cast(int, step)) * run.dt_s)
+            recording.log(f"trust/{name}", rerun.Scalars(float(value)))

@@ -1,0 +1,1 @@
+"""One step of the simulation: what vehicles perceive, send, evaluate, trust and fuse."""

@@ -1,0 +1,134 @@
+"""From what was sent and received to the lists that vehicles evaluate, and to the messages that carry evaluations."""
+
+import numpy as np
+from jaxtyping import Bool, Int
+from numpy import ndarray
+
+from cosim.adversary.adversary import Active
+from cosim.adversary.attack import EvaluationRows
+from cosim.radio.message_round import Receptions
+from cosim.ragged import ptr_of
+from cosim.step.perception import BoxQuestions
+from cosim.v2x.messages import SELF, Detections
+from sensors.boxes import Boxes
+from sensors.evidence import AreaParams
+from sensors.kernel import compiled
+from trust import tables
+from trust.tables import EvaluationMessages, Evaluations, ObjectLists, int64
+
+
+def for_trust(
+    listed: Detections, message: Int[ndarray, "d"], n_messages: int
+) -> tuple[tables.Detections, Int[ndarray, "m+1"]]:
+    """The detections as trust sees them, by message, and where those of each message begin."""
+    is_self = (listed.origin == SELF) | ((listed.identity > 0) & (listed.detection_index == 0))  # as messages claim
+    detections = tables.Detections(message, listed.detection_index, listed.label, listed.score, is_self)
+    return detections, ptr_of(message, n_messages)
+
+
+def received_lists(
+    received: Receptions, ptr: Int[ndarray, "m+1"], transmitted: Bool[ndarray, "d"], vehicle: Int[ndarray, "m"],
+    own: Int[ndarray, "e"],
+) -> ObjectLists:  # fmt: skip
+    """What each vehicle knows of: all its own detections, then those it received, by (message, detection index).
+
+    What it sends itself under further identities counts among the latter.
+
+    Parameters
+    ----------
+    vehicle
+        Sender of each message.
+    own
+        Each vehicle's message under its own identity.
+    """
+    n_sent = np.concatenate([[0], np.cumsum(transmitted)])[ptr]
+    begins, member = _known(
+        ptr_of(received.receiver, len(own)), int64(received.message), ptr, n_sent, transmitted, int64(own), len(vehicle)
+    )
+    return ObjectLists(begins, member, own)
+
+
+@compiled
+def _known(received_ptr, received, ptr, n_sent, transmitted, own, n_messages):
+    """Where each vehicle's list begins, and its members; `n_sent` detections are transmitted before each message."""
+    begins = np.zeros(len(own) + 1, np.int64)
+    for v in range(len(own)):
+        last = own[v + 1] if v + 1 < len(own) else n_messages  # its messages under other identities are before it
+        n = ptr[own[v] + 1] - ptr[own[v]] + n_sent[last] - n_sent[own[v] + 1]
+        for h in range(received_ptr[v], received_ptr[v + 1]):
+            n += n_sent[received[h] + 1] - n_sent[received[h]]
+        begins[v + 1] = begins[v] + n
+    member = np.empty(begins[-1], np.int64)
+    m = 0
+    for v in range(len(own)):
+        for d in range(ptr[own[v]], ptr[own[v] + 1]):
+            member[m] = d
+            m += 1
+        more, last = own[v] + 1, own[v + 1] if v + 1 < len(own) else n_messages
+        h = received_ptr[v]
+        while h < received_ptr[v + 1] or more < last:
+            if more < last and (h == received_ptr[v + 1] or more < received[h]):
+                message = more
+                more += 1
+            else:
+                message = received[h]
+                h += 1
+            for d in range(ptr[message], ptr[message + 1]):
+                if transmitted[d]:
+                    member[m] = d
+                    m += 1
+    return begins, member
+
+
+def subset(lists: ObjectLists, keep: Bool[ndarray, "m"]) -> ObjectLists:
+    """The lists with these members only."""
+    rows = np.flatnonzero(keep)
+    return ObjectLists(np.searchsorted(rows, lists.ptr), lists.member[rows], lists.owner)
+
+
+def questions_of(
+    lists: ObjectLists, evaluated: Bool[ndarray, "m"], foreign: Bool[ndarray, "m"], boxes: Boxes,
+    detections: tables.Detections, area: AreaParams,
+) -> tuple[BoxQuestions, Int[ndarray, "p"], Int[ndarray, "t"]]:  # fmt: skip
+    """What each vehicle asks its own sweep of the boxes in its list, and which members are counted and tested.
+
+    Returns are counted in all that it evaluates and in what is foreign, where free space is tested too. A vehicle has
+    no returns from itself.
+    """
+    b = lists.member
+    o, is_counted = _asked(lists.ptr, b, lists.owner, evaluated, foreign, detections.is_self, int64(detections.message))
+    counted, tested = np.flatnonzero(is_counted), np.flatnonzero(foreign)
+    return BoxQuestions(boxes, area, o[counted], b[counted], o[tested], b[tested]), counted, tested
+
+
+@compiled
+def _asked(ptr, member, owner, evaluated, foreign, is_self, message):
+    """List of each member, and whether its returns are counted."""
+    o, is_counted = np.empty(len(member), np.int32), np.empty(len(member), np.bool_)
+    for v in range(len(owner)):
+        for m in range(ptr[v], ptr[v + 1]):
+            d = member[m]
+            o[m] = v
+            is_counted[m] = (evaluated[m] or foreign[m]) and not (is_self[d] and message[d] == owner[v])
+    return o, is_counted
+
+
+def as_reported(
+    active: Active, evaluated: Evaluations, lists: ObjectLists, listed: Detections, observers: ndarray
+) -> Evaluations:
+    """Evaluations as they will be sent; the same object where no attack changes any."""
+    rows = EvaluationRows(observers[lists.of_member()], lists.member, evaluated.evaluation, evaluated.visibility)
+    evaluation, visibility = active.evaluations(rows, listed)
+    if evaluation is rows.evaluation and visibility is rows.visibility:
+        return evaluated
+    return Evaluations(evaluation, visibility)
+
+
+def messages_of(
+    step: int, pseudonyms: Int[ndarray, "m"], lists: ObjectLists, detections: tables.Detections,
+    evaluations: Evaluations, transmitted: Bool[ndarray, "d"],
+) -> EvaluationMessages:  # fmt: skip
+    """The evaluations as messages: one per evaluator, on everything that was transmitted."""
+    keep = transmitted[lists.member]
+    kept = Evaluations(evaluations.evaluation[keep], evaluations.visibility[keep])
+    return tables.as_messages(step, pseudonyms, subset(lists, keep), detections, kept)

@@ -1,0 +1,131 @@
+"""The parts of a step, built once from the config: perception, adversary, medium, trust, pseudonyms, driver."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+from cosim.adversary.adversary import Adversary
+from cosim.config import choices, config
+from cosim.config.config import Config
+from cosim.driver.driver import Driver
+from cosim.radio.medium import Medium
+from cosim.radio.rsu import NO_RSUS, RsuAntennas
+from cosim.step.perception import Perceives, Perception
+from cosim.step.stopwatch import Stopwatch
+from cosim.step.trackers.encounters import NearPairs, PairSearch
+from cosim.v2x.linkage import Linkage, Revocation
+from cosim.v2x.pseudonyms import Pseudonyms
+from cosim.v2x.trust_hosts import TrustHosts, Variant
+from cosim.world import World
+from results.codes import BASE_VARIANT
+from sensors.line_of_sight import LosOfPlaces, WallIndex
+from sensors.scene import Scene
+
+
+@dataclass(frozen=True, slots=True)
+class Parts:
+    """What a step is made of. Another detector, attack, medium, trust model, policy or driver is another part here."""
+
+    config: Config
+    city: Scene
+    near_pairs: Callable[[World], NearPairs]
+    """Pairs of actors that encounters are about."""
+    rsus: RsuAntennas
+    perception: Perceives
+    adversary: Adversary
+    medium: Medium
+    pseudonyms: Pseudonyms
+    linkage: Linkage
+    revocation: Revocation
+    trust: TrustHosts
+    driver: Driver
+    watch: Stopwatch = field(default_factory=Stopwatch)
+    """Measures how long each stage takes; changes nothing."""
+
+    @staticmethod
+    def of(experiment: Config, city: Scene, rsus: RsuAntennas = NO_RSUS, watch: Stopwatch | None = None) -> "Parts":
+        """The parts that a config names; ValueError in one line where one of them cannot be had."""
+        c = experiment
+        dt_s = c.traffic.step_s
+        walls = WallIndex.of(city.buildings)
+        pseudonyms = Pseudonyms(_make(c, "pseudonyms"), c.seed, dt_s)
+        linkage = Linkage(c.pseudonyms, pseudonyms)
+        return Parts(
+            config=c,
+            city=city,
+            near_pairs=PairSearch.of(c.encounters, walls, c.lidar.mount_above_roof_m),
+            rsus=rsus,
+            perception=perception_of(c, city),
+            adversary=Adversary.of(
+                c.attacks, [_make(c, "attacks", n) for n in range(len(c.attacks))], c.seed, dt_s, c.trust.freshness_s
+            ),
+            medium=_make_medium(c, LosOfPlaces.of(walls)),
+            pseudonyms=pseudonyms,
+            linkage=linkage,
+            revocation=Revocation(c.pseudonyms, linkage),
+            trust=TrustHosts.of(variants(c), c.server, c.seed, c.sensing_interval_s, dt_s),
+            driver=_make(c, "driver"),
+            watch=Stopwatch() if watch is None else watch,
+        )
+
+    def senses(self, step: int) -> bool:
+        """Whether vehicles sense and talk in this step."""
+        return self.config.sensing and step % self.config.sense_every_steps == 0
+
+
+def perception_of(experiment: Config, city: Scene) -> Perception:
+    """The LiDAR and the detector that a config names."""
+    c = experiment
+    return Perception(city, c.lidar, _make(c, "detector"), c.trust.self_reports, c.seed, c.traffic.step_s)
+
+
+def check_choices(experiment: Config) -> None:
+    """ValueError in one line where one of the parts that a config names cannot be had."""
+    for section in ("detector", "pseudonyms", "driver"):
+        _make(experiment, section)
+    for number in range(len(experiment.attacks)):
+        _make(experiment, "attacks", number)
+    _make_medium(experiment, None)
+    c = experiment
+    TrustHosts.of(variants(c), c.server, c.seed, c.sensing_interval_s, c.traffic.step_s).start()
+
+
+def variants(experiment: Config) -> list[Variant]:
+    """The acting way of trusting, and the trust variants."""
+    choice, own = config.chosen(experiment, "trust")
+    base = Variant(BASE_VARIANT, experiment.trust, choice.of, own)
+    others = []
+    for variant in experiment.trust_variant:
+        choice, own = config.chosen_model(variant)
+        others.append(Variant(variant.name, variant.trust, choice.of, own, variant.fused))
+    return [base, *others]
+
+
+def chosen(experiment: Config) -> dict[str, choices.Choice]:
+    """Every choice of a config, by its key."""
+    found = {
+        f"{section}.{key}": config.chosen(experiment, section)[0]
+        for section, (key, _, _) in config.CHOICES.items() if section != "attacks"
+    }  # fmt: skip
+    for number in range(len(experiment.attacks)):
+        found[f"attacks.{number}.attack"] = config.chosen(experiment, "attacks", number)[0]
+    for number, variant in enumerate(experiment.trust_variant):
+        found[f"trust_variant.{number}.model"] = config.chosen_model(variant)[0]
+    return found
+
+
+def sources(experiment: Config) -> dict[str, choices.Source]:
+    """Where every choice of a config comes from, by its key."""
+    return {key: choice.source for key, choice in chosen(experiment).items()}
+
+
+def _make(experiment: Config, section: str, number: int | None = None) -> Any:
+    """An instance of the class that a section names."""
+    choice, own = config.chosen(experiment, section, number)
+    return choices.make(choice, *(() if choice.params is None else (own,)))
+
+
+def _make_medium(experiment: Config, los: LosOfPlaces | None) -> Medium:
+    choice, own = config.chosen(experiment, "radio")
+    params = experiment.radio if own is None else own
+    return choices.make(choice, params, experiment.timeout_s, experiment.seed, los)

@@ -1,0 +1,152 @@
+"""The commands, as a user meets them: what they print, what they leave behind, and how they say no."""
+
+import json
+from importlib.metadata import version
+from pathlib import Path
+
+import pytest
+
+from cosim.cli.console import SUMMARY_METRICS
+from tests.drive import SHORT, cosim
+
+SETS = [word for override in (*SHORT, "traffic.duration_s=10") for word in ("--set", override)]
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    """A run by the command line, and what was printed."""
+    folder = tmp_path_factory.mktemp("cli")
+    done = cosim("run", *SETS, cwd=folder)
+    assert done.returncode == 0, done.stderr
+    return folder, done
+
+
+def test_run_ends_in_a_summary_and_a_picture(run):
+    folder, done = run
+    run_folder = folder / "runs" / "helsinki-1"
+    assert (run_folder / "trust.png").stat().st_size > 10_000
+    manifest = json.loads((run_folder / "manifest.json").read_text())
+    assert manifest["status"] == "finished" and manifest["steps"] == 10
+    assert len(done.stdout.splitlines()) <= 15
+    for words in ("encounters", "malicious", "fresh", "frames received", "real time", "runs/helsinki-1"):
+        assert words in done.stdout
+    assert done.stderr == ""  # no progress bar where nobody watches, no warnings
+
+
+def test_a_run_can_be_repeated_from_its_own_config(run):
+    folder, _ = run
+    config = folder / "runs" / "helsinki-1" / "config.toml"
+    done = cosim("run", str(config), "--out", "again", "--json", cwd=folder)
+    assert done.returncode == 0, done.stderr
+    from results.recorder import fingerprint
+
+    assert fingerprint(folder / "again") == fingerprint(config.parent)
+    answer = json.loads(done.stdout)
+    assert answer["run"] == "again" and any(row["metric"] == "radio.pdr.cpm" for row in answer["measures"])
+
+
+def test_measure(run):
+    folder, _ = run
+    assert "radio.pdr.all" in cosim("measure", "runs/helsinki-1", cwd=folder).stdout
+    rows = json.loads(cosim("measure", "runs/helsinki-1", "--json", cwd=folder).stdout)["runs/helsinki-1"]
+    ratio = next(row["value"] for row in rows if row["metric"] == "radio.pdr.all")
+    assert 0.3 < ratio < 0.9  # most neighbours are behind walls
+
+
+def test_metrics_are_explained():
+    text = cosim("measure", "--explain").stdout
+    assert "misbehaviour.time_to_detection.median_s [s]: Time from the first attack" in text
+    assert set(SUMMARY_METRICS) <= set(json.loads(cosim("measure", "--explain", "--json").stdout))
+
+
+@pytest.mark.parametrize("what", ["encounters", "radio"])
+def test_plot(run, what):
+    folder, _ = run
+    done = cosim("plot", what, "runs/helsinki-1", "--out", f"{what}.svg", cwd=folder)
+    assert done.returncode == 0, done.stderr
+    assert (folder / f"{what}.svg").read_text().lstrip().startswith("<?xml")
+
+
+def test_check_prints_the_resolved_experiment(tmp_path):
+    done = cosim("check", "--set", "radio.range_m=123.5", cwd=tmp_path)
+    assert done.returncode == 0 and "range_m = 123.5" in done.stdout
+    assert json.loads(cosim("check", "--json").stdout)["traffic"]["scenario"] == "helsinki"
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_nets_list():
+    assert "ODbL" in cosim("nets", "list").stdout
+    assert json.loads(cosim("nets", "list", "--json").stdout)[0]["name"] == "helsinki"
+
+
+NET = '<net version="1.20"><location netOffset="0,0" convBoundary="0,0,9,9" origBoundary="0,0,9,9" projParameter="!"/>'
+FOOTPATH = NET + (
+    '<edge id="e" from="a" to="b"><lane id="e_0" index="0" allow="pedestrian" speed="1" length="9" shape="0,0 9,0"/>'
+    "</edge></net>"
+)
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["run", "--set", "radio.raneg_m=3"], "radio.raneg_m: unknown key"),
+        (["run", "--set", "radio.range_m=-1"], "should be greater than 0"),
+        (["run", "nowhere.toml"], "nowhere.toml: no such config file"),
+        (["run", "--set", "traffic.scenario=atlantis"], "no city of that name"),
+        (["run", "--set", "traffic.scenario=nowhere.sumocfg"], "no such file"),
+        (["run", "--set", "traffic.scenario=footpath.sumocfg"], "no car can drive"),
+        (["run", "--set", "traffic.scenario=netless.sumocfg"], "names no network"),
+        (["run", "--set", "traffic.scenario=lost.sumocfg"], "gone.net.xml"),
+        (["run", "--set", "traffic.scenario=refused.sumocfg"], "SUMO refuses it: Unknown from-node"),
+        (["run", "--set", "traffic.scenario=bomb.sumocfg"], "DOCTYPE"),
+        (["run", "--out", "taken"], "already holds a run"),
+        (["run", "--out", "full"], "is not empty"),
+        (["run", "--out", "file"], "is a file"),
+        (["run", "--set", "lidar.elevation_deg=[3, 1]"], "ascending order"),
+        (["run", "--set", "lidar.fov_deg=400"], "lidar.fov_deg"),
+        (["run", "--set", "rsu.at=[[1, 1]]"], "rsu.at.0.2: missing"),
+        (["measure", "full", "--threshold", "7"], "threshold"),
+        (["run", "--frobnicate"], "No such option"),
+        (["frobnicate"], "No such command"),
+        (["measure", "nowhere"], "nowhere is not a folder"),
+        (["plot", "trust", "full"], "is not a run"),
+        (["plot", "love", "full"], "love"),
+    ],
+)
+def test_a_mistake_gets_one_line_and_status_2(tmp_path, words, says):
+    for name, text in {
+        "footpath.sumocfg": '<configuration><input><net-file value="footpath.net.xml"/></input></configuration>',
+        "footpath.net.xml": FOOTPATH,
+        "netless.sumocfg": "<configuration/>",
+        "lost.sumocfg": '<configuration><input><net-file value="gone.net.xml"/></input></configuration>',
+        "refused.sumocfg": '<configuration><input><net-file value="car.net.xml"/></input></configuration>',
+        "car.net.xml": FOOTPATH.replace('allow="pedestrian" ', "").replace('to="b"', 'to="missing"'),
+        "bomb.sumocfg": '<!DOCTYPE x [<!ENTITY a "b">]><configuration>&a;</configuration>',
+        "file": "", "full/something": "", "taken/manifest.json": "{}",
+    }.items():  # fmt: skip
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text(text)
+    before = sorted(tmp_path.rglob("*"))
+    done = cosim(*words, cwd=tmp_path)
+    assert done.returncode == 2
+    assert says in done.stderr and "Traceback" not in done.stderr
+    assert done.stderr.count("\n") == 1 and done.stdout == ""
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+@pytest.mark.parametrize("words", [["measure"], ["report"], ["plot", "trust"], ["verify"], ["resume"]])
+def test_damage_gets_one_line_and_status_1(tmp_path, words):
+    (tmp_path / "taken").mkdir()
+    (tmp_path / "taken" / "manifest.json").write_text("{}")
+    done = cosim(*words, "taken", cwd=tmp_path)
+    said = done.stderr + done.stdout
+    assert done.returncode == 1
+    assert "manifest.json is damaged" in said and "Traceback" not in said
+    assert sorted(path.name for path in tmp_path.rglob("*")) == ["manifest.json", "taken"]
+
+
+def test_version_and_completion():
+    assert cosim("--version").stdout.strip() == f"cosim {version('cosim')}"
+    assert "--show-completion" in cosim("--help").stdout
+    about = (Path(__file__).parents[3] / "CITATION.cff").read_text().splitlines()
+    assert f"version: {version('cosim')}" in about

@@ -1,0 +1,136 @@
+"""One typed experiment: what it takes, and how it says no."""
+
+import tomllib
+from dataclasses import replace
+
+import pytest
+
+from cosim.config.config import Config, load
+from cosim.execution.manifest import toml_text
+
+
+def test_defaults_survive_the_way_to_disk_and_back(tmp_path):
+    path = tmp_path / "config.toml"
+    path.write_text(toml_text(load().to_dict()))
+    assert load(path) == load()
+    plain = replace(load(), attacks=(), own={}, trust_variant=())  # a file states its own attacks and variants
+    assert plain == Config()
+
+
+def test_file_then_overrides(tmp_path):
+    path = tmp_path / "mine.toml"
+    path.write_text("seed = 4\n[radio]\nrange_m = 150\n[[encounters]]\nradius_m = 50\n[[encounters]]\nradius_m = 250\n")
+    config = load(path, ["radio.range_m=200.5", "trust.method=local", "seed=9"])
+    assert (config.seed, config.radio.range_m, config.trust.method) == (9, 200.5, "local")
+    assert [e.radius_m for e in config.encounters] == [50, 250]
+
+
+def test_a_scenario_is_found_beside_the_file_that_names_it(tmp_path):
+    (tmp_path / "city.sumocfg").touch()
+    path = tmp_path / "mine.toml"
+    path.write_text('[traffic]\nscenario = "city.sumocfg"\n')
+    assert load(path).traffic.scenario == str(tmp_path / "city.sumocfg")
+
+
+@pytest.mark.parametrize(
+    ("said", "set_", "step_s"),
+    [('<time><step-length value="0.1"/></time>', [], 0.1), ("<step-length>0.5</step-length>", [], 0.5), ("", [], 1.0),
+     ('<step-length value="0.1"/>', ["traffic.step_s=0.25"], 0.25), ('<step-length value="soon"/>', [], 1.0),
+     ('<step-length value="0.1"/>', ["traffic.trace='fcd.parquet'"], 1.0)],
+)  # fmt: skip
+def test_a_scenario_keeps_its_own_step(tmp_path, said, set_, step_s):
+    """Longer steps drive otherwise: who calibrated a scenario at 0.1 s wants it driven so."""
+    config = tmp_path / "city.sumocfg"
+    config.write_text(f"<configuration>{said}</configuration>")
+    assert load(None, [f"traffic.scenario={config}", *set_]).traffic.step_s == step_s
+    assert load(None, [f"traffic.scenario={tmp_path}", *set_]).traffic.step_s == step_s
+
+
+def test_a_step_too_short_is_named_where_it_stands(tmp_path):
+    config = tmp_path / "city.sumocfg"
+    config.write_text('<configuration><step-length value="0.05"/></configuration>')
+    with pytest.raises(ValueError, match=r"city.sumocfg: its step-length of 0.05 s .* Set traffic.step_s"):
+        load(None, [f"traffic.scenario={config}"])
+    assert load(None, [f"traffic.scenario={config}", "traffic.step_s=0.1"]).traffic.step_s == 0.1
+
+
+def test_a_scenario_that_lies_about_is_nobodys(tmp_path, monkeypatch):
+    """Whoever names no scenario gets the shipped one, with its step."""
+    (tmp_path / "city.sumocfg").write_text('<configuration><step-length value="0.1"/></configuration>')
+    monkeypatch.chdir(tmp_path)
+    assert load(None, ["traffic.duration_s=9"]).traffic.step_s == 1.0
+    assert load(None, ["traffic.scenario=helsinki"]).traffic.step_s == 1.0
+
+
+def test_steps():
+    config = load(None, ["traffic.step_s=0.1", "sensing_interval_s=0.5", "traffic.duration_s=60"])
+    assert (config.sense_every_steps, config.n_steps) == (5, 600)
+
+
+@pytest.mark.parametrize(
+    ("override", "words"),
+    [
+        ("radio.raneg_m=3", "unknown key .* Did you mean radio.range_m"),
+        ("nonsense=3", "unknown key .* Known: seed"),
+        ("radio.range_m=-3", r"radio.range_m = -3 should be greater than 0. Set radio.range_m in"),
+        ("radio.range_m=0.3", "Metres, not kilometres"),
+        ("radio.range_m='far'", "valid number"),
+        ("radio.range_m=true", "valid number"),
+        ("radio.range_m=inf", "not a finite number"),
+        ("radio.range_m=nan", "not a finite number"),
+        ("radio.relay.max_hops=1.5", "valid integer"),
+        ("radio.timeout_s=0.6", "two rounds of messages do not fit"),
+        ("radio.access.lifetime_s=0.0001", "shorter than the transmission"),
+        ("radio.timeout_s=0.001", "no time for more than a few frames"),
+        ("radio=3", r"section \[radio\]"),
+        ("seed.x=1", "unknown key|section|valid"),
+        ("fleet.equipped_kinds=['tank']", "fleet.equipped_kinds"),
+        ("attacks.0.share_p=0.95", "more than all equipped"),
+        ("fleet.malicious_p=0.95", "key of the former schema; now it is attacks.0.share_p"),
+        ("sensing_interval_s=0.7", "no multiple of traffic.step_s"),
+        ("encounters=[{radius=3}]", "unknown key .* Did you mean encounters.radius_m"),
+        ("encounters=3", "list of sections"),
+        ("record.level='all'", "record.level"),
+        ("no_equals", "no key=value"),
+    ],
+)
+def test_bad_values_get_one_line(override, words):
+    with pytest.raises(ValueError, match=words) as error:
+        load(None, [override])
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [(b"seed = ", "not valid TOML"), (b"\xff\xfe", "cannot be read"), (b"[[radio]]\nrange_m = 1", "section")],
+)
+def test_bad_files(tmp_path, content, words):
+    path = tmp_path / "bad.toml"
+    path.write_bytes(content)
+    with pytest.raises(ValueError, match=words):
+        load(path)
+
+
+def test_missing_file(tmp_path):
+    with pytest.raises(ValueError, match="no such config file"):
+        load(tmp_path / "none.toml")
+
+
+def test_every_knob_says_its_meaning():
+    """Each field of each section is followed by a docstring line, in the source."""
+    import ast
+    import inspect
+    from dataclasses import fields, is_dataclass
+    from typing import get_args
+
+    sections = [f.type if is_dataclass(f.type) else (get_args(f.type) or (f.type,))[0] for f in fields(Config)]
+    for section in [Config, *(s for s in sections if is_dataclass(s))]:
+        body = ast.parse(inspect.getsource(section)).body[0].body
+        for node, after in zip(body, [*body[1:], None], strict=True):
+            if isinstance(node, ast.AnnAssign) and not is_dataclass(section.__annotations__[node.target.id]):
+                documented = isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant)
+                assert documented or section is Config, f"{section.__name__}.{node.target.id} has no meaning"
+
+
+def test_toml_round_trip_is_plain_toml():
+    assert tomllib.loads(toml_text(Config().to_dict()))["radio"]["range_m"] == 300.0

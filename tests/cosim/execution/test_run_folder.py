@@ -1,0 +1,119 @@
+"""Folders of runs: one run each, however many begin together; a killed run continues to the same tables."""
+
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from cosim.config.config import load
+from cosim.execution.check import check
+from cosim.execution.inputs import provenance
+from cosim.execution.manifest import Manifest
+from cosim.execution.run import resume, run
+from cosim.step.parts import sources
+from results.recorder import fingerprint
+from results.verify import verify
+from tests.drive import cosim
+from tests.hostile.processes import sets_of_trace
+from tests.hostile.scenes import write_trace
+
+CLAIM = """
+import sys, time
+from pathlib import Path
+from cosim.execution import folder as run_folder
+out = Path(sys.argv[1]) if len(sys.argv) > 1 else None
+try:
+    folder = run_folder.create(out, "town")
+except ValueError as error:
+    sys.exit(f"refused: {error}")
+(folder.path / "manifest.json").write_text("{}")
+time.sleep(3)
+folder.release()
+print(folder.path)
+"""
+
+
+def claims(folder, *words):
+    many = [
+        subprocess.Popen(
+            [sys.executable, "-c", CLAIM, *words], cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        )
+        for _ in range(12)
+    ]
+    return [(p.communicate(), p.returncode) for p in many]
+
+
+def test_twelve_at_once_get_twelve_folders(tmp_path):
+    done = claims(tmp_path)
+    assert all(status == 0 for _, status in done), done
+    assert len({out for (out, _), _ in done}) == 12
+
+
+def test_twelve_into_one_folder_are_one_run_and_refusals(tmp_path):
+    done = claims(tmp_path, "mine")
+    assert sorted(status for _, status in done) == [0] + [1] * 11
+    assert all("refused: " in err and err.count("\n") == 1 for (_, err), status in done if status)
+
+
+SHORT = [
+    word for key in ("traffic.duration_s=12", "traffic.warmup_s=60", "record.block_steps=4") for word in ("--set", key)
+]  # fmt: skip
+
+
+@pytest.mark.verify
+@pytest.mark.parametrize("signum", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT])
+def test_a_resumed_run_has_the_tables_of_one_never_interrupted(tmp_path, signum):
+    assert cosim("run", *SHORT, "--out", "whole", cwd=tmp_path).returncode == 0
+    out = tmp_path / "broken"
+    run = subprocess.Popen(
+        [sys.executable, "-m", "cosim", "run", *SHORT, "--out", str(out)], stderr=subprocess.PIPE, text=True
+    )
+    while run.poll() is None and not (out / "inventory.jsonl").exists():
+        time.sleep(0.02)
+    run.send_signal(signum)
+    _, said = run.communicate()
+    assert run.returncode == (-9 if signum == signal.SIGKILL else 128 + signum)
+    assert signum == signal.SIGKILL or ("cosim resume" in said and said.count("\n") == 1)
+    assert verify(out)[1] == []
+    done = cosim("resume", str(out))
+    assert done.returncode == 0, done.stderr
+    assert fingerprint(out) == fingerprint(tmp_path / "whole")
+    assert verify(out)[0]["status"] == "finished" and verify(out)[1] == []
+
+
+def begun(folder, sets):
+    """A folder in which a run has begun, and was killed before its config was on disk."""
+    folder.mkdir()
+    config = load(None, sets)
+    Manifest(folder, config, provenance(config, check(config)), sources(config)).begin()
+    (folder / "config.toml").unlink()
+    (folder / ".lock").touch()
+
+
+def test_a_run_killed_before_its_first_step_goes_on(tmp_path):
+    """Whatever is on disk by then: nothing, a part of the manifest, or the manifest alone."""
+    sets = sets_of_trace(write_trace(tmp_path))[1::2]
+    whole, early, later = (tmp_path / name for name in ("whole", "early", "later"))
+    run(load(None, sets), whole, lambda *_: None)
+    early.mkdir()
+    for name in (".lock", "manifest.json.partial"):
+        (early / name).touch()
+    begun(later, sets)
+    about, problems = verify(later)
+    assert (about["status"], about["steps"], problems) == ("killed", 0, [])
+    with pytest.raises(ValueError, match=r"already holds a run.*cosim resume"):
+        run(load(None, sets), later, lambda *_: None)
+    run(load(None, sets), early, lambda *_: None)
+    resume(later, lambda *_: None)
+    for folder in (early, later):
+        assert fingerprint(folder) == fingerprint(whole) and verify(folder)[1] == []
+        assert sorted(path.name for path in folder.iterdir()) == sorted(path.name for path in whole.iterdir())
+
+
+def test_a_config_that_is_another_by_now_is_not_gone_on_with(tmp_path):
+    begun(tmp_path / "run", sets_of_trace(write_trace(tmp_path))[1::2])
+    (tmp_path / "run" / "config.toml").write_text("seed = 4")
+    with pytest.raises(ValueError, match="was changed since"):
+        resume(tmp_path / "run", lambda *_: None)

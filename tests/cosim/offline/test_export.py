@@ -1,0 +1,94 @@
+"""`cosim export`: clouds of the run itself, mistakes in one line, interrupted and taken up again."""
+
+import numpy as np
+import pytest
+
+from cosim.offline import replay_lidar
+from cosim.offline.export import export
+from results.archive import open_run
+from tests.drive import cosim, drive
+from tests.results.export import readers
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return drive(tmp_path_factory.mktemp("export") / "run", "traffic.duration_s=6", "traffic.warmup_s=120")
+
+
+@pytest.fixture(scope="module")
+def vehicles(folder):
+    found = open_run(folder).vehicles
+    return found.vehicle[found.equipped & (found.first_step == 0) & (found.last_step == 5)].tolist()[:3]
+
+
+def test_clouds_are_those_of_the_run(folder, vehicles, tmp_path):
+    run = open_run(folder)
+    named = ",".join(map(str, vehicles))
+    done = export(run, "kitti", tmp_path / "out", named, "2-5")
+    assert done["sweeps"] == 12 and 0.5 < done["estimated_bytes"] / done["bytes"] < 2
+    config = replay_lidar.config_of(run)
+    city = replay_lidar.city_of(config)
+    for number, world in enumerate(replay_lidar.worlds(run, config, np.arange(2, 6))):
+        rows = np.searchsorted(world.actor, vehicles)
+        sweeps = replay_lidar.sweep(config, city, world, rows)
+        seen = run.observability[run.observability.step == world.step]
+        for o, vehicle in enumerate(vehicles):
+            points = readers.velodyne(tmp_path / f"out/object/training/velodyne/{3 * number + o:06d}.bin")[:, :3]
+            assert points.tobytes() == sweeps.xyz(o).astype("<f4").tobytes()
+            # what the tables say of the run itself: returns from each actor
+            of_actor = np.unique(sweeps.hit[o][sweeps.hit[o] >= 3] - 3, return_counts=True)
+            mine = seen[(seen.observer == vehicle) & (seen.n_points > 0)]
+            assert dict(zip(world.actor[of_actor[0]], of_actor[1], strict=True)) == dict(
+                zip(mine.actor, mine.n_points, strict=True)
+            )
+
+
+def test_interrupted_and_taken_up_again(folder, vehicles, tmp_path):
+    run, named = open_run(folder), ",".join(map(str, vehicles))
+    whole = export(run, "opv2v", tmp_path / "whole", named)
+
+    def stop(what, done, total):
+        if done == 1:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        export(run, "opv2v", tmp_path / "cut", named, progress=stop)
+    again = export(run, "opv2v", tmp_path / "cut", named)
+    assert again["resumed"] and again["files"] < whole["files"]
+    paths = {p.relative_to(tmp_path / "whole"): p.read_bytes() for p in (tmp_path / "whole").rglob("*") if p.is_file()}
+    assert paths == {
+        p.relative_to(tmp_path / "cut"): p.read_bytes() for p in (tmp_path / "cut").rglob("*") if p.is_file()
+    }
+    assert len(paths) == whole["files"] + 1
+
+
+@pytest.mark.parametrize(
+    ("form", "more", "says"),
+    [
+        ("nuscenes", {}, "no such format. There are kitti"),
+        ("kitti", {"vehicles": "99999"}, "there was never such a vehicle"),
+        ("kitti", {"vehicles": "../3"}, "numbers and spans"),
+        ("kitti", {"vehicles": "5-3"}, "numbers and spans"),
+        ("kitti", {"steps": "900-901"}, "no vehicle senses then"),
+        ("veremi", {}, 'holds no table receptions: it is kept at record.level = "full"'),
+    ],
+)
+def test_mistakes(folder, tmp_path, form, more, says):
+    with pytest.raises(ValueError, match=says):
+        export(open_run(folder), form, tmp_path / "out", **more)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_mistake_is_one_line(folder, tmp_path):
+    done = cosim("export", "kitti", str(folder), "--out", str(tmp_path), "--vehicles", "x")
+    assert done.returncode == 2 and len(done.stderr.strip().splitlines()) == 1 and done.stdout == ""
+
+
+@pytest.mark.parametrize(
+    "words", [("nuscenes",), ("kitti", "--vehicles", "99999"), ("kitti", "--vehicles", "../<b>x</b>"), ("veremi",)]
+)
+def test_mistakes_on_the_command_line(folder, tmp_path, words):
+    """One line, exit status 2, nothing written."""
+    done = cosim("export", words[0], str(folder), "--out", str(tmp_path / "out"), *words[1:])
+    assert done.returncode == 2 and len(done.stderr.strip().splitlines()) == 1 and done.stdout == ""
+    assert not (tmp_path / "out").exists()

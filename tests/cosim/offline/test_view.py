@@ -1,0 +1,101 @@
+"""`cosim view`: recordings that the viewer's own tools accept, and mistakes in one line."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from cosim.offline.replay_lidar import film
+from cosim.offline.view import colours, view
+from results.archive import open_run
+from tests.drive import cosim, drive
+
+pytest.importorskip("rerun", reason="Rerun's SDK is not installed: pip install cosim[view]")
+
+
+def rerun(*words):
+    tool = Path(sys.executable).with_name("rerun")
+    return subprocess.run([tool, "rrd", *words], capture_output=True, text=True, timeout=300)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return drive(tmp_path_factory.mktemp("view") / "run", "traffic.duration_s=8", "record.level=full")
+
+
+def test_the_viewers_own_tools_accept_it(folder, tmp_path):
+    run = open_run(folder)
+    vehicle = int(run.detections.merge(run.subjects, left_on="observer", right_index=True).vehicle.mode()[0])
+    out = tmp_path / "sub" / "run.rrd"
+    done = view(run, out, [vehicle], from_s=2, to_s=7)
+    assert done["steps"] == 5 and done["bytes"] == out.stat().st_size
+    assert rerun("verify", str(out)).returncode == 0
+    stats = rerun("stats", str(out)).stdout
+    for path in ("buildings", "actors", f"clouds/{vehicle}", "detected", "received", "believed"):
+        assert f"/city/{path}:" in stats, path
+    assert "/map/streets:" in stats and "/map/actors:" in stats
+    without = view(run, tmp_path / "without.rrd", [vehicle], from_s=2, to_s=7, clouds=False)
+    assert (
+        without["bytes"] < done["bytes"] and "city/clouds" not in rerun("stats", str(tmp_path / "without.rrd")).stdout
+    )
+
+
+def test_colours_by_hand():
+    assert colours(np.array([0.0, 0.5, 1.0, np.nan])).tolist() == [
+        [213, 50, 40], [240, 240, 235], [30, 90, 200], [150, 150, 150]
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("out", "more", "says"),
+    [
+        ("run.png", {}, "ends in .rrd"),
+        ("run.rrd", {"vehicles": [99_999]}, "none that carries a LiDAR"),
+        ("run.rrd", {"from_s": 900.0}, "no step in between"),
+        ("file/run.rrd", {}, "cannot be written"),
+    ],
+)
+def test_mistakes(folder, tmp_path, out, more, says):
+    (tmp_path / "file").write_text("no folder")
+    with pytest.raises(ValueError, match=says):
+        view(open_run(folder), tmp_path / out, **more)
+    assert not (tmp_path / "run.rrd").exists()
+
+
+def test_a_full_disk_is_one_line(folder, tmp_path):
+    small = tmp_path / "small"
+    small.mkdir()
+    if subprocess.run(["mount", "-t", "tmpfs", "-o", "size=300k", "tmpfs", str(small)], capture_output=True).returncode:
+        pytest.skip("no file system can be mounted here")
+    try:
+        done = cosim("view", str(folder), "--out", str(small / "run.rrd"))
+        assert done.returncode == 2 and len(done.stderr.strip().splitlines()) == 1 and done.stdout == ""
+        assert "run.rrd cannot be written to its end" in done.stderr and not list(small.iterdir())
+        done = cosim("export", "kitti", str(folder), "--out", str(small / "kitti"))
+        assert done.returncode == 2 and len(done.stderr.strip().splitlines()) == 1 and "are free" in done.stderr
+        (small / "full").write_bytes(bytes(small.stat().st_blksize * 70))
+        done = cosim("plot", "trust", str(folder), "--out", str(small / "trust.png"))
+        assert len(done.stderr.strip().splitlines()) == 1 and "trust.png: No space left on device" in done.stderr
+        assert done.returncode == 1 and {path.name for path in small.iterdir()} == {"kitti", "full"}
+    finally:
+        subprocess.run(["umount", str(small)], check=True)
+
+
+def test_movie(folder, tmp_path):
+    run = open_run(folder)
+    vehicle = int(run.vehicles[run.vehicles.equipped & (run.vehicles.first_step == 0)].vehicle.iloc[0])
+    shown = []
+    out = film(run, vehicle, tmp_path / "m.gif", lambda done, total: shown.append((done, total)))
+    steps = int(run.vehicles.set_index("vehicle").last_step[vehicle]) + 1
+    assert shown == [(n + 1, steps) for n in range(steps)]
+    with Image.open(out) as picture:
+        assert picture.n_frames == steps and picture.size[0] == picture.size[1] > 500
+    for name, number, says in (
+        ("m.avi", vehicle, "ends in .gif or .mp4"), ("m.gif", 99_999, "carries a LiDAR"),
+        ("m.gif/x.gif", vehicle, "cannot be written"),
+    ):  # fmt: skip
+        with pytest.raises(ValueError, match=says):
+            film(run, number, tmp_path / name)

@@ -1,0 +1,88 @@
+"""Position errors: their statistics, that they are each vehicle's own, and that they displace what is transmitted."""
+
+import numpy as np
+import pytest
+
+from cosim.config.config import load
+from cosim.mobility.position_errors import GnssParams, PositionErrors
+from results.archive import open_run
+from results.metrics.kitti_frames import actors_ahead, boxes_ahead
+from tests.drive import cosim, drive
+
+KEYS = np.random.default_rng(5).integers(0, 2**63, 4000).astype(np.uint64)
+
+
+def walk(rows, steps, params, dt_s=1.0):
+    """Errors of these vehicles, step by step [steps, vehicles, 2]."""
+    errors = PositionErrors()
+    return np.array([errors.update(step, rows, KEYS[rows], params, dt_s, 7) for step in steps])
+
+
+def test_standard_deviation_and_correlation():
+    """4,000 vehicles, two axes: the standard error of a standard deviation is 0.8 %, of a correlation 0.011."""
+    params = GnssParams(std_m=2.0, correlation_s=10.0)
+    found = walk(np.arange(4000), range(0, 21, 5), params)
+    assert found.std(axis=(1, 2)) == pytest.approx(2.0, rel=0.04)
+    for lag in range(1, 5):
+        alike = (found[0] * found[lag]).mean() / 4.0
+        assert alike == pytest.approx(np.exp(-5 * lag / 10.0), abs=0.05)
+    assert abs((found[0, :, 0] * found[0, :, 1]).mean()) / 4.0 < 0.05, "east and north are independent"
+
+
+def test_an_error_is_the_vehicles_own():
+    params = GnssParams(std_m=1.0)
+    everyone, few = walk(np.arange(9), range(6), params), walk(np.array([2, 7]), range(6), params)
+    np.testing.assert_array_equal(everyone[:, [2, 7]], few)
+    assert len(np.unique(everyone[0])) == 18
+
+
+def test_two_half_steps_have_the_correlation_of_one():
+    params = GnssParams(std_m=1.0, correlation_s=4.0)
+    whole, halves = walk(np.arange(4000), [0, 1], params, 2.0), walk(np.arange(4000), [0, 1, 2], params, 1.0)
+    np.testing.assert_array_equal(whole[0], halves[0])
+    assert (whole[0] * whole[1]).mean() == pytest.approx((halves[0] * halves[2]).mean(), abs=0.05)
+
+
+@pytest.mark.parametrize("key", ["gnss.std_m=-1", "gnss.correlation_s=0", "gnss.sigma_m=1"])
+def test_bad_input(tmp_path, key):
+    done = cosim("check", "--set", key)
+    assert done.returncode == 2 and done.stderr.count("\n") == 1 and key.split("=")[0] in done.stderr
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("runs")
+    common = ("traffic.duration_s=8", "attacks.0.share_p=0", "attacks.1.share_p=0", "radio.model=unit_disk")
+    return [open_run(drive(folder / name, *common, f"gnss.std_m={std}")) for name, std in (("off", 0), ("on", 3))]
+
+
+def test_all_that_a_vehicle_transmits_is_displaced_by_its_error(runs):
+    off, on = runs
+    assert not len(off.position_errors) and load(off.path / "config.toml").gnss.std_m == 0
+    error = on.position_errors.rename(columns={"vehicle": "observer"})
+    assert error.error_x_m.std() == pytest.approx(3.0, rel=0.3)
+    tables = []
+    for run in runs:
+        boxes = run.detections.assign(observer=run.detections.observer.map(run.subjects.vehicle))
+        tables.append(boxes.set_index(["step", "observer", "detection_index"]))
+    there = tables[1].join(error.set_index(["step", "observer"]), on=["step", "observer"])
+    assert there.index.equals(tables[0].index) and (there.origin == "self").any()
+    for axis in "xy":
+        shift = there[f"{axis}_m"] - there[f"error_{axis}_m"]
+        np.testing.assert_allclose(shift, tables[0][f"{axis}_m"], atol=2.0**-6)
+    assert (there.score == tables[0].score).all() and (there.n_points == tables[0].n_points).all()
+
+
+def test_a_vehicles_own_view_stays_right_and_that_of_others_does_not(runs):
+    """Returns inside its own boxes are the same; of boxes that others sent, fewer."""
+    found = []
+    for run in runs:
+        seen = run.evaluations
+        found.append(seen.assign(own=seen.evaluator == seen.observer).groupby("own").n_points.sum())
+    assert found[1][True] == pytest.approx(found[0][True], rel=1e-3)
+    assert found[1][False] < 0.8 * found[0][False]
+    steps = np.arange(8)
+    ahead = [boxes_ahead(run, "local", steps, actors_ahead(run, steps, 70.0)[1], 70.0) for run in runs]
+    near = min(len(one) for one in ahead)
+    assert abs(len(ahead[0]) - len(ahead[1])) <= 2, "at the edge of what is ahead, by rounding"
+    assert np.median(np.abs(ahead[0].box[:near, 6] - ahead[1].box[:near, 6])) < 1e-6

@@ -1,0 +1,107 @@
+"""A step is a function of world, state and parts: it consumes the state, and nothing else changes."""
+
+import copy
+import pickle
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cosim.config.config import CHOICES
+from cosim.execution.checkpoint import decode, encode
+from cosim.reproduce.scenarios import ScriptedScene
+from cosim.step.cycle import step
+from cosim.step.state import State
+from cosim.v2x.pseudonyms import Never, Pseudonyms
+from tests.scene import assert_same, parts_of, play
+
+KINDS = {
+    "server over cellular": (),
+    "trust in vehicles": ("trust.host=local",),
+    "csma with forwarding": ("radio.model=csma", "radio.relay.max_hops=2", "radio.evaluations=piggybacked"),
+    "beta": ("trust.model=beta", "pseudonyms.policy=disposable", "radio.cpm_rules=etsi", "attacks.0.start_s=2"),
+}
+
+
+@pytest.fixture(params=KINDS, scope="module")
+def midway(request):
+    """Scene, parts, and the state after four steps."""
+    scene = ScriptedScene.load()
+    parts = parts_of(scene, *KINDS[request.param])
+    state = State.start(parts)
+    for number in range(4):
+        state, _ = step(scene.world(number), state, parts)
+    return scene, parts, state
+
+
+def onwards(scene, parts, state):
+    """Results of the next three steps."""
+    results = []
+    for number in range(4, 7):
+        state, happened = step(scene.world(number), state, parts)
+        results.append(happened)
+    return results
+
+
+def test_a_state_is_consumed_once(midway):
+    scene, parts, state = midway
+    state = state.copy()
+    step(scene.world(4), state, parts)
+    with pytest.raises(RuntimeError, match="consumed"):
+        step(scene.world(4), state, parts)
+
+
+@pytest.mark.parametrize(
+    "again", [State.copy, copy.deepcopy, lambda s: pickle.loads(pickle.dumps(s)), lambda s: decode(b"".join(encode(s)))]
+)
+def test_copies_continue_to_identical_results(midway, again):
+    scene, parts, state = midway
+    assert_same(onwards(scene, parts, state.copy()), onwards(scene, parts, again(state)))
+
+
+def test_a_copy_shares_nothing(midway):
+    scene, parts, state = midway
+    before = pickle.dumps(state)
+    onwards(scene, parts, state.copy())
+    assert pickle.dumps(state) == before
+
+
+def test_asking_changes_nothing(midway):
+    _, parts, state = midway
+    vehicle, subject = (a.ravel() for a in np.meshgrid(np.arange(3), np.arange(3)))
+    state = state.copy()
+    before = pickle.dumps(state)
+    first = parts.trust.lookup(state.trust, vehicle, subject, 3.9)
+    assert pickle.dumps(state) == before
+    assert_same(parts.trust.lookup(state.trust, vehicle, subject, 3.9), first)
+
+
+class Backwards(Pseudonyms):
+    """Pseudonyms in the reverse order of the vehicles' numbers."""
+
+    def issue(self, state, world, observers, wants=None):
+        """1000 minus the vehicle's number."""
+        state, _, ended = super().issue(state, world, observers, wants)
+        actor = world.actor[observers]
+        current = state.current.copy()
+        current[actor] = 1000 - actor
+        return replace(state, current=current), current[actor], ended
+
+
+def test_other_pseudonyms_change_nothing_but_names():
+    one, _ = play(6, "attacks.0.start_s=2")
+    other, _ = play(6, "attacks.0.start_s=2", pseudonyms=Backwards(Never(), 4, 1.0))
+    assert other[0].vehicles.pseudonym.tolist() == [1000, 999, 998]
+    for a, b in zip(one, other, strict=True):
+        for name in ("listed", "rounds", "links", "lists", "reported", "used", "lookups", "fused", "server"):
+            assert_same(getattr(a, name), getattr(b, name), name)
+        (x,), (y,) = a.published, b.published
+        assert (1000 - y.subject[::-1]).tolist() == x.subject.tolist()
+        assert y.trust[::-1].tolist() == x.trust.tolist() and y.n_evaluations[::-1].tolist() == x.n_evaluations.tolist()
+
+
+@pytest.mark.parametrize("model", CHOICES["trust"][1])
+@pytest.mark.parametrize("medium", CHOICES["radio"][1])
+def test_the_state_of_every_model_and_medium_is_kept_for_resume(model, medium):
+    parts = parts_of(ScriptedScene.load(), f"trust.model={model}", f"radio.model={medium}")
+    assert isinstance(decode(b"".join(encode(State.start(parts)))), State)
