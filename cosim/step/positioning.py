@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
