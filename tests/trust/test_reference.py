@@ -12,7 +12,7 @@ from trust.fusion import SensorEvidence, fuse
 from trust.matching import match
 from trust.models.trupercept import TruPercept
 from trust.params import TrustParams
-from trust.step_evidence import RejectReason
+from trust.open_steps import RejectReason
 from trust.tables import (
     SERVER,
     Detections,
