@@ -1,8 +1,8 @@
 """Evidence about the detections of one step.
 
-A *pair* is a holder and a subject of whose detections the holder has received evaluations. The pairs are sorted. Each has
-a block of slots, one per detection of the subject, and a slot holds sums over the evaluations of that detection. The sums
-are integers, so that no order of arrival, no batching and no delay can change one.
+A *pair* is a holder and a subject of whose detections the holder has received evaluations. The pairs are sorted. Each
+has a block of slots, one per detection of the subject, and a slot holds sums over the evaluations of that detection.
+The sums are integers, so that no order of arrival, no batching and no delay can change one.
 """
 
 import numpy as np

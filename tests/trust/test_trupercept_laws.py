@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 from tests.trust.histories import COLUMNS, add, assert_same, histories, open_step, received_by
 from tests.verification import paper
 from trust.models.trupercept import TruPercept
-from trust.params import TrustParams
 from trust.open_steps import RejectReason
+from trust.params import TrustParams
 from trust.tables import SERVER, ReceivedEvaluations, messages_from_rows
 
 
