@@ -5,11 +5,10 @@ to another counts as `ab` if it has the smaller number, else as `ba`.
 """
 
 import numpy as np
+from numba import njit
 
-from results.kernel import compiled
 
-
-@compiled
+@njit(cache=True, nogil=True)
 def slots(pair, slot, one, other):
     """Slot of the encounter of each two actors, -1 where none is under way; fast where `one` stays for many rows."""
     n = 0
@@ -41,7 +40,7 @@ def slots(pair, slot, one, other):
     return found
 
 
-@compiled
+@njit(cache=True, nogil=True)
 def count(at, one, other, n, ab, ba):
     """Add `n` to the counters of each slot; 1 each where `n` is empty."""
     for row in range(len(at)):
@@ -50,7 +49,7 @@ def count(at, one, other, n, ab, ba):
             counter[at[row]] += n[row] if len(n) else 1
 
 
-@compiled
+@njit(cache=True, nogil=True)
 def note(at, one, other, seen, step, ab, ba, step_ab, step_ba):
     """Write down the step in which something is seen for the first time; a column per trust variant."""
     for row in range(len(at)):

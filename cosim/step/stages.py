@@ -30,7 +30,7 @@ from trust import tables
 from trust.evaluation import evaluate
 from trust.fusion import Fused, SensorEvidence, fuse, votes_of
 from trust.matching import match
-from trust.tables import EvaluationMessages, Evaluations, Groups, ObjectLists, SenderTrust
+from trust.tables import EvaluationMessages, Evaluations, FusionInput, Groups, ObjectLists, SenderTrust
 from trust.threads import threads_for
 
 _ROWS_PER_BOX = 10
@@ -262,7 +262,7 @@ def fuse_objects(
     from_own_m = _distance_m(boxes.xyz_m, np.arange(len(boxes)), origin_m, senders.vehicle[listed.detections.message])
     ptr = ptr_of(used.receiver, len(known.owner))
     in_time = np.full(len(used.message), c.radio.evaluations == "alone")
-    given = known, matched.groups, listed.detections, evaluated.lists, evaluated.own, evaluated.reported
+    given = FusionInput(known, matched.groups, listed.detections, evaluated.lists, evaluated.own, evaluated.reported)
     fused: list[Fused | None] = []
     votes = None
     for variant, found, scorer in zip(parts.trust.variants, lookups, parts.trust.scorers(trust), strict=True):
@@ -271,9 +271,9 @@ def fuse_objects(
             continue
         sender_trust = SenderTrust(ptr, used.message, found.trust, in_time)
         if scorer is not None and votes is None:
-            votes = votes_of(*given, sender_trust)
+            votes = votes_of(given, sender_trust)
         trust_of = variant.trust
-        fused.append(fuse(*given, sender_trust, evidence, from_own_m, trust_of, scorer, votes, trust_of.min_score))
+        fused.append(fuse(given, sender_trust, evidence, from_own_m, trust_of, scorer, votes, trust_of.min_score))
     return fused
 
 

@@ -29,8 +29,8 @@ from trust.models import TrustModel
 from trust.models.interface import checked_object_scores, checked_scores
 from trust.models.stepwise import share_logs
 from trust.object_reports import ObjectReports
-from trust.params import EVIDENCE_KEYS, TrustParams, eta_of, window_of
 from trust.open_steps import RejectReason
+from trust.params import EVIDENCE_KEYS, TrustParams, eta_of, window_of
 from trust.tables import SERVER, EvaluationMessages, ReceivedEvaluations, TrustScores
 
 FUSION_KEYS = frozenset({

@@ -1,13 +1,12 @@
 """Lookups of trust added up row by row, trust variants side by side: kernels of `results.metrics.lookups`."""
 
 import numpy as np
-
-from results.kernel import compiled
+from numba import njit
 
 _FIRST_SIZE = 1 << 12
 
 
-@compiled
+@njit(cache=True, nogil=True)
 def add(
     variant, receiver, who, state, ages_s, n_evaluations, n_evaluators, role_of, fresh_s, edges_s, bin_of, bins_per_s,
     states, fresh, aged, age_sum_s, histogram, behind, behind_sum,
@@ -46,7 +45,7 @@ def add(
                 behind_sum[v, r, 1] += n_evaluators[i]
 
 
-@compiled
+@njit(cache=True, nogil=True)
 def new_lows(variant, who, step, trust, n_evaluations, since, lowest):
     """Where trust that rests on an evaluation is lower than ever from step `since` on, by subject; `lowest` by variant
     and subject goes down with it."""
@@ -59,14 +58,14 @@ def new_lows(variant, who, step, trust, n_evaluations, since, lowest):
     return is_lower
 
 
-@compiled
+@njit(cache=True, nogil=True)
 def none_before(n_variants):
     """What `add_peaks` knows of lookups before the first."""
     table, pairs, last_s = _empty(_FIRST_SIZE, n_variants)
     return table, pairs, last_s, 0
 
 
-@compiled
+@njit(cache=True, nogil=True)
 def add_peaks(variant, receiver, who, ages_s, n_variants, before, renewed, peak_sum_s):
     """Add the ages before each renewal: what a receiver looks up of a subject is younger than at its lookup before.
     Returns what the rows that follow need to know as `before`."""
@@ -92,7 +91,7 @@ def add_peaks(variant, receiver, who, ages_s, n_variants, before, renewed, peak_
     return table, pairs, last_s, n
 
 
-@compiled
+@njit(cache=True, nogil=True)
 def _slot(table, pairs, pair):
     """Where a hash table holds the number of a pair, or would."""
     mask = len(table) - 1
@@ -102,7 +101,7 @@ def _slot(table, pairs, pair):
     return at
 
 
-@compiled
+@njit(cache=True, nogil=True)
 def _empty(size, n_variants):
     """A hash table for half as many pairs, the pairs by number, and the two ages last looked up by pair and variant."""
     table, pairs = np.empty(size, np.int64), np.empty(size // 2, np.int64)
@@ -114,7 +113,7 @@ def _empty(size, n_variants):
     return table, pairs, last_s
 
 
-@compiled
+@njit(cache=True, nogil=True)
 def _larger(pairs, last_s, n_variants):
     """The same with twice the room."""
     table, more, wider_s = _empty(4 * len(pairs), n_variants)
