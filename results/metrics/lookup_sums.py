@@ -102,9 +102,11 @@ def add_successive(
 
 @compiled
 def add_watched(
-    variant, step, who, pair, trust, n_evaluations, since, threshold, n_watched, first_step, low_step, seen_step
-):
-    """Of subjects while they are watched: count lookups, and write down when each receiver first looked its subject
+    variant, step, who, pair, trust, n_evaluations, since, threshold, n_watched, n_evaluated, n_low, first_step,
+    low_step, seen_step,
+):  # fmt: skip
+    """Of subjects while they are watched: count lookups, those with an evaluated value, and those of them that are
+    below the threshold; and write down when each receiver first looked its subject
     up, first found an evaluated value below the threshold (-1: never), and last looked it up."""
     for i in range(len(variant)):
         if step[i] < since[who[i]]:
@@ -114,8 +116,12 @@ def add_watched(
         if first_step[v, p] < 0:
             first_step[v, p] = step[i]
         seen_step[v, p] = step[i]
-        if low_step[v, p] < 0 and n_evaluations[i] > 0 and np.float64(trust[i]) < threshold:
-            low_step[v, p] = step[i]
+        if n_evaluations[i] > 0:
+            n_evaluated[v, who[i]] += 1
+            if np.float64(trust[i]) < threshold:
+                n_low[v, who[i]] += 1
+                if low_step[v, p] < 0:
+                    low_step[v, p] = step[i]
 
 
 @compiled

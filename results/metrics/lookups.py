@@ -76,7 +76,10 @@ class Sums(NamedTuple):
     """Renewals within reach, and the sum of the ages just before."""
     sawtooth_peak_sum_s: Float[ndarray, "r 2"]
     n_watched: Int[ndarray, "p"]
-    """Lookups of each pseudonym, in the order of `Lookups.subject`, while it is watched (`trust.watched`)."""
+    """Lookups of each pseudonym, in the order of `subjects`, while it is watched (`trust.watched`); those with an
+    evaluated value; and those of them that are below the threshold."""
+    n_evaluated: Int[ndarray, "p"]
+    n_low: Int[ndarray, "p"]
     pairs: Int[ndarray, "p"]
     """Vehicles that looked it up meanwhile, and those that found it below the threshold."""
     pairs_found: Int[ndarray, "p"]
@@ -98,7 +101,7 @@ class Scores(NamedTuple):
     """Values of watched subjects, resting on an evaluation, that were looked up."""
 
     who: Int[ndarray, "n"]
-    """Row of the subject in `Lookups.subject`."""
+    """Place of the subject among `subjects`."""
     trust: Float[ndarray, "n"]
     n: Int[ndarray, "n"]
     """How often."""
@@ -146,8 +149,8 @@ class _Numbers:
 
 
 def sums(run: Run, fresh_s: float = FRESH_S, threshold: float = THRESHOLD) -> Sums:
-    """Lookups of the run's variant added up; ValueError where there are none. `fresh_s` concerns `fresh` alone, and
-    `threshold` the pairs."""
+    """Lookups of the run's variant added up; ValueError where there are none. `fresh_s` concerns `fresh` alone,
+    `threshold` what is below it."""
     mine = Sums(*(table[run.variants.index(run.variant)] for table in _all(run, _Asked(fresh_s, threshold)).sums))
     if not mine.states.any():
         raise ValueError(f"{run.path} {NO_LOOKUPS}")
@@ -254,7 +257,8 @@ class _Adding:
             for name, shape in by_receiver.items()
         }
         self.of_subjects = {
-            name: np.zeros((self.n_variants, len(known)), np.int64) for name in ("n_watched", "pairs", "pairs_found")
+            name: np.zeros((self.n_variants, len(known)), np.int64)
+            for name in ("n_watched", "n_evaluated", "n_low", "pairs", "pairs_found")
         }
         self.waited = np.zeros((self.n_variants, self.n_roles, 2, n_steps + 1), np.int64)
         self.lowest = np.full((self.n_variants, len(known)), np.inf, np.float32)
@@ -324,7 +328,7 @@ class _Adding:
         )  # fmt: skip
         lookup_sums.add_watched(
             variant, rows["step"], who, pair, rows["trust"], rows["n_evaluations"], self.since, self.asked.threshold,
-            mine["n_watched"], pairs["first_step"], pairs["low_step"], pairs["seen_step"],
+            mine["n_watched"], mine["n_evaluated"], mine["n_low"], pairs["first_step"], pairs["low_step"], pairs["seen_step"],
         )  # fmt: skip
         self._score(rows, who)
         at = np.flatnonzero(lookup_sums.new_lows(

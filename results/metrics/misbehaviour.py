@@ -198,20 +198,17 @@ def at_lookup(run: Run, threshold: float = lookups.THRESHOLD) -> pd.DataFrame:
     rounded (0: not at all). evaluated, suspected and auc have intervals clustered by subject.
     """
     watched(run)  # says so where there are no attacks
-    found, scores = lookups.sums(run), lookups.scores(run)
-    known, role_of = lookups.subjects(run)
-    codes = np.arange(len(known))
-    n_evaluated = np.bincount(scores.who, scores.n, len(known))
-    n_low = np.bincount(scores.who, scores.n * (scores.trust < threshold), len(known))
+    found, scores = lookups.sums(run, threshold=threshold), lookups.scores(run)
+    _, role_of = lookups.subjects(run)
     honest = role_of[scores.who] == (run.role_labels.index(HONEST) if HONEST in run.role_labels else -1)
     rows = []
     for code, role in enumerate(run.role_labels):
-        mine = codes[(role_of == code) & (found.n_watched > 0)]
-        if not len(mine):
+        mine = (role_of == code) & (found.n_watched > 0)
+        if not mine.any():
             continue
         n, here = found.n_watched[mine], role_of[scores.who] == code
         row: dict[str, object] = {"role": role, "n": int(n.sum())}
-        for name, counted in (("evaluated", n_evaluated), ("suspected", n_low)):
+        for name, counted in (("evaluated", found.n_evaluated), ("suspected", found.n_low)):
             row |= intervals.columns(intervals.share(counted[mine], n), name)
         area = intervals.UNKNOWN
         if role != HONEST:
