@@ -110,13 +110,14 @@ def _blocks(run: Run, stride: int) -> Iterator[pd.DataFrame]:
         known = pd.MultiIndex.from_arrays([sensed.step, sensed.observer, sensed.truth_actor.astype(int)])
         actor = part.truth_actor.fillna(-1).astype(int)
         missed = ~pd.MultiIndex.from_arrays([part.step, part.evaluator, actor]).isin(known)
+        evaluator = np.where(part.own.to_numpy(bool), *EVALUATORS)
         away_m = np.hypot(part.x_m - part.x_m_there, part.y_m - part.y_m_there)
         denied = (part.evaluation < 0).to_numpy()
         yield pd.DataFrame({
-            "vehicle": part.vehicle.to_numpy(), "evaluator": np.where(part.own, *EVALUATORS), "kind": _kind(part),
+            "vehicle": part.vehicle.to_numpy(), "evaluator": evaluator, "kind": _kind(part),
             "class": part["class"].astype(str).to_numpy(),
             "visibility": _bins(part.visibility.to_numpy(float), _VISIBILITY, ""),
-            "distance": _bins(away_m.to_numpy(float), _DISTANCE_M, " m"),
+            "distance": _bins(np.asarray(away_m, float), _DISTANCE_M, " m"),
             "role": part.observer.map(who.role).astype(str).to_numpy(),
             "denied": denied, "confirmed": (part.evaluation > 0).to_numpy(), "missed": denied & missed,
         })  # fmt: skip

@@ -328,7 +328,8 @@ class _Adding:
         )  # fmt: skip
         lookup_sums.add_watched(
             variant, rows["step"], who, pair, rows["trust"], rows["n_evaluations"], self.since, self.asked.threshold,
-            mine["n_watched"], mine["n_evaluated"], mine["n_low"], pairs["first_step"], pairs["low_step"], pairs["seen_step"],
+            mine["n_watched"], mine["n_evaluated"], mine["n_low"], pairs["first_step"], pairs["low_step"],
+            pairs["seen_step"],
         )  # fmt: skip
         self._score(rows, who)
         at = np.flatnonzero(lookup_sums.new_lows(

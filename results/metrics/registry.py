@@ -9,6 +9,8 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+import pandas as pd
+
 from results.metrics.radio import LOST
 
 
@@ -103,7 +105,7 @@ METRICS: Mapping[str, Metric] = {
     "misbehaviour.at_lookup.time_to_detection.median_s": Metric("time to detection per receiver, median (Kaplan-Meier)", "s", "Over pairs of a vehicle and a subject that it looks up while the subject is watched: time from the first such lookup to the first one that is evaluated and below the threshold. Pairs without count up to their last lookup (censored); missing where the Kaplan-Meier curve does not fall to one half.", _ROLE),
     "misbehaviour.at_lookup.time_to_detection.share": Metric("pairs in which the receiver ever suspects", "1", "Share of these pairs with such a lookup.", _ROLE, "subjects"),
     **{
-        f"security.{name}{suffix}": Metric(f"{label}{', relative threshold' if suffix else ''}", "1", f"{text} Of group value, each pair (step with values, watched subject) counts; of vehicle, the last such step of each subject; of message, each message with detections of a watched subject: positive if a detection in it has `lied`, excluded if its sender was at the last step with values up to its own.", "value, vehicle, or message", *(("subjects",) if name in ("precision", "recall", "fpr") else ("",)), **({"range": (-1.0, 1.0)} if name in ("mcc", "informedness") else {}))
+        f"security.{name}{suffix}": Metric(f"{label}{', relative threshold' if suffix else ''}", "1", f"{text} Of group value, each pair (step with values, watched subject) counts; of vehicle, the last such step of each subject; of message, each message with detections of a watched subject: positive if a detection in it has `lied`, excluded if its sender was at the last step with values up to its own.", "value, vehicle, or message", "subjects" if name in ("precision", "recall", "fpr") else "", (-1.0, 1.0) if name in ("mcc", "informedness") else None)
         for suffix in ("", "_relative")
         for name, label, text in (
             ("precision", "precision", "Share of the excluded that are positive."),
@@ -227,3 +229,16 @@ RENAMED: Mapping[str, str] = {
     "freshness.server_unjudged.share": "freshness.server_unevaluated.share",
 }
 """Metrics that had another identifier in studies of earlier versions, and their present one."""
+RENAMED_STATES: Mapping[str, str] = {"judged": "evaluated", "unjudged": "unevaluated", "default": "no value"}
+"""The same of the states in groups of `freshness.lookup_state.share`."""
+
+
+def present_names(frame: pd.DataFrame) -> tuple[pd.DataFrame, list[str]]:
+    """Measures with present names in place of earlier ones (columns metric and group), and what was renamed."""
+    states = (frame.metric == "freshness.lookup_state.share") & frame.group.str.split(",").str[0].isin(RENAMED_STATES)
+    old = sorted(set(frame.metric) & set(RENAMED)) + sorted(set(frame.group[states]))
+    group = frame.group.copy()
+    group[states] = [
+        ",".join((RENAMED_STATES[first], *rest)) for first, *rest in frame.group[states].str.split(",")
+    ]  # fmt: skip
+    return frame.assign(metric=frame.metric.replace(dict(RENAMED)), group=group), old
