@@ -53,7 +53,7 @@ def draw(runs: Sequence[Run], over: str | None = None, threshold: float = 0.5) -
     )  # fmt: skip
     style.share_axis(ages)
     ages.set_xlim(0, max(longest_s, 1.0) * 1.05)
-    style.panel(shares, "What lookups rest on" + (", by role" if len(runs) == 1 else ""), "Share of lookups", "")
+    style.panel(shares, "What stands behind lookups" + (", by role" if len(runs) == 1 else ""), "Share of lookups", "")
     style.bars_axis(shares, labels)
     style.legend(figure, style.bar_entries(freshness.STATES, _FILLS), style.colour_entries(runs))
     return figure
@@ -113,7 +113,7 @@ def _over(runs: Sequence[Run], key: str, threshold: float) -> Figure:
     ages, states = _once(freshness.ages), _once(freshness.states)
     panels: Mapping[str, Mapping[str, Callable[[Run], float]]] = {
         "Mean age at lookup": {what: _age(what, ages) for what in freshness.AGES},
-        "What lookups rest on": {state: _state(state, states) for state in freshness.STATES},
+        "What stands behind lookups": {state: _state(state, states) for state in freshness.STATES},
         f"Ghosts believed (score {threshold:g})": {
             "by receivers": _success("received", threshold), "by the victim": _success("intended", threshold),
         },

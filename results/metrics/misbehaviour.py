@@ -132,7 +132,7 @@ def below(run: Run, threshold: float = 0.25) -> pd.DataFrame:
     for role, here in trust.by_role(run, found.role):
         row: dict[str, object] = {"role": role, "n": int(here.sum())}
         for name, some in (("share", here), ("evaluated_share", here & found.rated)):
-            low = found.trust[some] < threshold
+            low = found.trust[some].astype(np.float64) < threshold
             row |= intervals.columns(intervals.of_units(low, found.subject[some]), name)
         rows.append(row)
     return pd.DataFrame(rows)
