@@ -222,6 +222,36 @@ def at_lookup(run: Run, threshold: float = lookups.THRESHOLD) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
+def compared_at_lookup(run: Run, false_positives: float = 0.05) -> dict[str, intervals.Estimate]:
+    """All attackers together, of values that vehicles look up, so that hosts and models can be compared.
+
+    Returns
+    -------
+    auc, as of `at_lookup`; recall: share of the attackers' evaluated lookups below the largest threshold with at most
+    this share of those of honest subjects below it; mistaken: share of the pairs of a receiver and an honest subject
+    in which it ever suspects (`detection_per_receiver`). Clustered by subject.
+    """
+    watched(run)
+    scores, (_, role_of) = lookups.scores(run), lookups.subjects(run)
+    honest = role_of[scores.who] == (run.role_labels.index(HONEST) if HONEST in run.role_labels else -1)
+    if honest.all() or not honest.any():
+        raise ValueError(f"{run.path} {_NONE_RATED}")
+    order = np.argsort(scores.trust[honest])
+    at = np.searchsorted(np.cumsum(scores.n[honest][order]), int(false_positives * scores.n[honest].sum()), "right")
+    limit = scores.trust[honest][order][at]
+    who, n = scores.who[~honest], scores.n[~honest]
+    low = np.bincount(who, n * (scores.trust[~honest] < limit))
+    found = lookups.sums(run)
+    mine = role_of == run.role_labels.index(HONEST)
+    return {
+        "auc": intervals.auc(
+            scores.trust[honest], scores.who[honest], scores.trust[~honest], who, (scores.n[honest], n)
+        ),
+        "recall": intervals.share(low, np.bincount(who, n)),
+        "mistaken": intervals.share(found.pairs_found[mine], found.pairs[mine]),
+    }  # fmt: skip
+
+
 def _tied(scores: lookups.Scores, one: Bool[ndarray, "n"], other: Bool[ndarray, "n"]) -> float:
     """Half the share of pairs whose values are equal after rounding; 0 where none was rounded."""
     if not scores.is_rounded or not (scores.n[one].sum() and scores.n[other].sum()):
