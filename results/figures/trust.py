@@ -1,6 +1,7 @@
 """Trust over time: median and quartiles over the vehicles of each role."""
 
 from collections.abc import Sequence
+from textwrap import fill
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -84,7 +85,7 @@ def _before(run: Run) -> str:
         if apart
         else "All behave as honest vehicles until then: the difference is chance, within the intervals"
     )
-    return f"Before any attack, mean [95 %]: {text}.\n{reason}."
+    return fill(f"Before any attack, mean [95 %]: {text}. {reason[0].upper()}{reason[1:]}.", 120)
 
 
 def _single(axes: Axes, run: Run, vehicles: Sequence[int], roles: Sequence[str]) -> None:
