@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from cosim import __version__
 from cosim.cli import interchange, studies
 from cosim.cli import reproduce as reproductions
 from cosim.cli.console import notes, print_json, print_metrics, print_run_summary, progress, screen, table_of
@@ -65,9 +66,7 @@ Picture = Literal[
 
 def _say_version(wanted: bool) -> None:
     if wanted:
-        from importlib.metadata import version
-
-        screen.print(f"cosim {version('cosim')}", highlight=False)
+        screen.print(f"cosim {__version__}", highlight=False)
         raise typer.Exit
 
 
