@@ -101,7 +101,7 @@ def test_order_of_the_rooms_of_cosim():
     wrong = []
     for path, module in EDGES:
         parts = module.split(".")
-        if path.parts[0] != "cosim" or parts[0] != "cosim" or len(parts) < 2:
+        if path.parts[0] != "cosim" or parts[0] != "cosim" or len(parts) < 2 or module == "cosim.__version__":
             continue
         me, other = path.parts[1].removesuffix(".py"), parts[1]
         if me not in ("__init__", other) and ORDER.index(other) >= ORDER.index(me):
