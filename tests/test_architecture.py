@@ -42,7 +42,7 @@ ONE_FILE = {
 """Libraries that one file alone may know."""
 
 ORDER = (
-    "rng", "ragged", "world", "mobility", "radio", "v2x", "adversary", "driver", "config", "step", "execution",
+    "rng", "ragged", "world", "mobility", "radio", "v2x", "adversary", "driver", "door", "config", "step", "execution",
     "offline", "studies", "reproduce", "bench", "cli", "docs", "__main__",
 )  # fmt: skip
 """The rooms of `cosim`, from foundation to roof: each may import those before it."""
