@@ -234,13 +234,7 @@ def trust_scores(call: Call, returned: Any) -> TrustScores:
     for name, counted in (("step", np.ones(n, bool)), ("evaluation_step", s.is_judged)):
         newest, oldest = columns[f"newest_{name}"], columns[f"oldest_{name}"]
         if (wrong := counted & (newest > now)).any():
-            _row(
-                f"newest_{name}",
-                newest,
-                wrong,
-                f"a step up to {now}, that of the call: evidence of the future",
-                subject,
-            )
+            _row(f"newest_{name}", newest, wrong, f"a step up to {now}, that of the call,", subject)
         if (wrong := counted & (oldest > newest)).any():
             _row(f"oldest_{name}", oldest, wrong, f"not later than newest_{name}", subject)
         if (wrong := counted & (oldest < 0)).any():
@@ -277,14 +271,14 @@ def attacked_detections(call: Call, returned: Any) -> Detections:
     if len(context.n_identities) and (late := returned.identity > context.n_identities[returned.observer]).any():
         most = context.n_identities[returned.observer[late][0]]
         raise Wrong(
-            f"returned identity = {returned.identity[late][0]} of a vehicle with {most} beside its own; at most {most} is "
-            "due: identities() says how many there are"
+            f"returned identity = {returned.identity[late][0]} of a vehicle with {most} beside its own; at most {most} "
+            "is due: identities() says how many there are"
         )
     before, after = (np.bincount(one.observer, minlength=n_world) for one in (listed, returned))
     if (after < before).any():
         raise Wrong(
-            f"returned {after.sum()} detections, with some of observer {np.argmax(after < before)} missing; all are due: "
-            "one that shall not be sent has transmitted = False"
+            f"returned {after.sum()} detections, with some of observer {np.argmax(after < before)} missing; all are "
+            "due: one that shall not be sent has transmitted = False"
         )
     honest = [one.take(np.flatnonzero(~context.attacker[one.observer])) for one in (listed, returned)]
     was, now = (one.take(np.lexsort((one.detection_index, one.identity, one.observer))) for one in honest)
