@@ -14,8 +14,8 @@ An extension is a class in a file of its own. A config names it as `mine.py:Clas
 `Detections`, `EvaluationRows`, `AttackContext` | `Detections`; evaluation and visibility; numbers; `Sending` |
 
 The protocols `Detector`, `Medium`, `PseudonymPolicy`, `TrustModel`, `ScoresObjects`, `Driver` and `Attack` say what
-each method is given, with shapes and units. Parameters of the class's own are a frozen dataclass `Params`, with types and
-defaults; the constructor takes an instance.
+each method is given, with shapes and units. Parameters of the class's own are a frozen dataclass `Params`, with types
+and defaults; the constructor takes an instance.
 
 | helper | what for |
 |---|---|
