@@ -193,7 +193,7 @@ def _chosen(section: str, holder: Any, own: dict[str, Any]) -> tuple[Choice, Any
 
 def _params(choice: Choice, data: dict[str, Any], prefix: str, where: str) -> Any:
     """The parameters of a chosen class from plain data; ValueError in one line for a mistake."""
-    if not choice.is_own:
+    if not choice.is_own or choice.params is None:
         return validated(choice.params, data, prefix, where)
     file, place = choice.source.file, f"{choice.kind.title} {choice.of.__name__}"
     with at_load(file, place, "Params cannot be read", definition_line(choice.params, "", file), passes=ValueError):
