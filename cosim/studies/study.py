@@ -12,6 +12,7 @@ from annotated_types import Ge, Gt
 
 from cosim.config import config as configs
 from cosim.config import data as config_data
+from cosim.door.kinds import KINDS
 from cosim.door.load import function
 from cosim.execution.manifest import toml_text
 from cosim.mobility.params import TrafficParams
@@ -183,7 +184,7 @@ def _absolute(stated: dict[str, Any], where: str, folder: Path) -> dict[str, Any
     stated = configs.with_defaults(stated)
     complete = configs.resolve_data(copy.deepcopy(stated), where, folder.resolve()).to_dict()
     named = [("traffic", "scenario"), ("traffic", "trace")]
-    named += [(section, key) for section, (key, _, _) in configs.CHOICES.items()]
+    named += [(kind.section, kind.key) for kind in KINDS.values() if kind.section]
     for section, key in named:
         pairs = [(stated.get(section, {}), complete[section])]
         if isinstance(complete[section], list):
