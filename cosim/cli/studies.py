@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 from rich.table import Table
 
-from cosim.cli.console import print_json, progress, screen
+from cosim.cli.console import TrustCode, print_json, progress, screen
 
 AsJson = Annotated[bool, typer.Option("--json", help="Answer in JSON on standard output.")]
 StudyPath = Annotated[Path, typer.Argument(help="Folder that `cosim sweep` wrote.")]
@@ -33,12 +33,13 @@ def sweep(
     separate: Annotated[
         bool, typer.Option("--separate", help="Share nothing between points; to check that sharing changes nothing.")
     ] = False,
+    trust_code: TrustCode = False,
     as_json: AsJson = False,
 ) -> None:
     """Make all runs of a study; stopped at any moment, the same command goes on."""
     from cosim.studies import sweep as sweeping
 
-    task = sweeping.prepare(study, out, merge=not separate)
+    task = sweeping.prepare(study, out, not separate, trust_code)
     if dry_run:
         _print_plan(task, as_json)
         return
@@ -67,11 +68,12 @@ def retrust(
     run: Annotated[Path, typer.Argument(help='Folder of a run at record.level = "full".')],
     variants: Annotated[Path, typer.Option(help="TOML file with trust_variant sections.")],
     out: Annotated[Path, typer.Option(help="Folder to write: the run, with these variants beside its own.")],
+    trust_code: TrustCode = False,
 ) -> None:
     """Compute other trust models and windows on the evidence of a run that is on disk."""
     from cosim.studies.retrust import retrust as compute
 
-    screen.print(f"wrote {compute(run, variants, out)}", highlight=False, soft_wrap=True)
+    screen.print(f"wrote {compute(run, variants, out, trust_code)}", highlight=False, soft_wrap=True)
 
 
 def cache(

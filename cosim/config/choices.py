@@ -10,6 +10,8 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+from cosim.config.permission import check_code
+
 
 @dataclass(frozen=True, slots=True)
 class Source:
@@ -108,6 +110,7 @@ def make(choice: Choice, *arguments: Any) -> Any:
 
 def _load(key: str, where: str, class_name: str, folder: Path | None) -> tuple[ModuleType, Source]:
     """The module of a user's own choice."""
+    check_code(key, f"{where}:{class_name}")
     try:
         if where.endswith(".py"):
             path = Path(where)

@@ -42,7 +42,7 @@ Commands = tuple[Int[ndarray, "c"], Float[ndarray, "c"]]
 NO_COMMANDS: Commands = (np.zeros(0, np.int64), np.zeros(0))
 _MOST_AT_ONCE = 10
 """Steps without sensing at the beginning of a run, which a signal ends at once and leaves nothing of."""
-STATE_VERSION = 7
+STATE_VERSION = 8
 """Raised whenever a state of an earlier version would be misread."""
 _CORES = numba.get_num_threads()
 _EQUIPPED_PER_THREAD = 100
@@ -178,7 +178,7 @@ class Drive:
         if self._keeps_state:
             try:
                 files[f"state-{self.manifest.steps:07d}.bin"] = checkpoint.encode(
-                    (STATE_VERSION, state), own_modules(self.parts.config)
+                    (STATE_VERSION, self.manifest.config_sha256, state), own_modules(self.parts.config)
                 )
             except CannotCheckpoint as error:
                 self._keeps_state = False
