@@ -83,7 +83,7 @@ def problems(folder: Path, manifest: Mapping[str, Any], found: Inventory) -> Ite
             yield f"{inventory.FILE} is not the one that {MANIFEST} was written with"
         if manifest["steps"] != found.end_step:
             yield f"{MANIFEST} says {manifest['steps']} steps, the inventory {found.end_step}"
-        asked, summary = _steps_asked_for(manifest["config"]), manifest.get("summary", {})
+        asked, summary = steps_asked_for(manifest["config"]), manifest.get("summary", {})
         if "vehicles_on_road_mean" in summary and "ended_early" not in summary and asked not in (None, found.end_step):
             yield f"{MANIFEST} says finished after {found.end_step} steps, but its config asks for {asked}"
     for part in found.parts:
@@ -124,7 +124,7 @@ def _stated(data: Any) -> Any:
     return [_stated(value) for value in data] if isinstance(data, list) else data
 
 
-def _steps_asked_for(config: Mapping[str, Any]) -> int | None:
+def steps_asked_for(config: Mapping[str, Any]) -> int | None:
     """How many steps a config asks for; None where it does not say."""
     traffic = config.get("traffic")
     duration_s, step_s = (traffic.get(k) if isinstance(traffic, dict) else None for k in ("duration_s", "step_s"))

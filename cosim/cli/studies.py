@@ -9,7 +9,6 @@ from rich.table import Table
 from cosim.cli.console import TrustCode, print_json, progress, screen
 
 AsJson = Annotated[bool, typer.Option("--json", help="Answer in JSON on standard output.")]
-StudyPath = Annotated[Path, typer.Argument(help="Folder that `cosim sweep` wrote.")]
 
 
 def add_to(app: typer.Typer) -> None:
@@ -55,13 +54,36 @@ def sweep(
         raise typer.Exit(1)
 
 
-def status(folder: StudyPath, as_json: AsJson = False) -> None:
-    """Say how far a study is."""
+def status(
+    folder: Annotated[Path, typer.Argument(help="Folder that `cosim run` or `cosim sweep` wrote.")],
+    trust_code: TrustCode = False,
+    as_json: AsJson = False,
+) -> None:
+    """Say how far a run or a study is, and how to go on."""
+    if (folder / "manifest.json").is_file():
+        _print_progress(folder, as_json)
+        return
     from cosim.studies import sweep as sweeping
     from cosim.studies.folder import StudyFolder
 
-    study, _, states, failed = sweeping.status(StudyFolder(folder))
+    study, _, states, failed = sweeping.status(StudyFolder(folder), trust_code)
     _print_states(study.head.name, folder, states, failed, as_json)
+
+
+def _print_progress(folder: Path, as_json: bool) -> None:
+    """How far a run is."""
+    from results.progress import progress as progress_of
+
+    found = progress_of(folder)
+    if as_json:
+        print_json(found)
+        return
+    of = "" if found["steps_asked"] is None else f" of {found['steps_asked']:,}"
+    why = f" ({found['error']})" if found["error"] else ""
+    screen.print(
+        f"{folder}: {found['status']}{why}; {found['steps']:,}{of} steps in {found['blocks']:,} blocks, "
+        f"{found['bytes'] / 1e6:,.1f} MB. Next: {found['next']}", highlight=False, markup=False, soft_wrap=True,
+    )  # fmt: skip
 
 
 def retrust(

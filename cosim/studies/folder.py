@@ -78,9 +78,7 @@ class StudyFolder:
         for pattern in ("lock", "stop", "runs/*", "jobs", "jobs/*", "jobs/*/*", "traffic", "traffic/*"):
             for path in self.path.glob(pattern):
                 if path.is_symlink():
-                    raise ValueError(
-                        f"{path} is a symbolic link: nothing is written through it. Give another --out."
-                    )
+                    raise ValueError(f"{path} is a symbolic link: nothing is written through it. Give another --out.")
 
     @contextmanager
     def locked(self) -> Iterator[None]:
