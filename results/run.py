@@ -3,6 +3,7 @@
 import shutil
 import tempfile
 import time
+import weakref
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import cached_property
@@ -31,6 +32,14 @@ _ATTEMPTS = 20
 _PAUSE_S = 0.05
 
 
+class HeldParts:
+    """A temporary folder that is there as long as this object is."""
+
+    def __init__(self) -> None:
+        self.path = Path(tempfile.mkdtemp(prefix="cosim-open-"))
+        weakref.finalize(self, shutil.rmtree, self.path, ignore_errors=True)
+
+
 class Run:
     """A run on disk.
 
@@ -52,7 +61,7 @@ class Run:
         """Folder of the rows of each trust variant, where they are set apart."""
         self._opened: dict[Path, pa.ipc.RecordBatchFileReader] = {}
         """Its files that are open."""
-        self._held: tempfile.TemporaryDirectory[str] | None = None
+        self._held: HeldParts | None = None
         """Copies of the parts that the process that writes the run will remove; None where none writes it."""
         self._own: dict[str, Any] = {}
 
@@ -72,13 +81,12 @@ class Run:
         Parts of whole blocks stay. Those of what is not over yet are replaced with every block: they are copied.
         """
         for _ in range(_ATTEMPTS):
-            held, found = tempfile.TemporaryDirectory(prefix="cosim-open-"), inventory.read(self.path).whole()
+            held, found = HeldParts(), inventory.read(self.path).whole()
             try:
                 for part in found.blocks[-1].open if found.blocks else ():
-                    (Path(held.name) / part.table).mkdir(exist_ok=True)
-                    shutil.copyfile(self.path / part.name, Path(held.name) / part.name)
+                    (held.path / part.table).mkdir(exist_ok=True)
+                    shutil.copyfile(self.path / part.name, held.path / part.name)
             except FileNotFoundError:  # two blocks were written meanwhile
-                held.cleanup()
                 time.sleep(_PAUSE_S)
                 continue
             self._held, self.__dict__["inventory"] = held, found
@@ -348,8 +356,8 @@ class Run:
         is_over, is_live = self.manifest["status"] in OVER, self._held is not None
         if problem := next(problems_of(self.path, name, found, is_over, is_live), None):
             self._found_damaged(problem)
-        opened = {} if self._held is None else {part: Path(self._held.name) for part in self.inventory.blocks[-1].open}
-        return [opened.get(part, self.path) / part.name for part in self.inventory.of(name)]
+        held = {} if self._held is None else dict.fromkeys(self.inventory.parts[len(found.parts) :], self._held.path)
+        return [held.get(part, self.path) / part.name for part in self.inventory.of(name)]
 
     def _part(self, path: Path, names: Sequence[str], where: pc.Expression | None) -> pa.Table:
         """Columns of a part, once its checksum has been found right."""

@@ -315,6 +315,7 @@ def plot(
     chosen = [one for folder in runs for one in of_variants(_opened(folder), variant)]
     path = style.save(FIGURES[what](chosen, **given), out or runs[0] / f"{what}.png")
     screen.print(f"wrote {path}", highlight=False, soft_wrap=True)
+    _say_damage(chosen)
 
 
 @app.command()

@@ -50,7 +50,7 @@ def connected(scheduler: str | None, workers: int, needed: Path | None, processe
             "n_workers": 1, "threads_per_worker": workers
         }  # fmt: skip
         with (
-            _closing_quietly(),
+            closing_quietly(),
             LocalCluster(processes=processes, memory_limit=0, dashboard_address="127.0.0.1:0", **size) as cluster,
             Client(cluster) as client,
         ):
@@ -69,7 +69,7 @@ def connected(scheduler: str | None, workers: int, needed: Path | None, processe
 
 
 @contextmanager
-def _closing_quietly() -> Iterator[None]:
+def closing_quietly() -> Iterator[None]:
     """Connections that a cluster closes at its own end are no errors: nothing is said of them."""
 
     def is_news(record: logging.LogRecord) -> bool:

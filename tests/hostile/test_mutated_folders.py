@@ -151,8 +151,8 @@ def exported(folder):
 
 def drawn(folder):
     run = open_run(folder)
-    return [[text.get_text() for text in axes.get_xticklabels()] + [len(line.get_xdata()) for line in axes.lines]
-            for axes in FIGURES["radio"]([run]).axes]  # fmt: skip
+    axes = FIGURES["radio"]([run]).axes
+    return {n: [line.get_ydata().tolist() for line in of.lines] for n, of in enumerate(axes)}, run.damage
 
 
 def tables(folder):
@@ -176,8 +176,9 @@ def attempt(read, folder):
         return None, " ".join(str(error).split()) or type(error).__name__
 
 
-def judge(folder, want, rng, ways):
-    """What is wrong with how a mutated folder is read; empty for nothing."""
+def judge(folder, want, ways, same=True):
+    """What is wrong with how a mutated folder is read; empty for nothing. `same` is false where it is whole, but says
+    something else than before."""
     (about, problems), lines = verify(folder), []
     lines += problems
     state, refused = attempt(progress, folder)
@@ -185,12 +186,12 @@ def judge(folder, want, rng, ways):
     for name in ways:
         found, line = attempt(READ[name], folder)
         lines.append(line)
-        if found is None:
+        if found is None or not same:
             continue
-        if name == "measure":
+        if name in ("measure", "plot"):
             values, damage = found
             lines += damage
-            kept = {key: want[name][0].get(key) for key in values}
+            kept = values if name == "plot" and damage else {key: want[name][0].get(key) for key in values}
             if repr(kept) != repr(values) or (len(values) < len(want[name][0]) and not damage):
                 return f"{name} gives something else, and says nothing ({about['status']}, {problems[:1]})"
         elif found != want[name]:
@@ -225,7 +226,7 @@ def carry_out(runs, tmp_path, numbers, ways, resumes):
             wrong = wrong or (f"advice that loses data: {line}" if LOSES_DATA.search(line) else "")
             counts["refused" if line else "resumed"] += 1
         else:
-            wrong = judge(folder, want, rng, ways)
+            wrong = judge(folder, want, ways, mutate is not code)
             counts["sound" if not verify(folder)[1] else "found"] += 1
         if wrong:
             wrongs.append(f"{number} {said}: {wrong}")
