@@ -14,8 +14,9 @@ from typing import Any
 
 import tomli_w
 
-from cosim.config.choices import Source
+from cosim import __version__
 from cosim.config.config import Config
+from cosim.door.load import Source
 from results import durable
 from results.codes import BASE_VARIANT, Role, labels
 from results.durable import sha256 as sha256
@@ -23,7 +24,7 @@ from results.inventory import Inventory
 from results.manifest import write_manifest
 from results.tables import SCHEMA_VERSION, kept
 
-PACKAGES = ("cosim", "eclipse-sumo", "libsumo", "numpy", "scipy", "numba", "pyarrow", "pandas", "embreex")
+PACKAGES = ("eclipse-sumo", "libsumo", "numpy", "scipy", "numba", "pyarrow", "pandas", "embreex")
 CONFIG = "config.toml"
 GRAZING = "not columnar: where rays graze edges, tables differ from those of the columnar caster"
 _RESERVE = ".reserve"
@@ -32,8 +33,8 @@ _RESERVE_BYTES = 1 << 16
 
 @cache
 def versions() -> dict[str, str]:
-    """Of Python and of the packages on which results depend."""
-    return {"python": platform.python_version()} | {p: version(p) for p in PACKAGES}
+    """Versions of Python, of cosim, and of the packages on which results depend."""
+    return {"python": platform.python_version(), "cosim": __version__} | {p: version(p) for p in PACKAGES}
 
 
 _UNSET = "\0"

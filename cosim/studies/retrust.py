@@ -7,7 +7,7 @@ import shutil
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
 import pandas as pd
@@ -179,7 +179,7 @@ def _replay(run: OpenRun, config: Config, hosts: TrustHosts, recorder: Recorder)
         vehicle, xy_m = actor[here], xy_m[here]
         holder, other = met.begin(step)
         state = hosts.receive(state, vehicle, time_s)
-        met.first(step, holder, other, _per_variant(hosts, hosts.lookup(state, holder, other, time_s)))
+        met.first(step, holder, other, hosts.per_variant(hosts.lookup(state, holder, other, time_s)))
         if step % config.sense_every_steps == 0 and len(vehicle):
             state, published, informed = hosts.publish(state, step, time_s, vehicle, people.name_key[vehicle])
             sent, own = evidence.messages(step, vehicle)
@@ -192,17 +192,13 @@ def _replay(run: OpenRun, config: Config, hosts: TrustHosts, recorder: Recorder)
                 state = _deliver(hosts, state, *on_air, receiver, sender)
             state, up = hosts.report_by_cellular(state, sent, people.name_key[vehicle], xy_m, evaluated_s)
             state = hosts.receive(state, vehicle, fused_s)
-            lookups = _per_variant(hosts, hosts.lookup(state, receiver, sender, fused_s))
+            lookups = hosts.per_variant(hosts.lookup(state, receiver, sender, fused_s))
             met.note(step, receiver, sender, lookups)
-            servers = _per_variant(hosts, hosts.traffic(up, informed))
-            recording.trust(recorder, step, dt_s, _per_variant(hosts, published), servers, receiver, sender, lookups)
+            servers = hosts.traffic(up, informed)
+            recording.trust(recorder, step, dt_s, hosts.per_variant(published), servers, receiver, sender, lookups)
         met.end(step, recorder)
         recorder.reach(step)
     met.close(run.manifest["steps"], recorder)
-
-
-def _per_variant(hosts: TrustHosts, of_host: Sequence[Any]) -> list[Any]:
-    return [of_host[h] for h in hosts.host_of]
 
 
 def _deliver(

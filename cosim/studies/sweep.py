@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numba
 
-from cosim.config.permission import is_of_a_folder, loading_code
+from cosim.door.permission import is_of_a_folder, loading_code
 from cosim.studies.engine import Work, connected, execute
 from cosim.studies.estimate import Estimate, estimate
 from cosim.studies.folder import Attempt, StudyFolder, write_whole

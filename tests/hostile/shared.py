@@ -10,7 +10,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from cosim.config.config import CHOICES, load
+from cosim.config.config import load
+from cosim.door.kinds import SECTIONS
 from cosim.execution import run as running
 from cosim.execution.manifest import toml_text
 from cosim.execution.stop import Stopped
@@ -97,10 +98,10 @@ def set_trap(folder: Path, sentinel: Path, elsewhere: Path) -> None:
         path.write_text(TRAP.format(sentinel=str(sentinel)))
     names = ["trap.py:Trap", f"{elsewhere}/trap_elsewhere.py:Trap", "trap_module:Trap", f"{folder}/trap.py:Trap"]
     config = read_manifest_unchecked(folder)["config"]
-    for number, (section, (key, _, _)) in enumerate(CHOICES.items()):
+    for number, (section, kind) in enumerate(SECTIONS.items()):
         sections = config[section] if isinstance(config[section], list) else [config[section]]
         for one in sections:
-            one[key] = names[number % len(names)]
+            one[kind.key] = names[number % len(names)]
     config["trust_variant"][0]["model"] = names[0]
     with_config(folder, config)
 

@@ -21,8 +21,8 @@ import cosim.studies
 import results
 from cosim.cli.main import app
 from cosim.config.config import load
-from cosim.config.permission import CodeNotTrusted
 from cosim.docs.commands import commands
+from cosim.door.permission import CodeNotTrusted
 from cosim.execution.stop import Failed
 from cosim.studies.folder import StudyFolder
 from results.archive import open_run

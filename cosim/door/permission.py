@@ -34,11 +34,11 @@ def loading_code(origin: Path, trusted: bool) -> Iterator[None]:
         _UNTRUSTED.reset(token)
 
 
-def check_code(key: str, name: str) -> None:
-    """Refuse to load what a config of an untrusted folder names; CodeNotTrusted in one line."""
+def check_code(place: str) -> None:
+    """Refuse to load what a config of an untrusted folder names; CodeNotTrusted in one line that `place` begins."""
     if origin := _UNTRUSTED.get():
         raise CodeNotTrusted(
-            f"{key} = {name}: {origin} names code of its own, which runs with all your rights. It was not loaded. Read "
+            f"{place}: {origin} names code of its own, which runs with all your rights. It was not loaded. Read "
             "that code first; in Python, pass trust_code=True."
         )
 
