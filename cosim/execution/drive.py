@@ -182,7 +182,7 @@ class Drive:
         if self._keeps_state:
             try:
                 files[f"state-{self.manifest.steps:07d}.bin"] = checkpoint.encode(
-                    (STATE_VERSION, state), own_modules(self.parts.config)
+                    (STATE_VERSION, self.manifest.config_sha256, state), own_modules(self.parts.config)
                 )
             except CannotCheckpoint as error:
                 self._keeps_state = False
