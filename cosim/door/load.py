@@ -16,6 +16,7 @@ from typing import Any
 
 from cosim.door import blame, shape
 from cosim.door.kinds import KINDS, Kind
+from cosim.door.permission import check_code
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,6 +124,7 @@ def function(key: str, name: str) -> Callable[..., Any]:
 
 def _module(place: str, where: str, class_name: str, folder: Path | None) -> tuple[ModuleType, Source]:
     """The module of a user's own choice; `place` begins the messages."""
+    check_code(place)
     path = Path(where)
     if not where.endswith(".py"):
         with blame.at_load(where, place, "cannot be imported"):

@@ -25,6 +25,7 @@ from cosim.mobility.source import TrafficEnded, TrafficError, TrafficSource
 from cosim.step.cycle import step
 from cosim.step.parts import Parts, chosen
 from cosim.step.perception import Perception
+from cosim.step.precomputed import NOTHING_PRECOMPUTED
 from cosim.step.state import State
 from cosim.step.stopwatch import Stopwatch
 from cosim.world import World
@@ -42,7 +43,7 @@ Commands = tuple[Int[ndarray, "c"], Float[ndarray, "c"]]
 NO_COMMANDS: Commands = (np.zeros(0, np.int64), np.zeros(0))
 _MOST_AT_ONCE = 10
 """Steps without sensing at the beginning of a run, which a signal ends at once and leaves nothing of."""
-STATE_VERSION = 7
+STATE_VERSION = 8
 """Raised whenever a state of an earlier version would be misread."""
 _CORES = numba.get_num_threads()
 _EQUIPPED_PER_THREAD = 100
@@ -89,7 +90,6 @@ class Drive:
             self._run(None)  # the next world depends on the present step, or no core is left to compute on
             return
         with Ahead(self.parts) as ahead:
-            self.parts = ahead.parts
             self.manifest.timings_ahead_s = ahead.watch.seconds
             self._run(ahead)
 
@@ -110,8 +110,8 @@ class Drive:
             if number < first:
                 commands = self.commands.get(number, NO_COMMANDS)
                 if recomputes:
-                    state, happened = step(world, state, self.parts)
-                    commands = happened.commands.actor, happened.commands.speed_mps
+                    state, result = step(world, state, self.parts)
+                    commands = result.commands.actor, result.commands.speed_mps
                 self.traffic.command(*commands)
                 if number == first - 1:
                     self._check_repeated(world)
@@ -119,19 +119,20 @@ class Drive:
                 continue
             numba.set_num_threads(_threads(config, int(world.equipped.sum())))
             self._look_ahead(number, ahead)
-            state, happened = step(world, state, self.parts)
-            if happened.sensed is not None or number + 1 >= min(_MOST_AT_ONCE, recorder.block_steps):
+            precomputed = NOTHING_PRECOMPUTED if ahead is None else ahead.of(world)
+            state, result = step(world, state, self.parts, precomputed)
+            if result.sensed is not None or number + 1 >= min(_MOST_AT_ONCE, recorder.block_steps):
                 self.stop.at_once = False  # until now a step may have compiled kernels, for a minute
             with self.parts.watch("record"):
-                recording.step(recorder, happened, config.traffic.step_s)
+                recording.step(recorder, result, config.traffic.step_s)
                 recorder.reach(number)
                 self.manifest.steps = number + 1
-                commands = happened.commands.actor, happened.commands.speed_mps
-                if len(happened.commands):
+                commands = result.commands.actor, result.commands.speed_mps
+                if len(result.commands):
                     self._of_block[number] = commands
                 if recorder.is_block_end(number) and number + 1 < config.n_steps:
                     self._commit(state)
-            del happened  # up to 100 MB of a large fleet, which the next step would have beside its own
+            del result, precomputed  # up to 100 MB of a large fleet, which the next step would have beside its own
             self.traffic.command(*commands)
             self.advance("run", number + 1, config.n_steps, f"steps, {len(world)} actors")
             if self.stop.signum is not None and self._next is None:
@@ -181,7 +182,7 @@ class Drive:
         if self._keeps_state:
             try:
                 files[f"state-{self.manifest.steps:07d}.bin"] = checkpoint.encode(
-                    (STATE_VERSION, state), own_modules(self.parts.config)
+                    (STATE_VERSION, self.manifest.config_sha256, state), own_modules(self.parts.config)
                 )
             except CannotCheckpoint as error:
                 self._keeps_state = False

@@ -120,7 +120,10 @@ SHIPPED = Path(__file__).parent / "shipped"
 
 
 def load(path: Path) -> Study:
-    """A study from its TOML file, or one that ships, by name; ValueError in one line for a mistake."""
+    """A study from its TOML file, or one that ships, by name; ValueError in one line for a mistake.
+
+    Code that it names is loaded, unless `cosim.door.permission.loading_code` says otherwise.
+    """
     if not path.is_file() and (shipped := SHIPPED / f"{path}.toml").is_file():
         path = shipped
     data = config_data.read_toml(path, "study file")

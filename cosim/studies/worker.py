@@ -24,7 +24,7 @@ from cosim.execution.stop import Failed
 from cosim.studies.folder import StudyFolder, status_of
 from cosim.studies.stages import Cache
 from results.archive import open_run
-from results.manifest import drop_tables
+from results.manifest import drop_tables, read_manifest
 from results.measure import measure
 from results.metrics.registry import TOPICS
 from results.tables import TABLES
@@ -52,7 +52,8 @@ def _drive(folder: Path, config: dict[str, Any], traffic: Path | None) -> None:
     """The run, from its last whole block where an attempt was cut off."""
     if status_of(folder):
         try:
-            running.resume(folder, lambda *_: None, traffic)
+            ours = read_manifest(folder)["config"] == json.loads(json.dumps(config))
+            running.resume(folder, lambda *_: None, traffic, trust_code=ours)
             return
         except ValueError as error:  # nothing whole is there, another version, other inputs, damage
             _log.warning("%s: made anew (%s)", folder, " ".join(str(error).split()))
