@@ -55,14 +55,14 @@ def markdown() -> str:
         'group says what a value is of. `run.measure.value("trust.final.median", "malicious")` gives one.',
         "`tests/verification/recompute_metrics.py` computes them again from these definitions and the files alone.",
         "",
-        "Of tables with a column `variant`, the rows of the measured trust variant count. Intervals are 95 %, clustered",
-        "by what the column of that name says: vehicles, not messages. Shares and means have percentile intervals of",
-        "the cluster bootstrap with 1,000 draws (Field and Welsh 2007), shares of 0 or 1 those of Wilson (1927), AUCs",
-        "those of Obuchowski (1997) in the logit, medians over subjects those of two order statistics (Conover 1999),",
-        "Kaplan-Meier medians those of Brookmeyer and Crowley (1982). Means of encounters, and of replicates of a study,",
-        "have Student's t in the logit of quantities with two bounds and in the logarithm of those with one (Korn and",
-        "Graubard 1998): no interval leaves the range. Differences of a quantity between a and b lie between a - b and",
-        "b - a.",
+        "Of tables with a column `variant`, the rows of the measured trust variant count. Intervals are 95 %,",
+        "clustered by what the column of that name says: vehicles, not messages. Shares and means have percentile",
+        "intervals of the cluster bootstrap with 1,000 draws (Field and Welsh 2007), shares of 0 or 1 those of",
+        "Wilson (1927), AUCs those of Obuchowski (1997) in the logit, medians over subjects those of two order",
+        "statistics (Conover 1999), Kaplan-Meier medians those of Brookmeyer and Crowley (1982). Means of",
+        "encounters, and of replicates of a study, have Student's t in the logit of quantities with two bounds and",
+        "in the logarithm of those with one (Korn and Graubard 1998): no interval leaves the range. Differences of",
+        "a quantity between a and b lie between a - b and b - a.",
     ]
     for topic, about in TOPICS.items():
         lines += [

@@ -11,9 +11,11 @@ import numpy as np
 import pandas as pd
 import pyarrow.parquet as pq
 
+from results import durable
 from results.archive import OpenRun, open_run
 from results.metrics.intervals import FREE, Bounds, around
 from results.metrics.registry import TOPICS, bounds_of, present_names
+from results.spreadsheet import csv_of
 
 _log = logging.getLogger(__name__)
 _WITHIN = ["radius_m", "pairs"]
@@ -111,8 +113,8 @@ class Study:
             tables["differences"] = self.differences
         written = []
         for name, table in tables.items():
-            table.to_parquet(folder / f"{name}.parquet", index=False)
-            table.to_csv(folder / f"{name}.csv", index=False)
+            durable.write_output(folder / f"{name}.parquet", table.to_parquet(index=False))
+            durable.write_output(folder / f"{name}.csv", csv_of(table))
             written += [folder / f"{name}.parquet", folder / f"{name}.csv"]
         return written
 
