@@ -170,7 +170,7 @@ def _virtual(column: Column) -> str:
 
 def _provenance(run: Run) -> str:
     manifest = {**run.manifest, "folder": str(run.path), "schema_version": SCHEMA_VERSION}
-    names = ("folder", "status", "seed", "schema_version", "net", "versions", "timings_s", "summary")
+    names = ("folder", "status", "seed", "schema_version", "net", "versions", "source", "timings_s", "summary")
     rows = "".join(f"<tr><td>{name}</td><td>{_value(manifest[name])}</td></tr>" for name in names if name in manifest)
     config = escape(json.dumps(run.config, indent=2, ensure_ascii=False))
     return f"<table>{rows}</table><details open><summary>Resolved configuration</summary><pre>{config}</pre></details>"
