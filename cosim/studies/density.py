@@ -1,6 +1,5 @@
 """How many vehicles a config has on the road, roughly, before anything is simulated."""
 
-import json
 from functools import cache
 from itertools import islice
 from pathlib import Path
@@ -11,20 +10,21 @@ from cosim.config.config import Config
 from cosim.mobility.fcd import timesteps
 from cosim.mobility.scenario import Scenario
 from cosim.studies.points import scenario_of
+from results.manifest import read_manifest
 from sumo_nets import catalogue, sumocfg
 from sumo_nets.xml import Attributes, Enough, stream
 
 HELSINKI = 200
 """On the road in central Helsinki."""
 _LEG_S_PER_M = 200 * 3600 / 2820 / 1961
-"""Time on the road, per metre of a city's diagonal: 200 vehicles at 2,820 departures per hour in central Helsinki [s]."""
+"""Time on the road per metre of a city's diagonal: 200 vehicles at 2,820 departures per hour in central Helsinki."""
 _PROBED = 300
 """Timesteps of a trace that are looked at."""
 _MOST = 1_000_000
 
 
 def vehicles_on_road(config: Config) -> float:
-    """Vehicles on the road at a time: of a city from its demand and its size, of a trace or a run from what it holds."""
+    """Vehicles on the road at a time: of a city by its demand and size, of a trace or a run by what it holds."""
     traffic = config.traffic
     scenario = scenario_of(traffic.scenario, traffic.trace)
     if scenario.trace is not None:
@@ -36,9 +36,7 @@ def vehicles_on_road(config: Config) -> float:
 @cache
 def _recorded(trace: Path) -> float:
     if trace.is_dir():
-        return float(
-            json.loads((trace / "manifest.json").read_text())["summary"].get("vehicles_on_road_mean", HELSINKI)
-        )
+        return float(read_manifest(trace).get("summary", {}).get("vehicles_on_road_mean", HELSINKI))
     return float(np.mean([len(one.names) for one in islice(timesteps(trace), _PROBED)] or [HELSINKI]))
 
 
