@@ -12,7 +12,7 @@ from annotated_types import Ge, Le
 
 from cosim.adversary.params import PAPER, AttackParams, check_attacks
 from cosim.config.data import check_finite, check_keys, former, override, read_toml, validated
-from cosim.door.blame import at_load
+from cosim.door.blame import at_load, definition_line
 from cosim.door.kinds import SECTIONS
 from cosim.door.load import Choice, is_own, resolve
 from cosim.door.permission import is_of_a_folder, loading_code
@@ -195,13 +195,11 @@ def _chosen(section: str, holder: Any, own: dict[str, Any]) -> tuple[Choice, Any
 
 def _params(choice: Choice, data: dict[str, Any], prefix: str, where: str) -> Any:
     """The parameters of a chosen class from plain data; ValueError in one line for a mistake."""
-    try:
+    if not choice.is_own or choice.params is None:
         return validated(choice.params, data, prefix, where)
-    except ValueError:
-        raise
-    except Exception as error:  # a type that a config cannot hold, or whatever a user's class does
-        with at_load(choice.source.file, f"{choice.kind.title} {choice.of.__name__}", "Params cannot be read"):
-            raise error from None
+    file, place = choice.source.file, f"{choice.kind.title} {choice.of.__name__}"
+    with at_load(file, place, "Params cannot be read", definition_line(choice.params, "", file), passes=ValueError):
+        return validated(choice.params, data, prefix, where)
 
 
 def load(path: Path | None = None, overrides: list[str] | None = None, trust_code: bool = False) -> Config:

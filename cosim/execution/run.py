@@ -295,7 +295,7 @@ def _carry_out(drive: Drive, folder: RunFolder) -> None:
         raise
     except ExtensionError as error:
         kept = _fail(drive, folder, str(error))
-        then = f" Its first {manifest.steps} steps: cosim resume {folder.path}." if kept else " Nothing is kept."
+        then = f" The steps before it are kept: cosim resume {folder.path}." if kept else " Nothing is kept."
         raise ExtensionError(str(error) + then) from error.__cause__
     except OSError as error:
         message = f"{folder.path}: {error.strerror or error}, at step {manifest.steps}"
@@ -347,8 +347,23 @@ def _fail(drive: Drive, folder: RunFolder, message: str) -> bool:
     return True
 
 
+_FEWEST_MESSAGES = 3.0
+"""Messages under a pseudonym, on average, below which a run is remarked on."""
+
+
 def remarks(folder: Path) -> list[str]:
     """What a user should know of a finished run before they trust its figures; mostly nothing."""
     summary = read_manifest(folder)["summary"]
     absent = [f"note: {key}: no vehicle of that id was on the road." for key in summary.get("victims_absent", ())]
-    return traffic_remarks(summary) + absent
+    return traffic_remarks(summary) + absent + pseudonym_remarks(summary)
+
+
+def pseudonym_remarks(summary: dict[str, Any]) -> list[str]:
+    """A remark on pseudonyms that change before anybody can have evidence about them."""
+    if (mean := summary.get("messages_per_pseudonym", _FEWEST_MESSAGES)) >= _FEWEST_MESSAGES:
+        return []
+    return [
+        f"note: vehicles sent {mean:g} messages under each pseudonym on average: hardly any evidence about a pseudonym "
+        "is there when it is looked up. Have the policy in [pseudonyms] change them less often, or set "
+        "pseudonyms.linkage."
+    ]

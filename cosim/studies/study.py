@@ -12,7 +12,7 @@ from annotated_types import Ge, Gt
 
 from cosim.config import config as configs
 from cosim.config import data as config_data
-from cosim.door import kinds
+from cosim.door.kinds import KINDS
 from cosim.door.load import function
 from cosim.execution.manifest import toml_text
 from cosim.mobility.params import TrafficParams
@@ -187,7 +187,7 @@ def _absolute(stated: dict[str, Any], where: str, folder: Path) -> dict[str, Any
     stated = configs.with_defaults(stated)
     complete = configs.resolve_data(copy.deepcopy(stated), where, folder.resolve()).to_dict()
     named = [("traffic", "scenario"), ("traffic", "trace")]
-    named += [(section, kind.key) for section, kind in kinds.SECTIONS.items()]
+    named += [(kind.section, kind.key) for kind in KINDS.values() if kind.section]
     for section, key in named:
         pairs = [(stated.get(section, {}), complete[section])]
         if isinstance(complete[section], list):

@@ -17,6 +17,7 @@ from typing import Any
 import pandas as pd
 
 from cosim.config.config import resolve_data
+from cosim.door.blame import ExtensionError
 from cosim.door.load import function
 from cosim.execution import run as running
 from cosim.execution.stop import Failed
@@ -100,7 +101,7 @@ def main() -> None:
         else:
             config = resolve_data(json.loads(Path(words[2]).read_text()), "the plan", None)
             Cache(Path(words[0])).make_traffic(words[1], config, lambda *_: None)
-    except (ValueError, Failed, OSError) as error:
+    except (ValueError, Failed, ExtensionError, OSError) as error:
         sys.exit(" ".join(str(error).split()))
 
 
