@@ -51,8 +51,6 @@ code { font-family: ui-monospace, "DejaVu Sans Mono", monospace; font-size: 0.93
 def write(run: Run, path: str | Path | None = None) -> Path:
     """Write the page; it needs no network and no other file. Left out, `path` is report.html in the run folder."""
     path = run.path / "report.html" if path is None else Path(path)
-    if not path.parent.is_dir():
-        raise ValueError(f"The folder {path.parent} does not exist. Make it first.")
     durable.write_output(path, page(run).encode())
     return path
 

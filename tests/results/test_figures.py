@@ -99,8 +99,7 @@ def test_bad_requests(run, tmp_path):
     figure = trust.draw([run])
     with pytest.raises(ValueError, match=r"no picture format. End it in .png, .svg, .pdf"):
         style.save(figure, tmp_path / "trust.bmp")
-    with pytest.raises(ValueError, match="does not exist"):
-        style.save(figure, tmp_path / "nowhere" / "trust.png")
+    assert style.save(figure, tmp_path / "new" / "folder" / "trust.png").is_file()
     with pytest.raises(ValueError, match="no run to draw"):
         trust.draw([])
 
