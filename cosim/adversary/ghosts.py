@@ -106,7 +106,8 @@ class Replay(Vouched):
         p, world = self.params, context.world
         xy = world.boxes.xyz_m[:, :2]
         past = context.memory.setdefault("past", [])
-        received = np.flatnonzero(listed.transmitted & (listed.origin != FABRICATED))
+        own_fabrications = context.member[listed.observer] & (listed.origin == FABRICATED)
+        received = np.flatnonzero(listed.transmitted & ~own_fabrications)
         while past and past[0][0] < context.time_s - p.age_s - 1e-9:
             past.pop(0)
         old = past[0] if past else None

@@ -6,7 +6,9 @@ from typing import Any
 
 import numpy as np
 
+from cosim import rng
 from cosim.config.config import Config
+from cosim.driver.driver import Beliefs, Driver, SpeedCommands
 from cosim.execution import checkpoint
 from cosim.execution.drive import STATE_VERSION, own_modules
 from cosim.step.cycle import step
@@ -14,14 +16,17 @@ from cosim.step.parts import Parts
 from cosim.step.result import StepResult
 from cosim.step.state import State
 from cosim.tryout.scene import N_STEPS, STEP_S, TinyScene
-from cosim.v2x.messages import SENSED
+from cosim.v2x.messages import SENSED, Detections
+from cosim.world import World
+from sensors.boxes import Boxes
 
-Table = dict[tuple[Any, ...], tuple[float, ...]]
-"""What happened in one step: numbers by who and whom."""
+Row = dict[str, float]
+Table = dict[str, Row]
+"""What happened in one step: numbers by column, under a sentence's beginning that says whose they are."""
 
 BASE = (
     f"traffic.step_s={STEP_S}", f"traffic.duration_s={N_STEPS * STEP_S}", "sensing_interval_s=1.0", "seed=4",
-    "lidar.n_azimuths=256", "radio.model=unit_disk", "server.cellular.delay_min_s=0.001",
+    "lidar.n_azimuths=180", "radio.model=unit_disk", "server.cellular.delay_min_s=0.001",
     "server.cellular.delay_mean_s=0.002", "server.backhaul_s=0.005", "trust.server_period_s=1.0", "compute.threads=1",
     "attacks.0.start_s=2",
 )  # fmt: skip
@@ -79,18 +84,66 @@ def with_harmless_attackers(parts: Parts) -> Parts:
     return replace(parts, adversary=replace(parts.adversary, attacks=tuple(Nothing() for _ in parts.adversary.attacks)))
 
 
+@dataclass(frozen=True, slots=True)
+class WithBeliefs:
+    """A driver that is given beliefs which do not depend on fusion, whose ties are decided by the order of rows."""
+
+    behind: Driver
+
+    def commands(
+        self, state: object, world: World, beliefs: Beliefs | None, dt_s: float
+    ) -> tuple[object, SpeedCommands]:
+        """The commands of the driver behind."""
+        given = None if beliefs is None else _beliefs(world, beliefs.known_s, dt_s)
+        return self.behind.commands(state, world, given, dt_s)
+
+
+def _beliefs(world: World, known_s: float, dt_s: float) -> Beliefs:
+    """Each equipped vehicle believes in the others within 50 m, which it sees or not, and in a car that is not there.
+
+    That car stands in its lane, 35 m ahead of where the vehicle began.
+    """
+    xy, yaw = world.boxes.xyz_m[:, :2], world.boxes.yaw_rad
+    apart_m = np.hypot(*(xy[:, None] - xy[None]).transpose(2, 0, 1))
+    ego, other = np.nonzero(world.equipped[:, None] & (apart_m <= 50.0) & ~np.eye(len(world), dtype=bool))
+    alone = np.flatnonzero(world.equipped)
+    begun_m = world.speed_mps * world.step * dt_s
+    ghost_xyz_m = world.boxes.xyz_m + np.column_stack([np.cos(yaw), np.sin(yaw), 0 * yaw]) * (35.0 - begun_m)[:, None]
+    ghosts = replace(world.boxes, xyz_m=ghost_xyz_m).take(alone)
+    key = rng.key(0, rng.Stream.DRIVER)
+    sees = rng.uniforms(key, world.name_key[ego], world.name_key[other])[:, 0] < 0.5
+    n, by = len(alone), np.concatenate([ego, alone])
+    order = np.argsort(by, kind="stable")
+    return Beliefs(
+        known_s=known_s,
+        ego=by[order],
+        label=np.concatenate([world.label[other], world.label[alone]])[order],
+        boxes=Boxes.concat([world.boxes.take(other), ghosts]).take(order),
+        score=np.full(len(by), 0.9),
+        ego_detected=np.concatenate([sees, np.zeros(n, bool)])[order],
+        source=np.concatenate([world.actor[other], world.actor[alone]])[order].astype(np.int64),
+        source_index=np.concatenate([np.ones(len(other), np.int64), np.full(n, 2)])[order],
+    )
+
+
+BOX = ("class", "x_m", "y_m", "z_m", "length_m", "width_m", "height_m", "yaw_rad", "score")
+
+
+def _box(listed: Detections, i: int) -> Row:
+    boxes = listed.boxes
+    values = listed.label[i], *boxes.xyz_m[i], *boxes.lwh_m[i], boxes.yaw_rad[i], listed.score[i]
+    return dict(zip(BOX, map(float, values), strict=True))
+
+
 def detections(happened: StepResult, scene: TinyScene) -> Table:
-    """What each vehicle's detector reports, best first: class, box and score."""
+    """What each vehicle's detector reports, best first."""
     if happened.sensed is None:
         return {}
     found, names = happened.sensed.observed.detections, scene.names
-    rows, boxes = np.flatnonzero(found.origin == SENSED), found.boxes
     return {
-        (names[found.observer[i]], f"detection {found.detection_index[i]}"): (
-            found.label[i], *boxes.xyz_m[i], *boxes.lwh_m[i], boxes.yaw_rad[i], found.score[i],
-        )
-        for i in rows.tolist()
-    }  # fmt: skip
+        f"detection {found.detection_index[i]} of {names[found.observer[i]]}": _box(found, i)
+        for i in np.flatnonzero(found.origin == SENSED).tolist()
+    }
 
 
 def messages(happened: StepResult, scene: TinyScene) -> Table:
@@ -98,44 +151,44 @@ def messages(happened: StepResult, scene: TinyScene) -> Table:
     sensed, names = happened.sensed, scene.names
     if sensed is None:
         return {}
-    listed, senders, actor = sensed.listed, sensed.senders, sensed.vehicles.actor
-    boxes, sent = listed.boxes, sensed.messages[0]
+    listed, senders, actor, sent = sensed.listed, sensed.senders, sensed.vehicles.actor, sensed.messages[0]
     of = {
-        int(p): f"{names[actor[v]]}{f', identity {i}' if i else ''}"
+        int(p): f"{names[actor[v]]}{f' as identity {i}' if i else ''}"
         for p, v, i in zip(senders.pseudonym, senders.vehicle, senders.identity, strict=True)
     }
-    told: Table = {
-        (names[listed.observer[i]], f"identity {listed.identity[i]}", f"detection {listed.detection_index[i]}"): (
-            listed.label[i], *boxes.xyz_m[i], *boxes.lwh_m[i], boxes.yaw_rad[i], listed.score[i],
-            listed.speed_mps[i], listed.transmitted[i],
+    told = {
+        f"detection {listed.detection_index[i]} of {names[listed.observer[i]]} as identity {listed.identity[i]}": (
+            _box(listed, i) | {"speed_mps": float(listed.speed_mps[i]), "transmitted": float(listed.transmitted[i])}
         )
         for i in range(len(listed))
     }  # fmt: skip
     by = np.repeat(sent.evaluator, np.diff(sent.ptr))
     told |= {
-        (of[int(by[i])], f"its evaluation of detection {sent.detection_index[i]} of {of[int(sent.observer[i])]}"): (
-            sent.evaluation[i], sent.visibility[i],
-        )
+        f"evaluation by {of[int(by[i])]} of detection {sent.detection_index[i]} of {of[int(sent.observer[i])]}": {
+            "evaluation": float(sent.evaluation[i]), "visibility": float(sent.visibility[i]),
+        }
         for i in range(len(by))
     }  # fmt: skip
     station, n = np.unique(sensed.rounds[0].station, return_counts=True)
-    told |= {(names[actor[s]], "messages sent"): (k,) for s, k in zip(station.tolist(), n.tolist(), strict=True)}
+    told |= {f"{names[actor[s]]}": {"messages": k} for s, k in zip(station.tolist(), n.tolist(), strict=True)}
     return told
 
 
 def receptions(happened: StepResult, scene: TinyScene) -> Table:
     """Who received what from whom: hops, and when."""
-    sensed, names = happened.sensed, scene.names
+    sensed, names, told = happened.sensed, scene.names, {}
     if sensed is None:
         return {}
-    actor, told = sensed.vehicles.actor, {}
+    actor = sensed.vehicles.actor
     for kind, one in zip(("detections", "evaluations"), sensed.rounds, strict=True):
-        got = one.receptions
-        sender = one.station[got.message]
+        got, sender = one.receptions, one.station[one.receptions.message]
         number = got.message - np.searchsorted(one.station, sender)
         for i in range(len(sender)):
-            key = names[actor[got.receiver[i]]], f"message {number[i]} of {kind} from {names[actor[sender[i]]]}"
-            told[key] = got.hops[i], got.generation_offset_s[i], got.access_delay_s[i], got.latency_s[i]
+            which = f"{kind} message {number[i]} from {names[actor[sender[i]]]} at {names[actor[got.receiver[i]]]}"
+            told[which] = {
+                name: float(getattr(got, name)[i])
+                for name in ("hops", "generation_offset_s", "access_delay_s", "latency_s")
+            }
     return told
 
 
@@ -147,7 +200,8 @@ def trust(happened: StepResult, scene: TinyScene) -> Table:
     actor, used, found = sensed.vehicles.actor, sensed.used, sensed.lookups[0]
     sender = actor[sensed.senders.vehicle[used.message]]
     return {
-        (names[actor[used.receiver[i]]], f"trust in {names[sender[i]]}"): (found.trust[i],) for i in range(len(sender))
+        f"{names[actor[used.receiver[i]]]} about {names[sender[i]]}": {"trust": float(found.trust[i])}
+        for i in range(len(sender))
     }
 
 
@@ -155,7 +209,7 @@ def renewals(happened: StepResult, scene: TinyScene) -> Table:
     """Whose pseudonym came to an end."""
     ended = happened.ended_pseudonyms
     return {
-        (scene.names[v], "its pseudonym"): (begin, end)
+        f"the pseudonym of {scene.names[v]} that ends": {"first step": float(begin), "last step": float(end)}
         for v, begin, end in zip(ended.vehicle, ended.from_step, ended.to_step, strict=True)
     }
 
@@ -164,5 +218,6 @@ def commands(happened: StepResult, scene: TinyScene) -> Table:
     """Which speed each vehicle is told to drive."""
     told = happened.commands
     return {
-        (scene.names[a], "speed"): (v,) for a, v in zip(told.actor.tolist(), told.speed_mps.tolist(), strict=True)
+        f"the command to {scene.names[a]}": {"speed_mps": v}
+        for a, v in zip(told.actor.tolist(), told.speed_mps.tolist(), strict=True)
     }

@@ -1,0 +1,246 @@
+"""The laws of the classes that a step is made of, checked on the tiny scene."""
+
+import traceback
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, TypeVar
+
+import numpy as np
+
+from cosim.config.config import load
+from cosim.step.parts import Parts, check_choices
+from cosim.step.result import StepResult
+from cosim.tryout import play
+from cosim.tryout.play import BASE, Stage, Table, WithBeliefs
+from cosim.tryout.probe import TOLERANCE, Observations, Probe
+from cosim.tryout.scene import N_STEPS, STRANGER, TinyScene
+
+_Item = TypeVar("_Item")
+
+INTERRUPTED_AT = 7
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """A law, and how it is broken."""
+
+    law: str
+    broken: str = ""
+    """One sentence or two with the smallest example found; empty where the law holds."""
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """What trying a class has shown."""
+
+    kind: str
+    name: str
+    findings: list[Finding]
+    cost_us: float = float("nan")
+    """Time of one call per vehicle [us]; NaN where nothing was measured."""
+
+    @property
+    def holds(self) -> bool:
+        return not any(one.broken for one in self.findings)
+
+
+@dataclass(frozen=True, slots=True)
+class PartKind:
+    """A kind of class that stands in a step."""
+
+    key: str
+    """Key of the config that names it."""
+    tell: Callable[[StepResult, TinyScene], Table]
+    """What it is answerable for."""
+    methods: tuple[str, ...]
+    draws: str
+    """Where its random numbers come from."""
+    change: Callable[[Parts], Parts] = lambda parts: parts
+    """What the scene needs, so that the class has something to do."""
+    takes_state: bool = False
+    sees_truth: bool = False
+
+    @property
+    def section(self) -> str:
+        return self.key.rpartition(".")[0]
+
+
+PARTS = {
+    "trust": PartKind(
+        "trust.model", play.trust, ("open_step", "add_evaluations", "scores"), "A trust model draws no random numbers."
+    ),
+    "attack": PartKind(
+        "attacks.0.attack", play.messages, ("detections", "evaluations", "identities", "sending"),
+        "Draw with context.uniforms(...), keyed by the vehicle's name.",
+    ),
+    "policy": PartKind(
+        "pseudonyms.policy", play.renewals, ("changes",), "Draw with ages.trip_draws and ages.step_draws."
+    ),
+    "medium": PartKind(
+        "radio.model", play.receptions, ("broadcast",),
+        "Draw with cosim.rng.uniforms, keyed by seed, step and the stations' keys.", takes_state=True,
+    ),
+    "detector": PartKind(
+        "detector.model", play.detections, ("detect",), "Draw with the keys in `draws`.", sees_truth=True
+    ),
+    "driver": PartKind(
+        "driver.model", play.commands, ("commands",), "Draw with cosim.rng.uniforms, keyed by world.name_key.",
+        change=lambda parts: replace(parts, driver=WithBeliefs(parts.driver)), takes_state=True,
+    ),
+}  # fmt: skip
+"""Kinds of classes that stand in a step, by name."""
+
+
+def try_part(kind: str, name: str, own: Sequence[str] = ()) -> Report:
+    """Check a class that stands in a step; `own` are `key=value` of its parameters.
+
+    Raises
+    ------
+    ValueError
+        In one line, where the class or its parameters cannot be loaded.
+    """
+    part = PARTS[kind]
+    sets = [*BASE, f"{part.key}={name}", *(f"{part.section}.{one}" for one in own)]
+    config = load(None, sets)
+    config = replace(config, trust_variant=(), attacks=config.attacks[:1])
+    check_choices(config)
+    stage, seen = Stage(config, part.change), Observations()
+    found: list[Finding] = []
+    try:
+        watched = Stage(config, lambda parts: part.change(_probed(parts, kind, seen)))
+        told = watched.play(TinyScene(), part.tell)
+    except Exception as error:  # whatever a user's class does
+        found.append(Finding("it runs, and returns what its interface asks for", _in_one_line(error)))
+        return Report(kind, name, found)
+    found.append(Finding("it runs, and returns what its interface asks for"))
+    if kind != "trust":
+        twice = seen.twice and f"{seen.twice} {part.draws} Keep nothing outside of the state."
+        found += [
+            Finding("asked twice, it answers the same", twice), Finding("it changes nothing it is given", seen.changed),
+        ]  # fmt: skip
+    if kind == "attack":
+        found.append(Finding("it does not read the truth", seen.truth))
+    found += [_told(law, stage, part, told, **how) for law, how in _comparisons(part).items()]
+    cost_us = 1e6 * seen.seconds / max(seen.n_calls, 1) / _n_equipped(TinyScene())
+    return Report(kind, name, found, cost_us)
+
+
+def _comparisons(part: PartKind) -> dict[str, dict[str, Any]]:
+    """Laws that say: played otherwise, the same happens. By law: what is otherwise, and what to do about it."""
+    found: dict[str, dict[str, Any]] = {
+        "the same seed gives the same result": {
+            "says": "played a second time with the same seed", "cure": part.draws,
+        },
+        "numbers and order of the actors change nothing": {
+            "scene": TinyScene.renumbered, "says": "with the actors numbered, and their rows sorted, otherwise",
+            "cure": "Read names (name_key) and positions, never row numbers or actor numbers as such.",
+        },
+        "a vehicle that one does not meet changes nothing": {
+            "scene": TinyScene.with_stranger, "says": "with one more vehicle, 9 km away",
+            "cure": f"Each vehicle's result follows from what it perceives and receives. {part.draws}",
+        },
+        "it goes on from a checkpoint": {
+            "interrupted_at": INTERRUPTED_AT, "says": f"interrupted and resumed before step {INTERRUPTED_AT}",
+            "cure": "Keep in the state whatever lasts from step to step, as numbers, arrays and plain objects.",
+        },
+    }  # fmt: skip
+    if not part.sees_truth and part.section != "attacks.0":
+        found["it does not read the truth"] = {
+            "scene": TinyScene.with_other_attackers, "change": play.with_harmless_attackers,
+            "says": "with other vehicles as attackers, all of which do nothing",
+            "cure": "Who attacks is known to the tables alone: leave `attack` and all that is called truth unread.",
+        }  # fmt: skip
+    return found
+
+
+def _told(
+    law: str, stage: Stage, part: PartKind, told: list[Table], says: str, cure: str,
+    scene: Callable[[TinyScene], TinyScene] = lambda one: one, change: Callable[[Parts], Parts] | None = None,
+    interrupted_at: int | None = None,
+) -> Finding:  # fmt: skip
+    """Whether the same happens in a play that is another one in this respect."""
+    if change is not None:
+        stage, told = replace(stage, change=lambda parts: change(part.change(parts))), []
+
+    def compared(one: TinyScene, n_steps: int, first: list[Table]) -> tuple[int, str]:
+        first = first or stage.play(one, part.tell, n_steps)
+        return first_difference(first, stage.play(scene(one), part.tell, n_steps, interrupted_at))
+
+    try:
+        step, found = compared(TinyScene(), N_STEPS, told)
+        if not found:
+            return Finding(law)
+
+        def is_broken(actors: list[Any]) -> bool:
+            return bool(compared(TinyScene(tuple(actors)), step + 1, [])[1])
+
+        actors = smallest(list(TinyScene().actors), is_broken)
+        step, found = compared(TinyScene(tuple(actors)), step + 1, [])
+    except Exception as error:  # whatever a user's class does
+        return Finding(law, f"{says[0].upper()}{says[1:]}: {_in_one_line(error)} {cure}")
+    n = f"{len(actors)} actor{'s' if len(actors) > 1 else ''}"
+    return Finding(law, f"Step {step}, {n}: {found} {says}. {cure}")
+
+
+def first_difference(one: list[Table], other: list[Table]) -> tuple[int, str]:
+    """The first step in which two plays differ, and where, in words; empty where they are the same."""
+    for number, (a, b) in enumerate(zip(one, other, strict=True)):
+        for who in dict.fromkeys([*a, *b]):
+            if STRANGER.name in who:
+                continue
+            if who not in a or who not in b:
+                return number, f"{who} is {'there, but missing' if who in a else 'missing, but there'}"
+            for name, x in a[who].items():
+                if not np.isclose(x, y := b[who][name], rtol=TOLERANCE, atol=TOLERANCE, equal_nan=True):
+                    return number, f"{name} of {who} is {x:.6g}, but {y:.6g}"
+    return 0, ""
+
+
+def smallest(items: list[_Item], is_broken: Callable[[list[_Item]], bool]) -> list[_Item]:
+    """As few items as still break a law: chunks are left out, halves first, while it stays broken."""
+    size = len(items) // 2
+    while size:
+        at = 0
+        while at < len(items):
+            fewer = items[:at] + items[at + size :]
+            if fewer and is_broken(fewer):
+                items = fewer
+            else:
+                at += size
+        size = min(size // 2, len(items) // 2) if size > 1 else 0
+    return items
+
+
+def _probed(parts: Parts, kind: str, seen: Observations) -> Parts:
+    """The same parts with a probe before the class that is tried."""
+    about = PARTS[kind]
+
+    def probe(behind: Any) -> Any:
+        return Probe(behind, about.methods, about.takes_state, seen)
+
+    if kind == "attack":
+        attacks = tuple(probe(one) for one in parts.adversary.attacks)
+        return replace(parts, adversary=replace(parts.adversary, attacks=attacks))
+    if kind == "policy":
+        return replace(parts, pseudonyms=replace(parts.pseudonyms, policy=probe(parts.pseudonyms.policy)))
+    if kind == "detector":
+        parts.perception.detector = probe(parts.perception.detector)  # type: ignore[attr-defined]
+        return parts
+    if kind == "medium":
+        return replace(parts, medium=probe(parts.medium))
+    if kind == "driver":
+        return replace(parts, driver=probe(parts.driver))
+    return parts
+
+
+def _n_equipped(scene: TinyScene) -> int:
+    return sum(actor.equipped for actor in scene.actors)
+
+
+def _in_one_line(error: Exception) -> str:
+    """What went wrong, and in which line of which file."""
+    reason = " ".join(str(error).split())
+    if isinstance(error, ValueError) and reason:
+        return reason
+    last = traceback.extract_tb(error.__traceback__)[-1]
+    return f"{type(error).__name__}: {reason} ({last.filename}, line {last.lineno})."
