@@ -42,12 +42,12 @@ ONE_FILE = {
 """Libraries that one file alone may know."""
 
 ORDER = (
-    "rng", "ragged", "world", "mobility", "radio", "v2x", "adversary", "driver", "config", "step", "execution",
-    "offline", "studies", "reproduce", "bench", "cli", "docs", "__main__",
+    "rng", "ragged", "world", "mobility", "radio", "v2x", "adversary", "driver", "door", "extend", "config", "step",
+    "execution", "offline", "studies", "reproduce", "bench", "cli", "docs", "__main__",
 )  # fmt: skip
 """The rooms of `cosim`, from foundation to roof: each may import those before it."""
 
-HALL = {"__init__", "__main__", "rng", "ragged", "world"}
+HALL = {"__init__", "__main__", "extend", "rng", "ragged", "world"}
 """The files that stand in `cosim` itself."""
 
 

@@ -3,8 +3,10 @@
 import gc
 import os
 import sys
+import traceback
 from collections.abc import Callable, Iterable
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -14,6 +16,7 @@ from cosim.cli import interchange, studies
 from cosim.cli import reproduce as reproductions
 from cosim.cli.console import notes, print_json, print_metrics, print_run_summary, progress, screen, table_of
 from cosim.cli.nets import nets
+from cosim.door.blame import ExtensionError
 from cosim.execution.stop import Failed, Stopped
 from cosim.mobility.scratch import Scratch, can_hold_files
 from results.durable import Damaged
@@ -63,6 +66,16 @@ Picture = Literal[
 ]
 
 
+@dataclass(slots=True)
+class _Debug:
+    """Whether tracebacks are printed."""
+
+    is_on: bool = False
+
+
+_debug = _Debug()
+
+
 def _say_version(wanted: bool) -> None:
     if wanted:
         from importlib.metadata import version
@@ -76,8 +89,10 @@ def options(
     version: Annotated[
         bool, typer.Option("--version", callback=_say_version, is_eager=True, help="Print the version and exit.")
     ] = False,
+    debug: Annotated[bool, typer.Option("--debug", help="Print the traceback of an error before its line.")] = False,
 ) -> None:
     """Options of all commands."""
+    _debug.is_on = debug
 
 
 @app.command()
@@ -381,12 +396,12 @@ def main(command: Callable[..., int | None] = app) -> None:
         status = 128 + stopped.signum
     except BrokenPipeError:
         status = 1
-    except (Damaged, Failed) as error:
-        status = _say(str(error), 1)
+    except (Damaged, Failed, ExtensionError) as error:
+        status = _say(str(error), 1, error)
     except RecursionError:
         status = _say("the input is nested too deeply.", 2)
     except ValueError as error:
-        status = _say(str(error), 2)
+        status = _say(str(error), 2, error)
     except OSError as error:
         status = _say(f"{error.filename or 'output'}: {error.strerror or error}.", 1)
     try:
@@ -408,7 +423,10 @@ def _place_for_kernels() -> Scratch | None:
     return folder
 
 
-def _say(message: str, status: int) -> int:
+def _say(message: str, status: int, error: BaseException | None = None) -> int:
+    """Print an error in one line, after its traceback where the user asked for it."""
+    if error is not None and _debug.is_on:
+        traceback.print_exception(error)
     if message:
         with suppress(OSError):
             notes.print(f"error: {' '.join(message.split())}", soft_wrap=True)

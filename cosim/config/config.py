@@ -10,42 +10,29 @@ from typing import Annotated, Any
 
 from annotated_types import Ge, Le
 
-from cosim.adversary.catalogue import ATTACKS
 from cosim.adversary.params import PAPER, AttackParams, check_attacks
-from cosim.config.choices import Choice, resolve
 from cosim.config.data import check_finite, check_keys, former, override, read_toml, validated
+from cosim.door.blame import at_load
+from cosim.door.kinds import SECTIONS
+from cosim.door.load import Choice, resolve
 from cosim.driver.driver import DriverParams
-from cosim.driver.drivers import DRIVERS
 from cosim.mobility.fleet import FleetParams
 from cosim.mobility.meshes import MeshParams, VehicleMeshParams, check_vehicle_meshes
 from cosim.mobility.objects import ObjectParams
 from cosim.mobility.params import TrafficParams, resolved_input
 from cosim.mobility.position_errors import GnssParams
-from cosim.radio.medium import MEDIA
 from cosim.radio.params import RadioParams
 from cosim.radio.rsu import RsuParams
 from cosim.v2x.linkage import check_server
-from cosim.v2x.pseudonyms import POLICIES, PseudonymParams
+from cosim.v2x.pseudonyms import PseudonymParams
 from cosim.v2x.trust_server import ServerParams
 from results.columns import Level
 from results.encounters import EncounterParams
-from sensors.detector import DETECTORS
 from sensors.evidence import AreaParams
 from sensors.lidar import LidarParams
 from sensors.statistical_detector import DetectorParams
 from sumo_nets import catalogue, sumocfg
-from trust.models import MODELS
 from trust.params import TrustParams, differing_evidence_key
-
-CHOICES: Mapping[str, tuple[str, Mapping[str, Any], str]] = {
-    "detector": ("model", DETECTORS, "detect"),
-    "radio": ("model", MEDIA, "broadcast"),
-    "pseudonyms": ("policy", POLICIES, "changes"),
-    "trust": ("model", MODELS, "open_step add_evaluations scores"),
-    "driver": ("model", DRIVERS, "commands"),
-    "attacks": ("attack", ATTACKS, ""),
-}
-"""Sections in which a class is chosen: the key that names it, what is at hand, and the methods it needs."""
 
 PAPER_RULE: dict[str, Any] = {"name": "paper", "fused": True, "unseen": "zero", "unjudged": "value"}
 """Trust variant that the run without a config carries beside its own: unseen detections count as 0, as in Hurl et
@@ -194,14 +181,25 @@ def chosen_model(variant: TrustVariant) -> tuple[Choice, Any]:
 
 
 def _chosen(section: str, holder: Any, own: dict[str, Any]) -> tuple[Choice, Any]:
-    key, at_hand, needs = CHOICES[section]
-    choice = resolve(f"{section}.{key}", getattr(holder, key), at_hand, needs=needs)
+    kind = SECTIONS[section]
+    choice = resolve(kind, getattr(holder, kind.key))
     if choice.params is None:
         return choice, None
     if isinstance(holder, choice.params):
         return choice, holder
     shared = {f.name: getattr(holder, f.name) for f in fields(choice.params) if hasattr(holder, f.name)}
-    return choice, validated(choice.params, shared | own, section, "the config")
+    return choice, _params(choice, shared | own, section, "the config")
+
+
+def _params(choice: Choice, data: dict[str, Any], prefix: str, where: str) -> Any:
+    """The parameters of a chosen class from plain data; ValueError in one line for a mistake."""
+    try:
+        return validated(choice.params, data, prefix, where)
+    except ValueError:
+        raise
+    except Exception as error:  # a type that a config cannot hold, or whatever a user's class does
+        with at_load(choice.source.file, f"{choice.kind.title} {choice.of.__name__}", "Params cannot be read"):
+            raise error from None
 
 
 def load(path: Path | None = None, overrides: list[str] | None = None) -> Config:
@@ -224,7 +222,7 @@ def resolve_data(data: dict[str, Any], where: str, folder: Path | None) -> Confi
     variants = data.pop("trust_variant", [])
     own: dict[str, dict[str, Any]] = {}
     types = {f.name: f.type for f in fields(Config)}
-    for section in CHOICES:
+    for section in SECTIONS:
         if section == "attacks":
             listed = data.get(section, [])
             if isinstance(listed, list):
@@ -295,22 +293,23 @@ def _variants(
 
 def _own_fields(section: Mapping[str, Any], name: str, folder: Path | None) -> set[str]:
     """Names of the parameters of the class that a section chooses."""
-    key, at_hand, needs = CHOICES[name]
-    given = section.get(key)
+    kind = SECTIONS[name]
+    given = section.get(kind.key)
     if not isinstance(given, str):
         return set()
-    choice = resolve(f"{name}.{key}", given, at_hand, folder, needs)
+    choice = resolve(kind, given, folder)
     return set() if choice.params is None else {f.name for f in fields(choice.params)}
 
 
 def _take_own(section: dict[str, Any], name: str, model: Any, where: str, folder: Path | None) -> dict[str, Any]:
     """Move the chosen class's own parameters out of a section, checked; its name becomes absolute."""
-    key, at_hand, needs = CHOICES[name]
+    kind = SECTIONS[name]
+    key = kind.key
     default = next(f.default for f in fields(model) if f.name == key)
     given = section.get(key, default)
     if not isinstance(given, str):
         return {}  # the model says what is wrong with it
-    choice = resolve(f"{name}.{key}", given, at_hand, folder, needs)
+    choice = resolve(kind, given, folder)
     if key in section:
         section[key] = choice.source.name
     if choice.params is None or issubclass(model, choice.params):
@@ -324,7 +323,7 @@ def _take_own(section: dict[str, Any], name: str, model: Any, where: str, folder
         hint = f"Did you mean {name}.{near[0]}?" if near else f"Known: {known}."
         raise ValueError(f"{name}.{unknown[0]}: unknown key in {where}. {former(f'{name}.{unknown[0]}') or hint}")
     check_finite(taken, f"{name}.", where)
-    made = asdict(validated(choice.params, taken, name, where))
+    made = asdict(_params(choice, taken, name, where))
     return {k: made[k] for k in made if k in of_class}
 
 

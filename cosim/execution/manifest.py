@@ -14,8 +14,8 @@ from typing import Any
 
 import tomli_w
 
-from cosim.config.choices import Source
 from cosim.config.config import Config
+from cosim.door.load import Source
 from results import durable
 from results.codes import BASE_VARIANT, Role, labels
 from results.durable import sha256 as sha256

@@ -12,9 +12,9 @@ import numpy as np
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from cosim.adversary.checked import AttackError
 from cosim.adversary.params import named, shares
 from cosim.config.config import Config, resolve_data
+from cosim.door.blame import ExtensionError
 from cosim.execution import checkpoint, recording
 from cosim.execution import folder as run_folder
 from cosim.execution.check import check, roadside_units
@@ -41,7 +41,6 @@ from results.manifest import read_manifest
 from results.recorder import CHECKPOINT, Recorder, is_state
 from results.run import content_problem
 from results.tables import SCHEMA_VERSION
-from trust.models.interface import ModelError
 
 
 def run(
@@ -281,9 +280,13 @@ def _carry_out(drive: Drive, folder: RunFolder) -> None:
         raise Stopped(error.signum, message) from None
     except Failed:
         raise
-    except (TrafficError, ModelError, AttackError, Damaged) as error:
+    except (TrafficError, Damaged) as error:
         _fail(drive, folder, str(error))
         raise
+    except ExtensionError as error:
+        kept = _fail(drive, folder, str(error))
+        then = f" Its first {manifest.steps} steps: cosim resume {folder.path}." if kept else " Nothing is kept."
+        raise ExtensionError(str(error) + then) from error.__cause__
     except OSError as error:
         message = f"{folder.path}: {error.strerror or error}, at step {manifest.steps}"
         kept = _fail(drive, folder, message)

@@ -10,9 +10,9 @@ from typing import Annotated, Any
 
 from annotated_types import Ge, Gt
 
-from cosim.config import choices
 from cosim.config import config as configs
 from cosim.config import data as config_data
+from cosim.door.load import function
 from cosim.execution.manifest import toml_text
 from cosim.mobility.params import TrafficParams
 from results.metrics.registry import TOPICS
@@ -137,7 +137,7 @@ def load(path: Path) -> Study:
     measuring = _section(Measuring, data.get("measure", {}), "measure", where)
     if measuring.own:
         measuring = replace(measuring, own=_beside("measure.own", measuring.own, path.parent))
-        choices.function(f"measure.own in {where}", measuring.own)
+        function(f"measure.own in {where}", measuring.own)
     base: dict[str, Any] = {}
     if head.config:
         beside = path.parent / head.config

@@ -16,8 +16,8 @@ from typing import Any
 
 import pandas as pd
 
-from cosim.config import choices
 from cosim.config.config import resolve_data
+from cosim.door.load import function
 from cosim.execution import run as running
 from cosim.execution.stop import Failed
 from cosim.studies.folder import StudyFolder, status_of
@@ -70,7 +70,7 @@ def _measure(folder: Path, job: Path, asked: dict[str, Any]) -> None:
             one = run.as_variant(variant)
             frames.append(measure(one, topics=topics, **options).assign(point=point))
             if own:
-                frames.append(choices.function("measure.own", own)(one).assign(point=point))
+                frames.append(function("measure.own", own)(one).assign(point=point))
     partial = job / "measures.parquet.partial"
     pd.concat(frames, ignore_index=True).to_parquet(partial, index=False)
     partial.replace(job / "measures.parquet")
