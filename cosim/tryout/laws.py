@@ -1,91 +1,48 @@
 """The laws of the classes that a step is made of, checked on the tiny scene."""
 
-import traceback
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
 from cosim.config.config import load
+from cosim.door.kinds import KINDS
 from cosim.step.parts import Parts, check_choices
 from cosim.step.result import StepResult
-from cosim.tryout import play
+from cosim.tryout import play, trust_laws
+from cosim.tryout.findings import Finding, Report, in_one_line, smallest
 from cosim.tryout.play import BASE, Stage, Table, WithBeliefs
 from cosim.tryout.probe import TOLERANCE, Observations, Probe
-from cosim.tryout.scene import N_STEPS, STRANGER, TinyScene
-
-_Item = TypeVar("_Item")
+from cosim.tryout.scene import ACTORS, N_STEPS, STRANGER, TinyScene
 
 INTERRUPTED_AT = 7
-
-
-@dataclass(frozen=True, slots=True)
-class Finding:
-    """A law, and how it is broken."""
-
-    law: str
-    broken: str = ""
-    """One sentence or two with the smallest example found; empty where the law holds."""
-
-
-@dataclass(frozen=True, slots=True)
-class Report:
-    """What trying a class has shown."""
-
-    kind: str
-    name: str
-    findings: list[Finding]
-    cost_us: float = float("nan")
-    """Time of one call per vehicle [us]; NaN where nothing was measured."""
-
-    @property
-    def holds(self) -> bool:
-        return not any(one.broken for one in self.findings)
 
 
 @dataclass(frozen=True, slots=True)
 class PartKind:
     """A kind of class that stands in a step."""
 
-    key: str
-    """Key of the config that names it."""
     tell: Callable[[StepResult, TinyScene], Table]
     """What it is answerable for."""
-    methods: tuple[str, ...]
     draws: str
     """Where its random numbers come from."""
     change: Callable[[Parts], Parts] = lambda parts: parts
     """What the scene needs, so that the class has something to do."""
-    takes_state: bool = False
     sees_truth: bool = False
-
-    @property
-    def section(self) -> str:
-        return self.key.rpartition(".")[0]
 
 
 PARTS = {
-    "trust": PartKind(
-        "trust.model", play.trust, ("open_step", "add_evaluations", "scores"), "A trust model draws no random numbers."
-    ),
-    "attack": PartKind(
-        "attacks.0.attack", play.messages, ("detections", "evaluations", "identities", "sending"),
-        "Draw with context.uniforms(...), keyed by the vehicle's name.",
-    ),
-    "policy": PartKind(
-        "pseudonyms.policy", play.renewals, ("changes",), "Draw with ages.trip_draws and ages.step_draws."
-    ),
+    "trust": PartKind(play.trust, "A trust model draws no random numbers."),
+    "attack": PartKind(play.messages, "Draw with context.uniforms(...), keyed by the vehicle's name."),
+    "policy": PartKind(play.renewals, "Draw with ages.trip_draws and ages.step_draws."),
     "medium": PartKind(
-        "radio.model", play.receptions, ("broadcast",),
-        "Draw with cosim.rng.uniforms, keyed by seed, step and the stations' keys.", takes_state=True,
+        play.receptions, "Draw with cosim.rng.uniforms, keyed by seed, step and the stations' keys."
     ),
-    "detector": PartKind(
-        "detector.model", play.detections, ("detect",), "Draw with the keys in `draws`.", sees_truth=True
-    ),
+    "detector": PartKind(play.detections, "Draw with the keys in `draws`.", sees_truth=True),
     "driver": PartKind(
-        "driver.model", play.commands, ("commands",), "Draw with cosim.rng.uniforms, keyed by world.name_key.",
-        change=lambda parts: replace(parts, driver=WithBeliefs(parts.driver)), takes_state=True,
+        play.commands, "Draw with cosim.rng.uniforms, keyed by world.name_key.",
+        change=lambda parts: replace(parts, driver=WithBeliefs(parts.driver)),
     ),
 }  # fmt: skip
 """Kinds of classes that stand in a step, by name."""
@@ -99,8 +56,8 @@ def try_part(kind: str, name: str, own: Sequence[str] = ()) -> Report:
     ValueError
         In one line, where the class or its parameters cannot be loaded.
     """
-    part = PARTS[kind]
-    sets = [*BASE, f"{part.key}={name}", *(f"{part.section}.{one}" for one in own)]
+    part, section = PARTS[kind], "attacks.0" if kind == "attack" else KINDS[kind].section
+    sets = [*BASE, f"{section}.{KINDS[kind].key}={name}", *(f"{section}.{one}" for one in own)]
     config = load(None, sets)
     config = replace(config, trust_variant=(), attacks=config.attacks[:1])
     check_choices(config)
@@ -110,23 +67,25 @@ def try_part(kind: str, name: str, own: Sequence[str] = ()) -> Report:
         watched = Stage(config, lambda parts: part.change(_probed(parts, kind, seen)))
         told = watched.play(TinyScene(), part.tell)
     except Exception as error:  # whatever a user's class does
-        found.append(Finding("it runs, and returns what its interface asks for", _in_one_line(error)))
+        found.append(Finding("it runs, and returns what its interface asks for", in_one_line(error)))
         return Report(kind, name, found)
     found.append(Finding("it runs, and returns what its interface asks for"))
     if kind != "trust":
         twice = seen.twice and f"{seen.twice} {part.draws} Keep nothing outside of the state."
-        found += [
-            Finding("asked twice, it answers the same", twice), Finding("it changes nothing it is given", seen.changed),
-        ]  # fmt: skip
+        found.append(Finding("asked twice, it answers the same", twice))
     if kind == "attack":
         found.append(Finding("it does not read the truth", seen.truth))
-    found += [_told(law, stage, part, told, **how) for law, how in _comparisons(part).items()]
-    cost_us = 1e6 * seen.seconds / max(seen.n_calls, 1) / _n_equipped(TinyScene())
+    found += [_told(law, stage, part, told, **how) for law, how in _comparisons(kind).items()]
+    if kind == "trust":
+        more, seen = trust_laws.findings(stage)
+        found += more
+    cost_us = 1e6 * seen.seconds / max(seen.n_calls, 1) / sum(actor.equipped for actor in ACTORS)
     return Report(kind, name, found, cost_us)
 
 
-def _comparisons(part: PartKind) -> dict[str, dict[str, Any]]:
+def _comparisons(kind: str) -> dict[str, dict[str, Any]]:
     """Laws that say: played otherwise, the same happens. By law: what is otherwise, and what to do about it."""
+    part = PARTS[kind]
     found: dict[str, dict[str, Any]] = {
         "the same seed gives the same result": {
             "says": "played a second time with the same seed", "cure": part.draws,
@@ -144,7 +103,7 @@ def _comparisons(part: PartKind) -> dict[str, dict[str, Any]]:
             "cure": "Keep in the state whatever lasts from step to step, as numbers, arrays and plain objects.",
         },
     }  # fmt: skip
-    if not part.sees_truth and part.section != "attacks.0":
+    if not part.sees_truth and kind != "attack":
         found["it does not read the truth"] = {
             "scene": TinyScene.with_other_attackers, "change": play.with_harmless_attackers,
             "says": "with other vehicles as attackers, all of which do nothing",
@@ -177,7 +136,7 @@ def _told(
         actors = smallest(list(TinyScene().actors), is_broken)
         step, found = compared(TinyScene(tuple(actors)), step + 1, [])
     except Exception as error:  # whatever a user's class does
-        return Finding(law, f"{says[0].upper()}{says[1:]}: {_in_one_line(error)} {cure}")
+        return Finding(law, f"{says[0].upper()}{says[1:]}: {in_one_line(error)} {cure}")
     n = f"{len(actors)} actor{'s' if len(actors) > 1 else ''}"
     return Finding(law, f"Step {step}, {n}: {found} {says}. {cure}")
 
@@ -196,27 +155,11 @@ def first_difference(one: list[Table], other: list[Table]) -> tuple[int, str]:
     return 0, ""
 
 
-def smallest(items: list[_Item], is_broken: Callable[[list[_Item]], bool]) -> list[_Item]:
-    """As few items as still break a law: chunks are left out, halves first, while it stays broken."""
-    size = len(items) // 2
-    while size:
-        at = 0
-        while at < len(items):
-            fewer = items[:at] + items[at + size :]
-            if fewer and is_broken(fewer):
-                items = fewer
-            else:
-                at += size
-        size = min(size // 2, len(items) // 2) if size > 1 else 0
-    return items
-
-
 def _probed(parts: Parts, kind: str, seen: Observations) -> Parts:
     """The same parts with a probe before the class that is tried."""
-    about = PARTS[kind]
 
     def probe(behind: Any) -> Any:
-        return Probe(behind, about.methods, about.takes_state, seen)
+        return Probe(behind, tuple(KINDS[kind].hooks), seen)
 
     if kind == "attack":
         attacks = tuple(probe(one) for one in parts.adversary.attacks)
@@ -231,16 +174,3 @@ def _probed(parts: Parts, kind: str, seen: Observations) -> Parts:
     if kind == "driver":
         return replace(parts, driver=probe(parts.driver))
     return parts
-
-
-def _n_equipped(scene: TinyScene) -> int:
-    return sum(actor.equipped for actor in scene.actors)
-
-
-def _in_one_line(error: Exception) -> str:
-    """What went wrong, and in which line of which file."""
-    reason = " ".join(str(error).split())
-    if isinstance(error, ValueError) and reason:
-        return reason
-    last = traceback.extract_tb(error.__traceback__)[-1]
-    return f"{type(error).__name__}: {reason} ({last.filename}, line {last.lineno})."

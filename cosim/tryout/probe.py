@@ -1,4 +1,4 @@
-"""Stands before an instance of a class that is tried: asks everything twice, and watches what becomes of its input."""
+"""Stands before an instance of a class that is tried, asks everything twice, and measures how long an answer takes."""
 
 import copy
 import time
@@ -61,8 +61,6 @@ class Observations:
     n_calls: int = 0
     twice: str = ""
     """Where the second answer to one question differs from the first."""
-    changed: str = ""
-    """What the class changed of the arrays that it was given."""
     truth: str = ""
     """Where an attack answers otherwise when the truth about others is another one."""
 
@@ -74,8 +72,6 @@ class Probe:
     behind: Any
     methods: tuple[str, ...]
     """Those that are watched."""
-    takes_state: bool
-    """Whether the first argument is the class's own state, which it may change."""
     seen: Observations = field(default_factory=Observations)
 
     @property  # type: ignore[misc]
@@ -89,17 +85,14 @@ class Probe:
     def _watched(self, name: str, method: Callable[..., Any]) -> Callable[..., Any]:
         def call(*arguments: Any) -> Any:
             kept, again = copy.deepcopy(arguments), copy.deepcopy(arguments)
-            given = slice(1 if self.takes_state else 0, None)
             begin_s = time.perf_counter()
             answer = method(*arguments)
             self.seen.seconds += time.perf_counter() - begin_s
             self.seen.n_calls += 1
-            if not self.seen.changed and (found := difference(_given(arguments[given]), _given(kept[given]))):
-                self.seen.changed = f"{name}() changes what it is given: after the call and before it, argument{found}."
             first = copy.deepcopy(answer)
             second = method(*again)
             if not self.seen.twice and (found := difference(first, second)):
-                self.seen.twice = f"{name}() is asked the same twice in a row: the answer{_at(found)}."
+                self.seen.twice = f"{name}() is asked the same twice in a row, and the answers differ: {found}."
             if not self.seen.truth and isinstance(kept[-1], AttackContext):
                 self.seen.truth = _truth_read(name, method, kept, first)
             return answer
@@ -109,11 +102,6 @@ class Probe:
 
 def _at(found: str) -> str:
     return found if found.startswith("[") else f" {found}" if found.startswith(("is ", "has ")) else f".{found}"
-
-
-def _given(arguments: tuple[Any, ...]) -> list[Any]:
-    """What a class must leave as it is: all but the memory of an attack."""
-    return [replace(one, memory={}) if isinstance(one, AttackContext) else one for one in arguments]
 
 
 def _truth_read(name: str, method: Callable[..., Any], arguments: tuple[Any, ...], answer: Any) -> str:
