@@ -112,17 +112,17 @@ class Replay(Vouched):
             past.pop(0)
         old = past[0] if past else None
         now = listed.take(received)
-        past.append((context.time_s, now, world.actor[now.observer], xy[now.observer]))
+        past.append((context.time_s, now, world.actor[now.observer], world.name_key[now.observer], xy[now.observer]))
         if old is None or not len(old[1]):
             return listed
-        _, said, by, from_xy = old
+        _, said, by, name_key, from_xy = old
         attackers = np.flatnonzero(context.attacker)
         first = np.flatnonzero(np.append(True, by[1:] != by[:-1]))  # of each sender's detections
         count = np.diff(np.append(first, len(by)))
         tree = cKDTree(from_xy[first])
         near = cKDTree(xy[attackers]).sparse_distance_matrix(tree, p.range_m, output_type="ndarray")
         a, sender = near["i"], near["j"]
-        order = np.lexsort((sender, a))
+        order = np.lexsort((name_key[first[sender]], a))  # by name, so that no draw depends on actor numbers
         a, sender = a[order], sender[order]
         others = by[first[sender]] != world.actor[attackers[a]]
         a, sender = a[others], sender[others]
