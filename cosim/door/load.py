@@ -98,12 +98,12 @@ def load_own(name: str, kind: Kind | None = None, folder: Path | None = None) ->
     with blame.at_load(source.file, place, "the class cannot be read"):
         found = getattr(module, class_name, None)
         if found is None:
+            hint = shape.did_you_mean(class_name, shape.classes_of(module))
             raise blame.Refused(
-                f"{place}: {where} defines no {class_name}. {shape.did_you_mean(class_name, shape.classes_of(module))}"
-                "Name a class of that file."
+                f"{source.file}:1: {place}: it defines no {class_name}. {hint}Name a class of that file."
             )
         if not isinstance(found, type):
-            raise blame.Refused(f"{place}: {class_name} is no class. Name a class that the file defines.")
+            raise blame.Refused(f"{source.file}:1: {place}: {class_name} is no class. Name a class of that file.")
         kind = kind or shape.kind_of(found, source.file, KINDS)
         shape.check_class(found, kind, source.file)
     return Choice(kind, found, getattr(found, "Params", None), source)
