@@ -133,6 +133,7 @@ class Replay(Vouched):
         chosen = sender[np.searchsorted(a, has) + _scaled(one, n_near[has])]
         source = first[chosen] + _scaled(other, count[chosen])
         _, once = np.unique(has * np.int64(len(by)) + source, return_index=True)
+        once = np.sort(once)  # as drawn, not by actor numbers
         again = said.take(source[once])
         return fabricated(listed, attackers[has[once]], again.label, again.boxes, again.score)
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from cosim.cli import interchange, studies
+from cosim.cli import extend, interchange, studies
 from cosim.cli import reproduce as reproductions
 from cosim.cli.console import notes, print_json, print_metrics, print_run_summary, progress, screen, table_of
 from cosim.cli.nets import nets
@@ -34,6 +34,7 @@ app.add_typer(nets, name="nets")
 studies.add_to(app)
 reproductions.add_to(app)
 interchange.add_to(app)
+extend.add_to(app)
 
 ConfigPath = Annotated[Path | None, typer.Argument(help="TOML file; without one, the shipped city.")]
 Overrides = Annotated[

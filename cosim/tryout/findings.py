@@ -5,7 +5,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TypeVar
 
+from cosim.door.blame import ExtensionError
+from cosim.execution.checkpoint import CannotCheckpoint
+
 _Item = TypeVar("_Item")
+MOST_TRIES = 40
+"""Attempts at a smaller example, about."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,11 +39,12 @@ class Report:
 
 def smallest(items: list[_Item], is_broken: Callable[[list[_Item]], bool]) -> list[_Item]:
     """As few items as still break a law: chunks are left out, halves first, while it stays broken."""
-    size = len(items) // 2
-    while size:
+    size, n_tries = len(items) // 2, 0
+    while size and n_tries < MOST_TRIES:
         at = 0
         while at < len(items):
             fewer = items[:at] + items[at + size :]
+            n_tries += 1
             if fewer and is_broken(fewer):
                 items = fewer
             else:
@@ -50,7 +56,7 @@ def smallest(items: list[_Item], is_broken: Callable[[list[_Item]], bool]) -> li
 def in_one_line(error: Exception) -> str:
     """What went wrong, and in which line of which file."""
     reason = " ".join(str(error).split())
-    if isinstance(error, ValueError) and reason:
-        return reason
+    if isinstance(error, ValueError | ExtensionError | CannotCheckpoint) and reason:
+        return reason if reason.endswith(".") else f"{reason}."
     last = traceback.extract_tb(error.__traceback__)[-1]
     return f"{type(error).__name__}: {reason} ({last.filename}, line {last.lineno})."

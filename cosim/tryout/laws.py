@@ -14,7 +14,7 @@ from cosim.tryout import play, trust_laws
 from cosim.tryout.findings import Finding, Report, in_one_line, smallest
 from cosim.tryout.play import BASE, Stage, Table, WithBeliefs
 from cosim.tryout.probe import TOLERANCE, Observations, Probe
-from cosim.tryout.scene import ACTORS, N_STEPS, STRANGER, TinyScene
+from cosim.tryout.scene import ACTORS, N_STEPS, STRANGER, Actor, TinyScene
 
 INTERRUPTED_AT = 7
 
@@ -65,14 +65,17 @@ def try_part(kind: str, name: str, own: Sequence[str] = ()) -> Report:
     found: list[Finding] = []
     try:
         watched = Stage(config, lambda parts: part.change(_probed(parts, kind, seen)))
-        told = watched.play(TinyScene(), part.tell)
+        watched.play(TinyScene(), part.tell)
+        told = stage.play(TinyScene(), part.tell)
     except Exception as error:  # whatever a user's class does
         found.append(Finding("it runs, and returns what its interface asks for", in_one_line(error)))
         return Report(kind, name, found)
     found.append(Finding("it runs, and returns what its interface asks for"))
     if kind != "trust":
-        twice = seen.twice and f"{seen.twice} {part.draws} Keep nothing outside of the state."
+        twice = seen.twice and f"{seen.twice} {part.draws} Keep nothing between calls but in the state."
         found.append(Finding("asked twice, it answers the same", twice))
+    if kind == "policy":
+        found.append(Finding("each vehicle changes for itself", seen.alone))
     if kind == "attack":
         found.append(Finding("it does not read the truth", seen.truth))
     found += [_told(law, stage, part, told, **how) for law, how in _comparisons(kind).items()]
@@ -91,7 +94,7 @@ def _comparisons(kind: str) -> dict[str, dict[str, Any]]:
             "says": "played a second time with the same seed", "cure": part.draws,
         },
         "numbers and order of the actors change nothing": {
-            "scene": TinyScene.renumbered, "says": "with the actors numbered, and their rows sorted, otherwise",
+            "scene": TinyScene.renumbered, "says": "with other actor numbers, and the rows in their order",
             "cure": "Read names (name_key) and positions, never row numbers or actor numbers as such.",
         },
         "a vehicle that one does not meet changes nothing": {
@@ -125,20 +128,24 @@ def _told(
         first = first or stage.play(one, part.tell, n_steps)
         return first_difference(first, stage.play(scene(one), part.tell, n_steps, interrupted_at))
 
+    actors = list(TinyScene().actors)
     try:
         step, found = compared(TinyScene(), N_STEPS, told)
         if not found:
             return Finding(law)
+        n_steps, examples = step + 1, {len(actors): (step, found)}
 
-        def is_broken(actors: list[Any]) -> bool:
-            return bool(compared(TinyScene(tuple(actors)), step + 1, [])[1])
+        def is_broken(some: list[Actor]) -> bool:
+            step, found = compared(TinyScene(tuple(some)), n_steps, [])
+            if found:
+                examples[len(some)] = step, found
+            return bool(found)
 
-        actors = smallest(list(TinyScene().actors), is_broken)
-        step, found = compared(TinyScene(tuple(actors)), step + 1, [])
+        n = len(smallest(actors, is_broken))
     except Exception as error:  # whatever a user's class does
         return Finding(law, f"{says[0].upper()}{says[1:]}: {in_one_line(error)} {cure}")
-    n = f"{len(actors)} actor{'s' if len(actors) > 1 else ''}"
-    return Finding(law, f"Step {step}, {n}: {found} {says}. {cure}")
+    step, found = examples[n]
+    return Finding(law, f"Step {step}, {n} actor{'s' if n > 1 else ''}: {found} {says}. {cure}")
 
 
 def first_difference(one: list[Table], other: list[Table]) -> tuple[int, str]:
@@ -148,7 +155,7 @@ def first_difference(one: list[Table], other: list[Table]) -> tuple[int, str]:
             if STRANGER.name in who:
                 continue
             if who not in a or who not in b:
-                return number, f"{who} is {'there, but missing' if who in a else 'missing, but there'}"
+                return number, f"{who} is {'there as it is, but not' if who in a else 'not there as it is, but it is'}"
             for name, x in a[who].items():
                 if not np.isclose(x, y := b[who][name], rtol=TOLERANCE, atol=TOLERANCE, equal_nan=True):
                     return number, f"{name} of {who} is {x:.6g}, but {y:.6g}"

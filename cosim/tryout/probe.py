@@ -11,6 +11,7 @@ from numpy import ndarray
 
 from cosim.adversary.attack import AttackContext, EvaluationRows
 from cosim.v2x.messages import FABRICATED, SELF, SENSED, Detections
+from cosim.v2x.pseudonyms import PseudonymAges
 
 TOLERANCE = 1e-9
 """Numbers that differ by less, absolute or relative, are the same: sums in another order round otherwise."""
@@ -61,6 +62,8 @@ class Observations:
     n_calls: int = 0
     twice: str = ""
     """Where the second answer to one question differs from the first."""
+    alone: str = ""
+    """Where a policy answers otherwise for one vehicle when it is asked about that vehicle alone."""
     truth: str = ""
     """Where an attack answers otherwise when the truth about others is another one."""
 
@@ -93,7 +96,9 @@ class Probe:
             second = method(*again)
             if not self.seen.twice and (found := difference(first, second)):
                 self.seen.twice = f"{name}() is asked the same twice in a row, and the answers differ: {found}."
-            if not self.seen.truth and isinstance(kept[-1], AttackContext):
+            if not self.seen.alone and kept and isinstance(kept[0], PseudonymAges):
+                self.seen.alone = _by_others(method, kept[0], first)
+            if not (self.seen.truth or self.seen.twice) and kept and isinstance(kept[-1], AttackContext):
                 self.seen.truth = _truth_read(name, method, kept, first)
             return answer
 
@@ -102,6 +107,19 @@ class Probe:
 
 def _at(found: str) -> str:
     return found if found.startswith("[") else f" {found}" if found.startswith(("is ", "has ")) else f".{found}"
+
+
+def _by_others(method: Callable[..., Any], ages: PseudonymAges, answer: ndarray) -> str:
+    """Asks a policy about each vehicle alone."""
+    for row in range(len(ages.age_s)):
+        alone = PseudonymAges(*(getattr(ages, f.name)[[row]] for f in fields(ages)))
+        if method(alone)[0] != answer[row]:
+            return (
+                f"A vehicle of {ages.age_s[row]:g} s, {ages.distance_m[row]:.3g} m and {ages.n_messages[row]} messages "
+                f"{'changes' if answer[row] else 'does not change'} among {len(answer)} vehicles, and "
+                f"{'does not' if answer[row] else 'does'} when it is alone. Decide for each row by that row."
+            )
+    return ""
 
 
 def _truth_read(name: str, method: Callable[..., Any], arguments: tuple[Any, ...], answer: Any) -> str:
@@ -136,7 +154,7 @@ def _of_attackers(answer: Any, arguments: tuple[Any, ...], context: AttackContex
         return answer.take(np.flatnonzero(context.attacker[answer.observer]))
     if isinstance(arguments[0], EvaluationRows):
         rows = context.attacker[arguments[0].evaluator]
-        return tuple(column[rows] for column in answer)
+        return {name: column[rows] for name, column in zip(("evaluation", "visibility"), answer, strict=True)}
     if isinstance(answer, ndarray):
         return answer[context.attacker]
     return {f.name: getattr(answer, f.name)[context.attacker] for f in fields(answer)}

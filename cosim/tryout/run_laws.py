@@ -1,11 +1,12 @@
 """Laws of exporters and metrics, on a run that is driven from the tiny scene."""
 
-import csv
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from cosim.config.config import load
 from cosim.config.single import from_command_line
@@ -19,6 +20,7 @@ from cosim.tryout.scene import N_STEPS, STEP_S, TinyScene
 from results.archive import open_run
 from results.measure import measure_own
 from results.run import Run
+from sensors.scene import Shape
 
 _RUNS = "it runs, and returns what its interface asks for"
 _AGAIN = "asked twice, it answers the same"
@@ -69,8 +71,8 @@ def _tiny_runs() -> Iterator[tuple[Path, Path, Path]]:
     """The same run in long and in short blocks, and a folder for whatever else is written."""
     with tempfile.TemporaryDirectory(prefix="cosim-try-") as folder:
         root = Path(folder)
-        _write_trace(root / "trace.fcd.csv")
-        sets = [*BASE, f"traffic.trace={root / 'trace.fcd.csv'}", "traffic.warmup_s=0", "record.level=full",
+        _write_trace(root / "trace.fcd.xml")
+        sets = [*BASE, f"traffic.trace={root / 'trace.fcd.xml'}", "traffic.warmup_s=0", "record.level=full",
                 "fleet.penetration_p=0.8", "attacks.0.share_p=0.3"]  # fmt: skip
         for name, block_steps in (("one", N_STEPS), ("other", 3)):
             run(load(None, [*sets, f"record.block_steps={block_steps}"]), root / name, lambda *_: None)
@@ -78,12 +80,18 @@ def _tiny_runs() -> Iterator[tuple[Path, Path, Path]]:
 
 
 def _write_trace(path: Path) -> None:
-    """The traffic of the tiny scene as SUMO would write it."""
-    with path.open("w", newline="", encoding="utf-8") as file:
-        table = csv.writer(file, delimiter=";")
-        table.writerow(["timestep_time", "vehicle_id", "vehicle_type", "vehicle_x", "vehicle_y", "vehicle_angle",
-                        "vehicle_speed"])  # fmt: skip
-        for number in range(N_STEPS + 1):
-            world, scene = TinyScene().world(number), TinyScene()
-            for row, name in enumerate(scene.names):
-                pass
+    """The traffic of the tiny scene as SUMO writes it."""
+    scene, types = TinyScene(), {Shape.CAR: "passenger", Shape.TRUCK: "truck", Shape.PEDESTRIAN: "pedestrian"}
+    lines = ["<fcd-export>"]
+    for number in range(N_STEPS + 1):
+        lines.append(f'<timestep time="{number * STEP_S:.2f}">')
+        for row, (actor, yaw_rad) in enumerate(zip(scene.actors, scene.world(number).boxes.yaw_rad, strict=True)):
+            front_m = scene.world(number).boxes.xyz_m[row, :2]
+            element = "person" if actor.shape == Shape.PEDESTRIAN else "vehicle"
+            lines.append(
+                f'<{element} id="{actor.name}" x="{front_m[0]:.2f}" y="{front_m[1]:.2f}" '
+                f'angle="{(90 - np.degrees(yaw_rad)) % 360:.2f}" type="{types[actor.shape]}" '
+                f'speed="{actor.speed_mps:.2f}"/>'
+            )
+        lines.append("</timestep>")
+    path.write_text("\n".join([*lines, "</fcd-export>"]), encoding="utf-8")

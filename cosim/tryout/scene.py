@@ -1,4 +1,4 @@
-"""A tiny scene: sixteen actors on two streets that cross, for six seconds, with a building at each corner."""
+"""A tiny scene: sixteen actors on two streets that cross, for eight seconds, with a building at each corner."""
 
 from dataclasses import dataclass, replace
 
@@ -12,7 +12,7 @@ from sensors.boxes import Boxes
 from sensors.scene import Scene, Shape
 
 STEP_S = 0.5
-N_STEPS = 12
+N_STEPS = 16
 """Vehicles sense in every second step."""
 _HALF_M = 60.0
 """Streets end so far from the crossing."""

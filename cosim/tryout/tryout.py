@@ -2,6 +2,8 @@
 
 from collections.abc import Sequence
 
+import numba
+
 from cosim.door.kinds import KINDS
 from cosim.door.load import is_own, load_own
 from cosim.tryout.findings import Report
@@ -28,9 +30,14 @@ def try_class(name: str, kind: str | None = None, sets: Sequence[str] = ()) -> R
     """
     if kind is None:
         kind = load_own(name).kind.name if is_own(name) else _shipped(name)
-    if kind in PARTS:
-        return try_part(kind, name, sets)
-    return (try_exporter if kind == "exporter" else try_metric)(name, sets)
+    threads = numba.get_num_threads()
+    numba.set_num_threads(1)  # sixteen actors are too few for two
+    try:
+        if kind in PARTS:
+            return try_part(kind, name, sets)
+        return (try_exporter if kind == "exporter" else try_metric)(name, sets)
+    finally:
+        numba.set_num_threads(threads)
 
 
 def _shipped(name: str) -> str:
