@@ -16,6 +16,7 @@ from typing import Any
 
 from cosim.door import blame, shape
 from cosim.door.kinds import KINDS, Kind
+from cosim.door.permission import check_code
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,13 +124,16 @@ def function(key: str, name: str) -> Callable[..., Any]:
 
 def _module(place: str, where: str, class_name: str, folder: Path | None) -> tuple[ModuleType, Source]:
     """The module of a user's own choice; `place` begins the messages."""
+    check_code(place)
     path = Path(where)
     if not where.endswith(".py"):
         with blame.at_load(where, place, "cannot be imported"):
+            found = importlib.util.find_spec(where)
+        file = (found.origin if found is not None and found.has_location else None) or where
+        with blame.at_load(file, place, "cannot be imported"):
             module = importlib.import_module(where)
-            file = Path(module.__file__) if module.__file__ else None
-            digest = hashlib.sha256(file.read_bytes()).hexdigest() if file is not None else ""
-        return module, Source(f"{where}:{class_name}", str(file or ""), digest)
+        digest = hashlib.sha256(Path(file).read_bytes()).hexdigest() if file != where else ""
+        return module, Source(f"{where}:{class_name}", file if file != where else "", digest)
     if folder is not None and (folder / path).is_file():
         path = folder / path
     if not path.is_file():

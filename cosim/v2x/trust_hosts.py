@@ -8,7 +8,7 @@ server) is kept once.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cache
-from typing import Any
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8, UInt64
@@ -31,6 +31,8 @@ from trust.object_reports import ObjectReports
 from trust.params import EVIDENCE_KEYS, TrustParams, eta_of, window_of
 from trust.step_evidence import RejectReason
 from trust.tables import SERVER, EvaluationMessages, ReceivedEvaluations, TrustScores
+
+T = TypeVar("T")
 
 FUSION_KEYS = frozenset({
     "method", "plausibility_in_fusion", "blind_points", "self_report_poses", "min_score", "code_parity",
@@ -121,15 +123,25 @@ class TrustState:
     """Reports that reached the server in the last `publish`."""
 
 
+class Informed(NamedTuple):
+    """How many vehicles a broadcast of trust values is about to inform."""
+
+    n_addressed: int
+    """Vehicles that it was meant for."""
+    n_informed: int
+    """Of these, those that it reaches, now or later."""
+
+
+NOBODY = Informed(0, 0)
+"""Nothing was broadcast."""
+
+
 @dataclass(frozen=True, slots=True)
 class ServerTraffic:
     """A step's messages between vehicles and a trust server."""
 
     up: LinkStats
-    n_addressed: int
-    """Vehicles that a broadcast of trust values was meant for."""
-    n_informed: int
-    """Of these, those that it reaches, now or later."""
+    down: Informed
 
 
 @dataclass(frozen=True, slots=True)
@@ -192,7 +204,7 @@ class TrustHosts:
 
     def publish(
         self, state: TrustState, step: int, time_s: float, vehicle: Int[ndarray, "e"], name_key: UInt64[ndarray, "e"]
-    ) -> tuple[TrustState, list[TrustScores | None], list[tuple[int, int]]]:
+    ) -> tuple[TrustState, list[TrustScores | None], list[Informed]]:
         """Reports reach the server; where it is time, it computes trust and broadcasts it.
 
         Returns
@@ -200,7 +212,7 @@ class TrustHosts:
         The state; per host, what its server computed now, and the vehicles addressed and informed.
         """
         published: list[TrustScores | None] = [None] * len(self.params)
-        counts = [(0, 0)] * len(self.params)
+        counts = [NOBODY] * len(self.params)
         if not self._any("central"):
             return state, published, counts
         uplink, arrived = self.uplink.arrived(state.uplink, time_s)
@@ -225,15 +237,21 @@ class TrustHosts:
             )
             state.hosts[h] = HostState(host.model, downlink, time_s)
             if self.server.uplink == "cellular":
-                counts[h] = len(vehicle), n_informed
+                counts[h] = Informed(len(vehicle), n_informed)
         return state, published, counts
 
-    def traffic(self, up: LinkStats, informed: Sequence[tuple[int, int]]) -> list[ServerTraffic | None]:
-        """Messages to and from the server of each host, given the vehicles addressed and informed by each."""
-        return [
-            ServerTraffic(up, *counts) if params.host == "central" else None
-            for params, counts in zip(self.params, informed, strict=True)
-        ]
+    def per_variant(self, of_host: Sequence[T]) -> list[T]:
+        """What there is per host, per trust variant."""
+        return [of_host[h] for h in self.host_of]
+
+    def traffic(self, up: LinkStats, informed: Sequence[Informed]) -> list[ServerTraffic | None]:
+        """Messages to and from the server of each trust variant, given whom each host informed."""
+        return self.per_variant(
+            [
+                ServerTraffic(up, down) if params.host == "central" else None
+                for params, down in zip(self.params, informed, strict=True)
+            ]
+        )
 
     def pending_rsu_broadcast(self, state: TrustState, time_s: float) -> tuple[TrustState, TrustBroadcast | None]:
         """What roadside units have to send in a round that begins at `time_s`, once."""
@@ -252,13 +270,13 @@ class TrustHosts:
         vehicle: Int[ndarray, "e"],
         receiver: Int[ndarray, "m"],
         received_s: Float[ndarray, "m"],
-    ) -> tuple[TrustState, tuple[int, int]]:
-        """Vehicles received the roadside units' broadcast; vehicles addressed and informed."""
+    ) -> tuple[TrustState, Informed]:
+        """Vehicles received the roadside units' broadcast; whom it informs."""
         h = self.host_of[0]
         downlink, n_informed = self.downlink.receive_from_rsu(state.hosts[h].downlink, vehicle, receiver, received_s)
         hosts = list(state.hosts)
         hosts[h] = replace(hosts[h], downlink=downlink)
-        return TrustState(hosts, state.uplink), (len(vehicle), n_informed)
+        return TrustState(hosts, state.uplink), Informed(len(vehicle), n_informed)
 
     def open_step(
         self, state: TrustState, step: int, pseudonym: Int[ndarray, "p"], message: Int[ndarray, "d"],
@@ -379,7 +397,9 @@ class TrustHosts:
 
     def rejected(self, state: TrustState) -> dict[str, int]:
         """Evaluations that the acting model rejected so far, by cause, where it counts them."""
-        counts = getattr(state.hosts[self.host_of[0]].model, "rejected", ())
+        counts = getattr(state.hosts[self.host_of[0]].model, "rejected", None)
+        if not isinstance(counts, ndarray):
+            return {}
         return {cause.name.lower(): int(n) for cause, n in zip(RejectReason, counts, strict=False) if n}
 
     def scorers(self, state: TrustState) -> list[ObjectScorer | None]:

@@ -164,8 +164,8 @@ def compile_all(config: Config) -> None:
     parts = replace(Parts.of(c, city, rsus), perception=_Told(perception_of(c, city)))
     state, nowhere = State.start(parts), _Nowhere(c.record.level)
     for number in range(_SENSING_STEPS * c.sense_every_steps):
-        state, happened = step(_world(number, c), state, parts)
-        recording.step(nowhere, happened, c.traffic.step_s)
+        state, result = step(_world(number, c), state, parts)
+        recording.step(nowhere, result, c.traffic.step_s)
     parts.trust.rejected(state.trust)
     lookups.compile_kernels()
 
