@@ -73,10 +73,11 @@ from trust.pair_index import PairIndex, with_rows
 from trust.tables import SERVER, EvaluationMessages, ReceivedEvaluations, TrustScores
 
 __all__ = [
-    "FABRICATED", "SELF", "SENSED", "SERVER", "Attack", "AttackContext", "Beliefs", "Boxes", "Detections", "Detector",
-    "DetectorDraws", "Driver", "EvaluationMessages", "EvaluationRows", "File", "FrameOutcomes", "LanePaths", "LosState",
-    "Medium", "MessageRound", "Messages", "MetricRow", "ObjectClass", "ObjectReports", "Observability", "Outcome", "PairIndex", "Plan",
-    "PseudonymAges", "PseudonymPolicy", "Reasons", "ReceivedEvaluations", "Receptions", "Reports", "RoundKind", "Run",
-    "ScoresObjects", "Selection", "Sending", "Shape", "SpeedCommands", "Stations", "Sweeps", "TrustModel", "TrustScores", "World",
-    "certified", "draws", "fabricated", "per_actor", "placed", "with_rows",
+    "FABRICATED", "SELF", "SENSED", "SERVER", "Attack", "AttackContext", "Beliefs", "Boxes", "Detections",
+    "Detector", "DetectorDraws", "Driver", "EvaluationMessages", "EvaluationRows", "File", "FrameOutcomes",
+    "LanePaths", "LosState", "Medium", "MessageRound", "Messages", "MetricRow", "ObjectClass", "ObjectReports",
+    "Observability", "Outcome", "PairIndex", "Plan", "PseudonymAges", "PseudonymPolicy", "Reasons",
+    "ReceivedEvaluations", "Receptions", "Reports", "RoundKind", "Run", "ScoresObjects", "Selection", "Sending",
+    "Shape", "SpeedCommands", "Stations", "Sweeps", "TrustModel", "TrustScores", "World", "certified", "draws",
+    "fabricated", "per_actor", "placed", "with_rows",
 ]  # fmt: skip

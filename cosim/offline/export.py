@@ -106,7 +106,8 @@ def _exported(
     if chosen.presence.empty:
         raise ValueError("none of these vehicles is on the road in any of these steps. Choose others.")
     about = {
-        "format": choice.source.name, "run": str(run.path.resolve()), "vehicles": list(chosen.vehicles), "steps": _span(chosen.steps),
+        "format": choice.source.name, "run": str(run.path.resolve()), "vehicles": list(chosen.vehicles),
+        "steps": _span(chosen.steps),
         "created": run.manifest.get("created"), "schema_version": run.manifest["schema_version"],
     }  # fmt: skip
     if choice.is_own:

@@ -63,7 +63,9 @@ class Opv2v:
         """A unit for each scenario."""
         found = scenarios_of(selection)
         if not found:
-            raise ValueError("no two of these vehicles are on the road together, and a scenario needs two. Choose others.")
+            raise ValueError(
+                "no two of these vehicles are on the road together, and a scenario needs two. Choose others."
+            )
         units = [Unit(s.name, partial(_scenario, selection, s)) for s in found]
         units.append(Unit("names", lambda clouds: iter([File("vehicles.csv", partial(kitti.names_csv, selection))])))
         n = sum(len(s.vehicles) * len(s.steps) for s in found)

@@ -48,7 +48,8 @@ class TruPerceptData:
         blocks = [b[np.isin(b, steps)] for b in selection.blocks()]
         units = [
             Unit(f"steps {b[0]} to {b[-1]}", partial(_block, selection, steps, b)) for b in blocks if len(b)
-        ] + [Unit("names", lambda clouds: iter([File("vehicles.csv", partial(kitti.names_csv, selection))]))]  # fmt: skip
+        ]  # fmt: skip
+        units.append(Unit("names", lambda clouds: iter([File("vehicles.csv", partial(kitti.names_csv, selection))])))
         return Plan(tuple(units), len(frames), 16, len(frames) * TEXT_BYTES)
 
 

@@ -37,8 +37,10 @@ class VeremiNextGen:
         """Receivers in blocks."""
         sent = Messages(selection)
         units = [
-            Unit(f"receivers {c[0]} to {c[-1]}", partial(_receivers, sent, c)) for c in messages.chunks(selection.vehicles)
-        ] + [Unit("names", lambda clouds: iter([File("vehicles.csv", partial(kitti.names_csv, selection))]))]  # fmt: skip
+            Unit(f"receivers {c[0]} to {c[-1]}", partial(_receivers, sent, c))
+            for c in messages.chunks(selection.vehicles)
+        ]  # fmt: skip
+        units.append(Unit("names", lambda clouds: iter([File("vehicles.csv", partial(kitti.names_csv, selection))])))
         n = sum(len(part) for part in selection.run.parts("receptions", ["step"]))
         return Plan(tuple(units), 0, 0, 0.5 * MESSAGE_BYTES * n)
 
