@@ -37,11 +37,11 @@ PARTS = {
     "attack": PartKind(play.messages, "Draw with context.uniforms(...), keyed by the vehicle's name."),
     "policy": PartKind(play.renewals, "Draw with ages.trip_draws and ages.step_draws."),
     "medium": PartKind(
-        play.receptions, "Draw with cosim.rng.uniforms, keyed by seed, step and the stations' keys."
+        play.receptions, "Draw with draws(seed, step, names), the names being keys of stations and messages."
     ),
-    "detector": PartKind(play.detections, "Draw with the keys in `draws`.", sees_truth=True),
+    "detector": PartKind(play.detections, "Draw with draws.uniforms(seen) or draws.normals(seen).", sees_truth=True),
     "driver": PartKind(
-        play.commands, "Draw with cosim.rng.uniforms, keyed by world.name_key.",
+        play.commands, "Draw with draws(seed, world.step, world.name_key).",
         change=lambda parts: replace(parts, driver=WithBeliefs(parts.driver)),
     ),
 }  # fmt: skip

@@ -139,7 +139,7 @@ def detections(happened: StepResult, scene: TinyScene) -> Table:
     """What each vehicle's detector reports, best first."""
     if happened.sensed is None:
         return {}
-    found, names = happened.sensed.observed.detections, scene.names
+    found, names = happened.sensed.positioned.observed.detections, scene.names
     return {
         f"detection {found.detection_index[i]} of {names[found.observer[i]]}": _box(found, i)
         for i in np.flatnonzero(found.origin == SENSED).tolist()
@@ -151,7 +151,7 @@ def messages(happened: StepResult, scene: TinyScene) -> Table:
     sensed, names = happened.sensed, scene.names
     if sensed is None:
         return {}
-    listed, senders, actor, sent = sensed.listed, sensed.senders, sensed.vehicles.actor, sensed.messages[0]
+    listed, senders, actor, sent = sensed.listed.objects, sensed.senders, sensed.vehicles.actor, sensed.evaluated.sent
     of = {
         int(p): f"{names[actor[v]]}{f' as identity {i}' if i else ''}"
         for p, v, i in zip(senders.pseudonym, senders.vehicle, senders.identity, strict=True)
@@ -169,7 +169,7 @@ def messages(happened: StepResult, scene: TinyScene) -> Table:
         }
         for i in range(len(by))
     }  # fmt: skip
-    station, n = np.unique(sensed.rounds[0].station, return_counts=True)
+    station, n = np.unique(sensed.rounds[0].round.station, return_counts=True)
     told |= {f"{names[actor[s]]}": {"messages": k} for s, k in zip(station.tolist(), n.tolist(), strict=True)}
     return told
 
@@ -181,8 +181,9 @@ def receptions(happened: StepResult, scene: TinyScene) -> Table:
         return {}
     actor = sensed.vehicles.actor
     for kind, one in zip(("detections", "evaluations"), sensed.rounds, strict=True):
-        got, sender = one.receptions, one.station[one.receptions.message]
-        number = got.message - np.searchsorted(one.station, sender)
+        got, station = one.round.receptions, one.round.station
+        sender = station[got.message]
+        number = got.message - np.searchsorted(station, sender)
         for i in range(len(sender)):
             which = f"{kind} message {number[i]} from {names[actor[sender[i]]]} at {names[actor[got.receiver[i]]]}"
             told[which] = {
@@ -197,7 +198,8 @@ def trust(happened: StepResult, scene: TinyScene) -> Table:
     sensed, names = happened.sensed, scene.names
     if sensed is None:
         return {}
-    actor, used, found = sensed.vehicles.actor, sensed.used, sensed.lookups[0]
+    actor, used = sensed.vehicles.actor, sensed.looked_up.messages
+    found = sensed.looked_up.lookups[0]
     sender = actor[sensed.senders.vehicle[used.message]]
     return {
         f"{names[actor[used.receiver[i]]]} about {names[sender[i]]}": {"trust": float(found.trust[i])}

@@ -53,12 +53,12 @@ def recorded(stage: Stage) -> tuple[list[Transmitted], list[Reception]]:
     def tell(happened: StepResult, scene: TinyScene) -> Table:
         sensed = happened.sensed
         if sensed is not None:
-            sent, row = sensed.listed.transmitted, sensed.detections
-            pseudonyms, messages = sensed.senders.pseudonym, sensed.messages[0]
+            sent, row = sensed.listed.objects.transmitted, sensed.listed.detections
+            pseudonyms, messages = sensed.senders.pseudonym, sensed.evaluated.sent
             steps.append(Transmitted(
                 happened.world.step, pseudonyms, row.message[sent], row.detection_index[sent], row.score[sent]
             ))  # fmt: skip
-            got, actor = sensed.links[1].vehicles, sensed.vehicles.actor
+            got, actor = sensed.rounds[1].links.vehicles, sensed.vehicles.actor
             pairs = [*zip(actor[got.receiver].tolist(), got.message.tolist(), strict=True)]
             receptions.extend(Reception(messages, holder, row) for holder, row in pairs)
         return {}
@@ -131,8 +131,9 @@ def _batches(receptions: list[Reception], one_by_one: bool) -> list[ReceivedEval
 def _order(receptions: list[Reception], played: Callable[..., TrustScores]) -> str:
     """Whether trust depends on the order in which messages arrive, within a step and across steps."""
     others: dict[str, dict[str, Any]] = {
-        "arrive in the opposite order": {"reverse": True}, "arrive up to two rounds of messages later": {"late_steps": 2},
-    }  # fmt: skip
+        "arrive in the opposite order": {"reverse": True},
+        "arrive up to two rounds of messages later": {"late_steps": 2},
+    }
     for what, how in others.items():
 
         def differs(some: list[Reception], how: dict[str, Any] = how) -> str:
