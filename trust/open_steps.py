@@ -128,7 +128,7 @@ class OpenStep:
     def _reasons(
         self, messages: EvaluationMessages, is_known: Bool[ndarray, "v"]
     ) -> tuple[Int[ndarray, "n"], Int[ndarray, "n"], Int[ndarray, "n"]]:
-        """`RejectReason`, observer row and detection row of each evaluation (no rows where it is rejected)."""
+        """`RejectReason`, observer row and detection row of each evaluation; no rows of rejected evaluations."""
         sent_by = np.repeat(np.arange(is_known.size), np.diff(messages.ptr))
         index, e, phi = int64(messages.detection_index), messages.evaluation, messages.visibility
         observer, is_present = find(int64(messages.observer), self.pseudonyms)

@@ -8,10 +8,11 @@ from rich.box import SIMPLE
 from rich.table import Column, Table
 
 from cosim.cli.console import plain, print_json, rows_of, screen, table_of
+from results import durable
 from results.figures.style import names
-from results.measure import measure
 from results.metrics.compare import differing
 from results.run import Run
+from results.spreadsheet import csv_of
 
 ENGINES_DIFFER = "where rays graze edges, tables of one ray caster differ from those of another."
 
@@ -21,12 +22,11 @@ def of_variants(run: Run, variant: str) -> list[Run]:
     return [run.as_variant(name) for name in (run.variants if variant == "all" else (variant,))]
 
 
-def print_measures(runs: list[Run], as_json: bool, csv: Path | None, **options: Any) -> None:
-    """Print the metrics of runs, or write them to a CSV file: one row per run, metric and group.
+def print_measures(runs: list[Run], tables: list[pd.DataFrame], as_json: bool, csv: Path | None) -> None:
+    """Print the metrics of runs, a table for each, or write them to a CSV file: one row per run, metric and group.
 
     Several runs stand side by side, below the keys of the config in which they differ.
     """
-    tables = [measure(run, **options) for run in runs]
     keys = differing(runs) if len(runs) > 1 else {}
     labels = names(runs)
     if csv is not None:
@@ -37,7 +37,7 @@ def print_measures(runs: list[Run], as_json: bool, csv: Path | None, **options: 
         whole = pd.concat(parts, ignore_index=True)
         first = ["run", "variant", *keys]
         try:
-            whole[[*first, *(c for c in whole.columns if c not in first)]].to_csv(csv, index=False)
+            durable.write_output(csv, csv_of(whole[[*first, *(c for c in whole.columns if c not in first)]]))
         except OSError as error:
             raise ValueError(f"--csv {csv} cannot be written: {error.strerror or error}. Give another file.") from None
         screen.print(f"wrote {csv}", highlight=False, soft_wrap=True)

@@ -4,7 +4,7 @@ Every run is a subprocess of a worker, so that one that crashes is a failed run 
 disk, and paths travel.
 """
 
-import hashlib
+import logging
 import os
 import subprocess
 import sys
@@ -19,6 +19,7 @@ import psutil
 from distributed import CancelledError, Client, Future, KilledWorker, LocalCluster, as_completed
 from distributed.comm import CommClosedError
 
+from cosim.execution.source import code_digest
 from cosim.studies.folder import Attempt, StudyFolder
 from cosim.studies.study import Limits
 
@@ -49,6 +50,7 @@ def connected(scheduler: str | None, workers: int, needed: Path | None, processe
             "n_workers": 1, "threads_per_worker": workers
         }  # fmt: skip
         with (
+            closing_quietly(),
             LocalCluster(processes=processes, memory_limit=0, dashboard_address="127.0.0.1:0", **size) as cluster,
             Client(cluster) as client,
         ):
@@ -64,6 +66,25 @@ def connected(scheduler: str | None, workers: int, needed: Path | None, processe
     with client:
         _check(client, scheduler, needed)
         yield client
+
+
+@contextmanager
+def closing_quietly() -> Iterator[None]:
+    """Connections that a cluster closes at its own end are no errors: nothing is said of them."""
+
+    def is_news(record: logging.LogRecord) -> bool:
+        error = record.exc_info[1] if record.exc_info else None
+        return not (isinstance(error, CommClosedError) or "CommClosedError" in record.getMessage())
+
+    loggers = [logging.getLogger(name) for name in ("distributed", "tornado.application", "asyncio")]
+    filtered = [*loggers, *(handler for logger in loggers for handler in logger.handlers)]
+    for one in filtered:
+        one.addFilter(is_news)
+    try:
+        yield
+    finally:
+        for one in filtered:
+            one.removeFilter(is_news)
 
 
 def gathered(client: Client, futures: Sequence[Future]) -> list[Any]:
@@ -105,16 +126,6 @@ def _check(client: Client, scheduler: str, needed: Path | None) -> None:
 
 def _look(needed: str | None) -> tuple[str, bool]:
     return code_digest(), needed is None or Path(needed).exists()
-
-
-def code_digest() -> str:
-    """Hash of the source of all packages: what a worker must have in common with this process."""
-    root = Path(__file__).parents[2]
-    found = hashlib.sha256()
-    for package in ("cosim", "sensors", "trust", "results", "sumo_nets"):
-        for path in sorted((root / package).rglob("*.py")):
-            found.update(path.relative_to(root).as_posix().encode() + path.read_bytes())
-    return found.hexdigest()[:12]
 
 
 def execute(client: Client, study: StudyFolder, work: Work, limits: Limits) -> Iterator[tuple[str, Attempt]]:
