@@ -75,8 +75,8 @@ class Table:
         """How Parquet lays out each column on disk.
 
         Unless a column says otherwise: the first identity of the key, by which the rows of a step are sorted, as
-        differences; other whole numbers split into bytes; all else by a dictionary. For all tables of a step of 4,600
-        vehicles together that takes 1 % more space than the best layout of each column and file, found by trial.
+        differences; other whole numbers split into bytes; all else by a dictionary. Beside the best layout of each
+        column and file, found by trial, all tables take 0.3 % more space in Luxembourg, 0.9 % in Bologna.
         """
         first = next((name for name in self.key if name != "step" and self.columns[name].type == "int32"), None)
         return {
