@@ -127,7 +127,8 @@ def _module(place: str, where: str, class_name: str, folder: Path | None) -> tup
     if not where.endswith(".py"):
         with blame.at_load(where, place, "cannot be imported"):
             module = importlib.import_module(where)
-            file = Path(module.__file__) if module.__file__ else None
+            module_file = getattr(module, "__file__", None)  # a notebook has none
+            file = Path(module_file) if module_file else None
             digest = hashlib.sha256(file.read_bytes()).hexdigest() if file is not None else ""
         return module, Source(f"{where}:{class_name}", str(file or ""), digest)
     if folder is not None and (folder / path).is_file():

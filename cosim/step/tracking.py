@@ -1,4 +1,4 @@
-"""What is followed from step to step beside the cycle: inter-reception times, encounters, and who attacks since when."""
+"""What is followed from step to step beside the cycle: inter-reception times, encounters, first attacks."""
 
 from dataclasses import dataclass
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cosim.config.config import CHOICES
+from cosim.door.kinds import SECTIONS
 from cosim.execution.checkpoint import decode, encode
 from cosim.reproduce.scenarios import ScriptedScene
 from cosim.step.cycle import step
@@ -102,8 +102,8 @@ def test_other_pseudonyms_change_nothing_but_names():
         assert y.trust[::-1].tolist() == x.trust.tolist() and y.n_evaluations[::-1].tolist() == x.n_evaluations.tolist()
 
 
-@pytest.mark.parametrize("model", CHOICES["trust"][1])
-@pytest.mark.parametrize("medium", CHOICES["radio"][1])
+@pytest.mark.parametrize("model", SECTIONS["trust"].shipped)
+@pytest.mark.parametrize("medium", SECTIONS["radio"].shipped)
 def test_the_state_of_every_model_and_medium_is_kept_for_resume(model, medium):
     parts = parts_of(ScriptedScene.load(), f"trust.model={model}", f"radio.model={medium}")
     assert isinstance(decode(b"".join(encode(State.start(parts)))), State)
