@@ -53,7 +53,6 @@ from cosim.radio.message_round import (
     Receptions,
     RoundKind,
     Stations,
-    receptions_of,
 )
 from cosim.rng import draws
 from cosim.v2x.messages import FABRICATED, SELF, SENSED, Detections
@@ -76,5 +75,5 @@ __all__ = [
     "Medium", "MessageRound", "Messages", "ObjectClass", "ObjectReports", "Observability", "Outcome", "PairIndex",
     "PseudonymAges", "PseudonymPolicy", "Reasons", "ReceivedEvaluations", "Receptions", "Reports", "RoundKind",
     "ScoresObjects", "Sending", "Shape", "SpeedCommands", "Stations", "Sweeps", "TrustModel", "TrustScores", "World",
-    "certified", "draws", "fabricated", "per_actor", "placed", "receptions_of", "with_rows",
+    "certified", "draws", "fabricated", "per_actor", "placed", "with_rows",
 ]  # fmt: skip

@@ -12,9 +12,10 @@ from annotated_types import Ge, Le
 
 from cosim.adversary.params import PAPER, AttackParams, check_attacks
 from cosim.config.data import check_finite, check_keys, former, override, read_toml, validated
-from cosim.door.blame import at_load
+from cosim.door.blame import at_load, definition_line
 from cosim.door.kinds import SECTIONS
-from cosim.door.load import Choice, resolve
+from cosim.door.load import Choice, is_own, resolve
+from cosim.door.permission import is_of_a_folder, loading_code
 from cosim.driver.driver import DriverParams
 from cosim.mobility.fleet import FleetParams
 from cosim.mobility.meshes import MeshParams, VehicleMeshParams, check_vehicle_meshes
@@ -27,7 +28,7 @@ from cosim.v2x.linkage import check_server
 from cosim.v2x.pseudonyms import PseudonymParams
 from cosim.v2x.trust_server import ServerParams
 from results.columns import Level
-from results.encounters import EncounterParams
+from results.encounters import EncounterParams, check_definitions
 from sensors.evidence import AreaParams
 from sensors.lidar import LidarParams
 from sensors.statistical_detector import DetectorParams
@@ -130,6 +131,7 @@ class Config:
                 'server.uplink = "rsu", but there are no roadside units: nothing would ever reach the server. '
                 "Set rsu.at or rsu.n_at_junctions."
             )
+        check_definitions(self.encounters)
         check_vehicle_meshes(self.vehicle_meshes)
         if (self.meshes or self.vehicle_meshes) and self.lidar.engine == "columnar":
             which = "meshes" if self.meshes else "vehicle_meshes"
@@ -193,23 +195,27 @@ def _chosen(section: str, holder: Any, own: dict[str, Any]) -> tuple[Choice, Any
 
 def _params(choice: Choice, data: dict[str, Any], prefix: str, where: str) -> Any:
     """The parameters of a chosen class from plain data; ValueError in one line for a mistake."""
-    try:
+    if not choice.is_own or choice.params is None:
         return validated(choice.params, data, prefix, where)
-    except ValueError:
-        raise
-    except Exception as error:  # a type that a config cannot hold, or whatever a user's class does
-        with at_load(choice.source.file, f"{choice.kind.title} {choice.of.__name__}", "Params cannot be read"):
-            raise error from None
+    file, place = choice.source.file, f"{choice.kind.title} {choice.of.__name__}"
+    with at_load(file, place, "Params cannot be read", definition_line(choice.params, "", file), passes=ValueError):
+        return validated(choice.params, data, prefix, where)
 
 
-def load(path: Path | None = None, overrides: list[str] | None = None) -> Config:
-    """Experiment from a TOML file, then from `key=value` overrides; ValueError in one line for a mistake."""
+def load(path: Path | None = None, overrides: list[str] | None = None, trust_code: bool = False) -> Config:
+    """Experiment from a TOML file, then from `key=value` overrides; ValueError in one line for a mistake.
+
+    Code that the config of a run folder names is loaded with `trust_code` only.
+    """
     data = with_defaults({} if path is None else read_toml(path, "config file"))
     for text in overrides or []:
         override(data, text)
     if path is None and data.get("server", {}).get("uplink") != "rsu":  # there, every variant loads the channel
         data.setdefault("trust_variant", [copy.deepcopy(PAPER_RULE)])
-    return resolve_data(data, "the config" if path is None else path.name, None if path is None else path.parent)
+    if path is None:
+        return resolve_data(data, "the config", None)
+    with loading_code(path, trust_code or not is_of_a_folder(path)):
+        return resolve_data(data, path.name, path.parent)
 
 
 def with_defaults(data: dict[str, Any]) -> dict[str, Any]:
@@ -250,6 +256,33 @@ def resolve_data(data: dict[str, Any], where: str, folder: Path | None) -> Confi
     stated = data["trust"] | own.get("trust", {})
     config = replace(config, own={section: values for section, values in own.items() if values})
     return replace(config, trust_variant=_variants(variants, stated, config, where, folder))
+
+
+def of_run(recorded: Mapping[str, Any], folder: Path, trust_code: bool = False) -> Config:
+    """The config in the manifest of a run folder; code that it names is loaded with `trust_code` only."""
+    with loading_code(folder, trust_code):
+        return resolve_data(copy.deepcopy(dict(recorded)), f"{folder}/manifest.json", None)
+
+
+def of_run_without_code(recorded: Mapping[str, Any], folder: Path) -> Config:
+    """The same, with the shipped choice in place of every class of the user's own: nothing is loaded.
+
+    It is enough wherever sweeps are cast again, which depend on none of these classes.
+    """
+    data = copy.deepcopy(dict(recorded))
+    for section, kind in SECTIONS.items():
+        listed = data.get(section)
+        if isinstance(listed, list):
+            data[section] = [item for item in listed if not _names_code(item, kind.key)]
+        elif _names_code(listed, kind.key):
+            del data[section]
+    if "trust" not in data or any(_names_code(variant, "model") for variant in data.get("trust_variant") or ()):
+        data["trust_variant"] = []
+    return of_run(data, folder)
+
+
+def _names_code(section: Any, key: str) -> bool:
+    return isinstance(section, dict) and isinstance(name := section.get(key), str) and is_own(name)
 
 
 def _variants(

@@ -18,7 +18,7 @@ class ExtensionError(RuntimeError):
 
 
 @contextmanager
-def at_load(file: str, place: str, what: str, line: int = 1) -> Iterator[None]:
+def at_load(file: str, place: str, what: str, line: int = 1, passes: type[BaseException] = Refused) -> Iterator[None]:
     """Turn whatever a user's file raises into `Refused`, SystemExit included; signals pass.
 
     Parameters
@@ -29,10 +29,12 @@ def at_load(file: str, place: str, what: str, line: int = 1) -> Iterator[None]:
         What could not be done.
     line
         Named where the exception comes from no line of the file.
+    passes
+        Exceptions that are one line already.
     """
     try:
         yield
-    except Refused:
+    except passes:
         raise
     except BaseException as error:  # whatever a user's file does
         if is_interrupt(error):

@@ -101,7 +101,7 @@ def _content(names: tuple[str, ...], given: tuple[Any, ...]) -> dict[str, int]:
 
     def add(name: str, value: Any) -> None:
         if isinstance(value, ndarray):
-            found[name] = zlib.crc32(np.ascontiguousarray(value).view(np.uint8).reshape(-1)) if value.size else 0
+            found[name] = zlib.crc32(np.ascontiguousarray(value).view(np.uint8).reshape(-1).data) if value.size else 0
         elif is_dataclass(value) and not isinstance(value, type):
             for field in fields(value):
                 add(f"{name}.{field.name}", getattr(value, field.name, None))

@@ -16,6 +16,7 @@ from typing import Any
 
 from cosim.door import blame, shape
 from cosim.door.kinds import KINDS, Kind
+from cosim.door.permission import check_code
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,12 +99,12 @@ def load_own(name: str, kind: Kind | None = None, folder: Path | None = None) ->
     with blame.at_load(source.file, place, "the class cannot be read"):
         found = getattr(module, class_name, None)
         if found is None:
+            hint = shape.did_you_mean(class_name, shape.classes_of(module))
             raise blame.Refused(
-                f"{place}: {where} defines no {class_name}. {shape.did_you_mean(class_name, shape.classes_of(module))}"
-                "Name a class of that file."
+                f"{source.file}:1: {place}: it defines no {class_name}. {hint}Name a class of that file."
             )
         if not isinstance(found, type):
-            raise blame.Refused(f"{place}: {class_name} is no class. Name a class that the file defines.")
+            raise blame.Refused(f"{source.file}:1: {place}: {class_name} is no class. Name a class of that file.")
         kind = kind or shape.kind_of(found, source.file, KINDS)
         shape.check_class(found, kind, source.file)
     return Choice(kind, found, getattr(found, "Params", None), source)
@@ -123,14 +124,19 @@ def function(key: str, name: str) -> Callable[..., Any]:
 
 def _module(place: str, where: str, class_name: str, folder: Path | None) -> tuple[ModuleType, Source]:
     """The module of a user's own choice; `place` begins the messages."""
+    check_code(place)
     path = Path(where)
     if not where.endswith(".py"):
-        with blame.at_load(where, place, "cannot be imported"):
+        if where in sys.modules:  # such as __main__, which a notebook has without a file
+            file = getattr(sys.modules[where], "__file__", None) or where
+        else:
+            with blame.at_load(where, place, "cannot be imported"):
+                found = importlib.util.find_spec(where)
+            file = (found.origin if found is not None and found.has_location else None) or where
+        with blame.at_load(file, place, "cannot be imported"):
             module = importlib.import_module(where)
-            module_file = getattr(module, "__file__", None)  # a notebook has none
-            file = Path(module_file) if module_file else None
-            digest = hashlib.sha256(file.read_bytes()).hexdigest() if file is not None else ""
-        return module, Source(f"{where}:{class_name}", str(file or ""), digest)
+        digest = hashlib.sha256(Path(file).read_bytes()).hexdigest() if file != where else ""
+        return module, Source(f"{where}:{class_name}", file if file != where else "", digest)
     if folder is not None and (folder / path).is_file():
         path = folder / path
     if not path.is_file():

@@ -71,6 +71,8 @@ class Drive:
     commands: dict[int, Commands] = field(default_factory=dict)
     """By step, what drivers commanded in the steps that a resumed run finds recorded."""
     n_on_road: int = 0
+    n_senders: int = 0
+    """Equipped vehicles, summed over the steps with messages."""
     ended: str = ""
     """Why the traffic ended before the time asked for."""
     _of_block: dict[int, Commands] = field(default_factory=dict)
@@ -104,6 +106,7 @@ class Drive:
             if (world := self._world()) is None:
                 break
             self.n_on_road += int((world.shape != Shape.PEDESTRIAN).sum())
+            self.n_senders += int(world.equipped.sum()) if self.parts.senses(number) else 0
             if number < first:
                 commands = self.commands.get(number, NO_COMMANDS)
                 if recomputes:
@@ -179,7 +182,7 @@ class Drive:
         if self._keeps_state:
             try:
                 files[f"state-{self.manifest.steps:07d}.bin"] = checkpoint.encode(
-                    (STATE_VERSION, state), own_modules(self.parts.config)
+                    (STATE_VERSION, self.manifest.config_sha256, state), own_modules(self.parts.config)
                 )
             except CannotCheckpoint as error:
                 self._keeps_state = False
@@ -205,7 +208,7 @@ class Drive:
                 name: int(n) for name, n in zip(labels(DetectionFault), state.n_dropped, strict=True) if n
             },
             "evaluations_rejected": self.parts.trust.rejected(state.trust),
-            **_pseudonym_summary(self.parts.config, state),
+            **_pseudonym_summary(self.parts.config, state, self.n_senders),
             **self._incomplete_rings(),
             **({"ended_early": self.ended} if self.ended else {}),
             **({"victims_absent": absent} if (absent := self._absent_victims()) else {}),
@@ -257,9 +260,12 @@ def own_modules(config: Config) -> tuple[str, ...]:
     return tuple(sorted({choice.of.__module__ for choice in chosen(config).values()}))
 
 
-def _pseudonym_summary(config: Config, state: State) -> dict[str, Any]:
-    """What became of pseudonyms, where anything can."""
+def _pseudonym_summary(config: Config, state: State, n_messages: int) -> dict[str, Any]:
+    """What became of pseudonyms, where anything can; `n_messages` is the number of detection messages."""
     found: dict[str, Any] = {}
+    if (n_changes := int(state.pseudonyms.n_changes.sum())) and config.pseudonyms.linkage == "none":
+        n_vehicles = int((state.pseudonyms.current >= 0).sum())
+        found["messages_per_pseudonym"] = round(n_messages / (n_changes + n_vehicles), 2)
     if config.pseudonyms.revocation != "none":
         found["revoked"] = len(state.pseudonyms.revoked)
     if config.pseudonyms.linkage == "on_demand":

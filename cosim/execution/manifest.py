@@ -83,16 +83,15 @@ class Manifest:
         durable.sync_folder(self.folder)
 
     def keep_config(self, before: Mapping[str, Any]) -> None:
-        """Hold the config against the manifest of a run to be resumed; it is written where a kill came before it.
+        """Take over the config of a run to be resumed; its file is written where a kill came before it.
 
-        ValueError where the file is another, or would be.
+        ValueError where the config comes out as another one.
         """
         path = self.folder / CONFIG
-        is_there = path.exists() or path.is_symlink()
-        self.config_sha256 = before["config_sha256"]
-        if (durable.sha256(path) if is_there else hashlib.sha256(self._config()).hexdigest()) != self.config_sha256:
+        self.config_sha256 = hashlib.sha256(self._config()).hexdigest()
+        if self.config_sha256 != before.get("config_sha256"):
             raise ValueError(f"{path} was changed since. A resumed run goes on with the same config: run again.")
-        if not is_there:
+        if not path.exists():
             durable.write(path, self._config())
 
     def write(self, status: str, inventory: Inventory | None = None) -> None:

@@ -207,14 +207,19 @@ class MessageRound:
         Receptions in canonical order, and the outcome of every frame. A message is generated `messages.delay_s` after
         the beginning of the round, and on the air at once.
         """
-        sent, xy_m, n = messages.length_bytes > 0, stations.xyz_m[:, :2], len(receiver)
-        latency_s = np.broadcast_to(np.asarray(latency_s, float), n)
-        offset_s = np.zeros(n) if messages.delay_s is None else messages.delay_s[message]
-        ones = np.ones(n, np.int64)
-        receptions = receptions_of(receiver, message, ones, offset_s, np.zeros(n), latency_s, messages.station, xy_m)
         none = np.zeros(0, np.int64)
         to = np.concatenate([receiver, none if lost_receiver is None else lost_receiver])
         of = np.concatenate([message, none if lost_message is None else lost_message])
+        for name, rows, n_rows in (("receiver", to, len(stations)), ("message", of, len(messages))):
+            if rows.dtype.kind not in "iu" or len(rows) != len(to) or ((rows < 0) | (rows >= n_rows)).any():
+                raise ValueError(
+                    f"{name} is not one row of the {n_rows} {'stations' if rows is to else 'messages'} for each frame."
+                )
+        xy_m, n = stations.xyz_m[:, :2], len(receiver)
+        zero, ones = np.zeros(n), np.ones(n, np.int64)
+        latency_s = np.broadcast_to(np.asarray(latency_s, float), n)
+        offset_s = zero if messages.delay_s is None else messages.delay_s[message]
+        receptions = receptions_of(receiver, message, ones, offset_s, zero, latency_s, messages.station, xy_m)
         frames = FrameOutcomes(
             message=of,
             receiver=to,
@@ -222,7 +227,7 @@ class MessageRound:
             distance_m=np.hypot(*(xy_m[to] - xy_m[messages.station[of]]).T),
             los_state=np.full(len(to), LosState.UNKNOWN, np.uint8),
             outcome=np.where(np.arange(len(to)) < n, int(Outcome.RECEIVED), int(Outcome.PROPAGATION)),
-            n_transmissions=sent.astype(np.int64),
+            n_transmissions=(messages.length_bytes > 0).astype(np.int64),
             n_relayed=0,
             n_duplicate=0,
             sent_bytes=float(messages.length_bytes.sum()),

@@ -7,13 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cosim.door.kinds import SECTIONS
 from cosim.execution.checkpoint import decode, encode
+from cosim.radio.medium import MEDIA
 from cosim.reproduce.scenarios import ScriptedScene
 from cosim.step.cycle import step
 from cosim.step.state import State
 from cosim.v2x.pseudonyms import Never, Pseudonyms
 from tests.scene import assert_same, parts_of, play
+from trust.models import MODELS
 
 KINDS = {
     "server over cellular": (),
@@ -102,8 +103,8 @@ def test_other_pseudonyms_change_nothing_but_names():
         assert y.trust[::-1].tolist() == x.trust.tolist() and y.n_evaluations[::-1].tolist() == x.n_evaluations.tolist()
 
 
-@pytest.mark.parametrize("model", SECTIONS["trust"].shipped)
-@pytest.mark.parametrize("medium", SECTIONS["radio"].shipped)
+@pytest.mark.parametrize("model", MODELS)
+@pytest.mark.parametrize("medium", MEDIA)
 def test_the_state_of_every_model_and_medium_is_kept_for_resume(model, medium):
     parts = parts_of(ScriptedScene.load(), f"trust.model={model}", f"radio.model={medium}")
     assert isinstance(decode(b"".join(encode(State.start(parts)))), State)
