@@ -104,8 +104,7 @@ class Transmissions(NamedTuple):
     end_ns: Int[ndarray, "f"]
     begin: Int[ndarray, "f"]
     """Where the receptions of each frame begin."""
-    count: Int[ndarray, "f"]
-    """Number of them."""
+    n_receptions: Int[ndarray, "f"]
     receiver: Int[ndarray, "m"]
     reception: UInt8[ndarray, "m"]
     """As `PhyOutcome`."""
@@ -135,7 +134,7 @@ class Transmissions(NamedTuple):
             start_ns=start_ns,
             end_ns=end_ns,
             begin=begin,
-            count=count,
+            n_receptions=count,
             receiver=np.concatenate([np.zeros(0, np.int32)] + [out.receiver for out in windows]),
             reception=np.concatenate([np.zeros(0, np.uint8)] + [out.reception for out in windows]),
         )
@@ -162,7 +161,7 @@ class ReceptionAttempts(NamedTuple):
 @compiled
 def _attempts(sent, near, outcome_of):
     """Columns of `ReceptionAttempts`."""
-    ptr, transmitter, begin, count, receiver = near.ptr, sent.transmitter, sent.begin, sent.count, sent.receiver
+    ptr, transmitter, begin, count, receiver = near.ptr, sent.transmitter, sent.begin, sent.n_receptions, sent.receiver
     room = 0
     for f in range(len(transmitter)):
         room += ptr[transmitter[f] + 1] - ptr[transmitter[f]]
