@@ -104,6 +104,8 @@ def test_order_of_the_rooms_of_cosim():
         if path.parts[0] != "cosim" or parts[0] != "cosim" or len(parts) < 2 or module == "cosim.__version__":
             continue
         me, other = path.parts[1].removesuffix(".py"), parts[1]
+        if me == "docs" and other in ("Simulation", "run", "open_run"):  # a page imports what a notebook does
+            continue
         if me not in ("__init__", other) and ORDER.index(other) >= ORDER.index(me):
             wrong.append(f"{path} imports {module}")
     assert not wrong
