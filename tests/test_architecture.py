@@ -13,7 +13,7 @@ ROOMS = ("cosim", "sensors", "trust", "results", "sumo_nets")
 
 FOREIGN = {
     "sensors": {"annotated_types", "jaxtyping", "numpy", "scipy", "numba", "llvmlite", "shapely", "embreex", "open3d"},
-    "trust": {"annotated_types", "jaxtyping", "numpy", "numba", "pyarrow"},
+    "trust": {"annotated_types", "jaxtyping", "numpy", "numba", "scipy"},
     "results": {
         "annotated_types", "jaxtyping", "numpy", "numba", "scipy", "pyarrow", "pandas", "networkx", "matplotlib",
     },
