@@ -17,6 +17,8 @@ from cosim.driver.driver import Reasons, SpeedCommands
 from cosim.radio.message_round import FrameOutcomes, LosState, MessageRound, Outcome, Receptions
 from cosim.v2x.messages import Detections
 from results.codes import ObjectClass, Origin
+from results.export.moments import Plan, Unit
+from results.measure import MetricRow
 from sensors.boxes import Boxes
 from sensors.reports import Reports
 from sensors.scene import Shape
@@ -284,6 +286,35 @@ def sending(call: Call, returned: Any) -> Sending:
         column = getattr(returned, field.name)
         _none(field.name, column, ~context.attacker & (column != 0), "0 for actors that do not attack")
     return detached(returned)
+
+
+def plan(call: Call, returned: Any) -> Plan:
+    """The files that an exporter will write."""
+    _typed("", returned, Plan, "build it by Plan.of_files([File(path, content), ...])")
+    if not isinstance(returned.units, tuple) or not all(isinstance(unit, Unit) for unit in returned.units):
+        raise Wrong(f"returned units as {described(returned.units)}; a tuple of Unit is due")
+    names = [unit.name for unit in returned.units]
+    if twice := sorted({name for name in names if names.count(name) > 1}):
+        raise Wrong(f"returned several units called {twice[0]!r}; a name of its own for each is due")
+    return returned
+
+
+def metric_rows(call: Call, returned: Any) -> list[MetricRow]:
+    """What a metric measures."""
+    if not isinstance(returned, list | tuple):
+        raise Wrong(f"returned {described(returned)}; a list of MetricRow is due")
+    for number, row in enumerate(returned):
+        if not isinstance(row, MetricRow):
+            raise Wrong(f"returned row {number} as {described(row)}; a MetricRow(metric=..., value=...) is due")
+        if isinstance(row.value, bool) or not isinstance(row.value, int | float | np.integer | np.floating):
+            raise Wrong(f"returned value = {row.value!r} in row {number}; a number is due, NaN where there is none")
+        if not all(isinstance(text, str) for text in (row.metric, row.group, row.unit, row.label)) or not row.metric:
+            raise Wrong(f"returned row {number} with texts that are none; metric, group, unit and label are due")
+    keys = [(row.metric, row.group) for row in returned]
+    if len(set(keys)) < len(keys):
+        twice = next(key for key in keys if keys.count(key) > 1)
+        raise Wrong(f"returned metric {twice[0]!r} twice for group {twice[1]!r}; one row for each group is due")
+    return list(returned)
 
 
 def _same(one: Any, other: Any) -> bool:
