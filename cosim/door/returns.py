@@ -18,7 +18,7 @@ from cosim.radio.message_round import FrameOutcomes, LosState, MessageRound, Out
 from cosim.v2x.messages import Detections
 from results.codes import ObjectClass, Origin
 from results.export.moments import Plan, Unit
-from results.measure import MetricRow
+from results.own_metrics import MetricRow
 from sensors.boxes import Boxes
 from sensors.reports import Reports
 from sensors.scene import Shape
