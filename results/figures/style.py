@@ -263,7 +263,7 @@ def need(runs: Sequence[Run]) -> None:
 
 
 def save(figure: Figure, path: str | Path) -> Path:
-    """Write a picture; the suffix says the format."""
+    """Write a picture, and make its folder; the suffix says the format."""
     path = Path(path)
     if path.suffix.lower() not in FORMATS:
         raise ValueError(f"{path} has no picture format. End it in {', '.join(FORMATS)}.")
