@@ -147,7 +147,7 @@ def false_exclusions(run: Run, threshold: float = 0.25, relative: float | None =
 
 
 def trust_error(run: Run) -> pd.DataFrame:
-    """By role: mean distance of evaluated trust from 1 (honest) or 0 (attackers), with an interval clustered by subject."""
+    """By role: mean distance of evaluated trust from 1 (honest) or 0 (attackers), with its interval by subject."""
     frame = scored_vehicles(run).query("rated")
     error = (frame.trust.astype(np.float64) - (frame.role == HONEST)).abs()
     return pd.DataFrame([
