@@ -135,7 +135,7 @@ class UnitDiskMedium:
         hops remain.
         """
         p, relay = self.params, self.params.relay
-        stream = (rng.Stream.RADIO_DETECTIONS, rng.Stream.RADIO_VERDICTS)[kind]
+        stream = (rng.Stream.RADIO_DETECTIONS, rng.Stream.RADIO_EVALUATIONS)[kind]
         rng_key = rng.key(self.seed, stream, step)
         disk = p.unit_disk
         spread_s = disk.latency_max_s - disk.latency_min_s
