@@ -2,7 +2,7 @@
 
 import hashlib
 import shutil
-from collections.abc import Callable, Collection, Generator
+from collections.abc import Collection
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -26,14 +26,12 @@ from cosim.execution.stop import NOTHING_WRITTEN, Failed, Stopped, StopRequest
 from cosim.mobility.actors import ActorRegistry
 from cosim.mobility.meshes import with_meshes
 from cosim.mobility.remarks import traffic_remarks
-from cosim.mobility.scenario import Scenario, find
+from cosim.mobility.scenario import Scenario
 from cosim.mobility.source import TrafficEnded, TrafficError, TrafficSource
-from cosim.step.parts import Parts, perception_of, sources
-from cosim.step.perception import Perceives, Perception
+from cosim.step.parts import Parts, sources
 from cosim.step.state import State
 from cosim.step.stopwatch import Stopwatch
 from cosim.step.trackers.attack_start import AttackStartTracker
-from cosim.world import World
 from results import inventory
 from results.durable import PARTIAL, Damaged, open_regular, sha256
 from results.inventory import Inventory
@@ -44,14 +42,11 @@ from results.tables import SCHEMA_VERSION
 from trust.models.interface import ModelError
 
 
-def run(
-    config: Config, out: Path | None, advance: Advance, traffic_from: Path | None = None,
-    perceive: Callable[[Perception], Perceives] = lambda own: own,
-) -> Path:  # fmt: skip
+def run(config: Config, out: Path | None, advance: Advance, traffic_from: Path | None = None) -> Path:
     """Drive, sense, talk, trust and record; the folder that it wrote.
 
     `traffic_from` is a folder that `record_traffic` wrote for the same `[traffic]`: it is replayed instead of driving
-    SUMO, with the same tables. `perceive` may give another perception in place of the run's own.
+    SUMO, with the same tables.
 
     Nothing is written before the config has been checked and SUMO has accepted the scenario. Stopped where a signal
     asks for it.
@@ -59,7 +54,7 @@ def run(
     run_folder.check(out)
     scenario = check(config)
     with StopRequest() as stop:
-        parts, registry, traffic = _loaded(config, scenario, traffic_from, perceive)
+        parts, registry, traffic = _loaded(config, scenario, traffic_from)
         try:
             folder = run_folder.create(out, scenario.name)
             try:
@@ -80,16 +75,13 @@ def run(
     return folder.path
 
 
-def resume(
-    path: Path, advance: Advance, traffic_from: Path | None = None,
-    perceive: Callable[[Perception], Perceives] = lambda own: own,
-) -> Path:  # fmt: skip
+def resume(path: Path, advance: Advance, traffic_from: Path | None = None) -> Path:
     """Go on with a run that was killed or interrupted, from its last whole block: the tables are those of a run
     never interrupted.
 
     The traffic is repeated from its beginning, because SUMO's own saved state is not exact; everything else goes on
-    from the state that was kept with the block. Nothing in the folder is executed. `traffic_from` and `perceive`
-    as in `run`.
+    from the state that was kept with the block. Nothing in the folder is executed. `traffic_from` as in
+    `run`.
     """
     manifest = read_manifest(path)
     config = _resumable(path, manifest)
@@ -107,7 +99,7 @@ def resume(
             closed = [part for block in found.blocks for part in block.parts]
             if problem := next((p for part in closed if (p := content_problem(path, part))), ""):
                 raise Damaged(f"{path} is damaged: {problem}. Run again.")
-            parts, registry, traffic = _loaded(config, scenario, traffic_from, perceive)
+            parts, registry, traffic = _loaded(config, scenario, traffic_from)
             try:
                 went = Manifest(path, config, manifest["net"], sources(config), steps=found.end_step)
                 went.keep_config(manifest)
@@ -183,37 +175,17 @@ def _warmup_s(config: Config, scenario: Scenario) -> float:
     return scenario.warmup_s if config.traffic.warmup_s is None else config.traffic.warmup_s
 
 
-def worlds_of(config: Config, traffic_from: Path | None) -> Generator[World, None, None]:
-    """The worlds that a run of this config will see, ahead of it. Its traffic is replayed, as in `run`."""
-    scenario = find(config.traffic.scenario, config.traffic.trace)
-    _, traffic = _traffic(config, scenario, traffic_from)
-    try:
-        for _ in traffic.warm_up(0.0 if traffic_from is not None else _warmup_s(config, scenario)):
-            pass
-        for _ in range(config.n_steps):
-            yield traffic.advance()
-    except TrafficEnded:
-        return  # the run itself meets the same end, and says so
-    finally:
-        traffic.close()
-
-
 def _loaded(
-    config: Config, scenario: Scenario, traffic_from: Path | None, perceive: Callable[[Perception], Perceives]
+    config: Config, scenario: Scenario, traffic_from: Path | None
 ) -> tuple[Parts, ActorRegistry, TrafficSource]:
     watch = Stopwatch()
     with watch("city"):
         city = with_meshes(scenario.city(), config.meshes, config.vehicle_meshes)
     parts = Parts.of(config, city, roadside_units(config, scenario), watch)
-    parts = replace(parts, perception=perceive(perception_of(config, city)))
-    return parts, *_traffic(config, scenario, traffic_from)
-
-
-def _traffic(config: Config, scenario: Scenario, traffic_from: Path | None) -> tuple[ActorRegistry, TrafficSource]:
     registry = ActorRegistry(config.fleet, config.seed, shares(config.attacks), named(config.attacks))
     recorded = scenario if traffic_from is None else replace(scenario, trace=traffic_from, warmup_s=0.0)
     params = config.traffic if traffic_from is None else replace(config.traffic, begin_s=None, warmup_s=0.0)
-    return registry, recorded.traffic(params, registry, config.driver.model != "none", config.objects)
+    return parts, registry, recorded.traffic(params, registry, config.driver.model != "none", config.objects)
 
 
 def _recorder(folder: Path, parts: Parts, resume_at: int) -> Recorder:

@@ -92,7 +92,7 @@ class SensingAhead:
                 return observed
         return self._own(world, observers, watch)
 
-    def answers(self, sweeps: lidar.Scanners, asked: BoxQuestions) -> BoxAnswers:
+    def answers(self, sweeps: lidar.RangeImages, asked: BoxQuestions) -> BoxAnswers:
         """As `Perceives`."""
         found = self._own.answers(sweeps, asked)
         self._begin()
