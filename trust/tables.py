@@ -9,8 +9,8 @@ from numpy import ndarray
 
 from trust.kernel import compiled
 
-SERVER = 0
-"""Holder of the trust scores of a central trust server."""
+SERVER = 1 << 30
+"""Holder of the trust scores of a central trust server. No vehicle has this number: actors are numbered from 0."""
 
 
 def int64(a: ndarray) -> Int[ndarray, "..."]:
@@ -252,7 +252,7 @@ class ReceivedEvaluations:
         by_observer = ObserverRows(
             np.repeat(int64(self.holder), n),
             np.repeat(int64(t.evaluator)[self.message_row], n),
-            (key & (1 << 31) - 1)[at],
+            unpaired(key)[1][at],
             np.bincount(group, pos, key.size).astype(float)[at],
             np.bincount(group, neg, key.size).astype(float)[at],
             size[at],
@@ -260,7 +260,7 @@ class ReceivedEvaluations:
         if not detections:
             at = at[:0]
         n = size[at]
-        one = np.repeat(begins[at] - (np.cumsum(n) - n), n) + np.arange(n.sum())
+        one = ranges(begins[at], n)
         return by_observer, DetectionRows(
             np.repeat(np.arange(at.size), n), int64(t.detection_index)[kept[one]], pos[one], neg[one]
         )
@@ -281,7 +281,7 @@ class ReceivedEvaluations:
     def _expanded(self, ptr: Int[ndarray, "v+1"]) -> tuple[Int[ndarray, "n"], Int[ndarray, "m"]]:
         """Rows of every received message, given the first row of each message, and their number."""
         n = np.diff(ptr)[self.message_row]
-        return np.repeat(ptr[:-1][self.message_row] - (np.cumsum(n) - n), n) + np.arange(n.sum()), n
+        return ranges(ptr[:-1][self.message_row], n), n
 
 
 @dataclass(frozen=True, slots=True)
@@ -306,6 +306,67 @@ class TrustScores:
     is_judged: Bool[ndarray, "n"]  # n_evaluations > 0
     n_evaluators: Int[ndarray, "n"] | None = None  # different evaluators of these; None where the model counts none
 
+    @staticmethod
+    def of(
+        now_step: int,
+        holder: Int[ndarray, "n"],
+        subject: Int[ndarray, "n"],
+        trust: Float[ndarray, "n"],
+        *,
+        newest_step: Int[ndarray, "n"],
+        oldest_step: Int[ndarray, "n"] | None = None,
+        n_evaluations: Int[ndarray, "n"] | int = 1,
+        uncertainty: Float[ndarray, "n"] | None = None,
+        weight: Float[ndarray, "n"] | None = None,
+        n_evaluators: Int[ndarray, "n"] | None = None,
+    ) -> "TrustScores":
+        """Trust scores from rows in any order, with defaults for what a model does not keep.
+
+        Parameters
+        ----------
+        now_step
+            Step that the scores are of.
+        holder, subject
+            Each pair once. A pair without evidence has no row.
+        trust
+            In [0, 1].
+        newest_step
+            Newest step of the detections behind each value: the ages of trust are counted from it.
+        oldest_step
+            Oldest one; the newest if not given.
+        n_evaluations
+            Behind each value, with visibility above 0, by others than the subject; one number for all rows will do.
+        uncertainty
+            In [0, 1]; NaN, for none, if not given.
+        weight
+            Of the evidence, in the model's own unit; `n_evaluations` if not given.
+        n_evaluators
+            Different evaluators behind each value; not counted if not given.
+
+        Returns
+        -------
+        Scores sorted by (holder, subject). The steps of the evaluations are those of the detections.
+        """
+        order, n = np.lexsort((subject, holder)), len(subject)
+        counts = np.broadcast_to(n_evaluations, n)[order].astype(np.int64)
+        newest = newest_step[order]
+        oldest = newest if oldest_step is None else oldest_step[order]
+        return TrustScores(
+            step=now_step,
+            holder=holder[order],
+            subject=subject[order],
+            trust=trust[order],
+            uncertainty=np.full(n, np.nan) if uncertainty is None else uncertainty[order],
+            weight=counts.astype(float) if weight is None else weight[order],
+            n_evaluations=counts,
+            newest_step=newest,
+            oldest_step=oldest,
+            newest_evaluation_step=newest,
+            oldest_evaluation_step=oldest,
+            is_judged=counts > 0,
+            n_evaluators=None if n_evaluators is None else n_evaluators[order],
+        )
+
     def rows_of(
         self, holder: Int[ndarray, "q"], subject: Int[ndarray, "q"]
     ) -> tuple[Int[ndarray, "q"], Bool[ndarray, "q"]]:
@@ -327,3 +388,13 @@ class TrustScores:
 def pair_key(holder: Int[ndarray, "n"], subject: Int[ndarray, "n"]) -> Int[ndarray, "n"]:
     """(holder, subject), both in [0, 2^31), as one integer of the same order."""
     return holder.astype(np.int64) << 31 | subject.astype(np.int64)
+
+
+def unpaired(keys: Int[ndarray, "n"]) -> tuple[Int[ndarray, "n"], Int[ndarray, "n"]]:
+    """Holder and subject of each `pair_key`."""
+    return keys >> 31, keys & (1 << 31) - 1
+
+
+def ranges(start: Int[ndarray, "n"], size: Int[ndarray, "n"]) -> Int[ndarray, "k"]:
+    """The integers start[i], start[i] + 1, ... of each range, one range after another."""
+    return np.repeat(start - (np.cumsum(size) - size), size) + np.arange(size.sum())

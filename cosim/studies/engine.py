@@ -4,7 +4,7 @@ Every run is a subprocess of a worker, so that one that crashes is a failed run 
 disk, and paths travel.
 """
 
-import hashlib
+import logging
 import os
 import subprocess
 import sys
@@ -17,7 +17,9 @@ from typing import Any
 
 import psutil
 from distributed import Client, Future, LocalCluster, as_completed
+from distributed.comm import CommClosedError
 
+from cosim.execution.source import code_digest
 from cosim.studies.folder import Attempt, StudyFolder
 from cosim.studies.study import Limits
 
@@ -45,6 +47,7 @@ def connected(scheduler: str | None, workers: int, needed: Path) -> Iterator[Cli
     """
     if scheduler is None:
         with (
+            closing_quietly(),
             LocalCluster(
                 n_workers=1, threads_per_worker=workers, processes=False, memory_limit=0,
                 dashboard_address="127.0.0.1:0",
@@ -63,6 +66,25 @@ def connected(scheduler: str | None, workers: int, needed: Path) -> Iterator[Cli
     with client:
         _check(client, scheduler, needed)
         yield client
+
+
+@contextmanager
+def closing_quietly() -> Iterator[None]:
+    """Connections that a cluster closes at its own end are no errors: nothing is said of them."""
+
+    def is_news(record: logging.LogRecord) -> bool:
+        error = record.exc_info[1] if record.exc_info else None
+        return not (isinstance(error, CommClosedError) or "CommClosedError" in record.getMessage())
+
+    loggers = [logging.getLogger(name) for name in ("distributed", "tornado.application", "asyncio")]
+    filtered = [*loggers, *(handler for logger in loggers for handler in logger.handlers)]
+    for one in filtered:
+        one.addFilter(is_news)
+    try:
+        yield
+    finally:
+        for one in filtered:
+            one.removeFilter(is_news)
 
 
 def _check(client: Client, scheduler: str, needed: Path) -> None:
@@ -91,16 +113,6 @@ def _check(client: Client, scheduler: str, needed: Path) -> None:
 
 def _look(needed: str) -> tuple[str, bool]:
     return code_digest(), Path(needed).exists()
-
-
-def code_digest() -> str:
-    """Hash of the source of all packages: what a worker must have in common with this process."""
-    root = Path(__file__).parents[2]
-    found = hashlib.sha256()
-    for package in ("cosim", "sensors", "trust", "results", "sumo_nets"):
-        for path in sorted((root / package).rglob("*.py")):
-            found.update(path.relative_to(root).as_posix().encode() + path.read_bytes())
-    return found.hexdigest()[:12]
 
 
 def execute(client: Client, study: StudyFolder, work: Work, limits: Limits) -> Iterator[tuple[str, Attempt]]:
