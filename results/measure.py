@@ -30,6 +30,7 @@ from results.metrics import (
 from results.metrics.intervals import FEW
 from results.metrics.kitti import FEWEST
 from results.metrics.registry import METRICS, RENAMED
+from results.own_metrics import COLUMNS
 from results.run import Run
 
 if TYPE_CHECKING:
@@ -124,7 +125,7 @@ def measure(
             rows.append(Row(f"{topic}.not_measured", str(reason), np.nan))
     return pd.DataFrame(
         [(*row[:-1], METRICS[row.name].unit, METRICS[row.name].label, _note(row)) for row in rows],
-        columns=["metric", "group", "value", "low", "high", "n_units", "unit", "label", "note"],
+        columns=COLUMNS,
     )
 
 

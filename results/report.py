@@ -51,8 +51,6 @@ code { font-family: ui-monospace, "DejaVu Sans Mono", monospace; font-size: 0.93
 def write(run: Run, path: str | Path | None = None) -> Path:
     """Write the page; it needs no network and no other file. Left out, `path` is report.html in the run folder."""
     path = run.path / "report.html" if path is None else Path(path)
-    if not path.parent.is_dir():
-        raise ValueError(f"The folder {path.parent} does not exist. Make it first.")
     durable.write_output(path, page(run).encode())
     return path
 
@@ -172,7 +170,7 @@ def _virtual(column: Column) -> str:
 
 def _provenance(run: Run) -> str:
     manifest = {**run.manifest, "folder": str(run.path), "schema_version": SCHEMA_VERSION}
-    names = ("folder", "status", "seed", "schema_version", "net", "versions", "timings_s", "summary")
+    names = ("folder", "status", "seed", "schema_version", "net", "versions", "source", "timings_s", "summary")
     rows = "".join(f"<tr><td>{name}</td><td>{_value(manifest[name])}</td></tr>" for name in names if name in manifest)
     config = escape(json.dumps(run.config, indent=2, ensure_ascii=False))
     return f"<table>{rows}</table><details open><summary>Resolved configuration</summary><pre>{config}</pre></details>"

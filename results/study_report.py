@@ -17,8 +17,6 @@ _MOST_ROWS = 400
 def write(study: Study, path: str | Path | None = None) -> Path:
     """Write the page; it needs no network and no other file. Left out, `path` is report.html in the study's folder."""
     path = study.path / "report.html" if path is None else Path(path)
-    if not path.parent.is_dir():
-        raise ValueError(f"The folder {path.parent} does not exist. Make it first.")
     durable.write_output(path, page(study).encode())
     return path
 

@@ -59,14 +59,14 @@ def run(
     run_folder.check(out)
     scenario = check(config)
     with StopRequest() as stop:
-        parts, registry, traffic = _loaded(config, scenario, traffic_from, perceive)
+        parts, registry, traffic = load_parts(config, scenario, traffic_from, perceive)
         try:
             folder = run_folder.create(out, scenario.name)
             try:
                 manifest = Manifest(folder.path, config, provenance(config, scenario), sources(config))
                 manifest.begin()
                 recorder = _recorder(folder.path, parts, 0)
-                warmup_s = 0.0 if traffic_from is not None else _warmup_s(config, scenario)
+                warmup_s = 0.0 if traffic_from is not None else warmup_of(config, scenario)
                 drive = Drive(parts, scenario, folder, warmup_s, traffic, registry, recorder, manifest, advance, stop)
             except BaseException as error:
                 with suppress(OSError):
@@ -109,13 +109,13 @@ def resume(
             closed = [part for block in found.blocks for part in block.parts]
             if problem := next((p for part in closed if (p := content_problem(path, part))), ""):
                 raise Damaged(f"{path} is damaged: {problem}. Run again.")
-            parts, registry, traffic = _loaded(config, scenario, traffic_from, perceive)
+            parts, registry, traffic = load_parts(config, scenario, traffic_from, perceive)
             try:
                 went = Manifest(path, config, manifest["net"], sources(config), steps=found.end_step)
                 went.keep_config(manifest)
                 recorder = _recorder(path, parts, found.end_step)
                 went.resumed_at = [*manifest.get("resumed_at", []), found.end_step]
-                warmup_s = 0.0 if traffic_from is not None else _warmup_s(config, scenario)
+                warmup_s = 0.0 if traffic_from is not None else warmup_of(config, scenario)
                 drive = Drive(parts, scenario, folder, warmup_s, traffic, registry, recorder, went, advance, stop)
                 drive.state = _kept_state(path, found, config, went.config_sha256)
                 drive.expected = _last_poses(path, found)
@@ -141,7 +141,7 @@ def record_traffic(config: Config, path: Path, advance: Advance) -> Path:
         folder = run_folder.create(path, scenario.name)
         manifest = Manifest(path, config, provenance(config, scenario), sources(config))
         manifest.begin()
-        warm_up(_warmup_s(config, scenario), traffic, watch, advance)
+        warm_up(warmup_of(config, scenario), traffic, watch, advance)
         recorder = Recorder(path, "standard", config.record.block_steps)
         for number in range(config.n_steps):
             try:
@@ -186,7 +186,8 @@ def resumable(path: Path, trust_code: bool = False) -> Config:
     return config
 
 
-def _warmup_s(config: Config, scenario: Scenario) -> float:
+def warmup_of(config: Config, scenario: Scenario) -> float:
+    """Traffic before the first step [s]."""
     return scenario.warmup_s if config.traffic.warmup_s is None else config.traffic.warmup_s
 
 
@@ -195,7 +196,7 @@ def worlds_of(config: Config, traffic_from: Path | None) -> Generator[World, Non
     scenario = find(config.traffic.scenario, config.traffic.trace)
     _, traffic = _traffic(config, scenario, traffic_from)
     try:
-        for _ in traffic.warm_up(0.0 if traffic_from is not None else _warmup_s(config, scenario)):
+        for _ in traffic.warm_up(0.0 if traffic_from is not None else warmup_of(config, scenario)):
             pass
         for _ in range(config.n_steps):
             yield traffic.advance()
@@ -205,9 +206,11 @@ def worlds_of(config: Config, traffic_from: Path | None) -> Generator[World, Non
         traffic.close()
 
 
-def _loaded(
-    config: Config, scenario: Scenario, traffic_from: Path | None, perceive: Callable[[Perception], Perceives]
-) -> tuple[Parts, ActorRegistry, TrafficSource]:
+def load_parts(
+    config: Config, scenario: Scenario, traffic_from: Path | None = None,
+    perceive: Callable[[Perception], Perceives] = lambda own: own,
+) -> tuple[Parts, ActorRegistry, TrafficSource]:  # fmt: skip
+    """The parts of a run, with its actors and its traffic; arguments as `run`. The caller closes the traffic."""
     watch = Stopwatch()
     with watch("city"):
         city = with_meshes(scenario.city(), config.meshes, config.vehicle_meshes)

@@ -267,10 +267,6 @@ def save(figure: Figure, path: str | Path) -> Path:
     path = Path(path)
     if path.suffix.lower() not in FORMATS:
         raise ValueError(f"{path} has no picture format. End it in {', '.join(FORMATS)}.")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ValueError(f"The folder {path.parent} cannot be made ({error.strerror}). Give another one.") from None
     content = io.BytesIO()
     write(figure, content, path.suffix.lower()[1:])
     durable.write_output(path, content.getvalue())
