@@ -1,7 +1,7 @@
 """What an exporter is, and those that ship."""
 
 from collections.abc import Callable, Mapping
-from typing import ClassVar, Protocol
+from typing import Protocol
 
 from results.export.kitti import Kitti
 from results.export.moments import Plan, Selection
@@ -14,7 +14,7 @@ from results.export.veremi_nextgen import VeremiNextGen
 class Exporter(Protocol):
     """Writes a run in another tool's layout."""
 
-    TABLES: ClassVar[tuple[str, ...]]
+    TABLES: tuple[str, ...]
     """Tables that the run must hold."""
 
     def plan(self, selection: Selection) -> Plan:
