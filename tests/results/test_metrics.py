@@ -155,7 +155,7 @@ def scene(tiny):
     size = {"length_m": 4, "width_m": 2, "height_m": 1.5}
     vehicles = fleet("malicious", last_step=49)
     vehicles += [{"vehicle": v, "vehicle_class": "car", "last_step": 49, **size} for v in (1, 2)]
-    vehicles.append({**fleet("honest")[0], "vehicle": 3, "last_step": -1})
+    vehicles.append({**fleet("honest")[0], "vehicle": 3, "first_step": 1, "last_step": 0})
     x = {0: 0.0, 1: 20.0, 2: -20.0}
     actors, observability, detections, fused = [], [], [], []
     for step in range(50):

@@ -13,6 +13,10 @@ def make(folder, steps, config=None, **tables):
 
     Without a table of pseudonyms, every equipped vehicle has its own number.
     """
+    last = {"vehicles": "last_step", "pseudonyms": "to_step"}  # no one stays longer than the run
+    for name, key in last.items():
+        if name in tables:
+            tables[name] = [{**row, key: min(row[key], steps - 1)} if key in row else row for row in tables[name]]
     tables.setdefault("pseudonyms", [
         {"pseudonym": v["vehicle"], "vehicle": v["vehicle"], "from_step": v.get("first_step", 0),
          "to_step": v.get("last_step", 0)}
@@ -23,6 +27,7 @@ def make(folder, steps, config=None, **tables):
             for name, rows in tables.items():
                 if now := [row for row in rows if row.get("step", 0) == step]:
                     record.append(name, step, columns(name, now))
+        record.append("actors", steps - 1, columns("actors", []))  # the run ends with its last step, rows or not
     finish(folder, {"dt_s": 1.0, "steps": steps, "config": config or {}})
     return open_run(folder)
 
