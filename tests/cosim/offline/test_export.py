@@ -65,7 +65,7 @@ def test_interrupted_and_taken_up_again(folder, vehicles, tmp_path):
 @pytest.mark.parametrize(
     ("form", "more", "says"),
     [
-        ("nuscenes", {}, "no such format. There are kitti"),
+        ("nuscenes", {}, "no such choice. There are kitti"),
         ("kitti", {"vehicles": "99999"}, "there was never such a vehicle"),
         ("kitti", {"vehicles": "../3"}, "numbers and spans"),
         ("kitti", {"vehicles": "5-3"}, "numbers and spans"),

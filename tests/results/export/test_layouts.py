@@ -82,8 +82,8 @@ def test_kitti_tracking(run, tmp_path):
 
 def test_names_stay_in_tables(run, tmp_path):
     """Slashes and markup of SUMO's names are in no path."""
-    for module in (kitti, trupercept, opv2v):
-        made = export(module, run, tmp_path / module.__name__)
+    for exporter in (kitti.Kitti, trupercept.TruPerceptData, opv2v.Opv2v):
+        made = export(exporter, run, tmp_path / exporter.__name__)
         assert all(
             set(path) <= set("abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789_./-") for path in made
         )
