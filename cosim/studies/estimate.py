@@ -16,7 +16,7 @@ STEP_S = 0.018
 VEHICLE_S = 0.35e-3
 """Per equipped vehicle and step, on one core [s]."""
 VARIANT_S = 0.0004
-"""Trust of one more variant, per step, at the 60 equipped vehicles of central Helsinki [s]: `cosim bench variants`."""
+"""Trust of one more variant, per step, at the 60 equipped vehicles of central Helsinki [s]."""
 METRICS_S = 0.1
 """Metrics of one point [s]."""
 BYTES = 500
