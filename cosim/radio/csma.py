@@ -150,8 +150,11 @@ class CsmaMedium:
         found = los_pairs(xyz_m, p.propagation, self.los, slant_m(xyz_m, p.range_m))
         near = NeighbourList.of(xyz_m, p.range_m, found, knows_walls)
         shadowing = rng.key(self.seed, rng.Stream.SHADOWING)
-        links, _, _ = links_between(xyz_m, stations.key, p.propagation, shadowing, self.los, found=found)
-        kept = Stations(stations.key.copy(), xyz_m.copy(), stations.n_vehicles)  # the caller may go on to move its own
+        links, _, _ = links_between(
+            xyz_m, stations.key, p.propagation, shadowing, self.los, found=found,
+            above_street_m=stations.above_street_m,
+        )  # fmt: skip
+        kept = replace(stations, key=stations.key.copy(), xyz_m=xyz_m.copy())  # the caller may go on to move its own
         return LinkCache(kept, links, near)
 
     def _idle(

@@ -53,6 +53,8 @@ class Stations:
     xyz_m: Float[ndarray, "n 3"]
     """Antennas."""
     n_vehicles: int
+    above_street_m: Float[ndarray, "n"] | None = None
+    """Heights of the antennas above the street under them [m]; left out, the streets are at height 0."""
 
     def __len__(self) -> int:
         return len(self.key)

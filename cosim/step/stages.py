@@ -88,8 +88,9 @@ def stations_of(world: World, row: Int[ndarray, "v"], parts: Parts) -> Stations:
     """Antennas of the vehicles in these rows of the world, and of roadside units."""
     key = np.concatenate([world.name_key[row], parts.rsus.key])
     xyz_m = np.concatenate([world.boxes.xyz_m[row], parts.rsus.xyz_m])
-    xyz_m[: len(row), 2] += world.boxes.lwh_m[row, 2] / 2 + parts.config.radio.antenna_above_roof_m
-    return Stations(key, xyz_m, len(row))
+    roof_m, mast_m = world.boxes.lwh_m[row, 2], parts.config.radio.antenna_above_roof_m
+    xyz_m[: len(row), 2] += roof_m / 2 + mast_m
+    return Stations(key, xyz_m, len(row), np.concatenate([roof_m + mast_m, parts.rsus.above_street_m]))
 
 
 def cpm_lengths(

@@ -189,7 +189,7 @@ def _soon(config: Config) -> Config:
 
 
 def _one_rsu() -> RsuAntennas:
-    return RsuAntennas(np.array([[30.0, 0.0, 6.0]]), np.array([rng.name_key("rsu")], np.uint64))
+    return RsuAntennas(np.array([[30.0, 0.0, 6.0]]), np.array([rng.name_key("rsu")], np.uint64), np.array([6.0]))
 
 
 def _world(number: int, config: Config) -> World:
