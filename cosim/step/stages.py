@@ -191,7 +191,12 @@ def evaluate_objects(
     points, possible = np.zeros(len(known.member), np.int32), np.ones(len(known.member), bool)
     points[counted], possible[tested] = parts.perception.answers(observed.sweeps, asked)
     n_points, plausible, ego = points[matched.inside], possible[matched.inside], groups.ego_detected
-    own = evaluate(lists, groups, listed.detections, n_points, plausible, c.trust)
+    recall = None
+    if parts.recall is not None:
+        b, label = lists.member, listed.detections.label[lists.member]
+        range_m = _distance_m(listed.objects.boxes.xyz_m, b, observed.sweeps.poses.origin_m, lists.of_member())
+        recall = parts.recall(n_points, label, range_m)
+    own = evaluate(lists, groups, listed.detections, n_points, plausible, c.trust, recall)
     reported = object_lists.as_reported(active, own, lists, listed.objects, vehicles.row)
     lied = lies_in_evaluations(own, reported)
 
