@@ -84,8 +84,8 @@ class TrustParams(TruPerceptParams):
     plausibility_in_evaluation: bool = True
     """An unmatched, implausible detection is evaluated with full visibility."""
     denials: Literal["visibility", "recall"] = "visibility"
-    """Weight of the evaluation of an unmatched, plausible detection: its visibility (the paper's rule), or the visibility
-    times what a miss says about the object, given how often the evaluator's own detector misses such objects."""
+    """Weight of the evaluation of an unmatched, plausible detection: its visibility (the paper's rule), or times what a
+    miss says about the object, given how often the evaluator's detector misses such objects."""
 
     # final aggregation
     method: Method = "trupercept_3"

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
-from cosim.adversary.attack import Attack, AttackContext, EvaluationRows, Sending
+from cosim.adversary.attack import LOUDEST_DBM, Attack, AttackContext, EvaluationRows, Sending
 from cosim.v2x.messages import Detections, faults
 from results.codes import DetectionFault, Origin
 from sensors.boxes import Boxes
@@ -21,6 +21,15 @@ MOST_IDENTITIES = 255
 """Identities of a vehicle beside its own."""
 LONGEST_DELAY_S = 3600.0
 MOST_COPIES, MOST_REPORTS = 1000, 100_000
+SENDING_RANGES = {
+    "delay_s": ("f", 0.0, LONGEST_DELAY_S),
+    "n_copies": ("iu", 0, MOST_COPIES),
+    "n_reports": ("iu", 0, MOST_REPORTS),
+    "jam_dbm": ("f", -np.inf, LOUDEST_DBM),
+    "react_dbm": ("f", -np.inf, LOUDEST_DBM),
+    "ignores_dcc": ("b", False, True),
+}
+"""Kinds of numbers, smallest and largest value of each column of `Sending`."""
 
 
 class AttackError(ValueError):
@@ -120,8 +129,7 @@ def checked_sending(attack: Attack, context: AttackContext, returned: Any) -> Se
     where = _where(attack, context, "sending")
     if not isinstance(returned, Sending):
         raise AttackError(f"{where} returned {type(returned).__name__}, not Sending.")
-    most = {"delay_s": LONGEST_DELAY_S, "n_copies": MOST_COPIES, "n_reports": MOST_REPORTS}
-    for name, high in most.items():
-        _check_column(where, name, getattr(returned, name), (len(context.world),), "f" if name == "delay_s" else "iu")
-        _check_range(where, name, getattr(returned, name), 0, high)
+    for name, (kinds, low, high) in SENDING_RANGES.items():
+        _check_column(where, name, getattr(returned, name), (len(context.world),), kinds)
+        _check_range(where, name, getattr(returned, name), low, high)
     return returned

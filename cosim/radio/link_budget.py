@@ -184,7 +184,8 @@ def _both_orders(n, a, b, length_m):
     return sender, receiver, apart_m
 
 
-def _linear(db: ndarray | float) -> ndarray:
+def from_db(db: ndarray | float) -> ndarray:
+    """Power [mW] of a level [dBm], or the ratio of one in dB; 0 of -inf."""
     return np.exp(np.asarray(db) * (np.log(10) / 10))
 
 
@@ -281,7 +282,7 @@ def links_between(
     n = len(xyz_m)
     power_dbm = np.full(n, params.tx_power_dbm) if tx_power_dbm is None else np.asarray(tx_power_dbm, float)
     ptr, receiver, power_mw, fading, pair = _both_ways(
-        n, losses.a, losses.b, _linear(-losses.loss_db), fading_class(losses.distance_m, params.fading),
-        _linear(power_dbm), float(_linear(params.cutoff_dbm)),
+        n, losses.a, losses.b, from_db(-losses.loss_db), fading_class(losses.distance_m, params.fading),
+        from_db(power_dbm), float(from_db(params.cutoff_dbm)),
     )  # fmt: skip
     return Links(key, ptr, receiver, power_mw, fading), losses, pair

@@ -64,7 +64,7 @@ def step(world: World, state: State, parts: Parts) -> tuple[State, StepResult]:
             observed, senders, s.included, world, accelerations, active, vehicles, c, now.begin_s
         )
     with watch("radio"):
-        stations = stages.stations_of(world, vehicles.row, parts)
+        stations = stages.stations_of(world, vehicles.row, sending, parts)
         cpms = _broadcast_detections(world, s, parts, listed, senders, vehicles, stations, sending, now)
     with watch("match"):
         matched = stages.match_objects(listed, cpms.accepted.vehicles, observed, senders, vehicles, believed, c)
@@ -367,7 +367,7 @@ def _note_attacks(
         by = evaluated.lists.owner[evaluated.lists.of_member()[evaluated.lied]]
         attacker.append(vehicles.actor[senders.vehicle[by]])
     if sending is not None:
-        attacker.append(vehicles.actor[(sending.delay_s > 0) | (sending.n_copies > 0) | (sending.n_reports > 0)])
+        attacker.append(vehicles.actor[sending.attacks()])
     s.attack_start.update(world.step, np.concatenate(attacker))
 
 

@@ -61,7 +61,12 @@ class Parts:
             rsus=rsus,
             perception=perception_of(c, city),
             adversary=Adversary.of(
-                c.attacks, [_make(c, "attacks", n) for n in range(len(c.attacks))], c.seed, dt_s, c.trust.freshness_s
+                c.attacks,
+                [_make(c, "attacks", n) for n in range(len(c.attacks))],
+                c.seed,
+                dt_s,
+                c.trust.freshness_s,
+                walls,
             ),
             medium=_make_medium(c, LosOfPlaces.of(walls)),
             pseudonyms=pseudonyms,
@@ -91,8 +96,8 @@ def recall_of(experiment: Config) -> Callable[[ndarray, ndarray, ndarray], ndarr
     detector = _make(experiment, "detector")
     if not hasattr(detector, "recall"):
         raise ValueError(
-            f'trust.denials = "recall", but the detector {type(detector).__name__} has no method recall(n_points, label, '
-            'range_m): how often it misses an object is not known. Add it, or set trust.denials = "visibility".'
+            f'trust.denials = "recall", but the detector {type(detector).__name__} has no method recall(n_points, '
+            'label, range_m): how often it misses an object is not known. Add it, or set trust.denials = "visibility".'
         )
     return detector.recall
 

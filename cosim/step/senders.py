@@ -136,8 +136,8 @@ def lists_of_identities(lists: ObjectLists, senders: Senders) -> tuple[ObjectLis
 
 def sending_of(sending: Sending, vehicles: Vehicles) -> Sending | None:
     """The same by row of `Vehicles`; None where no vehicle attacks the channel or the server."""
-    mine = Sending(*(column[vehicles.row] for column in (sending.delay_s, sending.n_copies, sending.n_reports)))
-    return None if mine.is_plain() else mine
+    mine = sending.take(vehicles.row)
+    return mine if mine.attacks().any() else None
 
 
 def distinct(number: Int[ndarray, "m"], message: Int[ndarray, "d"]) -> tuple[Int[ndarray, "k"], Int[ndarray, "d"]]:

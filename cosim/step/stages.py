@@ -7,9 +7,10 @@ from jaxtyping import Bool, Int
 from numpy import ndarray
 
 from cosim.adversary.adversary import Active
+from cosim.adversary.attack import Sending
 from cosim.config.config import Config
 from cosim.driver.driver import Beliefs
-from cosim.radio.message_round import LinkReceptions, Receptions, Stations
+from cosim.radio.message_round import ChannelAbuse, LinkReceptions, Receptions, Stations
 from cosim.ragged import ptr_of
 from cosim.step import object_lists
 from cosim.step.ground_truth import GroundTruth, ground_truth_of, lies_in_detections, lies_in_evaluations
@@ -84,13 +85,20 @@ def list_objects(
     return Listed(objects, truth, detections, ptr, withheld, n_dropped), included
 
 
-def stations_of(world: World, row: Int[ndarray, "v"], parts: Parts) -> Stations:
-    """Antennas of the vehicles in these rows of the world, and of roadside units."""
+def stations_of(world: World, row: Int[ndarray, "v"], sending: Sending | None, parts: Parts) -> Stations:
+    """Antennas of the vehicles in these rows of the world, and of roadside units; `sending` of those vehicles."""
     key = np.concatenate([world.name_key[row], parts.rsus.key])
     xyz_m = np.concatenate([world.boxes.xyz_m[row], parts.rsus.xyz_m])
     roof_m, mast_m = world.boxes.lwh_m[row, 2], parts.config.radio.antenna_above_roof_m
     xyz_m[: len(row), 2] += roof_m / 2 + mast_m
-    return Stations(key, xyz_m, len(row), np.concatenate([roof_m + mast_m, parts.rsus.above_street_m]))
+    above_street_m, abuse = np.concatenate([roof_m + mast_m, parts.rsus.above_street_m]), None
+    if sending is not None and sending.abuses_channel().any():
+        honest = Sending.plain(len(parts.rsus))
+        abuse = ChannelAbuse(
+            np.concatenate([sending.jam_dbm, honest.jam_dbm]), np.concatenate([sending.react_dbm, honest.react_dbm]),
+            np.concatenate([sending.ignores_dcc, honest.ignores_dcc]),
+        )  # fmt: skip
+    return Stations(key, xyz_m, len(row), above_street_m, abuse)
 
 
 def cpm_lengths(

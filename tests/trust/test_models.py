@@ -109,7 +109,6 @@ def test_an_evaluation_of_0_is_no_evidence(name):
     assert_same(one.scores(), other.scores())
 
 
-
 @every_model
 def test_the_steps_of_evaluations_are_those_of_others_who_could_see(name):
     model = build(name)

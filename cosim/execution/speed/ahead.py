@@ -56,7 +56,7 @@ class Ahead:
         if world.equipped.any() and threads_may_meet():
             if numba.get_num_threads() > 1:  # of few vehicles they are mostly Python, which holds up the present step
                 if self._links is not None:
-                    self._links.expect(stages.stations_of(world, np.flatnonzero(world.equipped), self.parts))
+                    self._links.expect(stages.stations_of(world, np.flatnonzero(world.equipped), None, self.parts))
                 self._pairs.expect(world)
             self._sensing.expect(world, at_once)
 
