@@ -1,4 +1,4 @@
-"""Each attack does its documented harm with its default parameters, as the tables show beside the same steps without it.
+"""Each attack does its documented harm with its default parameters: in the tables, beside the steps without it.
 
 What exactly an attack changes is the business of `test_library.py`; here it is enough that it has an effect.
 """
