@@ -4,18 +4,18 @@ VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
-.PHONY: run test types bounds lint verify docs bench lock clean
+.PHONY: run test types bounds lint verify docs bench extra lock clean
 
-run: $(READY)  ## Drive the shipped city, and show what came of it
+run: $(READY)  ## Simulate the shipped city and print a summary
 	$(BIN)/cosim run
 
 test: $(READY)  ## The tests
 	$(BIN)/python -m pytest -q -n 2
 
-types: $(READY)  ## Shapes and types of arrays, checked while the tests of trust run
+types: $(READY)  ## Check shapes and types of arrays while the tests of trust run
 	$(BIN)/python -m pytest -q -n 2 --typecheck=trust tests/trust
 
-bounds: $(READY)  ## Index ranges of all kernels, checked while the tests run; compiles everything anew
+bounds: $(READY)  ## Check index ranges of all kernels while the tests run; compiles everything again
 	rm -rf build/bounds
 	NUMBA_BOUNDSCHECK=1 NUMBA_CACHE_DIR=$(CURDIR)/build/bounds $(BIN)/python -m pytest -q -n 2
 
@@ -24,7 +24,7 @@ lint: $(READY)  ## Style and types
 	$(BIN)/ruff format --check --quiet .
 	$(BIN)/mypy
 
-verify: $(READY)  ## Everything, the slow verification included
+verify: $(READY)  ## All checks and tests, including the slow ones
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check --quiet .
 	$(BIN)/mypy
@@ -34,10 +34,14 @@ docs: $(READY) $(VENV)/.docs  ## The documentation site, in build/site; warnings
 	$(BIN)/python -m cosim.docs.site build/site
 	@echo "build/site/index.html"
 
-bench: $(READY)  ## Speed, with peers in the same run
+bench: $(READY)  ## Measure speed, with other implementations in the same run
 	$(BIN)/cosim bench
 
-lock:  ## Pin the dependencies anew (needs uv)
+extra: $(READY)  ## Install one of the extras of pyproject.toml: make extra NAME=open3d
+	@test -n "$(NAME)" || { echo "say which: make extra NAME=open3d (or view, mesh, build)"; exit 2; }
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[$(NAME)]"
+
+lock:  ## Pin the dependencies again (needs uv)
 	uv pip compile -q pyproject.toml --extra dev --extra build --universal --python-version 3.11 --no-emit-index-url --no-header --generate-hashes -o requirements.lock
 	uv pip compile -q pyproject.toml --extra docs -c requirements.lock --universal --python-version 3.11 --no-emit-index-url --no-header --generate-hashes -o cosim/docs/requirements.lock
 

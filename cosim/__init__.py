@@ -1,1 +1,3 @@
-"""Traffic, chance, messages, the cycle, and the commands that run it all."""
+"""Co-simulation of traffic, LiDAR, V2X messages and trust at city scale."""
+
+__version__ = "0.3.0.dev0"

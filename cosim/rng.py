@@ -54,6 +54,7 @@ class Stream(IntEnum):
     SENDER = 23
     VICTIM = 24
     POSITIONING = 25
+    OWN = 26
 
 
 @inlined
@@ -109,6 +110,20 @@ def keys(prefix: np.uint64, *ids: ndarray | np.unsignedinteger) -> UInt64[ndarra
 def uniforms(prefix: np.uint64, *ids: ndarray | np.unsignedinteger, n: int = 1) -> Float[ndarray, "rows n"]:
     """`n` uniforms in [0, 1) for each row of identifiers."""
     return _uniform_rows(keys(prefix, *ids), n)
+
+
+def draws(seed: int, step: int, names: ndarray | tuple[ndarray, ...], n: int = 1) -> Float[ndarray, "rows n"]:
+    """`n` uniforms in [0, 1) for each row of names: the draws of a class of a user's own.
+
+    The same seed, step and names give the same numbers, in any order of the rows and whoever else is there.
+
+    Parameters
+    ----------
+    names
+        What each row is about: `world.name_key`, `stations.key`, numbers of messages; several columns as a tuple.
+    """
+    columns = names if isinstance(names, tuple) else (names,)
+    return uniforms(key(seed, Stream.OWN, step), *columns, n=n)
 
 
 def normals(prefix: np.uint64, *ids: ndarray, n: int = 1) -> Float[ndarray, "rows n"]:

@@ -4,9 +4,9 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from results import inventory
+from results import durable
 from results.durable import Damaged
-from results.manifest import read_manifest, status_of
+from results.manifest import problems, read_manifest
 from results.run import Run
 from results.tables import SCHEMA_VERSION
 
@@ -36,7 +36,9 @@ def open_run(path: str | Path, unfinished: bool = False) -> OpenRun:
         Accept a run that crashed or still runs, as far as its blocks are on disk.
     """
     path = Path(path)
-    manifest = read_manifest(path)
+    is_live, manifest = durable.is_locked(path), read_manifest(path)
+    if manifest["status"] == "running" and not is_live:
+        manifest = read_manifest(path)  # it may have ended meanwhile
     version, status = manifest["schema_version"], manifest["status"]
     if version != SCHEMA_VERSION:
         raise ValueError(
@@ -44,15 +46,14 @@ def open_run(path: str | Path, unfinished: bool = False) -> OpenRun:
             f"version {SCHEMA_VERSION}. Run again with this cosim, or read it with the one in its manifest.json."
         )
     run = OpenRun(path, manifest)
-    if status == "finished":
-        summary = run.inventory.summary(run.manifest["inventory"]["tables"])
-        if summary != manifest["inventory"]:
-            raise Damaged(f"{path} is damaged: {inventory.FILE} is not the one that manifest.json was written with.")
-    elif not unfinished:
-        raise ValueError(
-            f'{path} is unfinished (status "{status_of(path, manifest)}", {run.inventory.end_step} steps on disk). '
-            f"Continue it: `cosim resume {path}`."
-        )
-    else:
+    is_live = is_live and status != "finished"
+    if is_live and unfinished:
+        run.hold_open_parts()
+    if problem := next(problems(path, manifest, run.inventory), ""):
+        raise Damaged(f"{path} is damaged: {problem}.")
+    if status != "finished" and not unfinished:
+        how = "Wait for its end." if is_live else f"Continue it: `cosim resume {path}`."
+        raise ValueError(f'{path} is unfinished (status "{run.status}", {run.inventory.end_step} steps on disk). {how}')
+    if status != "finished":
         manifest["steps"] = run.inventory.end_step
     return run

@@ -1,5 +1,6 @@
 """Encounters of pairs of actors, tracked step by step."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
@@ -35,6 +36,21 @@ class EncounterParams:
             raise ValueError(
                 f'encounters.pedestrians = true with encounters.pairs = "{self.pairs}": pedestrians are not equipped. '
                 'Set encounters.pairs to "all" or "all_los".'
+            )
+
+
+def check_definitions(definitions: Sequence[EncounterParams]) -> None:
+    """ValueError where two definitions would have the same rows: tables keep radii and times as 32-bit numbers."""
+    names = [
+        (np.float32(of.radius_m), np.float32(of.hysteresis_s), of.pairs, of.los, of.pedestrians) for of in definitions
+    ]
+    for number, name in enumerate(names):
+        if name in names[:number]:
+            first = names.index(name)
+            raise ValueError(
+                f"encounters.{number} is the same definition as encounters.{first}: radius_m = "
+                f"{definitions[number].radius_m!r} and {definitions[first].radius_m!r} are one 32-bit number, and "
+                "all else is equal. Leave one of them out."
             )
 
 

@@ -8,7 +8,7 @@ off by a crash was never committed.
 import hashlib
 import json
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,8 @@ from results.durable import Damaged
 from results.tables import TABLES
 
 FILE = "inventory.jsonl"
+CHECKPOINT = "checkpoint"
+"""Folder of the files from which a resumed run goes on; a finished run has none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,6 +97,10 @@ class Inventory:
         """The whole blocks alone: where a resumed run goes on."""
         return Inventory(tuple(block for block in self.blocks if block.is_whole))
 
+    def closed(self) -> "Inventory":
+        """The whole blocks without what is open: files that stay while the run goes on."""
+        return Inventory(tuple(replace(block, open=()) for block in self.whole().blocks))
+
     def summary(self, tables: Iterable[str]) -> dict[str, Any]:
         """For the manifest: of every table, parts, rows, bytes, steps and a checksum over its parts."""
         tables_ = {}
@@ -139,6 +145,8 @@ def read(folder: Path) -> Inventory:
 
 def _block(line: dict[str, Any]) -> Block:
     parts, open_ = (tuple(_part(part) for part in line[name]) for name in ("parts", "open"))
+    if any(name != f"{CHECKPOINT}/{Path(name).name}" for name in line["checkpoint"]):
+        raise ValueError(f"{CHECKPOINT} outside of its folder")
     return Block(
         int(line["number"]), int(line["end_step"]), bool(line["is_whole"]), parts, open_, dict(line["checkpoint"]),
         str(line["chain"]),
@@ -148,6 +156,9 @@ def _block(line: dict[str, Any]) -> Block:
 def _part(content: dict[str, Any]) -> Part:
     part = Part(**content)
     if part.table not in TABLES or Path(part.file).name != part.file:
+        raise ValueError(part.name)
+    numbers = (part.n_rows, part.n_bytes, part.first_step, part.last_step)
+    if not all(type(number) is int for number in numbers) or min(part.n_rows, part.n_bytes) < 0:
         raise ValueError(part.name)
     return part
 

@@ -1,16 +1,25 @@
 """The manifest of a run folder: read, written with a checksum of itself, and what it says of the run."""
 
 import json
+import math
 import shutil
-from collections.abc import Collection, Mapping
+import tomllib
+from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 from results import durable, inventory
+from results.codes import BASE_VARIANT, Role, labels
 from results.durable import Damaged
+from results.inventory import Inventory
 from results.tables import SCHEMA_VERSION, TABLES
 
 MANIFEST = "manifest.json"
+CONFIG = "config.toml"
+STATUSES = ("running", "finished", "interrupted", "failed")
+
+_SECTIONS = ("config", "net", "versions", "choices", "timings_s", "summary", "inventory")
+_LISTS = ("variants", "roles", "dropped")
 
 
 def read_manifest(path: str | Path) -> dict[str, Any]:
@@ -27,11 +36,117 @@ def read_manifest(path: str | Path) -> dict[str, Any]:
             raise ValueError("schema_version")
         if manifest["schema_version"] == SCHEMA_VERSION and not durable.is_sealed(manifest):
             raise ValueError("its checksum differs")
+        if manifest["schema_version"] == SCHEMA_VERSION:
+            _check_kinds(manifest)
         manifest["dt_s"], manifest["steps"], manifest["config"], manifest["status"]
     except (OSError, ValueError, KeyError, TypeError, RecursionError, AttributeError) as error:
         reason = " ".join(str(error).split())
         raise Damaged(f"{path}/{MANIFEST} is damaged ({reason}). Run again.") from None
     return manifest
+
+
+def _check_kinds(manifest: Mapping[str, Any]) -> None:
+    """ValueError where an entry is no such thing as is written there: a checksum can be made anew by anybody."""
+    if not (isinstance(manifest["status"], str) and manifest["status"] in STATUSES):
+        raise ValueError(f"status {json.dumps(manifest['status'])} is none of {', '.join(STATUSES)}")
+    if not (isinstance(manifest["dt_s"], int | float) and 0 < manifest["dt_s"] < math.inf):
+        raise ValueError("dt_s is no length of a step")
+    if type(manifest["steps"]) is not int or not 0 <= manifest["steps"] < 2**31:
+        raise ValueError("steps is no number of steps")
+    for name in (*_SECTIONS, *_LISTS):
+        kind: type = dict if name in _SECTIONS else list
+        if name in manifest and not isinstance(manifest[name], kind):
+            raise ValueError(f"{name} is no {'section' if kind is dict else 'list'}")
+    names = [name for key in _LISTS for name in manifest.get(key, ())]
+    if not all(isinstance(name, str) for name in names):
+        raise ValueError(f"one of {', '.join(_LISTS)} holds something else than names")
+    text = json.dumps(manifest, ensure_ascii=False)
+    if not all(isinstance(s, int | float) for key in ("timings_s",) for s in manifest.get(key, {}).values()):
+        raise ValueError("timings_s holds something else than seconds")
+    if any(sign in text for sign in _CONTROL):
+        raise ValueError("control characters, which a terminal would obey")
+
+
+_CONTROL = ("\\u001b", "\\u007f", *(chr(code) for code in range(0x7F, 0xA0)))
+"""Escape, delete and the second set of control characters, as `json.dumps` writes them."""
+
+
+def problems(folder: Path, manifest: Mapping[str, Any], found: Inventory) -> Iterator[str]:
+    """Where a manifest contradicts itself, the inventory or the config file beside it.
+
+    Checksums say what has changed by accident, and what was changed without making them anew. Whatever the manifest
+    says twice is compared besides.
+    """
+    if manifest["status"] == "finished":
+        said = manifest.get("inventory") or {}
+        if found.summary(said.get("tables") or ()) != said:
+            yield f"{inventory.FILE} is not the one that {MANIFEST} was written with"
+        if manifest["steps"] != found.end_step:
+            yield f"{MANIFEST} says {manifest['steps']} steps, the inventory {found.end_step}"
+        asked, summary = steps_asked_for(manifest["config"]), manifest.get("summary", {})
+        if "vehicles_on_road_mean" in summary and "ended_early" not in summary and asked not in (None, found.end_step):
+            yield f"{MANIFEST} says finished after {found.end_step} steps, but its config asks for {asked}"
+    for part in found.parts:
+        end = found.end_step - (TABLES[part.table].key[0] == "step")
+        if part.first_step < 0 or part.last_step > end:
+            yield f"{part.name} has steps {part.first_step} to {part.last_step}, outside of 0 to {found.end_step}"
+    if problem := config_problem(folder, manifest, is_only_begun=not found.blocks):
+        yield problem
+    for key, value in _repeated(manifest["config"]):
+        if key in manifest and manifest[key] != value:
+            yield f"{MANIFEST}: {key} = {json.dumps(manifest[key])}, but its config says {json.dumps(value)}"
+
+
+def config_problem(folder: Path, manifest: Mapping[str, Any], is_only_begun: bool = False) -> str:
+    """What is wrong with the config file of a run folder; empty for nothing, and for a run that never had one.
+
+    A run that has only begun may have been killed before the file was written.
+    """
+    path = folder / CONFIG
+    if "config_sha256" not in manifest:
+        return ""
+    if not (path.exists() or path.is_symlink()):
+        return "" if manifest["status"] == "running" and is_only_begun else f"{CONFIG} is missing"
+    try:
+        if durable.sha256(path) != manifest["config_sha256"]:
+            return f"{CONFIG} was changed since it was written: its checksum differs"
+        with durable.open_regular(path) as file:
+            stated = tomllib.load(file)
+    except (OSError, ValueError, RecursionError) as error:
+        return f"{CONFIG} cannot be read ({error})"
+    return "" if _stated(manifest["config"]) == stated else f"{CONFIG} says something else than {MANIFEST}"
+
+
+def _stated(data: Any) -> Any:
+    """Plain data as a TOML file states them: without what is not set."""
+    if isinstance(data, dict):
+        return {key: _stated(value) for key, value in data.items() if value is not None}
+    return [_stated(value) for value in data] if isinstance(data, list) else data
+
+
+def steps_asked_for(config: Mapping[str, Any]) -> int | None:
+    """How many steps a config asks for; None where it does not say."""
+    traffic = config.get("traffic")
+    duration_s, step_s = (traffic.get(k) if isinstance(traffic, dict) else None for k in ("duration_s", "step_s"))
+    if not (isinstance(duration_s, int | float) and isinstance(step_s, int | float) and 0 < duration_s < 1e12):
+        return None
+    return max(1, math.floor(duration_s / step_s + 1e-9)) if step_s > 0 else None
+
+
+def _repeated(config: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+    """Entries of the manifest that follow from its config."""
+    traffic, interval_s = config.get("traffic"), config.get("sensing_interval_s")
+    if isinstance(traffic, dict) and isinstance(step_s := traffic.get("step_s"), int | float) and step_s > 0:
+        yield "dt_s", step_s
+        yield "traffic_seed", traffic.get("seed")
+        yield "roles", list(labels(Role))
+        if isinstance(interval_s, int | float) and 0 < interval_s < math.inf:
+            yield "sense_every_steps", round(interval_s / step_s)
+    if "seed" in config:
+        yield "seed", config["seed"]
+    variants = config.get("trust_variant")
+    if isinstance(variants, list) and all(isinstance(v, dict) for v in variants):
+        yield "variants", [BASE_VARIANT, *(v.get("name") for v in variants)]
 
 
 def write_manifest(folder: Path, content: Mapping[str, Any]) -> None:
@@ -52,7 +167,7 @@ def finish(folder: Path, content: Mapping[str, Any]) -> None:
 def drop_tables(folder: Path, names: Collection[str]) -> None:
     """Delete tables of a finished run that are not to be kept; its manifest says which."""
     manifest = read_manifest(folder)
-    gone = {*manifest.get("dropped", ()), *names}
+    gone = {*manifest.get("dropped", ()), *names} & TABLES.keys()
     if manifest["status"] != "finished":
         raise ValueError(f"{folder} is not finished: tables are dropped from finished runs only.")
     write_manifest(folder, manifest | {"dropped": [name for name in TABLES if name in gone]})

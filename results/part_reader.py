@@ -64,7 +64,7 @@ def _readable(path: Path, names: Sequence[str]) -> Iterator[None]:
                 f"{path} has no column {', '.join(sorted(missing))}: another cosim wrote it. Run again."
             ) from error
         reason = str(error).splitlines()[0]
-        raise Damaged(f"{path} is damaged ({reason}). Delete the run and run it again.") from error
+        raise Damaged(f"{path} is damaged ({reason}). Run `cosim verify` on its run.") from error
 
 
 def _columns(path: Path) -> set[str]:

@@ -17,7 +17,7 @@ from results import durable, inventory
 from results.codes import BASE_VARIANT, Role, labels
 from results.columns import Column, Level
 from results.durable import Damaged
-from results.inventory import Block, Inventory
+from results.inventory import CHECKPOINT, Block, Inventory
 from results.part_encoder import Encoder, PartEncoder
 from results.stored_columns import complete, stored_columns
 from results.tables import TABLES, kept, schema
@@ -25,8 +25,6 @@ from results.tables import TABLES, kept, schema
 Columns = Mapping[str, ndarray | None]
 """Columns of a table by name, masks included."""
 
-CHECKPOINT = "checkpoint"
-"""Folder of the files from which a resumed run goes on; a finished run has none."""
 _MOST_LABELS = 127
 """Codes of a category are int8."""
 _WRITERS = 8

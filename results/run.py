@@ -1,6 +1,9 @@
 """A run on disk: its tables as pandas DataFrames, loaded when first asked for."""
 
+import shutil
 import tempfile
+import time
+import weakref
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import cached_property
@@ -11,17 +14,30 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 import pyarrow.compute as pc
+import pyarrow.parquet as pq
 
 from results import durable, inventory, part_reader, virtual_columns
 from results.codes import BASE_VARIANT
 from results.durable import Damaged
 from results.inventory import Inventory, Part
+from results.manifest import status_of
 from results.tables import TABLES, schema
 
 T = TypeVar("T")
 
 OVER = ("finished", "interrupted")
 """Statuses of a run that ended with everything written."""
+_ATTEMPTS = 20
+"""How often a run that is being written is read before it is given up."""
+_PAUSE_S = 0.05
+
+
+class HeldParts:
+    """A temporary folder that is there as long as this object is."""
+
+    def __init__(self) -> None:
+        self.path = Path(tempfile.mkdtemp(prefix="cosim-open-"))
+        weakref.finalize(self, shutil.rmtree, self.path, ignore_errors=True)
 
 
 class Run:
@@ -45,12 +61,37 @@ class Run:
         """Folder of the rows of each trust variant, where they are set apart."""
         self._opened: dict[Path, pa.ipc.RecordBatchFileReader] = {}
         """Its files that are open."""
+        self._held: HeldParts | None = None
+        """Copies of the parts that the process that writes the run will remove; None where none writes it."""
         self._own: dict[str, Any] = {}
 
     @cached_property
     def inventory(self) -> Inventory:
         """What the run folder should hold."""
         return inventory.read(self.path)
+
+    @property
+    def status(self) -> str:
+        """As `results.manifest.status_of`, when the run was opened."""
+        return "running" if self._held is not None else status_of(self.path, self.manifest)
+
+    def hold_open_parts(self) -> None:
+        """Keep the run as it is now, though another process goes on writing it.
+
+        Parts of whole blocks stay. Those of what is not over yet are replaced with every block: they are copied.
+        """
+        for _ in range(_ATTEMPTS):
+            held, found = HeldParts(), inventory.read(self.path).whole()
+            try:
+                for part in found.blocks[-1].open if found.blocks else ():
+                    (held.path / part.table).mkdir(exist_ok=True)
+                    shutil.copyfile(self.path / part.name, held.path / part.name)
+            except FileNotFoundError:  # two blocks were written meanwhile
+                time.sleep(_PAUSE_S)
+                continue
+            self._held, self.__dict__["inventory"] = held, found
+            return
+        raise ValueError(f"{self.path} is being written, and changes too fast to be read. Ask again in a moment.")
 
     @property
     def variants(self) -> tuple[str, ...]:
@@ -64,6 +105,7 @@ class Run:
         other = type(self)(self.path, self.manifest, name)
         other.damage, other._sound = self.damage, self._sound
         other._common, other._apart, other._opened = self._common, self._apart, self._opened
+        other._held = self._held
         other.__dict__["inventory"] = self.inventory
         return other
 
@@ -310,9 +352,12 @@ class Run:
         return self.once_for_all(f"parts of {name}", lambda: self._checked_paths(name))
 
     def _checked_paths(self, name: str) -> list[Path]:
-        if problem := next(problems_of(self.path, name, self.inventory, self.manifest["status"] in OVER), None):
+        found = self.inventory if self._held is None else self.inventory.closed()
+        is_over, is_live = self.manifest["status"] in OVER, self._held is not None
+        if problem := next(problems_of(self.path, name, found, is_over, is_live), None):
             self._found_damaged(problem)
-        return [self.path / part.name for part in self.inventory.of(name)]
+        held = {} if self._held is None else dict.fromkeys(self.inventory.parts[len(found.parts) :], self._held.path)
+        return [held.get(part, self.path) / part.name for part in self.inventory.of(name)]
 
     def _part(self, path: Path, names: Sequence[str], where: pc.Expression | None) -> pa.Table:
         """Columns of a part, once its checksum has been found right."""
@@ -321,10 +366,10 @@ class Run:
 
     def _check(self, path: Path) -> None:
         """Damaged where the checksum of a part is not right; looked at once."""
-        name = path.relative_to(self.path).as_posix()
+        name = f"{path.parent.name}/{path.name}"
         if name not in self._sound:
             part = next((part for part in self.inventory.of(path.parent.name) if part.name == name), None)
-            if part is None or (problem := content_problem(self.path, part)):
+            if part is None or (problem := content_problem(path.parent.parent, part)):
                 self._found_damaged(problem if part is not None else f"{name} is not in the inventory")
             self._sound.add(name)
 
@@ -382,10 +427,13 @@ class Run:
         return TABLES["vehicles"].columns["role"].labels(self.manifest)
 
 
-def problems_of(folder: Path, table: str, found: Inventory, is_over: bool) -> Iterator[str]:
+def problems_of(
+    folder: Path, table: str, found: Inventory, is_over: bool, is_live: bool = False
+) -> Iterator[str]:  # fmt: skip
     """Parts of a table that are missing, of another size, or not in the inventory.
 
-    Unless the run is over, there may be parts of the block that is being written; they are not read.
+    Unless the run is over, there may be parts of the block that is being written; they are not read. While a process
+    writes the run, `is_live`, there may be parts of further blocks.
     """
     known = {part.file: part for part in found.of(table)}
     try:
@@ -404,14 +452,31 @@ def problems_of(folder: Path, table: str, found: Inventory, is_over: bool) -> It
         stem = file.removesuffix(durable.PARTIAL)
         opened = (f"open-{n:05d}.parquet" for n in (last - 1, last + 1))
         under_way = stem in {"part-next", "open-next", f"part-{last + 1:05d}.parquet", *opened}
-        if is_over or not under_way:
+        if not is_live and (is_over or not under_way):
             yield f"{table}/{file} is not in the inventory"
 
 
 def content_problem(folder: Path, part: Part) -> str:
-    """What is wrong with the content of a part; empty for nothing."""
+    """What is wrong with the content of a part: its bytes, rows, columns or steps; empty for nothing."""
     try:
-        digest = durable.sha256(folder / part.name)
-    except (OSError, ValueError) as error:
-        return f"{part.name} cannot be read ({error})"
-    return "" if digest == part.sha256 else f"{part.name} is not what was written: its checksum differs"
+        if durable.sha256(folder / part.name) != part.sha256:
+            return f"{part.name} is not what was written: its checksum differs"
+        about = pq.ParquetFile(folder / part.name)
+    except (OSError, ValueError) as error:  # among them those of Arrow
+        return f"{part.name} cannot be read ({str(error).splitlines()[0]})"
+    with about:
+        if (n := about.metadata.num_rows) != part.n_rows:
+            return f"{part.name} has {n} rows and should have {part.n_rows}"
+        if not about.schema_arrow.equals(schema(part.table)):
+            return f"{part.name} has other columns than this cosim writes"
+        found = _steps_of(about.metadata) if TABLES[part.table].key[0] == "step" else None
+        if found not in (None, (part.first_step, part.last_step)):
+            return f"{part.name} has other steps than {part.first_step} to {part.last_step}"
+    return ""
+
+
+def _steps_of(about: pq.FileMetaData) -> tuple[int, int] | None:
+    """The first and the last step of a part, by the statistics of its first column."""
+    of_groups = [about.row_group(i).column(0).statistics for i in range(about.num_row_groups)]
+    ends = [int(end) for s in of_groups if s is not None and s.has_min_max for end in (s.min, s.max)]
+    return (min(ends), max(ends)) if ends else None

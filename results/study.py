@@ -11,8 +11,10 @@ import pandas as pd
 import pyarrow.parquet as pq
 from scipy.special import stdtrit
 
+from results import durable
 from results.archive import OpenRun, open_run
 from results.metrics.registry import TOPICS
+from results.spreadsheet import csv_of
 
 CONFIDENCE = 0.95
 _WITHIN = ["radius_m", "pairs"]
@@ -96,8 +98,8 @@ class Study:
             tables["differences"] = self.differences
         written = []
         for name, table in tables.items():
-            table.to_parquet(folder / f"{name}.parquet", index=False)
-            table.to_csv(folder / f"{name}.csv", index=False)
+            durable.write_output(folder / f"{name}.parquet", table.to_parquet(index=False))
+            durable.write_output(folder / f"{name}.csv", csv_of(table))
             written += [folder / f"{name}.parquet", folder / f"{name}.csv"]
         return written
 

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pandas as pd
 
+from results import durable
 from results.figures import study as figure
 from results.figures import style
 from results.report import STYLE
@@ -18,7 +19,7 @@ def write(study: Study, path: str | Path | None = None) -> Path:
     path = study.path / "report.html" if path is None else Path(path)
     if not path.parent.is_dir():
         raise ValueError(f"The folder {path.parent} does not exist. Make it first.")
-    path.write_text(page(study), encoding="utf-8")
+    durable.write_output(path, page(study).encode())
     return path
 
 

@@ -1,22 +1,17 @@
 """Holding a run folder against its inventory: nothing missing, nothing changed, nothing foreign."""
 
-import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import pyarrow as pa
-import pyarrow.parquet as pq
-
 from results import durable, inventory
 from results.durable import Damaged
-from results.inventory import Inventory, Part
-from results.manifest import read_manifest, status_of
-from results.recorder import CHECKPOINT, is_state
+from results.inventory import CHECKPOINT, Inventory
+from results.manifest import problems, read_manifest, status_of
+from results.recorder import is_state
 from results.run import OVER, content_problem, problems_of
-from results.tables import SCHEMA_VERSION, TABLES, kept, schema
+from results.tables import SCHEMA_VERSION, TABLES, kept
 
-STATUSES = ("running", "finished", "interrupted", "failed")
 _OWN = ("manifest.json", "config.toml", inventory.FILE, "report.html", "run.log")
 
 
@@ -25,64 +20,58 @@ def verify(folder: str | Path) -> tuple[dict[str, Any], list[str]]:
 
     Returns
     -------
-    status, steps, tables, parts, rows and bytes; and a line per problem, none for a whole folder.
+    status, steps, tables, parts, rows and bytes; and a line per problem, none for a whole folder. Of a run that a
+    process is writing, the whole blocks alone are looked at.
     """
     folder = Path(folder)
+    is_live = durable.is_locked(folder)
     try:
         manifest = read_manifest(folder)
-        found = inventory.read(folder)
+        is_live = is_live and manifest["status"] != "finished"
+        found = inventory.read(folder).closed() if is_live else inventory.read(folder)
     except Damaged as damage:
         return {"status": "damaged", "steps": 0, "tables": 0, "parts": 0, "rows": 0, "bytes": 0}, [str(damage)]
-    problems = list(_problems(folder, manifest, found))
+    wrong = list(_problems(folder, manifest, found, is_live))
     parts = found.parts
     return {
         "status": status_of(folder, manifest), "steps": found.end_step, "tables": len({part.table for part in parts}),
         "parts": len(parts), "rows": sum(part.n_rows for part in parts), "bytes": sum(part.n_bytes for part in parts),
-    }, problems  # fmt: skip
+    }, wrong  # fmt: skip
 
 
-def _problems(folder: Path, manifest: dict[str, Any], found: Inventory) -> Iterator[str]:
-    is_finished = manifest["status"] == "finished"
+def links(folder: Path) -> list[str]:
+    """Names in a run folder that are symbolic links where files or folders of the run should be."""
+    ours = {*TABLES, *_OWN, CHECKPOINT}
+    return [path.name for path in sorted(folder.iterdir()) if path.is_symlink() and path.name in ours]
+
+
+def _problems(folder: Path, manifest: dict[str, Any], found: Inventory, is_live: bool) -> Iterator[str]:
     if manifest["schema_version"] != SCHEMA_VERSION:
         yield f"schema version {manifest['schema_version']}, this cosim knows {SCHEMA_VERSION}"
         return
-    if manifest["status"] not in STATUSES:
-        yield f"manifest.json: status {json.dumps(manifest['status'])} is none of {', '.join(STATUSES)}"
-    if is_finished:
-        said = manifest.get("inventory") or {}
-        if found.summary(said.get("tables") or ()) != said:
-            yield f"{inventory.FILE} is not the one that manifest.json was written with"
-        if manifest["steps"] != found.end_step:
-            yield f"manifest.json says {manifest['steps']} steps, the inventory {found.end_step}"
-    config = folder / "config.toml"
-    is_only_begun = manifest["status"] == "running" and not found.blocks
-    try:
-        if is_only_begun and not (config.exists() or config.is_symlink()):
-            pass  # killed before it was written: a resumed run writes it
-        elif durable.sha256(config) != manifest.get("config_sha256"):
-            yield "config.toml is not what was written: its checksum differs"
-    except (OSError, ValueError) as error:
-        yield f"config.toml cannot be read ({error})"
+    yield from problems(folder, manifest, found)
     level = (manifest["config"].get("record") or {}).get("level", "full")
+    recorded = (manifest.get("inventory") or {}).get("tables") or ()
     for table in TABLES:
         if table in manifest.get("dropped", ()):
             continue
         listed = found.of(table)
         if listed and table not in kept(level):
             yield f"{table} is in the inventory, but record.level = {level} does not keep it"
-        wrong = list(problems_of(folder, table, found, manifest["status"] in OVER))
+        if found.blocks and not listed and table in recorded and not (folder / table).is_dir():
+            yield f"{table} is missing, the folder of a table without rows"
+        wrong = list(problems_of(folder, table, found, manifest["status"] in OVER, is_live))
         yield from wrong
         for part in listed:
-            if not any(problem.startswith(part.name) for problem in wrong):
-                yield from _content(folder, part, found.end_step)
+            if not any(line.startswith(part.name) for line in wrong) and (problem := content_problem(folder, part)):
+                yield problem
     whole = found.whole().blocks
-    for block in whole if not is_finished else ():
+    for block in whole if manifest["status"] != "finished" and not is_live else ():
         for name, digest in block.checkpoint.items():
             if block is whole[-1] or not is_state(name):
                 yield from _file(folder, name, digest)
-    for path in sorted(folder.iterdir()):
-        if path.is_symlink() and (path.name in TABLES or path.name in _OWN or path.name == CHECKPOINT):
-            yield f"{path.name} is a symbolic link"
+    for name in links(folder):
+        yield f"{name} is a symbolic link"
 
 
 def _file(folder: Path, name: str, digest: str) -> Iterator[str]:
@@ -91,21 +80,3 @@ def _file(folder: Path, name: str, digest: str) -> Iterator[str]:
             yield f"{name} is not what was written: its checksum differs"
     except (OSError, ValueError) as error:
         yield f"{name} cannot be read ({error})"
-
-
-def _content(folder: Path, part: Part, end_step: int) -> Iterator[str]:
-    if problem := content_problem(folder, part):
-        yield problem
-        return
-    try:
-        about = pq.ParquetFile(folder / part.name)
-        n_rows, its_schema = about.metadata.num_rows, about.schema_arrow
-    except (pa.ArrowException, OSError) as error:
-        yield f"{part.name} cannot be read ({str(error).splitlines()[0]})"
-        return
-    if n_rows != part.n_rows:
-        yield f"{part.name} has {n_rows} rows and should have {part.n_rows}"
-    if not its_schema.equals(schema(part.table)):
-        yield f"{part.name} has other columns than this cosim writes"
-    if part.first_step < 0 or part.last_step > end_step:
-        yield f"{part.name} has steps {part.first_step} to {part.last_step}, outside of 0 to {end_step}"

@@ -64,5 +64,5 @@ def _find(held: ndarray, wanted: ndarray, path: Path) -> ndarray:
     order = np.argsort(held, kind="stable")
     at = np.minimum(np.searchsorted(held[order], wanted), len(held) - 1)
     if len(wanted) and (not len(held) or (held[order][at] != wanted).any()):
-        raise Damaged(f"{path} is damaged: it names detections that do not exist. Delete the run and run it again.")
+        raise Damaged(f"{path} is damaged: it names detections that do not exist. Run `cosim verify` on its run.")
     return order[at]

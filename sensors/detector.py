@@ -14,7 +14,6 @@ from sensors.boxes import Boxes
 from sensors.evidence import Observability, points_in_boxes
 from sensors.lidar import Sweeps
 from sensors.reports import DetectorDraws, Reports
-from sensors.scene import ObjectClass
 from sensors.statistical_detector import IdealDetector, StatisticalDetector
 
 
@@ -101,11 +100,12 @@ def detect(
     label: UInt8[ndarray, "n"],
     draws: DetectorDraws,
 ) -> DetectedBoxes:
-    """A detector's reports, checked, in canonical order, with the points in each box.
+    """A detector's reports in canonical order, with the points in each box.
 
-    Errors
+    Raises
     ------
-    ValueError where the keys do not fit the observers and actors, and for reports that cannot be.
+    ValueError
+        Where the keys do not fit the observers and actors.
     """
     n_observers, n_actors = len(sweeps.observers), len(boxes)
     sizes = {len(keys) for keys in (draws.observer_step, draws.observer, draws.site_step, draws.site_observer)}
@@ -115,7 +115,6 @@ def detect(
             f"{n_observers} observers and {n_actors} actors: one key each."
         )
     reports = detector.detect(sweeps, seen, boxes, label, draws)
-    _check(reports, n_observers, n_actors, type(detector).__name__)
     reports = reports.take(
         np.lexsort([reports.boxes.xyz_m[:, 1], reports.boxes.xyz_m[:, 0], -reports.score, reports.observer])
     )
@@ -128,23 +127,3 @@ def detect(
         reports.actor.astype(np.int32),
         reports.is_false_positive.astype(bool),
     )
-
-
-def _check(reports: Reports, n_observers: int, n_actors: int, name: str) -> None:
-    """A report that cannot be is refused with its row."""
-    n = len(reports.boxes)
-    columns = ("observer", "label", "score", "actor", "is_false_positive")
-    for column in columns:
-        if (shape := np.shape(getattr(reports, column))) != (n,):
-            raise ValueError(f"detector {name}: {column} has shape {shape}, but there are {n} boxes: one value each.")
-    bounds = {
-        "observer": (reports.observer, 0, n_observers - 1),
-        "label": (reports.label, 0, len(ObjectClass) - 1),
-        "score": (reports.score, 0, 1),
-        "actor": (np.where(reports.is_false_positive, 0, reports.actor), 0, max(0, n_actors - 1)),
-    }
-    for column, (values, low, high) in bounds.items():
-        wrong = ~((values >= low) & (values <= high))
-        if wrong.any():
-            row = int(np.argmax(wrong))
-            raise ValueError(f"detector {name}: {column}[{row}] = {values[row]} is not in [{low}, {high}].")

@@ -93,7 +93,7 @@ class LidarParams:
     """Probability that a return is lost."""
     engine: Literal["columnar", "embree", "open3d"] = "columnar"
     """Ray caster; all give the same sweep up to rays that graze an edge. `open3d` must be installed:
-    pip install cosim[open3d]."""
+    pip install 'cosim-perception[open3d]'."""
 
 
 class Beams(NamedTuple):

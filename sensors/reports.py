@@ -10,7 +10,7 @@ from numpy import ndarray
 
 from sensors.boxes import Boxes
 from sensors.evidence import Observability
-from sensors.hash_rng import mix_rows
+from sensors.hash_rng import mix_rows, normals, uniforms
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,6 +42,14 @@ class DetectorDraws:
     def pair(self, seen: Observability) -> UInt64[ndarray, "s"]:
         """A key per (observer, actor), the same in every step."""
         return mix_rows(self.observer[seen.observer], self.actor[seen.actor])
+
+    def uniforms(self, seen: Observability, n: int = 1) -> Float[ndarray, "s n"]:
+        """`n` uniforms in [0, 1) for each (observer, actor), new in every step."""
+        return uniforms(self.pair_step(seen), n)
+
+    def normals(self, seen: Observability, n: int = 1) -> Float[ndarray, "s n"]:
+        """`n` standard normals for each (observer, actor), new in every step."""
+        return normals(self.pair_step(seen), n)
 
 
 @dataclass(frozen=True, slots=True)

@@ -55,7 +55,10 @@ def read(path: Path, box: tuple[float, float, float, float] | None = None) -> Ex
     try:
         import osmium
     except ImportError as error:
-        raise ValueError("building a network from OpenStreetMap needs osmium: pip install 'cosim[build]'") from error
+        raise ValueError(
+            "building a network from OpenStreetMap needs osmium, which is not installed. "
+            "Install it: make extra NAME=build in a checkout, else pip install 'cosim-perception[build]'."
+        ) from error
     try:
         header = osmium.io.Reader(str(path)).header().box()
         low, high = header.bottom_left, header.top_right

@@ -32,8 +32,8 @@ def play(n: int, *overrides: str, rsus=NO_RSUS, **others):
     parts = parts_of(scene, *overrides, rsus=rsus, **others)
     state, sensed = State.start(parts), []
     for number in range(n):
-        state, happened = step(scene.world(number), state, parts)
-        sensed.append(happened.sensed)
+        state, result = step(scene.world(number), state, parts)
+        sensed.append(result.sensed)
     return sensed, state
 
 

@@ -42,12 +42,12 @@ ONE_FILE = {
 """Libraries that one file alone may know."""
 
 ORDER = (
-    "rng", "ragged", "world", "mobility", "radio", "v2x", "adversary", "driver", "config", "step", "execution",
-    "offline", "studies", "reproduce", "bench", "cli", "docs", "__main__",
+    "rng", "ragged", "world", "mobility", "radio", "v2x", "adversary", "driver", "door", "extend", "config", "step",
+    "execution", "offline", "studies", "reproduce", "bench", "cli", "docs", "__main__",
 )  # fmt: skip
 """The rooms of `cosim`, from foundation to roof: each may import those before it."""
 
-HALL = {"__init__", "__main__", "rng", "ragged", "world"}
+HALL = {"__init__", "__main__", "extend", "rng", "ragged", "world"}
 """The files that stand in `cosim` itself."""
 
 
@@ -101,7 +101,7 @@ def test_order_of_the_rooms_of_cosim():
     wrong = []
     for path, module in EDGES:
         parts = module.split(".")
-        if path.parts[0] != "cosim" or parts[0] != "cosim" or len(parts) < 2:
+        if path.parts[0] != "cosim" or parts[0] != "cosim" or len(parts) < 2 or module == "cosim.__version__":
             continue
         me, other = path.parts[1].removesuffix(".py"), parts[1]
         if me not in ("__init__", other) and ORDER.index(other) >= ORDER.index(me):
@@ -135,7 +135,7 @@ def test_private_names_stay_in_their_file():
         froms = [n for n in nodes if isinstance(n, ast.ImportFrom) and n.module.split(".")[0] in ROOMS]
         ours = {name.asname or name.name for n in froms for name in n.names}
         used = {(n.value.id, n.attr) for n in nodes if isinstance(n, ast.Attribute) and isinstance(n.value, ast.Name)}
-        wrong += [f"{path} imports {name}" for name in ours if name.startswith("_")]
+        wrong += [f"{path} imports {name}" for name in ours if re.match("_[^_]", name)]
         wrong += [f"{path} uses {of}.{name}" for of, name in used if of in ours and re.match("_[^_]", name)]
     assert not wrong
 

@@ -309,6 +309,67 @@ class TrustScores:
     is_judged: Bool[ndarray, "n"]  # n_evaluations > 0
     n_evaluators: Int[ndarray, "n"] | None = None  # different evaluators of these; None where the model counts none
 
+    @staticmethod
+    def of(
+        now_step: int,
+        holder: Int[ndarray, "n"],
+        subject: Int[ndarray, "n"],
+        trust: Float[ndarray, "n"],
+        *,
+        newest_step: Int[ndarray, "n"],
+        oldest_step: Int[ndarray, "n"] | None = None,
+        n_evaluations: Int[ndarray, "n"] | int = 1,
+        uncertainty: Float[ndarray, "n"] | None = None,
+        weight: Float[ndarray, "n"] | None = None,
+        n_evaluators: Int[ndarray, "n"] | None = None,
+    ) -> "TrustScores":
+        """Trust scores from rows in any order, with defaults for what a model does not keep.
+
+        Parameters
+        ----------
+        now_step
+            Step that the scores are of.
+        holder, subject
+            Each pair once. A pair without evidence has no row.
+        trust
+            In [0, 1].
+        newest_step
+            Newest step of the detections behind each value: the ages of trust are counted from it.
+        oldest_step
+            Oldest one; the newest if not given.
+        n_evaluations
+            Behind each value, with visibility above 0, by others than the subject; one number for all rows will do.
+        uncertainty
+            In [0, 1]; NaN, for none, if not given.
+        weight
+            Of the evidence, in the model's own unit; `n_evaluations` if not given.
+        n_evaluators
+            Different evaluators behind each value; not counted if not given.
+
+        Returns
+        -------
+        Scores sorted by (holder, subject). The steps of the evaluations are those of the detections.
+        """
+        order, n = np.lexsort((subject, holder)), len(subject)
+        counts = np.broadcast_to(n_evaluations, n)[order].astype(np.int64)
+        newest = newest_step[order]
+        oldest = newest if oldest_step is None else oldest_step[order]
+        return TrustScores(
+            step=now_step,
+            holder=holder[order],
+            subject=subject[order],
+            trust=trust[order],
+            uncertainty=np.full(n, np.nan) if uncertainty is None else uncertainty[order],
+            weight=counts.astype(float) if weight is None else weight[order],
+            n_evaluations=counts,
+            newest_step=newest,
+            oldest_step=oldest,
+            newest_evaluation_step=newest,
+            oldest_evaluation_step=oldest,
+            is_judged=counts > 0,
+            n_evaluators=None if n_evaluators is None else n_evaluators[order],
+        )
+
     def rows_of(
         self, holder: Int[ndarray, "q"], subject: Int[ndarray, "q"]
     ) -> tuple[Int[ndarray, "q"], Bool[ndarray, "q"]]:

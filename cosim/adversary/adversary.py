@@ -1,7 +1,7 @@
 """All attacks of a run: who carries out which now, and what they make of what is sent."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -10,15 +10,8 @@ from numpy import ndarray
 
 from cosim import rng
 from cosim.adversary.attack import Attack, AttackContext, EvaluationRows, Sending
-from cosim.adversary.checked import (
-    checked_detections,
-    checked_evaluations,
-    checked_identities,
-    checked_sending,
-    without_faults,
-)
 from cosim.adversary.params import AttackParams, owners
-from cosim.v2x.messages import Detections
+from cosim.v2x.messages import Detections, faults
 from cosim.world import World
 from results.codes import DetectionFault, Role
 from sensors.line_of_sight import WallIndex
@@ -68,7 +61,8 @@ class Active:
             return without_faults(listed, self.xyz_m)
         n_identities = self.identities(len(self.xyz_m))
         for attack, context in attacks:
-            listed, n = checked_detections(attack, context, listed, attack.detections(listed, context), n_identities)
+            listed = attack.detections(listed, replace(context, n_identities=n_identities))
+            listed, n = without_faults(listed, self.xyz_m)
             n_dropped += n
         return listed, n_dropped
 
@@ -79,23 +73,21 @@ class Active:
         evaluation, visibility = rows.evaluation, rows.visibility
         for attack, context in self._with("evaluations"):
             now = EvaluationRows(rows.evaluator, rows.detection, evaluation, visibility)
-            returned = attack.evaluations(now, detections, context)
-            evaluation, visibility = checked_evaluations(attack, context, now, returned)
+            evaluation, visibility = attack.evaluations(now, detections, context)
         return evaluation, visibility
 
     def identities(self, n: int) -> Int[ndarray, "n"]:
         """Identities beside its own under which each actor sends."""
         found = np.zeros(n, np.int64)
         for attack, context in self._with("identities"):
-            numbers = checked_identities(attack, context, attack.identities(context))
-            found = np.maximum(found, np.where(context.attacker, numbers, 0))
+            found = np.maximum(found, np.where(context.attacker, attack.identities(context), 0))
         return found
 
     def sending(self, n: int) -> Sending:
         """How each actor's messages are sent."""
         found = Sending.plain(n)
         for attack, context in self._with("sending"):
-            found = found.and_also(checked_sending(attack, context, attack.sending(context)))
+            found = found.and_also(attack.sending(context))
         return found
 
     def malicious(self, n: int) -> Bool[ndarray, "n"]:
@@ -233,3 +225,18 @@ class Adversary:
             return trust > p.keep_above
         state.awake[number, world.actor] |= trust >= p.wake_trust
         return state.awake[number, world.actor]
+
+
+def without_faults(listed: Detections, xyz_m: Float[ndarray, "w 3"]) -> tuple[Detections, Int[ndarray, "f"]]:
+    """The lists, sorted by key, without what cannot be sent; how many, by `DetectionFault`."""
+    fault = faults(listed, xyz_m)
+    n_dropped = np.bincount(fault[fault >= 0], minlength=len(DetectionFault))
+    key = (listed.observer, listed.identity, listed.detection_index)
+    if n_dropped.any():
+        rows = np.flatnonzero(fault < 0)
+        return listed.take(rows[np.lexsort([column[rows] for column in key[::-1]])]), n_dropped
+    tied, is_sorted = np.ones(max(len(listed) - 1, 0), bool), True
+    for column in key:
+        is_sorted &= not (tied & (column[1:] < column[:-1])).any()
+        tied &= column[1:] == column[:-1]
+    return listed if is_sorted else listed.take(np.lexsort(key[::-1])), n_dropped

@@ -47,6 +47,8 @@ class AttackContext:
     """What the attack keeps from step to step, by names of its own."""
     walls: WallIndex | None = None
     """Buildings, as every map shows them; None without any."""
+    n_identities: Int[ndarray, "n"] = field(default_factory=lambda: np.zeros(0, np.int64))
+    """Identities beside its own under which each actor sends in this step; told to `detections` alone."""
 
     def uniforms(self, *names: ndarray, n: int = 1) -> Float[ndarray, "rows n"]:
         """`n` uniforms in [0, 1) of this step for each row of names (`world.name_key`, detection indices, ...).

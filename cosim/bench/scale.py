@@ -118,16 +118,16 @@ def _measured(name: str, worlds: list[World], parts: Parts, registry: ActorRegis
         for number, world in enumerate(worlds):
             if number == WARM_UP_STEPS:
                 parts, begin = replace(parts, watch=watch), (perf_counter(), process_time())  # type: ignore[arg-type]
-            state, happened = step(world, state, parts)
+            state, result = step(world, state, parts)
             with watch("record"):
-                recording.step(recorder, happened, config.traffic.step_s)
+                recording.step(recorder, result, config.traffic.step_s)
                 recorder.reach(world.step)
             if number < WARM_UP_STEPS:
                 watch.wall_s.clear()
                 watch.processor_s.clear()
             else:
                 n_equipped += int(world.equipped.sum())
-            del happened  # as in a run
+            del result  # as in a run
         with watch("record"):
             recorder.flush(recording.open_rows(state, parts, registry, worlds[-1].step + 1))
         wall_s, processor_s = perf_counter() - begin[0], process_time() - begin[1]

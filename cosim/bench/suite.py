@@ -50,11 +50,11 @@ def bench() -> list[Row]:
         begin = perf_counter()
         world = traffic.advance()
         read_s += perf_counter() - begin
-        state, happened = step(world, state, parts)
+        state, result = step(world, state, parts)
         n_equipped += int(world.equipped.sum())
     traffic.close()
-    assert happened.sensed is not None
-    rate = _evaluations_per_s(happened.sensed, config.trust)
+    assert result.sensed is not None
+    rate = _evaluations_per_s(result.sensed, config.trust)
     return [
         ("equipped vehicles, mean", n_equipped / STEPS, ""),
         ("cycle, all stages", 1e6 * sum(watch.seconds.values()) / n_equipped, "µs per equipped vehicle and step"),
@@ -67,14 +67,15 @@ def bench() -> list[Row]:
 
 def _evaluations_per_s(sensed: Sensed, params: TrustParams) -> float:
     """Evaluations per second and core, from boxes and points per box, best of several rounds."""
-    listed, lists, detections = sensed.listed, sensed.lists, sensed.detections
+    listed, detections, evaluated = sensed.listed.objects, sensed.listed.detections, sensed.evaluated
+    lists = evaluated.lists
     threads, best = numba.get_num_threads(), np.inf
     numba.set_num_threads(1)
     for _ in range(7):
         begin = perf_counter()
         pairs = overlapping_pairs(listed.boxes, listed.label, listed.observer)
         groups = match(lists, detections, pairs, params)
-        evaluate(lists, groups, detections, sensed.n_points, sensed.plausible, params)
+        evaluate(lists, groups, detections, evaluated.n_points, evaluated.plausible, params)
         best = min(best, perf_counter() - begin)
     numba.set_num_threads(threads)
     return len(lists.member) / best

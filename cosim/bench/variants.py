@@ -82,8 +82,8 @@ def _drive(config: Config, city: Scene, worlds: Sequence[World], registry: Actor
         state = State.start(parts)
         begin = process_time()
         for world in worlds:
-            state, happened = step(world, state, parts)
-            recording.step(recorder, happened, config.traffic.step_s)
+            state, result = step(world, state, parts)
+            recording.step(recorder, result, config.traffic.step_s)
             recorder.reach(world.step)
         recorder.close(recording.open_rows(state, parts, registry, len(worlds)))
         return process_time() - begin

@@ -9,8 +9,9 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
+import typer
 from rich.box import SIMPLE
 from rich.console import Console
 from rich.table import Column, Table
@@ -26,6 +27,11 @@ screen = Console(  # a user's names are shown as they are
     width=None if (sys.stdout is not None and sys.stdout.isatty()) or "COLUMNS" in os.environ else _PIPED_WIDTH,
 )  # fmt: skip
 notes = Console(stderr=True, markup=False, highlight=False, emoji=False)
+
+TrustCode = Annotated[
+    bool,
+    typer.Option("--trust-code", help="Load the classes that a folder's config names; such code has all your rights."),
+]
 
 Get = Callable[[str], Mapping[str, float]]
 """Values of a metric by group; empty where it has none."""

@@ -2,18 +2,24 @@
 
 import gc
 import os
+import shlex
 import sys
+import traceback
 from collections.abc import Callable, Iterable
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from cosim import __version__
 from cosim.cli import interchange, studies
 from cosim.cli import reproduce as reproductions
-from cosim.cli.console import notes, print_json, print_metrics, print_run_summary, progress, screen, table_of
+from cosim.cli.console import TrustCode, notes, print_json, print_metrics, print_run_summary, progress, screen, table_of
 from cosim.cli.nets import nets
+from cosim.door.blame import ExtensionError
+from cosim.door.permission import CodeNotTrusted
 from cosim.execution.stop import Failed, Stopped
 from cosim.mobility.scratch import Scratch, can_hold_files
 from results.durable import Damaged
@@ -63,11 +69,19 @@ Picture = Literal[
 ]
 
 
+@dataclass(slots=True)
+class _Debug:
+    """Whether tracebacks are printed."""
+
+    is_on: bool = False
+
+
+_debug = _Debug()
+
+
 def _say_version(wanted: bool) -> None:
     if wanted:
-        from importlib.metadata import version
-
-        screen.print(f"cosim {version('cosim')}", highlight=False)
+        screen.print(f"cosim {__version__}", highlight=False)
         raise typer.Exit
 
 
@@ -76,8 +90,10 @@ def options(
     version: Annotated[
         bool, typer.Option("--version", callback=_say_version, is_eager=True, help="Print the version and exit.")
     ] = False,
+    debug: Annotated[bool, typer.Option("--debug", help="Print the traceback of an error before its line.")] = False,
 ) -> None:
     """Options of all commands."""
+    _debug.is_on = debug
 
 
 @app.command()
@@ -87,6 +103,7 @@ def run(
     out: Annotated[Path | None, typer.Option(help="Folder to write; by default the next runs/<city>-N.")] = None,
     scheduler: Scheduler = None,
     workers: Workers = None,
+    trust_code: TrustCode = False,
     as_json: AsJson = False,
 ) -> None:
     """Simulate traffic, sensors, messages and trust; write a run folder."""
@@ -95,7 +112,7 @@ def run(
     from cosim.execution.check import changed_since
     from cosim.execution.speed.compile_ahead import CompileAhead
 
-    experiment = load(config, overrides)
+    experiment = load(config, overrides, trust_code)
     for remark in changed_since(config, experiment):
         notes.print(remark, soft_wrap=True)
     with progress() as advance:
@@ -114,6 +131,7 @@ def resume(
     folder: Annotated[Path, typer.Argument(help="Folder of a run that was killed or interrupted.")],
     scheduler: Scheduler = None,
     workers: Workers = None,
+    trust_code: TrustCode = False,
     as_json: AsJson = False,
 ) -> None:
     """Go on with a run from its last whole block; the tables are those of a run never interrupted."""
@@ -123,9 +141,9 @@ def resume(
         if scheduler or workers:
             from cosim.studies import shards
 
-            shards.resume(folder, advance, scheduler, workers or 1)
+            shards.resume(folder, advance, scheduler, workers or 1, trust_code)
         else:
-            running.resume(folder, advance)
+            running.resume(folder, advance, trust_code=trust_code)
     _conclude(folder, as_json)
 
 
@@ -164,10 +182,9 @@ def _conclude(folder: Path, as_json: bool) -> None:
 def _opened(folder: Path) -> "OpenRun":
     """A run to be measured or drawn; what is unfinished is said."""
     from results.archive import open_run
-    from results.manifest import status_of
 
     run = open_run(folder, unfinished=True)
-    if (status := status_of(run.path, run.manifest)) != "finished":
+    if (status := run.status) != "finished":
         notes.print(f"note: {folder} is {status}: its first {run.manifest['steps']} steps are shown.", soft_wrap=True)
     return run
 
@@ -182,13 +199,15 @@ def _say_damage(runs: Iterable["Run"]) -> None:
 
 
 @app.command()
-def check(config: ConfigPath = None, overrides: Overrides = None, as_json: AsJson = False) -> None:
+def check(
+    config: ConfigPath = None, overrides: Overrides = None, trust_code: TrustCode = False, as_json: AsJson = False
+) -> None:
     """Check whether a config would run, and print it resolved."""
     from cosim.config.config import load
     from cosim.execution import check as checking
     from cosim.execution.manifest import toml_text
 
-    experiment = load(config, overrides)
+    experiment = load(config, overrides, trust_code)
     checking.check(experiment)
     for remark in checking.changed_since(config, experiment):
         notes.print(remark, soft_wrap=True)
@@ -310,6 +329,7 @@ def plot(
     chosen = [one for folder in runs for one in of_variants(_opened(folder), variant)]
     path = style.save(FIGURES[what](chosen, **given), out or runs[0] / f"{what}.png")
     screen.print(f"wrote {path}", highlight=False, soft_wrap=True)
+    _say_damage(chosen)
 
 
 @app.command()
@@ -381,12 +401,14 @@ def main(command: Callable[..., int | None] = app) -> None:
         status = 128 + stopped.signum
     except BrokenPipeError:
         status = 1
-    except (Damaged, Failed) as error:
-        status = _say(str(error), 1)
+    except (Damaged, Failed, ExtensionError) as error:
+        status = _say(str(error), 1, error)
     except RecursionError:
         status = _say("the input is nested too deeply.", 2)
+    except CodeNotTrusted as error:
+        status = _say(f"{error} To go on: {shlex.join(['cosim', *sys.argv[1:], '--trust-code'])}", 2)
     except ValueError as error:
-        status = _say(str(error), 2)
+        status = _say(str(error), 2, error)
     except OSError as error:
         status = _say(f"{error.filename or 'output'}: {error.strerror or error}.", 1)
     try:
@@ -408,7 +430,10 @@ def _place_for_kernels() -> Scratch | None:
     return folder
 
 
-def _say(message: str, status: int) -> int:
+def _say(message: str, status: int, error: BaseException | None = None) -> int:
+    """Print an error in one line, after its traceback where the user asked for it."""
+    if error is not None and _debug.is_on:
+        traceback.print_exception(error)
     if message:
         with suppress(OSError):
             notes.print(f"error: {' '.join(message.split())}", soft_wrap=True)

@@ -8,10 +8,12 @@ from rich.box import SIMPLE
 from rich.table import Column, Table
 
 from cosim.cli.console import plain, print_json, rows_of, screen, table_of
+from results import durable
 from results.figures.style import names
 from results.measure import measure
 from results.metrics.compare import differing
 from results.run import Run
+from results.spreadsheet import csv_of
 
 ENGINES_DIFFER = "where rays graze edges, tables of one ray caster differ from those of another."
 
@@ -37,7 +39,7 @@ def print_measures(runs: list[Run], as_json: bool, csv: Path | None, **options: 
         whole = pd.concat(parts, ignore_index=True)
         first = ["run", "variant", *keys]
         try:
-            whole[[*first, *(c for c in whole.columns if c not in first)]].to_csv(csv, index=False)
+            durable.write_output(csv, csv_of(whole[[*first, *(c for c in whole.columns if c not in first)]]))
         except OSError as error:
             raise ValueError(f"--csv {csv} cannot be written: {error.strerror or error}. Give another file.") from None
         screen.print(f"wrote {csv}", highlight=False, soft_wrap=True)

@@ -6,10 +6,9 @@ from typing import Annotated
 import typer
 from rich.table import Table
 
-from cosim.cli.console import print_json, progress, screen
+from cosim.cli.console import TrustCode, print_json, progress, screen
 
 AsJson = Annotated[bool, typer.Option("--json", help="Answer in JSON on standard output.")]
-StudyPath = Annotated[Path, typer.Argument(help="Folder that `cosim sweep` wrote.")]
 
 
 def add_to(app: typer.Typer) -> None:
@@ -33,12 +32,13 @@ def sweep(
     separate: Annotated[
         bool, typer.Option("--separate", help="Share nothing between points; to check that sharing changes nothing.")
     ] = False,
+    trust_code: TrustCode = False,
     as_json: AsJson = False,
 ) -> None:
     """Make all runs of a study; stopped at any moment, the same command goes on."""
     from cosim.studies import sweep as sweeping
 
-    task = sweeping.prepare(study, out, merge=not separate)
+    task = sweeping.prepare(study, out, not separate, trust_code)
     if dry_run:
         _print_plan(task, as_json)
         return
@@ -54,24 +54,48 @@ def sweep(
         raise typer.Exit(1)
 
 
-def status(folder: StudyPath, as_json: AsJson = False) -> None:
-    """Say how far a study is."""
+def status(
+    folder: Annotated[Path, typer.Argument(help="Folder that `cosim run` or `cosim sweep` wrote.")],
+    trust_code: TrustCode = False,
+    as_json: AsJson = False,
+) -> None:
+    """Say how far a run or a study is, and how to go on."""
+    if (folder / "manifest.json").is_file():
+        _print_progress(folder, as_json)
+        return
     from cosim.studies import sweep as sweeping
     from cosim.studies.folder import StudyFolder
 
-    study, _, states, failed = sweeping.status(StudyFolder(folder))
+    study, _, states, failed = sweeping.status(StudyFolder(folder), trust_code)
     _print_states(study.head.name, folder, states, failed, as_json)
+
+
+def _print_progress(folder: Path, as_json: bool) -> None:
+    """How far a run is."""
+    from results.progress import progress as progress_of
+
+    found = progress_of(folder)
+    if as_json:
+        print_json(found)
+        return
+    of = "" if found["steps_asked"] is None else f" of {found['steps_asked']:,}"
+    why = f" ({found['error']})" if found["error"] else ""
+    screen.print(
+        f"{folder}: {found['status']}{why}; {found['steps']:,}{of} steps in {found['blocks']:,} blocks, "
+        f"{found['bytes'] / 1e6:,.1f} MB. Next: {found['next']}", highlight=False, markup=False, soft_wrap=True,
+    )  # fmt: skip
 
 
 def retrust(
     run: Annotated[Path, typer.Argument(help='Folder of a run at record.level = "full".')],
     variants: Annotated[Path, typer.Option(help="TOML file with trust_variant sections.")],
     out: Annotated[Path, typer.Option(help="Folder to write: the run, with these variants beside its own.")],
+    trust_code: TrustCode = False,
 ) -> None:
     """Compute other trust models and windows on the evidence of a run that is on disk."""
     from cosim.studies.retrust import retrust as compute
 
-    screen.print(f"wrote {compute(run, variants, out)}", highlight=False, soft_wrap=True)
+    screen.print(f"wrote {compute(run, variants, out, trust_code)}", highlight=False, soft_wrap=True)
 
 
 def cache(

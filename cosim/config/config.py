@@ -10,42 +10,30 @@ from typing import Annotated, Any
 
 from annotated_types import Ge, Le
 
-from cosim.adversary.catalogue import ATTACKS
 from cosim.adversary.params import PAPER, AttackParams, check_attacks
-from cosim.config.choices import Choice, resolve
 from cosim.config.data import check_finite, check_keys, former, override, read_toml, validated
+from cosim.door.blame import at_load, definition_line
+from cosim.door.kinds import SECTIONS
+from cosim.door.load import Choice, is_own, resolve
+from cosim.door.permission import is_of_a_folder, loading_code
 from cosim.driver.driver import DriverParams
-from cosim.driver.drivers import DRIVERS
 from cosim.mobility.fleet import FleetParams
 from cosim.mobility.meshes import MeshParams, VehicleMeshParams, check_vehicle_meshes
 from cosim.mobility.objects import ObjectParams
 from cosim.mobility.params import TrafficParams, resolved_input
 from cosim.mobility.position_errors import GnssParams
-from cosim.radio.medium import MEDIA
 from cosim.radio.params import RadioParams
 from cosim.radio.rsu import RsuParams
 from cosim.v2x.linkage import check_server
-from cosim.v2x.pseudonyms import POLICIES, PseudonymParams
+from cosim.v2x.pseudonyms import PseudonymParams
 from cosim.v2x.trust_server import ServerParams
 from results.columns import Level
-from results.encounters import EncounterParams
-from sensors.detector import DETECTORS
+from results.encounters import EncounterParams, check_definitions
 from sensors.evidence import AreaParams
 from sensors.lidar import LidarParams
 from sensors.statistical_detector import DetectorParams
 from sumo_nets import catalogue, sumocfg
-from trust.models import MODELS
 from trust.params import TrustParams, differing_evidence_key
-
-CHOICES: Mapping[str, tuple[str, Mapping[str, Any], str]] = {
-    "detector": ("model", DETECTORS, "detect"),
-    "radio": ("model", MEDIA, "broadcast"),
-    "pseudonyms": ("policy", POLICIES, "changes"),
-    "trust": ("model", MODELS, "open_step add_evaluations scores"),
-    "driver": ("model", DRIVERS, "commands"),
-    "attacks": ("attack", ATTACKS, ""),
-}
-"""Sections in which a class is chosen: the key that names it, what is at hand, and the methods it needs."""
 
 PAPER_RULE: dict[str, Any] = {"name": "paper", "fused": True, "unseen": "zero", "unjudged": "value"}
 """Trust variant that the run without a config carries beside its own: unseen detections count as 0, as in Hurl et
@@ -143,6 +131,7 @@ class Config:
                 'server.uplink = "rsu", but there are no roadside units: nothing would ever reach the server. '
                 "Set rsu.at or rsu.n_at_junctions."
             )
+        check_definitions(self.encounters)
         check_vehicle_meshes(self.vehicle_meshes)
         if (self.meshes or self.vehicle_meshes) and self.lidar.engine == "columnar":
             which = "meshes" if self.meshes else "vehicle_meshes"
@@ -200,24 +189,39 @@ def chosen_model(variant: TrustVariant) -> tuple[Choice, Any]:
 
 
 def _chosen(section: str, holder: Any, own: dict[str, Any]) -> tuple[Choice, Any]:
-    key, at_hand, needs = CHOICES[section]
-    choice = resolve(f"{section}.{key}", getattr(holder, key), at_hand, needs=needs)
+    kind = SECTIONS[section]
+    choice = resolve(kind, getattr(holder, kind.key))
     if choice.params is None:
         return choice, None
     if isinstance(holder, choice.params):
         return choice, holder
     shared = {f.name: getattr(holder, f.name) for f in fields(choice.params) if hasattr(holder, f.name)}
-    return choice, validated(choice.params, shared | own, section, "the config")
+    return choice, _params(choice, shared | own, section, "the config")
 
 
-def load(path: Path | None = None, overrides: list[str] | None = None) -> Config:
-    """Experiment from a TOML file, then from `key=value` overrides; ValueError in one line for a mistake."""
+def _params(choice: Choice, data: dict[str, Any], prefix: str, where: str) -> Any:
+    """The parameters of a chosen class from plain data; ValueError in one line for a mistake."""
+    if not choice.is_own or choice.params is None:
+        return validated(choice.params, data, prefix, where)
+    file, place = choice.source.file, f"{choice.kind.title} {choice.of.__name__}"
+    with at_load(file, place, "Params cannot be read", definition_line(choice.params, "", file), passes=ValueError):
+        return validated(choice.params, data, prefix, where)
+
+
+def load(path: Path | None = None, overrides: list[str] | None = None, trust_code: bool = False) -> Config:
+    """Experiment from a TOML file, then from `key=value` overrides; ValueError in one line for a mistake.
+
+    Code that the config of a run folder names is loaded with `trust_code` only.
+    """
     data = with_defaults({} if path is None else read_toml(path, "config file"))
     for text in overrides or []:
         override(data, text)
     if path is None and data.get("server", {}).get("uplink") != "rsu":  # there, every variant loads the channel
         data.setdefault("trust_variant", [copy.deepcopy(PAPER_RULE)])
-    return resolve_data(data, "the config" if path is None else path.name, None if path is None else path.parent)
+    if path is None:
+        return resolve_data(data, "the config", None)
+    with loading_code(path, trust_code or not is_of_a_folder(path)):
+        return resolve_data(data, path.name, path.parent)
 
 
 def with_defaults(data: dict[str, Any]) -> dict[str, Any]:
@@ -230,7 +234,7 @@ def resolve_data(data: dict[str, Any], where: str, folder: Path | None) -> Confi
     variants = data.pop("trust_variant", [])
     own: dict[str, dict[str, Any]] = {}
     types = {f.name: f.type for f in fields(Config)}
-    for section in CHOICES:
+    for section in SECTIONS:
         if section == "attacks":
             listed = data.get(section, [])
             if isinstance(listed, list):
@@ -258,6 +262,33 @@ def resolve_data(data: dict[str, Any], where: str, folder: Path | None) -> Confi
     stated = data["trust"] | own.get("trust", {})
     config = replace(config, own={section: values for section, values in own.items() if values})
     return replace(config, trust_variant=_variants(variants, stated, config, where, folder))
+
+
+def of_run(recorded: Mapping[str, Any], folder: Path, trust_code: bool = False) -> Config:
+    """The config in the manifest of a run folder; code that it names is loaded with `trust_code` only."""
+    with loading_code(folder, trust_code):
+        return resolve_data(copy.deepcopy(dict(recorded)), f"{folder}/manifest.json", None)
+
+
+def of_run_without_code(recorded: Mapping[str, Any], folder: Path) -> Config:
+    """The same, with the shipped choice in place of every class of the user's own: nothing is loaded.
+
+    It is enough wherever sweeps are cast again, which depend on none of these classes.
+    """
+    data = copy.deepcopy(dict(recorded))
+    for section, kind in SECTIONS.items():
+        listed = data.get(section)
+        if isinstance(listed, list):
+            data[section] = [item for item in listed if not _names_code(item, kind.key)]
+        elif _names_code(listed, kind.key):
+            del data[section]
+    if "trust" not in data or any(_names_code(variant, "model") for variant in data.get("trust_variant") or ()):
+        data["trust_variant"] = []
+    return of_run(data, folder)
+
+
+def _names_code(section: Any, key: str) -> bool:
+    return isinstance(section, dict) and isinstance(name := section.get(key), str) and is_own(name)
 
 
 def _variants(
@@ -301,22 +332,23 @@ def _variants(
 
 def _own_fields(section: Mapping[str, Any], name: str, folder: Path | None) -> set[str]:
     """Names of the parameters of the class that a section chooses."""
-    key, at_hand, needs = CHOICES[name]
-    given = section.get(key)
+    kind = SECTIONS[name]
+    given = section.get(kind.key)
     if not isinstance(given, str):
         return set()
-    choice = resolve(f"{name}.{key}", given, at_hand, folder, needs)
+    choice = resolve(kind, given, folder)
     return set() if choice.params is None else {f.name for f in fields(choice.params)}
 
 
 def _take_own(section: dict[str, Any], name: str, model: Any, where: str, folder: Path | None) -> dict[str, Any]:
     """Move the chosen class's own parameters out of a section, checked; its name becomes absolute."""
-    key, at_hand, needs = CHOICES[name]
+    kind = SECTIONS[name]
+    key = kind.key
     default = next(f.default for f in fields(model) if f.name == key)
     given = section.get(key, default)
     if not isinstance(given, str):
         return {}  # the model says what is wrong with it
-    choice = resolve(f"{name}.{key}", given, at_hand, folder, needs)
+    choice = resolve(kind, given, folder)
     if key in section:
         section[key] = choice.source.name
     if choice.params is None or issubclass(model, choice.params):
@@ -330,7 +362,7 @@ def _take_own(section: dict[str, Any], name: str, model: Any, where: str, folder
         hint = f"Did you mean {name}.{near[0]}?" if near else f"Known: {known}."
         raise ValueError(f"{name}.{unknown[0]}: unknown key in {where}. {former(f'{name}.{unknown[0]}') or hint}")
     check_finite(taken, f"{name}.", where)
-    made = asdict(validated(choice.params, taken, name, where))
+    made = asdict(_params(choice, taken, name, where))
     return {k: made[k] for k in made if k in of_class}
 
 

@@ -10,7 +10,8 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_typ
 
 import annotated_types as at
 
-from cosim.config.config import CHOICES, Config, TrustVariant
+from cosim.config.config import Config, TrustVariant
+from cosim.door.kinds import SECTIONS
 from trust.params import TrustParams
 
 _SIGNS = {at.Ge: ("ge", "≥"), at.Gt: ("gt", ">"), at.Le: ("le", "≤"), at.Lt: ("lt", "<")}
@@ -88,9 +89,9 @@ def _variant() -> list[str]:
 
 def _own() -> Iterator[str]:
     """Keys that belong to what a section chooses."""
-    for section, (key, at_hand, _) in CHOICES.items():
+    for section, kind in SECTIONS.items():
         listed = section == "attacks"
-        for name, made in at_hand.items():
+        for name, made in kind.shipped.items():
             params = getattr(made, "Params", None)
             shared = {f.name for f in fields(TrustParams)} if section == "trust" else set()
             if params is None or _is_section(params, section):
@@ -99,7 +100,7 @@ def _own() -> Iterator[str]:
             mine = [one for one in fields(params) if one.name not in shared]
             rows = [_row(f"{section}.{one.name}", one, said.get(one.name, ""), hints[one.name]) for one in mine]
             title = f"[[{section}]]" if listed else f"[{section}]"
-            yield from _section(f'{title} {key} = "{name}"', _about(made), rows)
+            yield from _section(f'{title} {kind.key} = "{name}"', _about(made), rows)
 
 
 def _is_section(params: Any, section: str) -> bool:

@@ -70,7 +70,7 @@ def build(out: Path) -> None:
     command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "-f", str(work / CONFIG)]
     command += ["-d", str(out.resolve())]
     if subprocess.run(command, env=os.environ | {"NO_MKDOCS_2_WARNING": "1"}).returncode:
-        sys.exit("error: the site has warnings, see above; without MkDocs: pip install cosim[docs]")
+        sys.exit("error: the site has warnings, see above; where MkDocs is not installed: make docs")
 
 
 def _turned(text: str, source: str, at: str) -> str:

@@ -35,7 +35,10 @@ def encode(state: Any, own_modules: Collection[str] = ()) -> list[bytes | memory
 
 
 def decode(content: bytes, own_modules: Collection[str] = ()) -> Any:
-    """The state; ValueError where the bytes are not those of one."""
+    """The state; ValueError where the bytes are not those of one.
+
+    No array is larger than the bytes that are there for it.
+    """
     try:
         if not content.startswith(_MAGIC):
             raise ValueError("it does not begin as one")
@@ -153,7 +156,9 @@ class _Reader:
                 n *= length
             if at + n * dtype.itemsize > len(raw):
                 raise ValueError("it is cut off")
-            flat = np.frombuffer(raw[at : at + n * dtype.itemsize], dtype) if n * dtype.itemsize else np.empty(n, dtype)
+            if n and not dtype.itemsize:
+                raise ValueError(f"an array of {n} items without a size")  # NumPy would give each of them some
+            flat = np.frombuffer(raw[at : at + n * dtype.itemsize], dtype) if n else np.empty(0, dtype)
             self._arrays.append(flat.reshape(shape).copy())
             at += n * dtype.itemsize
         if at != len(raw):

@@ -25,6 +25,7 @@ from cosim.mobility.source import TrafficEnded, TrafficError, TrafficSource
 from cosim.step.cycle import step
 from cosim.step.parts import Parts, chosen
 from cosim.step.perception import Perception
+from cosim.step.precomputed import NOTHING_PRECOMPUTED
 from cosim.step.state import State
 from cosim.step.stopwatch import Stopwatch
 from cosim.world import World
@@ -42,7 +43,7 @@ Commands = tuple[Int[ndarray, "c"], Float[ndarray, "c"]]
 NO_COMMANDS: Commands = (np.zeros(0, np.int64), np.zeros(0))
 _MOST_AT_ONCE = 10
 """Steps without sensing at the beginning of a run, which a signal ends at once and leaves nothing of."""
-STATE_VERSION = 7
+STATE_VERSION = 8
 """Raised whenever a state of an earlier version would be misread."""
 _CORES = numba.get_num_threads()
 _EQUIPPED_PER_THREAD = 100
@@ -70,6 +71,8 @@ class Drive:
     commands: dict[int, Commands] = field(default_factory=dict)
     """By step, what drivers commanded in the steps that a resumed run finds recorded."""
     n_on_road: int = 0
+    n_senders: int = 0
+    """Equipped vehicles, summed over the steps with messages."""
     ended: str = ""
     """Why the traffic ended before the time asked for."""
     _of_block: dict[int, Commands] = field(default_factory=dict)
@@ -87,7 +90,6 @@ class Drive:
             self._run(None)  # the next world depends on the present step, or no core is left to compute on
             return
         with Ahead(self.parts) as ahead:
-            self.parts = ahead.parts
             self.manifest.timings_ahead_s = ahead.watch.seconds
             self._run(ahead)
 
@@ -104,11 +106,12 @@ class Drive:
             if (world := self._world()) is None:
                 break
             self.n_on_road += int((world.shape != Shape.PEDESTRIAN).sum())
+            self.n_senders += int(world.equipped.sum()) if self.parts.senses(number) else 0
             if number < first:
                 commands = self.commands.get(number, NO_COMMANDS)
                 if recomputes:
-                    state, happened = step(world, state, self.parts)
-                    commands = happened.commands.actor, happened.commands.speed_mps
+                    state, result = step(world, state, self.parts)
+                    commands = result.commands.actor, result.commands.speed_mps
                 self.traffic.command(*commands)
                 if number == first - 1:
                     self._check_repeated(world)
@@ -116,19 +119,20 @@ class Drive:
                 continue
             numba.set_num_threads(_threads(config, int(world.equipped.sum())))
             self._look_ahead(number, ahead)
-            state, happened = step(world, state, self.parts)
-            if happened.sensed is not None or number + 1 >= min(_MOST_AT_ONCE, recorder.block_steps):
+            precomputed = NOTHING_PRECOMPUTED if ahead is None else ahead.of(world)
+            state, result = step(world, state, self.parts, precomputed)
+            if result.sensed is not None or number + 1 >= min(_MOST_AT_ONCE, recorder.block_steps):
                 self.stop.at_once = False  # until now a step may have compiled kernels, for a minute
             with self.parts.watch("record"):
-                recording.step(recorder, happened, config.traffic.step_s)
+                recording.step(recorder, result, config.traffic.step_s)
                 recorder.reach(number)
                 self.manifest.steps = number + 1
-                commands = happened.commands.actor, happened.commands.speed_mps
-                if len(happened.commands):
+                commands = result.commands.actor, result.commands.speed_mps
+                if len(result.commands):
                     self._of_block[number] = commands
                 if recorder.is_block_end(number) and number + 1 < config.n_steps:
                     self._commit(state)
-            del happened  # up to 100 MB of a large fleet, which the next step would have beside its own
+            del result, precomputed  # up to 100 MB of a large fleet, which the next step would have beside its own
             self.traffic.command(*commands)
             self.advance("run", number + 1, config.n_steps, f"steps, {len(world)} actors")
             if self.stop.signum is not None and self._next is None:
@@ -178,7 +182,7 @@ class Drive:
         if self._keeps_state:
             try:
                 files[f"state-{self.manifest.steps:07d}.bin"] = checkpoint.encode(
-                    (STATE_VERSION, state), own_modules(self.parts.config)
+                    (STATE_VERSION, self.manifest.config_sha256, state), own_modules(self.parts.config)
                 )
             except CannotCheckpoint as error:
                 self._keeps_state = False
@@ -204,7 +208,7 @@ class Drive:
                 name: int(n) for name, n in zip(labels(DetectionFault), state.n_dropped, strict=True) if n
             },
             "evaluations_rejected": self.parts.trust.rejected(state.trust),
-            **_pseudonym_summary(self.parts.config, state),
+            **_pseudonym_summary(self.parts.config, state, self.n_senders),
             **self._incomplete_rings(),
             **({"ended_early": self.ended} if self.ended else {}),
             **({"victims_absent": absent} if (absent := self._absent_victims()) else {}),
@@ -256,9 +260,12 @@ def own_modules(config: Config) -> tuple[str, ...]:
     return tuple(sorted({choice.of.__module__ for choice in chosen(config).values()}))
 
 
-def _pseudonym_summary(config: Config, state: State) -> dict[str, Any]:
-    """What became of pseudonyms, where anything can."""
+def _pseudonym_summary(config: Config, state: State, n_messages: int) -> dict[str, Any]:
+    """What became of pseudonyms, where anything can; `n_messages` is the number of detection messages."""
     found: dict[str, Any] = {}
+    if (n_changes := int(state.pseudonyms.n_changes.sum())) and config.pseudonyms.linkage == "none":
+        n_vehicles = int((state.pseudonyms.current >= 0).sum())
+        found["messages_per_pseudonym"] = round(n_messages / (n_changes + n_vehicles), 2)
     if config.pseudonyms.revocation != "none":
         found["revoked"] = len(state.pseudonyms.revoked)
     if config.pseudonyms.linkage == "on_demand":

@@ -14,8 +14,9 @@ from typing import Any
 
 import tomli_w
 
-from cosim.config.choices import Source
+from cosim import __version__
 from cosim.config.config import Config
+from cosim.door.load import Source
 from results import durable
 from results.codes import BASE_VARIANT, Role, labels
 from results.durable import sha256 as sha256
@@ -23,7 +24,7 @@ from results.inventory import Inventory
 from results.manifest import write_manifest
 from results.tables import SCHEMA_VERSION, kept
 
-PACKAGES = ("cosim", "eclipse-sumo", "libsumo", "numpy", "scipy", "numba", "pyarrow", "pandas", "embreex")
+PACKAGES = ("eclipse-sumo", "libsumo", "numpy", "scipy", "numba", "pyarrow", "pandas", "embreex")
 CONFIG = "config.toml"
 GRAZING = "not columnar: where rays graze edges, tables differ from those of the columnar caster"
 _RESERVE = ".reserve"
@@ -32,8 +33,8 @@ _RESERVE_BYTES = 1 << 16
 
 @cache
 def versions() -> dict[str, str]:
-    """Of Python and of the packages on which results depend."""
-    return {"python": platform.python_version()} | {p: version(p) for p in PACKAGES}
+    """Versions of Python, of cosim, and of the packages on which results depend."""
+    return {"python": platform.python_version(), "cosim": __version__} | {p: version(p) for p in PACKAGES}
 
 
 _UNSET = "\0"
@@ -82,16 +83,15 @@ class Manifest:
         durable.sync_folder(self.folder)
 
     def keep_config(self, before: Mapping[str, Any]) -> None:
-        """Hold the config against the manifest of a run to be resumed; it is written where a kill came before it.
+        """Take over the config of a run to be resumed; its file is written where a kill came before it.
 
-        ValueError where the file is another, or would be.
+        ValueError where the config comes out as another one.
         """
         path = self.folder / CONFIG
-        is_there = path.exists() or path.is_symlink()
-        self.config_sha256 = before["config_sha256"]
-        if (durable.sha256(path) if is_there else hashlib.sha256(self._config()).hexdigest()) != self.config_sha256:
+        self.config_sha256 = hashlib.sha256(self._config()).hexdigest()
+        if self.config_sha256 != before.get("config_sha256"):
             raise ValueError(f"{path} was changed since. A resumed run goes on with the same config: run again.")
-        if not is_there:
+        if not path.exists():
             durable.write(path, self._config())
 
     def write(self, status: str, inventory: Inventory | None = None) -> None:

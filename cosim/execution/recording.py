@@ -44,22 +44,22 @@ OUTCOMES = {
 """Columns of the tables `radio` and `pdr_by_distance`, and the outcome that each counts."""
 
 
-def step(recorder: Recorder, happened: StepResult, dt_s: float) -> None:
-    """Everything that the result of a step says."""
-    at = happened.world.step
-    actors(recorder, happened.world)
-    if happened.reactions is not None:
-        _reactions(recorder, at, happened.reactions)
-    encounters(recorder, at, happened.encounters)
-    pseudonyms(recorder, at, happened.ended_pseudonyms)
-    sensed = happened.sensed
+def step(recorder: Recorder, result: StepResult, dt_s: float) -> None:
+    """All rows that the result of a step has for the tables of a run."""
+    at = result.world.step
+    actors(recorder, result.world)
+    if result.reactions is not None:
+        _reactions(recorder, at, result.reactions)
+    encounters(recorder, at, result.encounters)
+    pseudonyms(recorder, at, result.ended_pseudonyms)
+    sensed = result.sensed
     if sensed is None:
         return
-    _detections(recorder, happened.world, sensed)
+    _detections(recorder, result.world, sensed)
     _channel(recorder, at, sensed)
     _receptions(recorder, at, sensed)
     _evaluations(recorder, at, sensed)
-    _evidence(recorder, happened.world, sensed)
+    _evidence(recorder, result.world, sensed)
     _trust(recorder, at, sensed, dt_s)
     _fused(recorder, at, sensed)
     for rows in sensed.attack_outcomes:
@@ -118,27 +118,28 @@ def _box_columns(boxes: Boxes) -> Rows:
 
 
 def _detections(recorder: Recorder, world: World, sensed: Sensed) -> None:
-    listed, truth, seen = sensed.listed, sensed.truth, sensed.observed.observability
+    listed, truth, seen = sensed.listed.objects, sensed.listed.truth, sensed.positioned.observed.observability
     recorder.append("detections", world.step, {
-        "observer": sensed.senders.pseudonym[sensed.detections.message], "detection_index": listed.detection_index,
+        "observer": sensed.senders.pseudonym[sensed.listed.detections.message], "detection_index": listed.detection_index,
         "class": listed.label, **_box_columns(listed.boxes), "score": listed.score, "n_points": listed.n_points,
         "speed_mps": listed.speed_mps, "speed_mps__valid": ~np.isnan(listed.speed_mps),
         "acceleration_mps2": listed.acceleration_mps2,
         "acceleration_mps2__valid": ~np.isnan(listed.acceleration_mps2),
         "origin": listed.origin, "transmitted": listed.transmitted, "lied": truth.lied,
-        "withheld": sensed.withheld, "target": world.actor[listed.target],
+        "withheld": sensed.listed.withheld, "target": world.actor[listed.target],
         "target__valid": listed.target != listed.observer,
         "truth_actor": world.actor[truth.actor_row], "truth_actor__valid": truth.is_real,
         "truth_iou": truth.iou, "truth_iou__valid": truth.is_real,
         "truth_occlusion": truth.occlusion, "truth_occlusion__valid": truth.is_sensed,
     })  # fmt: skip
-    if sensed.position_error_m is not None:
-        x, y = sensed.position_error_m.T
+    if sensed.positioned.error_m is not None:
+        x, y = sensed.positioned.error_m.T
         recorder.append("position_errors", world.step, {
             "vehicle": sensed.vehicles.actor, "error_x_m": x, "error_y_m": y,
         })  # fmt: skip
-    faults = np.flatnonzero(sensed.n_dropped)
-    recorder.append("dropped_detections", world.step, {"cause": faults, "n": sensed.n_dropped[faults]})
+    n_dropped = sensed.listed.n_dropped
+    faults = np.flatnonzero(n_dropped)
+    recorder.append("dropped_detections", world.step, {"cause": faults, "n": n_dropped[faults]})
     recorder.append("observability", world.step, {
         "observer": sensed.vehicles.actor[seen.observer], "actor": world.actor[seen.actor],
         "n_points": seen.n_returns, "n_unoccluded": seen.n_unoccluded,
@@ -147,10 +148,8 @@ def _detections(recorder: Recorder, world: World, sensed: Sensed) -> None:
 
 def _channel(recorder: Recorder, at: int, sensed: Sensed) -> None:
     n = len(sensed.vehicles)
-    for message_type, happened, links, pir in zip(
-        MessageType, sensed.rounds, sensed.links, sensed.inter_reception, strict=True
-    ):
-        frames = happened.frames
+    for message_type, broadcast, reach in zip(MessageType, sensed.rounds, sensed.reach, strict=True):
+        frames = broadcast.round.frames
         by_distance, total = pdr_by_distance(frames.distance_m, frames.los_state, frames.outcome, OUTCOMES)
         recorder.append("radio", at, _of(message_type, {
             "n_sent": np.array([frames.n_transmissions.sum()]), "n_relayed": np.array([frames.n_relayed]),
@@ -158,11 +157,14 @@ def _channel(recorder: Recorder, at: int, sensed: Sensed) -> None:
             "cbr": None if frames.cbr is None else np.array([frames.cbr[:n].mean()]),
         }))  # fmt: skip
         recorder.append("pdr_by_distance", at, _of(message_type, by_distance))
-        recorder.append("latency_histogram", at, _of(message_type, latency_histogram(links.vehicles.latency_s)))
-        recorder.append("packet_inter_reception", at, _of(message_type, pir))
+        recorder.append(
+            "latency_histogram", at, _of(message_type, latency_histogram(broadcast.links.vehicles.latency_s))
+        )
+        recorder.append("packet_inter_reception", at, _of(message_type, reach.inter_reception))
     recorder.append("vehicle_channel", at, {"vehicle": sensed.vehicles.actor} | vehicle_channel(
-        n, [receiver for _, receiver in sensed.in_range], [links.vehicles.receiver for links in sensed.links],
-        [happened.frames.cbr for happened in sensed.rounds],
+        n, [reach.in_range for reach in sensed.reach],
+        [broadcast.links.vehicles.receiver for broadcast in sensed.rounds],
+        [broadcast.round.frames.cbr for broadcast in sensed.rounds],
     ))  # fmt: skip
 
 
@@ -172,8 +174,8 @@ def _of(message_type: MessageType, rows: Mapping[str, ndarray | None]) -> dict[s
 
 
 def _receptions(recorder: Recorder, at: int, sensed: Sensed) -> None:
-    for message_type, links in zip(MessageType, sensed.links, strict=True):
-        found = links.vehicles
+    for message_type, broadcast in zip(MessageType, sensed.rounds, strict=True):
+        found = broadcast.links.vehicles
         recorder.append("receptions", at, _of(message_type, {
             "sender": sensed.senders.pseudonym[found.message], "receiver": sensed.vehicles.actor[found.receiver],
             "hops": found.hops, "generation_offset_s": found.generation_offset_s,
@@ -182,28 +184,27 @@ def _receptions(recorder: Recorder, at: int, sensed: Sensed) -> None:
 
 
 def _evaluations(recorder: Recorder, at: int, sensed: Sensed) -> None:
-    lists, pseudonym = sensed.lists, sensed.senders.pseudonym
-    member = lists.member
+    evaluated, detections, pseudonym = sensed.evaluated, sensed.listed.detections, sensed.senders.pseudonym
+    lists, reported = evaluated.lists, evaluated.reported
     recorder.append("evaluations", at, {
         "evaluator": pseudonym[lists.owner[lists.of_member()]],
-        "observer": pseudonym[sensed.detections.message[member]],
-        "detection_index": sensed.listed.detection_index[member], "evaluation": sensed.reported.evaluation,
-        "visibility": sensed.reported.visibility, "n_points": sensed.n_points, "plausible": sensed.plausible,
-        "plausible__valid": ~sensed.matched, "matched": sensed.matched,
-        "lied": sensed.lied,
+        "observer": pseudonym[detections.message[lists.member]],
+        "detection_index": detections.detection_index[lists.member], "evaluation": reported.evaluation,
+        "visibility": reported.visibility, "n_points": evaluated.n_points, "plausible": evaluated.plausible,
+        "plausible__valid": ~evaluated.matched, "matched": evaluated.matched, "lied": evaluated.lied,
     })  # fmt: skip
     if "transmitted_evaluations" in recorder.tables:
         _transmitted(recorder, at, sensed)
 
 
 def _transmitted(recorder: Recorder, at: int, sensed: Sensed) -> None:
-    sent, own = sensed.messages
+    sent, own = sensed.evaluated.sent, sensed.evaluated.kept_messages
     recorder.append("transmitted_evaluations", at, {
         "evaluator": np.repeat(sent.evaluator, np.diff(sent.ptr)), "observer": sent.observer,
         "detection_index": sent.detection_index, "evaluation": sent.evaluation, "visibility": sent.visibility,
         "own_evaluation": own.evaluation, "own_visibility": own.visibility,
     })  # fmt: skip
-    detections, chosen = sensed.detections, sensed.listed.transmitted
+    detections, chosen = sensed.listed.detections, sensed.listed.objects.transmitted
     recorder.append("transmitted_scores", at, {
         "observer": sensed.senders.pseudonym[detections.message[chosen]],
         "detection_index": detections.detection_index[chosen], "score": detections.score[chosen],
@@ -211,19 +212,28 @@ def _transmitted(recorder: Recorder, at: int, sensed: Sensed) -> None:
 
 
 def _evidence(recorder: Recorder, world: World, sensed: Sensed) -> None:
-    listed, truth, reported = sensed.listed, sensed.truth, sensed.reported
-    recorder.append("evidence", world.step, evidence_audit.audit(
-        sensed.lists.owner[sensed.lists.of_member()], sensed.lists.member, reported.evaluation, reported.visibility,
-        sensed.detections.message, truth.actor_row, truth.is_real, listed.origin == FABRICATED,
-        world.attack[sensed.vehicles.row[sensed.senders.vehicle]] > 0,
-        sum(happened.frames.n_duplicate for happened in sensed.rounds),
-    ))  # fmt: skip
+    listed, lists, reported = sensed.listed, sensed.evaluated.lists, sensed.evaluated.reported
+    evaluations = evidence_audit.AuditedEvaluations(
+        evaluator=lists.owner[lists.of_member()],
+        detection=lists.member,
+        evaluation=reported.evaluation,
+        visibility=reported.visibility,
+    )
+    detections = evidence_audit.AuditedDetections(
+        message=listed.detections.message,
+        actor=listed.truth.actor_row,
+        is_real=listed.truth.is_real,
+        is_fabricated=listed.objects.origin == FABRICATED,
+    )
+    attacks = world.attack[sensed.vehicles.row[sensed.senders.vehicle]] > 0
+    n_copies = sum(broadcast.round.frames.n_duplicate for broadcast in sensed.rounds)
+    recorder.append("evidence", world.step, evidence_audit.audit(evaluations, detections, attacks, n_copies))
 
 
 def _trust(recorder: Recorder, at: int, sensed: Sensed, dt_s: float) -> None:
-    used = sensed.used
+    used = sensed.looked_up.messages
     receiver, subject = sensed.vehicles.actor[used.receiver], sensed.senders.pseudonym[used.message]
-    trust(recorder, at, dt_s, sensed.published, sensed.server, receiver, subject, sensed.lookups)
+    trust(recorder, at, dt_s, sensed.published, sensed.servers, receiver, subject, sensed.looked_up.lookups)
 
 
 def trust(
@@ -235,7 +245,7 @@ def trust(
     _published(recorder, at, dt_s, [(v, scores) for v, scores in enumerate(published) if scores is not None])
     of_server = [(v, server) for v, server in enumerate(servers) if server is not None]
     counts = {name: np.array([getattr(server.up, name) for _, server in of_server], np.int64) for name in _UP}
-    counts |= {name: np.array([getattr(server, name) for _, server in of_server], np.int64) for name in _DOWN}
+    counts |= {name: np.array([getattr(server.down, name) for _, server in of_server], np.int64) for name in _DOWN}
     recorder.append("server", at, {"variant": np.array([v for v, _ in of_server], np.int64)} | counts)
     _lookups(recorder, at, receiver, subject, lookups)
 
@@ -322,7 +332,7 @@ def _evaluations_behind(
 
 
 def _fused(recorder: Recorder, at: int, sensed: Sensed) -> None:
-    listed, pseudonym = sensed.listed, sensed.senders.pseudonym[sensed.detections.message]
+    listed, pseudonym = sensed.listed.objects, sensed.senders.pseudonym[sensed.listed.detections.message]
     for variant, fused in enumerate(sensed.fused):
         if fused is None:
             continue

@@ -4,7 +4,7 @@ import hashlib
 import shutil
 from collections.abc import Callable, Collection, Generator
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,9 +12,9 @@ import numpy as np
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from cosim.adversary.checked import AttackError
 from cosim.adversary.params import named, shares
-from cosim.config.config import Config, resolve_data
+from cosim.config.config import Config, of_run
+from cosim.door.blame import ExtensionError
 from cosim.execution import checkpoint, recording
 from cosim.execution import folder as run_folder
 from cosim.execution.check import check, roadside_units
@@ -35,13 +35,13 @@ from cosim.step.stopwatch import Stopwatch
 from cosim.step.trackers.attack_start import AttackStartTracker
 from cosim.world import World
 from results import inventory
-from results.durable import PARTIAL, Damaged, open_regular, sha256
-from results.inventory import Inventory
-from results.manifest import read_manifest
-from results.recorder import CHECKPOINT, Recorder, is_state
+from results.durable import PARTIAL, Damaged, open_regular
+from results.inventory import CHECKPOINT, Inventory
+from results.manifest import problems, read_manifest
+from results.recorder import Recorder, is_state
 from results.run import content_problem
 from results.tables import SCHEMA_VERSION
-from trust.models.interface import ModelError
+from results.verify import links
 
 
 def run(
@@ -82,17 +82,19 @@ def run(
 
 def resume(
     path: Path, advance: Advance, traffic_from: Path | None = None,
-    perceive: Callable[[Perception], Perceives] = lambda own: own,
+    perceive: Callable[[Perception], Perceives] = lambda own: own, trust_code: bool = False,
 ) -> Path:  # fmt: skip
     """Go on with a run that was killed or interrupted, from its last whole block: the tables are those of a run
     never interrupted.
 
     The traffic is repeated from its beginning, because SUMO's own saved state is not exact; everything else goes on
-    from the state that was kept with the block. Nothing in the folder is executed. `traffic_from` and `perceive`
-    as in `run`.
+    from the state that was kept with the block. `traffic_from` and `perceive` as in `run`.
+
+    Classes of the user's own that the run's config names are loaded with `trust_code` only: a checksum in the folder
+    can be made anew by whoever made the folder. Nothing else in it can name code.
     """
     manifest = read_manifest(path)
-    config = _resumable(path, manifest)
+    config = resumable(path, trust_code)
     scenario = check(config)
     if (now := provenance(config, scenario)) != manifest["net"]:
         changed = sorted(key for key in now.keys() | manifest["net"].keys() if now.get(key) != manifest["net"].get(key))
@@ -115,7 +117,8 @@ def resume(
                 went.resumed_at = [*manifest.get("resumed_at", []), found.end_step]
                 warmup_s = 0.0 if traffic_from is not None else _warmup_s(config, scenario)
                 drive = Drive(parts, scenario, folder, warmup_s, traffic, registry, recorder, went, advance, stop)
-                drive.state, drive.expected = _kept_state(path, found, config), _last_poses(path, found)
+                drive.state = _kept_state(path, found, config, went.config_sha256)
+                drive.expected = _last_poses(path, found)
                 drive.commands = _kept_commands(path, found)
                 went.write("running")
                 _carry_out(drive, folder)
@@ -158,25 +161,29 @@ def record_traffic(config: Config, path: Path, advance: Advance) -> Path:
     return path
 
 
-def _resumable(path: Path, manifest: dict[str, Any]) -> Config:
+def resumable(path: Path, trust_code: bool = False) -> Config:
     """The config of a run that can be resumed; ValueError in one line where it cannot."""
+    manifest = read_manifest(path)
     if manifest["schema_version"] != SCHEMA_VERSION:
         raise ValueError(
             f"{path} was written with schema version {manifest['schema_version']}, this cosim writes {SCHEMA_VERSION}. "
             "Run again."
         )
     now = versions()
-    if other := [f"{p} {v} (now {now.get(p)})" for p, v in manifest["versions"].items() if now.get(p) != v]:
+    begun_with = manifest.get("versions", {})
+    if other := [f"{p} {v} (now {now.get(p)})" for p, v in begun_with.items() if now.get(p) != v]:
         raise ValueError(f"{path} was begun with {', '.join(other)}: the tables would be of two kinds. Run again.")
-    for key, source in manifest["choices"].items():
-        if not source["file"]:
-            continue
-        file = Path(source["file"])
-        if path.resolve() in file.resolve().parents:
-            raise ValueError(f"{path}: {key} names {file}, inside the run folder, from which nothing is executed.")
-        if not file.is_file() or sha256(file) != source["sha256"]:
-            raise ValueError(f"{path}: {key} names {file}, which was changed since. Run again.")
-    return resolve_data(manifest["config"], f"{path}/manifest.json", None)
+    if linked := links(path):
+        raise ValueError(f"{path}: {linked[0]} is a symbolic link, through which nothing is written.")
+    if problem := next(problems(path, manifest, inventory.read(path)), ""):
+        raise Damaged(f"{path} cannot go on: {problem}. Run again.")
+    config = of_run(manifest["config"], path, trust_code)
+    found = {key: asdict(source) for key, source in sources(config).items()}
+    if found != (before := manifest.get("choices")):
+        changed = [key for key in found if not isinstance(before, dict) or before.get(key) != found[key]]
+        names = ", ".join(f"{key} names {found[key]['file'] or found[key]['name']}" for key in changed) or "choices"
+        raise ValueError(f"{path}: {names}, which was changed since. Run again.")
+    return config
 
 
 def _warmup_s(config: Config, scenario: Scenario) -> float:
@@ -244,15 +251,17 @@ def _decoded(path: Path, name: str, digest: str, own: Collection[str]) -> Any:
         raise Damaged(f"{path}/{name}: {error}. Run again.") from None
 
 
-def _kept_state(path: Path, found: Inventory, config: Config) -> State | None:
+def _kept_state(path: Path, found: Inventory, config: Config, config_sha256: str) -> State | None:
     """The state at the end of the last whole block; None where all has to be computed again."""
     names = [name for name in (found.blocks[-1].checkpoint if found.blocks else ()) if is_state(name)]
     if not names:
         return None
-    state_version, state = _decoded(path, names[0], found.blocks[-1].checkpoint[names[0]], own_modules(config))
-    if state_version != STATE_VERSION or not isinstance(state, State):
+    kept = _decoded(path, names[0], found.blocks[-1].checkpoint[names[0]], own_modules(config))
+    if not (isinstance(kept, tuple) and len(kept) == 3 and kept[0] == STATE_VERSION and isinstance(kept[2], State)):
         raise ValueError(f"{path} was begun with another cosim. Run again.")
-    return state
+    if kept[1] != config_sha256:
+        raise Damaged(f"{path}: {names[0]} is of a run with another config. Run again.")
+    return kept[2]
 
 
 def _last_poses(path: Path, found: Inventory) -> dict[str, np.ndarray] | None:
@@ -281,9 +290,13 @@ def _carry_out(drive: Drive, folder: RunFolder) -> None:
         raise Stopped(error.signum, message) from None
     except Failed:
         raise
-    except (TrafficError, ModelError, AttackError, Damaged) as error:
+    except (TrafficError, Damaged) as error:
         _fail(drive, folder, str(error))
         raise
+    except ExtensionError as error:
+        kept = _fail(drive, folder, str(error))
+        then = f" The steps before it are kept: cosim resume {folder.path}." if kept else " Nothing is kept."
+        raise ExtensionError(str(error) + then) from error.__cause__
     except OSError as error:
         message = f"{folder.path}: {error.strerror or error}, at step {manifest.steps}"
         kept = _fail(drive, folder, message)
@@ -334,8 +347,23 @@ def _fail(drive: Drive, folder: RunFolder, message: str) -> bool:
     return True
 
 
+_FEWEST_MESSAGES = 3.0
+"""Messages under a pseudonym, on average, below which a run is remarked on."""
+
+
 def remarks(folder: Path) -> list[str]:
     """What a user should know of a finished run before they trust its figures; mostly nothing."""
     summary = read_manifest(folder)["summary"]
     absent = [f"note: {key}: no vehicle of that id was on the road." for key in summary.get("victims_absent", ())]
-    return traffic_remarks(summary) + absent
+    return traffic_remarks(summary) + absent + pseudonym_remarks(summary)
+
+
+def pseudonym_remarks(summary: dict[str, Any]) -> list[str]:
+    """A remark on pseudonyms that change before anybody can have evidence about them."""
+    if (mean := summary.get("messages_per_pseudonym", _FEWEST_MESSAGES)) >= _FEWEST_MESSAGES:
+        return []
+    return [
+        f"note: vehicles sent {mean:g} messages under each pseudonym on average: hardly any evidence about a pseudonym "
+        "is there when it is looked up. Have the policy in [pseudonyms] change them less often, or set "
+        "pseudonyms.linkage."
+    ]

@@ -82,7 +82,10 @@ def read(key: str, path: Path) -> tuple[Float[ndarray, "v 3"], Int[ndarray, "t 3
     try:
         import trimesh
     except ImportError:
-        raise ValueError(f"{key} = {path}: meshes are read by trimesh. Install it: pip install cosim[mesh]") from None
+        raise ValueError(
+            f"{key} = {path}: trimesh reads meshes, and it is not installed. "
+            "Install it: make extra NAME=mesh in a checkout, else pip install 'cosim-perception[mesh]'."
+        ) from None
     try:
         mesh: Any = trimesh.load(path, force="mesh")
         vertices, faces = np.asarray(mesh.vertices, float), np.asarray(mesh.faces, np.int64)

@@ -22,7 +22,7 @@ class GnssParams:
     """Time after which the correlation of the error with itself has fallen to 1 / e [s]."""
 
 
-@dataclass(slots=True)
+@dataclass(frozen=True, slots=True)
 class PositionErrors:
     """First-order Gauss-Markov processes, one per equipped vehicle and axis, by actor number.
 
@@ -33,21 +33,21 @@ class PositionErrors:
     times, whenever a vehicle appears, and no vehicle's error depends on who else is there.
     """
 
-    _error_m: Float[ndarray, "capacity 2"] = field(default_factory=lambda: np.zeros((0, 2)))
-    _step: Int[ndarray, "capacity"] = field(default_factory=lambda: np.zeros(0, np.int64))
+    error_m: Float[ndarray, "capacity 2"] = field(default_factory=lambda: np.zeros((0, 2)))
+    step: Int[ndarray, "capacity"] = field(default_factory=lambda: np.zeros(0, np.int64))
 
-    def update(
+    def next(
         self, step: int, actor: Int[ndarray, "e"], name_key: UInt64[ndarray, "e"], params: GnssParams, dt_s: float,
         seed: int,
-    ) -> Float[ndarray, "e 2"]:  # fmt: skip
-        """Errors of these vehicles now, east and north [m]."""
-        if (more := int(actor.max(initial=-1)) + 1 - len(self._step)) > 0:
-            more = max(more, len(self._step))
-            self._error_m = np.concatenate([self._error_m, np.zeros((more, 2))])
-            self._step = np.concatenate([self._step, np.full(more, -1)])
-        since = self._step[actor]
+    ) -> tuple["PositionErrors", Float[ndarray, "e 2"]]:  # fmt: skip
+        """The processes after this step, and the errors of these vehicles in it, east and north [m]."""
+        more = max(0, int(actor.max(initial=-1)) + 1 - len(self.step))
+        more = max(more, len(self.step)) if more else 0
+        errors_m = np.concatenate([self.error_m, np.zeros((more, 2))])
+        steps = np.concatenate([self.step, np.full(more, -1)])
+        since = steps[actor]
         kept = np.where(since >= 0, np.exp(-(step - since) * dt_s / params.correlation_s), 0.0)[:, None]
         noise = rng.normals(rng.key(seed, rng.Stream.POSITIONING, step), name_key, n=2)
-        error = kept * self._error_m[actor] + params.std_m * np.sqrt(1.0 - kept**2) * noise
-        self._error_m[actor], self._step[actor] = error, step
-        return error
+        error_m = kept * errors_m[actor] + params.std_m * np.sqrt(1.0 - kept**2) * noise
+        errors_m[actor], steps[actor] = error_m, step
+        return PositionErrors(errors_m, steps), error_m

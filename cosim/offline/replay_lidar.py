@@ -15,7 +15,7 @@ import shapely
 from jaxtyping import Float, Int
 from numpy import ndarray
 
-from cosim.config.config import Config, load
+from cosim.config.config import Config, of_run_without_code
 from cosim.execution.inputs import changed_inputs
 from cosim.mobility.actors import actor_key
 from cosim.mobility.meshes import with_meshes
@@ -35,8 +35,12 @@ _LOG = logging.getLogger(__name__)
 
 
 def config_of(run: Run) -> Config:
-    """The config of a run; a warning is logged where files that it names have changed since."""
-    config = load(run.path / "config.toml")
+    """The config of a run, for what depends on its traffic and its LiDARs.
+
+    It is the one in the manifest. In place of classes of the user's own there are those that ship: no code is loaded.
+    A warning is logged where files that it names have changed since.
+    """
+    config = of_run_without_code(run.manifest["config"], run.path)
     scenario = find(config.traffic.scenario, config.traffic.trace)
     if changed := changed_inputs(config, scenario, run.manifest.get("net", {})):
         _LOG.warning("%s: changed since it was recorded: %s", run.path, ", ".join(changed))

@@ -131,7 +131,10 @@ def _open(out: Path):  # type: ignore[no-untyped-def]
         import rerun
         from rerun import blueprint as b
     except ImportError:
-        raise ValueError("recordings are written by Rerun's SDK. Install it: pip install cosim[view]") from None
+        raise ValueError(
+            "Rerun's SDK writes recordings, and it is not installed. "
+            "Install it: make extra NAME=view in a checkout, else pip install 'cosim-perception[view]'."
+        ) from None
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         _partial(out).write_bytes(b"")

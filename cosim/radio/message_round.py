@@ -132,8 +132,14 @@ class Receptions:
     """Between sender and receiver."""
 
     def __post_init__(self) -> None:
-        assert (self.generation_offset_s >= 0).all() and (self.access_delay_s >= 0).all()
-        assert (self.latency_s >= self.access_delay_s).all()
+        with np.errstate(invalid="ignore"):
+            in_order = (self.generation_offset_s >= 0) & (self.access_delay_s >= 0)
+            in_order &= self.latency_s >= self.access_delay_s
+        if not in_order.all():
+            raise ValueError(
+                "a reception with a negative delay, or with latency_s less than access_delay_s: no message is received "
+                "before it is generated and sent."
+            )
 
     @property
     def received_s(self) -> Float[ndarray, "r"]:
@@ -186,6 +192,64 @@ class MessageRound:
     """Sender of each message."""
     receptions: Receptions
     frames: FrameOutcomes
+
+    @staticmethod
+    def of(
+        stations: Stations,
+        messages: Messages,
+        receiver: Int[ndarray, "r"],
+        message: Int[ndarray, "r"],
+        *,
+        latency_s: Float[ndarray, "r"] | float = 0.0,
+        lost_receiver: Int[ndarray, "l"] | None = None,
+        lost_message: Int[ndarray, "l"] | None = None,
+        cbr: Float[ndarray, "n"] | None = None,
+    ) -> "MessageRound":
+        """A round without forwarding: every message is sent in one frame, directly to each station in range.
+
+        Parameters
+        ----------
+        receiver, message
+            Rows of the stations and messages of what is received, in any order, each pair once.
+        latency_s
+            From generation to reception [s]; one number for all will do.
+        lost_receiver, lost_message
+            The same of what is not received, by stations in range; none if not given.
+        cbr
+            Channel busy ratio at each station; not modelled if not given.
+
+        Returns
+        -------
+        Receptions in canonical order, and the outcome of every frame. A message is generated `messages.delay_s` after
+        the beginning of the round, and on the air at once.
+        """
+        none = np.zeros(0, np.int64)
+        to = np.concatenate([receiver, none if lost_receiver is None else lost_receiver])
+        of = np.concatenate([message, none if lost_message is None else lost_message])
+        for name, rows, n_rows in (("receiver", to, len(stations)), ("message", of, len(messages))):
+            if rows.dtype.kind not in "iu" or len(rows) != len(to) or ((rows < 0) | (rows >= n_rows)).any():
+                raise ValueError(
+                    f"{name} is not one row of the {n_rows} {'stations' if rows is to else 'messages'} for each frame."
+                )
+        xy_m, n = stations.xyz_m[:, :2], len(receiver)
+        zero, ones = np.zeros(n), np.ones(n, np.int64)
+        latency_s = np.broadcast_to(np.asarray(latency_s, float), n)
+        offset_s = zero if messages.delay_s is None else messages.delay_s[message]
+        receptions = receptions_of(receiver, message, ones, offset_s, zero, latency_s, messages.station, xy_m)
+        frames = FrameOutcomes(
+            message=of,
+            receiver=to,
+            hop=np.ones(len(to), np.int64),
+            distance_m=np.hypot(*(xy_m[to] - xy_m[messages.station[of]]).T),
+            los_state=np.full(len(to), LosState.UNKNOWN, np.uint8),
+            outcome=np.where(np.arange(len(to)) < n, int(Outcome.RECEIVED), int(Outcome.PROPAGATION)),
+            n_transmissions=(messages.length_bytes > 0).astype(np.int64),
+            n_relayed=0,
+            n_duplicate=0,
+            sent_bytes=float(messages.length_bytes.sum()),
+            cbr=cbr,
+        )
+        return MessageRound(messages.station, receptions, frames)
 
     @staticmethod
     def silent(n_stations: int = 0) -> "MessageRound":

@@ -12,10 +12,12 @@ from cosim.config import data as config_data
 from cosim.reproduce.published import AP, FINAL_TRUST
 from cosim.studies import sweep as sweeping
 from cosim.studies.study import SHIPPED, Study, load
+from results import durable
 from results import study as studies
 from results.figures import paper as pictures
 from results.figures import style
 from results.metrics.kitti import FEWEST, LEVELS
+from results.spreadsheet import csv_of
 
 EXPERIMENTS: Mapping[str, str] = {"tables": "paper_tables", "trust-levels": "paper_trust_levels"}
 """Shipped study by what `cosim reproduce` calls it."""
@@ -87,9 +89,9 @@ def conclude(name: str, out: Path) -> Outcome:
             "traffic.duration_s higher, in another --out."
         )
     table, picture = out / f"{name}.csv", out / f"{name}.png"
-    rows.to_csv(table, index=False)
+    durable.write_output(table, csv_of(rows))
     plain = out / f"{name}.json"
-    plain.write_text(json.dumps(as_data(rows), indent=1) + "\n", encoding="utf-8")
+    durable.write_output(plain, (json.dumps(as_data(rows), indent=1) + "\n").encode())
     draw = pictures.draw_tables if name == "tables" else pictures.draw_trust_levels
     return Outcome(name, rows, [table, plain, style.save(draw(rows), picture)])
 

@@ -123,9 +123,9 @@ class ScriptedScene:
         parts = self.parts(config)
         state = State.start(parts)
         for number in range(n_frames):
-            state, happened = step(self.world(number), state, parts)
-            assert happened.sensed is not None
-            yield happened.sensed
+            state, result = step(self.world(number), state, parts)
+            assert result.sensed is not None
+            yield result.sensed
 
     def world(self, number: int) -> World:
         """All actors in the step of this number."""
@@ -157,7 +157,7 @@ def scenario_1(out: Path) -> ReproductionReport:
             if method == "trupercept_1":
                 panels.append(_fused(sensed, "Fused, checked" if checked else "Fused, unchecked"))
     panels = [_listed(sensed, EGO, "Ego alone"), _listed(sensed, ATTACKER, "The attacker's message"), *panels]
-    listed = sensed.listed
+    listed = sensed.listed.objects
     hidden = np.flatnonzero((listed.label == PEDESTRIAN) & (listed.observer == ATTACKER))
     n_hidden, n_false = _returns(sensed, hidden), _returns(sensed, np.flatnonzero(listed.origin == FABRICATED))
     expected = {
@@ -184,9 +184,9 @@ def scenario_1(out: Path) -> ReproductionReport:
 
 def _returns(sensed: Sensed, detection: Int[ndarray, "1"]) -> int:
     """Returns of the ego in a box that it received."""
-    lists = sensed.lists
+    lists = sensed.evaluated.lists
     (at,) = np.flatnonzero((lists.of_member() == EGO) & (lists.member == detection))
-    return int(sensed.n_points[at])
+    return int(sensed.evaluated.n_points[at])
 
 
 def _of_ego(sensed: Sensed) -> Fused:
@@ -198,7 +198,7 @@ def _of_ego(sensed: Sensed) -> Fused:
 
 def _fused_scores(sensed: Sensed) -> dict[str, float]:
     """Final scores of the ego for what it did not detect itself."""
-    fused, listed = _of_ego(sensed), sensed.listed
+    fused, listed = _of_ego(sensed), sensed.listed.objects
     foreign = fused.take(~fused.ego_detected)
     return {
         "false car" if listed.origin[seed] == FABRICATED else LABELS[listed.label[seed]]: float(score)
@@ -207,7 +207,7 @@ def _fused_scores(sensed: Sensed) -> dict[str, float]:
 
 
 def _listed(sensed: Sensed, row: int, title: str) -> pictures.Panel:
-    listed = sensed.listed
+    listed = sensed.listed.objects
     own = np.flatnonzero((listed.observer == row) & (listed.origin != SELF))
     return _panel(title, sensed, row, own, listed.score[own])
 
@@ -218,7 +218,7 @@ def _fused(sensed: Sensed, title: str) -> pictures.Panel:
 
 
 def _panel(title: str, sensed: Sensed, observer: int, rows: ndarray, score: ndarray) -> pictures.Panel:
-    sweeps, listed = sensed.observed.sweeps, sensed.listed
+    sweeps, listed = sensed.positioned.observed.sweeps, sensed.listed.objects
     assert isinstance(sweeps, RangeImages)
     points = sweeps.poses.to_world(observer, sweeps.xyz(observer))[:, :2]
     false = listed.origin[rows] == FABRICATED

@@ -4,16 +4,17 @@ Ground truth of a step; nothing in the simulation reads it.
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
-from cosim.radio.message_round import Receptions
 from cosim.ragged import expand, stable_order
-from cosim.step.senders import Senders, Vehicles
-from cosim.step.stages import Listed, Matched
-from cosim.v2x.messages import FABRICATED
+from cosim.step.exchange import Exchange
+from cosim.step.ground_truth import GroundTruth
+from cosim.step.stages import Broadcast, Listed, Matched
+from cosim.v2x.messages import FABRICATED, Detections
 from cosim.world import World
 from results.codes import AttackEffect
 from results.encounters import Rows
@@ -26,53 +27,63 @@ PATH_M = 50.0
 """Length of a vehicle's path, straight ahead of its centre [m]: the distance to stop from 80 km/h or less."""
 
 
+@dataclass(frozen=True, slots=True)
+class Inserted:
+    """Fabricated detections in the object lists of other vehicles."""
+
+    detection: Int[ndarray, "k"]
+    receiver: Int[ndarray, "k"]
+    """Row of `Vehicles`, and of the object list."""
+    seed: Int[ndarray, "k"]
+    """The detection that gives its group's box."""
+
+
+@dataclass(frozen=True, slots=True)
+class Removed:
+    """Withheld detections of real actors, and the vehicles that received the message without them."""
+
+    detection: Int[ndarray, "k"]
+    receiver: Int[ndarray, "k"]
+    """Row of `Vehicles`."""
+
+
 def attack_outcomes(
-    world: World, listed: Listed, received: Receptions, matched: Matched, fused: Sequence[Fused | None],
-    senders: Senders, vehicles: Vehicles,
+    exchange: Exchange, believed: World, listed: Listed, cpms: Broadcast, matched: Matched,
+    fused: Sequence[Fused | None],
 ) -> list[Rows]:  # fmt: skip
     """Columns of the table `attack_outcomes`, per trust variant that fuses.
 
     Parameters
     ----------
-    received
-        Detection messages between vehicles.
+    believed
+        The world with vehicles where they believe to be.
     fused
         Per trust variant.
     """
-    inserted, seed = _inserted(listed, matched, senders)
-    removed = _removed(listed, received, vehicles)
-    detection = np.concatenate([inserted[0], removed[0]])
-    receiver = np.concatenate([inserted[1], removed[1]])  # rows of vehicles, as are lists
-    is_removal = np.arange(len(detection)) >= len(inserted[0])
+    vehicles, objects, truth, n = exchange.vehicles, listed.objects, listed.truth, len(believed)
+    inserted, removed = _inserted(exchange, listed, matched), _removed(exchange, listed, cpms)
+    detection = np.concatenate([inserted.detection, removed.detection])
+    receiver = np.concatenate([inserted.receiver, removed.receiver])
     if not len(detection):
         return []
-    objects, truth = listed.objects, listed.truth
-    n = len(world)
-    own = np.flatnonzero(truth.is_sensed)
-    detected = np.unique(senders.vehicle[listed.detections.message[own]] * n + truth.actor_row[own])
+    is_removal = np.arange(len(detection)) >= len(inserted.detection)
+    own, message = np.flatnonzero(truth.is_sensed), listed.detections.message
+    detected = np.unique(exchange.senders.vehicle[message[own]] * n + truth.actor_row[own])
     common = {
         "effect": np.where(is_removal, AttackEffect.REMOVED, AttackEffect.INSERTED),
-        "observer": senders.pseudonym[listed.detections.message[detection]],
+        "observer": exchange.senders.pseudonym[message[detection]],
         "detection_index": objects.detection_index[detection],
         "receiver": vehicles.actor[receiver],
         "intended": objects.target[detection] == vehicles.row[receiver],
-        "in_path": _in_path(world, vehicles.row[receiver], objects.boxes.take(detection)),
+        "in_path": _in_path(believed, vehicles.row[receiver], objects.boxes.take(detection)),
         "ego_detected": is_removal & np.isin(receiver * n + truth.actor_row[detection], detected),
-    }  # fmt: skip
+    }
     rows = []
     for variant, found in enumerate(fused):
         if found is None:
             continue
-        score, there = np.zeros(len(detection)), np.zeros(len(detection), bool)
-        score[~is_removal], there[~is_removal] = _best(
-            found.ego * len(objects) + found.seed, found.score, inserted[1] * len(objects) + seed
-        )
-        there[~is_removal] &= objects.origin[seed] == FABRICATED
-        real = truth.is_real[found.seed]
-        score[is_removal], there[is_removal] = _best(
-            found.ego[real] * n + truth.actor_row[found.seed[real]], found.score[real],
-            removed[1] * n + truth.actor_row[removed[0]],
-        )  # fmt: skip
+        scores = _scores_of_inserted(found, inserted, objects), _scores_of_removed(found, removed, truth, n)
+        score, there = (np.concatenate(columns) for columns in zip(*scores, strict=True))
         rows.append({
             "variant": np.full(len(detection), variant), **common, "score": np.where(there, score, 0.0),
             "score__valid": there,
@@ -80,20 +91,36 @@ def attack_outcomes(
     return rows
 
 
-def _inserted(
-    listed: Listed, matched: Matched, senders: Senders
-) -> tuple[tuple[Int[ndarray, "k"], Int[ndarray, "k"]], Int[ndarray, "k"]]:
-    """Fabricated detections in the lists of others: detection and list; the detection that gives its group's box."""
+def _scores_of_inserted(
+    fused: Fused, inserted: Inserted, objects: Detections
+) -> tuple[Float[ndarray, "k"], Bool[ndarray, "k"]]:
+    """Score of the fused object that each fabricated detection has become, and whether there is one."""
+    score, there = _best(
+        fused.ego * len(objects) + fused.seed, fused.score, inserted.receiver * len(objects) + inserted.seed
+    )
+    return score, there & (objects.origin[inserted.seed] == FABRICATED)
+
+
+def _scores_of_removed(
+    fused: Fused, removed: Removed, truth: GroundTruth, n: int
+) -> tuple[Float[ndarray, "k"], Bool[ndarray, "k"]]:
+    """Score of the fused object of each actor that was kept from a vehicle, and whether there is one."""
+    real = truth.is_real[fused.seed]
+    key = fused.ego[real] * n + truth.actor_row[fused.seed[real]]
+    return _best(key, fused.score[real], removed.receiver * n + truth.actor_row[removed.detection])
+
+
+def _inserted(exchange: Exchange, listed: Listed, matched: Matched) -> Inserted:
     known, message = matched.known, listed.detections.message
     at = np.flatnonzero((listed.objects.origin == FABRICATED)[known.member])
     of_list = known.of(at)
-    foreign = senders.vehicle[message[known.member[at]]] != of_list
+    foreign = exchange.senders.vehicle[message[known.member[at]]] != of_list
     at, of_list = at[foreign], of_list[foreign]
-    return (known.member[at], of_list), known.member[matched.groups.seed[at]]
+    return Inserted(known.member[at], of_list, known.member[matched.groups.seed[at]])
 
 
-def _removed(listed: Listed, received: Receptions, vehicles: Vehicles) -> tuple[Int[ndarray, "k"], Int[ndarray, "k"]]:
-    """Withheld detections of real actors, and the vehicles that received the message without them."""
+def _removed(exchange: Exchange, listed: Listed, cpms: Broadcast) -> Removed:
+    received = cpms.links.vehicles
     row = np.flatnonzero(listed.withheld & listed.truth.is_real)
     message = listed.detections.message[row]  # ascending
     concerned = np.zeros(len(listed.ptr), bool)
@@ -103,8 +130,8 @@ def _removed(listed: Listed, received: Receptions, vehicles: Vehicles) -> tuple[
     first, last = (np.searchsorted(received.message[found], message, side) for side in ("left", "right"))
     at, which = expand(first, last)
     receiver, detection = received.receiver[found[at]], row[which]
-    other = vehicles.row[receiver] != listed.truth.actor_row[detection]  # no vehicle needs a report of itself
-    return detection[other], receiver[other]
+    is_other = exchange.vehicles.row[receiver] != listed.truth.actor_row[detection]  # none needs a report of itself
+    return Removed(detection[is_other], receiver[is_other])
 
 
 def _best(

@@ -2,13 +2,17 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 from numpy import ndarray
 
 from cosim.adversary.adversary import Adversary
-from cosim.config import choices, config
+from cosim.config import config
 from cosim.config.config import Config
+from cosim.door.guard import Guarded, construct, make
+from cosim.door.kinds import SECTIONS
+from cosim.door.load import Choice, Source
 from cosim.driver.driver import Driver
 from cosim.radio.medium import Medium
 from cosim.radio.rsu import NO_RSUS, RsuAntennas
@@ -22,6 +26,7 @@ from cosim.world import World
 from results.codes import BASE_VARIANT
 from sensors.line_of_sight import LosOfPlaces, WallIndex
 from sensors.scene import Scene
+from trust.params import TrustParams
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,20 +121,22 @@ def check_choices(experiment: Config) -> None:
 
 def variants(experiment: Config) -> list[Variant]:
     """The acting way of trusting, and the trust variants."""
-    choice, own = config.chosen(experiment, "trust")
-    base = Variant(BASE_VARIANT, experiment.trust, choice.of, own)
-    others = []
-    for variant in experiment.trust_variant:
-        choice, own = config.chosen_model(variant)
-        others.append(Variant(variant.name, variant.trust, choice.of, own, variant.fused))
-    return [base, *others]
+    base = _variant(BASE_VARIANT, experiment.trust, *config.chosen(experiment, "trust"), fused=True)
+    return [base, *(_variant(v.name, v.trust, *config.chosen_model(v), v.fused) for v in experiment.trust_variant)]
 
 
-def chosen(experiment: Config) -> dict[str, choices.Choice]:
+def _variant(name: str, trust: TrustParams, choice: Choice, own: Any, fused: bool) -> Variant:
+    """A way of trusting; a model of the user's own keeps its evidence in the state, and is guarded where it is used."""
+    if not choice.is_own:
+        return Variant(name, trust, choice.of, own, fused)
+    return Variant(name, trust, choice.of, own, fused, make=partial(construct, choice), guard=partial(Guarded, choice))
+
+
+def chosen(experiment: Config) -> dict[str, Choice]:
     """Every choice of a config, by its key."""
     found = {
-        f"{section}.{key}": config.chosen(experiment, section)[0]
-        for section, (key, _, _) in config.CHOICES.items() if section != "attacks"
+        kind.place: config.chosen(experiment, section)[0]
+        for section, kind in SECTIONS.items() if section != "attacks"
     }  # fmt: skip
     for number in range(len(experiment.attacks)):
         found[f"attacks.{number}.attack"] = config.chosen(experiment, "attacks", number)[0]
@@ -138,7 +145,7 @@ def chosen(experiment: Config) -> dict[str, choices.Choice]:
     return found
 
 
-def sources(experiment: Config) -> dict[str, choices.Source]:
+def sources(experiment: Config) -> dict[str, Source]:
     """Where every choice of a config comes from, by its key."""
     return {key: choice.source for key, choice in chosen(experiment).items()}
 
@@ -146,10 +153,10 @@ def sources(experiment: Config) -> dict[str, choices.Source]:
 def _make(experiment: Config, section: str, number: int | None = None) -> Any:
     """An instance of the class that a section names."""
     choice, own = config.chosen(experiment, section, number)
-    return choices.make(choice, *(() if choice.params is None else (own,)))
+    return make(choice, *(() if choice.params is None else (own,)))
 
 
 def _make_medium(experiment: Config, los: LosOfPlaces | None) -> Medium:
     choice, own = config.chosen(experiment, "radio")
     params = experiment.radio if own is None else own
-    return choices.make(choice, params, experiment.timeout_s, experiment.seed, los)
+    return make(choice, params, experiment.timeout_s, experiment.seed, los)

@@ -1,14 +1,15 @@
 """Why vehicles are commanded, with the truth about what they react to. The simulation never reads it."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from cosim.driver.driver import SpeedCommands
-from cosim.step.ground_truth import GroundTruth
-from cosim.v2x.messages import FABRICATED, Detections
+from cosim.step.exchange import Exchange
+from cosim.step.stages import Listed
+from cosim.v2x.messages import FABRICATED
 from cosim.world import World
 
 _KEPT_S = 10.0
@@ -29,40 +30,60 @@ class Reactions:
     """There is such an actor."""
 
 
-@dataclass(slots=True)
+@dataclass(frozen=True, slots=True)
+class DetectionTruth:
+    """The truth about the D detections of one step, sorted by key."""
+
+    step: int
+    key: Int[ndarray, "d"]
+    """Pseudonym of the observer and number of the detection in one number."""
+    fabricated: Bool[ndarray, "d"]
+    is_real: Bool[ndarray, "d"]
+    actor: Int[ndarray, "d"]
+    """Actor number; read only where it is real."""
+
+
+@dataclass(frozen=True, slots=True)
 class ReactionTruth:
     """The truth about the detections of the last seconds, by their names."""
 
-    kept: list[tuple[int, Int[ndarray, "d"], Bool[ndarray, "d"], Bool[ndarray, "d"], Int[ndarray, "d"]]] = field(
-        default_factory=list
-    )
-    """Per step: key, fabricated, real, actor; sorted by key."""
+    steps: tuple[DetectionTruth, ...] = ()
 
-    def add(
-        self, world: World, listed: Detections, truth: GroundTruth, pseudonym: Int[ndarray, "d"], dt_s: float
-    ) -> None:
-        """The detections of a step; `pseudonym` is that of each one's observer."""
-        key = _key(pseudonym, listed.detection_index)
+    def next(self, exchange: Exchange, listed: Listed, dt_s: float) -> "ReactionTruth":
+        """The same with the detections of one more step, and without those that are too old."""
+        world, truth = exchange.world, listed.truth
+        key = _key(exchange.senders.pseudonym[listed.detections.message], listed.objects.detection_index)
         order = np.argsort(key)
-        actor = world.actor[truth.actor_row][order].astype(np.int64)
-        self.kept = [k for k in self.kept if (world.step - k[0]) * dt_s <= _KEPT_S]
-        self.kept.append((world.step, key[order], (listed.origin == FABRICATED)[order], truth.is_real[order], actor))
+        now = DetectionTruth(
+            step=world.step,
+            key=key[order],
+            fabricated=(listed.objects.origin == FABRICATED)[order],
+            is_real=truth.is_real[order],
+            actor=world.actor[truth.actor_row][order].astype(np.int64),
+        )
+        return ReactionTruth((*(one for one in self.steps if (world.step - one.step) * dt_s <= _KEPT_S), now))
 
     def of(self, commands: SpeedCommands, world: World, dt_s: float) -> Reactions | None:
-        """The commands with what they really answer to; None where the driver gives no reasons."""
+        """The commands with the truth about what they react to; None where the driver gives no reasons."""
         why, n = commands.reasons, len(commands)
         if why is None:
             return None
         fabricated, is_real, truth_actor = np.zeros(n, bool), np.zeros(n, bool), np.zeros(n, np.int64)
         wanted = _key(why.source, why.source_index)
-        for step, key, fabricated_then, real_then, actor_then in self.kept:
-            rows = np.flatnonzero(why.source_step == step)
-            at = np.minimum(np.searchsorted(key, wanted[rows]), len(key) - 1)
-            found = key[at] == wanted[rows]
+        for then in self.steps:
+            rows = np.flatnonzero(why.source_step == then.step)
+            at = np.minimum(np.searchsorted(then.key, wanted[rows]), len(then.key) - 1)
+            found = then.key[at] == wanted[rows]
             rows, at = rows[found], at[found]
-            fabricated[rows], is_real[rows], truth_actor[rows] = fabricated_then[at], real_then[at], actor_then[at]
+            fabricated[rows], is_real[rows], truth_actor[rows] = then.fabricated[at], then.is_real[at], then.actor[at]
         speed = world.speed_mps[np.searchsorted(world.actor, commands.actor)]
-        return Reactions(commands, (speed - commands.speed_mps) / dt_s, fabricated, truth_actor, is_real)
+        return Reactions(
+            commands=commands,
+            deceleration_mps2=(speed - commands.speed_mps) / dt_s,
+            fabricated=fabricated,
+            truth_actor=truth_actor,
+            is_real=is_real,
+        )
 
 
 def _key(pseudonym: Int[ndarray, "n"], index: Int[ndarray, "n"]) -> Int[ndarray, "n"]:

@@ -1,50 +1,119 @@
-"""The stages of a step, in the order of `cosim.step.cycle.step`: plain functions of arrays and parts."""
+"""The stages of a step, in the order of `cosim.step.cycle.step`: plain functions of arrays and parts.
+
+A stage that changes a part of the state takes it as an argument and returns what it is afterwards, before its result.
+"""
 
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Int
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from cosim.adversary.adversary import Active
-from cosim.adversary.attack import Sending
 from cosim.config.config import Config
 from cosim.driver.driver import Beliefs
-from cosim.radio.message_round import ChannelAbuse, LinkReceptions, Receptions, Stations
-from cosim.ragged import ptr_of
+from cosim.mobility.position_errors import PositionErrors
+from cosim.radio.message_round import LinkReceptions, MessageRound, RoundKind
 from cosim.step import object_lists
+from cosim.step.exchange import Exchange, OnAir, Senders, Times, Vehicles, lists_of_identities
 from cosim.step.ground_truth import GroundTruth, ground_truth_of, lies_in_detections, lies_in_evaluations
 from cosim.step.object_lists import messages_of, questions_of, received_lists, subset
 from cosim.step.parts import Parts
 from cosim.step.perception import Observed
-from cosim.step.senders import Senders, Vehicles, distinct, lists_of_identities
+from cosim.step.positioning import as_believed, believed_world
+from cosim.step.precomputed import Precomputed
 from cosim.v2x.cpm_generation import InclusionMemory, select_objects
-from cosim.v2x.messages import SENSED, Detections, cpm_bytes, piggyback_bytes, with_motion
-from cosim.v2x.pseudonyms import PseudonymState
-from cosim.v2x.trust_hosts import Lookups, TrustState
-from cosim.v2x.trust_server import LinkStats
+from cosim.v2x.messages import (
+    SENSED,
+    Detections,
+    cpm_bytes,
+    evaluation_bytes,
+    piggyback_bytes,
+    trust_broadcast_bytes,
+    with_motion,
+)
+from cosim.v2x.pseudonyms import PseudonymState, PseudonymUse
+from cosim.v2x.trust_server import TrustBroadcast
 from cosim.world import World
 from sensors.boxes import overlapping_pairs
 from sensors.evidence import in_evaluation_area
 from sensors.kernel import compiled
 from trust import tables
 from trust.evaluation import evaluate
-from trust.fusion import Fused, SensorEvidence, fuse, votes_of
+from trust.fusion import Fused, SensorEvidence
 from trust.matching import match
-from trust.tables import EvaluationMessages, Evaluations, Groups, ObjectLists, SenderTrust
+from trust.tables import EvaluationMessages, Evaluations, Groups, ObjectLists
 from trust.threads import threads_for
 
 _ROWS_PER_BOX = 10
 """Rows of a table that cost as much as to find what overlaps one box."""
 
 
-@dataclass(frozen=True, slots=True)
-class Piggybacked:
-    """Evaluations of the last step, waiting for the next detection message."""
+def identify(
+    world: World, pseudonyms: PseudonymState, own_trust: Float[ndarray, "n"] | None, now: Times, parts: Parts
+) -> tuple[PseudonymState, Vehicles, PseudonymUse]:
+    """Equipped vehicles on the road under their present pseudonyms, and the pseudonyms that are given up.
 
-    messages: EvaluationMessages
-    sender: Int[ndarray, "v"]
-    """Actor number and identity of each message's sender, as `Senders.by_actor`."""
+    Pseudonyms change in steps with messages alone. `own_trust` is the trust in each actor as it last learned it
+    itself; None where no attack reads it.
+    """
+    row = np.flatnonzero(world.equipped)
+    actor, names = world.actor[row], world.name_key[row]
+    if not parts.senses(world.step):
+        return pseudonyms, Vehicles(row, actor, names, pseudonyms.of(actor)), PseudonymUse.none()
+    wants = None
+    if parts.adversary.renews:
+        age_s = (world.step - pseudonyms.begun(world.actor, world.step)) * parts.config.traffic.step_s
+        wants = parts.adversary.renewals(world, now.begin_s, own_trust, age_s)[row]
+    pseudonyms, pseudonym, ended = parts.pseudonyms.issue(pseudonyms, world, row, wants)
+    return pseudonyms, Vehicles(row, actor, names, pseudonym), ended
+
+
+def perceive(world: World, vehicles: Vehicles, precomputed: Precomputed, parts: Parts) -> Observed:
+    """What equipped vehicles perceive."""
+    if precomputed.observed is None:
+        return parts.perception(world, vehicles.row, parts.watch)
+    with parts.watch("wait for sensing"):
+        return precomputed.observed()
+
+
+@dataclass(frozen=True, slots=True)
+class Positioned:
+    """What vehicles perceive, and where they take it and themselves to be."""
+
+    observed: Observed
+    world: World
+    """With every vehicle where it believes to be; the true world without `[gnss]`."""
+    error_m: Float[ndarray, "e 2"] | None
+    """Position error of each vehicle, estimated minus true, east and north; None without `[gnss]`."""
+
+
+def position(
+    world: World, vehicles: Vehicles, observed: Observed, errors: PositionErrors, config: Config
+) -> tuple[PositionErrors, Positioned]:
+    """What vehicles observe and where they take themselves to be."""
+    c = config
+    if c.gnss.std_m <= 0:
+        return errors, Positioned(observed, world, None)
+    errors, error_m = errors.next(world.step, vehicles.actor, vehicles.name_key, c.gnss, c.traffic.step_s, c.seed)
+    observed = as_believed(observed, vehicles.row, error_m)
+    return errors, Positioned(observed, believed_world(world, vehicles.row, error_m), error_m)
+
+
+def senders_of(
+    world: World, vehicles: Vehicles, attacks: Active, pseudonyms: PseudonymState, parts: Parts
+) -> tuple[PseudonymState, Senders]:
+    """The messages of each kind in this step, one per vehicle and identity, and their pseudonyms."""
+    senders = Senders.of(vehicles, attacks.identities(len(world))[vehicles.row])
+    more = np.flatnonzero(senders.identity)
+    if len(more):
+        pseudonym = senders.pseudonym.copy()
+        pseudonyms, pseudonym[more] = parts.pseudonyms.issue_extra(
+            pseudonyms, vehicles.actor[senders.vehicle[more]], senders.identity[more], world.step
+        )
+        senders = replace(senders, pseudonym=pseudonym)
+    is_valid, pseudonyms = parts.revocation.valid(pseudonyms, senders.pseudonym, world.step)
+    return pseudonyms, replace(senders, is_valid=is_valid)
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,54 +133,103 @@ class Listed:
 
 
 def list_objects(
-    observed: Observed, senders: Senders, included: InclusionMemory, world: World, acceleration_mps2: ndarray,
-    active: Active, vehicles: Vehicles, c: Config, time_s: float,
-) -> tuple[Listed, InclusionMemory]:  # fmt: skip
+    exchange: Exchange, observed: Observed, acceleration_mps2: Float[ndarray, "n"], included: InclusionMemory, c: Config
+) -> tuple[InclusionMemory, Listed]:
     """Detections as each vehicle lists them, after attacks and generation rules."""
+    world, vehicles, senders, attacks = exchange.world, exchange.vehicles, exchange.senders, exchange.attacks
     perceived = with_motion(observed.detections, world.speed_mps, acceleration_mps2)
-    objects, n_dropped = active.detections(perceived)
+    objects, n_dropped = attacks.detections(perceived)
     withheld = (objects.origin == SENSED) & ~objects.transmitted
-    lied = lies_in_detections(perceived, objects, active.malicious(len(world)))
+    lied = lies_in_detections(perceived, objects, attacks.malicious(len(world)))
     if c.radio.cpm_rules == "etsi":
-        chosen, included = select_objects(
-            included, objects, world.actor[objects.observer].astype(np.int64) << 16 | objects.identity, time_s
-        )
+        sender = world.actor[objects.observer].astype(np.int64) << 16 | objects.identity
+        chosen, included = select_objects(included, objects, sender, exchange.now.begin_s)
         objects = replace(objects, transmitted=chosen)
-    truth = ground_truth_of(
-        objects, world, observed.observability, vehicles.row, observed.is_real, observed.actor_row, lied
-    )
     message = senders.message_of(objects, vehicles.row)
     detections, ptr = object_lists.for_trust(objects, message, len(senders))
-    return Listed(objects, truth, detections, ptr, withheld, n_dropped), included
+    return included, Listed(
+        objects=objects,
+        truth=ground_truth_of(
+            objects, world, observed.observability, vehicles.row, observed.is_real, observed.actor_row, lied
+        ),
+        detections=detections,
+        ptr=ptr,
+        withheld=withheld,
+        n_dropped=n_dropped,
+    )
 
 
-def stations_of(world: World, row: Int[ndarray, "v"], sending: Sending | None, parts: Parts) -> Stations:
-    """Antennas of the vehicles in these rows of the world, and of roadside units; `sending` of those vehicles."""
-    key = np.concatenate([world.name_key[row], parts.rsus.key])
-    xyz_m = np.concatenate([world.boxes.xyz_m[row], parts.rsus.xyz_m])
-    roof_m, mast_m = world.boxes.lwh_m[row, 2], parts.config.radio.antenna_above_roof_m
-    xyz_m[: len(row), 2] += roof_m / 2 + mast_m
-    above_street_m, abuse = np.concatenate([roof_m + mast_m, parts.rsus.above_street_m]), None
-    if sending is not None and sending.abuses_channel().any():
-        honest = Sending.plain(len(parts.rsus))
-        abuse = ChannelAbuse(
-            np.concatenate([sending.jam_dbm, honest.jam_dbm]), np.concatenate([sending.react_dbm, honest.react_dbm]),
-            np.concatenate([sending.ignores_dcc, honest.ignores_dcc]),
-        )  # fmt: skip
-    return Stations(key, xyz_m, len(row), above_street_m, abuse)
+@dataclass(frozen=True, slots=True)
+class SentEvaluations:
+    """Evaluation messages, on their way or waiting for the next detection message."""
+
+    messages: EvaluationMessages
+    sender: Int[ndarray, "v"]
+    """Actor number and identity of each message's sender, as `Exchange.sender`."""
 
 
-def cpm_lengths(
-    listed: Listed, senders: Senders, sender: Int[ndarray, "m"], piggybacked: Piggybacked | None, c: Config
-) -> Int[ndarray, "m"]:
-    """Length of each detection message, with the evaluations that it carries; 0 for none [B].
+@dataclass(frozen=True, slots=True)
+class Broadcast:
+    """One round of messages."""
 
-    `sender` names the messages' senders as `Piggybacked` does.
+    round: MessageRound
+    links: LinkReceptions
+    """Its receptions by kind of link."""
+    accepted: LinkReceptions
+    """The same without those from revoked senders."""
+
+
+def broadcast_detections(
+    exchange: Exchange, listed: Listed, piggybacked: SentEvaluations | None, medium: object, parts: Parts
+) -> tuple[object, Broadcast]:
+    """Detection messages, with the evaluations of the step before where these are piggybacked; the medium's state."""
+    lengths = _cpm_lengths(exchange, listed, piggybacked, parts.config)
+    on_air = OnAir.of(exchange.senders, lengths, len(parts.rsus), sending=exchange.sending)
+    return _broadcast(exchange, RoundKind.CPM, on_air, exchange.now.begin_s, medium, parts)
+
+
+def broadcast_evaluations(
+    exchange: Exchange, evaluated: "Evaluated", rsu_broadcast: TrustBroadcast | None, medium: object, parts: Parts
+) -> tuple[object, Broadcast]:
+    """Evaluation messages, unless these wait for the next detection message; the medium's state.
+
+    Roadside units broadcast in the same round what the trust server gave them.
     """
-    n_objects = np.bincount(listed.detections.message[listed.objects.transmitted], minlength=len(senders))
-    n_carried = np.zeros(len(senders), np.int64)
+    alone = parts.config.radio.evaluations == "alone"
+    lengths = evaluation_bytes(np.diff(evaluated.sent.ptr)) * alone
+    rsu_bytes = 0 if rsu_broadcast is None else trust_broadcast_bytes(len(rsu_broadcast.scores.subject))
+    on_air = OnAir.of(exchange.senders, lengths, len(parts.rsus), rsu_bytes)
+    return _broadcast(exchange, RoundKind.EVALUATION, on_air, exchange.now.evaluated_s, medium, parts)
+
+
+def _broadcast(
+    exchange: Exchange, kind: RoundKind, on_air: OnAir, begin_s: float, medium: object, parts: Parts
+) -> tuple[object, Broadcast]:
+    medium, found = parts.medium.broadcast(medium, kind, exchange.now.step, begin_s, exchange.stations, on_air.messages)
+    links = on_air.links(found, len(exchange.vehicles))
+    return medium, Broadcast(found, links, _accepted(links, exchange.senders))
+
+
+def _accepted(links: LinkReceptions, senders: Senders) -> LinkReceptions:
+    """Receptions without those from revoked senders."""
+    if senders.is_valid.all():
+        return links
+    return LinkReceptions(
+        links.vehicles.take(senders.is_valid[links.vehicles.message]),
+        links.uplink.take(senders.is_valid[links.uplink.message]),
+        links.downlink,
+    )
+
+
+def _cpm_lengths(
+    exchange: Exchange, listed: Listed, piggybacked: SentEvaluations | None, c: Config
+) -> Int[ndarray, "m"]:
+    """Length of each detection message, with the evaluations that it carries; 0 for none [B]."""
+    n_messages = len(exchange.senders)
+    n_objects = np.bincount(listed.detections.message[listed.objects.transmitted], minlength=n_messages)
+    n_carried = np.zeros(n_messages, np.int64)
     if piggybacked is not None:
-        _, there, row = np.intersect1d(piggybacked.sender, sender, assume_unique=True, return_indices=True)
+        _, there, row = np.intersect1d(piggybacked.sender, exchange.sender, assume_unique=True, return_indices=True)
         n_carried[row] = np.diff(piggybacked.messages.ptr)[there]
     length = cpm_bytes(n_objects) + np.where(n_carried > 0, piggyback_bytes(n_carried), 0)
     return length if c.radio.cpm_rules == "all" else np.where((n_objects > 0) | (n_carried > 0), length, 0)
@@ -133,33 +251,77 @@ class Matched:
     """Of `lists`."""
 
 
-def match_objects(
-    listed: Listed, received: Receptions, observed: Observed, senders: Senders, vehicles: Vehicles, world: World,
-    c: Config,
-) -> Matched:  # fmt: skip
+def match_objects(exchange: Exchange, listed: Listed, cpms: Broadcast, positioned: Positioned, c: Config) -> Matched:
     """One object, several sources: the lists of all vehicles, grouped by overlap."""
-    objects = listed.objects
+    objects, senders = listed.objects, exchange.senders
     with threads_for(_ROWS_PER_BOX * len(objects.boxes)):
         pairs = overlapping_pairs(objects.boxes, objects.label, listed.detections.message)
-    known = received_lists(received, listed.ptr, objects.transmitted, senders.vehicle, senders.own)
+    known = received_lists(cpms.accepted.vehicles, listed.ptr, objects.transmitted, senders.vehicle, senders.own)
     inside = in_evaluation_area(
-        observed.sweeps, known.of_member(), objects.boxes, c.area, known.member, objects.label,
-        world.boxes.take(vehicles.row),
+        positioned.observed.sweeps, known.of_member(), objects.boxes, c.area, known.member, objects.label,
+        positioned.world.boxes.take(exchange.vehicles.row),
     )  # fmt: skip
     lists = subset(known, inside)
     groups, lists_groups = (match(x, listed.detections, pairs, c.trust) for x in (known, lists))
-    return Matched(known, groups, inside, lists, lists_groups)
+    return Matched(known=known, groups=groups, inside=inside, lists=lists, lists_groups=lists_groups)
+
+
+@dataclass(frozen=True, slots=True)
+class SweepAnswers:
+    """What the vehicles' own sweeps say of the boxes before them; `k` as in `Matched`."""
+
+    n_points: Int[ndarray, "k"]
+    """Returns inside the box."""
+    plausible: Bool[ndarray, "k"]
+    """Whether the sweep allows that something stands there; asked of what the vehicle did not detect itself."""
+    of_seeds: SensorEvidence
+    """The same for the detection that gives each group its box, for fusion."""
+    from_own_m: Float[ndarray, "d"]
+    """Distance of each detection from the sensor of the vehicle that sends it."""
+    recall: Float[ndarray, "v"] | None
+    """Of the evaluator's detector, for each member of `lists`; None where denials are not weighed by it."""
+
+
+def ask_sweeps(exchange: Exchange, listed: Listed, matched: Matched, observed: Observed, parts: Parts) -> SweepAnswers:
+    """Ask every vehicle's own sweep about the boxes in its list. Sweeps are not read again in this step."""
+    known, groups, boxes, c = matched.known, matched.lists_groups, listed.objects.boxes, parts.config
+    foreign = np.zeros(len(known.member), bool)  # members of which a vehicle asks its sweep whether they can be there
+    foreign[matched.groups.seeds()] = True
+    foreign &= ~matched.groups.ego_detected
+    foreign[np.flatnonzero(matched.inside)[~groups.ego_detected]] = True
+    asked, counted, tested = questions_of(known, matched.inside, foreign, boxes, listed.detections, c.area)
+    n_points, plausible = np.zeros(len(known.member), np.int32), np.ones(len(known.member), bool)
+    n_points[counted], plausible[tested] = parts.perception.answers(observed.sweeps, asked)
+    origin_m, seeds = observed.sweeps.poses.origin_m, matched.groups.seeds()
+    away_m = _distance_m(boxes.xyz_m, known.member[seeds], origin_m, known.of(seeds))
+    observer = exchange.senders.vehicle[listed.detections.message]
+    return SweepAnswers(
+        n_points=n_points,
+        plausible=plausible,
+        of_seeds=SensorEvidence(n_points[seeds], plausible[seeds], away_m < c.area.range_m),
+        from_own_m=_distance_m(boxes.xyz_m, np.arange(len(boxes)), origin_m, observer),
+        recall=_recall(listed, matched, n_points[matched.inside], origin_m, parts),
+    )
+
+
+def _recall(
+    listed: Listed, matched: Matched, n_points: Int[ndarray, "v"], origin_m: Float[ndarray, "e 3"], parts: Parts
+) -> Float[ndarray, "v"] | None:
+    """How often each vehicle's detector finds an object like each of those that it evaluates, if that is there."""
+    if parts.recall is None:
+        return None
+    lists, boxes = matched.lists, listed.objects.boxes
+    range_m = _distance_m(boxes.xyz_m, lists.member, origin_m, lists.of_member())
+    return parts.recall(n_points, listed.detections.label[lists.member], range_m)
 
 
 @dataclass(frozen=True, slots=True)
 class Evaluated:
-    """What every vehicle thinks of the detections before it, by its own sweep; `k` as in `Matched`.
+    """What every vehicle thinks of the detections before it, by its own sweep; `v` counts the members of `lists`.
 
-    `v` counts the members of `lists`. All identities of a vehicle evaluate the same.
+    All identities of a vehicle evaluate the same.
     """
 
-    n_points_known: Int[ndarray, "k"]
-    plausible_known: Bool[ndarray, "k"]
     lists: ObjectLists
     """What is evaluated under each identity; the same object as in `Matched` where no vehicle has a second one."""
     n_points: Int[ndarray, "v"]
@@ -183,126 +345,60 @@ class Evaluated:
 
 
 def evaluate_objects(
-    matched: Matched, listed: Listed, observed: Observed, senders: Senders, vehicles: Vehicles, step: int,
-    active: Active, parts: Parts,
-) -> Evaluated:  # fmt: skip
+    exchange: Exchange, listed: Listed, matched: Matched, answers: SweepAnswers, config: Config
+) -> Evaluated:
     """Evaluation, visibility and plausibility, and the messages that carry them."""
-    c = parts.config
-    known, groups, lists = matched.known, matched.lists_groups, matched.lists
-    foreign = np.zeros(len(known.member), bool)  # members of which a vehicle asks its sweep whether they can be there
-    foreign[matched.groups.seeds()] = True
-    foreign &= ~matched.groups.ego_detected
-    foreign[np.flatnonzero(matched.inside)[~groups.ego_detected]] = True
-    asked, counted, tested = questions_of(
-        known, matched.inside, foreign, listed.objects.boxes, listed.detections, c.area
-    )
-    points, possible = np.zeros(len(known.member), np.int32), np.ones(len(known.member), bool)
-    points[counted], possible[tested] = parts.perception.answers(observed.sweeps, asked)
-    n_points, plausible, ego = points[matched.inside], possible[matched.inside], groups.ego_detected
-    recall = None
-    if parts.recall is not None:
-        b, label = lists.member, listed.detections.label[lists.member]
-        range_m = _distance_m(listed.objects.boxes.xyz_m, b, observed.sweeps.poses.origin_m, lists.of_member())
-        recall = parts.recall(n_points, label, range_m)
-    own = evaluate(lists, groups, listed.detections, n_points, plausible, c.trust, recall)
-    reported = object_lists.as_reported(active, own, lists, listed.objects, vehicles.row)
+    groups, lists, senders = matched.lists_groups, matched.lists, exchange.senders
+    n_points, plausible = answers.n_points[matched.inside], answers.plausible[matched.inside]
+    ego_detected = groups.ego_detected
+    own = evaluate(lists, groups, listed.detections, n_points, plausible, config.trust, answers.recall)
+    reported = object_lists.as_reported(exchange.attacks, own, lists, listed.objects, exchange.vehicles.row)
     lied = lies_in_evaluations(own, reported)
 
     def carried(by: ObjectLists, values: Evaluations) -> EvaluationMessages:
-        return messages_of(step, senders.pseudonym, by, listed.detections, values, listed.objects.transmitted)
+        return messages_of(
+            exchange.now.step, senders.pseudonym, by, listed.detections, values, listed.objects.transmitted
+        )
 
     own_messages = carried(lists, own)
     lists, at = lists_of_identities(lists, senders)
     if at is not None:
-        n_points, plausible, ego, lied = n_points[at], plausible[at], ego[at], lied[at]
+        n_points, plausible, ego_detected, lied = n_points[at], plausible[at], ego_detected[at], lied[at]
         own, reported = (Evaluations(e.evaluation[at], e.visibility[at]) for e in (own, reported))
-    kept = own_messages if at is None else carried(lists, own)
-    sent = carried(lists, reported)
-    return Evaluated(points, possible, lists, n_points, plausible, ego, own, reported, lied, own_messages, sent, kept)
-
-
-def update_trust(
-    trust: TrustState, step: int, listed: Listed, own: EvaluationMessages, carried: Piggybacked | None,
-    links: LinkReceptions, begin_s: float, senders: Senders, sender: Int[ndarray, "m"], vehicles: Vehicles,
-    names: PseudonymState, parts: Parts,
-) -> tuple[TrustState, LinkStats]:  # fmt: skip
-    """Trust learns what was transmitted, what vehicles think themselves, and the evaluations that arrived.
-
-    Parameters
-    ----------
-    carried, links, begin_s
-        Evaluation messages, and the round that carried them to other vehicles and to roadside units.
-    sender
-        Names of the messages' senders, as `Piggybacked` has them.
-    """
-    transmitted, detections, linkage = listed.objects.transmitted, listed.detections, parts.linkage
-    message, index = detections.message[transmitted], detections.detection_index[transmitted]
-    subject = linkage.subjects(names, senders.pseudonym)
-    _, index = linkage.keys(names, senders.pseudonym[message], index)
-    if linkage.renames:
-        subject, message = distinct(subject, message)
-    trust = parts.trust.open_step(trust, step, subject, message, index, detections.score[transmitted])
-    trust = parts.trust.add_own(trust, linkage.messages(names, own), vehicles.actor)
-    if carried is None:
-        return trust, LinkStats()
-    row = np.full(len(senders), -1)  # of each message of this step among those carried
-    _, which, at = np.intersect1d(carried.sender, sender, assume_unique=True, return_indices=True)
-    row[at] = which
-    sent = linkage.messages(names, carried.messages)
-    got = links.vehicles.take(row[links.vehicles.message] >= 0)
-    trust = parts.trust.add_received(trust, sent, vehicles.actor[got.receiver], row[got.message])
-    up = links.uplink.take(row[links.uplink.message] >= 0)
-    return parts.trust.report_by_rsu(trust, sent, row[up.message], begin_s + up.received_s)
-
-
-def fuse_objects(
-    matched: Matched, evaluated: Evaluated, listed: Listed, observed: Observed, senders: Senders, used: Receptions,
-    lookups: list[Lookups], trust: TrustState, parts: Parts,
-) -> list[Fused | None]:  # fmt: skip
-    """Every vehicle's final objects, per trust variant; None where they are not asked for.
-
-    Parameters
-    ----------
-    used
-        Messages whose senders' trust each vehicle has looked up; rows of `lookups`.
-    """
-    c, known, boxes = parts.config, matched.known, listed.objects.boxes
-    origin_m = observed.sweeps.poses.origin_m
-    seeds = matched.groups.seeds()
-    away_m = _distance_m(boxes.xyz_m, known.member[seeds], origin_m, known.of(seeds))
-    evidence = SensorEvidence(
-        evaluated.n_points_known[seeds], evaluated.plausible_known[seeds], away_m < c.area.range_m
+    return Evaluated(
+        lists=lists,
+        n_points=n_points,
+        plausible=plausible,
+        matched=ego_detected,
+        own=own,
+        reported=reported,
+        lied=lied,
+        own_messages=own_messages,
+        sent=carried(lists, reported),
+        kept_messages=own_messages if at is None else carried(lists, own),
     )
-    from_own_m = _distance_m(boxes.xyz_m, np.arange(len(boxes)), origin_m, senders.vehicle[listed.detections.message])
-    ptr = ptr_of(used.receiver, len(known.owner))
-    in_time = np.full(len(used.message), c.radio.evaluations == "alone")
-    given = known, matched.groups, listed.detections, evaluated.lists, evaluated.own, evaluated.reported
-    fused: list[Fused | None] = []
-    votes = None
-    for variant, found, scorer in zip(parts.trust.variants, lookups, parts.trust.scorers(trust), strict=True):
-        if not variant.fused:
-            fused.append(None)
-            continue
-        sender_trust = SenderTrust(ptr, used.message, found.trust, in_time)
-        if scorer is not None and votes is None:
-            votes = votes_of(*given, sender_trust)
-        trust_of = variant.trust
-        fused.append(fuse(*given, sender_trust, evidence, from_own_m, trust_of, scorer, votes, trust_of.min_score))
-    return fused
 
 
 def beliefs_of(
-    fused: Fused, listed: Listed, senders: Senders, vehicles: Vehicles, position_error_m: ndarray | None, known_s: float
+    fused: Fused | None, exchange: Exchange, listed: Listed, position_error_m: Float[ndarray, "e 2"] | None
 ) -> Beliefs:
-    """Fused objects as drivers see them, from where they are and not from where they believe to be."""
+    """Fused objects as drivers see them, from where the vehicles are and not from where they believe to be."""
+    assert fused is not None, "the acting variant is always fused"
     boxes, pose = listed.objects.boxes.take(fused.seed), listed.objects.boxes.take(fused.pose)
     boxes = replace(boxes, xyz_m=pose.xyz_m, yaw_rad=pose.yaw_rad)
     if position_error_m is not None:
         apart_m = np.column_stack([position_error_m[fused.ego], np.zeros(len(fused.ego))])
         boxes = replace(boxes, xyz_m=boxes.xyz_m - apart_m)
-    label = listed.objects.label[fused.seed]
-    source = senders.pseudonym[listed.detections.message[fused.seed]], listed.objects.detection_index[fused.seed]
-    return Beliefs(known_s, vehicles.row[fused.ego], label, boxes, fused.score, fused.ego_detected, *source)
+    return Beliefs(
+        known_s=exchange.now.fused_s,
+        ego=exchange.vehicles.row[fused.ego],
+        label=listed.objects.label[fused.seed],
+        boxes=boxes,
+        score=fused.score,
+        ego_detected=fused.ego_detected,
+        source=exchange.senders.pseudonym[listed.detections.message[fused.seed]],
+        source_index=listed.objects.detection_index[fused.seed],
+    )
 
 
 @compiled

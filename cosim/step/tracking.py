@@ -1,21 +1,62 @@
-"""What is followed from step to step beside the cycle: inter-reception times, and what happens within encounters."""
+"""What is followed from step to step beside the cycle: inter-reception times, encounters, and who attacks since when."""
+
+from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Int
+from jaxtyping import Int
 from numpy import ndarray
 
-from cosim.radio.message_round import MessageRound, Receptions
+from cosim.radio.message_round import MessageRound
+from cosim.step.exchange import Exchange
+from cosim.step.stages import Broadcast, Evaluated, Listed, Matched
+from cosim.step.trackers.attack_start import AttackStartTracker
 from cosim.step.trackers.encounters import EncounterTrackers
 from cosim.step.trackers.inter_reception import InterReceptionTracker, reached, unique_pairs
+from cosim.step.trust_stages import LookedUp
 from results.encounters import Rows
 from sensors.kernel import compiled
-from trust.tables import ObjectLists
+
+Rounds = tuple[Broadcast, Broadcast]
+"""Of detection messages, and of evaluation messages."""
+ReceptionTrackers = tuple[InterReceptionTracker, InterReceptionTracker]
+"""The same."""
 
 
-def pairs_in_range(happened: MessageRound, n: int) -> tuple[Int[ndarray, "p"], Int[ndarray, "p"]]:
+@dataclass(frozen=True, slots=True)
+class Reach:
+    """Which vehicles could have received the messages of one round, and how regularly they do."""
+
+    sender: Int[ndarray, "p"]
+    """Rows of `Vehicles`; each pair of a sender and a vehicle within range of it once, sorted."""
+    in_range: Int[ndarray, "p"]
+    inter_reception: Rows
+    """Columns of the table `packet_inter_reception`."""
+
+
+def track_receptions(
+    trackers: ReceptionTrackers, exchange: Exchange, rounds: Rounds
+) -> tuple[ReceptionTrackers, tuple[Reach, Reach]]:
+    """Inter-reception times go on; who was in range in each round, and intervals that ended in it."""
+    first, cpms = _track_round(trackers[0], exchange, rounds[0])
+    second, reports = _track_round(trackers[1], exchange, rounds[1])
+    return (first, second), (cpms, reports)
+
+
+def _track_round(
+    tracker: InterReceptionTracker, exchange: Exchange, broadcast: Broadcast
+) -> tuple[InterReceptionTracker, Reach]:
+    actor, received = exchange.vehicles.actor, broadcast.links.vehicles
+    sender, in_range = pairs_in_range(broadcast.round, len(actor))
+    sent_by = exchange.senders.vehicle[received.message]
+    got = reached(sender, in_range, len(actor), sent_by, received.receiver)
+    tracker, rows = tracker.next(exchange.now.step, actor[sender], actor[in_range], got)
+    return tracker, Reach(sender, in_range, rows)
+
+
+def pairs_in_range(found: MessageRound, n: int) -> tuple[Int[ndarray, "p"], Int[ndarray, "p"]]:
     """Senders of messages, and the other vehicles within range of them: each pair of station rows once, sorted."""
-    frames = happened.frames
-    sender, receiver = _first_hops(happened.station, frames.message, frames.receiver, frames.hop, n)
+    frames = found.frames
+    sender, receiver = _first_hops(found.station, frames.message, frames.receiver, frames.hop, n)
     return unique_pairs(sender, receiver, n)
 
 
@@ -30,44 +71,35 @@ def _first_hops(station, message, receiver, hop, n):
     return one[:m], other[:m]
 
 
-def track_receptions(
-    tracker: InterReceptionTracker, step: int, received: Receptions,
-    pairs: tuple[Int[ndarray, "p"], Int[ndarray, "p"]], actor: Int[ndarray, "e"], vehicle: Int[ndarray, "m"],
-) -> Rows:  # fmt: skip
-    """Rows of the table `packet_inter_reception` after a round of messages.
-
-    Parameters
-    ----------
-    received
-        Receptions between vehicles.
-    vehicle
-        Sender of each message, a station row.
-    """
-    sender, receiver = pairs
-    got = reached(sender, receiver, len(actor), vehicle[received.message], received.receiver)
-    return tracker.update(step, actor[sender], actor[receiver], got)
-
-
 def count_in_encounters(
-    trackers: EncounterTrackers, received: tuple[Receptions, ...], used: Receptions, is_known: Bool[ndarray, "m v"],
-    lists: ObjectLists, message: Int[ndarray, "d"], actor: Int[ndarray, "e"], vehicle: Int[ndarray, "m"],
-) -> None:  # fmt: skip
-    """Add a step's messages, lookups and evaluations to the encounters under way.
+    encounters: EncounterTrackers, exchange: Exchange, rounds: Rounds, looked_up: LookedUp, listed: Listed,
+    matched: Matched,
+) -> EncounterTrackers:  # fmt: skip
+    """Add a step's messages, look-ups and evaluations to the encounters under way."""
+    actor, vehicle = exchange.vehicles.actor, exchange.senders.vehicle
+    for broadcast in rounds:
+        found = broadcast.links.vehicles
+        encounters.count_messages(actor[vehicle[found.message]], actor[found.receiver])
+    used = looked_up.messages
+    is_known = np.stack([found.is_known for found in looked_up.lookups], axis=1)
+    encounters.note_trust(actor[used.receiver], actor[vehicle[used.message]], is_known)
+    evaluator, observer, n = _evaluated(matched.lists.ptr, matched.lists.member, listed.detections.message, vehicle)
+    encounters.count_evaluations(actor[evaluator], actor[observer], n)
+    return encounters
 
-    Parameters
-    ----------
-    is_known
-        Whether the trust looked up rests on an evaluation: rows as in `used`, a column per trust variant.
-    message
-        Of each detection.
-    vehicle
-        Sender of each message, a station row.
-    """
-    for found in received:
-        trackers.count_messages(actor[vehicle[found.message]], actor[found.receiver])
-    trackers.note_trust(actor[used.receiver], actor[vehicle[used.message]], is_known)
-    evaluator, observer, n = _evaluated(lists.ptr, lists.member, message, vehicle)
-    trackers.count_evaluations(actor[evaluator], actor[observer], n)
+
+def track_attacks(
+    attack_start: AttackStartTracker, exchange: Exchange, listed: Listed, evaluated: Evaluated
+) -> AttackStartTracker:
+    """Who attacks in this step: fabricates or falsifies detections or evaluations, or attacks the channel."""
+    vehicles, sending = exchange.vehicles, exchange.sending
+    attacker = [exchange.world.actor[listed.objects.observer[listed.truth.lied]]]
+    if evaluated.lied.any():
+        by = evaluated.lists.owner[evaluated.lists.of_member()[evaluated.lied]]
+        attacker.append(vehicles.actor[exchange.senders.vehicle[by]])
+    if sending is not None:
+        attacker.append(vehicles.actor[(sending.delay_s > 0) | (sending.n_copies > 0) | (sending.n_reports > 0)])
+    return attack_start.next(exchange.now.step, np.concatenate(attacker))
 
 
 @compiled

@@ -5,6 +5,7 @@ disk, and paths travel.
 """
 
 import hashlib
+import logging
 import os
 import subprocess
 import sys
@@ -49,6 +50,7 @@ def connected(scheduler: str | None, workers: int, needed: Path | None, processe
             "n_workers": 1, "threads_per_worker": workers
         }  # fmt: skip
         with (
+            closing_quietly(),
             LocalCluster(processes=processes, memory_limit=0, dashboard_address="127.0.0.1:0", **size) as cluster,
             Client(cluster) as client,
         ):
@@ -64,6 +66,25 @@ def connected(scheduler: str | None, workers: int, needed: Path | None, processe
     with client:
         _check(client, scheduler, needed)
         yield client
+
+
+@contextmanager
+def closing_quietly() -> Iterator[None]:
+    """Connections that a cluster closes at its own end are no errors: nothing is said of them."""
+
+    def is_news(record: logging.LogRecord) -> bool:
+        error = record.exc_info[1] if record.exc_info else None
+        return not (isinstance(error, CommClosedError) or "CommClosedError" in record.getMessage())
+
+    loggers = [logging.getLogger(name) for name in ("distributed", "tornado.application", "asyncio")]
+    filtered = [*loggers, *(handler for logger in loggers for handler in logger.handlers)]
+    for one in filtered:
+        one.addFilter(is_news)
+    try:
+        yield
+    finally:
+        for one in filtered:
+            one.removeFilter(is_news)
 
 
 def gathered(client: Client, futures: Sequence[Future]) -> list[Any]:

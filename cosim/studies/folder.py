@@ -69,8 +69,16 @@ class StudyFolder:
                 )
         elif self.path.is_dir() and any(self.path.iterdir()):
             raise ValueError(f"--out {self.path} is not empty and holds no study. Give another folder.")
+        self._refuse_links()
         (self.path / "runs").mkdir(parents=True, exist_ok=True)
         write_whole(kept, study.to_toml().encode())
+
+    def _refuse_links(self) -> None:
+        """ValueError where what a sweep writes would go elsewhere."""
+        for pattern in ("lock", "stop", "runs/*", "jobs", "jobs/*", "jobs/*/*", "traffic", "traffic/*"):
+            for path in self.path.glob(pattern):
+                if path.is_symlink():
+                    raise ValueError(f"{path} is a symbolic link: nothing is written through it. Give another --out.")
 
     @contextmanager
     def locked(self) -> Iterator[None]:

@@ -1,23 +1,25 @@
 """Other ways of trusting on the evidence of a run that is on disk, as if they had been its trust variants."""
 
+import hashlib
 import json
 import os
 import shutil
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
 import pandas as pd
 from numpy import ndarray
 
-from cosim.config.config import Config, resolve_data
+from cosim.config.config import Config, of_run, resolve_data
 from cosim.config.data import read_toml
 from cosim.execution import folder as run_folder
 from cosim.execution import recording
+from cosim.execution.manifest import toml_text
 from cosim.mobility.actors import ActorRegistry
-from cosim.step.parts import chosen, variants
+from cosim.step.parts import chosen, sources, variants
 from cosim.v2x.trust_hosts import Lookups, TrustHosts, TrustState
 from results import inventory
 from results.archive import OpenRun, open_run
@@ -51,8 +53,10 @@ _UNKNOWN = ("identities", "sending")
 """What attacks do that the tables do not hold."""
 
 
-def retrust(run: Path, file: Path, out: Path) -> Path:
+def retrust(run: Path, file: Path, out: Path, trust_code: bool = False) -> Path:
     """A copy of a run, with the trust variants of a file (`[[trust_variant]]` sections) beside its own.
+
+    Classes of the user's own that the file names are loaded; those that the run's config names, with `trust_code` only.
 
     Raises
     ------
@@ -63,7 +67,7 @@ def retrust(run: Path, file: Path, out: Path) -> Path:
     """
     found = open_run(run)
     found.require(*NEEDED)
-    config = _with_variants(found, file)
+    config = _with_variants(found, file, trust_code)
     run_folder.check(out)
     if problems := verify(run)[1]:
         raise Damaged(f"{run} is damaged: {problems[0]}. Run again.")
@@ -96,8 +100,12 @@ def _write(run: OpenRun, config: Config, out: Path) -> None:
             (beside / table).replace(out / table)
     shutil.rmtree(beside)
     inventory.rewrite(out, merged)
-    (out / "config.toml").write_bytes((run.path / "config.toml").read_bytes())
-    content = run.manifest | {"variants": names, "config": config.to_dict()}
+    text = toml_text(config.to_dict()).encode()
+    (out / "config.toml").write_bytes(text)
+    content = run.manifest | {
+        "variants": names, "config": config.to_dict(), "config_sha256": hashlib.sha256(text).hexdigest(),
+        "choices": {key: asdict(source) for key, source in sources(config).items()},
+    }  # fmt: skip
     content["inventory"] = inventory.read(out).summary(run.manifest["inventory"]["tables"])
     write_manifest(out, content)
     _check_base(run.path, out, names=run.variants)
@@ -115,8 +123,9 @@ def _merged(old: Inventory, new: Inventory) -> Inventory:
     return Inventory(tuple(blocks))
 
 
-def _with_variants(run: OpenRun, file: Path) -> Config:
+def _with_variants(run: OpenRun, file: Path, trust_code: bool) -> Config:
     """The run's config with further trust variants."""
+    of_run(run.config, run.path, trust_code)  # refuses code of the folder's own; that of the file is the user's choice
     stated = read_toml(file, "file of trust variants")
     listed = stated.pop("trust_variant", [])
     if stated or not listed:
@@ -170,7 +179,7 @@ def _replay(run: OpenRun, config: Config, hosts: TrustHosts, recorder: Recorder)
         vehicle, xy_m = actor[here], xy_m[here]
         holder, other = met.begin(step)
         state = hosts.receive(state, vehicle, time_s)
-        met.first(step, holder, other, _per_variant(hosts, hosts.lookup(state, holder, other, time_s)))
+        met.first(step, holder, other, hosts.per_variant(hosts.lookup(state, holder, other, time_s)))
         if step % config.sense_every_steps == 0 and len(vehicle):
             state, published, informed = hosts.publish(state, step, time_s, vehicle, people.name_key[vehicle])
             sent, own = evidence.messages(step, vehicle)
@@ -183,17 +192,13 @@ def _replay(run: OpenRun, config: Config, hosts: TrustHosts, recorder: Recorder)
                 state = _deliver(hosts, state, *on_air, receiver, sender)
             state, up = hosts.report_by_cellular(state, sent, people.name_key[vehicle], xy_m, evaluated_s)
             state = hosts.receive(state, vehicle, fused_s)
-            lookups = _per_variant(hosts, hosts.lookup(state, receiver, sender, fused_s))
+            lookups = hosts.per_variant(hosts.lookup(state, receiver, sender, fused_s))
             met.note(step, receiver, sender, lookups)
-            servers = _per_variant(hosts, hosts.traffic(up, informed))
-            recording.trust(recorder, step, dt_s, _per_variant(hosts, published), servers, receiver, sender, lookups)
+            servers = hosts.traffic(up, informed)
+            recording.trust(recorder, step, dt_s, hosts.per_variant(published), servers, receiver, sender, lookups)
         met.end(step, recorder)
         recorder.reach(step)
     met.close(run.manifest["steps"], recorder)
-
-
-def _per_variant(hosts: TrustHosts, of_host: Sequence[Any]) -> list[Any]:
-    return [of_host[h] for h in hosts.host_of]
 
 
 def _deliver(

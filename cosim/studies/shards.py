@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Int
 from numpy import ndarray
 
-from cosim.config.config import Config, resolve_data
+from cosim.config.config import Config
 from cosim.execution import run as running
 from cosim.execution.check import check
 from cosim.execution.drive import Advance
@@ -31,7 +31,6 @@ from cosim.studies.points import traffic_identity
 from cosim.studies.shard_worker import Shard, answers_of, problem_of, seen_of, sense
 from cosim.studies.stages import Cache, default_folder
 from cosim.world import World
-from results.manifest import read_manifest
 from sensors.lidar import Scanners, n_rays, scanners
 
 SHARD_BYTES = 32_000_000
@@ -54,13 +53,15 @@ def run(config: Config, out: Path | None, advance: Advance, scheduler: str | Non
         return running.run(config, out, advance, traffic, perceive)
 
 
-def resume(path: Path, advance: Advance, scheduler: str | None = None, workers: int = 1) -> Path:
+def resume(
+    path: Path, advance: Advance, scheduler: str | None = None, workers: int = 1, trust_code: bool = False
+) -> Path:
     """As `cosim.execution.run.resume`, with the help of workers."""
-    config = resolve_data(read_manifest(path)["config"], f"{path}/manifest.json", None)
+    config = running.resumable(path, trust_code)
     _check(config)
     traffic = _recorded(config, advance)
     with _helped(config, traffic, scheduler, workers) as perceive:
-        return running.resume(path, advance, traffic, perceive)
+        return running.resume(path, advance, traffic, perceive, trust_code)
 
 
 def _check(config: Config) -> None:

@@ -10,9 +10,10 @@ from typing import Annotated, Any
 
 from annotated_types import Ge, Gt
 
-from cosim.config import choices
 from cosim.config import config as configs
 from cosim.config import data as config_data
+from cosim.door.kinds import KINDS
+from cosim.door.load import function
 from cosim.execution.manifest import toml_text
 from cosim.mobility.params import TrafficParams
 from results.metrics.registry import TOPICS
@@ -119,7 +120,10 @@ SHIPPED = Path(__file__).parent / "shipped"
 
 
 def load(path: Path) -> Study:
-    """A study from its TOML file, or one that ships, by name; ValueError in one line for a mistake."""
+    """A study from its TOML file, or one that ships, by name; ValueError in one line for a mistake.
+
+    Code that it names is loaded, unless `cosim.door.permission.loading_code` says otherwise.
+    """
     if not path.is_file() and (shipped := SHIPPED / f"{path}.toml").is_file():
         path = shipped
     data = config_data.read_toml(path, "study file")
@@ -137,7 +141,7 @@ def load(path: Path) -> Study:
     measuring = _section(Measuring, data.get("measure", {}), "measure", where)
     if measuring.own:
         measuring = replace(measuring, own=_beside("measure.own", measuring.own, path.parent))
-        choices.function(f"measure.own in {where}", measuring.own)
+        function(f"measure.own in {where}", measuring.own)
     base: dict[str, Any] = {}
     if head.config:
         beside = path.parent / head.config
@@ -183,7 +187,7 @@ def _absolute(stated: dict[str, Any], where: str, folder: Path) -> dict[str, Any
     stated = configs.with_defaults(stated)
     complete = configs.resolve_data(copy.deepcopy(stated), where, folder.resolve()).to_dict()
     named = [("traffic", "scenario"), ("traffic", "trace")]
-    named += [(section, key) for section, (key, _, _) in configs.CHOICES.items()]
+    named += [(kind.section, kind.key) for kind in KINDS.values() if kind.section]
     for section, key in named:
         pairs = [(stated.get(section, {}), complete[section])]
         if isinstance(complete[section], list):

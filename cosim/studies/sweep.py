@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numba
 
+from cosim.door.permission import is_of_a_folder, loading_code
 from cosim.studies.engine import Work, connected, execute
 from cosim.studies.estimate import Estimate, estimate
 from cosim.studies.folder import Attempt, StudyFolder, write_whole
@@ -40,9 +41,11 @@ Report = Callable[[int, int, int, str], None]
 """Called with progress: runs done, runs in all, points answered, a note."""
 
 
-def prepare(file: Path, out: Path, merge: bool = True) -> Task:
-    """What a sweep would do; nothing is written."""
-    return prepare_study(load(file), file.name, out, merge)
+def prepare(file: Path, out: Path, merge: bool = True, trust_code: bool = False) -> Task:
+    """What a sweep would do; nothing is written. Code that the file of a study folder names is loaded with `trust_code`
+    only."""
+    with loading_code(file, trust_code or not is_of_a_folder(file)):
+        return prepare_study(load(file), file.name, out, merge)
 
 
 def prepare_study(study: Study, where: str, out: Path, merge: bool = True) -> Task:
@@ -131,13 +134,17 @@ def _write(task: Task) -> Work:
     return Work({run.id: run.traffic for run in task.plan.runs}, traffic, cache.path.resolve())
 
 
-def status(folder: StudyFolder) -> tuple[Study, list[Point], dict[str, int], list[tuple[str, Attempt]]]:
-    """Study, points, points by state and failed runs of a folder, read off what is there."""
+def status(
+    folder: StudyFolder, trust_code: bool = False
+) -> tuple[Study, list[Point], dict[str, int], list[tuple[str, Attempt]]]:
+    """Study, points, points by state and failed runs of a folder, read off what is there. Code that the study names is
+    loaded with `trust_code` only."""
     file = folder.path / "study.toml"
     if not file.is_file():
         raise ValueError(f"{folder.path} holds no study. Give the folder of a `cosim sweep`.")
-    study = load(file)
-    points = points_of(study, str(file))
+    with loading_code(folder.path, trust_code):
+        study = load(file)
+        points = points_of(study, str(file))
     states = folder.write_index(study, points)
     ids = {id for point, (id, _) in folder.answers().items() if point in {p.id for p in points}}
     failed = [(id, folder.attempts(id)[-1]) for id in sorted(ids) if folder.state(id) == "failed"]

@@ -16,14 +16,15 @@ from typing import Any
 
 import pandas as pd
 
-from cosim.config import choices
 from cosim.config.config import resolve_data
+from cosim.door.blame import ExtensionError
+from cosim.door.load import function
 from cosim.execution import run as running
 from cosim.execution.stop import Failed
 from cosim.studies.folder import StudyFolder, status_of
 from cosim.studies.stages import Cache
 from results.archive import open_run
-from results.manifest import drop_tables
+from results.manifest import drop_tables, read_manifest
 from results.measure import measure
 from results.metrics.registry import TOPICS
 from results.tables import TABLES
@@ -51,7 +52,8 @@ def _drive(folder: Path, config: dict[str, Any], traffic: Path | None) -> None:
     """The run, from its last whole block where an attempt was cut off."""
     if status_of(folder):
         try:
-            running.resume(folder, lambda *_: None, traffic)
+            ours = read_manifest(folder)["config"] == json.loads(json.dumps(config))
+            running.resume(folder, lambda *_: None, traffic, trust_code=ours)
             return
         except ValueError as error:  # nothing whole is there, another version, other inputs, damage
             _log.warning("%s: made anew (%s)", folder, " ".join(str(error).split()))
@@ -70,7 +72,7 @@ def _measure(folder: Path, job: Path, asked: dict[str, Any]) -> None:
             one = run.as_variant(variant)
             frames.append(measure(one, topics=topics, **options).assign(point=point))
             if own:
-                frames.append(choices.function("measure.own", own)(one).assign(point=point))
+                frames.append(function("measure.own", own)(one).assign(point=point))
     partial = job / "measures.parquet.partial"
     pd.concat(frames, ignore_index=True).to_parquet(partial, index=False)
     partial.replace(job / "measures.parquet")
@@ -99,7 +101,7 @@ def main() -> None:
         else:
             config = resolve_data(json.loads(Path(words[2]).read_text()), "the plan", None)
             Cache(Path(words[0])).make_traffic(words[1], config, lambda *_: None)
-    except (ValueError, Failed, OSError) as error:
+    except (ValueError, Failed, ExtensionError, OSError) as error:
         sys.exit(" ".join(str(error).split()))
 
 

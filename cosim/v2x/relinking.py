@@ -1,9 +1,11 @@
 """Receivers that link a new pseudonym to one that has fallen silent, by place and speed.
 
-A sender received for the first time stands where another one would be by now, of which nothing is received any more:
-the receiver takes the two for one, and uses what it knows of the old one as long as it knows nothing of the new.
+A receiver expects every sender that it no longer receives at a certain place by now. If a sender that it receives for
+the first time is at that place, the receiver takes the two for one. It then uses what it knows of the old pseudonym as
+long as it knows nothing of the new one.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
@@ -49,27 +51,44 @@ class KnownSenders:
         return np.searchsorted(self.key, receiver.astype(np.int64) << 31 | pseudonym)
 
 
+@dataclass(frozen=True, slots=True)
+class ReceivedSenders:
+    """R pairs of a receiver and a sender whose message it received in one round, each pair once."""
+
+    receiver: Int[ndarray, "r"]
+    """Actor number."""
+    pseudonym: Int[ndarray, "r"]
+    xy_m: Float[ndarray, "r 2"]
+    """Position of the sender, as its message says."""
+    velocity_mps: Float[ndarray, "r 2"]
+
+
 def update_senders(
-    before: KnownSenders, receiver: Int[ndarray, "r"], pseudonym: Int[ndarray, "r"], xy_m: Float[ndarray, "r 2"],
-    velocity_mps: Float[ndarray, "r 2"], time_s: float, owner: Int[ndarray, "r"], owner_before: Int[ndarray, "n"],
-    params: PseudonymParams,
+    before: KnownSenders, received: ReceivedSenders, time_s: float,
+    owner_of: Callable[[Int[ndarray, "k"]], Int[ndarray, "k"]], params: PseudonymParams,
 ) -> KnownSenders:  # fmt: skip
     """Remember the senders of one round, and link those that are new.
 
     Parameters
     ----------
-    receiver, pseudonym, xy_m, velocity_mps
-        Of every reception, each pair once; as the message says.
-    owner, owner_before
-        Vehicles behind the pseudonyms, and behind those of `before`: for counting alone.
+    owner_of
+        Vehicles behind pseudonyms: ground truth, for counting alone.
     """
-    order = np.lexsort((pseudonym, receiver))
+    order = np.lexsort((received.pseudonym, received.receiver))
     n = len(order)
     now = KnownSenders(
-        receiver[order].astype(np.int64), pseudonym[order].astype(np.int64), xy_m[order], velocity_mps[order],
-        np.full(n, time_s), np.full(n, -1), np.zeros(n, bool), before.n_changes, before.n_linked, before.n_right,
-    )  # fmt: skip
-    owner = owner[order]
+        receiver=received.receiver[order].astype(np.int64),
+        pseudonym=received.pseudonym[order].astype(np.int64),
+        xy_m=received.xy_m[order],
+        velocity_mps=received.velocity_mps[order],
+        time_s=np.full(n, time_s),
+        linked=np.full(n, -1),
+        rated=np.zeros(n, bool),
+        n_changes=before.n_changes,
+        n_linked=before.n_linked,
+        n_right=before.n_right,
+    )
+    owner, owner_before = owner_of(now.pseudonym), owner_of(before.pseudonym)
     there = np.isin(now.key, before.key)
     was = np.searchsorted(before.key, now.key[there])
     now.linked[there], now.rated[there] = before.linked[was], before.rated[was]

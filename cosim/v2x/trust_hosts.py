@@ -8,7 +8,7 @@ server) is kept once.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cache
-from typing import Any
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8, UInt64
@@ -26,12 +26,13 @@ from cosim.v2x.trust_server import (
 )
 from results.codes import LookupState, TrustSource
 from trust.models import TrustModel
-from trust.models.interface import checked_object_scores, checked_scores
 from trust.models.stepwise import share_logs
 from trust.object_reports import ObjectReports
 from trust.params import EVIDENCE_KEYS, TrustParams, eta_of, window_of
 from trust.step_evidence import RejectReason
 from trust.tables import SERVER, EvaluationMessages, ReceivedEvaluations, TrustScores
+
+T = TypeVar("T")
 
 FUSION_KEYS = frozenset({
     "method", "plausibility_in_fusion", "blind_points", "self_report_poses", "min_score", "code_parity",
@@ -97,6 +98,10 @@ class Variant:
     """The model's own parameters where they are not those of [trust]."""
     fused: bool = True
     """Whether its fused objects are computed."""
+    make: Callable[[Any, float], Any] | None = None
+    """Makes an instance of the model, if not its class alone."""
+    guard: Callable[..., Any] | None = None
+    """Puts an instance behind checks, `guard(model, latest_step=...)`; None for a model that ships."""
 
 
 @dataclass(slots=True)
@@ -118,15 +123,25 @@ class TrustState:
     """Reports that reached the server in the last `publish`."""
 
 
+class Informed(NamedTuple):
+    """How many vehicles a broadcast of trust values is about to inform."""
+
+    n_addressed: int
+    """Vehicles that it was meant for."""
+    n_informed: int
+    """Of these, those that it reaches, now or later."""
+
+
+NOBODY = Informed(0, 0)
+"""Nothing was broadcast."""
+
+
 @dataclass(frozen=True, slots=True)
 class ServerTraffic:
     """A step's messages between vehicles and a trust server."""
 
     up: LinkStats
-    n_addressed: int
-    """Vehicles that a broadcast of trust values was meant for."""
-    n_informed: int
-    """Of these, those that it reaches, now or later."""
+    down: Informed
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,8 +153,8 @@ class TrustHosts:
     """Of each variant: which host it asks."""
     params: tuple[TrustParams, ...]
     """Of each host."""
-    models: tuple[tuple[type[Any], Any], ...]
-    """Of each host: class of its model, and the model's own parameters."""
+    models: tuple[Variant, ...]
+    """Of each host: the first variant that asks it, which says what its model is."""
     uplink: Uplink
     downlink: Downlink
     server: ServerParams
@@ -168,7 +183,7 @@ class TrustHosts:
                     'or set server.uplink = "cellular".'
                 )
         return TrustHosts(
-            tuple(variants), tuple(host_of), tuple(v.trust for v in first), tuple((v.model, v.own) for v in first),
+            tuple(variants), tuple(host_of), tuple(v.trust for v in first), tuple(first),
             Uplink(server, seed, interval_s), Downlink(server, seed), server, dt_s, eta_of(first[0].trust),
         )  # fmt: skip
 
@@ -176,10 +191,11 @@ class TrustHosts:
         """No evidence about anyone."""
         models: list[TrustModel | None] = [None] * len(self.params)
         for group in _shared(self.params, self.models):
-            model = self.models[group[0]][0]
-            own = [self.params[h] if self.models[h][1] is None else self.models[h][1] for h in group]
-            build = getattr(model, "build_shared", None)
-            built = build(own, self.dt_s) if build else [model(p, self.dt_s) for p in own]
+            variant = self.models[group[0]]
+            own = [self.params[h] if self.models[h].own is None else self.models[h].own for h in group]
+            make: Callable[[Any, float], TrustModel] = variant.make or variant.model
+            build = getattr(variant.model, "build_shared", None) if variant.make is None else None
+            built = build(own, self.dt_s) if build else [make(p, self.dt_s) for p in own]
             for h, made in zip(group, built, strict=True):
                 models[h] = made
         for kind in {_kind(p) for p in self.params}:
@@ -188,7 +204,7 @@ class TrustHosts:
 
     def publish(
         self, state: TrustState, step: int, time_s: float, vehicle: Int[ndarray, "e"], name_key: UInt64[ndarray, "e"]
-    ) -> tuple[TrustState, list[TrustScores | None], list[tuple[int, int]]]:
+    ) -> tuple[TrustState, list[TrustScores | None], list[Informed]]:
         """Reports reach the server; where it is time, it computes trust and broadcasts it.
 
         Returns
@@ -196,7 +212,7 @@ class TrustHosts:
         The state; per host, what its server computed now, and the vehicles addressed and informed.
         """
         published: list[TrustScores | None] = [None] * len(self.params)
-        counts = [(0, 0)] * len(self.params)
+        counts = [NOBODY] * len(self.params)
         if not self._any("central"):
             return state, published, counts
         uplink, arrived = self.uplink.arrived(state.uplink, time_s)
@@ -213,7 +229,7 @@ class TrustHosts:
             host = state.hosts[h]
             if time_s - host.last_broadcast_s < self.params[h].server_period_s - 1e-9:
                 continue
-            scores = published[h] = self._scores(state, h, step)
+            scores = published[h] = self._model(state, h).scores(step)
             if delay_s is None:
                 delay_s = self.downlink.delays_s(step, name_key)
             downlink, n_informed = self.downlink.publish(
@@ -221,15 +237,21 @@ class TrustHosts:
             )
             state.hosts[h] = HostState(host.model, downlink, time_s)
             if self.server.uplink == "cellular":
-                counts[h] = len(vehicle), n_informed
+                counts[h] = Informed(len(vehicle), n_informed)
         return state, published, counts
 
-    def traffic(self, up: LinkStats, informed: Sequence[tuple[int, int]]) -> list[ServerTraffic | None]:
-        """Messages to and from the server of each host, given the vehicles addressed and informed by each."""
-        return [
-            ServerTraffic(up, *counts) if params.host == "central" else None
-            for params, counts in zip(self.params, informed, strict=True)
-        ]
+    def per_variant(self, of_host: Sequence[T]) -> list[T]:
+        """What there is per host, per trust variant."""
+        return [of_host[h] for h in self.host_of]
+
+    def traffic(self, up: LinkStats, informed: Sequence[Informed]) -> list[ServerTraffic | None]:
+        """Messages to and from the server of each trust variant, given whom each host informed."""
+        return self.per_variant(
+            [
+                ServerTraffic(up, down) if params.host == "central" else None
+                for params, down in zip(self.params, informed, strict=True)
+            ]
+        )
 
     def pending_rsu_broadcast(self, state: TrustState, time_s: float) -> tuple[TrustState, TrustBroadcast | None]:
         """What roadside units have to send in a round that begins at `time_s`, once."""
@@ -248,13 +270,13 @@ class TrustHosts:
         vehicle: Int[ndarray, "e"],
         receiver: Int[ndarray, "m"],
         received_s: Float[ndarray, "m"],
-    ) -> tuple[TrustState, tuple[int, int]]:
-        """Vehicles received the roadside units' broadcast; vehicles addressed and informed."""
+    ) -> tuple[TrustState, Informed]:
+        """Vehicles received the roadside units' broadcast; whom it informs."""
         h = self.host_of[0]
         downlink, n_informed = self.downlink.receive_from_rsu(state.hosts[h].downlink, vehicle, receiver, received_s)
         hosts = list(state.hosts)
         hosts[h] = replace(hosts[h], downlink=downlink)
-        return TrustState(hosts, state.uplink), (len(vehicle), n_informed)
+        return TrustState(hosts, state.uplink), Informed(len(vehicle), n_informed)
 
     def open_step(
         self, state: TrustState, step: int, pseudonym: Int[ndarray, "p"], message: Int[ndarray, "d"],
@@ -349,7 +371,7 @@ class TrustHosts:
             for broadcast, at in self.downlink.lookup(state.hosts[h].downlink, vehicle, subject):
                 counted &= self._fill(found, broadcast.scores, at, h, time_s, time_s - broadcast.time_s)
         elif params.host == "local":
-            scores = self._scores(state, h)
+            scores = self._model(state, h, int(time_s / self.dt_s + 1e-6)).scores(None)
             at, known = scores.rows_of(vehicle, subject)
             counted &= self._fill(found, scores, np.where(known, at, -1), h, time_s, 0.0)
         return found if counted else replace(found, n_evaluators=None)
@@ -360,7 +382,7 @@ class TrustHosts:
         """Write down values of a host that are `age_s` old, where `at` is a row of them; whether its model counts
         evaluators."""
         params = self.params[h]
-        window_s = window_of(params) if _has_window(self.models[h][0].Params) else np.inf
+        window_s = window_of(params) if _has_window(self.models[h].model) else np.inf
         source = TrustSource.SERVER if params.host == "central" else TrustSource.OWN
         n_evaluators = scores.n_evaluations if scores.n_evaluators is None else scores.n_evaluators
         lookup_kernels.fill(
@@ -380,16 +402,17 @@ class TrustHosts:
 
     def scorers(self, state: TrustState) -> list[ObjectScorer | None]:
         """Per variant: the scores that its model gives to objects, None where it gives none."""
-        return [_scorer(state.hosts[h].model) for h in self.host_of]
+        return [
+            None if state.hosts[h].model is None else getattr(self._model(state, h), "score_objects", None)
+            for h in self.host_of
+        ]
 
-    def _scores(self, state: TrustState, h: int, step: int | None = None) -> TrustScores:
-        """Trust scores of a host's model, checked."""
-        return checked_scores(self._model(state, h).scores(step), self.models[h][0])
-
-    def _model(self, state: TrustState, h: int) -> TrustModel:
-        model = state.hosts[h].model
+    def _model(self, state: TrustState, h: int, latest_step: int | None = None) -> TrustModel:
+        """The model of a host, guarded if it is a user's own; `latest_step` is that of the call, where no argument
+        says it."""
+        model, guard = state.hosts[h].model, self.models[h].guard
         assert model is not None
-        return model
+        return model if guard is None else guard(model, latest_step=latest_step)
 
     def _hosts(self, host: str) -> list[int]:
         return [h for h, params in enumerate(self.params) if params.host == host]
@@ -399,8 +422,9 @@ class TrustHosts:
 
 
 @cache
-def _has_window(params: type) -> bool:
-    return "freshness_s" in {f.name for f in fields(params)}
+def _has_window(model: type) -> bool:
+    params = getattr(model, "Params", None)
+    return params is not None and "freshness_s" in {f.name for f in fields(params)}
 
 
 def host_key(variant: Variant) -> tuple:
@@ -409,23 +433,15 @@ def host_key(variant: Variant) -> tuple:
     return variant.model, repr(variant.own), *(getattr(variant.trust, name) for name in sorted(kept))
 
 
-def _scorer(model: TrustModel | None) -> ObjectScorer | None:
-    score = getattr(model, "score_objects", None)
-    if score is None:
-        return None
-    name = type(model).__name__
-    return lambda reports: checked_object_scores(score(reports), reports.n_groups, name)
-
-
 def _kind(params: TrustParams) -> tuple[str, str]:
     """Hosts of one kind hear the same evaluations."""
     return params.host, params.local_evidence
 
 
-def _shared(params: Sequence[TrustParams], models: Sequence[tuple[type, Any]]) -> list[list[int]]:
+def _shared(params: Sequence[TrustParams], models: Sequence[Variant]) -> list[list[int]]:
     """Hosts whose models hear the same evaluations: of one class, at one kind of host."""
     groups: dict[tuple, list[int]] = {}
-    for h, (p, (model, _)) in enumerate(zip(params, models, strict=True)):
+    for h, (p, variant) in enumerate(zip(params, models, strict=True)):
         if p.host != "none":
-            groups.setdefault((model, *_kind(p)), []).append(h)
+            groups.setdefault((variant.model, *_kind(p)), []).append(h)
     return list(groups.values())

@@ -11,8 +11,6 @@ at least one return and is in the image. Occlusion 0, 1, 2: up to 20 %, up to 50
 what stands in between.   Deviations: buses are trucks, motorcycles are cyclists; no reflectance (0).
 """
 
-import csv
-import io
 from collections.abc import Iterator
 from functools import partial
 from typing import Any
@@ -24,6 +22,7 @@ from numpy import ndarray
 
 from results.export.frames import FOCAL_PX, IMAGE_PX, InCamera, in_camera, in_sensor
 from results.export.moments import BOX, NOTHING, Cloud, Clouds, File, Moment, Plan, Selection, Unit
+from results.spreadsheet import csv_of
 
 TABLES = ("actors", "vehicles", "observability", "detections", "pseudonyms")
 
@@ -177,12 +176,3 @@ def _sequences(selection: Selection, clouds: Clouds) -> Iterator[File]:
 def names_csv(selection: Selection) -> bytes:
     """Who the numbers of actors are."""
     return csv_of(selection.run.table("vehicles", ["vehicle", "sumo_id", "vehicle_class", "role"]))
-
-
-def csv_of(frame: pd.DataFrame) -> bytes:
-    """A table as CSV."""
-    file = io.StringIO()
-    writer = csv.writer(file, lineterminator="\n")
-    writer.writerow(frame.columns)
-    writer.writerows(frame.astype(object).where(frame.notna(), "").itertuples(index=False))
-    return file.getvalue().encode()

@@ -18,6 +18,7 @@ import pandas as pd
 from results.export import kitti, messages
 from results.export.messages import Messages
 from results.export.moments import Clouds, File, Plan, Selection, Unit
+from results.spreadsheet import csv_of
 
 TABLES = messages.TABLES
 
@@ -70,7 +71,7 @@ def _ground_truth(sent: Messages, clouds: Clouds) -> Iterator[File]:
     whole = key.merge(sent.own(senders), on=["step", "vehicle"]).sort_values(["step", "observer"])
     yield File("traceGroundTruthJSON-0.json", partial(_truth, sent, whole))
     roles = pd.DataFrame({"attack": range(len(run.role_labels)), "role": run.role_labels})
-    yield File("attacks.csv", partial(kitti.csv_of, roles))
+    yield File("attacks.csv", partial(csv_of, roles))
     yield File("vehicles.csv", partial(kitti.names_csv, sent.selection))
 
 

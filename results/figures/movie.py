@@ -59,6 +59,7 @@ def write(
     writer = (FFMpegWriter if out.suffix == ".mp4" else PillowWriter)(fps=PICTURES_PER_S)
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
+        partial.unlink(missing_ok=True)  # were it a link, the pictures would go where it leads
         with writer.saving(film.figure, str(partial), dpi=90):
             for number, step in enumerate(steps.tolist()):
                 film.show(step)

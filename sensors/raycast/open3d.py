@@ -10,7 +10,10 @@ from numpy import ndarray
 
 from sensors.raycast import mesh
 
-INSTALL = "pip install cosim[open3d]; on Linux it also needs the system library libusb-1.0 (apt install libusb-1.0-0)"
+INSTALL = (
+    "make extra NAME=open3d in a checkout, else pip install 'cosim-perception[open3d]'; "
+    "on Linux it also needs the system library libusb-1.0 (apt install libusb-1.0-0)"
+)
 
 
 def cast(*sweep) -> None:

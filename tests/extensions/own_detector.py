@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sensors.reports import Reports
+from cosim.extend import Reports
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from cosim.driver.driver import SpeedCommands
+from cosim.extend import SpeedCommands
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cosim.radio.message_round import FrameOutcomes, LosState, MessageRound, Outcome, receptions_of
+from cosim.extend import MessageRound
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -20,7 +20,7 @@ class Ideal:
 
     Params = Params
 
-    def __init__(self, params, round_s, seed, sight):
+    def __init__(self, params):
         self.params = params
 
     def start(self):
@@ -32,12 +32,4 @@ class Ideal:
         near = away_m <= self.params.ideal_range_m
         near[messages.station[sent], np.arange(len(sent))] = False  # not one's own
         receiver, column = np.nonzero(near)
-        message, n, zero = sent[column], len(column), np.zeros(len(column))
-        ones = np.ones(n, int)
-        frames = FrameOutcomes(
-            message, receiver, ones, away_m[near], np.full(n, LosState.UNKNOWN, np.uint8),
-            np.full(n, Outcome.RECEIVED), (messages.length_bytes > 0).astype(int), 0, 0,
-            float(messages.length_bytes.sum()), None,
-        )  # fmt: skip
-        got = receptions_of(receiver, message, ones, zero, zero, zero, messages.station, xy)
-        return state, MessageRound(messages.station, got, frames)
+        return state, MessageRound.of(stations, messages, receiver, sent[column])

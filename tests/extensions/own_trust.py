@@ -4,8 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from trust.pair_index import PairIndex
-from trust.tables import TrustScores
+from cosim.extend import PairIndex, TrustScores, with_rows
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -21,10 +20,11 @@ class Beta:
 
     Params = Params
 
-    def __init__(self, params, dt_s):
+    def __init__(self, params):
         self.params, self.step = params, 0
         self.pairs = PairIndex()
         self.sums = np.zeros((0, 3))  # positive, negative, number of evaluations
+        self.newest = np.zeros(0, int)  # step of the newest evaluation
 
     def open_step(self, step, pseudonyms, observer_row, detection_index, score):
         self.step = step
@@ -32,15 +32,21 @@ class Beta:
     def add_evaluations(self, received):
         rows = received.rows()
         at = self.pairs.rows(rows.holder, rows.observer)
-        self.sums = np.concatenate([self.sums, np.zeros((len(self.pairs) - len(self.sums), 3))])
+        self.sums, self.newest = with_rows(self.sums, len(self.pairs)), with_rows(self.newest, len(self.pairs))
         np.add.at(self.sums, at, np.column_stack([rows.pos, rows.neg, np.ones(len(at))]))
+        np.maximum.at(self.newest, at, received.messages.step)
 
     def scores(self, now_step=None):
         holder, subject, at = self.pairs.sorted()
         r, s, n = self.sums[at].T
         total = r + s + 2 * self.params.prior
-        step = np.full(len(n), self.step)
-        return TrustScores(
-            self.step, holder, subject, (r + self.params.prior) / total, 2 * self.params.prior / total, r + s,
-            n.astype(int), step, step, step, step, n > 0,
-        )  # fmt: skip
+        return TrustScores.of(
+            self.step,
+            holder,
+            subject,
+            (r + self.params.prior) / total,
+            newest_step=self.newest[at],
+            n_evaluations=n,
+            uncertainty=2 * self.params.prior / total,
+            weight=r + s,
+        )

@@ -8,7 +8,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import fields, is_dataclass
 
-from cosim.config.config import CHOICES, Config, load
+from cosim.config.config import Config, load
+from cosim.door.kinds import SECTIONS
 from cosim.execution.check import check
 from trust.params import TrustParams
 
@@ -39,11 +40,11 @@ def keys() -> list[tuple[str, typing.Any, tuple[str, ...]]]:
                 found.setdefault(prefix + field.name, (of, chosen))
 
     walk(Config, "")
-    for section, (key, at_hand, _) in CHOICES.items():
+    for section, kind in SECTIONS.items():
         prefix = "attacks.0." if section == "attacks" else f"{section}."
-        for name, choice in at_hand.items():
+        for name, choice in kind.shipped.items():
             if (params := getattr(choice, "Params", None)) is not None:
-                walk(params, prefix, (f"{prefix}{key}={name}",))
+                walk(params, prefix, (f"{prefix}{kind.key}={name}",))
     walk(TrustParams, "trust_variant.0.", ("trust_variant.0.name=other",))
     return sorted((name, *rest) for name, rest in found.items())
 

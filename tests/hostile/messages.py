@@ -114,4 +114,5 @@ class Nonsense:
             return Sending.plain(n)
         copies = rng.choice([0, 1, -1, 300, 10**9, 2**62], n)
         mine, odd = copies * context.attacker, np.where(context.attacker, rng.choice(ODD, n), 0.0)
-        return Sending(odd, mine, mine, jam_dbm=odd, react_dbm=odd[::-1], ignores_dcc=mine > 0)
+        noise = np.where(context.attacker, odd, -np.inf)
+        return Sending(odd, mine, mine, jam_dbm=noise, react_dbm=noise, ignores_dcc=mine > 0)

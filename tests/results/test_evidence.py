@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from cosim.step.trackers.evidence_audit import audit, count_looks
+from cosim.step.trackers.evidence_audit import AuditedDetections, AuditedEvaluations, audit, count_looks
 from results.archive import open_run
 from results.measure import measure
 from tests.drive import drive
@@ -17,11 +17,12 @@ def test_by_hand():
     # the own evaluation (1, 3) and the one without visibility (2, 1) are no evidence
     evaluator, detection = np.array([0, 0, 0, 1, 2, 2, 2]), np.array([1, 2, 3, 3, 0, 1, 3])
     e, phi = np.array([1, 1, -1, 1, 1, 1, 1.0]), np.array([1, 1, 1, 1, 1, 0, 0.5])
-    row = audit(evaluator, detection, e, phi, message, actor, real, fabricated, np.array([0, 1, 1]) > 0, 4)
+    detections = AuditedDetections(message, actor, real, fabricated)
+    row = audit(AuditedEvaluations(evaluator, detection, e, phi), detections, np.array([0, 1, 1]) > 0, 4)
     assert {name: int(values[0]) for name, values in row.items()} == {
         "n_copies": 4, "n_evaluations": 5, "n_looks": 4, "n_echoes": 1,
     }  # fmt: skip
-    assert count_looks(evaluator[:0], detection[:0], message, actor, real) == 0
+    assert count_looks(evaluator[:0], detection[:0], detections) == 0
 
 
 @pytest.fixture(scope="module")

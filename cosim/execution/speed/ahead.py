@@ -4,61 +4,121 @@ fuses and records.
 What vehicles perceive, how well stations hear each other and who is near whom depends on positions and on random draws
 keyed by names, not on earlier steps. Where no driver commands the traffic, the next world is therefore known early. Its
 radio links and near pairs are found while the present step sends and evaluates, which keeps one core busy. Its sweeps
-begin as soon as the range images of the present step have been asked for the last time, in the same memory. Compiled
-kernels run beside Python (`nogil`).
+begin as soon as the present step has read its own range images for the last time, because they share their memory.
+Compiled kernels run beside Python (`nogil`).
 
-Values are the same in whatever order the threads run: a step waits for what was begun for its world, and computes
-itself what was begun for another.
+What was computed is handed to its step as `cosim.step.precomputed.Precomputed`; a step of another world computes all
+itself. Values are the same in whatever order the threads run.
 """
 
-from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import partial
 from types import TracebackType
 
 import numba
 import numpy as np
-from jaxtyping import Int
-from numpy import ndarray
 
 from cosim.radio.csma import ChannelContext, CsmaMedium, LinkCache
-from cosim.radio.message_round import MessageRound, Messages, RoundKind, Stations
-from cosim.step import stages
+from cosim.radio.message_round import Stations
+from cosim.step.exchange import stations_of
 from cosim.step.parts import Parts
-from cosim.step.perception import BoxAnswers, BoxQuestions, Observed, Perception
+from cosim.step.perception import Observed
+from cosim.step.precomputed import Precomputed
 from cosim.step.stopwatch import Stopwatch
 from cosim.step.trackers.encounters import NearPairs
 from cosim.world import World
-from sensors import lidar
 from sensors.kernel import threads_may_meet
 
 
+@dataclass(frozen=True, slots=True)
+class _Begun:
+    """What has been begun for one world, apart from its sweeps."""
+
+    world: World
+    near_pairs: Future[NearPairs]
+    links: Future[LinkCache] | None
+    """None where the medium does not compute links."""
+
+
 class Ahead:
-    """The parts of a run, with those that may be told which world comes next. A context manager: its thread ends with
-    it."""
+    """A thread that computes ahead for the steps of a run with these parts. A context manager: the thread ends with it.
+
+    `expect` says which world comes next, and `of` gives what there is of a world to its step. Used by one thread.
+    """
 
     def __init__(self, parts: Parts) -> None:
-        assert isinstance(parts.perception, Perception), "the run's own perception"
         self.watch = Stopwatch()
         """Seconds per stage of what was computed ahead."""
+        self._parts = parts
         self._thread = ThreadPoolExecutor(1, "ahead")
-        self._sensing = SensingAhead(parts.perception, self._thread, self.watch)
-        self._pairs = PairsAhead(parts.near_pairs, self._thread, self.watch)
-        self._links = None
-        self.parts = replace(parts, perception=self._sensing, near_pairs=self._pairs)
-        if isinstance(parts.medium, CsmaMedium):
-            self._links = LinksAhead(parts.medium, self._thread, self.watch)
-            self.parts = replace(self.parts, medium=self._links)
+        self._begun: list[_Begun] = []
+        """Of the present step and of the one expected, at most."""
+        self._to_sense: World | None = None
+        """Expected, and its sweeps not begun."""
+        self._sensing: tuple[World, Future[Observed]] | None = None
+        """The one world whose sweeps have been begun, in the memory of all range images."""
 
     def expect(self, world: World, at_once: bool) -> None:
-        """The world that the next step with messages will be of: its sweeps begin `at_once` where the step before it
-        senses nothing, or when the range images of that step have given their answers."""
-        if world.equipped.any() and threads_may_meet():
-            if numba.get_num_threads() > 1:  # of few vehicles they are mostly Python, which holds up the present step
-                if self._links is not None:
-                    self._links.expect(stages.stations_of(world, np.flatnonzero(world.equipped), None, self.parts))
-                self._pairs.expect(world)
-            self._sensing.expect(world, at_once)
+        """The world of the next step with messages.
+
+        Its sweeps begin `at_once` where the step before it senses nothing, or else when that step has read its own.
+        """
+        if not world.equipped.any() or not threads_may_meet():
+            return
+        if numba.get_num_threads() > 1:  # of few vehicles they are mostly Python, which holds up the present step
+            medium, links = self._parts.medium, None
+            if isinstance(medium, CsmaMedium):
+                links = self._thread.submit(self._links, medium, self._stations(world))
+            near_pairs = self._thread.submit(self._near_pairs, world)
+            self._begun = [*self._begun[-1:], _Begun(world, near_pairs, links)]
+        self._to_sense = world
+        if at_once:
+            self._begin_sensing()
+
+    def of(self, world: World) -> Precomputed:
+        """What is known of the step of this world before it begins."""
+        found = next((begun for begun in self._begun if begun.world is world), None)
+        links = None if found is None else found.links
+        return Precomputed(
+            near_pairs=None if found is None else found.near_pairs.result,
+            observed=None if self._sensing is None else partial(self._observed, world, self._sensing),
+            with_links=None if links is None else partial(_with_links, links),
+            sweeps_are_read=self._begin_sensing,
+        )
+
+    def _begin_sensing(self) -> None:
+        """Begin the sweeps of the world that is expected, if they have not been begun."""
+        if self._to_sense is not None:
+            world, self._to_sense = self._to_sense, None
+            self._sensing = world, self._thread.submit(self._sense, world, numba.get_num_threads())
+
+    def _observed(self, world: World, sensing: tuple[World, Future[Observed]]) -> Observed:
+        """What vehicles perceive, once the sweeps that were begun are complete; those of another world are dropped."""
+        self._sensing = None
+        expected, found = sensing
+        observed = found.result()
+        if expected is world:
+            return observed
+        return self._parts.perception(world, np.flatnonzero(world.equipped), self._parts.watch)
+
+    def _stations(self, world: World) -> Stations:
+        above_roof_m = self._parts.config.radio.antenna_above_roof_m
+        return stations_of(world, np.flatnonzero(world.equipped), self._parts.rsus, above_roof_m)
+
+    def _sense(self, world: World, n_threads: int) -> Observed:
+        numba.set_num_threads(n_threads)  # a setting of each thread
+        return self._parts.perception(world, np.flatnonzero(world.equipped), self.watch)
+
+    def _near_pairs(self, world: World) -> NearPairs:
+        numba.set_num_threads(1)  # the other core is the present step's
+        with self.watch("pairs"):
+            return self._parts.near_pairs(world)
+
+    def _links(self, medium: CsmaMedium, stations: Stations) -> LinkCache:
+        numba.set_num_threads(1)  # the other core is the present step's
+        with self.watch("links"):
+            return medium.links(stations)
 
     def __enter__(self) -> "Ahead":
         return self
@@ -67,96 +127,6 @@ class Ahead:
         self._thread.shutdown(cancel_futures=True)
 
 
-class SensingAhead:
-    """In place of `cosim.step.perception.Perception`."""
-
-    def __init__(self, own: Perception, thread: ThreadPoolExecutor, watch: Stopwatch) -> None:
-        self._own, self._thread, self._watch = own, thread, watch
-        self._next: World | None = None
-        self._under_way: tuple[World, Future[Observed]] | None = None
-
-    def expect(self, world: World, at_once: bool) -> None:
-        """As `Ahead`."""
-        self._next = world
-        if at_once:
-            self._begin()
-
-    def __call__(self, world: World, observers: Int[ndarray, "e"], watch: Stopwatch) -> Observed:
-        """As `Perceives`."""
-        if self._under_way is not None:
-            ahead, found = self._under_way
-            self._under_way = None
-            with watch("wait for sensing"):
-                observed = found.result()
-            if ahead is world:
-                return observed
-        return self._own(world, observers, watch)
-
-    def answers(self, sweeps: lidar.Scanners, asked: BoxQuestions) -> BoxAnswers:
-        """As `Perceives`."""
-        found = self._own.answers(sweeps, asked)
-        self._begin()
-        return found
-
-    def _begin(self) -> None:
-        world, self._next = self._next, None
-        if world is not None:
-            self._under_way = world, self._thread.submit(self._sense, world, numba.get_num_threads())
-
-    def _sense(self, world: World, n_threads: int) -> Observed:
-        numba.set_num_threads(n_threads)  # a setting of each thread
-        return self._own(world, np.flatnonzero(world.equipped), self._watch)
-
-
-class PairsAhead:
-    """In place of `cosim.step.trackers.encounters.PairSearch`."""
-
-    def __init__(self, own: Callable[[World], NearPairs], thread: ThreadPoolExecutor, watch: Stopwatch) -> None:
-        self._own, self._thread, self._watch = own, thread, watch
-        self._under_way: list[tuple[World, Future[NearPairs]]] = []
-
-    def expect(self, world: World) -> None:
-        """The world of a later step; those of the present one may not have been asked for yet."""
-        self._under_way = [*self._under_way[-1:], (world, self._thread.submit(self._search, world))]
-
-    def __call__(self, world: World) -> NearPairs:
-        """As `PairSearch`."""
-        for expected, found in self._under_way:
-            if expected is world:
-                return found.result()
-        return self._own(world)
-
-    def _search(self, world: World) -> NearPairs:
-        numba.set_num_threads(1)  # the other core is the present step's
-        with self._watch("pairs"):
-            return self._own(world)
-
-
-class LinksAhead:
-    """In place of `cosim.radio.csma.CsmaMedium`."""
-
-    def __init__(self, own: CsmaMedium, thread: ThreadPoolExecutor, watch: Stopwatch) -> None:
-        self._own, self._thread, self._watch = own, thread, watch
-        self._under_way: list[tuple[Stations, Future[LinkCache]]] = []
-
-    def expect(self, stations: Stations) -> None:
-        """Stations of a later step."""
-        self._under_way = [*self._under_way[-1:], (stations, self._thread.submit(self._links, stations))]
-
-    def start(self) -> ChannelContext:
-        """As `Medium`."""
-        return self._own.start()
-
-    def broadcast(
-        self, state: ChannelContext, kind: RoundKind, step: int, begin_s: float, stations: Stations, messages: Messages
-    ) -> tuple[ChannelContext, MessageRound]:
-        """As `Medium`."""
-        for expected, links in self._under_way:
-            if expected.equals(stations):
-                state = replace(state, cache=links.result())
-        return self._own.broadcast(state, kind, step, begin_s, stations, messages)
-
-    def _links(self, stations: Stations) -> LinkCache:
-        numba.set_num_threads(1)  # the other core is the present step's
-        with self._watch("links"):
-            return self._own.links(stations)
+def _with_links(links: Future[LinkCache], state: ChannelContext) -> ChannelContext:
+    """The medium's state with links that were found ahead."""
+    return replace(state, cache=links.result())

@@ -30,7 +30,6 @@ from numba.core import caching, event
 from numpy import ndarray
 
 from cosim import rng
-from cosim.config import choices
 from cosim.config.config import Config, resolve_data
 from cosim.driver.driver import DriverParams
 from cosim.execution import recording
@@ -71,7 +70,7 @@ class CompileAhead(event.Listener):
     def __init__(self, config: Config) -> None:
         self._config = config
         alone = config.compute.threads == 1 or numba.get_num_threads() == 1
-        own = any(choices.is_own(choice.source.name) for choice in chosen(config).values())
+        own = any(choice.is_own for choice in chosen(config).values())
         self._may = config.sensing and not alone and not own
         self._n_compiled = 0
         self._helper: subprocess.Popen[bytes] | None = None
@@ -165,8 +164,8 @@ def compile_all(config: Config) -> None:
     parts = replace(Parts.of(c, city, rsus), perception=_Told(perception_of(c, city)))
     state, nowhere = State.start(parts), _Nowhere(c.record.level)
     for number in range(_SENSING_STEPS * c.sense_every_steps):
-        state, happened = step(_world(number, c), state, parts)
-        recording.step(nowhere, happened, c.traffic.step_s)
+        state, result = step(_world(number, c), state, parts)
+        recording.step(nowhere, result, c.traffic.step_s)
     parts.trust.rejected(state.trust)
     lookups.compile_kernels()
 

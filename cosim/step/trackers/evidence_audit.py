@@ -1,5 +1,7 @@
 """How often one look counts more than once on its way into trust values."""
 
+from dataclasses import dataclass
+
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
@@ -7,24 +9,40 @@ from numpy import ndarray
 from sensors.kernel import compiled
 
 
-def count_looks(
-    evaluator: Int[ndarray, "m"],
-    detection: Int[ndarray, "m"],
-    message: Int[ndarray, "d"],
-    actor: Int[ndarray, "d"],
-    is_real: Bool[ndarray, "d"],
-) -> int:
+@dataclass(frozen=True, slots=True)
+class AuditedEvaluations:
+    """M evaluations of detections."""
+
+    evaluator: Int[ndarray, "m"]
+    """Message row of the evaluator."""
+    detection: Int[ndarray, "m"]
+    """Row of the detection."""
+    evaluation: Float[ndarray, "m"]
+    visibility: Float[ndarray, "m"]
+
+
+@dataclass(frozen=True, slots=True)
+class AuditedDetections:
+    """D detections with the truth about them."""
+
+    message: Int[ndarray, "d"]
+    """Message row of the observer."""
+    actor: Int[ndarray, "d"]
+    """Actual object; read only where there is one."""
+    is_real: Bool[ndarray, "d"]
+    is_fabricated: Bool[ndarray, "d"]
+
+
+def count_looks(evaluator: Int[ndarray, "m"], detection: Int[ndarray, "m"], of: AuditedDetections) -> int:
     """Distinct looks behind evaluations: one per evaluator, observer and actual object.
 
     Parameters
     ----------
     evaluator, detection
-        Of each evaluation: message row of its evaluator, row of its detection.
-    message, actor
-        Of each detection: message row of its observer, actual object; read only where `is_real`.
+        As `AuditedEvaluations`.
     """
-    real = np.flatnonzero(is_real)
-    key = message[real].astype(np.int64) << 32 | actor[real]
+    message, real = of.message, np.flatnonzero(of.is_real)
+    key = message[real].astype(np.int64) << 32 | of.actor[real]
     order = np.argsort(key, kind="stable")
     real, key = real[order], key[order]
     begins = np.append(np.flatnonzero(np.diff(key, prepend=-1)), len(key))
@@ -39,16 +57,7 @@ def count_looks(
 
 
 def audit(
-    evaluator: Int[ndarray, "m"],
-    detection: Int[ndarray, "m"],
-    evaluation: Float[ndarray, "m"],
-    visibility: Float[ndarray, "m"],
-    message: Int[ndarray, "d"],
-    actor: Int[ndarray, "d"],
-    is_real: Bool[ndarray, "d"],
-    is_fabricated: Bool[ndarray, "d"],
-    attacks: Bool[ndarray, "e"],
-    n_copies: int,
+    evaluations: AuditedEvaluations, detections: AuditedDetections, attacks: Bool[ndarray, "e"], n_copies: int
 ) -> dict[str, ndarray]:
     """Columns of the table `evidence`, one row.
 
@@ -56,12 +65,17 @@ def audit(
     ----------
     attacks
         Message rows whose vehicles carry out an attack.
+    n_copies
+        Frames received whose content the receiver had already.
     """
-    by, of, n_echoes = _counting(evaluator, detection, evaluation, visibility, message, is_fabricated, attacks)
+    by, of, n_echoes = _counting(
+        evaluations.evaluator, evaluations.detection, evaluations.evaluation, evaluations.visibility,
+        detections.message, detections.is_fabricated, attacks,
+    )  # fmt: skip
     row = {
         "n_copies": n_copies,
         "n_evaluations": len(by),
-        "n_looks": count_looks(by, of, message, actor, is_real),
+        "n_looks": count_looks(by, of, detections),
         "n_echoes": n_echoes,
     }
     return {name: np.array([value]) for name, value in row.items()}

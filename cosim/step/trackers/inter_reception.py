@@ -9,30 +9,25 @@ from numpy import ndarray
 from sensors.kernel import compiled
 
 
-@dataclass(slots=True)
+@dataclass(frozen=True, slots=True)
 class InterReceptionTracker:
-    """Of one message type: the pairs within communication range, and the step of the last reception of each.
+    """Of one message type: the pairs within communication range, and the step of the last reception of each."""
 
-    It takes plain arrays of actor numbers and can be copied deeply and pickled at any time.
-    """
-
-    _pair: Int[ndarray, "p"] = field(default_factory=lambda: np.zeros(0, np.int64))
+    pair: Int[ndarray, "p"] = field(default_factory=lambda: np.zeros(0, np.int64))
     """Sender and receiver in one number, ascending; all pairs within range in the last step."""
-    _last: Int[ndarray, "p"] = field(default_factory=lambda: np.zeros(0, np.int64))
+    last: Int[ndarray, "p"] = field(default_factory=lambda: np.zeros(0, np.int64))
     """Step of the last reception since they came within range; meaningless where there was none."""
-    _received: Bool[ndarray, "p"] = field(default_factory=lambda: np.zeros(0, bool))
+    received: Bool[ndarray, "p"] = field(default_factory=lambda: np.zeros(0, bool))
     """Whether there was one."""
-    _step: int = 0
+    step: int = 0
     """Last step with a round of messages."""
 
-    def update(
-        self,
-        step: int,
-        sender: Int[ndarray, "p"],
-        receiver: Int[ndarray, "p"],
-        received: Bool[ndarray, "p"],
-    ) -> dict[str, ndarray]:
-        """Add one round of messages.
+    def next(
+        self, step: int, sender: Int[ndarray, "p"], receiver: Int[ndarray, "p"], received: Bool[ndarray, "p"]
+    ) -> tuple["InterReceptionTracker", dict[str, ndarray]]:
+        """The same after one more round of messages, and what ended in it.
+
+        All numbers are actor numbers.
 
         Parameters
         ----------
@@ -43,15 +38,15 @@ class InterReceptionTracker:
 
         Returns
         -------
-        Columns pir_steps, n_received, n_censored of the table `packet_inter_reception`.
+        The tracker, and the columns pir_steps, n_received, n_censored of the table `packet_inter_reception`.
         """
         pair = (sender.astype(np.int64) << 32) | receiver
         last, received, n_received, n_censored = _carried_on(
-            self._pair, self._last, self._received, pair, received, step, self._step
+            self.pair, self.last, self.received, pair, received, step, self.step
         )
-        self._pair, self._last, self._received, self._step = pair, last, received, step
         lengths = np.flatnonzero(n_received + n_censored)
-        return {"pir_steps": lengths, "n_received": n_received[lengths], "n_censored": n_censored[lengths]}
+        rows = {"pir_steps": lengths, "n_received": n_received[lengths], "n_censored": n_censored[lengths]}
+        return InterReceptionTracker(pair, last, received, step), rows
 
 
 @compiled

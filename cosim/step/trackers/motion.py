@@ -7,22 +7,25 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 
 
-@dataclass(slots=True)
-class AccelerationTracker:
-    """Last speed of every actor, by actor number."""
+@dataclass(frozen=True, slots=True)
+class LastSpeeds:
+    """Last speed of every actor and the step in which it was read, by actor number."""
 
-    _speed_mps: Float[ndarray, "capacity"] = field(default_factory=lambda: np.zeros(0))
-    _step: Int[ndarray, "capacity"] = field(default_factory=lambda: np.zeros(0, np.int64))
+    speed_mps: Float[ndarray, "capacity"] = field(default_factory=lambda: np.zeros(0))
+    step: Int[ndarray, "capacity"] = field(default_factory=lambda: np.zeros(0, np.int64))
 
-    def update(
+    def next(
         self, step: int, actor: Int[ndarray, "n"], speed_mps: Float[ndarray, "n"], dt_s: float
-    ) -> Float[ndarray, "n"]:
-        """Acceleration of each actor since the last step [m/s2]; 0 for those that were not on the road then."""
-        if (more := int(actor.max(initial=-1)) + 1 - len(self._speed_mps)) > 0:
-            more = max(more, len(self._speed_mps))
-            self._speed_mps = np.concatenate([self._speed_mps, np.zeros(more)])
-            self._step = np.concatenate([self._step, np.full(more, -2)])
-        there = self._step[actor] == step - 1
-        found = np.where(there, (speed_mps - self._speed_mps[actor]) / dt_s, 0.0)
-        self._speed_mps[actor], self._step[actor] = speed_mps, step
-        return found
+    ) -> tuple["LastSpeeds", Float[ndarray, "n"]]:
+        """The speeds after this step, and each actor's acceleration since the last step [m/s2].
+
+        The acceleration of an actor that was not on the road in the last step is 0.
+        """
+        more = max(0, int(actor.max(initial=-1)) + 1 - len(self.speed_mps))
+        more = max(more, len(self.speed_mps)) if more else 0
+        speeds = np.concatenate([self.speed_mps, np.zeros(more)])
+        steps = np.concatenate([self.step, np.full(more, -2)])
+        there = steps[actor] == step - 1
+        acceleration_mps2 = np.where(there, (speed_mps - speeds[actor]) / dt_s, 0.0)
+        speeds[actor], steps[actor] = speed_mps, step
+        return LastSpeeds(speeds, steps), acceleration_mps2

@@ -82,9 +82,9 @@ def play(attacks=(), n_steps=6, penetration_p=1.0, speeds=None, tables=tuple(TAB
             boxes=Boxes(np.column_stack([xy, np.full(N, 0.75)]), np.tile([4.4, 1.8, 1.5], (N, 1)), np.zeros(N)),
             speed_mps=np.full(N, speed), equipped=registry.equipped, attack=registry.attack,
         )  # fmt: skip
-        state, happened = step(world, state, parts)
-        recording.step(tables, happened, 1.0)
-        results.append(happened)
+        state, result = step(world, state, parts)
+        recording.step(tables, result, 1.0)
+        results.append(result)
         x_m += speed
     recording.pseudonyms(tables, n_steps - 1, parts.pseudonyms.in_use(state.pseudonyms))
     tables.close()

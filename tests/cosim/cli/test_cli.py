@@ -1,11 +1,11 @@
 """The commands, as a user meets them: what they print, what they leave behind, and how they say no."""
 
 import json
-from importlib.metadata import version
 from pathlib import Path
 
 import pytest
 
+from cosim import __version__
 from cosim.cli.console import SUMMARY_METRICS
 from tests.drive import SHORT, cosim
 
@@ -146,7 +146,7 @@ def test_damage_gets_one_line_and_status_1(tmp_path, words):
 
 
 def test_version_and_completion():
-    assert cosim("--version").stdout.strip() == f"cosim {version('cosim')}"
+    assert cosim("--version").stdout.strip() == f"cosim {__version__}"
     assert "--show-completion" in cosim("--help").stdout
     about = (Path(__file__).parents[3] / "CITATION.cff").read_text().splitlines()
-    assert f"version: {version('cosim')}" in about
+    assert f"version: {__version__}" in about

@@ -134,3 +134,13 @@ def test_every_knob_says_its_meaning():
 
 def test_toml_round_trip_is_plain_toml():
     assert tomllib.loads(toml_text(Config().to_dict()))["radio"]["range_m"] == 300.0
+
+
+@pytest.mark.parametrize(
+    ("first", "second"), [("radius_m=100", "radius_m=100.0000001"), ("hysteresis_s=3", "hysteresis_s=3.00000001")]
+)
+def test_encounters_that_are_equal_in_32_bits_are_refused(first, second):
+    """Tables keep radii as 32-bit numbers: two such definitions would write the same rows."""
+    with pytest.raises(ValueError, match=r"encounters\.1 is the same definition as encounters\.0"):
+        load(None, [f"encounters.0.{first}", f"encounters.1.{second}"])
+    assert len(load(None, ["encounters.0.radius_m=100", "encounters.1.radius_m=100.00001"]).encounters) == 2

@@ -1,15 +1,12 @@
 """What is computed ahead of its step is what the step would have computed itself."""
 
-from concurrent.futures import ThreadPoolExecutor
-
 import numba
 import pytest
 
-from cosim.execution.speed.ahead import Ahead, PairsAhead
+from cosim.execution.speed.ahead import Ahead
 from cosim.reproduce.scenarios import ScriptedScene
 from cosim.step.cycle import step
 from cosim.step.state import State
-from cosim.step.stopwatch import Stopwatch
 from results.recorder import fingerprint
 from tests.drive import drive
 from tests.scene import assert_same, parts_of, play
@@ -49,13 +46,12 @@ def test_each_world_is_sensed_whichever_was_expected(expected, at_once, threads)
     parts, found = parts_of(scene, CSMA), []
     worlds = [scene.world(number) for number in range(N + 2)]
     with Ahead(parts) as ahead:
-        parts = ahead.parts
         state = State.start(parts)
         for number in range(N):
             if expected and not at_once:
                 ahead.expect(worlds[number + expected], at_once=False)
-            state, happened = step(worlds[number], state, parts)
-            found.append(happened.sensed)
+            state, result = step(worlds[number], state, parts, ahead.of(worlds[number]))
+            found.append(result.sensed)
             if expected and at_once:
                 ahead.expect(worlds[number + expected], at_once=True)
     assert_same(found, want)
@@ -64,13 +60,16 @@ def test_each_world_is_sensed_whichever_was_expected(expected, at_once, threads)
     assert ("links" in ahead.watch.seconds) == shares == ("pairs" in ahead.watch.seconds)
 
 
-def test_what_is_expected_before_the_present_step_has_asked_is_found_once():
+@pytest.mark.parametrize("threads", [2], indirect=True)
+def test_what_is_expected_before_the_present_step_has_asked_is_found_once(threads):
     """A run expects the next world first, and then asks for the pairs of the present one."""
     scene, asked = ScriptedScene.load(), []
     worlds = [scene.world(number) for number in range(3)]
-    with ThreadPoolExecutor(1) as thread:
-        pairs = PairsAhead(lambda world: asked.append(world.step) or world.step, thread, Stopwatch())
-        pairs.expect(worlds[0])
-        pairs.expect(worlds[1])
-        assert [pairs(world) for world in worlds] == [0, 1, 2]
-    assert asked == [0, 1, 2], "the third one was not expected"
+    parts = parts_of(scene, near_pairs=lambda world: asked.append(world.step) or world.step)
+    play(1)  # parallel kernels have run
+    with Ahead(parts) as ahead:
+        for world in worlds[:2]:
+            ahead.expect(world, at_once=False)
+        assert [ahead.of(world).near_pairs() for world in worlds[:2]] == [0, 1]
+        assert ahead.of(worlds[2]).near_pairs is None, "it was not expected"
+    assert asked == [0, 1]

@@ -21,12 +21,12 @@ from sensors.raycast.mesh import body_triangles
 from sensors.scene import Hit, Scene, Shape, prisms
 from tests.drive import cosim, drive
 
-trimesh = pytest.importorskip("trimesh", reason="trimesh is not installed: pip install cosim[mesh]")
+trimesh = pytest.importorskip("trimesh", reason="trimesh is not installed: make extra NAME=mesh")
 
 SIZE = (12.0, 6.0, 9.0)
 
 ENGINES = pytest.mark.parametrize("engine", ["embree", pytest.param("open3d", marks=pytest.mark.skipif(
-    importlib.util.find_spec("open3d") is None, reason="Open3D is not installed: pip install cosim[open3d]"
+    importlib.util.find_spec("open3d") is None, reason="Open3D is not installed: make extra NAME=open3d"
 ))])  # fmt: skip
 
 

@@ -13,7 +13,7 @@ from cosim.offline.view import colours, view
 from results.archive import open_run
 from tests.drive import cosim, drive
 
-pytest.importorskip("rerun", reason="Rerun's SDK is not installed: pip install cosim[view]")
+pytest.importorskip("rerun", reason="Rerun's SDK is not installed: make extra NAME=view")
 
 
 def rerun(*words):

@@ -41,7 +41,7 @@ def frame(name="scenario-1", **options):
 
 def final(sensed):
     """The ego's fused objects: class, fabricated, score, detected by the ego."""
-    fused, listed = sensed.fused[0], sensed.listed
+    fused, listed = sensed.fused[0], sensed.listed.objects
     own = np.flatnonzero(fused.ego == EGO)
     seed = fused.seed[own]
     columns = listed.label[seed], listed.origin[seed] == FABRICATED, fused.score[own], fused.ego_detected[own]
@@ -58,11 +58,12 @@ def test_the_hidden_pedestrian_is_found(method, on):
     sensed = checked(method, on)
     ((_, _, score, ego_detected),) = [row for row in final(sensed) if row[0] == PEDESTRIAN]
     assert score > 0.5 and not ego_detected
-    lists = sensed.lists
-    received = (lists.of_member() == EGO) & (sensed.listed.label[lists.member] == PEDESTRIAN)
+    evaluated = sensed.evaluated
+    lists = evaluated.lists
+    received = (lists.of_member() == EGO) & (sensed.listed.objects.label[lists.member] == PEDESTRIAN)
     assert received.sum() == 2  # the attacker's and the third's
-    assert (sensed.n_points[received] == 0).all() and (sensed.reported.visibility[received] == 0).all()
-    assert sensed.plausible[received].all()
+    assert (evaluated.n_points[received] == 0).all() and (evaluated.reported.visibility[received] == 0).all()
+    assert evaluated.plausible[received].all()
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -78,8 +79,8 @@ def test_without_the_check_the_false_car_is_weaker_but_there():
     with 0.
     """
     sensed = checked("trupercept_1", False)
-    ghost = sensed.listed.origin[sensed.lists.member] == FABRICATED
-    phi_ego, phi_attacker, phi_third = sensed.reported.visibility[ghost]
+    ghost = sensed.listed.objects.origin[sensed.evaluated.lists.member] == FABRICATED
+    phi_ego, phi_attacker, phi_third = sensed.evaluated.reported.visibility[ghost]
     assert (phi_ego, phi_attacker) == (1, 1) and phi_third < 0.2
     ((_, _, score, ego_detected),) = [row for row in final(sensed) if row[1]]
     assert score == pytest.approx(0.5 / (1 + 0.5 + 0.5 * phi_third), abs=1e-9)
@@ -89,8 +90,9 @@ def test_without_the_check_the_false_car_is_weaker_but_there():
 
 def test_what_the_ego_has_in_the_false_car_is_ground():
     sensed = frame()
-    sweeps = sensed.observed.sweeps
-    box = sensed.listed.boxes.take(np.flatnonzero(sensed.listed.origin == FABRICATED))
+    sweeps = sensed.positioned.observed.sweeps
+    listed = sensed.listed.objects
+    box = listed.boxes.take(np.flatnonzero(listed.origin == FABRICATED))
     (n,) = evidence.points_in_boxes(sweeps, np.array([EGO]), box)
     column, row = np.nonzero(sweeps.has_return(EGO))
     points = sweeps.poses.to_world(EGO, sweeps.points(np.full(len(column), EGO), column, row))
@@ -105,7 +107,7 @@ def test_what_the_ego_has_in_the_false_car_is_ground():
 ])  # fmt: skip
 def test_the_attack_is_aimed_at_the_ego(ghosts, where):
     sensed = frame(ghosts=ghosts)
-    scene, listed = ScriptedScene.load(), sensed.listed
+    scene, listed = ScriptedScene.load(), sensed.listed.objects
     rows = np.flatnonzero(listed.origin == FABRICATED)
     assert (listed.observer[rows] == ATTACKER).all() and (listed.score[rows] == 1).all()
     assert (listed.label[rows] == CAR).all()
@@ -113,7 +115,7 @@ def test_the_attack_is_aimed_at_the_ego(ghosts, where):
     ahead = listed.boxes.xyz_m[rows, :2] - scene.boxes.xyz_m[EGO, :2]
     assert ahead == pytest.approx(np.array(where, float), abs=1e-9)  # the ego heads north
     assert listed.boxes.yaw_rad[rows] == pytest.approx(-np.pi / 2)
-    assert not sensed.truth.is_real[rows].any()
+    assert not sensed.listed.truth.is_real[rows].any()
 
 
 def trust(ghosts):
@@ -169,8 +171,8 @@ def test_evaluations_as_the_published_code():
     first = np.searchsorted(detector.observer, detector.observer)
     index = 1 + np.arange(len(first)) - first  # in the reference, in the order of the scene; 0 is the self report
     index_of = dict(zip(zip(detector.observer.tolist(), detector.actor.tolist(), strict=True), index, strict=True))
-    listed, lists, reported = sensed.listed, sensed.lists, sensed.reported
-    observer, actor = listed.observer.tolist(), sensed.truth.actor_row.tolist()
+    listed, lists, reported = sensed.listed.objects, sensed.evaluated.lists, sensed.evaluated.reported
+    observer, actor = listed.observer.tolist(), sensed.listed.truth.actor_row.tolist()
     ours = {
         (int(lists.owner[v]), observer[d], index_of.get((observer[d], actor[d]), 0)): (e, phi)
         for v, d, e, phi in zip(lists.of_member(), lists.member, reported.evaluation, reported.visibility, strict=True)

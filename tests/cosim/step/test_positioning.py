@@ -14,8 +14,11 @@ KEYS = np.random.default_rng(5).integers(0, 2**63, 4000).astype(np.uint64)
 
 def walk(rows, steps, params, dt_s=1.0):
     """Errors of these vehicles, step by step [steps, vehicles, 2]."""
-    errors = PositionErrors()
-    return np.array([errors.update(step, rows, KEYS[rows], params, dt_s, 7) for step in steps])
+    errors, found = PositionErrors(), []
+    for step in steps:
+        errors, error_m = errors.next(step, rows, KEYS[rows], params, dt_s, 7)
+        found.append(error_m)
+    return np.array(found)
 
 
 def test_standard_deviation_and_correlation():

@@ -7,13 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cosim.config.config import CHOICES
 from cosim.execution.checkpoint import decode, encode
+from cosim.radio.medium import MEDIA
 from cosim.reproduce.scenarios import ScriptedScene
 from cosim.step.cycle import step
 from cosim.step.state import State
 from cosim.v2x.pseudonyms import Never, Pseudonyms
 from tests.scene import assert_same, parts_of, play
+from trust.models import MODELS
 
 KINDS = {
     "server over cellular": (),
@@ -38,8 +39,8 @@ def onwards(scene, parts, state):
     """Results of the next three steps."""
     results = []
     for number in range(4, 7):
-        state, happened = step(scene.world(number), state, parts)
-        results.append(happened)
+        state, result = step(scene.world(number), state, parts)
+        results.append(result)
     return results
 
 
@@ -93,15 +94,17 @@ def test_other_pseudonyms_change_nothing_but_names():
     other, _ = play(6, "attacks.0.start_s=2", pseudonyms=Backwards(Never(), 4, 1.0))
     assert other[0].vehicles.pseudonym.tolist() == [1000, 999, 998]
     for a, b in zip(one, other, strict=True):
-        for name in ("listed", "rounds", "links", "lists", "reported", "used", "lookups", "fused", "server"):
+        for name in ("listed", "rounds", "looked_up", "fused", "servers"):
             assert_same(getattr(a, name), getattr(b, name), name)
+        for name in ("lists", "reported"):
+            assert_same(getattr(a.evaluated, name), getattr(b.evaluated, name), name)
         (x,), (y,) = a.published, b.published
         assert (1000 - y.subject[::-1]).tolist() == x.subject.tolist()
         assert y.trust[::-1].tolist() == x.trust.tolist() and y.n_evaluations[::-1].tolist() == x.n_evaluations.tolist()
 
 
-@pytest.mark.parametrize("model", CHOICES["trust"][1])
-@pytest.mark.parametrize("medium", CHOICES["radio"][1])
+@pytest.mark.parametrize("model", MODELS)
+@pytest.mark.parametrize("medium", MEDIA)
 def test_the_state_of_every_model_and_medium_is_kept_for_resume(model, medium):
     parts = parts_of(ScriptedScene.load(), f"trust.model={model}", f"radio.model={medium}")
     assert isinstance(decode(b"".join(encode(State.start(parts)))), State)

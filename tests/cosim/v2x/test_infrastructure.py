@@ -22,15 +22,15 @@ def unit(x, y):
 
 
 def by_server(sensed):
-    return (sensed.lookups[0].source == TrustSource.SERVER).sum()
+    return (sensed.looked_up.lookups[0].source == TrustSource.SERVER).sum()
 
 
 def test_in_an_outage_the_last_broadcast_ages():
     steps, _ = play(12, "server.outages=[[4, 8]]")
-    reached = [t.server[0].up.n_reached for t in steps]
+    reached = [t.servers[0].up.n_reached for t in steps]
     assert reached == [0 if 4 <= step < 8 else 3 for step in range(12)]
     assert [t.published[0] is None for t in steps] == [4 <= step < 8 for step in range(12)]
-    assert all(t.server[0].n_addressed == 0 for t in steps[4:8])
+    assert all(t.servers[0].down.n_addressed == 0 for t in steps[4:8])
     # Broadcast at every step, used at 0.8 s after it; while the server is out, what was computed at 3 s grows old.
     ages = [float(t.lookups[0].age_s.max()) for t in steps]
     assert ages == pytest.approx([0.0] + [0.8] * 3 + [1.8, 2.8, 3.8, 4.8] + [0.8] * 4)
@@ -41,14 +41,14 @@ def test_in_an_outage_the_last_broadcast_ages():
 
 def test_through_a_roadside_unit():
     steps, _ = play(4, "server.uplink=rsu", "rsu.n_at_junctions=1", rsus=unit(20.0, 20.0))
-    assert [t.server[0].up.n_reached for t in steps] == [3] * 4
-    assert [t.server[0].n_informed for t in steps] == [3] * 4  # the first broadcast is empty
+    assert [t.servers[0].up.n_reached for t in steps] == [3] * 4
+    assert [t.servers[0].down.n_informed for t in steps] == [3] * 4  # the first broadcast is empty
     assert [by_server(t) for t in steps] == [0, 6, 6, 6]
     for t in steps:  # it receives and sends, and evaluates nothing
         assert t.links[0].uplink.message.tolist() == [0, 1, 2] and t.links[1].downlink.receiver.tolist() == [0, 1, 2]
         assert t.links[0].vehicles.message.max() <= 2 and t.listed.observer.max() <= 2
     steps, _ = play(4, "server.uplink=rsu", "rsu.n_at_junctions=1", rsus=unit(5000.0, 20.0))
-    assert all(t.server[0].up.n_lost == 3 and t.server[0].n_informed == 0 and by_server(t) == 0 for t in steps)
+    assert all(t.servers[0].up.n_lost == 3 and t.servers[0].down.n_informed == 0 and by_server(t) == 0 for t in steps)
 
 
 def test_a_relay_takes_reports_to_a_unit_out_of_reach():
@@ -56,8 +56,8 @@ def test_a_relay_takes_reports_to_a_unit_out_of_reach():
     near_the_third = unit(-8.0, 100.0)  # 52 m from it, 70 and more from the others
     for hops, reached in ((1, 1), (2, 3)):
         steps, _ = play(3, *way, f"radio.relay.max_hops={hops}", rsus=near_the_third)
-        assert [t.server[0].up.n_reached for t in steps] == [reached] * 3
-        assert [t.server[0].n_informed for t in steps] == [reached] * 3
+        assert [t.servers[0].up.n_reached for t in steps] == [reached] * 3
+        assert [t.servers[0].down.n_informed for t in steps] == [reached] * 3
 
 
 def test_a_unit_far_away_changes_nothing():
@@ -110,7 +110,7 @@ def test_piggybacked_evaluations_come_a_step_later():
 
 def test_piggybacked_through_a_unit():
     steps, _ = play(4, "server.uplink=rsu", "rsu.n_at_junctions=1", "radio.evaluations=piggybacked", rsus=unit(20, 20))
-    assert [t.server[0].up.n_reached for t in steps] == [0, 3, 3, 3]
+    assert [t.servers[0].up.n_reached for t in steps] == [0, 3, 3, 3]
     assert [by_server(t) for t in steps] == [0, 0, 6, 6]
 
 

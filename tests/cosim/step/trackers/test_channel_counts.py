@@ -60,6 +60,6 @@ def test_vehicle_channel_twin(in_range, received, modelled):
 def test_attack_start_is_the_first_step():
     tracker = AttackStartTracker()
     for step, attackers in enumerate(([], [2, 2], [0, 2], [0])):
-        tracker.update(step, np.array(attackers, int))
+        tracker = tracker.next(step, np.array(attackers, int))
     step, attacked = tracker.first_steps(4)
     assert attacked.tolist() == [True, False, True, False] and step[attacked].tolist() == [2, 1]

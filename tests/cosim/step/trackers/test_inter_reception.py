@@ -29,7 +29,7 @@ def follow(rounds, every, swap=lambda tracker: tracker):
     for i, in_range in enumerate(rounds):
         pairs = np.array(sorted(in_range), np.int64).reshape(-1, 2)
         received = np.array([in_range[tuple(pair)] for pair in pairs.tolist()], bool)
-        found = tracker.update(i * every, pairs[:, 0], pairs[:, 1], received)
+        tracker, found = tracker.next(i * every, pairs[:, 0], pairs[:, 1], received)
         columns = (found[name].tolist() for name in ("pir_steps", "n_received", "n_censored"))
         rows += [(i * every, *row) for row in zip(*columns, strict=True)]
         tracker = swap(tracker)

@@ -1,4 +1,4 @@
-"""Who sends in a step: every equipped vehicle under its own identity, and attackers under further ones."""
+"""Who takes part in the exchange of messages in a step, where, when, and under which identities."""
 
 from dataclasses import dataclass, replace
 
@@ -7,11 +7,41 @@ from jaxtyping import Bool, Int, UInt64
 from numpy import ndarray
 
 from cosim import rng
+from cosim.adversary.adversary import Active
 from cosim.adversary.attack import Sending
-from cosim.radio.message_round import LinkReceptions, MessageRound, Messages, Receptions, by_link
+from cosim.config.config import Config
+from cosim.radio.message_round import (
+    ChannelAbuse,
+    LinkReceptions,
+    MessageRound,
+    Messages,
+    Receptions,
+    Stations,
+    by_link,
+)
+from cosim.radio.rsu import RsuAntennas
 from cosim.ragged import expand
 from cosim.v2x.messages import Detections
+from cosim.world import World
 from trust.tables import ObjectLists
+
+
+@dataclass(frozen=True, slots=True)
+class Times:
+    """When things happen in a step [s]."""
+
+    step: int
+    begin_s: float
+    evaluated_s: float
+    """Detection messages have arrived, and evaluation messages are sent."""
+    fused_s: float
+    """Evaluation messages have arrived, and vehicles fuse."""
+
+    @staticmethod
+    def of(step: int, config: Config) -> "Times":
+        """Those of the step with this number."""
+        begin_s = step * config.traffic.step_s
+        return Times(step, begin_s, begin_s + config.timeout_s, begin_s + 2 * config.timeout_s)
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,11 +80,12 @@ class Senders:
 
     @property
     def n_vehicles(self) -> int:
+        """Vehicles that send; each has an identity of its own."""
         return len(self.own)
 
     @staticmethod
     def of(vehicles: Vehicles, n_extra: Int[ndarray, "e"]) -> "Senders":
-        """The own identity of each vehicle, and these numbers of further ones, whose pseudonyms are still missing."""
+        """Each vehicle's own identity and so many further ones, which have no pseudonyms of their own yet."""
         vehicle = np.repeat(np.arange(len(vehicles)), 1 + n_extra)
         own = np.searchsorted(vehicle, np.arange(len(vehicles)))
         identity = np.arange(len(vehicle)) - own[vehicle]
@@ -63,15 +94,68 @@ class Senders:
         if len(more):
             key[more] = rng.keys(rng.key(0, rng.Stream.SENDER), key[more], identity[more])
         pseudonym = vehicles.pseudonym[vehicle]
-        return Senders(vehicle, identity, pseudonym, own, key, np.ones(len(vehicle), bool))
+        return Senders(
+            vehicle=vehicle,
+            identity=identity,
+            pseudonym=pseudonym,
+            own=own,
+            key=key,
+            is_valid=np.ones(len(vehicle), bool),
+        )
 
     def message_of(self, listed: Detections, observers: Int[ndarray, "e"]) -> Int[ndarray, "d"]:
         """Message that contains each detection; `observers` are the vehicles' rows of the world."""
         return self.own[np.searchsorted(observers, listed.observer)] + listed.identity
 
-    def by_actor(self, actor: Int[ndarray, "e"]) -> Int[ndarray, "m"]:
-        """Actor number and identity in one number that is the same in every step."""
-        return actor[self.vehicle].astype(np.int64) << 16 | self.identity
+
+@dataclass(frozen=True, slots=True)
+class Exchange:
+    """Who takes part in the two rounds of messages of a step, where and when."""
+
+    world: World
+    now: Times
+    vehicles: Vehicles
+    senders: Senders
+    stations: Stations
+    """Antennas of the vehicles, then of the roadside units."""
+    attacks: Active
+    """Attacks that are carried out in this step."""
+    sending: Sending | None
+    """By row of `vehicles`: who delays, copies, floods or jams; None where nobody does."""
+
+    @staticmethod
+    def of(
+        world: World, now: Times, vehicles: Vehicles, senders: Senders, stations: Stations, attacks: Active
+    ) -> "Exchange":
+        """With what the attacks of this step do to the channel and to the sending of messages."""
+        sending = sending_of(attacks.sending(len(world)), vehicles)
+        if sending is not None and sending.abuses_channel().any():
+            stations = replace(stations, abuse=abuse_of(sending, len(stations) - len(vehicles)))
+        return Exchange(world, now, vehicles, senders, stations, attacks, sending)
+
+    @property
+    def sender(self) -> Int[ndarray, "m"]:
+        """Of each message: the sender's actor number and identity in one number, the same in every step."""
+        return self.vehicles.actor[self.senders.vehicle].astype(np.int64) << 16 | self.senders.identity
+
+
+def stations_of(world: World, row: Int[ndarray, "v"], rsus: RsuAntennas, above_roof_m: float) -> Stations:
+    """Antennas of the vehicles in these rows of the world, and of roadside units."""
+    key = np.concatenate([world.name_key[row], rsus.key])
+    xyz_m = np.concatenate([world.boxes.xyz_m[row], rsus.xyz_m])
+    xyz_m[: len(row), 2] += world.boxes.lwh_m[row, 2] / 2 + above_roof_m
+    above_street_m = np.concatenate([world.boxes.lwh_m[row, 2] + above_roof_m, rsus.above_street_m])
+    return Stations(key, xyz_m, len(row), above_street_m)
+
+
+def abuse_of(sending: Sending, n_rsus: int) -> ChannelAbuse:
+    """What vehicles do to the channel, and as many roadside units, which keep to the rules."""
+    honest = Sending.plain(n_rsus)
+    return ChannelAbuse(
+        jam_dbm=np.concatenate([sending.jam_dbm, honest.jam_dbm]),
+        react_dbm=np.concatenate([sending.react_dbm, honest.react_dbm]),
+        ignores_dcc=np.concatenate([sending.ignores_dcc, honest.ignores_dcc]),
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,14 +185,15 @@ class OnAir:
         row = row[order]
         return OnAir(Messages(station[row], length[row], delay_s[row]), row)
 
-    def links(self, happened: MessageRound, n_vehicles: int) -> LinkReceptions:
+    def links(self, found: MessageRound, n_vehicles: int) -> LinkReceptions:
         """Receptions by kind of link, by row of `Senders`; of several copies the first to arrive counts."""
-        links = by_link(happened, n_vehicles)
+        links = by_link(found, n_vehicles)
         if (np.diff(self.message) == 1).all():
             return links
-        return LinkReceptions(*(self._once(found) for found in links))
+        return LinkReceptions(*(self._once(received) for received in links))
 
     def _once(self, found: Receptions) -> Receptions:
+        """The first reception of each message by each receiver, whichever copy it was."""
         found = replace(found, message=self.message[found.message])
         found = found.take(np.lexsort((found.received_s, found.message, found.receiver)))
         pair = found.receiver.astype(np.int64) << 32 | found.message

@@ -1,0 +1,103 @@
+"""Mistakes in a user's own class as one line: file, line, what happened and what to do."""
+
+import inspect
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+_LONGEST = 300
+"""Characters that are kept of the message of an exception."""
+
+
+class Refused(ValueError):
+    """A user's own class cannot be taken; one line. Exit status 2."""
+
+
+class ExtensionError(RuntimeError):
+    """A user's own class failed while it was used; one line. Exit status 1."""
+
+
+@contextmanager
+def at_load(file: str, place: str, what: str, line: int = 1, passes: type[BaseException] = Refused) -> Iterator[None]:
+    """Turn whatever a user's file raises into `Refused`, SystemExit included; signals pass.
+
+    Parameters
+    ----------
+    place
+        What the config says, such as `trust.model = mine.py:Beta`.
+    what
+        What could not be done.
+    line
+        Named where the exception comes from no line of the file.
+    passes
+        Exceptions that are one line already.
+    """
+    try:
+        yield
+    except passes:
+        raise
+    except BaseException as error:  # whatever a user's file does
+        if is_interrupt(error):
+            raise
+        raise Refused(
+            f"{file}:{line_of(error, file) or line}: {place}: {what}: {reason(error)}. "
+            "cosim --debug shows the traceback."
+        ) from error
+
+
+def is_interrupt(error: BaseException) -> bool:
+    """Whether an exception comes from a signal and not from a user's class: Ctrl-C, or a stop of the run itself."""
+    ours = not isinstance(error, Exception) and type(error).__module__.split(".")[0] == "cosim"
+    return ours or isinstance(error, KeyboardInterrupt)
+
+
+def line_of(error: BaseException, file: str) -> int:
+    """Line of a file in which an exception was raised, or from which what raised it was called; 0 for none."""
+    found = 0
+    if isinstance(error, SyntaxError) and error.filename == file:
+        found = error.lineno or 0
+    traceback = error.__traceback__
+    while traceback is not None:
+        if same_file(traceback.tb_frame.f_code.co_filename, file):
+            found = traceback.tb_lineno
+        traceback = traceback.tb_next
+    return found
+
+
+def definition_line(of: type, name: str, file: str) -> int:
+    """Line of a file that defines a method of a class, or the class where the file does not define the method."""
+    for found in (inspect.unwrap(getattr(of, name, of)), of):
+        code = getattr(found, "__code__", None)
+        if code is not None and same_file(code.co_filename, file):
+            return int(code.co_firstlineno)
+        try:
+            if inspect.isclass(found) and same_file(inspect.getsourcefile(found) or "", file):
+                return inspect.getsourcelines(found)[1]
+        except (OSError, TypeError):
+            pass
+    return 1
+
+
+def same_file(one: str, other: str) -> bool:
+    """Whether two names are those of one file."""
+    return one == other or (bool(one and other) and Path(one).name == Path(other).name and _resolved(one) == other)
+
+
+def _resolved(name: str) -> str:
+    try:
+        return str(Path(name).resolve())
+    except OSError:
+        return name
+
+
+def reason(error: BaseException) -> str:
+    """An exception in one line."""
+    try:
+        text = " ".join(str(error).split())
+    except BaseException:  # whatever a user's exception does
+        text = "its message cannot be shown"
+    if isinstance(error, SystemExit):
+        text = f"{text}, which ends the program" if text else "it ends the program"
+    text = "".join(c if c.isprintable() else "?" for c in text)
+    text = text if len(text) <= _LONGEST else text[:_LONGEST] + "..."
+    return f"{type(error).__name__}: {text}".rstrip(": .")

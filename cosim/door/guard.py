@@ -1,0 +1,112 @@
+"""The adapter between the program and a user's own class: every call is made through it, and every result checked.
+
+`make` builds an instance of any choice. Where the choice ships, it is the bare instance; where it is a user's own, a
+`Guarded` one of the same interface. An exception in a user's class, or a result that cannot be, is `ExtensionError`.
+"""
+
+import zlib
+from dataclasses import fields, is_dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy import ndarray
+
+from cosim.door import blame, shape
+from cosim.door.load import Choice
+from cosim.door.returns import Call, Wrong
+
+
+def make(choice: Choice, *arguments: Any) -> Any:
+    """An instance of a choice, guarded if it is a user's own; ValueError in one line where it cannot be made.
+
+    Parameters
+    ----------
+    arguments
+        Of the constructor, as `choice.kind.arguments` names them; none for a class without parameters.
+    """
+    made = construct(choice, *arguments)
+    return Guarded(choice, made, arguments) if choice.is_own else made
+
+
+def construct(choice: Choice, *arguments: Any) -> Any:
+    """A bare instance of a choice; ValueError in one line where it cannot be made."""
+    if not choice.is_own:
+        return choice.of(*arguments)
+    file = choice.source.file
+    place = f"{choice.kind.title} {choice.of.__name__}"
+    with blame.at_load(file, place, "cannot be made", blame.definition_line(choice.of, "__init__", file)):
+        return choice.of(*arguments[: shape.n_arguments(choice.of, arguments)])
+
+
+class Guarded:
+    """An instance of a user's own class, behind checks; other attributes are those of the instance.
+
+    Parameters
+    ----------
+    made_with
+        Arguments of its constructor.
+    latest_step
+        Step in which it is used, for results whose time can be told by nothing else.
+    """
+
+    __slots__ = ("_choice", "_inside", "_latest_step", "_made_with")
+
+    def __init__(
+        self, choice: Choice, inside: Any, made_with: tuple[Any, ...] = (), latest_step: int | None = None
+    ) -> None:
+        self._choice, self._inside, self._made_with, self._latest_step = choice, inside, made_with, latest_step
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("_"):
+            raise AttributeError(name)
+        found = getattr(self._inside, name)
+        return partial(self._call, name, found) if name in self._choice.kind.hooks else found
+
+    def _call(self, name: str, method: Any, *given: Any) -> Any:
+        """What a method returned, checked."""
+        choice, file = self._choice, self._choice.source.file
+        what = f"{choice.kind.title} {choice.of.__name__}: {name}()"
+        hook = choice.kind.hooks[name]
+        before = _content(hook.parameters, given)
+        try:
+            returned = method(*given)
+        except BaseException as error:  # whatever a user's class does
+            if blame.is_interrupt(error):
+                raise
+            line = blame.line_of(error, file) or blame.definition_line(choice.of, name, file)
+            raise blame.ExtensionError(
+                f"{file}:{line}: {what} raised {blame.reason(error)}. cosim --debug shows the traceback."
+            ) from error
+        place = f"{file}:{blame.definition_line(choice.of, name, file)}: {what}"
+        after = _content(hook.parameters, given)
+        if changed := [argument for argument, content in before.items() if after.get(argument) != content]:
+            raise blame.ExtensionError(
+                f"{place} changed its argument {changed[0]} in place; arguments are to be left as they are. Work on a "
+                "copy: .copy()."
+            )
+        try:
+            return hook.check(Call(given, self._made_with, self._latest_step), returned)
+        except Wrong as wrong:
+            raise blame.ExtensionError(f"{place} {wrong}.") from None
+
+
+_UNWATCHED = frozenset({"state", "sweeps"})
+"""Parameters without checksums: what a class keeps for itself, and range images, too large to be read twice."""
+
+
+def _content(names: tuple[str, ...], given: tuple[Any, ...]) -> dict[str, int]:
+    """A checksum of every array in the arguments of a call, those within dataclasses included, by name."""
+    found: dict[str, int] = {}
+
+    def add(name: str, value: Any) -> None:
+        if isinstance(value, ndarray):
+            found[name] = zlib.crc32(np.ascontiguousarray(value).view(np.uint8).reshape(-1).data) if value.size else 0
+        elif is_dataclass(value) and not isinstance(value, type):
+            for field in fields(value):
+                add(f"{name}.{field.name}", getattr(value, field.name, None))
+
+    for name, value in zip(names, given, strict=True):
+        if name not in _UNWATCHED:
+            add(name, value)
+    return found

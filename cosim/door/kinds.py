@@ -1,0 +1,122 @@
+"""The kinds of choices: where a config names one, what ships, and the methods (hooks) that a class of the kind has.
+
+A class of a user's own is loaded by `load`, and its instances stand behind the adapter of `guard`.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from cosim.adversary.catalogue import ATTACKS
+from cosim.door import returns
+from cosim.driver.drivers import DRIVERS
+from cosim.radio.medium import MEDIA
+from cosim.v2x.pseudonyms import POLICIES
+from sensors.detector import DETECTORS
+from trust.models import MODELS
+
+Check = Callable[..., Any]
+"""Takes a `returns.Call` and what was returned; gives it back with arrays of its own, or raises `returns.Wrong`."""
+
+
+@dataclass(frozen=True, slots=True)
+class Hook:
+    """A method of a class of one kind."""
+
+    parameters: tuple[str, ...]
+    """Names of its positional parameters, `self` left out. It is called by position."""
+    check: Check
+    """Checks what it returned."""
+    is_required: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class Kind:
+    """One kind of choice."""
+
+    name: str
+    """On the command line, such as "trust"."""
+    title: str
+    """In messages, such as "trust model"."""
+    section: str
+    """Section of the config in which one is chosen; empty for a kind that the command line chooses."""
+    key: str
+    """Key of that section."""
+    shipped: Mapping[str, Any]
+    """Classes that ship, by the config's name."""
+    hooks: Mapping[str, Hook]
+    """A class has every required hook, and at least one hook."""
+    arguments: tuple[str, ...] = ("params",)
+    """Of the constructor: `params` is an instance of the class's `Params`."""
+    section_params: bool = False
+    """Whether a class without `Params` is given the parameters of the section; otherwise it is given none."""
+    numbers: Mapping[str, str] = field(default_factory=dict)
+    """Class attributes that are positive numbers where a class has them, and what each one is."""
+
+    @property
+    def place(self) -> str:
+        """Section and key, such as `trust.model`."""
+        return f"{self.section}.{self.key}" if self.section else self.name
+
+    @property
+    def a_title(self) -> str:
+        """The title with its article."""
+        return returns.with_article(self.title)
+
+    @property
+    def required(self) -> list[str]:
+        """Hooks that every class of the kind has."""
+        return [name for name, hook in self.hooks.items() if hook.is_required]
+
+
+KINDS: dict[str, Kind] = {kind.name: kind for kind in (
+    Kind(
+        "detector", "detector", "detector", "model", DETECTORS,
+        {
+            "detect": Hook(("sweeps", "seen", "boxes", "label", "draws"), returns.reports),
+            "recall": Hook(("n_points", "label", "range_m"), returns.recall, is_required=False),
+        },
+    ),
+    Kind(
+        "medium", "radio medium", "radio", "model", MEDIA,
+        {
+            "start": Hook((), returns.anything),
+            "broadcast": Hook(("state", "kind", "step", "begin_s", "stations", "messages"), returns.message_round),
+        },
+        arguments=("params", "round_s", "seed", "los"), section_params=True,
+    ),
+    Kind(
+        "policy", "pseudonym policy", "pseudonyms", "policy", POLICIES,
+        {"changes": Hook(("ages",), returns.pseudonym_changes)},
+    ),
+    Kind(
+        "trust", "trust model", "trust", "model", MODELS,
+        {
+            "open_step": Hook(
+                ("step", "pseudonyms", "observer_row", "detection_index", "score"), returns.nothing
+            ),
+            "add_evaluations": Hook(("received",), returns.nothing),
+            "scores": Hook(("now_step",), returns.trust_scores),
+            "score_objects": Hook(("reports",), returns.object_scores, is_required=False),
+        },
+        arguments=("params", "dt_s"), section_params=True,
+    ),
+    Kind(
+        "driver", "driver", "driver", "model", DRIVERS,
+        {"commands": Hook(("state", "world", "beliefs", "dt_s"), returns.speed_commands)},
+        numbers={"LARGEST_STEP_S": "the longest step of traffic that the driver can command, in seconds"},
+    ),
+    Kind(
+        "attack", "attack", "attacks", "attack", ATTACKS,
+        {
+            "detections": Hook(("listed", "context"), returns.attacked_detections, is_required=False),
+            "evaluations": Hook(("rows", "detections", "context"), returns.attacked_evaluations, is_required=False),
+            "identities": Hook(("context",), returns.identities, is_required=False),
+            "sending": Hook(("context",), returns.sending, is_required=False),
+        },
+    ),
+)}  # fmt: skip
+"""Every kind of choice, by name."""
+
+SECTIONS: Mapping[str, Kind] = {kind.section: kind for kind in KINDS.values() if kind.section}
+"""Those that a config names, by section."""

@@ -1,0 +1,155 @@
+"""Choices by name: one of those that ship, or a user's own as `path.py:Name` or `package.module:Name`.
+
+`resolve` finds the class that a config names; `load_own` finds a user's own class and, where the kind is not given,
+says of which kind it is. Both check the class before any instance is made.
+"""
+
+import hashlib
+import importlib
+import importlib.util
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from cosim.door import blame, shape
+from cosim.door.kinds import KINDS, Kind
+from cosim.door.permission import check_code
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """Where a choice comes from, for the manifest."""
+
+    name: str
+    """As the config names it; paths resolved."""
+    file: str = ""
+    """File of the user's own; empty for what ships."""
+    sha256: str = ""
+    """Checksum of that file."""
+
+
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """What a key of the config names: a class, its own parameters, and where it comes from."""
+
+    kind: Kind
+    of: type
+    params: type | None
+    """Dataclass of its own parameters, read from the section of the key; None for none."""
+    source: Source
+
+    @property
+    def is_own(self) -> bool:
+        """Whether the class is a user's own."""
+        return is_own(self.source.name)
+
+
+def is_own(name: str) -> bool:
+    """Whether a name is a user's own."""
+    return ":" in name
+
+
+def resolve(kind: Kind, name: str, folder: Path | None = None) -> Choice:
+    """The class that a name stands for.
+
+    Parameters
+    ----------
+    folder
+        Where relative paths of files begin; the current folder when not given or when there is no such file.
+
+    Raises
+    ------
+    ValueError
+        In one line, where there is no such choice, its file cannot be loaded, or its class is not of the kind.
+    """
+    if is_own(name):
+        return load_own(name, kind, folder)
+    if name not in kind.shipped:
+        raise ValueError(
+            f'{kind.place} = "{name}": no such choice. There are {", ".join(kind.shipped)}; '
+            "one of your own is named path.py:Name or package.module:Name."
+        )
+    found = kind.shipped[name]
+    return Choice(kind, found, getattr(found, "Params", None), Source(name))
+
+
+def load_own(name: str, kind: Kind | None = None, folder: Path | None = None) -> Choice:
+    """A user's own class, `path.py:Name` or `package.module:Name`, checked.
+
+    Parameters
+    ----------
+    kind
+        What the class shall be; found from its hooks when not given.
+    folder
+        As in `resolve`.
+
+    Raises
+    ------
+    ValueError
+        In one line that names the file, the line and what to change.
+    """
+    place = f"{kind.place} = {name}" if kind else name
+    where, colon, class_name = name.rpartition(":")
+    if not (colon and where and class_name):
+        raise ValueError(f"{place}: name a class as path.py:Name or package.module:Name.")
+    module, source = _module(place, where, class_name, folder)
+    with blame.at_load(source.file, place, "the class cannot be read"):
+        found = getattr(module, class_name, None)
+        if found is None:
+            hint = shape.did_you_mean(class_name, shape.classes_of(module))
+            raise blame.Refused(
+                f"{source.file}:1: {place}: it defines no {class_name}. {hint}Name a class of that file."
+            )
+        if not isinstance(found, type):
+            raise blame.Refused(f"{source.file}:1: {place}: {class_name} is no class. Name a class of that file.")
+        kind = kind or shape.kind_of(found, source.file, KINDS)
+        shape.check_class(found, kind, source.file)
+    return Choice(kind, found, getattr(found, "Params", None), source)
+
+
+def function(key: str, name: str) -> Callable[..., Any]:
+    """The function that `path.py:name` or `package.module:name` names; ValueError in one line where there is none."""
+    where, colon, of = name.rpartition(":")
+    if not colon:
+        raise ValueError(f"{key} = {name}: name a function as path.py:name or package.module:name.")
+    module, _ = _module(f"{key} = {name}", where, of, None)
+    found = getattr(module, of, None)
+    if not callable(found):
+        raise ValueError(f"{key} = {name}: {where} defines no function {of}. Name a function of that file.")
+    return found
+
+
+def _module(place: str, where: str, class_name: str, folder: Path | None) -> tuple[ModuleType, Source]:
+    """The module of a user's own choice; `place` begins the messages."""
+    check_code(place)
+    path = Path(where)
+    if not where.endswith(".py"):
+        with blame.at_load(where, place, "cannot be imported"):
+            found = importlib.util.find_spec(where)
+        file = (found.origin if found is not None and found.has_location else None) or where
+        with blame.at_load(file, place, "cannot be imported"):
+            module = importlib.import_module(where)
+        digest = hashlib.sha256(Path(file).read_bytes()).hexdigest() if file != where else ""
+        return module, Source(f"{where}:{class_name}", file if file != where else "", digest)
+    if folder is not None and (folder / path).is_file():
+        path = folder / path
+    if not path.is_file():
+        raise ValueError(f"{place}: no such file. Give the path of a Python file.")
+    path = path.resolve()
+    with blame.at_load(str(path), place, "cannot be loaded"):
+        digest = hashlib.sha256(path.read_bytes()).hexdigest()
+        name = f"cosim_own_{path.stem}_{digest[:12]}"  # the same file is the same module in every process
+        if name not in sys.modules:
+            spec = importlib.util.spec_from_file_location(name, path)
+            assert spec is not None and spec.loader is not None
+            module = importlib.util.module_from_spec(spec)
+            sys.modules[name] = module
+            try:
+                spec.loader.exec_module(module)
+            except BaseException:
+                del sys.modules[name]
+                raise
+    return sys.modules[name], Source(f"{path}:{class_name}", str(path), digest)

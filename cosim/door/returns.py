@@ -1,0 +1,374 @@
+"""What the methods of a user's own class return, checked: type, shape, dtype, range and order.
+
+Each check takes a `Call` and what was returned. It gives back the same with arrays of its own, so that a class that
+keeps and changes an array that it returned changes nothing that was recorded; or it raises `Wrong`.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, is_dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool
+from numpy import ndarray
+
+from cosim.adversary.attack import LOUDEST_DBM, Sending
+from cosim.driver.driver import Reasons, SpeedCommands
+from cosim.radio.message_round import FrameOutcomes, LosState, MessageRound, Outcome, Receptions
+from cosim.v2x.messages import Detections
+from results.codes import ObjectClass, Origin
+from sensors.boxes import Boxes
+from sensors.reports import Reports
+from sensors.scene import Shape
+from trust.tables import TrustScores, pair_key
+
+MOST_IDENTITIES = 255
+"""Identities of a vehicle beside its own."""
+LONGEST_DELAY_S = 3600.0
+MOST_COPIES, MOST_REPORTS = 1000, 100_000
+FASTEST_MPS = 1000.0
+FARTHEST_M = 1e7
+MOST_HOPS = 2**15
+LARGEST_NAME = 2**31 - 1
+_WORDS = {"f": "floats", "iu": "integers", "b": "bools"}
+
+
+class Wrong(Exception):
+    """What a method returned cannot be: "X; Y is due"."""
+
+
+@dataclass(frozen=True, slots=True)
+class Call:
+    """A call of a method."""
+
+    given: tuple[Any, ...]
+    """Its arguments."""
+    made_with: tuple[Any, ...] = ()
+    """Arguments of the constructor of its class."""
+    latest_step: int | None = None
+    """Step in which it is called, where it is not among the arguments."""
+
+
+def with_article(name: str) -> str:
+    """A name with its article."""
+    return f"{'an' if name[0] in 'aeiouAEIOU' else 'a'} {name}"
+
+
+def described(value: Any) -> str:
+    """A value in a few words."""
+    if isinstance(value, ndarray):
+        return f"an array of {value.dtype} of shape {value.shape}"
+    if value is None or isinstance(value, bool | int | float):
+        return repr(value)
+    if isinstance(value, tuple | list):
+        return f"a {type(value).__name__} of {len(value)}"
+    return with_article(type(value).__name__)
+
+
+def detached(value: Any) -> Any:
+    """The same with copies of its arrays: of an array, a dataclass, or a tuple."""
+    if isinstance(value, ndarray):
+        return value.copy()
+    if isinstance(value, tuple) and type(value) is tuple:
+        return tuple(detached(item) for item in value)
+    if is_dataclass(value) and not isinstance(value, type):
+        made = object.__new__(type(value))
+        for field in fields(value):
+            object.__setattr__(made, field.name, detached(getattr(value, field.name)))
+        return made
+    return value
+
+
+def anything(call: Call, returned: Any) -> Any:
+    """A state of the class's own."""
+    return returned
+
+
+def nothing(call: Call, returned: Any) -> None:
+    """No result: the class keeps what it needs."""
+    if returned is not None:
+        raise Wrong(f"returned {described(returned)}; nothing is due: what the model learns, it keeps in itself")
+
+
+def pseudonym_changes(call: Call, returned: Any) -> Bool[ndarray, "e"]:
+    """Which vehicles change their pseudonyms."""
+    _column("", returned, (len(call.given[0].age_s),), "b", what="one for each vehicle")
+    return detached(returned)
+
+
+def reports(call: Call, returned: Any) -> Reports:
+    """What a detector reports."""
+    sweeps, _, boxes = call.given[:3]
+    _typed("", returned, Reports, "build it by Reports.of_actors, of_false_positives or concat")
+    n = _check_boxes(returned.boxes)
+    _columns("", returned, n, "one for each box", {
+        "observer": ("iu", 0, len(sweeps.observers) - 1), "label": ("iu", 0, len(ObjectClass) - 1),
+        "score": ("f", 0, 1), "actor": ("iu",), "is_false_positive": ("b",),
+    })  # fmt: skip
+    _within("actor", np.where(returned.is_false_positive, 0, returned.actor), 0, max(0, len(boxes) - 1))
+    return detached(returned)
+
+
+def speed_commands(call: Call, returned: Any) -> tuple[Any, SpeedCommands]:
+    """A driver's state and its commands."""
+    world = call.given[1]
+    state, commands = _with_state(returned, SpeedCommands)
+    n = _length("actor", commands.actor)
+    _columns("", commands, n, "one for each actor", {"actor": ("iu",), "speed_mps": ("f", 0, FASTEST_MPS)})
+    _ascending("actor", commands.actor.astype(np.int64))
+    lost = ~np.isin(commands.actor, world.actor[world.shape != Shape.PEDESTRIAN])
+    _none("actor", commands.actor, lost, "a vehicle of this step by its number in world.actor, not its row,")
+    if commands.reasons is not None:
+        _typed("reasons", commands.reasons, Reasons, "or None")
+        _columns("reasons.", commands.reasons, n, "one for each command", {
+            "source_step": ("iu",), "source": ("iu",), "source_index": ("iu",), "gap_m": ("f",),
+        })  # fmt: skip
+    return state, detached(commands)
+
+
+def message_round(call: Call, returned: Any) -> tuple[Any, MessageRound]:
+    """A medium's state and its round of messages."""
+    stations, messages = call.given[4:6]
+    round_s = call.made_with[1] if len(call.made_with) > 1 else np.inf
+    state, happened = _with_state(returned, MessageRound)
+    if not isinstance(happened.station, ndarray) or not np.array_equal(happened.station, messages.station):
+        raise Wrong(f"returned station as {described(happened.station)}; messages.station is due, as it was given")
+    got, frames, at, last_s = happened.receptions, happened.frames, "receptions.", round_s + 1e-9
+    _typed("receptions", got, Receptions, "build it by MessageRound.of")
+    _columns(at, got, _length(f"{at}receiver", got.receiver), "one for each reception", {
+        "receiver": ("iu",), "message": ("iu",), "hops": ("iu", 1, MOST_HOPS), "distance_m": ("f", 0, FARTHEST_M),
+        "generation_offset_s": ("f", 0, last_s), "access_delay_s": ("f", 0, last_s), "latency_s": ("f", 0, last_s),
+    })  # fmt: skip
+    _check_links(at, got, len(stations), messages)
+    _ascending(f"{at}receiver, message", pair_key(got.receiver, got.message))
+    _none(f"{at}latency_s", got.latency_s, got.latency_s < got.access_delay_s, "access_delay_s or more")
+    _none(f"{at}received_s", got.received_s, got.received_s > last_s, f"at most {round_s:g} s, the length of a round,")
+    _check_frames(frames, len(stations), messages)
+    received = frames.outcome == Outcome.RECEIVED
+    known = np.isin(pair_key(got.receiver, got.message), pair_key(frames.receiver[received], frames.message[received]))
+    _none(f"{at}message", got.message, ~known, "a message whose frame has the outcome RECEIVED at the receiver")
+    return state, detached(happened)
+
+
+def _check_frames(frames: Any, n_stations: int, messages: Any) -> None:
+    """The outcomes of the frames of a round."""
+    at = "frames."
+    _typed("frames", frames, FrameOutcomes, "build it by MessageRound.of")
+    _columns(at, frames, _length(f"{at}receiver", frames.receiver), "one for each frame and station in range", {
+        "message": ("iu",), "receiver": ("iu",), "hop": ("iu", 1, MOST_HOPS), "distance_m": ("f", 0, FARTHEST_M),
+        "los_state": ("iu", 0, len(LosState) - 1), "outcome": ("iu", 0, len(Outcome) - 1),
+    })  # fmt: skip
+    _check_links(at, frames, n_stations, messages)
+    _columns(at, frames, len(messages), "one for each message", {"n_transmissions": ("iu", 0, 2**31)})
+    if frames.cbr is not None:
+        _columns(at, frames, n_stations, "one for each station, or None", {"cbr": ("f", 0, 1)})
+    for name in ("n_relayed", "n_duplicate", "sent_bytes"):
+        value = getattr(frames, name)
+        is_number = isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
+        if not is_number or not 0 <= value < 1e18:
+            raise Wrong(f"returned {at}{name} as {described(value)}; a number of 0 or more is due")
+
+
+def _check_links(at: str, rows: Any, n_stations: int, messages: Any) -> None:
+    """Receivers and messages that there are, of messages that were sent, by others."""
+    receiver, message = rows.receiver, rows.message
+    _within(f"{at}receiver", receiver, 0, n_stations - 1)
+    _within(f"{at}message", message, 0, len(messages) - 1)
+    _none(f"{at}message", message, messages.length_bytes[message] == 0, "a message that is sent, of length_bytes > 0,")
+    _none(f"{at}receiver", receiver, messages.station[message] == receiver, "another station than the sender")
+
+
+def trust_scores(call: Call, returned: Any) -> TrustScores:
+    """What a trust model says."""
+    _typed("", returned, TrustScores, "build it by TrustScores.of")
+    s, subject = returned, returned.subject
+    now = call.given[0] if call.given and call.given[0] is not None else call.latest_step
+    if isinstance(s.step, bool) or not isinstance(s.step, int | np.integer) or (now is not None and s.step > now):
+        raise Wrong(f"returned step = {s.step!r}; the step of the call is due{'' if now is None else f', {now}'}")
+    now = int(s.step) if now is None else now
+    large = np.finfo(float).max
+    _columns("", s, _length("subject", subject), "one for each (holder, subject)", {
+        "holder": ("iu", 0, LARGEST_NAME), "subject": ("iu", 0, LARGEST_NAME), "trust": ("f", 0, 1),
+        "uncertainty": ("f",), "weight": ("f", 0, large), "n_evaluations": ("iu", 0, 2**62), "newest_step": ("iu",),
+        "oldest_step": ("iu",), "newest_evaluation_step": ("iu",), "oldest_evaluation_step": ("iu",),
+        "is_judged": ("b",), **({} if s.n_evaluators is None else {"n_evaluators": ("iu", 0, 2**62)}),
+    })  # fmt: skip
+    if not np.isnan(s.uncertainty[s.is_judged]).all():
+        unsure = np.where(s.is_judged, s.uncertainty, 0.0)
+        _none("uncertainty", unsure, ~((unsure >= 0) & (unsure <= 1)), "0 to 1, or NaN in all rows,", subject)
+    _none("is_judged", s.is_judged, s.is_judged != (s.n_evaluations > 0), "n_evaluations > 0", subject)
+    if s.n_evaluators is not None:
+        _none("n_evaluators", s.n_evaluators, s.n_evaluators > s.n_evaluations, "0 to n_evaluations", subject)
+    for what, counts in (("step", np.ones(len(subject), bool)), ("evaluation_step", s.is_judged)):
+        newest, oldest = getattr(s, f"newest_{what}"), getattr(s, f"oldest_{what}")
+        _none(f"newest_{what}", newest, counts & (newest > now), f"a step up to {now}, that of the call,", subject)
+        _none(f"oldest_{what}", oldest, counts & (oldest > newest), f"not later than newest_{what}", subject)
+        _none(f"oldest_{what}", oldest, counts & (oldest < 0), "0 or more", subject)
+    _ascending("holder, subject", pair_key(s.holder, subject))
+    return detached(returned)
+
+
+def object_scores(call: Call, returned: Any) -> ndarray:
+    """Scores that a trust model gives to objects."""
+    _column("", returned, (call.given[0].n_groups,), "f", what="one score for each object")
+    _within("scores", returned, 0, 1)
+    return detached(returned)
+
+
+def attacked_detections(call: Call, returned: Any) -> Detections:
+    """The lists that an attack returned; content that no message can hold is dropped later, and counted."""
+    listed, context = call.given
+    n_world = len(context.world)
+    _typed("", returned, Detections, "change the given ones with dataclasses.replace")
+    n = _length("observer", returned.observer)
+    _check_boxes(returned.boxes, n, is_bounded=False)
+    _columns("", returned, n, "one for each detection", {
+        "observer": ("iu", 0, n_world - 1), "target": ("iu", 0, n_world - 1), "origin": ("iu", 0, len(Origin) - 1),
+        "identity": ("iu", 0, MOST_IDENTITIES), "detection_index": ("iu",), "label": ("iu",), "score": ("f",),
+        "n_points": ("iu",), "transmitted": ("b",), "speed_mps": ("f",), "acceleration_mps2": ("f",),
+    })  # fmt: skip
+    if len(context.n_identities):
+        late = returned.identity > context.n_identities[returned.observer]
+        _none("identity", returned.identity, late, "at most the number that identities() says of the vehicle")
+    before, after = (np.bincount(one.observer, minlength=n_world) for one in (listed, returned))
+    if (after < before).any():
+        raise Wrong(
+            f"left out detections of observer {np.argmax(after < before)}; all are due: one that is not to be sent has "
+            "transmitted = False"
+        )
+    honest = [one.take(np.flatnonzero(~context.attacker[one.observer])) for one in (listed, returned)]
+    was, now = (one.take(np.lexsort((one.detection_index, one.identity, one.observer))) for one in honest)
+    if len(was) != len(now) or not all(map(_same, was.columns(), now.columns())):
+        raise Wrong("changed detections of other vehicles; only rows of context.own_rows(listed) may differ")
+    return detached(returned)
+
+
+def attacked_evaluations(call: Call, returned: Any) -> tuple[ndarray, ndarray]:
+    """Evaluation and visibility as an attack sends them."""
+    rows, _, context = call.given
+    if not isinstance(returned, tuple) or len(returned) != 2:
+        raise Wrong(f"returned {described(returned)}; a tuple (evaluation, visibility) is due")
+    honest = ~context.attacker[rows.evaluator]
+    for name, column, low in zip(("evaluation", "visibility"), returned, (-1, 0), strict=True):
+        _column(name, column, rows.evaluation.shape, "f", low, 1, what="one for each row of rows")
+        if not _same(column[honest], getattr(rows, name)[honest]):
+            raise Wrong(f"changed the {name} of other vehicles; only context.attacker[rows.evaluator] may differ")
+    return detached(returned)
+
+
+def identities(call: Call, returned: Any) -> ndarray:
+    """Identities of each actor beside its own."""
+    n_world = len(call.given[0].world)
+    _column("", returned, (n_world,), "iu", what="one for each actor of the world")
+    _within("identities", returned, 0, MOST_IDENTITIES)
+    return detached(returned)
+
+
+def sending(call: Call, returned: Any) -> Sending:
+    """How each actor sends."""
+    context = call.given[0]
+    _typed("", returned, Sending, "begin with Sending.plain(len(context.world))")
+    _columns("", returned, len(context.world), "one for each actor of the world", {
+        "delay_s": ("f", 0, LONGEST_DELAY_S), "n_copies": ("iu", 0, MOST_COPIES), "n_reports": ("iu", 0, MOST_REPORTS),
+        "jam_dbm": ("f", -np.inf, LOUDEST_DBM), "react_dbm": ("f", -np.inf, LOUDEST_DBM), "ignores_dcc": ("b",),
+    })  # fmt: skip
+    plain, nobody = Sending.plain(len(context.world)), Sending.plain(1)
+    for field in fields(Sending):
+        column, honest = getattr(returned, field.name), getattr(plain, field.name)
+        lawless = ~context.attacker & (column != honest)
+        _none(field.name, column, lawless, f"{getattr(nobody, field.name)[0]:g} for actors that do not attack")
+    return detached(returned)
+
+
+def recall(call: Call, returned: Any) -> ndarray:
+    """How often a detector finds what is there."""
+    _column("", returned, (len(call.given[0]),), "f", 0, 1, what="one for each object")
+    return detached(returned)
+
+
+def _same(one: Any, other: Any) -> bool:
+    """Whether two columns are equal."""
+    if isinstance(one, Boxes):
+        return all(_same(getattr(one, f.name), getattr(other, f.name)) for f in fields(Boxes))
+    return np.array_equal(one, other, equal_nan=one.dtype.kind == "f")
+
+
+def _typed(name: str, value: Any, of: type, cure: str) -> None:
+    """`Wrong` where a value is of another type."""
+    if not isinstance(value, of):
+        as_name = f"{name} as " if name else ""
+        raise Wrong(f"returned {as_name}{described(value)}; {with_article(of.__name__)} is due: {cure}")
+
+
+def _with_state(returned: Any, of: type) -> tuple[Any, Any]:
+    """A state and a result; `Wrong` where it is anything else."""
+    if not isinstance(returned, tuple) or len(returned) != 2 or not isinstance(returned[1], of):
+        is_pair = isinstance(returned, tuple) and len(returned) == 2
+        shown = f"({', '.join(map(described, returned))})" if is_pair else described(returned)
+        raise Wrong(f"returned {shown}; a tuple (state, {of.__name__}) is due")
+    return returned
+
+
+def _check_boxes(boxes: Any, n: int | None = None, is_bounded: bool = True) -> int:
+    """The number of boxes; `Wrong` where they are none."""
+    _typed("boxes", boxes, Boxes, "build it by Boxes(xyz_m, lwh_m, yaw_rad)")
+    n = _length("boxes.xyz_m", boxes.xyz_m) if n is None else n
+    for name, width in (("xyz_m", (3,)), ("lwh_m", (3,)), ("yaw_rad", ())):
+        low, high = (0 if name == "lwh_m" else -FARTHEST_M, FARTHEST_M) if is_bounded else (None, None)
+        _column(f"boxes.{name}", getattr(boxes, name), (n, *width), "f", low, high, "one for each box")
+    return n
+
+
+def _length(name: str, value: Any) -> int:
+    """Number of rows of an array; `Wrong` where it is none."""
+    if not isinstance(value, ndarray) or not value.ndim:
+        raise Wrong(f"returned {name} as {described(value)}; an array is due")
+    return len(value)
+
+
+def _columns(prefix: str, value: Any, n: int, what: str, due: Mapping[str, tuple]) -> None:
+    """Columns of a dataclass, each with n rows; `due` says the kinds of dtype and the bounds of each."""
+    for name, (kinds, *bounds) in due.items():
+        _column(f"{prefix}{name}", getattr(value, name), (n,), kinds, what=what)
+        if bounds:
+            _within(f"{prefix}{name}", getattr(value, name), *bounds, getattr(value, "subject", None))
+
+
+def _column(
+    name: str, value: Any, shape: tuple[int, ...], kinds: str, low: float | None = None, high: float | None = None,
+    what: str = "",
+) -> None:  # fmt: skip
+    """`Wrong` where a value is no array of this shape, of these kinds of dtype and within these bounds."""
+    if not isinstance(value, ndarray) or value.shape != shape or value.dtype.kind not in kinds:
+        raise Wrong(
+            f"returned {f'{name} as ' if name else ''}{described(value)}; an array of {_WORDS[kinds]} of shape {shape} "
+            f"is due: {what}"
+        )
+    if low is not None and high is not None:
+        _within(name, value, low, high)
+
+
+def _within(name: str, column: ndarray, low: float, high: float, subject: ndarray | None = None) -> None:
+    """`Wrong` where a number is out of bounds, or none."""
+    with np.errstate(invalid="ignore"):
+        wrong = ~((column >= low) & (column <= high))
+    _none(name, column, wrong, f"{low:g} to {high:g}" if high < 1e15 else f"{low:g} or more", subject)
+
+
+def _none(
+    name: str, column: ndarray, wrong: Bool[ndarray, "n ..."], due: str, subject: ndarray | None = None
+) -> None:  # fmt: skip
+    """`Wrong` where any row of a column is."""
+    if not wrong.any():
+        return
+    row, n = int(np.argmax(wrong.reshape(len(wrong), -1).any(axis=1))), int(wrong.sum())
+    of = "" if subject is None else f" of subject {subject[row]}"
+    more = f" and {n - 1} more like it" if n > 1 else ""
+    raise Wrong(f"returned {name}[{row}] = {column[row]}{of}{more}; {due} is due")
+
+
+def _ascending(name: str, key: ndarray) -> None:
+    """`Wrong` where rows are not sorted, or one of them is there twice."""
+    if (wrong := np.diff(key) <= 0).any():
+        row = int(np.argmax(wrong)) + 1
+        raise Wrong(f"returned rows {row - 1} and {row} not ascending by {name}; sorted rows, each once, are due")

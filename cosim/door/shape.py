@@ -1,0 +1,226 @@
+"""Whether a class has the shape of its kind: methods, their parameters, the constructor, and its `Params`."""
+
+import difflib
+import inspect
+import sys
+from collections.abc import Iterable, Mapping
+from dataclasses import fields, is_dataclass
+from types import ModuleType
+from typing import Any
+
+from cosim.door.blame import Refused, definition_line
+from cosim.door.kinds import Kind
+
+_OURS = {"cosim", "sensors", "trust", "results", "builtins", "typing", "abc", "enum"}
+"""Packages whose classes a user's class may inherit from; what they define is not the user's."""
+_NEAR = 0.7
+"""Likeness from which a name is taken for a misspelt one."""
+
+
+def kind_of(of: type, file: str, kinds: Mapping[str, Kind]) -> Kind:
+    """The kind whose methods a class has; `Refused` where there is none, or more than one."""
+    found = [kind for kind in kinds.values() if _has_hooks(of, kind)]
+    if len(found) == 1:
+        return found[0]
+    where = f"{file}:{definition_line(of, '', file)}: class {of.__name__}"
+    if found:
+        raise Refused(f"{where} has the methods of several kinds: {_titles(found)}. Say which one is meant.")
+    hooks = {hook for kind in kinds.values() for hook in kind.hooks}
+    hint = next((h for name in _own_methods(of) if (h := did_you_mean(name, hooks, f"{name}(): "))), "")
+    due = "; ".join(f"{kind.title}: {', '.join(kind.required or kind.hooks)}" for kind in kinds.values())
+    raise Refused(f"{where} has the methods of no kind of extension. {hint}Methods of each: {due}.")
+
+
+def check_class(of: type, kind: Kind, file: str) -> None:
+    """`Refused` in one line where a user's class cannot be of a kind.
+
+    Parameters
+    ----------
+    file
+        That of the class, for messages.
+    """
+
+    def where(name: str = "") -> str:
+        return f"{file}:{definition_line(of, name, file)}: {kind.title} {of.__name__}"
+
+    lacking = [name for name in kind.hooks if inspect.getattr_static(of, name, None) is None]
+    for name in _own_methods(of):
+        if name not in kind.hooks and (hint := did_you_mean(name, lacking)):
+            raise Refused(
+                f"{where(name)}: {name}() is not a method that {kind.a_title} is asked for. {hint}Rename it; the name "
+                "of a method for your own use begins with an underscore."
+            )
+    missing = [name for name in kind.required if name in lacking]
+    if missing or len(lacking) == len(kind.hooks):
+        due = " or ".join(f"{name}({', '.join(kind.hooks[name].parameters)})" for name in missing or kind.hooks)
+        raise Refused(f"{where()} has no method {due}, which {kind.a_title} needs. Write it.")
+    for name in kind.hooks.keys() - set(lacking):
+        _check_method(of, name, kind.hooks[name].parameters, where(name))
+    params = inspect.getattr_static(of, "Params", None)
+    if params is None:
+        _check_absent_params(of, where())
+    else:
+        _check_params(params, f"{where()}: Params")
+    _check_constructor(of, params is not None, kind, where("__init__"))
+    for name, what in kind.numbers.items():
+        value = getattr(of, name, 1.0)
+        if isinstance(value, bool) or not isinstance(value, int | float) or not value > 0:
+            raise Refused(f"{where()}: {name} = {value!r} is not a positive number. It is {what}.")
+
+
+def did_you_mean(name: str, known: Iterable[str], begin: str = "") -> str:
+    """ "Did you mean X? " where a name is like a known one; empty otherwise."""
+    plain = {other.lower().replace("_", ""): other for other in known}
+    near = difflib.get_close_matches(name.lower().replace("_", ""), plain, 1, _NEAR)
+    return f"{begin}Did you mean {plain[near[0]]}? " if near else ""
+
+
+def classes_of(module: ModuleType) -> list[str]:
+    """Names of the classes that a module defines."""
+    return [name for name, of in vars(module).items() if isinstance(of, type) and of.__module__ == module.__name__]
+
+
+def n_arguments(of: type, arguments: tuple[Any, ...]) -> int:
+    """How many of its arguments a constructor takes; the last ones may be left out of its signature."""
+    parameters = _parameters(of)
+    if parameters is None or any(p.kind is p.VAR_POSITIONAL for p in parameters):
+        return len(arguments)
+    return min(len(arguments), len(_positional(parameters)))
+
+
+def _has_hooks(of: type, kind: Kind) -> bool:
+    has = [name for name in kind.hooks if inspect.getattr_static(of, name, None) is not None]
+    return bool(has) and set(kind.required) <= set(has)
+
+
+def _titles(kinds: Iterable[Kind]) -> str:
+    return ", ".join(kind.title for kind in kinds)
+
+
+def _own_methods(of: type) -> list[str]:
+    """Public methods that a user's own classes define, those of their ancestors that ship left out."""
+    ours = {name for base in of.__mro__ if base.__module__.split(".")[0] in _OURS for name in vars(base)}
+    own = [base for base in of.__mro__ if base.__module__.split(".")[0] not in _OURS]
+    return [
+        name for base in own for name, value in vars(base).items()
+        if not name.startswith("_") and name not in ours and not isinstance(value, type)
+        and (callable(value) or isinstance(value, staticmethod | classmethod | property))
+    ]  # fmt: skip
+
+
+def _parameters(called: Any) -> list[inspect.Parameter] | None:
+    """Parameters of something that is called; None where they cannot be told."""
+    try:
+        return list(inspect.signature(called).parameters.values())
+    except (ValueError, TypeError):
+        return None
+
+
+def _positional(parameters: list[inspect.Parameter]) -> list[inspect.Parameter]:
+    return [p for p in parameters if p.kind in (p.POSITIONAL_ONLY, p.POSITIONAL_OR_KEYWORD)]
+
+
+def _check_method(of: type, name: str, due: tuple[str, ...], where: str) -> None:
+    """`Refused` where a method cannot be called with what is due."""
+    raw = inspect.getattr_static(of, name)
+    function = raw.__func__ if isinstance(raw, staticmethod | classmethod) else raw
+    cure = f"Write def {name}({', '.join(('self', *due))})."
+    if not callable(function):
+        what = "a property" if isinstance(raw, property) else f"{type(raw).__name__}, not a method"
+        raise Refused(f"{where}: {name} is {what}. {cure}")
+    for is_it, what in (
+        (inspect.iscoroutinefunction, "is asynchronous"), (inspect.isgeneratorfunction, "is a generator: it has yield"),
+        (inspect.isasyncgenfunction, "is an asynchronous generator"),
+    ):  # fmt: skip
+        if is_it(function):
+            raise Refused(f"{where}: {name}() {what}. Write a plain method that returns its result.")
+    parameters = _parameters(function)
+    if parameters is None or not inspect.isfunction(inspect.unwrap(function)):
+        return  # a callable of another kind: it shows when it is called
+    if not isinstance(raw, staticmethod) and (own := _positional(parameters)):
+        if own[0].name in due and len(own) == len(due):
+            raise Refused(f"{where}: {name}({_shown(parameters)}) has no self. {cure}")
+        parameters.remove(own[0])
+    elif not isinstance(raw, staticmethod) and not any(p.kind is p.VAR_POSITIONAL for p in parameters):
+        raise Refused(f"{where}: {name}({_shown(parameters)}) has no self. {cure}")
+    if problem := _misfit(parameters, due, exactly=True):
+        raise Refused(f"{where}: {name}({_shown(parameters)}) {problem}: it is called with ({', '.join(due)}). {cure}")
+
+
+def _shown(parameters: list[inspect.Parameter]) -> str:
+    return ", ".join(p.name for p in parameters)
+
+
+def _misfit(parameters: list[inspect.Parameter], due: tuple[str, ...], exactly: bool) -> str:
+    """Why parameters cannot take the arguments that are due; empty where they can.
+
+    With `exactly`, all arguments are given; otherwise as many of the first as there are parameters.
+    """
+    own, takes_any = _positional(parameters), any(p.kind is p.VAR_POSITIONAL for p in parameters)
+    needed = [p.name for p in own if p.default is p.empty]
+    if len(needed) > len(due):
+        return f"needs {', '.join(needed[len(due) :])} too"
+    if exactly and not takes_any and len(own) < len(due):
+        return "takes too few arguments"
+    if forced := [p.name for p in parameters if p.kind is p.KEYWORD_ONLY and p.default is p.empty]:
+        return f"needs {', '.join(forced)} by keyword"
+    for at, parameter in enumerate(own[: len(due)]):
+        if parameter.name in due and due.index(parameter.name) != at:
+            return "has its parameters in another order"
+    return ""
+
+
+def _check_constructor(of: type, has_params: bool, kind: Kind, where: str) -> None:
+    due = kind.arguments if has_params or kind.section_params else ()
+    parameters = _parameters(of)
+    if parameters is None:
+        return
+    takes = _positional(parameters)
+    if not has_params and not due and any(p.default is p.empty for p in takes):
+        raise Refused(
+            f"{where}: the constructor takes {_shown(takes)}, but the class has no Params. Name a frozen dataclass in "
+            "it, Params = ..., or write def __init__(self)."
+        )
+    if has_params and not takes and not any(p.kind is p.VAR_POSITIONAL for p in parameters):
+        raise Refused(
+            f"{where}: the class has Params, but its constructor does not take them. Write "
+            f"def __init__(self, {', '.join(due)})."
+        )
+    if problem := _misfit(parameters, due, exactly=False):
+        raise Refused(
+            f"{where}: the constructor {problem}: it is called with ({', '.join(due)}). Write "
+            f"def __init__({', '.join(('self', *due))}); the last ones may be left out."
+        )
+
+
+def _check_absent_params(of: type, where: str) -> None:
+    """`Refused` where a class has no `Params`, but seems to mean some."""
+    for name, value in vars(of).items():
+        if name.lower() in ("params", "param", "parameters") and isinstance(value, type):
+            raise Refused(f"{where}: {name} is not read. Did you mean Params? Rename it.")
+    beside = getattr(sys.modules.get(of.__module__), "Params", None)
+    takes = [p.name for p in _parameters(of) or ()]
+    if isinstance(beside, type) and is_dataclass(beside) and "params" in takes:
+        raise Refused(
+            f"{where}: the file has a class Params that {of.__name__} does not name. Write Params = Params in it."
+        )
+
+
+def _check_params(params: Any, where: str) -> None:
+    """`Refused` where `Params` is no dataclass, or has fields that it does not know of."""
+    if not isinstance(params, type):
+        what = "an instance" if is_dataclass(params) else f"{type(params).__name__}"
+        raise Refused(f"{where} is {what}, not a class. Name the class itself, without brackets.")
+    if not is_dataclass(params):
+        raise Refused(f"{where} is not a dataclass. Write @dataclass(frozen=True, kw_only=True) above it.")
+    if vars(params).get("__annotations__") and "__dataclass_fields__" not in vars(params):
+        raise Refused(f"{where}: what it adds to its base class is not read. Write @dataclass(frozen=True) above it.")
+    known = {f.name for f in fields(params)}
+    for name, value in vars(params).items():
+        is_method = callable(value) or hasattr(value, "__get__")
+        if name[0] != "_" and name == name.lower() and not is_method and name not in known:
+            if name not in vars(params).get("__annotations__", {}):
+                raise Refused(
+                    f"{where}.{name} has no type, so that no config can set it. Write {name}: "
+                    f"{type(value).__name__} = {value!r}."
+                )

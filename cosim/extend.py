@@ -1,0 +1,79 @@
+"""All that the author of an extension needs, from one place: `from cosim.extend import ...`.
+
+An extension is a class in a file of its own. A config names it as `mine.py:Class`.
+
+| kind | config | methods of the class | what it gets | what it returns |
+|---|---|---|---|---|
+| detector | `[detector] model` | `detect` | `Sweeps`, `Observability`, `Boxes`, `DetectorDraws` | `Reports` |
+| radio medium | `[radio] model` | `start`, `broadcast` | `Stations`, `Messages` | state and `MessageRound` |
+| pseudonym policy | `[pseudonyms] policy` | `changes` | `PseudonymAges` | one bool per vehicle |
+| trust model | `[trust] model` | `open_step`, `add_evaluations`, `scores`, and `score_objects` if it scores objects | \
+`ReceivedEvaluations`, `ObjectReports` | `TrustScores`; one score per object |
+| driver | `[driver] model` | `commands` | `World`, `Beliefs` | state and `SpeedCommands` |
+| attack | `[[attacks]] attack` | one or more of `detections`, `evaluations`, `identities`, `sending` | \
+`Detections`, `EvaluationRows`, `AttackContext` | `Detections`; evaluation and visibility; numbers; `Sending` |
+
+The protocols `Detector`, `Medium`, `PseudonymPolicy`, `TrustModel`, `ScoresObjects`, `Driver` and `Attack` say what
+each method is given, with shapes and units. Parameters of the class's own are a frozen dataclass `Params`, with types
+and defaults; the constructor takes an instance.
+
+| helper | what for |
+|---|---|
+| `draws(seed, step, names, n)` | random numbers of names; attacks have `context.uniforms`, detectors \
+`draws.uniforms(seen)`, policies `ages.step_draws` |
+| `TrustScores.of(...)` | trust scores from rows in any order, with defaults |
+| `PairIndex`, `with_rows` | a row for each (holder, subject), and columns that grow with them |
+| `MessageRound.of(...)` | a round of messages from receivers, messages and latencies |
+| `Reports.of_actors`, `Reports.of_false_positives`, `Reports.concat` | what a detector reports |
+| `fabricated`, `placed`, `per_actor`, `certified` | detections that an attack makes up; what it keeps per actor |
+| `SpeedCommands.none()`, `Sending.plain(n)` | nothing commanded; nothing changed |
+
+Arguments are left as they are: work on copies. What a method returns is checked; a mistake ends the run with one line
+that names the file, the line and what is due.
+"""
+
+from cosim.adversary.attack import (
+    Attack,
+    AttackContext,
+    EvaluationRows,
+    Sending,
+    certified,
+    fabricated,
+    per_actor,
+    placed,
+)
+from cosim.driver.driver import Beliefs, Driver, Reasons, SpeedCommands
+from cosim.radio.medium import Medium
+from cosim.radio.message_round import (
+    FrameOutcomes,
+    LosState,
+    MessageRound,
+    Messages,
+    Outcome,
+    Receptions,
+    RoundKind,
+    Stations,
+)
+from cosim.rng import draws
+from cosim.v2x.messages import FABRICATED, SELF, SENSED, Detections
+from cosim.v2x.pseudonyms import PseudonymAges, PseudonymPolicy
+from cosim.world import LanePaths, World
+from sensors.boxes import Boxes
+from sensors.detector import Detector
+from sensors.evidence import Observability
+from sensors.lidar import Sweeps
+from sensors.reports import DetectorDraws, Reports
+from sensors.scene import ObjectClass, Shape
+from trust.models import ScoresObjects, TrustModel
+from trust.object_reports import ObjectReports
+from trust.pair_index import PairIndex, with_rows
+from trust.tables import SERVER, EvaluationMessages, ReceivedEvaluations, TrustScores
+
+__all__ = [
+    "FABRICATED", "SELF", "SENSED", "SERVER", "Attack", "AttackContext", "Beliefs", "Boxes", "Detections", "Detector",
+    "DetectorDraws", "Driver", "EvaluationMessages", "EvaluationRows", "FrameOutcomes", "LanePaths", "LosState",
+    "Medium", "MessageRound", "Messages", "ObjectClass", "ObjectReports", "Observability", "Outcome", "PairIndex",
+    "PseudonymAges", "PseudonymPolicy", "Reasons", "ReceivedEvaluations", "Receptions", "Reports", "RoundKind",
+    "ScoresObjects", "Sending", "Shape", "SpeedCommands", "Stations", "Sweeps", "TrustModel", "TrustScores", "World",
+    "certified", "draws", "fabricated", "per_actor", "placed", "with_rows",
+]  # fmt: skip

@@ -1,0 +1,277 @@
+"""The stages of a step that ask and tell the trust hosts, in the order of `cosim.step.cycle.step`.
+
+As in `cosim.step.stages`, a stage returns the parts of the state that it changes before its result.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from cosim.radio.message_round import LinkReceptions, Receptions
+from cosim.ragged import ptr_of
+from cosim.step.exchange import Exchange, Times, Vehicles, distinct
+from cosim.step.parts import Parts
+from cosim.step.stages import Broadcast, Evaluated, Listed, Matched, SentEvaluations, SweepAnswers
+from cosim.step.trackers.encounters import EncounterTrackers, NearPairs
+from cosim.v2x.pseudonyms import PseudonymState
+from cosim.v2x.relinking import KnownSenders, ReceivedSenders, fallen_back, noted, update_senders
+from cosim.v2x.trust_hosts import Informed, Lookups, TrustState
+from cosim.v2x.trust_server import LinkStats, TrustBroadcast
+from cosim.world import World
+from results.codes import TrustSource
+from results.encounters import Rows
+from trust.fusion import Fused, fuse, votes_of
+from trust.tables import SenderTrust, TrustScores
+
+
+def own_trust_of(
+    world: World, trust: TrustState, pseudonyms: PseudonymState, now: Times, parts: Parts
+) -> Float[ndarray, "n"] | None:
+    """Trust in each actor as it last learned it itself, by row of the world; None where no attack reads it."""
+    if not parts.adversary.reads_trust:
+        return None
+    row = np.flatnonzero(world.equipped)
+    actor = world.actor[row]
+    subject = parts.linkage.subjects(pseudonyms, pseudonyms.of(actor))
+    found = parts.trust.lookup(trust, actor, subject, now.begin_s)[parts.trust.host_of[0]]
+    own_trust = np.full(len(world), parts.config.trust.default_trust)
+    own_trust[row] = found.trust
+    return own_trust
+
+
+def follow_encounters(
+    encounters: EncounterTrackers, near: NearPairs, trust: TrustState, pseudonyms: PseudonymState, vehicles: Vehicles,
+    now: Times, parts: Parts,
+) -> tuple[EncounterTrackers, TrustState, list[Rows]]:  # fmt: skip
+    """Who is near whom, and what they know of each other when they meet; rows of encounters that are over."""
+    closed, holder, other = encounters.update(now.step, near)
+    trust = parts.trust.receive(trust, vehicles.actor, now.begin_s)
+    subject = parts.linkage.subjects(pseudonyms, pseudonyms.of(other))
+    known = parts.trust.per_variant(parts.trust.lookup(trust, holder, subject, now.begin_s))
+    columns = ([getattr(found, name) for found in known] for name in ("trust", "source", "state", "age_s"))
+    encounters.first_contact(holder, other, *(np.stack(column, axis=1) for column in columns))
+    return encounters, trust, closed
+
+
+@dataclass(frozen=True, slots=True)
+class Published:
+    """What trust servers computed in a step, and whom they told."""
+
+    scores: list[TrustScores | None]
+    """Per trust variant, under the pseudonyms of now; None where none were computed."""
+    informed: list[Informed]
+    """Per host: vehicles that a broadcast was meant for, and that it reaches."""
+
+
+def publish(
+    trust: TrustState, pseudonyms: PseudonymState, vehicles: Vehicles, now: Times, parts: Parts
+) -> tuple[TrustState, PseudonymState, Published]:
+    """Trust servers take what has arrived, compute and broadcast trust, and accuse and revoke vehicles."""
+    c, hosts = parts.config, parts.trust
+    trust, scores, informed = hosts.publish(trust, now.step, now.begin_s, vehicles.actor, vehicles.name_key)
+    pseudonyms = parts.linkage.accused(pseudonyms, trust.arrived)
+    pseudonyms = parts.revocation.decided(pseudonyms, scores[hosts.host_of[0]], now.step, c.traffic.step_s)
+    named = [None if of_host is None else parts.linkage.scores(pseudonyms, of_host) for of_host in scores]
+    return trust, pseudonyms, Published(hosts.per_variant(named), informed)
+
+
+def receive_from_rsus(
+    trust: TrustState, exchange: Exchange, sent: TrustBroadcast | None, reports: Broadcast, informed: list[Informed],
+    parts: Parts,
+) -> tuple[TrustState, list[Informed]]:  # fmt: skip
+    """Vehicles receive what roadside units broadcast beside the evaluations; whom each host has informed now."""
+    if sent is None:
+        return trust, informed
+    down = reports.links.downlink
+    trust, by_rsus = parts.trust.receive_from_rsu(
+        trust, exchange.vehicles.actor, down.receiver, exchange.now.evaluated_s + down.received_s
+    )
+    acting = parts.trust.host_of[0]
+    return trust, [by_rsus if host == acting else found for host, found in enumerate(informed)]
+
+
+@dataclass(frozen=True, slots=True)
+class Carrier:
+    """The messages that evaluations came with, for trust."""
+
+    evaluations: SentEvaluations | None
+    """None where none were waiting to be carried."""
+    receptions: LinkReceptions
+    begin_s: float
+    """When they were sent."""
+
+
+def carrier_of(
+    exchange: Exchange, evaluated: Evaluated, waiting: SentEvaluations | None, rounds: tuple[Broadcast, Broadcast],
+    parts: Parts,
+) -> tuple[SentEvaluations | None, Carrier]:  # fmt: skip
+    """Evaluations that wait for the next detection message, and the messages that carried evaluations in this step.
+
+    Parameters
+    ----------
+    waiting
+        Evaluations of the step before, which this step's detection messages carried.
+    rounds
+        Of detection messages, and of evaluation messages.
+    """
+    cpms, reports = rounds
+    sent = SentEvaluations(evaluated.sent, exchange.sender)
+    if parts.config.radio.evaluations == "alone":
+        return None, Carrier(sent, reports.accepted, exchange.now.evaluated_s)
+    return sent, Carrier(waiting, cpms.accepted, exchange.now.begin_s)
+
+
+def update_trust(
+    trust: TrustState, exchange: Exchange, listed: Listed, evaluated: Evaluated, carrier: Carrier,
+    pseudonyms: PseudonymState, parts: Parts,
+) -> tuple[TrustState, LinkStats]:  # fmt: skip
+    """Trust hosts learn what was transmitted, what vehicles think themselves, and the evaluations that arrived.
+
+    Returns
+    -------
+    The state, and what became of the reports to the server.
+    """
+    hosts, linkage, senders = parts.trust, parts.linkage, exchange.senders
+    trust = _open_step(trust, exchange, listed, pseudonyms, parts)
+    trust = hosts.add_own(trust, linkage.messages(pseudonyms, evaluated.own_messages), exchange.vehicles.actor)
+    up = LinkStats()
+    if carrier.evaluations is not None:
+        trust, up = _deliver(trust, exchange, carrier.evaluations, carrier, pseudonyms, parts)
+    if parts.config.server.uplink == "cellular":
+        xy_m = exchange.world.boxes.xyz_m[exchange.vehicles.row[senders.vehicle], :2]
+        n_copies = None if exchange.sending is None else exchange.sending.n_reports[senders.vehicle]
+        sent = linkage.messages(pseudonyms, evaluated.sent)
+        trust, up = hosts.report_by_cellular(
+            trust, sent, senders.key, xy_m, exchange.now.evaluated_s, senders.is_valid, n_copies
+        )
+    return trust, up
+
+
+def _open_step(
+    trust: TrustState, exchange: Exchange, listed: Listed, pseudonyms: PseudonymState, parts: Parts
+) -> TrustState:
+    """Tell the hosts what was transmitted, by subject of trust."""
+    transmitted, detections, linkage = listed.objects.transmitted, listed.detections, parts.linkage
+    pseudonym = exchange.senders.pseudonym
+    message, index = detections.message[transmitted], detections.detection_index[transmitted]
+    subject = linkage.subjects(pseudonyms, pseudonym)
+    _, index = linkage.keys(pseudonyms, pseudonym[message], index)
+    if linkage.renames:
+        subject, message = distinct(subject, message)
+    return parts.trust.open_step(trust, exchange.now.step, subject, message, index, detections.score[transmitted])
+
+
+def _deliver(
+    trust: TrustState, exchange: Exchange, carried: SentEvaluations, carrier: Carrier, pseudonyms: PseudonymState,
+    parts: Parts,
+) -> tuple[TrustState, LinkStats]:  # fmt: skip
+    """Evaluation messages reach other vehicles, and through roadside units the server."""
+    links, vehicles = carrier.receptions, exchange.vehicles
+    row = np.full(len(exchange.senders), -1)  # of each message of this step among those carried
+    _, which, at = np.intersect1d(carried.sender, exchange.sender, assume_unique=True, return_indices=True)
+    row[at] = which
+    sent = parts.linkage.messages(pseudonyms, carried.messages)
+    got = links.vehicles.take(row[links.vehicles.message] >= 0)
+    trust = parts.trust.add_received(trust, sent, vehicles.actor[got.receiver], row[got.message])
+    up = links.uplink.take(row[links.uplink.message] >= 0)
+    return parts.trust.report_by_rsu(trust, sent, row[up.message], carrier.begin_s + up.received_s)
+
+
+@dataclass(frozen=True, slots=True)
+class LookedUp:
+    """Trust of the senders of what each vehicle uses, as it knows it when it fuses."""
+
+    messages: Receptions
+    """Messages whose senders' trust is looked up, by the vehicles that received them."""
+    lookups: list[Lookups]
+    """Per trust variant; rows as in `messages`."""
+
+
+def look_up(
+    trust: TrustState, known_senders: KnownSenders, exchange: Exchange, listed: Listed,
+    rounds: tuple[Broadcast, Carrier], pseudonyms: PseudonymState, parts: Parts,
+) -> tuple[TrustState, KnownSenders, LookedUp]:  # fmt: skip
+    """Every vehicle looks up how far it trusts the senders of the evaluations that it received.
+
+    `rounds` are that of detection messages, and the one that carried evaluations.
+    """
+    cpms, carrier = rounds
+    used, now, senders, vehicles = carrier.receptions.vehicles, exchange.now, exchange.senders, exchange.vehicles
+    trust = parts.trust.receive(trust, vehicles.actor, now.fused_s)
+    subject = parts.linkage.subjects(pseudonyms, senders.pseudonym)[used.message]
+    found = parts.trust.lookup(trust, vehicles.actor[used.receiver], subject, now.fused_s)
+    if parts.config.pseudonyms.linkage == "own":
+        received = _received_senders(exchange, listed, cpms.accepted.vehicles)
+        known_senders = update_senders(
+            known_senders, received, now.begin_s,
+            lambda pseudonym: parts.pseudonyms.owners(pseudonyms, pseudonym)[0], parts.config.pseudonyms,
+        )  # fmt: skip
+        known_senders, found = _of_old_pseudonyms(trust, known_senders, exchange, used, found, parts)
+    return trust, known_senders, LookedUp(used, parts.trust.per_variant(found))
+
+
+def _received_senders(exchange: Exchange, listed: Listed, received: Receptions) -> ReceivedSenders:
+    """Senders as their receivers know them: from what their messages say of themselves."""
+    objects, senders = listed.objects, exchange.senders
+    report = np.full(len(senders), -1)  # of each message: the sender's report of itself
+    selves = np.flatnonzero(listed.detections.is_self & objects.transmitted)
+    report[listed.detections.message[selves]] = selves
+    received = received.take(report[received.message] >= 0)
+    row = report[received.message]
+    yaw, speed = objects.boxes.yaw_rad[row], np.nan_to_num(objects.speed_mps[row])
+    return ReceivedSenders(
+        receiver=exchange.vehicles.actor[received.receiver],
+        pseudonym=senders.pseudonym[received.message],
+        xy_m=objects.boxes.xyz_m[row, :2],
+        velocity_mps=speed[:, None] * np.column_stack([np.cos(yaw), np.sin(yaw)]),
+    )
+
+
+def _of_old_pseudonyms(
+    trust: TrustState, known: KnownSenders, exchange: Exchange, used: Receptions, found: list[Lookups], parts: Parts
+) -> tuple[KnownSenders, list[Lookups]]:
+    """Look-ups of receivers that link pseudonyms themselves: where they know nothing of the new pseudonym, what they
+    know of the old one."""
+    holder, asked = exchange.vehicles.actor[used.receiver], exchange.senders.pseudonym[used.message]
+    old = np.full(len(asked), -1)
+    if len(known.receiver):
+        at = np.minimum(known.rows_of(holder, asked), len(known.receiver) - 1)
+        there = (known.receiver[at] == holder) & (known.pseudonym[at] == asked)
+        base = found[parts.trust.host_of[0]].source != TrustSource.DEFAULT
+        known = noted(known, at[there], base[there])
+        old[there] = known.linked[at[there]]
+    results = []
+    for host, one in enumerate(found):
+        rows = np.flatnonzero((one.source == TrustSource.DEFAULT) & (old >= 0))
+        if len(rows):
+            of_old = parts.trust.lookup(trust, holder[rows], old[rows], exchange.now.fused_s)[host]
+            one = fallen_back(one, rows, of_old)
+        results.append(one)
+    return known, results
+
+
+def fuse_objects(
+    trust: TrustState, listed: Listed, matched: Matched, answers: SweepAnswers, evaluated: Evaluated,
+    looked_up: LookedUp, parts: Parts,
+) -> list[Fused | None]:  # fmt: skip
+    """Every vehicle's final objects, per trust variant; None where they are not asked for."""
+    used = looked_up.messages
+    ptr = ptr_of(used.receiver, len(matched.known.owner))
+    in_time = np.full(len(used.message), parts.config.radio.evaluations == "alone")
+    given = matched.known, matched.groups, listed.detections, evaluated.lists, evaluated.own, evaluated.reported
+    fused: list[Fused | None] = []
+    votes = None
+    hosts = parts.trust
+    for variant, found, scorer in zip(hosts.variants, looked_up.lookups, hosts.scorers(trust), strict=True):
+        if not variant.fused:
+            fused.append(None)
+            continue
+        sender_trust, params = SenderTrust(ptr, used.message, found.trust, in_time), variant.trust
+        if scorer is not None and votes is None:
+            votes = votes_of(*given, sender_trust)
+        fused.append(fuse(
+            *given, sender_trust, answers.of_seeds, answers.from_own_m, params, scorer, votes, params.min_score
+        ))  # fmt: skip
+    return fused

@@ -1,0 +1,1 @@
+"""Mistakes in classes of a user's own."""

@@ -1,0 +1,321 @@
+"""Mistakes in a class of every kind: each is one line that names the file, the line and what to do."""
+
+import re
+
+import pytest
+
+from cosim.door.blame import ExtensionError, Refused
+from cosim.door.kinds import KINDS
+from tests.cosim.door.tiny import HEADER, play
+
+GOOD = {
+    "attack": "def detections(self, listed, context):\n    return listed\n"
+    "def evaluations(self, rows, detections, context):\n    return rows.evaluation, rows.visibility\n"
+    "def identities(self, context):\n    return np.zeros(6, int)\n"
+    "def sending(self, context):\n    return Sending.plain(6)",
+    "policy": "def changes(self, ages):\n    return ages.age_s > 3",
+    "medium": "def start(self):\n    return None\n"
+    "def broadcast(self, state, kind, step, begin_s, stations, messages):\n"
+    "    return state, MessageRound.of(stations, messages, np.array([1, 2]), np.array([0, 0]), latency_s=0.1)",
+    "detector": "def detect(self, sweeps, seen, boxes, label, draws):\n"
+    "    r = np.arange(6)\n    a = seen.actor\n"
+    "    return Reports.of_actors(seen, r, label[a], boxes.take(a), np.full(6, 0.5))",
+    "driver": "def commands(self, state, world, beliefs, dt_s):\n"
+    "    return state, SpeedCommands(world.actor[:2], np.array([3.0, 4.0]))",
+    "trust": "def open_step(self, step, pseudonyms, observer_row, detection_index, score):\n    self.step = step\n"
+    "def add_evaluations(self, received):\n    self.rows = received.rows()\n"
+    "def scores(self, now_step=None):\n"
+    "    n = np.array([1, 2, 3])\n"
+    "    return TrustScores.of(self.step, 0 * n, n, n / 4, newest_step=n)\n"
+    "def score_objects(self, reports):\n    return np.array([0.0, 1.0])",
+}
+"""Methods of a class without mistakes."""
+
+
+def source(methods):
+    """A file with a class `Mine`; it begins in line 5, its methods in line 6."""
+    return HEADER + "class Mine:\n" + "".join(f"    {line}\n" for line in methods.split("\n"))
+
+
+def returns(kind, hook, expression):
+    """A class whose method returns something else; `it` is what it should have returned."""
+    given = ", ".join(KINDS[kind].hooks[hook].parameters)
+    return source(GOOD[kind]).replace("class Mine:", "class Good:") + (
+        f"class Mine(Good):\n    def {hook}(self, {given}):\n        it = super().{hook}({given})\n"
+        f"        def got(**c): return replace(it[1], receptions=replace(it[1].receptions, **c))\n"
+        f"        def framed(**c): return replace(it[1], frames=replace(it[1].frames, **c))\n"
+        f"        return {expression}\n"
+    )
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_class_without_mistakes_passes(tmp_path, kind):
+    path = tmp_path / "mine.py"
+    path.write_text(source(GOOD[kind]))
+    assert play(path, kind)
+
+
+def told(tmp_path, kind, text, error=(ExtensionError, Refused)):
+    """What is said of a class: one line that begins with file and line."""
+    path = tmp_path / "mine.py"
+    path.write_text(text)
+    with pytest.raises(error) as raised:
+        play(path, kind)
+    said = str(raised.value)
+    assert re.match(rf"{path}:[1-9]\d*: ", said) and said.isprintable() and said.endswith(".")
+    return said.removeprefix(f"{path}:")
+
+
+METHOD = {kind: next(iter(hooks.hooks)) for kind, hooks in KINDS.items()} | {"medium": "broadcast", "trust": "scores"}
+PARAMS = "@dataclass(frozen=True)\nclass Params:\n    a: float = 1.0\n"
+
+
+def general(kind):
+    """Mistakes that a class of any kind can have: text of the file, and what is told of it."""
+    hook, good = METHOD[kind], GOOD[kind]
+    line = re.search(rf"def {hook}\((.*)\):", good)
+    first = line[0]
+    wrong = hook[:-1] if hook.endswith("s") else hook + "s"
+    own = "class Mine:\n    Params = Params\n"
+    body = "".join(f"    {row}\n" for row in good.split("\n"))
+    return {
+        "syntax": (source(good) + "    def (", "SyntaxError"),
+        "import": (HEADER + "import nowhere_at_all\n", "ModuleNotFoundError"),
+        "exit at import": (HEADER + "raise SystemExit(0)\n", "SystemExit"),
+        "value error at import": (HEADER + "int('x')\n", "ValueError: invalid literal"),
+        "no class": (HEADER + "def mine(): pass\n", "defines no Mine"),
+        "another class": (HEADER + "class Mind:\n    pass\n", "Did you mean Mind?"),
+        "not a class": (HEADER + "Mine = 3\n", "Mine is no class"),
+        "nothing": (source("pass"), "has no method"),
+        "near name": (source(good.replace(f"def {hook}(", f"def {wrong}(")), f"Did you mean {hook}?"),
+        "other case": (source(good.replace(f"def {hook}(", f"def {hook.title()}(")), f"Did you mean {hook}?"),
+        "too few": (source(good.replace(first, f"def {hook}(self):")), "takes too few arguments"),
+        "too many": (source(good.replace(first, first.replace("):", ", more, *, other=1):")
+                     .replace("=None", ""))), "needs more too"),
+        "keyword only": (source(good.replace(first, first.replace("):", ", *, more):"))), "by keyword"),
+        "no self": (source(good.replace(first, first.replace("self, ", ""))), "has no self"),
+        "property": (source(good.replace(first, "@property\n" + first)), "is a property"),
+        "attribute": (source(good.replace(f"def {hook}(", "def _other(") + f"\n{hook} = 3"), "not a method"),
+        "generator": (source(good.replace(first, first + "\n    yield 1")), "is a generator"),
+        "asynchronous": (source(good.replace(first, "async " + first)), "is asynchronous"),
+        "params without Params": (source("def __init__(self, params, b, c, d, e):\n    pass\n" + good), "constructor"),
+        "Params not named": (HEADER + PARAMS + source("def __init__(self, params):\n    pass\n" + good), "Params"),
+        "Params misspelt": (source("class params:\n    pass\n" + good), "Did you mean Params?"),
+        "Params no dataclass": (HEADER + "class Params:\n    a = 1\n" + own + body, "is not a dataclass"),
+        "Params an instance": (HEADER + PARAMS + own.replace("= Params", "= Params()") + body, "an instance"),
+        "Params untyped": (HEADER + PARAMS + "    b = 2\n" + own + body, "Params.b has no type"),
+        "Params not taken": (HEADER + PARAMS + own + "    def __init__(self):\n        pass\n" + body, "not take them"),
+        "Params inherited": (HEADER + PARAMS + "class More(Params):\n    b: float = 2.0\n"
+                             + own.replace("= Params", "= More") + body, "adds to its base class"),
+        "raises": (source(good.replace(first, first + "\n    1 / 0")), f"{hook}() raised ZeroDivisionError"),
+        "exits": (source(good.replace(first, first + "\n    raise SystemExit(0)")), "which ends the program"),
+        "asks": (source(good.replace(first, first + "\n    raise BaseException('a\\n\\x1b[31mb')")), "a ?[31mb"),
+        "constructor raises": (source("def __init__(self):\n    self.a = {}['b']\n" + good), "KeyError"),
+        "constructor exits": (source("def __init__(self):\n    exit()\n" + good), "SystemExit"),
+        "hostile message": (source(good.replace(first, first + "\n    class E(Exception):\n        __str__ = None"
+                                                "\n    raise E")), "cannot be shown"),
+        "endless": (source(good.replace(first, first + "\n    f = lambda: f()\n    f()")), "RecursionError"),
+        "None": (returns(kind, hook, "None"), "returned None"),
+        "text": (returns(kind, hook, "'x' * 3"), "returned a str"),
+        "dict": (returns(kind, hook, "{}"), "returned a dict"),
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("name", general("attack"))
+def test_of_any_kind(tmp_path, kind, name):
+    text, says = general(kind)[name]
+    assert says in told(tmp_path, kind, text)
+
+
+PARTICULAR = {
+    "attack": {
+        ("detections", "listed.boxes"): "returned a Boxes; a Detections is due",
+        ("detections", "listed.take(np.arange(5))"): "left out detections of observer 5; all are due",
+        ("detections", "listed.take(np.arange(3, 6))"): "left out detections of observer 0",
+        ("detections", "replace(it, score=it.score * 0.5)"): "changed detections of other vehicles",
+        ("detections", "replace(it, score=list(it.score))"): "score as a list of 6",
+        ("detections", "replace(it, score=it.score[:4])"): "of shape (6,) is due",
+        ("detections", "replace(it, transmitted=it.transmitted * 1)"): "an array of bools",
+        ("detections", "replace(it, observer=it.observer + 9)"): "returned observer[0] = 9",
+        ("detections", "replace(it, origin=it.origin + 7)"): "origin[0] = 8",
+        ("detections", "replace(it, target=it.target - 9)"): "target[0] = -9",
+        ("detections", "replace(it, identity=it.identity + 300)"): "identity[0] = 300",
+        ("detections", "replace(it, label=it.label * 1.0)"): "an array of integers",
+        ("detections", "replace(it, boxes=3)"): "boxes as 3",
+        ("detections", "replace(it, boxes=it.boxes.take(np.arange(2)))"): "boxes.xyz_m as an array of float64",
+        ("detections", "context.world.speed_mps.__setitem__(0, 9)"): "changed its argument context.world.speed_mps",
+        ("detections", "it.boxes.xyz_m.__iadd__(3)"): "changed its argument listed.boxes.xyz_m in place",
+        ("detections", "(it, 3)"): "returned a tuple of 2",
+        ("evaluations", "rows.evaluation"): "a tuple (evaluation, visibility) is due",
+        ("evaluations", "(rows.evaluation[:3], rows.visibility)"): "evaluation as an array of float64 of shape (3,)",
+        ("evaluations", "(rows.evaluation - 9, rows.visibility)"): "evaluation[0] = -8.5",
+        ("evaluations", "(rows.evaluation, rows.visibility * np.nan)"): "visibility[0] = nan",
+        ("evaluations", "(-rows.evaluation, rows.visibility)"): "changed the evaluation of other vehicles",
+        ("evaluations", "(1, 1)"): "evaluation as 1",
+        ("identities", "3"): "returned 3; an array of integers of shape (6,) is due",
+        ("identities", "np.full(6, 400)"): "identities[0] = 400",
+        ("identities", "np.full(6, 0.5)"): "returned an array of float64",
+        ("identities", "np.full(3, 1)"): "of shape (3,)",
+        ("sending", "np.zeros(6)"): "a Sending is due",
+        ("sending", "Sending.plain(3)"): "delay_s as an array of float64 of shape (3,)",
+        ("sending", "replace(Sending.plain(6), delay_s=np.full(6, -1.0))"): "delay_s[0] = -1",
+        ("sending", "replace(Sending.plain(6), delay_s=np.full(6, 1.0))"): "0 for actors that do not attack",
+        ("sending", "replace(Sending.plain(6), n_copies=np.full(6, 0.5))"): "n_copies as an array of float64",
+        ("sending", "replace(Sending.plain(6), n_reports=np.full(6, 10**7))"): "n_reports[0] = 10000000",
+    },
+    "policy": {
+        ("changes", "[True]"): "returned a list of 1; an array of bools of shape (6,) is due",
+        ("changes", "True"): "returned True",
+        ("changes", "np.array([True])"): "an array of bool of shape (1,)",
+        ("changes", "it[:5]"): "of shape (5,)",
+        ("changes", "it[:, None]"): "of shape (6, 1)",
+        ("changes", "np.flatnonzero(it)"): "an array of int64",
+        ("changes", "it * 1"): "an array of int64",
+        ("changes", "it * 1.0"): "an array of float64",
+        ("changes", "ages.age_s"): "an array of float64",
+        ("changes", "it.astype(object)"): "an array of object",
+        ("changes", "list(it)"): "a list of 6",
+        ("changes", "np.array(True)"): "of shape ()",
+        ("changes", "self"): "returned a Mine",
+        ("changes", "ages"): "returned a PseudonymAges",
+        ("changes", "(it, it)"): "returned a tuple of 2",
+        ("changes", "ages.age_s.fill(0)"): "changed its argument ages.age_s",
+        ("changes", "ages.nothing > 3"): "AttributeError",
+        ("changes", "it > np.arange(3)"): "ValueError",
+        ("changes", "np.ma.masked_array(it, it)[:2]"): "of shape (2,)",
+        ("changes", "{0: True}"): "returned a dict",
+        ("changes", "iter(it)"): "an iterator",
+    },
+    "medium": {
+        ("broadcast", "it[1]"): "a tuple (state, MessageRound) is due",
+        ("broadcast", "(it[1], state)"): "a tuple (state, MessageRound) is due",
+        ("broadcast", "(state, None)"): "returned (None, None)",
+        ("broadcast", "(state, replace(it[1], station=it[1].station + 1))"): "messages.station is due",
+        ("broadcast", "(state, replace(it[1], receptions=None))"): "receptions as None",
+        ("broadcast", "(state, replace(it[1], frames=()))"): "frames as a tuple of 0",
+        ("broadcast", "MessageRound.of(stations, messages, np.array([9]), np.array([0]))"): "receiver is not one row",
+        ("broadcast", "(state, got(receiver=np.array([1, 9])))"): "receptions.receiver[1] = 9; 0 to 5 is due",
+        ("broadcast", "(state, got(message=np.array([0, -1])))"): "receptions.message[1] = -1",
+        ("broadcast", "(state, got(receiver=np.array([0, 2])))"): "another station than the sender",
+        ("broadcast", "(state, got(message=np.array([5, 5])))"): "of length_bytes > 0, is due",
+        ("broadcast", "(state, got(receiver=np.array([2, 1])))"): "not ascending by receptions.receiver, message",
+        ("broadcast", "(state, got(receiver=np.array([1, 1])))"): "not ascending",
+        ("broadcast", "(state, got(latency_s=np.array([0.1, -0.1])))"): "ValueError: a reception with a negative delay",
+        ("broadcast", "(state, got(latency_s=np.array([0.1, np.nan])))"): "a reception with a negative delay",
+        ("broadcast", "(state, got(access_delay_s=np.array([0.0, 0.2])))"): "no message is received before",
+        ("broadcast", "(state, got(latency_s=np.array([0.1, 3.0])))"): "latency_s[1] = 3.0; 0 to 0.4 is due",
+        ("broadcast", "(state, got(generation_offset_s=np.array([0.0, 0.39])))"): "received_s[1] = 0.49",
+        ("broadcast", "(state, got(hops=np.array([0, 1])))"): "receptions.hops[0] = 0",
+        ("broadcast", "(state, got(hops=np.array([1])))"): "receptions.hops as an array of int64 of shape (1,)",
+        ("broadcast", "(state, got(distance_m=np.array([1.0, np.inf])))"): "receptions.distance_m[1] = inf",
+        ("broadcast", "(state, got(receiver=np.array([1, 3])))"): "a message whose frame has the outcome RECEIVED",
+        ("broadcast", "(state, framed(outcome=np.array([1, 1])))"): "a message whose frame has the outcome RECEIVED",
+        ("broadcast", "(state, framed(outcome=np.array([0, 9])))"): "frames.outcome[1] = 9",
+        ("broadcast", "(state, framed(los_state=np.array([0.5, 0.5])))"): "frames.los_state as an array of float64",
+        ("broadcast", "(state, framed(n_transmissions=np.ones(2, int)))"): "frames.n_transmissions as an array",
+        ("broadcast", "(state, framed(sent_bytes=float('nan')))"): "frames.sent_bytes as nan",
+        ("broadcast", "(state, framed(n_relayed=None))"): "frames.n_relayed as None",
+        ("broadcast", "(state, framed(cbr=np.full(6, 2.0)))"): "frames.cbr[0] = 2.0",
+        ("broadcast", "(state, framed(cbr=0.5))"): "frames.cbr as 0.5",
+        ("broadcast", "messages.length_bytes.fill(9)"): "changed its argument messages.length_bytes",
+    },
+    "detector": {
+        ("detect", "[it]"): "returned a list of 1; a Reports is due",
+        ("detect", "boxes"): "returned a Boxes",
+        ("detect", "replace(it, boxes=None)"): "returned boxes as None",
+        ("detect", "replace(it, observer=it.observer + 1)"): "observer[3] = 2 and 2 more like it; 0 to 1 is due",
+        ("detect", "replace(it, observer=it.observer - 1)"): "observer[0] = -1",
+        ("detect", "replace(it, observer=it.observer * 1.0)"): "observer as an array of float64",
+        ("detect", "replace(it, actor=it.actor + 9)"): "actor[0] = 10",
+        ("detect", "replace(it, actor=it.actor[:2])"): "actor as an array of int32 of shape (2,)",
+        ("detect", "replace(it, label=it.label + 9)"): "label[0] = 9",
+        ("detect", "replace(it, label='car')"): "label as a str",
+        ("detect", "replace(it, label=np.array(['car'] * 6))"): "label as an array of <U3",
+        ("detect", "replace(it, score=it.score * 100)"): "score[0] = 50.0 and 5 more like it; 0 to 1 is due",
+        ("detect", "replace(it, score=it.score - 1)"): "score[0] = -0.5",
+        ("detect", "replace(it, score=it.score * np.nan)"): "score[0] = nan",
+        ("detect", "replace(it, score=0.5)"): "score as 0.5",
+        ("detect", "replace(it, score=np.ones(6, int))"): "an array of floats of shape (6,) is due",
+        ("detect", "replace(it, score=it.score[:, None])"): "of shape (6, 1)",
+        ("detect", "replace(it, is_false_positive=np.zeros(6))"): "is_false_positive as an array of float64",
+        ("detect", "replace(it, boxes=it.boxes.take(np.arange(2)))"): "of shape (2,) is due",
+        ("detect", "replace(it, boxes=replace(it.boxes, xyz_m=it.boxes.xyz_m * np.nan))"): "is not finite",
+        ("detect", "replace(it, boxes=replace(it.boxes, lwh_m=-it.boxes.lwh_m))"): "must be positive",
+        ("detect", "replace(it, boxes=replace(it.boxes, xyz_m=it.boxes.xyz_m * 1e9))"): "boxes.xyz_m[0]",
+        ("detect", "boxes.xyz_m.fill(3)"): "changed its argument boxes.xyz_m in place",
+        ("detect", "seen.n_returns.sort() or label.fill(2)"): "changed its argument label",
+    },
+    "driver": {
+        ("commands", "it[1]"): "a tuple (state, SpeedCommands) is due",
+        ("commands", "(it[1], state)"): "a tuple (state, SpeedCommands) is due",
+        ("commands", "(state, None)"): "returned (None, None)",
+        ("commands", "(state, {})"): "(None, a dict)",
+        ("commands", "(state, [], [])"): "a tuple of 3",
+        ("commands", "(state, SpeedCommands(np.arange(2), np.ones(2)))"): "actor[0] = 0 and 1 more like it",
+        ("commands", "(state, SpeedCommands(world.actor[::-1], np.ones(6)))"): "not ascending by actor",
+        ("commands", "(state, SpeedCommands(world.actor[[0, 0]], np.ones(2)))"): "not ascending by actor",
+        ("commands", "(state, SpeedCommands(world.actor[-1:], np.ones(1)))"): "actor[0] = 15; a vehicle of this step",
+        ("commands", "(state, SpeedCommands(world.actor[:2], np.ones(3)))"): "speed_mps as an array of float64",
+        ("commands", "(state, SpeedCommands(world.actor[:2], 3.0))"): "speed_mps as 3.0",
+        ("commands", "(state, SpeedCommands([10], np.ones(1)))"): "actor as a list of 1",
+        ("commands", "(state, SpeedCommands(world.actor[:2] * 1.0, np.ones(2)))"): "actor as an array of float64",
+        ("commands", "(state, SpeedCommands(world.actor[:2], np.array([3.0, np.nan])))"): "speed_mps[1] = nan",
+        ("commands", "(state, SpeedCommands(world.actor[:2], np.array([-3.0, 1.0])))"): "speed_mps[0] = -3.0",
+        ("commands", "(state, SpeedCommands(world.actor[:2], np.array([np.inf, 1.0])))"): "speed_mps[0] = inf",
+        ("commands", "(state, SpeedCommands(world.actor[:2], np.array([3, 4])))"): "an array of floats",
+        ("commands", "(state, SpeedCommands(world.actor[:2], np.ones((2, 1))))"): "of shape (2, 1)",
+        ("commands", "(state, replace(it[1], reasons=3))"): "reasons as 3",
+        ("commands", "(state, replace(it[1], reasons=Reasons(*[np.zeros(2, int)] * 4)))"): "reasons.gap_m",
+        ("commands", "(state, replace(it[1], reasons=Reasons(*[np.zeros(1, int)] * 4)))"): "reasons.source_step",
+        ("commands", "world.speed_mps.fill(0)"): "changed its argument world.speed_mps",
+        ("commands", "beliefs.score.fill(0)"): "changed its argument beliefs.score",
+    },
+    "trust": {
+        ("scores", "it.trust"): "a TrustScores is due",
+        ("scores", "replace(it, trust=it.trust * np.nan)"): "trust[0] = nan of subject 1 and 2 more like it",
+        ("scores", "replace(it, trust=it.trust * 2)"): "trust[2] = 1.5 of subject 3; 0 to 1 is due",
+        ("scores", "replace(it, trust=it.trust[:2])"): "trust as an array of float64 of shape (2,)",
+        ("scores", "replace(it, weight=1.0)"): "weight as 1.0",
+        ("scores", "replace(it, weight=it.weight * np.inf)"): "weight[0] = inf",
+        ("scores", "replace(it, uncertainty=np.array([np.nan, 0.5, 0.5]))"): "uncertainty[0] = nan",
+        ("scores", "replace(it, uncertainty=it.trust - 1)"): "uncertainty[0] = -0.75",
+        ("scores", "replace(it, n_evaluations=-it.n_evaluations)"): "n_evaluations[0] = -1",
+        ("scores", "replace(it, n_evaluations=it.n_evaluations * 0.5)"): "n_evaluations as an array of float64",
+        ("scores", "replace(it, n_evaluations=it.n_evaluations * 0)"): "is_judged[0] = True",
+        ("scores", "replace(it, is_judged=it.is_judged * 1)"): "is_judged as an array of int64",
+        ("scores", "replace(it, n_evaluators=it.n_evaluations + 1)"): "0 to n_evaluations is due",
+        ("scores", "replace(it, newest_step=it.newest_step + 9)"): "newest_step[0] = 10 of subject 1",
+        ("scores", "replace(it, oldest_step=it.newest_step + 1)"): "not later than newest_step is due",
+        ("scores", "replace(it, oldest_step=it.oldest_step - 5)"): "oldest_step[0] = -4",
+        ("scores", "replace(it, newest_evaluation_step=it.newest_step + 9)"): "newest_evaluation_step[0] = 10",
+        ("scores", "replace(it, oldest_evaluation_step=it.newest_step + 1)"): "not later than newest_evaluation_step",
+        ("scores", "replace(it, newest_step=it.newest_step * 1.0)"): "newest_step as an array of float64",
+        ("scores", "replace(it, step=99)"): "step = 99; the step of the call is due, 5",
+        ("scores", "replace(it, step=None)"): "step = None",
+        ("scores", "replace(it, subject=it.subject[::-1])"): "not ascending by holder, subject",
+        ("scores", "replace(it, subject=it.subject * 0)"): "not ascending by holder, subject",
+        ("scores", "replace(it, subject=it.subject - 9)"): "subject[0] = -8",
+        ("scores", "replace(it, holder=it.holder + 2**40)"): "holder[0] = 1099511627776",
+        ("open_step", "{}"): "open_step() returned a dict; nothing is due",
+        ("add_evaluations", "received"): "add_evaluations() returned a ReceivedEvaluations; nothing is due",
+        ("add_evaluations", "received.messages.visibility.fill(0)"): "changed its argument received.messages.visib",
+        ("score_objects", "0.5"): "returned 0.5; an array of floats of shape (2,) is due",
+        ("score_objects", "np.ones(3)"): "of shape (3,)",
+        ("score_objects", "np.array([0.5, np.nan])"): "scores[1] = nan",
+        ("score_objects", "np.array([0.5, 1.5])"): "scores[1] = 1.5",
+        ("score_objects", "np.array([True, False])"): "an array of bool",
+    },
+}  # fmt: skip
+"""By kind, method and what it returns instead of `it`: what is told."""
+CASES = [(kind, *case) for kind, cases in PARTICULAR.items() for case in cases]
+
+
+@pytest.mark.parametrize(("kind", "hook", "returned"), CASES)
+def test_what_a_method_may_not_return(tmp_path, kind, hook, returned):
+    said = told(tmp_path, kind, returns(kind, hook, returned), ExtensionError)
+    assert f" Mine: {hook}() " in said and PARTICULAR[kind][hook, returned] in said
+
+
+def test_every_kind_has_twenty_mistakes_of_its_own():
+    assert all(len(PARTICULAR[kind]) >= 20 for kind in KINDS)

@@ -1,0 +1,215 @@
+"""A folder of unknown origin is opened by every command and by the Python API: no code of it runs.
+
+Commands are found by walking the command line, functions by walking the packages: a new one that has no call in the
+tables below fails the test.
+"""
+
+import ast
+import importlib
+import inspect
+import pkgutil
+import shutil
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+import typer
+
+import cosim.execution
+import cosim.offline
+import cosim.studies
+import results
+from cosim.cli.main import app
+from cosim.config.config import load
+from cosim.docs.commands import commands
+from cosim.door.permission import CodeNotTrusted
+from cosim.execution.stop import Failed
+from cosim.studies.folder import StudyFolder
+from results.archive import open_run
+from results.run import Run
+from tests.hostile import shared
+
+CALLS = {
+    "bench": [],  # opens no folder of a run
+    "cache": [],
+    "check": ["check {run}/config.toml", "check {part}/config.toml --json"],
+    "export": [
+        "export veremi {run} --out {out}/veremi", "export kitti {run} --out {out}/kitti --vehicles 0 --steps 1-2",
+        "export veremi-nextgen {run} --out {out}/nextgen",
+    ],
+    "measure": ["measure {run}", "measure {part} --json", "measure {run} --csv {out}/x.csv", "measure {study}"],
+    "nets build": ["nets build --out {run}"],
+    "nets list": ["nets list {run} {study}"],
+    "nets show": ["nets show {run}"],
+    "plot": [
+        "plot trust {run}", "plot map {part}", "plot sweep {run} --vehicle 0 --step 2", "plot trust {study}",
+        "plot scene {run} --step 2", "plot movie {run} --out {out}/movie.gif",
+    ],
+    "report": ["report {run} --out {out}/report.html", "report {study}"],
+    "reproduce": ["reproduce tables --out {study}", "reproduce trust-levels --out {run}"],
+    "resume": ["resume {part}", "resume {run}", "resume {part} --workers 1"],
+    "retrust": ["retrust {run} --variants {out}/variants.toml --out {out}/retrust"],
+    "run": [
+        "run {run}/config.toml --out {out}/again", "run {run}/config.toml --set seed=5 --out {out}/again",
+        "run --set traffic.scenario={run} --set traffic.duration_s=2 --out {out}/replayed",
+    ],
+    "status": ["status {run}", "status {part} --json", "status {study}"],
+    "sweep": ["sweep {study}/study.toml --out {study}", "sweep {study}/study.toml --out {out}/other --dry-run"],
+    "verify": ["verify {run} {part} {study}/runs/*"],
+    "view": ["view {run} --out {out}/run.rrd --vehicle 0"],
+}  # fmt: skip
+"""How each command is called; {run} is finished, {part} interrupted, {study} a study, {out} an empty folder."""
+
+PATHS = (Path, str | Path, StudyFolder)
+SLOW = ("measure", "plot", "report")
+"""Commands that take seconds."""
+
+NAMED = ("path", "folder", "run", "study", "job", "file")
+FUNCTIONS = {
+    "cosim.execution.folder.check": None,  # these name a folder to be written, or files of the program's own
+    "cosim.execution.folder.reopen": None,
+    "cosim.studies.folder.write_whole": None,
+    "cosim.studies.worker.make": None,  # the process of a sweep, with a job that the sweep has just written
+    "cosim.execution.run.remarks": lambda f, at: f(at["run"]),
+    "cosim.execution.run.resumable": lambda f, at: f(at["part"]),
+    "cosim.execution.run.resume": lambda f, at: f(at["part"], print),
+    "cosim.offline.export.export": lambda f, at: f(open_run(at["run"]), "veremi", at["out"] / "api"),
+    "cosim.offline.replay_lidar.config_of": lambda f, at: f(open_run(at["run"])),
+    "cosim.offline.replay_lidar.film": lambda f, at: f(open_run(at["run"]), 0, at["out"] / "api.gif"),
+    "cosim.offline.replay_lidar.portrait": lambda f, at: f(open_run(at["run"]), [0], 2, at["out"] / "scene.png"),
+    "cosim.offline.replay_lidar.replay_scan": lambda f, at: f(open_run(at["run"]), 0, 2),
+    "cosim.offline.replay_lidar.worlds": lambda f, at: list(f(open_run(at["run"]), load())),
+    "cosim.offline.replay_lidar.write": lambda f, at: f(open_run(at["run"]), 0, 2, at["out"] / "api.ply"),
+    "cosim.offline.view.view": lambda f, at: f(open_run(at["run"]), at["out"] / "api.rrd"),
+    "cosim.studies.folder.status_of": lambda f, at: f(at["run"]),
+    "cosim.studies.retrust.retrust": lambda f, at: f(at["run"], at["out"] / "variants.toml", at["out"] / "api-retrust"),
+    "cosim.studies.shards.resume": lambda f, at: f(at["part"], print),
+    "cosim.studies.study.load": None,  # of a file that the user names; `status` and `prepare` name those of folders
+    "cosim.studies.sweep.prepare": lambda f, at: f(at["study"] / "study.toml", at["study"]),
+    "cosim.studies.sweep.status": lambda f, at: f(StudyFolder(at["study"])),
+}
+"""How each function that takes a run, or the path of one, is called; None for those that open no folder."""
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """Booby-trapped folders, by name; the sentinel is there as soon as any of their code has run."""
+    base = tmp_path_factory.mktemp("shared")
+    whole, part = shared.make_runs(base)
+    at = {"sentinel": base / "sentinel", "elsewhere": base / "elsewhere"}
+    at["elsewhere"].mkdir()
+    at["study"] = shared.make_study(base / "study", whole, at["sentinel"], base / "street.csv")
+    for name, run in (("run", whole), ("part", part)):
+        at[name] = base / f"trapped-{name}"
+        shutil.copytree(run, at[name])
+        shared.set_trap(at[name], at["sentinel"], at["elsewhere"])
+    return at
+
+
+@pytest.fixture
+def at(made, tmp_path, monkeypatch):
+    """The same with an empty folder, from within the trapped one: its modules are on the path."""
+    monkeypatch.chdir(made["run"])
+    monkeypatch.syspath_prepend(made["run"])
+    (tmp_path / "variants.toml").write_text('[[trust_variant]]\nname = "other"\nmodel = "beta"\n')
+    return made | {"out": tmp_path}
+
+
+def words_of(call, at):
+    words = call.format(**at).split()
+    return [str(path) for word in words for path in (sorted(Path("/").glob(word[1:])) if "*" in word else [word])]
+
+
+def carry_out(words):
+    """A command within this process; what it says where it refuses. Anything but a line is raised."""
+    try:
+        typer.main.get_command(app).main(args=words, prog_name="cosim", standalone_mode=False)
+    except (ValueError, Failed, OSError, typer.TyperException, typer.Exit) as error:
+        return str(error)
+    return ""
+
+
+def test_every_command_has_a_call():
+    assert sorted(words.removeprefix("cosim ") for words, _ in commands()) == sorted(CALLS)
+
+
+@pytest.mark.parametrize(
+    "command", [pytest.param(name, marks=[pytest.mark.verify] if name in SLOW else []) for name in CALLS]
+)
+def test_no_command_runs_code_of_a_folder(at, command):
+    for call in CALLS[command]:
+        said = carry_out(words_of(call, at))
+        assert not at["sentinel"].exists(), (call, said)
+        assert "\n" not in said.strip(), (call, said)
+
+
+REFUSE = (
+    "check {run}/config.toml", "run {run}/config.toml --out {out}/x", "resume {part}", "status {study}",
+    "retrust {run} --variants {out}/variants.toml --out {out}/x", "sweep {study}/study.toml --out {study}",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("call", REFUSE)
+def test_what_needs_the_code_says_so(at, call):
+    command = typer.main.get_command(app)
+    with pytest.raises(CodeNotTrusted, match=r"It was not loaded.*trust_code=True"):
+        command.main(args=words_of(call, at), prog_name="cosim", standalone_mode=False)
+    assert not (at["out"] / "x").exists()
+
+
+def functions():
+    """Public functions that take a run or the path of one, by name."""
+    for package in (cosim.execution, cosim.offline, cosim.studies):
+        for about in pkgutil.walk_packages(package.__path__, package.__name__ + "."):
+            module = importlib.import_module(about.name)
+            for name, function in inspect.getmembers(module, inspect.isfunction):
+                if not name.startswith("_") and function.__module__ == module.__name__ and takes_folder(function):
+                    yield f"{about.name}.{name}", function
+
+
+def takes_folder(function):
+    """Whether the first parameter is a run, or a path with a name that says it is one of a folder."""
+    first = next(iter(inspect.signature(function).parameters.values()), None)
+    return first is not None and (is_run(first) or (first.annotation in PATHS and first.name in NAMED))
+
+
+def test_no_function_runs_code_of_a_folder(at):
+    for name, function in functions():
+        if (call := FUNCTIONS[name]) is not None:
+            with suppress(ValueError, Failed, OSError):
+                call(function, at)
+        assert not at["sentinel"].exists(), name
+
+
+def is_run(parameter):
+    """Whether a parameter is a run that is open."""
+    return inspect.isclass(parameter.annotation) and issubclass(parameter.annotation, Run)
+
+
+def test_results_has_no_means_to_run_code():
+    """What reads a run folder imports no module by name, and unpickles nothing."""
+    ways = {
+        "importlib",
+        "runpy",
+        "pickle",
+        "marshal",
+        "shelve",
+        "exec",
+        "eval",
+        "compile",
+        "__import__",
+        "allow_pickle",
+    }
+    for path in Path(results.__path__[0]).rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            names = {getattr(node, name, None) for name in ("id", "module", "arg")}
+            names |= {alias.name.split(".")[0] for alias in getattr(node, "names", ()) if isinstance(alias, ast.alias)}
+            assert not names & ways, (path, names & ways)
+
+
+def test_the_trap_works(at, tmp_path):
+    """With the permission the code does run, also from below the folder: what the tests above look for is there."""
+    with pytest.raises(ValueError, match="Trap has no method"):
+        load(at["run"] / "config.toml", trust_code=True)
+    assert at["sentinel"].read_text() == "code ran"
+    at["sentinel"].unlink()
