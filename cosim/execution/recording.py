@@ -120,7 +120,8 @@ def _box_columns(boxes: Boxes) -> Rows:
 def _detections(recorder: Recorder, world: World, sensed: Sensed) -> None:
     listed, truth, seen = sensed.listed.objects, sensed.listed.truth, sensed.positioned.observed.observability
     recorder.append("detections", world.step, {
-        "observer": sensed.senders.pseudonym[sensed.listed.detections.message], "detection_index": listed.detection_index,
+        "observer": sensed.senders.pseudonym[sensed.listed.detections.message],
+        "detection_index": listed.detection_index,
         "class": listed.label, **_box_columns(listed.boxes), "score": listed.score, "n_points": listed.n_points,
         "speed_mps": listed.speed_mps, "speed_mps__valid": ~np.isnan(listed.speed_mps),
         "acceleration_mps2": listed.acceleration_mps2,

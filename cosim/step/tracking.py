@@ -1,4 +1,4 @@
-"""What is followed from step to step beside the cycle: inter-reception times, encounters, and who attacks since when."""
+"""What is tracked from step to step beside the cycle: inter-reception times, encounters, and starts of attacks."""
 
 from dataclasses import dataclass
 

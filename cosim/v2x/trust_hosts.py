@@ -28,8 +28,8 @@ from results.codes import LookupState, TrustSource
 from trust.models import TrustModel
 from trust.models.stepwise import share_logs
 from trust.object_reports import ObjectReports
+from trust.open_steps import RejectReason
 from trust.params import EVIDENCE_KEYS, TrustParams, eta_of, window_of
-from trust.step_evidence import RejectReason
 from trust.tables import SERVER, EvaluationMessages, ReceivedEvaluations, TrustScores
 
 T = TypeVar("T")

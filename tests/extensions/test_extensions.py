@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cosim.execution.run import pseudonym_remarks
 from results.archive import open_run
 from tests.drive import cosim
 
@@ -119,6 +120,8 @@ def test_pseudonym_policy(beside):
     names = run.pseudonyms
     assert names.groupby("vehicle").size().max() == 4  # 20 messages: 6, 6, 6, 2
     assert (names.to_step - names.from_step < 6).all()
+    mean = json.loads((run.path / "manifest.json").read_text())["summary"]["messages_per_pseudonym"]
+    assert 3 < mean < 6 and not pseudonym_remarks({"messages_per_pseudonym": mean})
     used = run.receptions.merge(names, left_on="sender", right_on="pseudonym")
     assert len(used) == len(run.receptions) and used.step.between(used.from_step, used.to_step).all()
 

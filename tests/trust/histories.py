@@ -3,7 +3,7 @@
 import numpy as np
 from hypothesis import strategies as st
 
-from trust.step_evidence import RejectReason
+from trust.open_steps import RejectReason
 from trust.tables import SERVER, ReceivedEvaluations, messages_from_rows
 
 COLUMNS = (

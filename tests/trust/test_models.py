@@ -238,7 +238,7 @@ def test_shared_evidence_changes_nothing(world, seed):
     frames, rows = world
     rng = np.random.default_rng(seed)
     shared, alone = TruPercept.build_shared(WINDOWS, 1.0), [TruPercept(p, 1.0) for p in WINDOWS]
-    assert len({id(m.store) for m in shared}) == 4
+    assert len({id(m.store) for m in shared}) == 5
     under_way = []
     for step, (frame, evaluated) in enumerate(zip(frames, rows, strict=True)):
         for a, b in zip(shared, alone, strict=True):
@@ -312,6 +312,7 @@ def test_pair_index():
     assert pairs.rows(np.array([3, 5]), np.array([0, 2])).tolist() == [2, 1]
     assert [a.tolist() for a in pairs.sorted()] == [[1, 3, 5], [9, 0, 2], [0, 2, 1]]
     assert pairs.find(np.array([1, 1]), np.array([9, 8]))[1].tolist() == [True, False]
-    assert pairs.drop(np.array([True, False, False])).tolist() == [1, 2]
-    assert [a.tolist() for a in pairs.sorted()] == [[3, 5], [0, 2], [1, 0]]
-    assert pairs.rows(np.array([1]), np.array([9])).tolist() == [2]
+    pairs.drop(np.array([False, False, True]))
+    assert [a.tolist() for a in pairs.sorted()] == [[1, 5], [9, 2], [0, 1]]
+    assert pairs.rows(np.array([6, 4]), np.array([9, 8])).tolist() == [3, 2], "row 2 is given again"
+    assert len(pairs) == 4

@@ -11,8 +11,8 @@ from trust.evaluation import evaluate, visibility
 from trust.fusion import SensorEvidence, fuse
 from trust.matching import match
 from trust.models.trupercept import TruPercept
+from trust.open_steps import RejectReason
 from trust.params import TrustParams
-from trust.step_evidence import RejectReason
 from trust.tables import (
     SERVER,
     Detections,

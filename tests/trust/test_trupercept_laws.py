@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 from tests.trust.histories import COLUMNS, add, assert_same, histories, open_step, received_by
 from tests.verification import paper
 from trust.models.trupercept import TruPercept
+from trust.open_steps import RejectReason
 from trust.params import TrustParams
-from trust.step_evidence import RejectReason
 from trust.tables import SERVER, ReceivedEvaluations, messages_from_rows
 
 
@@ -92,30 +92,33 @@ def test_evaluators_of_shared_windows(world, f):
 @given(world=histories, seed=st.integers(0, 2**32 - 1), f=st.integers(2, 8))
 @settings(max_examples=80, deadline=None)
 def test_neither_order_nor_delay_nor_duplicates_matter(world, seed, f):
-    """Evaluations in any order and batching, up to f - 1 steps late, some of them twice: bit by bit the same."""
+    """Messages in any order and batching, up to f - 1 steps late, some of them twice: bit by bit the same."""
     frames, rows = world
     rng = np.random.default_rng(seed)
     params = TrustParams(freshness_s=float(f))
     tidy, messy = TruPercept(params, 1.0), TruPercept(params, 1.0)
-    in_flight, n_twice = [], 0
+    in_flight, n_rows, n_added = [], sum(map(len, rows)), 0
     for step, (frame, evaluated) in enumerate(zip(frames, rows, strict=True)):
         open_step(tidy, step, frame)
         add(tidy, step, evaluated)
         open_step(messy, step, frame)
-        for row in evaluated:
+        for evaluator in {row[0] for row in evaluated}:
+            message = [row for row in evaluated if row[0] == evaluator]
             for _ in range(1 + (rng.random() < 0.2)):
-                in_flight.append((step + rng.integers(0, f), step, row))
+                in_flight.append((step + rng.integers(0, f), step, message))
         now = [m for m in in_flight if m[0] <= step or step == len(rows) - 1]
         in_flight = [m for m in in_flight if m not in now]
-        n_twice += len(now)
         rng.shuffle(now)
         while now:
             size = int(rng.integers(1, len(now) + 1))
             batch, now = now[:size], now[size:]
             for generation in {m[1] for m in batch}:
-                add(messy, generation, [m[2] for m in batch if m[1] == generation])
+                in_batch = {m[2][0][0]: m[2] for m in batch if m[1] == generation}
+                added = [row for message in in_batch.values() for row in message]
+                n_added += len(added)
+                add(messy, generation, added)
     assert_same(tidy.scores(), messy.scores())
-    assert messy.rejected[RejectReason.DUPLICATE] == n_twice - sum(map(len, rows))
+    assert messy.rejected[RejectReason.DUPLICATE] == n_added - n_rows
     assert messy.rejected.sum() == messy.rejected[RejectReason.DUPLICATE]
 
 
@@ -156,7 +159,7 @@ def test_an_evaluator_without_visibility_changes_nothing(world):
 @given(world=histories, f=st.integers(1, 5))
 @settings(max_examples=40, deadline=None)
 def test_two_half_steps_equal_one(world, f):
-    """Half as long a step, every second one empty; and each step's evaluations in two halves."""
+    """Half as long a step, every second one empty; and half of each step's messages a step later."""
     frames, rows = world
     params = TrustParams(freshness_s=float(f))
     one, half = TruPercept(params, 1.0), TruPercept(params, 0.5)
@@ -164,9 +167,9 @@ def test_two_half_steps_equal_one(world, f):
         open_step(one, step, frame)
         add(one, step, evaluated)
         open_step(half, 2 * step, frame)
-        add(half, 2 * step, evaluated[::2])
+        add(half, 2 * step, [row for row in evaluated if row[0] % 2])
         open_step(half, 2 * step + 1, {v: [] for v in frame})
-        add(half, 2 * step, evaluated[1::2])
+        add(half, 2 * step, [row for row in evaluated if not row[0] % 2])
         assert_same(one.scores(), half.scores(), ("subject", "trust", "weight", "n_evaluations", "is_judged"))
 
 

@@ -6,25 +6,25 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
-from trust.evaluator_counts import NEVER, EvaluatorTable
+from trust.evaluator_counts import NEVER
 from trust.evidence_store import EvidenceStore
 from trust.kernel import compiled
+from trust.open_steps import RejectReason
 from trust.params import TruPerceptParams, open_window_steps
-from trust.step_evidence import RejectReason
 from trust.tables import ReceivedEvaluations, TrustScores
 
 
 @compiled
-def _accumulate(step, pair_row, aggregated, n_evaluations, total, count, span):
+def _accumulate(step, pair_row, of_pairs, n_evaluations, total, count, span):
     """Add a step to the sums of its pairs; steps come in the order of time."""
     for b in range(pair_row.size):
-        if aggregated[b, 1] > 0.0:
+        if of_pairs[b, 1] > 0.0:
             a = pair_row[b]
             if count[a, 0] == 0:
                 span[a, 1] = step
             span[a, 0] = step
-            total[a, 0] += aggregated[b, 0]
-            total[a, 1] += aggregated[b, 1]
+            total[a, 0] += of_pairs[b, 0]
+            total[a, 1] += of_pairs[b, 1]
             count[a, 0] += 1
             if n_evaluations[b] > 0:
                 if count[a, 1] == 0:
@@ -76,26 +76,26 @@ class TruPercept:
         """Evaluations received so far, rejected ones included."""
         self.n_bad_detections = 0
         """Transmitted detections rejected so far: score outside [0, 1], or an index given twice."""
-        self.store = store or EvidenceStore(params.weighting == "score", params.unseen == "skip")
-        self.store.views.append(self)
-        self._opened = -1
-        self.folds = params.freshness_s == "off"
-        self._folded = _Sums(0) if self.folds else None
-        self._folded_evaluators = EvaluatorTable()
+        self._folded = _Sums(0) if params.freshness_s == "off" else None
         self._folded_until = -1
+        self.store = store or EvidenceStore(params.weighting == "score", params.unseen == "skip", self._folded is None)
+        self.store.views.append(self)
+        self._opened, self._n_added = -1, 0
 
     @classmethod
     def build_shared(cls, params: list[TruPerceptParams], dt_s: float) -> list["TruPercept"]:
         """Models with one store of evidence for each (weighting, unseen) among them.
 
-        Each has the scores and counters of a model of its own, bit for bit, provided that all of them are given the
+        Models whose evidence never expires share a store if they stop to accept evaluations at the same age. Each
+        model has the scores and counters of a model of its own, bit for bit, provided that all of them are given the
         same `open_step` and the same `ReceivedEvaluations` objects before any of them is asked for `scores`.
         """
-        stores: dict[tuple[str, str], EvidenceStore] = {}
+        stores: dict[tuple, EvidenceStore] = {}
         models = []
         for p in params:
-            model = cls(p, dt_s, stores.get((p.weighting, p.unseen)))
-            stores[p.weighting, p.unseen] = model.store
+            key = p.weighting, p.unseen, p.grace_s if p.freshness_s == "off" else None
+            model = cls(p, dt_s, stores.get(key))
+            stores[key] = model.store
             models.append(model)
         return models
 
@@ -121,22 +121,19 @@ class TruPercept:
         self._opened = step
         self.expire(step)
 
-    def before_open(self, step: int) -> None:
-        """Fold what leaves the window with a step that is about to be opened."""
-        if self._folded is not None:
-            self._fold(step)
-
     def expire(self, now_step: int) -> None:
         """Advance to a step: drop, or with `freshness_s = "off"` fold, the evidence that leaves the window."""
         self.now = max(self.now, now_step)
-        self.before_open(self.now)
+        if self._folded is not None:
+            self._fold(self._folded)
         self.store.expire()
 
     def add_evaluations(self, received: ReceivedEvaluations) -> None:
         """Add received evaluations, however late; those without effect are counted in `rejected`."""
         n, step = len(received), received.messages.step
         self.n_received += n
-        rejected = self.store.add(self, received)
+        rejected = self.store.add(self._n_added, received)
+        self._n_added += 1
         if step > self.now:
             self.rejected[RejectReason.FUTURE] += n
         elif rejected is None or step <= self.now - self.window:
@@ -149,46 +146,44 @@ class TruPercept:
         if now_step is not None:
             assert now_step >= self.now, "evidence that has expired cannot be restored"
             self.expire(now_step)
-        store = self.store
-        steps = [step for step in sorted(store.steps) if step > self.now - self.window]
-        evidence = [store.aggregated(step) for step in steps]
-        n = store.n_uses.size
+        store, n = self.store, len(self.store.pairs)
         sums = _Sums(n) if self._folded is None else self._folded.with_room(n)
-        for step, of_step in zip(steps, evidence, strict=True):
-            _accumulate(
-                step, of_step.pair_row[: of_step.n_assigned], of_step.aggregated, of_step.n_evaluations,
-                sums.total, sums.count, sums.span,
-            )  # fmt: skip
-        has = sums.count[store.rows, 0] > 0
-        keys, rows = store.keys[has], store.rows[has]
-        weight, n_evaluations, span = sums.total[rows, 1], sums.count[rows, 1], sums.span[rows]
-        trust = np.maximum(0.0, sums.total[rows, 0] / weight)
-        n_evaluators = store.evaluators.count(n, self.now - self.window, self._folded_evaluators)
-        if self._folded is not None:
-            n_evaluators += self._folded_evaluators.count(n, NEVER)
+        for step in sorted(store.steps):
+            if step > self.now - self.window:
+                _accumulate(step, *store.of_pairs(step), sums.total, sums.count, sums.span)
+        holder, subject, row = store.pairs.sorted()
+        has = sums.count[row, 0] > 0
+        holder, subject, row = holder[has], subject[has], row[has]
+        weight, n_evaluations, span = sums.total[row, 1], sums.count[row, 1], sums.span[row]
+        n_evaluators = store.evaluators.count(n, self.now - self.window if self._folded is None else NEVER)
         return TrustScores(
-            self.now, keys >> 31, keys & (1 << 31) - 1, trust, np.full(keys.size, np.nan), weight, n_evaluations,
-            span[:, 0], span[:, 1], span[:, 2], span[:, 3], n_evaluations > 0, n_evaluators[rows],
-        )  # fmt: skip
+            step=self.now,
+            holder=holder,
+            subject=subject,
+            trust=np.maximum(0.0, sums.total[row, 0] / weight),
+            uncertainty=np.full(row.size, np.nan),
+            weight=weight,
+            n_evaluations=n_evaluations,
+            newest_step=span[:, 0],
+            oldest_step=span[:, 1],
+            newest_evaluation_step=span[:, 2],
+            oldest_evaluation_step=span[:, 3],
+            is_judged=n_evaluations > 0,
+            n_evaluators=n_evaluators[row],
+        )
 
     @property
     def nbytes(self) -> int:
         """Memory, the shared store included [B]."""
         f = self._folded
-        own = 0 if f is None else f.total.nbytes + f.count.nbytes + f.span.nbytes
-        return self.store.nbytes + own + self._folded_evaluators.nbytes
+        return self.store.nbytes + (0 if f is None else f.total.nbytes + f.count.nbytes + f.span.nbytes)
 
-    def _fold(self, now: int) -> None:
+    def _fold(self, folded: _Sums) -> None:
         """Add the steps that are no longer open to the running sums, in the order of time."""
-        assert self._folded is not None
-        for step in [g for g in sorted(self.store.steps) if self._folded_until < g <= now - self.window]:
-            evidence = self.store.aggregated(step)
-            self._folded = sums = self._folded.with_room(self.store.n_uses.size)
-            known = sums.count[:, 0] > 0
-            _accumulate(
-                step, evidence.pair_row[: evidence.n_assigned], evidence.aggregated, evidence.n_evaluations,
-                sums.total, sums.count, sums.span,
-            )  # fmt: skip
-            self.store.keep((sums.count[:, 0] > 0) & ~known)
-            self._folded_evaluators.note(*evidence.evaluators(), step)
-        self._folded_until = max(self._folded_until, now - self.window)
+        for step in sorted(self.store.steps):
+            if self._folded_until < step <= self.now - self.window:
+                self._folded = folded = folded.with_room(len(self.store.pairs))
+                is_kept = folded.count[:, 0] > 0
+                _accumulate(step, *self.store.of_pairs(step), folded.total, folded.count, folded.span)
+                self.store.keep((folded.count[:, 0] > 0) & ~is_kept)
+        self._folded_until = max(self._folded_until, self.now - self.window)

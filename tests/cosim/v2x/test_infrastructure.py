@@ -14,7 +14,7 @@ from results.codes import TrustSource
 from tests.drive import cosim
 from tests.parts import DuplicatingMedium
 from tests.scene import QUIET, play
-from trust.step_evidence import RejectReason
+from trust.open_steps import RejectReason
 
 
 def unit(x, y):
@@ -99,9 +99,8 @@ def test_piggybacked_evaluations_come_a_step_later():
     # The same evaluations of the first six steps; of the seventh only one's own.
     one, other = one.trust.hosts[0].model, other.trust.hosts[0].model
     for step in range(6):
-        a, b = one.store.steps[step], other.store.steps[step]  # evaluators are forgotten once they are counted
-        a.unpack(), b.unpack()
-        assert np.array_equal(a.n_used[:3], b.n_used[:3]) and np.array_equal(a.sums.sum(axis=0), b.sums.sum(axis=0))
+        a, b = one.store.steps[step], other.store.steps[step]
+        assert np.array_equal(a.pairs, b.pairs) and np.array_equal(a.sums, b.sums)
     assert not one.rejected.any() and not other.rejected.any()
     # In fusion each has its own evaluations only.
     fused = carried[3].fused[0].n_evaluations, alone[3].fused[0].n_evaluations
