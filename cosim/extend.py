@@ -58,6 +58,9 @@ from cosim.rng import draws
 from cosim.v2x.messages import FABRICATED, SELF, SENSED, Detections
 from cosim.v2x.pseudonyms import PseudonymAges, PseudonymPolicy
 from cosim.world import LanePaths, World
+from results.export.moments import File, Plan, Selection
+from results.measure import MetricRow
+from results.run import Run
 from sensors.boxes import Boxes
 from sensors.detector import Detector
 from sensors.evidence import Observability
@@ -70,10 +73,11 @@ from trust.pair_index import PairIndex, with_rows
 from trust.tables import SERVER, EvaluationMessages, ReceivedEvaluations, TrustScores
 
 __all__ = [
-    "FABRICATED", "SELF", "SENSED", "SERVER", "Attack", "AttackContext", "Beliefs", "Boxes", "Detections", "Detector",
-    "DetectorDraws", "Driver", "EvaluationMessages", "EvaluationRows", "FrameOutcomes", "LanePaths", "LosState",
-    "Medium", "MessageRound", "Messages", "ObjectClass", "ObjectReports", "Observability", "Outcome", "PairIndex",
-    "PseudonymAges", "PseudonymPolicy", "Reasons", "ReceivedEvaluations", "Receptions", "Reports", "RoundKind",
-    "ScoresObjects", "Sending", "Shape", "SpeedCommands", "Stations", "Sweeps", "TrustModel", "TrustScores", "World",
-    "certified", "draws", "fabricated", "per_actor", "placed", "with_rows",
+    "FABRICATED", "SELF", "SENSED", "SERVER", "Attack", "AttackContext", "Beliefs", "Boxes", "Detections",
+    "Detector", "DetectorDraws", "Driver", "EvaluationMessages", "EvaluationRows", "File", "FrameOutcomes",
+    "LanePaths", "LosState", "Medium", "MessageRound", "Messages", "MetricRow", "ObjectClass", "ObjectReports",
+    "Observability", "Outcome", "PairIndex", "Plan", "PseudonymAges", "PseudonymPolicy", "Reasons",
+    "ReceivedEvaluations", "Receptions", "Reports", "RoundKind", "Run", "ScoresObjects", "Selection", "Sending",
+    "Shape", "SpeedCommands", "Stations", "Sweeps", "TrustModel", "TrustScores", "World", "certified", "draws",
+    "fabricated", "per_actor", "placed", "with_rows",
 ]  # fmt: skip

@@ -1,10 +1,11 @@
 """The dictionary of a run: every table, column and metric, and the words they use; the text of `results/TABLES.md`."""
 
+import math
 from pathlib import Path
 
 from results.columns import LEVELS, Column
 from results.glossary import GLOSSARY
-from results.metrics.registry import METRICS, TOPICS
+from results.metrics.registry import METRICS, TOPICS, Metric
 from results.tables import SCHEMA_VERSION, TABLES, kept
 
 
@@ -52,6 +53,16 @@ def markdown() -> str:
         "",
         "As `cosim measure`, `run.measure()` and the report give them. An identifier never changes its meaning; the",
         'group says what a value is of. `run.measure.value("trust.final.median", "malicious")` gives one.',
+        "`tests/verification/recompute_metrics.py` computes them again from these definitions and the files alone.",
+        "",
+        "Of tables with a column `variant`, the rows of the measured trust variant count. Intervals are 95 %,",
+        "clustered by what the column of that name says: vehicles, not messages. Shares and means have percentile",
+        "intervals of the cluster bootstrap with 1,000 draws (Field and Welsh 2007), shares of 0 or 1 those of",
+        "Wilson (1927), AUCs those of Obuchowski (1997) in the logit, medians over subjects those of two order",
+        "statistics (Conover 1999), Kaplan-Meier medians those of Brookmeyer and Crowley (1982). Means of",
+        "encounters, and of replicates of a study, have Student's t in the logit of quantities with two bounds and",
+        "in the logarithm of those with one (Korn and Graubard 1998): no interval leaves the range. Differences of",
+        "a quantity between a and b lie between a - b and b - a.",
     ]
     for topic, about in TOPICS.items():
         lines += [
@@ -59,14 +70,23 @@ def markdown() -> str:
             f"## {topic}",
             about,
             "",
-            "| metric | label | unit | group | definition |",
-            "|---|---|---|---|---|",
+            "| metric | label | unit | range | group | definition | clustered by |",
+            "|---|---|---|---|---|---|---|",
         ]
         lines += [
-            f"| `{name}` | {metric.label} | {metric.unit} | {metric.group} | {metric.definition} |"
+            f"| `{name}` | {metric.label} | {metric.unit} | {_range(metric)} | {metric.group} | {metric.definition} "
+            f"| {metric.unit_of_chance} |"
             for name, metric in METRICS.items() if name.startswith(topic + ".")
         ]  # fmt: skip
     return "\n".join(lines) + "\n"
+
+
+def _range(metric: Metric) -> str:
+    """Bounds of a metric; empty where it has none."""
+    low, high = metric.bounds
+    if math.isinf(low):
+        return ""
+    return f"{low:g} or more" if math.isinf(high) else f"{low:g} to {high:g}"
 
 
 def _levels() -> list[str]:

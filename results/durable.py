@@ -6,6 +6,7 @@ import io
 import json
 import os
 import stat
+from contextlib import suppress
 from io import BufferedReader
 from pathlib import Path
 from typing import Any
@@ -76,8 +77,8 @@ def write(path: Path, *pieces: bytes | memoryview) -> str:
 def write_output(path: Path, content: bytes) -> None:
     """Write a file under a name that the user gave, whole or not at all; a symbolic link is replaced, not followed.
 
-    ValueError where it is a folder; OSError that names the file where it cannot be written. Devices and pipes are
-    written to.
+    Folders that are missing are made. ValueError where it is a folder; OSError that names the file where it cannot be
+    written. Devices and pipes are written to.
     """
     if path.is_dir():
         raise ValueError(f"{path} is a folder. Give the name of a file.")
@@ -85,9 +86,11 @@ def write_output(path: Path, content: bytes) -> None:
         path.write_bytes(content)
     else:
         try:
+            path.parent.mkdir(parents=True, exist_ok=True)
             write(path, content)
         except OSError as error:
-            path.with_name(path.name + PARTIAL).unlink(missing_ok=True)
+            with suppress(OSError):
+                path.with_name(path.name + PARTIAL).unlink(missing_ok=True)
             raise OSError(error.errno, error.strerror, str(path)) from None
 
 

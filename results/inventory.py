@@ -132,11 +132,11 @@ def read(folder: Path) -> Inventory:
         try:
             block = _block(json.loads(line))
             chained, again = block.line(blocks[-1].chain if blocks else "")
-        except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
+        except (ValueError, TypeError, KeyError, AttributeError, RecursionError, OverflowError):
             chained, again = None, b""
         if chained is None or again != line:
             raise Damaged(f"{path}: line {number + 1} is damaged, or a line before it is missing.")
-        if chained.end_step < (blocks[-1].end_step if blocks else 0):
+        if not (blocks[-1].end_step if blocks else 0) <= chained.end_step < 2**31:
             raise Damaged(f"{path}: line {number + 1} ends before the line before it.")
         blocks.append(chained)
     del rest  # a line that a crash cut off: never committed
@@ -145,16 +145,18 @@ def read(folder: Path) -> Inventory:
 
 def _block(line: dict[str, Any]) -> Block:
     parts, open_ = (tuple(_part(part) for part in line[name]) for name in ("parts", "open"))
-    if any(name != f"{CHECKPOINT}/{Path(name).name}" for name in line["checkpoint"]):
+    files = dict(line["checkpoint"])
+    if any(name != f"{CHECKPOINT}/{Path(name).name}" or not isinstance(sha, str) for name, sha in files.items()):
         raise ValueError(f"{CHECKPOINT} outside of its folder")
     return Block(
-        int(line["number"]), int(line["end_step"]), bool(line["is_whole"]), parts, open_, dict(line["checkpoint"]),
-        str(line["chain"]),
+        int(line["number"]), int(line["end_step"]), bool(line["is_whole"]), parts, open_, files, str(line["chain"]),
     )  # fmt: skip
 
 
 def _part(content: dict[str, Any]) -> Part:
     part = Part(**content)
+    if not all(isinstance(text, str) for text in (part.table, part.file, part.sha256)):
+        raise ValueError("a part without a name")
     if part.table not in TABLES or Path(part.file).name != part.file:
         raise ValueError(part.name)
     numbers = (part.n_rows, part.n_bytes, part.first_step, part.last_step)

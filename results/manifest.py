@@ -18,7 +18,7 @@ MANIFEST = "manifest.json"
 CONFIG = "config.toml"
 STATUSES = ("running", "finished", "interrupted", "failed")
 
-_SECTIONS = ("config", "net", "versions", "choices", "timings_s", "summary", "inventory")
+_SECTIONS = ("config", "net", "versions", "source", "choices", "timings_s", "summary", "inventory")
 _LISTS = ("variants", "roles", "dropped")
 
 
@@ -60,6 +60,8 @@ def _check_kinds(manifest: Mapping[str, Any]) -> None:
     names = [name for key in _LISTS for name in manifest.get(key, ())]
     if not all(isinstance(name, str) for name in names):
         raise ValueError(f"one of {', '.join(_LISTS)} holds something else than names")
+    if not isinstance(manifest.get("inventory", {}).get("tables", {}), dict):
+        raise ValueError("inventory.tables is no section")
     text = json.dumps(manifest, ensure_ascii=False)
     if not all(isinstance(s, int | float) for key in ("timings_s",) for s in manifest.get(key, {}).values()):
         raise ValueError("timings_s holds something else than seconds")

@@ -1,10 +1,11 @@
 """The metrics of a run in one tidy table."""
 
-from collections.abc import Callable, Iterator, Mapping
+import logging
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from inspect import isfunction, signature
 from types import ModuleType
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
 import pandas as pd
@@ -16,6 +17,7 @@ from results.metrics import (
     contact_graph,
     detection,
     encounters,
+    evaluations,
     evidence,
     freshness,
     misbehaviour,
@@ -27,7 +29,7 @@ from results.metrics import (
 )
 from results.metrics.intervals import FEW
 from results.metrics.kitti import FEWEST
-from results.metrics.registry import METRICS
+from results.metrics.registry import METRICS, RENAMED
 from results.run import Run
 
 if TYPE_CHECKING:
@@ -39,6 +41,7 @@ TOPICS: Mapping[str, ModuleType] = {
     "misbehaviour": misbehaviour,
     "security": security,
     "evidence": evidence,
+    "evaluations": evaluations,
     "freshness": freshness,
     "radio": radio,
     "detection": detection,
@@ -60,6 +63,49 @@ class Row(NamedTuple):
     high: float = float("nan")
     n_units: float = float("nan")
     """Vehicles (or other units that are independent of each other) that the value rests on."""
+    note: str = ""
+    """What has to be known to read it."""
+
+
+class MetricRow(NamedTuple):
+    """A value of a metric of the user's own."""
+
+    metric: str
+    """Identifier, such as `headway.median_s`."""
+    value: float
+    """NaN where it is not defined: no row is shown then."""
+    group: str = ""
+    """What the value is of, such as a role."""
+    unit: str = "1"
+    label: str = ""
+
+
+class Metric(Protocol):
+    """Measures something on a run."""
+
+    def rows(self, run: Run) -> list[MetricRow]:
+        """One row for each metric and group.
+
+        Raises
+        ------
+        ValueError
+            In one line, where the run does not hold what it takes (`run.require(...)`).
+        """
+        ...
+
+
+COLUMNS = ["metric", "group", "value", "low", "high", "n_units", "unit", "label", "note"]
+"""Of a table of metrics."""
+
+
+def measure_own(run: Run, metrics: Sequence[Metric]) -> pd.DataFrame:
+    """Metrics of the user's own, in the columns of `measure`."""
+    rows = [row for metric in metrics for row in metric.rows(run)]
+    table = pd.DataFrame(
+        [(row.metric, row.group, float(row.value), row.unit, row.label) for row in rows if row.value == row.value],
+        columns=["metric", "group", "value", "unit", "label"],
+    )
+    return table.assign(low=np.nan, high=np.nan, n_units=np.nan, note="")[COLUMNS]
 
 
 def measure(
@@ -118,21 +164,17 @@ def measure(
                 run.damage.append(str(reason))
             rows.append(Row(f"{topic}.not_measured", str(reason), np.nan))
     return pd.DataFrame(
-        [(*row, METRICS[row.name].unit, METRICS[row.name].label, _note(row)) for row in rows],
-        columns=["metric", "group", "value", "low", "high", "n_units", "unit", "label", "note"],
+        [(*row[:-1], METRICS[row.name].unit, METRICS[row.name].label, _note(row)) for row in rows],
+        columns=COLUMNS,
     )
 
 
 def _note(row: Row) -> str:
-    """A warning where a value rests on too few units."""
-    if not 0 < row.n_units < FEW:
-        return ""
-    units = METRICS[row.name].unit_of_chance or _UNITS.get(row.name.split(".")[0], "units")
-    return f"too few: {row.n_units:.0f} of {FEW} {units}"
-
-
-_UNITS = {"encounters": "actors"} | dict.fromkeys(("trust", "misbehaviour", "security"), "subjects")
-"""What is independent of each other in a topic, where its metric does not say."""
+    """What a value needs to be read, and a warning where it rests on too few units."""
+    few = ""
+    if 0 < row.n_units < FEW:
+        few = f"too few: {row.n_units:.0f} of {FEW} {METRICS[row.name].unit_of_chance or 'units'}"
+    return "; ".join(filter(None, (row.note, few)))
 
 
 class Measures:
@@ -147,6 +189,9 @@ class Measures:
 
     def value(self, metric: str, group: str = "", **options: Any) -> float:
         """One metric by identifier: `run.measure.value("trust.final.median", "malicious")`; NaN where undefined."""
+        if metric in RENAMED:
+            logging.getLogger(__name__).warning("The metric %s is now called %s.", metric, RENAMED[metric])
+            metric = RENAMED[metric]
         if metric not in METRICS:
             raise ValueError(f"There is no metric {metric!r}. `cosim measure --explain` lists them.")
         found = measure(self._run, topics=(metric.split(".")[0],), **options)
@@ -229,18 +274,32 @@ def _encounters(run: Run) -> Iterator[Row]:
 
 
 def _trust(run: Run) -> Iterator[Row]:
-    yield from _rows(trust.final(run), "{role}", {"median": "final.median", "mean": "final.mean"})
-    yield from _rows(trust.mean(run), "{role}", {"mean": "run.mean"})
+    idle = _idle_roles(run)
+    for row in (
+        *_rows(trust.final(run), "{role}", {"median": "final.median", "mean": "final.mean"}),
+        *_rows(trust.mean(run), "{role}", {"mean": "run.mean"}),
+    ):
+        yield row._replace(note="has not attacked" if row.group in idle else "")
+
+
+def _idle_roles(run: Run) -> set[str]:
+    """Roles whose vehicles behave as honest ones in this run, because none of them has attacked yet."""
+    who = run.subjects
+    return {str(role) for role, of in who.groupby("role", observed=True).attack_start_step if of.isna().all()} - {
+        misbehaviour.HONEST
+    }
 
 
 def _misbehaviour(run: Run, threshold: float, false_positives: float) -> Iterator[Row]:
     yield from _rows(misbehaviour.below(run, threshold), "{role}", {
-        "share": "below_threshold.share", "rated_share": "below_threshold.rated_share",
+        "share": "below_threshold.share", "evaluated_share": "below_threshold.evaluated_share",
     })  # fmt: skip
+    if "trust_lookups" in run.tables and run.n_rows("trust_lookups"):
+        yield from _at_lookup(run, threshold)
     frame = misbehaviour.classification(run, false_positives)
-    yield from _rows(frame[:1], misbehaviour.HONEST, {"rated_honest": "rated.share"})
+    yield from _rows(frame[:1], misbehaviour.HONEST, {"evaluated_honest": "evaluated.share"})
     yield from _rows(frame, "{role}", {
-        "rated": "rated.share", "n": "attackers.n", "auc": "auc", "auc_unrated": "auc_unrated",
+        "evaluated": "evaluated.share", "n": "attackers.n", "auc": "auc", "auc_unevaluated": "auc_unevaluated",
         "true_positives": "recall_at_fpr", "suspected": "suspected_at_fpr.share",
     })  # fmt: skip
     yield from _rows(frame[:1], "", {"threshold": "fpr_threshold"})
@@ -256,6 +315,19 @@ def _misbehaviour(run: Run, threshold: float, false_positives: float) -> Iterato
         yield from _rows(misbehaviour.detection_summary(run, value, at), "{role}", {
             "share": f"time_to_detection{which}.share", "median_s": f"time_to_detection{which}.median_s",
         })  # fmt: skip
+
+
+def _at_lookup(run: Run, threshold: float) -> Iterator[Row]:
+    frame = misbehaviour.at_lookup(run, threshold)
+    off_by = frame.auc_error.max()
+    for row in _rows(frame, "{role}", {
+        "auc": "at_lookup.auc", "evaluated": "at_lookup.evaluated.share", "suspected": "at_lookup.suspected.share",
+    }):  # fmt: skip
+        is_rounded = row.name == "at_lookup.auc" and off_by > 0
+        yield row._replace(note=f"off by {off_by:.2g} at most" if is_rounded else "")
+    yield from _rows(misbehaviour.detection_per_receiver(run, threshold), "{role}", {
+        "share": "at_lookup.time_to_detection.share", "median_s": "at_lookup.time_to_detection.median_s",
+    })  # fmt: skip
 
 
 def _security(run: Run, threshold: float) -> Iterator[Row]:
@@ -277,11 +349,25 @@ def _evidence(run: Run) -> Iterator[Row]:
         "trust": "trust.multiplicity", "fused": "fused.multiplicity", "echoes": "echoes.share",
         "copies": "copies_per_evaluation",
     })  # fmt: skip
+    if "evaluations" not in run.tables or "actors" not in run.tables or not run.n_rows("evaluations"):
+        return
+    found = evaluations.rates(run)
+    found["group"] = [
+        kind if by == "all" else f"{kind}, {by} {value}"
+        for kind, by, value in found[["kind", "by", "value"]].itertuples(index=False)
+    ]
+    usual = found.by.isin(["all", "evaluator"])
+    split = found.kind != evaluations.KINDS[-1]
+    yield from _rows(found[usual | split], "{group}", {"denied": "denied.share"})
+    yield from _rows(found[usual], "{group}", {"confirmed": "confirmed.share"})
+    real = found.kind.isin(evaluations.KINDS[:2]) & (found.by == "all")
+    yield from _rows(found[real], "{group}", {"missed": "denied_unseen.share"})
+    yield from _rows(evaluations.boxes_of_no_actor(run), "{class}", {"share": "no_actor.share"})
 
 
 def _freshness(run: Run, fresh_s: float) -> Iterator[Row]:
     yield from _rows(freshness.evidence(run), "{role}", {
-        "unjudged_share": "server_unjudged.share", "newest_s": "server_newest_evaluation.median_s",
+        "unevaluated_share": "server_unevaluated.share", "newest_s": "server_newest_evaluation.median_s",
     })  # fmt: skip
     yield from _rows(_named(freshness.without_trust(run)), "{definition}", {
         "share": "encounters_without_trust.share", "wait_median_s": "wait_in_encounter.median_s",
@@ -299,6 +385,12 @@ def _freshness(run: Run, fresh_s: float) -> Iterator[Row]:
     for peak in freshness.peaks(run).to_dict("records"):
         name = peak["what"].replace(" ", "_")
         yield Row(f"{name}_age.peak_s", "", peak["mean_s"], peak["low"], peak["high"], peak["n_units"])
+    for one in freshness.age_over_time(run).to_dict("records"):
+        name = f"{one['what'].replace(' ', '_')}_age_over_time"
+        yield Row(f"{name}.mean_s", "", one["mean_s"], one["low"], one["high"], one["n_units"])
+        if one["n_peaks"] > 0:
+            ends = (one[f"peak_s_{end}"] for end in ("low", "high", "units"))
+            yield Row(f"{name}.peak_s", "", one["peak_s"], *ends)
     for one in freshness.behind(run).to_dict("records"):
         yield Row(f"{one['what']}.mean", "", one["mean"], one["low"], one["high"], one["n_units"])
 

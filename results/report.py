@@ -51,8 +51,6 @@ code { font-family: ui-monospace, "DejaVu Sans Mono", monospace; font-size: 0.93
 def write(run: Run, path: str | Path | None = None) -> Path:
     """Write the page; it needs no network and no other file. Left out, `path` is report.html in the run folder."""
     path = run.path / "report.html" if path is None else Path(path)
-    if not path.parent.is_dir():
-        raise ValueError(f"The folder {path.parent} does not exist. Make it first.")
     durable.write_output(path, page(run).encode())
     return path
 
@@ -96,10 +94,10 @@ def _facts(run: Run, numbers: pd.DataFrame) -> str:
     wanted = [
         ("traffic.actors.mean", "all", "actors on the road, mean"),
         ("traffic.actors.mean", "equipped", "equipped vehicles among them"),
-        ("encounters.duration.km_median_s", None, "median encounter"),
+        ("encounters.duration.km_median_s", None, "median encounter (Kaplan-Meier)"),
         ("trust.final.median", "honest", "final trust, honest"),
         ("trust.final.median", "malicious", "final trust, malicious"),
-        ("misbehaviour.auc", "malicious", "AUC, honest against malicious"),
+        ("misbehaviour.at_lookup.auc", "malicious", "AUC at lookup, honest against malicious"),
         ("radio.pdr.all", None, "packet delivery ratio"),
         ("safety.hard_braking.per_km", None, "hard braking per vehicle-kilometre"),
     ]
@@ -109,6 +107,8 @@ def _facts(run: Run, numbers: pd.DataFrame) -> str:
         if len(rows) and rows.value.notna().iloc[0]:
             row = rows.iloc[0]
             where = f" ({row.group})" if group is None and row.group else ""
+            where += f", {row.note}" if row.note == "has not attacked" else ""
+            where += ", no better than chance" if metric.endswith("auc") and row.low <= 0.5 <= row.high else ""
             boxes.append(f"<div><b>{_number(row.value, row.unit)}</b><span>{escape(text + where)}</span></div>")
     return f'<div class="facts">{"".join(boxes)}</div>'
 
@@ -132,7 +132,7 @@ def _topic(topic: str, frame: pd.DataFrame) -> str:
         return head + gap
     first = frame.metric != frame.metric.shift()
     rows = "".join(
-        f"<tr{'' if new else ' class=more'}><td title='{escape(METRICS[metric].definition)}'>"
+        f"<tr{'' if new else ' class=more'}><td title='{escape(METRICS[metric].definition, quote=True)}'>"
         f"{escape(METRICS[metric].label) if new else ''}</td><td>{f'<code>{metric}</code>' if new else ''}</td>"
         f'<td>{escape(group)}</td><td class="number">{_number(value, unit)}</td><td class="number soft">'
         f'{_interval(low, high)}</td><td class="soft">{escape(note)}</td></tr>'
@@ -170,7 +170,7 @@ def _virtual(column: Column) -> str:
 
 def _provenance(run: Run) -> str:
     manifest = {**run.manifest, "folder": str(run.path), "schema_version": SCHEMA_VERSION}
-    names = ("folder", "status", "seed", "schema_version", "net", "versions", "timings_s", "summary")
+    names = ("folder", "status", "seed", "schema_version", "net", "versions", "source", "timings_s", "summary")
     rows = "".join(f"<tr><td>{name}</td><td>{_value(manifest[name])}</td></tr>" for name in names if name in manifest)
     config = escape(json.dumps(run.config, indent=2, ensure_ascii=False))
     return f"<table>{rows}</table><details open><summary>Resolved configuration</summary><pre>{config}</pre></details>"

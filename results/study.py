@@ -1,7 +1,8 @@
 """A study on disk: its points, their runs, and every metric by swept key with its interval."""
 
 import json
-from collections.abc import Mapping, Sequence
+import logging
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -9,14 +10,14 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pyarrow.parquet as pq
-from scipy.special import stdtrit
 
 from results import durable
 from results.archive import OpenRun, open_run
-from results.metrics.registry import TOPICS
+from results.metrics.intervals import FREE, Bounds, around
+from results.metrics.registry import TOPICS, bounds_of, present_names
 from results.spreadsheet import csv_of
 
-CONFIDENCE = 0.95
+_log = logging.getLogger(__name__)
 _WITHIN = ["radius_m", "pairs"]
 """Columns read off the group of encounter metrics, which names the definition."""
 
@@ -56,24 +57,31 @@ class Study:
             raise ValueError(f"{self.path} has no finished run yet. Run `cosim sweep` on.")
         columns = ["point", "replicate", *self.keys]
         found = self.points[columns].merge(pd.concat(frames, ignore_index=True), on="point", how="inner")
-        return found[~found.metric.str.endswith(".not_measured")].reset_index(drop=True)
+        found = found[~found.metric.str.endswith(".not_measured")].reset_index(drop=True)
+        found, old = present_names(found)
+        if old:
+            _log.warning("%s was measured when these had other names: %s.", self.path, "; ".join(old))
+        return found
 
     @cached_property
     def summary(self) -> pd.DataFrame:
-        """Mean over replicates and its 95 % interval: the swept keys, metric, group, n, mean, low, high, unit, label.
+        """Mean over replicates and its 95 % interval: the swept keys, metric, group, n, mean, low, high, unit, label,
+        and a note where fewer replicates than asked have a value.
 
         Notes
         -----
-        The interval is Student's: mean plus and minus t(n - 1) s / sqrt(n); missing for one replicate.
+        The interval is Student's with n - 1 degrees of freedom, in the logit or the logarithm of quantities with bounds
+        (`intervals.around`): a share stays within 0 and 1, a time above 0. It is missing for one replicate, and where
+        all are at a bound.
         """
-        return self._intervals(self.measures)
+        return self._intervals(self.measures, bounds_of)
 
     @cached_property
     def differences(self) -> pd.DataFrame:
         """Paired differences against the baseline, columns as in `summary`.
 
         A point's counterpart has the same replicate and keys, but for those that the baseline names: the same traffic
-        and, where only trust differs, the same detections. The interval is Student's, of the differences.
+        and, where only trust differs, the same detections. The interval is that of `summary`, of the differences.
         """
         if not self.baseline:
             raise ValueError(f"{self.path}: the study names no baseline. Set study.baseline and sweep again.")
@@ -84,11 +92,18 @@ class Study:
         others = [key for key in self.keys if key not in self.baseline]
         on = [*others, "replicate", "metric", "group"]
         pairs = frame[~is_base].merge(frame.loc[is_base, [*on, "value"]], on=on, suffixes=("", "_base"))
-        return self._intervals(pairs.assign(value=pairs.value - pairs.value_base))
+        return self._intervals(pairs.assign(value=pairs.value - pairs.value_base), _bounds_of_difference)
 
-    def _intervals(self, frame: pd.DataFrame) -> pd.DataFrame:
-        found = intervals(frame, [*self.keys, "metric", "group", "unit", "label"])
-        return found[[*self.keys, "metric", "group", "n", "mean", "low", "high", "unit", "label"]]
+    def _intervals(self, frame: pd.DataFrame, bounds: Callable[[str], Bounds]) -> pd.DataFrame:
+        found = intervals(frame, [*self.keys, "metric", "group", "unit", "label"], bounds)
+        asked = self.points.groupby(list(self.keys), sort=False, dropna=False).replicate.nunique().rename("asked")
+        asked_of = found[[*self.keys]].merge(asked.reset_index(), on=list(self.keys), how="left").asked
+        notes = [
+            f"{n} of {of:.0f} replicates have a value" if n < of else ""
+            for n, of in zip(found.n, asked_of, strict=True)
+        ]
+        columns = [*self.keys, "metric", "group", "n", "mean", "low", "high", "unit", "label"]
+        return found[columns].assign(note=notes)
 
     def write(self, folder: Path | None = None) -> list[Path]:
         """`measures`, `summary` and, with a baseline, `differences` as Parquet and CSV."""
@@ -108,13 +123,28 @@ class Study:
         return f"Study({str(self.path)!r}: {len(self.points)} points, {states}, swept {', '.join(self.keys)})"
 
 
-def intervals(frame: pd.DataFrame, by: Sequence[str]) -> pd.DataFrame:
-    """Of the column `value`, by these columns: n, mean, and low and high of its 95 % interval (Student's)."""
+def intervals(frame: pd.DataFrame, by: Sequence[str], bounds: Callable[[str], Bounds] = lambda _: FREE) -> pd.DataFrame:
+    """Of the column `value`, by these columns: n, mean, and low and high of its 95 % interval (`intervals.around`).
+
+    Parameters
+    ----------
+    bounds
+        Bounds of a metric, where `metric` is among the columns; none, where left out.
+    """
     values = frame.groupby(list(by), sort=False, dropna=False).value
     found = values.agg(n="count", mean="mean", s="std").reset_index()
-    half = stdtrit(np.maximum(found.n - 1, 1), 0.5 + CONFIDENCE / 2) * found.s / np.sqrt(found.n)
-    half = half.where(found.n > 1)
-    return found.assign(low=found["mean"] - half, high=found["mean"] + half).drop(columns="s")
+    metric = found.metric if "metric" in by else [""] * len(found)
+    ends = [
+        around(mean, s / n**0.5 if n > 1 else float("nan"), max(n - 1, 1), bounds(name))[1:3]
+        for mean, s, n, name in zip(found["mean"], found.s, found.n, metric, strict=True)
+    ]
+    low, high = np.array(ends, float).reshape(-1, 2).T
+    return found.assign(low=low, high=high).drop(columns="s")
+
+
+def _bounds_of_difference(metric: str) -> Bounds:
+    low, high = bounds_of(metric)
+    return low - high, high - low
 
 
 def open_study(path: str | Path) -> Study:
@@ -155,11 +185,19 @@ def chosen(frame: pd.DataFrame, metrics: Sequence[str]) -> pd.DataFrame:
         if group:
             rows &= (frame.group == group).to_numpy()
         if not rows.any():
-            raise ValueError(
-                f"The study measured no {name!r}. It has {', '.join(sorted(frame.metric.unique())[:12])}, ..."
-            )
+            raise ValueError(f"The study measured no {name!r}. {_there(frame, metric)}")
         kept |= rows
     return frame[kept]
+
+
+def _there(frame: pd.DataFrame, metric: str) -> str:
+    """The groups of a metric that is there, else the metrics of its topic, else all."""
+    if metric in set(frame.metric):
+        groups = frame.group[frame.metric == metric].unique()
+        return f"Its groups are {'; '.join(groups)}: write {metric}:{groups[0]}."
+    names = sorted(frame.metric.unique())
+    alike = [name for name in names if name.startswith(metric.partition(".")[0] + ".")]
+    return f"It has {', '.join(alike or names)}."
 
 
 def _as_column(column: pd.Series, value: Any) -> Any:

@@ -17,8 +17,6 @@ _MOST_ROWS = 400
 def write(study: Study, path: str | Path | None = None) -> Path:
     """Write the page; it needs no network and no other file. Left out, `path` is report.html in the study's folder."""
     path = study.path / "report.html" if path is None else Path(path)
-    if not path.parent.is_dir():
-        raise ValueError(f"The folder {path.parent} does not exist. Make it first.")
     durable.write_output(path, page(study).encode())
     return path
 
@@ -34,14 +32,14 @@ def page(study: Study) -> str:
         '<h2 id="figures">Figures</h2>',
         *(_figure(study, topic) for topic in figure.SHOWN if _measured(study, topic)),
         '<h2 id="numbers">Means over replicates</h2>',
-        "<p>With 95 % intervals of Student's t.</p>",
+        "<p>With 95 % intervals: Student's t, in the logit or logarithm of quantities with bounds.</p>",
         _table(study, study.summary),
     ]
     if study.baseline:
         said = ", ".join(f"{key} = {value}" for key, value in study.baseline.items())
         parts += [
             '<h2 id="differences">Paired differences</h2>',
-            f"<p>Against {escape(said)}, replicate by replicate, with 95 % intervals of Student's t.</p>",
+            f"<p>Against {escape(said)}, replicate by replicate, with the same intervals.</p>",
             _table(study, study.differences),
         ]
     body = "\n".join(parts)
@@ -52,7 +50,7 @@ def page(study: Study) -> str:
 
 
 def _measured(study: Study, topic: str) -> bool:
-    return bool(study.summary.metric.str.startswith(topic + ".").any())
+    return bool(figure.shown(study, topic))
 
 
 def _figure(study: Study, topic: str) -> str:
@@ -66,7 +64,7 @@ def _figure(study: Study, topic: str) -> str:
 
 def _table(study: Study, frame: pd.DataFrame) -> str:
     shown = frame.head(_MOST_ROWS)
-    names = [*study.keys, "metric", "group", "n", "mean", "low", "high", "unit"]
+    names = [*study.keys, "metric", "group", "n", "mean", "low", "high", "unit", "note"]
     head = "".join(f"<th>{escape(name)}</th>" for name in names)
     rows = "".join(
         "<tr>" + "".join(_cell(value) for value in row) + "</tr>" for row in shown[names].itertuples(index=False)

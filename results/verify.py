@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from results import durable, inventory
+from results.columns import LEVELS
 from results.durable import Damaged
 from results.inventory import CHECKPOINT, Inventory
 from results.manifest import problems, read_manifest, status_of
@@ -50,7 +51,9 @@ def _problems(folder: Path, manifest: dict[str, Any], found: Inventory, is_live:
         yield f"schema version {manifest['schema_version']}, this cosim knows {SCHEMA_VERSION}"
         return
     yield from problems(folder, manifest, found)
-    level = (manifest["config"].get("record") or {}).get("level", "full")
+    record = manifest["config"].get("record")
+    level = record.get("level") if isinstance(record, dict) else None
+    level = level if level in LEVELS else "full"
     recorded = (manifest.get("inventory") or {}).get("tables") or ()
     for table in TABLES:
         if table in manifest.get("dropped", ()):

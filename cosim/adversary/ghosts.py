@@ -196,22 +196,23 @@ class Replay(Vouched):
         p, world = self.params, context.world
         xy = world.boxes.xyz_m[:, :2]
         past = context.memory.setdefault("past", [])
-        received = np.flatnonzero(listed.transmitted & (listed.origin != FABRICATED))
+        own_fabrications = context.member[listed.observer] & (listed.origin == FABRICATED)
+        received = np.flatnonzero(listed.transmitted & ~own_fabrications)
         while past and past[0][0] < context.time_s - p.age_s - 1e-9:
             past.pop(0)
         old = past[0] if past else None
         now = listed.take(received)
-        past.append((context.time_s, now, world.actor[now.observer], xy[now.observer]))
+        past.append((context.time_s, now, world.actor[now.observer], world.name_key[now.observer], xy[now.observer]))
         if old is None or not len(old[1]):
             return listed
-        _, said, by, from_xy = old
+        _, said, by, name_key, from_xy = old
         attackers = np.flatnonzero(context.attacker)
         first = np.flatnonzero(np.append(True, by[1:] != by[:-1]))  # of each sender's detections
         count = np.diff(np.append(first, len(by)))
         tree = cKDTree(from_xy[first])
         near = cKDTree(xy[attackers]).sparse_distance_matrix(tree, p.range_m, output_type="ndarray")
         a, sender = near["i"], near["j"]
-        order = np.lexsort((sender, a))
+        order = np.lexsort((name_key[first[sender]], a))  # by name, so that no draw depends on actor numbers
         a, sender = a[order], sender[order]
         others = by[first[sender]] != world.actor[attackers[a]]
         a, sender = a[others], sender[others]
@@ -222,6 +223,7 @@ class Replay(Vouched):
         chosen = sender[np.searchsorted(a, has) + _scaled(one, n_near[has])]
         source = first[chosen] + _scaled(other, count[chosen])
         _, once = np.unique(has * np.int64(len(by)) + source, return_index=True)
+        once = np.sort(once)  # as drawn, not by actor numbers
         again = said.take(source[once])
         return fabricated(listed, attackers[has[once]], again.label, again.boxes, again.score)
 

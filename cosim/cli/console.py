@@ -35,10 +35,13 @@ TrustCode = Annotated[
 
 Get = Callable[[str], Mapping[str, float]]
 """Values of a metric by group; empty where it has none."""
+GetRows = Callable[[str], Mapping[str, Mapping[str, Any]]]
+"""Rows of `measure` of a metric by group: value, low, high, note."""
 
 SUMMARY_METRICS = (
     "traffic.duration_s", "traffic.actors.mean", "traffic.equipped.n", "encounters.n",
-    "encounters.duration.km_median_s", "encounters.duration.km_mean_s", "trust.final.median", "misbehaviour.auc",
+    "encounters.duration.km_median_s", "encounters.duration.km_mean_s", "trust.final.median",
+    "misbehaviour.at_lookup.auc", "misbehaviour.at_lookup.time_to_detection.median_s", "misbehaviour.auc",
     "misbehaviour.time_to_detection.median_s", "freshness.lookup_state.share",
     "freshness.newest_evaluation_age.mean_s", "freshness.newest_evaluation_age.p90_s",
     "freshness.encounters_without_trust.share", "radio.pdr.all", "radio.pdr.cpm", "radio.pdr.evaluation",
@@ -101,21 +104,19 @@ def print_run_summary(folder: Path, as_json: bool) -> "Run":
         return run
     topics = tuple(dict.fromkeys(name.split(".")[0] for name in SUMMARY_METRICS))
     frame = measure(run, topics=topics)
-    by_metric = {
-        str(name): dict(zip(one.group, one.value, strict=True)) for name, one in frame.groupby("metric", sort=False)
-    }
+    by_metric = {str(name): one.set_index("group").to_dict("index") for name, one in frame.groupby("metric")}
 
-    def get(metric: str) -> Mapping[str, float]:
+    def rows(metric: str) -> Mapping[str, Mapping[str, Any]]:
         assert metric in SUMMARY_METRICS, metric
         return by_metric.get(metric, {})
 
     speed = plain(manifest["steps"] * run.dt_s / spent_s)
     given = shlex.quote(str(folder))
-    lines = _summary(get, manifest.get("net", {}).get("name", "the network")) | {
+    lines = _summary(rows, manifest.get("net", {}).get("name", "the network")) | {
         "time": [f"{spent_s:.1f} s of computing, {speed} times real time"],
         "tables": [str(folder)],
         "picture": [picture],
-        "next": [f"cosim report {given}   cosim measure {given}   cosim plot radio {given}"],
+        "next": [f"cosim report {given}   cosim measure {given}" + _pictures(rows, given)],
     }
     for name, sentences in lines.items():
         for i, sentence in enumerate(sentences):
@@ -123,10 +124,22 @@ def print_run_summary(folder: Path, as_json: bool) -> "Run":
     return run
 
 
-def _summary(get: Get, city: str) -> dict[str, list[str]]:
+def _pictures(rows: GetRows, given: str) -> str:
+    """The command that draws a picture of what the run has; empty where it has nothing to draw."""
+    for picture, metric in (("radio", "radio.pdr.all"), ("encounters", "encounters.n")):
+        if rows(metric):
+            return f"   cosim plot {picture} {given}"
+    return ""
+
+
+def _summary(rows: GetRows, city: str) -> dict[str, list[str]]:
     """Sentences by topic."""
+
+    def get(metric: str) -> Mapping[str, float]:
+        return {group: row["value"] for group, row in rows(metric).items()}
+
     return {
-        "traffic": _traffic(get, city), "encounters": _encounters(get), "trust": _trust(get),
+        "traffic": _traffic(get, city), "encounters": _encounters(get), "trust": _trust(rows),
         "freshness": _freshness(get), "radio": _radio(get),
     }  # fmt: skip
 
@@ -148,40 +161,75 @@ def _encounters(get: Get) -> list[str]:
             f"{name} {plain(of[definition])} s" for name, of in (("median", median_s), ("mean", mean_s))
             if definition in of
         ]  # fmt: skip
-        lines.append(f"{plain(n)} ({definition}); duration: {', '.join(lasts)}")
+        lasting = f"; duration by Kaplan-Meier: {', '.join(lasts)}" if lasts else ""
+        lines.append(f"{plain(n)} ({definition}){lasting}")
     return lines or ["none: no two came within the radius of each other"]
 
 
-def _trust(get: Get) -> list[str]:
-    final = get("trust.final.median")
+def _trust(rows: GetRows) -> list[str]:
+    final = rows("trust.final.median")
     if not final:
         return ["no trust was computed"]
-    lines = ["at the end, median by role (0 to 1): " + ", ".join(f"{role} {x:.2f}" for role, x in final.items())]
-    if auc := get("misbehaviour.auc"):
+    lines = [
+        "at the end, median by role (0 to 1): " + ", ".join(f"{role} {row['value']:.2f}" for role, row in final.items())
+    ]
+    if idle := [role for role, row in final.items() if row["note"].startswith("has not attacked")]:
+        lines.append(f"no {' or '.join(idle)} vehicle has attacked in this run: until then they behave as honest ones")
+    at_lookup = rows("misbehaviour.at_lookup.auc")
+    for role, row in (at_lookup or rows("misbehaviour.auc")).items():
+        lines.append(_comparison(role, row, "when looked up" if at_lookup else "over the run"))
+    per_receiver = rows("misbehaviour.at_lookup.time_to_detection.median_s")
+    for role, row in per_receiver.items():
         lines.append(
-            "honest vehicles trusted more in "
-            + ", ".join(f"{x:.0%} of comparisons with {role}" for role, x in auc.items())
+            f"half of the receivers suspect {_a(role)} vehicle (trust below 0.25) within {plain(row['value'])} s of "
+            "their first lookup (Kaplan-Meier median)"
         )
-    for role, after_s in get("misbehaviour.time_to_detection.median_s").items():
+    for role, row in ({} if per_receiver else rows("misbehaviour.time_to_detection.median_s")).items():
         since = "the first attack" if role == "honest" else "their first attack"
-        lines.append(f"half of the {role} ones suspected (trust below 0.25) within {plain(after_s)} s of {since}")
+        lines.append(
+            f"half of the {role} vehicles suspected (trust below 0.25) within {plain(row['value'])} s of {since} "
+            "(Kaplan-Meier median)"
+        )
     return lines
+
+
+def _a(word: str) -> str:
+    """A role with its article; the h of honest is silent."""
+    return f"{'an' if word.startswith(('a', 'e', 'i', 'o', 'u', 'honest')) else 'a'} {word}"
+
+
+def _comparison(role: str, row: Mapping[str, Any], when: str) -> str:
+    """What the area under the ROC curve says, with its interval; that it says nothing where this holds one half."""
+    low, high = row["low"], row["high"]
+    known = low == low and high == high
+    text = f"an honest vehicle is trusted more than {_a(role)} one in {row['value']:.0%} of comparisons {when}"
+    text += f" (AUC {row['value']:.2f}" + (f", 95 % interval {low:.2f} to {high:.2f})" if known else ")")
+    return text + (": no better than chance" if known and low <= 0.5 <= high else "")
 
 
 def _freshness(get: Get) -> list[str]:
     state = {name.removesuffix(", all"): x for name, x in get("freshness.lookup_state.share").items()}
     if not state:
-        return ["no trust value was looked up"]
+        return ["no vehicle looked up a trust value"]
+    what = {
+        "evaluated": "of a value with another vehicle's evaluation within the window",
+        "stale": "of a value whose evaluations are all older than the window",
+        "unevaluated": "of a value without any evaluation",
+        "no value": "found no value, and used the default",
+    }  # fmt: skip
     mean_s, p90_s = (get(f"freshness.newest_evaluation_age.{name}").get("all") for name in ("mean_s", "p90_s"))
     lines = [
-        f"trust values looked up: {state['judged']:.0%} rest on another vehicle's evaluation within the window, "
-        f"{state['stale']:.0%} on older ones, {state['unjudged']:.0%} on none, {state['default']:.0%} no value"
+        "lookups of trust: " + ", ".join(f"{state[name]:.0%} {said}" for name, said in what.items() if state[name])
     ]
     if mean_s is not None:
-        tail = "" if p90_s is None else f", one in ten over {p90_s:.1f} s"
-        lines.append(f"newest evaluation behind them: {mean_s:.1f} s old on average{tail}")
+        tail = "" if p90_s is None else f"; one in ten is older than {p90_s:.1f} s"
+        lines.append(
+            f"the newest evaluation behind a value is {mean_s:.1f} s old on average when it is looked up{tail}"
+        )
     for definition, share in get("freshness.encounters_without_trust.share").items():
-        lines.append(f"{share:.0%} of encounters ({definition}) over before one knew a trust value of the other")
+        lines.append(
+            f"in {share:.0%} of encounters ({definition}) a vehicle never had an evaluated trust value for the other"
+        )
     return lines
 
 

@@ -17,7 +17,12 @@ def add_to(app: typer.Typer) -> None:
 
 
 def export(
-    form: Annotated[str, typer.Argument(metavar="FORMAT", help="kitti, trupercept, opv2v, veremi, veremi-nextgen.")],
+    form: Annotated[
+        str,
+        typer.Argument(
+            metavar="FORMAT", help="kitti, trupercept, opv2v, veremi, veremi-nextgen, or your own: mine.py:Name."
+        ),
+    ],
     folder: Annotated[Path, typer.Argument(metavar="RUN", help="Run folder.")],
     out: Annotated[Path, typer.Option(help="New folder to write; an export that was interrupted goes on in its own.")],
     vehicles: Annotated[
@@ -25,6 +30,9 @@ def export(
         typer.Option(help="Vehicles with a LiDAR, such as 3,17,20-25; all by default. trupercept: ego first."),
     ] = None,
     steps: Annotated[str | None, typer.Option(help="Steps, such as 0-59; all by default.")] = None,
+    sets: Annotated[
+        list[str] | None, typer.Option("--set", help="A parameter of your own exporter, key=value. Repeatable.")
+    ] = None,
     as_json: AsJson = False,
 ) -> None:
     """Write a run in the layout that other tools read."""
@@ -33,7 +41,7 @@ def export(
 
     with progress() as advance:
         done = write(
-            open_run(folder), form, out, vehicles, steps,
+            open_run(folder), form, out, vehicles, steps, sets or (),
             lambda what, n, total: advance(f"{form}, {what}", n, total, ""),
         )  # fmt: skip
     if as_json:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from cosim import __version__
-from cosim.cli import interchange, studies
+from cosim.cli import extend, interchange, studies
 from cosim.cli import reproduce as reproductions
 from cosim.cli.console import TrustCode, notes, print_json, print_metrics, print_run_summary, progress, screen, table_of
 from cosim.cli.nets import nets
@@ -37,6 +37,7 @@ app.add_typer(nets, name="nets")
 studies.add_to(app)
 reproductions.add_to(app)
 interchange.add_to(app)
+extend.add_to(app)
 
 ConfigPath = Annotated[Path | None, typer.Argument(help="TOML file; without one, the shipped city.")]
 Overrides = Annotated[
@@ -222,7 +223,15 @@ def measure(
     runs: Annotated[list[Path] | None, typer.Argument(help="Folders that `cosim run` wrote.")] = None,
     explain: Annotated[bool, typer.Option("--explain", help="List all metrics with their definitions.")] = False,
     metrics: Annotated[
-        list[str] | None, typer.Option("--metric", help="study: show this metric, or METRIC:GROUP. Repeatable.")
+        list[str] | None,
+        typer.Option(
+            "--metric",
+            help="run: show this metric of your own instead, mine.py:Name; study: show this metric, or METRIC:GROUP. "
+            "Repeatable.",
+        ),
+    ] = None,
+    sets: Annotated[
+        list[str] | None, typer.Option("--set", help="A parameter of your own metric, key=value. Repeatable.")
     ] = None,
     variant: Annotated[str, typer.Option(help="Trust variant of the runs; all: each beside the others.")] = "base",
     csv: Annotated[Path | None, typer.Option("--csv", help="Write the metrics to this file.")] = None,
@@ -242,12 +251,18 @@ def measure(
     if studies.is_study(runs):
         studies.measure(runs[0], metrics or [], as_json)
         return
-    if metrics:
-        raise ValueError("--metric goes with a study. Leave it out, or give the folder of a `cosim sweep`.")
+    from cosim.cli.extend import own_metrics
     from cosim.cli.side_by_side import engines_remark, of_variants, print_measures
+    from results.measure import measure as all_metrics
 
+    measured = own_metrics(metrics or [], sets or [])
     chosen = [one for folder in runs for one in of_variants(_opened(folder), variant)]
-    print_measures(chosen, as_json, csv, threshold=threshold, fresh_s=fresh_s, false_positives=false_positives)
+    tables = [
+        all_metrics(run, threshold=threshold, fresh_s=fresh_s, false_positives=false_positives)
+        if measured is None else measured(run)
+        for run in chosen
+    ]  # fmt: skip
+    print_measures(chosen, tables, as_json, csv)
     if remark := engines_remark(chosen):
         notes.print(remark, soft_wrap=True)
     _say_damage(chosen)

@@ -10,7 +10,6 @@ from rich.table import Column, Table
 from cosim.cli.console import plain, print_json, rows_of, screen, table_of
 from results import durable
 from results.figures.style import names
-from results.measure import measure
 from results.metrics.compare import differing
 from results.run import Run
 from results.spreadsheet import csv_of
@@ -23,12 +22,11 @@ def of_variants(run: Run, variant: str) -> list[Run]:
     return [run.as_variant(name) for name in (run.variants if variant == "all" else (variant,))]
 
 
-def print_measures(runs: list[Run], as_json: bool, csv: Path | None, **options: Any) -> None:
-    """Print the metrics of runs, or write them to a CSV file: one row per run, metric and group.
+def print_measures(runs: list[Run], tables: list[pd.DataFrame], as_json: bool, csv: Path | None) -> None:
+    """Print the metrics of runs, a table for each, or write them to a CSV file: one row per run, metric and group.
 
     Several runs stand side by side, below the keys of the config in which they differ.
     """
-    tables = [measure(run, **options) for run in runs]
     keys = differing(runs) if len(runs) > 1 else {}
     labels = names(runs)
     if csv is not None:

@@ -142,13 +142,12 @@ def is_study(folders: list[Path]) -> bool:
 
 def measure(folder: Path, metrics: list[str], as_json: bool) -> None:
     """Means, intervals and paired differences of a study, on the screen and as files."""
-    from results.figures.study import SHOWN
+    from results.figures.study import SHOWN, shown
     from results.study import chosen, open_study
 
     study = open_study(folder)
     written = study.write()
-    there = set(study.summary.metric)
-    asked = metrics or [m for names in SHOWN.values() for m in names if m.partition(":")[0] in there]
+    asked = metrics or list(dict.fromkeys(name for topic in SHOWN for name in shown(study, topic)))
     tables = {"summary": study.summary} | ({"differences": study.differences} if study.baseline else {})
     if as_json:
         print_json({
@@ -156,11 +155,11 @@ def measure(folder: Path, metrics: list[str], as_json: bool) -> None:
             for name, table in tables.items()
         })  # fmt: skip
         return
-    columns = [*study.keys, "metric", "group", "n", "mean", "low", "high", "unit"]
+    columns = [*study.keys, "metric", "group", "n", "mean", "low", "high", "unit", "note"]
     for name, frame in tables.items():
-        of = "mean over replicates and 95 % interval (Student's t)"
+        of = "mean over replicates and 95 % interval"
         if name == "differences":
-            of = f"paired differences against {study.baseline}, 95 % interval (Student's t)"
+            of = f"paired differences against {study.baseline}, 95 % interval"
         heads = [key.rsplit(".", 1)[-1] for key in study.keys]
         table = Table(*heads, *columns[len(heads) :], title=f"{study.name}: {of}", title_justify="left", box=None)
         for row in chosen(frame, asked)[columns].itertuples(index=False):

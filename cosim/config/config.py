@@ -11,7 +11,7 @@ from typing import Annotated, Any
 from annotated_types import Ge, Le
 
 from cosim.adversary.params import PAPER, AttackParams, check_attacks
-from cosim.config.data import check_finite, check_keys, former, override, read_toml, validated
+from cosim.config.data import check_finite, check_keys, former, is_plain, override, read_toml, validated
 from cosim.door.blame import at_load, definition_line
 from cosim.door.kinds import SECTIONS
 from cosim.door.load import Choice, is_own, resolve
@@ -362,8 +362,17 @@ def _take_own(section: dict[str, Any], name: str, model: Any, where: str, folder
         hint = f"Did you mean {name}.{near[0]}?" if near else f"Known: {known}."
         raise ValueError(f"{name}.{unknown[0]}: unknown key in {where}. {former(f'{name}.{unknown[0]}') or hint}")
     check_finite(taken, f"{name}.", where)
-    made = asdict(_params(choice, taken, name, where))
-    return {k: made[k] for k in made if k in of_class}
+    values = asdict(_params(choice, taken, name, where))
+    made = {k: values[k] for k in values if k in of_class}
+    if alien := next((k for k, value in made.items() if not is_plain(value)), None):
+        line = definition_line(choice.params, "", choice.source.file)
+        raise ValueError(
+            f"{choice.source.file}:{line}: {choice.kind.title} {choice.of.__name__}: Params.{alien} is a "
+            f"{type(made[alien]).__name__}, which no config can hold. Make it text, a number, true or false, or a list "
+            "of these."
+        )
+    check_finite(made, f"{name}.", f"{choice.source.file or where}")
+    return made
 
 
 def _own_step_s(scenario: str) -> float | None:

@@ -145,6 +145,15 @@ def check_finite(data: Any, name: str, where: str) -> None:
         check_finite(value, f"{name}{'' if name.endswith('.') or not name else '.'}{key}", where)
 
 
+def is_plain(data: Any) -> bool:
+    """Whether a config file can hold a value."""
+    if isinstance(data, dict):
+        return all(isinstance(key, str) and is_plain(value) for key, value in data.items())
+    if isinstance(data, list | tuple):
+        return all(map(is_plain, data))
+    return data is None or isinstance(data, bool | int | float | str)
+
+
 def former(name: str) -> str:
     """Says what a key of the former schema has become; empty for others."""
     now = next((new for old, new in FORMER.items() if name == old or name.startswith(old + ".")), None)

@@ -45,6 +45,21 @@ def at_load(file: str, place: str, what: str, line: int = 1, passes: type[BaseEx
         ) from error
 
 
+@contextmanager
+def in_use(file: str, what: str) -> Iterator[None]:
+    """Turn an exception that a line of a user's file raises, wherever it is called from, into `ExtensionError`."""
+    try:
+        yield
+    except (Refused, ExtensionError):
+        raise
+    except Exception as error:  # whatever a user's class does
+        if not file or not (line := line_of(error, file)):
+            raise
+        raise ExtensionError(
+            f"{file}:{line}: {what} raised {reason(error)}. cosim --debug shows the traceback."
+        ) from error
+
+
 def is_interrupt(error: BaseException) -> bool:
     """Whether an exception comes from a signal and not from a user's class: Ctrl-C, or a stop of the run itself."""
     ours = not isinstance(error, Exception) and type(error).__module__.split(".")[0] == "cosim"

@@ -7,6 +7,7 @@
 import zlib
 from dataclasses import fields, is_dataclass
 from functools import partial
+from inspect import getattr_static
 from typing import Any
 
 import numpy as np
@@ -60,8 +61,11 @@ class Guarded:
     def __getattr__(self, name: str) -> Any:
         if name.startswith("_"):
             raise AttributeError(name)
-        found = getattr(self._inside, name)
-        return partial(self._call, name, found) if name in self._choice.kind.hooks else found
+        if name not in self._choice.kind.hooks:
+            return getattr(self._inside, name)
+        if getattr_static(self._inside, name, None) is None:
+            raise AttributeError(name)
+        return partial(self._call, name, getattr(self._inside, name))
 
     def _call(self, name: str, method: Any, *given: Any) -> Any:
         """What a method returned, checked."""
@@ -89,6 +93,8 @@ class Guarded:
             return hook.check(Call(given, self._made_with, self._latest_step), returned)
         except Wrong as wrong:
             raise blame.ExtensionError(f"{place} {wrong}.") from None
+        except Exception as error:  # a result of the right type that is not what its type says
+            raise blame.ExtensionError(f"{place} returned what cannot be read: {blame.reason(error)}.") from error
 
 
 _UNWATCHED = frozenset({"state", "sweeps"})

@@ -12,6 +12,7 @@ from cosim.door import returns
 from cosim.driver.drivers import DRIVERS
 from cosim.radio.medium import MEDIA
 from cosim.v2x.pseudonyms import POLICIES
+from results.export.formats import EXPORTERS
 from sensors.detector import DETECTORS
 from trust.models import MODELS
 
@@ -115,6 +116,10 @@ KINDS: dict[str, Kind] = {kind.name: kind for kind in (
             "sending": Hook(("context",), returns.sending, is_required=False),
         },
     ),
+    Kind(
+        "exporter", "exporter", "", "", EXPORTERS, {"plan": Hook(("selection",), returns.plan)},
+    ),
+    Kind("metric", "metric", "", "", {}, {"rows": Hook(("run",), returns.metric_rows)}),
 )}  # fmt: skip
 """Every kind of choice, by name."""
 

@@ -17,6 +17,8 @@ from cosim.driver.driver import Reasons, SpeedCommands
 from cosim.radio.message_round import FrameOutcomes, LosState, MessageRound, Outcome, Receptions
 from cosim.v2x.messages import Detections
 from results.codes import ObjectClass, Origin
+from results.export.moments import Plan, Unit
+from results.measure import MetricRow
 from sensors.boxes import Boxes
 from sensors.reports import Reports
 from sensors.scene import Shape
@@ -30,6 +32,8 @@ FASTEST_MPS = 1000.0
 FARTHEST_M = 1e7
 MOST_HOPS = 2**15
 LARGEST_NAME = 2**31 - 1
+_CODES = frozenset({"label", "los_state", "origin"})
+"""Columns of codes, which are kept in 8 bits."""
 _WORDS = {"f": "floats", "iu": "integers", "b": "bools"}
 
 
@@ -56,7 +60,7 @@ def with_article(name: str) -> str:
 
 def described(value: Any) -> str:
     """A value in a few words."""
-    if isinstance(value, ndarray):
+    if type(value) is ndarray:
         return f"an array of {value.dtype} of shape {value.shape}"
     if value is None or isinstance(value, bool | int | float):
         return repr(value)
@@ -65,16 +69,23 @@ def described(value: Any) -> str:
     return with_article(type(value).__name__)
 
 
-def detached(value: Any) -> Any:
-    """The same with copies of its arrays: of an array, a dataclass, or a tuple."""
+def detached(value: Any, like: ndarray | None = None) -> Any:
+    """The same with copies of its arrays, in the dtypes that the program uses: of an array, a dataclass, or a tuple.
+
+    Narrow integers would overflow in sums and products of theirs; floats of other widths are no numbers for compiled
+    functions. `like` is an array of the dtype that is due, where it is known.
+    """
     if isinstance(value, ndarray):
-        return value.copy()
-    if isinstance(value, tuple) and type(value) is tuple:
-        return tuple(detached(item) for item in value)
+        usual = {"f": np.float64, "b": np.bool_}.get(value.dtype.kind, np.int64)
+        return np.array(value, usual if like is None else like.dtype, order="C")
+    if type(value) is tuple:
+        return tuple(map(detached, value))
     if is_dataclass(value) and not isinstance(value, type):
         made = object.__new__(type(value))
         for field in fields(value):
-            object.__setattr__(made, field.name, detached(getattr(value, field.name)))
+            column = getattr(value, field.name)
+            of = np.zeros(0, np.uint8) if field.name in _CODES else None
+            object.__setattr__(made, field.name, detached(column, of))
         return made
     return value
 
@@ -224,7 +235,7 @@ def attacked_detections(call: Call, returned: Any) -> Detections:
     _check_boxes(returned.boxes, n, is_bounded=False)
     _columns("", returned, n, "one for each detection", {
         "observer": ("iu", 0, n_world - 1), "target": ("iu", 0, n_world - 1), "origin": ("iu", 0, len(Origin) - 1),
-        "identity": ("iu", 0, MOST_IDENTITIES), "detection_index": ("iu",), "label": ("iu",), "score": ("f",),
+        "identity": ("iu", 0, MOST_IDENTITIES), "detection_index": ("iu",), "label": ("iu", 0, 255), "score": ("f",),
         "n_points": ("iu",), "transmitted": ("b",), "speed_mps": ("f",), "acceleration_mps2": ("f",),
     })  # fmt: skip
     if len(context.n_identities):
@@ -286,6 +297,35 @@ def recall(call: Call, returned: Any) -> ndarray:
     return detached(returned)
 
 
+def plan(call: Call, returned: Any) -> Plan:
+    """The files that an exporter will write."""
+    _typed("", returned, Plan, "build it by Plan.of_files([File(path, content), ...])")
+    if not isinstance(returned.units, tuple) or not all(isinstance(unit, Unit) for unit in returned.units):
+        raise Wrong(f"returned units as {described(returned.units)}; a tuple of Unit is due")
+    names = [unit.name for unit in returned.units]
+    if twice := sorted({name for name in names if names.count(name) > 1}):
+        raise Wrong(f"returned several units called {twice[0]!r}; a name of its own for each is due")
+    return returned
+
+
+def metric_rows(call: Call, returned: Any) -> list[MetricRow]:
+    """What a metric measures."""
+    if not isinstance(returned, list | tuple):
+        raise Wrong(f"returned {described(returned)}; a list of MetricRow is due")
+    for number, row in enumerate(returned):
+        if not isinstance(row, MetricRow):
+            raise Wrong(f"returned row {number} as {described(row)}; a MetricRow(metric=..., value=...) is due")
+        if isinstance(row.value, bool) or not isinstance(row.value, int | float | np.integer | np.floating):
+            raise Wrong(f"returned value = {row.value!r} in row {number}; a number is due, NaN where there is none")
+        if not all(isinstance(text, str) for text in (row.metric, row.group, row.unit, row.label)) or not row.metric:
+            raise Wrong(f"returned row {number} with texts that are none; metric, group, unit and label are due")
+    keys = [(row.metric, row.group) for row in returned]
+    if len(set(keys)) < len(keys):
+        twice = next(key for key in keys if keys.count(key) > 1)
+        raise Wrong(f"returned metric {twice[0]!r} twice for group {twice[1]!r}; one row for each group is due")
+    return list(returned)
+
+
 def _same(one: Any, other: Any) -> bool:
     """Whether two columns are equal."""
     if isinstance(one, Boxes):
@@ -321,7 +361,7 @@ def _check_boxes(boxes: Any, n: int | None = None, is_bounded: bool = True) -> i
 
 def _length(name: str, value: Any) -> int:
     """Number of rows of an array; `Wrong` where it is none."""
-    if not isinstance(value, ndarray) or not value.ndim:
+    if type(value) is not ndarray or not value.ndim:
         raise Wrong(f"returned {name} as {described(value)}; an array is due")
     return len(value)
 
@@ -340,7 +380,7 @@ def _column(
     what: str = "",
 ) -> None:  # fmt: skip
     """`Wrong` where a value is no array of this shape, of these kinds of dtype and within these bounds."""
-    if not isinstance(value, ndarray) or value.shape != shape or value.dtype.kind not in kinds:
+    if type(value) is not ndarray or value.shape != shape or value.dtype.kind not in kinds:
         raise Wrong(
             f"returned {f'{name} as ' if name else ''}{described(value)}; an array of {_WORDS[kinds]} of shape {shape} "
             f"is due: {what}"

@@ -17,6 +17,7 @@ import tomli_w
 from cosim import __version__
 from cosim.config.config import Config
 from cosim.door.load import Source
+from cosim.execution.source import source
 from results import durable
 from results.codes import BASE_VARIANT, Role, labels
 from results.durable import sha256 as sha256
@@ -113,6 +114,7 @@ class Manifest:
             "config": self.config.to_dict(),
             "config_sha256": self.config_sha256,
             "versions": versions(),
+            "source": source(),
             "net": self.net,
             "choices": {key: asdict(source) for key, source in self.choices.items()},
             "timings_s": _rounded(self.timings_s),

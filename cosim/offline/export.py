@@ -15,11 +15,15 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 
 from cosim.config.config import Config
+from cosim.config.single import from_command_line
+from cosim.door import blame
+from cosim.door.guard import make
+from cosim.door.load import Choice
 from cosim.mobility.scenario import find
 from cosim.offline.replay_lidar import city_of, config_of, sweep, worlds
 from cosim.world import World
 from results.export.folder import Folder
-from results.export.formats import FORMATS, Format
+from results.export.formats import Exporter
 from results.export.moments import Cloud, Plan, Selection
 from results.run import Run
 from sensors.scene import Scene
@@ -60,10 +64,19 @@ class Sweeper:
 
 
 def export(
-    run: Run, form: str, out: Path, vehicles: str | None = None, steps: str | None = None,
+    run: Run, form: str, out: Path, vehicles: str | None = None, steps: str | None = None, sets: Sequence[str] = (),
     progress: Progress = lambda what, done, total: None,
 ) -> dict[str, Any]:  # fmt: skip
     """Write a run, or some vehicles and steps of it, in another tool's layout.
+
+    Parameters
+    ----------
+    form
+        Name of an exporter that ships, or one of the user's own as `path.py:Name`.
+    vehicles, steps
+        As in `3,17,20-25`; all without.
+    sets
+        Parameters of the exporter, as `key=value`.
 
     Returns
     -------
@@ -72,26 +85,38 @@ def export(
     Raises
     ------
     ValueError
-        In one line: no such format, a table that the run does not hold, a vehicle that was never there, a folder that
+        In one line: no such exporter, a table that the run does not hold, a vehicle that was never there, a folder that
         holds something else, a full disk.
+    ExtensionError
+        In one line, where the user's own exporter fails.
     """
-    if form not in FORMATS:
-        raise ValueError(f"{form}: no such format. There are {', '.join(FORMATS)}.")
-    fmt = FORMATS[form]
-    run.require(*fmt.tables)
+    choice, params = from_command_line("exporter", form, sets)
+    with blame.in_use(choice.source.file, f"exporter {choice.of.__name__}"):
+        return _exported(run, choice, make(choice, *params), out, (vehicles, steps, sets), progress)
+
+
+def _exported(
+    run: Run, choice: Choice, fmt: Exporter, out: Path, wanted: tuple[str | None, str | None, Sequence[str]],
+    progress: Progress,
+) -> dict[str, Any]:  # fmt: skip
+    vehicles, steps, sets = wanted
+    run.require(*fmt.TABLES)
     config = config_of(run)
     chosen = Selection(run, _vehicles(run, vehicles), _steps(run, config, steps), _road_edge_m(config))
     if chosen.presence.empty:
         raise ValueError("none of these vehicles is on the road in any of these steps. Choose others.")
     about = {
-        "format": form, "run": str(run.path.resolve()), "vehicles": list(chosen.vehicles), "steps": _span(chosen.steps),
+        "format": choice.source.name, "run": str(run.path.resolve()), "vehicles": list(chosen.vehicles),
+        "steps": _span(chosen.steps),
         "created": run.manifest.get("created"), "schema_version": run.manifest["schema_version"],
     }  # fmt: skip
+    if choice.is_own:
+        about |= {"sha256": choice.source.sha256, "parameters": list(sets)}
     folder = Folder.open(out, about)
     return _write(fmt, chosen, folder, Sweeper(run, config, _city(fmt, config), chosen.steps), progress)
 
 
-def _write(fmt: Format, chosen: Selection, folder: Folder, sweeper: Sweeper, progress: Progress) -> dict[str, Any]:
+def _write(fmt: Exporter, chosen: Selection, folder: Folder, sweeper: Sweeper, progress: Progress) -> dict[str, Any]:
     plan = fmt.plan(chosen)
     n_bytes = _estimate(plan, chosen, sweeper)
     left = [unit for unit in plan.units if unit.name not in folder.done]
@@ -128,9 +153,9 @@ def _estimate(plan: Plan, chosen: Selection, sweeper: Sweeper) -> float:
     return plan.n_sweeps * plan.bytes_per_point * float(points) + plan.text_bytes
 
 
-def _city(fmt: Format, config: Config) -> Scene:
+def _city(fmt: Exporter, config: Config) -> Scene:
     """The buildings; none where no point cloud is made."""
-    return city_of(config) if "observability" in fmt.tables else Scene.empty()
+    return city_of(config) if "observability" in fmt.TABLES else Scene.empty()
 
 
 def _vehicles(run: Run, text: str | None) -> tuple[int, ...]:

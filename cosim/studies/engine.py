@@ -4,7 +4,6 @@ Every run is a subprocess of a worker, so that one that crashes is a failed run 
 disk, and paths travel.
 """
 
-import hashlib
 import logging
 import os
 import subprocess
@@ -20,6 +19,7 @@ import psutil
 from distributed import CancelledError, Client, Future, KilledWorker, LocalCluster, as_completed
 from distributed.comm import CommClosedError
 
+from cosim.execution.source import code_digest
 from cosim.studies.folder import Attempt, StudyFolder
 from cosim.studies.study import Limits
 
@@ -126,16 +126,6 @@ def _check(client: Client, scheduler: str, needed: Path | None) -> None:
 
 def _look(needed: str | None) -> tuple[str, bool]:
     return code_digest(), needed is None or Path(needed).exists()
-
-
-def code_digest() -> str:
-    """Hash of the source of all packages: what a worker must have in common with this process."""
-    root = Path(__file__).parents[2]
-    found = hashlib.sha256()
-    for package in ("cosim", "sensors", "trust", "results", "sumo_nets"):
-        for path in sorted((root / package).rglob("*.py")):
-            found.update(path.relative_to(root).as_posix().encode() + path.read_bytes())
-    return found.hexdigest()[:12]
 
 
 def execute(client: Client, study: StudyFolder, work: Work, limits: Limits) -> Iterator[tuple[str, Attempt]]:

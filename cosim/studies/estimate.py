@@ -3,6 +3,7 @@
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
+from cosim.studies.density import HELSINKI, vehicles_on_road
 from cosim.studies.plan import Plan
 from cosim.studies.points import Point, scenario_of
 
@@ -18,8 +19,6 @@ VARIANT_S = 0.0004
 """Trust of one more variant, per step, at the 60 equipped vehicles of central Helsinki [s]: `cosim bench variants`."""
 METRICS_S = 0.1
 """Metrics of one point [s]."""
-VEHICLES = 200
-"""On the road in central Helsinki; other cities are not told apart."""
 BYTES = 500
 """Per equipped vehicle and second at record.level = "standard"."""
 
@@ -52,7 +51,7 @@ def estimate(points: Sequence[Point], made: Plan, stored: Collection[str], run_s
     )
     replayed = sum(_traffic_s(run.config) for run in made.runs if run.traffic)
     driven = sum(_traffic_s(config) + START_S for name, config in made.traffic.items() if name not in stored)
-    size = sum(BYTES * VEHICLES * run.config.fleet.penetration_p * run.config.traffic.duration_s for run in made.runs)
+    size = sum(BYTES * _equipped(run.config) * run.config.traffic.duration_s for run in made.runs)
     planned = merged - replayed + driven
     scale = 1.0
     if run_s is not None and made.runs:
@@ -67,9 +66,13 @@ def _traffic_s(config) -> float:
     warmup_s = config.traffic.warmup_s
     if warmup_s is None:
         warmup_s = scenario_of(config.traffic.scenario, config.traffic.trace).warmup_s
-    return (warmup_s + config.traffic.duration_s) * SUMO_S
+    return (warmup_s + config.traffic.duration_s) * SUMO_S * vehicles_on_road(config) / HELSINKI
 
 
 def _run_s(config) -> float:
     sensing = config.traffic.duration_s / config.sensing_interval_s
-    return START_S + METRICS_S + sensing * (STEP_S + VEHICLE_S * VEHICLES * config.fleet.penetration_p)
+    return START_S + METRICS_S + sensing * (STEP_S + VEHICLE_S * _equipped(config))
+
+
+def _equipped(config) -> float:
+    return vehicles_on_road(config) * config.fleet.penetration_p

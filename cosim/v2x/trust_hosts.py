@@ -397,7 +397,9 @@ class TrustHosts:
 
     def rejected(self, state: TrustState) -> dict[str, int]:
         """Evaluations that the acting model rejected so far, by cause, where it counts them."""
-        counts = getattr(state.hosts[self.host_of[0]].model, "rejected", ())
+        counts = getattr(state.hosts[self.host_of[0]].model, "rejected", None)
+        if not isinstance(counts, ndarray):
+            return {}
         return {cause.name.lower(): int(n) for cause, n in zip(RejectReason, counts, strict=False) if n}
 
     def scorers(self, state: TrustState) -> list[ObjectScorer | None]:

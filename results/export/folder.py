@@ -63,7 +63,7 @@ class Folder:
                 partial.unlink(missing_ok=True)
                 _link(self.path / file.same_as, partial)
             else:
-                partial.write_bytes(file.content())
+                partial.write_bytes(_content(file))
             partial.replace(path)
             return 0 if file.same_as else path.stat().st_size
         except OSError as error:
@@ -84,6 +84,13 @@ class Folder:
                 raise ValueError(f"{path} lies outside of {self.path}. Give a folder without links to others.")
             parent.mkdir(parents=True, exist_ok=True)
             self._made.add(parent)
+
+
+def _content(file: File) -> bytes:
+    content = file.content()
+    if not isinstance(content, bytes):
+        raise ValueError(f"{file.path}: its content is {type(content).__name__}, not bytes. Write text.encode().")
+    return content
 
 
 def _link(source: Path, path: Path) -> None:

@@ -1,29 +1,34 @@
-"""The layouts that a run can be exported to."""
+"""What an exporter is, and those that ship."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from types import ModuleType
+from typing import ClassVar, Protocol
 
-from results.export import kitti, opv2v, trupercept, veremi, veremi_nextgen
+from results.export.kitti import Kitti
 from results.export.moments import Plan, Selection
+from results.export.opv2v import Opv2v
+from results.export.trupercept import TruPerceptData
+from results.export.veremi import Veremi
+from results.export.veremi_nextgen import VeremiNextGen
 
 
-@dataclass(frozen=True, slots=True)
-class Format:
-    """A layout."""
+class Exporter(Protocol):
+    """Writes a run in another tool's layout."""
 
-    tables: tuple[str, ...]
+    TABLES: ClassVar[tuple[str, ...]]
     """Tables that the run must hold."""
-    plan: Callable[[Selection], Plan]
-    """What to write; ValueError in one line where these vehicles and steps do not do."""
 
-    @staticmethod
-    def of(module: ModuleType) -> "Format":
-        """The layout of a file beside this one."""
-        return Format(module.TABLES, module.plan)
+    def plan(self, selection: Selection) -> Plan:
+        """The files to write for some vehicles and steps of a run.
+
+        Raises
+        ------
+        ValueError
+            In one line, where these vehicles and steps will not do.
+        """
+        ...
 
 
-FORMATS: Mapping[str, Format] = {
-    "kitti": Format.of(kitti), "trupercept": Format.of(trupercept), "opv2v": Format.of(opv2v),
-    "veremi": Format.of(veremi), "veremi-nextgen": Format.of(veremi_nextgen),
+EXPORTERS: Mapping[str, Callable[[], Exporter]] = {
+    "kitti": Kitti, "trupercept": TruPerceptData, "opv2v": Opv2v, "veremi": Veremi, "veremi-nextgen": VeremiNextGen,
 }  # fmt: skip
+"""Exporters by name."""

@@ -36,13 +36,18 @@ TEXT_BYTES = 2600
 """Of a frame's labels, results and calibration, roughly."""
 
 
-def plan(selection: Selection) -> Plan:
-    """Frames in blocks of steps, then the sequences."""
-    frames = selection.presence
-    units = [
-        Unit(f"steps {b[0]} to {b[-1]}", partial(_block, selection, b)) for b in selection.blocks()
-    ] + [Unit("sequences", partial(_sequences, selection))]  # fmt: skip
-    return Plan(tuple(units), len(frames), 16, len(frames) * TEXT_BYTES)
+class Kitti:
+    """KITTI's object and tracking benchmarks."""
+
+    TABLES = TABLES
+
+    def plan(self, selection: Selection) -> Plan:
+        """Frames in blocks of steps, then the sequences."""
+        frames = selection.presence
+        units = [
+            Unit(f"steps {b[0]} to {b[-1]}", partial(_block, selection, b)) for b in selection.blocks()
+        ] + [Unit("sequences", partial(_sequences, selection))]  # fmt: skip
+        return Plan(tuple(units), len(frames), 16, len(frames) * TEXT_BYTES)
 
 
 def _block(selection: Selection, steps: Int[ndarray, "b"], clouds: Clouds) -> Iterator[File]:

@@ -1,6 +1,6 @@
 """What an export is made from: the chosen vehicles and steps of a run, and its tables step by step."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import cast
@@ -60,10 +60,16 @@ class Plan:
     """What an export will write."""
 
     units: tuple[Unit, ...]
-    n_sweeps: int
-    bytes_per_point: int
-    text_bytes: float
+    n_sweeps: int = 0
+    bytes_per_point: int = 0
+    text_bytes: float = 0.0
     """Estimated length of all that is no point cloud [B]."""
+
+    @staticmethod
+    def of_files(files: Iterable[File]) -> "Plan":
+        """A plan for a few files, which are written together."""
+        listed = tuple(files)
+        return Plan((Unit("files", lambda clouds: iter(listed)),))
 
 
 @dataclass(frozen=True, slots=True)

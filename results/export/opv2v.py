@@ -54,15 +54,22 @@ class Scenario:
         return f"step_{self.steps[0]:06d}_vehicle_{self.vehicles[0]}"
 
 
-def plan(selection: Selection) -> Plan:
-    """A unit for each scenario."""
-    found = scenarios_of(selection)
-    if not found:
-        raise ValueError("no two of these vehicles are on the road together, and a scenario needs two. Choose others.")
-    units = [Unit(s.name, partial(_scenario, selection, s)) for s in found]
-    units.append(Unit("names", lambda clouds: iter([File("vehicles.csv", partial(kitti.names_csv, selection))])))
-    n = sum(len(s.vehicles) * len(s.steps) for s in found)
-    return Plan(tuple(units), n, 16, n * TEXT_BYTES)
+class Opv2v:
+    """OPV2V."""
+
+    TABLES = TABLES
+
+    def plan(self, selection: Selection) -> Plan:
+        """A unit for each scenario."""
+        found = scenarios_of(selection)
+        if not found:
+            raise ValueError(
+                "no two of these vehicles are on the road together, and a scenario needs two. Choose others."
+            )
+        units = [Unit(s.name, partial(_scenario, selection, s)) for s in found]
+        units.append(Unit("names", lambda clouds: iter([File("vehicles.csv", partial(kitti.names_csv, selection))])))
+        n = sum(len(s.vehicles) * len(s.steps) for s in found)
+        return Plan(tuple(units), n, 16, n * TEXT_BYTES)
 
 
 def scenarios_of(selection: Selection) -> list[Scenario]:

@@ -32,19 +32,25 @@ TEXT_BYTES = 6000
 """Of a perspective's text files in a frame, roughly."""
 
 
-def plan(selection: Selection) -> Plan:
-    """Blocks of the steps in which the ego is on the road."""
-    frames = selection.presence
-    ego = frames[frames.vehicle == selection.vehicles[0]]
-    if ego.empty:
-        raise ValueError(f"vehicle {selection.vehicles[0]}, the ego, is on the road in none of these steps.")
-    frames = frames[frames.step.isin(ego.step)]
-    steps = ego.step.to_numpy()
-    blocks = [b[np.isin(b, steps)] for b in selection.blocks()]
-    units = [
-        Unit(f"steps {b[0]} to {b[-1]}", partial(_block, selection, steps, b)) for b in blocks if len(b)
-    ] + [Unit("names", lambda clouds: iter([File("vehicles.csv", partial(kitti.names_csv, selection))]))]  # fmt: skip
-    return Plan(tuple(units), len(frames), 16, len(frames) * TEXT_BYTES)
+class TruPerceptData:
+    """The data set that TruPercept's published code reads."""
+
+    TABLES = TABLES
+
+    def plan(self, selection: Selection) -> Plan:
+        """Blocks of the steps in which the ego is on the road."""
+        frames = selection.presence
+        ego = frames[frames.vehicle == selection.vehicles[0]]
+        if ego.empty:
+            raise ValueError(f"vehicle {selection.vehicles[0]}, the ego, is on the road in none of these steps.")
+        frames = frames[frames.step.isin(ego.step)]
+        steps = ego.step.to_numpy()
+        blocks = [b[np.isin(b, steps)] for b in selection.blocks()]
+        units = [
+            Unit(f"steps {b[0]} to {b[-1]}", partial(_block, selection, steps, b)) for b in blocks if len(b)
+        ]  # fmt: skip
+        units.append(Unit("names", lambda clouds: iter([File("vehicles.csv", partial(kitti.names_csv, selection))])))
+        return Plan(tuple(units), len(frames), 16, len(frames) * TEXT_BYTES)
 
 
 def _block(

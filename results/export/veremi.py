@@ -28,14 +28,20 @@ LINE_BYTES = 460
 NOISE = [f'"{name}_noise":[0.0,0.0,0.0]' for name in ("pos", "spd", "acl", "hed")]
 
 
-def plan(selection: Selection) -> Plan:
-    """Receivers in blocks, then the ground truth."""
-    sent = Messages(selection)
-    units = [
-        Unit(f"receivers {c[0]} to {c[-1]}", partial(_receivers, sent, c)) for c in messages.chunks(selection.vehicles)
-    ] + [Unit("ground truth", partial(_ground_truth, sent))]  # fmt: skip
-    n = sum(len(part) for part in selection.run.parts("receptions", ["step"]))
-    return Plan(tuple(units), 0, 0, float(LINE_BYTES) * (0.5 * n + len(sent.sent)))
+class Veremi:
+    """VeReMi Extension."""
+
+    TABLES = TABLES
+
+    def plan(self, selection: Selection) -> Plan:
+        """Receivers in blocks, then the ground truth."""
+        sent = Messages(selection)
+        units = [
+            Unit(f"receivers {c[0]} to {c[-1]}", partial(_receivers, sent, c))
+            for c in messages.chunks(selection.vehicles)
+        ] + [Unit("ground truth", partial(_ground_truth, sent))]  # fmt: skip
+        n = sum(len(part) for part in selection.run.parts("receptions", ["step"]))
+        return Plan(tuple(units), 0, 0, float(LINE_BYTES) * (0.5 * n + len(sent.sent)))
 
 
 def _receivers(sent: Messages, receivers: list[int], clouds: Clouds) -> Iterator[File]:

@@ -28,14 +28,21 @@ MESSAGE_BYTES = 640
 NO_NOISE = {"pos_noise": "0,0,0", "spd_noise": "0", "acl_noise": "0", "hed_noise": "0", "driversProfile": "NORMAL"}
 
 
-def plan(selection: Selection) -> Plan:
-    """Receivers in blocks."""
-    sent = Messages(selection)
-    units = [
-        Unit(f"receivers {c[0]} to {c[-1]}", partial(_receivers, sent, c)) for c in messages.chunks(selection.vehicles)
-    ] + [Unit("names", lambda clouds: iter([File("vehicles.csv", partial(kitti.names_csv, selection))]))]  # fmt: skip
-    n = sum(len(part) for part in selection.run.parts("receptions", ["step"]))
-    return Plan(tuple(units), 0, 0, 0.5 * MESSAGE_BYTES * n)
+class VeremiNextGen:
+    """VeReMi NextGen."""
+
+    TABLES = TABLES
+
+    def plan(self, selection: Selection) -> Plan:
+        """Receivers in blocks."""
+        sent = Messages(selection)
+        units = [
+            Unit(f"receivers {c[0]} to {c[-1]}", partial(_receivers, sent, c))
+            for c in messages.chunks(selection.vehicles)
+        ]  # fmt: skip
+        units.append(Unit("names", lambda clouds: iter([File("vehicles.csv", partial(kitti.names_csv, selection))])))
+        n = sum(len(part) for part in selection.run.parts("receptions", ["step"]))
+        return Plan(tuple(units), 0, 0, 0.5 * MESSAGE_BYTES * n)
 
 
 def _receivers(sent: Messages, receivers: list[int], clouds: Clouds) -> Iterator[File]:

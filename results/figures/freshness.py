@@ -37,7 +37,7 @@ def draw(runs: Sequence[Run], over: str | None = None, threshold: float = 0.5) -
                 curve = freshness.distribution(run, what)
             except ValueError:
                 continue  # nothing but defaults
-            line = ages.plot(curve.age_s, curve.share, color=style.inks(runs)[i], linestyle=dash)
+            line = ages.step(curve.age_s, curve.share, where="post", color=style.inks(runs)[i], linestyle=dash)
             if len(runs) == 1:
                 line[0].set_label({"value": "the value itself"}.get(what, what))
             longest_s = max(longest_s, float(curve.age_s[curve.share >= 0.99].min()))
@@ -53,9 +53,11 @@ def draw(runs: Sequence[Run], over: str | None = None, threshold: float = 0.5) -
     )  # fmt: skip
     style.share_axis(ages)
     ages.set_xlim(0, max(longest_s, 1.0) * 1.05)
-    style.panel(shares, "What lookups rest on" + (", by role" if len(runs) == 1 else ""), "Share of lookups", "")
+    style.panel(shares, "What stands behind lookups" + (", by role" if len(runs) == 1 else ""), "Share of lookups", "")
     style.bars_axis(shares, labels)
-    style.legend(figure, style.bar_entries(freshness.STATES, _FILLS), style.colour_entries(runs))
+    entries = style.bar_entries(freshness.STATES, _FILLS)
+    there = [entry for entry, *found in zip(entries, *bars, strict=True) if any(share > 0 for share in found)]
+    style.legend(figure, there, style.colour_entries(runs))
     return figure
 
 
@@ -113,12 +115,11 @@ def _over(runs: Sequence[Run], key: str, threshold: float) -> Figure:
     ages, states = _once(freshness.ages), _once(freshness.states)
     panels: Mapping[str, Mapping[str, Callable[[Run], float]]] = {
         "Mean age at lookup": {what: _age(what, ages) for what in freshness.AGES},
-        "What lookups rest on": {state: _state(state, states) for state in freshness.STATES},
+        "What stands behind lookups": {state: _state(state, states) for state in freshness.STATES},
         f"Ghosts believed (score {threshold:g})": {
             "by receivers": _success("received", threshold), "by the victim": _success("intended", threshold),
         },
     }  # fmt: skip
-    figure, axes = style.sheet(columns=3, width=9.6, height=3.7)
     beside = [name for name in compare.differing(runs) if name != key]
     values = [dict(compare.flat(run.config)) for run in runs]
     groups = sorted(
@@ -127,6 +128,8 @@ def _over(runs: Sequence[Run], key: str, threshold: float) -> Figure:
     )
     asked = {name: question for panel in panels.values() for name, question in panel.items()}
     frame = compare.tabulate(runs, key, asked)
+    panels = {title: names for title, names in panels.items() if frame[list(names)].notna().any(axis=None)}
+    figure, axes = style.sheet(columns=len(panels), width=3.2 * len(panels), height=3.7)
     frame["group"] = [groups.index(tuple((name, values[i].get(name)) for name in beside)) for i in frame["row"]]
     at, ticks = _positions(frame[key])
     for panel, (title, names) in zip(axes, panels.items(), strict=True):
@@ -139,15 +142,12 @@ def _over(runs: Sequence[Run], key: str, threshold: float) -> Figure:
                 panel.plot(at(one[key]), one[name], linestyle="", marker=style.marker(i), color=style.ink(i), alpha=0.5)
                 panel.plot(at(mean.index), mean, linestyle=style.dash(g), marker=style.marker(i), color=style.ink(i),
                            label=name if g == 0 else None)  # fmt: skip
-        style.panel(panel, title, compare.label(key), "Age [s]" if panel is axes[0] else "Share")
+        style.panel(panel, title, compare.label(key), "Age [s]" if title == "Mean age at lookup" else "Share")
         panel.set_xscale("log")
         panel.set_xticks(list(ticks), list(ticks.values()), minor=False)
         panel.minorticks_off()
-        if panel.lines:
-            panel.legend(fontsize=7.5, handlelength=2.2)
-    axes[0].set_ylim(bottom=0)
-    style.share_axis(axes[1])
-    axes[2].set_ylim(bottom=0)
+        panel.legend(fontsize=7.5, handlelength=2.2)
+        panel.set_ylim(bottom=0)
     style.legend(figure, style.dash_entries([", ".join(f"{k} = {v}" for k, v in group) for group in groups]))
     return figure
 

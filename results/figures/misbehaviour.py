@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from results.figures import style
 from results.metrics import misbehaviour, trust
@@ -40,12 +41,14 @@ def draw(runs: Sequence[Run], false_positives: float = 0.05) -> Figure:
     style.share_axis(curves)
     curves.set_xlim(-0.02, 1.03)
     few = f"{100 * false_positives:g} %"
-    style.panel(delays, f"Suspected at {few} false positives", "Time since the first attack [s]", "Share of vehicles")
+    axes = "Time since the first attack [s]", "Share of vehicles (Kaplan-Meier)"
+    style.panel(delays, f"Suspected at {few} false positives", *axes)
     if not any(limits):
         delays.text(0.5, 0.5, f"more than {few} of\nhonest values are 0", ha="center", transform=delays.transAxes)
     style.share_axis(delays)
     delays.set_xlim(left=0)
-    style.legend(figure, style.role_entries(shown, roles), style.run_entries(runs))
+    mark = Line2D([], [], color="#444444", marker="o", linestyle="", label=f"on the left: threshold at {few}")
+    style.legend(figure, [*style.role_entries(shown, roles), mark], style.run_entries(runs))
     return figure
 
 

@@ -15,6 +15,7 @@ from results.run import Run
 from results.tables import axis_label
 
 _CAUSES = tuple(name.removeprefix("n_lost") for name in radio.LOST)
+_PARTS = ("delivered", *_CAUSES)
 _FILLS = (style.INKS[0], "#dfe3e8", "#e8b9a6", "#ffffff", "#b9d9d2", "#f4dfae")
 _LOS_STATES = {"los": "line of sight", "nlos": "behind buildings", "unknown": "line of sight not modelled"}
 
@@ -33,10 +34,13 @@ def draw(runs: Sequence[Run], every_s: float = 10.0, cell_m: float = 50.0) -> Fi
     lines = [_line(i, colour) for i, colour in enumerate(style.inks(runs))]
     found = {state for run in runs for state in run.pdr_by_distance.los_state.unique()}
     states = sorted(found, key=list(_LOS_STATES).index)
+    occurs: set[str] = set()
     for i, (run, line) in enumerate(zip(runs, lines, strict=True)):
         _by_distance(distance, run, line)
         total = radio.overall(run).iloc[0]
-        style.shares_bar(losses, i, [total.pdr, *(total[f"lost{name}"] for name in _CAUSES)], _FILLS)
+        parts = dict(zip(_PARTS, [total.pdr, *(total[f"lost{name}"] for name in _CAUSES)], strict=True))
+        occurs |= {name for name, share in parts.items() if share > 0}
+        style.shares_bar(losses, i, list(parts.values()), _FILLS)
         _late(late, run, line)
         _inter_reception(gaps, run, line)
         over_time = radio.over_time(run, every_s)
@@ -67,7 +71,13 @@ def draw(runs: Sequence[Run], every_s: float = 10.0, cell_m: float = 50.0) -> Fi
         busy.text(0.5, 0.5, "not modelled", transform=busy.transAxes, ha="center", color="#666666")
     if maps:
         _maps(figure, maps, runs[0], cell_m)
-    entries: list[Any] = style.bar_entries(["delivered", *(n.strip("_").replace("_", " ") for n in _CAUSES)], _FILLS)
+    entries: list[Any] = [
+        entry
+        for entry, part in zip(
+            style.bar_entries([n.strip("_").replace("_", " ") for n in _PARTS], _FILLS), _PARTS, strict=True
+        )
+        if part in occurs
+    ]
     if len(states) > 1:
         entries += [_los_entry(state) for state in states]
     style.legend(figure, entries, style.series_entries(runs))
@@ -116,15 +126,13 @@ def _inter_reception(axes: Axes, run: Run, line: dict[str, Any]) -> None:
 
 
 def _maps(figure: Figure, panels: Sequence[Axes], run: Run, cell_m: float) -> None:
-    """Channel busy ratio and packet delivery ratio by place of the receiver."""
+    """Channel busy ratio and share of frames lost by place of the receiver; dark is more in both."""
     cells = radio.by_place(run, cell_m)
-    what = (
-        ("cbr", "Channel busy ratio", "viridis_r"),
-        ("pdr", "Packet delivery ratio", "cividis"),
-    )
-    for axes, (column, title, colours) in zip(panels, what, strict=True):
+    cells = cells.assign(lost=1 - cells.pdr)
+    for axes, (column, title) in zip(panels, (("cbr", "Channel busy ratio"), ("lost", "Frames lost")), strict=True):
         x, y, values = _grid(cells, column, cell_m)
-        mesh = axes.pcolormesh(x, y, values, cmap=colours, rasterized=True, vmin=0, vmax=1 if column == "pdr" else None)
+        most = 1 if column == "lost" else None
+        mesh = axes.pcolormesh(x, y, values, cmap="viridis_r", rasterized=True, vmin=0, vmax=most)
         axes.set_aspect("equal")
         axes.grid(visible=False)
         style.panel(axes, title, "East [m]", "North [m]")

@@ -29,7 +29,9 @@ def draw(runs: Sequence[Run]) -> Figure:
     there are none.
     """
     style.need(runs)
-    figure, (events, over_time, causes) = style.sheet(columns=3, width=10.4, height=3.8)
+    reacts = any("reactions" in run.tables and run.n_rows("reactions") for run in runs)
+    columns = 3 if reacts else 2
+    figure, (events, over_time, *causes) = style.sheet(columns=columns, width=3.5 * columns, height=3.8)
     width = 0.8 / len(runs)
     for i, run in enumerate(runs):
         found = safety.summary(run)
@@ -45,9 +47,11 @@ def draw(runs: Sequence[Run]) -> Figure:
     events.invert_yaxis()
     style.panel(events, "Safety events", "Per vehicle-kilometre [1/km]", "")
     style.panel(over_time, "Hard braking", style.TIME, "Per vehicle-kilometre [1/km]")
-    _causes(causes, runs)
-    style.panel(causes, "What drivers react to", "Per vehicle-kilometre [1/km]", "")
-    kinds = [Patch(facecolor=ink, edgecolor="#333333", label=kind) for kind, ink in _INKS.items()]
+    kinds = []
+    for axes in causes:
+        there = _causes(axes, runs)
+        style.panel(axes, "What drivers react to", "Per vehicle-kilometre [1/km]", "")
+        kinds = [Patch(facecolor=_INKS[kind], edgecolor="#333333", label=kind) for kind in _INKS if kind in there]
     style.legend(figure, kinds, style.series_entries(runs))
     return figure
 
@@ -63,8 +67,9 @@ def _over_time(axes: Axes, run: Run, i: int) -> None:
     axes.plot(edges[1:] * run.dt_s, rate, color=style.ink(i), marker=style.marker(i), linestyle=style.dash(i))
 
 
-def _causes(axes: Axes, runs: Sequence[Run]) -> None:
-    """Reactions per kilometre by kind, one bar per run."""
+def _causes(axes: Axes, runs: Sequence[Run]) -> set[str]:
+    """Reactions per kilometre by kind, one bar per run; the kinds that there are."""
+    there: set[str] = set()
     for i, run in enumerate(runs):
         axes.barh(i, 0.0, 0.6)
         if "reactions" not in run.tables or not run.n_blocks("reactions"):
@@ -74,6 +79,8 @@ def _causes(axes: Axes, runs: Sequence[Run]) -> None:
         for row in safety.by_kind(run).itertuples():
             axes.barh(i, row.per_km, 0.6, bottom, color=_INKS[row.kind], edgecolor="#333333", linewidth=0.5)
             bottom += row.per_km
+            there |= {row.kind} if row.n else set()
     axes.set_xlim(left=0)
     axes.set_yticks(range(len(runs)), style.names(runs) if len(runs) > 1 else [""])
     axes.set_ylim(len(runs) - 0.3, -0.7)
+    return there

@@ -70,8 +70,16 @@ def draw(moment: Moment, title: str) -> Figure:
     axes.set_axis_off()
     axes.set_title(title)
     figure.colorbar(ScalarMappable(Normalize(0, 1), TRUST), ax=axes, shrink=0.6, label="Trust", pad=0.01)
-    style.legend(figure, _entries(len(moment.clouds)))
+    _scale(axes, corner)
+    style.legend(figure, _entries(moment))
     return figure
+
+
+def _scale(axes, corner: Float[ndarray, "2 2"]) -> None:  # type: ignore[no-untyped-def]
+    """A bar of 50 m, east to west: lengths to the north are shortened by the view."""
+    x, y = corner[0] + 0.03 * (corner[1] - corner[0])
+    axes.plot([x, x + 50], [y, y], color="black", linewidth=2.0, solid_capstyle="butt", zorder=7)
+    axes.annotate("50 m", (x + 25, y), xytext=(0, 3), textcoords="offset points", ha="center", fontsize=8, zorder=7)
 
 
 def _flat(xyz: Float[ndarray, "... 3"]) -> Float[ndarray, "... 2"]:
@@ -124,18 +132,20 @@ def _outline(box: Float[ndarray, "7"]) -> tuple[Float[ndarray, "4 2"], float, fl
     return ring, float(box[2] - 0.5 * box[5]), float(box[2] + 0.5 * box[5])
 
 
-def _entries(n_clouds: int) -> list[Line2D]:
-    """Legend: what the marks are."""
+def _entries(moment: Moment) -> list[Line2D]:
+    """Legend: what the marks are, of those that occur."""
+    unknown = moment.equipped & ~np.isfinite(moment.trust)
     marks = [
-        ("s", PLAIN, PLAIN, "not equipped"),
-        ("s", UNKNOWN, "#222222", "equipped, not rated"),
-        ("o", "none", LIE, "attacker"),
-        ("s", "#efc9cb", LIE, "fabricated"),
+        ("s", PLAIN, "#222222", 6.0, "not equipped", not moment.equipped.all()),
+        ("s", UNKNOWN, "#222222", 6.0, "equipped, no evaluation yet", unknown.any()),
+        ("o", "none", LIE, 11.0, "ringed: attacker", moment.attacks.any()),
+        ("s", "#efc9cb", LIE, 6.0, "fabricated", len(moment.ghosts) > 0),
     ]
     clouds = [
-        Line2D([], [], linestyle="", marker=".", color=CLOUDS[i], label=f"cloud {i + 1}") for i in range(n_clouds)
+        Line2D([], [], linestyle="", marker=".", color=CLOUDS[i % len(CLOUDS)], label=f"cloud {i + 1}")
+        for i in range(len(moment.clouds))
     ]
     return [
-        Line2D([], [], linestyle="", marker=m, markerfacecolor=face, color=edge, label=text)
-        for m, face, edge, text in marks
+        Line2D([], [], linestyle="", marker=m, markersize=size, markerfacecolor=face, markeredgecolor=edge, label=text)
+        for m, face, edge, size, text, there in marks if there
     ] + clouds  # fmt: skip

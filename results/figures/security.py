@@ -7,50 +7,43 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from results.figures import style
-from results.metrics import intervals, misbehaviour, security, trust
+from results.metrics import intervals, misbehaviour
 from results.run import Run
 
 
 @style.styled
 def draw(runs: Sequence[Run], false_positives: float = 0.05) -> Figure:
-    """Per trust variant: area under the ROC curve, share ever suspected, and honest vehicles suspected by mistake.
+    """Per trust variant, of trust as vehicles look it up: area under the ROC curve, attackers below a threshold, and
+    honest vehicles suspected by mistake.
 
-    Every run is drawn once for each of its trust variants, with all its attackers together. The line is chance. In the
-    middle and on the right the threshold is each variant's own: that of the stated share of false positives among
-    honest values. Bars are 95 % intervals, clustered by vehicle (pseudonym).
+    Every run is drawn once for each of its trust variants, with all its attackers together; central and local trust
+    are measured alike. The dashed line is chance. In the middle the threshold is each variant's own: that of the stated
+    share of false positives among honest values. On the right it is 0.25. Bars are 95 % intervals, clustered by vehicle
+    (pseudonym).
     """
     style.need(runs)
     variants = [run.as_variant(name) for run in runs for name in run.variants]
+    for run in variants:
+        run.require("trust_lookups")
     labels = [run.variant if len(runs) == 1 else f"{run.path.name}, {run.variant}" for run in variants]
     height = 1.6 + 0.24 * len(variants)
-    figure, (ranks, found, mistakes) = style.sheet(columns=3, width=10.4, height=height)
+    figure, panels = style.sheet(columns=3, width=10.4, height=height)
     few = f"{100 * false_positives:g} %"
     for i, run in enumerate(variants):
-        frame = misbehaviour.scored_vehicles(run).query("rated")
-        is_honest = frame.role == misbehaviour.HONEST
-        honest, attacking = frame[is_honest], frame[~is_honest]
-        _dot(ranks, intervals.auc(honest.trust.to_numpy(np.float64), honest.subject.to_numpy(),
-                                  attacking.trust.to_numpy(np.float64), attacking.subject.to_numpy()), i)  # fmt: skip
-        limit = misbehaviour.threshold_at(honest.trust.to_numpy(np.float64), false_positives)
-        if np.isnan(limit):
-            continue
-        delays = misbehaviour.detection_delay(run, limit, trust.kept_at(run))
-        delays = delays[delays.role != misbehaviour.HONEST]
-        _dot(found, intervals.of_units(delays.found.to_numpy(bool), delays.subject.to_numpy()), i)
-        _dot(mistakes, security.false_exclusions(run, limit), i)
-    ranks.axvline(0.5, color="#777777", linewidth=0.9, linestyle=(0, (2, 2)))
+        found = misbehaviour.compared_at_lookup(run, false_positives)
+        for axes, estimate in zip(panels, found.values(), strict=True):
+            _dot(axes, estimate, i)
+    panels[0].axvline(0.5, color="#777777", linewidth=0.9, linestyle=(0, (2, 2)))
     titles = (
-        ("Honest above attacker", "Area under the ROC curve"),
-        (f"Suspected at {few} false positives", "Share of attackers ever suspected"),
-        ("False exclusions", "Per honest vehicle-hour [1/h]"),
+        ("Honest above attacker, at lookup", "Area under the ROC curve"),
+        (f"Suspected at {few} false positives", "Share of lookups of attackers"),
+        ("Honest vehicles suspected", "Share of (receiver, honest sender) pairs"),
     )
-    for axes, (title, x) in zip((ranks, found, mistakes), titles, strict=True):
+    for axes, (title, x) in zip(panels, titles, strict=True):
         style.panel(axes, title, x, "")
-        axes.set_yticks(range(len(labels)), labels if axes is ranks else [""] * len(labels))
+        axes.set_yticks(range(len(labels)), labels if axes is panels[0] else [""] * len(labels))
         axes.set_ylim(len(labels) - 0.4, -0.6)
-        axes.set_xlim(left=-0.02)
-    ranks.set_xlim(-0.02, 1.03)
-    found.set_xlim(-0.02, 1.03)
+        axes.set_xlim(-0.02, 1.03)
     return figure
 
 

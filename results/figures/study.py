@@ -17,16 +17,27 @@ SHOWN: Mapping[str, tuple[str, ...]] = {
     "encounters": ("encounters.duration.km_median_s",),
     "trust": ("trust.final.median:honest", "trust.final.median:malicious"),
     "misbehaviour": (
-        "misbehaviour.time_to_detection.share:malicious", "misbehaviour.time_to_detection.median_s:malicious",
+        "misbehaviour.at_lookup.auc:malicious", "misbehaviour.at_lookup.time_to_detection.median_s:malicious",
     ),
+    "security": ("misbehaviour.at_lookup.auc:malicious", "security.false_exclusions_per_h"),
+    "delays": ("misbehaviour.at_lookup.time_to_detection.median_s:malicious",),
+    "attacks": ("attack.believed.share:0.5, received, malicious",),
     "freshness": (
         "freshness.newest_evaluation_age.mean_s:all", "freshness.value_age.mean_s:all",
-        "freshness.lookup_state.share:default, all",
+        "freshness.lookup_state.share:no value, all",
     ),
     "radio": ("radio.pdr.all",),
     "detection": ("detection.awareness_70m.share:fused",),
+    "safety": ("safety.hard_braking.per_km",),
 }  # fmt: skip
 """Metrics that a topic shows unless others are asked for."""
+
+INSTEAD: Mapping[str, str] = {
+    "misbehaviour.at_lookup.auc:malicious": "misbehaviour.auc:malicious",
+    "misbehaviour.at_lookup.time_to_detection.median_s:malicious": "misbehaviour.time_to_detection.median_s:malicious",
+    "attack.believed.share:0.5, received, malicious": "attack.believed.share",
+}
+"""What is shown instead where a study has not measured it: runs kept no lookups, or the attacks have other roles."""
 
 LABELS: Mapping[str, str] = {
     "freshness_s": "window [s]",
@@ -61,12 +72,11 @@ def draw(
     where
         Values that other keys are held at.
     """
-    asked = tuple(metrics) or SHOWN.get(topic, ())
-    if not asked:
-        raise ValueError(
-            f"No metric of {topic} is drawn by itself. Name some with --metric, as `cosim measure` lists them."
-        )
     frame = study.summary
+    asked = tuple(metrics) or tuple(shown(study, topic))
+    if not asked:
+        there = ", ".join(sorted(frame.metric.unique()))
+        raise ValueError(f"{study.name} measured nothing that shows {topic}. Name metrics with --metric: {there}.")
     keys = list(study.keys)
     if all(name.startswith("encounters.") for name in asked):
         frame = within_run(chosen(frame, asked))
@@ -96,6 +106,20 @@ def draw(
     return _draw(frame, asked, x, colour, column, columns)
 
 
+def shown(study: Study, topic: str) -> list[str]:
+    """The metrics that a topic shows unless others are asked for, of those that the study has measured."""
+    pairs = set(zip(study.summary.metric, study.summary.group, strict=True))
+    found = []
+    for name in SHOWN.get(topic, ()):
+        for one in (name, INSTEAD.get(name, name)):
+            metric, _, group = one.partition(":")
+            groups = sorted(of for at, of in pairs if at == metric and (not group or of == group))
+            if groups:
+                found.append(one if group or len(groups) == 1 else f"{one}:{groups[0]}")
+                break
+    return list(dict.fromkeys(found))
+
+
 def _draw(
     frame: pd.DataFrame, asked: Sequence[str], x: str, colour: str, column: str, columns: Sequence[Any]
 ) -> Figure:
@@ -116,7 +140,7 @@ def _draw(
             y = f"{first.label}{group}{unit}"
             style.panel(axes, title, label_of(x), _wrapped(y) if axes is in_row[0] else "")
             if first.unit == "1":
-                style.share_axis(axes, min(1.0, max(0.05, float(of_metric[["mean", "high"]].max().max()))))
+                style.share_axis(axes, min(1.0, max(0.05, 1.04 * float(of_metric[["mean", "high"]].max().max()))))
             else:
                 axes.set_ylim(0, 1.06 * float(of_metric[["mean", "high"]].max().max()) or 1.0)
             _ticks(axes, frame[x])
@@ -145,8 +169,6 @@ def _heat_maps(frame: pd.DataFrame, asked: Sequence[str], x: str, y: str) -> Fig
         mean, low, high = (grid[k].to_numpy(float).reshape(len(rows), -1) for k in ("mean", "low", "high"))
         first = of_metric.iloc[0]
         top = 1.0 if first.unit == "1" else float(np.nanmax(mean)) or 1.0
-        if first.unit == "1":  # Student's interval of few replicates reaches beyond what a share can be
-            low, high = np.maximum(low, 0.0), np.minimum(high, 1.0)
         image = axes.imshow(mean, cmap="cividis", vmin=0, vmax=top, aspect="auto")
         for i, j in np.argwhere(~np.isnan(mean)):
             text = f"{mean[i, j]:.2f}" + ("" if np.isnan(low[i, j]) else f"\n{low[i, j]:.2f} to {high[i, j]:.2f}")
@@ -159,7 +181,8 @@ def _heat_maps(frame: pd.DataFrame, asked: Sequence[str], x: str, y: str) -> Fig
         few, many = int(of_metric.n.min()), int(of_metric.n.max())
         n = f"{many} seeds" if few == many else f"{few} to {many} seeds"
         told = "" if many < 2 else f": mean and 95 % interval, {n}"
-        style.panel(axes, f"{first.label}{group}{told}", label_of(x), label_of(y))
+        title = _wrapped(f"{first.label}{group}{told}", int(9 * size[0]))
+        style.panel(axes, title, label_of(x), label_of(y))
         figure.colorbar(image, ax=axes, fraction=0.03, pad=0.02)
     return figure
 
@@ -177,9 +200,16 @@ def _line(axes: Axes, part: pd.DataFrame, values: pd.Series, i: int, n: int) -> 
         at = x + aside * (found[-1] - found[0])
     order = np.argsort(at)
     at, mean = at[order], part["mean"].to_numpy()[order]
-    half = (part.high - part["mean"]).fillna(0.0).to_numpy()[order]
+    ends = np.array([part["mean"] - part.low, part.high - part["mean"]], float)[:, order]
     axes.errorbar(
-        at, mean, half, color=style.ink(i), marker=style.marker(i), linestyle=style.dash(i), capsize=2.5, elinewidth=1.0
+        at,
+        mean,
+        np.nan_to_num(ends),
+        color=style.ink(i),
+        marker=style.marker(i),
+        linestyle=style.dash(i),
+        capsize=2.5,
+        elinewidth=1.0,
     )
 
 

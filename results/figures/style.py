@@ -263,12 +263,10 @@ def need(runs: Sequence[Run]) -> None:
 
 
 def save(figure: Figure, path: str | Path) -> Path:
-    """Write a picture; the suffix says the format."""
+    """Write a picture, and make its folder; the suffix says the format."""
     path = Path(path)
     if path.suffix.lower() not in FORMATS:
         raise ValueError(f"{path} has no picture format. End it in {', '.join(FORMATS)}.")
-    if not path.parent.is_dir():
-        raise ValueError(f"The folder {path.parent} does not exist. Make it first.")
     content = io.BytesIO()
     write(figure, content, path.suffix.lower()[1:])
     durable.write_output(path, content.getvalue())

@@ -1,6 +1,7 @@
 """Trust over time: median and quartiles over the vehicles of each role."""
 
 from collections.abc import Sequence
+from textwrap import fill
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -55,12 +56,8 @@ def draw(runs: Sequence[Run], vehicles: Sequence[int] = ()) -> Figure:
         top = max(top, tops)
     style.share_axis(axes, min(1.0, 1.15 * float(top)))
     axes.set_xlim(left=0)
-    before = _before(runs[0]) if len(runs) == 1 else ""
-    if before:
-        note = axes.text(
-            0.99, 0.985, before, transform=axes.transAxes, va="top", ha="right", fontsize=7, color="#444444"
-        )
-        note.set_in_layout(False)
+    if len(runs) == 1 and (before := _before(runs[0])):
+        axes.set_xlabel(f"{style.TIME}\n{before}", fontsize=7.5, linespacing=1.5)
     style.legend(figure, style.role_entries(shown, roles), style.run_entries(runs))
     return figure
 
@@ -78,17 +75,17 @@ def _before(run: Run) -> str:
     known = {role: x for role, x in found.items() if x.low == x.low}
     if len(known) < 2 or "honest" not in known:
         return ""
-    text = "".join(
-        f"\n{role} {x.value:.2f} [{x.low:.2f}, {x.high:.2f}], {x.n_units} vehicles" for role, x in known.items()
+    text = "; ".join(
+        f"{role} {x.value:.2f} [{x.low:.2f}, {x.high:.2f}], {x.n_units} vehicles" for role, x in known.items()
     )
     honest = known["honest"]
     apart = [role for role, x in known.items() if role != "honest" and (x.low > honest.high or x.high < honest.low)]
     reason = (
-        f"{' and '.join(apart)} differ from honest: where they drive, not what they do"
+        f"{' and '.join(apart)} differ from honest: by where they drive, not what they do"
         if apart
-        else "all are honest until then: the difference is chance, within the intervals"
+        else "All behave as honest vehicles until then: the difference is chance, within the intervals"
     )
-    return f"before any attack, mean [95 %] (vehicles): {text};\n{reason}"
+    return fill(f"Before any attack, mean [95 %]: {text}. {reason[0].upper()}{reason[1:]}.", 120)
 
 
 def _single(axes: Axes, run: Run, vehicles: Sequence[int], roles: Sequence[str]) -> None:

@@ -16,6 +16,7 @@ from results.metrics.kitti_frames import (
     observed_by_vehicle,
     posed,
     sampled_steps,
+    with_boxes,
 )
 from results.run import Run
 
@@ -56,7 +57,7 @@ def precision(
     steps = sampled_steps(run, max_frames)
     truth, poses = actors_ahead(run, steps, range_m)
     rows = []
-    for which in lists:
+    for which in with_boxes(run, lists):
         found = boxes_ahead(run, which, steps, poses, range_m)
         for label in CLASSES:
             limit = (LOOSE if loose else STRICT)[label]
@@ -94,7 +95,7 @@ def awareness(
     if around.empty:
         raise ValueError(f"{run.path}: no equipped vehicle ever had an actor within {range_m:g} m.")
     rows = []
-    for which in TABLE_OF:
+    for which in with_boxes(run, tuple(TABLE_OF)):
         good = (pc.field("score") >= min_score) & pc.field("truth_actor").is_valid() & at_steps(steps)
         columns = ["step", "observer", "truth_actor", *(["origin"] if which == "local" else [])]
         known = observed_by_vehicle(run, which, columns, good)

@@ -1,5 +1,6 @@
 """Encounters: counts, durations, and survival with censoring in mind."""
 
+import math
 from collections import Counter
 from typing import Literal
 
@@ -102,10 +103,9 @@ def summary(run: Run, departure: Departure = "ends") -> pd.DataFrame:
 
 
 def _mean(frame: pd.DataFrame, values: pd.Series, name: str) -> dict[str, float]:
-    """Mean over encounters with its interval; a share stays within 0 and 1."""
-    found = intervals.mean_of_pairs(values.to_numpy(np.float64), frame.a.to_numpy(), frame.b.to_numpy())
-    if values.dtype == bool:
-        found = found._replace(low=max(0.0, found.low), high=min(1.0, found.high))
+    """Mean over encounters with its interval, which stays within what a share, or a duration, can be."""
+    bounds = (0.0, 1.0) if values.dtype == bool else (0.0, math.inf)
+    found = intervals.mean_of_pairs(values.to_numpy(np.float64), frame.a.to_numpy(), frame.b.to_numpy(), bounds)
     return intervals.columns(found, name)
 
 

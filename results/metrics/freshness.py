@@ -13,12 +13,13 @@ from results.codes import LookupState, labels
 from results.metrics import lookups, trust
 from results.metrics.encounters import DEFINITION
 from results.metrics.intervals import Estimate, ratio, share, without_interval
-from results.metrics.lookups import AGES, EDGES_S, FRESH_S, NO_LOOKUPS, blocks, role_codes
+from results.metrics.lookups import AGES, FRESH_S, NO_LOOKUPS, blocks, role_codes
 from results.run import Run
 
-STATES = labels(LookupState)
-"""Of a lookup, in this order."""
-KNOWN = ("judged", "stale")
+STATES = ("evaluated", "unevaluated", "stale", "no value")
+"""What stands behind a value that is looked up, in the order of `LookupState`; the tables call it judged, unjudged,
+stale and default."""
+KNOWN = ("evaluated", "stale")
 """States in which a value rests on an evaluation."""
 
 _NO_EVALUATION = "holds no lookup of a trust value that rests on an evaluation: trust never reached a vehicle."
@@ -29,7 +30,7 @@ def evidence(run: Run) -> pd.DataFrame:
 
     Returns
     -------
-    role, n (values), unjudged_share (without any evaluation by another vehicle that could see), and medians of
+    role, n (values), unevaluated_share (without any evaluation by another vehicle that could see), and medians of
     newest_s, oldest_s, n_evaluations and n_evaluators over the values that have some.
     """
     columns = ["n_evaluations", "n_evaluators", "newest_evaluation_age_s", "oldest_evaluation_age_s"]
@@ -41,9 +42,9 @@ def evidence(run: Run) -> pd.DataFrame:
         mine = code == role
         some = mine & judged
         medians = {name: np.median(value[some]) if some.any() else np.nan for name, value in values.items()}
-        unjudged = float(1 - judged[mine].mean())
-        rows.append({"role": run.role_labels[role], "n": int(mine.sum()), "unjudged_share": unjudged} | medians)
-    found = pd.DataFrame(rows, columns=["role", "n", "unjudged_share", *columns])
+        without = float(1 - judged[mine].mean())
+        rows.append({"role": run.role_labels[role], "n": int(mine.sum()), "unevaluated_share": without} | medians)
+    found = pd.DataFrame(rows, columns=["role", "n", "unevaluated_share", *columns])
     return found.rename(columns={columns[2]: "newest_s", columns[3]: "oldest_s"})
 
 
@@ -86,10 +87,11 @@ def ages(run: Run) -> pd.DataFrame:
             chosen = slice(None) if code == 0 else slice(code - 1, code)
             n, total_s = (table[:, chosen, number].sum(axis=1) for table in (found.aged, found.age_sum_s))
             if n.sum():
-                histogram = found.histogram[chosen, number].sum(axis=0)
+                counts = found.age_counts[chosen, number].sum(axis=0)
+                median_s, p90_s = quantiles(lookups.ages_s(run), counts, (0.5, 0.9))
                 rows.append({
                     "what": what, "role": role, "n": int(n.sum()), **_columns(ratio(total_s, n), "mean_s"),
-                    "median_s": _quantile(histogram, 0.5), "p90_s": _quantile(histogram, 0.9),
+                    "median_s": median_s, "p90_s": p90_s,
                 })  # fmt: skip
     if not rows:
         raise ValueError(f"{run.path} {_NO_EVALUATION}")
@@ -97,18 +99,53 @@ def ages(run: Run) -> pd.DataFrame:
 
 
 def peaks(run: Run) -> pd.DataFrame:
-    """Peak age: at the last lookup before a receiver's value of a subject, or the evidence behind it, is renewed.
+    """Peak age at use: the age at the last lookup before what a receiver knows of a subject is renewed.
+
+    Of each two successive lookups of a subject by a receiver, both with the age in question, the second finds a renewal
+    if what it finds was generated later than what the first found: lookup time minus age, a whole number of steps. Own
+    values are computed when they are looked up, and have no peak.
 
     Returns
     -------
-    what (value, newest evaluation), n (renewals), mean_s, low, high, n_units (receivers); of 20 blocks spread over
-    the run at most. What was not renewed has no peak.
+    what (value, newest evaluation), n (renewals), mean_s, low, high, n_units (receivers).
     """
-    found, rows = lookups.sums(run), []
-    for what, n, total_s in zip(lookups.RENEWED, found.renewed.T, found.peak_sum_s.T, strict=True):
-        if n.sum():
-            rows.append({"what": what, "n": int(n.sum())} | _columns(ratio(total_s, n), "mean_s"))
-    return pd.DataFrame(rows, columns=["what", "n", "mean_s", "low", "high", "n_units"])
+    found = lookups.sums(run)
+    return _of_renewed(found.peak_sum_s, found.renewed, "mean_s")
+
+
+def age_over_time(run: Run) -> pd.DataFrame:
+    """Age over time: what a receiver knows of a subject ages between lookups, until one finds it renewed.
+
+    Between two successive lookups within reach (`lookups.REACH_S`), of which the first found an age, the age grows by
+    one second per second: a sawtooth. Its time average is the integral over the time [1]_, its peaks are the values
+    just before it falls [2]_. A renewal counts from the lookup that finds it, so that both are upper bounds, by at
+    most the time between two lookups. Own values are computed when they are looked up, and have no age over time.
+
+    Returns
+    -------
+    what (value, newest evaluation), observed_s (pair-seconds), mean_s, low, high, n_units (receivers), n_peaks, peak_s,
+    and peak_s_low, peak_s_high, peak_s_units.
+
+    References
+    ----------
+    .. [1] Kaul, Yates, Gruteser, "Real-time status: how often should one update?", IEEE INFOCOM, 2012.
+    .. [2] Costa, Codreanu, Ephremides, "Age of information with packet management", IEEE ISIT, 2014.
+    """
+    found = lookups.sums(run)
+    mean = _of_renewed(found.area_s2, found.observed_s, "mean_s").rename(columns={"n": "observed_s"})
+    peak = _of_renewed(found.sawtooth_peak_sum_s, found.sawtooth_peaks, "peak_s").rename(columns={
+        "n": "n_peaks", "low": "peak_s_low", "high": "peak_s_high", "n_units": "peak_s_units"
+    })  # fmt: skip
+    return mean.merge(peak, on="what", how="left")
+
+
+def _of_renewed(total: np.ndarray, n: np.ndarray, name: str) -> pd.DataFrame:
+    """Sums over numbers by what is renewed: what, n, and the ratio under this name with its interval."""
+    rows = [
+        {"what": what, "n": float(of.sum())} | _columns(ratio(sums, of), name)
+        for what, sums, of in zip(lookups.RENEWED, total.T, n.T, strict=True) if of.sum()
+    ]  # fmt: skip
+    return pd.DataFrame(rows, columns=["what", "n", name, "low", "high", "n_units"])
 
 
 def within(run: Run, fresh_s: float = FRESH_S) -> pd.DataFrame:
@@ -135,17 +172,17 @@ def behind(run: Run) -> pd.DataFrame:
 
 
 def distribution(run: Run, what: str = "newest evaluation") -> pd.DataFrame:
-    """Cumulative distribution of an age at lookup (a key of `AGES`), where there is one: age_s, share."""
-    histogram = lookups.sums(run).histogram[:, list(AGES).index(what)].sum(axis=0)
-    if not histogram.any():
+    """Cumulative distribution of an age at lookup (a key of `AGES`): age_s, share at most as old."""
+    counts = lookups.sums(run).age_counts[:, list(AGES).index(what)].sum(axis=0)
+    there = counts > 0
+    if not there.any():
         raise ValueError(f"{run.path} {_NO_EVALUATION}")
-    last = np.flatnonzero(histogram)[-1] + 1
-    share = np.cumsum(histogram)[:last] / histogram.sum()
-    return pd.DataFrame({"age_s": EDGES_S[: last + 1], "share": np.r_[0, share]})
+    age_s, share = lookups.ages_s(run)[there], np.cumsum(counts[there]) / counts.sum()
+    return pd.DataFrame({"age_s": np.r_[age_s[0], age_s], "share": np.r_[0, share]})
 
 
 def over_time(run: Run, every_s: float = 10.0) -> pd.DataFrame:
-    """Shares of the states by time: time_s, judged, unjudged, stale, default."""
+    """Shares of the states by time: time_s, and a column for each of `STATES`."""
     parts = []
     for part in blocks(run, ["step", "state"]):
         slot, at = np.unique(np.floor(part["step"] * run.dt_s / every_s), return_inverse=True)
@@ -190,9 +227,12 @@ def _of_equipped(run: Run) -> list[tuple[tuple, np.ndarray, np.ndarray]]:
 def _totals(run: Run) -> pd.DataFrame:
     """Sums of the table `lookup_totals`, by state in the order of `STATES`."""
     frame = run.variant_table("lookup_totals")
+    sums = [name for name in frame if name.endswith("_sum_s")]
+    frame = frame.astype(dict.fromkeys(sums, np.float64))  # stored in single precision
     if frame.empty:
         raise ValueError(f"{run.path} {NO_LOOKUPS}")
-    return frame.groupby(frame.state.astype(str)).sum(numeric_only=True).reindex(STATES, fill_value=0)
+    stored = dict(zip(labels(LookupState), STATES, strict=True))
+    return frame.groupby(frame.state.astype(str).map(stored)).sum(numeric_only=True).reindex(STATES, fill_value=0)
 
 
 def _ages_of_totals(run: Run) -> pd.DataFrame:
@@ -222,8 +262,13 @@ def _columns(estimate: Estimate, value: str) -> dict[str, float]:
     return {value: estimate.value, "low": estimate.low, "high": estimate.high, "n_units": estimate.n_units}
 
 
-def _quantile(histogram: np.ndarray, share: float) -> float:
-    """Of a histogram over `EDGES_S`, linear within a bin."""
-    if not histogram.any():
-        return float("nan")
-    return float(np.interp(share * histogram.sum(), np.r_[0, np.cumsum(histogram)], EDGES_S))
+def quantiles(values: np.ndarray, counts: np.ndarray, shares: tuple[float, ...]) -> list[float]:
+    """Quantiles of ascending values that occur so often: those of `np.quantile`, to the bit."""
+    before, n = np.cumsum(counts), int(counts.sum())
+    found = []
+    for one in shares:
+        place = one * (n - 1)
+        low, high = (values[np.searchsorted(before, k, "right")] for k in (int(place), min(int(place) + 1, n - 1)))
+        t = place - int(place)
+        found.append(float(high - (high - low) * (1 - t) if t >= 0.5 else low + (high - low) * t))
+    return found

@@ -1,23 +1,23 @@
 """Intervals of ratios and means over units that are independent of each other: vehicles, not messages."""
 
-from collections.abc import Iterator
+import math
 from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 from numpy import ndarray
-from scipy import stats
+from scipy import special, stats
 
 LEVEL = 0.95
 FEW = 10
 """Fewer units than this are too few for a figure: a result then says so."""
 _DRAWS = 1000
 _FEWEST = 3
-_AT_ONCE = 50
-"""Draws that are multiplied at once: a divisor of all; of 5,000 units they fit into a cache."""
-_FEW_AS_USED, _MOST_AS_USED = 200, 2000
-"""Units up to which draws of many, and of a few, such numbers of units are kept as they are used."""
+
+Bounds = tuple[float, float]
+"""Smallest and largest value that a quantity can have."""
+FREE: Bounds = (-math.inf, math.inf)
 
 
 class Estimate(NamedTuple):
@@ -65,52 +65,55 @@ def ratio(top: Float[ndarray, "u"], bottom: Float[ndarray, "u"], level: float = 
     value = float(top.sum() / bottom.sum())
     if n < _FEWEST:
         return Estimate(value, float("nan"), float("nan"), n)
-    tops, bottoms = (np.concatenate(sums) for sums in zip(*((d @ top, d @ bottom) for d in _drawn(n)), strict=True))
-    low, high = _quantiles(tops / bottoms, ((1 - level) / 2, (1 + level) / 2))
-    return Estimate(value, low, high, n)
+    drawn = _draws(n)
+    low, high = np.quantile((drawn @ top) / (drawn @ bottom), [(1 - level) / 2, (1 + level) / 2])
+    return Estimate(value, float(low), float(high), n)
 
 
-def _quantiles(values: Float[ndarray, "n"], shares: tuple[float, float]) -> list[float]:
-    """As `np.quantile`, to the bit, in a fifth of its time; NaN where there is one."""
-    places = [share * (len(values) - 1) for share in shares]
-    below = [int(place) for place in places]
-    ordered = np.partition(values, [*below, *(k + 1 for k in below), len(values) - 1])
-    if np.isnan(ordered[-1]):  # it stands last
-        return [float("nan")] * len(places)
-    found = []
-    for k, place in zip(below, places, strict=True):
-        low, high, t = float(ordered[k]), float(ordered[k + 1]), place - k
-        found.append(high - (high - low) * (1 - t) if t >= 0.5 else low + (high - low) * t)
-    return found
+@lru_cache(maxsize=32)
+def _draws(n: int) -> UInt8[ndarray, "draws n"]:
+    """How often each of `n` units is drawn, in every draw; that one is drawn 256 times does not occur.
+
+    Kept, because metrics of a run ask again and again for the number of its vehicles, and `scipy.stats.bootstrap`,
+    which draws anew each time, takes twenty times as long.
+    """
+    return np.random.default_rng(0).multinomial(n, np.full(n, 1 / n), size=_DRAWS).astype(np.uint8)
 
 
-def _drawn(n: int) -> Iterator[Float[ndarray, "some n"]]:
-    """How often each of `n` units is drawn, in every draw; some draws at a time where they are many numbers."""
-    if n <= _MOST_AS_USED:
-        yield _few(n) if n <= _FEW_AS_USED else _some(n)
-        return
-    counts = _counts(n)
-    for first in range(0, _DRAWS, _AT_ONCE):
-        yield counts[first : first + _AT_ONCE].astype(float)
+def around(value: float, error: float, degrees: float, bounds: Bounds = FREE, level: float = LEVEL) -> Estimate:
+    """Interval of a mean with a standard error that respects the bounds of the quantity.
 
+    Parameters
+    ----------
+    degrees
+        Of freedom, of Student's t; infinite for the normal distribution.
+    bounds
+        Where both are finite the interval is Student's in the logit of the place between them, where one is, in the
+        logarithm of the distance from it, with the error by the delta method [1]_ [2]_; without bounds in the value.
 
-@lru_cache(maxsize=64)
-def _few(n: int) -> Float[ndarray, "draws n"]:
-    return _counts(n).astype(float)
+    Returns
+    -------
+    An estimate without a number of units. Without an interval where the value is at a bound: its logit is infinite.
 
-
-@lru_cache(maxsize=4)
-def _some(n: int) -> Float[ndarray, "draws n"]:
-    return _counts(n).astype(float)
-
-
-@lru_cache(maxsize=16)
-def _counts(n: int) -> UInt8[ndarray, "draws n"]:
-    """Kept, because to draw takes longer than to use: metrics of a run ask again and again for the number of its
-    vehicles. That a unit is drawn 256 times does not occur."""
-    random, share = np.random.default_rng(0), np.full(n, 1 / n)
-    blocks = range(0, _DRAWS, _AT_ONCE)
-    return np.concatenate([random.multinomial(n, share, size=_AT_ONCE).astype(np.uint8) for _ in blocks])
+    References
+    ----------
+    .. [1] Korn, Graubard, "Confidence intervals for proportions with small expected number of positive counts",
+       Survey Methodology 24(2), 1998: the logit interval with Student's t.
+    .. [2] Agresti, "Categorical Data Analysis", 3rd ed., 2013, section 16.1 (delta method).
+    """
+    low, high = bounds
+    half = float(stats.t.ppf((1 + level) / 2, degrees)) * error
+    if value != value or half != half or not low < value < high:
+        return without_interval(value)
+    if math.isinf(low) and math.isinf(high):
+        return Estimate(value, value - half, value + half, 0)
+    if math.isinf(high):
+        factor = math.exp(half / (value - low))
+        return Estimate(value, low + (value - low) / factor, low + (value - low) * factor, 0)
+    place = (value - low) / (high - low)
+    wide = half / (high - low) / (place * (1 - place))
+    ends = special.expit(special.logit(place) + np.array([-wide, wide]))
+    return Estimate(value, low + (high - low) * float(ends[0]), low + (high - low) * float(ends[1]), 0)
 
 
 def share(top: Float[ndarray, "u"], bottom: Float[ndarray, "u"], level: float = LEVEL) -> Estimate:
@@ -136,7 +139,7 @@ def _wilson(k: int, n: int, level: float) -> tuple[float, float]:
 
 
 def mean_of_pairs(
-    values: Float[ndarray, "p"], a: Int[ndarray, "p"], b: Int[ndarray, "p"], level: float = LEVEL
+    values: Float[ndarray, "p"], a: Int[ndarray, "p"], b: Int[ndarray, "p"], bounds: Bounds = FREE, level: float = LEVEL
 ) -> Estimate:
     """Mean over pairs of units, where pairs that share a unit are not independent [1]_.
 
@@ -147,8 +150,8 @@ def mean_of_pairs(
 
     Notes
     -----
-    Variance of the mean: sum over pairs of pairs that share a unit of the product of their residuals, over n^2; with
-    Student's t of as many degrees of freedom as there are units, less one.
+    Variance of the mean: sum over pairs of pairs that share a unit of the product of their residuals, over n^2; the
+    interval is that of `around`, of as many degrees of freedom as there are units, less one.
 
     References
     ----------
@@ -164,8 +167,7 @@ def mean_of_pairs(
     _, pair = np.unique(np.minimum(one, other) * n + np.maximum(one, other), return_inverse=True)
     of_pair = np.bincount(pair, residual)  # the same two may meet again; they share both units
     variance = max(0.0, float((of_unit**2).sum() - (of_pair**2).sum())) / len(values) ** 2
-    half = float(stats.t.ppf((1 + level) / 2, n - 1)) * variance**0.5
-    return Estimate(value, value - half, value + half, n)
+    return around(value, variance**0.5, n - 1, bounds, level)._replace(n_units=n)
 
 
 def median(values: Float[ndarray, "u"], level: float = LEVEL) -> Estimate:
@@ -175,35 +177,30 @@ def median(values: Float[ndarray, "u"], level: float = LEVEL) -> Estimate:
     ----------
     .. [1] Conover, "Practical Nonparametric Statistics", 3rd ed., 1999, section 3.2.
     """
-    ordered = np.sort(values)
-    n = len(ordered)
+    n = len(values)
     if not n:
         return UNKNOWN
-    below = _rank(n, level)
-    if below < 0:
-        return Estimate(float(np.median(ordered)), float("nan"), float("nan"), n)
-    return Estimate(float(np.median(ordered)), float(ordered[below]), float(ordered[n - 1 - below]), n)
-
-
-@lru_cache(maxsize=1024)
-def _rank(n: int, level: float) -> int:
-    """Of the lower end of the interval of a median: its tail is no larger than allowed; -1 where there is none."""
-    rank = int(stats.binom.ppf((1 - level) / 2, n, 0.5))
-    return rank - 1 if stats.binom.cdf(rank, n, 0.5) > (1 - level) / 2 else rank
+    found = stats.quantile_test(values, p=0.5).confidence_interval(level)
+    return Estimate(float(np.median(values)), float(found.low), float(found.high), n)
 
 
 def auc(
     high: Float[ndarray, "h"], high_unit: Int[ndarray, "h"], low: Float[ndarray, "l"], low_unit: Int[ndarray, "l"],
-    level: float = LEVEL,
+    times: tuple[ndarray, ndarray] | None = None, level: float = LEVEL,
 ) -> Estimate:  # fmt: skip
     """Probability that a value of the first kind is above one of the second, ties counting half, both clustered by
     unit [1]_; n_units is the smaller number of units.
+
+    Parameters
+    ----------
+    times
+        How often each value of either kind occurs; once each, where left out.
 
     Notes
     -----
     With V the placement of each value among all of the other kind, the variance is the sum over both kinds of
     I / (I - 1) * sum over its I units of (sum of V of the unit - m * AUC)^2 / N^2, where m values are in the unit and
-    N of the kind. The interval is normal in the logit of the AUC.
+    N of the kind. The interval is that of `around`, normal in the logit.
 
     References
     ----------
@@ -213,24 +210,25 @@ def auc(
     n_units = min(n for _, n in codes)
     if not n_units:
         return UNKNOWN
-    above = _placement(high, low)
-    value = float(above.mean())
-    if n_units < _FEWEST or value in (0, 1):
+    n_high, n_low = (np.ones(len(high)), np.ones(len(low))) if times is None else times
+    above, below = _placement(high, low, n_low), 1 - _placement(low, high, n_high)
+    value = float(np.average(above, weights=n_high))
+    if n_units < _FEWEST:
         return Estimate(value, float("nan"), float("nan"), n_units)
     variance = 0.0
-    for placed, (at, _) in zip((above, 1 - _placement(low, high)), codes, strict=True):
-        total = np.bincount(at, placed - value)
-        variance += len(total) / (len(total) - 1) * float((total**2).sum()) / len(placed) ** 2
-    half = float(stats.norm.ppf((1 + level) / 2)) * variance**0.5 / (value * (1 - value))
-    centre = np.log(value / (1 - value))
-    low_end, high_end = 1 / (1 + np.exp(-(centre + np.array([-half, half]))))
-    return Estimate(value, float(low_end), float(high_end), n_units)
+    for placed, n, (at, _) in zip((above, below), (n_high, n_low), codes, strict=True):
+        total = np.bincount(at, n * (placed - value))
+        variance += len(total) / (len(total) - 1) * float((total**2).sum()) / float(n.sum()) ** 2
+    return around(value, variance**0.5, math.inf, (0.0, 1.0), level)._replace(n_units=n_units)
 
 
-def _placement(values: Float[ndarray, "n"], others: Float[ndarray, "m"]) -> Float[ndarray, "n"]:
-    """Share of the others that is below each value, ties counting half."""
-    others = np.sort(others)
-    return (np.searchsorted(others, values, "left") + np.searchsorted(others, values, "right")) / 2 / len(others)
+def _placement(values: Float[ndarray, "n"], others: Float[ndarray, "m"], n: ndarray) -> Float[ndarray, "n"]:
+    """Share of the others, each of which occurs so often, that is below each value, ties counting half."""
+    order = np.argsort(others)
+    others, up_to = others[order], np.r_[0, np.cumsum(n[order])]
+    return (up_to[np.searchsorted(others, values, "left")] + up_to[np.searchsorted(others, values, "right")]) / (
+        2 * up_to[-1]
+    )
 
 
 def of_units(values: Float[ndarray, "n"] | Bool[ndarray, "n"], unit: Int[ndarray, "n"]) -> Estimate:

@@ -7,6 +7,7 @@ import pandas as pd
 import pyarrow.compute as pc
 from scipy.spatial import cKDTree
 
+from results.codes import BASE_VARIANT
 from results.metrics.kitti import Objects
 from results.metrics.overlap import corners
 from results.run import Run
@@ -36,6 +37,13 @@ def sampled_steps(run: Run, max_frames: int) -> np.ndarray:
     n_frames = int((spans.last_step - spans.first_step + 1).sum())
     stride = max(1, -(-n_frames // max_frames))
     return np.arange(stride // 2, int(run.manifest["steps"]), stride)
+
+
+def with_boxes(run: Run, lists: tuple[Lists, ...]) -> tuple[Lists, ...]:
+    """The lists that the run's variant has: fused objects are computed of those variants alone that ask for them."""
+    sections = run.config.get("trust_variant", [])
+    fuses = run.variant == BASE_VARIANT or any(v["name"] == run.variant and v.get("fused") for v in sections)
+    return tuple(which for which in lists if which != "fused" or fuses)
 
 
 def at_steps(steps: np.ndarray) -> pc.Expression:

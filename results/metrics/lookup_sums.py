@@ -4,46 +4,139 @@ import numpy as np
 
 from results.kernel import compiled
 
-_FIRST_SIZE = 1 << 12
+
+@compiled
+def numbered(wanted, table, keys, n, number):
+    """Write the number of each wanted key to `number`, -1 for keys below 0; new keys get the next numbers.
+
+    `table` is a hash table of numbers (-1: empty, its size a power of two), `keys` are the keys by number, of which
+    `n` are in use. Returns the three for the next call.
+    """
+    for i in range(len(wanted)):
+        if wanted[i] < 0:
+            number[i] = -1
+            continue
+        at = _slot(table, keys, wanted[i])
+        if table[at] < 0:
+            if n == len(keys):
+                more = np.empty(2 * n, np.int64)
+                more[:n] = keys
+                keys, table = more, np.empty(4 * n, np.int64)
+                for k in range(len(table)):
+                    table[k] = -1
+                for k in range(n):
+                    table[_slot(table, keys, keys[k])] = k
+                at = _slot(table, keys, wanted[i])
+            table[at], keys[n] = n, wanted[i]
+            n += 1
+        number[i] = table[at]
+    return table, keys, n
+
+
+@compiled
+def _slot(table, keys, key):
+    """Where the table holds the number of a key, or would."""
+    mask = len(table) - 1
+    at = np.int64((np.uint64(key) * np.uint64(0x9E3779B97F4A7C15)) >> np.uint64(32)) & mask
+    while table[at] >= 0 and keys[table[at]] != key:
+        at = (at + 1) & mask
+    return at
 
 
 @compiled
 def add(
-    variant, receiver, who, state, ages_s, n_evaluations, n_evaluators, role_of, fresh_s, edges_s, bin_of, bins_per_s,
-    states, fresh, aged, age_sum_s, histogram, behind, behind_sum,
+    variant, receiver, who, state, ages_s, age_number, n_evaluations, n_evaluators, role_of, fresh_s, states, fresh,
+    aged, age_sum_s, age_counts, behind, behind_sum,
 ):  # fmt: skip
-    """Add rows to the fields of `lookups.Sums`; `who` is the row of the subject in `role_of`."""
-    n_bins = len(edges_s) - 1
+    """Add rows to the fields of `lookups.Sums`; `who` is the row of the subject in `role_of`, `age_number` the number
+    of each of the three ages (-1: none)."""
     for i in range(len(variant)):
         v, r, role = variant[i], receiver[i], role_of[who[i]]
         states[v, r, role, state[i]] += 1
-        if ages_s[1][i] <= fresh_s:
+        if ages_s[1, i] <= fresh_s:
             fresh[v, r, role] += 1
         for what in range(3):
-            age_s = np.float64(ages_s[what][i])
-            if np.isnan(age_s):
-                continue
-            aged[v, r, role, what] += 1
-            age_sum_s[v, r, role, what] += age_s
-            scaled = age_s * bins_per_s
-            number = int(scaled) if 0 <= scaled < len(bin_of) else -1
-            if number == scaled:
-                at = bin_of[number]
-            else:
-                at, above = 0, n_bins
-                while above - at > 1:
-                    middle = (at + above) // 2
-                    if edges_s[middle] <= age_s:
-                        at = middle
-                    else:
-                        above = middle
-            histogram[v, role, what, at] += 1
-        if not np.isnan(ages_s[1][i]):
+            if age_number[what, i] >= 0:
+                aged[v, r, role, what] += 1
+                age_sum_s[v, r, role, what] += ages_s[what, i]
+                age_counts[v, role, what, age_number[what, i]] += 1
+        if age_number[1, i] >= 0:
             behind[v, r, 0] += 1
             behind_sum[v, r, 0] += n_evaluations[i]
             if not np.isnan(n_evaluators[i]):
                 behind[v, r, 1] += 1
                 behind_sum[v, r, 1] += n_evaluators[i]
+
+
+@compiled
+def add_successive(
+    variant, receiver, step, pair, ages_s, dt_s, reach_s, last_step, last_s, renewed, peak_sum_s, observed_s,
+    area_s2, sawtooth_peaks, sawtooth_peak_sum_s,
+):  # fmt: skip
+    """Compare each lookup with the one before of the same receiver and subject, whose number is `pair`.
+
+    What is known is renewed where it was generated later than what was known at the lookup before: where the age has
+    grown by less than the time that has passed. Generation times are whole steps, so half a step tells them apart.
+    """
+    for i in range(len(variant)):
+        v, r, p = variant[i], receiver[i], pair[i]
+        passed_s = (step[i] - last_step[v, p]) * dt_s
+        is_first, is_near = last_step[v, p] < 0, passed_s <= reach_s + 1e-9
+        last_step[v, p] = step[i]
+        for what in range(2):
+            before_s, age_s = np.float64(last_s[v, p, what]), np.float64(ages_s[what, i])
+            last_s[v, p, what] = age_s
+            if is_first or np.isnan(before_s):
+                continue
+            is_new = age_s < before_s + passed_s - dt_s / 2
+            if is_new:
+                renewed[v, r, what] += 1
+                peak_sum_s[v, r, what] += before_s
+            if is_near:
+                observed_s[v, r, what] += passed_s
+                area_s2[v, r, what] += (before_s + passed_s / 2) * passed_s
+                if is_new:
+                    sawtooth_peaks[v, r, what] += 1
+                    sawtooth_peak_sum_s[v, r, what] += before_s + passed_s
+
+
+@compiled
+def add_watched(
+    variant, step, who, pair, trust, n_evaluations, since, threshold, n_watched, n_evaluated, n_low, first_step,
+    low_step, seen_step,
+):  # fmt: skip
+    """Of subjects while they are watched: count lookups, those with an evaluated value, and those of them that are
+    below the threshold; and write down when each receiver first looked its subject
+    up, first found an evaluated value below the threshold (-1: never), and last looked it up."""
+    for i in range(len(variant)):
+        if step[i] < since[who[i]]:
+            continue
+        v, p = variant[i], pair[i]
+        n_watched[v, who[i]] += 1
+        if first_step[v, p] < 0:
+            first_step[v, p] = step[i]
+        seen_step[v, p] = step[i]
+        if n_evaluations[i] > 0:
+            n_evaluated[v, who[i]] += 1
+            if np.float64(trust[i]) < threshold:
+                n_low[v, who[i]] += 1
+                if low_step[v, p] < 0:
+                    low_step[v, p] = step[i]
+
+
+@compiled
+def settle(who, over, first_step, low_step, seen_step, role_of, waited, pairs, pairs_found):
+    """Add the pairs that are over: by role, found or not, how many steps they waited; and pairs by subject."""
+    for v in range(first_step.shape[0]):
+        for p in range(len(who)):
+            if not over[p] or first_step[v, p] < 0:
+                continue
+            found = low_step[v, p] >= 0
+            until = low_step[v, p] if found else seen_step[v, p]
+            waited[v, role_of[who[p]], 1 if found else 0, until - first_step[v, p]] += 1
+            pairs[v, who[p]] += 1
+            if found:
+                pairs_found[v, who[p]] += 1
 
 
 @compiled
@@ -57,70 +150,3 @@ def new_lows(variant, who, step, trust, n_evaluations, since, lowest):
             lowest[v, s] = trust[i]
             is_lower[i] = True
     return is_lower
-
-
-@compiled
-def none_before(n_variants):
-    """What `add_peaks` knows of lookups before the first."""
-    table, pairs, last_s = _empty(_FIRST_SIZE, n_variants)
-    return table, pairs, last_s, 0
-
-
-@compiled
-def add_peaks(variant, receiver, who, ages_s, n_variants, before, renewed, peak_sum_s):
-    """Add the ages before each renewal: what a receiver looks up of a subject is younger than at its lookup before.
-    Returns what the rows that follow need to know as `before`."""
-    table, pairs, last_s, n = before
-    for i in range(len(variant)):
-        v, r = variant[i], receiver[i]
-        pair = (np.int64(r) << 32) | who[i]
-        at = _slot(table, pairs, pair)
-        if table[at] < 0:
-            if n == len(pairs):
-                table, pairs, last_s = _larger(pairs, last_s, n_variants)
-                at = _slot(table, pairs, pair)
-            table[at] = n
-            pairs[n] = pair
-            n += 1
-        k = table[at] * n_variants + v
-        for what in range(2):
-            age_s = ages_s[what][i]
-            if age_s < last_s[k, what]:
-                renewed[v, r, what] += 1
-                peak_sum_s[v, r, what] += last_s[k, what]
-            last_s[k, what] = age_s
-    return table, pairs, last_s, n
-
-
-@compiled
-def _slot(table, pairs, pair):
-    """Where a hash table holds the number of a pair, or would."""
-    mask = len(table) - 1
-    at = np.int64((np.uint64(pair) * np.uint64(0x9E3779B97F4A7C15)) >> np.uint64(32)) & mask
-    while table[at] >= 0 and pairs[table[at]] != pair:
-        at = (at + 1) & mask
-    return at
-
-
-@compiled
-def _empty(size, n_variants):
-    """A hash table for half as many pairs, the pairs by number, and the two ages last looked up by pair and variant."""
-    table, pairs = np.empty(size, np.int64), np.empty(size // 2, np.int64)
-    last_s = np.empty((size // 2 * n_variants, 2), np.float32)
-    for k in range(size):  # loops compile in a tenth of the time of np.full
-        table[k] = -1
-    for k in range(len(last_s)):
-        last_s[k, 0] = last_s[k, 1] = np.nan
-    return table, pairs, last_s
-
-
-@compiled
-def _larger(pairs, last_s, n_variants):
-    """The same with twice the room."""
-    table, more, wider_s = _empty(4 * len(pairs), n_variants)
-    for number in range(len(pairs)):
-        more[number] = pairs[number]
-        table[_slot(table, more, pairs[number])] = number
-    for k in range(len(last_s)):
-        wider_s[k, 0], wider_s[k, 1] = last_s[k, 0], last_s[k, 1]
-    return table, more, wider_s

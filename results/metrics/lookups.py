@@ -1,14 +1,14 @@
 """What vehicles look up of trust: the largest table of a run, read once for many metrics and for all trust variants."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from functools import cache
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
-from results.codes import LookupState
+from results.codes import LookupState, TrustSource
 from results.metrics.trust import watched
 from results.run import Run
 
@@ -19,22 +19,30 @@ AGES: Mapping[str, str] = {
 }
 """What ages, and the column of `trust_lookups` that says how old it is."""
 RENEWED = ("value", "newest evaluation")
-"""Of these, what has a peak age."""
+"""Of these, what has a peak age and an age over time."""
 BEHIND = ("n_evaluations", "n_evaluators")
 """Columns of what stands behind values."""
 FRESH_S = 10.0
-EDGES_S = np.concatenate([[0.0, 1e-6], np.geomspace(0.05, 1e5, 600)])
-"""Bins of age for quantiles of tables larger than memory: 2.4 % wide."""
+THRESHOLD = 0.25
+"""Trust below which a subject is suspected, unless told otherwise."""
+REACH_S = 3.0
+"""Two successive lookups of a subject are one stay within reach if they lie at most this far apart, or at most two
+sensing intervals where these are longer."""
 
 _DTYPES = {
     "variant": np.int16, "step": np.int32, "receiver": np.int32, "subject": np.int32, "state": np.int16,
-    "trust": np.float32, "age_s": np.float32, "newest_evaluation_age_s": np.float32,
+    "source": np.int16, "trust": np.float32, "age_s": np.float32, "newest_evaluation_age_s": np.float32,
     "oldest_evaluation_age_s": np.float32, "n_evaluations": np.int32, "n_evaluators": np.float32,
 }  # fmt: skip
 """Of the columns that are added up, whatever a block holds, so that kernels are compiled once."""
-_PEAK_BLOCKS = 20
-_BINS_PER_S, _BINNED_S = 1024, 128
-"""Ages are stored in multiples of this part of a second; the bins of those below are looked up."""
+_AGES_PER_S = 1024
+"""Ages are stored in multiples of this part of a second."""
+_PIECE_ROWS = 1_000_000
+"""Rows that are read at once, about."""
+_MOST_SCORES = 1 << 21
+"""Different pairs of subject and value that are kept apart; where there are more, values are rounded."""
+_SCORES = 4096
+"""Values are then multiples of this part of 1."""
 
 NO_LOOKUPS = (
     "holds no trust lookups: no message was received. Raise radio.range_m or fleet.penetration_p, and run again."
@@ -51,15 +59,33 @@ class Sums(NamedTuple):
     aged: Int[ndarray, "r role age"]
     """Those with each age of `AGES`, and the sum of these."""
     age_sum_s: Float[ndarray, "r role age"]
-    histogram: Int[ndarray, "role age bin"]
-    """Ages by bin of `EDGES_S`, those beyond its ends in the outermost ones."""
+    age_counts: Int[ndarray, "role age k"]
+    """How often each of the ages in `ages_s` occurs."""
     behind: Int[ndarray, "r 2"]
     """Those with evaluations behind the value, with each of `BEHIND`, and the sum of these."""
     behind_sum: Float[ndarray, "r 2"]
     renewed: Int[ndarray, "r 2"]
-    """Lookups before which the value, or the newest evaluation, had been renewed, and the sum of the ages until then;
-    of 20 blocks spread over the run at most."""
+    """Lookups at which each of `RENEWED` is newer than at the lookup before of the same subject, and the sum of the
+    ages at the lookups before."""
     peak_sum_s: Float[ndarray, "r 2"]
+    observed_s: Float[ndarray, "r 2"]
+    """Time between successive lookups within reach, and the integral of the age over it: it grows until a lookup finds
+    something newer."""
+    area_s2: Float[ndarray, "r 2"]
+    sawtooth_peaks: Int[ndarray, "r 2"]
+    """Renewals within reach, and the sum of the ages just before."""
+    sawtooth_peak_sum_s: Float[ndarray, "r 2"]
+    n_watched: Int[ndarray, "p"]
+    """Lookups of each pseudonym, in the order of `subjects`, while it is watched (`trust.watched`); those with an
+    evaluated value; and those of them that are below the threshold."""
+    n_evaluated: Int[ndarray, "p"]
+    n_low: Int[ndarray, "p"]
+    pairs: Int[ndarray, "p"]
+    """Vehicles that looked it up meanwhile, and those that found it below the threshold."""
+    pairs_found: Int[ndarray, "p"]
+    waited: Int[ndarray, "role 2 step"]
+    """These pairs by role, by whether they found it so, and by the steps from the first lookup until they did, or until
+    the last one."""
 
 
 class Lows(NamedTuple):
@@ -71,24 +97,69 @@ class Lows(NamedTuple):
     trust: Float[ndarray, "n"]
 
 
-class _All(NamedTuple):
-    """The same of all trust variants: a first axis, and a column, more."""
+class Scores(NamedTuple):
+    """Values of watched subjects, resting on an evaluation, that were looked up."""
+
+    who: Int[ndarray, "n"]
+    """Place of the subject among `subjects`."""
+    trust: Float[ndarray, "n"]
+    n: Int[ndarray, "n"]
+    """How often."""
+    is_rounded: bool
+    """Whether values were rounded because there were too many different ones."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Asked:
+    """What the sums depend on."""
 
     fresh_s: float
+    threshold: float
+
+
+@dataclass(frozen=True, slots=True)
+class _All:
+    """The same of all trust variants: a first axis, and a column, more."""
+
+    asked: _Asked
     sums: Sums
+    ages_s: Float[ndarray, "k"]
     variant: Int[ndarray, "n"]
     lows: Lows
+    scores_variant: Int[ndarray, "n"]
+    scores: Scores
 
 
-def sums(run: Run, fresh_s: float | None = None) -> Sums:
-    """Lookups of the run's variant added up; ValueError where there are none. `fresh_s` concerns `fresh` alone."""
-    found = _all(run)
-    if fresh_s is not None and fresh_s != found.fresh_s:
-        found = run.once_for_all(f"lookups, fresh to {fresh_s} s", lambda: _added(run, fresh_s))
-    mine = Sums(*(table[run.variants.index(run.variant)] for table in found.sums))
+class _Numbers:
+    """Numbers of keys, from 0 on in the order in which they were first asked for."""
+
+    def __init__(self) -> None:
+        self.n, self._keys, self._table = 0, np.zeros(1 << 11, np.int64), np.full(1 << 12, -1)
+
+    def of(self, wanted: Int[ndarray, "n"]) -> Int[ndarray, "n"]:
+        from results.metrics import lookup_sums  # here, because little else in measuring needs Numba
+
+        number = np.empty(len(wanted), np.int64)
+        self._table, self._keys, self.n = lookup_sums.numbered(wanted, self._table, self._keys, self.n, number)
+        return number
+
+    @property
+    def keys(self) -> Int[ndarray, "n"]:
+        return self._keys[: self.n]
+
+
+def sums(run: Run, fresh_s: float = FRESH_S, threshold: float = THRESHOLD) -> Sums:
+    """Lookups of the run's variant added up; ValueError where there are none. `fresh_s` concerns `fresh` alone,
+    `threshold` what is below it."""
+    mine = Sums(*(table[run.variants.index(run.variant)] for table in _all(run, _Asked(fresh_s, threshold)).sums))
     if not mine.states.any():
         raise ValueError(f"{run.path} {NO_LOOKUPS}")
     return mine
+
+
+def ages_s(run: Run) -> Float[ndarray, "k"]:
+    """Ages that `Sums.age_counts` counts, ascending [s]."""
+    return _all(run).ages_s
 
 
 def lows(run: Run) -> Lows:
@@ -96,6 +167,19 @@ def lows(run: Run) -> Lows:
     found = _all(run)
     mine = found.variant == run.variants.index(run.variant)
     return Lows(*(column[mine] for column in found.lows))
+
+
+def scores(run: Run) -> Scores:
+    """Values of watched subjects that were looked up, of the run's variant."""
+    found = _all(run)
+    mine = found.scores_variant == run.variants.index(run.variant)
+    of = found.scores
+    return Scores(of.who[mine], of.trust[mine], of.n[mine], of.is_rounded)
+
+
+def subjects(run: Run) -> tuple[Int[ndarray, "p"], Int[ndarray, "p"]]:
+    """Pseudonyms by number, and the code of the role of each."""
+    return run.once_for_all("roles by pseudonym", lambda: _roles(run))
 
 
 def blocks(run: Run, columns: Sequence[str]) -> Iterator[Mapping[str, ndarray]]:
@@ -111,7 +195,7 @@ def blocks(run: Run, columns: Sequence[str]) -> Iterator[Mapping[str, ndarray]]:
 
 def role_codes(run: Run, pseudonym: Int[ndarray, "n"]) -> Int[ndarray, "n"]:
     """Code of the role of the vehicle behind each pseudonym, in the order of `Run.role_labels`."""
-    known, code = run.once_for_all("roles by pseudonym", lambda: _roles(run))
+    known, code = subjects(run)
     return code[np.searchsorted(known, pseudonym)]
 
 
@@ -120,75 +204,187 @@ def _roles(run: Run) -> tuple[Int[ndarray, "p"], Int[ndarray, "p"]]:
     return role.index.to_numpy(np.int64), role.cat.codes.to_numpy(np.int64)
 
 
-def _all(run: Run) -> _All:
-    return run.once_for_all("lookups", lambda: _added(run, FRESH_S))
+def _all(run: Run, asked: _Asked | None = None) -> _All:
+    """One pass over the rows of all variants, made once for the default question and once for every other."""
+    usual = _Asked(FRESH_S, THRESHOLD)
+    asked = asked or usual
+    return run.once_for_all("lookups" if asked == usual else f"lookups, {asked}", lambda: _added(run, asked))
 
 
-def _added(run: Run, fresh_s: float) -> _All:
-    """One pass over the rows of all variants."""
-    known, role_of = run.once_for_all("roles by pseudonym", lambda: _roles(run))
-    stride = -(-run.n_blocks("trust_lookups") // _PEAK_BLOCKS)
-    return _add_up(
-        run.pieces("trust_lookups", list(_DTYPES)), known, role_of, _watched_since(run, known), len(run.variants),
-        len(run.role_labels), stride, fresh_s,
+def _added(run: Run, asked: _Asked) -> _All:
+    known, role_of = subjects(run)
+    vehicles = run.table("vehicles", ["vehicle", "last_step"])
+    left = np.zeros(int(vehicles.vehicle.max()) + 1, np.int64)
+    left[vehicles.vehicle] = vehicles.last_step
+    every_s = float(run.config.get("sensing_interval_s", run.dt_s))
+    adding = _Adding(
+        known, role_of, _watched_since(run, known), left, (len(run.variants), len(run.role_labels)),
+        int(run.manifest["steps"]), run.dt_s, max(REACH_S, 2 * every_s), asked,
     )  # fmt: skip
+    return adding.result(run.pieces("trust_lookups", list(_DTYPES), _PIECE_ROWS))
 
 
 def compile_kernels() -> None:
     """Compile what adds up the lookups of a run, of any run."""
     one, row = np.zeros(1, np.int64), {name: np.zeros(1, dtype) for name, dtype in _DTYPES.items()}
-    _add_up([(0, row)], one, one, one, 1, 1, 1, FRESH_S)
+    adding = _Adding(one, one, one, one, (1, 1), 1, 1.0, REACH_S, _Asked(FRESH_S, THRESHOLD))
+    adding.result([(0, row), (1, row)])
 
 
-def _add_up(
-    pieces: Iterable[tuple[int, Mapping[str, ndarray]]], known: Int[ndarray, "p"], role_of: Int[ndarray, "p"],
-    since: Int[ndarray, "p"], n_variants: int, n_roles: int, stride: int, fresh_s: float,
-) -> _All:  # fmt: skip
-    """Lookups of these pseudonyms, piece by piece with the number of its block; of each pseudonym the role, and the
-    step since which it is watched. Peak ages are those of every `stride`-th block."""
-    from results.metrics import lookup_sums  # here, because little else in measuring needs Numba
+class _Adding:
+    """Lookups of some pseudonyms, added up piece by piece.
 
-    lowest = np.full((n_variants, len(known)), np.inf, np.float32)
-    shapes = {
-        "states": (n_roles, len(LookupState)), "fresh": (n_roles,), "aged": (n_roles, len(AGES)),
-        "age_sum_s": (n_roles, len(AGES)), "behind": (2,), "behind_sum": (2,), "renewed": (2,), "peak_sum_s": (2,),
-    }  # fmt: skip
-    tables: dict[str, ndarray] = {
-        name: np.zeros((n_variants, 0, *shape), _dtype(name)) for name, shape in shapes.items()
-    }
-    histogram = np.zeros((n_variants, n_roles, len(AGES), len(EDGES_S) - 1), np.int64)
-    lower = [(np.zeros(0, np.int16), Lows(np.zeros(0, np.int32), np.zeros(0, np.int32), np.zeros(0, np.float32)))]
-    before, block = lookup_sums.none_before(n_variants), -1
-    for number, piece in pieces:
-        if number != block:
-            before, block = lookup_sums.none_before(n_variants), number
-        rows = {name: _read_only(piece[name], dtype) for name, dtype in _DTYPES.items()}
-        variant, receiver, who = rows["variant"], rows["receiver"], np.searchsorted(known, rows["subject"])
-        more = int(receiver.max(initial=-1)) + 1 - tables["states"].shape[1]
-        if more > 0:
-            tables = {
-                name: np.concatenate([t, np.zeros((n_variants, more, *shapes[name]), t.dtype)], axis=1)
-                for name, t in tables.items()
-            }
-        ages_s = tuple(rows[column] for column in AGES.values())
+    Memory grows with vehicles, pseudonyms and different ages, and with what the vehicles now on the road have met; not
+    with the number of lookups.
+    """
+
+    def __init__(
+        self, known: Int[ndarray, "p"], role_of: Int[ndarray, "p"], since: Int[ndarray, "p"], left: Int[ndarray, "r"],
+        n: tuple[int, int], n_steps: int, dt_s: float, reach_s: float, asked: _Asked,
+    ) -> None:  # fmt: skip
+        """Of each pseudonym the role, and the step since which it is watched; of each vehicle the last step; how many
+        variants and roles there are."""
+        self.known, self.role_of, self.since, self.left = known, role_of, since, left
+        self.dt_s, self.reach_s, self.asked = dt_s, reach_s, asked
+        self.n_variants, self.n_roles = n
+        pairs = ("behind", "behind_sum", "renewed", "peak_sum_s", "observed_s", "area_s2", "sawtooth_peaks")
+        by_receiver: dict[str, tuple[int, ...]] = {
+            "states": (self.n_roles, len(LookupState)), "fresh": (self.n_roles,), "aged": (self.n_roles, len(AGES)),
+            "age_sum_s": (self.n_roles, len(AGES)), **dict.fromkeys((*pairs, "sawtooth_peak_sum_s"), (2,)),
+        }  # fmt: skip
+        self.of_receivers = {
+            name: np.zeros((self.n_variants, 0, *shape), np.float64 if name.endswith(("_s", "_s2", "_sum")) else int)
+            for name, shape in by_receiver.items()
+        }
+        self.of_subjects = {
+            name: np.zeros((self.n_variants, len(known)), np.int64)
+            for name in ("n_watched", "n_evaluated", "n_low", "pairs", "pairs_found")
+        }
+        self.waited = np.zeros((self.n_variants, self.n_roles, 2, n_steps + 1), np.int64)
+        self.lowest = np.full((self.n_variants, len(known)), np.inf, np.float32)
+        self.lower: list[tuple[ndarray, Lows]] = []
+        self.ages, self.age_counts = _Numbers(), np.zeros((self.n_variants, self.n_roles, len(AGES), 0), np.int64)
+        self.scored, self.score_counts, self.rounds = _Numbers(), np.zeros(0, np.int64), False
+        self.pairs, self.of_pairs = _Numbers(), self._no_pairs()
+
+    def _no_pairs(self) -> dict[str, ndarray]:
+        n = self.n_variants
+        steps = {f"{name}_step": np.zeros((n, 0), np.int32) for name in ("last", "first", "low", "seen")}
+        return steps | {"last_s": np.zeros((n, 0, 2), np.float32)}
+
+    def result(self, pieces: Iterable[tuple[int, Mapping[str, ndarray]]]) -> _All:
+        """The sums of pieces, each with the number of its block."""
+        block, last_step = -1, -1
+        for number, piece in pieces:
+            if number != block:
+                self._forget(last_step)
+                block = number
+            rows = {name: _read_only(piece[name], dtype) for name, dtype in _DTYPES.items()}
+            self._add(rows)
+            last_step = int(rows["step"].max(initial=last_step))
+        self._settle(np.ones(self.pairs.n, bool))
+        order = np.argsort(self.ages.keys)
+        variant, who = np.divmod(self.scored.keys >> 32, max(1, len(self.known)))
+        none = Lows(np.zeros(0, np.int32), np.zeros(0, np.int32), np.zeros(0, np.float32))
+        lower = [(np.zeros(0, np.int16), none), *self.lower]
+        return _All(
+            self.asked,
+            Sums(**self.of_receivers, **self.of_subjects, waited=self.waited, age_counts=self.age_counts[..., order]),
+            self.ages.keys[order] / _AGES_PER_S,
+            np.concatenate([variant for variant, _ in lower]),
+            Lows(*(np.concatenate(columns) for columns in zip(*(found for _, found in lower), strict=True))),
+            variant,
+            Scores(who, _trust_of(self.scored.keys).astype(np.float64), self.score_counts, self.rounds),
+        )
+
+    def _add(self, rows: Mapping[str, ndarray]) -> None:
+        from results.metrics import lookup_sums
+
+        variant, receiver, who = rows["variant"], rows["receiver"], np.searchsorted(self.known, rows["subject"])
+        ages_s = np.stack([rows[column] for column in AGES.values()])
+        keys = np.where(np.isnan(ages_s), -1, np.rint(np.maximum(np.nan_to_num(ages_s), 0) * _AGES_PER_S))
+        age_number = self.ages.of(keys.astype(np.int64).ravel()).reshape(keys.shape)
+        self.age_counts = _widened(self.age_counts, 3, self.ages.n)
+        n_receivers = int(receiver.max(initial=-1)) + 1
+        self.of_receivers = {name: _widened(table, 1, n_receivers) for name, table in self.of_receivers.items()}
+        of, mine = self.of_receivers, self.of_subjects
         lookup_sums.add(
-            variant, receiver, who, rows["state"], ages_s, rows["n_evaluations"], rows["n_evaluators"], role_of,
-            np.float32(fresh_s), EDGES_S, _bins(), _BINS_PER_S, tables["states"], tables["fresh"], tables["aged"],
-            tables["age_sum_s"], histogram, tables["behind"], tables["behind_sum"],
+            variant, receiver, who, rows["state"], ages_s, age_number, rows["n_evaluations"], rows["n_evaluators"],
+            self.role_of, np.float32(self.asked.fresh_s), of["states"], of["fresh"], of["aged"], of["age_sum_s"],
+            self.age_counts, of["behind"], of["behind_sum"],
         )  # fmt: skip
-        if number % stride == 0:
-            before = lookup_sums.add_peaks(
-                variant, receiver, who, ages_s[: len(RENEWED)], n_variants, before, tables["renewed"],
-                tables["peak_sum_s"],
-            )  # fmt: skip
+        pair = self.pairs.of((receiver.astype(np.int64) << 32) | who)
+        self.of_pairs = {
+            name: _widened(table, 1, self.pairs.n, np.nan if name == "last_s" else -1)
+            for name, table in self.of_pairs.items()
+        }
+        pairs = self.of_pairs
+        from_server = ages_s[: len(RENEWED)].copy()
+        from_server[0, rows["source"] != TrustSource.SERVER] = np.nan
+        lookup_sums.add_successive(
+            variant, receiver, rows["step"], pair, from_server, self.dt_s, self.reach_s, pairs["last_step"],
+            pairs["last_s"], of["renewed"], of["peak_sum_s"], of["observed_s"], of["area_s2"], of["sawtooth_peaks"],
+            of["sawtooth_peak_sum_s"],
+        )  # fmt: skip
+        lookup_sums.add_watched(
+            variant, rows["step"], who, pair, rows["trust"], rows["n_evaluations"], self.since, self.asked.threshold,
+            mine["n_watched"], mine["n_evaluated"], mine["n_low"], pairs["first_step"], pairs["low_step"],
+            pairs["seen_step"],
+        )  # fmt: skip
+        self._score(rows, who)
         at = np.flatnonzero(lookup_sums.new_lows(
-            variant, who, rows["step"], rows["trust"], rows["n_evaluations"], since, lowest
+            variant, who, rows["step"], rows["trust"], rows["n_evaluations"], self.since, self.lowest
         ))  # fmt: skip
-        lower.append((variant[at], Lows(*(rows[name][at] for name in Lows._fields))))
-    return _All(
-        fresh_s, Sums(**tables, histogram=histogram), np.concatenate([variant for variant, _ in lower]),
-        Lows(*(np.concatenate(columns) for columns in zip(*(found for _, found in lower), strict=True))),
-    )  # fmt: skip
+        self.lower.append((variant[at], Lows(*(rows[name][at] for name in Lows._fields))))
+
+    def _score(self, rows: Mapping[str, ndarray], who: Int[ndarray, "n"]) -> None:
+        """Count the values of watched subjects that rest on an evaluation."""
+        there = (rows["n_evaluations"] > 0) & (rows["step"] >= self.since[who])
+        subject = rows["variant"][there].astype(np.int64) * len(self.known) + who[there]
+        self._count(subject, rows["trust"][there], np.ones(len(subject), np.int64))
+        if self.scored.n > _MOST_SCORES and not self.rounds:
+            keys, n = self.scored.keys, self.score_counts
+            self.scored, self.score_counts, self.rounds = _Numbers(), np.zeros(0, np.int64), True
+            self._count(keys >> 32, _trust_of(keys), n)
+
+    def _count(self, subject: Int[ndarray, "n"], trust: Float[ndarray, "n"], n: Int[ndarray, "n"]) -> None:
+        if self.rounds:
+            trust = (np.rint(trust * _SCORES) / _SCORES).astype(np.float32)
+        bits = (trust + np.float32(0)).view(np.int32).astype(np.int64)  # + 0 makes one zero of two
+        number = self.scored.of((subject << 32) | bits)
+        self.score_counts = _widened(self.score_counts, 0, self.scored.n)
+        self.score_counts += np.bincount(number, n, self.scored.n).astype(np.int64)
+
+    def _forget(self, step: int) -> None:
+        """Forget the pairs of receivers that have left: they look nothing up any more."""
+        over = self.left[self.pairs.keys >> 32] <= step
+        self._settle(over)
+        kept = self.pairs.keys[~over].copy()
+        self.pairs = _Numbers()
+        self.pairs.of(kept)
+        self.of_pairs = {name: table[:, ~over] for name, table in self.of_pairs.items()}
+
+    def _settle(self, over: ndarray) -> None:
+        from results.metrics import lookup_sums
+
+        pairs, mine = self.of_pairs, self.of_subjects
+        lookup_sums.settle(
+            self.pairs.keys & 0xFFFFFFFF, over, pairs["first_step"], pairs["low_step"], pairs["seen_step"],
+            self.role_of, self.waited, mine["pairs"], mine["pairs_found"],
+        )  # fmt: skip
+
+
+def _trust_of(keys: Int[ndarray, "n"]) -> Float[ndarray, "n"]:
+    return (keys & 0xFFFFFFFF).astype(np.int32).view(np.float32)
+
+
+def _widened(table: ndarray, axis: int, n: int, fill: float = 0) -> ndarray:
+    """A table whose axis has at least `n` places."""
+    more = n - table.shape[axis]
+    if more <= 0:
+        return table
+    shape = [more if k == axis else size for k, size in enumerate(table.shape)]
+    return np.concatenate([table, np.full(shape, fill, table.dtype)], axis=axis)
 
 
 def _read_only(values: ndarray, dtype: type) -> ndarray:
@@ -196,17 +392,6 @@ def _read_only(values: ndarray, dtype: type) -> ndarray:
     values = np.asarray(values, dtype).view()
     values.flags.writeable = False
     return values
-
-
-def _dtype(table: str) -> type:
-    return np.float64 if "sum" in table else np.int64
-
-
-@cache
-def _bins() -> Int[ndarray, "n"]:
-    """Bin of `EDGES_S` of every multiple of the part of a second in which ages are stored."""
-    ages_s = np.arange(_BINNED_S * _BINS_PER_S) / _BINS_PER_S
-    return np.clip(np.searchsorted(EDGES_S, ages_s, side="right") - 1, 0, len(EDGES_S) - 2)
 
 
 def _watched_since(run: Run, known: Int[ndarray, "p"]) -> Int[ndarray, "p"]:

@@ -2,9 +2,9 @@
 
 The unit is a pseudonym, because trust knows nothing else. One is watched from the first attack of its vehicle on;
 what it was trusted before is left out. Honest ones are watched from the first attack of any vehicle on. Trust that
-rests on no evaluation says nothing about a subject, whatever number the ledger has for it: such a subject is not
-rated, it is neither suspected nor cleared, and it is counted (`rated`). A subject is suspected while it is rated and
-its trust is below a threshold.
+rests on no evaluation says nothing about a subject, whatever its number: the value is not evaluated, the subject is
+neither suspected nor cleared, and it is counted (`evaluated`). A subject is suspected while its value is evaluated and
+below a threshold.
 """
 
 from typing import NamedTuple
@@ -74,12 +74,12 @@ def classification(run: Run, false_positives: float = 0.05) -> pd.DataFrame:
 
     Returns
     -------
-    role of the attackers; n: subjects; rated, rated_honest: share of their time in use with an evaluation behind
-    their trust; auc: probability that an honest value is above an attacker's (ties count half); auc_unrated: the same
-    with the values that rest on no evaluation; threshold: the largest with no more false positives than allowed;
-    true_positives, false_positives: shares of the rated values below it (recall, false positive rate); suspected:
-    share of the attackers' time in use in which they are suspected, rated or not. auc, true_positives and suspected
-    have intervals clustered by subject; those of shares take the threshold as given.
+    role of the attackers; n: subjects; evaluated, evaluated_honest: share of their watched time with an evaluation
+    behind their trust; auc: probability that an honest value is above an attacker's (ties count half);
+    auc_unevaluated: the same with the values that rest on no evaluation; threshold: the largest with no more false
+    positives than allowed; true_positives, false_positives: shares of the evaluated values below it (recall, false
+    positive rate); suspected: share of the attackers' watched time in which they are suspected. auc, true_positives
+    and suspected have intervals clustered by subject; those of shares take the threshold as given.
 
     Notes
     -----
@@ -126,13 +126,13 @@ def roc(run: Run) -> pd.DataFrame:
 
 
 def below(run: Run, threshold: float = 0.25) -> pd.DataFrame:
-    """Share of all values below a threshold, by role: role, n, share, and rated_share, of the rated; both with
-    intervals clustered by subject."""
+    """Share of all values below a threshold, by role: role, n, share, and evaluated_share, of those that are evaluated;
+    both with intervals clustered by subject."""
     found, rows = trust.in_use(run), []
     for role, here in trust.by_role(run, found.role):
         row: dict[str, object] = {"role": role, "n": int(here.sum())}
-        for name, some in (("share", here), ("rated_share", here & found.rated)):
-            low = found.trust[some] < threshold
+        for name, some in (("share", here), ("evaluated_share", here & found.rated)):
+            low = found.trust[some].astype(np.float64) < threshold
             row |= intervals.columns(intervals.of_units(low, found.subject[some]), name)
         rows.append(row)
     return pd.DataFrame(rows)
@@ -182,6 +182,111 @@ def _low_values(run: Run, threshold: float, at: trust.At) -> tuple[Int[ndarray, 
     known = trust.in_use(run)
     low = (known.trust.astype(np.float64) < threshold) & known.rated
     return known.step[low], known.subject[low]
+
+
+def at_lookup(run: Run, threshold: float = lookups.THRESHOLD) -> pd.DataFrame:
+    """Classification where trust is used: of the values that vehicles look up, whoever keeps trust.
+
+    A lookup counts from the moment on at which its subject is watched. The same of central and local trust, so that
+    the two can be compared; `classification` takes the server's values, or means over receivers that no vehicle holds.
+
+    Returns
+    -------
+    role; n (lookups of watched subjects); evaluated: share of them that rest on an evaluation; suspected: share of them
+    that do and lie below the threshold; auc: probability that an evaluated value of an honest subject is above one of
+    this role, ties counting half (NaN for honest ones); auc_error: by how much it may be off because values were
+    rounded (0: not at all). evaluated, suspected and auc have intervals clustered by subject.
+    """
+    watched(run)  # says so where there are no attacks
+    found, scores = lookups.sums(run, threshold=threshold), lookups.scores(run)
+    _, role_of = lookups.subjects(run)
+    honest = role_of[scores.who] == (run.role_labels.index(HONEST) if HONEST in run.role_labels else -1)
+    rows = []
+    for code, role in enumerate(run.role_labels):
+        mine = (role_of == code) & (found.n_watched > 0)
+        if not mine.any():
+            continue
+        n, here = found.n_watched[mine], role_of[scores.who] == code
+        row: dict[str, object] = {"role": role, "n": int(n.sum())}
+        for name, counted in (("evaluated", found.n_evaluated), ("suspected", found.n_low)):
+            row |= intervals.columns(intervals.share(counted[mine], n), name)
+        area = intervals.UNKNOWN
+        if role != HONEST:
+            area = intervals.auc(
+                scores.trust[honest], scores.who[honest], scores.trust[here], scores.who[here],
+                (scores.n[honest], scores.n[here]),
+            )  # fmt: skip
+        rows.append(row | intervals.columns(area, "auc") | {"auc_error": _tied(scores, honest, here)})
+    if not rows:
+        raise ValueError(f"{run.path} {_NONE_RATED}")
+    return pd.DataFrame(rows)
+
+
+def compared_at_lookup(run: Run, false_positives: float = 0.05) -> dict[str, intervals.Estimate]:
+    """All attackers together, of values that vehicles look up, so that hosts and models can be compared.
+
+    Returns
+    -------
+    auc, as of `at_lookup`; recall: share of the attackers' evaluated lookups below the largest threshold with at most
+    this share of those of honest subjects below it; mistaken: share of the pairs of a receiver and an honest subject
+    in which it ever suspects (`detection_per_receiver`). Clustered by subject.
+    """
+    watched(run)
+    scores, (_, role_of) = lookups.scores(run), lookups.subjects(run)
+    honest = role_of[scores.who] == (run.role_labels.index(HONEST) if HONEST in run.role_labels else -1)
+    if honest.all() or not honest.any():
+        raise ValueError(f"{run.path} {_NONE_RATED}")
+    order = np.argsort(scores.trust[honest])
+    at = np.searchsorted(np.cumsum(scores.n[honest][order]), int(false_positives * scores.n[honest].sum()), "right")
+    limit = scores.trust[honest][order][at]
+    who, n = scores.who[~honest], scores.n[~honest]
+    low = np.bincount(who, n * (scores.trust[~honest] < limit))
+    found = lookups.sums(run)
+    mine = role_of == run.role_labels.index(HONEST)
+    return {
+        "auc": intervals.auc(
+            scores.trust[honest], scores.who[honest], scores.trust[~honest], who, (scores.n[honest], n)
+        ),
+        "recall": intervals.share(low, np.bincount(who, n)),
+        "mistaken": intervals.share(found.pairs_found[mine], found.pairs[mine]),
+    }  # fmt: skip
+
+
+def _tied(scores: lookups.Scores, one: Bool[ndarray, "n"], other: Bool[ndarray, "n"]) -> float:
+    """Half the share of pairs whose values are equal after rounding; 0 where none was rounded."""
+    if not scores.is_rounded or not (scores.n[one].sum() and scores.n[other].sum()):
+        return 0.0
+    _, value = np.unique(scores.trust, return_inverse=True)
+    counts = [np.bincount(value[which], scores.n[which], value.max() + 1) for which in (one, other)]
+    return float((counts[0] * counts[1]).sum() / counts[0].sum() / counts[1].sum() / 2)
+
+
+def detection_per_receiver(run: Run, threshold: float = lookups.THRESHOLD) -> pd.DataFrame:
+    """Time until each vehicle suspects each subject that it looks up: from its first lookup while the subject is
+    watched to its first evaluated value below the threshold; where there is none, to its last lookup (censored).
+
+    Returns
+    -------
+    role, n (pairs of receiver and subject), share of the pairs in which the receiver ever suspects (interval clustered
+    by subject), median_s (Kaplan-Meier; NaN where fewer than half do).
+    """
+    found = lookups.sums(run, threshold=threshold)
+    _, role_of = lookups.subjects(run)
+    rows = []
+    for code, role in enumerate(run.role_labels):
+        counts = found.waited[code]
+        if not counts.any():
+            continue
+        steps = np.arange(counts.shape[1])
+        lasted = np.concatenate([np.repeat(steps, counts[seen]) for seen in (0, 1)])
+        over = np.repeat([False, True], counts.sum(axis=1))
+        mine = role_of == code
+        rows.append(
+            {"role": role, "n": int(counts.sum())}
+            | intervals.columns(intervals.share(found.pairs_found[mine], found.pairs[mine]), "share")
+            | {"median_s": median(kaplan_meier(lasted * run.dt_s, over))}
+        )
+    return pd.DataFrame(rows, columns=["role", "n", "share", "share_low", "share_high", "share_units", "median_s"])
 
 
 def detection_summary(run: Run, threshold: float = 0.25, at: trust.At = "server") -> pd.DataFrame:
@@ -254,10 +359,10 @@ def _classified(
         if np.isnan(limit):
             of_time = intervals.UNKNOWN
         rows.append({
-            "role": role, "n": len(np.unique(found.subject[mine])), "rated": len(attacking.step) / int(mine.sum()),
-            "rated_honest": _share(found.rated[is_honest]),
+            "role": role, "n": len(np.unique(found.subject[mine])),
+            "evaluated": len(attacking.step) / int(mine.sum()), "evaluated_honest": _share(found.rated[is_honest]),
             **intervals.columns(_auc(found, is_honest & found.rated, mine & found.rated), "auc"),
-            **intervals.columns(_auc(found, is_honest & has_trust, mine & has_trust), "auc_unrated"),
+            **intervals.columns(_auc(found, is_honest & has_trust, mine & has_trust), "auc_unevaluated"),
             "threshold": limit,
             **intervals.columns(intervals.of_units(attacking.trust < limit, attacking.subject), "true_positives"),
             "false_positives": _share(honest < limit), **intervals.columns(of_time, "suspected"),

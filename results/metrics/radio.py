@@ -34,7 +34,7 @@ def overall(run: Run, message_type: MessageType | None = None) -> pd.DataFrame:
         "n_sent": int(total.n_sent), "n_in_range": int(total.n_in_range),
         "pdr": total.n_delivered / total.n_in_range if total.n_in_range else np.nan,
         **{name[2:]: total[name] / total.n_in_range if total.n_in_range else np.nan for name in LOST},
-        "sent_bytes": total.sent_bytes, "cbr": frame.cbr.mean(),
+        "sent_bytes": total.sent_bytes, "cbr": frame.cbr.astype(np.float64).mean(),
     }  # fmt: skip
     return pd.DataFrame([row])
 
@@ -42,7 +42,7 @@ def overall(run: Run, message_type: MessageType | None = None) -> pd.DataFrame:
 def over_time(run: Run, every_s: float = 10.0) -> pd.DataFrame:
     """Packet delivery ratio by time: time_s, n_in_range, pdr, cbr."""
     frame = _traffic(run)
-    slots = frame.groupby(np.floor(frame.step * run.dt_s / every_s) * every_s)
+    slots = frame.astype({"cbr": np.float64}).groupby(np.floor(frame.step * run.dt_s / every_s) * every_s)
     total = slots[["n_in_range", "n_delivered"]].sum()
     total = total[total.n_in_range > 0]
     return pd.DataFrame({
@@ -114,6 +114,7 @@ def by_place(run: Run, cell_m: float = 50.0) -> pd.DataFrame:
     for channel in run.parts("vehicle_channel"):
         during = (pc.field("step") >= int(channel.step.min())) & (pc.field("step") <= int(channel.step.max()))
         actors = run.table("actors", ["step", "actor", "x_m", "y_m"], during)
+        channel = channel.astype({"cbr": np.float64})
         here = channel.merge(actors, left_on=["step", "vehicle"], right_on=["step", "actor"])
         for axis in ("x_m", "y_m"):
             here[axis] = (np.floor(here[axis].astype(np.float64) / cell_m) + 0.5) * cell_m

@@ -121,7 +121,7 @@ def waves(run: Run, poses: pd.DataFrame | None = None) -> pd.DataFrame:
 def summary(run: Run) -> pd.Series:
     """Counts per vehicle-kilometre and their kin, by the names of the metrics `safety.*` without a group."""
     poses = tracks(run)
-    km = float(poses.speed_mps.sum()) * run.dt_s / 1000
+    km = float(poses.speed_mps.astype(np.float64).sum()) * run.dt_s / 1000
     events = braking(run, poses).severity.value_counts()
     pairs, crossing = conflicts(run, poses), encroachments(run, poses)
     near = (pairs.ttc_s < NEAR_MISS_S).sum() + (crossing.pet_s < NEAR_MISS_S).sum()
@@ -141,7 +141,7 @@ def by_kind(run: Run) -> pd.DataFrame:
     """Reactions by what they are to (ghosts and false positives are false alarms): kind, n, per_km, hard_per_km (those
     with 3 m/s2 or more), taken_mean_mps, wave_mean_n and wave_mean_m (of those with 2 m/s2 or more)."""
     poses = tracks(run)
-    km = float(poses.speed_mps.sum()) * run.dt_s / 1000
+    km = float(poses.speed_mps.astype(np.float64).sum()) * run.dt_s / 1000
     episodes, behind = reactions(run), waves(run, poses)
     rows = []
     for kind in KINDS:

@@ -26,7 +26,7 @@ def excluded(run: Run, threshold: float = 0.25, relative: float | None = None) -
     relative
         Share of the median of the rated values of a moment that is the threshold, instead of `threshold`.
     """
-    frame = scored_vehicles(run)
+    frame = scored_vehicles(run).astype({"trust": np.float64})
     limit: pd.Series | float = threshold
     if relative is not None:
         limit = frame.step.map(relative * frame.trust.where(frame.rated).groupby(frame.step).median())
@@ -149,7 +149,7 @@ def false_exclusions(run: Run, threshold: float = 0.25, relative: float | None =
 def trust_error(run: Run) -> pd.DataFrame:
     """By role: mean distance of rated trust from 1 (honest) or 0 (attackers), with an interval clustered by subject."""
     frame = scored_vehicles(run).query("rated")
-    error = np.abs(frame.trust - (frame.role == HONEST))
+    error = np.abs(frame.trust.astype(np.float64) - (frame.role == HONEST))
     return pd.DataFrame([
         {"role": role} | intervals.columns(
             intervals.of_units(error[one.index].to_numpy(np.float64), one.subject.to_numpy()), "error"

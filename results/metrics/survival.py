@@ -50,7 +50,9 @@ def median_band(curve: pd.DataFrame) -> tuple[float, float]:
 
 def _falls_to_half(curve: pd.DataFrame, column: str, never: float) -> float:
     """First duration at which a column is one half or less [s]; `never` where it stays above."""
-    at = np.flatnonzero(curve[column].to_numpy() <= 0.5)
+    at = np.flatnonzero(
+        curve[column].to_numpy() <= 0.5 + 1e-12
+    )  # a product of ratios that is one half but for rounding
     return float(curve.duration_s.to_numpy()[at[0]]) if len(at) else never
 
 

@@ -143,7 +143,8 @@ def mean(run: Run) -> pd.DataFrame:
 
 def over_time(run: Run) -> pd.DataFrame:
     """Quartiles of trust over subjects: time_s, role, n, mean, q25, median, q75."""
-    groups = values(run).groupby(["time_s", "role"], observed=True).trust
+    frame = values(run).astype({"trust": np.float64})
+    groups = frame.groupby(["time_s", "role"], observed=True).trust
     quartiles = groups.quantile(np.array([0.25, 0.5, 0.75])).unstack()
     quartiles.columns = ["q25", "median", "q75"]
     return groups.agg(n="size", mean="mean").join(quartiles).reset_index()

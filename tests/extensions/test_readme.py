@@ -5,30 +5,47 @@ from pathlib import Path
 
 import pytest
 
+from cosim.config.config import load
+from cosim.step.parts import check_choices
+from cosim.tryout import templates
 from results.archive import open_run
+from tests.cosim.docs import fences
 from tests.drive import cosim
 
 ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
-EXTEND = (ROOT / "cosim/docs/pages/howto/extend.md").read_text(encoding="utf-8")
-EXAMPLES = {
-    name: code for name, code in re.findall(r"```python\n# (\w+\.py) .*?\n(.*?)```", EXTEND, flags=re.DOTALL)
-}  # fmt: skip
-CONFIGS = {
-    "beta.py": '[trust]\nmodel = "beta.py:Beta"\nprior = 2.0\n',
-    "shift.py": '[[attacks]]\nattack = "shift.py:Shift"\nshare_p = 0.3\nstart_s = 2\n',
-    "threshold.py": '[detector]\nmodel = "threshold.py:Threshold"\n',
-}
+EXTEND = fences.blocks((fences.PAGES / "howto" / "extend.md").read_text(encoding="utf-8"))
+EXAMPLES = {block.title: block.text for block in EXTEND if block.language == "python"}
+CONFIGS = [block.text for block in EXTEND if block.language == "toml"]
+TEMPLATES = Path(templates.__file__).parent
 
 
-@pytest.mark.parametrize("name", CONFIGS)
-def test_an_example_runs(tmp_path, name):
-    (tmp_path / name).write_text(EXAMPLES[name], encoding="utf-8")
-    (tmp_path / "mine.toml").write_text("[traffic]\nduration_s = 12\n" + CONFIGS[name], encoding="utf-8")
-    done = cosim("run", "mine.toml", "--out", "run", cwd=tmp_path)
+def test_the_page_shows_what_cosim_new_writes():
+    """The examples are those that `cosim try` is asked about in tests/cosim/cli/test_extend.py."""
+    assert EXAMPLES == {
+        path.name: path.read_text(encoding="utf-8") for path in TEMPLATES.glob("*.py") if path.stem != "__init__"
+    }
+    assert all("from cosim.extend import" in text or "import numpy" in text for text in EXAMPLES.values())
+
+
+@pytest.mark.parametrize("text", CONFIGS)
+def test_a_config_of_the_page_is_accepted(tmp_path, text):
+    for name, code in EXAMPLES.items():
+        (tmp_path / name).write_text(code, encoding="utf-8")
+    (tmp_path / "mine.toml").write_text(text, encoding="utf-8")
+    check_choices(load(tmp_path / "mine.toml"))
+
+
+@pytest.mark.verify
+def test_all_examples_of_the_page_run_together(tmp_path):
+    for name, code in EXAMPLES.items():
+        (tmp_path / name).write_text(code, encoding="utf-8")
+    config = "".join(CONFIGS) + "[traffic]\nduration_s = 12\nstep_s = 0.5\n"
+    (tmp_path / "mine.toml").write_text(config, encoding="utf-8")
+    done = cosim("run", "mine.toml", "--set", "attacks.0.start_s=2", "--out", "run", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     run = open_run(tmp_path / "run")
-    assert len(run.trust) > 50 and len(run.detections) > 1000
+    assert len(run.trust) > 50 and len(run.receptions) > 1000 and (run.pseudonyms.identity == 0).all()
 
 
 def test_the_config_of_the_readme_is_accepted(tmp_path):

@@ -79,7 +79,7 @@ def reseal_inventory(folder: Path, change: Callable[[list[dict[str, Any]]], None
     lines = [json.loads(line) for line in (folder / inventory.FILE).read_text().splitlines()]
     change(lines)
     before, written = "", []
-    for line in lines:
+    for line in (line if isinstance(line, dict) else {"line": line} for line in lines):
         digest = hashlib.sha256(json.dumps(line | {"chain": before}, separators=(",", ":")).encode()).hexdigest()
         written.append(json.dumps(line | {"chain": digest}, separators=(",", ":")))
         before = digest
@@ -88,7 +88,7 @@ def reseal_inventory(folder: Path, change: Callable[[list[dict[str, Any]]], None
     try:
         found = inventory.read(folder)
     except durable.Damaged:
-        return
+        return  # whatever the manifest says of it
     reseal(folder, inventory=found.summary(said["inventory"]["tables"]))
 
 

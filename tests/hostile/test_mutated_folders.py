@@ -83,7 +83,7 @@ def lost_block(folder, rng):
 
 def sealed_part(folder, rng):
     """A part in the place of another one, of this table or another; the inventory says so."""
-    one, other = (rng.choice(sorted(folder.glob("*/*.parquet"))) for _ in range(2))
+    one, other = rng.sample(sorted(folder.glob("*/*.parquet")), 2)
     shutil.copy(one, other)
     digest, size = shared.durable.sha256(other), other.stat().st_size
 
@@ -201,6 +201,16 @@ def judge(folder, want, ways, same=True):
     return next((f"advice that loses data: {line}" for line in lines if LOSES_DATA.search(line)), "")
 
 
+def judge_resumed(folder, marks):
+    """What is wrong with how a mutated folder is resumed; empty for nothing."""
+    _, line = attempt(lambda path: resume(path, lambda *_: None), folder)
+    if not line and fingerprint(folder) != marks:
+        return "resumed to other tables, and said nothing"
+    if (folder.parent / "sentinel").exists():
+        return "code has run"
+    return f"advice that loses data: {line}" if LOSES_DATA.search(line) else ""
+
+
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory):
     """A finished run, an interrupted one, another one, and what each way of reading gives of the first."""
@@ -219,15 +229,11 @@ def carry_out(runs, tmp_path, numbers, ways, resumes):
         mutate, folder = MUTATIONS[number % len(MUTATIONS)], tmp_path / "run"
         shutil.copytree(part if resumes else whole, folder)
         said = mutate(folder, rng)
-        if resumes:
-            _, line = attempt(lambda path: resume(path, lambda *_: None), folder)
-            wrong = "" if line or fingerprint(folder) == marks else "resumed to other tables, and said nothing"
-            wrong = wrong or ("code has run" if (tmp_path / "sentinel").exists() else "")
-            wrong = wrong or (f"advice that loses data: {line}" if LOSES_DATA.search(line) else "")
-            counts["refused" if line else "resumed"] += 1
-        else:
-            wrong = judge(folder, want, ways, mutate is not code)
+        try:
+            wrong = judge_resumed(folder, marks) if resumes else judge(folder, want, ways, mutate is not code)
             counts["sound" if not verify(folder)[1] else "found"] += 1
+        except Exception as error:  # what a user would see as a traceback
+            wrong = f"{type(error).__name__}: {error}"
         if wrong:
             wrongs.append(f"{number} {said}: {wrong}")
             print(wrongs[-1], flush=True)

@@ -26,6 +26,7 @@ from cosim.door.permission import CodeNotTrusted
 from cosim.execution.stop import Failed
 from cosim.studies.folder import StudyFolder
 from results.archive import open_run
+from results.manifest import drop_tables
 from results.run import Run
 from tests.hostile import shared
 
@@ -213,3 +214,27 @@ def test_the_trap_works(at, tmp_path):
         load(at["run"] / "config.toml", trust_code=True)
     assert at["sentinel"].read_text() == "code ran"
     at["sentinel"].unlink()
+
+
+def test_links_are_not_written_through(made, tmp_path):
+    """Tables, files of a study and pictures that are links to what is somebody else's."""
+    victim = tmp_path / "victim"
+    victim.mkdir()
+    (victim / "part-00000.parquet").write_text("mine")
+    shutil.copytree(made["run"].parent / "part", tmp_path / "part")
+    shutil.rmtree(tmp_path / "part" / "trust")
+    (tmp_path / "part" / "trust").symlink_to(victim)
+    assert "trust is a symbolic link" in carry_out(["resume", str(tmp_path / "part")])
+    shutil.copytree(made["study"], tmp_path / "study", symlinks=True)
+    (tmp_path / "study" / "lock").symlink_to(victim / "part-00000.parquet")
+    study = made["study"].parent / "mine.toml"
+    assert "lock is a symbolic link" in carry_out(["sweep", str(study), "--out", str(tmp_path / "study")])
+    assert (victim / "part-00000.parquet").read_text() == "mine"
+
+
+def test_what_a_manifest_drops_stays_in_its_folder(made, tmp_path):
+    shutil.copytree(made["run"].parent / "whole", tmp_path / "run")
+    (tmp_path / "precious").mkdir()
+    shared.reseal(tmp_path / "run", dropped=["../precious", "trust"])
+    drop_tables(tmp_path / "run", ["fused"])
+    assert (tmp_path / "precious").is_dir() and not (tmp_path / "run" / "trust").exists()

@@ -4,13 +4,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
-import results.run
 from results import part_encoder
 from results.archive import open_run
 from results.codes import LookupState, labels
 from results.manifest import finish
-from results.metrics import lookups
-from results.metrics.lookups import AGES, EDGES_S, RENEWED
+from results.metrics import freshness, intervals, lookups, misbehaviour, survival
+from results.metrics.lookups import AGES, RENEWED
 from results.metrics.trust import watched
 from results.recorder import Recorder
 from tests.results.tiny import columns, fleet
@@ -28,7 +27,7 @@ def run(request, tmp_path_factory):
     """
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(part_encoder, "_GROUP_ROWS", request.param[0])
-        patch.setattr(results.run, "_PIECE_ROWS", request.param[1])
+        patch.setattr(lookups, "_PIECE_ROWS", request.param[1])
         yield made(tmp_path_factory)
 
 
@@ -82,7 +81,7 @@ def table(groups, shape):
 
 def test_sums(variant):
     run, rows = variant
-    n_pieces = len(list(run.pieces("trust_lookups", ["step"])))
+    n_pieces = len(list(run.pieces("trust_lookups", ["step"], lookups._PIECE_ROWS)))
     assert n_pieces in (3, 10)
     found, n_roles = lookups.sums(run), len(run.role_labels)
     by_receiver = ["receiver", "role"]
@@ -99,8 +98,9 @@ def test_sums(variant):
         assert (found.aged[..., k] == table(groups.size(), sizes)).all()
         assert (found.age_sum_s[..., k] == table(groups.sum(), sizes)).all()
         for code in range(n_roles):
-            edges_s = np.r_[EDGES_S[:-1], np.inf]  # np.histogram takes the last edge into the last bin
-            assert (found.histogram[code, k] == np.histogram(aged.age_s[aged.role == code], edges_s)[0]).all()
+            ages_s, n = np.unique(aged.age_s[aged.role == code], return_counts=True)
+            there = found.age_counts[code, k] > 0
+            assert (lookups.ages_s(run)[there] == ages_s).all() and (found.age_counts[code, k][there] == n).all()
     some = rows[rows.newest_evaluation_age_s.notna()]
     for k, column in enumerate(lookups.BEHIND):
         counted = some[some[column].notna()].groupby("receiver")[column]
@@ -108,17 +108,86 @@ def test_sums(variant):
         assert (found.behind_sum[:, k] == table(counted.sum().astype(float), VEHICLES)).all()
 
 
-def test_peaks(variant):
+def test_ages_at_use_are_exact(variant):
+    """Medians and 90th percentiles are NumPy's of the single ages, to the bit."""
+    run, rows = variant
+    found = freshness.ages(run).set_index(["what", "role"])
+    for what, column in AGES.items():
+        for role in ("all", "honest", "malicious"):
+            of = rows if role == "all" else rows[rows.role == run.role_labels.index(role)]
+            age_s = of[column].dropna().astype(float)
+            mine = found.loc[(what, role)]
+            assert (mine.median_s, mine.p90_s) == (np.quantile(age_s, 0.5), np.quantile(age_s, 0.9))
+
+
+def test_peaks_and_ages_over_time(variant):
+    """Renewals by what is renewed, across blocks, and the sawtooth between lookups, against pandas."""
     run, rows = variant
     found = lookups.sums(run)
-    rows = rows.assign(block=rows.step // 10).sort_values("step", kind="stable")
+    rows = rows.sort_values("step", kind="stable")
     for k, what in enumerate(RENEWED):
         age_s = rows[AGES[what]].astype(float)
-        before_s = age_s.groupby([rows.block, rows.receiver, rows.subject]).shift()
-        peaks = before_s[age_s < before_s].groupby(rows.receiver)
+        pairs = rows.assign(age_s=age_s).groupby(["receiver", "subject"])
+        before_s, passed_s = pairs.age_s.shift(), pairs.step.diff()
+        both = before_s.notna() & age_s.notna()
+        newer = both & (rows.step - age_s > rows.step - passed_s - before_s + 0.5)
+        near = before_s.notna() & (passed_s <= lookups.REACH_S)
+        of = rows.receiver
         assert found.renewed[:, k].sum() > 1000
-        assert (found.renewed[:, k] == table(peaks.size(), VEHICLES)).all()
-        assert (found.peak_sum_s[:, k] == table(peaks.sum(), VEHICLES)).all()
+        assert (found.renewed[:, k] == table(newer.groupby(of).sum(), VEHICLES)).all()
+        np.testing.assert_allclose(found.peak_sum_s[:, k], table(before_s[newer].groupby(of).sum(), VEHICLES))
+        np.testing.assert_allclose(found.observed_s[:, k], table(passed_s[near].groupby(of).sum(), VEHICLES))
+        area = (before_s + passed_s / 2) * passed_s
+        np.testing.assert_allclose(found.area_s2[:, k], table(area[near].groupby(of).sum(), VEHICLES))
+        peaks = (before_s + passed_s)[newer & near]
+        assert (found.sawtooth_peaks[:, k] == table(peaks.groupby(of).size(), VEHICLES)).all()
+        np.testing.assert_allclose(found.sawtooth_peak_sum_s[:, k], table(peaks.groupby(of).sum(), VEHICLES))
+
+
+@pytest.mark.parametrize("most", [1 << 21, 1000])
+def test_classification_at_lookup(variant, most, monkeypatch):
+    """Shares, area and times per receiver against pandas; with too many values the area stays within its bound."""
+    run, rows = variant
+    monkeypatch.setattr(lookups, "_MOST_SCORES", most)
+    run = open_run(run.path).as_variant(run.variant)
+    rows = rows[rows.step >= rows.subject.map(watched(run).since)]
+    low = rows[(rows.n_evaluations > 0) & (rows.trust < 0.25)]
+    found = misbehaviour.at_lookup(run).set_index("role")
+    receivers = misbehaviour.detection_per_receiver(run).set_index("role")
+    rated = rows[rows.n_evaluations > 0].astype({"trust": float})
+    honest, attacking = (rated[rated.role == run.role_labels.index(role)] for role in ("honest", "malicious"))
+    area = intervals.auc(*(of[name].to_numpy() for of in (honest, attacking) for name in ("trust", "subject")))
+    off_by = found.auc_error["malicious"]
+    assert (off_by == 0) == (most > 1000) and off_by < 2e-4
+    assert found.auc["malicious"] == pytest.approx(area.value, abs=off_by + 1e-12)
+    assert found.auc_low["malicious"] == pytest.approx(area.low, abs=1e-3 if off_by else 1e-12)
+    for role in ("honest", "malicious"):
+        mine = rows[rows.role == run.role_labels.index(role)]
+        assert found.n[role] == len(mine)
+        assert found.suspected[role] == pytest.approx(mine.index.isin(low.index).mean())
+        pairs = mine.groupby(["receiver", "subject"]).step.agg(["min", "max"])
+        first = low.groupby(["receiver", "subject"]).step.min().reindex(pairs.index)
+        assert receivers.n[role] == len(pairs)
+        assert receivers.share[role] == pytest.approx(first.notna().mean())
+        waited = (first.fillna(pairs["max"]) - pairs["min"]).to_numpy(float)
+        curve = survival.kaplan_meier(waited, first.notna().to_numpy())
+        assert receivers.median_s[role] == pytest.approx(survival.median(curve), nan_ok=True)
+
+
+def test_renewals_where_all_ages_are_equal(tiny):
+    """A server that computes every second: each of 30 lookups, 0.8 s old, is of a new value. 29 renewals at 0.8 s.
+
+    Counted only where the age falls, as it never does here, there would be none.
+    """
+    one = {"receiver": 0, "subject": 1, "source": "server", "n_evaluations": 1, "newest_evaluation_age_s": 1.8}
+    rows = [one | {"step": step, "age_s": 0.8} for step in range(30)]
+    run = tiny(30, vehicles=fleet("honest", "honest"), trust_lookups=rows)
+    found = freshness.peaks(run).set_index("what")
+    assert found.n.to_dict() == {"value": 29, "newest evaluation": 29}
+    assert found.mean_s.to_dict() == pytest.approx({"value": 0.8, "newest evaluation": 1.8}, abs=1e-3)
+    over_time = freshness.age_over_time(run).set_index("what")
+    assert over_time.mean_s["value"] == pytest.approx(1.3, abs=1e-3)  # from 0.8 to 1.8 s in each second
+    assert over_time.peak_s["value"] == pytest.approx(1.8, abs=1e-3)
 
 
 def test_lows(variant):

@@ -49,8 +49,8 @@ def test_classification_by_hand(town):
     """
     (row,) = misbehaviour.classification(town, 0.15).to_dict("records")
     assert row["auc"] == pytest.approx(25 / 35) and row["n"] == 2
-    assert (row["rated"], row["rated_honest"]) == (1, 7 / 9)
-    assert row["auc_unrated"] == pytest.approx(25 / 40)  # the 0.0 without a evaluation is above no attacker
+    assert (row["evaluated"], row["evaluated_honest"]) == (1, 7 / 9)
+    assert row["auc_unevaluated"] == pytest.approx(25 / 40)  # the 0.0 without a evaluation is above no attacker
     assert row["threshold"] == pytest.approx(0.4)
     assert (row["true_positives"], row["false_positives"], row["suspected"]) == (3 / 5, 1 / 7, 3 / 5)
     (row,) = misbehaviour.classification(town).to_dict("records")
@@ -143,7 +143,7 @@ def test_none_rated(tiny):
     vehicles = attacking(["honest", "malicious"], {1: 3})
     run = tiny(20, vehicles=vehicles, trust=values({5: [0.0, 0.0]}, unrated={(5, 0), (5, 1)}))
     (row,) = misbehaviour.classification(run).to_dict("records")
-    assert row["rated"] == row["rated_honest"] == 0 and row["auc_unrated"] == 0.5
+    assert row["evaluated"] == row["evaluated_honest"] == 0 and row["auc_unevaluated"] == 0.5
     assert all(np.isnan(row[name]) for name in ("auc", "threshold", "true_positives", "suspected"))
     with pytest.raises(ValueError, match="no evaluations of attackers and honest vehicles"):
         misbehaviour.roc(run)

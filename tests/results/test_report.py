@@ -63,6 +63,9 @@ def test_what_is_missing_is_said(tmp_path):
     shutil.rmtree(path)
 
 
-def test_bad_folder(run, tmp_path):
-    with pytest.raises(ValueError, match="does not exist"):
-        report.write(run, tmp_path / "nowhere" / "report.html")
+def test_folders_are_made(run, tmp_path):
+    """New ones; below a file there can be none."""
+    assert report.write(run, tmp_path / "new" / "folder" / "report.html").stat().st_size > 1000
+    (tmp_path / "file").touch()
+    with pytest.raises(OSError, match=r"Not a directory|File exists"):
+        report.write(run, tmp_path / "file" / "report.html")

@@ -183,7 +183,7 @@ PARTICULAR = {
         ("changes", "ages.age_s.fill(0)"): "changed its argument ages.age_s",
         ("changes", "ages.nothing > 3"): "AttributeError",
         ("changes", "it > np.arange(3)"): "ValueError",
-        ("changes", "np.ma.masked_array(it, it)[:2]"): "of shape (2,)",
+        ("changes", "np.ma.masked_array(it, it)"): "returned a MaskedArray",
         ("changes", "{0: True}"): "returned a dict",
         ("changes", "iter(it)"): "an iterator",
     },
@@ -272,6 +272,7 @@ PARTICULAR = {
         ("commands", "beliefs.score.fill(0)"): "changed its argument beliefs.score",
     },
     "trust": {
+        ("scores", "object.__new__(TrustScores)"): "returned what cannot be read: AttributeError",
         ("scores", "it.trust"): "a TrustScores is due",
         ("scores", "replace(it, trust=it.trust * np.nan)"): "trust[0] = nan of subject 1 and 2 more like it",
         ("scores", "replace(it, trust=it.trust * 2)"): "trust[2] = 1.5 of subject 3; 0 to 1 is due",

@@ -23,12 +23,12 @@ def run(tmp_path_factory):
     return truck.make(tmp_path_factory.mktemp("export") / "run")
 
 
-def export(module, run, folder, **more):
-    return truck.written(module.plan(truck.selection(run, **more)), folder)
+def export(exporter, run, folder, **more):
+    return truck.written(exporter().plan(truck.selection(run, **more)), folder)
 
 
 def test_kitti_truck_by_hand(run, tmp_path):
-    export(kitti, run, tmp_path)
+    export(kitti.Kitti, run, tmp_path)
     # frames are numbered by (step, vehicle): step 0 has the vehicles 0 and 1
     (label,) = readers.kitti_labels(tmp_path / "object/training/label_2/000000.txt")
     assert label["type"] == "Truck" and label["occluded"] == 0  # 10 of 100 returns are lost
@@ -48,7 +48,7 @@ def test_kitti_truck_by_hand(run, tmp_path):
 
 
 def test_kitti_round_trip(run, tmp_path):
-    made = export(kitti, run, tmp_path)
+    made = export(kitti.Kitti, run, tmp_path)
     numbers = list(csv.DictReader(io.StringIO(made["object/frames.csv"].decode())))
     assert len(numbers) == len([p for p in made if p.startswith("object/training/velodyne")]) == 2 + 3 + 3 + 3
     n_labels = 0
@@ -72,7 +72,7 @@ def test_kitti_round_trip(run, tmp_path):
 
 
 def test_kitti_tracking(run, tmp_path):
-    made = export(kitti, run, tmp_path)
+    made = export(kitti.Kitti, run, tmp_path)
     rows = list(csv.DictReader(io.StringIO(made["tracking/sequences.csv"].decode())))
     assert [r["vehicle"] for r in rows] == ["0"] * 4 + ["1"] * 4 + ["3"] * 3
     lines = made["tracking/training/label_02/0000.txt"].decode().splitlines()
@@ -93,7 +93,7 @@ def test_names_stay_in_tables(run, tmp_path):
 
 
 def test_trupercept_truck_by_hand(run, tmp_path):
-    made = export(trupercept, run, tmp_path)
+    made = export(trupercept.TruPerceptData, run, tmp_path)
     root = tmp_path / trupercept.ROOT
     rows = [list(map(float, r.split())) for r in made[f"{trupercept.ROOT}/position_world/000000.txt"].splitlines()]
     assert rows[:2] == [[100, 50, 0], [100, 50, 1.73]]  # underside, camera
@@ -106,7 +106,7 @@ def test_trupercept_truck_by_hand(run, tmp_path):
 
 
 def test_trupercept_round_trip(run, tmp_path):
-    export(trupercept, run, tmp_path)
+    export(trupercept.TruPerceptData, run, tmp_path)
     root = tmp_path / trupercept.ROOT
     assert sorted(p.name for p in (root / "alt_perspective").iterdir()) == ["0000001", "0000003"]
     for folder, vehicle in ((root, 0), (root / "alt_perspective/0000003", 3)):
@@ -126,7 +126,7 @@ def test_trupercept_round_trip(run, tmp_path):
 
 
 def test_opv2v_truck_by_hand(run, tmp_path):
-    export(opv2v, run, tmp_path)
+    export(opv2v.Opv2v, run, tmp_path)
     # vehicle 3 comes in step 1: two scenarios
     assert sorted(p.name for p in (tmp_path / "train").iterdir()) == ["step_000000_vehicle_0", "step_000001_vehicle_0"]
     found = readers.opv2v_yaml(tmp_path / "train/step_000000_vehicle_0/0/000000.yaml")
@@ -139,7 +139,7 @@ def test_opv2v_truck_by_hand(run, tmp_path):
 
 
 def test_opv2v_round_trip(run, tmp_path):
-    export(opv2v, run, tmp_path)
+    export(opv2v.Opv2v, run, tmp_path)
     for scenario, steps, members in (
         ("step_000000_vehicle_0", [0], [0, 1]),
         ("step_000001_vehicle_0", [1, 2, 3], [0, 1, 3]),
@@ -167,7 +167,7 @@ def test_groups_of_at_most_seven_have_constant_members(run):
     scenarios = opv2v.scenarios_of(truck.selection(run))
     assert [s.vehicles for s in scenarios] == [(0, 1), (0, 1, 3)]
     with pytest.raises(ValueError, match="no two of these"):
-        opv2v.plan(truck.selection(run, vehicles=(1,)))
+        opv2v.Opv2v().plan(truck.selection(run, vehicles=(1,)))
 
 
 @settings(deadline=None, max_examples=60)

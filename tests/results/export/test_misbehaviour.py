@@ -20,12 +20,12 @@ def run(tmp_path_factory):
     return truck.make(tmp_path_factory.mktemp("export") / "run")
 
 
-def export(module, run, folder):
-    return truck.written(module.plan(truck.selection(run)), folder)
+def export(exporter, run, folder):
+    return truck.written(exporter().plan(truck.selection(run)), folder)
 
 
 def test_veremi_truck_by_hand(run, tmp_path):
-    export(veremi, run, tmp_path)
+    export(veremi.Veremi, run, tmp_path)
     received = readers.json_lines(tmp_path / "traceJSON-0-0-A0-0-0.json")
     # the car hears the truck's message of step 1, which says 6 m/s and 1 m/s2 towards the north-west
     (found,) = [m for m in received if m["type"] == 3 and m["sender"] == 1 and m["sendTime"] == 1.25]
@@ -37,7 +37,7 @@ def test_veremi_truck_by_hand(run, tmp_path):
 
 
 def test_veremi_round_trip(run, tmp_path):
-    made = export(veremi, run, tmp_path)
+    made = export(veremi.Veremi, run, tmp_path)
     truth = readers.json_lines(tmp_path / "traceGroundTruthJSON-0.json")
     sent = run.detections[run.detections.detection_index == 0]
     assert len(truth) == len(sent) and len({m["messageID"] for m in truth}) == len(truth)
@@ -62,7 +62,7 @@ def test_veremi_round_trip(run, tmp_path):
 
 
 def test_nextgen_truck_by_hand(run, tmp_path):
-    export(veremi_nextgen, run, tmp_path)
+    export(veremi_nextgen.VeremiNextGen, run, tmp_path)
     received = json.loads((tmp_path / "veh_0.json").read_text())
     (found,) = [m for m in received if m["sender_id"] == "veh_1" and m["sendTime"] == "1250000000"]
     assert found["rcvTime"] == "1750000000" and found["attacker"] == "0"
@@ -74,7 +74,7 @@ def test_nextgen_truck_by_hand(run, tmp_path):
 
 
 def test_nextgen_round_trip(run, tmp_path):
-    made = export(veremi_nextgen, run, tmp_path)
+    made = export(veremi_nextgen.VeremiNextGen, run, tmp_path)
     n = 0
     for path in tmp_path.glob("veh_*.json"):
         array = json.loads(path.read_text())
@@ -99,4 +99,4 @@ def test_without_self_reports_there_is_nothing_to_export(tmp_path):
     (tmp_path / "run").mkdir()
     run = tiny.make(tmp_path / "run", 4, truck.CONFIG, vehicles=[truck.body(0, "car", (4, 2, 1.5), "a")])
     with pytest.raises(ValueError, match=r"no self report.*trust\.self_reports"):
-        veremi.plan(truck.selection(run, vehicles=(0,)))
+        veremi.Veremi().plan(truck.selection(run, vehicles=(0,)))

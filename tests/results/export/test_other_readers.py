@@ -17,7 +17,7 @@ def run(tmp_path_factory):
 @pytest.mark.filterwarnings("ignore")
 def test_opv2v_by_pypcd4_and_pyyaml(run, tmp_path):
     pypcd4, yaml = pytest.importorskip("pypcd4"), pytest.importorskip("yaml")
-    truck.written(opv2v.plan(truck.selection(run)), tmp_path)
+    truck.written(opv2v.Opv2v().plan(truck.selection(run)), tmp_path)
     for path in tmp_path.rglob("*.pcd"):
         cloud = pypcd4.PointCloud.from_path(path)
         assert cloud.fields == ("x", "y", "z", "rgb") and cloud.points == 3
@@ -29,7 +29,7 @@ def test_opv2v_by_pypcd4_and_pyyaml(run, tmp_path):
 @pytest.mark.filterwarnings("ignore")
 def test_kitti_by_pykitti(run, tmp_path):
     utils = pytest.importorskip("pykitti.utils")
-    made = truck.written(kitti.plan(truck.selection(run)), tmp_path)
+    made = truck.written(kitti.Kitti().plan(truck.selection(run)), tmp_path)
     for name in made:
         if name.startswith("object/training/velodyne"):
             assert utils.load_velo_scan(tmp_path / name).shape == (3, 4)
@@ -42,7 +42,7 @@ def test_kitti_by_pykitti(run, tmp_path):
 def test_kitti_tracking_by_trackeval(run, tmp_path):
     """Its labels as truth and as a tracker's answer: everything is found."""
     trackeval = pytest.importorskip("trackeval")
-    made = truck.written(kitti.plan(truck.selection(run)), tmp_path)
+    made = truck.written(kitti.Kitti().plan(truck.selection(run)), tmp_path)
     truth, answer = tmp_path / "truth", tmp_path / "trackers/same/data"
     answer.mkdir(parents=True)
     shutil.copytree(tmp_path / "tracking/training/label_02", truth / "label_02")

@@ -1,0 +1,35 @@
+"""Which source made a run: the version, the commit of a checkout, and a hash of the installed code."""
+
+import hashlib
+import subprocess
+from functools import cache
+from pathlib import Path
+
+from cosim import __version__
+
+_ROOT = Path(__file__).parents[2]
+_PACKAGES = ("cosim", "sensors", "trust", "results", "sumo_nets")
+
+
+@cache
+def code_digest() -> str:
+    """Hash of the source of all packages, twelve digits: equal where the same code is installed."""
+    found = hashlib.sha256()
+    for package in _PACKAGES:
+        for path in sorted((_ROOT / package).rglob("*.py")):
+            found.update(path.relative_to(_ROOT).as_posix().encode() + path.read_bytes())
+    return found.hexdigest()[:12]
+
+
+@cache
+def source() -> dict[str, str]:
+    """For the manifest: `version`; `code`, the hash of the source; `commit` of a checkout, with a word on changes."""
+    found = {"version": __version__, "code": code_digest()}
+    if not (_ROOT / ".git").exists():
+        return found
+    try:
+        asked = ["git", "-C", str(_ROOT), "describe", "--always", "--abbrev=40", "--exclude=*", "--dirty=, changed"]
+        said = subprocess.run(asked, capture_output=True, text=True, timeout=10, check=True).stdout.strip()
+    except (OSError, subprocess.SubprocessError):  # no git, or a checkout that is none of this user's
+        return found
+    return found | {"commit": said}

@@ -1,0 +1,85 @@
+"""How many vehicles a config has on the road, roughly, before anything is simulated."""
+
+from functools import cache
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+
+from cosim.config.config import Config
+from cosim.mobility.fcd import timesteps
+from cosim.mobility.scenario import Scenario
+from cosim.studies.points import scenario_of
+from results.manifest import read_manifest
+from sumo_nets import catalogue, sumocfg
+from sumo_nets.xml import Attributes, Enough, stream
+
+HELSINKI = 200
+"""On the road in central Helsinki."""
+_LEG_S_PER_M = 200 * 3600 / 2820 / 1961
+"""Time on the road per metre of a city's diagonal: 200 vehicles at 2,820 departures per hour in central Helsinki."""
+_PROBED = 300
+"""Timesteps of a trace that are looked at."""
+_MOST = 1_000_000
+
+
+def vehicles_on_road(config: Config) -> float:
+    """Vehicles on the road at a time: of a city by its demand and size, of a trace or a run by what it holds."""
+    traffic = config.traffic
+    scenario = scenario_of(traffic.scenario, traffic.trace)
+    if scenario.trace is not None:
+        return _recorded(scenario.trace)
+    begin_s = (traffic.begin_s or 0.0) + (scenario.warmup_s if traffic.warmup_s is None else traffic.warmup_s)
+    return traffic.scale * _demanded(traffic.scenario, scenario, begin_s)
+
+
+@cache
+def _recorded(trace: Path) -> float:
+    if trace.is_dir():
+        return float(read_manifest(trace).get("summary", {}).get("vehicles_on_road_mean", HELSINKI))
+    return float(np.mean([len(one.names) for one in islice(timesteps(trace), _PROBED)] or [HELSINKI]))
+
+
+@cache
+def _demanded(name: str, scenario: Scenario, begin_s: float) -> float:
+    """Departures within the time that one vehicle is on the road."""
+    if scenario.bounds_m is None or scenario.sumocfg is None:
+        return HELSINKI
+    x0, y0, x1, y1 = scenario.bounds_m
+    lasts_s = _LEG_S_PER_M * float(np.hypot(x1 - x0, y1 - y0))
+    if name in catalogue.names():
+        return catalogue.find(name).vehicles_per_hour / 3600 * lasts_s
+    return departures(sumocfg.read(scenario.sumocfg).routes, max(0.0, begin_s - lasts_s), begin_s + lasts_s) / 2
+
+
+def departures(routes: tuple[Path, ...], from_s: float, to_s: float) -> float:
+    """Vehicles of route files that depart within a time; those of flows by their rate."""
+    n = 0.0
+
+    def start(element: str, attributes: Attributes) -> None:
+        nonlocal n
+        try:
+            begin_s = float(attributes.get("depart", attributes.get("begin", "0")))
+            if element in ("vehicle", "trip"):
+                n += from_s <= begin_s < to_s
+                if begin_s >= to_s or n > _MOST:  # they are sorted
+                    raise Enough
+            elif element == "flow":
+                end_s = float(attributes.get("end", to_s))
+                within_s = max(0.0, min(end_s, to_s) - max(begin_s, from_s))
+                n += within_s * _rate(attributes, end_s - begin_s)
+        except ValueError:  # a departure that is no time, such as "triggered"
+            return
+
+    for path in routes:
+        stream(path, start)
+    return n
+
+
+def _rate(flow: Attributes, lasts_s: float) -> float:
+    """Vehicles per second of a flow; 0 where it does not say."""
+    if "number" in flow:
+        return float(flow["number"]) / max(lasts_s, 1.0)
+    per_s = {"vehsPerHour": 1 / 3600, "probability": 1.0}
+    found = [float(flow[name]) * factor for name, factor in per_s.items() if name in flow]
+    return found[0] if found else 1 / float(flow["period"]) if "period" in flow else 0.0

@@ -1,0 +1,1 @@
+"""A small working example of every kind of extension: what `cosim new` writes."""

@@ -1,0 +1,33 @@
+"""An attack: attackers report everything some metres further east, and deny what others report."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+
+@dataclass(frozen=True, kw_only=True)
+class Params:
+    """Keys of the section [[attacks]] that belong to this attack."""
+
+    east_m: float = 3.0  # how far
+
+
+class MyAttack:
+    Params = Params
+
+    def __init__(self, params):
+        self.params = params
+
+    # An attack has one or more of four methods: detections, evaluations, identities, sending.
+
+    def detections(self, listed, context):  # the detections of all vehicles; change those of attackers alone
+        rows = context.own_rows(listed)
+        rows = rows[listed.detection_index[rows] > 0]  # number 0 is the vehicle's report of itself
+        xyz_m = listed.boxes.xyz_m.copy()  # never change an array that you are given: copy it
+        xyz_m[rows, 0] += self.params.east_m
+        return replace(listed, boxes=replace(listed.boxes, xyz_m=xyz_m))
+
+    def evaluations(self, rows, detections, context):  # what all vehicles say of each other's detections
+        of_others = rows.evaluator != detections.observer[rows.detection]
+        lies = context.attacker[rows.evaluator] & of_others
+        return np.where(lies, -1.0, rows.evaluation), np.where(lies, 1.0, rows.visibility)

@@ -1,0 +1,34 @@
+"""A driver: it slows down where its vehicle believes in an object close ahead that it does not see itself."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from cosim.extend import SpeedCommands
+
+
+@dataclass(frozen=True, kw_only=True)
+class Params:
+    """Keys of the section [driver] that belong to this driver."""
+
+    ahead_m: float = 20.0  # how far it looks
+    min_score: float = 0.5  # score from which it believes in an object
+
+
+class MyDriver:
+    Params = Params
+
+    def __init__(self, params):
+        self.params = params
+
+    def commands(self, state, world, beliefs, dt_s):  # state: what you returned in the step before, None at first
+        if beliefs is None:  # between two sweeps
+            return state, SpeedCommands.none()
+        ego, yaw_rad = beliefs.ego, world.boxes.yaw_rad[beliefs.ego]  # one row for each belief; ego: row of the world
+        way_m = beliefs.boxes.xyz_m[:, :2] - world.boxes.xyz_m[ego, :2]
+        ahead_m = way_m[:, 0] * np.cos(yaw_rad) + way_m[:, 1] * np.sin(yaw_rad)
+        left_m = way_m[:, 1] * np.cos(yaw_rad) - way_m[:, 0] * np.sin(yaw_rad)
+        close = (ahead_m > 0) & (ahead_m < self.params.ahead_m) & (np.abs(left_m) < 1.5)
+        chosen = close & ~beliefs.ego_detected & (beliefs.score >= self.params.min_score)
+        rows = np.unique(ego[chosen])  # each vehicle once
+        return state, SpeedCommands(world.actor[rows], world.speed_mps[rows] / 2)

@@ -1,0 +1,39 @@
+"""A radio medium: everyone within a distance receives a message, unless it is lost by chance."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from cosim.extend import MessageRound, draws
+
+
+@dataclass(frozen=True, kw_only=True)
+class Params:
+    """Keys of the section [radio] that belong to this medium."""
+
+    reach_m: float = 200.0  # distance within which a message can be received
+    loss_p: float = 0.1  # chance that one receiver does not get it
+
+
+class MyMedium:
+    Params = Params
+
+    def __init__(self, params, round_s, seed, los):  # seconds of a round; the run's seed; lines of sight
+        self.params, self.seed = params, seed
+
+    def start(self):
+        return None  # the state before the first round; here nothing lasts from round to round
+
+    def broadcast(self, state, kind, step, begin_s, stations, messages):
+        xy_m = stations.xyz_m[:, :2]
+        apart_m = np.linalg.norm(xy_m[:, None] - xy_m[messages.station][None], axis=2)  # station by message
+        near = (apart_m <= self.params.reach_m) & (messages.length_bytes > 0)  # of length 0: not sent
+        near[messages.station, np.arange(len(messages))] = False  # nobody receives its own message
+        receiver, message = np.nonzero(near)
+        # Random numbers follow from names: with the seed and the step, they are the same whoever else is there.
+        names = stations.key[receiver], messages.keys(stations)[message], np.full(len(message), kind)
+        lost = draws(self.seed, step, names)[:, 0] < self.params.loss_p
+        return state, MessageRound.of(
+            stations, messages, receiver[~lost], message[~lost], latency_s=0.001,
+            lost_receiver=receiver[lost], lost_message=message[lost],
+        )  # fmt: skip

@@ -1,0 +1,26 @@
+"""All metrics of five runs of three cities, central and local trust, against a script that shares no code."""
+
+import pytest
+
+from tests.drive import drive
+from tests.verification import recompute_metrics
+
+RUNS = {
+    "helsinki": ("record.level=full", "trust_variant.0.name=beta", "trust_variant.0.model=beta"),
+    "helsinki, server every second": ("trust.server_period_s=1.0", "seed=2"),
+    "helsinki, local": ("trust.host=local", "attacks.0.start_s=3"),
+    "koenigs-wusterhausen, local, pseudonyms": (
+        "traffic.scenario=koenigs-wusterhausen", "trust.host=local", "traffic.step_s=0.5", "pseudonyms.policy=c2c",
+        "driver.model=cautious",
+    ),
+    "adlershof": ("traffic.scenario=adlershof", "seed=3"),
+}  # fmt: skip
+
+
+@pytest.mark.verify
+@pytest.mark.parametrize("name", RUNS)
+def test_every_metric_is_what_its_definition_says(name, tmp_path):
+    folder = drive(tmp_path / "run", *RUNS[name])
+    for variant in ("base", "beta") if "beta" in str(RUNS[name]) else ("base",):
+        n, found = recompute_metrics.differences(folder, variant)
+        assert n > 150 and not found, found
