@@ -60,7 +60,7 @@ from cosim.v2x.messages import FABRICATED, SELF, SENSED, Detections
 from cosim.v2x.pseudonyms import PseudonymAges, PseudonymPolicy
 from cosim.world import LanePaths, World
 from results.export.moments import File, Plan, Selection
-from results.measure import MetricRow
+from results.own_metrics import MetricRow
 from results.run import Run
 from sensors.boxes import Boxes
 from sensors.detector import Detector

@@ -37,7 +37,7 @@ class Stream(IntEnum):
     OMISSION = 6
     FABRICATION = 7
     RADIO_DETECTIONS = 8
-    RADIO_VERDICTS = 9
+    RADIO_EVALUATIONS = 9
     UPLINK = 10
     DOWNLINK = 11
     SHADOWING = 12

@@ -1,11 +1,11 @@
 """The metrics of a run in one tidy table."""
 
 import logging
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from inspect import isfunction, signature
 from types import ModuleType
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -30,6 +30,7 @@ from results.metrics import (
 from results.metrics.intervals import FEW
 from results.metrics.kitti import FEWEST
 from results.metrics.registry import METRICS, RENAMED
+from results.own_metrics import COLUMNS
 from results.run import Run
 
 if TYPE_CHECKING:
@@ -65,47 +66,6 @@ class Row(NamedTuple):
     """Vehicles (or other units that are independent of each other) that the value rests on."""
     note: str = ""
     """What has to be known to read it."""
-
-
-class MetricRow(NamedTuple):
-    """A value of a metric of the user's own."""
-
-    metric: str
-    """Identifier, such as `headway.median_s`."""
-    value: float
-    """NaN where it is not defined: no row is shown then."""
-    group: str = ""
-    """What the value is of, such as a role."""
-    unit: str = "1"
-    label: str = ""
-
-
-class Metric(Protocol):
-    """Measures something on a run."""
-
-    def rows(self, run: Run) -> list[MetricRow]:
-        """One row for each metric and group.
-
-        Raises
-        ------
-        ValueError
-            In one line, where the run does not hold what it takes (`run.require(...)`).
-        """
-        ...
-
-
-COLUMNS = ["metric", "group", "value", "low", "high", "n_units", "unit", "label", "note"]
-"""Of a table of metrics."""
-
-
-def measure_own(run: Run, metrics: Sequence[Metric]) -> pd.DataFrame:
-    """Metrics of the user's own, in the columns of `measure`."""
-    rows = [row for metric in metrics for row in metric.rows(run)]
-    table = pd.DataFrame(
-        [(row.metric, row.group, float(row.value), row.unit, row.label) for row in rows if row.value == row.value],
-        columns=["metric", "group", "value", "unit", "label"],
-    )
-    return table.assign(low=np.nan, high=np.nan, n_units=np.nan, note="")[COLUMNS]
 
 
 def measure(

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from results import durable, inventory
-from results.columns import LEVELS
+from results.columns import LEVELS, Level
 from results.durable import Damaged
 from results.inventory import CHECKPOINT, Inventory
 from results.manifest import problems, read_manifest, status_of
@@ -52,8 +52,8 @@ def _problems(folder: Path, manifest: dict[str, Any], found: Inventory, is_live:
         return
     yield from problems(folder, manifest, found)
     record = manifest["config"].get("record")
-    level = record.get("level") if isinstance(record, dict) else None
-    level = level if level in LEVELS else "full"
+    said = record.get("level") if isinstance(record, dict) else None
+    level: Level = next((one for one in LEVELS if one == said), "full")
     recorded = (manifest.get("inventory") or {}).get("tables") or ()
     for table in TABLES:
         if table in manifest.get("dropped", ()):

@@ -13,7 +13,7 @@ from numpy import ndarray
 
 from sensors import box_points, evidence_kernels, range_image
 from sensors.boxes import Boxes
-from sensors.lidar import RangeImages, Scanners, Sweeps
+from sensors.lidar import RangeImages, Sweeps
 from sensors.neighbours import Neighbours, neighbours
 from sensors.scene import ObjectClass, Prisms, prisms
 
@@ -43,7 +43,7 @@ class PlausibilityParams:
 
 
 def in_evaluation_area(
-    sweeps: Scanners,
+    sweeps: RangeImages,
     o: Int[ndarray, "n"],
     boxes: Boxes,
     params: AreaParams,

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numba import prange
 
-from sensors.kernel import inlined, kernel, parallel
+from sensors.kernel import compiled, inlined, kernel, parallel
 from sensors.pairs import in_sensor_frame
 from sensors.range_steps import NO_RETURN
 from sensors.raycast.column import MARGIN_RAD, below, columns_of, slopes_of, spans
@@ -29,7 +29,7 @@ def _in_view(forward, left, fov_rad, slope, slack_m):
     return forward >= 0.0 or abs(left) >= -forward * slope - slack_m
 
 
-@parallel
+@compiled
 def in_area(pairs, exempt, own_xyz, own_lwh, range_m, height_m, fov_rad, slope, slack_m, own_radius_m):
     """Whether the box of each pair lies in the area of its sensor.
 
@@ -37,7 +37,7 @@ def in_area(pairs, exempt, own_xyz, own_lwh, range_m, height_m, fov_rad, slope, 
     empty.
     """
     found = np.zeros(len(pairs.o), np.bool_)
-    for k in prange(len(pairs.o)):
+    for k in range(len(pairs.o)):
         x, y, z, _, _, height, _ = in_sensor_frame(pairs, k)
         bottom = z - 0.5 * height
         if np.sqrt(x * x + y * y + bottom * bottom) <= range_m and abs(bottom) <= height_m:

@@ -13,14 +13,13 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int, UInt64
-from numba import prange
 from numpy import ndarray
 from scipy.special import expit, gammaincinv, ndtri
 
 from sensors.boxes import Boxes
 from sensors.evidence import Observability
 from sensors.hash_rng import mix, unit
-from sensors.kernel import compiled, kernel, parallel
+from sensors.kernel import compiled, kernel
 from sensors.lidar import Sweeps
 from sensors.range_steps import metres
 from sensors.raycast.column import actor_columns, columns_of
@@ -348,7 +347,7 @@ def _one_sweep(
     return found
 
 
-@parallel
+@compiled
 def _all_sweeps(ranges, hit, thinned, origin_m, yaw_rad, beams, max_range_m, hidden, keys, rates, capacity):
     """Per sweep: number of false positives; of the first `capacity`: key of the site, ray, U / p and a uniform."""
     n_sweeps, half = len(hit), min(np.int64(max_range_m / CELL_M) + 2, FARTHEST_CELLS)
@@ -356,7 +355,7 @@ def _all_sweeps(ranges, hit, thinned, origin_m, yaw_rad, beams, max_range_m, hid
     site, ray = np.empty((n_sweeps, capacity), np.uint64), np.empty((n_sweeps, capacity), np.int64)
     uniform = np.empty((n_sweeps, capacity, 2))
     steps, step_m = ranges
-    for o in prange(n_sweeps):
+    for o in range(n_sweeps):
         first, last = hidden.ptr[o], hidden.ptr[o + 1]
         found[o] = _one_sweep(
             (steps[o], step_m), hit[o], (thinned.range_steps[o], thinned.hit[o]), beams,

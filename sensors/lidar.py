@@ -188,8 +188,8 @@ def mount(boxes: Boxes, observers: Int[ndarray, "m"], params: LidarParams) -> Po
 
 
 @dataclass(frozen=True, slots=True)
-class Scanners:
-    """The sensors of M observers at one instant, and the rays that they cast."""
+class RangeImages:
+    """One organised cloud (range image) per observer, all of one instant; M observers."""
 
     poses: Poses
     observers: Int[ndarray, "m"]
@@ -198,12 +198,6 @@ class Scanners:
     """Height of the road under each sensor."""
     beams: Beams
     max_range_m: float
-
-
-@dataclass(frozen=True, slots=True)
-class RangeImages(Scanners):
-    """One organised cloud (range image) per observer."""
-
     range_steps: UInt16[ndarray, "m a e"]
     """Range as the sensor reports it, in steps of `step_m`; `NO_RETURN` where nothing returned."""
     step_m: float
@@ -303,8 +297,8 @@ def scan(
         raise ValueError(f"{len(keys)} keys were given for {len(observers)} observers: each needs one of its own.")
     if len(observers) and not (0 <= observers.min() and observers.max() < len(boxes)):
         raise ValueError(f"observers {observers.min()} .. {observers.max()} are no rows of {len(boxes)} actors.")
-    on = scanners(boxes, observers, params)
-    grid = on.beams
+    poses, grid = mount(boxes, observers, params), beams(params)
+    ground_m = height_of_road_m(boxes, observers)
     size = (len(observers), len(grid.azimuth_rad), len(grid.elevation_rad))
     range_steps, hit = buffer(size, np.uint16, out.range_steps), buffer(size, hit_type(len(boxes)), out.hit)
     unrounded_m, step = np.empty(size if unrounded else (0, *size[1:]), np.float32), step_of(params)
@@ -312,15 +306,13 @@ def scan(
     thinned = Thinned(
         *(buffer(thinned_size(size), a.dtype.type, b) for a, b in zip((range_steps, hit), kept, strict=True))
     )
-    near = neighbours(on.poses.origin_m, boxes, params.max_range_m) if near is None else near
+    near = neighbours(poses.origin_m, boxes, params.max_range_m) if near is None else near
     ENGINES[params.engine](
-        range_steps, np.float32(1.0 / step), hit, on.poses, on.ground_m, observers, grid, params.max_range_m, boxes,
+        range_steps, np.float32(1.0 / step), hit, poses, ground_m, observers, grid, params.max_range_m, boxes,
         prisms(shape, boxes) if bodies is None else bodies, scene,
         RangeNoise.of(keys, params.range_sigma_m, params.dropout_p), near, thinned, unrounded_m,
     )  # fmt: skip
-    return Sweeps(
-        on.poses, observers, on.ground_m, grid, params.max_range_m, range_steps, step, hit, thinned, unrounded_m
-    )
+    return Sweeps(poses, observers, ground_m, grid, params.max_range_m, range_steps, step, hit, thinned, unrounded_m)
 
 
 def hit_type(n_actors: int) -> type:
@@ -328,15 +320,24 @@ def hit_type(n_actors: int) -> type:
     return np.int16 if n_actors + Hit.ACTOR <= np.iinfo(np.int16).max else np.int32
 
 
-def scanners(boxes: Boxes, observers: Int[ndarray, "m"], params: LidarParams) -> Scanners:
-    """The sensors of these actors."""
-    ground_m = boxes.xyz_m[observers, 2] - 0.5 * boxes.lwh_m[observers, 2]
-    return Scanners(mount(boxes, observers, params), observers, ground_m, beams(params), params.max_range_m)
+def height_of_road_m(boxes: Boxes, observers: Int[ndarray, "m"]) -> Float[ndarray, "m"]:
+    """Height of the road under these actors [m]."""
+    return boxes.xyz_m[observers, 2] - 0.5 * boxes.lwh_m[observers, 2]
 
 
-def with_ranges(on: Scanners, range_steps: UInt16[ndarray, "m a e"], step: float) -> RangeImages:
-    """The range images of these sensors."""
-    return RangeImages(on.poses, on.observers, on.ground_m, on.beams, on.max_range_m, range_steps, step)
+def range_images(
+    boxes: Boxes, observers: Int[ndarray, "m"], params: LidarParams, range_steps: UInt16[ndarray, "m a e"]
+) -> RangeImages:
+    """The range images of these actors' sensors, with ranges that a sweep has measured."""
+    return RangeImages(
+        poses=mount(boxes, observers, params),
+        observers=observers,
+        ground_m=height_of_road_m(boxes, observers),
+        beams=beams(params),
+        max_range_m=params.max_range_m,
+        range_steps=range_steps,
+        step_m=step_of(params),
+    )
 
 
 def buffer(size: tuple[int, int, int], kind: type, old: ndarray | None) -> ndarray:

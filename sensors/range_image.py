@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import prange
 
-from sensors.kernel import kernel, parallel
+from sensors.kernel import compiled, kernel
 from sensors.raycast.column import (
     actor_columns,
     columns_of,
@@ -19,14 +18,14 @@ from sensors.raycast.column import (
 from sensors.scene import Hit
 
 
-@parallel
+@compiled
 def unoccluded_returns(hit, origin, yaw, beams, limit, xyz, radius, height, ptr, row, own, bodies):
     """Per candidate (observer, actor): returns in the sweep, and returns if nothing else existed."""
     n_returns, n_unoccluded = np.zeros(len(row), np.int32), np.zeros(len(row), np.int32)
     most = 0
     for a in range(len(bodies.ptr) - 1):
         most = max(most, bodies.ptr[a + 1] - bodies.ptr[a])
-    for o in prange(len(own)):
+    for o in range(len(own)):
         pose = origin[o, 0], origin[o, 1], origin[o, 2], np.cos(yaw[o]), np.sin(yaw[o])
         taken = np.zeros(len(beams.tan_el), np.int32)  # the last column (of all) in which a row was counted
         room = taken, np.empty((most, 8)), np.empty((most, 4), np.int64)

@@ -7,12 +7,11 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float32, UInt64
-from numba import prange
 from numpy import ndarray
 from scipy.special import ndtri
 
 from sensors.hash_rng import GOLDEN, splitmix64
-from sensors.kernel import compiled, parallel
+from sensors.kernel import compiled
 from sensors.scene import Hit
 
 _SECOND = np.uint64(2 * int(GOLDEN) % 2**64)
@@ -77,10 +76,3 @@ def _drop(ranges, hits, seed, noise):
             if splitmix64(seed + (c * m + r) * GOLDEN) >> _S11 < lost_below:
                 ranges[c, r] = np.inf
                 hits[c, r] = Hit.NOTHING
-
-
-@parallel
-def add_noise_to_all(range_m, hit, noise):
-    """Range noise and dropouts of all sweeps, in place."""
-    for o in prange(len(noise.key)):
-        add_noise(range_m[o], hit[o], noise.key[o], noise)

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 from jaxtyping import Float32, UInt16
-from numba import prange
 from numpy import ndarray
 
-from sensors.kernel import kernel, parallel
+from sensors.kernel import kernel
 
 NO_RETURN = 65_535
 """Where nothing returned."""
@@ -35,13 +34,6 @@ def count_steps(ranges, steps, per_metre):
     for c in range(n):
         for r in range(m):
             steps[c, r] = np.int32(min(ranges[c, r] * per_metre + _HALF, _MOST))
-
-
-@parallel
-def count_all_steps(range_m, range_steps, per_metre):
-    """Those of all sweeps."""
-    for o in prange(len(range_m)):
-        count_steps(range_m[o], range_steps[o], per_metre)
 
 
 def metres(range_steps: UInt16[ndarray, "*n"], step: float) -> Float32[ndarray, "*n"]:

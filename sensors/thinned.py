@@ -10,10 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Int, UInt16
-from numba import prange
 from numpy import ndarray
 
-from sensors.kernel import kernel, parallel
+from sensors.kernel import kernel
 
 COLUMN_STEP, ROW_STEP = 4, 2
 
@@ -40,10 +39,3 @@ def thin(steps, hits, some_steps, some_hits):
             some_steps[c, r] = steps[c * step, r * skip]
         for r in range(np.uint64(some_hits.shape[1])):
             some_hits[c, r] = hits[c * step, r * skip]
-
-
-@parallel
-def thin_all(range_steps, hit, made):
-    """Copy those of all sweeps."""
-    for o in prange(len(hit)):
-        thin(range_steps[o], hit[o], made.range_steps[o], made.hit[o])

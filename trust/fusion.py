@@ -10,7 +10,7 @@ from numpy import ndarray
 from trust.group_sums import MemberSums, sums_of_groups
 from trust.object_reports import ObjectReports, ObjectVotes, object_votes
 from trust.params import AVERAGES, Method, TrustParams
-from trust.tables import Detections, Evaluations, Groups, ObjectLists, SenderTrust
+from trust.tables import FusionInput, SenderTrust
 from trust.threads import threads_for
 
 
@@ -164,12 +164,7 @@ CORRECTED: frozenset[Method] = frozenset({"corrected", "trupercept_3_corrected"}
 
 
 def fuse(
-    lists: ObjectLists,
-    groups: Groups,
-    detections: Detections,
-    evaluated: ObjectLists,
-    own: Evaluations,
-    reported: Evaluations,
+    given: FusionInput,
     sender_trust: SenderTrust,
     evidence: SensorEvidence,
     distance_m: Float[ndarray, "d"],
@@ -182,19 +177,10 @@ def fuse(
 
     Parameters
     ----------
-    lists, groups
-        What the egos fuse: not cut to the sensor's area.
-    evaluated
-        Detections that were evaluated, a list per evaluator; rows go with `own` and `reported`.
-    own
-        Evaluations as each vehicle made them: an ego's contribution to its own fusion.
-    reported
-        Evaluations as transmitted: the others' contribution, where the ego has received it. The same object as
-        `own` where no evaluation was altered.
     sender_trust
-        Rows go with `lists`.
+        Rows go with `given.lists`. An ego uses the reported evaluations of the messages that it has received.
     evidence
-        Rows go with `groups.seeds()`.
+        Rows go with `given.groups.seeds()`.
     distance_m
         Of each detection from its own detector's sensor [m].
     score_objects
@@ -217,62 +203,72 @@ def fuse(
     detectors alone, which the equations say; the additive sum is divided by the number of members, so that an
     object does not count once per message; "Phi < 10" in TruPercept 3 is read as fewer than 10 returns.
     """
-    seeds, group = groups.seeds(), groups.numbers()
+    lists, groups, detections = given.lists, given.groups, given.detections
+    seeds = groups.seeds()
+    row, ego_detected = lists.member[seeds], groups.ego_detected[seeds]
     sender_trust = sender_trust.canonical()
-    totals, members = sums_of_groups(
-        lists, group, seeds.size, detections, evaluated, own, reported, sender_trust, params
-    )
-    member, row = lists.member, lists.member[seeds]
-    parity = None
-    if params.code_parity:
-        by_ego = detections.message[member] == lists.owner[lists.of_member()]
-
-        def total(x: ndarray) -> ndarray:
-            return np.bincount(group, x, seeds.size).astype(float)  # integers where there is nothing
-
-        score_of_member, is_self = detections.score[member], detections.is_self[member]
-        parity = _parity(members, score_of_member, is_self, by_ego, seeds, total, params)
-    sums = GroupSums(
-        totals.size, groups.ego_detected[seeds], detections.score[row], totals.scores, totals.trusted_scores,
-        totals.trust, totals.numerator, totals.weight, parity, evidence,
-    )  # fmt: skip
+    totals, members = sums_of_groups(given, sender_trust, params)
     if score_objects is None:
+        sums = GroupSums(
+            n=totals.size,
+            ego_detected=ego_detected,
+            own=detections.score[row],
+            scores=totals.scores,
+            trusted_scores=totals.trusted_scores,
+            trust=totals.trust,
+            numerator=totals.numerator,
+            weight=totals.weight,
+            parity=_parity(given, members, params) if params.code_parity else None,
+            evidence=evidence,
+        )
         score = np.clip(METHODS[params.method](sums, params), 0.0, 1.0)
     else:
-        if votes is None:
-            votes = votes_of(lists, groups, detections, evaluated, own, reported, sender_trust)
+        votes = votes_of(given, sender_trust) if votes is None else votes
         score = score_objects(votes.with_trust(sender_trust.trust, params.ego_trust))
 
     pose = row
     if params.method in CORRECTED and not params.code_parity:
-        far = distance_m[member]
-        if not params.self_report_poses:
-            far = np.where(detections.is_self[member], np.inf, far)
-        order = np.lexsort((far, group))
-        pose = member[order[np.searchsorted(group[order], np.arange(seeds.size))]]
-        pose = np.where(score > 0, pose, row)
+        pose = np.where(score > 0, _closest(given, distance_m, params.self_report_poses), row)
     fused = Fused(
-        lists.of(seeds), row, pose, score, sums.ego_detected, totals.size, totals.n_evaluations, totals.n_evaluators
+        ego=lists.of(seeds),
+        seed=row,
+        pose=pose,
+        score=score,
+        ego_detected=ego_detected,
+        n_sources=totals.size,
+        n_evaluations=totals.n_evaluations,
+        n_evaluators=totals.n_evaluators,
     )
-    return fused.take(~(sums.ego_detected & detections.is_self[row]) & (score >= min_score))
+    return fused.take(~(ego_detected & detections.is_self[row]) & (score >= min_score))
 
 
-def votes_of(
-    lists: ObjectLists, groups: Groups, detections: Detections, evaluated: ObjectLists, own: Evaluations,
-    reported: Evaluations, sender_trust: SenderTrust,
-) -> ObjectVotes:  # fmt: skip
-    """Votes on the groups of each ego; the arguments are those of `fuse`, and no trust is read."""
-    t = sender_trust.canonical()
-    received = t.ptr, t.message, t.arrived()
+def votes_of(given: FusionInput, sender_trust: SenderTrust) -> ObjectVotes:
+    """Votes on the groups of each ego; no trust is read."""
+    t, evaluated = sender_trust.canonical(), given.evaluated
     with threads_for(t.message.size * evaluated.member.size / max(1, evaluated.owner.size)) as n_threads:
-        return object_votes(lists, groups, detections, evaluated, own, reported, received, n_threads)
+        return object_votes(given, t, n_threads)
 
 
-def _parity(
-    members: MemberSums, score: Float[ndarray, "m"], is_self: Bool[ndarray, "m"], by_ego: Bool[ndarray, "m"],
-    seeds: Int[ndarray, "g"], total: Callable[[ndarray], ndarray], params: TrustParams,
-) -> Parity:  # fmt: skip
-    """Per group what the published code's formulas need; arguments per member, `total` sums them per group."""
+def _closest(given: FusionInput, distance_m: Float[ndarray, "d"], self_reports: bool) -> Int[ndarray, "g"]:
+    """Of each group the detection that is closest to its own detector; self reports last if they are not wanted."""
+    member, group = given.lists.member, given.groups.numbers()
+    far = distance_m[member]
+    if not self_reports:
+        far = np.where(given.detections.is_self[member], np.inf, far)
+    order = np.lexsort((far, group))
+    return member[order[np.flatnonzero(np.diff(group[order], prepend=-1))]]
+
+
+def _parity(given: FusionInput, members: MemberSums, params: TrustParams) -> Parity:
+    """Per group what the published code's formulas need."""
+    lists, detections, group = given.lists, given.detections, given.groups.numbers()
+    seeds = given.groups.seeds()
+    score, is_self = detections.score[lists.member], detections.is_self[lists.member]
+    by_ego = detections.message[lists.member] == lists.owner[lists.of_member()]
+
+    def total(x: ndarray) -> ndarray:
+        return np.bincount(group, x, seeds.size).astype(float)  # integers where there is nothing
+
     num, den, n, detector = members
     mean = params.method in AVERAGES if params.code_aggregate == "by_method" else params.code_aggregate == "mean"
     aggregate = _ratio(num, den) if mean else num

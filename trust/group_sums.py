@@ -4,12 +4,11 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
-from numba import prange
+from numba import njit, prange
 from numpy import ndarray
 
-from trust.kernel import compiled, inlined, parallel
 from trust.params import TrustParams
-from trust.tables import Detections, Evaluations, ObjectLists, SenderTrust, int64
+from trust.tables import Evaluations, FusionInput, ObjectLists, SenderTrust, int64
 from trust.threads import threads_for
 
 
@@ -85,8 +84,8 @@ class GroupTotals(NamedTuple):
     @staticmethod
     def zeros(n: int) -> "GroupTotals":
         """Of n groups."""
-        whole, real = np.zeros((3, n), np.int64), np.zeros((5, n))
-        return GroupTotals(whole[0], real[0], real[1], real[2], real[3], real[4], whole[1], whole[2])
+        counts = {name: np.zeros(n, np.int64) for name in ("size", "n_evaluations", "n_evaluators")}
+        return GroupTotals(**counts, **{name: np.zeros(n) for name in GroupTotals._fields if name not in counts})
 
 
 class _OfEgo(NamedTuple):
@@ -101,7 +100,7 @@ class _OfEgo(NamedTuple):
     n_evaluators: ndarray
 
 
-@inlined
+@njit(cache=True, nogil=True, inline="always")
 def _add(of, begin, end, t, message, at, ego):
     """Add the evaluations of one message, with the ego's trust in its sender.
 
@@ -120,7 +119,7 @@ def _add(of, begin, end, t, message, at, ego):
             ego.last[g] = message
 
 
-@compiled
+@njit(cache=True, nogil=True)
 def _of_egos(chunk, n_chunks, longest, lists, evaluated_by, own, reported, weights, sums, totals):
     """The same for every `n_chunks`-th ego."""
     received_ptr, received, trust, has_evaluations, ego_trust, ego_computed, default_trust, unit_trust = weights
@@ -175,42 +174,54 @@ def _of_egos(chunk, n_chunks, longest, lists, evaluated_by, own, reported, weigh
         known[ego] = default_trust
 
 
-@parallel
+@njit(cache=True, nogil=True, parallel=True)
 def _accumulate(longest, lists, evaluated_by, own, reported, weights, n_chunks, sums, totals):
     """Fill the sums of all groups, and those of all members where there is room for them.
 
     `evaluated_by` is the row of the evaluator's list per message row, -1 for none; no ego's list is longer than
     `longest`.
     """
-    for chunk in prange(
-        n_chunks
-    ):  # an unsigned number once it is parallel: for each of both a kernel would be compiled
+    for chunk in prange(n_chunks):  # in parallel an unsigned number, for which a kernel would be compiled once more
         _of_egos(np.int64(chunk), n_chunks, longest, lists, evaluated_by, own, reported, weights, sums, totals)
 
 
 def sums_of_groups(
-    lists: ObjectLists, group: Int[ndarray, "m"], n_groups: int, detections: Detections, evaluated: ObjectLists,
-    own: Evaluations, reported: Evaluations, sender_trust: SenderTrust, params: TrustParams,
-) -> tuple[GroupTotals, MemberSums]:  # fmt: skip
+    given: FusionInput, sender_trust: SenderTrust, params: TrustParams
+) -> tuple[GroupTotals, MemberSums]:
     """Sums of all groups of all egos; those of each member only where `code_parity` needs them.
 
-    The arguments are those of `trust.fusion.fuse`; `group` numbers the groups of one ego after those of another.
+    Parameters
+    ----------
+    sender_trust
+        Canonical; rows go with `given.lists`.
     """
-    t = sender_trust
+    t, lists, detections, evaluated = sender_trust, given.lists, given.detections, given.evaluated
     assert np.all(t.trust >= 0)
     rows = (lists.owner, evaluated.owner, t.message, detections.message)
     evaluated_by = np.full(1 + int(max(a.max(initial=-1) for a in rows)), -1, np.int64)
     evaluated_by[evaluated.owner] = np.arange(evaluated.owner.size)
     of_lists = _Lists(
-        int64(lists.ptr), int64(lists.member), int64(lists.owner), group, int64(detections.message), detections.score
+        ptr=int64(lists.ptr),
+        member=int64(lists.member),
+        owner=int64(lists.owner),
+        group=given.groups.numbers(),
+        message=int64(detections.message),
+        score=detections.score,
     )
     weights = _Weights(
-        int64(t.ptr), int64(t.message), t.trust, t.arrived(), params.ego_trust,
-        params.code_parity or params.ego_trust_from == "computed", params.default_trust, params.code_parity,
-    )  # fmt: skip
-    made = _Evaluated.of(evaluated, own)
-    sent = made if reported is own else _Evaluated.of(evaluated, reported)
-    members, totals = MemberSums.of(lists.member.size * params.code_parity), GroupTotals.zeros(n_groups)
+        ptr=int64(t.ptr),
+        message=int64(t.message),
+        trust=t.trust,
+        has_evaluations=t.arrived(),
+        ego_trust=params.ego_trust,
+        ego_computed=params.code_parity or params.ego_trust_from == "computed",
+        default_trust=params.default_trust,
+        unit_trust=params.code_parity,
+    )
+    made = _Evaluated.of(evaluated, given.own)
+    sent = made if given.reported is given.own else _Evaluated.of(evaluated, given.reported)
+    members = MemberSums.of(lists.member.size * params.code_parity)
+    totals = GroupTotals.zeros(given.groups.seeds().size)
     n_sums = lists.member.size + t.message.size * evaluated.member.size / max(1, evaluated.owner.size)
     longest = int(np.diff(lists.ptr).max(initial=0))
     with threads_for(n_sums) as n_threads:

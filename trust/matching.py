@@ -2,16 +2,15 @@
 
 import numpy as np
 from jaxtyping import Float, Int
-from numba import prange
+from numba import njit, prange
 from numpy import ndarray
 
-from trust.kernel import compiled, kernel, parallel
 from trust.params import TrustParams
 from trust.tables import Detections, Groups, ObjectLists, int64
 from trust.threads import threads_for
 
 
-@compiled
+@njit(cache=True, nogil=True)
 def _adjacency(n, i, j, iou, tau):
     """Symmetric compressed rows of the pairs above tau (False for a NaN)."""
     ptr = np.zeros(n + 1, np.int64)
@@ -33,7 +32,7 @@ def _adjacency(n, i, j, iou, tau):
     return ptr, other, value
 
 
-@kernel
+@njit(cache=True, nogil=True)
 def _candidate(d, after, at, block, ptr, other, value):
     """First message after block `after` with a seed for detection d; of its seeds the one of first maximum IoU."""
     best, best_iou = -1, 0.0
@@ -50,7 +49,7 @@ def _candidate(d, after, at, block, ptr, other, value):
     return best, best_iou
 
 
-@parallel
+@njit(cache=True, nogil=True, parallel=True)
 def _seeds(list_ptr, members, owner, message, ptr, other, value, one_per_vehicle, n_chunks):
     """Seed of each position, and whether it is the owner's detection."""
     n_lists = list_ptr.size - 1
@@ -92,7 +91,7 @@ def _seeds(list_ptr, members, owner, message, ptr, other, value, one_per_vehicle
     return seeds, by_owner
 
 
-@kernel
+@njit(cache=True, nogil=True)
 def _one_per_vehicle(s, t, member, at, block, ptr, other, value, seed, tried, choice, choice_iou, winner):
     """Fill `seed` for the detections of one message, s to t; the last four arrays are room."""
     for p in range(s, t):

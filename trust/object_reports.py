@@ -4,11 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from numba import prange
+from numba import njit, prange
 from numpy import ndarray
 
-from trust.kernel import parallel
-from trust.tables import Detections, Evaluations, Groups, ObjectLists, int64
+from trust.tables import FusionInput, SenderTrust, int64
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +41,7 @@ class ObjectVotes:
         return ObjectReports(self.group, self.in_favour, self.visibility, of_vote, self.n_groups)
 
 
-@parallel
+@njit(cache=True, nogil=True, parallel=True)
 def _reports(list_ptr, member, owner, group, evaluated_ptr, evaluated, evaluated_by, own_e, own_phi, reported_e,
              reported_phi, received_ptr, received, has_evaluations, message, n_detections, n_messages, n_chunks,
              row_ptr, out_group, out_vehicle, out_received, out_favour, out_phi):  # fmt: skip
@@ -111,29 +110,22 @@ def _reports(list_ptr, member, owner, group, evaluated_ptr, evaluated, evaluated
     return n_rows
 
 
-def object_votes(
-    lists: ObjectLists,
-    groups: Groups,
-    detections: Detections,
-    evaluated: ObjectLists,
-    own: Evaluations,
-    reported: Evaluations,
-    received: tuple[Int[ndarray, "e+1"], Int[ndarray, "h"], Bool[ndarray, "h"]],
-    n_threads: int,
-) -> ObjectVotes:
-    """Votes on the groups of each ego; the arguments are those of `trust.fusion.fuse`.
+def object_votes(given: FusionInput, received: SenderTrust, n_threads: int) -> ObjectVotes:
+    """Votes on the groups of each ego.
 
     Parameters
     ----------
     received
-        `SenderTrust`: ptr, message, has_evaluations.
+        Canonical; rows go with `given.lists`. No trust is read.
     """
-    ptr, message, arrived = received
+    lists, groups, detections, evaluated = given.lists, given.groups, given.detections, given.evaluated
+    own, reported = given.own, given.reported
+    ptr, message, arrived = received.ptr, received.message, received.arrived()
     seeds, group = groups.seeds(), groups.numbers()
     n_messages = 1 + int(max(a.max(initial=-1) for a in (lists.owner, evaluated.owner, message, detections.message)))
     evaluated_by = np.full(n_messages, -1, np.int64)
     evaluated_by[evaluated.owner] = np.arange(evaluated.owner.size)
-    given = (
+    arrays = (
         int64(lists.ptr), int64(lists.member), int64(lists.owner), group, int64(evaluated.ptr), int64(evaluated.member),
         evaluated_by, own.evaluation, own.visibility, reported.evaluation, reported.visibility, int64(ptr),
         int64(message), arrived, int64(detections.message), len(detections), n_messages, n_threads,
@@ -143,11 +135,11 @@ def object_votes(
         return (*(np.empty(n, np.int64) for _ in range(3)), np.empty(n, bool), np.empty(n))
 
     n_egos = lists.owner.size
-    n_rows = _reports(*given, np.zeros(n_egos + 1, np.int64), *rows(0))
+    n_rows = _reports(*arrays, np.zeros(n_egos + 1, np.int64), *rows(0))
     row_ptr = np.concatenate([[0], np.cumsum(n_rows)])
     out = rows(int(row_ptr[-1]))
     if out[0].size:
-        _reports(*given, row_ptr, *out)
+        _reports(*arrays, row_ptr, *out)
     of_group, _, position, in_favour, visibility = out
     is_own = position < ptr[np.repeat(np.arange(n_egos), n_rows)]
     return ObjectVotes(of_group, in_favour, visibility, np.where(is_own, -1, position), seeds.size)

@@ -7,10 +7,10 @@ The sums are integers, so that no order of arrival, no batching and no delay can
 
 import numpy as np
 from jaxtyping import Float, Int
+from numba import njit
 from numpy import ndarray
 from scipy.sparse import csr_array
 
-from trust.kernel import compiled
 from trust.open_steps import AcceptedEvaluations, OpenStep
 from trust.tables import EvaluationMessages, pair_key, ranges, unpaired
 
@@ -18,7 +18,7 @@ ONE = float(1 << 44)
 """Fixed point of the sums: the error is 3e-14 per evaluation, and there is room for half a million of them."""
 
 
-@compiled
+@njit(cache=True, nogil=True)
 def _add(receptions, pairs, block, messages, subject, index, terms, counts, sums, n_evaluations):
     """Add the terms of every evaluation to the slots of its detection, for every holder that received it.
 

@@ -5,9 +5,8 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
+from numba import njit
 from numpy import ndarray
-
-from trust.kernel import compiled
 
 SERVER = 1 << 30
 """Holder of the trust scores of a central trust server. No vehicle has this number: actors are numbered from 0."""
@@ -65,7 +64,7 @@ class Groups:
         return _group_numbers(int64(self.seed))
 
 
-@compiled
+@njit(cache=True, nogil=True)
 def _seeds(seed):
     found = np.empty(len(seed), np.int64)
     n = 0
@@ -75,7 +74,7 @@ def _seeds(seed):
     return found[:n].copy()
 
 
-@compiled
+@njit(cache=True, nogil=True)
 def _group_numbers(seed):
     number = np.empty(len(seed), np.int32)
     n = 0
@@ -93,6 +92,18 @@ class Evaluations:
 
     evaluation: Float[ndarray, "m"]  # e in [-1, 1]
     visibility: Float[ndarray, "m"]  # Phi in [0, 1]
+
+
+@dataclass(frozen=True, slots=True)
+class FusionInput:
+    """What all egos of a step fuse, whatever they trust: grouped detections, and the evaluations of these."""
+
+    lists: ObjectLists  # of the egos; not cut to the sensor's area
+    groups: Groups  # of the lists
+    detections: Detections
+    evaluated: ObjectLists  # detections that were evaluated, a list per evaluator
+    own: Evaluations  # rows of `evaluated`, as each vehicle made them: an ego's contribution to its own fusion
+    reported: Evaluations  # the same as transmitted: the others' contribution; the same object if none was altered
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,56 +1,28 @@
-"""How fast the room is on this machine: CPU time of the encounter tracker and of the recorder, on made-up traffic."""
+"""Speed of writing and reading tables: processor time of the largest one, on made-up traffic."""
 
 import tempfile
 from pathlib import Path
 from time import process_time
 
 import numpy as np
-from numpy import ndarray
-from scipy.spatial import cKDTree
 
 from results.archive import open_run
-from results.encounters import EncounterParams, EncounterTracker
 from results.manifest import finish
 from results.recorder import Recorder
 
-N_VEHICLES, AREA_M, REACH_M = 1000, 2000.0, 236.0
-"""Gives each vehicle 40 neighbours."""
+N_VEHICLES = 1000
+"""Each looks up 40 others in every step."""
 
 
 def bench(steps: int = 120) -> list[tuple[str, float, str]]:
     """What, figure, unit."""
     rng = np.random.default_rng(0)
-    points, speed = rng.uniform(0, AREA_M, (N_VEHICLES, 2)), rng.normal(0, 8, (N_VEHICLES, 2))
-    everyone = np.arange(N_VEHICLES)
-    tracker = EncounterTracker(EncounterParams(radius_m=REACH_M, pairs="all"), 1.0)
-    tracker_s, search_s, n_pairs = [], [], 0
-    for step in range(steps):
-        points = (points + speed) % AREA_M
-        begin = process_time()
-        a, b = _near(points)
-        metres = np.hypot(*(points[a] - points[b]).T)
-        found = process_time()
-        tracker.update(step, a, b, metres, metres < 100, everyone)
-        tracker.count_messages(np.r_[a, b], np.r_[b, a])
-        tracker_s.append(process_time() - found)
-        search_s.append(found - begin)
-        n_pairs += len(a)
     written_s, read_s, n_rows, n_bytes = _disk(rng, steps)
     return [
-        ("vehicles", N_VEHICLES, ""),
-        ("neighbours of each, mean", 2 * n_pairs / steps / N_VEHICLES, ""),
-        ("pairs within the radius, found", 1e3 * float(np.median(search_s)), "ms per step"),
-        ("encounter tracker, messages counted", 1e3 * float(np.median(tracker_s)), "ms per step"),
         ("recorder, table trust_lookups", n_rows / written_s / 1e6, "million rows per second"),
         ("reading it back", n_rows / read_s / 1e6, "million rows per second"),
         ("on disk", n_bytes / n_rows, "bytes per row"),
     ]
-
-
-def _near(points: ndarray) -> tuple[ndarray, ndarray]:
-    pairs = cKDTree(points).query_pairs(REACH_M, output_type="ndarray")
-    pair = np.sort((pairs[:, 0] << 32) | pairs[:, 1])
-    return pair >> 32, pair & 0xFFFFFFFF
 
 
 def _disk(rng: np.random.Generator, steps: int) -> tuple[float, float, int, int]:

@@ -68,7 +68,11 @@ class CpuStopwatch:
 
 
 def bench(
-    scenario: str = "helsinki", trace: str | None = None, vehicles: tuple[int, ...] = VEHICLES, seconds: int = 5
+    scenario: str = "helsinki",
+    trace: str | None = None,
+    vehicles: tuple[int, ...] = VEHICLES,
+    seconds: int = 5,
+    overrides: tuple[str, ...] = (),
 ) -> Iterator[Row]:
     """Every vehicle equipped, everything recorded at level `standard`; sizes ascending, one thread and then all.
 
@@ -77,13 +81,16 @@ def bench(
     scenario, trace
         As `traffic.scenario` and `traffic.trace`.
     vehicles
-        Actors to crop to; larger sizes than the traffic has are measured once, as all of it.
+        Actors to crop to; larger sizes than the traffic has are measured once, as all of it. Without any, all of it.
     seconds
         Simulated time that is measured, of each size and number of threads.
+    overrides
+        Further keys of the config, as `cosim run --set` takes them.
     """
     config = load(None, [
         f"traffic.scenario={scenario}", *([f"traffic.trace={trace}"] if trace else []), "fleet.penetration_p=1",
         'fleet.equipped_kinds=["car","van","truck","bus","motorcycle"]', "trust_variant=[]",
+        *overrides,
     ])  # fmt: skip
     found = find(config.traffic.scenario, config.traffic.trace)
     worlds, registry = _worlds(config, found, WARM_UP_STEPS + seconds)
@@ -94,7 +101,7 @@ def bench(
     threads, sizes = numba.get_num_threads(), [n for n in sorted(vehicles) if n < len(worlds[-1])]
     yield "actors of the whole traffic", len(worlds[-1]), ""
     yield f"neighbours within {_NEAR_M:g} m, of the whole traffic", whole, "actors"
-    for size in [*sizes, len(worlds[-1])] if len(sizes) < len(vehicles) else sizes:
+    for size in [*sizes, len(worlds[-1])] if len(sizes) < len(vehicles) or not vehicles else sizes:
         actor, neighbours = piece(some, size, whole)
         yield f"{size} actors: neighbours within {_NEAR_M:g} m", neighbours, "actors"
         cropped = [_taken(world, np.flatnonzero(np.isin(world.actor, actor))) for world in worlds]
@@ -149,7 +156,7 @@ def _measured(name: str, worlds: list[World], parts: Parts, registry: ActorRegis
 def _worlds(config: Config, scenario: Scenario, n: int) -> tuple[list[World], ActorRegistry]:
     """The first steps in which somebody is equipped."""
     registry = ActorRegistry(config.fleet, config.seed, shares(config.attacks))
-    traffic = scenario.traffic(config.traffic, registry)
+    traffic = scenario.traffic(config.traffic, registry, config.driver.model != "none")
     worlds: list[World] = []
     try:
         for _ in traffic.warm_up(scenario.warmup_s):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 from importlib.util import find_spec
-from time import perf_counter, process_time
+from time import process_time
 
 import numba
 import numpy as np
@@ -56,10 +56,9 @@ def bench(
     threads = numba.get_num_threads()
     numba.set_num_threads(1)
     try:
-        figures = _measure(scene, boxes, shape, cars, runs)
+        return _measure(scene, boxes, shape, cars, runs)
     finally:
         numba.set_num_threads(threads)
-    return figures + crowd((scene, boxes, shape), 10 * n_observers, runs)
 
 
 def _rays_alone(boxes, shape, observers, scene, tracer_of) -> Callable[[], object]:
@@ -71,32 +70,6 @@ def _rays_alone(boxes, shape, observers, scene, tracer_of) -> Callable[[], objec
     rays = [mesh.directions(yaw, grid).astype(np.float32) for yaw in poses.yaw_rad]
     starts = [np.broadcast_to((p - centre).astype(np.float32), rays[0].shape).copy() for p in poses.origin_m]
     return lambda: [trace(start, ray) for start, ray in zip(starts, rays, strict=True)]
-
-
-def crowd(
-    world: tuple[Scene, Boxes, UInt8[ndarray, "n"]] | None = None, n_sensors: int = 1000, runs: int = 7
-) -> list[tuple[str, float, str]]:
-    """Wall time of many sensors at once with one thread and with two, in turn; the best of several runs of each."""
-    scene, boxes, shape = town() if world is None else world
-    cars = np.resize(np.flatnonzero(LABEL_OF_SHAPE[shape] == ObjectClass.CAR), n_sensors)
-    keys, params = np.arange(n_sensors, dtype=np.uint64), LidarParams()
-    sweeps = scan(boxes, shape, cars, scene, params, keys)
-    threads, best = numba.get_num_threads(), {1: np.inf, 2: np.inf}
-    try:
-        for _ in range(runs):
-            for n in best:
-                numba.set_num_threads(min(n, threads))
-                start = perf_counter()
-                scan(boxes, shape, cars, scene, params, keys, sweeps)
-                best[n] = min(best[n], perf_counter() - start)
-    finally:
-        numba.set_num_threads(threads)
-    return [
-        (f"{n_sensors} sensors, range noise included, one thread", best[1], "s"),
-        (f"{n_sensors} sensors, range noise included, two threads", best[2], "s"),
-        ("two threads / one", best[1] / best[2], "times"),
-        ("memory of their range images", sweeps.range_steps.nbytes / 1e6, "MB"),
-    ]
 
 
 def _least_s(work: Callable[[], object], runs: int) -> float:

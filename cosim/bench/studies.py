@@ -1,6 +1,5 @@
-"""Speed of studies: two workers against one, points in one run against one point, shards against one process."""
+"""Speed of studies: two workers against one, and points in one run against one point."""
 
-import json
 import resource
 from collections.abc import Callable
 from functools import partial
@@ -10,9 +9,7 @@ from tempfile import TemporaryDirectory
 from time import perf_counter
 
 from cosim.bench.suite import Row
-from cosim.config.config import load as load_config
-from cosim.execution import run as running
-from cosim.studies import shards, sweep
+from cosim.studies import sweep
 from cosim.studies.study import SHIPPED
 
 N_RUNS = 24
@@ -29,14 +26,13 @@ fleet.penetration_p = [0.3]
 topics = ["traffic", "trust"]
 """
 """Runs that share nothing: every replicate has traffic of its own."""
-_SHARDED = ("traffic.duration_s=100", "fleet.penetration_p=1", "trust_variant=[]", "compute.threads=1")
 
 
 def bench() -> list[Row]:
-    """Wall time of 24 runs, processor time of 20 points, both of a run with shards; some minutes."""
+    """Wall time of 24 runs, processor time of 20 points; some minutes."""
     with TemporaryDirectory(prefix="cosim-bench-") as name:
         folder = Path(name)
-        return [*_workers(folder), *_points(folder), *_shards(folder)]
+        return [*_workers(folder), *_points(folder)]
 
 
 def _workers(folder: Path) -> list[Row]:
@@ -63,26 +59,6 @@ def _points(folder: Path) -> list[Row]:
         ("one point of the study freshness", spent["one"], "s of processor time"),
         ("20 points in one run", spent["many"] / spent["one"], "times that"),
     ]
-
-
-def _shards(folder: Path) -> list[Row]:
-    """The shipped city, every car and van equipped, traffic recorded before."""
-    traffic = running.record_traffic(load_config(None, list(_SHARDED)), folder / "traffic", lambda *_: None)
-    config = load_config(None, [*_SHARDED, f"traffic.trace={traffic}"])
-    plain = _spent(lambda: running.run(config, folder / "plain", lambda *_: None))
-    timings_s = json.loads((folder / "plain" / "manifest.json").read_text())["timings_s"]
-    theirs = sum(timings_s[stage] for stage in ("sweep", "detect", "evaluate")) / sum(timings_s.values())
-    rows = [
-        ("a run of one process", plain[0], "s"),
-        ("of which workers can compute", 100 * theirs, "%"),
-    ]
-    for n in (1, 2):
-        wall_s, processor_s = _spent(partial(shards.run, config, folder / f"shards{n}", lambda *_: None, None, n))
-        rows += [
-            (f"with {n} worker{'s' * (n > 1)}: faster", plain[0] / wall_s, "times"),
-            (f"with {n} worker{'s' * (n > 1)}: processor time", processor_s / plain[1], "times"),
-        ]
-    return rows
 
 
 def _swept(file: Path, out: Path, workers: int, merge: bool = True) -> None:

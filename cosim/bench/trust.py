@@ -12,7 +12,7 @@ from trust.fusion import SensorEvidence, fuse
 from trust.matching import match
 from trust.models.trupercept import TruPercept
 from trust.params import TrustParams
-from trust.tables import SERVER, Detections, ObjectLists, ReceivedEvaluations, SenderTrust, as_messages
+from trust.tables import SERVER, Detections, FusionInput, ObjectLists, ReceivedEvaluations, SenderTrust, as_messages
 
 N_SEEN, STRIDE, N_CONSIDERED, N_RECEIVED = 20, 5, 4, 10
 """Objects a vehicle sees, objects to the next vehicle, vehicles considered and received on each side."""
@@ -96,12 +96,11 @@ def bench(n_vehicles: int = 1000, repeats: int = 7) -> list[tuple[str, float, st
     central = np.full(n_vehicles, SERVER), pseudonyms
     local = receiver, sender_trust.message
     n_local = int(np.diff(lists.ptr)[sender_trust.message].sum())
+    given = FusionInput(lists, groups, table, lists, evaluations, evaluations)
     fused_s = _best(
-        lambda: fuse(
-            lists, groups, table, lists, evaluations, evaluations, sender_trust, evidence, distance, params
-        ),
+        lambda: fuse(given, sender_trust, evidence, distance, params),
         repeats,
-    )  # fmt: skip
+    )
     return [
         ("evaluations, from IoU pairs through matching", m / _best(match_and_evaluate, repeats), "1/s"),
         ("evaluations added on the server, scores read once", m / step_s(windows(1), repeats, *central), "1/s"),

@@ -104,7 +104,9 @@ def print_run_summary(folder: Path, as_json: bool) -> "Run":
         return run
     topics = tuple(dict.fromkeys(name.split(".")[0] for name in SUMMARY_METRICS))
     frame = measure(run, topics=topics)
-    by_metric = {str(name): one.set_index("group").to_dict("index") for name, one in frame.groupby("metric")}
+    by_metric: dict[str, dict[str, dict[str, Any]]] = {}
+    for row in frame.to_dict("records"):
+        by_metric.setdefault(row["metric"], {})[row["group"]] = {str(name): value for name, value in row.items()}
 
     def rows(metric: str) -> Mapping[str, Mapping[str, Any]]:
         assert metric in SUMMARY_METRICS, metric

@@ -91,7 +91,7 @@ def own_metrics(names: list[str], sets: list[str]) -> "Callable[[Run], pd.DataFr
     from cosim.config.single import from_command_line
     from cosim.door.guard import make
     from cosim.door.load import is_own
-    from results.measure import measure_own
+    from results.own_metrics import measure_own
 
     if not names:
         if sets:

@@ -44,12 +44,6 @@ Overrides = Annotated[
     list[str] | None, typer.Option("--set", help="Change one key, e.g. radio.range_m=150. Repeatable.")
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON on standard output.")]
-Scheduler = Annotated[
-    str | None, typer.Option(help="Address of a Dask scheduler whose workers compute sweeps and detections.")
-]
-Workers = Annotated[
-    int | None, typer.Option(min=1, help="The same by this many processes on this machine; the tables stay the same.")
-]
 RunPaths = Annotated[list[Path], typer.Argument(help="Folders that `cosim run` wrote.")]
 Picture = Literal[
     "trust",
@@ -102,8 +96,6 @@ def run(
     config: ConfigPath = None,
     overrides: Overrides = None,
     out: Annotated[Path | None, typer.Option(help="Folder to write; by default the next runs/<city>-N.")] = None,
-    scheduler: Scheduler = None,
-    workers: Workers = None,
     trust_code: TrustCode = False,
     as_json: AsJson = False,
 ) -> None:
@@ -111,27 +103,18 @@ def run(
     from cosim.config.config import load
     from cosim.execution import run as running
     from cosim.execution.check import changed_since
-    from cosim.execution.speed.compile_ahead import CompileAhead
 
     experiment = load(config, overrides, trust_code)
     for remark in changed_since(config, experiment):
         notes.print(remark, soft_wrap=True)
     with progress() as advance:
-        if scheduler or workers:
-            from cosim.studies import shards
-
-            folder = shards.run(experiment, out, advance, scheduler, workers or 1)
-        else:
-            with CompileAhead(experiment):
-                folder = running.run(experiment, out, advance)
+        folder = running.run(experiment, out, advance)
     _conclude(folder, as_json)
 
 
 @app.command()
 def resume(
     folder: Annotated[Path, typer.Argument(help="Folder of a run that was killed or interrupted.")],
-    scheduler: Scheduler = None,
-    workers: Workers = None,
     trust_code: TrustCode = False,
     as_json: AsJson = False,
 ) -> None:
@@ -139,12 +122,7 @@ def resume(
     from cosim.execution import run as running
 
     with progress() as advance:
-        if scheduler or workers:
-            from cosim.studies import shards
-
-            shards.resume(folder, advance, scheduler, workers or 1, trust_code)
-        else:
-            running.resume(folder, advance, trust_code=trust_code)
+        running.resume(folder, advance, trust_code=trust_code)
     _conclude(folder, as_json)
 
 
@@ -368,7 +346,7 @@ def report(
 def bench(
     only: Annotated[
         list[str] | None,
-        typer.Argument(help="sensors, trust, radio, mobility, results, cycle, variants; or scale, alone."),
+        typer.Argument(help="sensors, trust, radio, mobility, results, cycle, studies; or scale, alone."),
     ] = None,
     scenario: Annotated[str, typer.Option(help="scale: a city or .sumocfg, as traffic.scenario.")] = "helsinki",
     trace: Annotated[str | None, typer.Option(help="scale: recorded traffic, as traffic.trace.")] = None,

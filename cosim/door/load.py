@@ -127,9 +127,12 @@ def _module(place: str, where: str, class_name: str, folder: Path | None) -> tup
     check_code(place)
     path = Path(where)
     if not where.endswith(".py"):
-        with blame.at_load(where, place, "cannot be imported"):
-            found = importlib.util.find_spec(where)
-        file = (found.origin if found is not None and found.has_location else None) or where
+        if where in sys.modules:  # such as __main__, which a notebook has without a file
+            file = getattr(sys.modules[where], "__file__", None) or where
+        else:
+            with blame.at_load(where, place, "cannot be imported"):
+                found = importlib.util.find_spec(where)
+            file = (found.origin if found is not None and found.has_location else None) or where
         with blame.at_load(file, place, "cannot be imported"):
             module = importlib.import_module(where)
         digest = hashlib.sha256(Path(file).read_bytes()).hexdigest() if file != where else ""

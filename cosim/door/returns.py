@@ -18,7 +18,7 @@ from cosim.radio.message_round import FrameOutcomes, LosState, MessageRound, Out
 from cosim.v2x.messages import Detections
 from results.codes import ObjectClass, Origin
 from results.export.moments import Plan, Unit
-from results.measure import MetricRow
+from results.own_metrics import MetricRow
 from sensors.boxes import Boxes
 from sensors.reports import Reports
 from sensors.scene import Shape
@@ -303,6 +303,15 @@ def plan(call: Call, returned: Any) -> Plan:
     if not isinstance(returned.units, tuple) or not all(isinstance(unit, Unit) for unit in returned.units):
         raise Wrong(f"returned units as {described(returned.units)}; a tuple of Unit is due")
     names = [unit.name for unit in returned.units]
+    for unit in returned.units:
+        if not isinstance(unit.name, str) or not unit.name.isprintable() or not unit.name:
+            raise Wrong(f"returned a unit called {unit.name!r}; a name in one line is due")
+        if not callable(unit.files):
+            raise Wrong(f"returned files of unit {unit.name!r} as {described(unit.files)}; a function is due")
+    for name in ("n_sweeps", "bytes_per_point", "text_bytes"):
+        value = getattr(returned, name)
+        if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating) or not value >= 0:
+            raise Wrong(f"returned {name} as {described(value)}; a number of 0 or more is due")
     if twice := sorted({name for name in names if names.count(name) > 1}):
         raise Wrong(f"returned several units called {twice[0]!r}; a name of its own for each is due")
     return returned

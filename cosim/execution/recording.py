@@ -1,8 +1,9 @@
 """From the result of a step to the rows of the run's tables; it asks nothing of the simulation."""
 
 import copy
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import fields
+from typing import Protocol
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
@@ -26,12 +27,23 @@ from cosim.v2x.trust_hosts import Lookups, ServerTraffic
 from cosim.world import World
 from results.codes import LookupState, MessageType
 from results.encounters import Rows, by_variant
-from results.recorder import Recorder
 from sensors.boxes import Boxes
 from trust.tables import TrustScores
 
 Columns = Mapping[str, ndarray | None]
 """Columns of a table, ready for the recorder."""
+
+
+class TakesRows(Protocol):
+    """What rows are given to: a `results.recorder.Recorder`, or whatever keeps them otherwise."""
+
+    @property
+    def tables(self) -> Container[str]:
+        """Tables whose rows are kept."""
+
+    def append(self, table: str, step: int, columns: Columns) -> None:
+        """Add rows of one step, as `Recorder.append`."""
+
 
 OUTCOMES = {
     "n_delivered": Outcome.RECEIVED,
@@ -44,7 +56,7 @@ OUTCOMES = {
 """Columns of the tables `radio` and `pdr_by_distance`, and the outcome that each counts."""
 
 
-def step(recorder: Recorder, result: StepResult, dt_s: float) -> None:
+def step(recorder: TakesRows, result: StepResult, dt_s: float) -> None:
     """All rows that the result of a step has for the tables of a run."""
     at = result.world.step
     actors(recorder, result.world)
@@ -66,7 +78,7 @@ def step(recorder: Recorder, result: StepResult, dt_s: float) -> None:
         recorder.append("attack_outcomes", at, rows)
 
 
-def actors(recorder: Recorder, world: World) -> None:
+def actors(recorder: TakesRows, world: World) -> None:
     """Poses of all actors."""
     xyz, yaw = world.boxes.xyz_m, world.boxes.yaw_rad
     recorder.append("actors", world.step, {
@@ -75,7 +87,7 @@ def actors(recorder: Recorder, world: World) -> None:
     })  # fmt: skip
 
 
-def _reactions(recorder: Recorder, at: int, found: Reactions) -> None:
+def _reactions(recorder: TakesRows, at: int, found: Reactions) -> None:
     why = found.commands.reasons
     assert why is not None, "reactions have reasons"
     recorder.append("reactions", at, {
@@ -86,7 +98,7 @@ def _reactions(recorder: Recorder, at: int, found: Reactions) -> None:
     })  # fmt: skip
 
 
-def encounters(recorder: Recorder, at: int, closed: Sequence[Rows]) -> None:
+def encounters(recorder: TakesRows, at: int, closed: Sequence[Rows]) -> None:
     """Encounters that are over, by definition."""
     for rows in closed:
         base, others = by_variant(rows)
@@ -95,7 +107,7 @@ def encounters(recorder: Recorder, at: int, closed: Sequence[Rows]) -> None:
             recorder.append("encounter_trust", at, others)
 
 
-def pseudonyms(recorder: Recorder, at: int, ended: PseudonymUse) -> None:
+def pseudonyms(recorder: TakesRows, at: int, ended: PseudonymUse) -> None:
     """Pseudonyms that are no longer used."""
     recorder.append("pseudonyms", at, _pseudonym_rows(ended))
 
@@ -117,7 +129,7 @@ def _box_columns(boxes: Boxes) -> Rows:
     }  # fmt: skip
 
 
-def _detections(recorder: Recorder, world: World, sensed: Sensed) -> None:
+def _detections(recorder: TakesRows, world: World, sensed: Sensed) -> None:
     listed, truth, seen = sensed.listed.objects, sensed.listed.truth, sensed.positioned.observed.observability
     recorder.append("detections", world.step, {
         "observer": sensed.senders.pseudonym[sensed.listed.detections.message],
@@ -147,7 +159,7 @@ def _detections(recorder: Recorder, world: World, sensed: Sensed) -> None:
     })  # fmt: skip
 
 
-def _channel(recorder: Recorder, at: int, sensed: Sensed) -> None:
+def _channel(recorder: TakesRows, at: int, sensed: Sensed) -> None:
     n = len(sensed.vehicles)
     for message_type, broadcast, reach in zip(MessageType, sensed.rounds, sensed.reach, strict=True):
         frames = broadcast.round.frames
@@ -174,7 +186,7 @@ def _of(message_type: MessageType, rows: Mapping[str, ndarray | None]) -> dict[s
     return {"message_type": np.full(n, message_type), **rows}
 
 
-def _receptions(recorder: Recorder, at: int, sensed: Sensed) -> None:
+def _receptions(recorder: TakesRows, at: int, sensed: Sensed) -> None:
     for message_type, broadcast in zip(MessageType, sensed.rounds, strict=True):
         found = broadcast.links.vehicles
         recorder.append("receptions", at, _of(message_type, {
@@ -184,7 +196,7 @@ def _receptions(recorder: Recorder, at: int, sensed: Sensed) -> None:
         }))  # fmt: skip
 
 
-def _evaluations(recorder: Recorder, at: int, sensed: Sensed) -> None:
+def _evaluations(recorder: TakesRows, at: int, sensed: Sensed) -> None:
     evaluated, detections, pseudonym = sensed.evaluated, sensed.listed.detections, sensed.senders.pseudonym
     lists, reported = evaluated.lists, evaluated.reported
     recorder.append("evaluations", at, {
@@ -198,7 +210,7 @@ def _evaluations(recorder: Recorder, at: int, sensed: Sensed) -> None:
         _transmitted(recorder, at, sensed)
 
 
-def _transmitted(recorder: Recorder, at: int, sensed: Sensed) -> None:
+def _transmitted(recorder: TakesRows, at: int, sensed: Sensed) -> None:
     sent, own = sensed.evaluated.sent, sensed.evaluated.kept_messages
     recorder.append("transmitted_evaluations", at, {
         "evaluator": np.repeat(sent.evaluator, np.diff(sent.ptr)), "observer": sent.observer,
@@ -212,7 +224,7 @@ def _transmitted(recorder: Recorder, at: int, sensed: Sensed) -> None:
     })  # fmt: skip
 
 
-def _evidence(recorder: Recorder, world: World, sensed: Sensed) -> None:
+def _evidence(recorder: TakesRows, world: World, sensed: Sensed) -> None:
     listed, lists, reported = sensed.listed, sensed.evaluated.lists, sensed.evaluated.reported
     evaluations = evidence_audit.AuditedEvaluations(
         evaluator=lists.owner[lists.of_member()],
@@ -231,14 +243,14 @@ def _evidence(recorder: Recorder, world: World, sensed: Sensed) -> None:
     recorder.append("evidence", world.step, evidence_audit.audit(evaluations, detections, attacks, n_copies))
 
 
-def _trust(recorder: Recorder, at: int, sensed: Sensed, dt_s: float) -> None:
+def _trust(recorder: TakesRows, at: int, sensed: Sensed, dt_s: float) -> None:
     used = sensed.looked_up.messages
     receiver, subject = sensed.vehicles.actor[used.receiver], sensed.senders.pseudonym[used.message]
     trust(recorder, at, dt_s, sensed.published, sensed.servers, receiver, subject, sensed.looked_up.lookups)
 
 
 def trust(
-    recorder: Recorder, at: int, dt_s: float, published: Sequence[TrustScores | None],
+    recorder: TakesRows, at: int, dt_s: float, published: Sequence[TrustScores | None],
     servers: Sequence[ServerTraffic | None], receiver: Int[ndarray, "n"], subject: Int[ndarray, "n"],
     lookups: Sequence[Lookups],
 ) -> None:  # fmt: skip
@@ -251,7 +263,7 @@ def trust(
     _lookups(recorder, at, receiver, subject, lookups)
 
 
-def _published(recorder: Recorder, at: int, dt_s: float, of_variant: Sequence[tuple[int, TrustScores]]) -> None:
+def _published(recorder: TakesRows, at: int, dt_s: float, of_variant: Sequence[tuple[int, TrustScores]]) -> None:
     """Rows of all variants at once, one variant after another."""
     if not of_variant:
         return
@@ -279,7 +291,7 @@ _DOWN = ("n_addressed", "n_informed")
 
 
 def _lookups(
-    recorder: Recorder, at: int, receiver: Int[ndarray, "n"], subject: Int[ndarray, "n"], lookups: Sequence[Lookups]
+    recorder: TakesRows, at: int, receiver: Int[ndarray, "n"], subject: Int[ndarray, "n"], lookups: Sequence[Lookups]
 ) -> None:
     """Rows of all variants at once, by subject."""
     n, n_variants = len(receiver), len(lookups)
@@ -332,7 +344,7 @@ def _evaluations_behind(
     }  # fmt: skip
 
 
-def _fused(recorder: Recorder, at: int, sensed: Sensed) -> None:
+def _fused(recorder: TakesRows, at: int, sensed: Sensed) -> None:
     listed, pseudonym = sensed.listed.objects, sensed.senders.pseudonym[sensed.listed.detections.message]
     for variant, fused in enumerate(sensed.fused):
         if fused is None:

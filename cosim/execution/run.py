@@ -2,7 +2,7 @@
 
 import hashlib
 import shutil
-from collections.abc import Callable, Collection, Generator
+from collections.abc import Collection
 from contextlib import suppress
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -26,14 +26,12 @@ from cosim.execution.stop import NOTHING_WRITTEN, Failed, Stopped, StopRequest
 from cosim.mobility.actors import ActorRegistry
 from cosim.mobility.meshes import with_meshes
 from cosim.mobility.remarks import traffic_remarks
-from cosim.mobility.scenario import Scenario, find
+from cosim.mobility.scenario import Scenario
 from cosim.mobility.source import TrafficEnded, TrafficError, TrafficSource
-from cosim.step.parts import Parts, perception_of, sources
-from cosim.step.perception import Perceives, Perception
+from cosim.step.parts import Parts, sources
 from cosim.step.state import State
 from cosim.step.stopwatch import Stopwatch
 from cosim.step.trackers.attack_start import AttackStartTracker
-from cosim.world import World
 from results import inventory
 from results.durable import PARTIAL, Damaged, open_regular
 from results.inventory import CHECKPOINT, Inventory
@@ -44,14 +42,11 @@ from results.tables import SCHEMA_VERSION
 from results.verify import links
 
 
-def run(
-    config: Config, out: Path | None, advance: Advance, traffic_from: Path | None = None,
-    perceive: Callable[[Perception], Perceives] = lambda own: own,
-) -> Path:  # fmt: skip
+def run(config: Config, out: Path | None, advance: Advance, traffic_from: Path | None = None) -> Path:
     """Drive, sense, talk, trust and record; the folder that it wrote.
 
     `traffic_from` is a folder that `record_traffic` wrote for the same `[traffic]`: it is replayed instead of driving
-    SUMO, with the same tables. `perceive` may give another perception in place of the run's own.
+    SUMO, with the same tables.
 
     Nothing is written before the config has been checked and SUMO has accepted the scenario. Stopped where a signal
     asks for it.
@@ -59,14 +54,14 @@ def run(
     run_folder.check(out)
     scenario = check(config)
     with StopRequest() as stop:
-        parts, registry, traffic = _loaded(config, scenario, traffic_from, perceive)
+        parts, registry, traffic = load_parts(config, scenario, traffic_from)
         try:
             folder = run_folder.create(out, scenario.name)
             try:
                 manifest = Manifest(folder.path, config, provenance(config, scenario), sources(config))
                 manifest.begin()
                 recorder = _recorder(folder.path, parts, 0)
-                warmup_s = 0.0 if traffic_from is not None else _warmup_s(config, scenario)
+                warmup_s = 0.0 if traffic_from is not None else warmup_of(config, scenario)
                 drive = Drive(parts, scenario, folder, warmup_s, traffic, registry, recorder, manifest, advance, stop)
             except BaseException as error:
                 with suppress(OSError):
@@ -80,15 +75,12 @@ def run(
     return folder.path
 
 
-def resume(
-    path: Path, advance: Advance, traffic_from: Path | None = None,
-    perceive: Callable[[Perception], Perceives] = lambda own: own, trust_code: bool = False,
-) -> Path:  # fmt: skip
+def resume(path: Path, advance: Advance, traffic_from: Path | None = None, trust_code: bool = False) -> Path:
     """Go on with a run that was killed or interrupted, from its last whole block: the tables are those of a run
     never interrupted.
 
     The traffic is repeated from its beginning, because SUMO's own saved state is not exact; everything else goes on
-    from the state that was kept with the block. `traffic_from` and `perceive` as in `run`.
+    from the state that was kept with the block. `traffic_from` as in `run`.
 
     Classes of the user's own that the run's config names are loaded with `trust_code` only: a checksum in the folder
     can be made anew by whoever made the folder. Nothing else in it can name code.
@@ -109,13 +101,13 @@ def resume(
             closed = [part for block in found.blocks for part in block.parts]
             if problem := next((p for part in closed if (p := content_problem(path, part))), ""):
                 raise Damaged(f"{path} is damaged: {problem}. Run again.")
-            parts, registry, traffic = _loaded(config, scenario, traffic_from, perceive)
+            parts, registry, traffic = load_parts(config, scenario, traffic_from)
             try:
                 went = Manifest(path, config, manifest["net"], sources(config), steps=found.end_step)
                 went.keep_config(manifest)
                 recorder = _recorder(path, parts, found.end_step)
                 went.resumed_at = [*manifest.get("resumed_at", []), found.end_step]
-                warmup_s = 0.0 if traffic_from is not None else _warmup_s(config, scenario)
+                warmup_s = 0.0 if traffic_from is not None else warmup_of(config, scenario)
                 drive = Drive(parts, scenario, folder, warmup_s, traffic, registry, recorder, went, advance, stop)
                 drive.state = _kept_state(path, found, config, went.config_sha256)
                 drive.expected = _last_poses(path, found)
@@ -141,7 +133,7 @@ def record_traffic(config: Config, path: Path, advance: Advance) -> Path:
         folder = run_folder.create(path, scenario.name)
         manifest = Manifest(path, config, provenance(config, scenario), sources(config))
         manifest.begin()
-        warm_up(_warmup_s(config, scenario), traffic, watch, advance)
+        warm_up(warmup_of(config, scenario), traffic, watch, advance)
         recorder = Recorder(path, "standard", config.record.block_steps)
         for number in range(config.n_steps):
             try:
@@ -186,41 +178,23 @@ def resumable(path: Path, trust_code: bool = False) -> Config:
     return config
 
 
-def _warmup_s(config: Config, scenario: Scenario) -> float:
+def warmup_of(config: Config, scenario: Scenario) -> float:
+    """Traffic before the first step [s]."""
     return scenario.warmup_s if config.traffic.warmup_s is None else config.traffic.warmup_s
 
 
-def worlds_of(config: Config, traffic_from: Path | None) -> Generator[World, None, None]:
-    """The worlds that a run of this config will see, ahead of it. Its traffic is replayed, as in `run`."""
-    scenario = find(config.traffic.scenario, config.traffic.trace)
-    _, traffic = _traffic(config, scenario, traffic_from)
-    try:
-        for _ in traffic.warm_up(0.0 if traffic_from is not None else _warmup_s(config, scenario)):
-            pass
-        for _ in range(config.n_steps):
-            yield traffic.advance()
-    except TrafficEnded:
-        return  # the run itself meets the same end, and says so
-    finally:
-        traffic.close()
-
-
-def _loaded(
-    config: Config, scenario: Scenario, traffic_from: Path | None, perceive: Callable[[Perception], Perceives]
+def load_parts(
+    config: Config, scenario: Scenario, traffic_from: Path | None = None
 ) -> tuple[Parts, ActorRegistry, TrafficSource]:
+    """The parts of a run, with its actors and its traffic; arguments as `run`. The caller closes the traffic."""
     watch = Stopwatch()
     with watch("city"):
         city = with_meshes(scenario.city(), config.meshes, config.vehicle_meshes)
     parts = Parts.of(config, city, roadside_units(config, scenario), watch)
-    parts = replace(parts, perception=perceive(perception_of(config, city)))
-    return parts, *_traffic(config, scenario, traffic_from)
-
-
-def _traffic(config: Config, scenario: Scenario, traffic_from: Path | None) -> tuple[ActorRegistry, TrafficSource]:
     registry = ActorRegistry(config.fleet, config.seed, shares(config.attacks), named(config.attacks))
     recorded = scenario if traffic_from is None else replace(scenario, trace=traffic_from, warmup_s=0.0)
     params = config.traffic if traffic_from is None else replace(config.traffic, begin_s=None, warmup_s=0.0)
-    return registry, recorded.traffic(params, registry, config.driver.model != "none", config.objects)
+    return parts, registry, recorded.traffic(params, registry, config.driver.model != "none", config.objects)
 
 
 def _recorder(folder: Path, parts: Parts, resume_at: int) -> Recorder:

@@ -3,7 +3,7 @@
 One pass over the frames and one over their receptions, with sorting by counting only.
 """
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
@@ -29,8 +29,7 @@ for _phy, _outcome in {
 _RECEIVED, _PROPAGATION, _EXPIRED = int(Outcome.RECEIVED), int(Outcome.PROPAGATION), int(Outcome.EXPIRED)
 
 
-@dataclass(frozen=True, slots=True)
-class NeighbourList:
+class NeighbourList(NamedTuple):
     """Stations in range of each station, ascending, compressed rows."""
 
     ptr: Int[ndarray, "n+1"]
@@ -90,8 +89,7 @@ def _neighbours(xy, range_m, a, b, distance_m, slant_m, los_state):
     return ptr, station, apart_m, state
 
 
-@dataclass(frozen=True, slots=True)
-class Transmissions:
+class Transmissions(NamedTuple):
     """F frames of a round with their receptions."""
 
     unit: Int[ndarray, "f"]
@@ -106,8 +104,7 @@ class Transmissions:
     end_ns: Int[ndarray, "f"]
     begin: Int[ndarray, "f"]
     """Where the receptions of each frame begin."""
-    count: Int[ndarray, "f"]
-    """Number of them."""
+    n_receptions: Int[ndarray, "f"]
     receiver: Int[ndarray, "m"]
     reception: UInt8[ndarray, "m"]
     """As `PhyOutcome`."""
@@ -128,14 +125,22 @@ class Transmissions:
             before += len(out.receiver)
         unit = frames["unit"]
         return Transmissions(
-            unit, units["message"][unit], units["source"][unit], frames["transmitter"], frames["hop"], on_air,
-            start_ns, end_ns, begin, count, np.concatenate([np.zeros(0, np.int32)] + [out.receiver for out in windows]),
-            np.concatenate([np.zeros(0, np.uint8)] + [out.reception for out in windows]),
-        )  # fmt: skip
+            unit=unit,
+            message=units["message"][unit],
+            source=units["source"][unit],
+            transmitter=frames["transmitter"],
+            hop=frames["hop"],
+            on_air=on_air,
+            start_ns=start_ns,
+            end_ns=end_ns,
+            begin=begin,
+            n_receptions=count,
+            receiver=np.concatenate([np.zeros(0, np.int32)] + [out.receiver for out in windows]),
+            reception=np.concatenate([np.zeros(0, np.uint8)] + [out.reception for out in windows]),
+        )
 
 
-@dataclass(frozen=True, slots=True)
-class ReceptionAttempts:
+class ReceptionAttempts(NamedTuple):
     """Every (frame, station in range of its transmitter, other than the message's sender), frame by frame."""
 
     first: Int[ndarray, "f+1"]
@@ -150,17 +155,13 @@ class ReceptionAttempts:
     @staticmethod
     def of(sent: Transmissions, near: NeighbourList) -> "ReceptionAttempts":
         """Of all frames of a round."""
-        return ReceptionAttempts(*_attempts(
-            near.ptr, near.station, near.length_m, near.los_state, sent.message, sent.source, sent.transmitter,
-            sent.hop, sent.on_air, sent.begin, sent.count, sent.receiver, sent.reception, _OUTCOME_OF,
-        ))  # fmt: skip
+        return ReceptionAttempts(*_attempts(sent, near, _OUTCOME_OF))
 
 
 @compiled
-def _attempts(
-    ptr, station, length_m, los_state, message, source, transmitter, hop, on_air, begin, count, receiver, reception,
-    outcome_of,
-):  # fmt: skip
+def _attempts(sent, near, outcome_of):
+    """Columns of `ReceptionAttempts`."""
+    ptr, transmitter, begin, count, receiver = near.ptr, sent.transmitter, sent.begin, sent.n_receptions, sent.receiver
     room = 0
     for f in range(len(transmitter)):
         room += ptr[transmitter[f] + 1] - ptr[transmitter[f]]
@@ -172,12 +173,13 @@ def _attempts(
     for f in range(len(transmitter)):
         first[f] = m
         for k in range(begin[f], begin[f] + count[f]):
-            here[receiver[k]] = outcome_of[reception[k]]
+            here[receiver[k]] = outcome_of[sent.reception[k]]
         for row in range(ptr[transmitter[f]], ptr[transmitter[f] + 1]):
-            r = station[row]
-            if r != source[f]:
-                of[m], to[m], hops[m], apart_m[m], state[m] = message[f], r, hop[f], length_m[row], los_state[row]
-                outcome[m] = here[r] if on_air[f] else _EXPIRED
+            r = near.station[row]
+            if r != sent.source[f]:
+                of[m], to[m], hops[m] = sent.message[f], r, sent.hop[f]
+                apart_m[m], state[m] = near.length_m[row], near.los_state[row]
+                outcome[m] = here[r] if sent.on_air[f] else _EXPIRED
                 m += 1
         for k in range(begin[f], begin[f] + count[f]):
             here[receiver[k]] = _PROPAGATION
@@ -198,19 +200,16 @@ def complete_messages(
     n_segments
         Of each message.
     """
-    n_duplicate, columns = _complete(
-        xy_m, messages.station, attempts.receiver, attempts.outcome, attempts.first,
-        counting_order(np.ascontiguousarray(sent.unit, np.int64), len(own_ns)), sent.message, sent.transmitter,
-        sent.unit, sent.hop, sent.start_ns, sent.end_ns, own_ns, n_segments, begin_ns,
-    )  # fmt: skip
+    by_unit = counting_order(np.ascontiguousarray(sent.unit, np.int64), len(own_ns))
+    n_duplicate, columns = _complete(xy_m, messages.station, attempts, sent, by_unit, own_ns, n_segments, begin_ns)
     return Receptions(*columns), n_duplicate
 
 
 @compiled
-def _complete(
-    xy, station, to, outcome, first, by_unit, message_of, transmitter, unit, hop, start_ns, end_ns, own_ns, n_segments,
-    begin_ns,
-):  # fmt: skip
+def _complete(xy, station, attempts, sent, by_unit, own_ns, n_segments, begin_ns):
+    """Repeated segments, and the columns of `Receptions`; `by_unit` are the frames sorted by unit."""
+    to, outcome, first = attempts.receiver, attempts.outcome, attempts.first
+    message_of, transmitter, unit, end_ns = sent.message, sent.transmitter, sent.unit, sent.end_ns
     n = len(xy)
     at = np.zeros(n + 1, np.int64)
     for row in range(len(outcome)):
@@ -243,8 +242,8 @@ def _complete(
                     k += 1
                 u = unit[best]
                 n_received += 1
-                hop_of = max(hop_of, hop[best])
-                access_ns = max(access_ns, start_ns[u] - own_ns[u])
+                hop_of = max(hop_of, sent.hop[best])
+                access_ns = max(access_ns, sent.start_ns[u] - own_ns[u])
                 last_ns = max(last_ns, end_ns[best] - own_ns[u])
             if n_received == n_segments[s]:
                 dx, dy = xy[r, 0] - xy[station[s], 0], xy[r, 1] - xy[station[s], 1]

@@ -46,35 +46,63 @@ def _attempt(h, rules, since_s):
     return _RECEIVED if arrival_s <= rules.round_s else _LATE, arrival_s
 
 
+class _Network(NamedTuple):
+    """Stations and their neighbours, compressed rows."""
+
+    ptr: ndarray
+    neighbour: ndarray
+    length_m: ndarray
+    key: ndarray  # of each station's draws
+
+
+class _Sent(NamedTuple):
+    """Messages, by station."""
+
+    first: ndarray  # where each station's begin
+    station: ndarray
+    key: ndarray  # of each message's draws
+    is_sent: ndarray
+    delay_s: ndarray
+
+
+class _Forwarded(NamedTuple):
+    """Messages that stations forward: each a message, who forwards it, and when since the round began."""
+
+    message: ndarray
+    transmitter: ndarray
+    age_s: ndarray
+
+
 @kernel
-def _first_hop(ptr, neighbour, length_m, first, sends, delay_s, message_key, key, rules, rows):
+def _first_hop(network, sent, rules, rows):
     """Every sender's frame at every neighbour, by receiver, then message."""
     message, to, apart_m, outcome, arrival_s = rows
     m = 0
-    for r in range(len(ptr) - 1):
-        for link in range(ptr[r], ptr[r + 1]):
-            s = neighbour[link]
-            for i in range(first[s], first[s + 1]):
-                if sends[i]:
-                    h = mix(mix(mix(rules.rng_key, message_key[i]), key[s]), key[r])
-                    message[m], to[m], apart_m[m] = i, r, length_m[link]
-                    outcome[m], arrival_s[m] = _attempt(h, rules, delay_s[i])
+    for r in range(len(network.ptr) - 1):
+        for link in range(network.ptr[r], network.ptr[r + 1]):
+            s = network.neighbour[link]
+            for i in range(sent.first[s], sent.first[s + 1]):
+                if sent.is_sent[i]:
+                    h = mix(mix(mix(rules.rng_key, sent.key[i]), network.key[s]), network.key[r])
+                    message[m], to[m], apart_m[m] = i, r, network.length_m[link]
+                    outcome[m], arrival_s[m] = _attempt(h, rules, sent.delay_s[i])
                     m += 1
     return m
 
 
 @kernel
-def _next_hop(ptr, neighbour, length_m, forwarded, station, transmitter, age_s, message_key, key, rules, rows, via):
+def _next_hop(network, sent, forwarded, rules, rows, via):
     """One transmission by every forwarder of a message: a row per neighbour other than the message's sender."""
     message, to, apart_m, outcome, arrival_s = rows
     m = 0
-    for i in range(len(forwarded)):
-        h = mix(mix(rules.rng_key, message_key[forwarded[i]]), key[transmitter[i]])
-        for link in range(ptr[transmitter[i]], ptr[transmitter[i] + 1]):
-            r = neighbour[link]
-            if r != station[forwarded[i]]:
-                outcome[m], arrival_s[m] = _attempt(mix(h, key[r]), rules, age_s[i])
-                message[m], via[m], to[m], apart_m[m] = forwarded[i], transmitter[i], r, length_m[link]
+    for i in range(len(forwarded.message)):
+        carried, transmitter = forwarded.message[i], forwarded.transmitter[i]
+        h = mix(mix(rules.rng_key, sent.key[carried]), network.key[transmitter])
+        for link in range(network.ptr[transmitter], network.ptr[transmitter + 1]):
+            r = network.neighbour[link]
+            if r != sent.station[carried]:
+                outcome[m], arrival_s[m] = _attempt(mix(h, network.key[r]), rules, forwarded.age_s[i])
+                message[m], via[m], to[m], apart_m[m] = carried, transmitter, r, network.length_m[link]
                 m += 1
     return m
 
@@ -107,7 +135,7 @@ class UnitDiskMedium:
         hops remain.
         """
         p, relay = self.params, self.params.relay
-        stream = (rng.Stream.RADIO_DETECTIONS, rng.Stream.RADIO_VERDICTS)[kind]
+        stream = (rng.Stream.RADIO_DETECTIONS, rng.Stream.RADIO_EVALUATIONS)[kind]
         rng_key = rng.key(self.seed, stream, step)
         disk = p.unit_disk
         spread_s = disk.latency_max_s - disk.latency_min_s
@@ -116,11 +144,13 @@ class UnitDiskMedium:
         station, message_key, sends = messages.station, messages.keys(stations), messages.length_bytes > 0
         delay_s = np.zeros(n_messages) if messages.delay_s is None else messages.delay_s
         sender, b, length_m = neighbours(xy_m, p.range_m)
-        ptr, first = ptr_of(sender, n), ptr_of(station, n)
+        ptr = ptr_of(sender, n)
+        network = _Network(ptr, b, length_m, key)
+        sent = _Sent(ptr_of(station, n), station, message_key, sends, delay_s)
 
         tried = int(((ptr[1:] - ptr[:-1])[station]).sum())
         rows = _rows(tried)
-        tried = _first_hop(ptr, b, length_m, first, sends, delay_s, message_key, key, rules, rows)
+        tried = _first_hop(network, sent, rules, rows)
         message, to, apart_m, outcome, arrival_s = (column[:tried] for column in rows)
         attempts = [(message, to, np.ones(tried, np.int64), apart_m, outcome)]
         n_duplicate = n_relayed = 0
@@ -142,9 +172,7 @@ class UnitDiskMedium:
             n_relayed += len(message)
             tried = int(np.sum(ptr[transmitter + 1] - ptr[transmitter]))
             rows, via = _rows(tried), np.empty(tried, np.int64)
-            tried = _next_hop(
-                ptr, b, length_m, message, station, transmitter, age_s, message_key, key, rules, rows, via
-            )
+            tried = _next_hop(network, sent, _Forwarded(message, transmitter, age_s), rules, rows, via)
             message, to, apart_m, outcome, arrival_s = (column[:tried] for column in rows)
             attempts.append((message, to, np.full(tried, hop), apart_m, outcome))
             keep, new = _first_copies(message, to, via[:tried], arrival_s, outcome, n, known)

@@ -27,7 +27,7 @@ from results.figures import scenario as pictures
 from results.figures import style
 from sensors.boxes import Boxes
 from sensors.evidence import Observability
-from sensors.lidar import RangeImages, Sweeps
+from sensors.lidar import Sweeps
 from sensors.reports import DetectorDraws, Reports
 from sensors.scene import Scene, Shape
 from trust.fusion import Fused
@@ -219,7 +219,6 @@ def _fused(sensed: Sensed, title: str) -> pictures.Panel:
 
 def _panel(title: str, sensed: Sensed, observer: int, rows: ndarray, score: ndarray) -> pictures.Panel:
     sweeps, listed = sensed.positioned.observed.sweeps, sensed.listed.objects
-    assert isinstance(sweeps, RangeImages)
     points = sweeps.poses.to_world(observer, sweeps.xyz(observer))[:, :2]
     false = listed.origin[rows] == FABRICATED
     return pictures.Panel(title, points, _footprints(listed.boxes.take(rows)), false, [f"{s:.2f}" for s in score])

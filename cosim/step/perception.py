@@ -34,8 +34,8 @@ GROUP, FEW = 128, 64
 class Observed:
     """What all equipped vehicles perceived in one step; `e` counts them."""
 
-    sweeps: lidar.Scanners
-    """Range images, where this process holds them; valid until the next step, which uses their memory again."""
+    sweeps: lidar.RangeImages
+    """Valid until the next step, which uses their memory again."""
     observability: evidence.Observability
     detections: Detections
     """Self reports and what the detector reports."""
@@ -85,7 +85,7 @@ class Perceives(Protocol):
         """What these rows of the world perceive."""
         ...
 
-    def answers(self, sweeps: lidar.Scanners, asked: BoxQuestions) -> BoxAnswers:
+    def answers(self, sweeps: lidar.RangeImages, asked: BoxQuestions) -> BoxAnswers:
         """What the sweeps of the last step say of boxes; `sweeps` as observed, or where vehicles take them to be."""
         ...
 
@@ -139,8 +139,7 @@ class Perception:
                 watch.add(own, n_threads)
         seen = [here for here, _ in found]
         with watch("detect"):
-            on = lidar.scanners(world.boxes, observers, self.lidar)
-            images = lidar.with_ranges(on, range_steps, lidar.step_of(self.lidar))
+            images = lidar.range_images(world.boxes, observers, self.lidar, range_steps)
             return self.observed(world, observers, images, seen)
 
     def sense(
@@ -161,10 +160,12 @@ class Perception:
             reports = detector.detect(self.detector, sweeps, here, world.boxes, world.label, draws)
         return sweeps, Seen(here, reports)
 
-    def answers(self, sweeps: lidar.Scanners, asked: BoxQuestions) -> BoxAnswers:
+    def answers(self, sweeps: lidar.RangeImages, asked: BoxQuestions) -> BoxAnswers:
         """As `Perceives`."""
-        assert isinstance(sweeps, lidar.RangeImages)
-        return answers(sweeps, asked)
+        return (
+            evidence.points_in_boxes(sweeps, asked.counting, asked.boxes, asked.counted),
+            evidence.plausible(sweeps, asked.testing, asked.boxes, asked.tested, asked.area),
+        )
 
     def sweep(self, world: World, observers: Int[ndarray, "e"]) -> lidar.Sweeps:
         """Sweeps of these rows of the world, with what each ray met; in memory of their own."""
@@ -179,7 +180,7 @@ class Perception:
         return lidar.scan(world.boxes, world.shape, observers, self.city, self.lidar, keys, memory, near, bodies)
 
     def observed(
-        self, world: World, observers: Int[ndarray, "e"], sweeps: lidar.Scanners, parts: Sequence[Seen]
+        self, world: World, observers: Int[ndarray, "e"], sweeps: lidar.RangeImages, parts: Sequence[Seen]
     ) -> Observed:
         """What all observers see, from what each part of them does; the truth's name is dropped here."""
         seen, found = _concat([part.observability for part in parts]), _concat([part.reports for part in parts])
@@ -208,14 +209,6 @@ class Perception:
             site_step=rng.keys(rng.key(self.seed, rng.Stream.CLUTTER, step), names[observers]),
             site_observer=rng.keys(site, names[observers]),
         )
-
-
-def answers(sweeps: lidar.RangeImages, asked: BoxQuestions) -> BoxAnswers:
-    """What range images say of boxes."""
-    return (
-        evidence.points_in_boxes(sweeps, asked.counting, asked.boxes, asked.counted),
-        evidence.plausible(sweeps, asked.testing, asked.boxes, asked.tested, asked.area),
-    )
 
 
 def _concat(parts: list[_Rows]) -> _Rows:

@@ -23,7 +23,7 @@ from cosim.world import World
 from results.codes import TrustSource
 from results.encounters import Rows
 from trust.fusion import Fused, fuse, votes_of
-from trust.tables import SenderTrust, TrustScores
+from trust.tables import FusionInput, SenderTrust, TrustScores
 
 
 def own_trust_of(
@@ -260,7 +260,9 @@ def fuse_objects(
     used = looked_up.messages
     ptr = ptr_of(used.receiver, len(matched.known.owner))
     in_time = np.full(len(used.message), parts.config.radio.evaluations == "alone")
-    given = matched.known, matched.groups, listed.detections, evaluated.lists, evaluated.own, evaluated.reported
+    given = FusionInput(
+        matched.known, matched.groups, listed.detections, evaluated.lists, evaluated.own, evaluated.reported
+    )
     fused: list[Fused | None] = []
     votes = None
     hosts = parts.trust
@@ -270,8 +272,8 @@ def fuse_objects(
             continue
         sender_trust, params = SenderTrust(ptr, used.message, found.trust, in_time), variant.trust
         if scorer is not None and votes is None:
-            votes = votes_of(*given, sender_trust)
+            votes = votes_of(given, sender_trust)
         fused.append(fuse(
-            *given, sender_trust, answers.of_seeds, answers.from_own_m, params, scorer, votes, params.min_score
+            given, sender_trust, answers.of_seeds, answers.from_own_m, params, scorer, votes, params.min_score
         ))  # fmt: skip
     return fused

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import psutil
-from distributed import CancelledError, Client, Future, KilledWorker, LocalCluster, as_completed
+from distributed import Client, Future, LocalCluster, as_completed
 from distributed.comm import CommClosedError
 
 from cosim.execution.source import code_digest
@@ -39,21 +39,21 @@ class Work:
 
 
 @contextmanager
-def connected(scheduler: str | None, workers: int, needed: Path | None, processes: bool = False) -> Iterator[Client]:
+def connected(scheduler: str | None, workers: int, needed: Path) -> Iterator[Client]:
     """A client of the scheduler, or of a cluster on this machine; ValueError where it cannot do the work.
 
-    `needed` is a file or folder that every worker must see. Without a scheduler workers are threads of this process,
-    which start subprocesses; or processes of their own.
+    `needed` is a file or folder that every worker must see. Without a scheduler the workers are threads of this
+    process, which start subprocesses.
     """
     if scheduler is None:
-        size = {"n_workers": workers, "threads_per_worker": 1} if processes else {
-            "n_workers": 1, "threads_per_worker": workers
-        }  # fmt: skip
         with (
             closing_quietly(),
-            LocalCluster(processes=processes, memory_limit=0, dashboard_address="127.0.0.1:0", **size) as cluster,
+            LocalCluster(
+                n_workers=1, threads_per_worker=workers, processes=False, memory_limit=0,
+                dashboard_address="127.0.0.1:0",
+            ) as cluster,
             Client(cluster) as client,
-        ):
+        ):  # fmt: skip
             yield client
         return
     try:
@@ -87,27 +87,14 @@ def closing_quietly() -> Iterator[None]:
             one.removeFilter(is_news)
 
 
-def gathered(client: Client, futures: Sequence[Future]) -> list[Any]:
-    """Results of tasks, in order; what a lost worker held is computed again by another.
-
-    Errors
-    ------
-    ConnectionError where the scheduler is gone or workers are lost as often as it allows; what a task raised.
-    """
-    try:
-        return client.gather(list(futures))
-    except (CancelledError, KilledWorker, CommClosedError) as error:
-        raise ConnectionError(f"workers lost: {type(error).__name__}") from None
-
-
-def _check(client: Client, scheduler: str, needed: Path | None) -> None:
+def _check(client: Client, scheduler: str, needed: Path) -> None:
     """Refuse workers that run another cosim or do not see what they need."""
     if not client.scheduler_info()["workers"]:
         raise ValueError(
             f"--scheduler {scheduler}: it has no workers. Start some: dask worker {scheduler} --nthreads 1"
         )
     try:
-        seen = client.run(_look, needed and str(needed))
+        seen = client.run(_look, str(needed))
     except Exception as error:  # whatever a worker without this code answers
         reason = " ".join(f"{type(error).__name__}: {error}".split())[:120]
         raise ValueError(
@@ -124,8 +111,8 @@ def _check(client: Client, scheduler: str, needed: Path | None) -> None:
             raise ValueError(f"--scheduler {scheduler}: worker {worker} does not see {needed}. Use a shared folder.")
 
 
-def _look(needed: str | None) -> tuple[str, bool]:
-    return code_digest(), needed is None or Path(needed).exists()
+def _look(needed: str) -> tuple[str, bool]:
+    return code_digest(), Path(needed).exists()
 
 
 def execute(client: Client, study: StudyFolder, work: Work, limits: Limits) -> Iterator[tuple[str, Attempt]]:

@@ -18,7 +18,7 @@ from cosim.tryout.play import BASE
 from cosim.tryout.probe import difference
 from cosim.tryout.scene import N_STEPS, STEP_S, TinyScene
 from results.archive import open_run
-from results.measure import measure_own
+from results.own_metrics import measure_own
 from results.run import Run
 from sensors.scene import Shape
 

@@ -1,5 +1,7 @@
 """Reading trust scores row by row: what vehicles look up of them, many times in a step."""
 
+from typing import NamedTuple
+
 import numpy as np
 from jaxtyping import Int
 from numpy import ndarray
@@ -26,23 +28,59 @@ def rows_heard(
     return at
 
 
+class LookupColumns(NamedTuple):
+    """Columns of `cosim.v2x.trust_hosts.Lookups`, to be written."""
+
+    trust: ndarray
+    source: ndarray
+    state: ndarray
+    age_s: ndarray
+    newest_evaluation_age_s: ndarray
+    oldest_evaluation_age_s: ndarray
+    n_evaluations: ndarray
+    n_evaluators: ndarray
+
+
+class ScoreColumns(NamedTuple):
+    """Columns of `trust.tables.TrustScores`."""
+
+    trust: ndarray
+    is_judged: ndarray
+    newest_step: ndarray
+    oldest_step: ndarray
+    n_evaluations: ndarray
+    n_evaluators: ndarray
+
+
+class LookupRules(NamedTuple):
+    """What makes a value of the scores one that is looked up."""
+
+    source: int  # as `TrustSource`
+    value_age_s: float  # time since the scores were computed
+    time_s: float
+    dt_s: float
+    window_s: float  # an evaluation that is older is stale
+    unevaluated_is_used: bool  # the score of a subject that nobody evaluated is used, else the default
+
+
 @compiled
-def fill(
-    trust, source, state, age_s, newest_age_s, oldest_age_s, n_evaluations, n_evaluators, at, code, value_age_s, time_s,
-    dt_s, window_s, unjudged_is_used, scores_trust, is_judged, newest_step, oldest_step, scores_n, scores_n_evaluators,
-):  # fmt: skip
-    """Columns of `cosim.v2x.trust_hosts.Lookups` where `at` names a row of the scores; others stay as they are."""
+def fill(found, scores, at, rules):
+    """Look-ups where `at` names a row of the scores; others stay as they are."""
     for i in range(len(at)):
         row = at[i]
         if row < 0:
             continue
-        if is_judged[row] or unjudged_is_used:
-            trust[i], source[i] = scores_trust[row], code
-        age_s[i] = value_age_s
-        newest_age_s[i] = time_s - newest_step[row] * dt_s
-        oldest_age_s[i] = time_s - oldest_step[row] * dt_s
-        n_evaluations[i], n_evaluators[i] = scores_n[row], scores_n_evaluators[row]
-        state[i] = _UNJUDGED if not is_judged[row] else _JUDGED if newest_age_s[i] < window_s else _STALE
+        if scores.is_judged[row] or rules.unevaluated_is_used:
+            found.trust[i], found.source[i] = scores.trust[row], rules.source
+        newest_age_s = rules.time_s - scores.newest_step[row] * rules.dt_s
+        found.age_s[i] = rules.value_age_s
+        found.newest_evaluation_age_s[i] = newest_age_s
+        found.oldest_evaluation_age_s[i] = rules.time_s - scores.oldest_step[row] * rules.dt_s
+        found.n_evaluations[i], found.n_evaluators[i] = scores.n_evaluations[row], scores.n_evaluators[row]
+        if not scores.is_judged[row]:
+            found.state[i] = _UNJUDGED
+        else:
+            found.state[i] = _JUDGED if newest_age_s < rules.window_s else _STALE
 
 
 @compiled

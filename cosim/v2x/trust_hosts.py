@@ -385,14 +385,27 @@ class TrustHosts:
         window_s = window_of(params) if _has_window(self.models[h].model) else np.inf
         source = TrustSource.SERVER if params.host == "central" else TrustSource.OWN
         n_evaluators = scores.n_evaluations if scores.n_evaluators is None else scores.n_evaluators
+        columns = (getattr(found, name) for name in lookup_kernels.LookupColumns._fields)
         lookup_kernels.fill(
-            found.trust, found.source, found.state, found.age_s, found.newest_evaluation_age_s,
-            found.oldest_evaluation_age_s, found.n_evaluations, found.n_evaluators, at,
-            int(source), age_s, time_s, self.dt_s, window_s, params.unjudged != "default",
-            scores.trust, scores.is_judged, np.ascontiguousarray(scores.newest_evaluation_step),
-            np.ascontiguousarray(scores.oldest_evaluation_step),
-            scores.n_evaluations, n_evaluators,
-        )  # fmt: skip
+            lookup_kernels.LookupColumns(*columns),
+            lookup_kernels.ScoreColumns(
+                trust=scores.trust,
+                is_judged=scores.is_judged,
+                newest_step=np.ascontiguousarray(scores.newest_evaluation_step),
+                oldest_step=np.ascontiguousarray(scores.oldest_evaluation_step),
+                n_evaluations=scores.n_evaluations,
+                n_evaluators=n_evaluators,
+            ),
+            at,
+            lookup_kernels.LookupRules(
+                source=int(source),
+                value_age_s=age_s,
+                time_s=time_s,
+                dt_s=self.dt_s,
+                window_s=window_s,
+                unevaluated_is_used=params.unjudged != "default",
+            ),
+        )
         return scores.n_evaluators is not None or not (at >= 0).any()
 
     def rejected(self, state: TrustState) -> dict[str, int]:

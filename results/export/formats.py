@@ -1,7 +1,7 @@
 """What an exporter is, and those that ship."""
 
 from collections.abc import Callable, Mapping
-from typing import ClassVar, Protocol
+from typing import Protocol
 
 from results.export.kitti import Kitti
 from results.export.moments import Plan, Selection
@@ -14,8 +14,10 @@ from results.export.veremi_nextgen import VeremiNextGen
 class Exporter(Protocol):
     """Writes a run in another tool's layout."""
 
-    TABLES: ClassVar[tuple[str, ...]]
-    """Tables that the run must hold."""
+    @property
+    def TABLES(self) -> tuple[str, ...]:
+        """Tables that the run must hold; a class attribute will do."""
+        ...
 
     def plan(self, selection: Selection) -> Plan:
         """The files to write for some vehicles and steps of a run.

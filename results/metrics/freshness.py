@@ -227,7 +227,7 @@ def _of_equipped(run: Run) -> list[tuple[tuple, np.ndarray, np.ndarray]]:
 def _totals(run: Run) -> pd.DataFrame:
     """Sums of the table `lookup_totals`, by state in the order of `STATES`."""
     frame = run.variant_table("lookup_totals")
-    sums = [name for name in frame if name.endswith("_sum_s")]
+    sums = [str(name) for name in frame if str(name).endswith("_sum_s")]
     frame = frame.astype(dict.fromkeys(sums, np.float64))  # stored in single precision
     if frame.empty:
         raise ValueError(f"{run.path} {NO_LOOKUPS}")

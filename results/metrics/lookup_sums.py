@@ -1,11 +1,10 @@
 """Lookups of trust added up row by row, trust variants side by side: kernels of `results.metrics.lookups`."""
 
 import numpy as np
+from numba import njit
 
-from results.kernel import compiled
 
-
-@compiled
+@njit(cache=True, nogil=True)
 def numbered(wanted, table, keys, n, number):
     """Write the number of each wanted key to `number`, -1 for keys below 0; new keys get the next numbers.
 
@@ -33,7 +32,7 @@ def numbered(wanted, table, keys, n, number):
     return table, keys, n
 
 
-@compiled
+@njit(cache=True, nogil=True)
 def _slot(table, keys, key):
     """Where the table holds the number of a key, or would."""
     mask = len(table) - 1
@@ -43,7 +42,7 @@ def _slot(table, keys, key):
     return at
 
 
-@compiled
+@njit(cache=True, nogil=True)
 def add(
     variant, receiver, who, state, ages_s, age_number, n_evaluations, n_evaluators, role_of, fresh_s, states, fresh,
     aged, age_sum_s, age_counts, behind, behind_sum,
@@ -68,7 +67,7 @@ def add(
                 behind_sum[v, r, 1] += n_evaluators[i]
 
 
-@compiled
+@njit(cache=True, nogil=True)
 def add_successive(
     variant, receiver, step, pair, ages_s, dt_s, reach_s, last_step, last_s, renewed, peak_sum_s, observed_s,
     area_s2, sawtooth_peaks, sawtooth_peak_sum_s,
@@ -100,7 +99,7 @@ def add_successive(
                     sawtooth_peak_sum_s[v, r, what] += before_s + passed_s
 
 
-@compiled
+@njit(cache=True, nogil=True)
 def add_watched(
     variant, step, who, pair, trust, n_evaluations, since, threshold, n_watched, n_evaluated, n_low, first_step,
     low_step, seen_step,
@@ -124,7 +123,7 @@ def add_watched(
                     low_step[v, p] = step[i]
 
 
-@compiled
+@njit(cache=True, nogil=True)
 def settle(who, over, first_step, low_step, seen_step, role_of, waited, pairs, pairs_found):
     """Add the pairs that are over: by role, found or not, how many steps they waited; and pairs by subject."""
     for v in range(first_step.shape[0]):
@@ -139,7 +138,7 @@ def settle(who, over, first_step, low_step, seen_step, role_of, waited, pairs, p
                 pairs_found[v, who[p]] += 1
 
 
-@compiled
+@njit(cache=True, nogil=True)
 def new_lows(variant, who, step, trust, n_evaluations, since, lowest):
     """Where trust that rests on an evaluation is lower than ever from step `since` on, by subject; `lowest` by variant
     and subject goes down with it."""

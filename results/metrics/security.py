@@ -147,9 +147,9 @@ def false_exclusions(run: Run, threshold: float = 0.25, relative: float | None =
 
 
 def trust_error(run: Run) -> pd.DataFrame:
-    """By role: mean distance of rated trust from 1 (honest) or 0 (attackers), with an interval clustered by subject."""
+    """By role: mean distance of evaluated trust from 1 (honest) or 0 (attackers), with its interval by subject."""
     frame = scored_vehicles(run).query("rated")
-    error = np.abs(frame.trust.astype(np.float64) - (frame.role == HONEST))
+    error = (frame.trust.astype(np.float64) - (frame.role == HONEST)).abs()
     return pd.DataFrame([
         {"role": role} | intervals.columns(
             intervals.of_units(error[one.index].to_numpy(np.float64), one.subject.to_numpy()), "error"

@@ -11,10 +11,9 @@ nearer surface is kept. Seen from inside, a prism shows its inner faces, as a cl
 from __future__ import annotations
 
 import numpy as np
-from numba import prange
 
 from sensors.boxes import Boxes
-from sensors.kernel import compiled, inlined, kernel, parallel
+from sensors.kernel import compiled, inlined, kernel
 from sensors.neighbours import Neighbours
 from sensors.range_noise import RangeNoise, add_noise
 from sensors.range_steps import count_steps
@@ -51,13 +50,13 @@ def cast(
     )  # fmt: skip
 
 
-@parallel
+@compiled
 def _cast(
     range_steps, per_metre, hit, origin, yaw, ground, own, beams, limit, xyz, radius, ptr, row, bodies, city, noise,
     thinned, unrounded_m,
 ):  # fmt: skip
     """Sweep by sweep, so that each is finished while it is in the cache of its core."""
-    for o in prange(len(origin)):
+    for o in range(len(origin)):
         x, y, z, cos, sin = origin[o, 0], origin[o, 1], origin[o, 2], np.cos(yaw[o]), np.sin(yaw[o])
         hits, columns, slopes = hit[o], columns_of(beams), slopes_of(beams)
         ranges = np.empty(hits.shape, np.float32)

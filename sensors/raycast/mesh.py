@@ -13,10 +13,10 @@ from numpy import ndarray
 
 from sensors.boxes import Boxes
 from sensors.neighbours import Neighbours
-from sensors.range_noise import RangeNoise, add_noise_to_all
-from sensors.range_steps import count_all_steps
+from sensors.range_noise import RangeNoise, add_noise
+from sensors.range_steps import count_steps
 from sensors.scene import Hit, Prisms, Scene, roof_triangles
-from sensors.thinned import Thinned, thin_all
+from sensors.thinned import Thinned, thin
 
 TILE_M = 256.0
 STEP_M = 1e-4  # how far behind a face of one's own body a ray starts again
@@ -52,9 +52,10 @@ def cast(
                 ranges[o], hit[o], poses.origin_m[o] - centre, poses.yaw_rad[o], ground_m[o] - centre[2],
                 Hit.ACTOR + observers[o], beams, max_range_m, trace, code[close],
             )  # fmt: skip
-    add_noise_to_all(ranges, hit, noise)
-    count_all_steps(ranges, range_steps, per_metre)
-    thin_all(range_steps, hit, thinned)
+    for sweep in range(len(hit)):
+        add_noise(ranges[sweep], hit[sweep], noise.key[sweep], noise)
+        count_steps(ranges[sweep], range_steps[sweep], per_metre)
+        thin(range_steps[sweep], hit[sweep], thinned.range_steps[sweep], thinned.hit[sweep])
 
 
 def _sweep(range_m, hit, origin, yaw, ground, own, beams, max_range_m, trace: Tracer | None, code) -> None:

@@ -25,7 +25,8 @@ def test_the_page_shows_what_cosim_new_writes():
     assert EXAMPLES == {
         path.name: path.read_text(encoding="utf-8") for path in TEMPLATES.glob("*.py") if path.stem != "__init__"
     }
-    assert all("from cosim.extend import" in text or "import numpy" in text for text in EXAMPLES.values())
+    ours = r"^(?:from|import) ((?:cosim|trust|sensors|results)\b[\w.]*)"
+    assert {name for text in EXAMPLES.values() for name in re.findall(ours, text, re.MULTILINE)} == {"cosim.extend"}
 
 
 @pytest.mark.parametrize("text", CONFIGS)

@@ -42,6 +42,7 @@ CALLS = {
     "nets build": ["nets build --out {run}"],
     "nets list": ["nets list {run} {study}"],
     "nets show": ["nets show {run}"],
+    "new": [],  # it writes a file of its own
     "plot": [
         "plot trust {run}", "plot map {part}", "plot sweep {run} --vehicle 0 --step 2", "plot trust {study}",
         "plot scene {run} --step 2", "plot movie {run} --out {out}/movie.gif",
@@ -56,6 +57,7 @@ CALLS = {
     ],
     "status": ["status {run}", "status {part} --json", "status {study}"],
     "sweep": ["sweep {study}/study.toml --out {study}", "sweep {study}/study.toml --out {out}/other --dry-run"],
+    "try": [],  # of code that the user names, it opens no folder
     "verify": ["verify {run} {part} {study}/runs/*"],
     "view": ["view {run} --out {out}/run.rrd --vehicle 0"],
 }  # fmt: skip

@@ -14,7 +14,7 @@ from trust.evaluation import evaluate
 from trust.fusion import METHODS, SensorEvidence, fuse
 from trust.matching import match
 from trust.params import Method, TrustParams
-from trust.tables import Detections, Evaluations, Groups, ObjectLists, SenderTrust
+from trust.tables import Detections, Evaluations, FusionInput, Groups, ObjectLists, SenderTrust
 
 
 def test_every_method_has_a_formula():
@@ -45,7 +45,9 @@ def by_hand(method, eta=-1.0, points=0, plausible=True, in_range=True, sender_tr
     evaluations = Evaluations(np.array([0.8, 0.8, 0.6, 0.6, eta, 0.9]), np.array([1, 0.5, 1, 0.5, 1, 1.0]))
     evidence = SensorEvidence(np.array([99, points]), np.array([False, plausible]), np.array([False, in_range]))
     params = TrustParams(method=method, **options)
-    return fuse(LISTS, GROUPS, TABLE, EVALUATED, evaluations, evaluations, sender_trust, evidence, DISTANCE, params)
+    return fuse(
+        FusionInput(LISTS, GROUPS, TABLE, EVALUATED, evaluations, evaluations), sender_trust, evidence, DISTANCE, params
+    )
 
 
 @pytest.mark.parametrize(
@@ -126,11 +128,19 @@ def test_bad_evaluations_have_no_effect(bad):
     more = ObjectLists(np.array([0, 1, 2]), np.array([0, 0]), np.array([0, 1]))
     evidence = SensorEvidence(np.zeros(2, int), np.ones(2, bool), np.ones(2, bool))
     a = fuse(
-        LISTS, GROUPS, TABLE, one, good, good, SENDER_TRUST, evidence, DISTANCE, TrustParams(method="trupercept_1")
+        FusionInput(LISTS, GROUPS, TABLE, one, good, good),
+        SENDER_TRUST,
+        evidence,
+        DISTANCE,
+        TrustParams(method="trupercept_1"),
     )
     both = Evaluations(np.array([0.8, e]), np.array([1.0, phi]))
     b = fuse(
-        LISTS, GROUPS, TABLE, more, both, both, SENDER_TRUST, evidence, DISTANCE, TrustParams(method="trupercept_1")
+        FusionInput(LISTS, GROUPS, TABLE, more, both, both),
+        SENDER_TRUST,
+        evidence,
+        DISTANCE,
+        TrustParams(method="trupercept_1"),
     )
     np.testing.assert_array_equal(a.score, b.score)
     np.testing.assert_array_equal(a.n_evaluations, b.n_evaluations)
@@ -147,7 +157,11 @@ def test_closest_pose():
     for allowed, pose in ((True, 1), (False, 0)):
         params = TrustParams(method="corrected", self_report_poses=allowed)
         fused = fuse(
-            LISTS, GROUPS, table, EVALUATED, evaluations, evaluations, SENDER_TRUST, evidence, DISTANCE, params
+            FusionInput(LISTS, GROUPS, table, EVALUATED, evaluations, evaluations),
+            SENDER_TRUST,
+            evidence,
+            DISTANCE,
+            params,
         )
         assert fused.pose[0] == pose
 
@@ -157,7 +171,11 @@ def test_the_ego_itself_is_no_output():
     evaluations = Evaluations(np.zeros(6), np.ones(6))
     evidence = SensorEvidence(np.zeros(2, int), np.ones(2, bool), np.ones(2, bool))
     fused = fuse(
-        LISTS, GROUPS, table, EVALUATED, evaluations, evaluations, SENDER_TRUST, evidence, DISTANCE, TrustParams()
+        FusionInput(LISTS, GROUPS, table, EVALUATED, evaluations, evaluations),
+        SENDER_TRUST,
+        evidence,
+        DISTANCE,
+        TrustParams(),
     )
     assert fused.seed.tolist() == [2]
 
@@ -169,7 +187,7 @@ def test_the_ego_uses_its_own_evaluations_and_the_others_as_reported():
     reported = Evaluations(np.array([-1.0, -1.0, -0.2, -0.2, 0.0, 0.9]), own.visibility)
     evidence = SensorEvidence(np.array([99, 0]), np.array([False, True]), np.array([False, True]))
     params = TrustParams(method="trupercept_1")
-    fused = fuse(LISTS, GROUPS, TABLE, EVALUATED, own, reported, SENDER_TRUST, evidence, DISTANCE, params)
+    fused = fuse(FusionInput(LISTS, GROUPS, TABLE, EVALUATED, own, reported), SENDER_TRUST, evidence, DISTANCE, params)
     assert fused.score[0] == pytest.approx(1.05 / 2.25, abs=1e-12)
     assert fused.n_evaluations.tolist() == [4, 2]
 
@@ -198,7 +216,9 @@ def test_twin(method, world, seed, one_per_vehicle):
     params = TrustParams(method=method, one_per_vehicle=one_per_vehicle)
     lists = world.lists
     groups, own, reported, sender_trust, evidence = random_step(world, seed, params)
-    fused = fuse(lists, groups, world.table, lists, own, reported, sender_trust, evidence, world.distance_m, params)
+    fused = fuse(
+        FusionInput(lists, groups, world.table, lists, own, reported), sender_trust, evidence, world.distance_m, params
+    )
     names, detections = world.names(), world.dictionary()
     made, sent = (
         [
@@ -238,8 +258,9 @@ def test_twin(method, world, seed, one_per_vehicle):
 def test_scores_stay_in_bounds(world, seed, parity):
     for method in METHODS:
         params = TrustParams(method=method, code_parity=parity)
-        groups, *rest = random_step(world, seed, params)
-        fused = fuse(world.lists, groups, world.table, world.lists, *rest, world.distance_m, params)
+        groups, own, reported, *rest = random_step(world, seed, params)
+        given_ = FusionInput(world.lists, groups, world.table, world.lists, own, reported)
+        fused = fuse(given_, *rest, world.distance_m, params)
         assert np.all((fused.score >= 0) & (fused.score <= 1))
 
 
@@ -249,7 +270,13 @@ def test_code_parity_ignores_trust(world, seed):
     params = TrustParams(method="trupercept_2", code_parity=True)
     groups, own, reported, sender_trust, evidence = random_step(world, seed, params)
     a, b = (
-        fuse(world.lists, groups, world.table, world.lists, own, reported, t, evidence, world.distance_m, params)
+        fuse(
+            FusionInput(world.lists, groups, world.table, world.lists, own, reported),
+            t,
+            evidence,
+            world.distance_m,
+            params,
+        )
         for t in (sender_trust, replace(sender_trust, trust=np.zeros(sender_trust.trust.size)))
     )
     np.testing.assert_array_equal(a.score, b.score)

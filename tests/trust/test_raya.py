@@ -14,7 +14,7 @@ from trust.models import MODELS
 from trust.models.raya import RayaParams
 from trust.object_reports import ObjectReports
 from trust.params import TrustParams
-from trust.tables import Evaluations
+from trust.tables import Evaluations, FusionInput
 
 RULES = ("raya_majority", "raya_most_trusted", "raya_weighted", "raya_bayes", "raya_dempster_shafer")
 
@@ -55,7 +55,7 @@ def captured(*args):
         seen.append(reports)
         return np.full(reports.n_groups, 0.5)
 
-    fuse(*args, TrustParams(), keep)
+    fuse(FusionInput(*args[:6]), *args[6:], TrustParams(), keep)
     return seen[0]
 
 

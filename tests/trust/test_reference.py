@@ -17,6 +17,7 @@ from trust.tables import (
     SERVER,
     Detections,
     Evaluations,
+    FusionInput,
     Groups,
     ObjectLists,
     ReceivedEvaluations,
@@ -225,13 +226,9 @@ def _world(cases: list[dict], evaluations_of=_split):
     lists = ObjectLists(ptr("size"), col("member"), col("owner"))
     evaluations = Evaluations(col("e"), col("phi"))
     evaluated = ObjectLists(np.arange(col("evaluator").size + 1), col("about"), col("evaluator"))
+    groups = Groups(col("seed"), col("ego_detected"))
     return (
-        lists,
-        Groups(col("seed"), col("ego_detected")),
-        table,
-        evaluated,
-        evaluations,
-        evaluations,
+        FusionInput(lists, groups, table, evaluated, evaluations, evaluations),
         SenderTrust(ptr("n_received"), col("received"), col("trust")),
         SensorEvidence(col("points"), col("plausible"), col("in_range")),
         col("distance"),
@@ -279,7 +276,7 @@ def test_aggregation_of_verdicts(how):
 def test_aggregation(kind):
     cases = _recorded(kind)
     world = _world(cases)
-    lists, objects = world[0], [o for case in cases for o in case["group"]]
+    lists, objects = world[0].lists, [o for case in cases for o in case["group"]]
     # methods 0 and 1 use a certainty that in the pipeline is always a placeholder, here made from `is_self`
     usual = np.array(
         [

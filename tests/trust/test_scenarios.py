@@ -15,6 +15,7 @@ from trust.tables import (
     SERVER,
     Detections,
     Evaluations,
+    FusionInput,
     ObjectLists,
     ReceivedEvaluations,
     SenderTrust,
@@ -131,7 +132,7 @@ def scenario_1(**options):
     seeds = ego.member[ours.seeds()]
     evidence = SensorEvidence(points[0][seeds], plausible[0][seeds], np.ones(seeds.size, bool))
     sender_trust = SenderTrust(np.array([0, 2]), np.array([1, 2]), np.array([0.81, 0.97]))
-    fused = fuse(ego, ours, table, lists, made, reported, sender_trust, evidence, np.full(8, 20.0), params)
+    fused = fuse(FusionInput(ego, ours, table, lists, made, reported), sender_trust, evidence, np.full(8, 20.0), params)
     return dict(zip(fused.seed.tolist(), fused.score.tolist(), strict=True))
 
 

@@ -9,6 +9,7 @@ from trust.evaluation import evaluate
 from trust.fusion import SensorEvidence, fuse
 from trust.matching import match
 from trust.params import TrustParams
+from trust.tables import FusionInput
 from trust.threads import threads_for
 
 
@@ -32,7 +33,11 @@ def test_the_answer_is_the_same(threads, one_per_vehicle):
         evaluations = evaluate(lists, groups, table, np.arange(m) % 120, np.arange(m) % 3 > 0, params)
         evidence = SensorEvidence(np.arange(g) % 20, np.arange(g) % 3 > 0, np.arange(g) % 5 > 0)
         fused = fuse(
-            lists, groups, table, lists, evaluations, evaluations, sender_trust, evidence, np.ones(len(table)), params
+            FusionInput(lists, groups, table, lists, evaluations, evaluations),
+            sender_trust,
+            evidence,
+            np.ones(len(table)),
+            params,
         )
         answers.append((groups.seed, fused.score))
     for one, many in zip(*answers, strict=True):

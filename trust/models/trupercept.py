@@ -4,17 +4,17 @@ from typing import ClassVar
 
 import numpy as np
 from jaxtyping import Float, Int
+from numba import njit
 from numpy import ndarray
 
 from trust.evaluator_counts import NEVER
 from trust.evidence_store import EvidenceStore
-from trust.kernel import compiled
 from trust.open_steps import RejectReason
 from trust.params import TruPerceptParams, open_window_steps
 from trust.tables import ReceivedEvaluations, TrustScores
 
 
-@compiled
+@njit(cache=True, nogil=True)
 def _accumulate(step, pair_row, of_pairs, n_evaluations, total, count, span):
     """Add a step to the sums of its pairs; steps come in the order of time."""
     for b in range(pair_row.size):

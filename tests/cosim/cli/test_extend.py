@@ -74,7 +74,8 @@ def test_what_cannot_be_tried_is_one_line(words, told):
 @pytest.fixture
 def run(tmp_path):
     actors = [{"step": s, "actor": 0, "x_m": 2.0 * s, "speed_mps": 2.0} for s in range(3)]
-    tiny.make(tmp_path / "run", 3, actors=actors, vehicles=tiny.fleet("honest"))
+    (tmp_path / "run").mkdir()
+    tiny.make(tmp_path / "run", 3, actors=actors, vehicles=tiny.fleet("honest", vehicle_class="car", last_step=2))
     return tmp_path / "run"
 
 

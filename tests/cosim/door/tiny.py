@@ -105,7 +105,17 @@ def trust():
     }
 
 
-SCENES = {f.__name__: f for f in (attack, policy, medium, detector, driver, trust)}
+def exporter():
+    """Arguments of the hook of an exporter; it is called with no run here."""
+    return {"plan": (SimpleNamespace(),)}
+
+
+def metric():
+    """The same of a metric."""
+    return {"rows": (SimpleNamespace(),)}
+
+
+SCENES = {f.__name__: f for f in (attack, policy, medium, detector, driver, trust, exporter, metric)}
 ARGUMENTS = {"medium": (ROUND_S, 1, None), "trust": (1.0,)}
 """Of constructors, after `params`."""
 

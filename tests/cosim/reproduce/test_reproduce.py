@@ -200,8 +200,8 @@ def test_paper_trust(n_ghosts, end):
 def test_a_frame_repeats_to_the_bit():
     first, second = ScriptedScene.load().play(config_of("scenario-2"), 2)
     for name in ("evaluation", "visibility"):
-        assert np.array_equal(getattr(first.reported, name), getattr(second.reported, name))
-    assert np.array_equal(first.n_points, second.n_points)
+        assert np.array_equal(getattr(first.evaluated.reported, name), getattr(second.evaluated.reported, name))
+    assert np.array_equal(first.evaluated.n_points, second.evaluated.n_points)
 
 
 @pytest.mark.parametrize("play", [scenario_1, scenario_2])

@@ -121,7 +121,7 @@ def test_causality_in_the_cycle():
                 assert (got.generation_offset_s >= 0).all() and (got.access_delay_s > 0).all()
                 assert (got.latency_s > got.access_delay_s).all() and (got.received_s <= 0.4 + 1e-9).all()
     bad = steps[0].links[0].vehicles
-    with pytest.raises(AssertionError):
+    with pytest.raises(ValueError, match="before it is generated and sent"):
         replace(bad, latency_s=bad.access_delay_s - 1e-6)
 
 

@@ -7,7 +7,7 @@
 # %%
 from pathlib import Path
 
-from results.archive import open_run
+from cosim import Simulation, open_run
 from results.figures.style import save
 
 run = open_run("runs/mine")
@@ -66,3 +66,20 @@ print(lookups.state.value_counts(normalize=True).round(3).to_dict())
 metrics = run.measure()
 print(metrics[metrics.metric.str.startswith("freshness.")][["metric", "group", "value", "unit"]].head(12))
 save(run.measure.trust.plot(), Path("trust.svg"))
+
+# %% [markdown]
+# ## Step by step, without a folder
+#
+# A `Simulation` shows what happens in each step: point clouds, detections, messages, trust and fused objects. Its
+# config is a dictionary, the path of a TOML file, or left out for the shipped city. `trust=MyModel` puts a class of
+# your own in place of the trust model; `detector`, `radio`, `pseudonyms` and `driver` work alike.
+
+# %%
+with Simulation({"traffic": {"duration_s": 3}}) as simulation:
+    for result in simulation:
+        vehicle = result.vehicles[0]
+        cloud = result.cloud(vehicle)
+        print(f"{result.time_s:.0f} s: {len(result.world)} actors, {len(cloud)} points of vehicle {vehicle},")
+        print(
+            f"  {len(result.detections)} detections, {len(result.messages)} messages, {len(result.fused)} fused objects"
+        )

@@ -1,0 +1,17 @@
+"""Stages of a step in the shipped city with every vehicle equipped and a driver that reacts to what it believes."""
+
+from collections.abc import Iterator
+
+from cosim.bench.scale import Row
+from cosim.bench.scale import bench as grown
+
+SECONDS = 60
+
+
+def bench() -> Iterator[Row]:
+    """The whole city, with one thread and with all; what the driver commands is computed and not obeyed."""
+    return grown(
+        vehicles=(),
+        seconds=SECONDS,
+        overrides=("driver.model=cautious", "attacks.0.start_s=0", "attacks.1.start_s=0"),
+    )

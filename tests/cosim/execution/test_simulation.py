@@ -1,0 +1,97 @@
+"""A simulation in memory shows what a run records."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import cosim
+from cosim import Simulation
+from cosim.config.config import load
+from trust.models.trupercept import TruPercept
+
+SHORT = ["traffic.duration_s=3", "trust.server_period_s=1", "attacks.0.start_s=1"]
+TABLES = ("detections", "evaluations", "trust", "trust_lookups", "fused")
+
+
+class Halved(TruPercept):
+    """Trust that is half of TruPercept's: a class of a user's own."""
+
+    def scores(self, step=None):
+        """As TruPercept, halved."""
+        found = super().scores(step)
+        found.trust[:] /= 2
+        return found
+
+
+@pytest.fixture(scope="module")
+def steps():
+    """What the first steps of the shipped city show, while they are simulated."""
+    with Simulation(load(None, SHORT)) as simulation:
+        return [
+            {name: getattr(result, name) for name in (*TABLES, "step", "time_s", "messages", "vehicles")}
+            | {"sensor": result.cloud(result.vehicles[0], "sensor"), "world": result.cloud(result.vehicles[0])}
+            for result in simulation
+        ]
+
+
+def test_tables_are_those_of_a_run(steps, tmp_path):
+    run = cosim.run(load(None, [*SHORT, "record.level=full"]), tmp_path / "run")
+    assert [found["step"] for found in steps] == [0, 1, 2] and [found["time_s"] for found in steps] == [0.0, 1.0, 2.0]
+    for name in TABLES:
+        want, found = getattr(run, name), pd.concat([found[name] for found in steps], ignore_index=True)
+        assert set(found.columns) == set(want.columns) and len(found) == len(want) > 0, name
+        keys = [c for c in want.columns if want[c].dtype.kind in "iu" and found[c].notna().all()]
+        pd.testing.assert_frame_equal(
+            found.sort_values(keys, ignore_index=True)[list(want.columns)].astype(want.dtypes.to_dict()),
+            want.sort_values(keys, ignore_index=True), rtol=1e-2, atol=1e-2,
+        )  # fmt: skip
+    assert sum(len(found["messages"]) for found in steps) == len(run.receptions)
+
+
+def test_clouds(steps):
+    """The sensor looks along the heading, some two metres above the street."""
+    for found in steps:
+        sensor, world = found["sensor"], found["world"]
+        assert sensor.shape == world.shape and sensor.shape[1] == 3 and len(sensor) > 1000
+        np.testing.assert_allclose(np.ptp(sensor[:, 2]), np.ptp(world[:, 2]))
+        apart = np.linalg.norm(np.diff(sensor[:100], axis=0), axis=1)
+        np.testing.assert_allclose(apart, np.linalg.norm(np.diff(world[:100], axis=0), axis=1), atol=1e-6)
+
+
+def test_a_class_in_place_of_a_part_and_clouds_of_the_past():
+    data = {"traffic": {"duration_s": 2}, "trust": {"server_period_s": 1}, "attacks": []}
+    with Simulation(data, trust=Halved) as simulation:
+        first = next(simulation)
+        second = next(simulation)
+        assert second.trust.trust.max() <= 0.5 and len(second.trust)
+        with pytest.raises(RuntimeError, match="clouds of step 0 are gone"):
+            first.cloud(first.vehicles[0])
+        with pytest.raises(ValueError, match="vehicle 999999 has no sweep"):
+            second.cloud(999999)
+        with pytest.raises(StopIteration):
+            next(simulation)
+
+
+@pytest.mark.parametrize(("parts", "message"), [
+    ({"wheels": Halved}, "no such part"),
+    ({"trust": Halved(load().trust, 1.0)}, "no class at the top level"),
+])  # fmt: skip
+def test_mistakes(parts, message):
+    with pytest.raises(ValueError, match=message):
+        Simulation(None, **parts)
+
+
+def test_one_enters_before_one_iterates():
+    with pytest.raises(RuntimeError, match="entered before"):
+        next(Simulation(load()))
+
+
+def test_the_namespace_is_small_and_quick():
+    assert {"Simulation", "run", "open_run", "__version__"} <= set(dir(cosim))
+    code = "import cosim, sys; assert not {'numpy', 'pandas', 'numba'} & set(sys.modules), 'light'; cosim.Simulation"
+    subprocess.run([sys.executable, "-c", code], check=True)
+    with pytest.raises(AttributeError, match="no attribute 'walk'"):
+        cosim.walk  # noqa: B018
