@@ -4,7 +4,8 @@ An extension is a class in a file of its own. A config names it as `mine.py:Clas
 
 | kind | config | methods of the class | what it gets | what it returns |
 |---|---|---|---|---|
-| detector | `[detector] model` | `detect` | `Sweeps`, `Observability`, `Boxes`, `DetectorDraws` | `Reports` |
+| detector | `[detector] model` | `detect`, and `recall` if it knows how often it finds what is there | \
+`Sweeps`, `Observability`, `Boxes`, `DetectorDraws` | `Reports` |
 | radio medium | `[radio] model` | `start`, `broadcast` | `Stations`, `Messages` | state and `MessageRound` |
 | pseudonym policy | `[pseudonyms] policy` | `changes` | `PseudonymAges` | one bool per vehicle |
 | trust model | `[trust] model` | `open_step`, `add_evaluations`, `scores`, and `score_objects` if it scores objects | \

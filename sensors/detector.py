@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
-from jaxtyping import Bool, Float, Int32, UInt8
+from jaxtyping import Bool, Float, Int, Int32, UInt8
 from numpy import ndarray
 
 from sensors.boxes import Boxes
@@ -45,6 +45,25 @@ class Detector(Protocol):
             Truth: box (world frame) and `ObjectClass` of every actor.
         draws
             Keys of all randomness; a detector keeps no random state of its own.
+        """
+
+
+class KnowsRecall(Protocol):
+    """What a detector may know besides: how often it finds what is there. `trust.denials = "recall"` needs it."""
+
+    def recall(
+        self, n_points: Int[ndarray, "n"], label: UInt8[ndarray, "n"], range_m: Float[ndarray, "n"]
+    ) -> Float[ndarray, "n"]:
+        """Probability that it reports an object, as of its class, in one sweep; in [0, 1].
+
+        Parameters
+        ----------
+        n_points
+            Returns of the observer's sweep inside the object's box.
+        label
+            `ObjectClass` of the object.
+        range_m
+            From the sensor to the centre of the box.
         """
 
 

@@ -175,6 +175,21 @@ class StatisticalDetector:
         every = Reports.concat([found, false_positives(sweeps, seen, draws, self.model)])
         return every.take(np.flatnonzero(every.score >= self.model.min_score))
 
+    def recall(
+        self, n_points: Int[ndarray, "n"], label: UInt8[ndarray, "n"], range_m: Float[ndarray, "n"]
+    ) -> Float[ndarray, "n"]:
+        """See `sensors.detector.KnowsRecall`.
+
+        Notes
+        -----
+        `detection_p`, and no confusion with another class. Range has an effect through the returns alone. What hides a
+        part of the object is not known to the observer: occlusion costs its returns, and is 0 otherwise.
+        """
+        confused = self.model.confusion_p.copy()
+        np.fill_diagonal(confused, 0.0)
+        found = detection_p(n_points, np.zeros(len(n_points)), label, self.model)
+        return found * (1.0 - confused.sum(axis=1)[label])
+
 
 class IdealDetector:
     """Reports every actor with at least one return, exactly, with score 1, and nothing else."""
@@ -196,6 +211,12 @@ class IdealDetector:
         rows = np.flatnonzero(seen.n_returns > 0)
         actor = seen.actor[rows]
         return Reports.of_actors(seen, rows, label[actor], boxes.take(actor), np.ones(len(rows)))
+
+    def recall(
+        self, n_points: Int[ndarray, "n"], label: UInt8[ndarray, "n"], range_m: Float[ndarray, "n"]
+    ) -> Float[ndarray, "n"]:
+        """See `sensors.detector.KnowsRecall`: 1 with a return, 0 without."""
+        return (n_points > 0).astype(float)
 
 
 def _detected(

@@ -26,6 +26,29 @@ def visibility(n_points: Int[ndarray, "n"], label: UInt8[ndarray, "n"], params: 
     return np.minimum(1.0, np.divide(above, span, out=np.sign(above), where=span > 0))
 
 
+def denial_weight(recall: Float[ndarray, "n"]) -> Float[ndarray, "n"]:
+    """What a miss of the evaluator's detector says against an object that could be seen.
+
+    Parameters
+    ----------
+    recall
+        Probability r that the evaluator's detector reports, and matches, such an object if it is there, in [0, 1].
+
+    Returns
+    -------
+    Weight r / (2 - r) in [0, 1]: 0 where the detector finds nothing, 1 where it misses nothing.
+
+    Notes
+    -----
+    A miss has the probability 1 - r if the object is there, and 1 if it is not there: nothing else is taken for it.
+    Its likelihood ratio, not there against there, is 1 / (1 - r). From a prior of 1/2 the posterior probability that
+    the object is there is (1 - r) / (2 - r), and the expectation of an evaluation that is 1 for an object that is
+    there and -1 for one that is not is 2 (1 - r) / (2 - r) - 1 = -r / (2 - r). A denial, evaluation -1, with this
+    weight has that expectation.   Deviations: the rule is ours; [1]_ gives every miss the full weight.
+    """
+    return recall / (2.0 - recall)
+
+
 def evaluate(
     lists: ObjectLists,
     groups: Groups,
@@ -33,6 +56,7 @@ def evaluate(
     n_points: Int[ndarray, "m"],
     plausible: Bool[ndarray, "m"],
     params: TrustParams,
+    recall: Float[ndarray, "m"] | None = None,
 ) -> Evaluations:
     """Evaluation and visibility of every detection in the object lists, by the list's owner.
 
@@ -42,18 +66,25 @@ def evaluate(
         Returns of the owner's own sweep inside each member's box.
     plausible
         Whether free space in the owner's own sweep permits the box; read only where `groups.ego_detected` is false.
+    recall
+        Probability that the owner's detector reports an object with so many returns, if it is there, in [0, 1]; given
+        with `params.denials = "recall"`, and read only where `groups.ego_detected` is false.
 
     Notes
     -----
     e = score of the owner's detection that it matched, else eta; Phi = `visibility`, 1 for an implausible
-    unmatched detection. A match with the owner itself (its self report) is certain: e = Phi = 1.
+    unmatched detection. A match with the owner itself (its self report) is certain: e = Phi = 1. With `recall`, Phi
+    of a plausible unmatched detection is multiplied by `denial_weight`.
 
-    Deviations: the paper has no self reports.
+    Deviations: the paper has no self reports, and does not know how often a detector misses.
     """
+    assert (recall is None) == (params.denials == "visibility"), "recall is given where denials are weighed by it"
     member = lists.member
     seed = member[groups.seed]
     phi = visibility(n_points, detections.label[member], params)
     e = np.where(groups.ego_detected, detections.score[seed], eta_of(params))
+    if recall is not None:
+        phi[~groups.ego_detected] *= denial_weight(recall[~groups.ego_detected])
     if params.plausibility_in_evaluation:
         phi[~groups.ego_detected & ~plausible] = 1.0
     certain = groups.ego_detected & detections.is_self[seed]

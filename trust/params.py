@@ -83,6 +83,9 @@ class TrustParams(TruPerceptParams):
     """Every vehicle also sends itself, as detection k = 0 with score 1."""
     plausibility_in_evaluation: bool = True
     """An unmatched, implausible detection is evaluated with full visibility."""
+    denials: Literal["visibility", "recall"] = "visibility"
+    """Weight of the evaluation of an unmatched, plausible detection: its visibility (the paper's rule), or times what a
+    miss says about the object, given how often the evaluator's detector misses such objects."""
 
     # final aggregation
     method: Method = "trupercept_3"
@@ -130,6 +133,7 @@ EVIDENCE_KEYS: tuple[str, ...] = (
     "gamma_upper_points",
     "self_reports",
     "plausibility_in_evaluation",
+    "denials",
 )
 """Parameters that change evaluations: trust variants that share evidence have them in common. `eta` is that of
 `eta_of`, so that `method` counts where it decides on it."""

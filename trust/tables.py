@@ -225,12 +225,13 @@ class ReceivedEvaluations:
         return int(np.diff(self.messages.ptr)[self.message_row].sum())
 
     def rows(self) -> EvaluationRows:
-        """Flat rows, without own evaluations, visibility 0, and values out of range.
+        """Flat rows, without own evaluations, visibility 0, evidence neither for nor against, and values out of range.
 
         Notes
         -----
         pos = Phi max(e, 0); neg = Phi min(1, e / eta) for e < 0, and Phi for e <= 0 where eta = 0. Both are rounded
-        to multiples of 2^-32, so that sums of up to two million rows are exact in any order of summation.
+        to multiples of 2^-32, so that sums of up to two million rows are exact in any order of summation. Rows in which
+        both are 0 are left out: an evaluator that answers "neither" has given no evidence.
         """
         t, (kept, sent_by, pos, neg) = self.messages, self._counting()
         at, n = self._expanded(np.searchsorted(sent_by, np.arange(t.evaluator.size + 1)))
@@ -287,7 +288,9 @@ class ReceivedEvaluations:
         e, phi = e[kept], phi[kept]
         pos = phi * np.maximum(e, 0.0)
         neg = phi * (e <= 0.0) if self.eta == 0 else phi * np.clip(e / self.eta, 0.0, 1.0)
-        return kept, sent_by[kept], np.rint(pos * _QUANTUM) / _QUANTUM, np.rint(neg * _QUANTUM) / _QUANTUM
+        pos, neg = np.rint(pos * _QUANTUM) / _QUANTUM, np.rint(neg * _QUANTUM) / _QUANTUM
+        says = (pos > 0) | (neg > 0)
+        return kept[says], sent_by[kept[says]], pos[says], neg[says]
 
     def _expanded(self, ptr: Int[ndarray, "v+1"]) -> tuple[Int[ndarray, "n"], Int[ndarray, "m"]]:
         """Rows of every received message, given the first row of each message, and their number."""

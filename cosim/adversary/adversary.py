@@ -14,6 +14,7 @@ from cosim.adversary.params import AttackParams, owners
 from cosim.v2x.messages import Detections, faults
 from cosim.world import World
 from results.codes import DetectionFault, Role
+from sensors.line_of_sight import WallIndex
 
 _CELL_M = 200.0
 """Attackers that appear at once are numbered cell by cell, so that rings are neighbours."""
@@ -110,15 +111,18 @@ class Adversary:
     """Of each section: length of a period of `on_off`."""
     seed: int
     dt_s: float
+    walls: WallIndex | None = None
+    """Buildings of the city, which attackers know."""
 
     @staticmethod
     def of(
         params: Sequence[AttackParams], attacks: Sequence[Attack], seed: int, dt_s: float = 1.0,
-        freshness_s: float | str = "off",
+        freshness_s: float | str = "off", walls: WallIndex | None = None,
     ) -> "Adversary":  # fmt: skip
         """Attacks with their parameters; `freshness_s` is the window of evidence in which periods may be given."""
         period_s = [p.period_s if p.when != "on_off" else p.period_of(freshness_s) for p in params]
-        return Adversary(tuple(params), tuple(attacks), owners(params), tuple(s / dt_s for s in period_s), seed, dt_s)
+        period_steps = tuple(s / dt_s for s in period_s)
+        return Adversary(tuple(params), tuple(attacks), owners(params), period_steps, seed, dt_s, walls)
 
     def start(self) -> AttackState:
         """Before the first step."""
@@ -185,7 +189,7 @@ class Adversary:
             state.n_active[number, actor] = np.where(now, n_active + 1, 0)
             if now.any():
                 found.append((attack, AttackContext(
-                    world, now, time_s, self.seed, number, p, member, ring, n_active, state.memory[number]
+                    world, now, time_s, self.seed, number, p, member, ring, n_active, state.memory[number], self.walls
                 )))  # fmt: skip
         return Active(tuple(found), world.boxes.xyz_m)
 

@@ -5,7 +5,7 @@ constructor that takes one, and one or more of the hooks of `Attack`. It never s
 what its vehicles perceive, receive and know of the world's poses, as radio messages would tell them.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -19,6 +19,7 @@ from cosim.rng import Stream
 from cosim.v2x.messages import FABRICATED, Detections
 from cosim.world import World
 from sensors.boxes import Boxes
+from sensors.line_of_sight import WallIndex
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,6 +45,8 @@ class AttackContext:
     """Messages that each attacker has sent since it began, or began again, this one not included."""
     memory: dict[str, Any] = field(default_factory=dict)
     """What the attack keeps from step to step, by names of its own."""
+    walls: WallIndex | None = None
+    """Buildings, as every map shows them; None without any."""
     n_identities: Int[ndarray, "n"] = field(default_factory=lambda: np.zeros(0, np.int64))
     """Identities beside its own under which each actor sends in this step; told to `detections` alone."""
 
@@ -98,6 +101,10 @@ class EvaluationRows:
     """In [0, 1]."""
 
 
+LOUDEST_DBM = 33.0
+"""Largest power that ITS-G5 allows [dBm]."""
+
+
 @dataclass(frozen=True, slots=True)
 class Sending:
     """How each actor sends its messages in a step; rows of the world."""
@@ -108,19 +115,43 @@ class Sending:
     """Further copies of its detection message, on the air beside the first."""
     n_reports: Int[ndarray, "n"]
     """Further copies of its report to the trust server."""
+    jam_dbm: Float[ndarray, "n"]
+    """Power of noise that it transmits all the time; -inf for none [dBm]."""
+    react_dbm: Float[ndarray, "n"]
+    """Power of noise that it transmits while it detects a frame; -inf for none [dBm]."""
+    ignores_dcc: Bool[ndarray, "n"]
+    """Whether it sends without congestion control."""
 
     @staticmethod
     def plain(n: int) -> "Sending":
-        """At once, and once."""
-        return Sending(np.zeros(n), np.zeros(n, np.int64), np.zeros(n, np.int64))
+        """At once, once, and by the rules of the channel."""
+        return Sending(
+            delay_s=np.zeros(n), n_copies=np.zeros(n, np.int64), n_reports=np.zeros(n, np.int64),
+            jam_dbm=np.full(n, -np.inf), react_dbm=np.full(n, -np.inf), ignores_dcc=np.zeros(n, bool),
+        )  # fmt: skip
 
     def and_also(self, other: "Sending") -> "Sending":
-        """Both at a time."""
-        return Sending(self.delay_s + other.delay_s, self.n_copies + other.n_copies, self.n_reports + other.n_reports)
+        """Both at a time; of two jammers the stronger."""
+        return Sending(
+            delay_s=self.delay_s + other.delay_s,
+            n_copies=self.n_copies + other.n_copies,
+            n_reports=self.n_reports + other.n_reports,
+            jam_dbm=np.maximum(self.jam_dbm, other.jam_dbm),
+            react_dbm=np.maximum(self.react_dbm, other.react_dbm),
+            ignores_dcc=self.ignores_dcc | other.ignores_dcc,
+        )
 
-    def is_plain(self) -> bool:
-        """Whether no vehicle does anything of it."""
-        return not (self.delay_s.any() or self.n_copies.any() or self.n_reports.any())
+    def take(self, rows: Int[ndarray, "k"]) -> "Sending":
+        """These rows."""
+        return Sending(**{f.name: getattr(self, f.name)[rows] for f in fields(Sending)})
+
+    def abuses_channel(self) -> Bool[ndarray, "n"]:
+        """Who jams, or sends without congestion control."""
+        return self.ignores_dcc | (self.jam_dbm > -np.inf) | (self.react_dbm > -np.inf)
+
+    def attacks(self) -> Bool[ndarray, "n"]:
+        """Who does anything of it."""
+        return (self.delay_s > 0) | (self.n_copies > 0) | (self.n_reports > 0) | self.abuses_channel()
 
 
 class Attack(Protocol):

@@ -10,6 +10,7 @@ ATTACKS: Mapping[str, type] = {
     "ghost_insertion": GhostInsertion,
     "unreliable": Unreliable,
     "approaching_ghost": ghosts.ApproachingGhost,
+    "ghost_in_shadow": ghosts.GhostInShadow,
     "replay": ghosts.Replay,
     "stale": ghosts.Stale,
     "removal": falsification.Removal,
@@ -32,6 +33,7 @@ ATTACKS: Mapping[str, type] = {
     "replayed_evaluations": evaluations.ReplayedEvaluations,
     "sybil": identity.Sybil,
     "denial_of_service": radio.DenialOfService,
+    "jamming": radio.Jamming,
     "delay": radio.Delay,
     "server_flooding": radio.ServerFlooding,
 }

@@ -164,15 +164,18 @@ class ReplayedEvaluationsParams(IdentitiesParams):
     """How old evaluations are."""
 
     n_messages: Annotated[int, Gt(0), Le(10_000)] = 10
-    """Every evaluation is the attacker's own of so many messages ago, of the same sender and detection index."""
+    """Every evaluation is one of the attacker's own of so many messages ago."""
 
 
 class ReplayedEvaluations(_WithIdentities):
-    """Old evaluations sent again for detections of the same number; left out (visibility 0) where there were none.
+    """Old evaluations sent again, as if they were of what is received now.
+
+    Of the attacker's own evaluations of that time in which it could see, the one of the same sender and detection index
+    is sent; where there is none, one of the same sender, else any, by chance.
 
     Notes
     -----
-    Deviations: in the first messages the oldest evaluations are repeated.
+    Deviations: in the first messages the oldest evaluations are repeated; an attacker without any sends what it makes.
     """
 
     Params = ReplayedEvaluationsParams
@@ -180,24 +183,34 @@ class ReplayedEvaluations(_WithIdentities):
     def evaluations(self, rows: EvaluationRows, detections: Detections, context: AttackContext) -> Reported:
         """Rows replaced by old ones."""
         chosen, observer = _of_others(rows, detections, context)
-        actor = context.world.actor.astype(np.int64)
-        at = np.flatnonzero(chosen)
+        actor, at = context.world.actor.astype(np.int64), np.flatnonzero(chosen)
         detection = rows.detection[at]
-        key = np.column_stack([
-            actor[rows.evaluator[at]] << 32 | actor[observer[at]],
-            detections.identity[detection] << 20 | detections.detection_index[detection],
-        ])  # fmt: skip
+        index = detections.identity[detection] << 20 | detections.detection_index[detection]
+        key = np.column_stack([actor[rows.evaluator[at]], actor[observer[at]], index])
+        seen = rows.visibility[at] > 0
         past = context.memory.setdefault("past", [])
-        past.append((key, rows.evaluation[at], rows.visibility[at]))
+        past.append((key[seen], rows.evaluation[at][seen], rows.visibility[at][seen]))
         del past[: -self.params.n_messages - 1]  # type: ignore[attr-defined]
         old_key, old_e, old_phi = past[0]
+        draw = context.uniforms(
+            context.name_key(rows.evaluator[at]), context.name_key(observer[at]), index
+        )[:, 0]  # fmt: skip
+        source = np.full(len(at), -1)
+        for n_columns in (3, 2, 1):  # as much of (evaluator, sender, detection) as is the same
+            left = np.flatnonzero(source < 0)
+            source[left] = _one_of(old_key[:, :n_columns], key[left, :n_columns], draw[left])
         e, phi = rows.evaluation.copy(), rows.visibility.copy()
-        joined, which = np.unique(np.concatenate([old_key, key]), axis=0, return_inverse=True)
-        which = which.reshape(-1)
-        was = np.full(len(joined), -1)
-        was[which[: len(old_key)]] = np.arange(len(old_key))
-        found = was[which[len(old_key) :]]
-        known = found >= 0
-        e[at[known]], phi[at[known]] = old_e[found[known]], old_phi[found[known]]
-        phi[at[~known]] = 0.0
+        known = source >= 0
+        e[at[known]], phi[at[known]] = old_e[source[known]], old_phi[source[known]]
         return e, phi
+
+
+def _one_of(old: Int[ndarray, "o c"], key: Int[ndarray, "k c"], draw: Float[ndarray, "k"]) -> Int[ndarray, "k"]:
+    """A row of `old` that equals each key, chosen by a uniform; -1 where none does."""
+    _, which = np.unique(np.concatenate([old, key]), axis=0, return_inverse=True)
+    group, wanted = np.split(which.reshape(-1), [len(old)])
+    order = np.argsort(group, kind="stable")
+    first, last = (np.searchsorted(group[order], wanted, side) for side in ("left", "right"))
+    n = last - first
+    pick = first + np.minimum((draw * n).astype(np.int64), np.maximum(n - 1, 0))
+    return np.where(n > 0, order[np.minimum(pick, max(len(order) - 1, 0))] if len(order) else -1, -1)

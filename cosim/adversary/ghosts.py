@@ -5,7 +5,7 @@ from typing import Annotated
 
 import numpy as np
 from annotated_types import Ge, Gt, Le
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 from scipy.spatial import cKDTree
 
@@ -13,6 +13,8 @@ from cosim.adversary.attack import AttackContext, EvaluationRows, certified, fab
 from cosim.adversary.ghost_insertion import CAR
 from cosim.v2x.messages import FABRICATED, SELF, Detections
 from sensors.boxes import Boxes
+from sensors.line_of_sight import WallIndex, los_between_actors
+from sensors.scene import Scene, Shape
 
 
 class Vouched:
@@ -73,6 +75,94 @@ class ApproachingGhost(Vouched):
 
 CAR_LWH_M = (4.5, 2.0, 1.6)
 """Ghost car of AdvCP [m]."""
+SENSOR_ABOVE_ROOF_M = 0.23
+"""Height of sensors above the roof, as an attacker assumes it [m]."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class GhostInShadowParams:
+    """Where nobody looks."""
+
+    n_angles: Annotated[int, Ge(1), Le(360)] = 12
+    """Directions around the attacker in which it searches, evenly spaced from straight ahead."""
+    distances_m: tuple[float, ...] = (15.0, 30.0, 45.0)
+    """Distances from the attacker at which it searches [m], in the order of preference."""
+    seen_within_m: Annotated[float, Gt(0), Le(1000)] = 75.0
+    """Other equipped vehicles this near to a place may evaluate what stands there [m]: `area.range_m` and the length of
+    a car."""
+    clear_m: Annotated[float, Ge(0), Le(100)] = 5.0
+    """Least distance from the centres of real actors [m]."""
+
+    def __post_init__(self) -> None:
+        if not self.distances_m or not all(0 < d <= 1000 for d in self.distances_m):
+            raise ValueError(
+                f"attacks.distances_m = {list(self.distances_m)}: give one distance or more, above 0 and up to 1000 m."
+            )
+
+
+class GhostInShadow(Vouched):
+    """A car that is not there, at a place that no other equipped vehicle can see.
+
+    Of the places around it the attacker takes the first, nearest distance and straight ahead first, that lies outside
+    buildings and clear of real actors, and that no other equipped vehicle within `seen_within_m` has in line of sight:
+    buildings or the bodies of third actors cut the line from the sensor to the middle of the ghost. Where there is no
+    such place it adds nothing. Trust that counts no unseen detections (`trust.unseen = "skip"`) has no evidence against
+    such a ghost; with `trust.unseen = "zero"` it counts as 0.
+
+    Notes
+    -----
+    Deviations: ours. The attacker knows where all equipped vehicles around are, as their self reports tell, and the
+    buildings, as a map does; it does not use that sensors look ahead alone. The car is 4.5 x 2 x 1.6 m, as in AdvCP.
+    """
+
+    Params = GhostInShadowParams
+
+    def __init__(self, params: GhostInShadowParams) -> None:
+        self.params = params
+
+    def detections(self, listed: Detections, context: AttackContext) -> Detections:
+        """One ghost for each attacker that finds a place."""
+        world, n_angles = context.world, self.params.n_angles
+        attackers = np.flatnonzero(context.attacker)
+        n_places = n_angles * len(self.params.distances_m)
+        turn = np.tile(2 * np.pi * np.arange(n_angles) / n_angles, len(self.params.distances_m))
+        distance_m = np.repeat(self.params.distances_m, n_angles)
+        row = np.repeat(attackers, n_places)
+        ahead_m, left_m = (np.tile(distance_m * f(turn), len(attackers)) for f in (np.cos, np.sin))
+        xyz, yaw = placed(world, row, ahead_m, left_m, np.zeros(len(row)))
+        xyz[:, 2] = world.boxes.xyz_m[row, 2] - world.boxes.lwh_m[row, 2] / 2 + CAR_LWH_M[2] / 2
+        hidden = self._hidden(context, row, xyz).reshape(len(attackers), n_places)
+        finds = np.flatnonzero(hidden.any(axis=1))
+        at = finds * n_places + hidden[finds].argmax(axis=1)
+        boxes = Boxes(xyz[at], np.tile(CAR_LWH_M, (len(at), 1)), yaw[at])
+        return fabricated(listed, row[at], np.full(len(at), CAR), boxes, np.ones(len(at)))
+
+    def _hidden(
+        self, context: AttackContext, row: Int[ndarray, "c"], xyz_m: Float[ndarray, "c 3"]
+    ) -> Bool[ndarray, "c"]:
+        """Places that are free, and that no equipped vehicle but the attacker, a row of the world, can see."""
+        world, n = context.world, len(context.world)
+        actors, places = cKDTree(world.boxes.xyz_m[:, :2]), cKDTree(xyz_m[:, :2])
+        hidden = np.ones(len(xyz_m), bool)
+        if not len(xyz_m):
+            return hidden
+        hidden &= actors.query(xyz_m[:, :2])[0] >= self.params.clear_m
+        walls = WallIndex.of(Scene.empty().buildings) if context.walls is None else context.walls
+        hidden &= ~walls.indoors(xyz_m)
+        near = places.sparse_distance_matrix(actors, self.params.seen_within_m, output_type="ndarray")
+        place, viewer = near["i"].astype(np.int64), near["j"].astype(np.int64)
+        looks = hidden[place] & world.equipped[viewer] & (viewer != row[place])
+        place, viewer = place[looks], viewer[looks]
+        # The places as flat bodies under the middle of the ghosts: lines end above their tops, and they hide nothing.
+        thin_m = CAR_LWH_M[2] / 2 - SENSOR_ABOVE_ROOF_M
+        flat = Boxes(
+            xyz_m - [0.0, 0.0, CAR_LWH_M[2] / 2 - thin_m / 2], np.tile([0.1, 0.1, thin_m], (len(xyz_m), 1)),
+            np.zeros(len(xyz_m)),
+        )  # fmt: skip
+        boxes = Boxes.concat([world.boxes, flat])
+        shape = np.concatenate([world.shape, np.full(len(xyz_m), Shape.CAR, world.shape.dtype)])
+        hidden[place[los_between_actors(walls, boxes, shape, viewer, n + place, SENSOR_ABOVE_ROOF_M)]] = False
+        return hidden
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

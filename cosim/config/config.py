@@ -140,6 +140,12 @@ class Config:
                 '"embree" or "open3d".'
             )
         check_attacks(self.attacks, self.trust.freshness_s, self.sensing_interval_s)
+        jammers = [number for number, attack in enumerate(self.attacks) if attack.attack == "jamming"]
+        if jammers and self.radio.model == "unit_disk":
+            raise ValueError(
+                f'attacks.{jammers[0]}.attack = "jamming", but radio.model = "unit_disk" knows no noise: nothing would '
+                'be jammed. Set radio.model = "csma".'
+            )
         check_server(
             self.pseudonyms, self.attacks, [t.host for t in (self.trust, *(v.trust for v in self.trust_variant))]
         )

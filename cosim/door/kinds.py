@@ -73,7 +73,10 @@ class Kind:
 KINDS: dict[str, Kind] = {kind.name: kind for kind in (
     Kind(
         "detector", "detector", "detector", "model", DETECTORS,
-        {"detect": Hook(("sweeps", "seen", "boxes", "label", "draws"), returns.reports)},
+        {
+            "detect": Hook(("sweeps", "seen", "boxes", "label", "draws"), returns.reports),
+            "recall": Hook(("n_points", "label", "range_m"), returns.recall, is_required=False),
+        },
     ),
     Kind(
         "medium", "radio medium", "radio", "model", MEDIA,

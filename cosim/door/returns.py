@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Bool
 from numpy import ndarray
 
-from cosim.adversary.attack import Sending
+from cosim.adversary.attack import LOUDEST_DBM, Sending
 from cosim.driver.driver import Reasons, SpeedCommands
 from cosim.radio.message_round import FrameOutcomes, LosState, MessageRound, Outcome, Receptions
 from cosim.v2x.messages import Detections
@@ -281,10 +281,19 @@ def sending(call: Call, returned: Any) -> Sending:
     _typed("", returned, Sending, "begin with Sending.plain(len(context.world))")
     _columns("", returned, len(context.world), "one for each actor of the world", {
         "delay_s": ("f", 0, LONGEST_DELAY_S), "n_copies": ("iu", 0, MOST_COPIES), "n_reports": ("iu", 0, MOST_REPORTS),
+        "jam_dbm": ("f", -np.inf, LOUDEST_DBM), "react_dbm": ("f", -np.inf, LOUDEST_DBM), "ignores_dcc": ("b",),
     })  # fmt: skip
+    plain, nobody = Sending.plain(len(context.world)), Sending.plain(1)
     for field in fields(Sending):
-        column = getattr(returned, field.name)
-        _none(field.name, column, ~context.attacker & (column != 0), "0 for actors that do not attack")
+        column, honest = getattr(returned, field.name), getattr(plain, field.name)
+        lawless = ~context.attacker & (column != honest)
+        _none(field.name, column, lawless, f"{getattr(nobody, field.name)[0]:g} for actors that do not attack")
+    return detached(returned)
+
+
+def recall(call: Call, returned: Any) -> ndarray:
+    """How often a detector finds what is there."""
+    _column("", returned, (len(call.given[0]),), "f", 0, 1, what="one for each object")
     return detached(returned)
 
 

@@ -14,7 +14,7 @@ from typing import Annotated
 
 import numpy as np
 from annotated_types import Gt, Le
-from jaxtyping import Float, Int, UInt8, UInt64
+from jaxtyping import Bool, Float, Int, UInt8, UInt64
 from numpy import ndarray
 
 from cosim.radio import dtypes
@@ -86,6 +86,18 @@ class AccessParams:
 
 
 @dataclass(frozen=True, slots=True)
+class Jamming:
+    """Noise of jammers at N stations, beside the receivers' own [mW]."""
+
+    constant_mw: Float[ndarray, "n"]
+    """At all times."""
+    reactive_mw: Float[ndarray, "n"]
+    """During the payload of frames that a reactive jammer detects."""
+    detected: Bool[ndarray, "n"]
+    """Stations whose frames a reactive jammer detects."""
+
+
+@dataclass(frozen=True, slots=True)
 class Links:
     """N stations and the mean received power of every directed link above the cut-off, by sender."""
 
@@ -97,6 +109,8 @@ class Links:
     """Mean over fading, shadowing included."""
     fading: UInt8[ndarray, "m"]
     """Class of the fading's distribution: see `propagation.fading_quantiles`."""
+    jamming: Jamming | None = None
+    """None where nothing jams."""
 
     def __post_init__(self) -> None:
         n, m = len(self.key), len(self.receiver)
@@ -288,7 +302,8 @@ def run_window(
     row_of_rank[mac["rank"]] = np.arange(len(phy))
     air = Air(
         phy, mac, row_of_rank, links.ptr, _joined(links.receiver, state.receiver), links.power_mw, links.fading,
-        arrival_mw, fading_quantiles(), SIFS_NS + SLOT_NS * np.array(access.aifsn), np.array(access.cw),
+        arrival_mw, fading_quantiles(), *_noise_of(links.jamming, len(phy)),
+        SIFS_NS + SLOT_NS * np.array(access.aifsn), np.array(access.cw),
         _constants(receiver, access), np.uint64(rng_key),
     )  # fmt: skip
     n_given, max_degree = len(table), int(np.diff(links.ptr).max(initial=0))
@@ -315,6 +330,18 @@ def run_window(
     over = ~on_air & (table["outcome"] != dtypes.WAITING)
     result = _result(table, over, phy, n, receiver_row, reception, until_ns - state.now_ns)
     return next_state(phy, mac, table, ~over, on_air, air.receiver, arrival_mw, reception, until_ns), result
+
+
+def _noise_of(jamming: Jamming | None, n: int) -> tuple[ndarray, ndarray, ndarray]:
+    """Columns of `Jamming` for n rows, of which the last may be stations that left; empty where nothing jams."""
+    if jamming is None:
+        return np.zeros(0), np.zeros(0), np.zeros(0, bool)
+    more = n - len(jamming.detected)
+    return (
+        np.pad(jamming.constant_mw, (0, more)),
+        np.pad(jamming.reactive_mw, (0, more)),
+        np.pad(jamming.detected, (0, more)),
+    )
 
 
 def _order(packets: ndarray) -> Int[ndarray, "p"]:

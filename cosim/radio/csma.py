@@ -12,11 +12,11 @@ from numpy import ndarray
 
 from cosim import rng
 from cosim.radio import channel, dcc
-from cosim.radio.channel import Access, Links, Packets, WindowResult
+from cosim.radio.channel import Access, Jamming, Links, Packets, WindowResult
 from cosim.radio.channel_state import ChannelState
 from cosim.radio.dcc import DccState
 from cosim.radio.forwarding import UNIT, Forwarding, ForwardingRules, own_frames
-from cosim.radio.link_budget import links_between, los_pairs
+from cosim.radio.link_budget import from_db, links_between, los_pairs
 from cosim.radio.message_round import FrameOutcomes, MessageRound, Messages, RoundKind, Stations
 from cosim.radio.params import RadioParams
 from cosim.radio.phy import MAC_OVERHEAD_BYTES, airtime_ns
@@ -72,6 +72,7 @@ class CsmaMedium:
         cache = state.cache
         if cache is None or not cache.stations.equals(stations):
             cache = self.links(stations)
+        links, abuse = self._jammed(cache.links, stations), stations.abuse
         round_number = len(RoundKind) * step + kind
 
         keys = messages.keys(stations)
@@ -95,7 +96,7 @@ class CsmaMedium:
 
         now, control = state.channel, state.dcc
         if now.now_ns < begin_ns:
-            now, control = self._idle(now, control, cache.links, begin_ns)
+            now, control = self._idle(now, control, links, begin_ns)
         rng_key, period_ns = rng.key(self.seed, rng.Stream.CHANNEL), round(p.dcc.period_s * 1e9)
         waits = own_ns + units["airtime_ns"] <= end_ns
         windows: list[WindowResult] = []
@@ -115,8 +116,10 @@ class CsmaMedium:
                 lifetime_ns=np.minimum(lifetime_ns, end_ns - own_ns[due]), tag=first_tag + due,
             )  # fmt: skip
             gap_ns = dcc.gap_ns(control, stations.key, p.dcc)
+            if abuse is not None:
+                gap_ns = np.where(abuse.ignores_dcc, 0, gap_ns)
             now, out = channel.run_window(
-                now, cache.links, packets, stop_ns, rng_key, p.receiver, p.access, gap_ns, forwarding
+                now, links, packets, stop_ns, rng_key, p.receiver, p.access, gap_ns, forwarding
             )
             windows.append(out)
             span = stop_ns - start_ns
@@ -150,9 +153,38 @@ class CsmaMedium:
         found = los_pairs(xyz_m, p.propagation, self.los, slant_m(xyz_m, p.range_m))
         near = NeighbourList.of(xyz_m, p.range_m, found, knows_walls)
         shadowing = rng.key(self.seed, rng.Stream.SHADOWING)
-        links, _, _ = links_between(xyz_m, stations.key, p.propagation, shadowing, self.los, found=found)
-        kept = Stations(stations.key.copy(), xyz_m.copy(), stations.n_vehicles)  # the caller may go on to move its own
+        links, _, _ = links_between(
+            xyz_m, stations.key, p.propagation, shadowing, self.los, found=found,
+            above_street_m=stations.above_street_m,
+        )  # fmt: skip
+        kept = replace(
+            stations, abuse=None, key=stations.key.copy(), xyz_m=xyz_m.copy()
+        )  # the caller may go on to move its own
         return LinkCache(kept, links, near)
+
+    def _jammed(self, links: Links, stations: Stations) -> Links:
+        """The links with the noise of jammers among the stations.
+
+        Notes
+        -----
+        A jammer's noise reaches the receivers with the mean power of a frame of that strength, links above the cut-off
+        alone, and does not fade. Carrier sense and the channel busy ratio do not notice it. A reactive jammer detects
+        what arrives with `detectable_dbm` or more on average, and is quick enough for the payload, not for the
+        preamble; where several react, the noise of all counts for each frame that one of them detects.
+        """
+        abuse = stations.abuse
+        if abuse is None or not (np.isfinite(abuse.jam_dbm).any() or np.isfinite(abuse.react_dbm).any()):
+            return links
+        sender = np.repeat(np.arange(len(stations)), np.diff(links.ptr))
+        noise = [
+            np.bincount(links.receiver, links.power_mw * from_db(dbm - self.params.propagation.tx_power_dbm)[sender],
+                        len(stations))
+            for dbm in (abuse.jam_dbm, abuse.react_dbm)
+        ]  # fmt: skip
+        detects = np.isfinite(abuse.react_dbm)[links.receiver]
+        detects &= links.power_mw >= from_db(self.params.receiver.detectable_dbm)
+        detected = np.bincount(sender, detects, len(stations)) > 0
+        return replace(links, jamming=Jamming(noise[0], noise[1], detected))
 
     def _idle(
         self, state: ChannelState, control: DccState, links: Links, until_ns: int

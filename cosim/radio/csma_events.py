@@ -52,6 +52,9 @@ class Air(NamedTuple):
     fading: ndarray
     arrival_mw: ndarray  # of the frame on the air
     quantiles: ndarray
+    jam_mw: ndarray  # of constant jammers at each station; empty where nothing jams
+    react_mw: ndarray  # of reactive jammers at each station, while a frame is on the air that they detect
+    is_jammed: ndarray  # whether a reactive jammer detects each station's frames
     aifs_ns: ndarray
     cw: ndarray
     c: Constants
@@ -155,7 +158,7 @@ def _close(phy, phys, packets, c, t):
     if t > phy.chunk_ns:
         if phy.n_air > 1:
             phy.hurt = 1
-        unwanted_mw = c.noise_mw + max(phy.energy_mw - phy.frame_mw, 0.0)
+        unwanted_mw = c.noise_mw + phy.jam_mw + max(phy.energy_mw - phy.frame_mw, 0.0)
         if phy.frame_mw < c.sinr_clean * unwanted_mw:
             p = packets[phys[phy.frame_from].packet]
             share = (t - phy.chunk_ns) / (p.airtime_ns - HEADER_NS)
@@ -172,11 +175,17 @@ def _settle(phy, mac, air, log, t):
         return
     phy.phase = FREE
     if phy.frame_mw >= c.detectable_mw:
-        if phy.frame_mw >= c.sinr_min * (c.noise_mw + max(phy.energy_mw - phy.frame_mw, 0.0)):
+        phy.jam_mw = 0.0
+        if air.jam_mw.size > 0:
+            j = air.row_of_rank[mac.rank]
+            phy.jam_mw = air.jam_mw[j]
+        if phy.frame_mw >= c.sinr_min * (c.noise_mw + phy.jam_mw + max(phy.energy_mw - phy.frame_mw, 0.0)):
             phy.phase = LOCKED
             phy.chunk_ns = phy.frame_ns + HEADER_NS
             phy.log_psr = 0.0
-            phy.hurt = 0
+            if air.jam_mw.size > 0 and air.is_jammed[phy.frame_from]:
+                phy.jam_mw += air.react_mw[air.row_of_rank[mac.rank]]
+            phy.hurt = phy.jam_mw > 0.0
         else:
             log.outcome[_slot(phy, air.phys, log.packets)] = COLLISION
     if phy.phase == LOCKED or phy.energy_mw >= c.cca_mw:

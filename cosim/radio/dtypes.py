@@ -15,7 +15,8 @@ PHY = np.dtype([
     ("key", "u8"),
     ("energy_mw", "f8"),  # all arrivals together
     ("frame_mw", "f8"), ("frame_ns", "i8"), ("frame_from", "i4"), ("frame_edge", "i4"),  # being received, by `phase`
-    ("chunk_ns", "i8"), ("log_psr", "f8"),  # of the frame being received: evaluated up to when, log of its success
+    # of the frame being received: evaluated up to when, log of its success, noise of jammers
+    ("chunk_ns", "i8"), ("log_psr", "f8"), ("jam_mw", "f8"),
     ("idle_ns", "i8"), ("eifs_ns", "i8"),
     ("busy_since_ns", "i8"), ("busy_ns", "i8"), ("strong_since_ns", "i8"), ("strong_ns", "i8"),
     ("n_air", "i4"), ("n_strong", "i4"),

@@ -184,7 +184,8 @@ def _both_orders(n, a, b, length_m):
     return sender, receiver, apart_m
 
 
-def _linear(db: ndarray | float) -> ndarray:
+def from_db(db: ndarray | float) -> ndarray:
+    """Power [mW] of a level [dBm], or the ratio of one in dB; 0 of -inf."""
     return np.exp(np.asarray(db) * (np.log(10) / 10))
 
 
@@ -208,6 +209,7 @@ def pairs(
     rng_key: np.uint64,
     los: LosOfPlaces | None = None,
     found: PairLos | None = None,
+    above_street_m: Float[ndarray, "n"] | None = None,
 ) -> Pairs:
     """Losses between stations at these antenna positions.
 
@@ -219,6 +221,8 @@ def pairs(
         Lines of sight in the city; without it every pair has line of sight.
     found
         Result of `los_pairs`, if computed already.
+    above_street_m
+        Heights of the antennas above the street under them [m]; left out, the streets are at height 0.
     """
     if found is None:
         found = los_pairs(xyz_m, params, los)
@@ -228,7 +232,8 @@ def pairs(
     a, b, d, nlos = found.a, found.b, found.distance_m, found.nlos
     keep = np.flatnonzero((~nlos | (d <= params.interference_range_nlos_m)) & (d <= params.interference_range_m))
     a, b, d, nlos = a[keep], b[keep], d[keep], nlos[keep]
-    h_a, h_b = xyz_m[a, 2], xyz_m[b, 2]
+    height_m = xyz_m[:, 2] if above_street_m is None else np.asarray(above_street_m, float)
+    h_a, h_b = height_m[a], height_m[b]
     by_wall = params.walls == "sommer"
     loss = mean_loss_db(d, nlos & (not by_wall), h_a, h_b, params)
     if by_wall and los is not None:
@@ -246,8 +251,7 @@ def pairs(
         open_ = np.flatnonzero(~nlos)
         nlosv[open_] = blocked_by_vehicle(d[open_], field(open_, far, _BLOCKED), params)
         rows = np.flatnonzero(nlosv)
-        low, high = np.minimum(h_a[rows], h_b[rows]), np.maximum(h_a[rows], h_b[rows])
-        loss[rows] += blockage_db(field(rows, far, _BLOCKAGE), np.maximum(d[rows], 1.0), low, high)
+        loss[rows] += blockage_db(field(rows, far, _BLOCKAGE), np.maximum(d[rows], 1.0), h_a[rows], h_b[rows])
     if params.shadowing:
         near = np.flatnonzero(~nlos & ~nlosv)
         loss[near] += params.sigma_los_db * field(near, params.decorrelation_los_m, _SHADOW_LOS)
@@ -265,6 +269,7 @@ def links_between(
     los: LosOfPlaces | None = None,
     tx_power_dbm: Float[ndarray, "n"] | None = None,
     found: PairLos | None = None,
+    above_street_m: Float[ndarray, "n"] | None = None,
 ) -> tuple[Links, Pairs, Int[ndarray, "links"]]:
     """Links between stations at these antenna positions, and the pair of each link.
 
@@ -273,11 +278,11 @@ def links_between(
     tx_power_dbm
         Power of each station where it differs from that of `params`.
     """
-    losses = pairs(xyz_m, params, rng_key, los, found)
+    losses = pairs(xyz_m, params, rng_key, los, found, above_street_m)
     n = len(xyz_m)
     power_dbm = np.full(n, params.tx_power_dbm) if tx_power_dbm is None else np.asarray(tx_power_dbm, float)
     ptr, receiver, power_mw, fading, pair = _both_ways(
-        n, losses.a, losses.b, _linear(-losses.loss_db), fading_class(losses.distance_m, params.fading),
-        _linear(power_dbm), float(_linear(params.cutoff_dbm)),
+        n, losses.a, losses.b, from_db(-losses.loss_db), fading_class(losses.distance_m, params.fading),
+        from_db(power_dbm), float(from_db(params.cutoff_dbm)),
     )  # fmt: skip
     return Links(key, ptr, receiver, power_mw, fading), losses, pair

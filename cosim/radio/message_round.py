@@ -5,7 +5,7 @@ from enum import IntEnum
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int, UInt8, UInt64
+from jaxtyping import Bool, Float, Int, UInt8, UInt64
 from numpy import ndarray
 
 from cosim import rng
@@ -45,6 +45,18 @@ class LosState(IntEnum):
 
 
 @dataclass(frozen=True, slots=True)
+class ChannelAbuse:
+    """What N stations do to the channel beside sending messages by its rules."""
+
+    jam_dbm: Float[ndarray, "n"]
+    """Power of noise that they transmit all the time; -inf for none [dBm]."""
+    react_dbm: Float[ndarray, "n"]
+    """Power of noise that they transmit while they detect a frame; -inf for none [dBm]."""
+    ignores_dcc: Bool[ndarray, "n"]
+    """Whether they send without congestion control."""
+
+
+@dataclass(frozen=True, slots=True)
 class Stations:
     """N stations: those of vehicles, then roadside units."""
 
@@ -53,6 +65,10 @@ class Stations:
     xyz_m: Float[ndarray, "n 3"]
     """Antennas."""
     n_vehicles: int
+    above_street_m: Float[ndarray, "n"] | None = None
+    """Heights of the antennas above the street under them [m]; left out, the streets are at height 0."""
+    abuse: ChannelAbuse | None = None
+    """None where all stations keep to the rules."""
 
     def __len__(self) -> int:
         return len(self.key)

@@ -29,6 +29,8 @@ from cosim.rng import mix, unit
 from sensors.kernel import compiled, inlined, kernel
 
 LIGHT_MPS = 299_792_458.0
+BLOCKER_M = 1.6
+"""Height of a car that blocks a link [1]_; a truck has 3 m."""
 
 FADING: dict[str, tuple[tuple[float, float], ...]] = {
     "none": (),
@@ -159,34 +161,63 @@ def tr37885_db(
     return np.where(nlos, 36.85 + 30 * log_d + 18.9 * log_f, los)
 
 
+HEIGHT_STEP_M = 0.001
+"""Heights are compared as whole millimetres [m]: 1.5 m + 0.1 m is 1.6 m, however the sum is rounded."""
+
+
+def blockage_mean_db(
+    d: Float[ndarray, "m"], h_a_m: Float[ndarray, "m"], h_b_m: Float[ndarray, "m"], blocker_m: float = BLOCKER_M
+) -> tuple[Float[ndarray, "m"], Float[ndarray, "m"]]:
+    """Mean and standard deviation of the loss behind a vehicle (NLOSv), by antenna heights [1]_.
+
+    Parameters
+    ----------
+    d
+        Distance [m].
+    h_a_m, h_b_m
+        Heights of the two antennas above the street [m].
+    blocker_m
+        Height of the blocking vehicle above the street [m].
+
+    Returns
+    -------
+    Mean and standard deviation [dB]; 0 and 0 where nothing is lost.
+
+    Notes
+    -----
+    Both antennas higher than the blocker: no loss. Both lower: mean 9 + max(0, 15 log d - 41), deviation 4.5.
+    Otherwise, equal heights included: mean 5 + max(0, 15 log d - 41), deviation 4.   Deviations: heights are rounded
+    to a millimetre before they are compared.
+    """
+    blocker, a, b = (np.rint(np.asarray(h) / HEIGHT_STEP_M) for h in (blocker_m, h_a_m, h_b_m))
+    clear, both = np.minimum(a, b) > blocker, np.maximum(a, b) < blocker
+    mean = np.where(both, 9.0, 5.0) + np.maximum(0.0, 15 * np.log10(d) - 41)
+    return np.where(clear, 0.0, mean), np.where(clear, 0.0, np.where(both, 4.5, 4.0))
+
+
 def blockage_db(
     normal: Float[ndarray, "m"],
     d: Float[ndarray, "m"],
-    h_low_m: Float[ndarray, "m"],
-    h_high_m: Float[ndarray, "m"],
-    blocker_m: float = 1.6,
+    h_a_m: Float[ndarray, "m"],
+    h_b_m: Float[ndarray, "m"],
+    blocker_m: float = BLOCKER_M,
 ) -> Float[ndarray, "m"]:
-    """Loss behind a vehicle (NLOSv), log-normal [1]_.
+    """Loss behind a vehicle (NLOSv), log-normal with the moments of `blockage_mean_db` [1]_.
 
     Parameters
     ----------
     normal
         Standard normal value of the link.
-    h_low_m, h_high_m
-        Lower and higher antenna of the link.
-    blocker_m
-        Height of the blocking vehicle: 1.6 for cars, 3 for trucks.
 
     Notes
     -----
-    Mean 9 + max(0, 15 log d - 41), deviation 4.5 where the blocker tops both antennas; 5 + ... and 4 where it
-    tops one; no loss below both.   Deviations: none.
+    Deviations: none beyond those of `blockage_mean_db`.
     """
-    both = blocker_m > h_high_m
-    mean = np.where(both, 9.0, 5.0) + np.maximum(0.0, 15 * np.log10(d) - 41)
-    spread = np.log1p((np.where(both, 4.5, 4.0) / mean) ** 2)  # variance of the logarithm
-    loss = np.exp(np.log(mean) - spread / 2 + np.sqrt(spread) * normal)
-    return np.where(blocker_m > h_low_m, loss, 0.0)
+    mean, deviation = blockage_mean_db(d, h_a_m, h_b_m, blocker_m)
+    lossy = mean > 0
+    mean = np.where(lossy, mean, 1.0)
+    spread = np.log1p((deviation / mean) ** 2)  # variance of the logarithm
+    return np.where(lossy, np.exp(np.log(mean) - spread / 2 + np.sqrt(spread) * normal), 0.0)
 
 
 _BOBAN_URBAN = {

@@ -40,12 +40,14 @@ class RsuAntennas:
 
     xyz_m: Float[ndarray, "u 3"]
     key: UInt64[ndarray, "u"]
+    above_street_m: Float[ndarray, "u"]
+    """Height of each antenna above the street under it."""
 
     def __len__(self) -> int:
         return len(self.key)
 
 
-NO_RSUS = RsuAntennas(np.zeros((0, 3)), np.zeros(0, np.uint64))
+NO_RSUS = RsuAntennas(np.zeros((0, 3)), np.zeros(0, np.uint64), np.zeros(0))
 """No roadside units."""
 
 
@@ -98,7 +100,8 @@ def place_rsus(
     if len(set(names)) < len(names):
         x, y, _ = next(xyz[i] for i, name in enumerate(names) if name in names[:i])
         raise ValueError(f"two roadside units stand at [{x:.2f}, {y:.2f}] m. Leave one of them out of rsu.at.")
-    return RsuAntennas(np.array(xyz), np.array([rng.name_key(name) for name in names], np.uint64))
+    above_street_m = np.array([height for _, _, height in params.at] + [params.height_m] * len(taken))
+    return RsuAntennas(np.array(xyz), np.array([rng.name_key(name) for name in names], np.uint64), above_street_m)
 
 
 def _street_m(ground: Float[ndarray, "j 3"], x: float, y: float) -> float:

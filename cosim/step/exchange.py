@@ -10,7 +10,15 @@ from cosim import rng
 from cosim.adversary.adversary import Active
 from cosim.adversary.attack import Sending
 from cosim.config.config import Config
-from cosim.radio.message_round import LinkReceptions, MessageRound, Messages, Receptions, Stations, by_link
+from cosim.radio.message_round import (
+    ChannelAbuse,
+    LinkReceptions,
+    MessageRound,
+    Messages,
+    Receptions,
+    Stations,
+    by_link,
+)
 from cosim.radio.rsu import RsuAntennas
 from cosim.ragged import expand
 from cosim.v2x.messages import Detections
@@ -113,14 +121,16 @@ class Exchange:
     attacks: Active
     """Attacks that are carried out in this step."""
     sending: Sending | None
-    """By row of `vehicles`: who delays, copies or floods; None where nobody does."""
+    """By row of `vehicles`: who delays, copies, floods or jams; None where nobody does."""
 
     @staticmethod
     def of(
         world: World, now: Times, vehicles: Vehicles, senders: Senders, stations: Stations, attacks: Active
     ) -> "Exchange":
-        """With what the attacks of this step do to the sending of messages."""
+        """With what the attacks of this step do to the channel and to the sending of messages."""
         sending = sending_of(attacks.sending(len(world)), vehicles)
+        if sending is not None and sending.abuses_channel().any():
+            stations = replace(stations, abuse=abuse_of(sending, len(stations) - len(vehicles)))
         return Exchange(world, now, vehicles, senders, stations, attacks, sending)
 
     @property
@@ -134,7 +144,18 @@ def stations_of(world: World, row: Int[ndarray, "v"], rsus: RsuAntennas, above_r
     key = np.concatenate([world.name_key[row], rsus.key])
     xyz_m = np.concatenate([world.boxes.xyz_m[row], rsus.xyz_m])
     xyz_m[: len(row), 2] += world.boxes.lwh_m[row, 2] / 2 + above_roof_m
-    return Stations(key, xyz_m, len(row))
+    above_street_m = np.concatenate([world.boxes.lwh_m[row, 2] + above_roof_m, rsus.above_street_m])
+    return Stations(key, xyz_m, len(row), above_street_m)
+
+
+def abuse_of(sending: Sending, n_rsus: int) -> ChannelAbuse:
+    """What vehicles do to the channel, and as many roadside units, which keep to the rules."""
+    honest = Sending.plain(n_rsus)
+    return ChannelAbuse(
+        jam_dbm=np.concatenate([sending.jam_dbm, honest.jam_dbm]),
+        react_dbm=np.concatenate([sending.react_dbm, honest.react_dbm]),
+        ignores_dcc=np.concatenate([sending.ignores_dcc, honest.ignores_dcc]),
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -200,8 +221,8 @@ def lists_of_identities(lists: ObjectLists, senders: Senders) -> tuple[ObjectLis
 
 def sending_of(sending: Sending, vehicles: Vehicles) -> Sending | None:
     """The same by row of `Vehicles`; None where no vehicle attacks the channel or the server."""
-    mine = Sending(*(column[vehicles.row] for column in (sending.delay_s, sending.n_copies, sending.n_reports)))
-    return None if mine.is_plain() else mine
+    mine = sending.take(vehicles.row)
+    return mine if mine.attacks().any() else None
 
 
 def distinct(number: Int[ndarray, "m"], message: Int[ndarray, "d"]) -> tuple[Int[ndarray, "k"], Int[ndarray, "d"]]:

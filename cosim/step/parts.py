@@ -5,6 +5,8 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
+from numpy import ndarray
+
 from cosim.adversary.adversary import Adversary
 from cosim.config import config
 from cosim.config.config import Config
@@ -44,6 +46,8 @@ class Parts:
     revocation: Revocation
     trust: TrustHosts
     driver: Driver
+    recall: Callable[[ndarray, ndarray, ndarray], ndarray] | None = None
+    """Recall of the detector (`sensors.detector.KnowsRecall`), where denials are weighed by it."""
     watch: Stopwatch = field(default_factory=Stopwatch)
     """Measures how long each stage takes; changes nothing."""
 
@@ -62,7 +66,12 @@ class Parts:
             rsus=rsus,
             perception=perception_of(c, city),
             adversary=Adversary.of(
-                c.attacks, [_make(c, "attacks", n) for n in range(len(c.attacks))], c.seed, dt_s, c.trust.freshness_s
+                c.attacks,
+                [_make(c, "attacks", n) for n in range(len(c.attacks))],
+                c.seed,
+                dt_s,
+                c.trust.freshness_s,
+                walls,
             ),
             medium=_make_medium(c, LosOfPlaces.of(walls)),
             pseudonyms=pseudonyms,
@@ -70,6 +79,7 @@ class Parts:
             revocation=Revocation(c.pseudonyms, linkage),
             trust=TrustHosts.of(variants(c), c.server, c.seed, c.sensing_interval_s, dt_s),
             driver=_make(c, "driver"),
+            recall=recall_of(c),
             watch=Stopwatch() if watch is None else watch,
         )
 
@@ -84,8 +94,22 @@ def perception_of(experiment: Config, city: Scene) -> Perception:
     return Perception(city, c.lidar, _make(c, "detector"), c.trust.self_reports, c.seed, c.traffic.step_s)
 
 
+def recall_of(experiment: Config) -> Callable[[ndarray, ndarray, ndarray], ndarray] | None:
+    """How often the detector finds what is there, where denials are weighed by it; ValueError where it cannot say."""
+    if experiment.trust.denials != "recall":
+        return None
+    detector = _make(experiment, "detector")
+    if not hasattr(detector, "recall"):
+        raise ValueError(
+            f'trust.denials = "recall", but the detector {type(detector).__name__} has no method recall(n_points, '
+            'label, range_m): how often it misses an object is not known. Add it, or set trust.denials = "visibility".'
+        )
+    return detector.recall
+
+
 def check_choices(experiment: Config) -> None:
     """ValueError in one line where one of the parts that a config names cannot be had."""
+    recall_of(experiment)
     for section in ("detector", "pseudonyms", "driver"):
         _make(experiment, section)
     for number in range(len(experiment.attacks)):

@@ -278,6 +278,8 @@ class SweepAnswers:
     """The same for the detection that gives each group its box, for fusion."""
     from_own_m: Float[ndarray, "d"]
     """Distance of each detection from the sensor of the vehicle that sends it."""
+    recall: Float[ndarray, "v"] | None
+    """Of the evaluator's detector, for each member of `lists`; None where denials are not weighed by it."""
 
 
 def ask_sweeps(exchange: Exchange, listed: Listed, matched: Matched, observed: Observed, parts: Parts) -> SweepAnswers:
@@ -298,7 +300,19 @@ def ask_sweeps(exchange: Exchange, listed: Listed, matched: Matched, observed: O
         plausible=plausible,
         of_seeds=SensorEvidence(n_points[seeds], plausible[seeds], away_m < c.area.range_m),
         from_own_m=_distance_m(boxes.xyz_m, np.arange(len(boxes)), origin_m, observer),
+        recall=_recall(listed, matched, n_points[matched.inside], origin_m, parts),
     )
+
+
+def _recall(
+    listed: Listed, matched: Matched, n_points: Int[ndarray, "v"], origin_m: Float[ndarray, "e 3"], parts: Parts
+) -> Float[ndarray, "v"] | None:
+    """How often each vehicle's detector finds an object like each of those that it evaluates, if that is there."""
+    if parts.recall is None:
+        return None
+    lists, boxes = matched.lists, listed.objects.boxes
+    range_m = _distance_m(boxes.xyz_m, lists.member, origin_m, lists.of_member())
+    return parts.recall(n_points, listed.detections.label[lists.member], range_m)
 
 
 @dataclass(frozen=True, slots=True)
@@ -337,7 +351,7 @@ def evaluate_objects(
     groups, lists, senders = matched.lists_groups, matched.lists, exchange.senders
     n_points, plausible = answers.n_points[matched.inside], answers.plausible[matched.inside]
     ego_detected = groups.ego_detected
-    own = evaluate(lists, groups, listed.detections, n_points, plausible, config.trust)
+    own = evaluate(lists, groups, listed.detections, n_points, plausible, config.trust, answers.recall)
     reported = object_lists.as_reported(exchange.attacks, own, lists, listed.objects, exchange.vehicles.row)
     lied = lies_in_evaluations(own, reported)
 

@@ -16,6 +16,8 @@ from numpy import ndarray
 from cosim import rng
 from cosim.world import World
 
+FIRST_STRETCH_M = 800.0
+"""Way driven under a pseudonym before `c2c` may change it [m]."""
 FIRST_EXTRA = 1 << 30
 """Without a policy a vehicle's pseudonym is its number; pseudonyms that attackers make up begin here."""
 
@@ -30,6 +32,10 @@ class PseudonymAges:
     """Since it took the pseudonym [s]."""
     distance_m: Float[ndarray, "e"]
     """Driven since [m]."""
+    away_m: Float[ndarray, "e"]
+    """Straight line from the place where it took the pseudonym [m]."""
+    beyond_s: Float[ndarray, "e"]
+    """Since it had driven 800 m under the pseudonym [s]; 0 before."""
     n_messages: Int[ndarray, "e"]
     """Detection messages sent since."""
     trip_draws: Float[ndarray, "e 4"]
@@ -137,6 +143,15 @@ class Random:
         return ages.step_draws < self.params.change_p
 
 
+@dataclass(frozen=True, kw_only=True, slots=True)
+class C2cParams:
+    """Parameters of `c2c`."""
+
+    reading: Literal["then", "both"] = "then"
+    """How the later changes are read: then: after 800 m, and U(120, 360) s after these; both: once 800 m have been
+    driven and U(120, 360) s have passed since the last change, whichever is later."""
+
+
 class C2c:
     """The policy of the CAR 2 CAR Communication Consortium, as F2MD and NextGen have it.
 
@@ -145,13 +160,20 @@ class C2c:
 
     Notes
     -----
-    Deviations: the further time is counted from the pseudonym's start, not from the 800th metre.
+    "And a further" has two readings (`C2cParams.reading`): the time begins at the 800th metre, which is the default, or
+    with the pseudonym.   Deviations: none known; the source is the published code of F2MD and NextGen, at second hand.
     """
+
+    Params = C2cParams
+
+    def __init__(self, params: C2cParams) -> None:
+        self.params = params
 
     def changes(self, ages: PseudonymAges) -> Bool[ndarray, "e"]:
         """Those that have driven and waited long enough."""
-        far = ages.distance_m >= 800.0 + 700.0 * ages.trip_draws[:, 0]
-        later = (ages.distance_m >= 800.0) & (ages.age_s >= 120.0 + 240.0 * ages.trip_draws[:, 1])
+        far = ages.distance_m >= FIRST_STRETCH_M + 700.0 * ages.trip_draws[:, 0]
+        since_s = ages.beyond_s if self.params.reading == "then" else ages.age_s
+        later = (ages.distance_m >= FIRST_STRETCH_M) & (since_s >= 120.0 + 240.0 * ages.trip_draws[:, 1])
         return np.where(ages.n_changes == 0, far, later)
 
 
@@ -165,12 +187,34 @@ class Bsp:
         return np.where(ages.n_changes == 0, first, later)
 
 
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ScmsParams:
+    """Parameters of `scms`."""
+
+    distance: Literal["place", "driven"] = "place"
+    """place: straight line from where the vehicle last changed; driven: way driven since."""
+
+
 class Scms:
-    """The rule of SAE J2945/1, second hand: every 5 min, but not before 2 km have been driven under a pseudonym."""
+    """The rule of SAE J2945/1 at second hand: a change every 5 min, unless the vehicle is less than 2 km from where it
+    last changed.
+
+    Notes
+    -----
+    The distance is the straight line to the place of the last change (absolute distance, vCertChangeDistance of the
+    standard, from memory): a vehicle that drives in circles does not change. `distance = "driven"` counts the way.
+    Deviations: the standard itself could not be read; SCMS limits certificates (20 a week), which is not modelled.
+    """
+
+    Params = ScmsParams
+
+    def __init__(self, params: ScmsParams) -> None:
+        self.params = params
 
     def changes(self, ages: PseudonymAges) -> Bool[ndarray, "e"]:
-        """Those that have driven long and far enough."""
-        return (ages.age_s >= 300.0 - 1e-9) & (ages.distance_m >= 2000.0)
+        """Those whose time has come, and that are far enough."""
+        far_m = ages.away_m if self.params.distance == "place" else ages.distance_m
+        return (ages.age_s >= 300.0 - 1e-9) & (far_m >= 2000.0)
 
 
 POLICIES: Mapping[str, type] = {
@@ -219,6 +263,11 @@ class PseudonymState:
     n_messages: Int[ndarray, "capacity"] = field(default_factory=lambda: np.zeros(0, np.int64))
     distance_m: Float[ndarray, "capacity"] = field(default_factory=lambda: np.zeros(0))
     xy_m: Float[ndarray, "capacity 2"] = field(default_factory=lambda: np.zeros((0, 2)))
+    """Last place."""
+    from_xy_m: Float[ndarray, "capacity 2"] = field(default_factory=lambda: np.zeros((0, 2)))
+    """Place where it took its pseudonym."""
+    beyond_step: Int[ndarray, "capacity"] = field(default_factory=lambda: np.zeros(0, np.int64))
+    """Step in which it had driven `FIRST_STRETCH_M` under its pseudonym; read only where it has."""
     linked: Int[ndarray, "capacity"] = field(default_factory=lambda: np.full(0, -1, np.int64))
     """Pseudonym of each vehicle to which its later ones are linked on demand; -1 for none."""
     issued: Int[ndarray, "n_issued 3"] = field(default_factory=lambda: np.zeros((0, 3), np.int64))
@@ -311,11 +360,20 @@ class Pseudonyms:
         distance_m[actor] += np.where(new, 0.0, np.hypot(*(xy - state.xy_m[actor]).T))
         names = world.name_key[observers]
         n_changes = state.n_changes[actor]
+        beyond_step = state.beyond_step.copy()
+        arrives = actor[(distance_m[actor] >= FIRST_STRETCH_M) & ~(state.distance_m[actor] >= FIRST_STRETCH_M)]
+        beyond_step[arrives] = world.step
+        beyond_s = (world.step - beyond_step[actor]) * self.dt_s
         ages = PseudonymAges(
-            n_changes, (world.step - state.since_step[actor]) * self.dt_s, distance_m[actor], state.n_messages[actor],
-            rng.uniforms(rng.key(self.seed, rng.Stream.PSEUDONYM), names, n_changes, n=4),
-            rng.uniforms(rng.key(self.seed, rng.Stream.PSEUDONYM, world.step + 1), names)[:, 0],
-        )  # fmt: skip
+            n_changes=n_changes,
+            age_s=(world.step - state.since_step[actor]) * self.dt_s,
+            distance_m=distance_m[actor],
+            away_m=np.hypot(*(xy - state.from_xy_m[actor]).T),
+            beyond_s=np.where(distance_m[actor] >= FIRST_STRETCH_M, beyond_s, 0.0),
+            n_messages=state.n_messages[actor],
+            trip_draws=rng.uniforms(rng.key(self.seed, rng.Stream.PSEUDONYM), names, n_changes, n=4),
+            step_draws=rng.uniforms(rng.key(self.seed, rng.Stream.PSEUDONYM, world.step + 1), names)[:, 0],
+        )
         changes = np.asarray(self.policy.changes(ages), bool)
         changes = ~new & (changes if wants is None else changes | wants)
         given_up = actor[changes]
@@ -326,6 +384,8 @@ class Pseudonyms:
         taking = actor[fresh]
         current, since, seen = state.current.copy(), state.since_step.copy(), state.seen_step.copy()
         n_changes_all, n_messages, place = state.n_changes.copy(), state.n_messages.copy(), state.xy_m.copy()
+        from_xy_m = state.from_xy_m.copy()
+        from_xy_m[taking] = xy[fresh]
         numbered = taking[changes[fresh]] if self.by_number else taking
         if self.by_number:
             current[taking] = taking
@@ -336,7 +396,7 @@ class Pseudonyms:
         seen[actor], place[actor] = world.step, xy
         state = replace(
             state, current=current, since_step=since, seen_step=seen, n_changes=n_changes_all, n_messages=n_messages,
-            distance_m=distance_m, xy_m=place,
+            distance_m=distance_m, xy_m=place, from_xy_m=from_xy_m, beyond_step=beyond_step,
         )  # fmt: skip
         return state, current[actor], ended
 
@@ -412,5 +472,6 @@ def _grown(state: PseudonymState, size: int) -> PseudonymState:
         state, current=longer(state.current, -1), since_step=longer(state.since_step),
         seen_step=longer(state.seen_step),
         n_changes=longer(state.n_changes), n_messages=longer(state.n_messages), distance_m=longer(state.distance_m),
-        xy_m=longer(state.xy_m), linked=longer(state.linked, -1),
+        xy_m=longer(state.xy_m), from_xy_m=longer(state.from_xy_m), beyond_step=longer(state.beyond_step),
+        linked=longer(state.linked, -1),
     )  # fmt: skip

@@ -113,4 +113,6 @@ class Nonsense:
         if self.params.kind != "hooks" or self.params.case % 3 != 1:
             return Sending.plain(n)
         copies = rng.choice([0, 1, -1, 300, 10**9, 2**62], n)
-        return Sending(rng.choice(ODD, n) * context.attacker, copies * context.attacker, copies * context.attacker)
+        mine, odd = copies * context.attacker, np.where(context.attacker, rng.choice(ODD, n), 0.0)
+        noise = np.where(context.attacker, odd, -np.inf)
+        return Sending(odd, mine, mine, jam_dbm=noise, react_dbm=noise, ignores_dcc=mine > 0)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from tests.trust.worlds import GAMMAS, worlds
 from tests.verification import paper
-from trust.evaluation import evaluate, visibility
+from trust.evaluation import denial_weight, evaluate, visibility
 from trust.matching import match
 from trust.params import TrustParams, eta_of
 from trust.tables import Detections, ObjectLists
@@ -114,3 +114,29 @@ def test_renaming_the_vehicles_permutes_the_evaluations(world, seed, one_per_veh
     again = evaluate(new_views, groups, renamed, world.points[order], world.plausible[order], params)
     np.testing.assert_array_equal(again.evaluation, evaluated.evaluation[order])
     np.testing.assert_array_equal(again.visibility, evaluated.visibility[order])
+
+
+@pytest.mark.parametrize("recall", [0.0, 0.1, 0.5, 0.75, 0.99, 1.0])
+def test_the_weight_of_a_denial_is_what_bayes_makes_of_a_miss(recall):
+    """A million objects, half of them there, are missed with probability 1 - r or 1: what is left is counted."""
+    rng = np.random.default_rng(1)
+    there = rng.random(1_000_000) < 0.5
+    missed = ~there | (rng.random(1_000_000) >= recall)
+    expected = np.where(there[missed], 1.0, -1.0).mean()
+    assert -denial_weight(np.array(recall)) == pytest.approx(expected, abs=0.005)
+
+
+def test_denials_are_weighed_by_recall():
+    """A match, a denial with half recall, one that free space contradicts, and one that the detector cannot find."""
+    table = Detections(
+        np.array([0, 0, 1, 1, 1, 1]), np.array([0, 1, 1, 2, 3, 4]), np.zeros(6, np.uint8),
+        np.array([1, 0.8, 0.5, 0.9, 0.7, 0.6]), np.array([1, 0, 0, 0, 0, 0], bool),
+    )  # fmt: skip
+    lists = ObjectLists(np.array([0, 6]), np.arange(6), np.array([0]))
+    params = TrustParams(denials="recall")
+    groups = match(lists, table, (np.array([1]), np.array([2]), np.array([0.5])), params)
+    points, plausible = np.full(6, 50), np.array([1, 1, 1, 1, 0, 1], bool)
+    recall = np.array([0.5, 0.5, 0.5, 0.5, 0.5, 0.0])
+    evaluated = evaluate(lists, groups, table, points, plausible, params, recall)
+    assert evaluated.evaluation[2:].tolist() == [0.8, -1, -1, -1]
+    assert evaluated.visibility[2:].tolist() == pytest.approx([0.5, 0.5 * 0.5 / 1.5, 1.0, 0.0])

@@ -94,6 +94,21 @@ def test_copies_are_independent(name, world):
         assert_same(model.scores(), before)
 
 
+@pytest.mark.parametrize("name", [name for name in MODELS if name != "trupercept"])
+def test_an_evaluation_of_0_is_no_evidence(name):
+    """e = 0 with visibility 1 speaks neither for nor against: a newcomer keeps the default, the known their trust."""
+    model = build(name)
+    open_step(model, 0, {1: [1.0, 1.0], 2: [1.0], 3: []})
+    add(model, 0, [(3, 1, 0, 0.0, 1.0)])
+    assert trust_of(model, 1) == 0.5 and not len(model.scores().subject)
+    one, other = build(name), build(name)
+    for known in (one, other):
+        open_step(known, 0, {1: [1.0, 1.0], 2: [1.0], 3: []})
+    add(one, 0, [(2, 1, 0, 0.8, 1.0)])
+    add(other, 0, [(2, 1, 0, 0.8, 1.0), (3, 1, 0, 0.0, 1.0), (2, 1, 1, 0.0, 1.0)])
+    assert_same(one.scores(), other.scores())
+
+
 @every_model
 def test_the_steps_of_evaluations_are_those_of_others_who_could_see(name):
     model = build(name)
@@ -132,9 +147,10 @@ def test_negative_evidence_follows_eta():
     rows = [(2, 1, 0, 0.0, 0.8), (3, 1, 0, -0.25, 0.8), (4, 1, 0, 0.5, 0.8), (1, 1, 0, -1, 1), (5, 1, 0, 0.5, 0.0)]
     for eta, neg in ((-1.0, [0.0, 0.2, 0.0]), (0.0, [0.8, 0.8, 0.0]), (-0.5, [0.0, 0.4, 0.0])):
         flat = received_by(0, rows, eta=eta).rows()
-        assert flat.evaluator.tolist() == [2, 3, 4]
-        assert flat.neg.tolist() == pytest.approx(neg, abs=1e-9)
-        assert flat.pos.tolist() == pytest.approx([0, 0, 0.4], abs=1e-9)
+        first = 0 if eta == 0 else 1  # 0 is a denial where it stands for "unmatched", else no evidence
+        assert flat.evaluator.tolist() == [2, 3, 4][first:]
+        assert flat.neg.tolist() == pytest.approx(neg[first:], abs=1e-9)
+        assert flat.pos.tolist() == pytest.approx([0, 0, 0.4][first:], abs=1e-9)
 
 
 @given(world=histories, seed=st.integers(0, 2**32 - 1))
@@ -166,7 +182,7 @@ def test_beta_twin(world, decay, grace):
         r, s, n = {}, {}, {}
         for step in range(now + 1):
             for evaluator, observer, _, e, phi in rows[step]:
-                if evaluator != observer and phi > 0:
+                if evaluator != observer and phi > 0 and e != 0:
                     age = decay ** (now - step)
                     r[observer] = r.get(observer, 0) + age * phi * max(e, 0)
                     s[observer] = s.get(observer, 0) + age * phi * max(-e, 0)

@@ -9,9 +9,10 @@ from collections import defaultdict
 
 
 def evidence(rows):
-    """(evaluator, subject, index, pos, neg) of the evaluations that count."""
+    """(evaluator, subject, index, pos, neg) of the evaluations that count: by others, for or against."""
     return [
-        (v, i, k, phi * max(e, 0.0), phi * max(-e, 0.0)) for v, i, k, e, phi in rows if v != i and phi > 0
+        (v, i, k, phi * max(e, 0.0), phi * max(-e, 0.0))
+        for v, i, k, e, phi in rows if v != i and round(phi * abs(e) * 2**32) > 0
     ]  # fmt: skip
 
 
@@ -77,7 +78,7 @@ def subjective_logic(steps, now, dt, decay=0.98, discounting="probability"):
             for v, i, _, pos, neg in evidence(steps[step]):
                 weight = pos + neg
                 gain = 1 - 1.3**-weight
-                b, d = (pos / weight * gain, neg / weight * gain) if weight else (0.0, 0.0)
+                b, d = pos / weight * gain, neg / weight * gain
                 source = before.get(v, (0.0, 0.0, 1.0))
                 if discounting == "probability":
                     p = source[0] + source[2] / 2
@@ -104,9 +105,8 @@ def mate(steps, now, dt):
         if step in steps and step != last:
             before = {i: ab[0] / sum(ab) for i, ab in vehicle.items()}
             objects = defaultdict(list)
-            for v, i, k, pos, neg in evidence(steps[step]):
-                if pos or neg:
-                    objects[i, k].append((v, 1.0 if pos else 0.0))
+            for v, i, k, pos, _ in evidence(steps[step]):
+                objects[i, k].append((v, 1.0 if pos else 0.0))
             measured = []
             for (i, _), sources in objects.items():
                 a = b = 0.5

@@ -25,28 +25,31 @@ NAMES = [f"v{i:02}" for i in range(N)]
 class Tables(dict):
     """Takes what a recorder takes; a table is a frame, codes are numbers, what is absent is NaN."""
 
-    def __init__(self):
+    def __init__(self, tables=tuple(TABLES)):
         super().__init__()
-        self._rows, self.tables = defaultdict(list), tuple(TABLES)
+        self._rows, self.tables = defaultdict(list), tables
 
     def append(self, table, at, columns):
         """Rows of one step."""
-        frame = pd.DataFrame({k: v for k, v in columns.items() if v is not None and not k.endswith("__valid")})
-        for name in frame.columns:
+        if table not in self.tables:
+            return
+        given = {k: v for k, v in columns.items() if v is not None and not k.endswith("__valid")}
+        frame = pd.DataFrame({"at": at} | given)
+        for name in given:
             if f"{name}__valid" in columns:
                 frame[name] = frame[name].where(np.broadcast_to(columns[f"{name}__valid"], len(frame)))
-        frame.insert(0, "at", at)
         self._rows[table].append(frame)
 
     def close(self):
         """All tables whole."""
         for table, rows in self._rows.items():
             self[table] = pd.concat(rows, ignore_index=True)
-        self["pseudonyms"] = self["pseudonyms"].drop(columns="at")
+        if "pseudonyms" in self:
+            self["pseudonyms"] = self["pseudonyms"].drop(columns="at")
         return self
 
 
-def play(attacks=(), n_steps=6, penetration_p=1.0, speeds=None, **sections):
+def play(attacks=(), n_steps=6, penetration_p=1.0, speeds=None, tables=tuple(TABLES), **sections):
     """Tables of some steps on the plane.
 
     Parameters
@@ -55,6 +58,8 @@ def play(attacks=(), n_steps=6, penetration_p=1.0, speeds=None, **sections):
         Sections [[attacks]]; `start_s` is 0 unless they say otherwise.
     speeds
         Speed of all vehicles in each step [m/s].
+    tables
+        Names of those that are kept.
     """
     sections.setdefault("radio", {"model": "unit_disk", "unit_disk": {"loss_p": 0.0}})
     sections.setdefault("server", {"cellular": {"delay_min_s": 0.001, "delay_mean_s": 0.002, "uplink_loss_p": 0.0,
@@ -67,7 +72,7 @@ def play(attacks=(), n_steps=6, penetration_p=1.0, speeds=None, **sections):
     parts = Parts.of(config, Scene.empty())
     registry = ActorRegistry(config.fleet, config.seed, shares(config.attacks), named(config.attacks))
     numbers = registry.register(NAMES, np.full(N, Shape.CAR, np.uint8), np.tile([4.4, 1.8, 1.5], (N, 1)), 0)
-    state, tables, x_m = State.start(parts), Tables(), 0.0
+    state, tables, x_m = State.start(parts), Tables(tables), 0.0
     results = []
     for number in range(n_steps):
         speed = SPEED_MPS if speeds is None else speeds[number]

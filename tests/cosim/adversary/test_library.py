@@ -253,8 +253,18 @@ def test_replayed_evaluations(honest):
     was = honest["evaluations"].assign(at=lambda f: f["at"] + 2)
     rows = rows[rows["at"] >= 2].merge(was, on=EVALUATION_KEY, how="left", suffixes=("", "_old"))
     known = rows.evaluation_old.notna()
+    known &= rows.visibility_old > 0
     assert known.sum() > 50 and (rows.evaluation[known] == rows.evaluation_old[known]).all()
-    assert (rows.visibility[~known] == 0).all()
+    assert (rows.visibility[known] == rows.visibility_old[known]).all()
+    other = rows[~known]  # of the same sender where there is any, else of anybody; something that it saw
+    then = {
+        (t, v): set(zip(f.evaluation, f.visibility, strict=True))
+        for (t, v), f in was[was.visibility > 0].groupby(["at", "evaluator"])
+    }
+    assert len(other) > 50 and all(
+        (e, phi) in then[t, v]
+        for t, v, e, phi in zip(other["at"], other.evaluator, other.evaluation, other.visibility, strict=True)
+    )
 
 
 def test_evaluations_under_several_identities(honest):

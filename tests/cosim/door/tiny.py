@@ -57,7 +57,11 @@ def attack():
 def policy():
     """Arguments of the hook of a pseudonym policy."""
     n = np.arange(N)
-    return {"changes": (PseudonymAges(n, n * 1.0, n * 9.0, n, np.full((N, 4), 0.5), np.full(N, 0.5)),)}
+    ages = PseudonymAges(
+        n_changes=n, age_s=n * 1.0, distance_m=n * 9.0, away_m=n * 8.0, beyond_s=np.zeros(N), n_messages=n,
+        trip_draws=np.full((N, 4), 0.5), step_draws=np.full(N, 0.5),
+    )  # fmt: skip
+    return {"changes": (ages,)}
 
 
 def medium():

@@ -2,6 +2,7 @@
 
 import copy
 import pickle
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ import pytest
 from cosim.radio import csma
 from cosim.radio.csma import CsmaMedium
 from cosim.radio.dcc import DccParams
-from cosim.radio.message_round import LosState, Messages, Outcome, RoundKind, Stations
+from cosim.radio.message_round import ChannelAbuse, LosState, Messages, Outcome, RoundKind, Stations
 from cosim.radio.params import RadioParams, RelayParams
 from cosim.radio.propagation import PropagationParams
 from sensors.line_of_sight import LosOfPlaces, WallIndex
@@ -280,3 +281,43 @@ def test_ends_of_frames():
     assert set(zip(frames.message[own].tolist(), frames.receiver[own].tolist(), strict=True)) == {(2, 1), (2, 3)}
     assert set(frames.receiver[~own].tolist()) <= {0, 1, 3, 4}  # the sender's own message does not count at the sender
     assert pairs(received) == {(0, 2), (1, 2), (3, 2), (4, 2)}
+
+
+def jammed_line(react, power_dbm=23.0, interference_range_m=5000.0):
+    """Who of stations at 150, 200, 270 and 290 m receives from 0 m while the last one, at 600 m, jams."""
+    xyz = np.column_stack([[0.0, 150.0, 200.0, 270.0, 290.0, 600.0], np.zeros(6), np.full(6, 1.6)])
+    off, on = np.full(6, -np.inf), np.where(np.arange(6) == 5, power_dbm, -np.inf)
+    abuse = ChannelAbuse(off if react else on, on if react else off, np.zeros(6, bool))
+    medium = medium_of(propagation=replace(QUIET, interference_range_m=interference_range_m))
+    messages = Messages.one_each(np.where(np.arange(6) == 0, 300, 0))
+    _, happened = medium.broadcast(
+        medium.start(), RoundKind.CPM, 0, 0.0, Stations(keys_of(6), xyz, 6, abuse=abuse), messages
+    )
+    lost = happened.frames.outcome[happened.frames.outcome != Outcome.RECEIVED]
+    assert (lost == Outcome.COLLISION).all()
+    return sorted(xyz[happened.receptions.receiver, 0].tolist())
+
+
+def test_jammers_by_hand():
+    """In free space the signal is 20 log((600 - d) / d) dB above the noise of a jammer as strong as the sender: 9.5 dB
+    at 150 m, 6.0 at 200, 1.7 at 270 and 0.6 at 290; a preamble needs 4 dB, a payload of 300 bytes 2.8."""
+    assert jammed_line(react=False) == jammed_line(react=True) == [150.0, 200.0]
+    assert jammed_line(react=False, power_dbm=16.0) == [150.0, 200.0, 270.0, 290.0]  # 7 dB less
+    assert jammed_line(react=False, power_dbm=33.0) == []  # 10 dB more
+    # A jammer that does not detect the sender does not react, and a constant one jams all the same.
+    assert jammed_line(react=True, interference_range_m=500.0) == [150.0, 200.0, 270.0, 290.0]
+    assert jammed_line(react=False, interference_range_m=500.0) == [150.0, 200.0]
+
+
+def test_without_congestion_control_frames_follow_at_once():
+    """Twenty messages of one station: 50 ms apart under DCC, so that few fit into the round, else all of them."""
+    xyz, messages = line(2, 50.0), Messages(np.zeros(20, np.int64), np.full(20, 300))
+    sent = []
+    for ignores in (False, True):
+        abuse = ChannelAbuse(np.full(2, -np.inf), np.full(2, -np.inf), np.array([ignores, False]))
+        medium = medium_of()
+        _, happened = medium.broadcast(
+            medium.start(), RoundKind.CPM, 0, 0.0, Stations(keys_of(2), xyz, 2, abuse=abuse), messages
+        )
+        sent.append(int(happened.frames.n_transmissions.sum()))
+    assert sent[0] <= 5 and sent[1] == 20

@@ -121,3 +121,13 @@ def test_at_most_one_station():
 def test_faults_are_named():
     with pytest.raises(ValueError, match="finite"):
         links_between(np.array([[0.0, np.nan, 1.5]]), np.array([1], np.uint64), PropagationParams(), ONE)
+
+
+def test_a_street_on_a_hill_is_blocked_like_one_in_the_valley():
+    """Antennas 1.5 m above streets at 0 and at 80 m: blockage and reflections depend on the height above the street."""
+    low = scatter(80, 300.0)
+    high, above_m = low + [0.0, 0.0, 80.0], np.full(80, 1.5)
+    for params in (PropagationParams(), PropagationParams(model="two_ray_interference")):
+        one, other = pairs(low, params, ONE), pairs(high, params, ONE, above_street_m=above_m)
+        np.testing.assert_array_equal(one.loss_db, other.loss_db)
+    assert one.loss_db.any()

@@ -166,6 +166,10 @@ def test_study_file_of_a_folder_gives_the_same_points(tmp_path):
         ("safety_half_hour", 24, 24),
         ("whitewashing", 20, 20),
         ("revocation", 16, 16),
+        ("busy_channel", 8, 8),
+        ("cities", 8, 8),
+        ("strangers", 32, 8),
+        ("paper_tables", 60, 24),
     ],
 )
 def test_shipped_studies(name, n_points, n_runs, tmp_path, monkeypatch):

@@ -18,7 +18,7 @@ from trust.open_steps import RejectReason
 
 
 def unit(x, y):
-    return RsuAntennas(np.array([[x, y, 6.0]]), np.array([rng.name_key("rsu")], np.uint64))
+    return RsuAntennas(np.array([[x, y, 6.0]]), np.array([rng.name_key("rsu")], np.uint64), np.array([6.0]))
 
 
 def by_server(sensed):
