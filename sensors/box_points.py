@@ -1,8 +1,9 @@
 """How many returns of a sweep lie in a box: single-precision bounds first, the exact test where they do not decide.
 
 A ray crosses an upright box where its horizontal length lies in an interval (one per column of azimuth) and its height
-in another (one per box). Both are widened and narrowed by more than single precision can err. A column with a return
-between the two is tested in double precision, so that the counts are those of the exact test of every return.
+in another (one per box). Both are widened and narrowed by more than single precision can err; returns between the two
+are tested in double precision, so that the counts are those of the exact test of every return. Tiles of the range image
+whose returns are all nearer than the box, or all farther, are not looked at.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import numpy as np
 from numba import prange
 
 from sensors.kernel import dividing, inlined, kernel, parallel
+from sensors.lanes import LANES, TILE, near_box, nearest_and_farthest
 from sensors.pairs import in_sensor_frame
 from sensors.range_steps import NO_RETURN
 from sensors.raycast.column import below, columns_of, rectangle_columns, slopes_of
@@ -20,7 +22,13 @@ from sensors.raycast.column import below, columns_of, rectangle_columns, slopes_
 _GRAZING = 1e-7
 """Sine of the angle between a column and a side of the box below which their crossing is not computed."""
 
+_FEW = 16
+"""Boxes of one sweep for which it does not pay to look at the whole sweep first."""
+
 _NO_RETURN = np.uint16(NO_RETURN)
+
+_REACH_M = 0.01
+"""How far behind the farthest return of a sweep boxes are looked at: more than lengths are rounded by."""
 
 
 @inlined
@@ -36,7 +44,12 @@ def _crossings(cos_az, sin_az, p, q, cos, sin, half_l, half_w, middle, half):
     is negative where a column misses the box. Both nan where one runs along a side of it.
 
     (p, q) is the sensor in the frame of the box, whose heading is (cos, sin) in the frame of the sensor.
+
+    Returns
+    -------
+    Columns that run along a side.
     """
+    n = 0
     for i in range(len(cos_az)):
         ca, sa = cos_az[i], sin_az[i]
         u, v = cos * ca + sin * sa, cos * sa - sin * ca
@@ -46,49 +59,75 @@ def _crossings(cos_az, sin_az, p, q, cos, sin, half_l, half_w, middle, half):
         s, t = (-half_w - q) * across, (half_w - q) * across
         enter, leave = max(enter, min(s, t), -1.0), min(leave, max(s, t))  # long intervals behind would cost precision
         grazing = min(abs(u), abs(v)) < _GRAZING
+        n += grazing
         middle[i] = np.nan if grazing else 0.5 * (enter + leave)
         half[i] = np.nan if grazing else 0.5 * (leave - enter)
-
-
-@inlined
-def _near_box(steps, cos_el, sin_el, middle, half, height, half_h, error):
-    """Of the ranges of some rows of a column: how many end in a box, and how many may.
-
-    `cos_el` and `sin_el` are lengths per step. A ray ends in the box where its horizontal length is within `half` of
-    `middle` and its height within `half_h` of `height`, all float32. It is counted where it does so by `error`; it may
-    do so where it would with `error` to spare.
-    """
-    count = possible = np.int32(0)
-    for k in range(len(steps)):
-        far = np.float32(steps[k])
-        beside, above = abs(far * cos_el[k] - middle) - half, abs(far * sin_el[k] - height) - half_h
-        count += np.int32((beside < -error) & (above < -error))
-        possible += np.int32((beside < error) & (above < error))
-    return count, possible
+    return n
 
 
 @kernel
-def _count(steps, step_m, beams, cos_el, sin_el, a0, a1, r0, r1, box, scratch):
+def _bounds(steps, flat, nearest, farthest):
+    """Horizontal lengths between which the returns of a sweep lie, by tile; the most steps of all.
+
+    `flat` are the least and largest horizontal length of a step in each block of rows. The last block and the last tile
+    begin earlier where they are not whole.
+    """
+    n, m = steps.shape
+    most = 0
+    for t in range(nearest.shape[1]):
+        column = np.uint64(min(TILE * t, n - TILE))
+        for b in range(len(flat)):
+            least, largest = nearest_and_farthest(steps, column, np.uint64(min(LANES * b, m - LANES)))
+            nearest[b, t], farthest[b, t], most = least * flat[b, 0], largest * flat[b, 1], max(most, largest)
+    return most
+
+
+@kernel
+def _any_between(nearest, farthest, t0, t1, b0, b1, enter, leave):
+    """Whether one of these tiles may have a return of a length between two."""
+    found = np.int32(0)
+    for b in range(b0, b1):
+        near, far = nearest[b, t0:t1], farthest[b, t0:t1]
+        for i in range(len(near)):
+            found |= np.int32((far[i] >= enter) & (near[i] <= leave))
+    return found > 0
+
+
+@kernel
+def _count(steps, step_m, beams, cos_el, sin_el, a0, a1, r0, r1, box, bounds, scratch):
     """Returns in columns a0 to a1 and rows r0 to r1 that lie inside a box."""
+    m = steps.shape[1]
     x, y, z, cos, sin, half_l, half_w, half_h = box
-    middle, half = scratch
+    (nearest, farthest), (middle, half) = bounds, scratch
     error = 2e-5 + 2e-6 * (abs(x) + abs(y) + abs(z) + half_l + half_w + half_h)
+    b0, b1, t0, t1 = r0 // LANES, (r1 + LANES - 1) // LANES, a0 // TILE, (a1 + TILE - 1) // TILE
+    radius, distance = np.sqrt(half_l * half_l + half_w * half_w), np.sqrt(x * x + y * y)
+    least, most = np.float32(distance - radius - 3.0 * error), np.float32(distance + radius + 3.0 * error)
+    if not _any_between(nearest, farthest, t0, t1, b0, b1, least, most):
+        return 0
     p, q = -(cos * x + sin * y), -(cos * y - sin * x)
-    _crossings(beams.cos_az[a0:a1], beams.sin_az[a0:a1], p, q, cos, sin, half_l, half_w, middle, half)
-    beyond = np.hypot(np.hypot(x, y) + np.hypot(half_l, half_w), abs(z) + half_h) + error >= NO_RETURN * step_m
+    n_grazing = _crossings(beams.cos_az[a0:a1], beams.sin_az[a0:a1], p, q, cos, sin, half_l, half_w, middle, half)
+    b1 = min(b1, m // LANES)  # whole blocks
+    if np.hypot(distance + radius, abs(z) + half_h) + error >= NO_RETURN * step_m:
+        b1 = b0  # no return is not told from a range there
     height, half_height, margin, total = np.float32(z), np.float32(half_h), np.float32(error), 0
-    cos_rows, sin_rows = cos_el[r0:r1], sin_el[r0:r1]
-    for i in range(a1 - a0):
-        column = a0 + i
-        if half[i] < -margin:
-            continue
-        count, possible = _near_box(
-            steps[column, r0:r1], cos_rows, sin_rows, middle[i], half[i], height, half_height, margin
-        )
-        if count == possible and not (beyond or np.isnan(half[i])):
-            total += count
-        else:  # no return is not told from a range, the column runs along a side, or single precision does not decide
-            for r in range(r0, r1):
+    for b in range(b0, b1):
+        row = np.uint64(b * LANES)
+        for t in range(t0, t1):
+            if farthest[b, t] >= least and nearest[b, t] <= most:
+                for c in range(np.uint64(max(TILE * t, a0)), np.uint64(min(TILE * t + TILE, a1))):
+                    i = c - np.uint64(a0)
+                    count, undecided = near_box(
+                        steps, c, row, cos_el, sin_el, middle[i], half[i], height, half_height, margin
+                    )
+                    total += count
+                    for k in range(LANES if undecided else 0):
+                        if undecided >> k & 1:
+                            total += _is_inside(steps, step_m, beams, c, row + np.uint64(k), box)
+    rest = max(r0, b1 * LANES)
+    if n_grazing > 0 or rest < r1:
+        for column in range(a0, a1):
+            for r in range(r0 if np.isnan(half[column - a0]) else rest, r1):
                 total += _is_inside(steps, step_m, beams, column, r, box)
     return total
 
@@ -103,6 +142,14 @@ def _is_inside(steps, step_m, beams, c, r, box):
     return inside & (steps[c, r] != _NO_RETURN)
 
 
+@kernel
+def _unbounded(nearest, farthest):
+    """Bounds where a sweep is not looked at as a whole."""
+    for b in range(nearest.shape[0]):
+        for t in range(nearest.shape[1]):
+            nearest[b, t], farthest[b, t] = 0.0, np.inf
+
+
 def points_in_boxes(range_steps, step_m, beams, pairs, run, n_chunks):
     """Returns of the pair's sweep strictly inside its box, of every pair; `run` as `Pairs.runs`, which threads share
     in `n_chunks`.
@@ -110,30 +157,40 @@ def points_in_boxes(range_steps, step_m, beams, pairs, run, n_chunks):
     `range_steps` and `step_m` as `sensors.lidar.RangeImages`; a step is a power of two, so that single precision holds
     every range, and lengths per step are exactly as precise as lengths per metre.
     """
-    # In a parallel kernel every expression of arrays would be compiled as a loop over threads.
+    # What is small is made here: in a parallel kernel every expression of arrays is compiled as a loop over threads.
     cos_el, sin_el = (step_m * beams.cos_el).astype(np.float32), (step_m * beams.sin_el).astype(np.float32)
-    out = np.zeros(len(pairs.o), np.int32)
+    m, out = len(cos_el), np.zeros(len(pairs.o), np.int32)
+    first = range(0, m, LANES)
+    blocks = [cos_el[max(0, min(row, m - LANES)) : row + LANES] for row in first]
+    flat = np.array([[block.min(), block.max()] for block in blocks], np.float32)
     edge = math.cos(0.5 * beams.fov_rad), math.sin(0.5 * beams.fov_rad)
-    _add_points(out, range_steps, step_m, beams, cos_el, sin_el, edge, pairs, run, n_chunks)
+    _add_points(out, range_steps, step_m, beams, cos_el, sin_el, flat, edge, pairs, run, n_chunks)
     return out
 
 
 @parallel
-def _add_points(out, range_steps, step_m, beams, cos_el, sin_el, edge, pairs, run, n_chunks):
-    """As `points_in_boxes`; `edge` is the cosine and sine of half the field of view."""
+def _add_points(out, range_steps, step_m, beams, cos_el, sin_el, flat, edge, pairs, run, n_chunks):
+    """As `points_in_boxes`; `flat` are the least and largest length per step of each block of rows, `edge` the cosine
+    and sine of half the field of view."""
     n, m = range_steps.shape[1], len(cos_el)
     for chunk in prange(n_chunks):
         columns, slopes = columns_of(beams), slopes_of(beams)
-        scratch = np.empty(n, np.float32), np.empty(n, np.float32)
+        lengths = np.empty((2, len(flat), (n + TILE - 1) // TILE), np.float32)
+        bounds, scratch = (lengths[0], lengths[1]), (np.empty(n, np.float32), np.empty(n, np.float32))
         for i in range(np.int64(chunk), len(run) - 1, n_chunks):  # neighbours in a city have as many boxes to look at
             steps = range_steps[pairs.o[run[i]]]
+            if run[i + 1] - run[i] > _FEW and n >= TILE and m >= LANES:
+                farthest = _bounds(steps, flat, bounds[0], bounds[1]) * step_m + _REACH_M
+            else:
+                _unbounded(bounds[0], bounds[1])
+                farthest = np.inf
             for k in range(run[i], run[i + 1]):
                 x, y, z, length, width, height, yaw = in_sensor_frame(pairs, k)
                 half_l, half_w, half_h = 0.5 * length, 0.5 * width, 0.5 * height
                 radius, distance = np.sqrt(half_l * half_l + half_w * half_w), np.sqrt(x * x + y * y)
                 close = distance - radius
-                if abs(y) * edge[0] - x * edge[1] > radius:
-                    continue  # beside the field of view
+                if abs(y) * edge[0] - x * edge[1] > radius or close > farthest:
+                    continue  # beside the field of view, or behind all returns
                 cos, sin = np.cos(yaw), np.sin(yaw)
                 a0, a1, b0, b1 = rectangle_columns(x, y, cos, sin, half_l, half_w, columns)
                 r0, r1 = 0, m
@@ -145,4 +202,4 @@ def _add_points(out, range_steps, step_m, beams, cos_el, sin_el, edge, pairs, ru
                 for turn in range(2):
                     c0, c1 = (a0, a1) if turn == 0 else (b0, b1)
                     if c1 > c0:
-                        out[k] += _count(steps, step_m, beams, cos_el, sin_el, c0, c1, r0, r1, box, scratch)
+                        out[k] += _count(steps, step_m, beams, cos_el, sin_el, c0, c1, r0, r1, box, bounds, scratch)

@@ -12,7 +12,7 @@ ROOT = Path(__file__).parents[1]
 ROOMS = ("cosim", "sensors", "trust", "results", "sumo_nets")
 
 FOREIGN = {
-    "sensors": {"annotated_types", "jaxtyping", "numpy", "scipy", "numba", "shapely", "embreex", "open3d"},
+    "sensors": {"annotated_types", "jaxtyping", "numpy", "scipy", "numba", "llvmlite", "shapely", "embreex", "open3d"},
     "trust": {"annotated_types", "jaxtyping", "numpy", "numba", "scipy"},
     "results": {
         "annotated_types", "jaxtyping", "numpy", "numba", "scipy", "pyarrow", "pandas", "networkx", "matplotlib",
@@ -29,6 +29,7 @@ FOREIGN = {
 ONE_FILE = {
     "libsumo": {"cosim/mobility/sumo.py"},
     "embreex": {"sensors/raycast/embree.py"},
+    "llvmlite": {"sensors/lanes.py"},
     "open3d": {"sensors/raycast/open3d.py"},
     "pydantic": {"cosim/config/data.py"},
     "rerun": {"cosim/offline/view.py"},

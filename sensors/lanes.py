@@ -1,0 +1,105 @@
+"""Sixteen neighbouring rays at once, in vector instructions that Numba's loops do not become.
+
+LLVM cuts them to what a processor has. `generate` writes the instructions where a kernel calls the function.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from llvmlite import ir
+from numba.core import cgutils, types
+from numba.extending import intrinsic
+
+LANES = 16
+"""Rows."""
+
+TILE = 4
+"""Columns."""
+
+_FLOATS, _STEPS = ir.VectorType(ir.FloatType(), LANES), ir.VectorType(ir.IntType(16), LANES)
+_ONE, _MASK = ir.IntType(32), ir.IntType(LANES)
+
+_instructions: Any = intrinsic
+"""Decorator; Numba's own type wants `typing` from callers, too."""
+
+
+@_instructions
+def near_box(
+    typing: Any, steps: Any, column: Any, row: Any, cos_el: Any, sin_el: Any, middle: Any, half: Any, height: Any,
+    half_h: Any, error: Any,
+) -> Any:  # fmt: skip
+    """Of the ranges of rows `row` to `row + LANES` of a column: how many end in a box, and which may.
+
+    `cos_el` and `sin_el` are lengths per step; a ray ends in the box where its horizontal length is within `half` of
+    `middle` and its height within `half_h` of `height`, all float32. It is counted where it does so by `error`; the
+    second result has a bit, from the lowest, for each ray that is not counted and would be with `error` to spare.
+    """
+
+    def generate(context: Any, builder: Any, signature: Any, given: Any) -> Any:
+        def loaded(k: int, at: tuple[Any, ...], element: ir.Type) -> Any:
+            array = context.make_array(signature.args[k])(context, builder, given[k])
+            first = cgutils.get_item_pointer(context, builder, signature.args[k], array, at)
+            whole = builder.bitcast(first, ir.VectorType(element, LANES).as_pointer())
+            return builder.load(whole, align=element.get_abi_size(context.target_data))
+
+        def spread(value: Any) -> Any:
+            one = builder.insert_element(ir.Constant(_FLOATS, ir.Undefined), value, ir.Constant(_ONE, 0))
+            return builder.shuffle_vector(
+                one, ir.Constant(_FLOATS, ir.Undefined), ir.Constant(ir.VectorType(_ONE, LANES), [0] * LANES)
+            )
+
+        column, row = given[1], given[2]
+        middle, half, height, half_h, error = (spread(value) for value in given[5:])
+        size = cgutils.get_or_insert_function(
+            builder.module, ir.FunctionType(_FLOATS, [_FLOATS]), f"llvm.fabs.v{LANES}f32"
+        )
+        far = builder.uitofp(loaded(0, (column, row), ir.IntType(16)), _FLOATS)
+        flat = builder.fmul(far, loaded(3, (row,), ir.FloatType()))
+        up = builder.fmul(far, loaded(4, (row,), ir.FloatType()))
+        beside = builder.fsub(builder.call(size, [builder.fsub(flat, middle)]), half)
+        above = builder.fsub(builder.call(size, [builder.fsub(up, height)]), half_h)
+
+        def within(limit: Any) -> Any:
+            both = (builder.fcmp_ordered("<", gap, limit) for gap in (beside, above))
+            return builder.bitcast(builder.and_(*both), _MASK)
+
+        certain, possible = within(builder.fneg(error)), within(error)
+        count = builder.zext(builder.ctpop(certain), ir.IntType(64))
+        undecided = builder.zext(builder.xor(certain, possible), ir.IntType(64))
+        return context.make_tuple(builder, signature.return_type, (count, undecided))
+
+    result = types.UniTuple(types.int64, 2)
+    return result(steps, column, row, cos_el, sin_el, middle, half, height, half_h, error), generate
+
+
+@_instructions
+def nearest_and_farthest(typing: Any, steps: Any, column: Any, row: Any) -> Any:
+    """Of the ranges of columns `column` to `column + TILE` in rows `row` to `row + LANES`: the least, and the largest
+    that is a return; `NO_RETURN` and -1 if there is none."""
+
+    def generate(context: Any, builder: Any, signature: Any, given: Any) -> Any:
+        array = context.make_array(signature.args[0])(context, builder, given[0])
+        one = ir.Constant(_STEPS, [1] * LANES)
+
+        def outermost(order: str, a: Any, b: Any) -> Any:
+            return builder.select(builder.icmp_unsigned(order, a, b), a, b)
+
+        least = most = None
+        for k in range(TILE):
+            column = builder.add(given[1], ir.Constant(given[1].type, k))
+            first = cgutils.get_item_pointer(context, builder, signature.args[0], array, (column, given[2]))
+            steps = builder.load(builder.bitcast(first, _STEPS.as_pointer()), align=2)
+            next_step = builder.add(steps, one)  # no return becomes 0
+            least = steps if least is None else outermost("<", least, steps)
+            most = next_step if most is None else outermost(">", most, next_step)
+
+        def over_all(name: str, of: Any) -> Any:
+            kind = ir.FunctionType(ir.IntType(16), [_STEPS])
+            reduce = cgutils.get_or_insert_function(builder.module, kind, f"llvm.vector.reduce.{name}.v{LANES}i16")
+            return builder.zext(builder.call(reduce, [of]), ir.IntType(64))
+
+        farthest = builder.sub(over_all("umax", most), ir.Constant(ir.IntType(64), 1))
+        return context.make_tuple(builder, signature.return_type, (over_all("umin", least), farthest))
+
+    return types.UniTuple(types.int64, 2)(steps, column, row), generate
