@@ -1,6 +1,6 @@
 """Encounters of pairs of actors, tracked step by step."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
@@ -9,6 +9,7 @@ from annotated_types import Ge, Gt, Le
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
+from results import encounter_counts
 from results.codes import EncounterPairs, LookupState, LosBlockers, TrustSource
 
 Rows = dict[str, ndarray]
@@ -223,10 +224,8 @@ class EncounterTracker:
         assert self._step is not None
         if looked_up is None:
             looked_up = np.ones((len(holder), self.n_variants), bool)
-        for way, rows, at in self._directions(holder, other):
-            trusted, since = self._live[f"trusted_{way}"], self._live[f"trusted_step_{way}"]
-            row, variant = np.nonzero(looked_up[rows] & ~trusted[at])
-            trusted[at[row], variant], since[at[row], variant] = True, self._step
+        columns = (self._live[f"{name}_{way}"] for name in ("trusted", "trusted_step") for way in ("ab", "ba"))
+        encounter_counts.note(self._slots(holder, other), holder, other, looked_up, self._step, *columns)
 
     def first_contact(
         self,
@@ -260,22 +259,14 @@ class EncounterTracker:
             self._live[f"age_{name}_s"][where] = np.where(source[rows] == TrustSource.DEFAULT, 0, age_s[rows])
 
     def _count(self, what: str, one: ndarray, other: ndarray, n: ndarray | None) -> None:
-        added = np.ones(len(one), np.int32) if n is None else np.asarray(n, np.int32)
-        for way, rows, at in self._directions(one, other):
-            np.add.at(self._live[f"n_{what}_{way}"], at, added[rows])
-
-    def _directions(self, one: ndarray, other: ndarray) -> Iterator[tuple[str, ndarray, ndarray]]:
-        """What `one` does to `other` in encounters under way: from the smaller actor number to the larger (ab) or back
-        (ba), the rows, and the slots of their encounters."""
-        at = self._slots(one, other)
-        for way, rows in (("ab", one < other), ("ba", one >= other)):
-            found = np.flatnonzero(rows & (at >= 0))
-            yield way, found, at[found]
+        added = np.zeros(0, np.int64) if n is None else np.asarray(n, np.int64)
+        counters = self._live[f"n_{what}_ab"], self._live[f"n_{what}_ba"]
+        at = self._slots(other, one) if what == "messages" else self._slots(one, other)  # messages go by receiver
+        encounter_counts.count(at, one, other, added, *counters)
 
     def _slots(self, one: ndarray, other: ndarray) -> Int[ndarray, "n"]:
         """Slot of the encounter of each two, -1 where none is under way."""
-        at, found = _find(self._pair, _pair(np.minimum(one, other), np.maximum(one, other)))
-        return np.where(found, self._slot[np.minimum(at, len(self._slot) - 1)] if len(self._slot) else -1, -1)
+        return encounter_counts.slots(self._pair, self._slot, one, other)
 
     def _of_any(self, actors: Int[ndarray, "m"]) -> Bool[ndarray, "live"]:
         """Live pairs with one of these actors."""

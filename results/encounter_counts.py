@@ -1,0 +1,62 @@
+"""What happens in encounters, added to those under way: kernels of `results.encounters`.
+
+`pair` is a << 32 | b of each encounter under way, a < b, and `slot` says where the columns hold it. What an actor does
+to another counts as `ab` if it has the smaller number, else as `ba`.
+"""
+
+import numpy as np
+from numba import njit
+
+
+@njit(cache=True, nogil=True)
+def slots(pair, slot, one, other):
+    """Slot of the encounter of each two actors, -1 where none is under way; fast where `one` stays for many rows."""
+    n = 0
+    for k in range(len(pair)):
+        n = max(n, (pair[k] & 0xFFFFFFFF) + 1)
+    begin = np.zeros(n + 1, np.int64)  # where the encounters of each actor begin
+    for k in range(len(pair)):
+        begin[(pair[k] >> 32) + 1] += 1
+        begin[(pair[k] & 0xFFFFFFFF) + 1] += 1
+    for actor in range(n):
+        begin[actor + 1] += begin[actor]
+    put = begin[:-1].copy()
+    partner, held = np.empty(2 * len(pair), np.int32), np.empty(2 * len(pair), np.int32)
+    for k in range(len(pair)):
+        a, b = pair[k] >> 32, pair[k] & 0xFFFFFFFF
+        partner[put[a]], held[put[a]] = b, slot[k]
+        partner[put[b]], held[put[b]] = a, slot[k]
+        put[a] += 1
+        put[b] += 1
+    found = np.empty(len(one), np.int64)
+    now, of, at = -1, np.full(n, -1, np.int32), np.empty(n, np.int32)
+    for row in range(len(one)):
+        if one[row] != now:
+            now = one[row]
+            if now < n:
+                for k in range(begin[now], begin[now + 1]):
+                    of[partner[k]], at[partner[k]] = now, held[k]
+        found[row] = at[other[row]] if other[row] < n and of[other[row]] == now else -1
+    return found
+
+
+@njit(cache=True, nogil=True)
+def count(at, one, other, n, ab, ba):
+    """Add `n` to the counters of each slot; 1 each where `n` is empty."""
+    for row in range(len(at)):
+        if at[row] >= 0:
+            counter = ab if one[row] < other[row] else ba
+            counter[at[row]] += n[row] if len(n) else 1
+
+
+@njit(cache=True, nogil=True)
+def note(at, one, other, seen, step, ab, ba, step_ab, step_ba):
+    """Write down the step in which something is seen for the first time; a column per trust variant."""
+    for row in range(len(at)):
+        if at[row] < 0:
+            continue
+        known, since = (ab, step_ab) if one[row] < other[row] else (ba, step_ba)
+        for variant in range(seen.shape[1]):
+            if seen[row, variant] and not known[at[row], variant]:
+                known[at[row], variant] = True
+                since[at[row], variant] = step
