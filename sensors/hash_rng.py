@@ -1,4 +1,4 @@
-"""Counter-based random numbers: a draw is a hash of a key, so neither order nor threads can change it.
+"""Counter-based random numbers. A draw is a hash of a key, so it does not depend on order or threads.
 
 The mixer is that of SplitMix64 [1]_.
 
@@ -67,13 +67,13 @@ def normals(keys: UInt64[ndarray, "k"], n: int) -> Float[ndarray, "k n"]:
 
 
 def persistent_normals(keys: UInt64[ndarray, "k"], n: int, time_s: float, memory_s: float) -> Float[ndarray, "k n"]:
-    """`n` standard normals of each key, as slowly changing functions of time.
+    """`n` standard normals of each key that change slowly with time.
 
     Notes
     -----
-    Independent normals stand every `memory_s` seconds, at a random phase of each key; between two of them, a and b, the
-    value is (1 - w) a + w b at unit variance. The correlation is 0.72 over half of `memory_s`, 0.28 over all of it, and
-    0 over twice as much and more.
+    Each key has independent normals every `memory_s` seconds, at a random phase. Between two of them, a and b, the
+    value is (1 - w) a + w b, scaled to unit variance. The correlation is 0.72 after half of `memory_s`, 0.28 after
+    `memory_s`, and 0 after twice `memory_s` or more.
     """
     phase = uniforms(keys, 1)[:, 0]
     cell, w = np.divmod(time_s / memory_s + phase, 1.0)

@@ -9,7 +9,7 @@ from numpy import ndarray
 from sensors.kernel import kernel
 
 NO_RETURN = 65_535
-"""Where nothing returned."""
+"""Code of a ray without a return."""
 
 FINEST_M = 2.0**-9
 """The step of 2 mm in which HDL-64E reports ranges (Velodyne HDL-64E S2 manual), rounded to a power of two: single
@@ -20,7 +20,7 @@ _MOST = np.float32(NO_RETURN)
 
 
 def step_m(max_range_m: float, range_sigma_m: float) -> float:
-    """The finest step in which all ranges with noise can be told: 1.95 mm to 127 m, and twice that to twice as far."""
+    """Finest step for which 16 bits hold all ranges with noise: 1.95 mm up to 127 m, twice that up to 254 m."""
     step = FINEST_M
     while max_range_m + 4.0 * range_sigma_m > (NO_RETURN - 1) * step:
         step *= 2.0
@@ -37,5 +37,5 @@ def count_steps(ranges, steps, per_metre):
 
 
 def metres(range_steps: UInt16[ndarray, "*n"], step: float) -> Float32[ndarray, "*n"]:
-    """Ranges of so many steps [m]; inf where nothing returned."""
+    """Ranges in metres; inf for rays without a return."""
     return np.where(range_steps == NO_RETURN, np.float32(np.inf), range_steps * np.float32(step))

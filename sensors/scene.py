@@ -1,4 +1,4 @@
-"""The geometry that rays meet: actors as stacks of upright prisms, buildings as footprints with a base and a top."""
+"""The geometry that rays hit: actors as stacks of upright prisms, buildings as footprints with a base and a top."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from sensors.boxes import Boxes
 
 
 class Hit(IntEnum):
-    """What a ray met first. Codes of ACTOR and above are actors: row = code - Hit.ACTOR."""
+    """The first object on a ray. Codes of ACTOR and above are actors: row = code - Hit.ACTOR."""
 
     NOTHING = 0
     GROUND = 1
@@ -26,7 +26,7 @@ class Hit(IntEnum):
 
 
 class ObjectClass(IntEnum):
-    """Classes that a detector tells apart."""
+    """Classes that a detector distinguishes."""
 
     CAR = 0
     PEDESTRIAN = 1
@@ -110,14 +110,17 @@ def prisms(shape: UInt8[ndarray, "n"], boxes: Boxes) -> Prisms:
 
     Notes
     -----
-    Trucks from 12.5 m on are tractors with a trailer, buses from 15 m on are articulated (and straight).
+    Trucks of 12.5 m or more are tractors with a trailer. Buses of 15 m or more are articulated but do not bend.
 
-    Errors
+    Raises
     ------
-    ValueError for a shape code that is no `Shape`.
+    ValueError
+        If a shape code is no `Shape`.
     """
     if len(shape) != len(boxes):
-        raise ValueError(f"{len(shape)} shapes were given for {len(boxes)} boxes: each actor needs one of both.")
+        raise ValueError(
+            f"{len(shape)} shapes were given for {len(boxes)} boxes. Give one shape and one box per actor."
+        )
     if len(shape) and int(np.max(shape)) >= len(Shape):
         row = int(np.argmax(shape))
         known = ", ".join(f"{s.value} {s.name}" for s in Shape)
@@ -190,10 +193,10 @@ class Scene:
     n_dropped: int = 0
     """Footprints without area, which are left out."""
     triangles_m: Float[ndarray, "t 3 3"] | None = None
-    """Solids of any other form, as closed meshes; Embree and Open3D cast them, the columnar caster refuses them."""
+    """Other solids, as closed meshes. Embree and Open3D cast them, the columnar engine refuses them."""
     bodies_m: Mapping[int, Float[ndarray, "t 3 3"]] = field(default_factory=dict)
-    """Closed meshes that actors of a `Shape` have for bodies instead of prisms, 1 m long, wide and high around the
-    origin, ahead along +x; they are stretched to each actor's box. Cast as those above."""
+    """Closed meshes that replace the prisms of actors of a `Shape`. A mesh is 1 m long, wide and high around the origin
+    and faces along +x; it is stretched to each actor's box. The same engines cast it."""
 
     @staticmethod
     def empty() -> Scene:
@@ -206,7 +209,7 @@ class Scene:
         base_z_m: Float[ndarray, "n"] | Sequence[float],
         top_z_m: Float[ndarray, "n"] | Sequence[float],
     ) -> Scene:
-        """The scene of these buildings.
+        """A scene with buildings.
 
         Parameters
         ----------
@@ -218,12 +221,13 @@ class Scene:
 
         Notes
         -----
-        Footprints that cross themselves are split into valid parts (`n_repaired`), those without area are left
+        Footprints that cross themselves are split into valid parts (`n_repaired`). Footprints without area are left
         out (`n_dropped`).
 
-        Errors
+        Raises
         ------
-        ValueError for coordinates that are not finite, for fewer than three corners, and for a top not above the base.
+        ValueError
+            If coordinates are not finite, a ring has fewer than three corners, or a top is not above its base.
         """
         base, top = np.asarray(base_z_m, float), np.asarray(top_z_m, float)
         if not len(rings) == len(base) == len(top):
@@ -256,27 +260,38 @@ class Scene:
         return Scene(_walls(parts, base[owner], top[owner]), parts, n_repaired, n_dropped)
 
     def with_mesh(self, vertices_m: Float[ndarray, "v 3"], faces: Int[ndarray, "t 3"]) -> Scene:
-        """This scene and one more solid: a tree, a bridge, a statue; its returns have the code of buildings.
+        """This scene with one more solid, such as a tree or a bridge. Its returns have the code of buildings.
 
         Parameters
         ----------
+        vertices_m
+            Vertices in the world frame [m].
         faces
             Vertices of each triangle, counter-clockwise seen from outside.
 
-        Errors
+        Raises
         ------
-        ValueError for a mesh that is not closed, and for one that names vertices it does not have.
+        ValueError
+            If the mesh is not closed, or a face names a vertex that does not exist.
         """
         own = _closed(vertices_m, faces)
         both = own if self.triangles_m is None else np.concatenate([self.triangles_m, own])
         return replace(self, triangles_m=both)
 
     def with_body(self, shape: Shape, vertices_m: Float[ndarray, "v 3"], faces: Int[ndarray, "t 3"]) -> Scene:
-        """This scene, in which actors of a shape have this mesh for a body: ahead along +x, up along +z.
+        """This scene with a mesh as the body of all actors of a shape.
 
-        Errors
+        Parameters
+        ----------
+        shape
+            Shape of the actors.
+        vertices_m, faces
+            A closed mesh that faces along +x, with +z up; faces as in `with_mesh`.
+
+        Raises
         ------
-        ValueError for a mesh that is not closed, that is flat, or that names vertices it does not have.
+        ValueError
+            If the mesh is not closed or flat, or a face names a vertex that does not exist.
         """
         own = _closed(vertices_m, faces)
         low, high = own.min(axis=(0, 1)), own.max(axis=(0, 1))
@@ -353,6 +368,6 @@ def _walls(polygons: ndarray, base: ndarray, top: ndarray) -> Buildings:
 
 @lru_cache(maxsize=4)
 def roof_triangles(scene: Scene) -> tuple[Float[ndarray, "t 3 2"], ndarray]:
-    """Triangles that tile every footprint, and the building of each: for engines that cast meshes."""
+    """Triangles that cover every footprint, and the building of each, for engines that cast meshes."""
     pieces, owner = shapely.get_parts(shapely.constrained_delaunay_triangles(scene.footprints), return_index=True)
     return shapely.get_coordinates(shapely.get_exterior_ring(pieces)).reshape(-1, 4, 2)[:, :3], owner

@@ -28,7 +28,7 @@ duplicated, and of the duplicate the score, x, y and heading."""
 
 Share = Annotated[float, Ge(0), Le(1)]
 Shares = tuple[Share, Share, Share, Share]
-"""Per class: car, pedestrian, cyclist, truck; so are the next."""
+"""One value per class: car, pedestrian, cyclist, truck."""
 _NotNegative = Annotated[float, Ge(0), Le(1000)]
 NotNegative = tuple[_NotNegative, _NotNegative, _NotNegative, _NotNegative]
 _Positive = Annotated[float, Gt(0), Le(1_000_000)]
@@ -41,14 +41,14 @@ Size = tuple[_Length, _Length, _Length]
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class DetectorParams:
-    """The detector of every equipped vehicle; what is not set is the model's own, from `sensors/profiles`.
+    """The detector of every equipped vehicle. Keys that are not set have the value of the profile in `sensors/profiles`.
 
     Tuples hold one value per class: car, pedestrian, cyclist, truck.
     """
 
     model: str = "avod"
-    """`avod`, `pointpillars`: fitted to the detectors of that name. `ideal`: everything with a return is detected,
-    exactly, with score 1, and nothing else. Or one of your own: path.py:Name."""
+    """`avod`, `pointpillars`: fitted to the detectors of that name. `ideal`: every actor with a return is detected,
+    exactly and with score 1, and nothing else. Your own class: path.py:Name."""
     found_max_p: Shares | None = None
     """Probability to detect an unoccluded object with very many returns."""
     half_returns: Positive | None = None
@@ -56,7 +56,7 @@ class DetectorParams:
     steepness: Annotated[float, Gt(0), Le(100)] | None = None
     """Slope of that curve over the logarithm of the returns."""
     occlusion_loss: Shares | None = None
-    """Share of that probability that is lost at full occlusion, beyond the effect of the lost returns."""
+    """Share of that probability that is lost at full occlusion, in addition to the effect of the lost returns."""
     score_logit: LogOdds | None = None
     """Mean log-odds of the score at `half_returns`."""
     score_gain: Annotated[float, Ge(0), Le(100)] | None = None
@@ -104,15 +104,15 @@ class DetectorParams:
     false_positive_memory_share: Share | None = None
     """Share of the false positives that persist; the rest are drawn anew in every sweep."""
     false_positive_shared: Share | None = None
-    """Share of the persistent ones that belong to the site, common to all observers on the same side of it."""
+    """Share of the persistent false positives that all observers on the same side of the site have in common."""
     false_positive_logit: Annotated[float, Ge(-20), Le(20)] | None = None
     """Mean log-odds of a false positive's score."""
     false_positive_sigma: Annotated[float, Ge(0), Le(100)] | None = None
     """Spread of those log-odds."""
     mean_lwh_m: tuple[Size, Size, Size, Size] | None = None
-    """Mean size of a class: that of false positives, and of objects reported as another class [m]."""
+    """Mean size of a class [m], for false positives and for objects that are reported as another class."""
     min_score: Share | None = None
-    """Boxes of a lower score are not reported."""
+    """Boxes with a lower score are not reported."""
     memory_s: Annotated[float, Ge(0.001), Le(1e7)] | None = None
     """Time over which the draws of one (observer, actor) change [s]; see `sensors.hash_rng.persistent_normals`."""
     memory_share: Share | None = None
@@ -151,8 +151,7 @@ def resolved(params: DetectorParams) -> SimpleNamespace:
 class StatisticalDetector:
     """A detector whose detection probability, scores and errors are functions of returns, occlusion and range.
 
-    Errors grow as returns thin out and with range. A false positive stands at a wall, on the road or at a mostly hidden
-    actor.
+    Errors grow with range and with fewer returns. False positives are at walls, on the road or at mostly hidden actors.
     """
 
     Params = DetectorParams
@@ -182,8 +181,9 @@ class StatisticalDetector:
 
         Notes
         -----
-        `detection_p`, and no confusion with another class. Range has an effect through the returns alone. What hides a
-        part of the object is not known to the observer: occlusion costs its returns, and is 0 otherwise.
+        The recall is `detection_p` times the probability that the class is right. Range matters only through the number
+        of returns. The observer does not know what hides a part of the object, so occlusion is taken as 0; it only
+        reduces the returns.
         """
         confused = self.model.confusion_p.copy()
         np.fill_diagonal(confused, 0.0)
@@ -192,7 +192,7 @@ class StatisticalDetector:
 
 
 class IdealDetector:
-    """Reports every actor with at least one return, exactly, with score 1, and nothing else."""
+    """Reports every actor with at least one return exactly and with score 1, and nothing else."""
 
     Params = DetectorParams
 
@@ -222,7 +222,7 @@ class IdealDetector:
 def _detected(
     seen: Observability, label: UInt8[ndarray, "n"], draws: DetectorDraws, model: SimpleNamespace
 ) -> Observability:
-    """Those that are detected: the other draws of the rest are not needed."""
+    """The rows of `seen` that are detected. Only these need further draws."""
     p = detection_p(seen.n_returns, seen.occlusion, label[seen.actor], model)
     return seen.take(np.flatnonzero(uniform_of(pair_normals(seen, draws, model, 1)[:, 0]) < p))
 
@@ -230,12 +230,13 @@ def _detected(
 def pair_normals(
     seen: Observability, draws: DetectorDraws, model: SimpleNamespace, n: int = N_DRAWS
 ) -> Float[ndarray, "s n"]:
-    """The first `n` standard normals of each (observer, actor), in part new in this step, in part persistent.
+    """The first `n` standard normals of each (observer, actor), partly new in this step and partly persistent.
 
     Notes
     -----
-    An event of probability p happens where |z| is among the p smallest, a gross error where it is among the p largest,
-    so that draws that change slowly change events slowly. Zeros mean that everything is detected, without error.
+    An event of probability p happens if |z| is below the p quantile of |z|, and a gross error if it is above the 1 - p
+    quantile. Draws that change slowly thus change events slowly. If all draws are zero, every object is detected
+    without error.
     """
     fresh = normals(draws.pair_step(seen), n)
     lasting = persistent_normals(draws.pair(seen), n, draws.time_s, model.memory_s)

@@ -1,7 +1,7 @@
-"""Every fourth column and every second row of sweeps, side by side in memory.
+"""Copies of every fourth column and every second row of sweeps, next to each other in memory.
 
-Exact enough for shares of the returns. The caster fills it while a sweep is in the cache of its core: to pick these
-rays from the whole sweep later would read all of it from memory again.
+These rays suffice to compute shares of the returns. The ray caster copies them while the sweep is in the processor's
+cache. Selecting them later would read the whole sweep from memory again.
 """
 
 from __future__ import annotations
@@ -18,21 +18,21 @@ COLUMN_STEP, ROW_STEP = 4, 2
 
 
 class Thinned(NamedTuple):
-    """Some rays of M sweeps."""
+    """The selected rays of M sweeps."""
 
     range_steps: UInt16[ndarray, "m a/4 e/2"]
     hit: Int[ndarray, "m a/4 e/2"]
 
 
 def thinned_size(size: tuple[int, int, int]) -> tuple[int, int, int]:
-    """Sweeps, columns and rows that are kept of so many."""
+    """Size of the selection from the size (sweeps, columns, rows) of whole sweeps."""
     m, a, e = size
     return m, -(-a // COLUMN_STEP), -(-e // ROW_STEP)
 
 
 @kernel
 def thin(steps, hits, some_steps, some_hits):
-    """Copy the rays of one sweep that are kept."""
+    """Copy the selected rays of one sweep."""
     step, skip = np.uint64(COLUMN_STEP), np.uint64(ROW_STEP)
     for c in range(np.uint64(some_hits.shape[0])):
         for r in range(np.uint64(some_hits.shape[1])):
