@@ -14,10 +14,10 @@ from trust.tables import ReceivedEvaluations, unpaired
 
 
 class View(Protocol):
-    """What a store has to know of a model that reads it."""
+    """A model that reads the store: what the store must know of it."""
 
     now: int
-    """Newest step that the model knows of."""
+    """Newest step that the model has opened."""
     window: int
     """Steps, the present one included, whose evidence may still change in the model."""
 
@@ -25,8 +25,8 @@ class View(Protocol):
 class EvidenceStore:
     """Evidence by step, and a row for each (holder, subject) that any of the steps concerns.
 
-    Every model that reads the store passes on every call that it is given, and the store acts on the first of them.
-    What one model has been given, all must have been given before any of them is asked for scores.
+    Every model that reads the store passes each of its calls on to the store, and the store acts on the first of them.
+    All models must have received the same evaluations before any of them computes scores.
     """
 
     def __init__(self, by_score: bool, skip_unseen: bool, expires: bool = True) -> None:
@@ -38,7 +38,7 @@ class EvidenceStore:
         self._n_uses = np.zeros(0, np.int64)  # of each row: steps that use it, and models that keep it
         self._opened, self._n_bad = -1, 0
         self._n_added = 0
-        self._rejected: dict[int, tuple[ndarray | None, int]] = {}  # of each addition, and models yet to be told
+        self._rejected: dict[int, tuple[ndarray | None, int]] = {}  # by addition; models yet to ask
 
     def open(
         self,
@@ -48,7 +48,7 @@ class EvidenceStore:
         detection_index: Int[ndarray, "d"],
         score: Float[ndarray, "d"],
     ) -> int:
-        """Open a step, once; returns the number of detections rejected."""
+        """Open a step if no model has opened it yet, and return the number of rejected detections."""
         if step > self._opened:
             sent = OpenStep(pseudonyms, observer_row, detection_index, score)
             self.steps[step] = StepEvidence(sent)
@@ -56,7 +56,12 @@ class EvidenceStore:
         return self._n_bad
 
     def add(self, number: int, received: ReceivedEvaluations) -> Int[ndarray, "reasons"] | None:
-        """Add what a model was given as its `number`-th; rejected evaluations by reason, None if the step is gone."""
+        """Add the `number`-th evaluations that a model received.
+
+        Returns
+        -------
+        Rejected evaluations by `RejectReason`; None if the step has expired.
+        """
         if number == self._n_added:
             self._n_added += 1
             self._rejected[number] = self._add(received), len(self.views)
@@ -80,7 +85,7 @@ class EvidenceStore:
         return accepted.n_rejected
 
     def of_pairs(self, step: int) -> tuple[Int[ndarray, "p"], Float[ndarray, "p 2"], Int[ndarray, "p"]]:
-        """Row of each pair of a step, sum s T(theta) and sum s, and evaluations; see `StepEvidence.of_pairs`."""
+        """Of each pair of a step: its row, sum s T(theta) and sum s, and evaluations; see `StepEvidence.of_pairs`."""
         evidence = self.steps[step]
         return evidence.row, *evidence.of_pairs(self._by_score, self._skip_unseen)
 

@@ -16,7 +16,7 @@ from trust.threads import threads_for
 
 @dataclass(frozen=True, slots=True)
 class SensorEvidence:
-    """Evidence of the ego's own sweep about each group's seed; read only where another vehicle detected the seed."""
+    """Evidence from the ego's own sweep about each group's seed. It is used only if another vehicle detected the seed."""
 
     n_points: Int[ndarray, "g"]  # returns inside the box
     plausible: Bool[ndarray, "g"]
@@ -55,13 +55,13 @@ class GroupSums:
     numerator: Float[ndarray, "g"]  # sum over members and evaluators of Phi T e
     weight: Float[ndarray, "g"]  # sum over members and evaluators of Phi T
     parity: "Parity | None"
-    """None where the formulas are not those of the published code."""
+    """None unless the formulas of the published code are used."""
     evidence: SensorEvidence
 
 
 @dataclass(frozen=True, slots=True)
 class Parity:
-    """Per group what only the published code's formulas need."""
+    """Sums per group that only the formulas of the published code need."""
 
     mean_or_own: Float[ndarray, "g"]  # mean of the members' aggregated evaluation, the ego's own score for none
     mean_or_score: Float[ndarray, "g"]  # the same, the member's score for none
@@ -75,7 +75,7 @@ def _ratio(a: ndarray, b: ndarray) -> ndarray:
 
 
 def _implausible(g: GroupSums, p: TrustParams) -> Bool[ndarray, "g"]:
-    """Groups that the plausibility check removes: never those that the ego detected."""
+    """Groups that the plausibility check removes; never groups that the ego detected."""
     return ~g.ego_detected & ~g.evidence.plausible & p.plausibility_in_fusion
 
 
@@ -177,31 +177,36 @@ def fuse(
 
     Parameters
     ----------
+    given
+        Detections in groups, and their evaluations.
     sender_trust
-        Rows go with `given.lists`. An ego uses the reported evaluations of the messages that it has received.
+        Messages that each ego has received, with its trust in the senders; one list per list of `given.lists`. An ego
+        uses the reported evaluations of these messages.
     evidence
-        Rows go with `given.groups.seeds()`.
+        One row per row of `given.groups.seeds()`.
     distance_m
-        Of each detection from its own detector's sensor [m].
+        Distance of each detection from the sensor of its detector [m].
+    params
+        Method of the fusion and its parameters.
     score_objects
-        Scores of a trust model that scores objects, instead of those of `params.method`.
+        Method of a trust model that scores objects. It replaces the scores of `params.method`.
     votes
-        What `votes_of` makes of these arguments, where several fusions differ in trust alone; else it is made here.
+        Result of `votes_of` for the same arguments, if several fusions differ only in trust; computed by default.
     min_score
         Groups of a lower score are left out.
 
     Returns
     -------
-    One row per group; groups whose seed is the ego's report of itself are left out.
+    One row per group. Groups whose seed is the ego's report of itself are left out.
 
     Notes
     -----
-    Equations 5 and 6 of [1]_ with pairs (member, evaluator) of weight Phi T(evaluator). Formulas by method,
-    and the variants of `code_parity`: `trust/README.md`.
+    Equations 5 and 6 of [1]_ with pairs (member, evaluator) of weight Phi T(evaluator). `trust/README.md` has the
+    formulas of all methods and the variants of `code_parity`.
 
-    Deviations: the sums run over every evaluator of every member, which the text means, not over the
-    detectors alone, which the equations say; the additive sum is divided by the number of members, so that an
-    object does not count once per message; "Phi < 10" in TruPercept 3 is read as fewer than 10 returns.
+    Deviations: the sums run over every evaluator of every member, as the text of the paper implies; its equations name
+    only the detectors. The additive sum is divided by the number of members, so that an object does not count once per
+    message. "Phi < 10" in TruPercept 3 is read as fewer than 10 returns.
     """
     lists, groups, detections = given.lists, given.groups, given.detections
     seeds = groups.seeds()
@@ -243,14 +248,14 @@ def fuse(
 
 
 def votes_of(given: FusionInput, sender_trust: SenderTrust) -> ObjectVotes:
-    """Votes on the groups of each ego; no trust is read."""
+    """Votes on the groups of each ego. They do not depend on trust."""
     t, evaluated = sender_trust.canonical(), given.evaluated
     with threads_for(t.message.size * evaluated.member.size / max(1, evaluated.owner.size)) as n_threads:
         return object_votes(given, t, n_threads)
 
 
 def _closest(given: FusionInput, distance_m: Float[ndarray, "d"], self_reports: bool) -> Int[ndarray, "g"]:
-    """Of each group the detection that is closest to its own detector; self reports last if they are not wanted."""
+    """For each group, the detection that is closest to its own detector. Self reports come last unless they are wanted."""
     member, group = given.lists.member, given.groups.numbers()
     far = distance_m[member]
     if not self_reports:
@@ -260,7 +265,7 @@ def _closest(given: FusionInput, distance_m: Float[ndarray, "d"], self_reports: 
 
 
 def _parity(given: FusionInput, members: MemberSums, params: TrustParams) -> Parity:
-    """Per group what the published code's formulas need."""
+    """Sums per group for the formulas of the published code."""
     lists, detections, group = given.lists, given.detections, given.groups.numbers()
     seeds = given.groups.seeds()
     score, is_self = detections.score[lists.member], detections.is_self[lists.member]

@@ -1,7 +1,7 @@
 """Opinions of subjective logic: belief, disbelief, uncertainty, as rows (b, d, u) that sum to 1.
 
-Jøsang: Subjective Logic. Springer, 2016. Fusion takes two opinions about one thing; two opinions without uncertainty
-(u = 0) are fused to their mean.
+Jøsang: Subjective Logic. Springer, 2016. Fusion combines two opinions about one object. If both have no
+uncertainty (u = 0), the result is their mean. All functions take and return arrays of rows.
 """
 
 import numpy as np
@@ -9,7 +9,7 @@ from jaxtyping import Float
 from numpy import ndarray
 
 BASE_RATE = 0.5
-"""a: probability without evidence."""
+"""Base rate a: the probability without any evidence."""
 
 
 def projected(opinion: Float[ndarray, "... 3"], base_rate: float = BASE_RATE) -> Float[ndarray, "..."] | np.floating:
@@ -26,13 +26,13 @@ def of_check(ok: Float[ndarray, "..."], bad: Float[ndarray, "..."], base: float 
 
 
 def cumulative(x: Float[ndarray, "... 3"], y: Float[ndarray, "... 3"]) -> Float[ndarray, "... 3"]:
-    """Cumulative fusion, of independent evidence: k = ux + uy - ux uy, b = (bx uy + by ux) / k, u = ux uy / k."""
+    """Cumulative fusion, for independent evidence: k = ux + uy - ux uy, b = (bx uy + by ux) / k, u = ux uy / k."""
     ux, uy = x[..., 2:], y[..., 2:]
     return _or_mean(x, y, np.concatenate([x[..., :2] * uy + y[..., :2] * ux, ux * uy], -1), ux + uy - ux * uy)
 
 
 def averaging(x: Float[ndarray, "... 3"], y: Float[ndarray, "... 3"]) -> Float[ndarray, "... 3"]:
-    """Averaging fusion, of the same evidence: b = (bx uy + by ux) / (ux + uy), u = 2 ux uy / (ux + uy)."""
+    """Averaging fusion, for opinions on the same evidence: b = (bx uy + by ux) / (ux + uy), u = 2 ux uy / (ux + uy)."""
     ux, uy = x[..., 2:], y[..., 2:]
     return _or_mean(x, y, np.concatenate([x[..., :2] * uy + y[..., :2] * ux, 2 * ux * uy], -1), ux + uy)
 
@@ -46,7 +46,7 @@ def weighted(x: Float[ndarray, "... 3"], y: Float[ndarray, "... 3"]) -> Float[nd
 
 
 def discounted(probability: Float[ndarray, "..."], opinion: Float[ndarray, "... 3"]) -> Float[ndarray, "... 3"]:
-    """A source's opinion, as good as the source: b = P b', d = P d', u = 1 - P (b' + d')."""
+    """A source's opinion, discounted by trust P in the source: b = P b', d = P d', u = 1 - P (b' + d')."""
     known = probability[..., None] * opinion[..., :2]
     return np.concatenate([known, 1 - known.sum(axis=-1, keepdims=True)], axis=-1)
 
@@ -65,7 +65,7 @@ def of_evidence(evidence: Float[ndarray, "... 2"]) -> Float[ndarray, "... 3"]:
 
 
 def evidence_of(opinion: Float[ndarray, "... 3"]) -> Float[ndarray, "... 2"]:
-    """(b / u, d / u); u above 0."""
+    """Evidence (b / u, d / u) of an opinion; u must be above 0."""
     return opinion[..., :2] / opinion[..., 2:]
 
 

@@ -22,7 +22,7 @@ Method = Literal[
     "additive",
     "half_additive",
 ]
-"""Final aggregation by name; `trust/README.md` gives each one's formula."""
+"""Names of the final aggregation methods; `trust/README.md` gives the formula of each."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -30,14 +30,16 @@ class TruPerceptParams:
     """Parameters of the model `trupercept`."""
 
     freshness_s: Annotated[float, Gt(0), Le(1e8)] | Literal["off"] = 50.0
-    """f: age at which evidence expires [s]; "off": never."""
+    """Window f: age at which evidence expires [s]; "off" means that it never expires."""
     window: Literal["half_open", "closed"] = "half_open"
-    """Evidence of age exactly f has expired (f steps, the published code) or still counts (f + 1, [-f, 0])."""
+    """Whether evidence of age exactly f has expired (`half_open`: f steps, as in the published code) or still counts
+    (`closed`: f + 1 steps, [-f, 0])."""
     grace_s: Annotated[float, Gt(0), Le(1e8)] = 10.0
-    """Age at which evidence is folded into running sums [s]: evaluations that arrive later have no effect.
+    """Age at which evidence is added to running sums [s]. Evaluations that arrive later have no effect.
     For models whose evidence does not expire: `beta`, and `trupercept` with `freshness_s = "off"`."""
     unseen: Literal["zero", "skip"] = "zero"
-    """A detection that only its detector could see: object trust 0 with its full weight, or no evidence."""
+    """How a detection counts that only its detector could see: `zero` is object trust 0 with full weight, `skip` is no
+    evidence."""
     weighting: Literal["score", "one"] = "score"
     """Weight of a detection in its vehicle's trust: its score (equation 4), or 1."""
 
@@ -48,31 +50,31 @@ class TrustParams(TruPerceptParams):
 
     # trust
     unseen: Literal["zero", "skip"] = "skip"
-    """A detection that only its detector could see: no evidence, or object trust 0 with its full weight (the paper's
-    rule; `results/FRESHNESS.md` says why it is not the default here)."""
+    """How a detection counts that only its detector could see: `skip` is no evidence, `zero` is object trust 0 with full
+    weight. `zero` is the paper's rule; `results/FRESHNESS.md` explains why it is not the default."""
     model: str = "trupercept"
     """Trust model by name."""
     host: Literal["central", "local", "none"] = "central"
-    """Where trust scores are computed: on a trust server, in every vehicle for itself, or nowhere."""
+    """Where trust scores are computed: on a trust server, in every vehicle, or nowhere."""
     server_period_s: Annotated[float, Gt(0), Le(1e8)] = 5.0
     """Time between two broadcasts of the server's trust values [s]; `host = "central"` only."""
     local_evidence: Literal["received", "own"] = "received"
-    """Evidence of a vehicle's trust scores: all evaluations it receives, or its own alone; `host = "local"` only."""
+    """Evidence for a vehicle's trust scores: all evaluations that it receives, or only its own; `host = "local"` only."""
     default_trust: Annotated[float, Interval(ge=0, le=1)] = 0.5
     """Trust of a vehicle about which nothing is known."""
     unjudged: Literal["default", "value"] = "default"
-    """Used where a value rests on no evaluation by another vehicle that could see: `default_trust`, or the value
-    itself, which for TruPercept is 0 (the paper's rule)."""
+    """What is used if a value rests on no evaluation by another vehicle that could see: `default_trust`, or the value
+    itself. For TruPercept this value is 0 (the paper's rule)."""
     ego_trust: Annotated[float, Gt(0), Le(1e6)] = 1.0
     """Weight of the ego's own evaluations; above 1 biases towards them."""
     ego_trust_from: Literal["fixed", "computed"] = "fixed"
-    """`ego_trust`, or the ego's own vehicle trust as it knows it."""
+    """Weight of the ego's own evaluations: `ego_trust`, or the trust in itself that the ego knows."""
 
     # matching and evaluation
     tau: Annotated[float, Interval(ge=0, lt=1)] = 0.1
     """Two detections of one class match if their IoU is strictly greater."""
     one_per_vehicle: bool = False
-    """At most one detection of each vehicle joins a group, the one of largest IoU (the paper's sentence)."""
+    """At most one detection of each vehicle joins a group: the one with the largest IoU, as the paper says."""
     eta: Annotated[float, Interval(ge=-1, le=0)] | None = None
     """Evaluation of an unmatched detection; unset: 0 for the weighted averages, else -1."""
     gamma_lower_points: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
@@ -80,12 +82,12 @@ class TrustParams(TruPerceptParams):
     gamma_upper_points: tuple[float, float, float, float] = (100.0, 40.0, 100.0, 100.0)
     """Returns from which a box counts as fully visible: car, pedestrian, cyclist, truck."""
     self_reports: bool = True
-    """Every vehicle also sends itself, as detection k = 0 with score 1."""
+    """Every vehicle also sends a report of itself, as detection 0 with score 1."""
     plausibility_in_evaluation: bool = True
     """An unmatched, implausible detection is evaluated with full visibility."""
     denials: Literal["visibility", "recall"] = "visibility"
-    """Weight of the evaluation of an unmatched, plausible detection: its visibility (the paper's rule), or times what a
-    miss says about the object, given how often the evaluator's detector misses such objects."""
+    """Weight of the evaluation of an unmatched, plausible detection. `visibility` is the paper's rule. `recall` lowers
+    this weight if the evaluator's detector often misses such objects."""
 
     # final aggregation
     method: Method = "trupercept_3"
@@ -99,7 +101,7 @@ class TrustParams(TruPerceptParams):
     min_score: Annotated[float, Interval(ge=0, le=1)] = 0.01
     """A fused object below this score is not reported."""
     code_parity: bool = False
-    """The published code's formulas: evaluations weigh the same whoever makes them."""
+    """Use the formulas of the published code, where all evaluators have the same weight."""
     code_aggregate: Literal["by_method", "sum", "mean"] = "by_method"
     """Evaluations per detection under `code_parity`: sum, weighted mean, or mean for the averages only."""
 
@@ -135,8 +137,8 @@ EVIDENCE_KEYS: tuple[str, ...] = (
     "plausibility_in_evaluation",
     "denials",
 )
-"""Parameters that change evaluations: trust variants that share evidence have them in common. `eta` is that of
-`eta_of`, so that `method` counts where it decides on it."""
+"""Parameters that change evaluations. Trust variants that share evidence must have the same values. `eta` means the
+result of `eta_of`, which may depend on `method`."""
 
 
 def differing_evidence_key(a: TrustParams, b: TrustParams) -> str | None:

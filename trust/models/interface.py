@@ -1,4 +1,4 @@
-"""Interface of a trust model."""
+"""The interface of trust models."""
 
 from dataclasses import fields
 from typing import Any, ClassVar, Protocol
@@ -32,26 +32,26 @@ class TrustModel(Protocol):
         detection_index: Int[ndarray, "d"],
         score: Float[ndarray, "d"],
     ) -> None:
-        """Begin a step, once and in the order of time: what was transmitted in it.
+        """Begin a step and tell the model what was transmitted in it. It is called once per step, in order of time.
 
         Parameters
         ----------
         pseudonyms
-            Ascending; those without detections included.
+            All pseudonyms that were present, ascending, including those without detections.
         observer_row
             Row in `pseudonyms` of each transmitted detection's observer.
         detection_index
-            Its number in the message of that observer; 0 is the self report.
+            Number of each detection in its observer's message; 0 is the self report.
         score
-            In [0, 1].
+            Score of each detection, in [0, 1].
         """
         ...
 
     def add_evaluations(self, received: ReceivedEvaluations) -> None:
-        """Add evaluations that holders have received, those of earlier steps included.
+        """Add evaluations that holders have received, including evaluations of earlier steps.
 
-        Their content may be anything: `trust.open_steps.OpenSteps` checks it against what was transmitted,
-        `ReceivedEvaluations.rows` and `by_observer` leave out values out of range.
+        The content is not checked yet: `trust.open_steps.OpenSteps` checks it against what was transmitted, and
+        `ReceivedEvaluations.rows` and `by_observer` leave out values that are out of range.
         """
         ...
 
@@ -64,10 +64,10 @@ class TrustModel(Protocol):
 
 
 class ScoresObjects(Protocol):
-    """What a trust model may do besides: score the objects of a fusion, instead of `trust.method`."""
+    """A trust model that also scores the objects of a fusion, in place of `trust.method`."""
 
     def score_objects(self, reports: ObjectReports) -> Float[ndarray, "g"]:
-        """Score of each group of detections, in [0, 1]; changes nothing in the model."""
+        """Score of each group of detections, in [0, 1]. The call must not change the model."""
         ...
 
 
@@ -77,9 +77,14 @@ def params_of(model: Any, trust: object, own: dict[str, Any] | None = None) -> A
     Parameters
     ----------
     trust
-        `TrustParams`: fields of the same name are taken over.
+        `TrustParams`. Fields of the same name are copied.
     own
-        Keys of the section that `TrustParams` does not have; ValueError for one that the model does not have either.
+        Keys of the section that `TrustParams` does not have.
+
+    Raises
+    ------
+    ValueError
+        If the model does not have one of the keys in `own` either.
     """
     own = own or {}
     names = [f.name for f in fields(model.Params)]

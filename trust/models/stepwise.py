@@ -1,4 +1,4 @@
-"""Models whose state goes on from step to step: the evidence of a step changes it at once, whenever it arrived."""
+"""Models with a state that each step's evidence updates. Late evidence counts in its own step."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -15,11 +15,11 @@ from trust.tables import ReceivedEvaluations, TrustScores
 
 S = TypeVar("S")
 Advance = Callable[[S, int, int, StepRows, int], S]
-"""State after a step, from: the state before it, the steps since then, the step, its rows, the number of pairs."""
+"""Arguments: state before the step, steps since then, the step, its rows, number of pairs. Result: state after it."""
 
 
 class Replay(Generic[S]):
-    """A state after each step whose evidence is at hand: late evidence takes it up again from its own step on."""
+    """The state after each step that is still kept. After late evidence, states are computed again from its step on."""
 
     def __init__(self, start: S) -> None:
         self._before, self._before_step = start, -1
@@ -42,7 +42,7 @@ class Replay(Generic[S]):
         return step, state
 
     def fold(self, log: EvaluationLog, advance: Advance) -> None:
-        """Keep one state alone of the steps that are closed."""
+        """Keep only one state of the steps that are closed."""
         closed = [g for g in log.versions() if g > self._before_step and log.is_closed(g)]
         if closed:
             self.state(log, advance)
@@ -52,13 +52,13 @@ class Replay(Generic[S]):
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """What a model says of each (holder, subject); rows as in `EvaluationLog.pairs`."""
+    """A model's trust in each (holder, subject); rows as in `EvaluationLog.pairs`."""
 
     trust: Float[ndarray, "p"]
     weight: Float[ndarray, "p"]
     uncertainty: Float[ndarray, "p"] | None = None
     horizon_s: float = np.inf
-    """Age from which evaluations are no evidence any more: a pair without a younger one has no row."""
+    """Age from which evaluations do not count any more. A pair without a newer evaluation has no row."""
 
 
 def _counted(state: Int[ndarray, "p 3"], _: int, step: int, rows: StepRows, n_pairs: int) -> Int[ndarray, "q 3"]:
@@ -73,16 +73,16 @@ def _counted(state: Int[ndarray, "p 3"], _: int, step: int, rows: StepRows, n_pa
 
 
 class Stepwise:
-    """A trust model that is a state, a function that takes it a step on, and one that reads trust from it.
+    """A trust model made of a state, a function that advances it by a step, and a function that reads trust from it.
 
-    A model of this kind defines `Params` with `grace_s`, `start`, `advance` and `read`. `advance` returns a new state
-    and leaves the given one as it is. Sums over rows go through `exact`: then no order of arrival changes a bit.
+    A subclass defines `Params` with `grace_s`, and the methods `start`, `advance` and `read`. `advance` returns a new
+    state and does not change the given one. Sums over rows use `exact`, so that the order of arrival does not matter.
     """
 
     def __init__(self, params: Any, dt_s: float) -> None:
         self.params, self.dt_s = params, dt_s
         self.log = EvaluationLog(grace_steps(params.grace_s, dt_s))
-        """Shared by models where the host says so."""
+        """The log of evaluations; `share_logs` gives several models the same one."""
         self._n_added = 0
         self._replay: Replay[Any] = Replay(self.start())
         self._counts: Replay[ndarray] = Replay(np.zeros((0, 3), np.int64))
@@ -97,14 +97,18 @@ class Stepwise:
         Parameters
         ----------
         n_steps
-            Since the step that `state` is of.
+            Steps since the step of `state`.
+        step
+            The step whose evidence is added.
+        rows
+            Evidence of the step.
         n_pairs
-            Pairs that the log knows.
+            Number of pairs in the log.
         """
         raise NotImplementedError
 
     def read(self, state: Any, n_steps: int, now: int) -> Reading:
-        """Trust at step `now`, `n_steps` after the step that `state` is of."""
+        """Trust at step `now`, which is `n_steps` after the step of `state`."""
         raise NotImplementedError
 
     def open_step(
@@ -148,11 +152,11 @@ class Stepwise:
         return self.log.steps.rejected
 
     def decay(self, per_s: float, n_steps: int) -> float:
-        """Share that is left after some steps of what loses 1 - `per_s` in a second."""
+        """Share that is left after `n_steps` of decay; `per_s` is the share left after one second."""
         return per_s ** (n_steps * self.dt_s)
 
     def horizon_s(self, per_s: float) -> float:
-        """Age at which less than 2^-40 is left of what loses 1 - `per_s` in a second."""
+        """Age at which decay leaves less than 2^-40; `per_s` is the share left after one second."""
         return np.inf if per_s == 1 else 40 / -np.log2(per_s)
 
     def _fold(self) -> None:
@@ -161,7 +165,7 @@ class Stepwise:
 
 
 def share_logs(models: Sequence[object]) -> None:
-    """One log for models of this kind that accept evaluations for equally long: all are given the same."""
+    """Let models share one log if they accept evaluations for the same time. All must get the same evaluations."""
     logs: dict[int, EvaluationLog] = {}
     for model in models:
         if isinstance(model, Stepwise):
