@@ -1,4 +1,4 @@
-"""Opening a run: its tables, and the metrics read off them."""
+"""Open a run: its tables and the metrics computed from them."""
 
 from functools import cached_property
 from pathlib import Path
@@ -15,11 +15,11 @@ if TYPE_CHECKING:
 
 
 class OpenRun(Run):
-    """A run with its metrics at hand."""
+    """A run together with its metrics."""
 
     @cached_property
     def measure(self) -> "Measures":
-        """Figures of merit: `run.measure()`, `run.measure.trust.over_time()`, `run.measure.trust.plot()`."""
+        """All metrics: `run.measure()`, `run.measure.trust.over_time()`, `run.measure.trust.plot()`."""
         from results.measure import Measures  # here, because SciPy and NetworkX take their time
 
         return Measures(self)
@@ -33,7 +33,14 @@ def open_run(path: str | Path, unfinished: bool = False) -> OpenRun:
     path
         Folder that `cosim run` wrote.
     unfinished
-        Accept a run that crashed or still runs, as far as its blocks are on disk.
+        Also open a run that crashed or is still running, up to its last block on disk.
+
+    Raises
+    ------
+    ValueError
+        If the run is unfinished and `unfinished` is false, or if its schema version is another one.
+    Damaged
+        If the run folder is damaged.
     """
     path = Path(path)
     is_live, manifest = durable.is_locked(path), read_manifest(path)

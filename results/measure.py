@@ -63,9 +63,9 @@ class Row(NamedTuple):
     low: float = float("nan")
     high: float = float("nan")
     n_units: float = float("nan")
-    """Vehicles (or other units that are independent of each other) that the value rests on."""
+    """Number of vehicles (or other independent units) that the value rests on."""
     note: str = ""
-    """What has to be known to read it."""
+    """What the reader must know about the value."""
 
 
 def measure(
@@ -76,27 +76,34 @@ def measure(
     max_frames: int = 4000,
     topics: tuple[str, ...] = tuple(registry.TOPICS),
 ) -> pd.DataFrame:
-    """Every metric that the run's record level allows, of the run's `variant`.
+    """Every metric that the run's record level allows, for the run's `variant`.
 
     Parameters
     ----------
+    run
+        An opened run.
     threshold
         Trust below which a subject is suspected.
     fresh_s
-        Oldest age at which trust counts as fresh.
+        Largest age of an evaluation that counts as fresh [s].
     false_positives
-        False positive rate at which recall is taken, see `results.metrics.misbehaviour`.
+        False positive rate at which recall is computed, see `results.metrics.misbehaviour`.
     max_frames
-        Sample for detection quality, see `results.metrics.detection.precision`.
+        Size of the sample for detection quality, see `results.metrics.detection.precision`.
     topics
-        Which topics.
+        Topics to measure.
 
     Returns
     -------
-    metric (an identifier of `results.metrics.registry.METRICS`), group, value, low and high (95 % interval, null where
-    the metric has none), n_units (what the interval is clustered by), unit, label, note. A topic that the run
-    cannot answer has one row `<topic>.not_measured` with the reason as group and no value; a metric that is not
-    defined (a median that was not reached) has no row.
+    Columns metric (an identifier of `results.metrics.registry.METRICS`), group, value, low and high (95 % interval,
+    null if the metric has none), n_units (number of units that the interval is clustered by), unit, label, note. A topic for
+    which the run has no data has one row `<topic>.not_measured`, with the reason as group and without a value. A metric
+    that is not defined, such as a median that was not reached, has no row.
+
+    Raises
+    ------
+    ValueError
+        If a topic does not exist.
     """
     ask: Mapping[str, Callable[[], Iterator[tuple]]] = {
         "traffic": lambda: _traffic(run),
@@ -130,7 +137,7 @@ def measure(
 
 
 def _note(row: Row) -> str:
-    """What a value needs to be read, and a warning where it rests on too few units."""
+    """The note on a value, with a warning if it rests on too few units."""
     few = ""
     if 0 < row.n_units < FEW:
         few = f"too few: {row.n_units:.0f} of {FEW} {METRICS[row.name].unit_of_chance or 'units'}"
@@ -138,7 +145,7 @@ def _note(row: Row) -> str:
 
 
 class Measures:
-    """All that can be measured on one run: called, every metric; by topic, tidy frames and a picture."""
+    """The metrics of one run. A call gives all of them; each topic has functions that give tidy frames and a figure."""
 
     def __init__(self, run: Run) -> None:
         self._run = run
@@ -148,7 +155,7 @@ class Measures:
         return measure(self._run, **options)
 
     def value(self, metric: str, group: str = "", **options: Any) -> float:
-        """One metric by identifier: `run.measure.value("trust.final.median", "malicious")`; NaN where undefined."""
+        """One metric: `run.measure.value("trust.final.median", "malicious")`; NaN if it is not defined."""
         if metric in RENAMED:
             logging.getLogger(__name__).warning("The metric %s is now called %s.", metric, RENAMED[metric])
             metric = RENAMED[metric]
@@ -168,7 +175,7 @@ class Measures:
 
 
 class Topic:
-    """The functions of one module of `results.metrics`, with the run filled in, and `plot`."""
+    """The functions of one module of `results.metrics`, applied to the run, and `plot`."""
 
     def __init__(self, run: Run, topic: str) -> None:
         self._run, self._topic = run, topic
@@ -184,17 +191,17 @@ class Topic:
         return [*(n for n in own if next(iter(signature(getattr(module, n)).parameters), "") == "run"), "plot"]
 
     def plot(self, **options: Any) -> "Figure":
-        """The picture of the topic."""
+        """The figure of the topic."""
         from results.figures.catalogue import FIGURES  # here, because measuring needs no Matplotlib
 
         return FIGURES[self._topic]([self._run], **options)
 
 
 def _rows(frame: pd.DataFrame, group: str, metrics: Mapping[str, str], interval: str | None = None) -> Iterator[Row]:
-    """Of every row, the metrics by column where they have a value; `group` is filled in from the row.
+    """One `Row` for each row and metric column with a value. `group` is a template that the row fills in.
 
-    A column may have its interval beside it (`intervals.columns`); `interval` names the column to which the columns
-    low, high and n_units belong.
+    A column may have interval columns (`intervals.columns`). `interval` names the column to which the columns low, high
+    and n_units belong.
     """
     names = list(frame.columns)
     rows = [dict(zip(names, values, strict=True)) for values in frame.to_numpy(dtype=object).tolist()]
@@ -209,7 +216,7 @@ def _rows(frame: pd.DataFrame, group: str, metrics: Mapping[str, str], interval:
 
 
 def _named(frame: pd.DataFrame) -> pd.DataFrame:
-    """With the column `definition`: a name for each definition of an encounter."""
+    """Add the column `definition`, a name for each definition of an encounter."""
     return frame.assign(definition=encounters.named(frame))
 
 

@@ -1,4 +1,4 @@
-"""Metrics of the user's own: what one is, and the table that they make."""
+"""Metrics that users write: their interface, and the table of their values."""
 
 from collections.abc import Sequence
 from typing import NamedTuple, Protocol
@@ -10,20 +10,20 @@ from results.run import Run
 
 
 class MetricRow(NamedTuple):
-    """A value of a metric of the user's own."""
+    """One value of a user's metric."""
 
     metric: str
     """Identifier, such as `headway.median_s`."""
     value: float
-    """NaN where it is not defined: no row is shown then."""
+    """NaN if the metric is not defined; no row is shown then."""
     group: str = ""
-    """What the value is of, such as a role."""
+    """What the value belongs to, such as a role."""
     unit: str = "1"
     label: str = ""
 
 
 class Metric(Protocol):
-    """Measures something on a run."""
+    """Computes values from a run."""
 
     def rows(self, run: Run) -> list[MetricRow]:
         """One row for each metric and group.
@@ -31,7 +31,7 @@ class Metric(Protocol):
         Raises
         ------
         ValueError
-            In one line, where the run does not hold what it takes (`run.require(...)`).
+            If the run does not have the tables that the metric needs (`run.require(...)`); the message is one line.
         """
         ...
 
@@ -41,7 +41,7 @@ COLUMNS = ["metric", "group", "value", "low", "high", "n_units", "unit", "label"
 
 
 def measure_own(run: Run, metrics: Sequence[Metric]) -> pd.DataFrame:
-    """Metrics of the user's own, in the columns of `measure`."""
+    """Values of users' metrics, in the columns of `measure`."""
     rows = [row for metric in metrics for row in metric.rows(run)]
     table = pd.DataFrame(
         [(row.metric, row.group, float(row.value), row.unit, row.label) for row in rows if row.value == row.value],

@@ -1,4 +1,4 @@
-"""A run on disk: its tables as pandas DataFrames, loaded when first asked for."""
+"""A run on disk: its tables as pandas DataFrames, read when they are first used."""
 
 import shutil
 import tempfile
@@ -28,12 +28,12 @@ T = TypeVar("T")
 OVER = ("finished", "interrupted")
 """Statuses of a run that ended with everything written."""
 _ATTEMPTS = 20
-"""How often a run that is being written is read before it is given up."""
+"""How often the program tries to read a run that is being written."""
 _PAUSE_S = 0.05
 
 
 class HeldParts:
-    """A temporary folder that is there as long as this object is."""
+    """A temporary folder that exists as long as this object."""
 
     def __init__(self) -> None:
         self.path = Path(tempfile.mkdtemp(prefix="cosim-open-"))
@@ -51,34 +51,35 @@ class Run:
         self.path = path
         self.manifest = manifest
         self.variant = variant
-        """Trust variant that metrics and figures are of; the tables as attributes hold the rows of all variants."""
+        """Trust variant that metrics and figures use. The tables as attributes have the rows of all variants."""
         self.damage: list[str] = []
-        """What was found damaged while tables were read; whoever shows figures says it."""
+        """Damage found while tables were read. Commands that show figures must report it."""
         self._sound: set[str] = set()
         self._common: dict[str, Any] = {}
-        """What all trust variants have in common, once it was asked for."""
+        """Results that all trust variants have in common, once computed."""
         self._apart: Path | None = None
-        """Folder of the rows of each trust variant, where they are set apart."""
+        """Folder with separate rows of each trust variant, if they were separated."""
         self._opened: dict[Path, pa.ipc.RecordBatchFileReader] = {}
-        """Its files that are open."""
+        """Open files of that folder."""
         self._held: HeldParts | None = None
-        """Copies of the parts that the process that writes the run will remove; None where none writes it."""
+        """Copies of the parts that the writing process will remove; None if no process writes the run."""
         self._own: dict[str, Any] = {}
 
     @cached_property
     def inventory(self) -> Inventory:
-        """What the run folder should hold."""
+        """What the run folder should contain."""
         return inventory.read(self.path)
 
     @property
     def status(self) -> str:
-        """As `results.manifest.status_of`, when the run was opened."""
+        """Status when the run was opened, see `results.manifest.status_of`."""
         return "running" if self._held is not None else status_of(self.path, self.manifest)
 
     def hold_open_parts(self) -> None:
-        """Keep the run as it is now, though another process goes on writing it.
+        """Keep the run as it is now, even if another process goes on writing it.
 
-        Parts of whole blocks stay. Those of what is not over yet are replaced with every block: they are copied.
+        Parts of whole blocks stay on disk. The files `open-NNNNN.parquet` are replaced with every block, so they are
+        copied.
         """
         for _ in range(_ATTEMPTS):
             held, found = HeldParts(), inventory.read(self.path).whole()
@@ -91,15 +92,21 @@ class Run:
                 continue
             self._held, self.__dict__["inventory"] = held, found
             return
-        raise ValueError(f"{self.path} is being written, and changes too fast to be read. Ask again in a moment.")
+        raise ValueError(f"{self.path} is being written and changes too fast to be read. Try again in a moment.")
 
     @property
     def variants(self) -> tuple[str, ...]:
-        """Names of the trust variants; the acting one is `base`."""
+        """Names of the trust variants; `base` acts in the simulation."""
         return tuple(self.manifest.get("variants", (BASE_VARIANT,)))
 
     def as_variant(self, name: str) -> Self:
-        """The same run, measured and drawn as one of its trust variants."""
+        """The same run, whose metrics and figures use one of its trust variants.
+
+        Raises
+        ------
+        ValueError
+            If the run has no such variant.
+        """
         if name not in self.variants:
             raise ValueError(f"{self.path} has no trust variant {name!r}. It has {', '.join(self.variants)}.")
         other = type(self)(self.path, self.manifest, name)
@@ -111,10 +118,10 @@ class Run:
 
     @contextmanager
     def variants_apart(self) -> Iterator[Self]:
-        """The same run, to be seen as its variants one after another.
+        """The same run as each of its variants, one after another.
 
-        The rows of each are written to temporary files of their own first, in one pass over the tables: then each
-        variant reads its own rows alone, instead of all rows of all variants.
+        One pass over the tables first writes the rows of each variant to separate temporary files. Each variant then
+        reads only its own rows, not those of all variants.
         """
         other = self.as_variant(self.variant)
         with tempfile.TemporaryDirectory(prefix="cosim-variants-") as folder:
@@ -123,13 +130,13 @@ class Run:
             other._opened.clear()
 
     def once(self, name: str, make: Callable[[], T]) -> T:
-        """What several metrics of this variant begin with, made once; not to be changed."""
+        """A result that several metrics of this variant use, computed once. Callers must not change it."""
         if name not in self._own:
             self._own[name] = make()
         return self._own[name]
 
     def once_for_all(self, name: str, make: Callable[[], T]) -> T:
-        """The same of what no trust variant changes: made once for all of them."""
+        """A result that does not depend on the trust variant, computed once for all variants."""
         if name not in self._common:
             self._common[name] = make()
         return self._common[name]
@@ -145,7 +152,7 @@ class Run:
 
     @property
     def config(self) -> dict[str, Any]:
-        """The resolved configuration; its [trust] is that of the run's `variant`."""
+        """The resolved configuration, with the section [trust] of the run's `variant`."""
         config = self.manifest["config"]
         if self.variant == BASE_VARIANT:
             return config
@@ -155,7 +162,7 @@ class Run:
 
     @property
     def tables(self) -> tuple[str, ...]:
-        """Names of the tables that the run holds."""
+        """Names of the tables that the run has."""
         return self.once_for_all("tables", self._tables_there)
 
     def _tables_there(self) -> tuple[str, ...]:
@@ -169,9 +176,23 @@ class Run:
     def table(
         self, name: str, columns: Sequence[str] | None = None, where: pc.Expression | None = None
     ) -> pd.DataFrame:
-        """A table, or some columns and rows of it, read from disk anew.
+        """Read a table from disk, or some of its columns and rows.
 
-        `where` picks rows, as in `run.table("fused", where=pyarrow.compute.field("score") > 0.5)`.
+        Parameters
+        ----------
+        name
+            Name of the table.
+        columns
+            Columns to read; all by default.
+        where
+            Condition on rows, as in `run.table("fused", where=pyarrow.compute.field("score") > 0.5)`.
+
+        Raises
+        ------
+        ValueError
+            If the run does not have the table, or the table does not have a column.
+        Damaged
+            If the table does not match the inventory.
         """
         return self._table(name, columns, where, self._part)
 
@@ -185,7 +206,7 @@ class Run:
     def parts(
         self, name: str, columns: Sequence[str] | None = None, where: pc.Expression | None = None
     ) -> Iterator[pd.DataFrame]:
-        """The same, one block of steps after another, for tables larger than memory."""
+        """Like `table`, but one block of steps after another, for tables larger than memory."""
         yield from self._parts(name, columns, where, self._part)
 
     def _parts(
@@ -198,7 +219,7 @@ class Run:
     def variant_table(
         self, name: str, columns: Sequence[str] | None = None, where: pc.Expression | None = None
     ) -> pd.DataFrame:
-        """The same as `table`, rows of the run's `variant` only; the trust columns of `encounters` are its own."""
+        """Like `table`, but only rows of the run's `variant`, whose trust columns `encounters` has too."""
         if name == "encounters" and self.variant != BASE_VARIANT:
             return self._variant_encounters(columns, where)
         return self._table(name, columns, *self._of_variant(name, where))
@@ -221,7 +242,7 @@ class Run:
         return self.once_for_all("rows of encounters", self._rows_of_encounters)[self.variants.index(self.variant)]
 
     def _rows_of_encounters(self) -> dict[int, np.ndarray]:
-        """The same by variant; found once where all have their rows in the same order, as the recorder writes them."""
+        """The same rows by variant; searched once if all variants have the same order, as the recorder writes."""
         key = list(TABLES["encounters"].key)
         base, rows = self._array_of("encounters", key), self._array_of("encounter_trust", ["variant", *key])
         order = np.argsort(rows["variant"], kind="stable")
@@ -241,16 +262,15 @@ class Run:
     def variant_parts(
         self, name: str, columns: Sequence[str] | None = None, where: pc.Expression | None = None
     ) -> Iterator[pd.DataFrame]:
-        """The same as `parts`, rows of the run's `variant` only."""
+        """Like `parts`, but only rows of the run's `variant`."""
         return self._parts(name, columns, *self._of_variant(name, where))
 
     def variant_arrays(self, name: str, columns: Sequence[str]) -> Iterator[dict[str, np.ndarray]]:
-        """The same, columns as plain arrays: labels as their codes (-1: none), numbers that may be null as floats."""
+        """Like `variant_parts`, but with arrays: labels become codes (-1 for null), nullable numbers floats."""
         return self._arrays(name, columns, *self._of_variant(name, None))
 
     def variant_array(self, name: str, columns: Sequence[str]) -> dict[str, np.ndarray]:
-        """The same of all blocks at once; the trust columns of `encounters` are the variant's own, as in
-        `variant_table`."""
+        """Like `variant_arrays`, but all blocks in one; the trust columns of `encounters` are those of the variant."""
         if name == "encounters" and self.variant != BASE_VARIANT:
             own = [c for c in columns if c in TABLES["encounter_trust"].columns and c not in TABLES[name].key]
             mine, others = self.variant_array("encounter_trust", own), [c for c in columns if c not in own]
@@ -317,15 +337,15 @@ class Run:
         return rows.select(names) if where is None else rows.filter(where).select(names)
 
     def n_blocks(self, name: str) -> int:
-        """How many parts a table has."""
+        """Number of parts of a table."""
         return len(self._paths(name))
 
     def n_rows(self, name: str) -> int:
-        """How many rows a table has, of all variants."""
+        """Number of rows of a table, over all variants."""
         return sum(part.n_rows for part in self.inventory.of(name))
 
     def require(self, *names: str) -> None:
-        """Refuse, with one clear line, if the run does not hold these tables."""
+        """Raise ValueError, with a one-line message, if the run does not have these tables."""
         for name in names:
             if name not in TABLES:
                 raise ValueError(f"There is no table {name!r}. The tables are {', '.join(TABLES)}.")
@@ -348,7 +368,7 @@ class Run:
         return whole if columns is None else pa.schema([whole.field(c) for c in columns])
 
     def _paths(self, name: str) -> list[Path]:
-        """The parts of a table; Damaged where the folder holds others than the inventory."""
+        """The parts of a table. Raises Damaged if they differ from the inventory."""
         return self.once_for_all(f"parts of {name}", lambda: self._checked_paths(name))
 
     def _checked_paths(self, name: str) -> list[Path]:
@@ -360,12 +380,12 @@ class Run:
         return [held.get(part, self.path) / part.name for part in self.inventory.of(name)]
 
     def _part(self, path: Path, names: Sequence[str], where: pc.Expression | None) -> pa.Table:
-        """Columns of a part, once its checksum has been found right."""
+        """Columns of a part, after its checksum was verified."""
         self._check(path)
         return part_reader.read(path, names, where)
 
     def _check(self, path: Path) -> None:
-        """Damaged where the checksum of a part is not right; looked at once."""
+        """Raise Damaged if the checksum of a part is wrong; each part is checked once."""
         name = f"{path.parent.name}/{path.name}"
         if name not in self._sound:
             part = next((part for part in self.inventory.of(path.parent.name) if part.name == name), None)
@@ -413,7 +433,7 @@ class Run:
     def subjects(self) -> pd.DataFrame:
         """Pseudonyms by number: vehicle, role, from_step and to_step of use, attack_start_step of the vehicle.
 
-        The one place where what trust knows is joined with what is true.
+        Only this table joins pseudonyms, which trust knows, with true identities.
         """
         if "roles of pseudonyms" not in self._common:
             vehicles = self.table("vehicles", ["vehicle", "role", "attack_start_step"]).set_index("vehicle")
@@ -432,8 +452,8 @@ def problems_of(
 ) -> Iterator[str]:  # fmt: skip
     """Parts of a table that are missing, of another size, or not in the inventory.
 
-    Unless the run is over, there may be parts of the block that is being written; they are not read. While a process
-    writes the run, `is_live`, there may be parts of further blocks.
+    Before the run is over, there may be parts of the block that is being written; they are not read. While a process
+    writes the run (`is_live`), there may be parts of further blocks.
     """
     known = {part.file: part for part in found.of(table)}
     try:
@@ -457,7 +477,7 @@ def problems_of(
 
 
 def content_problem(folder: Path, part: Part) -> str:
-    """What is wrong with the content of a part: its bytes, rows, columns or steps; empty for nothing."""
+    """Problem with the content of a part: its bytes, rows, columns or steps. Empty if there is none."""
     try:
         if durable.sha256(folder / part.name) != part.sha256:
             return f"{part.name} is not what was written: its checksum differs"

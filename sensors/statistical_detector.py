@@ -41,7 +41,7 @@ Size = tuple[_Length, _Length, _Length]
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class DetectorParams:
-    """The detector of every equipped vehicle. Keys that are not set have the value of the profile in `sensors/profiles`.
+    """The detector of every equipped vehicle. The profile in `sensors/profiles` gives the values that are not set.
 
     Tuples hold one value per class: car, pedestrian, cyclist, truck.
     """

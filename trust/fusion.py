@@ -16,7 +16,7 @@ from trust.threads import threads_for
 
 @dataclass(frozen=True, slots=True)
 class SensorEvidence:
-    """Evidence from the ego's own sweep about each group's seed. It is used only if another vehicle detected the seed."""
+    """Evidence from the ego's own sweep about each group's seed; used only if another vehicle detected the seed."""
 
     n_points: Int[ndarray, "g"]  # returns inside the box
     plausible: Bool[ndarray, "g"]
@@ -255,7 +255,7 @@ def votes_of(given: FusionInput, sender_trust: SenderTrust) -> ObjectVotes:
 
 
 def _closest(given: FusionInput, distance_m: Float[ndarray, "d"], self_reports: bool) -> Int[ndarray, "g"]:
-    """For each group, the detection that is closest to its own detector. Self reports come last unless they are wanted."""
+    """For each group, the detection closest to its own detector. Self reports come last unless they are wanted."""
     member, group = given.lists.member, given.groups.numbers()
     far = distance_m[member]
     if not self_reports:

@@ -50,8 +50,8 @@ class TrustParams(TruPerceptParams):
 
     # trust
     unseen: Literal["zero", "skip"] = "skip"
-    """How a detection counts that only its detector could see: `skip` is no evidence, `zero` is object trust 0 with full
-    weight. `zero` is the paper's rule; `results/FRESHNESS.md` explains why it is not the default."""
+    """How a detection counts that only its detector could see: `skip` is no evidence, `zero` is object trust 0 with
+    full weight. `zero` is the paper's rule; `results/FRESHNESS.md` explains why it is not the default."""
     model: str = "trupercept"
     """Trust model by name."""
     host: Literal["central", "local", "none"] = "central"
@@ -59,7 +59,7 @@ class TrustParams(TruPerceptParams):
     server_period_s: Annotated[float, Gt(0), Le(1e8)] = 5.0
     """Time between two broadcasts of the server's trust values [s]; `host = "central"` only."""
     local_evidence: Literal["received", "own"] = "received"
-    """Evidence for a vehicle's trust scores: all evaluations that it receives, or only its own; `host = "local"` only."""
+    """Evidence for a vehicle's trust: all evaluations that it receives, or only its own; `host = "local"` only."""
     default_trust: Annotated[float, Interval(ge=0, le=1)] = 0.5
     """Trust of a vehicle about which nothing is known."""
     unjudged: Literal["default", "value"] = "default"
