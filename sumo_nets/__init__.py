@@ -1,1 +1,1 @@
-"""Street networks for SUMO: the shipped cities, how to build them, and how to read a user's own."""
+"""Street networks for SUMO: read the shipped cities, build others, and read a user's own network."""

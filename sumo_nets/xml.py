@@ -128,7 +128,7 @@ def check_regular(path: Path | str) -> None:
 
 
 def exists(path: Path) -> bool:
-    """Whether there is something of this name; a name that no file can have is none."""
+    """Whether a path exists; False for a name that no file can have."""
     try:
         return path.exists()
     except (OSError, ValueError):
