@@ -1,4 +1,4 @@
-"""Codes of categories and edges of bins, each said once: producers write the codes, tables render the labels."""
+"""Codes of categories and edges of histogram bins. Programs write the codes, and tables show the labels."""
 
 from enum import IntEnum
 
@@ -6,7 +6,7 @@ import numpy as np
 
 
 class VehicleClass(IntEnum):
-    """What moves: SUMO's vehicle classes, merged, and pedestrians."""
+    """Classes of actors: SUMO's vehicle classes, some of them merged, and pedestrians."""
 
     CAR = 0
     VAN = 1
@@ -26,7 +26,7 @@ class Role(IntEnum):
 
 
 class ObjectClass(IntEnum):
-    """What a detector tells apart."""
+    """Classes that a detector distinguishes."""
 
     CAR = 0
     PEDESTRIAN = 1
@@ -43,7 +43,7 @@ class Origin(IntEnum):
 
 
 class DetectionFault(IntEnum):
-    """Why a detection is dropped before it is sent, the first that applies."""
+    """Why a detection is dropped before it is sent; the first cause that applies."""
 
     NOT_FINITE = 0
     TOO_FAR = 1
@@ -65,17 +65,18 @@ class TrustSource(IntEnum):
 
 
 class AttackEffect(IntEnum):
-    """What an attack does to a list: a fabricated detection is inserted, a real one withheld."""
+    """Effect of an attack on a list: a fabricated detection is inserted, or a real one is withheld."""
 
     INSERTED = 0
     REMOVED = 1
 
 
 class LookupState(IntEnum):
-    """What stands behind a trust value when it is looked up.
+    """What a trust value rests on when it is looked up.
 
-    Judged: an evaluation within the window, by another vehicle than the subject that could see (visibility above 0).
-    Unjudged: a value, but no such evaluation. Stale: such evaluations, all older than the window. Default: no value.
+    Judged: at least one evaluation within the window, by a vehicle other than the subject that could see (visibility
+    above 0). Unjudged: a value without such an evaluation. Stale: such evaluations, but all are older than the window.
+    Default: no value.
     """
 
     JUDGED = 0
@@ -92,7 +93,7 @@ class MessageType(IntEnum):
 
 
 class LosState(IntEnum):
-    """Between the two ends of a link: no building, a building, or not modelled."""
+    """Line of sight between the two ends of a link: no building, a building, or not modelled."""
 
     LOS = 0
     NLOS = 1
@@ -125,7 +126,7 @@ BASE_VARIANT = "base"
 """Name of the trust variant that acts: its broadcasts load the channel, and its fused objects are believed."""
 
 DISTANCE_BIN_M = 25
-"""Width of a bin of distance in the table `pdr_by_distance` [m]."""
+"""Width of a distance bin in the table `pdr_by_distance` [m]."""
 
 LATENCY_EDGES_S = 1e-4 * 2.0 ** (np.arange(-2, 33) / 2)
-"""Edges of the bins of the table `latency_histogram` [s]; below the first there is one more bin, from 0."""
+"""Edges of the bins of the table `latency_histogram` [s]; one more bin reaches from 0 to the first edge."""

@@ -1,4 +1,4 @@
-"""Files that are there whole or not at all, whatever is cut off: written beside, synced, renamed."""
+"""Write files completely or not at all, even in a crash: write under another name, sync, rename."""
 
 import fcntl
 import hashlib
@@ -18,14 +18,14 @@ _SEAL = "sha256"
 
 
 class Damaged(ValueError):
-    """A run folder does not hold what its inventory says; commands end with exit status 1."""
+    """A run folder differs from its inventory. Commands end with exit status 1."""
 
 
 class Growing(io.RawIOBase):
-    """A file that is written piece by piece and has its name once it is whole, on disk; its length and checksum."""
+    """A file that is written piece by piece and gets its name when it is complete; counts bytes and checksum."""
 
     def __init__(self, partial: Path) -> None:
-        """`partial` is its name until then; a file of that name is replaced."""
+        """`partial` is the name until then. An existing file of that name is replaced."""
         self._partial = partial
         flags = os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_NOFOLLOW
         self._file, self._sha256 = io.BufferedWriter(io.FileIO(os.open(partial, flags, 0o666), "w")), hashlib.sha256()
@@ -40,14 +40,14 @@ class Growing(io.RawIOBase):
         return self.n_bytes
 
     def write(self, content: bytes | memoryview) -> int:  # type: ignore[override]
-        """Add all of it."""
+        """Append the content."""
         n = self._file.write(content)
         self._sha256.update(content)
         self.n_bytes += n
         return n
 
     def finish(self, path: Path) -> str:
-        """Sync it and give it its name; its checksum."""
+        """Sync the file, give it its name and return its checksum."""
         self._file.flush()
         os.fsync(self._file.fileno())
         self._file.close()
@@ -55,15 +55,17 @@ class Growing(io.RawIOBase):
         return self._sha256.hexdigest()
 
     def close(self) -> None:
-        """Give the handle back; what was not finished stays under its partial name."""
+        """Close the file. An unfinished file keeps its partial name."""
         self._file.close()
         super().close()
 
 
 def write(path: Path, *pieces: bytes | memoryview) -> str:
-    """Write a file whole, so that neither a kill nor a power cut leaves a part of it; replaces one that is there.
+    """Write a complete file, of which neither a kill nor a power cut leaves only a part. An existing file is replaced.
 
-    Returns its checksum.
+    Returns
+    -------
+    The checksum of the file.
     """
     file = Growing(path.with_name(path.name + PARTIAL))
     try:
@@ -75,10 +77,16 @@ def write(path: Path, *pieces: bytes | memoryview) -> str:
 
 
 def write_output(path: Path, content: bytes) -> None:
-    """Write a file under a name that the user gave, whole or not at all; a symbolic link is replaced, not followed.
+    """Write a file under a name that the user gave, completely or not at all.
 
-    Folders that are missing are made. ValueError where it is a folder; OSError that names the file where it cannot be
-    written. Devices and pipes are written to.
+    A symbolic link is replaced, not followed. Missing folders are created. Devices and pipes are written to.
+
+    Raises
+    ------
+    ValueError
+        If the path is a folder.
+    OSError
+        If the file cannot be written; it names the file.
     """
     if path.is_dir():
         raise ValueError(f"{path} is a folder. Give the name of a file.")
@@ -95,7 +103,7 @@ def write_output(path: Path, content: bytes) -> None:
 
 
 def append_line(path: Path, line: bytes) -> None:
-    """Add a line at the end of a file, on disk when this returns."""
+    """Append a line to a file. It is on disk when the function returns."""
     with open(os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_NOFOLLOW, 0o666), "ab") as file:
         file.write(line + b"\n")
         file.flush()
@@ -103,7 +111,7 @@ def append_line(path: Path, line: bytes) -> None:
 
 
 def sync_folder(folder: Path) -> None:
-    """Put the names in a folder on disk."""
+    """Sync a folder, so that the names in it are on disk."""
     handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     try:
         os.fsync(handle)
@@ -112,7 +120,7 @@ def sync_folder(folder: Path) -> None:
 
 
 def open_regular(path: Path) -> BufferedReader:
-    """A file for reading; ValueError where it is no regular file (a device or a pipe may never end)."""
+    """Open a regular file for reading. Raises ValueError for others: a device or a pipe may never end."""
     handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
     if not stat.S_ISREG(os.fstat(handle).st_mode):
         os.close(handle)
@@ -127,27 +135,27 @@ def sha256(path: Path) -> str:
 
 
 def seal(content: dict[str, Any]) -> dict[str, Any]:
-    """Plain data with a checksum of itself as its last key."""
+    """Add a checksum of the data as the last key."""
     content = {key: value for key, value in content.items() if key != _SEAL}
     return content | {_SEAL: _digest(content)}
 
 
 def is_sealed(content: dict[str, Any]) -> bool:
-    """Whether the checksum that plain data carry is their own."""
+    """Whether the checksum in the data is correct."""
     return content.get(_SEAL) == _digest({key: value for key, value in content.items() if key != _SEAL})
 
 
 def _digest(content: dict[str, Any]) -> str:
-    """Independent of spaces and of the order of keys; a number counts as it is written."""
+    """Checksum that does not depend on spaces and the order of keys; numbers count as they are written."""
     text = json.dumps(content, sort_keys=True, ensure_ascii=True, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()
 
 
 class Lock:
-    """Says that a process writes into a folder; the system takes it back when the process ends, however it ends."""
+    """Lock of a process that writes into a folder. The operating system releases it when the process ends."""
 
     def __init__(self, folder: Path) -> None:
-        """Take it; BlockingIOError where another process holds it."""
+        """Take the lock. Raises BlockingIOError if another process has it."""
         self._path = folder / _LOCK
         while True:
             self._handle = os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o666)
@@ -161,14 +169,14 @@ class Lock:
             os.close(self._handle)  # its last owner has removed the file since it was opened
 
     def is_held(self) -> bool:
-        """Whether the folder still is the one that was locked, and not a later one of the same name."""
+        """Whether the folder is still the one that was locked, and not a later one of the same name."""
         try:
             return self._handle >= 0 and self._path.stat().st_ino == os.fstat(self._handle).st_ino
         except OSError:
             return False
 
     def release(self) -> None:
-        """Give it back and remove its file; once more does nothing."""
+        """Release the lock and remove its file. A second call does nothing."""
         if self._handle < 0:
             return
         handle, self._handle = self._handle, -1

@@ -1,8 +1,8 @@
-"""What a run folder holds, block by block: every part with its rows, steps and checksum.
+"""The inventory of a run folder: every part, block by block, with its rows, steps and checksum.
 
-`inventory.jsonl` has one line per committed block. A line is on disk only after all that it lists, and each carries
-the checksum of itself and of the line before, so that none can be changed, left out or moved unnoticed. A line cut
-off by a crash was never committed.
+`inventory.jsonl` has one line per committed block. A line is written only after all files that it lists are on disk.
+Each line contains a checksum of itself and of the line before, so that no line can be changed, removed or moved
+unnoticed. A line that a crash cut off does not count.
 """
 
 import hashlib
@@ -48,7 +48,7 @@ class Block:
     end_step: int
     """One past its last step."""
     is_whole: bool
-    """False for the last steps of a run that was interrupted inside a block: a resumed run makes them again."""
+    """False for the last steps of a run that was interrupted inside a block. A resumed run computes them again."""
     parts: tuple[Part, ...]
     open: tuple[Part, ...] = ()
     """What is not over at the end of the block, as it would be if the run ended there; replaces that of the block
@@ -94,7 +94,7 @@ class Inventory:
         return [part for part in self.parts if part.table == table]
 
     def whole(self) -> "Inventory":
-        """The whole blocks alone: where a resumed run goes on."""
+        """Only the whole blocks, after which a resumed run goes on."""
         return Inventory(tuple(block for block in self.blocks if block.is_whole))
 
     def closed(self) -> "Inventory":
@@ -117,7 +117,7 @@ class Inventory:
 
 
 def read(folder: Path) -> Inventory:
-    """The inventory of a run folder; Damaged where a line is not what was written."""
+    """Read the inventory of a run folder. Raises Damaged if a line was changed after it was written."""
     path = folder / FILE
     try:
         with durable.open_regular(path) as file:
@@ -166,7 +166,7 @@ def _part(content: dict[str, Any]) -> Part:
 
 
 def rewrite(folder: Path, inventory: Inventory) -> Inventory:
-    """Make this the inventory of the folder; returns it with its checksums."""
+    """Replace the inventory of the folder and return it with its checksums."""
     lines, before, blocks = b"", "", []
     for block in inventory.blocks:
         chained, line = block.line(before)

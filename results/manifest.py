@@ -23,7 +23,7 @@ _LISTS = ("variants", "roles", "dropped")
 
 
 def read_manifest(path: str | Path) -> dict[str, Any]:
-    """The manifest of a run folder; Damaged where it is not what was written."""
+    """Read the manifest of a run folder. Raises Damaged if it was changed after it was written."""
     path = Path(path)
     if not path.is_dir():
         raise ValueError(f"{path} is not a folder. Give the folder that `cosim run` wrote.")
@@ -74,10 +74,10 @@ _CONTROL = ("\\u001b", "\\u007f", *(chr(code) for code in range(0x7F, 0xA0)))
 
 
 def problems(folder: Path, manifest: Mapping[str, Any], found: Inventory) -> Iterator[str]:
-    """Where a manifest contradicts itself, the inventory or the config file beside it.
+    """Contradictions in a manifest, or between it and the inventory or the config file.
 
-    Checksums say what has changed by accident, and what was changed without making them anew. Whatever the manifest
-    says twice is compared besides.
+    Checksums reveal accidental changes, and changes after which the checksum was not computed again. Values that the
+    manifest contains twice are compared too.
     """
     if manifest["status"] == "finished":
         said = manifest.get("inventory") or {}
@@ -100,7 +100,7 @@ def problems(folder: Path, manifest: Mapping[str, Any], found: Inventory) -> Ite
 
 
 def config_problem(folder: Path, manifest: Mapping[str, Any], is_only_begun: bool = False) -> str:
-    """What is wrong with the config file of a run folder; empty for nothing, and for a run that never had one.
+    """Problem with the config file of a run folder; empty if there is none, or if the run never had a config file.
 
     A run that has only begun may have been killed before the file was written.
     """
@@ -127,7 +127,7 @@ def _stated(data: Any) -> Any:
 
 
 def steps_asked_for(config: Mapping[str, Any]) -> int | None:
-    """How many steps a config asks for; None where it does not say."""
+    """Number of steps that a config asks for; None if it does not say."""
     traffic = config.get("traffic")
     duration_s, step_s = (traffic.get(k) if isinstance(traffic, dict) else None for k in ("duration_s", "step_s"))
     if not (isinstance(duration_s, int | float) and isinstance(step_s, int | float) and 0 < duration_s < 1e12):
@@ -167,7 +167,7 @@ def finish(folder: Path, content: Mapping[str, Any]) -> None:
 
 
 def drop_tables(folder: Path, names: Collection[str]) -> None:
-    """Delete tables of a finished run that are not to be kept; its manifest says which."""
+    """Delete tables of a finished run that shall not be kept, and name them in its manifest."""
     manifest = read_manifest(folder)
     gone = {*manifest.get("dropped", ()), *names} & TABLES.keys()
     if manifest["status"] != "finished":

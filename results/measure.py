@@ -96,9 +96,9 @@ def measure(
     Returns
     -------
     Columns metric (an identifier of `results.metrics.registry.METRICS`), group, value, low and high (95 % interval,
-    null if the metric has none), n_units (number of units that the interval is clustered by), unit, label, note. A topic for
-    which the run has no data has one row `<topic>.not_measured`, with the reason as group and without a value. A metric
-    that is not defined, such as a median that was not reached, has no row.
+    null if the metric has none), n_units (number of units that the interval is clustered by), unit, label, note.
+    A topic for which the run has no data has one row `<topic>.not_measured`, with the reason as group and without a
+    value. A metric that is not defined, such as a median that was not reached, has no row.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Holding a run folder against its inventory: nothing missing, nothing changed, nothing foreign."""
+"""Check run folders for missing, changed or unexpected files."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -17,12 +17,12 @@ _OWN = ("manifest.json", "config.toml", inventory.FILE, "report.html", "run.log"
 
 
 def verify(folder: str | Path) -> tuple[dict[str, Any], list[str]]:
-    """What a run folder is, and all that is wrong with it.
+    """Check a run folder against its inventory.
 
     Returns
     -------
-    status, steps, tables, parts, rows and bytes; and a line per problem, none for a whole folder. Of a run that a
-    process is writing, the whole blocks alone are looked at.
+    Status, steps, tables, parts, rows and bytes; and one line per problem, none if the folder is intact. While a
+    process writes the run, only whole blocks are checked.
     """
     folder = Path(folder)
     is_live = durable.is_locked(folder)

@@ -1,4 +1,4 @@
-"""How fresh trust is: what stands behind a value, and how old it is, when it is looked up.
+"""Freshness of trust: the evidence behind a value when it is looked up, and its age.
 
 Definitions and sources are in `results/FRESHNESS.md`.
 """
@@ -17,8 +17,8 @@ from results.metrics.lookups import AGES, FRESH_S, NO_LOOKUPS, blocks, role_code
 from results.run import Run
 
 STATES = ("evaluated", "unevaluated", "stale", "no value")
-"""What stands behind a value that is looked up, in the order of `LookupState`; the tables call it judged, unjudged,
-stale and default."""
+"""States of a value that is looked up, in the order of `LookupState`. Tables call them judged, unjudged, stale and
+default."""
 KNOWN = ("evaluated", "stale")
 """States in which a value rests on an evaluation."""
 

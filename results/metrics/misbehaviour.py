@@ -1,10 +1,9 @@
 """Misbehaviour detection by trust: how well it separates attackers from honest vehicles, and how soon.
 
-The unit is a pseudonym, because trust knows nothing else. One is watched from the first attack of its vehicle on;
-what it was trusted before is left out. Honest ones are watched from the first attack of any vehicle on. Trust that
-rests on no evaluation says nothing about a subject, whatever its number: the value is not evaluated, the subject is
-neither suspected nor cleared, and it is counted (`evaluated`). A subject is suspected while its value is evaluated and
-below a threshold.
+Metrics count pseudonyms, because trust knows no other identity. An attacker's pseudonym is watched from the first
+attack of its vehicle on; earlier trust is left out. An honest pseudonym is watched from the first attack of any vehicle
+on. A value without an evaluation tells nothing about its subject: it counts as not evaluated, and the subject is
+neither suspected nor cleared. A subject is suspected while its value is evaluated and below a threshold.
 """
 
 from typing import NamedTuple
@@ -148,7 +147,7 @@ def separation(run: Run) -> intervals.Estimate:
 
 
 def detection_delay(run: Run, threshold: float = 0.25, at: trust.At = "server") -> pd.DataFrame:
-    """Time until a subject is suspected: of attackers from their first attack, of others from the first of any.
+    """Time until a subject is suspected, from its first attack, or for honest subjects from the first attack of any.
 
     Parameters
     ----------
