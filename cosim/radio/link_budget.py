@@ -8,6 +8,7 @@ vehicles. All depends on positions alone: the same two positions have the same l
 
 from dataclasses import dataclass
 from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt64
@@ -59,12 +60,47 @@ class PairLos:
     """Whether a building blocks the line of sight."""
 
 
-@kernel
-def _pairs(xyz, range_m, order, start, cell, shape, has_walls, nlos_range_m, on_grid, filled, a, b, d, blocked):
-    """Pairs in range, at most `_RING` cells apart, without those beyond `nlos_range_m` that cross a filled cell.
+class _Cells(NamedTuple):
+    """Points sorted by cells of a square grid."""
 
-    Points come sorted by cell, and so lie close together in memory; `order` is their rows.
+    order: ndarray  # row of each point
+    start: ndarray  # where the points of each cell begin, cell by cell
+    cell: ndarray  # column and row of the cell of each point
+    shape: ndarray  # number of columns and rows
+
+
+class _Walls(NamedTuple):
+    """The city's grid of cells inside buildings, as `crosses_filled_cell` reads it."""
+
+    exist: bool
+    on_grid: ndarray  # of each point
+    filled: ndarray
+    nlos_range_m: float  # longer pairs that cross a filled cell are left out
+
+
+class _Found(NamedTuple):
+    """Room for pairs."""
+
+    a: ndarray
+    b: ndarray
+    distance_m: ndarray
+    blocked: ndarray  # whether a pair crosses a filled cell
+
+    @staticmethod
+    def room(n: int) -> "_Found":
+        """For n pairs."""
+        return _Found(np.empty(n, np.int32), np.empty(n, np.int32), np.empty(n), np.empty(n, np.bool_))
+
+
+@kernel
+def _pairs(xyz, range_m, cells, walls, found):
+    """Write the pairs in range into `found` and return their number, which may exceed the room there.
+
+    Two points of a pair are at most `_RING` cells apart. Points are sorted by cell, so that neighbours are close
+    together in memory.
     """
+    order, start, cell, shape = cells.order, cells.start, cells.cell, cells.shape
+    nlos_range_m, a, b, d, blocked = walls.nlos_range_m, found.a, found.b, found.distance_m, found.blocked
     m = 0
     for p in range(len(order)):
         cx, cy = cell[p, 0], cell[p, 1]
@@ -77,7 +113,7 @@ def _pairs(xyz, range_m, order, start, cell, shape, has_walls, nlos_range_m, on_
                 square = dx * dx + dy * dy + dz * dz
                 if square > range_m * range_m:
                     continue
-                crosses = has_walls and crosses_filled_cell(on_grid, p, q, filled)
+                crosses = walls.exist and crosses_filled_cell(walls.on_grid, p, q, walls.filled)
                 if crosses and square > nlos_range_m * nlos_range_m:
                     continue
                 if m < len(a):
@@ -112,7 +148,7 @@ def _within(
     if n == 0:
         return np.zeros(0, np.int32), np.zeros(0, np.int32), np.zeros(0), np.zeros(0, bool)
     places = xyz_m if los is None else los.snap(xyz_m)
-    walls = _no_walls() if los is None else los.index
+    index = _no_walls() if los is None else los.index
     low = xyz_m[:, :2].min(0)
     side = max(range_m / _RING, float(np.ptp(xyz_m[:, :2], axis=0).max()) / 1000)
     cell = ((xyz_m[:, :2] - low) / side).astype(np.int64)
@@ -121,18 +157,14 @@ def _within(
     order = np.argsort(flat, kind="stable")
     start = np.searchsorted(flat[order], np.arange(shape[0] * shape[1] + 1))
     share = np.pi * min(range_m, nlos_range_m) ** 2 / (np.prod(shape) * side**2)  # of uniform points
-    cell, on_grid, xyz_m = cell[order], walls.cells(places[order]), xyz_m[order]
-    filled = walls.filled(places[:, 2])
+    cells, xyz_m = _Cells(order, start, cell[order], shape), xyz_m[order]
+    walls = _Walls(los is not None, index.cells(places[order]), index.filled(places[:, 2]), float(nlos_range_m))
     room = int(n * min(n, 256 + 2 * n * share) / 2 + 1024)
     while True:
-        a, b, d = np.empty(room, np.int32), np.empty(room, np.int32), np.empty(room)
-        blocked = np.empty(room, np.bool_)
-        m = _pairs(
-            xyz_m, float(range_m), order, start, cell, shape, los is not None, float(nlos_range_m), on_grid, filled,
-            a, b, d, blocked,
-        )  # fmt: skip
+        found = _Found.room(room)
+        m = _pairs(xyz_m, float(range_m), cells, walls, found)
         if m <= room:
-            return a[:m], b[:m], d[:m], blocked[:m]
+            return found.a[:m], found.b[:m], found.distance_m[:m], found.blocked[:m]
         room = m
 
 
