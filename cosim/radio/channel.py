@@ -44,13 +44,13 @@ class PhyOutcome(IntEnum):
     FADING = dtypes.FADING
     """Too weak or too noisy because of fading, though strong enough on average."""
     COLLISION = dtypes.COLLISION
-    """Destroyed by other frames."""
+    """Destroyed by the interference of other frames."""
     BUSY = dtypes.BUSY
     """The receiver was receiving another frame."""
     HALF_DUPLEX = dtypes.HALF_DUPLEX
     """The receiver was sending."""
     EXPIRED = dtypes.EXPIRED
-    """Never sent: out of date in the sender's queue."""
+    """Never sent: it waited in the sender's queue for longer than its lifetime."""
     QUEUE = dtypes.QUEUE
     """Never sent: the sender's queue was full."""
 
@@ -99,7 +99,7 @@ class ChannelRules:
 
 @dataclass(frozen=True, slots=True)
 class Jamming:
-    """Noise of jammers at N stations, beside the receivers' own [mW]."""
+    """Noise of jammers at N stations, in addition to the receivers' own noise [mW]."""
 
     constant_mw: Float[ndarray, "n"]
     """At all times."""
@@ -111,7 +111,7 @@ class Jamming:
 
 @dataclass(frozen=True, slots=True)
 class Links:
-    """N stations and the mean received power of every directed link above the cut-off, by sender."""
+    """N stations, and the M directed links with a mean received power above the cut-off, sorted by sender."""
 
     key: UInt64[ndarray, "n"]
     ptr: Int[ndarray, "n+1"]
@@ -138,7 +138,7 @@ class Links:
 
 @dataclass(frozen=True, slots=True)
 class Packets:
-    """P frames to be sent; each (sender, seq) once in a run."""
+    """P frames to be sent. Each pair of sender and sequence number is used once in a run."""
 
     sender: Int[ndarray, "p"]
     """Row of the station."""
@@ -149,7 +149,7 @@ class Packets:
     access: UInt8[ndarray, "p"]
     lifetime_ns: Int[ndarray, "p"]
     tag: Int[ndarray, "p"]
-    """The caller's number of the packet; returned with its result."""
+    """The caller's number of the packet. It is returned with the result."""
 
     def __len__(self) -> int:
         return len(self.sender)
@@ -159,15 +159,15 @@ class Packets:
 class WindowResult:
     """P packets sent or dropped in one window, and their receptions.
 
-    Sorted by (generation, key, seq); forwarded ones made in this window come last, by generation.
-    A packet that was not sent (EXPIRED, QUEUE) has no receptions and start = end = generation.
+    Packets are sorted by generation, key and sequence number. Frames forwarded in this window come last, by generation.
+    A packet that was not sent (EXPIRED, QUEUE) has no receptions, and it starts and ends at its generation.
     """
 
     sender_key: UInt64[ndarray, "p"]
     seq: UInt64[ndarray, "p"]
     tag: Int[ndarray, "p"]
     outcome: UInt8[ndarray, "p"]
-    """RECEIVED where it was sent, else EXPIRED or QUEUE."""
+    """RECEIVED if the packet was sent, otherwise EXPIRED or QUEUE."""
     generated_ns: Int[ndarray, "p"]
     start_ns: Int[ndarray, "p"]
     end_ns: Int[ndarray, "p"]
@@ -215,7 +215,7 @@ def _constants(receiver: ReceiverParams, access: AccessParams) -> dtypes.Constan
 
 
 def _records(packets: Packets, n: int, state: ChannelState, until_ns: int, receiver: ReceiverParams) -> ndarray:
-    """The packets as records of the event loop; ValueError for invalid ones."""
+    """The packets as records of the event loop. Raises ValueError for invalid packets."""
     new = np.zeros(len(packets), dtypes.PACKET)
     if len(packets) == 0:
         return new
@@ -385,7 +385,7 @@ def _run_events(air: Air, log: Log, n_old: int, until_ns: int, forwarding: Forwa
 
 
 def _noise_of(jamming: Jamming | None, n: int) -> tuple[ndarray, ndarray, ndarray]:
-    """Columns of `Jamming` for n rows, of which the last may be stations that left; empty where nothing jams."""
+    """Columns of `Jamming` for n rows. The last rows may be stations that left. Empty where nothing jams."""
     if jamming is None:
         return np.zeros(0), np.zeros(0), np.zeros(0, bool)
     more = n - len(jamming.detected)
@@ -397,7 +397,7 @@ def _noise_of(jamming: Jamming | None, n: int) -> tuple[ndarray, ndarray, ndarra
 
 
 def _order(packets: ndarray) -> Int[ndarray, "p"]:
-    """By generation, key and sequence number."""
+    """Rows sorted by generation, key and sequence number."""
     begin_ns = packets["generated_ns"]
     order = np.argsort(begin_ns, kind="stable")
     if (np.diff(begin_ns[order]) == 0).any():  # rarely are two generated in the same nanosecond
@@ -406,7 +406,7 @@ def _order(packets: ndarray) -> Int[ndarray, "p"]:
 
 
 def _joined(one: ndarray, more: ndarray) -> ndarray:
-    """Both, one after the other, of the type of the second; the first or second itself where the other is empty."""
+    """Both arrays, one after the other, with the type of the second. If one is empty: the other itself."""
     if not len(one) or not len(more):
         return more if len(more) else one
     both = np.empty(len(one) + len(more), more.dtype)

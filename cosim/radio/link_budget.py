@@ -1,9 +1,10 @@
 """Link budget: mean received power of every pair of stations above the cut-off.
 
-    links = links_between(xyz_m, key, params, rng_key, los)
+    links, losses, pair = links_between(xyz_m, key, params, rng_key, los)
 
-Pairs in range come from a grid, line of sight from the city's walls; links with line of sight may be blocked by
-vehicles. All depends on positions alone: the same two positions have the same link in any run of the same seed.
+A grid finds the pairs in range, and the city's walls decide their line of sight. Vehicles may block links that no
+building blocks. A link depends only on the positions of its ends and on the seed: the same two positions have the same
+link in every run with the same seed.
 """
 
 from dataclasses import dataclass
@@ -51,7 +52,7 @@ class Pairs:
 
 @dataclass(frozen=True, slots=True)
 class PairLos:
-    """M pairs of positions, each once; of distant pairs without line of sight not all."""
+    """M pairs of positions, each once. Some distant pairs without line of sight may be left out."""
 
     a: Int[ndarray, "m"]
     b: Int[ndarray, "m"]
@@ -140,9 +141,10 @@ def neighbours(xy_m: Float[ndarray, "n 2"], range_m: float) -> tuple[ndarray, nd
 def _within(
     xyz_m: Float[ndarray, "n 3"], range_m: float, los: LosOfPlaces | None, nlos_range_m: float
 ) -> tuple[ndarray, ndarray, ndarray, ndarray]:
-    """The same, and whether a pair crosses a filled cell; those beyond `nlos_range_m` that do are left out.
+    """All pairs of points in range, and whether each pair crosses a filled cell (a cell inside buildings).
 
-    The test is sufficient only: other pairs may have no line of sight either.
+    Pairs that do and are longer than `nlos_range_m` are left out. A pair that crosses a filled cell has no line of
+    sight. Other pairs may have no line of sight either.
     """
     n = len(xyz_m)
     if n == 0:
@@ -250,11 +252,11 @@ def pairs(
     rng_key
         Key of shadowing and blockage, one for the whole run.
     los
-        Lines of sight in the city; without it every pair has line of sight.
+        Lines of sight in the city. None: every pair has line of sight.
     found
-        Result of `los_pairs`, if computed already.
+        Result of `los_pairs`, if it is known already.
     above_street_m
-        Heights of the antennas above the street under them [m]; left out, the streets are at height 0.
+        Heights of the antennas above the street under them [m]. None: the streets are at height 0.
     """
     if found is None:
         found = los_pairs(xyz_m, params, los)
@@ -307,8 +309,16 @@ def links_between(
 
     Parameters
     ----------
+    xyz_m, key
+        Antenna positions [m] and keys of the N stations.
+    params, rng_key, los, found, above_street_m
+        As for `pairs`.
     tx_power_dbm
-        Power of each station where it differs from that of `params`.
+        Power of each station [dBm]. None: that of `params`.
+
+    Returns
+    -------
+    Links sorted by sender, the losses of all pairs in range, and the row of each link's pair.
     """
     losses = pairs(xyz_m, params, rng_key, los, found, above_street_m)
     n = len(xyz_m)
