@@ -27,7 +27,7 @@ from cosim.radio.propagation import (
 )
 from sensors.kernel import compiled, kernel
 from sensors.line_of_sight import LosOfPlaces, WallIndex
-from sensors.line_of_sight_kernels import crosses_filled_cell
+from sensors.line_of_sight_kernels import FilledCells, crosses_filled_cell
 from sensors.scene import Scene
 
 _RING = 6
@@ -75,7 +75,7 @@ class _Walls(NamedTuple):
 
     exist: bool
     on_grid: ndarray  # of each point
-    filled: ndarray
+    filled: FilledCells
     nlos_range_m: float  # longer pairs that cross a filled cell are left out
 
 

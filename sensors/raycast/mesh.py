@@ -62,7 +62,7 @@ def cast(
         close = ((high > centre[:2] - limit_m) & (low < centre[:2] + limit_m)).all(axis=1)
         trace = tracer_of((mesh[close] - centre).astype(np.float32)) if close.any() else None
         tile = _Tile(centre, trace, code[close])
-        for o in here:
+        for o in here.tolist():
             _sweep(sweeps, o, tile, ranges[o])
     per_metre, thinned = np.float32(1.0 / sweeps.step_m), sweeps.thinned
     for o in range(len(hit)):
