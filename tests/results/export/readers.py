@@ -41,6 +41,7 @@ def openpcdet_info(root: Path, split: str, name: str) -> dict:
     out |= {"P3": rows[3].reshape(3, 4), "R0": rows[4].reshape(3, 3), "Tr": rows[5].reshape(3, 4)}
     with Image.open(picture) as opened:
         opened.load()
+        assert opened.mode == "RGB"
         out["image_shape"] = (opened.height, opened.width)
     if split == "test":
         return out
