@@ -1,5 +1,6 @@
 """The report: whole, self-contained, and honest about what is missing."""
 
+import json
 import re
 import shutil
 from html.parser import HTMLParser
@@ -53,6 +54,14 @@ def test_names_cannot_break_the_page(tmp_path):
     path = write(tmp_path / "a <b> & c", steps=20, level="summary")
     text = report.page(open_run(path))
     assert "a &lt;b&gt; &amp; c" in text and "<b> & c" not in text
+
+
+def test_what_retrust_could_not_compute_is_said(tmp_path):
+    path = write(tmp_path / "run", steps=20, level="summary")
+    manifest = json.loads((path / "manifest.json").read_text())
+    manifest["summary"] = {"retrust": "No fused objects for a < b: a reason."}
+    (path / "manifest.json").write_text(json.dumps(manifest))
+    assert '<p class="missing">No fused objects for a &lt; b: a reason.</p>' in report.page(open_run(path))
 
 
 def test_what_is_missing_is_said(tmp_path):
