@@ -19,9 +19,13 @@ SHORT = (
 """Twenty seconds of the shipped city, long enough for every attack to begin."""
 
 
-def cosim(*words: str, cwd: Path | None = None) -> subprocess.CompletedProcess:
-    """`cosim` with these words on its command line."""
-    ended = carried_out(*words, cwd=cwd)
+COLUMNS = {"COLUMNS": "80"}
+"""Width of what is printed, unless a test sets another."""
+
+
+def cosim(*words: str, cwd: Path | None = None, **environment: str) -> subprocess.CompletedProcess:
+    """`cosim` with these words on its command line, and these variables beside those of the tests."""
+    ended = carried_out(*words, cwd=cwd, **environment)
     return subprocess.CompletedProcess(words, ended.status, ended.out, ended.err)
 
 
@@ -48,9 +52,9 @@ def simulate(folder: Path, *overrides: str, config: Path | None = None) -> Path:
     return folder
 
 
-def carried_out(*words: str, cwd: Path | None = None) -> Ended:
+def carried_out(*words: str, cwd: Path | None = None, **environment: str) -> Ended:
     """A command without limits of time and memory."""
     with tempfile.TemporaryDirectory(prefix="cosim-test-") as place:
         return warm()(
-            *words, cwd=cwd or Path.cwd(), cpu_s=None, place=Path(place), environment={"COLUMNS": "80"}
+            *words, cwd=cwd or Path.cwd(), cpu_s=None, place=Path(place), environment=COLUMNS | environment
         )  # fmt: skip

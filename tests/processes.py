@@ -67,9 +67,8 @@ class Warm:
         self.folder = folder
 
     def __enter__(self) -> "Warm":
-        environment = {
-            **os.environ, "NUMBA_THREADING_LAYER": "workqueue", "COLUMNS": "1000", "PYTHONWARNINGS": "default",
-        }  # fmt: skip
+        environment = os.environ | {"NUMBA_THREADING_LAYER": "workqueue", "PYTHONWARNINGS": "default"}
+        environment.pop("COLUMNS", None)  # a console keeps the width that it finds when the program is imported
         self._process = subprocess.Popen(
             [sys.executable, "-m", "tests.processes", str(self.folder)], stdin=subprocess.PIPE,
             stdout=subprocess.PIPE, text=True, env=environment, cwd=Path(__file__).parents[2],
