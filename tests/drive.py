@@ -19,10 +19,6 @@ SHORT = (
 """Twenty seconds of the shipped city, long enough for every attack to begin."""
 
 
-COLUMNS = {"COLUMNS": "80"}
-"""Width of what is printed, unless a test sets another."""
-
-
 def cosim(*words: str, cwd: Path | None = None, **environment: str) -> subprocess.CompletedProcess:
     """`cosim` with these words on its command line, and these variables beside those of the tests."""
     ended = carried_out(*words, cwd=cwd, **environment)
@@ -56,5 +52,5 @@ def carried_out(*words: str, cwd: Path | None = None, **environment: str) -> End
     """A command without limits of time and memory."""
     with tempfile.TemporaryDirectory(prefix="cosim-test-") as place:
         return warm()(
-            *words, cwd=cwd or Path.cwd(), cpu_s=None, place=Path(place), environment=COLUMNS | environment
+            *words, cwd=cwd or Path.cwd(), cpu_s=None, place=Path(place), environment=environment
         )  # fmt: skip

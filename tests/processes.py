@@ -68,7 +68,7 @@ class Warm:
 
     def __enter__(self) -> "Warm":
         environment = os.environ | {"NUMBA_THREADING_LAYER": "workqueue", "PYTHONWARNINGS": "default"}
-        environment.pop("COLUMNS", None)  # a console keeps the width that it finds when the program is imported
+        environment.pop("COLUMNS", None)
         self._process = subprocess.Popen(
             [sys.executable, "-m", "tests.processes", str(self.folder)], stdin=subprocess.PIPE,
             stdout=subprocess.PIPE, text=True, env=environment, cwd=Path(__file__).parents[2],
@@ -90,11 +90,12 @@ class Warm:
         """`cosim WORDS`; `simulate` is `run` without its metrics and its picture, at a third of the cost.
 
         `python CODE WORDS` is `python -c CODE WORDS`. `cpu_s` limits the processor time, and with it the memory; None
-        sets no limit. `environment` adds to the variables of this process. `place` is the folder of the standard
-        streams and of temporary files, otherwise `cwd`. `more` is `kill_after_s` with `signum`.
+        sets no limit. `environment` is added to the variables of this process; where it is not given, lines are wide.
+        `place` is the folder of the standard streams and of temporary files, otherwise `cwd`. `more` is
+        `kill_after_s` with `signum`.
         """
         assert self._process.stdin is not None
-        variables = {**os.environ, "COLUMNS": "1000", **(environment or {})}
+        variables = os.environ | ({"COLUMNS": "1000"} if environment is None else environment)
         streams = str(place or cwd)
         asked = {"words": words, "cwd": str(cwd), "cpu_s": cpu_s, "environment": variables, "place": streams, **more}
         self._process.stdin.write(json.dumps(asked) + "\n")
@@ -189,11 +190,15 @@ def _child(
     main: Any, words: list[str], cwd: Path, cpu_s: float | None, environment: dict[str, str], place: Path
 ) -> int:  # fmt: skip
     """What a process of its own would do, from its arguments to its exit status."""
+    from cosim.cli import console
+
     os.chdir(cwd)
     sys.path.insert(0, str(cwd))
     os.environ.clear()
     os.environ |= environment
     tempfile.tempdir = str(place / ".tmp")
+    if "COLUMNS" in environment:  # a console keeps the width that it found when the program was imported
+        console.screen.width = console.notes.width = int(environment["COLUMNS"])
     for number, name in ((0, os.devnull), (1, ".out"), (2, ".err")):
         os.dup2(os.open(place / name, os.O_RDWR | os.O_CREAT | os.O_TRUNC, 0o666), number)
     if cpu_s:
