@@ -121,9 +121,9 @@ def test_newcomers_change_after_a_time():
 @pytest.mark.parametrize(("sections", "told"), [
     ({"attacks": [{"share_p": 0.6}, {"share_p": 0.6}]}, "sum to 1.2, more than all equipped vehicles"),
     ({"attacks": [{"ids": ["a", "b"], "ring_size": 3}]}, "ring_size = 3 is larger than its 2 attackers"),
-    ({"attacks": [{"when": "on_off", "period_s": 0.5}]}, "a period of 0.5 s is shorter than one step, 1 s"),
+    ({"attacks": [{"when": "on_off", "period_s": 0.5}]}, "a period of 0.5 s is shorter than one step of 1 s"),
     ({"attacks": [{"when": "on_off", "period_windows": 0.5}], "trust": {"freshness_s": 1.0}}, "period of 0.5 s"),
-    ({"attacks": [{"when": "on_off", "period_windows": 1.0}], "trust": {"freshness_s": "off"}}, "no length of"),
+    ({"attacks": [{"when": "on_off", "period_windows": 1.0}], "trust": {"freshness_s": "off"}}, "there are no windows"),
     ({"attacks": [{"attack": "gohst"}]}, 'attacks.attack = "gohst": no such choice'),
     ({"attacks": [{"attack": "offset", "min_m": 9.0, "max_m": 3.0}]}, "min_m = 9 m is above attacks.max_m = 3 m"),
     ({"attacks": [{"attack": "offset", "ghosts": "car"}]}, "attacks.ghosts: unknown key"),
