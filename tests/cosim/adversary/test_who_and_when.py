@@ -128,7 +128,7 @@ def test_newcomers_change_after_a_time():
     ({"attacks": [{"attack": "offset", "min_m": 9.0, "max_m": 3.0}]}, "min_m = 9 m is above attacks.max_m = 3 m"),
     ({"attacks": [{"attack": "offset", "ghosts": "car"}]}, "attacks.ghosts: unknown key"),
     ({"attacks": [{"victim": "one"}]}, "Set attacks.0.victim_id"),
-    ({"attacks": [{"victim_id": "v1"}]}, 'read with victim = "one" alone'),
+    ({"attacks": [{"victim_id": "v1"}]}, 'used only with victim = "one"'),
     ({"attacks": [{"together_with": 0}]}, "no earlier section"),
     ({"attacks": [{"ids": ["a"]}, {"ids": ["a"]}]}, '"a" stands in ids twice'),
     ({"attacks": [{"when": "camouflage"}], "trust": {"host": "local"}}, 'trust.host = "local"'),
