@@ -58,7 +58,9 @@ def _use(kind: str, name: str) -> str:
 
 
 def try_(
-    name: Annotated[str, typer.Argument(metavar="FILE:CLASS", help="A class such as mine.py:Beta, or the name of a shipped one.")],
+    name: Annotated[
+        str, typer.Argument(metavar="FILE:CLASS", help="A class such as mine.py:Beta, or the name of a shipped one.")
+    ],
     kind: Annotated[
         Kind | None, typer.Option(help="The kind of the class. Needed only if its methods do not tell.")
     ] = None,

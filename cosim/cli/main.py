@@ -95,7 +95,9 @@ def options(
 def run(
     config: ConfigPath = None,
     overrides: Overrides = None,
-    out: Annotated[Path | None, typer.Option(help="Run folder to write. The default is the next runs/<city>-N.")] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Run folder to write. The default is the next runs/<city>-N.")
+    ] = None,
     trust_code: TrustCode = False,
     as_json: AsJson = False,
 ) -> None:
@@ -224,7 +226,7 @@ def measure(
     ] = 0.05,
     as_json: AsJson = False,
 ) -> None:
-    """Print the metrics of runs. For a study, print means over replicates with 95 % intervals and paired differences."""
+    """Print the metrics of runs. For a study, print means over replicates, 95 % intervals and paired differences."""
     if explain:
         print_metrics(as_json)
         return
