@@ -255,15 +255,20 @@ class Sweeps(RangeImages):
 
 
 class SweepMemory(NamedTuple):
-    """Arrays that a sweep may be written into; those that are large enough are used."""
+    """What `scan` may use of earlier work, to save time: arrays to overwrite, and what is known already."""
 
     range_steps: ndarray | None = None
+    """This array, `hit` and `thinned` are overwritten where they are large enough."""
     hit: ndarray | None = None
     thinned: Thinned | None = None
+    near: Neighbours | None = None
+    """`neighbours` of the sensors among the boxes of this sweep."""
+    bodies: Prisms | None = None
+    """`prisms` of all actors of this sweep."""
 
 
 NO_MEMORY = SweepMemory()
-"""No memory to use again: `scan` allocates new arrays."""
+"""Nothing to use again: everything is computed, and `scan` allocates new arrays."""
 
 
 ENGINES: dict[str, Callable[..., None]] = {"columnar": columnar.cast, "embree": embree.cast, "open3d": open3d.cast}
@@ -277,8 +282,6 @@ def scan(
     params: LidarParams,
     keys: UInt64[ndarray, "m"],
     out: Sweeps | SweepMemory = NO_MEMORY,
-    near: Neighbours | None = None,
-    bodies: Prisms | None = None,
     unrounded: bool = False,
 ) -> Sweeps:
     """One sweep of every observer, all at one instant.
@@ -296,10 +299,8 @@ def scan(
     params
         The LiDAR that all observers carry.
     out
-        Arrays to fill, or an earlier result. Its arrays are overwritten if they are large enough, which saves
-        allocation and page faults.
-    near, bodies
-        `neighbours` of the sensors, and `prisms` of all actors, if they are already known.
+        What may be used of earlier work, or an earlier result. The arrays of an earlier result are overwritten if they
+        are large enough, which saves allocation and page faults.
     unrounded
         Keep the ranges before rounding too, to compare ray casters.
 
@@ -326,19 +327,29 @@ def scan(
     poses, grid = mount(boxes, observers, params), beams(params)
     ground_m = height_of_road_m(boxes, observers)
     size = (len(observers), len(grid.azimuth_rad), len(grid.elevation_rad))
-    range_steps, hit = buffer(size, np.uint16, out.range_steps), buffer(size, hit_type(len(boxes)), out.hit)
-    unrounded_m, step = np.empty(size if unrounded else (0, *size[1:]), np.float32), step_of(params)
-    kept = (None, None) if out.thinned is None else out.thinned
+    memory = out if isinstance(out, SweepMemory) else SweepMemory(out.range_steps, out.hit, out.thinned)
+    range_steps, hit = buffer(size, np.uint16, memory.range_steps), buffer(size, hit_type(len(boxes)), memory.hit)
+    kept = (None, None) if memory.thinned is None else memory.thinned
     thinned = Thinned(
         *(buffer(thinned_size(size), a.dtype.type, b) for a, b in zip((range_steps, hit), kept, strict=True))
     )
-    near = neighbours(poses.origin_m, boxes, params.max_range_m) if near is None else near
-    ENGINES[params.engine](
-        range_steps, np.float32(1.0 / step), hit, poses, ground_m, observers, grid, params.max_range_m, boxes,
-        prisms(shape, boxes) if bodies is None else bodies, scene,
-        RangeNoise.of(keys, params.range_sigma_m, params.dropout_p), near, thinned, unrounded_m,
-    )  # fmt: skip
-    return Sweeps(poses, observers, ground_m, grid, params.max_range_m, range_steps, step, hit, thinned, unrounded_m)
+    sweeps = Sweeps(
+        poses=poses,
+        observers=observers,
+        ground_m=ground_m,
+        beams=grid,
+        max_range_m=params.max_range_m,
+        range_steps=range_steps,
+        step_m=step_of(params),
+        hit=hit,
+        thinned=thinned,
+        unrounded_m=np.empty(size if unrounded else (0, *size[1:]), np.float32),
+    )
+    near = neighbours(poses.origin_m, boxes, params.max_range_m) if memory.near is None else memory.near
+    bodies = prisms(shape, boxes) if memory.bodies is None else memory.bodies
+    noise = RangeNoise.of(keys, params.range_sigma_m, params.dropout_p)
+    ENGINES[params.engine](sweeps, boxes, bodies, scene, noise, near)
+    return sweeps
 
 
 def hit_type(n_actors: int) -> type:

@@ -8,7 +8,7 @@ import pytest
 
 from cosim.execution.run import pseudonym_remarks
 from results.archive import open_run
-from tests.drive import cosim
+from tests.drive import cosim, simulate
 
 HERE = Path(__file__).parent
 BASE = """
@@ -20,11 +20,9 @@ level = "full"
 
 
 def drive(folder, config):
-    """`cosim run` on a config file in a folder of its own; the extension lies beside it."""
+    """A run of a config file in a folder of its own; the extension lies beside it."""
     (folder / "mine.toml").write_text(config)
-    done = cosim("run", str(folder / "mine.toml"), "--out", str(folder / "run"), cwd=folder)
-    assert done.returncode == 0, done.stderr
-    run = open_run(folder / "run")
+    run = open_run(simulate(folder / "run", config=folder / "mine.toml"))
     return run, json.loads((folder / "run" / "manifest.json").read_text())["choices"]
 
 

@@ -10,7 +10,7 @@ from cosim.step.parts import check_choices
 from cosim.tryout import templates
 from results.archive import open_run
 from tests.cosim.docs import fences
-from tests.drive import cosim
+from tests.drive import cosim, simulate
 
 ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -43,9 +43,7 @@ def test_all_examples_of_the_page_run_together(tmp_path):
         (tmp_path / name).write_text(code, encoding="utf-8")
     config = "".join(CONFIGS) + "[traffic]\nduration_s = 12\nstep_s = 0.5\n"
     (tmp_path / "mine.toml").write_text(config, encoding="utf-8")
-    done = cosim("run", "mine.toml", "--set", "attacks.0.start_s=2", "--out", "run", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    run = open_run(tmp_path / "run")
+    run = open_run(simulate(tmp_path / "run", "attacks.0.start_s=2", config=tmp_path / "mine.toml"))
     assert len(run.trust) > 50 and len(run.receptions) > 1000 and (run.pseudonyms.identity == 0).all()
 
 

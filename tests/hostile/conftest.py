@@ -2,10 +2,9 @@
 
 import pytest
 
-from tests.hostile.processes import Warm
+from tests.processes import warm
 
 
 @pytest.fixture(scope="session")
-def cosim(tmp_path_factory):
-    with Warm(tmp_path_factory.mktemp("warm")) as warm:
-        yield warm
+def cosim():
+    return warm()

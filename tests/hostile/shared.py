@@ -20,8 +20,8 @@ from cosim.studies.points import points_of
 from cosim.studies.study import load as load_study
 from results import durable, inventory
 from results.manifest import read_manifest, write_manifest
-from tests.hostile.processes import sets_of_trace
 from tests.hostile.scenes import write_trace
+from tests.processes import sets_of_trace
 
 TRAP = """
 from pathlib import Path

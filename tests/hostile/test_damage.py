@@ -9,8 +9,8 @@ import pytest
 from results.recorder import fingerprint
 from tests.hostile import SEED, N
 from tests.hostile.folders import HARMS
-from tests.hostile.processes import conclude, sets_of_trace
 from tests.hostile.scenes import write_trace
+from tests.processes import conclude, sets_of_trace
 
 COMMANDS = (
     ("verify", "run"), ("measure", "run", "--json"), ("measure", "run", "--json"), ("report", "run"),

@@ -12,9 +12,9 @@ import pytest
 
 from results.archive import open_run
 from results.verify import verify
-from tests.hostile.processes import sets_of_trace
 from tests.hostile.scenes import write_town, write_trace
 from tests.hostile.test_runs import judged
+from tests.processes import sets_of_trace
 
 pytestmark = pytest.mark.verify
 ROOT = Path(__file__).parents[2]

@@ -8,8 +8,8 @@ import pytest
 from results.recorder import fingerprint
 from results.verify import verify
 from tests.hostile import SEED, N
-from tests.hostile.processes import sets_of_trace
 from tests.hostile.scenes import write_town
+from tests.processes import sets_of_trace
 
 ATTACKS = ("replay", "stale", "sybil")
 KEYS = (

@@ -6,9 +6,9 @@ import pytest
 
 from results.archive import open_run
 from tests.hostile import SEED, N
-from tests.hostile.processes import conclude, sets_of_trace
 from tests.hostile.scenes import write_trace
 from tests.hostile.test_runs import attempt
+from tests.processes import conclude, sets_of_trace
 
 KINDS = ("content", "content", "content", "rows", "hooks", "many")
 

@@ -10,8 +10,8 @@ import pytest
 from results.verify import verify
 from tests.hostile import SEED, N
 from tests.hostile.configs import cases
-from tests.hostile.processes import Ended, conclude, sets_of_trace
 from tests.hostile.scenes import write_town, write_trace
+from tests.processes import Ended, conclude, sets_of_trace
 
 KEPT = tomllib.loads((Path(__file__).parent / "kept.toml").read_text(encoding="utf-8"))
 

@@ -9,7 +9,7 @@ import pytest
 from results.archive import open_run
 from results.metrics import conflicts, safety
 from sumo_nets import sumotools
-from tests.drive import cosim
+from tests.drive import simulate
 
 
 class Poses:
@@ -133,9 +133,7 @@ def crossing(tmp_path_factory):
     )  # fmt: skip
     keys = [f"traffic.scenario={folder / 'x.sumocfg'}", f"traffic.trace={folder / 'fcd.xml'}", "traffic.step_s=0.1",
             "traffic.duration_s=58", "fleet.penetration_p=0", "traffic.warmup_s=0"]  # fmt: skip
-    done = cosim("run", *(w for key in keys for w in ("--set", key)), "--out", str(folder / "run"))
-    assert done.returncode == 0, done.stderr
-    return open_run(folder / "run"), ET.parse(folder / "ssm.xml").getroot()
+    return open_run(simulate(folder / "run", *keys)), ET.parse(folder / "ssm.xml").getroot()
 
 
 def said(root, measure):

@@ -2,11 +2,11 @@
 
 import json
 import subprocess
-import sys
 
 import pytest
 
 from sumo_nets import catalogue
+from tests.drive import python
 
 CITY = catalogue.find("helsinki")
 
@@ -61,10 +61,7 @@ print(json.dumps(seen))
 
 @pytest.fixture(scope="module")
 def seen():
-    words = [sys.executable, "-c", WATCH, str(CITY.sumocfg_path), "400"]
-    done = subprocess.run(words, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    return json.loads(done.stdout.splitlines()[-1])
+    return json.loads(python(WATCH, str(CITY.sumocfg_path), "400").splitlines()[-1])
 
 
 def test_vehicles_wait_at_red_and_nobody_runs_it(seen):

@@ -7,7 +7,7 @@ from cosim.adversary.catalogue import ATTACKS
 from results.archive import open_run
 from results.recorder import fingerprint
 from tests.cosim.adversary.test_linkage import NAMED
-from tests.drive import cosim
+from tests.drive import simulate
 
 KEYS = ("traffic.duration_s=20", "traffic.warmup_s=100", "fleet.penetration_p=0.4")
 GHOSTS = """[[attacks]]
@@ -28,10 +28,7 @@ def run(tmp_path_factory):
 
     def made(name, text, *keys):
         (folder / f"{name}.toml").write_text(text)
-        words = [word for key in (*KEYS, *keys) for word in ("--set", key)]
-        done = cosim("run", str(folder / f"{name}.toml"), *words, "--out", str(folder / name))
-        assert done.returncode == 0, done.stderr
-        return folder / name
+        return simulate(folder / name, *KEYS, *keys, config=folder / f"{name}.toml")
 
     return made
 

@@ -50,10 +50,9 @@ def test_list_knows_what_ships_what_sumo_brings_and_what_was_built_here(built, t
 
 
 @pytest.mark.parametrize("columns", [80, 120])
-def test_the_list_fits_the_screen_and_no_word_is_cut(built, monkeypatch, columns):
+def test_the_list_fits_the_screen_and_no_word_is_cut(built, columns):
     folder, _ = built
-    monkeypatch.setenv("COLUMNS", str(columns))
-    lines = cosim("nets", "list", cwd=folder).stdout.splitlines()
+    lines = cosim("nets", "list", cwd=folder, COLUMNS=str(columns)).stdout.splitlines()
     assert max(map(len, lines)) <= columns and "…" not in "".join(lines)
     for name in ("helsinki", "adlershof", "braunschweig", "koenigs-wusterhausen", "town"):
         rows = [line.split() for line in lines if line.startswith(f"  {name} ")]

@@ -1,11 +1,10 @@
 """Three vehicles on one lane of 600 m, all at 10 m/s, and a closed loop over them in a process of its own."""
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 from sumo_nets import sumotools
+from tests.drive import python
 
 NODES = '<nodes><node id="a" x="0" y="0"/><node id="b" x="600" y="0"/><node id="c" x="900" y="0"/></nodes>'
 EDGES = '<edges><edge id="ab" from="a" to="b" speed="10"/><edge id="bc" from="b" to="c" speed="10"/></edges>'
@@ -34,6 +33,4 @@ def write(folder: Path) -> Path:
 
 def in_process(code: str) -> object:
     """What a process of its own prints as JSON."""
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=300)
-    assert done.returncode == 0, done.stderr
-    return json.loads(done.stdout.splitlines()[-1])
+    return json.loads(python(code).splitlines()[-1])

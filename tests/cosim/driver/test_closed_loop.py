@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tests.cosim.driver import one_lane
-from tests.drive import cosim
+from tests.drive import cosim, simulate
 
 GHOST = """
 import json
@@ -119,9 +119,9 @@ def test_one_line_for_a_mistake(tmp_path, keys, says):
 
 
 def test_replays_refuse_a_driver_in_one_line(tmp_path):
-    base = ["--set", "traffic.duration_s=3", "--set", "traffic.step_s=0.5", "--set", "traffic.warmup_s=5"]
-    assert cosim("run", *base, "--out", str(tmp_path / "run")).returncode == 0
-    done = cosim("run", *base[:4], "--set", f"traffic.trace={tmp_path / 'run'}", "--set", "driver.model=cautious",
-                 "--out", str(tmp_path / "again"))  # fmt: skip
+    base = ("traffic.duration_s=3", "traffic.step_s=0.5")
+    simulate(tmp_path / "run", *base, "traffic.warmup_s=5")
+    again = (*base, f"traffic.trace={tmp_path / 'run'}", "driver.model=cautious")
+    done = cosim("run", *(word for key in again for word in ("--set", key)), "--out", str(tmp_path / "again"))
     assert done.returncode == 2 and "is replayed: nothing can brake in it" in done.stderr
     assert len(done.stderr.strip().splitlines()) <= 3 and "Traceback" not in done.stderr

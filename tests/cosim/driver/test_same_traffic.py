@@ -4,7 +4,7 @@ import pytest
 
 from results.archive import open_run
 from results.recorder import fingerprint
-from tests.drive import cosim
+from tests.drive import simulate
 
 KEYS = (
     "traffic.step_s=0.5", "sensing_interval_s=0.5", "traffic.duration_s=15", "traffic.warmup_s=100",
@@ -17,10 +17,7 @@ def drive(tmp_path_factory):
     folder = tmp_path_factory.mktemp("driver")
 
     def run(name, *keys):
-        words = [word for key in (*KEYS, *keys) for word in ("--set", key)]
-        done = cosim("run", *words, "--out", str(folder / name))
-        assert done.returncode == 0, done.stderr
-        return folder / name
+        return simulate(folder / name, *KEYS, *keys)
 
     return run
 

@@ -16,8 +16,8 @@ from cosim.step.parts import sources
 from results.recorder import fingerprint
 from results.verify import verify
 from tests.drive import cosim
-from tests.hostile.processes import sets_of_trace
 from tests.hostile.scenes import write_trace
+from tests.processes import sets_of_trace
 
 CLAIM = """
 import sys, time

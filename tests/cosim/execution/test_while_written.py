@@ -13,9 +13,9 @@ from results.durable import Damaged, Lock
 from results.measure import measure
 from results.progress import progress
 from results.verify import verify
-from tests.hostile.processes import sets_of_trace
 from tests.hostile.scenes import write_trace
 from tests.hostile.shared import reseal, with_config
+from tests.processes import sets_of_trace
 
 TOPICS = ("traffic", "encounters", "radio")
 

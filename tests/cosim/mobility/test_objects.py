@@ -10,7 +10,7 @@ from cosim.mobility.objects import ObjectParams, Placed, WithObjects
 from cosim.mobility.source import world_of
 from results.archive import open_run
 from sensors.scene import Shape
-from tests.drive import cosim, drive
+from tests.drive import drive
 
 FRAME = Frame(bounds_m=(0.0, 0.0, 1000.0, 1000.0))
 
@@ -82,10 +82,9 @@ yaw_deg = {np.degrees(yaw):.3f}
 from_s = 2.0
 """)
     with_objects = drive(folder / "with", *sets, config=config)
-    done = cosim("run", str(with_objects / "config.toml"), "--set", f"traffic.trace={with_objects}",
-                 "--set", "traffic.warmup_s=0", "--out", str(folder / "again"))  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    return run, open_run(with_objects), open_run(folder / "again")
+    replay = (f"traffic.trace={with_objects}", "traffic.warmup_s=0")
+    again = drive(folder / "again", *replay, config=with_objects / "config.toml")
+    return run, open_run(with_objects), open_run(again)
 
 
 @pytest.mark.verify

@@ -1,8 +1,6 @@
 """Worlds of a live run, written down by a process of its own, because libsumo holds one simulation per process."""
 
 import pickle
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +10,7 @@ from cosim.mobility.actors import ActorRegistry
 from cosim.mobility.fleet import FleetParams
 from cosim.mobility.params import TrafficParams
 from cosim.mobility.source import TrafficEnded, TrafficSource
+from tests.drive import python
 
 COLUMNS = ("actor", "name_key", "shape", "speed_mps", "equipped", "attack")
 
@@ -48,9 +47,7 @@ close, traffic.close = traffic.close, lambda: (report.update(traffic.report()), 
 worlds = collect(traffic, {warmup_s}, {n_steps})
 Path({str(target)!r}).write_bytes(pickle.dumps((worlds, report)))
 """
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=300)
-    assert done.returncode == 0, done.stderr
-    assert done.stdout == "" and done.stderr == ""
+    assert python(code) == ""
     return pickle.loads(target.read_bytes())
 
 

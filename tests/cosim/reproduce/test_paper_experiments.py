@@ -18,7 +18,7 @@ from cosim.studies.sweep import prepare_study
 from results.archive import open_run
 from results.metrics.kitti import LEVELS, STRICT, Objects, average_precision
 from results.study import open_study
-from tests.drive import cosim
+from tests.drive import cosim, simulate
 
 PAPER = Path(__file__).parents[4] / "shared/paper/trupercept.tex"
 DRIVES = Path(__file__).parents[3] / "cosim/reproduce/scenes/paper-drives.toml"
@@ -141,9 +141,7 @@ def drive(tmp_path_factory):
     """Ten seconds of the paper's drives, seen by every tenth vehicle."""
     folder = tmp_path_factory.mktemp("drive") / "run"
     sets = ("traffic.duration_s=10", "attacks.0.victim_p=0.1", "trust.method=local", "gnss.std_m=1")
-    done = cosim("run", str(DRIVES), *(w for s in sets for w in ("--set", s)), "--out", str(folder), "--json")
-    assert done.returncode == 0, done.stderr
-    return open_run(folder)
+    return open_run(simulate(folder, *sets, config=DRIVES))
 
 
 def plainly(run, egos, table, owner):

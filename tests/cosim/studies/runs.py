@@ -15,6 +15,7 @@ from results.archive import open_run
 from results.codes import BASE_VARIANT
 from results.run import Run
 from results.tables import TABLES
+from tests.drive import simulate
 
 ROOT = Path(__file__).parents[3]
 
@@ -22,21 +23,10 @@ SHORT = ("traffic.duration_s=24", "traffic.warmup_s=60", "attacks.0.start_s=5", 
          "attacks.0.share_p=0.3", "compute.threads=1")  # fmt: skip
 """Twenty-four seconds of the shipped city, with attacks."""
 
-DRIVE = """
-from pathlib import Path
-import sys
-from cosim.execution import run
-from cosim.config.config import load
-run.run(load(None, sys.argv[2:]), Path(sys.argv[1]), lambda *_: None)
-"""
-
 
 def drive(folder: Path, *overrides: str) -> Run:
     """A run of the shipped city, in a process of its own."""
-    words = [sys.executable, "-c", DRIVE, str(folder), *SHORT, *overrides]
-    done = subprocess.run(words, capture_output=True, text=True, timeout=600)
-    assert done.returncode == 0, done.stderr
-    return open_run(folder)
+    return open_run(simulate(folder, *SHORT, *overrides))
 
 
 def of_variant(run: Run, table: str) -> pd.DataFrame:

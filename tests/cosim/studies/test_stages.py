@@ -3,8 +3,6 @@
 import hashlib
 import json
 import os
-import subprocess
-import sys
 from pathlib import Path
 
 import pandas as pd
@@ -12,6 +10,7 @@ import pytest
 
 from cosim.studies.plan import TRAFFIC_VERSION
 from cosim.studies.stages import Cache
+from tests.drive import python
 
 GOLDEN = Path(__file__).parents[2] / "golden" / "traffic_stage.json"
 
@@ -34,7 +33,7 @@ def values_hash(folder):
 
 def test_version_of_the_traffic_stage(tmp_path, update_golden):
     """Where this fails, the same `[traffic]` gives other traffic: raise TRAFFIC_VERSION, renew the golden tables."""
-    subprocess.run([sys.executable, "-c", DRIVE, str(tmp_path / "traffic")], check=True, timeout=600)
+    python(DRIVE, str(tmp_path / "traffic"))
     tables = ("actors", "vehicles")
     now = {"version": TRAFFIC_VERSION} | {name: values_hash(tmp_path / "traffic" / name) for name in tables}
     if update_golden:

@@ -1,10 +1,12 @@
 """Commands in children of one warm process: a whole `cosim run` of a few steps in a fraction of a second.
 
-`Warm` starts `python -m tests.hostile.processes`, which imports the program, makes one run of a trace so that all
-kernels are loaded, and then forks a child for every command that it reads. A child has a limit on processor time and
-memory, files as standard streams and a temporary folder of its own, so that what it leaves behind is seen.
+`Warm` starts `python -m tests.processes`, which imports the program, makes one run of a trace so that all kernels are
+loaded, and then forks a child for every command that it reads. A child has files as standard streams and a temporary
+folder of its own, so that what it leaves behind is seen; where asked, it has a limit on processor time and memory.
+libsumo holds one simulation per process: the warm process never starts one, so each child can.
 """
 
+import atexit
 import gc
 import json
 import os
@@ -12,10 +14,12 @@ import resource
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 import traceback
 from collections import Counter
 from dataclasses import asdict, dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -59,15 +63,14 @@ class Ended:
 class Warm:
     """Runs commands; a context manager."""
 
-    def __init__(self, folder: Path, cpu_s: float = 10.0) -> None:
-        self.folder, self.cpu_s = folder, cpu_s
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
 
     def __enter__(self) -> "Warm":
-        environment = {
-            **os.environ, "NUMBA_THREADING_LAYER": "workqueue", "COLUMNS": "1000", "PYTHONWARNINGS": "default",
-        }  # fmt: skip
+        environment = os.environ | {"NUMBA_THREADING_LAYER": "workqueue", "PYTHONWARNINGS": "default"}
+        environment.pop("COLUMNS", None)
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "tests.hostile.processes", str(self.folder)], stdin=subprocess.PIPE,
+            [sys.executable, "-m", "tests.processes", str(self.folder)], stdin=subprocess.PIPE,
             stdout=subprocess.PIPE, text=True, env=environment, cwd=Path(__file__).parents[2],
         )  # fmt: skip
         assert self._said() == "ready", "the warm process did not start"
@@ -80,13 +83,21 @@ class Warm:
         self._process.wait()
         self._process.stdout.close()
 
-    def __call__(self, *words: str, cwd: Path, cpu_s: float | None = None, **more: Any) -> Ended:
+    def __call__(
+        self, *words: str, cwd: Path, cpu_s: float | None = 10.0, environment: dict[str, str] | None = None,
+        place: Path | None = None, **more: Any,
+    ) -> Ended:  # fmt: skip
         """`cosim WORDS`; `simulate` is `run` without its metrics and its picture, at a third of the cost.
 
-        `more` is `kill_after_s` with `signum`, or `environment`.
+        `python CODE WORDS` is `python -c CODE WORDS`. `cpu_s` limits the processor time, and with it the memory; None
+        sets no limit. `environment` is added to the variables of this process; where it is not given, lines are wide.
+        `place` is the folder of the standard streams and of temporary files, otherwise `cwd`. `more` is
+        `kill_after_s` with `signum`.
         """
         assert self._process.stdin is not None
-        asked = {"words": words, "cwd": str(cwd), "cpu_s": cpu_s or self.cpu_s, **more}
+        variables = os.environ | ({"COLUMNS": "1000"} if environment is None else environment)
+        streams = str(place or cwd)
+        asked = {"words": words, "cwd": str(cwd), "cpu_s": cpu_s, "environment": variables, "place": streams, **more}
         self._process.stdin.write(json.dumps(asked) + "\n")
         self._process.stdin.flush()
         return Ended(**self._said())
@@ -98,8 +109,18 @@ class Warm:
         return json.loads(line)
 
 
+@cache
+def warm() -> Warm:
+    """The warm process that all tests of this worker share; it ends with the worker."""
+    folder = tempfile.TemporaryDirectory(prefix="cosim-warm-")
+    process = Warm(Path(folder.name)).__enter__()
+    atexit.register(folder.cleanup)
+    atexit.register(process.__exit__)
+    return process
+
+
 def _serve(folder: Path) -> None:
-    from cosim.cli.main import main
+    from cosim.__main__ import main
     from tests.hostile.scenes import write_trace
 
     answers = os.fdopen(os.dup(1), "w")
@@ -137,15 +158,15 @@ def conclude(what: str, counts: Counter[str], wrongs: list[str], cpu_s: float) -
 
 
 def _carried_out(
-    main: Any, words: list[str], cwd: str, cpu_s: float, kill_after_s: float | None = None,
-    signum: int = signal.SIGKILL, environment: dict[str, str] | None = None,
+    main: Any, words: list[str], cwd: str, cpu_s: float | None, environment: dict[str, str], place: str,
+    kill_after_s: float | None = None, signum: int = signal.SIGKILL,
 ) -> Ended:  # fmt: skip
-    place = Path(cwd)
+    place = Path(place)
     scratch, out, err = place / ".tmp", place / ".out", place / ".err"
     scratch.mkdir(exist_ok=True)
     pid = os.fork()
     if not pid:
-        os._exit(_child(main, words, place, cpu_s, environment or {}))
+        os._exit(_child(main, words, Path(cwd), cpu_s, environment, place))
     begin, killed = time.monotonic(), False
     while True:
         ended, status, usage = os.wait4(pid, os.WNOHANG)
@@ -155,7 +176,7 @@ def _carried_out(
         if kill_after_s is not None and waited_s > kill_after_s and not killed:
             os.kill(pid, signum)
             killed = True
-        if waited_s > 20 * cpu_s:  # it sleeps
+        if waited_s > (20 * cpu_s if cpu_s else 600):  # it sleeps
             os.kill(pid, XCPU)
         time.sleep(0.002)
     left = sorted(path.name for path in scratch.iterdir())
@@ -165,26 +186,32 @@ def _carried_out(
     return Ended(os.waitstatus_to_exitcode(status), *texts, usage.ru_utime + usage.ru_stime, left)
 
 
-def _child(main: Any, words: list[str], place: Path, cpu_s: float, environment: dict[str, str]) -> int:
+def _child(
+    main: Any, words: list[str], cwd: Path, cpu_s: float | None, environment: dict[str, str], place: Path
+) -> int:  # fmt: skip
     """What a process of its own would do, from its arguments to its exit status."""
-    import tempfile
+    from cosim.cli import console
 
-    os.chdir(place)
+    os.chdir(cwd)
+    sys.path.insert(0, str(cwd))
+    os.environ.clear()
     os.environ |= environment
     tempfile.tempdir = str(place / ".tmp")
+    if "COLUMNS" in environment:  # a console keeps the width that it found when the program was imported
+        console.screen.width = console.notes.width = int(environment["COLUMNS"])
     for number, name in ((0, os.devnull), (1, ".out"), (2, ".err")):
-        os.dup2(os.open(name, os.O_RDWR | os.O_CREAT | os.O_TRUNC, 0o666), number)
-    used_s = sum(resource.getrusage(resource.RUSAGE_SELF)[:2])
-    resource.setrlimit(resource.RLIMIT_CPU, (int(used_s + cpu_s + 1), int(used_s + cpu_s + 5)))
-    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    pages = int(Path("/proc/self/statm").read_text().split()[0])
-    limit = pages * resource.getpagesize() + MEMORY_BYTES
-    resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
+        os.dup2(os.open(place / name, os.O_RDWR | os.O_CREAT | os.O_TRUNC, 0o666), number)
+    if cpu_s:
+        _limit(cpu_s)
     signal.signal(signal.SIGINT, signal.default_int_handler)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     sys.argv = ["cosim", *words]
     try:
-        main(*([_simulate] if words[0] == "simulate" else []))
+        if words[0] == "python":
+            sys.argv = ["-c", *words[2:]]
+            exec(compile(words[1], "<string>", "exec"), {"__name__": "__main__"})
+        else:
+            main(*([_simulate] if words[0] == "simulate" else []))
         status = 0
     except SystemExit as ended:
         status = ended.code if isinstance(ended.code, int) else int(ended.code is not None)
@@ -199,16 +226,27 @@ def _child(main: Any, words: list[str], place: Path, cpu_s: float, environment: 
     return status
 
 
+def _limit(cpu_s: float) -> None:
+    """So much processor time, and so much memory."""
+    used_s = sum(resource.getrusage(resource.RUSAGE_SELF)[:2])
+    resource.setrlimit(resource.RLIMIT_CPU, (int(used_s + cpu_s + 1), int(used_s + cpu_s + 5)))
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    pages = int(Path("/proc/self/statm").read_text().split()[0])
+    limit = pages * resource.getpagesize() + MEMORY_BYTES
+    resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
+
+
 def _simulate(standalone_mode: bool) -> None:
-    """`cosim run --set ... --out FOLDER`, as far as the folder is written."""
+    """`cosim run [CONFIG] --set ... --out FOLDER`, as far as the folder is written."""
     from cosim.cli.console import progress
     from cosim.config.config import load
     from cosim.execution import run as running
 
-    *sets, flag, out = sys.argv[2:]
+    *words, flag, out = sys.argv[2:]
+    config, sets = (words[0], words[1:]) if len(words) % 2 else (None, words)
     assert flag == "--out" and set(sets[::2]) <= {"--set"} and not standalone_mode
     with progress() as advance:
-        running.run(load(None, sets[1::2]), Path(out), advance)
+        running.run(load(config and Path(config), sets[1::2]), Path(out), advance)
 
 
 if __name__ == "__main__":
