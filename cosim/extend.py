@@ -1,10 +1,10 @@
-"""All that the author of an extension needs, from one place: `from cosim.extend import ...`.
+"""Everything that the author of an extension needs: `from cosim.extend import ...`.
 
-An extension is a class in a file of its own. A config names it as `mine.py:Class`.
+An extension is a class in the user's own file. A config names it as `mine.py:Class`.
 
-| kind | config | methods of the class | what it gets | what it returns |
+| kind | config | methods of the class | arguments | results |
 |---|---|---|---|---|
-| detector | `[detector] model` | `detect`, and `recall` if it knows how often it finds what is there | \
+| detector | `[detector] model` | `detect`, and `recall` if it knows its probability of detection | \
 `Sweeps`, `Observability`, `Boxes`, `DetectorDraws` | `Reports` |
 | radio medium | `[radio] model` | `start`, `broadcast` | `Stations`, `Messages` | state and `MessageRound` |
 | pseudonym policy | `[pseudonyms] policy` | `changes` | `PseudonymAges` | one bool per vehicle |
@@ -14,23 +14,23 @@ An extension is a class in a file of its own. A config names it as `mine.py:Clas
 | attack | `[[attacks]] attack` | one or more of `detections`, `evaluations`, `identities`, `sending` | \
 `Detections`, `EvaluationRows`, `AttackContext` | `Detections`; evaluation and visibility; numbers; `Sending` |
 
-The protocols `Detector`, `Medium`, `PseudonymPolicy`, `TrustModel`, `ScoresObjects`, `Driver` and `Attack` say what
-each method is given, with shapes and units. Parameters of the class's own are a frozen dataclass `Params`, with types
-and defaults; the constructor takes an instance.
+The protocols `Detector`, `Medium`, `PseudonymPolicy`, `TrustModel`, `ScoresObjects`, `Driver` and `Attack` document the
+arguments of each method, with shapes and units. The parameters of a class are a frozen dataclass `Params` with types
+and defaults. The constructor takes an instance of it.
 
-| helper | what for |
+| helper | purpose |
 |---|---|
-| `draws(seed, step, names, n)` | random numbers of names; attacks have `context.uniforms`, detectors \
+| `draws(seed, step, names, n)` | random numbers that depend on names; attacks use `context.uniforms`, detectors \
 `draws.uniforms(seen)`, policies `ages.step_draws` |
 | `TrustScores.of(...)` | trust scores from rows in any order, with defaults |
 | `PairIndex`, `with_rows` | a row for each (holder, subject), and columns that grow with them |
 | `MessageRound.of(...)` | a round of messages from receivers, messages and latencies |
-| `Reports.of_actors`, `Reports.of_false_positives`, `Reports.concat` | what a detector reports |
-| `fabricated`, `placed`, `per_actor`, `certified` | detections that an attack makes up; what it keeps per actor |
-| `SpeedCommands.none()`, `Sending.plain(n)` | nothing commanded; nothing changed |
+| `Reports.of_actors`, `Reports.of_false_positives`, `Reports.concat` | the reports of a detector |
+| `fabricated`, `placed`, `per_actor`, `certified` | false detections; numbers that an attack stores per actor |
+| `SpeedCommands.none()`, `Sending.plain(n)` | no commands; honest sending |
 
-Arguments are left as they are: work on copies. What a method returns is checked; a mistake ends the run with one line
-that names the file, the line and what is due.
+Methods must not change their arguments, and work on copies instead. The results of methods are checked. A mistake ends
+the run with one line that names the file, the line and the expected result.
 """
 
 from cosim.adversary.attack import (

@@ -1,1 +1,1 @@
-"""A user's own classes: the kinds of choices, loading with checks, and an adapter that checks every call."""
+"""A user's own classes: the kinds of choices, checked loading, and an adapter that checks every call."""

@@ -1,4 +1,4 @@
-"""Mistakes in a user's own class as one line: file, line, what happened and what to do."""
+"""Reports mistakes in a user's own class in one line: the file, the line, what happened and what to do."""
 
 import inspect
 from collections.abc import Iterator
@@ -6,37 +6,39 @@ from contextlib import contextmanager
 from pathlib import Path
 
 _LONGEST = 300
-"""Characters that are kept of the message of an exception."""
+"""Number of characters of an exception's message that are shown."""
 
 
 class Refused(ValueError):
-    """A user's own class cannot be taken; one line. Exit status 2."""
+    """A user's own class cannot be used. The message is one line, and the exit status 2."""
 
 
 class ExtensionError(RuntimeError):
-    """A user's own class failed while it was used; one line. Exit status 1."""
+    """A user's own class failed during a run. The message is one line, and the exit status 1."""
 
 
 @contextmanager
 def at_load(file: str, place: str, what: str, line: int = 1, passes: type[BaseException] = Refused) -> Iterator[None]:
-    """Turn whatever a user's file raises into `Refused`, SystemExit included; signals pass.
+    """Turn any exception of a user's file into `Refused`, including SystemExit. Signals are not changed.
 
     Parameters
     ----------
+    file
+        The user's file.
     place
-        What the config says, such as `trust.model = mine.py:Beta`.
+        Key and value of the config, such as `trust.model = mine.py:Beta`.
     what
-        What could not be done.
+        What failed.
     line
-        Named where the exception comes from no line of the file.
+        Line that the message names if the exception does not come from a line of the file.
     passes
-        Exceptions that are one line already.
+        Exceptions that are not changed because their message is one line already.
     """
     try:
         yield
     except passes:
         raise
-    except BaseException as error:  # whatever a user's file does
+    except BaseException as error:  # a user's file can raise anything
         if is_interrupt(error):
             raise
         raise Refused(
@@ -47,7 +49,7 @@ def at_load(file: str, place: str, what: str, line: int = 1, passes: type[BaseEx
 
 @contextmanager
 def in_use(file: str, what: str) -> Iterator[None]:
-    """Turn an exception that a line of a user's file raises, wherever it is called from, into `ExtensionError`."""
+    """Turn an exception from a line of a user's file into `ExtensionError`, wherever that line was called from."""
     try:
         yield
     except (Refused, ExtensionError):
@@ -61,13 +63,13 @@ def in_use(file: str, what: str) -> Iterator[None]:
 
 
 def is_interrupt(error: BaseException) -> bool:
-    """Whether an exception comes from a signal and not from a user's class: Ctrl-C, or a stop of the run itself."""
+    """Whether an exception comes from a signal (Ctrl-C, or a stop of the run) and not from a user's class."""
     ours = not isinstance(error, Exception) and type(error).__module__.split(".")[0] == "cosim"
     return ours or isinstance(error, KeyboardInterrupt)
 
 
 def line_of(error: BaseException, file: str) -> int:
-    """Line of a file in which an exception was raised, or from which what raised it was called; 0 for none."""
+    """Last line of a file in the traceback of an exception; 0 if the file is not in it."""
     found = 0
     if isinstance(error, SyntaxError) and error.filename == file:
         found = error.lineno or 0
@@ -80,7 +82,7 @@ def line_of(error: BaseException, file: str) -> int:
 
 
 def definition_line(of: type, name: str, file: str) -> int:
-    """Line of a file that defines a method of a class, or the class where the file does not define the method."""
+    """Line of a file that defines a method of a class. If the file does not define the method, the class's line."""
     for found in (inspect.unwrap(getattr(of, name, of)), of):
         code = getattr(found, "__code__", None)
         if code is not None and same_file(code.co_filename, file):
@@ -94,7 +96,7 @@ def definition_line(of: type, name: str, file: str) -> int:
 
 
 def same_file(one: str, other: str) -> bool:
-    """Whether two names are those of one file."""
+    """Whether two names refer to the same file."""
     return one == other or (bool(one and other) and Path(one).name == Path(other).name and _resolved(one) == other)
 
 

@@ -1,7 +1,8 @@
-"""The adapter between the program and a user's own class: every call is made through it, and every result checked.
+"""The adapter between the program and a user's own class. All calls go through it, and it checks every result.
 
-`make` builds an instance of any choice. Where the choice ships, it is the bare instance; where it is a user's own, a
-`Guarded` one of the same interface. An exception in a user's class, or a result that cannot be, is `ExtensionError`.
+`make` builds an instance of any choice. For an included class it returns the instance itself. For a user's own class it
+returns a `Guarded` instance with the same interface. An exception in a user's class, or a wrong result, raises
+`ExtensionError`.
 """
 
 import zlib
@@ -19,19 +20,24 @@ from cosim.door.returns import Call, Wrong
 
 
 def make(choice: Choice, *arguments: Any) -> Any:
-    """An instance of a choice, guarded if it is a user's own; ValueError in one line where it cannot be made.
+    """Build an instance of a choice. An instance of a user's own class is guarded.
 
     Parameters
     ----------
     arguments
-        Of the constructor, as `choice.kind.arguments` names them; none for a class without parameters.
+        Arguments of the constructor, in the order of `choice.kind.arguments`. None for a class without parameters.
+
+    Raises
+    ------
+    ValueError
+        The constructor failed. The message is one line.
     """
     made = construct(choice, *arguments)
     return Guarded(choice, made, arguments) if choice.is_own else made
 
 
 def construct(choice: Choice, *arguments: Any) -> Any:
-    """A bare instance of a choice; ValueError in one line where it cannot be made."""
+    """Build an instance of a choice without checks. If this fails, a ValueError of one line is raised."""
     if not choice.is_own:
         return choice.of(*arguments)
     file = choice.source.file
@@ -41,14 +47,16 @@ def construct(choice: Choice, *arguments: Any) -> Any:
 
 
 class Guarded:
-    """An instance of a user's own class, behind checks; other attributes are those of the instance.
+    """An instance of a user's own class whose calls are checked. Other attributes are those of the instance.
 
     Parameters
     ----------
+    inside
+        The instance.
     made_with
         Arguments of its constructor.
     latest_step
-        Step in which it is used, for results whose time can be told by nothing else.
+        Step of the call, for methods that have no argument with the step.
     """
 
     __slots__ = ("_choice", "_inside", "_latest_step", "_made_with")
@@ -68,7 +76,7 @@ class Guarded:
         return partial(self._call, name, getattr(self._inside, name))
 
     def _call(self, name: str, method: Any, *given: Any) -> Any:
-        """What a method returned, checked."""
+        """Call a method and check its result."""
         choice, file = self._choice, self._choice.source.file
         what = f"{choice.kind.title} {choice.of.__name__}: {name}()"
         hook = choice.kind.hooks[name]
@@ -98,11 +106,11 @@ class Guarded:
 
 
 _UNWATCHED = frozenset({"state", "sweeps"})
-"""Parameters without checksums: what a class keeps for itself, and range images, too large to be read twice."""
+"""Parameters without checksums: a class's own state, and range images, which are too large to be read twice."""
 
 
 def _content(names: tuple[str, ...], given: tuple[Any, ...]) -> dict[str, int]:
-    """A checksum of every array in the arguments of a call, those within dataclasses included, by name."""
+    """Checksums of all arrays in the arguments of a call, by name. Arrays within dataclasses are included."""
     found: dict[str, int] = {}
 
     def add(name: str, value: Any) -> None:

@@ -1,6 +1,6 @@
-"""The kinds of choices: where a config names one, what ships, and the methods (hooks) that a class of the kind has.
+"""The kinds of choices: their keys in the config, the included classes, and the methods (hooks) of a class of the kind.
 
-A class of a user's own is loaded by `load`, and its instances stand behind the adapter of `guard`.
+The module `load` loads a user's own class, and the adapter in `guard` checks the calls of its instances.
 """
 
 from collections.abc import Callable, Mapping
@@ -17,7 +17,7 @@ from sensors.detector import DETECTORS
 from trust.models import MODELS
 
 Check = Callable[..., Any]
-"""Takes a `returns.Call` and what was returned; gives it back with arrays of its own, or raises `returns.Wrong`."""
+"""Takes a `returns.Call` and a result. Returns the result with copies of its arrays, or raises `returns.Wrong`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,9 +25,9 @@ class Hook:
     """A method of a class of one kind."""
 
     parameters: tuple[str, ...]
-    """Names of its positional parameters, `self` left out. It is called by position."""
+    """Names of its positional parameters without `self`. It is called by position."""
     check: Check
-    """Checks what it returned."""
+    """Checks its result."""
     is_required: bool = True
 
 
@@ -36,23 +36,23 @@ class Kind:
     """One kind of choice."""
 
     name: str
-    """On the command line, such as "trust"."""
+    """Name on the command line, such as "trust"."""
     title: str
-    """In messages, such as "trust model"."""
+    """Name in messages, such as "trust model"."""
     section: str
-    """Section of the config in which one is chosen; empty for a kind that the command line chooses."""
+    """Section of the config that chooses one. Empty for a kind that is chosen on the command line."""
     key: str
     """Key of that section."""
     shipped: Mapping[str, Any]
-    """Classes that ship, by the config's name."""
+    """The included classes, by their name in the config."""
     hooks: Mapping[str, Hook]
-    """A class has every required hook, and at least one hook."""
+    """Methods of a class by name. A class must have every required one, and at least one."""
     arguments: tuple[str, ...] = ("params",)
-    """Of the constructor: `params` is an instance of the class's `Params`."""
+    """Arguments of the constructor. `params` is an instance of the class's `Params`."""
     section_params: bool = False
-    """Whether a class without `Params` is given the parameters of the section; otherwise it is given none."""
+    """Whether a class without `Params` gets the parameters of the section. Otherwise it gets none."""
     numbers: Mapping[str, str] = field(default_factory=dict)
-    """Class attributes that are positive numbers where a class has them, and what each one is."""
+    """Optional class attributes that must be positive numbers, and the meaning of each."""
 
     @property
     def place(self) -> str:
@@ -124,4 +124,4 @@ KINDS: dict[str, Kind] = {kind.name: kind for kind in (
 """Every kind of choice, by name."""
 
 SECTIONS: Mapping[str, Kind] = {kind.section: kind for kind in KINDS.values() if kind.section}
-"""Those that a config names, by section."""
+"""The kinds that a config chooses, by section."""

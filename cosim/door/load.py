@@ -1,7 +1,7 @@
-"""Choices by name: one of those that ship, or a user's own as `path.py:Name` or `package.module:Name`.
+"""Choices by name: an included class, or a user's own as `path.py:Name` or `package.module:Name`.
 
-`resolve` finds the class that a config names; `load_own` finds a user's own class and, where the kind is not given,
-says of which kind it is. Both check the class before any instance is made.
+`resolve` finds the class that a config names. `load_own` finds a user's own class and, if the kind is not given, its
+kind. Both check the class before an instance is built.
 """
 
 import hashlib
@@ -21,24 +21,24 @@ from cosim.door.permission import check_code
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """Where a choice comes from, for the manifest."""
+    """Origin of a choice, for the manifest."""
 
     name: str
-    """As the config names it; paths resolved."""
+    """Its name in the config, with resolved paths."""
     file: str = ""
-    """File of the user's own; empty for what ships."""
+    """The user's file. Empty for an included class."""
     sha256: str = ""
     """Checksum of that file."""
 
 
 @dataclass(frozen=True, slots=True)
 class Choice:
-    """What a key of the config names: a class, its own parameters, and where it comes from."""
+    """What a key of the config names: a class, its parameters and its origin."""
 
     kind: Kind
     of: type
     params: type | None
-    """Dataclass of its own parameters, read from the section of the key; None for none."""
+    """Dataclass of its own parameters, which are read from the section of the key. None if it has none."""
     source: Source
 
     @property
@@ -48,22 +48,22 @@ class Choice:
 
 
 def is_own(name: str) -> bool:
-    """Whether a name is a user's own."""
+    """Whether a name refers to a user's own class."""
     return ":" in name
 
 
 def resolve(kind: Kind, name: str, folder: Path | None = None) -> Choice:
-    """The class that a name stands for.
+    """Find the class that a name refers to.
 
     Parameters
     ----------
     folder
-        Where relative paths of files begin; the current folder when not given or when there is no such file.
+        Folder that relative paths refer to. If it is not given or has no such file, the current folder is used.
 
     Raises
     ------
     ValueError
-        In one line, where there is no such choice, its file cannot be loaded, or its class is not of the kind.
+        There is no such choice, its file cannot be loaded, or its class is not of the kind. The message is one line.
     """
     if is_own(name):
         return load_own(name, kind, folder)
@@ -77,19 +77,19 @@ def resolve(kind: Kind, name: str, folder: Path | None = None) -> Choice:
 
 
 def load_own(name: str, kind: Kind | None = None, folder: Path | None = None) -> Choice:
-    """A user's own class, `path.py:Name` or `package.module:Name`, checked.
+    """Load and check a user's own class, `path.py:Name` or `package.module:Name`.
 
     Parameters
     ----------
     kind
-        What the class shall be; found from its hooks when not given.
+        Kind that the class must have. If it is not given, it is found from the methods of the class.
     folder
         As in `resolve`.
 
     Raises
     ------
     ValueError
-        In one line that names the file, the line and what to change.
+        The class cannot be used. The message is one line with the file, the line and what to change.
     """
     place = f"{kind.place} = {name}" if kind else name
     where, colon, class_name = name.rpartition(":")
@@ -111,7 +111,7 @@ def load_own(name: str, kind: Kind | None = None, folder: Path | None = None) ->
 
 
 def function(key: str, name: str) -> Callable[..., Any]:
-    """The function that `path.py:name` or `package.module:name` names; ValueError in one line where there is none."""
+    """The function that `path.py:name` or `package.module:name` names. If it is missing, a ValueError is raised."""
     where, colon, of = name.rpartition(":")
     if not colon:
         raise ValueError(f"{key} = {name}: name a function as path.py:name or package.module:name.")
@@ -123,7 +123,7 @@ def function(key: str, name: str) -> Callable[..., Any]:
 
 
 def _module(place: str, where: str, class_name: str, folder: Path | None) -> tuple[ModuleType, Source]:
-    """The module of a user's own choice; `place` begins the messages."""
+    """The module of a user's own choice. Messages begin with `place`."""
     check_code(place)
     path = Path(where)
     if not where.endswith(".py"):

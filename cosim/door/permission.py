@@ -1,7 +1,7 @@
-"""Whether code that a config names may be loaded.
+"""Permission to load the Python code that a config names.
 
-A config that the user names on the command line may name classes of the user's own. A config that comes with a run or
-study folder may not, unless the user says so: whoever made the folder chose that code.
+A config that the user names on the command line may name the user's own classes. A config in a run folder or study
+folder may not, unless the user allows it, because the author of the folder chose that code.
 """
 
 from collections.abc import Iterator
@@ -10,20 +10,20 @@ from contextvars import ContextVar
 from pathlib import Path
 
 _UNTRUSTED: ContextVar[str] = ContextVar("untrusted", default="")
-"""What a config came with that is not trusted; empty for one that may name code."""
+"""The untrusted folder or file of the config. Empty if the config may name code."""
 
 _MADE = ("manifest.json", "index.parquet")
-"""Files of run folders and of study folders."""
+"""Files by which run folders and study folders are recognised."""
 
 
 class CodeNotTrusted(ValueError):
-    """A config that came with a folder names code of its own; the command goes on with `--trust-code`."""
+    """A config in a folder names Python code. The option `--trust-code` allows loading it."""
 
 
 @contextmanager
 def loading_code(origin: Path, trusted: bool) -> Iterator[None]:
-    """While it is entered, code that a config names is loaded only if `trusted`; `origin` is the folder or file that
-    the config came with."""
+    """Within this context, code that a config names is loaded only if `trusted`. `origin` is the folder or file of the
+    config."""
     if trusted:
         yield
         return
@@ -35,7 +35,8 @@ def loading_code(origin: Path, trusted: bool) -> Iterator[None]:
 
 
 def check_code(place: str) -> None:
-    """Refuse to load what a config of an untrusted folder names; CodeNotTrusted in one line that `place` begins."""
+    """Raise CodeNotTrusted if the config comes from an untrusted folder. The message is one line and begins with
+    `place`."""
     if origin := _UNTRUSTED.get():
         raise CodeNotTrusted(
             f"{place}: {origin} names code of its own, which runs with all your rights. It was not loaded. Read "

@@ -1,7 +1,7 @@
-"""What the methods of a user's own class return, checked: type, shape, dtype, range and order.
+"""Checks of the results of a user's own class: type, shape, dtype, range and order.
 
-Each check takes a `Call` and what was returned. It gives back the same with arrays of its own, so that a class that
-keeps and changes an array that it returned changes nothing that was recorded; or it raises `Wrong`.
+Each check takes a `Call` and its result, and raises `Wrong` if the result is not valid. Otherwise it returns the result
+with copies of its arrays. If the class later changes an array that it returned, recorded values do not change.
 """
 
 from collections.abc import Mapping
@@ -25,7 +25,7 @@ from sensors.scene import Shape
 from trust.tables import TrustScores, pair_key
 
 MOST_IDENTITIES = 255
-"""Identities of a vehicle beside its own."""
+"""Largest number of identities of a vehicle in addition to its own."""
 LONGEST_DELAY_S = 3600.0
 MOST_COPIES, MOST_REPORTS = 1000, 100_000
 FASTEST_MPS = 1000.0
@@ -33,12 +33,12 @@ FARTHEST_M = 1e7
 MOST_HOPS = 2**15
 LARGEST_NAME = 2**31 - 1
 _CODES = frozenset({"label", "los_state", "origin"})
-"""Columns of codes, which are kept in 8 bits."""
+"""Columns of codes, which have 8 bits."""
 _WORDS = {"f": "floats", "iu": "integers", "b": "bools"}
 
 
 class Wrong(Exception):
-    """What a method returned cannot be: "X; Y is due"."""
+    """A method returned a wrong result. The message is "X; Y is due"."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +50,7 @@ class Call:
     made_with: tuple[Any, ...] = ()
     """Arguments of the constructor of its class."""
     latest_step: int | None = None
-    """Step in which it is called, where it is not among the arguments."""
+    """Step of the call, if it is not among the arguments."""
 
 
 def with_article(name: str) -> str:
@@ -70,10 +70,10 @@ def described(value: Any) -> str:
 
 
 def detached(value: Any, like: ndarray | None = None) -> Any:
-    """The same with copies of its arrays, in the dtypes that the program uses: of an array, a dataclass, or a tuple.
+    """Copy an array, or a dataclass or tuple of arrays, in the dtypes that the program uses.
 
-    Narrow integers would overflow in sums and products of theirs; floats of other widths are no numbers for compiled
-    functions. `like` is an array of the dtype that is due, where it is known.
+    Narrow integers would overflow in sums and products, and compiled functions do not accept floats of other widths.
+    `like` is an array of the expected dtype, if that is known.
     """
     if isinstance(value, ndarray):
         usual = {"f": np.float64, "b": np.bool_}.get(value.dtype.kind, np.int64)
@@ -91,12 +91,12 @@ def detached(value: Any, like: ndarray | None = None) -> Any:
 
 
 def anything(call: Call, returned: Any) -> Any:
-    """A state of the class's own."""
+    """A state, which may be anything."""
     return returned
 
 
 def nothing(call: Call, returned: Any) -> None:
-    """No result: the class keeps what it needs."""
+    """No result: the class stores what it needs."""
     if returned is not None:
         raise Wrong(f"returned {described(returned)}; nothing is due: what the model learns, it keeps in itself")
 
@@ -108,7 +108,7 @@ def pseudonym_changes(call: Call, returned: Any) -> Bool[ndarray, "e"]:
 
 
 def reports(call: Call, returned: Any) -> Reports:
-    """What a detector reports."""
+    """The reports of a detector."""
     sweeps, _, boxes = call.given[:3]
     _typed("", returned, Reports, "build it by Reports.of_actors, of_false_positives or concat")
     n = _check_boxes(returned.boxes)
@@ -181,7 +181,7 @@ def _check_frames(frames: Any, n_stations: int, messages: Any) -> None:
 
 
 def _check_links(at: str, rows: Any, n_stations: int, messages: Any) -> None:
-    """Receivers and messages that there are, of messages that were sent, by others."""
+    """Receivers and messages must exist, messages must have been sent, and receivers must not be the senders."""
     receiver, message = rows.receiver, rows.message
     _within(f"{at}receiver", receiver, 0, n_stations - 1)
     _within(f"{at}message", message, 0, len(messages) - 1)
@@ -190,7 +190,7 @@ def _check_links(at: str, rows: Any, n_stations: int, messages: Any) -> None:
 
 
 def trust_scores(call: Call, returned: Any) -> TrustScores:
-    """What a trust model says."""
+    """The scores of a trust model."""
     _typed("", returned, TrustScores, "build it by TrustScores.of")
     s, subject = returned, returned.subject
     now = call.given[0] if call.given and call.given[0] is not None else call.latest_step
@@ -227,7 +227,7 @@ def object_scores(call: Call, returned: Any) -> ndarray:
 
 
 def attacked_detections(call: Call, returned: Any) -> Detections:
-    """The lists that an attack returned; content that no message can hold is dropped later, and counted."""
+    """The lists that an attack returned. Content that no message can contain is dropped and counted later."""
     listed, context = call.given
     n_world = len(context.world)
     _typed("", returned, Detections, "change the given ones with dataclasses.replace")
@@ -268,7 +268,7 @@ def attacked_evaluations(call: Call, returned: Any) -> tuple[ndarray, ndarray]:
 
 
 def identities(call: Call, returned: Any) -> ndarray:
-    """Identities of each actor beside its own."""
+    """Number of identities of each actor in addition to its own."""
     n_world = len(call.given[0].world)
     _column("", returned, (n_world,), "iu", what="one for each actor of the world")
     _within("identities", returned, 0, MOST_IDENTITIES)
@@ -292,7 +292,7 @@ def sending(call: Call, returned: Any) -> Sending:
 
 
 def recall(call: Call, returned: Any) -> ndarray:
-    """How often a detector finds what is there."""
+    """The recall of a detector: probability that it detects each object."""
     _column("", returned, (len(call.given[0]),), "f", 0, 1, what="one for each object")
     return detached(returned)
 
@@ -318,7 +318,7 @@ def plan(call: Call, returned: Any) -> Plan:
 
 
 def metric_rows(call: Call, returned: Any) -> list[MetricRow]:
-    """What a metric measures."""
+    """The rows of a metric."""
     if not isinstance(returned, list | tuple):
         raise Wrong(f"returned {described(returned)}; a list of MetricRow is due")
     for number, row in enumerate(returned):
@@ -343,14 +343,14 @@ def _same(one: Any, other: Any) -> bool:
 
 
 def _typed(name: str, value: Any, of: type, cure: str) -> None:
-    """`Wrong` where a value is of another type."""
+    """Raise `Wrong` if a value is of another type."""
     if not isinstance(value, of):
         as_name = f"{name} as " if name else ""
         raise Wrong(f"returned {as_name}{described(value)}; {with_article(of.__name__)} is due: {cure}")
 
 
 def _with_state(returned: Any, of: type) -> tuple[Any, Any]:
-    """A state and a result; `Wrong` where it is anything else."""
+    """The returned pair of a state and a result. For anything else, `Wrong` is raised."""
     if not isinstance(returned, tuple) or len(returned) != 2 or not isinstance(returned[1], of):
         is_pair = isinstance(returned, tuple) and len(returned) == 2
         shown = f"({', '.join(map(described, returned))})" if is_pair else described(returned)
@@ -359,7 +359,7 @@ def _with_state(returned: Any, of: type) -> tuple[Any, Any]:
 
 
 def _check_boxes(boxes: Any, n: int | None = None, is_bounded: bool = True) -> int:
-    """The number of boxes; `Wrong` where they are none."""
+    """Check boxes and return their number. If they are not valid boxes, `Wrong` is raised."""
     _typed("boxes", boxes, Boxes, "build it by Boxes(xyz_m, lwh_m, yaw_rad)")
     n = _length("boxes.xyz_m", boxes.xyz_m) if n is None else n
     for name, width in (("xyz_m", (3,)), ("lwh_m", (3,)), ("yaw_rad", ())):
@@ -369,14 +369,14 @@ def _check_boxes(boxes: Any, n: int | None = None, is_bounded: bool = True) -> i
 
 
 def _length(name: str, value: Any) -> int:
-    """Number of rows of an array; `Wrong` where it is none."""
+    """Number of rows of an array. If the value is not an array, `Wrong` is raised."""
     if type(value) is not ndarray or not value.ndim:
         raise Wrong(f"returned {name} as {described(value)}; an array is due")
     return len(value)
 
 
 def _columns(prefix: str, value: Any, n: int, what: str, due: Mapping[str, tuple[Any, ...]]) -> None:
-    """Columns of a dataclass, each with n rows; `due` says the kinds of dtype and the bounds of each."""
+    """Check the columns of a dataclass, each with n rows. `due` has the kinds of dtype and the bounds of each."""
     for name, (kinds, *bounds) in due.items():
         _column(f"{prefix}{name}", getattr(value, name), (n,), kinds, what=what)
         if bounds:
@@ -388,7 +388,7 @@ def _column(
     name: str, value: Any, shape: tuple[int, ...], kinds: str, low: float | None = None, high: float | None = None,
     what: str = "",
 ) -> None:  # fmt: skip
-    """`Wrong` where a value is no array of this shape, of these kinds of dtype and within these bounds."""
+    """Raise `Wrong` if a value is not an array of this shape and these kinds of dtype, within these bounds."""
     if type(value) is not ndarray or value.shape != shape or value.dtype.kind not in kinds:
         raise Wrong(
             f"returned {f'{name} as ' if name else ''}{described(value)}; an array of {_WORDS[kinds]} of shape {shape} "
@@ -399,7 +399,7 @@ def _column(
 
 
 def _within(name: str, column: ndarray, low: float, high: float, subject: ndarray | None = None) -> None:
-    """`Wrong` where a number is out of bounds, or none."""
+    """Raise `Wrong` if a number is out of bounds or not a number."""
     with np.errstate(invalid="ignore"):
         wrong = ~((column >= low) & (column <= high))
     _none(name, column, wrong, f"{low:g} to {high:g}" if high < 1e15 else f"{low:g} or more", subject)
@@ -408,7 +408,7 @@ def _within(name: str, column: ndarray, low: float, high: float, subject: ndarra
 def _none(
     name: str, column: ndarray, wrong: Bool[ndarray, "n ..."], due: str, subject: ndarray | None = None
 ) -> None:  # fmt: skip
-    """`Wrong` where any row of a column is."""
+    """Raise `Wrong` if any row of a column is wrong, with the first such row."""
     if not wrong.any():
         return
     row, n = int(np.argmax(wrong.reshape(len(wrong), -1).any(axis=1))), int(wrong.sum())
@@ -418,7 +418,7 @@ def _none(
 
 
 def _ascending(name: str, key: ndarray) -> None:
-    """`Wrong` where rows are not sorted, or one of them is there twice."""
+    """Raise `Wrong` if rows are not sorted, or one of them occurs twice."""
     if (wrong := np.diff(key) <= 0).any():
         row = int(np.argmax(wrong)) + 1
         raise Wrong(f"returned rows {row - 1} and {row} not ascending by {name}; sorted rows, each once, are due")

@@ -1,4 +1,4 @@
-"""Whether a class has the shape of its kind: methods, their parameters, the constructor, and its `Params`."""
+"""Checks that a class fits its kind: its methods, their parameters, the constructor, and `Params`."""
 
 import difflib
 import inspect
@@ -12,13 +12,13 @@ from cosim.door.blame import Refused, definition_line
 from cosim.door.kinds import Kind
 
 _OURS = {"cosim", "sensors", "trust", "results", "builtins", "typing", "abc", "enum"}
-"""Packages whose classes a user's class may inherit from; what they define is not the user's."""
+"""Packages whose classes a user's class may inherit from. Methods that they define are not checked."""
 _NEAR = 0.7
-"""Likeness from which a name is taken for a misspelt one."""
+"""Similarity from which a name counts as misspelt."""
 
 
 def kind_of(of: type, file: str, kinds: Mapping[str, Kind]) -> Kind:
-    """The kind whose methods a class has; `Refused` where there is none, or more than one."""
+    """The kind whose methods a class has. If there is none, or more than one, `Refused` is raised."""
     found = [kind for kind in kinds.values() if _has_hooks(of, kind)]
     if len(found) == 1:
         return found[0]
@@ -32,12 +32,12 @@ def kind_of(of: type, file: str, kinds: Mapping[str, Kind]) -> Kind:
 
 
 def check_class(of: type, kind: Kind, file: str) -> None:
-    """`Refused` in one line where a user's class cannot be of a kind.
+    """Raise `Refused` with one line if a user's class does not fit a kind.
 
     Parameters
     ----------
     file
-        That of the class, for messages.
+        File of the class, for messages.
     """
 
     def where(name: str = "") -> str:
@@ -69,7 +69,7 @@ def check_class(of: type, kind: Kind, file: str) -> None:
 
 
 def did_you_mean(name: str, known: Iterable[str], begin: str = "") -> str:
-    """ "Did you mean X? " where a name is like a known one; empty otherwise."""
+    """The text "Did you mean X? " if a name is similar to a known one; empty otherwise."""
     plain = {other.lower().replace("_", ""): other for other in known}
     near = difflib.get_close_matches(name.lower().replace("_", ""), plain, 1, _NEAR)
     return f"{begin}Did you mean {plain[near[0]]}? " if near else ""
@@ -81,7 +81,7 @@ def classes_of(module: ModuleType) -> list[str]:
 
 
 def n_arguments(of: type, arguments: tuple[Any, ...]) -> int:
-    """How many of its arguments a constructor takes; the last ones may be left out of its signature."""
+    """Number of arguments that a constructor takes. Its signature may omit the last ones."""
     parameters = _parameters(of)
     if parameters is None or any(p.kind is p.VAR_POSITIONAL for p in parameters):
         return len(arguments)
@@ -98,7 +98,7 @@ def _titles(kinds: Iterable[Kind]) -> str:
 
 
 def _own_methods(of: type) -> list[str]:
-    """Public methods that a user's own classes define, those of their ancestors that ship left out."""
+    """Public methods that the user's own classes define, without those of included base classes."""
     ours = {name for base in of.__mro__ if base.__module__.split(".")[0] in _OURS for name in vars(base)}
     own = [base for base in of.__mro__ if base.__module__.split(".")[0] not in _OURS]
     return [
@@ -109,7 +109,7 @@ def _own_methods(of: type) -> list[str]:
 
 
 def _parameters(called: Any) -> list[inspect.Parameter] | None:
-    """Parameters of something that is called; None where they cannot be told."""
+    """Parameters of a callable; None if they cannot be found."""
     try:
         return list(inspect.signature(called).parameters.values())
     except (ValueError, TypeError):
@@ -121,7 +121,7 @@ def _positional(parameters: list[inspect.Parameter]) -> list[inspect.Parameter]:
 
 
 def _check_method(of: type, name: str, due: tuple[str, ...], where: str) -> None:
-    """`Refused` where a method cannot be called with what is due."""
+    """Raise `Refused` if a method cannot be called with the arguments of its kind."""
     raw = inspect.getattr_static(of, name)
     function = raw.__func__ if isinstance(raw, staticmethod | classmethod) else raw
     cure = f"Write def {name}({', '.join(('self', *due))})."
@@ -136,7 +136,7 @@ def _check_method(of: type, name: str, due: tuple[str, ...], where: str) -> None
             raise Refused(f"{where}: {name}() {what}. Write a plain method that returns its result.")
     parameters = _parameters(function)
     if parameters is None or not inspect.isfunction(inspect.unwrap(function)):
-        return  # a callable of another kind: it shows when it is called
+        return  # the signature of another kind of callable is not known before the call
     if not isinstance(raw, staticmethod) and (own := _positional(parameters)):
         if own[0].name in due and len(own) == len(due):
             raise Refused(f"{where}: {name}({_shown(parameters)}) has no self. {cure}")
@@ -152,9 +152,9 @@ def _shown(parameters: list[inspect.Parameter]) -> str:
 
 
 def _misfit(parameters: list[inspect.Parameter], due: tuple[str, ...], exactly: bool) -> str:
-    """Why parameters cannot take the arguments that are due; empty where they can.
+    """Why parameters cannot take the arguments `due`; empty if they can.
 
-    With `exactly`, all arguments are given; otherwise as many of the first as there are parameters.
+    With `exactly`, all arguments are given. Otherwise only as many of the first as there are parameters.
     """
     own, takes_any = _positional(parameters), any(p.kind is p.VAR_POSITIONAL for p in parameters)
     needed = [p.name for p in own if p.default is p.empty]
@@ -194,7 +194,7 @@ def _check_constructor(of: type, has_params: bool, kind: Kind, where: str) -> No
 
 
 def _check_absent_params(of: type, where: str) -> None:
-    """`Refused` where a class has no `Params`, but seems to mean some."""
+    """Raise `Refused` if a class has no `Params`, but probably should have."""
     for name, value in vars(of).items():
         if name.lower() in ("params", "param", "parameters") and isinstance(value, type):
             raise Refused(f"{where}: {name} is not read. Did you mean Params? Rename it.")
@@ -207,7 +207,7 @@ def _check_absent_params(of: type, where: str) -> None:
 
 
 def _check_params(params: Any, where: str) -> None:
-    """`Refused` where `Params` is no dataclass, or has fields that it does not know of."""
+    """Raise `Refused` if `Params` is not a dataclass, or has attributes that are not fields."""
     if not isinstance(params, type):
         what = "an instance" if is_dataclass(params) else f"{type(params).__name__}"
         raise Refused(f"{where} is {what}, not a class. Name the class itself, without brackets.")

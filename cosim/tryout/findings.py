@@ -1,4 +1,4 @@
-"""What trying a class shows."""
+"""Results of the test of a class."""
 
 import traceback
 from collections.abc import Callable
@@ -10,27 +10,27 @@ from cosim.execution.checkpoint import CannotCheckpoint
 
 _Item = TypeVar("_Item")
 MOST_TRIES = 40
-"""Attempts at a smaller example, about."""
+"""Approximate number of attempts to find a smaller example."""
 
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """A law, and how it is broken."""
+    """A law, and how the class breaks it."""
 
     law: str
     broken: str = ""
-    """One sentence or two with the smallest example found; empty where the law holds."""
+    """One or two sentences with the smallest example that was found. Empty if the law holds."""
 
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """What trying a class has shown."""
+    """The results of the test of a class."""
 
     kind: str
     name: str
     findings: list[Finding]
     cost_us: float = float("nan")
-    """Time of one call per vehicle [us]; NaN where nothing was measured."""
+    """Processing time of one call per vehicle [us]. NaN if it was not measured."""
 
     @property
     def holds(self) -> bool:
@@ -38,7 +38,7 @@ class Report:
 
 
 def smallest(items: list[_Item], is_broken: Callable[[list[_Item]], bool]) -> list[_Item]:
-    """As few items as still break a law: chunks are left out, halves first, while it stays broken."""
+    """A small subset of items that still breaks a law. Chunks are removed, halves first, while the law stays broken."""
     size, n_tries = len(items) // 2, 0
     while size and n_tries < MOST_TRIES:
         at = 0
@@ -54,7 +54,7 @@ def smallest(items: list[_Item], is_broken: Callable[[list[_Item]], bool]) -> li
 
 
 def in_one_line(error: Exception) -> str:
-    """What went wrong, and in which line of which file."""
+    """The message of an exception in one line, with its file and line."""
     reason = " ".join(str(error).split())
     if isinstance(error, ValueError | ExtensionError | CannotCheckpoint) and reason:
         return reason if reason.endswith(".") else f"{reason}."

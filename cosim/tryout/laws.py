@@ -1,4 +1,4 @@
-"""The laws of the classes that a step is made of, checked on the tiny scene."""
+"""Laws of the classes that are part of a step, checked on the tiny scene."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -21,14 +21,14 @@ INTERRUPTED_AT = 7
 
 @dataclass(frozen=True, slots=True)
 class PartKind:
-    """A kind of class that stands in a step."""
+    """A kind of class that is part of a step."""
 
     tell: Callable[[StepResult, TinyScene], Table]
-    """What it is answerable for."""
+    """The results that the class determines."""
     draws: str
-    """Where its random numbers come from."""
+    """A sentence about the source of its random numbers."""
     change: Callable[[Parts], Parts] = lambda parts: parts
-    """What the scene needs, so that the class has something to do."""
+    """Change of the scene's parts that the class needs to be used."""
     sees_truth: bool = False
 
 
@@ -45,16 +45,25 @@ PARTS = {
         change=lambda parts: replace(parts, driver=WithBeliefs(parts.driver)),
     ),
 }  # fmt: skip
-"""Kinds of classes that stand in a step, by name."""
+"""Kinds of classes that are part of a step, by name."""
 
 
 def try_part(kind: str, name: str, own: Sequence[str] = ()) -> Report:
-    """Check a class that stands in a step; `own` are `key=value` of its parameters.
+    """Check a class that is part of a step.
+
+    Parameters
+    ----------
+    kind
+        One of `PARTS`.
+    name
+        Name of the class.
+    own
+        Its parameters, each as `key=value`.
 
     Raises
     ------
     ValueError
-        In one line, where the class or its parameters cannot be loaded.
+        The class or its parameters cannot be loaded. The message is one line.
     """
     part, section = PARTS[kind], "attacks.0" if kind == "attack" else KINDS[kind].section
     sets = [*BASE, f"{section}.{KINDS[kind].key}={name}", *(f"{section}.{one}" for one in own)]
@@ -87,7 +96,7 @@ def try_part(kind: str, name: str, own: Sequence[str] = ()) -> Report:
 
 
 def _comparisons(kind: str) -> dict[str, dict[str, Any]]:
-    """Laws that say: played otherwise, the same happens. By law: what is otherwise, and what to do about it."""
+    """Laws that compare two plays. For each law: the difference between the plays, and the cure if results differ."""
     part = PARTS[kind]
     found: dict[str, dict[str, Any]] = {
         "the same seed gives the same result": {
@@ -120,7 +129,7 @@ def _told(
     scene: Callable[[TinyScene], TinyScene] = lambda one: one, change: Callable[[Parts], Parts] | None = None,
     interrupted_at: int | None = None,
 ) -> Finding:  # fmt: skip
-    """Whether the same happens in a play that is another one in this respect."""
+    """Check a law by comparison with a second play that differs in one respect."""
     if change is not None:
         stage, told = replace(stage, change=lambda parts: change(part.change(parts))), []
 
@@ -149,7 +158,7 @@ def _told(
 
 
 def first_difference(one: list[Table], other: list[Table]) -> tuple[int, str]:
-    """The first step in which two plays differ, and where, in words; empty where they are the same."""
+    """The first step in which two plays differ, and the difference in words; empty if they are the same."""
     for number, (a, b) in enumerate(zip(one, other, strict=True)):
         for who in dict.fromkeys([*a, *b]):
             if STRANGER.name in who:
@@ -163,7 +172,7 @@ def first_difference(one: list[Table], other: list[Table]) -> tuple[int, str]:
 
 
 def _probed(parts: Parts, kind: str, seen: Observations) -> Parts:
-    """The same parts with a probe before the class that is tried."""
+    """The parts, with a probe around the class that is tested."""
 
     def probe(behind: Any) -> Any:
         return Probe(behind, tuple(KINDS[kind].hooks), seen)

@@ -1,4 +1,4 @@
-"""Plays the tiny scene through the steps of the simulation, and tells what happened by the names of the actors."""
+"""Simulates the tiny scene step by step, and describes the results by the names of the actors."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -22,7 +22,7 @@ from sensors.boxes import Boxes
 
 Row = dict[str, float]
 Table = dict[str, Row]
-"""What happened in one step: numbers by column, under a sentence's beginning that says whose they are."""
+"""Results of one step: numbers by column. The key of a row is the beginning of a sentence that names its owner."""
 
 BASE = (
     f"traffic.step_s={STEP_S}", f"traffic.duration_s={N_STEPS * STEP_S}", "sensing_interval_s=1.0", "seed=4",
@@ -30,12 +30,12 @@ BASE = (
     "server.cellular.delay_mean_s=0.002", "server.backhaul_s=0.005", "trust.server_period_s=1.0", "compute.threads=1",
     "attacks.0.start_s=2",
 )  # fmt: skip
-"""What every play of the scene has in common."""
+"""Config keys of all plays of the scene."""
 
 
 @dataclass(frozen=True, slots=True)
 class Stage:
-    """A config, and what is changed in the parts that it names."""
+    """A config, and a change of the parts that are built from it."""
 
     config: Config
     change: Callable[[Parts], Parts] = lambda parts: parts
@@ -48,12 +48,15 @@ class Stage:
         self, scene: TinyScene, tell: Callable[[StepResult, TinyScene], Table], n_steps: int = N_STEPS,
         interrupted_at: int | None = None,
     ) -> list[Table]:  # fmt: skip
-        """What happened in every step.
+        """Simulate the scene, and return the results of every step.
 
         Parameters
         ----------
+        tell
+            Makes the table of a step from its result.
         interrupted_at
-            Before this step the state is kept as bytes and the parts are made anew, as in a run that is resumed.
+            Before this step the state is written as bytes and read again, and the parts are rebuilt, as in a resumed
+            run.
         """
         parts = self.parts(scene)
         state, tables = State.start(parts), []
@@ -65,44 +68,44 @@ class Stage:
         return tables
 
     def resumed(self, state: State) -> State:
-        """The state as a run that is resumed reads it."""
+        """The state as a resumed run reads it."""
         own = own_modules(self.config)
         kept = b"".join(checkpoint.encode((STATE_VERSION, state), own))
         return checkpoint.decode(kept, own)[1]
 
 
 class Nothing:
-    """An attack that changes nothing: who carries it out can only be known from the truth."""
+    """An attack that changes nothing. Only ground truth tells which vehicles carry it out."""
 
     def detections(self, listed: Any, context: Any) -> Any:
-        """As they are."""
+        """The unchanged lists."""
         return listed
 
 
 def with_harmless_attackers(parts: Parts) -> Parts:
-    """Attackers are called so and do nothing."""
+    """The parts, with attacks that change nothing."""
     harmless: Any = tuple(Nothing() for _ in parts.adversary.attacks)  # an attack may leave any hook out
     return replace(parts, adversary=replace(parts.adversary, attacks=harmless))
 
 
 @dataclass(frozen=True, slots=True)
 class WithBeliefs:
-    """A driver that is given beliefs which do not depend on fusion, whose ties are decided by the order of rows."""
+    """A driver with given beliefs instead of fused objects, because fusion decides ties by the order of rows."""
 
     behind: Driver
 
     def commands(
         self, state: object, world: World, beliefs: Beliefs | None, dt_s: float
     ) -> tuple[object, SpeedCommands]:
-        """The commands of the driver behind."""
+        """The commands of the tested driver."""
         given = None if beliefs is None else _beliefs(world, beliefs.known_s, dt_s)
         return self.behind.commands(state, world, given, dt_s)
 
 
 def _beliefs(world: World, known_s: float, dt_s: float) -> Beliefs:
-    """Each equipped vehicle believes in the others within 50 m, which it sees or not, and in a car that is not there.
+    """Each equipped vehicle believes in all actors within 50 m, whether it sees them or not, and in a false car.
 
-    That car stands in its lane, 35 m ahead of where the vehicle began.
+    The false car stands in its lane, 35 m ahead of the vehicle's first position.
     """
     xy, yaw = world.boxes.xyz_m[:, :2], world.boxes.yaw_rad
     apart_m = np.hypot(*(xy[:, None] - xy[None]).transpose(2, 0, 1))
@@ -137,7 +140,7 @@ def _box(listed: Detections, i: int) -> Row:
 
 
 def detections(happened: StepResult, scene: TinyScene) -> Table:
-    """What each vehicle's detector reports, best first."""
+    """The detections of each vehicle's detector, highest score first."""
     if happened.sensed is None:
         return {}
     found, names = happened.sensed.positioned.observed.detections, scene.names
@@ -148,7 +151,7 @@ def detections(happened: StepResult, scene: TinyScene) -> Table:
 
 
 def messages(happened: StepResult, scene: TinyScene) -> Table:
-    """What each vehicle transmits: its detections and evaluations, under each of its identities."""
+    """The messages of each vehicle: its detections and evaluations, under each of its identities."""
     sensed, names = happened.sensed, scene.names
     if sensed is None:
         return {}
@@ -176,7 +179,7 @@ def messages(happened: StepResult, scene: TinyScene) -> Table:
 
 
 def receptions(happened: StepResult, scene: TinyScene) -> Table:
-    """Who received what from whom: hops, and when."""
+    """Received messages, with their hops and times."""
     sensed, names, told = happened.sensed, scene.names, {}
     if sensed is None:
         return {}
@@ -195,7 +198,7 @@ def receptions(happened: StepResult, scene: TinyScene) -> Table:
 
 
 def trust(happened: StepResult, scene: TinyScene) -> Table:
-    """Trust of each vehicle in those that it received messages from."""
+    """Trust of each vehicle in the vehicles from which it received messages."""
     sensed, names = happened.sensed, scene.names
     if sensed is None:
         return {}
@@ -209,7 +212,7 @@ def trust(happened: StepResult, scene: TinyScene) -> Table:
 
 
 def renewals(happened: StepResult, scene: TinyScene) -> Table:
-    """Whose pseudonym came to an end."""
+    """Pseudonyms that ended."""
     ended = happened.ended_pseudonyms
     return {
         f"the pseudonym of {scene.names[v]} that ends": {"first step": float(begin), "last step": float(end)}
@@ -218,7 +221,7 @@ def renewals(happened: StepResult, scene: TinyScene) -> Table:
 
 
 def commands(happened: StepResult, scene: TinyScene) -> Table:
-    """Which speed each vehicle is told to drive."""
+    """Commanded speeds of vehicles."""
     told = happened.commands
     return {
         f"the command to {scene.names[a]}": {"speed_mps": v}

@@ -1,4 +1,4 @@
-"""Stands before an instance of a class that is tried, asks everything twice, and measures how long an answer takes."""
+"""Wraps an instance of the tested class, makes every call twice, and measures the processing time of calls."""
 
 import copy
 import time
@@ -14,11 +14,11 @@ from cosim.v2x.messages import FABRICATED, SELF, SENSED, Detections
 from cosim.v2x.pseudonyms import PseudonymAges
 
 TOLERANCE = 1e-9
-"""Numbers that differ by less, absolute or relative, are the same: sums in another order round otherwise."""
+"""Numbers that differ by less (absolute or relative) count as equal, because sums depend on the order of rounding."""
 
 
 def difference(one: Any, other: Any, where: str = "") -> str:
-    """The first place at which two values differ, in words; empty where they are the same."""
+    """The first difference between two values, in words; empty if they are the same."""
     if type(one) is not type(other):
         return f"{where} is {type(one).__name__} and {type(other).__name__}".strip()
     if isinstance(one, ndarray | np.generic | float | int):
@@ -56,29 +56,29 @@ def _of_arrays(one: ndarray, other: ndarray, where: str) -> str:
 
 @dataclass(slots=True)
 class Observations:
-    """What a probe has seen; each sentence is about the first time."""
+    """What a probe has observed. Each sentence describes the first case."""
 
     seconds: float = 0.0
     n_calls: int = 0
     twice: str = ""
-    """Where the second answer to one question differs from the first."""
+    """A difference between the results of two equal calls."""
     alone: str = ""
-    """Where a policy answers otherwise for one vehicle when it is asked about that vehicle alone."""
+    """A vehicle for which a policy gives another result if it is called with this vehicle alone."""
     truth: str = ""
-    """Where an attack answers otherwise when the truth about others is another one."""
+    """A difference in the result of an attack if only ground truth about other vehicles differs."""
 
 
 @dataclass(slots=True)
 class Probe:
-    """Looks like the instance behind it to those who call it."""
+    """A wrapper that callers cannot distinguish from the instance `behind` it."""
 
     behind: Any
     methods: tuple[str, ...]
-    """Those that are watched."""
+    """Names of the methods that are observed."""
     seen: Observations = field(default_factory=Observations)
 
     @property  # type: ignore[misc]
-    def __class__(self) -> type:  # so that isinstance() asks the class that is tried
+    def __class__(self) -> type:  # so that isinstance() uses the tested class
         return type(self.behind)
 
     def __getattr__(self, name: str) -> Any:
@@ -110,7 +110,7 @@ def _at(found: str) -> str:
 
 
 def _by_others(method: Callable[..., Any], ages: PseudonymAges, answer: ndarray) -> str:
-    """Asks a policy about each vehicle alone."""
+    """Call a policy for each vehicle alone, and describe the first different result."""
     for row in range(len(ages.age_s)):
         alone = PseudonymAges(*(getattr(ages, f.name)[[row]] for f in fields(ages)))
         if method(alone)[0] != answer[row]:
@@ -123,7 +123,7 @@ def _by_others(method: Callable[..., Any], ages: PseudonymAges, answer: ndarray)
 
 
 def _truth_read(name: str, method: Callable[..., Any], arguments: tuple[Any, ...], answer: Any) -> str:
-    """Asks an attack again, in a world in which other vehicles' detections have another origin and others attack."""
+    """Call an attack again with other ground truth: other origins of detections of others, and other attackers."""
     context = copy.deepcopy(arguments[-1])
     member, attack = context.member, context.world.attack
     world = replace(context.world, attack=np.where(member, attack, np.where(attack == 0, 255, 0)).astype(attack.dtype))
@@ -149,7 +149,7 @@ def _other_truth(given: Any, member: ndarray) -> Any:
 
 
 def _of_attackers(answer: Any, arguments: tuple[Any, ...], context: AttackContext) -> Any:
-    """The part of an answer that is about attackers."""
+    """The part of a result that concerns attackers."""
     if isinstance(answer, Detections):
         return answer.take(np.flatnonzero(context.attacker[answer.observer]))
     if isinstance(arguments[0], EvaluationRows):

@@ -1,4 +1,4 @@
-"""Laws of exporters and metrics, on a run that is driven from the tiny scene."""
+"""Laws of exporters and metrics, checked on a run of the tiny scene."""
 
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
@@ -53,7 +53,7 @@ def _tried(kind: str, name: str, answer: Callable[[Run, Path], Any], what: str) 
     with _tiny_runs() as (one, other, scratch):
         try:
             first = answer(open_run(one), scratch / "1")
-        except Exception as error:  # whatever a user's class does
+        except Exception as error:  # a user's class can raise anything
             return Report(kind, name, [Finding(_RUNS, in_one_line(error))])
         found = [Finding(_RUNS, "" if first else f"It gives no {what} for a run of {N_STEPS} steps.")]
         opened = open_run(one)
@@ -68,7 +68,7 @@ def _tried(kind: str, name: str, answer: Callable[[Run, Path], Any], what: str) 
 
 @contextmanager
 def _tiny_runs() -> Iterator[tuple[Path, Path, Path]]:
-    """The same run in long and in short blocks, and a folder for whatever else is written."""
+    """Folders of the same run written in long and in short blocks, and a folder for other files."""
     with tempfile.TemporaryDirectory(prefix="cosim-try-") as folder:
         root = Path(folder)
         _write_trace(root / "trace.fcd.xml")
@@ -80,7 +80,7 @@ def _tiny_runs() -> Iterator[tuple[Path, Path, Path]]:
 
 
 def _write_trace(path: Path) -> None:
-    """The traffic of the tiny scene as SUMO writes it."""
+    """Write the traffic of the tiny scene as a trace, like SUMO."""
     scene, types = TinyScene(), {Shape.CAR: "passenger", Shape.TRUCK: "truck", Shape.PEDESTRIAN: "pedestrian"}
     lines = ["<fcd-export>"]
     for number in range(N_STEPS + 1):

@@ -1,4 +1,4 @@
-"""A tiny scene: sixteen actors on two streets that cross, for eight seconds, with a building at each corner."""
+"""A tiny scene of eight seconds: sixteen actors at a crossing of two streets, with a building at each corner."""
 
 from dataclasses import dataclass, replace
 
@@ -13,14 +13,14 @@ from sensors.scene import Scene, Shape
 
 STEP_S = 0.5
 N_STEPS = 16
-"""Vehicles sense in every second step."""
+"""Number of steps. Vehicles sense in every second step."""
 _HALF_M = 60.0
-"""Streets end so far from the crossing."""
+"""Length of each street from the crossing to its end [m]."""
 _LANES = {"east": (0.0, -2.0), "west": (np.pi, 2.0), "north": (np.pi / 2, 2.0), "south": (-np.pi / 2, -2.0)}
 """Heading of each lane, and its distance from the middle of the street (y, or x for north and south) [m]."""
 _LWH_M = {Shape.CAR: (4.5, 1.8, 1.5), Shape.TRUCK: (8.0, 2.5, 3.2), Shape.PEDESTRIAN: (0.5, 0.6, 1.75)}
 FAR_AWAY_M = 9_000.0
-"""Distance of the vehicle that nobody can meet."""
+"""Distance of a vehicle that no other vehicle can perceive or receive."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,14 +30,14 @@ class Actor:
     name: str
     lane: str
     begin_m: float
-    """Along the lane, from the crossing, at the first step."""
+    """Position along the lane at the first step, measured from the crossing."""
     speed_mps: float
     shape: Shape = Shape.CAR
     equipped: bool = True
     attack: int = 0
     """As `World.attack`."""
     side_m: float = 0.0
-    """To the right of the lane's centre."""
+    """Offset to the right of the lane's centre."""
 
     def xy_m(self, time_s: float) -> Float[ndarray, "2"]:
         """Position at a time since the first step."""
@@ -58,33 +58,33 @@ ACTORS = (
     Actor("walker", "east", -6.0, 1.2, Shape.PEDESTRIAN, False, side_m=4.0),
     Actor("child", "north", 6.0, 1.0, Shape.PEDESTRIAN, False, side_m=4.0),
 )  # fmt: skip
-"""Ten equipped vehicles, three of which attack, and six others."""
+"""Ten equipped vehicles, three of which attack, and six other actors."""
 STRANGER = Actor("stranger", "east", FAR_AWAY_M, 5.0)
 
 
 @dataclass(frozen=True, slots=True)
 class TinyScene:
-    """Who is there, and which numbers they have."""
+    """The actors of the scene."""
 
     actors: tuple[Actor, ...] = ACTORS
     """In the order of their actor numbers."""
 
     def renumbered(self) -> "TinyScene":
-        """The same actors under other numbers, hence in another order of rows."""
+        """The same actors with other actor numbers, and therefore in another order of rows."""
         order = np.random.default_rng(7).permutation(len(self.actors))
         return TinyScene(tuple(self.actors[i] for i in order))
 
     def with_stranger(self) -> "TinyScene":
-        """One more equipped vehicle, which is too far away to meet anyone and has the lowest number."""
+        """The scene with one more equipped vehicle, which is far away and has the lowest actor number."""
         return TinyScene((STRANGER, *self.actors))
 
     def with_other_attackers(self) -> "TinyScene":
-        """The same actors in the same places; others of them are attackers."""
+        """The same actors at the same positions, with other vehicles as attackers."""
         return TinyScene(tuple(replace(a, attack=int(a.equipped and not a.attack)) for a in self.actors))
 
     @property
     def names(self) -> list[str]:
-        """By actor number."""
+        """Names by actor number."""
         return [actor.name for actor in self.actors]
 
     @property
@@ -113,7 +113,7 @@ class TinyScene:
         )
 
     def _paths(self, xy_m: Float[ndarray, "n 2"]) -> LanePaths:
-        """Each equipped vehicle has its lane, which goes on straight, before it."""
+        """The lane paths of equipped vehicles: their own lanes, straight ahead."""
         rows = [row for row, actor in enumerate(self.actors) if actor.equipped]
         lines = []
         for row in rows:

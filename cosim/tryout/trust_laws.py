@@ -1,4 +1,4 @@
-"""Laws of trust models about the messages that they receive, on the evidence that the tiny scene gives."""
+"""Laws of trust models about received messages, checked with the evidence of the tiny scene."""
 
 import time
 from collections.abc import Callable
@@ -24,7 +24,7 @@ ASKING = "asking for scores changes nothing"
 
 @dataclass(frozen=True, slots=True)
 class Transmitted:
-    """What was transmitted in a step: the arguments of `open_step`."""
+    """Everything that was transmitted in a step: the arguments of `open_step`."""
 
     step: int
     pseudonyms: Int[ndarray, "n"]
@@ -46,7 +46,7 @@ class Reception:
 
 
 def recorded(stage: Stage) -> tuple[list[Transmitted], list[Reception]]:
-    """Everything that is transmitted in the scene, and every evaluation message that a vehicle receives or makes."""
+    """All transmissions in the scene, and all evaluation messages that vehicles receive or send."""
     steps: list[Transmitted] = []
     receptions: list[Reception] = []
 
@@ -68,7 +68,7 @@ def recorded(stage: Stage) -> tuple[list[Transmitted], list[Reception]]:
 
 
 def findings(stage: Stage) -> tuple[list[Finding], Observations]:
-    """The laws, and how long the model takes."""
+    """Findings about the laws, and the processing time of the model."""
     steps, receptions = recorded(stage)
     parts, seen = stage.parts(TinyScene()), Observations()
 
@@ -93,14 +93,16 @@ def _played(
     model: Any, steps: list[Transmitted], receptions: list[Reception], late_steps: int, reverse: bool, ask: bool,
     seen: Observations,
 ) -> TrustScores:  # fmt: skip
-    """Scores at the end.
+    """Scores of a model at the end of the scene.
 
     Parameters
     ----------
     late_steps
-        Every second message arrives so many steps with messages later, at the end all the same.
+        Number of steps by which every second message is late. All messages have arrived at the end.
     reverse
-        Messages arrive one by one, the last first; otherwise those of a step together.
+        Messages arrive one by one, the last first. Otherwise the messages of a step arrive together.
+    ask
+        Whether scores are also computed twice in every step.
     """
     due: list[list[Reception]] = [[] for _ in steps]
     number_of = {one.step: number for number, one in enumerate(steps)}
@@ -117,7 +119,7 @@ def _played(
 
 
 def _batches(receptions: list[Reception], one_by_one: bool) -> list[ReceivedEvaluations]:
-    """Receptions as a model is told of them: one by one, last first, or those of one step at once."""
+    """Receptions as arguments of `add_evaluations`: one by one, last first, or those of one step together."""
     groups: dict[int, list[Reception]] = {}
     for number, one in enumerate(receptions):
         groups.setdefault(number if one_by_one else one.messages.step, []).append(one)
@@ -129,7 +131,7 @@ def _batches(receptions: list[Reception], one_by_one: bool) -> list[ReceivedEval
 
 
 def _order(receptions: list[Reception], played: Callable[..., TrustScores]) -> str:
-    """Whether trust depends on the order in which messages arrive, within a step and across steps."""
+    """A sentence if trust depends on the order of messages, within a step or across steps; empty otherwise."""
     others: dict[str, dict[str, Any]] = {
         "arrive in the opposite order": {"reverse": True},
         "arrive up to two rounds of messages later": {"late_steps": 2},
@@ -164,7 +166,7 @@ def _asking(plain: TrustScores, asked: TrustScores) -> str:
 
 
 def _first_row(one: TrustScores, other: TrustScores) -> str:
-    """The first trust value in which scores differ, in words; empty where they are the same."""
+    """The first different trust value, in words; empty if the scores are the same."""
     if difference((one.holder, one.subject), (other.holder, other.subject)):
         pairs = [set(zip(s.holder.tolist(), s.subject.tolist(), strict=True)) for s in (one, other)]
         holder, subject = min(pairs[0] ^ pairs[1])

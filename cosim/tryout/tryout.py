@@ -1,4 +1,4 @@
-"""Tries a class of any kind."""
+"""Tests a class of any kind."""
 
 from collections.abc import Sequence
 
@@ -17,21 +17,21 @@ def try_class(name: str, kind: str | None = None, sets: Sequence[str] = ()) -> R
     Parameters
     ----------
     name
-        `path.py:Name` or `package.module:Name`, or the name of a choice that ships.
+        `path.py:Name` or `package.module:Name`, or the name of an included class.
     kind
-        One of `KINDS`; found from the methods of the class, or from what ships, when not given.
+        One of `KINDS`. If it is not given, it is found from the methods of the class or from the included names.
     sets
-        Parameters of the class, as `key=value`.
+        Parameters of the class, each as `key=value`.
 
     Raises
     ------
     ValueError
-        In one line, where the class cannot be loaded.
+        The class cannot be loaded. The message is one line.
     """
     if kind is None:
         kind = load_own(name).kind.name if is_own(name) else _shipped(name)
     threads = numba.get_num_threads()
-    numba.set_num_threads(1)  # sixteen actors are too few for two
+    numba.set_num_threads(1)  # two threads are slower with sixteen actors
     try:
         if kind in PARTS:
             return try_part(kind, name, sets)
@@ -41,7 +41,7 @@ def try_class(name: str, kind: str | None = None, sets: Sequence[str] = ()) -> R
 
 
 def _shipped(name: str) -> str:
-    """The kind of a choice that ships."""
+    """The kind of an included class."""
     found = [kind.name for kind in KINDS.values() if name in kind.shipped]
     if not found:
         raise ValueError(f"{name}: no such choice. Name a class of your own as path.py:Name.")

@@ -1,11 +1,11 @@
-"""How reputation survives a change of pseudonyms: who can link two of one vehicle, and what revocation does.
+"""Linkage of the pseudonyms of a vehicle, and revocation.
 
-Trust models know subjects by a number. Without linkage that number is the pseudonym; a linkage authority gives all
-linked pseudonyms of a vehicle one number, and everything that enters or leaves trust is renamed by it.
+Trust models know subjects by a number. Without linkage that number is the pseudonym. A linkage authority gives all
+linked pseudonyms of a vehicle one number. Pseudonyms are then renamed in everything that trust gets or returns.
 
 References
 ----------
-.. [1] ETSI TS 102 941 and SCMS (second hand): pseudonym certificates, linkage authorities, revocation lists.
+.. [1] ETSI TS 102 941 and SCMS (secondary sources): pseudonym certificates, linkage authorities, revocation lists.
 """
 
 from collections.abc import Sequence
@@ -22,7 +22,7 @@ from trust.tables import EvaluationMessages, TrustScores
 PER_IDENTITY = 512
 """Detection indices of the n-th further identity of a linked vehicle begin at n times this."""
 _UNKNOWN = (1 << 31) - 1
-"""Subject of pseudonyms that were never issued."""
+"""Subject number of pseudonyms that were never issued."""
 
 
 class Linkage:
@@ -35,31 +35,31 @@ class Linkage:
 
     @property
     def renames(self) -> bool:
-        """Whether subjects are anything but pseudonyms."""
+        """Whether subjects can differ from pseudonyms."""
         return self.mode in ("server", "on_demand")
 
     def subjects(self, state: PseudonymState, pseudonym: Int[ndarray, "n"]) -> Int[ndarray, "n"]:
-        """Subject of trust behind each pseudonym."""
+        """Subject of trust of each pseudonym."""
         return self._resolved(state, pseudonym)[0] if self.renames else pseudonym
 
     def keys(
         self, state: PseudonymState, pseudonym: Int[ndarray, "n"], detection_index: Int[ndarray, "n"]
     ) -> tuple[Int[ndarray, "n"], Int[ndarray, "n"]]:
-        """Subject and number of detections by pseudonym and index; those of linked identities stay apart."""
+        """Subject and number of detections, from pseudonyms and indices. Linked identities have different numbers."""
         if not self.renames:
             return pseudonym, detection_index
         subject, identity = self._resolved(state, pseudonym)
         return subject, detection_index + PER_IDENTITY * identity
 
     def messages(self, state: PseudonymState, sent: EvaluationMessages) -> EvaluationMessages:
-        """Evaluations about subjects, by subjects."""
+        """The messages, with pseudonyms replaced by subjects."""
         if not self.renames:
             return sent
         observer, index = self.keys(state, sent.observer, sent.detection_index)
         return replace(sent, evaluator=self.subjects(state, sent.evaluator), observer=observer, detection_index=index)
 
     def scores(self, state: PseudonymState, scores: TrustScores) -> TrustScores:
-        """Trust under the present, or else the last, pseudonym of each subject."""
+        """The scores, with each subject replaced by its current or last pseudonym."""
         if not self.renames:
             return scores
         vehicle = scores.subject
@@ -78,10 +78,10 @@ class Linkage:
         return replace(renamed, **columns)
 
     def accused(self, state: PseudonymState, reports: list[EvaluationMessages]) -> PseudonymState:
-        """Count the accusations that have reached the server; who has enough of them is linked from now on.
+        """Count the accusations that have reached the server. Vehicles with enough of them are linked from then on.
 
-        An accusation is one evaluator's report of one step in which its evaluations of a subject are negative on the
-        whole. Evidence under the accused pseudonym and under all later ones then counts together.
+        An accusation is one evaluator's report of one step in which the sum of its evaluations of a subject is
+        negative. Evidence under the accused pseudonym and under all later ones then counts together.
         """
         if self.mode != "on_demand" or not reports:
             return state
@@ -109,7 +109,7 @@ class Linkage:
     def _resolved(
         self, state: PseudonymState, pseudonym: Int[ndarray, "n"]
     ) -> tuple[Int[ndarray, "n"], Int[ndarray, "n"]]:
-        """Subject, and identity within it."""
+        """Subject of each pseudonym, and its identity within the subject."""
         vehicle, identity = self.pseudonyms.owners(state, pseudonym)
         known = vehicle >= 0
         if self.mode == "server":
@@ -120,7 +120,7 @@ class Linkage:
 
 
 class Revocation:
-    """Vehicles whose trust has fallen too low lose their certificates."""
+    """Revokes the certificates of vehicles whose trust is too low."""
 
     def __init__(self, params: PseudonymParams, linkage: Linkage) -> None:
         self.how, self.below = params.revocation, params.revoke_below
@@ -128,12 +128,12 @@ class Revocation:
         self.linkage = linkage
 
     def decided(self, state: PseudonymState, scores: TrustScores | None, step: int, dt_s: float) -> PseudonymState:
-        """What the authority decides when trust has been computed.
+        """Revoke subjects by the trust that the server has computed.
 
         Parameters
         ----------
         scores
-            As the acting server's model has them, by subject; None where it computed none now.
+            Scores of the acting server by subject. None if it computed none in this step.
         """
         if self.how == "none" or scores is None:
             return state
@@ -150,12 +150,12 @@ class Revocation:
     def valid(
         self, state: PseudonymState, pseudonym: Int[ndarray, "m"], step: int
     ) -> tuple[Bool[ndarray, "m"], PseudonymState]:
-        """Which pseudonyms receivers accept in a step, and the state with the first step of those they do not."""
+        """Whether receivers accept each pseudonym, and the state with the first step of refused pseudonyms."""
         if not state.revoked:
             return np.ones(len(pseudonym), bool), state
         subject = self.linkage.subjects(state, pseudonym)
         decided = np.array(list(state.revoked))
-        if self.how == "not_renewed":  # the authority that issues certificates knows whom it gave one
+        if self.how == "not_renewed":  # the authority that issues certificates knows their owners
             owners = self.linkage.pseudonyms.owners
             barred = decided if self.linkage.mode == "server" else owners(state, decided)[0]
             vehicle, _ = owners(state, pseudonym)
@@ -174,7 +174,7 @@ class Revocation:
 
 
 def check_server(params: PseudonymParams, attacks: Sequence[Any], hosts: Sequence[str]) -> None:
-    """ValueError in one line where something needs a trust server that is not there.
+    """Raise a ValueError of one line if something needs a trust server and there is none.
 
     Parameters
     ----------
@@ -198,6 +198,6 @@ def check_server(params: PseudonymParams, attacks: Sequence[Any], hosts: Sequenc
         if attack.reads_trust and hosts[0] != "central":
             key = "renewal" if attack.renewal == "whitewashing" else "when"
             raise ValueError(
-                f'attacks.{number}.{key} = "{getattr(attack, key)}": its vehicles follow what the trust server says, '
+                f'attacks.{number}.{key} = "{getattr(attack, key)}" needs the trust values of a trust server, '
                 f'but trust.host = "{hosts[0]}". Set trust.host = "central", or another {key}.'
             )

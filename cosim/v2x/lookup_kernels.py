@@ -1,4 +1,4 @@
-"""Reading trust scores row by row: what vehicles look up of them, many times in a step."""
+"""Compiled functions by which vehicles look up trust scores."""
 
 from typing import NamedTuple
 
@@ -17,8 +17,10 @@ def rows_heard(
     last: Int[ndarray, "capacity"], vehicle: Int[ndarray, "n"], number: int, subject: Int[ndarray, "n"],
     known: Int[ndarray, "k"],
 ) -> Int[ndarray, "n"]:  # fmt: skip
-    """Row of `known`, ascending, that holds each subject, where broadcast `number` is the last that its vehicle heard;
-    -1 elsewhere."""
+    """Row of each subject in `known` (ascending), if broadcast `number` is the last that the vehicle received.
+
+    Otherwise, or if the subject is not known, the row is -1.
+    """
     at = np.full(len(subject), -1)
     for i in range(len(subject)):
         if vehicle[i] < len(last) and last[vehicle[i]] == number:
@@ -29,7 +31,7 @@ def rows_heard(
 
 
 class LookupColumns(NamedTuple):
-    """Columns of `cosim.v2x.trust_hosts.Lookups`, to be written."""
+    """Columns of `cosim.v2x.trust_hosts.Lookups` that `fill` writes."""
 
     trust: ndarray
     source: ndarray
@@ -53,19 +55,19 @@ class ScoreColumns(NamedTuple):
 
 
 class LookupRules(NamedTuple):
-    """What makes a value of the scores one that is looked up."""
+    """Rules that turn scores into looked-up values."""
 
     source: int  # as `TrustSource`
     value_age_s: float  # time since the scores were computed
     time_s: float
     dt_s: float
     window_s: float  # an evaluation that is older is stale
-    unevaluated_is_used: bool  # the score of a subject that nobody evaluated is used, else the default
+    unevaluated_is_used: bool  # whether the score of a subject without evaluations is used; if not, the default is
 
 
 @compiled
 def fill(found, scores, at, rules):
-    """Look-ups where `at` names a row of the scores; others stay as they are."""
+    """Write the look-ups for which `at` is a row of the scores. Others are not changed."""
     for i in range(len(at)):
         row = at[i]
         if row < 0:
@@ -85,8 +87,13 @@ def fill(found, scores, at, rules):
 
 @compiled
 def totals(n_variants, n_states, state, is_default, is_known, age_s, newest_age_s, oldest_age_s):
-    """Of lookups of one variant after another, by variant and state: how many, how many with a value, and sums of the
-    ages of these values and of the evaluations that are known."""
+    """Counts of look-ups and sums of ages, by variant and state. Look-ups are in the order of variants.
+
+    Returns
+    -------
+    Number of look-ups, number with a value, sum of the ages of these values, and sums of the ages of the newest and
+    oldest evaluations.
+    """
     n, n_valued = np.zeros(n_variants * n_states, np.int64), np.zeros(n_variants * n_states, np.int64)
     sums = np.zeros((3, n_variants * n_states))
     per_variant = len(state) // n_variants

@@ -13,11 +13,11 @@ from results.codes import DetectionFault, ObjectClass, Origin
 from sensors.boxes import Boxes
 
 SENSED, SELF, FABRICATED = Origin
-"""Origin of a detection: the detector, the vehicle's own pose, an attack or fault."""
+"""Origin of a detection: the detector, the vehicle's own pose, or an attack or fault."""
 
 
 FARTHEST_M = 10_000.0
-"""Farthest that a detection may be from its observer, along an axis."""
+"""Largest distance of a detection from its observer, along an axis."""
 LARGEST_M = 1_000.0
 """Largest length, width or height of a detection."""
 FASTEST = 1_000.0
@@ -25,18 +25,18 @@ FASTEST = 1_000.0
 LARGEST_NUMBER = 2**15 - 1
 MOST_RETURNS = 2**31 - 1
 MOST_OBJECTS = 255
-"""Objects in one message: ETSI TS 103 324, `PerceivedObjects`."""
+"""Largest number of objects in one message: ETSI TS 103 324, `PerceivedObjects`."""
 
 
 @dataclass(frozen=True, slots=True)
 class Detections:
-    """D detections of one step, world frame, sorted by (observer, identity, detection_index): with the step, its key.
+    """D detections of one step in the world frame, sorted by their key (observer, identity, detection_index).
 
-    `observer` is a row of the step's world. Index 0 is the self report, then come detections by the detector, then
-    fabricated ones. A detection with `transmitted` false stays with its observer. `identity` is 0 for what a vehicle
-    sends under its own pseudonym; a Sybil attacker sends under further ones. Speed and acceleration stand in self
-    reports alone, and are NaN elsewhere. `target` is a row of the world too: the vehicle that an attack aims at with
-    the detection, the observer itself where it aims at none.
+    `observer` is a row of the step's world. Index 0 is the self report; then follow detections by the detector, then
+    fabricated ones. A detection with `transmitted` false is not sent. `identity` is 0 for detections under the
+    vehicle's own pseudonym; a Sybil attacker has further identities. Only self reports have speed and acceleration;
+    otherwise they are NaN. `target` is the row of the vehicle that an attack aims at with the detection. If there is
+    none, it is the observer.
     """
 
     observer: Int[ndarray, "d"]
@@ -47,11 +47,11 @@ class Detections:
     n_points: Int[ndarray, "d"]
     origin: UInt8[ndarray, "d"]
     transmitted: Bool[ndarray, "d"]
-    target: Int[ndarray, "d"] = field(default=None)  # type: ignore[arg-type]  # left out: the observer's own
-    identity: Int[ndarray, "d"] = field(default=None)  # type: ignore[arg-type]  # left out: the vehicle's own
+    target: Int[ndarray, "d"] = field(default=None)  # type: ignore[arg-type]  # default: the observer
+    identity: Int[ndarray, "d"] = field(default=None)  # type: ignore[arg-type]  # default: the vehicle's own
     speed_mps: Float[ndarray, "d"] = field(default=None)  # type: ignore[arg-type]  # left out: absent
     acceleration_mps2: Float[ndarray, "d"] = field(default=None)  # type: ignore[arg-type]  # left out: absent
-    """Along the heading."""
+    """Acceleration along the heading."""
 
     def __post_init__(self) -> None:
         n = len(self.observer)
@@ -79,7 +79,7 @@ class Detections:
         observer: Int[ndarray, "d"], detection_index: Int[ndarray, "d"], label: UInt8[ndarray, "d"], boxes: Boxes,
         score: Float[ndarray, "d"], n_points: Int[ndarray, "d"], origin: UInt8[ndarray, "d"],
     ) -> "Detections":  # fmt: skip
-        """Detections that are all to be transmitted, under the vehicles' own identities."""
+        """Detections that are all transmitted, under the vehicles' own identities."""
         sent = np.ones(len(observer), bool)
         return Detections(observer, detection_index, label, boxes, score, n_points, origin, sent)
 
@@ -97,19 +97,19 @@ class Detections:
 
 
 def cpm_bytes(n_objects: Int[ndarray, "n"]) -> Int[ndarray, "n"]:
-    """Length of a detection message, as a collective perception message [B].
+    """Length of a detection message, sent as a collective perception message [B].
 
-    GeoNetworking and BTP 44, signature and digest 96, header 37, one sensor 9, and 29 per object, as in Artery's
-    model of ETSI TS 103 324.
+    It is the sum of GeoNetworking and BTP 44, signature and digest 96, header 37, one sensor 9, and 29 per object, as
+    in Artery's model of ETSI TS 103 324.
     """
     return ENVELOPE_BYTES + 29 * n_objects
 
 
 def evaluation_bytes(n_evaluations: Int[ndarray, "n"]) -> Int[ndarray, "n"]:
-    """Length of an evaluation message, a format of our own [B].
+    """Length of an evaluation message [B]. No standard defines its format.
 
-    The same envelope, a header of 16, and 12 per evaluation: vehicle 4, detection 2, evaluation 1, visibility 1,
-    time 2, flags 2.
+    It has the envelope of a detection message, a header of 16, and 12 per evaluation: vehicle 4, detection 2,
+    evaluation 1, visibility 1, time 2, flags 2.
     """
     return 44 + report_bytes(n_evaluations)
 
@@ -125,15 +125,15 @@ def piggyback_bytes(n_evaluations: Int[ndarray, "n"]) -> Int[ndarray, "n"]:
 
 
 def trust_broadcast_bytes(n_vehicles: int) -> int:
-    """Length of a trust broadcast: envelope and header of an evaluation message, and vehicle 4, trust 1, age 1 [B]."""
+    """Length of a trust broadcast [B]: the envelope and header of an evaluation message, and 6 per vehicle."""
     return 44 + 96 + 16 + 6 * n_vehicles
 
 
 def faults(listed: Detections, xyz_m: Float[ndarray, "w 3"]) -> Int[ndarray, "d"]:
-    """Why each detection cannot be sent, as `DetectionFault`; -1 for nothing.
+    """Why each detection cannot be sent, as a `DetectionFault`; -1 if it can.
 
-    A message holds what its format can (ETSI TS 103 324: 255 objects), of known classes, with numbers of 15 bits that
-    are unique in the list, within `FARTHEST_M` of the observer, whose position is a row of `xyz_m`.
+    A message has at most 255 objects (ETSI TS 103 324). Objects must be of known classes, have unique numbers of 15
+    bits, and be within `FARTHEST_M` of the observer. `xyz_m` are the positions of all actors by row of the world.
     """
     n, boxes = len(listed), listed.boxes
     with np.errstate(invalid="ignore", over="ignore"):
@@ -169,7 +169,7 @@ def faults(listed: Detections, xyz_m: Float[ndarray, "w 3"]) -> Int[ndarray, "d"
 
 
 def self_reports(world: World, observers: Int[ndarray, "o"]) -> Detections:
-    """Each equipped vehicle's own box, as it reports itself: index 0, score 1."""
+    """The self reports of equipped vehicles: their own boxes, with index 0 and score 1."""
     n = len(observers)
     return Detections.perceived(
         observers, np.zeros(n, int), world.label[observers], world.boxes.take(observers), np.ones(n),
@@ -180,7 +180,7 @@ def self_reports(world: World, observers: Int[ndarray, "o"]) -> Detections:
 def with_motion(
     listed: Detections, speed_mps: Float[ndarray, "n"], acceleration_mps2: Float[ndarray, "n"]
 ) -> Detections:
-    """The same with speed and acceleration, by row of the world, in the self reports."""
+    """The detections, with speeds and accelerations (by row of the world) written into the self reports."""
     speed, acceleration = listed.speed_mps.copy(), listed.acceleration_mps2.copy()
     rows = np.flatnonzero(listed.origin == SELF)
     speed[rows] = speed_mps[listed.observer[rows]]

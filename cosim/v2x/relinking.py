@@ -1,8 +1,8 @@
-"""Receivers that link a new pseudonym to one that has fallen silent, by place and speed.
+"""Receivers that link a new pseudonym to one that they no longer receive, by position and speed.
 
-A receiver expects every sender that it no longer receives at a certain place by now. If a sender that it receives for
-the first time is at that place, the receiver takes the two for one. It then uses what it knows of the old pseudonym as
-long as it knows nothing of the new one.
+A receiver predicts the position of every sender that it no longer receives. If a new sender is at that position, the
+receiver links the two pseudonyms. It then uses what it knows about the old pseudonym until it knows something about the
+new one.
 """
 
 from collections.abc import Callable
@@ -20,7 +20,7 @@ from results.codes import TrustSource
 
 @dataclass(frozen=True, slots=True)
 class KnownSenders:
-    """What receivers remember of senders: a row per receiver (actor number) and pseudonym, sorted."""
+    """What receivers store about senders: one row per receiver (actor number) and pseudonym, sorted."""
 
     receiver: Int[ndarray, "n"] = field(default_factory=lambda: np.zeros(0, np.int64))
     pseudonym: Int[ndarray, "n"] = field(default_factory=lambda: np.zeros(0, np.int64))
@@ -28,14 +28,14 @@ class KnownSenders:
     velocity_mps: Float[ndarray, "n 2"] = field(default_factory=lambda: np.zeros((0, 2)))
     time_s: Float[ndarray, "n"] = field(default_factory=lambda: np.zeros(0))
     linked: Int[ndarray, "n"] = field(default_factory=lambda: np.zeros(0, np.int64))
-    """Earlier pseudonym of which the receiver knew a trust value; -1 for none."""
+    """Earlier pseudonym whose trust value the receiver knew; -1 if there is none."""
     rated: Bool[ndarray, "n"] = field(default_factory=lambda: np.zeros(0, bool))
     """Whether the receiver knew a trust value of this pseudonym itself."""
     n_changes: int = 0
-    """Changes so far of senders that the receiver had received just before; ground truth, read by nothing."""
+    """Number of pseudonym changes so far of senders that the receiver had just received. This is ground truth."""
     n_linked: int = 0
     n_right: int = 0
-    """Of those linked, pairs of one sender; ground truth, which no vehicle reads."""
+    """Number of links so far whose two pseudonyms belong to one sender. This is ground truth."""
 
     @property
     def key(self) -> Int[ndarray, "n"]:
@@ -47,7 +47,7 @@ class KnownSenders:
         return replace(self, **columns)
 
     def rows_of(self, receiver: Int[ndarray, "q"], pseudonym: Int[ndarray, "q"]) -> Int[ndarray, "q"]:
-        """Row of each pair; all of them are remembered."""
+        """Row of each pair. All pairs must be stored."""
         return np.searchsorted(self.key, receiver.astype(np.int64) << 31 | pseudonym)
 
 
@@ -59,7 +59,7 @@ class ReceivedSenders:
     """Actor number."""
     pseudonym: Int[ndarray, "r"]
     xy_m: Float[ndarray, "r 2"]
-    """Position of the sender, as its message says."""
+    """Position of the sender according to its message."""
     velocity_mps: Float[ndarray, "r 2"]
 
 
@@ -67,12 +67,16 @@ def update_senders(
     before: KnownSenders, received: ReceivedSenders, time_s: float,
     owner_of: Callable[[Int[ndarray, "k"]], Int[ndarray, "k"]], params: PseudonymParams,
 ) -> KnownSenders:  # fmt: skip
-    """Remember the senders of one round, and link those that are new.
+    """Store the senders of one round, and link the new ones.
 
     Parameters
     ----------
+    before
+        Senders of earlier rounds.
+    received
+        Senders of this round.
     owner_of
-        Vehicles behind pseudonyms: ground truth, for counting alone.
+        Vehicles of pseudonyms. This is ground truth and is used for counting only.
     """
     order = np.lexsort((received.pseudonym, received.receiver))
     n = len(order)
@@ -127,14 +131,14 @@ def _joined(one: KnownSenders, other: KnownSenders) -> KnownSenders:
 
 
 def noted(memory: KnownSenders, rows: Int[ndarray, "q"], known: Bool[ndarray, "q"]) -> KnownSenders:
-    """Remember of which pseudonyms a trust value was known when it was looked up."""
+    """Store for these rows whether a trust value was known at its look-up."""
     rated = memory.rated.copy()
     rated[rows] = known
     return replace(memory, rated=rated)
 
 
 def fallen_back(found: Lookups, rows: Int[ndarray, "k"], of_old: Lookups) -> Lookups:
-    """Look-ups with the default replaced, in these rows, by what is known of the old pseudonym."""
+    """The look-ups, with defaults in these rows replaced by what is known about the old pseudonym."""
     better = of_old.source != TrustSource.DEFAULT
     columns: dict[str, ndarray | None] = {}
     for f in fields(Lookups):

@@ -1,8 +1,7 @@
-"""Where trust lives: on a server that broadcasts it, in every vehicle, or nowhere; for any number of variants at once.
+"""Hosts of trust: a server that broadcasts it, every vehicle, or none, for any number of trust variants at once.
 
-All variants see the same evaluations at the same moments. Each keeps evidence and a broadcast schedule of its own;
-what variants have in common (the evidence store of one model with several windows, the reports on their way to the
-server) is kept once.
+All variants get the same evaluations at the same times. Each has its own evidence and broadcast schedule. What variants
+have in common is stored once: the evidence of one model with several windows, and reports on their way to the server.
 """
 
 from collections.abc import Callable, Sequence
@@ -38,13 +37,13 @@ FUSION_KEYS = frozenset({
     "method", "plausibility_in_fusion", "blind_points", "self_report_poses", "min_score", "code_parity",
     "code_aggregate", "ego_trust", "ego_trust_from",
 })  # fmt: skip
-"""Keys of [trust] that say what trust is used for: variants that differ in these alone share one host."""
+"""Keys of [trust] about the use of trust. Variants that differ only in these keys share one host."""
 
 
 _JUDGED, _STALE, _NO_VALUE, _DEFAULT = (
     int(c) for c in (LookupState.JUDGED, LookupState.STALE, LookupState.DEFAULT, TrustSource.DEFAULT)
 )
-"""NumPy takes ten times as long with the members themselves."""
+"""Plain integers, because NumPy is ten times slower with members of enums."""
 
 ObjectScorer = Callable[[ObjectReports], Float[ndarray, "g"]]
 """Scores of groups of detections by a trust model that scores objects."""
@@ -52,7 +51,7 @@ ObjectScorer = Callable[[ObjectReports], Float[ndarray, "g"]]
 
 @dataclass(frozen=True, slots=True)
 class Lookups:
-    """Trust of some subjects as some vehicles know it here and now; rows as asked."""
+    """Trust of subjects as vehicles know it at the time of the look-up, one row per look-up."""
 
     trust: Float[ndarray, "n"]
     source: UInt8[ndarray, "n"]
@@ -60,15 +59,14 @@ class Lookups:
     state: UInt8[ndarray, "n"]
     """As `LookupState`."""
     age_s: Float[ndarray, "n"]
-    """Of the value, since it was computed (own values are computed when they are looked up); read only where it is no
-    default."""
+    """Age of the value since it was computed. Own values are computed at the look-up. A default has no age."""
     newest_evaluation_age_s: Float[ndarray, "n"]
-    """Of the evaluations, by other vehicles than the subject that could see, that the value rests on; read only where
-    `is_known`."""
+    """Age of the newest evaluation that the value is based on. Only evaluations by other vehicles with visibility above
+    0 count. It has no meaning unless `is_known`."""
     oldest_evaluation_age_s: Float[ndarray, "n"]
     n_evaluations: Int[ndarray, "n"]
     n_evaluators: Int[ndarray, "n"] | None
-    """Different vehicles that made them; None where the trust model does not count them."""
+    """Number of different evaluators; None if the trust model does not count them."""
 
     def take(self, rows: Int[ndarray, "k"]) -> "Lookups":
         """These rows."""
@@ -77,31 +75,31 @@ class Lookups:
 
     @property
     def is_known(self) -> Bool[ndarray, "n"]:
-        """Values that rest on at least one evaluation, however old: what counts as knowledge."""
+        """Whether each value is based on at least one evaluation, however old."""
         return (self.state == _JUDGED) | (self.state == _STALE)
 
     @property
     def is_default(self) -> Bool[ndarray, "n"]:
-        """No value of the server's or of the vehicle's own."""
+        """Whether each value is the default, because neither the server nor the vehicle has one."""
         return self.source == _DEFAULT
 
 
 @dataclass(frozen=True, slots=True)
 class Variant:
-    """One way of trusting, as the config names it."""
+    """A trust variant of the config."""
 
     name: str
     trust: TrustParams
     model: type
     """Class of the trust model."""
     own: Any = None
-    """The model's own parameters where they are not those of [trust]."""
+    """The model's own parameters, if they are not those of [trust]."""
     fused: bool = True
     """Whether its fused objects are computed."""
     make: Callable[[Any, float], Any] | None = None
-    """Makes an instance of the model, if not its class alone."""
+    """Builds an instance of the model. None if the class does."""
     guard: Callable[..., Any] | None = None
-    """Puts an instance behind checks, `guard(model, latest_step=...)`; None for a model that ships."""
+    """Adds checks to an instance: `guard(model, latest_step=...)`. None for an included model."""
 
 
 @dataclass(slots=True)
@@ -115,7 +113,7 @@ class HostState:
 
 @dataclass(slots=True)
 class TrustState:
-    """Everything that is known about trustworthiness, anywhere."""
+    """State of all hosts, and of the reports to the server."""
 
     hosts: list[HostState]
     uplink: UplinkState = field(default_factory=UplinkState)
@@ -124,12 +122,12 @@ class TrustState:
 
 
 class Informed(NamedTuple):
-    """How many vehicles a broadcast of trust values is about to inform."""
+    """Number of vehicles that a broadcast of trust values reaches."""
 
     n_addressed: int
-    """Vehicles that it was meant for."""
+    """Number of vehicles that it is sent to."""
     n_informed: int
-    """Of these, those that it reaches, now or later."""
+    """Number of these that it reaches, now or later."""
 
 
 NOBODY = Informed(0, 0)
@@ -138,7 +136,7 @@ NOBODY = Informed(0, 0)
 
 @dataclass(frozen=True, slots=True)
 class ServerTraffic:
-    """A step's messages between vehicles and a trust server."""
+    """One step's messages between vehicles and a trust server."""
 
     up: LinkStats
     down: Informed
@@ -146,27 +144,27 @@ class ServerTraffic:
 
 @dataclass(frozen=True, slots=True)
 class TrustHosts:
-    """Trust of all variants; the first one acts."""
+    """The hosts of all trust variants. Vehicles act on the trust of the first variant."""
 
     variants: tuple[Variant, ...]
     host_of: tuple[int, ...]
-    """Of each variant: which host it asks."""
+    """For each variant, the number of its host."""
     params: tuple[TrustParams, ...]
-    """Of each host."""
+    """Parameters of each host."""
     models: tuple[Variant, ...]
-    """Of each host: the first variant that asks it, which says what its model is."""
+    """For each host, its first variant, which defines its model."""
     uplink: Uplink
     downlink: Downlink
     server: ServerParams
     dt_s: float
     eta: float
-    """Evaluation of an unmatched detection, the same for all."""
+    """Evaluation of an unmatched detection, the same for all variants."""
 
     @staticmethod
     def of(
         variants: Sequence[Variant], server: ServerParams, seed: int, interval_s: float, dt_s: float
     ) -> "TrustHosts":
-        """Hosts for these variants; the first one acts."""
+        """Build the hosts of these variants. Vehicles act on the trust of the first one."""
         keys: list[tuple] = []
         host_of: list[int] = []
         for variant in variants:
@@ -188,7 +186,7 @@ class TrustHosts:
         )  # fmt: skip
 
     def start(self) -> TrustState:
-        """No evidence about anyone."""
+        """The state before the first step, without evidence."""
         models: list[TrustModel | None] = [None] * len(self.params)
         for group in _shared(self.params, self.models):
             variant = self.models[group[0]]
@@ -205,11 +203,19 @@ class TrustHosts:
     def publish(
         self, state: TrustState, step: int, time_s: float, vehicle: Int[ndarray, "e"], name_key: UInt64[ndarray, "e"]
     ) -> tuple[TrustState, list[TrustScores | None], list[Informed]]:
-        """Reports reach the server; where it is time, it computes trust and broadcasts it.
+        """Deliver reports to the server. If a broadcast is due, the server computes trust and broadcasts it.
+
+        Parameters
+        ----------
+        vehicle
+            Actor numbers of the equipped vehicles.
+        name_key
+            Keys of their names, for random draws.
 
         Returns
         -------
-        The state; per host, what its server computed now, and the vehicles addressed and informed.
+        The new state; for each host the scores that its server computed in this step, or None; and for each host the
+        numbers of vehicles addressed and reached.
         """
         published: list[TrustScores | None] = [None] * len(self.params)
         counts = [NOBODY] * len(self.params)
@@ -241,11 +247,11 @@ class TrustHosts:
         return state, published, counts
 
     def per_variant(self, of_host: Sequence[T]) -> list[T]:
-        """What there is per host, per trust variant."""
+        """Values per trust variant from values per host."""
         return [of_host[h] for h in self.host_of]
 
     def traffic(self, up: LinkStats, informed: Sequence[Informed]) -> list[ServerTraffic | None]:
-        """Messages to and from the server of each trust variant, given whom each host informed."""
+        """Messages to and from the server of each trust variant. None if the variant has no server."""
         return self.per_variant(
             [
                 ServerTraffic(up, down) if params.host == "central" else None
@@ -254,7 +260,7 @@ class TrustHosts:
         )
 
     def pending_rsu_broadcast(self, state: TrustState, time_s: float) -> tuple[TrustState, TrustBroadcast | None]:
-        """What roadside units have to send in a round that begins at `time_s`, once."""
+        """The broadcast that roadside units send in a round that begins at `time_s`. Each is returned once."""
         h = self.host_of[0]
         if self.server.uplink != "rsu" or self.params[h].host != "central":
             return state, None
@@ -271,7 +277,21 @@ class TrustHosts:
         receiver: Int[ndarray, "m"],
         received_s: Float[ndarray, "m"],
     ) -> tuple[TrustState, Informed]:
-        """Vehicles received the roadside units' broadcast; whom it informs."""
+        """Record which vehicles received the broadcast of roadside units.
+
+        Parameters
+        ----------
+        vehicle
+            Actor numbers of the equipped vehicles.
+        receiver
+            Row of `vehicle` for each reception.
+        received_s
+            Time of each reception.
+
+        Returns
+        -------
+        The new state, and the numbers of vehicles addressed and reached.
+        """
         h = self.host_of[0]
         downlink, n_informed = self.downlink.receive_from_rsu(state.hosts[h].downlink, vehicle, receiver, received_s)
         hosts = list(state.hosts)
@@ -282,7 +302,17 @@ class TrustHosts:
         self, state: TrustState, step: int, pseudonym: Int[ndarray, "p"], message: Int[ndarray, "d"],
         detection_index: Int[ndarray, "d"], score: Float[ndarray, "d"],
     ) -> TrustState:  # fmt: skip
-        """Tell every host what was transmitted in this step: detections by message, and the messages' pseudonyms."""
+        """Tell every host what was transmitted in this step.
+
+        Parameters
+        ----------
+        pseudonym
+            Pseudonym of each of P messages.
+        message
+            Row of `pseudonym` for each of D transmitted detections.
+        detection_index, score
+            Index and score of each detection.
+        """
         order = np.argsort(pseudonym, kind="stable")
         if (order[1:] < order[:-1]).any():
             rank = np.empty(len(order), np.int64)
@@ -293,7 +323,7 @@ class TrustHosts:
         return state
 
     def add_own(self, state: TrustState, messages: EvaluationMessages, vehicle: Int[ndarray, "v"]) -> TrustState:
-        """Evaluations reach their own evaluators: vehicles, aligned with the messages."""
+        """Add each vehicle's own evaluations to its evidence. `vehicle` is aligned with the messages."""
         self._add_local(
             state, ReceivedEvaluations(messages, vehicle, np.arange(len(vehicle)), self.eta), of_others=False
         )
@@ -302,7 +332,7 @@ class TrustHosts:
     def add_received(
         self, state: TrustState, messages: EvaluationMessages, vehicle: Int[ndarray, "m"], message: Int[ndarray, "m"]
     ) -> TrustState:
-        """Evaluations of others reach vehicles: message `message[i]` reached `vehicle[i]`."""
+        """Add received evaluations to the evidence: vehicle `vehicle[i]` received message `message[i]`."""
         self._add_local(state, ReceivedEvaluations(messages, vehicle, message, self.eta), of_others=True)
         return state
 
@@ -315,16 +345,18 @@ class TrustHosts:
         self, state: TrustState, messages: EvaluationMessages, key: ndarray, xy_m: ndarray, time_s: float,
         is_valid: Bool[ndarray, "m"] | None = None, n_copies: Int[ndarray, "m"] | None = None,
     ) -> tuple[TrustState, LinkStats]:  # fmt: skip
-        """Reports leave for the server through the cellular network; all arguments go with the messages.
+        """Send reports to the server over the cellular network. All arrays are aligned with the messages.
 
         Parameters
         ----------
         key
-            Of each message's draws.
+            Random key of each message.
+        xy_m
+            Positions of the senders.
         is_valid
-            Whether the server takes it; all if not given.
+            Whether the server accepts the message. All are accepted if it is not given.
         n_copies
-            Further copies, which take capacity and add nothing; none if not given.
+            Further copies, which use capacity and have no other effect. None if it is not given.
         """
         if self.server.uplink != "cellular" or not self._any("central"):
             return state, LinkStats()
@@ -334,14 +366,14 @@ class TrustHosts:
     def report_by_rsu(
         self, state: TrustState, messages: EvaluationMessages, message: ndarray, received_s: ndarray
     ) -> tuple[TrustState, LinkStats]:
-        """Reports that roadside units received leave for the server."""
+        """Forward the reports that roadside units received to the server."""
         if self.server.uplink != "rsu" or not self._any("central"):
             return state, LinkStats()
         uplink, stats = self.uplink.by_rsu(state.uplink, messages, message, received_s)
         return TrustState(state.hosts, uplink), stats
 
     def receive(self, state: TrustState, present: Int[ndarray, "e"], time_s: float) -> TrustState:
-        """Broadcasts that have arrived by `time_s` are received; `present` vehicles are on the road, ascending."""
+        """Deliver broadcasts that have arrived by `time_s` to the vehicles on the road, `present` (ascending)."""
         hosts = [
             replace(host, downlink=self.downlink.receive(host.downlink, present, time_s))
             if params.host == "central" else host
@@ -352,7 +384,7 @@ class TrustHosts:
     def lookup(
         self, state: TrustState, vehicle: Int[ndarray, "n"], subject: Int[ndarray, "n"], time_s: float
     ) -> list[Lookups]:
-        """Trust of each subject (a pseudonym) as its vehicle knows it at `time_s`: per host. Changes nothing."""
+        """For each host, the trust of each subject (a pseudonym) that the vehicle knows at `time_s`."""
         return [self._lookup(state, h, vehicle, subject, time_s) for h in range(len(self.params))]
 
     def _lookup(
@@ -379,8 +411,10 @@ class TrustHosts:
     def _fill(
         self, found: Lookups, scores: TrustScores, at: Int[ndarray, "n"], h: int, time_s: float, age_s: float
     ) -> bool:
-        """Write down values of a host that are `age_s` old, where `at` is a row of them; whether its model counts
-        evaluators."""
+        """Write the values of a host, of age `age_s`, into the look-ups for which `at` is a row of the scores.
+
+        Returns whether the model counts evaluators.
+        """
         params = self.params[h]
         window_s = window_of(params) if _has_window(self.models[h].model) else np.inf
         source = TrustSource.SERVER if params.host == "central" else TrustSource.OWN
@@ -409,22 +443,22 @@ class TrustHosts:
         return scores.n_evaluators is not None or not (at >= 0).any()
 
     def rejected(self, state: TrustState) -> dict[str, int]:
-        """Evaluations that the acting model rejected so far, by cause, where it counts them."""
+        """Number of evaluations that the acting model has rejected, by cause. Empty if it does not count them."""
         counts = getattr(state.hosts[self.host_of[0]].model, "rejected", None)
         if not isinstance(counts, ndarray):
             return {}
         return {cause.name.lower(): int(n) for cause, n in zip(RejectReason, counts, strict=False) if n}
 
     def scorers(self, state: TrustState) -> list[ObjectScorer | None]:
-        """Per variant: the scores that its model gives to objects, None where it gives none."""
+        """For each variant, the method of its model that scores objects, or None if it has none."""
         return [
             None if state.hosts[h].model is None else getattr(self._model(state, h), "score_objects", None)
             for h in self.host_of
         ]
 
     def _model(self, state: TrustState, h: int, latest_step: int | None = None) -> TrustModel:
-        """The model of a host, guarded if it is a user's own; `latest_step` is that of the call, where no argument
-        says it."""
+        """The model of a host, guarded if it is a user's own. `latest_step` is the step of a call without that
+        argument."""
         model, guard = state.hosts[h].model, self.models[h].guard
         assert model is not None
         return model if guard is None else guard(model, latest_step=latest_step)
@@ -443,18 +477,18 @@ def _has_window(model: type) -> bool:
 
 
 def host_key(variant: Variant) -> tuple:
-    """What a host depends on; variants of one key share it."""
+    """Everything that a host depends on. Variants with the same key share a host."""
     kept = {f.name for f in fields(TrustParams)} - FUSION_KEYS - set(EVIDENCE_KEYS) - {"model"}
     return variant.model, repr(variant.own), *(getattr(variant.trust, name) for name in sorted(kept))
 
 
 def _kind(params: TrustParams) -> tuple[str, str]:
-    """Hosts of one kind hear the same evaluations."""
+    """The kind of a host. Hosts of one kind receive the same evaluations."""
     return params.host, params.local_evidence
 
 
 def _shared(params: Sequence[TrustParams], models: Sequence[Variant]) -> list[list[int]]:
-    """Hosts whose models hear the same evaluations: of one class, at one kind of host."""
+    """Groups of hosts with models of the same class that receive the same evaluations."""
     groups: dict[tuple, list[int]] = {}
     for h, (p, variant) in enumerate(zip(params, models, strict=True)):
         if p.host != "none":

@@ -1,4 +1,4 @@
-"""A detector: it finds actors with enough LiDAR returns, and misplaces them a little."""
+"""A detector: it detects actors with enough LiDAR returns, with a small position error."""
 
 from dataclasses import dataclass, replace
 
@@ -9,8 +9,8 @@ from cosim.extend import Reports
 class Params:
     """Keys of the section [detector] that belong to this detector."""
 
-    enough_returns: int = 20  # returns from which an actor is found
-    error_m: float = 0.2  # largest error of its position, east
+    enough_returns: int = 20  # smallest number of returns for a detection
+    error_m: float = 0.2  # largest position error, to the east [m]
 
 
 class MyDetector:
@@ -20,11 +20,11 @@ class MyDetector:
         self.params = params
 
     def detect(self, sweeps, seen, boxes, label, draws):
-        # seen: one row for each (observer, actor) that a ray could meet, with the number of returns
+        # seen: one row for each (observer, actor) that could be detected, with the number of returns
         found = (seen.n_returns >= self.params.enough_returns).nonzero()[0]
         actor = seen.actor[found]
         box = boxes.take(actor)  # the true boxes
-        noise = draws.uniforms(seen)[found, 0]  # random numbers of each (observer, actor), new in every step
+        noise = draws.uniforms(seen)[found, 0]  # a random number for each (observer, actor), new in every step
         xyz_m = box.xyz_m.copy()
         xyz_m[:, 0] += self.params.error_m * (2 * noise - 1)
         score = 1 - 1 / (1 + seen.n_returns[found] / self.params.enough_returns)

@@ -1,4 +1,4 @@
-"""A driver: it slows down where its vehicle believes in an object close ahead that it does not see itself."""
+"""A driver: it slows down if others report an object close ahead that its own detector does not report."""
 
 from dataclasses import dataclass
 
@@ -11,8 +11,8 @@ from cosim.extend import SpeedCommands
 class Params:
     """Keys of the section [driver] that belong to this driver."""
 
-    ahead_m: float = 20.0  # how far it looks
-    min_score: float = 0.5  # score from which it believes in an object
+    ahead_m: float = 20.0  # distance that it looks ahead [m]
+    min_score: float = 0.5  # smallest score of an object that it reacts to
 
 
 class MyDriver:
@@ -21,7 +21,7 @@ class MyDriver:
     def __init__(self, params):
         self.params = params
 
-    def commands(self, state, world, beliefs, dt_s):  # state: what you returned in the step before, None at first
+    def commands(self, state, world, beliefs, dt_s):  # state: the one returned in the previous step, None at first
         if beliefs is None:  # between two sweeps
             return state, SpeedCommands.none()
         ego, yaw_rad = beliefs.ego, world.boxes.yaw_rad[beliefs.ego]  # one row for each belief; ego: row of the world

@@ -10,17 +10,17 @@ from cosim.extend import File, Plan
 class Params:
     """Given on the command line: cosim export ... --set digits=3"""
 
-    digits: int = 2  # behind the decimal point
+    digits: int = 2  # number of decimals
 
 
 class MyExporter:
     Params = Params
-    TABLES = ("actors",)  # tables that the run must hold; results/TABLES.md describes all of them
+    TABLES = ("actors",)  # tables that the run must have; results/TABLES.md describes all of them
 
     def __init__(self, params):
         self.params = params
 
-    def plan(self, selection):  # selection: the run, and the vehicles and steps that were asked for
+    def plan(self, selection):  # selection: the run, and the requested vehicles and steps
         return Plan.of_files(
             File(f"vehicle-{vehicle}.csv", partial(self._csv, selection, vehicle)) for vehicle in selection.vehicles
         )

@@ -1,4 +1,4 @@
-"""A radio medium: everyone within a distance receives a message, unless it is lost by chance."""
+"""A radio medium: all stations within a distance receive a message, except for random losses."""
 
 from dataclasses import dataclass
 
@@ -12,7 +12,7 @@ class Params:
     """Keys of the section [radio] that belong to this medium."""
 
     reach_m: float = 200.0  # distance within which a message can be received
-    loss_p: float = 0.1  # chance that one receiver does not get it
+    loss_p: float = 0.1  # probability that a receiver does not get it
 
 
 class MyMedium:
@@ -22,15 +22,15 @@ class MyMedium:
         self.params, self.seed = params, seed
 
     def start(self):
-        return None  # the state before the first round; here nothing lasts from round to round
+        return None  # the state before the first round; this medium needs no state
 
     def broadcast(self, state, kind, step, begin_s, stations, messages):
         xy_m = stations.xyz_m[:, :2]
         apart_m = np.linalg.norm(xy_m[:, None] - xy_m[messages.station][None], axis=2)  # station by message
-        near = (apart_m <= self.params.reach_m) & (messages.length_bytes > 0)  # of length 0: not sent
-        near[messages.station, np.arange(len(messages))] = False  # nobody receives its own message
+        near = (apart_m <= self.params.reach_m) & (messages.length_bytes > 0)  # a message of length 0 is not sent
+        near[messages.station, np.arange(len(messages))] = False  # no station receives its own message
         receiver, message = np.nonzero(near)
-        # Random numbers follow from names: with the seed and the step, they are the same whoever else is there.
+        # Random numbers depend on the seed, the step and names only, so that other stations do not change them.
         names = stations.key[receiver], messages.keys(stations)[message], np.full(len(message), kind)
         lost = draws(self.seed, step, names)[:, 0] < self.params.loss_p
         return state, MessageRound.of(

@@ -1,4 +1,4 @@
-"""A metric: how fast each class of actors moves on average, those that stand left out."""
+"""A metric: the mean speed of each class of actors, without standing ones."""
 
 from dataclasses import dataclass
 
@@ -9,7 +9,7 @@ from cosim.extend import MetricRow
 class Params:
     """Given on the command line: cosim measure ... --set least_mps=1.0"""
 
-    least_mps: float = 0.5  # who is slower stands
+    least_mps: float = 0.5  # slower actors count as standing
 
 
 class MyMetric:
@@ -19,7 +19,7 @@ class MyMetric:
         self.params = params
 
     def rows(self, run):
-        run.require("actors", "vehicles")  # one clear line where the run does not hold these tables
+        run.require("actors", "vehicles")  # a clear error if the run does not have these tables
         actors = run.table("actors", ["actor", "speed_mps"])  # a pandas data frame; see results/TABLES.md
         moving = actors[actors.speed_mps >= self.params.least_mps]
         of_class = moving.actor.map(run.vehicles.set_index("vehicle").vehicle_class).astype(str)

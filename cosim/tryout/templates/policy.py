@@ -1,4 +1,4 @@
-"""A pseudonym policy: a vehicle changes its pseudonym by chance, but not before it has used it for some time."""
+"""A pseudonym policy: a vehicle changes its pseudonym at random, after it has used it for some time."""
 
 from dataclasses import dataclass
 
@@ -7,8 +7,8 @@ from dataclasses import dataclass
 class Params:
     """Keys of the section [pseudonyms] that belong to this policy."""
 
-    least_s: float = 3.0  # shortest life of a pseudonym [s]
-    change_p: float = 0.5  # chance of a change in each step after that
+    least_s: float = 3.0  # shortest time under one pseudonym [s]
+    change_p: float = 0.5  # probability of a change in each step after that
 
 
 class MyPolicy:
@@ -17,6 +17,6 @@ class MyPolicy:
     def __init__(self, params):
         self.params = params
 
-    def changes(self, ages):  # a row for each vehicle: age_s, distance_m, n_messages, n_changes
-        # step_draws are uniform in [0, 1), new in every step; trip_draws last as long as the pseudonym
+    def changes(self, ages):  # one row for each vehicle: age_s, distance_m, n_messages, n_changes
+        # step_draws: uniform in [0, 1), new in every step; trip_draws: the same as long as the pseudonym
         return (ages.age_s >= self.params.least_s) & (ages.step_draws < self.params.change_p)

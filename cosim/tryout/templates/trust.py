@@ -11,7 +11,7 @@ from cosim.extend import PairIndex, TrustScores, with_rows
 class Params:
     """Keys of the section [trust] that belong to this model."""
 
-    prior: float = 1.0  # evidence for and against everyone before any has been seen
+    prior: float = 1.0  # positive and negative evidence about every vehicle at the beginning
 
 
 class MyTrust:
@@ -19,15 +19,15 @@ class MyTrust:
 
     def __init__(self, params, dt_s):  # dt_s: seconds per step
         self.params, self.step = params, 0
-        self.pairs = PairIndex()  # a row for each (holder, subject): who trusts, and whom
+        self.pairs = PairIndex()  # one row for each (holder, subject): the vehicle that trusts, and the trusted one
         self.sums = np.zeros((0, 3))  # per row: positive evidence, negative evidence, number of evaluations
         self.newest = np.zeros(0, int)  # per row: step of the newest evidence
 
     def open_step(self, step, pseudonyms, observer_row, detection_index, score):
-        self.step = step  # a new step begins; the other arguments say what was transmitted in it
+        self.step = step  # a new step begins; the other arguments are the transmitted detections
 
-    def add_evaluations(self, received):  # what vehicles say of each other's detections, as it was received
-        rows = received.rows()  # one row for each evaluation, about rows.observer, in the hands of rows.holder
+    def add_evaluations(self, received):  # evaluations that holders received
+        rows = received.rows()  # one row for each evaluation of rows.observer that rows.holder received
         at = self.pairs.rows(rows.holder, rows.observer)
         self.sums, self.newest = (with_rows(column, len(self.pairs)) for column in (self.sums, self.newest))
         np.add.at(self.sums, at, np.column_stack([rows.pos, rows.neg, np.ones(len(at))]))
