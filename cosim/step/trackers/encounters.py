@@ -132,7 +132,7 @@ class EncounterTrackers:
         state: Int[ndarray, "k v"],
         age_s: Float[ndarray, "k v"],
     ) -> None:
-        """Note the trust that each holder would look up for the other actor now, per variant; see `EncounterTracker`."""
+        """Note the trust that each holder would look up for the other actor now; see `EncounterTracker`."""
         for tracker in self.trackers:
             tracker.first_contact(holder, other, trust, source, state, age_s)
 
