@@ -9,7 +9,7 @@ SECONDS = 60
 
 
 def bench() -> Iterator[Row]:
-    """The whole city, with one thread and with all; what the driver commands is computed and not obeyed."""
+    """Measure the whole city with one thread and with all threads. The drivers' commands are computed, not obeyed."""
     return grown(
         vehicles=(),
         seconds=SECONDS,

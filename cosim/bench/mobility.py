@@ -10,15 +10,16 @@ from cosim.mobility.sumo import SumoTraffic
 from sumo_nets import catalogue
 
 CITIES = ("adlershof", "koenigs-wusterhausen")
-"""Where a vehicle costs SUMO most (it re-routes while it drives), and where it costs least (a motorway)."""
+"""The cities in which a vehicle costs SUMO most (vehicles re-route while driving) and least (a motorway)."""
 N_VEHICLES = 1000
 STEPS = 400
 BLOCK = 10
-"""Steps of each in turn; SUMO's step after a reading is slower, because reading evicts SUMO's data from the caches."""
+"""Steps per block; blocks with and without reading alternate. SUMO's step after a reading is slower, because reading
+evicts SUMO's data from the processor's caches."""
 
 
 def bench() -> list[tuple[str, float, str]]:
-    """Both cities with demand for more than a thousand vehicles."""
+    """Measure both cities with demand for more than a thousand vehicles."""
     return [
         (f"{city}: {what}", value, unit)
         for city in CITIES
@@ -27,16 +28,18 @@ def bench() -> list[tuple[str, float, str]]:
 
 
 def bench_city(config: Path, scale: float = 1.0, steps: int = STEPS) -> list[tuple[str, float, str]]:
-    """SUMO alone, and SUMO with every actor read, ten steps of each in turn on the same traffic.
+    """Measure SUMO alone and SUMO with reading every actor, in alternating blocks of ten steps of the same traffic.
 
-    Measures processor time, which depends less on other load than wall time.
+    It measures processor time, which depends less on other load than wall time.
 
     Parameters
     ----------
     config
         A .sumocfg with demand for at least a thousand vehicles at once.
     scale
-        Of its demand.
+        Factor on its demand.
+    steps
+        Number of measured steps.
     """
     registry = ActorRegistry(FleetParams(), seed=1)
     traffic = SumoTraffic(TrafficParams(scale=scale), config, registry)

@@ -1,4 +1,4 @@
-"""Speed of the radio on this machine."""
+"""Measures the speed of the radio on this machine."""
 
 from time import thread_time
 
@@ -23,7 +23,7 @@ _ROUNDS = 15
 
 
 def city_blocks(side_m: float) -> Buildings:
-    """Buildings of a grid of streets: blocks of 100 m, streets of 25 m."""
+    """Buildings between a grid of streets: blocks of 100 m, streets of 25 m."""
     corner = np.arange(12.5, side_m, 125.0)
     square = np.array([[0.0, 0.0], [100.0, 0.0], [100.0, 100.0], [0.0, 100.0]])
     rings = [[square + np.array([x, y])] for x in corner for y in corner]
@@ -61,7 +61,7 @@ def _los(side_m: float) -> LosOfPlaces:
 
 
 def _city(n: int, n_receivers: int, params: PropagationParams) -> tuple[ndarray, LosOfPlaces]:
-    """Antennas, and the city in which each has so many receivers."""
+    """Antennas, and a city of a size in which each antenna has about `n_receivers` receivers."""
     side_m, key = 1000.0, np.arange(1, n + 1, dtype=np.uint64)
     for _ in range(12):
         links, _, _ = links_between(streets(n, side_m), key, params, np.uint64(1), _los(side_m))
@@ -70,7 +70,7 @@ def _city(n: int, n_receivers: int, params: PropagationParams) -> tuple[ndarray,
 
 
 def _network(xyz: ndarray, los: LosOfPlaces, params: PropagationParams) -> tuple[float, float, int]:
-    """Seconds of one network step, of the event loop alone, and links."""
+    """Seconds of one network step, seconds of the event loop alone, and the number of links."""
     n, key = len(xyz), np.arange(1, len(xyz) + 1, dtype=np.uint64)
     state, whole, events = ChannelState.start(), [], []
     rules = ChannelRules(np.uint64(2), ReceiverParams(), AccessParams())
@@ -89,7 +89,7 @@ def _network(xyz: ndarray, los: LosOfPlaces, params: PropagationParams) -> tuple
 def _rounds(
     xyz: ndarray, los: LosOfPlaces, params: PropagationParams, relay: RelayParams
 ) -> tuple[float, float, FrameOutcomes]:
-    """Seconds of the two rounds of a step, frame outcomes included, and the last one's frames.
+    """Seconds of the two rounds of a step with frame outcomes, and the frames of the last round.
 
     Every station sends 300 bytes in 100 ms; before the first round of a step every station has moved.
     """
@@ -109,7 +109,7 @@ def _rounds(
 
 
 def _disk(xyz: ndarray) -> tuple[float, int]:
-    """Seconds of one round of the unit disk model, and pairs in range."""
+    """Seconds of one round of the unit disk model, and the number of pairs in range."""
     n, params, times = len(xyz), RadioParams(), []
     stations = Stations(rng.keys(np.uint64(1), np.arange(n)), xyz, n)
     messages, medium = Messages.one_each(np.full(n, 300)), UnitDiskMedium(params, 0.4, 1)
@@ -121,7 +121,7 @@ def _disk(xyz: ndarray) -> tuple[float, int]:
 
 
 def bench() -> list[tuple[str, float, str]]:
-    """Rows (what, figure, unit): processor time of one thread, best of several rounds in one process."""
+    """Measure the radio: processor time of one thread, the best of several rounds. Rows of (what, figure, unit)."""
     rows: list[tuple[str, float, str]] = []
     default = PropagationParams()
     short = PropagationParams(interference_range_m=400.0, interference_range_nlos_m=200.0)

@@ -1,4 +1,4 @@
-"""Speed of writing and reading tables: processor time of the largest one, on made-up traffic."""
+"""Measures the speed of writing and reading the largest table, with synthetic content."""
 
 import tempfile
 from pathlib import Path
@@ -15,7 +15,7 @@ N_VEHICLES = 1000
 
 
 def bench(steps: int = 120) -> list[tuple[str, float, str]]:
-    """What, figure, unit."""
+    """Measure writing and reading. Rows of (what, figure, unit)."""
     rng = np.random.default_rng(0)
     written_s, read_s, n_rows, n_bytes = _disk(rng, steps)
     return [
@@ -26,7 +26,7 @@ def bench(steps: int = 120) -> list[tuple[str, float, str]]:
 
 
 def _disk(rng: np.random.Generator, steps: int) -> tuple[float, float, int, int]:
-    """Time to write and to read the table `trust_lookups` of that traffic, its rows and its bytes."""
+    """Seconds to write and to read the table `trust_lookups`, its rows and its bytes."""
     receiver, subject = np.divmod(np.sort(rng.choice(N_VEHICLES**2, 40 * N_VEHICLES, replace=False)), N_VEHICLES)
     trust = rng.random(N_VEHICLES)
     with tempfile.TemporaryDirectory() as folder:

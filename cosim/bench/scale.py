@@ -1,4 +1,4 @@
-"""How the cost of a step grows with the fleet, stage by stage: traffic cropped to several sizes at constant density."""
+"""Measures how the cost of each stage grows with the number of vehicles, on crops of a city at constant density."""
 
 import resource
 import sys
@@ -27,14 +27,14 @@ from cosim.world import World
 from results.recorder import Recorder
 
 Row = tuple[str, float, str]
-"""What was measured, the figure, its unit."""
+"""A description, the figure and its unit."""
 
 VEHICLES = (250, 500, 1000, 2000, 5000)
 WARM_UP_STEPS = 3
-"""Steps before the measurement: they compile, and fill caches and memories."""
+"""Steps before the measurement. They compile kernels and fill caches and buffers."""
 _NEAR_M = 100.0
 _N_CENTRES, _N_INSTANTS = 100, 4
-"""Points around which a piece is tried, and into how many parts the time is cut at whose ends it is looked at."""
+"""Number of candidate centres of a crop, and number of times at which its neighbours are counted."""
 
 
 class CpuStopwatch:
@@ -74,18 +74,18 @@ def bench(
     seconds: int = 5,
     overrides: tuple[str, ...] = (),
 ) -> Iterator[Row]:
-    """Every vehicle equipped, everything recorded at level `standard`; sizes ascending, one thread and then all.
+    """Measure each size with one thread and with all threads. All vehicles are equipped; the level is `standard`.
 
     Parameters
     ----------
     scenario, trace
         As `traffic.scenario` and `traffic.trace`.
     vehicles
-        Actors to crop to; larger sizes than the traffic has are measured once, as all of it. Without any, all of it.
+        Numbers of actors to crop to. If one is larger than the traffic, or if there is none, all of it is measured.
     seconds
-        Simulated time that is measured, of each size and number of threads.
+        Simulated time to measure for each size and number of threads.
     overrides
-        Further keys of the config, as `cosim run --set` takes them.
+        Further keys of the config, as for `cosim run --set`.
     """
     config = load(None, [
         f"traffic.scenario={scenario}", *([f"traffic.trace={trace}"] if trace else []), "fleet.penetration_p=1",
@@ -115,7 +115,7 @@ def bench(
 
 
 def _measured(name: str, worlds: list[World], parts: Parts, registry: ActorRegistry) -> Iterator[Row]:
-    """Figures of one size and number of threads."""
+    """Figures for one size and the present number of threads."""
     watch = CpuStopwatch()
     with TemporaryDirectory() as folder:
         config = parts.config
@@ -154,7 +154,7 @@ def _measured(name: str, worlds: list[World], parts: Parts, registry: ActorRegis
 
 
 def _worlds(config: Config, scenario: Scenario, n: int) -> tuple[list[World], ActorRegistry]:
-    """The first steps in which somebody is equipped."""
+    """The first `n` steps from the first one with an equipped vehicle, and all actors."""
     registry = ActorRegistry(config.fleet, config.seed, shares(config.attacks))
     traffic = scenario.traffic(config.traffic, registry, config.driver.model != "none")
     worlds: list[World] = []
@@ -174,10 +174,23 @@ def _worlds(config: Config, scenario: Scenario, n: int) -> tuple[list[World], Ac
 
 
 def piece(worlds: Sequence[World], n: int, wanted: float) -> tuple[Int[ndarray, "n"], float]:
-    """The n actors of the first of these worlds that are nearest to a point, chosen so that they have on average over
-    all of the worlds about as many neighbours as those of the whole traffic.
+    """A crop of n actors with about as many neighbours per actor as the whole traffic has.
 
-    Those at the rim have fewer, so that a small piece lies where the traffic is a little denser.
+    The crop holds the n actors of the first world that are nearest to a centre. Actors at the rim have fewer
+    neighbours, so a small crop lies where the traffic is a little denser.
+
+    Parameters
+    ----------
+    worlds
+        Worlds over which neighbours are averaged.
+    n
+        Number of actors.
+    wanted
+        Mean number of neighbours of the whole traffic.
+
+    Returns
+    -------
+    Actor numbers of the crop, and their mean number of neighbours.
     """
     world = worlds[0]
     xy = world.boxes.xyz_m[:, :2]
@@ -191,7 +204,7 @@ def piece(worlds: Sequence[World], n: int, wanted: float) -> tuple[Int[ndarray, 
 
 
 def _neighbours(world: World, rows: Int[ndarray, "n"]) -> float:
-    """Mean number of others of these rows within `_NEAR_M`."""
+    """Mean number of other actors among these rows within `_NEAR_M`."""
     if not len(rows):
         return 0.0
     tree = cKDTree(world.boxes.xyz_m[rows, :2])

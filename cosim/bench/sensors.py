@@ -1,4 +1,4 @@
-"""Speed of the sensors on this machine: the least CPU time of several runs on one core, engine by engine."""
+"""Measures the speed of the sensors and ray casters: the least processor time of several runs on one core."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def town(n_actors: int = 600, n_blocks: int = 20, pitch_m: float = 60.0) -> tupl
 def bench(
     world: tuple[Scene, Boxes, UInt8[ndarray, "n"]] | None = None, n_observers: int = 100, runs: int = 5
 ) -> list[tuple[str, float, str]]:
-    """Rows of (what, value, unit) on a given world, or on a synthetic town of 600 actors."""
+    """Measure the sensors in a given world or in a synthetic town of 600 actors. Rows of (what, figure, unit)."""
     scene, boxes, shape = town() if world is None else world
     cars = np.flatnonzero(LABEL_OF_SHAPE[shape] == ObjectClass.CAR)[:n_observers]
     threads = numba.get_num_threads()
@@ -62,7 +62,7 @@ def bench(
 
 
 def _rays_alone(boxes, shape, observers, scene, tracer_of) -> Callable[[], object]:
-    """Work of an engine without its set-up: the scene is built and the rays are made beforehand."""
+    """The ray queries of an engine alone. The scene and the rays are made before the measurement."""
     poses, grid = mount(boxes, observers, LidarParams()), beams(LidarParams())
     centre = poses.origin_m.mean(axis=0)
     triangles = np.concatenate([mesh.city_triangles(scene), mesh.body_triangles(prisms(shape, boxes))]) - centre
@@ -73,7 +73,7 @@ def _rays_alone(boxes, shape, observers, scene, tracer_of) -> Callable[[], objec
 
 
 def _least_s(work: Callable[[], object], runs: int) -> float:
-    work()  # compiles, and allocates
+    work()  # compiles and allocates memory
     seconds = []
     for _ in range(runs):
         start = process_time()

@@ -1,4 +1,4 @@
-"""Speed of studies: two workers against one, and points in one run against one point."""
+"""Measures the speed of studies: two workers compared with one, and many points in one run compared with one point."""
 
 import resource
 from collections.abc import Callable
@@ -25,11 +25,11 @@ fleet.penetration_p = [0.3]
 [keep]
 topics = ["traffic", "trust"]
 """
-"""Runs that share nothing: every replicate has traffic of its own."""
+"""Runs that share nothing, because every replicate has its own traffic."""
 
 
 def bench() -> list[Row]:
-    """Wall time of 24 runs, processor time of 20 points; some minutes."""
+    """Measure the wall time of 24 runs and the processor time of 20 points. It takes some minutes."""
     with TemporaryDirectory(prefix="cosim-bench-") as name:
         folder = Path(name)
         return [*_workers(folder), *_points(folder)]
@@ -47,7 +47,7 @@ def _workers(folder: Path) -> list[Row]:
 
 
 def _points(folder: Path) -> list[Row]:
-    """Five windows and four periods of the study `freshness` in one run, against one of them; metrics included."""
+    """Five windows times four periods of the study `freshness` in one run, compared with one point, with metrics."""
     text = (SHIPPED / "freshness.toml").read_text().replace("replicates = 5", "replicates = 1")
     many = text.replace("[0.1, 0.3, 0.6]", "[0.3]")
     one = many.replace("[5, 10, 20, 50, 100]", "[50]").replace("[1, 5, 10, 30]", "[5]")
@@ -67,7 +67,7 @@ def _swept(file: Path, out: Path, workers: int, merge: bool = True) -> None:
 
 
 def _spent(work: Callable[[], object]) -> tuple[float, float]:
-    """Wall time and processor time, of child processes too [s]."""
+    """Wall time, and processor time including child processes [s]."""
     before, begin = _processor_s(), perf_counter()
     work()
     return perf_counter() - begin, _processor_s() - before

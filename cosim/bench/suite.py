@@ -1,4 +1,4 @@
-"""Speed of every component on this machine."""
+"""Runs the benchmarks of the components."""
 
 import os
 import platform
@@ -29,7 +29,13 @@ def run(name: str) -> list[Row]:
 
 
 def run_scale(scenario: str, trace: str | None, vehicles: str, seconds: int) -> list[dict[str, Any]]:
-    """Figures of `cosim.bench.scale`; ValueError in one line for numbers that are none."""
+    """The figures of `cosim.bench.scale`.
+
+    Raises
+    ------
+    ValueError
+        If `vehicles` is not a list of whole numbers.
+    """
     try:
         sizes = tuple(int(size) for size in vehicles.split(","))
     except ValueError:
@@ -44,7 +50,7 @@ def run_scale(scenario: str, trace: str | None, vehicles: str, seconds: int) -> 
 
 
 def machine() -> str:
-    """What this machine is, for the record."""
+    """A description of this machine."""
     return (
         f"{platform.machine()}, {os.cpu_count()} cores, {numba.get_num_threads()} threads, "
         f"Python {platform.python_version()}, NumPy {np.__version__}, Numba {numba.__version__}"

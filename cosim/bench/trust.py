@@ -1,4 +1,4 @@
-"""Speed of the trust model on this machine, on a synthetic street where all vehicles see much the same."""
+"""Measures the speed of matching, evaluation, trust and fusion on a synthetic street."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -15,13 +15,13 @@ from trust.params import TrustParams
 from trust.tables import SERVER, Detections, FusionInput, ObjectLists, ReceivedEvaluations, SenderTrust, as_messages
 
 N_SEEN, STRIDE, N_CONSIDERED, N_RECEIVED = 20, 5, 4, 10
-"""Objects a vehicle sees, objects to the next vehicle, vehicles considered and received on each side."""
+"""Objects that a vehicle sees, objects between two vehicles, vehicles considered and received on each side."""
 
 Pairs = tuple[ndarray, ndarray, ndarray]
 
 
 def street(n_vehicles: int) -> tuple[Detections, Pairs, ObjectLists, SenderTrust]:
-    """A ring of vehicles; each sees `N_SEEN` objects, a quarter of which is new from vehicle to vehicle."""
+    """A ring of vehicles. Each sees `N_SEEN` objects; a quarter of them is not seen by the vehicle before it."""
     v, k = np.divmod(np.arange(n_vehicles * N_SEEN), N_SEEN)
     score = 0.5 + 0.5 * ((v * 7919 + k * 104729) % 1000) / 1000
     table = Detections(v, k, ((v * STRIDE + k) % 4).astype(np.uint8), score, np.zeros(v.size, bool))
@@ -33,7 +33,7 @@ def street(n_vehicles: int) -> tuple[Detections, Pairs, ObjectLists, SenderTrust
     pairs = (np.minimum(i, j), np.maximum(i, j), 0.2 + 0.8 * (i * 31 + j * 17) % 97 / 97)
 
     def around(n_each: int) -> ndarray:
-        """Per vehicle its neighbours, ascending, itself left out."""
+        """The neighbours of each vehicle without itself, ascending."""
         off = np.setdiff1d(np.arange(-n_each, n_each + 1), [0])
         return np.sort((np.arange(n_vehicles)[:, None] + off) % n_vehicles, axis=1)
 
@@ -47,7 +47,7 @@ def street(n_vehicles: int) -> tuple[Detections, Pairs, ObjectLists, SenderTrust
 
 
 def _best(work: Callable[[], object], repeats: int) -> float:
-    """Shortest time of a few [s], after one run that compiles."""
+    """Shortest of several times [s], after one run that compiles."""
     work()
     times = []
     for _ in range(repeats):
@@ -58,7 +58,7 @@ def _best(work: Callable[[], object], repeats: int) -> float:
 
 
 def bench(n_vehicles: int = 1000, repeats: int = 7) -> list[tuple[str, float, str]]:
-    """What is measured, figure, unit; all threads that Numba may use."""
+    """Measure with all threads that Numba may use. Rows of (what, figure, unit)."""
     params = TrustParams()
     table, pairs, lists, sender_trust = street(n_vehicles)
     m = lists.member.size

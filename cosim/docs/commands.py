@@ -1,4 +1,4 @@
-"""Every command of the command line as Markdown, read off the program itself."""
+"""Renders the page of the command line as Markdown from the program itself."""
 
 from typing import Any
 
@@ -17,10 +17,9 @@ def markdown() -> str:
     lines = [
         "# The command line",
         "",
-        "A mistake of the user is one line on standard error and exit status 2; damage or a failed run is 1; a run",
-        "stopped by a signal is 130 or 143. `--json`, where there is one, prints JSON on standard output and nothing",
-        "else there.",
-        "`cosim --install-completion` sets up completion for your shell.",
+        "If you make a mistake, the command prints one line on standard error and exits with status 2. The status is 1",
+        "for damaged files and failed runs, and 130 or 143 for a run that a signal stopped. With `--json`, a command",
+        "prints only JSON on standard output. `cosim --install-completion` installs completion for your shell.",
         "",
     ]
     for words, command in commands():
@@ -29,7 +28,7 @@ def markdown() -> str:
 
 
 def commands() -> list[tuple[str, Any]]:
-    """Every command that does something, with the words that call it."""
+    """Every command with its full name; groups of commands are left out."""
     found: list[tuple[str, Any]] = []
 
     def walk(words: str, command: Any) -> None:

@@ -1,4 +1,4 @@
-"""Every key of the config as Markdown: type, default, bounds and meaning, read off the dataclasses."""
+"""Renders the page of the config keys as Markdown from the dataclasses: type, default, bounds and meaning."""
 
 import ast
 import inspect
@@ -23,9 +23,9 @@ def markdown() -> str:
     lines = [
         "# Every key of the config",
         "",
-        "A config is a TOML file. A dot in a key is a section: `radio.range_m` is `range_m` in `[radio]`.",
-        "`--set KEY=VALUE` changes one on the command line, items of lists by their number: `attacks.0.share_p`.",
-        "What is not stated keeps its default; what is not known is refused. `cosim check FILE` prints it resolved.",
+        "A config is a TOML file. A dot in a key separates section and key: `radio.range_m` is `range_m` in `[radio]`.",
+        "`--set KEY=VALUE` changes a key on the command line. Items of lists have numbers: `attacks.0.share_p`.",
+        "A key that you leave out has its default. An unknown key is an error. `cosim check FILE` prints all values.",
         "",
     ]
     parts: list[tuple[str, Any]] = []
@@ -38,7 +38,7 @@ def markdown() -> str:
 
 
 def keys() -> list[str]:
-    """Every key, lists of sections by their name alone: `attacks.share_p`."""
+    """Every key. Keys in lists of sections have no number: `attacks.share_p`."""
     found: list[str] = []
 
     def walk(model: Any, prefix: str) -> None:
@@ -83,12 +83,12 @@ def _variant() -> list[str]:
     rows = [
         _row(f"trust_variant.{n}", _field(TrustVariant, n), said[n], _hints(TrustVariant)[n]) for n in ("name", "fused")
     ]
-    about = "Another trust on the same evidence, in the same run. Beside these two, any key of `[trust]` to replace."
+    about = "Another trust model or window on the same evidence, in the same run. It can also set any key of `[trust]`."
     return _section("[[trust_variant]]", about, rows)
 
 
 def _own() -> Iterator[str]:
-    """Keys that belong to what a section chooses."""
+    """Tables of the keys that belong to the choices of a section."""
     for section, kind in SECTIONS.items():
         listed = section == "attacks"
         for name, made in kind.shipped.items():
@@ -104,7 +104,7 @@ def _own() -> Iterator[str]:
 
 
 def _is_section(params: Any, section: str) -> bool:
-    """Whether these are the section's own keys, which have their table."""
+    """Whether these keys are those of the section itself, which have a table already."""
     return any(one.name == section and one.type is params for one in fields(Config))
 
 
@@ -115,7 +115,7 @@ def _row(name: str, one: Field[Any], meaning: str, hint: Any) -> str:
 
 
 def _kind(hint: Any) -> tuple[str, str]:
-    """A type in words, and its bounds."""
+    """A type and its bounds in words."""
     origin, inner = get_origin(hint), get_args(hint)
     if origin is Annotated:
         kind, bounds = _kind(inner[0])
@@ -146,7 +146,7 @@ def _bound(mark: Any) -> str:
 
 
 def _figure(bound: float) -> str:
-    """A bound to the last digit."""
+    """A bound as text, with all digits of a whole number."""
     return str(int(bound)) if bound == int(bound) else f"{bound:g}"
 
 
@@ -181,12 +181,12 @@ def _hints(model: Any) -> dict[str, Any]:
 
 
 def _about(model: Any) -> str:
-    """First paragraph of what a class says of itself."""
+    """The first paragraph of a class's docstring."""
     return " ".join((inspect.getdoc(model) or "").split("\n\n")[0].split())
 
 
 def meanings(model: type) -> Mapping[str, str]:
-    """What stands below each field of a dataclass, those of its bases included."""
+    """The docstring below each field of a dataclass and of its bases."""
     found: dict[str, str] = {}
     for base in reversed(model.__mro__):
         if not is_dataclass(base):

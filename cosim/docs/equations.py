@@ -1,4 +1,4 @@
-"""Equations of pages: LaTeX in fences ```math and in $`...`$ becomes MathML, which browsers show without a script."""
+"""Converts LaTeX equations of pages (```math fences and $`...`$) to MathML, which browsers show without scripts."""
 
 import re
 
@@ -7,7 +7,7 @@ _INLINE = re.compile(r"\$`([^`]+)`\$")
 
 
 def rendered(text: str) -> str:
-    """A page whose equations are MathML."""
+    """The page with its equations as MathML."""
     if not (_BLOCK.search(text) or _INLINE.search(text)):
         return text
     from latex2mathml.converter import convert

@@ -1,7 +1,7 @@
-"""The site's pages, gathered from prose, the packages' READMEs and the code; `python -m cosim.docs.site OUT` builds it.
+"""Builds the documentation site: `python -m cosim.docs.site OUT`.
 
-Pages of prose are in `pages/`. What stands elsewhere in the repository is taken from there and not copied: its links
-are turned to the site's pages, and those to source files become plain names.
+The pages come from `pages/`, from the packages' READMEs and from the code. In pages from elsewhere in the repository,
+links are changed to the site's pages, and links to source files become plain names.
 """
 
 import os
@@ -35,14 +35,14 @@ TAKEN: Mapping[str, str] = {
     "sumo_nets/helsinki/README.md": "models/helsinki.md",
     "CHANGELOG.md": "changelog.md",
 }
-"""Pages that stand elsewhere in the repository, and where they are on the site."""
+"""Pages from elsewhere in the repository, and their places on the site."""
 
 _LINK = re.compile(r"(!?)\[([^\]]*)\]\(([^)\s]+)\)")
 _FENCE = re.compile(r"(^```.*?^```$)", flags=re.DOTALL | re.MULTILINE)
 
 
 def pages() -> dict[str, str]:
-    """Every page of the site by its path: Markdown with links between pages of the site, equations as LaTeX."""
+    """Every page of the site by path, as Markdown with links within the site and equations as LaTeX."""
     found = {
         path.relative_to(HERE / "pages").as_posix(): path.read_text(encoding="utf-8")
         for path in sorted((HERE / "pages").rglob("*.md"))
@@ -55,7 +55,7 @@ def pages() -> dict[str, str]:
 
 
 def build(out: Path) -> None:
-    """Write the site to a folder; MkDocs ends with an error where a page has a warning."""
+    """Write the site to a folder. A warning about a page is an error."""
     work = out.with_name(out.name + "-pages")
     shutil.rmtree(work, ignore_errors=True)
     for at, text in pages().items():
@@ -74,7 +74,7 @@ def build(out: Path) -> None:
 
 
 def _turned(text: str, source: str, at: str) -> str:
-    """A page of the repository with its links turned to the site."""
+    """A page of the repository with its links changed to the site's pages."""
 
     def link(found: re.Match[str]) -> str:
         picture, label, target = found.groups()

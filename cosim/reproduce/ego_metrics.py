@@ -1,7 +1,7 @@
-"""Of one run what the paper's tables hold: average precision before its egos, and trust at the end.
+"""The figures of the paper's tables for one run: average precision of its egos, and trust at the end.
 
-An ego is an equipped vehicle that the config designates (`attacks.0.victim = "designated"`) and that is no attacker in
-any setting: roles are drawn from names, so all settings of a replicate have the same egos.
+An ego is an equipped vehicle that the config designates (`attacks.0.victim = "designated"`) and that is never an
+attacker. Roles are drawn from names, so all settings of a replicate have the same egos.
 """
 
 from collections.abc import Iterator
@@ -23,12 +23,23 @@ _COLUMNS = ["metric", "group", "value", "unit", "label"]
 
 
 def measures(run: Run) -> pd.DataFrame:
-    """Rows metric, group, value, unit, label of a run's trust variant, for `measure.own` of a study."""
+    """Metrics of a run's trust variant, for `measure.own` of a study.
+
+    Returns
+    -------
+    Columns metric, group, value, unit, label.
+    """
     return pd.DataFrame([*_precision(run), *_trust(run)], columns=_COLUMNS)
 
 
 def egos_of(run: Run) -> np.ndarray:
-    """Numbers of the actors through which the tables look, ascending."""
+    """Actor numbers of a run's egos, ascending.
+
+    Raises
+    ------
+    ValueError
+        If the run's config designates no egos.
+    """
     config = replay_lidar.config_of(run)
     if not config.attacks or config.attacks[0].victim != "designated":
         raise ValueError(f'{run.path} designates no egos. Set attacks.0.victim to "designated".')
@@ -39,7 +50,7 @@ def egos_of(run: Run) -> np.ndarray:
 
 
 def _precision(run: Run) -> Iterator[tuple[str, str, float, str, str]]:
-    """Average precision of the fused objects of all egos, all steps together, with the objects that count."""
+    """Average precision of the fused objects of all egos over all steps, and the number of objects that count."""
     egos = egos_of(run)
     steps = np.arange(int(run.manifest["steps"]))
     truth, poses = actors_ahead(run, steps, RANGE_M, egos)
@@ -59,9 +70,9 @@ def _precision(run: Run) -> Iterator[tuple[str, str, float, str, str]]:
 
 
 def _trust(run: Run) -> Iterator[tuple[str, str, float, str, str]]:
-    """Mean over equipped vehicles but egos of the last value that the server computed; without one the default.
+    """Mean of the last trust value of equipped vehicles without egos; a vehicle without a value has the default.
 
-    Attackers that never met an ego, and so never attacked, are left out; where there is no attack at all they count.
+    Attackers that never met an ego never attacked, and are left out. If nobody attacks in the run, they count.
     """
     cars = run.vehicles[run.vehicles.equipped & ~run.vehicles.vehicle.isin(egos_of(run))]
     if cars.attack_start_step.notna().any():

@@ -1,4 +1,4 @@
-"""The paper's quantitative experiments as studies, and their outcome beside what the paper prints."""
+"""The paper's quantitative experiments as studies, and the comparison of their results with the paper."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -20,7 +20,7 @@ from results.metrics.kitti import FEWEST, LEVELS
 from results.spreadsheet import csv_of
 
 EXPERIMENTS: Mapping[str, str] = {"tables": "paper_tables", "trust-levels": "paper_trust_levels"}
-"""Shipped study by what `cosim reproduce` calls it."""
+"""The shipped study of each experiment, by its name in `cosim reproduce`."""
 
 CITY, METHOD, SELF_REPORTS = "traffic.scenario", "trust.method", "trust.self_reports"
 START, ATTACK = "attacks.0.start_s", "attacks.0.attack"
@@ -41,24 +41,30 @@ _SHOWN: Mapping[str, tuple[str, str]] = {
     "paper.egos.n": ("egos of a drive", ""),
     "paper.frames.n": ("frames of a drive", ""),
 }  # fmt: skip
-"""Further figures: metric, what it is, and its group, which may name the role of the attackers."""
+"""Further figures by metric: a description, and the group, which may name the role of the attackers."""
 
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """An experiment, made."""
+    """The results of an experiment."""
 
     name: str
     rows: pd.DataFrame
-    """what, setting, city, method, self_reports, class, level, unit; paper; n, mean, low, high over replicates; and
-    change, change_low, change_high against the ego alone (tables) or honest vehicles (trust levels), paired, with
-    paper_change."""
+    """Columns what, setting, city, method, self_reports, class, level, unit; paper; n, mean, low, high over replicates;
+    change, change_low, change_high; paper_change. Changes are paired differences against the ego alone (tables) or
+    against honest vehicles (trust levels)."""
     files: list[Path]
-    """Table and picture."""
+    """Tables and a picture."""
 
 
 def study_of(name: str, overrides: Sequence[str] = (), replicates: int | None = None) -> Study:
-    """The study of an experiment, with keys of its base changed; ValueError in one line for a mistake."""
+    """The study of an experiment, with changed keys of its base.
+
+    Raises
+    ------
+    ValueError
+        In one line, if an override has a mistake or names a swept key.
+    """
     if replicates is not None and replicates < 1:
         raise ValueError(f"--replicates {replicates}: at least one run is needed. Give 1 or more.")
     study = load(SHIPPED / f"{EXPERIMENTS[name]}.toml")
@@ -71,16 +77,17 @@ def study_of(name: str, overrides: Sequence[str] = (), replicates: int | None = 
 
 
 def task_of(study: Study, name: str, out: Path) -> sweeping.Task:
-    """What is left to do; nothing is written."""
+    """The remaining work of an experiment. Nothing is written."""
     return sweeping.prepare_study(study, f"{EXPERIMENTS[name]}.toml", out)
 
 
 def conclude(name: str, out: Path) -> Outcome:
-    """The outcome of an experiment whose runs are made: a table and a picture in its folder.
+    """Write the tables and the picture of an experiment whose runs are finished.
 
-    Errors
+    Raises
     ------
-    ValueError where the drives are too short for any average precision; nothing is written then.
+    ValueError
+        If the drives are too short for any average precision. Nothing is written then.
     """
     rows = outcome(studies.open_study(out), name)
     if not (rows.what == "average precision").any():
@@ -97,12 +104,12 @@ def conclude(name: str, out: Path) -> Outcome:
 
 
 def as_data(rows: pd.DataFrame) -> list[dict[Any, Any]]:
-    """Rows as plain data, absent values as None."""
+    """Rows as dictionaries; missing values are None."""
     return rows.astype(object).where(rows.notna(), None).to_dict("records")
 
 
 def outcome(study: studies.Study, name: str) -> pd.DataFrame:
-    """Rows of `Outcome` from the measures of a study."""
+    """Rows of `Outcome` from the metrics of a study."""
     frame = study.measures
     start = frame[START] if START in frame else pd.Series(NEVER_S, frame.index)
     attack = frame[ATTACK] if ATTACK in frame else pd.Series("", frame.index)
@@ -122,7 +129,7 @@ def outcome(study: studies.Study, name: str) -> pd.DataFrame:
 
 
 def _precision(frame: pd.DataFrame, name: str) -> pd.DataFrame:
-    """Average precision beside the paper's, and its change."""
+    """Average precision with that of the paper, and its change."""
     ap = frame[frame.metric == "paper.ap11"].assign(what="average precision")
     parts = ap.group.str.split(", ", expand=True)
     ap = ap.assign(**{"class": parts[0], "level": parts[1]}) if len(ap) else ap
@@ -141,7 +148,7 @@ def _precision(frame: pd.DataFrame, name: str) -> pd.DataFrame:
 
 
 def _final_trust(frame: pd.DataFrame) -> pd.DataFrame:
-    """Mean trust at the end, of those that are drawn as attackers and of the others."""
+    """Mean trust at the end, of vehicles drawn as attackers and of all others."""
     frame = frame[(frame.metric == "paper.final_trust.mean") & (frame.method.isin(("local", "trupercept_1")))]
     what = "mean trust at the end, " + pd.Series("drawn as attackers", frame.index).where(
         frame.group != "honest", "all others"
@@ -152,7 +159,7 @@ def _final_trust(frame: pd.DataFrame) -> pd.DataFrame:
 
 
 def _further(frame: pd.DataFrame, what: str, group: str) -> pd.DataFrame:
-    """A figure that does not depend on how objects are fused; the paper prints none of them."""
+    """A figure that does not depend on the fusion method. The paper prints none of these."""
     if group:
         frame = frame[(frame.group == frame.setting.map(group.format)) & (frame.setting != "trustworthy")]
     if "believed" not in what:
@@ -164,7 +171,7 @@ def _further(frame: pd.DataFrame, what: str, group: str) -> pd.DataFrame:
 
 
 def _with_change(frame: pd.DataFrame, reference: pd.DataFrame, on: list[str]) -> pd.DataFrame:
-    """Means with intervals, and those of the paired differences against the reference where it has a counterpart."""
+    """Means with intervals, and paired differences against matching rows of the reference, also with intervals."""
     rows = studies.intervals(frame, _FIRST)
     pairs = frame.merge(reference[[*on, "value"]], on=on, suffixes=("", "_reference"))
     apart = studies.intervals(pairs.assign(value=pairs.value - pairs.value_reference), _FIRST)

@@ -1,10 +1,10 @@
-"""Which actors count at level "all" decides on average precision there: the same detections under several rules.
+"""Average precision at level "all" of the same detections, under several rules of which actors are labelled.
 
     python -m cosim.reproduce.label_rules RUN... [--frames N]
 
-casts the sweeps of finished runs again with a camera's pixels in place of the LiDAR's beams, and without buildings, and
-says why actors ahead return nothing. The paper evaluates "any object within the forward facing 90 degree FoV area up to
-140 metres"; its data set labels what has at least one visible pixel.
+The command recomputes the sweeps of finished runs with a camera's pixels instead of the LiDAR's beams, with and without
+buildings. It counts why actors ahead return no points. The paper evaluates "any object within the forward facing 90
+degree FoV area up to 140 metres". Its data set labels actors with at least one visible pixel.
 """
 
 import argparse
@@ -29,19 +29,26 @@ from sensors.scene import Scene
 CLASSES = ("car", "pedestrian")
 RANGE_M = 140.0
 N_COLUMNS, ELEVATION_DEG = 1920, tuple(np.linspace(-25.0, 5.0, 601))
-"""Of the camera: 90 degrees on 1,920 columns as in KITTI's heights here, and rows 0.05 degrees apart."""
+"""The camera: 1,920 columns over 90 degrees, as for KITTI's heights, and rows 0.05 degrees apart."""
 
 NEARER_M = (120.0, 100.0, 80.0)
 
 
 def label_rules(runs: Sequence[Run], max_frames: int = 1500) -> pd.DataFrame:
-    """Average precision of single vehicles at level "all" by rule, and why the others return nothing.
+    """Average precision of single vehicles at level "all" by rule, and why actors return no points.
+
+    Parameters
+    ----------
+    runs
+        Finished runs.
+    max_frames
+        Largest number of frames per run.
 
     Returns
     -------
-    class, n (actors ahead within 140 m), one row per rule: rule, share (of the actors), ap11 [%]; and per class the
-    shares returned, behind_buildings, behind_actors, too_far (visible, beyond the LiDAR's range) and too_sparse
-    (visible, within it), which add up to 1.
+    One row per class and rule. Columns: class; n (actors ahead within 140 m); rule; share (labelled actors); ap11 [%];
+    and for each class the shares returned, behind_buildings, behind_actors, too_far (visible, beyond the LiDAR's range)
+    and too_sparse (visible, within the range), which add up to 1.
     """
     parts = [_seen(run, max_frames) for run in runs]
     first = np.cumsum([0, *(n for *_, n in parts)])
@@ -73,7 +80,7 @@ def label_rules(runs: Sequence[Run], max_frames: int = 1500) -> pd.DataFrame:
 
 
 def _seen(run: Run, max_frames: int) -> tuple[Objects, Objects, pd.DataFrame, int]:
-    """Actors ahead and detections of a sample of frames; of each actor returns, pixels and range; number of frames."""
+    """For a sample of frames: actors ahead, detections, each actor's returns, pixels and range, number of frames."""
     config = replay_lidar.config_of(run)
     every = np.arange(0, int(run.manifest["steps"]), config.sense_every_steps)
     n_frames = len(posed(run, every)[0])
@@ -93,7 +100,7 @@ def _seen(run: Run, max_frames: int) -> tuple[Objects, Objects, pd.DataFrame, in
 
 
 def _counts(config: Config, city: Scene, world: World) -> pd.DataFrame:
-    """By observer and actor: returns of the LiDAR, pixels of a camera in its place, and pixels without buildings."""
+    """LiDAR returns, pixels of a camera at the same place, and pixels without buildings, by observer and actor."""
     rows = np.flatnonzero(world.equipped)
     camera = replace(
         config.lidar, n_azimuths=N_COLUMNS, elevation_deg=ELEVATION_DEG, fov_deg=90.0, max_range_m=2 * RANGE_M,
@@ -112,7 +119,7 @@ def _counts(config: Config, city: Scene, world: World) -> pd.DataFrame:
 
 
 def _returns(config: Config, city: Scene, world: World, rows: ndarray) -> pd.Series:
-    """Number of returns by number of the observer and of the actor."""
+    """Number of returns by actor numbers of the observer and of the actor."""
     sweeps = lidar.scan(
         world.boxes, world.shape, rows, city, config.lidar, replay_lidar.sweep_keys(config.seed, world, rows)
     )
@@ -128,7 +135,7 @@ def _rows(objects: Objects, keep: ndarray) -> Objects:
 
 
 def _joined(parts: Sequence[Objects], first: ndarray) -> Objects:
-    """Objects of several runs, their frames numbered on."""
+    """Objects of several runs, with consecutive frame numbers."""
     columns = ("label", "box", "height_px", "occlusion", "truncation", "score")
     frame = np.concatenate([part.frame + n for part, n in zip(parts, first[:-1], strict=True)])
     return Objects(frame, *(np.concatenate([getattr(part, name) for part in parts]) for name in columns))

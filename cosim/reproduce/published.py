@@ -1,4 +1,4 @@
-"""What the paper prints of its quantitative experiments [1]_.
+"""Figures that the paper prints for its quantitative experiments [1]_.
 
 References
 ----------
@@ -33,7 +33,7 @@ AP: Mapping[tuple[str, str, str], float] = {
     for label, values in zip(("car", "pedestrian"), classes, strict=True)
     for level, value in zip(LEVELS, values, strict=True)
 }
-"""Average precision [%] by method, class and level, of honest vehicles. It prints none of the other settings."""
+"""Average precision [%] by method, class and level, for honest vehicles. The paper prints no other setting."""
 
 FINAL_TRUST: Mapping[str, float] = {"trustworthy": 0.27, "unreliable": 0.25, "malicious": 0.13}
 """Mean trust at the end of the experiments."""

@@ -1,4 +1,4 @@
-"""The paper's scenarios, frame by frame through the whole cycle; only the detectors' scores are given.
+"""The paper's scenarios, simulated frame by frame with the complete cycle. Only the detectors' scores are given.
 
 References
 ----------
@@ -37,7 +37,7 @@ from trust.tables import SERVER, ReceivedEvaluations, messages_from_rows
 
 FOLDER = Path(__file__).parent / "scenes"
 EGO, ATTACKER, THIRD = range(3)
-"""Equipped vehicles, in the order of the scene: rows of actors, of observers and of trust."""
+"""Equipped vehicles in the order of the scene. These are the rows of actors, observers and trust."""
 PEDESTRIAN = LABELS.index("pedestrian")
 METHODS: dict[Method, str] = {"trupercept_1": "TP1", "trupercept_2": "TP2", "trupercept_3": "TP3"}
 GHOSTS = {"car": 1, "three_cars": 3}
@@ -49,7 +49,7 @@ Rows = list[dict[str, Any]]
 
 @dataclass(frozen=True, slots=True)
 class ReproductionReport:
-    """Figures of a scenario beside the paper's, remarks on them, and files with pictures."""
+    """Figures of a scenario and of the paper, notes on them, and files with pictures."""
 
     rows: Rows
     notes: list[str]
@@ -69,7 +69,7 @@ class ScriptedDetector:
     def detect(
         self, sweeps: Sweeps, seen: Observability, boxes: Boxes, label: UInt8[ndarray, "n"], draws: DetectorDraws
     ) -> Reports:
-        """The same in every step."""
+        """The same reports in every step."""
         return Reports(
             self.observer, label[self.actor], boxes.take(self.actor), self.score, self.actor,
             np.zeros(len(self.actor), bool),
@@ -78,20 +78,20 @@ class ScriptedDetector:
 
 @dataclass(frozen=True, slots=True)
 class ScriptedScene:
-    """Actors that stand still, what the equipped ones detect, and the walls."""
+    """Actors that stand still, the detections of the equipped ones, and the walls."""
 
     names: list[str]
     shape: UInt8[ndarray, "n"]
     boxes: Boxes
     equipped: Bool[ndarray, "n"]
     attack: UInt8[ndarray, "n"]
-    """Number of the attack that each carries out, as `World.attack`."""
+    """Number of the attack that each actor carries out, as in `World.attack`."""
     detector: ScriptedDetector
     city: Scene
 
     @staticmethod
     def load(path: Path = FOLDER / "scene.toml") -> "ScriptedScene":
-        """The scene of a TOML file."""
+        """Read the scene from a TOML file."""
         data = tomllib.loads(path.read_text(encoding="utf-8"))
         names, actors = list(data["actors"]), list(data["actors"].values())
         lwh_m = np.array([a["lwh_m"] for a in actors])
@@ -114,12 +114,12 @@ class ScriptedScene:
         )
 
     def parts(self, config: Config) -> Parts:
-        """The parts that a config names, with the scene's own detector."""
+        """The components that a config names, with the scene's own detector."""
         perception = replace(perception_of(config, self.city), detector=self.detector)
         return replace(Parts.of(config, self.city), perception=perception)
 
     def play(self, config: Config, n_frames: int) -> Iterator[Sensed]:
-        """The same frame over and over: what happens in it. Sweeps are valid until the next frame."""
+        """Simulate the same frame repeatedly and yield the results. Sweeps are valid until the next frame."""
         parts = self.parts(config)
         state = State.start(parts)
         for number in range(n_frames):
@@ -143,7 +143,7 @@ class ScriptedScene:
 
 
 def scenario_1(out: Path) -> ReproductionReport:
-    """One frame: a pedestrian whom the ego cannot see, and a car that is not there."""
+    """Scenario 1: one frame with a pedestrian whom the ego cannot see, and a car that does not exist."""
     scene, config = ScriptedScene.load(), load(FOLDER / "scenario-1.toml")
     found: dict[tuple[str, bool], dict[str, float]] = {}
     panels = []
@@ -170,12 +170,12 @@ def scenario_1(out: Path) -> ReproductionReport:
         for (thing, checked), (paper, code) in expected.items()
     ]
     notes = [
-        f"The ego has {n_hidden} returns in the pedestrian: others detected it. It has {n_false} in the false car, all "
-        "from the ground: even without the check it denies the car, sent with score 1, with full visibility.",
-        "TruPercept 1 (TP1) averages this denial (eta = 0): a lower score, as in the paper. TP2 subtracts it "
-        "(eta = -1), TP3 asks for fewer than 10 returns: gone at once. In the published code 0.964 was left, "
-        "because there the false car has the detection index, and so the positive evaluations, of the attacker's self "
-        "report.",
+        f"The ego has {n_hidden} returns in the pedestrian; other vehicles detected it. It has {n_false} in the false "
+        "car, all from the ground. Even without the check it denies the car, sent with score 1, with full visibility.",
+        "TruPercept 1 (TP1) averages this denial (eta = 0), which lowers the score, as in the paper. TP2 subtracts it "
+        "(eta = -1), and TP3 requires fewer than 10 returns; both remove the car at once. The published code kept "
+        "0.964, because there the false car has the detection index of the attacker's self-report, and with it the "
+        "positive evaluations.",
     ]
     path = out / "scene.png"
     style.save(pictures.from_above(panels, _footprints(scene.boxes), scene.names, WINDOW_M), path)
@@ -183,21 +183,21 @@ def scenario_1(out: Path) -> ReproductionReport:
 
 
 def _returns(sensed: Sensed, detection: Int[ndarray, "1"]) -> int:
-    """Returns of the ego in a box that it received."""
+    """Number of the ego's returns in a box that it received."""
     lists = sensed.evaluated.lists
     (at,) = np.flatnonzero((lists.of_member() == EGO) & (lists.member == detection))
     return int(sensed.evaluated.n_points[at])
 
 
 def _of_ego(sensed: Sensed) -> Fused:
-    """The ego's fused objects, under the acting trust."""
+    """The ego's fused objects with the acting trust."""
     fused = sensed.fused[0]
     assert fused is not None
     return fused.take(fused.ego == EGO)
 
 
 def _fused_scores(sensed: Sensed) -> dict[str, float]:
-    """Final scores of the ego for what it did not detect itself."""
+    """The ego's final scores for objects that it did not detect itself."""
     fused, listed = _of_ego(sensed), sensed.listed.objects
     foreign = fused.take(~fused.ego_detected)
     return {
@@ -236,13 +236,23 @@ HONEST_EVALUATIONS: dict[str, list[tuple[float, list[tuple[str, float, float]]]]
     ],
     "third": [(0.8, [("ego", 1.0, 1.0)]), (0.6, [("malicious", 0.93, 1.0)])],
 }
-"""Per vehicle its detections of a frame: score, and its evaluators with evaluation and visibility; made to fit the
-paper's trust."""
+"""The detections of each vehicle in a frame: the score, and the evaluations with evaluator and visibility. They are
+chosen so that trust equals the paper's."""
 GHOST_EVALUATIONS = (1.0, [("ego", -1.0, 1.0), ("third", -1.0, 1.0)])
 
 
 def paper_trust(n_ghosts: int, first_attack: int = 50, n_frames: int = 100) -> Float[ndarray, "f 3"]:
-    """Trust of ego, attacker and third after each frame, from `HONEST_EVALUATIONS` and those of the ghosts."""
+    """Trust of ego, attacker and third vehicle after each frame, from `HONEST_EVALUATIONS` and `GHOST_EVALUATIONS`.
+
+    Parameters
+    ----------
+    n_ghosts
+        Ghosts per frame during the attack.
+    first_attack
+        First frame of the attack.
+    n_frames
+        Number of frames.
+    """
     pseudonyms = {name: i for i, name in enumerate(HONEST_EVALUATIONS)}
     everyone = np.arange(len(pseudonyms))
     model, trust = TruPercept(TruPerceptParams(freshness_s=50.0), 1.0), np.empty((n_frames, len(pseudonyms)))
@@ -263,13 +273,13 @@ def paper_trust(n_ghosts: int, first_attack: int = 50, n_frames: int = 100) -> F
 
 
 def scenario_2(out: Path) -> ReproductionReport:
-    """A hundred frames, false cars from the fiftieth on: trust of the three vehicles."""
+    """Scenario 2: trust of the three vehicles in a hundred frames, with false cars from frame 50 on."""
     scene = ScriptedScene.load()
     run, paper = {}, {}
     for ghosts, n_ghosts in GHOSTS.items():
         config = load(FOLDER / "scenario-2.toml", [f"attacks.0.ghosts={ghosts}"])
         n, first = config.n_steps, round(config.attacks[0].start_s / config.traffic.step_s)
-        # the server computes at the start of a frame, from the frames before it
+        # the server computes trust at the start of a frame, from the frames before it
         published = [s for sensed in scene.play(config, n + 1) if (s := sensed.published[0]) and len(s.subject)]
         run[ghosts] = np.array([s.trust for s in published])
         weight = published[0].weight[ATTACKER]
@@ -310,4 +320,4 @@ def scenario_2(out: Path) -> ReproductionReport:
 
 
 SCENARIOS = {"scenario-1": scenario_1, "scenario-2": scenario_2}
-"""What can be reproduced, by name; each writes its pictures into the folder that it is given."""
+"""The scenarios by name. Each function writes its pictures into the given folder."""

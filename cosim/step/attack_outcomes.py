@@ -1,6 +1,6 @@
-"""What attacks achieve: for every fabricated or withheld detection, and every vehicle that it reached or was kept from.
+"""Success of attacks, for every fabricated or withheld detection and every vehicle that received the message.
 
-Ground truth of a step; nothing in the simulation reads it.
+This is ground truth. Nothing in the simulation reads it.
 """
 
 from collections.abc import Sequence
@@ -35,12 +35,12 @@ class Inserted:
     receiver: Int[ndarray, "k"]
     """Row of `Vehicles`, and of the object list."""
     seed: Int[ndarray, "k"]
-    """The detection that gives its group's box."""
+    """The detection whose box represents the group."""
 
 
 @dataclass(frozen=True, slots=True)
 class Removed:
-    """Withheld detections of real actors, and the vehicles that received the message without them."""
+    """Withheld detections of real actors, and the vehicles that received the messages without them."""
 
     detection: Int[ndarray, "k"]
     receiver: Int[ndarray, "k"]
@@ -51,14 +51,22 @@ def attack_outcomes(
     exchange: Exchange, believed: World, listed: Listed, cpms: Broadcast, matched: Matched,
     fused: Sequence[Fused | None],
 ) -> list[Rows]:  # fmt: skip
-    """Columns of the table `attack_outcomes`, per trust variant that fuses.
+    """Rows of the table `attack_outcomes`.
 
     Parameters
     ----------
+    exchange
+        Vehicles, senders and attacks of the step.
     believed
-        The world with vehicles where they believe to be.
+        The world with vehicles at their estimated positions.
+    listed, cpms, matched
+        Results of the stages.
     fused
-        Per trust variant.
+        Fused objects per trust variant; None for a variant that does not fuse.
+
+    Returns
+    -------
+    Columns of the table, one item per trust variant that fuses; empty if no attack reached anybody.
     """
     vehicles, objects, truth, n = exchange.vehicles, listed.objects, listed.truth, len(believed)
     inserted, removed = _inserted(exchange, listed, matched), _removed(exchange, listed, cpms)
@@ -94,7 +102,7 @@ def attack_outcomes(
 def _scores_of_inserted(
     fused: Fused, inserted: Inserted, objects: Detections
 ) -> tuple[Float[ndarray, "k"], Bool[ndarray, "k"]]:
-    """Score of the fused object that each fabricated detection has become, and whether there is one."""
+    """Score of the fused object that each fabricated detection became, and whether there is one."""
     score, there = _best(
         fused.ego * len(objects) + fused.seed, fused.score, inserted.receiver * len(objects) + inserted.seed
     )
@@ -104,7 +112,7 @@ def _scores_of_inserted(
 def _scores_of_removed(
     fused: Fused, removed: Removed, truth: GroundTruth, n: int
 ) -> tuple[Float[ndarray, "k"], Bool[ndarray, "k"]]:
-    """Score of the fused object of each actor that was kept from a vehicle, and whether there is one."""
+    """Score of the receiver's fused object for each withheld actor, and whether there is one."""
     real = truth.is_real[fused.seed]
     key = fused.ego[real] * n + truth.actor_row[fused.seed[real]]
     return _best(key, fused.score[real], removed.receiver * n + truth.actor_row[removed.detection])
@@ -130,15 +138,15 @@ def _removed(exchange: Exchange, listed: Listed, cpms: Broadcast) -> Removed:
     first, last = (np.searchsorted(received.message[found], message, side) for side in ("left", "right"))
     at, which = expand(first, last)
     receiver, detection = received.receiver[found[at]], row[which]
-    is_other = exchange.vehicles.row[receiver] != listed.truth.actor_row[detection]  # none needs a report of itself
+    is_other = exchange.vehicles.row[receiver] != listed.truth.actor_row[detection]  # nobody needs a report of itself
     return Removed(detection[is_other], receiver[is_other])
 
 
 def _best(
     key: Int[ndarray, "f"], score: Float[ndarray, "f"], wanted: Int[ndarray, "k"]
 ) -> tuple[Float[ndarray, "k"], Bool[ndarray, "k"]]:
-    """Largest score of each wanted key, and whether it has any."""
-    asked = np.zeros(_BUCKETS, bool)  # few keys are wanted: the others are not sorted
+    """Largest score of each wanted key, and whether there is one."""
+    asked = np.zeros(_BUCKETS, bool)  # few keys are wanted, so the other keys are dropped before sorting
     asked[wanted & _BUCKETS - 1] = True
     rows = np.flatnonzero(asked[key & _BUCKETS - 1])
     key, score = key[rows], score[rows]
@@ -151,7 +159,7 @@ def _best(
 
 
 def _in_path(world: World, row: Int[ndarray, "k"], boxes: Boxes) -> Bool[ndarray, "k"]:
-    """Boxes that a vehicle would drive into if it went straight on for `PATH_M`."""
+    """Whether a vehicle would hit each box if it drove straight on for `PATH_M`."""
     away_m = boxes.xyz_m[:, :2] - world.boxes.xyz_m[row, :2]
     cos, sin = np.cos(world.boxes.yaw_rad[row]), np.sin(world.boxes.yaw_rad[row])
     ahead_m, left_m = cos * away_m[:, 0] + sin * away_m[:, 1], cos * away_m[:, 1] - sin * away_m[:, 0]

@@ -2,11 +2,14 @@
 
 This is the detection and decision cycle of TruPercept (section "Summary"), for all vehicles at once.
 
-In a step that begins at time t, vehicles sweep and detect at t. Detection messages are on the air from t and count
-until t + timeout. Evaluation messages are on the air from then on and count until t + 2 timeout (`radio.timeout_s`),
-when every vehicle fuses with the trust known by then. The trust server uses what has reached it by t, and broadcasts at
-t; roadside units pass the broadcast on beside the evaluations. Piggybacked evaluations wait for the detection messages
-of the next step: they are too late for fusion, in which each vehicle then uses its own alone, and in time for trust.
+In a step that begins at time t, vehicles sweep and detect at t. Detection messages are sent from t on, and count if
+they arrive before t + timeout (`radio.timeout_s`). Evaluation messages are sent from t + timeout on, and count if they
+arrive before t + 2 timeout. Then every vehicle fuses with the trust that it knows. The trust server uses the
+evaluations that have reached it by t, and broadcasts trust at t. Roadside units pass this broadcast on during the round
+of evaluations.
+
+Piggybacked evaluations wait for the detection messages of the next step. They are too late for fusion, so each vehicle
+fuses with its own evaluations only. They are in time for trust.
 """
 
 from dataclasses import replace
@@ -28,16 +31,30 @@ from cosim.world import World
 def step(
     world: World, state: State, parts: Parts, precomputed: Precomputed = NOTHING_PRECOMPUTED
 ) -> tuple[State, StepResult]:
-    """One step: the state after it, and what happened.
+    """Simulate one step.
 
-    It is pure: step(world, state, parts) -> (state, result). The state that is given is used up (see `State`), and
-    nothing else changes: from a copy of the state the same step has the same result. What a stage reads are its
-    arguments; the state is replaced in this file alone, where `s = replace(s, ...)` is written.
+    The step consumes `state` (see `State`) and changes nothing else. The same step from a copy of the state has the
+    same result. Stages read only their arguments. Only this file replaces the state, with `s = replace(s, ...)`.
 
     Parameters
     ----------
+    world
+        All actors on the road in this step.
+    state
+        State after the step before.
+    parts
+        Components that the config names.
     precomputed
-        What another thread computes of this step. The result is the same without it.
+        Values of this step that another thread computes. The result is the same without them.
+
+    Returns
+    -------
+    The state after the step, and the step's results.
+
+    Raises
+    ------
+    RuntimeError
+        If an earlier step has consumed `state`.
     """
     s, watch, now, dt_s = state.consume(), parts.watch, Times.of(world.step, parts.config), parts.config.traffic.step_s
 
@@ -67,7 +84,7 @@ def _cycle(
     world: World, s: State, vehicles: Vehicles, own_trust: Float[ndarray, "n"] | None,
     acceleration_mps2: Float[ndarray, "n"], now: Times, parts: Parts, precomputed: Precomputed,
 ) -> tuple[State, Sensed, Beliefs | None]:  # fmt: skip
-    """The paper's cycle: from sweeps to fused objects. Beliefs are None where no driver asks for them."""
+    """The paper's cycle, from sweeps to fused objects. Beliefs are None if the driver does not use them."""
     c, watch = parts.config, parts.watch
     with watch("server"):
         trust, pseudonyms, published = trust_stages.publish(s.trust, s.pseudonyms, vehicles, now, parts)

@@ -1,4 +1,4 @@
-"""Who takes part in the exchange of messages in a step, where, when, and under which identities."""
+"""The participants of a step's message exchange: vehicles, stations, times and identities."""
 
 from dataclasses import dataclass, replace
 
@@ -28,32 +28,32 @@ from trust.tables import ObjectLists
 
 @dataclass(frozen=True, slots=True)
 class Times:
-    """When things happen in a step [s]."""
+    """Times within a step [s]."""
 
     step: int
     begin_s: float
     evaluated_s: float
-    """Detection messages have arrived, and evaluation messages are sent."""
+    """When detection messages have arrived and evaluation messages are sent."""
     fused_s: float
-    """Evaluation messages have arrived, and vehicles fuse."""
+    """When evaluation messages have arrived and vehicles fuse."""
 
     @staticmethod
     def of(step: int, config: Config) -> "Times":
-        """Those of the step with this number."""
+        """Times of the step with this number."""
         begin_s = step * config.traffic.step_s
         return Times(step, begin_s, begin_s + config.timeout_s, begin_s + 2 * config.timeout_s)
 
 
 @dataclass(frozen=True, slots=True)
 class Vehicles:
-    """Equipped vehicles on the road, by actor number."""
+    """Equipped vehicles on the road, sorted by actor number."""
 
     row: Int[ndarray, "e"]
     """Row of the world."""
     actor: Int[ndarray, "e"]
     name_key: UInt64[ndarray, "e"]
     pseudonym: Int[ndarray, "e"]
-    """Of each vehicle's own identity."""
+    """Pseudonym of each vehicle's own identity."""
 
     def __len__(self) -> int:
         return len(self.row)
@@ -61,31 +61,34 @@ class Vehicles:
 
 @dataclass(frozen=True, slots=True)
 class Senders:
-    """Messages of one kind in a step: one per vehicle and identity, by vehicle, the own identity first."""
+    """Messages of one kind in a step, one per vehicle and identity, sorted by vehicle with the own identity first."""
 
     vehicle: Int[ndarray, "m"]
     """Row of `Vehicles`, and of the sending station."""
     identity: Int[ndarray, "m"]
-    """0 for the vehicle's own."""
+    """0 for the vehicle's own identity."""
     pseudonym: Int[ndarray, "m"]
     own: Int[ndarray, "e"]
-    """Message of each vehicle's own identity."""
+    """Message row of each vehicle's own identity."""
     key: UInt64[ndarray, "m"]
-    """Of each message's draws: the vehicle's for its own identity."""
+    """Random key of each message; for the own identity, the vehicle's key."""
     is_valid: Bool[ndarray, "m"]
-    """False where the pseudonym has been revoked: receivers drop the message."""
+    """False if the pseudonym has been revoked; receivers then drop the message."""
 
     def __len__(self) -> int:
         return len(self.vehicle)
 
     @property
     def n_vehicles(self) -> int:
-        """Vehicles that send; each has an identity of its own."""
+        """Number of vehicles that send; each has one own identity."""
         return len(self.own)
 
     @staticmethod
     def of(vehicles: Vehicles, n_extra: Int[ndarray, "e"]) -> "Senders":
-        """Each vehicle's own identity and so many further ones, which have no pseudonyms of their own yet."""
+        """Messages for each vehicle's own identity and for `n_extra` further identities.
+
+        The further identities have no pseudonyms yet; they carry that of the vehicle.
+        """
         vehicle = np.repeat(np.arange(len(vehicles)), 1 + n_extra)
         own = np.searchsorted(vehicle, np.arange(len(vehicles)))
         identity = np.arange(len(vehicle)) - own[vehicle]
@@ -104,13 +107,13 @@ class Senders:
         )
 
     def message_of(self, listed: Detections, observers: Int[ndarray, "e"]) -> Int[ndarray, "d"]:
-        """Message that contains each detection; `observers` are the vehicles' rows of the world."""
+        """Message row of each detection; `observers` are the vehicles' rows of the world."""
         return self.own[np.searchsorted(observers, listed.observer)] + listed.identity
 
 
 @dataclass(frozen=True, slots=True)
 class Exchange:
-    """Who takes part in the two rounds of messages of a step, where and when."""
+    """The participants, positions and times of the two rounds of messages of a step."""
 
     world: World
     now: Times
@@ -121,13 +124,13 @@ class Exchange:
     attacks: Active
     """Attacks that are carried out in this step."""
     sending: Sending | None
-    """By row of `vehicles`: who delays, copies, floods or jams; None where nobody does."""
+    """Which vehicles delay, copy, flood or jam, by row of `vehicles`; None if no vehicle does."""
 
     @staticmethod
     def of(
         world: World, now: Times, vehicles: Vehicles, senders: Senders, stations: Stations, attacks: Active
     ) -> "Exchange":
-        """With what the attacks of this step do to the channel and to the sending of messages."""
+        """Apply the effects of this step's attacks on the channel and on the sending of messages."""
         sending = sending_of(attacks.sending(len(world)), vehicles)
         if sending is not None and sending.abuses_channel().any():
             stations = replace(stations, abuse=abuse_of(sending, len(stations) - len(vehicles)))
@@ -135,7 +138,7 @@ class Exchange:
 
     @property
     def sender(self) -> Int[ndarray, "m"]:
-        """Of each message: the sender's actor number and identity in one number, the same in every step."""
+        """The sender's actor number and identity in one number, per message; the same in every step."""
         return self.vehicles.actor[self.senders.vehicle].astype(np.int64) << 16 | self.senders.identity
 
 
@@ -149,7 +152,7 @@ def stations_of(world: World, row: Int[ndarray, "v"], rsus: RsuAntennas, above_r
 
 
 def abuse_of(sending: Sending, n_rsus: int) -> ChannelAbuse:
-    """What vehicles do to the channel, and as many roadside units, which keep to the rules."""
+    """Effects of attacks on the channel, per station: vehicles, then roadside units, which never attack."""
     honest = Sending.plain(n_rsus)
     return ChannelAbuse(
         jam_dbm=np.concatenate([sending.jam_dbm, honest.jam_dbm]),
@@ -160,18 +163,18 @@ def abuse_of(sending: Sending, n_rsus: int) -> ChannelAbuse:
 
 @dataclass(frozen=True, slots=True)
 class OnAir:
-    """Frames to be sent in a round: a message row each, copies included, then those of roadside units."""
+    """Frames to be sent in a round, one per message and copy; those of roadside units are last."""
 
     messages: Messages
     message: Int[ndarray, "a"]
-    """Row of `Senders`; for roadside units numbered on."""
+    """Row of `Senders`; the numbers of roadside units follow."""
 
     @staticmethod
     def of(
         senders: Senders, length_bytes: Int[ndarray, "m"], n_rsus: int, rsu_bytes: int = 0,
         sending: Sending | None = None,
     ) -> "OnAir":  # fmt: skip
-        """What vehicles and roadside units send; `sending` by row of `Vehicles`, if any of them attacks the channel."""
+        """Frames of vehicles and roadside units; `sending` by row of `Vehicles`, None if nobody attacks the channel."""
         n, stations = len(senders), senders.n_vehicles + np.arange(n_rsus)
         length = np.concatenate([length_bytes, np.full(n_rsus, rsu_bytes)])
         station, message = np.concatenate([senders.vehicle, stations]), np.arange(n + n_rsus)
@@ -181,19 +184,19 @@ class OnAir:
         times = np.concatenate([1 + sending.n_copies[senders.vehicle], np.ones(n_rsus, np.int64)])
         row = np.repeat(message, times)
         number = np.arange(len(row)) - np.searchsorted(row, row)
-        order = np.lexsort((row, number, station[row]))  # copies after all that the station has to say
+        order = np.lexsort((row, number, station[row]))  # copies come after all original messages of the station
         row = row[order]
         return OnAir(Messages(station[row], length[row], delay_s[row]), row)
 
     def links(self, found: MessageRound, n_vehicles: int) -> LinkReceptions:
-        """Receptions by kind of link, by row of `Senders`; of several copies the first to arrive counts."""
+        """Receptions by kind of link, with messages as rows of `Senders`. The first copy to arrive counts."""
         links = by_link(found, n_vehicles)
         if (np.diff(self.message) == 1).all():
             return links
         return LinkReceptions(*(self._once(received) for received in links))
 
     def _once(self, found: Receptions) -> Receptions:
-        """The first reception of each message by each receiver, whichever copy it was."""
+        """The first reception of each message by each receiver, among all copies."""
         found = replace(found, message=self.message[found.message])
         found = found.take(np.lexsort((found.received_s, found.message, found.receiver)))
         pair = found.receiver.astype(np.int64) << 32 | found.message
@@ -201,16 +204,19 @@ class OnAir:
 
 
 def lists_of_identities(lists: ObjectLists, senders: Senders) -> tuple[ObjectLists, Int[ndarray, "m"] | None]:
-    """What is evaluated under every identity: all identities of a vehicle evaluate the same.
+    """What is evaluated under every identity. All identities of a vehicle evaluate the same detections.
 
     Parameters
     ----------
     lists
         What each vehicle evaluates.
+    senders
+        The messages.
 
     Returns
     -------
-    A list per message, and its members' positions in `lists`; None where no vehicle has a second identity.
+    One list per message, and the positions of its members in `lists`, which are None if no vehicle has a second
+    identity.
     """
     if len(senders) == senders.n_vehicles:
         return lists, None
@@ -220,12 +226,12 @@ def lists_of_identities(lists: ObjectLists, senders: Senders) -> tuple[ObjectLis
 
 
 def sending_of(sending: Sending, vehicles: Vehicles) -> Sending | None:
-    """The same by row of `Vehicles`; None where no vehicle attacks the channel or the server."""
+    """`sending` by row of `Vehicles`; None if no vehicle attacks the channel or the server."""
     mine = sending.take(vehicles.row)
     return mine if mine.attacks().any() else None
 
 
 def distinct(number: Int[ndarray, "m"], message: Int[ndarray, "d"]) -> tuple[Int[ndarray, "k"], Int[ndarray, "d"]]:
-    """Numbers that several messages may share, each once and ascending, and the row of each message's number."""
+    """The distinct values of `number`, ascending, and for each row of `message` the row of its number among them."""
     once, row = np.unique(number, return_inverse=True)
     return once, row.reshape(-1)[message]

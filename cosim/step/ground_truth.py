@@ -1,4 +1,4 @@
-"""Ground truth of detections. Only this file joins it; it fills table columns that the simulation never reads."""
+"""Ground truth of detections. Only this file joins it. It fills table columns that the simulation never reads."""
 
 from dataclasses import dataclass
 
@@ -15,14 +15,14 @@ from trust.tables import Evaluations
 
 @dataclass(frozen=True, slots=True)
 class GroundTruth:
-    """Aligned with the detections of a step."""
+    """Ground truth of the detections of a step; rows are aligned with the detections."""
 
-    is_real: Bool[ndarray, "d"]  # of an existing actor: neither a false positive nor fabricated
-    actor_row: Int[ndarray, "d"]  # row in the world, where real
-    iou: Float[ndarray, "d"]  # with that actor's true box, where real
-    occlusion: Float[ndarray, "d"]  # share of the actor hidden from the observer, where sensed
+    is_real: Bool[ndarray, "d"]  # the actor exists: neither a false positive nor fabricated
+    actor_row: Int[ndarray, "d"]  # row of the actor in the world, if real
+    iou: Float[ndarray, "d"]  # with the actor's true box, if real
+    occlusion: Float[ndarray, "d"]  # share of the actor that is hidden from the observer, if sensed
     is_sensed: Bool[ndarray, "d"]
-    lied: Bool[ndarray, "d"]  # what was sent differs from what the vehicle perceived by more than noise
+    lied: Bool[ndarray, "d"]  # the sent detection differs from the perceived one by more than noise
 
 
 def ground_truth_of(
@@ -36,7 +36,20 @@ def ground_truth_of(
 ) -> GroundTruth:
     """Ground truth of each detection.
 
-    `sensed_is_real` and `sensed_actor_row` are aligned with the sensed detections, in the order of their keys.
+    Parameters
+    ----------
+    said
+        Detections as vehicles list them.
+    world
+        All actors.
+    sights
+        How well each observer could see each actor.
+    observers
+        Rows of the world of the equipped vehicles.
+    sensed_is_real, sensed_actor_row
+        For each sensed detection, in the order of its key, whether the actor exists, and its row of the world.
+    lied
+        Whether each detection is a lie, as `lies_in_detections` finds it.
     """
     sensed = said.origin == SENSED
     is_real = said.origin == SELF
@@ -55,23 +68,25 @@ def ground_truth_of(
 
 
 NOISE_M, NOISE_RAD, NOISE_SIZE, NOISE_SCORE, NOISE_MPS = 0.5, np.radians(10.0), 0.2, 0.1, 0.5
-"""Beyond these a changed box is a lie: position, heading, size (relative), score, and speed or acceleration."""
+"""A larger change of a box is a lie: position, heading, relative size, score, and speed or acceleration."""
 
 NOISE_EVALUATION = 0.1
-"""Beyond this a changed evaluation, times its visibility, is a lie."""
+"""A larger change of an evaluation times its visibility is a lie."""
 
 
 def lies_in_detections(perceived: Detections, sent: Detections, on_purpose: Bool[ndarray, "n"]) -> Bool[ndarray, "d"]:
-    """Which detections, as they are sent, are lies: fabricated, falsified by more than noise, or withheld.
+    """Which sent detections are lies: fabricated, falsified by more than noise, or withheld.
 
-    A detection that gets lost by a fault is none: it looks like one that the sensor missed.
+    A detection that a fault removes is not a lie, because it looks like one that the sensor missed.
 
     Parameters
     ----------
+    perceived
+        Detections as vehicles perceive them.
     sent
-        The same lists with what attacks changed, hid and added.
+        The same lists after attacks have changed, hidden and added detections.
     on_purpose
-        Actors, rows of the world, that attack on purpose.
+        By row of the world, whether the actor attacks on purpose.
     """
     lied = np.ones(len(sent), bool)
     key, kept = (d.observer.astype(np.int64) << 32 | d.detection_index for d in (perceived, sent))
@@ -85,14 +100,14 @@ def lies_in_detections(perceived: Detections, sent: Detections, on_purpose: Bool
     changed |= (np.abs(a.lwh_m / b.lwh_m - 1) > NOISE_SIZE).any(axis=1) | (now.label != perceived.label)
     changed |= np.abs(now.score - perceived.score) > NOISE_SCORE
     for x, y in ((now.speed_mps, perceived.speed_mps), (now.acceleration_mps2, perceived.acceleration_mps2)):
-        changed |= np.abs(x - y) > NOISE_MPS  # false where there is none
+        changed |= np.abs(x - y) > NOISE_MPS  # false if there is no speed
     withheld = perceived.transmitted & ~now.transmitted & on_purpose[now.observer]
     lied[rows] = changed | withheld
     return lied
 
 
 def lies_in_evaluations(own: Evaluations, reported: Evaluations) -> Bool[ndarray, "m"]:
-    """Which evaluations were sent otherwise than they were made, by more than noise."""
+    """Which reported evaluations differ from the vehicle's own ones by more than noise."""
     if reported is own:
         return np.zeros(len(own.evaluation), bool)
     made, sent = (e.evaluation * e.visibility for e in (own, reported))

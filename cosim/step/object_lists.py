@@ -1,4 +1,4 @@
-"""From what was sent and received to the lists that vehicles evaluate, and to the messages that carry evaluations."""
+"""Builds the lists that vehicles evaluate from sent and received detections, and the evaluation messages."""
 
 import numpy as np
 from jaxtyping import Bool, Int
@@ -20,7 +20,17 @@ from trust.tables import EvaluationMessages, Evaluations, ObjectLists, int64
 def for_trust(
     listed: Detections, message: Int[ndarray, "d"], n_messages: int
 ) -> tuple[tables.Detections, Int[ndarray, "m+1"]]:
-    """The detections as trust sees them, by message, and where those of each message begin."""
+    """Detections in the form that `trust` uses, and the row at which the detections of each message begin.
+
+    Parameters
+    ----------
+    listed
+        Detections as vehicles list them.
+    message
+        Row of `Senders` of each detection.
+    n_messages
+        Number of messages.
+    """
     is_self = (listed.origin == SELF) | ((listed.identity > 0) & (listed.detection_index == 0))  # as messages claim
     detections = tables.Detections(message, listed.detection_index, listed.label, listed.score, is_self)
     return detections, ptr_of(message, n_messages)
@@ -30,12 +40,18 @@ def received_lists(
     received: Receptions, ptr: Int[ndarray, "m+1"], transmitted: Bool[ndarray, "d"], vehicle: Int[ndarray, "m"],
     own: Int[ndarray, "e"],
 ) -> ObjectLists:  # fmt: skip
-    """What each vehicle knows of: all its own detections, then those it received, by (message, detection index).
+    """The detections that each vehicle knows: its own ones, then the received ones, by (message, detection index).
 
-    What it sends itself under further identities counts among the latter.
+    Detections that a vehicle sends under further identities count as received.
 
     Parameters
     ----------
+    received
+        Receptions of detection messages.
+    ptr
+        Row at which the detections of each message begin.
+    transmitted
+        Whether each detection is transmitted.
     vehicle
         Sender of each message.
     own
@@ -50,7 +66,7 @@ def received_lists(
 
 @compiled
 def _known(received_ptr, received, ptr, n_sent, transmitted, own, n_messages):
-    """Where each vehicle's list begins, and its members; `n_sent` detections are transmitted before each message."""
+    """Begin of each vehicle's list, and the members; `n_sent` counts the detections transmitted before each message."""
     begins = np.zeros(len(own) + 1, np.int64)
     for v in range(len(own)):
         last = own[v + 1] if v + 1 < len(own) else n_messages  # its messages under other identities are before it
@@ -81,7 +97,7 @@ def _known(received_ptr, received, ptr, n_sent, transmitted, own, n_messages):
 
 
 def subset(lists: ObjectLists, keep: Bool[ndarray, "m"]) -> ObjectLists:
-    """The lists with these members only."""
+    """The lists with only the members where `keep` is true."""
     rows = np.flatnonzero(keep)
     return ObjectLists(np.searchsorted(rows, lists.ptr), lists.member[rows], lists.owner)
 
@@ -90,10 +106,27 @@ def questions_of(
     lists: ObjectLists, evaluated: Bool[ndarray, "m"], foreign: Bool[ndarray, "m"], boxes: Boxes,
     detections: tables.Detections, area: AreaParams,
 ) -> tuple[BoxQuestions, Int[ndarray, "p"], Int[ndarray, "t"]]:  # fmt: skip
-    """What each vehicle asks its own sweep of the boxes in its list, and which members are counted and tested.
+    """The questions of each vehicle to its own sweep about the boxes in its list.
 
-    Returns are counted in all that it evaluates and in what is foreign, where free space is tested too. A vehicle has
-    no returns from itself.
+    A vehicle counts the returns in every box that it evaluates, and in every foreign box. For foreign boxes it also
+    tests whether free space contradicts them. A vehicle has no returns from itself.
+
+    Parameters
+    ----------
+    lists
+        What each vehicle knows.
+    evaluated
+        Members that the vehicle evaluates.
+    foreign
+        Members that the vehicle did not detect itself.
+    boxes, detections
+        Of all detections in the step.
+    area
+        Where vehicles evaluate.
+
+    Returns
+    -------
+    The questions, the members whose returns are counted, and the members that are tested.
     """
     b = lists.member
     o, is_counted = _asked(lists.ptr, b, lists.owner, evaluated, foreign, detections.is_self, int64(detections.message))
@@ -103,7 +136,7 @@ def questions_of(
 
 @compiled
 def _asked(ptr, member, owner, evaluated, foreign, is_self, message):
-    """List of each member, and whether its returns are counted."""
+    """The list of each member, and whether its returns are counted."""
     o, is_counted = np.empty(len(member), np.int32), np.empty(len(member), np.bool_)
     for v in range(len(owner)):
         for m in range(ptr[v], ptr[v + 1]):
@@ -116,7 +149,7 @@ def _asked(ptr, member, owner, evaluated, foreign, is_self, message):
 def as_reported(
     active: Active, evaluated: Evaluations, lists: ObjectLists, listed: Detections, observers: ndarray
 ) -> Evaluations:
-    """Evaluations as they will be sent; the same object where no attack changes any."""
+    """Evaluations as they will be sent. Returns `evaluated` itself if no attack changes any evaluation."""
     rows = EvaluationRows(observers[lists.of_member()], lists.member, evaluated.evaluation, evaluated.visibility)
     evaluation, visibility = active.evaluations(rows, listed)
     if evaluation is rows.evaluation and visibility is rows.visibility:
@@ -128,7 +161,7 @@ def messages_of(
     step: int, pseudonyms: Int[ndarray, "m"], lists: ObjectLists, detections: tables.Detections,
     evaluations: Evaluations, transmitted: Bool[ndarray, "d"],
 ) -> EvaluationMessages:  # fmt: skip
-    """The evaluations as messages: one per evaluator, on everything that was transmitted."""
+    """Evaluation messages, one per evaluator, with the evaluations of all transmitted detections."""
     keep = transmitted[lists.member]
     kept = Evaluations(evaluations.evaluation[keep], evaluations.visibility[keep])
     return tables.as_messages(step, pseudonyms, subset(lists, keep), detections, kept)

@@ -1,4 +1,4 @@
-"""The parts of a step, built once from the config: perception, adversary, medium, trust, pseudonyms, driver."""
+"""The components of a step: perception, adversary, medium, trust, pseudonyms, driver. They are built once per run."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -31,12 +31,12 @@ from trust.params import TrustParams
 
 @dataclass(frozen=True, slots=True)
 class Parts:
-    """What a step is made of. Another detector, attack, medium, trust model, policy or driver is another part here."""
+    """The components of a step. The config chooses detector, attacks, medium, trust model, policy and driver."""
 
     config: Config
     city: Scene
     near_pairs: Callable[[World], NearPairs]
-    """Pairs of actors that encounters are about."""
+    """Finds the pairs of actors that can have encounters."""
     rsus: RsuAntennas
     perception: Perceives
     adversary: Adversary
@@ -47,13 +47,19 @@ class Parts:
     trust: TrustHosts
     driver: Driver
     recall: Callable[[ndarray, ndarray, ndarray], ndarray] | None = None
-    """Recall of the detector (`sensors.detector.KnowsRecall`), where denials are weighed by it."""
+    """Recall of the detector (`sensors.detector.KnowsRecall`); None unless denials are weighted by it."""
     watch: Stopwatch = field(default_factory=Stopwatch)
-    """Measures how long each stage takes; changes nothing."""
+    """Measures how long each stage takes."""
 
     @staticmethod
     def of(experiment: Config, city: Scene, rsus: RsuAntennas = NO_RSUS, watch: Stopwatch | None = None) -> "Parts":
-        """The parts that a config names; ValueError in one line where one of them cannot be had."""
+        """Build the components that a config names.
+
+        Raises
+        ------
+        ValueError
+            In one line, if a component cannot be built.
+        """
         c = experiment
         dt_s = c.traffic.step_s
         walls = WallIndex.of(city.buildings)
@@ -84,7 +90,7 @@ class Parts:
         )
 
     def senses(self, step: int) -> bool:
-        """Whether vehicles sense and talk in this step."""
+        """Whether vehicles sense and exchange messages in this step."""
         return self.config.sensing and step % self.config.sense_every_steps == 0
 
 
@@ -95,7 +101,13 @@ def perception_of(experiment: Config, city: Scene) -> Perception:
 
 
 def recall_of(experiment: Config) -> Callable[[ndarray, ndarray, ndarray], ndarray] | None:
-    """How often the detector finds what is there, where denials are weighed by it; ValueError where it cannot say."""
+    """The detector's recall function if denials are weighted by it, otherwise None.
+
+    Raises
+    ------
+    ValueError
+        If the detector has no method `recall`.
+    """
     if experiment.trust.denials != "recall":
         return None
     detector = _make(experiment, "detector")
@@ -108,7 +120,7 @@ def recall_of(experiment: Config) -> Callable[[ndarray, ndarray, ndarray], ndarr
 
 
 def check_choices(experiment: Config) -> None:
-    """ValueError in one line where one of the parts that a config names cannot be had."""
+    """Raise ValueError, in one line, if a component that the config names cannot be built."""
     recall_of(experiment)
     for section in ("detector", "pseudonyms", "driver"):
         _make(experiment, section)
@@ -120,20 +132,20 @@ def check_choices(experiment: Config) -> None:
 
 
 def variants(experiment: Config) -> list[Variant]:
-    """The acting way of trusting, and the trust variants."""
+    """The acting trust of the config, then its trust variants."""
     base = _variant(BASE_VARIANT, experiment.trust, *config.chosen(experiment, "trust"), fused=True)
     return [base, *(_variant(v.name, v.trust, *config.chosen_model(v), v.fused) for v in experiment.trust_variant)]
 
 
 def _variant(name: str, trust: TrustParams, choice: Choice, own: Any, fused: bool) -> Variant:
-    """A way of trusting; a model of the user's own keeps its evidence in the state, and is guarded where it is used."""
+    """A trust variant. A user's own model keeps its evidence in the state, and every call of it is checked."""
     if not choice.is_own:
         return Variant(name, trust, choice.of, own, fused)
     return Variant(name, trust, choice.of, own, fused, make=partial(construct, choice), guard=partial(Guarded, choice))
 
 
 def chosen(experiment: Config) -> dict[str, Choice]:
-    """Every choice of a config, by its key."""
+    """The class behind every choice of a config, by key."""
     found = {
         kind.place: config.chosen(experiment, section)[0]
         for section, kind in SECTIONS.items() if section != "attacks"
@@ -146,7 +158,7 @@ def chosen(experiment: Config) -> dict[str, Choice]:
 
 
 def sources(experiment: Config) -> dict[str, Source]:
-    """Where every choice of a config comes from, by its key."""
+    """The source of the class behind every choice of a config, by key."""
     return {key: choice.source for key, choice in chosen(experiment).items()}
 
 

@@ -1,5 +1,7 @@
-"""What equipped vehicles perceive: sweeps, which actors could be seen in them, detections and self reports; and what
-their sweeps say of the boxes that others report."""
+"""What equipped vehicles perceive: sweeps, observability, detections and self-reports.
+
+It also answers what a sweep says about boxes that other vehicles report.
+"""
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -27,33 +29,33 @@ from sensors.scene import Scene, prisms
 _Rows = TypeVar("_Rows", evidence.Observability, detector.DetectedBoxes)
 
 GROUP, FEW = 128, 64
-"""Observers whose sweeps are read at once for what their rays met: at most, and at least where there are threads."""
+"""Largest number of observers in a group, and smallest number of observers per thread."""
 
 
 @dataclass(frozen=True, slots=True)
 class Observed:
-    """What all equipped vehicles perceived in one step; `e` counts them."""
+    """What all equipped vehicles perceived in one step; `e` is their number."""
 
     sweeps: lidar.RangeImages
-    """Valid until the next step, which uses their memory again."""
+    """Valid until the next step, which overwrites their memory."""
     observability: evidence.Observability
     detections: Detections
-    """Self reports and what the detector reports."""
+    """Self-reports and the detector's reports."""
     is_real: Bool[ndarray, "s"]
-    """Truth of the detector's reports, in order: whether there is such an actor."""
+    """Ground truth of the detector's reports, in order: whether the actor exists."""
     actor_row: Int[ndarray, "s"]
-    """Truth: its row of the world."""
+    """Ground truth: row of the actor in the world."""
 
 
 @dataclass(frozen=True, slots=True)
 class Seen:
-    """What some observers sensed; observers are counted among them."""
+    """What a group of observers sensed; observers are numbered within the group."""
 
     observability: evidence.Observability
     reports: detector.DetectedBoxes
 
     def behind(self, n: int) -> "Seen":
-        """The same, counted from `n`."""
+        """The same with observers numbered from `n`."""
         here, found = self.observability, self.reports
         return Seen(
             replace(here, observer=here.observer + np.int32(n)), replace(found, observer=found.observer + np.int32(n))
@@ -62,31 +64,31 @@ class Seen:
 
 @dataclass(frozen=True, slots=True)
 class BoxQuestions:
-    """What vehicles ask their own sweeps: rows of the sweeps, ascending, and rows of the boxes."""
+    """Questions of vehicles to their own sweeps: rows of the sweeps, ascending, and rows of the boxes."""
 
     boxes: Boxes
     area: AreaParams
     counting: Int[ndarray, "p"]
     counted: Int[ndarray, "p"]
-    """Returns inside are counted."""
+    """Boxes whose returns are counted by the sweeps of `counting`."""
     testing: Int[ndarray, "t"]
     tested: Int[ndarray, "t"]
-    """Whether free space allows that something stands there."""
+    """Boxes that the sweeps of `testing` test: can an object stand there, or did rays pass through?"""
 
 
 BoxAnswers = tuple[Int32[ndarray, "p"], Bool[ndarray, "t"]]
-"""Returns inside, and whether it can be there."""
+"""Number of returns inside each counted box, and whether each tested box is plausible."""
 
 
 class Perceives(Protocol):
-    """The part of a step that senses, and that keeps range images until the next step."""
+    """The component of a step that senses. It keeps range images until the next step."""
 
     def __call__(self, world: World, observers: Int[ndarray, "e"], watch: Stopwatch) -> Observed:
-        """What these rows of the world perceive."""
+        """What the vehicles in these rows of the world perceive."""
         ...
 
     def answers(self, sweeps: lidar.RangeImages, asked: BoxQuestions) -> BoxAnswers:
-        """What the sweeps of the last step say of boxes; `sweeps` as observed, or where vehicles take them to be."""
+        """Answers of this step's sweeps about boxes; `sweeps` at their true or estimated positions."""
         ...
 
 
@@ -94,7 +96,8 @@ class Perceives(Protocol):
 class Perception:
     """LiDAR, evidence and detector of all equipped vehicles.
 
-    Threads take groups of observers in turn, so that none waits for another one between two kernels.
+    Each thread takes the next group of observers when it has finished one, so threads do not wait for each other
+    between two kernels.
     """
 
     city: Scene
@@ -105,12 +108,12 @@ class Perception:
     seed: int
     dt_s: float
     _range_steps: UInt16[ndarray, "n a e"] | None = field(default=None, repr=False)
-    """Memory of the last range images, written over by the next."""
+    """Memory of the range images; every step overwrites it."""
     _groups: list[SweepMemory] = field(default_factory=list, repr=False)
-    """The same of all else in the sweeps of a group of observers, for each thread."""
+    """Memory of the other arrays in the sweeps of a group of observers, one item per thread."""
 
     def __call__(self, world: World, observers: Int[ndarray, "e"], watch: Stopwatch) -> Observed:
-        """What these rows of the world perceive."""
+        """What the vehicles in these rows of the world perceive."""
         rays = lidar.n_rays(self.lidar)
         range_steps = self._range_steps = lidar.buffer((len(observers), *rays), np.uint16, self._range_steps)
         with watch("sweep"):
@@ -150,7 +153,7 @@ class Perception:
         watch: Stopwatch,
         memory: SweepMemory = NO_MEMORY,
     ) -> tuple[lidar.Sweeps, Seen]:
-        """The sweeps of these rows of the world, and what is seen in them."""
+        """The sweeps of the vehicles in these rows of the world, and what they see in them."""
         with watch("sweep"):
             sweeps = self.sweep(world, observers, memory)
         with watch("detect"):
@@ -160,21 +163,21 @@ class Perception:
         return sweeps, Seen(here, reports)
 
     def answers(self, sweeps: lidar.RangeImages, asked: BoxQuestions) -> BoxAnswers:
-        """As `Perceives`."""
+        """As in `Perceives`."""
         return (
             evidence.points_in_boxes(sweeps, asked.counting, asked.boxes, asked.counted),
             evidence.plausible(sweeps, asked.testing, asked.boxes, asked.tested, asked.area),
         )
 
     def sweep(self, world: World, observers: Int[ndarray, "e"], memory: SweepMemory = NO_MEMORY) -> lidar.Sweeps:
-        """Sweeps of these rows of the world, with what each ray met; in memory of their own if none is given."""
+        """Sweeps of the vehicles in these rows of the world, with what each ray hit, in new memory if none is given."""
         keys = sweep_keys(self.seed, world, observers)
         return lidar.scan(world.boxes, world.shape, observers, self.city, self.lidar, keys, memory)
 
     def observed(
         self, world: World, observers: Int[ndarray, "e"], sweeps: lidar.RangeImages, parts: Sequence[Seen]
     ) -> Observed:
-        """What all observers see, from what each part of them does; the truth's name is dropped here."""
+        """Join the groups of observers. Detections do not contain the true actor; it is kept separately."""
         seen, found = _concat([part.observability for part in parts]), _concat([part.reports for part in parts])
         n = len(found.observer)
         sensed = Detections.perceived(
@@ -190,7 +193,7 @@ class Perception:
         return Observed(sweeps, seen, Detections.concat(listed), ~found.is_false_positive, found.actor)
 
     def draws(self, world: World, observers: Int[ndarray, "e"]) -> DetectorDraws:
-        """Keys of the detector's randomness in these rows of the world."""
+        """Random keys of the detector for the vehicles in these rows of the world."""
         names, step, site = world.name_key, world.step, rng.key(self.seed, rng.Stream.CLUTTER_MEMORY)
         return DetectorDraws(
             time_s=step * self.dt_s,
@@ -204,7 +207,7 @@ class Perception:
 
 
 def _concat(parts: list[_Rows]) -> _Rows:
-    """The rows of all parts, in order."""
+    """The rows of all groups, in order."""
     joined: dict[str, Any] = {}
     for column in fields(parts[0]):
         values = [getattr(part, column.name) for part in parts]
@@ -213,5 +216,5 @@ def _concat(parts: list[_Rows]) -> _Rows:
 
 
 def sweep_keys(seed: int, world: World, observers: Int[ndarray, "e"]) -> UInt64[ndarray, "e"]:
-    """Keys of the LiDARs' randomness in these rows of the world."""
+    """Random keys of the LiDARs of the vehicles in these rows of the world."""
     return rng.keys(rng.key(seed, rng.Stream.SWEEP, world.step), world.name_key[observers])

@@ -1,4 +1,4 @@
-"""What position errors (estimated minus true) do to what a vehicle perceives and transmits."""
+"""Effects of position errors (estimated minus true) on what a vehicle perceives and transmits."""
 
 from dataclasses import replace
 
@@ -11,11 +11,19 @@ from cosim.world import World
 
 
 def as_believed(observed: Observed, rows: Int[ndarray, "e"], error_m: Float[ndarray, "e 2"]) -> Observed:
-    """What vehicles perceived, in the world as they believe it: their sensors, their reports of themselves and all that
-    they detect are displaced by their own errors.
+    """Displace sensors, self-reports and detections by the position error of their vehicle.
 
-    A vehicle's own view of its surroundings stays right; what it hears is displaced against it by the difference of
-    two errors. `rows` are the vehicles' rows of the world.
+    The surroundings keep their position relative to the vehicle. Received objects are displaced relative to them by
+    the difference of two position errors.
+
+    Parameters
+    ----------
+    observed
+        What vehicles perceived at their true positions.
+    rows
+        The vehicles' rows of the world.
+    error_m
+        Position errors east and north, estimated minus true.
     """
     sweeps, detections = observed.sweeps, observed.detections
     origin_m, xyz_m = sweeps.poses.origin_m.copy(), detections.boxes.xyz_m.copy()
@@ -28,7 +36,17 @@ def as_believed(observed: Observed, rows: Int[ndarray, "e"], error_m: Float[ndar
 
 
 def believed_world(world: World, rows: Int[ndarray, "e"], error_m: Float[ndarray, "e 2"]) -> World:
-    """The world with equipped vehicles where they believe to be: what they compare received boxes with."""
+    """The world with equipped vehicles at their estimated positions. They compare received boxes with it.
+
+    Parameters
+    ----------
+    world
+        All actors at their true positions.
+    rows
+        Rows of the equipped vehicles.
+    error_m
+        Position errors east and north, estimated minus true.
+    """
     xyz_m = world.boxes.xyz_m.copy()
     xyz_m[rows, :2] += error_m
     return replace(world, boxes=replace(world.boxes, xyz_m=xyz_m))

@@ -1,4 +1,4 @@
-"""Why vehicles are commanded, with the truth about what they react to. The simulation never reads it."""
+"""The reasons of drivers' commands, with ground truth about the objects. The simulation never reads it."""
 
 from dataclasses import dataclass
 
@@ -13,44 +13,44 @@ from cosim.v2x.messages import FABRICATED
 from cosim.world import World
 
 _KEPT_S = 10.0
-"""How long the truth about detections is kept for reactions to them."""
+"""How long ground truth about detections is kept for later reactions."""
 
 
 @dataclass(frozen=True, slots=True)
 class Reactions:
-    """C commands of one step, by vehicle."""
+    """C commands of one step, sorted by vehicle."""
 
     commands: SpeedCommands
     deceleration_mps2: Float[ndarray, "c"]
-    """From the present speed to the commanded one within a step."""
+    """Deceleration from the present speed to the commanded one within a step."""
     fabricated: Bool[ndarray, "c"]
-    """The object was fabricated by an attack."""
+    """Whether an attack fabricated the object."""
     truth_actor: Int[ndarray, "c"]
     is_real: Bool[ndarray, "c"]
-    """There is such an actor."""
+    """Whether the actor exists."""
 
 
 @dataclass(frozen=True, slots=True)
 class DetectionTruth:
-    """The truth about the D detections of one step, sorted by key."""
+    """Ground truth of the D detections of one step, sorted by key."""
 
     step: int
     key: Int[ndarray, "d"]
-    """Pseudonym of the observer and number of the detection in one number."""
+    """Pseudonym of the observer and index of the detection in one number."""
     fabricated: Bool[ndarray, "d"]
     is_real: Bool[ndarray, "d"]
     actor: Int[ndarray, "d"]
-    """Actor number; read only where it is real."""
+    """Actor number; meaningful only if it is real."""
 
 
 @dataclass(frozen=True, slots=True)
 class ReactionTruth:
-    """The truth about the detections of the last seconds, by their names."""
+    """Ground truth of the detections of the last seconds."""
 
     steps: tuple[DetectionTruth, ...] = ()
 
     def next(self, exchange: Exchange, listed: Listed, dt_s: float) -> "ReactionTruth":
-        """The same with the detections of one more step, and without those that are too old."""
+        """Add the detections of one step and drop those that are too old."""
         world, truth = exchange.world, listed.truth
         key = _key(exchange.senders.pseudonym[listed.detections.message], listed.objects.detection_index)
         order = np.argsort(key)
@@ -64,7 +64,7 @@ class ReactionTruth:
         return ReactionTruth((*(one for one in self.steps if (world.step - one.step) * dt_s <= _KEPT_S), now))
 
     def of(self, commands: SpeedCommands, world: World, dt_s: float) -> Reactions | None:
-        """The commands with the truth about what they react to; None where the driver gives no reasons."""
+        """The commands with ground truth about the objects; None if the driver gives no reasons."""
         why, n = commands.reasons, len(commands)
         if why is None:
             return None

@@ -1,4 +1,4 @@
-"""What happened in a step: all that the recorder reads. It is made of the results of the stages."""
+"""The result of a step. It consists of the results of the stages, and the recorder reads it."""
 
 from dataclasses import dataclass
 
@@ -18,40 +18,40 @@ from trust.tables import TrustScores
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sensed:
-    """What happened in a step in which vehicles sense and exchange messages."""
+    """Results of a step in which vehicles sense and exchange messages."""
 
     vehicles: Vehicles
     senders: Senders
-    """Messages of either kind, by vehicle and identity."""
+    """The messages of each round, sorted by vehicle and identity."""
     positioned: Positioned
     listed: Listed
     rounds: Rounds
-    """Of detection messages, and of evaluation messages."""
+    """The rounds of detection messages and of evaluation messages."""
     reach: tuple[Reach, Reach]
-    """The same."""
+    """Vehicles in range, for the same two rounds."""
     evaluated: Evaluated
     looked_up: LookedUp
     fused: list[Fused | None]
-    """Per trust variant; None where it was not asked for."""
+    """Fused objects per trust variant; None if they were not requested."""
     published: list[TrustScores | None]
-    """Per trust variant: what its server computed in this step."""
+    """Per trust variant, the values that its server computed in this step."""
     servers: list[ServerTraffic | None]
-    """Per trust variant; None where its trust does not live on a server."""
+    """Per trust variant, the traffic from and to its server; None if it has no server."""
     attack_outcomes: list[Rows]
-    """Per trust variant that fuses: columns of the table `attack_outcomes`."""
+    """Columns of the table `attack_outcomes`, per trust variant that fuses."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StepResult:
-    """What happened in a step."""
+    """The result of a step."""
 
     world: World
     encounters: list[Rows]
-    """Encounters that are over, per definition."""
+    """Encounters that have ended, per definition in the config."""
     ended_pseudonyms: PseudonymUse
     sensed: Sensed | None
-    """None in steps between two sweeps, and without equipped vehicles."""
+    """None in steps without sweeps or without equipped vehicles."""
     commands: SpeedCommands
-    """What drivers do next."""
+    """The drivers' commands for the next step."""
     reactions: Reactions | None
-    """The same with what they react to; None where the driver gives no reasons."""
+    """The commands with the objects that caused them; None if the driver gives no reasons."""

@@ -1,6 +1,7 @@
-"""The stages of a step, in the order of `cosim.step.cycle.step`: plain functions of arrays and parts.
+"""The stages of a step, in the order of `cosim.step.cycle.step`.
 
-A stage that changes a part of the state takes it as an argument and returns what it is afterwards, before its result.
+Stages are functions of arrays and components. A stage that changes a part of the state takes it as an argument and
+returns its new value before the result.
 """
 
 from dataclasses import dataclass, replace
@@ -46,16 +47,32 @@ from trust.tables import EvaluationMessages, Evaluations, Groups, ObjectLists
 from trust.threads import threads_for
 
 _ROWS_PER_BOX = 10
-"""Rows of a table that cost as much as to find what overlaps one box."""
+"""Finding the boxes that overlap one box costs as much as this number of rows of a table."""
 
 
 def identify(
     world: World, pseudonyms: PseudonymState, own_trust: Float[ndarray, "n"] | None, now: Times, parts: Parts
 ) -> tuple[PseudonymState, Vehicles, PseudonymUse]:
-    """Equipped vehicles on the road under their present pseudonyms, and the pseudonyms that are given up.
+    """Issue pseudonyms to the equipped vehicles on the road.
 
-    Pseudonyms change in steps with messages alone. `own_trust` is the trust in each actor as it last learned it
-    itself; None where no attack reads it.
+    Pseudonyms change only in steps with messages.
+
+    Parameters
+    ----------
+    world
+        All actors.
+    pseudonyms
+        State of the pseudonyms.
+    own_trust
+        Trust in each actor, as the actor itself last learned it; None if no attack reads it.
+    now
+        Times of the step.
+    parts
+        Components of the run.
+
+    Returns
+    -------
+    The new state of the pseudonyms, the vehicles with their pseudonyms, and the pseudonyms that have ended.
     """
     row = np.flatnonzero(world.equipped)
     actor, names = world.actor[row], world.name_key[row]
@@ -79,11 +96,11 @@ def perceive(world: World, vehicles: Vehicles, precomputed: Precomputed, parts: 
 
 @dataclass(frozen=True, slots=True)
 class Positioned:
-    """What vehicles perceive, and where they take it and themselves to be."""
+    """What vehicles perceive, at their estimated positions."""
 
     observed: Observed
     world: World
-    """With every vehicle where it believes to be; the true world without `[gnss]`."""
+    """The world with every vehicle at its estimated position; the true world without `[gnss]`."""
     error_m: Float[ndarray, "e 2"] | None
     """Position error of each vehicle, estimated minus true, east and north; None without `[gnss]`."""
 
@@ -91,7 +108,7 @@ class Positioned:
 def position(
     world: World, vehicles: Vehicles, observed: Observed, errors: PositionErrors, config: Config
 ) -> tuple[PositionErrors, Positioned]:
-    """What vehicles observe and where they take themselves to be."""
+    """Apply position errors to what vehicles perceive; return the new state of the errors and the result."""
     c = config
     if c.gnss.std_m <= 0:
         return errors, Positioned(observed, world, None)
@@ -103,7 +120,7 @@ def position(
 def senders_of(
     world: World, vehicles: Vehicles, attacks: Active, pseudonyms: PseudonymState, parts: Parts
 ) -> tuple[PseudonymState, Senders]:
-    """The messages of each kind in this step, one per vehicle and identity, and their pseudonyms."""
+    """The messages of one round, one per vehicle and identity, with their pseudonyms."""
     senders = Senders.of(vehicles, attacks.identities(len(world))[vehicles.row])
     more = np.flatnonzero(senders.identity)
     if len(more):
@@ -118,24 +135,42 @@ def senders_of(
 
 @dataclass(frozen=True, slots=True)
 class Listed:
-    """What every vehicle lists, and transmits or keeps to itself; attacks included."""
+    """The detections that every vehicle lists, after attacks, whether it transmits them or not."""
 
     objects: Detections
     truth: GroundTruth
     detections: tables.Detections
-    """The same as trust sees them: message as a row of `Senders`."""
+    """The same detections in the form that `trust` uses, with the message as a row of `Senders`."""
     ptr: Int[ndarray, "m+1"]
-    """Where the detections of each message begin."""
+    """Row at which the detections of each message begin."""
     withheld: Bool[ndarray, "d"]
-    """Made by the detector, and kept from others by an attack."""
+    """Whether an attack withholds a detection that the detector made."""
     n_dropped: Int[ndarray, "f"]
-    """Detections that cannot be sent, by `DetectionFault`."""
+    """Number of detections that cannot be sent, by `DetectionFault`."""
 
 
 def list_objects(
     exchange: Exchange, observed: Observed, acceleration_mps2: Float[ndarray, "n"], included: InclusionMemory, c: Config
 ) -> tuple[InclusionMemory, Listed]:
-    """Detections as each vehicle lists them, after attacks and generation rules."""
+    """Detections as each vehicle lists them, after attacks and generation rules.
+
+    Parameters
+    ----------
+    exchange
+        Vehicles, senders and attacks of the step.
+    observed
+        What vehicles perceive, at their estimated positions.
+    acceleration_mps2
+        Acceleration of every actor.
+    included
+        Memory of the generation rules.
+    c
+        The config.
+
+    Returns
+    -------
+    The new memory of the generation rules, and the lists.
+    """
     world, vehicles, senders, attacks = exchange.world, exchange.vehicles, exchange.senders, exchange.attacks
     perceived = with_motion(observed.detections, world.speed_mps, acceleration_mps2)
     objects, n_dropped = attacks.detections(perceived)
@@ -161,11 +196,11 @@ def list_objects(
 
 @dataclass(frozen=True, slots=True)
 class SentEvaluations:
-    """Evaluation messages, on their way or waiting for the next detection message."""
+    """Evaluation messages that were sent, or that wait for the next detection message."""
 
     messages: EvaluationMessages
     sender: Int[ndarray, "v"]
-    """Actor number and identity of each message's sender, as `Exchange.sender`."""
+    """Actor number and identity of each message's sender, as in `Exchange.sender`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,15 +209,15 @@ class Broadcast:
 
     round: MessageRound
     links: LinkReceptions
-    """Its receptions by kind of link."""
+    """Receptions by kind of link."""
     accepted: LinkReceptions
-    """The same without those from revoked senders."""
+    """Receptions without those from revoked senders."""
 
 
 def broadcast_detections(
     exchange: Exchange, listed: Listed, piggybacked: SentEvaluations | None, medium: object, parts: Parts
 ) -> tuple[object, Broadcast]:
-    """Detection messages, with the evaluations of the step before where these are piggybacked; the medium's state."""
+    """Broadcast detection messages, with piggybacked evaluations of the step before; return the medium's new state."""
     lengths = _cpm_lengths(exchange, listed, piggybacked, parts.config)
     on_air = OnAir.of(exchange.senders, lengths, len(parts.rsus), sending=exchange.sending)
     return _broadcast(exchange, RoundKind.CPM, on_air, exchange.now.begin_s, medium, parts)
@@ -191,9 +226,9 @@ def broadcast_detections(
 def broadcast_evaluations(
     exchange: Exchange, evaluated: "Evaluated", rsu_broadcast: TrustBroadcast | None, medium: object, parts: Parts
 ) -> tuple[object, Broadcast]:
-    """Evaluation messages, unless these wait for the next detection message; the medium's state.
+    """Broadcast evaluation messages, unless they wait for the next detection message; return the medium's new state.
 
-    Roadside units broadcast in the same round what the trust server gave them.
+    In the same round, roadside units broadcast the trust that the server gave them.
     """
     alone = parts.config.radio.evaluations == "alone"
     lengths = evaluation_bytes(np.diff(evaluated.sent.ptr)) * alone
@@ -224,7 +259,7 @@ def _accepted(links: LinkReceptions, senders: Senders) -> LinkReceptions:
 def _cpm_lengths(
     exchange: Exchange, listed: Listed, piggybacked: SentEvaluations | None, c: Config
 ) -> Int[ndarray, "m"]:
-    """Length of each detection message, with the evaluations that it carries; 0 for none [B]."""
+    """Length of each detection message with the evaluations that it carries [B]; 0 if nothing is sent."""
     n_messages = len(exchange.senders)
     n_objects = np.bincount(listed.detections.message[listed.objects.transmitted], minlength=n_messages)
     n_carried = np.zeros(n_messages, np.int64)
@@ -240,19 +275,19 @@ class Matched:
     """Object lists, and their members grouped into objects."""
 
     known: ObjectLists
-    """Everything that each vehicle knows of: its own detections and those received; what it fuses."""
+    """All detections that each vehicle knows, its own and received ones. It fuses these."""
     groups: Groups
-    """Of `known`."""
+    """Groups of `known`."""
     inside: Bool[ndarray, "k"]
-    """Members of `known` in the area that the vehicle evaluates."""
+    """Whether each member of `known` is in the area that the vehicle evaluates."""
     lists: ObjectLists
-    """These alone: what each vehicle evaluates."""
+    """Only the members inside: what each vehicle evaluates."""
     lists_groups: Groups
-    """Of `lists`."""
+    """Groups of `lists`."""
 
 
 def match_objects(exchange: Exchange, listed: Listed, cpms: Broadcast, positioned: Positioned, c: Config) -> Matched:
-    """One object, several sources: the lists of all vehicles, grouped by overlap."""
+    """Group the detections that each vehicle knows by overlap, so that each group is one object."""
     objects, senders = listed.objects, exchange.senders
     with threads_for(_ROWS_PER_BOX * len(objects.boxes)):
         pairs = overlapping_pairs(objects.boxes, objects.label, listed.detections.message)
@@ -268,24 +303,24 @@ def match_objects(exchange: Exchange, listed: Listed, cpms: Broadcast, positione
 
 @dataclass(frozen=True, slots=True)
 class SweepAnswers:
-    """What the vehicles' own sweeps say of the boxes before them; `k` as in `Matched`."""
+    """Answers of the vehicles' own sweeps about the boxes in their lists; `k` as in `Matched`."""
 
     n_points: Int[ndarray, "k"]
-    """Returns inside the box."""
+    """Number of returns inside the box."""
     plausible: Bool[ndarray, "k"]
-    """Whether the sweep allows that something stands there; asked of what the vehicle did not detect itself."""
+    """Whether an object can stand there by the sweep; tested for objects that the vehicle did not detect itself."""
     of_seeds: SensorEvidence
-    """The same for the detection that gives each group its box, for fusion."""
+    """The answers for the detection whose box represents each group, for fusion."""
     from_own_m: Float[ndarray, "d"]
     """Distance of each detection from the sensor of the vehicle that sends it."""
     recall: Float[ndarray, "v"] | None
-    """Of the evaluator's detector, for each member of `lists`; None where denials are not weighed by it."""
+    """Recall of the evaluator's detector for each member of `lists`; None unless denials are weighted by it."""
 
 
 def ask_sweeps(exchange: Exchange, listed: Listed, matched: Matched, observed: Observed, parts: Parts) -> SweepAnswers:
     """Ask every vehicle's own sweep about the boxes in its list. Sweeps are not read again in this step."""
     known, groups, boxes, c = matched.known, matched.lists_groups, listed.objects.boxes, parts.config
-    foreign = np.zeros(len(known.member), bool)  # members of which a vehicle asks its sweep whether they can be there
+    foreign = np.zeros(len(known.member), bool)  # members whose plausibility is tested
     foreign[matched.groups.seeds()] = True
     foreign &= ~matched.groups.ego_detected
     foreign[np.flatnonzero(matched.inside)[~groups.ego_detected]] = True
@@ -307,7 +342,7 @@ def ask_sweeps(exchange: Exchange, listed: Listed, matched: Matched, observed: O
 def _recall(
     listed: Listed, matched: Matched, n_points: Int[ndarray, "v"], origin_m: Float[ndarray, "e 3"], parts: Parts
 ) -> Float[ndarray, "v"] | None:
-    """How often each vehicle's detector finds an object like each of those that it evaluates, if that is there."""
+    """Recall of each vehicle's detector for each object that it evaluates; None unless denials are weighted by it."""
     if parts.recall is None:
         return None
     lists, boxes = matched.lists, listed.objects.boxes
@@ -317,37 +352,37 @@ def _recall(
 
 @dataclass(frozen=True, slots=True)
 class Evaluated:
-    """What every vehicle thinks of the detections before it, by its own sweep; `v` counts the members of `lists`.
+    """Evaluations of detections by every vehicle's own sweep; `v` is the number of members of `lists`.
 
-    All identities of a vehicle evaluate the same.
+    All identities of a vehicle evaluate the same detections.
     """
 
     lists: ObjectLists
-    """What is evaluated under each identity; the same object as in `Matched` where no vehicle has a second one."""
+    """What is evaluated under each identity; the list of `Matched` itself if no vehicle has a second identity."""
     n_points: Int[ndarray, "v"]
-    """Returns of its own sweep inside the box."""
+    """Number of returns of the vehicle's own sweep inside the box."""
     plausible: Bool[ndarray, "v"]
-    """Whether its own sweep allows that something stands there; asked of what it did not detect itself."""
+    """Whether an object can stand there by the vehicle's own sweep; tested if it did not detect the object itself."""
     matched: Bool[ndarray, "v"]
-    """The vehicle detected the object itself."""
+    """Whether the vehicle detected the object itself."""
     own: Evaluations
-    """As each vehicle makes them."""
+    """Evaluations as each vehicle makes them."""
     reported: Evaluations
-    """As each vehicle transmits them; the same object where no attack altered any."""
+    """Evaluations as each vehicle transmits them; `own` itself if no attack changed any."""
     lied: Bool[ndarray, "v"]
-    """Transmitted otherwise than made."""
+    """Whether the reported evaluation differs from the own one by more than noise."""
     own_messages: EvaluationMessages
-    """A message per vehicle."""
+    """The own evaluations, one message per vehicle."""
     sent: EvaluationMessages
-    """A message per row of `Senders`."""
+    """The reported evaluations, one message per row of `Senders`."""
     kept_messages: EvaluationMessages
-    """The same rows with the evaluations that the vehicles keep."""
+    """The own evaluations in the rows of `sent`."""
 
 
 def evaluate_objects(
     exchange: Exchange, listed: Listed, matched: Matched, answers: SweepAnswers, config: Config
 ) -> Evaluated:
-    """Evaluation, visibility and plausibility, and the messages that carry them."""
+    """Evaluate the detections in each vehicle's list, and make the evaluation messages."""
     groups, lists, senders = matched.lists_groups, matched.lists, exchange.senders
     n_points, plausible = answers.n_points[matched.inside], answers.plausible[matched.inside]
     ego_detected = groups.ego_detected
@@ -382,7 +417,7 @@ def evaluate_objects(
 def beliefs_of(
     fused: Fused | None, exchange: Exchange, listed: Listed, position_error_m: Float[ndarray, "e 2"] | None
 ) -> Beliefs:
-    """Fused objects as drivers see them, from where the vehicles are and not from where they believe to be."""
+    """Fused objects for the drivers, moved from the estimated to the true positions of the vehicles."""
     assert fused is not None, "the acting variant is always fused"
     boxes, pose = listed.objects.boxes.take(fused.seed), listed.objects.boxes.take(fused.pose)
     boxes = replace(boxes, xyz_m=pose.xyz_m, yaw_rad=pose.yaw_rad)

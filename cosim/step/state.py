@@ -1,4 +1,4 @@
-"""What survives a step."""
+"""The state of a simulation between two steps."""
 
 import copy
 from dataclasses import dataclass, field, replace
@@ -27,10 +27,10 @@ from results.codes import DetectionFault
 
 @dataclass(frozen=True, slots=True)
 class State:
-    """All that survives a step.
+    """Everything that a step passes on to the next one.
 
-    A step makes a new state from the one that it is given, and uses that one up: evidence of trust models, encounters
-    under way and what attacks and media remember are updated in place. To go on twice from one state, `copy` it first.
+    A step returns a new state and consumes the one that it gets, because it updates the evidence of trust models, open
+    encounters and the memory of attacks and media in place. To continue twice from one state, `copy` it first.
     """
 
     medium: Any
@@ -39,27 +39,27 @@ class State:
     attacks: AttackState
     driver: object = None
     reaction_truth: ReactionTruth = field(default_factory=ReactionTruth)
-    """For the table of reactions alone."""
+    """Used only for the table of reactions."""
     pseudonyms: PseudonymState = field(default_factory=PseudonymState)
     included: InclusionMemory = field(default_factory=InclusionMemory)
     piggybacked: SentEvaluations | None = None
     inter_reception: ReceptionTrackers = field(
         default_factory=lambda: (InterReceptionTracker(), InterReceptionTracker())
     )
-    """Of detection and of evaluation messages."""
+    """For detection messages and for evaluation messages."""
     attack_start: AttackStartTracker = field(default_factory=AttackStartTracker)
     known_senders: KnownSenders = field(default_factory=KnownSenders)
-    """With pseudonyms.linkage = "own" alone."""
+    """Used only with pseudonyms.linkage = "own"."""
     last_speeds: LastSpeeds = field(default_factory=LastSpeeds)
     position_errors: PositionErrors = field(default_factory=PositionErrors)
     n_dropped: Int[ndarray, "f"] = field(default_factory=lambda: np.zeros(len(DetectionFault), np.int64))
     """Detections dropped so far because they cannot be sent, by `DetectionFault`."""
     is_consumed: bool = False
-    """A step has used this state up."""
+    """Whether a step has consumed this state."""
 
     @staticmethod
     def start(parts: Parts) -> "State":
-        """Before the first step."""
+        """The state before the first step."""
         c = parts.config
         return State(
             medium=parts.medium.start(),
@@ -69,14 +69,20 @@ class State:
         )
 
     def copy(self) -> "State":
-        """A state that shares nothing with this one."""
+        """A copy that shares nothing with this state."""
         return copy.deepcopy(self)
 
     def consume(self) -> "State":
-        """The state to go on with. RuntimeError where an earlier step has used this one up."""
+        """Mark this state as consumed and return the one to continue with.
+
+        Raises
+        ------
+        RuntimeError
+            If an earlier step has consumed this state.
+        """
         if self.is_consumed:
             raise RuntimeError("an earlier step consumed this state: go on from the state that it returned, or from a "
                                "copy made before it")  # fmt: skip
         going_on = replace(self)
-        object.__setattr__(self, "is_consumed", True)  # the one thing about a state that ever changes
+        object.__setattr__(self, "is_consumed", True)  # the only field of a state that changes
         return going_on

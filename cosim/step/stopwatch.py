@@ -1,4 +1,4 @@
-"""How long each stage takes."""
+"""Measures how long each stage takes."""
 
 from time import perf_counter
 
@@ -15,11 +15,11 @@ class Stopwatch:
         return self
 
     def of_thread(self) -> "Stopwatch":
-        """Another one of the same kind, for one thread of several."""
+        """A new stopwatch for one of several threads."""
         return Stopwatch()
 
     def add(self, other: "Stopwatch", n_threads: int) -> None:
-        """Add what one of so many threads measured, which ran at once."""
+        """Add the seconds of one of `n_threads` parallel threads, divided by their number."""
         for stage, seconds in other.seconds.items():
             self.seconds[stage] = self.seconds.get(stage, 0.0) + seconds / n_threads
 

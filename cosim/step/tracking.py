@@ -1,4 +1,4 @@
-"""What is tracked from step to step beside the cycle: inter-reception times, encounters, and starts of attacks."""
+"""Tracks inter-reception times, encounters and starts of attacks from step to step. The cycle does not read them."""
 
 from dataclasses import dataclass
 
@@ -17,18 +17,19 @@ from results.encounters import Rows
 from sensors.kernel import compiled
 
 Rounds = tuple[Broadcast, Broadcast]
-"""Of detection messages, and of evaluation messages."""
+"""The rounds of detection messages and of evaluation messages."""
 ReceptionTrackers = tuple[InterReceptionTracker, InterReceptionTracker]
-"""The same."""
+"""The trackers of the same two rounds."""
 
 
 @dataclass(frozen=True, slots=True)
 class Reach:
-    """Which vehicles could have received the messages of one round, and how regularly they do."""
+    """Pairs of vehicles within range in one round, and the inter-reception times that ended."""
 
     sender: Int[ndarray, "p"]
-    """Rows of `Vehicles`; each pair of a sender and a vehicle within range of it once, sorted."""
+    """Row of `Vehicles`. The pairs (sender, in_range) are sorted, each once."""
     in_range: Int[ndarray, "p"]
+    """Row of `Vehicles` of a vehicle within range of the sender."""
     inter_reception: Rows
     """Columns of the table `packet_inter_reception`."""
 
@@ -36,7 +37,7 @@ class Reach:
 def track_receptions(
     trackers: ReceptionTrackers, exchange: Exchange, rounds: Rounds
 ) -> tuple[ReceptionTrackers, tuple[Reach, Reach]]:
-    """Inter-reception times go on; who was in range in each round, and intervals that ended in it."""
+    """Update the inter-reception times with both rounds; return the vehicles in range and the ended intervals."""
     first, cpms = _track_round(trackers[0], exchange, rounds[0])
     second, reports = _track_round(trackers[1], exchange, rounds[1])
     return (first, second), (cpms, reports)
@@ -54,7 +55,19 @@ def _track_round(
 
 
 def pairs_in_range(found: MessageRound, n: int) -> tuple[Int[ndarray, "p"], Int[ndarray, "p"]]:
-    """Senders of messages, and the other vehicles within range of them: each pair of station rows once, sorted."""
+    """Pairs of a sender and another vehicle within its range, each once, sorted.
+
+    Parameters
+    ----------
+    found
+        One round of messages.
+    n
+        Number of vehicles; stations with higher numbers are roadside units.
+
+    Returns
+    -------
+    Station rows of the senders, and of the vehicles in range.
+    """
     frames = found.frames
     sender, receiver = _first_hops(found.station, frames.message, frames.receiver, frames.hop, n)
     return unique_pairs(sender, receiver, n)
@@ -62,7 +75,7 @@ def pairs_in_range(found: MessageRound, n: int) -> tuple[Int[ndarray, "p"], Int[
 
 @compiled
 def _first_hops(station, message, receiver, hop, n):
-    """Senders and receivers, below n, of the frames that senders transmit themselves."""
+    """Senders and receivers below n of frames that were not forwarded."""
     one, other = np.empty(len(message), np.int32), np.empty(len(message), np.int32)
     m = 0
     for row in range(len(message)):
@@ -75,7 +88,7 @@ def count_in_encounters(
     encounters: EncounterTrackers, exchange: Exchange, rounds: Rounds, looked_up: LookedUp, listed: Listed,
     matched: Matched,
 ) -> EncounterTrackers:  # fmt: skip
-    """Add a step's messages, look-ups and evaluations to the encounters under way."""
+    """Add a step's messages, look-ups and evaluations to the open encounters."""
     actor, vehicle = exchange.vehicles.actor, exchange.senders.vehicle
     for broadcast in rounds:
         found = broadcast.links.vehicles
@@ -91,7 +104,7 @@ def count_in_encounters(
 def track_attacks(
     attack_start: AttackStartTracker, exchange: Exchange, listed: Listed, evaluated: Evaluated
 ) -> AttackStartTracker:
-    """Who attacks in this step: fabricates or falsifies detections or evaluations, or attacks the channel."""
+    """Note the vehicles that attack in this step: with false detections or evaluations, or on the channel."""
     vehicles, sending = exchange.vehicles, exchange.sending
     attacker = [exchange.world.actor[listed.objects.observer[listed.truth.lied]]]
     if evaluated.lied.any():
@@ -104,7 +117,10 @@ def track_attacks(
 
 @compiled
 def _evaluated(ptr, member, message, vehicle):
-    """Whose detections each list holds, and how many; a list's own are left out. Lists go by message."""
+    """For each list, the observers of its detections and how many it holds, without the list's own vehicle.
+
+    The members of a list are sorted by message.
+    """
     one, other, n = np.empty(len(member), np.int32), np.empty(len(member), np.int32), np.empty(len(member), np.int64)
     m = 0
     for v in range(len(ptr) - 1):

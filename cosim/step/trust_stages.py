@@ -1,4 +1,4 @@
-"""The stages of a step that ask and tell the trust hosts, in the order of `cosim.step.cycle.step`.
+"""The stages of a step that use the trust hosts, in the order of `cosim.step.cycle.step`.
 
 As in `cosim.step.stages`, a stage returns the parts of the state that it changes before its result.
 """
@@ -29,7 +29,7 @@ from trust.tables import FusionInput, SenderTrust, TrustScores
 def own_trust_of(
     world: World, trust: TrustState, pseudonyms: PseudonymState, now: Times, parts: Parts
 ) -> Float[ndarray, "n"] | None:
-    """Trust in each actor as it last learned it itself, by row of the world; None where no attack reads it."""
+    """Trust in each actor as the actor itself last learned it, by row of the world; None if no attack reads it."""
     if not parts.adversary.reads_trust:
         return None
     row = np.flatnonzero(world.equipped)
@@ -45,7 +45,12 @@ def follow_encounters(
     encounters: EncounterTrackers, near: NearPairs, trust: TrustState, pseudonyms: PseudonymState, vehicles: Vehicles,
     now: Times, parts: Parts,
 ) -> tuple[EncounterTrackers, TrustState, list[Rows]]:  # fmt: skip
-    """Who is near whom, and what they know of each other when they meet; rows of encounters that are over."""
+    """Update encounters with the near pairs, and note the trust of both vehicles when an encounter begins.
+
+    Returns
+    -------
+    The encounters, the state of trust, and the rows of encounters that have ended.
+    """
     closed, holder, other = encounters.update(now.step, near)
     trust = parts.trust.receive(trust, vehicles.actor, now.begin_s)
     subject = parts.linkage.subjects(pseudonyms, pseudonyms.of(other))
@@ -57,18 +62,18 @@ def follow_encounters(
 
 @dataclass(frozen=True, slots=True)
 class Published:
-    """What trust servers computed in a step, and whom they told."""
+    """What trust servers computed in a step, and the vehicles that they informed."""
 
     scores: list[TrustScores | None]
-    """Per trust variant, under the pseudonyms of now; None where none were computed."""
+    """Trust values per trust variant, by current pseudonym; None if none were computed."""
     informed: list[Informed]
-    """Per host: vehicles that a broadcast was meant for, and that it reaches."""
+    """Per host, the number of vehicles that a broadcast addressed, and that it reached."""
 
 
 def publish(
     trust: TrustState, pseudonyms: PseudonymState, vehicles: Vehicles, now: Times, parts: Parts
 ) -> tuple[TrustState, PseudonymState, Published]:
-    """Trust servers take what has arrived, compute and broadcast trust, and accuse and revoke vehicles."""
+    """Trust servers process arrived evaluations, compute and broadcast trust, and accuse and revoke vehicles."""
     c, hosts = parts.config, parts.trust
     trust, scores, informed = hosts.publish(trust, now.step, now.begin_s, vehicles.actor, vehicles.name_key)
     pseudonyms = parts.linkage.accused(pseudonyms, trust.arrived)
@@ -81,7 +86,12 @@ def receive_from_rsus(
     trust: TrustState, exchange: Exchange, sent: TrustBroadcast | None, reports: Broadcast, informed: list[Informed],
     parts: Parts,
 ) -> tuple[TrustState, list[Informed]]:  # fmt: skip
-    """Vehicles receive what roadside units broadcast beside the evaluations; whom each host has informed now."""
+    """Vehicles receive the trust that roadside units broadcast in the round of evaluations.
+
+    Returns
+    -------
+    The state of trust, and per host the vehicles that it has informed by now.
+    """
     if sent is None:
         return trust, informed
     down = reports.links.downlink
@@ -94,13 +104,13 @@ def receive_from_rsus(
 
 @dataclass(frozen=True, slots=True)
 class Carrier:
-    """The messages that evaluations came with, for trust."""
+    """The messages that carried evaluations in a step."""
 
     evaluations: SentEvaluations | None
-    """None where none were waiting to be carried."""
+    """None if there were no evaluations to carry."""
     receptions: LinkReceptions
     begin_s: float
-    """When they were sent."""
+    """When the messages were sent [s]."""
 
 
 def carrier_of(
@@ -111,10 +121,16 @@ def carrier_of(
 
     Parameters
     ----------
+    exchange
+        Vehicles and senders of the step.
+    evaluated
+        Evaluations of this step.
     waiting
         Evaluations of the step before, which this step's detection messages carried.
     rounds
-        Of detection messages, and of evaluation messages.
+        The rounds of detection messages and of evaluation messages.
+    parts
+        Components of the run.
     """
     cpms, reports = rounds
     sent = SentEvaluations(evaluated.sent, exchange.sender)
@@ -127,11 +143,11 @@ def update_trust(
     trust: TrustState, exchange: Exchange, listed: Listed, evaluated: Evaluated, carrier: Carrier,
     pseudonyms: PseudonymState, parts: Parts,
 ) -> tuple[TrustState, LinkStats]:  # fmt: skip
-    """Trust hosts learn what was transmitted, what vehicles think themselves, and the evaluations that arrived.
+    """Give the trust hosts the transmitted detections, the vehicles' own evaluations and those that arrived.
 
     Returns
     -------
-    The state, and what became of the reports to the server.
+    The state of trust, and counts of the reports to the server.
     """
     hosts, linkage, senders = parts.trust, parts.linkage, exchange.senders
     trust = _open_step(trust, exchange, listed, pseudonyms, parts)
@@ -152,7 +168,7 @@ def update_trust(
 def _open_step(
     trust: TrustState, exchange: Exchange, listed: Listed, pseudonyms: PseudonymState, parts: Parts
 ) -> TrustState:
-    """Tell the hosts what was transmitted, by subject of trust."""
+    """Give the hosts the transmitted detections, by subject of trust."""
     transmitted, detections, linkage = listed.objects.transmitted, listed.detections, parts.linkage
     pseudonym = exchange.senders.pseudonym
     message, index = detections.message[transmitted], detections.detection_index[transmitted]
@@ -167,9 +183,9 @@ def _deliver(
     trust: TrustState, exchange: Exchange, carried: SentEvaluations, carrier: Carrier, pseudonyms: PseudonymState,
     parts: Parts,
 ) -> tuple[TrustState, LinkStats]:  # fmt: skip
-    """Evaluation messages reach other vehicles, and through roadside units the server."""
+    """Deliver evaluation messages to other vehicles, and through roadside units to the server."""
     links, vehicles = carrier.receptions, exchange.vehicles
-    row = np.full(len(exchange.senders), -1)  # of each message of this step among those carried
+    row = np.full(len(exchange.senders), -1)  # per message of this step, the row of the evaluations that it carries
     _, which, at = np.intersect1d(carried.sender, exchange.sender, assume_unique=True, return_indices=True)
     row[at] = which
     sent = parts.linkage.messages(pseudonyms, carried.messages)
@@ -181,21 +197,21 @@ def _deliver(
 
 @dataclass(frozen=True, slots=True)
 class LookedUp:
-    """Trust of the senders of what each vehicle uses, as it knows it when it fuses."""
+    """Trust in the senders of the evaluations that each vehicle uses in fusion."""
 
     messages: Receptions
-    """Messages whose senders' trust is looked up, by the vehicles that received them."""
+    """Receptions of the messages whose senders' trust is looked up."""
     lookups: list[Lookups]
-    """Per trust variant; rows as in `messages`."""
+    """Answers per trust variant, aligned with `messages`."""
 
 
 def look_up(
     trust: TrustState, known_senders: KnownSenders, exchange: Exchange, listed: Listed,
     rounds: tuple[Broadcast, Carrier], pseudonyms: PseudonymState, parts: Parts,
 ) -> tuple[TrustState, KnownSenders, LookedUp]:  # fmt: skip
-    """Every vehicle looks up how far it trusts the senders of the evaluations that it received.
+    """Every vehicle looks up its trust in the senders of the evaluations that it received.
 
-    `rounds` are that of detection messages, and the one that carried evaluations.
+    `rounds` are the round of detection messages and the one that carried evaluations.
     """
     cpms, carrier = rounds
     used, now, senders, vehicles = carrier.receptions.vehicles, exchange.now, exchange.senders, exchange.vehicles
@@ -213,9 +229,9 @@ def look_up(
 
 
 def _received_senders(exchange: Exchange, listed: Listed, received: Receptions) -> ReceivedSenders:
-    """Senders as their receivers know them: from what their messages say of themselves."""
+    """Position and velocity of senders as their receivers know them, from self-reports in their messages."""
     objects, senders = listed.objects, exchange.senders
-    report = np.full(len(senders), -1)  # of each message: the sender's report of itself
+    report = np.full(len(senders), -1)  # per message, the row of its self-report
     selves = np.flatnonzero(listed.detections.is_self & objects.transmitted)
     report[listed.detections.message[selves]] = selves
     received = received.take(report[received.message] >= 0)
@@ -232,8 +248,10 @@ def _received_senders(exchange: Exchange, listed: Listed, received: Receptions) 
 def _of_old_pseudonyms(
     trust: TrustState, known: KnownSenders, exchange: Exchange, used: Receptions, found: list[Lookups], parts: Parts
 ) -> tuple[KnownSenders, list[Lookups]]:
-    """Look-ups of receivers that link pseudonyms themselves: where they know nothing of the new pseudonym, what they
-    know of the old one."""
+    """Look-ups of receivers that link pseudonyms themselves.
+
+    If a receiver has no trust value for the new pseudonym, it uses that of the old one.
+    """
     holder, asked = exchange.vehicles.actor[used.receiver], exchange.senders.pseudonym[used.message]
     old = np.full(len(asked), -1)
     if len(known.receiver):
@@ -256,7 +274,7 @@ def fuse_objects(
     trust: TrustState, listed: Listed, matched: Matched, answers: SweepAnswers, evaluated: Evaluated,
     looked_up: LookedUp, parts: Parts,
 ) -> list[Fused | None]:  # fmt: skip
-    """Every vehicle's final objects, per trust variant; None where they are not asked for."""
+    """Fused objects of every vehicle, per trust variant; None if they are not requested."""
     used = looked_up.messages
     ptr = ptr_of(used.receiver, len(matched.known.owner))
     in_time = np.full(len(used.message), parts.config.radio.evaluations == "alone")

@@ -1,4 +1,4 @@
-"""How many vehicles a config has on the road, roughly, before anything is simulated."""
+"""Estimates how many vehicles a config has on the road, before anything is simulated."""
 
 from functools import cache
 from itertools import islice
@@ -24,7 +24,7 @@ _MOST = 1_000_000
 
 
 def vehicles_on_road(config: Config) -> float:
-    """Vehicles on the road at a time: of a city by its demand and size, of a trace or a run by what it holds."""
+    """Mean number of vehicles on the road: for a city from demand and size, for a trace or run from its content."""
     traffic = config.traffic
     scenario = scenario_of(traffic.scenario, traffic.trace)
     if scenario.trace is not None:
@@ -42,7 +42,7 @@ def _recorded(trace: Path) -> float:
 
 @cache
 def _demanded(name: str, scenario: Scenario, begin_s: float) -> float:
-    """Departures within the time that one vehicle is on the road."""
+    """Number of departures within the time that one vehicle is on the road."""
     if scenario.bounds_m is None or scenario.sumocfg is None:
         return HELSINKI
     x0, y0, x1, y1 = scenario.bounds_m
@@ -53,7 +53,7 @@ def _demanded(name: str, scenario: Scenario, begin_s: float) -> float:
 
 
 def departures(routes: tuple[Path, ...], from_s: float, to_s: float) -> float:
-    """Vehicles of route files that depart within a time; those of flows by their rate."""
+    """Number of vehicles in route files that depart within a time interval; flows count by their rate."""
     n = 0.0
 
     def start(element: str, attributes: Attributes) -> None:
@@ -77,7 +77,7 @@ def departures(routes: tuple[Path, ...], from_s: float, to_s: float) -> float:
 
 
 def _rate(flow: Attributes, lasts_s: float) -> float:
-    """Vehicles per second of a flow; 0 where it does not say."""
+    """Vehicles per second of a flow; 0 if the flow states no rate."""
     if "number" in flow:
         return float(flow["number"]) / max(lasts_s, 1.0)
     per_s = {"vehsPerHour": 1 / 3600, "probability": 1.0}

@@ -1,7 +1,7 @@
 """Runs on Dask distributed: on this machine, or on the workers of a scheduler.
 
-Every run is a subprocess of a worker, so that one that crashes is a failed run and not a lost worker; results stay on
-disk, and paths travel.
+Every run is a subprocess of a worker, so a crash is a failed run and not a lost worker. Results stay on disk. Only
+paths are sent between processes.
 """
 
 import logging
@@ -32,18 +32,31 @@ class Work:
     """Jobs of a study: folders with a `job.json`, and the traffic that each waits for."""
 
     runs: Mapping[str, str]
-    """Name of the traffic by run; empty for none."""
+    """Name of the recorded traffic by run; empty if the run simulates its own."""
     traffic: Mapping[str, Path]
-    """By name: plain data of a config whose traffic is driven first."""
+    """By name, a file with a config whose traffic is simulated first."""
     cache: Path
 
 
 @contextmanager
 def connected(scheduler: str | None, workers: int, needed: Path) -> Iterator[Client]:
-    """A client of the scheduler, or of a cluster on this machine; ValueError where it cannot do the work.
+    """A client of the scheduler, or of a cluster on this machine.
 
-    `needed` is a file or folder that every worker must see. Without a scheduler the workers are threads of this
-    process, which start subprocesses.
+    Without a scheduler the workers are threads of this process, which start subprocesses.
+
+    Parameters
+    ----------
+    scheduler
+        Address of a scheduler; None for this machine.
+    workers
+        Number of parallel runs on this machine.
+    needed
+        A file or folder that every worker must see.
+
+    Raises
+    ------
+    ValueError
+        If the scheduler or its workers cannot do the work.
     """
     if scheduler is None:
         with (
@@ -70,7 +83,7 @@ def connected(scheduler: str | None, workers: int, needed: Path) -> Iterator[Cli
 
 @contextmanager
 def closing_quietly() -> Iterator[None]:
-    """Connections that a cluster closes at its own end are no errors: nothing is said of them."""
+    """Suppress log messages about connections that a cluster closes when it ends; they are not errors."""
 
     def is_news(record: logging.LogRecord) -> bool:
         error = record.exc_info[1] if record.exc_info else None
@@ -88,14 +101,14 @@ def closing_quietly() -> Iterator[None]:
 
 
 def _check(client: Client, scheduler: str, needed: Path) -> None:
-    """Refuse workers that run another cosim or do not see what they need."""
+    """Raise ValueError if workers run another version of cosim or do not see the study's folder."""
     if not client.scheduler_info()["workers"]:
         raise ValueError(
             f"--scheduler {scheduler}: it has no workers. Start some: dask worker {scheduler} --nthreads 1"
         )
     try:
         seen = client.run(_look, str(needed))
-    except Exception as error:  # whatever a worker without this code answers
+    except Exception as error:  # a worker without this code can answer with any error
         reason = " ".join(f"{type(error).__name__}: {error}".split())[:120]
         raise ValueError(
             f"--scheduler {scheduler}: its workers cannot run cosim ({reason}). Install it there."
@@ -116,7 +129,7 @@ def _look(needed: str) -> tuple[str, bool]:
 
 
 def execute(client: Client, study: StudyFolder, work: Work, limits: Limits) -> Iterator[tuple[str, Attempt]]:
-    """Make all runs; yields each, and each traffic, with its last attempt as it ends."""
+    """Make all runs. Yields the name and the last attempt of each run and each traffic when it ends."""
     first: dict[str, Future] = {
         name: client.submit(
             drive_traffic, str(work.cache), name, str(path), str(study.path), limits.timeout_s, key=f"traffic-{name}",
@@ -136,7 +149,7 @@ def execute(client: Client, study: StudyFolder, work: Work, limits: Limits) -> I
         id = runs[future]
         try:
             yield id, Attempt(**future.result())
-        except Exception as error:  # the worker died as often as the scheduler allows
+        except Exception as error:  # the workers died more often than the scheduler allows
             lost = Attempt("failed", 0.0, 0, f"worker lost: {type(error).__name__}")
             if id in work.runs:
                 study.add_attempt(id, lost)
@@ -146,7 +159,7 @@ def execute(client: Client, study: StudyFolder, work: Work, limits: Limits) -> I
 def make_run(
     study: str, id: str, retries: int, timeout_s: float, memory_gb: float, after: Any = None
 ) -> dict[str, Any]:
-    """A run and its metrics, in a subprocess, as often as it may fail; on a worker."""
+    """Make a run and its metrics in a subprocess of a worker; repeat it up to `retries` times if it fails."""
     folder = StudyFolder(Path(study))
     attempt = Attempt("stopped", 0.0, 0)
     for _ in range(retries + 1):
@@ -160,7 +173,7 @@ def make_run(
 
 
 def drive_traffic(cache: str, name: str, config: str, study: str, timeout_s: float) -> dict[str, Any]:
-    """Traffic for several runs, in a subprocess, on a worker; where it fails each run drives its own."""
+    """Record traffic for several runs in a subprocess of a worker. If this fails, each run simulates its own."""
     words = ["traffic", cache, name, config]
     log = Path(config).with_suffix(".log")
     return asdict(_attempt(words, log, StudyFolder(Path(study)).stop, timeout_s, 1e3))
@@ -203,7 +216,7 @@ def _attempt(words: Sequence[str], log: Path, stop: Path, timeout_s: float, memo
 
 
 def _used(pid: int, before_s: float) -> tuple[int, float]:
-    """Resident memory now, and processor time so far; that of before where the process is gone."""
+    """Present resident memory and processor time so far; 0 and `before_s` if the process has ended."""
     try:
         process = psutil.Process(pid)
         with process.oneshot():

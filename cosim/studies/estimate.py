@@ -1,4 +1,4 @@
-"""How long a plan takes and what its reuse saves, before anything has run."""
+"""Estimates how long a plan takes and how much time sharing saves, before anything has run."""
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
@@ -8,11 +8,11 @@ from cosim.studies.plan import Plan
 from cosim.studies.points import Point, scenario_of
 
 START_S = 4.0
-"""Start of a process, imports and compiled kernels included [s]."""
+"""Start of a process, including imports and loading of compiled kernels [s]."""
 SUMO_S = 0.004
-"""SUMO and reading it, per second of central Helsinki [s]."""
+"""SUMO and reading its actors, per simulated second of central Helsinki [s]."""
 STEP_S = 0.018
-"""A step in which vehicles sense, without any equipped vehicle [s]."""
+"""A step with sensing but without equipped vehicles [s]."""
 VEHICLE_S = 0.35e-3
 """Per equipped vehicle and step, on one core [s]."""
 VARIANT_S = 0.0004
@@ -25,23 +25,23 @@ BYTES = 500
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """Rough figures; one core, an idle machine."""
+    """Rough estimates of processor time [s] on an idle core, and of disk space."""
 
     separate_s: float
-    """Every missing point as a run of its own."""
+    """Time if every missing point were a separate run."""
     planned_s: float
-    """The plan, all workers together."""
+    """Time of the plan, summed over all workers."""
     merged_saves_s: float
-    """Saved by trust variants."""
+    """Time saved by trust variants."""
     traffic_saves_s: float
-    """Saved by replaying traffic."""
+    """Time saved by replaying traffic."""
     bytes: float
     is_measured: bool
-    """Whether runs of this study that are finished say how long one takes."""
+    """Whether the estimate uses the measured time of finished runs of this study."""
 
 
 def estimate(points: Sequence[Point], made: Plan, stored: Collection[str], run_s: float | None) -> Estimate:
-    """Time of the plan beside that of one run per point; `run_s` is the measured time of a run, if there is one."""
+    """Estimate the time of a plan and that of one run per point; `run_s` is the measured time of a run, if known."""
     separate = sum(_run_s(point.config) + _traffic_s(point.config) for point in points)
     merged = sum(
         _run_s(run.config)

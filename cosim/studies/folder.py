@@ -1,4 +1,4 @@
-"""A study on disk. What state it is in is read off its folders, so that a killed sweep needs no repair."""
+"""A study on disk. Its state is read from its folders, so a killed sweep needs no repair."""
 
 import fcntl
 import io
@@ -19,7 +19,7 @@ from cosim.studies.points import Point
 from cosim.studies.study import Study
 
 STATES = ("finished", "failed", "unfinished", "waiting")
-"""Of a point: its run is there; its last attempt failed; it was begun; nothing was done yet."""
+"""States of a point: its run is finished; its last attempt failed; its run has begun; nothing was done yet."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +32,7 @@ class Attempt:
     memory_bytes: int
     """Largest resident memory."""
     error: str = ""
-    """Last line of its log where it failed."""
+    """Last line of its log if it failed."""
     cpu_s: float = 0.0
     """Processor time."""
 
@@ -56,7 +56,7 @@ class StudyFolder:
         return self.path / "stop"
 
     def prepare(self, study: Study) -> None:
-        """Make the folder, or make sure that it is this study's."""
+        """Create the folder, or check that it belongs to this study; ValueError if it does not."""
         if self.path.exists() and not self.path.is_dir():
             raise ValueError(f"--out {self.path} is a file. Give a folder.")
         kept = self.path / "study.toml"
@@ -82,7 +82,7 @@ class StudyFolder:
 
     @contextmanager
     def locked(self) -> Iterator[None]:
-        """No other process sweeps this folder meanwhile."""
+        """Lock the folder for this process; ValueError if another one sweeps it."""
         with (self.path / "lock").open("w") as file:
             try:
                 fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -91,23 +91,23 @@ class StudyFolder:
             yield
 
     def tidy(self) -> None:
-        """Remove what a sweep that was killed left half written."""
+        """Remove incomplete files that a killed sweep left."""
         for pattern in ("*.partial", "jobs/*/*.partial", "traffic/*.partial"):
             for path in self.path.glob(pattern):
                 path.unlink(missing_ok=True)
 
     def write_job(self, planned: PlannedRun, more: Mapping[str, Any]) -> None:
-        """What the process that makes the run has to know."""
+        """Write `job.json` for the process that makes the run."""
         self.job(planned.id).mkdir(parents=True, exist_ok=True)
         data = as_data(planned) | dict(more)
         write_whole(self.job(planned.id) / "job.json", json.dumps(data, default=str).encode())
 
     def is_finished(self, id: str) -> bool:
-        """Whether a run is there, and measured."""
+        """Whether a run is finished and measured."""
         return status_of(self.run(id)) == "finished" and (self.job(id) / "measures.parquet").is_file()
 
     def answers(self) -> dict[str, tuple[str, str]]:
-        """Run and trust variant by point, of all points that have been planned; finished runs first."""
+        """Run and trust variant by point, for all planned points; finished runs take precedence."""
         found: dict[str, tuple[str, str]] = {}
         jobs = sorted(path.parent.name for path in (self.path / "jobs").glob("*/job.json"))
         for id in sorted(jobs, key=lambda id: not self.is_finished(id)):
@@ -116,7 +116,7 @@ class StudyFolder:
         return found
 
     def state(self, id: str) -> str:
-        """State of a run, as of its points."""
+        """State of a run, one of `STATES`."""
         if self.is_finished(id):
             return "finished"
         done = self.attempts(id)
@@ -125,7 +125,7 @@ class StudyFolder:
         return "unfinished" if self.run(id).exists() else "waiting"
 
     def attempts(self, id: str) -> list[Attempt]:
-        """Attempts at a run so far."""
+        """Attempts at a run until now."""
         path = self.job(id) / "attempts.json"
         return [Attempt(**row) for row in json.loads(path.read_text())] if path.is_file() else []
 
@@ -134,7 +134,7 @@ class StudyFolder:
         write_whole(self.job(id) / "attempts.json", json.dumps(rows).encode())
 
     def write_index(self, study: Study, points: Sequence[Point]) -> dict[str, int]:
-        """`index.parquet`: one row per point; and how many points are in which state."""
+        """Write `index.parquet` with one row per point; return the number of points in each state."""
         answers = self.answers()
         rows: list[dict[str, Any]] = []
         of_run: dict[str, dict[str, Any]] = {}
@@ -167,7 +167,7 @@ class StudyFolder:
 
 
 def status_of(run: Path) -> str:
-    """Status in a run's manifest; empty where there is none."""
+    """Status in a run's manifest; empty if there is none."""
     try:
         return str(json.loads((run / "manifest.json").read_text(encoding="utf-8"))["status"])
     except (OSError, ValueError, KeyError):
@@ -175,7 +175,7 @@ def status_of(run: Path) -> str:
 
 
 def write_whole(path: Path, content: bytes) -> None:
-    """A file that is there whole or not at all."""
+    """Write a file through a temporary file, so that it is never incomplete."""
     partial = path.with_name(f"{path.name}.{os.getpid()}.partial")
     try:
         with partial.open("wb") as file:
@@ -188,7 +188,7 @@ def write_whole(path: Path, content: bytes) -> None:
 
 
 def _column(values: Sequence[Any]) -> Sequence[Any]:
-    """Values of a key as a column: numbers as they are, anything else as text."""
+    """Values of a key as a column: numbers, texts and booleans unchanged, anything else as text."""
     if all(isinstance(v, bool) for v in values) or all(isinstance(v, str) for v in values):
         return values
     if all(isinstance(v, int | float) and not isinstance(v, bool) for v in values):

@@ -1,7 +1,7 @@
-"""What to run for the points of a study, so that nothing is computed twice.
+"""Plans the runs for the points of a study, so that nothing is computed twice.
 
-Points that differ in trust alone become trust variants of one run; runs of the same traffic replay it. What cannot be
-shared is run by itself, and the plan says why.
+Points that differ only in trust become trust variants of one run. Runs with the same traffic replay it. A point that
+cannot share gets a separate run, and the plan says why.
 """
 
 import json
@@ -17,10 +17,10 @@ from results.codes import BASE_VARIANT
 from trust.params import EVIDENCE_KEYS, eta_of
 
 TRAFFIC_VERSION = 1
-"""Raised whenever the traffic of the same `[traffic]` changes; `tests/cosim/studies/test_stages.py` guards it."""
+"""Increase it when the same `[traffic]` gives other traffic. `tests/cosim/studies/test_stages.py` checks this."""
 
 MOST_VARIANTS = 60
-"""Points in one run at most."""
+"""Largest number of points in one run."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,27 +30,29 @@ class PlannedRun:
     id: str
     config: Config
     members: tuple[tuple[str, str], ...]
-    """Point and the trust variant that is its answer."""
+    """Each point and its trust variant in this run."""
     traffic: str
-    """Name of the traffic that it replays; empty if it drives its own."""
+    """Name of the traffic that it replays; empty if it simulates its own."""
 
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """Runs to be made, and the traffic that several of them replay."""
+    """Runs to make, and the traffic that several of them replay."""
 
     runs: tuple[PlannedRun, ...]
     traffic: Mapping[str, Config]
-    """By name: a config whose traffic is driven once."""
+    """By name, a config whose traffic is simulated once."""
     remarks: tuple[str, ...]
-    """What could not be shared, and why."""
+    """Reasons why points cannot share."""
 
 
 def plan(points: Sequence[Point], fused: bool, stored: Collection[str] = ()) -> Plan:
-    """Runs for these points.
+    """Plan the runs for these points.
 
     Parameters
     ----------
+    points
+        Points without a finished run.
     fused
         Whether every point needs its fused objects.
     stored
@@ -71,7 +73,7 @@ def plan(points: Sequence[Point], fused: bool, stored: Collection[str] = ()) -> 
 
 
 def _mergeable(config: Config) -> tuple[str, str]:
-    """Points with this key in common can be one run; and a remark where something keeps them apart."""
+    """A key, and a remark if something prevents sharing. Points with the same key can become one run."""
     if config.driver.model != "none":
         return "alone " + identity(
             config
@@ -85,7 +87,7 @@ def _mergeable(config: Config) -> tuple[str, str]:
 
 
 def _merged(group: Sequence[Point], fused: bool) -> PlannedRun:
-    """One run for points that differ in trust alone; the first one acts."""
+    """One run for points that differ only in trust. The trust of the first point is the acting one."""
     base = group[0].config
     if len(group) == 1:
         return PlannedRun(group[0].id, base, ((group[0].id, BASE_VARIANT),), "")
@@ -102,7 +104,7 @@ def _merged(group: Sequence[Point], fused: bool) -> PlannedRun:
 
 
 def _share_traffic(runs: Sequence[PlannedRun], stored: Collection[str], remarks: tuple[str, ...]) -> Plan:
-    """The same runs, replaying traffic that several of them have in common or that is stored."""
+    """Let runs replay traffic that several of them share or that the cache holds."""
     names: dict[str, str] = {}
     for run in runs:
         if run.config.driver.model == "none" and not _is_replay(run.config):
@@ -121,7 +123,7 @@ def _share_traffic(runs: Sequence[PlannedRun], stored: Collection[str], remarks:
 
 
 def _is_replay(config: Config) -> bool:
-    """Whether it replays already: a trace, or the folder of a run."""
+    """Whether the config already replays a trace or the folder of a run."""
     return scenario_of(config.traffic.scenario, config.traffic.trace).trace is not None
 
 

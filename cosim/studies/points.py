@@ -1,4 +1,4 @@
-"""The points of a study: one config each, named by what it computes."""
+"""The points of a study. Each has a config, and its name is a hash of everything that determines the result."""
 
 import hashlib
 import json
@@ -20,7 +20,7 @@ HOW = ("compute", "record")
 
 @dataclass(frozen=True, slots=True)
 class Point:
-    """One run that was asked for."""
+    """One requested run: values of the swept keys and a replicate."""
 
     id: str
     keys: Keys
@@ -34,7 +34,7 @@ class Point:
 
 
 def points_of(study: Study, where: str) -> list[Point]:
-    """All points, replicate by replicate; ValueError where one cannot be, or two are the same experiment."""
+    """All points, replicate by replicate; ValueError if a config is invalid or two points are the same experiment."""
     found: dict[str, Point] = {}
     for replicate in range(study.head.replicates):
         for keys in study.combinations():
@@ -50,7 +50,7 @@ def points_of(study: Study, where: str) -> list[Point]:
 
 
 def identity(config: Config) -> str:
-    """Name of what a config computes: a hash of the resolved config and of the contents of all files that it names."""
+    """Name of the result of a config: a hash of the resolved config and of the content of all files that it names."""
     data = config.to_dict()
     for section in HOW:
         del data[section]
@@ -59,12 +59,12 @@ def identity(config: Config) -> str:
         content["meshes"] = meshes
         for section in ("meshes", "vehicle_meshes"):
             data[section] = [mesh | {"file": ""} for mesh in data[section]]
-    data["traffic"] |= {"scenario": "", "trace": ""}  # these are named by their content
+    data["traffic"] |= {"scenario": "", "trace": ""}  # the content of these files is in the hash
     return digest(content)
 
 
 def traffic_identity(config: Config, version: int) -> str:
-    """Name of the traffic that a config drives: `[traffic]`, contents of its files, versions of SUMO and of tables."""
+    """Name of a config's traffic: a hash of `[traffic]`, its files, and the versions of SUMO and of the tables."""
     from importlib.metadata import version as version_of
 
     data = config.to_dict()["traffic"] | {"scenario": "", "trace": ""}
@@ -76,7 +76,7 @@ def traffic_identity(config: Config, version: int) -> str:
 
 
 def shared_identity(config: Config, level: str) -> str:
-    """Name of what a config computes but for trust."""
+    """Name of what a config computes apart from trust."""
     return identity(replace(config, trust=type(config.trust)(), trust_variant=(), own=_without_trust(config))) + level
 
 
@@ -97,7 +97,7 @@ def _own(config: Config) -> Mapping[str, str]:
 
 @cache
 def scenario_of(scenario: str, trace: str | None) -> Scenario:
-    """What a config's `[traffic]` names, read once."""
+    """The scenario that a config's `[traffic]` names; it is read once."""
     return find(scenario, trace)
 
 

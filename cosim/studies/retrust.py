@@ -1,4 +1,4 @@
-"""Other ways of trusting on the evidence of a run that is on disk, as if they had been its trust variants."""
+"""Computes other trust variants from the recorded evidence of a run, as if they had been part of the run."""
 
 import hashlib
 import json
@@ -55,20 +55,33 @@ NOT_ON_DISK = (
 
 
 _UNKNOWN = ("identities", "sending")
-"""What attacks do that the tables do not hold."""
+"""Methods of attacks whose effects the tables do not hold."""
 
 
 def retrust(run: Path, file: Path, out: Path, trust_code: bool = False) -> Path:
-    """A copy of a run, with the trust variants of a file (`[[trust_variant]]` sections) beside its own.
+    """Copy a run and add the trust variants of a file.
 
-    Classes of the user's own that the file names are loaded; those that the run's config names, with `trust_code` only.
+    Parameters
+    ----------
+    run
+        Folder of a run at record.level = "full".
+    file
+        TOML file with `[[trust_variant]]` sections. The user's own classes that it names are loaded.
+    out
+        Folder to write.
+    trust_code
+        Also load the classes that the run's config names.
+
+    Returns
+    -------
+    The folder `out`.
 
     Raises
     ------
     ValueError
-        In one line, where the run does not hold the evidence or a variant cannot be had from it.
+        In one line, if the run does not hold the evidence, or a variant cannot be computed from it.
     Damaged
-        Where the run is not what was written.
+        If the files of the run are not those that were written.
     """
     found = open_run(run)
     found.require(*NEEDED)
@@ -89,7 +102,7 @@ def retrust(run: Path, file: Path, out: Path, trust_code: bool = False) -> Path:
 
 
 def _write(run: OpenRun, config: Config, out: Path) -> None:
-    """The copy: the tables of the run as they are, and those of trust with all variants."""
+    """Write the copy: the run's tables unchanged, and the tables of trust with all variants."""
     for table in run.tables:
         if table not in WRITTEN and (run.path / table).is_dir():
             shutil.copytree(run.path / table, out / table, copy_function=_link)
@@ -127,7 +140,7 @@ def not_computed(config: Config) -> str:
 
 
 def _merged(old: Inventory, new: Inventory) -> Inventory:
-    """The parts of a run, those of the tables of trust from another inventory with the same blocks."""
+    """The inventory of a run, with the files of the tables of trust from another inventory with the same blocks."""
     found = {block.number: block.parts for block in new.blocks}
     blocks = []
     for block in old.blocks:
@@ -140,7 +153,7 @@ def _merged(old: Inventory, new: Inventory) -> Inventory:
 
 def _with_variants(run: OpenRun, file: Path, trust_code: bool) -> Config:
     """The run's config with further trust variants."""
-    of_run(run.config, run.path, trust_code)  # refuses code of the folder's own; that of the file is the user's choice
+    of_run(run.config, run.path, trust_code)  # refuses code that the folder names; the user chose that of the file
     stated = read_toml(file, "file of trust variants")
     listed = stated.pop("trust_variant", [])
     if stated or not listed:
@@ -179,7 +192,7 @@ def _link(source: str, target: str) -> None:
 
 
 def _replay(run: OpenRun, config: Config, hosts: TrustHosts, recorder: Recorder) -> None:
-    """Trust, step by step, as `cosim.step.cycle` calls it."""
+    """Compute trust step by step, as `cosim.step.cycle` does."""
     dt_s, alone = run.dt_s, config.radio.evaluations == "alone"
     state = hosts.start()
     people = _People.of(run, config)
@@ -426,7 +439,7 @@ class _Met:
 
 
 def _check_base(run: Path, out: Path, names: Sequence[str]) -> None:
-    """The variants that the run had must come out as they are in it."""
+    """Raise ValueError if the run's own variants do not equal those that are on disk."""
     for table in ("trust", "trust_lookups", "lookup_totals", "server"):
         before, after = (
             found[found.variant.isin(names)].reset_index(drop=True)

@@ -1,7 +1,7 @@
-"""Results of stages, kept by what they were computed from: traffic that many runs replay.
+"""The cache of recorded traffic that many runs replay.
 
-An entry is a folder `<cache>/<stage>/<name>/` with a `stage.json` that lists the checksums of its files; it is there
-whole or not at all, and one that was changed afterwards is made anew.
+An entry is a folder `<cache>/<stage>/<name>/` with a `stage.json` that lists the checksums of its files. An entry is
+never incomplete. An entry whose files have changed is made again.
 """
 
 import fcntl
@@ -23,13 +23,13 @@ from cosim.studies.folder import write_whole
 from results.durable import PARTIAL
 
 LIMIT_GB = 10.0
-"""Size above which the entries used longest ago are deleted, unless COSIM_CACHE_GB says otherwise."""
+"""Size above which the least recently used entries are deleted, unless COSIM_CACHE_GB sets another size."""
 
 _log = logging.getLogger(__name__)
 
 
 def default_folder() -> Path:
-    """Where stages are kept: COSIM_CACHE, or the user's cache folder."""
+    """Folder of the cache: COSIM_CACHE, or a folder in the user's cache folder."""
     named = os.environ.get("COSIM_CACHE")
     return (
         Path(named) if named else Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "cosim" / "stages"
@@ -53,9 +53,9 @@ class Entry:
     name: str
     bytes: int
     used_s: float
-    """When it was last used [s since 1970]."""
+    """Time of its last use [s since 1970]."""
     seconds: float
-    """What it took to make."""
+    """Time that it took to make [s]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +65,7 @@ class Cache:
     path: Path
 
     def find(self, stage: str, name: str) -> Path | None:
-        """The folder of an entry that is whole and unchanged; None where there is none."""
+        """The folder of an unchanged entry; None if there is none. A changed entry is deleted."""
         entry = self.path / stage / name
         try:
             files = json.loads((entry / "stage.json").read_text())["files"]
@@ -85,14 +85,14 @@ class Cache:
         return {path.parent.name for path in (self.path / stage).glob("*/stage.json")}
 
     def make_traffic(self, name: str, config: Config, advance: Advance) -> None:
-        """Drive the traffic of a config unless it is there."""
+        """Record the traffic of a config, unless the cache holds it."""
         with self._making("traffic", name):
             if self.find("traffic", name) is None:
                 self._keep("traffic", name, config, advance)
 
     @contextmanager
     def _making(self, stage: str, name: str) -> Iterator[None]:
-        """One process at a time makes an entry; what one that was killed left behind is removed."""
+        """Lock an entry while it is made, and remove incomplete files of a killed process."""
         folder = self.path / stage
         folder.mkdir(parents=True, exist_ok=True)
         with (folder / f"{name}.lock").open("w") as lock:
@@ -114,7 +114,7 @@ class Cache:
         self.shrink(limit_gb(), {name})
 
     def entries(self) -> list[Entry]:
-        """All entries, those used last first."""
+        """All entries, the most recently used first."""
         return sorted(self._entries(), key=lambda entry: -entry.used_s)
 
     def _entries(self) -> Iterator[Entry]:
@@ -127,7 +127,7 @@ class Cache:
             yield Entry(path.parent.parent.name, path.parent.name, size, path.stat().st_mtime, seconds)
 
     def shrink(self, limit_gb: float, spared: set[str]) -> list[Entry]:
-        """Delete the entries used longest ago until the rest fits; those deleted."""
+        """Delete the least recently used entries until the rest fits; return the deleted ones."""
         total, gone = 0, []
         for entry in self.entries():
             total += entry.bytes

@@ -1,4 +1,4 @@
-"""A study file: a base config, the keys that are swept, replicates, limits, and what is kept."""
+"""A study file: a base config, the swept keys, replicates, limits, and the tables and metrics to keep."""
 
 import copy
 import itertools
@@ -27,28 +27,28 @@ SECTIONS = ("study", "base", "grid", "zip", "limits", "keep", "measure")
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Head:
-    """What is asked: the section `[study]`."""
+    """The section `[study]`."""
 
     name: str
-    """Name; the folder of a study belongs to one name."""
+    """Name of the study. The folder of a study belongs to one name."""
     question: str = ""
-    """What the study asks, for its report."""
+    """The question of the study, for its report."""
     config: str = ""
-    """Config that all points start from; empty for the shipped city. `[base]` changes it."""
+    """Config that all points start from; empty for the default city. `[base]` changes it."""
     replicates: Annotated[int, Ge(1)] = 1
-    """Runs per combination; replicate r adds r to `seed` and to `traffic.seed`."""
+    """Runs per combination. Replicate r adds r to `seed` and to `traffic.seed`."""
     baseline: dict[str, Any] = field(default_factory=dict)
-    """Swept keys and values of the combinations that the others are compared with."""
+    """Swept keys and values of the combinations with which the others are compared."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Limits:
-    """What a run may take: the section `[limits]`."""
+    """Limits of a run: the section `[limits]`."""
 
     retries: Annotated[int, Ge(0)] = 1
-    """Further attempts after a run failed."""
+    """Number of further attempts if a run fails."""
     timeout_s: Annotated[float, Gt(0)] = 86_400.0
-    """Longest time that one attempt may take [s]."""
+    """Longest duration of one attempt [s]."""
     memory_gb: Annotated[float, Gt(0)] = 8.0
     """Largest resident memory of a run [GB]."""
 
@@ -58,9 +58,9 @@ class Keep:
     """What is measured and kept of every run: the section `[keep]`."""
 
     topics: tuple[str, ...] = ()
-    """Topics of metrics that are measured when a run ends; empty for all."""
+    """Topics of the metrics to measure when a run ends; empty for all."""
     tables: tuple[str, ...] | None = None
-    """Tables kept on disk; unset for all that `record.level` keeps."""
+    """Tables to keep on disk; if unset, all that `record.level` keeps."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -68,19 +68,19 @@ class Measuring:
     """Options of the metrics: the section `[measure]`."""
 
     threshold: float = 0.25
-    """Trust below which a subject is suspected."""
+    """A subject with less trust than this is suspected."""
     fresh_s: float = 10.0
-    """Oldest age at which trust counts as fresh [s]."""
+    """Trust is fresh up to this age [s]."""
     false_positives: float = 0.05
-    """False positive rate at which recall is taken."""
+    """False positive rate at which recall is reported."""
     own: str = ""
-    """Metrics of one's own, as path.py:name or package.module:name: a function of a `results.run.Run` that returns
+    """The user's own metrics, as path.py:name or package.module:name: a function of a `results.run.Run` that returns
     columns metric, group, value, unit and label; empty for none."""
 
 
 @dataclass(frozen=True, slots=True)
 class Study:
-    """A study, read and checked."""
+    """A study that has been read and checked."""
 
     head: Head
     limits: Limits
@@ -89,7 +89,7 @@ class Study:
     base: dict[str, Any]
     """Plain data of the config that all points start from, with absolute paths."""
     axes: tuple[tuple[Keys, ...], ...]
-    """Each axis: what it sets, value by value; a point takes one of every axis."""
+    """For each axis, the keys and values that it sets. A point takes one item of every axis."""
 
     @property
     def keys(self) -> tuple[str, ...]:
@@ -97,11 +97,11 @@ class Study:
         return tuple(key for axis in self.axes for key in axis[0])
 
     def combinations(self) -> list[dict[str, Any]]:
-        """Swept keys of every point but for its replicate, in the order of the file."""
+        """All combinations of the swept keys, without replicates, in the order of the file."""
         return [{k: v for part in parts for k, v in part.items()} for parts in itertools.product(*self.axes)]
 
     def to_toml(self) -> str:
-        """The study as a file of its own: the base is complete and needs no other file."""
+        """The study as TOML. Its base is complete and needs no other file."""
         data = {
             "study": {f.name: getattr(self.head, f.name) for f in fields(Head) if f.name != "config"},
             "limits": {f.name: getattr(self.limits, f.name) for f in fields(Limits)},
@@ -120,9 +120,14 @@ SHIPPED = Path(__file__).parent / "shipped"
 
 
 def load(path: Path) -> Study:
-    """A study from its TOML file, or one that ships, by name; ValueError in one line for a mistake.
+    """Read a study from its TOML file, or a shipped study by name.
 
-    Code that it names is loaded, unless `cosim.door.permission.loading_code` says otherwise.
+    Code that it names is loaded, unless `cosim.door.permission.loading_code` forbids it.
+
+    Raises
+    ------
+    ValueError
+        In one line, if the file has a mistake.
     """
     if not path.is_file() and (shipped := SHIPPED / f"{path}.toml").is_file():
         path = shipped
@@ -183,7 +188,7 @@ def config_at(study: Study, keys: Keys, replicate: int, where: str) -> configs.C
 
 
 def _absolute(stated: dict[str, Any], where: str, folder: Path) -> dict[str, Any]:
-    """The same plain data, checked, with absolute names of the user's own files."""
+    """The same data, checked, with absolute paths of the user's own files."""
     stated = configs.with_defaults(stated)
     complete = configs.resolve_data(copy.deepcopy(stated), where, folder.resolve()).to_dict()
     named = [("traffic", "scenario"), ("traffic", "trace")]
@@ -199,7 +204,7 @@ def _absolute(stated: dict[str, Any], where: str, folder: Path) -> dict[str, Any
 
 
 def _beside(key: str, value: Any, folder: Path) -> Any:
-    """A value that names a file beside the study, as an absolute name."""
+    """The absolute path if a value names a file in the study's folder; otherwise the value itself."""
     file, colon, name = value.rpartition(":") if isinstance(value, str) and ".py:" in value else (value, "", "")
     is_name = isinstance(file, str) and (colon or key in ("traffic.scenario", "traffic.trace"))
     return str((folder / file).resolve()) + colon + name if is_name and (folder / file).exists() else value
@@ -280,7 +285,7 @@ def _values(key: str, values: Any, section: str, where: str) -> Sequence[Any]:
 
 
 def _once(name: str, values: Sequence[Any], where: str) -> Sequence[Any]:
-    """The same values; ValueError where one stands twice."""
+    """The same values; ValueError if one occurs twice."""
     said = [json.dumps(value, sort_keys=True, default=str) for value in values]
     if twice := [text for text in said if said.count(text) > 1]:
         raise ValueError(f"{name} has the value {twice[0]} twice in {where}. Leave one out.")

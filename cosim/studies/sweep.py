@@ -1,4 +1,4 @@
-"""A study from its file to its folder."""
+"""Prepares and runs a study, and reports its state."""
 
 import json
 import statistics
@@ -25,31 +25,47 @@ FUSED_TABLES = {"fused", "fused_evidence", "attack_outcomes"}
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """What is left to do of a study."""
+    """The remaining work of a study."""
 
     study: Study
     folder: StudyFolder
     points: list[Point]
     plan: Plan
     n_finished: int
-    """Points that are there already."""
+    """Number of finished points."""
     cache: Cache
     estimate: Estimate
 
 
 Report = Callable[[int, int, int, str], None]
-"""Called with progress: runs done, runs in all, points answered, a note."""
+"""Callback for progress. Its arguments are runs done, runs in total, points done and a note."""
 
 
 def prepare(file: Path, out: Path, merge: bool = True, trust_code: bool = False) -> Task:
-    """What a sweep would do; nothing is written. Code that the file of a study folder names is loaded with `trust_code`
-    only."""
+    """Plan a sweep. Nothing is written.
+
+    Parameters
+    ----------
+    file
+        Study file, or the name of a shipped study.
+    out
+        Folder of the study.
+    merge
+        Let points share runs and traffic.
+    trust_code
+        Load code that a `study.toml` in a study folder names.
+
+    Raises
+    ------
+    ValueError
+        In one line, if the study has a mistake.
+    """
     with loading_code(file, trust_code or not is_of_a_folder(file)):
         return prepare_study(load(file), file.name, out, merge)
 
 
 def prepare_study(study: Study, where: str, out: Path, merge: bool = True) -> Task:
-    """The same of a study that was read from the file `where`."""
+    """Plan a sweep of a study that was read from the file `where`."""
     folder = StudyFolder(out)
     points = points_of(study, where)
     answers = folder.answers()
@@ -65,7 +81,7 @@ def prepare_study(study: Study, where: str, out: Path, merge: bool = True) -> Ta
 
 
 def separate(points: Sequence[Point]) -> Plan:
-    """One run for each point, sharing nothing."""
+    """A plan with one run for each point, which share nothing."""
     return Plan(tuple(PlannedRun(p.id, p.config, ((p.id, "base"),), "") for p in points), {}, ())
 
 
@@ -79,7 +95,7 @@ def needs_fused(study: Study) -> bool:
 def sweep(
     task: Task, report: Report, scheduler: str | None = None, workers: int | None = None
 ) -> tuple[dict[str, int], list[tuple[str, Attempt]]]:
-    """Make what is missing. Points by state at the end, and the runs that failed."""
+    """Make the missing runs; return the number of points by state, and the runs that failed."""
     study, folder = task.study, task.folder
     folder.prepare(study)
     with folder.locked():
@@ -117,7 +133,7 @@ def sweep(
 
 
 def _write(task: Task) -> Work:
-    """The jobs, ready for the processes that do them."""
+    """Write the jobs for the processes that make the runs."""
     study, folder, cache = task.study, task.folder, task.cache
     more = {
         "topics": study.keep.topics, "tables": study.keep.tables, "measure": asdict(study.measuring),
@@ -137,8 +153,10 @@ def _write(task: Task) -> Work:
 def status(
     folder: StudyFolder, trust_code: bool = False
 ) -> tuple[Study, list[Point], dict[str, int], list[tuple[str, Attempt]]]:
-    """Study, points, points by state and failed runs of a folder, read off what is there. Code that the study names is
-    loaded with `trust_code` only."""
+    """Study, points, number of points by state, and failed runs of a study folder.
+
+    Code that the study names is loaded only with `trust_code`.
+    """
     file = folder.path / "study.toml"
     if not file.is_file():
         raise ValueError(f"{folder.path} holds no study. Give the folder of a `cosim sweep`.")

@@ -1,6 +1,6 @@
 """The process that makes one run of a study: `python -m cosim.studies.worker JOB` for a folder with a `job.json`.
 
-It ends as soon as the process that started it is gone, because its standard input is then closed.
+It ends when the process that started it ends, because its standard input is then closed.
 """
 
 import fcntl
@@ -33,11 +33,11 @@ _log = logging.getLogger(__name__)
 
 
 def make(job: Path) -> None:
-    """The run of a job, and its metrics; what is there already stays."""
+    """Make the run of a job and its metrics. What is finished is not repeated."""
     study = StudyFolder(job.parent.parent)
     asked = json.loads((job / "job.json").read_text())
     with (job / "lock").open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)  # an orphan of an earlier sweep may still be at it
+        fcntl.flock(lock, fcntl.LOCK_EX)  # a process of an earlier sweep may still work on it
         if study.is_finished(asked["id"]):
             return
         folder = study.run(asked["id"])
@@ -49,13 +49,13 @@ def make(job: Path) -> None:
 
 
 def _drive(folder: Path, config: dict[str, Any], traffic: Path | None) -> None:
-    """The run, from its last whole block where an attempt was cut off."""
+    """Make the run; continue from its last complete block if an earlier attempt was interrupted."""
     if status_of(folder):
         try:
             ours = read_manifest(folder)["config"] == json.loads(json.dumps(config))
             running.resume(folder, lambda *_: None, traffic, trust_code=ours)
             return
-        except ValueError as error:  # nothing whole is there, another version, other inputs, damage
+        except ValueError as error:  # no complete block, another version, other inputs, or damage
             _log.warning("%s: made anew (%s)", folder, " ".join(str(error).split()))
     if folder.exists():
         shutil.rmtree(folder)
@@ -63,7 +63,7 @@ def _drive(folder: Path, config: dict[str, Any], traffic: Path | None) -> None:
 
 
 def _measure(folder: Path, job: Path, asked: dict[str, Any]) -> None:
-    """Metrics of every point of the run, kept beside it."""
+    """Measure every point of the run, and keep the metrics in the folder of the job."""
     topics, frames = tuple(asked["topics"]) or tuple(TOPICS), []
     options = dict(asked["measure"])
     own = options.pop("own", "")
@@ -79,7 +79,7 @@ def _measure(folder: Path, job: Path, asked: dict[str, Any]) -> None:
 
 
 def _drop(folder: Path, kept: list[str] | None) -> None:
-    """Delete tables that are not to be kept."""
+    """Delete the tables that the study does not keep."""
     if kept is not None:
         drop_tables(folder, [name for name in TABLES if name not in kept])
 

@@ -1,1 +1,1 @@
-"""What is followed from step to step beside the cycle: plain arrays in, rows of the run's tables out."""
+"""Trackers from step to step: they take arrays and return rows of the run's tables. The cycle does not read them."""

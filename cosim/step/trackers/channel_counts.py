@@ -1,4 +1,4 @@
-"""Counts of what became of frames and messages in one round: by distance, by latency, and by receiver."""
+"""Counts of the frames and messages of one round, by distance, latency and receiver."""
 
 from collections.abc import Mapping, Sequence
 
@@ -18,14 +18,16 @@ def pdr_by_distance(
     outcome: Int[ndarray, "f"],
     columns: Mapping[str, int],
 ) -> tuple[Rows, Rows]:
-    """Frames of one round at receivers within range, by bin of distance, line of sight and outcome.
+    """Frames of one round at receivers within range, by distance bin, line of sight and outcome.
 
     Parameters
     ----------
+    distance_m
+        Distance between sender and receiver, per frame.
     los_state
-        As `LosState`.
+        Line of sight per frame, as `LosState`.
     outcome
-        What became of each frame, as a code.
+        Outcome per frame, as a code.
     columns
         The code that each column counts.
 
@@ -49,7 +51,7 @@ def pdr_by_distance(
 
 @compiled
 def _counted(distance_m, los_state, outcome, n_states, n_outcomes):
-    """Frames by bin of distance and line of sight, and by outcome."""
+    """Counts of frames by distance bin and line of sight (rows), and by outcome (columns)."""
     n_bins = _bin(np.max(distance_m)) + 1 if len(distance_m) else 0
     counts = np.zeros((n_bins * n_states, n_outcomes), np.int64)
     for f in range(len(outcome)):
@@ -59,7 +61,7 @@ def _counted(distance_m, los_state, outcome, n_states, n_outcomes):
 
 @compiled
 def _bin(distance_m):
-    """Whole bins in a distance, exactly."""
+    """Number of complete bins in a distance, without rounding errors."""
     n = int(distance_m / DISTANCE_BIN_M)
     return n - 1 if n * DISTANCE_BIN_M > distance_m else n
 
@@ -73,7 +75,7 @@ def latency_histogram(latency_s: Float[ndarray, "m"]) -> Rows:
 
 @compiled
 def _by_edge(values, edges):
-    """Numbers of values below the first edge, from each edge up to the next, and from the last one up."""
+    """Counts of values below the first edge, from each edge up to the next, and from the last edge on."""
     counts = np.zeros(len(edges) + 1, np.int64)
     for value in values:
         first, n = 0, len(edges)
@@ -96,13 +98,13 @@ def vehicle_channel(
     Parameters
     ----------
     n
-        Receivers.
+        Number of receivers.
     in_range
-        Of each round, the receiver (0 to n - 1) of every message whose author is within communication range.
+        Per round, the receiver (0 to n - 1) of every message whose author is within communication range.
     received
-        Of each round, the receiver of every message that was received.
+        Per round, the receiver of every message that was received.
     busy
-        Of each round, the share of the time in which each receiver senses the channel busy; None: not modelled.
+        Per round, the share of the time in which each receiver senses the channel busy; None if not modelled.
     """
     n_in_range, n_received, cbr = np.zeros(n, int), np.zeros(n, int), np.zeros(n)
     for rows in in_range:

@@ -1,4 +1,4 @@
-"""Encounters by all definitions of the config: pairs near each other, and their line of sight."""
+"""Encounters by all definitions in the config, from pairs near each other and their lines of sight."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -22,31 +22,31 @@ class NearPairs:
     b: Int[ndarray, "p"]
     distance_m: Float[ndarray, "p"]
     los: Mapping[str, Bool[ndarray, "p"]]
-    """By what cuts a line of sight, as `EncounterParams.los` names it."""
+    """Whether there is line of sight, by the kind of blockers that `EncounterParams.los` names."""
     equipped: Bool[ndarray, "p"]
-    """Both are equipped."""
+    """Whether both are equipped."""
     on_foot: Bool[ndarray, "p"]
-    """One of them is a pedestrian."""
+    """Whether one of them is a pedestrian."""
     present: Int[ndarray, "v"]
-    """All actors that were searched."""
+    """Actor numbers of all actors that were searched."""
 
 
 @dataclass(frozen=True, slots=True)
 class PairSearch:
-    """Finds the pairs of a step that the encounters of a config are about."""
+    """Finds the pairs of actors in a step that can have encounters by a config's definitions."""
 
     walls: WallIndex
     radius_m: float
-    """Between the centres of their boxes."""
+    """Largest distance between the centres of two boxes."""
     equipped_only: bool
     blockers: tuple[str, ...]
-    """What lines of sight are computed for, as `EncounterParams.los`."""
+    """Kinds of blockers for which lines of sight are computed, as `EncounterParams.los`."""
     pedestrians: bool
     mount_above_roof_m: float
 
     @staticmethod
     def of(params: Sequence[EncounterParams], walls: WallIndex, mount_above_roof_m: float) -> "PairSearch":
-        """What all these definitions need."""
+        """The search that all these definitions need."""
         return PairSearch(
             walls,
             max((p.radius_m for p in params), default=0.0),
@@ -57,7 +57,7 @@ class PairSearch:
         )
 
     def __call__(self, world: World) -> NearPairs:
-        """Pairs of actors within the radius; pedestrians only where asked for."""
+        """Pairs of actors within the radius; pedestrians only if a definition includes them."""
         searched = np.full(len(world), self.pedestrians) | (world.shape != Shape.PEDESTRIAN)
         if self.equipped_only:
             searched &= world.equipped
@@ -85,7 +85,7 @@ class PairSearch:
 
 
 class EncounterTrackers:
-    """One tracker per definition in the config, updated at every step of the traffic, sensing or not."""
+    """One tracker per definition in the config. They are updated in every step, with or without sensing."""
 
     def __init__(self, params: Sequence[EncounterParams], dt_s: float, n_variants: int = 1) -> None:
         self.trackers = [EncounterTracker(p, dt_s, n_variants) for p in params]
@@ -95,13 +95,15 @@ class EncounterTrackers:
 
         Parameters
         ----------
+        step
+            Number of the step.
         near
             What `PairSearch` finds for these definitions.
 
         Returns
         -------
-        Rows of the table `encounters` for those now over; and holders and others of the equipped pairs whose
-        encounter begins, both ways, for which the caller says the trust by `first_contact`.
+        Rows of the table `encounters` for encounters that have ended, per definition; and holders and others of the
+        equipped pairs whose encounter begins, in both directions. The caller then calls `first_contact` for these.
         """
         closed, begins = [], np.zeros(len(near.a), bool)
         for tracker in self.trackers:
@@ -130,27 +132,27 @@ class EncounterTrackers:
         state: Int[ndarray, "k v"],
         age_s: Float[ndarray, "k v"],
     ) -> None:
-        """The trust that each holder would look up for each other actor now, per variant; see `EncounterTracker`."""
+        """Note the trust that each holder would look up for the other actor now; see `EncounterTracker`."""
         for tracker in self.trackers:
             tracker.first_contact(holder, other, trust, source, state, age_s)
 
     def count_messages(self, sender: Int[ndarray, "m"], receiver: Int[ndarray, "m"]) -> None:
-        """Add messages received in this step; actor numbers."""
+        """Add the messages received in this step; arguments are actor numbers."""
         for tracker in self.trackers:
             tracker.count_messages(sender, receiver)
 
     def count_evaluations(
         self, evaluator: Int[ndarray, "m"], observer: Int[ndarray, "m"], n: Int[ndarray, "m"]
     ) -> None:
-        """Add `n` evaluations by each evaluator of detections of each observer; actor numbers."""
+        """Add `n` evaluations by each evaluator of the observer's detections; both are actor numbers."""
         for tracker in self.trackers:
             tracker.count_evaluations(evaluator, observer, n)
 
     def note_trust(self, holder: Int[ndarray, "m"], other: Int[ndarray, "m"], looked_up: Bool[ndarray, "m v"]) -> None:
-        """Note which holders looked up, in this step, a value that rests on an evaluation for which other actor."""
+        """Note pairs whose holder looked up, in this step, a trust value of the other actor with an evaluation."""
         for tracker in self.trackers:
             tracker.note_trust(holder, other, looked_up)
 
     def close(self, end_step: int) -> list[Rows]:
-        """Rows of the encounters under way when recording ends; `end_step` is one past the last step."""
+        """Rows of the encounters that are open when recording ends; `end_step` is one past the last step."""
         return [tracker.close(end_step) for tracker in self.trackers]

@@ -1,4 +1,4 @@
-"""How often one look counts more than once on its way into trust values."""
+"""Counts how often the same observation enters trust values more than once."""
 
 from dataclasses import dataclass
 
@@ -23,23 +23,25 @@ class AuditedEvaluations:
 
 @dataclass(frozen=True, slots=True)
 class AuditedDetections:
-    """D detections with the truth about them."""
+    """D detections with their ground truth."""
 
     message: Int[ndarray, "d"]
     """Message row of the observer."""
     actor: Int[ndarray, "d"]
-    """Actual object; read only where there is one."""
+    """The true actor; meaningful only if it is real."""
     is_real: Bool[ndarray, "d"]
     is_fabricated: Bool[ndarray, "d"]
 
 
 def count_looks(evaluator: Int[ndarray, "m"], detection: Int[ndarray, "m"], of: AuditedDetections) -> int:
-    """Distinct looks behind evaluations: one per evaluator, observer and actual object.
+    """Number of distinct observations behind evaluations: one per evaluator, observer and true actor.
 
     Parameters
     ----------
     evaluator, detection
-        As `AuditedEvaluations`.
+        As in `AuditedEvaluations`.
+    of
+        The detections.
     """
     message, real = of.message, np.flatnonzero(of.is_real)
     key = message[real].astype(np.int64) << 32 | of.actor[real]
@@ -47,7 +49,7 @@ def count_looks(evaluator: Int[ndarray, "m"], detection: Int[ndarray, "m"], of: 
     real, key = real[order], key[order]
     begins = np.append(np.flatnonzero(np.diff(key, prepend=-1)), len(key))
     n = np.diff(begins)
-    first = np.arange(len(message))  # of the detections of an object by one observer
+    first = np.arange(len(message))  # first row among the detections of the same actor by the same observer
     first[real] = np.repeat(real[begins[:-1]], n)
     repeated = np.zeros(len(message), bool)
     repeated[real] = np.repeat(n > 1, n)
@@ -63,10 +65,12 @@ def audit(
 
     Parameters
     ----------
+    evaluations, detections
+        Evaluations and detections of the step.
     attacks
-        Message rows whose vehicles carry out an attack.
+        Per message row, whether its vehicle carries out an attack.
     n_copies
-        Frames received whose content the receiver had already.
+        Number of received frames whose content the receiver had already.
     """
     by, of, n_echoes = _counting(
         evaluations.evaluator, evaluations.detection, evaluations.evaluation, evaluations.visibility,
@@ -83,7 +87,10 @@ def audit(
 
 @compiled
 def _counting(evaluator, detection, evaluation, visibility, message, is_fabricated, attacks):
-    """Evaluations by others than the observer that could see; of these, attackers' in favour of what was fabricated."""
+    """Evaluations with visibility above 0 by vehicles other than the observer.
+
+    Also counts those by which attackers confirm fabricated detections.
+    """
     by, of = np.empty(len(detection), np.int32), np.empty(len(detection), np.int32)
     n = n_echoes = 0
     for row in range(len(detection)):

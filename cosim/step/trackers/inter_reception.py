@@ -1,4 +1,4 @@
-"""Packet inter-reception times: between successive messages of one vehicle at another, while within range."""
+"""Packet inter-reception times: between successive messages of one vehicle at another vehicle within range."""
 
 from dataclasses import dataclass, field
 
@@ -11,34 +11,34 @@ from sensors.kernel import compiled
 
 @dataclass(frozen=True, slots=True)
 class InterReceptionTracker:
-    """Of one message type: the pairs within communication range, and the step of the last reception of each."""
+    """Pairs within communication range and their last receptions, for one message type."""
 
     pair: Int[ndarray, "p"] = field(default_factory=lambda: np.zeros(0, np.int64))
     """Sender and receiver in one number, ascending; all pairs within range in the last step."""
     last: Int[ndarray, "p"] = field(default_factory=lambda: np.zeros(0, np.int64))
-    """Step of the last reception since they came within range; meaningless where there was none."""
+    """Step of the last reception since they came within range; meaningful only if `received`."""
     received: Bool[ndarray, "p"] = field(default_factory=lambda: np.zeros(0, bool))
-    """Whether there was one."""
+    """Whether there was a reception since they came within range."""
     step: int = 0
     """Last step with a round of messages."""
 
     def next(
         self, step: int, sender: Int[ndarray, "p"], receiver: Int[ndarray, "p"], received: Bool[ndarray, "p"]
     ) -> tuple["InterReceptionTracker", dict[str, ndarray]]:
-        """The same after one more round of messages, and what ended in it.
-
-        All numbers are actor numbers.
+        """Add one round of messages.
 
         Parameters
         ----------
+        step
+            Number of the step.
         sender, receiver
-            Pairs within communication range in which the sender had a message, each once, sorted.
+            Actor numbers of the pairs within communication range in which the sender had a message, each once, sorted.
         received
-            Whether the receiver got it, over any number of hops.
+            Whether the receiver got the message, over any number of hops.
 
         Returns
         -------
-        The tracker, and the columns pir_steps, n_received, n_censored of the table `packet_inter_reception`.
+        The new tracker, and the columns pir_steps, n_received, n_censored of the table `packet_inter_reception`.
         """
         pair = (sender.astype(np.int64) << 32) | receiver
         last, received, n_received, n_censored = _carried_on(
@@ -51,7 +51,7 @@ class InterReceptionTracker:
 
 @compiled
 def _carried_on(held, held_last, held_received, pair, received, step, last_step):
-    """Step of the last reception of each pair, if there was one; intervals that end, and that are cut off, by length.
+    """Last reception of each pair, and counts of intervals by length: those that end, and those that are censored.
 
     Both lists of pairs are sorted.
     """
@@ -80,7 +80,10 @@ def _carried_on(held, held_last, held_received, pair, received, step, last_step)
 
 @compiled
 def reached(sender, receiver, n, by, to):
-    """Which of these sorted pairs are among others, `by` and `to`, of which `to` ascends; all are numbers below n."""
+    """Whether each sorted pair (sender, receiver) is among the pairs (by, to).
+
+    `to` is ascending. All numbers are below n.
+    """
     at = np.zeros(n + 1, np.int64)
     for row in range(len(sender)):
         at[sender[row] + 1] += 1
@@ -100,7 +103,7 @@ def reached(sender, receiver, n, by, to):
 
 @compiled
 def unique_pairs(one, other, n):
-    """Pairs of numbers below n, sorted, each once; in one pass where they are sorted but for repetitions."""
+    """Distinct pairs of numbers below n, sorted. It takes one pass if they are sorted except for repetitions."""
     found, of, seen = np.empty(len(one), np.int64), np.empty(len(one), np.int64), np.full(n, -1)
     m = 0
     for row in range(len(one)):
@@ -116,7 +119,7 @@ def unique_pairs(one, other, n):
 
 @compiled
 def _sorted_pairs(one, other, n):
-    """The same, sorted by counting: by `other` and then by `one`."""
+    """Distinct pairs by counting sort: first by `other`, then by `one`."""
     by_one, by_other = np.zeros(n + 1, np.int64), np.zeros(n + 1, np.int64)
     for row in range(len(one)):
         by_one[one[row] + 1] += 1

@@ -9,7 +9,7 @@ from numpy import ndarray
 
 @dataclass(frozen=True, slots=True)
 class LastSpeeds:
-    """Last speed of every actor and the step in which it was read, by actor number."""
+    """The last speed of every actor, and the step of this speed, by actor number."""
 
     speed_mps: Float[ndarray, "capacity"] = field(default_factory=lambda: np.zeros(0))
     step: Int[ndarray, "capacity"] = field(default_factory=lambda: np.zeros(0, np.int64))
@@ -17,9 +17,21 @@ class LastSpeeds:
     def next(
         self, step: int, actor: Int[ndarray, "n"], speed_mps: Float[ndarray, "n"], dt_s: float
     ) -> tuple["LastSpeeds", Float[ndarray, "n"]]:
-        """The speeds after this step, and each actor's acceleration since the last step [m/s2].
+        """Add the speeds of one step.
 
-        The acceleration of an actor that was not on the road in the last step is 0.
+        Parameters
+        ----------
+        step
+            Number of the step.
+        actor, speed_mps
+            Actor numbers and speeds.
+        dt_s
+            Length of a step [s].
+
+        Returns
+        -------
+        The new speeds, and each actor's acceleration since the last step [m/s2]. The acceleration of an actor that was
+        not on the road in the last step is 0.
         """
         more = max(0, int(actor.max(initial=-1)) + 1 - len(self.speed_mps))
         more = max(more, len(self.speed_mps)) if more else 0
