@@ -1,4 +1,4 @@
-"""The dictionary of a run: every table, column and metric, and the words they use; the text of `results/TABLES.md`."""
+"""The text of `results/TABLES.md`: every word, table, column and metric of a run."""
 
 import math
 from pathlib import Path
@@ -27,14 +27,17 @@ def markdown() -> str:
         "",
         "# Tables",
         "",
-        "Columns marked `key` together name a row. Columns marked `truth` are known to the simulation only: no vehicle",
-        "and no server reads them. `to 1/256` says that stored values are rounded to that fraction of the unit.",
-        "``by `source` `` says that the column is not in the files: it is that of the row of `detections` with the",
-        "same `step` whose `observer` and `detection_index` are `source` and `source_index` (for `pose`: `pose` and",
-        "`pose_index` where they are not null); `open_run` fills it in. Labels of `variant` and `role` are those of",
-        "the run: its manifest lists them as `variants` and `roles`.",
+        "The columns marked `key` together identify a row. Columns marked `truth` hold ground truth, which only the",
+        "simulation knows: no vehicle and no server reads them. `to 1/256` means that values are rounded to that",
+        "fraction of the unit.",
         "",
-        "Each record level keeps more than the one before:",
+        "``by `source` `` means that the column is not in the files. `open_run` copies it from the row of `detections`",
+        "with the same `step` whose `observer` and `detection_index` are `source` and `source_index`. For `pose`, they",
+        "are `pose` and `pose_index` where they are not null.",
+        "",
+        "The labels of `variant` and `role` differ between runs: the manifest lists them as `variants` and `roles`.",
+        "",
+        "Each record level keeps the tables of the level before and adds:",
         *_levels(),
     ]
     for name, table in TABLES.items():
@@ -51,18 +54,26 @@ def markdown() -> str:
         "",
         "# Metrics",
         "",
-        "As `cosim measure`, `run.measure()` and the report give them. An identifier never changes its meaning; the",
-        'group says what a value is of. `run.measure.value("trust.final.median", "malicious")` gives one.',
-        "`tests/verification/recompute_metrics.py` computes them again from these definitions and the files alone.",
+        "`cosim measure`, `run.measure()` and the report give these metrics. An identifier never changes its meaning.",
+        "The group tells what a value belongs to, for example a role:",
+        '`run.measure.value("trust.final.median", "malicious")` gives one value.',
+        "`tests/verification/recompute_metrics.py` computes all metrics again from these definitions and the files.",
         "",
-        "Of tables with a column `variant`, the rows of the measured trust variant count. Intervals are 95 %,",
-        "clustered by what the column of that name says: vehicles, not messages. Shares and means have percentile",
-        "intervals of the cluster bootstrap with 1,000 draws (Field and Welsh 2007), shares of 0 or 1 those of",
-        "Wilson (1927), AUCs those of Obuchowski (1997) in the logit, medians over subjects those of two order",
-        "statistics (Conover 1999), Kaplan-Meier medians those of Brookmeyer and Crowley (1982). Means of",
-        "encounters, and of replicates of a study, have Student's t in the logit of quantities with two bounds and",
-        "in the logarithm of those with one (Korn and Graubard 1998): no interval leaves the range. Differences of",
-        "a quantity between a and b lie between a - b and b - a.",
+        "In tables with a column `variant`, only the rows of the measured trust variant count.",
+        "",
+        "Intervals are 95 % intervals. They are clustered by the units in the column `clustered by`, for example",
+        "vehicles, not messages. The methods are:",
+        "",
+        "- shares and means: percentile intervals of the cluster bootstrap with 1,000 draws (Field and Welsh 2007);",
+        "- shares of 0 or 1: intervals of Wilson (1927);",
+        "- AUCs: intervals of Obuchowski (1997) on the logit scale;",
+        "- medians over subjects: intervals between two order statistics (Conover 1999);",
+        "- Kaplan-Meier medians: intervals of Brookmeyer and Crowley (1982);",
+        "- means of encounters, and of replicates of a study: Student's t, on the logit scale for quantities with two",
+        "  bounds and on the logarithmic scale for quantities with one (Korn and Graubard 1998).",
+        "",
+        "No interval leaves the range of its metric. Differences of a quantity between a and b lie between a - b and",
+        "b - a.",
     ]
     for topic, about in TOPICS.items():
         lines += [
@@ -82,7 +93,7 @@ def markdown() -> str:
 
 
 def _range(metric: Metric) -> str:
-    """Bounds of a metric; empty where it has none."""
+    """Bounds of a metric as text; empty if it has none."""
     low, high = metric.bounds
     if math.isinf(low):
         return ""
@@ -90,7 +101,7 @@ def _range(metric: Metric) -> str:
 
 
 def _levels() -> list[str]:
-    """What each record level adds to the one before."""
+    """The tables that each record level adds to the level before."""
     lines, before = [], set[str]()
     for level in LEVELS:
         more = [f"`{name}`" for name in kept(level) if name not in before]

@@ -23,13 +23,14 @@ class EncounterParams:
     radius_m: Annotated[float, Gt(0), Le(100_000)] = 100.0
     """Largest distance that counts as contact [m]."""
     hysteresis_s: Annotated[float, Ge(0), Le(1e7)] = 3.0
-    """A break in contact shorter than this does not end an encounter [s]."""
+    """An interruption of contact that is shorter than this does not end an encounter [s]."""
     pairs: Literal["all", "equipped", "los", "all_los"] = "equipped"
-    """Which pairs count: all, equipped ones, equipped ones while they have line of sight, or all while they have it."""
+    """Pairs that count. `all`: all pairs. `equipped`: pairs of equipped vehicles. `los`: pairs of equipped vehicles
+    with line of sight. `all_los`: all pairs with line of sight."""
     los: Literal["buildings", "buildings_and_vehicles"] = "buildings_and_vehicles"
-    """What cuts a line of sight between two roofs: buildings, or the bodies of other actors too."""
+    """What obstructs the line of sight between two roofs: buildings, or buildings and the bodies of other actors."""
     pedestrians: bool = False
-    """Pedestrians count too, with `pairs = "all"` or `"all_los"`."""
+    """Whether pedestrians count, with `pairs = "all"` or `"all_los"`."""
 
     def __post_init__(self) -> None:
         if self.pedestrians and self.pairs not in ("all", "all_los"):

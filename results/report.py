@@ -48,6 +48,10 @@ code { font-family: ui-monospace, "DejaVu Sans Mono", monospace; font-size: 0.93
 """
 
 
+DENSE = 20_000
+"""Points of one panel above which its lines and marks become a bitmap; axes and text stay vector graphics."""
+
+
 def write(run: Run, path: str | Path | None = None) -> Path:
     """Write the page; it needs no network and no other file. Left out, `path` is report.html in the run folder."""
     path = run.path / "report.html" if path is None else Path(path)
@@ -63,6 +67,7 @@ def page(run: Run) -> str:
         f'<p class="soft">{escape(_span(run))}</p>',
         "<nav>" + "".join(f'<a href="#{name.lower()}">{name}</a>' for name in _SECTIONS) + "</nav>",
         _facts(run, numbers),
+        _retrusted(run),
         '<h2 id="figures">Figures</h2>',
         *(_figure(name, run) for name in FIGURES),
         '<h2 id="numbers">Numbers</h2>',
@@ -113,14 +118,39 @@ def _facts(run: Run, numbers: pd.DataFrame) -> str:
     return f'<div class="facts">{"".join(boxes)}</div>'
 
 
+def _retrusted(run: Run) -> str:
+    """What trust variants lack that were computed after the run; nothing where there are none."""
+    said = run.manifest.get("summary", {}).get("retrust")
+    return f'<p class="missing">{escape(said)}</p>' if said else ""
+
+
 def _figure(name: str, run: Run) -> str:
     try:
-        picture = style.data_url(FIGURES[name]([run]))
+        picture = image_url(FIGURES[name]([run]))
     except ValueError as reason:
         return f'<p class="missing">No figure of {name}: {escape(str(reason))}</p>'
     caption = " ".join((FIGURES[name].__doc__ or "").split("\n\n")[0].split())
     alt = escape(f"Figure of {name}")
     return f'<figure><img alt="{alt}" src="{picture}"><figcaption>{_code(caption)}</figcaption></figure>'
+
+
+def image_url(figure: Any) -> str:
+    """A figure as an SVG image inside the page. Dense panels hold a bitmap, so that the page stays small."""
+    for axes in figure.axes:
+        drawn = [a for a in (*axes.lines, *axes.collections, *axes.patches) if not a.get_rasterized()]
+        if sum(map(_n_points, drawn)) > DENSE:
+            for artist in drawn:
+                artist.set_rasterized(True)
+    return style.data_url(figure)
+
+
+def _n_points(artist: Any) -> int:
+    """Points of a line, a collection or a patch."""
+    if hasattr(artist, "get_xdata"):
+        return len(artist.get_xdata())
+    if hasattr(artist, "get_paths"):
+        return max(len(artist.get_offsets()), sum(len(path.vertices) for path in artist.get_paths()))
+    return len(artist.get_path().vertices)
 
 
 def _topic(topic: str, frame: pd.DataFrame) -> str:

@@ -7,8 +7,7 @@ import pandas as pd
 
 from results import durable
 from results.figures import study as figure
-from results.figures import style
-from results.report import STYLE
+from results.report import STYLE, image_url
 from results.study import Study
 
 _MOST_ROWS = 400
@@ -58,7 +57,7 @@ def _figure(study: Study, topic: str) -> str:
         drawn = figure.draw(study, topic)
     except ValueError as reason:
         return f'<h3>{escape(topic)}</h3><p class="missing">{escape(str(reason))}</p>'
-    url = style.data_url(drawn)
+    url = image_url(drawn)
     return f'<h3>{escape(topic)}</h3><figure><img src="{url}" alt="{escape(topic)} by swept key"></figure>'
 
 

@@ -64,7 +64,7 @@ class Boxes:
 
     @staticmethod
     def _of_checked(xyz_m: Float[ndarray, "n 3"], lwh_m: Float[ndarray, "n 3"], yaw_rad: Float[ndarray, "n"]) -> Boxes:
-        """Rows of boxes that exist: nothing is checked again."""
+        """Boxes from arrays that were checked before."""
         made = object.__new__(Boxes)
         for name, value in (("xyz_m", xyz_m), ("lwh_m", lwh_m), ("yaw_rad", yaw_rad)):
             object.__setattr__(made, name, np.ascontiguousarray(value))
@@ -76,7 +76,12 @@ def iou_3d(a: Boxes, b: Boxes) -> Float[ndarray, "n"]:
 
     Returns
     -------
-    In [0, 1]; touching boxes give 0.
+    One value in [0, 1] per row; touching boxes give 0.
+
+    Raises
+    ------
+    ValueError
+        If `a` and `b` have different numbers of boxes.
 
     Notes
     -----
@@ -85,14 +90,23 @@ def iou_3d(a: Boxes, b: Boxes) -> Float[ndarray, "n"]:
     swaps width and height and counts 1 cm pixels.
     """
     if len(a) != len(b):
-        raise ValueError(f"iou_3d was given {len(a)} and {len(b)} boxes: it compares row by row.")
+        raise ValueError(
+            f"iou_3d was given {len(a)} and {len(b)} boxes. It compares row by row, so both numbers must be equal."
+        )
     return _iou(a.xyz_m, a.lwh_m, a.yaw_rad, b.xyz_m, b.lwh_m, b.yaw_rad)
 
 
 def overlapping_pairs(
     boxes: Boxes, label: UInt8[ndarray, "n"], owner: Int[ndarray, "n"]
 ) -> tuple[Int[ndarray, "m"], Int[ndarray, "m"], Float[ndarray, "m"]]:
-    """All pairs i < j of one label and different owners that overlap, and by how much.
+    """All overlapping pairs i < j of the same label and different owners, with their IoU.
+
+    Parameters
+    ----------
+    boxes
+        Boxes in one frame.
+    label, owner
+        Class of each box, and the vehicle that reports it.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""The choice of a detector: what it must do, those at hand, and its reports in canonical order."""
+"""The interface of detectors, the available detectors, and detections in canonical order."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from sensors.statistical_detector import IdealDetector, StatisticalDetector
 class Detector(Protocol):
     """A 3D object detector, the same for every observer.
 
-    A class of this interface is constructed with an instance of its attribute `Params`, a frozen dataclass; without
-    that attribute, without arguments.
+    The class is constructed with an instance of its attribute `Params`, a frozen dataclass. A class without this
+    attribute is constructed without arguments.
     """
 
     def detect(
@@ -37,24 +37,28 @@ class Detector(Protocol):
         Parameters
         ----------
         sweeps
-            Range images `range_m[observer, azimuth, elevation]`, what each ray met (`hit`), poses and beams; of some of
-            the observers, where there are many: threads call this method at once, each for its own.
+            Range images `range_m[observer, azimuth, elevation]`, the object that each ray met (`hit`), poses and beams.
+            If there are many observers, several threads call this method at the same time, each with a part of them.
         seen
-            Each (observer, actor) with a ray that could meet the actor: returns, unoccluded returns, range.
+            One row for each (observer, actor) with a ray that could meet the actor: returns, unoccluded returns, range.
         boxes, label
-            Truth: box (world frame) and `ObjectClass` of every actor.
+            Ground truth: box (world frame) and `ObjectClass` of every actor.
         draws
-            Keys of all randomness; a detector keeps no random state of its own.
+            Keys of all random draws. A detector has no random state of its own.
+
+        Returns
+        -------
+        Reported boxes in any order, world frame.
         """
 
 
 class KnowsRecall(Protocol):
-    """What a detector may know besides: how often it finds what is there. `trust.denials = "recall"` needs it."""
+    """A detector that knows its own recall. `trust.denials = "recall"` needs it."""
 
     def recall(
         self, n_points: Int[ndarray, "n"], label: UInt8[ndarray, "n"], range_m: Float[ndarray, "n"]
     ) -> Float[ndarray, "n"]:
-        """Probability that it reports an object, as of its class, in one sweep; in [0, 1].
+        """Probability, in [0, 1], that one sweep yields a report of an object with its true class.
 
         Parameters
         ----------
@@ -63,7 +67,7 @@ class KnowsRecall(Protocol):
         label
             `ObjectClass` of the object.
         range_m
-            From the sensor to the centre of the box.
+            Distance from the sensor to the centre of the box [m].
         """
 
 
@@ -77,7 +81,7 @@ DETECTORS: dict[str, Callable[[Any], Detector]] = {
 
 @dataclass(frozen=True, slots=True)
 class DetectedBoxes:
-    """Detections of one step, sorted by (observer, falling score, x, y): the order does not depend on true identity."""
+    """Detections of one step, sorted by (observer, descending score, x, y), so that the order hides true identities."""
 
     observer: Int32[ndarray, "d"]
     """Row of the sweep."""
@@ -87,9 +91,9 @@ class DetectedBoxes:
     n_points: Int32[ndarray, "d"]
     """Returns of the observer's own sweep inside the reported box."""
     actor: Int32[ndarray, "d"]
-    """Truth: row of the actor that was detected; not read where `is_false_positive`."""
+    """Ground truth: row of the detected actor; not used if `is_false_positive`."""
     is_false_positive: Bool[ndarray, "d"]
-    """Truth: no actor was detected."""
+    """Ground truth: the box belongs to no actor."""
 
 
 def detect(
@@ -100,19 +104,30 @@ def detect(
     label: UInt8[ndarray, "n"],
     draws: DetectorDraws,
 ) -> DetectedBoxes:
-    """A detector's reports in canonical order, with the points in each box.
+    """Run a detector, sort its reports into canonical order and count the points in each box.
+
+    Parameters
+    ----------
+    detector
+        The detector to run.
+    sweeps, seen, boxes, label, draws
+        As for `Detector.detect`.
+
+    Returns
+    -------
+    Detections sorted by (observer, descending score, x, y), world frame.
 
     Raises
     ------
     ValueError
-        Where the keys do not fit the observers and actors.
+        If the number of keys does not match the observers and actors.
     """
     n_observers, n_actors = len(sweeps.observers), len(boxes)
     sizes = {len(keys) for keys in (draws.observer_step, draws.observer, draws.site_step, draws.site_observer)}
     if sizes != {n_observers} or len(draws.actor) != n_actors:
         raise ValueError(
             f"detector draws with keys of {sorted(sizes)} observers and {len(draws.actor)} actors do not fit "
-            f"{n_observers} observers and {n_actors} actors: one key each."
+            f"{n_observers} observers and {n_actors} actors. Give one key for each."
         )
     reports = detector.detect(sweeps, seen, boxes, label, draws)
     reports = reports.take(

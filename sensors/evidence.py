@@ -1,4 +1,4 @@
-"""What an observer's own sweep says about a box: visibility, points inside, free space in its place."""
+"""Evidence about a box from an observer's own sweep: visibility, points inside, and free space at its place."""
 
 from __future__ import annotations
 
@@ -23,13 +23,14 @@ class AreaParams:
     """The area in which an observer evaluates boxes."""
 
     range_m: Annotated[float, Gt(0), Le(1000)] = 70.0
-    """Distance of the bottom centre [m]."""
+    """Largest distance of the box's bottom centre from the sensor [m]."""
     slack_m: Annotated[float, Ge(0), Le(100)] = 2.0
     """Tolerance in range and beside the field of view [m]; 0 is the paper's strict area."""
     height_m: Annotated[float, Gt(0), Le(100)] = 3.0
     """Largest height of the bottom above or below the sensor [m]."""
     own_radius_m: Annotated[float, Ge(0), Le(100)] = 1.5
-    """A car this near to the observer's own box is kept outside the field of view: a report about the observer [m]."""
+    """A car this near to the observer's own box counts even outside the field of view: it is a report about the
+    observer [m]."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -39,7 +40,7 @@ class PlausibilityParams:
     margin_m: Annotated[float, Ge(0)] = 0.25
     """Returns up to this far behind the bottom centre still count as closer [m]."""
     min_share: Annotated[float, Ge(0), Le(1)] = 0.1
-    """Share of closer returns that a plausible box exceeds."""
+    """A box is plausible if its share of closer returns is larger than this."""
 
 
 def in_evaluation_area(
@@ -55,16 +56,28 @@ def in_evaluation_area(
 
     Parameters
     ----------
+    sweeps
+        Range images of all observers.
+    o
+        Row of the sweep, for each pair k.
+    boxes
+        Boxes in the world frame.
+    params
+        Size of the area.
     b
-        Rows of `boxes`; all of them, in order, when not given.
+        Row of `boxes`, for each pair k; by default all rows in order.
     label, own
-        Both given, the class of each box and the box of each observer: cars within `own_radius_m` of the observer's own
-        box are exempt from the field of view, as when messages are evaluated.
+        Class of each box, and box of each observer. If both are given, cars within `own_radius_m` of the observer's own
+        box are exempt from the test of the field of view. The evaluation of messages uses this.
+
+    Returns
+    -------
+    One boolean per pair.
 
     Notes
     -----
     Area filter of TruPercept: |left| <= forward + slack for its 90 degrees.   Deviations: other fields of view keep
-    the slack beside their edges; 360 degrees have no edge.
+    the slack at their edges; 360 degrees have no edge.
     """
     exempt, near = np.zeros(0, bool), boxes.take(slice(0, 0))
     if label is not None and own is not None:
@@ -87,12 +100,27 @@ def _norm(xyz: Float[ndarray, "n 3"]) -> Float[ndarray, "n"]:
 def points_in_boxes(
     sweeps: RangeImages, o: Int[ndarray, "n"], boxes: Boxes, b: Int[ndarray, "n"] | None = None
 ) -> Int32[ndarray, "n"]:
-    """Returns of observer o[k] strictly inside box b[k]; all boxes, in order, when `b` is not given.
+    """Number of returns of observer o[k] strictly inside box b[k].
+
+    Parameters
+    ----------
+    sweeps
+        Range images of all observers.
+    o
+        Row of the sweep, for each pair k.
+    boxes
+        Boxes in the world frame.
+    b
+        Row of `boxes`, for each pair k; by default all rows in order.
+
+    Returns
+    -------
+    One count per pair.
 
     Notes
     -----
-    p(θ) of TruPercept, which visibility is a function of.   Deviations: none; only the window of the range image that
-    the box can fill is searched.
+    This is p(θ) of TruPercept, from which visibility is computed.   Deviations: none. Only the window of the range
+    image that the box can fill is searched.
     """
     pairs = sweeps.poses.pairs(o, boxes, b)
     return box_points.points_in_boxes(
@@ -108,15 +136,32 @@ def plausible(
     area: AreaParams = AreaParams(),
     params: PlausibilityParams = PlausibilityParams(),
 ) -> Bool[ndarray, "n"]:
-    """Whether the sweep of observer o[k] allows that something stands in box b[k] (all, in order, without `b`).
+    """Whether the sweep of observer o[k] allows that an object stands in box b[k].
+
+    Parameters
+    ----------
+    sweeps
+        Range images of all observers.
+    o
+        Row of the sweep, for each pair k.
+    boxes
+        Boxes in the world frame.
+    b
+        Row of `boxes`, for each pair k; by default all rows in order.
+    area, params
+        Size of the evaluation area, and limits of the test.
+
+    Returns
+    -------
+    One boolean per pair.
 
     Notes
     -----
-    Plausibility check of TruPercept: false if no return lies in a narrow pyramid through the middle of the box, or
-    at most 10 % of those that do are nearer than the box; true where the test does not apply (outside the area or
-    field of view, or box centre above the sensor).   Deviations: follows the code where the paper is silent
-    (early exits, bottom centre as distance, margin, empty pyramid); the sensor stands for the camera, and the field
-    of view is the sensor's.
+    Plausibility check of TruPercept, with a narrow pyramid through the middle of the box. The result is false if no
+    return lies in the pyramid, or if at most 10 % of its returns are nearer than the box. It is true where the test
+    does not apply (outside the area or field of view, or box centre above the sensor).   Deviations: we follow the code
+    where the paper gives no rule (early exits, bottom centre as distance, margin, empty pyramid). The sensor takes the
+    place of the camera, and the field of view is the sensor's.
     """
     pairs = sweeps.poses.pairs(o, boxes, b)
     applies, seen, closer = evidence_kernels.free_space(
@@ -142,7 +187,7 @@ class Observability:
     """Distance from the sensor to the centre of the box [m]."""
 
     def take(self, rows: Int[ndarray, "k"]) -> Observability:
-        """These rows."""
+        """The chosen rows, in this order."""
         return Observability(
             self.observer[rows], self.actor[rows], self.n_returns[rows], self.n_unoccluded[rows], self.range_m[rows]
         )
@@ -161,12 +206,20 @@ def observability(
 
     Parameters
     ----------
+    sweeps
+        Sweeps of all observers.
+    boxes, shape
+        Box (world frame) and `Shape` of every actor.
     near, bodies
-        `neighbours` of the sensors among these boxes, and their `prisms`, where they are known already.
+        `neighbours` of the sensors among these boxes, and the `prisms` of the actors, if they are already known.
+
+    Returns
+    -------
+    One row per such pair, sorted by (observer, actor).
 
     Notes
     -----
-    The road occludes nothing in the unoccluded count; dropouts of the sweep count as occlusion.
+    In the unoccluded count the road hides nothing. Dropouts of the sweep count as occlusion.
     """
     ptr, row = neighbours(sweeps.poses.origin_m, boxes, sweeps.max_range_m) if near is None else near
     assert len(ptr) == len(sweeps.observers) + 1, "neighbours of other sweeps"

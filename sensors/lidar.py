@@ -24,7 +24,7 @@ from sensors.thinned import Thinned, thinned_size
 
 
 class Profile(NamedTuple):
-    """One product, as its public data sheet describes it."""
+    """One LiDAR product, as its public data sheet describes it."""
 
     elevation_deg: tuple[float, ...]
     n_azimuths: int
@@ -76,17 +76,18 @@ class LidarParams:
     """The LiDAR that every equipped vehicle carries."""
 
     profile: Literal["hdl64e_front", "hdl64e", "vlp16", "vlp32c", "os1_64", "os1_128", "pandar64"] = "hdl64e_front"
-    """Product whose beams are used; the next three replace parts of it."""
+    """Product whose beams are used; the next three keys replace parts of it."""
     elevation_deg: tuple[float, ...] | None = None
-    """Elevation of each beam, ascending [deg]; none: the profile's."""
+    """Elevation of each beam, ascending [deg]; none means that of the profile."""
     n_azimuths: Annotated[int, Gt(0), Le(100_000)] | None = None
-    """Columns of one sweep over the field of view; none: the profile's."""
+    """Columns of one sweep over the field of view; none means that of the profile."""
     fov_deg: Annotated[float, Gt(0), Le(360)] | None = None
-    """Horizontal field of view, centred straight ahead, at most 360 [deg]; none: the profile's."""
+    """Horizontal field of view, centred straight ahead, at most 360 [deg]; none means that of the
+    profile."""
     max_range_m: Annotated[float, Gt(0), Le(1000)] = 80.0
     """Farthest return [m]."""
     mount_above_roof_m: Annotated[float, Ge(0), Le(20)] = 0.23
-    """Height of the sensor over the centre of the roof [m]; 1.73 m above the road on a car of 1.50 m, as KITTI's."""
+    """Height of the sensor over the centre of the roof [m]; 1.73 m above the road on a car of 1.50 m, as in KITTI."""
     range_sigma_m: Annotated[float, Ge(0), Le(10)] = 0.02
     """Standard deviation of one range [m]: HDL-64E S2 data sheet, < 2 cm."""
     dropout_p: Annotated[float, Ge(0), Lt(1)] = 0.0
@@ -112,15 +113,17 @@ class Beams(NamedTuple):
     cells_per_slope: float
     first_row: ndarray
     most_in_cell: int
-    """As in `sensors.raycast.column.Slopes`: in which row a slope lies."""
+    """Row in which each slope lies, as in `sensors.raycast.column.Slopes`."""
 
 
 def beams(params: LidarParams) -> Beams:
     """The ray grid of a LiDAR.
 
-    Errors
+    Raises
     ------
-    ValueError for a beam table out of order and for a field of view beyond a full turn.
+    ValueError
+        If the beams are not in ascending order, if a sweep has too many rays, or if the field of view is not in
+        (0, 360] degrees.
     """
     profile = PROFILES[params.profile]
     elevation = np.array(profile.elevation_deg if params.elevation_deg is None else params.elevation_deg, dtype=float)
@@ -149,21 +152,21 @@ def beams(params: LidarParams) -> Beams:
 
 @dataclass(frozen=True, slots=True)
 class Poses:
-    """Where M sensors are: level, in the world frame, each looking along its vehicle's heading."""
+    """Poses of M sensors in the world frame; each is level and looks along its vehicle's heading."""
 
     origin_m: Float[ndarray, "m 3"]
     yaw_rad: Float[ndarray, "m"]
 
     def pairs(self, o: Int[ndarray, "n"], boxes: Boxes, b: Int[ndarray, "n"] | None = None) -> Pairs:
-        """World box b[k] and sensor o[k], for every k; the boxes in order when `b` is not given."""
+        """Pairs of world box b[k] and sensor o[k]; without `b`, all boxes in order."""
         return pairs_of(o, self.origin_m, self.yaw_rad, boxes, b)
 
     def to_sensor(self, o: Int[ndarray, "n"], boxes: Boxes, b: Int[ndarray, "n"] | None = None) -> Boxes:
-        """The same boxes in the frames of these sensors."""
+        """Box b[k] in the frame of sensor o[k]; without `b`, all boxes in order."""
         return Boxes(*turned(self.pairs(o, boxes, b)))
 
     def to_world(self, o: int, xyz: Float[ndarray, "k 3"]) -> Float[ndarray, "k 3"]:
-        """Points of sensor o in the world frame."""
+        """Convert points from the frame of sensor o to the world frame [m]."""
         cos, sin = np.cos(self.yaw_rad[o]), np.sin(self.yaw_rad[o])
         turned = np.column_stack([cos * xyz[:, 0] - sin * xyz[:, 1], sin * xyz[:, 0] + cos * xyz[:, 1], xyz[:, 2]])
         return turned + self.origin_m[o]
@@ -176,12 +179,22 @@ def n_rays(params: LidarParams) -> tuple[int, int]:
 
 
 def step_of(params: LidarParams) -> float:
-    """In steps of how many metres a LiDAR reports ranges."""
+    """Step in which a LiDAR reports ranges [m]."""
     return step_m(params.max_range_m, params.range_sigma_m)
 
 
 def mount(boxes: Boxes, observers: Int[ndarray, "m"], params: LidarParams) -> Poses:
-    """The sensors of these actors: over the centre of the roof, looking ahead."""
+    """Poses of the sensors above the centre of the observers' roofs, looking ahead.
+
+    Parameters
+    ----------
+    boxes
+        Boxes of all actors, world frame.
+    observers
+        Rows of the actors that carry a sensor.
+    params
+        Height of the sensor above the roof.
+    """
     origin = boxes.xyz_m[observers].copy()
     origin[:, 2] += 0.5 * boxes.lwh_m[observers, 2] + params.mount_above_roof_m
     return Poses(origin, boxes.yaw_rad[observers].copy())
@@ -199,30 +212,30 @@ class RangeImages:
     beams: Beams
     max_range_m: float
     range_steps: UInt16[ndarray, "m a e"]
-    """Range as the sensor reports it, in steps of `step_m`; `NO_RETURN` where nothing returned."""
+    """Range that the sensor reports, in steps of `step_m`; `NO_RETURN` if the ray has no return."""
     step_m: float
 
     @property
     def range_m(self) -> Float32[ndarray, "m a e"]:
-        """Range; inf where nothing returned [m]. Made anew each time it is asked for."""
+        """Range [m]; inf if the ray has no return. It is computed whenever it is read."""
         return metres(self.range_steps, self.step_m)
 
     def has_return(self, o: int) -> Bool[ndarray, "a e"]:
-        """Which rays of observer o returned."""
+        """Which rays of observer o have a return."""
         return self.range_steps[o] != NO_RETURN
 
     def xyz(self, o: int) -> Float[ndarray, "k 3"]:
-        """The returns of observer o in its sensor frame [m], column by column, each from the lowest beam up."""
+        """The returns of observer o in its sensor frame [m], column by column from the lowest beam up."""
         column, row = np.nonzero(self.has_return(o))
         return self.points(np.full(len(column), o), column, row)
 
     def cloud(self, o: int) -> Float32[ndarray, "k 3"]:
-        """The same, rounded to single precision: what files of point clouds hold."""
+        """The same points in single precision, as in files of point clouds."""
         grid = self.beams
         return _cloud(self.range_steps[o], self.step_m, grid.cos_az, grid.sin_az, grid.cos_el, grid.sin_el)
 
     def points(self, o: Int[ndarray, "k"], column: Int[ndarray, "k"], row: Int[ndarray, "k"]) -> Float[ndarray, "k 3"]:
-        """The ends of single rays that returned, in the frame of their sensor [m]."""
+        """End points of single rays with a return, in the frame of sensor o[k] [m]."""
         r = self.range_steps[o, column, row] * self.step_m
         grid = self.beams
         flat = r * grid.cos_el[row]
@@ -234,23 +247,28 @@ class Sweeps(RangeImages):
     """Range images, and what each ray met."""
 
     hit: Int[ndarray, "m a e"]
-    """What returned, as a `Hit` code. Truth: only truth columns may read it."""
+    """`Hit` code of the object that each ray met. Ground truth: no vehicle may use it."""
     thinned: Thinned
-    """Some of these rays once more."""
+    """A copy of some of these rays."""
     unrounded_m: Float32[ndarray, "m a e"]
-    """Range before it is rounded to steps, inf where nothing returned [m]; of no observer where not asked for."""
+    """Range before it is rounded to steps [m], inf without a return; empty unless `scan` got `unrounded`."""
 
 
 class SweepMemory(NamedTuple):
-    """Arrays that a sweep may be written into; those that are large enough are used."""
+    """What `scan` may use of earlier work, to save time: arrays to overwrite, and what is known already."""
 
     range_steps: ndarray | None = None
+    """This array, `hit` and `thinned` are overwritten where they are large enough."""
     hit: ndarray | None = None
     thinned: Thinned | None = None
+    near: Neighbours | None = None
+    """`neighbours` of the sensors among the boxes of this sweep."""
+    bodies: Prisms | None = None
+    """`prisms` of all actors of this sweep."""
 
 
 NO_MEMORY = SweepMemory()
-"""Arrays are made anew."""
+"""Nothing to use again: everything is computed, and `scan` allocates new arrays."""
 
 
 ENGINES: dict[str, Callable[..., None]] = {"columnar": columnar.cast, "embree": embree.cast, "open3d": open3d.cast}
@@ -264,8 +282,6 @@ def scan(
     params: LidarParams,
     keys: UInt64[ndarray, "m"],
     out: Sweeps | SweepMemory = NO_MEMORY,
-    near: Neighbours | None = None,
-    bodies: Prisms | None = None,
     unrounded: bool = False,
 ) -> Sweeps:
     """One sweep of every observer, all at one instant.
@@ -277,46 +293,67 @@ def scan(
     observers
         Rows of the actors that carry a sensor.
     keys
-        One number per observer that its range noise and dropouts are a function of.
+        One number per observer. Its range noise and dropouts are a function of it.
+    scene
+        Buildings and other solids.
+    params
+        The LiDAR that all observers carry.
     out
-        Arrays to fill, or an earlier result, whose arrays are overwritten where they are large enough: saves
-        allocation and page faults.
-    near, bodies
-        `neighbours` of the sensors, and `prisms` of all actors, where they are known already.
+        What may be used of earlier work, or an earlier result. The arrays of an earlier result are overwritten if they
+        are large enough, which saves allocation and page faults.
     unrounded
-        Keep the ranges before rounding, too: to compare casters.
+        Keep the ranges before rounding too, to compare ray casters.
+
+    Returns
+    -------
+    Range images of all observers, and the object that each ray met.
+
+    Raises
+    ------
+    ValueError
+        If there is not one key per observer, or if an observer is not a row of `boxes`.
 
     Notes
     -----
     Level sensors, no motion during the sweep, one return per ray, flat ground at the height of the observer's
-    wheels. Range noise is normal (4,096 equiprobable levels), along the ray; reported ranges are rounded to steps, as
-    `sensors.range_steps`.
+    wheels. Range noise is normal (4,096 equiprobable levels) and acts along the ray. Reported ranges are rounded to
+    steps, as in `sensors.range_steps`.
     """
     observers = np.asarray(observers, dtype=np.int64)
     if len(keys) != len(observers):
-        raise ValueError(f"{len(keys)} keys were given for {len(observers)} observers: each needs one of its own.")
+        raise ValueError(f"{len(keys)} keys were given for {len(observers)} observers. Give one key per observer.")
     if len(observers) and not (0 <= observers.min() and observers.max() < len(boxes)):
         raise ValueError(f"observers {observers.min()} .. {observers.max()} are no rows of {len(boxes)} actors.")
     poses, grid = mount(boxes, observers, params), beams(params)
     ground_m = height_of_road_m(boxes, observers)
     size = (len(observers), len(grid.azimuth_rad), len(grid.elevation_rad))
-    range_steps, hit = buffer(size, np.uint16, out.range_steps), buffer(size, hit_type(len(boxes)), out.hit)
-    unrounded_m, step = np.empty(size if unrounded else (0, *size[1:]), np.float32), step_of(params)
-    kept = (None, None) if out.thinned is None else out.thinned
+    memory = out if isinstance(out, SweepMemory) else SweepMemory(out.range_steps, out.hit, out.thinned)
+    range_steps, hit = buffer(size, np.uint16, memory.range_steps), buffer(size, hit_type(len(boxes)), memory.hit)
+    kept = (None, None) if memory.thinned is None else memory.thinned
     thinned = Thinned(
         *(buffer(thinned_size(size), a.dtype.type, b) for a, b in zip((range_steps, hit), kept, strict=True))
     )
-    near = neighbours(poses.origin_m, boxes, params.max_range_m) if near is None else near
-    ENGINES[params.engine](
-        range_steps, np.float32(1.0 / step), hit, poses, ground_m, observers, grid, params.max_range_m, boxes,
-        prisms(shape, boxes) if bodies is None else bodies, scene,
-        RangeNoise.of(keys, params.range_sigma_m, params.dropout_p), near, thinned, unrounded_m,
-    )  # fmt: skip
-    return Sweeps(poses, observers, ground_m, grid, params.max_range_m, range_steps, step, hit, thinned, unrounded_m)
+    sweeps = Sweeps(
+        poses=poses,
+        observers=observers,
+        ground_m=ground_m,
+        beams=grid,
+        max_range_m=params.max_range_m,
+        range_steps=range_steps,
+        step_m=step_of(params),
+        hit=hit,
+        thinned=thinned,
+        unrounded_m=np.empty(size if unrounded else (0, *size[1:]), np.float32),
+    )
+    near = neighbours(poses.origin_m, boxes, params.max_range_m) if memory.near is None else memory.near
+    bodies = prisms(shape, boxes) if memory.bodies is None else memory.bodies
+    noise = RangeNoise.of(keys, params.range_sigma_m, params.dropout_p)
+    ENGINES[params.engine](sweeps, boxes, bodies, scene, noise, near)
+    return sweeps
 
 
 def hit_type(n_actors: int) -> type:
-    """The narrowest type that holds the codes of so many actors: what rays met is written and read once per sweep."""
+    """Narrowest integer type for the `Hit` codes of this number of actors; it saves memory traffic in every sweep."""
     return np.int16 if n_actors + Hit.ACTOR <= np.iinfo(np.int16).max else np.int32
 
 
@@ -328,7 +365,17 @@ def height_of_road_m(boxes: Boxes, observers: Int[ndarray, "m"]) -> Float[ndarra
 def range_images(
     boxes: Boxes, observers: Int[ndarray, "m"], params: LidarParams, range_steps: UInt16[ndarray, "m a e"]
 ) -> RangeImages:
-    """The range images of these actors' sensors, with ranges that a sweep has measured."""
+    """Range images built from recorded ranges.
+
+    Parameters
+    ----------
+    boxes, observers
+        Boxes of all actors (world frame), and rows of the actors that carry a sensor.
+    params
+        The LiDAR that all observers carry.
+    range_steps
+        Ranges of an earlier sweep, in steps.
+    """
     return RangeImages(
         poses=mount(boxes, observers, params),
         observers=observers,
@@ -341,7 +388,8 @@ def range_images(
 
 
 def buffer(size: tuple[int, int, int], kind: type, old: ndarray | None) -> ndarray:
-    """An array of this size, in the memory of an old one if that suffices; one eighth is spare, for growing fleets."""
+    """An array of this size. It uses the memory of `old` if that suffices; a new one has an eighth of spare memory for
+    fleets that grow."""
     if old is not None and old.dtype == kind and old.shape == size:
         return old
     whole = old if old is None or old.base is None else old.base
@@ -352,7 +400,7 @@ def buffer(size: tuple[int, int, int], kind: type, old: ndarray | None) -> ndarr
 
 @compiled
 def _cloud(steps, step, cos_az, sin_az, cos_el, sin_el):
-    """Ends of the rays that returned, in single precision."""
+    """End points of the rays with a return, in single precision."""
     xyz = np.empty(((steps != NO_RETURN).sum(), 3), np.float32)
     k = 0
     for c in range(steps.shape[0]):

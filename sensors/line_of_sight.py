@@ -1,6 +1,6 @@
-"""Line of sight between points: by buildings, exactly or between rounded positions, and by the bodies of actors.
+"""Lines of sight between points, which buildings or the bodies of actors can block.
 
-The one index of buildings for straight lines: the radio's lines of sight and those of encounters come from here.
+`WallIndex` is exact; `LosOfPlaces` rounds positions to a grid. The radio and the encounters use both.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from sensors.scene import Buildings, prisms
 
 @dataclass(frozen=True, slots=True)
 class WallIndex:
-    """The walls of a scene's buildings in a grid, for straight lines between points. Made by `WallIndex.of`.
+    """Grid index of the walls of all buildings, for straight lines between points. `WallIndex.of` builds it.
 
-    A wall blocks from its base to its top. A point inside a building has no line of sight to any other.
+    A wall blocks from its base to its top. A point inside a building has no line of sight to any other point.
     """
 
     grid: Grid
@@ -68,7 +68,7 @@ class WallIndex:
         return WallIndex(grid, walls, (i * ny + j).astype(np.int32), base, top)
 
     def filled(self, z_m: Float[ndarray, "n"]) -> FilledCells:
-        """Cells that block every line between points of these heights."""
+        """Grid cells that block every line between points of these heights [m]."""
         level = _level(self.walls, np.asarray(z_m, float))
         low, high = int(np.floor(level.min(initial=254.0))), int(np.ceil(level.max(initial=0.0)))
         found = self._filled.get((low, high))
@@ -88,7 +88,7 @@ class WallIndex:
     def crosses_filled(
         self, xyz_m: Float[ndarray, "n 3"], a: Int[ndarray, "m"], b: Int[ndarray, "m"]
     ) -> Bool[ndarray, "m"]:
-        """Lines for which a few samples suffice to show that a building cuts them."""
+        """Which lines are blocked for certain: a few sample points already lie inside a building."""
         out = np.empty(len(a), np.bool_)
         kernels.probe(self.cells(xyz_m), a, b, self.filled(xyz_m[:, 2]), out)
         return out
@@ -98,7 +98,19 @@ class WallIndex:
         return kernels.building_at(np.ascontiguousarray(xyz_m, float), self.grid, self.walls) >= 0
 
     def has_los(self, xyz_m: Float[ndarray, "n 3"], a: Int[ndarray, "m"], b: Int[ndarray, "m"]) -> Bool[ndarray, "m"]:
-        """Which of the lines between points `a` and `b` (rows) no building cuts; exact."""
+        """Which lines between points are not blocked by a building; exact.
+
+        Parameters
+        ----------
+        xyz_m
+            Points in the world frame [m].
+        a, b
+            Rows of the two end points of each line.
+
+        Returns
+        -------
+        One boolean per line.
+        """
         xyz_m, a, b = np.ascontiguousarray(xyz_m, float), _rows(a), _rows(b)
         out = np.empty(len(a), np.bool_)
         blocked = self.crosses_filled(xyz_m, a, b)
@@ -109,9 +121,21 @@ class WallIndex:
     def walls_crossed(
         self, xyz_m: Float[ndarray, "n 3"], a: Int[ndarray, "m"], b: Int[ndarray, "m"]
     ) -> tuple[Int[ndarray, "m"], Float[ndarray, "m"]]:
-        """Number of walls that the lines between points `a` and `b` cross, and their length inside buildings [m].
+        """Number of walls that each line crosses, and its length inside buildings [m].
 
-        Independent of the order of the ends, for a point on a wall too: lines are followed from their western end.
+        The result does not depend on the order of the ends, not even for a point on a wall: each line is followed from
+        its western end.
+
+        Parameters
+        ----------
+        xyz_m
+            Points in the world frame [m].
+        a, b
+            Rows of the two end points of each line.
+
+        Returns
+        -------
+        Number of walls and length, one row per line.
 
         Notes
         -----
@@ -158,7 +182,7 @@ def _buildings_by_square(low: ndarray, side_m: float, nx: int, ny: int, walls: W
 
 @dataclass(frozen=True, slots=True)
 class LosOfPlaces:
-    """Lines of sight by buildings between places, which are points rounded to a fine grid. Made by `LosOfPlaces.of`."""
+    """Lines of sight between *places*, which are points rounded to a fine grid. `LosOfPlaces.of` builds it."""
 
     index: WallIndex
     snap_m: float
@@ -166,7 +190,7 @@ class LosOfPlaces:
 
     @staticmethod
     def of(index: WallIndex, snap_m: float = 0.5) -> LosOfPlaces:
-        """Among these walls."""
+        """Lines of sight among the walls of an index."""
         if not snap_m > 0:
             raise ValueError(f"snap_m = {snap_m} m must be positive.")
         return LosOfPlaces(index, snap_m)
@@ -179,12 +203,20 @@ class LosOfPlaces:
         self, xyz_m: Float[ndarray, "n 3"], a: Int[ndarray, "m"], b: Int[ndarray, "m"],
         blocked: Bool[ndarray, "m"] | None = None,
     ) -> Bool[ndarray, "m"]:  # fmt: skip
-        """Which of the lines between the places of points `a` and `b` (rows) no building cuts.
+        """Which lines between the places of points are not blocked by a building.
 
         Parameters
         ----------
+        xyz_m
+            Points in the world frame [m].
+        a, b
+            Rows of the two end points of each line.
         blocked
-            Lines that are known to be cut (`WallIndex.crosses_filled`); computed when not given.
+            Lines that are known to be blocked (`WallIndex.crosses_filled`); computed by default.
+
+        Returns
+        -------
+        One boolean per line.
         """
         cell, index = self._cell(xyz_m), self.index
         xyz, a, b = cell * self.snap_m + self._low, _rows(a), _rows(b)
@@ -207,7 +239,9 @@ class LosOfPlaces:
     def _cell(self, xyz_m: ndarray) -> ndarray:
         cell = np.rint((np.asarray(xyz_m, float) - self._low) / self.snap_m)
         if not np.all(np.abs(cell) < 1 << 24):
-            raise ValueError("an antenna lies too far from the buildings to be told apart. Check the coordinates.")
+            raise ValueError(
+                "an antenna is too far from the buildings for its position to be rounded. Check the coordinates."
+            )
         return cell.astype(np.int64)
 
 

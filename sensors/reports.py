@@ -1,4 +1,4 @@
-"""What a detector is given beside the sweeps, and what it returns."""
+"""Keys of a detector's random draws, and the reports that it returns."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from sensors.hash_rng import mix_rows, normals, uniforms
 
 @dataclass(frozen=True, slots=True)
 class DetectorDraws:
-    """Keys that the noise draws of one step are hashed from: m observers, n actors.
+    """Keys of the noise draws of one step, for m observers and n actors.
 
     `sensors.hash_rng` makes uniforms and normals of keys. Equal keys give equal draws, so a draw depends neither on the
     order of the rows nor on who else is present.
@@ -64,9 +64,9 @@ class Reports:
     score: Float[ndarray, "r"]
     """Confidence in [0, 1]."""
     actor: Int[ndarray, "r"]
-    """Truth: row of the actor that was detected; not read where `is_false_positive`."""
+    """Ground truth: row of the detected actor; not used if `is_false_positive`."""
     is_false_positive: Bool[ndarray, "r"]
-    """Truth: no actor was detected."""
+    """Ground truth: the box belongs to no actor."""
 
     @staticmethod
     def of_actors(
@@ -76,14 +76,14 @@ class Reports:
         boxes: Boxes,
         score: Float[ndarray, "r"],
     ) -> Reports:
-        """One report for each of these rows of `seen`, none of them false."""
+        """One report for each of these rows of `seen`; none is a false positive."""
         return Reports(seen.observer[rows], label, boxes, score, seen.actor[rows], np.zeros(len(rows), bool))
 
     @staticmethod
     def of_false_positives(
         observer: Int[ndarray, "r"], label: UInt8[ndarray, "r"], boxes: Boxes, score: Float[ndarray, "r"]
     ) -> Reports:
-        """False positives."""
+        """Reports that belong to no actor."""
         return Reports(observer, label, boxes, score, np.zeros(len(observer), int), np.ones(len(observer), bool))
 
     def take(self, rows: Int[ndarray, "k"]) -> Reports:

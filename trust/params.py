@@ -30,78 +30,83 @@ class TruPerceptParams:
     """Parameters of the model `trupercept`."""
 
     freshness_s: Annotated[float, Gt(0), Le(1e8)] | Literal["off"] = 50.0
-    """f: age at which evidence expires [s]; "off": never."""
+    """f: age at which evidence expires [s]. With "off" it never expires."""
     window: Literal["half_open", "closed"] = "half_open"
-    """Evidence of age exactly f has expired (f steps, the published code) or still counts (f + 1, [-f, 0])."""
+    """Evidence of age exactly f. `half_open`: it has expired, so that the window has f steps, as in the published code.
+    `closed`: it still counts, so that the window has f + 1 steps."""
     grace_s: Annotated[float, Gt(0), Le(1e8)] = 10.0
-    """Age at which evidence is folded into running sums [s]: evaluations that arrive later have no effect.
-    For models whose evidence does not expire: `beta`, and `trupercept` with `freshness_s = "off"`."""
+    """Age at which evidence is added to running sums [s]. Evaluations that arrive later have no effect. This applies to
+    models whose evidence does not expire: `beta`, and `trupercept` with `freshness_s = "off"`."""
     unseen: Literal["zero", "skip"] = "zero"
-    """A detection that only its detector could see: object trust 0 with its full weight, or no evidence."""
+    """A detection that no other vehicle could see. `zero`: its object trust is 0, with full weight. `skip`: it is no
+    evidence."""
     weighting: Literal["score", "one"] = "score"
-    """Weight of a detection in its vehicle's trust: its score (equation 4), or 1."""
+    """Weight of a detection in the trust of its vehicle: its score (equation 4), or 1."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class TrustParams(TruPerceptParams):
-    """Matching, evaluation, trust and fusion; the parameters of the default trust model included."""
+    """Matching, evaluation, trust and fusion, including the parameters of the default trust model."""
 
     # trust
     unseen: Literal["zero", "skip"] = "skip"
-    """A detection that only its detector could see: no evidence, or object trust 0 with its full weight (the paper's
-    rule; `results/FRESHNESS.md` says why it is not the default here)."""
+    """A detection that no other vehicle could see. `skip`: it is no evidence. `zero`: its object trust is 0, with full
+    weight. This is the paper's rule; `results/FRESHNESS.md` explains why it is not the default."""
     model: str = "trupercept"
-    """Trust model by name."""
+    """Name of the trust model, or a class of your own as path.py:Name."""
     host: Literal["central", "local", "none"] = "central"
-    """Where trust scores are computed: on a trust server, in every vehicle for itself, or nowhere."""
+    """Where trust scores are computed. `central`: on a trust server. `local`: in every vehicle. `none`: nowhere."""
     server_period_s: Annotated[float, Gt(0), Le(1e8)] = 5.0
-    """Time between two broadcasts of the server's trust values [s]; `host = "central"` only."""
+    """With `host = "central"`: time between two broadcasts of the server's trust values [s]."""
     local_evidence: Literal["received", "own"] = "received"
-    """Evidence of a vehicle's trust scores: all evaluations it receives, or its own alone; `host = "local"` only."""
+    """With `host = "local"`: evidence of a vehicle's trust scores. `received`: its own evaluations and all that it
+    receives. `own`: its own evaluations only."""
     default_trust: Annotated[float, Interval(ge=0, le=1)] = 0.5
     """Trust of a vehicle about which nothing is known."""
     unjudged: Literal["default", "value"] = "default"
-    """Used where a value rests on no evaluation by another vehicle that could see: `default_trust`, or the value
-    itself, which for TruPercept is 0 (the paper's rule)."""
+    """Trust of a vehicle without any evaluation by another vehicle that could see its detections. `default`:
+    `default_trust`. `value`: the model's value, which for TruPercept is 0 (the paper's rule)."""
     ego_trust: Annotated[float, Gt(0), Le(1e6)] = 1.0
-    """Weight of the ego's own evaluations; above 1 biases towards them."""
+    """Weight of the ego's own evaluations. A value above 1 biases the result towards them."""
     ego_trust_from: Literal["fixed", "computed"] = "fixed"
-    """`ego_trust`, or the ego's own vehicle trust as it knows it."""
+    """Source of that weight. `fixed`: `ego_trust`. `computed`: the ego's vehicle trust, as the ego knows it."""
 
     # matching and evaluation
     tau: Annotated[float, Interval(ge=0, lt=1)] = 0.1
     """Two detections of one class match if their IoU is strictly greater."""
     one_per_vehicle: bool = False
-    """At most one detection of each vehicle joins a group, the one of largest IoU (the paper's sentence)."""
+    """Whether a group contains at most one detection of each vehicle, the one with the largest IoU, as the paper
+    says."""
     eta: Annotated[float, Interval(ge=-1, le=0)] | None = None
-    """Evaluation of an unmatched detection; unset: 0 for the weighted averages, else -1."""
+    """Evaluation of an unmatched detection. If it is not set, it is 0 for the weighted averages and -1 otherwise."""
     gamma_lower_points: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
-    """Returns up to which a box counts as invisible: car, pedestrian, cyclist, truck."""
+    """Number of returns up to which visibility is 0, for car, pedestrian, cyclist, truck."""
     gamma_upper_points: tuple[float, float, float, float] = (100.0, 40.0, 100.0, 100.0)
-    """Returns from which a box counts as fully visible: car, pedestrian, cyclist, truck."""
+    """Number of returns from which visibility is 1, for car, pedestrian, cyclist, truck."""
     self_reports: bool = True
-    """Every vehicle also sends itself, as detection k = 0 with score 1."""
+    """Whether every vehicle also reports itself, as detection k = 0 with score 1."""
     plausibility_in_evaluation: bool = True
-    """An unmatched, implausible detection is evaluated with full visibility."""
+    """Whether an unmatched, implausible detection is evaluated with full visibility."""
     denials: Literal["visibility", "recall"] = "visibility"
-    """Weight of the evaluation of an unmatched, plausible detection: its visibility (the paper's rule), or times what a
-    miss says about the object, given how often the evaluator's detector misses such objects."""
+    """Weight of the evaluation of an unmatched, plausible detection. `visibility`: its visibility (the paper's rule).
+    `recall`: its visibility, reduced if the evaluator's detector often misses such objects."""
 
     # final aggregation
     method: Method = "trupercept_3"
-    """How an ego scores a group."""
+    """Method by which an ego scores a group of matched detections."""
     plausibility_in_fusion: bool = True
-    """An implausible group that the ego did not detect scores 0."""
+    """Whether an implausible group that the ego did not detect has score 0."""
     blind_points: Annotated[int, Ge(1), Le(1_000_000)] = 10
-    """TruPercept 3 takes another vehicle's detection only where the ego has fewer returns than this."""
+    """TruPercept 3 uses another vehicle's detection only if the ego has fewer returns from it than this."""
     self_report_poses: bool = True
-    """Corrected may take a vehicle's pose from that vehicle's own report."""
+    """Whether `corrected` may use a vehicle's pose from its self report."""
     min_score: Annotated[float, Interval(ge=0, le=1)] = 0.01
     """A fused object below this score is not reported."""
     code_parity: bool = False
-    """The published code's formulas: evaluations weigh the same whoever makes them."""
+    """Whether the published code's formulas are used, in which all evaluators have the same weight."""
     code_aggregate: Literal["by_method", "sum", "mean"] = "by_method"
-    """Evaluations per detection under `code_parity`: sum, weighted mean, or mean for the averages only."""
+    """With `code_parity`: how evaluations of a detection are combined. `sum`: sum. `mean`: weighted mean. `by_method`:
+    mean for the weighted averages, and sum otherwise."""
 
     def __post_init__(self) -> None:
         for label, low, high in zip(_LABELS, self.gamma_lower_points, self.gamma_upper_points, strict=True):

@@ -1,4 +1,4 @@
-"""All attacks of a run: who carries out which now, and what they make of what is sent."""
+"""All attacks of a run: which vehicles carry them out in a step, and how they change what is sent."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -17,24 +17,25 @@ from results.codes import DetectionFault, Role
 from sensors.line_of_sight import WallIndex
 
 _CELL_M = 200.0
-"""Attackers that appear at once are numbered cell by cell, so that rings are neighbours."""
+"""Attackers that appear in the same step are numbered by cells of this size, so that the members of a ring are close
+to each other."""
 
 
 @dataclass(slots=True)
 class AttackState:
-    """What attacks keep from step to step: one row per section of the config, one column per actor number."""
+    """State of the attacks between steps: one row per section of the config, one column per actor number."""
 
     rank: Int[ndarray, "a capacity"]
     """Number of each attacker within its section, in the order of appearance; -1 for others."""
     awake: Bool[ndarray, "a capacity"]
-    """Sleepers that have begun."""
+    """Whether an attacker with `when = "sleeper"` has begun."""
     n_active: Int[ndarray, "a capacity"]
-    """Steps with messages since each began, or began again."""
+    """Number of steps with messages since each attacker last began."""
     memory: list[dict[str, Any]] = field(default_factory=list)
-    """Of each section, what its attack keeps."""
+    """What the attack of each section stores."""
 
     def with_room(self, capacity: int) -> None:
-        """Columns for actor numbers below `capacity`."""
+        """Extend the columns to actor numbers below `capacity`."""
         more = capacity - self.rank.shape[1]
         if more > 0:
             more = max(more, 256)
@@ -45,17 +46,22 @@ class AttackState:
 
 @dataclass(frozen=True, slots=True)
 class Active:
-    """Attacks that are carried out in one step, in the order of the config."""
+    """The attacks that are active in one step, in the order of the config."""
 
     attacks: tuple[tuple[Attack, AttackContext], ...]
     xyz_m: Float[ndarray, "n 3"]
-    """Positions of all actors."""
+    """Positions of all actors, world frame."""
 
     def _with(self, hook: str) -> list[tuple[Any, AttackContext]]:
         return [(attack, context) for attack, context in self.attacks if hasattr(attack, hook)]
 
     def detections(self, listed: Detections) -> tuple[Detections, Int[ndarray, "f"]]:
-        """What each vehicle will send of its list; how many cannot be sent and are dropped, by `DetectionFault`."""
+        """Apply the attacks to the detection lists of all vehicles.
+
+        Returns
+        -------
+        The lists as they will be sent, and the numbers of detections that cannot be sent, by `DetectionFault`.
+        """
         attacks, n_dropped = self._with("detections"), np.zeros(len(DetectionFault), np.int64)
         if not attacks:
             return without_faults(listed, self.xyz_m)
@@ -69,7 +75,7 @@ class Active:
     def evaluations(
         self, rows: EvaluationRows, detections: Detections
     ) -> tuple[Float[ndarray, "m"], Float[ndarray, "m"]]:
-        """Evaluation and visibility as each vehicle will send them; the same arrays where no attack changes any."""
+        """Evaluation and visibility as each vehicle will send them. Unchanged arrays are returned as they are."""
         evaluation, visibility = rows.evaluation, rows.visibility
         for attack, context in self._with("evaluations"):
             now = EvaluationRows(rows.evaluator, rows.detection, evaluation, visibility)
@@ -77,21 +83,21 @@ class Active:
         return evaluation, visibility
 
     def identities(self, n: int) -> Int[ndarray, "n"]:
-        """Identities beside its own under which each actor sends."""
+        """Number of identities under which each actor sends, in addition to its own."""
         found = np.zeros(n, np.int64)
         for attack, context in self._with("identities"):
             found = np.maximum(found, np.where(context.attacker, attack.identities(context), 0))
         return found
 
     def sending(self, n: int) -> Sending:
-        """How each actor's messages are sent."""
+        """How each actor sends its messages."""
         found = Sending.plain(n)
         for attack, context in self._with("sending"):
             found = found.and_also(attack.sending(context))
         return found
 
     def malicious(self, n: int) -> Bool[ndarray, "n"]:
-        """Actors that attack now on purpose, not by a fault."""
+        """Actors that attack in this step and have the role malicious."""
         found = np.zeros(n, bool)
         for _, context in self.attacks:
             if context.params.role == Role.MALICIOUS.name.lower():
@@ -106,51 +112,51 @@ class Adversary:
     params: tuple[AttackParams, ...]
     attacks: tuple[Attack, ...]
     owner: tuple[int, ...]
-    """Of each section: the section that says who its vehicles are."""
+    """For each section, the number of the section that defines its vehicles."""
     period_steps: tuple[float, ...]
-    """Of each section: length of a period of `on_off`."""
+    """For each section, the length of a period of `on_off` in steps."""
     seed: int
     dt_s: float
     walls: WallIndex | None = None
-    """Buildings of the city, which attackers know."""
+    """Walls of the city's buildings, which attackers know."""
 
     @staticmethod
     def of(
         params: Sequence[AttackParams], attacks: Sequence[Attack], seed: int, dt_s: float = 1.0,
         freshness_s: float | str = "off", walls: WallIndex | None = None,
     ) -> "Adversary":  # fmt: skip
-        """Attacks with their parameters; `freshness_s` is the window of evidence in which periods may be given."""
+        """Attacks with their parameters. `freshness_s` is the window of evidence, a unit for periods."""
         period_s = [p.period_s if p.when != "on_off" else p.period_of(freshness_s) for p in params]
         period_steps = tuple(s / dt_s for s in period_s)
         return Adversary(tuple(params), tuple(attacks), owners(params), period_steps, seed, dt_s, walls)
 
     def start(self) -> AttackState:
-        """Before the first step."""
+        """The state before the first step."""
         n = len(self.params)
         nothing = np.zeros((n, 0), np.int64)
         return AttackState(nothing, nothing.astype(bool), nothing, [{} for _ in range(n)])
 
     @property
     def reads_trust(self) -> bool:
-        """Whether any attacker follows what is broadcast about itself."""
+        """Whether any attacker depends on the trust that is broadcast about it."""
         return any(p.reads_trust for p in self.params)
 
     @property
     def renews(self) -> bool:
-        """Whether any attacker changes its pseudonym of its own accord."""
+        """Whether any attacker changes its pseudonym in addition to the pseudonym policy."""
         return any(p.renewal != "by_policy" for p in self.params)
 
     def renewals(
         self, world: World, time_s: float, trust: Float[ndarray, "n"] | None, age_s: Float[ndarray, "n"]
     ) -> Bool[ndarray, "n"]:
-        """Actors that change their pseudonyms of their own accord.
+        """Actors that change their pseudonyms in addition to the pseudonym policy.
 
         Parameters
         ----------
         trust
-            In each actor, as it last learned it; None where no attack reads it.
+            Trust in each actor, as the actor last received it. None if no attack reads it.
         age_s
-            Of each actor's present pseudonym.
+            Age of each actor's current pseudonym.
         """
         found = np.zeros(len(world), bool)
         for number, p in enumerate(self.params):
@@ -167,12 +173,14 @@ class Adversary:
     def active(
         self, state: AttackState, world: World, time_s: float, trust: Float[ndarray, "n"] | None = None
     ) -> Active:
-        """Attacks that have begun and have somebody to carry them out now; the state goes on.
+        """The attacks that at least one vehicle carries out in this step. The function updates `state`.
 
         Parameters
         ----------
+        time_s
+            Time since recording began.
         trust
-            In each actor, as it last learned it; None where no attack reads it.
+            Trust in each actor, as the actor last received it. None if no attack reads it.
         """
         found = []
         state.with_room(int(world.actor.max(initial=-1)) + 1)
@@ -211,7 +219,7 @@ class Adversary:
     def _on(
         self, state: AttackState, world: World, number: int, trust: Float[ndarray, "n"] | None
     ) -> Bool[ndarray, "n"]:
-        """Actors that would attack now, by `when`."""
+        """Actors that attack in this step according to the key `when`."""
         p = self.params[number]
         if p.when == "sporadic":
             key = rng.key(self.seed, rng.Stream.ATTACK_TIME, world.step)
@@ -228,7 +236,19 @@ class Adversary:
 
 
 def without_faults(listed: Detections, xyz_m: Float[ndarray, "w 3"]) -> tuple[Detections, Int[ndarray, "f"]]:
-    """The lists, sorted by key, without what cannot be sent; how many, by `DetectionFault`."""
+    """Drop the detections that cannot be sent.
+
+    Parameters
+    ----------
+    listed
+        Detections of all vehicles.
+    xyz_m
+        Positions of all actors by row of the world.
+
+    Returns
+    -------
+    The remaining detections, sorted by key, and the numbers of dropped ones, by `DetectionFault`.
+    """
     fault = faults(listed, xyz_m)
     n_dropped = np.bincount(fault[fault >= 0], minlength=len(DetectionFault))
     key = (listed.observer, listed.identity, listed.detection_index)

@@ -1,8 +1,8 @@
-"""What an attack is: hooks on what its vehicles send, and what it may know.
+"""Interface of attacks: methods that change what attackers send, and the information that they get.
 
-An attack is a class with a frozen dataclass `Params` (its own parameters, read from its `[[attacks]]` section), a
-constructor that takes one, and one or more of the hooks of `Attack`. It never sees what detections really are: only
-what its vehicles perceive, receive and know of the world's poses, as radio messages would tell them.
+An attack is a class with one or more of the methods of `Attack`. Its own parameters are a frozen dataclass `Params`,
+which is read from its `[[attacks]]` section and given to the constructor. An attack does not know which detections are
+true. It knows what its vehicles perceive and receive, and the poses of actors, as radio messages would tell them.
 """
 
 from dataclasses import dataclass, field, fields, replace
@@ -24,63 +24,64 @@ from sensors.line_of_sight import WallIndex
 
 @dataclass(frozen=True, slots=True)
 class AttackContext:
-    """What an attack knows in one step; N actors of the world."""
+    """What an attack knows in one step. N is the number of actors in the world."""
 
     world: World
-    """Poses of all actors; rows are what detections call observer."""
+    """Poses of all actors. `Detections.observer` is a row of it."""
     attacker: Bool[ndarray, "n"]
-    """Actors that carry out this attack now, by row of the world."""
+    """Actors that carry out this attack in this step, by row of the world."""
     time_s: float
-    """Since recording began [s]."""
+    """Time since recording began [s]."""
     seed: int
     number: int
     """Position of the attack in the config."""
     params: AttackParams = field(default_factory=AttackParams)
-    """Who, when, whom."""
+    """The keys that every `[[attacks]]` section has."""
     member: Bool[ndarray, "n"] = field(default_factory=lambda: np.zeros(0, bool))
-    """Actors of this attack, those included that are honest at the moment."""
+    """All actors of this attack, including those that are honest in this step."""
     ring: Int[ndarray, "n"] = field(default_factory=lambda: np.zeros(0, np.int64))
-    """Ring of colluders of each member; read only there."""
+    """Ring of colluders of each member. Values of other actors have no meaning."""
     n_active: Int[ndarray, "n"] = field(default_factory=lambda: np.zeros(0, np.int64))
-    """Messages that each attacker has sent since it began, or began again, this one not included."""
+    """Number of messages that each attacker has sent since it last began, without this one."""
     memory: dict[str, Any] = field(default_factory=dict)
-    """What the attack keeps from step to step, by names of its own."""
+    """What the attack stores between steps, under names of its choice."""
     walls: WallIndex | None = None
-    """Buildings, as every map shows them; None without any."""
+    """Walls of the buildings. None if there are none."""
     n_identities: Int[ndarray, "n"] = field(default_factory=lambda: np.zeros(0, np.int64))
-    """Identities beside its own under which each actor sends in this step; told to `detections` alone."""
+    """Number of identities under which each actor sends in this step, in addition to its own. Given to `detections`
+    only."""
 
     def uniforms(self, *names: ndarray, n: int = 1) -> Float[ndarray, "rows n"]:
-        """`n` uniforms in [0, 1) of this step for each row of names (`world.name_key`, detection indices, ...).
+        """Draw `n` uniforms in [0, 1) of this step for each row of names (`world.name_key`, detection indices, ...).
 
-        The same whatever else happens, so that switching an attack off changes no other draw.
+        They depend on the names, the step and the seed only, so that switching off an attack changes no other draw.
         """
         return rng.uniforms(rng.key(self.seed, Stream.ATTACK, self.world.step), np.uint64(self.number), *names, n=n)
 
     def lasting(self, *names: ndarray, n: int = 1) -> Float[ndarray, "rows n"]:
-        """`n` uniforms in [0, 1) for each row of names, the same in every step."""
+        """Draw `n` uniforms in [0, 1) for each row of names, the same in every step."""
         return rng.uniforms(rng.key(self.seed, Stream.ATTACK_LASTING), np.uint64(self.number), *names, n=n)
 
     def draw(self, stream: Stream, *names: ndarray, n: int = 1) -> Float[ndarray, "rows n"]:
-        """The same as `uniforms` from a stream of the attack's own."""
+        """Draw uniforms like `uniforms`, from another stream of random numbers."""
         return rng.uniforms(rng.key(self.seed, stream, self.world.step), *names, n=n)
 
     def name_key(self, rows: Int[ndarray, "r"]) -> UInt64[ndarray, "r"]:
-        """Names of actors by row, for draws."""
+        """Keys of the names of actors, by row of the world, for draws."""
         return self.world.name_key[rows]
 
     def own_rows(self, listed: Detections) -> Int[ndarray, "r"]:
-        """Detections of attackers, self reports included."""
+        """Rows of `listed` that are detections of attackers, self reports included."""
         return np.flatnonzero(self.attacker[listed.observer])
 
     def victims(self) -> tuple[Int[ndarray, "b"], Int[ndarray, "b"]]:
-        """Attackers that have a victim within range, and their victims; rows of the world."""
+        """Attackers that have a victim within range, and their victims, both as rows of the world."""
         rows = np.flatnonzero(self.attacker)
         draw = self.uniforms(self.name_key(rows))[:, 0] if self.params.victim == "random" else np.zeros(len(rows))
         return victims.victims(self.world, rows, self.params, draw, self.seed)
 
     def victim_of(self) -> Int[ndarray, "n"]:
-        """Victim of each actor, a row of the world; -1 for those without."""
+        """Victim of each actor as a row of the world; -1 if it has none."""
         attacker, victim = self.victims()
         found = np.full(len(self.world), -1)
         found[attacker] = victim
@@ -89,7 +90,7 @@ class AttackContext:
 
 @dataclass(frozen=True, slots=True)
 class EvaluationRows:
-    """M evaluations of one step before they are sent, by evaluator, then detection."""
+    """M evaluations of one step before they are sent, sorted by evaluator, then detection."""
 
     evaluator: Int[ndarray, "m"]
     """Row of the world."""
@@ -107,31 +108,31 @@ LOUDEST_DBM = 33.0
 
 @dataclass(frozen=True, slots=True)
 class Sending:
-    """How each actor sends its messages in a step; rows of the world."""
+    """How each actor sends its messages in a step, by row of the world."""
 
     delay_s: Float[ndarray, "n"]
-    """Added before its detection message is generated [s]."""
+    """Delay that is added before its detection message is generated [s]."""
     n_copies: Int[ndarray, "n"]
-    """Further copies of its detection message, on the air beside the first."""
+    """Number of copies of its detection message that it sends in addition to the first."""
     n_reports: Int[ndarray, "n"]
-    """Further copies of its report to the trust server."""
+    """Number of copies of its report to the trust server in addition to the first."""
     jam_dbm: Float[ndarray, "n"]
-    """Power of noise that it transmits all the time; -inf for none [dBm]."""
+    """Power of noise that it transmits all the time [dBm]; -inf for none."""
     react_dbm: Float[ndarray, "n"]
-    """Power of noise that it transmits while it detects a frame; -inf for none [dBm]."""
+    """Power of noise that it transmits while it detects a frame [dBm]; -inf for none."""
     ignores_dcc: Bool[ndarray, "n"]
     """Whether it sends without congestion control."""
 
     @staticmethod
     def plain(n: int) -> "Sending":
-        """At once, once, and by the rules of the channel."""
+        """Honest sending: without delay, without copies, and by the rules of the channel."""
         return Sending(
             delay_s=np.zeros(n), n_copies=np.zeros(n, np.int64), n_reports=np.zeros(n, np.int64),
             jam_dbm=np.full(n, -np.inf), react_dbm=np.full(n, -np.inf), ignores_dcc=np.zeros(n, bool),
         )  # fmt: skip
 
     def and_also(self, other: "Sending") -> "Sending":
-        """Both at a time; of two jammers the stronger."""
+        """Both attacks at the same time. Delays and copies add up; of two jamming powers the larger is used."""
         return Sending(
             delay_s=self.delay_s + other.delay_s,
             n_copies=self.n_copies + other.n_copies,
@@ -146,36 +147,38 @@ class Sending:
         return Sending(**{f.name: getattr(self, f.name)[rows] for f in fields(Sending)})
 
     def abuses_channel(self) -> Bool[ndarray, "n"]:
-        """Who jams, or sends without congestion control."""
+        """Actors that jam, or send without congestion control."""
         return self.ignores_dcc | (self.jam_dbm > -np.inf) | (self.react_dbm > -np.inf)
 
     def attacks(self) -> Bool[ndarray, "n"]:
-        """Who does anything of it."""
+        """Actors that do not send honestly."""
         return (self.delay_s > 0) | (self.n_copies > 0) | (self.n_reports > 0) | self.abuses_channel()
 
 
 class Attack(Protocol):
-    """The four hooks; a class may leave any of them out."""
+    """The four methods of an attack. A class has one or more of them."""
 
     def detections(self, listed: Detections, context: AttackContext) -> Detections:
-        """The lists as they will be sent: rows hidden (`transmitted` false), changed, or added by `fabricated`.
+        """The detection lists as they will be sent.
 
-        Only rows of `context.attacker` may differ, and no row may go.
+        Rows can be hidden (`transmitted` false), changed, or added with `fabricated`. Only detections of
+        `context.attacker` may differ, and no row may be removed.
         """
 
     def evaluations(
         self, rows: EvaluationRows, detections: Detections, context: AttackContext
     ) -> tuple[Float[ndarray, "m"], Float[ndarray, "m"]]:
-        """Evaluation and visibility as they will be sent."""
+        """Evaluation in [-1, 1] and visibility in [0, 1] of each row, as they will be sent."""
 
     def identities(self, context: AttackContext) -> Int[ndarray, "n"]:
-        """Identities beside its own under which each actor sends in this step; rows of the world.
+        """Number of identities under which each actor sends in this step, in addition to its own.
 
-        What it sends under them stands in `Detections.identity`, from 1; its evaluations go out under all of them.
+        The result is by row of the world. `Detections.identity` is the number of the identity that sends a detection,
+        from 1. The actor's evaluations are sent under all its identities.
         """
 
     def sending(self, context: AttackContext) -> Sending:
-        """How messages are sent."""
+        """How each actor sends its messages, by row of the world."""
 
 
 def fabricated(
@@ -183,19 +186,25 @@ def fabricated(
     target: Int[ndarray, "c"] | None = None, identity: Int[ndarray, "c"] | None = None,
     speed_mps: Float[ndarray, "c"] | None = None,
 ) -> Detections:  # fmt: skip
-    """The lists with fabricated detections added, numbered on from the last of each observer and identity.
+    """Add fabricated detections to the lists. Their indices continue those of each observer and identity.
 
     Parameters
     ----------
     observer
-        Row of the world of the vehicle that adds each, in any order.
+        Row of the world of the vehicle that adds each detection, in any order.
+    label
+        Class of each detection.
+    boxes
+        Boxes in the world frame.
+    score
+        Scores in [0, 1].
     target
-        Row of the world of the vehicle that each is meant for; left out, none in particular.
+        Row of the world of the vehicle that each detection aims at. If it is left out, there is no victim.
     identity
-        Under which it is sent, 0 (the vehicle's own) for all if not given. The first under another identity has
-        index 0: it is that identity's report of itself.
+        Identity under which each detection is sent. The default 0 is the vehicle's own. The first detection under
+        another identity has index 0 and is the self report of that identity.
     speed_mps
-        As claimed in such a report; not given otherwise.
+        Speed that such a self report claims. If it is left out, there is none.
     """
     n = len(observer)
     identity = np.zeros(n, np.int64) if identity is None else identity
@@ -219,7 +228,17 @@ def fabricated(
 def placed(
     world: World, row: Int[ndarray, "c"], ahead_m: ndarray, left_m: ndarray, turned_rad: ndarray
 ) -> tuple[Float[ndarray, "c 3"], Float[ndarray, "c"]]:
-    """Places and headings relative to actors: metres ahead of and left of the centre, radians from its heading."""
+    """Positions and headings relative to actors, in the world frame.
+
+    Parameters
+    ----------
+    row
+        Actor, as a row of the world.
+    ahead_m, left_m
+        Distances ahead of and to the left of the actor's centre.
+    turned_rad
+        Angle from the actor's heading, counter-clockwise.
+    """
     yaw = world.boxes.yaw_rad[row]
     c, s = np.cos(yaw), np.sin(yaw)
     xyz = world.boxes.xyz_m[row].copy()
@@ -231,16 +250,20 @@ def placed(
 def per_actor(
     context: AttackContext, name: str, rows: Bool[ndarray, "n"], values: Float[ndarray, "..."] | float
 ) -> Float[ndarray, "n ..."]:
-    """A number (or several) that an attack keeps for each actor: `values` are kept now for the actors of `rows`.
+    """Store one number or several for some actors, and return the stored numbers of all actors.
 
     Parameters
     ----------
+    name
+        Name under which the numbers are stored in `context.memory`.
+    rows
+        Actors of the world for which `values` are stored in this step.
     values
-        One for all, or one per actor of the world.
+        One value for all, or one per actor of the world.
 
     Returns
     -------
-    What is kept for each actor of the world; 0 where nothing is.
+    The stored numbers of each actor of the world; 0 if nothing is stored.
     """
     actor, shape = context.world.actor, np.shape(values)[1:]
     kept = context.memory.get(name, np.zeros((0, *shape)))
@@ -259,7 +282,7 @@ def wrapped(angle_rad: Float[ndarray, "n"]) -> Float[ndarray, "n"]:
 def certified(
     rows: EvaluationRows, detections: Detections, context: AttackContext
 ) -> tuple[Float[ndarray, "m"], Float[ndarray, "m"]]:
-    """Evaluations in which attackers vouch for what they fabricated themselves: evaluation and visibility 1 [1]_.
+    """Evaluations in which attackers confirm what they fabricated themselves: evaluation and visibility 1 [1]_.
 
     References
     ----------

@@ -1,4 +1,4 @@
-"""All attacks that ship, by name."""
+"""All attacks that are included, by name."""
 
 from collections.abc import Mapping
 
@@ -37,4 +37,4 @@ ATTACKS: Mapping[str, type] = {
     "delay": radio.Delay,
     "server_flooding": radio.ServerFlooding,
 }
-"""Attacks at hand, by the config's name."""
+"""Classes of the included attacks, by their name in the config."""

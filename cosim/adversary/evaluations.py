@@ -16,11 +16,11 @@ Reported = tuple[Float[ndarray, "m"], Float[ndarray, "m"]]
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class IdentitiesParams:
-    """Under how many identities evaluations go out."""
+    """Number of identities under which evaluations are sent."""
 
     n_identities: Annotated[int, Ge(1), Le(20)] = 1
-    """Identities under which each attacker sends its evaluations, its own included: a Sybil attack, each with a
-    pseudonym and messages of its own. SCMS issues 20 certificates that are valid at once."""
+    """Number of identities under which each attacker sends its evaluations, including its own. More than 1 is a Sybil
+    attack: each identity has its own pseudonym and messages. SCMS issues 20 certificates that are valid at once."""
 
 
 class _WithIdentities:
@@ -32,17 +32,17 @@ class _WithIdentities:
         self.params = params
 
     def identities(self, context: AttackContext) -> Int[ndarray, "n"]:
-        """Those beside its own."""
+        """The identities in addition to its own."""
         return np.full(len(context.world), self.params.n_identities - 1)
 
 
 def _falsified(rows: EvaluationRows, chosen: Bool[ndarray, "m"], evaluation: ndarray | float) -> Reported:
-    """Chosen rows with another evaluation and full visibility."""
+    """All rows, the chosen ones with the given evaluation and full visibility."""
     return np.where(chosen, evaluation, rows.evaluation), np.where(chosen, 1.0, rows.visibility)
 
 
 def _of_others(rows: EvaluationRows, detections: Detections, context: AttackContext) -> tuple[ndarray, ndarray]:
-    """Rows by attackers about others, and the observer of each row."""
+    """Whether each row is an attacker's evaluation of another vehicle, and the observer of each row."""
     observer = detections.observer[rows.detection]
     return context.attacker[rows.evaluator] & (observer != rows.evaluator), observer
 
@@ -54,19 +54,19 @@ def _accomplices(rows: EvaluationRows, observer: Int[ndarray, "m"], context: Att
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class BadMouthingParams(IdentitiesParams):
-    """Whom it denies."""
+    """Which vehicles it denies."""
 
     only_victim: bool = False
-    """Deny the detections of the victim alone; else of all who are no accomplices."""
+    """Whether only detections of the victim are denied. If false, those of all vehicles but accomplices are denied."""
 
 
 class BadMouthing(_WithIdentities):
-    """Detections of others are denied: evaluation -1 and visibility 1; accomplices are spared."""
+    """Denies the detections of other vehicles, except accomplices: evaluation -1 and visibility 1."""
 
     Params = BadMouthingParams
 
     def evaluations(self, rows: EvaluationRows, detections: Detections, context: AttackContext) -> Reported:
-        """Rows about others denied."""
+        """The rows, with evaluations of others denied."""
         chosen, observer = _of_others(rows, detections, context)
         chosen &= ~_accomplices(rows, observer, context)
         if self.params.only_victim:  # type: ignore[attr-defined]
@@ -75,21 +75,21 @@ class BadMouthing(_WithIdentities):
 
 
 class BallotStuffing(_WithIdentities):
-    """Whatever accomplices detect or make up is confirmed: evaluation 1 and visibility 1."""
+    """Confirms all detections of accomplices, true or fabricated: evaluation 1 and visibility 1."""
 
     def evaluations(self, rows: EvaluationRows, detections: Detections, context: AttackContext) -> Reported:
-        """Rows about accomplices confirmed."""
+        """The rows, with evaluations of accomplices confirmed."""
         chosen, observer = _of_others(rows, detections, context)
         return _falsified(rows, chosen & _accomplices(rows, observer, context), 1.0)
 
 
 class Collusion(_WithIdentities):
-    """A ring confirms its members and denies all others: ballot stuffing and bad-mouthing."""
+    """The members of a ring confirm each other and deny all others: ballot stuffing and bad-mouthing."""
 
     Params = BadMouthingParams
 
     def evaluations(self, rows: EvaluationRows, detections: Detections, context: AttackContext) -> Reported:
-        """Rows about others, for or against."""
+        """The rows, with evaluations of others confirmed or denied."""
         chosen, observer = _of_others(rows, detections, context)
         friends = _accomplices(rows, observer, context)
         denied = np.ones(len(friends), bool)
@@ -100,29 +100,30 @@ class Collusion(_WithIdentities):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class DiscriminationParams(IdentitiesParams):
-    """Who is treated unfairly."""
+    """Which vehicles are denied."""
 
     group_p: Annotated[float, Ge(0), Le(1)] = 0.3
-    """Share of the vehicles that form the group, decided from their names, the same for all attackers."""
+    """Share of the vehicles in the group that is denied. It is drawn from their names, and all attackers deny the same
+    group."""
 
 
 class Discrimination(_WithIdentities):
-    """Honest to most, and bad-mouthing towards one group, so that opinions of the attacker differ."""
+    """Denies the detections of one group and is honest to all others, so that opinions about the attacker differ."""
 
     Params = DiscriminationParams
 
     def evaluations(self, rows: EvaluationRows, detections: Detections, context: AttackContext) -> Reported:
-        """Rows about the group denied."""
+        """The rows, with evaluations of the group denied."""
         chosen, observer = _of_others(rows, detections, context)
         group = context.lasting(context.world.name_key)[:, 0] < self.params.group_p  # type: ignore[attr-defined]
         return _falsified(rows, chosen & group[observer], -1.0)
 
 
 class RandomEvaluations(_WithIdentities):
-    """Evaluations drawn from U(-1, 1) with full visibility, about all others."""
+    """Evaluates all other vehicles at random: evaluations from U(-1, 1) with full visibility."""
 
     def evaluations(self, rows: EvaluationRows, detections: Detections, context: AttackContext) -> Reported:
-        """Rows about others drawn."""
+        """The rows, with evaluations of others drawn."""
         chosen, _ = _of_others(rows, detections, context)
         at = np.flatnonzero(chosen)
         detection = rows.detection[at]
@@ -136,15 +137,15 @@ class RandomEvaluations(_WithIdentities):
 
 
 class MajorityCopying(_WithIdentities):
-    """It does not look itself, but reports what most others report of each detection, with their weight.
+    """Reports the mean evaluation of the other vehicles for each detection, with their mean visibility.
 
     Notes
     -----
-    Deviations: it knows all evaluations of the same step, as if it waited until all were in.
+    Deviations: the attacker knows all evaluations of the same step, as if it waited for all of them.
     """
 
     def evaluations(self, rows: EvaluationRows, detections: Detections, context: AttackContext) -> Reported:
-        """Rows replaced by the mean of the others, where there are any; else left out (visibility 0)."""
+        """The rows, replaced by the mean of other vehicles. If there is none, visibility is 0."""
         chosen, _ = _of_others(rows, detections, context)
         n = len(detections)
         honest = ~context.attacker[rows.evaluator] & (rows.evaluator != detections.observer[rows.detection])
@@ -161,27 +162,28 @@ class MajorityCopying(_WithIdentities):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ReplayedEvaluationsParams(IdentitiesParams):
-    """How old evaluations are."""
+    """Age of the evaluations."""
 
     n_messages: Annotated[int, Gt(0), Le(10_000)] = 10
-    """Every evaluation is one of the attacker's own of so many messages ago."""
+    """Age of the attacker's own evaluations that it sends, in messages."""
 
 
 class ReplayedEvaluations(_WithIdentities):
-    """Old evaluations sent again, as if they were of what is received now.
+    """Sends old evaluations again, as if they were about the detections that are received now.
 
-    Of the attacker's own evaluations of that time in which it could see, the one of the same sender and detection index
-    is sent; where there is none, one of the same sender, else any, by chance.
+    The attacker uses its own evaluations of that time with visibility above 0. It sends the one of the same sender and
+    detection index. If there is none, it sends a random one of the same sender, or else a random one of any sender.
 
     Notes
     -----
-    Deviations: in the first messages the oldest evaluations are repeated; an attacker without any sends what it makes.
+    Deviations: the first messages repeat the oldest evaluations. An attacker without old evaluations sends its present
+    ones.
     """
 
     Params = ReplayedEvaluationsParams
 
     def evaluations(self, rows: EvaluationRows, detections: Detections, context: AttackContext) -> Reported:
-        """Rows replaced by old ones."""
+        """The rows, with evaluations of others replaced by old ones."""
         chosen, observer = _of_others(rows, detections, context)
         actor, at = context.world.actor.astype(np.int64), np.flatnonzero(chosen)
         detection = rows.detection[at]
@@ -196,7 +198,7 @@ class ReplayedEvaluations(_WithIdentities):
             context.name_key(rows.evaluator[at]), context.name_key(observer[at]), index
         )[:, 0]  # fmt: skip
         source = np.full(len(at), -1)
-        for n_columns in (3, 2, 1):  # as much of (evaluator, sender, detection) as is the same
+        for n_columns in (3, 2, 1):  # the number of equal columns of (evaluator, sender, detection)
             left = np.flatnonzero(source < 0)
             source[left] = _one_of(old_key[:, :n_columns], key[left, :n_columns], draw[left])
         e, phi = rows.evaluation.copy(), rows.visibility.copy()
@@ -206,7 +208,7 @@ class ReplayedEvaluations(_WithIdentities):
 
 
 def _one_of(old: Int[ndarray, "o c"], key: Int[ndarray, "k c"], draw: Float[ndarray, "k"]) -> Int[ndarray, "k"]:
-    """A row of `old` that equals each key, chosen by a uniform; -1 where none does."""
+    """For each key, a row of `old` that equals it, chosen by a uniform in [0, 1); -1 if there is none."""
     _, which = np.unique(np.concatenate([old, key]), axis=0, return_inverse=True)
     group, wanted = np.split(which.reshape(-1), [len(old)])
     order = np.argsort(group, kind="stable")

@@ -1,4 +1,4 @@
-"""Own detections withheld or falsified: position, heading, size, class, score."""
+"""Attacks that withhold or falsify the attacker's own detections: position, heading, size, class, score."""
 
 from dataclasses import dataclass, replace
 from typing import Annotated, Literal
@@ -16,18 +16,18 @@ from sensors.boxes import iou_3d
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RemovalParams:
-    """What is withheld."""
+    """Which detections are withheld."""
 
     remove_p: Annotated[float, Ge(0), Le(1)] = 1.0
-    """Chance, per own detection and message, that it is withheld."""
+    """Probability that an own detection is withheld from a message."""
     only_victim: bool = False
-    """Withhold what matches the victim alone."""
+    """Whether only detections that match the victim are withheld."""
     min_iou: Annotated[float, Ge(0), Le(1)] = 0.1
-    """With only_victim: own detections of which more than this overlaps the victim are withheld; AdvCP's value."""
+    """With `only_victim`: an own detection is withheld if its IoU with the victim is larger. The default is AdvCP's."""
 
 
 class Removal:
-    """Own detections withheld; the report of oneself is not (AdvCP's object removal, for late fusion)."""
+    """Withholds own detections, but not the self report (AdvCP's object removal, for late fusion)."""
 
     Params = RemovalParams
 
@@ -35,7 +35,7 @@ class Removal:
         self.params = params
 
     def detections(self, listed: Detections, context: AttackContext) -> Detections:
-        """Rows hidden."""
+        """The lists, with the chosen rows not transmitted."""
         p, world = self.params, context.world
         rows = context.own_rows(listed)
         rows = rows[(listed.origin[rows] != SELF) & (listed.origin[rows] != FABRICATED)]
@@ -51,14 +51,14 @@ class Removal:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class FalsifiedParams:
-    """Which own rows are falsified."""
+    """Which own content is falsified."""
 
     content: Literal["detections", "self_report", "all"] = "detections"
-    """Detections of others, the vehicle's report of itself, or both."""
+    """Content that is falsified: `detections` of other objects, the `self_report`, or `all`."""
 
 
 def _rows(listed: Detections, context: AttackContext, content: str) -> Int[ndarray, "r"]:
-    """Own rows of attackers to falsify."""
+    """Rows of attackers that are falsified."""
     rows = context.own_rows(listed)
     is_self = listed.origin[rows] == SELF
     wanted = {"detections": ~is_self, "self_report": is_self, "all": np.ones(len(rows), bool)}[content]
@@ -66,7 +66,7 @@ def _rows(listed: Detections, context: AttackContext, content: str) -> Int[ndarr
 
 
 def _moved(listed: Detections, rows: Int[ndarray, "r"], by_m: Float[ndarray, "r 2"]) -> Detections:
-    """The lists with these rows moved."""
+    """The lists, with these rows moved."""
     xyz = listed.boxes.xyz_m.copy()
     xyz[rows, :2] += by_m
     return replace(listed, boxes=replace(listed.boxes, xyz_m=xyz))
@@ -77,11 +77,11 @@ class OffsetParams(FalsifiedParams):
     """How far positions are shifted."""
 
     offset: Literal["constant", "random"] = "constant"
-    """constant: one shift per attacker, for good; random: another one for every detection and message."""
+    """`constant`: one shift per attacker for the whole run. `random`: a new shift for every detection and message."""
     min_m: Annotated[float, Ge(0), Le(1000)] = 20.0
-    """Smallest shift per axis [m]; default as in NextGen."""
+    """Smallest shift per axis [m]. The default is NextGen's."""
     max_m: Annotated[float, Gt(0), Le(1000)] = 70.0
-    """Largest shift per axis [m]; default as in NextGen."""
+    """Largest shift per axis [m]. The default is NextGen's."""
 
     def __post_init__(self) -> None:
         if self.min_m > self.max_m:
@@ -89,12 +89,12 @@ class OffsetParams(FalsifiedParams):
 
 
 class Offset:
-    """Positions shifted by +-U(min_m, max_m) on each axis, either sign equally likely (NextGen).
+    """Shifts positions by +-U(min_m, max_m) on each axis; both signs are equally likely (NextGen).
 
     Notes
     -----
-    Deviations: NextGen shifts the sender's own position; here `content` says what is shifted, and the default is what
-    collective perception adds, the detections.
+    Deviations: NextGen shifts the sender's own position. Here `content` selects what is shifted, and the default is the
+    detections.
     """
 
     Params = OffsetParams
@@ -103,7 +103,7 @@ class Offset:
         self.params = params
 
     def detections(self, listed: Detections, context: AttackContext) -> Detections:
-        """Rows moved."""
+        """The lists, with falsified positions."""
         p = self.params
         rows = _rows(listed, context, p.content)
         names = context.name_key(listed.observer[rows])
@@ -117,16 +117,16 @@ class Offset:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class DriftParams(FalsifiedParams):
-    """How fast positions drift away."""
+    """Speed and limit of the drift."""
 
     speed_mps: Annotated[float, Gt(0), Le(100)] = 0.5
-    """Shift gained per second of attack [m/s]."""
+    """Growth of the shift per second of attack [m/s]."""
     max_m: Annotated[float, Gt(0), Le(1000)] = 20.0
     """Largest shift [m]."""
 
 
 class Drift:
-    """Positions that drift away slowly, each attacker's in a direction of its own, from the true place on."""
+    """Shifts positions slowly away from the true ones, in a direction that is drawn for each attacker."""
 
     Params = DriftParams
 
@@ -134,7 +134,7 @@ class Drift:
         self.params = params
 
     def detections(self, listed: Detections, context: AttackContext) -> Detections:
-        """Rows moved by as much as has built up since the attack began."""
+        """The lists, with positions shifted by the drift since the attack began."""
         p = self.params
         rows = _rows(listed, context, p.content)
         observer = listed.observer[rows]
@@ -146,10 +146,10 @@ class Drift:
 
 
 class Mirror:
-    """Own detections mirrored to the other side of the vehicle's own axis: oncoming traffic in its own lane."""
+    """Mirrors own detections to the other side of the vehicle's longitudinal axis: oncoming traffic is in its lane."""
 
     def detections(self, listed: Detections, context: AttackContext) -> Detections:
-        """Rows mirrored: left and right, and the heading with them."""
+        """The lists, with positions and headings mirrored."""
         rows = _rows(listed, context, "detections")
         poses = context.world.boxes
         own = listed.observer[rows]
@@ -164,14 +164,14 @@ class Mirror:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class HeadingParams(FalsifiedParams):
-    """How headings are turned."""
+    """Angle by which headings are turned."""
 
     turn_deg: Annotated[float, Ge(-180), Le(180)] = 30.0
-    """Added to every heading, counter-clockwise [deg]; default as in VASP."""
+    """Angle that is added to every heading, counter-clockwise [deg]. The default is VASP's."""
 
 
 class Heading:
-    """Headings turned (VASP)."""
+    """Turns headings (VASP)."""
 
     Params = HeadingParams
 
@@ -179,7 +179,7 @@ class Heading:
         self.params = params
 
     def detections(self, listed: Detections, context: AttackContext) -> Detections:
-        """Rows turned."""
+        """The lists, with falsified headings."""
         rows = _rows(listed, context, self.params.content)
         yaw = listed.boxes.yaw_rad.copy()
         yaw[rows] = wrapped(yaw[rows] + np.radians(self.params.turn_deg))
@@ -188,14 +188,14 @@ class Heading:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SizeParams(FalsifiedParams):
-    """How sizes are changed."""
+    """Factor on the sizes."""
 
     factor: Annotated[float, Gt(0), Le(100)] = 2.0
-    """Length, width and height are multiplied by it; boxes keep standing on the ground."""
+    """Factor on length, width and height. The bottom of a box stays where it is."""
 
 
 class Size:
-    """Boxes made larger or smaller."""
+    """Makes boxes larger or smaller."""
 
     Params = SizeParams
 
@@ -203,7 +203,7 @@ class Size:
         self.params = params
 
     def detections(self, listed: Detections, context: AttackContext) -> Detections:
-        """Rows scaled."""
+        """The lists, with falsified sizes."""
         rows = _rows(listed, context, self.params.content)
         lwh, xyz = listed.boxes.lwh_m.copy(), listed.boxes.xyz_m.copy()
         xyz[rows, 2] += lwh[rows, 2] * (self.params.factor - 1) / 2
@@ -212,10 +212,10 @@ class Size:
 
 
 class Classification:
-    """Classes changed: cars become pedestrians, and everything else becomes a car; the boxes stay."""
+    """Changes classes: cars become pedestrians, and all other objects become cars. Boxes are unchanged."""
 
     def detections(self, listed: Detections, context: AttackContext) -> Detections:
-        """Rows of another class."""
+        """The lists, with falsified classes."""
         rows = _rows(listed, context, "detections")
         label = listed.label.copy()
         car = LABELS.index("car")
@@ -225,14 +225,14 @@ class Classification:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ScoreParams(FalsifiedParams):
-    """What confidence is claimed."""
+    """The score that is claimed."""
 
     claimed: Annotated[float, Ge(0), Le(1)] = 0.05
-    """Score of every row."""
+    """Score of every falsified detection."""
 
 
 class Score:
-    """Confidence falsified: low, so that true objects are not believed, or high, so that false positives are."""
+    """Falsifies scores: low ones, so that true objects are not believed, or high ones, so that false positives are."""
 
     Params = ScoreParams
 
@@ -240,7 +240,7 @@ class Score:
         self.params = params
 
     def detections(self, listed: Detections, context: AttackContext) -> Detections:
-        """Rows with the claimed score."""
+        """The lists, with the claimed score."""
         rows = _rows(listed, context, self.params.content)
         score = listed.score.copy()
         score[rows] = self.params.claimed

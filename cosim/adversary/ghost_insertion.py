@@ -1,4 +1,4 @@
-"""Ghost insertion: objects that are not there, in front of a victim."""
+"""Ghost insertion: reported objects in front of a victim that do not exist."""
 
 from dataclasses import dataclass
 from typing import Annotated, Literal
@@ -20,29 +20,29 @@ GHOSTS = {
     "car_and_pedestrian": ((CAR, 0.0, 0.0), (PEDESTRIAN, 0.0, -2.0)),
     "three_cars": ((CAR, 0.0, 0.0), (CAR, 0.0, 4.0), (CAR, 7.0, 2.0)),
 }
-"""Per shape of the attack: class, metres beyond `ahead_m`, metres to the victim's left."""
+"""For each value of `ghosts`, its objects: class, metres beyond `ahead_m`, metres to the victim's left."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class GhostInsertionParams:
-    """What is inserted, and how far ahead of the victim (keys victim, victim_id, victim_range_m)."""
+    """The inserted objects and their distance. The keys that begin with `victim` choose the victim."""
 
     ghosts: Literal["car_and_pedestrian", "car", "three_cars"] = "car_and_pedestrian"
-    """Objects inserted in front of the victim, oncoming."""
+    """Oncoming objects that are inserted in front of the victim."""
     ahead_m: Annotated[float, Gt(0), Le(1000)] = 8.0
-    """Distance of the inserted object ahead of the victim's centre [m]."""
+    """Distance from the victim's centre to the first inserted object, straight ahead [m]."""
 
 
 class GhostInsertion:
-    """A car (and a pedestrian, or two more cars) in front of a victim in every message [1]_.
+    """Inserts a car (and a pedestrian, or two more cars) in front of a victim in every message [1]_.
 
-    A ghost car is as large as the attacker's own and oncoming; the score is 1. The attacker vouches for its ghosts:
-    evaluation and visibility 1.
+    A ghost car is oncoming, has the size of the attacker's own car, and has score 1. The attacker confirms its ghosts
+    with evaluation 1 and visibility 1.
 
     Notes
     -----
-    Deviations: ghosts have detection indices of their own (the published code re-used those of real detections); in
-    the paper all attackers aim at one ego vehicle, in a city each aims at its nearest neighbour by default.
+    Deviations: ghosts have detection indices of their own, while the published code re-used those of real detections.
+    In the paper all attackers aim at one ego vehicle. In a city each aims at its nearest neighbour by default.
 
     References
     ----------
@@ -55,7 +55,7 @@ class GhostInsertion:
         self.params = params
 
     def detections(self, listed: Detections, context: AttackContext) -> Detections:
-        """The ghosts added."""
+        """The lists, with the ghosts added."""
         p, world = self.params, context.world
         attacker, victim = context.victims()
         ghosts = GHOSTS[p.ghosts]
@@ -72,5 +72,5 @@ class GhostInsertion:
     def evaluations(
         self, rows: EvaluationRows, detections: Detections, context: AttackContext
     ) -> tuple[ndarray, ndarray]:
-        """The ghosts vouched for."""
+        """The rows, with the attacker's own ghosts confirmed."""
         return certified(rows, detections, context)

@@ -1,4 +1,4 @@
-"""More objects that are not there: an approaching vehicle, and content that was true elsewhere or before."""
+"""Further attacks with false objects: an approaching vehicle, a hidden one, and old or copied detections."""
 
 from dataclasses import dataclass, replace
 from typing import Annotated
@@ -18,41 +18,41 @@ from sensors.scene import Scene, Shape
 
 
 class Vouched:
-    """Attacks whose vehicles vouch for what they fabricate: evaluation and visibility 1."""
+    """Base of attacks whose vehicles confirm what they fabricate: evaluation 1 and visibility 1."""
 
     def evaluations(
         self, rows: EvaluationRows, detections: Detections, context: AttackContext
     ) -> tuple[ndarray, ndarray]:
-        """The fabricated vouched for."""
+        """The rows, with the attacker's own fabricated detections confirmed."""
         return certified(rows, detections, context)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ApproachingGhostParams:
-    """How a ghost comes nearer."""
+    """Distances of the approaching ghost."""
 
     from_m: Annotated[float, Gt(0), Le(1000)] = 60.0
-    """Distance ahead of the victim's centre in the attacker's first message [m]."""
+    """Distance from the victim's centre in the attacker's first message, straight ahead [m]."""
     step_m: Annotated[float, Ge(0.001), Le(1000)] = 5.0
-    """Nearer by this in every further message [m]."""
+    """Decrease of the distance per message [m]."""
     to_m: Annotated[float, Gt(0), Le(1000)] = 5.0
-    """At this distance it begins anew [m]."""
+    """Smallest distance [m]. After it, the ghost begins again at `from_m`."""
 
     def __post_init__(self) -> None:
         if self.to_m >= self.from_m:
             raise ValueError(
                 f"attacks.to_m = {self.to_m:g} m is not below attacks.from_m = {self.from_m:g} m, where the ghost "
-                "begins. Lower it."
+                "begins. Set a smaller attacks.to_m."
             )
 
 
 class ApproachingGhost(Vouched):
-    """An oncoming car that comes nearer to a victim with every message, as in VASP (5 m per message).
+    """Inserts an oncoming car that comes nearer to a victim with every message, as in VASP (5 m per message).
 
     Notes
     -----
-    Deviations: the distance is to the victim's place at the time of the message; the car is 4.5 x 2 x 1.6 m, as in
-    AdvCP.
+    Deviations: the distance is measured from the victim's position at the time of the message. The car measures
+    4.5 x 2 x 1.6 m, as in AdvCP.
     """
 
     Params = ApproachingGhostParams
@@ -61,7 +61,7 @@ class ApproachingGhost(Vouched):
         self.params = params
 
     def detections(self, listed: Detections, context: AttackContext) -> Detections:
-        """One ghost for each attacker with a victim."""
+        """The lists, with one ghost for each attacker that has a victim."""
         p, world = self.params, context.world
         attacker, victim = context.victims()
         n_places = int(np.floor((p.from_m - p.to_m) / p.step_m)) + 1
@@ -74,45 +74,46 @@ class ApproachingGhost(Vouched):
 
 
 CAR_LWH_M = (4.5, 2.0, 1.6)
-"""Ghost car of AdvCP [m]."""
+"""Length, width and height of AdvCP's ghost car [m]."""
 SENSOR_ABOVE_ROOF_M = 0.23
-"""Height of sensors above the roof, as an attacker assumes it [m]."""
+"""Height of sensors above the roof that an attacker assumes [m]."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class GhostInShadowParams:
-    """Where nobody looks."""
+    """Places at which the attacker searches."""
 
     n_angles: Annotated[int, Ge(1), Le(360)] = 12
-    """Directions around the attacker in which it searches, evenly spaced from straight ahead."""
+    """Number of directions around the attacker in which it searches, evenly spaced, beginning straight ahead."""
     distances_m: tuple[float, ...] = (15.0, 30.0, 45.0)
-    """Distances from the attacker at which it searches [m], in the order of preference."""
+    """Distances from the attacker at which it searches, in order of preference [m]."""
     seen_within_m: Annotated[float, Gt(0), Le(1000)] = 75.0
-    """Other equipped vehicles this near to a place may evaluate what stands there [m]: `area.range_m` and the length of
-    a car."""
+    """Distance within which other equipped vehicles may see the place [m]. The default is `area.range_m` plus the
+    length of a car."""
     clear_m: Annotated[float, Ge(0), Le(100)] = 5.0
-    """Least distance from the centres of real actors [m]."""
+    """Smallest distance of the ghost from the centres of real actors [m]."""
 
     def __post_init__(self) -> None:
         if not self.distances_m or not all(0 < d <= 1000 for d in self.distances_m):
             raise ValueError(
-                f"attacks.distances_m = {list(self.distances_m)}: give one distance or more, above 0 and up to 1000 m."
+                f"attacks.distances_m = {list(self.distances_m)}: give at least one distance, above 0 and up to 1000 m."
             )
 
 
 class GhostInShadow(Vouched):
-    """A car that is not there, at a place that no other equipped vehicle can see.
+    """Inserts a car at a place that no other equipped vehicle can see.
 
-    Of the places around it the attacker takes the first, nearest distance and straight ahead first, that lies outside
-    buildings and clear of real actors, and that no other equipped vehicle within `seen_within_m` has in line of sight:
-    buildings or the bodies of third actors cut the line from the sensor to the middle of the ghost. Where there is no
-    such place it adds nothing. Trust that counts no unseen detections (`trust.unseen = "skip"`) has no evidence against
-    such a ghost; with `trust.unseen = "zero"` it counts as 0.
+    The attacker searches places around it, in the order of `distances_m` and beginning straight ahead. It takes the
+    first place that is outside buildings, is far enough from real actors, and is not in line of sight of another
+    equipped vehicle within `seen_within_m`. Buildings and the bodies of other actors obstruct the line from the sensor
+    to the centre of the ghost. If there is no such place, the attacker adds nothing. With `trust.unseen = "skip"`
+    there is no evidence against such a ghost. With `trust.unseen = "zero"` it counts as 0.
 
     Notes
     -----
-    Deviations: ours. The attacker knows where all equipped vehicles around are, as their self reports tell, and the
-    buildings, as a map does; it does not use that sensors look ahead alone. The car is 4.5 x 2 x 1.6 m, as in AdvCP.
+    Deviations: this attack has no source. The attacker knows the positions of all equipped vehicles from their self
+    reports, and the buildings from a map. It does not use the sensors' fields of view. The car measures
+    4.5 x 2 x 1.6 m, as in AdvCP.
     """
 
     Params = GhostInShadowParams
@@ -121,7 +122,7 @@ class GhostInShadow(Vouched):
         self.params = params
 
     def detections(self, listed: Detections, context: AttackContext) -> Detections:
-        """One ghost for each attacker that finds a place."""
+        """The lists, with one ghost for each attacker that finds a place."""
         world, n_angles = context.world, self.params.n_angles
         attackers = np.flatnonzero(context.attacker)
         n_places = n_angles * len(self.params.distances_m)
@@ -140,7 +141,7 @@ class GhostInShadow(Vouched):
     def _hidden(
         self, context: AttackContext, row: Int[ndarray, "c"], xyz_m: Float[ndarray, "c 3"]
     ) -> Bool[ndarray, "c"]:
-        """Places that are free, and that no equipped vehicle but the attacker, a row of the world, can see."""
+        """Whether each place is free, and no equipped vehicle but the attacker can see it. `row` is the attacker."""
         world, n = context.world, len(context.world)
         actors, places = cKDTree(world.boxes.xyz_m[:, :2]), cKDTree(xyz_m[:, :2])
         hidden = np.ones(len(xyz_m), bool)
@@ -153,7 +154,7 @@ class GhostInShadow(Vouched):
         place, viewer = near["i"].astype(np.int64), near["j"].astype(np.int64)
         looks = hidden[place] & world.equipped[viewer] & (viewer != row[place])
         place, viewer = place[looks], viewer[looks]
-        # The places as flat bodies under the middle of the ghosts: lines end above their tops, and they hide nothing.
+        # Places are flat bodies below the centres of the ghosts. Lines end above their tops, so that they hide nothing.
         thin_m = CAR_LWH_M[2] / 2 - SENSOR_ABOVE_ROOF_M
         flat = Boxes(
             xyz_m - [0.0, 0.0, CAR_LWH_M[2] / 2 - thin_m / 2], np.tile([0.1, 0.1, thin_m], (len(xyz_m), 1)),
@@ -167,23 +168,24 @@ class GhostInShadow(Vouched):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ReplayParams:
-    """What is said again."""
+    """Which detections are replayed."""
 
     n_objects: Annotated[int, Gt(0), Le(255)] = 6
-    """Detections replayed in each message; NextGen replays 4 to 8 messages."""
+    """Number of detections that are replayed in each message. NextGen replays 4 to 8 messages."""
     age_s: Annotated[float, Gt(0), Le(1e4)] = 5.0
-    """How old they are at most [s]; default as in NextGen."""
+    """Largest age of replayed detections [s]. The default is NextGen's."""
     range_m: Annotated[float, Gt(0), Le(10_000)] = 400.0
-    """Largest distance from the attacker to those who made them [m]; default as in NextGen."""
+    """Largest distance from the attacker to the vehicles that made them [m]. The default is NextGen's."""
 
 
 class Replay(Vouched):
-    """Others' detections of the last seconds, sent again as the attacker's own of now.
+    """Sends other vehicles' detections of the last seconds again, as the attacker's own present detections.
 
     Notes
     -----
-    Deviations: NextGen replays whole messages; here it is detections, of senders within range in the oldest step within
-    `age_s`, sender and detection by chance. It is not asked whether the attacker received them.
+    Deviations: NextGen replays whole messages, while this attack replays single detections. They come from senders that
+    were within range in the oldest step within `age_s`. Sender and detection are drawn at random. The attacker need not
+    have received them.
     """
 
     Params = ReplayParams
@@ -192,7 +194,7 @@ class Replay(Vouched):
         self.params = params
 
     def detections(self, listed: Detections, context: AttackContext) -> Detections:
-        """Rows of an earlier step added to the attackers' lists."""
+        """The lists, with detections of an earlier step added to those of attackers."""
         p, world = self.params, context.world
         xy = world.boxes.xyz_m[:, :2]
         past = context.memory.setdefault("past", [])
@@ -235,16 +237,16 @@ def _scaled(draw: Float[ndarray, "n"], below: Int[ndarray, "n"]) -> Int[ndarray,
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class StaleParams:
-    """How old content is."""
+    """Age of the content."""
 
     n_messages: Annotated[int, Ge(1), Le(10_000)] = 60
-    """Every message has the content of the one that was due so many messages ago; default as in F2MD."""
+    """Age of the content of every message, in messages. The default is F2MD's."""
 
 
 class Stale(Vouched):
-    """Old content: what the attacker perceived some messages ago, itself included, sent as of now [F2MD].
+    """Sends old content as new: what the attacker perceived some messages ago, including its own pose (F2MD).
 
-    Before there are so many messages, the oldest is sent.
+    The first messages have the content of the oldest one.
     """
 
     Params = StaleParams
@@ -253,7 +255,7 @@ class Stale(Vouched):
         self.params = params
 
     def detections(self, listed: Detections, context: AttackContext) -> Detections:
-        """Own rows hidden, old ones added; the self report stands where the vehicle was then."""
+        """The lists, with own detections replaced by old ones, and the self report by the old pose."""
         world = context.world
         rows = np.flatnonzero(context.member[listed.observer] & (listed.identity == 0))
         past = context.memory.setdefault("past", [])
@@ -285,7 +287,7 @@ class Stale(Vouched):
 
 
 def _oldest(past: list, actor: ndarray) -> tuple[Detections, ndarray] | None:
-    """The oldest list of each of these actors that is remembered, and whose it is."""
+    """The oldest stored list of each of these actors, and the actor of each row."""
     left, parts, by = actor, [], []
     for listed, of in past:
         here = np.isin(of, left)

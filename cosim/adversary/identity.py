@@ -1,4 +1,4 @@
-"""Attacks with several identities at once. Whitewashing and newcomers: the key `renewal` of every section."""
+"""Attacks with several identities at once. For whitewashing and newcomers, see the key `renewal` of every section."""
 
 from dataclasses import dataclass
 from typing import Annotated
@@ -17,30 +17,30 @@ from sensors.boxes import Boxes
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SybilParams:
-    """How many ghosts, and where."""
+    """Number and positions of the ghost vehicles."""
 
     n_ghosts: Annotated[int, Gt(0), Le(20)] = 5
-    """Ghost vehicles per attacker, each with a pseudonym and messages of its own; F2MD has 5, NextGen 4 to 6. SCMS
-    issues 20 certificates that are valid at once."""
+    """Number of ghost vehicles per attacker, each with its own pseudonym and messages. F2MD uses 5, NextGen 4 to 6.
+    SCMS issues 20 certificates that are valid at once."""
     spacing_m: Annotated[float, Gt(0), Le(1000)] = 5.0
-    """Between two ghosts along the road [m]; default as in F2MD."""
+    """Distance between two ghosts along the road [m]. The default is F2MD's."""
     aside_m: Annotated[float, Ge(0), Le(1000)] = 2.0
-    """Ghosts stand to the left of the attacker and to its right, in turn [m]; default as in F2MD."""
+    """Distance of the ghosts to the left and to the right of the attacker, in turn [m]. The default is F2MD's."""
     agree: bool = True
-    """Ghosts confirm each other and the attacker: evaluation and visibility 1."""
+    """Whether ghosts confirm each other and the attacker, with evaluation 1 and visibility 1."""
 
 
 class Sybil:
-    """Traffic that is not there: ghosts beside and behind the attacker, each of which reports itself.
+    """Simulates ghost vehicles beside and behind the attacker, each of which reports itself.
 
-    Every ghost is a vehicle to all receivers: its own pseudonym, its own detection message with itself as detection 0,
-    its own evaluation message. They stand to the attacker's left and right, the first pair abreast of it, each further
-    pair `spacing_m` behind, with its heading and its speed.
+    To receivers every ghost is a vehicle. It has its own pseudonym, its own detection message with itself as detection
+    0, and its own evaluation message. Ghosts are to the attacker's left and right. The first pair is beside it, and
+    each further pair is `spacing_m` behind. They have the attacker's heading and speed.
 
     Notes
     -----
-    Deviations: ghosts report nothing but themselves; their evaluations are the attacker's own, but for what the ghosts
-    say of each other. All are sent by the attacker's one radio, so that they share its reception.
+    Deviations: ghosts report only themselves. Their evaluations are the attacker's, except those of each other. The
+    attacker's radio sends all messages, so that they share its reception.
     """
 
     Params = SybilParams
@@ -49,11 +49,11 @@ class Sybil:
         self.params = params
 
     def identities(self, context: AttackContext) -> Int[ndarray, "n"]:
-        """One for each ghost."""
+        """One identity for each ghost."""
         return np.full(len(context.world), self.params.n_ghosts)
 
     def detections(self, listed: Detections, context: AttackContext) -> Detections:
-        """The ghosts' reports of themselves."""
+        """The lists, with the self reports of the ghosts added."""
         p, world = self.params, context.world
         attackers = np.flatnonzero(context.attacker)
         number = np.tile(np.arange(p.n_ghosts), len(attackers))
@@ -70,7 +70,7 @@ class Sybil:
     def evaluations(
         self, rows: EvaluationRows, detections: Detections, context: AttackContext
     ) -> tuple[ndarray, ndarray]:
-        """What belongs to the attacker, confirmed."""
+        """The rows, with the attacker's own ghosts confirmed."""
         own = context.attacker[rows.evaluator] & (detections.observer[rows.detection] == rows.evaluator)
         own &= self.params.agree & (detections.origin[rows.detection] == FABRICATED)
         return np.where(own, 1.0, rows.evaluation), np.where(own, 1.0, rows.visibility)

@@ -1,4 +1,4 @@
-"""Attacks on the channel and on the way to the trust server: copies, jamming, delay, flooding."""
+"""Attacks on the channel and on the link to the trust server: copies, jamming, delay, flooding."""
 
 from dataclasses import dataclass, replace
 from typing import Annotated, Literal
@@ -11,22 +11,23 @@ from cosim.adversary.attack import LOUDEST_DBM, AttackContext, Sending
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class DenialOfServiceParams:
-    """How many copies."""
+    """Number of copies."""
 
     n_copies: Annotated[int, Gt(0), Le(1000)] = 100
-    """Further copies of every detection message; the default is ours. F2MD sends at four times the rate (3 copies),
-    which a channel with messages of 1 Hz does not notice."""
+    """Number of copies of every detection message in addition to the first. The default has no source. F2MD sends at
+    four times the rate (3 copies), which has no effect on a channel with messages at 1 Hz."""
     ignores_dcc: bool = True
-    """Send without congestion control, which would spread the copies over more time than a round has."""
+    """Whether the attacker sends without congestion control. With it, the copies would need more time than a round."""
 
 
 class DenialOfService:
-    """Copies of the own detection message, each a frame of its own on the channel that all share.
+    """Sends copies of the own detection message, each as a frame on the shared channel.
 
     Notes
     -----
-    Deviations: a receiver that gets several copies counts the first (they carry one signature and one time); what
-    copies do is load the channel. Copies are generated at random times of the round's first half, as the message is.
+    Deviations: a receiver uses only the first of several copies, because they have the same signature and time. The
+    effect of copies is the load on the channel. Like the message, copies are generated at random times in the first
+    half of the round.
     """
 
     Params = DenialOfServiceParams
@@ -35,7 +36,7 @@ class DenialOfService:
         self.params = params
 
     def sending(self, context: AttackContext) -> Sending:
-        """Copies beside the first."""
+        """Sending with copies."""
         p, attacker = self.params, context.attacker
         plain = Sending.plain(len(context.world))
         return replace(plain, n_copies=np.where(attacker, p.n_copies, 0), ignores_dcc=attacker & p.ignores_dcc)
@@ -43,27 +44,27 @@ class DenialOfService:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class JammingParams:
-    """How the channel is jammed."""
+    """Mode and power of the jammer."""
 
     mode: Literal["constant", "reactive"] = "constant"
-    """constant: noise all the time; reactive: noise only while the jammer detects a frame of another station."""
+    """`constant`: noise all the time. `reactive`: noise only while the jammer detects a frame of another station."""
     power_dbm: Annotated[float, Ge(-20), Le(LOUDEST_DBM)] = 23.0
-    """Power of the noise, antenna gain included [dBm]; the default is that of a station."""
+    """Power of the noise, including the antenna gain [dBm]. The default is the power of a station."""
 
 
 class Jamming:
-    """Noise on the channel: the noise floor rises at all stations that the jammer reaches.
+    """Transmits noise on the channel, which raises the noise floor at all stations that it reaches.
 
-    Frames that are too weak against it are lost: their preamble is not detected, or their payload has errors. Both
-    count as lost by interference (`n_lost_collision`).
+    Frames that are too weak are lost: their preamble is not detected, or their payload has errors. Both count as lost
+    by interference (`n_lost_collision`).
 
     Notes
     -----
-    The noise arrives with the mean power of a frame of `power_dbm` over the same link: path loss, buildings, blockage
-    and shadowing, without fading. A reactive jammer disturbs the payload of frames that reach it with
-    `radio.receiver.detectable_dbm` or more on average; it is too late for the preamble.
-    Deviations: carrier sense and the channel busy ratio do not notice the noise, so that stations do not fall silent
-    near a constant jammer; the jammer itself goes on to send and receive. `radio.model = "csma"` only.
+    The noise has the mean received power of a frame of `power_dbm` over the same link: with path loss, buildings,
+    blockage and shadowing, without fading. A reactive jammer disturbs frames that reach it with a mean power of
+    `radio.receiver.detectable_dbm` or more. It disturbs their payload only, because it is too late for the preamble.
+    Deviations: carrier sense and the channel busy ratio ignore the noise, so that stations near a constant jammer still
+    send. The jammer itself still sends and receives. The attack needs `radio.model = "csma"`.
     """
 
     Params = JammingParams
@@ -72,7 +73,7 @@ class Jamming:
         self.params = params
 
     def sending(self, context: AttackContext) -> Sending:
-        """Noise beside the messages."""
+        """Sending with noise."""
         plain = Sending.plain(len(context.world))
         noise = np.where(context.attacker, self.params.power_dbm, -np.inf)
         if self.params.mode == "constant":
@@ -82,16 +83,16 @@ class Jamming:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class DelayParams:
-    """How late."""
+    """Length of the delay."""
 
     delay_s: Annotated[float, Ge(0), Le(10)] = 0.3
-    """Added before the detection message goes on the air [s]. A message that then ends after the round
-    (radio.timeout_s) is not sent any more; with rounds of 0.4 s, generation in their first half and the default, which
-    is ours, that is every second one, and the others are 0.3 s late."""
+    """Delay before the detection message is transmitted [s]. A message whose transmission would end after the round
+    (`radio.timeout_s`) is not sent. Messages are generated in the first half of a round. With rounds of 0.4 s and the
+    default, half of them are not sent, and the others are 0.3 s late. The default has no source."""
 
 
 class Delay:
-    """Detection messages held back: true content that arrives late (`generation_offset_s`) or, too late, is lost
+    """Delays detection messages. Their true content arrives late (`generation_offset_s`), or is too late and lost
     (`n_lost_expired`)."""
 
     Params = DelayParams
@@ -100,27 +101,27 @@ class Delay:
         self.params = params
 
     def sending(self, context: AttackContext) -> Sending:
-        """Later."""
+        """Sending with a delay."""
         plain = Sending.plain(len(context.world))
         return replace(plain, delay_s=np.where(context.attacker, self.params.delay_s, 0.0))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ServerFloodingParams:
-    """How many reports."""
+    """Number of reports."""
 
     n_reports: Annotated[int, Gt(0), Le(100_000)] = 10_000
-    """Further copies of every report to the trust server; with the default, which is ours, one attacker sends more than
-    a cell of 3.5 MB/s takes."""
+    """Number of copies of every report to the trust server in addition to the first. With the default, one attacker
+    exceeds the capacity of a cell of 3.5 MB/s. The default has no source."""
 
 
 class ServerFlooding:
-    """Copies of the own report to the trust server, so that the cell has no capacity left for others.
+    """Sends copies of the own report to the trust server, so that the cell has no capacity left for other vehicles.
 
     Notes
     -----
-    Through roadside units reports are what was broadcast, once: there is nothing to flood. Which reports a full cell
-    takes is chance, for copies as for others. A copy adds no evidence.
+    The attack has no effect with roadside units, because they forward the one message that was broadcast. A full cell
+    accepts reports in random order, copies included. A copy adds no evidence.
     """
 
     Params = ServerFloodingParams
@@ -129,6 +130,6 @@ class ServerFlooding:
         self.params = params
 
     def sending(self, context: AttackContext) -> Sending:
-        """Reports beside the first."""
+        """Sending with copies of the report."""
         plain = Sending.plain(len(context.world))
         return replace(plain, n_reports=np.where(context.attacker, self.params.n_reports, 0))

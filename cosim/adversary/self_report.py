@@ -1,4 +1,4 @@
-"""What a vehicle falsifies about its own motion: speed, braking, stopping."""
+"""Attacks that falsify the vehicle's own motion in its self report: speed, braking, stopping."""
 
 from dataclasses import dataclass, replace
 from typing import Annotated
@@ -13,7 +13,7 @@ from cosim.v2x.messages import SELF, Detections
 
 
 def _selves(listed: Detections, chosen: Bool[ndarray, "n"]) -> Int[ndarray, "r"]:
-    """Self reports of these actors, rows of the world."""
+    """Rows of `listed` that are self reports of the chosen actors. `chosen` is by row of the world."""
     return np.flatnonzero(chosen[listed.observer] & (listed.origin == SELF))
 
 
@@ -27,12 +27,12 @@ def _told(
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SpeedParams:
-    """How wrong the speed is."""
+    """Error of the speed."""
 
     min_mps: Annotated[float, Ge(0), Le(100)] = 1.0
-    """Smallest error [m/s]; default as in NextGen."""
+    """Smallest error [m/s]. The default is NextGen's."""
     max_mps: Annotated[float, Gt(0), Le(100)] = 7.0
-    """Largest error [m/s]; default as in NextGen."""
+    """Largest error [m/s]. The default is NextGen's."""
 
     def __post_init__(self) -> None:
         if self.min_mps > self.max_mps:
@@ -42,7 +42,8 @@ class SpeedParams:
 
 
 class Speed:
-    """A wrong speed: +-U(min_mps, max_mps), drawn for every message, never below 0 (NextGen)."""
+    """Reports a wrong speed. The error is +-U(min_mps, max_mps), drawn for every message, and the speed is 0 or more
+    (NextGen)."""
 
     Params = SpeedParams
 
@@ -50,7 +51,7 @@ class Speed:
         self.params = params
 
     def detections(self, listed: Detections, context: AttackContext) -> Detections:
-        """Self reports with another speed."""
+        """The lists, with falsified speeds in self reports."""
         p, rows = self.params, _selves(listed, context.attacker)
         u = context.uniforms(context.name_key(listed.observer[rows]), n=2)
         error = (p.min_mps + (p.max_mps - p.min_mps) * u[:, 0]) * np.where(u[:, 1] < 0.5, -1.0, 1.0)
@@ -60,14 +61,14 @@ class Speed:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class BrakingParams:
-    """How hard the feigned braking is."""
+    """Strength of the feigned braking."""
 
     min_factor: Annotated[float, Gt(0), Le(100)] = 2.0
-    """Smallest factor; default as in NextGen."""
+    """Smallest factor on the deceleration. The default is NextGen's."""
     max_factor: Annotated[float, Gt(0), Le(100)] = 4.0
-    """Largest factor; default as in NextGen."""
+    """Largest factor on the deceleration. The default is NextGen's."""
     least_mps2: Annotated[float, Gt(0), Le(100)] = 1.0
-    """Deceleration that is multiplied where the vehicle does not brake at all [m/s2]."""
+    """Deceleration that is multiplied if the vehicle brakes less than this or not at all [m/s2]."""
 
     def __post_init__(self) -> None:
         if self.min_factor > self.max_factor:
@@ -78,11 +79,11 @@ class BrakingParams:
 
 
 class Braking:
-    """Feigned braking: the vehicle's own deceleration times U(2, 4), as NextGen has it, for every message.
+    """Feigns braking: reports the vehicle's own deceleration times U(2, 4), drawn for every message (NextGen).
 
     Notes
     -----
-    Deviations: a vehicle that does not brake pretends to, from `least_mps2` on; the reported speed stays.
+    Deviations: a vehicle that does not brake multiplies `least_mps2`. The reported speed is unchanged.
     """
 
     Params = BrakingParams
@@ -91,7 +92,7 @@ class Braking:
         self.params = params
 
     def detections(self, listed: Detections, context: AttackContext) -> Detections:
-        """Self reports with another acceleration."""
+        """The lists, with falsified accelerations in self reports."""
         p, rows = self.params, _selves(listed, context.attacker)
         u = context.uniforms(context.name_key(listed.observer[rows]))[:, 0]
         factor = p.min_factor + (p.max_factor - p.min_factor) * u
@@ -101,14 +102,15 @@ class Braking:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class StopParams:
-    """When a vehicle pretends to stop."""
+    """Beginning of the feigned stop."""
 
     stop_p: Annotated[float, Ge(0), Le(1)] = 0.05
-    """Chance, per message, that it begins to pretend; from then on it does. Default as in NextGen; 1 stops at once."""
+    """Probability per message that the feigned stop begins. It then lasts. The default is NextGen's; 1 stops at
+    once."""
 
 
 class Stop:
-    """A sudden or eventual stop: speed 0, at the place where it begins, for good (NextGen, F2MD)."""
+    """Feigns a stop: from its beginning, reports speed 0 at the same position (NextGen, F2MD)."""
 
     Params = StopParams
 
@@ -116,7 +118,7 @@ class Stop:
         self.params = params
 
     def detections(self, listed: Detections, context: AttackContext) -> Detections:
-        """Self reports that stay where they were."""
+        """The lists, with self reports that stay at the position of the stop."""
         world, attacker = context.world, context.attacker
         begins = context.uniforms(world.name_key)[:, 0] < self.params.stop_p
         anew = attacker & (context.n_active == 0)

@@ -1,4 +1,4 @@
-"""A faulty reporter: it loses detections of its own, and adds copies at wrong places."""
+"""A faulty vehicle that loses own detections and adds copies at wrong places."""
 
 from dataclasses import dataclass, replace
 from typing import Annotated
@@ -15,14 +15,14 @@ from sensors.boxes import Boxes
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class UnreliableParams:
-    """How much is lost and added."""
+    """Probabilities of losses and of copies."""
 
     add_p: Annotated[float, Ge(0), Le(1)] = 0.1
-    """Chance, per own detection, that a copy is added somewhere in the forward view."""
+    """Probability that a copy of an own detection is added somewhere in the forward view."""
     remove_p: Annotated[float, Ge(0), Le(1)] = 0.1
-    """Chance, per own detection, that it is not transmitted."""
+    """Probability that an own detection is not transmitted."""
     add_range_m: Annotated[float, Gt(0), Le(1000)] = 70.0
-    """Farthest that a copy is added [m]."""
+    """Largest distance of a copy [m]."""
 
 
 class Unreliable:
@@ -30,7 +30,7 @@ class Unreliable:
 
     Notes
     -----
-    Deviations: the published code's unreliable behaviour had no effect; here it works as the paper says. Copies have
+    Deviations: the published code's unreliable behaviour had no effect. Here it works as in the paper. Copies have
     detection indices of their own.
 
     References
@@ -44,7 +44,7 @@ class Unreliable:
         self.params = params
 
     def detections(self, listed: Detections, context: AttackContext) -> Detections:
-        """Some hidden, some copied."""
+        """The lists, with some own detections not transmitted and some copied."""
         p, world = self.params, context.world
         faulty = np.flatnonzero(context.attacker[listed.observer])
         own = listed.take(faulty)
@@ -64,5 +64,5 @@ class Unreliable:
     def evaluations(
         self, rows: EvaluationRows, detections: Detections, context: AttackContext
     ) -> tuple[ndarray, ndarray]:
-        """Its copies vouched for, as the published code has it."""
+        """The rows, with the vehicle's own copies confirmed, as in the published code."""
         return certified(rows, detections, context)

@@ -1,4 +1,4 @@
-"""Whom each attacker aims at."""
+"""The victim of each attacker."""
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt64
@@ -15,14 +15,16 @@ Pairs = tuple[Int[ndarray, "b"], Int[ndarray, "b"]]
 def victims(
     world: World, attackers: Int[ndarray, "a"], params: AttackParams, draw: Float[ndarray, "a"], seed: int
 ) -> Pairs:
-    """Attackers that have a victim within range, and their victims; rows of the world.
+    """Attackers that have a victim within range, and their victims, both as rows of the world.
 
     Parameters
     ----------
+    attackers
+        Rows of the world.
     draw
-        A uniform in [0, 1) for each attacker; read with `victim = "random"` alone.
+        A uniform in [0, 1) for each attacker, used only with `victim = "random"`.
     seed
-        Of the run; read with `victim = "designated"` alone.
+        Seed of the run, used only with `victim = "designated"`.
     """
     aims = _eligible(world, params, seed)
     if not len(aims) or not len(attackers):
@@ -33,7 +35,7 @@ def victims(
     k = min(2, len(aims))
     distance, near = cKDTree(xy[aims]).query(xy[attackers], k=k)
     nearest, distance = aims[near].reshape(-1, k), distance.reshape(-1, k)
-    other = np.where(nearest[:, 0] == attackers, 1, 0)  # the attacker itself is at distance 0, mostly first
+    other = np.where(nearest[:, 0] == attackers, 1, 0)  # the attacker itself is at distance 0 and usually first
     there = other < k
     pick = np.arange(len(attackers)), np.minimum(other, k - 1)
     within = there & (distance[pick] <= params.victim_range_m)
@@ -41,12 +43,12 @@ def victims(
 
 
 def designated(seed: int, name_key: UInt64[ndarray, "n"], victim_p: float) -> Bool[ndarray, "n"]:
-    """Which actors are victims under `victim = "designated"`, if they are equipped and no attackers."""
+    """Which actors are victims with `victim = "designated"`, provided that they are equipped and do not attack."""
     return rng.uniforms(rng.key(seed, rng.Stream.VICTIM), name_key)[:, 0] < victim_p
 
 
 def _eligible(world: World, params: AttackParams, seed: int) -> Int[ndarray, "v"]:
-    """Equipped vehicles that may be victims, ascending."""
+    """Equipped vehicles that may be victims, as ascending rows of the world."""
     equipped = np.flatnonzero(world.equipped)
     if params.victim == "one":
         return equipped[world.name_key[equipped] == rng.name_key("vehicle/" + params.victim_id)]
@@ -64,7 +66,7 @@ def _random(
     xy: Float[ndarray, "n 2"], attackers: Int[ndarray, "a"], aims: Int[ndarray, "v"], range_m: float,
     draw: Float[ndarray, "a"],
 ) -> Pairs:  # fmt: skip
-    """One of those within range, all equally likely."""
+    """A random victim within range of each attacker. All are equally likely."""
     near = cKDTree(xy[attackers]).sparse_distance_matrix(cKDTree(xy[aims]), range_m, output_type="ndarray")
     a, v = near["i"], near["j"]
     order = np.lexsort((v, a))

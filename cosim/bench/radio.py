@@ -6,7 +6,7 @@ import numpy as np
 from numpy import ndarray
 
 from cosim import rng
-from cosim.radio.channel import AccessParams, Packets, run_window
+from cosim.radio.channel import AccessParams, ChannelRules, Packets, run_window
 from cosim.radio.channel_state import ChannelState
 from cosim.radio.csma import CsmaMedium, without_cache
 from cosim.radio.link_budget import links_between, neighbours, pairs_within
@@ -73,12 +73,13 @@ def _network(xyz: ndarray, los: LosOfPlaces, params: PropagationParams) -> tuple
     """Seconds of one network step, of the event loop alone, and links."""
     n, key = len(xyz), np.arange(1, len(xyz) + 1, dtype=np.uint64)
     state, whole, events = ChannelState.start(), [], []
+    rules = ChannelRules(np.uint64(2), ReceiverParams(), AccessParams())
     for window in range(_ROUNDS):
         packets, until_ns = packets_of(n, window), (window + 1) * WINDOW_NS
         begin = thread_time()
         links, _, _ = links_between(xyz, key, params, np.uint64(1), los)
         middle = thread_time()
-        state, _ = run_window(state, links, packets, until_ns, np.uint64(2), ReceiverParams(), AccessParams())
+        state, _ = run_window(state, links, packets, until_ns, rules)
         end = thread_time()
         whole.append(end - begin)
         events.append(end - middle)

@@ -1,4 +1,4 @@
-"""What the commands print: tables and sentences for people, JSON for machines."""
+"""What the commands print: tables and sentences for people, JSON for programs."""
 
 import json
 import math
@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from results.run import Run
 
 _PIPED_WIDTH = 160
-"""Columns of tables where standard output is no terminal."""
-screen = Console(  # a user's names are shown as they are
+"""Width of tables, in characters, when standard output is not a terminal."""
+screen = Console(  # without markup, so that names from the user are shown unchanged
     markup=False, highlight=False, emoji=False,
     width=None if (sys.stdout is not None and sys.stdout.isatty()) or "COLUMNS" in os.environ else _PIPED_WIDTH,
 )  # fmt: skip
@@ -30,11 +30,14 @@ notes = Console(stderr=True, markup=False, highlight=False, emoji=False)
 
 TrustCode = Annotated[
     bool,
-    typer.Option("--trust-code", help="Load the classes that a folder's config names; such code has all your rights."),
+    typer.Option(
+        "--trust-code",
+        help="Allow the config in a folder to load its author's classes. Such code runs with all your rights.",
+    ),
 ]
 
 Get = Callable[[str], Mapping[str, float]]
-"""Values of a metric by group; empty where it has none."""
+"""Values of a metric by group; empty if the metric has no value."""
 GetRows = Callable[[str], Mapping[str, Mapping[str, Any]]]
 """Rows of `measure` of a metric by group: value, low, high, note."""
 
@@ -47,13 +50,16 @@ SUMMARY_METRICS = (
     "freshness.encounters_without_trust.share", "radio.pdr.all", "radio.pdr.cpm", "radio.pdr.evaluation",
     "radio.cbr.mean", "radio.pir.mean_s",
 )  # fmt: skip
-"""Metrics that the closing summary of a run is made of."""
+"""Metrics that the summary at the end of a run uses."""
 
 
 @contextmanager
 def progress() -> Iterator[Callable[[str, int, int, str], None]]:
-    """A bar per phase on a terminal, nothing elsewhere; a call says phase, done, total and a note."""
-    from rich.progress import (  # here, because most commands end before anything could be shown
+    """Progress bars on a terminal, one per phase; nothing is shown elsewhere.
+
+    The function that it yields takes the phase, the work done, the total and a note.
+    """
+    from rich.progress import (  # imported here because most commands show no progress
         BarColumn,
         MofNCompleteColumn,
         Progress,
@@ -83,9 +89,11 @@ def print_json(content: object) -> None:
 
 
 def print_run_summary(folder: Path, as_json: bool) -> "Run":
-    """What was driven and what came of it, in a few lines; the picture of trust over time is drawn beside.
+    """Print a summary of a run in a few lines, and draw trust over time into its folder.
 
-    Returns the run, which knows what of it could not be shown.
+    Returns
+    -------
+    The run. Its attribute `damage` lists what could not be shown.
     """
     from results.archive import open_run
     from results.figures import style, trust
@@ -127,7 +135,7 @@ def print_run_summary(folder: Path, as_json: bool) -> "Run":
 
 
 def _pictures(rows: GetRows, given: str) -> str:
-    """The command that draws a picture of what the run has; empty where it has nothing to draw."""
+    """A command that draws a figure of this run; empty if the run has nothing to draw."""
     for picture, metric in (("radio", "radio.pdr.all"), ("encounters", "encounters.n")):
         if rows(metric):
             return f"   cosim plot {picture} {given}"
@@ -135,7 +143,7 @@ def _pictures(rows: GetRows, given: str) -> str:
 
 
 def _summary(rows: GetRows, city: str) -> dict[str, list[str]]:
-    """Sentences by topic."""
+    """Sentences of the summary by topic."""
 
     def get(metric: str) -> Mapping[str, float]:
         return {group: row["value"] for group, row in rows(metric).items()}
@@ -196,12 +204,12 @@ def _trust(rows: GetRows) -> list[str]:
 
 
 def _a(word: str) -> str:
-    """A role with its article; the h of honest is silent."""
+    """A role with its article: an honest vehicle, a malicious one."""
     return f"{'an' if word.startswith(('a', 'e', 'i', 'o', 'u', 'honest')) else 'a'} {word}"
 
 
 def _comparison(role: str, row: Mapping[str, Any], when: str) -> str:
-    """What the area under the ROC curve says, with its interval; that it says nothing where this holds one half."""
+    """The area under the ROC curve in words. If its interval contains 0.5, it is no better than chance."""
     low, high = row["low"], row["high"]
     known = low == low and high == high
     text = f"an honest vehicle is trusted more than {_a(role)} one in {row['value']:.0%} of comparisons {when}"
@@ -252,7 +260,7 @@ def _radio(get: Get) -> list[str]:
 
 
 def print_metrics(as_json: bool) -> None:
-    """Every metric with its label, unit and definition."""
+    """Print every metric with its unit and definition."""
     from results.metrics.registry import METRICS, TOPICS
 
     if as_json:
@@ -269,7 +277,7 @@ def print_metrics(as_json: bool) -> None:
 
 
 def rows_of(table: Any) -> list[dict[str, object]]:
-    """Measures as plain rows; None for what is not known, and for the upper end of an interval without one."""
+    """Metrics as dictionaries. Values that are not finite become None, such as an unknown upper bound."""
     return [
         {name: None if isinstance(x, float) and not math.isfinite(x) else x for name, x in row.items()}
         for row in table.to_dict("records")
@@ -277,13 +285,13 @@ def rows_of(table: Any) -> list[dict[str, object]]:
 
 
 def plain(value: float) -> str:
-    """A number with three significant digits, all digits of a whole one, and no powers of ten."""
+    """A number as text: three significant digits, all digits of a whole number, no exponent."""
     whole = abs(value) >= 100 or (value == int(value) and abs(value) >= 2)
     return f"{value:,.0f}" if whole else f"{value:.3g}"
 
 
 def _interval(row: Mapping[str, Any]) -> str:
-    """The interval of a row of measures; empty where it has none."""
+    """The confidence interval of a metric as text; empty if it has none."""
     low, high = row.get("low"), row.get("high")
     if low is None or low != low:
         return ""
@@ -291,7 +299,7 @@ def _interval(row: Mapping[str, Any]) -> str:
 
 
 def table_of(title: str, rows: list[dict]) -> Table:
-    """Measures as a table for the screen."""
+    """Metrics as a table for the terminal."""
     name_column, value_column = Column("metric", no_wrap=True), Column("value", justify="right")
     noted = any(row.get("note") or _interval(row) for row in rows)
     more = (Column("95 %", justify="right"), "note") if noted else ()

@@ -1,4 +1,4 @@
-"""Commands for authors of extensions: `new` writes an example of a kind, `try` checks the laws of a class."""
+"""Commands for authors of extensions: `new` writes an example, `try` checks a class."""
 
 from collections.abc import Callable
 from importlib.resources import files
@@ -19,16 +19,16 @@ AsJson = Annotated[bool, typer.Option("--json", help="Print JSON on standard out
 
 
 def add_to(app: typer.Typer) -> None:
-    """The commands `new` and `try`."""
+    """Add the commands `new` and `try`."""
     app.command()(new)
     app.command("try")(try_)
 
 
 def new(
-    kind: Annotated[Kind, typer.Argument(help="What it shall be.")],
+    kind: Annotated[Kind, typer.Argument(help="The kind of extension.")],
     path: Annotated[Path, typer.Argument(metavar="NAME.py", help="File to write.")],
 ) -> None:
-    """Write a small working example of an extension, to be changed."""
+    """Write a small working example of an extension, which you then change."""
     if path.suffix != ".py":
         raise ValueError(f"{path}: the file of a class ends in .py. Write for example cosim new {kind} mine.py.")
     example = files("cosim.tryout.templates").joinpath(f"{kind}.py").read_text(encoding="utf-8")
@@ -45,7 +45,7 @@ def new(
 
 
 def _use(kind: str, name: str) -> str:
-    """How a class is used."""
+    """The command or the lines of a config that use a class."""
     from cosim.door.kinds import KINDS
 
     if kind == "exporter":
@@ -58,14 +58,18 @@ def _use(kind: str, name: str) -> str:
 
 
 def try_(
-    name: Annotated[str, typer.Argument(metavar="FILE:CLASS", help="Such as mine.py:Beta, or a choice that ships.")],
-    kind: Annotated[Kind | None, typer.Option(help="What the class is, where its methods do not say.")] = None,
+    name: Annotated[
+        str, typer.Argument(metavar="FILE:CLASS", help="A class such as mine.py:Beta, or the name of a shipped one.")
+    ],
+    kind: Annotated[
+        Kind | None, typer.Option(help="The kind of the class. Needed only if its methods do not tell.")
+    ] = None,
     sets: Annotated[
-        list[str] | None, typer.Option("--set", help="Change one of its parameters, key=value. Repeatable.")
+        list[str] | None, typer.Option("--set", help="Set one of its parameters, key=value. Repeatable.")
     ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Check a class of your own on a tiny scene: does it keep the laws of its interface? Exit status 1 if not."""
+    """Check on a tiny scene whether your class keeps the rules of its interface; exit status 1 if it does not."""
     from cosim.tryout.tryout import try_class
 
     report = try_class(name, kind, sets or [])
@@ -87,7 +91,7 @@ def try_(
 
 
 def own_metrics(names: list[str], sets: list[str]) -> "Callable[[Run], pd.DataFrame] | None":
-    """What measures the user's own metrics on a run; None without names."""
+    """A function that measures the user's own metrics on a run; None if no metric is named."""
     from cosim.config.single import from_command_line
     from cosim.door.guard import make
     from cosim.door.load import is_own

@@ -1,4 +1,4 @@
-"""Commands that write a run for other programs: data sets of other formats, a recording for a viewer."""
+"""Commands that write a run for other programs: data sets in their formats, and a recording for a viewer."""
 
 from pathlib import Path
 from typing import Annotated
@@ -11,7 +11,7 @@ AsJson = Annotated[bool, typer.Option("--json", help="Print JSON on standard out
 
 
 def add_to(app: typer.Typer) -> None:
-    """The commands `export` and `view`."""
+    """Add the commands `export` and `view`."""
     for command in (export, view):
         app.command()(command)
 
@@ -20,22 +20,27 @@ def export(
     form: Annotated[
         str,
         typer.Argument(
-            metavar="FORMAT", help="kitti, trupercept, opv2v, veremi, veremi-nextgen, or your own: mine.py:Name."
+            metavar="FORMAT", help="kitti, trupercept, opv2v, veremi, veremi-nextgen, or your own, mine.py:Name."
         ),
     ],
     folder: Annotated[Path, typer.Argument(metavar="RUN", help="Run folder.")],
-    out: Annotated[Path, typer.Option(help="New folder to write; an export that was interrupted goes on in its own.")],
+    out: Annotated[
+        Path, typer.Option(help="New folder to write. Name the folder of an interrupted export to continue it.")
+    ],
     vehicles: Annotated[
         str | None,
-        typer.Option(help="Vehicles with a LiDAR, such as 3,17,20-25; all by default. trupercept: ego first."),
+        typer.Option(
+            help="Vehicles with a LiDAR, such as 3,17,20-25. The default is all of them. For trupercept, the first "
+            "one is the ego."
+        ),
     ] = None,
-    steps: Annotated[str | None, typer.Option(help="Steps, such as 0-59; all by default.")] = None,
+    steps: Annotated[str | None, typer.Option(help="Steps, such as 0-59. The default is all of them.")] = None,
     sets: Annotated[
-        list[str] | None, typer.Option("--set", help="A parameter of your own exporter, key=value. Repeatable.")
+        list[str] | None, typer.Option("--set", help="Set a parameter of your own exporter, key=value. Repeatable.")
     ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Write a run in the layout that other tools read."""
+    """Write a run in a format that other tools read."""
     from cosim.offline.export import export as write
     from results.archive import open_run
 
@@ -53,16 +58,19 @@ def export(
 
 def view(
     folder: Annotated[Path, typer.Argument(metavar="RUN", help="Run folder.")],
-    out: Annotated[Path, typer.Option(help="File to write, .rrd; open it with `rerun FILE.rrd`.")],
+    out: Annotated[Path, typer.Option(help="File to write (.rrd). `rerun FILE.rrd` opens it.")],
     vehicles: Annotated[
-        list[int] | None, typer.Option("--vehicle", help="Show its clouds, detections and beliefs. Repeatable.")
+        list[int] | None,
+        typer.Option(
+            "--vehicle", help="Show this vehicle's point clouds, detections and believed objects. Repeatable."
+        ),
     ] = None,
-    from_s: Annotated[float, typer.Option("--from", help="Begin, in seconds.")] = 0.0,
-    to_s: Annotated[float | None, typer.Option("--to", help="End, in seconds.")] = None,
-    clouds: Annotated[bool, typer.Option(help="Point clouds of the vehicles shown.")] = True,
+    from_s: Annotated[float, typer.Option("--from", help="First simulated second to show.")] = 0.0,
+    to_s: Annotated[float | None, typer.Option("--to", help="Last simulated second to show.")] = None,
+    clouds: Annotated[bool, typer.Option(help="Include point clouds of the chosen vehicles.")] = True,
     as_json: AsJson = False,
 ) -> None:
-    """Write a run as a recording for the Rerun viewer: map, city in 3D, trust over time."""
+    """Write a run as a recording for the Rerun viewer, with a map, the city in 3D and trust over time."""
     from cosim.offline.view import view as write
     from results.archive import open_run
 

@@ -39,9 +39,9 @@ reproductions.add_to(app)
 interchange.add_to(app)
 extend.add_to(app)
 
-ConfigPath = Annotated[Path | None, typer.Argument(help="TOML file; without one, the shipped city.")]
+ConfigPath = Annotated[Path | None, typer.Argument(help="Config file (TOML). Without one, the default city is used.")]
 Overrides = Annotated[
-    list[str] | None, typer.Option("--set", help="Change one key, e.g. radio.range_m=150. Repeatable.")
+    list[str] | None, typer.Option("--set", help="Change one key of the config, e.g. radio.range_m=150. Repeatable.")
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON on standard output.")]
 RunPaths = Annotated[list[Path], typer.Argument(help="Folders that `cosim run` wrote.")]
@@ -66,7 +66,7 @@ Picture = Literal[
 
 @dataclass(slots=True)
 class _Debug:
-    """Whether tracebacks are printed."""
+    """Whether the program prints the traceback of an error."""
 
     is_on: bool = False
 
@@ -85,9 +85,9 @@ def options(
     version: Annotated[
         bool, typer.Option("--version", callback=_say_version, is_eager=True, help="Print the version and exit.")
     ] = False,
-    debug: Annotated[bool, typer.Option("--debug", help="Print the traceback of an error before its line.")] = False,
+    debug: Annotated[bool, typer.Option("--debug", help="Print the traceback before the error message.")] = False,
 ) -> None:
-    """Options of all commands."""
+    """Options that all commands have."""
     _debug.is_on = debug
 
 
@@ -95,11 +95,13 @@ def options(
 def run(
     config: ConfigPath = None,
     overrides: Overrides = None,
-    out: Annotated[Path | None, typer.Option(help="Folder to write; by default the next runs/<city>-N.")] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Run folder to write. The default is the next runs/<city>-N.")
+    ] = None,
     trust_code: TrustCode = False,
     as_json: AsJson = False,
 ) -> None:
-    """Simulate traffic, sensors, messages and trust; write a run folder."""
+    """Simulate traffic, sensors, messages and trust, and write a run folder."""
     from cosim.config.config import load
     from cosim.execution import run as running
     from cosim.execution.check import changed_since
@@ -114,11 +116,11 @@ def run(
 
 @app.command()
 def resume(
-    folder: Annotated[Path, typer.Argument(help="Folder of a run that was killed or interrupted.")],
+    folder: Annotated[Path, typer.Argument(help="Folder of a run that was interrupted or killed.")],
     trust_code: TrustCode = False,
     as_json: AsJson = False,
 ) -> None:
-    """Go on with a run from its last whole block; the tables are those of a run never interrupted."""
+    """Continue a run from its last complete block. The tables equal those of a run without interruption."""
     from cosim.execution import run as running
 
     with progress() as advance:
@@ -128,7 +130,7 @@ def resume(
 
 @app.command()
 def verify(runs: RunPaths, as_json: AsJson = False) -> None:
-    """Hold run folders against their inventories: nothing missing, changed or foreign; exit status 1 if anything is."""
+    """Check run folders for missing, changed or unexpected files; exit status 1 if there are any."""
     from results.verify import verify as verified
 
     found = {str(folder): verified(folder) for folder in runs}
@@ -151,7 +153,7 @@ def _conclude(folder: Path, as_json: bool) -> None:
     from cosim.execution.speed.allocator import give_back_freed_memory
 
     gc.collect()
-    give_back_freed_memory()  # what the run held would be on top of what its measures take
+    give_back_freed_memory()  # otherwise the memory of the run would add to the memory that the metrics take
     run = print_run_summary(folder, as_json)
     for remark in remarks(folder):
         notes.print(remark, soft_wrap=True)
@@ -159,7 +161,7 @@ def _conclude(folder: Path, as_json: bool) -> None:
 
 
 def _opened(folder: Path) -> "OpenRun":
-    """A run to be measured or drawn; what is unfinished is said."""
+    """Open a run to measure or draw it. A note says so when the run is unfinished."""
     from results.archive import open_run
 
     run = open_run(folder, unfinished=True)
@@ -169,7 +171,7 @@ def _opened(folder: Path) -> "OpenRun":
 
 
 def _say_damage(runs: Iterable["Run"]) -> None:
-    """What could not be shown because of damage; exit status 1 if there is any."""
+    """Print what could not be shown because files are damaged; exit with status 1 if there is any damage."""
     said = list(dict.fromkeys(line for run in runs for line in run.damage))
     for line in said:
         notes.print(f"error: {line}", soft_wrap=True)
@@ -181,7 +183,7 @@ def _say_damage(runs: Iterable["Run"]) -> None:
 def check(
     config: ConfigPath = None, overrides: Overrides = None, trust_code: TrustCode = False, as_json: AsJson = False
 ) -> None:
-    """Check whether a config would run, and print it resolved."""
+    """Check whether a config can run, and print it with all defaults filled in."""
     from cosim.config.config import load
     from cosim.execution import check as checking
     from cosim.execution.manifest import toml_text
@@ -199,26 +201,32 @@ def check(
 @app.command()
 def measure(
     runs: Annotated[list[Path] | None, typer.Argument(help="Folders that `cosim run` wrote.")] = None,
-    explain: Annotated[bool, typer.Option("--explain", help="List all metrics with their definitions.")] = False,
+    explain: Annotated[bool, typer.Option("--explain", help="List all metrics and their definitions.")] = False,
     metrics: Annotated[
         list[str] | None,
         typer.Option(
             "--metric",
-            help="run: show this metric of your own instead, mine.py:Name; study: show this metric, or METRIC:GROUP. "
-            "Repeatable.",
+            help="For runs: measure your own metric, mine.py:Name, and no other. For a study: show this metric, or "
+            "METRIC:GROUP. Repeatable.",
         ),
     ] = None,
     sets: Annotated[
-        list[str] | None, typer.Option("--set", help="A parameter of your own metric, key=value. Repeatable.")
+        list[str] | None, typer.Option("--set", help="Set a parameter of your own metric, key=value. Repeatable.")
     ] = None,
-    variant: Annotated[str, typer.Option(help="Trust variant of the runs; all: each beside the others.")] = "base",
+    variant: Annotated[
+        str, typer.Option(help="Trust variant to measure. `all` shows all variants side by side.")
+    ] = "base",
     csv: Annotated[Path | None, typer.Option("--csv", help="Write the metrics to this file.")] = None,
-    threshold: Annotated[float, typer.Option(min=0, max=1, help="Trust below which a vehicle is suspected.")] = 0.25,
-    fresh_s: Annotated[float, typer.Option(help="Oldest age at which trust counts as fresh, in seconds.")] = 10.0,
-    false_positives: Annotated[float, typer.Option(min=0, max=1, help="False positive rate to compare at.")] = 0.05,
+    threshold: Annotated[
+        float, typer.Option(min=0, max=1, help="A vehicle with less trust than this is suspected.")
+    ] = 0.25,
+    fresh_s: Annotated[float, typer.Option(help="Trust is fresh up to this age, in seconds.")] = 10.0,
+    false_positives: Annotated[
+        float, typer.Option(min=0, max=1, help="False positive rate at which recall is reported.")
+    ] = 0.05,
     as_json: AsJson = False,
 ) -> None:
-    """Print the metrics of runs; of a study, means over replicates with 95 % intervals and paired differences."""
+    """Print the metrics of runs. For a study, print means over replicates, 95 % intervals and paired differences."""
     if explain:
         print_metrics(as_json)
         return
@@ -248,39 +256,50 @@ def measure(
 
 @app.command()
 def plot(
-    what: Annotated[Picture, typer.Argument(help="Which figure.")],
+    what: Annotated[Picture, typer.Argument(help="The figure to draw.")],
     runs: RunPaths,
     out: Annotated[
-        Path | None, typer.Option(help="File to write: .png, .svg, .pdf; sweep: or .ply, .pcd, .pcd.txt, .bin, .npy.")
+        Path | None,
+        typer.Option(help="File to write: .png, .svg or .pdf. For sweep also .ply, .pcd, .pcd.txt, .bin or .npy."),
     ] = None,
     vehicles: Annotated[
         list[int] | None,
-        typer.Option("--vehicle", help="trust: draw this vehicle too. Repeatable. sweep, scene: whose cloud."),
+        typer.Option(
+            "--vehicle",
+            help="trust: also draw this vehicle. sweep, scene: draw this vehicle's point cloud. movie: follow this "
+            "vehicle. Repeatable for trust and scene.",
+        ),
     ] = None,
-    step: Annotated[int | None, typer.Option(help="sweep, scene: of which step.")] = None,
+    step: Annotated[int | None, typer.Option(help="sweep, scene: the step to draw.")] = None,
     over: Annotated[
-        str | None, typer.Option(help="Key on the axis, e.g. trust.freshness_s; of a study, or of runs by freshness.")
+        str | None,
+        typer.Option(help="Key on the x axis, e.g. trust.freshness_s, for a study, or for the figure freshness."),
     ] = None,
-    by: Annotated[str | None, typer.Option(help="study: swept key as colour.")] = None,
+    by: Annotated[str | None, typer.Option(help="study: one colour for each value of this swept key.")] = None,
     metrics: Annotated[
         list[str] | None, typer.Option("--metric", help="study: draw this metric, or METRIC:GROUP. Repeatable.")
     ] = None,
     where: Annotated[
-        list[str] | None, typer.Option(help="study: hold a swept key at a value, KEY=VALUE. Repeatable.")
+        list[str] | None, typer.Option(help="study: use only points with this value, KEY=VALUE. Repeatable.")
     ] = None,
-    variant: Annotated[str, typer.Option(help="Trust variant of the runs; all: each as a run of its own.")] = "base",
+    variant: Annotated[
+        str, typer.Option(help="Trust variant to draw. `all` draws each variant like a run of its own.")
+    ] = "base",
     threshold: Annotated[
-        float | None, typer.Option(min=0, max=1, help="freshness over a key: score from which a ghost is believed.")
+        float | None,
+        typer.Option(min=0, max=1, help="freshness with --over: a ghost with this score or more is believed."),
     ] = None,
-    radius_m: Annotated[float | None, typer.Option(help="map, contacts: which of the radii, in metres.")] = None,
-    pairs: Annotated[str | None, typer.Option(help="map, contacts: which of the kinds of pairs.")] = None,
+    radius_m: Annotated[float | None, typer.Option(help="map, contacts: radius of the encounters, in metres.")] = None,
+    pairs: Annotated[
+        str | None, typer.Option(help="map, contacts: pairs of the encounters, as encounters.pairs.")
+    ] = None,
 ) -> None:
-    """Draw a figure of one or several runs, or of a study over a swept key."""
+    """Draw a figure of one run, of several runs, or of a study over a swept key."""
     if studies.is_study(runs):
         studies.plot(what, runs[0], out, over, by, metrics or [], where or [])
         return
     if by or metrics or where:
-        raise ValueError("--by, --metric and --where go with a study. Leave them out.")
+        raise ValueError("--by, --metric and --where go with a study, and this is a run. Leave them out.")
     from inspect import signature
 
     from cosim.cli.side_by_side import of_variants
@@ -327,8 +346,8 @@ def plot(
 
 @app.command()
 def report(
-    folder: Annotated[Path, typer.Argument(help="Folder of a run or of a study.")],
-    out: Annotated[Path | None, typer.Option(help="File to write; by default report.html in the folder.")] = None,
+    folder: Annotated[Path, typer.Argument(help="Folder of a run or a study.")],
+    out: Annotated[Path | None, typer.Option(help="File to write. The default is report.html in the folder.")] = None,
 ) -> None:
     """Write one self-contained HTML page about a run or a study."""
     if studies.is_study([folder]):
@@ -346,15 +365,20 @@ def report(
 def bench(
     only: Annotated[
         list[str] | None,
-        typer.Argument(help="sensors, trust, radio, mobility, results, cycle, studies; or scale, alone."),
+        typer.Argument(
+            help="Components to measure: sensors, trust, radio, mobility, results, cycle, studies. Without any, all "
+            "of them. `scale` alone measures how the cost grows with the number of vehicles."
+        ),
     ] = None,
-    scenario: Annotated[str, typer.Option(help="scale: a city or .sumocfg, as traffic.scenario.")] = "helsinki",
-    trace: Annotated[str | None, typer.Option(help="scale: recorded traffic, as traffic.trace.")] = None,
-    vehicles: Annotated[str, typer.Option(help="scale: numbers of actors to crop to.")] = "250,500,1000,2000,5000",
+    scenario: Annotated[str, typer.Option(help="scale: a city or a .sumocfg, as in traffic.scenario.")] = "helsinki",
+    trace: Annotated[str | None, typer.Option(help="scale: recorded traffic, as in traffic.trace.")] = None,
+    vehicles: Annotated[
+        str, typer.Option(help="scale: numbers of actors; the city is cropped to each of them.")
+    ] = "250,500,1000,2000,5000",
     seconds: Annotated[int, typer.Option(min=1, max=3600, help="scale: simulated seconds to measure.")] = 5,
     as_json: AsJson = False,
 ) -> None:
-    """Measure the speed of every component on this machine."""
+    """Measure the speed of the components on this machine."""
     from cosim.bench.suite import BENCHES, machine, run, run_scale
 
     if only == ["scale"]:
@@ -377,7 +401,7 @@ def bench(
 
 
 def main(command: Callable[..., int | None] = app) -> None:
-    """Run what the command line asks for; a user's mistake is one line on standard error and exit status 2."""
+    """Run the command line. A mistake of the user ends in one line on standard error and exit status 2."""
     _open_standard_streams()
     status: int | None
     kernels = None
@@ -406,7 +430,7 @@ def main(command: Callable[..., int | None] = app) -> None:
         status = _say(f"{error.filename or 'output'}: {error.strerror or error}.", 1)
     try:
         sys.stdout.flush()
-    except OSError:  # it has no reader any more: the interpreter shall not try again
+    except OSError:  # nobody reads standard output any more; the interpreter must not flush it again at exit
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
     if kernels is not None:
         kernels.remove()
@@ -414,7 +438,7 @@ def main(command: Callable[..., int | None] = app) -> None:
 
 
 def _place_for_kernels() -> Scratch | None:
-    """A temporary folder for compiled kernels, where neither the installation nor the user's cache can be written."""
+    """A temporary folder for compiled kernels if neither the installation nor the user's cache is writable."""
     cache = Path(os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser()) / "numba"
     if "NUMBA_CACHE_DIR" in os.environ or any(map(can_hold_files, (Path(__file__).parents[1] / "__pycache__", cache))):
         return None
@@ -424,7 +448,7 @@ def _place_for_kernels() -> Scratch | None:
 
 
 def _say(message: str, status: int, error: BaseException | None = None) -> int:
-    """Print an error in one line, after its traceback where the user asked for it."""
+    """Print an error in one line, after its traceback if the user gave --debug; return the exit status."""
     if error is not None and _debug.is_on:
         traceback.print_exception(error)
     if message:
@@ -434,7 +458,7 @@ def _say(message: str, status: int, error: BaseException | None = None) -> int:
 
 
 def _open_standard_streams() -> None:
-    """Standard streams that were closed become the null device, so that no file takes their numbers."""
+    """Open closed standard streams on the null device, so that no other file gets their descriptors."""
     for number, name, mode in ((0, "stdin", "r"), (1, "stdout", "w"), (2, "stderr", "w")):
         try:
             os.fstat(number)

@@ -1,4 +1,4 @@
-"""The commands on cities: list, show and build."""
+"""The commands for cities: list, show and build."""
 
 from __future__ import annotations
 
@@ -21,23 +21,23 @@ if TYPE_CHECKING:
     from sumo_nets.footprints import Footprint
     from sumo_nets.sumo_package_nets import PackageNet
 
-nets = typer.Typer(no_args_is_help=True, help="Cities: those that ship, and your own.")
+nets = typer.Typer(no_args_is_help=True, help="List, show and build cities.")
 
 PICTURE = "city.png"
-"""Drawn into the folder of a city that is built."""
+"""Name of the map in the folder of a built city."""
 
-AsJson = Annotated[bool, typer.Option("--json", help="Answer in JSON on standard output.")]
+AsJson = Annotated[bool, typer.Option("--json", help="Print JSON on standard output.")]
 
 
 @nets.command("list")
 def list_(
     folders: Annotated[
         list[Path] | None,
-        typer.Argument(help="Folders with built cities; by default the current one."),
+        typer.Argument(help="Folders in which you built cities. The default is the current folder."),
     ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """List the shipped cities, those of SUMO's package, and those built here or one folder below."""
+    """List the shipped cities, the cities of SUMO's package, and the cities in a folder and its subfolders."""
     from sumo_nets import catalogue, sumo_package_nets
 
     rows = [_summary(catalogue.find(name)) | {"where": "cosim"} for name in catalogue.shipped()]
@@ -72,11 +72,11 @@ def list_(
 
 @nets.command()
 def show(
-    city: Annotated[str, typer.Argument(help="Name of a city, folder of one that was built, or a .sumocfg.")],
+    city: Annotated[str, typer.Argument(help="Name of a city, folder of a built city, or a .sumocfg.")],
     out: Annotated[Path | None, typer.Option(help="Picture to write: .png, .svg or .pdf.")] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Print the facts of a city, and draw it."""
+    """Print facts about a city, and draw its map."""
     from cosim.mobility.scenario import find
     from sumo_nets import catalogue
     from sumo_nets.network import lanes
@@ -109,21 +109,29 @@ def show(
 
 @nets.command()
 def build(
-    out: Annotated[Path, typer.Option(help="Folder to write; then `--set traffic.scenario=FOLDER` drives it.")],
-    osm: Annotated[Path | None, typer.Option(help="OpenStreetMap file: .osm, .osm.gz, .osm.xml.gz, .osm.pbf.")] = None,
-    bbox: Annotated[
-        str | None, typer.Option(help="west,south,east,north [degrees], of --osm or from Overpass.")
+    out: Annotated[Path, typer.Option(help="Folder to write. `--set traffic.scenario=FOLDER` then simulates it.")],
+    osm: Annotated[
+        Path | None, typer.Option(help="OpenStreetMap file: .osm, .osm.gz, .osm.xml.gz or .osm.pbf.")
     ] = None,
-    overpass: Annotated[str | None, typer.Option(help="Another Overpass service: http://host/api/interpreter.")] = None,
+    bbox: Annotated[
+        str | None,
+        typer.Option(
+            help="Bounding box west,south,east,north in degrees. With --osm, crop the file to it; otherwise download "
+            "it from Overpass."
+        ),
+    ] = None,
+    overpass: Annotated[
+        str | None, typer.Option(help="Use another Overpass service, such as http://host/api/interpreter.")
+    ] = None,
     density: Annotated[float, typer.Option(help="Vehicles on the road per km of street and direction.")] = 2.0,
-    hour: Annotated[int, typer.Option(help="Hour of a working day, 0 to 23: 16 is the busiest.")] = 16,
-    seed: Annotated[int, typer.Option(min=0, help="Of the trips that are drawn.")] = 1,
-    left_hand: Annotated[bool, typer.Option("--left-hand", help="Traffic keeps to the left.")] = False,
-    name: Annotated[str | None, typer.Option(help="Name of the city; by default the folder's.")] = None,
-    check: Annotated[bool, typer.Option(help="Drive half an hour and report whether traffic flows.")] = True,
+    hour: Annotated[int, typer.Option(help="Hour of a working day, 0 to 23. Hour 16 is the busiest.")] = 16,
+    seed: Annotated[int, typer.Option(min=0, help="Random seed of the demand.")] = 1,
+    left_hand: Annotated[bool, typer.Option("--left-hand", help="Vehicles drive on the left.")] = False,
+    name: Annotated[str | None, typer.Option(help="Name of the city. The default is the folder's name.")] = None,
+    check: Annotated[bool, typer.Option(help="Simulate half an hour and report whether traffic flows.")] = True,
     as_json: AsJson = False,
 ) -> None:
-    """Make a city from OpenStreetMap: streets, lights, pavements, buildings, demand, and a report on its traffic."""
+    """Build a city from OpenStreetMap: streets, traffic lights, pavements, buildings, demand and a traffic report."""
     from cosim.mobility.scenario import find
     from sumo_nets import build_from_osm, catalogue, flow
     from sumo_nets.density import Density
@@ -173,7 +181,7 @@ def _summary(net: Net) -> dict[str, Any]:
 
 
 def _summary_of_package_net(net: PackageNet) -> dict[str, Any]:
-    """The same of a city that is generated on first use."""
+    """The same facts for a city that is generated when it is first used."""
     return {
         "name": net.name,
         "what": net.description,
@@ -235,7 +243,7 @@ LABELS = {
     "jammed_p": ("time spent there", "{:.1%}"),
     "assessment": ("assessment", "{}"),
 }
-"""Labels and formats of the facts on the screen, in this order; JSON has the keys."""
+"""Labels and formats of the facts, in the order of the terminal's table. JSON uses the keys."""
 
 
 def _print_facts(facts: dict[str, Any], as_json: bool) -> None:

@@ -19,26 +19,26 @@ What = Literal["scenario-1", "scenario-2", "tables", "trust-levels"]
 
 
 def add_to(app: typer.Typer) -> None:
-    """The command beside the others."""
+    """Add the command `reproduce`."""
     app.command()(reproduce)
 
 
 def reproduce(
-    what: Annotated[What, typer.Argument(help="Which scenario or experiment of the paper.")],
+    what: Annotated[What, typer.Argument(help="The scenario or experiment of the paper.")],
     out: Annotated[
         Path | None,
-        typer.Option(help="Folder; by default runs/<scenario>, and runs/paper for both experiments."),
+        typer.Option(help="Folder to write. The default is runs/<scenario>, or runs/paper for an experiment."),
     ] = None,
     overrides: Annotated[
-        list[str] | None, typer.Option("--set", help="Experiments: change one key of their drives. Repeatable.")
+        list[str] | None, typer.Option("--set", help="Experiments: change one key of the config. Repeatable.")
     ] = None,
-    replicates: Annotated[int | None, typer.Option(help="Experiments: drives per city.")] = None,
+    replicates: Annotated[int | None, typer.Option(help="Experiments: number of drives per city.")] = None,
     workers: Annotated[
-        int | None, typer.Option(min=1, help="Experiments: runs at a time; by default one per core.")
+        int | None, typer.Option(min=1, help="Experiments: number of parallel runs. The default is one per core.")
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON on standard output.")] = False,
 ) -> None:
-    """Play a scenario of the paper, or make its experiments, and compare with the paper; stopped, it goes on."""
+    """Run a scenario or an experiment of the paper and compare. After an interruption, the same command continues."""
     if what in ("tables", "trust-levels"):
         _experiment(what, out or Path("runs/paper"), overrides or [], replicates, workers, as_json)
         return
@@ -94,7 +94,7 @@ def _experiment(
 
 
 def _precision_tables(rows: "pd.DataFrame", name: str) -> list[Table]:
-    """Average precision by city: paper's, obtained, and the change against the ego alone or honest vehicles."""
+    """Average precision by city: the paper's, ours, and the change against the ego alone or honest vehicles."""
     from cosim.reproduce.published import METHODS
 
     found: dict[tuple[str, str], dict[str, dict[str, Row]]] = {}
@@ -122,12 +122,12 @@ def _cell(row: Row) -> str:
 
 
 def _interval(mean: float, high: float, form: str = ".1f") -> str:
-    """A mean, and half of its interval where there is one."""
+    """A mean, and half of its confidence interval if it has one."""
     return f"{mean:{form}}" + ("" if isnan(high) else f" ±{high - mean:{form.strip('+')}}")
 
 
 def _others(rows: "pd.DataFrame") -> Table:
-    """What else was measured: trust, encounters, how long attackers go undetected."""
+    """The other metrics: trust, encounters, time to detection."""
     table = Table("what", "setting", "city", "method", "paper", "obtained", box=SIMPLE)
     for row in rows[rows.what != "average precision"].to_dict("records"):
         paper = "" if isnan(row["paper"]) else f"{row['paper']:g}"

@@ -1,4 +1,4 @@
-"""Metrics of one or several runs: a table each, side by side, or a file."""
+"""Print metrics of one or several runs as tables, or write them to a file."""
 
 from pathlib import Path
 from typing import Any
@@ -18,14 +18,30 @@ ENGINES_DIFFER = "where rays graze edges, tables of one ray caster differ from t
 
 
 def of_variants(run: Run, variant: str) -> list[Run]:
-    """The run as one of its trust variants, or once for each with `variant = "all"`."""
+    """The run as one of its trust variants; with `variant = "all"`, once for each variant."""
     return [run.as_variant(name) for name in (run.variants if variant == "all" else (variant,))]
 
 
 def print_measures(runs: list[Run], tables: list[pd.DataFrame], as_json: bool, csv: Path | None) -> None:
-    """Print the metrics of runs, a table for each, or write them to a CSV file: one row per run, metric and group.
+    """Print the metrics of runs, or write them to a CSV file with one row per run, metric and group.
 
-    Several runs stand side by side, below the keys of the config in which they differ.
+    Several runs are shown side by side. The first rows show the config keys in which the runs differ.
+
+    Parameters
+    ----------
+    runs
+        The runs that were measured.
+    tables
+        One table of metrics per run, as `measure` returns it.
+    as_json
+        Print JSON instead of tables.
+    csv
+        File to write instead of printing.
+
+    Raises
+    ------
+    ValueError
+        If the CSV file cannot be written.
     """
     keys = differing(runs) if len(runs) > 1 else {}
     labels = names(runs)
@@ -53,7 +69,7 @@ def print_measures(runs: list[Run], tables: list[pd.DataFrame], as_json: bool, c
 
 
 def engines_remark(runs: list[Run]) -> str:
-    """Said where runs were cast by several ray casters; empty otherwise."""
+    """A note when the runs used different ray casters; empty otherwise."""
     engines = sorted({str(run.config.get("lidar", {}).get("engine", "columnar")) for run in runs})
     return "" if len(engines) < 2 else f"note: the runs were cast by {' and '.join(engines)}: {ENGINES_DIFFER}"
 

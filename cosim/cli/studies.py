@@ -8,34 +8,34 @@ from rich.table import Table
 
 from cosim.cli.console import TrustCode, print_json, progress, screen
 
-AsJson = Annotated[bool, typer.Option("--json", help="Answer in JSON on standard output.")]
+AsJson = Annotated[bool, typer.Option("--json", help="Print JSON on standard output.")]
 
 
 def add_to(app: typer.Typer) -> None:
-    """Commands of studies beside the others."""
+    """Add the commands `sweep`, `status`, `retrust` and `cache`."""
     for command in (sweep, status, retrust, cache):
         app.command()(command)
 
 
 def sweep(
     study: Annotated[
-        Path, typer.Argument(help="Study file (TOML), or one that ships, by name (cosim/studies/README.md).")
+        Path, typer.Argument(help="Study file (TOML), or the name of a shipped study (cosim/studies/README.md).")
     ],
-    out: Annotated[Path, typer.Option(help="Folder of the study; what is there already is not done again.")],
+    out: Annotated[Path, typer.Option(help="Folder of the study. Finished runs in it are not repeated.")],
     scheduler: Annotated[
-        str | None, typer.Option(help="Address of a running Dask scheduler; by default this machine alone.")
+        str | None, typer.Option(help="Address of a running Dask scheduler. The default is to use this machine alone.")
     ] = None,
     workers: Annotated[
-        int | None, typer.Option(min=1, help="Runs at a time on this machine; by default one per core.")
+        int | None, typer.Option(min=1, help="Number of parallel runs on this machine. The default is one per core.")
     ] = None,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Print the plan, and do nothing.")] = False,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Print the plan and run nothing.")] = False,
     separate: Annotated[
-        bool, typer.Option("--separate", help="Share nothing between points; to check that sharing changes nothing.")
+        bool, typer.Option("--separate", help="Share nothing between points, to check that sharing changes nothing.")
     ] = False,
     trust_code: TrustCode = False,
     as_json: AsJson = False,
 ) -> None:
-    """Make all runs of a study; stopped at any moment, the same command goes on."""
+    """Make all runs of a study. After an interruption, the same command continues."""
     from cosim.studies import sweep as sweeping
 
     task = sweeping.prepare(study, out, not separate, trust_code)
@@ -59,7 +59,7 @@ def status(
     trust_code: TrustCode = False,
     as_json: AsJson = False,
 ) -> None:
-    """Say how far a run or a study is, and how to go on."""
+    """Print how far a run or a study is, and how to continue it."""
     if (folder / "manifest.json").is_file():
         _print_progress(folder, as_json)
         return
@@ -71,7 +71,7 @@ def status(
 
 
 def _print_progress(folder: Path, as_json: bool) -> None:
-    """How far a run is."""
+    """Print how far a run is."""
     from results.progress import progress as progress_of
 
     found = progress_of(folder)
@@ -89,10 +89,10 @@ def _print_progress(folder: Path, as_json: bool) -> None:
 def retrust(
     run: Annotated[Path, typer.Argument(help='Folder of a run at record.level = "full".')],
     variants: Annotated[Path, typer.Option(help="TOML file with trust_variant sections.")],
-    out: Annotated[Path, typer.Option(help="Folder to write: the run, with these variants beside its own.")],
+    out: Annotated[Path, typer.Option(help="Folder to write: the run with these variants added.")],
     trust_code: TrustCode = False,
 ) -> None:
-    """Compute other trust models and windows on the evidence of a run that is on disk."""
+    """Compute other trust models or windows from the recorded evidence of a run."""
     from cosim.studies.retrust import retrust as compute
 
     screen.print(f"wrote {compute(run, variants, out, trust_code)}", highlight=False, soft_wrap=True)
@@ -100,12 +100,12 @@ def retrust(
 
 def cache(
     limit_gb: Annotated[
-        float | None, typer.Option(min=0, help="Delete what was used longest ago until this fits.")
+        float | None, typer.Option(min=0, help="Delete the least recently used entries until the rest fits.")
     ] = None,
-    clear: Annotated[bool, typer.Option("--clear", help="Delete everything.")] = False,
+    clear: Annotated[bool, typer.Option("--clear", help="Delete all entries.")] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Show, or clean, the traffic that studies have kept for further runs."""
+    """Show or delete the recorded traffic that studies keep for later runs."""
     from datetime import datetime
 
     from cosim.studies.stages import Cache, default_folder
@@ -131,17 +131,17 @@ def cache(
 
 
 def is_study(folders: list[Path]) -> bool:
-    """Whether these are one study's folder; ValueError where a study stands among runs."""
+    """Whether the folder is that of a study; ValueError if a study is named together with other folders."""
     from results.study import is_study as holds_study
 
     found = [folder for folder in folders if holds_study(folder)]
     if found and len(folders) > 1:
-        raise ValueError(f"{found[0]} is a study: give it alone.")
+        raise ValueError(f"{found[0]} is a study, and other folders are named too. Name one study alone.")
     return bool(found)
 
 
 def measure(folder: Path, metrics: list[str], as_json: bool) -> None:
-    """Means, intervals and paired differences of a study, on the screen and as files."""
+    """Print means, intervals and paired differences of a study, and write them to files."""
     from results.figures.study import SHOWN, shown
     from results.study import chosen, open_study
 
@@ -171,20 +171,20 @@ def measure(folder: Path, metrics: list[str], as_json: bool) -> None:
 def plot(
     topic: str, folder: Path, out: Path | None, over: str | None, by: str | None, metrics: list[str], where: list[str]
 ) -> None:
-    """A figure of a study."""
+    """Draw a figure of a study."""
     from results.figures import study as figure
     from results.figures import style
     from results.study import open_study
 
     if wrong := [text for text in where if "=" not in text]:
-        raise ValueError(f"--where {wrong[0]}: no KEY=VALUE. Write for example --where fleet.penetration_p=0.3.")
+        raise ValueError(f"--where {wrong[0]}: not KEY=VALUE. Write for example --where fleet.penetration_p=0.3.")
     held = dict(text.split("=", 1) for text in where)
     drawn = figure.draw(open_study(folder), topic, metrics, over, by, held)
     screen.print(f"wrote {style.save(drawn, out or folder / f'{topic}.png')}", highlight=False, soft_wrap=True)
 
 
 def report(folder: Path, out: Path | None) -> None:
-    """The page of a study."""
+    """Write the HTML page of a study."""
     from results.study import open_study
     from results.study_report import write
 

@@ -1,1 +1,1 @@
-"""What an experiment states: its sections, choices by name, and how they are read and checked."""
+"""The experiment's config: its sections, its choices by name, and how both are read and checked."""

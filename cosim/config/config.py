@@ -36,43 +36,44 @@ from sumo_nets import catalogue, sumocfg
 from trust.params import TrustParams, differing_evidence_key
 
 PAPER_RULE: dict[str, Any] = {"name": "paper", "fused": True, "unseen": "zero", "unjudged": "value"}
-"""Trust variant that the run without a config carries beside its own: unseen detections count as 0, as in Hurl et
-al., TruPercept, 2020."""
+"""Trust variant that a run without a config file computes in addition: a detection that no other vehicle could see
+counts as 0, as in Hurl et al., TruPercept, 2020."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ComputeParams:
-    """How the work is done; nothing here changes a result."""
+    """Use of the processor. No key of this section changes a result."""
 
     threads: Annotated[int, Ge(0), Le(1024)] = 0
-    """Threads of the compiled kernels, at most one per core; 0 takes one for every hundred equipped vehicles. Unless it
-    is 1, a further thread senses the next step ahead, where no driver commands the traffic."""
+    """Number of threads of the compiled kernels, at most one per core. 0 uses one thread per hundred equipped vehicles.
+    Unless this is 1, one more thread computes the sensing of the next step in advance. It does not do so if a driver
+    commands the traffic."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RecordParams:
-    """What is kept of a run."""
+    """What a run writes to its folder."""
 
     level: Level = "standard"
-    """Which tables: summary, standard or full; see results/TABLES.md."""
+    """Which tables are written: `summary`, `standard` or `full`. See results/TABLES.md."""
     block_steps: Annotated[int, Ge(1), Le(1_000_000)] = 60
-    """Steps between two writes to disk; a crash loses at most one block."""
+    """Number of steps between two writes to disk. A crash loses at most this many steps."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class TrustVariant:
-    """Another trust model, window or host on the same evidence: a `[[trust_variant]]` section."""
+    """A `[[trust_variant]]` section: another trust model, window or host that uses the same evaluations."""
 
     name: str
-    """Label in the column `variant`."""
+    """Name of the variant in the column `variant` of the tables."""
     fused: bool = False
-    """Also write its rows of the table `fused`."""
+    """Whether the fused objects of this variant are written to the table `fused` as well."""
     changes: dict[str, Any] = field(default_factory=dict)
-    """Keys of [trust] that it sets, as in the config."""
+    """The keys of [trust] that this variant changes, as written in the config."""
     trust: TrustParams = field(default_factory=TrustParams)
-    """[trust] with these changes."""
+    """The section [trust] with these changes."""
     own: dict[str, Any] = field(default_factory=dict)
-    """The model's own parameters."""
+    """Parameters that only the chosen trust model has."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -80,11 +81,13 @@ class Config:
     """One experiment."""
 
     seed: Annotated[int, Ge(0), Le(2**63 - 1)] = 4
-    """Seed of everything but SUMO."""
+    """Seed of all random numbers except SUMO's."""
     sensing_interval_s: Annotated[float, Ge(0.1), Le(3600)] = 1.0
-    """Time between two sweeps of every LiDAR, and two rounds of messages [s]; a multiple of traffic.step_s."""
+    """Time between two LiDAR sweeps of a vehicle, and between two rounds of messages [s]. It must be a multiple of
+    traffic.step_s."""
     sensing: bool = True
-    """Vehicles sense, talk and trust; without, traffic and encounters alone are simulated: fast."""
+    """Whether vehicles sense, exchange messages and compute trust. If false, only traffic and encounters are simulated,
+    which is faster."""
     traffic: TrafficParams = field(default_factory=TrafficParams)
     fleet: FleetParams = field(default_factory=FleetParams)
     lidar: LidarParams = field(default_factory=LidarParams)
@@ -106,8 +109,8 @@ class Config:
     record: RecordParams = field(default_factory=RecordParams)
     compute: ComputeParams = field(default_factory=ComputeParams)
     own: dict[str, dict[str, Any]] = field(default_factory=dict, metadata={"internal": True})
-    """Parameters that belong to a chosen class and not to its section, by section (`trust`, `attacks.0`); in a config
-    file they stand in the section itself."""
+    """Parameters of the chosen classes that their sections do not declare, by section (`trust`, `attacks.0`). In a
+    config file they are keys of the section."""
 
     def __post_init__(self) -> None:
         if self.traffic.duration_s < self.traffic.step_s - 1e-9:
@@ -118,8 +121,8 @@ class Config:
         steps = self.sensing_interval_s / self.traffic.step_s
         if abs(steps - round(steps)) > 1e-9 or steps < 1:
             raise ValueError(
-                f"sensing_interval_s = {self.sensing_interval_s:g} s is no multiple of traffic.step_s = "
-                f"{self.traffic.step_s:g} s: a sweep needs a step to happen in. Change one of them."
+                f"sensing_interval_s = {self.sensing_interval_s:g} s is not a multiple of traffic.step_s = "
+                f"{self.traffic.step_s:g} s, and every sweep takes place at a traffic step. Change one of them."
             )
         if self.radio.timeout_s is not None and 2 * self.radio.timeout_s > self.sensing_interval_s:
             raise ValueError(
@@ -128,7 +131,7 @@ class Config:
             )
         if self.server.uplink == "rsu" and not (self.rsu.at or self.rsu.n_at_junctions):
             raise ValueError(
-                'server.uplink = "rsu", but there are no roadside units: nothing would ever reach the server. '
+                'server.uplink = "rsu", but there are no roadside units, so no evaluation could reach the server. '
                 "Set rsu.at or rsu.n_at_junctions."
             )
         check_definitions(self.encounters)
@@ -136,15 +139,15 @@ class Config:
         if (self.meshes or self.vehicle_meshes) and self.lidar.engine == "columnar":
             which = "meshes" if self.meshes else "vehicle_meshes"
             raise ValueError(
-                f'lidar.engine = "columnar" casts upright prisms, and there are [[{which}]]. Set lidar.engine to '
-                '"embree" or "open3d".'
+                f'lidar.engine = "columnar" cannot cast rays at meshes, and the config has [[{which}]]. Set '
+                'lidar.engine to "embree" or "open3d".'
             )
         check_attacks(self.attacks, self.trust.freshness_s, self.sensing_interval_s)
         jammers = [number for number, attack in enumerate(self.attacks) if attack.attack == "jamming"]
         if jammers and self.radio.model == "unit_disk":
             raise ValueError(
-                f'attacks.{jammers[0]}.attack = "jamming", but radio.model = "unit_disk" knows no noise: nothing would '
-                'be jammed. Set radio.model = "csma".'
+                f'attacks.{jammers[0]}.attack = "jamming" has no effect with radio.model = "unit_disk", which does not '
+                'model interference. Set radio.model = "csma".'
             )
         check_server(
             self.pseudonyms, self.attacks, [t.host for t in (self.trust, *(v.trust for v in self.trust_variant))]
@@ -164,7 +167,7 @@ class Config:
         return self.radio.round_s(self.sensing_interval_s)
 
     def to_dict(self) -> dict[str, Any]:
-        """The resolved experiment as plain data, as a config file states it."""
+        """The resolved config as plain data, with the keys that a config file has."""
         data = asdict(self)
         data["trust_variant"] = [
             {"name": v.name, "fused": v.fused} | copy.deepcopy(v.changes) for v in self.trust_variant
@@ -176,7 +179,7 @@ class Config:
 
 
 def chosen(config: Config, section: str, number: int | None = None) -> tuple[Choice, Any]:
-    """The class that a section names, and its own parameters (None where it has none)."""
+    """The class that a section names, and an object with its parameters (None if it has no parameters)."""
     holder = getattr(config, section)
     where = section if number is None else f"{section}.{number}"
     holder = holder if number is None else holder[number]
@@ -184,7 +187,7 @@ def chosen(config: Config, section: str, number: int | None = None) -> tuple[Cho
 
 
 def chosen_model(variant: TrustVariant) -> tuple[Choice, Any]:
-    """The trust model of a variant, and its own parameters."""
+    """The trust model of a variant, and an object with its parameters (None if it has no parameters)."""
     return _chosen("trust", variant.trust, variant.own)
 
 
@@ -200,7 +203,7 @@ def _chosen(section: str, holder: Any, own: dict[str, Any]) -> tuple[Choice, Any
 
 
 def _params(choice: Choice, data: dict[str, Any], prefix: str, where: str) -> Any:
-    """The parameters of a chosen class from plain data; ValueError in one line for a mistake."""
+    """Build the parameters of a chosen class from plain data. A mistake raises a ValueError of one line."""
     if not choice.is_own or choice.params is None:
         return validated(choice.params, data, prefix, where)
     file, place = choice.source.file, f"{choice.kind.title} {choice.of.__name__}"
@@ -209,9 +212,21 @@ def _params(choice: Choice, data: dict[str, Any], prefix: str, where: str) -> An
 
 
 def load(path: Path | None = None, overrides: list[str] | None = None, trust_code: bool = False) -> Config:
-    """Experiment from a TOML file, then from `key=value` overrides; ValueError in one line for a mistake.
+    """Read a config from a TOML file and apply `key=value` overrides.
 
-    Code that the config of a run folder names is loaded with `trust_code` only.
+    Parameters
+    ----------
+    path
+        The TOML file. None uses the defaults.
+    overrides
+        Texts such as `radio.range_m=150`, applied in order.
+    trust_code
+        Whether Python files that the config of a run folder names may be loaded.
+
+    Raises
+    ------
+    ValueError
+        The config has a mistake; the message is one line.
     """
     data = with_defaults({} if path is None else read_toml(path, "config file"))
     for text in overrides or []:
@@ -225,12 +240,12 @@ def load(path: Path | None = None, overrides: list[str] | None = None, trust_cod
 
 
 def with_defaults(data: dict[str, Any]) -> dict[str, Any]:
-    """Plain data with the lists that a config has when it does not state them."""
+    """Plain data, completed with the default lists of sections that it leaves out."""
     return {"attacks": copy.deepcopy(list(PAPER)), "encounters": [{}]} | data
 
 
 def resolve_data(data: dict[str, Any], where: str, folder: Path | None) -> Config:
-    """Experiment from plain data; relative paths begin in `folder`. The data are used up."""
+    """Build a config from plain data. Relative paths are relative to `folder`. The function modifies `data`."""
     variants = data.pop("trust_variant", [])
     own: dict[str, dict[str, Any]] = {}
     types = {f.name: f.type for f in fields(Config)}
@@ -265,15 +280,15 @@ def resolve_data(data: dict[str, Any], where: str, folder: Path | None) -> Confi
 
 
 def of_run(recorded: Mapping[str, Any], folder: Path, trust_code: bool = False) -> Config:
-    """The config in the manifest of a run folder; code that it names is loaded with `trust_code` only."""
+    """The config in the manifest of a run folder. Python files that it names are loaded only with `trust_code`."""
     with loading_code(folder, trust_code):
         return resolve_data(copy.deepcopy(dict(recorded)), f"{folder}/manifest.json", None)
 
 
 def of_run_without_code(recorded: Mapping[str, Any], folder: Path) -> Config:
-    """The same, with the shipped choice in place of every class of the user's own: nothing is loaded.
+    """The config of a run, with the default choice in place of each class of the user's own. No user code is loaded.
 
-    It is enough wherever sweeps are cast again, which depend on none of these classes.
+    This is sufficient for casting sweeps again, because sweeps depend on none of these classes.
     """
     data = copy.deepcopy(dict(recorded))
     for section, kind in SECTIONS.items():
@@ -294,7 +309,7 @@ def _names_code(section: Any, key: str) -> bool:
 def _variants(
     listed: Any, stated: dict[str, Any], config: Config, where: str, folder: Path | None
 ) -> tuple[TrustVariant, ...]:
-    """Trust variants from their sections; each inherits what [trust] states."""
+    """Build the trust variants from their sections. Each variant inherits the keys of [trust]."""
     if not isinstance(listed, list) or not all(isinstance(v, dict) for v in listed):
         raise ValueError(f"trust_variant should be a list of sections [[trust_variant]] in {where}.")
     made: list[TrustVariant] = []
@@ -303,7 +318,7 @@ def _variants(
         name, fused = changes.pop("name", None), changes.pop("fused", False)
         place = f"trust_variant.{number}"
         if not isinstance(name, str) or not name or not name.isprintable():
-            raise ValueError(f"{place}.name = {name!r}: a variant needs a name. Set {place}.name in {where}.")
+            raise ValueError(f"{place}.name = {name!r}: a variant must have a name. Set {place}.name in {where}.")
         if name == "base" or name in {v.name for v in made}:
             raise ValueError(
                 f'{place}.name = "{name}" is taken'
@@ -323,15 +338,15 @@ def _variants(
         trust = validated(TrustParams, merged, place, where)
         if key := differing_evidence_key(config.trust, trust):
             raise ValueError(
-                f'{place} ("{name}"): {key} changes what vehicles evaluate, so this variant cannot share the evidence '
-                "of the run. Leave it out here and make it a run of its own."
+                f'{place} ("{name}"): {key} changes the evaluations, so this variant cannot share the evidence of the '
+                "run. Remove the key here, or make the variant a separate run."
             )
         made.append(TrustVariant(name=name, fused=fused, changes=changes, trust=trust, own=own))
     return tuple(made)
 
 
 def _own_fields(section: Mapping[str, Any], name: str, folder: Path | None) -> set[str]:
-    """Names of the parameters of the class that a section chooses."""
+    """Names of the parameters of the class that the section names."""
     kind = SECTIONS[name]
     given = section.get(kind.key)
     if not isinstance(given, str):
@@ -341,13 +356,16 @@ def _own_fields(section: Mapping[str, Any], name: str, folder: Path | None) -> s
 
 
 def _take_own(section: dict[str, Any], name: str, model: Any, where: str, folder: Path | None) -> dict[str, Any]:
-    """Move the chosen class's own parameters out of a section, checked; its name becomes absolute."""
+    """Remove the chosen class's own parameters from a section, check them and return them.
+
+    The class's name in the section becomes absolute.
+    """
     kind = SECTIONS[name]
     key = kind.key
     default = next(f.default for f in fields(model) if f.name == key)
     given = section.get(key, default)
     if not isinstance(given, str):
-        return {}  # the model says what is wrong with it
+        return {}  # validation of the section reports the wrong type
     choice = resolve(kind, given, folder)
     if key in section:
         section[key] = choice.source.name
@@ -368,22 +386,22 @@ def _take_own(section: dict[str, Any], name: str, model: Any, where: str, folder
         line = definition_line(choice.params, "", choice.source.file)
         raise ValueError(
             f"{choice.source.file}:{line}: {choice.kind.title} {choice.of.__name__}: Params.{alien} is a "
-            f"{type(made[alien]).__name__}, which no config can hold. Make it text, a number, true or false, or a list "
-            "of these."
+            f"{type(made[alien]).__name__}, which a config file cannot contain. Use text, a number, true or false, or "
+            "a list of these."
         )
     check_finite(made, f"{name}.", f"{choice.source.file or where}")
     return made
 
 
 def _own_step_s(scenario: str) -> float | None:
-    """How long a step of the user's own .sumocfg is."""
+    """The step length in the user's own .sumocfg [s], or None if there is no such file."""
     path = Path(scenario)
     found = [path] if path.name.endswith(".sumocfg") else sorted(path.glob("*.sumocfg"))
     if len(found) != 1 or not found[0].is_file() or scenario in catalogue.names():
         return None
     if (own_s := sumocfg.step_s(found[0])) < 0.1:
         raise ValueError(
-            f"{found[0]}: its step-length of {own_s:g} s is shorter than the 0.1 s that a step takes here at least. "
-            "Set traffic.step_s to 0.1 or more to drive it otherwise."
+            f"{found[0]}: its step-length of {own_s:g} s is shorter than 0.1 s, the shortest step that is supported. "
+            "Set traffic.step_s to 0.1 or more to simulate it with a longer step."
         )
     return own_s

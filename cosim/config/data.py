@@ -1,4 +1,4 @@
-"""A config as plain data: read from TOML, changed key by key, checked against dataclasses."""
+"""Reads a config from TOML as plain data, changes single keys, and checks the data against dataclasses."""
 
 import difflib
 import json
@@ -31,16 +31,16 @@ FORMER = {
     "detector.taken_for_p": "detector.confusion_p",
     "detector.clutter_per_sweep": "detector.false_positive_per_sweep",
 }
-"""Keys of the former schema, and what they have become."""
+"""Keys of the former schema, and their replacements."""
 
 
 def read_toml(path: Path, what: str) -> dict[str, Any]:
-    """Plain data of a TOML file; ValueError in one line where it cannot be read."""
+    """Read a TOML file as plain data. A file that cannot be read raises a ValueError of one line."""
     try:
         with open_regular(path) as file:
             text = file.read(_MOST_BYTES + 1)
         if len(text) > _MOST_BYTES:
-            raise ValueError(f"{path}: larger than {_MOST_BYTES:,} bytes: no {what}.")
+            raise ValueError(f"{path}: larger than {_MOST_BYTES:,} bytes, too large for a {what}.")
         return tomllib.loads(text.decode("utf-8"))
     except FileNotFoundError:
         raise ValueError(f"{path}: no such {what}. Give the path of a TOML file.") from None
@@ -53,12 +53,17 @@ def read_toml(path: Path, what: str) -> dict[str, Any]:
 
 
 def override(data: Any, text: str) -> None:
-    """Set one key; `encounters.0.radius_m` names an item of a list, the one behind the last makes a new one."""
+    """Set one key from a text `key=value`.
+
+    `encounters.0.radius_m` names an item of a list. The number after the last item appends a new item.
+    """
     name, sign, value = text.partition("=")
     if not sign or not name.strip():
-        raise ValueError(f"--set {text}: no key=value. Write for example --set radio.range_m=150.")
+        raise ValueError(f"--set {text}: not of the form key=value. Write for example --set radio.range_m=150.")
     if not text.isprintable():
-        raise ValueError(f"--set {text!r}: one line without control characters, please; repeat --set for more keys.")
+        raise ValueError(
+            f"--set {text!r} contains a line break or a control character. Repeat --set to set several keys."
+        )
     try:
         parsed = tomllib.loads(f"value = {value}")["value"]
     except tomllib.TOMLDecodeError:
@@ -69,7 +74,7 @@ def override(data: Any, text: str) -> None:
 
 
 def assign(data: Any, name: str, value: Any, said: str) -> None:
-    """Set the key `name` in plain data; `said` is what the user wrote, for messages."""
+    """Set the key `name` in plain data. `said` is the user's text, for error messages."""
     *sections, last = name.split(".")
     for section in sections:
         data = _item(data, section, said)
@@ -81,19 +86,19 @@ def assign(data: Any, name: str, value: Any, said: str) -> None:
 
 
 def _item(data: Any, name: str, said: str) -> Any:
-    """A section, made if it is not there."""
+    """The section of this name. It is created if it does not exist."""
     if isinstance(data, dict):
         lists = name == "trust_variant"
         return data.setdefault(name, [] if lists else {})
     if not name.isdecimal() or int(name) > len(data):
-        raise ValueError(f"{said}: {name} is no item of a list of {len(data)}; they are numbered from 0.")
+        raise ValueError(f"{said}: the list has {len(data)} items, numbered from 0, and {name} is not one of them.")
     if int(name) == len(data):
         data.append({})
     return data[int(name)]
 
 
 def validated(model: Any, data: Any, prefix: str, where: str) -> Any:
-    """Typed parameters from plain data; ValueError in one line for a mistake."""
+    """Build typed parameters from plain data. A mistake raises a ValueError of one line."""
     try:
         return _adapter(model).validate_json(json.dumps(data, default=str), strict=True)
     except ValidationError as error:
@@ -113,7 +118,7 @@ def _adapter(model: Any) -> TypeAdapter:
 
 
 def check_keys(data: dict[str, Any], model: Any, prefix: str, where: str) -> None:
-    """Refuse keys that a dataclass does not have, and sections that are none; ValueError in one line."""
+    """Raise a ValueError of one line for a key that the dataclass lacks, or a value where a section is expected."""
     known = {f.name: f for f in fields(model) if not f.metadata.get("internal")}
     for name, value in data.items():
         full = prefix + name
@@ -135,9 +140,9 @@ def check_keys(data: dict[str, Any], model: Any, prefix: str, where: str) -> Non
 
 
 def check_finite(data: Any, name: str, where: str) -> None:
-    """Refuse numbers that are none or larger than any quantity here, however deep they stand."""
+    """Raise a ValueError for numbers that are not finite or exceed 63 bits, at any depth of the data."""
     if isinstance(data, int) and not isinstance(data, bool) and abs(data) >= 2**63:
-        raise ValueError(f"{name} is a whole number of more than 63 bits. Set {name} in {where}.")
+        raise ValueError(f"{name} is a whole number of more than 63 bits. Set a smaller {name} in {where}.")
     if isinstance(data, float) and not math.isfinite(data):
         raise ValueError(f"{name} = {data}: not a finite number. Set {name} in {where}.")
     items = data.items() if isinstance(data, dict) else enumerate(data) if isinstance(data, list) else ()
@@ -146,7 +151,7 @@ def check_finite(data: Any, name: str, where: str) -> None:
 
 
 def is_plain(data: Any) -> bool:
-    """Whether a config file can hold a value."""
+    """Whether a config file can contain this value."""
     if isinstance(data, dict):
         return all(isinstance(key, str) and is_plain(value) for key, value in data.items())
     if isinstance(data, list | tuple):
@@ -155,6 +160,6 @@ def is_plain(data: Any) -> bool:
 
 
 def former(name: str) -> str:
-    """Says what a key of the former schema has become; empty for others."""
+    """A sentence that names the replacement of a key of the former schema; empty for other keys."""
     now = next((new for old, new in FORMER.items() if name == old or name.startswith(old + ".")), None)
     return "" if now is None else f"It is a key of the former schema; now it is {now}."

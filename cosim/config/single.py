@@ -1,4 +1,4 @@
-"""Choices that the command line makes: exporters and metrics."""
+"""Classes chosen on the command line: exporters and metrics."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -9,17 +9,17 @@ from cosim.door.load import Choice, resolve
 
 
 def from_command_line(kind: str, name: str, sets: Sequence[str] = ()) -> tuple[Choice, tuple[Any, ...]]:
-    """The class that a name on the command line stands for, and the arguments of its constructor.
+    """The class that a name on the command line refers to, and the arguments of its constructor.
 
     Parameters
     ----------
     sets
-        Its own parameters, as `key=value`.
+        Parameters of the class, each as `key=value`.
 
     Raises
     ------
     ValueError
-        In one line, where there is no such class, or its parameters are wrong.
+        There is no such class, or its parameters are wrong. The message is one line.
     """
     choice, data = resolve(KINDS[kind], name), dict[str, Any]()
     for text in sets:

@@ -1,1 +1,1 @@
-"""Drivers: what belief does to traffic. A driver turns what a vehicle believes into speed commands."""
+"""Drivers: reactions to fused objects. A driver turns the objects that a vehicle believes in into speed commands."""

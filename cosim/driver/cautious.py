@@ -1,4 +1,4 @@
-"""A driver that brakes for what its vehicle believes and its own sensors do not see."""
+"""A driver that brakes for fused objects that its vehicle's own sensors do not see."""
 
 from dataclasses import dataclass, fields, replace
 from typing import Annotated
@@ -18,67 +18,70 @@ _PEDESTRIAN = LABELS.index("pedestrian")
 _ALONG = 0.5
 """Cosine of the largest angle between an object's heading and the path at which it counts as driving along it."""
 _GATE_M, _FASTEST_MPS = 3.0, 40.0
-"""An object of the next sweep is the same if it lies this near to where it was expected; where its speed is not known
-yet, anywhere that the fastest could have come to."""
+"""An object of the next sweep is the same one if it is within `_GATE_M` of the expected position. If its speed is not
+known yet, the distance that it could have moved at `_FASTEST_MPS` is added."""
 _LEVEL_M = 3.0
-"""Objects whose footing is this much higher or lower than the vehicle's are on another road."""
+"""If the bottom of an object is this much higher or lower than the vehicle's, the object is on another road."""
 _PERSON_SHARES = (0.5, 1.0)
-"""Of the time in which persons may step into the corridor, when they are looked for there."""
+"""Times at which persons are searched for in the corridor, as shares of `persons_ahead_s`."""
 _FASTEST_PERSON_MPS = 3.0
 _ACCELERATION_MPS2 = 2.6
-"""What a car gains at most, as SUMO's default: a speed that it cannot reach in a step commands nothing."""
+"""Largest acceleration of a car, SUMO's default. A speed that a car cannot reach in one step is not commanded."""
 _EPS_S = 1e-6
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class CautiousParams:
-    """Who reacts, to what, when, and how."""
+    """Parameters of `cautious`: which drivers react, to which objects, and how."""
 
     share_p: Annotated[float, Ge(0), Le(1)] = 1.0
-    """Share of the equipped vehicles whose drivers react, decided vehicle by vehicle from its name."""
+    """Share of the equipped vehicles whose drivers react. Whether a driver reacts is drawn from the vehicle's name."""
     min_score: Annotated[float, Ge(0), Le(1)] = 0.25
-    """Smallest score of a fused object that is believed; under TruPercept few real objects of one source reach 0.5."""
+    """Smallest score of a fused object that drivers react to. Under TruPercept few real objects of one source reach
+    0.5."""
     half_width_m: Annotated[float, Gt(0), Le(100)] = 1.5
-    """Half width of the corridor along the lane path in which an object is in the way [m]."""
+    """Half width of the corridor along the lane path [m]. Drivers react to objects in it."""
     horizon_s: Annotated[float, Gt(0), Le(100)] = 4.0
-    """Objects that the vehicle would reach within this time at its present speed are reacted to [s]."""
+    """Time ahead at the present speed [s]. Drivers react to objects that the vehicle would reach within it."""
     reaction_s: Annotated[float, Ge(0), Le(100)] = 0.5
-    """From the fusion of an object to the first command [s]."""
+    """Time from the fusion of an object to the first command [s]."""
     comfort_mps2: Annotated[float, Gt(0), Le(50)] = 2.5
-    """Deceleration with which the driver approaches an object, where there is room [m/s2]."""
+    """Deceleration with which the driver approaches an object if there is enough distance [m/s2]."""
     emergency_mps2: Annotated[float, Gt(0), Le(50)] = 4.5
-    """Largest deceleration where there is not [m/s2]; beyond that of SUMO's vehicle type its own limit is lifted."""
+    """Largest deceleration if there is not enough distance [m/s2]. If it exceeds the limit of SUMO's vehicle type, that
+    limit is lifted."""
     release_s: Annotated[float, Ge(0), Le(1000)] = 1.0
-    """How long an object is reacted to after it was last believed [s]."""
+    """Time for which the driver still reacts to an object after it was last fused with enough score [s]."""
     standstill_m: Annotated[float, Ge(0), Le(1000)] = 2.5
-    """Gap that is left to an object [m]; that of SUMO's drivers."""
+    """Gap that the driver leaves to an object [m]. The default is that of SUMO's drivers."""
     persons_ahead_s: Annotated[float, Ge(0)] = 0.0
-    """Also brake for persons that would step into the corridor within this time at the speed they show [s]; city
-    pavements are full of persons near the lane, whose speeds two noisy places tell badly."""
+    """If it is above 0, drivers also brake for persons that would enter the corridor within this time at their observed
+    speed [s]. Many persons walk near lanes in a city, and two noisy positions give their speeds poorly."""
     own_persons: bool = False
-    """Also brake for persons that the own detector reports, which SUMO's drivers see at crossings only."""
+    """Whether drivers also brake for persons that the own detector reports. SUMO's drivers react to persons at
+    crossings only."""
 
 
 @dataclass(frozen=True, slots=True)
 class Believed:
-    """Objects that drivers watch, from sweep to sweep: K rows, by ego."""
+    """Objects that drivers track from sweep to sweep: K rows, sorted by ego."""
 
     ego: Int[ndarray, "k"]
-    """Actor number of the vehicle that believes."""
+    """Actor number of the vehicle that tracks the object."""
     label: UInt8[ndarray, "k"]
     xy_m: Float[ndarray, "k 2"]
-    """Where the centre is expected now."""
+    """Predicted centre of the object in this step."""
     seen_xy_m: Float[ndarray, "k 2"]
-    """Where it was in the last sweep in which it was believed."""
+    """Centre in the last sweep in which it was fused."""
     lw_m: Float[ndarray, "k 2"]
     yaw_rad: Float[ndarray, "k"]
     velocity_mps: Float[ndarray, "k 2"]
-    """From its last places; of all but persons, along the heading."""
+    """Velocity from its last positions. Except for persons, it is along the heading."""
     has_speed: Bool[ndarray, "k"]
     known_s: Float[ndarray, "k"]
-    """When it was first fused."""
+    """Time at which it was first fused."""
     seen_s: Float[ndarray, "k"]
-    """Of the last sweep in which it was believed."""
+    """Time of the last sweep in which it was fused."""
     source_step: Int[ndarray, "k"]
     source: Int[ndarray, "k"]
     source_index: Int[ndarray, "k"]
@@ -97,7 +100,7 @@ class Believed:
 
     @staticmethod
     def of(beliefs: Beliefs, rows: Int[ndarray, "k"], world: World, dt_s: float) -> "Believed":
-        """These beliefs, seen for the first time."""
+        """Objects that are tracked for the first time, from these rows of the beliefs."""
         boxes, n = beliefs.boxes, len(rows)
         xy = boxes.xyz_m[rows, :2]
         return Believed(
@@ -109,18 +112,19 @@ class Believed:
 
 
 class Cautious:
-    """Follows an object in its path that others report, and its own detector does not, as a virtual leader [1]_.
+    """Follows an object in its path as a virtual leader [1]_ if others report it and its own detector does not.
 
-    An object that drives along the path moves with the speed that its last two places show, and is reacted to from the
-    second sweep on; everything else in the path, persons and vehicles that face the driver among it, counts as
-    standing. Between two sweeps objects are moved on by their speed. The speed commanded is that from which the
-    driver can, after one step and with its comfortable deceleration, stop behind where the object would stop with the
-    same; no step takes more speed than the emergency deceleration allows.
+    The speed of an object that drives along the path is computed from its last two positions, so that the driver reacts
+    to it from the second sweep on. Everything else in the path counts as standing, including persons and oncoming
+    vehicles. Between two sweeps the positions of objects are predicted from their speeds. The commanded speed is the
+    largest one from which the driver can, after one step, stop behind the object with the comfortable deceleration,
+    assuming that the object brakes with the same deceleration. The speed falls by no more than the emergency
+    deceleration allows.
 
     Notes
     -----
     With b the comfortable deceleration, t the step, g the gap less the standstill gap and u the object's speed:
-    v = -b t + sqrt((b t)^2 + u^2 + 2 b g).   Deviations: none but the two decelerations.
+    v = -b t + sqrt((b t)^2 + u^2 + 2 b g).   Deviations: only the two decelerations.
 
     References
     ----------
@@ -136,7 +140,7 @@ class Cautious:
     def commands(
         self, state: object, world: World, beliefs: Beliefs | None, dt_s: float
     ) -> tuple[Believed | None, SpeedCommands]:
-        """Speeds behind virtual leaders, of the vehicles that have to brake for one."""
+        """The tracked objects, and the speeds of vehicles that must brake for one of them."""
         p, now_s, paths = self.params, world.step * dt_s, world.paths
         assert paths is not None, "the traffic offers lane paths to drivers"
         watched = state if isinstance(state, Believed) else None
@@ -152,7 +156,7 @@ class Cautious:
     def _believe(
         self, watched: Believed | None, world: World, paths: LanePaths, beliefs: Beliefs, dt_s: float
     ) -> Believed | None:
-        """What is watched after a sweep: objects in the way, as the ones they were before where they are the same."""
+        """The tracked objects after a sweep. Objects that were tracked before keep their history."""
         p, boxes = self.params, beliefs.boxes
         path = _path_of(world, paths)
         own_person = p.own_persons & (beliefs.label == _PEDESTRIAN)
@@ -176,7 +180,7 @@ class Cautious:
     def _within_reach(
         self, world: World, beliefs: Beliefs, rows: Int[ndarray, "k"], look_m: Float[ndarray, "n"]
     ) -> Bool[ndarray, "k"]:
-        """Objects on the vehicle's level that may lie as near as it looks ahead."""
+        """Whether objects are on the vehicle's level and may be within the distance that it looks ahead."""
         ego, vehicle = beliefs.ego[rows], world.boxes
         xyz_m, lwh_m = beliefs.boxes.xyz_m[rows], beliefs.boxes.lwh_m[rows]
         reach_m = (look_m + vehicle.lwh_m[:, 0])[ego] + np.hypot(lwh_m[:, 0], lwh_m[:, 1]) / 2
@@ -185,7 +189,7 @@ class Cautious:
         return near & (np.abs(xyz_m[:, 2] - lwh_m[:, 2] / 2 - footing_m) <= _LEVEL_M)
 
     def _follow(self, watched: Believed, world: World, paths: LanePaths, now_s: float, dt_s: float) -> SpeedCommands:
-        """The lowest speed that any watched object asks for, per vehicle."""
+        """The lowest speed that any tracked object requires, per vehicle."""
         p = self.params
         row = np.searchsorted(world.actor, watched.ego)
         gap_m, heading = ahead_on_path(
@@ -221,31 +225,31 @@ class Cautious:
         return rng.uniforms(rng.key(0, rng.Stream.DRIVER), world.name_key)[:, 0] < self.params.share_p
 
     def _look_m(self, world: World) -> Float[ndarray, "n"]:
-        """How far ahead each actor looks: the horizon, and at least some room in front of the standstill gap."""
+        """Distance that each actor looks ahead: the horizon, and at least twice the standstill gap."""
         return np.maximum(world.speed_mps * self.params.horizon_s, 2 * self.params.standstill_m)
 
 
 def _path_of(world: World, paths: LanePaths) -> Int[ndarray, "n"]:
-    """Row of `paths` of each actor; -1 where it has none."""
+    """Row of `paths` of each actor; -1 if it has none."""
     path = np.full(len(world), -1)
     path[paths.row] = np.arange(len(paths.row))
     return path
 
 
 def _moved(watched: Believed, dt_s: float) -> Believed:
-    """Everything a step on, by its speed."""
+    """The objects after one step at their present velocity."""
     return replace(watched, xy_m=watched.xy_m + watched.velocity_mps * dt_s)
 
 
 def _pairs(a: Int[ndarray, "a"], b: Int[ndarray, "b"]) -> tuple[ndarray, ndarray]:
-    """Rows of all pairs with the same number in both; by row of `a`."""
+    """Rows of all pairs of equal numbers in `a` and `b`, sorted by row of `a`."""
     order = np.argsort(b, kind="stable")
     at, which = expand(np.searchsorted(b[order], a, "left"), np.searchsorted(b[order], a, "right"))
     return which, order[at]
 
 
 def _overlaps_own(beliefs: Beliefs, rows: Int[ndarray, "k"], own: Int[ndarray, "o"]) -> Bool[ndarray, "k"]:
-    """Objects at which the vehicle's own detector reports something: their centres lie half a length apart or less."""
+    """Whether the own detector reports something at each object: the centres are at most half a length apart."""
     one, other = _pairs(beliefs.ego[rows], beliefs.ego[own])
     i, j, boxes = rows[one], own[other], beliefs.boxes
     apart_m = np.hypot(*(boxes.xyz_m[i, :2] - boxes.xyz_m[j, :2]).T)
@@ -254,7 +258,7 @@ def _overlaps_own(beliefs: Beliefs, rows: Int[ndarray, "k"], own: Int[ndarray, "
 
 
 def _seen_by_own(watched: Believed, beliefs: Beliefs, own: Int[ndarray, "o"], world: World) -> Bool[ndarray, "k"]:
-    """The same for what was watched before."""
+    """Whether the own detector reports something at each object that was tracked before."""
     one, other = _pairs(watched.ego, world.actor[beliefs.ego[own]])
     j, boxes = own[other], beliefs.boxes
     apart_m = np.hypot(*(watched.xy_m[one] - boxes.xyz_m[j, :2]).T)
@@ -263,7 +267,7 @@ def _seen_by_own(watched: Believed, beliefs: Beliefs, own: Int[ndarray, "o"], wo
 
 
 def _continued(watched: Believed, found: Believed) -> Believed:
-    """Objects found, with what is known of them from before; those that are not found again stay for a while."""
+    """Merge new objects with those that were tracked before. Objects that are not found again are kept for a while."""
     new, old = _pairs(found.ego, watched.ego)
     away_m = np.hypot(*(found.xy_m[new] - watched.xy_m[old]).T)
     since_s = found.seen_s[new] - watched.seen_s[old]

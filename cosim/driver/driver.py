@@ -1,4 +1,4 @@
-"""What a driver is, and the one that never reacts."""
+"""Interface of drivers, and the driver `none`, which never reacts."""
 
 from dataclasses import dataclass, fields
 from typing import Protocol
@@ -13,36 +13,36 @@ from sensors.boxes import Boxes
 
 @dataclass(frozen=True, slots=True)
 class Beliefs:
-    """Fused objects of all equipped vehicles in one step, by vehicle; world frame."""
+    """Fused objects of all equipped vehicles in one step, sorted by vehicle; world frame."""
 
     known_s: float
-    """Time at which the vehicles have fused them [s]; the boxes are those of the step's sweeps."""
+    """Time at which the vehicles finished the fusion [s]. The boxes are of the time of the step's sweeps."""
     ego: Int[ndarray, "f"]
-    """Row of the world of the vehicle that believes."""
+    """Vehicle that fused the object, as a row of the world."""
     label: UInt8[ndarray, "f"]
     """Class of the object."""
     boxes: Boxes
     score: Float[ndarray, "f"]
     """In [0, 1]."""
     ego_detected: Bool[ndarray, "f"]
-    """Whether the vehicle's own detector reports it."""
+    """Whether the vehicle's own detector reports the object."""
     source: Int[ndarray, "f"]
     """Pseudonym of the vehicle whose detection of this step gave the box."""
     source_index: Int[ndarray, "f"]
-    """Number of that detection in its list."""
+    """Index of that detection in the vehicle's list."""
 
 
 @dataclass(frozen=True, slots=True)
 class Reasons:
-    """What each command answers to: one object per command."""
+    """The object that is the reason of each command."""
 
     source_step: Int[ndarray, "c"]
-    """Step of the detection of the object."""
+    """Step in which the object was detected."""
     source: Int[ndarray, "c"]
-    """Pseudonym of the vehicle that made it."""
+    """Pseudonym of the vehicle that detected it."""
     source_index: Int[ndarray, "c"]
     gap_m: Float[ndarray, "c"]
-    """From the front bumper to the object along the lane path."""
+    """Distance from the front bumper to the object along the lane path."""
 
     def take(self, rows: ndarray) -> "Reasons":
         """These rows, in this order."""
@@ -51,57 +51,70 @@ class Reasons:
 
 @dataclass(frozen=True, slots=True)
 class SpeedCommands:
-    """Speeds that vehicles shall drive in the next step; those not named drive by the traffic model."""
+    """Commanded speeds of vehicles in the next step. All other vehicles drive as the traffic model says."""
 
     actor: Int[ndarray, "c"]
-    """Ascending, each once."""
+    """Actor numbers, ascending, each once."""
     speed_mps: Float[ndarray, "c"]
     reasons: Reasons | None = None
-    """None where the driver gives none: nothing is written to the table `reactions` then."""
+    """Reasons of the commands. If it is None, nothing is written to the table `reactions`."""
 
     def __len__(self) -> int:
         return len(self.actor)
 
     @staticmethod
     def none() -> "SpeedCommands":
-        """No vehicle is commanded."""
+        """Commands for no vehicle."""
         return SpeedCommands(np.zeros(0, np.int64), np.zeros(0))
 
 
 class Driver(Protocol):
-    """From beliefs to commands; `state` is whatever the driver keeps from step to step, None at first.
+    """Turns fused objects into speed commands. `state` is what the driver stores between steps, None at first.
 
-    A class attribute `LARGEST_STEP_S` says the longest step of traffic that it can command [s]; with one, longer steps
-    and replayed traffic are refused before the run begins.
+    The class attribute `LARGEST_STEP_S` is the longest traffic step that the driver can command [s]. If a class has it,
+    longer steps and replayed traffic are refused before the run begins.
     """
 
     def commands(
         self, state: object, world: World, beliefs: Beliefs | None, dt_s: float
     ) -> tuple[object, SpeedCommands]:
-        """The new state, and the commands that mobility carries out in the next step.
+        """Decide the commands of one step. The method is called in every step.
 
-        Called in every step; `beliefs` is None between two sweeps. `world.paths` are the lane paths ahead.
+        Parameters
+        ----------
+        state
+            The state that the method returned in the previous step; None at first.
+        world
+            Actors of this step. `world.paths` are the lane paths of equipped vehicles.
+        beliefs
+            Fused objects of this step's sweeps. None between two sweeps.
+        dt_s
+            Length of one traffic step.
+
+        Returns
+        -------
+        The new state, and the commands for the next step.
         """
 
 
 class Unaffected:
-    """A driver that sees with its own eyes only: no commands."""
+    """A driver that never reacts to fused objects."""
 
     def commands(
         self, state: object, world: World, beliefs: Beliefs | None, dt_s: float
     ) -> tuple[object, SpeedCommands]:
-        """None."""
+        """No commands."""
         return None, SpeedCommands.none()
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class DriverParams:
-    """What belief does to traffic."""
+    """How drivers react to the objects that their vehicles fuse."""
 
     model: str = "none"
-    """How drivers react to what their vehicles believe: none, cautious, or your own as path.py:Name."""
+    """Model of the drivers: `none`, `cautious`, or a class of your own as path.py:Name."""
 
 
 def largest_step_s(driver: type) -> float | None:
-    """Longest step of traffic that a class of drivers can command [s]; None where it does not say."""
+    """Longest traffic step that a class of drivers can command [s]. None if the class does not define it."""
     return getattr(driver, "LARGEST_STEP_S", None)

@@ -1,4 +1,4 @@
-"""Drivers at hand, by the config's name."""
+"""The included drivers."""
 
 from collections.abc import Mapping
 
@@ -6,4 +6,4 @@ from cosim.driver.cautious import Cautious
 from cosim.driver.driver import Unaffected
 
 DRIVERS: Mapping[str, type] = {"none": Unaffected, "cautious": Cautious}
-"""Drivers at hand, by the config's name."""
+"""Classes of the included drivers, by their name in the config."""

@@ -1,4 +1,4 @@
-"""Where objects lie on the lane paths of vehicles: kernels on arrays."""
+"""Positions of objects on the lane paths of vehicles."""
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -8,7 +8,7 @@ from cosim.world import LanePaths
 from sensors.kernel import compiled
 
 _SAMPLES = np.array([[0, 0], [1, 1], [1, 0], [1, -1], [0, 1], [0, -1], [-1, 1], [-1, 0], [-1, -1]], float)
-"""Points of a footprint that are looked for on the path: centre, corners, middles of the sides; half extents."""
+"""Points of a footprint that are tested: the centre, the corners and the middles of the sides, in half extents."""
 
 
 def ahead_on_path(
@@ -20,23 +20,23 @@ def ahead_on_path(
     look_m: Float[ndarray, "n"],
     half_width_m: float,
 ) -> tuple[Float[ndarray, "n"], Float[ndarray, "n"]]:
-    """How far ahead on a vehicle's lane path each object begins, and the path's heading there.
+    """Distance along a vehicle's lane path to each object, and the path's heading there.
 
     Parameters
     ----------
     path
-        Row of `paths` per object.
+        Row of `paths` for each object.
     xy_m, lw_m, yaw_rad
         Footprint of the object: centre, length and width, heading.
     look_m
-        How far ahead of the front bumper objects are looked for.
+        Distance ahead of the front bumper up to which objects are searched for.
     half_width_m
-        An object is on the path where a corner, the middle of a side or the centre of its footprint is this near to it.
+        An object is on the path if its centre, a corner or the middle of a side is within this distance of the path.
 
     Returns
     -------
-    Gap from the front bumper to the nearest such point along the path [m], 0 where the object reaches beside the
-    vehicle, infinite where it is not on the path or its centre is not ahead; heading of the path [rad].
+    Gap from the front bumper to the nearest such point along the path [m], and heading of the path there [rad]. The gap
+    is 0 if the object is beside the vehicle, and infinite if it is not on the path or its centre is not ahead.
     """
     return _ahead(
         paths.ptr, paths.xy_m, paths.along_m, paths.line[path], paths.front_m[path], xy_m, lw_m, yaw_rad, look_m,

@@ -1,4 +1,4 @@
-"""Whether a config would run, found out before anything is loaded or written; and what changed since it last did."""
+"""Checks of a config before anything is loaded or written, and changes of its inputs since an earlier run."""
 
 from contextlib import suppress
 from dataclasses import replace
@@ -21,14 +21,20 @@ from sumo_nets.network import junctions
 
 
 def check(config: Config) -> Scenario:
-    """The scenario that a config asks for; ValueError where it could not run."""
+    """Check a config and find its scenario.
+
+    Raises
+    ------
+    ValueError
+        In one line, if the config cannot run.
+    """
     scenario = find(config.traffic.scenario, config.traffic.trace)
     roadside_units(config, scenario)
     check_choices(config)
     _check_driver(config, scenario)
     lidar.beams(config.lidar)
     with_meshes(Scene.empty(), config.meshes, config.vehicle_meshes)
-    if config.lidar.engine != "columnar":  # the others are libraries that may not be there
+    if config.lidar.engine != "columnar":  # the other engines are libraries that may not be installed
         one = Boxes(np.zeros((1, 3)), np.ones((1, 3)), np.zeros(1))
         car, first = np.array([Shape.CAR], np.uint8), np.zeros(1, np.int64)
         lidar.scan(one, car, first, Scene.empty(), config.lidar, np.zeros(1, np.uint64))
@@ -36,7 +42,7 @@ def check(config: Config) -> Scenario:
 
 
 def _check_driver(config: Config, scenario: Scenario) -> None:
-    """ValueError where the traffic cannot do what the driver commands."""
+    """Raise ValueError if the traffic cannot obey the driver's commands."""
     limit_s = largest_step_s(chosen(config, "driver")[0].of)
     if limit_s is None:
         return
@@ -54,20 +60,26 @@ def _check_driver(config: Config, scenario: Scenario) -> None:
 
 
 def roadside_units(config: Config, scenario: Scenario) -> RsuAntennas:
-    """Where the config's roadside units stand in the scenario's network; ValueError where they cannot."""
+    """Antennas of the config's roadside units in the scenario's network.
+
+    Raises
+    ------
+    ValueError
+        If the scenario has no street network, or a position does not fit.
+    """
     if not config.rsu.at and not config.rsu.n_at_junctions:
         return NO_RSUS
     if scenario.net is None:
         raise ValueError(
             "rsu.at, rsu.n_at_junctions: a trace without streets has no network to stand in. "
-            "Leave the roadside units out, or name the streets in traffic.scenario and the trace in traffic.trace."
+            "Leave the roadside units out, or name the city in traffic.scenario and the trace in traffic.trace."
         )
     sites = place_rsus(config.rsu, *junctions(scenario.net))
     return replace(sites, xyz_m=sites.xyz_m - np.array([*scenario.origin_m, 0.0]))
 
 
 def changed_since(path: Path | None, config: Config) -> list[str]:
-    """A remark where the config is that of a recorded run, and files that it names have changed since."""
+    """A note if the config is that of a recorded run and input files have changed since; otherwise an empty list."""
     if path is None or not (path.parent / "manifest.json").is_file():
         return []
     with suppress(ValueError):

@@ -1,8 +1,8 @@
-"""States as plain bytes and back, for runs that are resumed.
+"""Encodes states as bytes and decodes them, so that a run can be resumed.
 
-The format holds numbers, text and containers, and objects as the name of their class and the values of their fields.
-To read it executes nothing: a class is taken only from modules that are loaded already and belong to this program or to
-the user's own choices, objects are made without their constructors, and arrays are copied from raw bytes.
+The format holds numbers, text and containers. It holds an object as the name of its class and the values of its fields.
+Reading a checkpoint executes no code: a class is taken only from modules that are already loaded and belong to this
+program or to the user's own classes, objects are made without their constructors, and arrays are copied from raw bytes.
 """
 
 import enum
@@ -20,13 +20,18 @@ _PLAIN_KINDS = "biufcSUmM"
 
 
 class CannotCheckpoint(TypeError):
-    """Something in a state is neither data nor an object of plain fields."""
+    """A state contains something that is neither data nor an object of plain fields."""
 
 
 def encode(state: Any, own_modules: Collection[str] = ()) -> list[bytes | memoryview]:
-    """A state as bytes, in pieces; CannotCheckpoint names what cannot be kept.
+    """Encode a state as a list of byte strings.
 
-    Most pieces are the memory of the state's own arrays: they are to be written before the state changes.
+    Most of them are the memory of the state's own arrays. Write them before the state changes.
+
+    Raises
+    ------
+    CannotCheckpoint
+        If something in the state cannot be kept; the message names it.
     """
     writer = _Writer(frozenset(own_modules))
     tree = writer.node(state, "state")
@@ -35,9 +40,14 @@ def encode(state: Any, own_modules: Collection[str] = ()) -> list[bytes | memory
 
 
 def decode(content: bytes, own_modules: Collection[str] = ()) -> Any:
-    """The state; ValueError where the bytes are not those of one.
+    """Decode a state.
 
-    No array is larger than the bytes that are there for it.
+    No array becomes larger than its bytes in the file.
+
+    Raises
+    ------
+    ValueError
+        If the bytes are not an encoded state.
     """
     try:
         if not content.startswith(_MAGIC):
@@ -51,7 +61,7 @@ def decode(content: bytes, own_modules: Collection[str] = ()) -> Any:
 
 
 def _slots(of: type) -> dict[str, types.MemberDescriptorType]:
-    """Fields of a class that are kept in slots."""
+    """Fields of a class that are stored in slots."""
     return {
         name: member
         for base in reversed(of.__mro__) for name, member in vars(base).items()
@@ -60,14 +70,14 @@ def _slots(of: type) -> dict[str, types.MemberDescriptorType]:
 
 
 def _described(dtype: np.dtype) -> Any:
-    """A dtype as plain data: its name, or its fields with their names, dtypes and shapes."""
+    """A dtype as plain data: its name, or a list of its fields with names, dtypes and shapes."""
     if dtype.fields is None:
         return dtype.str
     return [[name, _described(dtype[name].base), list(dtype[name].shape)] for name in dtype.fields]
 
 
 def _dtype_of(about: Any) -> np.dtype:
-    """The dtype; ValueError where it holds anything but numbers, text and times."""
+    """The dtype from its description; ValueError if it holds anything but numbers, text and times."""
     if isinstance(about, list):
         return np.dtype([(str(name), _dtype_of(of), tuple(shape)) for name, of, shape in about])
     dtype = np.dtype(str(about))
@@ -99,7 +109,7 @@ class _Writer:
         if id(value) in self._seen:
             return ["r", self._seen[id(value)][0]]
         number = len(self._seen)
-        self._seen[id(value)] = (number, value)  # kept, so that no other object gets its id
+        self._seen[id(value)] = (number, value)  # the reference keeps other objects from getting the same id
         if type(value) is np.ndarray:
             return ["a", number, self._array(value, where)]
         if type(value) in (list, tuple, set, frozenset):
@@ -157,7 +167,7 @@ class _Reader:
             if at + n * dtype.itemsize > len(raw):
                 raise ValueError("it is cut off")
             if n and not dtype.itemsize:
-                raise ValueError(f"an array of {n} items without a size")  # NumPy would give each of them some
+                raise ValueError(f"an array of {n} items without a size")  # NumPy would allocate memory for them
             flat = np.frombuffer(raw[at : at + n * dtype.itemsize], dtype) if n else np.empty(0, dtype)
             self._arrays.append(flat.reshape(shape).copy())
             at += n * dtype.itemsize
@@ -211,7 +221,7 @@ class _Reader:
 
     def _object(self, number: int, name: str, fields: dict[str, Any]) -> Any:
         of = _class_of(name, self.own)
-        if of.__flags__ & (1 << 9) == 0 or issubclass(of, type | enum.Enum):  # not made by a class statement
+        if of.__flags__ & (1 << 9) == 0 or issubclass(of, type | enum.Enum):  # not defined by a class statement
             raise ValueError(f"{name} is no class of plain fields")
         made = self._made[number] = object.__new__(of)
         slots = _slots(of)
@@ -224,7 +234,7 @@ class _Reader:
 
 
 def _class_of(name: str, own: frozenset[str]) -> type:
-    """A class by name, of a module that is loaded and belongs to this program or to the user's own choices."""
+    """A class by name, from a loaded module of this program or of the user's own classes."""
     module, _, path = name.partition(":")
     if module.split(".")[0] not in _ROOMS and module not in own:
         raise ValueError(f"{name} is no class of this program")

@@ -1,4 +1,4 @@
-"""The loop of a run: traffic, the step, the recorder; from the first step, or from where a resumed run goes on."""
+"""The loop of a run: traffic, step, recorder. It starts at the first step or where a resumed run continues."""
 
 import logging
 from collections.abc import Callable
@@ -36,23 +36,23 @@ from sensors.scene import Shape
 _log = logging.getLogger(__name__)
 
 Advance = Callable[[str, int, int, str], None]
-"""Called with progress: phase, done, total, a note."""
+"""Callback for progress. Its arguments are the phase, the work done, the total and a note."""
 
 Commands = tuple[Int[ndarray, "c"], Float[ndarray, "c"]]
-"""Actors, and the speeds that they shall drive [m/s]."""
+"""Actors and their commanded speeds [m/s]."""
 NO_COMMANDS: Commands = (np.zeros(0, np.int64), np.zeros(0))
 _MOST_AT_ONCE = 10
-"""Steps without sensing at the beginning of a run, which a signal ends at once and leaves nothing of."""
+"""A signal within the first steps without sensing stops the run at once, and nothing of it is kept."""
 STATE_VERSION = 8
-"""Raised whenever a state of an earlier version would be misread."""
+"""Increase this number when the code can no longer read the states of earlier versions."""
 _CORES = numba.get_num_threads()
 _EQUIPPED_PER_THREAD = 100
-"""Below it a step takes some 20 ms, and threads lose more than they gain wherever the cores have other work."""
+"""With fewer vehicles a step takes about 20 ms, and further threads cost more than they save on busy cores."""
 
 
 @dataclass(slots=True)
 class Drive:
-    """A run under way."""
+    """A run that is being computed."""
 
     parts: Parts
     scenario: Scenario
@@ -65,29 +65,29 @@ class Drive:
     advance: Advance
     stop: StopRequest
     state: State | None = None
-    """At the first step that is recorded; None at the first of all, or where it is to be computed again."""
+    """State before the first step to record. None in a new run, or if earlier steps must be computed again."""
     expected: dict[str, np.ndarray] | None = None
-    """Rows of the table `actors` of the last step that a resumed run finds recorded."""
+    """In a resumed run: the rows of the table `actors` of the last recorded step."""
     commands: dict[int, Commands] = field(default_factory=dict)
-    """By step, what drivers commanded in the steps that a resumed run finds recorded."""
+    """In a resumed run: the drivers' commands in the recorded steps, by step."""
     n_on_road: int = 0
     n_senders: int = 0
     """Equipped vehicles, summed over the steps with messages."""
     ended: str = ""
-    """Why the traffic ended before the time asked for."""
+    """Why the traffic ended before the requested time."""
     _of_block: dict[int, Commands] = field(default_factory=dict)
     _keeps_state: bool = True
     _next: World | None = None
-    """World of the step after the present one, where it is read already."""
+    """World of the next step, if it has been read already."""
 
     def run(self) -> None:
-        """Warm up, repeat the traffic of what is recorded already, and go on to the end or to a signal."""
+        """Warm up, repeat the traffic of the recorded steps, and continue until the end or a signal."""
         keep_freed_memory()
-        give_back_freed_memory()  # of reading the city
+        give_back_freed_memory()  # memory that reading the city took
         c = self.parts.config
         alone = c.driver.model != "none" or c.compute.threads == 1 or _CORES == 1
         if alone or not isinstance(self.parts.perception, Perception):
-            self._run(None)  # the next world depends on the present step, or no core is left to compute on
+            self._run(None)  # the next world depends on the present step, or there is no second core
             return
         with Ahead(self.parts) as ahead:
             self.manifest.timings_ahead_s = ahead.watch.seconds
@@ -122,7 +122,7 @@ class Drive:
             precomputed = NOTHING_PRECOMPUTED if ahead is None else ahead.of(world)
             state, result = step(world, state, self.parts, precomputed)
             if result.sensed is not None or number + 1 >= min(_MOST_AT_ONCE, recorder.block_steps):
-                self.stop.at_once = False  # until now a step may have compiled kernels, for a minute
+                self.stop.at_once = False  # before this, a step may have compiled kernels for a minute
             with self.parts.watch("record"):
                 recording.step(recorder, result, config.traffic.step_s)
                 recorder.reach(number)
@@ -132,7 +132,7 @@ class Drive:
                     self._of_block[number] = commands
                 if recorder.is_block_end(number) and number + 1 < config.n_steps:
                     self._commit(state)
-            del result, precomputed  # up to 100 MB of a large fleet, which the next step would have beside its own
+            del result, precomputed  # up to 100 MB for many vehicles, which would exist beside those of the next step
             self.traffic.command(*commands)
             self.advance("run", number + 1, config.n_steps, f"steps, {len(world)} actors")
             if self.stop.signum is not None and self._next is None:
@@ -144,11 +144,11 @@ class Drive:
 
     @property
     def is_over(self) -> bool:
-        """Whether every step asked for, or every one that the traffic has, is recorded."""
+        """Whether all requested steps, or all steps of the traffic, are recorded."""
         return bool(self.ended) or self.manifest.steps >= self.parts.config.n_steps
 
     def _world(self) -> World | None:
-        """That of the next step; None where the traffic has ended."""
+        """The world of the next step; None if the traffic has ended."""
         if (world := self._next) is not None:
             self._next = None
             return world
@@ -163,8 +163,11 @@ class Drive:
                 return None
 
     def _look_ahead(self, number: int, ahead: Ahead | None) -> None:
-        """Have the world after this one sensed while this step goes on; not where recording may end between the two,
-        because actors are registered when they are read."""
+        """Start to compute the next world's sweeps while this step continues.
+
+        This is not done where recording may end between the two steps, because actors are registered when a world is
+        read.
+        """
         is_last = number + 1 == self.parts.config.n_steps or self.recorder.is_block_end(number)
         if ahead is None or is_last or self.stop.signum is not None or (world := self._world()) is None:
             return
@@ -173,7 +176,7 @@ class Drive:
             ahead.expect(world, at_once=not self.parts.senses(number))
 
     def _commit(self, state: State) -> None:
-        """A whole block, with what a resumed run needs to go on from it."""
+        """Write a complete block, with the state that a resumed run needs to continue from it."""
         self.folder.check()
         files = {}
         if self._of_block:
@@ -188,12 +191,16 @@ class Drive:
                 self._keeps_state = False
                 self.manifest.summary["not_kept_for_resume"] = f"{error}: a resumed run computes all steps again"
         rows = recording.open_rows(state, self.parts, self.registry, self.manifest.steps)
-        give_back_freed_memory()  # the last rows of all tables are encoded at once
+        give_back_freed_memory()  # the last rows of all tables are encoded at the same time
         self.recorder.flush(rows, files)
         give_back_freed_memory()
 
     def _end(self, state: State) -> None:
-        """The last block: of a run that is over with what is open in its parts, of an interrupted one beside them."""
+        """Write the last block.
+
+        Rows that are still open, such as encounters, go into the tables of a finished run. An interrupted run keeps
+        them in separate files.
+        """
         self.folder.check()
         rows = recording.open_rows(state, self.parts, self.registry, self.manifest.steps)
         give_back_freed_memory()
@@ -215,20 +222,20 @@ class Drive:
         }
 
     def _incomplete_rings(self) -> dict[str, Any]:
-        """Rings of attackers that were larger than the attackers there were; told once the run is over."""
+        """Notes on rings of attackers with fewer attackers than configured; empty before the run is over."""
         found = rings_too_large(self.parts.config.attacks, self.registry.attack) if self.is_over else []
         for line in found:
             _log.warning(line)
         return {"rings_too_large": found} if found else {}
 
     def _absent_victims(self) -> list[str]:
-        """Keys of the config that name a victim that was never on the road."""
+        """Keys of the config whose victim was never on the road."""
         known = set(self.registry.names)
         named = ((n, p.victim_id) for n, p in enumerate(self.parts.config.attacks) if p.victim == "one")
         return [f'attacks.{n}.victim_id = "{name}"' for n, name in named if name not in known]
 
     def _check_repeated(self, world: World) -> None:
-        """The traffic repeated must be the one recorded: the same SUMO, the same files."""
+        """Raise ValueError if the repeated traffic differs from the recorded one."""
         if (want := self.expected) is None:
             return
         poses = {"yaw_rad": world.boxes.yaw_rad, "speed_mps": world.speed_mps} | {
@@ -245,7 +252,13 @@ class Drive:
 
 
 def warm_up(warmup_s: float, traffic: TrafficSource, watch: Stopwatch, advance: Advance) -> None:
-    """Traffic before the first step."""
+    """Simulate the traffic before the first step.
+
+    Raises
+    ------
+    TrafficError
+        If the traffic ends before the warm-up does.
+    """
     with watch("warm-up"):
         try:
             for done_s in traffic.warm_up(warmup_s):
@@ -256,12 +269,12 @@ def warm_up(warmup_s: float, traffic: TrafficSource, watch: Stopwatch, advance: 
 
 
 def own_modules(config: Config) -> tuple[str, ...]:
-    """Modules of the user's own choices that this config names."""
+    """Modules of the user's own classes that this config names."""
     return tuple(sorted({choice.of.__module__ for choice in chosen(config).values()}))
 
 
 def _pseudonym_summary(config: Config, state: State, n_messages: int) -> dict[str, Any]:
-    """What became of pseudonyms, where anything can; `n_messages` is the number of detection messages."""
+    """Counts about pseudonyms for the manifest; `n_messages` is the number of detection messages."""
     found: dict[str, Any] = {}
     if (n_changes := int(state.pseudonyms.n_changes.sum())) and config.pseudonyms.linkage == "none":
         n_vehicles = int((state.pseudonyms.current >= 0).sum())
@@ -277,5 +290,5 @@ def _pseudonym_summary(config: Config, state: State, n_messages: int) -> dict[st
 
 
 def _threads(config: Config, n_equipped: int) -> int:
-    """Threads for one step: what the config says, or as many as are worth it."""
+    """Threads for one step: the number in the config, or one per `_EQUIPPED_PER_THREAD` equipped vehicles."""
     return min(config.compute.threads or max(1, n_equipped // _EQUIPPED_PER_THREAD), _CORES)

@@ -1,4 +1,4 @@
-"""The folder of a run: made for one run alone, and locked while it is written."""
+"""The folder of a run. It belongs to one run and is locked while the run is written."""
 
 import shutil
 from contextlib import suppress
@@ -12,30 +12,30 @@ from results.manifest import MANIFEST
 
 @dataclass(slots=True)
 class RunFolder:
-    """A folder that this process alone writes into."""
+    """A run folder that is locked for this process."""
 
     path: Path
     lock: Lock
     made: tuple[Path, ...] = ()
-    """Folders that were made for it, the outermost first."""
+    """Folders that were created for it, the outermost first."""
 
     def check(self) -> None:
-        """Failed where the folder was removed meanwhile, or is another run's by now."""
+        """Raise Failed if the folder was removed or now belongs to another run."""
         if not self.lock.is_held():
             raise Failed(f"{self.path} was removed while the run wrote into it. Nothing more is written.")
 
     def release(self) -> None:
-        """Let others write."""
+        """Release the lock, so that other processes can write."""
         self.lock.release()
 
     def clear(self) -> None:
-        """Delete all but the lock; the manifest last, because a folder without one is no run."""
+        """Delete everything except the lock. The manifest goes last, because a folder without it is not a run."""
         items = [item for item in self.path.iterdir() if not is_lock(item)]
         for item in sorted(items, key=lambda item: item.name == MANIFEST):
             shutil.rmtree(item) if item.is_dir() and not item.is_symlink() else item.unlink()
 
     def remove(self) -> None:
-        """Leave no trace of a run that recorded nothing."""
+        """Remove the folder of a run that recorded nothing."""
         if self.path.is_dir() and self.lock.is_held():
             self.clear()
         self.release()
@@ -45,7 +45,7 @@ class RunFolder:
 
 
 def check(out: Path | None) -> None:
-    """Refuse, before anything is loaded, a folder that cannot be that of a new run."""
+    """Raise ValueError if `out` cannot become the folder of a new run."""
     if out is None:
         return
     try:
@@ -65,7 +65,7 @@ def check(out: Path | None) -> None:
 
 
 def create(out: Path | None, name: str) -> RunFolder:
-    """The folder `out`, or the next free one of that name under `runs`; ValueError where it cannot be had."""
+    """Create and lock the folder `out`, or the next free folder `runs/<name>-N`; ValueError if that is impossible."""
     base = Path("runs") if out is None else out.absolute().parent
     try:
         made = _make(base)
@@ -92,12 +92,12 @@ def create(out: Path | None, name: str) -> RunFolder:
 
 
 def _is_leftover(item: Path) -> bool:
-    """What a run leaves that was killed before its manifest was on disk; the next one writes over it."""
+    """Whether a file was left by a run that was killed before it wrote its manifest. A new run overwrites it."""
     return is_lock(item) or item.name == MANIFEST + PARTIAL
 
 
 def beside(out: Path) -> RunFolder:
-    """A folder that is renamed to `out` once it is whole; what a killed process left there is removed."""
+    """A temporary folder that is renamed to `out` when it is complete. Files of a killed process in it are removed."""
     path = out.with_name(out.name + PARTIAL)
     try:
         made = _make(path)
@@ -110,7 +110,7 @@ def beside(out: Path) -> RunFolder:
 
 
 def reopen(path: Path) -> RunFolder:
-    """The folder of a run that is to go on; ValueError where a process writes into it."""
+    """Lock the folder of an existing run; ValueError if another process writes into it."""
     try:
         return RunFolder(path, _lock(path))
     except OSError as error:
@@ -125,7 +125,7 @@ def _lock(path: Path) -> Lock:
 
 
 def _make(folder: Path) -> tuple[Path, ...]:
-    """Make a folder and those above it; those that were not there."""
+    """Create a folder and its parents; return those that did not exist."""
     missing = []
     while not folder.exists():
         missing.append(folder)

@@ -1,4 +1,4 @@
-"""Files that a run reads besides its config: those of its scenario and its meshes, with their checksums."""
+"""Files that a run reads besides its config, with checksums: the files of the scenario and the meshes."""
 
 from pathlib import Path
 
@@ -19,7 +19,7 @@ def changed_inputs(config: Config, scenario: Scenario, before: dict[str, str]) -
 
 
 def mesh_checksums(config: Config) -> dict[str, str]:
-    """SHA-256 of the mesh files by the config's key; an empty text where there is no such file."""
+    """SHA-256 of the mesh files by key of the config; an empty string if a file does not exist."""
     files = [(f"meshes.{n}.file", mesh.file) for n, mesh in enumerate(config.meshes)]
     files += [(f"vehicle_meshes.{n}.file", body.file) for n, body in enumerate(config.vehicle_meshes)]
     return {key: sha256(Path(file)) if Path(file).is_file() else "" for key, file in files}

@@ -1,4 +1,4 @@
-"""The manifest of a run: what was asked, with which versions and inputs, and how it went."""
+"""The manifest of a run: its config, versions, inputs and outcome."""
 
 import hashlib
 import os
@@ -43,7 +43,7 @@ _UNSET_LINE = re.compile(r'^(\s*)(.+) = "\\u0000"$', re.MULTILINE)
 
 
 def toml_text(data: dict[str, Any]) -> str:
-    """Plain data as TOML; a key that is not set is a comment."""
+    """Plain data as TOML. A key that is not set becomes a comment."""
     return _UNSET_LINE.sub(r"\1# \2 is not set", tomli_w.dumps(_marked(data)))
 
 
@@ -55,38 +55,41 @@ def _marked(data: Any) -> Any:
 
 @dataclass(slots=True)
 class Manifest:
-    """What `manifest.json` says; rewritten whole, so that it is never half there."""
+    """The content of `manifest.json`. The file is always replaced as a whole, so it is never incomplete."""
 
     folder: Path
     config: Config
     net: dict[str, str]
-    """Name, licence and attribution of the network; checksums of all files that are read."""
+    """Name, licence and attribution of the network; checksums of all input files."""
     choices: dict[str, Source]
-    """Which class every choice of the config is, with the file and checksum of a user's own."""
+    """The class behind every choice of the config, with file and checksum if it is the user's own."""
     steps: int = 0
-    """Steps done so far."""
+    """Completed steps."""
     timings_s: dict[str, float] = field(default_factory=dict)
     timings_ahead_s: dict[str, float] = field(default_factory=dict)
-    """Of what was sensed beside these stages, ahead of its step."""
+    """Seconds per stage that a second thread computed ahead, in parallel with `timings_s`."""
     summary: dict[str, Any] = field(default_factory=dict)
     error: str = ""
     """Why the run failed."""
     resumed_at: list[int] = field(default_factory=list)
     """Steps at which the run was resumed."""
     config_sha256: str = ""
-    """Checksum of the file of the config."""
+    """SHA-256 of `config.toml`."""
 
     def begin(self) -> None:
-        """Write a manifest that says that the run is running, then the config: with a manifest, it can be resumed."""
+        """Write the manifest with status "running", then the config. From then on the run can be resumed."""
         self.config_sha256 = hashlib.sha256(self._config()).hexdigest()
         self.write("running")
         durable.write(self.folder / CONFIG, self._config())
         durable.sync_folder(self.folder)
 
     def keep_config(self, before: Mapping[str, Any]) -> None:
-        """Take over the config of a run to be resumed; its file is written where a kill came before it.
+        """Check the config of a run to be resumed, and write `config.toml` if the run was killed before it did.
 
-        ValueError where the config comes out as another one.
+        Raises
+        ------
+        ValueError
+            If the config differs from the recorded one.
         """
         path = self.folder / CONFIG
         self.config_sha256 = hashlib.sha256(self._config()).hexdigest()
@@ -96,9 +99,9 @@ class Manifest:
             durable.write(path, self._config())
 
     def write(self, status: str, inventory: Inventory | None = None) -> None:
-        """Save with `status`: running, finished, interrupted or failed.
+        """Write the manifest with a status: running, finished, interrupted or failed.
 
-        A run that is running holds some space for its last words, so that they fit on a full disk.
+        A running run reserves some disk space, so that its last manifest fits on a full disk.
         """
         inventory = inventory or Inventory()
         content = {
@@ -129,7 +132,7 @@ class Manifest:
         reserve.unlink(missing_ok=True)
         write_manifest(self.folder, content)
         if status == "running":
-            with suppress(OSError), open(reserve, "wb") as file:  # file systems without it have no such promise
+            with suppress(OSError), open(reserve, "wb") as file:  # some file systems cannot reserve space
                 os.posix_fallocate(file.fileno(), 0, _RESERVE_BYTES)
 
     def _config(self) -> bytes:

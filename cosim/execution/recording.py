@@ -1,4 +1,4 @@
-"""From the result of a step to the rows of the run's tables; it asks nothing of the simulation."""
+"""Converts the result of a step to rows of the run's tables. It reads the result only."""
 
 import copy
 from collections.abc import Container, Mapping, Sequence
@@ -35,11 +35,11 @@ Columns = Mapping[str, ndarray | None]
 
 
 class TakesRows(Protocol):
-    """What rows are given to: a `results.recorder.Recorder`, or whatever keeps them otherwise."""
+    """Takes rows of tables: a `results.recorder.Recorder`, or a class that keeps them in memory."""
 
     @property
     def tables(self) -> Container[str]:
-        """Tables whose rows are kept."""
+        """Names of the tables whose rows are kept."""
 
     def append(self, table: str, step: int, columns: Columns) -> None:
         """Add rows of one step, as `Recorder.append`."""
@@ -53,11 +53,21 @@ OUTCOMES = {
     "n_lost_expired": Outcome.EXPIRED,
     "n_lost_late": Outcome.LATE,
 }
-"""Columns of the tables `radio` and `pdr_by_distance`, and the outcome that each counts."""
+"""The outcome that each column of the tables `radio` and `pdr_by_distance` counts."""
 
 
 def step(recorder: TakesRows, result: StepResult, dt_s: float) -> None:
-    """All rows that the result of a step has for the tables of a run."""
+    """Append all rows of a step to the tables of a run.
+
+    Parameters
+    ----------
+    recorder
+        Takes the rows.
+    result
+        Result of the step.
+    dt_s
+        Length of a step [s].
+    """
     at = result.world.step
     actors(recorder, result.world)
     if result.reactions is not None:
@@ -79,7 +89,7 @@ def step(recorder: TakesRows, result: StepResult, dt_s: float) -> None:
 
 
 def actors(recorder: TakesRows, world: World) -> None:
-    """Poses of all actors."""
+    """Append the poses of all actors."""
     xyz, yaw = world.boxes.xyz_m, world.boxes.yaw_rad
     recorder.append("actors", world.step, {
         "actor": world.actor, "x_m": xyz[:, 0], "y_m": xyz[:, 1], "z_m": xyz[:, 2], "yaw_rad": yaw,
@@ -99,7 +109,7 @@ def _reactions(recorder: TakesRows, at: int, found: Reactions) -> None:
 
 
 def encounters(recorder: TakesRows, at: int, closed: Sequence[Rows]) -> None:
-    """Encounters that are over, by definition."""
+    """Append encounters that have ended; `closed` has one item per definition in the config."""
     for rows in closed:
         base, others = by_variant(rows)
         recorder.append("encounters", at, base)
@@ -108,7 +118,7 @@ def encounters(recorder: TakesRows, at: int, closed: Sequence[Rows]) -> None:
 
 
 def pseudonyms(recorder: TakesRows, at: int, ended: PseudonymUse) -> None:
-    """Pseudonyms that are no longer used."""
+    """Append pseudonyms that are no longer used."""
     recorder.append("pseudonyms", at, _pseudonym_rows(ended))
 
 
@@ -254,7 +264,25 @@ def trust(
     servers: Sequence[ServerTraffic | None], receiver: Int[ndarray, "n"], subject: Int[ndarray, "n"],
     lookups: Sequence[Lookups],
 ) -> None:  # fmt: skip
-    """What trust computed, sent and answered in a step, per trust variant; `lookups` are of `subject` by `receiver`."""
+    """Append the tables of trust for one step.
+
+    Parameters
+    ----------
+    recorder
+        Takes the rows.
+    at
+        Number of the step.
+    dt_s
+        Length of a step [s].
+    published
+        Per trust variant, the values that its server computed in this step; None if it computed none.
+    servers
+        Per trust variant, the traffic from and to its server; None if it has no server.
+    receiver, subject
+        Per lookup, the actor number of the vehicle that looks up, and the pseudonym that it asks about.
+    lookups
+        Per trust variant, the answers, aligned with `receiver` and `subject`.
+    """
     _published(recorder, at, dt_s, [(v, scores) for v, scores in enumerate(published) if scores is not None])
     of_server = [(v, server) for v, server in enumerate(servers) if server is not None]
     counts = {name: np.array([getattr(server.up, name) for _, server in of_server], np.int64) for name in _UP}
@@ -264,7 +292,7 @@ def trust(
 
 
 def _published(recorder: TakesRows, at: int, dt_s: float, of_variant: Sequence[tuple[int, TrustScores]]) -> None:
-    """Rows of all variants at once, one variant after another."""
+    """Append the rows of all variants, one variant after another."""
     if not of_variant:
         return
 
@@ -293,7 +321,7 @@ _DOWN = ("n_addressed", "n_informed")
 def _lookups(
     recorder: TakesRows, at: int, receiver: Int[ndarray, "n"], subject: Int[ndarray, "n"], lookups: Sequence[Lookups]
 ) -> None:
-    """Rows of all variants at once, by subject."""
+    """Append the rows of all variants, sorted by variant and subject."""
     n, n_variants = len(receiver), len(lookups)
     counted = np.repeat([found.n_evaluators is not None for found in lookups], n)
     nothing = np.zeros(n, np.int64)
@@ -316,8 +344,10 @@ def _lookups(
 
 
 def _lookup_totals(found: Lookups, n_variants: int) -> Rows:
-    """Lookups of a step, one variant after another, added up by variant and state; states that do not occur are left
-    out."""
+    """Sums over the lookups of a step by variant and state, without states that do not occur.
+
+    `found` holds the lookups of all variants, one variant after another.
+    """
     n_states = len(LookupState)
     sums = lookup_kernels.totals(
         n_variants, n_states, found.state, found.is_default, found.is_known, found.age_s,
@@ -335,8 +365,10 @@ def _evaluations_behind(
     n: Int[ndarray, "n"], n_evaluators: Int[ndarray, "n"], newest_s: Float[ndarray, "n"],
     oldest_s: Float[ndarray, "n"], some: Bool[ndarray, "n"], counted: Bool[ndarray, "n"],
 ) -> Rows:  # fmt: skip
-    """Columns about the evaluations behind trust values; `some` says where there are any, `counted` where their
-    evaluators are counted."""
+    """Columns about the evaluations behind trust values.
+
+    `some` is true for values with at least one evaluation, `counted` where the number of evaluators is known.
+    """
     return {
         "n_evaluations": n, "n_evaluators": n_evaluators, "n_evaluators__valid": counted,
         "newest_evaluation_age_s": newest_s, "newest_evaluation_age_s__valid": some,
@@ -366,7 +398,19 @@ def _fused(recorder: TakesRows, at: int, sensed: Sensed) -> None:
 
 
 def open_rows(state: State, parts: Parts, registry: ActorRegistry, end_step: int) -> dict[str, list[Columns]]:
-    """By table, the rows of what is not over yet, as they would be if recording ended before `end_step`."""
+    """Rows of encounters, pseudonyms and vehicles that are still open, by table, as if recording ended at `end_step`.
+
+    Parameters
+    ----------
+    state
+        State after the last step; it is not changed.
+    parts
+        Components of the run.
+    registry
+        All actors so far.
+    end_step
+        One past the last step.
+    """
     split = [by_variant(rows) for rows in copy.deepcopy(state.encounters).close(end_step)]
     return {
         "encounters": [base for base, _ in split],
@@ -379,7 +423,17 @@ def open_rows(state: State, parts: Parts, registry: ActorRegistry, end_step: int
 def vehicle_rows(
     registry: ActorRegistry, role_of_attack: UInt8[ndarray, "a"], attack_start: AttackStartTracker
 ) -> Columns:
-    """All actors; `role_of_attack` by number of the attack, 0 for none."""
+    """Columns of the table `vehicles` for all actors.
+
+    Parameters
+    ----------
+    registry
+        All actors so far.
+    role_of_attack
+        Role by number of the attack; number 0 is that of vehicles without an attack.
+    attack_start
+        When each vehicle first attacked.
+    """
     lwh = registry.lwh_m
     attack_start_step, attacked = attack_start.first_steps(len(registry))
     return {

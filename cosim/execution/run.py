@@ -1,4 +1,4 @@
-"""A run, from config to folder."""
+"""Runs a config into a folder, and resumes such a run."""
 
 import hashlib
 import shutil
@@ -43,13 +43,32 @@ from results.verify import links
 
 
 def run(config: Config, out: Path | None, advance: Advance, traffic_from: Path | None = None) -> Path:
-    """Drive, sense, talk, trust and record; the folder that it wrote.
+    """Run an experiment into a folder.
 
-    `traffic_from` is a folder that `record_traffic` wrote for the same `[traffic]`: it is replayed instead of driving
-    SUMO, with the same tables.
+    Nothing is written before the config has been checked and SUMO has accepted the scenario.
 
-    Nothing is written before the config has been checked and SUMO has accepted the scenario. Stopped where a signal
-    asks for it.
+    Parameters
+    ----------
+    config
+        The experiment.
+    out
+        Folder to write; None for the next free `runs/<city>-N`.
+    advance
+        Called with progress.
+    traffic_from
+        Folder that `record_traffic` wrote for the same `[traffic]`. It is replayed instead of running SUMO. The tables
+        are the same.
+
+    Returns
+    -------
+    The folder that was written.
+
+    Raises
+    ------
+    ValueError
+        In one line, if the config cannot run or the folder cannot be used.
+    Stopped
+        If a signal interrupted the run; the complete steps are written.
     """
     run_folder.check(out)
     scenario = check(config)
@@ -76,14 +95,33 @@ def run(config: Config, out: Path | None, advance: Advance, traffic_from: Path |
 
 
 def resume(path: Path, advance: Advance, traffic_from: Path | None = None, trust_code: bool = False) -> Path:
-    """Go on with a run that was killed or interrupted, from its last whole block: the tables are those of a run
-    never interrupted.
+    """Continue a run that was killed or interrupted, from its last complete block.
 
-    The traffic is repeated from its beginning, because SUMO's own saved state is not exact; everything else goes on
-    from the state that was kept with the block. `traffic_from` as in `run`.
+    The tables equal those of a run without interruption. The traffic is simulated again from its beginning, because
+    SUMO's saved state is not exact. Everything else continues from the state that was kept with the block.
 
-    Classes of the user's own that the run's config names are loaded with `trust_code` only: a checksum in the folder
-    can be made anew by whoever made the folder. Nothing else in it can name code.
+    Parameters
+    ----------
+    path
+        Folder of the run.
+    advance
+        Called with progress.
+    traffic_from
+        As in `run`.
+    trust_code
+        Load the user's own classes that the run's config names. Without it, the run is refused, because the author of
+        a folder can compute its checksums again after a change. Nothing else in the folder can name code.
+
+    Returns
+    -------
+    The folder of the run.
+
+    Raises
+    ------
+    ValueError
+        In one line, if the run cannot be resumed, for example because its inputs have changed.
+    Damaged
+        If the files of the run differ from what was written.
     """
     manifest = read_manifest(path)
     config = resumable(path, trust_code)
@@ -95,7 +133,7 @@ def resume(path: Path, advance: Advance, traffic_from: Path | None = None, trust
         folder = run_folder.reopen(path)
         try:
             if read_manifest(path)["status"] == "finished":
-                folder.release()  # a kill may have come between the last word of the manifest and the release
+                folder.release()  # a kill may have come between the last manifest and the release of the lock
                 return path
             found = inventory.read(path).whole()
             closed = [part for block in found.blocks for part in block.parts]
@@ -123,7 +161,12 @@ def resume(path: Path, advance: Advance, traffic_from: Path | None = None, trust
 
 
 def record_traffic(config: Config, path: Path, advance: Advance) -> Path:
-    """Drive and record the traffic of a config, no vehicle equipped; a folder for `run(..., traffic_from=path)`."""
+    """Simulate and record the traffic of a config without equipped vehicles.
+
+    Returns
+    -------
+    The folder `path`, for `run(..., traffic_from=path)`.
+    """
     own = {section: values for section, values in config.own.items() if not section.startswith("attacks.")}
     config = replace(config, attacks=(), trust_variant=(), own=own)
     scenario, watch = check(config), Stopwatch()
@@ -154,7 +197,15 @@ def record_traffic(config: Config, path: Path, advance: Advance) -> Path:
 
 
 def resumable(path: Path, trust_code: bool = False) -> Config:
-    """The config of a run that can be resumed; ValueError in one line where it cannot."""
+    """The config of a run that can be resumed.
+
+    Raises
+    ------
+    ValueError
+        In one line, if the run cannot be resumed.
+    Damaged
+        If the folder contradicts its manifest.
+    """
     manifest = read_manifest(path)
     if manifest["schema_version"] != SCHEMA_VERSION:
         raise ValueError(
@@ -179,14 +230,14 @@ def resumable(path: Path, trust_code: bool = False) -> Config:
 
 
 def warmup_of(config: Config, scenario: Scenario) -> float:
-    """Traffic before the first step [s]."""
+    """Duration of the traffic before the first step [s]."""
     return scenario.warmup_s if config.traffic.warmup_s is None else config.traffic.warmup_s
 
 
 def load_parts(
     config: Config, scenario: Scenario, traffic_from: Path | None = None
 ) -> tuple[Parts, ActorRegistry, TrafficSource]:
-    """The parts of a run, with its actors and its traffic; arguments as `run`. The caller closes the traffic."""
+    """The components of a run, its actors and its traffic; arguments as in `run`. The caller closes the traffic."""
     watch = Stopwatch()
     with watch("city"):
         city = with_meshes(scenario.city(), config.meshes, config.vehicle_meshes)
@@ -204,7 +255,7 @@ def _recorder(folder: Path, parts: Parts, resume_at: int) -> Recorder:
 
 
 def _kept_commands(path: Path, found: Inventory) -> dict[int, Commands]:
-    """Speeds that drivers commanded, by step; they belong to the traffic that is repeated."""
+    """Speeds that drivers commanded in the recorded steps, by step. The repeated traffic must obey them again."""
     commands: dict[int, Commands] = {}
     for block in found.blocks:
         for name in block.checkpoint:
@@ -214,7 +265,7 @@ def _kept_commands(path: Path, found: Inventory) -> dict[int, Commands]:
 
 
 def _decoded(path: Path, name: str, digest: str, own: Collection[str]) -> Any:
-    """What a file of a checkpoint holds."""
+    """The content of a file of a checkpoint; Damaged if it is not what was written."""
     with open_regular(path / name) as file:
         content = file.read()
     if hashlib.sha256(content).hexdigest() != digest:
@@ -226,7 +277,7 @@ def _decoded(path: Path, name: str, digest: str, own: Collection[str]) -> Any:
 
 
 def _kept_state(path: Path, found: Inventory, config: Config, config_sha256: str) -> State | None:
-    """The state at the end of the last whole block; None where all has to be computed again."""
+    """The state at the end of the last complete block; None if no state was kept and all steps are computed again."""
     names = [name for name in (found.blocks[-1].checkpoint if found.blocks else ()) if is_state(name)]
     if not names:
         return None
@@ -239,7 +290,7 @@ def _kept_state(path: Path, found: Inventory, config: Config, config_sha256: str
 
 
 def _last_poses(path: Path, found: Inventory) -> dict[str, np.ndarray] | None:
-    """Rows of the table `actors` of the last step that is kept; None where the run does not keep them."""
+    """Rows of the table `actors` of the last recorded step; None if the run does not keep that table."""
     last = found.end_step - 1
     parts = [part for part in found.of("actors") if part.first_step <= last <= part.last_step]
     if not parts:
@@ -250,7 +301,7 @@ def _last_poses(path: Path, found: Inventory) -> dict[str, np.ndarray] | None:
 
 
 def _carry_out(drive: Drive, folder: RunFolder) -> None:
-    """A run, and its status in the manifest, whatever happens."""
+    """Carry out a run, and write its status into the manifest in every case."""
     manifest, recorder = drive.manifest, drive.recorder
     try:
         drive.run()
@@ -303,7 +354,7 @@ def _carry_out(drive: Drive, folder: RunFolder) -> None:
 
 
 def _fail(drive: Drive, folder: RunFolder, message: str) -> bool:
-    """Say in the manifest that the run failed; a folder without any steps is removed. Whether steps are kept."""
+    """Write the status "failed" into the manifest, or remove a folder without steps; return whether steps are kept."""
     manifest, recorder = drive.manifest, drive.recorder
     if not folder.lock.is_held():
         return False
@@ -312,7 +363,7 @@ def _fail(drive: Drive, folder: RunFolder, message: str) -> bool:
             folder.remove()
         return False
     manifest.error, manifest.timings_s = message, drive.parts.watch.seconds
-    with suppress(OSError):  # a full disk, a folder that is gone: "running" without a lock says as much
+    with suppress(OSError):  # on a full disk the manifest stays "running"; without a lock this means the same
         for leftover in folder.path.rglob("*" + PARTIAL):
             leftover.unlink()
         manifest.write("failed", recorder.inventory)
@@ -322,22 +373,22 @@ def _fail(drive: Drive, folder: RunFolder, message: str) -> bool:
 
 
 _FEWEST_MESSAGES = 3.0
-"""Messages under a pseudonym, on average, below which a run is remarked on."""
+"""A run with fewer messages per pseudonym, on average, gets a note."""
 
 
 def remarks(folder: Path) -> list[str]:
-    """What a user should know of a finished run before they trust its figures; mostly nothing."""
+    """Notes that a user should read before they rely on the figures of a run; empty for most runs."""
     summary = read_manifest(folder)["summary"]
     absent = [f"note: {key}: no vehicle of that id was on the road." for key in summary.get("victims_absent", ())]
     return traffic_remarks(summary) + absent + pseudonym_remarks(summary)
 
 
 def pseudonym_remarks(summary: dict[str, Any]) -> list[str]:
-    """A remark on pseudonyms that change before anybody can have evidence about them."""
+    """A note if pseudonyms change so often that there is hardly any evidence about them."""
     if (mean := summary.get("messages_per_pseudonym", _FEWEST_MESSAGES)) >= _FEWEST_MESSAGES:
         return []
     return [
         f"note: vehicles sent {mean:g} messages under each pseudonym on average: hardly any evidence about a pseudonym "
-        "is there when it is looked up. Have the policy in [pseudonyms] change them less often, or set "
+        "exists when it is looked up. Let the policy in [pseudonyms] change them less often, or set "
         "pseudonyms.linkage."
     ]

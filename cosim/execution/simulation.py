@@ -1,4 +1,4 @@
-"""For notebooks and scripts: a run step by step in memory, or a whole one into a folder.
+"""For notebooks and scripts: simulate step by step in memory, or run a whole experiment into a folder.
 
 from cosim import Simulation
 
@@ -36,7 +36,7 @@ from results.tables import TABLES
 from sensors.lidar import RangeImages
 
 AnyConfig = Config | Mapping[str, Any] | str | Path | None
-"""A config; plain data as a config file states it; the path of a TOML file; or None for the shipped city."""
+"""A `Config`, a dictionary with the content of a config file, the path of a TOML file, or None for the default city."""
 
 
 def run(config: AnyConfig = None, out: str | Path | None = None, **parts: type | str) -> OpenRun:
@@ -47,37 +47,43 @@ def run(config: AnyConfig = None, out: str | Path | None = None, **parts: type |
     config
         As `Simulation`.
     out
-        Folder to write; by default the next `runs/<city>-N`.
+        Folder to write. The default is the next free `runs/<city>-N`.
     parts
-        As `Simulation`.
+        As in `Simulation`.
+
+    Returns
+    -------
+    The run, with its tables and metrics.
 
     Raises
     ------
     ValueError
-        In one line, where the config could not run.
+        In one line, if the config cannot run.
     """
     folder = running.run(_resolved(config, parts), None if out is None else Path(out), lambda *_: None)
     return open_run(folder)
 
 
 class Simulation:
-    """A simulation in memory: iterate over it for the result of every step. Nothing is written.
+    """A simulation in memory. Iterate over it to get the result of every step. It writes no files.
 
-    One at a time in a process: SUMO holds one world. Use it as a context manager, which ends SUMO.
+    Use it as a context manager, which ends SUMO. A process can hold one simulation at a time, because SUMO holds one
+    world.
 
     Parameters
     ----------
     config
-        A `Config`, plain data as a config file states it, the path of a TOML file, or None for the shipped city.
+        A `Config`, a dictionary with the content of a config file, the path of a TOML file, or None for the default
+        city.
     parts
-        Classes in place of those that the config names, by section: `detector`, `radio`, `pseudonyms`, `trust`,
-        `driver`. Either a class that is defined at the top level of a module or notebook, or a name as in a config.
-        Attacks are named in the config's `attacks`.
+        Classes that replace those of the config, by section: `detector`, `radio`, `pseudonyms`, `trust`, `driver`.
+        Each is a class that is defined at the top level of a module or notebook, or a name as in a config. Name
+        attacks in the config's `attacks`.
 
     Raises
     ------
     ValueError
-        In one line, where the config could not run.
+        In one line, if the config cannot run.
     """
 
     def __init__(self, config: AnyConfig = None, **parts: type | str) -> None:
@@ -91,7 +97,7 @@ class Simulation:
 
     @property
     def n_steps(self) -> int:
-        """Steps that have been simulated."""
+        """Number of simulated steps."""
         return self._n_steps
 
     def __enter__(self) -> "Simulation":
@@ -132,9 +138,9 @@ class Simulation:
 class SimulatedStep:
     """What happened in one step of a `Simulation`.
 
-    Vehicles are named by their actor number, messages and trust by pseudonym. Tables have the columns of the tables of
-    a run (`results/TABLES.md`), with numbers as they were computed, before they are rounded for storage. Columns that
-    are ground truth are marked there, and no vehicle knows them.
+    Vehicles are named by their actor number; messages and trust by pseudonym. Tables have the columns of the tables of
+    a run (`results/TABLES.md`). Their numbers are those that were computed, before they are rounded for storage.
+    `results/TABLES.md` marks columns with ground truth, which no vehicle knows.
     """
 
     def __init__(self, simulation: Simulation, result: StepResult, variants: Sequence[str]) -> None:
@@ -142,7 +148,7 @@ class SimulatedStep:
         self._columns = _Columns()
         self._labels = {"variants": tuple(variants), "roles": labels(Role)}
         self.result = result
-        """The results of the single stages, as arrays; their structure may change between versions."""
+        """The results of the stages, as arrays. Their structure may change between versions."""
         self.time_s: float = result.world.step * simulation.config.traffic.step_s
         """Time since recording began [s]."""
         recording.step(self._columns, result, simulation.config.traffic.step_s)
@@ -163,23 +169,27 @@ class SimulatedStep:
         return self.world.actor[self.world.equipped]
 
     def cloud(self, vehicle: int, frame: Literal["world", "sensor"] = "world") -> Float[ndarray, "n 3"]:
-        """Point cloud of one vehicle's sweep [m].
+        """Point cloud of one vehicle's sweep.
 
-        Clouds are gone when the next step has begun, because it uses their memory again.
+        Ask for it before the next step begins, because the next step overwrites its memory.
 
         Parameters
         ----------
         vehicle
             Actor number, one of `vehicles`.
         frame
-            `world`: x east, y north, z up, where the vehicle believes to be. `sensor`: x forward, y left, z up.
+            `world`: x east, y north, z up, at the vehicle's estimated position. `sensor`: x forward, y left, z up.
+
+        Returns
+        -------
+        Points [m].
 
         Raises
         ------
         ValueError
-            Where the vehicle has no sweep in this step.
+            If the vehicle has no sweep in this step.
         RuntimeError
-            Where the next step has begun.
+            If the next step has begun.
         """
         if self._simulation.n_steps != self._number:
             raise RuntimeError(f"the clouds of step {self.step} are gone: ask for them before the next step begins")
@@ -194,7 +204,13 @@ class SimulatedStep:
         return xyz_m if frame == "sensor" else sweeps.poses.to_world(int(row[0]), xyz_m)
 
     def table(self, name: str) -> pd.DataFrame:
-        """Rows of this step for one table of a run; none in steps in which there are no rows for it."""
+        """Rows of this step for one table of a run; empty if the step has no rows for it.
+
+        Raises
+        ------
+        ValueError
+            If there is no such table.
+        """
         if name not in TABLES:
             raise ValueError(f"there is no table {name!r}. The tables are {', '.join(TABLES)}.")
         parts = [self._frame(name, columns) for columns in self._columns.of_table.get(name, [])]
@@ -214,17 +230,17 @@ class SimulatedStep:
 
     @property
     def evaluations(self) -> pd.DataFrame:
-        """What vehicles think of each other's detections: table `evaluations`."""
+        """The vehicles' evaluations of detections: table `evaluations`."""
         return self.table("evaluations")
 
     @property
     def trust(self) -> pd.DataFrame:
-        """Trust values that the server computed in this step, if it did: table `trust`."""
+        """Trust values that the server computed in this step; empty if it computed none: table `trust`."""
         return self.table("trust")
 
     @property
     def trust_lookups(self) -> pd.DataFrame:
-        """Trust in each sender as each receiver knows it when it fuses: table `trust_lookups`."""
+        """Trust in each sender that each receiver looks up when it fuses: table `trust_lookups`."""
         return self.table("trust_lookups")
 
     @property
@@ -244,7 +260,7 @@ class SimulatedStep:
         return frame[list(TABLES["fused"].columns)]
 
     def _frame(self, table: str, columns: Mapping[str, ndarray | None]) -> pd.DataFrame:
-        """The rows with labels for codes, and nulls for what is absent."""
+        """Columns as a table, with labels instead of codes and nulls for absent values."""
         n = next(len(values) for values in columns.values() if values is not None)
         made: dict[str, Any] = {}
         for name, column in TABLES[table].stored.items():
@@ -263,7 +279,7 @@ class SimulatedStep:
 
 
 class _Columns:
-    """Takes what a recorder takes and keeps it, table by table."""
+    """Keeps rows in memory by table; takes the place of a recorder."""
 
     tables = tuple(TABLES)
 
@@ -277,7 +293,7 @@ class _Columns:
 
 
 def _resolved(config: AnyConfig, parts: Mapping[str, type | str]) -> Config:
-    """The config with these classes in place of those that it names."""
+    """The config, with these classes instead of those that it names."""
     named = {section: _name_of(section, part) for section, part in parts.items()}
     if isinstance(config, str | Path):
         return load(Path(config), [f"{section}.{SECTIONS[section].key}={name}" for section, name in named.items()])
@@ -292,7 +308,7 @@ def _resolved(config: AnyConfig, parts: Mapping[str, type | str]) -> Config:
 
 
 def _name_of(section: str, part: type | str) -> str:
-    """How a config names a class."""
+    """The name of a class in a config."""
     known = [name for name in SECTIONS if name != "attacks"]
     if section not in known:
         raise ValueError(f"Simulation(..., {section}=...): no such part. There are {', '.join(known)}.")

@@ -1,4 +1,4 @@
-"""Which source made a run: the version, the commit of a checkout, and a hash of the installed code."""
+"""Which code made a run: the version, the commit of a checkout, and a hash of the installed code."""
 
 import hashlib
 import subprocess
@@ -13,7 +13,7 @@ _PACKAGES = ("cosim", "sensors", "trust", "results", "sumo_nets")
 
 @cache
 def code_digest() -> str:
-    """Hash of the source of all packages, twelve digits: equal where the same code is installed."""
+    """Hash of the source of all packages, twelve digits. Installations of the same code have the same hash."""
     found = hashlib.sha256()
     for package in _PACKAGES:
         for path in sorted((_ROOT / package).rglob("*.py")):
@@ -23,13 +23,13 @@ def code_digest() -> str:
 
 @cache
 def source() -> dict[str, str]:
-    """For the manifest: `version`; `code`, the hash of the source; `commit` of a checkout, with a word on changes."""
+    """For the manifest: `version`; `code`, the hash of the source; and in a checkout `commit`, marked if changed."""
     found = {"version": __version__, "code": code_digest()}
     if not (_ROOT / ".git").exists():
         return found
     try:
         asked = ["git", "-C", str(_ROOT), "describe", "--always", "--abbrev=40", "--exclude=*", "--dirty=, changed"]
         said = subprocess.run(asked, capture_output=True, text=True, timeout=10, check=True).stdout.strip()
-    except (OSError, subprocess.SubprocessError):  # no git, or a checkout that is none of this user's
+    except (OSError, subprocess.SubprocessError):  # there is no git, or the checkout belongs to another user
         return found
     return found | {"commit": said}

@@ -1,4 +1,4 @@
-"""How a run ends early: at SIGINT and SIGTERM after the step, with everything written; or because it cannot go on."""
+"""Early ends of a run: by SIGINT or SIGTERM after a complete step, or because the run cannot continue."""
 
 import os
 import signal
@@ -12,11 +12,11 @@ NOTHING_WRITTEN = "interrupted before the first step was done; nothing was writt
 
 
 class Failed(RuntimeError):
-    """A run that could not go on for want of disk, memory or its folder: one line, exit status 1."""
+    """A run could not continue because disk space, memory or its folder was missing: one line, exit status 1."""
 
 
 class Stopped(BaseException):
-    """A signal has ended the work; says what is left of it, and how to go on."""
+    """A signal has interrupted the work. The message says what is kept and how to continue."""
 
     def __init__(self, signum: int, message: str = "interrupted") -> None:
         super().__init__(message)
@@ -24,15 +24,15 @@ class Stopped(BaseException):
 
 
 class StopRequest:
-    """Notes the first SIGINT or SIGTERM while it is entered; a second one ends the process at once.
+    """Notes the first SIGINT or SIGTERM within its `with` block. A second signal ends the process at once.
 
-    An exception out of a signal handler cannot pass through compiled code, which is why steps ask instead.
+    Steps ask whether a signal has come, because an exception from a signal handler cannot pass through compiled code.
     """
 
     def __init__(self) -> None:
         self.signum: int | None = None
         self.at_once = True
-        """Raise Stopped where the signal arrives; False where `signum` is asked after every step."""
+        """Raise Stopped when the signal arrives. If False, the run reads `signum` after every step instead."""
         self._before: dict[signal.Signals, object] = {}
 
     def __enter__(self) -> "StopRequest":

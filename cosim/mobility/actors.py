@@ -1,4 +1,4 @@
-"""Registry of all actors that have been on the road: names, sizes, equipment and attacks by actor number."""
+"""Registry of all actors that have been on the road: names, sizes, equipment and attacks, by actor number."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -21,9 +21,9 @@ class ActorRegistry:
     params: FleetParams
     seed: int
     attack_shares: tuple[float, ...] = ()
-    """Of each attack of the config: share of the equipped vehicles that carry it out."""
+    """For each attack of the config, the share of the equipped vehicles that carry it out."""
     attack_of: Mapping[str, int] = field(default_factory=dict)
-    """Vehicles that are named as attackers, and the position of their attack in the config."""
+    """Names of vehicles that the config names as attackers, and the position of their attack in the config."""
     names: list[str] = field(default_factory=list)
     _n: int = 0
     _name_key: UInt64[ndarray, "capacity"] = field(default_factory=lambda: np.zeros(1024, np.uint64))
@@ -49,10 +49,25 @@ class ActorRegistry:
         self, names: list[str], shape: UInt8[ndarray, "n"], lwh_m: Float[ndarray, "n 3"], step: int,
         may_be_equipped: bool = True,
     ) -> Int[ndarray, "n"]:  # fmt: skip
-        """Numbers of new actors, in the order given; decides their equipment and attacks.
+        """Give numbers to new actors, and decide their equipment and attacks.
 
-        Numbers follow names, vehicles before persons, whatever the order of the input. A person and a vehicle of
-        the same name are two actors. Sizes are rounded to single precision, as tables keep them.
+        Numbers are assigned in the order of names, vehicles before persons, whatever the order of the input. A person
+        and a vehicle of the same name are two actors. Sizes are rounded to single precision, as in the tables.
+
+        Parameters
+        ----------
+        names
+            Names of the new actors.
+        shape
+            Codes of `sensors.scene.Shape`.
+        lwh_m
+            Length, width and height [m].
+        may_be_equipped
+            Whether these actors can be equipped at all.
+
+        Returns
+        -------
+        The number of each actor, in the order of `names`.
         """
         first, n = self._n, len(names)
         is_person = shape == Shape.PEDESTRIAN
@@ -100,5 +115,5 @@ class ActorRegistry:
 
 
 def actor_key(name: str, is_person: bool) -> int:
-    """The identity of an actor in random draws; a person and a vehicle of the same name are two actors."""
+    """The key of an actor in random draws. A person and a vehicle of the same name have different keys."""
     return name_key(("person/" if is_person else "vehicle/") + name)

@@ -1,4 +1,4 @@
-"""SUMO's floating car data (`--fcd-output`): XML, CSV or Parquet, gzip'ed or not, read timestep by timestep."""
+"""Reads SUMO's floating car data (`--fcd-output`) timestep by timestep: XML, CSV or Parquet, gzipped or not."""
 
 import zlib
 from collections.abc import Callable, Iterator
@@ -22,7 +22,7 @@ SUFFIXES = (".xml", ".xml.gz", ".csv", ".csv.gz", ".parquet")
 
 _COLUMNS = ("x", "y", "angle", "speed")
 _BLOCK_ROWS = 1 << 16
-_READ_BYTES = 1 << 16  # of a column at once: else all of it
+_READ_BYTES = 1 << 16  # read from a column at once; without a buffer size, a whole column is read
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,14 +38,14 @@ class Timestep:
 
 
 def timesteps(path: Path) -> Iterator[Timestep]:
-    """The timesteps of a trace in the order of time, a block of the file in memory at a time.
+    """Read the timesteps of a trace in the order of time. One block of the file is in memory at a time.
 
-    Persons inside a vehicle are among them, at the vehicle's position.
+    Persons inside a vehicle are included, at the vehicle's position.
 
     Raises
     ------
     TrafficError
-        Names the file and the cause: damaged, a column missing, a number not finite, rows not sorted by time.
+        The file is damaged, lacks a column, has a number that is not finite, or is not sorted by time.
     """
     read = next(reader for suffix, reader in _READERS.items() if path.name.removesuffix(".gz").endswith(suffix))
     last_s = -np.inf
@@ -54,8 +54,8 @@ def timesteps(path: Path) -> Iterator[Timestep]:
             raise TrafficError(f"{path}: a time is not a finite number of seconds.")
         if timestep.time_s <= last_s:
             raise TrafficError(
-                f"{path}: time {timestep.time_s:g} s comes after {last_s:g} s: the rows of a trace are sorted by time. "
-                "Sort them, or record the trace again."
+                f"{path}: time {timestep.time_s:g} s comes after {last_s:g} s. The rows of a trace must be sorted by "
+                "time. Sort them, or record the trace again."
             )
         last_s = timestep.time_s
         numbers = np.column_stack([timestep.front_m, timestep.compass_deg, timestep.speed_mps])
@@ -108,7 +108,9 @@ def _xml(path: Path) -> Iterator[Timestep]:
     except ValueError as error:
         raise TrafficError(str(error)) from None
     if root != "fcd-export":
-        raise TrafficError(f"{path}: not a trace: it starts with <{root}>, SUMO's --fcd-output with <fcd-export>.")
+        raise TrafficError(
+            f"{path}: not a trace: it starts with <{root}>. SUMO's --fcd-output starts with <fcd-export>."
+        )
     yield from done
 
 
@@ -147,7 +149,7 @@ _READERS: dict[str, Callable[[Path], Iterator[Timestep]]] = {".xml": _xml, ".csv
 
 
 def _arrow(path: Path, batches: Callable[[], Iterator[pa.RecordBatch]]) -> Iterator[Timestep]:
-    """Timesteps from blocks of rows; a timestep that spans two blocks is joined."""
+    """Split blocks of rows into timesteps. A timestep that spans two blocks is joined."""
     left = None
     try:
         for batch in batches():
@@ -171,10 +173,10 @@ def _arrow(path: Path, batches: Callable[[], Iterator[pa.RecordBatch]]) -> Itera
 
 
 def _needed(path: Path, batch: pa.RecordBatch) -> pa.RecordBatch:
-    """The needed columns under plain names, for any value of SUMO's `--output.column-header`."""
+    """Select the needed columns and give them plain names, for any value of SUMO's `--output.column-header`."""
     found = {}
     for name in ("time", "id", "type", "z", *_COLUMNS):
-        # SUMO names the columns after the element written first: a vehicle, a person, or a container
+        # SUMO names the columns after the element that it writes first: a vehicle, a person, or a container.
         kinds = ("timestep",) if name == "time" else ("vehicle", "person", "container")
         spellings = [s for s in (*(f"{kind}_{name}" for kind in kinds), name) if s in batch.schema.names]
         if not spellings:

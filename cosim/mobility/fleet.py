@@ -12,12 +12,13 @@ ActorClass = Literal["car", "van", "truck", "bus", "motorcycle", "bicycle", "ped
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class FleetParams:
-    """Which vehicles carry a LiDAR and a radio.
+    """Which vehicles are equipped with a LiDAR and a radio.
 
-    The share is decided vehicle by vehicle from its name: a larger share adds vehicles and changes none.
+    Whether a vehicle is equipped is drawn from its name. A larger share therefore adds equipped vehicles and removes
+    none.
     """
 
     penetration_p: Probability = 0.35
-    """Share of the vehicles of `equipped_kinds` that carry a LiDAR and a radio."""
+    """Share of the vehicles of `equipped_kinds` that are equipped with a LiDAR and a radio."""
     equipped_kinds: tuple[VehicleClass, ...] = ("car", "van")
     """Vehicle classes that can be equipped."""

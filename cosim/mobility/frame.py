@@ -1,4 +1,4 @@
-"""World frame of a traffic source: its origin, and the region in which actors can be."""
+"""World frame of a traffic source: its origin, and the region that actors must be in."""
 
 from dataclasses import dataclass, replace
 
@@ -9,22 +9,22 @@ from numpy import ndarray
 from sensors.kernel import compiled
 
 NETWORK_MARGIN_M = 10_000.0
-"""Farthest that an actor may be from the bounds of the network."""
+"""Largest distance of an actor from the bounds of the network [m]."""
 TRACE_MARGIN_M = 100_000.0
-"""Farthest that an actor may be from the median of the first actors, where there is no network."""
+"""Largest distance of an actor from the median of the first actors, if there is no network [m]."""
 LARGEST_Z_M = 10_000.0
 LARGEST_SPEED_MPS = 1000.0
 LARGEST_COORDINATE_M = 1e8
-"""Coordinates beyond are none of a place on Earth, in any projection."""
+"""No projection of the Earth has larger coordinates [m]."""
 FARTHEST_M = 32_000.0
-"""Coordinates beyond this get an origin nearby, because tables keep them in single precision."""
+"""If coordinates are larger, the world gets an origin nearby, because tables store single precision [m]."""
 
 Bounds = tuple[float, float, float, float]
 """West, south, east, north [m]."""
 
 
 class TrafficError(ValueError):
-    """The user's scenario or trace is wrong, found while it ran: one line for the user."""
+    """A mistake in the user's scenario or trace that was found during the run. The message is one line."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,11 +32,11 @@ class Frame:
     """Origin and region of a traffic source."""
 
     source: str = "traffic"
-    """Key and value of the config that name the source, for errors."""
+    """Key and value of the config that name the source, for error messages."""
     origin_m: tuple[float, float] = (0.0, 0.0)
-    """The world's origin, in the source's coordinates."""
+    """The world's origin in the source's coordinates [m]."""
     bounds_m: Bounds | None = None
-    """Of the network, in its own coordinates; None where there is no network: see `around`."""
+    """Bounds of the network in its own coordinates. None if there is no network; see `around`."""
     margin_m: float = NETWORK_MARGIN_M
 
     @property
@@ -45,7 +45,18 @@ class Frame:
         return self.margin_m == TRACE_MARGIN_M and any(self.origin_m)
 
     def around(self, front_m: Float[ndarray, "n 3"]) -> "Frame":
-        """This frame, and where there is no network, with a region around the median of these positions."""
+        """If there is no network, set the region around the median of these positions; otherwise return this frame.
+
+        Parameters
+        ----------
+        front_m
+            Positions of actors in the source's coordinates [m].
+
+        Raises
+        ------
+        TrafficError
+            The positions are not on Earth.
+        """
         if self.bounds_m is not None or not len(front_m):
             return self
         x, y = np.median(front_m[:, :2], axis=0).tolist()
@@ -67,7 +78,17 @@ class Frame:
         yaw_rad: Float[ndarray, "n"],
         speed_mps: Float[ndarray, "n"],
     ) -> None:
-        """Refuse a step with an actor that is not finite or far outside; TrafficError names step, actor and value."""
+        """Raise a TrafficError if an actor has a value that is not finite, or is far outside the region.
+
+        Parameters
+        ----------
+        names
+            Names of all actors by number.
+        number
+            Actor number of each row.
+        xyz_m, yaw_rad, speed_mps
+            Position in the world frame, heading and speed of each row.
+        """
         w, s, e, n = self.bounds_m or (0.0, 0.0, 0.0, 0.0)
         (x0, y0), margin_m = self.origin_m, self.margin_m if self.bounds_m else LARGEST_COORDINATE_M / 100
         low = np.array([w - x0 - margin_m, s - y0 - margin_m, -LARGEST_Z_M])
@@ -92,7 +113,7 @@ class Frame:
 
 @compiled
 def _first_outside(xyz_m, yaw_rad, speed_mps, low, high):
-    """The first row that is not within the limits, or -1; a number that is not finite is never within."""
+    """The first row outside the limits, or -1 if there is none. A number that is not finite is outside."""
     for row in range(len(xyz_m)):
         inside = np.isfinite(yaw_rad[row]) and abs(speed_mps[row]) <= LARGEST_SPEED_MPS
         for axis in range(3):
@@ -103,7 +124,7 @@ def _first_outside(xyz_m, yaw_rad, speed_mps, low, high):
 
 
 def origin_of(bounds_m: Bounds) -> tuple[float, float]:
-    """The network's own origin, or where that is far away, its centre rounded to the kilometre."""
+    """The network's own origin. If that is far away, the network's centre, rounded to kilometres."""
     if max(map(abs, bounds_m)) < FARTHEST_M:
         return 0.0, 0.0
     x0, y0, x1, y1 = bounds_m

@@ -1,4 +1,4 @@
-"""Centre lines of lanes joined along routes, each sequence of lanes once."""
+"""Centre lines of lanes, joined along routes. Each sequence of lanes is stored once."""
 
 from dataclasses import dataclass, field
 
@@ -9,18 +9,32 @@ from numpy import ndarray
 
 @dataclass(slots=True)
 class LaneLines:
-    """Lines by number, in order of first use; all vertices in one array that grows."""
+    """Lines by number, in the order of first use. All vertices are in one array that grows."""
 
     number: dict[tuple[str, ...], int] = field(default_factory=dict)
-    """Of each sequence of lanes."""
+    """Number of the line of each sequence of lanes."""
     scale: list[float] = field(default_factory=list)
-    """Per line: length of its first lane's shape over the length that SUMO counts positions by."""
+    """Per line, the length of its first lane's shape divided by the length that SUMO uses for positions."""
     _ptr: list[int] = field(default_factory=lambda: [0])
     _xy_m: list[Float[ndarray, "v 2"]] = field(default_factory=list)
     _along_m: list[Float[ndarray, "v"]] = field(default_factory=list)
 
     def add(self, lanes: tuple[str, ...], shapes: list[Float[ndarray, "k 2"]], first_length_m: float) -> int:
-        """Number of the line of a new sequence of lanes."""
+        """Add the line of a new sequence of lanes.
+
+        Parameters
+        ----------
+        lanes
+            Ids of the lanes.
+        shapes
+            Vertices of each lane's centre line in the world frame [m].
+        first_length_m
+            Length of the first lane by which SUMO counts positions [m].
+
+        Returns
+        -------
+        The number of the line.
+        """
         xy = np.concatenate(shapes)
         steps = np.hypot(*np.diff(xy, axis=0).T)
         keep = np.append(True, steps > 1e-6)  # a lane begins where the one before it ends
@@ -37,7 +51,7 @@ class LaneLines:
         return self.number[lanes]
 
     def arrays(self) -> tuple[ndarray, ndarray, ndarray]:
-        """ptr, xy_m and along_m as `LanePaths` has them."""
+        """The arrays `ptr`, `xy_m` and `along_m` of `LanePaths`."""
         if len(self._xy_m) > 1:
             self._xy_m, self._along_m = [np.concatenate(self._xy_m)], [np.concatenate(self._along_m)]
         if not self._xy_m:

@@ -1,4 +1,4 @@
-"""Solids of any form in the city: meshes from files, placed as the config says."""
+"""Solids of any shape in the city: meshes from files, placed by the config."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,36 +16,37 @@ from sensors.scene import Scene, Shape
 SUFFIXES = (".glb", ".obj", ".ply", ".stl")
 
 LARGEST_M = 1e5
-"""Coordinates beyond are a mistake of units."""
+"""Larger coordinates are taken for a mistake of units."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class MeshParams:
-    """One solid that LiDARs see, besides the buildings of the scenario: a `[[meshes]]` section."""
+    """A `[[meshes]]` section: one solid that LiDARs see in addition to the scenario's buildings."""
 
     file: str
-    """A closed mesh, .glb, .obj, .ply or .stl, in metres; relative to the config file. z is up; in .glb, y."""
+    """Path of a closed mesh (.glb, .obj, .ply or .stl) in metres, relative to the config file. z points up; in .glb
+    files, y does."""
     at_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Where its origin stands: east, north, up in the world frame [m]."""
+    """Position of its origin in the world frame: east, north, up [m]."""
     yaw_deg: float = 0.0
-    """How far it is turned, counter-clockwise seen from above [deg]."""
+    """Rotation about the vertical axis, counter-clockwise seen from above [deg]."""
     scale: Annotated[float, Gt(0)] = 1.0
     """Metres per unit of the file."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class VehicleMeshParams:
-    """The body that all vehicles of a class have for LiDARs, instead of prisms: a `[[vehicle_meshes]]` section."""
+    """A `[[vehicle_meshes]]` section: the shape that LiDARs see of all vehicles of a class, instead of prisms."""
 
     file: str
-    """A closed mesh, .glb, .obj, .ply or .stl; relative to the config file. Ahead is +x, up is z; in .glb, y. It is
-    stretched to each vehicle's length, width and height."""
+    """Path of a closed mesh (.glb, .obj, .ply or .stl), relative to the config file. +x points ahead and z up; in .glb
+    files, y points up. The mesh is scaled to each vehicle's length, width and height."""
     vehicle_class: ActorClass = "car"
-    """Whose body it is: one section for a class."""
+    """Class of the vehicles that have this shape. A class may have one section only."""
 
 
 def check_vehicle_meshes(meshes: Sequence[VehicleMeshParams]) -> None:
-    """ValueError where a class has two bodies."""
+    """Raise a ValueError if a class has two meshes."""
     classes = [mesh.vehicle_class for mesh in meshes]
     for number, name in enumerate(classes):
         if name in classes[:number]:
@@ -55,7 +56,7 @@ def check_vehicle_meshes(meshes: Sequence[VehicleMeshParams]) -> None:
 
 
 def with_meshes(scene: Scene, meshes: Sequence[MeshParams], vehicle_meshes: Sequence[VehicleMeshParams] = ()) -> Scene:
-    """The scene with these solids and bodies; ValueError in one line where a file is no closed mesh."""
+    """Add meshes to a scene. A file without a closed mesh raises a ValueError of one line."""
     for number, body in enumerate(vehicle_meshes):
         vertices, faces = read(f"vehicle_meshes.{number}.file", Path(body.file))
         try:
@@ -74,26 +75,41 @@ def with_meshes(scene: Scene, meshes: Sequence[MeshParams], vehicle_meshes: Sequ
 
 
 def read(key: str, path: Path) -> tuple[Float[ndarray, "v 3"], Int[ndarray, "t 3"]]:
-    """Vertices, z up, and triangles of a mesh file; `key` of the config is for errors."""
+    """Read a mesh file.
+
+    Parameters
+    ----------
+    key
+        Key of the config that names the file, for error messages.
+
+    Returns
+    -------
+    Vertices with z up, in the units of the file, and the triangles as rows of vertices.
+
+    Raises
+    ------
+    ValueError
+        The file cannot be read as a mesh. The message is one line.
+    """
     if path.suffix.lower() not in SUFFIXES:
-        raise ValueError(f"{key} = {path}: no such form of mesh. There are {', '.join(SUFFIXES)}.")
+        raise ValueError(f"{key} = {path}: no such form of mesh. Supported are {', '.join(SUFFIXES)}.")
     if not path.is_file():
         raise ValueError(f"{key} = {path}: no such file.")
     try:
         import trimesh
     except ImportError:
         raise ValueError(
-            f"{key} = {path}: trimesh reads meshes, and it is not installed. "
+            f"{key} = {path}: reading meshes needs trimesh, which is not installed. "
             "Install it: make extra NAME=mesh in a checkout, else pip install 'cosim-perception[mesh]'."
         ) from None
     try:
         mesh: Any = trimesh.load(path, force="mesh")
         vertices, faces = np.asarray(mesh.vertices, float), np.asarray(mesh.faces, np.int64)
-    except Exception as error:  # whatever a damaged file makes of the reader
+    except Exception as error:  # a damaged file can raise any exception in the reader
         reason = " ".join(f"{type(error).__name__}: {error}".split())
         raise ValueError(f"{key} = {path}: cannot be read as a mesh: {reason}.") from None
     if not len(faces) or not np.isfinite(vertices).all() or np.abs(vertices).max() > LARGEST_M:
-        raise ValueError(f"{key} = {path}: holds no triangles, or coordinates that are no place in a city.")
+        raise ValueError(f"{key} = {path}: has no triangles, or coordinates that are not finite or beyond 100 km.")
     if path.suffix.lower() == ".glb":
         vertices = vertices[:, [0, 2, 1]] * [1.0, -1.0, 1.0]
     return vertices, faces

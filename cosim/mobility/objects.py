@@ -1,4 +1,4 @@
-"""Real objects that stand still: parked vehicles, obstacles, dummies. SUMO knows nothing of them."""
+"""Real objects that stand still: parked vehicles, obstacles, dummies. They are not part of the SUMO simulation."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -18,45 +18,45 @@ from sensors.boxes import Boxes
 from sensors.scene import Shape
 
 PREFIX = "object/"
-"""Begin of their names, which go on with their number in the config."""
+"""Prefix of their names. Their number in the config follows it."""
 
 TYPICAL_M = {
     "car": (4.5, 1.85, 1.5), "van": (5.3, 1.95, 2.0), "truck": (8.0, 2.4, 3.3), "bus": (12.0, 2.55, 3.2),
     "motorcycle": (2.2, 0.9, 1.5), "bicycle": (1.8, 0.65, 1.75), "pedestrian": (0.5, 0.5, 1.75),
 }  # fmt: skip
-"""Length, width and height where the config gives none: those of the shipped vehicle types."""
+"""Default length, width and height of each class, those of the shipped vehicle types."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ObjectParams:
-    """One real object that stands still: an `[[objects]]` section.
+    """An `[[objects]]` section: one real object that stands still.
 
-    It is seen, occludes and is in the tables like any other actor; it is never equipped, and traffic does not react
-    to it: SUMO drives through what stands on a lane.
+    Sensors see it, it occludes other objects, and it appears in the tables like any other actor. It is never equipped.
+    Traffic does not react to it: SUMO's vehicles drive through an object on their lane.
     """
 
     vehicle_class: ActorClass = "car"
-    """Kind of actor that it is: its usual size, and its object class; a dummy of a person is a pedestrian."""
+    """Class of the object, which sets its object class and its default size. A dummy of a person is a `pedestrian`."""
     at_m: tuple[float, float] | None = None
-    """Middle of its box: east, north in the world frame [m]; must be given."""
+    """Centre of its box in the world frame: east, north [m]. Required."""
     ground_m: Annotated[float, Ge(-1000), Le(10_000)] = 0.0
     """Height of the ground under it [m]."""
     yaw_deg: Annotated[float, Ge(-360), Le(360)] = 0.0
     """Heading, counter-clockwise from east [deg]."""
     length_m: Annotated[float, Ge(0.001), Le(100)] | None = None
-    """Extent along its heading [m]; not set, as usual for its class."""
+    """Extent along its heading [m]. If it is not set, the default of its class is used."""
     width_m: Annotated[float, Ge(0.001), Le(100)] | None = None
-    """Extent across it [m]; not set, as usual for its class."""
+    """Extent across its heading [m]. If it is not set, the default of its class is used."""
     height_m: Annotated[float, Ge(0.001), Le(100)] | None = None
-    """Vertical extent [m]; not set, as usual for its class."""
+    """Vertical extent [m]. If it is not set, the default of its class is used."""
     from_s: Annotated[float, Ge(0), Le(1e8)] = 0.0
-    """When it is put there, since recording began [s]."""
+    """Recorded time at which it appears [s]."""
     to_s: Annotated[float, Gt(0), Le(1e8)] = 1e8
-    """When it is taken away [s]."""
+    """Recorded time at which it disappears [s]."""
 
     def __post_init__(self) -> None:
         if self.at_m is None:
-            raise ValueError("objects: at_m is not given. Say where it stands: at_m = [east, north], in metres.")
+            raise ValueError("objects: at_m is not given. Set its position: at_m = [east, north], in metres.")
         if self.to_s <= self.from_s:
             raise ValueError(f"objects: to_s = {self.to_s:g} s is not after from_s = {self.from_s:g} s. Set it later.")
 
@@ -69,7 +69,7 @@ class ObjectParams:
 
 @dataclass(frozen=True, slots=True)
 class Placed:
-    """Objects of a config as arrays, world frame, at the resolution of the table `actors`."""
+    """Objects of a config as arrays, in the world frame, rounded to the resolution of the table `actors`."""
 
     names: list[str]
     shape: UInt8[ndarray, "o"]
@@ -80,7 +80,7 @@ class Placed:
 
     @staticmethod
     def of(objects: Sequence[ObjectParams], frame: Frame, step_s: float) -> "Placed":
-        """TrafficError where one stands far outside of the network."""
+        """Convert the objects to arrays. An object far outside the network raises a TrafficError."""
         names = [f"{PREFIX}{i}" for i in range(len(objects))]
         shape = np.array([Shape[o.vehicle_class.upper()] for o in objects], np.uint8)
         lwh_m = np.array([o.lwh_m for o in objects]).reshape(-1, 3).astype(np.float32).astype(float)
@@ -97,7 +97,7 @@ class Placed:
 
 
 class WithObjects:
-    """Traffic with objects beside it; a `TrafficSource`."""
+    """A `TrafficSource` that adds objects to the worlds of another traffic source."""
 
     def __init__(self, traffic: TrafficSource, placed: Placed, registry: ActorRegistry, frame: Frame) -> None:
         self._traffic, self._placed, self._registry, self._frame = traffic, placed, registry, frame
@@ -107,7 +107,7 @@ class WithObjects:
         return self._traffic.warm_up(seconds)
 
     def advance(self) -> World:
-        """The world of the next step, with the objects that stand there then."""
+        """The world of the next step, with the objects that are present in it."""
         world, p = self._traffic.advance(), self._placed
         here = np.flatnonzero((p.from_step <= world.step) & (world.step < p.to_step))
         if not len(here):
@@ -128,7 +128,7 @@ class WithObjects:
         self._traffic.command(actor, speed_mps)
 
     def report(self) -> dict[str, Any]:
-        """Counts of the traffic, and of objects that were there."""
+        """Counts of the traffic source, and the number of objects that were present."""
         return self._traffic.report() | {"objects": int((self._number >= 0).sum())}
 
     def close(self) -> None:
@@ -136,7 +136,7 @@ class WithObjects:
 
 
 def _joined(world: World, objects: World) -> World:
-    """One world of two, sorted by actor."""
+    """Merge two worlds into one, sorted by actor."""
     order = np.argsort(np.concatenate([world.actor, objects.actor]), kind="stable")
     row = np.empty(len(order), np.int64)
     row[order] = np.arange(len(order))

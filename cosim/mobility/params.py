@@ -10,32 +10,35 @@ from annotated_types import Ge, Gt, Le
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class TrafficParams:
-    """Network, demand, begin and duration of the traffic, and SUMO's seed."""
+    """Network, demand, start time and duration of the traffic, and SUMO's seed."""
 
     scenario: str = "helsinki"
-    """Name of a city (`cosim nets list`); or, relative to the config file that names it, the path of a .sumocfg, of a
-    folder that `cosim nets build` made, of a run to replay, or of a trace that SUMO wrote with --fcd-output."""
+    """Name of a city (`cosim nets list`), or a path. The path leads to a .sumocfg, to a folder that `cosim nets build`
+    made, to a run folder to replay, or to a trace that SUMO wrote with --fcd-output. It is relative to the config
+    file."""
     trace: str | None = None
-    """Replay this trace or run folder in the network of `scenario`, instead of running SUMO."""
+    """Trace or run folder that is replayed in the network of `scenario`. If it is not set, SUMO runs."""
     seed: Annotated[int, Ge(0), Le(2**31 - 1)] = 1
     """Seed of SUMO."""
     scale: Annotated[float, Gt(0), Le(1000)] = 1.0
-    """Factor on the demand; below 1 SUMO leaves vehicles out, above 1 it repeats some. Traces are not scaled."""
+    """Factor on the demand. Below 1, SUMO omits some vehicles. Above 1, it repeats some. Traces are not scaled."""
     begin_s: Annotated[float, Ge(0), Le(1e8)] | None = None
-    """Time of the scenario at which to begin, warm-up included [s]; the scenario's own when not set."""
+    """Scenario time at which the simulation begins, before the warm-up [s]. If it is not set, the scenario's own begin
+    time is used."""
     warmup_s: Annotated[float, Ge(0), Le(1e7)] | None = None
-    """Simulated time before anything is sensed or recorded [s]; the shipped network's own when not set."""
+    """Duration that is simulated before sensing and recording begin [s]. If it is not set, a city's own value is
+    used."""
     duration_s: Annotated[float, Gt(0), Le(1e8)] = 300.0
-    """Recorded time after warm-up [s]; less if the traffic ends before."""
+    """Recorded duration after the warm-up [s]. The run is shorter if the traffic ends earlier."""
     step_s: Annotated[float, Ge(0.1), Le(60)] = 1.0
-    """Length of one step of traffic [s]; when not set, that of the .sumocfg, and 1 s of a trace."""
+    """Length of one traffic step [s]. If it is not set, the step length of the .sumocfg is used; for a trace, 1 s."""
 
 
 def resolved_input(name: str, folder: Path, cities: Collection[str]) -> str:
-    """The absolute path of a scenario or trace, so that a config means the same in every working directory.
+    """Resolve a scenario or trace to an absolute path, so that a config works from every working directory.
 
-    `folder` is that of the config file. A file or folder beside it is preferred to a city of the same name, a city to
-    a file or folder in the working directory; a name of neither is returned as it is.
+    `folder` is the folder of the config file. A file or folder in it comes first, then a city of that name, then a file
+    or folder in the working directory. If none exists, the name is returned unchanged.
     """
     if _is_input(beside := folder / name):
         return str(beside.resolve())

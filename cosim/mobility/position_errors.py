@@ -1,4 +1,4 @@
-"""Errors of satellite positioning, which last: estimated minus true position."""
+"""Time-correlated errors of satellite positioning: estimated minus true position."""
 
 from dataclasses import dataclass, field
 from typing import Annotated
@@ -16,10 +16,10 @@ class GnssParams:
     """Position error of equipped vehicles."""
 
     std_m: Annotated[float, Ge(0), Le(1000)] = 0.0
-    """Standard deviation of the error, east and north each [m]; 0: none. Fused with inertial sensors and a map, some
-    decimetres; a receiver alone, metres."""
+    """Standard deviation of the error, for east and for north [m]. 0 means no error. Typical values are some decimetres
+    if positioning is fused with inertial sensors and a map, and metres for a receiver alone."""
     correlation_s: Annotated[float, Gt(0), Le(1e6)] = 60.0
-    """Time after which the correlation of the error with itself has fallen to 1 / e [s]."""
+    """Time after which the autocorrelation of the error has fallen to 1 / e [s]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,9 +28,9 @@ class PositionErrors:
 
     Notes
     -----
-    e(t + d) = r e(t) + s sqrt(1 - r²) n with r = exp(-d / correlation_s), s the standard deviation and n a standard
-    normal keyed by vehicle and step; the first error of a vehicle is s n. Hence the standard deviation is s at all
-    times, whenever a vehicle appears, and no vehicle's error depends on who else is there.
+    e(t + d) = r e(t) + s sqrt(1 - r²) n with r = exp(-d / correlation_s). s is the standard deviation, and n is a
+    standard normal number keyed by vehicle and step. The first error of a vehicle is s n. The standard deviation is
+    therefore s at all times, and a vehicle's error does not depend on other vehicles.
     """
 
     error_m: Float[ndarray, "capacity 2"] = field(default_factory=lambda: np.zeros((0, 2)))
@@ -40,7 +40,21 @@ class PositionErrors:
         self, step: int, actor: Int[ndarray, "e"], name_key: UInt64[ndarray, "e"], params: GnssParams, dt_s: float,
         seed: int,
     ) -> tuple["PositionErrors", Float[ndarray, "e 2"]]:  # fmt: skip
-        """The processes after this step, and the errors of these vehicles in it, east and north [m]."""
+        """Advance the processes by one step.
+
+        Parameters
+        ----------
+        actor
+            Actor numbers of the equipped vehicles in this step.
+        name_key
+            Keys of their names, for random draws.
+        dt_s
+            Length of one step [s].
+
+        Returns
+        -------
+        The processes after this step, and the errors of these vehicles, east and north [m].
+        """
         more = max(0, int(actor.max(initial=-1)) + 1 - len(self.step))
         more = max(more, len(self.step)) if more else 0
         errors_m = np.concatenate([self.error_m, np.zeros((more, 2))])

@@ -1,4 +1,4 @@
-"""Counts of a run's traffic for its summary, and remarks on traffic that is not what a user may expect."""
+"""Counts of a run's traffic for its summary, and notes about traffic that a user may not expect."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -9,23 +9,24 @@ from cosim.world import World
 from sensors.scene import Shape
 
 STANDING_MPS = 0.1
-"""Speed below which a vehicle stands; SUMO's own limit of halting."""
+"""A vehicle below this speed counts as standing, as in SUMO."""
 MOST_STANDING_P = 0.5
-"""Share of standing vehicles above which a run gets a remark."""
+"""If the share of standing vehicles is larger, the run gets a note."""
 MOST_WAITING_P = 0.1
-"""Vehicles that wait to enter, over those on the road, above which a run gets a remark; at least ten."""
+"""If the vehicles that wait to enter are more than this share of those on the road, and more than ten, the run gets a
+note."""
 
 
 @dataclass(slots=True)
 class FlowCounts:
-    """Vehicles on the road and standing, summed over steps; pedestrians are left out."""
+    """Numbers of vehicles on the road and of standing vehicles, summed over steps. Pedestrians do not count."""
 
     n_steps: int = 0
     n_vehicles: int = 0
     n_standing: int = 0
 
     def add(self, world: World) -> World:
-        """Count the vehicles of a step; returns it."""
+        """Count the vehicles of a step, and return its world."""
         vehicle = world.shape != Shape.PEDESTRIAN
         self.n_steps += 1
         self.n_vehicles += int(np.count_nonzero(vehicle))
@@ -33,12 +34,12 @@ class FlowCounts:
         return world
 
     def report(self) -> dict[str, Any]:
-        """The share of standing vehicles, over all steps; nothing without vehicles."""
+        """The share of standing vehicles over all steps. Empty if there were no vehicles."""
         return {"vehicles_standing_p": round(self.n_standing / self.n_vehicles, 3)} if self.n_vehicles else {}
 
 
 def traffic_remarks(summary: dict[str, Any]) -> list[str]:
-    """Remarks on the traffic of a finished run, from its manifest's summary; each one line."""
+    """Notes about the traffic of a finished run, from the summary in its manifest. Each note is one line."""
     found = []
     if "ended_early" in summary:
         found.append(f"note: {summary['ended_early']}.")
@@ -58,13 +59,13 @@ def traffic_remarks(summary: dict[str, Any]) -> list[str]:
     waiting, on_road = summary.get("vehicles_waiting_to_enter_at_end", 0), summary.get("vehicles_on_road_mean", 0.0)
     if waiting > max(10.0, MOST_WAITING_P * on_road):
         found.append(
-            f"note: {waiting} vehicles wait to enter at the end, beside {on_road:.0f} on the road: the demand exceeds "
-            "what the network takes. Lower traffic.scale, or change the demand."
+            f"note: {waiting} vehicles wait to enter at the end, while {on_road:.0f} are on the road: the demand "
+            "exceeds the capacity of the network. Lower traffic.scale, or change the demand."
         )
     if changed := summary.get("inputs_changed"):
         found.append(
             f"note: changed since the replayed run was recorded: {', '.join(changed)}. "
             "Buildings and streets may differ from that run's."
         )
-    found += [f"note: SUMO went on, but: {error}" for error in summary.get("sumo_errors", [])]
+    found += [f"note: SUMO continued after this error: {error}" for error in summary.get("sumo_errors", [])]
     return found

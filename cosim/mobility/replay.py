@@ -32,12 +32,12 @@ _N_PROBED = 10
 
 
 class TraceReplay:
-    """A trace that SUMO wrote with `--fcd-output`.
+    """Replays a trace that SUMO wrote with `--fcd-output`.
 
-    Step 0 is the world before the trace's first timestep, as in a live run. Step s is the timestep at
+    Step 0 is the world before the trace's first timestep, as in a run with SUMO. Step s is the timestep at
     `begin + warm-up + (s - 1) * step_s`, because SUMO labels a step with the time at which it began.
 
-    Sizes and classes come from the vehicle types that `files` define, else from the type's name.
+    Sizes and classes come from the vehicle types that `files` define. For other types they are guessed from the name.
     """
 
     def __init__(
@@ -65,8 +65,8 @@ class TraceReplay:
         steps = self._dt_s / every_s
         if abs(steps - round(steps)) > 1e-3 or steps < 1 - 1e-3:
             raise TrafficError(
-                f"{path} has a timestep every {every_s:g} s, traffic.step_s = {self._dt_s:g} s is no multiple of "
-                "it. Set traffic.step_s to a multiple, or record the trace more finely."
+                f"{path} has a timestep every {every_s:g} s, and traffic.step_s = {self._dt_s:g} s is no multiple of "
+                "it. Set traffic.step_s to a multiple, or record the trace with shorter timesteps."
             )
         self._begin_s = float(times_s[0]) if params.begin_s is None else params.begin_s
         self._last_s = self._begin_s
@@ -96,7 +96,7 @@ class TraceReplay:
         values, n = np.unique(number, return_counts=True)
         if len(values) < len(number):
             name = keys[int(np.flatnonzero(number == values[n > 1][0])[0])][0]
-            raise TrafficError(f"{self._path}: {name!r} is there twice at {timestep.time_s:g} s. Remove the copies.")
+            raise TrafficError(f"{self._path}: {name!r} occurs twice at {timestep.time_s:g} s. Remove the copies.")
         world = world_from_bumpers(
             step, number, timestep.front_m[rows], timestep.compass_deg[rows], timestep.speed_mps[rows],
             self._registry, self._frame,
@@ -122,7 +122,7 @@ class TraceReplay:
             if not self._ahead:
                 raise TrafficEnded(f"{self._path} ends at {self._last_s:g} s")
             first = self._ahead[0]
-            if first.time_s > time_s + _TOLERANCE_S:  # the road was empty: such timesteps have no row
+            if first.time_s > time_s + _TOLERANCE_S:  # the road was empty, and a timestep without actors has no row
                 return Timestep(time_s, [], [], np.zeros((0, 3)), np.zeros(0), np.zeros(0))
             self._ahead.pop(0)
             self._last_s = first.time_s
@@ -141,13 +141,13 @@ class TraceReplay:
 
 
 def _shape_of(types: Callable[[str], vtypes.VehicleType], name: str) -> int:
-    """Code of the shape of this type's vehicles."""
+    """The shape code of a vehicle type, or `_LEFT_OUT` if its vehicles are not on the road."""
     shape = SHAPE_OF_CLASS.get(types(name).vclass)
     return _LEFT_OUT if shape is None else int(shape)
 
 
 def _inside_vehicle(timestep: Timestep, shape: Int[ndarray, "n"]) -> Bool[ndarray, "n"]:
-    """Persons at the exact position of a vehicle: they ride in it. Live, they are not on the road."""
+    """Persons at the exact position of a vehicle. They ride in it, and a run with SUMO does not contain them."""
     is_person = shape == Shape.PEDESTRIAN
     if not is_person.any():
         return is_person
@@ -156,7 +156,7 @@ def _inside_vehicle(timestep: Timestep, shape: Int[ndarray, "n"]) -> Bool[ndarra
 
 
 class RunReplay:
-    """The tables `actors` and `vehicles` of an earlier run: the worlds of that run, bit for bit."""
+    """Replays the tables `actors` and `vehicles` of an earlier run. The worlds are the same, bit for bit."""
 
     def __init__(
         self,
@@ -166,7 +166,7 @@ class RunReplay:
         frame: Frame | None = None,
         inputs_changed: Sequence[str] = (),
     ) -> None:
-        """`inputs_changed`: files of the scenario that have changed since the run was recorded, for the report."""
+        """Open the run. `inputs_changed` are files of the scenario that have changed since it was recorded."""
         self._inputs_changed = list(inputs_changed)
         self._frame = frame or Frame(f"traffic.trace = {folder}")
         run = open_run(folder)
@@ -174,18 +174,18 @@ class RunReplay:
         every = params.step_s / run.dt_s
         if abs(every - round(every)) > 1e-9 or every < 1 - 1e-9:
             raise ValueError(
-                f"{folder} was recorded every {run.dt_s:g} s, traffic.step_s = {params.step_s:g} s is no multiple of "
-                "it. Set traffic.step_s to a multiple."
+                f"{folder} was recorded every {run.dt_s:g} s, and traffic.step_s = {params.step_s:g} s is no multiple "
+                "of it. Set traffic.step_s to a multiple."
             )
         if params.begin_s is not None:
             raise ValueError(
-                "traffic.begin_s cannot be set where a run is replayed: it begins where the run began. "
+                "traffic.begin_s cannot be set if a run is replayed, because the replay begins where the run began. "
                 "Set traffic.warmup_s to skip its first seconds."
             )
         vehicles = run.table("vehicles").sort_values("vehicle")
         self._names = vehicles.sumo_id.tolist()
         placed = [f"{PREFIX}{i}" for i in range(len(run.manifest["config"].get("objects", ())))]
-        self._is_traffic = ~vehicles.sumo_id.isin(placed).to_numpy(bool)  # the config that replays it places its own
+        self._is_traffic = ~vehicles.sumo_id.isin(placed).to_numpy(bool)  # the new config has its own objects
         self._shape = np.array([Shape[k.upper()] for k in vehicles.vehicle_class], np.uint8)
         self._lwh_m = vehicles[["length_m", "width_m", "height_m"]].to_numpy(float)
         for name, sizes in zip(self._names, self._lwh_m.tolist(), strict=True):
@@ -251,7 +251,7 @@ class RunReplay:
 
 
 def _steps_of(run: Run) -> Iterator[tuple[int, dict[str, ndarray]]]:
-    """Rows of the table `actors` step by step, one block of the table in memory at a time."""
+    """Read the table `actors` step by step. One block of the table is in memory at a time."""
     for part in run.parts("actors"):
         step = part.step.to_numpy()
         columns = {
@@ -267,7 +267,7 @@ def _steps_of(run: Run) -> Iterator[tuple[int, dict[str, ndarray]]]:
 
 
 def _types_of(files: tuple[Path, ...]):
-    """Vehicle types by name; files are read when a type is first needed, additional files before demand."""
+    """A function that finds vehicle types by name. It reads the next file only if a type is not known yet."""
     known: dict[str, vtypes.VehicleType] = {}
     left = list(files)
 

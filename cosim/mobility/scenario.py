@@ -1,4 +1,4 @@
-"""Network, buildings and traffic: a city by name, a SUMO scenario of the user's own, or recorded traffic."""
+"""Network, buildings and traffic: a city by name, the user's own SUMO scenario, or recorded traffic."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -26,7 +26,7 @@ COMMON_STEMS = frozenset((
     "osm", "run", "sim", "simulation", "scenario", "sumo", "config", "configuration", "main", "test", "default", "net",
     "network", "map", "demo", "dua", "due", "static", "fcd", "trace", "cfg",
 ))  # fmt: skip
-"""File names that say nothing of the scenario."""
+"""File names that say nothing about the scenario."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,26 +38,34 @@ class Scenario:
     net: Path | None
     buildings: tuple[Path, ...]
     types: tuple[Path, ...] = ()
-    """Files that define vehicle types, in the order of reading."""
+    """Files that define vehicle types, in the order in which they are read."""
     warmup_s: float = 0.0
     licence: str = "the user's own"
     attribution: str = ""
     trace: Path | None = None
-    """A trace or a run folder to replay; None runs SUMO."""
+    """A trace or a run folder to replay. None means that SUMO runs."""
     origin_m: tuple[float, float] = (0.0, 0.0)
-    """Where the world's origin lies in the network's coordinates."""
+    """The world's origin in the network's coordinates [m]."""
     bounds_m: Bounds | None = None
-    """Of the network, in its coordinates."""
+    """Bounds of the network in its coordinates."""
     inputs: tuple[Path, ...] = ()
-    """Every file that is read, whatever it holds."""
+    """All files that SUMO reads."""
 
     def traffic(
         self, params: TrafficParams, registry: ActorRegistry, has_driver: bool = False,
         objects: Sequence[ObjectParams] = (),
     ) -> TrafficSource:  # fmt: skip
-        """The source of traffic, with objects beside it; ValueError in one line where it cannot be read.
+        """Open the traffic source, and add the objects of the config.
 
-        With a driver, its worlds have lane paths where SUMO runs.
+        Parameters
+        ----------
+        has_driver
+            Whether a driver commands vehicles. If so, and SUMO runs, worlds have lane paths.
+
+        Raises
+        ------
+        ValueError
+            The source cannot be read. The message is one line.
         """
         source = f"traffic.scenario = {params.scenario}" if self.trace is None else f"traffic.trace = {self.trace}"
         frame = Frame(source, self.origin_m, self.bounds_m)
@@ -69,7 +77,7 @@ class Scenario:
         self, params: TrafficParams, registry: ActorRegistry, frame: Frame, has_driver: bool
     ) -> TrafficSource:  # fmt: skip
         if self.trace is None:
-            from cosim.mobility.sumo import SumoTraffic  # here, because SUMO takes its time to load
+            from cosim.mobility.sumo import SumoTraffic  # imported here, because loading SUMO is slow
 
             assert self.sumocfg is not None
             return SumoTraffic(params, self.sumocfg, registry, frame, has_driver)
@@ -79,7 +87,7 @@ class Scenario:
         return TraceReplay(params, self.trace, registry, self.types, frame)
 
     def city(self) -> Scene:
-        """The buildings, as the scene that rays are cast into."""
+        """The buildings, as a scene for ray casting."""
         footprints = [f for path in self.buildings for f in read_footprints(path, self.net)]
         if self.net is not None:
             footprints = standing_on(footprints, self.net)
@@ -95,7 +103,7 @@ class Scenario:
         return about | {f"sha256 {name}": sha256(path) for name, path in self._named_inputs().items()}
 
     def changed_inputs(self, provenance: dict[str, str]) -> list[str]:
-        """Names of the files whose content differs from the provenance of an earlier run of this scenario."""
+        """Names of the files whose content has changed since an earlier run of this scenario, by its provenance."""
         named = ((name, path, provenance.get(f"sha256 {name}")) for name, path in self._named_inputs().items())
         return [name for name, path, before in named if path != self._recorded and before not in (None, sha256(path))]
 
@@ -105,7 +113,7 @@ class Scenario:
         return (self.trace / "manifest.json").resolve() if self.trace is not None and self.trace.is_dir() else None
 
     def _named_inputs(self) -> dict[str, Path]:
-        """The files that are read by name; a name that two files share is followed by a number."""
+        """The files that are read, by name. If two files have the same name, a number follows the second one's."""
         trace = self._recorded or self.trace
         given = (self.sumocfg, self.net, *self.buildings, *self.types, *self.inputs, trace)
         named: dict[str, Path] = {}
@@ -118,7 +126,7 @@ class Scenario:
 
 
 def find(scenario: str, trace: str | None = None) -> Scenario:
-    """What `traffic.scenario` and `traffic.trace` name; ValueError in one line for a mistake."""
+    """Find what `traffic.scenario` and `traffic.trace` name. A mistake raises a ValueError of one line."""
     found = _find(scenario)
     if trace is None:
         return found
@@ -150,7 +158,7 @@ def _find(scenario: str) -> Scenario:
         named = _name_of(path.with_name(name + ".xml"))
         return Scenario(named, None, None, (), trace=path)
     raise ValueError(
-        f"traffic.scenario = {scenario}: no city of that name ships, and it is no .sumocfg, folder or trace. "
+        f"traffic.scenario = {scenario}: there is no city of that name, and it is no .sumocfg, folder or trace. "
         f"Set it to one of {', '.join(catalogue.names())}, or to the path of a .sumocfg."
     )
 
@@ -169,7 +177,7 @@ def _in_folder(folder: Path) -> Scenario:
             streets = _find(traffic["scenario"])
         except ValueError as error:
             raise ValueError(
-                f"traffic.scenario = {folder}: the city of that run is not to be found: {error} "
+                f"traffic.scenario = {folder}: the city of that run cannot be found: {error} "
                 f'Or set traffic.scenario to that city, and traffic.trace = "{folder}".'
             ) from None
         return replace(streets, trace=folder, warmup_s=0.0)
@@ -202,6 +210,6 @@ def _of_sumocfg(path: Path) -> Scenario:
 
 
 def _name_of(path: Path) -> str:
-    """A scenario's name for its runs: the file's stem, or that of its folder where the stem is a common word."""
+    """Name of a scenario for its runs: the file's stem, or its folder's name if the stem is a common word."""
     folder = path.resolve().parent.name
     return folder if path.stem.lower() in COMMON_STEMS and folder else path.stem

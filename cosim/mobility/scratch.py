@@ -1,4 +1,4 @@
-"""Temporary folders that die with their process, also when it is killed: the next one that starts removes them."""
+"""Temporary folders. If a process is killed, the next process that starts removes its folder."""
 
 import fcntl
 import os
@@ -11,17 +11,17 @@ _PREFIX = "cosim."
 
 
 class Scratch:
-    """A temporary folder; locked for as long as this process lives."""
+    """A temporary folder. It is locked as long as this process runs."""
 
     def __init__(self) -> None:
         remove_orphans()
         self.path = Path(tempfile.mkdtemp(prefix=f"{_PREFIX}{os.getpid()}."))
         self._handle = os.open(self.path, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
-        with suppress(OSError):  # without locks the process id alone says whether it is in use
+        with suppress(OSError):  # without locks, only the process id tells whether the folder is in use
             fcntl.flock(self._handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
     def remove(self) -> None:
-        """Remove it and all in it; once more does nothing."""
+        """Remove the folder and its content. A second call does nothing."""
         if self._handle >= 0:
             os.close(self._handle)
             self._handle = -1
@@ -29,7 +29,7 @@ class Scratch:
 
 
 def can_hold_files(folder: Path) -> bool:
-    """Whether files can be written into a folder, which is made if it is not there."""
+    """Whether files can be written into a folder. The folder is created if it does not exist."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
@@ -39,7 +39,7 @@ def can_hold_files(folder: Path) -> bool:
 
 
 def remove_orphans() -> None:
-    """Remove this user's folders whose process is gone."""
+    """Remove folders of this user whose process has ended."""
     for path in Path(tempfile.gettempdir()).glob(f"{_PREFIX}*.*"):
         pid = path.name.split(".")[1]
         with suppress(OSError):

@@ -1,7 +1,7 @@
 """Interface of traffic sources, and the conversion of SUMO's coordinates.
 
-SUMO gives the centre of the *front bumper* and degrees *clockwise from north*, in its API and in its output files;
-code outside of this folder uses box centres and radians counter-clockwise from east.
+SUMO's API and output files give the centre of the *front bumper*, and degrees *clockwise from north*. Code outside this
+folder uses box centres, and radians counter-clockwise from east.
 """
 
 from collections.abc import Iterator
@@ -31,41 +31,51 @@ SHAPE_OF_CLASS = {
     "bicycle": Shape.BICYCLE, "scooter": Shape.BICYCLE,
     "pedestrian": Shape.PEDESTRIAN, "wheelchair": Shape.PEDESTRIAN,
 }  # fmt: skip
-"""Shape of each SUMO vehicle class; trains, ships, aircraft and containers are left out: they are not on the road."""
+"""Shape of each SUMO vehicle class. Trains, ships, aircraft and containers are not on the road and have no shape."""
 
 
 PER_M, PER_RAD, PER_MPS = (
     2.0 ** (TABLES["actors"].columns[name].bits or 0) for name in ("x_m", "yaw_rad", "speed_mps")
 )
-"""Resolution at which the table `actors` keeps positions, angles and speeds."""
+"""Resolution of positions, angles and speeds in the table `actors`: steps per m, rad and m/s."""
 
 
 class TrafficEnded(Exception):
-    """No actor is left and none will depart, or the source ends; says why."""
+    """The traffic has ended: no actor is left and none will depart, or the source ends. The message says why."""
 
 
 def refuse_commands(what: str, n: int) -> None:
-    """TrafficError where there is any command for traffic that is replayed."""
+    """Raise a TrafficError if there are `n` > 0 commands for replayed traffic."""
     if n:
         raise TrafficError(
-            f"{what} is replayed: nothing can brake in it. Run SUMO (no traffic.trace), or choose a driver that "
+            f"{what} is replayed: nothing can brake in it. Run SUMO by removing traffic.trace, or choose a driver that "
             "commands no speeds."
         )
 
 
 class TrafficSource(Protocol):
-    """A source of traffic, read into arrays step by step."""
+    """A source of traffic that is read into arrays step by step."""
 
     def warm_up(self, seconds: float) -> Iterator[float]:
-        """Advance by `seconds` without reading; yields the seconds done."""
+        """Advance by `seconds` without reading actors. Yields the seconds that are done."""
 
     def advance(self) -> World:
-        """The world of the next step; raises TrafficEnded where there is none."""
+        """The world of the next step. Raises TrafficEnded if there is none."""
 
     def command(self, actor: Int[ndarray, "c"], speed_mps: Float[ndarray, "c"]) -> None:
-        """Speeds that vehicles drive in the next step; all others drive on their own.
+        """Command the speeds of vehicles in the next step. All other vehicles drive as the traffic model says.
 
-        TrafficError where the traffic cannot be commanded.
+        Parameters
+        ----------
+        actor
+            Actor numbers of the commanded vehicles.
+        speed_mps
+            Speed of each.
+
+        Raises
+        ------
+        TrafficError
+            This traffic cannot be commanded.
         """
 
     def report(self) -> dict[str, Any]:
@@ -84,11 +94,25 @@ def world_from_bumpers(
     registry: ActorRegistry,
     frame: Frame,
 ) -> World:
-    """The world of a step from SUMO's values of each actor, in any order.
+    """Build the world of a step from SUMO's values of each actor.
 
-    Heights, angles and speeds pass through single precision, which is all that SUMO's Parquet traces hold of them,
-    and poses are rounded to the resolution of the table `actors` (1/256 m, 1/512 rad), so that a run gets the same
-    world from SUMO, from a trace, or from the tables of an earlier run.
+    A run gets the same world from SUMO, from a trace, or from the tables of an earlier run. For this, heights, angles
+    and speeds are rounded to single precision, as in SUMO's Parquet traces, and poses to the resolution of the table
+    `actors` (1/256 m, 1/512 rad).
+
+    Parameters
+    ----------
+    number
+        Actor numbers, in any order.
+    front_m
+        Centres of the front bumpers, in the source's coordinates.
+    compass_deg
+        Headings, clockwise from north.
+
+    Raises
+    ------
+    TrafficError
+        An actor is not finite or is far outside the frame's region.
     """
     order = np.argsort(number)
     number, xyz_m, yaw_rad, speed = _placed(
@@ -99,7 +123,7 @@ def world_from_bumpers(
 
 @compiled
 def _placed(order, actor, front_m, compass_deg, speed_mps, size_m, east_m, north_m):
-    """Actors, centres of boxes, yaw and speed from front bumpers on the road, in order and rounded."""
+    """Actor numbers, box centres, yaw and speed from front bumpers on the road, in the given order, rounded."""
     n = len(order)
     number, xyz_m, yaw_rad, speed = np.empty(n, np.int32), np.empty((n, 3)), np.empty(n), np.empty(n)
     for i in range(n):
@@ -125,12 +149,19 @@ def world_of(
     registry: ActorRegistry,
     frame: Frame,
 ) -> World:
-    """The world of a step from poses of boxes at the resolution of the table `actors`; `number` is sorted.
+    """Build the world of a step from box poses at the resolution of the table `actors`.
+
+    Parameters
+    ----------
+    number
+        Actor numbers, ascending.
+    xyz_m, yaw_rad
+        Centres and headings of the boxes, in the world frame.
 
     Raises
     ------
     TrafficError
-        An actor is not finite or far outside of the frame's region.
+        An actor is not finite or is far outside the frame's region.
     """
     frame.check(step, registry.names, number, xyz_m, yaw_rad, speed_mps)
     registry.mark_present(number, step)

@@ -1,4 +1,4 @@
-"""Traffic by SUMO, through libsumo, which holds one simulation per process."""
+"""Traffic by SUMO, through libsumo. A process can run one SUMO simulation at a time."""
 
 import os
 import re
@@ -32,18 +32,18 @@ from sumo_nets.vtypes import check_size
 
 _UNKNOWN, _LEFT_OUT = -2, -1
 _NO_POSITION_M = -1e9
-"""SUMO's coordinate of an actor without a position (-2^30) is below this."""
+"""An actor without a position has a smaller coordinate in SUMO (-2^30)."""
 _LOOK_AHEAD_M = 150.0
-"""Lane paths reach this far beyond the end of a vehicle's present lane, or to the end of its route."""
+"""Lane paths reach this far beyond the end of a vehicle's current lane, or to the end of its route."""
 _KNOWN_WAYS = 100_000
-"""Ways ahead that are kept in memory; beyond it they are asked of SUMO anew."""
+"""Number of lane paths that are kept in memory. If there are more, the memory is cleared."""
 _REGARD_MAX_DECELERATION = 4
-"""Bit of SUMO's speed mode."""
+"""Bit of SUMO's speed mode that keeps the vehicle's largest deceleration."""
 
 
 @dataclass(slots=True)
 class _Domain:
-    """Vehicles or persons: libsumo's functions for them, and the number of each name."""
+    """Vehicles or persons: libsumo's functions for them, and the actor number of each name."""
 
     name: str
     number: dict[str, int] = field(default_factory=dict)
@@ -54,7 +54,7 @@ class _Domain:
         self.getter = {name: getattr(getattr(libsumo, self.name), f"get{name}") for name in what}
 
     def present(self) -> tuple[str, ...] | list[str]:
-        """Names of those on the road, without persons inside vehicles."""
+        """Names of the vehicles or persons on the road. Persons inside vehicles are not included."""
         if self.name == "vehicle":
             return libsumo.vehicle.getIDList()
         names = libsumo.person.getIDList()
@@ -69,11 +69,11 @@ class _Domain:
 
 
 class SumoTraffic:
-    """A running SUMO simulation, read into arrays step by step.
+    """A running SUMO simulation that is read into arrays step by step.
 
-    libsumo returns one value of one actor per call; the calls are made by `map`. No file is written outside of a
-    temporary folder: outputs of the configuration are switched off, and those of its additional files (detectors)
-    go to that folder.
+    libsumo returns one value of one actor per call, and the calls are made by `map`. No file is written outside a
+    temporary folder: outputs of the configuration are switched off, and outputs of its additional files (detectors) go
+    to that folder.
     """
 
     def __init__(
@@ -84,15 +84,16 @@ class SumoTraffic:
         frame: Frame | None = None,
         has_driver: bool = False,
     ) -> None:
-        """Load the scenario; ValueError with SUMO's message when SUMO refuses it.
+        """Load the scenario. If SUMO refuses it, a ValueError has SUMO's message.
 
-        With a driver, worlds have lane paths, and collisions, junctions included, are counted and do not teleport.
+        With a driver, worlds have lane paths. Collisions are then counted, also at junctions, and the vehicles are not
+        teleported.
         """
         self._registry, self._config = registry, config
         self._frame = frame or Frame(f"traffic.scenario = {config}", bounds_m=bounds_m(sumocfg.read(config).net))
         self._ways = _WaysAhead(self._frame) if has_driver else None
         self._commanded: dict[str, int] = {}
-        """Vehicles under a command, and the speed mode that SUMO gave them."""
+        """Names of commanded vehicles, and the speed mode that each had before."""
         self._collisions: set[tuple[str, ...]] = set()
         self._domains = (_Domain("vehicle"), _Domain("person"))
         self._step = 0
@@ -100,7 +101,7 @@ class SumoTraffic:
         self._warmup_s = 0.0
         self._left_out: Counter[str] = Counter()
         self.n_teleports = 0
-        """Vehicles that SUMO has teleported since recording began."""
+        """Number of vehicles that SUMO has teleported since recording began."""
         self._stderr = tempfile.TemporaryFile("w+b")  # noqa: SIM115
         self._scratch = Scratch()
         try:
@@ -114,7 +115,7 @@ class SumoTraffic:
         self._dt_s = libsumo.simulation.getDeltaT()
 
     def warm_up(self, seconds: float) -> Iterator[float]:
-        """Simulate `seconds` without reading; yields the seconds done."""
+        """Simulate `seconds` without reading actors. Yields the seconds that are done."""
         begin = libsumo.simulation.getTime()
         while (done := libsumo.simulation.getTime() - begin) < seconds - 1e-6:
             self.move()
@@ -140,10 +141,17 @@ class SumoTraffic:
         return replace(world, paths=self._ways.paths(rows, names))
 
     def command(self, actor: Int[ndarray, "c"], speed_mps: Float[ndarray, "c"]) -> None:
-        """Speeds of the next step, within the limits of the road and of the vehicle.
+        """Command speeds for the next step, within the limits of the road and of the vehicle.
 
-        SUMO's safe speeds, junctions and red lights still apply. Vehicles that were commanded before and are not
-        again are given back; so are those whose speed is not finite.
+        SUMO's safe speeds, junctions and red lights still apply. A vehicle that is not commanded again drives as SUMO
+        decides. So does a vehicle whose commanded speed is not finite.
+
+        Parameters
+        ----------
+        actor
+            Actor numbers of the commanded vehicles.
+        speed_mps
+            Speed of each.
         """
         finite = np.isfinite(speed_mps)
         names = map(self._registry.names.__getitem__, actor[finite].tolist())
@@ -176,7 +184,7 @@ class SumoTraffic:
 
     @property
     def n_vehicles(self) -> int:
-        """Vehicles on the road."""
+        """Number of vehicles on the road."""
         return libsumo.vehicle.getIDCount()
 
     def report(self) -> dict[str, Any]:
@@ -191,7 +199,7 @@ class SumoTraffic:
         }
 
     def _first_departure(self) -> dict[str, float]:
-        """The first departure of the demand, where no vehicle was ever on the road."""
+        """The first departure of the demand, if no vehicle was ever on the road."""
         if self._counts.n_vehicles or (first_s := first_departure_s(sumocfg.read(self._config).routes)) is None:
             return {}
         return {"first_departure_s": first_s, "warmup_s": self._warmup_s}
@@ -209,7 +217,7 @@ class SumoTraffic:
         self._scratch.remove()
 
     def _register(self, present: list[tuple[_Domain, Any, ndarray]], step: int) -> None:
-        """Register the actors that have no number yet; fills their numbers in place."""
+        """Register the actors that have no number yet, and write their numbers into the arrays of `present`."""
         unregistered = [
             (domain, [names[row] for row in rows], number, rows)
             for domain, names, number in present
@@ -243,7 +251,7 @@ class SumoTraffic:
             number[rows] = domain.numbers(names)
 
     def _errors_since(self, begin: int) -> list[str]:
-        """SUMO's error messages since that byte of its log, each once and in one line; SUMO continues after many."""
+        """SUMO's error messages after that byte of its log, each once and in one line. SUMO continues after many."""
         self._stderr.seek(begin)
         text = self._stderr.read().decode(errors="replace").replace(_prefix(self._scratch.path), "")
         errors = re.findall(r"^Error: (.*(?:\n .*)*)", text, re.MULTILINE)
@@ -251,7 +259,7 @@ class SumoTraffic:
 
     @contextmanager
     def _one_line_errors(self, what: str) -> Iterator[None]:
-        """SUMO's exceptions as one line with the reason that its C++ writes to standard error."""
+        """Turn SUMO's exceptions into one line with the reason that SUMO writes to standard error."""
         sys.stderr.flush()
         terminal, begin = os.dup(2), self._stderr.seek(0, os.SEEK_END)
         os.dup2(self._stderr.fileno(), 2)
@@ -277,7 +285,7 @@ def _read(domain: _Domain, names: tuple[str, ...] | list[str], number: ndarray) 
 
 @dataclass(slots=True)
 class _WaysAhead:
-    """Lane paths of vehicles, by SUMO's routes and lanes."""
+    """Lane paths of vehicles, from SUMO's routes and lanes."""
 
     frame: Frame
     lines: LaneLines = field(default_factory=LaneLines)
@@ -285,7 +293,7 @@ class _WaysAhead:
     """Number of the line by lane, route, and place on the route."""
 
     def paths(self, rows: Int[ndarray, "e"], names: list[str]) -> LanePaths:
-        """Of these rows of the world; vehicles that are on no lane, as while they are teleported, have none."""
+        """Lane paths of these rows of the world. A vehicle on no lane, such as a teleported one, has none."""
         ask = libsumo.vehicle
         lanes = list(map(ask.getLaneID, names))
         on_lane = np.fromiter(map(bool, lanes), bool, len(lanes))
@@ -307,7 +315,7 @@ class _WaysAhead:
         lanes, ahead_m = [lane], 0.0
         for link in libsumo.vehicle.getNextLinks(name):
             inside = link[4]
-            while inside:  # a junction can be crossed on several lanes of its own
+            while inside:  # a way through a junction can consist of several internal lanes
                 lanes.append(inside)
                 ahead_m += libsumo.lane.getLength(inside)
                 inside = next((onward[4] for onward in libsumo.lane.getLinks(inside)), "")
@@ -324,7 +332,7 @@ class _WaysAhead:
 
 
 def _drive_at(name: str, speed_mps: float, mode: int, dt_s: float) -> None:
-    """Command a speed; where it takes more than the vehicle's usual deceleration, that limit is lifted."""
+    """Command a speed. If it needs more than the vehicle's usual deceleration, that limit is lifted."""
     of = libsumo.vehicle
     now_mps = of.getSpeed(name)
     slowest_mps = now_mps - of.getEmergencyDecel(name) * dt_s
@@ -334,13 +342,13 @@ def _drive_at(name: str, speed_mps: float, mode: int, dt_s: float) -> None:
 
 
 def _give_back(name: str, mode: int) -> None:
-    """SUMO's own speeds again."""
+    """Let SUMO decide the vehicle's speed again."""
     libsumo.vehicle.setSpeed(name, -1)
     libsumo.vehicle.setSpeedMode(name, mode)
 
 
 def _options(params: TrafficParams, config: sumocfg.Sumocfg, scratch: Path, has_driver: bool) -> list[str]:
-    """SUMO's command line: a copy of the configuration with harmless options only, written to the temporary folder."""
+    """SUMO's command line. It uses a copy of the configuration, which has harmless options only."""
     copy = scratch / "scenario.sumocfg"
     copy.write_text(config.text(), encoding="utf-8")
     options = {
@@ -352,7 +360,7 @@ def _options(params: TrafficParams, config: sumocfg.Sumocfg, scratch: Path, has_
         "duration-log.statistics": "false",
         "no-warnings": "true",
         "verbose": "false",
-        # overrides the configuration: no TraCI client is waited for, and the same seed gives the same traffic
+        # override the configuration, so that SUMO waits for no TraCI client, and the same seed gives the same traffic
         "remote-port": 0,
         "random": "false",
         "threads": 1,
@@ -366,5 +374,5 @@ def _options(params: TrafficParams, config: sumocfg.Sumocfg, scratch: Path, has_
 
 
 def _prefix(scratch: Path) -> str:
-    """SUMO puts it before a file's base name: from any folder up to the root and down to the temporary folder."""
+    """The value of `output-prefix`. SUMO puts it before file names; it leads from any folder to the temporary one."""
     return "../" * 64 + str(scratch).lstrip("/") + "/"

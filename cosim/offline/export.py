@@ -107,11 +107,11 @@ def _exported(
         raise ValueError("none of these vehicles is on the road in any of these steps. Choose others.")
     about = {
         "format": choice.source.name, "run": str(run.path.resolve()), "vehicles": list(chosen.vehicles),
-        "steps": _span(chosen.steps),
+        "steps": _span(chosen.steps), "parameters": list(sets),
         "created": run.manifest.get("created"), "schema_version": run.manifest["schema_version"],
     }  # fmt: skip
     if choice.is_own:
-        about |= {"sha256": choice.source.sha256, "parameters": list(sets)}
+        about["sha256"] = choice.source.sha256
     folder = Folder.open(out, about)
     return _write(fmt, chosen, folder, Sweeper(run, config, _city(fmt, config), chosen.steps), progress)
 

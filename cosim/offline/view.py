@@ -1,7 +1,12 @@
 """A run as a recording for the Rerun viewer: a map, the city in 3D, and trust over time.
 
-Colours of vehicles go with the trust in them, from red (0) over white to blue (1); grey is not rated or not equipped.
-Fabricated objects are red. Of chosen vehicles there are the clouds, what they detected, received and believe.
+The faces of a vehicle have the colour of its role, as in all figures. Vehicles that are not equipped are pale grey.
+The edges of a vehicle and its ring on the map have the colour of the trust in it: red is 0, yellow 0.5, blue 1, and
+dark grey is not rated. Fabricated objects are red. For chosen vehicles there are the clouds, and what they detected,
+received and believe.
+
+The first view is on the first chosen vehicle, else on the first lie that was sent, else on the middle of the traffic.
+
 Nothing is served, and nothing but the file is written. The viewer itself collects usage data until one has said
 `rerun analytics disable`.
 """
@@ -25,6 +30,7 @@ from cosim.offline.export import Sweeper
 from cosim.offline.replay_lidar import city_of, config_of
 from results.durable import PARTIAL
 from results.export.moments import BOX
+from results.figures import style
 from results.run import Run
 from sensors.boxes import Boxes
 from sensors.raycast.mesh import city_triangles
@@ -33,10 +39,20 @@ from sumo_nets import network
 
 Progress = Callable[[str, int, int], None]
 
-ZERO, HALF, ONE, GREY = np.array([[213, 50, 40], [240, 240, 235], [30, 90, 200], [150, 150, 150]], np.uint8)
+ZERO, HALF, ONE, GREY = np.array([[213, 50, 40], [255, 224, 130], [30, 90, 200], [70, 70, 70]], np.uint8)
 """Colours of trust 0, 0.5 and 1, and of no trust."""
 
 COLOURS = {"detected": (0, 158, 115), "received": (230, 159, 0), "believed": (86, 180, 233), "fabricated": (213, 0, 0)}
+
+BACKGROUND = (245, 245, 245)
+"""Of both views; the colours of roles are made for light paper."""
+
+EYE_M = np.array([-35.0, -35.0, 35.0])
+"""From the place that the eye looks at first to the eye."""
+MAP_M = 120.0
+"""Half the width of the map at first."""
+EDGE_SHARE = 1.01
+"""Size of a box's edges by its faces, which would hide them otherwise."""
 
 BLOCK_STEPS = 60
 _LEAST_FREE_BYTES = 4_000_000
@@ -76,7 +92,7 @@ def view(
             raise ValueError(f"--vehicle {vehicle} is none that carries a LiDAR. These do: {some}, ...")
     config = config_of(run)
     city = city_of(config)
-    recording = _open(out)
+    recording = _open(out, first_look(run, steps, vehicles))
     try:
         _write(recording, out, run, config, city, steps, vehicles, clouds, progress)
         recording.flush(timeout_sec=_PATIENCE_S)
@@ -124,7 +140,22 @@ def _partial(out: Path) -> Path:
     return out.with_name(out.name + PARTIAL)
 
 
-def _open(out: Path):  # type: ignore[no-untyped-def]
+def first_look(run: Run, steps: Int[ndarray, "s"], vehicles: Sequence[int]) -> Float[ndarray, "3"]:
+    """Where the eye looks first [m], world frame: at the first chosen vehicle, the first lie, or the middle of all."""
+    where = pc.field("step").isin(steps.tolist())
+    look = run.table("actors", ["step", *BOX[:3]], where & pc.field("actor").isin(list(vehicles[:1])))
+    if look.empty:
+        lies = run.table("detections", ["step", *BOX[:3], "lied"], where)
+        look = lies[lies.lied]
+    if look.empty:
+        look = run.table("actors", ["step", *BOX[:3]], where)
+        look = look[look.step == look.step.min()].median().to_frame().T
+    if look.empty or look[BOX[:3]].isna().any(axis=None):
+        return np.zeros(3)
+    return look.sort_values("step", kind="stable")[BOX[:3]].to_numpy(float)[0]
+
+
+def _open(out: Path, look_m: Float[ndarray, "3"]):  # type: ignore[no-untyped-def]
     """The recording, with a blueprint that shows map, city and trust."""
     os.environ.setdefault("RUST_LOG", "off")  # of the SDK, which has nothing to say that is not said here
     try:
@@ -142,11 +173,14 @@ def _open(out: Path):  # type: ignore[no-untyped-def]
         raise ValueError(f"--out {out} cannot be written: {error.strerror or error}.") from None
     recording = rerun.RecordingStream("cosim")
     recording.save(_partial(out))
+    x, y = look_m[0], -look_m[1]
+    bounds = b.VisualBounds2D(x_range=[x - MAP_M, x + MAP_M], y_range=[y - MAP_M, y + MAP_M])
+    eye = b.EyeControls3D(position=look_m + EYE_M, look_target=look_m, eye_up=[0, 0, 1])
     views = b.Horizontal(
-        b.Spatial2DView(origin="map", name="Map (north is up)"),
+        b.Spatial2DView(origin="map", name="Map (north is up)", visual_bounds=bounds, background=BACKGROUND),
         b.Vertical(
-            b.Spatial3DView(origin="city", name="City"), b.TimeSeriesView(origin="trust", name="Trust"),
-            row_shares=[2, 1],
+            b.Spatial3DView(origin="city", name="City", eye_controls=eye, background=BACKGROUND),
+            b.TimeSeriesView(origin="trust", name="Trust"), row_shares=[2, 1],
         ),
     )  # fmt: skip
     recording.send_blueprint(b.Blueprint(views, collapse_panels=True))
@@ -160,7 +194,13 @@ def _static(recording, config: Config, city: Scene) -> None:  # type: ignore[no-
     recording.log("city", rerun.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     triangles = city_triangles(city)
     if len(triangles):
-        mesh = rerun.Mesh3D(vertex_positions=triangles.reshape(-1, 3), albedo_factor=[190, 190, 185, 255])
+        corner = triangles.reshape(-1, 3, 3)
+        normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+        normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
+        mesh = rerun.Mesh3D(
+            vertex_positions=corner.reshape(-1, 3), albedo_factor=[205, 203, 196, 255],
+            vertex_normals=np.repeat(normal, 3, axis=0),  # without them there is no shading
+        )  # fmt: skip
         recording.log("city/buildings", mesh, static=True)
         walls = city.buildings
         ends = ((walls.ax_m, walls.ay_m), (walls.bx_m, walls.by_m))
@@ -170,9 +210,9 @@ def _static(recording, config: Config, city: Scene) -> None:  # type: ignore[no-
     if scenario.net is not None:
         lanes = [lane.line_m[:, :2] - scenario.origin_m for lane in network.lanes(scenario.net)]
         flat = [line * [1.0, -1.0] for line in lanes]
-        recording.log("map/streets", rerun.LineStrips2D(flat, colors=[90, 90, 95], radii=0.6), static=True)
+        recording.log("map/streets", rerun.LineStrips2D(flat, colors=[150, 150, 156], radii=0.6), static=True)
         high = [np.column_stack([line, np.full(len(line), 0.02)]) for line in lanes]
-        recording.log("city/streets", rerun.LineStrips3D(high, colors=[90, 90, 95], radii=0.15), static=True)
+        recording.log("city/streets", rerun.LineStrips3D(high, colors=[150, 150, 156], radii=0.15), static=True)
 
 
 def _trust(run: Run) -> pd.DataFrame:
@@ -189,6 +229,14 @@ def colours(trust: Float[ndarray, "n"]) -> UInt8[ndarray, "n 3"]:
     high = np.clip(np.nan_to_num(trust) * 2 - 1, 0, 1)[:, None]
     mixed = (1 - low) * ZERO + low * ((1 - high) * HALF + high * ONE)
     return np.where(np.isnan(trust)[:, None], GREY, mixed).astype(np.uint8)
+
+
+def role_colours(run: Run, actor: Int[ndarray, "n"]) -> UInt8[ndarray, "n 3"]:
+    """Colours of actors by role, as in all figures; of those that are not equipped, the pale one."""
+    of_role = {role: style.role_look(role, run.role_labels)["color"] for role in run.role_labels}
+    of_actor = run.roles.astype(object).map(of_role)
+    inks = [of_actor.get(number, style.PALE) for number in actor.tolist()]
+    return np.array([tuple(bytes.fromhex(ink[1:])) for ink in inks], np.uint8).reshape(-1, 3)
 
 
 def _block(  # type: ignore[no-untyped-def]
@@ -211,8 +259,8 @@ def _block(  # type: ignore[no-untyped-def]
     }
     by_step = {name: dict(iter(rows.groupby("step"))) for name, rows in shown.items()}
     here = dict(iter(actors.groupby("step")))
-    rated = trust[(trust.step >= steps[0]) & (trust.step <= steps[-1])].groupby("step")
-    updates = {step: dict(zip(rows.vehicle, rows.trust, strict=True)) for step, rows in rated}
+    values = trust[(trust.step >= steps[0]) & (trust.step <= steps[-1])].groupby("step")
+    updates = {step: dict(zip(rows.vehicle, rows.trust, strict=True)) for step, rows in values}
     for step in steps.tolist():
         recording.set_time("time", duration=step * run.dt_s)
         now = here.get(step)
@@ -221,9 +269,13 @@ def _block(  # type: ignore[no-untyped-def]
             number = now.actor.to_numpy(np.int64)
             value = np.array([known.get(n, np.nan) for n in number.tolist()])
             boxes = Boxes(now[BOX[:3]].to_numpy(float), now[BOX[3:6]].to_numpy(float), now.yaw_rad.to_numpy(float))
-            recording.log("city/actors", _boxes(boxes, colours(value), solid=True))
+            roles, rated = role_colours(run, number), colours(value)
+            recording.log("city/actors", _boxes(boxes, roles, solid=True))
+            edges = Boxes(boxes.xyz_m, boxes.lwh_m * EDGE_SHARE, boxes.yaw_rad)
+            recording.log("city/edges", _boxes(edges, rated))
             flat = boxes.xyz_m[:, :2] * [1.0, -1.0]
-            recording.log("map/actors", rerun.Points2D(flat, colors=colours(value), radii=3.0))
+            recording.log("map/rings", rerun.Points2D(flat, colors=rated, radii=3.0, draw_order=30.0))
+            recording.log("map/actors", rerun.Points2D(flat, colors=roles, radii=2.0, draw_order=31.0))
             met = encounters[(encounters.start_step <= step) & (encounters.end_step > step)]
             met = met[met.a.isin(number) & met.b.isin(number)]
             ends = [np.searchsorted(number, met[end].to_numpy()) for end in ("a", "b")]

@@ -1,10 +1,12 @@
 """One shared radio channel: CSMA/CA broadcast, packet by packet, window after window.
 
-    state, result = run_window(state, links, packets, until_ns, rng_key, receiver, access)
+    rules = ChannelRules(rng_key, ReceiverParams(), AccessParams())
+    state, result = run_window(state, links, packets, until_ns, rules)
 
-Queues, back-offs and frames on the air at the end of a window are in `ChannelState`; cutting a window in two changes
-nothing. A packet is (sender's key, sequence number), and every draw depends on that, the receiver's key and the seed
-alone: rows, order and stations out of range have no effect.
+`ChannelState` holds the queues, back-offs and frames on the air at the end of a window. Two windows give the same
+result as one window of the same total length. A packet is identified by its sender's key and its sequence number.
+Every draw depends only on this identity, the receiver's key and the seed. The order of rows and stations out of range
+have no effect.
 """
 
 from dataclasses import dataclass
@@ -42,13 +44,13 @@ class PhyOutcome(IntEnum):
     FADING = dtypes.FADING
     """Too weak or too noisy because of fading, though strong enough on average."""
     COLLISION = dtypes.COLLISION
-    """Destroyed by other frames."""
+    """Destroyed by the interference of other frames."""
     BUSY = dtypes.BUSY
     """The receiver was receiving another frame."""
     HALF_DUPLEX = dtypes.HALF_DUPLEX
     """The receiver was sending."""
     EXPIRED = dtypes.EXPIRED
-    """Never sent: out of date in the sender's queue."""
+    """Never sent: it waited in the sender's queue for longer than its lifetime."""
     QUEUE = dtypes.QUEUE
     """Never sent: the sender's queue was full."""
 
@@ -86,8 +88,18 @@ class AccessParams:
 
 
 @dataclass(frozen=True, slots=True)
+class ChannelRules:
+    """What is the same in all windows of a run."""
+
+    rng_key: np.uint64
+    """Key of the channel's draws. Packets distinguish windows, so that one key serves the whole run."""
+    receiver: ReceiverParams
+    access: AccessParams
+
+
+@dataclass(frozen=True, slots=True)
 class Jamming:
-    """Noise of jammers at N stations, beside the receivers' own [mW]."""
+    """Noise of jammers at N stations, in addition to the receivers' own noise [mW]."""
 
     constant_mw: Float[ndarray, "n"]
     """At all times."""
@@ -99,7 +111,7 @@ class Jamming:
 
 @dataclass(frozen=True, slots=True)
 class Links:
-    """N stations and the mean received power of every directed link above the cut-off, by sender."""
+    """N stations, and the M directed links with a mean received power above the cut-off, sorted by sender."""
 
     key: UInt64[ndarray, "n"]
     ptr: Int[ndarray, "n+1"]
@@ -126,7 +138,7 @@ class Links:
 
 @dataclass(frozen=True, slots=True)
 class Packets:
-    """P frames to be sent; each (sender, seq) once in a run."""
+    """P frames to be sent. Each pair of sender and sequence number is used once in a run."""
 
     sender: Int[ndarray, "p"]
     """Row of the station."""
@@ -137,7 +149,7 @@ class Packets:
     access: UInt8[ndarray, "p"]
     lifetime_ns: Int[ndarray, "p"]
     tag: Int[ndarray, "p"]
-    """The caller's number of the packet; returned with its result."""
+    """The caller's number of the packet. It is returned with the result."""
 
     def __len__(self) -> int:
         return len(self.sender)
@@ -147,15 +159,15 @@ class Packets:
 class WindowResult:
     """P packets sent or dropped in one window, and their receptions.
 
-    Sorted by (generation, key, seq); forwarded ones made in this window come last, by generation.
-    A packet that was not sent (EXPIRED, QUEUE) has no receptions and start = end = generation.
+    Packets are sorted by generation, key and sequence number. Frames forwarded in this window come last, by generation.
+    A packet that was not sent (EXPIRED, QUEUE) has no receptions, and it starts and ends at its generation.
     """
 
     sender_key: UInt64[ndarray, "p"]
     seq: UInt64[ndarray, "p"]
     tag: Int[ndarray, "p"]
     outcome: UInt8[ndarray, "p"]
-    """RECEIVED where it was sent, else EXPIRED or QUEUE."""
+    """RECEIVED if the packet was sent, otherwise EXPIRED or QUEUE."""
     generated_ns: Int[ndarray, "p"]
     start_ns: Int[ndarray, "p"]
     end_ns: Int[ndarray, "p"]
@@ -203,7 +215,7 @@ def _constants(receiver: ReceiverParams, access: AccessParams) -> dtypes.Constan
 
 
 def _records(packets: Packets, n: int, state: ChannelState, until_ns: int, receiver: ReceiverParams) -> ndarray:
-    """The packets as records of the event loop; ValueError for invalid ones."""
+    """The packets as records of the event loop. Raises ValueError for invalid packets."""
     new = np.zeros(len(packets), dtypes.PACKET)
     if len(packets) == 0:
         return new
@@ -244,45 +256,67 @@ def run_window(
     links: Links,
     packets: Packets,
     until_ns: int,
-    rng_key: np.uint64,
-    receiver: ReceiverParams,
-    access: AccessParams,
+    rules: ChannelRules,
     gap_ns: Int[ndarray, "n"] | None = None,
     forwarding: Forwarding | None = None,
 ) -> tuple[ChannelState, WindowResult]:
-    """All events on the channel from `state.now_ns` until `until_ns`.
+    """Process all events on the channel from `state.now_ns` until `until_ns`.
 
     Parameters
     ----------
+    state
+        The channel at the beginning of the window. It is not changed.
     links
-        Links of this window; frames already on the air keep those of their start.
+        Links between the N stations of this window. Frames already on the air keep the links of their start.
     packets
-        Generated within the window.
-    rng_key
-        Key of the channel's draws, one for the whole run: packets distinguish windows.
+        The packets generated within the window.
+    until_ns
+        End of the window [ns].
+    rules
+        Receivers, medium access and the key of the draws.
     gap_ns
-        Least time between two frames of each station, imposed by congestion control (see `dcc`).
+        Least time between two frames of each station [ns], from congestion control (see `dcc`). None: no limit.
     forwarding
-        Forwarding among these stations; continues from window to window, and the results of its frames come last.
+        Forwarding among these stations. It continues from window to window, and `run_window` writes into it.
+        The results of forwarded frames come last.
+
+    Returns
+    -------
+    The channel at `until_ns`, and the packets sent or dropped in the window with their receptions.
+
+    Raises
+    ------
+    ValueError
+        If the window is empty, or if a packet or a station is invalid.
 
     Notes
     -----
-    A frame arrives everywhere at the same instant.   Deviations from the standard: no propagation delay
-    (3.3 µs/km); the signal field is never lost alone; two queues of one station that collide draw again from the
+    A frame arrives at all receivers at the same instant.   Deviations from the standard: no propagation delay
+    (3.3 µs/km); the signal field is never lost alone; if two queues of one station collide, both draw again from the
     same contention window.
     """
     n = len(links.key)
     if until_ns <= state.now_ns:
         raise ValueError(f"until_ns = {until_ns} is not after the state's now_ns = {state.now_ns}.")
-    new = _records(packets, n, state, until_ns, receiver)
+    new = _records(packets, n, state, until_ns, rules.receiver)
     new["key"] = links.key[new["sender"]]
     new = new[_order(new)]
     state = remap_stations(state, links.key)
-    phy, mac = state.phy, state.mac
-    phy["busy_ns"] = phy["strong_ns"] = 0
-    mac["gap_ns"][:n] = 0 if gap_ns is None else gap_ns
-    table = _joined(state.packets, new)
+    state.phy["busy_ns"] = state.phy["strong_ns"] = 0
+    state.mac["gap_ns"][:n] = 0 if gap_ns is None else gap_ns
 
+    air = _air_of(state, links, rules)
+    log = _run_events(air, _log_of(state, links, new), len(state.packets), until_ns, forwarding)
+    on_air = np.zeros(len(log.packets), bool)
+    on_air[air.phys["packet"][air.phys["packet"] != dtypes.NONE]] = True
+    over = ~on_air & (log.packets["outcome"] != dtypes.WAITING)
+    result = _result(log, over, air.phys[:n], until_ns - state.now_ns)
+    return next_state(air, log, ~over, on_air, until_ns), result
+
+
+def _log_of(state: ChannelState, links: Links, new: ndarray) -> Log:
+    """The packets of earlier windows and the new ones, with room for the outcomes at their receivers."""
+    table = _joined(state.packets, new)
     waiting, on_the_air = table["outcome"] == dtypes.WAITING, np.flatnonzero(table["outcome"] == dtypes.RECEIVED)
     sender, degree, old_edge = table["sender"][waiting], table["degree"][on_the_air], table["edge"][on_the_air]
     table["edge"][waiting] = links.ptr[sender]
@@ -292,27 +326,52 @@ def run_window(
     table["degree"][on_the_air] = degree
     begins = offsets(table["degree"])
     table["slot"] = begins[:-1]
-    reception, receiver_row = np.empty(begins[-1], np.uint8), np.empty(begins[-1], np.int32)
+    outcome, receiver = np.empty(begins[-1], np.uint8), np.empty(begins[-1], np.int32)
     if len(on_the_air):
         to, was = ranges(begins[on_the_air], degree), ranges(old_edge, degree)
-        reception[to], receiver_row[to] = state.reception[was], state.receiver[was]
+        outcome[to], receiver[to] = state.reception[was], state.receiver[was]
+    return Log(table, outcome, receiver)
+
+
+def _air_of(state: ChannelState, links: Links, rules: ChannelRules) -> Air:
+    """The stations, links and rules of a window; links of frames already on the air come last."""
+    phy, mac = state.phy, state.mac
     arrival_mw = np.empty(len(links.receiver) + len(state.arrival_mw), np.float32)
     arrival_mw[len(links.receiver) :] = state.arrival_mw
     row_of_rank = np.empty(len(phy), np.int64)
     row_of_rank[mac["rank"]] = np.arange(len(phy))
-    air = Air(
-        phy, mac, row_of_rank, links.ptr, _joined(links.receiver, state.receiver), links.power_mw, links.fading,
-        arrival_mw, fading_quantiles(), *_noise_of(links.jamming, len(phy)),
-        SIFS_NS + SLOT_NS * np.array(access.aifsn), np.array(access.cw),
-        _constants(receiver, access), np.uint64(rng_key),
-    )  # fmt: skip
-    n_given, max_degree = len(table), int(np.diff(links.ptr).max(initial=0))
-    at = np.array([-1, len(state.packets), n_given, len(receiver_row)])
+    jam_mw, react_mw, is_jammed = _noise_of(links.jamming, len(phy))
+    return Air(
+        phys=phy,
+        macs=mac,
+        row_of_rank=row_of_rank,
+        ptr=links.ptr,
+        receiver=_joined(links.receiver, state.receiver),
+        mean_mw=links.power_mw,
+        fading=links.fading,
+        arrival_mw=arrival_mw,
+        quantiles=fading_quantiles(),
+        jam_mw=jam_mw,
+        react_mw=react_mw,
+        is_jammed=is_jammed,
+        aifs_ns=SIFS_NS + SLOT_NS * np.array(rules.access.aifsn),
+        cw=np.array(rules.access.cw),
+        c=_constants(rules.receiver, rules.access),
+        rng_key=np.uint64(rules.rng_key),
+    )
+
+
+def _run_events(air: Air, log: Log, n_old: int, until_ns: int, forwarding: Forwarding | None) -> Log:
+    """Process all events before `until_ns`; the first `n_old` packets were generated in earlier windows.
+
+    Changes the arrays of `air` and `log`. Returns the log with the frames that stations forwarded.
+    """
+    n_given, max_degree = len(log.packets), int(np.diff(air.ptr).max(initial=0))
+    at = np.array([-1, n_old, n_given, len(log.receiver)])
     forwards = NO_FORWARDING if forwarding is None else forwarding.state
-    heap = Heap(*np.empty((2, 16 * len(phy) + 16 + len(forwards.copies)), np.int64))
-    log = Log(table, reception, receiver_row)
+    heap = Heap(*np.empty((2, 16 * len(air.phys) + 16 + len(forwards.copies)), np.int64))
     while not run_until(until_ns, air, log, heap, at, n_given, max_degree, forwards):
-        assert forwarding is not None  # nothing else needs more room
+        assert forwarding is not None  # only forwarding needs more room
         forwarding.grow(max_degree)
         more = len(forwarding.state.copies) - len(forwards.copies)
         heap = Heap(grown(heap.times, more), grown(heap.codes, more))
@@ -322,18 +381,11 @@ def run_window(
         if at[SLOTS] + max_degree > len(log.receiver):
             more = max(len(log.receiver), 64 * max_degree)
             log = log._replace(outcome=grown(log.outcome, more), receiver=grown(log.receiver, more))
-    table, reception, receiver_row = log
-    table, reception, receiver_row = table[: at[PACKETS]], reception[: at[SLOTS]], receiver_row[: at[SLOTS]]
-
-    on_air = np.zeros(len(table), bool)
-    on_air[phy["packet"][phy["packet"] != dtypes.NONE]] = True
-    over = ~on_air & (table["outcome"] != dtypes.WAITING)
-    result = _result(table, over, phy, n, receiver_row, reception, until_ns - state.now_ns)
-    return next_state(phy, mac, table, ~over, on_air, air.receiver, arrival_mw, reception, until_ns), result
+    return Log(log.packets[: at[PACKETS]], log.outcome[: at[SLOTS]], log.receiver[: at[SLOTS]])
 
 
 def _noise_of(jamming: Jamming | None, n: int) -> tuple[ndarray, ndarray, ndarray]:
-    """Columns of `Jamming` for n rows, of which the last may be stations that left; empty where nothing jams."""
+    """Columns of `Jamming` for n rows. The last rows may be stations that left. Empty where nothing jams."""
     if jamming is None:
         return np.zeros(0), np.zeros(0), np.zeros(0, bool)
     more = n - len(jamming.detected)
@@ -345,7 +397,7 @@ def _noise_of(jamming: Jamming | None, n: int) -> tuple[ndarray, ndarray, ndarra
 
 
 def _order(packets: ndarray) -> Int[ndarray, "p"]:
-    """By generation, key and sequence number."""
+    """Rows sorted by generation, key and sequence number."""
     begin_ns = packets["generated_ns"]
     order = np.argsort(begin_ns, kind="stable")
     if (np.diff(begin_ns[order]) == 0).any():  # rarely are two generated in the same nanosecond
@@ -354,7 +406,7 @@ def _order(packets: ndarray) -> Int[ndarray, "p"]:
 
 
 def _joined(one: ndarray, more: ndarray) -> ndarray:
-    """Both, one after the other, of the type of the second; the first or second itself where the other is empty."""
+    """Both arrays, one after the other, with the type of the second. If one is empty: the other itself."""
     if not len(one) or not len(more):
         return more if len(more) else one
     both = np.empty(len(one) + len(more), more.dtype)
@@ -375,10 +427,10 @@ def _chosen(begin, count, one, other):
     return first, second
 
 
-def _result(
-    table: ndarray, done: ndarray, phy: ndarray, n: int, receiver_row: ndarray, reception: ndarray, span_ns: int
-) -> WindowResult:
-    rows = table[done]
+def _result(log: Log, done: ndarray, phy: ndarray, span_ns: int) -> WindowResult:
+    """The packets that are done, and how long each station of `phy` sensed the medium busy in `span_ns`."""
+    receiver_row, reception = log.receiver, log.outcome
+    rows = log.packets[done]
     sent = rows["outcome"] == dtypes.RECEIVED
     count = np.where(sent, rows["degree"], 0)
     if count.sum() < len(receiver_row):
@@ -399,6 +451,6 @@ def _result(
         ptr=offsets(count),
         receiver=receiver_row,
         reception=reception,
-        busy=phy["busy_ns"][:n] / span_ns,
-        busy_strong=phy["strong_ns"][:n] / span_ns,
+        busy=phy["busy_ns"] / span_ns,
+        busy_strong=phy["strong_ns"] / span_ns,
     )

@@ -6,12 +6,13 @@ import numpy as np
 from numpy import ndarray
 
 from cosim.radio import dtypes
+from cosim.radio.csma_events import Air, Log
 from cosim.ragged import ranges
 
 
 @dataclass(frozen=True, slots=True)
 class ChannelState:
-    """All that lasts from one window to the next; opaque."""
+    """All that lasts from one window to the next. Callers only pass it on."""
 
     now_ns: int
     phy: ndarray
@@ -19,7 +20,7 @@ class ChannelState:
     packets: ndarray
     """Waiting or on the air."""
     receiver: ndarray
-    """Receivers of the frames on the air; arriving power and `PhyOutcome` so far in the same order."""
+    """Receivers of the frames on the air. `arrival_mw` and `reception` (`PhyOutcome` so far) have the same order."""
     arrival_mw: ndarray
     reception: ndarray
 
@@ -33,9 +34,10 @@ class ChannelState:
 
 
 def remap_stations(state: ChannelState, key: ndarray) -> ChannelState:
-    """A copy of the state with rows as in `key`, behind them stations that left with a frame on the air.
+    """A copy of the state for the stations `key`, in this order.
 
-    Packets waiting at a station that left expire; frames on the way to it are not received.
+    Stations that left while they had a frame on the air come last. Packets that wait at a station that left expire.
+    A station that left does not receive the frames that are on the air.
     """
     old = state.phy["key"]
     if np.array_equal(old, key):
@@ -76,22 +78,40 @@ def remap_stations(state: ChannelState, key: ndarray) -> ChannelState:
     return ChannelState(state.now_ns, phy, mac, packets, receiver.astype(np.int32), arrival_mw, state.reception)
 
 
-def next_state(
-    phy: ndarray, mac: ndarray, table: ndarray, alive: ndarray, on_air: ndarray,
-    receiver: ndarray, arrival_mw: ndarray, reception: ndarray, now_ns: int,
-) -> ChannelState:  # fmt: skip
-    """The state after a window: live packets, renumbered, and the receivers of the frames on the air."""
+def next_state(air: Air, log: Log, alive: ndarray, on_air: ndarray, now_ns: int) -> ChannelState:
+    """The state after a window.
+
+    Parameters
+    ----------
+    air, log
+        Stations and packets at the end of the window. Their arrays are reused and changed.
+    alive
+        Packets (bool) that wait or are on the air: they are kept and renumbered.
+    on_air
+        Packets (bool) that are on the air: their receivers are kept.
+    now_ns
+        End of the window [ns].
+    """
+    phy, mac, table = air.phys, air.macs, log.packets
     if not alive.any():
         phy["packet"] = mac["head"] = mac["tail"] = dtypes.NONE
-        nothing = (np.zeros(0, column.dtype) for column in (table, receiver, arrival_mw, reception))
+        nothing = (np.zeros(0, column.dtype) for column in (table, air.receiver, air.arrival_mw, log.outcome))
         return ChannelState(now_ns, phy, mac, *nothing)
     number = np.full(len(table) + 1, dtypes.NONE, np.int32)  # one more: NONE maps to NONE
     number[:-1][alive] = np.arange(np.count_nonzero(alive))
     phy["packet"] = number[phy["packet"]]
     for name in ("head", "tail"):
         mac[name] = number[np.where(mac["count"] > 0, mac[name], dtypes.NONE)]
-    air = table[on_air]
-    edge, slot = ranges(air["edge"], air["degree"]), ranges(air["slot"], air["degree"])
-    table["edge"][on_air] = np.cumsum(air["degree"]) - air["degree"]
+    frames = table[on_air]
+    edge, slot = ranges(frames["edge"], frames["degree"]), ranges(frames["slot"], frames["degree"])
+    table["edge"][on_air] = np.cumsum(frames["degree"]) - frames["degree"]
     table["next"] = number[table["next"]]
-    return ChannelState(now_ns, phy, mac, table[alive], receiver[edge], arrival_mw[edge], reception[slot])
+    return ChannelState(
+        now_ns=now_ns,
+        phy=phy,
+        mac=mac,
+        packets=table[alive],
+        receiver=air.receiver[edge],
+        arrival_mw=air.arrival_mw[edge],
+        reception=log.outcome[slot],
+    )

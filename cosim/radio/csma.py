@@ -1,18 +1,18 @@
 """The medium `csma`: rounds of messages over one shared channel, with forwarding and congestion control.
 
-A message longer than one frame is segmented; each segment is lost, forwarded and received on its own, and the message
-is received when all its segments are.
+A message longer than one frame is segmented. Each segment is lost, forwarded and received on its own. A message is
+received when all its segments are received.
 """
 
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Int, UInt64
+from jaxtyping import Float, Int, UInt64
 from numpy import ndarray
 
 from cosim import rng
 from cosim.radio import channel, dcc
-from cosim.radio.channel import Access, Jamming, Links, Packets, WindowResult
+from cosim.radio.channel import Access, ChannelRules, Jamming, Links, Packets, WindowResult
 from cosim.radio.channel_state import ChannelState
 from cosim.radio.dcc import DccState
 from cosim.radio.forwarding import UNIT, Forwarding, ForwardingRules, own_frames
@@ -66,42 +66,83 @@ class CsmaMedium:
         """One round of messages, each generated at a random time in the first half of the round."""
         if len(stations) == 0:
             return state, MessageRound.silent()
-        p, n = self.params, len(stations)
-        begin_ns, end_ns = round(begin_s * 1e9), round((begin_s + self.round_s) * 1e9)
-        lifetime_ns = round(p.access.lifetime_s * 1e9)
         cache = state.cache
         if cache is None or not cache.stations.equals(stations):
             cache = self.links(stations)
-        links, abuse = self._jammed(cache.links, stations), stations.abuse
-        round_number = len(RoundKind) * step + kind
+        links = self._jammed(cache.links, stations)
+        plan = self._plan(len(RoundKind) * step + kind, begin_s, stations, messages, state.n_frames)
+        forwarding = self._forwarding(plan, stations)
+        before = state
+        if state.channel.now_ns < plan.begin_ns:
+            before = self._idle(state, links, plan.begin_ns)
+        after, windows, busy = self._transmit(before, plan, links, stations, forwarding)
+        frames = own_frames(plan.units) if forwarding is None else forwarding.frames
+        sent = Transmissions.of(frames, plan.units, windows, plan.first_tag)
+        happened = _happened(plan, sent, cache.neighbours, stations, messages, busy)
+        return replace(after, n_frames=state.n_frames + len(frames), cache=cache), happened
 
+    @property
+    def _rules(self) -> ChannelRules:
+        return ChannelRules(rng.key(self.seed, rng.Stream.CHANNEL), self.params.receiver, self.params.access)
+
+    def _plan(self, number: int, begin_s: float, stations: Stations, messages: Messages, n_frames: int) -> "_RoundPlan":
+        """Segments of all messages, and the random times at which they are generated."""
+        begin_ns, end_ns = round(begin_s * 1e9), round((begin_s + self.round_s) * 1e9)
         keys = messages.keys(stations)
-        units, n_segments = _units(messages, keys, round_number, p.receiver.rate_mbps)
-        phase = rng.uniforms(rng.key(self.seed, rng.Stream.GENERATION, round_number), keys)[:, 0]
+        units, n_segments = _units(messages, keys, number, self.params.receiver.rate_mbps)
+        phase = rng.uniforms(rng.key(self.seed, rng.Stream.GENERATION, number), keys)[:, 0]
         offset_ns = np.floor(phase * (end_ns - begin_ns) / 2).astype(np.int64)
         if messages.delay_s is not None:
             offset_ns += np.rint(1e9 * messages.delay_s).astype(np.int64)
-        own_ns = begin_ns + offset_ns[units["message"]]
-        first_tag = state.n_frames
-        forwarding = None
-        if p.relay.max_hops > 1:
-            rules = ForwardingRules(
-                max_hops=p.relay.max_hops, contends=p.relay.rule == "contention", forward_p=p.relay.forward_p,
-                range_m=p.range_m, forward_range_m=p.relay.forward_range_m, timer_min_s=p.relay.timer_min_s,
-                timer_max_s=p.relay.timer_max_s, timer_distance_m=p.relay.timer_distance_m, end_ns=end_ns,
-                lifetime_ns=lifetime_ns, access=int(Access.BE), first_tag=first_tag,
-                rng_key=rng.key(self.seed, rng.Stream.RELAY, round_number),
-            )  # fmt: skip
-            forwarding = Forwarding.of(rules, units, stations.key, stations.xyz_m[:, :2])
+        return _RoundPlan(
+            number=number,
+            begin_ns=begin_ns,
+            end_ns=end_ns,
+            units=units,
+            n_segments=n_segments,
+            generated_ns=begin_ns + offset_ns[units["message"]],
+            lifetime_ns=round(self.params.access.lifetime_s * 1e9),
+            first_tag=n_frames,
+        )
 
-        now, control = state.channel, state.dcc
-        if now.now_ns < begin_ns:
-            now, control = self._idle(now, control, links, begin_ns)
-        rng_key, period_ns = rng.key(self.seed, rng.Stream.CHANNEL), round(p.dcc.period_s * 1e9)
+    def _forwarding(self, plan: "_RoundPlan", stations: Stations) -> Forwarding | None:
+        """Forwarding in this round; None where every message has one hop."""
+        relay = self.params.relay
+        if relay.max_hops <= 1:
+            return None
+        rules = ForwardingRules(
+            max_hops=relay.max_hops,
+            contends=relay.rule == "contention",
+            forward_p=relay.forward_p,
+            range_m=self.params.range_m,
+            forward_range_m=relay.forward_range_m,
+            timer_min_s=relay.timer_min_s,
+            timer_max_s=relay.timer_max_s,
+            timer_distance_m=relay.timer_distance_m,
+            end_ns=plan.end_ns,
+            lifetime_ns=plan.lifetime_ns,
+            access=int(Access.BE),
+            first_tag=plan.first_tag,
+            rng_key=rng.key(self.seed, rng.Stream.RELAY, plan.number),
+        )
+        return Forwarding.of(rules, plan.units, stations.key, stations.xyz_m[:, :2])
+
+    def _transmit(
+        self, state: ChannelContext, plan: "_RoundPlan", links: Links, stations: Stations, forwarding: Forwarding | None
+    ) -> tuple[ChannelContext, list[WindowResult], Float[ndarray, "n"]]:
+        """The round window by window; congestion control is updated in between.
+
+        Returns
+        -------
+        The state after the round, the results of all windows, and the share of the round in which each station sensed
+        the medium busy.
+        """
+        now, control, rules, params = state.channel, state.dcc, self._rules, self.params.dcc
+        units, own_ns, end_ns, period_ns = plan.units, plan.generated_ns, plan.end_ns, round(params.period_s * 1e9)
         waits = own_ns + units["airtime_ns"] <= end_ns
         windows: list[WindowResult] = []
-        busy = np.zeros(n)
-        measured, strong = 0, np.zeros(n)  # since the last update of congestion control
+        busy = np.zeros(len(stations))
+        measured, strong = 0, np.zeros(len(stations))  # since the last update of congestion control
         while now.now_ns < end_ns:
             start_ns = stop_ns = now.now_ns
             if not len(now.packets):  # an idle channel until the next generation or timer
@@ -110,41 +151,19 @@ class CsmaMedium:
             stop_ns = min(max(start_ns, stop_ns) + period_ns, end_ns)
             due = np.flatnonzero(waits & (own_ns < stop_ns))
             waits[due] = False
-            packets = Packets(
-                sender=units["source"][due], seq=units["seq"][due], generated_ns=own_ns[due],
-                payload_bytes=units["payload_bytes"][due], access=np.full(len(due), Access.BE, np.uint8),
-                lifetime_ns=np.minimum(lifetime_ns, end_ns - own_ns[due]), tag=first_tag + due,
-            )  # fmt: skip
-            gap_ns = dcc.gap_ns(control, stations.key, p.dcc)
-            if abuse is not None:
-                gap_ns = np.where(abuse.ignores_dcc, 0, gap_ns)
-            now, out = channel.run_window(
-                now, links, packets, stop_ns, rng_key, p.receiver, p.access, gap_ns, forwarding
-            )
+            gap_ns = dcc.gap_ns(control, stations.key, params)
+            if stations.abuse is not None:
+                gap_ns = np.where(stations.abuse.ignores_dcc, 0, gap_ns)
+            now, out = channel.run_window(now, links, plan.packets(due), stop_ns, rules, gap_ns, forwarding)
             windows.append(out)
             span = stop_ns - start_ns
             busy += out.busy * span
             strong, measured = strong + out.busy_strong * span, measured + span
-            while measured >= p.dcc.period_s * 1e9 - 1:
-                control = dcc.update(control, stations.key, np.minimum(strong / measured, 1.0), p.dcc)
-                strong *= max(0.0, 1 - p.dcc.period_s * 1e9 / measured)
+            while measured >= params.period_s * 1e9 - 1:
+                control = dcc.update(control, stations.key, np.minimum(strong / measured, 1.0), params)
+                strong *= max(0.0, 1 - params.period_s * 1e9 / measured)
                 measured -= period_ns
-
-        frames = own_frames(units) if forwarding is None else forwarding.frames
-        sent = Transmissions.of(frames, units, windows, first_tag)
-        attempts = ReceptionAttempts.of(sent, cache.neighbours)
-        receptions, n_duplicate = complete_messages(
-            sent, attempts, own_ns, n_segments, begin_ns, messages, stations.xyz_m[:, :2]
-        )
-        on_air = sent.on_air
-        outcomes = FrameOutcomes(
-            attempts.message, attempts.receiver, attempts.hop, attempts.distance_m, attempts.los_state,
-            attempts.outcome, np.bincount(sent.message[on_air], minlength=len(messages)),
-            int((sent.hop[on_air] > 1).sum()), n_duplicate,
-            float(np.sum(units["payload_bytes"][sent.unit[on_air]] + MAC_OVERHEAD_BYTES)), busy / (end_ns - begin_ns),
-        )  # fmt: skip
-        after = ChannelContext(now, control, state.n_frames + len(frames), cache)
-        return after, MessageRound(messages.station, receptions, outcomes)
+        return replace(state, channel=now, dcc=control), windows, busy / (end_ns - plan.begin_ns)
 
     def links(self, stations: Stations) -> LinkCache:
         """Links and neighbours of these stations."""
@@ -167,10 +186,11 @@ class CsmaMedium:
 
         Notes
         -----
-        A jammer's noise reaches the receivers with the mean power of a frame of that strength, links above the cut-off
-        alone, and does not fade. Carrier sense and the channel busy ratio do not notice it. A reactive jammer detects
-        what arrives with `detectable_dbm` or more on average, and is quick enough for the payload, not for the
-        preamble; where several react, the noise of all counts for each frame that one of them detects.
+        A jammer's noise arrives with the mean power of a frame that is sent with the jammer's power. It reaches only
+        receivers with a link above the cut-off, and it does not fade. Carrier sense and the channel busy ratio do not
+        notice it. A reactive jammer detects frames that arrive with `detectable_dbm` or more on average. It reacts in
+        time for the payload but not for the preamble. If several jammers react, each frame that one of them detects
+        suffers the noise of all of them.
         """
         abuse = stations.abuse
         if abuse is None or not (np.isfinite(abuse.jam_dbm).any() or np.isfinite(abuse.react_dbm).any()):
@@ -186,21 +206,78 @@ class CsmaMedium:
         detected = np.bincount(sender, detects, len(stations)) > 0
         return replace(links, jamming=Jamming(noise[0], noise[1], detected))
 
-    def _idle(
-        self, state: ChannelState, control: DccState, links: Links, until_ns: int
-    ) -> tuple[ChannelState, DccState]:
-        """The time between two rounds."""
-        p, since_ns, rng_key = self.params, state.now_ns, rng.key(self.seed, rng.Stream.CHANNEL)
+    def _idle(self, state: ChannelContext, links: Links, until_ns: int) -> ChannelContext:
+        """The state after the time between two rounds, in which nothing is generated."""
+        control, params, since_ns = state.dcc, self.params.dcc, state.channel.now_ns
         none = np.zeros(0, np.int64)
         nothing = Packets(none, none.astype(np.uint64), none, none, none.astype(np.uint8), none, none)
-        state, out = channel.run_window(state, links, nothing, until_ns, rng_key, p.receiver, p.access)
-        for _ in range(min(int((until_ns - since_ns) * 1e-9 / p.dcc.period_s), 10)):
-            control = dcc.update(control, links.key, np.minimum(out.busy_strong, 1.0), p.dcc)
-        return state, control
+        now, out = channel.run_window(state.channel, links, nothing, until_ns, self._rules)
+        for _ in range(min(int((until_ns - since_ns) * 1e-9 / params.period_s), 10)):
+            control = dcc.update(control, links.key, np.minimum(out.busy_strong, 1.0), params)
+        return replace(state, channel=now, dcc=control)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class _RoundPlan:
+    """What stations send in one round, and when: U segments of M messages."""
+
+    number: int
+    """Of the round, counted over the whole run."""
+    begin_ns: int
+    end_ns: int
+    units: ndarray
+    """Segments, as `forwarding.UNIT`."""
+    n_segments: Int[ndarray, "m"]
+    """Of each message."""
+    generated_ns: Int[ndarray, "u"]
+    """When each segment is generated."""
+    lifetime_ns: int
+    """Longest wait of a segment in its sender's queue."""
+    first_tag: int
+    """Number of the first frame of the round, counted over the whole run."""
+
+    def packets(self, due: Int[ndarray, "p"]) -> Packets:
+        """These segments as packets of their senders."""
+        own_ns = self.generated_ns[due]
+        return Packets(
+            sender=self.units["source"][due],
+            seq=self.units["seq"][due],
+            generated_ns=own_ns,
+            payload_bytes=self.units["payload_bytes"][due],
+            access=np.full(len(due), Access.BE, np.uint8),
+            lifetime_ns=np.minimum(self.lifetime_ns, self.end_ns - own_ns),
+            tag=self.first_tag + due,
+        )
+
+
+def _happened(
+    plan: _RoundPlan, sent: Transmissions, neighbours: NeighbourList, stations: Stations, messages: Messages,
+    busy: Float[ndarray, "n"],
+) -> MessageRound:  # fmt: skip
+    """Receptions of a round, and the outcome of each frame at every station in range."""
+    attempts = ReceptionAttempts.of(sent, neighbours)
+    receptions, n_duplicate = complete_messages(
+        sent, attempts, plan.generated_ns, plan.n_segments, plan.begin_ns, messages, stations.xyz_m[:, :2]
+    )
+    on_air = sent.on_air
+    outcomes = FrameOutcomes(
+        message=attempts.message,
+        receiver=attempts.receiver,
+        hop=attempts.hop,
+        distance_m=attempts.distance_m,
+        los_state=attempts.los_state,
+        outcome=attempts.outcome,
+        n_transmissions=np.bincount(sent.message[on_air], minlength=len(messages)),
+        n_relayed=int((sent.hop[on_air] > 1).sum()),
+        n_duplicate=n_duplicate,
+        sent_bytes=float(np.sum(plan.units["payload_bytes"][sent.unit[on_air]] + MAC_OVERHEAD_BYTES)),
+        cbr=busy,
+    )
+    return MessageRound(messages.station, receptions, outcomes)
 
 
 def without_cache(state: ChannelContext) -> ChannelContext:
-    """The same state, of which all links are computed again."""
+    """The same state without its cache: the next round computes all links again."""
     return replace(state, cache=None)
 
 

@@ -1,9 +1,11 @@
 """CSMA/CA as a sequence of events: carrier sense, back-off, interference and reception, packet by packet.
 
-One binary heap of (time, kind, rank of the station by key); generations are merged in from the sorted packets.
-A preamble is decided 4 µs after it arrives: lazily, when the receiver is next accessed. Times are integer nanoseconds
-and powers mW. A station has one frame on the air at most, so a frame is identified by its transmitter's row. Functions
-that are called for a receiver are handed the two rules that they need: all of `Air` would cost more than their work.
+Events are in one binary heap, sorted by time, kind and rank of the station by key. Generations of packets are not in
+the heap: they are taken from the packets, which are sorted by time. Whether a preamble is detected is decided 4 µs
+after it arrives; the decision is computed when the receiver is next accessed. Times are integer nanoseconds, powers are
+mW. A station has at most one frame on the air, so a frame is identified by its transmitter's row. Functions that are
+called for each receiver take only the two rules that they need, because passing the whole of `Air` would cost more time
+than their work.
 """
 
 from typing import NamedTuple
@@ -47,7 +49,7 @@ class Air(NamedTuple):
     macs: ndarray
     row_of_rank: ndarray
     ptr: ndarray  # where each station's links begin
-    receiver: ndarray  # of each link; behind them those of frames on the air since an earlier window
+    receiver: ndarray  # of each link, then of each link of frames on the air since an earlier window
     mean_mw: ndarray
     fading: ndarray
     arrival_mw: ndarray  # of the frame on the air
@@ -123,7 +125,7 @@ def _arm(phy, mac, aifs_ns, slot_ns, heap, n):
     for a in range(N_ACCESS):
         if mac.count[a] > 0:
             soonest = min(soonest, _access_ns(phy, mac, aifs_ns, slot_ns, a))
-    if soonest < mac.armed_ns:  # an earlier event checks again when it fires
+    if soonest < mac.armed_ns:  # an earlier event would check again
         mac.armed_ns = soonest
         n = push(heap.times, heap.codes, n, soonest, (_ACCESS << 32) | mac.rank)
     return n
@@ -141,7 +143,7 @@ def _go_idle(phy, mac, air, heap, n, t):
 
 @kernel
 def _request(phy, mac, air, t, a):
-    """A queue that was empty requests the medium: at once if idle, else after a back-off."""
+    """A queue that was empty requests the medium: at once if the medium is idle, otherwise after a back-off."""
     if phy.busy:
         if mac.slots[a] == 0:
             mac.slots[a] = _draw_slots(mac, phy.key, air, a)
@@ -169,7 +171,7 @@ def _close(phy, phys, packets, c, t):
 
 @inlined
 def _settle(phy, mac, air, log, t):
-    """Decide a preamble whose detection time is over: lock, or miss it."""
+    """Decide whether the receiver detects a preamble, once the time for this is over."""
     due, c = phy.frame_ns + PREAMBLE_NS, air.c
     if t < due:
         return
@@ -200,7 +202,7 @@ def _slot(phy, phys, packets):
 
 @kernel
 def _start(air, log, s, packet, t):
-    """A transmission starts: the effect of its first microseconds on each receiver in range."""
+    """Start a transmission, and compute the effect of its first microseconds on each receiver in range."""
     phys, macs, c, outcome = air.phys, air.macs, air.c, log.outcome
     sender = phys[s]
     if sender.phase == DETECTING and sender.frame_mw >= c.detectable_mw:
@@ -260,7 +262,7 @@ def _start(air, log, s, packet, t):
 
 @kernel
 def _end(air, log, heap, n, s, t, forwarding):
-    """A transmission ends: payloads are decided, the medium becomes idle."""
+    """End a transmission: decide which payloads are received, and make the medium idle."""
     phys, macs, c, outcome = air.phys, air.macs, air.c, log.outcome
     sender, sender_mac = phys[s], macs[s]
     frame = log.packets[sender.packet]
@@ -313,7 +315,7 @@ def _end(air, log, heap, n, s, t, forwarding):
 
 @kernel
 def _dequeue(mac, packets, a, t):
-    """Next packet of a queue that has not expired; expired ones are dropped."""
+    """Remove the first packet of a queue that has not expired, and return it. Drop the expired ones before it."""
     while mac.count[a] > 0:
         p = mac.head[a]
         mac.head[a] = packets[p].next
@@ -327,7 +329,7 @@ def _dequeue(mac, packets, a, t):
 
 @kernel
 def _enqueue(phy, mac, packets, p, air, heap, n, t):
-    """A frame joins its station's queue, and requests the medium if it is the first."""
+    """Put a frame into its station's queue. If it is the first, request the medium."""
     a = np.int64(packets[p].access)
     if mac.count[a] >= air.c.queue_max:
         packets[p].outcome = QUEUE
@@ -380,14 +382,17 @@ def _choose(phy, mac, air, packets, t):
 
 
 HEAP, NEW, PACKETS, SLOTS = range(4)
-"""Progress of the loop: events (-1: not begun), next packet to be generated, packets and outcomes so far."""
+"""Progress of the event loop: number of events (-1: not begun), next packet to be generated, packets and outcomes so
+far."""
 
 
 @kernel
 def run_until(until_ns, air, log, heap, at, n_given, max_degree, forwarding):
-    """Process all events before `until_ns`. Packets from `at[NEW]` to `n_given` are generated; forwarded ones follow.
+    """Process all events before `until_ns`.
 
-    Returns False, to be called again with more room, when the next event may need more room for forwarding.
+    The packets from `at[NEW]` to `n_given` are generated in this window. Forwarded frames are appended after them.
+    Returns True at the end. Returns False if the next event may need more room for forwarding: the caller makes room
+    and calls again.
     """
     phys, macs, packets = air.phys, air.macs, log.packets
     n = at[HEAP]

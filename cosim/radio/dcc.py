@@ -55,7 +55,7 @@ class DccState:
         return DccState(np.zeros(0, np.uint64), np.zeros(0), np.zeros(0, np.int8))
 
     def of(self, key: UInt64[ndarray, "n"]) -> "DccState":
-        """The same for these stations, in this order; new ones start relaxed on an idle channel."""
+        """The state of these stations, in this order. New stations start relaxed, on an idle channel."""
         if np.array_equal(self.key, key):
             return self
         order = np.argsort(self.key)
@@ -68,12 +68,17 @@ class DccState:
 
 
 def update(state: DccState, key: UInt64[ndarray, "n"], busy: Float[ndarray, "n"], params: DccParams) -> DccState:
-    """The next state of stations `key` that measured these busy ratios over one period.
+    """The next state of the stations `key`, which measured the busy ratios `busy` over one period.
+
+    Raises
+    ------
+    ValueError
+        If a busy ratio is outside 0 to 1.
 
     Notes
     -----
-    The state moves one step towards the one that belongs to the smoothed busy ratio.   Deviations from [1]_: one
-    step per period upwards and downwards alike; no control of power, rate or sensitivity.
+    The state moves one step towards the state of the smoothed busy ratio.   Deviations from [1]_: one step per period,
+    both upwards and downwards; no control of power, rate or sensitivity.
     """
     if not ((busy >= 0) & (busy <= 1 + 1e-9)).all():
         raise ValueError("busy ratios must lie in 0 ... 1.")

@@ -1,4 +1,4 @@
-"""Records of the event loop: receivers, medium access, frames; and parameters in linear units."""
+"""Records of the event loop (receivers, medium access, frames), and its parameters in linear units."""
 
 from typing import NamedTuple
 

@@ -1,9 +1,9 @@
 """Contention-based forwarding inside the event loop.
 
 A unit is the content of one frame: a message or a segment of it. A copy is a unit at a station other than its source.
-A station that receives a unit for the first time starts a timer; a second copy received before it expires cancels it;
-otherwise the unit joins the station's queue as a frame of its own. Time and memory grow with frames and copies, however
-the time is cut into windows.
+A station that receives a unit for the first time starts a timer. If it receives a second copy before the timer expires,
+it cancels the timer. Otherwise it puts the unit into its own queue as a new frame. Computing time and memory grow with
+the number of frames and copies. They do not depend on the length of windows.
 
 References
 ----------
@@ -23,7 +23,7 @@ from cosim.rng import mix, unit
 from sensors.kernel import kernel
 
 TIMER = 4
-"""Kind of event: a contention timer expires. Comes after all others of its instant."""
+"""Kind of event: a contention timer expires. It comes after all other events of the same time."""
 
 UNIT = np.dtype([
     ("seq", "u8"), ("airtime_ns", "i8"), ("key", "u8"), ("message", "i4"), ("source", "i4"), ("number", "i4"),
@@ -33,11 +33,11 @@ FRAME = np.dtype([("unit", "i4"), ("transmitter", "i4"), ("hop", "i4")])
 COPY = np.dtype([("due_ns", "i8"), ("unit", "i4"), ("station", "i4"), ("hop", "i4"), ("waits", "u1")])
 _FRAMES, _COPIES = range(2)
 N_COPIES = 8
-"""Copies of each unit for which there is room at first."""
+"""Copies of each unit for which there is room at the beginning of a round."""
 
 
 class ForwardingRules(NamedTuple):
-    """Which station forwards which unit, and when: `RelayParams` and what else decides it."""
+    """Everything that decides which station forwards which unit, and when."""
 
     max_hops: int  # at 1 nothing is forwarded
     contends: bool  # else each station forwards with a probability
@@ -69,7 +69,7 @@ class ForwardingState(NamedTuple):
 
 @dataclass(slots=True)
 class Forwarding:
-    """Forwarding in one round; the event loop writes into its state, and grows it on demand."""
+    """Forwarding in one round. The event loop writes into its state; `grow` makes room for more."""
 
     state: ForwardingState
 
@@ -77,7 +77,7 @@ class Forwarding:
     def of(
         rules: ForwardingRules, units: ndarray, key: UInt64[ndarray, "n"], xy_m: Float[ndarray, "n 2"]
     ) -> "Forwarding":
-        """By these rules; frame u is the source's own of unit u."""
+        """The beginning of a round: frame u is the frame in which the source sends unit u."""
         n = len(units)
         copies = np.zeros(N_COPIES * n + 1, COPY)
         return Forwarding(ForwardingState(
@@ -142,7 +142,7 @@ def _fill_slots(copies, n, slot):
 
 @kernel
 def is_full(p, n_receivers):
-    """Whether one more event might need more room than there is: a frame, or a copy at every receiver of one."""
+    """Whether one more event might need more room: for a frame, or for a copy at each receiver of a frame."""
     return p.used[_FRAMES] == len(p.frames) or p.used[_COPIES] + n_receivers > len(p.copies)
 
 
@@ -157,7 +157,7 @@ def schedule_timers(p, times, codes, n):
 
 @kernel
 def on_receive(p, frame, to, t, times, codes, n):
-    """A frame is received: a first copy may start a timer, a second one cancels it."""
+    """A station receives a frame: a first copy may start a timer, a second copy cancels it."""
     rules, u = p.rules, p.units[frame.unit]
     dx, dy = p.xy_m[to, 0] - p.xy_m[frame.transmitter, 0], p.xy_m[to, 1] - p.xy_m[frame.transmitter, 1]
     square = dx * dx + dy * dy

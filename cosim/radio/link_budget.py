@@ -1,13 +1,15 @@
 """Link budget: mean received power of every pair of stations above the cut-off.
 
-    links = links_between(xyz_m, key, params, rng_key, los)
+    links, losses, pair = links_between(xyz_m, key, params, rng_key, los)
 
-Pairs in range come from a grid, line of sight from the city's walls; links with line of sight may be blocked by
-vehicles. All depends on positions alone: the same two positions have the same link in any run of the same seed.
+A grid finds the pairs in range, and the city's walls decide their line of sight. Vehicles may block links that no
+building blocks. A link depends only on the positions of its ends and on the seed: the same two positions have the same
+link in every run with the same seed.
 """
 
 from dataclasses import dataclass
 from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt64
@@ -25,7 +27,7 @@ from cosim.radio.propagation import (
 )
 from sensors.kernel import compiled, kernel
 from sensors.line_of_sight import LosOfPlaces, WallIndex
-from sensors.line_of_sight_kernels import crosses_filled_cell
+from sensors.line_of_sight_kernels import FilledCells, crosses_filled_cell
 from sensors.scene import Scene
 
 _RING = 6
@@ -50,7 +52,7 @@ class Pairs:
 
 @dataclass(frozen=True, slots=True)
 class PairLos:
-    """M pairs of positions, each once; of distant pairs without line of sight not all."""
+    """M pairs of positions, each once. Some distant pairs without line of sight may be left out."""
 
     a: Int[ndarray, "m"]
     b: Int[ndarray, "m"]
@@ -59,12 +61,47 @@ class PairLos:
     """Whether a building blocks the line of sight."""
 
 
-@kernel
-def _pairs(xyz, range_m, order, start, cell, shape, has_walls, nlos_range_m, on_grid, filled, a, b, d, blocked):
-    """Pairs in range, at most `_RING` cells apart, without those beyond `nlos_range_m` that cross a filled cell.
+class _Cells(NamedTuple):
+    """Points sorted by cells of a square grid."""
 
-    Points come sorted by cell, and so lie close together in memory; `order` is their rows.
+    order: ndarray  # row of each point
+    start: ndarray  # where the points of each cell begin, cell by cell
+    cell: ndarray  # column and row of the cell of each point
+    shape: ndarray  # number of columns and rows
+
+
+class _Walls(NamedTuple):
+    """The city's grid of cells inside buildings, as `crosses_filled_cell` reads it."""
+
+    exist: bool
+    on_grid: ndarray  # of each point
+    filled: FilledCells
+    nlos_range_m: float  # longer pairs that cross a filled cell are left out
+
+
+class _Found(NamedTuple):
+    """Room for pairs."""
+
+    a: ndarray
+    b: ndarray
+    distance_m: ndarray
+    blocked: ndarray  # whether a pair crosses a filled cell
+
+    @staticmethod
+    def room(n: int) -> "_Found":
+        """For n pairs."""
+        return _Found(np.empty(n, np.int32), np.empty(n, np.int32), np.empty(n), np.empty(n, np.bool_))
+
+
+@kernel
+def _pairs(xyz, range_m, cells, walls, found):
+    """Write the pairs in range into `found` and return their number, which may exceed the room there.
+
+    Two points of a pair are at most `_RING` cells apart. Points are sorted by cell, so that neighbours are close
+    together in memory.
     """
+    order, start, cell, shape = cells.order, cells.start, cells.cell, cells.shape
+    nlos_range_m, a, b, d, blocked = walls.nlos_range_m, found.a, found.b, found.distance_m, found.blocked
     m = 0
     for p in range(len(order)):
         cx, cy = cell[p, 0], cell[p, 1]
@@ -77,7 +114,7 @@ def _pairs(xyz, range_m, order, start, cell, shape, has_walls, nlos_range_m, on_
                 square = dx * dx + dy * dy + dz * dz
                 if square > range_m * range_m:
                     continue
-                crosses = has_walls and crosses_filled_cell(on_grid, p, q, filled)
+                crosses = walls.exist and crosses_filled_cell(walls.on_grid, p, q, walls.filled)
                 if crosses and square > nlos_range_m * nlos_range_m:
                     continue
                 if m < len(a):
@@ -104,15 +141,16 @@ def neighbours(xy_m: Float[ndarray, "n 2"], range_m: float) -> tuple[ndarray, nd
 def _within(
     xyz_m: Float[ndarray, "n 3"], range_m: float, los: LosOfPlaces | None, nlos_range_m: float
 ) -> tuple[ndarray, ndarray, ndarray, ndarray]:
-    """The same, and whether a pair crosses a filled cell; those beyond `nlos_range_m` that do are left out.
+    """All pairs of points in range, and whether each pair crosses a filled cell (a cell inside buildings).
 
-    The test is sufficient only: other pairs may have no line of sight either.
+    Pairs that do and are longer than `nlos_range_m` are left out. A pair that crosses a filled cell has no line of
+    sight. Other pairs may have no line of sight either.
     """
     n = len(xyz_m)
     if n == 0:
         return np.zeros(0, np.int32), np.zeros(0, np.int32), np.zeros(0), np.zeros(0, bool)
     places = xyz_m if los is None else los.snap(xyz_m)
-    walls = _no_walls() if los is None else los.index
+    index = _no_walls() if los is None else los.index
     low = xyz_m[:, :2].min(0)
     side = max(range_m / _RING, float(np.ptp(xyz_m[:, :2], axis=0).max()) / 1000)
     cell = ((xyz_m[:, :2] - low) / side).astype(np.int64)
@@ -121,18 +159,14 @@ def _within(
     order = np.argsort(flat, kind="stable")
     start = np.searchsorted(flat[order], np.arange(shape[0] * shape[1] + 1))
     share = np.pi * min(range_m, nlos_range_m) ** 2 / (np.prod(shape) * side**2)  # of uniform points
-    cell, on_grid, xyz_m = cell[order], walls.cells(places[order]), xyz_m[order]
-    filled = walls.filled(places[:, 2])
+    cells, xyz_m = _Cells(order, start, cell[order], shape), xyz_m[order]
+    walls = _Walls(los is not None, index.cells(places[order]), index.filled(places[:, 2]), float(nlos_range_m))
     room = int(n * min(n, 256 + 2 * n * share) / 2 + 1024)
     while True:
-        a, b, d = np.empty(room, np.int32), np.empty(room, np.int32), np.empty(room)
-        blocked = np.empty(room, np.bool_)
-        m = _pairs(
-            xyz_m, float(range_m), order, start, cell, shape, los is not None, float(nlos_range_m), on_grid, filled,
-            a, b, d, blocked,
-        )  # fmt: skip
+        found = _Found.room(room)
+        m = _pairs(xyz_m, float(range_m), cells, walls, found)
         if m <= room:
-            return a[:m], b[:m], d[:m], blocked[:m]
+            return found.a[:m], found.b[:m], found.distance_m[:m], found.blocked[:m]
         room = m
 
 
@@ -218,11 +252,11 @@ def pairs(
     rng_key
         Key of shadowing and blockage, one for the whole run.
     los
-        Lines of sight in the city; without it every pair has line of sight.
+        Lines of sight in the city. None: every pair has line of sight.
     found
-        Result of `los_pairs`, if computed already.
+        Result of `los_pairs`, if it is known already.
     above_street_m
-        Heights of the antennas above the street under them [m]; left out, the streets are at height 0.
+        Heights of the antennas above the street under them [m]. None: the streets are at height 0.
     """
     if found is None:
         found = los_pairs(xyz_m, params, los)
@@ -275,8 +309,16 @@ def links_between(
 
     Parameters
     ----------
+    xyz_m, key
+        Antenna positions [m] and keys of the N stations.
+    params, rng_key, los, found, above_street_m
+        As for `pairs`.
     tx_power_dbm
-        Power of each station where it differs from that of `params`.
+        Power of each station [dBm]. None: that of `params`.
+
+    Returns
+    -------
+    Links sorted by sender, the losses of all pairs in range, and the row of each link's pair.
     """
     losses = pairs(xyz_m, params, rng_key, los, found, above_street_m)
     n = len(xyz_m)

@@ -13,8 +13,9 @@ from sensors.line_of_sight import LosOfPlaces
 class Medium(Protocol):
     """A broadcast medium between stations.
 
-    Built once from params, duration of a round [s], seed, and the city's lines of sight (None without buildings).
-    All that lasts from round to round is in the state, which can be copied and pickled; a medium changes nothing else.
+    A medium is built once, from its parameters, the duration of a round [s], the seed, and the city's lines of sight
+    (None without buildings). Everything that lasts from round to round is in the state, which can be copied and
+    pickled. A medium changes nothing else.
     """
 
     def start(self) -> Any:
@@ -23,7 +24,10 @@ class Medium(Protocol):
     def broadcast(
         self, state: Any, kind: RoundKind, step: int, begin_s: float, stations: Stations, messages: Messages
     ) -> tuple[Any, MessageRound]:
-        """One round of messages that begins at `begin_s`; consumes the state."""
+        """One round of messages that begins at `begin_s`: the state after it, and its receptions.
+
+        The caller does not use the old state again.
+        """
 
 
 MEDIA: dict[str, Callable[[RadioParams, float, int, LosOfPlaces | None], Medium]] = {

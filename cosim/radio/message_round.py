@@ -13,7 +13,7 @@ from cosim.ragged import order_by_two
 
 
 class RoundKind(IntEnum):
-    """The two rounds of messages of one step."""
+    """The two rounds of messages in each step."""
 
     CPM = 0
     """Collective perception messages: detections."""
@@ -46,7 +46,7 @@ class LosState(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class ChannelAbuse:
-    """What N stations do to the channel beside sending messages by its rules."""
+    """How N stations break the rules of the channel."""
 
     jam_dbm: Float[ndarray, "n"]
     """Power of noise that they transmit all the time; -inf for none [dBm]."""
@@ -58,17 +58,17 @@ class ChannelAbuse:
 
 @dataclass(frozen=True, slots=True)
 class Stations:
-    """N stations: those of vehicles, then roadside units."""
+    """N stations: first vehicles, then roadside units."""
 
     key: UInt64[ndarray, "n"]
-    """Key of each station's draws; each once."""
+    """Key of each station's draws; all are different."""
     xyz_m: Float[ndarray, "n 3"]
     """Antennas."""
     n_vehicles: int
     above_street_m: Float[ndarray, "n"] | None = None
-    """Heights of the antennas above the street under them [m]; left out, the streets are at height 0."""
+    """Heights of the antennas above the street under them [m]. None: the streets are at height 0."""
     abuse: ChannelAbuse | None = None
-    """None where all stations keep to the rules."""
+    """None where all stations keep the rules of the channel."""
 
     def __len__(self) -> int:
         return len(self.key)
@@ -87,7 +87,7 @@ class Messages:
     length_bytes: Int[ndarray, "m"]
     """0 where nothing is sent."""
     delay_s: Float[ndarray, "m"] | None = None
-    """Added to the time of generation; a message that is too late for the round is not sent or not received."""
+    """Added to the time of generation [s]. A message that is too late for the round is not sent or not received."""
 
     def __post_init__(self) -> None:
         assert (np.diff(self.station) >= 0).all() and (self.length_bytes >= 0).all()
@@ -101,7 +101,7 @@ class Messages:
         return Messages(np.arange(len(length_bytes)), np.asarray(length_bytes))
 
     def keys(self, stations: Stations) -> UInt64[ndarray, "m"]:
-        """Key of each message's draws: a station's first message has that of the station, the others hashes of it."""
+        """Key of each message's draws: the station's key for its first message, hashes of that key for the others."""
         key = stations.key[self.station]
         number = np.arange(len(self)) - np.searchsorted(self.station, self.station)
         more = np.flatnonzero(number)
@@ -112,9 +112,9 @@ class Messages:
 
 @dataclass(frozen=True, slots=True)
 class Receptions:
-    """R receptions of one round, each (receiver, message) once, sorted by receiver, then message.
+    """R receptions of one round, sorted by receiver, then message. Each pair of receiver and message is there once.
 
-    generation <= access <= reception for every row.
+    In each row, generation is not later than access, and access is not later than reception.
     """
 
     receiver: Int[ndarray, "r"]
@@ -125,7 +125,7 @@ class Receptions:
     generation_offset_s: Float[ndarray, "r"]
     """From the beginning of the round to generation."""
     access_delay_s: Float[ndarray, "r"]
-    """From generation until the sender's last frame of it is on the air."""
+    """From generation until the sender's last frame of the message is on the air."""
     latency_s: Float[ndarray, "r"]
     """From generation to reception."""
     distance_m: Float[ndarray, "r"]
@@ -159,7 +159,7 @@ class Receptions:
 
 @dataclass(frozen=True, slots=True)
 class FrameOutcomes:
-    """F (frame, station in range) of one round, all hops, in no particular order."""
+    """F pairs of a frame and a station in range, of one round, all hops, in no particular order."""
 
     message: Int[ndarray, "f"]
     """Row of the message that the frame carries."""
@@ -175,13 +175,13 @@ class FrameOutcomes:
     n_transmissions: Int[ndarray, "m"]
     """Frames of each message, forwarded ones included."""
     n_relayed: int
-    """Of all these, those sent by others than the message's sender."""
+    """How many of these frames were sent by other stations than the message's sender."""
     n_duplicate: int
-    """Of the frames received, those whose content the receiver had already or received earlier from elsewhere."""
+    """How many of the received frames had a content that their receiver already had."""
     sent_bytes: float
-    """Transmitted, forwarded frames and MAC headers included."""
+    """Bytes transmitted, with forwarded frames and MAC headers."""
     cbr: Float[ndarray, "n"] | None
-    """Channel busy ratio of the round at each station; None where that is not modelled."""
+    """Channel busy ratio of the round at each station; None where the medium does not model it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -210,18 +210,18 @@ class MessageRound:
         Parameters
         ----------
         receiver, message
-            Rows of the stations and messages of what is received, in any order, each pair once.
+            Rows of the receiving stations and of the received messages, in any order, each pair once.
         latency_s
-            From generation to reception [s]; one number for all will do.
+            From generation to reception [s]; one number for all or one per reception.
         lost_receiver, lost_message
-            The same of what is not received, by stations in range; none if not given.
+            The same for messages that a station in range does not receive. None: there are no such messages.
         cbr
-            Channel busy ratio at each station; not modelled if not given.
+            Channel busy ratio at each station. None: the medium does not model it.
 
         Returns
         -------
-        Receptions in canonical order, and the outcome of every frame. A message is generated `messages.delay_s` after
-        the beginning of the round, and on the air at once.
+        Receptions sorted by receiver, then message, and the outcome of every frame. A message is generated
+        `messages.delay_s` after the beginning of the round, and it is on the air at once.
         """
         none = np.zeros(0, np.int64)
         to = np.concatenate([receiver, none if lost_receiver is None else lost_receiver])
@@ -271,7 +271,7 @@ class LinkReceptions(NamedTuple):
 
 
 def by_link(happened: MessageRound, n_vehicles: int) -> LinkReceptions:
-    """Receptions of a round by kind of link; what units receive from units is left out."""
+    """Receptions of a round by kind of link, without those from roadside units by roadside units."""
     found = happened.receptions
     receives, sends = found.receiver < n_vehicles, happened.station[found.message] < n_vehicles
     if receives.all() and sends.all():
@@ -288,7 +288,7 @@ def receptions_of(
     generation_offset_s: Float[ndarray, "r"], access_delay_s: Float[ndarray, "r"], latency_s: Float[ndarray, "r"],
     station: Int[ndarray, "m"], xy_m: Float[ndarray, "n 2"],
 ) -> Receptions:  # fmt: skip
-    """Receptions in canonical order."""
+    """Receptions sorted by receiver, then message, with their distances."""
     order = order_by_two(receiver, message, max(len(xy_m), len(station)))
     receiver, message = receiver[order], message[order]
     distance_m = np.hypot(*(xy_m[receiver] - xy_m[station[message]]).T)

@@ -15,14 +15,14 @@ from cosim.radio.segmentation import FRAME_BYTES
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class UnitDiskParams:
-    """The unit disk model: for theory and quick runs, without walls and collisions."""
+    """The unit disk model, for theory and quick runs. It has no walls and no collisions."""
 
     loss_p: Annotated[float, Ge(0), Le(1)] = 0.05
     """Probability that one hop fails at one receiver."""
     latency_min_s: Annotated[float, Ge(0), Le(3600)] = 0.0004
-    """Shortest time from a hop's start to its reception [s]; the default is that of Eclipse MOSAIC's SNS."""
+    """Shortest time from the start of a hop to its reception [s]. The default is that of Eclipse MOSAIC's SNS."""
     latency_max_s: Annotated[float, Ge(0), Le(3600)] = 0.0024
-    """Longest time from a hop's start to its reception [s]; uniformly distributed between the two."""
+    """Longest time from the start of a hop to its reception [s]. The time is uniformly distributed between the two."""
 
     def __post_init__(self) -> None:
         if self.latency_max_s < self.latency_min_s:
@@ -37,21 +37,21 @@ class RelayParams:
     """Multi-hop forwarding of messages."""
 
     max_hops: Annotated[int, Ge(1), Le(10)] = 1
-    """Largest number of hops of a message; 1 is no forwarding."""
+    """Largest number of hops of a message. 1 means no forwarding."""
     forward_range_m: Annotated[float, Gt(0), Le(100_000)] = 600.0
     """Largest distance from its sender at which a message is forwarded [m]."""
     rule: Literal["contention", "probability"] = "contention"
-    """`contention`: the farthest station forwards first, and stations that receive its copy do not (under `unit_disk`
-    all forward). `probability`: each station forwards with `forward_p`, whatever it receives."""
+    """`contention`: the farthest station forwards first, and stations that receive its copy do not forward (with
+    `unit_disk` all forward). `probability`: each station forwards with probability `forward_p`."""
     forward_p: Annotated[float, Ge(0), Le(1)] = 0.5
-    """Probability that a station forwards a message, under `probability`."""
+    """With `probability`: probability that a station forwards a message."""
     timer_min_s: Annotated[float, Gt(0), Le(10)] = 0.001
     """Contention timer at `timer_distance_m` from the previous hop, and beyond [s]."""
     timer_max_s: Annotated[float, Gt(0), Le(10)] = 0.1
-    """Contention timer at distance 0 from the previous hop [s]. Under `probability` timers are uniformly distributed
-    between the two."""
+    """Contention timer at distance 0 from the previous hop [s]. With `probability`, timers are uniformly distributed
+    between `timer_min_s` and `timer_max_s`."""
     timer_distance_m: Annotated[float, Gt(0), Le(100_000)] = 400.0
-    """Distance from which the contention timer is shortest [m]."""
+    """Distance from the previous hop at which the contention timer reaches `timer_min_s` [m]."""
 
     def __post_init__(self) -> None:
         if self.timer_max_s < self.timer_min_s:
@@ -66,19 +66,21 @@ class RadioParams:
     """V2X broadcast between vehicles and roadside units."""
 
     model: str = "csma"
-    """`csma`: packet by packet, with the city's propagation. `unit_disk`: every station in range receives, but for a
-    constant loss probability. Or one of your own: path.py:Name."""
+    """Radio medium. `csma`: each packet is simulated, with propagation in the city. `unit_disk`: every station in range
+    receives, except for a constant loss probability. Or a class of your own as path.py:Name."""
     range_m: Annotated[float, Gt(0), Le(100_000)] = 300.0
-    """Communication range: largest horizontal distance of one hop [m]. Frames from farther away are not received, and
-    under `csma` still interfere."""
+    """Communication range: largest horizontal distance of one hop [m]. Frames from farther away are not received. With
+    `csma` they still interfere."""
     timeout_s: Annotated[float, Gt(0), Le(3600)] | None = None
-    """Duration of a round of messages, of which a step has two [s]; two fifths of the sensing interval if not set."""
+    """Duration of one round of messages [s]. A step has two rounds. If it is not set, it is two fifths of the sensing
+    interval."""
     antenna_above_roof_m: Annotated[float, Ge(0), Le(100)] = 0.1
     """Height of the antenna above the roof [m]."""
     cpm_rules: Literal["all", "etsi"] = "all"
-    """Objects in a detection message: all of them, or those selected by the rules of ETSI TS 103 324."""
+    """Objects in a detection message. `all`: all detections. `etsi`: those that the rules of ETSI TS 103 324 select."""
     evaluations: Literal["alone", "piggybacked"] = "alone"
-    """Evaluations are sent at once in messages of their own, or piggybacked on the next step's detection message."""
+    """`alone`: evaluations are sent at once in their own messages. `piggybacked`: they are sent with the detection
+    message of the next step."""
     unit_disk: UnitDiskParams = field(default_factory=UnitDiskParams)
     relay: RelayParams = field(default_factory=RelayParams)
     propagation: PropagationParams = field(default_factory=PropagationParams)

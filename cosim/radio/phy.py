@@ -110,9 +110,9 @@ def packet_success(
 
     Notes
     -----
-    PSR = exp(-(L / 336) exp((x0 - SINR) / w)), a two-parameter fit of the curves of [2]_, so that the
-    logarithms of chunks of different SINR add up.   Deviations: at most 0.1 from the table model and 0.015 from
-    NIST, within the 1.5 dB where the curve falls.
+    PSR = exp(-(L / 336) exp((x0 - SINR) / w)) is a fit of the curves of [2]_ with two parameters. With this form, the
+    logarithms of the success of parts of a frame with different SINR add up.   Deviations: at most 0.1 from the table
+    model and 0.015 from NIST, in the 1.5 dB in which the curve falls.
     """
     x0, w = CURVES[params.error_model][params.rate_mbps]
     with np.errstate(over="ignore"):

@@ -1,8 +1,8 @@
 """Path loss, blockage by vehicles, shadowing and fading at 5.9 GHz: from positions to mean received power.
 
-Nomenclature: d distance [m], f carrier [GHz], losses in dB and positive. Shadowing and blockage belong to the
-*positions* of the two ends, never to a packet; fading (a Nakagami class here, drawn by the event loop) belongs to
-one packet at one receiver.
+Nomenclature: d is the distance [m], f the carrier [GHz]; losses are positive [dB]. Shadowing and blockage depend on the
+*positions* of the two ends, and are the same for all packets. Fading is different for each packet and receiver: this
+file gives each link a class of Nakagami fading, from which the event loop draws.
 
 References
 ----------
@@ -30,7 +30,7 @@ from sensors.kernel import compiled, inlined, kernel
 
 LIGHT_MPS = 299_792_458.0
 BLOCKER_M = 1.6
-"""Height of a car that blocks a link [1]_; a truck has 3 m."""
+"""Height of a car that blocks a link [1]_ [m]; a truck is 3 m high."""
 
 FADING: dict[str, tuple[tuple[float, float], ...]] = {
     "none": (),
@@ -254,9 +254,10 @@ def mean_loss_db(
     h_b_m: Float[ndarray, "m"],
     params: PropagationParams,
 ) -> Float[ndarray, "m"]:
-    """Path loss of links by the chosen model, before shadowing and blockage; a metre at least.
+    """Path loss of links by the chosen model [dB], before shadowing and blockage.
 
-    `nlos` has an effect in the urban and highway models only; heights in the two-ray models only.
+    Distances below 1 m count as 1 m. `nlos` has an effect only in the urban and highway models, heights only in the
+    two-ray models.
     """
     d, f = np.maximum(d, 1.0), params.frequency_ghz
     match params.model:
@@ -284,7 +285,7 @@ def fading_class(d: Float[ndarray, "m"], fading: str) -> UInt8[ndarray, "m"]:
 
 @cache
 def fading_quantiles() -> Float[ndarray, "classes 4096"]:
-    """Power gain, mean 1, at 4096 equally likely levels, for each class; class 0 does not fade."""
+    """Power gain (mean 1) at 4096 equally likely levels, for each class of fading. Class 0 does not fade."""
     level = (np.arange(4096) + 0.5) / 4096
     shapes = [m for rows in FADING.values() for _, m in rows]
     table = np.array([np.ones(4096)] + [gammaincinv(m, level) / m for m in shapes], np.float32)
@@ -356,11 +357,23 @@ def link_field(
 ) -> Float[ndarray, "m"]:
     """Standard normal value of each link (a, b), a smooth function of the positions of its two ends.
 
+    Parameters
+    ----------
+    xy_m
+        Horizontal positions of the N stations [m].
+    a, b, d
+        Rows of the two ends of each link, and its length [m].
+    decorrelation_m
+        Movement of one end that reduces the correlation to 1/e [m].
+    rng_key
+        Key of the draws.
+
     Notes
     -----
-    A sum of 32 plane waves over (x_a, x_b), made symmetric: without state, in any order. Moving either end by D leaves
-    a correlation of exp(-D / decorrelation); moving both by D, exp(-sqrt(2) D / decorrelation).
-    Deviations: 32 waves, so approximately normal; distant positions keep a correlation of about 0.1.
+    The value is a sum of 32 plane waves over (x_a, x_b), made symmetric in the two ends. It needs no state, and links
+    may come in any order. If one end moves by D, the correlation is exp(-D / decorrelation). If both move by D, it is
+    exp(-sqrt(2) D / decorrelation).   Deviations: with 32 waves the value is only approximately normal, and links at
+    distant positions keep a correlation of about 0.1.
     """
     out = np.empty(len(a))
     xy_m = np.ascontiguousarray(xy_m, np.float64)
@@ -372,7 +385,7 @@ def link_field(
 def blocked_by_vehicle(
     d: Float[ndarray, "m"], normal: Float[ndarray, "m"], params: PropagationParams
 ) -> Bool[ndarray, "m"]:
-    """Which of these links without buildings a vehicle blocks, given a standard normal value of each link."""
+    """Which of these links a vehicle blocks, from a standard normal value of each link. No building blocks them."""
     if params.blockage == "none" or params.model not in ("urban", "highway"):
         return np.zeros(len(d), bool)
     return ndtr(normal) < vehicle_blockage_p(np.maximum(d, 1.0), params.model, params.traffic)

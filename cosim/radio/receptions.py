@@ -1,6 +1,6 @@
 """Result of a round over the shared channel: the outcome of every frame in range, and the messages received.
 
-One pass over the frames and one over their receptions, with sorting by counting only.
+The functions pass once over the frames and once over their receptions. They sort by counting.
 """
 
 from typing import NamedTuple
@@ -40,7 +40,7 @@ class NeighbourList(NamedTuple):
 
     @staticmethod
     def of(xyz_m: Float[ndarray, "n 3"], range_m: float, found: PairLos, knows_walls: bool) -> "NeighbourList":
-        """From all pairs up to `slant_m` and more."""
+        """From pairs that include at least all pairs up to the distance `slant_m(xyz_m, range_m)`."""
         los_state = np.where(found.nlos, LosState.NLOS, LosState.LOS)
         if not knows_walls:
             los_state = np.full(len(found.a), LosState.UNKNOWN)
@@ -111,7 +111,7 @@ class Transmissions(NamedTuple):
 
     @staticmethod
     def of(frames: ndarray, units: ndarray, windows: list[WindowResult], first_tag: int) -> "Transmissions":
-        """From the results of all windows; frames of earlier rounds are left out."""
+        """From the results of all windows, without the frames of earlier rounds."""
         n = len(frames)
         start_ns, end_ns, begin, count = (np.zeros(n, np.int64) for _ in range(4))
         on_air = np.zeros(n, bool)
@@ -141,7 +141,7 @@ class Transmissions(NamedTuple):
 
 
 class ReceptionAttempts(NamedTuple):
-    """Every (frame, station in range of its transmitter, other than the message's sender), frame by frame."""
+    """One row for each frame and each station in range of its transmitter, without the message's sender; by frame."""
 
     first: Int[ndarray, "f+1"]
     """Where the rows of each frame begin."""
@@ -191,14 +191,22 @@ def complete_messages(
     sent: Transmissions, attempts: ReceptionAttempts, own_ns: Int[ndarray, "u"], n_segments: Int[ndarray, "m"],
     begin_ns: int, messages: Messages, xy_m: Float[ndarray, "n 2"],
 ) -> tuple[Receptions, int]:  # fmt: skip
-    """Messages of which all segments are received, and the number of frames that brought a segment again.
+    """Messages of which all segments are received, and the number of frames that repeated a received segment.
 
     Parameters
     ----------
     own_ns
-        When each unit was generated: frame u is the sender's own of unit u.
+        When each unit (segment) was generated [ns]. Frame u is the frame in which the message's sender sends unit u.
     n_segments
-        Of each message.
+        Number of segments of each message.
+    begin_ns
+        Beginning of the round [ns].
+    xy_m
+        Horizontal positions of the stations [m].
+
+    Returns
+    -------
+    Receptions sorted by receiver, then message; and the number of repeated segments.
     """
     by_unit = counting_order(np.ascontiguousarray(sent.unit, np.int64), len(own_ns))
     n_duplicate, columns = _complete(xy_m, messages.station, attempts, sent, by_unit, own_ns, n_segments, begin_ns)

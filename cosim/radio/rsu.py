@@ -63,14 +63,26 @@ class Junction(Protocol):
 def place_rsus(
     params: RsuParams, junctions: Sequence[Junction], bounds_m: tuple[float, float, float, float]
 ) -> RsuAntennas:
-    """Antennas of all units; ValueError for a unit outside the network, or with too few junctions.
+    """Antennas of all roadside units.
 
     Parameters
     ----------
+    params
+        Where units stand.
     junctions
-        In any order; of two with as many incoming lanes the one farther west, then south, comes first.
+        Junctions of the network, in any order. Of two junctions with the same number of incoming lanes, the one
+        farther west, then farther south, is chosen first.
     bounds_m
-        West, south, east and north end of the network.
+        West, south, east and north end of the network [m].
+
+    Returns
+    -------
+    The units at given positions, then those at junctions.
+
+    Raises
+    ------
+    ValueError
+        If a unit is outside the network, if two units stand at one place, or if there are too few junctions.
     """
     if not params.at and not params.n_at_junctions:
         return NO_RSUS

@@ -1,4 +1,4 @@
-"""The medium `unit_disk`: every station in range receives a frame, but for a constant loss probability."""
+"""The medium `unit_disk`: every station in range receives a frame, except for a constant loss probability."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -39,7 +39,7 @@ class _Rules(NamedTuple):
 
 @inlined
 def _attempt(h, rules, since_s):
-    """Outcome of a frame at one receiver and its time of arrival; `h` hashes message, transmitter and receiver."""
+    """Outcome and arrival of a frame at one receiver. `h` is a hash of message, transmitter and receiver."""
     arrival_s = since_s + rules.latency_min_s + rules.latency_spread_s * unit(mix(h, np.uint64(1)))
     if unit(mix(h, np.uint64(0))) < rules.loss_p:
         return _LOST, arrival_s
@@ -75,7 +75,7 @@ class _Forwarded(NamedTuple):
 
 @kernel
 def _first_hop(network, sent, rules, rows):
-    """Every sender's frame at every neighbour, by receiver, then message."""
+    """The frame of every sender at each of its neighbours, sorted by receiver, then message."""
     message, to, apart_m, outcome, arrival_s = rows
     m = 0
     for r in range(len(network.ptr) - 1):
@@ -92,7 +92,7 @@ def _first_hop(network, sent, rules, rows):
 
 @kernel
 def _next_hop(network, sent, forwarded, rules, rows, via):
-    """One transmission by every forwarder of a message: a row per neighbour other than the message's sender."""
+    """One transmission by every station that forwards: a row for each neighbour except the message's sender."""
     message, to, apart_m, outcome, arrival_s = rows
     m = 0
     for i in range(len(forwarded.message)):
@@ -130,9 +130,9 @@ class UnitDiskMedium:
     ) -> tuple[None, MessageRound]:
         """One round of messages, all generated at its beginning, over at most `relay.max_hops` hops.
 
-        Each hop of each message fails at each receiver by its own draw. A station that has the message ignores
-        copies; one that receives it for the first time within the forwarding range of its sender forwards it, while
-        hops remain.
+        Each hop of each message is lost at each receiver with a draw of its own. A station that already has a message
+        ignores copies. A station that receives a message for the first time forwards it, if hops remain and if the
+        message's sender is within the forwarding range.
         """
         p, relay = self.params, self.params.relay
         stream = (rng.Stream.RADIO_DETECTIONS, rng.Stream.RADIO_EVALUATIONS)[kind]
@@ -200,7 +200,7 @@ def _first_copies(
     message: Int[ndarray, "t"], to: Int[ndarray, "t"], via: Int[ndarray, "t"], arrival_s: Float[ndarray, "t"],
     outcome: Int[ndarray, "t"], n: int, known: list[Int[ndarray, "k"]],
 ) -> tuple[Int[ndarray, "g"], ndarray]:  # fmt: skip
-    """Frames received, by message, receiver, arrival and transmitter, and which of them bring a message first."""
+    """Received frames, sorted by message, receiver, arrival and transmitter, and which of them bring a new message."""
     keep = np.flatnonzero(outcome == Outcome.RECEIVED)
     keep = keep[np.lexsort((via[keep], arrival_s[keep], message[keep] * n + to[keep]))]
     pair = message[keep] * n + to[keep]

@@ -21,8 +21,8 @@ from sensors.detector import Detector, DetectorDraws
 from sensors.evidence import AreaParams
 from sensors.kernel import threads_may_meet
 from sensors.lidar import NO_MEMORY, SweepMemory
-from sensors.neighbours import Neighbours, neighbours
-from sensors.scene import Prisms, Scene, prisms
+from sensors.neighbours import neighbours
+from sensors.scene import Scene, prisms
 
 _Rows = TypeVar("_Rows", evidence.Observability, detector.DetectedBoxes)
 
@@ -125,8 +125,9 @@ class Perception:
             if n_threads > 1:
                 numba.set_num_threads(1)  # a setting of each thread
             kept, own = self._groups.pop() if self._groups else NO_MEMORY, watch.of_thread() if n_threads > 1 else watch
-            memory, part = kept._replace(range_steps=range_steps[first:last]), near.part(first, last)
-            sweeps, here = self.sense(world, observers[first:last], own, memory, part, bodies)
+            part = near.part(first, last)
+            memory = kept._replace(range_steps=range_steps[first:last], near=part, bodies=bodies)
+            sweeps, here = self.sense(world, observers[first:last], own, memory)
             self._groups.append(SweepMemory(None, sweeps.hit, sweeps.thinned))
             return here.behind(first), own
 
@@ -148,14 +149,12 @@ class Perception:
         observers: Int[ndarray, "e"],
         watch: Stopwatch,
         memory: SweepMemory = NO_MEMORY,
-        near: Neighbours | None = None,
-        bodies: Prisms | None = None,
     ) -> tuple[lidar.Sweeps, Seen]:
         """The sweeps of these rows of the world, and what is seen in them."""
         with watch("sweep"):
-            sweeps = self._scan(world, observers, memory, near, bodies)
+            sweeps = self.sweep(world, observers, memory)
         with watch("detect"):
-            here = evidence.observability(sweeps, world.boxes, world.shape, near, bodies)
+            here = evidence.observability(sweeps, world.boxes, world.shape, memory.near, memory.bodies)
             draws = self.draws(world, observers)
             reports = detector.detect(self.detector, sweeps, here, world.boxes, world.label, draws)
         return sweeps, Seen(here, reports)
@@ -167,17 +166,10 @@ class Perception:
             evidence.plausible(sweeps, asked.testing, asked.boxes, asked.tested, asked.area),
         )
 
-    def sweep(self, world: World, observers: Int[ndarray, "e"]) -> lidar.Sweeps:
-        """Sweeps of these rows of the world, with what each ray met; in memory of their own."""
-        return self._scan(world, observers)
-
-    def _scan(
-        self, world: World, observers: Int[ndarray, "e"],
-        memory: SweepMemory = NO_MEMORY,
-        near: Neighbours | None = None, bodies: Prisms | None = None,
-    ) -> lidar.Sweeps:  # fmt: skip
+    def sweep(self, world: World, observers: Int[ndarray, "e"], memory: SweepMemory = NO_MEMORY) -> lidar.Sweeps:
+        """Sweeps of these rows of the world, with what each ray met; in memory of their own if none is given."""
         keys = sweep_keys(self.seed, world, observers)
-        return lidar.scan(world.boxes, world.shape, observers, self.city, self.lidar, keys, memory, near, bodies)
+        return lidar.scan(world.boxes, world.shape, observers, self.city, self.lidar, keys, memory)
 
     def observed(
         self, world: World, observers: Int[ndarray, "e"], sweeps: lidar.RangeImages, parts: Sequence[Seen]

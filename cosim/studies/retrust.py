@@ -46,7 +46,12 @@ NEEDED = (
 """Tables that hold the evidence; a run at record.level = "full" has them all."""
 
 WRITTEN = ("trust", "trust_lookups", "lookup_totals", "server", "encounter_trust")
-"""Tables that depend on trust, but for the fused objects: those ask the sweeps, which are not on disk."""
+"""Tables that depend on trust, but for those that depend on fused objects (`NOT_ON_DISK`)."""
+
+NOT_ON_DISK = (
+    "fused objects need the unrounded boxes of all detections and each vehicle's sweep, and a run keeps neither"
+)
+"""Why variants get no fused objects and no attack success afterwards. Boxes in tables are rounded to 1/128 m."""
 
 
 _UNKNOWN = ("identities", "sending")
@@ -106,9 +111,19 @@ def _write(run: OpenRun, config: Config, out: Path) -> None:
         "variants": names, "config": config.to_dict(), "config_sha256": hashlib.sha256(text).hexdigest(),
         "choices": {key: asdict(source) for key, source in sources(config).items()},
     }  # fmt: skip
+    content["summary"] = run.manifest.get("summary", {}) | {"retrust": not_computed(config)}
     content["inventory"] = inventory.read(out).summary(run.manifest["inventory"]["tables"])
     write_manifest(out, content)
     _check_base(run.path, out, names=run.variants)
+
+
+def not_computed(config: Config) -> str:
+    """What the variants without fused objects lack, and why, in one line; for the summary and the report."""
+    names = ", ".join(variant.name for variant in variants(config) if not variant.fused)
+    return (
+        f"No fused objects and no attack success for {names}: {NOT_ON_DISK}. "
+        "To have them, run again with these variants in the config and fused = true."
+    )
 
 
 def _merged(old: Inventory, new: Inventory) -> Inventory:
@@ -133,8 +148,7 @@ def _with_variants(run: OpenRun, file: Path, trust_code: bool) -> Config:
     for number, section in enumerate(listed):
         if isinstance(section, dict) and section.get("fused"):
             raise ValueError(
-                f"trust_variant.{number}.fused in {file}: fused objects ask the sweeps, which are not on disk. "
-                "Leave it out, or run again with this variant."
+                f"trust_variant.{number}.fused in {file}: {NOT_ON_DISK}. Leave it out, or run again with this variant."
             )
     data = json.loads(json.dumps(run.config))
     data["trust_variant"] = [*data.get("trust_variant", []), *listed]

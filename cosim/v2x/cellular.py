@@ -17,22 +17,23 @@ HEADER_BYTES = 18 + 20 + 8
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class CellularParams:
-    """Public cellular network; defaults as Eclipse MOSAIC's LTE cell (Tiergarten)."""
+    """Public cellular network. The defaults are those of Eclipse MOSAIC's LTE cell (Tiergarten)."""
 
     delay_min_s: Annotated[float, Ge(0), Le(1e6)] = 0.05
     """Shortest delay of one attempt, either way [s]."""
     delay_mean_s: Annotated[float, Ge(0), Le(1e6)] = 0.15
-    """Mean delay of one attempt, either way [s]; what exceeds the shortest is Gamma distributed, shape 2."""
+    """Mean delay of one attempt, either way [s]. The part above the shortest delay has a Gamma distribution with
+    shape 2."""
     uplink_loss_p: Annotated[float, Ge(0), Le(1)] = 0.01
     """Probability that one attempt of a vehicle's report fails."""
     downlink_loss_p: Annotated[float, Ge(0), Le(1)] = 0.01
-    """Probability that a vehicle misses a broadcast of trust values; there are no retries."""
+    """Probability that a vehicle does not receive a broadcast of trust values. There are no retries."""
     n_retries: Annotated[int, Ge(0), Le(10)] = 2
-    """Retries of a report that failed, each with a delay of its own."""
+    """Number of retries of a failed report. Each has its own delay."""
     cell_m: Annotated[float, Ge(1), Le(1e6)] = 1000.0
-    """Side of a cell; cells are the squares of a grid from the network's origin [m]."""
+    """Side length of a cell [m]. Cells are the squares of a grid that begins at the network's origin."""
     cell_up_bytes_per_s: Annotated[float, Gt(0), Le(1e12)] = 3.5e6
-    """Capacity of one cell for reports; what exceeds it is dropped [B/s]."""
+    """Capacity of one cell for reports [B/s]. Reports that exceed it are dropped."""
     cell_down_bytes_per_s: Annotated[float, Gt(0), Le(1e12)] = 5.275e6
     """Capacity of one cell for the broadcast of trust values [B/s]."""
 
@@ -45,14 +46,14 @@ class CellularParams:
 
 
 def delay_s(u: Float[ndarray, "..."], params: CellularParams) -> Float[ndarray, "..."]:
-    """Delays from uniforms: delay_min + Gamma(shape 2) of mean delay_mean - delay_min [s]."""
+    """Delays from uniforms in [0, 1): delay_min plus a Gamma(shape 2) variable of mean delay_mean - delay_min [s]."""
     return params.delay_min_s + gammaincinv(2.0, u) * (params.delay_mean_s - params.delay_min_s) / 2
 
 
 def transfer_delay_s(
     rng_key: np.uint64, key: UInt64[ndarray, "n"], loss_p: float, n_retries: int, params: CellularParams
 ) -> Float[ndarray, "n"]:
-    """Time from sending to arrival of one message per vehicle, failed attempts included; inf where lost."""
+    """Time from sending to arrival of one message per vehicle [s], including failed attempts; inf if it is lost."""
     n = 1 + n_retries
     draws = rng.uniforms(rng_key, key, n=2 * n)  # loss, delay, loss, delay, ...
     arrives = draws[:, 0::2] >= loss_p
@@ -64,7 +65,20 @@ def within_capacity(
     xy_m: Float[ndarray, "n 2"], length_bytes: Int[ndarray, "n"], key: UInt64[ndarray, "n"],
     budget_bytes: float, cell_m: float,
 ) -> Bool[ndarray, "n"]:  # fmt: skip
-    """Messages that fit into the capacity of their cells, taken in random order.
+    """Whether each message fits into the capacity of its cell. Messages are accepted in random order.
+
+    Parameters
+    ----------
+    xy_m
+        Positions of the senders.
+    length_bytes
+        Lengths of the messages.
+    key
+        Random keys that decide the order.
+    budget_bytes
+        Capacity of a cell.
+    cell_m
+        Side length of a cell.
 
     Notes
     -----

@@ -1,4 +1,4 @@
-"""Objects that a vehicle includes in its next message: all, or those selected by the generation rules.
+"""The objects that a vehicle includes in its next message: all, or those that the generation rules select.
 
 References
 ----------
@@ -17,21 +17,21 @@ from cosim.v2x.messages import Detections
 from cosim.world import LABELS
 
 MOVED_M, TURNED_RAD, INTERVAL_S = 4.0, np.radians(4.0), 1.0
-"""A vehicle is included again once it has moved or turned by more than this, or after this long."""
+"""A vehicle is included again if it has moved or turned by more than this, or after this time."""
 VULNERABLE_INTERVAL_S = 0.5
-"""All people are included once one of them is new, or has not been included for this long."""
+"""All people are included if one of them is new, or was last included this long ago."""
 
 _VULNERABLE = np.isin(np.arange(len(LABELS)), [LABELS.index(name) for name in ("pedestrian", "cyclist")])
 _FAR_M = 1000.0
-"""Between detections that cannot be the same object, on an axis of their own; more than any `MOVED_M`."""
+"""Distance between objects of different senders or classes on an extra axis; larger than `MOVED_M`."""
 
 
 @dataclass(slots=True)
 class InclusionMemory:
-    """Objects that each vehicle included last, with pose and time."""
+    """The objects that each vehicle last included, with pose and time."""
 
     of: Int[ndarray, "n"] = field(default_factory=lambda: np.zeros(0, np.int64))
-    """Sender and class in one number, the actor id in front; ascending."""
+    """Sender (actor number) and class in one number, ascending."""
     xy_m: Float[ndarray, "n 2"] = field(default_factory=lambda: np.zeros((0, 2)))
     yaw_rad: Float[ndarray, "n"] = field(default_factory=lambda: np.zeros(0))
     time_s: Float[ndarray, "n"] = field(default_factory=lambda: np.zeros(0))
@@ -40,19 +40,31 @@ class InclusionMemory:
 def select_objects(
     memory: InclusionMemory, seen: Detections, sender: Int[ndarray, "d"], time_s: float
 ) -> tuple[Bool[ndarray, "d"], InclusionMemory]:
-    """Which of the available detections are included, and the memory after it.
+    """Select the detections that are included in messages.
 
     Parameters
     ----------
+    memory
+        The objects that each vehicle last included.
+    seen
+        The available detections.
     sender
-        Sender of each detection; a vehicle associates an object by its class and position.
+        Actor number of the sender of each detection.
+    time_s
+        Time of the messages.
+
+    Returns
+    -------
+    Whether each detection is included, and the memory after this step.
 
     Notes
     -----
-    An object within 4 m of the position at which one of its class was last included counts as the same; one farther
-    away is new or has moved by more than 4 m, which has the same effect [1]_. Self reports follow the same rules [2]_.
-    Deviations: no rule on speed, which a detection does not contain; no threshold of quality; no limit of length (a
-    message is segmented); no sensor container: without objects no message is sent.
+    An object within 4 m of the position at which one of its class was last included counts as the same object. An
+    object farther away is new or has moved by more than 4 m, which has the same effect [1]_. Self reports follow the
+    same rules [2]_.
+    Deviations: there is no rule on speed, because a detection contains none. There is no threshold of quality. The
+    length is not limited, because a message is segmented. There is no sensor container, and without objects no message
+    is sent.
     """
     rows = np.flatnonzero(seen.transmitted)
     of = sender[rows].astype(np.int64) * len(LABELS) + seen.label[rows]
@@ -84,7 +96,7 @@ def select_objects(
 
 
 def _nearest(memory: InclusionMemory, of: Int[ndarray, "r"], xy_m: Float[ndarray, "r 2"]) -> Int[ndarray, "r"]:
-    """Row of the nearest object of the same sender and class within `MOVED_M`; -1 where there is none."""
+    """Row of the nearest object of the same sender and class within `MOVED_M`; -1 if there is none."""
     if not len(memory.of) or not len(of):
         return np.full(len(of), -1)
     kinds = np.unique(memory.of)

@@ -1,7 +1,7 @@
-"""Pseudonyms: the identities that messages carry, and when a vehicle changes its own.
+"""Pseudonyms: the identities in messages, and the policies by which vehicles change them.
 
-Messages, trust and the trust server know pseudonyms and nothing else. Which vehicle a pseudonym belonged to, and when,
-stands in the table `pseudonyms`, which is ground truth.
+Messages, trust and the trust server know only pseudonyms. The table `pseudonyms` contains the vehicle of each
+pseudonym, which is ground truth.
 """
 
 from collections.abc import Mapping
@@ -17,45 +17,45 @@ from cosim import rng
 from cosim.world import World
 
 FIRST_STRETCH_M = 800.0
-"""Way driven under a pseudonym before `c2c` may change it [m]."""
+"""Distance driven under a pseudonym before `c2c` may change it [m]."""
 FIRST_EXTRA = 1 << 30
-"""Without a policy a vehicle's pseudonym is its number; pseudonyms that attackers make up begin here."""
+"""Without a policy a vehicle's pseudonym is its actor number. Further pseudonyms of attackers begin at this number."""
 
 
 @dataclass(frozen=True, slots=True)
 class PseudonymAges:
-    """What each equipped vehicle on the road has done under its present pseudonym."""
+    """Age and use of the current pseudonym of each equipped vehicle on the road."""
 
     n_changes: Int[ndarray, "e"]
-    """Pseudonyms that it has given up in this trip."""
+    """Number of pseudonym changes in this trip."""
     age_s: Float[ndarray, "e"]
-    """Since it took the pseudonym [s]."""
+    """Time since the vehicle took the pseudonym [s]."""
     distance_m: Float[ndarray, "e"]
-    """Driven since [m]."""
+    """Distance driven since then [m]."""
     away_m: Float[ndarray, "e"]
-    """Straight line from the place where it took the pseudonym [m]."""
+    """Straight-line distance from the position where it took the pseudonym [m]."""
     beyond_s: Float[ndarray, "e"]
-    """Since it had driven 800 m under the pseudonym [s]; 0 before."""
+    """Time since it had driven 800 m under the pseudonym [s]; 0 before that."""
     n_messages: Int[ndarray, "e"]
-    """Detection messages sent since."""
+    """Number of detection messages sent since it took the pseudonym."""
     trip_draws: Float[ndarray, "e 4"]
-    """Uniforms in [0, 1) that last as long as the pseudonym: for drawn periods and distances."""
+    """Uniforms in [0, 1) that stay the same as long as the pseudonym, for random periods and distances."""
     step_draws: Float[ndarray, "e"]
-    """A uniform in [0, 1), new in every step."""
+    """A uniform in [0, 1) that is new in every step."""
 
 
 class PseudonymPolicy(Protocol):
-    """When vehicles change their pseudonyms."""
+    """Decides when vehicles change their pseudonyms."""
 
     def changes(self, ages: PseudonymAges) -> Bool[ndarray, "e"]:
-        """Which of them change before their next message."""
+        """Whether each vehicle changes its pseudonym before its next message."""
 
 
 class Never:
-    """One pseudonym for the whole trip: the number of the vehicle."""
+    """One pseudonym for the whole trip: the actor number of the vehicle."""
 
     def changes(self, ages: PseudonymAges) -> Bool[ndarray, "e"]:
-        """None."""
+        """No vehicle changes."""
         return np.zeros(len(ages.age_s), bool)
 
 
@@ -64,7 +64,7 @@ class PeriodicalParams:
     """Parameters of `periodical`."""
 
     period_s: Annotated[float, Gt(0), Le(1e8)] = 240.0
-    """Life of a pseudonym [s]; default as in F2MD."""
+    """Time after which a pseudonym changes [s]. The default is F2MD's."""
 
 
 class Periodical:
@@ -76,7 +76,7 @@ class Periodical:
         self.params = params
 
     def changes(self, ages: PseudonymAges) -> Bool[ndarray, "e"]:
-        """Those whose pseudonym is as old as the period."""
+        """Vehicles whose pseudonym has reached the period."""
         return ages.age_s >= self.params.period_s - 1e-9
 
 
@@ -85,7 +85,7 @@ class DisposableParams:
     """Parameters of `disposable`."""
 
     n_messages: Annotated[int, Gt(0), Le(2**31 - 1)] = 10
-    """Messages sent under one pseudonym; default as in F2MD."""
+    """Number of messages after which a pseudonym changes. The default is F2MD's."""
 
 
 class Disposable:
@@ -97,7 +97,7 @@ class Disposable:
         self.params = params
 
     def changes(self, ages: PseudonymAges) -> Bool[ndarray, "e"]:
-        """Those that have used their pseudonym up."""
+        """Vehicles that have sent this number of messages."""
         return ages.n_messages >= self.params.n_messages
 
 
@@ -106,7 +106,7 @@ class DistanceParams:
     """Parameters of `distance`."""
 
     distance_m: Annotated[float, Gt(0), Le(1e9)] = 80.0
-    """Way driven under one pseudonym [m]; default as in F2MD."""
+    """Driven distance after which a pseudonym changes [m]. The default is F2MD's."""
 
 
 class Distance:
@@ -118,7 +118,7 @@ class Distance:
         self.params = params
 
     def changes(self, ages: PseudonymAges) -> Bool[ndarray, "e"]:
-        """Those that have driven far enough."""
+        """Vehicles that have driven this distance."""
         return ages.distance_m >= self.params.distance_m
 
 
@@ -127,11 +127,11 @@ class RandomParams:
     """Parameters of `random`."""
 
     change_p: Annotated[float, Interval(ge=0, le=1)] = 0.1
-    """Chance of a change before each message; default as in F2MD."""
+    """Probability of a change before each message. The default is F2MD's."""
 
 
 class Random:
-    """A change by chance, before every message."""
+    """A change with a fixed probability before every message."""
 
     Params = RandomParams
 
@@ -139,7 +139,7 @@ class Random:
         self.params = params
 
     def changes(self, ages: PseudonymAges) -> Bool[ndarray, "e"]:
-        """Those whom chance picks."""
+        """Vehicles that are drawn."""
         return ages.step_draws < self.params.change_p
 
 
@@ -148,20 +148,21 @@ class C2cParams:
     """Parameters of `c2c`."""
 
     reading: Literal["then", "both"] = "then"
-    """How the later changes are read: then: after 800 m, and U(120, 360) s after these; both: once 800 m have been
-    driven and U(120, 360) s have passed since the last change, whichever is later."""
+    """Condition for all changes but the first. `then`: U(120, 360) s after the first 800 m under the pseudonym. `both`:
+    once 800 m have been driven and U(120, 360) s have passed since the last change."""
 
 
 class C2c:
-    """The policy of the CAR 2 CAR Communication Consortium, as F2MD and NextGen have it.
+    """The policy of the CAR 2 CAR Communication Consortium, as implemented in F2MD and NextGen.
 
-    A new pseudonym at the start of the trip; the next after U(800, 1500) m; from then on after at least 800 m and a
-    further U(120, 360) s.
+    A vehicle takes a new pseudonym at the start of the trip, and the next one after U(800, 1500) m. All later changes
+    follow after at least 800 m and a further U(120, 360) s.
 
     Notes
     -----
-    "And a further" has two readings (`C2cParams.reading`): the time begins at the 800th metre, which is the default, or
-    with the pseudonym.   Deviations: none known; the source is the published code of F2MD and NextGen, at second hand.
+    The source allows two readings of "and a further" (`C2cParams.reading`): the time begins when 800 m have been driven
+    (the default), or with the pseudonym.
+    Deviations: none known. The source is the published code of F2MD and NextGen, not the original policy.
     """
 
     Params = C2cParams
@@ -170,7 +171,7 @@ class C2c:
         self.params = params
 
     def changes(self, ages: PseudonymAges) -> Bool[ndarray, "e"]:
-        """Those that have driven and waited long enough."""
+        """Vehicles that have driven far enough and used the pseudonym long enough."""
         far = ages.distance_m >= FIRST_STRETCH_M + 700.0 * ages.trip_draws[:, 0]
         since_s = ages.beyond_s if self.params.reading == "then" else ages.age_s
         later = (ages.distance_m >= FIRST_STRETCH_M) & (since_s >= 120.0 + 240.0 * ages.trip_draws[:, 1])
@@ -178,10 +179,10 @@ class C2c:
 
 
 class Bsp:
-    """The basic policy of ETSI TR 103 415 (second hand): within a minute of ignition, then every U(10, 30) min."""
+    """The basic policy of ETSI TR 103 415 (secondary source): within a minute of ignition, then every U(10, 30) min."""
 
     def changes(self, ages: PseudonymAges) -> Bool[ndarray, "e"]:
-        """Those whose time has come."""
+        """Vehicles whose drawn time has passed."""
         first = ages.age_s >= 60.0 * ages.trip_draws[:, 0]
         later = ages.age_s >= 600.0 + 1200.0 * ages.trip_draws[:, 1]
         return np.where(ages.n_changes == 0, first, later)
@@ -192,18 +193,19 @@ class ScmsParams:
     """Parameters of `scms`."""
 
     distance: Literal["place", "driven"] = "place"
-    """place: straight line from where the vehicle last changed; driven: way driven since."""
+    """Distance that the rule uses. `place`: the straight line from the position of the last change. `driven`: the
+    distance driven since the last change."""
 
 
 class Scms:
-    """The rule of SAE J2945/1 at second hand: a change every 5 min, unless the vehicle is less than 2 km from where it
-    last changed.
+    """The rule of SAE J2945/1 (secondary source): a change every 5 min, unless the vehicle is less than 2 km from the
+    position of its last change.
 
     Notes
     -----
-    The distance is the straight line to the place of the last change (absolute distance, vCertChangeDistance of the
-    standard, from memory): a vehicle that drives in circles does not change. `distance = "driven"` counts the way.
-    Deviations: the standard itself could not be read; SCMS limits certificates (20 a week), which is not modelled.
+    The distance is the straight line to the position of the last change (absolute distance, vCertChangeDistance of the
+    standard), so that a vehicle that drives in circles does not change. `distance = "driven"` uses the driven distance.
+    Deviations: the standard itself was not available. The limit of SCMS on certificates (20 a week) is not modelled.
     """
 
     Params = ScmsParams
@@ -212,7 +214,7 @@ class Scms:
         self.params = params
 
     def changes(self, ages: PseudonymAges) -> Bool[ndarray, "e"]:
-        """Those whose time has come, and that are far enough."""
+        """Vehicles for which both the time and the distance are reached."""
         far_m = ages.away_m if self.params.distance == "place" else ages.distance_m
         return (ages.age_s >= 300.0 - 1e-9) & (far_m >= 2000.0)
 
@@ -221,40 +223,43 @@ POLICIES: Mapping[str, type] = {
     "none": Never, "periodical": Periodical, "disposable": Disposable, "distance": Distance, "random": Random,
     "c2c": C2c, "bsp": Bsp, "scms": Scms,
 }  # fmt: skip
-"""Policies at hand, by the config's name."""
+"""Classes of the included policies, by their name in the config."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class PseudonymParams:
-    """Which identities messages carry."""
+    """Changes, linkage and revocation of the identities in messages."""
 
     policy: str = "none"
-    """When a vehicle changes its pseudonym: none, periodical, disposable, distance, random, c2c, bsp, scms, or your
-    own."""
+    """Policy by which a vehicle changes its pseudonym: `none`, `periodical`, `disposable`, `distance`, `random`, `c2c`,
+    `bsp`, `scms`, or a class of your own as path.py:Name."""
     linkage: Literal["none", "server", "on_demand", "own"] = "none"
-    """How trust copes with a change: none: a new pseudonym is a newcomer; server: reputation stays with the vehicle, is
-    broadcast under its present pseudonym; on_demand: pseudonyms are linked from the one on that has been accused
-    n_accusations times; own: each receiver links them itself, by place and speed."""
+    """Effect of a pseudonym change on trust. `none`: a new pseudonym is unknown. `server`: trust stays with the vehicle
+    and is broadcast under its current pseudonym. `on_demand`: once a pseudonym has been accused `n_accusations` times,
+    it and all later pseudonyms of the vehicle are linked. `own`: each receiver links pseudonyms itself, by position and
+    speed."""
     n_accusations: Annotated[int, Gt(0), Le(2**31 - 1)] = 10
-    """on_demand: reports against one pseudonym after which the vehicle's later ones are linked to it."""
+    """With `on_demand`: number of reports against a pseudonym after which the vehicle's later pseudonyms are linked to
+    it."""
     own_gap_s: Annotated[float, Gt(0), Le(1e4)] = 1.5
-    """own: longest time between the last message of the old pseudonym and the first of the new one [s]."""
+    """With `own`: longest time between the last message of the old pseudonym and the first of the new one [s]."""
     own_gate_m: Annotated[float, Gt(0), Le(10_000)] = 3.0
-    """own: farthest that the new pseudonym may stand from where the old one is expected [m]."""
+    """With `own`: largest distance of the new pseudonym from the predicted position of the old one [m]."""
     revocation: Literal["none", "immediate", "list", "not_renewed"] = "none"
-    """What happens to a subject that the acting server trusts less than revoke_below: nothing; receivers drop its
-    messages at once; from the next revocation list on; or it gets no new pseudonym after its present one."""
+    """What happens if the server's trust in a vehicle is below `revoke_below`. `none`: nothing. `immediate`: receivers
+    drop its messages at once. `list`: receivers drop its messages from the next revocation list on. `not_renewed`: the
+    vehicle gets no new pseudonym after its current one."""
     revoke_below: Annotated[float, Interval(ge=0, le=1)] = 0.25
-    """Trust at the acting server below which a subject is revoked."""
+    """A vehicle is revoked if the server's trust in it is below this value."""
     min_evaluations: Annotated[int, Gt(0), Le(2**31 - 1)] = 5
-    """Evaluations that a revocation takes at least."""
+    """Smallest number of evaluations for a revocation."""
     list_every_s: Annotated[float, Gt(0), Le(1e8)] = 60.0
-    """list: time between two revocation lists [s]."""
+    """With `list`: time between two revocation lists [s]."""
 
 
 @dataclass(frozen=True, slots=True)
 class PseudonymState:
-    """Pseudonyms in use, by actor number, and all that were ever issued."""
+    """Pseudonyms in use, by actor number, and all pseudonyms that were issued."""
 
     current: Int[ndarray, "capacity"] = field(default_factory=lambda: np.full(0, -1, np.int64))
     since_step: Int[ndarray, "capacity"] = field(default_factory=lambda: np.zeros(0, np.int64))
@@ -263,33 +268,33 @@ class PseudonymState:
     n_messages: Int[ndarray, "capacity"] = field(default_factory=lambda: np.zeros(0, np.int64))
     distance_m: Float[ndarray, "capacity"] = field(default_factory=lambda: np.zeros(0))
     xy_m: Float[ndarray, "capacity 2"] = field(default_factory=lambda: np.zeros((0, 2)))
-    """Last place."""
+    """Last position."""
     from_xy_m: Float[ndarray, "capacity 2"] = field(default_factory=lambda: np.zeros((0, 2)))
-    """Place where it took its pseudonym."""
+    """Position where it took its pseudonym."""
     beyond_step: Int[ndarray, "capacity"] = field(default_factory=lambda: np.zeros(0, np.int64))
-    """Step in which it had driven `FIRST_STRETCH_M` under its pseudonym; read only where it has."""
+    """Step in which it had driven `FIRST_STRETCH_M` under its pseudonym. It has no meaning before that."""
     linked: Int[ndarray, "capacity"] = field(default_factory=lambda: np.full(0, -1, np.int64))
     """Pseudonym of each vehicle to which its later ones are linked on demand; -1 for none."""
     issued: Int[ndarray, "n_issued 3"] = field(default_factory=lambda: np.zeros((0, 3), np.int64))
-    """Vehicle, identity and first step of each pseudonym that is no vehicle's number, in the order of issue."""
+    """Vehicle, identity and first step of each pseudonym that is not an actor number, in the order of issue."""
     extra: Int[ndarray, "x 4"] = field(default_factory=lambda: np.zeros((0, 4), np.int64))
-    """Further identities: vehicle and identity in one number, ascending; pseudonym, first and last step in use."""
+    """Further identities. Columns: vehicle and identity in one number (ascending), pseudonym, first and last step."""
     accusations: dict[int, int] = field(default_factory=dict)
-    """Of pseudonyms that are not linked yet."""
+    """Number of accusations of pseudonyms that are not linked yet."""
     revoked: dict[int, int] = field(default_factory=dict)
-    """Subjects that lose their certificates, and from which step on."""
+    """Subjects that are revoked, and the first step of the revocation."""
     refused: dict[int, int] = field(default_factory=dict)
-    """Pseudonyms whose messages were dropped, and since which step."""
+    """Pseudonyms whose messages were dropped, and the first step in which they were."""
 
     def of(self, actor: Int[ndarray, "n"]) -> Int[ndarray, "n"]:
-        """Present pseudonym of each vehicle; -1 where it has had none yet."""
+        """Current pseudonym of each vehicle; -1 if it has had none yet."""
         found = np.full(len(actor), -1)
         known = actor < len(self.current)
         found[known] = self.current[actor[known]]
         return found
 
     def begun(self, actor: Int[ndarray, "n"], now_step: int) -> Int[ndarray, "n"]:
-        """Step in which each vehicle took its present pseudonym; now for those without any."""
+        """Step in which each vehicle took its current pseudonym; `now_step` if it has none."""
         found = np.full(len(actor), now_step)
         known = np.flatnonzero(actor < len(self.current))
         known = known[self.current[actor[known]] >= 0]
@@ -299,7 +304,7 @@ class PseudonymState:
 
 @dataclass(frozen=True, slots=True)
 class PseudonymUse:
-    """Pseudonyms that came to an end: rows of the table `pseudonyms`."""
+    """Pseudonyms that have ended: rows of the table `pseudonyms`."""
 
     pseudonym: Int[ndarray, "p"]
     vehicle: Int[ndarray, "p"]
@@ -317,7 +322,7 @@ class PseudonymUse:
 
     @staticmethod
     def of(state: PseudonymState, pseudonym, vehicle, from_step, to_step, identity=None) -> "PseudonymUse":
-        """Rows of these pseudonyms."""
+        """Rows for these pseudonyms."""
         identity = np.zeros(len(pseudonym), np.int64) if identity is None else identity
         refused = np.array([state.refused.get(p, -1) for p in pseudonym.tolist()], np.int64)
         return PseudonymUse(pseudonym, vehicle, from_step, to_step, identity, refused)
@@ -333,7 +338,7 @@ class Pseudonyms:
 
     @property
     def by_number(self) -> bool:
-        """Whether a vehicle's pseudonym is its number."""
+        """Whether a vehicle's pseudonym is its actor number."""
         return isinstance(self.policy, Never)
 
     def issue(
@@ -347,11 +352,11 @@ class Pseudonyms:
         observers
             Equipped vehicles, rows of the world.
         wants
-            Those that change of their own accord, whatever the policy says.
+            Vehicles that change whatever the policy says.
 
         Returns
         -------
-        The state; the pseudonyms, in the order of `observers`; and those that were given up in this step.
+        The new state, the pseudonyms in the order of `observers`, and the pseudonyms that ended in this step.
         """
         actor, xy = world.actor[observers], world.boxes.xyz_m[observers, :2]
         state = _grown(state, int(actor.max(initial=-1)) + 1)
@@ -403,7 +408,7 @@ class Pseudonyms:
     def issue_extra(
         self, state: PseudonymState, vehicle: Int[ndarray, "x"], identity: Int[ndarray, "x"], step: int
     ) -> tuple[PseudonymState, Int[ndarray, "x"]]:
-        """Pseudonyms of further identities of vehicles, given by actor number; each keeps its own for good."""
+        """Pseudonyms of further identities of vehicles, given by actor number. An identity keeps its pseudonym."""
         key = vehicle.astype(np.int64) << 16 | identity
         new = np.setdiff1d(key, state.extra[:, 0])
         numbers, state = self._numbers(state, new >> 16, new & (1 << 16) - 1, step)
@@ -421,7 +426,7 @@ class Pseudonyms:
         return self._issued(state, pseudonym, 0, pseudonym), self._issued(state, pseudonym, 1, 0)
 
     def since(self, state: PseudonymState, pseudonym: Int[ndarray, "n"]) -> Int[ndarray, "n"]:
-        """First step of each pseudonym; -1 for those that are a vehicle's number."""
+        """First step of each pseudonym; -1 for pseudonyms that are an actor number."""
         return self._issued(state, pseudonym, 2, -1)
 
     def _issued(self, state: PseudonymState, pseudonym: ndarray, column: int, of_number: ndarray | int) -> ndarray:
@@ -438,7 +443,7 @@ class Pseudonyms:
     def _numbers(
         self, state: PseudonymState, vehicle: Int[ndarray, "k"], identity: Int[ndarray, "k"], step: int
     ) -> tuple[Int[ndarray, "k"], PseudonymState]:
-        """New pseudonyms, numbered on."""
+        """New pseudonyms with the next numbers."""
         if not len(vehicle):
             return np.zeros(0, np.int64), state
         numbers = len(state.issued) + np.arange(len(vehicle)) + (FIRST_EXTRA if self.by_number else 0)
@@ -446,7 +451,7 @@ class Pseudonyms:
         return numbers, replace(state, issued=np.concatenate([state.issued, rows]))
 
     def in_use(self, state: PseudonymState) -> PseudonymUse:
-        """Pseudonyms that were never given up, when recording ends."""
+        """Pseudonyms that are still in use when recording ends."""
         vehicle, extra = np.flatnonzero(state.current >= 0), state.extra
         return PseudonymUse.of(
             state,
@@ -459,7 +464,7 @@ class Pseudonyms:
 
 
 def _grown(state: PseudonymState, size: int) -> PseudonymState:
-    """The same with room for actor numbers below `size`."""
+    """The state, extended to actor numbers below `size`."""
     old = len(state.current)
     if size <= old:
         return state

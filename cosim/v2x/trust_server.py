@@ -1,4 +1,4 @@
-"""The links between vehicles and the trust server: evaluations up, trust values down, with delay, loss and outages."""
+"""Links between vehicles and the trust server: uplink of evaluations and downlink of trust values."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -20,14 +20,15 @@ from trust.tables import EvaluationMessages, TrustScores
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ServerParams:
-    """How the trust server is reached, and when it is not."""
+    """Links to the trust server, and its outages."""
 
     uplink: Literal["cellular", "rsu"] = "cellular"
-    """Way of evaluations to the server, and of trust values back: cellular, or through roadside units in range."""
+    """Link for evaluations to the server and for trust values back: `cellular`, or `rsu` for roadside units in
+    range."""
     backhaul_s: Annotated[float, Ge(0), Le(1e6)] = 0.01
     """Delay between a roadside unit and the server, either way [s]."""
     outages: tuple[tuple[float, float], ...] = ()
-    """Recorded times [start, end) in which the server is unreachable: nothing goes up or down [s]."""
+    """Recorded times [start, end) in which the server is unreachable [s]. No messages are sent to or from it."""
     cellular: CellularParams = field(default_factory=CellularParams)
 
     def __post_init__(self) -> None:
@@ -49,23 +50,23 @@ class ServerParams:
 
 @dataclass(frozen=True, slots=True)
 class LinkStats:
-    """What became of one step's reports to the server."""
+    """Counts of one step's reports to the server."""
 
     n_reports: int = 0
     """Reports with at least one evaluation."""
     n_reached: int = 0
-    """Of these, those that reach the server, now or later."""
+    """Number of these that reach the server, now or later."""
     n_lost: int = 0
-    """Of these, those lost on the way, or received by no roadside unit."""
+    """Number of these that were lost on the way, or that no roadside unit received."""
     n_over_capacity: int = 0
     n_outage: int = 0
     uplink_bytes: int = 0
-    """Of all reports, where they go by cellular."""
+    """Bytes of all reports on the cellular link."""
 
 
 @dataclass(frozen=True, slots=True)
 class UplinkState:
-    """Reports under way to the server."""
+    """Reports that are on their way to the server."""
 
     under_way: tuple[tuple[Float[ndarray, "v"], EvaluationMessages], ...] = ()
     """Arrival of each message [s], and the messages."""
@@ -73,7 +74,7 @@ class UplinkState:
 
 @dataclass(frozen=True, slots=True)
 class Uplink:
-    """From vehicles to the server."""
+    """The link from vehicles to the server."""
 
     params: ServerParams
     seed: int
@@ -85,9 +86,26 @@ class Uplink:
         xy_m: Float[ndarray, "v 2"], time_s: float, is_valid: Bool[ndarray, "v"] | None = None,
         n_copies: Int[ndarray, "v"] | None = None,
     ) -> tuple[UplinkState, LinkStats]:  # fmt: skip
-        """Each evaluator's report leaves at `time_s`; the other arguments are aligned with the messages.
+        """Send each evaluator's report over the cellular network.
 
-        Reports that are not valid do not arrive; further copies of a report take capacity of the cell, and no more.
+        Parameters
+        ----------
+        messages
+            Evaluations of V evaluators. The other arrays are aligned with the evaluators.
+        name_key
+            Keys of their names, for random draws.
+        xy_m
+            Their positions.
+        time_s
+            Time at which the reports are sent.
+        is_valid
+            Reports that are not valid do not arrive. All are valid if it is not given.
+        n_copies
+            Further copies of each report. They use capacity of the cell and have no other effect.
+
+        Returns
+        -------
+        The new state, and counts of the reports.
         """
         p, n = self.params.cellular, np.diff(messages.ptr)
         key = rng.key(self.seed, rng.Stream.UPLINK, messages.step)
@@ -109,7 +127,15 @@ class Uplink:
         self, state: UplinkState, messages: EvaluationMessages, message: Int[ndarray, "m"],
         received_s: Float[ndarray, "m"],
     ) -> tuple[UplinkState, LinkStats]:  # fmt: skip
-        """Roadside units received these messages, rows of `messages`, at these times, and pass them on."""
+        """Forward messages that roadside units received.
+
+        Parameters
+        ----------
+        message
+            Row of `messages` for each reception.
+        received_s
+            Time of each reception.
+        """
         arrival = np.full(len(messages.evaluator), np.inf)
         np.minimum.at(arrival, message, received_s + self.params.backhaul_s)
         nothing = np.zeros(len(arrival), bool)
@@ -129,7 +155,7 @@ class Uplink:
         return UplinkState((*state.under_way, (arrival_s[arrives], chosen_messages(messages, arrives)))), stats
 
     def arrived(self, state: UplinkState, time_s: float) -> tuple[UplinkState, list[EvaluationMessages]]:
-        """Reports that have reached the server by `time_s`, older steps first."""
+        """The new state, and the reports that have reached the server by `time_s`, older steps first."""
         here, later = [], []
         for arrival, messages in state.under_way:
             due = arrival <= time_s
@@ -141,7 +167,7 @@ class Uplink:
 
 
 def chosen_messages(messages: EvaluationMessages, chosen: Bool[ndarray, "v"]) -> EvaluationMessages:
-    """Only the chosen evaluators' messages."""
+    """The messages of the chosen evaluators."""
     if chosen.all():
         return messages
     n = np.diff(messages.ptr)
@@ -155,7 +181,7 @@ def chosen_messages(messages: EvaluationMessages, chosen: Bool[ndarray, "v"]) ->
 
 @dataclass(frozen=True, slots=True)
 class TrustBroadcast:
-    """Trust values as the server sent them at one time."""
+    """Trust values that the server sent at one time."""
 
     time_s: float
     """When the server computed them [s]."""
@@ -165,23 +191,24 @@ class TrustBroadcast:
 
 @dataclass(frozen=True, slots=True)
 class DownlinkState:
-    """Which broadcast each vehicle received last, and what is under way."""
+    """The last broadcast that each vehicle received, and broadcasts that are on their way."""
 
     broadcasts: dict[int, TrustBroadcast] = field(default_factory=dict)
-    """By number: the step in which it was computed; those that somebody has or will have."""
+    """Broadcasts by number, the step in which they were computed. Only those that a vehicle has or will get are
+    kept."""
     last: Int[ndarray, "capacity"] = field(default_factory=lambda: np.full(0, -1))
     """Number of the newest broadcast that each vehicle has received, by actor number; -1 for none."""
     under_way: tuple[tuple[Float[ndarray, "r"], Int[ndarray, "r"], int], ...] = ()
     """Arrival, vehicle and number."""
     pending_rsu: tuple[float, int] | None = None
-    """When the roadside units have the newest broadcast, and its number, while they have not sent it."""
+    """Time at which the roadside units get the newest broadcast, and its number. None once they have sent it."""
     on_air: int = -1
     """Number of the broadcast that the roadside units sent last."""
 
 
 @dataclass(frozen=True, slots=True)
 class Downlink:
-    """From the server to vehicles."""
+    """The link from the server to vehicles."""
 
     params: ServerParams
     seed: int
@@ -190,13 +217,20 @@ class Downlink:
         self, state: DownlinkState, broadcast: TrustBroadcast, step: int, vehicle: Int[ndarray, "r"],
         delay_s: Float[ndarray, "r"],
     ) -> tuple[DownlinkState, int]:  # fmt: skip
-        """Send to all equipped vehicles: by cellular at once, by roadside units in one of their next rounds.
+        """Send a broadcast to all equipped vehicles.
 
-        `delay_s`: by cellular, as `delays_s`.
+        The cellular network sends it at once. Roadside units send it in one of their next rounds.
+
+        Parameters
+        ----------
+        vehicle
+            Actor numbers of the equipped vehicles.
+        delay_s
+            Delay to each vehicle in the cellular network, from `delays_s`.
 
         Returns
         -------
-        The state, and how many vehicles it will reach by cellular.
+        The new state, and the number of vehicles that it will reach by cellular.
         """
         p = self.params.cellular
         broadcasts = state.broadcasts | {step: broadcast}
@@ -204,19 +238,19 @@ class Downlink:
             pending = broadcast.time_s + self.params.backhaul_s, step
             return DownlinkState(broadcasts, state.last, state.under_way, pending, state.on_air), 0
         if trust_broadcast_bytes(len(broadcast.scores.subject)) + cellular.HEADER_BYTES > p.cell_down_bytes_per_s:
-            delay_s = np.full(len(vehicle), np.inf)  # one copy per cell, and not even that fits into a second
+            delay_s = np.full(len(vehicle), np.inf)  # one copy per cell exceeds the capacity of a second
         arrival_s = broadcast.time_s + delay_s
         arrives = np.isfinite(arrival_s) & ~self.params.is_out(arrival_s)
         coming = (*state.under_way, (arrival_s[arrives], vehicle[arrives], step))
         return DownlinkState(broadcasts, state.last, coming, state.pending_rsu, state.on_air), int(arrives.sum())
 
     def delays_s(self, step: int, name_key: UInt64[ndarray, "r"]) -> Float[ndarray, "r"]:
-        """What a cellular broadcast of this step takes to each vehicle [s]; inf where it is lost."""
+        """Delay of this step's cellular broadcast to each vehicle [s]; inf if it is lost."""
         p = self.params.cellular
         return transfer_delay_s(rng.key(self.seed, rng.Stream.DOWNLINK, step), name_key, p.downlink_loss_p, 0, p)
 
     def pending_rsu_broadcast(self, state: DownlinkState, time_s: float) -> tuple[DownlinkState, TrustBroadcast | None]:
-        """What roadside units send in a round that begins at `time_s`, once."""
+        """The broadcast that roadside units send in a round that begins at `time_s`. Each is returned once."""
         if state.pending_rsu is None or state.pending_rsu[0] > time_s:
             return state, None
         arrival, number = state.pending_rsu
@@ -227,7 +261,21 @@ class Downlink:
         self, state: DownlinkState, vehicle: Int[ndarray, "r"], receiver: Int[ndarray, "m"],
         received_s: Float[ndarray, "m"],
     ) -> tuple[DownlinkState, int]:  # fmt: skip
-        """Vehicles received roadside units' broadcast: rows of `vehicle`, and when; and how many vehicles did."""
+        """Record which vehicles received the broadcast of roadside units.
+
+        Parameters
+        ----------
+        vehicle
+            Actor numbers of the equipped vehicles.
+        receiver
+            Row of `vehicle` for each reception.
+        received_s
+            Time of each reception.
+
+        Returns
+        -------
+        The new state, and the number of vehicles that received it.
+        """
         first = np.full(len(vehicle), np.inf)
         np.minimum.at(first, receiver, received_s)
         got = np.isfinite(first)
@@ -235,8 +283,10 @@ class Downlink:
         return DownlinkState(state.broadcasts, state.last, coming, state.pending_rsu, state.on_air), int(got.sum())
 
     def receive(self, state: DownlinkState, present: Int[ndarray, "m"], time_s: float) -> DownlinkState:
-        """What arrived by `time_s` is received; broadcasts that no vehicle on the road has are dropped with the next
-        arrival. `present` is ascending."""
+        """Deliver the broadcasts that have arrived by `time_s`, and drop those that no vehicle on the road has.
+
+        `present` are the actor numbers of the vehicles on the road, ascending.
+        """
         last = state.last
         size = int(present[-1]) + 1 if len(present) else 0
         if not state.under_way and size <= len(last):
@@ -260,6 +310,6 @@ class Downlink:
     def lookup(
         self, state: DownlinkState, vehicle: Int[ndarray, "n"], subject: Int[ndarray, "n"]
     ) -> Iterator[tuple[TrustBroadcast, Int[ndarray, "n"]]]:
-        """What each vehicle knows about each subject: per broadcast, the row that answers; -1: none."""
+        """For each broadcast, its row about each subject that the vehicle knows; -1 if there is none."""
         for number, broadcast in state.broadcasts.items():
             yield broadcast, rows_heard(state.last, vehicle, number, subject, broadcast.scores.subject)

@@ -2,16 +2,32 @@
 
 Notes
 -----
-`object/training`: `velodyne/%06d.bin`, `calib/%06d.txt`, `label_2/%06d.txt`; `object/results/%06d.txt` are detections
-as transmitted, self reports left out, in the 16 columns of results. Frames are numbered over all vehicles;
-`object/frames.csv` says which is which. `tracking/training`: a sequence is one vehicle while it is on the road
-(`tracking/sequences.csv`), the track is the number of the actor; its clouds are those of `object`, as links. There
-are no images: the camera stands where the LiDAR does, with 1,920 x 1,080 pixels on 90 degrees. Labelled is what gave
-at least one return and is in the image. Occlusion 0, 1, 2: up to 20 %, up to 50 % and more of its returns are lost to
-what stands in between.   Deviations: buses are trucks, motorcycles are cyclists; no reflectance (0).
+`object/training` holds `velodyne/%06d.bin`, `image_2/%06d.png`, `calib/%06d.txt` and `label_2/%06d.txt`.
+`object/results/%06d.txt` are the detections as transmitted, without self reports, in the 16 columns of results. Frames
+are numbered over all vehicles; `object/frames.csv` says which vehicle and step each one is.
+
+`object/ImageSets` splits the frames by time: the first half of the steps is `train`, the next quarter `val`, the last
+quarter `test`; `trainval` is the first two together. The frames of `test` are in `object/testing` too, as links and
+without labels, because loaders look for them there.
+
+`tracking/training` has one sequence for each stay of a vehicle on the road (`tracking/sequences.csv`). The track is
+the number of the actor. Its clouds are links to those of `object`.
+
+The camera stands where the LiDAR does, with 1,920 x 1,080 pixels on 90 degrees. There are no real images: `image_2`
+holds one black image of that size, linked for every frame, because loaders ask for its shape.
+
+An object is labelled if it gave at least one return and is in the image. An object in the image that gave none because
+something stands in between is a DontCare region, after all labels of its frame. A frame with neither has one DontCare
+region of no area, because common loaders fail at an empty label file. Occlusion is 0, 1 or 2 if up to 20 %, up to 50 %
+or more of an object's returns are lost to what stands in between.
+
+Deviations: buses are trucks, motorcycles are cyclists, and the reflectance is 0.
 """
 
+import struct
+import zlib
 from collections.abc import Iterator
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -32,21 +48,50 @@ TYPE_OF = {
 }  # fmt: skip
 """KITTI's types by vehicle class and by class of detected objects."""
 
+DONT_CARE = "DontCare -1 -1 -10"
+"""Type, truncation, occlusion and alpha of a region without labels, as the benchmark's own files have them."""
+
+NO_REGION = f"{DONT_CARE} 0 0 0 0 -1 -1 -1 -1000 -1000 -1000 -10"
+"""The line of a frame without any object: it overlaps nothing."""
+
+NO_TRACK = f"0 -1 {DONT_CARE} 0 0 0 0 -1000 -1000 -1000 -10 -1 -1 -1"
+"""The line of a sequence without any object. The last seven columns are in the order of the benchmark's files."""
+
 TEXT_BYTES = 2600
 """Of a frame's labels, results and calibration, roughly."""
+
+
+FIRST_IMAGE = "object/training/image_2/000000.png"
+"""The image that those of all other frames are links to."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Params:
+    """What is written beside clouds, labels and calibration."""
+
+    images: bool = True
+    """Whether every frame gets a black image in `image_2`."""
 
 
 class Kitti:
     """KITTI's object and tracking benchmarks."""
 
+    Params = Params
     TABLES = TABLES
 
+    def __init__(self, params: Params | None = None) -> None:
+        self._params = params or Params()
+
     def plan(self, selection: Selection) -> Plan:
-        """Frames in blocks of steps, then the sequences."""
-        frames = selection.presence
+        """The image, frames in blocks of steps, then what links to them, then the sequences."""
+        frames, images = selection.presence, self._params.images
         units = [
             Unit(f"steps {b[0]} to {b[-1]}", partial(_block, selection, b)) for b in selection.blocks()
-        ] + [Unit("sequences", partial(_sequences, selection))]  # fmt: skip
+        ]  # fmt: skip
+        if images:
+            units.insert(0, Unit("image", lambda clouds: iter([File(FIRST_IMAGE, image)])))
+        units.append(Unit("image sets", partial(_image_sets, selection, images)))
+        units.append(Unit("sequences", partial(_sequences, selection)))
         return Plan(tuple(units), len(frames), 16, len(frames) * TEXT_BYTES)
 
 
@@ -62,8 +107,44 @@ def _block(selection: Selection, steps: Int[ndarray, "b"], clouds: Clouds) -> It
             yield File(f"object/results/{name}.txt", partial(_results, moment, vehicle, pose))
 
 
+def image() -> bytes:
+    """A black image of the camera's size, as PNG with 8 bits for each of red, green and blue."""
+    width, height = IMAGE_PX
+    rows = bytes(height * (1 + 3 * width))  # each row begins with the number of its filter, 0
+    head = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
+    chunks = ((b"IHDR", head), (b"IDAT", zlib.compress(rows)), (b"IEND", b""))
+    return b"\x89PNG\r\n\x1a\n" + b"".join(
+        struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data)) for kind, data in chunks
+    )
+
+
+def image_sets(step: Int[ndarray, "n"]) -> dict[str, Int[ndarray, "k"]]:
+    """Numbers of the frames in each set, from the frames' steps: the first half of the time, and two quarters."""
+    steps = np.unique(step)
+    part = np.searchsorted([-(-len(steps) // 2), -(-3 * len(steps) // 4)], np.searchsorted(steps, step), "right")
+    sets = {"train": part == 0, "val": part == 1, "trainval": part < 2, "test": part == 2}
+    return {name: np.flatnonzero(inside) for name, inside in sets.items()}
+
+
+def _image_sets(selection: Selection, images: bool, clouds: Clouds) -> Iterator[File]:
+    """The images but the first, the lists of frames, and the frames of the test set once more."""
+    sets = image_sets(selection.presence.step.to_numpy(np.int64))
+    for number in range(1, len(selection.presence) if images else 0):
+        yield File(f"object/training/image_2/{number:06d}.png", lambda: b"", same_as=FIRST_IMAGE)
+    for name, numbers in sets.items():
+        listed = "".join(f"{number:06d}\n" for number in numbers.tolist())
+        yield File(f"object/ImageSets/{name}.txt", listed.encode)
+    kinds = ["velodyne/{:06d}.bin", "calib/{:06d}.txt", *(["image_2/{:06d}.png"] if images else [])]
+    for number in sets["test"].tolist():
+        for path in (kind.format(number) for kind in kinds):
+            yield File(f"object/testing/{path}", lambda: b"", same_as=f"object/training/{path}")
+
+
 def _labels(moment: Moment, vehicle: int, pose: Float[ndarray, "4"]) -> bytes:
-    return "".join(f"{line}\n" for line in labels(moment, vehicle, pose).lines).encode()
+    lines = labels(moment, vehicle, pose).lines + [
+        f"{DONT_CARE} {_pixels(one)} -1 -1 -1 -1000 -1000 -1000 -10" for one in unlabelled(moment, vehicle, pose)
+    ]  # fmt: skip
+    return "".join(f"{line}\n" for line in lines or [NO_REGION]).encode()
 
 
 def _results(moment: Moment, vehicle: int, pose: Float[ndarray, "4"]) -> bytes:
@@ -105,6 +186,18 @@ def labels(moment: Moment, vehicle: int, pose: Float[ndarray, "4"], hidden: bool
     lines = lines_of(types, camera, moment.box[rows], keep, level)
     rows = rows[keep]
     return Labels(moment.actor[rows], moment.speed_mps[rows], n_points[keep], lines)
+
+
+def unlabelled(moment: Moment, vehicle: int, pose: Float[ndarray, "4"]) -> Float[ndarray, "k 4"]:
+    """Rectangles in the image [px] of the objects that gave no return because something stands in between."""
+    seen = moment.visible.get(vehicle, NOTHING)
+    rows = np.searchsorted(moment.actor, seen.actor[seen.n_points == 0])
+    camera = in_camera(in_sensor(moment.box[rows], pose))
+    return camera.image_px[camera.is_in_image]
+
+
+def _pixels(rectangle: Float[ndarray, "4"]) -> str:
+    return " ".join(f"{x:.4f}" for x in rectangle)
 
 
 def results(moment: Moment, vehicle: int, pose: Float[ndarray, "4"]) -> list[str]:
@@ -163,10 +256,16 @@ def _sequences(selection: Selection, clouds: Clouds) -> Iterator[File]:
                 if (moment.step, vehicle) not in which:
                     continue
                 sequence, frame = which[moment.step, vehicle]
-                found = labels(moment, vehicle, selection.pose(moment, vehicle))
+                pose = selection.pose(moment, vehicle)
+                found = labels(moment, vehicle, pose)
                 text[sequence] += [f"{frame} {a} {x}\n" for a, x in zip(found.actor, found.lines, strict=True)]
+                text[sequence] += [
+                    f"{frame} -1 {DONT_CARE} {_pixels(one)} -1000 -1000 -1000 -10 -1 -1 -1\n"
+                    for one in unlabelled(moment, vehicle, pose)
+                ]
     for sequence, lines in text.items():
-        yield File(f"tracking/training/label_02/{sequence:04d}.txt", partial("".join(lines).encode))
+        content = "".join(lines) or f"{NO_TRACK}\n"
+        yield File(f"tracking/training/label_02/{sequence:04d}.txt", content.encode)
         yield File(f"tracking/training/calib/{sequence:04d}.txt", lambda: calibration().encode())
     for f in frames.itertuples():
         path = f"tracking/training/velodyne/{f.sequence:04d}/{f.frame:06d}.bin"

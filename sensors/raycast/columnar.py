@@ -29,14 +29,31 @@ from sensors.raycast.column import (
     slopes_of,
 )
 from sensors.scene import Hit, Prisms, Scene
-from sensors.thinned import Thinned, thin
+from sensors.thinned import thin
 
 
-def cast(
-    range_steps, per_metre, hit, poses, ground_m, observers, beams, max_range_m, boxes: Boxes, bodies: Prisms,
-    scene: Scene, noise: RangeNoise, near: Neighbours, thinned: Thinned, unrounded_m,
-):  # fmt: skip
-    """Fill `range_steps`, `hit` and `thinned` of every observer, and their `unrounded_m`; see `sensors.lidar.scan`."""
+def cast(sweeps, boxes: Boxes, bodies: Prisms, scene: Scene, noise: RangeNoise, near: Neighbours) -> None:
+    """Cast the rays of all observers.
+
+    Parameters
+    ----------
+    sweeps
+        `sensors.lidar.Sweeps`: sensors and beams. Its arrays `range_steps`, `hit` and `thinned` are filled, and
+        `unrounded_m` where it has rows.
+    boxes, bodies
+        All actors and their prisms, world frame.
+    scene
+        Buildings.
+    noise
+        Range noise and dropouts, with one key per observer.
+    near
+        The actors near each sensor.
+
+    Raises
+    ------
+    ValueError
+        If the scene has meshes, which this caster cannot cast.
+    """
     if scene.triangles_m is not None or scene.bodies_m:
         meshes = [*scene.bodies_m.values(), *([] if scene.triangles_m is None else [scene.triangles_m])]
         raise ValueError(
@@ -44,9 +61,9 @@ def cast(
             'triangles. Set lidar.engine to "embree" or "open3d".'
         )
     _cast(
-        range_steps, per_metre, hit, poses.origin_m, poses.yaw_rad, ground_m, observers, beams, float(max_range_m),
-        boxes.xyz_m, boxes.circumradius_m, near.ptr, near.row, bodies, scene.buildings, noise, thinned,
-        unrounded_m,
+        sweeps.range_steps, np.float32(1.0 / sweeps.step_m), sweeps.hit, sweeps.poses.origin_m, sweeps.poses.yaw_rad,
+        sweeps.ground_m, sweeps.observers, sweeps.beams, float(sweeps.max_range_m), boxes.xyz_m, boxes.circumradius_m,
+        near.ptr, near.row, bodies, scene.buildings, noise, sweeps.thinned, sweeps.unrounded_m,
     )  # fmt: skip
 
 

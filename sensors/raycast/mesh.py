@@ -6,17 +6,17 @@ Such engines compute in single precision, so the city is cut into tiles and each
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float, Float32, Int
 from numpy import ndarray
 
 from sensors.boxes import Boxes
-from sensors.neighbours import Neighbours
 from sensors.range_noise import RangeNoise, add_noise
 from sensors.range_steps import count_steps
 from sensors.scene import Hit, Prisms, Scene, roof_triangles
-from sensors.thinned import Thinned, thin
+from sensors.thinned import thin
 
 TILE_M = 256.0
 STEP_M = 1e-4  # how far behind a face of one's own body a ray starts again
@@ -25,42 +25,57 @@ Tracer = Callable[[Float[ndarray, "r 3"], Float[ndarray, "r 3"]], tuple[Float[nd
 """Origins and unit directions to distance and number of the first triangle; -1 is none."""
 
 
-def cast(
-    tracer_of: Callable[[ndarray], Tracer],
-    range_steps, per_metre, hit, poses, ground_m, observers, beams, max_range_m, boxes: Boxes, bodies: Prisms,
-    scene: Scene, noise: RangeNoise, _near: Neighbours, thinned: Thinned, unrounded_m,
-):  # fmt: skip
-    """Fill `range_steps`, `hit` and `thinned` of every observer, and their `unrounded_m`.
+class _Tile(NamedTuple):
+    """The triangles near one tile of the city, in a frame with its origin in the tile's centre."""
 
-    `tracer_of` makes an engine from triangles (t, 3, 3).
+    centre_m: Float[ndarray, "3"]
+    trace: Tracer | None
+    """None where there are no triangles."""
+    code: Int[ndarray, "t"]
+    """What each triangle belongs to, as a `Hit` code."""
+
+
+def cast(
+    tracer_of: Callable[[ndarray], Tracer], sweeps, boxes: Boxes, bodies: Prisms, scene: Scene, noise: RangeNoise
+) -> None:
+    """Cast the rays of all observers.
+
+    Parameters
+    ----------
+    tracer_of
+        Makes an engine from triangles (t, 3, 3).
+    sweeps, boxes, bodies, scene, noise
+        As for `sensors.raycast.columnar.cast`.
     """
-    ranges = unrounded_m if len(unrounded_m) else np.empty(hit.shape, np.float32)
+    origin_m, hit, max_range_m = sweeps.poses.origin_m, sweeps.hit, sweeps.max_range_m
+    ranges = sweeps.unrounded_m if len(sweeps.unrounded_m) else np.empty(hit.shape, np.float32)
     city, (body, actor) = city_triangles(scene), _bodies(bodies, boxes, scene)
     mesh = np.concatenate([city, body])
     code = np.concatenate([np.full(len(city), Hit.BUILDING), Hit.ACTOR + actor]).astype(np.int32)
     low, high = mesh[:, :, :2].min(axis=1), mesh[:, :, :2].max(axis=1)
 
-    tile = np.floor(poses.origin_m[:, :2] / TILE_M).astype(np.int64)
-    for corner in np.unique(tile, axis=0):
-        here = np.flatnonzero((tile == corner).all(axis=1))
-        centre = np.append((corner + 0.5) * TILE_M, np.mean(poses.origin_m[here, 2]))
+    corners = np.floor(origin_m[:, :2] / TILE_M).astype(np.int64)
+    for corner in np.unique(corners, axis=0):
+        here = np.flatnonzero((corners == corner).all(axis=1))
+        centre = np.append((corner + 0.5) * TILE_M, np.mean(origin_m[here, 2]))
         limit_m = 0.5 * TILE_M + max_range_m
         close = ((high > centre[:2] - limit_m) & (low < centre[:2] + limit_m)).all(axis=1)
         trace = tracer_of((mesh[close] - centre).astype(np.float32)) if close.any() else None
-        for o in here:
-            _sweep(
-                ranges[o], hit[o], poses.origin_m[o] - centre, poses.yaw_rad[o], ground_m[o] - centre[2],
-                Hit.ACTOR + observers[o], beams, max_range_m, trace, code[close],
-            )  # fmt: skip
-    for sweep in range(len(hit)):
-        add_noise(ranges[sweep], hit[sweep], noise.key[sweep], noise)
-        count_steps(ranges[sweep], range_steps[sweep], per_metre)
-        thin(range_steps[sweep], hit[sweep], thinned.range_steps[sweep], thinned.hit[sweep])
+        tile = _Tile(centre, trace, code[close])
+        for o in here.tolist():
+            _sweep(sweeps, o, tile, ranges[o])
+    per_metre, thinned = np.float32(1.0 / sweeps.step_m), sweeps.thinned
+    for o in range(len(hit)):
+        add_noise(ranges[o], hit[o], noise.key[o], noise)
+        count_steps(ranges[o], sweeps.range_steps[o], per_metre)
+        thin(sweeps.range_steps[o], hit[o], thinned.range_steps[o], thinned.hit[o])
 
 
-def _sweep(range_m, hit, origin, yaw, ground, own, beams, max_range_m, trace: Tracer | None, code) -> None:
-    """One observer's range image."""
-    direction = directions(yaw, beams)
+def _sweep(sweeps, o: int, tile: _Tile, range_m: Float32[ndarray, "a e"]) -> None:
+    """Fill the ranges and hits of observer `o`, without noise."""
+    trace, code, hit, beams, max_range_m = tile.trace, tile.code, sweeps.hit[o], sweeps.beams, sweeps.max_range_m
+    origin, ground = sweeps.poses.origin_m[o] - tile.centre_m, sweeps.ground_m[o] - tile.centre_m[2]
+    own, direction = Hit.ACTOR + sweeps.observers[o], directions(sweeps.poses.yaw_rad[o], beams)
     distance, what = np.full(len(direction), np.inf), np.full(len(direction), Hit.NOTHING, np.int32)
     behind = np.zeros(len(direction))  # distance already covered, behind faces of the observer's own body
     left = np.arange(len(direction)) if trace is not None else np.zeros(0, int)

@@ -8,7 +8,11 @@ from __future__ import annotations
 import numpy as np
 from numpy import ndarray
 
+from sensors.boxes import Boxes
+from sensors.neighbours import Neighbours
+from sensors.range_noise import RangeNoise
 from sensors.raycast import mesh
+from sensors.scene import Prisms, Scene
 
 INSTALL = (
     "make extra NAME=open3d in a checkout, else pip install 'cosim-perception[open3d]'; "
@@ -16,9 +20,9 @@ INSTALL = (
 )
 
 
-def cast(*sweep) -> None:
-    """Fill `range_steps`, `hit` and `thinned` of every observer, and their `unrounded_m`; see `sensors.lidar.scan`."""
-    mesh.cast(tracer_of, *sweep)
+def cast(sweeps, boxes: Boxes, bodies: Prisms, scene: Scene, noise: RangeNoise, _near: Neighbours) -> None:
+    """Cast the rays of all observers; parameters as for `sensors.raycast.columnar.cast`."""
+    mesh.cast(tracer_of, sweeps, boxes, bodies, scene, noise)
 
 
 def tracer_of(triangles: ndarray) -> mesh.Tracer:

@@ -1,14 +1,18 @@
 """The report: whole, self-contained, and honest about what is missing."""
 
+import base64
 import re
 import shutil
 from html.parser import HTMLParser
 
+import numpy as np
 import pytest
 
 from results import report
 from results.archive import open_run
+from results.figures import style
 from results.figures.catalogue import FIGURES
+from results.manifest import read_manifest, write_manifest
 from results.tables import TABLES
 from tests.results.synthetic import write
 
@@ -41,6 +45,7 @@ def test_page(run, tmp_path):
     assert len(pictures) == len(FIGURES) and all(source.startswith("data:image/svg+xml;base64,") for source in pictures)
     links = [attributes["href"] for tag, attributes in outline.seen if tag == "a"]
     anchors = {attributes["id"] for _, attributes in outline.seen if "id" in attributes}
+    assert len(text) < 5e6
     assert links and all(link[0] == "#" and link[1:] in anchors for link in links)
     assert not re.search(r"<(script|link|iframe)|url\(|@import", text), "nothing is fetched"
     for name, table in TABLES.items():
@@ -55,9 +60,23 @@ def test_names_cannot_break_the_page(tmp_path):
     assert "a &lt;b&gt; &amp; c" in text and "<b> & c" not in text
 
 
+def test_a_dense_panel_is_a_bitmap_and_the_rest_stays_vector():
+    """A circle of 20,001 points, and 100 points."""
+    figure, (dense, sparse) = style.sheet(columns=2, width=4, height=2)
+    angle = np.linspace(0, 2 * np.pi, report.DENSE + 1)
+    dense.plot(np.cos(angle), np.sin(angle))
+    sparse.plot(angle[:100], angle[:100])
+    picture = base64.b64decode(report.image_url(figure).split(",")[1]).decode()
+    assert picture.count("<image") == 1
+    assert all(line.get_rasterized() for line in dense.lines) and not sparse.lines[0].get_rasterized()
+
+
 def test_what_is_missing_is_said(tmp_path):
     path = write(tmp_path / "run", steps=20, level="summary")
+    manifest = read_manifest(path)
+    write_manifest(path, manifest | {"summary": {"retrust": "No fused objects for a < b: a reason."}})
     text = report.page(open_run(path))
+    assert '<p class="missing">No fused objects for a &lt; b: a reason.</p>' in text
     assert "No figure of freshness" in text and "holds no trust lookups" in text
     assert "not in this run: kept from record level full up" in text
     shutil.rmtree(path)

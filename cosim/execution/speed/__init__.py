@@ -1,1 +1,1 @@
-"""What exists for speed and memory alone, and changes no result."""
+"""Code for speed and memory only. It changes no result."""

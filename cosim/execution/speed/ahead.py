@@ -1,14 +1,13 @@
-"""What depends on the next world alone, computed in a thread of its own while the present step still sends, trusts,
-fuses and records.
+"""Computes, in a second thread, values of the next step that depend on its world only.
 
-What vehicles perceive, how well stations hear each other and who is near whom depends on positions and on random draws
-keyed by names, not on earlier steps. Where no driver commands the traffic, the next world is therefore known early. Its
-radio links and near pairs are found while the present step sends and evaluates, which keeps one core busy. Its sweeps
-begin as soon as the present step has read its own range images for the last time, because they share their memory.
-Compiled kernels run beside Python (`nogil`).
+Sweeps, radio links and near pairs depend on positions and on random draws with keys from names. They do not depend on
+earlier steps. If no driver commands the traffic, the next world is known early. The second thread then computes the
+radio links and near pairs of the next world while the present step sends, evaluates and records. It begins with the
+sweeps when the present step has read its own range images for the last time, because both use the same memory. Compiled
+kernels run in parallel with Python code (`nogil`).
 
-What was computed is handed to its step as `cosim.step.precomputed.Precomputed`; a step of another world computes all
-itself. Values are the same in whatever order the threads run.
+The step gets these values as `cosim.step.precomputed.Precomputed`. A step of another world computes all of them itself.
+The values do not depend on the order in which the threads run.
 """
 
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -33,40 +32,46 @@ from sensors.kernel import threads_may_meet
 
 @dataclass(frozen=True, slots=True)
 class _Begun:
-    """What has been begun for one world, apart from its sweeps."""
+    """Computations that have begun for one world, except its sweeps."""
 
     world: World
     near_pairs: Future[NearPairs]
     links: Future[LinkCache] | None
-    """None where the medium does not compute links."""
+    """None if the medium does not compute links."""
 
 
 class Ahead:
-    """A thread that computes ahead for the steps of a run with these parts. A context manager: the thread ends with it.
+    """A thread that computes ahead for the steps of a run. It is a context manager; the thread ends with it.
 
-    `expect` says which world comes next, and `of` gives what there is of a world to its step. Used by one thread.
+    `expect` names the next world, and `of` returns what has been computed for a world. Only one thread may use it.
     """
 
     def __init__(self, parts: Parts) -> None:
         self.watch = Stopwatch()
-        """Seconds per stage of what was computed ahead."""
+        """Seconds per stage that this thread has computed ahead."""
         self._parts = parts
         self._thread = ThreadPoolExecutor(1, "ahead")
         self._begun: list[_Begun] = []
-        """Of the present step and of the one expected, at most."""
+        """For the present step and the expected one at most."""
         self._to_sense: World | None = None
-        """Expected, and its sweeps not begun."""
+        """The expected world, if its sweeps have not begun."""
         self._sensing: tuple[World, Future[Observed]] | None = None
-        """The one world whose sweeps have been begun, in the memory of all range images."""
+        """The world whose sweeps have begun. There is one, because there is one memory for range images."""
 
     def expect(self, world: World, at_once: bool) -> None:
-        """The world of the next step with messages.
+        """Begin to compute for the world of the next step with messages.
 
-        Its sweeps begin `at_once` where the step before it senses nothing, or else when that step has read its own.
+        Parameters
+        ----------
+        world
+            The next world with messages.
+        at_once
+            Begin its sweeps now, because the present step senses nothing. Otherwise they begin when the present step
+            has read its own range images.
         """
         if not world.equipped.any() or not threads_may_meet():
             return
-        if numba.get_num_threads() > 1:  # of few vehicles they are mostly Python, which holds up the present step
+        if numba.get_num_threads() > 1:  # for few vehicles this is mostly Python code, which delays the present step
             medium, links = self._parts.medium, None
             if isinstance(medium, CsmaMedium):
                 links = self._thread.submit(self._links, medium, self._stations(world))
@@ -77,7 +82,7 @@ class Ahead:
             self._begin_sensing()
 
     def of(self, world: World) -> Precomputed:
-        """What is known of the step of this world before it begins."""
+        """The values that have been computed for the step of this world."""
         found = next((begun for begun in self._begun if begun.world is world), None)
         links = None if found is None else found.links
         return Precomputed(
@@ -88,13 +93,13 @@ class Ahead:
         )
 
     def _begin_sensing(self) -> None:
-        """Begin the sweeps of the world that is expected, if they have not been begun."""
+        """Begin the sweeps of the expected world, if they have not begun."""
         if self._to_sense is not None:
             world, self._to_sense = self._to_sense, None
             self._sensing = world, self._thread.submit(self._sense, world, numba.get_num_threads())
 
     def _observed(self, world: World, sensing: tuple[World, Future[Observed]]) -> Observed:
-        """What vehicles perceive, once the sweeps that were begun are complete; those of another world are dropped."""
+        """What vehicles perceive, when their sweeps are complete. Sweeps of another world are dropped."""
         self._sensing = None
         expected, found = sensing
         observed = found.result()
@@ -128,5 +133,5 @@ class Ahead:
 
 
 def _with_links(links: Future[LinkCache], state: ChannelContext) -> ChannelContext:
-    """The medium's state with links that were found ahead."""
+    """The medium's state with links that were computed ahead."""
     return replace(state, cache=links.result())

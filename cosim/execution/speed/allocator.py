@@ -1,4 +1,4 @@
-"""Settings of the C library's allocator for a run, which makes and drops the same large arrays step after step."""
+"""Settings of the C library's allocator. A run allocates and frees the same large arrays in every step."""
 
 import ctypes
 import os
@@ -10,11 +10,11 @@ _KEPT_FREE_BYTES = 256 << 20
 
 
 def keep_freed_memory() -> None:
-    """Use freed memory again instead of giving it back to the system, which clears every page it hands out anew.
+    """Let the process reuse freed memory instead of returning it to the system.
 
-    Clearing was a tenth of the processor time of a run with 5,000 vehicles. One arena, because what a thread frees in
-    its own no other thread can use. Nothing is done where the C library is not glibc, or where the environment has
-    settings of the user's own.
+    The system clears every page before it hands it out again. That took a tenth of the processor time of a run with
+    5,000 vehicles. All threads use one arena, because a thread cannot use memory that is free in another arena. The
+    function does nothing if the C library is not glibc, or if the environment has settings of its own.
     """
     if any(name.startswith("MALLOC_") or name == "GLIBC_TUNABLES" for name in os.environ):
         return
@@ -25,7 +25,7 @@ def keep_freed_memory() -> None:
 
 
 def give_back_freed_memory() -> None:
-    """Now and then, so that gaps between arrays that stay do not add up over a long run."""
+    """Return freed memory to the system. Done at times, this keeps a long run from fragmenting its memory."""
     if malloc_trim := _of_libc("malloc_trim"):
         malloc_trim(0)
 

@@ -87,11 +87,11 @@ def test_steps():
         ("fleet.equipped_kinds=['tank']", "fleet.equipped_kinds"),
         ("attacks.0.share_p=0.95", "more than all equipped"),
         ("fleet.malicious_p=0.95", "key of the former schema; now it is attacks.0.share_p"),
-        ("sensing_interval_s=0.7", "no multiple of traffic.step_s"),
+        ("sensing_interval_s=0.7", "not a multiple of traffic.step_s"),
         ("encounters=[{radius=3}]", "unknown key .* Did you mean encounters.radius_m"),
         ("encounters=3", "list of sections"),
         ("record.level='all'", "record.level"),
-        ("no_equals", "no key=value"),
+        ("no_equals", "not of the form key=value"),
     ],
 )
 def test_bad_values_get_one_line(override, words):

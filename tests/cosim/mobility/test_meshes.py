@@ -93,7 +93,7 @@ def test_in_the_config(house, tmp_path):
     assert mesh.file == str(tmp_path / house.name) and mesh.at_m == (1, 2, 3), "beside the config, wherever one stands"
     assert len(read("meshes.0.file", house)[1]) == 12
     config.write_text(f'[[meshes]]\nfile = "{house.name}"\n')
-    with pytest.raises(ValueError, match=r'lidar\.engine = "columnar" casts upright prisms'):
+    with pytest.raises(ValueError, match=r'lidar\.engine = "columnar" cannot cast rays at meshes'):
         load(config)
 
 

@@ -160,7 +160,7 @@ ROW = '<vehicle id="a" x="0" y="0" angle="0" type="t" speed="0"/>'
 HEAD = "timestep_time;vehicle_id;vehicle_x;vehicle_y;vehicle_angle;vehicle_type;vehicle_speed\n"
 BAD = {
     "unsorted.xml": (f'<timestep time="1">{ROW}</timestep><timestep time="0">{ROW}</timestep>', "0 s comes after 1 s"),
-    "twice.xml": (f'<timestep time="0">{ROW}{ROW}</timestep>', "'a' is there twice at 0 s"),
+    "twice.xml": (f'<timestep time="0">{ROW}{ROW}</timestep>', "'a' occurs twice at 0 s"),
     "again.xml": (f'<timestep time="0">{ROW}</timestep><timestep time="0">{ROW}</timestep>', "comes after 0 s"),
     "lacks.xml": ('<timestep time="0"><vehicle id="a" x="0" y="0"/></timestep>', "no angle of its"),
     "nan.xml": (f'<timestep time="0">{ROW.replace("0", "nan", 1)}</timestep>', "not finite"),
@@ -169,7 +169,7 @@ BAD = {
     "empty.xml": ("", "no actor is ever on the road"),
     "coarse.xml": (f'<timestep time="0">{ROW}</timestep><timestep time="1.5">{ROW}</timestep>', "no multiple"),
     "unsorted.csv": (HEAD + "1;a;0;0;0;t;0\n0;a;0;0;0;t;0\n", "time 0 s comes after 1 s"),
-    "twice.csv": (HEAD + "0;a;0;0;0;t;0\n0;a;1;0;0;t;0\n", "'a' is there twice"),
+    "twice.csv": (HEAD + "0;a;0;0;0;t;0\n0;a;1;0;0;t;0\n", "'a' occurs twice"),
     "hole.csv": (HEAD + "0;a;;0;0;t;0\n", "'a' at 0 s has a number missing"),
     "lacks.csv": ("time;id\n0;a\n", "no x of its"),
     "word.csv": (HEAD + "0;a;left;0;0;t;0\n", "column x"),

@@ -101,7 +101,7 @@ def test_what_sumo_complains_of_though_it_goes_on_is_told(scenario, tmp_path):
     sets = (f"traffic.scenario={config}", "traffic.duration_s=5", "fleet.penetration_p=0")
     done = cosim("run", *(w for s in sets for w in ("--set", s)), "--out", str(tmp_path / "run"))
     assert done.returncode == 0
-    assert "note: SUMO went on, but: Invalid collision.action 'zz'" in done.stderr
+    assert "note: SUMO continued after this error: Invalid collision.action 'zz'" in done.stderr
 
 
 def test_a_run_that_outlives_the_demand_says_so_and_counts_who_was_left_out(scenario, tmp_path):

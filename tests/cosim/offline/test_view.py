@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 from cosim.offline.replay_lidar import film
-from cosim.offline.view import colours, view
+from cosim.offline.view import colours, first_look, role_colours, view
 from results.archive import open_run
 from tests.drive import cosim, drive
 
@@ -34,7 +34,7 @@ def test_the_viewers_own_tools_accept_it(folder, tmp_path):
     assert done["steps"] == 5 and done["bytes"] == out.stat().st_size
     assert rerun("verify", str(out)).returncode == 0
     stats = rerun("stats", str(out)).stdout
-    for path in ("buildings", "actors", f"clouds/{vehicle}", "detected", "received", "believed"):
+    for path in ("buildings", "actors", "edges", f"clouds/{vehicle}", "detected", "received", "believed"):
         assert f"/city/{path}:" in stats, path
     assert "/map/streets:" in stats and "/map/actors:" in stats
     without = view(run, tmp_path / "without.rrd", [vehicle], from_s=2, to_s=7, clouds=False)
@@ -45,8 +45,33 @@ def test_the_viewers_own_tools_accept_it(folder, tmp_path):
 
 def test_colours_by_hand():
     assert colours(np.array([0.0, 0.5, 1.0, np.nan])).tolist() == [
-        [213, 50, 40], [240, 240, 235], [30, 90, 200], [150, 150, 150]
+        [213, 50, 40], [255, 224, 130], [30, 90, 200], [70, 70, 70]
     ]  # fmt: skip
+
+
+def test_roles_have_the_colours_of_the_figures(folder):
+    run = open_run(folder)
+    some = [int(run.roles.index[run.roles == role][0]) for role in ("honest", "malicious")]
+    other = int(run.vehicles.vehicle[~run.vehicles.equipped].iloc[0])
+    honest, malicious, unequipped = role_colours(run, np.array([*some, other])).astype(int)
+    assert honest.tolist() == [0x16, 0x32, 0x5C] and malicious.tolist() == [0xC1, 0x27, 0x2D]
+    weights = np.array([0.2126, 0.7152, 0.0722])  # luminance: they differ in greyscale too
+    assert weights @ (unequipped - honest) > 100
+
+
+def test_the_first_view(folder):
+    run, steps = open_run(folder), np.arange(2, 7)
+    vehicle = int(run.vehicles.vehicle[run.vehicles.first_step <= 2].iloc[-1])
+    own = run.actors[(run.actors.actor == vehicle) & run.actors.step.isin(steps)].sort_values("step").iloc[0]
+    assert first_look(run, steps, [vehicle]).tolist() == own[["x_m", "y_m", "z_m"]].tolist()
+    lies = run.detections[run.detections.lied & run.detections.step.isin(steps)]
+    seen = first_look(run, steps, [])
+    if lies.empty:
+        there = run.actors[run.actors.step == 2]
+        assert seen.tolist() == there[["x_m", "y_m", "z_m"]].median().tolist()
+    else:
+        first = lies[lies.step == lies.step.min()][["x_m", "y_m", "z_m"]].to_numpy(float)
+        assert (first == seen).all(axis=1).any()
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy import ndarray
 
-from cosim.radio.channel import AccessParams, ChannelState, Links, Packets, PhyOutcome, run_window
+from cosim.radio.channel import AccessParams, ChannelRules, ChannelState, Links, Packets, PhyOutcome, run_window
 from cosim.radio.phy import ReceiverParams
 from cosim.radio.propagation import fading_class, free_space_db, log_distance_db, two_ray_ground_db
 
@@ -70,7 +70,7 @@ def measure(
 ) -> Measured:  # fmt: skip
     """Everybody sends once in each period; statistics of the periods from `first` to `last`."""
     n, net, g, state = len(xyz), links(xyz, loss, fades), np.random.default_rng(seed), ChannelState.start()
-    phase = g.integers(0, PERIOD_NS, n)
+    phase, rules = g.integers(0, PERIOD_NS, n), ChannelRules(np.uint64(seed), receiver, access)
     sent, heard, busy, strong, latency = np.zeros(n), np.zeros((n, n)), [], [], []
     for period in range(last):
         when = phase if fixed_phase else g.integers(0, PERIOD_NS, n)
@@ -78,7 +78,7 @@ def measure(
             np.arange(n), np.full(n, period, np.uint64), period * PERIOD_NS + when, np.full(n, payload_bytes),
             np.full(n, 2, np.uint8), np.full(n, PERIOD_NS), np.arange(n),
         )  # fmt: skip
-        state, out = run_window(state, net, packets, (period + 1) * PERIOD_NS, np.uint64(seed), receiver, access)
+        state, out = run_window(state, net, packets, (period + 1) * PERIOD_NS, rules)
         if period >= first:
             aired = out.outcome == PhyOutcome.RECEIVED
             sent += np.bincount(out.tag[aired], minlength=n)

@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from cosim.radio.channel import AccessParams, ChannelState, Packets, PhyOutcome, run_window
+from cosim.radio.channel import AccessParams, ChannelRules, ChannelState, Packets, PhyOutcome, run_window
 from cosim.radio.phy import ReceiverParams
 from tests.cosim.radio import ns3
 
@@ -30,9 +30,7 @@ def single(model: str, nak: int, payload: int, p_min_dbm: int, n_packets: int) -
         net,
         packets,
         n_packets * 10_000_000,
-        np.uint64(1),
-        ReceiverParams(p_min_dbm=p_min_dbm),
-        ns3.DCF,
+        ChannelRules(np.uint64(1), ReceiverParams(p_min_dbm=p_min_dbm), ns3.DCF),
     )
     heard = np.bincount(out.receiver[out.reception == PhyOutcome.RECEIVED], minlength=161)[1:] / n_packets
     # 32 bins of 5 receivers; the reference has a standard error of up to 0.002 there.

@@ -8,13 +8,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cosim.radio.channel import Access, AccessParams, ChannelState, Links, Packets, PhyOutcome, run_window
+from cosim.radio.channel import Access, AccessParams, ChannelRules, ChannelState, Links, Packets, PhyOutcome, run_window
 from cosim.radio.phy import ReceiverParams
 from tests.cosim.radio.ns3 import DCF
 
 US, MS = 1_000, 1_000_000
 EXACT = ReceiverParams()
 CHANCE = np.uint64(7)
+EXACT_DCF = ChannelRules(CHANCE, EXACT, DCF)
+EXACT_EDCA = ChannelRules(CHANCE, EXACT, AccessParams())
 
 
 def net(dbm, fades=False, key=None) -> Links:
@@ -39,7 +41,7 @@ def say(sender, at_ns, payload=300, access=Access.BE, lifetime_ns=100 * MS, seq=
 
 
 def hear(links, packets, until_ns=50 * MS, receiver=EXACT, access=DCF, **more):
-    return run_window(ChannelState.start(), links, packets, until_ns, CHANCE, receiver, access, **more)[1]
+    return run_window(ChannelState.start(), links, packets, until_ns, ChannelRules(CHANCE, receiver, access), **more)[1]
 
 
 def outcomes(outcome):
@@ -225,7 +227,7 @@ def test_windows_can_be_cut_anywhere(seed, cuts_us):
         mine = (packets.generated_ns >= state.now_ns) & (packets.generated_ns < until)
         some = Packets(**{f.name: getattr(packets, f.name)[mine] for f in fields(Packets)})
         span = until - state.now_ns
-        state, out = run_window(state, links, some, until, CHANCE, EXACT, DCF)
+        state, out = run_window(state, links, some, until, EXACT_DCF)
         parts.append(table(out, key))
         busy += out.busy * span
     assert sorted(chain.from_iterable(r for r, _ in parts)) == table(whole, key)[0]
@@ -269,14 +271,14 @@ def test_every_packet_comes_out_once_whoever_comes_and_goes(seed):
         some = Packets(**{f.name: getattr(packets, f.name)[mine] for f in fields(Packets)})
         some = replace(some, sender=row[some.sender], tag=np.flatnonzero(mine))
         links = net(dbm[np.ix_(here, here)], True, key[here])
-        state, out = run_window(state, links, some, until, CHANCE, EXACT, AccessParams(), np.full(len(here), 2 * MS))
+        state, out = run_window(state, links, some, until, EXACT_EDCA, np.full(len(here), 2 * MS))
         tags.append((np.flatnonzero(mine), out.tag))
         assert out.sender_key.tolist() == key[packets.sender[out.tag]].tolist()
         assert np.all((out.busy >= 0) & (out.busy <= 1))
         assert np.all(state.phy["energy_mw"] >= 0)
         assert not np.any(state.phy["energy_mw"][state.phy["n_air"] == 0])
         now = until
-    state, out = run_window(state, net(dbm, True, key), say([], []), now + 500 * MS, CHANCE, EXACT, AccessParams())
+    state, out = run_window(state, net(dbm, True, key), say([], []), now + 500 * MS, EXACT_EDCA)
     tags.append((np.zeros(0, int), out.tag))
     given_, got = (np.concatenate(x) for x in zip(*tags, strict=True))
     assert sorted(got.tolist()) == sorted(given_.tolist())
@@ -286,7 +288,9 @@ def test_every_packet_comes_out_once_whoever_comes_and_goes(seed):
 def delivered(dbm, packets, receiver=EXACT):
     return sum(
         np.mean(
-            run_window(ChannelState.start(), net(dbm, True), packets, 60 * MS, np.uint64(s), receiver, DCF)[1].reception
+            run_window(
+                ChannelState.start(), net(dbm, True), packets, 60 * MS, ChannelRules(np.uint64(s), receiver, DCF)
+            )[1].reception
             == 0
         )
         for s in range(20)
@@ -309,19 +313,17 @@ def test_radios_come_and_go():
     three = np.array([[0, -70, -75], [-70, 0, -80], [-75, -80, 0]])
     key = np.array([5, 3, 9], np.uint64)
     # The first leaves while its frame is on the air; the second still hears it, and the third, which has left too, not.
-    state, out = run_window(ChannelState.start(), net(three, key=key), say(0, 0), 200 * US, CHANCE, EXACT, DCF)
+    state, out = run_window(ChannelState.start(), net(three, key=key), say(0, 0), 200 * US, EXACT_DCF)
     assert len(out.tag) == 0
-    state, out = run_window(state, net([[0]], key=key[1:2]), say([], []), 2 * MS, CHANCE, EXACT, DCF)
+    state, out = run_window(state, net([[0]], key=key[1:2]), say([], []), 2 * MS, EXACT_DCF)
     assert out.sender_key.tolist() == [5]
     assert outcomes(out) == {(0, 0): PhyOutcome.RECEIVED}
     assert len(state.phy) == 2  # its row goes with the next window
-    state, out = run_window(state, net(three, key=key), say(2, 3 * MS, seq=[8]), 5 * MS, CHANCE, EXACT, DCF)
+    state, out = run_window(state, net(three, key=key), say(2, 3 * MS, seq=[8]), 5 * MS, EXACT_DCF)
     assert outcomes(out) == {(0, 0): PhyOutcome.RECEIVED, (0, 1): PhyOutcome.RECEIVED}
     # What waits at a radio that leaves is lost.
-    state, _ = run_window(
-        state, net(three, key=key), say([1, 1], [6 * MS] * 2, seq=[1, 2]), 6 * MS + 99, CHANCE, EXACT, DCF
-    )
-    state, out = run_window(state, net(three[:1, :1], key=key[:1]), say([], []), 9 * MS, CHANCE, EXACT, DCF)
+    state, _ = run_window(state, net(three, key=key), say([1, 1], [6 * MS] * 2, seq=[1, 2]), 6 * MS + 99, EXACT_DCF)
+    state, out = run_window(state, net(three[:1, :1], key=key[:1]), say([], []), 9 * MS, EXACT_DCF)
     assert [PhyOutcome(f) for f in out.outcome] == [PhyOutcome.EXPIRED] * 2
     assert out.sender_key.tolist() == [3, 3]
 

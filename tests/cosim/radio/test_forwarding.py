@@ -79,7 +79,7 @@ def literal(stations, messages, medium, state, i):
             np.full(len(due), 2, np.uint8), np.minimum(10**9, end - at), len(frames) - len(due) + np.arange(len(due)),
         )  # fmt: skip
         now_state, out = channel.run_window(
-            now_state, links, packets, until, channel_key, ReceiverParams(), AccessParams()
+            now_state, links, packets, until, channel.ChannelRules(channel_key, ReceiverParams(), AccessParams())
         )
         return out
 

@@ -71,11 +71,11 @@ def test_the_acting_one_does_not_notice(together, tmp_path):
 @pytest.mark.parametrize(
     ("overrides", "told"),
     [
-        (["trust_variant.0.name=a", "trust_variant.0.tau=0.3"], "tau changes what vehicles evaluate"),
-        (["trust_variant.0.name=a", "trust_variant.0.method=trupercept_1"], "eta changes what vehicles evaluate"),
+        (["trust_variant.0.name=a", "trust_variant.0.tau=0.3"], "tau changes the evaluations"),
+        (["trust_variant.0.name=a", "trust_variant.0.method=trupercept_1"], "eta changes the evaluations"),
         (["trust_variant.0.name=base"], "is taken"),
         (["trust_variant.0.name=a", "trust_variant.1.name=a"], "is taken"),
-        (["trust_variant.0.freshness_s=3.0"], "needs a name"),
+        (["trust_variant.0.freshness_s=3.0"], "must have a name"),
         (["trust_variant.0.name=a", "trust_variant.0.freshnes_s=3.0"], "Did you mean"),
         (["trust_variant.0.name=a", "trust_variant.0.freshness_s=-3.0"], "freshness_s"),
         (["trust_variant.0.name=a", "trust_variant.0.decay_per_s=0.5"], "decay_per_s"),

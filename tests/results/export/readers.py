@@ -5,6 +5,7 @@ import math
 from pathlib import Path
 
 import numpy as np
+from PIL import Image
 
 
 def kitti_labels(path: Path) -> list[dict]:
@@ -18,6 +19,45 @@ def kitti_labels(path: Path) -> list[dict]:
             "h": number[7], "w": number[8], "l": number[9], "t": number[10:13], "ry": number[13], "rest": number[14:],
         })  # fmt: skip
     return found
+
+
+def openpcdet_info(root: Path, split: str, name: str) -> dict:
+    """A frame as OpenPCDet's `KittiDataset.get_infos` reads it, with its asserts and its silent assumptions.
+
+    Notes
+    -----
+    Of `pcdet/datasets/kitti/kitti_dataset.py`, `pcdet/utils/object3d_kitti.py` and `calibration_kitti.py`: the four
+    files exist, lines 2 to 5 of the calibration are P2, P3, R0 and Tr whatever their names, words are parted by one
+    blank, and there is at least one label, DontCare regions coming last.
+    """
+    folder = root / ("testing" if split == "test" else "training")
+    cloud, picture = folder / f"velodyne/{name}.bin", folder / f"image_2/{name}.png"
+    calib, label = folder / f"calib/{name}.txt", folder / f"label_2/{name}.txt"
+    assert cloud.exists()
+    assert picture.exists()
+    assert calib.exists()
+    rows = [np.array(line.strip().split(" ")[1:], np.float32) for line in calib.read_text().splitlines(keepends=True)]
+    out = {"points": np.fromfile(cloud, np.float32).reshape(-1, 4), "P2": rows[2].reshape(3, 4)}
+    out |= {"P3": rows[3].reshape(3, 4), "R0": rows[4].reshape(3, 3), "Tr": rows[5].reshape(3, 4)}
+    with Image.open(picture) as opened:
+        opened.load()
+        assert opened.mode == "RGB"
+        out["image_shape"] = (opened.height, opened.width)
+    if split == "test":
+        return out
+    assert label.exists()
+    objects = [line.strip().split(" ") for line in label.read_text().splitlines()]
+    out["names"] = np.array([words[0] for words in objects])
+    out["bbox"] = np.concatenate([np.array(words[4:8], np.float32).reshape(1, 4) for words in objects], axis=0)
+    out["location"] = np.concatenate([np.array(words[11:14], np.float32).reshape(1, 3) for words in objects], axis=0)
+    n_objects = sum(words[0] != "DontCare" for words in objects)
+    kept = [i for i, words in enumerate(objects) if words[0] != "DontCare"]
+    assert kept == list(range(n_objects)), "the first rows are taken for the objects"
+    homogeneous = np.hstack([out["location"][:n_objects], np.ones((n_objects, 1))])
+    velo_to_rect = np.vstack([out["R0"] @ out["Tr"], [0, 0, 0, 1]])
+    out["lidar_m"] = (homogeneous @ np.linalg.inv(velo_to_rect).T)[:, :3]
+    out["lidar_m"][:, 2] += np.array([float(words[8]) for words in objects[:n_objects]]) / 2
+    return out
 
 
 def kitti_in_velodyne(label: dict, calib: Path) -> list[float]:

@@ -61,6 +61,8 @@ def test_kitti_round_trip(run, tmp_path):
         own = actors[actors.actor == vehicle].iloc[0]
         pose = [own.x_m, own.y_m, own.z_m + own.height_m / 2 + 0.23, own.yaw_rad]
         for label in readers.kitti_labels(tmp_path / f"object/training/label_2/{name}.txt"):
+            if label["type"] == "DontCare":
+                continue
             back = readers.to_world(readers.kitti_in_velodyne(label, calib), pose)
             away = np.abs(actors[["x_m", "y_m", "z_m"]].to_numpy() - back[:3]).max(axis=1)
             true = actors.iloc[int(np.argmin(away))]
@@ -76,8 +78,56 @@ def test_kitti_tracking(run, tmp_path):
     rows = list(csv.DictReader(io.StringIO(made["tracking/sequences.csv"].decode())))
     assert [r["vehicle"] for r in rows] == ["0"] * 4 + ["1"] * 4 + ["3"] * 3
     lines = made["tracking/training/label_02/0000.txt"].decode().splitlines()
-    assert [line.split()[:3] for line in lines] == [[str(frame), "1", "Truck"] for frame in range(4)]
+    labelled = [line.split()[:3] for line in lines if "DontCare" not in line]
+    assert labelled == [[str(frame), "1", "Truck"] for frame in range(4)]
+    hidden = [line.split() for line in lines if "DontCare" in line]
+    assert [words[:6] for words in hidden] == [[f, "-1", "DontCare", "-1", "-1", "-10"] for f in ("2", "3")]
+    assert all(words[10:] == ["-1000", "-1000", "-1000", "-10", "-1", "-1", "-1"] for words in hidden)
+    assert made["tracking/training/label_02/0001.txt"].startswith(b"0 -1 DontCare"), "it saw nothing"
     assert made["tracking/training/velodyne/0002/000000.bin"] == made["object/training/velodyne/000004.bin"]
+
+
+def test_kitti_by_the_requirements_of_openpcdet(run, tmp_path):
+    """Four steps: train has the first two, val the third, test the last."""
+    export(kitti.Kitti, run, tmp_path)
+    root = tmp_path / "object"
+    sets = {name: (root / f"ImageSets/{name}.txt").read_text().split() for name in ("train", "val", "trainval", "test")}
+    frames_of_steps = [range(2), range(2, 5), range(5, 8), range(8, 11)]
+    first, second, third, fourth = ([f"{n:06d}" for n in some] for some in frames_of_steps)
+    assert sets == {"train": first + second, "val": third, "trainval": first + second + third, "test": fourth}
+    for split, names in sets.items():
+        for name in names:
+            info = readers.openpcdet_info(root, split, name)
+            assert info["image_shape"] == (1080, 1920) and len(info["points"]) == 3
+            assert info["P2"].tolist() == [[960, 0, 960, 0], [0, 960, 540, 0], [0, 0, 1, 0]]
+    truck_info = readers.openpcdet_info(root, "train", "000000")
+    assert truck_info["lidar_m"] == pytest.approx(TRUCK_SENSOR[None, :3], abs=GRAIN_M)
+    assert readers.openpcdet_info(root, "train", "000001")["names"].tolist() == ["DontCare"]
+    assert not list((root / "testing").glob("label*"))
+
+
+def test_kitti_regions_without_labels(run, tmp_path):
+    """The pedestrian, 10 m ahead and 1 m to the right, is hidden: a region as the benchmark's files state one."""
+    made = export(kitti.Kitti, run, tmp_path)
+    line = made["object/training/label_2/000005.txt"].decode().splitlines()[-1].split()
+    assert line[:4] == ["DontCare", "-1", "-1", "-10"]
+    assert line[8:] == ["-1", "-1", "-1", "-1000", "-1000", "-1000", "-10"]
+    # it is 0.5 m wide and deep and 1.75 m high: from 0.75 to 1.25 m right, 1.73 m below the camera to 0.02 m above
+    left, top, right, bottom = 960 + 960 * 0.75 / 10.25, 540 - 960 * 0.02 / 9.75, 960 + 960 * 1.25 / 9.75, 0
+    bottom = 540 + 960 * 1.73 / 9.75
+    assert [float(x) for x in line[4:8]] == pytest.approx([left, top, right, bottom], abs=2.5)
+
+
+def test_kitti_without_images(run, tmp_path):
+    made = truck.written(kitti.Kitti(kitti.Params(images=False)).plan(truck.selection(run)), tmp_path)
+    assert not [path for path in made if "image_2" in path] and "object/ImageSets/train.txt" in made
+
+
+@pytest.mark.parametrize(("n", "sizes"), [(1, (1, 0, 0)), (2, (1, 1, 0)), (4, (2, 1, 1)), (9, (5, 2, 2))])
+def test_image_sets_by_time(n, sizes):
+    found = kitti.image_sets(np.repeat(np.arange(n) * 5, 2))
+    assert tuple(len(found[name]) // 2 for name in ("train", "val", "test")) == sizes
+    assert np.concatenate([found["trainval"], found["test"]]).tolist() == list(range(2 * n))
 
 
 def test_names_stay_in_tables(run, tmp_path):

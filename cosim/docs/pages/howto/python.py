@@ -1,8 +1,8 @@
 # %% [markdown]
 # # Analyse in Python
 #
-# A notebook in plain Python: `cosim/docs/pages/howto/python.py`, in cells that editors know. Any run folder will do;
-# make one with `cosim run --set traffic.duration_s=60 --out runs/mine`.
+# This page is a notebook in plain Python, `cosim/docs/pages/howto/python.py`. Editors show its cells. It works with any
+# run folder. This command makes one: `cosim run --set traffic.duration_s=60 --out runs/mine`.
 
 # %%
 from pathlib import Path
@@ -16,7 +16,7 @@ print(run)
 # %% [markdown]
 # ## Tables are DataFrames
 #
-# Each is read when it is asked for. `run.table` reads some columns of a large one.
+# A table is read when you ask for it. `run.table` reads only some columns of a large table.
 
 # %%
 vehicles = run.vehicles
@@ -28,8 +28,8 @@ print(f"mean speed {3.6 * speeds.speed_mps.mean():.1f} km/h")
 # %% [markdown]
 # ## Who meets whom, and for how long
 #
-# Encounters that were under way when recording began or ended are censored: the mean of the recorded durations is too
-# short. Kaplan and Meier's estimator takes care of that.
+# Encounters that were under way when recording began or ended are censored, so the mean of the recorded durations is
+# too short. The Kaplan-Meier estimator corrects for this.
 
 # %%
 print(run.measure.encounters.summary())
@@ -39,7 +39,7 @@ print(survival.head())
 # %% [markdown]
 # ## Does trust tell attackers apart?
 #
-# `subjects` joins pseudonyms with vehicles: truth, which no vehicle knows.
+# `subjects` joins pseudonyms with vehicles. This is ground truth, which no vehicle knows.
 
 # %%
 trust = run.trust[run.trust.n_evaluations > 0].merge(run.subjects, left_on="subject", right_index=True)
@@ -70,9 +70,9 @@ save(run.measure.trust.plot(), Path("trust.svg"))
 # %% [markdown]
 # ## Step by step, without a folder
 #
-# A `Simulation` shows what happens in each step: point clouds, detections, messages, trust and fused objects. Its
-# config is a dictionary, the path of a TOML file, or left out for the shipped city. `trust=MyModel` puts a class of
-# your own in place of the trust model; `detector`, `radio`, `pseudonyms` and `driver` work alike.
+# A `Simulation` gives the point clouds, detections, messages, trust and fused objects of each step. Its config is a
+# dictionary or the path of a TOML file. Without a config, it simulates the default city. `trust=MyModel` uses your own
+# class as the trust model. `detector`, `radio`, `pseudonyms` and `driver` work in the same way.
 
 # %%
 with Simulation({"traffic": {"duration_s": 3}}) as simulation:
