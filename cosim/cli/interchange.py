@@ -36,7 +36,7 @@ def export(
     ] = None,
     steps: Annotated[str | None, typer.Option(help="Steps, such as 0-59. The default is all of them.")] = None,
     sets: Annotated[
-        list[str] | None, typer.Option("--set", help="Set a parameter of your own exporter, key=value. Repeatable.")
+        list[str] | None, typer.Option("--set", help="Set a parameter of the exporter, such as images=false for kitti. Repeatable.")
     ] = None,
     as_json: AsJson = False,
 ) -> None:

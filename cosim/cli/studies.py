@@ -94,8 +94,11 @@ def retrust(
 ) -> None:
     """Compute other trust models or windows from the recorded evidence of a run."""
     from cosim.studies.retrust import retrust as compute
+    from results.manifest import read_manifest
 
-    screen.print(f"wrote {compute(run, variants, out, trust_code)}", highlight=False, soft_wrap=True)
+    written = compute(run, variants, out, trust_code)
+    screen.print(f"wrote {written}", highlight=False, soft_wrap=True)
+    screen.print(read_manifest(written)["summary"]["retrust"], highlight=False, markup=False, soft_wrap=True)
 
 
 def cache(
