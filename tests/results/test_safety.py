@@ -167,4 +167,4 @@ def test_topic_and_figure(crossing):
     run, _ = crossing
     measured = run.measure(topics=("safety",)).set_index("metric").value
     assert measured["safety.collisions.n"] == 0 and measured["safety.driven_km"] > 1
-    assert len(run.measure.safety.plot().axes) == 3
+    assert len(run.measure.safety.plot().axes) == 2  # nobody reacts to what it believes
