@@ -10,14 +10,14 @@ run: $(READY)  ## Simulate the shipped city and print a summary
 	$(BIN)/cosim run
 
 test: $(READY)  ## The tests
-	$(BIN)/python -m pytest -q -n 2
+	$(BIN)/python -m pytest -q -n 2 --dist worksteal
 
 types: $(READY)  ## Check shapes and types of arrays while the tests of trust run
 	$(BIN)/python -m pytest -q -n 2 --typecheck=trust tests/trust
 
 bounds: $(READY)  ## Check index ranges of all kernels while the tests run; compiles everything again
 	rm -rf build/bounds
-	NUMBA_BOUNDSCHECK=1 NUMBA_CACHE_DIR=$(CURDIR)/build/bounds $(BIN)/python -m pytest -q -n 2
+	NUMBA_BOUNDSCHECK=1 NUMBA_CACHE_DIR=$(CURDIR)/build/bounds $(BIN)/python -m pytest -q -n 2 --dist worksteal
 
 lint: $(READY)  ## Style and types
 	$(BIN)/ruff check .
