@@ -49,7 +49,7 @@ CALLS = {
     ],
     "report": ["report {run} --out {out}/report.html", "report {study}"],
     "reproduce": ["reproduce tables --out {study}", "reproduce trust-levels --out {run}"],
-    "resume": ["resume {part}", "resume {run}", "resume {part} --workers 1"],
+    "resume": ["resume {part}", "resume {run}"],
     "retrust": ["retrust {run} --variants {out}/variants.toml --out {out}/retrust"],
     "run": [
         "run {run}/config.toml --out {out}/again", "run {run}/config.toml --set seed=5 --out {out}/again",
@@ -86,7 +86,6 @@ FUNCTIONS = {
     "cosim.offline.view.view": lambda f, at: f(open_run(at["run"]), at["out"] / "api.rrd"),
     "cosim.studies.folder.status_of": lambda f, at: f(at["run"]),
     "cosim.studies.retrust.retrust": lambda f, at: f(at["run"], at["out"] / "variants.toml", at["out"] / "api-retrust"),
-    "cosim.studies.shards.resume": lambda f, at: f(at["part"], print),
     "cosim.studies.study.load": None,  # of a file that the user names; `status` and `prepare` name those of folders
     "cosim.studies.sweep.prepare": lambda f, at: f(at["study"] / "study.toml", at["study"]),
     "cosim.studies.sweep.status": lambda f, at: f(StudyFolder(at["study"])),
