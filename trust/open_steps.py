@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, UInt8
 from numpy import ndarray
 
 from trust.pair_index import find, merged
@@ -127,7 +127,7 @@ class OpenStep:
 
     def _reasons(
         self, messages: EvaluationMessages, is_known: Bool[ndarray, "v"]
-    ) -> tuple[Int[ndarray, "n"], Int[ndarray, "n"], Int[ndarray, "n"]]:
+    ) -> tuple[UInt8[ndarray, "n"], Int[ndarray, "n"], Int[ndarray, "n"]]:
         """`RejectReason`, observer row and detection row of each evaluation; no rows of rejected evaluations."""
         sent_by = np.repeat(np.arange(is_known.size), np.diff(messages.ptr))
         index, e, phi = int64(messages.detection_index), messages.evaluation, messages.visibility
