@@ -71,7 +71,7 @@ class Warm:
         environment.pop("COLUMNS", None)
         self._process = subprocess.Popen(
             [sys.executable, "-m", "tests.processes", str(self.folder)], stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE, text=True, env=environment, cwd=Path(__file__).parents[2],
+            stdout=subprocess.PIPE, text=True, env=environment, cwd=Path(__file__).parents[1],
         )  # fmt: skip
         assert self._said() == "ready", "the warm process did not start"
         return self
