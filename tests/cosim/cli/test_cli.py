@@ -55,7 +55,7 @@ def test_measure(run):
 
 def test_metrics_are_explained():
     text = cosim("measure", "--explain").stdout
-    assert "misbehaviour.time_to_detection.median_s [s]: Time from the step since which a subject is watched" in text
+    assert "misbehaviour.time_to_detection.median_s [s]: Time from the first step in which a subject is watched" in text
     assert set(SUMMARY_METRICS) <= set(json.loads(cosim("measure", "--explain", "--json").stdout))
 
 
