@@ -83,6 +83,8 @@ FUNCTIONS = {
     "cosim.offline.replay_lidar.replay_scan": lambda f, at: f(open_run(at["run"]), 0, 2),
     "cosim.offline.replay_lidar.worlds": lambda f, at: list(f(open_run(at["run"]), load())),
     "cosim.offline.replay_lidar.write": lambda f, at: f(open_run(at["run"]), 0, 2, at["out"] / "api.ply"),
+    "cosim.offline.view.first_look": None,  # these two are given a run that `view` has opened
+    "cosim.offline.view.role_colours": None,
     "cosim.offline.view.view": lambda f, at: f(open_run(at["run"]), at["out"] / "api.rrd"),
     "cosim.studies.folder.status_of": lambda f, at: f(at["run"]),
     "cosim.studies.retrust.retrust": lambda f, at: f(at["run"], at["out"] / "variants.toml", at["out"] / "api-retrust"),

@@ -36,10 +36,10 @@ def made(tmp_path_factory):
     folder, rng = tmp_path_factory.mktemp("lookups"), np.random.default_rng(5)
     receiver, subject = (side.ravel() for side in np.meshgrid(*2 * [np.arange(VEHICLES)]))
     receiver, subject = receiver[receiver != subject], subject[receiver != subject]
-    vehicles = fleet(*ROLES)
+    vehicles = fleet(*ROLES, last_step=STEPS - 1)
     for vehicle in vehicles[50:]:
         vehicle["attack_start_step"] = vehicle["vehicle"] - 45
-    used = [{"pseudonym": v, "vehicle": v, "to_step": 99} for v in range(VEHICLES)]
+    used = [{"pseudonym": v, "vehicle": v, "to_step": STEPS - 1} for v in range(VEHICLES)]
     with Recorder(folder, "full", block_steps=10, variants=VARIANTS) as record:
         for step in range(STEPS):
             heard = rng.random(len(receiver)) < 0.3

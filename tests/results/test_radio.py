@@ -108,7 +108,7 @@ def test_two_pictures(run, other):
     titles = [axes.get_title(loc="left") for axes in alone.axes]
     assert {
         "Delivery by distance", "Latency", "Packet inter-reception", "Channel busy ratio",
-        "Packet delivery ratio",
+        "Frames lost",
     } <= set(titles)  # fmt: skip
     beside = FIGURES["radio"]([run, other])
-    assert "Packet delivery ratio" not in [axes.get_title(loc="left") for axes in beside.axes]
+    assert "Frames lost" not in [axes.get_title(loc="left") for axes in beside.axes]

@@ -27,7 +27,7 @@ def test_every_body_keeps_just_inside_its_box():
 def test_unknown_shapes_are_refused():
     with pytest.raises(ValueError, match="no actor shape"):
         prisms(np.array([9], np.uint8), Boxes(np.zeros((1, 3)), np.ones((1, 3)), np.zeros(1)))
-    with pytest.raises(ValueError, match="one of both"):
+    with pytest.raises(ValueError, match="one shape and one box per actor"):
         prisms(np.zeros(2, np.uint8), Boxes(np.zeros((1, 3)), np.ones((1, 3)), np.zeros(1)))
 
 

@@ -132,7 +132,7 @@ def test_a_run_that_fails_does_not_stop_the_others(swept, tmp_path):
     assert done.returncode == 1
     answer = json.loads(done.stdout)
     assert answer["points"]["finished"] == 1 and answer["points"]["failed"] == 1
-    assert "failed at step" in next(iter(answer["failed"].values()))
+    assert "crash.py:7: attack Crash: detections() raised RuntimeError" in next(iter(answer["failed"].values()))
     logs = [path.read_text() for path in (tmp_path / "out" / "jobs").glob("*/log.txt")]
     assert any("as intended" in log for log in logs)
     assert json.loads(cosim(tmp_path, "status", "out", "--json").stdout)["points"] == answer["points"]
