@@ -67,7 +67,6 @@ def page(run: Run) -> str:
         f'<p class="soft">{escape(_span(run))}</p>',
         "<nav>" + "".join(f'<a href="#{name.lower()}">{name}</a>' for name in _SECTIONS) + "</nav>",
         _facts(run, numbers),
-        _retrusted(run),
         '<h2 id="figures">Figures</h2>',
         *(_figure(name, run) for name in FIGURES),
         '<h2 id="numbers">Numbers</h2>',
@@ -116,12 +115,6 @@ def _facts(run: Run, numbers: pd.DataFrame) -> str:
             where += ", no better than chance" if metric.endswith("auc") and row.low <= 0.5 <= row.high else ""
             boxes.append(f"<div><b>{_number(row.value, row.unit)}</b><span>{escape(text + where)}</span></div>")
     return f'<div class="facts">{"".join(boxes)}</div>'
-
-
-def _retrusted(run: Run) -> str:
-    """What trust variants lack that were computed after the run; nothing where there are none."""
-    said = run.manifest.get("summary", {}).get("retrust")
-    return f'<p class="missing">{escape(said)}</p>' if said else ""
 
 
 def _figure(name: str, run: Run) -> str:

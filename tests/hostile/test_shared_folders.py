@@ -87,7 +87,9 @@ FUNCTIONS = {
     "cosim.offline.view.role_colours": None,
     "cosim.offline.view.view": lambda f, at: f(open_run(at["run"]), at["out"] / "api.rrd"),
     "cosim.studies.folder.status_of": lambda f, at: f(at["run"]),
-    "cosim.studies.retrust.retrust": lambda f, at: f(at["run"], at["out"] / "variants.toml", at["out"] / "api-retrust"),
+    "cosim.studies.retrust.retrust": lambda f, at: f(
+        at["run"], at["out"] / "variants.toml", at["out"] / "api-retrust", print
+    ),
     "cosim.studies.study.load": None,  # of a file that the user names; `status` and `prepare` name those of folders
     "cosim.studies.sweep.prepare": lambda f, at: f(at["study"] / "study.toml", at["study"]),
     "cosim.studies.sweep.status": lambda f, at: f(StudyFolder(at["study"])),
