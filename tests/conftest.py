@@ -15,7 +15,20 @@ def pytest_configure(config):
         typecheck.check(packages.split(","))
 
 
+_KERNELS = ("tests/trust/", "tests/cosim/radio/", "tests/sensors/")
+
+
 def pytest_collection_modifyitems(config, items):
+    """Order the tests for two workers, each of which begins with half of the list.
+
+    On a new machine the first worker compiles the kernels of a whole run, in the order of a step. The second worker
+    begins with the tests of those that come last, so that the two share the work.
+    """
+    of_kernels = [item for item in items if item.nodeid.startswith(_KERNELS)]
+    of_kernels.sort(key=lambda item: next(n for n, start in enumerate(_KERNELS) if item.nodeid.startswith(start)))
+    others = [item for item in items if not item.nodeid.startswith(_KERNELS)]
+    half = len(items) // 2
+    items[:] = [*others[:half], *of_kernels, *others[half:]]
     if config.getoption("--typecheck"):
         for item in items:
             if item.get_closest_marker("misuse"):

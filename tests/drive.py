@@ -11,12 +11,13 @@ from tests.processes import Ended, warm
 
 SHORT = (
     "traffic.duration_s=20",
+    "traffic.warmup_s=120",
     "attacks.0.start_s=5",
     "attacks.0.share_p=0.2",
     "attacks.1.start_s=5",
     "attacks.1.share_p=0.2",
 )
-"""Twenty seconds of the shipped city, long enough for every attack to begin."""
+"""Twenty seconds of the shipped city after two minutes of traffic, long enough for every attack to begin."""
 
 
 def cosim(*words: str, cwd: Path | None = None, **environment: str) -> subprocess.CompletedProcess:

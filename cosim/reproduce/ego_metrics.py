@@ -66,7 +66,9 @@ def _precision(run: Run) -> Iterator[tuple[str, str, float, str, str]]:
         for level in LEVELS:
             yield "paper.objects.n", f"{label}, {level}", float(answer[level].n_truth), "", "objects that count"
             if answer[level].n_truth >= FEWEST:
-                yield "paper.ap11", f"{label}, {level}", answer[level].ap11, "%", "AP 3D, 11 recall points"
+                group = f"{label}, {level}"
+                yield "paper.ap11", group, answer[level].ap11, "%", "AP 3D, 11 recall points"
+                yield "paper.ap40", group, answer[level].ap40, "%", "AP 3D, 40 recall points"
 
 
 def _trust(run: Run) -> Iterator[tuple[str, str, float, str, str]]:

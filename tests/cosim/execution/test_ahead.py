@@ -19,7 +19,7 @@ CSMA = 'radio.model="csma"'
     "setting",
     [
         pytest.param(("traffic.step_s=0.5",), id="every other step senses"),
-        pytest.param(("record.block_steps=2",), id="every other step is the last of a block"),
+        pytest.param(("record.block_steps=2",), id="every other step is the last of a block", marks=pytest.mark.verify),
     ],
 )
 def test_a_run_with_one_thread_has_the_same_tables(tmp_path, setting):

@@ -169,7 +169,7 @@ def test_study_file_of_a_folder_gives_the_same_points(tmp_path):
         ("busy_channel", 8, 8),
         ("cities", 8, 8),
         ("strangers", 32, 8),
-        ("paper_tables", 60, 24),
+        ("paper_tables", 200, 80),
     ],
 )
 def test_shipped_studies(name, n_points, n_runs, tmp_path, monkeypatch):

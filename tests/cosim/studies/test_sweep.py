@@ -1,11 +1,6 @@
 """Studies that run: what is shared changes no value, and nothing that goes wrong is lost."""
 
 import json
-import os
-import signal
-import subprocess
-import sys
-import time
 
 import numpy as np
 import pytest
@@ -56,16 +51,10 @@ def cosim(folder, *words):
 
 @pytest.fixture(scope="module")
 def swept(tmp_path_factory):
-    """A folder with a study that was killed, then finished."""
+    """A folder with a finished study; `test_recovery.py` kills some."""
     folder = tmp_path_factory.mktemp("study")
     (folder / "study.toml").write_text(STUDY)
-    env = os.environ | {"COSIM_CACHE": str(folder / "cache")}
-    words = [sys.executable, "-m", "cosim", "sweep", "study.toml", "--out", "out", "--workers", "2"]
-    process = subprocess.Popen(words, cwd=folder, env=env, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    time.sleep(8)
-    process.send_signal(signal.SIGKILL)
-    process.wait()
-    done = cosim(folder, *words[3:])
+    done = cosim(folder, "sweep", "study.toml", "--out", "out", "--workers", "2")
     assert done.returncode == 0, done.stderr + done.stdout
     return folder
 
