@@ -24,7 +24,7 @@ def figures(folder):
 
 
 def test_golden(tmp_path, update_golden):
-    found = figures(drive(tmp_path / "run", "record.level=full"))
+    found = figures(drive(tmp_path / "run", "record.level=full", "traffic.warmup_s=600"))
     if update_golden:
         GOLDEN.write_text(json.dumps(found, indent=1) + "\n")
     expected = json.loads(GOLDEN.read_text())

@@ -9,6 +9,7 @@ from typing import Any
 import pandas as pd
 
 from cosim.config import data as config_data
+from cosim.reproduce.page import BETWEEN, POINTS, before_of, markdown
 from cosim.reproduce.published import AP, FINAL_TRUST
 from cosim.studies import sweep as sweeping
 from cosim.studies.study import SHIPPED, Study, load
@@ -25,6 +26,7 @@ EXPERIMENTS: Mapping[str, str] = {"tables": "paper_tables", "trust-levels": "pap
 CITY, METHOD, SELF_REPORTS = "traffic.scenario", "trust.method", "trust.self_reports"
 START, ATTACK = "attacks.0.start_s", "attacks.0.attack"
 SETTINGS = ("trustworthy", "unreliable", "malicious")
+_AP_METRICS = ("paper.ap11", "paper.ap40")
 NEVER_S = 1e8
 """Start of an attack that is never carried out."""
 
@@ -89,7 +91,8 @@ def conclude(name: str, out: Path) -> Outcome:
     ValueError
         If the drives are too short for any average precision. Nothing is written then.
     """
-    rows = outcome(studies.open_study(out), name)
+    study = studies.open_study(out)
+    rows = outcome(study, name)
     if not (rows.what == "average precision").any():
         raise ValueError(
             f"{out}: no average precision, because in no run a class and level has {FEWEST} objects. Set "
@@ -99,8 +102,11 @@ def conclude(name: str, out: Path) -> Outcome:
     durable.write_output(table, csv_of(rows))
     plain = out / f"{name}.json"
     durable.write_output(plain, (json.dumps(as_data(rows), indent=1) + "\n").encode())
+    page = out / f"{name}.md"
+    runs = [out / "runs" / run for run in sorted(study.points["run"].astype(str).unique())]
+    durable.write_output(page, markdown(rows, name, runs).encode())
     draw = pictures.draw_tables if name == "tables" else pictures.draw_trust_levels
-    return Outcome(name, rows, [table, plain, style.save(draw(rows), picture)])
+    return Outcome(name, rows, [table, plain, page, style.save(draw(rows), picture)])
 
 
 def as_data(rows: pd.DataFrame) -> list[dict[Any, Any]]:
@@ -119,7 +125,8 @@ def outcome(study: studies.Study, name: str) -> pd.DataFrame:
         setting=kind.where(start < NEVER_S, "trustworthy"), city=frame[CITY], method=frame[METHOD],
         self_reports=self_reports.astype(bool), **{"class": "", "level": ""},
     )  # fmt: skip
-    found = [_precision(frame, name), _final_trust(frame)]
+    found = [_precision(frame, name, metric, what) for metric, what in zip(_AP_METRICS, POINTS, strict=True)]
+    found += [_between(frame)] * (name == "tables") + [_final_trust(frame)]
     for metric, (what, group) in _SHOWN.items():
         found.append(_further(frame[frame.metric == metric], what, group))
     rows = pd.concat(found, ignore_index=True)
@@ -128,16 +135,34 @@ def outcome(study: studies.Study, name: str) -> pd.DataFrame:
     ]
 
 
-def _precision(frame: pd.DataFrame, name: str) -> pd.DataFrame:
-    """Average precision with that of the paper, and its change."""
-    ap = frame[frame.metric == "paper.ap11"].assign(what="average precision")
+def _of_metric(frame: pd.DataFrame, metric: str, what: str) -> pd.DataFrame:
+    """Average precision of every run, by class and level."""
+    ap = frame[frame.metric == metric].assign(what=what)
     parts = ap.group.str.split(", ", expand=True)
-    ap = ap.assign(**{"class": parts[0], "level": parts[1]}) if len(ap) else ap
+    return ap.assign(**{"class": parts[0], "level": parts[1]}) if len(ap) else ap
+
+
+def _between(frame: pd.DataFrame) -> pd.DataFrame:
+    """Paired differences of average precision between each TruPercept method and the one before it."""
+    ap = _of_metric(frame, _AP_METRICS[0], BETWEEN)
+    later = ap[ap.method.isin(("trupercept_2", "trupercept_3"))]
+    on = ["replicate", "city", "class", "level", "self_reports", "setting"]
+    pairs = later.assign(before=later.method.map(before_of)).merge(
+        ap[[*on, "method", "value"]], left_on=[*on, "before"], right_on=[*on, "method"], suffixes=("", "_before")
+    )
+    rows = _with_change(pairs.assign(value=pairs.value - pairs.value_before), ap.iloc[:0], on)
+    return rows.assign(paper=float("nan"), paper_change=float("nan"))
+
+
+def _precision(frame: pd.DataFrame, name: str, metric: str, what: str) -> pd.DataFrame:
+    """Average precision with that of the paper, and its change."""
+    ap = _of_metric(frame, metric, what)
     reference = ap[ap.method == "local"] if name == "tables" else ap[ap.setting == "trustworthy"]
     on = ["replicate", "city", "class", "level", "self_reports", "setting" if name == "tables" else "method"]
     rows = _with_change(ap, reference, on)
     printed = [AP[key] for key in zip(rows.method, rows["class"], rows.level, strict=True)]
     base = [AP["local", label, level] for label, level in zip(rows["class"], rows.level, strict=True)]
+    printed = printed if metric == _AP_METRICS[0] else [float("nan")] * len(rows)  # the paper has 11 points
     rows = rows.assign(paper=printed).assign(paper_change=lambda r: r.paper - base)
     if name != "tables":
         rows = rows.assign(paper=rows.paper.where(rows.setting == "trustworthy"), paper_change=float("nan"))

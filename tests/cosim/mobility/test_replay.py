@@ -97,13 +97,13 @@ def test_identical_tables(tmp_path):
     assert len(told) > 10
     trace = drive(tmp_path / "trace", *sets, "traffic.warmup_s=90", f"traffic.trace={tmp_path / 'fcd.parquet'}")
     assert fingerprint(trace) == told
-    again = drive(tmp_path / "again", *sets, f"traffic.scenario={tmp_path / 'live'}")
+    again = drive(tmp_path / "again", *sets, "traffic.warmup_s=0", f"traffic.scenario={tmp_path / 'live'}")
     assert fingerprint(again) == told
 
 
 def test_a_run_that_outlives_its_trace_ends_and_says_so(tmp_path):
     drive(tmp_path / "live", "traffic.duration_s=5", "traffic.warmup_s=60")
-    sets = (*SHORT, "traffic.duration_s=9", f"traffic.scenario={tmp_path / 'live'}")
+    sets = (*SHORT, "traffic.duration_s=9", "traffic.warmup_s=0", f"traffic.scenario={tmp_path / 'live'}")
     done = cosim("run", *(word for s in sets for word in ("--set", s)), "--out", str(tmp_path / "longer"))
     assert done.returncode == 0, done.stderr
     assert done.stderr.count("\n") == 1 and "ended before the 9 s asked for" in done.stderr

@@ -12,10 +12,11 @@ import pyarrow.parquet as pq
 import pytest
 from scipy.stats import t as student
 
-from cosim.reproduce import ego_metrics, experiments, label_rules
+from cosim.reproduce import ego_metrics, experiments, label_rules, page
 from cosim.reproduce.published import AP, FINAL_TRUST, METHODS
 from cosim.studies.sweep import prepare_study
 from results.archive import open_run
+from results.manifest import write_manifest
 from results.metrics.kitti import LEVELS, STRICT, Objects, average_precision
 from results.study import open_study
 from tests.drive import cosim, simulate
@@ -50,12 +51,16 @@ def synthetic(folder, keys, rows):
             {"point": point, "metric": metric, "group": group, "value": rng.normal(50, 5), "unit": "%", "label": ""}
             for metric, groups in {
                 "paper.ap11": [f"{label}, {level}" for label in ("car", "pedestrian") for level in LEVELS],
+                "paper.ap40": [f"{label}, {level}" for label in ("car", "pedestrian") for level in LEVELS],
                 "paper.final_trust.mean": ["honest", "malicious"], "encounters.duration.km_mean_s": ["equipped, 100 m"],
                 "attack.believed.share": ["0.5, intended, malicious"], "paper.egos.n": [""],
             }.items() for group in groups
         ]))  # fmt: skip
         job = folder / "jobs" / point
         job.mkdir(parents=True)
+        (folder / "runs" / point).mkdir(parents=True)
+        made = {"schema_version": 0, "dt_s": 1, "steps": 1, "config": {}, "status": "finished"}
+        write_manifest(folder / "runs" / point, made | {"source": {"commit": "0123456789abcdef"}})
         frames[-1].to_parquet(job / "measures.parquet", index=False)
     head = {"name": "paper", "question": "", "keys": keys, "baseline": {}, "measure": {}}
     table = pa.Table.from_pandas(pd.DataFrame(points), preserve_index=False)
@@ -78,7 +83,7 @@ def test_tables_are_means_intervals_and_paired_changes(tmp_path):
     ap = found[found.what == "average precision"]
     assert len(ap) == len(at) * 8 and (ap.n == REPLICATES).all()
     for row in ap.to_dict("records"):
-        mine = all_values[(all_values["traffic.scenario"] == row["city"])
+        mine = all_values[(all_values["traffic.scenario"] == row["city"]) & (all_values.metric == "paper.ap11")
                           & (all_values["trust.self_reports"] == row["self_reports"])
                           & (all_values.group == f"{row['class']}, {row['level']}")]  # fmt: skip
         values = {m: mine[mine["trust.method"] == m].sort_values("replicate").value.to_numpy() for m in METHODS}
@@ -87,7 +92,33 @@ def test_tables_are_means_intervals_and_paired_changes(tmp_path):
         assert (row["change"], row["change_low"], row["change_high"]) == pytest.approx(by_hand(change))
         assert row["paper"] == AP[row["method"], row["class"], row["level"]]
         assert row["paper_change"] == pytest.approx(row["paper"] - AP["local", row["class"], row["level"]])
-    assert experiments.conclude("tables", tmp_path).files[-1].stat().st_size > 20_000
+    between = found[found.what == page.BETWEEN]
+    assert len(between) == 2 * len(CITIES) * 2 * 8
+    for row in between.to_dict("records"):
+        mine = all_values[(all_values["traffic.scenario"] == row["city"]) & (all_values.metric == "paper.ap11")
+                          & (all_values["trust.self_reports"] == row["self_reports"])
+                          & (all_values.group == f"{row['class']}, {row['level']}")]  # fmt: skip
+        one, before = (
+            mine[mine["trust.method"] == m].sort_values("replicate").value.to_numpy()
+            for m in (row["method"], page.before_of(row["method"]))
+        )
+        assert (row["mean"], row["low"], row["high"]) == pytest.approx(by_hand(one - before))
+
+
+def test_the_page_of_an_experiment(tmp_path):
+    """Figures of the rows, the commit of the runs, and a table for 11 and for 40 recall points."""
+    keys = ["traffic.scenario", "trust.self_reports", "trust.method"]
+    at = [dict(zip(keys, (city, own, method), strict=True))
+          for city in CITIES for own in (True, False) for method in METHODS]  # fmt: skip
+    synthetic(tmp_path, keys, at)
+    done = experiments.conclude("tables", tmp_path)
+    assert done.files[-1].stat().st_size > 20_000
+    text = (tmp_path / "tables.md").read_text()
+    row = done.rows[(done.rows.what == "average precision") & (done.rows.level == "all")].iloc[1]
+    change = f"{row['mean']:.1f} ({row.change:+.1f} ±{(row.change_high - row.change_low) / 2:.1f})"
+    assert change in text and "commit `0123456789ab`" in text
+    assert text.count("| car, 11 recall points |") == text.count("| pedestrian, 40 recall points |") == 1
+    assert "TruPercept 3 minus TruPercept 2 | pedestrian" in text
 
 
 def test_trust_levels_are_against_the_same_vehicles_when_they_are_honest(tmp_path):
@@ -101,6 +132,7 @@ def test_trust_levels_are_against_the_same_vehicles_when_they_are_honest(tmp_pat
     ap = found[(found.what == "average precision") & (found.city == "helsinki") & (found.method == "trupercept_3")]
     assert ap.groupby("setting").paper.count().to_dict() == {"malicious": 0, "trustworthy": 8, "unreliable": 0}
     mine = all_values[(all_values["traffic.scenario"] == "helsinki") & (all_values["trust.method"] == "trupercept_3")
+                      & (all_values.metric == "paper.ap11")
                       & (all_values.group == "car, all")]  # fmt: skip
     honest, malicious = (
         mine[(mine["attacks.0.start_s"] == start) & (mine["attacks.0.attack"] == "ghost_insertion")].value.to_numpy()
@@ -118,7 +150,7 @@ def test_both_share_the_runs_with_honest_vehicles(tmp_path):
         {run.id for run in prepare_study(experiments.study_of(name), name, tmp_path / "out").plan.runs}
         for name in experiments.EXPERIMENTS
     ]
-    assert len(ids[0] & ids[1]) == 6  # two cities, three replicates
+    assert len(ids[0] & ids[1]) == 20  # two cities, ten drives
 
 
 @pytest.mark.parametrize(("words", "said"), [

@@ -55,7 +55,13 @@ def test_bad_input(tmp_path, key):
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory):
     folder = tmp_path_factory.mktemp("runs")
-    common = ("traffic.duration_s=8", "attacks.0.share_p=0", "attacks.1.share_p=0", "radio.model=unit_disk")
+    common = (
+        "traffic.duration_s=8",
+        "traffic.warmup_s=300",
+        "attacks.0.share_p=0",
+        "attacks.1.share_p=0",
+        "radio.model=unit_disk",
+    )
     return [open_run(drive(folder / name, *common, f"gnss.std_m={std}")) for name, std in (("off", 0), ("on", 3))]
 
 

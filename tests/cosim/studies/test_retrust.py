@@ -8,7 +8,7 @@ from results.archive import open_run
 from results.verify import verify
 from tests.cosim.studies.runs import assert_same, drive
 from tests.drive import cosim
-from tests.hostile.shared import with_config
+from tests.hostile.shared import reseal, with_config
 
 VARIANTS = """
 [[trust_variant]]
@@ -63,6 +63,7 @@ def test_a_repetition_that_differs_is_said_and_kept(run, variants, tmp_path):
     """As if another version of cosim had written the run: here with another seed, under the first one's name."""
     other = drive(tmp_path / "other", "record.block_steps=10", "trust_variant=[]", "seed=5")
     with_config(other.path, other.config | {"seed": run.config["seed"]})
+    reseal(other.path, seed=run.config["seed"])
     ended = retrust(other.path, variants, tmp_path / "again")
     assert ended.returncode == 1 and "differs from that of" in ended.stderr and ended.stderr.count("\n") == 1
     assert verify(tmp_path / "again")[1] == []
