@@ -21,8 +21,6 @@ class AnnouncementParams:
 
     validity_s: Annotated[float, Interval(ge=0.001, le=1e8)] = 600.0
     """Psi: age at which a rating counts nothing any more [s]."""
-    usable_above: Annotated[float, Interval(ge=0, le=1)] = 0.6
-    """Trust above which a vehicle's messages may be used."""
     grace_s: Annotated[float, Interval(ge=0.001, le=1e8)] = 10.0
     """Age at which evidence is final [s]: evaluations that arrive later have no effect."""
 
@@ -49,7 +47,7 @@ class Announcement(Stepwise):
     -----
     A rating is pos / (pos + neg) of one evaluator's evaluations of a subject in one step. Per rater the mean of its
     ratings with weight 1 - age / Psi, 0 beyond Psi; then the mean over raters; then times 1 - age / Psi of the newest
-    rating, as the certificate that states it ages. A vehicle is usable above 0.6. Weight: number of raters.
+    rating, as the certificate that states it ages. Weight: number of raters.
 
     Deviations: equations from memory of the paper; a rating is graded; a certificate is issued with each rating. The
     trust of a vehicle that nobody has rated, in the paper a start value, is `trust.default_trust` (0.7 is ours).

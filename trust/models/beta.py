@@ -59,9 +59,14 @@ class Beta(Stepwise):
     def advance(self, state: ndarray, n_steps: int, step: int, rows: StepRows, n_pairs: int) -> ndarray:
         """r and s after a step."""
         new = with_rows(state * self.decay(self.params.decay_per_s, n_steps), n_pairs)
-        new[:, 0] += rows.per_observer(rows.pos, len(new))
-        new[:, 1] += rows.per_observer(rows.neg, len(new))
+        weight = self.weight(new, rows)
+        new[:, 0] += rows.per_observer(weight * rows.pos, len(new))
+        new[:, 1] += rows.per_observer(weight * rows.neg, len(new))
         return new
+
+    def weight(self, state: ndarray, rows: StepRows) -> Float[ndarray, "n"] | float:
+        """How much the evaluations of each row count, given r and s before the step."""
+        return 1.0
 
     def read(self, state: ndarray, n_steps: int, now: int) -> Reading:
         """Expectation of the Beta distribution."""

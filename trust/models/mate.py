@@ -26,8 +26,6 @@ class MateParams:
     """v below which a measurement of a vehicle counts as negative."""
     propagation_s: Annotated[float, Gt(1)] = 10.0
     """1 / `propagation_s` of the distance to the prior is lost in 1 s."""
-    believed_above: Annotated[float, Interval(ge=0, le=1)] = 0.4
-    """Mean above which an object is believed."""
     grace_s: Annotated[float, Interval(ge=0.001, le=1e8)] = 10.0
     """Age at which evidence is final [s]: evaluations that arrive later have no effect."""
 
