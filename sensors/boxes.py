@@ -140,7 +140,7 @@ def _iou(a_xyz, a_lwh, a_yaw, b_xyz, b_lwh, b_yaw):
     out = np.empty(n)
     for chunk in prange((n + _CHUNK - 1) // _CHUNK):
         room = np.empty((4, 16))
-        for k in range(np.int64(chunk) * _CHUNK, min(np.int64(chunk + 1) * _CHUNK, n)):
+        for k in range(chunk * _CHUNK, min((chunk + 1) * _CHUNK, n)):
             out[k] = _iou_of(a_xyz, a_lwh, a_yaw, b_xyz, b_lwh, b_yaw, k, room)
     return out
 

@@ -18,7 +18,7 @@ from scipy.special import expit, gammaincinv, ndtri
 
 from sensors.boxes import Boxes
 from sensors.evidence import Observability
-from sensors.hash_rng import mix, unit
+from sensors.hash_rng import mix, uniforms, unit
 from sensors.kernel import compiled, kernel
 from sensors.lidar import Sweeps
 from sensors.range_steps import metres
@@ -70,7 +70,7 @@ def false_positives(sweeps: Sweeps, seen: Observability, draws: DetectorDraws, m
     shares = np.array([persistent * shared, persistent * (1.0 - shared), 1.0 - persistent])
     o, site, ray, rank, noise = _at_sites(sweeps, seen, draws, model, shares)
     column, row = np.divmod(ray, sweeps.hit.shape[2])
-    u = _uniforms_of_site(site)
+    u = uniforms(site, 11)[:, 8:]  # that belong to the site for good: class, size, heading
     share = np.cumsum(model.false_positive_mix) / np.sum(model.false_positive_mix)
     label = np.searchsorted(share, u[:, 0], side="right").astype(np.uint8)
     lwh = model.mean_lwh_m[label] * np.exp(0.1 * _normal(u[:, 1]))[:, None]
@@ -144,16 +144,6 @@ def _at_sites(
     o = np.repeat(np.arange(len(n)), n)
     at = o, np.arange(len(o)) - np.repeat(np.cumsum(n) - n, n)
     return o, site[at], ray[at], uniform[at][:, 0], uniform[at][:, 1]
-
-
-@compiled
-def _uniforms_of_site(site):
-    """Three uniforms that belong to the site for good: class, size, heading."""
-    out = np.empty((len(site), 3))
-    for k in range(len(site)):
-        for j in range(3):
-            out[k, j] = unit(mix(site[k], 8 + j))
-    return out
 
 
 @lru_cache(maxsize=4)

@@ -12,7 +12,6 @@ from jaxtyping import Bool, Float, Float32, Int, UInt8, UInt16, UInt64
 from numpy import ndarray
 
 from sensors.boxes import Boxes
-from sensors.kernel import compiled
 from sensors.neighbours import Neighbours, neighbours
 from sensors.pairs import Pairs, pairs_of, turned
 from sensors.range_noise import RangeNoise
@@ -163,7 +162,7 @@ class Poses:
 
     def to_sensor(self, o: Int[ndarray, "n"], boxes: Boxes, b: Int[ndarray, "n"] | None = None) -> Boxes:
         """Box b[k] in the frame of sensor o[k]; without `b`, all boxes in order."""
-        return Boxes(*turned(self.pairs(o, boxes, b)))
+        return turned(self.pairs(o, boxes, b))
 
     def to_world(self, o: int, xyz: Float[ndarray, "k 3"]) -> Float[ndarray, "k 3"]:
         """Convert points from the frame of sensor o to the world frame [m]."""
@@ -231,8 +230,7 @@ class RangeImages:
 
     def cloud(self, o: int) -> Float32[ndarray, "k 3"]:
         """The same points in single precision, as in files of point clouds."""
-        grid = self.beams
-        return _cloud(self.range_steps[o], self.step_m, grid.cos_az, grid.sin_az, grid.cos_el, grid.sin_el)
+        return self.xyz(o).astype(np.float32)
 
     def points(self, o: Int[ndarray, "k"], column: Int[ndarray, "k"], row: Int[ndarray, "k"]) -> Float[ndarray, "k 3"]:
         """End points of single rays with a return, in the frame of sensor o[k] [m]."""
@@ -396,18 +394,3 @@ def buffer(size: tuple[int, int, int], kind: type, old: ndarray | None) -> ndarr
     if whole is None or whole.dtype != kind or whole.shape[1:] != size[1:] or len(whole) < size[0]:
         whole = np.empty((size[0] + size[0] // 8, *size[1:]), kind)
     return whole[: size[0]]
-
-
-@compiled
-def _cloud(steps, step, cos_az, sin_az, cos_el, sin_el):
-    """End points of the rays with a return, in single precision."""
-    xyz = np.empty(((steps != NO_RETURN).sum(), 3), np.float32)
-    k = 0
-    for c in range(steps.shape[0]):
-        for r in range(steps.shape[1]):
-            far = steps[c, r] * step
-            if steps[c, r] != NO_RETURN:
-                flat = far * cos_el[r]
-                xyz[k, 0], xyz[k, 1], xyz[k, 2] = flat * cos_az[c], flat * sin_az[c], far * sin_el[r]
-                k += 1
-    return xyz
