@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
@@ -16,10 +17,9 @@ from sensors.neighbours import Neighbours, neighbours
 from sensors.pairs import Pairs, pairs_of, turned
 from sensors.range_noise import RangeNoise
 from sensors.range_steps import NO_RETURN, metres, step_m
-from sensors.raycast import columnar, embree, open3d
+from sensors.raycast import columnar, embree, mesh, open3d
 from sensors.raycast.column import cells_of_slopes
 from sensors.scene import Hit, Prisms, Scene, prisms
-from sensors.thinned import Thinned, thinned_size
 
 
 class Profile(NamedTuple):
@@ -246,8 +246,6 @@ class Sweeps(RangeImages):
 
     hit: Int[ndarray, "m a e"]
     """`Hit` code of the object that each ray met. Ground truth: no vehicle may use it."""
-    thinned: Thinned
-    """A copy of some of these rays."""
     unrounded_m: Float32[ndarray, "m a e"]
     """Range before it is rounded to steps [m], inf without a return; empty unless `scan` got `unrounded`."""
 
@@ -256,9 +254,8 @@ class SweepMemory(NamedTuple):
     """What `scan` may use of earlier work, to save time: arrays to overwrite, and what is known already."""
 
     range_steps: ndarray | None = None
-    """This array, `hit` and `thinned` are overwritten where they are large enough."""
+    """This array and `hit` are overwritten where they are large enough."""
     hit: ndarray | None = None
-    thinned: Thinned | None = None
     near: Neighbours | None = None
     """`neighbours` of the sensors among the boxes of this sweep."""
     bodies: Prisms | None = None
@@ -269,7 +266,11 @@ NO_MEMORY = SweepMemory()
 """Nothing to use again: everything is computed, and `scan` allocates new arrays."""
 
 
-ENGINES: dict[str, Callable[..., None]] = {"columnar": columnar.cast, "embree": embree.cast, "open3d": open3d.cast}
+ENGINES: dict[str, Callable[..., None]] = {
+    "columnar": columnar.cast,
+    "embree": partial(mesh.cast, embree.tracer_of),
+    "open3d": partial(mesh.cast, open3d.tracer_of),
+}
 
 
 def scan(
@@ -325,12 +326,8 @@ def scan(
     poses, grid = mount(boxes, observers, params), beams(params)
     ground_m = height_of_road_m(boxes, observers)
     size = (len(observers), len(grid.azimuth_rad), len(grid.elevation_rad))
-    memory = out if isinstance(out, SweepMemory) else SweepMemory(out.range_steps, out.hit, out.thinned)
+    memory = out if isinstance(out, SweepMemory) else SweepMemory(out.range_steps, out.hit)
     range_steps, hit = buffer(size, np.uint16, memory.range_steps), buffer(size, hit_type(len(boxes)), memory.hit)
-    kept = (None, None) if memory.thinned is None else memory.thinned
-    thinned = Thinned(
-        *(buffer(thinned_size(size), a.dtype.type, b) for a, b in zip((range_steps, hit), kept, strict=True))
-    )
     sweeps = Sweeps(
         poses=poses,
         observers=observers,
@@ -340,7 +337,6 @@ def scan(
         range_steps=range_steps,
         step_m=step_of(params),
         hit=hit,
-        thinned=thinned,
         unrounded_m=np.empty(size if unrounded else (0, *size[1:]), np.float32),
     )
     near = neighbours(poses.origin_m, boxes, params.max_range_m) if memory.near is None else memory.near

@@ -32,7 +32,6 @@ from sensors.raycast.column import (
     slopes_of,
 )
 from sensors.scene import Hit, Prisms, Scene
-from sensors.thinned import Thinned, thin
 
 
 def cast(sweeps, boxes: Boxes, bodies: Prisms, scene: Scene, noise: RangeNoise, near: Neighbours) -> None:
@@ -41,7 +40,7 @@ def cast(sweeps, boxes: Boxes, bodies: Prisms, scene: Scene, noise: RangeNoise, 
     Parameters
     ----------
     sweeps
-        `sensors.lidar.Sweeps`: sensors and beams. Its arrays `range_steps`, `hit` and `thinned` are filled, and
+        `sensors.lidar.Sweeps`: sensors and beams. Its arrays `range_steps` and `hit` are filled, and
         `unrounded_m` where it has rows.
     boxes, bodies
         All actors and their prisms, world frame.
@@ -72,7 +71,7 @@ def cast(sweeps, boxes: Boxes, bodies: Prisms, scene: Scene, noise: RangeNoise, 
         near,
         buildings_near(origin_m, scene, limit_m),
     )
-    out = _Swept(sweeps.range_steps, np.float32(1.0 / sweeps.step_m), sweeps.hit, sweeps.thinned, sweeps.unrounded_m)
+    out = _Swept(sweeps.range_steps, np.float32(1.0 / sweeps.step_m), sweeps.hit, sweeps.unrounded_m)
     _cast(sensors, sweeps.beams, limit_m, boxes.xyz_m, boxes.circumradius_m, bodies, scene.buildings, noise, out)
 
 
@@ -93,7 +92,6 @@ class _Swept(NamedTuple):
     range_steps: ndarray
     per_metre: np.float32
     hit: ndarray
-    thinned: Thinned
     unrounded_m: ndarray
 
 
@@ -113,7 +111,6 @@ def _cast(sensors, beams, limit, xyz, radius, bodies, city, noise, out):
                 _actor(ranges, hits, a, xyz[a, 0], xyz[a, 1], radius[a], pose, view, nearest, bodies)
         add_noise(ranges, hits, noise.key[o], noise)
         count_steps(ranges, out.range_steps[o], out.per_metre)
-        thin(out.range_steps[o], hits, out.thinned.range_steps[o], out.thinned.hit[o])
         if o < len(out.unrounded_m):  # in loops: Numba compiles the words of an error, for 3 s, to assign arrays
             for c in range(len(ranges)):
                 for r in range(ranges.shape[1]):

@@ -9,20 +9,18 @@ from jaxtyping import Int
 from numpy import ndarray
 
 from trust.evaluation_log import StepRows, exact_sums
-from trust.models.stepwise import Reading, Stepwise
+from trust.models.stepwise import Reading, Stepwise, StepwiseParams
 from trust.pair_index import with_rows
 
 _UNIT = float(1 << 20)  # of a rating
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class AnnouncementParams:
+class AnnouncementParams(StepwiseParams):
     """Parameters of the model `announcement`; all defaults are ours."""
 
     validity_s: Annotated[float, Interval(ge=0.001, le=1e8)] = 600.0
     """Psi: age at which a rating counts nothing any more [s]."""
-    grace_s: Annotated[float, Interval(ge=0.001, le=1e8)] = 10.0
-    """Age at which evidence is final [s]: evaluations that arrive later have no effect."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,18 +9,16 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from trust.evaluation_log import StepRows
-from trust.models.stepwise import Reading, Stepwise
+from trust.models.stepwise import Reading, Stepwise, StepwiseParams
 from trust.pair_index import with_rows
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class BetaParams:
+class BetaParams(StepwiseParams):
     """Parameters of the model `beta`."""
 
     decay_per_s: Annotated[float, Interval(gt=0, le=1)] = 0.98
     """lambda: share of the evidence that is left after 1 s; the default is ours."""
-    grace_s: Annotated[float, Interval(ge=0.001, le=1e8)] = 10.0
-    """Age at which evidence is final [s]: evaluations that arrive later have no effect."""
 
 
 def expectation(evidence: Float[ndarray, "p 2"]) -> Float[ndarray, "p"]:

@@ -4,23 +4,21 @@ from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
 import numpy as np
-from annotated_types import Gt, Interval
+from annotated_types import Gt
 from jaxtyping import Float
 from numpy import ndarray
 
 from trust.evaluation_log import StepRows
-from trust.models.stepwise import Reading, Stepwise
+from trust.models.stepwise import Reading, Stepwise, StepwiseParams
 from trust.pair_index import with_rows
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class ReportCountParams:
+class ReportCountParams(StepwiseParams):
     """Parameters of the model `report_count`."""
 
     guilty_above: Annotated[float, Gt(0)] = 5.0
     """Reports above which a vehicle is guilty; its trust is then below 1/2."""
-    grace_s: Annotated[float, Interval(ge=0.001, le=1e8)] = 10.0
-    """Age at which evidence is final [s]: evaluations that arrive later have no effect."""
 
 
 class ReportCount(Stepwise):
