@@ -15,15 +15,10 @@ from hashlib import blake2b
 import numpy as np
 from jaxtyping import Float, UInt64
 from numpy import ndarray
-from scipy.special import ndtri
 
-from sensors.kernel import compiled, inlined
-
-_GOLDEN = np.uint64(0x9E3779B97F4A7C15)
-_A = np.uint64(0xBF58476D1CE4E5B9)
-_B = np.uint64(0x94D049BB133111EB)
-_S30, _S27, _S31, _S11, _ONE = np.uint64(30), np.uint64(27), np.uint64(31), np.uint64(11), np.uint64(1)
-_TO_UNIT = 2.0**-53
+from sensors import hash_rng
+from sensors.hash_rng import mix
+from sensors.kernel import compiled
 
 
 class Stream(IntEnum):
@@ -57,21 +52,6 @@ class Stream(IntEnum):
     OWN = 26
 
 
-@inlined
-def mix(h, x):
-    """Hash `h` of a prefix extended by one identifier `x` (both uint64)."""
-    z = h + (x + _ONE) * _GOLDEN
-    z = (z ^ (z >> _S30)) * _A
-    z = (z ^ (z >> _S27)) * _B
-    return z ^ (z >> _S31)
-
-
-@inlined
-def unit(h):
-    """Uniform in [0, 1) with 53 bits from a hash (uint64)."""
-    return (h >> _S11) * _TO_UNIT
-
-
 @compiled
 def _mix_rows(h, ids):
     out = np.empty(ids.shape[0], np.uint64)
@@ -80,15 +60,6 @@ def _mix_rows(h, ids):
         for column in range(ids.shape[1]):
             z = mix(z, ids[row, column])
         out[row] = z
-    return out
-
-
-@compiled
-def _uniform_rows(keys, n):
-    out = np.empty((keys.shape[0], n))
-    for row in range(keys.shape[0]):
-        for column in range(n):
-            out[row, column] = unit(mix(keys[row], np.uint64(column)))
     return out
 
 
@@ -109,7 +80,7 @@ def keys(prefix: np.uint64, *ids: ndarray | np.unsignedinteger) -> UInt64[ndarra
 
 def uniforms(prefix: np.uint64, *ids: ndarray | np.unsignedinteger, n: int = 1) -> Float[ndarray, "rows n"]:
     """`n` uniforms in [0, 1) for each row of identifiers."""
-    return _uniform_rows(keys(prefix, *ids), n)
+    return hash_rng.uniforms(keys(prefix, *ids), n)
 
 
 def draws(seed: int, step: int, names: ndarray | tuple[ndarray, ...], n: int = 1) -> Float[ndarray, "rows n"]:
@@ -128,7 +99,7 @@ def draws(seed: int, step: int, names: ndarray | tuple[ndarray, ...], n: int = 1
 
 def normals(prefix: np.uint64, *ids: ndarray, n: int = 1) -> Float[ndarray, "rows n"]:
     """`n` standard normals for each row of identifiers."""
-    return ndtri(np.maximum(uniforms(prefix, *ids, n=n), _TO_UNIT))
+    return hash_rng.normals(keys(prefix, *ids), n)
 
 
 def persistent(

@@ -9,8 +9,9 @@ import numpy as np
 from jaxtyping import Float, Int, UInt8
 from numba import prange
 from numpy import ndarray
+from scipy.spatial import cKDTree
 
-from sensors.kernel import compiled, kernel, parallel
+from sensors.kernel import kernel, parallel
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,115 +113,51 @@ def overlapping_pairs(
     -------
     i, j (int32) and their IoU (> 0), sorted by (i, j).
     """
-    n, radius_m = len(boxes), boxes.circumradius_m
-    largest_m = np.zeros(int(label.max(initial=0)) + 1)
-    np.maximum.at(largest_m, label, radius_m)
-    reach_m = radius_m + largest_m[label] + _SLACK_M
-    cell_m = max(_CELL_M, float(reach_m.max(initial=0.0)) / 4)
-    order, start, cell = _by_cell(boxes.xyz_m, cell_m, 1 << n.bit_length())
-    given = (
-        boxes.xyz_m, boxes.lwh_m, boxes.yaw_rad, radius_m, label, np.asarray(owner, np.int64), reach_m, cell_m,
-        order, start, cell,
-    )  # fmt: skip
-    count = np.zeros(n + 1, np.int64)
-    _near(*given, count, np.zeros(0, np.int32), np.zeros(0))
-    ptr = np.cumsum(count)
-    j, iou = np.empty(ptr[-1], np.int32), np.empty(ptr[-1])
-    _near(*given, ptr, j, iou)
-    found = np.flatnonzero(iou > 0.0)
-    return np.repeat(np.arange(n, dtype=np.int32), count[1:])[found], j[found], iou[found]
+    radius_m, xy_m = boxes.circumradius_m, boxes.xyz_m[:, :2]
+    found = [np.zeros((0, 2), np.int64)]
+    for of_class in (np.flatnonzero(label == kind) for kind in np.unique(label)):
+        reach_m = 2.0 * float(radius_m[of_class].max()) + _SLACK_M
+        found.append(of_class[cKDTree(xy_m[of_class]).query_pairs(reach_m, output_type="ndarray")])
+    i, j = np.concatenate(found).T  # i < j, since `of_class` ascends
+    apart_m, reach_m = xy_m[j] - xy_m[i], radius_m[i] + radius_m[j] + _SLACK_M
+    rows = np.flatnonzero((owner[i] != owner[j]) & ((apart_m * apart_m).sum(axis=1) < reach_m * reach_m))
+    rows = rows[np.argsort(i[rows] * len(boxes) + j[rows])]
+    i, j = i[rows], j[rows]
+    iou = iou_3d(boxes.take(i), boxes.take(j))
+    overlap = np.flatnonzero(iou > 0.0)
+    return i[overlap].astype(np.int32), j[overlap].astype(np.int32), iou[overlap]
 
 
-_CELL_M = 6.0
-"""Least width of the cells in which overlapping boxes are searched: little more than a car is long."""
 _SLACK_M = 1e-6
-_CHUNK = 256
-"""Boxes whose neighbours one thread searches at once."""
-
-
-@kernel
-def _bucket(x, y, n_buckets):
-    """Where a cell's boxes are listed; several cells may share a bucket."""
-    return (x * 73_856_093 ^ y * 19_349_663) & (n_buckets - 1)
-
-
-@compiled
-def _by_cell(xyz, cell_m, n_buckets):
-    """Rows by bucket, ascending, where each bucket begins, and the cell of every row."""
-    cell = np.empty((len(xyz), 2), np.int64)
-    start = np.zeros(n_buckets + 1, np.int64)
-    for k in range(len(xyz)):
-        cell[k, 0], cell[k, 1] = np.floor(xyz[k, 0] / cell_m), np.floor(xyz[k, 1] / cell_m)
-        start[_bucket(cell[k, 0], cell[k, 1], n_buckets) + 1] += 1
-    for b in range(n_buckets):
-        start[b + 1] += start[b]
-    put, order = start[:-1].copy(), np.empty(len(xyz), np.int32)
-    for k in range(len(xyz)):
-        b = _bucket(cell[k, 0], cell[k, 1], n_buckets)
-        order[put[b]] = k
-        put[b] += 1
-    return order, start, cell
+_CHUNK = 4096
+"""Pairs of which one thread computes the overlap at once."""
 
 
 @parallel
-def _near(xyz, lwh, yaw, radius, label, owner, reach, cell_m, order, start, cell, ptr, out_j, out_iou):
-    """Later boxes of one label and other owners whose circles overlap each box: counts them if `out_j` is empty, else
-    lists them from `ptr` on, ascending, with their IoU."""
-    n, n_buckets = len(xyz), len(start) - 1
-    for chunk in prange((n + _CHUNK - 1) // _CHUNK):
-        room = np.empty((4, 16))
-        for i in range(chunk * _CHUNK, min((chunk + 1) * _CHUNK, n)):
-            x, y = xyz[i, 0], xyz[i, 1]
-            low_x, high_x = np.floor((x - reach[i]) / cell_m), np.floor((x + reach[i]) / cell_m)
-            low_y, high_y = np.floor((y - reach[i]) / cell_m), np.floor((y + reach[i]) / cell_m)
-            m = 0
-            for cx in range(np.int64(low_x), np.int64(high_x) + 1):
-                for cy in range(np.int64(low_y), np.int64(high_y) + 1):
-                    b = _bucket(cx, cy, n_buckets)
-                    for k in range(start[b], start[b + 1]):
-                        j = order[k]
-                        if j <= i or label[j] != label[i] or owner[j] == owner[i]:
-                            continue
-                        dx, dy, apart = xyz[j, 0] - x, xyz[j, 1] - y, radius[i] + radius[j] + _SLACK_M
-                        if cell[j, 0] != cx or cell[j, 1] != cy or dx * dx + dy * dy >= apart * apart:
-                            continue
-                        if len(out_j) > 0:
-                            at = ptr[i] + m
-                            while at > ptr[i] and out_j[at - 1] > j:
-                                out_j[at] = out_j[at - 1]
-                                at -= 1
-                            out_j[at] = j
-                        m += 1
-            if len(out_j) == 0:
-                ptr[i + 1] = m
-            else:
-                for at in range(ptr[i], ptr[i + 1]):
-                    out_iou[at] = _iou_of(xyz, lwh, yaw, i, xyz, lwh, yaw, np.int64(out_j[at]), room)
-
-
-@compiled
 def _iou(a_xyz, a_lwh, a_yaw, b_xyz, b_lwh, b_yaw):
     """IoU of the boxes of the two sets, row by row."""
-    out = np.empty(len(a_xyz))
-    room = np.empty((4, 16))
-    for n in range(len(a_xyz)):
-        out[n] = _iou_of(a_xyz, a_lwh, a_yaw, n, b_xyz, b_lwh, b_yaw, n, room)
+    n = len(a_xyz)
+    out = np.empty(n)
+    for chunk in prange((n + _CHUNK - 1) // _CHUNK):
+        room = np.empty((4, 16))
+        for k in range(chunk * _CHUNK, min((chunk + 1) * _CHUNK, n)):
+            out[k] = _iou_of(a_xyz, a_lwh, a_yaw, b_xyz, b_lwh, b_yaw, k, room)
     return out
 
 
 @kernel
-def _iou_of(a_xyz, a_lwh, a_yaw, i, b_xyz, b_lwh, b_yaw, j, room):
-    """IoU of box i of the first set with box j of the second, `room` is for two polygons."""
+def _iou_of(a_xyz, a_lwh, a_yaw, b_xyz, b_lwh, b_yaw, k, room):
+    """IoU of box k of the first set with box k of the second; `room` is for two polygons."""
     poly_x, poly_y, next_x, next_y = room[0], room[1], room[2], room[3]
-    top = min(a_xyz[i, 2] + 0.5 * a_lwh[i, 2], b_xyz[j, 2] + 0.5 * b_lwh[j, 2])
-    bottom = max(a_xyz[i, 2] - 0.5 * a_lwh[i, 2], b_xyz[j, 2] - 0.5 * b_lwh[j, 2])
-    radius = 0.5 * (np.hypot(a_lwh[i, 0], a_lwh[i, 1]) + np.hypot(b_lwh[j, 0], b_lwh[j, 1]))
-    dx, dy = b_xyz[j, 0] - a_xyz[i, 0], b_xyz[j, 1] - a_xyz[i, 1]
+    top = min(a_xyz[k, 2] + 0.5 * a_lwh[k, 2], b_xyz[k, 2] + 0.5 * b_lwh[k, 2])
+    bottom = max(a_xyz[k, 2] - 0.5 * a_lwh[k, 2], b_xyz[k, 2] - 0.5 * b_lwh[k, 2])
+    radius = 0.5 * (np.hypot(a_lwh[k, 0], a_lwh[k, 1]) + np.hypot(b_lwh[k, 0], b_lwh[k, 1]))
+    dx, dy = b_xyz[k, 0] - a_xyz[k, 0], b_xyz[k, 1] - a_xyz[k, 1]
     if top <= bottom or dx * dx + dy * dy >= radius * radius:
         return 0.0
     # The clipping box is chosen by geometry, not by row, so that swapping the two changes no bit.
-    first = (a_xyz[i, 0], a_xyz[i, 1], a_lwh[i, 0], a_lwh[i, 1], a_yaw[i])
-    second = (b_xyz[j, 0], b_xyz[j, 1], b_lwh[j, 0], b_lwh[j, 1], b_yaw[j])
+    first = (a_xyz[k, 0], a_xyz[k, 1], a_lwh[k, 0], a_lwh[k, 1], a_yaw[k])
+    second = (b_xyz[k, 0], b_xyz[k, 1], b_lwh[k, 0], b_lwh[k, 1], b_yaw[k])
     if second < first:
         first, second = second, first
     cos, sin = np.cos(first[4]), np.sin(first[4])
@@ -238,27 +175,27 @@ def _iou_of(a_xyz, a_lwh, a_yaw, i, b_xyz, b_lwh, b_yaw, j, room):
         sign = 1.0 if side < 2 else -1.0
         limit = 0.5 * (first[2] if side % 2 == 0 else first[3])
         kept = 0
-        for k in range(count):
-            m = k + 1 if k + 1 < count else 0
-            p = limit - sign * (poly_x[k] if side % 2 == 0 else poly_y[k])
+        for c in range(count):
+            m = c + 1 if c + 1 < count else 0
+            p = limit - sign * (poly_x[c] if side % 2 == 0 else poly_y[c])
             q = limit - sign * (poly_x[m] if side % 2 == 0 else poly_y[m])
             if p >= 0.0:
-                next_x[kept], next_y[kept] = poly_x[k], poly_y[k]
+                next_x[kept], next_y[kept] = poly_x[c], poly_y[c]
                 kept += 1
             if (p >= 0.0) != (q >= 0.0):
                 s = p / (p - q)
-                next_x[kept] = poly_x[k] + s * (poly_x[m] - poly_x[k])
-                next_y[kept] = poly_y[k] + s * (poly_y[m] - poly_y[k])
+                next_x[kept] = poly_x[c] + s * (poly_x[m] - poly_x[c])
+                next_y[kept] = poly_y[c] + s * (poly_y[m] - poly_y[c])
                 kept += 1
         poly_x, next_x = next_x, poly_x
         poly_y, next_y = next_y, poly_y
         count = kept
     area = 0.0
-    for k in range(count):
-        m = k + 1 if k + 1 < count else 0
-        area += poly_x[k] * poly_y[m] - poly_x[m] * poly_y[k]
+    for c in range(count):
+        m = c + 1 if c + 1 < count else 0
+        area += poly_x[c] * poly_y[m] - poly_x[m] * poly_y[c]
     common = 0.5 * area * (top - bottom)
     if common > 0.0:
-        volume = a_lwh[i, 0] * a_lwh[i, 1] * a_lwh[i, 2] + b_lwh[j, 0] * b_lwh[j, 1] * b_lwh[j, 2]
+        volume = a_lwh[k, 0] * a_lwh[k, 1] * a_lwh[k, 2] + b_lwh[k, 0] * b_lwh[k, 1] * b_lwh[k, 2]
         return min(1.0, common / (volume - common))
     return 0.0

@@ -93,10 +93,6 @@ def edge_slope(fov_rad: float) -> float:
     return float(np.tan(0.5 * fov_rad if fov_rad <= np.pi else np.pi - 0.5 * fov_rad))
 
 
-def _norm(xyz: Float[ndarray, "n 3"]) -> Float[ndarray, "n"]:
-    return np.sqrt((xyz * xyz).sum(axis=1))
-
-
 def points_in_boxes(
     sweeps: RangeImages, o: Int[ndarray, "n"], boxes: Boxes, b: Int[ndarray, "n"] | None = None
 ) -> Int32[ndarray, "n"]:
@@ -233,4 +229,4 @@ def observability(
     o = np.repeat(np.arange(len(ptr) - 1, dtype=np.int32), np.diff(ptr))[keep]
     actor = row[keep].astype(np.int32)
     apart = boxes.xyz_m[actor] - sweeps.poses.origin_m[o]
-    return Observability(o, actor, n_returns[keep], n_unoccluded[keep], _norm(apart))
+    return Observability(o, actor, n_returns[keep], n_unoccluded[keep], np.sqrt((apart * apart).sum(axis=1)))

@@ -61,12 +61,11 @@ def is_testable(x, y, z, height, range_m, height_m, fov_rad, slope):
 
 
 @kernel
-def _cross(corner, a, b, sign, plane, p):
+def _cross(a, b, sign, normal):
     """Normal of the plane through the sensor and two corners."""
-    ax, ay, az, bx, by, bz = corner[a, 0], corner[a, 1], corner[a, 2], corner[b, 0], corner[b, 1], corner[b, 2]
-    plane[p, 0] = sign * (ay * bz - az * by)
-    plane[p, 1] = sign * (az * bx - ax * bz)
-    plane[p, 2] = sign * (ax * by - ay * bx)
+    normal[0] = sign * (a[1] * b[2] - a[2] * b[1])
+    normal[1] = sign * (a[2] * b[0] - a[0] * b[2])
+    normal[2] = sign * (a[0] * b[1] - a[1] * b[0])
 
 
 @kernel
@@ -95,10 +94,10 @@ def frustum(x, y, middle_z, length, width, height, corner, plane):
         corner[c, 0] = x + down * down_x + right * right_x
         corner[c, 1] = y + down * down_y + right * right_y
         corner[c, 2] = middle_z + down * down_z + right * right_z
-    _cross(corner, 1, 0, 1.0, plane, 0)
-    _cross(corner, 3, 2, -1.0, plane, 1)
-    _cross(corner, 1, 3, -1.0, plane, 2)
-    _cross(corner, 0, 2, 1.0, plane, 3)
+    _cross(corner[1], corner[0], 1.0, plane[0])
+    _cross(corner[3], corner[2], -1.0, plane[1])
+    _cross(corner[1], corner[3], -1.0, plane[2])
+    _cross(corner[0], corner[2], 1.0, plane[3])
     flat = np.sqrt(x * x + y * y)
     half, low, high = _window(x / flat, y / flat, corner, plane)
     return away, np.arctan2(y, x), half, low, high

@@ -18,14 +18,13 @@ from scipy.special import expit, gammaincinv, ndtri
 
 from sensors.boxes import Boxes
 from sensors.evidence import Observability
-from sensors.hash_rng import mix, unit
+from sensors.hash_rng import mix, uniforms, unit
 from sensors.kernel import compiled, kernel
 from sensors.lidar import Sweeps
 from sensors.range_steps import metres
 from sensors.raycast.column import actor_columns, columns_of
 from sensors.reports import DetectorDraws, Reports
 from sensors.scene import Hit
-from sensors.thinned import COLUMN_STEP, ROW_STEP
 
 CELL_M = 2.0
 """Edge of a cell [m]: larger than a pedestrian, smaller than a car."""
@@ -38,6 +37,9 @@ HIDDEN = 0.8
 
 FARTHEST_CELLS = 512
 """Distance up to which cells are told apart; returns from beyond count to the last one."""
+
+COLUMN_STEP, ROW_STEP = 4, 2
+"""Every fourth column and every second row of a sweep suffice to compute shares of the returns."""
 
 INITIAL_CAPACITY = 16
 """False positives per sweep that memory is allocated for at first."""
@@ -70,7 +72,7 @@ def false_positives(sweeps: Sweeps, seen: Observability, draws: DetectorDraws, m
     shares = np.array([persistent * shared, persistent * (1.0 - shared), 1.0 - persistent])
     o, site, ray, rank, noise = _at_sites(sweeps, seen, draws, model, shares)
     column, row = np.divmod(ray, sweeps.hit.shape[2])
-    u = _uniforms_of_site(site)
+    u = uniforms(site, 11)[:, 8:]  # that belong to the site for good: class, size, heading
     share = np.cumsum(model.false_positive_mix) / np.sum(model.false_positive_mix)
     label = np.searchsorted(share, u[:, 0], side="right").astype(np.uint8)
     lwh = model.mean_lwh_m[label] * np.exp(0.1 * _normal(u[:, 1]))[:, None]
@@ -134,7 +136,7 @@ def _at_sites(
     capacity = INITIAL_CAPACITY
     while True:
         n, site, ray, uniform = _all_sweeps(
-            (sweeps.range_steps, sweeps.step_m), sweeps.hit, sweeps.thinned, sweeps.poses.origin_m,
+            (sweeps.range_steps, sweeps.step_m), sweeps.hit, sweeps.poses.origin_m,
             sweeps.poses.yaw_rad, sweeps.beams, float(sweeps.max_range_m), _Hidden(ptr, actor, n_returns), keys, rates,
             capacity,
         )  # fmt: skip
@@ -144,16 +146,6 @@ def _at_sites(
     o = np.repeat(np.arange(len(n)), n)
     at = o, np.arange(len(o)) - np.repeat(np.cumsum(n) - n, n)
     return o, site[at], ray[at], uniform[at][:, 0], uniform[at][:, 1]
-
-
-@compiled
-def _uniforms_of_site(site):
-    """Three uniforms that belong to the site for good: class, size, heading."""
-    out = np.empty((len(site), 3))
-    for k in range(len(site)):
-        for j in range(3):
-            out[k, j] = unit(mix(site[k], 8 + j))
-    return out
 
 
 @lru_cache(maxsize=4)
@@ -201,15 +193,15 @@ def _side(x, y):
 
 
 @kernel
-def _places(steps, hits, cos_el, c, x, y, along_x, along_y, top, side, place):
-    """Cell and kind (wall, road) in which each ray of a thinned column ended, from 1; 0 for neither kind.
+def _places(steps, hits, cos_el, x, y, along_x, along_y, top, side, place):
+    """Cell and kind (wall, road) in which each of some rays of a column ended, from 1; 0 for neither kind.
 
     `cos_el` are lengths per step. In single precision, counted in cells from the corner of all of them: right to a
     hundredth of a millimetre.
     """
-    column, width, zero = np.uint64(c), np.int32(side), np.float32(0.0)
+    width, zero = np.int32(side), np.float32(0.0)
     for r in range(np.uint64(len(place))):
-        flat, code = np.float32(steps[column, r]) * cos_el[r], hits[column, r]
+        flat, code = np.float32(steps[r]) * cos_el[r], hits[r]
         i, j = np.int32(min(max(x + flat * along_x, zero), top)), np.int32(min(max(y + flat * along_y, zero), top))
         at = np.int32(2) * (i * width + j) + np.int32(code == Hit.GROUND) * np.int32(_ROAD)
         place[r] = at + np.int32(1) if (code == Hit.GROUND) | (code == Hit.BUILDING) else np.int32(0)
@@ -217,9 +209,10 @@ def _places(steps, hits, cos_el, c, x, y, along_x, along_y, top, side, place):
 
 @compiled
 def _tally(steps, step_m, hits, beams, x, y, cos, sin, x0, y0, side):
-    """Cells and kinds (wall, road) of a thinned sweep, in the order met; returns of each place; and by kind."""
-    n_columns, n_rows = hits.shape
+    """Of some rays of a sweep: cells and kinds (wall, road), in the order met; returns of each place; and by kind."""
     cos_el = (step_m * beams.cos_el[::ROW_STEP]).astype(np.float32)
+    n_columns, n_rows = (len(hits) + COLUMN_STEP - 1) // COLUMN_STEP, len(cos_el)
+    some_steps, some_hits = np.empty(n_rows, steps.dtype), np.empty(n_rows, hits.dtype)
     count = np.zeros(2 * side * side + 1, np.int32)  # by place, from 1
     met, k = np.empty(n_columns * n_rows + 1, np.int32), 0
     place = np.empty(n_rows, np.int32)
@@ -228,7 +221,10 @@ def _tally(steps, step_m, hits, beams, x, y, cos, sin, x0, y0, side):
         c = column * COLUMN_STEP
         along_x = np.float32((cos * beams.cos_az[c] - sin * beams.sin_az[c]) / CELL_M)
         along_y = np.float32((sin * beams.cos_az[c] + cos * beams.sin_az[c]) / CELL_M)
-        _places(steps, hits, cos_el, column, x, y, along_x, along_y, top, side, place)
+        for r in range(np.uint64(n_rows)):  # next to each other, so that what follows becomes vector instructions
+            some_steps[r] = steps[np.uint64(c), r * np.uint64(ROW_STEP)]
+            some_hits[r] = hits[np.uint64(c), r * np.uint64(ROW_STEP)]
+        _places(some_steps, some_hits, cos_el, x, y, along_x, along_y, top, side, place)
         for at in place:
             if count[np.uint32(at)] == 0:
                 met[np.uint64(k)] = at
@@ -297,9 +293,7 @@ class _Hidden(NamedTuple):
 
 
 @compiled
-def _one_sweep(
-    ranges, hits, thinned, beams, pose, half, actor, n_returns, observer, step, keys, rates, site, ray, uniform
-):
+def _one_sweep(ranges, hits, beams, pose, half, actor, n_returns, observer, step, keys, rates, site, ray, uniform):
     """Number of false positives of one sweep; as many as fit are written to `site`, `ray` and `uniform`."""
     x, y, yaw = pose
     common, _, _, actor_key, time_s, pace = keys
@@ -307,7 +301,7 @@ def _one_sweep(
     side, sampled = 2 * half + 1, 1.0 / (COLUMN_STEP * ROW_STEP)
     cos, sin = np.cos(yaw), np.sin(yaw)
     x0, y0 = np.int64(np.floor(x / CELL_M)) - half, np.int64(np.floor(y / CELL_M)) - half
-    met, count, n = _tally(thinned[0], ranges[1], thinned[1], beams, x, y, cos, sin, x0, y0, side)
+    met, count, n = _tally(ranges[0], ranges[1], hits, beams, x, y, cos, sin, x0, y0, side)
     bodies = float(n[_WALL])
     for s in range(len(actor)):
         bodies += sampled * n_returns[s]
@@ -348,7 +342,7 @@ def _one_sweep(
 
 
 @compiled
-def _all_sweeps(ranges, hit, thinned, origin_m, yaw_rad, beams, max_range_m, hidden, keys, rates, capacity):
+def _all_sweeps(ranges, hit, origin_m, yaw_rad, beams, max_range_m, hidden, keys, rates, capacity):
     """Per sweep: number of false positives; of the first `capacity`: key of the site, ray, U / p and a uniform."""
     n_sweeps, half = len(hit), min(np.int64(max_range_m / CELL_M) + 2, FARTHEST_CELLS)
     found = np.empty(n_sweeps, np.int64)
@@ -358,7 +352,7 @@ def _all_sweeps(ranges, hit, thinned, origin_m, yaw_rad, beams, max_range_m, hid
     for o in range(n_sweeps):
         first, last = hidden.ptr[o], hidden.ptr[o + 1]
         found[o] = _one_sweep(
-            (steps[o], step_m), hit[o], (thinned.range_steps[o], thinned.hit[o]), beams,
+            (steps[o], step_m), hit[o], beams,
             (origin_m[o, 0], origin_m[o, 1], yaw_rad[o]), half, hidden.actor[first:last], hidden.n_returns[first:last],
             keys.observer[o], keys.step[o], keys, rates, site[o], ray[o], uniform[o],
         )  # fmt: skip

@@ -42,13 +42,9 @@ def unit(h):
     return (h >> _S11) * _TO_UNIT
 
 
-@compiled
 def mix_rows(keys: UInt64[ndarray, "k"], ids: UInt64[ndarray, "k"]) -> UInt64[ndarray, "k"]:
     """Each key extended by the identifier in the same row."""
-    out = np.empty(len(keys), np.uint64)
-    for row in range(len(keys)):
-        out[row] = mix(keys[row], ids[row])
-    return out
+    return splitmix64.py_func(keys + (ids + _ONE) * GOLDEN)
 
 
 @compiled

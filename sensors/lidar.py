@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
@@ -12,15 +13,13 @@ from jaxtyping import Bool, Float, Float32, Int, UInt8, UInt16, UInt64
 from numpy import ndarray
 
 from sensors.boxes import Boxes
-from sensors.kernel import compiled
 from sensors.neighbours import Neighbours, neighbours
 from sensors.pairs import Pairs, pairs_of, turned
 from sensors.range_noise import RangeNoise
 from sensors.range_steps import NO_RETURN, metres, step_m
-from sensors.raycast import columnar, embree, open3d
+from sensors.raycast import columnar, embree, mesh, open3d
 from sensors.raycast.column import cells_of_slopes
 from sensors.scene import Hit, Prisms, Scene, prisms
-from sensors.thinned import Thinned, thinned_size
 
 
 class Profile(NamedTuple):
@@ -163,7 +162,7 @@ class Poses:
 
     def to_sensor(self, o: Int[ndarray, "n"], boxes: Boxes, b: Int[ndarray, "n"] | None = None) -> Boxes:
         """Box b[k] in the frame of sensor o[k]; without `b`, all boxes in order."""
-        return Boxes(*turned(self.pairs(o, boxes, b)))
+        return turned(self.pairs(o, boxes, b))
 
     def to_world(self, o: int, xyz: Float[ndarray, "k 3"]) -> Float[ndarray, "k 3"]:
         """Convert points from the frame of sensor o to the world frame [m]."""
@@ -231,8 +230,7 @@ class RangeImages:
 
     def cloud(self, o: int) -> Float32[ndarray, "k 3"]:
         """The same points in single precision, as in files of point clouds."""
-        grid = self.beams
-        return _cloud(self.range_steps[o], self.step_m, grid.cos_az, grid.sin_az, grid.cos_el, grid.sin_el)
+        return self.xyz(o).astype(np.float32)
 
     def points(self, o: Int[ndarray, "k"], column: Int[ndarray, "k"], row: Int[ndarray, "k"]) -> Float[ndarray, "k 3"]:
         """End points of single rays with a return, in the frame of sensor o[k] [m]."""
@@ -248,8 +246,6 @@ class Sweeps(RangeImages):
 
     hit: Int[ndarray, "m a e"]
     """`Hit` code of the object that each ray met. Ground truth: no vehicle may use it."""
-    thinned: Thinned
-    """A copy of some of these rays."""
     unrounded_m: Float32[ndarray, "m a e"]
     """Range before it is rounded to steps [m], inf without a return; empty unless `scan` got `unrounded`."""
 
@@ -258,9 +254,8 @@ class SweepMemory(NamedTuple):
     """What `scan` may use of earlier work, to save time: arrays to overwrite, and what is known already."""
 
     range_steps: ndarray | None = None
-    """This array, `hit` and `thinned` are overwritten where they are large enough."""
+    """This array and `hit` are overwritten where they are large enough."""
     hit: ndarray | None = None
-    thinned: Thinned | None = None
     near: Neighbours | None = None
     """`neighbours` of the sensors among the boxes of this sweep."""
     bodies: Prisms | None = None
@@ -271,7 +266,11 @@ NO_MEMORY = SweepMemory()
 """Nothing to use again: everything is computed, and `scan` allocates new arrays."""
 
 
-ENGINES: dict[str, Callable[..., None]] = {"columnar": columnar.cast, "embree": embree.cast, "open3d": open3d.cast}
+ENGINES: dict[str, Callable[..., None]] = {
+    "columnar": columnar.cast,
+    "embree": partial(mesh.cast, embree.tracer_of),
+    "open3d": partial(mesh.cast, open3d.tracer_of),
+}
 
 
 def scan(
@@ -327,12 +326,8 @@ def scan(
     poses, grid = mount(boxes, observers, params), beams(params)
     ground_m = height_of_road_m(boxes, observers)
     size = (len(observers), len(grid.azimuth_rad), len(grid.elevation_rad))
-    memory = out if isinstance(out, SweepMemory) else SweepMemory(out.range_steps, out.hit, out.thinned)
+    memory = out if isinstance(out, SweepMemory) else SweepMemory(out.range_steps, out.hit)
     range_steps, hit = buffer(size, np.uint16, memory.range_steps), buffer(size, hit_type(len(boxes)), memory.hit)
-    kept = (None, None) if memory.thinned is None else memory.thinned
-    thinned = Thinned(
-        *(buffer(thinned_size(size), a.dtype.type, b) for a, b in zip((range_steps, hit), kept, strict=True))
-    )
     sweeps = Sweeps(
         poses=poses,
         observers=observers,
@@ -342,7 +337,6 @@ def scan(
         range_steps=range_steps,
         step_m=step_of(params),
         hit=hit,
-        thinned=thinned,
         unrounded_m=np.empty(size if unrounded else (0, *size[1:]), np.float32),
     )
     near = neighbours(poses.origin_m, boxes, params.max_range_m) if memory.near is None else memory.near
@@ -396,18 +390,3 @@ def buffer(size: tuple[int, int, int], kind: type, old: ndarray | None) -> ndarr
     if whole is None or whole.dtype != kind or whole.shape[1:] != size[1:] or len(whole) < size[0]:
         whole = np.empty((size[0] + size[0] // 8, *size[1:]), kind)
     return whole[: size[0]]
-
-
-@compiled
-def _cloud(steps, step, cos_az, sin_az, cos_el, sin_el):
-    """End points of the rays with a return, in single precision."""
-    xyz = np.empty(((steps != NO_RETURN).sum(), 3), np.float32)
-    k = 0
-    for c in range(steps.shape[0]):
-        for r in range(steps.shape[1]):
-            far = steps[c, r] * step
-            if steps[c, r] != NO_RETURN:
-                flat = far * cos_el[r]
-                xyz[k, 0], xyz[k, 1], xyz[k, 2] = flat * cos_az[c], flat * sin_az[c], far * sin_el[r]
-                k += 1
-    return xyz

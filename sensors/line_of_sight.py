@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, Int32, UInt8
+from jaxtyping import Bool, Float, Int, Int32, UInt8, UInt64
 from numpy import ndarray
 from scipy.ndimage import distance_transform_cdt
 
@@ -97,7 +97,10 @@ class WallIndex:
         """Which points lie inside a building."""
         return kernels.building_at(np.ascontiguousarray(xyz_m, float), self.grid, self.walls) >= 0
 
-    def has_los(self, xyz_m: Float[ndarray, "n 3"], a: Int[ndarray, "m"], b: Int[ndarray, "m"]) -> Bool[ndarray, "m"]:
+    def has_los(
+        self, xyz_m: Float[ndarray, "n 3"], a: Int[ndarray, "m"], b: Int[ndarray, "m"],
+        blocked: Bool[ndarray, "m"] | None = None, rank: UInt64[ndarray, "n"] | None = None,
+    ) -> Bool[ndarray, "m"]:  # fmt: skip
         """Which lines between points are not blocked by a building; exact.
 
         Parameters
@@ -106,15 +109,20 @@ class WallIndex:
             Points in the world frame [m].
         a, b
             Rows of the two end points of each line.
+        blocked
+            Lines that are known to be blocked (`crosses_filled`); computed by default.
+        rank
+            A line is followed from its end of lower rank, from `a` where they are equal; all are equal by default.
 
         Returns
         -------
         One boolean per line.
         """
-        xyz_m, a, b = np.ascontiguousarray(xyz_m, float), _rows(a), _rows(b)
+        xyz_m = np.ascontiguousarray(xyz_m, float)
+        a, b = (np.ascontiguousarray(rows, np.int32) for rows in (a, b))  # the type for which kernels are compiled
         out = np.empty(len(a), np.bool_)
-        blocked = self.crosses_filled(xyz_m, a, b)
-        rank = np.zeros(len(xyz_m), np.uint64)
+        blocked = self.crosses_filled(xyz_m, a, b) if blocked is None else blocked
+        rank = np.zeros(len(xyz_m), np.uint64) if rank is None else rank
         kernels.has_los(xyz_m, self.indoors(xyz_m), rank, a, b, blocked, self.grid, self.walls.segment, out)
         return out
 
@@ -158,11 +166,6 @@ def _level(walls: Walls, z_m: ndarray) -> ndarray:
     return (z_m - zero_m) * 254 / max(float(walls.top_m.max(initial=1.0)) - zero_m, 1.0)
 
 
-def _rows(rows: Int[ndarray, "m"]) -> ndarray:
-    """Rows in one type, for which kernels are compiled."""
-    return np.ascontiguousarray(rows, np.int32)
-
-
 def _buildings_by_square(low: ndarray, side_m: float, nx: int, ny: int, walls: Walls) -> tuple[ndarray, ndarray]:
     """Buildings by the squares that their bounding box touches, compressed rows; ascending in each."""
     building = np.flatnonzero(np.diff(walls.ptr))
@@ -182,18 +185,15 @@ def _buildings_by_square(low: ndarray, side_m: float, nx: int, ny: int, walls: W
 
 @dataclass(frozen=True, slots=True)
 class LosOfPlaces:
-    """Lines of sight between *places*, which are points rounded to a fine grid. `LosOfPlaces.of` builds it."""
+    """Lines of sight between *places*, which are points rounded to a fine grid."""
 
     index: WallIndex
-    snap_m: float
+    snap_m: float = 0.5
     """Width of a place [m]; heights are rounded to the same."""
 
-    @staticmethod
-    def of(index: WallIndex, snap_m: float = 0.5) -> LosOfPlaces:
-        """Lines of sight among the walls of an index."""
-        if not snap_m > 0:
-            raise ValueError(f"snap_m = {snap_m} m must be positive.")
-        return LosOfPlaces(index, snap_m)
+    def __post_init__(self) -> None:
+        if not self.snap_m > 0:
+            raise ValueError(f"snap_m = {self.snap_m} m must be positive.")
 
     def snap(self, xyz_m: Float[ndarray, "n 3"]) -> Float[ndarray, "n 3"]:
         """The places of these points."""
@@ -203,28 +203,9 @@ class LosOfPlaces:
         self, xyz_m: Float[ndarray, "n 3"], a: Int[ndarray, "m"], b: Int[ndarray, "m"],
         blocked: Bool[ndarray, "m"] | None = None,
     ) -> Bool[ndarray, "m"]:  # fmt: skip
-        """Which lines between the places of points are not blocked by a building.
-
-        Parameters
-        ----------
-        xyz_m
-            Points in the world frame [m].
-        a, b
-            Rows of the two end points of each line.
-        blocked
-            Lines that are known to be blocked (`WallIndex.crosses_filled`); computed by default.
-
-        Returns
-        -------
-        One boolean per line.
-        """
-        cell, index = self._cell(xyz_m), self.index
-        xyz, a, b = cell * self.snap_m + self._low, _rows(a), _rows(b)
-        if blocked is None:
-            blocked = index.crosses_filled(xyz, a, b)
-        out = np.empty(len(a), np.bool_)
-        kernels.has_los(xyz, index.indoors(xyz), _place(cell), a, b, blocked, index.grid, index.walls.segment, out)
-        return out
+        """`WallIndex.has_los` between the places of points `a` and `b`; swapping them changes nothing."""
+        cell = self._cell(xyz_m)
+        return self.index.has_los(cell * self.snap_m + self._low, a, b, blocked, _place(cell))
 
     def walls_crossed(
         self, xyz_m: Float[ndarray, "n 3"], a: Int[ndarray, "m"], b: Int[ndarray, "m"]

@@ -1,15 +1,18 @@
-"""Boxes near given points."""
+"""Boxes and buildings near given points."""
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
+import shapely
 from jaxtyping import Float, Int
 from numpy import ndarray
 from scipy.spatial import cKDTree
 
 from sensors.boxes import Boxes
+from sensors.scene import Scene
 
 
 class Neighbours(NamedTuple):
@@ -34,3 +37,30 @@ def neighbours(points_m: Float[ndarray, "m d"], boxes: Boxes, range_m: float) ->
     pair = cKDTree(points_m[:, :2]).sparse_distance_matrix(cKDTree(boxes.xyz_m[:, :2]), limit, output_type="ndarray")
     key = np.sort(pair["i"].astype(np.int64) * n + pair["j"])
     return Neighbours(np.searchsorted(key, np.arange(len(points_m) + 1) * n), key % n)
+
+
+def buildings_near(points_m: Float[ndarray, "m d"], scene: Scene, range_m: float) -> Neighbours:
+    """Buildings whose bounds touch the square of this half width around each point.
+
+    Parameters
+    ----------
+    points_m
+        Points in the world frame [m]; only x and y count.
+    scene
+        Buildings.
+    range_m
+        Half the width of the square [m].
+
+    Returns
+    -------
+    Rows of the buildings, by point; in any order.
+    """
+    x, y = points_m[:, 0], points_m[:, 1]
+    square = shapely.box(x - range_m, y - range_m, x + range_m, y + range_m)
+    point, building = _tree(scene).query(square)
+    return Neighbours(np.searchsorted(point, np.arange(len(points_m) + 1)), building)
+
+
+@lru_cache(maxsize=4)
+def _tree(scene: Scene) -> shapely.STRtree:
+    return shapely.STRtree(scene.footprints)

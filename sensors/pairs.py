@@ -9,7 +9,7 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 
 from sensors.boxes import Boxes
-from sensors.kernel import compiled, inlined
+from sensors.kernel import inlined
 
 
 class Pairs(NamedTuple):
@@ -58,11 +58,7 @@ def in_sensor_frame(pairs, k):
     return x, y, z, pairs.lwh_m[w, 0], pairs.lwh_m[w, 1], pairs.lwh_m[w, 2], yaw
 
 
-@compiled
-def turned(pairs):
-    """Centres, sizes and headings of all pairs."""
-    n = len(pairs.o)
-    xyz, lwh, yaw = np.empty((n, 3)), np.empty((n, 3)), np.empty(n)
-    for k in range(n):
-        xyz[k, 0], xyz[k, 1], xyz[k, 2], lwh[k, 0], lwh[k, 1], lwh[k, 2], yaw[k] = in_sensor_frame(pairs, k)
-    return xyz, lwh, yaw
+def turned(pairs: Pairs) -> Boxes:
+    """The boxes of all pairs, each in the frame of its sensor."""
+    x, y, z, length, width, height, yaw = in_sensor_frame.py_func(pairs, slice(None))
+    return Boxes(np.column_stack([x, y, z]), np.column_stack([length, width, height]), yaw)

@@ -154,7 +154,7 @@ def prisms(shape: UInt8[ndarray, "n"], boxes: Boxes) -> Prisms:
 
 
 class Buildings(NamedTuple):
-    """Building walls, grouped by building, and a grid that finds the buildings near a point; world frame."""
+    """Building walls, grouped by building; world frame."""
 
     ptr: ndarray
     """int64 [b+1]: the walls of building k are ptr[k]..ptr[k+1]."""
@@ -167,16 +167,8 @@ class Buildings(NamedTuple):
     top_m: ndarray
     bounds_m: ndarray
     """float64 [b, 4]: x min, y min, x max, y max."""
-    grid_xy_m: ndarray
-    """float64 [2]: lower left corner of the grid."""
-    grid_shape: ndarray
-    """int64 [2]: columns, rows."""
-    grid_ptr: ndarray
-    grid_item: ndarray
-    """Cell k = row * columns + column is touched by the bounds of buildings grid_item[grid_ptr[k]:grid_ptr[k + 1]]."""
 
 
-GRID_CELL_M = 64.0
 SMALLEST_M2 = 1e-4
 """Footprints of a smaller area are dropped."""
 
@@ -331,7 +323,7 @@ def _open_edges(faces: Int[ndarray, "t 3"]) -> int:
 
 
 def _walls(polygons: ndarray, base: ndarray, top: ndarray) -> Buildings:
-    """Walls and grid of valid, oriented polygons."""
+    """Walls of valid, oriented polygons."""
     loop, owner = shapely.get_rings(polygons, return_index=True) if len(polygons) else (polygons, np.zeros(0, int))
     xy, ring = shapely.get_coordinates(loop, return_index=True)
     inside = np.flatnonzero(ring[1:] == ring[:-1]) if len(ring) else np.zeros(0, int)
@@ -340,16 +332,6 @@ def _walls(polygons: ndarray, base: ndarray, top: ndarray) -> Buildings:
     a, b, of = a[real], b[real], of[real]
     ptr = np.searchsorted(of, np.arange(len(polygons) + 1))
     bounds = shapely.bounds(polygons).reshape(-1, 4) if len(polygons) else np.zeros((0, 4))
-    low = bounds[:, :2].min(axis=0) if len(bounds) else np.zeros(2)
-    high = bounds[:, 2:].max(axis=0) if len(bounds) else np.zeros(2)
-    shape = (np.floor((high - low) / GRID_CELL_M)).astype(np.int64) + 1
-    c0 = np.floor((bounds[:, :2] - low) / GRID_CELL_M).astype(np.int64)
-    size = np.floor((bounds[:, 2:] - low) / GRID_CELL_M).astype(np.int64) - c0 + 1
-    count = size.prod(axis=1)
-    item = np.repeat(np.arange(len(polygons)), count)
-    k = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
-    cell = (c0[item, 1] + k // size[item, 0]) * shape[0] + c0[item, 0] + k % size[item, 0]
-    order = np.argsort(cell, kind="stable")
     return Buildings(
         ptr=ptr.astype(np.int64),
         ax_m=np.ascontiguousarray(a[:, 0]),
@@ -359,10 +341,6 @@ def _walls(polygons: ndarray, base: ndarray, top: ndarray) -> Buildings:
         base_m=np.ascontiguousarray(base),
         top_m=np.ascontiguousarray(top),
         bounds_m=np.ascontiguousarray(bounds),
-        grid_xy_m=low,
-        grid_shape=shape,
-        grid_ptr=np.searchsorted(cell[order], np.arange(shape.prod() + 1)).astype(np.int64),
-        grid_item=item[order].astype(np.int64),
     )
 
 

@@ -12,7 +12,7 @@ from trust.tables import Evaluations, FusionInput, ObjectLists, SenderTrust, int
 from trust.threads import threads_for
 
 
-class _Lists(NamedTuple):
+class EgoLists(NamedTuple):
     """Object lists of the egos, group of each of their positions, and message and score of each detection."""
 
     ptr: ndarray
@@ -23,7 +23,7 @@ class _Lists(NamedTuple):
     score: ndarray
 
 
-class _Evaluated(NamedTuple):
+class Evaluated(NamedTuple):
     """Evaluations by list of their evaluator, without those out of range."""
 
     ptr: ndarray
@@ -32,14 +32,43 @@ class _Evaluated(NamedTuple):
     visibility: ndarray
 
     @staticmethod
-    def of(lists: ObjectLists, given: Evaluations) -> "_Evaluated":
+    def of(lists: ObjectLists, given: Evaluations) -> "Evaluated":
         """In the types of the kernel."""
         ptr, member, e, phi = int64(lists.ptr), lists.member.astype(np.int32), given.evaluation, given.visibility
         valid = (np.abs(e) <= 1.0) & (phi >= 0.0) & (phi <= 1.0)
         if not valid.all():
             rows = np.flatnonzero(valid)
             ptr, member, e, phi = np.searchsorted(rows, ptr), member[rows], e[rows], phi[rows]
-        return _Evaluated(ptr, member, e, phi)
+        return Evaluated(ptr, member, e, phi)
+
+
+class KernelInput(NamedTuple):
+    """What all egos of a step fuse, in the types of the kernels."""
+
+    lists: EgoLists
+    evaluated_by: ndarray
+    """Row of each message's list among the evaluated ones; -1 where its sender evaluated nothing."""
+    own: Evaluated
+    reported: Evaluated
+
+    @staticmethod
+    def of(given: FusionInput, received: Int[ndarray, "h"]) -> "KernelInput":
+        """From the tables of a step, and the rows of the messages that egos received."""
+        lists, detections, evaluated = given.lists, given.detections, given.evaluated
+        rows = (lists.owner, evaluated.owner, received, detections.message)
+        evaluated_by = np.full(1 + int(max(a.max(initial=-1) for a in rows)), -1, np.int64)
+        evaluated_by[evaluated.owner] = np.arange(evaluated.owner.size)
+        of_lists = EgoLists(
+            ptr=int64(lists.ptr),
+            member=int64(lists.member),
+            owner=int64(lists.owner),
+            group=given.groups.numbers(),
+            message=int64(detections.message),
+            score=detections.score,
+        )
+        own = Evaluated.of(evaluated, given.own)
+        reported = own if given.reported is given.own else Evaluated.of(evaluated, given.reported)
+        return KernelInput(of_lists, evaluated_by, own, reported)
 
 
 class _Weights(NamedTuple):
@@ -195,19 +224,8 @@ def sums_of_groups(
     sender_trust
         Canonical; rows go with `given.lists`.
     """
-    t, lists, detections, evaluated = sender_trust, given.lists, given.detections, given.evaluated
+    t, lists, evaluated = sender_trust, given.lists, given.evaluated
     assert np.all(t.trust >= 0)
-    rows = (lists.owner, evaluated.owner, t.message, detections.message)
-    evaluated_by = np.full(1 + int(max(a.max(initial=-1) for a in rows)), -1, np.int64)
-    evaluated_by[evaluated.owner] = np.arange(evaluated.owner.size)
-    of_lists = _Lists(
-        ptr=int64(lists.ptr),
-        member=int64(lists.member),
-        owner=int64(lists.owner),
-        group=given.groups.numbers(),
-        message=int64(detections.message),
-        score=detections.score,
-    )
     weights = _Weights(
         ptr=int64(t.ptr),
         message=int64(t.message),
@@ -218,12 +236,10 @@ def sums_of_groups(
         default_trust=params.default_trust,
         unit_trust=params.code_parity,
     )
-    made = _Evaluated.of(evaluated, given.own)
-    sent = made if given.reported is given.own else _Evaluated.of(evaluated, given.reported)
     members = MemberSums.of(lists.member.size * params.code_parity)
     totals = GroupTotals.zeros(given.groups.seeds().size)
     n_sums = lists.member.size + t.message.size * evaluated.member.size / max(1, evaluated.owner.size)
     longest = int(np.diff(lists.ptr).max(initial=0))
     with threads_for(n_sums) as n_threads:
-        _accumulate(longest, of_lists, evaluated_by, made, sent, weights, n_threads, members, totals)
+        _accumulate(longest, *KernelInput.of(given, t.message), weights, n_threads, members, totals)
     return totals, members

@@ -4,32 +4,11 @@ import numpy as np
 from jaxtyping import Float, Int
 from numba import njit, prange
 from numpy import ndarray
+from scipy.sparse import coo_array
 
 from trust.params import TrustParams
 from trust.tables import Detections, Groups, ObjectLists, int64
 from trust.threads import threads_for
-
-
-@njit(cache=True, nogil=True)
-def _adjacency(n, i, j, iou, tau):
-    """Symmetric compressed rows of the pairs above tau (False for a NaN)."""
-    ptr = np.zeros(n + 1, np.int64)
-    for p in range(i.size):
-        if iou[p] > tau:
-            ptr[i[p] + 1] += 1
-            ptr[j[p] + 1] += 1
-    for r in range(n):
-        ptr[r + 1] += ptr[r]
-    at = ptr[:-1].copy()
-    other = np.empty(ptr[n], np.int32)
-    value = np.empty(ptr[n])
-    for p in range(i.size):
-        if iou[p] > tau:
-            for a, b in ((i[p], j[p]), (j[p], i[p])):
-                other[at[a]] = b
-                value[at[a]] = iou[p]
-                at[a] += 1
-    return ptr, other, value
 
 
 @njit(cache=True, nogil=True)
@@ -151,10 +130,13 @@ def match(
     Deviations: the paper matches against the ego's detections only and one per vehicle; here detections that
     the ego lacks form groups too, which its later sections need, and one per vehicle is an option.
     """
-    i, j, iou = pairs
-    ptr, other, value = _adjacency(len(detections), int64(i), int64(j), iou, params.tau)
+    i, j, iou = (column[pairs[2] > params.tau] for column in pairs)  # False for a NaN
+    ends = np.concatenate([i, j]), np.concatenate([j, i])
+    both = coo_array((np.tile(iou, 2), ends), (len(detections), len(detections)))
+    both.has_canonical_format = True  # each pair is there once: its rows need not be sorted to see that
+    of = both.tocsr()
     with threads_for(lists.member.size) as n:
         return Groups(*_seeds(
-            int64(lists.ptr), int64(lists.member), int64(lists.owner), int64(detections.message), ptr, other, value,
-            params.one_per_vehicle, n,
+            int64(lists.ptr), int64(lists.member), int64(lists.owner), int64(detections.message), of.indptr,
+            of.indices, of.data, params.one_per_vehicle, n,
         ))  # fmt: skip

@@ -1,12 +1,14 @@
 """Who reports an object, and who could see its place and does not: the input of models that score objects."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from numba import njit, prange
 from numpy import ndarray
 
+from trust.group_sums import KernelInput
 from trust.tables import FusionInput, SenderTrust, int64
 
 
@@ -41,17 +43,40 @@ class ObjectVotes:
         return ObjectReports(self.group, self.in_favour, self.visibility, of_vote, self.n_groups)
 
 
+class _Received(NamedTuple):
+    """Messages that each ego has received, and whether their evaluations arrived too."""
+
+    ptr: ndarray
+    message: ndarray
+    has_evaluations: ndarray
+
+
+class _Votes(NamedTuple):
+    """A vote per row: its group, what it says, and the position of its message; the ego's own vote is before these."""
+
+    group: ndarray
+    position: ndarray
+    in_favour: ndarray
+    visibility: ndarray
+
+    @staticmethod
+    def of(n: int) -> "_Votes":
+        """Room for n votes."""
+        return _Votes(np.empty(n, np.int64), np.empty(n, np.int64), np.empty(n, bool), np.empty(n))
+
+
 @njit(cache=True, nogil=True, parallel=True)
-def _reports(list_ptr, member, owner, group, evaluated_ptr, evaluated, evaluated_by, own_e, own_phi, reported_e,
-             reported_phi, received_ptr, received, has_evaluations, message, n_detections, n_messages, n_chunks,
-             row_ptr, out_group, out_vehicle, out_received, out_favour, out_phi):  # fmt: skip
-    """Counts rows per ego if `out_group` is empty, else fills them; returns the counts."""
+def _reports(lists, evaluated_by, own, reported, messages, n_chunks, row_ptr, out):
+    """Counts rows per ego if `out` is empty, else fills them; returns the counts."""
+    list_ptr, member, owner, group, message, _ = lists
+    received_ptr, received, has_evaluations = messages
+    out_group, out_position, out_favour, out_visibility = out
     n_rows = np.zeros(owner.size, np.int64)
     fill = out_group.size > 0
     for chunk in prange(n_chunks):
-        at = np.full(n_detections, -1, np.int32)
-        begin = np.zeros(n_messages, np.int64)
-        end = np.zeros(n_messages, np.int64)
+        at = np.full(message.size, -1, np.int32)
+        begin = np.zeros(evaluated_by.size, np.int64)
+        end = np.zeros(evaluated_by.size, np.int64)
         for x in range(chunk, owner.size, n_chunks):
             a, b = list_ptr[x], list_ptr[x + 1]
             if a == b:
@@ -81,10 +106,11 @@ def _reports(list_ptr, member, owner, group, evaluated_ptr, evaluated, evaluated
                         n_touched += 1
                     side[g], phi_of[g] = 2, -1.0
                 if evaluated_by[v] >= 0 and (is_own or has_evaluations[h]):
-                    e, phi = (own_e, own_phi) if is_own else (reported_e, reported_phi)
-                    for s in range(evaluated_ptr[evaluated_by[v]], evaluated_ptr[evaluated_by[v] + 1]):
-                        p = at[evaluated[s]]
-                        if p < 0 or not (abs(e[s]) <= 1.0 and phi[s] > 0.0 and phi[s] <= 1.0):
+                    of = own if is_own else reported
+                    e, phi = of.evaluation, of.visibility
+                    for s in range(of.ptr[evaluated_by[v]], of.ptr[evaluated_by[v] + 1]):
+                        p = at[of.member[s]]
+                        if p < 0 or phi[s] == 0.0:
                             continue
                         g, now = group[p] - first, 2 if e[s] > 0.0 else 1
                         if side[g] == 0:
@@ -97,9 +123,9 @@ def _reports(list_ptr, member, owner, group, evaluated_ptr, evaluated, evaluated
                 for k in range(n_touched):
                     g = touched[k]
                     if fill:
-                        out_group[n_out], out_vehicle[n_out], out_received[n_out] = first + g, v, h
+                        out_group[n_out], out_position[n_out] = first + g, h
                         out_favour[n_out] = side[g] == 2
-                        out_phi[n_out] = 1.0 if phi_of[g] < 0.0 else phi_of[g]
+                        out_visibility[n_out] = 1.0 if phi_of[g] < 0.0 else phi_of[g]
                     n_out += 1
                     side[g], phi_of[g] = 0, 0.0
             n_rows[x] = n_out - row_ptr[x]
@@ -118,28 +144,13 @@ def object_votes(given: FusionInput, received: SenderTrust, n_threads: int) -> O
     received
         Canonical; rows go with `given.lists`. No trust is read.
     """
-    lists, groups, detections, evaluated = given.lists, given.groups, given.detections, given.evaluated
-    own, reported = given.own, given.reported
-    ptr, message, arrived = received.ptr, received.message, received.arrived()
-    seeds, group = groups.seeds(), groups.numbers()
-    n_messages = 1 + int(max(a.max(initial=-1) for a in (lists.owner, evaluated.owner, message, detections.message)))
-    evaluated_by = np.full(n_messages, -1, np.int64)
-    evaluated_by[evaluated.owner] = np.arange(evaluated.owner.size)
-    arrays = (
-        int64(lists.ptr), int64(lists.member), int64(lists.owner), group, int64(evaluated.ptr), int64(evaluated.member),
-        evaluated_by, own.evaluation, own.visibility, reported.evaluation, reported.visibility, int64(ptr),
-        int64(message), arrived, int64(detections.message), len(detections), n_messages, n_threads,
-    )  # fmt: skip
-
-    def rows(n: int) -> tuple[ndarray, ...]:
-        return (*(np.empty(n, np.int64) for _ in range(3)), np.empty(n, bool), np.empty(n))
-
-    n_egos = lists.owner.size
-    n_rows = _reports(*arrays, np.zeros(n_egos + 1, np.int64), *rows(0))
+    messages = _Received(int64(received.ptr), int64(received.message), received.arrived())
+    given_arrays, n_egos = KernelInput.of(given, received.message), given.lists.owner.size
+    n_rows = _reports(*given_arrays, messages, n_threads, np.zeros(n_egos + 1, np.int64), _Votes.of(0))
     row_ptr = np.concatenate([[0], np.cumsum(n_rows)])
-    out = rows(int(row_ptr[-1]))
-    if out[0].size:
-        _reports(*arrays, row_ptr, *out)
-    of_group, _, position, in_favour, visibility = out
-    is_own = position < ptr[np.repeat(np.arange(n_egos), n_rows)]
-    return ObjectVotes(of_group, in_favour, visibility, np.where(is_own, -1, position), seeds.size)
+    out = _Votes.of(int(row_ptr[-1]))
+    if out.group.size:
+        _reports(*given_arrays, messages, n_threads, row_ptr, out)
+    is_own = out.position < messages.ptr[np.repeat(np.arange(n_egos), n_rows)]
+    received_row = np.where(is_own, -1, out.position)
+    return ObjectVotes(out.group, out.in_favour, out.visibility, received_row, given.groups.seeds().size)

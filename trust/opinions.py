@@ -1,7 +1,6 @@
 """Opinions of subjective logic: belief, disbelief, uncertainty, as rows (b, d, u) that sum to 1.
 
-Jøsang: Subjective Logic. Springer, 2016. Fusion combines two opinions about one object. If both have no
-uncertainty (u = 0), the result is their mean. All functions take and return arrays of rows.
+Jøsang: Subjective Logic. Springer, 2016. All functions take and return arrays of rows.
 """
 
 import numpy as np
@@ -23,26 +22,6 @@ def of_check(ok: Float[ndarray, "..."], bad: Float[ndarray, "..."], base: float 
     gained = -np.expm1(-s * np.log(base))
     share = np.divide(gained, s, out=np.zeros_like(gained), where=s > 0)
     return np.stack([ok * share, bad * share, 1 - gained], axis=-1)
-
-
-def cumulative(x: Float[ndarray, "... 3"], y: Float[ndarray, "... 3"]) -> Float[ndarray, "... 3"]:
-    """Cumulative fusion, for independent evidence: k = ux + uy - ux uy, b = (bx uy + by ux) / k, u = ux uy / k."""
-    ux, uy = x[..., 2:], y[..., 2:]
-    return _or_mean(x, y, np.concatenate([x[..., :2] * uy + y[..., :2] * ux, ux * uy], -1), ux + uy - ux * uy)
-
-
-def averaging(x: Float[ndarray, "... 3"], y: Float[ndarray, "... 3"]) -> Float[ndarray, "... 3"]:
-    """Averaging fusion, for opinions on the same evidence: b = (bx uy + by ux) / (ux + uy), u = 2 ux uy / (ux + uy)."""
-    ux, uy = x[..., 2:], y[..., 2:]
-    return _or_mean(x, y, np.concatenate([x[..., :2] * uy + y[..., :2] * ux, 2 * ux * uy], -1), ux + uy)
-
-
-def weighted(x: Float[ndarray, "... 3"], y: Float[ndarray, "... 3"]) -> Float[ndarray, "... 3"]:
-    """Weighted fusion, by confidence c = 1 - u: b = (bx cx uy + by cy ux) / k, k = ux + uy - 2 ux uy."""
-    ux, uy = x[..., 2:], y[..., 2:]
-    cx, cy = 1 - ux, 1 - uy
-    fused = np.concatenate([x[..., :2] * cx * uy + y[..., :2] * cy * ux, (cx + cy) * ux * uy], -1)
-    return _or_mean(x, y, fused, ux + uy - 2 * ux * uy)
 
 
 def discounted(probability: Float[ndarray, "..."], opinion: Float[ndarray, "... 3"]) -> Float[ndarray, "... 3"]:
@@ -67,7 +46,3 @@ def of_evidence(evidence: Float[ndarray, "... 2"]) -> Float[ndarray, "... 3"]:
 def evidence_of(opinion: Float[ndarray, "... 3"]) -> Float[ndarray, "... 2"]:
     """Evidence (b / u, d / u) of an opinion; u must be above 0."""
     return opinion[..., :2] / opinion[..., 2:]
-
-
-def _or_mean(x: ndarray, y: ndarray, fused: ndarray, k: ndarray) -> Float[ndarray, "... 3"]:
-    return np.where(k > 0, np.divide(fused, k, out=np.zeros_like(fused), where=k > 0), (x + y) / 2)

@@ -5,7 +5,6 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
-from numba import njit
 from numpy import ndarray
 
 SERVER = 1 << 30
@@ -57,33 +56,15 @@ class Groups:
 
     def seeds(self) -> Int[ndarray, "g"]:
         """Positions of the seeds, ascending: the canonical order of groups."""
-        return _seeds(int64(self.seed))
+        return np.flatnonzero(self._is_seed())
 
     def numbers(self) -> Int[ndarray, "m"]:
         """Group of each position, numbered in the order of `seeds`."""
-        return _group_numbers(int64(self.seed))
+        is_seed = self._is_seed()
+        return (np.cumsum(is_seed, dtype=np.int32) - is_seed)[self.seed]
 
-
-@njit(cache=True, nogil=True)
-def _seeds(seed):
-    found = np.empty(len(seed), np.int64)
-    n = 0
-    for p in range(len(seed)):
-        found[n] = p
-        n += seed[p] == p
-    return found[:n].copy()
-
-
-@njit(cache=True, nogil=True)
-def _group_numbers(seed):
-    number = np.empty(len(seed), np.int32)
-    n = 0
-    for p in range(len(seed)):
-        number[p] = n
-        n += seed[p] == p
-    for p in range(len(seed)):
-        number[p] = number[seed[p]]
-    return number
+    def _is_seed(self) -> Bool[ndarray, "m"]:
+        return self.seed == np.arange(self.seed.size)
 
 
 @dataclass(frozen=True, slots=True)

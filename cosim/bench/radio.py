@@ -57,7 +57,7 @@ def _best(times: list[float]) -> float:
 
 
 def _los(side_m: float) -> LosOfPlaces:
-    return LosOfPlaces.of(WallIndex.of(city_blocks(side_m)))
+    return LosOfPlaces(WallIndex.of(city_blocks(side_m)))
 
 
 def _city(n: int, n_receivers: int, params: PropagationParams) -> tuple[ndarray, LosOfPlaces]:
@@ -150,7 +150,7 @@ def bench() -> list[tuple[str, float, str]]:
         rows.append((f"round of 3 hops, {n} senders, each transmission", 1e6 * each, "us"))
     xyz = streets(2000, 2000.0)
     index = WallIndex.of(city_blocks(2000.0))
-    los = LosOfPlaces.of(index)
+    los = LosOfPlaces(index)
     a, b, _ = pairs_within(xyz, 300.0)
     for name, has_los in (("between points", index.has_los), ("between places", los.has_los)):
         times = []

@@ -33,7 +33,7 @@ from cosim.radio.dtypes import (
 from cosim.radio.event_heap import pop, push
 from cosim.radio.forwarding import TIMER, enqueue_forward, is_full, on_receive, schedule_timers
 from cosim.radio.phy import HEADER_NS, PREAMBLE_NS
-from cosim.rng import mix, unit
+from sensors.hash_rng import mix, unit
 from sensors.kernel import inlined, kernel
 
 _END, _GENERATE, _GATE, _ACCESS = range(4)

@@ -19,7 +19,7 @@ from numpy import ndarray
 
 from cosim.radio.dtypes import NONE, WAITING
 from cosim.radio.event_heap import push
-from cosim.rng import mix, unit
+from sensors.hash_rng import mix, unit
 from sensors.kernel import kernel
 
 TIMER = 4

@@ -25,7 +25,7 @@ from jaxtyping import Bool, Float, Int, UInt8
 from numpy import ndarray
 from scipy.special import gammaincinv, ndtr
 
-from cosim.rng import mix, unit
+from sensors.hash_rng import mix, unit
 from sensors.kernel import compiled, inlined, kernel
 
 LIGHT_MPS = 299_792_458.0

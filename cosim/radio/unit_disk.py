@@ -22,7 +22,7 @@ from cosim.radio.message_round import (
 )
 from cosim.radio.params import RadioParams
 from cosim.ragged import ptr_of
-from cosim.rng import mix, unit
+from sensors.hash_rng import mix, unit
 from sensors.kernel import inlined, kernel
 from sensors.line_of_sight import LosOfPlaces
 

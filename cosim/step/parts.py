@@ -79,7 +79,7 @@ class Parts:
                 c.trust.freshness_s,
                 walls,
             ),
-            medium=_make_medium(c, LosOfPlaces.of(walls)),
+            medium=_make_medium(c, LosOfPlaces(walls)),
             pseudonyms=pseudonyms,
             linkage=linkage,
             revocation=Revocation(c.pseudonyms, linkage),

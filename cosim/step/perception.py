@@ -131,7 +131,7 @@ class Perception:
             part = near.part(first, last)
             memory = kept._replace(range_steps=range_steps[first:last], near=part, bodies=bodies)
             sweeps, here = self.sense(world, observers[first:last], own, memory)
-            self._groups.append(SweepMemory(None, sweeps.hit, sweeps.thinned))
+            self._groups.append(SweepMemory(None, sweeps.hit))
             return here.behind(first), own
 
         if n_threads == 1:

@@ -4,42 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from sensors.kernel import compiled, kernel
+from sensors.kernel import kernel
 from sensors.raycast.column import below
-from sensors.scene import GRID_CELL_M
-
-
-@compiled
-def gather(city, west, south, east, north):
-    """Buildings whose bounds touch a rectangle, each once, cell by cell."""
-    gx, gy = city.grid_xy_m[0], city.grid_xy_m[1]
-    columns, rows = city.grid_shape[0], city.grid_shape[1]
-    x0, y0 = max(0, int(np.floor((west - gx) / GRID_CELL_M))), max(0, int(np.floor((south - gy) / GRID_CELL_M)))
-    x1 = min(columns - 1, int(np.floor((east - gx) / GRID_CELL_M)))
-    y1 = min(rows - 1, int(np.floor((north - gy) / GRID_CELL_M)))
-    if x1 < x0:  # the rectangle lies beside the grid
-        return np.empty(0, np.int64)
-    total = 0
-    for cy in range(y0, y1 + 1):
-        total += city.grid_ptr[cy * columns + x1 + 1] - city.grid_ptr[cy * columns + x0]
-    found = np.empty(total, np.int64)
-    n = 0
-    for cy in range(y0, y1 + 1):
-        for cx in range(x0, x1 + 1):
-            for item in range(city.grid_ptr[cy * columns + cx], city.grid_ptr[cy * columns + cx + 1]):
-                k = city.grid_item[item]
-                bounds = city.bounds_m[k]
-                low_x, low_y, high_x, high_y = bounds[0], bounds[1], bounds[2], bounds[3]
-                if low_x > east or low_y > north or high_x < west or high_y < south:
-                    continue
-                # A building lies in several cells; it is taken in the first of them that is looked at.
-                if cx != max(x0, int(np.floor((low_x - gx) / GRID_CELL_M))):
-                    continue
-                if cy != max(y0, int(np.floor((low_y - gy) / GRID_CELL_M))):
-                    continue
-                found[n] = k
-                n += 1
-    return found[:n]
 
 
 @kernel

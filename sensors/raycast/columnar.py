@@ -10,14 +10,17 @@ nearer surface is kept. Seen from inside, a prism shows its inner faces, as a cl
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
+from numpy import ndarray
 
 from sensors.boxes import Boxes
 from sensors.kernel import compiled, inlined, kernel
-from sensors.neighbours import Neighbours
+from sensors.neighbours import Neighbours, buildings_near
 from sensors.range_noise import RangeNoise, add_noise
 from sensors.range_steps import count_steps
-from sensors.raycast.city import close_columns, gather, toggle_levels
+from sensors.raycast.city import close_columns, toggle_levels
 from sensors.raycast.column import (
     actor_columns,
     below,
@@ -29,7 +32,6 @@ from sensors.raycast.column import (
     slopes_of,
 )
 from sensors.scene import Hit, Prisms, Scene
-from sensors.thinned import thin
 
 
 def cast(sweeps, boxes: Boxes, bodies: Prisms, scene: Scene, noise: RangeNoise, near: Neighbours) -> None:
@@ -38,7 +40,7 @@ def cast(sweeps, boxes: Boxes, bodies: Prisms, scene: Scene, noise: RangeNoise, 
     Parameters
     ----------
     sweeps
-        `sensors.lidar.Sweeps`: sensors and beams. Its arrays `range_steps`, `hit` and `thinned` are filled, and
+        `sensors.lidar.Sweeps`: sensors and beams. Its arrays `range_steps` and `hit` are filled, and
         `unrounded_m` where it has rows.
     boxes, bodies
         All actors and their prisms, world frame.
@@ -60,39 +62,59 @@ def cast(sweeps, boxes: Boxes, bodies: Prisms, scene: Scene, noise: RangeNoise, 
             f'lidar.engine = "columnar" casts upright prisms, and the scene has a mesh of {sum(map(len, meshes))} '
             'triangles. Set lidar.engine to "embree" or "open3d".'
         )
-    _cast(
-        sweeps.range_steps, np.float32(1.0 / sweeps.step_m), sweeps.hit, sweeps.poses.origin_m, sweeps.poses.yaw_rad,
-        sweeps.ground_m, sweeps.observers, sweeps.beams, float(sweeps.max_range_m), boxes.xyz_m, boxes.circumradius_m,
-        near.ptr, near.row, bodies, scene.buildings, noise, sweeps.thinned, sweeps.unrounded_m,
-    )  # fmt: skip
+    origin_m, limit_m = sweeps.poses.origin_m, float(sweeps.max_range_m)
+    sensors = _Sensors(
+        origin_m,
+        sweeps.poses.yaw_rad,
+        sweeps.ground_m,
+        sweeps.observers,
+        near,
+        buildings_near(origin_m, scene, limit_m),
+    )
+    out = _Swept(sweeps.range_steps, np.float32(1.0 / sweeps.step_m), sweeps.hit, sweeps.unrounded_m)
+    _cast(sensors, sweeps.beams, limit_m, boxes.xyz_m, boxes.circumradius_m, bodies, scene.buildings, noise, out)
+
+
+class _Sensors(NamedTuple):
+    """Poses of M sensors, the height of the road under each, who carries it, and what is near."""
+
+    origin_m: ndarray
+    yaw_rad: ndarray
+    ground_m: ndarray
+    own: ndarray
+    actors: Neighbours
+    buildings: Neighbours
+
+
+class _Swept(NamedTuple):
+    """Arrays that a cast fills, as in `sensors.lidar.Sweeps`; `per_metre` range steps make a metre."""
+
+    range_steps: ndarray
+    per_metre: np.float32
+    hit: ndarray
+    unrounded_m: ndarray
 
 
 @compiled
-def _cast(
-    range_steps, per_metre, hit, origin, yaw, ground, own, beams, limit, xyz, radius, ptr, row, bodies, city, noise,
-    thinned, unrounded_m,
-):  # fmt: skip
+def _cast(sensors, beams, limit, xyz, radius, bodies, city, noise, out):
     """Sweep by sweep, so that each is finished while it is in the cache of its core."""
+    origin, near, standing = sensors.origin_m, sensors.actors, sensors.buildings
     for o in range(len(origin)):
-        x, y, z, cos, sin = origin[o, 0], origin[o, 1], origin[o, 2], np.cos(yaw[o]), np.sin(yaw[o])
-        hits, columns, slopes = hit[o], columns_of(beams), slopes_of(beams)
+        hits, view = out.hit[o], (beams, columns_of(beams), slopes_of(beams), limit)
+        pose = origin[o, 0], origin[o, 1], origin[o, 2], np.cos(sensors.yaw_rad[o]), np.sin(sensors.yaw_rad[o])
         ranges = np.empty(hits.shape, np.float32)
         nearest = np.full(len(beams.azimuth_rad), 1.0 / limit)
-        _city(ranges, hits, x, y, z, ground[o], cos, sin, beams, columns, slopes, limit, nearest, city)
-        for a in row[ptr[o] : ptr[o + 1]]:
-            if a != own[o]:
-                dx, dy = xyz[a, 0] - x, xyz[a, 1] - y
-                _actor(
-                    ranges, hits, a, dx, dy, radius[a], x, y, z, cos, sin, beams, columns, slopes, limit, nearest,
-                    bodies,
-                )  # fmt: skip
+        found = standing.row[standing.ptr[o] : standing.ptr[o + 1]]
+        _city(ranges, hits, pose, sensors.ground_m[o], view, nearest, city, found)
+        for a in near.row[near.ptr[o] : near.ptr[o + 1]]:
+            if a != sensors.own[o]:
+                _actor(ranges, hits, a, xyz[a, 0], xyz[a, 1], radius[a], pose, view, nearest, bodies)
         add_noise(ranges, hits, noise.key[o], noise)
-        count_steps(ranges, range_steps[o], per_metre)
-        thin(range_steps[o], hits, thinned.range_steps[o], thinned.hit[o])
-        if o < len(unrounded_m):  # in loops: Numba compiles the words of an error, for 3 s, where arrays are assigned
+        count_steps(ranges, out.range_steps[o], out.per_metre)
+        if o < len(out.unrounded_m):  # in loops: Numba compiles the words of an error, for 3 s, to assign arrays
             for c in range(len(ranges)):
                 for r in range(ranges.shape[1]):
-                    unrounded_m[o, c, r] = ranges[c, r]
+                    out.unrounded_m[o, c, r] = ranges[c, r]
 
 
 @inlined
@@ -107,10 +129,9 @@ def _paint(ranges, hits, c, r, d, limit, code):
 
 
 @compiled
-def _city(ranges, hits, x, y, z, ground, cos, sin, beams, columns, slopes, limit, nearest, city):
+def _city(ranges, hits, pose, ground, view, nearest, city, found):
     """Ground and buildings of one sweep; leaves the nearest closing wall per column in `nearest`."""
-    n, m = ranges.shape
-    found = gather(city, x - limit, y - limit, x + limit, y + limit)
+    (x, y, z, cos, sin), (beams, columns, slopes, limit), (n, m) = pose, view, ranges.shape
     n_walls = 0
     for k in found:
         n_walls += city.ptr[k + 1] - city.ptr[k]
@@ -180,8 +201,10 @@ def _level(ranges, hits, height, inside, beams, limit, toggled):
 
 
 @kernel
-def _actor(ranges, hits, a, dx, dy, radius, x, y, z, cos, sin, beams, columns, slopes, limit, nearest, bodies):
-    """Paint one actor's prisms over the city."""
+def _actor(ranges, hits, a, at_x, at_y, radius, pose, view, nearest, bodies):
+    """Paint one actor's prisms over the city; the actor is at (at_x, at_y)."""
+    (x, y, z, cos, sin), (beams, columns, slopes, limit) = pose, view
+    dx, dy = at_x - x, at_y - y
     a0, a1, b0, b1 = actor_columns(dx, dy, radius, cos, sin, columns)
     if a1 <= a0 and b1 <= b0:
         return

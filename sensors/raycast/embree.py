@@ -10,16 +10,7 @@ from embreex import rtcore_scene
 from embreex.mesh_construction import TriangleMesh
 from numpy import ndarray
 
-from sensors.boxes import Boxes
-from sensors.neighbours import Neighbours
-from sensors.range_noise import RangeNoise
 from sensors.raycast import mesh
-from sensors.scene import Prisms, Scene
-
-
-def cast(sweeps, boxes: Boxes, bodies: Prisms, scene: Scene, noise: RangeNoise, _near: Neighbours) -> None:
-    """Cast the rays of all observers; parameters as for `sensors.raycast.columnar.cast`."""
-    mesh.cast(tracer_of, sweeps, boxes, bodies, scene, noise)
 
 
 def tracer_of(triangles: ndarray) -> mesh.Tracer:

@@ -13,10 +13,10 @@ from jaxtyping import Float, Float32, Int
 from numpy import ndarray
 
 from sensors.boxes import Boxes
+from sensors.neighbours import Neighbours
 from sensors.range_noise import RangeNoise, add_noise
 from sensors.range_steps import count_steps
 from sensors.scene import Hit, Prisms, Scene, roof_triangles
-from sensors.thinned import thin
 
 TILE_M = 256.0
 STEP_M = 1e-4  # how far behind a face of one's own body a ray starts again
@@ -36,8 +36,9 @@ class _Tile(NamedTuple):
 
 
 def cast(
-    tracer_of: Callable[[ndarray], Tracer], sweeps, boxes: Boxes, bodies: Prisms, scene: Scene, noise: RangeNoise
-) -> None:
+    tracer_of: Callable[[ndarray], Tracer], sweeps, boxes: Boxes, bodies: Prisms, scene: Scene, noise: RangeNoise,
+    _near: Neighbours,
+) -> None:  # fmt: skip
     """Cast the rays of all observers.
 
     Parameters
@@ -64,11 +65,10 @@ def cast(
         tile = _Tile(centre, trace, code[close])
         for o in here.tolist():
             _sweep(sweeps, o, tile, ranges[o])
-    per_metre, thinned = np.float32(1.0 / sweeps.step_m), sweeps.thinned
+    per_metre = np.float32(1.0 / sweeps.step_m)
     for o in range(len(hit)):
         add_noise(ranges[o], hit[o], noise.key[o], noise)
         count_steps(ranges[o], sweeps.range_steps[o], per_metre)
-        thin(sweeps.range_steps[o], hit[o], thinned.range_steps[o], thinned.hit[o])
 
 
 def _sweep(sweeps, o: int, tile: _Tile, range_m: Float32[ndarray, "a e"]) -> None:

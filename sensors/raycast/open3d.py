@@ -8,21 +8,12 @@ from __future__ import annotations
 import numpy as np
 from numpy import ndarray
 
-from sensors.boxes import Boxes
-from sensors.neighbours import Neighbours
-from sensors.range_noise import RangeNoise
 from sensors.raycast import mesh
-from sensors.scene import Prisms, Scene
 
 INSTALL = (
     "make extra NAME=open3d in a checkout, else pip install 'cosim-perception[open3d]'; "
     "on Linux it also needs the system library libusb-1.0 (apt install libusb-1.0-0)"
 )
-
-
-def cast(sweeps, boxes: Boxes, bodies: Prisms, scene: Scene, noise: RangeNoise, _near: Neighbours) -> None:
-    """Cast the rays of all observers; parameters as for `sensors.raycast.columnar.cast`."""
-    mesh.cast(tracer_of, sweeps, boxes, bodies, scene, noise)
 
 
 def tracer_of(triangles: ndarray) -> mesh.Tracer:

@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 
 from sensors.evidence import observability
-from sensors.false_positives import CELL_M, false_positives
+from sensors.false_positives import CELL_M, COLUMN_STEP, ROW_STEP, false_positives
 from sensors.scene import Hit, Scene
 from sensors.statistical_detector import DetectorParams, resolved
-from sensors.thinned import COLUMN_STEP, ROW_STEP, Thinned
 from tests.sensors.town import blocks, car, draws_of, exact, traffic
 
 FRONT = Scene.from_footprints([[np.array([(-60.0, 8.5), (60, 8.5), (60, 20), (-60, 20)])]], [-0.1], [12.0])
@@ -42,7 +41,6 @@ def queue():
     sweeps = replace(
         sweeps, poses=poses, observers=np.zeros(n, int), ground_m=np.tile(sweeps.ground_m, n),
         range_steps=np.tile(sweeps.range_steps, (n, 1, 1)), hit=np.tile(sweeps.hit, (n, 1, 1)),
-        thinned=Thinned(*(np.tile(image, (n, 1, 1)) for image in sweeps.thinned)),
     )  # fmt: skip
     return sweeps, observability(sweeps, one, shape), 1
 
@@ -173,7 +171,7 @@ def test_invariance_to_order_other_observers_and_threads(street):
     poses = replace(sweeps.poses, origin_m=sweeps.poses.origin_m[few], yaw_rad=sweeps.poses.yaw_rad[few])
     some = replace(
         sweeps, range_steps=sweeps.range_steps[few], hit=sweeps.hit[few], poses=poses, observers=sweeps.observers[few],
-        ground_m=sweeps.ground_m[few], thinned=Thinned(*(image[few] for image in sweeps.thinned)),
+        ground_m=sweeps.ground_m[few],
     )  # fmt: skip
     rows = np.concatenate([np.flatnonzero(seen.observer == o) for o in few])
     theirs = type(seen)(

@@ -90,7 +90,7 @@ def test_walls_and_metres_are_the_same_from_either_end():
 def test_without_buildings_all_have_los():
     nothing = index_of([])
     assert sees(nothing, (0, 0, 1.5), (500, 20, 1.5))
-    assert sees(LosOfPlaces.of(nothing), (0, 0, 1.5), (500, 20, 1.5))
+    assert sees(LosOfPlaces(nothing), (0, 0, 1.5), (500, 20, 1.5))
 
 
 def town(n, seed=1):
@@ -139,7 +139,7 @@ def test_places_are_points_rounded():
     walls, g = index_of(town(6)), np.random.default_rng(6)
     xyz = np.column_stack([g.uniform(-60, 650, 400), g.uniform(-60, 550, 400), np.full(400, 1.5)])
     a, b = g.integers(0, 400, (2, 20_000))
-    places = LosOfPlaces.of(walls)
+    places = LosOfPlaces(walls)
     found = places.has_los(xyz, a, b)
     assert np.array_equal(places.has_los(xyz, b, a), found)  # a line has no direction
     snapped = places.snap(xyz)
@@ -159,9 +159,9 @@ def test_faults_are_named():
     with pytest.raises(ValueError, match="cell_m"):
         index_of([], 0.0)
     with pytest.raises(ValueError, match="snap_m"):
-        LosOfPlaces.of(index_of([]), snap_m=0.0)
+        LosOfPlaces(index_of([]), snap_m=0.0)
     with pytest.raises(ValueError, match="too far from the buildings"):
-        LosOfPlaces.of(index_of([])).has_los(np.array([[0, 0, 1.5], [1e9, 0, 1.5]]), np.array([0]), np.array([1]))
+        LosOfPlaces(index_of([])).has_los(np.array([[0, 0, 1.5], [1e9, 0, 1.5]]), np.array([0]), np.array([1]))
 
 
 @settings(max_examples=10, deadline=None)

@@ -8,7 +8,7 @@ from trust.models.interface import ScoresObjects, TrustModel, params_of
 from trust.models.majority_ban import MajorityBan
 from trust.models.mate import Mate
 from trust.models.minhas import Minhas
-from trust.models.raya import RayaBayes, RayaDempsterShafer, RayaMajority, RayaMostTrusted, RayaWeighted
+from trust.models.raya import Raya, RayaBayes, RayaDempsterShafer, RayaMostTrusted, RayaWeighted
 from trust.models.report_count import ReportCount
 from trust.models.subjective_logic import SubjectiveLogic
 from trust.models.trupercept import TruPercept
@@ -19,7 +19,7 @@ MODELS: dict[str, type[TrustModel]] = {
     "beta_discounted": BetaDiscounted,
     "subjective_logic": SubjectiveLogic,
     "mate": Mate,
-    "raya_majority": RayaMajority,
+    "raya_majority": Raya,
     "raya_most_trusted": RayaMostTrusted,
     "raya_weighted": RayaWeighted,
     "raya_bayes": RayaBayes,

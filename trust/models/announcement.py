@@ -9,22 +9,18 @@ from jaxtyping import Int
 from numpy import ndarray
 
 from trust.evaluation_log import StepRows, exact_sums
-from trust.models.stepwise import Reading, Stepwise
+from trust.models.stepwise import Reading, Stepwise, StepwiseParams
 from trust.pair_index import with_rows
 
 _UNIT = float(1 << 20)  # of a rating
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class AnnouncementParams:
+class AnnouncementParams(StepwiseParams):
     """Parameters of the model `announcement`; all defaults are ours."""
 
     validity_s: Annotated[float, Interval(ge=0.001, le=1e8)] = 600.0
     """Psi: age at which a rating counts nothing any more [s]."""
-    usable_above: Annotated[float, Interval(ge=0, le=1)] = 0.6
-    """Trust above which a vehicle's messages may be used."""
-    grace_s: Annotated[float, Interval(ge=0.001, le=1e8)] = 10.0
-    """Age at which evidence is final [s]: evaluations that arrive later have no effect."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +45,7 @@ class Announcement(Stepwise):
     -----
     A rating is pos / (pos + neg) of one evaluator's evaluations of a subject in one step. Per rater the mean of its
     ratings with weight 1 - age / Psi, 0 beyond Psi; then the mean over raters; then times 1 - age / Psi of the newest
-    rating, as the certificate that states it ages. A vehicle is usable above 0.6. Weight: number of raters.
+    rating, as the certificate that states it ages. Weight: number of raters.
 
     Deviations: equations from memory of the paper; a rating is graded; a certificate is issued with each rating. The
     trust of a vehicle that nobody has rated, in the paper a start value, is `trust.default_trust` (0.7 is ours).

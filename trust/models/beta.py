@@ -9,18 +9,16 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from trust.evaluation_log import StepRows
-from trust.models.stepwise import Reading, Stepwise
+from trust.models.stepwise import Reading, Stepwise, StepwiseParams
 from trust.pair_index import with_rows
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class BetaParams:
+class BetaParams(StepwiseParams):
     """Parameters of the model `beta`."""
 
     decay_per_s: Annotated[float, Interval(gt=0, le=1)] = 0.98
     """lambda: share of the evidence that is left after 1 s; the default is ours."""
-    grace_s: Annotated[float, Interval(ge=0.001, le=1e8)] = 10.0
-    """Age at which evidence is final [s]: evaluations that arrive later have no effect."""
 
 
 def expectation(evidence: Float[ndarray, "p 2"]) -> Float[ndarray, "p"]:
@@ -59,9 +57,14 @@ class Beta(Stepwise):
     def advance(self, state: ndarray, n_steps: int, step: int, rows: StepRows, n_pairs: int) -> ndarray:
         """r and s after a step."""
         new = with_rows(state * self.decay(self.params.decay_per_s, n_steps), n_pairs)
-        new[:, 0] += rows.per_observer(rows.pos, len(new))
-        new[:, 1] += rows.per_observer(rows.neg, len(new))
+        weight = self.weight(new, rows)
+        new[:, 0] += rows.per_observer(weight * rows.pos, len(new))
+        new[:, 1] += rows.per_observer(weight * rows.neg, len(new))
         return new
+
+    def weight(self, state: ndarray, rows: StepRows) -> Float[ndarray, "n"] | float:
+        """How much the evaluations of each row count, given r and s before the step."""
+        return 1.0
 
     def read(self, state: ndarray, n_steps: int, now: int) -> Reading:
         """Expectation of the Beta distribution."""

@@ -9,12 +9,12 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 
 from trust.evaluation_log import StepRows, exact_sums
-from trust.models.stepwise import Reading, Stepwise
+from trust.models.stepwise import Reading, Stepwise, StepwiseParams
 from trust.pair_index import with_rows
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class EigenTrustParams:
+class EigenTrustParams(StepwiseParams):
     """Parameters of the model `eigentrust`."""
 
     restart_p: Annotated[float, Interval(gt=0, le=1)] = 0.5
@@ -23,8 +23,6 @@ class EigenTrustParams:
     """Change of the vector, summed, at which the iteration ends."""
     decay_per_s: Annotated[float, Interval(gt=0, le=1)] = 1.0
     """Share of the local trust that is left after 1 s; the paper has no decay."""
-    grace_s: Annotated[float, Interval(ge=0.001, le=1e8)] = 10.0
-    """Age at which evidence is final [s]: evaluations that arrive later have no effect."""
 
 
 def eigentrust(

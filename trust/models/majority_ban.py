@@ -10,12 +10,12 @@ from numpy import ndarray
 
 from trust.evaluation_log import StepRows, exact_sums
 from trust.models.beta import read_beta
-from trust.models.stepwise import Reading, Stepwise
+from trust.models.stepwise import Reading, Stepwise, StepwiseParams
 from trust.pair_index import with_rows
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class MajorityBanParams:
+class MajorityBanParams(StepwiseParams):
     """Parameters of the model `majority_ban`; all defaults are ours."""
 
     ban_strikes: Annotated[int, Ge(1)] = 20
@@ -24,8 +24,6 @@ class MajorityBanParams:
     """Age at which a strike is forgotten [s]."""
     decay_per_s: Annotated[float, Interval(gt=0, le=1)] = 0.98
     """Share of the Beta evidence that is left after 1 s."""
-    grace_s: Annotated[float, Interval(ge=0.001, le=1e8)] = 10.0
-    """Age at which evidence is final [s]: evaluations that arrive later have no effect."""
 
 
 @dataclass(frozen=True, slots=True)

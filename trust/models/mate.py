@@ -9,7 +9,7 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from trust.evaluation_log import StepRows, exact_sums
-from trust.models.stepwise import Reading, Stepwise
+from trust.models.stepwise import Reading, Stepwise, StepwiseParams
 from trust.pair_index import with_rows
 
 PRIOR = 0.5
@@ -17,7 +17,7 @@ PRIOR = 0.5
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class MateParams:
+class MateParams(StepwiseParams):
     """Parameters of the model `mate`."""
 
     negative_gain: Annotated[float, Ge(1)] = 4.0
@@ -26,10 +26,6 @@ class MateParams:
     """v below which a measurement of a vehicle counts as negative."""
     propagation_s: Annotated[float, Gt(1)] = 10.0
     """1 / `propagation_s` of the distance to the prior is lost in 1 s."""
-    believed_above: Annotated[float, Interval(ge=0, le=1)] = 0.4
-    """Mean above which an object is believed."""
-    grace_s: Annotated[float, Interval(ge=0.001, le=1e8)] = 10.0
-    """Age at which evidence is final [s]: evaluations that arrive later have no effect."""
 
 
 def gained(v: ndarray, c: ndarray, n: ndarray | float) -> tuple[ndarray, ndarray]:

@@ -9,12 +9,12 @@ from jaxtyping import Bool, Float
 from numpy import ndarray
 
 from trust.evaluation_log import StepRows
-from trust.models.stepwise import Reading, Stepwise
+from trust.models.stepwise import Reading, Stepwise, StepwiseParams
 from trust.pair_index import with_rows
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class MinhasParams:
+class MinhasParams(StepwiseParams):
     """Parameters of the model `minhas`; all defaults are ours."""
 
     gain: Annotated[float, Interval(gt=0, lt=1)] = 0.1
@@ -25,8 +25,6 @@ class MinhasParams:
     """lambda: share of a trust value that is left when the next experience comes 1 s later."""
     consensus_margin: Annotated[float, Interval(ge=0, lt=0.5)] = 0.3
     """epsilon: a majority is one with at least 1 - epsilon of the votes."""
-    grace_s: Annotated[float, Interval(ge=0.001, le=1e8)] = 10.0
-    """Age at which evidence is final [s]: evaluations that arrive later have no effect."""
 
     def __post_init__(self) -> None:
         if -self.loss <= self.gain:

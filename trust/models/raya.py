@@ -89,18 +89,12 @@ class Raya(Beta):
     """
 
     Params: ClassVar[type] = RayaParams
-    combine: ClassVar[Combine] = staticmethod(majority)
+    combine: ClassVar[Combine] = staticmethod(majority)  # of `raya_majority`
 
     def score_objects(self, reports: ObjectReports) -> Float[ndarray, "g"]:
         """Score of each group; see `ScoresObjects`."""
         tau = reports.trust if self.params.trust_from == "vehicle" else self.params.report_trust
         return type(self).combine(reports, np.clip(reports.visibility * tau, 0.01, 0.99))
-
-
-class RayaMajority(Raya):
-    """`raya_majority`."""
-
-    combine: ClassVar[Combine] = staticmethod(majority)
 
 
 class RayaMostTrusted(Raya):

@@ -4,37 +4,21 @@ from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
 import numpy as np
-from annotated_types import Gt, Interval
-from jaxtyping import Float, Int
+from annotated_types import Gt
+from jaxtyping import Float
 from numpy import ndarray
 
 from trust.evaluation_log import StepRows
-from trust.models.stepwise import Reading, Stepwise
+from trust.models.stepwise import Reading, Stepwise, StepwiseParams
 from trust.pair_index import with_rows
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class ReportCountParams:
+class ReportCountParams(StepwiseParams):
     """Parameters of the model `report_count`."""
 
     guilty_above: Annotated[float, Gt(0)] = 5.0
     """Reports above which a vehicle is guilty; its trust is then below 1/2."""
-    sanction_above: tuple[float, ...] = (20.0, 50.0, 250.0, 1250.0)
-    """Reports above which each further level of sanction begins."""
-    grace_s: Annotated[float, Interval(ge=0.001, le=1e8)] = 10.0
-    """Age at which evidence is final [s]: evaluations that arrive later have no effect."""
-
-    def __post_init__(self) -> None:
-        levels = [self.guilty_above, *self.sanction_above]
-        if levels != sorted(set(levels)):
-            raise ValueError(
-                f"trust.sanction_above = {list(self.sanction_above)}: levels must rise, from guilty_above on."
-            )
-
-
-def sanction(n_reports: Float[ndarray, "n"], params: ReportCountParams) -> Int[ndarray, "n"]:
-    """Level of sanction: 0 none, 1 guilty, then those of `sanction_above`."""
-    return np.searchsorted([params.guilty_above, *params.sanction_above], n_reports, side="left")
 
 
 class ReportCount(Stepwise):
@@ -43,11 +27,10 @@ class ReportCount(Stepwise):
     Notes
     -----
     A report is an evaluator's message of one step that is against the subject (neg > pos). With n reports trust is
-    5 / (5 + n): below 1/2 exactly where the vehicle is guilty, n > 5. Levels of sanction begin above 5, 20, 50, 250 and
-    1,250 reports (`sanction`). Weight: reports.
+    5 / (5 + n): below 1/2 exactly where the vehicle is guilty, n > 5. Weight: reports.
 
-    Deviations: reports come from evaluations instead of plausibility checks; the published code's chain of conditions
-    reaches the first sanction alone; the trust value is ours.
+    Deviations: reports come from evaluations instead of plausibility checks; sanctions are left out; the trust
+    value is ours.
 
     [8] F2MD: a framework for misbehaviour detection in VANETs, published code of its authority.
     """

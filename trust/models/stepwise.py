@@ -2,9 +2,10 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Generic, TypeVar
+from typing import Annotated, Any, Generic, TypeVar
 
 import numpy as np
+from annotated_types import Interval
 from jaxtyping import Float, Int
 from numpy import ndarray
 
@@ -72,11 +73,20 @@ def _counted(state: Int[ndarray, "p 3"], _: int, step: int, rows: StepRows, n_pa
     return new
 
 
+@dataclass(frozen=True, kw_only=True, slots=True)
+class StepwiseParams:
+    """What all models of this kind have in common."""
+
+    grace_s: Annotated[float, Interval(ge=0.001, le=1e8)] = 10.0
+    """Age at which evidence is final [s]: evaluations that arrive later have no effect."""
+
+
 class Stepwise:
     """A trust model made of a state, a function that advances it by a step, and a function that reads trust from it.
 
-    A subclass defines `Params` with `grace_s`, and the methods `start`, `advance` and `read`. `advance` returns a new
-    state and does not change the given one. Sums over rows use `exact`, so that the order of arrival does not matter.
+    A subclass defines `Params`, a kind of `StepwiseParams`, and the methods `start`, `advance` and `read`. `advance`
+    returns a new state and does not change the given one. Sums over rows use `exact`, so that the order of arrival does
+    not matter.
     """
 
     def __init__(self, params: Any, dt_s: float) -> None:

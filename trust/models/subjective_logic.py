@@ -10,12 +10,12 @@ from numpy import ndarray
 
 from trust import opinions
 from trust.evaluation_log import StepRows, exact_sums
-from trust.models.stepwise import Reading, Stepwise
+from trust.models.stepwise import Reading, Stepwise, StepwiseParams
 from trust.pair_index import with_rows
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class SubjectiveLogicParams:
+class SubjectiveLogicParams(StepwiseParams):
     """Parameters of the model `subjective_logic`."""
 
     discounting: Literal["probability", "opposite", "none"] = "probability"
@@ -24,8 +24,6 @@ class SubjectiveLogicParams:
     """1 - check_base^-S: belief or disbelief that checks of total weight S give."""
     decay_per_s: Annotated[float, Interval(gt=0, le=1)] = 0.98
     """Share of the evidence (b / u, d / u) that is left after 1 s; the default is ours."""
-    grace_s: Annotated[float, Interval(ge=0.001, le=1e8)] = 10.0
-    """Age at which evidence is final [s]: evaluations that arrive later have no effect."""
 
 
 class SubjectiveLogic(Stepwise):

@@ -28,7 +28,7 @@ def line(n, apart_m):
 def los_of(rings):
     """Buildings of 20 m."""
     city = Scene.from_footprints([[np.array(r)] for r in rings], [0.0] * len(rings), [20.0] * len(rings))
-    return LosOfPlaces.of(WallIndex.of(city.buildings))
+    return LosOfPlaces(WallIndex.of(city.buildings))
 
 
 def keys_of(n):

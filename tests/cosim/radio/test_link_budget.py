@@ -13,7 +13,7 @@ PLAIN = {"shadowing": False, "blockage": "none", "fading": "none"}
 def los_of(*rings):
     """Buildings of 9 m."""
     city = Scene.from_footprints([[np.array(r)] for r in rings], [0.0] * len(rings), [9.0] * len(rings))
-    return LosOfPlaces.of(WallIndex.of(city.buildings))
+    return LosOfPlaces(WallIndex.of(city.buildings))
 
 
 def scatter(n, side_m, seed=0):
