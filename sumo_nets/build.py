@@ -17,7 +17,7 @@ from typing import Any
 
 from sumo_nets import buildings, buses, demand, osm, streets, sumotools
 from sumo_nets.footprints import write_footprints
-from sumo_nets.gate_flows import gate_flows, gate_trips
+from sumo_nets.gate_flows import GateFlow, gate_flows, gate_trips
 from sumo_nets.ground import ground_of
 
 _HERE = Path(__file__).parent
@@ -188,16 +188,18 @@ def _demand(recipe: dict[str, Any], extract: osm.Extract, gates: frozenset[str],
     )
     _LOG.info("%d bus lines, %d stops", len(lines), len(stops))
     (work / "stops.add.xml").write_text(buses.stops_xml(stops), encoding="utf-8", newline="\n")
-    trips = demand.walks(roads, wanted["pedestrian"], seed, end_s)
+    demand.write_trips(work / "buses.rou.xml", buses.departures(lines, wanted["bus"], seed, end_s))
+    route(roads, gate_flows(net, roads, wanted), wanted, work)
+
+
+def route(roads: list[demand.Street], flows: list[GateFlow], wanted: dict[str, Any], work: Path) -> None:
+    """Draw trips, find their routes and write `demand.rou.xml` in `work`, which contains the network."""
+    seed, end_s = wanted["seed"], wanted["end_s"]
+    walkable = any(street.walkable for street in roads)
+    trips = demand.walks(roads, wanted["pedestrian"], seed, end_s) if walkable else []
     for kind in demand.KINDS:
         trips += demand.vehicle_trips(roads, kind, wanted["vehicles"] | wanted[kind], seed, end_s)
-    trips += gate_trips(gate_flows(net, roads, wanted), seed, end_s)
-    demand.write_trips(work / "buses.rou.xml", buses.departures(lines, wanted["bus"], seed, end_s))
-    route(trips, wanted, work)
-
-
-def route(trips: list[str], wanted: dict[str, Any], work: Path) -> None:
-    """Find routes for trips and write `demand.rou.xml` in `work`, which contains the network."""
+    trips += gate_trips(flows, seed, end_s)
     demand.write_trips(work / "trips.rou.xml", trips)
     options = {
         "net-file": "net.net.xml", "additional-files": VEHICLE_TYPES,

@@ -14,7 +14,7 @@ from sumo_nets import build, demand, sumotools
 from sumo_nets.build_from_osm import escaped
 from sumo_nets.density import trips_per_hour
 from sumo_nets.footprints import read_footprints, write_footprints
-from sumo_nets.gate_flows import gate_flows, gate_trips, rates_at
+from sumo_nets.gate_flows import gate_flows, rates_at
 from sumo_nets.sumo_package_nets import NETS, PackageNet, cached_folder
 
 BOUNDARY_M = 120.0
@@ -130,12 +130,7 @@ def _make(net: PackageNet, source: Path, work: Path, out: Path) -> None:
     figures["through"] = round(sum(one.per_hour for one in flows))
     text = filled()
     recipe = tomllib.loads(text)
-    wanted = recipe["demand"]
-    trips = demand.walks(streets, wanted["pedestrian"], wanted["seed"], wanted["end_s"]) if _walkable(streets) else []
-    for kind in demand.KINDS:
-        trips += demand.vehicle_trips(streets, kind, wanted["vehicles"] | wanted[kind], wanted["seed"], wanted["end_s"])
-    trips += gate_trips(flows, wanted["seed"], wanted["end_s"])
-    build.route(trips, wanted, work)
+    build.route(streets, flows, recipe["demand"], work)
     found = read_footprints(sumotools.home() / net.polygons) if net.polygons else []
     write_footprints(work / "buildings.poly.xml", ((f"b{i}", footprint) for i, footprint in enumerate(found)))
     (work / "buses.rou.xml").write_text("<routes/>\n", encoding="utf-8")
@@ -153,7 +148,3 @@ def _boundary_nodes(net: Any) -> frozenset[str]:
         if len({n.getID() for n in node.getNeighboringNodes()}) == 1
         and hull.distance(shapely.Point(node.getCoord())) < BOUNDARY_M
     )
-
-
-def _walkable(streets: list[demand.Street]) -> bool:
-    return any(street.walkable for street in streets)

@@ -46,6 +46,12 @@ class Net:
         x0, y0, x1, y1 = self.bounds_m
         return x1 - x0, y1 - y0
 
+    @property
+    def km2(self) -> float:
+        """Area of the extent."""
+        width, height = self.size_m
+        return width * height / 1e6
+
     def footprints(self) -> list[Footprint]:
         """The buildings: (outer ring, holes, base, top), in network coordinates."""
         from sumo_nets.footprints import read_footprints

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Container, Iterable, Mapping
 from dataclasses import dataclass, field
+from itertools import groupby
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
@@ -105,16 +106,8 @@ def _within(lon: float, lat: float, box: tuple[float, float, float, float]) -> b
 
 def pieces(way: Way, place: Mapping[int, tuple[float, float]]) -> list[tuple[int, ...]]:
     """The runs of a way's nodes that lie inside the extract, at least two nodes each."""
-    runs: list[tuple[int, ...]] = []
-    run: list[int] = []
-    for node in (*way.nodes, None):
-        if node is not None and node in place:
-            run.append(node)
-            continue
-        if len(run) > 1:
-            runs.append(tuple(run))
-        run = []
-    return runs
+    runs = [tuple(run) for is_inside, run in groupby(way.nodes, place.__contains__) if is_inside]
+    return [run for run in runs if len(run) > 1]
 
 
 def write(
@@ -123,11 +116,10 @@ def write(
     node_tags: Mapping[int, Tags],
     ways: Iterable[Way],
     relations: Iterable[Relation] = (),
-    nodes: Iterable[int] = (),
 ) -> None:
-    """Write OpenStreetMap XML with the given nodes and those that the ways use, sorted by id."""
+    """Write OpenStreetMap XML with the given ways and relations and the nodes of the ways, sorted by id."""
     ways = sorted(ways, key=lambda way: way.id)
-    used = sorted({*nodes, *(node for way in ways for node in way.nodes)})
+    used = sorted({node for way in ways for node in way.nodes})
     with path.open("w", encoding="utf-8") as out:
         out.write('<?xml version="1.0" encoding="UTF-8"?>\n<osm version="0.6">\n')
         for node in used:

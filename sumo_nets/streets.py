@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from collections import defaultdict
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import chain, pairwise
 
 import numpy as np
+from numpy import ndarray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from sumo_nets.osm import Extract, Way, pieces
 
@@ -130,40 +133,16 @@ def _driven(runs, arcs, gates: frozenset[int]) -> list[bool]:
         if node in gates:
             links[i + 1].append(0)
     links[0] += [j + 1 for node in sorted(gates) for j in leaving[node]]
-    largest = _largest_component(links)
-    return [i + 1 in largest for i in range(len(arcs))]
+    return _largest_component(links)[1:].tolist()
 
 
-def _largest_component(links: list[list[int]]) -> set[int]:
-    """The largest set of nodes of which each can reach every other."""
-    backwards: list[list[int]] = [[] for _ in links]
-    for i, ends in enumerate(links):
-        for j in ends:
-            backwards[j].append(i)
-    left = set(range(len(links)))
-    largest: set[int] = set()
-    while len(left) > len(largest):
-        seed = min(left)
-        component = _reached(seed, links, left) & _reached(seed, backwards, left)
-        largest = max(largest, component, key=len)
-        left -= component
-        dead = [i for i in left if not left.intersection(links[i]) or not left.intersection(backwards[i])]
-        while dead:  # an arc without successor or predecessor is a component of its own
-            left.difference_update(dead)
-            beside = {j for i in dead for j in links[i] + backwards[i] if j in left}
-            dead = [i for i in beside if not left.intersection(links[i]) or not left.intersection(backwards[i])]
-    return largest
-
-
-def _reached(seed: int, links: list[list[int]], among: set[int]) -> set[int]:
-    reached = {seed}
-    todo = [seed]
-    while todo:
-        for j in links[todo.pop()]:
-            if j in among and j not in reached:
-                reached.add(j)
-                todo.append(j)
-    return reached
+def _largest_component(links: list[list[int]]) -> ndarray:
+    """Whether each node is in the largest set of nodes of which each can reach every other."""
+    tail = np.repeat(np.arange(len(links)), [len(ends) for ends in links])
+    head = np.fromiter(chain.from_iterable(links), np.int64)
+    graph = coo_array((np.ones(len(tail)), (tail, head)), shape=(len(links), len(links)))
+    label = connected_components(graph, connection="strong")[1]
+    return label == label[np.bincount(label)[label].argmax()]
 
 
 def _assemble(extract: Extract, runs, stubs, kept, gates: frozenset[int], ignored_tags: frozenset[str]) -> Streets:

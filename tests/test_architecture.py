@@ -17,7 +17,7 @@ FOREIGN = {
     "results": {
         "annotated_types", "jaxtyping", "numpy", "numba", "scipy", "pyarrow", "pandas", "networkx", "matplotlib",
     },
-    "sumo_nets": {"annotated_types", "jaxtyping", "numpy", "shapely", "osmium", "sumo", "sumolib"},
+    "sumo_nets": {"annotated_types", "jaxtyping", "numpy", "scipy", "shapely", "osmium", "sumo", "sumolib"},
     "cosim": {
         "annotated_types", "jaxtyping", "numpy", "scipy", "numba", "libsumo", "pyarrow", "pydantic", "typer", "rich",
         "tomli_w", "shapely", "trimesh", "rerun", "pandas", "distributed", "psutil",

@@ -9,12 +9,11 @@ from cosim import rng
 from cosim.radio.channel import AccessParams, ChannelRules, Packets, run_window
 from cosim.radio.channel_state import ChannelState
 from cosim.radio.csma import CsmaMedium, without_cache
-from cosim.radio.link_budget import links_between, neighbours, pairs_within
+from cosim.radio.link_budget import links_between
 from cosim.radio.message_round import FrameOutcomes, Messages, RoundKind, Stations
 from cosim.radio.params import RadioParams, RelayParams
 from cosim.radio.phy import ReceiverParams
 from cosim.radio.propagation import PropagationParams
-from cosim.radio.unit_disk import UnitDiskMedium
 from sensors.line_of_sight import LosOfPlaces, WallIndex
 from sensors.scene import Buildings, Scene
 
@@ -108,18 +107,6 @@ def _rounds(
     return _best(times[0]), _best(times[1]), happened.frames
 
 
-def _disk(xyz: ndarray) -> tuple[float, int]:
-    """Seconds of one round of the unit disk model, and the number of pairs in range."""
-    n, params, times = len(xyz), RadioParams(), []
-    stations = Stations(rng.keys(np.uint64(1), np.arange(n)), xyz, n)
-    messages, medium = Messages.one_each(np.full(n, 300)), UnitDiskMedium(params, 0.4, 1)
-    for i in range(_ROUNDS):
-        begin = thread_time()
-        medium.broadcast(None, RoundKind.CPM, i, 0.0, stations, messages)
-        times.append(thread_time() - begin)
-    return _best(times), len(neighbours(xyz[:, :2], params.range_m)[0])
-
-
 def bench() -> list[tuple[str, float, str]]:
     """Measure the radio: processor time of one thread, the best of several rounds. Rows of (what, figure, unit)."""
     rows: list[tuple[str, float, str]] = []
@@ -135,28 +122,10 @@ def bench() -> list[tuple[str, float, str]]:
         rows.append((f"whole round, first of a step, {who}", 1e3 * first, "ms"))
         rows.append((f"whole round, second of a step, {who}", 1e3 * second, "ms"))
         rows.append((f"two rounds to two network steps, {n:,} senders", (first + second) / (2 * step), "times"))
-        step, _, links = _network(xyz, los, default)
-        first, _, _ = _rounds(xyz, los, default, RelayParams())
-        who = f"{n:,} senders x {links / n:.0f} receivers"
-        rows.append((f"default range: network step, {who}", 1e3 * step, "ms"))
-        rows.append((f"default range: first round, {who}", 1e3 * first, "ms"))
-        seconds, pairs = _disk(xyz)
-        rows.append((f"round of unit_disk, {n:,} senders x {pairs / n:.0f} in range", 1e3 * seconds, "ms"))
     for n in (60, 300):
         xyz, los = _city(n, 30, default)
         seconds, _, frames = _rounds(xyz, los, default, RelayParams(max_hops=3))
         rows.append((f"round of 3 hops, {n} senders", 1e3 * seconds, "ms"))
         each = seconds / frames.n_transmissions.sum()
         rows.append((f"round of 3 hops, {n} senders, each transmission", 1e6 * each, "us"))
-    xyz = streets(2000, 2000.0)
-    index = WallIndex.of(city_blocks(2000.0))
-    los = LosOfPlaces(index)
-    a, b, _ = pairs_within(xyz, 300.0)
-    for name, has_los in (("between points", index.has_los), ("between places", los.has_los)):
-        times = []
-        for _ in range(_ROUNDS):
-            begin = thread_time()
-            has_los(xyz, a, b)
-            times.append(thread_time() - begin)
-        rows.append((f"line of sight, {name}", 1e-6 * len(a) / _best(times), "million pairs/s"))
     return rows

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 from importlib.util import find_spec
-from time import process_time
 
 import numba
 import numpy as np
 from jaxtyping import UInt8
 from numpy import ndarray
 
+from cosim.bench.timing import least_s
 from sensors.boxes import Boxes, overlapping_pairs
 from sensors.evidence import observability, plausible, points_in_boxes
 from sensors.false_positives import false_positives
@@ -72,33 +72,21 @@ def _rays_alone(boxes, shape, observers, scene, tracer_of) -> Callable[[], objec
     return lambda: [trace(start, ray) for start, ray in zip(starts, rays, strict=True)]
 
 
-def _least_s(work: Callable[[], object], runs: int) -> float:
-    work()  # compiles and allocates memory
-    seconds = []
-    for _ in range(runs):
-        start = process_time()
-        work()
-        seconds.append(process_time() - start)
-    return min(seconds)
-
-
 def _measure(scene, boxes, shape, observers, runs) -> list[tuple[str, float, str]]:
     keys = np.arange(len(observers), dtype=np.uint64)
     clean = LidarParams(range_sigma_m=0.0)
     walls = WallIndex.of(scene.buildings)
     sweeps = scan(boxes, shape, observers, scene, clean, keys)
     rays = sweeps.hit.size
-    columnar = _least_s(lambda: scan(boxes, shape, observers, scene, clean, keys, sweeps), runs)
-    noisy = _least_s(lambda: scan(boxes, shape, observers, scene, LidarParams(), keys, sweeps), runs)
+    columnar = least_s(lambda: scan(boxes, shape, observers, scene, clean, keys, sweeps), runs)
+    noisy = least_s(lambda: scan(boxes, shape, observers, scene, LidarParams(), keys, sweeps), runs)
     references = {}
     for name, tracer_of in (("embree", embree.tracer_of), ("open3d", open3d.tracer_of)):
         if name == "open3d" and not find_spec("open3d"):
             continue
         reference = LidarParams(range_sigma_m=0.0, engine=name)  # type: ignore[arg-type]
-        references[name] = _least_s(
-            partial(scan, boxes, shape, observers, scene, reference, keys, sweeps), min(runs, 3)
-        )
-        references[f"{name}, rays alone"] = _least_s(
+        references[name] = least_s(partial(scan, boxes, shape, observers, scene, reference, keys, sweeps), min(runs, 3))
+        references[f"{name}, rays alone"] = least_s(
             _rays_alone(boxes, shape, observers, scene, tracer_of), min(runs, 3)
         )
     scan(boxes, shape, observers, scene, LidarParams(), keys, sweeps)
@@ -123,20 +111,20 @@ def _measure(scene, boxes, shape, observers, runs) -> list[tuple[str, float, str
         *((f"columnar / {name}", seconds / columnar, "times") for name, seconds in references.items()),
         (
             "observability",
-            _least_s(lambda: observability(sweeps, boxes, shape), runs) / len(observers) * 1e6,
+            least_s(lambda: observability(sweeps, boxes, shape), runs) / len(observers) * 1e6,
             "us per observer",
         ),
         (
             "false positives",
-            _least_s(lambda: false_positives(sweeps, seen, draws, model), runs) / len(observers) * 1e6,
+            least_s(lambda: false_positives(sweeps, seen, draws, model), runs) / len(observers) * 1e6,
             "us per observer",
         ),
-        ("points in boxes", _least_s(lambda: points_in_boxes(sweeps, o, asked), runs) / len(o) * 1e6, "us per box"),
-        ("plausibility", _least_s(lambda: plausible(sweeps, o, asked), runs) / len(o) * 1e6, "us per box"),
+        ("points in boxes", least_s(lambda: points_in_boxes(sweeps, o, asked), runs) / len(o) * 1e6, "us per box"),
+        ("plausibility", least_s(lambda: plausible(sweeps, o, asked), runs) / len(o) * 1e6, "us per box"),
         (
             "lines of sight",
-            _least_s(lambda: los_between_actors(walls, boxes, shape, observers[o], row), runs) / len(o) * 1e6,
+            least_s(lambda: los_between_actors(walls, boxes, shape, observers[o], row), runs) / len(o) * 1e6,
             "us per pair",
         ),
-        ("overlapping pairs", n_pairs / _least_s(lambda: overlapping_pairs(crowd, label, o), runs) / 1e6, "M pairs/s"),
+        ("overlapping pairs", n_pairs / least_s(lambda: overlapping_pairs(crowd, label, o), runs) / 1e6, "M pairs/s"),
     ]

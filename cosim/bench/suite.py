@@ -2,6 +2,7 @@
 
 import os
 import platform
+from collections.abc import Iterable, Sequence
 from importlib import import_module
 from typing import Any
 
@@ -16,16 +17,23 @@ BENCHES: dict[str, str] = {
     "trust": "cosim.bench.trust",
     "radio": "cosim.bench.radio",
     "mobility": "cosim.bench.mobility",
-    "results": "cosim.bench.results",
     "cycle": "cosim.bench.cycle",
     "studies": "cosim.bench.studies",
 }
 """Modules whose `bench()` measures a component."""
 
 
-def run(name: str) -> list[Row]:
-    """The figures of one benchmark."""
-    return list(import_module(BENCHES[name]).bench())
+def run(names: Sequence[str]) -> list[dict[str, Any]]:
+    """The figures of these benchmarks, or of all without a name.
+
+    Raises
+    ------
+    ValueError
+        If there is no such benchmark.
+    """
+    if unknown := set(names) - set(BENCHES):
+        raise ValueError(f"cosim bench {' '.join(unknown)}: no such benchmark. There are {', '.join(BENCHES)}.")
+    return [row for name in names or BENCHES for row in _rows(name, import_module(BENCHES[name]).bench())]
 
 
 def run_scale(scenario: str, trace: str | None, vehicles: str, seconds: int) -> list[dict[str, Any]]:
@@ -42,11 +50,15 @@ def run_scale(scenario: str, trace: str | None, vehicles: str, seconds: int) -> 
         sizes = ()
     if not sizes or min(sizes) < 1:
         raise ValueError(f"--vehicles {vehicles}: whole numbers from 1, with commas between them, are wanted.")
-    figures = grown(scenario, trace, sizes, seconds)
+    return _rows("scale", grown(scenario, trace, sizes, seconds))
+
+
+def _rows(name: str, figures: Iterable[Row]) -> list[dict[str, Any]]:
+    """Figures of a benchmark as rows of a table of metrics."""
     return [
-        {"metric": f"scale.{figure}", "group": "", "value": value, "unit": unit, "label": ""}
+        {"metric": f"{name}.{figure}", "group": "", "value": value, "unit": unit, "label": ""}
         for figure, value, unit in figures
-    ]  # fmt: skip
+    ]
 
 
 def machine() -> str:

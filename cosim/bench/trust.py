@@ -1,12 +1,12 @@
 """Measures the speed of matching, evaluation, trust and fusion on a synthetic street."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from time import perf_counter
 
 import numpy as np
 from numpy import ndarray
 
+from cosim.bench.timing import least_s
 from trust.evaluation import evaluate
 from trust.fusion import SensorEvidence, fuse
 from trust.matching import match
@@ -44,17 +44,6 @@ def street(n_vehicles: int) -> tuple[Detections, Pairs, ObjectLists, SenderTrust
     sender = around(N_RECEIVED)
     ptr = np.arange(n_vehicles + 1) * sender.shape[1]
     return table, pairs, lists, SenderTrust(ptr, sender.reshape(-1), np.full(sender.size, 0.7))
-
-
-def _best(work: Callable[[], object], repeats: int) -> float:
-    """Shortest of several times [s], after one run that compiles."""
-    work()
-    times = []
-    for _ in range(repeats):
-        start = perf_counter()
-        work()
-        times.append(perf_counter() - start)
-    return min(times)
 
 
 def bench(n_vehicles: int = 1000, repeats: int = 7) -> list[tuple[str, float, str]]:
@@ -97,12 +86,13 @@ def bench(n_vehicles: int = 1000, repeats: int = 7) -> list[tuple[str, float, st
     local = receiver, sender_trust.message
     n_local = int(np.diff(lists.ptr)[sender_trust.message].sum())
     given = FusionInput(lists, groups, table, lists, evaluations, evaluations)
-    fused_s = _best(
+    fused_s = least_s(
         lambda: fuse(given, sender_trust, evidence, distance, params),
         repeats,
+        perf_counter,
     )
     return [
-        ("evaluations, from IoU pairs through matching", m / _best(match_and_evaluate, repeats), "1/s"),
+        ("evaluations, from IoU pairs through matching", m / least_s(match_and_evaluate, repeats, perf_counter), "1/s"),
         ("evaluations added on the server, scores read once", m / step_s(windows(1), repeats, *central), "1/s"),
         ("evaluations added in vehicles, scores read once", n_local / step_s(windows(1), repeats, *local), "1/s"),
         ("server, a window of 30 steps", 1e3 * step_s(windows(1), 40, *central), "ms per step"),

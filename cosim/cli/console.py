@@ -28,6 +28,7 @@ screen = Console(  # without markup, so that names from the user are shown uncha
 )  # fmt: skip
 notes = Console(stderr=True, markup=False, highlight=False, emoji=False)
 
+AsJson = Annotated[bool, typer.Option("--json", help="Print JSON on standard output.")]
 TrustCode = Annotated[
     bool,
     typer.Option(
@@ -274,6 +275,14 @@ def print_metrics(as_json: bool) -> None:
                 unit = f" [{metric.unit}]" if metric.unit not in ("", "1") else ""
                 by = f" By {metric.group}." if metric.group else ""
                 screen.print(Text(f"  {name}{unit}: {metric.definition}{by}"), soft_wrap=True)
+
+
+def print_done(done: dict[str, Any], said: str, as_json: bool) -> None:
+    """Print what a command has done or found, as JSON or as text."""
+    if as_json:
+        print_json(done)
+    else:
+        screen.print(said, highlight=False, markup=False, soft_wrap=True)
 
 
 def rows_of(table: Any) -> list[dict[str, object]]:

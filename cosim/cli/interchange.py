@@ -5,9 +5,7 @@ from typing import Annotated
 
 import typer
 
-from cosim.cli.console import print_json, progress, screen
-
-AsJson = Annotated[bool, typer.Option("--json", help="Print JSON on standard output.")]
+from cosim.cli.console import AsJson, print_done, progress
 
 
 def add_to(app: typer.Typer) -> None:
@@ -50,11 +48,7 @@ def export(
             open_run(folder), form, out, vehicles, steps, sets or (),
             lambda what, n, total: advance(f"{form}, {what}", n, total, ""),
         )  # fmt: skip
-    if as_json:
-        print_json(done)
-        return
-    said = f"wrote {done['files']:,} files, {done['bytes'] / 1e6:,.1f} MB, in {done['out']}"
-    screen.print(said, highlight=False, markup=False, soft_wrap=True)
+    print_done(done, f"wrote {done['files']:,} files, {done['bytes'] / 1e6:,.1f} MB, in {done['out']}", as_json)
 
 
 def view(
@@ -80,8 +74,4 @@ def view(
             open_run(folder), out, tuple(vehicles or ()), from_s, to_s, clouds,
             lambda what, n, total: advance(what, n, total, ""),
         )  # fmt: skip
-    if as_json:
-        print_json(done)
-        return
-    said = f"wrote {out}, {done['bytes'] / 1e6:,.1f} MB; open it with: rerun {out}"
-    screen.print(said, highlight=False, markup=False, soft_wrap=True)
+    print_done(done, f"wrote {out}, {done['bytes'] / 1e6:,.1f} MB; open it with: rerun {out}", as_json)

@@ -16,7 +16,17 @@ import typer
 from cosim import __version__
 from cosim.cli import extend, interchange, studies
 from cosim.cli import reproduce as reproductions
-from cosim.cli.console import TrustCode, notes, print_json, print_metrics, print_run_summary, progress, screen, table_of
+from cosim.cli.console import (
+    AsJson,
+    TrustCode,
+    notes,
+    print_json,
+    print_metrics,
+    print_run_summary,
+    progress,
+    screen,
+    table_of,
+)  # fmt: skip
 from cosim.cli.nets import nets
 from cosim.door.blame import ExtensionError
 from cosim.door.permission import CodeNotTrusted
@@ -43,7 +53,6 @@ ConfigPath = Annotated[Path | None, typer.Argument(help="Config file (TOML). Wit
 Overrides = Annotated[
     list[str] | None, typer.Option("--set", help="Change one key of the config, e.g. radio.range_m=150. Repeatable.")
 ]
-AsJson = Annotated[bool, typer.Option("--json", help="Print JSON on standard output.")]
 RunPaths = Annotated[list[Path], typer.Argument(help="Folders that `cosim run` wrote.")]
 Picture = Literal[
     "trust",
@@ -306,40 +315,39 @@ def plot(
     from results.figures import style
     from results.figures.catalogue import FIGURES
 
+    chosen: list[Run] = []
     if what == "sweep":
         from cosim.offline.replay_lidar import write
 
         if len(runs) != 1 or step is None or not vehicles or len(vehicles) != 1:
             raise ValueError("cosim plot sweep shows one sweep: cosim plot sweep RUN --vehicle V --step S")
-        screen.print(f"wrote {write(_opened(runs[0]), vehicles[0], step, out)}", highlight=False, soft_wrap=True)
-        return
-    if what == "scene":
+        path = write(_opened(runs[0]), vehicles[0], step, out)
+    elif what == "scene":
         from cosim.offline.replay_lidar import portrait
 
         if len(runs) != 1 or step is None:
             raise ValueError("cosim plot scene shows one moment: cosim plot scene RUN --step S [--vehicle V]")
         path = portrait(_opened(runs[0]), vehicles or [], step, out)
-        screen.print(f"wrote {path}", highlight=False, soft_wrap=True)
-        return
-    if what == "movie":
+    elif what == "movie":
         from cosim.offline.replay_lidar import film
 
         if len(runs) != 1 or len(vehicles or ()) > 1:
             raise ValueError("cosim plot movie films one run: cosim plot movie RUN [--vehicle V]")
         path = film(_opened(runs[0]), vehicles[0] if vehicles else None, out)
-        screen.print(f"wrote {path}", highlight=False, soft_wrap=True)
-        return
-    if step is not None:
-        raise ValueError(f"--step goes with `cosim plot sweep` or scene, not with {what}. Leave it out.")
-    options = {"vehicles": vehicles, "over": over, "threshold": threshold, "radius_m": radius_m, "pairs": pairs}
-    given = {name: value for name, value in options.items() if value}
-    for name in given:
-        takers = [figure for figure, draw in FIGURES.items() if name in signature(draw).parameters]
-        if what not in takers:
-            flag = "vehicle" if name == "vehicles" else name.replace("_", "-")
-            raise ValueError(f"--{flag} goes with `cosim plot {' or '.join(takers)}`, not with {what}. Leave it out.")
-    chosen = [one for folder in runs for one in of_variants(_opened(folder), variant)]
-    path = style.save(FIGURES[what](chosen, **given), out or runs[0] / f"{what}.png")
+    else:
+        if step is not None:
+            raise ValueError(f"--step goes with `cosim plot sweep` or scene, not with {what}. Leave it out.")
+        options = {"vehicles": vehicles, "over": over, "threshold": threshold, "radius_m": radius_m, "pairs": pairs}
+        given = {name: value for name, value in options.items() if value}
+        for name in given:
+            takers = [figure for figure, draw in FIGURES.items() if name in signature(draw).parameters]
+            if what not in takers:
+                flag = "vehicle" if name == "vehicles" else name.replace("_", "-")
+                raise ValueError(
+                    f"--{flag} goes with `cosim plot {' or '.join(takers)}`, not with {what}. Leave it out."
+                )
+        chosen = [one for folder in runs for one in of_variants(_opened(folder), variant)]
+        path = style.save(FIGURES[what](chosen, **given), out or runs[0] / f"{what}.png")
     screen.print(f"wrote {path}", highlight=False, soft_wrap=True)
     _say_damage(chosen)
 
@@ -366,7 +374,7 @@ def bench(
     only: Annotated[
         list[str] | None,
         typer.Argument(
-            help="Components to measure: sensors, trust, radio, mobility, results, cycle, studies. Without any, all "
+            help="Components to measure: sensors, trust, radio, mobility, cycle, studies. Without any, all "
             "of them. `scale` alone measures how the cost grows with the number of vehicles."
         ),
     ] = None,
@@ -379,21 +387,9 @@ def bench(
     as_json: AsJson = False,
 ) -> None:
     """Measure the speed of the components on this machine."""
-    from cosim.bench.suite import BENCHES, machine, run, run_scale
+    from cosim.bench.suite import machine, run, run_scale
 
-    if only == ["scale"]:
-        rows = run_scale(scenario, trace, vehicles, seconds)
-        if as_json:
-            print_json({"machine": machine(), "figures": rows})
-        else:
-            screen.print(table_of(machine(), rows))
-        return
-    if unknown := set(only or ()) - set(BENCHES):
-        raise ValueError(f"cosim bench {' '.join(unknown)}: no such benchmark. There are {', '.join(BENCHES)}.")
-    rows = [
-        {"metric": f"{name}.{figure}", "group": "", "value": value, "unit": unit, "label": ""}
-        for name in only or BENCHES for figure, value, unit in run(name)
-    ]  # fmt: skip
+    rows = run_scale(scenario, trace, vehicles, seconds) if only == ["scale"] else run(only or [])
     if as_json:
         print_json({"machine": machine(), "figures": rows})
     else:
@@ -430,7 +426,7 @@ def main(command: Callable[..., int | None] = app) -> None:
         status = _say(f"{error.filename or 'output'}: {error.strerror or error}.", 1)
     try:
         sys.stdout.flush()
-    except OSError:  # nobody reads standard output any more; the interpreter must not flush it again at exit
+    except OSError:  # standard output has no reader any more; the interpreter must not flush it again at exit
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
     if kernels is not None:
         kernels.remove()

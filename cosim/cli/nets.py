@@ -11,7 +11,7 @@ from rich.box import SIMPLE
 from rich.table import Column, Table
 from rich.text import Text
 
-from cosim.cli.console import notes, print_json, screen
+from cosim.cli.console import AsJson, notes, print_json, screen
 
 if TYPE_CHECKING:
     from numpy import ndarray
@@ -25,8 +25,6 @@ nets = typer.Typer(no_args_is_help=True, help="List, show and build cities.")
 
 PICTURE = "city.png"
 """Name of the map in the folder of a built city."""
-
-AsJson = Annotated[bool, typer.Option("--json", help="Print JSON on standard output.")]
 
 
 @nets.command("list")
@@ -43,8 +41,7 @@ def list_(
     rows = [_summary(catalogue.find(name)) | {"where": "cosim"} for name in catalogue.shipped()]
     for name, package_net in sorted(sumo_package_nets.NETS.items()):
         made = sumo_package_nets.made(name)
-        about = _summary(catalogue.open_folder(made)) if made else _summary_of_package_net(package_net)
-        rows.append(about | {"where": "SUMO", "on_disk": made})
+        rows.append(_summary(catalogue.open_folder(made) if made else package_net) | {"where": "SUMO"})
     for parent in folders or [Path()]:
         if not parent.is_dir():
             raise ValueError(f"{parent} is not a folder. Give a folder in which cities were built.")
@@ -164,35 +161,21 @@ def build(
     _print_facts(facts, as_json)
 
 
-def _summary(net: Net) -> dict[str, Any]:
-    (width, height), picture = net.size_m, net.folder / PICTURE
+def _summary(net: Net | PackageNet) -> dict[str, Any]:
+    """Facts about a city, also about one that is generated when it is first used."""
+    folder = getattr(net, "folder", None)
+    files = [] if folder is None else [path for path in folder.iterdir() if path.is_file()]
     return {
         "name": net.name,
         "what": net.description,
         "licence": net.licence,
         "attribution": net.attribution,
-        "km2": round(width * height / 1e6, 2),
+        "km2": round(net.km2, 2),
         "vehicles_per_hour": round(net.vehicles_per_hour),
         "pedestrians_per_hour": round(net.pedestrians_per_hour),
-        "MB": round(sum(path.stat().st_size for path in net.folder.iterdir() if path.is_file()) / 1e6, 2),
-        "on_disk": net.folder,
-        "picture": picture if picture.is_file() else None,
-    }
-
-
-def _summary_of_package_net(net: PackageNet) -> dict[str, Any]:
-    """The same facts for a city that is generated when it is first used."""
-    return {
-        "name": net.name,
-        "what": net.description,
-        "licence": net.licence,
-        "attribution": net.attribution,
-        "km2": net.km2,
-        "vehicles_per_hour": net.vehicles_per_hour,
-        "pedestrians_per_hour": net.pedestrians_per_hour,
-        "MB": 0.0,
-        "on_disk": None,
-        "picture": None,
+        "MB": round(sum(path.stat().st_size for path in files) / 1e6, 2),
+        "on_disk": folder,
+        "picture": next((path for path in files if path.name == PICTURE), None),
     }
 
 

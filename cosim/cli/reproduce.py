@@ -9,7 +9,7 @@ import typer
 from rich.box import SIMPLE
 from rich.table import Column, Table
 
-from cosim.cli.console import notes, print_json, progress, screen
+from cosim.cli.console import AsJson, notes, print_json, progress, screen
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -36,7 +36,7 @@ def reproduce(
     workers: Annotated[
         int | None, typer.Option(min=1, help="Experiments: number of parallel runs. The default is one per core.")
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON on standard output.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Run a scenario or an experiment of the paper and compare. After an interruption, the same command continues."""
     if what in ("tables", "trust-levels"):

@@ -6,9 +6,7 @@ from typing import Annotated
 import typer
 from rich.table import Table
 
-from cosim.cli.console import TrustCode, print_json, progress, screen
-
-AsJson = Annotated[bool, typer.Option("--json", help="Print JSON on standard output.")]
+from cosim.cli.console import AsJson, TrustCode, print_done, print_json, progress, screen
 
 
 def add_to(app: typer.Typer) -> None:
@@ -75,15 +73,10 @@ def _print_progress(folder: Path, as_json: bool) -> None:
     from results.progress import progress as progress_of
 
     found = progress_of(folder)
-    if as_json:
-        print_json(found)
-        return
     of = "" if found["steps_asked"] is None else f" of {found['steps_asked']:,}"
     why = f" ({found['error']})" if found["error"] else ""
-    screen.print(
-        f"{folder}: {found['status']}{why}; {found['steps']:,}{of} steps in {found['blocks']:,} blocks, "
-        f"{found['bytes'] / 1e6:,.1f} MB. Next: {found['next']}", highlight=False, markup=False, soft_wrap=True,
-    )  # fmt: skip
+    said = f"{folder}: {found['status']}{why}; {found['steps']:,}{of} steps in {found['blocks']:,} blocks, "
+    print_done(found, f"{said}{found['bytes'] / 1e6:,.1f} MB. Next: {found['next']}", as_json)
 
 
 def retrust(
@@ -212,9 +205,6 @@ def _print_plan(task, as_json: bool) -> None:
         "estimate": "from finished runs" if cost.is_measured else "rough: nothing of this study has run",
         "remarks": list(made.remarks),
     }
-    if as_json:
-        print_json(facts)
-        return
     lines = [
         f"{facts['study']}: {facts['points']} points, {facts['finished']} finished, {facts['runs']} runs to make",
         f"{merged} points are trust variants of runs that differ in trust alone: saves {round(cost.merged_saves_s)} s",
@@ -225,8 +215,7 @@ def _print_plan(task, as_json: bool) -> None:
         f"({facts['estimate']})",
         *(f"not shared: {remark}" for remark in made.remarks),
     ]
-    for line in lines:
-        screen.print(line, highlight=False, markup=False, soft_wrap=True)
+    print_done(facts, "\n".join(lines), as_json)
 
 
 def _print_states(name: str, out: Path, states, failed, as_json: bool) -> None:

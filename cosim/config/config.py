@@ -11,7 +11,7 @@ from typing import Annotated, Any
 from annotated_types import Ge, Le
 
 from cosim.adversary.params import PAPER, AttackParams, check_attacks
-from cosim.config.data import check_finite, check_keys, former, is_plain, override, read_toml, validated
+from cosim.config.data import check_finite, check_keys, is_plain, override, read_toml, validated
 from cosim.door.blame import at_load, definition_line
 from cosim.door.kinds import SECTIONS
 from cosim.door.load import Choice, is_own, resolve
@@ -378,7 +378,7 @@ def _take_own(section: dict[str, Any], name: str, model: Any, where: str, folder
         known = ", ".join(sorted(of_section | of_class))
         near = difflib.get_close_matches(unknown[0], [*of_section, *of_class], 1)
         hint = f"Did you mean {name}.{near[0]}?" if near else f"Known: {known}."
-        raise ValueError(f"{name}.{unknown[0]}: unknown key in {where}. {former(f'{name}.{unknown[0]}') or hint}")
+        raise ValueError(f"{name}.{unknown[0]}: unknown key in {where}. {hint}")
     check_finite(taken, f"{name}.", where)
     values = asdict(_params(choice, taken, name, where))
     made = {k: values[k] for k in values if k in of_class}

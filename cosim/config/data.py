@@ -15,24 +15,6 @@ from results.durable import open_regular
 
 _MOST_BYTES = 10_000_000
 
-FORMER = {
-    "adversary": "[[attacks]], one section for each attack",
-    "fleet.malicious_p": "attacks.0.share_p",
-    "fleet.unreliable_p": "attacks.1.share_p",
-    "trust.where": "trust.host",
-    "trust.certify_own_lies": "nothing: attackers vouch for what they fabricate",
-    "detector.profile": "detector.model",
-    "radio.reach_m": "radio.range_m",
-    "radio.disk": "[radio.unit_disk]",
-    "radio.verdicts": "radio.evaluations",
-    "radio.relay.reach_m": "radio.relay.forward_range_m",
-    "radio.propagation.reach_m": "radio.propagation.interference_range_m",
-    "radio.propagation.reach_nlos_m": "radio.propagation.interference_range_nlos_m",
-    "detector.taken_for_p": "detector.confusion_p",
-    "detector.clutter_per_sweep": "detector.false_positive_per_sweep",
-}
-"""Keys of the former schema, and their replacements."""
-
 
 def read_toml(path: Path, what: str) -> dict[str, Any]:
     """Read a TOML file as plain data. A file that cannot be read raises a ValueError of one line."""
@@ -125,7 +107,7 @@ def check_keys(data: dict[str, Any], model: Any, prefix: str, where: str) -> Non
         if name not in known:
             near = difflib.get_close_matches(name, known, 1)
             hint = f"Did you mean {prefix}{near[0]}?" if near else f"Known: {', '.join(known)}."
-            raise ValueError(f"{full}: unknown key in {where}. {former(full) or hint}")
+            raise ValueError(f"{full}: unknown key in {where}. {hint}")
         if get_origin(known[name].type) is tuple and is_dataclass(model_of := get_args(known[name].type)[0]):
             if not isinstance(value, list) or not all(isinstance(v, dict) for v in value):
                 raise ValueError(f"{full} should be a list of sections [[{full}]] in {where}.")
@@ -157,9 +139,3 @@ def is_plain(data: Any) -> bool:
     if isinstance(data, list | tuple):
         return all(map(is_plain, data))
     return data is None or isinstance(data, bool | int | float | str)
-
-
-def former(name: str) -> str:
-    """A sentence that names the replacement of a key of the former schema; empty for other keys."""
-    now = next((new for old, new in FORMER.items() if name == old or name.startswith(old + ".")), None)
-    return "" if now is None else f"It is a key of the former schema; now it is {now}."

@@ -12,7 +12,7 @@ from typing import cast
 import numpy as np
 import pyarrow.compute as pc
 import shapely
-from jaxtyping import Float, Int
+from jaxtyping import Int
 from numpy import ndarray
 
 from cosim.config.config import Config, of_run_without_code
@@ -169,7 +169,7 @@ def portrait(run: Run, vehicles: list[int], step: int, out: Path | None) -> Path
         chosen = equipped[np.argsort(away[middle], kind="stable")[:3]]
     city = city_of(config)
     sweeps = sweep(config, city, world, chosen)
-    clouds = [in_world(sweeps, o) for o in range(len(chosen))]
+    clouds = [sweeps.poses.to_world(o, sweeps.xyz(o)) for o in range(len(chosen))]
     scenario = find(config.traffic.scenario, config.traffic.trace)
     lanes = [] if scenario.net is None else [lane for lane in network.lanes(scenario.net) if lane.for_cars]
     of = run.subjects.vehicle
@@ -199,13 +199,6 @@ def portrait(run: Run, vehicles: list[int], step: int, out: Path | None) -> Path
     return style.save(
         scene.draw(moment, f"{step * run.dt_s:g} s: clouds of vehicles {_named(world.actor[chosen])}"), out
     )
-
-
-def in_world(sweeps: Sweeps, o: int) -> Float[ndarray, "k 3"]:
-    """The returns of one sweep in the world frame."""
-    xyz = sweeps.xyz(o)
-    cos, sin = np.cos(sweeps.poses.yaw_rad[o]), np.sin(sweeps.poses.yaw_rad[o])
-    return xyz @ np.array([[cos, sin, 0], [-sin, cos, 0], [0, 0, 1]]) + sweeps.poses.origin_m[o]
 
 
 def _named(numbers: Int[ndarray, "n"]) -> str:

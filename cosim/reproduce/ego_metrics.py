@@ -74,7 +74,7 @@ def _precision(run: Run) -> Iterator[tuple[str, str, float, str, str]]:
 def _trust(run: Run) -> Iterator[tuple[str, str, float, str, str]]:
     """Mean of the last trust value of equipped vehicles without egos; a vehicle without a value has the default.
 
-    Attackers that never met an ego never attacked, and are left out. If nobody attacks in the run, they count.
+    Attackers that never met an ego never attacked, and are left out. If no vehicle attacks in the run, they count.
     """
     cars = run.vehicles[run.vehicles.equipped & ~run.vehicles.vehicle.isin(egos_of(run))]
     if cars.attack_start_step.notna().any():

@@ -10,7 +10,7 @@ import logging
 import os
 import shutil
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from time import time
@@ -86,32 +86,23 @@ class Cache:
 
     def make_traffic(self, name: str, config: Config, advance: Advance) -> None:
         """Record the traffic of a config, unless the cache holds it."""
-        with self._making("traffic", name):
-            if self.find("traffic", name) is None:
-                self._keep("traffic", name, config, advance)
-
-    @contextmanager
-    def _making(self, stage: str, name: str) -> Iterator[None]:
-        """Lock an entry while it is made, and remove incomplete files of a killed process."""
-        folder = self.path / stage
-        folder.mkdir(parents=True, exist_ok=True)
-        with (folder / f"{name}.lock").open("w") as lock:
+        entry = self.path / "traffic" / name
+        entry.parent.mkdir(parents=True, exist_ok=True)
+        with entry.with_name(f"{name}.lock").open("w") as lock:
             fcntl.flock(lock, fcntl.LOCK_EX)
-            shutil.rmtree(folder / f"{name}{PARTIAL}", ignore_errors=True)
-            yield
-
-    def _keep(self, stage: str, name: str, config: Config, advance: Advance) -> None:
-        entry = self.path / stage / name
-        partial = entry.with_name(f"{name}{PARTIAL}")
-        partial.mkdir()
-        begun_s = time()
-        running.record_traffic(config, partial, advance)
-        for empty in [path for path in partial.iterdir() if path.is_dir() and not any(path.iterdir())]:
-            empty.rmdir()
-        content = {"files": _files(partial), "seconds": round(time() - begun_s, 2)}
-        write_whole(partial / "stage.json", json.dumps(content, indent=1).encode())
-        partial.replace(entry)
-        self.shrink(limit_gb(), {name})
+            partial = entry.with_name(f"{name}{PARTIAL}")
+            shutil.rmtree(partial, ignore_errors=True)  # left by a process that was killed
+            if self.find("traffic", name) is not None:
+                return
+            partial.mkdir()
+            begun_s = time()
+            running.record_traffic(config, partial, advance)
+            for empty in [path for path in partial.iterdir() if path.is_dir() and not any(path.iterdir())]:
+                empty.rmdir()
+            content = {"files": _files(partial), "seconds": round(time() - begun_s, 2)}
+            write_whole(partial / "stage.json", json.dumps(content, indent=1).encode())
+            partial.replace(entry)
+            self.shrink(limit_gb(), {name})
 
     def entries(self) -> list[Entry]:
         """All entries, the most recently used first."""

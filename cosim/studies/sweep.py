@@ -12,7 +12,7 @@ from cosim.door.permission import is_of_a_folder, loading_code
 from cosim.studies.engine import Work, connected, execute
 from cosim.studies.estimate import Estimate, estimate
 from cosim.studies.folder import Attempt, StudyFolder, write_whole
-from cosim.studies.plan import TRAFFIC_VERSION, Plan, PlannedRun, plan
+from cosim.studies.plan import Plan, PlannedRun, plan
 from cosim.studies.points import Point, points_of
 from cosim.studies.stages import Cache, default_folder
 from cosim.studies.study import Study, load
@@ -167,6 +167,3 @@ def status(
     ids = {id for point, (id, _) in folder.answers().items() if point in {p.id for p in points}}
     failed = [(id, folder.attempts(id)[-1]) for id in sorted(ids) if folder.state(id) == "failed"]
     return study, points, states, failed
-
-
-__all__ = ["TRAFFIC_VERSION", "Task", "prepare", "status", "sweep"]

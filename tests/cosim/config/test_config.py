@@ -86,7 +86,7 @@ def test_steps():
         ("seed.x=1", "unknown key|section|valid"),
         ("fleet.equipped_kinds=['tank']", "fleet.equipped_kinds"),
         ("attacks.0.share_p=0.95", "more than all equipped"),
-        ("fleet.malicious_p=0.95", "key of the former schema; now it is attacks.0.share_p"),
+        ("fleet.malicious_p=0.95", "fleet.malicious_p: unknown key"),
         ("sensing_interval_s=0.7", "not a multiple of traffic.step_s"),
         ("encounters=[{radius=3}]", "unknown key .* Did you mean encounters.radius_m"),
         ("encounters=3", "list of sections"),

@@ -83,7 +83,7 @@ def test_plot_scene(folder, tmp_path):
     world = next(replay_lidar.worlds(run, config, np.array([4])))
     sweeps = replay_lidar.sweep(config, replay_lidar.city_of(config), world, np.flatnonzero(world.equipped)[:4])
     for o in range(4):
-        xyz, hit = replay_lidar.in_world(sweeps, o), sweeps.hit[o][sweeps.has_return(o)]
+        xyz, hit = sweeps.poses.to_world(o, sweeps.xyz(o)), sweeps.hit[o][sweeps.has_return(o)]
         of = hit[hit >= 3] - 3
         away = np.abs(xyz[hit >= 3] - world.boxes.xyz_m[of])
         assert (
