@@ -10,7 +10,7 @@ from cosim.radio.message_round import MessageRound
 from cosim.step.exchange import Exchange
 from cosim.step.stages import Broadcast, Evaluated, Listed, Matched
 from cosim.step.trackers.attack_start import AttackStartTracker
-from cosim.step.trackers.encounters import EncounterTrackers
+from cosim.step.trackers.encounters import Encounters
 from cosim.step.trackers.inter_reception import InterReceptionTracker, reached, unique_pairs
 from cosim.step.trust_stages import LookedUp
 from results.encounters import Rows
@@ -85,20 +85,20 @@ def _first_hops(station, message, receiver, hop, n):
 
 
 def count_in_encounters(
-    encounters: EncounterTrackers, exchange: Exchange, rounds: Rounds, looked_up: LookedUp, listed: Listed,
+    encounters: Encounters, exchange: Exchange, rounds: Rounds, looked_up: LookedUp, listed: Listed,
     matched: Matched,
-) -> EncounterTrackers:  # fmt: skip
+) -> None:  # fmt: skip
     """Add a step's messages, look-ups and evaluations to the open encounters."""
     actor, vehicle = exchange.vehicles.actor, exchange.senders.vehicle
-    for broadcast in rounds:
-        found = broadcast.links.vehicles
-        encounters.count_messages(actor[vehicle[found.message]], actor[found.receiver])
     used = looked_up.messages
     is_known = np.stack([found.is_known for found in looked_up.lookups], axis=1)
-    encounters.note_trust(actor[used.receiver], actor[vehicle[used.message]], is_known)
     evaluator, observer, n = _evaluated(matched.lists.ptr, matched.lists.member, listed.detections.message, vehicle)
-    encounters.count_evaluations(actor[evaluator], actor[observer], n)
-    return encounters
+    for tracker in encounters:
+        for broadcast in rounds:
+            found = broadcast.links.vehicles
+            tracker.count_messages(actor[vehicle[found.message]], actor[found.receiver])
+        tracker.note_trust(actor[used.receiver], actor[vehicle[used.message]], is_known)
+        tracker.count_evaluations(actor[evaluator], actor[observer], n)
 
 
 def track_attacks(

@@ -13,7 +13,6 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8, UInt64
 from numpy import ndarray
 
-from cosim.v2x import lookup_kernels
 from cosim.v2x.trust_server import (
     Downlink,
     DownlinkState,
@@ -40,9 +39,10 @@ FUSION_KEYS = frozenset({
 """Keys of [trust] about the use of trust. Variants that differ only in these keys share one host."""
 
 
-_JUDGED, _STALE, _NO_VALUE, _DEFAULT = (
-    int(c) for c in (LookupState.JUDGED, LookupState.STALE, LookupState.DEFAULT, TrustSource.DEFAULT)
+_JUDGED, _UNJUDGED, _STALE, _NO_VALUE = (
+    int(s) for s in (LookupState.JUDGED, LookupState.UNJUDGED, LookupState.STALE, LookupState.DEFAULT)
 )
+_DEFAULT, _SERVER, _OWN = (int(s) for s in (TrustSource.DEFAULT, TrustSource.SERVER, TrustSource.OWN))
 """Plain integers, because NumPy is ten times slower with members of enums."""
 
 ObjectScorer = Callable[[ObjectReports], Float[ndarray, "g"]]
@@ -417,30 +417,22 @@ class TrustHosts:
         """
         params = self.params[h]
         window_s = window_of(params) if _has_window(self.models[h].model) else np.inf
-        source = TrustSource.SERVER if params.host == "central" else TrustSource.OWN
-        n_evaluators = scores.n_evaluations if scores.n_evaluators is None else scores.n_evaluators
-        columns = (getattr(found, name) for name in lookup_kernels.LookupColumns._fields)
-        lookup_kernels.fill(
-            lookup_kernels.LookupColumns(*columns),
-            lookup_kernels.ScoreColumns(
-                trust=scores.trust,
-                is_judged=scores.is_judged,
-                newest_step=np.ascontiguousarray(scores.newest_evaluation_step),
-                oldest_step=np.ascontiguousarray(scores.oldest_evaluation_step),
-                n_evaluations=scores.n_evaluations,
-                n_evaluators=n_evaluators,
-            ),
-            at,
-            lookup_kernels.LookupRules(
-                source=int(source),
-                value_age_s=age_s,
-                time_s=time_s,
-                dt_s=self.dt_s,
-                window_s=window_s,
-                unevaluated_is_used=params.unjudged != "default",
-            ),
-        )
-        return scores.n_evaluators is not None or not (at >= 0).any()
+        rows = np.flatnonzero(at >= 0)
+        at = at[rows]
+        judged = scores.is_judged[at]
+        valued = judged if params.unjudged == "default" else np.ones(len(at), bool)
+        found.trust[rows[valued]] = scores.trust[at[valued]]
+        found.source[rows[valued]] = _SERVER if params.host == "central" else _OWN
+        newest_age_s = time_s - scores.newest_evaluation_step[at] * self.dt_s
+        found.age_s[rows], found.newest_evaluation_age_s[rows] = age_s, newest_age_s
+        found.oldest_evaluation_age_s[rows] = time_s - scores.oldest_evaluation_step[at] * self.dt_s
+        found.state[rows] = np.where(judged, np.where(newest_age_s < window_s, _JUDGED, _STALE), _UNJUDGED)
+        found.n_evaluations[rows] = scores.n_evaluations[at]
+        if scores.n_evaluators is None:
+            return not len(rows)
+        assert found.n_evaluators is not None
+        found.n_evaluators[rows] = scores.n_evaluators[at]
+        return True
 
     def rejected(self, state: TrustState) -> dict[str, int]:
         """Number of evaluations that the acting model has rejected, by cause. Empty if it does not count them."""
