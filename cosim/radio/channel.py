@@ -26,7 +26,6 @@ from cosim.radio.forwarding import NO_FORWARDING, Forwarding, grown
 from cosim.radio.phy import CURVES, MAC_OVERHEAD_BYTES, ReceiverParams, airtime_ns
 from cosim.radio.propagation import fading_quantiles
 from cosim.ragged import offsets, ranges
-from sensors.kernel import compiled
 
 SIFS_NS = 32_000
 SLOT_NS = 13_000
@@ -414,19 +413,6 @@ def _joined(one: ndarray, more: ndarray) -> ndarray:
     return both
 
 
-@compiled
-def _chosen(begin, count, one, other):
-    """Ranges of rows of two columns, range after range."""
-    n = np.sum(count)
-    first, second = np.empty(n, one.dtype), np.empty(n, other.dtype)
-    m = 0
-    for r in range(len(begin)):
-        for row in range(begin[r], begin[r] + count[r]):
-            first[m], second[m] = one[row], other[row]
-            m += 1
-    return first, second
-
-
 def _result(log: Log, done: ndarray, phy: ndarray, span_ns: int) -> WindowResult:
     """The packets that are done, and how long each station of `phy` sensed the medium busy in `span_ns`."""
     receiver_row, reception = log.receiver, log.outcome
@@ -434,7 +420,8 @@ def _result(log: Log, done: ndarray, phy: ndarray, span_ns: int) -> WindowResult
     sent = rows["outcome"] == dtypes.RECEIVED
     count = np.where(sent, rows["degree"], 0)
     if count.sum() < len(receiver_row):
-        receiver_row, reception = _chosen(rows["slot"], count, receiver_row, reception)
+        at = ranges(rows["slot"], count)
+        receiver_row, reception = receiver_row[at], reception[at]
     if np.any(receiver_row == dtypes.NONE):
         there = receiver_row != dtypes.NONE
         count = np.bincount(np.repeat(np.arange(len(rows)), count)[there], minlength=len(rows))

@@ -25,6 +25,7 @@ from cosim.radio.propagation import (
     link_field,
     mean_loss_db,
 )
+from cosim.ragged import order_by_two
 from sensors.kernel import compiled, kernel
 from sensors.line_of_sight import LosOfPlaces, WallIndex
 from sensors.line_of_sight_kernels import FilledCells, crosses_filled_cell
@@ -135,7 +136,10 @@ def pairs_within(xyz_m: Float[ndarray, "n 3"], range_m: float) -> tuple[ndarray,
 
 def neighbours(xy_m: Float[ndarray, "n 2"], range_m: float) -> tuple[ndarray, ndarray, ndarray]:
     """All ordered pairs in range: sender, receiver, distance [m]; sorted by sender, then receiver."""
-    return _both_orders(len(xy_m), *pairs_within(np.column_stack([xy_m, np.zeros(len(xy_m))]), range_m))
+    a, b, distance_m = pairs_within(np.column_stack([xy_m, np.zeros(len(xy_m))]), range_m)
+    sender, receiver = np.concatenate([a, b]).astype(np.int64), np.concatenate([b, a]).astype(np.int64)
+    order = order_by_two(sender, receiver, len(xy_m))
+    return sender[order], receiver[order], np.concatenate([distance_m, distance_m])[order]
 
 
 def _within(
@@ -190,32 +194,6 @@ def _both_ways(n, a, b, gain, fading, tx_mw, cutoff_mw):
                 receiver[k], power[k], kind[k], pair[k] = j, mw, fading[m], m
                 at[i] = k + 1
     return ptr, receiver, power, kind, pair
-
-
-@compiled
-def _both_orders(n, a, b, length_m):
-    """Each pair in both directions, sorted by counting: by sender, then by receiver."""
-    at = np.zeros(n + 1, np.int64)
-    for m in range(len(a)):
-        at[a[m] + 1] += 1
-        at[b[m] + 1] += 1
-    for i in range(n):
-        at[i + 1] += at[i]
-    put = at[:-1].copy()
-    from_, of = np.empty(2 * len(a), np.int32), np.empty(2 * len(a), np.int32)  # by receiver only
-    for m in range(len(a)):
-        for one, other in ((a[m], b[m]), (b[m], a[m])):
-            from_[put[one]], of[put[one]] = other, m
-            put[one] += 1
-    put = at[:-1].copy()
-    sender, receiver = np.empty(len(of), np.int64), np.empty(len(of), np.int64)
-    apart_m = np.empty(len(of))
-    for to in range(n):
-        for row in range(at[to], at[to + 1]):
-            k = put[from_[row]]
-            sender[k], receiver[k], apart_m[k] = from_[row], to, length_m[of[row]]
-            put[from_[row]] += 1
-    return sender, receiver, apart_m
 
 
 def from_db(db: ndarray | float) -> ndarray:
