@@ -182,11 +182,6 @@ class WindowResult:
     busy_strong: Float[ndarray, "n"]
     """Share of the window in which a frame of at least `cca_dbm` arrived: the busy ratio of DCC."""
 
-    @property
-    def latency_s(self) -> Float[ndarray, "p"]:
-        """Medium access latency of each packet [s]."""
-        return (self.start_ns - self.generated_ns) * 1e-9
-
 
 @lru_cache
 def _constants(receiver: ReceiverParams, access: AccessParams) -> dtypes.Constants:
@@ -299,7 +294,7 @@ def run_window(
         raise ValueError(f"until_ns = {until_ns} is not after the state's now_ns = {state.now_ns}.")
     new = _records(packets, n, state, until_ns, rules.receiver)
     new["key"] = links.key[new["sender"]]
-    new = new[_order(new)]
+    new = new[np.lexsort((new["seq"], new["key"], new["generated_ns"]))]
     state = remap_stations(state, links.key)
     state.phy["busy_ns"] = state.phy["strong_ns"] = 0
     state.mac["gap_ns"][:n] = 0 if gap_ns is None else gap_ns
@@ -315,7 +310,7 @@ def run_window(
 
 def _log_of(state: ChannelState, links: Links, new: ndarray) -> Log:
     """The packets of earlier windows and the new ones, with room for the outcomes at their receivers."""
-    table = _joined(state.packets, new)
+    table = np.concatenate([state.packets, new])
     waiting, on_the_air = table["outcome"] == dtypes.WAITING, np.flatnonzero(table["outcome"] == dtypes.RECEIVED)
     sender, degree, old_edge = table["sender"][waiting], table["degree"][on_the_air], table["edge"][on_the_air]
     table["edge"][waiting] = links.ptr[sender]
@@ -345,7 +340,7 @@ def _air_of(state: ChannelState, links: Links, rules: ChannelRules) -> Air:
         macs=mac,
         row_of_rank=row_of_rank,
         ptr=links.ptr,
-        receiver=_joined(links.receiver, state.receiver),
+        receiver=np.concatenate([links.receiver, state.receiver]),
         mean_mw=links.power_mw,
         fading=links.fading,
         arrival_mw=arrival_mw,
@@ -393,24 +388,6 @@ def _noise_of(jamming: Jamming | None, n: int) -> tuple[ndarray, ndarray, ndarra
         np.pad(jamming.reactive_mw, (0, more)),
         np.pad(jamming.detected, (0, more)),
     )
-
-
-def _order(packets: ndarray) -> Int[ndarray, "p"]:
-    """Rows sorted by generation, key and sequence number."""
-    begin_ns = packets["generated_ns"]
-    order = np.argsort(begin_ns, kind="stable")
-    if (np.diff(begin_ns[order]) == 0).any():  # rarely are two generated in the same nanosecond
-        return np.lexsort((packets["seq"], packets["key"], begin_ns))
-    return order
-
-
-def _joined(one: ndarray, more: ndarray) -> ndarray:
-    """Both arrays, one after the other, with the type of the second. If one is empty: the other itself."""
-    if not len(one) or not len(more):
-        return more if len(more) else one
-    both = np.empty(len(one) + len(more), more.dtype)
-    both[: len(one)], both[len(one) :] = one, more
-    return both
 
 
 def _result(log: Log, done: ndarray, phy: ndarray, span_ns: int) -> WindowResult:

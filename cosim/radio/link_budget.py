@@ -37,21 +37,6 @@ _SHADOW_LOS, _SHADOW_NLOS, _BLOCKED, _BLOCKAGE = (np.uint64(k) for k in range(4)
 
 
 @dataclass(frozen=True, slots=True)
-class Pairs:
-    """M pairs of stations in range, each once."""
-
-    a: Int[ndarray, "m"]
-    b: Int[ndarray, "m"]
-    distance_m: Float[ndarray, "m"]
-    nlos: Bool[ndarray, "m"]
-    """Whether a building blocks the line of sight."""
-    nlosv: Bool[ndarray, "m"]
-    """Whether no building but a vehicle blocks it."""
-    loss_db: Float[ndarray, "m"]
-    """Path loss, blockage and shadowing together."""
-
-
-@dataclass(frozen=True, slots=True)
 class PairLos:
     """M pairs of positions, each once. Some distant pairs without line of sight may be left out."""
 
@@ -60,6 +45,16 @@ class PairLos:
     distance_m: Float[ndarray, "m"]
     nlos: Bool[ndarray, "m"]
     """Whether a building blocks the line of sight."""
+
+
+@dataclass(frozen=True, slots=True)
+class Pairs(PairLos):
+    """M pairs of stations in range, each once, with their losses."""
+
+    nlosv: Bool[ndarray, "m"]
+    """Whether no building but a vehicle blocks it."""
+    loss_db: Float[ndarray, "m"]
+    """Path loss, blockage and shadowing together."""
 
 
 class _Cells(NamedTuple):

@@ -153,7 +153,8 @@ def update_trust(
     """
     hosts, linkage, senders = parts.trust, parts.linkage, exchange.senders
     trust = _open_step(trust, exchange, listed, pseudonyms, parts)
-    trust = hosts.add_own(trust, linkage.messages(pseudonyms, evaluated.own_messages), exchange.vehicles.actor)
+    own, vehicle = linkage.messages(pseudonyms, evaluated.own_messages), exchange.vehicles.actor
+    hosts.add_local(trust, own, vehicle, np.arange(len(vehicle)), of_others=False)
     up = LinkStats()
     if carrier.evaluations is not None:
         trust, up = _deliver(trust, exchange, carrier.evaluations, carrier, pseudonyms, parts)
@@ -192,7 +193,7 @@ def _deliver(
     row[at] = which
     sent = parts.linkage.messages(pseudonyms, carried.messages)
     got = links.vehicles.take(row[links.vehicles.message] >= 0)
-    trust = parts.trust.add_received(trust, sent, vehicles.actor[got.receiver], row[got.message])
+    parts.trust.add_local(trust, sent, vehicles.actor[got.receiver], row[got.message])
     up = links.uplink.take(row[links.uplink.message] >= 0)
     return parts.trust.report_by_rsu(trust, sent, row[up.message], carrier.begin_s + up.received_s)
 

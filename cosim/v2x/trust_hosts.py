@@ -271,27 +271,10 @@ class TrustHosts:
         return TrustState(hosts, state.uplink), broadcast
 
     def receive_from_rsu(
-        self,
-        state: TrustState,
-        vehicle: Int[ndarray, "e"],
-        receiver: Int[ndarray, "m"],
+        self, state: TrustState, vehicle: Int[ndarray, "e"], receiver: Int[ndarray, "m"],
         received_s: Float[ndarray, "m"],
-    ) -> tuple[TrustState, Informed]:
-        """Record which vehicles received the broadcast of roadside units.
-
-        Parameters
-        ----------
-        vehicle
-            Actor numbers of the equipped vehicles.
-        receiver
-            Row of `vehicle` for each reception.
-        received_s
-            Time of each reception.
-
-        Returns
-        -------
-        The new state, and the numbers of vehicles addressed and reached.
-        """
+    ) -> tuple[TrustState, Informed]:  # fmt: skip
+        """Record which vehicles received the broadcast of roadside units, as `Downlink.receive_from_rsu`."""
         h = self.host_of[0]
         downlink, n_informed = self.downlink.receive_from_rsu(state.hosts[h].downlink, vehicle, receiver, received_s)
         hosts = list(state.hosts)
@@ -322,21 +305,20 @@ class TrustHosts:
             self._model(state, h).open_step(step, pseudonym, message, detection_index, score)
         return state
 
-    def add_own(self, state: TrustState, messages: EvaluationMessages, vehicle: Int[ndarray, "v"]) -> TrustState:
-        """Add each vehicle's own evaluations to its evidence. `vehicle` is aligned with the messages."""
-        self._add_local(
-            state, ReceivedEvaluations(messages, vehicle, np.arange(len(vehicle)), self.eta), of_others=False
-        )
-        return state
+    def add_local(
+        self, state: TrustState, messages: EvaluationMessages, vehicle: Int[ndarray, "m"], message: Int[ndarray, "m"],
+        of_others: bool = True,
+    ) -> None:  # fmt: skip
+        """Add evaluations to the evidence of vehicles.
 
-    def add_received(
-        self, state: TrustState, messages: EvaluationMessages, vehicle: Int[ndarray, "m"], message: Int[ndarray, "m"]
-    ) -> TrustState:
-        """Add received evaluations to the evidence: vehicle `vehicle[i]` received message `message[i]`."""
-        self._add_local(state, ReceivedEvaluations(messages, vehicle, message, self.eta), of_others=True)
-        return state
-
-    def _add_local(self, state: TrustState, received: ReceivedEvaluations, of_others: bool) -> None:
+        Parameters
+        ----------
+        vehicle, message
+            Actor number of each vehicle, and the row of the message that it received or made.
+        of_others
+            Whether the messages were received. If not, they are the vehicle's own.
+        """
+        received = ReceivedEvaluations(messages, vehicle, message, self.eta)
         for h in self._hosts("local"):
             if not of_others or self.params[h].local_evidence == "received":
                 self._model(state, h).add_evaluations(received)
