@@ -277,6 +277,4 @@ def _oldest(past: list, actor: ndarray) -> tuple[Detections, ndarray] | None:
             break
     if not parts:
         return None
-    columns = [c for c in zip(*(part.columns() for part in parts), strict=True)]
-    joined = Detections.of([Boxes.concat(c) if isinstance(c[0], Boxes) else np.concatenate(c) for c in columns])
-    return joined, np.concatenate(by)
+    return Detections.joined(parts), np.concatenate(by)

@@ -25,8 +25,8 @@ from cosim.radio.propagation import (
     link_field,
     mean_loss_db,
 )
-from cosim.ragged import order_by_two
-from sensors.kernel import compiled, kernel
+from cosim.ragged import counting_order, order_by_two, ptr_of
+from sensors.kernel import kernel
 from sensors.line_of_sight import LosOfPlaces, WallIndex
 from sensors.line_of_sight_kernels import FilledCells, crosses_filled_cell
 from sensors.scene import Scene
@@ -169,28 +169,6 @@ def _within(
         room = m
 
 
-@compiled
-def _both_ways(n, a, b, gain, fading, tx_mw, cutoff_mw):
-    """Links above the cut-off in both directions, compressed rows by sender."""
-    ptr = np.zeros(n + 1, np.int64)
-    for m in range(len(a)):
-        ptr[a[m] + 1] += tx_mw[a[m]] * gain[m] >= cutoff_mw
-        ptr[b[m] + 1] += tx_mw[b[m]] * gain[m] >= cutoff_mw
-    for i in range(n):
-        ptr[i + 1] += ptr[i]
-    at = ptr[:-1].copy()
-    receiver, power = np.empty(ptr[n], np.int32), np.empty(ptr[n], np.float32)
-    kind, pair = np.empty(ptr[n], np.uint8), np.empty(ptr[n], np.int32)
-    for m in range(len(a)):
-        for i, j in ((a[m], b[m]), (b[m], a[m])):
-            mw = tx_mw[i] * gain[m]
-            if mw >= cutoff_mw:
-                k = at[i]
-                receiver[k], power[k], kind[k], pair[k] = j, mw, fading[m], m
-                at[i] = k + 1
-    return ptr, receiver, power, kind, pair
-
-
 def from_db(db: ndarray | float) -> ndarray:
     """Power [mW] of a level [dBm], or the ratio of one in dB; 0 of -inf."""
     return np.exp(np.asarray(db) * (np.log(10) / 10))
@@ -296,8 +274,12 @@ def links_between(
     losses = pairs(xyz_m, params, rng_key, los, found, above_street_m)
     n = len(xyz_m)
     power_dbm = np.full(n, params.tx_power_dbm) if tx_power_dbm is None else np.asarray(tx_power_dbm, float)
-    ptr, receiver, power_mw, fading, pair = _both_ways(
-        n, losses.a, losses.b, from_db(-losses.loss_db), fading_class(losses.distance_m, params.fading),
-        from_db(power_dbm), float(from_db(params.cutoff_dbm)),
-    )  # fmt: skip
-    return Links(key, ptr, receiver, power_mw, fading), losses, pair
+    sender = np.column_stack([losses.a, losses.b]).ravel()
+    receiver = np.column_stack([losses.b, losses.a]).ravel()
+    pair = np.repeat(np.arange(len(losses.a)), 2)
+    power_mw = from_db(power_dbm)[sender] * from_db(-losses.loss_db)[pair]
+    rows = np.flatnonzero(power_mw >= from_db(params.cutoff_dbm))
+    rows = rows[counting_order(sender[rows].astype(np.int64), n)]
+    fading = fading_class(losses.distance_m, params.fading)[pair[rows]]
+    links = Links(key, ptr_of(sender[rows], n), receiver[rows], power_mw[rows], fading)
+    return links, losses, pair[rows]
