@@ -6,7 +6,7 @@ true. It knows what its vehicles perceive and receive, and the poses of actors, 
 """
 
 from dataclasses import dataclass, field, fields, replace
-from typing import Any, Protocol
+from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt64
@@ -20,6 +20,8 @@ from cosim.v2x.messages import FABRICATED, Detections
 from cosim.world import World
 from sensors.boxes import Boxes
 from sensors.line_of_sight import WallIndex
+
+P = TypeVar("P")
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,6 +181,23 @@ class Attack(Protocol):
 
     def sending(self, context: AttackContext) -> Sending:
         """How each actor sends its messages, by row of the world."""
+
+
+class WithParams(Generic[P]):
+    """Base of attacks that have parameters of their own."""
+
+    def __init__(self, params: P) -> None:
+        self.params = params
+
+
+class Vouched(WithParams[P]):
+    """Base of attacks whose vehicles confirm what they fabricate: evaluation 1 and visibility 1."""
+
+    def evaluations(
+        self, rows: EvaluationRows, detections: Detections, context: AttackContext
+    ) -> tuple[ndarray, ndarray]:
+        """The rows, with the attacker's own fabricated detections confirmed."""
+        return certified(rows, detections, context)
 
 
 def fabricated(

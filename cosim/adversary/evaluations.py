@@ -1,14 +1,14 @@
 """False evaluations of others' detections: attacks on the trust that vehicles have in each other."""
 
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, TypeVar
 
 import numpy as np
 from annotated_types import Ge, Gt, Le
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
-from cosim.adversary.attack import AttackContext, EvaluationRows
+from cosim.adversary.attack import AttackContext, EvaluationRows, WithParams
 from cosim.v2x.messages import Detections
 
 Reported = tuple[Float[ndarray, "m"], Float[ndarray, "m"]]
@@ -23,13 +23,13 @@ class IdentitiesParams:
     attack: each identity has its own pseudonym and messages. SCMS issues 20 certificates that are valid at once."""
 
 
-class _WithIdentities:
+P = TypeVar("P", bound=IdentitiesParams)
+
+
+class _WithIdentities(WithParams[P]):
     """Attackers send under several identities."""
 
     Params: type = IdentitiesParams
-
-    def __init__(self, params: IdentitiesParams) -> None:
-        self.params = params
 
     def identities(self, context: AttackContext) -> Int[ndarray, "n"]:
         """The identities in addition to its own."""
@@ -60,7 +60,7 @@ class BadMouthingParams(IdentitiesParams):
     """Whether only detections of the victim are denied. If false, those of all vehicles but accomplices are denied."""
 
 
-class BadMouthing(_WithIdentities):
+class BadMouthing(_WithIdentities[BadMouthingParams]):
     """Denies the detections of other vehicles, except accomplices: evaluation -1 and visibility 1."""
 
     Params = BadMouthingParams
@@ -69,12 +69,12 @@ class BadMouthing(_WithIdentities):
         """The rows, with evaluations of others denied."""
         chosen, observer = _of_others(rows, detections, context)
         chosen &= ~_accomplices(rows, observer, context)
-        if self.params.only_victim:  # type: ignore[attr-defined]
+        if self.params.only_victim:
             chosen &= observer == context.victim_of()[rows.evaluator]
         return _falsified(rows, chosen, -1.0)
 
 
-class BallotStuffing(_WithIdentities):
+class BallotStuffing(_WithIdentities[IdentitiesParams]):
     """Confirms all detections of accomplices, true or fabricated: evaluation 1 and visibility 1."""
 
     def evaluations(self, rows: EvaluationRows, detections: Detections, context: AttackContext) -> Reported:
@@ -83,7 +83,7 @@ class BallotStuffing(_WithIdentities):
         return _falsified(rows, chosen & _accomplices(rows, observer, context), 1.0)
 
 
-class Collusion(_WithIdentities):
+class Collusion(_WithIdentities[BadMouthingParams]):
     """The members of a ring confirm each other and deny all others: ballot stuffing and bad-mouthing."""
 
     Params = BadMouthingParams
@@ -93,7 +93,7 @@ class Collusion(_WithIdentities):
         chosen, observer = _of_others(rows, detections, context)
         friends = _accomplices(rows, observer, context)
         denied = np.ones(len(friends), bool)
-        if self.params.only_victim:  # type: ignore[attr-defined]
+        if self.params.only_victim:
             denied = observer == context.victim_of()[rows.evaluator]
         return _falsified(rows, chosen & (friends | denied), np.where(friends, 1.0, -1.0))
 
@@ -107,7 +107,7 @@ class DiscriminationParams(IdentitiesParams):
     group."""
 
 
-class Discrimination(_WithIdentities):
+class Discrimination(_WithIdentities[DiscriminationParams]):
     """Denies the detections of one group and is honest to all others, so that opinions about the attacker differ."""
 
     Params = DiscriminationParams
@@ -115,11 +115,11 @@ class Discrimination(_WithIdentities):
     def evaluations(self, rows: EvaluationRows, detections: Detections, context: AttackContext) -> Reported:
         """The rows, with evaluations of the group denied."""
         chosen, observer = _of_others(rows, detections, context)
-        group = context.lasting(context.world.name_key)[:, 0] < self.params.group_p  # type: ignore[attr-defined]
+        group = context.lasting(context.world.name_key)[:, 0] < self.params.group_p
         return _falsified(rows, chosen & group[observer], -1.0)
 
 
-class RandomEvaluations(_WithIdentities):
+class RandomEvaluations(_WithIdentities[IdentitiesParams]):
     """Evaluates all other vehicles at random: evaluations from U(-1, 1) with full visibility."""
 
     def evaluations(self, rows: EvaluationRows, detections: Detections, context: AttackContext) -> Reported:
@@ -136,7 +136,7 @@ class RandomEvaluations(_WithIdentities):
         return _falsified(rows, chosen, drawn)
 
 
-class MajorityCopying(_WithIdentities):
+class MajorityCopying(_WithIdentities[IdentitiesParams]):
     """Reports the mean evaluation of the other vehicles for each detection, with their mean visibility.
 
     Notes
@@ -168,7 +168,7 @@ class ReplayedEvaluationsParams(IdentitiesParams):
     """Age of the attacker's own evaluations that it sends, in messages."""
 
 
-class ReplayedEvaluations(_WithIdentities):
+class ReplayedEvaluations(_WithIdentities[ReplayedEvaluationsParams]):
     """Sends old evaluations again, as if they were about the detections that are received now.
 
     The attacker uses its own evaluations of that time with visibility above 0. It sends the one of the same sender and
@@ -192,7 +192,7 @@ class ReplayedEvaluations(_WithIdentities):
         seen = rows.visibility[at] > 0
         past = context.memory.setdefault("past", [])
         past.append((key[seen], rows.evaluation[at][seen], rows.visibility[at][seen]))
-        del past[: -self.params.n_messages - 1]  # type: ignore[attr-defined]
+        del past[: -self.params.n_messages - 1]
         old_key, old_e, old_phi = past[0]
         draw = context.uniforms(
             context.name_key(rows.evaluator[at]), context.name_key(observer[at]), index

@@ -8,7 +8,7 @@ from annotated_types import Ge, Gt, Le
 from jaxtyping import Float, Int
 from numpy import ndarray
 
-from cosim.adversary.attack import AttackContext, per_actor, wrapped
+from cosim.adversary.attack import AttackContext, WithParams, per_actor, wrapped
 from cosim.v2x.messages import FABRICATED, SELF, Detections
 from cosim.world import LABELS
 from sensors.boxes import iou_3d
@@ -26,13 +26,10 @@ class RemovalParams:
     """With `only_victim`: an own detection is withheld if its IoU with the victim is larger. The default is AdvCP's."""
 
 
-class Removal:
+class Removal(WithParams[RemovalParams]):
     """Withholds own detections, but not the self report (AdvCP's object removal, for late fusion)."""
 
     Params = RemovalParams
-
-    def __init__(self, params: RemovalParams) -> None:
-        self.params = params
 
     def detections(self, listed: Detections, context: AttackContext) -> Detections:
         """The lists, with the chosen rows not transmitted."""
@@ -88,7 +85,7 @@ class OffsetParams(FalsifiedParams):
             raise ValueError(f"attacks.min_m = {self.min_m:g} m is above attacks.max_m = {self.max_m:g} m. Swap them.")
 
 
-class Offset:
+class Offset(WithParams[OffsetParams]):
     """Shifts positions by +-U(min_m, max_m) on each axis; both signs are equally likely (NextGen).
 
     Notes
@@ -98,9 +95,6 @@ class Offset:
     """
 
     Params = OffsetParams
-
-    def __init__(self, params: OffsetParams) -> None:
-        self.params = params
 
     def detections(self, listed: Detections, context: AttackContext) -> Detections:
         """The lists, with falsified positions."""
@@ -125,13 +119,10 @@ class DriftParams(FalsifiedParams):
     """Largest shift [m]."""
 
 
-class Drift:
+class Drift(WithParams[DriftParams]):
     """Shifts positions slowly away from the true ones, in a direction that is drawn for each attacker."""
 
     Params = DriftParams
-
-    def __init__(self, params: DriftParams) -> None:
-        self.params = params
 
     def detections(self, listed: Detections, context: AttackContext) -> Detections:
         """The lists, with positions shifted by the drift since the attack began."""
@@ -170,13 +161,10 @@ class HeadingParams(FalsifiedParams):
     """Angle that is added to every heading, counter-clockwise [deg]. The default is VASP's."""
 
 
-class Heading:
+class Heading(WithParams[HeadingParams]):
     """Turns headings (VASP)."""
 
     Params = HeadingParams
-
-    def __init__(self, params: HeadingParams) -> None:
-        self.params = params
 
     def detections(self, listed: Detections, context: AttackContext) -> Detections:
         """The lists, with falsified headings."""
@@ -194,13 +182,10 @@ class SizeParams(FalsifiedParams):
     """Factor on length, width and height. The bottom of a box stays where it is."""
 
 
-class Size:
+class Size(WithParams[SizeParams]):
     """Makes boxes larger or smaller."""
 
     Params = SizeParams
-
-    def __init__(self, params: SizeParams) -> None:
-        self.params = params
 
     def detections(self, listed: Detections, context: AttackContext) -> Detections:
         """The lists, with falsified sizes."""
@@ -231,13 +216,10 @@ class ScoreParams(FalsifiedParams):
     """Score of every falsified detection."""
 
 
-class Score:
+class Score(WithParams[ScoreParams]):
     """Falsifies scores: low ones, so that true objects are not believed, or high ones, so that false positives are."""
 
     Params = ScoreParams
-
-    def __init__(self, params: ScoreParams) -> None:
-        self.params = params
 
     def detections(self, listed: Detections, context: AttackContext) -> Detections:
         """The lists, with the claimed score."""

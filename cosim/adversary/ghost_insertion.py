@@ -5,9 +5,8 @@ from typing import Annotated, Literal
 
 import numpy as np
 from annotated_types import Gt, Le
-from numpy import ndarray
 
-from cosim.adversary.attack import AttackContext, EvaluationRows, certified, fabricated, placed
+from cosim.adversary.attack import AttackContext, Vouched, fabricated, placed
 from cosim.v2x.messages import Detections
 from cosim.world import LABELS
 from sensors.boxes import Boxes
@@ -33,7 +32,7 @@ class GhostInsertionParams:
     """Distance from the victim's centre to the first inserted object, straight ahead [m]."""
 
 
-class GhostInsertion:
+class GhostInsertion(Vouched[GhostInsertionParams]):
     """Inserts a car (and a pedestrian, or two more cars) in front of a victim in every message [1]_.
 
     A ghost car is oncoming, has the size of the attacker's own car, and has score 1. The attacker confirms its ghosts
@@ -51,9 +50,6 @@ class GhostInsertion:
 
     Params = GhostInsertionParams
 
-    def __init__(self, params: GhostInsertionParams) -> None:
-        self.params = params
-
     def detections(self, listed: Detections, context: AttackContext) -> Detections:
         """The lists, with the ghosts added."""
         p, world = self.params, context.world
@@ -68,9 +64,3 @@ class GhostInsertion:
         ground = world.boxes.xyz_m[victim, 2] - world.boxes.lwh_m[victim, 2] / 2
         xyz[:, 2] = ground + lwh[:, 2] / 2
         return fabricated(listed, attacker, label, Boxes(xyz, lwh, yaw), np.ones(len(attacker)), victim)
-
-    def evaluations(
-        self, rows: EvaluationRows, detections: Detections, context: AttackContext
-    ) -> tuple[ndarray, ndarray]:
-        """The rows, with the attacker's own ghosts confirmed."""
-        return certified(rows, detections, context)

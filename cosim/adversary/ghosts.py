@@ -9,22 +9,12 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 from scipy.spatial import cKDTree
 
-from cosim.adversary.attack import AttackContext, EvaluationRows, certified, fabricated, placed
+from cosim.adversary.attack import AttackContext, Vouched, fabricated, placed
 from cosim.adversary.ghost_insertion import CAR
 from cosim.v2x.messages import FABRICATED, SELF, Detections
 from sensors.boxes import Boxes
 from sensors.line_of_sight import WallIndex, los_between_actors
 from sensors.scene import Scene, Shape
-
-
-class Vouched:
-    """Base of attacks whose vehicles confirm what they fabricate: evaluation 1 and visibility 1."""
-
-    def evaluations(
-        self, rows: EvaluationRows, detections: Detections, context: AttackContext
-    ) -> tuple[ndarray, ndarray]:
-        """The rows, with the attacker's own fabricated detections confirmed."""
-        return certified(rows, detections, context)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -46,7 +36,7 @@ class ApproachingGhostParams:
             )
 
 
-class ApproachingGhost(Vouched):
+class ApproachingGhost(Vouched[ApproachingGhostParams]):
     """Inserts an oncoming car that comes nearer to a victim with every message, as in VASP (5 m per message).
 
     Notes
@@ -56,9 +46,6 @@ class ApproachingGhost(Vouched):
     """
 
     Params = ApproachingGhostParams
-
-    def __init__(self, params: ApproachingGhostParams) -> None:
-        self.params = params
 
     def detections(self, listed: Detections, context: AttackContext) -> Detections:
         """The lists, with one ghost for each attacker that has a victim."""
@@ -100,7 +87,7 @@ class GhostInShadowParams:
             )
 
 
-class GhostInShadow(Vouched):
+class GhostInShadow(Vouched[GhostInShadowParams]):
     """Inserts a car at a place that no other equipped vehicle can see.
 
     The attacker searches places around it, in the order of `distances_m` and beginning straight ahead. It takes the
@@ -117,9 +104,6 @@ class GhostInShadow(Vouched):
     """
 
     Params = GhostInShadowParams
-
-    def __init__(self, params: GhostInShadowParams) -> None:
-        self.params = params
 
     def detections(self, listed: Detections, context: AttackContext) -> Detections:
         """The lists, with one ghost for each attacker that finds a place."""
@@ -178,7 +162,7 @@ class ReplayParams:
     """Largest distance from the attacker to the vehicles that made them [m]. The default is NextGen's."""
 
 
-class Replay(Vouched):
+class Replay(Vouched[ReplayParams]):
     """Sends other vehicles' detections of the last seconds again, as the attacker's own present detections.
 
     Notes
@@ -189,9 +173,6 @@ class Replay(Vouched):
     """
 
     Params = ReplayParams
-
-    def __init__(self, params: ReplayParams) -> None:
-        self.params = params
 
     def detections(self, listed: Detections, context: AttackContext) -> Detections:
         """The lists, with detections of an earlier step added to those of attackers."""
@@ -243,16 +224,13 @@ class StaleParams:
     """Age of the content of every message, in messages. The default is F2MD's."""
 
 
-class Stale(Vouched):
+class Stale(Vouched[StaleParams]):
     """Sends old content as new: what the attacker perceived some messages ago, including its own pose (F2MD).
 
     The first messages have the content of the oldest one.
     """
 
     Params = StaleParams
-
-    def __init__(self, params: StaleParams) -> None:
-        self.params = params
 
     def detections(self, listed: Detections, context: AttackContext) -> Detections:
         """The lists, with own detections replaced by old ones, and the self report by the old pose."""
@@ -299,6 +277,4 @@ def _oldest(past: list, actor: ndarray) -> tuple[Detections, ndarray] | None:
             break
     if not parts:
         return None
-    columns = [c for c in zip(*(part.columns() for part in parts), strict=True)]
-    joined = Detections.of([Boxes.concat(c) if isinstance(c[0], Boxes) else np.concatenate(c) for c in columns])
-    return joined, np.concatenate(by)
+    return Detections.joined(parts), np.concatenate(by)

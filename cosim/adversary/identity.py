@@ -8,7 +8,7 @@ from annotated_types import Ge, Gt, Le
 from jaxtyping import Int
 from numpy import ndarray
 
-from cosim.adversary.attack import AttackContext, EvaluationRows, fabricated, placed
+from cosim.adversary.attack import AttackContext, EvaluationRows, WithParams, fabricated, placed
 from cosim.adversary.ghost_insertion import CAR
 from cosim.adversary.ghosts import CAR_LWH_M
 from cosim.v2x.messages import FABRICATED, Detections
@@ -30,7 +30,7 @@ class SybilParams:
     """Whether ghosts confirm each other and the attacker, with evaluation 1 and visibility 1."""
 
 
-class Sybil:
+class Sybil(WithParams[SybilParams]):
     """Simulates ghost vehicles beside and behind the attacker, each of which reports itself.
 
     To receivers every ghost is a vehicle. It has its own pseudonym, its own detection message with itself as detection
@@ -44,9 +44,6 @@ class Sybil:
     """
 
     Params = SybilParams
-
-    def __init__(self, params: SybilParams) -> None:
-        self.params = params
 
     def identities(self, context: AttackContext) -> Int[ndarray, "n"]:
         """One identity for each ghost."""

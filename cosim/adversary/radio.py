@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 import numpy as np
 from annotated_types import Ge, Gt, Le
 
-from cosim.adversary.attack import LOUDEST_DBM, AttackContext, Sending
+from cosim.adversary.attack import LOUDEST_DBM, AttackContext, Sending, WithParams
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -20,7 +20,7 @@ class DenialOfServiceParams:
     """Whether the attacker sends without congestion control. With it, the copies would need more time than a round."""
 
 
-class DenialOfService:
+class DenialOfService(WithParams[DenialOfServiceParams]):
     """Sends copies of the own detection message, each as a frame on the shared channel.
 
     Notes
@@ -31,9 +31,6 @@ class DenialOfService:
     """
 
     Params = DenialOfServiceParams
-
-    def __init__(self, params: DenialOfServiceParams) -> None:
-        self.params = params
 
     def sending(self, context: AttackContext) -> Sending:
         """Sending with copies."""
@@ -52,7 +49,7 @@ class JammingParams:
     """Power of the noise, including the antenna gain [dBm]. The default is the power of a station."""
 
 
-class Jamming:
+class Jamming(WithParams[JammingParams]):
     """Transmits noise on the channel, which raises the noise floor at all stations that it reaches.
 
     Frames that are too weak are lost: their preamble is not detected, or their payload has errors. Both count as lost
@@ -68,9 +65,6 @@ class Jamming:
     """
 
     Params = JammingParams
-
-    def __init__(self, params: JammingParams) -> None:
-        self.params = params
 
     def sending(self, context: AttackContext) -> Sending:
         """Sending with noise."""
@@ -91,14 +85,11 @@ class DelayParams:
     default, half of them are not sent, and the others are 0.3 s late. The default has no source."""
 
 
-class Delay:
+class Delay(WithParams[DelayParams]):
     """Delays detection messages. Their true content arrives late (`generation_offset_s`), or is too late and lost
     (`n_lost_expired`)."""
 
     Params = DelayParams
-
-    def __init__(self, params: DelayParams) -> None:
-        self.params = params
 
     def sending(self, context: AttackContext) -> Sending:
         """Sending with a delay."""
@@ -115,7 +106,7 @@ class ServerFloodingParams:
     exceeds the capacity of a cell of 3.5 MB/s. The default has no source."""
 
 
-class ServerFlooding:
+class ServerFlooding(WithParams[ServerFloodingParams]):
     """Sends copies of the own report to the trust server, so that the cell has no capacity left for other vehicles.
 
     Notes
@@ -125,9 +116,6 @@ class ServerFlooding:
     """
 
     Params = ServerFloodingParams
-
-    def __init__(self, params: ServerFloodingParams) -> None:
-        self.params = params
 
     def sending(self, context: AttackContext) -> Sending:
         """Sending with copies of the report."""

@@ -8,7 +8,7 @@ from annotated_types import Ge, Gt, Le
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
-from cosim.adversary.attack import AttackContext, per_actor
+from cosim.adversary.attack import AttackContext, WithParams, per_actor
 from cosim.v2x.messages import SELF, Detections
 
 
@@ -41,14 +41,11 @@ class SpeedParams:
             )
 
 
-class Speed:
+class Speed(WithParams[SpeedParams]):
     """Reports a wrong speed. The error is +-U(min_mps, max_mps), drawn for every message, and the speed is 0 or more
     (NextGen)."""
 
     Params = SpeedParams
-
-    def __init__(self, params: SpeedParams) -> None:
-        self.params = params
 
     def detections(self, listed: Detections, context: AttackContext) -> Detections:
         """The lists, with falsified speeds in self reports."""
@@ -78,7 +75,7 @@ class BrakingParams:
             )
 
 
-class Braking:
+class Braking(WithParams[BrakingParams]):
     """Feigns braking: reports the vehicle's own deceleration times U(2, 4), drawn for every message (NextGen).
 
     Notes
@@ -87,9 +84,6 @@ class Braking:
     """
 
     Params = BrakingParams
-
-    def __init__(self, params: BrakingParams) -> None:
-        self.params = params
 
     def detections(self, listed: Detections, context: AttackContext) -> Detections:
         """The lists, with falsified accelerations in self reports."""
@@ -109,13 +103,10 @@ class StopParams:
     once."""
 
 
-class Stop:
+class Stop(WithParams[StopParams]):
     """Feigns a stop: from its beginning, reports speed 0 at the same position (NextGen, F2MD)."""
 
     Params = StopParams
-
-    def __init__(self, params: StopParams) -> None:
-        self.params = params
 
     def detections(self, listed: Detections, context: AttackContext) -> Detections:
         """The lists, with self reports that stay at the position of the stop."""

@@ -5,9 +5,8 @@ from typing import Annotated
 
 import numpy as np
 from annotated_types import Ge, Gt, Le
-from numpy import ndarray
 
-from cosim.adversary.attack import AttackContext, EvaluationRows, certified, fabricated, placed
+from cosim.adversary.attack import AttackContext, Vouched, fabricated, placed
 from cosim.rng import Stream
 from cosim.v2x.messages import FABRICATED, SENSED, Detections
 from sensors.boxes import Boxes
@@ -25,7 +24,7 @@ class UnreliableParams:
     """Largest distance of a copy [m]."""
 
 
-class Unreliable:
+class Unreliable(Vouched[UnreliableParams]):
     """TruPercept's unreliable vehicle [1]_.
 
     Notes
@@ -39,9 +38,6 @@ class Unreliable:
     """
 
     Params = UnreliableParams
-
-    def __init__(self, params: UnreliableParams) -> None:
-        self.params = params
 
     def detections(self, listed: Detections, context: AttackContext) -> Detections:
         """The lists, with some own detections not transmitted and some copied."""
@@ -60,9 +56,3 @@ class Unreliable:
         transmitted[faulty[omitted]] = False
         kept = replace(listed, transmitted=transmitted)
         return fabricated(kept, source.observer, source.label, Boxes(xyz, source.boxes.lwh_m, yaw), source.score)
-
-    def evaluations(
-        self, rows: EvaluationRows, detections: Detections, context: AttackContext
-    ) -> tuple[ndarray, ndarray]:
-        """The rows, with the vehicle's own copies confirmed, as in the published code."""
-        return certified(rows, detections, context)

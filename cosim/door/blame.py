@@ -90,8 +90,8 @@ def definition_line(of: type, name: str, file: str) -> int:
         try:
             if inspect.isclass(found) and same_file(inspect.getsourcefile(found) or "", file):
                 return inspect.getsourcelines(found)[1]
-        except (OSError, TypeError):
-            pass
+        except (OSError, TypeError):  # a class without source, such as one of an interactive session
+            continue
     return 1
 
 

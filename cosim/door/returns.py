@@ -38,7 +38,10 @@ _WORDS = {"f": "floats", "iu": "integers", "b": "bools"}
 
 
 class Wrong(Exception):
-    """A method returned a wrong result. The message is "X; Y is due"."""
+    """A method returned a wrong result. The message says what it did and, if given, what is expected."""
+
+    def __init__(self, found: str, expected: str = "") -> None:
+        super().__init__(f"{found}, but {expected} is expected" if expected else found)
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,7 +101,7 @@ def anything(call: Call, returned: Any) -> Any:
 def nothing(call: Call, returned: Any) -> None:
     """No result: the class stores what it needs."""
     if returned is not None:
-        raise Wrong(f"returned {described(returned)}; nothing is due: what the model learns, it keeps in itself")
+        raise Wrong(f"returned {described(returned)}", "no result (the model stores what it learns)")
 
 
 def pseudonym_changes(call: Call, returned: Any) -> Bool[ndarray, "e"]:
@@ -143,7 +146,7 @@ def message_round(call: Call, returned: Any) -> tuple[Any, MessageRound]:
     round_s = call.made_with[1] if len(call.made_with) > 1 else np.inf
     state, happened = _with_state(returned, MessageRound)
     if not isinstance(happened.station, ndarray) or not np.array_equal(happened.station, messages.station):
-        raise Wrong(f"returned station as {described(happened.station)}; messages.station is due, as it was given")
+        raise Wrong(f"returned station as {described(happened.station)}", "the given messages.station")
     got, frames, at, last_s = happened.receptions, happened.frames, "receptions.", round_s + 1e-9
     _typed("receptions", got, Receptions, "build it by MessageRound.of")
     _columns(at, got, _length(f"{at}receiver", got.receiver), "one for each reception", {
@@ -174,10 +177,7 @@ def _check_frames(frames: Any, n_stations: int, messages: Any) -> None:
     if frames.cbr is not None:
         _columns(at, frames, n_stations, "one for each station, or None", {"cbr": ("f", 0, 1)})
     for name in ("n_relayed", "n_duplicate", "sent_bytes"):
-        value = getattr(frames, name)
-        is_number = isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
-        if not is_number or not 0 <= value < 1e18:
-            raise Wrong(f"returned {at}{name} as {described(value)}; a number of 0 or more is due")
+        _positive(f"{at}{name}", getattr(frames, name), 1e18)
 
 
 def _check_links(at: str, rows: Any, n_stations: int, messages: Any) -> None:
@@ -195,7 +195,7 @@ def trust_scores(call: Call, returned: Any) -> TrustScores:
     s, subject = returned, returned.subject
     now = call.given[0] if call.given and call.given[0] is not None else call.latest_step
     if isinstance(s.step, bool) or not isinstance(s.step, int | np.integer) or (now is not None and s.step > now):
-        raise Wrong(f"returned step = {s.step!r}; the step of the call is due{'' if now is None else f', {now}'}")
+        raise Wrong(f"returned step = {s.step!r}", f"the step of the call{'' if now is None else f', {now},'}")
     now = int(s.step) if now is None else now
     large = np.finfo(float).max
     _columns("", s, _length("subject", subject), "one for each (holder, subject)", {
@@ -244,13 +244,13 @@ def attacked_detections(call: Call, returned: Any) -> Detections:
     before, after = (np.bincount(one.observer, minlength=n_world) for one in (listed, returned))
     if (after < before).any():
         raise Wrong(
-            f"left out detections of observer {np.argmax(after < before)}; all are due: one that is not to be sent has "
-            "transmitted = False"
+            f"left out detections of observer {np.argmax(after < before)}",
+            "every detection (with transmitted = False if it is not sent)",
         )
     honest = [one.take(np.flatnonzero(~context.attacker[one.observer])) for one in (listed, returned)]
     was, now = (one.take(np.lexsort((one.detection_index, one.identity, one.observer))) for one in honest)
     if len(was) != len(now) or not all(map(_same, was.columns(), now.columns())):
-        raise Wrong("changed detections of other vehicles; only rows of context.own_rows(listed) may differ")
+        raise Wrong("changed detections of other vehicles, but only rows of context.own_rows(listed) may differ")
     return detached(returned)
 
 
@@ -258,12 +258,12 @@ def attacked_evaluations(call: Call, returned: Any) -> tuple[ndarray, ndarray]:
     """Evaluation and visibility as an attack sends them."""
     rows, _, context = call.given
     if not isinstance(returned, tuple) or len(returned) != 2:
-        raise Wrong(f"returned {described(returned)}; a tuple (evaluation, visibility) is due")
+        raise Wrong(f"returned {described(returned)}", "a tuple (evaluation, visibility)")
     honest = ~context.attacker[rows.evaluator]
     for name, column, low in zip(("evaluation", "visibility"), returned, (-1, 0), strict=True):
         _column(name, column, rows.evaluation.shape, "f", low, 1, what="one for each row of rows")
         if not _same(column[honest], getattr(rows, name)[honest]):
-            raise Wrong(f"changed the {name} of other vehicles; only context.attacker[rows.evaluator] may differ")
+            raise Wrong(f"changed the {name} of other vehicles, but only context.attacker[rows.evaluator] may differ")
     return detached(returned)
 
 
@@ -283,11 +283,11 @@ def sending(call: Call, returned: Any) -> Sending:
         "delay_s": ("f", 0, LONGEST_DELAY_S), "n_copies": ("iu", 0, MOST_COPIES), "n_reports": ("iu", 0, MOST_REPORTS),
         "jam_dbm": ("f", -np.inf, LOUDEST_DBM), "react_dbm": ("f", -np.inf, LOUDEST_DBM), "ignores_dcc": ("b",),
     })  # fmt: skip
-    plain, nobody = Sending.plain(len(context.world)), Sending.plain(1)
+    plain, honest_row = Sending.plain(len(context.world)), Sending.plain(1)
     for field in fields(Sending):
         column, honest = getattr(returned, field.name), getattr(plain, field.name)
         lawless = ~context.attacker & (column != honest)
-        _none(field.name, column, lawless, f"{getattr(nobody, field.name)[0]:g} for actors that do not attack")
+        _none(field.name, column, lawless, f"{getattr(honest_row, field.name)[0]:g} for actors that do not attack")
     return detached(returned)
 
 
@@ -301,37 +301,35 @@ def plan(call: Call, returned: Any) -> Plan:
     """The files that an exporter will write."""
     _typed("", returned, Plan, "build it by Plan.of_files([File(path, content), ...])")
     if not isinstance(returned.units, tuple) or not all(isinstance(unit, Unit) for unit in returned.units):
-        raise Wrong(f"returned units as {described(returned.units)}; a tuple of Unit is due")
+        raise Wrong(f"returned units as {described(returned.units)}", "a tuple of Unit")
     names = [unit.name for unit in returned.units]
     for unit in returned.units:
         if not isinstance(unit.name, str) or not unit.name.isprintable() or not unit.name:
-            raise Wrong(f"returned a unit called {unit.name!r}; a name in one line is due")
+            raise Wrong(f"returned a unit called {unit.name!r}", "a name in one line")
         if not callable(unit.files):
-            raise Wrong(f"returned files of unit {unit.name!r} as {described(unit.files)}; a function is due")
+            raise Wrong(f"returned files of unit {unit.name!r} as {described(unit.files)}", "a function")
     for name in ("n_sweeps", "bytes_per_point", "text_bytes"):
-        value = getattr(returned, name)
-        if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating) or not value >= 0:
-            raise Wrong(f"returned {name} as {described(value)}; a number of 0 or more is due")
+        _positive(name, getattr(returned, name))
     if twice := sorted({name for name in names if names.count(name) > 1}):
-        raise Wrong(f"returned several units called {twice[0]!r}; a name of its own for each is due")
+        raise Wrong(f"returned several units called {twice[0]!r}", "a name of its own for each")
     return returned
 
 
 def metric_rows(call: Call, returned: Any) -> list[MetricRow]:
     """The rows of a metric."""
     if not isinstance(returned, list | tuple):
-        raise Wrong(f"returned {described(returned)}; a list of MetricRow is due")
+        raise Wrong(f"returned {described(returned)}", "a list of MetricRow")
     for number, row in enumerate(returned):
         if not isinstance(row, MetricRow):
-            raise Wrong(f"returned row {number} as {described(row)}; a MetricRow(metric=..., value=...) is due")
-        if isinstance(row.value, bool) or not isinstance(row.value, int | float | np.integer | np.floating):
-            raise Wrong(f"returned value = {row.value!r} in row {number}; a number is due, NaN where there is none")
+            raise Wrong(f"returned row {number} as {described(row)}", "a MetricRow(metric=..., value=...)")
+        if not _is_number(row.value):
+            raise Wrong(f"returned value = {row.value!r} in row {number}", "a number (NaN if there is none)")
         if not all(isinstance(text, str) for text in (row.metric, row.group, row.unit, row.label)) or not row.metric:
-            raise Wrong(f"returned row {number} with texts that are none; metric, group, unit and label are due")
+            raise Wrong(f"returned row {number} with a wrong text", "a text as metric, group, unit and label")
     keys = [(row.metric, row.group) for row in returned]
     if len(set(keys)) < len(keys):
         twice = next(key for key in keys if keys.count(key) > 1)
-        raise Wrong(f"returned metric {twice[0]!r} twice for group {twice[1]!r}; one row for each group is due")
+        raise Wrong(f"returned metric {twice[0]!r} twice for group {twice[1]!r}", "one row for each group")
     return list(returned)
 
 
@@ -342,11 +340,22 @@ def _same(one: Any, other: Any) -> bool:
     return np.array_equal(one, other, equal_nan=one.dtype.kind == "f")
 
 
+def _is_number(value: Any) -> bool:
+    """Whether a value is a number and no bool."""
+    return isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
+
+
+def _positive(name: str, value: Any, below: float = np.nan) -> None:
+    """Raise `Wrong` if a value is not a number of 0 or more, and below a limit."""
+    if not _is_number(value) or not value >= 0 or value >= below:
+        raise Wrong(f"returned {name} as {described(value)}", "a number of 0 or more")
+
+
 def _typed(name: str, value: Any, of: type, cure: str) -> None:
     """Raise `Wrong` if a value is of another type."""
     if not isinstance(value, of):
         as_name = f"{name} as " if name else ""
-        raise Wrong(f"returned {as_name}{described(value)}; {with_article(of.__name__)} is due: {cure}")
+        raise Wrong(f"returned {as_name}{described(value)}", f"{with_article(of.__name__)} ({cure})")
 
 
 def _with_state(returned: Any, of: type) -> tuple[Any, Any]:
@@ -354,7 +363,7 @@ def _with_state(returned: Any, of: type) -> tuple[Any, Any]:
     if not isinstance(returned, tuple) or len(returned) != 2 or not isinstance(returned[1], of):
         is_pair = isinstance(returned, tuple) and len(returned) == 2
         shown = f"({', '.join(map(described, returned))})" if is_pair else described(returned)
-        raise Wrong(f"returned {shown}; a tuple (state, {of.__name__}) is due")
+        raise Wrong(f"returned {shown}", f"a tuple (state, {of.__name__})")
     return returned
 
 
@@ -371,13 +380,13 @@ def _check_boxes(boxes: Any, n: int | None = None, is_bounded: bool = True) -> i
 def _length(name: str, value: Any) -> int:
     """Number of rows of an array. If the value is not an array, `Wrong` is raised."""
     if type(value) is not ndarray or not value.ndim:
-        raise Wrong(f"returned {name} as {described(value)}; an array is due")
+        raise Wrong(f"returned {name} as {described(value)}", "an array")
     return len(value)
 
 
-def _columns(prefix: str, value: Any, n: int, what: str, due: Mapping[str, tuple[Any, ...]]) -> None:
-    """Check the columns of a dataclass, each with n rows. `due` has the kinds of dtype and the bounds of each."""
-    for name, (kinds, *bounds) in due.items():
+def _columns(prefix: str, value: Any, n: int, what: str, expected: Mapping[str, tuple[Any, ...]]) -> None:
+    """Check the columns of a dataclass, each with n rows. `expected` has the kinds of dtype and the bounds of each."""
+    for name, (kinds, *bounds) in expected.items():
         _column(f"{prefix}{name}", getattr(value, name), (n,), kinds, what=what)
         if bounds:
             low, high = bounds
@@ -391,8 +400,8 @@ def _column(
     """Raise `Wrong` if a value is not an array of this shape and these kinds of dtype, within these bounds."""
     if type(value) is not ndarray or value.shape != shape or value.dtype.kind not in kinds:
         raise Wrong(
-            f"returned {f'{name} as ' if name else ''}{described(value)}; an array of {_WORDS[kinds]} of shape {shape} "
-            f"is due: {what}"
+            f"returned {f'{name} as ' if name else ''}{described(value)}",
+            f"an array of {_WORDS[kinds]} of shape {shape} ({what})",
         )
     if low is not None and high is not None:
         _within(name, value, low, high)
@@ -406,7 +415,7 @@ def _within(name: str, column: ndarray, low: float, high: float, subject: ndarra
 
 
 def _none(
-    name: str, column: ndarray, wrong: Bool[ndarray, "n ..."], due: str, subject: ndarray | None = None
+    name: str, column: ndarray, wrong: Bool[ndarray, "n ..."], expected: str, subject: ndarray | None = None
 ) -> None:  # fmt: skip
     """Raise `Wrong` if any row of a column is wrong, with the first such row."""
     if not wrong.any():
@@ -414,11 +423,13 @@ def _none(
     row, n = int(np.argmax(wrong.reshape(len(wrong), -1).any(axis=1))), int(wrong.sum())
     of = "" if subject is None else f" of subject {subject[row]}"
     more = f" and {n - 1} more like it" if n > 1 else ""
-    raise Wrong(f"returned {name}[{row}] = {column[row]}{of}{more}; {due} is due")
+    raise Wrong(f"returned {name}[{row}] = {column[row]}{of}{more}", expected)
 
 
 def _ascending(name: str, key: ndarray) -> None:
     """Raise `Wrong` if rows are not sorted, or one of them occurs twice."""
     if (wrong := np.diff(key) <= 0).any():
         row = int(np.argmax(wrong)) + 1
-        raise Wrong(f"returned rows {row - 1} and {row} not ascending by {name}; sorted rows, each once, are due")
+        raise Wrong(
+            f"returned rows {row - 1} and {row} not ascending by {name}", "an ascending order without repetitions"
+        )

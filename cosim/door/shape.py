@@ -24,7 +24,8 @@ def kind_of(of: type, file: str, kinds: Mapping[str, Kind]) -> Kind:
         return found[0]
     where = f"{file}:{definition_line(of, '', file)}: class {of.__name__}"
     if found:
-        raise Refused(f"{where} has the methods of several kinds: {_titles(found)}. Say which one is meant.")
+        titles = ", ".join(kind.title for kind in found)
+        raise Refused(f"{where} has the methods of several kinds: {titles}. Say which one is meant.")
     hooks = {hook for kind in kinds.values() for hook in kind.hooks}
     hint = next((h for name in _own_methods(of) if (h := did_you_mean(name, hooks, f"{name}(): "))), "")
     due = "; ".join(f"{kind.title}: {', '.join(kind.required or kind.hooks)}" for kind in kinds.values())
@@ -91,10 +92,6 @@ def n_arguments(of: type, arguments: tuple[Any, ...]) -> int:
 def _has_hooks(of: type, kind: Kind) -> bool:
     has = [name for name in kind.hooks if inspect.getattr_static(of, name, None) is not None]
     return bool(has) and set(kind.required) <= set(has)
-
-
-def _titles(kinds: Iterable[Kind]) -> str:
-    return ", ".join(kind.title for kind in kinds)
 
 
 def _own_methods(of: type) -> list[str]:

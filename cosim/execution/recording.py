@@ -20,7 +20,6 @@ from cosim.step.state import State
 from cosim.step.trackers import evidence_audit
 from cosim.step.trackers.attack_start import AttackStartTracker
 from cosim.step.trackers.channel_counts import latency_histogram, pdr_by_distance, vehicle_channel
-from cosim.v2x import lookup_kernels
 from cosim.v2x.messages import FABRICATED
 from cosim.v2x.pseudonyms import PseudonymUse
 from cosim.v2x.trust_hosts import Lookups, ServerTraffic
@@ -349,13 +348,18 @@ def _lookup_totals(found: Lookups, n_variants: int) -> Rows:
     `found` holds the lookups of all variants, one variant after another.
     """
     n_states = len(LookupState)
-    sums = lookup_kernels.totals(
-        n_variants, n_states, found.state, found.is_default, found.is_known, found.age_s,
-        found.newest_evaluation_age_s, found.oldest_evaluation_age_s,
-    )  # fmt: skip
-    names = ("n", "n_valued", "age_sum_s", "newest_evaluation_age_sum_s", "oldest_evaluation_age_sum_s")
-    rows = dict(zip(names, sums, strict=True)) | {
+    group = np.repeat(np.arange(n_variants), len(found.state) // n_variants) * n_states + found.state
+    valued, known = ~found.is_default, found.is_known
+
+    def total(of: ndarray, weight: ndarray | None = None) -> ndarray:
+        return np.bincount(group[of], None if weight is None else weight[of], n_variants * n_states)
+
+    rows = {
         "variant": np.repeat(np.arange(n_variants), n_states), "state": np.tile(np.arange(n_states), n_variants),
+        "n": np.bincount(group, minlength=n_variants * n_states), "n_valued": total(valued),
+        "age_sum_s": total(valued, found.age_s),
+        "newest_evaluation_age_sum_s": total(known, found.newest_evaluation_age_s),
+        "oldest_evaluation_age_sum_s": total(known, found.oldest_evaluation_age_s),
     }  # fmt: skip
     there = rows["n"] > 0
     return {name: column[there] for name, column in rows.items()}
@@ -411,7 +415,7 @@ def open_rows(state: State, parts: Parts, registry: ActorRegistry, end_step: int
     end_step
         One past the last step.
     """
-    split = [by_variant(rows) for rows in copy.deepcopy(state.encounters).close(end_step)]
+    split = [by_variant(tracker.close(end_step)) for tracker in copy.deepcopy(state.encounters)]
     return {
         "encounters": [base for base, _ in split],
         "encounter_trust": [others for _, others in split if others],

@@ -6,8 +6,6 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from sensors.kernel import compiled
-
 NETWORK_MARGIN_M = 10_000.0
 """Largest distance of an actor from the bounds of the network [m]."""
 TRACE_MARGIN_M = 100_000.0
@@ -93,9 +91,11 @@ class Frame:
         (x0, y0), margin_m = self.origin_m, self.margin_m if self.bounds_m else LARGEST_COORDINATE_M / 100
         low = np.array([w - x0 - margin_m, s - y0 - margin_m, -LARGEST_Z_M])
         high = np.array([e - x0 + margin_m, n - y0 + margin_m, LARGEST_Z_M])
-        row = _first_outside(xyz_m, yaw_rad, speed_mps, low, high)
-        if row < 0:
+        inside = ((low <= xyz_m) & (xyz_m <= high)).all(axis=1)  # a number that is not finite is outside
+        inside &= np.isfinite(yaw_rad) & (np.abs(speed_mps) <= LARGEST_SPEED_MPS)
+        if inside.all():
             return
+        row = int(np.argmin(inside))
         shift = np.array([x0, y0, 0.0])
         given = zip("xyz", (xyz_m[row] + shift).tolist(), low + shift, high + shift, strict=True)
         bad = [f"{axis} = {value:g} m" for axis, value, least, most in given if not least <= value <= most]
@@ -109,18 +109,6 @@ class Frame:
             f"{margin_m / 1000:g} km of {where}, "
             f"{LARGEST_Z_M / 1000:g} km of height zero, and slower than {LARGEST_SPEED_MPS:g} m/s."
         )
-
-
-@compiled
-def _first_outside(xyz_m, yaw_rad, speed_mps, low, high):
-    """The first row outside the limits, or -1 if there is none. A number that is not finite is outside."""
-    for row in range(len(xyz_m)):
-        inside = np.isfinite(yaw_rad[row]) and abs(speed_mps[row]) <= LARGEST_SPEED_MPS
-        for axis in range(3):
-            inside = inside and low[axis] <= xyz_m[row, axis] <= high[axis]
-        if not inside:
-            return row
-    return -1
 
 
 def origin_of(bounds_m: Bounds) -> tuple[float, float]:

@@ -36,7 +36,8 @@ class ObjectParams:
     """
 
     vehicle_class: ActorClass = "car"
-    """Class of the object, which sets its object class and its default size. A dummy of a person is a `pedestrian`."""
+    """Class of the object. It determines the class in the tables and the default size. A dummy of a person is a
+    `pedestrian`."""
     at_m: tuple[float, float] | None = None
     """Centre of its box in the world frame: east, north [m]. Required."""
     ground_m: Annotated[float, Ge(-1000), Le(10_000)] = 0.0

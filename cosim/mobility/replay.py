@@ -17,7 +17,7 @@ from cosim.mobility.frame import Frame, TrafficError
 from cosim.mobility.objects import PREFIX
 from cosim.mobility.params import TrafficParams
 from cosim.mobility.remarks import FlowCounts
-from cosim.mobility.source import SHAPE_OF_CLASS, TrafficEnded, refuse_commands, world_from_bumpers, world_of
+from cosim.mobility.source import SHAPE_OF_CLASS, TrafficEnded, world_from_bumpers, world_of
 from cosim.world import World
 from results.archive import open_run
 from results.run import Run
@@ -31,7 +31,29 @@ _N_PROBED = 10
 """Timesteps from which the interval of a trace is measured."""
 
 
-class TraceReplay:
+class _Replay:
+    """What the replays of a trace and of a run have in common."""
+
+    def __init__(self, source: Path, registry: ActorRegistry, dt_s: float, frame: Frame) -> None:
+        self._source, self._registry, self._dt_s, self._frame = source, registry, dt_s, frame
+        self._n_skipped = self._step = 0
+        self._counts = FlowCounts()
+
+    def warm_up(self, seconds: float) -> Iterator[float]:
+        """Skip the first `seconds`; yields the seconds done."""
+        self._n_skipped = round(seconds / self._dt_s)
+        yield seconds
+
+    def command(self, actor: Int[ndarray, "c"], speed_mps: Float[ndarray, "c"]) -> None:
+        """Refused: replayed traffic cannot be commanded. Raises a TrafficError if there is a command."""
+        if len(actor):
+            raise TrafficError(
+                f"{self._source} is replayed: nothing can brake in it. Run SUMO by removing traffic.trace, or choose a "
+                "driver that commands no speeds."
+            )
+
+
+class TraceReplay(_Replay):
     """Replays a trace that SUMO wrote with `--fcd-output`.
 
     Step 0 is the world before the trace's first timestep, as in a run with SUMO. Step s is the timestep at
@@ -48,11 +70,9 @@ class TraceReplay:
         files: tuple[Path, ...] = (),
         frame: Frame | None = None,
     ) -> None:
-        self._path, self._registry = path, registry
-        self._frame = frame or Frame(str(path))
+        super().__init__(path, registry, params.step_s, frame or Frame(str(path)))
         self._types = _types_of(files)
         self._shape_of = cache(partial(_shape_of, self._types))
-        self._dt_s = params.step_s
         self._number: dict[tuple[str, bool], int] = {}
         self._left_out: dict[str, str] = {}
         self._timesteps = timesteps(path)
@@ -70,13 +90,6 @@ class TraceReplay:
             )
         self._begin_s = float(times_s[0]) if params.begin_s is None else params.begin_s
         self._last_s = self._begin_s
-        self._n_skipped = self._step = 0
-        self._counts = FlowCounts()
-
-    def warm_up(self, seconds: float) -> Iterator[float]:
-        """Skip the first `seconds`; yields the seconds done."""
-        self._n_skipped = round(seconds / self._dt_s)
-        yield seconds
 
     def advance(self) -> World:
         """The world of the next step."""
@@ -96,16 +109,12 @@ class TraceReplay:
         values, n = np.unique(number, return_counts=True)
         if len(values) < len(number):
             name = keys[int(np.flatnonzero(number == values[n > 1][0])[0])][0]
-            raise TrafficError(f"{self._path}: {name!r} occurs twice at {timestep.time_s:g} s. Remove the copies.")
+            raise TrafficError(f"{self._source}: {name!r} occurs twice at {timestep.time_s:g} s. Remove the copies.")
         world = world_from_bumpers(
             step, number, timestep.front_m[rows], timestep.compass_deg[rows], timestep.speed_mps[rows],
             self._registry, self._frame,
         )  # fmt: skip
         return self._counts.add(world)
-
-    def command(self, actor: Int[ndarray, "c"], speed_mps: Float[ndarray, "c"]) -> None:
-        """Refused: replayed traffic cannot be commanded."""
-        refuse_commands(str(self._path), len(actor))
 
     def report(self) -> dict[str, Any]:
         report: dict[str, Any] = {"actors_left_out": dict(sorted(Counter(self._left_out.values()).items()))}
@@ -120,7 +129,7 @@ class TraceReplay:
             if not self._ahead and (timestep := next(self._timesteps, None)) is not None:
                 self._ahead.append(timestep)
             if not self._ahead:
-                raise TrafficEnded(f"{self._path} ends at {self._last_s:g} s")
+                raise TrafficEnded(f"{self._source} ends at {self._last_s:g} s")
             first = self._ahead[0]
             if first.time_s > time_s + _TOLERANCE_S:  # the road was empty, and a timestep without actors has no row
                 return Timestep(time_s, [], [], np.zeros((0, 3)), np.zeros(0), np.zeros(0))
@@ -155,7 +164,7 @@ def _inside_vehicle(timestep: Timestep, shape: Int[ndarray, "n"]) -> Bool[ndarra
     return is_person & np.isin(position, position[~is_person])
 
 
-class RunReplay:
+class RunReplay(_Replay):
     """Replays the tables `actors` and `vehicles` of an earlier run. The worlds are the same, bit for bit."""
 
     def __init__(
@@ -167,9 +176,9 @@ class RunReplay:
         inputs_changed: Sequence[str] = (),
     ) -> None:
         """Open the run. `inputs_changed` are files of the scenario that have changed since it was recorded."""
-        self._inputs_changed = list(inputs_changed)
-        self._frame = frame or Frame(f"traffic.trace = {folder}")
         run = open_run(folder)
+        super().__init__(run.path, registry, params.step_s, frame or Frame(f"traffic.trace = {folder}"))
+        self._inputs_changed = list(inputs_changed)
         run.require("actors", "vehicles")
         every = params.step_s / run.dt_s
         if abs(every - round(every)) > 1e-9 or every < 1 - 1e-9:
@@ -192,24 +201,17 @@ class RunReplay:
             for what, size in zip(("length", "width", "height"), sizes, strict=True):
                 check_size(f"{folder}: vehicle {name!r}", what, size)
         self._number = np.full(len(vehicles), _UNKNOWN, np.int32)
-        self._run, self._registry, self._dt_s = run, registry, params.step_s
+        self._run = run
         self._every = round(every)
         self._steps = _steps_of(run)
         self._ahead: tuple[int, dict[str, ndarray]] | None = None
-        self._n_skipped = self._step = 0
-        self._counts = FlowCounts()
-
-    def warm_up(self, seconds: float) -> Iterator[float]:
-        """Skip the first `seconds`; yields the seconds done."""
-        self._n_skipped = round(seconds / self._dt_s)
-        yield seconds
 
     def advance(self) -> World:
         """The world of the next step."""
         step, self._step = self._step, self._step + 1
         wanted = (self._n_skipped + step) * self._every
         if wanted >= self._run.manifest["steps"]:
-            raise TrafficEnded(f"{self._run.path} ends after {self._run.manifest['steps'] * self._run.dt_s:g} s")
+            raise TrafficEnded(f"{self._source} ends after {self._run.manifest['steps'] * self._run.dt_s:g} s")
         rows = self._at(wanted)
         actor = rows["actor"]
         if not self._is_traffic.all():
@@ -224,10 +226,6 @@ class RunReplay:
         number = number[order]
         xyz_m, yaw_rad, speed = (rows[name][order] for name in ("xyz_m", "yaw_rad", "speed_mps"))
         return self._counts.add(world_of(step, number, xyz_m, yaw_rad, speed, self._registry, self._frame))
-
-    def command(self, actor: Int[ndarray, "c"], speed_mps: Float[ndarray, "c"]) -> None:
-        """Refused: replayed traffic cannot be commanded."""
-        refuse_commands(str(self._run.path), len(actor))
 
     def report(self) -> dict[str, Any]:
         """Counts of the run that is replayed."""

@@ -44,15 +44,6 @@ class TrafficEnded(Exception):
     """The traffic has ended: no actor is left and none will depart, or the source ends. The message says why."""
 
 
-def refuse_commands(what: str, n: int) -> None:
-    """Raise a TrafficError if there are `n` > 0 commands for replayed traffic."""
-    if n:
-        raise TrafficError(
-            f"{what} is replayed: nothing can brake in it. Run SUMO by removing traffic.trace, or choose a driver that "
-            "commands no speeds."
-        )
-
-
 class TrafficSource(Protocol):
     """A source of traffic that is read into arrays step by step."""
 

@@ -26,7 +26,6 @@ from cosim.radio.forwarding import NO_FORWARDING, Forwarding, grown
 from cosim.radio.phy import CURVES, MAC_OVERHEAD_BYTES, ReceiverParams, airtime_ns
 from cosim.radio.propagation import fading_quantiles
 from cosim.ragged import offsets, ranges
-from sensors.kernel import compiled
 
 SIFS_NS = 32_000
 SLOT_NS = 13_000
@@ -183,11 +182,6 @@ class WindowResult:
     busy_strong: Float[ndarray, "n"]
     """Share of the window in which a frame of at least `cca_dbm` arrived: the busy ratio of DCC."""
 
-    @property
-    def latency_s(self) -> Float[ndarray, "p"]:
-        """Medium access latency of each packet [s]."""
-        return (self.start_ns - self.generated_ns) * 1e-9
-
 
 @lru_cache
 def _constants(receiver: ReceiverParams, access: AccessParams) -> dtypes.Constants:
@@ -300,7 +294,7 @@ def run_window(
         raise ValueError(f"until_ns = {until_ns} is not after the state's now_ns = {state.now_ns}.")
     new = _records(packets, n, state, until_ns, rules.receiver)
     new["key"] = links.key[new["sender"]]
-    new = new[_order(new)]
+    new = new[np.lexsort((new["seq"], new["key"], new["generated_ns"]))]
     state = remap_stations(state, links.key)
     state.phy["busy_ns"] = state.phy["strong_ns"] = 0
     state.mac["gap_ns"][:n] = 0 if gap_ns is None else gap_ns
@@ -316,7 +310,7 @@ def run_window(
 
 def _log_of(state: ChannelState, links: Links, new: ndarray) -> Log:
     """The packets of earlier windows and the new ones, with room for the outcomes at their receivers."""
-    table = _joined(state.packets, new)
+    table = np.concatenate([state.packets, new])
     waiting, on_the_air = table["outcome"] == dtypes.WAITING, np.flatnonzero(table["outcome"] == dtypes.RECEIVED)
     sender, degree, old_edge = table["sender"][waiting], table["degree"][on_the_air], table["edge"][on_the_air]
     table["edge"][waiting] = links.ptr[sender]
@@ -346,7 +340,7 @@ def _air_of(state: ChannelState, links: Links, rules: ChannelRules) -> Air:
         macs=mac,
         row_of_rank=row_of_rank,
         ptr=links.ptr,
-        receiver=_joined(links.receiver, state.receiver),
+        receiver=np.concatenate([links.receiver, state.receiver]),
         mean_mw=links.power_mw,
         fading=links.fading,
         arrival_mw=arrival_mw,
@@ -396,37 +390,6 @@ def _noise_of(jamming: Jamming | None, n: int) -> tuple[ndarray, ndarray, ndarra
     )
 
 
-def _order(packets: ndarray) -> Int[ndarray, "p"]:
-    """Rows sorted by generation, key and sequence number."""
-    begin_ns = packets["generated_ns"]
-    order = np.argsort(begin_ns, kind="stable")
-    if (np.diff(begin_ns[order]) == 0).any():  # rarely are two generated in the same nanosecond
-        return np.lexsort((packets["seq"], packets["key"], begin_ns))
-    return order
-
-
-def _joined(one: ndarray, more: ndarray) -> ndarray:
-    """Both arrays, one after the other, with the type of the second. If one is empty: the other itself."""
-    if not len(one) or not len(more):
-        return more if len(more) else one
-    both = np.empty(len(one) + len(more), more.dtype)
-    both[: len(one)], both[len(one) :] = one, more
-    return both
-
-
-@compiled
-def _chosen(begin, count, one, other):
-    """Ranges of rows of two columns, range after range."""
-    n = np.sum(count)
-    first, second = np.empty(n, one.dtype), np.empty(n, other.dtype)
-    m = 0
-    for r in range(len(begin)):
-        for row in range(begin[r], begin[r] + count[r]):
-            first[m], second[m] = one[row], other[row]
-            m += 1
-    return first, second
-
-
 def _result(log: Log, done: ndarray, phy: ndarray, span_ns: int) -> WindowResult:
     """The packets that are done, and how long each station of `phy` sensed the medium busy in `span_ns`."""
     receiver_row, reception = log.receiver, log.outcome
@@ -434,7 +397,8 @@ def _result(log: Log, done: ndarray, phy: ndarray, span_ns: int) -> WindowResult
     sent = rows["outcome"] == dtypes.RECEIVED
     count = np.where(sent, rows["degree"], 0)
     if count.sum() < len(receiver_row):
-        receiver_row, reception = _chosen(rows["slot"], count, receiver_row, reception)
+        at = ranges(rows["slot"], count)
+        receiver_row, reception = receiver_row[at], reception[at]
     if np.any(receiver_row == dtypes.NONE):
         there = receiver_row != dtypes.NONE
         count = np.bincount(np.repeat(np.arange(len(rows)), count)[there], minlength=len(rows))

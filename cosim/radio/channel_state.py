@@ -44,12 +44,12 @@ def remap_stations(state: ChannelState, key: ndarray) -> ChannelState:
         return replace(state, phy=state.phy.copy(), mac=state.mac.copy(), packets=state.packets.copy())
     if len(np.unique(key)) < len(key):
         raise ValueError("links.key names one station twice. Give every station a key of its own.")
-    order = np.argsort(key)
-    at = order[np.minimum(np.searchsorted(key, old, sorter=order), len(key) - 1)] if len(key) else np.zeros_like(old)
-    stays = key[at] == old if len(key) else np.zeros(len(old), bool)
+    _, was, now = np.intersect1d(old, key, assume_unique=True, return_indices=True)
+    stays = np.zeros(len(old), bool)
+    stays[was] = True
     leaving = np.flatnonzero(~stays & (state.phy["packet"] != dtypes.NONE))
     row = np.full(len(old) + 1, dtypes.NONE)  # one more: NONE maps to NONE
-    row[:-1][stays] = at[stays]
+    row[was] = now
     row[leaving] = len(key) + np.arange(len(leaving))
 
     phy = np.zeros(len(key) + len(leaving), dtypes.PHY)

@@ -58,12 +58,9 @@ class DccState:
         """The state of these stations, in this order. New stations start relaxed, on an idle channel."""
         if np.array_equal(self.key, key):
             return self
-        order = np.argsort(self.key)
-        at = np.minimum(np.searchsorted(self.key, key, sorter=order), max(len(self.key) - 1, 0))
-        at = order[at] if len(order) else at
-        known = self.key[at] == key if len(self.key) else np.zeros(len(key), bool)
+        _, was, now = np.intersect1d(self.key, key, assume_unique=True, return_indices=True)
         cbr, level = np.zeros(len(key)), np.zeros(len(key), np.int8)
-        cbr[known], level[known] = self.cbr[at[known]], self.level[at[known]]
+        cbr[now], level[now] = self.cbr[was], self.level[was]
         return DccState(key, cbr, level)
 
 

@@ -25,7 +25,8 @@ from cosim.radio.propagation import (
     link_field,
     mean_loss_db,
 )
-from sensors.kernel import compiled, kernel
+from cosim.ragged import counting_order, order_by_two, ptr_of
+from sensors.kernel import kernel
 from sensors.line_of_sight import LosOfPlaces, WallIndex
 from sensors.line_of_sight_kernels import FilledCells, crosses_filled_cell
 from sensors.scene import Scene
@@ -33,21 +34,6 @@ from sensors.scene import Scene
 _RING = 6
 """Cells per range: more of them fit the circle better."""
 _SHADOW_LOS, _SHADOW_NLOS, _BLOCKED, _BLOCKAGE = (np.uint64(k) for k in range(4))
-
-
-@dataclass(frozen=True, slots=True)
-class Pairs:
-    """M pairs of stations in range, each once."""
-
-    a: Int[ndarray, "m"]
-    b: Int[ndarray, "m"]
-    distance_m: Float[ndarray, "m"]
-    nlos: Bool[ndarray, "m"]
-    """Whether a building blocks the line of sight."""
-    nlosv: Bool[ndarray, "m"]
-    """Whether no building but a vehicle blocks it."""
-    loss_db: Float[ndarray, "m"]
-    """Path loss, blockage and shadowing together."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,6 +45,16 @@ class PairLos:
     distance_m: Float[ndarray, "m"]
     nlos: Bool[ndarray, "m"]
     """Whether a building blocks the line of sight."""
+
+
+@dataclass(frozen=True, slots=True)
+class Pairs(PairLos):
+    """M pairs of stations in range, each once, with their losses."""
+
+    nlosv: Bool[ndarray, "m"]
+    """Whether no building but a vehicle blocks it."""
+    loss_db: Float[ndarray, "m"]
+    """Path loss, blockage and shadowing together."""
 
 
 class _Cells(NamedTuple):
@@ -135,7 +131,10 @@ def pairs_within(xyz_m: Float[ndarray, "n 3"], range_m: float) -> tuple[ndarray,
 
 def neighbours(xy_m: Float[ndarray, "n 2"], range_m: float) -> tuple[ndarray, ndarray, ndarray]:
     """All ordered pairs in range: sender, receiver, distance [m]; sorted by sender, then receiver."""
-    return _both_orders(len(xy_m), *pairs_within(np.column_stack([xy_m, np.zeros(len(xy_m))]), range_m))
+    a, b, distance_m = pairs_within(np.column_stack([xy_m, np.zeros(len(xy_m))]), range_m)
+    sender, receiver = np.concatenate([a, b]).astype(np.int64), np.concatenate([b, a]).astype(np.int64)
+    order = order_by_two(sender, receiver, len(xy_m))
+    return sender[order], receiver[order], np.concatenate([distance_m, distance_m])[order]
 
 
 def _within(
@@ -168,54 +167,6 @@ def _within(
         if m <= room:
             return found.a[:m], found.b[:m], found.distance_m[:m], found.blocked[:m]
         room = m
-
-
-@compiled
-def _both_ways(n, a, b, gain, fading, tx_mw, cutoff_mw):
-    """Links above the cut-off in both directions, compressed rows by sender."""
-    ptr = np.zeros(n + 1, np.int64)
-    for m in range(len(a)):
-        ptr[a[m] + 1] += tx_mw[a[m]] * gain[m] >= cutoff_mw
-        ptr[b[m] + 1] += tx_mw[b[m]] * gain[m] >= cutoff_mw
-    for i in range(n):
-        ptr[i + 1] += ptr[i]
-    at = ptr[:-1].copy()
-    receiver, power = np.empty(ptr[n], np.int32), np.empty(ptr[n], np.float32)
-    kind, pair = np.empty(ptr[n], np.uint8), np.empty(ptr[n], np.int32)
-    for m in range(len(a)):
-        for i, j in ((a[m], b[m]), (b[m], a[m])):
-            mw = tx_mw[i] * gain[m]
-            if mw >= cutoff_mw:
-                k = at[i]
-                receiver[k], power[k], kind[k], pair[k] = j, mw, fading[m], m
-                at[i] = k + 1
-    return ptr, receiver, power, kind, pair
-
-
-@compiled
-def _both_orders(n, a, b, length_m):
-    """Each pair in both directions, sorted by counting: by sender, then by receiver."""
-    at = np.zeros(n + 1, np.int64)
-    for m in range(len(a)):
-        at[a[m] + 1] += 1
-        at[b[m] + 1] += 1
-    for i in range(n):
-        at[i + 1] += at[i]
-    put = at[:-1].copy()
-    from_, of = np.empty(2 * len(a), np.int32), np.empty(2 * len(a), np.int32)  # by receiver only
-    for m in range(len(a)):
-        for one, other in ((a[m], b[m]), (b[m], a[m])):
-            from_[put[one]], of[put[one]] = other, m
-            put[one] += 1
-    put = at[:-1].copy()
-    sender, receiver = np.empty(len(of), np.int64), np.empty(len(of), np.int64)
-    apart_m = np.empty(len(of))
-    for to in range(n):
-        for row in range(at[to], at[to + 1]):
-            k = put[from_[row]]
-            sender[k], receiver[k], apart_m[k] = from_[row], to, length_m[of[row]]
-            put[from_[row]] += 1
-    return sender, receiver, apart_m
 
 
 def from_db(db: ndarray | float) -> ndarray:
@@ -323,8 +274,12 @@ def links_between(
     losses = pairs(xyz_m, params, rng_key, los, found, above_street_m)
     n = len(xyz_m)
     power_dbm = np.full(n, params.tx_power_dbm) if tx_power_dbm is None else np.asarray(tx_power_dbm, float)
-    ptr, receiver, power_mw, fading, pair = _both_ways(
-        n, losses.a, losses.b, from_db(-losses.loss_db), fading_class(losses.distance_m, params.fading),
-        from_db(power_dbm), float(from_db(params.cutoff_dbm)),
-    )  # fmt: skip
-    return Links(key, ptr, receiver, power_mw, fading), losses, pair
+    sender = np.column_stack([losses.a, losses.b]).ravel()
+    receiver = np.column_stack([losses.b, losses.a]).ravel()
+    pair = np.repeat(np.arange(len(losses.a)), 2)
+    power_mw = from_db(power_dbm)[sender] * from_db(-losses.loss_db)[pair]
+    rows = np.flatnonzero(power_mw >= from_db(params.cutoff_dbm))
+    rows = rows[counting_order(sender[rows].astype(np.int64), n)]
+    fading = fading_class(losses.distance_m, params.fading)[pair[rows]]
+    links = Links(key, ptr_of(sender[rows], n), receiver[rows], power_mw[rows], fading)
+    return links, losses, pair[rows]

@@ -11,7 +11,7 @@ from typing import Annotated, Literal
 
 import numpy as np
 from annotated_types import Ge, Gt, Le
-from jaxtyping import Float, Int
+from jaxtyping import Int
 from numpy import ndarray
 
 BANDWIDTH_HZ = 10e6
@@ -38,7 +38,14 @@ CURVES: dict[str, dict[float, tuple[float, float]]] = {
         12.0: (12.31, 0.323), 18.0: (15.41, 0.320), 24.0: (20.14, 0.331), 27.0: (21.35, 0.340),
     },
 }  # fmt: skip
-"""(x0, w) in dB of `packet_success`, by error model and data rate in Mb/s."""
+"""(x0, w) in dB of packet success, by error model and data rate in Mb/s.
+
+Notes
+-----
+PSR = exp(-(L / 336) exp((x0 - SINR) / w)), for a frame of L bytes, is a fit of the curves of [2]_ with two parameters.
+With this form, the logarithms of the success of parts of a frame with different SINR add up.   Deviations: at most 0.1
+from the table model and 0.015 from NIST, in the 1.5 dB in which the curve falls.
+"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -101,19 +108,3 @@ def airtime_ns(payload_bytes: Int[ndarray, "n"], rate_mbps: float) -> Int[ndarra
         )
     bits = 22 + 8 * (payload_bytes + MAC_OVERHEAD_BYTES)  # 16 service and 6 tail bits
     return HEADER_NS + SYMBOL_NS * -(-bits // BITS_PER_SYMBOL[rate_mbps])
-
-
-def packet_success(
-    sinr_db: Float[ndarray, "n"], mpdu_bytes: Float[ndarray, "n"], params: ReceiverParams
-) -> Float[ndarray, "n"]:
-    """Probability that a detected frame is free of errors.
-
-    Notes
-    -----
-    PSR = exp(-(L / 336) exp((x0 - SINR) / w)) is a fit of the curves of [2]_ with two parameters. With this form, the
-    logarithms of the success of parts of a frame with different SINR add up.   Deviations: at most 0.1 from the table
-    model and 0.015 from NIST, in the 1.5 dB in which the curve falls.
-    """
-    x0, w = CURVES[params.error_model][params.rate_mbps]
-    with np.errstate(over="ignore"):
-        return np.exp(-np.asarray(mpdu_bytes) / 336.0 * np.exp((x0 - np.asarray(sinr_db)) / w))

@@ -12,7 +12,7 @@ from numpy import ndarray
 from cosim.radio.channel import PhyOutcome, WindowResult
 from cosim.radio.link_budget import PairLos
 from cosim.radio.message_round import LosState, Messages, Outcome, Receptions
-from cosim.ragged import counting_order
+from cosim.ragged import counting_order, order_by_two, ptr_of
 from sensors.kernel import compiled
 
 _OUTCOME_OF = np.full(max(PhyOutcome) + 1, Outcome.PROPAGATION, np.int8)
@@ -41,52 +41,23 @@ class NeighbourList(NamedTuple):
     @staticmethod
     def of(xyz_m: Float[ndarray, "n 3"], range_m: float, found: PairLos, knows_walls: bool) -> "NeighbourList":
         """From pairs that include at least all pairs up to the distance `slant_m(xyz_m, range_m)`."""
-        los_state = np.where(found.nlos, LosState.NLOS, LosState.LOS)
+        near = np.flatnonzero(found.distance_m <= slant_m(xyz_m, range_m))
+        dx, dy = (xyz_m[found.a[near], axis] - xyz_m[found.b[near], axis] for axis in (0, 1))
+        square = dx * dx + dy * dy
+        near, square = near[square <= range_m * range_m], square[square <= range_m * range_m]
+        los_state = np.where(found.nlos[near], LosState.NLOS, LosState.LOS).astype(np.uint8)
         if not knows_walls:
-            los_state = np.full(len(found.a), LosState.UNKNOWN)
-        return NeighbourList(*_neighbours(
-            np.ascontiguousarray(xyz_m[:, :2]), range_m, found.a, found.b, found.distance_m, slant_m(xyz_m, range_m),
-            los_state.astype(np.uint8),
-        ))  # fmt: skip
+            los_state[:] = LosState.UNKNOWN
+        a, b = found.a[near], found.b[near]
+        one, other, pair = np.concatenate([a, b]), np.concatenate([b, a]), np.tile(np.arange(len(near)), 2)
+        order = order_by_two(one, other, len(xyz_m))
+        pair = pair[order]
+        return NeighbourList(ptr_of(one[order], len(xyz_m)), other[order], np.sqrt(square)[pair], los_state[pair])
 
 
 def slant_m(xyz_m: Float[ndarray, "n 3"], range_m: float) -> float:
     """Largest distance in space of stations whose horizontal distance is at most `range_m`."""
     return range_m + (float(np.ptp(xyz_m[:, 2])) if len(xyz_m) else 0.0) + 1e-6
-
-
-@compiled
-def _neighbours(xy, range_m, a, b, distance_m, slant_m, los_state):
-    near, length_m = np.empty(len(a), np.int32), np.empty(len(a))
-    ptr = np.zeros(len(xy) + 1, np.int64)
-    n = 0
-    for m in range(len(a)):
-        if distance_m[m] <= slant_m:
-            dx, dy = xy[a[m], 0] - xy[b[m], 0], xy[a[m], 1] - xy[b[m], 1]
-            square = dx * dx + dy * dy
-            if square <= range_m * range_m:
-                near[n], length_m[n] = m, np.sqrt(square)
-                n += 1
-                ptr[a[m] + 1] += 1
-                ptr[b[m] + 1] += 1
-    for i in range(len(xy)):
-        ptr[i + 1] += ptr[i]
-    put = ptr[:-1].copy()
-    of = np.empty(2 * n, np.int32)  # pairs by station
-    for k in range(n):
-        for one in (a[near[k]], b[near[k]]):
-            of[put[one]] = k
-            put[one] += 1
-    put = ptr[:-1].copy()
-    station, apart_m, state = np.empty(2 * n, np.int32), np.empty(2 * n), np.empty(2 * n, np.uint8)
-    for one in range(len(xy)):  # so that others come in ascending order
-        for k in of[ptr[one] : ptr[one + 1]]:
-            m = near[k]
-            other = b[m] if a[m] == one else a[m]
-            row = put[other]
-            station[row], apart_m[row], state[row] = one, length_m[k], los_state[m]
-            put[other] = row + 1
-    return ptr, station, apart_m, state
 
 
 class Transmissions(NamedTuple):

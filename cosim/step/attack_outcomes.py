@@ -66,7 +66,7 @@ def attack_outcomes(
 
     Returns
     -------
-    Columns of the table, one item per trust variant that fuses; empty if no attack reached anybody.
+    Columns of the table, one item per trust variant that fuses; empty if no attack reached a vehicle.
     """
     vehicles, objects, truth, n = exchange.vehicles, listed.objects, listed.truth, len(believed)
     inserted, removed = _inserted(exchange, listed, matched), _removed(exchange, listed, cpms)
@@ -138,7 +138,7 @@ def _removed(exchange: Exchange, listed: Listed, cpms: Broadcast) -> Removed:
     first, last = (np.searchsorted(received.message[found], message, side) for side in ("left", "right"))
     at, which = expand(first, last)
     receiver, detection = received.receiver[found[at]], row[which]
-    is_other = exchange.vehicles.row[receiver] != listed.truth.actor_row[detection]  # nobody needs a report of itself
+    is_other = exchange.vehicles.row[receiver] != listed.truth.actor_row[detection]  # not of itself
     return Removed(detection[is_other], receiver[is_other])
 
 

@@ -174,7 +174,7 @@ class OnAir:
         senders: Senders, length_bytes: Int[ndarray, "m"], n_rsus: int, rsu_bytes: int = 0,
         sending: Sending | None = None,
     ) -> "OnAir":  # fmt: skip
-        """Frames of vehicles and roadside units; `sending` by row of `Vehicles`, None if nobody attacks the channel."""
+        """Frames of vehicles and roadside units; `sending` by row of `Vehicles`, None if all send honestly."""
         n, stations = len(senders), senders.n_vehicles + np.arange(n_rsus)
         length = np.concatenate([length_bytes, np.full(n_rsus, rsu_bytes)])
         station, message = np.concatenate([senders.vehicle, stations]), np.arange(n + n_rsus)

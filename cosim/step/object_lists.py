@@ -7,14 +7,13 @@ from numpy import ndarray
 from cosim.adversary.adversary import Active
 from cosim.adversary.attack import EvaluationRows
 from cosim.radio.message_round import Receptions
-from cosim.ragged import ptr_of
+from cosim.ragged import expand, ptr_of
 from cosim.step.perception import BoxQuestions
 from cosim.v2x.messages import SELF, Detections
 from sensors.boxes import Boxes
 from sensors.evidence import AreaParams
-from sensors.kernel import compiled
 from trust import tables
-from trust.tables import EvaluationMessages, Evaluations, ObjectLists, int64
+from trust.tables import EvaluationMessages, Evaluations, ObjectLists
 
 
 def for_trust(
@@ -57,43 +56,14 @@ def received_lists(
     own
         Each vehicle's message under its own identity.
     """
-    n_sent = np.concatenate([[0], np.cumsum(transmitted)])[ptr]
-    begins, member = _known(
-        ptr_of(received.receiver, len(own)), int64(received.message), ptr, n_sent, transmitted, int64(own), len(vehicle)
-    )
-    return ObjectLists(begins, member, own)
-
-
-@compiled
-def _known(received_ptr, received, ptr, n_sent, transmitted, own, n_messages):
-    """Begin of each vehicle's list, and the members; `n_sent` counts the detections transmitted before each message."""
-    begins = np.zeros(len(own) + 1, np.int64)
-    for v in range(len(own)):
-        last = own[v + 1] if v + 1 < len(own) else n_messages  # its messages under other identities are before it
-        n = ptr[own[v] + 1] - ptr[own[v]] + n_sent[last] - n_sent[own[v] + 1]
-        for h in range(received_ptr[v], received_ptr[v + 1]):
-            n += n_sent[received[h] + 1] - n_sent[received[h]]
-        begins[v + 1] = begins[v] + n
-    member = np.empty(begins[-1], np.int64)
-    m = 0
-    for v in range(len(own)):
-        for d in range(ptr[own[v]], ptr[own[v] + 1]):
-            member[m] = d
-            m += 1
-        more, last = own[v] + 1, own[v + 1] if v + 1 < len(own) else n_messages
-        h = received_ptr[v]
-        while h < received_ptr[v + 1] or more < last:
-            if more < last and (h == received_ptr[v + 1] or more < received[h]):
-                message = more
-                more += 1
-            else:
-                message = received[h]
-                h += 1
-            for d in range(ptr[message], ptr[message + 1]):
-                if transmitted[d]:
-                    member[m] = d
-                    m += 1
-    return begins, member
+    receives, further = np.arange(len(own)), np.setdiff1d(np.arange(len(vehicle)), own)
+    of = np.concatenate([receives, vehicle[further], received.receiver])
+    message = np.concatenate([own, further, received.message])
+    order = np.lexsort((message, np.arange(len(of)) >= len(own), of))
+    of, message = of[order], message[order]
+    member, row = expand(ptr[message], ptr[message + 1])
+    kept = transmitted[member] | (message == own[of])[row]
+    return ObjectLists(ptr_of(of[row[kept]], len(own)), member[kept], own)
 
 
 def subset(lists: ObjectLists, keep: Bool[ndarray, "m"]) -> ObjectLists:
@@ -128,22 +98,11 @@ def questions_of(
     -------
     The questions, the members whose returns are counted, and the members that are tested.
     """
-    b = lists.member
-    o, is_counted = _asked(lists.ptr, b, lists.owner, evaluated, foreign, detections.is_self, int64(detections.message))
+    b, o = lists.member, lists.of_member().astype(np.int32)
+    is_self = detections.is_self[b] & (detections.message[b] == lists.owner[o])
+    is_counted = (evaluated | foreign) & ~is_self
     counted, tested = np.flatnonzero(is_counted), np.flatnonzero(foreign)
     return BoxQuestions(boxes, area, o[counted], b[counted], o[tested], b[tested]), counted, tested
-
-
-@compiled
-def _asked(ptr, member, owner, evaluated, foreign, is_self, message):
-    """The list of each member, and whether its returns are counted."""
-    o, is_counted = np.empty(len(member), np.int32), np.empty(len(member), np.bool_)
-    for v in range(len(owner)):
-        for m in range(ptr[v], ptr[v + 1]):
-            d = member[m]
-            o[m] = v
-            is_counted[m] = (evaluated[m] or foreign[m]) and not (is_self[d] and message[d] == owner[v])
-    return o, is_counted
 
 
 def as_reported(

@@ -38,7 +38,6 @@ from cosim.v2x.trust_server import TrustBroadcast
 from cosim.world import World
 from sensors.boxes import overlapping_pairs
 from sensors.evidence import in_evaluation_area
-from sensors.kernel import compiled
 from trust import tables
 from trust.evaluation import evaluate
 from trust.fusion import Fused, SensorEvidence
@@ -436,11 +435,9 @@ def beliefs_of(
     )
 
 
-@compiled
-def _distance_m(a_m, i, b_m, j):
+def _distance_m(
+    a_m: Float[ndarray, "a 3"], i: Int[ndarray, "n"], b_m: Float[ndarray, "b 3"], j: Int[ndarray, "n"]
+) -> Float[ndarray, "n"]:
     """Distance of each row i of `a_m` from the row j of `b_m`."""
-    out = np.empty(len(i))
-    for k in range(len(i)):
-        x, y, z = a_m[i[k], 0] - b_m[j[k], 0], a_m[i[k], 1] - b_m[j[k], 1], a_m[i[k], 2] - b_m[j[k], 2]
-        out[k] = np.sqrt(x * x + y * y + z * z)
-    return out
+    x, y, z = (a_m[i] - b_m[j]).T
+    return np.sqrt(x * x + y * y + z * z)

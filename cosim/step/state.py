@@ -14,7 +14,7 @@ from cosim.step.parts import Parts
 from cosim.step.reactions import ReactionTruth
 from cosim.step.stages import SentEvaluations
 from cosim.step.trackers.attack_start import AttackStartTracker
-from cosim.step.trackers.encounters import EncounterTrackers
+from cosim.step.trackers.encounters import Encounters
 from cosim.step.trackers.inter_reception import InterReceptionTracker
 from cosim.step.trackers.motion import LastSpeeds
 from cosim.step.tracking import ReceptionTrackers
@@ -23,6 +23,7 @@ from cosim.v2x.pseudonyms import PseudonymState
 from cosim.v2x.relinking import KnownSenders
 from cosim.v2x.trust_hosts import TrustState
 from results.codes import DetectionFault
+from results.encounters import EncounterTracker
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +36,7 @@ class State:
 
     medium: Any
     trust: TrustState
-    encounters: EncounterTrackers
+    encounters: Encounters
     attacks: AttackState
     driver: object = None
     reaction_truth: ReactionTruth = field(default_factory=ReactionTruth)
@@ -64,7 +65,7 @@ class State:
         return State(
             medium=parts.medium.start(),
             trust=parts.trust.start(),
-            encounters=EncounterTrackers(c.encounters, c.traffic.step_s, len(parts.trust.variants)),
+            encounters=tuple(EncounterTracker(p, c.traffic.step_s, len(parts.trust.variants)) for p in c.encounters),
             attacks=parts.adversary.start(),
         )
 

@@ -10,11 +10,10 @@ from cosim.radio.message_round import MessageRound
 from cosim.step.exchange import Exchange
 from cosim.step.stages import Broadcast, Evaluated, Listed, Matched
 from cosim.step.trackers.attack_start import AttackStartTracker
-from cosim.step.trackers.encounters import EncounterTrackers
-from cosim.step.trackers.inter_reception import InterReceptionTracker, reached, unique_pairs
+from cosim.step.trackers.encounters import Encounters
+from cosim.step.trackers.inter_reception import InterReceptionTracker, unique_pairs
 from cosim.step.trust_stages import LookedUp
 from results.encounters import Rows
-from sensors.kernel import compiled
 
 Rounds = tuple[Broadcast, Broadcast]
 """The rounds of detection messages and of evaluation messages."""
@@ -48,8 +47,8 @@ def _track_round(
 ) -> tuple[InterReceptionTracker, Reach]:
     actor, received = exchange.vehicles.actor, broadcast.links.vehicles
     sender, in_range = pairs_in_range(broadcast.round, len(actor))
-    sent_by = exchange.senders.vehicle[received.message]
-    got = reached(sender, in_range, len(actor), sent_by, received.receiver)
+    n, sent_by = len(actor), exchange.senders.vehicle[received.message]
+    got = np.isin(sender * n + in_range, sent_by * n + received.receiver)
     tracker, rows = tracker.next(exchange.now.step, actor[sender], actor[in_range], got)
     return tracker, Reach(sender, in_range, rows)
 
@@ -69,36 +68,28 @@ def pairs_in_range(found: MessageRound, n: int) -> tuple[Int[ndarray, "p"], Int[
     Station rows of the senders, and of the vehicles in range.
     """
     frames = found.frames
-    sender, receiver = _first_hops(found.station, frames.message, frames.receiver, frames.hop, n)
-    return unique_pairs(sender, receiver, n)
-
-
-@compiled
-def _first_hops(station, message, receiver, hop, n):
-    """Senders and receivers below n of frames that were not forwarded."""
-    one, other = np.empty(len(message), np.int32), np.empty(len(message), np.int32)
-    m = 0
-    for row in range(len(message)):
-        one[m], other[m] = station[message[row]], receiver[row]
-        m += (hop[row] == 1) & (one[m] < n) & (other[m] < n)
-    return one[:m], other[:m]
+    sender = found.station[frames.message]
+    rows = np.flatnonzero((frames.hop == 1) & (sender < n) & (frames.receiver < n))
+    return unique_pairs(sender[rows], frames.receiver[rows], n)
 
 
 def count_in_encounters(
-    encounters: EncounterTrackers, exchange: Exchange, rounds: Rounds, looked_up: LookedUp, listed: Listed,
+    encounters: Encounters, exchange: Exchange, rounds: Rounds, looked_up: LookedUp, listed: Listed,
     matched: Matched,
-) -> EncounterTrackers:  # fmt: skip
+) -> None:  # fmt: skip
     """Add a step's messages, look-ups and evaluations to the open encounters."""
     actor, vehicle = exchange.vehicles.actor, exchange.senders.vehicle
-    for broadcast in rounds:
-        found = broadcast.links.vehicles
-        encounters.count_messages(actor[vehicle[found.message]], actor[found.receiver])
     used = looked_up.messages
     is_known = np.stack([found.is_known for found in looked_up.lookups], axis=1)
-    encounters.note_trust(actor[used.receiver], actor[vehicle[used.message]], is_known)
-    evaluator, observer, n = _evaluated(matched.lists.ptr, matched.lists.member, listed.detections.message, vehicle)
-    encounters.count_evaluations(actor[evaluator], actor[observer], n)
-    return encounters
+    by, observer = matched.lists.of_member(), vehicle[listed.detections.message[matched.lists.member]]
+    pairs, n = np.unique((by * len(actor) + observer)[by != observer], return_counts=True)
+    evaluator, observer = np.divmod(pairs, max(len(actor), 1))
+    for tracker in encounters:
+        for broadcast in rounds:
+            found = broadcast.links.vehicles
+            tracker.count_messages(actor[vehicle[found.message]], actor[found.receiver])
+        tracker.note_trust(actor[used.receiver], actor[vehicle[used.message]], is_known)
+        tracker.count_evaluations(actor[evaluator], actor[observer], n)
 
 
 def track_attacks(
@@ -113,26 +104,3 @@ def track_attacks(
     if sending is not None:
         attacker.append(vehicles.actor[(sending.delay_s > 0) | (sending.n_copies > 0) | (sending.n_reports > 0)])
     return attack_start.next(exchange.now.step, np.concatenate(attacker))
-
-
-@compiled
-def _evaluated(ptr, member, message, vehicle):
-    """For each list, the observers of its detections and how many it holds, without the list's own vehicle.
-
-    The members of a list are sorted by message.
-    """
-    one, other, n = np.empty(len(member), np.int32), np.empty(len(member), np.int32), np.empty(len(member), np.int64)
-    m = 0
-    for v in range(len(ptr) - 1):
-        last = v
-        for k in range(ptr[v], ptr[v + 1]):
-            observer = vehicle[message[member[k]]]
-            if observer == v:
-                last = v
-                continue
-            if observer != last:
-                one[m], other[m], n[m] = v, observer, 0
-                m += 1
-                last = observer
-            n[m - 1] += 1
-    return one[:m], other[:m], n[:m]

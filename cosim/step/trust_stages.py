@@ -14,7 +14,7 @@ from cosim.ragged import ptr_of
 from cosim.step.exchange import Exchange, Times, Vehicles, distinct
 from cosim.step.parts import Parts
 from cosim.step.stages import Broadcast, Evaluated, Listed, Matched, SentEvaluations, SweepAnswers
-from cosim.step.trackers.encounters import EncounterTrackers, NearPairs
+from cosim.step.trackers.encounters import Encounters, NearPairs, update_encounters
 from cosim.v2x.pseudonyms import PseudonymState
 from cosim.v2x.relinking import KnownSenders, ReceivedSenders, fallen_back, noted, update_senders
 from cosim.v2x.trust_hosts import Informed, Lookups, TrustState
@@ -42,22 +42,24 @@ def own_trust_of(
 
 
 def follow_encounters(
-    encounters: EncounterTrackers, near: NearPairs, trust: TrustState, pseudonyms: PseudonymState, vehicles: Vehicles,
+    encounters: Encounters, near: NearPairs, trust: TrustState, pseudonyms: PseudonymState, vehicles: Vehicles,
     now: Times, parts: Parts,
-) -> tuple[EncounterTrackers, TrustState, list[Rows]]:  # fmt: skip
+) -> tuple[TrustState, list[Rows]]:  # fmt: skip
     """Update encounters with the near pairs, and note the trust of both vehicles when an encounter begins.
 
     Returns
     -------
-    The encounters, the state of trust, and the rows of encounters that have ended.
+    The state of trust, and the rows of encounters that have ended.
     """
-    closed, holder, other = encounters.update(now.step, near)
+    closed, holder, other = update_encounters(encounters, now.step, near)
     trust = parts.trust.receive(trust, vehicles.actor, now.begin_s)
     subject = parts.linkage.subjects(pseudonyms, pseudonyms.of(other))
     known = parts.trust.per_variant(parts.trust.lookup(trust, holder, subject, now.begin_s))
-    columns = ([getattr(found, name) for found in known] for name in ("trust", "source", "state", "age_s"))
-    encounters.first_contact(holder, other, *(np.stack(column, axis=1) for column in columns))
-    return encounters, trust, closed
+    names = ("trust", "source", "state", "age_s")
+    columns = [np.stack([getattr(found, name) for found in known], axis=1) for name in names]
+    for tracker in encounters:
+        tracker.first_contact(holder, other, *columns)
+    return trust, closed
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,7 +153,8 @@ def update_trust(
     """
     hosts, linkage, senders = parts.trust, parts.linkage, exchange.senders
     trust = _open_step(trust, exchange, listed, pseudonyms, parts)
-    trust = hosts.add_own(trust, linkage.messages(pseudonyms, evaluated.own_messages), exchange.vehicles.actor)
+    own, vehicle = linkage.messages(pseudonyms, evaluated.own_messages), exchange.vehicles.actor
+    hosts.add_local(trust, own, vehicle, np.arange(len(vehicle)), of_others=False)
     up = LinkStats()
     if carrier.evaluations is not None:
         trust, up = _deliver(trust, exchange, carrier.evaluations, carrier, pseudonyms, parts)
@@ -190,7 +193,7 @@ def _deliver(
     row[at] = which
     sent = parts.linkage.messages(pseudonyms, carried.messages)
     got = links.vehicles.take(row[links.vehicles.message] >= 0)
-    trust = parts.trust.add_received(trust, sent, vehicles.actor[got.receiver], row[got.message])
+    parts.trust.add_local(trust, sent, vehicles.actor[got.receiver], row[got.message])
     up = links.uplink.take(row[links.uplink.message] >= 0)
     return parts.trust.report_by_rsu(trust, sent, row[up.message], carrier.begin_s + up.received_s)
 

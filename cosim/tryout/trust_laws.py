@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int
 from numpy import ndarray
 
 from cosim.step.result import StepResult
@@ -22,15 +21,8 @@ HOLDERS = "what one holder receives changes nothing for another"
 ASKING = "asking for scores changes nothing"
 
 
-@dataclass(frozen=True, slots=True)
-class Transmitted:
-    """Everything that was transmitted in a step: the arguments of `open_step`."""
-
-    step: int
-    pseudonyms: Int[ndarray, "n"]
-    observer_row: Int[ndarray, "d"]
-    detection_index: Int[ndarray, "d"]
-    score: Float[ndarray, "d"]
+Transmitted = tuple[int, ndarray, ndarray, ndarray, ndarray]
+"""Everything that was transmitted in a step: the arguments of `TrustModel.open_step`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,9 +47,8 @@ def recorded(stage: Stage) -> tuple[list[Transmitted], list[Reception]]:
         if sensed is not None:
             sent, row = sensed.listed.objects.transmitted, sensed.listed.detections
             pseudonyms, messages = sensed.senders.pseudonym, sensed.evaluated.sent
-            steps.append(Transmitted(
-                happened.world.step, pseudonyms, row.message[sent], row.detection_index[sent], row.score[sent]
-            ))  # fmt: skip
+            of_detections = row.message[sent], row.detection_index[sent], row.score[sent]
+            steps.append((happened.world.step, pseudonyms, *of_detections))
             got, actor = sensed.rounds[1].links.vehicles, sensed.vehicles.actor
             pairs = [*zip(actor[got.receiver].tolist(), got.message.tolist(), strict=True)]
             receptions.extend(Reception(messages, holder, row) for holder, row in pairs)
@@ -105,17 +96,17 @@ def _played(
         Whether scores are also computed twice in every step.
     """
     due: list[list[Reception]] = [[] for _ in steps]
-    number_of = {one.step: number for number, one in enumerate(steps)}
+    number_of = {step: number for number, (step, *_) in enumerate(steps)}
     for k, one in enumerate(receptions):
         late = late_steps * (k % 2)
         due[min(number_of[one.messages.step] + late, len(steps) - 1)].append(one)
     for number, now in enumerate(steps):
-        model.open_step(now.step, now.pseudonyms, now.observer_row, now.detection_index, now.score)
+        model.open_step(*now)
         for received in _batches(due[number], reverse):
             model.add_evaluations(received)
         for _ in range(2 if ask else 0):
-            model.scores(now.step)
-    return model.scores(steps[-1].step)
+            model.scores(now[0])
+    return model.scores(steps[-1][0])
 
 
 def _batches(receptions: list[Reception], one_by_one: bool) -> list[ReceivedEvaluations]:

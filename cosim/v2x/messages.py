@@ -68,7 +68,8 @@ class Detections:
 
     def take(self, rows: ndarray) -> "Detections":
         """These rows, in this order."""
-        return Detections.of([c.take(rows) if isinstance(c, Boxes) else c[rows] for c in self.columns()])
+        columns: list[Any] = [c.take(rows) if isinstance(c, Boxes) else c[rows] for c in self.columns()]
+        return Detections(*columns)
 
     def columns(self) -> list[Any]:
         """All columns, in the order of the fields."""
@@ -84,15 +85,16 @@ class Detections:
         return Detections(observer, detection_index, label, boxes, score, n_points, origin, sent)
 
     @staticmethod
-    def of(columns: list[Any]) -> "Detections":
-        """Detections from all columns, in the order of the fields."""
-        return Detections(*columns)
+    def joined(parts: list["Detections"]) -> "Detections":
+        """All rows of all parts, part after part."""
+        columns: Any = zip(*(part.columns() for part in parts), strict=True)
+        joined: list[Any] = [Boxes.concat(c) if isinstance(c[0], Boxes) else np.concatenate(c) for c in columns]
+        return Detections(*joined)
 
     @staticmethod
     def concat(parts: list["Detections"]) -> "Detections":
         """All rows of all parts, sorted by key."""
-        columns = zip(*(part.columns() for part in parts), strict=True)
-        joined = Detections.of([Boxes.concat(c) if isinstance(c[0], Boxes) else np.concatenate(c) for c in columns])
+        joined = Detections.joined(parts)
         return joined.take(np.lexsort((joined.detection_index, joined.identity, joined.observer)))
 
 

@@ -6,7 +6,7 @@ pseudonym, which is ground truth.
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Annotated, Literal, Protocol
+from typing import Annotated, Any, Generic, Literal, Protocol, TypeVar
 
 import numpy as np
 from annotated_types import Gt, Interval, Le
@@ -51,6 +51,16 @@ class PseudonymPolicy(Protocol):
         """Whether each vehicle changes its pseudonym before its next message."""
 
 
+P = TypeVar("P")
+
+
+class _WithParams(Generic[P]):
+    """Base of policies that have parameters."""
+
+    def __init__(self, params: P) -> None:
+        self.params = params
+
+
 class Never:
     """One pseudonym for the whole trip: the actor number of the vehicle."""
 
@@ -67,13 +77,10 @@ class PeriodicalParams:
     """Time after which a pseudonym changes [s]. The default is F2MD's."""
 
 
-class Periodical:
+class Periodical(_WithParams[PeriodicalParams]):
     """A change after a fixed time."""
 
     Params = PeriodicalParams
-
-    def __init__(self, params: PeriodicalParams) -> None:
-        self.params = params
 
     def changes(self, ages: PseudonymAges) -> Bool[ndarray, "e"]:
         """Vehicles whose pseudonym has reached the period."""
@@ -88,13 +95,10 @@ class DisposableParams:
     """Number of messages after which a pseudonym changes. The default is F2MD's."""
 
 
-class Disposable:
+class Disposable(_WithParams[DisposableParams]):
     """A change after a number of messages."""
 
     Params = DisposableParams
-
-    def __init__(self, params: DisposableParams) -> None:
-        self.params = params
 
     def changes(self, ages: PseudonymAges) -> Bool[ndarray, "e"]:
         """Vehicles that have sent this number of messages."""
@@ -109,13 +113,10 @@ class DistanceParams:
     """Driven distance after which a pseudonym changes [m]. The default is F2MD's."""
 
 
-class Distance:
+class Distance(_WithParams[DistanceParams]):
     """A change after a distance."""
 
     Params = DistanceParams
-
-    def __init__(self, params: DistanceParams) -> None:
-        self.params = params
 
     def changes(self, ages: PseudonymAges) -> Bool[ndarray, "e"]:
         """Vehicles that have driven this distance."""
@@ -130,13 +131,10 @@ class RandomParams:
     """Probability of a change before each message. The default is F2MD's."""
 
 
-class Random:
+class Random(_WithParams[RandomParams]):
     """A change with a fixed probability before every message."""
 
     Params = RandomParams
-
-    def __init__(self, params: RandomParams) -> None:
-        self.params = params
 
     def changes(self, ages: PseudonymAges) -> Bool[ndarray, "e"]:
         """Vehicles that are drawn."""
@@ -152,7 +150,7 @@ class C2cParams:
     once 800 m have been driven and U(120, 360) s have passed since the last change."""
 
 
-class C2c:
+class C2c(_WithParams[C2cParams]):
     """The policy of the CAR 2 CAR Communication Consortium, as implemented in F2MD and NextGen.
 
     A vehicle takes a new pseudonym at the start of the trip, and the next one after U(800, 1500) m. All later changes
@@ -166,9 +164,6 @@ class C2c:
     """
 
     Params = C2cParams
-
-    def __init__(self, params: C2cParams) -> None:
-        self.params = params
 
     def changes(self, ages: PseudonymAges) -> Bool[ndarray, "e"]:
         """Vehicles that have driven far enough and used the pseudonym long enough."""
@@ -197,7 +192,7 @@ class ScmsParams:
     distance driven since the last change."""
 
 
-class Scms:
+class Scms(_WithParams[ScmsParams]):
     """The rule of SAE J2945/1 (secondary source): a change every 5 min, unless the vehicle is less than 2 km from the
     position of its last change.
 
@@ -209,9 +204,6 @@ class Scms:
     """
 
     Params = ScmsParams
-
-    def __init__(self, params: ScmsParams) -> None:
-        self.params = params
 
     def changes(self, ages: PseudonymAges) -> Bool[ndarray, "e"]:
         """Vehicles for which both the time and the distance are reached."""
@@ -463,6 +455,13 @@ class Pseudonyms:
         )
 
 
+_PER_VEHICLE = (
+    "current", "since_step", "seen_step", "n_changes", "n_messages", "distance_m", "xy_m", "from_xy_m", "beyond_step",
+    "linked",
+)  # fmt: skip
+"""Columns of `PseudonymState` by actor number."""
+
+
 def _grown(state: PseudonymState, size: int) -> PseudonymState:
     """The state, extended to actor numbers below `size`."""
     old = len(state.current)
@@ -470,13 +469,10 @@ def _grown(state: PseudonymState, size: int) -> PseudonymState:
         return state
     more = max(size, 2 * old, 64) - old
 
-    def longer(a: ndarray, fill: int = 0) -> ndarray:
-        return np.concatenate([a, np.full((more, *a.shape[1:]), fill, a.dtype)])
+    def longer(name: str) -> ndarray:
+        column = getattr(state, name)
+        fill = -1 if name in ("current", "linked") else 0
+        return np.concatenate([column, np.full((more, *column.shape[1:]), fill, column.dtype)])
 
-    return replace(
-        state, current=longer(state.current, -1), since_step=longer(state.since_step),
-        seen_step=longer(state.seen_step),
-        n_changes=longer(state.n_changes), n_messages=longer(state.n_messages), distance_m=longer(state.distance_m),
-        xy_m=longer(state.xy_m), from_xy_m=longer(state.from_xy_m), beyond_step=longer(state.beyond_step),
-        linked=longer(state.linked, -1),
-    )  # fmt: skip
+    columns: dict[str, Any] = {name: longer(name) for name in _PER_VEHICLE}
+    return replace(state, **columns)

@@ -13,7 +13,6 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8, UInt64
 from numpy import ndarray
 
-from cosim.v2x import lookup_kernels
 from cosim.v2x.trust_server import (
     Downlink,
     DownlinkState,
@@ -40,9 +39,10 @@ FUSION_KEYS = frozenset({
 """Keys of [trust] about the use of trust. Variants that differ only in these keys share one host."""
 
 
-_JUDGED, _STALE, _NO_VALUE, _DEFAULT = (
-    int(c) for c in (LookupState.JUDGED, LookupState.STALE, LookupState.DEFAULT, TrustSource.DEFAULT)
+_JUDGED, _UNJUDGED, _STALE, _NO_VALUE = (
+    int(s) for s in (LookupState.JUDGED, LookupState.UNJUDGED, LookupState.STALE, LookupState.DEFAULT)
 )
+_DEFAULT, _SERVER, _OWN = (int(s) for s in (TrustSource.DEFAULT, TrustSource.SERVER, TrustSource.OWN))
 """Plain integers, because NumPy is ten times slower with members of enums."""
 
 ObjectScorer = Callable[[ObjectReports], Float[ndarray, "g"]]
@@ -271,27 +271,10 @@ class TrustHosts:
         return TrustState(hosts, state.uplink), broadcast
 
     def receive_from_rsu(
-        self,
-        state: TrustState,
-        vehicle: Int[ndarray, "e"],
-        receiver: Int[ndarray, "m"],
+        self, state: TrustState, vehicle: Int[ndarray, "e"], receiver: Int[ndarray, "m"],
         received_s: Float[ndarray, "m"],
-    ) -> tuple[TrustState, Informed]:
-        """Record which vehicles received the broadcast of roadside units.
-
-        Parameters
-        ----------
-        vehicle
-            Actor numbers of the equipped vehicles.
-        receiver
-            Row of `vehicle` for each reception.
-        received_s
-            Time of each reception.
-
-        Returns
-        -------
-        The new state, and the numbers of vehicles addressed and reached.
-        """
+    ) -> tuple[TrustState, Informed]:  # fmt: skip
+        """Record which vehicles received the broadcast of roadside units, as `Downlink.receive_from_rsu`."""
         h = self.host_of[0]
         downlink, n_informed = self.downlink.receive_from_rsu(state.hosts[h].downlink, vehicle, receiver, received_s)
         hosts = list(state.hosts)
@@ -322,21 +305,20 @@ class TrustHosts:
             self._model(state, h).open_step(step, pseudonym, message, detection_index, score)
         return state
 
-    def add_own(self, state: TrustState, messages: EvaluationMessages, vehicle: Int[ndarray, "v"]) -> TrustState:
-        """Add each vehicle's own evaluations to its evidence. `vehicle` is aligned with the messages."""
-        self._add_local(
-            state, ReceivedEvaluations(messages, vehicle, np.arange(len(vehicle)), self.eta), of_others=False
-        )
-        return state
+    def add_local(
+        self, state: TrustState, messages: EvaluationMessages, vehicle: Int[ndarray, "m"], message: Int[ndarray, "m"],
+        of_others: bool = True,
+    ) -> None:  # fmt: skip
+        """Add evaluations to the evidence of vehicles.
 
-    def add_received(
-        self, state: TrustState, messages: EvaluationMessages, vehicle: Int[ndarray, "m"], message: Int[ndarray, "m"]
-    ) -> TrustState:
-        """Add received evaluations to the evidence: vehicle `vehicle[i]` received message `message[i]`."""
-        self._add_local(state, ReceivedEvaluations(messages, vehicle, message, self.eta), of_others=True)
-        return state
-
-    def _add_local(self, state: TrustState, received: ReceivedEvaluations, of_others: bool) -> None:
+        Parameters
+        ----------
+        vehicle, message
+            Actor number of each vehicle, and the row of the message that it received or made.
+        of_others
+            Whether the messages were received. If not, they are the vehicle's own.
+        """
+        received = ReceivedEvaluations(messages, vehicle, message, self.eta)
         for h in self._hosts("local"):
             if not of_others or self.params[h].local_evidence == "received":
                 self._model(state, h).add_evaluations(received)
@@ -417,30 +399,22 @@ class TrustHosts:
         """
         params = self.params[h]
         window_s = window_of(params) if _has_window(self.models[h].model) else np.inf
-        source = TrustSource.SERVER if params.host == "central" else TrustSource.OWN
-        n_evaluators = scores.n_evaluations if scores.n_evaluators is None else scores.n_evaluators
-        columns = (getattr(found, name) for name in lookup_kernels.LookupColumns._fields)
-        lookup_kernels.fill(
-            lookup_kernels.LookupColumns(*columns),
-            lookup_kernels.ScoreColumns(
-                trust=scores.trust,
-                is_judged=scores.is_judged,
-                newest_step=np.ascontiguousarray(scores.newest_evaluation_step),
-                oldest_step=np.ascontiguousarray(scores.oldest_evaluation_step),
-                n_evaluations=scores.n_evaluations,
-                n_evaluators=n_evaluators,
-            ),
-            at,
-            lookup_kernels.LookupRules(
-                source=int(source),
-                value_age_s=age_s,
-                time_s=time_s,
-                dt_s=self.dt_s,
-                window_s=window_s,
-                unevaluated_is_used=params.unjudged != "default",
-            ),
-        )
-        return scores.n_evaluators is not None or not (at >= 0).any()
+        rows = np.flatnonzero(at >= 0)
+        at = at[rows]
+        judged = scores.is_judged[at]
+        valued = judged if params.unjudged == "default" else np.ones(len(at), bool)
+        found.trust[rows[valued]] = scores.trust[at[valued]]
+        found.source[rows[valued]] = _SERVER if params.host == "central" else _OWN
+        newest_age_s = time_s - scores.newest_evaluation_step[at] * self.dt_s
+        found.age_s[rows], found.newest_evaluation_age_s[rows] = age_s, newest_age_s
+        found.oldest_evaluation_age_s[rows] = time_s - scores.oldest_evaluation_step[at] * self.dt_s
+        found.state[rows] = np.where(judged, np.where(newest_age_s < window_s, _JUDGED, _STALE), _UNJUDGED)
+        found.n_evaluations[rows] = scores.n_evaluations[at]
+        if scores.n_evaluators is None:
+            return not len(rows)
+        assert found.n_evaluators is not None
+        found.n_evaluators[rows] = scores.n_evaluators[at]
+        return True
 
     def rejected(self, state: TrustState) -> dict[str, int]:
         """Number of evaluations that the acting model has rejected, by cause. Empty if it does not count them."""

@@ -13,9 +13,8 @@ from cosim import rng
 from cosim.ragged import offsets
 from cosim.v2x import cellular
 from cosim.v2x.cellular import CellularParams, transfer_delay_s, within_capacity
-from cosim.v2x.lookup_kernels import rows_heard
 from cosim.v2x.messages import report_bytes, trust_broadcast_bytes
-from trust.tables import EvaluationMessages, TrustScores
+from trust.tables import SERVER, EvaluationMessages, TrustScores
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -311,5 +310,9 @@ class Downlink:
         self, state: DownlinkState, vehicle: Int[ndarray, "n"], subject: Int[ndarray, "n"]
     ) -> Iterator[tuple[TrustBroadcast, Int[ndarray, "n"]]]:
         """For each broadcast, its row about each subject that the vehicle knows; -1 if there is none."""
+        newest = np.full(len(vehicle), -1)
+        listens = vehicle < len(state.last)
+        newest[listens] = state.last[vehicle[listens]]
         for number, broadcast in state.broadcasts.items():
-            yield broadcast, rows_heard(state.last, vehicle, number, subject, broadcast.scores.subject)
+            at, known = broadcast.scores.rows_of(np.full(len(subject), SERVER), subject)
+            yield broadcast, np.where(known & (newest == number), at, -1)

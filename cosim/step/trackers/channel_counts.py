@@ -7,7 +7,6 @@ from jaxtyping import Float, Int, UInt8
 from numpy import ndarray
 
 from results.codes import DISTANCE_BIN_M, LATENCY_EDGES_S, LosState
-from sensors.kernel import compiled
 
 Rows = dict[str, ndarray]
 
@@ -36,7 +35,10 @@ def pdr_by_distance(
     Columns of the table `pdr_by_distance` (distance_bin_m, los_state, n_in_range and `columns`), and the totals
     n_in_range and `columns`, one row.
     """
-    counts = _counted(distance_m, los_state, outcome, len(LosState), 1 + max(columns.values()))
+    bins, n_outcomes = _bins(distance_m), 1 + max(columns.values())
+    cell = (bins * len(LosState) + los_state) * n_outcomes + outcome
+    n_cells = (int(bins.max(initial=-1)) + 1) * len(LosState)
+    counts = np.bincount(cell, minlength=n_cells * n_outcomes).reshape(n_cells, n_outcomes)
     cells, total = np.flatnonzero(counts.any(axis=1)), counts.sum(axis=0)
     return (
         {
@@ -49,42 +51,17 @@ def pdr_by_distance(
     )
 
 
-@compiled
-def _counted(distance_m, los_state, outcome, n_states, n_outcomes):
-    """Counts of frames by distance bin and line of sight (rows), and by outcome (columns)."""
-    n_bins = _bin(np.max(distance_m)) + 1 if len(distance_m) else 0
-    counts = np.zeros((n_bins * n_states, n_outcomes), np.int64)
-    for f in range(len(outcome)):
-        counts[_bin(distance_m[f]) * n_states + los_state[f], outcome[f]] += 1
-    return counts
-
-
-@compiled
-def _bin(distance_m):
-    """Number of complete bins in a distance, without rounding errors."""
-    n = int(distance_m / DISTANCE_BIN_M)
-    return n - 1 if n * DISTANCE_BIN_M > distance_m else n
+def _bins(distance_m: Float[ndarray, "f"]) -> Int[ndarray, "f"]:
+    """Number of complete bins in each distance, without rounding errors."""
+    n = (distance_m / DISTANCE_BIN_M).astype(np.int64)
+    return n - (n * DISTANCE_BIN_M > distance_m)
 
 
 def latency_histogram(latency_s: Float[ndarray, "m"]) -> Rows:
     """Columns latency_s and n_delivered of the table `latency_histogram`: messages by bin of latency."""
-    counts = _by_edge(latency_s, LATENCY_EDGES_S)
+    counts = np.bincount(np.searchsorted(LATENCY_EDGES_S, latency_s, "right"))
     bins = np.flatnonzero(counts)
     return {"latency_s": np.append(0, LATENCY_EDGES_S)[bins], "n_delivered": counts[bins]}
-
-
-@compiled
-def _by_edge(values, edges):
-    """Counts of values below the first edge, from each edge up to the next, and from the last edge on."""
-    counts = np.zeros(len(edges) + 1, np.int64)
-    for value in values:
-        first, n = 0, len(edges)
-        while n > 0:
-            half = n >> 1
-            above = edges[first + half] <= value
-            first, n = first + above * (half + 1), half - above * (1 - (n & 1))
-        counts[first] += 1
-    return counts
 
 
 def vehicle_channel(

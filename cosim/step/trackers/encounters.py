@@ -84,75 +84,43 @@ class PairSearch:
         )  # fmt: skip
 
 
-class EncounterTrackers:
-    """One tracker per definition in the config. They are updated in every step, with or without sensing."""
+Encounters = tuple[EncounterTracker, ...]
+"""One tracker per definition in the config. They are updated in every step, with or without sensing."""
 
-    def __init__(self, params: Sequence[EncounterParams], dt_s: float, n_variants: int = 1) -> None:
-        self.trackers = [EncounterTracker(p, dt_s, n_variants) for p in params]
 
-    def update(self, step: int, near: NearPairs) -> tuple[list[Rows], Int[ndarray, "k"], Int[ndarray, "k"]]:
-        """Add one step.
+def update_encounters(
+    trackers: Encounters, step: int, near: NearPairs
+) -> tuple[list[Rows], Int[ndarray, "k"], Int[ndarray, "k"]]:
+    """Add one step to the trackers.
 
-        Parameters
-        ----------
-        step
-            Number of the step.
-        near
-            What `PairSearch` finds for these definitions.
+    Parameters
+    ----------
+    trackers
+        One tracker per definition. They are changed.
+    step
+        Number of the step.
+    near
+        What `PairSearch` finds for these definitions.
 
-        Returns
-        -------
-        Rows of the table `encounters` for encounters that have ended, per definition; and holders and others of the
-        equipped pairs whose encounter begins, in both directions. The caller then calls `first_contact` for these.
-        """
-        closed, begins = [], np.zeros(len(near.a), bool)
-        for tracker in self.trackers:
-            kept = np.flatnonzero(~near.on_foot | tracker.params.pedestrians)
-            rows, opened = tracker.update(
-                step,
-                near.a[kept],
-                near.b[kept],
-                near.distance_m[kept],
-                near.los[tracker.params.los][kept],
-                near.present,
-                near.equipped[kept],
-            )
-            closed.append(rows)
-            begins[kept[opened]] = True
-        begins &= near.equipped
-        a, b = near.a[begins], near.b[begins]
-        return closed, np.concatenate([a, b]), np.concatenate([b, a])
-
-    def first_contact(
-        self,
-        holder: Int[ndarray, "k"],
-        other: Int[ndarray, "k"],
-        trust: Float[ndarray, "k v"],
-        source: Int[ndarray, "k v"],
-        state: Int[ndarray, "k v"],
-        age_s: Float[ndarray, "k v"],
-    ) -> None:
-        """Note the trust that each holder would look up for the other actor now; see `EncounterTracker`."""
-        for tracker in self.trackers:
-            tracker.first_contact(holder, other, trust, source, state, age_s)
-
-    def count_messages(self, sender: Int[ndarray, "m"], receiver: Int[ndarray, "m"]) -> None:
-        """Add the messages received in this step; arguments are actor numbers."""
-        for tracker in self.trackers:
-            tracker.count_messages(sender, receiver)
-
-    def count_evaluations(
-        self, evaluator: Int[ndarray, "m"], observer: Int[ndarray, "m"], n: Int[ndarray, "m"]
-    ) -> None:
-        """Add `n` evaluations by each evaluator of the observer's detections; both are actor numbers."""
-        for tracker in self.trackers:
-            tracker.count_evaluations(evaluator, observer, n)
-
-    def note_trust(self, holder: Int[ndarray, "m"], other: Int[ndarray, "m"], looked_up: Bool[ndarray, "m v"]) -> None:
-        """Note pairs whose holder looked up, in this step, a trust value of the other actor with an evaluation."""
-        for tracker in self.trackers:
-            tracker.note_trust(holder, other, looked_up)
-
-    def close(self, end_step: int) -> list[Rows]:
-        """Rows of the encounters that are open when recording ends; `end_step` is one past the last step."""
-        return [tracker.close(end_step) for tracker in self.trackers]
+    Returns
+    -------
+    Rows of the table `encounters` for encounters that have ended, per definition; and holders and others of the
+    equipped pairs whose encounter begins, in both directions. The caller then calls `first_contact` for these.
+    """
+    closed, begins = [], np.zeros(len(near.a), bool)
+    for tracker in trackers:
+        kept = np.flatnonzero(~near.on_foot | tracker.params.pedestrians)
+        rows, opened = tracker.update(
+            step,
+            near.a[kept],
+            near.b[kept],
+            near.distance_m[kept],
+            near.los[tracker.params.los][kept],
+            near.present,
+            near.equipped[kept],
+        )
+        closed.append(rows)
+        begins[kept[opened]] = True
+    begins &= near.equipped
+    a, b = near.a[begins], near.b[begins]
+    return closed, np.concatenate([a, b]), np.concatenate([b, a])

@@ -6,8 +6,6 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
-from sensors.kernel import compiled
-
 
 @dataclass(frozen=True, slots=True)
 class AuditedEvaluations:
@@ -63,6 +61,9 @@ def audit(
 ) -> dict[str, ndarray]:
     """Columns of the table `evidence`, one row.
 
+    Evaluations with visibility above 0 by vehicles other than the observer count. An echo is one of these by which an
+    attacker confirms a fabricated detection.
+
     Parameters
     ----------
     evaluations, detections
@@ -72,31 +73,13 @@ def audit(
     n_copies
         Number of received frames whose content the receiver had already.
     """
-    by, of, n_echoes = _counting(
-        evaluations.evaluator, evaluations.detection, evaluations.evaluation, evaluations.visibility,
-        detections.message, detections.is_fabricated, attacks,
-    )  # fmt: skip
+    counts = (evaluations.visibility > 0) & (evaluations.evaluator != detections.message[evaluations.detection])
+    by, of = evaluations.evaluator[counts], evaluations.detection[counts]
+    echoes = attacks[by] & detections.is_fabricated[of] & (evaluations.evaluation[counts] > 0)
     row = {
         "n_copies": n_copies,
         "n_evaluations": len(by),
         "n_looks": count_looks(by, of, detections),
-        "n_echoes": n_echoes,
+        "n_echoes": np.count_nonzero(echoes),
     }
     return {name: np.array([value]) for name, value in row.items()}
-
-
-@compiled
-def _counting(evaluator, detection, evaluation, visibility, message, is_fabricated, attacks):
-    """Evaluations with visibility above 0 by vehicles other than the observer.
-
-    Also counts those by which attackers confirm fabricated detections.
-    """
-    by, of = np.empty(len(detection), np.int32), np.empty(len(detection), np.int32)
-    n = n_echoes = 0
-    for row in range(len(detection)):
-        v, d = evaluator[row], detection[row]
-        by[n], of[n] = v, d
-        counts = (visibility[row] > 0) & (v != message[d])
-        n_echoes += counts & attacks[v] & is_fabricated[d] & (evaluation[row] > 0)
-        n += counts
-    return by[:n], of[:n], n_echoes

@@ -96,7 +96,7 @@ def test_a_value_of_the_future_where_no_argument_says_the_step(tmp_path):
     inside = choice.of()
     inside.open_step(*scene["open_step"])
     assert Guarded(choice, inside, latest_step=5).scores(None).step == 5
-    with pytest.raises(ExtensionError, match="step = 5; the step of the call is due, 4"):
+    with pytest.raises(ExtensionError, match="step = 5, but the step of the call, 4, is expected"):
         Guarded(choice, inside, latest_step=4).scores(None)
 
 

@@ -86,7 +86,7 @@ def measure(
             np.add.at(heard, (np.repeat(out.tag, np.diff(out.ptr))[ok], out.receiver[ok]), 1)
             busy.append(out.busy.mean())
             strong.append(out.busy_strong.mean())
-            latency.append(out.latency_s[aired])
+            latency.append(((out.start_ns - out.generated_ns) * 1e-9)[aired])
     return Measured(sent, heard, float(np.mean(busy)), float(np.mean(strong)), np.concatenate(latency))
 
 

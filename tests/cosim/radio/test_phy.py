@@ -2,8 +2,15 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from cosim.radio.phy import BITS_PER_SYMBOL, ReceiverParams, airtime_ns, packet_success
+from cosim.radio.phy import BITS_PER_SYMBOL, CURVES, ReceiverParams, airtime_ns
 from tests.cosim.radio import ns3
+
+
+def packet_success(sinr_db, mpdu_bytes, params):
+    """Probability that a detected frame is free of errors: see `CURVES`."""
+    x0, w = CURVES[params.error_model][params.rate_mbps]
+    with np.errstate(over="ignore"):
+        return np.exp(-mpdu_bytes / 336.0 * np.exp((x0 - sinr_db) / w))
 
 
 def test_noise_of_ten_megahertz():

@@ -8,7 +8,7 @@ import pytest
 from cosim import rng
 from cosim.v2x.cellular import CellularParams, delay_s, transfer_delay_s, within_capacity
 from cosim.v2x.trust_server import Downlink, DownlinkState, LinkStats, ServerParams, TrustBroadcast, Uplink, UplinkState
-from trust.tables import EvaluationMessages, TrustScores
+from trust.tables import SERVER, EvaluationMessages, TrustScores
 
 KEY = rng.key(3, rng.Stream.UPLINK, 1)
 
@@ -122,7 +122,7 @@ ALL = np.arange(3)
 def broadcast(time_s, value=0.3):
     n, step = 3, np.zeros(3, int)
     scores = TrustScores(
-        int(time_s), np.zeros(n, int), np.arange(n), np.full(n, value), np.full(n, np.nan), np.ones(n),
+        int(time_s), np.full(n, SERVER), np.arange(n), np.full(n, value), np.full(n, np.nan), np.ones(n),
         np.ones(n, int), step, step, step, step, np.ones(n, bool),
     )  # fmt: skip
     return TrustBroadcast(time_s, scores)
