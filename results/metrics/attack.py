@@ -11,13 +11,11 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from results.codes import AttackEffect, labels
 from results.metrics.intervals import Estimate, of_units, ratio
 from results.run import Run
 
 THRESHOLDS = (0.1, 0.3, 0.5, 0.7)
 """Scores from which an object counts as believed, where none are given."""
-EFFECTS = labels(AttackEffect)
 AMONG = ("received", "intended")
 """All vehicles that received it, or the one that the attack aims at."""
 HONEST = "honest"

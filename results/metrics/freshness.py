@@ -13,7 +13,7 @@ from results.codes import LookupState, labels
 from results.metrics import lookups, trust
 from results.metrics.encounters import DEFINITION
 from results.metrics.intervals import Estimate, ratio, share, without_interval
-from results.metrics.lookups import AGES, FRESH_S, NO_LOOKUPS, blocks, role_codes
+from results.metrics.lookups import AGES, FRESH_S, NO_LOOKUPS, role_codes
 from results.run import Run
 
 STATES = ("evaluated", "unevaluated", "stale", "no value")
@@ -35,8 +35,8 @@ def evidence(run: Run) -> pd.DataFrame:
     """
     columns = ["n_evaluations", "n_evaluators", "newest_evaluation_age_s", "oldest_evaluation_age_s"]
     known = trust.server_values(run)
-    code, judged = role_codes(run, known["subject"]), known["state"] == LookupState.JUDGED
-    values = {name: known[name].astype(np.float64) for name in columns}
+    code, judged = role_codes(run, known.subject.to_numpy()), (known.state == "judged").to_numpy()
+    values = {name: known[name].to_numpy(np.float64, na_value=np.nan) for name in columns}
     rows = []
     for role in np.unique(code):
         mine = code == role
@@ -183,12 +183,12 @@ def distribution(run: Run, what: str = "newest evaluation") -> pd.DataFrame:
 
 def over_time(run: Run, every_s: float = 10.0) -> pd.DataFrame:
     """Shares of the states by time: time_s, and a column for each of `STATES`."""
+    lookups.sums(run)  # says so where there are none
     parts = []
-    for part in blocks(run, ["step", "state"]):
-        slot, at = np.unique(np.floor(part["step"] * run.dt_s / every_s), return_inverse=True)
-        n = np.bincount(at * len(STATES) + part["state"], minlength=len(slot) * len(STATES))
-        parts.append(pd.DataFrame(n.reshape(-1, len(STATES)), pd.Index(slot * every_s, name="time_s"), STATES))
-    total = pd.concat(parts).groupby("time_s").sum()
+    for part in run.variant_parts("trust_lookups", ["step", "state"]):
+        time_s = (np.floor(part.step * run.dt_s / every_s) * every_s).rename("time_s")
+        parts.append(pd.crosstab(time_s, part.state.cat.codes).reindex(columns=range(len(STATES)), fill_value=0))
+    total = pd.concat(parts).groupby("time_s").sum().set_axis(list(STATES), axis=1)
     return total.div(total.sum(axis=1), axis=0).reset_index()
 
 
@@ -201,7 +201,8 @@ def without_trust(run: Run) -> pd.DataFrame:
     the vehicle that would know), n_units, and wait_median_s: time from the start to the first such value, of those
     that had none at the start.
     """
-    after_ab_s, after_ba_s = run.variant_array("encounters", ["trusted_after_ab_s", "trusted_after_ba_s"]).values()
+    frame = run.variant_table("encounters", ["trusted_after_ab_s", "trusted_after_ba_s"])
+    after_ab_s, after_ba_s = frame.trusted_after_ab_s.to_numpy(), frame.trusted_after_ba_s.to_numpy()
     rows: list[dict[str, Any]] = []
     for kind, at, who in run.once_for_all("freshness.encounters", lambda: _of_equipped(run)):
         after_s = np.r_[after_ab_s[at], after_ba_s[at]]

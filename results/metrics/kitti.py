@@ -86,10 +86,7 @@ def average_precision(
     limit = STRICT[label] if min_overlap is None else min_overlap
     i, j, share = _candidates(truth, found, overlap)
     hit = share > limit
-    return {
-        level: _level(truth, found, label, rank, i[hit], j[hit], share[hit])
-        for rank, level in enumerate(LEVELS)
-    }
+    return {level: _level(truth, found, label, rank, i[hit], j[hit], share[hit]) for rank, level in enumerate(LEVELS)}
 
 
 def _level(

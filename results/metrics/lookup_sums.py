@@ -5,44 +5,6 @@ from numba import njit
 
 
 @njit(cache=True, nogil=True)
-def numbered(wanted, table, keys, n, number):
-    """Write the number of each wanted key to `number`, -1 for keys below 0; new keys get the next numbers.
-
-    `table` is a hash table of numbers (-1: empty, its size a power of two), `keys` are the keys by number, of which
-    `n` are in use. Returns the three for the next call.
-    """
-    for i in range(len(wanted)):
-        if wanted[i] < 0:
-            number[i] = -1
-            continue
-        at = _slot(table, keys, wanted[i])
-        if table[at] < 0:
-            if n == len(keys):
-                more = np.empty(2 * n, np.int64)
-                more[:n] = keys
-                keys, table = more, np.empty(4 * n, np.int64)
-                for k in range(len(table)):
-                    table[k] = -1
-                for k in range(n):
-                    table[_slot(table, keys, keys[k])] = k
-                at = _slot(table, keys, wanted[i])
-            table[at], keys[n] = n, wanted[i]
-            n += 1
-        number[i] = table[at]
-    return table, keys, n
-
-
-@njit(cache=True, nogil=True)
-def _slot(table, keys, key):
-    """Where the table holds the number of a key, or would."""
-    mask = len(table) - 1
-    at = np.int64((np.uint64(key) * np.uint64(0x9E3779B97F4A7C15)) >> np.uint64(32)) & mask
-    while table[at] >= 0 and keys[table[at]] != key:
-        at = (at + 1) & mask
-    return at
-
-
-@njit(cache=True, nogil=True)
 def add(
     variant, receiver, who, state, ages_s, age_number, n_evaluations, n_evaluators, role_of, fresh_s, states, fresh,
     aged, age_sum_s, age_counts, behind, behind_sum,
