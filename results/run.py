@@ -241,7 +241,7 @@ class Run:
     def pieces(
         self, name: str, columns: Sequence[str], n_rows: int = 1_000_000
     ) -> Iterator[tuple[int, dict[str, np.ndarray]]]:
-        """Like `parts`, but as arrays, and blocks of more than `n_rows` rows in several pieces.
+        """Like `parts`, but as arrays, and in pieces of at most `n_rows` rows of one block.
 
         Parameters
         ----------
@@ -250,7 +250,7 @@ class Run:
         columns
             Columns to read; they must be on disk.
         n_rows
-            Rows from which a piece is complete.
+            Largest number of rows of a piece.
 
         Returns
         -------
@@ -262,7 +262,7 @@ class Run:
         for number, path in enumerate(self._paths(name)):
             self._check(path)
             for rows in part_reader.read_pieces(path, columns, n_rows):
-                yield number, {c: part_reader.plain(rows.column(c).combine_chunks(), labels[c]) for c in columns}
+                yield number, {c: part_reader.plain(rows.column(c), labels[c]) for c in columns}
 
     def _of_variant(self, name: str, where: pc.Expression | None) -> tuple[pc.Expression | None, virtual_columns.Read]:
         """Which rows are the variant's, and how parts are read."""

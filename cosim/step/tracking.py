@@ -90,14 +90,15 @@ def count_in_encounters(
 ) -> EncounterTrackers:  # fmt: skip
     """Add a step's messages, look-ups and evaluations to the open encounters."""
     actor, vehicle = exchange.vehicles.actor, exchange.senders.vehicle
-    for broadcast in rounds:
-        found = broadcast.links.vehicles
-        encounters.count_messages(actor[vehicle[found.message]], actor[found.receiver])
+    received = [broadcast.links.vehicles for broadcast in rounds]
     used = looked_up.messages
     is_known = np.stack([found.is_known for found in looked_up.lookups], axis=1)
-    encounters.note_trust(actor[used.receiver], actor[vehicle[used.message]], is_known)
     evaluator, observer, n = _evaluated(matched.lists.ptr, matched.lists.member, listed.detections.message, vehicle)
-    encounters.count_evaluations(actor[evaluator], actor[observer], n)
+    for tracker in encounters.trackers:
+        for found in received:
+            tracker.count_messages(actor[vehicle[found.message]], actor[found.receiver])
+        tracker.note_trust(actor[used.receiver], actor[vehicle[used.message]], is_known)
+        tracker.count_evaluations(actor[evaluator], actor[observer], n)
     return encounters
 
 

@@ -56,7 +56,9 @@ def follow_encounters(
     subject = parts.linkage.subjects(pseudonyms, pseudonyms.of(other))
     known = parts.trust.per_variant(parts.trust.lookup(trust, holder, subject, now.begin_s))
     columns = ([getattr(found, name) for found in known] for name in ("trust", "source", "state", "age_s"))
-    encounters.first_contact(holder, other, *(np.stack(column, axis=1) for column in columns))
+    found = [np.stack(column, axis=1) for column in columns]
+    for tracker in encounters.trackers:
+        tracker.first_contact(holder, other, *found)
     return encounters, trust, closed
 
 

@@ -103,7 +103,8 @@ class EncounterTrackers:
         Returns
         -------
         Rows of the table `encounters` for encounters that have ended, per definition; and holders and others of the
-        equipped pairs whose encounter begins, in both directions. The caller then calls `first_contact` for these.
+        equipped pairs whose encounter begins, in both directions. The caller then calls `first_contact` of every
+        tracker for these.
         """
         closed, begins = [], np.zeros(len(near.a), bool)
         for tracker in self.trackers:
@@ -122,36 +123,6 @@ class EncounterTrackers:
         begins &= near.equipped
         a, b = near.a[begins], near.b[begins]
         return closed, np.concatenate([a, b]), np.concatenate([b, a])
-
-    def first_contact(
-        self,
-        holder: Int[ndarray, "k"],
-        other: Int[ndarray, "k"],
-        trust: Float[ndarray, "k v"],
-        source: Int[ndarray, "k v"],
-        state: Int[ndarray, "k v"],
-        age_s: Float[ndarray, "k v"],
-    ) -> None:
-        """Note the trust that each holder would look up for the other actor now; see `EncounterTracker`."""
-        for tracker in self.trackers:
-            tracker.first_contact(holder, other, trust, source, state, age_s)
-
-    def count_messages(self, sender: Int[ndarray, "m"], receiver: Int[ndarray, "m"]) -> None:
-        """Add the messages received in this step; arguments are actor numbers."""
-        for tracker in self.trackers:
-            tracker.count_messages(sender, receiver)
-
-    def count_evaluations(
-        self, evaluator: Int[ndarray, "m"], observer: Int[ndarray, "m"], n: Int[ndarray, "m"]
-    ) -> None:
-        """Add `n` evaluations by each evaluator of the observer's detections; both are actor numbers."""
-        for tracker in self.trackers:
-            tracker.count_evaluations(evaluator, observer, n)
-
-    def note_trust(self, holder: Int[ndarray, "m"], other: Int[ndarray, "m"], looked_up: Bool[ndarray, "m v"]) -> None:
-        """Note pairs whose holder looked up, in this step, a trust value of the other actor with an evaluation."""
-        for tracker in self.trackers:
-            tracker.note_trust(holder, other, looked_up)
 
     def close(self, end_step: int) -> list[Rows]:
         """Rows of the encounters that are open when recording ends; `end_step` is one past the last step."""
