@@ -12,7 +12,7 @@ import pandas as pd
 from results.codes import LookupState, labels
 from results.metrics import lookups, trust
 from results.metrics.encounters import DEFINITION
-from results.metrics.intervals import Estimate, ratio, share, without_interval
+from results.metrics.intervals import plain_columns, ratio, share, without_interval
 from results.metrics.lookups import AGES, FRESH_S, NO_LOOKUPS, role_codes
 from results.run import Run
 
@@ -59,14 +59,14 @@ def states(run: Run) -> pd.DataFrame:
     if "trust_lookups" not in run.tables:
         total = _totals(run).n
         return pd.DataFrame([
-            {"role": "all", "state": state, "n": int(n)} | _columns(without_interval(n / total.sum()), "share")
+            {"role": "all", "state": state, "n": int(n)} | plain_columns(without_interval(n / total.sum()), "share")
             for state, n in total.items()
         ])  # fmt: skip
     counts, rows = lookups.sums(run).states, []
     for role, of_role in _with_all(run, counts):
         n_lookups = of_role.sum(axis=1)
         for state, n in zip(STATES, of_role.T, strict=True):
-            rows.append({"role": role, "state": state, "n": int(n.sum())} | _columns(share(n, n_lookups), "share"))
+            rows.append({"role": role, "state": state, "n": int(n.sum())} | plain_columns(share(n, n_lookups), "share"))
     return pd.DataFrame(rows)
 
 
@@ -90,7 +90,7 @@ def ages(run: Run) -> pd.DataFrame:
                 counts = found.age_counts[chosen, number].sum(axis=0)
                 median_s, p90_s = quantiles(lookups.ages_s(run), counts, (0.5, 0.9))
                 rows.append({
-                    "what": what, "role": role, "n": int(n.sum()), **_columns(ratio(total_s, n), "mean_s"),
+                    "what": what, "role": role, "n": int(n.sum()), **plain_columns(ratio(total_s, n), "mean_s"),
                     "median_s": median_s, "p90_s": p90_s,
                 })  # fmt: skip
     if not rows:
@@ -142,7 +142,7 @@ def age_over_time(run: Run) -> pd.DataFrame:
 def _of_renewed(total: np.ndarray, n: np.ndarray, name: str) -> pd.DataFrame:
     """Sums over numbers by what is renewed: what, n, and the ratio under this name with its interval."""
     rows = [
-        {"what": what, "n": float(of.sum())} | _columns(ratio(sums, of), name)
+        {"what": what, "n": float(of.sum())} | plain_columns(ratio(sums, of), name)
         for what, sums, of in zip(lookups.RENEWED, total.T, n.T, strict=True) if of.sum()
     ]  # fmt: skip
     return pd.DataFrame(rows, columns=["what", "n", name, "low", "high", "n_units"])
@@ -158,7 +158,10 @@ def within(run: Run, fresh_s: float = FRESH_S) -> pd.DataFrame:
     found = lookups.sums(run, fresh_s)
     counts = np.stack([found.fresh, found.states.sum(axis=2)], axis=2)
     return pd.DataFrame(
-        [{"role": role, "n": int(n[:, 1].sum())} | _columns(share(*n.T), "share") for role, n in _with_all(run, counts)]
+        [
+            {"role": role, "n": int(n[:, 1].sum())} | plain_columns(share(*n.T), "share")
+            for role, n in _with_all(run, counts)
+        ]
     )
 
 
@@ -167,7 +170,8 @@ def behind(run: Run) -> pd.DataFrame:
     found, rows = lookups.sums(run), []
     for column, n, total in zip(lookups.BEHIND, found.behind.T, found.behind_sum.T, strict=True):
         if n.sum():
-            rows.append({"what": column.removeprefix("n_"), "n": int(n.sum())} | _columns(ratio(total, n), "mean"))
+            mean = plain_columns(ratio(total, n), "mean")
+            rows.append({"what": column.removeprefix("n_"), "n": int(n.sum())} | mean)
     return pd.DataFrame(rows, columns=["what", "n", "mean", "low", "high", "n_units"])
 
 
@@ -210,7 +214,8 @@ def without_trust(run: Run) -> pd.DataFrame:
         without = np.isnan(after_s)
         rows.append({
             **dict(zip(DEFINITION, kind, strict=True)), "n": len(after_s),
-            "n_without": int(without.sum()), **_columns(share(np.bincount(who, without), np.bincount(who)), "share"),
+            "n_without": int(without.sum()),
+            **plain_columns(share(np.bincount(who, without), np.bincount(who)), "share"),
             "wait_median_s": float(np.median(waited_s)) if len(waited_s) else np.nan,
         })  # fmt: skip
     columns = [*DEFINITION, "n", "n_without", "share", "low", "high", "n_units"]
@@ -242,7 +247,7 @@ def _ages_of_totals(run: Run) -> pd.DataFrame:
     counts = {"value": int(total.n_valued.sum()), "newest evaluation": n_known, "oldest evaluation": n_known}
     rows = [
         {"what": what, "role": "all", "n": n, "median_s": np.nan, "p90_s": np.nan}
-        | _columns(without_interval(float(total[column.replace("_s", "_sum_s")].sum()) / n), "mean_s")
+        | plain_columns(without_interval(float(total[column.replace("_s", "_sum_s")].sum()) / n), "mean_s")
         for (what, column), n in zip(AGES.items(), counts.values(), strict=True)
         if n
     ]
@@ -257,10 +262,6 @@ def _with_all(run: Run, counts: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
     for code, role in enumerate(run.role_labels):
         if counts[:, code].any():
             yield role, counts[:, code]
-
-
-def _columns(estimate: Estimate, value: str) -> dict[str, float]:
-    return {value: estimate.value, "low": estimate.low, "high": estimate.high, "n_units": estimate.n_units}
 
 
 def quantiles(values: np.ndarray, counts: np.ndarray, shares: tuple[float, ...]) -> list[float]:

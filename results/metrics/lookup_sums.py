@@ -86,21 +86,6 @@ def add_watched(
 
 
 @njit(cache=True, nogil=True)
-def settle(who, over, first_step, low_step, seen_step, role_of, waited, pairs, pairs_found):
-    """Add the pairs that are over: by role, found or not, how many steps they waited; and pairs by subject."""
-    for v in range(first_step.shape[0]):
-        for p in range(len(who)):
-            if not over[p] or first_step[v, p] < 0:
-                continue
-            found = low_step[v, p] >= 0
-            until = low_step[v, p] if found else seen_step[v, p]
-            waited[v, role_of[who[p]], 1 if found else 0, until - first_step[v, p]] += 1
-            pairs[v, who[p]] += 1
-            if found:
-                pairs_found[v, who[p]] += 1
-
-
-@njit(cache=True, nogil=True)
 def new_lows(variant, who, step, trust, n_evaluations, since, lowest):
     """Where trust that rests on an evaluation is lower than ever from step `since` on, by subject; `lowest` by variant
     and subject goes down with it."""

@@ -346,13 +346,14 @@ class _Adding:
         self.of_pairs = {name: table[:, ~over] for name, table in self.of_pairs.items()}
 
     def _settle(self, over: ndarray) -> None:
-        from results.metrics import lookup_sums
-
-        pairs, mine = self.of_pairs, self.of_subjects
-        lookup_sums.settle(
-            self.pairs.keys & 0xFFFFFFFF, over, pairs["first_step"], pairs["low_step"], pairs["seen_step"],
-            self.role_of, self.waited, mine["pairs"], mine["pairs_found"],
-        )  # fmt: skip
+        """Add the pairs that are over: by role, found or not, how many steps they waited; and pairs by subject."""
+        variant, pair = np.nonzero(over & (self.of_pairs["first_step"] >= 0))
+        who = (self.pairs.keys & 0xFFFFFFFF)[pair]
+        first, low, seen = (self.of_pairs[f"{name}_step"][variant, pair] for name in ("first", "low", "seen"))
+        found = low >= 0
+        np.add.at(self.waited, (variant, self.role_of[who], found.astype(int), np.where(found, low, seen) - first), 1)
+        np.add.at(self.of_subjects["pairs"], (variant, who), 1)
+        np.add.at(self.of_subjects["pairs_found"], (variant[found], who[found]), 1)
 
 
 def _trust_of(keys: Int[ndarray, "n"]) -> Float[ndarray, "n"]:
