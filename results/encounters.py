@@ -203,28 +203,26 @@ class EncounterTracker:
         self._merge(np.zeros(len(self), bool), self._pair[:0], {})
         return closed
 
-    def count_messages(
-        self, sender: Int[ndarray, "n"], receiver: Int[ndarray, "n"], n: Int[ndarray, "n"] | None = None
-    ) -> None:
+    def count_messages(self, sender: Int[ndarray, "n"], receiver: Int[ndarray, "n"]) -> None:
         """Add messages received; those of pairs without an encounter under way are left out."""
-        self._count("messages", sender, receiver, n)
+        at = self._slots(receiver, sender)  # messages go by receiver
+        counters = self._live["n_messages_ab"], self._live["n_messages_ba"]
+        encounter_counts.count(at, sender, receiver, np.zeros(0, np.int64), *counters)
 
     def count_evaluations(
-        self, evaluator: Int[ndarray, "n"], observer: Int[ndarray, "n"], n: Int[ndarray, "n"] | None = None
+        self, evaluator: Int[ndarray, "n"], observer: Int[ndarray, "n"], n: Int[ndarray, "n"]
     ) -> None:
-        """Add evaluations of `evaluator` on detections of `observer`."""
-        self._count("evaluations", evaluator, observer, n)
+        """Add `n` evaluations by each `evaluator` of detections of `observer`."""
+        at = self._slots(evaluator, observer)
+        counters = self._live["n_evaluations_ab"], self._live["n_evaluations_ba"]
+        encounter_counts.count(at, evaluator, observer, np.asarray(n, np.int64), *counters)
 
-    def note_trust(
-        self, holder: Int[ndarray, "n"], other: Int[ndarray, "n"], looked_up: Bool[ndarray, "n v"] | None = None
-    ) -> None:
+    def note_trust(self, holder: Int[ndarray, "n"], other: Int[ndarray, "n"], looked_up: Bool[ndarray, "n v"]) -> None:
         """Note which holders look up, in this step, a trust value that rests on an evaluation, for which other.
 
-        `looked_up` says in which trust variants; left out, in all.
+        `looked_up` says in which trust variants.
         """
         assert self._step is not None
-        if looked_up is None:
-            looked_up = np.ones((len(holder), self.n_variants), bool)
         columns = (self._live[f"{name}_{way}"] for name in ("trusted", "trusted_step") for way in ("ab", "ba"))
         encounter_counts.note(self._slots(holder, other), holder, other, looked_up, self._step, *columns)
 
@@ -258,12 +256,6 @@ class EncounterTracker:
             self._live[f"source_{name}"][where] = source[rows]
             self._live[f"state_{name}"][where] = state[rows]
             self._live[f"age_{name}_s"][where] = np.where(source[rows] == TrustSource.DEFAULT, 0, age_s[rows])
-
-    def _count(self, what: str, one: ndarray, other: ndarray, n: ndarray | None) -> None:
-        added = np.zeros(0, np.int64) if n is None else np.asarray(n, np.int64)
-        counters = self._live[f"n_{what}_ab"], self._live[f"n_{what}_ba"]
-        at = self._slots(other, one) if what == "messages" else self._slots(one, other)  # messages go by receiver
-        encounter_counts.count(at, one, other, added, *counters)
 
     def _slots(self, one: ndarray, other: ndarray) -> Int[ndarray, "n"]:
         """Slot of the encounter of each two, -1 where none is under way."""

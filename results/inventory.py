@@ -61,10 +61,8 @@ class Block:
     def line(self, before: str) -> tuple["Block", bytes]:
         """The block with its checksum, and the line that says it."""
         text = json.dumps(asdict(self) | {"chain": before}, separators=(",", ":"))
-        digest = hashlib.sha256(text.encode()).hexdigest()
-        content = asdict(self) | {"chain": digest}
-        chained = Block(**{name: getattr(self, name) for name in self.__slots__ if name != "chain"}, chain=digest)
-        return chained, json.dumps(content, separators=(",", ":")).encode()
+        chained = replace(self, chain=hashlib.sha256(text.encode()).hexdigest())
+        return chained, json.dumps(asdict(chained), separators=(",", ":")).encode()
 
 
 @dataclass(frozen=True, slots=True)

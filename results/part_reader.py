@@ -40,16 +40,11 @@ def read(path: Path, names: Sequence[str], where: pc.Expression | None) -> pa.Ta
         return pq.read_table(path, columns=list(names), filters=where, partitioning=None)
 
 
-def read_pieces(path: Path, names: Sequence[str], n_rows: int) -> Iterator[pa.Table]:
-    """Columns of a part, as many row groups at once as have so many rows, or a little more; errors as `read`."""
+def read_pieces(path: Path, names: Sequence[str], n_rows: int) -> Iterator[pa.RecordBatch]:
+    """Columns of a part, at most so many rows at once; errors as `read`."""
     with _readable(path, names), pq.ParquetFile(path) as file:
-        groups, n_read = [], 0
-        for group in range(file.num_row_groups):
-            groups.append(group)
-            n_read += file.metadata.row_group(group).num_rows
-            if n_read >= n_rows or group + 1 == file.num_row_groups:
-                yield file.read_row_groups(groups, list(names)).select(list(names))
-                groups, n_read = [], 0
+        for rows in file.iter_batches(n_rows, columns=list(names)):
+            yield rows.select(list(names))
 
 
 @contextmanager

@@ -8,14 +8,15 @@ from pathlib import Path
 from types import TracebackType
 
 import numpy as np
+import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy import ndarray
-from pandas.util import hash_array
+from pandas.util import hash_pandas_object
 
 from results import durable, inventory
 from results.codes import BASE_VARIANT, Role, labels
-from results.columns import Column, Level
+from results.columns import Level
 from results.durable import Damaged
 from results.inventory import CHECKPOINT, Block, Inventory
 from results.part_encoder import PartEncoder
@@ -241,39 +242,13 @@ def fingerprint(folder: Path) -> dict[str, str]:
 
 def _table_hash(table: str, folder: Path) -> str:
     """Rows are hashed one by one and summed, so that neither order nor block counts."""
-    totals = np.zeros(2, np.uint64)
-    n = 0
+    total, n = np.zeros(1, np.uint64), 0
+    nullable = {pa.int32(): pd.Int32Dtype(), pa.int16(): pd.Int16Dtype(), pa.bool_(): pd.BooleanDtype()}
     for part in sorted(folder.glob("part-*.parquet")):
         for batch in pq.ParquetFile(part).iter_batches(1 << 20):
-            rows = np.zeros(len(batch), np.uint64)
-            for name, column in TABLES[table].stored.items():
-                rows = _mix(rows ^ _cell_hash(batch.column(name), column))
-            totals += np.array([rows.sum(dtype=np.uint64), _mix(rows).sum(dtype=np.uint64)])
-            n += len(batch)
-    text = f"{schema(table).to_string()} {n} {totals[0]:x} {totals[1]:x}"
-    return hashlib.sha256(text.encode()).hexdigest()[:32]
-
-
-def _cell_hash(cells: pa.Array, column: Column) -> ndarray:
-    valid = cells.is_valid().to_numpy(zero_copy_only=False)
-    if isinstance(cells, pa.DictionaryArray):
-        cells = cells.cast(pa.string())
-    if column.type in ("category", "string"):
-        values = hash_array(cells.fill_null("").to_numpy(zero_copy_only=False), categorize=False)
-    elif column.type == "float32":
-        values = (cells.fill_null(0).to_numpy() + np.float32(0)).view(np.uint32).astype(np.uint64)
-    elif column.type == "float64":
-        values = (cells.fill_null(0).to_numpy() + 0.0).view(np.uint64)
-    elif column.type == "bool":
-        values = cells.fill_null(False).to_numpy(zero_copy_only=False).astype(np.uint64)
-    else:
-        values = cells.fill_null(0).to_numpy().astype(np.int64).view(np.uint64)
-    return np.where(valid, _mix(values), np.uint64(1))
-
-
-def _mix(x: ndarray) -> ndarray:
-    """Finaliser of SplitMix64 (Steele, Lea and Flood 2014)."""
-    x = x + np.uint64(0x9E3779B97F4A7C15)
-    x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-    x = (x ^ (x >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-    return x ^ (x >> np.uint64(31))
+            rows = batch.to_pandas(types_mapper=nullable.get)
+            floats = rows.select_dtypes("floating").columns
+            rows[floats] = rows[floats] + 0.0  # makes one zero of two
+            total += hash_pandas_object(rows, index=False).to_numpy().sum(dtype=np.uint64)
+            n += len(rows)
+    return hashlib.sha256(f"{schema(table).to_string()} {n} {total[0]:x}".encode()).hexdigest()[:32]

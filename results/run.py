@@ -228,36 +228,9 @@ class Run:
         wanted = list(TABLES["encounters"].columns if columns is None else columns)
         own = [c for c in TABLES["encounter_trust"].columns if c != "variant"]
         key = [c for c in own if c in TABLES["encounters"].key]
-        if where is not None:
-            mine = self._table("encounter_trust", own, *self._of_variant("encounter_trust", None))
-            kept = [c for c in TABLES["encounters"].columns if c in key or (c in wanted and c not in own)]
-            return self.table("encounters", kept, where).merge(mine, on=key, how="left")[wanted]
-        frame, at = self.encounters, self._encounter_rows()
-        values = [c for c in wanted if c in own and c not in key]
-        mine = self._table("encounter_trust", values, *self._of_variant("encounter_trust", None))
-        return pd.DataFrame({c: (mine[c].take(at) if c in values else frame[c]).array for c in wanted})
-
-    def _encounter_rows(self) -> np.ndarray:
-        """Row in `encounter_trust`, of the variant's own, of each row of `encounters`."""
-        return self.once_for_all("rows of encounters", self._rows_of_encounters)[self.variants.index(self.variant)]
-
-    def _rows_of_encounters(self) -> dict[int, np.ndarray]:
-        """The same rows by variant; searched once if all variants have the same order, as the recorder writes."""
-        key = list(TABLES["encounters"].key)
-        base, rows = self._array_of("encounters", key), self._array_of("encounter_trust", ["variant", *key])
-        order = np.argsort(rows["variant"], kind="stable")
-        ends = np.searchsorted(rows["variant"][order], np.arange(len(self.variants) + 1))
-        found: dict[int, np.ndarray] = {}
-        before: list[np.ndarray] = []
-        for variant in range(1, len(self.variants)):
-            keys = [rows[c][order[ends[variant] : ends[variant + 1]]] for c in key]
-            if not before or not all(map(np.array_equal, keys, before)):
-                assert len(keys[0]) == len(base["a"]), "encounters and encounter_trust have the same encounters"
-                at = np.empty(len(keys[0]), np.int64)
-                at[np.lexsort([base[c] for c in key[::-1]])] = np.lexsort(keys[::-1])
-                before = keys
-            found[variant] = at
-        return found
+        mine = self._table("encounter_trust", own, *self._of_variant("encounter_trust", None))
+        kept = [c for c in TABLES["encounters"].columns if c in key or (c in wanted and c not in own)]
+        return self.table("encounters", kept, where).merge(mine, on=key, how="left")[wanted]
 
     def variant_parts(
         self, name: str, columns: Sequence[str] | None = None, where: pc.Expression | None = None
@@ -265,53 +238,31 @@ class Run:
         """Like `parts`, but only rows of the run's `variant`."""
         return self._parts(name, columns, *self._of_variant(name, where))
 
-    def variant_arrays(self, name: str, columns: Sequence[str]) -> Iterator[dict[str, np.ndarray]]:
-        """Like `variant_parts`, but with arrays: labels become codes (-1 for null), nullable numbers floats."""
-        return self._arrays(name, columns, *self._of_variant(name, None))
-
-    def variant_array(self, name: str, columns: Sequence[str]) -> dict[str, np.ndarray]:
-        """Like `variant_arrays`, but all blocks in one; the trust columns of `encounters` are those of the variant."""
-        if name == "encounters" and self.variant != BASE_VARIANT:
-            own = [c for c in columns if c in TABLES["encounter_trust"].columns and c not in TABLES[name].key]
-            mine, others = self.variant_array("encounter_trust", own), [c for c in columns if c not in own]
-            found = {c: values[self._encounter_rows()] for c, values in mine.items()}
-            return found | (self._array_of(name, others) if others else {})
-        return self._joined(name, columns, self.variant_arrays(name, columns))
-
-    def _array_of(self, name: str, columns: Sequence[str]) -> dict[str, np.ndarray]:
-        """The same, rows of all variants."""
-        return self._joined(name, columns, self.arrays(name, columns))
-
-    def _joined(
-        self, name: str, columns: Sequence[str], blocks: Iterator[dict[str, np.ndarray]]
-    ) -> dict[str, np.ndarray]:
-        empty = self._wanted(name, columns).empty_table()
-        parts = [{c: part_reader.plain(empty.column(c).combine_chunks(), ()) for c in columns}, *blocks]
-        return {c: np.concatenate([part[c] for part in parts]) for c in columns}
-
-    def arrays(self, name: str, columns: Sequence[str]) -> Iterator[dict[str, np.ndarray]]:
-        """The same, rows of all variants."""
-        return self._arrays(name, columns, None, self._part)
-
-    def _arrays(
-        self, name: str, columns: Sequence[str], where: pc.Expression | None, part: virtual_columns.Read
-    ) -> Iterator[dict[str, np.ndarray]]:
-        wanted = self._wanted(name, columns)
-        labels = {c: TABLES[name].columns[c].labels(self.manifest) for c in wanted.names}
-        for path in self._paths(name):
-            rows = virtual_columns.read(part, path, wanted.names, where)
-            yield {c: part_reader.plain(rows.column(c).combine_chunks(), labels[c]) for c in wanted.names}
-
     def pieces(
         self, name: str, columns: Sequence[str], n_rows: int = 1_000_000
     ) -> Iterator[tuple[int, dict[str, np.ndarray]]]:
-        """The same, blocks of more rows than that in pieces of some more each; with the number of its block."""
+        """Like `parts`, but as arrays, and in pieces of at most `n_rows` rows of one block.
+
+        Parameters
+        ----------
+        name
+            Name of the table.
+        columns
+            Columns to read; they must be on disk.
+        n_rows
+            Largest number of rows of a piece.
+
+        Returns
+        -------
+        The number of the block and its columns, piece by piece. Labels become codes (-1 for null), and numbers that may
+        be null become floats.
+        """
         assert not virtual_columns.names(TABLES[name], columns, None), "columns that are on disk"
         labels = {c: TABLES[name].columns[c].labels(self.manifest) for c in self._wanted(name, columns).names}
         for number, path in enumerate(self._paths(name)):
             self._check(path)
             for rows in part_reader.read_pieces(path, columns, n_rows):
-                yield number, {c: part_reader.plain(rows.column(c).combine_chunks(), labels[c]) for c in columns}
+                yield number, {c: part_reader.plain(rows.column(c), labels[c]) for c in columns}
 
     def _of_variant(self, name: str, where: pc.Expression | None) -> tuple[pc.Expression | None, virtual_columns.Read]:
         """Which rows are the variant's, and how parts are read."""
@@ -414,9 +365,7 @@ class Run:
     def __getattr__(self, name: str) -> pd.DataFrame:
         if name not in TABLES:
             raise AttributeError(f"A run has no {name!r}. The tables are {', '.join(TABLES)}.")
-        if name not in self._common:
-            self._common[name] = self.table(name)
-        return self._common[name]
+        return self.once_for_all(name, lambda: self.table(name))
 
     def __repr__(self) -> str:
         return f"Run({str(self.path)!r}: {self.manifest['steps']} steps, tables {', '.join(self.tables)})"
@@ -424,10 +373,11 @@ class Run:
     @property
     def roles(self) -> pd.Series:
         """Role by actor number, equipped vehicles only."""
-        if "roles of vehicles" not in self._common:
-            vehicles = self.table("vehicles", ["vehicle", "equipped", "role"])
-            self._common["roles of vehicles"] = vehicles[vehicles.equipped].set_index("vehicle").role
-        return self._common["roles of vehicles"]
+        return self.once_for_all("roles of vehicles", self._roles)
+
+    def _roles(self) -> pd.Series:
+        vehicles = self.table("vehicles", ["vehicle", "equipped", "role"])
+        return vehicles[vehicles.equipped].set_index("vehicle").role
 
     @property
     def subjects(self) -> pd.DataFrame:
@@ -435,11 +385,11 @@ class Run:
 
         Only this table joins pseudonyms, which trust knows, with true identities.
         """
-        if "roles of pseudonyms" not in self._common:
-            vehicles = self.table("vehicles", ["vehicle", "role", "attack_start_step"]).set_index("vehicle")
-            found = self.table("pseudonyms").set_index("pseudonym").join(vehicles, on="vehicle")
-            self._common["roles of pseudonyms"] = found
-        return self._common["roles of pseudonyms"]
+        return self.once_for_all("roles of pseudonyms", self._subjects)
+
+    def _subjects(self) -> pd.DataFrame:
+        vehicles = self.table("vehicles", ["vehicle", "role", "attack_start_step"]).set_index("vehicle")
+        return self.table("pseudonyms").set_index("pseudonym").join(vehicles, on="vehicle")
 
     @property
     def role_labels(self) -> tuple[str, ...]:

@@ -18,8 +18,6 @@ from results.metrics.registry import TOPICS, bounds_of, present_names
 from results.spreadsheet import csv_of
 
 _log = logging.getLogger(__name__)
-_WITHIN = ["radius_m", "pairs"]
-"""Columns read off the group of encounter metrics, which names the definition."""
 
 
 class Study:

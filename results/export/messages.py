@@ -1,6 +1,8 @@
 """Received messages with the self reports in them, for the layouts of misbehaviour data sets."""
 
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import pandas as pd
@@ -8,7 +10,7 @@ import pyarrow.compute as pc
 from jaxtyping import Int
 from numpy import ndarray
 
-from results.export.moments import Selection
+from results.export.moments import Clouds, File, Selection, Unit
 
 TABLES = ("actors", "vehicles", "pseudonyms", "detections", "receptions")
 
@@ -66,6 +68,12 @@ class Messages:
         found = found[found.step.isin(self.selection.steps)]
         return found.rename(columns={"actor": "vehicle"}).sort_values(["vehicle", "step"], ignore_index=True)
 
+    def units(self, files: Callable[["Messages", list[int], Clouds], Iterator[File]]) -> list[Unit]:
+        """Units of work that each make the files of some receivers."""
+        vehicles = self.selection.vehicles
+        blocks = [list(vehicles[i : i + RECEIVERS]) for i in range(0, len(vehicles), RECEIVERS)]
+        return [Unit(f"receivers {b[0]} to {b[-1]}", partial(files, self, b)) for b in blocks]
+
     def received(self, receivers: list[int]) -> Received:
         """What these vehicles received."""
         columns = ["step", "sender", "receiver", "generation_offset_s", "latency_s"]
@@ -77,8 +85,3 @@ class Messages:
         got["receive_s"] = got.send_s + got.latency_s
         order = ["receiver", "receive_s", "sender"]
         return Received(self.own(receivers), got.sort_values(order, ignore_index=True))
-
-
-def chunks(vehicles: tuple[int, ...]) -> list[list[int]]:
-    """The receivers of each unit of work."""
-    return [list(vehicles[i : i + RECEIVERS]) for i in range(0, len(vehicles), RECEIVERS)]

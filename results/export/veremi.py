@@ -36,11 +36,8 @@ class Veremi:
     def plan(self, selection: Selection) -> Plan:
         """Receivers in blocks, then the ground truth."""
         sent = Messages(selection)
-        units = [
-            Unit(f"receivers {c[0]} to {c[-1]}", partial(_receivers, sent, c))
-            for c in messages.chunks(selection.vehicles)
-        ] + [Unit("ground truth", partial(_ground_truth, sent))]  # fmt: skip
-        n = sum(len(part) for part in selection.run.parts("receptions", ["step"]))
+        units = [*sent.units(_receivers), Unit("ground truth", partial(_ground_truth, sent))]
+        n = selection.run.n_rows("receptions")
         return Plan(tuple(units), 0, 0, float(LINE_BYTES) * (0.5 * n + len(sent.sent)))
 
 

@@ -36,12 +36,9 @@ class VeremiNextGen:
     def plan(self, selection: Selection) -> Plan:
         """Receivers in blocks."""
         sent = Messages(selection)
-        units = [
-            Unit(f"receivers {c[0]} to {c[-1]}", partial(_receivers, sent, c))
-            for c in messages.chunks(selection.vehicles)
-        ]  # fmt: skip
-        units.append(Unit("names", lambda clouds: iter([File("vehicles.csv", partial(kitti.names_csv, selection))])))
-        n = sum(len(part) for part in selection.run.parts("receptions", ["step"]))
+        names = Unit("names", lambda clouds: iter([File("vehicles.csv", partial(kitti.names_csv, selection))]))
+        units = [*sent.units(_receivers), names]
+        n = selection.run.n_rows("receptions")
         return Plan(tuple(units), 0, 0, 0.5 * MESSAGE_BYTES * n)
 
 

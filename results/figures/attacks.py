@@ -22,17 +22,15 @@ def draw(runs: Sequence[Run]) -> Figure:
 
     Attacks are told apart by the keys in which their sections differ; the dashed line is the first attack.
     """
-    style.need(runs)
-    variants = [run.as_variant(name) for run in runs for name in run.variants]
+    variants, titles = style.variants_of(runs)
     columns = min(4, len(variants))
     rows = -(-len(variants) // columns)
     figure, panels = style.sheet(columns, 2.6 * columns + 0.4, 0.7 + 2.0 * rows, rows)
     names = labels(runs[0])
     if any(labels(run) != names for run in runs[1:]):
         raise ValueError("The runs have different attacks. Draw them one by one.")
-    for i, (axes, run) in enumerate(zip(panels, variants, strict=False)):
+    for i, (axes, run, title) in enumerate(zip(panels, variants, titles, strict=False)):
         _panel(axes, run)
-        title = run.variant if len(runs) == 1 else f"{run.path.name}, {run.variant}"
         is_last, is_first = i >= len(variants) - columns, i % columns == 0
         style.panel(axes, title, style.TIME if is_last else "", "Trust (median)" if is_first else "")
     for axes in panels[len(variants) :]:

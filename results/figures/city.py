@@ -33,11 +33,7 @@ def draw(
     margin = 0.02 * span.max()
     axes.set_xlim(low[0] - margin, high[0] + margin)
     axes.set_ylim(low[1] - margin, high[1] + margin)
-    axes.set_aspect("equal")
-    axes.grid(visible=False)
-    axes.set_title(title)
-    axes.set_xlabel("East [m]")
-    axes.set_ylabel("North [m]")
+    style.map_panel(axes, title)
     if attribution:
         axes.annotate(
             attribution, (1, 0), xycoords="axes fraction", xytext=(-3, 3), textcoords="offset points", ha="right",

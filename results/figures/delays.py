@@ -22,8 +22,7 @@ def draw(runs: Sequence[Run], threshold: float = 0.25) -> Figure:
 
     One line per trust variant (the acting one alone revokes); those who leave before are censored.
     """
-    style.need(runs)
-    variants = [run.as_variant(name) for run in runs for name in run.variants]
+    variants, names = style.variants_of(runs)
     panels = {f"Below {threshold:g} at the server": [(i, misbehaviour.detection_delay(run, threshold, "server"))
               for i, run in enumerate(variants)]}  # fmt: skip
     if all("trust_lookups" in run.tables for run in variants):
@@ -41,7 +40,6 @@ def draw(runs: Sequence[Run], threshold: float = 0.25) -> Figure:
         style.panel(axes, title, "Time since the first attack [s]", "Share of attackers" if axes is all_axes[0] else "")
         style.share_axis(axes)
         axes.set_xlim(left=0)
-    names = [run.variant if len(runs) == 1 else f"{run.path.name}, {run.variant}" for run in variants]
     style.legend(figure, [
         Line2D([], [], color=colours[i], linestyle=style.dash(i), label=name) for i, name in enumerate(names)
     ])  # fmt: skip

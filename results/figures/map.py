@@ -44,10 +44,8 @@ def draw(runs: Sequence[Run], cell_m: float = 25.0, radius_m: float | None = Non
     for axes, run, run_name, street, rate, (_, x, y) in each:
         axes.scatter(street[:, 0], street[:, 1], s=1.2, color=style.PALE, linewidths=0, rasterized=True)
         mesh = axes.pcolormesh(x, y, np.ma.masked_equal(rate, 0).T, norm=norm, cmap="viridis_r", rasterized=True)
-        axes.set_aspect("equal")
-        axes.grid(visible=False)
         title = f"{run_name}\n{_definition(run)}" if len(runs) > 1 else f"Where encounters begin: {_definition(run)}"
-        style.panel(axes, title, "East [m]", "North [m]")
+        style.map_panel(axes, title)
     credits = sorted({credit for run in runs if (credit := run.manifest.get("net", {}).get("attribution"))})
     if credits:
         panels[-1].annotate(

@@ -99,10 +99,7 @@ class _Film:
         axes = self._axes
         axes.add_collection(PolyCollection(buildings, facecolor=style.PALE, edgecolor="none", zorder=1))
         axes.add_collection(LineCollection(streets, colors="#e2e5ea", linewidths=2.0, zorder=0))
-        axes.set_aspect("equal")
-        axes.grid(visible=False)
-        axes.set_xlabel("East [m]")
-        axes.set_ylabel("North [m]")
+        style.map_panel(axes, "")
         if self.vehicle is None and len(streets):
             corner = np.concatenate(streets)
             axes.set_xlim(corner[:, 0].min(), corner[:, 0].max())

@@ -133,9 +133,7 @@ def _maps(figure: Figure, panels: Sequence[Axes], run: Run, cell_m: float) -> No
         x, y, values = _grid(cells, column, cell_m)
         most = 1 if column == "lost" else None
         mesh = axes.pcolormesh(x, y, values, cmap="viridis_r", rasterized=True, vmin=0, vmax=most)
-        axes.set_aspect("equal")
-        axes.grid(visible=False)
-        style.panel(axes, title, "East [m]", "North [m]")
+        style.map_panel(axes, title)
         if np.isnan(values).all():
             axes.text(0.5, 0.5, "not modelled", transform=axes.transAxes, ha="center", color="#666666")
         else:

@@ -57,11 +57,9 @@ def from_above(
             nose = corners[[0, 1]].mean(axis=0)
             axis.plot(*np.transpose([corners.mean(axis=0), nose]), color=ink, linewidth=1.0)
             _beside(axis, corners, caption, ink, left=false)
-        style.panel(axis, panel.title, "East [m]", "North [m]" if i == 0 else "")
+        style.map_panel(axis, panel.title, "North [m]" if i == 0 else "")
         axis.tick_params(labelleft=i == 0)
-        axis.set_aspect("equal")
         axis.set(xlim=window_m[:2], ylim=window_m[2:])
-        axis.grid(visible=False)
     style.legend(figure, [
         Line2D([], [], color=TRUTH, linewidth=2.2, label="really there"),
         Line2D([], [], color=REAL, linewidth=1.0, label="reported (score)"),

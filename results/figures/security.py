@@ -21,11 +21,9 @@ def draw(runs: Sequence[Run], false_positives: float = 0.05) -> Figure:
     share of false positives among honest values. On the right it is 0.25. Bars are 95 % intervals, clustered by vehicle
     (pseudonym).
     """
-    style.need(runs)
-    variants = [run.as_variant(name) for run in runs for name in run.variants]
+    variants, labels = style.variants_of(runs)
     for run in variants:
         run.require("trust_lookups")
-    labels = [run.variant if len(runs) == 1 else f"{run.path.name}, {run.variant}" for run in variants]
     height = 1.6 + 0.24 * len(variants)
     figure, panels = style.sheet(columns=3, width=10.4, height=height)
     few = f"{100 * false_positives:g} %"

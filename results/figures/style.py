@@ -151,9 +151,7 @@ def legend(figure: Figure, entries: Sequence[Any], runs: Sequence[Any] = ()) -> 
 
 def run_entries(runs: Sequence[Run]) -> list[Line2D]:
     """Legend entries that name the runs, needed only where there are several."""
-    if len(runs) < 2:
-        return []
-    return [Line2D([], [], color="black", linestyle=dash(i), label=name) for i, name in enumerate(names(runs))]
+    return dash_entries(names(runs))
 
 
 def series_entries(runs: Sequence[Run], lines: bool = True) -> list[Line2D]:
@@ -255,6 +253,20 @@ def roles_of(runs: Sequence[Run]) -> list[str]:
 def sparse(n: int, about: int = 10) -> int:
     """Points per marker."""
     return max(1, n // about)
+
+
+def variants_of(runs: Sequence[Run]) -> tuple[list[Run], list[str]]:
+    """Every run as each of its trust variants, and what these are called."""
+    need(runs)
+    variants = [run.as_variant(name) for run in runs for name in run.variants]
+    return variants, [run.variant if len(runs) == 1 else f"{run.path.name}, {run.variant}" for run in variants]
+
+
+def map_panel(axes: Axes, title: str, y: str = "North [m]") -> None:
+    """A panel that shows places from above, in metres."""
+    panel(axes, title, "East [m]", y)
+    axes.set_aspect("equal")
+    axes.grid(visible=False)
 
 
 def need(runs: Sequence[Run]) -> None:

@@ -11,13 +11,11 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from results.codes import AttackEffect, labels
-from results.metrics.intervals import Estimate, of_units, ratio
+from results.metrics.intervals import of_units, plain_columns, ratio
 from results.run import Run
 
 THRESHOLDS = (0.1, 0.3, 0.5, 0.7)
 """Scores from which an object counts as believed, where none are given."""
-EFFECTS = labels(AttackEffect)
 AMONG = ("received", "intended")
 """All vehicles that received it, or the one that the attack aims at."""
 HONEST = "honest"
@@ -54,10 +52,9 @@ def success(run: Run, thresholds: Sequence[float] = THRESHOLDS) -> pd.DataFrame:
     """
     rows: list[dict[str, Any]] = []
     for key, pairs in _groups(outcomes(run)):
-        attacker = _codes(pairs.attacker)
         for threshold in thresholds:
-            share = of_units(_succeeds(pairs, threshold), attacker)
-            rows.append({**key, "threshold": threshold, "n": len(pairs), **_columns(share, "share")})
+            share = of_units(_succeeds(pairs, threshold), pairs.attacker.to_numpy())
+            rows.append({**key, "threshold": threshold, "n": len(pairs), **plain_columns(share, "share")})
     return pd.DataFrame(rows)
 
 
@@ -85,11 +82,10 @@ def per_lie(run: Run, thresholds: Sequence[float] = THRESHOLDS) -> pd.DataFrame:
         lies = pairs.groupby(["step", "observer", "detection_index"], sort=False).agg(
             best=("score", "max"), attacker=("attacker", "first"), n=("receiver", "size")
         )
-        attacker = _codes(lies.attacker)
         for threshold in thresholds:
-            share = of_units((lies.best >= threshold).to_numpy(), attacker)
+            share = of_units((lies.best >= threshold).to_numpy(), lies.attacker.to_numpy())
             rows.append({
-                "role": role, "threshold": threshold, "n": len(lies), **_columns(share, "share"),
+                "role": role, "threshold": threshold, "n": len(lies), **plain_columns(share, "share"),
                 "receivers_mean": float(lies.n.mean()),
             })  # fmt: skip
     return pd.DataFrame(rows, columns=["role", "threshold", "n", "share", "low", "high", "n_units", "receivers_mean"])
@@ -112,12 +108,10 @@ def believed_duration(run: Run, threshold: float = 0.5) -> pd.DataFrame:
         steps = steps.sort_values(["attacker", "receiver", "step"])
         pair = steps.attacker.to_numpy() * (1 << 32) + steps.receiver.to_numpy()
         begins = np.r_[True, (np.diff(pair) != 0) | (np.diff(steps.step.to_numpy()) > every)]
-        attacker = _codes(steps.attacker)
         duration_s = np.bincount(np.cumsum(begins) - 1) * every * run.dt_s
-        of = attacker[begins]
-        mean = ratio(np.bincount(of, duration_s), np.bincount(of))
+        mean = of_units(duration_s, steps.attacker.to_numpy()[begins])
         rows.append({
-            "role": role, "among": among, "n": len(duration_s), **_columns(mean, "mean_s"),
+            "role": role, "among": among, "n": len(duration_s), **plain_columns(mean, "mean_s"),
             "longest_s": float(duration_s.max()),
         })  # fmt: skip
     return pd.DataFrame(rows, columns=["role", "among", "n", "mean_s", "low", "high", "n_units", "longest_s"])
@@ -139,7 +133,7 @@ def false_in_path(run: Run, threshold: float = 0.5) -> pd.DataFrame:
         seconds = wrong.groupby([pairs.receiver, pairs.step]).sum().reset_index(name="n")
         share = of_units((seconds.n > 0).to_numpy(), seconds.receiver.to_numpy())
         rows.append({
-            "among": among, "n": len(seconds), **_columns(share, "share"), "boxes_mean": float(seconds.n.mean())
+            "among": among, "n": len(seconds), **plain_columns(share, "share"), "boxes_mean": float(seconds.n.mean())
         })  # fmt: skip
     return pd.DataFrame(rows, columns=["among", "n", "share", "low", "high", "n_units", "boxes_mean"])
 
@@ -157,11 +151,11 @@ def damage(run: Run, threshold: float = 0.5) -> pd.DataFrame:
     rows = []
     for (role, among), pairs in _by_among(_honest(outcomes(run), "inserted"), ["role"]):
         believed = (pairs.score >= threshold).to_numpy()
-        of_attacker = np.bincount(_codes(pairs.attacker), believed) * every_s
+        of_attacker = np.bincount(pd.factorize(pairs.attacker, sort=True)[0], believed) * every_s
         mean = ratio(of_attacker, np.ones(len(of_attacker)))
         rows.append({
             "role": role, "among": among, "n": int(believed.sum()), "total_s": float(of_attacker.sum()),
-            **_columns(mean, "per_attacker_s"),
+            **plain_columns(mean, "per_attacker_s"),
         })  # fmt: skip
     return pd.DataFrame(rows, columns=["role", "among", "n", "total_s", "per_attacker_s", "low", "high", "n_units"])
 
@@ -197,11 +191,3 @@ def _by_among(frame: pd.DataFrame, by: list[str]) -> Iterator[tuple[tuple[str, .
 def _succeeds(pairs: pd.DataFrame, threshold: float) -> np.ndarray:
     believed = (pairs.score >= threshold).to_numpy()
     return np.where((pairs.effect == "inserted").to_numpy(), believed, ~believed)
-
-
-def _codes(values: pd.Series) -> np.ndarray:
-    return np.unique(values.to_numpy(), return_inverse=True)[1]
-
-
-def _columns(estimate: Estimate, value: str) -> dict[str, float]:
-    return {value: estimate.value, "low": estimate.low, "high": estimate.high, "n_units": estimate.n_units}

@@ -12,8 +12,8 @@ import pandas as pd
 from results.codes import LookupState, labels
 from results.metrics import lookups, trust
 from results.metrics.encounters import DEFINITION
-from results.metrics.intervals import Estimate, ratio, share, without_interval
-from results.metrics.lookups import AGES, FRESH_S, NO_LOOKUPS, blocks, role_codes
+from results.metrics.intervals import plain_columns, ratio, share, without_interval
+from results.metrics.lookups import AGES, FRESH_S, NO_LOOKUPS, role_codes
 from results.run import Run
 
 STATES = ("evaluated", "unevaluated", "stale", "no value")
@@ -35,8 +35,8 @@ def evidence(run: Run) -> pd.DataFrame:
     """
     columns = ["n_evaluations", "n_evaluators", "newest_evaluation_age_s", "oldest_evaluation_age_s"]
     known = trust.server_values(run)
-    code, judged = role_codes(run, known["subject"]), known["state"] == LookupState.JUDGED
-    values = {name: known[name].astype(np.float64) for name in columns}
+    code, judged = role_codes(run, known.subject.to_numpy()), (known.state == "judged").to_numpy()
+    values = {name: known[name].to_numpy(np.float64, na_value=np.nan) for name in columns}
     rows = []
     for role in np.unique(code):
         mine = code == role
@@ -59,14 +59,14 @@ def states(run: Run) -> pd.DataFrame:
     if "trust_lookups" not in run.tables:
         total = _totals(run).n
         return pd.DataFrame([
-            {"role": "all", "state": state, "n": int(n)} | _columns(without_interval(n / total.sum()), "share")
+            {"role": "all", "state": state, "n": int(n)} | plain_columns(without_interval(n / total.sum()), "share")
             for state, n in total.items()
         ])  # fmt: skip
     counts, rows = lookups.sums(run).states, []
     for role, of_role in _with_all(run, counts):
         n_lookups = of_role.sum(axis=1)
         for state, n in zip(STATES, of_role.T, strict=True):
-            rows.append({"role": role, "state": state, "n": int(n.sum())} | _columns(share(n, n_lookups), "share"))
+            rows.append({"role": role, "state": state, "n": int(n.sum())} | plain_columns(share(n, n_lookups), "share"))
     return pd.DataFrame(rows)
 
 
@@ -90,7 +90,7 @@ def ages(run: Run) -> pd.DataFrame:
                 counts = found.age_counts[chosen, number].sum(axis=0)
                 median_s, p90_s = quantiles(lookups.ages_s(run), counts, (0.5, 0.9))
                 rows.append({
-                    "what": what, "role": role, "n": int(n.sum()), **_columns(ratio(total_s, n), "mean_s"),
+                    "what": what, "role": role, "n": int(n.sum()), **plain_columns(ratio(total_s, n), "mean_s"),
                     "median_s": median_s, "p90_s": p90_s,
                 })  # fmt: skip
     if not rows:
@@ -142,7 +142,7 @@ def age_over_time(run: Run) -> pd.DataFrame:
 def _of_renewed(total: np.ndarray, n: np.ndarray, name: str) -> pd.DataFrame:
     """Sums over numbers by what is renewed: what, n, and the ratio under this name with its interval."""
     rows = [
-        {"what": what, "n": float(of.sum())} | _columns(ratio(sums, of), name)
+        {"what": what, "n": float(of.sum())} | plain_columns(ratio(sums, of), name)
         for what, sums, of in zip(lookups.RENEWED, total.T, n.T, strict=True) if of.sum()
     ]  # fmt: skip
     return pd.DataFrame(rows, columns=["what", "n", name, "low", "high", "n_units"])
@@ -158,7 +158,10 @@ def within(run: Run, fresh_s: float = FRESH_S) -> pd.DataFrame:
     found = lookups.sums(run, fresh_s)
     counts = np.stack([found.fresh, found.states.sum(axis=2)], axis=2)
     return pd.DataFrame(
-        [{"role": role, "n": int(n[:, 1].sum())} | _columns(share(*n.T), "share") for role, n in _with_all(run, counts)]
+        [
+            {"role": role, "n": int(n[:, 1].sum())} | plain_columns(share(*n.T), "share")
+            for role, n in _with_all(run, counts)
+        ]
     )
 
 
@@ -167,7 +170,8 @@ def behind(run: Run) -> pd.DataFrame:
     found, rows = lookups.sums(run), []
     for column, n, total in zip(lookups.BEHIND, found.behind.T, found.behind_sum.T, strict=True):
         if n.sum():
-            rows.append({"what": column.removeprefix("n_"), "n": int(n.sum())} | _columns(ratio(total, n), "mean"))
+            mean = plain_columns(ratio(total, n), "mean")
+            rows.append({"what": column.removeprefix("n_"), "n": int(n.sum())} | mean)
     return pd.DataFrame(rows, columns=["what", "n", "mean", "low", "high", "n_units"])
 
 
@@ -183,12 +187,12 @@ def distribution(run: Run, what: str = "newest evaluation") -> pd.DataFrame:
 
 def over_time(run: Run, every_s: float = 10.0) -> pd.DataFrame:
     """Shares of the states by time: time_s, and a column for each of `STATES`."""
+    lookups.sums(run)  # says so where there are none
     parts = []
-    for part in blocks(run, ["step", "state"]):
-        slot, at = np.unique(np.floor(part["step"] * run.dt_s / every_s), return_inverse=True)
-        n = np.bincount(at * len(STATES) + part["state"], minlength=len(slot) * len(STATES))
-        parts.append(pd.DataFrame(n.reshape(-1, len(STATES)), pd.Index(slot * every_s, name="time_s"), STATES))
-    total = pd.concat(parts).groupby("time_s").sum()
+    for part in run.variant_parts("trust_lookups", ["step", "state"]):
+        time_s = (np.floor(part.step * run.dt_s / every_s) * every_s).rename("time_s")
+        parts.append(pd.crosstab(time_s, part.state.cat.codes).reindex(columns=range(len(STATES)), fill_value=0))
+    total = pd.concat(parts).groupby("time_s").sum().set_axis(list(STATES), axis=1)
     return total.div(total.sum(axis=1), axis=0).reset_index()
 
 
@@ -201,7 +205,8 @@ def without_trust(run: Run) -> pd.DataFrame:
     the vehicle that would know), n_units, and wait_median_s: time from the start to the first such value, of those
     that had none at the start.
     """
-    after_ab_s, after_ba_s = run.variant_array("encounters", ["trusted_after_ab_s", "trusted_after_ba_s"]).values()
+    frame = run.variant_table("encounters", ["trusted_after_ab_s", "trusted_after_ba_s"])
+    after_ab_s, after_ba_s = frame.trusted_after_ab_s.to_numpy(), frame.trusted_after_ba_s.to_numpy()
     rows: list[dict[str, Any]] = []
     for kind, at, who in run.once_for_all("freshness.encounters", lambda: _of_equipped(run)):
         after_s = np.r_[after_ab_s[at], after_ba_s[at]]
@@ -209,7 +214,8 @@ def without_trust(run: Run) -> pd.DataFrame:
         without = np.isnan(after_s)
         rows.append({
             **dict(zip(DEFINITION, kind, strict=True)), "n": len(after_s),
-            "n_without": int(without.sum()), **_columns(share(np.bincount(who, without), np.bincount(who)), "share"),
+            "n_without": int(without.sum()),
+            **plain_columns(share(np.bincount(who, without), np.bincount(who)), "share"),
             "wait_median_s": float(np.median(waited_s)) if len(waited_s) else np.nan,
         })  # fmt: skip
     columns = [*DEFINITION, "n", "n_without", "share", "low", "high", "n_units"]
@@ -241,7 +247,7 @@ def _ages_of_totals(run: Run) -> pd.DataFrame:
     counts = {"value": int(total.n_valued.sum()), "newest evaluation": n_known, "oldest evaluation": n_known}
     rows = [
         {"what": what, "role": "all", "n": n, "median_s": np.nan, "p90_s": np.nan}
-        | _columns(without_interval(float(total[column.replace("_s", "_sum_s")].sum()) / n), "mean_s")
+        | plain_columns(without_interval(float(total[column.replace("_s", "_sum_s")].sum()) / n), "mean_s")
         for (what, column), n in zip(AGES.items(), counts.values(), strict=True)
         if n
     ]
@@ -256,10 +262,6 @@ def _with_all(run: Run, counts: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
     for code, role in enumerate(run.role_labels):
         if counts[:, code].any():
             yield role, counts[:, code]
-
-
-def _columns(estimate: Estimate, value: str) -> dict[str, float]:
-    return {value: estimate.value, "low": estimate.low, "high": estimate.high, "n_units": estimate.n_units}
 
 
 def quantiles(values: np.ndarray, counts: np.ndarray, shares: tuple[float, ...]) -> list[float]:

@@ -247,6 +247,11 @@ def _codes(unit: Int[ndarray, "n"]) -> tuple[Int[ndarray, "n"], int]:
     return at, len(units)
 
 
+def plain_columns(estimate: Estimate, name: str) -> dict[str, float]:
+    """An estimate as columns of a row that has only one: `name`, `low`, `high` and `n_units`."""
+    return {name: estimate.value, "low": estimate.low, "high": estimate.high, "n_units": estimate.n_units}
+
+
 def columns(estimate: Estimate, name: str) -> dict[str, float]:
     """An estimate as columns of a row: `name`, `name_low`, `name_high` and `name_units`."""
     return {

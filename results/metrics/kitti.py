@@ -6,9 +6,7 @@ the free detection with the highest score; precision at each threshold from a se
 the free detection with the largest overlap. Deviations: none.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -36,7 +34,7 @@ _N_SAMPLES = 41
 FEWEST = 41
 """Ground truths below which average precision says little: every recall threshold wants a hit of its own."""
 
-Overlap = Literal["3d", "bev", "image"]
+Overlap = Literal["3d", "bev"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,8 +54,6 @@ class Objects:
     """Share outside of the image. Not used of detections."""
     score: Float[ndarray, "n"]
     """Not used of ground truth."""
-    image: Float[ndarray, "n 4"] | None = None
-    """Left, top, right, bottom in pixels; only for overlaps in the image."""
 
     def __len__(self) -> int:
         return len(self.frame)
@@ -90,11 +86,7 @@ def average_precision(
     limit = STRICT[label] if min_overlap is None else min_overlap
     i, j, share = _candidates(truth, found, overlap)
     hit = share > limit
-    absorbed = _absorbed(truth, found, limit) if overlap == "image" else np.zeros(len(found), bool)
-    return {
-        level: _level(truth, found, label, rank, i[hit], j[hit], share[hit], absorbed)
-        for rank, level in enumerate(LEVELS)
-    }
+    return {level: _level(truth, found, label, rank, i[hit], j[hit], share[hit]) for rank, level in enumerate(LEVELS)}
 
 
 def _level(
@@ -105,7 +97,6 @@ def _level(
     i: ndarray,
     j: ndarray,
     share: ndarray,
-    absorbed: ndarray,
 ) -> Precision:
     """Both passes. A ground truth or detection counts, is ignored (neither right nor wrong), or is out."""
     hard = (
@@ -134,7 +125,7 @@ def _level(
     taker, used = _match(truth.frame, i[by_overlap], j[by_overlap], above)
     right = counts[i[by_overlap]] & found_counts[j[by_overlap]]
     n_right = (taker & right).sum(axis=1)
-    n_wrong = (above & ~used & found_counts & ~absorbed).sum(axis=1)
+    n_wrong = (above & ~used & found_counts).sum(axis=1)
 
     precision = np.zeros(_N_SAMPLES)
     precision[: len(thresholds)] = n_right / np.maximum(n_right + n_wrong, 1)
@@ -185,11 +176,6 @@ def _thresholds(scores: Float[ndarray, "n"], n_truth: int) -> Float[ndarray, "t"
 def _candidates(truth: Objects, found: Objects, overlap: Overlap) -> tuple[ndarray, ndarray, ndarray]:
     """Pairs of the same frame that may overlap, and their intersection over union."""
     assert (np.diff(truth.frame) >= 0).all() and (np.diff(found.frame) >= 0).all(), "frames are not sorted"
-    if overlap == "image":
-        i, j = _same_frame(truth.frame, found.frame)
-        one, other = _image(truth)[i], _image(found)[j]
-        common = _common_px(one, other)
-        return i, j, common / (_area_px(one) + _area_px(other) - common)
     if not len(truth) or not len(found):
         return np.zeros(0, int), np.zeros(0, int), np.zeros(0)
     real = np.flatnonzero(truth.box[:, 3] > 0)  # DontCare areas have no box
@@ -202,59 +188,3 @@ def _candidates(truth: Objects, found: Objects, overlap: Overlap) -> tuple[ndarr
     near = trees[0].sparse_distance_matrix(trees[1], reach, output_type="ndarray")
     i, j = real[near["i"]], near["j"]
     return i, j, (iou_3d if overlap == "3d" else iou_bev)(truth.box[i], found.box[j])
-
-
-def _absorbed(truth: Objects, found: Objects, limit: float) -> Bool[ndarray, "m"]:
-    """Detections mostly inside an area without labels."""
-    areas = np.flatnonzero(truth.label == "dontcare")
-    i, j = _same_frame(truth.frame[areas], found.frame)
-    boxes = _image(found)[j]
-    absorbed = np.zeros(len(found), bool)
-    absorbed[j[_common_px(_image(truth)[areas[i]], boxes) / _area_px(boxes) > limit]] = True
-    return absorbed
-
-
-def _same_frame(one: ndarray, other: ndarray) -> tuple[ndarray, ndarray]:
-    """All pairs of rows with equal (sorted) frames."""
-    start, end = np.searchsorted(other, one, "left"), np.searchsorted(other, one, "right")
-    i = np.repeat(np.arange(len(one)), end - start)
-    j = np.arange(len(i)) - np.repeat(np.cumsum(end - start) - (end - start), end - start) + start[i]
-    return i, j
-
-
-def _image(objects: Objects) -> ndarray:
-    assert objects.image is not None, "overlaps in the image need image boxes"
-    return objects.image
-
-
-def _common_px(a: ndarray, b: ndarray) -> ndarray:
-    size = np.minimum(a[:, 2:], b[:, 2:]) - np.maximum(a[:, :2], b[:, :2])
-    return np.where((size > 0).all(axis=1), size.prod(axis=1), 0)
-
-
-def _area_px(a: ndarray) -> ndarray:
-    return (a[:, 2] - a[:, 0]) * (a[:, 3] - a[:, 1])
-
-
-def read_labels(files: Sequence[Path]) -> Objects:
-    """KITTI text files, one per frame, ground truth or detections.
-
-    KITTI's camera frame (x right, y down, z forward; bottom of the box; turn about y) becomes x right, y
-    forward, z up, centre of the box, counter-clockwise.
-    """
-    lines = [
-        (n, line.split()) for n, file in enumerate(files) for line in file.read_text().splitlines() if line.strip()
-    ]
-    values = np.array([[float(v) for v in words[1:16]] + [np.nan] * (16 - len(words)) for _, words in lines])
-    values = values.reshape(-1, 15)
-    height, width, length, x, bottom, z, turn = values[:, 7:14].T
-    return Objects(
-        frame=np.array([n for n, _ in lines], int),
-        label=np.array([words[0].lower() for _, words in lines], object),
-        box=np.column_stack([x, z, height / 2 - bottom, length, width, height, -turn]),
-        height_px=values[:, 6] - values[:, 4],
-        occlusion=values[:, 1].astype(int),
-        truncation=values[:, 0],
-        score=values[:, 14],
-        image=values[:, 3:7],
-    )  # fmt: skip

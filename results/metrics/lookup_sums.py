@@ -5,44 +5,6 @@ from numba import njit
 
 
 @njit(cache=True, nogil=True)
-def numbered(wanted, table, keys, n, number):
-    """Write the number of each wanted key to `number`, -1 for keys below 0; new keys get the next numbers.
-
-    `table` is a hash table of numbers (-1: empty, its size a power of two), `keys` are the keys by number, of which
-    `n` are in use. Returns the three for the next call.
-    """
-    for i in range(len(wanted)):
-        if wanted[i] < 0:
-            number[i] = -1
-            continue
-        at = _slot(table, keys, wanted[i])
-        if table[at] < 0:
-            if n == len(keys):
-                more = np.empty(2 * n, np.int64)
-                more[:n] = keys
-                keys, table = more, np.empty(4 * n, np.int64)
-                for k in range(len(table)):
-                    table[k] = -1
-                for k in range(n):
-                    table[_slot(table, keys, keys[k])] = k
-                at = _slot(table, keys, wanted[i])
-            table[at], keys[n] = n, wanted[i]
-            n += 1
-        number[i] = table[at]
-    return table, keys, n
-
-
-@njit(cache=True, nogil=True)
-def _slot(table, keys, key):
-    """Where the table holds the number of a key, or would."""
-    mask = len(table) - 1
-    at = np.int64((np.uint64(key) * np.uint64(0x9E3779B97F4A7C15)) >> np.uint64(32)) & mask
-    while table[at] >= 0 and keys[table[at]] != key:
-        at = (at + 1) & mask
-    return at
-
-
-@njit(cache=True, nogil=True)
 def add(
     variant, receiver, who, state, ages_s, age_number, n_evaluations, n_evaluators, role_of, fresh_s, states, fresh,
     aged, age_sum_s, age_counts, behind, behind_sum,
@@ -121,21 +83,6 @@ def add_watched(
                 n_low[v, who[i]] += 1
                 if low_step[v, p] < 0:
                     low_step[v, p] = step[i]
-
-
-@njit(cache=True, nogil=True)
-def settle(who, over, first_step, low_step, seen_step, role_of, waited, pairs, pairs_found):
-    """Add the pairs that are over: by role, found or not, how many steps they waited; and pairs by subject."""
-    for v in range(first_step.shape[0]):
-        for p in range(len(who)):
-            if not over[p] or first_step[v, p] < 0:
-                continue
-            found = low_step[v, p] >= 0
-            until = low_step[v, p] if found else seen_step[v, p]
-            waited[v, role_of[who[p]], 1 if found else 0, until - first_step[v, p]] += 1
-            pairs[v, who[p]] += 1
-            if found:
-                pairs_found[v, who[p]] += 1
 
 
 @njit(cache=True, nogil=True)

@@ -1,10 +1,11 @@
 """What vehicles look up of trust: the largest table of a run, read once for many metrics and for all trust variants."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+import pandas as pd
 from jaxtyping import Float, Int
 from numpy import ndarray
 
@@ -134,18 +135,16 @@ class _Numbers:
     """Numbers of keys, from 0 on in the order in which they were first asked for."""
 
     def __init__(self) -> None:
-        self.n, self._keys, self._table = 0, np.zeros(1 << 11, np.int64), np.full(1 << 12, -1)
+        self.keys: Int[ndarray, "n"] = np.zeros(0, np.int64)
 
     def of(self, wanted: Int[ndarray, "n"]) -> Int[ndarray, "n"]:
-        from results.metrics import lookup_sums  # here, because little else in measuring needs Numba
-
-        number = np.empty(len(wanted), np.int64)
-        self._table, self._keys, self.n = lookup_sums.numbered(wanted, self._table, self._keys, self.n, number)
+        """Number of each wanted key, -1 for keys below 0; new keys get the next numbers."""
+        number = pd.Index(self.keys).get_indexer(pd.Index(wanted))
+        new = np.flatnonzero((number < 0) & (wanted >= 0))
+        code, more = pd.factorize(wanted[new])
+        number[new] = len(self.keys) + code
+        self.keys = np.append(self.keys, more)
         return number
-
-    @property
-    def keys(self) -> Int[ndarray, "n"]:
-        return self._keys[: self.n]
 
 
 def sums(run: Run, fresh_s: float = FRESH_S, threshold: float = THRESHOLD) -> Sums:
@@ -182,17 +181,6 @@ def subjects(run: Run) -> tuple[Int[ndarray, "p"], Int[ndarray, "p"]]:
     return run.once_for_all("roles by pseudonym", lambda: _roles(run))
 
 
-def blocks(run: Run, columns: Sequence[str]) -> Iterator[Mapping[str, ndarray]]:
-    """Lookups of the run's variant, block of steps by block, as of `Run.variant_arrays`; ValueError where there are
-    none."""
-    n_rows = 0
-    for block in run.variant_arrays("trust_lookups", columns):
-        n_rows += len(block[columns[0]])
-        yield block
-    if not n_rows:
-        raise ValueError(f"{run.path} {NO_LOOKUPS}")
-
-
 def role_codes(run: Run, pseudonym: Int[ndarray, "n"]) -> Int[ndarray, "n"]:
     """Code of the role of the vehicle behind each pseudonym, in the order of `Run.role_labels`."""
     known, code = subjects(run)
@@ -222,13 +210,6 @@ def _added(run: Run, asked: _Asked) -> _All:
         int(run.manifest["steps"]), run.dt_s, max(REACH_S, 2 * every_s), asked,
     )  # fmt: skip
     return adding.result(run.pieces("trust_lookups", list(_DTYPES), _PIECE_ROWS))
-
-
-def compile_kernels() -> None:
-    """Compile what adds up the lookups of a run, of any run."""
-    one, row = np.zeros(1, np.int64), {name: np.zeros(1, dtype) for name, dtype in _DTYPES.items()}
-    adding = _Adding(one, one, one, one, (1, 1), 1, 1.0, REACH_S, _Asked(FRESH_S, THRESHOLD))
-    adding.result([(0, row), (1, row)])
 
 
 class _Adding:
@@ -282,7 +263,7 @@ class _Adding:
             rows = {name: _read_only(piece[name], dtype) for name, dtype in _DTYPES.items()}
             self._add(rows)
             last_step = int(rows["step"].max(initial=last_step))
-        self._settle(np.ones(self.pairs.n, bool))
+        self._settle(np.ones(len(self.pairs.keys), bool))
         order = np.argsort(self.ages.keys)
         variant, who = np.divmod(self.scored.keys >> 32, max(1, len(self.known)))
         none = Lows(np.zeros(0, np.int32), np.zeros(0, np.int32), np.zeros(0, np.float32))
@@ -304,7 +285,7 @@ class _Adding:
         ages_s = np.stack([rows[column] for column in AGES.values()])
         keys = np.where(np.isnan(ages_s), -1, np.rint(np.maximum(np.nan_to_num(ages_s), 0) * _AGES_PER_S))
         age_number = self.ages.of(keys.astype(np.int64).ravel()).reshape(keys.shape)
-        self.age_counts = _widened(self.age_counts, 3, self.ages.n)
+        self.age_counts = _widened(self.age_counts, 3, len(self.ages.keys))
         n_receivers = int(receiver.max(initial=-1)) + 1
         self.of_receivers = {name: _widened(table, 1, n_receivers) for name, table in self.of_receivers.items()}
         of, mine = self.of_receivers, self.of_subjects
@@ -315,7 +296,7 @@ class _Adding:
         )  # fmt: skip
         pair = self.pairs.of((receiver.astype(np.int64) << 32) | who)
         self.of_pairs = {
-            name: _widened(table, 1, self.pairs.n, np.nan if name == "last_s" else -1)
+            name: _widened(table, 1, len(self.pairs.keys), np.nan if name == "last_s" else -1)
             for name, table in self.of_pairs.items()
         }
         pairs = self.of_pairs
@@ -342,7 +323,7 @@ class _Adding:
         there = (rows["n_evaluations"] > 0) & (rows["step"] >= self.since[who])
         subject = rows["variant"][there].astype(np.int64) * len(self.known) + who[there]
         self._count(subject, rows["trust"][there], np.ones(len(subject), np.int64))
-        if self.scored.n > _MOST_SCORES and not self.rounds:
+        if len(self.scored.keys) > _MOST_SCORES and not self.rounds:
             keys, n = self.scored.keys, self.score_counts
             self.scored, self.score_counts, self.rounds = _Numbers(), np.zeros(0, np.int64), True
             self._count(keys >> 32, _trust_of(keys), n)
@@ -352,8 +333,8 @@ class _Adding:
             trust = (np.rint(trust * _SCORES) / _SCORES).astype(np.float32)
         bits = (trust + np.float32(0)).view(np.int32).astype(np.int64)  # + 0 makes one zero of two
         number = self.scored.of((subject << 32) | bits)
-        self.score_counts = _widened(self.score_counts, 0, self.scored.n)
-        self.score_counts += np.bincount(number, n, self.scored.n).astype(np.int64)
+        self.score_counts = _widened(self.score_counts, 0, len(self.scored.keys))
+        self.score_counts += np.bincount(number, n, len(self.scored.keys)).astype(np.int64)
 
     def _forget(self, step: int) -> None:
         """Forget the pairs of receivers that have left: they look nothing up any more."""
@@ -365,13 +346,14 @@ class _Adding:
         self.of_pairs = {name: table[:, ~over] for name, table in self.of_pairs.items()}
 
     def _settle(self, over: ndarray) -> None:
-        from results.metrics import lookup_sums
-
-        pairs, mine = self.of_pairs, self.of_subjects
-        lookup_sums.settle(
-            self.pairs.keys & 0xFFFFFFFF, over, pairs["first_step"], pairs["low_step"], pairs["seen_step"],
-            self.role_of, self.waited, mine["pairs"], mine["pairs_found"],
-        )  # fmt: skip
+        """Add the pairs that are over: by role, found or not, how many steps they waited; and pairs by subject."""
+        variant, pair = np.nonzero(over & (self.of_pairs["first_step"] >= 0))
+        who = (self.pairs.keys & 0xFFFFFFFF)[pair]
+        first, low, seen = (self.of_pairs[f"{name}_step"][variant, pair] for name in ("first", "low", "seen"))
+        found = low >= 0
+        np.add.at(self.waited, (variant, self.role_of[who], found.astype(int), np.where(found, low, seen) - first), 1)
+        np.add.at(self.of_subjects["pairs"], (variant, who), 1)
+        np.add.at(self.of_subjects["pairs_found"], (variant[found], who[found]), 1)
 
 
 def _trust_of(keys: Int[ndarray, "n"]) -> Float[ndarray, "n"]:

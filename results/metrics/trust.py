@@ -1,6 +1,5 @@
 """Trust in pseudonyms: by role of the vehicle behind them, and over time."""
 
-from collections.abc import Mapping
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -38,16 +37,16 @@ class Values(NamedTuple):
 
 def kept_at(run: Run) -> At:
     """Where trust is kept: at the server if it ever computed any."""
-    return "server" if len(server_values(run)["step"]) else "vehicles"
+    return "server" if len(server_values(run)) else "vehicles"
 
 
-def server_values(run: Run) -> Mapping[str, ndarray]:
-    """What metrics need of the table `trust`, of the run's variant, as of `Run.variant_arrays`."""
+def server_values(run: Run) -> pd.DataFrame:
+    """What metrics need of the table `trust`, of the run's variant; not to be changed."""
     columns = [
         "step", "subject", "trust", "state", "n_evaluations", "n_evaluators", "newest_evaluation_age_s",
         "oldest_evaluation_age_s",
     ]  # fmt: skip
-    return run.once("trust.server_values", lambda: run.variant_array("trust", columns))
+    return run.once("trust.server_values", lambda: run.variant_table("trust", columns))
 
 
 def values(run: Run) -> pd.DataFrame:
@@ -73,17 +72,17 @@ def in_use(run: Run) -> Values:
 def _in_use(run: Run) -> Values:
     if kept_at(run) == "server":
         known = server_values(run)
-        rated = known["n_evaluations"] > 0
+        rated = (known.n_evaluations > 0).to_numpy()
     else:
-        frame = _own(run)
-        known = {name: frame[name].to_numpy() for name in ("step", "subject", "trust")}
-        rated = np.ones(len(frame), bool)
+        known = _own(run)
+        rated = np.ones(len(known), bool)
+    step, subject, trust = (known[name].to_numpy() for name in ("step", "subject", "trust"))
     who = run.subjects
-    at = who.index.get_indexer(pd.Index(known["subject"]))
-    used = (at >= 0) & (known["step"] <= who.to_step.to_numpy()[at])
+    at = who.index.get_indexer(pd.Index(subject))
+    used = (at >= 0) & (step <= who.to_step.to_numpy()[at])
     at = at[used]
     role = who.role.cat.codes.to_numpy(np.int64)[at]
-    return Values(known["step"][used], known["subject"][used], at, role, known["trust"][used], rated[used])
+    return Values(step[used], subject[used], at, role, trust[used], rated[used])
 
 
 def _own(run: Run) -> pd.DataFrame:

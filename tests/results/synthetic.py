@@ -129,7 +129,7 @@ def _meet(record, ledgers, step, here, talk, xyz, belief, reach_m, rng, heard_s)
             ledger.first_contact(x, y, np.where(known, belief[y], 0.5), source, state, age)
         ledger.count_messages(one[got], other[got])
         had = got & (heard_s[other, one] >= 0)
-        ledger.note_trust(other[had], one[had])
+        ledger.note_trust(other[had], one[had], np.ones((int(had.sum()), 1), bool))
         ledger.count_evaluations(other[got], one[got], rng.integers(1, 4, got.sum()))
     sent = len(talk)
     lost = {"n_in_range": len(one), "n_delivered": got.sum(), "n_lost_propagation": faded.sum(),

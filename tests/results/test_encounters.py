@@ -203,7 +203,7 @@ def test_trusted_after():
             judged = np.array([0])
             tracker.first_contact(np.array([1]), np.array([0]), np.array([0.5]), np.array([0]), judged, np.array([9.0]))
         if step >= 3:
-            tracker.note_trust(np.array([0, 1]), np.array([1, 0]))
+            tracker.note_trust(np.array([0, 1]), np.array([1, 0]), np.ones((2, 1), bool))
 
     (row,) = follow(on_a_line(50, 5, 5, 5, 5), EncounterParams(radius_m=10, pairs="all"), 0.5, talk)
     assert (row["trusted_after_ab_s"], row["trusted_after_ba_s"]) == (1.0, 0.0)
