@@ -42,7 +42,7 @@ def markdown(rows: pd.DataFrame, name: str, runs: Sequence[Path]) -> str:
 def _made_by(runs: Sequence[Path]) -> str:
     sources = [read_manifest(run).get("source", {}) for run in runs]
     made = sorted({str(source.get("commit", source.get("code", "an unknown version"))) for source in sources})
-    return f"The code of {len(runs)} runs: commit {', '.join(f'`{commit[:12]}`' for commit in made)}."
+    return f"They rest on {len(runs)} runs of commit {', '.join(f'`{commit[:12]}`' for commit in made)}."
 
 
 def _intervals(rows: pd.DataFrame) -> str:

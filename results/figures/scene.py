@@ -1,7 +1,7 @@
 """The city at one moment, seen obliquely from the south: buildings, point clouds, and trust in vehicles."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -47,6 +47,7 @@ class Moment:
 @style.styled
 def draw(moment: Moment, title: str) -> Figure:
     """The part of the city around the centre."""
+    moment = _in_frame(moment)
     figure, (axes,) = style.sheet(width=7.6, height=5.0)
     _ground(axes, moment)
     low, high = moment.centre_m - [HALF_WIDTH_M, HALF_DEPTH_M], moment.centre_m + [HALF_WIDTH_M, HALF_DEPTH_M]
@@ -73,6 +74,16 @@ def draw(moment: Moment, title: str) -> Figure:
     _scale(axes, corner)
     style.legend(figure, _entries(moment))
     return figure
+
+
+def _in_frame(moment: Moment) -> Moment:
+    """Without the vehicles and ghosts outside the part that is shown, so that the legend names only what is drawn."""
+    half_m = [HALF_WIDTH_M, HALF_DEPTH_M]
+    here, lies = ((np.abs(b[:, :2] - moment.centre_m) <= half_m).all(axis=1) for b in (moment.boxes, moment.ghosts))
+    return replace(
+        moment, boxes=moment.boxes[here], equipped=moment.equipped[here], trust=moment.trust[here],
+        attacks=moment.attacks[here], ghosts=moment.ghosts[lies],
+    )  # fmt: skip
 
 
 def _scale(axes, corner: Float[ndarray, "2 2"]) -> None:  # type: ignore[no-untyped-def]
