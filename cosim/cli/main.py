@@ -406,7 +406,7 @@ def main(command: Callable[..., int | None] = app) -> None:
         status = command(standalone_mode=False)
         sys.stdout.flush()
     except typer.TyperException as error:
-        status = _say(error.format_message(), 2)
+        status = _say(error.format_message().replace("Value error, ", ""), 2)  # pydantic's words before those of Typer
     except (typer.Abort, KeyboardInterrupt):
         status = _say("interrupted", 130)
     except Stopped as stopped:

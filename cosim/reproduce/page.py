@@ -64,11 +64,14 @@ def _precision(rows: pd.DataFrame, label: str, points: str) -> Iterator[str]:
         if mine.paper.notna().any():
             yield _line(said, "paper", {row["level"]: f"{row['paper']:.1f}" for row in mine.to_dict("records")})
             said = ""
+        lines: dict[tuple[str, str], str] = {}
         for city, self_reports in dict.fromkeys(zip(mine.city, mine.self_reports, strict=True)):
             some = mine[(mine.city == city) & (mine.self_reports == self_reports)].to_dict("records")
+            cells = {row["level"]: _with_change(row) for row in some}
             source = city + ("" if self_reports else ", no self-reports")
-            yield _line(said, source, {row["level"]: _with_change(row) for row in some})
+            lines.setdefault((city, str(cells)), _line(said, source, cells))
             said = ""
+        yield from lines.values()  # the ego alone has the same figures without self-reports
 
 
 def _between(rows: pd.DataFrame) -> Iterator[str]:

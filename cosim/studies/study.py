@@ -131,6 +131,9 @@ def load(path: Path) -> Study:
     """
     if not path.is_file() and (shipped := SHIPPED / f"{path}.toml").is_file():
         path = shipped
+    if not path.exists():
+        names = ", ".join(sorted(file.stem for file in SHIPPED.glob("*.toml")))
+        raise ValueError(f"{path}: no such study. Give the path of a TOML file, or a study that ships: {names}.")
     data = config_data.read_toml(path, "study file")
     where = path.name
     for name in data:
