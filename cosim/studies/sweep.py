@@ -159,7 +159,9 @@ def status(
     """
     file = folder.path / "study.toml"
     if not file.is_file():
-        raise ValueError(f"{folder.path} holds no run and no study. Give the folder of a `cosim run` or a `cosim sweep`.")
+        raise ValueError(
+            f"{folder.path} holds no run and no study. Give the folder of a `cosim run` or a `cosim sweep`."
+        )
     with loading_code(folder.path, trust_code):
         study = load(file)
         points = points_of(study, str(file))

@@ -141,7 +141,7 @@ def test_folder_of_another_study_is_left_alone(tmp_path):
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "thesis.txt").write_text("all of it")
     third = prepare(write(tmp_path, text), tmp_path / "mine")
-    with pytest.raises(ValueError, match="holds no run and no study"):
+    with pytest.raises(ValueError, match="holds no study"):
         third.folder.prepare(third.study)
 
 
