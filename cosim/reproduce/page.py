@@ -49,8 +49,8 @@ def _intervals(rows: pd.DataFrame) -> str:
     drives = sorted({int(n) for n in rows[rows.what == "average precision"].n})
     each = f"{drives[0]}" if len(drives) == 1 else f"{drives[0]} to {drives[-1]}"
     return (
-        f"Every figure is the mean over {each} drives per city. The number after &plusmn; is half of its 95 % interval\n"
-        "over drives. Changes are paired, drive by drive, and stand in brackets."
+        f"Every figure is the mean over {each} drives per city. The number after &plusmn; is half of its 95 %\n"
+        "interval over drives. Changes are paired, drive by drive, and stand in brackets."
     )
 
 

@@ -10,6 +10,7 @@ from jaxtyping import Float
 from matplotlib import colormaps
 from matplotlib.animation import FFMpegWriter, PillowWriter
 from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.lines import Line2D
 from numpy import ndarray
 
@@ -22,7 +23,7 @@ HALF_WIDTH_M = 110.0
 """Of the square that is shown around a vehicle."""
 PICTURES_PER_S = 6
 TRUST = colormaps["RdYlBu"].with_extremes(bad="white")
-"""Colours of trust; white is not rated."""
+"""Colours of trust; white has no evaluation yet."""
 SEEN, BELIEVED, LIE = style.INKS[2], style.INKS[4], style.ROLE_INKS["malicious"]
 
 
@@ -121,7 +122,7 @@ class _Film:
         self.figure.colorbar(self._equipped, ax=axes, shrink=0.6, label="Trust")
         marks = [
             ("o", "#8a8f98", "not equipped", True),
-            ("o", "#333333", "not rated", False),
+            ("o", "#333333", "no evaluation yet", False),
             ("o", LIE, "attacker", False),
             ("x", LIE, "fabricated", True),
         ]
@@ -133,6 +134,9 @@ class _Film:
             for m, c, text, full in marks
         ]
         axes.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.1), ncols=3)
+        layout = self.figure.get_layout_engine()
+        assert isinstance(layout, ConstrainedLayoutEngine)
+        layout.set(rect=(0.04, 0.0, 0.92, 1.0))  # room for coordinates that get longer as the picture moves
         return self.figure
 
     def show(self, step: int) -> None:
