@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
-from trust.group_sums import MemberSums, sums_of_groups
+from trust.group_sums import GroupTotals, MemberSums, sums_of_groups
 from trust.object_reports import ObjectReports, ObjectVotes, object_votes
 from trust.params import AVERAGES, Method, TrustParams
 from trust.tables import FusionInput, SenderTrust
@@ -214,19 +214,7 @@ def fuse(
     sender_trust = sender_trust.canonical()
     totals, members = sums_of_groups(given, sender_trust, params)
     if score_objects is None:
-        sums = GroupSums(
-            n=totals.size,
-            ego_detected=ego_detected,
-            own=detections.score[row],
-            scores=totals.scores,
-            trusted_scores=totals.trusted_scores,
-            trust=totals.trust,
-            numerator=totals.numerator,
-            weight=totals.weight,
-            parity=_parity(given, members, params) if params.code_parity else None,
-            evidence=evidence,
-        )
-        score = np.clip(METHODS[params.method](sums, params), 0.0, 1.0)
+        score = _scores_of_method(given, totals, members, evidence, params)
     else:
         votes = votes_of(given, sender_trust) if votes is None else votes
         score = score_objects(votes.with_trust(sender_trust.trust, params.ego_trust))
@@ -245,6 +233,26 @@ def fuse(
         n_evaluators=totals.n_evaluators,
     )
     return fused.take(~(ego_detected & detections.is_self[row]) & (score >= min_score))
+
+
+def _scores_of_method(
+    given: FusionInput, totals: GroupTotals, members: MemberSums, evidence: SensorEvidence, params: TrustParams
+) -> Float[ndarray, "g"]:
+    """Score of each group by `params.method`."""
+    row = given.lists.member[given.groups.seeds()]
+    sums = GroupSums(
+        n=totals.size,
+        ego_detected=given.groups.ego_detected[given.groups.seeds()],
+        own=given.detections.score[row],
+        scores=totals.scores,
+        trusted_scores=totals.trusted_scores,
+        trust=totals.trust,
+        numerator=totals.numerator,
+        weight=totals.weight,
+        parity=_parity(given, members, params) if params.code_parity else None,
+        evidence=evidence,
+    )
+    return np.clip(METHODS[params.method](sums, params), 0.0, 1.0)
 
 
 def votes_of(given: FusionInput, sender_trust: SenderTrust) -> ObjectVotes:
