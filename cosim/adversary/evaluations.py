@@ -5,7 +5,7 @@ from typing import Annotated, TypeVar
 
 import numpy as np
 from annotated_types import Ge, Gt, Le
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, UInt64
 from numpy import ndarray
 
 from cosim.adversary.attack import AttackContext, EvaluationRows, WithParams
@@ -185,18 +185,17 @@ class ReplayedEvaluations(_WithIdentities[ReplayedEvaluationsParams]):
     def evaluations(self, rows: EvaluationRows, detections: Detections, context: AttackContext) -> Reported:
         """The rows, with evaluations of others replaced by old ones."""
         chosen, observer = _of_others(rows, detections, context)
-        actor, at = context.world.actor.astype(np.int64), np.flatnonzero(chosen)
+        at, name = np.flatnonzero(chosen), context.name_key
         detection = rows.detection[at]
         index = detections.identity[detection] << 20 | detections.detection_index[detection]
-        key = np.column_stack([actor[rows.evaluator[at]], actor[observer[at]], index])
-        seen = rows.visibility[at] > 0
+        key = np.column_stack([name(rows.evaluator[at]), name(observer[at]), index.astype(np.uint64)])
+        seen = np.flatnonzero(rows.visibility[at] > 0)
+        seen = seen[np.lexsort(key[seen].T[::-1])]  # a draw picks the same evaluation whatever the order of the rows
         past = context.memory.setdefault("past", [])
         past.append((key[seen], rows.evaluation[at][seen], rows.visibility[at][seen]))
         del past[: -self.params.n_messages - 1]
         old_key, old_e, old_phi = past[0]
-        draw = context.uniforms(
-            context.name_key(rows.evaluator[at]), context.name_key(observer[at]), index
-        )[:, 0]  # fmt: skip
+        draw = context.uniforms(name(rows.evaluator[at]), name(observer[at]), index)[:, 0]
         source = np.full(len(at), -1)
         for n_columns in (3, 2, 1):  # the number of equal columns of (evaluator, sender, detection)
             left = np.flatnonzero(source < 0)
@@ -207,7 +206,7 @@ class ReplayedEvaluations(_WithIdentities[ReplayedEvaluationsParams]):
         return e, phi
 
 
-def _one_of(old: Int[ndarray, "o c"], key: Int[ndarray, "k c"], draw: Float[ndarray, "k"]) -> Int[ndarray, "k"]:
+def _one_of(old: UInt64[ndarray, "o c"], key: UInt64[ndarray, "k c"], draw: Float[ndarray, "k"]) -> Int[ndarray, "k"]:
     """For each key, a row of `old` that equals it, chosen by a uniform in [0, 1); -1 if there is none."""
     _, which = np.unique(np.concatenate([old, key]), axis=0, return_inverse=True)
     group, wanted = np.split(which.reshape(-1), [len(old)])

@@ -24,6 +24,9 @@ def add_to(app: typer.Typer) -> None:
     app.command("try")(try_)
 
 
+_PACKAGES = ("cosim", "sensors", "trust", "results", "sumo_nets")
+
+
 def new(
     kind: Annotated[Kind, typer.Argument(help="The kind of extension.")],
     path: Annotated[Path, typer.Argument(metavar="NAME.py", help="File to write.")],
@@ -31,6 +34,8 @@ def new(
     """Write a small working example of an extension, which you then change."""
     if path.suffix != ".py":
         raise ValueError(f"{path}: the file of a class ends in .py. Write for example cosim new {kind} mine.py.")
+    if path.stem in _PACKAGES:
+        raise ValueError(f"{path}: a file of this name would hide the package {path.stem}. Give another name.")
     example = files("cosim.tryout.templates").joinpath(f"{kind}.py").read_text(encoding="utf-8")
     try:
         with path.open("x", encoding="utf-8") as file:

@@ -8,6 +8,7 @@ import numpy as np
 
 from cosim.config.config import load
 from cosim.door.kinds import KINDS
+from cosim.door.load import resolve
 from cosim.step.parts import Parts, check_choices
 from cosim.step.result import StepResult
 from cosim.tryout import play, trust_laws
@@ -66,7 +67,11 @@ def try_part(kind: str, name: str, own: Sequence[str] = ()) -> Report:
         The class or its parameters cannot be loaded. The message is one line.
     """
     part, section = PARTS[kind], "attacks.0" if kind == "attack" else KINDS[kind].section
-    sets = [*BASE, f"{section}.{KINDS[kind].key}={name}", *(f"{section}.{one}" for one in own)]
+    interferes = kind == "attack" and hasattr(resolve(KINDS[kind], name).of, "sending")
+    radio = [
+        "radio.model=csma"
+    ] * interferes  # a unit disk has no interference that an attack on the channel could cause
+    sets = [*BASE, *radio, f"{section}.{KINDS[kind].key}={name}", *(f"{section}.{one}" for one in own)]
     config = load(None, sets)
     config = replace(config, trust_variant=(), attacks=config.attacks[:1])
     check_choices(config)

@@ -39,7 +39,7 @@ def test_commands(cosim, tmp_path):
     assert ended.status == 0, ended.err
     for words in set(COMMANDS):
         shutil.copytree(whole, folder)
-        ended = cosim(*words, cwd=folder)
+        ended = cosim(*words, cwd=folder, cpu_s=60.0)
         assert ended.status == 0 and not ended.wrong, (words, ended)
         expected[words] = made(folder, words, ended.out)
         shutil.rmtree(folder)
@@ -49,7 +49,7 @@ def test_commands(cosim, tmp_path):
         shutil.copytree(whole, folder)
         harm, words = rng.choice(HARMS), rng.choice(COMMANDS)
         said = harm(folder / "run", rng)
-        ended = cosim(*words, cwd=folder)
+        ended = cosim(*words, cwd=folder, cpu_s=60.0)
         wrong = ended.wrong
         if words[0] == "verify":
             wrong = "" if ended.status == 1 and "Traceback" not in ended.err else wrong or "not found"

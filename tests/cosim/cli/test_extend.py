@@ -35,6 +35,7 @@ def test_new_writes_over_nothing(tmp_path):
     assert status == 1 and "is there already" in str(error) and (tmp_path / "mine.py").read_text() == "mine"
     assert "ends in .py" in str(call("new", "trust", tmp_path / "mine")[2])
     assert "cannot be written" in str(call("new", "trust", tmp_path / "no" / "mine.py")[2])
+    assert "would hide the package trust" in str(call("new", "trust", tmp_path / "trust.py")[2])
 
 
 @pytest.mark.parametrize(
