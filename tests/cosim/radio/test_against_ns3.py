@@ -102,9 +102,10 @@ def urban(n: int, p_min_dbm: int, seeds: range) -> None:
     tally = {"LOS": [0.0, 0.0], "NLOS": [0.0, 0.0]}
     busy = []
     for seed in seeds:
-        xyz, given = ns3.positions("urb", n, seed), np.load(ns3.file(f"positions/urb_{n}_{seed}_links.npz"))
+        xyz = ns3.positions("urb", n, seed)
         loss, nlos, upper = np.zeros((n, n)), np.zeros((n, n), bool), np.triu_indices(n, 1)
-        loss[upper], nlos[upper] = given["path_loss_db"], given["nlos"]
+        with np.load(ns3.file(f"positions/urb_{n}_{seed}_links.npz")) as given:
+            loss[upper], nlos[upper] = given["path_loss_db"], given["nlos"]
         loss, nlos = loss + loss.T, nlos | nlos.T
         runs = ns3.measure(xyz, loss, True, ReceiverParams(p_min_dbm=p_min_dbm), ns3.DCF, 5, 35, seed)
         busy.append(runs.busy)
