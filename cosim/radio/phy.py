@@ -43,8 +43,9 @@ CURVES: dict[str, dict[float, tuple[float, float]]] = {
 Notes
 -----
 PSR = exp(-(L / 336) exp((x0 - SINR) / w)), for a frame of L bytes, is a fit of the curves of [2]_ with two parameters.
-With this form, the logarithms of the success of parts of a frame with different SINR add up.   Deviations: at most 0.1
-from the table model and 0.015 from NIST, in the 1.5 dB in which the curve falls.
+With this form, the logarithms of the success of parts of a frame with different SINR add up.
+
+Deviations: at most 0.1 from the table model and 0.015 from NIST, in the 1.5 dB in which the curve falls.
 """
 
 

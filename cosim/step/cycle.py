@@ -63,8 +63,10 @@ def step(
     last_speeds, acceleration_mps2 = s.last_speeds.next(world.step, world.actor, world.speed_mps, dt_s)
     with watch("encounters"):
         near = parts.near_pairs(world) if precomputed.near_pairs is None else precomputed.near_pairs()
-        trust, closed = trust_stages.follow_encounters(s.encounters, near, s.trust, pseudonyms, vehicles, now, parts)
-    s = replace(s, pseudonyms=pseudonyms, last_speeds=last_speeds, trust=trust)
+        encounters, trust, closed = trust_stages.follow_encounters(
+            s.encounters, near, s.trust, pseudonyms, vehicles, now, parts
+        )
+    s = replace(s, pseudonyms=pseudonyms, last_speeds=last_speeds, encounters=encounters, trust=trust)
 
     sensed, beliefs = None, None
     if parts.senses(world.step) and len(vehicles):
@@ -124,12 +126,12 @@ def _cycle(
     with watch("track"):
         attack_start = tracking.track_attacks(s.attack_start, exchange, listed, evaluated)
         inter_reception, reach = tracking.track_receptions(s.inter_reception, exchange, (cpms, reports))
-        tracking.count_in_encounters(s.encounters, exchange, (cpms, reports), looked_up, listed, matched)
+        encounters = tracking.count_in_encounters(s.encounters, exchange, (cpms, reports), looked_up, listed, matched)
         outcomes = attack_outcomes(exchange, positioned.world, listed, cpms, matched, fused)
     s = replace(
         s, trust=trust, pseudonyms=pseudonyms, position_errors=position_errors, included=included, medium=medium,
         piggybacked=piggybacked, known_senders=known_senders, reaction_truth=reaction_truth,
-        attack_start=attack_start, inter_reception=inter_reception,
+        attack_start=attack_start, inter_reception=inter_reception, encounters=encounters,
         n_dropped=s.n_dropped + listed.n_dropped,
     )  # fmt: skip
     return s, Sensed(

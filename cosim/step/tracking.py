@@ -76,7 +76,7 @@ def pairs_in_range(found: MessageRound, n: int) -> tuple[Int[ndarray, "p"], Int[
 def count_in_encounters(
     encounters: Encounters, exchange: Exchange, rounds: Rounds, looked_up: LookedUp, listed: Listed,
     matched: Matched,
-) -> None:  # fmt: skip
+) -> Encounters:  # fmt: skip
     """Add a step's messages, look-ups and evaluations to the open encounters."""
     actor, vehicle = exchange.vehicles.actor, exchange.senders.vehicle
     used = looked_up.messages
@@ -90,6 +90,7 @@ def count_in_encounters(
             tracker.count_messages(actor[vehicle[found.message]], actor[found.receiver])
         tracker.note_trust(actor[used.receiver], actor[vehicle[used.message]], is_known)
         tracker.count_evaluations(actor[evaluator], actor[observer], n)
+    return encounters
 
 
 def track_attacks(

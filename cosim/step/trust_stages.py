@@ -44,12 +44,12 @@ def own_trust_of(
 def follow_encounters(
     encounters: Encounters, near: NearPairs, trust: TrustState, pseudonyms: PseudonymState, vehicles: Vehicles,
     now: Times, parts: Parts,
-) -> tuple[TrustState, list[Rows]]:  # fmt: skip
+) -> tuple[Encounters, TrustState, list[Rows]]:  # fmt: skip
     """Update encounters with the near pairs, and note the trust of both vehicles when an encounter begins.
 
     Returns
     -------
-    The state of trust, and the rows of encounters that have ended.
+    The encounters, the state of trust, and the rows of encounters that have ended.
     """
     closed, holder, other = update_encounters(encounters, now.step, near)
     trust = parts.trust.receive(trust, vehicles.actor, now.begin_s)
@@ -59,7 +59,7 @@ def follow_encounters(
     columns = [np.stack([getattr(found, name) for found in known], axis=1) for name in names]
     for tracker in encounters:
         tracker.first_contact(holder, other, *columns)
-    return trust, closed
+    return encounters, trust, closed
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,7 +154,7 @@ def update_trust(
     hosts, linkage, senders = parts.trust, parts.linkage, exchange.senders
     trust = _open_step(trust, exchange, listed, pseudonyms, parts)
     own, vehicle = linkage.messages(pseudonyms, evaluated.own_messages), exchange.vehicles.actor
-    hosts.add_local(trust, own, vehicle, np.arange(len(vehicle)), of_others=False)
+    trust = hosts.add_local(trust, own, vehicle, np.arange(len(vehicle)), of_others=False)
     up = LinkStats()
     if carrier.evaluations is not None:
         trust, up = _deliver(trust, exchange, carrier.evaluations, carrier, pseudonyms, parts)
@@ -193,7 +193,7 @@ def _deliver(
     row[at] = which
     sent = parts.linkage.messages(pseudonyms, carried.messages)
     got = links.vehicles.take(row[links.vehicles.message] >= 0)
-    parts.trust.add_local(trust, sent, vehicles.actor[got.receiver], row[got.message])
+    trust = parts.trust.add_local(trust, sent, vehicles.actor[got.receiver], row[got.message])
     up = links.uplink.take(row[links.uplink.message] >= 0)
     return parts.trust.report_by_rsu(trust, sent, row[up.message], carrier.begin_s + up.received_s)
 

@@ -308,7 +308,7 @@ class TrustHosts:
     def add_local(
         self, state: TrustState, messages: EvaluationMessages, vehicle: Int[ndarray, "m"], message: Int[ndarray, "m"],
         of_others: bool = True,
-    ) -> None:  # fmt: skip
+    ) -> TrustState:  # fmt: skip
         """Add evaluations to the evidence of vehicles.
 
         Parameters
@@ -317,11 +317,16 @@ class TrustHosts:
             Actor number of each vehicle, and the row of the message that it received or made.
         of_others
             Whether the messages were received. If not, they are the vehicle's own.
+
+        Returns
+        -------
+        The state with the new evidence.
         """
         received = ReceivedEvaluations(messages, vehicle, message, self.eta)
         for h in self._hosts("local"):
             if not of_others or self.params[h].local_evidence == "received":
                 self._model(state, h).add_evaluations(received)
+        return state
 
     def report_by_cellular(
         self, state: TrustState, messages: EvaluationMessages, key: ndarray, xy_m: ndarray, time_s: float,
