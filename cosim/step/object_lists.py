@@ -7,7 +7,7 @@ from numpy import ndarray
 from cosim.adversary.adversary import Active
 from cosim.adversary.attack import EvaluationRows
 from cosim.radio.message_round import Receptions
-from cosim.ragged import expand, ptr_of
+from cosim.ragged import offsets, ptr_of, ranges
 from cosim.step.perception import BoxQuestions
 from cosim.v2x.messages import SELF, Detections
 from sensors.boxes import Boxes
@@ -59,11 +59,17 @@ def received_lists(
     receives, further = np.arange(len(own)), np.setdiff1d(np.arange(len(vehicle)), own)
     of = np.concatenate([receives, vehicle[further], received.receiver])
     message = np.concatenate([own, further, received.message])
-    order = np.lexsort((message, np.arange(len(of)) >= len(own), of))
-    of, message = of[order], message[order]
-    member, row = expand(ptr[message], ptr[message + 1])
-    kept = transmitted[member] | (message == own[of])[row]
-    return ObjectLists(ptr_of(of[row[kept]], len(own)), member[kept], own)
+    is_own = np.arange(len(of)) < len(own)
+    order = np.argsort(of * (len(vehicle) + 1) + np.where(is_own, 0, message + 1), kind="stable")
+    of, message, is_own = of[order], message[order], is_own[order]
+    # The detections of a message: all of them for its sender, those that are transmitted for others.
+    sent = np.flatnonzero(transmitted)
+    known = np.concatenate([sent, np.arange(len(transmitted))])
+    start, stop = (
+        np.where(is_own, len(sent) + ptr[message + k], np.searchsorted(sent, ptr)[message + k]) for k in (0, 1)
+    )
+    begins = offsets(stop - start)[ptr_of(of, len(own))]
+    return ObjectLists(begins, known[ranges(start, stop - start)], own)
 
 
 def subset(lists: ObjectLists, keep: Bool[ndarray, "m"]) -> ObjectLists:

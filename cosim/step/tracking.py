@@ -7,6 +7,7 @@ from jaxtyping import Int
 from numpy import ndarray
 
 from cosim.radio.message_round import MessageRound
+from cosim.ragged import distinct
 from cosim.step.exchange import Exchange
 from cosim.step.stages import Broadcast, Evaluated, Listed, Matched
 from cosim.step.trackers.attack_start import AttackStartTracker
@@ -48,7 +49,13 @@ def _track_round(
     actor, received = exchange.vehicles.actor, broadcast.links.vehicles
     sender, in_range = pairs_in_range(broadcast.round, len(actor))
     n, sent_by = len(actor), exchange.senders.vehicle[received.message]
-    got = np.isin(sender * n + in_range, sent_by * n + received.receiver)
+    pair, arrived = sender * n + in_range, np.sort(sent_by * n + received.receiver)
+    at = np.searchsorted(pair, arrived)
+    # A relay also carries a message beyond the range of its sender.
+    known = at < len(pair)
+    known[known] = pair[at[known]] == arrived[known]
+    got = np.zeros(len(pair), bool)
+    got[at[known]] = True
     tracker, rows = tracker.next(exchange.now.step, actor[sender], actor[in_range], got)
     return tracker, Reach(sender, in_range, rows)
 
@@ -82,7 +89,7 @@ def count_in_encounters(
     used = looked_up.messages
     is_known = np.stack([found.is_known for found in looked_up.lookups], axis=1)
     by, observer = matched.lists.of_member(), vehicle[listed.detections.message[matched.lists.member]]
-    pairs, n = np.unique((by * len(actor) + observer)[by != observer], return_counts=True)
+    pairs, n = distinct((by * len(actor) + observer)[by != observer])
     evaluator, observer = np.divmod(pairs, max(len(actor), 1))
     for tracker in encounters:
         for broadcast in rounds:

@@ -6,6 +6,8 @@ import numpy as np
 from jaxtyping import Bool, Int
 from numpy import ndarray
 
+from cosim.ragged import distinct
+
 
 @dataclass(frozen=True, slots=True)
 class InterReceptionTracker:
@@ -58,5 +60,5 @@ def unique_pairs(
     one: Int[ndarray, "m"], other: Int[ndarray, "m"], n: int
 ) -> tuple[Int[ndarray, "k"], Int[ndarray, "k"]]:
     """Distinct pairs of numbers below n, sorted."""
-    first, second = np.divmod(np.unique(one.astype(np.int64) * n + other), max(n, 1))
+    first, second = np.divmod(distinct(one.astype(np.int64) * n + other)[0], max(n, 1))
     return first, second
