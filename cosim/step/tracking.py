@@ -7,7 +7,7 @@ from jaxtyping import Int
 from numpy import ndarray
 
 from cosim.radio.message_round import MessageRound
-from cosim.ragged import distinct
+from cosim.ragged import distinct, stable_order
 from cosim.step.exchange import Exchange
 from cosim.step.stages import Broadcast, Evaluated, Listed, Matched
 from cosim.step.trackers.attack_start import AttackStartTracker
@@ -49,7 +49,7 @@ def _track_round(
     actor, received = exchange.vehicles.actor, broadcast.links.vehicles
     sender, in_range = pairs_in_range(broadcast.round, len(actor))
     n, sent_by = len(actor), exchange.senders.vehicle[received.message]
-    pair, arrived = sender * n + in_range, np.sort(sent_by * n + received.receiver)
+    pair, arrived = sender * n + in_range, (sent_by * n + received.receiver)[stable_order(sent_by)]
     at = np.searchsorted(pair, arrived)
     # A relay also carries a message beyond the range of its sender.
     known = at < len(pair)

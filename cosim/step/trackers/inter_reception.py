@@ -41,13 +41,11 @@ class InterReceptionTracker:
         The new tracker, and the columns pir_steps, n_received, n_censored of the table `packet_inter_reception`.
         """
         pair = (sender.astype(np.int64) << 32) | receiver
-        at = np.searchsorted(self.pair, pair)
-        held = at < len(self.pair)
-        held[held] = self.pair[at[held]] == pair[held]
+        _, before, now = np.intersect1d(self.pair, pair, assume_unique=True, return_indices=True)
         last, had_one = np.zeros(len(pair), np.int64), np.zeros(len(pair), bool)
-        last[held], had_one[held] = self.last[at[held]], self.received[at[held]]
+        last[now], had_one[now] = self.last[before], self.received[before]
         lost = self.received.copy()
-        lost[at[held]] = False
+        lost[before] = False
         ended, cut = step - last[received & had_one], self.step - self.last[lost]
         size = 1 + max(int(ended.max(initial=0)), int(cut.max(initial=0)))
         n_received, n_censored = np.bincount(ended, minlength=size), np.bincount(cut, minlength=size)
