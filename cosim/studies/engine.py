@@ -70,7 +70,7 @@ def connected(scheduler: str | None, workers: int, needed: Path) -> Iterator[Cli
             yield client
         return
     try:
-        client = Client(scheduler, timeout=10)
+        client = Client(scheduler, timeout=5)
     except (OSError, ValueError, TimeoutError) as error:
         reason = " ".join(str(error).split())[:120]
         raise ValueError(

@@ -35,6 +35,7 @@ def test_the_same_figures_as_the_metrics(run):
         assert seen["easy"].n_truth == answer["easy"].n_truth and seen["all"].n_truth < answer["all"].n_truth
 
 
+@pytest.mark.verify
 def test_a_fit_moves_one_class_towards_its_aim(run, monkeypatch):
     start = resolved(DetectorParams())
     one = calibrate.sample(run, "avod", start, 10_000)

@@ -147,6 +147,7 @@ def test_offline_a_box_points_to_a_file(tmp_path, monkeypatch):
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.verify
 def test_a_city_of_the_wheel_is_made_once_and_always_alike(tmp_path, monkeypatch):
     monkeypatch.setenv("COSIM_CACHE", str(tmp_path / "one"))
     first = catalogue.find("koenigs-wusterhausen")
@@ -158,7 +159,11 @@ def test_a_city_of_the_wheel_is_made_once_and_always_alike(tmp_path, monkeypatch
     assert len(first.footprints()) > 10 and "OpenStreetMap" in first.attribution
 
 
-@pytest.mark.parametrize("name", sorted(sumo_package_nets.NETS))
+@pytest.mark.parametrize(
+    "name",
+    [name if name == "koenigs-wusterhausen" else pytest.param(name, marks=pytest.mark.verify)
+     for name in sorted(sumo_package_nets.NETS)],
+)  # fmt: skip
 def test_what_is_said_of_a_city_before_it_is_made_is_what_it_then_is(name, tmp_path, monkeypatch):
     monkeypatch.setenv("COSIM_CACHE", str(tmp_path))
     assert sumo_package_nets.made(name) is None

@@ -55,6 +55,7 @@ def service(status: int, body: bytes, delay_s: float = 0.0) -> Iterator[tuple[st
             thread.join()
 
 
+@pytest.mark.verify
 def test_a_box_becomes_a_town_that_can_be_built_again(tmp_path):
     with service(200, answer(grid_town())) as (url, asked):
         done = cosim("nets", "build", "--bbox", BOX, "--overpass", url, "--out", "town", "--no-check", cwd=tmp_path)

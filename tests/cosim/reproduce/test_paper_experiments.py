@@ -221,6 +221,7 @@ def plainly(run, egos, table, owner):
     return made, number
 
 
+@pytest.mark.verify
 def test_precision_at_the_egos_is_that_of_their_own_detections_and_of_plain_loops(drive):
     """With `local` fusion adds nothing: what is fused is ranked as what the detectors reported."""
     found = ego_metrics.measures(drive).set_index(["metric", "group"]).value

@@ -20,7 +20,7 @@ VARIANTS = {
     "none": {"host": "none"},
     "averaging": {"method": "averaging"},
 }
-RARE = ("never", "frequent", "skip", "local short", "none")
+RARE = ("never", "frequent", "skip", "local short", "none", "own", "averaging")
 """Those that differ from another one by a parameter, or compute nothing."""
 FUSED = ("short", "local", "averaging")
 TABLES = ("trust", "trust_lookups", "fused")

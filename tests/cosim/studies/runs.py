@@ -19,9 +19,9 @@ from tests.drive import simulate
 
 ROOT = Path(__file__).parents[3]
 
-SHORT = ("traffic.duration_s=24", "traffic.warmup_s=60", "attacks.0.start_s=5", "attacks.1.start_s=5",
+SHORT = ("traffic.duration_s=14", "traffic.warmup_s=60", "attacks.0.start_s=5", "attacks.1.start_s=5",
          "attacks.0.share_p=0.3", "compute.threads=1")  # fmt: skip
-"""Twenty-four seconds of the shipped city, with attacks."""
+"""Fourteen seconds of the shipped city, with attacks."""
 
 
 def drive(folder: Path, *overrides: str) -> Run:

@@ -19,7 +19,7 @@ name = "short"
 replicates = 2
 baseline = { "trust.freshness_s" = 20 }
 [base]
-traffic.duration_s = 24
+traffic.duration_s = 14
 traffic.warmup_s = 60
 compute.threads = 1
 attacks = [
