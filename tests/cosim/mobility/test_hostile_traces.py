@@ -9,6 +9,7 @@ import pytest
 from cosim.mobility.frame import Frame, TrafficError
 from cosim.mobility.params import TrafficParams
 from cosim.mobility.scenario import find
+from results.archive import open_run
 from tests.cosim.mobility.worlds import collect, registry
 from tests.drive import simulate
 
@@ -73,14 +74,16 @@ def test_what_is_allowed_runs(tmp_path, x):
     """As far as a trace without a network may reach, with LiDARs, radio and trust."""
     path = csv(tmp_path, x=x)
     sets = (f"traffic.scenario={path}", "fleet.penetration_p=1", "traffic.duration_s=8")
-    simulate(tmp_path / "run", *sets)
+    actors = open_run(simulate(tmp_path / "run", *sets)).table("actors")
+    assert (actors.groupby("step").size() == 5).all() and np.ptp(actors.x_m) > 90_000
 
 
 def test_as_far_as_a_network_allows(tmp_path):
     path = csv(tmp_path, x=-9_900.0)
     sets = ("traffic.scenario=helsinki", f"traffic.trace={path}", "fleet.penetration_p=1", "traffic.duration_s=8",
             "traffic.warmup_s=0")  # fmt: skip
-    simulate(tmp_path / "run", *sets)
+    actors = open_run(simulate(tmp_path / "run", *sets)).table("actors")
+    assert (actors.groupby("step").size() == 5).all() and np.ptp(actors.x_m) > 9_000
 
 
 def test_the_frame_by_hand():
