@@ -1,8 +1,8 @@
-"""Chance as a function of who, whom, when and what for.
+"""Random numbers that depend only on the seed, their purpose, the step and identifiers such as names.
 
-A draw is `unit(mix(mix(key(seed, stream, step), who), whom))`: a SplitMix64 stream per prefix, walked to
-the position named by the next identifier. Nothing is shared and nothing advances, so neither order,
-membership nor threads can change a draw, and switching one stream's use off leaves all others as they were.
+A draw is `unit(mix(mix(key(seed, stream, step), who), whom))`. `mix(h, x)` is number x of the SplitMix64 sequence [1]_
+that begins at h. No state is shared or advanced. A draw therefore does not depend on the order of the rows, on who else
+is there, or on threads. If one stream is not used, the draws of all others stay the same.
 
 References
 ----------
@@ -64,13 +64,22 @@ def _mix_rows(h, ids):
 
 
 def key(seed: int, stream: Stream, step: int = 0) -> np.uint64:
-    """Prefix of all draws of one purpose in one step."""
+    """Prefix of all draws of one purpose in one step. Draws that are the same in every step have step 0."""
     prefix = np.array([[stream, step]], np.uint64)
     return _mix_rows(np.uint64(seed), prefix)[0]
 
 
 def keys(prefix: np.uint64, *ids: ndarray | np.unsignedinteger) -> UInt64[ndarray, "n"]:
-    """One key per row of identifiers (arrays of one length, or scalars beside one)."""
+    """One key per row of identifiers.
+
+    Parameters
+    ----------
+    prefix
+        From `key`, or one key from an earlier call.
+    ids
+        Columns of identifiers: arrays of one length, or scalars, which count for all rows. They are converted to
+        uint64. Another order of the columns gives other keys.
+    """
     columns = [np.atleast_1d(np.asarray(i)).astype(np.uint64) for i in ids]
     rows = np.empty((np.broadcast(*columns).size, len(columns)), np.uint64)
     for number, column in enumerate(columns):
@@ -79,14 +88,14 @@ def keys(prefix: np.uint64, *ids: ndarray | np.unsignedinteger) -> UInt64[ndarra
 
 
 def uniforms(prefix: np.uint64, *ids: ndarray | np.unsignedinteger, n: int = 1) -> Float[ndarray, "rows n"]:
-    """`n` uniforms in [0, 1) for each row of identifiers."""
+    """`n` uniforms in [0, 1) for each row of identifiers (see `keys`). The first columns do not depend on `n`."""
     return hash_rng.uniforms(keys(prefix, *ids), n)
 
 
 def draws(seed: int, step: int, names: ndarray | tuple[ndarray, ...], n: int = 1) -> Float[ndarray, "rows n"]:
     """`n` uniforms in [0, 1) for each row of names: the draws of a class of a user's own.
 
-    The same seed, step and names give the same numbers, in any order of the rows and whoever else is there.
+    The same seed, step and names give the same numbers. The order of the rows and other rows have no effect.
 
     Parameters
     ----------
@@ -98,7 +107,7 @@ def draws(seed: int, step: int, names: ndarray | tuple[ndarray, ...], n: int = 1
 
 
 def normals(prefix: np.uint64, *ids: ndarray, n: int = 1) -> Float[ndarray, "rows n"]:
-    """`n` standard normals for each row of identifiers."""
+    """`n` standard normals for each row of identifiers (see `keys`). The first columns do not depend on `n`."""
     return hash_rng.normals(keys(prefix, *ids), n)
 
 
@@ -107,11 +116,20 @@ def persistent(
 ) -> Float[ndarray, "rows n"]:
     """`n` standard normals for each row of identifiers, as functions of time that change slowly.
 
+    Parameters
+    ----------
+    prefix, ids
+        As for `keys`.
+    time_s
+        Time of the values, from 0. Times may be asked in any order.
+    memory_s
+        Time between two independent normals of a row, above 0.
+
     Notes
     -----
-    Normals stand every `memory_s` seconds, at moments of each row's own; between two of them, a and b, the value is
-    (1 - w) a + w b at unit variance. Hence no state and no order. The correlation is 0.72 over half of `memory_s`,
-    0.28 over all of it, and 0 over twice as much and more.
+    Each row has independent normals every `memory_s` seconds, at a random phase. Between two of them, a and b, the
+    value is (1 - w) a + w b, scaled to unit variance. The correlation is 0.72 after half of `memory_s`, 0.28 after
+    `memory_s`, and 0 after twice `memory_s` or more. No state is kept.
     """
     phase = uniforms(prefix, *ids)[:, 0]
     cell, w = np.divmod(time_s / memory_s + phase, 1.0)
@@ -121,5 +139,5 @@ def persistent(
 
 
 def name_key(name: str) -> int:
-    """The 64-bit identity of an actor: a hash of its name, whoever else is there."""
+    """The 64-bit identity of an actor: a hash of its name. It does not depend on other actors."""
     return int.from_bytes(blake2b(name.encode(), digest_size=8).digest(), "little")

@@ -43,7 +43,7 @@ class Origin(IntEnum):
 
 
 class DetectionFault(IntEnum):
-    """Why a detection is dropped before it is sent; the first cause that applies."""
+    """Why a detection is dropped before it is sent. If several causes apply, one of them."""
 
     NOT_FINITE = 0
     TOO_FAR = 1

@@ -75,7 +75,12 @@ class Active:
     def evaluations(
         self, rows: EvaluationRows, detections: Detections
     ) -> tuple[Float[ndarray, "m"], Float[ndarray, "m"]]:
-        """Evaluation and visibility as each vehicle will send them. Unchanged arrays are returned as they are."""
+        """Evaluation and visibility as each vehicle will send them.
+
+        Returns
+        -------
+        Aligned with `rows`. If no active attack has the method `evaluations`, they are the arrays of `rows` themselves.
+        """
         evaluation, visibility = rows.evaluation, rows.visibility
         for attack, context in self._with("evaluations"):
             now = EvaluationRows(rows.evaluator, rows.detection, evaluation, visibility)
@@ -83,21 +88,24 @@ class Active:
         return evaluation, visibility
 
     def identities(self, n: int) -> Int[ndarray, "n"]:
-        """Number of identities under which each actor sends, in addition to its own."""
+        """Number of identities under which each of the `n` actors sends in addition to its own, by row of the world.
+
+        If several attacks give an actor identities, the largest number is used.
+        """
         found = np.zeros(n, np.int64)
         for attack, context in self._with("identities"):
             found = np.maximum(found, np.where(context.attacker, attack.identities(context), 0))
         return found
 
     def sending(self, n: int) -> Sending:
-        """How each actor sends its messages."""
+        """How each of the `n` actors sends its messages, by row of the world."""
         found = Sending.plain(n)
         for attack, context in self._with("sending"):
             found = found.and_also(attack.sending(context))
         return found
 
     def malicious(self, n: int) -> Bool[ndarray, "n"]:
-        """Actors that attack in this step and have the role malicious."""
+        """Which of the `n` actors attack in this step and have the role malicious, by row of the world."""
         found = np.zeros(n, bool)
         for _, context in self.attacks:
             if context.params.role == Role.MALICIOUS.name.lower():
@@ -157,6 +165,10 @@ class Adversary:
             Trust in each actor, as the actor last received it. None if no attack reads it.
         age_s
             Age of each actor's current pseudonym.
+
+        Returns
+        -------
+        By row of the world.
         """
         found = np.zeros(len(world), bool)
         for number, p in enumerate(self.params):

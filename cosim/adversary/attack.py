@@ -73,11 +73,11 @@ class AttackContext:
         return self.world.name_key[rows]
 
     def own_rows(self, listed: Detections) -> Int[ndarray, "r"]:
-        """Rows of `listed` that are detections of attackers, self reports included."""
+        """Rows of `listed` that are detections of attackers, self reports included; ascending."""
         return np.flatnonzero(self.attacker[listed.observer])
 
     def victims(self) -> tuple[Int[ndarray, "b"], Int[ndarray, "b"]]:
-        """Attackers that have a victim within range, and their victims, both as rows of the world."""
+        """Attackers that have a victim within range, ascending, and the victim of each; both as rows of the world."""
         rows = np.flatnonzero(self.attacker)
         draw = self.uniforms(self.name_key(rows))[:, 0] if self.params.victim == "random" else np.zeros(len(rows))
         return victims.victims(self.world, rows, self.params, draw, self.seed)
@@ -170,17 +170,32 @@ class Attack(Protocol):
     def evaluations(
         self, rows: EvaluationRows, detections: Detections, context: AttackContext
     ) -> tuple[Float[ndarray, "m"], Float[ndarray, "m"]]:
-        """Evaluation in [-1, 1] and visibility in [0, 1] of each row, as they will be sent."""
+        """Evaluation in [-1, 1] and visibility in [0, 1] of each row, as they will be sent.
+
+        Parameters
+        ----------
+        rows
+            Evaluations of all vehicles. Only those of `context.attacker` may be changed.
+        detections
+            The step's detections, to which `rows.detection` refers.
+        """
 
     def identities(self, context: AttackContext) -> Int[ndarray, "n"]:
         """Number of identities under which each actor sends in this step, in addition to its own.
 
-        The result is by row of the world. `Detections.identity` is the number of the identity that sends a detection,
-        from 1. The actor's evaluations are sent under all its identities.
+        `Detections.identity` is the number of the identity that sends a detection, from 1. The actor's evaluations are
+        sent under all its identities.
+
+        Returns
+        -------
+        By row of the world. The numbers of actors that do not attack in this step are ignored.
         """
 
     def sending(self, context: AttackContext) -> Sending:
-        """How each actor sends its messages, by row of the world."""
+        """How each actor sends its messages, by row of the world.
+
+        Actors that are not `context.attacker` send as in `Sending.plain`.
+        """
 
 
 class WithParams(Generic[P]):
@@ -257,6 +272,10 @@ def placed(
         Distances ahead of and to the left of the actor's centre.
     turned_rad
         Angle from the actor's heading, counter-clockwise.
+
+    Returns
+    -------
+    Positions at the height of the actor's centre, and headings in (-pi, pi].
     """
     yaw = world.boxes.yaw_rad[row]
     c, s = np.cos(yaw), np.sin(yaw)
@@ -302,6 +321,10 @@ def certified(
     rows: EvaluationRows, detections: Detections, context: AttackContext
 ) -> tuple[Float[ndarray, "m"], Float[ndarray, "m"]]:
     """Evaluations in which attackers confirm what they fabricated themselves: evaluation and visibility 1 [1]_.
+
+    Returns
+    -------
+    Evaluation and visibility of each row. All other evaluations are unchanged.
 
     References
     ----------

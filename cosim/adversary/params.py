@@ -183,5 +183,5 @@ def named(params: Sequence[AttackParams]) -> dict[str, int]:
 
 
 def roles_of(params: Sequence[AttackParams]) -> UInt8[ndarray, "a"]:
-    """Code of the role (`results.codes.Role`) for each number of `world.attack`. Number 0 is honest."""
+    """Code of the role (`results.codes.Role`) for each number of `world.attack`. Number 0 means honest."""
     return np.array([Role.HONEST, *(Role[p.role.upper()] for p in params)], np.uint8)

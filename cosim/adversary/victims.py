@@ -15,7 +15,7 @@ Pairs = tuple[Int[ndarray, "b"], Int[ndarray, "b"]]
 def victims(
     world: World, attackers: Int[ndarray, "a"], params: AttackParams, draw: Float[ndarray, "a"], seed: int
 ) -> Pairs:
-    """Attackers that have a victim within range, and their victims, both as rows of the world.
+    """Attackers that have a victim within range, in the given order, and the victim of each; both as rows of the world.
 
     Parameters
     ----------
@@ -43,7 +43,17 @@ def victims(
 
 
 def designated(seed: int, name_key: UInt64[ndarray, "n"], victim_p: float) -> Bool[ndarray, "n"]:
-    """Which actors are victims with `victim = "designated"`, provided that they are equipped and do not attack."""
+    """Which actors are drawn with `victim = "designated"`. Of these, the equipped ones that do not attack are victims.
+
+    Parameters
+    ----------
+    seed
+        Seed of the run.
+    name_key
+        Keys of the actors' names. With the seed they decide the draw, which is therefore the same in every step.
+    victim_p
+        Share that is drawn.
+    """
     return rng.uniforms(rng.key(seed, rng.Stream.VICTIM), name_key)[:, 0] < victim_p
 
 

@@ -30,7 +30,7 @@ def city_blocks(side_m: float) -> Buildings:
 
 
 def streets(n: int, side_m: float, seed: int = 1) -> ndarray:
-    """Antennas of `n` cars, uniformly distributed over the streets between `city_blocks`."""
+    """Antennas of `n` cars, 1.5 m high, uniformly distributed over the streets between `city_blocks` [m]."""
     g = np.random.default_rng(seed)
     along, across = g.uniform(0, side_m, n), 125.0 * g.integers(0, int(side_m / 125), n) + g.uniform(-8, 8, n)
     east = g.random(n) < 0.5

@@ -32,7 +32,12 @@ _SIZE_M = np.array(
 
 
 def town(n_actors: int = 600, n_blocks: int = 20, pitch_m: float = 60.0) -> tuple[Scene, Boxes, UInt8[ndarray, "n"]]:
-    """A grid of streets between L-shaped blocks and the traffic in it, always the same."""
+    """A grid of streets between L-shaped blocks and the traffic in it, always the same.
+
+    Returns
+    -------
+    The blocks, and box and `Shape` of each actor.
+    """
     rng = np.random.default_rng(0)
     corner = np.array([(8, 8), (52, 8), (52, 30), (40, 30), (40, 52), (8, 52)]) / 60.0 * pitch_m
     rings = [[corner + pitch_m * np.array([i, j])] for i in range(n_blocks) for j in range(n_blocks)]
@@ -50,7 +55,21 @@ def town(n_actors: int = 600, n_blocks: int = 20, pitch_m: float = 60.0) -> tupl
 def bench(
     world: tuple[Scene, Boxes, UInt8[ndarray, "n"]] | None = None, n_observers: int = 100, runs: int = 5
 ) -> list[tuple[str, float, str]]:
-    """Measure the sensors in a given world or in a synthetic town of 600 actors. Rows of (what, figure, unit)."""
+    """Measure the sensors.
+
+    Parameters
+    ----------
+    world
+        Buildings, boxes and `Shape` of the actors. None: the `town` of 600 actors.
+    n_observers
+        Largest number of observers. They are the first cars of the world.
+    runs
+        Number of repetitions, at most 3 for the reference ray casters. The shortest time counts.
+
+    Returns
+    -------
+    Rows of (what, figure, unit).
+    """
     scene, boxes, shape = town() if world is None else world
     cars = np.flatnonzero(LABEL_OF_SHAPE[shape] == ObjectClass.CAR)[:n_observers]
     threads = numba.get_num_threads()

@@ -47,7 +47,7 @@ def _workers(folder: Path) -> list[Row]:
 
 
 def _points(folder: Path) -> list[Row]:
-    """Five windows times four periods of the study `freshness` in one run, compared with one point, with metrics."""
+    """Compare 20 points of the study `freshness` (five windows, four periods) in one run with one point alone."""
     text = (SHIPPED / "freshness.toml").read_text().replace("replicates = 5", "replicates = 1")
     many = text.replace("[0.1, 0.3, 0.6]", "[0.3]")
     one = many.replace("[5, 10, 20, 50, 100]", "[50]").replace("[1, 5, 10, 30]", "[5]")

@@ -100,7 +100,7 @@ class Believed:
 
     @staticmethod
     def of(beliefs: Beliefs, rows: Int[ndarray, "k"], world: World, dt_s: float) -> "Believed":
-        """Objects that are tracked for the first time, from these rows of the beliefs."""
+        """Objects that are tracked for the first time, from these rows of the beliefs. Their speeds are unknown."""
         boxes, n = beliefs.boxes, len(rows)
         xy = boxes.xyz_m[rows, :2]
         return Believed(

@@ -36,8 +36,7 @@ class ObjectParams:
     """
 
     vehicle_class: ActorClass = "car"
-    """Class of the object. It determines the class in the tables and the default size. A dummy of a person is a
-    `pedestrian`."""
+    """Class of the object in the tables, which also sets its default size. A dummy of a person is a `pedestrian`."""
     at_m: tuple[float, float] | None = None
     """Centre of its box in the world frame: east, north [m]. Required."""
     ground_m: Annotated[float, Ge(-1000), Le(10_000)] = 0.0
@@ -126,6 +125,7 @@ class WithObjects:
         return _joined(world, objects)
 
     def command(self, actor: Int[ndarray, "c"], speed_mps: Float[ndarray, "c"]) -> None:
+        """As in `TrafficSource`."""
         self._traffic.command(actor, speed_mps)
 
     def report(self) -> dict[str, Any]:

@@ -1,1 +1,1 @@
-"""What is made of a run afterwards: sweeps cast again, exports, views."""
+"""Work on finished runs: sweeps that are computed again, exports, and recordings for a viewer."""

@@ -1,4 +1,4 @@
-"""Exports of a run: chosen vehicles and steps, sweeps cast again, and files written in parallel."""
+"""Exports of a run: the choice of vehicles and steps, repeated sweeps, and files that are written in parallel."""
 
 import os
 from collections import deque
@@ -30,18 +30,18 @@ from sensors.scene import Scene
 from sumo_nets import network
 
 Progress = Callable[[str, int, int], None]
-"""Called with what is being done, how much of it is done, and how much there is."""
+"""Callback for progress. Its arguments are the phase, the work done and the total."""
 
 IN_FLIGHT = 64
-"""Files that are encoded and written at the same time, at most."""
+"""Largest number of files that are encoded and written at the same time."""
 
 SAMPLE = 16
-"""Sweeps from which the length of all is estimated."""
+"""Number of sweeps from which the mean number of returns is estimated."""
 
 
 @dataclass(slots=True)
 class Sweeper:
-    """Sweeps of a run, cast again: steps in ascending order are read in blocks, others are looked up anew."""
+    """Computes sweeps of a run again. Worlds are read in blocks of steps, so ask for steps in ascending order."""
 
     run: Run
     config: Config
@@ -51,7 +51,7 @@ class Sweeper:
     _block: dict[int, World] = field(default_factory=dict)
 
     def __call__(self, step: int, vehicles: Sequence[int]) -> list[Cloud]:
-        """Returns of these vehicles' LiDARs, in their sensor frames."""
+        """Per vehicle, a function that computes the returns of its LiDAR in its sensor frame."""
         if not vehicles:
             return []
         if step not in self._block:
@@ -72,9 +72,9 @@ def export(
     Parameters
     ----------
     form
-        Name of an exporter that ships, or one of the user's own as `path.py:Name`.
+        Name of an included exporter, or one of the user's own as `path.py:Name`.
     vehicles, steps
-        As in `3,17,20-25`; all without.
+        Numbers and spans of them, such as `3,17,20-25`. None: all.
     sets
         Parameters of the exporter, as `key=value`.
 
@@ -85,10 +85,10 @@ def export(
     Raises
     ------
     ValueError
-        In one line: no such exporter, a table that the run does not hold, a vehicle that was never there, a folder that
-        holds something else, a full disk.
+        In one line: there is no such exporter, the run lacks a table, a vehicle was never on the road, the folder has
+        other content, or the disk is full.
     ExtensionError
-        In one line, where the user's own exporter fails.
+        In one line, if the user's own exporter fails.
     """
     choice, params = from_command_line("exporter", form, sets)
     with blame.in_use(choice.source.file, f"exporter {choice.of.__name__}"):
@@ -154,12 +154,12 @@ def _estimate(plan: Plan, chosen: Selection, sweeper: Sweeper) -> float:
 
 
 def _city(fmt: Exporter, config: Config) -> Scene:
-    """The buildings; none where no point cloud is made."""
+    """The buildings; an empty scene if the exporter makes no point clouds."""
     return city_of(config) if "observability" in fmt.TABLES else Scene.empty()
 
 
 def _vehicles(run: Run, text: str | None) -> tuple[int, ...]:
-    """Vehicles with a LiDAR, as in `3,17,20-25`; all without one."""
+    """Vehicles from a text such as `3,17,20-25`. None: all vehicles with a LiDAR."""
     known = run.table("vehicles", ["vehicle", "equipped"]).set_index("vehicle").equipped
     if text is None:
         return tuple(known.index[known].tolist())
@@ -176,7 +176,7 @@ def _vehicles(run: Run, text: str | None) -> tuple[int, ...]:
 
 
 def _steps(run: Run, config: Config, text: str | None) -> Int[ndarray, "s"]:
-    """Steps in which vehicles sense, as in `0-59`; all without one."""
+    """Steps in which vehicles sense, from a text such as `0-59`. None: all such steps."""
     every = np.arange(0, int(run.manifest["steps"]), config.sense_every_steps)
     if text is None:
         return every
@@ -189,7 +189,7 @@ def _steps(run: Run, config: Config, text: str | None) -> Int[ndarray, "s"]:
 
 
 def _ranges(text: str, flag: str, example: str) -> list[tuple[int, int]]:
-    """Numbers and spans of numbers, both ends included."""
+    """First and last number of each span in the text. A single number is a span too."""
     found = []
     for part in text.split(","):
         ends = part.strip().split("-")
@@ -212,7 +212,7 @@ def _size(n_bytes: float) -> str:
 
 
 def _road_edge_m(config: Config) -> Callable[[Float[ndarray, "n 2"]], Float[ndarray, "n"]]:
-    """Distance of points to the edge of all lanes for motor vehicles, positive on them."""
+    """A function for the distance of points to the edge of the lanes for motor vehicles [m]; positive on the lanes."""
     scenario = find(config.traffic.scenario, config.traffic.trace)
 
     @cache

@@ -1,6 +1,6 @@
-"""LiDAR sweeps of a finished run: its worlds are read from the tables and cast again.
+"""LiDAR sweeps of a finished run: its worlds are read from the tables, and the sweeps are computed again.
 
-They equal the run's, because noise is a function of vehicle and step.
+They equal the run's sweeps, because their noise depends only on seed, vehicle and step.
 """
 
 import logging
@@ -35,10 +35,10 @@ _LOG = logging.getLogger(__name__)
 
 
 def config_of(run: Run) -> Config:
-    """The config of a run, for what depends on its traffic and its LiDARs.
+    """The config in a run's manifest, to read its traffic and compute its sweeps again.
 
-    It is the one in the manifest. In place of classes of the user's own there are those that ship: no code is loaded.
-    A warning is logged where files that it names have changed since.
+    The default choice replaces each class of the user's own, so no user code is loaded. If files that the config names
+    have changed since the run, a warning is logged.
     """
     config = of_run_without_code(run.manifest["config"], run.path)
     scenario = find(config.traffic.scenario, config.traffic.trace)
@@ -48,13 +48,23 @@ def config_of(run: Run) -> Config:
 
 
 def city_of(config: Config) -> Scene:
-    """The buildings of its scenario, and its meshes."""
+    """The buildings of the config's scenario, and the config's meshes."""
     city = find(config.traffic.scenario, config.traffic.trace).city()
     return with_meshes(city, config.meshes, config.vehicle_meshes)
 
 
 def worlds(run: Run, config: Config, steps: Int[ndarray, "s"] | None = None) -> Iterator[World]:
-    """The worlds of these steps, as they were sensed, in ascending order; of all without them."""
+    """The worlds of these steps as they were sensed, in ascending order.
+
+    Parameters
+    ----------
+    steps
+        Numbers of steps, in any order. None: all steps. Steps without actors are left out.
+
+    Yields
+    ------
+    Worlds without attacks (`attack` is 0) and without lane paths.
+    """
     run.require("actors", "vehicles")
     steps = np.arange(int(run.manifest["steps"])) if steps is None else steps
     vehicles = run.table("vehicles").sort_values("vehicle")
@@ -74,7 +84,7 @@ def worlds(run: Run, config: Config, steps: Int[ndarray, "s"] | None = None) -> 
 
 
 def sweep(config: Config, city: Scene, world: World, rows: Int[ndarray, "e"]) -> Sweeps:
-    """Sweeps of these rows of the world, in memory of their own."""
+    """Sweeps of the vehicles in these rows of the world, in new memory."""
     return lidar.scan(
         world.boxes, world.shape, rows, city, config.lidar, sweep_keys(config.seed, world, rows)
     )  # fmt: skip
@@ -93,7 +103,7 @@ class ReplayedScan:
 
 
 def replay_scan(run: Run, vehicle: int, step: int) -> ReplayedScan:
-    """The sweep of a vehicle; ValueError where it did not sense in that step."""
+    """The sweep of a vehicle. A ValueError is raised if the vehicle did not sense in that step."""
     config = config_of(run)
     n_steps = int(run.manifest["steps"])
     if not 0 <= step < n_steps or step % config.sense_every_steps:
@@ -126,7 +136,7 @@ def replay_scan(run: Run, vehicle: int, step: int) -> ReplayedScan:
 
 
 def write(run: Run, vehicle: int, step: int, out: Path | None) -> Path:
-    """The sweep as a picture from above, or as a point cloud, by the ending of the file name."""
+    """Write a sweep as a picture seen from above or as a point cloud. The ending of the file name decides which."""
     scan_of_step = replay_scan(run, vehicle, step)
     points = cloud.cloud_of(scan_of_step.sweeps, 0)
     out = out or run.path / f"sweep-{vehicle}-{step}.png"
@@ -149,7 +159,11 @@ def write(run: Run, vehicle: int, step: int, out: Path | None) -> Path:
 
 
 def portrait(run: Run, vehicles: list[int], step: int, out: Path | None) -> Path:
-    """The city at one step: trust, and clouds of these vehicles, or of one with many others around and two of them."""
+    """Draw the city in one step, with trust and the point clouds of some vehicles.
+
+    If `vehicles` is empty, the clouds are those of the vehicle with most other equipped ones within 80 m, and of the
+    two equipped vehicles nearest to it.
+    """
     out = out or run.path / f"scene-{step}.png"
     config = config_of(run)
     world = next(worlds(run, config, np.array([step])), None)

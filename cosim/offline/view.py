@@ -5,9 +5,10 @@ The edges of a vehicle and its ring on the map have the colour of the trust in i
 dark grey is not rated. Fabricated objects are red. For chosen vehicles there are the clouds, and what they detected,
 received and believe.
 
-The first view is on the first chosen vehicle, else on the first lie that was sent, else on the middle of the traffic.
+The first view shows the first chosen vehicle. If there is none, it shows the first lie that was listed, or else the
+middle of the traffic.
 
-Nothing is served, and nothing but the file is written. The viewer itself collects usage data until one has said
+No server is started, and only the file is written. The viewer itself collects usage data unless you run
 `rerun analytics disable`.
 """
 
@@ -45,18 +46,18 @@ ZERO, HALF, ONE, GREY = np.array([[213, 50, 40], [255, 224, 130], [30, 90, 200],
 COLOURS = {"detected": (0, 158, 115), "received": (230, 159, 0), "believed": (86, 180, 233), "fabricated": (213, 0, 0)}
 
 BACKGROUND = (245, 245, 245)
-"""Of both views; the colours of roles are made for light paper."""
+"""Background of both views. It is light, because the colours of roles are made for paper."""
 
 EYE_M = np.array([-35.0, -35.0, 35.0])
-"""From the place that the eye looks at first to the eye."""
+"""Vector from the point at which the camera looks first to the camera [m]."""
 MAP_M = 120.0
-"""Half the width of the map at first."""
+"""Half of the width that the map shows first [m]."""
 EDGE_SHARE = 1.01
-"""Size of a box's edges by its faces, which would hide them otherwise."""
+"""Size of the edges of a box relative to its faces. Faces of the same size would hide the edges."""
 
 BLOCK_STEPS = 60
 _LEAST_FREE_BYTES = 4_000_000
-"""Space on the disk before each block. On a full one the SDK's writer ends, and a flush may never return."""
+"""Free disk space that each block needs. On a full disk the SDK's writer ends, and a flush may never return."""
 _PATIENCE_S = 600.0
 """Longest wait for the SDK's writer at the end."""
 
@@ -70,12 +71,13 @@ def view(
     Parameters
     ----------
     vehicles
-        Whose clouds, detections and beliefs are shown; none by default.
+        Vehicles whose clouds, detections and beliefs are shown. The default is none.
 
     Raises
     ------
     ValueError
-        In one line: a file that cannot be written, a vehicle without a LiDAR, no step in the span, no viewer.
+        In one line: the file cannot be written, a vehicle has no LiDAR, no step is in the time span, or the viewer's
+        package is not installed.
     """
     if out.suffix != ".rrd":
         raise ValueError(f"--out {out}: a recording ends in .rrd.")
@@ -114,7 +116,7 @@ def _write(  # type: ignore[no-untyped-def]
     recording, out: Path, run: Run, config: Config, city: Scene, steps: Int[ndarray, "s"], vehicles: Sequence[int],
     clouds: bool, progress: Progress,
 ) -> None:  # fmt: skip
-    """All of the recording; OSError where the disk is about to be full, at which the SDK may wait for ever."""
+    """Write the whole recording. An OSError is raised if the disk is nearly full, because the SDK might then hang."""
     _require_space(out)
     _static(recording, config, city)
     sweeper = Sweeper(run, config, city, steps)
@@ -136,12 +138,16 @@ def _require_space(out: Path) -> None:
 
 
 def _partial(out: Path) -> Path:
-    """What the file is called until it is whole."""
+    """Name of the file until it is complete."""
     return out.with_name(out.name + PARTIAL)
 
 
 def first_look(run: Run, steps: Int[ndarray, "s"], vehicles: Sequence[int]) -> Float[ndarray, "3"]:
-    """Where the eye looks first [m], world frame: at the first chosen vehicle, the first lie, or the middle of all."""
+    """Point at which the camera looks first [m], world frame.
+
+    It is the first position of the first of `vehicles` in these steps. If there is none, it is the position of the
+    first lie, otherwise the median position of all actors in the first step, otherwise the origin.
+    """
     where = pc.field("step").isin(steps.tolist())
     look = run.table("actors", ["step", *BOX[:3]], where & pc.field("actor").isin(list(vehicles[:1])))
     if look.empty:
@@ -216,7 +222,7 @@ def _static(recording, config: Config, city: Scene) -> None:  # type: ignore[no-
 
 
 def _trust(run: Run) -> pd.DataFrame:
-    """Trust of the acting variant by step and vehicle; rated values only."""
+    """Trust of the acting variant by step and vehicle, without vehicles that nobody has evaluated."""
     found = run.variant_table("trust", ["step", "subject", "trust", "n_evaluations"])
     found = found[found.n_evaluations > 0]
     found = found.assign(vehicle=found.subject.map(run.subjects.vehicle).astype(np.int64))
@@ -224,7 +230,7 @@ def _trust(run: Run) -> pd.DataFrame:
 
 
 def colours(trust: Float[ndarray, "n"]) -> UInt8[ndarray, "n 3"]:
-    """Colours of trust values; nan is none."""
+    """Colours (red, green, blue) of trust values in [0, 1]; grey for NaN, which means that there is no value."""
     low = np.clip(np.nan_to_num(trust) * 2, 0, 1)[:, None]
     high = np.clip(np.nan_to_num(trust) * 2 - 1, 0, 1)[:, None]
     mixed = (1 - low) * ZERO + low * ((1 - high) * HALF + high * ONE)
@@ -232,7 +238,10 @@ def colours(trust: Float[ndarray, "n"]) -> UInt8[ndarray, "n 3"]:
 
 
 def role_colours(run: Run, actor: Int[ndarray, "n"]) -> UInt8[ndarray, "n 3"]:
-    """Colours of actors by role, as in all figures; of those that are not equipped, the pale one."""
+    """Colours (red, green, blue) of actors by their roles, as in all figures; pale if an actor is not equipped.
+
+    `actor` contains actor numbers.
+    """
     of_role = {role: style.role_look(role, run.role_labels)["color"] for role in run.role_labels}
     of_actor = run.roles.astype(object).map(of_role)
     inks = [of_actor.get(number, style.PALE) for number in actor.tolist()]
@@ -243,7 +252,7 @@ def _block(  # type: ignore[no-untyped-def]
     recording, run: Run, config: Config, steps: Int[ndarray, "b"], trust: pd.DataFrame,
     known: dict[int, float], encounters: pd.DataFrame, vehicles: Sequence[int], sweeper: Sweeper | None,
 ) -> None:  # fmt: skip
-    """A block of steps; `known` is the trust known so far, by vehicle, and is updated."""
+    """Write a block of steps. `known` is the last trust in each vehicle so far; the function updates it."""
     import rerun
 
     where = pc.field("step").isin(steps.tolist())
@@ -310,7 +319,7 @@ def _block(  # type: ignore[no-untyped-def]
 
 
 def _of(run: Run, table: str, where: pc.Expression, vehicles: Sequence[int]) -> pd.DataFrame:
-    """Boxes of a table, where vehicles are chosen and the run holds it."""
+    """Boxes of a table. Empty if no vehicle is chosen or the run does not have the table."""
     if not vehicles or table not in run.tables:
         return pd.DataFrame(columns=["step", *BOX])
     if table == "fused":
@@ -319,7 +328,7 @@ def _of(run: Run, table: str, where: pc.Expression, vehicles: Sequence[int]) -> 
 
 
 def _received(run: Run, where: pc.Expression, vehicles: Sequence[int]) -> pd.DataFrame:
-    """Boxes in the messages that the chosen vehicles received; none below level full."""
+    """Boxes in the messages that the chosen vehicles received. Empty if the run has no table `receptions`."""
     if not vehicles or "receptions" not in run.tables:
         return pd.DataFrame(columns=["step", *BOX])
     mine = where & pc.field("receiver").isin(list(vehicles)) & (pc.field("message_type") == "cpm")
@@ -343,7 +352,7 @@ def _boxes(boxes: Boxes, colour: UInt8[ndarray, "..."], solid: bool = False):  #
 def _over_time(  # type: ignore[no-untyped-def]
     recording, run: Run, trust: pd.DataFrame, steps: Int[ndarray, "s"], vehicles: Sequence[int]
 ) -> None:
-    """Median trust by role, and that in the chosen vehicles."""
+    """Plot the median trust of each role, and the trust in the chosen vehicles, over time."""
     import rerun
 
     part = trust[trust.step.isin(steps.tolist())]

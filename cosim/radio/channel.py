@@ -101,9 +101,9 @@ class Jamming:
     """Noise of jammers at N stations, in addition to the receivers' own noise [mW]."""
 
     constant_mw: Float[ndarray, "n"]
-    """At all times."""
+    """Noise at all times."""
     reactive_mw: Float[ndarray, "n"]
-    """During the payload of frames that a reactive jammer detects."""
+    """Noise during the payload of frames that a reactive jammer detects."""
     detected: Bool[ndarray, "n"]
     """Stations whose frames a reactive jammer detects."""
 
@@ -121,7 +121,7 @@ class Links:
     fading: UInt8[ndarray, "m"]
     """Class of the fading's distribution: see `propagation.fading_quantiles`."""
     jamming: Jamming | None = None
-    """None where nothing jams."""
+    """None if no station jams."""
 
     def __post_init__(self) -> None:
         n, m = len(self.key), len(self.receiver)

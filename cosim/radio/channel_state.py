@@ -37,7 +37,12 @@ def remap_stations(state: ChannelState, key: ndarray) -> ChannelState:
     """A copy of the state for the stations `key`, in this order.
 
     Stations that left while they had a frame on the air come last. Packets that wait at a station that left expire.
-    A station that left does not receive the frames that are on the air.
+    A station that left does not receive the frames that are on the air. New stations are idle.
+
+    Raises
+    ------
+    ValueError
+        If a key occurs twice.
     """
     old = state.phy["key"]
     if np.array_equal(old, key):

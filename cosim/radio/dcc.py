@@ -55,7 +55,7 @@ class DccState:
         return DccState(np.zeros(0, np.uint64), np.zeros(0), np.zeros(0, np.int8))
 
     def of(self, key: UInt64[ndarray, "n"]) -> "DccState":
-        """The state of these stations, in this order. New stations start relaxed, on an idle channel."""
+        """The state of these stations (each once), in this order. New ones start relaxed, on an idle channel."""
         if np.array_equal(self.key, key):
             return self
         _, was, now = np.intersect1d(self.key, key, assume_unique=True, return_indices=True)
@@ -65,7 +65,14 @@ class DccState:
 
 
 def update(state: DccState, key: UInt64[ndarray, "n"], busy: Float[ndarray, "n"], params: DccParams) -> DccState:
-    """The next state of the stations `key`, which measured the busy ratios `busy` over one period.
+    """The state of stations after one more period.
+
+    Parameters
+    ----------
+    key
+        Stations, each once. Stations of the state that are not among them are dropped; new ones start relaxed.
+    busy
+        Busy ratio that each station measured in the period, in [0, 1].
 
     Raises
     ------
@@ -87,7 +94,7 @@ def update(state: DccState, key: UInt64[ndarray, "n"], busy: Float[ndarray, "n"]
 
 
 def gap_ns(state: DccState, key: UInt64[ndarray, "n"], params: DccParams) -> Int[ndarray, "n"]:
-    """Least time between two frames of each of these stations [ns]; 0 where control is off."""
+    """Least time between two frames of each of these stations (each once) [ns]; 0 if control is off."""
     if not params.enabled:
         return np.zeros(len(key), np.int64)
     gaps = np.rint(np.array(params.t_off_s) * 1e9).astype(np.int64)

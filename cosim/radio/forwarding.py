@@ -77,7 +77,15 @@ class Forwarding:
     def of(
         rules: ForwardingRules, units: ndarray, key: UInt64[ndarray, "n"], xy_m: Float[ndarray, "n 2"]
     ) -> "Forwarding":
-        """The beginning of a round: frame u is the frame in which the source sends unit u."""
+        """The beginning of a round: frame u is the frame in which the source sends unit u.
+
+        Parameters
+        ----------
+        units
+            Records of `UNIT`.
+        key, xy_m
+            Keys and horizontal positions of all stations.
+        """
         n = len(units)
         copies = np.zeros(N_COPIES * n + 1, COPY)
         return Forwarding(ForwardingState(
@@ -86,7 +94,7 @@ class Forwarding:
         ))  # fmt: skip
 
     def grow(self, n_receivers: int) -> None:
-        """Make room for more frames, and for copies at so many receivers."""
+        """Make room for more frames, and for copies at `n_receivers` more receivers."""
         p = self.state
         if p.used[_FRAMES] == len(p.frames):
             self.state = p = p._replace(frames=grown(p.frames, len(p.frames)))
@@ -109,14 +117,14 @@ class Forwarding:
 
 
 def own_frames(units: ndarray) -> ndarray:
-    """The frames of the sources, in the order of the units."""
+    """Records of `FRAME` of the sources: one frame per record of `UNIT`, in the same order."""
     frames = np.empty(len(units), FRAME)
     frames["unit"], frames["transmitter"], frames["hop"] = np.arange(len(units)), units["source"], 1
     return frames
 
 
 def grown(rows: ndarray, more: int) -> ndarray:
-    """The same rows, and so many more."""
+    """A copy of the rows, followed by `more` rows of zeros."""
     return np.concatenate([rows, np.zeros(more, rows.dtype)])
 
 

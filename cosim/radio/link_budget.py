@@ -125,12 +125,23 @@ def _no_walls() -> WallIndex:
 
 
 def pairs_within(xyz_m: Float[ndarray, "n 3"], range_m: float) -> tuple[ndarray, ndarray, ndarray]:
-    """All pairs of points in range, each once: rows, rows, distance [m]."""
+    """All pairs of points whose distance in space is at most `range_m`.
+
+    Returns
+    -------
+    Rows of the one and of the other point, and their distance [m]. Each pair is there once, in no particular order;
+    either of its points may come first.
+    """
     return _within(xyz_m, range_m, None, np.inf)[:3]
 
 
 def neighbours(xy_m: Float[ndarray, "n 2"], range_m: float) -> tuple[ndarray, ndarray, ndarray]:
-    """All ordered pairs in range: sender, receiver, distance [m]; sorted by sender, then receiver."""
+    """All ordered pairs of stations whose horizontal distance is at most `range_m`.
+
+    Returns
+    -------
+    Rows of sender and receiver, and their distance [m]; sorted by sender, then receiver.
+    """
     a, b, distance_m = pairs_within(np.column_stack([xy_m, np.zeros(len(xy_m))]), range_m)
     sender, receiver = np.concatenate([a, b]).astype(np.int64), np.concatenate([b, a]).astype(np.int64)
     order = order_by_two(sender, receiver, len(xy_m))
@@ -170,14 +181,29 @@ def _within(
 
 
 def from_db(db: ndarray | float) -> ndarray:
-    """Power [mW] of a level [dBm], or the ratio of one in dB; 0 of -inf."""
+    """Power [mW] of a level in dBm, or ratio of a value in dB; -inf gives 0."""
     return np.exp(np.asarray(db) * (np.log(10) / 10))
 
 
 def los_pairs(
     xyz_m: Float[ndarray, "n 3"], params: PropagationParams, los: LosOfPlaces | None = None, near_m: float = 0.0
 ) -> PairLos:
-    """Line of sight of all pairs up to `near_m`, and of all pairs in the interference range of `params`."""
+    """Line of sight of all pairs up to `near_m`, and of all pairs in the interference range of `params`.
+
+    Parameters
+    ----------
+    xyz_m
+        Antenna positions, world frame.
+    los
+        Lines of sight in the city. None: every pair has line of sight.
+    near_m
+        Distance in space.
+
+    Raises
+    ------
+    ValueError
+        If `xyz_m` has another shape or is not finite.
+    """
     xyz_m = np.ascontiguousarray(xyz_m, np.float64)
     if xyz_m.ndim != 2 or xyz_m.shape[1] != 3 or not np.all(np.isfinite(xyz_m)):
         raise ValueError("xyz_m: antenna positions must be (n, 3) finite numbers [m].")
@@ -200,6 +226,8 @@ def pairs(
 
     Parameters
     ----------
+    xyz_m
+        Antenna positions, world frame.
     rng_key
         Key of shadowing and blockage, one for the whole run.
     los

@@ -24,9 +24,24 @@ class Medium(Protocol):
     def broadcast(
         self, state: Any, kind: RoundKind, step: int, begin_s: float, stations: Stations, messages: Messages
     ) -> tuple[Any, MessageRound]:
-        """One round of messages that begins at `begin_s`: the state after it, and its receptions.
+        """Carry out one round of messages. The caller does not use the old state again.
 
-        The caller does not use the old state again.
+        Parameters
+        ----------
+        state
+            The state before the round.
+        kind, step
+            Which of the two rounds of the step it is, and the number of the step.
+        begin_s
+            Time since recording began at which the round begins.
+        stations
+            Present stations. Their rows may differ from round to round, but a station keeps its key.
+        messages
+            Messages of the round. Those of length 0 are not sent.
+
+        Returns
+        -------
+        The state after the round, and its receptions and frame outcomes.
         """
 
 

@@ -288,7 +288,22 @@ def receptions_of(
     generation_offset_s: Float[ndarray, "r"], access_delay_s: Float[ndarray, "r"], latency_s: Float[ndarray, "r"],
     station: Int[ndarray, "m"], xy_m: Float[ndarray, "n 2"],
 ) -> Receptions:  # fmt: skip
-    """Receptions sorted by receiver, then message, with their distances."""
+    """Receptions sorted by receiver, then message, with their distances.
+
+    Parameters
+    ----------
+    receiver, message
+        Rows of stations and of messages, in any order, each pair once. The columns up to `latency_s` are aligned.
+    station
+        Sender of each message.
+    xy_m
+        Horizontal positions of all stations.
+
+    Raises
+    ------
+    ValueError
+        If a time is negative, or a latency is shorter than its access delay.
+    """
     order = order_by_two(receiver, message, max(len(xy_m), len(station)))
     receiver, message = receiver[order], message[order]
     distance_m = np.hypot(*(xy_m[receiver] - xy_m[station[message]]).T)

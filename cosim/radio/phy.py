@@ -100,7 +100,20 @@ class ReceiverParams:
 
 
 def airtime_ns(payload_bytes: Int[ndarray, "n"], rate_mbps: float) -> Int[ndarray, "n"]:
-    """Time on air of frames with these payloads [ns]."""
+    """Time on air of frames with these payloads [ns], with preamble, headers and MAC overhead [1]_.
+
+    Parameters
+    ----------
+    payload_bytes
+        Payload without the MAC overhead, from 0 to `MAX_PAYLOAD_BYTES`.
+    rate_mbps
+        Key of `BITS_PER_SYMBOL`.
+
+    Raises
+    ------
+    ValueError
+        If a payload does not fit one frame.
+    """
     payload_bytes = np.asarray(payload_bytes, np.int64)
     if np.any(payload_bytes < 0) or np.any(payload_bytes > MAX_PAYLOAD_BYTES):
         worst = int(payload_bytes[np.argmax(np.abs(payload_bytes - MAX_PAYLOAD_BYTES / 2))])

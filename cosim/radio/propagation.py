@@ -110,14 +110,30 @@ class PropagationParams:
 
 
 def free_space_db(d: Float[ndarray, "m"], f: float = 5.9) -> Float[ndarray, "m"]:
-    """Loss of free space: 20 log(4 pi d / lambda); 47.86 dB at 1 m."""
+    """Loss of free space: 20 log(4 pi d / lambda); 47.86 dB at 1 m and 5.9 GHz.
+
+    Parameters
+    ----------
+    d
+        Distance [m], above 0.
+    f
+        Carrier [GHz].
+    """
     return 20 * np.log10(4 * np.pi * d * f * 1e9 / LIGHT_MPS)
 
 
 def two_ray_ground_db(
     d: Float[ndarray, "m"], h_a_m: Float[ndarray, "m"], h_b_m: Float[ndarray, "m"], f: float = 5.9
 ) -> Float[ndarray, "m"]:
-    """Free space up to 4 pi h_a h_b / lambda, then 40 log d - 20 log(h_a h_b)."""
+    """Loss of free space up to the distance 4 pi h_a h_b / lambda, then 40 log d - 20 log(h_a h_b).
+
+    Parameters
+    ----------
+    d, f
+        As for `free_space_db`.
+    h_a_m, h_b_m
+        Heights of the two antennas above the street.
+    """
     cross = 4 * np.pi * h_a_m * h_b_m * f * 1e9 / LIGHT_MPS
     return np.where(d <= cross, free_space_db(d, f), 40 * np.log10(d) - 20 * np.log10(h_a_m * h_b_m))
 
@@ -129,7 +145,23 @@ def two_ray_interference_db(
     f: float = 5.9,
     permittivity: float = 1.02,
 ) -> Float[ndarray, "m"]:
-    """Direct ray and its reflection on the road, with phase [2]_. d is the horizontal distance."""
+    """Loss with the direct ray and its reflection on the road, added by phase [2]_.
+
+    Parameters
+    ----------
+    d
+        Horizontal distance [m], above 0.
+    h_a_m, h_b_m
+        Heights of the two antennas above the street.
+    f
+        Carrier [GHz].
+    permittivity
+        Relative permittivity of the road.
+
+    Returns
+    -------
+    Loss [dB]. It is below that of free space where the two rays add up.
+    """
     direct, reflected = np.hypot(d, h_a_m - h_b_m), np.hypot(d, h_a_m + h_b_m)
     sine, cosine = (h_a_m + h_b_m) / reflected, d / reflected
     root = np.sqrt(permittivity - cosine**2)
@@ -139,14 +171,32 @@ def two_ray_interference_db(
 
 
 def log_distance_db(d: Float[ndarray, "m"], exponent: float = 2.75, f: float = 5.9) -> Float[ndarray, "m"]:
-    """Free space at 1 m, then 10 n log d."""
+    """Loss of free space at 1 m, plus 10 n log d.
+
+    Parameters
+    ----------
+    d, f
+        As for `free_space_db`.
+    exponent
+        Path loss exponent n.
+    """
     return free_space_db(np.ones(()), f) + 10 * exponent * np.log10(d)
 
 
 def dual_slope_db(
     d: Float[ndarray, "m"], near: float = 2.0, far: float = 4.0, break_m: float = 100.0, f: float = 5.9
 ) -> Float[ndarray, "m"]:
-    """Log-distance with another exponent beyond the break point [3]_."""
+    """Loss of `log_distance_db`, with another exponent beyond the break point [3]_.
+
+    Parameters
+    ----------
+    d, f
+        As for `free_space_db`.
+    near, far
+        Path loss exponents up to the break point and beyond it.
+    break_m
+        Distance of the break point.
+    """
     first = log_distance_db(np.minimum(d, break_m), near, f)
     return first + 10 * far * np.log10(np.maximum(d / break_m, 1.0))
 
@@ -154,7 +204,15 @@ def dual_slope_db(
 def tr37885_db(
     d: Float[ndarray, "m"], nlos: Bool[ndarray, "m"], scenario: Literal["urban", "highway"], f: float = 5.9
 ) -> Float[ndarray, "m"]:
-    """Path loss of [1]_, without blockage by vehicles (see `blockage_db`)."""
+    """Path loss of [1]_, without blockage by vehicles (see `blockage_db`).
+
+    Parameters
+    ----------
+    d, f
+        As for `free_space_db`.
+    nlos
+        Whether a building blocks the line of sight. The loss is then the same in both scenarios.
+    """
     log_d, log_f = np.log10(d), np.log10(f)
     urban = scenario == "urban"
     los = 38.77 + 16.7 * log_d + 18.2 * log_f if urban else 32.4 + 20 * log_d + 20 * log_f
@@ -208,6 +266,12 @@ def blockage_db(
     ----------
     normal
         Standard normal value of the link.
+    d, h_a_m, h_b_m, blocker_m
+        As for `blockage_mean_db`.
+
+    Returns
+    -------
+    Loss [dB]; 0 where both antennas are higher than the blocking vehicle.
 
     Notes
     -----
@@ -233,6 +297,13 @@ def vehicle_blockage_p(
 ) -> Float[ndarray, "m"]:
     """Probability that a vehicle blocks a link with line of sight by buildings: P(NLOSv) / (P(LOS) + P(NLOSv)) of [5]_.
 
+    Parameters
+    ----------
+    d
+        Distance [m], above 0.
+    scenario, traffic
+        Surroundings and density of traffic for which [5]_ fits a curve.
+
     Notes
     -----
     Deviations: beyond 475 m the highway parabola, which would rise again, stays at its minimum.
@@ -256,8 +327,18 @@ def mean_loss_db(
 ) -> Float[ndarray, "m"]:
     """Path loss of links by the chosen model [dB], before shadowing and blockage.
 
-    Distances below 1 m count as 1 m. `nlos` has an effect only in the urban and highway models, heights only in the
-    two-ray models.
+    Parameters
+    ----------
+    d
+        Length of each link in space [m]. Lengths below 1 m count as 1 m.
+    nlos
+        Whether a building blocks the line of sight. It has an effect only in the urban and highway models.
+    h_a_m, h_b_m
+        Heights of the two antennas above the street. They have an effect only in the two-ray models.
+
+    Notes
+    -----
+    Deviations: `two_ray_interference_db` gets the length in space in place of the horizontal distance.
     """
     d, f = np.maximum(d, 1.0), params.frequency_ghz
     match params.model:
@@ -275,7 +356,15 @@ def mean_loss_db(
 
 
 def fading_class(d: Float[ndarray, "m"], fading: str) -> UInt8[ndarray, "m"]:
-    """Row of `fading_quantiles` for links of this length."""
+    """Row of `fading_quantiles` for each link.
+
+    Parameters
+    ----------
+    d
+        Length of each link [m].
+    fading
+        Key of `FADING`.
+    """
     rows = FADING[fading]
     if not rows:
         return np.zeros(len(d), np.uint8)
@@ -285,7 +374,13 @@ def fading_class(d: Float[ndarray, "m"], fading: str) -> UInt8[ndarray, "m"]:
 
 @cache
 def fading_quantiles() -> Float[ndarray, "classes 4096"]:
-    """Power gain (mean 1) at 4096 equally likely levels, for each class of fading. Class 0 does not fade."""
+    """Power gain of each class of fading at 4096 equally likely levels.
+
+    Returns
+    -------
+    Gains with mean 1, ascending in each row. Row 0 does not fade: all its gains are 1. The other rows are the Nakagami
+    shapes of `FADING`, in order. The array is read-only.
+    """
     level = (np.arange(4096) + 0.5) / 4096
     shapes = [m for rows in FADING.values() for _, m in rows]
     table = np.array([np.ones(4096)] + [gammaincinv(m, level) / m for m in shapes], np.float32)
@@ -368,6 +463,10 @@ def link_field(
     rng_key
         Key of the draws.
 
+    Returns
+    -------
+    One value per link. It is the same for (a, b) and (b, a).
+
     Notes
     -----
     The value is a sum of 32 plane waves over (x_a, x_b), made symmetric in the two ends. It needs no state, and links
@@ -385,7 +484,17 @@ def link_field(
 def blocked_by_vehicle(
     d: Float[ndarray, "m"], normal: Float[ndarray, "m"], params: PropagationParams
 ) -> Bool[ndarray, "m"]:
-    """Which of these links a vehicle blocks, from a standard normal value of each link. No building blocks them."""
+    """Which links a vehicle blocks, of those that no building blocks.
+
+    Parameters
+    ----------
+    d
+        Length of each link [m].
+    normal
+        Standard normal value of each link, which decides.
+    params
+        Propagation. Vehicles block links only in the urban and highway models.
+    """
     if params.blockage == "none" or params.model not in ("urban", "highway"):
         return np.zeros(len(d), bool)
     return ndtr(normal) < vehicle_blockage_p(np.maximum(d, 1.0), params.model, params.traffic)

@@ -40,7 +40,19 @@ class NeighbourList(NamedTuple):
 
     @staticmethod
     def of(xyz_m: Float[ndarray, "n 3"], range_m: float, found: PairLos, knows_walls: bool) -> "NeighbourList":
-        """From pairs that include at least all pairs up to the distance `slant_m(xyz_m, range_m)`."""
+        """The stations in range of each station.
+
+        Parameters
+        ----------
+        xyz_m
+            Antennas.
+        range_m
+            Largest horizontal distance.
+        found
+            Pairs that include at least all pairs up to the distance `slant_m(xyz_m, range_m)`.
+        knows_walls
+            Whether `found` contains lines of sight. If not, `los_state` is UNKNOWN.
+        """
         near = np.flatnonzero(found.distance_m <= slant_m(xyz_m, range_m))
         dx, dy = (xyz_m[found.a[near], axis] - xyz_m[found.b[near], axis] for axis in (0, 1))
         square = dx * dx + dy * dy
@@ -56,7 +68,7 @@ class NeighbourList(NamedTuple):
 
 
 def slant_m(xyz_m: Float[ndarray, "n 3"], range_m: float) -> float:
-    """Largest distance in space of stations whose horizontal distance is at most `range_m`."""
+    """Upper bound of the distance in space of two stations whose horizontal distance is at most `range_m`."""
     return range_m + (float(np.ptp(xyz_m[:, 2])) if len(xyz_m) else 0.0) + 1e-6
 
 
@@ -82,7 +94,17 @@ class Transmissions(NamedTuple):
 
     @staticmethod
     def of(frames: ndarray, units: ndarray, windows: list[WindowResult], first_tag: int) -> "Transmissions":
-        """From the results of all windows, without the frames of earlier rounds."""
+        """The frames of a round, from the results of its windows.
+
+        Parameters
+        ----------
+        frames, units
+            Records of `FRAME` and `UNIT` of the round.
+        windows
+            Results of all windows of the round.
+        first_tag
+            Tag of frame 0. Frames of smaller tags belong to an earlier round and are left out.
+        """
         n = len(frames)
         start_ns, end_ns, begin, count = (np.zeros(n, np.int64) for _ in range(4))
         on_air = np.zeros(n, bool)

@@ -11,7 +11,10 @@ ENVELOPE_BYTES = 44 + 96 + 37 + 9
 
 
 def segments(length_bytes: Int[ndarray, "n"]) -> tuple[Int[ndarray, "n"], Int[ndarray, "n"]]:
-    """Number of frames of each message, and the length of each frame [B]. Every segment is signed on its own."""
+    """Number of frames of each message, and the length of each frame [B]. Every segment is signed on its own.
+
+    A message of at most `FRAME_BYTES` is one frame. All frames of a longer one have the same length, rounded up.
+    """
     n = np.where(length_bytes <= FRAME_BYTES, 1, -(-(length_bytes - ENVELOPE_BYTES) // (FRAME_BYTES - ENVELOPE_BYTES)))
     each = ENVELOPE_BYTES - (ENVELOPE_BYTES - length_bytes) // n
     return n, np.where(n == 1, length_bytes, each)

@@ -1,1 +1,1 @@
-"""The paper, played again: its scenarios and its quantitative experiments, expected beside obtained."""
+"""Reproduction of the paper: its scenarios and experiments, with its results beside the obtained ones."""

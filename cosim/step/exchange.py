@@ -107,7 +107,15 @@ class Senders:
         )
 
     def message_of(self, listed: Detections, observers: Int[ndarray, "e"]) -> Int[ndarray, "d"]:
-        """Message row of each detection; `observers` are the vehicles' rows of the world."""
+        """Message row of each detection.
+
+        Parameters
+        ----------
+        listed
+            Detections of these vehicles, under identities that have a message.
+        observers
+            Row of the world of each row of `Vehicles`, ascending.
+        """
         return self.own[np.searchsorted(observers, listed.observer)] + listed.identity
 
 
@@ -143,7 +151,10 @@ class Exchange:
 
 
 def stations_of(world: World, row: Int[ndarray, "v"], rsus: RsuAntennas, above_roof_m: float) -> Stations:
-    """Antennas of the vehicles in these rows of the world, and of roadside units."""
+    """Antennas of the vehicles in these rows of the world, then of the roadside units.
+
+    `above_roof_m` is the height of the vehicles' antennas above their roofs.
+    """
     key = np.concatenate([world.name_key[row], rsus.key])
     xyz_m = np.concatenate([world.boxes.xyz_m[row], rsus.xyz_m])
     xyz_m[: len(row), 2] += world.boxes.lwh_m[row, 2] / 2 + above_roof_m
@@ -174,7 +185,19 @@ class OnAir:
         senders: Senders, length_bytes: Int[ndarray, "m"], n_rsus: int, rsu_bytes: int = 0,
         sending: Sending | None = None,
     ) -> "OnAir":  # fmt: skip
-        """Frames of vehicles and roadside units; `sending` by row of `Vehicles`, None if all send honestly."""
+        """Frames of vehicles and roadside units.
+
+        Parameters
+        ----------
+        senders
+            Messages of the vehicles.
+        length_bytes
+            Length of each message; 0 if it is not sent.
+        n_rsus, rsu_bytes
+            Number of roadside units, and the length of the one message of each.
+        sending
+            How vehicles send, by row of `Vehicles`. None if all send honestly.
+        """
         n, stations = len(senders), senders.n_vehicles + np.arange(n_rsus)
         length = np.concatenate([length_bytes, np.full(n_rsus, rsu_bytes)])
         station, message = np.concatenate([senders.vehicle, stations]), np.arange(n + n_rsus)
@@ -232,6 +255,14 @@ def sending_of(sending: Sending, vehicles: Vehicles) -> Sending | None:
 
 
 def distinct(number: Int[ndarray, "m"], message: Int[ndarray, "d"]) -> tuple[Int[ndarray, "k"], Int[ndarray, "d"]]:
-    """The distinct values of `number`, ascending, and for each row of `message` the row of its number among them."""
+    """The distinct values of `number`, ascending, and for each row of `message` the row of its number among them.
+
+    Parameters
+    ----------
+    number
+        Number of each message.
+    message
+        Row of `number` of each detection.
+    """
     once, row = np.unique(number, return_inverse=True)
     return once, row.reshape(-1)[message]

@@ -82,11 +82,15 @@ def lies_in_detections(perceived: Detections, sent: Detections, on_purpose: Bool
     Parameters
     ----------
     perceived
-        Detections as vehicles perceive them.
+        Detections as vehicles perceive them, sorted by their key.
     sent
         The same lists after attacks have changed, hidden and added detections.
     on_purpose
         By row of the world, whether the actor attacks on purpose.
+
+    Returns
+    -------
+    Aligned with `sent`.
     """
     lied = np.ones(len(sent), bool)
     key, kept = (d.observer.astype(np.int64) << 32 | d.detection_index for d in (perceived, sent))
@@ -107,7 +111,15 @@ def lies_in_detections(perceived: Detections, sent: Detections, on_purpose: Bool
 
 
 def lies_in_evaluations(own: Evaluations, reported: Evaluations) -> Bool[ndarray, "m"]:
-    """Which reported evaluations differ from the vehicle's own ones by more than noise."""
+    """Which reported evaluations are lies: evaluation times visibility differs by more than `NOISE_EVALUATION`.
+
+    Parameters
+    ----------
+    own
+        Evaluations as vehicles make them.
+    reported
+        The same rows as they are sent. No row is a lie if this is `own` itself.
+    """
     if reported is own:
         return np.zeros(len(own.evaluation), bool)
     made, sent = (e.evaluation * e.visibility for e in (own, reported))

@@ -26,7 +26,7 @@ def for_trust(
     listed
         Detections as vehicles list them.
     message
-        Row of `Senders` of each detection.
+        Row of `Senders` of each detection, ascending.
     n_messages
         Number of messages.
     """
@@ -114,7 +114,23 @@ def questions_of(
 def as_reported(
     active: Active, evaluated: Evaluations, lists: ObjectLists, listed: Detections, observers: ndarray
 ) -> Evaluations:
-    """Evaluations as they will be sent. Returns `evaluated` itself if no attack changes any evaluation."""
+    """Evaluations as they will be sent.
+
+    Parameters
+    ----------
+    active
+        Attacks of this step.
+    evaluated
+        Evaluations as vehicles make them, one per member of `lists`.
+    listed
+        Detections of this step.
+    observers
+        Row of the world of the vehicle of each list.
+
+    Returns
+    -------
+    `evaluated` itself if no active attack has the method `evaluations`.
+    """
     rows = EvaluationRows(observers[lists.of_member()], lists.member, evaluated.evaluation, evaluated.visibility)
     evaluation, visibility = active.evaluations(rows, listed)
     if evaluation is rows.evaluation and visibility is rows.visibility:
@@ -126,7 +142,19 @@ def messages_of(
     step: int, pseudonyms: Int[ndarray, "m"], lists: ObjectLists, detections: tables.Detections,
     evaluations: Evaluations, transmitted: Bool[ndarray, "d"],
 ) -> EvaluationMessages:  # fmt: skip
-    """Evaluation messages, one per evaluator, with the evaluations of all transmitted detections."""
+    """Evaluation messages, one per list, with the evaluations of all transmitted detections.
+
+    Parameters
+    ----------
+    pseudonyms
+        Pseudonym of each row of `Senders`.
+    lists
+        What is evaluated; owners are rows of `Senders`.
+    evaluations
+        One per member of `lists`.
+    transmitted
+        Whether each detection is transmitted.
+    """
     keep = transmitted[lists.member]
     kept = Evaluations(evaluations.evaluation[keep], evaluations.visibility[keep])
     return tables.as_messages(step, pseudonyms, subset(lists, keep), detections, kept)

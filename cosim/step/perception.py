@@ -177,7 +177,17 @@ class Perception:
     def observed(
         self, world: World, observers: Int[ndarray, "e"], sweeps: lidar.RangeImages, parts: Sequence[Seen]
     ) -> Observed:
-        """Join the groups of observers. Detections do not contain the true actor; it is kept separately."""
+        """Join the groups of observers. Detections do not contain the true actor; it is kept separately.
+
+        Parameters
+        ----------
+        observers
+            Rows of the world of all observers.
+        sweeps
+            Range images of all observers.
+        parts
+            What the groups saw, in the order of `observers`. Observers are numbered as rows of `observers`.
+        """
         seen, found = _concat([part.observability for part in parts]), _concat([part.reports for part in parts])
         n = len(found.observer)
         sensed = Detections.perceived(

@@ -416,7 +416,17 @@ def evaluate_objects(
 def beliefs_of(
     fused: Fused | None, exchange: Exchange, listed: Listed, position_error_m: Float[ndarray, "e 2"] | None
 ) -> Beliefs:
-    """Fused objects for the drivers, moved from the estimated to the true positions of the vehicles."""
+    """Fused objects for the drivers, moved from the estimated to the true positions of the vehicles.
+
+    Parameters
+    ----------
+    fused
+        Fused objects of the acting variant.
+    exchange, listed
+        Vehicles, senders and detections of the step.
+    position_error_m
+        As `Positioned.error_m`.
+    """
     assert fused is not None, "the acting variant is always fused"
     boxes, pose = listed.objects.boxes.take(fused.seed), listed.objects.boxes.take(fused.pose)
     boxes = replace(boxes, xyz_m=pose.xyz_m, yaw_rad=pose.yaw_rad)

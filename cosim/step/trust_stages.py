@@ -29,7 +29,10 @@ from trust.tables import FusionInput, SenderTrust, TrustScores
 def own_trust_of(
     world: World, trust: TrustState, pseudonyms: PseudonymState, now: Times, parts: Parts
 ) -> Float[ndarray, "n"] | None:
-    """Trust in each actor as the actor itself last learned it, by row of the world; None if no attack reads it."""
+    """Trust in each actor as the actor itself last learned it, by row of the world; None if no attack reads it.
+
+    Actors that are not equipped have the default trust.
+    """
     if not parts.adversary.reads_trust:
         return None
     row = np.flatnonzero(world.equipped)

@@ -15,11 +15,11 @@ from sumo_nets import catalogue, sumocfg
 from sumo_nets.xml import Attributes, Enough, stream
 
 HELSINKI = 200
-"""On the road in central Helsinki."""
+"""Number of vehicles on the road in central Helsinki."""
 _LEG_S_PER_M = 200 * 3600 / 2820 / 1961
 """Time on the road per metre of a city's diagonal: 200 vehicles at 2,820 departures per hour in central Helsinki."""
 _PROBED = 300
-"""Timesteps of a trace that are looked at."""
+"""Number of timesteps of a trace that are counted."""
 _MOST = 1_000_000
 
 

@@ -74,7 +74,7 @@ class StudyFolder:
         write_whole(kept, study.to_toml().encode())
 
     def _refuse_links(self) -> None:
-        """ValueError where what a sweep writes would go elsewhere."""
+        """Raise ValueError if something that a sweep writes is a symbolic link and would go to another place."""
         for pattern in ("lock", "stop", "runs/*", "jobs", "jobs/*", "jobs/*/*", "traffic", "traffic/*"):
             for path in self.path.glob(pattern):
                 if path.is_symlink():

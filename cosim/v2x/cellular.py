@@ -53,7 +53,23 @@ def delay_s(u: Float[ndarray, "..."], params: CellularParams) -> Float[ndarray, 
 def transfer_delay_s(
     rng_key: np.uint64, key: UInt64[ndarray, "n"], loss_p: float, n_retries: int, params: CellularParams
 ) -> Float[ndarray, "n"]:
-    """Time from sending to arrival of one message per vehicle [s], including failed attempts; inf if it is lost."""
+    """Time from sending to arrival of each message, including failed attempts.
+
+    Parameters
+    ----------
+    rng_key
+        Key of the draws of this step and direction.
+    key
+        Key of each message for random draws. All are different.
+    loss_p
+        Probability that one attempt fails.
+    n_retries
+        Number of attempts after the first one.
+
+    Returns
+    -------
+    Delays [s]; inf if all attempts fail.
+    """
     n = 1 + n_retries
     draws = rng.uniforms(rng_key, key, n=2 * n)  # loss, delay, loss, delay, ...
     arrives = draws[:, 0::2] >= loss_p
@@ -82,7 +98,8 @@ def within_capacity(
 
     Notes
     -----
-    Deviations: retries use no capacity of their own; messages beyond the capacity are lost.
+    Once a message does not fit, no later message of its cell fits, even if it is shorter.   Deviations: retries use no
+    capacity of their own; messages beyond the capacity are lost.
     """
     cell = np.floor(xy_m / cell_m).astype(np.int64)
     order = np.lexsort((key, cell[:, 1], cell[:, 0]))

@@ -28,10 +28,10 @@ _FAR_M = 1000.0
 
 @dataclass(slots=True)
 class InclusionMemory:
-    """The objects that each vehicle last included, with pose and time."""
+    """The objects that each sender last included, with pose and time."""
 
     of: Int[ndarray, "n"] = field(default_factory=lambda: np.zeros(0, np.int64))
-    """Sender (actor number) and class in one number, ascending."""
+    """Sender (as in `select_objects`) and class in one number, ascending."""
     xy_m: Float[ndarray, "n 2"] = field(default_factory=lambda: np.zeros((0, 2)))
     yaw_rad: Float[ndarray, "n"] = field(default_factory=lambda: np.zeros(0))
     time_s: Float[ndarray, "n"] = field(default_factory=lambda: np.zeros(0))
@@ -49,7 +49,7 @@ def select_objects(
     seen
         The available detections.
     sender
-        Actor number of the sender of each detection.
+        Actor number and identity of the sender of each detection in one number, as in `Exchange.sender`.
     time_s
         Time of the messages.
 

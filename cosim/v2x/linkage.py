@@ -39,13 +39,26 @@ class Linkage:
         return self.mode in ("server", "on_demand")
 
     def subjects(self, state: PseudonymState, pseudonym: Int[ndarray, "n"]) -> Int[ndarray, "n"]:
-        """Subject of trust of each pseudonym."""
+        """Subject of trust of each pseudonym. Without renaming it is the pseudonym itself."""
         return self._resolved(state, pseudonym)[0] if self.renames else pseudonym
 
     def keys(
         self, state: PseudonymState, pseudonym: Int[ndarray, "n"], detection_index: Int[ndarray, "n"]
     ) -> tuple[Int[ndarray, "n"], Int[ndarray, "n"]]:
-        """Subject and number of detections, from pseudonyms and indices. Linked identities have different numbers."""
+        """Subject and index by which trust knows each detection.
+
+        Parameters
+        ----------
+        pseudonym
+            Pseudonym of the sender of each detection.
+        detection_index
+            Index of each detection in its message.
+
+        Returns
+        -------
+        Subjects, and indices. Identities that are linked to one subject have separate ranges of indices
+        (`PER_IDENTITY`).
+        """
         if not self.renames:
             return pseudonym, detection_index
         subject, identity = self._resolved(state, pseudonym)
@@ -150,7 +163,12 @@ class Revocation:
     def valid(
         self, state: PseudonymState, pseudonym: Int[ndarray, "m"], step: int
     ) -> tuple[Bool[ndarray, "m"], PseudonymState]:
-        """Whether receivers accept each pseudonym, and the state with the first step of refused pseudonyms."""
+        """Whether receivers accept the messages of each pseudonym in this step.
+
+        Returns
+        -------
+        True where they are accepted; and the state, which stores the first step in which each pseudonym was refused.
+        """
         if not state.revoked:
             return np.ones(len(pseudonym), bool), state
         subject = self.linkage.subjects(state, pseudonym)

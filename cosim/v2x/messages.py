@@ -135,7 +135,14 @@ def faults(listed: Detections, xyz_m: Float[ndarray, "w 3"]) -> Int[ndarray, "d"
     """Why each detection cannot be sent, as a `DetectionFault`; -1 if it can.
 
     A message has at most 255 objects (ETSI TS 103 324). Objects must be of known classes, have unique numbers of 15
-    bits, and be within `FARTHEST_M` of the observer. `xyz_m` are the positions of all actors by row of the world.
+    bits, and be within `FARTHEST_M` of the observer. Only one fault of each detection is given.
+
+    Parameters
+    ----------
+    listed
+        Detections in any order.
+    xyz_m
+        Positions of all actors by row of the world.
     """
     n, boxes = len(listed), listed.boxes
     with np.errstate(invalid="ignore", over="ignore"):
@@ -171,7 +178,10 @@ def faults(listed: Detections, xyz_m: Float[ndarray, "w 3"]) -> Int[ndarray, "d"
 
 
 def self_reports(world: World, observers: Int[ndarray, "o"]) -> Detections:
-    """The self reports of equipped vehicles: their own boxes, with index 0 and score 1."""
+    """The self reports of the vehicles in these rows of the world: their true boxes, with index 0 and score 1.
+
+    `with_motion` adds speeds and accelerations.
+    """
     n = len(observers)
     return Detections.perceived(
         observers, np.zeros(n, int), world.label[observers], world.boxes.take(observers), np.ones(n),

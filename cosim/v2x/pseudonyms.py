@@ -48,7 +48,10 @@ class PseudonymPolicy(Protocol):
     """Decides when vehicles change their pseudonyms."""
 
     def changes(self, ages: PseudonymAges) -> Bool[ndarray, "e"]:
-        """Whether each vehicle changes its pseudonym before its next message."""
+        """Whether each vehicle changes its pseudonym before its next message.
+
+        The method is called in every step with messages. Its result is ignored for vehicles without a pseudonym.
+        """
 
 
 P = TypeVar("P")
@@ -400,7 +403,19 @@ class Pseudonyms:
     def issue_extra(
         self, state: PseudonymState, vehicle: Int[ndarray, "x"], identity: Int[ndarray, "x"], step: int
     ) -> tuple[PseudonymState, Int[ndarray, "x"]]:
-        """Pseudonyms of further identities of vehicles, given by actor number. An identity keeps its pseudonym."""
+        """Pseudonyms of further identities of vehicles. An identity keeps its pseudonym.
+
+        Parameters
+        ----------
+        vehicle
+            Actor number.
+        identity
+            Number of the identity, from 1.
+
+        Returns
+        -------
+        The new state, and the pseudonyms in the given order.
+        """
         key = vehicle.astype(np.int64) << 16 | identity
         new = np.setdiff1d(key, state.extra[:, 0])
         numbers, state = self._numbers(state, new >> 16, new & (1 << 16) - 1, step)
@@ -414,11 +429,11 @@ class Pseudonyms:
     def owners(
         self, state: PseudonymState, pseudonym: Int[ndarray, "n"]
     ) -> tuple[Int[ndarray, "n"], Int[ndarray, "n"]]:
-        """Vehicle and identity behind each pseudonym; -1 for those that were never issued."""
+        """Actor number of the vehicle behind each pseudonym, and its identity; -1 and -1 if it was never issued."""
         return self._issued(state, pseudonym, 0, pseudonym), self._issued(state, pseudonym, 1, 0)
 
     def since(self, state: PseudonymState, pseudonym: Int[ndarray, "n"]) -> Int[ndarray, "n"]:
-        """First step of each pseudonym; -1 for pseudonyms that are an actor number."""
+        """First step of each pseudonym; -1 if it is an actor number or was never issued."""
         return self._issued(state, pseudonym, 2, -1)
 
     def _issued(self, state: PseudonymState, pseudonym: ndarray, column: int, of_number: ndarray | int) -> ndarray:

@@ -47,7 +47,7 @@ class KnownSenders:
         return replace(self, **columns)
 
     def rows_of(self, receiver: Int[ndarray, "q"], pseudonym: Int[ndarray, "q"]) -> Int[ndarray, "q"]:
-        """Row of each pair. All pairs must be stored."""
+        """Row of each pair. For a pair that is not stored, it is the row at which the pair would be inserted."""
         return np.searchsorted(self.key, receiver.astype(np.int64) << 31 | pseudonym)
 
 
@@ -131,14 +131,24 @@ def _joined(one: KnownSenders, other: KnownSenders) -> KnownSenders:
 
 
 def noted(memory: KnownSenders, rows: Int[ndarray, "q"], known: Bool[ndarray, "q"]) -> KnownSenders:
-    """Store for these rows whether a trust value was known at its look-up."""
+    """Store for these rows of `memory` whether the receiver's look-up of the pseudonym found a trust value."""
     rated = memory.rated.copy()
     rated[rows] = known
     return replace(memory, rated=rated)
 
 
 def fallen_back(found: Lookups, rows: Int[ndarray, "k"], of_old: Lookups) -> Lookups:
-    """The look-ups, with defaults in these rows replaced by what is known about the old pseudonym."""
+    """The look-ups, with the values of old pseudonyms in some rows.
+
+    Parameters
+    ----------
+    found
+        Look-ups of the new pseudonyms.
+    rows
+        Rows of `found` in which the value is a default.
+    of_old
+        For each of `rows`, the look-up of the old pseudonym. If this is a default too, the row stays as it is.
+    """
     better = of_old.source != TrustSource.DEFAULT
     columns: dict[str, ndarray | None] = {}
     for f in fields(Lookups):

@@ -353,7 +353,7 @@ class TrustHosts:
     def report_by_rsu(
         self, state: TrustState, messages: EvaluationMessages, message: ndarray, received_s: ndarray
     ) -> tuple[TrustState, LinkStats]:
-        """Forward the reports that roadside units received to the server."""
+        """Forward the reports that roadside units received to the server; arguments as in `Uplink.by_rsu`."""
         if self.server.uplink != "rsu" or not self._any("central"):
             return state, LinkStats()
         uplink, stats = self.uplink.by_rsu(state.uplink, messages, message, received_s)
@@ -371,7 +371,15 @@ class TrustHosts:
     def lookup(
         self, state: TrustState, vehicle: Int[ndarray, "n"], subject: Int[ndarray, "n"], time_s: float
     ) -> list[Lookups]:
-        """For each host, the trust of each subject (a pseudonym) that the vehicle knows at `time_s`."""
+        """For each host, the trust in subjects as vehicles know it at `time_s`.
+
+        Parameters
+        ----------
+        vehicle
+            Actor number of the vehicle that looks up each subject.
+        subject
+            Subject of trust (`Linkage.subjects`) of each look-up.
+        """
         return [self._lookup(state, h, vehicle, subject, time_s) for h in range(len(self.params))]
 
     def _lookup(

@@ -39,7 +39,7 @@ class ServerParams:
                 )
 
     def is_out(self, time_s: Float[ndarray, "..."] | float) -> Bool[ndarray, "..."]:
-        """Whether the server is unreachable at these times."""
+        """Whether the server is unreachable at these recorded times."""
         time_s = np.asarray(time_s)
         out = np.zeros(time_s.shape, bool)
         for start, end in self.outages:
@@ -92,7 +92,7 @@ class Uplink:
         messages
             Evaluations of V evaluators. The other arrays are aligned with the evaluators.
         name_key
-            Keys of their names, for random draws.
+            Their keys for random draws, as `Senders.key`.
         xy_m
             Their positions.
         time_s
@@ -185,7 +185,7 @@ class TrustBroadcast:
     time_s: float
     """When the server computed them [s]."""
     scores: TrustScores
-    """By subject, a pseudonym."""
+    """By subject of trust (`Linkage.subjects`)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -244,7 +244,7 @@ class Downlink:
         return DownlinkState(broadcasts, state.last, coming, state.pending_rsu, state.on_air), int(arrives.sum())
 
     def delays_s(self, step: int, name_key: UInt64[ndarray, "r"]) -> Float[ndarray, "r"]:
-        """Delay of this step's cellular broadcast to each vehicle [s]; inf if it is lost."""
+        """Delay of this step's cellular broadcast to each vehicle [s], by the key of its name; inf if it is lost."""
         p = self.params.cellular
         return transfer_delay_s(rng.key(self.seed, rng.Stream.DOWNLINK, step), name_key, p.downlink_loss_p, 0, p)
 
@@ -284,7 +284,10 @@ class Downlink:
     def receive(self, state: DownlinkState, present: Int[ndarray, "m"], time_s: float) -> DownlinkState:
         """Deliver the broadcasts that have arrived by `time_s`, and drop those that no vehicle on the road has.
 
-        `present` are the actor numbers of the vehicles on the road, ascending.
+        Parameters
+        ----------
+        present
+            Actor numbers of the equipped vehicles on the road, ascending.
         """
         last = state.last
         size = int(present[-1]) + 1 if len(present) else 0
@@ -309,7 +312,20 @@ class Downlink:
     def lookup(
         self, state: DownlinkState, vehicle: Int[ndarray, "n"], subject: Int[ndarray, "n"]
     ) -> Iterator[tuple[TrustBroadcast, Int[ndarray, "n"]]]:
-        """For each broadcast, its row about each subject that the vehicle knows; -1 if there is none."""
+        """Trust values about subjects in the newest broadcast that each vehicle has received.
+
+        Parameters
+        ----------
+        vehicle
+            Actor number of the vehicle that looks up each subject.
+        subject
+            Subject of trust (`Linkage.subjects`) of each look-up.
+
+        Yields
+        ------
+        Every broadcast in use, and for each look-up the row of its scores. The row is -1 if the vehicle's newest
+        broadcast is another one or has no value of the subject.
+        """
         newest = np.full(len(vehicle), -1)
         listens = vehicle < len(state.last)
         newest[listens] = state.last[vehicle[listens]]

@@ -16,7 +16,7 @@ from sensors.scene import Shape
 
 @dataclass(frozen=True, slots=True)
 class NearPairs:
-    """P pairs of vehicles of one step, each once, sorted; `a` and `b` are actor numbers, a < b."""
+    """P pairs of actors of one step, each once, sorted; `a` and `b` are actor numbers, a < b."""
 
     a: Int[ndarray, "p"]
     b: Int[ndarray, "p"]

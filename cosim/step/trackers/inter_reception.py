@@ -57,6 +57,6 @@ class InterReceptionTracker:
 def unique_pairs(
     one: Int[ndarray, "m"], other: Int[ndarray, "m"], n: int
 ) -> tuple[Int[ndarray, "k"], Int[ndarray, "k"]]:
-    """Distinct pairs of numbers below n, sorted."""
+    """Distinct pairs of numbers from 0 to n - 1, sorted by the first, then by the second number."""
     first, second = np.divmod(distinct(one.astype(np.int64) * n + other)[0], max(n, 1))
     return first, second
