@@ -33,9 +33,9 @@ class Column:
     bits: int | None = None
     """Binary places kept: stored values are multiples of 2**-bits, which makes files small."""
     layout: Layout | None = None
-    """How Parquet lays out the values, where that is not as `Table.layouts` says."""
+    """How Parquet lays out the values; None for the layout that `Table.layouts` chooses."""
     via: Literal["", "source", "pose"] = ""
-    """Not stored: `open_run` reads it off the detection of this step that `<via>` and `<via>_index` name."""
+    """Not stored if given: `open_run` reads the column from the detection that `<via>` and `<via>_index` name."""
 
     @property
     def arrow_type(self) -> pa.DataType:
@@ -68,15 +68,16 @@ class Table:
 
     @property
     def stored(self) -> dict[str, Column]:
-        """Columns on disk; the others are read off the table `detections`."""
+        """Columns on disk. The others are read from the table `detections`."""
         return {name: column for name, column in self.columns.items() if not column.via}
 
     def layouts(self) -> dict[str, Layout]:
         """How Parquet lays out each column on disk.
 
-        Unless a column says otherwise: the first identity of the key, by which the rows of a step are sorted, as
-        differences; other whole numbers split into bytes; all else by a dictionary. Beside the best layout of each
-        column and file, found by trial, all tables take 0.3 % more space in Luxembourg, 0.9 % in Bologna.
+        Unless a column says otherwise, the first identity of the key is laid out as differences, because the rows of a
+        step are sorted by it. Other whole numbers are split into bytes, and all else has a dictionary. With the best
+        layout of each column and file, found by trial, all tables would be 0.3 % smaller in Luxembourg and 0.9 % in
+        Bologna.
         """
         first = next((name for name in self.key if name != "step" and self.columns[name].type == "int32"), None)
         return {

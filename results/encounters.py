@@ -204,7 +204,13 @@ class EncounterTracker:
         return closed
 
     def count_messages(self, sender: Int[ndarray, "n"], receiver: Int[ndarray, "n"]) -> None:
-        """Add messages received; those of pairs without an encounter under way are left out."""
+        """Add received messages. Messages between two actors without an encounter under way are left out.
+
+        Parameters
+        ----------
+        sender, receiver
+            Actor numbers, one row per received message; fast if the rows of a receiver follow each other.
+        """
         at = self._slots(receiver, sender)  # messages go by receiver
         counters = self._live["n_messages_ab"], self._live["n_messages_ba"]
         encounter_counts.count(at, sender, receiver, np.zeros(0, np.int64), *counters)
@@ -212,15 +218,31 @@ class EncounterTracker:
     def count_evaluations(
         self, evaluator: Int[ndarray, "n"], observer: Int[ndarray, "n"], n: Int[ndarray, "n"]
     ) -> None:
-        """Add `n` evaluations by each `evaluator` of detections of `observer`."""
+        """Add evaluations. Those between two actors without an encounter under way are left out.
+
+        Parameters
+        ----------
+        evaluator, observer
+            Actor numbers of who evaluates, and of whose detections are evaluated; fast if the rows of an evaluator
+            follow each other.
+        n
+            Number of evaluations in each row.
+        """
         at = self._slots(evaluator, observer)
         counters = self._live["n_evaluations_ab"], self._live["n_evaluations_ba"]
         encounter_counts.count(at, evaluator, observer, np.asarray(n, np.int64), *counters)
 
     def note_trust(self, holder: Int[ndarray, "n"], other: Int[ndarray, "n"], looked_up: Bool[ndarray, "n v"]) -> None:
-        """Note which holders look up, in this step, a trust value that rests on an evaluation, for which other.
+        """Note that trust with evidence is looked up in this step. Only the first time in an encounter counts.
 
-        `looked_up` says in which trust variants.
+        Two actors without an encounter under way are left out.
+
+        Parameters
+        ----------
+        holder, other
+            Actor numbers of who looks up trust, and of the actor that it is about.
+        looked_up
+            Whether the value rests on an evaluation; one column per trust variant.
         """
         assert self._step is not None
         columns = (self._live[f"{name}_{way}"] for name in ("trusted", "trusted_step") for way in ("ab", "ba"))
@@ -235,10 +257,17 @@ class EncounterTracker:
         state: Int[ndarray, "n v"],
         age_s: Float[ndarray, "n v"],
     ) -> None:
-        """Note the trust in `other` that `holder` would look up now; kept of pairs whose encounter begins now.
+        """Note the trust that `holder` would look up now, for pairs whose encounter begins in this step.
 
-        One column per trust variant; with one variant they may be flat. `source` and `state` hold codes of
-        `TrustSource` and `LookupState`; the age of a default is ignored. Other pairs are left out.
+        Other pairs are left out. Values that rest on an evaluation also count for `note_trust`.
+
+        Parameters
+        ----------
+        holder, other
+            Actor numbers of who would look up trust, and of the actor that it is about.
+        trust, source, state, age_s
+            Value, code of `TrustSource`, code of `LookupState`, and age, which is ignored for a default value. One
+            column per trust variant; with one variant the arrays may be flat.
         """
         trust, source, state, age_s = (
             np.asarray(x).reshape(len(holder), self.n_variants) for x in (trust, source, state, age_s)

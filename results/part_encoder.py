@@ -44,10 +44,10 @@ class PartEncoder:
         Parameters
         ----------
         partial
-            Name of the file until it is whole.
+            Name of the file until it is complete.
         pool
-            Threads that sort, compress and write, so that rows do not stay in memory and the other core has work; at
-            the end of a block, when the simulation waits, several tables at once.
+            Threads that sort, compress and write while the simulation goes on, so that rows do not wait in memory. At
+            the end of a block, when the simulation waits, they encode several tables at once.
         """
         self._partial, self._table, self._columns, self._pool = partial, table, columns, pool
         self._rows: list[Rows] = []
@@ -70,17 +70,26 @@ class PartEncoder:
         self._n += n
 
     def end_step(self) -> None:
-        """No rows of earlier steps follow: what there is may be encoded where steps come first in the key."""
+        """Note that no rows of earlier steps follow.
+
+        Rows are encoded now if there are many of them and `step` comes first in the key.
+        """
         if self._n_new >= _GROUP_ROWS and TABLES[self._table].key[0] == "step":
             self._submit()
 
     def end_block(self) -> None:
-        """No rows follow."""
+        """Note that no rows follow. The rest is encoded."""
         if self._n_new:
             self._submit()
 
     def finish(self, file: str) -> Part:
-        """Sync the file and give it its name; ValueError for two rows with one key."""
+        """Sync the file and give it its name.
+
+        Raises
+        ------
+        ValueError
+            If two rows have the same key.
+        """
         for group in self._waiting:
             group.result()
         assert self._writer is not None and self._file is not None, "a part has rows"
@@ -143,7 +152,10 @@ class PartEncoder:
 
 
 def _order(columns: Rows, key: tuple[str, ...]) -> tuple[ndarray | None, ndarray]:
-    """Order of rows by key, None where they stand in it; and which of the rows in order have the key of the next."""
+    """Order of rows by key; None if they are in order already.
+
+    The second result are the places in that order whose row has the same key as the next one.
+    """
     number = _key_numbers(columns, key)
     if number is None:
         order = np.lexsort([columns[name] for name in key[::-1]])

@@ -14,7 +14,24 @@ from results.tables import schema
 
 
 def plain(column: pa.Array, labels: Sequence[str]) -> np.ndarray:
-    """A column as a plain array: labels as their codes (-1: none), numbers that may be null as floats."""
+    """A column as a plain array.
+
+    Parameters
+    ----------
+    column
+        Column of a part.
+    labels
+        All labels of the column, in the order of their codes; not used for other columns.
+
+    Returns
+    -------
+    Codes of labels (int16, -1 for null), or the values; numbers come as floats if some are null, with NaN for null.
+
+    Raises
+    ------
+    ValueError
+        If the column has a label that is not in `labels`.
+    """
     if not pa.types.is_dictionary(column.type):
         return column.to_numpy(zero_copy_only=False)
     code = np.array([*map(list(labels).index, column.dictionary.to_pylist()), -1], np.int16)
@@ -35,13 +52,13 @@ def write_apart(file: Path, rows: pa.Table, variants: Sequence[str]) -> None:
 
 
 def read(path: Path, names: Sequence[str], where: pc.Expression | None) -> pa.Table:
-    """Columns and rows of a part; ValueError or Damaged, in one line, where it cannot be read."""
+    """Columns and rows of a part. ValueError or `Damaged`, in one line, if it cannot be read."""
     with _readable(path, names):
         return pq.read_table(path, columns=list(names), filters=where, partitioning=None)
 
 
 def read_pieces(path: Path, names: Sequence[str], n_rows: int) -> Iterator[pa.RecordBatch]:
-    """Columns of a part, at most so many rows at once; errors as `read`."""
+    """Columns of a part, at most `n_rows` rows at once. Errors are those of `read`."""
     with _readable(path, names), pq.ParquetFile(path) as file:
         for rows in file.iter_batches(n_rows, columns=list(names)):
             yield rows.select(list(names))

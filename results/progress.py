@@ -22,12 +22,13 @@ def progress(folder: Path) -> dict[str, Any]:
 
     Returns
     -------
-    status; steps on disk; steps_asked, None where the run does not say; blocks; bytes of its tables; error, why it
-    failed, empty where it did not; next, what to do with it.
+    status; steps on disk; steps_asked, None if the run does not say; blocks; bytes of its tables; error, why the run
+    failed (empty if it did not); next, what to do with the run.
 
-    Errors
+    Raises
     ------
-    Damaged where the manifest or the inventory is not what was written.
+    Damaged
+        If the manifest or the inventory is not what was written.
     """
     is_live, manifest = durable.is_locked(folder), read_manifest(folder)
     found = inventory.read(folder)

@@ -100,9 +100,21 @@ class Recorder:
     def append(self, table: str, step: int, columns: Mapping[str, ndarray | None]) -> None:
         """Add rows of one step.
 
-        `columns` maps every column's name to an array; `step` may be left out and is then the argument. A
-        column that may be null is given with a boolean mask `<name>__valid`, or is None where all is null.
-        Categories are labels or integer codes.
+        Parameters
+        ----------
+        table
+            Name of the table. The rows of a table that is not kept are ignored.
+        step
+            Step of the rows; not before the block in memory.
+        columns
+            An array for every column, by name; `step` may be left out. A column that may be null is given with a
+            boolean mask `<name>__valid`, or as None if all its values are null. Categories are given as labels or
+            integer codes.
+
+        Raises
+        ------
+        ValueError
+            If there is no such table, or `stored_columns.stored_rows` refuses the columns.
         """
         if table not in TABLES:
             raise ValueError(f"There is no table {table!r}. The tables are {', '.join(TABLES)}.")
@@ -177,7 +189,7 @@ class Recorder:
                     (self.folder / name).unlink(missing_ok=True)
 
     def close(self, final_rows: Mapping[str, Sequence[Columns]] | None = None) -> None:
-        """Commit what is left, and rows of what ends with the run."""
+        """Commit what is left, and the rows of what ends with the run (`final_rows`, by table)."""
         is_committed = self._last_step < self.inventory.end_step
         for name, rows in self._made(final_rows or {}, self._last_step):
             for columns in rows:

@@ -219,7 +219,7 @@ class Run:
     def variant_table(
         self, name: str, columns: Sequence[str] | None = None, where: pc.Expression | None = None
     ) -> pd.DataFrame:
-        """Like `table`, but only rows of the run's `variant`, whose trust columns `encounters` has too."""
+        """Like `table`, but only rows of the run's `variant`. `encounters` gets the trust columns of that variant."""
         if name == "encounters" and self.variant != BASE_VARIANT:
             return self._variant_encounters(columns, where)
         return self._table(name, columns, *self._of_variant(name, where))

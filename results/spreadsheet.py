@@ -1,13 +1,13 @@
-"""Tables as CSV that a spreadsheet opens as what they are: no cell of text is taken for a formula."""
+"""Tables as CSV in which a spreadsheet takes no cell of text for a formula."""
 
 import pandas as pd
 
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")
-"""With these a spreadsheet begins to compute (OWASP, CSV Injection)."""
+"""A spreadsheet takes text that begins with one of these for a formula (OWASP, CSV Injection)."""
 
 
 def as_text(cell: object) -> object:
-    """A cell; an apostrophe stands before text that a spreadsheet would compute, which is how it marks text."""
+    """A cell. Text that a spreadsheet would compute gets an apostrophe in front, which marks it as text."""
     if not isinstance(cell, str) or not cell.startswith(_FORMULA):
         return cell
     try:

@@ -1,4 +1,4 @@
-"""Columns of a table as they are stored: cast, rounded, and refused where that would change a value further."""
+"""Columns of a table as they are stored: cast and rounded. Values that this would change further are refused."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -41,7 +41,24 @@ class StoredColumn:
         return StoredColumn(f"{table}.{name}", dtype, column.null, categories, bottom, top, scale)
 
     def store(self, values: ndarray, valid: ndarray | None) -> ndarray:
-        """Values cast to the column's type, 0 where not valid; refuses what would change beyond its rounding."""
+        """Values in the type in which the column is stored, rounded to its steps.
+
+        Parameters
+        ----------
+        values
+            Values, with codes in place of labels.
+        valid
+            Mask of the rows that are not null; None if no row is null.
+
+        Returns
+        -------
+        The stored values; 0 in null rows, except in columns of text.
+
+        Raises
+        ------
+        ValueError
+            If valid values are of the wrong kind, outside the limits of the type or of the labels, or not finite.
+        """
         kind, given = self.dtype.kind, values.dtype.kind
         if kind == "O":
             return values.astype(object)
@@ -64,7 +81,24 @@ class StoredColumn:
         return values.astype(self.dtype)
 
     def codes(self, values: ndarray, valid: ndarray | None) -> ndarray:
-        """Labels as codes."""
+        """Codes of labels.
+
+        Parameters
+        ----------
+        values
+            Labels.
+        valid
+            Mask of the rows that are not null; None if no row is null.
+
+        Returns
+        -------
+        Code of each label; -1 in null rows whose content is no label.
+
+        Raises
+        ------
+        ValueError
+            If a row that is not null holds no label of the column.
+        """
         codes = np.full(len(values), -1, np.int8)
         for code, label in enumerate(self.categories):
             codes[values == label] = code

@@ -122,12 +122,20 @@ class Study:
 
 
 def intervals(frame: pd.DataFrame, by: Sequence[str], bounds: Callable[[str], Bounds] = lambda _: FREE) -> pd.DataFrame:
-    """Of the column `value`, by these columns: n, mean, and low and high of its 95 % interval (`intervals.around`).
+    """Mean of the column `value` in each group, with its 95 % interval (`intervals.around`).
 
     Parameters
     ----------
+    frame
+        Rows with a column `value`.
+    by
+        Columns whose values name a group.
     bounds
-        Bounds of a metric, where `metric` is among the columns; none, where left out.
+        Bounds of a metric, used if `metric` is one of these columns; by default no metric has bounds.
+
+    Returns
+    -------
+    The columns `by`, n, mean, low and high.
     """
     values = frame.groupby(list(by), sort=False, dropna=False).value
     found = values.agg(n="count", mean="mean", s="std").reset_index()

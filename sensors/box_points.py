@@ -40,14 +40,15 @@ def in_box(x, y, z, cx, cy, cz, cos, sin, half_l, half_w, half_h):
 
 @dividing
 def _crossings(cos_az, sin_az, p, q, cos, sin, half_l, half_w, middle, half):
-    """The horizontal lengths between which columns are in a box: the middle of the interval, and half its length, which
-    is negative where a column misses the box. Both nan where one runs along a side of it.
+    """The horizontal lengths between which each column of a sweep lies in a box.
 
-    (p, q) is the sensor in the frame of the box, whose heading is (cos, sin) in the frame of the sensor.
+    (p, q) is the sensor in the frame of the box, whose heading is (cos, sin) in the frame of the sensor. `middle` and
+    `half` are written: the middle of the interval and half its length, which is negative where a column misses the box.
+    Both are NaN where a column runs along a side of the box.
 
     Returns
     -------
-    Columns that run along a side.
+    Number of columns that run along a side.
     """
     n = 0
     for i in range(len(cos_az)):
@@ -151,11 +152,11 @@ def _unbounded(nearest, farthest):
 
 
 def points_in_boxes(range_steps, step_m, beams, pairs, run, n_chunks):
-    """Returns of the pair's sweep strictly inside its box, of every pair; `run` as `Pairs.runs`, which threads share
-    in `n_chunks`.
+    """Number of returns of the pair's sweep strictly inside its box, for each pair.
 
-    `range_steps` and `step_m` as `sensors.lidar.RangeImages`; a step is a power of two, so that single precision holds
-    every range, and lengths per step are exactly as precise as lengths per metre.
+    `run` is `Pairs.runs`; its runs are divided among `n_chunks` threads. `range_steps` and `step_m` are those of
+    `sensors.lidar.RangeImages`. A step is a power of two: single precision holds every range, and lengths per step are
+    exactly as precise as lengths per metre.
     """
     # What is small is made here: in a parallel kernel every expression of arrays is compiled as a loop over threads.
     cos_el, sin_el = (step_m * beams.cos_el).astype(np.float32), (step_m * beams.sin_el).astype(np.float32)
@@ -170,8 +171,11 @@ def points_in_boxes(range_steps, step_m, beams, pairs, run, n_chunks):
 
 @parallel
 def _add_points(out, range_steps, step_m, beams, cos_el, sin_el, flat, edge, pairs, run, n_chunks):
-    """As `points_in_boxes`; `flat` are the least and largest length per step of each block of rows, `edge` the cosine
-    and sine of half the field of view."""
+    """As `points_in_boxes`, added to `out`.
+
+    `flat` is the least and largest length per step of each block of rows, `edge` the cosine and sine of half the field
+    of view.
+    """
     n, m = range_steps.shape[1], len(cos_el)
     for chunk in prange(n_chunks):
         columns, slopes = columns_of(beams), slopes_of(beams)

@@ -56,7 +56,7 @@ class Boxes:
 
     @staticmethod
     def concat(parts: Sequence[Boxes]) -> Boxes:
-        """All boxes of all parts, in order."""
+        """All boxes of all parts, in order; no boxes if there are no parts."""
         return Boxes._of_checked(
             np.concatenate([p.xyz_m for p in parts] or [np.empty((0, 3))]),
             np.concatenate([p.lwh_m for p in parts] or [np.empty((0, 3))]),
@@ -75,6 +75,11 @@ class Boxes:
 def iou_3d(a: Boxes, b: Boxes) -> Float[ndarray, "n"]:
     """Intersection over union of each box of `a` with the box of `b` in the same row.
 
+    Parameters
+    ----------
+    a, b
+        Boxes in one frame.
+
     Returns
     -------
     One value in [0, 1] per row; touching boxes give 0.
@@ -86,9 +91,9 @@ def iou_3d(a: Boxes, b: Boxes) -> Float[ndarray, "n"]:
 
     Notes
     -----
-    Exact: convex polygon clipping of the two footprints times the overlap of the heights, over the union
-    of the volumes (what the TruPercept paper defines).   Deviations: none from the paper; the authors' code
-    swaps width and height and counts 1 cm pixels.
+    Exact: convex polygon clipping of the two footprints times the overlap of the heights, over the union of the volumes
+    (what the TruPercept paper defines).   Deviations: none from the paper; the authors' code swaps width and height and
+    counts 1 cm pixels.
     """
     if len(a) != len(b):
         raise ValueError(

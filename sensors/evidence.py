@@ -89,7 +89,10 @@ def in_evaluation_area(
 
 
 def edge_slope(fov_rad: float) -> float:
-    """Sideways over along, of the edge of the field of view; from behind where it is wider than half a turn."""
+    """Slope of the edge of the field of view: sideways over lengthwise distance.
+
+    It is measured from straight ahead, and from straight behind if the field of view is wider than half a turn.
+    """
     return float(np.tan(0.5 * fov_rad if fov_rad <= np.pi else np.pi - 0.5 * fov_rad))
 
 

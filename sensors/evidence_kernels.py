@@ -33,8 +33,8 @@ def _in_view(forward, left, fov_rad, slope, slack_m):
 def in_area(pairs, exempt, own_xyz, own_lwh, range_m, height_m, fov_rad, slope, slack_m, own_radius_m):
     """Whether the box of each pair lies in the area of its sensor.
 
-    Those of the boxes `exempt` that are near to the sensor's own box (sensor frame) need not be in view; both may be
-    empty.
+    A box that is marked in `exempt` need not be in view if it is near the sensor's own box, which is given in the frame
+    of the sensor. Without own boxes, no box is exempt.
     """
     found = np.zeros(len(pairs.o), np.bool_)
     for k in range(len(pairs.o)):
@@ -140,9 +140,15 @@ def in_frustum(x, y, z, plane):
 
 @parallel
 def free_space(range_steps, step_m, beams, pairs, run, reach_m, height_m, slope, margin_m, n_chunks):
-    """Whether the free-space test applies to each pair, and where it does, the returns of its sweep in the pyramid
-    through its box, and how many of them are nearer than the box. `run` as `Pairs.runs`, which threads
-    share in `n_chunks`."""
+    """The free-space test of each pair, where it applies.
+
+    `run` is `Pairs.runs`; its runs are divided among `n_chunks` threads.
+
+    Returns
+    -------
+    Whether the test applies; returns of the pair's sweep in the pyramid through its box; and how many of these returns
+    are nearer than the box. Both numbers are 0 where the test does not apply.
+    """
     applies = np.zeros(len(pairs.o), np.bool_)
     seen, closer = np.zeros(len(pairs.o), np.int32), np.zeros(len(pairs.o), np.int32)
     for chunk in prange(n_chunks):

@@ -1,8 +1,8 @@
-"""False positives: boxes at real returns where there is no actor of that kind, which persist at their sites.
+"""False positives: boxes at real returns where there is no actor of that kind. They persist at their sites.
 
-A site is a cell of the ground, its walls and its open road apart, or a mostly hidden actor. An aspect is a site as seen
-from one of four sides. The probability of a false positive follows from the aspect's share of the sweep's returns; its
-draws persist for some time, and in part they are common to all observers.
+A site is the walls of a cell of the ground, the open road of a cell, or a mostly hidden actor. An aspect is a site as
+seen from one of four sides. The probability of a false positive follows from the aspect's share of the sweep's returns.
+Its draws persist for some time, and some of them are common to all observers.
 """
 
 from __future__ import annotations
@@ -56,17 +56,20 @@ def false_positives(sweeps: Sweeps, seen: Observability, draws: DetectorDraws, m
 
     Notes
     -----
-    At an aspect, a false positive occurs with probability p, `false_positive_per_sweep` times its share of the returns
-    and at most 1; `false_positive_road_p` of that is spread over all returns, the rest over those of walls and hidden
-    actors. It occurs where U < p. U is the least of three 1 - (1 - u)^(1 / s), which makes it uniform for any shares s
-    that add up to 1: one u is the aspect's, persistent, one the observer's with that aspect, persistent, and one is new
-    in each sweep. A persistent u is unchanged after t seconds with probability exp(-t / `false_positive_memory_s`), and
-    else drawn anew. With q = 1 - p, there is none at both moments with probability q^2 times the product of
-    exp(-t / T) (q^-s - 1) + 1 over the two persistent shares.
+    At an aspect, a false positive occurs with probability p: `false_positive_per_sweep` times the aspect's share of the
+    returns, and at most 1. Of this, the share `false_positive_road_p` is distributed over all returns, and the rest
+    over the returns of walls and hidden actors.
 
-    The score follows from U / p, in part: the larger the share of an aspect, the higher its score, and what appears and
-    disappears does so at low scores. At walls, boxes of vehicles lie along the wall and in front of it; those of
-    pedestrians (poles, plants and signs that a city has and this scene lacks) stand upright at it.
+    A false positive occurs where U < p. U is the least of three values 1 - (1 - u)^(1 / s); it is uniform for any
+    shares s that add up to 1. Of the three u, one belongs to the aspect and persists, one belongs to the observer and
+    the aspect and persists, and one is new in each sweep. A persistent u is unchanged after t seconds with probability
+    exp(-t / T), with T = `false_positive_memory_s`; otherwise it is drawn anew. With q = 1 - p, there is no false
+    positive at both moments with probability q^2 times the product of exp(-t / T) (q^-s - 1) + 1 over the two
+    persistent shares.
+
+    The score depends in part on U / p. The larger the share of an aspect, the higher its score, and false positives
+    appear and disappear at low scores. At walls, boxes of vehicles lie along the wall and in front of it. Boxes of
+    pedestrians stand upright at it (they are poles, plants and signs, which a city has and this scene lacks).
     """
     persistent, shared = model.false_positive_memory_share, model.false_positive_shared
     shares = np.array([persistent * shared, persistent * (1.0 - shared), 1.0 - persistent])

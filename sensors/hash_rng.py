@@ -43,7 +43,7 @@ def unit(h):
 
 
 def mix_rows(keys: UInt64[ndarray, "k"], ids: UInt64[ndarray, "k"]) -> UInt64[ndarray, "k"]:
-    """Each key extended by the identifier in the same row."""
+    """New keys: each key extended by the identifier in the same row, as `mix` does for one."""
     return splitmix64.py_func(keys + (ids + _ONE) * GOLDEN)
 
 
@@ -58,12 +58,32 @@ def uniforms(keys: UInt64[ndarray, "k"], n: int) -> Float[ndarray, "k n"]:
 
 
 def normals(keys: UInt64[ndarray, "k"], n: int) -> Float[ndarray, "k n"]:
-    """`n` standard normals of each key."""
+    """`n` standard normals of each key.
+
+    Returns
+    -------
+    Row i depends on key i alone, and the first columns do not depend on `n`.
+    """
     return ndtri(np.maximum(uniforms(keys, n), _TO_UNIT))
 
 
 def persistent_normals(keys: UInt64[ndarray, "k"], n: int, time_s: float, memory_s: float) -> Float[ndarray, "k n"]:
     """`n` standard normals of each key that change slowly with time.
+
+    Parameters
+    ----------
+    keys
+        Keys that are the same at all times.
+    n
+        Number of normals per key.
+    time_s
+        The present time.
+    memory_s
+        Time after which the draws of a key are replaced.
+
+    Returns
+    -------
+    Row i depends on key i and the times alone, and the first columns do not depend on `n`.
 
     Notes
     -----

@@ -1,7 +1,7 @@
 """Decorators of compiled functions: cached on disk, run without Python's lock.
 
-None of them has a wrapper for callers in C: no C code calls them, and to compile it takes a tenth to a quarter
-of the time. Numba's own annotations leave that option out.
+None of the functions gets a wrapper for callers in C. No C code calls them, and the wrapper takes a tenth to a quarter
+of the time to compile them. Numba's own decorators cannot leave it out.
 
 Inner loops that allocate nothing (`kernel`, `inlined`) are compiled without Numba's reference counts. `_nrt` is private
 API of Numba, used in this file alone, because with reference counts the radio's event loop takes 3.3 times as long (20

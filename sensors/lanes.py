@@ -32,11 +32,12 @@ def near_box(
     typing: Any, steps: Any, column: Any, row: Any, cos_el: Any, sin_el: Any, middle: Any, half: Any, height: Any,
     half_h: Any, error: Any,
 ) -> Any:  # fmt: skip
-    """Of the ranges of rows `row` to `row + LANES` of a column: how many end in a box, and which may.
+    """How many of the rays in rows `row` to `row + LANES` of a column end in a box for certain, and which others may.
 
-    `cos_el` and `sin_el` are lengths per step; a ray ends in the box where its horizontal length is within `half` of
-    `middle` and its height within `half_h` of `height`, all float32. It is counted where it does so by `error`; the
-    second result has a bit, from the lowest, for each ray that is not counted and would be with `error` to spare.
+    `cos_el` and `sin_el` are lengths per step. A ray ends in the box if its horizontal length is within `half` of
+    `middle` and its height within `half_h` of `height`, all float32. It is counted if this is true by a margin of
+    `error`. The second result has one bit per ray, the first ray in the lowest. The bit is set for a ray that is not
+    counted, but lies within the limits widened by `error`.
     """
 
     def generate(context: Any, builder: Any, signature: Any, given: Any) -> Any:
@@ -78,8 +79,10 @@ def near_box(
 
 @_instructions
 def nearest_and_farthest(typing: Any, steps: Any, column: Any, row: Any) -> Any:
-    """Of the ranges of columns `column` to `column + TILE` in rows `row` to `row + LANES`: the least, and the largest
-    that is a return; `NO_RETURN` and -1 if there is none."""
+    """Least and largest range in columns `column` to `column + TILE` and rows `row` to `row + LANES`, in steps.
+
+    Rays without a return do not count for the largest. If no ray has a return, the result is `NO_RETURN` and -1.
+    """
 
     def generate(context: Any, builder: Any, signature: Any, given: Any) -> Any:
         array = context.make_array(signature.args[0])(context, builder, given[0])

@@ -112,7 +112,7 @@ class Beams(NamedTuple):
     cells_per_slope: float
     first_row: ndarray
     most_in_cell: int
-    """Row in which each slope lies, as in `sensors.raycast.column.Slopes`."""
+    """This and the two fields before are those of `sensors.raycast.column.Slopes`: they find the row of a slope."""
 
 
 def beams(params: LidarParams) -> Beams:
@@ -157,15 +157,51 @@ class Poses:
     yaw_rad: Float[ndarray, "m"]
 
     def pairs(self, o: Int[ndarray, "n"], boxes: Boxes, b: Int[ndarray, "n"] | None = None) -> Pairs:
-        """Pairs of world box b[k] and sensor o[k]; without `b`, all boxes in order."""
+        """Pairs of a sensor and a box.
+
+        Parameters
+        ----------
+        o
+            Sensor of each pair.
+        boxes
+            Boxes in the world frame.
+        b
+            Row of `boxes` of each pair; by default all rows in order.
+        """
         return pairs_of(o, self.origin_m, self.yaw_rad, boxes, b)
 
     def to_sensor(self, o: Int[ndarray, "n"], boxes: Boxes, b: Int[ndarray, "n"] | None = None) -> Boxes:
-        """Box b[k] in the frame of sensor o[k]; without `b`, all boxes in order."""
+        """Boxes in the frames of sensors.
+
+        Parameters
+        ----------
+        o
+            Sensor of each pair.
+        boxes
+            Boxes in the world frame.
+        b
+            Row of `boxes` of each pair; by default all rows in order.
+
+        Returns
+        -------
+        Box b[k] in the frame of sensor o[k]: x forward, y left, z up. Headings are not wrapped to one turn.
+        """
         return turned(self.pairs(o, boxes, b))
 
     def to_world(self, o: int, xyz: Float[ndarray, "k 3"]) -> Float[ndarray, "k 3"]:
-        """Convert points from the frame of sensor o to the world frame [m]."""
+        """Points of one sensor in the world frame.
+
+        Parameters
+        ----------
+        o
+            The sensor.
+        xyz
+            Points in its frame [m].
+
+        Returns
+        -------
+        The points in the world frame [m], in the same order.
+        """
         cos, sin = np.cos(self.yaw_rad[o]), np.sin(self.yaw_rad[o])
         turned = np.column_stack([cos * xyz[:, 0] - sin * xyz[:, 1], sin * xyz[:, 0] + cos * xyz[:, 1], xyz[:, 2]])
         return turned + self.origin_m[o]
@@ -193,6 +229,10 @@ def mount(boxes: Boxes, observers: Int[ndarray, "m"], params: LidarParams) -> Po
         Rows of the actors that carry a sensor.
     params
         Height of the sensor above the roof.
+
+    Returns
+    -------
+    One pose per observer, in the order of `observers`.
     """
     origin = boxes.xyz_m[observers].copy()
     origin[:, 2] += 0.5 * boxes.lwh_m[observers, 2] + params.mount_above_roof_m
@@ -233,7 +273,17 @@ class RangeImages:
         return self.xyz(o).astype(np.float32)
 
     def points(self, o: Int[ndarray, "k"], column: Int[ndarray, "k"], row: Int[ndarray, "k"]) -> Float[ndarray, "k 3"]:
-        """End points of single rays with a return, in the frame of sensor o[k] [m]."""
+        """End points of single rays, which must have a return.
+
+        Parameters
+        ----------
+        o, column, row
+            Observer, azimuth column and elevation row of each ray.
+
+        Returns
+        -------
+        Point k in the frame of sensor o[k] [m]; meaningless for a ray without a return.
+        """
         r = self.range_steps[o, column, row] * self.step_m
         grid = self.beams
         flat = r * grid.cos_el[row]
@@ -352,7 +402,19 @@ def hit_type(n_actors: int) -> type:
 
 
 def height_of_road_m(boxes: Boxes, observers: Int[ndarray, "m"]) -> Float[ndarray, "m"]:
-    """Height of the road under these actors [m]."""
+    """Height of the road under some actors: that of the underside of their boxes.
+
+    Parameters
+    ----------
+    boxes
+        Boxes of all actors, world frame.
+    observers
+        Rows of the actors.
+
+    Returns
+    -------
+    World height for each of them [m].
+    """
     return boxes.xyz_m[observers, 2] - 0.5 * boxes.lwh_m[observers, 2]
 
 
@@ -382,8 +444,20 @@ def range_images(
 
 
 def buffer(size: tuple[int, int, int], kind: type, old: ndarray | None) -> ndarray:
-    """An array of this size. It uses the memory of `old` if that suffices; a new one has an eighth of spare memory for
-    fleets that grow."""
+    """Memory for an array, taken from an old array where possible.
+
+    Parameters
+    ----------
+    size, kind
+        Shape and type of the array.
+    old
+        A result of an earlier call, or None.
+
+    Returns
+    -------
+    An array with any content. It shares the memory of `old` if that suffices; new memory has room for an eighth more
+    rows, because fleets grow.
+    """
     if old is not None and old.dtype == kind and old.shape == size:
         return old
     whole = old if old is None or old.base is None else old.base

@@ -29,15 +29,21 @@ class WallIndex:
     grid: Grid
     walls: Walls
     solid: Int32[ndarray, "s"]
-    """Cells that a building fills, counted row by row, ascending."""
+    """Cells that a building fills, ascending: cell (i, j) has the number i * ny + j."""
     base: UInt8[ndarray, "s"]
     top: UInt8[ndarray, "s"]
-    """Its base and top, as `_level`; base above top if it is too flat."""
+    """Base and top of that building, as `_level` gives them; the base is above the top if the building is too flat."""
     _filled: dict[tuple[int, int], FilledCells] = field(default_factory=dict, repr=False, compare=False)
 
     @staticmethod
     def of(buildings: Buildings, cell_m: float = 4.0) -> WallIndex:
-        """Index the buildings of a scene with cells of this width."""
+        """Index the buildings of a scene with cells of this width.
+
+        Raises
+        ------
+        ValueError
+            If the width is not positive.
+        """
         if not cell_m > 0:
             raise ValueError(f"cell_m = {cell_m} m must be positive.")
         count = np.diff(buildings.ptr)
@@ -68,7 +74,13 @@ class WallIndex:
         return WallIndex(grid, walls, (i * ny + j).astype(np.int32), base, top)
 
     def filled(self, z_m: Float[ndarray, "n"]) -> FilledCells:
-        """Grid cells that block every line between points of these heights [m]."""
+        """Grid cells that block every line between points of these heights.
+
+        Parameters
+        ----------
+        z_m
+            World heights of all end points, in any order.
+        """
         level = _level(self.walls, np.asarray(z_m, float))
         low, high = int(np.floor(level.min(initial=254.0))), int(np.ceil(level.max(initial=0.0)))
         found = self._filled.get((low, high))
@@ -82,19 +94,51 @@ class WallIndex:
         return found
 
     def cells(self, xyz_m: Float[ndarray, "n 3"]) -> Float[ndarray, "n 2"]:
-        """Positions of points on the grid, in cells."""
+        """Positions of points on the grid.
+
+        Parameters
+        ----------
+        xyz_m
+            Points in the world frame.
+
+        Returns
+        -------
+        x and y from the lower corner of the grid, in widths of a cell.
+        """
         return (xyz_m[:, :2] - self.grid.low) * (1.0 / self.grid.cell_m)
 
     def crosses_filled(
         self, xyz_m: Float[ndarray, "n 3"], a: Int[ndarray, "m"], b: Int[ndarray, "m"]
     ) -> Bool[ndarray, "m"]:
-        """Which lines are blocked for certain: a few sample points already lie inside a building."""
+        """Which lines are blocked for certain, because one of a few sample points lies in a cell that a building fills.
+
+        Parameters
+        ----------
+        xyz_m
+            Points in the world frame.
+        a, b
+            Rows of the two end points of each line.
+
+        Returns
+        -------
+        True where a line is blocked. Where it is false, the line may be blocked too.
+        """
         out = np.empty(len(a), np.bool_)
         kernels.probe(self.cells(xyz_m), a, b, self.filled(xyz_m[:, 2]), out)
         return out
 
     def indoors(self, xyz_m: Float[ndarray, "n 3"]) -> Bool[ndarray, "n"]:
-        """Which points lie inside a building."""
+        """Which points lie inside a building.
+
+        Parameters
+        ----------
+        xyz_m
+            Points in the world frame; NaN as the height stands for any height.
+
+        Returns
+        -------
+        True for a point within a footprint, between the base and the top of the building.
+        """
         return kernels.building_at(np.ascontiguousarray(xyz_m, float), self.grid, self.walls) >= 0
 
     def has_los(
@@ -196,21 +240,36 @@ class LosOfPlaces:
             raise ValueError(f"snap_m = {self.snap_m} m must be positive.")
 
     def snap(self, xyz_m: Float[ndarray, "n 3"]) -> Float[ndarray, "n 3"]:
-        """The places of these points."""
+        """Places of points.
+
+        Parameters
+        ----------
+        xyz_m
+            Points in the world frame.
+
+        Returns
+        -------
+        The nearest point of the grid for each of them, in the world frame [m].
+
+        Raises
+        ------
+        ValueError
+            If a point is too far from the buildings to be rounded.
+        """
         return self._cell(xyz_m) * self.snap_m + self._low
 
     def has_los(
         self, xyz_m: Float[ndarray, "n 3"], a: Int[ndarray, "m"], b: Int[ndarray, "m"],
         blocked: Bool[ndarray, "m"] | None = None,
     ) -> Bool[ndarray, "m"]:  # fmt: skip
-        """`WallIndex.has_los` between the places of points `a` and `b`; swapping them changes nothing."""
+        """`WallIndex.has_los` between the places of the end points; swapping `a` and `b` changes nothing."""
         cell = self._cell(xyz_m)
         return self.index.has_los(cell * self.snap_m + self._low, a, b, blocked, _place(cell))
 
     def walls_crossed(
         self, xyz_m: Float[ndarray, "n 3"], a: Int[ndarray, "m"], b: Int[ndarray, "m"]
     ) -> tuple[Int[ndarray, "m"], Float[ndarray, "m"]]:
-        """`WallIndex.walls_crossed` between the places of points `a` and `b`."""
+        """`WallIndex.walls_crossed` between the places of the end points."""
         return self.index.walls_crossed(self.snap(xyz_m), a, b)
 
     @property
@@ -245,10 +304,20 @@ def los_between_actors(
 
     Parameters
     ----------
+    los
+        Buildings. `LosOfPlaces` rounds the two ends to places.
+    boxes, shape
+        Box (world frame) and `Shape` of every actor.
+    a, b
+        Rows of the two actors of each line.
     above_roof_m
         Height of both ends over the centre of the roof [m].
     bodies
         Whether the bodies of third actors block too, besides the buildings.
+
+    Returns
+    -------
+    True where nothing blocks the line.
     """
     a, b = np.asarray(a, dtype=np.int64), np.asarray(b, dtype=np.int64)
     if len(a) == 0:

@@ -73,7 +73,20 @@ def _list_segments(low, cell_m, shape, first, second, fill, ptr, out):
 
 
 def by_cell(low: ndarray, cell_m: float, shape: tuple[int, int], a: ndarray, b: ndarray) -> tuple[ndarray, ndarray]:
-    """Segments from a to b by cell, compressed rows; a city has tens of millions of cells."""
+    """List the segments under every cell that they touch.
+
+    Parameters
+    ----------
+    low, cell_m, shape
+        Lower corner of the grid, width of a cell, and number of cells in x and in y.
+    a, b
+        x and y of the two ends of each segment.
+
+    Returns
+    -------
+    The segments of cell i * shape[1] + j (i in x, j in y), as compressed rows: where each cell begins, and numbers of
+    segments, ascending in a cell. Both are 32-bit, because a city has tens of millions of cells.
+    """
     count = np.zeros(shape[0] * shape[1] + 1, np.int64)
     _list_segments(low, cell_m, shape, a, b, False, count, np.zeros(0, np.int32))
     ptr = np.concatenate([[0], np.cumsum(count[:-1])])
@@ -120,7 +133,11 @@ def _over_grid(start, delta, high, t, stop):
 
 @kernel
 def walls_crossed(xyz, a, b, grid, walls, n_walls, inside):
-    """Count the walls that each line crosses; add up the parameters where it leaves buildings less where it enters."""
+    """Count the walls that each line crosses, and find the part of the line that lies inside buildings.
+
+    `inside` gets the sum of the parameters (0 to 1 along the line) where the line leaves buildings, less those where it
+    enters.
+    """
     nx, ny = grid.step.shape
     inv = 1.0 / grid.cell_m
     for m in range(len(a)):
@@ -258,9 +275,10 @@ def _follow(begin, end, xyz, indoors, rank, a, b, blocked, grid, walls, line, ac
 
 @parallel
 def has_los(xyz, indoors, rank, a, b, blocked, grid, walls, out):
-    """Which lines no wall cuts; `blocked` are known to be cut, `indoors` ends have no line of sight.
+    """Which lines no wall cuts.
 
-    A line is followed from the end of the lower `rank`, from `a` where they are equal.
+    Lines in `blocked` are known to be cut. A line with an end in `indoors` has no line of sight. A line is followed
+    from its end of lower `rank`, from `a` where both ranks are equal.
     """
     n = len(a)
     for chunk in prange((n + _CHUNK - 1) // _CHUNK):
@@ -271,9 +289,10 @@ def has_los(xyz, indoors, rank, a, b, blocked, grid, walls, out):
 
 @compiled
 def cut_by_body(start, end, a, b, place, ptr, row, bodies):
-    """Per line from start to end: does it cross a body of an actor other than a and b?
+    """Whether each line from start to end crosses the body of an actor other than a and b.
 
-    `ptr`, `row` list, per place, the actors whose bodies can cut lines from there; `place` is each line's.
+    `place` is the place from which a line starts. `ptr` and `row` list, for each place, the actors whose bodies can cut
+    lines from there.
     """
     out = np.zeros(len(start), np.bool_)
     for i in range(len(start)):

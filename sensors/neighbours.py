@@ -29,7 +29,22 @@ class Neighbours(NamedTuple):
 
 
 def neighbours(points_m: Float[ndarray, "m d"], boxes: Boxes, range_m: float) -> Neighbours:
-    """Boxes whose footprint may come within a horizontal range of each point."""
+    """Boxes whose footprint may come within a horizontal range of each point.
+
+    Parameters
+    ----------
+    points_m
+        Points in the frame of the boxes; only x and y count.
+    boxes
+        Boxes to choose from.
+    range_m
+        Horizontal range.
+
+    Returns
+    -------
+    Rows of the boxes, by point. All boxes within range are there. So are some that are not, because all boxes are taken
+    to be as large as the largest.
+    """
     n = len(boxes)
     if n == 0 or len(points_m) == 0:
         return Neighbours(np.zeros(len(points_m) + 1, np.int64), np.zeros(0, np.int64))

@@ -31,7 +31,12 @@ class Pairs(NamedTuple):
     yaw_rad: ndarray
 
     def runs(self) -> Int[ndarray, "r+1"]:
-        """Where pairs of another sensor begin, and where all end."""
+        """Where the pairs of each sensor begin, if the pairs of a sensor follow each other.
+
+        Returns
+        -------
+        First pair of each run of equal `o`, and the number of pairs at the end.
+        """
         if not len(self.o):
             return np.zeros(1, np.int64)
         return np.flatnonzero(np.concatenate([[True], self.o[1:] != self.o[:-1], [True]]))
@@ -41,7 +46,19 @@ def pairs_of(
     o: Int[ndarray, "n"], origin_m: Float[ndarray, "m 3"], heading_rad: Float[ndarray, "m"], boxes: Boxes,
     b: Int[ndarray, "n"] | None = None,
 ) -> Pairs:  # fmt: skip
-    """Box b[k] and sensor o[k]; the boxes in order when `b` is not given."""
+    """Pairs of a sensor and a box.
+
+    Parameters
+    ----------
+    o
+        Sensor of each pair.
+    origin_m, heading_rad
+        Poses of the sensors, world frame.
+    boxes
+        Boxes in the world frame.
+    b
+        Row of `boxes` of each pair; by default all rows in order.
+    """
     o, b = np.asarray(o, np.int64), np.arange(len(boxes)) if b is None else np.asarray(b, np.int64)
     return Pairs(
         o, b, origin_m, np.cos(heading_rad), np.sin(heading_rad), heading_rad, boxes.xyz_m, boxes.lwh_m, boxes.yaw_rad
@@ -59,6 +76,6 @@ def in_sensor_frame(pairs, k):
 
 
 def turned(pairs: Pairs) -> Boxes:
-    """The boxes of all pairs, each in the frame of its sensor."""
+    """The boxes of all pairs, each in the frame of its sensor. Headings are not wrapped to one turn."""
     x, y, z, length, width, height, yaw = in_sensor_frame.py_func(pairs, slice(None))
     return Boxes(np.column_stack([x, y, z]), np.column_stack([length, width, height]), yaw)

@@ -30,7 +30,17 @@ class RangeNoise(NamedTuple):
 
     @staticmethod
     def of(keys: UInt64[ndarray, "m"], sigma_m: float, dropout_p: float) -> RangeNoise:
-        """The noise of sweeps with these keys."""
+        """Noise of some sweeps.
+
+        Parameters
+        ----------
+        keys
+            Key of each sweep.
+        sigma_m
+            Standard deviation of a range.
+        dropout_p
+            Probability that a return is lost.
+        """
         return RangeNoise(np.asarray(keys, np.uint64), np.float32(sigma_m), float(dropout_p), _levels())
 
 

@@ -37,5 +37,17 @@ def count_steps(ranges, steps, per_metre):
 
 
 def metres(range_steps: UInt16[ndarray, "*n"], step: float) -> Float32[ndarray, "*n"]:
-    """Ranges in metres; inf for rays without a return."""
+    """Ranges in metres.
+
+    Parameters
+    ----------
+    range_steps
+        Ranges in steps, or `NO_RETURN`.
+    step
+        Length of a step [m].
+
+    Returns
+    -------
+    Ranges [m]; inf for rays without a return.
+    """
     return np.where(range_steps == NO_RETURN, np.float32(np.inf), range_steps * np.float32(step))

@@ -36,19 +36,29 @@ class DetectorDraws:
     """Per observer, the same in every step: false positives that persist."""
 
     def pair_step(self, seen: Observability) -> UInt64[ndarray, "s"]:
-        """A key per (observer, actor), new in every step."""
+        """A key for each row of `seen`: one per (observer, actor), new in every step."""
         return mix_rows(self.observer_step[seen.observer], self.actor[seen.actor])
 
     def pair(self, seen: Observability) -> UInt64[ndarray, "s"]:
-        """A key per (observer, actor), the same in every step."""
+        """A key for each row of `seen`: one per (observer, actor), the same in every step."""
         return mix_rows(self.observer[seen.observer], self.actor[seen.actor])
 
     def uniforms(self, seen: Observability, n: int = 1) -> Float[ndarray, "s n"]:
-        """`n` uniforms in [0, 1) for each (observer, actor), new in every step."""
+        """Uniform draws for each (observer, actor), new in every step.
+
+        Returns
+        -------
+        `n` uniforms in [0, 1) for each row of `seen`. The first columns do not depend on `n`.
+        """
         return uniforms(self.pair_step(seen), n)
 
     def normals(self, seen: Observability, n: int = 1) -> Float[ndarray, "s n"]:
-        """`n` standard normals for each (observer, actor), new in every step."""
+        """Standard normal draws for each (observer, actor), new in every step.
+
+        Returns
+        -------
+        `n` standard normals for each row of `seen`. Column j is a function of column j of `uniforms`.
+        """
         return normals(self.pair_step(seen), n)
 
 
@@ -76,14 +86,32 @@ class Reports:
         boxes: Boxes,
         score: Float[ndarray, "r"],
     ) -> Reports:
-        """One report for each of these rows of `seen`; none is a false positive."""
+        """Reports of actors; none is a false positive.
+
+        Parameters
+        ----------
+        seen
+            The observers and actors to which `rows` refers.
+        rows
+            Row of `seen` of each report. A row may occur several times.
+        label, boxes, score
+            Reported `ObjectClass`, box (world frame) and confidence in [0, 1], in the order of `rows`.
+        """
         return Reports(seen.observer[rows], label, boxes, score, seen.actor[rows], np.zeros(len(rows), bool))
 
     @staticmethod
     def of_false_positives(
         observer: Int[ndarray, "r"], label: UInt8[ndarray, "r"], boxes: Boxes, score: Float[ndarray, "r"]
     ) -> Reports:
-        """Reports that belong to no actor."""
+        """Reports that belong to no actor.
+
+        Parameters
+        ----------
+        observer
+            Row of the sweep of each report.
+        label, boxes, score
+            Reported `ObjectClass`, box (world frame) and confidence in [0, 1].
+        """
         return Reports(observer, label, boxes, score, np.zeros(len(observer), int), np.ones(len(observer), bool))
 
     def take(self, rows: Int[ndarray, "k"]) -> Reports:

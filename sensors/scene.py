@@ -108,14 +108,21 @@ class Prisms(NamedTuple):
 def prisms(shape: UInt8[ndarray, "n"], boxes: Boxes) -> Prisms:
     """The solid body of each actor inside its box.
 
-    Notes
-    -----
-    Trucks of 12.5 m or more are tractors with a trailer. Buses of 15 m or more are articulated but do not bend.
+    Parameters
+    ----------
+    shape
+        `Shape` of each actor.
+    boxes
+        Box of each actor, world frame.
 
     Raises
     ------
     ValueError
-        If a shape code is no `Shape`.
+        If a shape code is no `Shape`, or there is not one shape per box.
+
+    Notes
+    -----
+    Trucks of 12.5 m or more are tractors with a trailer. Buses of 15 m or more are articulated but do not bend.
     """
     if len(shape) != len(boxes):
         raise ValueError(
@@ -346,6 +353,11 @@ def _walls(polygons: ndarray, base: ndarray, top: ndarray) -> Buildings:
 
 @lru_cache(maxsize=4)
 def roof_triangles(scene: Scene) -> tuple[Float[ndarray, "t 3 2"], ndarray]:
-    """Triangles that cover every footprint, and the building of each, for engines that cast meshes."""
+    """Triangles that cover every footprint, for engines that cast meshes.
+
+    Returns
+    -------
+    x and y of the corners of each triangle, world frame [m], and the row of its building.
+    """
     pieces, owner = shapely.get_parts(shapely.constrained_delaunay_triangles(scene.footprints), return_index=True)
     return shapely.get_coordinates(shapely.get_exterior_ring(pieces)).reshape(-1, 4, 2)[:, :3], owner

@@ -230,7 +230,11 @@ def _detected(
 def pair_normals(
     seen: Observability, draws: DetectorDraws, model: SimpleNamespace, n: int = N_DRAWS
 ) -> Float[ndarray, "s n"]:
-    """The first `n` standard normals of each (observer, actor), partly new in this step and partly persistent.
+    """Standard normal draws for each (observer, actor), partly new in this step and partly persistent.
+
+    Returns
+    -------
+    Row i belongs to row i of `seen`. The columns are the first `n` of those that `N_DRAWS` lists.
 
     Notes
     -----
@@ -244,14 +248,32 @@ def pair_normals(
 
 
 def uniform_of(z: Float[ndarray, "..."]) -> Float[ndarray, "..."]:
-    """Uniform in [0, 1) of a standard normal; continuous, 0 for 0."""
+    """Uniform draws from standard normal ones.
+
+    Returns
+    -------
+    Probability of a smaller |z|, in [0, 1): 0 for z = 0, and growing with |z|.
+    """
     return np.minimum(2.0 * ndtr(np.abs(z)) - 1.0, 1.0 - 1e-16)
 
 
 def detection_p(
     n_returns: Int[ndarray, "s"], occlusion: Float[ndarray, "s"], label: UInt8[ndarray, "s"], model: SimpleNamespace
 ) -> Float[ndarray, "s"]:
-    """Probability that an object is detected; 0 without returns.
+    """Probability that an object is detected.
+
+    Parameters
+    ----------
+    n_returns, occlusion
+        Returns from the object, and the share of its unoccluded returns that are missing, in [0, 1].
+    label
+        `ObjectClass` of the object.
+    model
+        As `resolved` returns it.
+
+    Returns
+    -------
+    Probability for each object; 0 without returns.
 
     Notes
     -----
@@ -350,5 +372,5 @@ def _moved(boxes: Boxes, off_m: Float[ndarray, "r 3"], lwh_m: ndarray, turn_rad:
 
 
 def wrap(angle: Float[ndarray, "n"]) -> Float[ndarray, "n"]:
-    """The angle in (-pi, pi]."""
+    """The angles turned into (-pi, pi]."""
     return np.pi - (np.pi - angle) % (2.0 * np.pi)

@@ -11,6 +11,15 @@ from trust.tables import Detections, Evaluations, Groups, ObjectLists
 def visibility(n_points: Int[ndarray, "n"], label: UInt8[ndarray, "n"], params: TrustParams) -> Float[ndarray, "n"]:
     """Visibility of a box to an evaluator, from the evaluator's own returns inside it.
 
+    Parameters
+    ----------
+    n_points
+        Returns of the evaluator's own sweep inside each box.
+    label
+        Class of each box, as in `Detections.label`.
+    params
+        Limits by class: `gamma_lower_points` and `gamma_upper_points`.
+
     Returns
     -------
     Phi in [0, 1]; 0 means "could not have been seen", not "is false".
@@ -18,7 +27,8 @@ def visibility(n_points: Int[ndarray, "n"], label: UInt8[ndarray, "n"], params: 
     Notes
     -----
     Visibility equation of [1]_: min(1, max(0, p - lower) / (upper - lower)), limits by class.
-    Deviations: none (equal limits, undefined there, make a step: visible above them).
+    Deviations: none. Equal limits, for which the equation is undefined, make a step: a box with more returns has Phi =
+    1.
     """
     lower = np.asarray(params.gamma_lower_points)[label]
     span = np.asarray(params.gamma_upper_points)[label] - lower
@@ -40,11 +50,13 @@ def denial_weight(recall: Float[ndarray, "n"]) -> Float[ndarray, "n"]:
 
     Notes
     -----
-    A miss has the probability 1 - r if the object is there, and 1 if it is not there: nothing else is taken for it.
-    Its likelihood ratio, not there against there, is 1 / (1 - r). From a prior of 1/2 the posterior probability that
-    the object is there is (1 - r) / (2 - r), and the expectation of an evaluation that is 1 for an object that is
-    there and -1 for one that is not is 2 (1 - r) / (2 - r) - 1 = -r / (2 - r). A denial, evaluation -1, with this
-    weight has that expectation.   Deviations: the rule is ours; [1]_ gives every miss the full weight.
+    The detector misses the object with probability 1 - r if it is there, and with probability 1 if it is not there (the
+    detector takes nothing else for it). The likelihood ratio of "not there" to "there" is therefore 1 / (1 - r). With a
+    prior of 1/2, the posterior probability that the object is there is (1 - r) / (2 - r). An evaluation is 1 for an
+    object that is there, and -1 for one that is not. Its expectation is therefore 2 (1 - r) / (2 - r) - 1 = -r / (2 -
+    r). A denial is an evaluation of -1; with the weight r / (2 - r) it has this expectation.
+
+    Deviations: the rule is ours; [1]_ gives every miss the full weight.
     """
     return recall / (2.0 - recall)
 
@@ -62,19 +74,27 @@ def evaluate(
 
     Parameters
     ----------
+    lists, groups, detections
+        Object lists of the evaluators, and the groups that `matching.match` formed in them.
     n_points
         Returns of the owner's own sweep inside each member's box.
     plausible
         Whether free space in the owner's own sweep permits the box; read only where `groups.ego_detected` is false.
+    params
+        Parameters of the evaluation.
     recall
-        Probability that the owner's detector reports an object with so many returns, if it is there, in [0, 1]; given
-        with `params.denials = "recall"`, and read only where `groups.ego_detected` is false.
+        Probability that the owner's detector reports an object with so many returns, if it is there, in [0, 1]. It is
+        given only with `params.denials = "recall"`, and read only where `groups.ego_detected` is false.
+
+    Returns
+    -------
+    One row per position of `lists.member`.
 
     Notes
     -----
-    e = score of the owner's detection that it matched, else eta; Phi = `visibility`, 1 for an implausible
-    unmatched detection. A match with the owner itself (its self report) is certain: e = Phi = 1. With `recall`, Phi
-    of a plausible unmatched detection is multiplied by `denial_weight`.
+    e is the score of the owner's detection that matched, else eta. Phi is `visibility`, and 1 for an implausible
+    unmatched detection. A match with the owner itself (its self report) is certain: e = Phi = 1. With `recall`, Phi of
+    a plausible unmatched detection is multiplied by `denial_weight`.
 
     Deviations: the paper has no self reports, and does not know how often a detector misses.
     """

@@ -14,20 +14,38 @@ _QUANTUM = float(1 << 32)
 
 
 def exact(values: Float[ndarray, "n"]) -> Float[ndarray, "n"]:
-    """Values as multiples of 2^-32: sums of them, up to 2^20 in size, are the same in any order."""
+    """Round values so that their sums do not depend on the order of summation.
+
+    Returns
+    -------
+    The values as multiples of 2^-32. Sums of them are exact as long as they do not exceed 2^20 in size.
+    """
     return np.rint(values * _QUANTUM) / _QUANTUM
 
 
 def exact_sums(group: Int[ndarray, "n"], values: Float[ndarray, "n"], n_groups: int) -> Float[ndarray, "n_groups"]:
-    """Sums of `exact` values by group."""
+    """Sums by group that do not depend on the order of the rows.
+
+    Parameters
+    ----------
+    group
+        Group of each value, from 0 to `n_groups` - 1.
+    values
+        Rounded by `exact` before they are added.
+
+    Returns
+    -------
+    Sum of each group; 0 for a group without values.
+    """
     return np.bincount(group, exact(values), n_groups).astype(float)
 
 
 @dataclass(slots=True)
 class StepRows:
-    """Accepted evaluations of one step by others than the subject that could see the detection, in any order.
+    """Accepted evaluations of one step, in any order, by others than the subject who could see the detection.
 
-    Rows of (holder, subject) are those of `EvaluationLog.pairs`, of (evaluator, observer) those of `.edges`.
+    Rows of (holder, subject) are those of `EvaluationLog.pairs`; rows of (evaluator, observer) are those of
+    `EvaluationLog.edges`.
     """
 
     evaluator: Int[ndarray, "n"]  # row of (holder, evaluator); one table row per holder, evaluator and observer
@@ -43,15 +61,42 @@ class StepRows:
     n_objects: int
 
     def per_observer(self, values: Float[ndarray, "n"], n_pairs: int) -> Float[ndarray, "n_pairs"]:
-        """Sums of `exact` values over the rows of each (holder, observer)."""
+        """Sums over the rows of each (holder, observer), rounded as in `exact_sums`.
+
+        Parameters
+        ----------
+        values
+            One value per row of this table.
+        n_pairs
+            Number of sums: at least the number of rows of `EvaluationLog.pairs`.
+
+        Returns
+        -------
+        Sum for each row of `EvaluationLog.pairs`; 0 for a pair without evaluations in this step.
+        """
         return exact_sums(self.observer, values, n_pairs)
 
     def per_object(self, values: Float[ndarray, "k"]) -> Float[ndarray, "n_objects"]:
-        """Sums of `exact` values over the evaluations of each detection."""
+        """Sums over the evaluations of each detection, rounded as in `exact_sums`.
+
+        Parameters
+        ----------
+        values
+            One value per single evaluation, in the order of `row` and `object`.
+
+        Returns
+        -------
+        Sum for each detection, numbered as in `object`.
+        """
         return exact_sums(self.object, values, self.n_objects)
 
     def observer_of_objects(self) -> Int[ndarray, "n_objects"]:
-        """Row of (holder, observer) of each detection."""
+        """Who sent each detection.
+
+        Returns
+        -------
+        Row of (holder, observer) in `EvaluationLog.pairs` for each detection, numbered as in `object`.
+        """
         observer = np.zeros(self.n_objects, np.int64)
         observer[self.object] = self.observer[self.row]
         return observer
@@ -69,8 +114,8 @@ class _Step:
 class EvaluationLog:
     """Accepted evaluations by step, and a row for each (holder, pseudonym) that any of them names.
 
-    Several models may read one log: each passes on every call that it is given, and the log acts on the first of them.
-    Then all of them must have been given a call before any of them is asked for scores.
+    Several models may share one log. Each model passes every call that it gets on to the log, and the log acts on the
+    first of these equal calls. All models must therefore have got a call before any of them is asked for scores.
     """
 
     def __init__(self, n_steps: int) -> None:
@@ -89,7 +134,11 @@ class EvaluationLog:
         self._open[step] = _Step()
 
     def advance(self, now_step: int) -> None:
-        """Close the steps that are too old. What a closed step holds is kept until the next step, for all to read."""
+        """Close the steps that are too old.
+
+        The rows of a step that closes now are kept until the log advances again, so that all models can still read
+        them.
+        """
         if now_step <= self.steps.now:
             return
         for step in [s for s in self._open if s <= self.steps.now - self.steps.n_steps]:
@@ -97,7 +146,15 @@ class EvaluationLog:
         self.steps.advance(now_step)
 
     def add(self, number: int, received: ReceivedEvaluations) -> None:
-        """Add what a model was given as its `number`-th."""
+        """Add received evaluations, unless another model has added them already.
+
+        Parameters
+        ----------
+        number
+            How many additions this model has made before.
+        received
+            Evaluations of one step.
+        """
         if number < self._n_added:
             return
         self._n_added += 1
@@ -108,7 +165,7 @@ class EvaluationLog:
             step.n_additions, step.rows = step.n_additions + 1, None
 
     def versions(self) -> dict[int, int]:
-        """Steps whose rows are at hand, ascending, with the number of additions to each."""
+        """Steps whose rows can be read, ascending, with the number of additions to each."""
         return {step: self._open[step].n_additions for step in sorted(self._open)}
 
     def is_closed(self, step: int) -> bool:
@@ -116,7 +173,7 @@ class EvaluationLog:
         return step <= self.steps.now - self.steps.n_steps
 
     def rows(self, step: int) -> StepRows:
-        """What has been received of a step."""
+        """Evaluations of a step that have been accepted so far."""
         of_step = self._open[step]
         if of_step.rows is None:
             of_step.rows = self._merged(of_step.parts)

@@ -12,10 +12,10 @@ NEVER = -1
 
 
 class EvaluatorTable:
-    """Newest step in which each evaluator evaluated a subject for a holder and could see (visibility above 0).
+    """Newest step in which each evaluator evaluated a subject for a holder and could see it (visibility above 0).
 
-    An evaluator counts in a window if its newest evaluation does. So one number per evaluator serves windows of any
-    length, in whatever order evaluations arrive.
+    An evaluator counts in a window if its newest evaluation lies in the window. One number per evaluator therefore
+    serves windows of any length, in whatever order evaluations arrive.
     """
 
     def __init__(self) -> None:
@@ -23,7 +23,16 @@ class EvaluatorTable:
         self.newest = np.empty(0, np.int32)  # step
 
     def note(self, row: Int[ndarray, "n"], evaluator: Int[ndarray, "n"], step: int) -> None:
-        """Add evaluators of a step, each once per row."""
+        """Add evaluators of a step.
+
+        Parameters
+        ----------
+        row, evaluator
+            Row of (holder, subject) in the evidence store, and pseudonym of an evaluator. No such pair may be there
+            twice.
+        step
+            Step of the detections. It may be older than steps noted before.
+        """
         keys = np.sort(pair_key(row, evaluator))
         at, known = find(keys, self.keys)
         self.newest[at[known]] = np.maximum(self.newest[at[known]], step)
@@ -32,12 +41,32 @@ class EvaluatorTable:
         self.keys = merged(self.keys, new)
 
     def forget(self, horizon: int, unused: Bool[ndarray, "rows"]) -> None:
-        """Drop what is as old as `horizon`, and the rows that are not used any more."""
+        """Drop old evaluators, and rows that are not used any more.
+
+        Parameters
+        ----------
+        horizon
+            Evaluators whose newest evaluation is of this step or an earlier one are dropped; with `NEVER` none is.
+        unused
+            Rows of the evidence store to drop, as a mask.
+        """
         kept = (self.newest > horizon) & ~unused[unpaired(self.keys)[0]]
         self.keys, self.newest = self.keys[kept], self.newest[kept]
 
     def count(self, n_rows: int, after: int) -> Int[ndarray, "rows"]:
-        """Number of evaluators of each row with an evaluation after a step."""
+        """How many evaluators of each row have an evaluation of a later step than `after`.
+
+        Parameters
+        ----------
+        n_rows
+            Number of rows of the evidence store.
+        after
+            Step; with `NEVER` all evaluators count.
+
+        Returns
+        -------
+        Number for each row of the evidence store; 0 for a row without evaluators.
+        """
         return np.bincount(unpaired(self.keys[self.newest > after])[0], minlength=n_rows)
 
     @property

@@ -25,8 +25,8 @@ class View(Protocol):
 class EvidenceStore:
     """Evidence by step, and a row for each (holder, subject) that any of the steps concerns.
 
-    Every model that reads the store passes each of its calls on to the store, and the store acts on the first of them.
-    All models must have received the same evaluations before any of them computes scores.
+    Every model that reads the store passes each of its calls on to the store, and the store acts on the first of these
+    equal calls. All models must have received the same evaluations before any of them computes scores.
     """
 
     def __init__(self, by_score: bool, skip_unseen: bool, expires: bool = True) -> None:
@@ -48,7 +48,17 @@ class EvidenceStore:
         detection_index: Int[ndarray, "d"],
         score: Float[ndarray, "d"],
     ) -> int:
-        """Open a step if no model has opened it yet, and return the number of rejected detections."""
+        """Open a step, unless another model has opened it already.
+
+        Parameters
+        ----------
+        step, pseudonyms, observer_row, detection_index, score
+            As for `TrustModel.open_step`.
+
+        Returns
+        -------
+        Number of detections of the step that were rejected.
+        """
         if step > self._opened:
             sent = OpenStep(pseudonyms, observer_row, detection_index, score)
             self.steps[step] = StepEvidence(sent)
@@ -56,7 +66,14 @@ class EvidenceStore:
         return self._n_bad
 
     def add(self, number: int, received: ReceivedEvaluations) -> Int[ndarray, "reasons"] | None:
-        """Add the `number`-th evaluations that a model received.
+        """Add received evaluations, unless another model has added them already.
+
+        Parameters
+        ----------
+        number
+            How many additions this model has made before.
+        received
+            Evaluations of one step.
 
         Returns
         -------
@@ -85,7 +102,13 @@ class EvidenceStore:
         return accepted.n_rejected
 
     def of_pairs(self, step: int) -> tuple[Int[ndarray, "p"], Float[ndarray, "p 2"], Int[ndarray, "p"]]:
-        """Of each pair of a step: its row, sum s T(theta) and sum s, and evaluations; see `StepEvidence.of_pairs`."""
+        """Evidence of a step about each (holder, subject).
+
+        Returns
+        -------
+        Row of each pair in the store, and what `StepEvidence.of_pairs` returns: sum s T(theta) and sum s, and
+        evaluations.
+        """
         evidence = self.steps[step]
         return evidence.row, *evidence.of_pairs(self._by_score, self._skip_unseen)
 
@@ -101,7 +124,13 @@ class EvidenceStore:
             self.pairs.drop(unused)
 
     def keep(self, chosen: Bool[ndarray, "rows"]) -> None:
-        """Keep rows beyond the steps that use them."""
+        """Keep the pairs of some rows for good, even when no step uses them any more.
+
+        Parameters
+        ----------
+        chosen
+            Rows to keep, as a mask.
+        """
         self._use(np.flatnonzero(chosen), 1)
 
     def _use(self, rows: Int[ndarray, "p"], change: int) -> None:

@@ -37,7 +37,7 @@ class Fused:
     n_evaluators: Int[ndarray, "f"]  # vehicles that made them
 
     def take(self, rows: ndarray) -> "Fused":
-        """The chosen rows (a mask or row numbers)."""
+        """The chosen rows, in the given order; `rows` is a mask or row numbers."""
         rows = np.flatnonzero(rows) if rows.dtype == bool else rows
         return Fused(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
 
@@ -256,7 +256,7 @@ def _scores_of_method(
 
 
 def votes_of(given: FusionInput, sender_trust: SenderTrust) -> ObjectVotes:
-    """Votes on the groups of each ego. They do not depend on trust."""
+    """Votes on the groups of each ego. They do not depend on trust, so several fusions can share them."""
     t, evaluated = sender_trust.canonical(), given.evaluated
     with threads_for(t.message.size * evaluated.member.size / max(1, evaluated.owner.size)) as n_threads:
         return object_votes(given, t, n_threads)

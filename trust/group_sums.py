@@ -33,7 +33,7 @@ class Evaluated(NamedTuple):
 
     @staticmethod
     def of(lists: ObjectLists, given: Evaluations) -> "Evaluated":
-        """In the types of the kernel."""
+        """The evaluations with e in [-1, 1] and Phi in [0, 1], in the types of the kernel."""
         ptr, member, e, phi = int64(lists.ptr), lists.member.astype(np.int32), given.evaluation, given.visibility
         valid = (np.abs(e) <= 1.0) & (phi >= 0.0) & (phi <= 1.0)
         if not valid.all():
@@ -53,7 +53,15 @@ class KernelInput(NamedTuple):
 
     @staticmethod
     def of(given: FusionInput, received: Int[ndarray, "h"]) -> "KernelInput":
-        """From the tables of a step, and the rows of the messages that egos received."""
+        """The tables of a step, in the types of the kernels.
+
+        Parameters
+        ----------
+        given
+            What the egos fuse.
+        received
+            Message rows that any ego has received, in any order: `evaluated_by` is long enough for them.
+        """
         lists, detections, evaluated = given.lists, given.detections, given.evaluated
         rows = (lists.owner, evaluated.owner, received, detections.message)
         evaluated_by = np.full(1 + int(max(a.max(initial=-1) for a in rows)), -1, np.int64)
@@ -217,12 +225,21 @@ def _accumulate(longest, lists, evaluated_by, own, reported, weights, n_chunks, 
 def sums_of_groups(
     given: FusionInput, sender_trust: SenderTrust, params: TrustParams
 ) -> tuple[GroupTotals, MemberSums]:
-    """Sums of all groups of all egos; those of each member only where `code_parity` needs them.
+    """Sums over all groups of all egos, and over each member where `code_parity` needs them.
 
     Parameters
     ----------
+    given
+        What the egos fuse.
     sender_trust
-        Canonical; rows go with `given.lists`.
+        As `SenderTrust.canonical` returns it; its lists are those of `given.lists`. No trust is negative.
+    params
+        Trust of an ego in itself and in unknown vehicles, and `code_parity`.
+
+    Returns
+    -------
+    Totals of the groups, in the order of `given.groups.seeds()`, and sums of the positions of `given.lists.member`; the
+    latter have no rows without `code_parity`.
     """
     t, lists, evaluated = sender_trust, given.lists, given.evaluated
     assert np.all(t.trust >= 0)

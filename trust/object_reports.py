@@ -29,7 +29,7 @@ class ObjectReports:
 
 @dataclass(frozen=True, slots=True)
 class ObjectVotes:
-    """The same without trust, which is all that differs between the trust variants of a step."""
+    """`ObjectReports` without trust, which is the only difference between the trust variants of a step."""
 
     group: Int[ndarray, "r"]
     in_favour: Bool[ndarray, "r"]
@@ -38,7 +38,16 @@ class ObjectVotes:
     n_groups: int
 
     def with_trust(self, trust: Float[ndarray, "h"], ego_trust: float) -> ObjectReports:
-        """The reports, with the egos' trust in the senders of the messages received, and in themselves."""
+        """The votes as reports.
+
+        Parameters
+        ----------
+        trust
+            Trust of the ego in the sender of each received message: the rows are those of the table from which
+            `object_votes` made the votes.
+        ego_trust
+            Trust of each ego in itself.
+        """
         of_vote = np.append(trust, ego_trust)[self.received]
         return ObjectReports(self.group, self.in_favour, self.visibility, of_vote, self.n_groups)
 
@@ -141,8 +150,14 @@ def object_votes(given: FusionInput, received: SenderTrust, n_threads: int) -> O
 
     Parameters
     ----------
+    given
+        What the egos fuse.
     received
-        Canonical; rows go with `given.lists`. No trust is read.
+        As `SenderTrust.canonical` returns it; its lists are those of `given.lists`. No trust is read.
+
+    Returns
+    -------
+    Votes by ego; those of one ego are in the order of the received messages, after its own.
     """
     messages = _Received(int64(received.ptr), int64(received.message), received.arrived())
     given_arrays, n_egos = KernelInput.of(given, received.message), given.lists.owner.size

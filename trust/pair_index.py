@@ -8,7 +8,7 @@ from trust.tables import int64, pair_key, unpaired
 
 
 class PairIndex:
-    """Rows 0, 1, ... given to pairs in the order of first use; the rows of dropped pairs are given again."""
+    """Rows 0, 1, ... for pairs, in the order of first use. Rows of dropped pairs are given to new pairs."""
 
     def __init__(self) -> None:
         self._keys = np.empty(0, np.int64)  # ascending
@@ -20,7 +20,17 @@ class PairIndex:
         return self._rows.size + self._free.size
 
     def rows(self, holder: Int[ndarray, "n"], subject: Int[ndarray, "n"]) -> Int[ndarray, "n"]:
-        """Row of each pair; pairs not seen before get new ones, in the order of (holder, subject)."""
+        """Row of each pair. A pair without a row gets one.
+
+        Parameters
+        ----------
+        holder, subject
+            Numbers in [0, 2^31); a pair may occur several times.
+
+        Returns
+        -------
+        Row of each pair. New pairs get rows in the order of (holder, subject), first the rows of dropped pairs.
+        """
         keys = pair_key(int64(holder), int64(subject))
         at, found = find(keys, self._keys)
         if not found.all():
@@ -36,16 +46,32 @@ class PairIndex:
     def find(
         self, holder: Int[ndarray, "n"], subject: Int[ndarray, "n"]
     ) -> tuple[Int[ndarray, "n"], Bool[ndarray, "n"]]:
-        """Row of each pair, and whether it has one (else the row is meaningless)."""
+        """Row of each pair, without giving rows to new pairs.
+
+        Returns
+        -------
+        Row of each pair, and whether it has one. Where it has none, the row is meaningless.
+        """
         at, found = find(pair_key(int64(holder), int64(subject)), self._keys)
         return self._rows[at] if self._rows.size else at, found
 
     def sorted(self) -> tuple[Int[ndarray, "p"], Int[ndarray, "p"], Int[ndarray, "p"]]:
-        """Holder, subject and row of every pair, by (holder, subject)."""
+        """All pairs that have a row.
+
+        Returns
+        -------
+        Holder, subject and row of every pair, sorted by (holder, subject).
+        """
         return *unpaired(self._keys), self._rows
 
     def drop(self, unused: Bool[ndarray, "rows"]) -> None:
-        """Forget the pairs of these rows."""
+        """Forget pairs. Their rows are given to new pairs later.
+
+        Parameters
+        ----------
+        unused
+            Rows whose pairs are forgotten, as a mask over all rows given so far.
+        """
         kept = ~unused[self._rows]
         self._free = np.concatenate([self._free, self._rows[~kept]])
         self._keys, self._rows = self._keys[kept], self._rows[kept]
@@ -57,7 +83,12 @@ class PairIndex:
 
 
 def with_rows(column: ndarray, n: int) -> ndarray:
-    """The column with at least n rows, the new ones zero; grows by doubling."""
+    """A column with room for at least n rows; it grows by doubling.
+
+    Returns
+    -------
+    `column` itself if it is long enough, else a longer copy in which the new rows are zero.
+    """
     if len(column) >= n:
         return column
     new = np.zeros((max(n, 2 * len(column)) - len(column), *column.shape[1:]), column.dtype)
@@ -65,7 +96,12 @@ def with_rows(column: ndarray, n: int) -> ndarray:
 
 
 def find(values: Int[ndarray, "n"], ascending: Int[ndarray, "m"]) -> tuple[Int[ndarray, "n"], Bool[ndarray, "n"]]:
-    """Position of each value in an ascending array, and whether it is there (else the position is meaningless)."""
+    """Find values in an ascending array.
+
+    Returns
+    -------
+    Position of each value, and whether it is there. Where it is not there, the position is meaningless.
+    """
     if not ascending.size:
         return np.zeros(values.shape, np.int64), np.zeros(values.shape, bool)
     at = np.minimum(np.searchsorted(ascending, values), ascending.size - 1)
@@ -73,5 +109,5 @@ def find(values: Int[ndarray, "n"], ascending: Int[ndarray, "m"]) -> tuple[Int[n
 
 
 def merged(ascending: Int[ndarray, "m"], new: Int[ndarray, "n"]) -> Int[ndarray, "m+n"]:
-    """Two ascending arrays as one."""
+    """Two ascending arrays as one; a value of both occurs twice."""
     return np.insert(ascending, np.searchsorted(ascending, new), new)

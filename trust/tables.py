@@ -39,11 +39,26 @@ class ObjectLists:
     owner: Int[ndarray, "e"]  # message row of the list's vehicle, ascending
 
     def of_member(self) -> Int[ndarray, "m"]:
-        """List to which each position belongs."""
+        """List to which each position belongs.
+
+        Returns
+        -------
+        Row of `owner` for each position of `member`.
+        """
         return np.repeat(np.arange(self.owner.size), np.diff(self.ptr))
 
     def of(self, position: Int[ndarray, "p"]) -> Int[ndarray, "p"]:
-        """List to which each of these ascending positions belongs."""
+        """List to which each of some positions belongs.
+
+        Parameters
+        ----------
+        position
+            Positions of `member`, ascending.
+
+        Returns
+        -------
+        Row of `owner` for each of them.
+        """
         return np.repeat(np.arange(self.owner.size), np.diff(np.searchsorted(position, self.ptr)))
 
 
@@ -59,7 +74,7 @@ class Groups:
         return np.flatnonzero(self._is_seed())
 
     def numbers(self) -> Int[ndarray, "m"]:
-        """Group of each position, numbered in the order of `seeds`."""
+        """Group of each position: its number in the order of `seeds`, from 0."""
         is_seed = self._is_seed()
         return (np.cumsum(is_seed, dtype=np.int32) - is_seed)[self.seed]
 
@@ -97,7 +112,7 @@ class SenderTrust:
     has_evaluations: Bool[ndarray, "h"] | None = None  # whether its evaluations of this step arrived too; None: all did
 
     def canonical(self) -> "SenderTrust":
-        """Each ego's messages ascending, and once."""
+        """The same with each ego's messages ascending, and each message once: of repeated ones, the first row stays."""
         key = np.repeat(np.arange(self.ptr.size - 1), np.diff(self.ptr)) << 32 | self.message
         if np.all(key[1:] > key[:-1]):
             return self
@@ -107,7 +122,7 @@ class SenderTrust:
         return SenderTrust(ptr, self.message[first], self.trust[first], arrived)
 
     def arrived(self) -> Bool[ndarray, "h"]:
-        """Whether the evaluations of each message arrived too."""
+        """Whether the evaluations of each message arrived too; all true where `has_evaluations` is None."""
         return np.ones(self.message.size, bool) if self.has_evaluations is None else self.has_evaluations
 
 
@@ -131,7 +146,15 @@ def as_messages(
     detections: Detections,
     evaluations: Evaluations,
 ) -> EvaluationMessages:
-    """The step's evaluations as messages that are valid beyond the step; `pseudonyms` by message row."""
+    """The step's evaluations as messages, one per list. They are valid beyond the step.
+
+    Parameters
+    ----------
+    pseudonyms
+        Pseudonym of the sender of each message row.
+    lists, detections, evaluations
+        As `evaluation.evaluate` takes and returns them.
+    """
     return EvaluationMessages(
         step,
         pseudonyms[lists.owner],
@@ -144,7 +167,15 @@ def as_messages(
 
 
 def messages_from_rows(step: int, evaluator, observer, detection_index, evaluation, visibility) -> EvaluationMessages:
-    """Evaluations in any order, one column each, as messages in canonical order."""
+    """Evaluations in any order, one column each, as messages in canonical order.
+
+    Parameters
+    ----------
+    evaluator, observer
+        Pseudonyms of who evaluates, and of the sender of the detection.
+    detection_index, evaluation, visibility
+        As in `EvaluationMessages`.
+    """
     evaluator, observer, index = (np.asarray(a, np.int64) for a in (evaluator, observer, detection_index))
     evaluation, visibility = (np.asarray(a, float) for a in (evaluation, visibility))
     order = np.lexsort((visibility, evaluation, index, observer, evaluator))
@@ -202,16 +233,19 @@ class ReceivedEvaluations:
     """Evaluation of an unmatched detection in this run (`params.eta_of`): tells `neg` from `evaluation`."""
 
     def __len__(self) -> int:
-        """Received evaluations, those without effect included."""
+        """Number of received evaluations, including those without effect."""
         return int(np.diff(self.messages.ptr)[self.message_row].sum())
 
     def rows(self) -> EvaluationRows:
-        """Flat rows, without own evaluations, visibility 0, evidence neither for nor against, and values out of range.
+        """The evaluations that are evidence, flat.
+
+        Evaluations of one's own detections, with visibility 0, with evidence neither for nor against, or with values
+        out of range are left out.
 
         Notes
         -----
-        pos = Phi max(e, 0); neg = Phi min(1, e / eta) for e < 0, and Phi for e <= 0 where eta = 0. Both are rounded
-        to multiples of 2^-32, so that sums of up to two million rows are exact in any order of summation. Rows in which
+        pos = Phi max(e, 0); neg = Phi min(1, e / eta) for e < 0, and Phi for e <= 0 where eta = 0. Both are rounded to
+        multiples of 2^-32, so that sums of up to two million rows are exact in any order of summation. Rows in which
         both are 0 are left out: an evaluator that answers "neither" has given no evidence.
         """
         t, (kept, sent_by, pos, neg) = self.messages, self._counting()
@@ -228,11 +262,21 @@ class ReceivedEvaluations:
         )
 
     def by_observer(self) -> ObserverRows:
-        """`rows`, summed per message and observer: an order of magnitude fewer."""
+        """The evaluations of `rows`, summed per message and observer: an order of magnitude fewer rows."""
         return self.both()[0]
 
     def both(self, detections: bool = True) -> tuple[ObserverRows, DetectionRows]:
-        """`by_observer`, and the evaluations one by one with the row there that each belongs to."""
+        """The evaluations of `rows`, summed and one by one.
+
+        Parameters
+        ----------
+        detections
+            Whether single evaluations are wanted; without them, the second table has no rows.
+
+        Returns
+        -------
+        The rows of `by_observer`, and single evaluations, each with the row of the first table to which it belongs.
+        """
         t, (kept, sent_by, pos, neg) = self.messages, self._counting()
         keys = pair_key(sent_by, int64(t.observer)[kept])
         order = np.argsort(keys, kind="stable")  # in time proportional to their number where lists are by observer
@@ -283,8 +327,8 @@ class ReceivedEvaluations:
 class TrustScores:
     """Trust at one step: a row per (holder, subject) with evidence, sorted.
 
-    The steps are those of the detections. The columns `*_evaluation_step` concern the evaluations with visibility above
-    0 by others than the subject that the value is based on, and hold only where `is_judged`.
+    All steps are steps of detections. The columns `*_evaluation_step` concern only those evaluations behind the value
+    that have visibility above 0 and come from others than the subject. They are valid only where `is_judged`.
     """
 
     step: int
@@ -365,7 +409,12 @@ class TrustScores:
     def rows_of(
         self, holder: Int[ndarray, "q"], subject: Int[ndarray, "q"]
     ) -> tuple[Int[ndarray, "q"], Bool[ndarray, "q"]]:
-        """Row of each (holder, subject), and whether there is one (else the row is meaningless)."""
+        """Find rows of some pairs.
+
+        Returns
+        -------
+        Row of each (holder, subject), and whether there is one. Where there is none, the row is meaningless.
+        """
         if not self.subject.size:
             return np.zeros(subject.shape, np.int64), np.zeros(subject.shape, bool)
         keys, wanted = pair_key(self.holder, self.subject), pair_key(holder, subject)
@@ -373,7 +422,19 @@ class TrustScores:
         return at, keys[at] == wanted
 
     def trust_of(self, holder: Int[ndarray, "q"], subject: Int[ndarray, "q"], default: float) -> Float[ndarray, "q"]:
-        """Trust of each subject as its holder has it; `default` without evidence."""
+        """Trust of holders in subjects.
+
+        Parameters
+        ----------
+        holder, subject
+            Pairs in any order; a pair may occur several times.
+        default
+            Trust in a subject about which its holder has no evidence.
+
+        Returns
+        -------
+        Trust in [0, 1] for each pair.
+        """
         at, found = self.rows_of(holder, subject)
         out = np.full(subject.shape, default)
         out[found] = self.trust[at[found]]
@@ -381,7 +442,17 @@ class TrustScores:
 
 
 def pair_key(holder: Int[ndarray, "n"], subject: Int[ndarray, "n"]) -> Int[ndarray, "n"]:
-    """(holder, subject), both in [0, 2^31), as one integer of the same order."""
+    """Each (holder, subject) as one integer.
+
+    Parameters
+    ----------
+    holder, subject
+        Numbers in [0, 2^31).
+
+    Returns
+    -------
+    int64 keys whose order is that of (holder, subject); `unpaired` is the inverse.
+    """
     return holder.astype(np.int64) << 31 | subject.astype(np.int64)
 
 
@@ -391,5 +462,15 @@ def unpaired(keys: Int[ndarray, "n"]) -> tuple[Int[ndarray, "n"], Int[ndarray, "
 
 
 def ranges(start: Int[ndarray, "n"], size: Int[ndarray, "n"]) -> Int[ndarray, "k"]:
-    """The integers start[i], start[i] + 1, ... of each range, one range after another."""
+    """The integers of several ranges, one range after another.
+
+    Parameters
+    ----------
+    start, size
+        First integer of each range, and how many it has; 0 is allowed.
+
+    Returns
+    -------
+    start[0], start[0] + 1, ..., then those of the next range.
+    """
     return np.repeat(start - (np.cumsum(size) - size), size) + np.arange(size.sum())

@@ -23,17 +23,41 @@ _EDGES = np.array([(i, i ^ bit) for i in range(8) for bit in (1, 2, 4) if i < i 
 
 
 def wrapped(angle_rad: Float[ndarray, "n"]) -> Float[ndarray, "n"]:
-    """Angles in (-pi, pi]."""
+    """The same angles in (-pi, pi]."""
     return np.pi - np.mod(np.pi - np.asarray(angle_rad, float), 2 * np.pi)
 
 
 def sensor_pose(box: Float[ndarray, "7"], above_roof_m: float) -> Float[ndarray, "4"]:
-    """x, y, z and yaw of the LiDAR over the middle of a vehicle's roof; world frame."""
+    """Pose of a vehicle's LiDAR, which stands over the middle of the roof.
+
+    Parameters
+    ----------
+    box
+        The vehicle's box, world frame.
+    above_roof_m
+        Height of the LiDAR over the roof.
+
+    Returns
+    -------
+    x, y, z [m] and yaw [rad], world frame.
+    """
     return np.array([box[0], box[1], box[2] + 0.5 * box[5] + above_roof_m, box[6]])
 
 
 def in_sensor(box: Float[ndarray, "n 7"], pose: Float[ndarray, "4"]) -> Float[ndarray, "n 7"]:
-    """World boxes in the frame of a level sensor: x forward, y left, z up."""
+    """Boxes in the frame of a level sensor.
+
+    Parameters
+    ----------
+    box
+        Boxes, world frame.
+    pose
+        x, y, z and yaw of the sensor, world frame.
+
+    Returns
+    -------
+    Boxes in the sensor frame: x forward, y left, z up; yaw in (-pi, pi].
+    """
     cos, sin = np.cos(pose[3]), np.sin(pose[3])
     away = box[:, :3] - pose[:3]
     out = box.astype(np.float64)
@@ -59,7 +83,13 @@ class InCamera(NamedTuple):
 
 
 def in_camera(box: Float[ndarray, "n 7"]) -> InCamera:
-    """Boxes of the sensor frame as KITTI's camera has them."""
+    """Boxes as KITTI's camera sees them.
+
+    Parameters
+    ----------
+    box
+        Boxes in the sensor frame, as `in_sensor` returns them.
+    """
     bottom = np.column_stack([-box[:, 1], -(box[:, 2] - 0.5 * box[:, 5]), box[:, 0]])
     rotation = wrapped(-box[:, 6] - 0.5 * np.pi)
     alpha = wrapped(rotation - np.arctan2(bottom[:, 0], bottom[:, 2]))
@@ -97,6 +127,16 @@ def _rectangle(box: Float[ndarray, "n 7"]) -> Float[ndarray, "n 4"]:
 
 
 def compass_deg(yaw_rad: Float[ndarray, "n"]) -> Float[ndarray, "n"]:
-    """Headings clockwise from north, in [0, 360)."""
+    """Headings as a compass gives them.
+
+    Parameters
+    ----------
+    yaw_rad
+        Headings counter-clockwise from east (+x).
+
+    Returns
+    -------
+    Headings clockwise from north, in [0, 360).
+    """
     degrees = np.mod(90.0 - np.degrees(np.asarray(yaw_rad, float)), 360.0)
     return np.where(degrees >= 360.0, 0.0, degrees)

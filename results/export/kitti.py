@@ -119,7 +119,18 @@ def image() -> bytes:
 
 
 def image_sets(step: Int[ndarray, "n"]) -> dict[str, Int[ndarray, "k"]]:
-    """Numbers of the frames in each set, from the frames' steps: the first half of the time, and two quarters."""
+    """Numbers of the frames in each set, by the time of the frames.
+
+    Parameters
+    ----------
+    step
+        Step of each frame, in the order in which the frames are numbered.
+
+    Returns
+    -------
+    By name of the set, the numbers of its frames, ascending: `train` is the first half of the steps, `val` the next
+    quarter, `test` the last quarter, and `trainval` the first two together.
+    """
     steps = np.unique(step)
     part = np.searchsorted([-(-len(steps) // 2), -(-3 * len(steps) // 4)], np.searchsorted(steps, step), "right")
     sets = {"train": part == 0, "val": part == 1, "trainval": part < 2, "test": part == 2}
@@ -174,7 +185,22 @@ class Labels:
 
 
 def labels(moment: Moment, vehicle: int, pose: Float[ndarray, "4"], hidden: bool = False) -> Labels:
-    """What gave a return and is in the image; `hidden` adds what would have if nothing stood in between."""
+    """Objects in the image that gave at least one return, with their labels.
+
+    Parameters
+    ----------
+    moment, vehicle
+        A step, and the number of a vehicle on the road in it.
+    pose
+        x, y, z and yaw of the vehicle's LiDAR, world frame.
+    hidden
+        Whether to add objects in the image that gave no return because something stands in between. Their occlusion is
+        3.
+
+    Returns
+    -------
+    The labels, in the order of the actors' numbers.
+    """
     seen = moment.visible.get(vehicle, NOTHING)
     rows = np.searchsorted(moment.actor, seen.actor)
     n_points = seen.n_points
@@ -189,7 +215,19 @@ def labels(moment: Moment, vehicle: int, pose: Float[ndarray, "4"], hidden: bool
 
 
 def unlabelled(moment: Moment, vehicle: int, pose: Float[ndarray, "4"]) -> Float[ndarray, "k 4"]:
-    """Rectangles in the image [px] of the objects that gave no return because something stands in between."""
+    """Objects in the image that gave no return because something stands in between.
+
+    Parameters
+    ----------
+    moment, vehicle
+        A step, and the number of a vehicle on the road in it.
+    pose
+        x, y, z and yaw of the vehicle's LiDAR, world frame.
+
+    Returns
+    -------
+    Left, top, right and bottom of each object's rectangle inside the image [px].
+    """
     seen = moment.visible.get(vehicle, NOTHING)
     rows = np.searchsorted(moment.actor, seen.actor[seen.n_points == 0])
     camera = in_camera(in_sensor(moment.box[rows], pose))
@@ -201,7 +239,19 @@ def _pixels(rectangle: Float[ndarray, "4"]) -> str:
 
 
 def results(moment: Moment, vehicle: int, pose: Float[ndarray, "4"]) -> list[str]:
-    """Lines of a result file: what it transmitted but for its self report."""
+    """Lines of a result file: the detections that a vehicle transmitted, without its self report.
+
+    Parameters
+    ----------
+    moment, vehicle
+        A step, and the number of a vehicle on the road in it.
+    pose
+        x, y, z and yaw of the vehicle's LiDAR, world frame.
+
+    Returns
+    -------
+    A line for each detection in the image; none if the vehicle transmitted nothing.
+    """
     sent = moment.detections.get(vehicle)
     if sent is None:
         return []
@@ -216,7 +266,25 @@ def lines_of(
     types: list[str], camera: InCamera, box: Float[ndarray, "n 7"], keep: Bool[ndarray, "n"],
     occluded: Int[ndarray, "n"] | None = None, score: Float[ndarray, "n"] | None = None,
 ) -> list[str]:  # fmt: skip
-    """The 15 columns of a label, or the 16 of a result."""
+    """Lines of a label file or of a result file.
+
+    Parameters
+    ----------
+    types
+        KITTI's type of each box.
+    camera, box
+        The boxes in the camera's view, and in any frame: only their sizes are read.
+    keep
+        Boxes that get a line.
+    occluded
+        Level of occlusion of each box. Left out, occlusion and truncation are -1, as in results.
+    score
+        Score of each box: the last column of a result.
+
+    Returns
+    -------
+    A line for each kept box, in their order: 15 columns, and 16 with scores.
+    """
     out = []
     for i in np.flatnonzero(keep).tolist():
         numbers = (

@@ -55,7 +55,17 @@ class Messages:
         self._digits = len(str(int(found.observer.max())))
 
     def number(self, step: Int[ndarray, "n"], pseudonym: Int[ndarray, "n"]) -> Int[ndarray, "n"]:
-        """Identifiers of messages: the step, and the pseudonym in the last digits."""
+        """Identifiers of messages, each used once in a run.
+
+        Parameters
+        ----------
+        step, pseudonym
+            Step of each message, and pseudonym of its sender.
+
+        Returns
+        -------
+        Whole numbers: the step, and the pseudonym in the last digits.
+        """
         return np.asarray(step, np.int64) * 10**self._digits + np.asarray(pseudonym, np.int64)
 
     def own(self, vehicles: list[int]) -> pd.DataFrame:

@@ -122,11 +122,21 @@ class Selection:
         return float(self.run.config["lidar"]["mount_above_roof_m"])
 
     def pose(self, moment: Moment, vehicle: int) -> Float[ndarray, "4"]:
-        """x, y, z and yaw of a vehicle's LiDAR, world frame."""
+        """Pose of a vehicle's LiDAR.
+
+        Returns
+        -------
+        x, y, z [m] and yaw [rad], world frame.
+        """
         return sensor_pose(moment.box[moment.row(vehicle)], self.above_roof_m)
 
     def blocks(self) -> list[Int[ndarray, "b"]]:
-        """The steps with a frame, a unit of work at a time."""
+        """The steps with a frame, by unit of work.
+
+        Returns
+        -------
+        Ascending steps, at most `UNIT_STEPS` in each array.
+        """
         used = np.unique(self.presence.step)
         return [used[i : i + UNIT_STEPS] for i in range(0, len(used), UNIT_STEPS)]
 
@@ -137,7 +147,13 @@ class Selection:
         return self.run.table("vehicles", columns).set_index("vehicle")
 
     def moments(self, steps: Int[ndarray, "b"]) -> Iterator[Moment]:
-        """These steps, one after another; their tables are in memory together."""
+        """The moments of some steps, one after another. The tables of all these steps are in memory together.
+
+        Parameters
+        ----------
+        steps
+            Steps in any order. The moments come in ascending order; a step without actors has none.
+        """
         where = pc.field("step").isin(steps.tolist())
         actors = self.run.table("actors", where=where).sort_values(["step", "actor"])
         actors = actors.join(self.bodies, on="actor")

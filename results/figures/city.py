@@ -17,7 +17,23 @@ def draw(
     title: str = "",
     attribution: str = "",
 ) -> Figure:
-    """Lanes as lines [k 2] of their true width and buildings as filled rings [k 2], in metres."""
+    """Draw the lanes and buildings of a city.
+
+    Parameters
+    ----------
+    streets, widths_m
+        Lanes as lines, one row (x, y) per point [m]; further columns are ignored. The width of a line is the true width
+        of the lane [m].
+    buildings
+        Outer rings of the buildings, one row (x, y) per corner [m].
+    title, attribution
+        Title of the map, and small text in its corner.
+
+    Raises
+    ------
+    ValueError
+        If there is no street.
+    """
     if not streets:
         raise ValueError("A city without a street cannot be drawn.")
     corners = np.concatenate([np.asarray(street)[:, :2] for street in streets])

@@ -42,8 +42,8 @@ def outcomes(run: Run) -> pd.DataFrame:
 def success(run: Run, thresholds: Sequence[float] = THRESHOLDS) -> pd.DataFrame:
     """Share of pairs (lie, receiver) in which the attack succeeds, by score threshold.
 
-    An inserted object succeeds where the receiver has it with a score of at least the threshold; a removal where the
-    receiver has the withheld actor with no such score.
+    An inserted object succeeds if the receiver has it with a score of at least the threshold. A removal succeeds if the
+    receiver does not have the withheld actor with such a score.
 
     Returns
     -------
@@ -59,7 +59,7 @@ def success(run: Run, thresholds: Sequence[float] = THRESHOLDS) -> pd.DataFrame:
 
 
 def curve(run: Run, n_thresholds: int = 51) -> pd.DataFrame:
-    """The same shares over thresholds from 0 to 1: effect, role, receivers, among, threshold, share."""
+    """Shares of `success` over thresholds from 0 to 1: effect, role, receivers, among, threshold, share."""
     thresholds = np.linspace(0, 1, n_thresholds)
     rows = []
     for key, pairs in _groups(outcomes(run)):
@@ -71,10 +71,14 @@ def curve(run: Run, n_thresholds: int = 51) -> pd.DataFrame:
 
 
 def per_lie(run: Run, thresholds: Sequence[float] = THRESHOLDS) -> pd.DataFrame:
-    """Share of fabricated detections, of those that an honest vehicle received, that at least one of them believes.
+    """Share of the fabricated detections received by an honest vehicle that at least one of these vehicles believes.
 
-    It grows with the number of receivers. Returns role, threshold, n (lies: the denominator), share, low, high,
-    n_units (attackers), receivers_mean (honest vehicles that received one).
+    It grows with the number of receivers.
+
+    Returns
+    -------
+    role, threshold, n (lies: the denominator), share, low, high, n_units (attackers), receivers_mean (honest vehicles
+    that received one).
     """
     frame = _honest(outcomes(run), "inserted")
     rows = []
@@ -96,8 +100,8 @@ def believed_duration(run: Run, threshold: float = 0.5) -> pd.DataFrame:
 
     Returns
     -------
-    role, among, n (stretches), mean_s, low, high (clustered by attacker), n_units, longest_s. A stretch that the end
-    of the run cuts off counts as long as it was observed.
+    role, among, n (stretches), mean_s, low, high (clustered by attacker), n_units, longest_s. A stretch that the end of
+    the run cuts off counts as long as it was observed.
     """
     frame = _honest(outcomes(run), "inserted")
     frame = frame[frame.score >= threshold]

@@ -9,10 +9,10 @@ import pandas as pd
 from results.run import Run
 
 DICE = ("seed", "traffic.seed")
-"""Keys that only throw the dice again: runs that differ in them are repetitions."""
+"""Keys that change only the random draws: runs that differ in nothing else are repetitions."""
 
 _IDLE = ("record.", "compute.", "trust_variant.")
-"""Sections that change nothing of what happens to the variant that is measured."""
+"""Sections that have no effect on the variant that is measured."""
 
 _UNITS = {"s": "s", "m": "m", "mps": "m/s", "deg": "°", "rad": "rad", "dbm": "dBm", "db": "dB", "hz": "Hz"}
 
@@ -26,9 +26,22 @@ def differing(runs: Sequence[Run]) -> dict[str, list[Any]]:
 
 
 def axis(runs: Sequence[Run], over: str | None = None) -> tuple[str, np.ndarray] | None:
-    """The number to compare runs by, and its value in every run.
+    """The number to compare runs by.
 
-    Left out, it is the one number in which their configurations differ; None where there is no such number.
+    Parameters
+    ----------
+    over
+        Its key in the configuration. Left out, it is the only key in which the configurations differ.
+
+    Returns
+    -------
+    The key, and the value in every run, in the order of the runs; "off" is infinite. None if `over` is left out and the
+    runs differ in no key, in several keys, or in a key that is no number.
+
+    Raises
+    ------
+    ValueError
+        If `over` is no number, or does not differ between the runs.
     """
     found = differing(runs)
     numbers = {key: [_number(v) for v in values] for key, values in found.items() if all(map(_is_number, values))}
@@ -49,10 +62,17 @@ def label(key: str) -> str:
 
 
 def tabulate(runs: Sequence[Run], over: str | None, ask: Mapping[str, Callable[[Run], float]]) -> pd.DataFrame:
-    """One row per run, sorted by the number that differs: that number (named by its key), run, row (its position among
-    the runs given), and every answer.
+    """One row per run, sorted by the number in which the runs differ.
 
-    What a run cannot answer is null.
+    Returns
+    -------
+    That number (named by its key), run, row (position of the run among `runs`), and every answer; null where a run
+    cannot answer.
+
+    Raises
+    ------
+    ValueError
+        If `over` is left out and the runs do not differ in exactly one number, or if `over` is no number that differs.
     """
     found = axis(runs, over)
     if found is None:

@@ -200,7 +200,21 @@ def _depth(at: dict[str, ndarray], xy: ndarray, i: ndarray, j: ndarray) -> Float
 
 
 def begins(on: Bool[ndarray, "n"], off: Bool[ndarray, "n"], track: ndarray) -> Bool[ndarray, "n"]:
-    """Where events begin: `on` holds, and since the event before `off` has held or another track has begun."""
+    """Rows in which an event begins: `on` holds, and no event of the same track is under way.
+
+    Parameters
+    ----------
+    on, off
+        Rows in which an event is under way for certain, and rows in which none is. In rows with neither, the state
+        stays as it was.
+    track
+        Number of the track of each row. The rows of a track follow each other in the order of time. No event is under
+        way before its first row.
+
+    Returns
+    -------
+    True in the first row of each event.
+    """
     new_track = np.append(True, track[1:] != track[:-1])[: len(track)]
     state = np.where(on, 1, np.where(off | new_track, -1, 0))
     last = np.maximum.accumulate(np.where(state != 0, np.arange(len(state)), 0))

@@ -18,9 +18,15 @@ if TYPE_CHECKING:  # imported where it is used: measuring a run does without
 
 
 def definition(run: Run, radius_m: float | None = None, pairs: str | None = None) -> dict[str, float | str]:
-    """The definition of an encounter that is meant, by column of `encounters.DEFINITION`.
+    """One definition of an encounter, by column of `encounters.DEFINITION`.
 
-    The smallest radius and the first kind of pairs unless named, and the first of the rest.
+    What is not given is chosen: the smallest radius, the first kind of pairs, and the first value of each further
+    column.
+
+    Raises
+    ------
+    ValueError
+        If the run has no encounters, or none of the given radius or pairs.
     """
     frame = run.table("encounters", DEFINITION)
     if frame.empty:

@@ -78,11 +78,13 @@ def summary(run: Run, departure: Departure = "ends") -> pd.DataFrame:
 
     Returns
     -------
-    n; n_start_unseen, n_end_unseen (censored left and right); mean_s, median_s of the durations as recorded;
-    km_median_s (null where more than half were not observed to end) and km_mean_s, restricted to the longest
-    duration observed, `horizon_s`; again_share: share that are not the first of their pair; gap_median_s: time since
-    the one before. mean_s, the shares censored_left, censored_right and again_share have intervals in which encounters
-    that share an actor depend on each other (`intervals.mean_of_pairs`); that of km_median_s takes them as independent.
+    The columns of `DEFINITION`; n; n_start_unseen, n_end_unseen and their shares censored_left, censored_right; mean_s,
+    median_s of the durations as recorded; km_median_s (Kaplan-Meier, null if the survival curve stays above one half)
+    and km_mean_s, restricted to the longest duration observed, `horizon_s`; again_share: share that are not the first
+    of their pair; gap_median_s: time since the encounter before.
+
+    mean_s and the three shares have intervals in which encounters that share an actor depend on each other
+    (`intervals.mean_of_pairs`). The interval of km_median_s takes encounters as independent.
     """
     rows = []
     for kind, frame in durations(run, departure).groupby([*DEFINITION], observed=True):

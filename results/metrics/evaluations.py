@@ -17,8 +17,8 @@ from results.metrics.trust import HONEST
 from results.run import Run
 
 KINDS = ("self report", "true detection", "false positive", "fabricated")
-"""What is evaluated: where the sender says that it is itself, a box of its detector that is an actor's, one that is no
-actor's, and one that an attack made up. The first three as they were perceived: no lie."""
+"""What is evaluated: the sender's report of itself, a box of its detector that belongs to an actor, one that belongs to
+none, and one that an attack made up. Of the first three, only those count that no attack changed."""
 SPLITS = ("evaluator", "class", "visibility", "distance", "role")
 EVALUATORS = ("the sender", "another vehicle")
 _VISIBILITY = (0.0, 0.25, 0.5, 0.75, 1.0)
@@ -54,8 +54,12 @@ def rates(run: Run) -> pd.DataFrame:
 
 
 def boxes_of_no_actor(run: Run) -> pd.DataFrame:
-    """Share of the detector's boxes that honest vehicles sent which are no actor's: class ("all" first), n, share, with
-    its interval clustered by sender."""
+    """Share of boxes that belong to no actor, among the boxes of their detectors that honest vehicles sent.
+
+    Returns
+    -------
+    class ("all" first), n, share, with its interval clustered by sender.
+    """
     run.require("detections")
     names = ["step", "observer", "class", "truth_actor"]
     sent = (pc.field("origin") == "sensed") & pc.field("transmitted") & ~pc.field("lied")

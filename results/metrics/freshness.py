@@ -99,11 +99,11 @@ def ages(run: Run) -> pd.DataFrame:
 
 
 def peaks(run: Run) -> pd.DataFrame:
-    """Peak age at use: the age at the last lookup before what a receiver knows of a subject is renewed.
+    """Peak age at use: the age at the last lookup before a receiver finds that its knowledge of a subject is renewed.
 
-    Of each two successive lookups of a subject by a receiver, both with the age in question, the second finds a renewal
-    if what it finds was generated later than what the first found: lookup time minus age, a whole number of steps. Own
-    values are computed when they are looked up, and have no peak.
+    Take each two successive lookups of a subject by a receiver, both with the age in question. The second finds a
+    renewal if what it finds was generated later than what the first found. The time of generation is the time of the
+    lookup less the age, in whole steps. Own values are computed when they are looked up, and have no peak.
 
     Returns
     -------
@@ -114,12 +114,13 @@ def peaks(run: Run) -> pd.DataFrame:
 
 
 def age_over_time(run: Run) -> pd.DataFrame:
-    """Age over time: what a receiver knows of a subject ages between lookups, until one finds it renewed.
+    """Age over time: what a receiver knows of a subject ages between lookups, until a lookup finds it renewed.
 
-    Between two successive lookups within reach (`lookups.REACH_S`), of which the first found an age, the age grows by
-    one second per second: a sawtooth. Its time average is the integral over the time [1]_, its peaks are the values
-    just before it falls [2]_. A renewal counts from the lookup that finds it, so that both are upper bounds, by at
-    most the time between two lookups. Own values are computed when they are looked up, and have no age over time.
+    Take each two successive lookups within reach (`lookups.REACH_S`) of which the first found an age. Between them, the
+    age grows by one second per second; it falls at a renewal. Its time average is its integral over the time [1]_, and
+    its peaks are the values just before it falls [2]_. A renewal counts from the lookup that finds it. Both figures are
+    therefore upper bounds; they are too large by at most the time between two lookups. Own values are computed when
+    they are looked up, and have no age over time.
 
     Returns
     -------
@@ -197,13 +198,13 @@ def over_time(run: Run, every_s: float = 10.0) -> pd.DataFrame:
 
 
 def without_trust(run: Run) -> pd.DataFrame:
-    """Encounters of equipped vehicles that end before one knew a value, resting on an evaluation, for the other.
+    """Encounters of equipped vehicles that end before one had a value for the other that rests on an evaluation.
 
     Returns
     -------
-    the columns of `encounters.DEFINITION`, n (both directions of every encounter), n_without, share, low, high (by
-    the vehicle that would know), n_units, and wait_median_s: time from the start to the first such value, of those
-    that had none at the start.
+    The columns of `encounters.DEFINITION`; n (both directions of every encounter), n_without, share, low, high (by the
+    vehicle that would have the value), n_units; and wait_median_s: time from the start to the first such value, of
+    those that had none at the start.
     """
     frame = run.variant_table("encounters", ["trusted_after_ab_s", "trusted_after_ba_s"])
     after_ab_s, after_ba_s = frame.trusted_after_ab_s.to_numpy(), frame.trusted_after_ba_s.to_numpy()
@@ -265,7 +266,21 @@ def _with_all(run: Run, counts: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
 
 
 def quantiles(values: np.ndarray, counts: np.ndarray, shares: tuple[float, ...]) -> list[float]:
-    """Quantiles of ascending values that occur so often: those of `np.quantile`, to the bit."""
+    """Quantiles of values that occur several times, equal to those of `np.quantile` in every bit.
+
+    Parameters
+    ----------
+    values
+        Different values, ascending.
+    counts
+        How often each value occurs; at least one value occurs.
+    shares
+        Probabilities of the quantiles, in [0, 1].
+
+    Returns
+    -------
+    The quantile for each of `shares`.
+    """
     before, n = np.cumsum(counts), int(counts.sum())
     found = []
     for one in shares:

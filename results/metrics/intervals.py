@@ -45,8 +45,14 @@ def ratio(top: Float[ndarray, "u"], bottom: Float[ndarray, "u"], level: float = 
     Parameters
     ----------
     top, bottom
-        Per unit; a unit whose bottom is 0 does not count. With bottom the number of values and top their sum, the
-        ratio is the mean over all values, of units with many as of units with few.
+        Per unit. A unit whose bottom is 0 does not count. If bottom is a unit's number of values and top their sum, the
+        ratio is the mean of all values: a unit with many values weighs more than a unit with few.
+    level
+        Probability of the interval.
+
+    Returns
+    -------
+    The ratio, NaN if no unit counts. The interval is NaN if fewer than three units count.
 
     Notes
     -----
@@ -88,15 +94,21 @@ def around(value: float, error: float, degrees: float, bounds: Bounds = FREE, le
 
     Parameters
     ----------
+    value, error
+        The mean and its standard error.
     degrees
-        Of freedom, of Student's t; infinite for the normal distribution.
+        Degrees of freedom of Student's t; infinite for the normal distribution.
     bounds
-        Where both are finite the interval is Student's in the logit of the place between them, where one is, in the
-        logarithm of the distance from it, with the error by the delta method [1]_ [2]_; without bounds in the value.
+        Bounds of the quantity. With two finite bounds, the interval is Student's in the logit of the value's place
+        between them. With a lower bound alone, it is Student's in the logarithm of the distance from it. In both cases
+        the error is converted by the delta method [1]_ [2]_. Without bounds, the interval is Student's in the value
+        itself.
+    level
+        Probability of the interval.
 
     Returns
     -------
-    An estimate without a number of units. Without an interval where the value is at a bound: its logit is infinite.
+    An estimate without a number of units. It has no interval if the value is at a bound, where the logit is infinite.
 
     References
     ----------
@@ -120,8 +132,23 @@ def around(value: float, error: float, degrees: float, bounds: Bounds = FREE, le
 
 
 def share(top: Float[ndarray, "u"], bottom: Float[ndarray, "u"], level: float = LEVEL) -> Estimate:
-    """As `ratio`, of counts; where none or all of what was counted has the property, or every unit counted once and
-    no more, after Wilson [1]_, with units as trials: a bootstrap of equal values has no width.
+    """Share of what was counted that has a property, with an interval.
+
+    Parameters
+    ----------
+    top, bottom
+        Per unit: how many have the property, and how many were counted.
+    level
+        Probability of the interval.
+
+    Returns
+    -------
+    The share, NaN if nothing was counted.
+
+    Notes
+    -----
+    The interval is that of `ratio`, except in two cases: if all or none have the property (a bootstrap of equal values
+    has no width), or if every unit counted exactly once. Then it is Wilson's [1]_, with units as trials.
 
     References
     ----------
@@ -148,13 +175,21 @@ def mean_of_pairs(
 
     Parameters
     ----------
+    values
+        Value of each pair. The same pair may occur several times.
     a, b
         Numbers of the two units of each pair.
+    bounds, level
+        As for `around`.
+
+    Returns
+    -------
+    The mean, NaN without pairs. The interval is NaN if there are fewer than three units.
 
     Notes
     -----
-    Variance of the mean: sum over pairs of pairs that share a unit of the product of their residuals, over n^2; the
-    interval is that of `around`, of as many degrees of freedom as there are units, less one.
+    The variance of the mean is the sum of the products of the residuals of any two pairs that share a unit, over n^2.
+    The interval is that of `around`, with one degree of freedom less than there are units.
 
     References
     ----------
@@ -174,7 +209,18 @@ def mean_of_pairs(
 
 
 def median(values: Float[ndarray, "u"], level: float = LEVEL) -> Estimate:
-    """Median of independent values, with the interval between two of them that holds for any distribution [1]_.
+    """Median, with the interval between two of the values that holds for any distribution [1]_.
+
+    Parameters
+    ----------
+    values
+        Independent values.
+    level
+        Probability of the interval.
+
+    Returns
+    -------
+    The median, NaN without values. The interval is NaN if there are too few values for it.
 
     References
     ----------
@@ -191,19 +237,30 @@ def auc(
     high: Float[ndarray, "h"], high_unit: Int[ndarray, "h"], low: Float[ndarray, "l"], low_unit: Int[ndarray, "l"],
     times: tuple[ndarray, ndarray] | None = None, level: float = LEVEL,
 ) -> Estimate:  # fmt: skip
-    """Probability that a value of the first kind is above one of the second, ties counting half, both clustered by
-    unit [1]_; n_units is the smaller number of units.
+    """Probability that a value of the first kind is above one of the second, clustered by unit [1]_; ties count half.
 
     Parameters
     ----------
+    high, low
+        Values of the first and of the second kind.
+    high_unit, low_unit
+        Number of the unit of each value.
     times
-        How often each value of either kind occurs; once each, where left out.
+        How often each value of either kind occurs; by default once.
+    level
+        Probability of the interval.
+
+    Returns
+    -------
+    The probability, NaN if a kind has no values; n_units is the smaller of the two numbers of units. The interval is
+    NaN if this is below three.
 
     Notes
     -----
-    With V the placement of each value among all of the other kind, the variance is the sum over both kinds of
-    I / (I - 1) * sum over its I units of (sum of V of the unit - m * AUC)^2 / N^2, where m values are in the unit and
-    N of the kind. The interval is that of `around`, normal in the logit.
+    The placement V of a value is the share of values of the other kind that are below it (first kind) or above it
+    (second kind), ties counting half. A unit with m values has the residual (sum of its V) - m * AUC. The variance is
+    the sum over both kinds of I / (I - 1) * (sum of the squared residuals of its I units) / N^2, where N is the number
+    of values of the kind. The interval is that of `around`, normal in the logit.
 
     References
     ----------
@@ -235,7 +292,15 @@ def _placement(values: Float[ndarray, "n"], others: Float[ndarray, "m"], n: ndar
 
 
 def of_units(values: Float[ndarray, "n"] | Bool[ndarray, "n"], unit: Int[ndarray, "n"]) -> Estimate:
-    """Mean of values that come from units: `ratio` of sums and counts by unit, or `share` where they are yes or no."""
+    """Mean of values that come from units, as `ratio`; if the values are true or false, as `share`.
+
+    Parameters
+    ----------
+    values
+        One or more values of each unit.
+    unit
+        Number of the unit of each value.
+    """
     at, _ = _codes(unit)
     return (share if values.dtype == bool else ratio)(np.bincount(at, values), np.bincount(at))
 

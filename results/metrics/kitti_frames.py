@@ -31,7 +31,12 @@ Poses = pd.DataFrame
 
 
 def sampled_steps(run: Run, max_frames: int) -> np.ndarray:
-    """Steps spread evenly over the run, with about `max_frames` equipped vehicles on the road in all."""
+    """Steps at equal distances over the run, with about `max_frames` frames (equipped vehicles on the road) in all.
+
+    Returns
+    -------
+    Steps, ascending.
+    """
     spans = run.table("vehicles", ["equipped", "first_step", "last_step"])
     spans = spans[spans.equipped]
     n_frames = int((spans.last_step - spans.first_step + 1).sum())
@@ -40,19 +45,32 @@ def sampled_steps(run: Run, max_frames: int) -> np.ndarray:
 
 
 def with_boxes(run: Run, lists: tuple[Lists, ...]) -> tuple[Lists, ...]:
-    """The lists that the run's variant has: fused objects are computed of those variants alone that ask for them."""
+    """The lists that the run's variant has: only the base variant and variants that ask for it have fused objects."""
     sections = run.config.get("trust_variant", [])
     fuses = run.variant == BASE_VARIANT or any(v["name"] == run.variant and v.get("fused") for v in sections)
     return tuple(which for which in lists if which != "fused" or fuses)
 
 
 def at_steps(steps: np.ndarray) -> pc.Expression:
-    """Rows of these steps."""
+    """Filter for the rows of these steps."""
     return pc.field("step").isin(steps.tolist())
 
 
 def posed(run: Run, steps: np.ndarray, observers: np.ndarray | None = None) -> tuple[Poses, pd.DataFrame]:
-    """Observers (the equipped vehicles, or these of them), and all actors with size and class, in these steps."""
+    """Observers and actors in some steps.
+
+    Parameters
+    ----------
+    steps
+        Steps in any order.
+    observers
+        Actor numbers; the observers are the equipped ones among them. Left out, they are all equipped vehicles.
+
+    Returns
+    -------
+    Observers, each row with its frame, and all actors with size, `equipped` and class (`label`); both sorted by (step,
+    actor).
+    """
     actors = run.table("actors", ["step", "actor", "x_m", "y_m", "z_m", "yaw_rad"], where=at_steps(steps))
     vehicles = run.table("vehicles", ["vehicle", "vehicle_class", "length_m", "width_m", "height_m", "equipped"])
     vehicles["label"] = vehicles.vehicle_class.astype(object).map(_OBJECT_CLASS)
@@ -74,7 +92,17 @@ def observed_by_vehicle(run: Run, which: Lists, columns: list[str], where: pc.Ex
 
 
 def near(poses: Poses, actors: pd.DataFrame, range_m: float) -> tuple[np.ndarray, np.ndarray]:
-    """Pairs of an observer and an actor of the same step within range (horizontally), sorted."""
+    """Pairs of an observer and an actor of the same step within a horizontal range. An observer is also near itself.
+
+    Parameters
+    ----------
+    poses, actors
+        As `posed` returns them.
+
+    Returns
+    -------
+    Rows of `poses` and of `actors`, sorted by (row of `poses`, row of `actors`).
+    """
     if poses.empty:
         return np.zeros(0, int), np.zeros(0, int)
     steps = np.unique(actors.step)
@@ -90,7 +118,18 @@ def near(poses: Poses, actors: pd.DataFrame, range_m: float) -> tuple[np.ndarray
 def actors_ahead(
     run: Run, steps: np.ndarray, range_m: float, observers: np.ndarray | None = None
 ) -> tuple[Objects, Poses]:
-    """Actors ahead of each equipped vehicle, or of these of them, and the observers of the frames."""
+    """Ground truth: the actors ahead of each observer.
+
+    Parameters
+    ----------
+    steps, observers
+        As for `posed`.
+
+    Returns
+    -------
+    Actors in the frames of their observers, with score 1, truncation 0, and occlusion 3 (unknown) where the table
+    `observability` does not hold the pair; and the observers.
+    """
     poses, actors = posed(run, steps, observers)
     i, j, box, height_px = pairs_ahead(poses, actors, range_m)
     seen = run.table("observability", where=at_steps(steps)).set_index(["step", "observer", "actor"])
@@ -107,7 +146,17 @@ def actors_ahead(
 def pairs_ahead(
     poses: Poses, actors: pd.DataFrame, range_m: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Pairs of an observer and an actor ahead of it, rows of both; box and height of the actor as of `ahead_of`."""
+    """Pairs of an observer and another actor ahead of it within range.
+
+    Parameters
+    ----------
+    poses, actors
+        As `posed` returns them.
+
+    Returns
+    -------
+    Row of the observer, row of the actor, and the actor's box and height as of `ahead_of`; sorted by the two rows.
+    """
     i, j = near(poses, actors, range_m)
     other = poses.observer.to_numpy()[i] != actors.actor.to_numpy()[j]
     i, j = i[other], j[other]
@@ -116,7 +165,21 @@ def pairs_ahead(
 
 
 def boxes_ahead(run: Run, which: Lists, steps: np.ndarray, poses: Poses, range_m: float) -> Objects:
-    """Boxes ahead of each equipped vehicle, numbered by the frames of `poses`."""
+    """Boxes in the list of each observer that lie ahead of it.
+
+    Parameters
+    ----------
+    which
+        The detections of its own sensor, or its fused objects.
+    steps
+        Steps that are read.
+    poses
+        Observers. A box gets the frame of its observer; boxes of others are left out.
+
+    Returns
+    -------
+    Boxes by frame, within a frame in the order of the list. The error of the observer's own position is subtracted.
+    """
     index = "fused_index" if which == "fused" else "detection_index"
     columns = ["step", "observer", index, "class", *BOX, "score"]
     if which == "fused":
@@ -140,7 +203,12 @@ def boxes_ahead(run: Run, which: Lists, steps: np.ndarray, poses: Poses, range_m
 
 
 def position_errors(run: Run, poses: Poses) -> np.ndarray:
-    """How far each observer believes to be from where it is, east and north [n, 2]: so far are its boxes displaced."""
+    """Error of each observer's estimate of its own position: estimated minus true. Its boxes are displaced by it.
+
+    Returns
+    -------
+    East and north component [m], one row per row of `poses`; 0 where the run has no errors.
+    """
     if "position_errors" not in run.tables:
         return np.zeros((len(poses), 2))
     found = run.table("position_errors", where=at_steps(poses.step.unique())).set_index(["step", "vehicle"])
@@ -153,15 +221,19 @@ def ahead_of(poses: Poses, i: np.ndarray, box: np.ndarray, range_m: float) -> tu
 
     Parameters
     ----------
+    poses
+        Observers.
     i
-        Row of its observer, of each box.
+        Row of `poses` of each box's observer.
     box
         x, y, z of the centre, length, width, height, yaw; world frame [n, 7].
+    range_m
+        Largest horizontal distance from the observer.
 
     Returns
     -------
-    The boxes, x forward and y left of the middle of the observer's roof; which lie ahead within range; and their
-    heights in the image [px].
+    The boxes, x forward and y left of the middle of the observer's roof; whether each lies ahead (within 45 degrees of
+    straight ahead) and within range; and their heights in the image [px].
     """
     eye = poses[["x_m", "y_m", "z_m", "yaw_rad", "height_m"]].to_numpy(np.float64)[i]
     eye[:, 2] += eye[:, 4] / 2  # on the roof

@@ -148,8 +148,20 @@ class _Numbers:
 
 
 def sums(run: Run, fresh_s: float = FRESH_S, threshold: float = THRESHOLD) -> Sums:
-    """Lookups of the run's variant added up; ValueError where there are none. `fresh_s` concerns `fresh` alone,
-    `threshold` what is below it."""
+    """Lookups of the run's variant, added up.
+
+    Parameters
+    ----------
+    fresh_s
+        Largest age of an evaluation that counts in `Sums.fresh`.
+    threshold
+        Trust below which a value counts as low.
+
+    Raises
+    ------
+    ValueError
+        If there are no lookups.
+    """
     mine = Sums(*(table[run.variants.index(run.variant)] for table in _all(run, _Asked(fresh_s, threshold)).sums))
     if not mine.states.any():
         raise ValueError(f"{run.path} {NO_LOOKUPS}")
@@ -157,19 +169,19 @@ def sums(run: Run, fresh_s: float = FRESH_S, threshold: float = THRESHOLD) -> Su
 
 
 def ages_s(run: Run) -> Float[ndarray, "k"]:
-    """Ages that `Sums.age_counts` counts, ascending [s]."""
+    """Different ages, ascending [s]: the last axis of `Sums.age_counts`."""
     return _all(run).ages_s
 
 
 def lows(run: Run) -> Lows:
-    """Trust below any threshold is first looked up at one of these."""
+    """Lookups with the lowest value of their subject so far. Trust is first below any threshold at one of these."""
     found = _all(run)
     mine = found.variant == run.variants.index(run.variant)
     return Lows(*(column[mine] for column in found.lows))
 
 
 def scores(run: Run) -> Scores:
-    """Values of watched subjects that were looked up, of the run's variant."""
+    """Values of watched subjects that were looked up in the run's variant."""
     found = _all(run)
     mine = found.scores_variant == run.variants.index(run.variant)
     of = found.scores
@@ -177,12 +189,27 @@ def scores(run: Run) -> Scores:
 
 
 def subjects(run: Run) -> tuple[Int[ndarray, "p"], Int[ndarray, "p"]]:
-    """Pseudonyms by number, and the code of the role of each."""
+    """All pseudonyms of the run.
+
+    Returns
+    -------
+    Pseudonyms, ascending, and the code of the role of each, in the order of `Run.role_labels`.
+    """
     return run.once_for_all("roles by pseudonym", lambda: _roles(run))
 
 
 def role_codes(run: Run, pseudonym: Int[ndarray, "n"]) -> Int[ndarray, "n"]:
-    """Code of the role of the vehicle behind each pseudonym, in the order of `Run.role_labels`."""
+    """Role of the vehicle behind each pseudonym.
+
+    Parameters
+    ----------
+    pseudonym
+        Pseudonyms of this run, in any order.
+
+    Returns
+    -------
+    Code of the role, in the order of `Run.role_labels`.
+    """
     known, code = subjects(run)
     return code[np.searchsorted(known, pseudonym)]
 

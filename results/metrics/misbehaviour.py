@@ -31,6 +31,7 @@ class Scored(NamedTuple):
     rated: Bool[ndarray, "n"]
 
     def take(self, rows: ndarray) -> "Scored":
+        """The chosen rows (a mask or row numbers)."""
         return Scored(*(column[rows] for column in self))
 
 
@@ -47,7 +48,7 @@ def scored_vehicles(run: Run) -> pd.DataFrame:
 
 
 def scored(run: Run) -> Scored:
-    """The same as arrays; not to be changed."""
+    """The rows of `scored_vehicles` as arrays; not to be changed."""
     return run.once("misbehaviour.scored", lambda: _scored(run))
 
 
@@ -92,9 +93,10 @@ def classification(run: Run, false_positives: float = 0.05) -> pd.DataFrame:
 
 
 def recall_over_time(run: Run, every_s: float = 10.0, false_positives: float = 0.05) -> pd.DataFrame:
-    """The same in windows of time: time_s (of their start) and the columns of `classification`.
+    """Classification in windows of time: time_s (start of the window) and the columns of `classification`.
 
-    The threshold is that of the whole time, so that false positives are what they are in each window.
+    All windows have the threshold of the whole time. The share of false positives therefore differs from window to
+    window.
     """
     threshold = float(classification(run, false_positives).threshold.iloc[0])
     found = scored(run)
@@ -125,8 +127,12 @@ def roc(run: Run) -> pd.DataFrame:
 
 
 def below(run: Run, threshold: float = 0.25) -> pd.DataFrame:
-    """Share of all values below a threshold, by role: role, n, share, and evaluated_share, of those that are evaluated;
-    both with intervals clustered by subject."""
+    """Share of values below a threshold, by role.
+
+    Returns
+    -------
+    role, n, share of all values, and evaluated_share of the evaluated ones; both with intervals clustered by subject.
+    """
     found, rows = trust.in_use(run), []
     for role, here in trust.by_role(run, found.role):
         row: dict[str, object] = {"role": role, "n": int(here.sum())}
@@ -147,16 +153,21 @@ def separation(run: Run) -> intervals.Estimate:
 
 
 def detection_delay(run: Run, threshold: float = 0.25, at: trust.At = "server") -> pd.DataFrame:
-    """Time until a subject is suspected, from its first attack, or for honest subjects from the first attack of any.
+    """Time until a subject is suspected.
+
+    It begins with the first attack of the subject; for honest subjects, with the first attack of any.
 
     Parameters
     ----------
+    threshold
+        Trust below which a subject is suspected.
     at
-        At the server, or at the first vehicle that looks up a value below the threshold (a default does not count).
+        Who suspects: the server, or the first vehicle that looks up a value below the threshold (a default does not
+        count).
 
     Returns
     -------
-    subject, role, delay_s, found: where not found, the delay is the time it was watched for (censored).
+    subject, role, delay_s, found. If a subject was not found, delay_s is the time for which it was watched (censored).
     """
     who = watched(run)
     step, subject = _low_values(run, threshold, at)
@@ -170,8 +181,10 @@ def detection_delay(run: Run, threshold: float = 0.25, at: trust.At = "server") 
 
 
 def _low_values(run: Run, threshold: float, at: trust.At) -> tuple[Int[ndarray, "n"], Int[ndarray, "n"]]:
-    """Step and subject of values below a threshold that rest on an evaluation; of those that vehicles look up, the
-    first of each subject is there."""
+    """Step and subject of values below a threshold that rest on an evaluation.
+
+    Of the values that vehicles look up, only some are there, but always the first of each subject.
+    """
     if at == "vehicles":
         lows = lookups.lows(run)
         low = lows.trust.astype(np.float64) < threshold
@@ -184,17 +197,17 @@ def _low_values(run: Run, threshold: float, at: trust.At) -> tuple[Int[ndarray, 
 
 
 def at_lookup(run: Run, threshold: float = lookups.THRESHOLD) -> pd.DataFrame:
-    """Classification where trust is used: of the values that vehicles look up, whoever keeps trust.
+    """Classification at the place where trust is used: of the values that vehicles look up.
 
-    A lookup counts from the moment on at which its subject is watched. The same of central and local trust, so that
-    the two can be compared; `classification` takes the server's values, or means over receivers that no vehicle holds.
+    A lookup counts from the moment at which its subject is watched. Central and local trust are measured alike and can
+    be compared. `classification` takes the server's values, or means over receivers, which no vehicle holds.
 
     Returns
     -------
     role; n (lookups of watched subjects); evaluated: share of them that rest on an evaluation; suspected: share of them
-    that do and lie below the threshold; auc: probability that an evaluated value of an honest subject is above one of
-    this role, ties counting half (NaN for honest ones); auc_error: by how much it may be off because values were
-    rounded (0: not at all). evaluated, suspected and auc have intervals clustered by subject.
+    that rest on an evaluation and lie below the threshold; auc: probability that an evaluated value of an honest
+    subject is above one of this role, ties counting half (NaN for honest subjects); auc_error: largest error of auc
+    from rounding values (0 if none was rounded). evaluated, suspected and auc have intervals clustered by subject.
     """
     watched(run)  # says so where there are no attacks
     found, scores = lookups.sums(run, threshold=threshold), lookups.scores(run)
@@ -222,13 +235,18 @@ def at_lookup(run: Run, threshold: float = lookups.THRESHOLD) -> pd.DataFrame:
 
 
 def compared_at_lookup(run: Run, false_positives: float = 0.05) -> dict[str, intervals.Estimate]:
-    """All attackers together, of values that vehicles look up, so that hosts and models can be compared.
+    """Classification of all attackers together, of the values that vehicles look up. It compares hosts and models.
+
+    Parameters
+    ----------
+    false_positives
+        Largest share of honest subjects' evaluated lookups that may lie below the threshold of recall.
 
     Returns
     -------
-    auc, as of `at_lookup`; recall: share of the attackers' evaluated lookups below the largest threshold with at most
-    this share of those of honest subjects below it; mistaken: share of the pairs of a receiver and an honest subject
-    in which it ever suspects (`detection_per_receiver`). Clustered by subject.
+    auc, as in `at_lookup`; recall: share of the attackers' evaluated lookups below that threshold, the largest that is
+    allowed; mistaken: share of the pairs of a receiver and an honest subject in which the receiver ever suspects the
+    subject (`detection_per_receiver`). Intervals are clustered by subject.
     """
     watched(run)
     scores, (_, role_of) = lookups.scores(run), lookups.subjects(run)
@@ -261,13 +279,15 @@ def _tied(scores: lookups.Scores, one: Bool[ndarray, "n"], other: Bool[ndarray, 
 
 
 def detection_per_receiver(run: Run, threshold: float = lookups.THRESHOLD) -> pd.DataFrame:
-    """Time until each vehicle suspects each subject that it looks up: from its first lookup while the subject is
-    watched to its first evaluated value below the threshold; where there is none, to its last lookup (censored).
+    """Time until each vehicle suspects each subject that it looks up.
+
+    It begins with the first lookup while the subject is watched, and ends with the first evaluated value below the
+    threshold. If there is none, it ends with the last lookup (censored).
 
     Returns
     -------
     role, n (pairs of receiver and subject), share of the pairs in which the receiver ever suspects (interval clustered
-    by subject), median_s (Kaplan-Meier; NaN where fewer than half do).
+    by subject), median_s (Kaplan-Meier; NaN if the share that does not suspect yet stays above one half).
     """
     found = lookups.sums(run, threshold=threshold)
     _, role_of = lookups.subjects(run)
@@ -289,16 +309,20 @@ def detection_per_receiver(run: Run, threshold: float = lookups.THRESHOLD) -> pd
 
 
 def detection_summary(run: Run, threshold: float = 0.25, at: trust.At = "server") -> pd.DataFrame:
-    """Of `detection_delay`: role, n, share that was ever suspected, median_s (null: fewer than half were); both with
-    intervals.
+    """Delays of `detection_delay` by role.
 
-    Those not suspected count for as long as they were watched (Kaplan and Meier).
+    Subjects that are not suspected count for as long as they were watched (Kaplan and Meier).
+
+    Returns
+    -------
+    role, n, share that was ever suspected, median_s (null if the share not suspected yet stays above one half); both
+    with intervals.
     """
     return summary_of(detection_delay(run, threshold, at))
 
 
 def summary_of(delays: pd.DataFrame) -> pd.DataFrame:
-    """Rows of `detection_summary`, of any delays: subject, role, delay_s, found."""
+    """The rows of `detection_summary` for any delays with columns subject, role, delay_s and found."""
     code, subject = delays.role.cat.codes.to_numpy(), delays.subject.to_numpy()
     delay_s, found = delays.delay_s.to_numpy(np.float64), delays.found.to_numpy(bool)
     rows = []
@@ -314,12 +338,34 @@ def summary_of(delays: pd.DataFrame) -> pd.DataFrame:
 
 
 def waiting(delays: pd.DataFrame) -> pd.DataFrame:
-    """Share not suspected yet after a time, of rows of `detection_delay`: as of `survival.kaplan_meier`."""
+    """Share of subjects that are not suspected yet, over time.
+
+    Parameters
+    ----------
+    delays
+        Rows of `detection_delay`.
+
+    Returns
+    -------
+    As `survival.kaplan_meier`.
+    """
     return kaplan_meier(delays.delay_s.to_numpy(np.float64), delays.found.to_numpy(bool))
 
 
 def threshold_at(honest: Float[ndarray, "h"], false_positives: float) -> float:
-    """Largest threshold with at most this share of honest values below it; NaN where there is none."""
+    """Largest threshold below which lies at most a given share of the honest values.
+
+    Parameters
+    ----------
+    honest
+        Trust in honest subjects, in any order.
+    false_positives
+        Largest share of these values that may lie below the threshold, in [0, 1].
+
+    Returns
+    -------
+    NaN without values; infinite if all of them may lie below.
+    """
     if not len(honest):
         return float("nan")
     allowed = int(false_positives * len(honest) + 1e-9)  # 0.29 * 100 is 28.999...

@@ -1,4 +1,8 @@
-"""Overlap of upright boxes, row by row: exact, by clipping one footprint against the other."""
+"""Overlap of upright boxes, row by row: exact, by clipping one footprint against the other.
+
+A box is x, y, z of its centre, length, width, height and yaw, as in the tables; `[n, 7]`. The two boxes of a row are in
+one frame.
+"""
 
 import numpy as np
 from jaxtyping import Float
@@ -6,7 +10,12 @@ from numpy import ndarray
 
 
 def corners(box: Float[ndarray, "n 7"]) -> Float[ndarray, "n 4 2"]:
-    """Footprint corners, counter-clockwise; a box is x, y, z of its centre, length, width, height, yaw."""
+    """Corners of the footprint of each box.
+
+    Returns
+    -------
+    x and y of the corners, counter-clockwise: front left, rear left, rear right, front right.
+    """
     half = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) / 2
     local = half * box[:, None, 3:5]
     cos, sin = np.cos(box[:, 6])[:, None], np.sin(box[:, 6])[:, None]
@@ -15,7 +24,12 @@ def corners(box: Float[ndarray, "n 7"]) -> Float[ndarray, "n 4 2"]:
 
 
 def footprint_overlap(a: Float[ndarray, "n 7"], b: Float[ndarray, "n 7"]) -> Float[ndarray, "n"]:
-    """Area common to two footprints [m2] (Sutherland and Hodgman 1974: clip by one edge after the other)."""
+    """Area common to the footprints of the two boxes in each row, by Sutherland and Hodgman (1974).
+
+    Returns
+    -------
+    Area [m2]; one polygon is clipped by the edges of the other, one after another.
+    """
     shift = np.concatenate([a[:, :2], np.zeros((len(a), 5))], axis=1)  # near the origin, for precision
     polygon, clip = corners(a - shift), corners(b - shift)
     for edge in range(4):
@@ -45,13 +59,13 @@ def _side(points: ndarray, start: ndarray, along: ndarray) -> ndarray:
 
 
 def iou_bev(a: Float[ndarray, "n 7"], b: Float[ndarray, "n 7"]) -> Float[ndarray, "n"]:
-    """Intersection over union of footprints, in [0, 1]."""
+    """Intersection over union of the footprints of the two boxes in each row, in [0, 1]."""
     common = footprint_overlap(a, b)
     return common / (a[:, 3] * a[:, 4] + b[:, 3] * b[:, 4] - common)
 
 
 def iou_3d(a: Float[ndarray, "n 7"], b: Float[ndarray, "n 7"]) -> Float[ndarray, "n"]:
-    """Intersection over union of volumes, in [0, 1]."""
+    """Intersection over union of the volumes of the two boxes in each row, in [0, 1]."""
     top = np.minimum(a[:, 2] + a[:, 5] / 2, b[:, 2] + b[:, 5] / 2)
     bottom = np.maximum(a[:, 2] - a[:, 5] / 2, b[:, 2] - b[:, 5] / 2)
     common = footprint_overlap(a, b) * np.maximum(top - bottom, 0)

@@ -51,8 +51,14 @@ def stops(run: Run, poses: pd.DataFrame | None = None) -> pd.DataFrame:
 
 
 def conflicts(run: Run, poses: pd.DataFrame | None = None) -> pd.DataFrame:
-    """Conflicts of vehicles with their leaders, in episodes of one pair: actor, leader, step, ttc_s (least), drac_mps2
-    (largest). Steps belong to one episode while either measure is beyond its threshold."""
+    """Conflicts of vehicles with their leaders, in episodes of one pair.
+
+    Steps in which either measure is beyond its threshold belong to one episode if they are at most 1 s apart.
+
+    Returns
+    -------
+    actor, leader, step (first of the episode), ttc_s (least), drac_mps2 (largest).
+    """
     pairs = following(run, poses)
     pairs = pairs[(pairs.ttc_s < TTC_S) | (pairs.drac_mps2 > DRAC_MPS2)].sort_values(["actor", "leader", "step"])
     fresh = (pairs[["actor", "leader"]].diff() != 0).any(axis=1) | (pairs.step.diff() * run.dt_s > 1.0)
@@ -64,8 +70,15 @@ def conflicts(run: Run, poses: pd.DataFrame | None = None) -> pd.DataFrame:
 
 
 def reactions(run: Run) -> pd.DataFrame:
-    """Reactions of drivers to what their vehicles believe, in episodes: vehicle, step, end_step, kind (see KINDS),
-    gap_m at the beginning, deceleration_mps2 (largest), taken_mps (speed taken by commands, summed)."""
+    """Reactions of drivers to what their vehicles believe, in episodes.
+
+    Reactions of one vehicle to one kind of object belong to one episode if they are at most 1 s apart.
+
+    Returns
+    -------
+    vehicle, step, end_step, kind (one of `KINDS`), gap_m at the beginning, deceleration_mps2 (largest), taken_mps
+    (speed taken by commands, summed).
+    """
     run.require("reactions")
     rows = run.table("reactions").sort_values(["vehicle", "step"])
     kind = np.where(rows.fabricated, "ghost", np.where(rows.truth_actor.notna(), "real", "false positive"))
@@ -78,8 +91,13 @@ def reactions(run: Run) -> pd.DataFrame:
 
 
 def waves(run: Run, poses: pd.DataFrame | None = None) -> pd.DataFrame:
-    """Braking waves behind reactions of at least 2 m/s2: the reaction's vehicle, step and kind, n_vehicles behind it
-    that braked too, one behind the other, and length_m, from the vehicle that reacted to the last of them."""
+    """Braking waves behind reactions of at least 2 m/s2.
+
+    Returns
+    -------
+    vehicle, step and kind of the reaction; n_vehicles that braked behind it, each behind another one of the wave;
+    length_m, the largest distance from the vehicle that reacted to one that joins the wave.
+    """
     poses = tracks(run) if poses is None else poses
     causes = reactions(run)
     causes = causes[causes.deceleration_mps2 >= WAVE_MPS2]
@@ -138,8 +156,13 @@ def summary(run: Run) -> pd.Series:
 
 
 def by_kind(run: Run) -> pd.DataFrame:
-    """Reactions by what they are to (ghosts and false positives are false alarms): kind, n, per_km, hard_per_km (those
-    with 3 m/s2 or more), taken_mean_mps, wave_mean_n and wave_mean_m (of those with 2 m/s2 or more)."""
+    """Reactions by what they are to. Those to ghosts and to false positives are false alarms.
+
+    Returns
+    -------
+    kind, n, per_km, hard_per_km (reactions with 3 m/s2 or more), taken_mean_mps, and wave_mean_n and wave_mean_m (of
+    reactions with 2 m/s2 or more).
+    """
     poses = tracks(run)
     km = float(poses.speed_mps.astype(np.float64).sum()) * run.dt_s / 1000
     episodes, behind = reactions(run), waves(run, poses)

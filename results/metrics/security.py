@@ -1,10 +1,9 @@
 """Trust as a classifier of vehicles: confusion matrix and what follows from it, precision and recall, false exclusions.
 
-A subject (a pseudonym) is watched as in `misbehaviour`, and positive if its vehicle attacks; a message is positive if
-anything in it is a lie. It is excluded while it is
-rated and its trust is below a threshold: an absolute one, or one relative to the population, a share of the median of
-all rated values of that moment. In sparse traffic all values are low, and an absolute threshold says little. The
-relative one uses no ground truth.
+A subject (a pseudonym) is watched as in `misbehaviour`. It is positive if its vehicle attacks; a message is positive if
+anything in it is a lie. A subject is excluded while it is rated and its trust is below a threshold. The threshold is
+absolute, or relative to the population: a share of the median of all rated values of that moment. In sparse traffic all
+values are low, and an absolute threshold says little. The relative threshold uses no ground truth.
 """
 
 import math
@@ -19,12 +18,14 @@ from results.run import Run
 
 
 def excluded(run: Run, threshold: float = 0.25, relative: float | None = None) -> pd.DataFrame:
-    """Rows of `misbehaviour.scored_vehicles` with attacker, and excluded at that moment.
+    """Rows of `misbehaviour.scored_vehicles`, with `attacker` (its vehicle attacks) and `excluded` (at that moment).
 
     Parameters
     ----------
+    threshold
+        Absolute threshold on trust.
     relative
-        Share of the median of the rated values of a moment that is the threshold, instead of `threshold`.
+        If given, the threshold is this share of the median of the rated values of a moment, in place of `threshold`.
     """
     frame = scored_vehicles(run).astype({"trust": np.float64})
     limit: pd.Series | float = threshold
@@ -34,13 +35,13 @@ def excluded(run: Run, threshold: float = 0.25, relative: float | None = None) -
 
 
 def confusion(run: Run, threshold: float = 0.25, relative: float | None = None) -> pd.DataFrame:
-    """One row by moment (`unit` = value: a subject whenever trust is computed), one by vehicle (the last moment), and
-    one by message where the run holds detections: those with a lie are positive, whoever sent them.
+    """Confusion matrix by value, by vehicle and by message.
 
     Returns
     -------
-    unit, tp, fp, fn, tn, and of `rates`; precision, recall and fpr with intervals clustered by subject. A subject that
-    is not rated is not excluded.
+    unit: "value" (a subject whenever trust is computed), "vehicle" (a subject at the last such moment), and "message"
+    if the run holds detections (positive if it holds a lie, whoever sent it); tp, fp, fn, tn; and what `rates` returns.
+    precision, recall and fpr have intervals clustered by subject. A subject that is not rated is not excluded.
     """
     frame = excluded(run, threshold, relative)
     rows = []

@@ -37,13 +37,18 @@ def kaplan_meier(lasted_s: ndarray, over: ndarray) -> pd.DataFrame:
 
 
 def median(curve: pd.DataFrame) -> float:
-    """Duration that half of them outlast [s]; NaN where more than half were not seen to end."""
+    """Median duration [s]: the first at which the curve is at one half or below. NaN if it stays above one half."""
     return _falls_to_half(curve, "survival", float("nan"))
 
 
 def median_band(curve: pd.DataFrame) -> tuple[float, float]:
-    """95 % interval of the median: durations at which the band of the curve falls to one half (Brookmeyer and Crowley
-    1982) [s]; the upper end is infinite where the band stays above."""
+    """95 % interval of the median [s], by Brookmeyer and Crowley (1982).
+
+    Returns
+    -------
+    First durations at which the lower and the upper end of the band are at one half or below. Both are NaN if the lower
+    end stays above one half; the upper is infinite if only the upper end does.
+    """
     low = _falls_to_half(curve, "low", float("nan"))
     return low, float("nan") if np.isnan(low) else _falls_to_half(curve, "high", float("inf"))
 

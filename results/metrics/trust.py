@@ -65,7 +65,7 @@ def values(run: Run) -> pd.DataFrame:
 
 
 def in_use(run: Run) -> Values:
-    """The same as arrays; not to be changed."""
+    """The rows of `values` as arrays; not to be changed."""
     return run.once("trust.in_use", lambda: _in_use(run))
 
 
@@ -105,9 +105,16 @@ def _own(run: Run) -> pd.DataFrame:
 
 
 def watched(run: Run) -> pd.DataFrame:
-    """Subjects to be classified, by number: role, and the steps `since` and `until` which they are watched.
+    """Subjects to be classified: attackers from their first attack on, honest subjects from the first attack of any.
 
-    Attackers from their first attack on, honest ones from the first of any. ValueError in a run without attacks.
+    Returns
+    -------
+    By subject: role, and first and last step (`since`, `until`) in which it is watched.
+
+    Raises
+    ------
+    ValueError
+        If the run has no attacks.
     """
     return run.once_for_all("trust.watched", lambda: _watched_of(run))
 
@@ -126,7 +133,17 @@ def _watched_of(run: Run) -> pd.DataFrame:
 
 
 def by_role(run: Run, role: Int[ndarray, "n"]) -> list[tuple[str, Bool[ndarray, "n"]]]:
-    """Roles that occur, in the order of their codes, and where."""
+    """Split rows by role.
+
+    Parameters
+    ----------
+    role
+        Code of the role of each row, in the order of `Run.role_labels`.
+
+    Returns
+    -------
+    Name of each role that occurs, in the order of the codes, with a mask of its rows.
+    """
     return [(name, here) for code, name in enumerate(run.role_labels) if (here := role == code).any()]
 
 
@@ -150,7 +167,17 @@ def over_time(run: Run) -> pd.DataFrame:
 
 
 def last_of_each(who: Int[ndarray, "n"]) -> Int[ndarray, "w"]:
-    """Last row of each that occurs, in the order of the rows."""
+    """Last row of each subject.
+
+    Parameters
+    ----------
+    who
+        Number of the subject of each row, from 0; rows in the order of time.
+
+    Returns
+    -------
+    Row numbers, ascending: one for each subject that occurs.
+    """
     last = np.full(int(who.max(initial=-1)) + 1, -1)
     last[who] = np.arange(len(who))  # the last one stays
     return np.sort(last[last >= 0])

@@ -43,7 +43,13 @@ class Slopes(NamedTuple):
 
 
 def cells_of_slopes(tan_el: Float[ndarray, "e"]) -> Slopes:
-    """Equal cells of slope from the lowest beam to the highest."""
+    """Equal cells of slope from the lowest beam to the highest.
+
+    Parameters
+    ----------
+    tan_el
+        Tangent of the elevation of each beam, ascending.
+    """
     per_slope = float(CELLS_PER_BEAM * len(tan_el) / max(tan_el[-1] - tan_el[0], 1e-9))
     cell = ((tan_el - tan_el[0]) * per_slope).astype(np.int64)
     first_row = np.searchsorted(cell, np.arange(cell[-1] + 1)).astype(np.int64)

@@ -14,7 +14,13 @@ from sensors.raycast import mesh
 
 
 def tracer_of(triangles: ndarray) -> mesh.Tracer:
-    """The engine, ready for rays; triangles (t, 3, 3) in single precision."""
+    """Embree, ready for rays.
+
+    Parameters
+    ----------
+    triangles
+        Corners (t, 3, 3) in single precision, in the frame of the rays. The tracer numbers triangles by their row.
+    """
     solid = rtcore_scene.EmbreeScene()
     TriangleMesh(solid, np.ascontiguousarray(triangles))
 

@@ -101,7 +101,19 @@ def _sweep(sweeps, o: int, tile: _Tile, range_m: Float32[ndarray, "a e"]) -> Non
 
 
 def directions(yaw: float, beams) -> Float[ndarray, "r 3"]:
-    """Unit vectors of all rays of a sensor, column by column."""
+    """Unit vectors of all rays of a sensor.
+
+    Parameters
+    ----------
+    yaw
+        Heading of the sensor, world frame [rad].
+    beams
+        `sensors.lidar.Beams`.
+
+    Returns
+    -------
+    World directions, column by column of azimuth, each from the lowest beam up.
+    """
     azimuth = beams.azimuth_rad + yaw
     out = np.empty((len(azimuth), len(beams.cos_el), 3))
     out[..., 0] = np.cos(azimuth)[:, None] * beams.cos_el
@@ -111,7 +123,12 @@ def directions(yaw: float, beams) -> Float[ndarray, "r 3"]:
 
 
 def city_triangles(scene: Scene) -> Float[ndarray, "t 3 3"]:
-    """Walls, roofs and undersides of all buildings, and the meshes beside them."""
+    """Triangles of the static city.
+
+    Returns
+    -------
+    Corners in the world frame [m]: walls, undersides and roofs of all buildings, then the meshes of the scene.
+    """
     city = scene.buildings
     building = np.repeat(np.arange(len(city.base_m)), np.diff(city.ptr))
     base, top = city.base_m[building], city.top_m[building]
@@ -157,7 +174,12 @@ _FACES = np.array(
 
 
 def body_triangles(bodies: Prisms) -> Float[ndarray, "t 3 3"]:
-    """Twelve triangles per prism, in the order of the prisms."""
+    """Triangles of the bodies of actors.
+
+    Returns
+    -------
+    Corners in the world frame [m], twelve triangles per prism, in the order of the prisms.
+    """
     along = np.array([-1, 1, 1, -1, -1, 1, 1, -1]) * bodies.half_l_m[:, None]
     aside = np.array([-1, -1, 1, 1, -1, -1, 1, 1]) * bodies.half_w_m[:, None]
     corner = np.empty((len(bodies.x_m), 8, 3))

@@ -17,7 +17,18 @@ INSTALL = (
 
 
 def tracer_of(triangles: ndarray) -> mesh.Tracer:
-    """The engine, ready for rays; triangles (t, 3, 3) in single precision."""
+    """Open3D, ready for rays.
+
+    Parameters
+    ----------
+    triangles
+        Corners (t, 3, 3) in single precision, in the frame of the rays. The tracer numbers triangles by their row.
+
+    Raises
+    ------
+    ValueError
+        If Open3D cannot be loaded.
+    """
     try:
         import open3d  # 1-3 s, and 400 MB on disk: loaded only where the config names it
     except (ImportError, OSError) as missing:

@@ -32,7 +32,19 @@ class Ratings:
     history: tuple[tuple[int, Int[ndarray, "_"], Int[ndarray, "_"]], ...] = ()  # step, edges, ratings
 
     def added(self, sign: int, step: int, edge: ndarray, rating: ndarray) -> None:
-        """Add the ratings of a step to the sums, or take them off."""
+        """Add the ratings of a step to the sums, or subtract them, in place.
+
+        Parameters
+        ----------
+        sign
+            1 adds, -1 subtracts.
+        step
+            Step of the ratings.
+        edge
+            Row of (rater, subject) in `EvaluationLog.edges`, for each rating.
+        rating
+            Ratings in units of 2^-20.
+        """
         terms = np.ones(edge.size, np.int64), np.full(edge.size, step), rating, rating * step
         for column, term in enumerate(terms):
             np.add.at(self.sums[:, column], edge, sign * term)
@@ -61,7 +73,7 @@ class Announcement(Stepwise):
         return Ratings(np.zeros((0, 4), np.int64), np.zeros(0, np.int64))
 
     def advance(self, state: Ratings, n_steps: int, step: int, rows: StepRows, n_pairs: int) -> Ratings:
-        """Ratings of a step added, old ones taken off."""
+        """Ratings with those of a step, and without those that have expired."""
         new = self._valid(state, step, len(self.log.edges))
         total = rows.pos + rows.neg
         rated = np.flatnonzero(total > 0)
@@ -73,7 +85,7 @@ class Announcement(Stepwise):
         return Ratings(new.sums, newest, (*new.history, (step, edge, rating)))
 
     def read(self, state: Ratings, n_steps: int, now: int) -> Reading:
-        """Mean over raters of their means, aged as its certificate."""
+        """Mean over the raters of each one's mean rating, reduced by the age of the newest rating."""
         validity = self.params.validity_s / self.dt_s
         n, steps, ratings, rated_steps = self._valid(state, now, len(self.log.edges)).sums.T
         weight = n - (now * n - steps) / validity

@@ -22,12 +22,30 @@ class BetaParams(StepwiseParams):
 
 
 def expectation(evidence: Float[ndarray, "p 2"]) -> Float[ndarray, "p"]:
-    """(r + 1) / (r + s + 2)."""
+    """Expectation of the Beta distribution, (r + 1) / (r + s + 2).
+
+    Parameters
+    ----------
+    evidence
+        r and s, the sums of positive and of negative evidence.
+
+    Returns
+    -------
+    Expectation in (0, 1); 1/2 without evidence.
+    """
     return (evidence[:, 0] + 1) / (evidence.sum(axis=1) + 2)
 
 
 def read_beta(evidence: Float[ndarray, "p 2"], horizon_s: float) -> Reading:
-    """Expectation, uncertainty and weight of positive and negative evidence."""
+    """Expectation, uncertainty and weight of positive and negative evidence.
+
+    Parameters
+    ----------
+    evidence
+        r and s of each pair, decayed to the present.
+    horizon_s
+        As `Reading.horizon_s`.
+    """
     weight = evidence.sum(axis=1)
     return Reading(expectation(evidence), weight, 2 / (weight + 2), horizon_s)
 
@@ -51,11 +69,11 @@ class Beta(Stepwise):
     Params: ClassVar[type] = BetaParams
 
     def start(self) -> Float[ndarray, "p 2"]:
-        """r and s of each pair."""
+        """r and s of each pair; no pairs yet."""
         return np.zeros((0, 2))
 
     def advance(self, state: ndarray, n_steps: int, step: int, rows: StepRows, n_pairs: int) -> ndarray:
-        """r and s after a step."""
+        """r and s of each pair after a step."""
         new = with_rows(state * self.decay(self.params.decay_per_s, n_steps), n_pairs)
         weight = self.weight(new, rows)
         new[:, 0] += rows.per_observer(weight * rows.pos, len(new))
@@ -63,7 +81,19 @@ class Beta(Stepwise):
         return new
 
     def weight(self, state: ndarray, rows: StepRows) -> Float[ndarray, "n"] | float:
-        """How much the evaluations of each row count, given r and s before the step."""
+        """How much the evidence of each row counts.
+
+        Parameters
+        ----------
+        state
+            r and s of each pair before the step, decayed to the step.
+        rows
+            Evidence of the step.
+
+        Returns
+        -------
+        Factor of pos and neg, for each row or for all.
+        """
         return 1.0
 
     def read(self, state: ndarray, n_steps: int, now: int) -> Reading:

@@ -22,5 +22,5 @@ class BetaDiscounted(Beta):
     """
 
     def weight(self, state: ndarray, rows: StepRows) -> Float[ndarray, "n"]:
-        """The holder's trust in the evaluator."""
+        """The holder's trust in the evaluator of each row before the step, in (0, 1)."""
         return expectation(state)[rows.evaluator]

@@ -38,16 +38,20 @@ def eigentrust(
 
     Parameters
     ----------
+    source, target
+        Node that trusts and node that is trusted, for each edge: rows of `pretrust`. Both are in the same network.
     local
         s_ij from `source` to `target`; c_ij = max(s_ij, 0) / row sum, and p where a row has no sum.
     pretrust
-        p, which sums to 1 in every block.
+        p, which sums to 1 in every network.
     block
         Network of each node, from 0.
+    restart_p, tolerance
+        As in `EigenTrustParams`.
 
     Returns
     -------
-    t, which sums to 1 in every block; each block is iterated until it changes by less than `tolerance`.
+    t, which sums to 1 in every network. Each network is iterated until it changes by less than `tolerance`.
     """
     n, n_blocks = pretrust.size, int(block.max(initial=-1)) + 1
     positive = np.maximum(local, 0.0)
@@ -82,17 +86,17 @@ class EigenTrust(Stepwise):
     Params: ClassVar[type] = EigenTrustParams
 
     def start(self) -> Float[ndarray, "edges"]:
-        """s of each (evaluator, subject)."""
+        """Sum of pos - neg (s_ij) of each (evaluator, subject); no evidence yet."""
         return np.zeros(0)
 
     def advance(self, state: ndarray, n_steps: int, step: int, rows: StepRows, n_pairs: int) -> ndarray:
-        """Local trust after a step."""
+        """Sum of pos - neg of each (evaluator, subject) after a step."""
         new = with_rows(state * self.decay(self.params.decay_per_s, n_steps), len(self.log.edges))
         new[rows.edge] += rows.pos - rows.neg
         return new
 
     def read(self, state: ndarray, n_steps: int, now: int) -> Reading:
-        """The trust vector of every holder."""
+        """Trust n t / (1 + n t), with the trust vector t of every holder's network."""
         holder, _, row = self.log.pairs.sorted()
         block = np.empty(row.size, np.int64)
         block[row] = np.unique(holder, return_inverse=True)[1]

@@ -67,7 +67,17 @@ class ScoresObjects(Protocol):
     """A trust model that also scores the objects of a fusion, in place of `trust.method`."""
 
     def score_objects(self, reports: ObjectReports) -> Float[ndarray, "g"]:
-        """Score of each group of detections, in [0, 1]. The call must not change the model."""
+        """Score the groups of detections. The call must not change the model.
+
+        Parameters
+        ----------
+        reports
+            Votes of vehicles on the groups, with the ego's trust in each vehicle.
+
+        Returns
+        -------
+        Score in [0, 1] for each group, numbered as in `reports.group`.
+        """
         ...
 
 

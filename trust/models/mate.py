@@ -29,17 +29,29 @@ class MateParams(StepwiseParams):
 
 
 def gained(v: ndarray, c: ndarray, n: ndarray | float) -> tuple[ndarray, ndarray]:
-    """What a measurement v of confidence c adds to alpha and beta: n / (n + 1) c v and n^2 / (n + 1) c (1 - v)."""
+    """What measurements add to alpha and beta.
+
+    Parameters
+    ----------
+    v, c
+        Value and confidence of each measurement, in [0, 1].
+    n
+        Gain of each measurement; above 1 it gives beta more than alpha.
+
+    Returns
+    -------
+    n / (n + 1) c v for alpha, and n^2 / (n + 1) c (1 - v) for beta.
+    """
     return n / (n + 1) * c * v, n * n / (n + 1) * c * (1 - v)
 
 
 def mean(alpha_beta: Float[ndarray, "... 2"]) -> Float[ndarray, "..."]:
-    """alpha / (alpha + beta)."""
+    """Mean of Beta distributions, alpha / (alpha + beta), in (0, 1); the last axis is (alpha, beta)."""
     return alpha_beta[..., 0] / alpha_beta.sum(axis=-1)
 
 
 def confidence(alpha_beta: Float[ndarray, "... 2"]) -> Float[ndarray, "..."]:
-    """clip(1 - 2 std, 1e-4, 0.9999) of a Beta distribution."""
+    """Confidence in Beta distributions, clip(1 - 2 std, 1e-4, 0.9999); the last axis is (alpha, beta)."""
     total = alpha_beta.sum(axis=-1)
     return np.clip(1 - 2 * np.sqrt(alpha_beta.prod(axis=-1) / (total**2 * (total + 1))), 1e-4, 0.9999)
 
@@ -66,11 +78,11 @@ class Mate(Stepwise):
     Params: ClassVar[type] = MateParams
 
     def start(self) -> Float[ndarray, "p 2"]:
-        """alpha and beta of each pair, less the prior."""
+        """alpha and beta of each pair, less the prior; no pairs yet."""
         return np.zeros((0, 2))
 
     def advance(self, state: ndarray, n_steps: int, step: int, rows: StepRows, n_pairs: int) -> ndarray:
-        """alpha and beta after a step."""
+        """alpha and beta of each pair after a step, less the prior."""
         new = with_rows(self._pulled(state, n_steps), n_pairs)
         trusted = mean(new + PRIOR)
         by, of = rows.evaluator[rows.row], rows.observer_of_objects()
@@ -88,7 +100,7 @@ class Mate(Stepwise):
         return new
 
     def read(self, state: ndarray, n_steps: int, now: int) -> Reading:
-        """Mean of the vehicle's Beta distribution."""
+        """Mean of the vehicle's Beta distribution; uncertainty is 2 std."""
         excess = self._pulled(state, n_steps)
         alpha_beta = excess + PRIOR
         total = alpha_beta.sum(axis=1)

@@ -35,7 +35,23 @@ class MinhasParams(StepwiseParams):
 
 
 def experienced(trust: Float[ndarray, "n"], good: Bool[ndarray, "n"], kept: Float[ndarray, "n"], p: MinhasParams):
-    """Trust in [-1, 1] after an experience; `kept` is lambda^t for the time t since the last one."""
+    """Trust after an experience.
+
+    Parameters
+    ----------
+    trust
+        T before the experience, in [-1, 1].
+    good
+        Whether the experience is good.
+    kept
+        lambda^t for the time t since the last experience.
+    p
+        Steps of good and bad experiences.
+
+    Returns
+    -------
+    T after the experience, clipped to [-1, 1].
+    """
     step = np.where(good, p.gain, p.loss)
     with np.errstate(over="ignore", divide="ignore"):
         new = np.where(trust >= 0, kept * (1 - step) * trust + step, (1 + step) * trust / kept + step)
@@ -64,11 +80,11 @@ class Minhas(Stepwise):
     Params: ClassVar[type] = MinhasParams
 
     def start(self) -> Float[ndarray, "p 2"]:
-        """T of each pair, and 1 + the step of its last experience (0: none)."""
+        """T of each pair, and 1 + the step of its last experience (0: none); no pairs yet."""
         return np.zeros((0, 2))
 
     def advance(self, state: ndarray, n_steps: int, step: int, rows: StepRows, n_pairs: int) -> ndarray:
-        """T after a step."""
+        """State after a step: T changes for each pair about which the evaluators agree."""
         new = with_rows(state, n_pairs).copy()
         vote = ((1 + new[:, 0]) / 2)[rows.evaluator]
         in_favour = rows.per_observer(vote * (rows.pos > rows.neg), len(new))
@@ -83,5 +99,5 @@ class Minhas(Stepwise):
         return new
 
     def read(self, state: ndarray, n_steps: int, now: int) -> Reading:
-        """Trust as it was left by the last experience."""
+        """Trust as the last experience left it, mapped to [0, 1]."""
         return Reading((1 + state[:, 0]) / 2, np.abs(state[:, 0]))

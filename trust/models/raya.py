@@ -24,7 +24,7 @@ class RayaParams(BetaParams):
 
 
 Combine = Callable[[ObjectReports, Float[ndarray, "r"]], Float[ndarray, "g"]]
-"""Scores from reports and their weights F."""
+"""Arguments: reports, and the weight F in (0, 1) of each. Result: score in [0, 1] of each group."""
 
 
 def _two_sums(reports: ObjectReports, values: ndarray) -> tuple[ndarray, ndarray]:
@@ -42,30 +42,55 @@ def _share(a: ndarray, b: ndarray) -> ndarray:
 
 
 def majority(reports: ObjectReports, weight: ndarray) -> ndarray:
-    """Share of the reports that are in favour."""
+    """Share of the reports that are in favour, whatever their weight.
+
+    Returns
+    -------
+    Score of each group; 0 without reports.
+    """
     return _share(*_two_sums(reports, np.ones_like(weight)))
 
 
 def most_trusted(reports: ObjectReports, weight: ndarray) -> ndarray:
-    """Largest F in favour over the sum of the largest in favour and against."""
+    """Largest weight in favour, as a share of the sum of the largest in favour and the largest against.
+
+    Returns
+    -------
+    Score of each group; 0 without reports.
+    """
     best = np.zeros((2, reports.n_groups))
     np.maximum.at(best, (np.where(reports.in_favour, 0, 1), reports.group), weight)
     return _share(*best)
 
 
 def weighted(reports: ObjectReports, weight: ndarray) -> ndarray:
-    """Sum of F in favour over the sum of all F."""
+    """Sum of the weights in favour, as a share of the sum of all weights.
+
+    Returns
+    -------
+    Score of each group; 0 without reports.
+    """
     return _share(*_two_sums(reports, weight))
 
 
 def bayes(reports: ObjectReports, weight: ndarray) -> ndarray:
-    """Posterior with prior 1/2, P(report in favour / object) = P(report against / no object) = F."""
+    """Posterior probability of the object with prior 1/2.
+
+    Returns
+    -------
+    Score of each group, with P(report in favour / object) = P(report against / no object) = F; 1/2 without reports.
+    """
     a, b = _two_sums(reports, np.log(weight) - np.log1p(-weight))
     return 0.5 * (1 + np.tanh((a - b) / 2))
 
 
 def dempster_shafer(reports: ObjectReports, weight: ndarray) -> ndarray:
-    """Belief of Dempster's rule from m(object or no object) = F, m(either) = 1 - F of each report."""
+    """Belief in the object by Dempster's rule.
+
+    Returns
+    -------
+    Score of each group. A report gives the mass F to what it says, and 1 - F to "either"; 0 without reports.
+    """
     a, b = _two_sums(reports, np.log1p(-weight))
     p, q = np.exp(a), np.exp(b)  # mass left on "either" by all reports in favour, and by all against
     return (1 - p) * q / (1 - (1 - p) * (1 - q))
@@ -92,7 +117,7 @@ class Raya(Beta):
     combine: ClassVar[Combine] = staticmethod(majority)  # of `raya_majority`
 
     def score_objects(self, reports: ObjectReports) -> Float[ndarray, "g"]:
-        """Score of each group; see `ScoresObjects`."""
+        """Score of each group by the decision logic of the class; see `ScoresObjects`."""
         tau = reports.trust if self.params.trust_from == "vehicle" else self.params.report_trust
         return type(self).combine(reports, np.clip(reports.visibility * tau, 0.01, 0.99))
 

@@ -38,15 +38,15 @@ class ReportCount(Stepwise):
     Params: ClassVar[type] = ReportCountParams
 
     def start(self) -> Float[ndarray, "p"]:
-        """Reports about each pair."""
+        """Number of reports about each pair; no pairs yet."""
         return np.zeros(0)
 
     def advance(self, state: ndarray, n_steps: int, step: int, rows: StepRows, n_pairs: int) -> ndarray:
-        """Reports after a step."""
+        """Number of reports about each pair after a step."""
         new = with_rows(state, n_pairs).copy()
         return new + rows.per_observer((rows.neg > rows.pos).astype(float), len(new))
 
     def read(self, state: ndarray, n_steps: int, now: int) -> Reading:
-        """limit / (limit + reports)."""
+        """limit / (limit + reports), with limit = `guilty_above`."""
         limit = self.params.guilty_above
         return Reading(limit / (limit + state), state)

@@ -102,23 +102,35 @@ class Stepwise:
         raise NotImplementedError
 
     def advance(self, state: Any, n_steps: int, step: int, rows: StepRows, n_pairs: int) -> Any:
-        """State after a step.
+        """State after a step. The given state must not be changed.
 
         Parameters
         ----------
+        state
+            State before the step.
         n_steps
-            Steps since the step of `state`.
+            Steps since the step of `state`; 0 if there was none.
         step
             The step whose evidence is added.
         rows
             Evidence of the step.
         n_pairs
-            Number of pairs in the log.
+            Number of rows of `EvaluationLog.pairs`.
         """
         raise NotImplementedError
 
     def read(self, state: Any, n_steps: int, now: int) -> Reading:
-        """Trust at step `now`, which is `n_steps` after the step of `state`."""
+        """Trust in each pair.
+
+        Parameters
+        ----------
+        state
+            State after its last step; it must not be changed.
+        n_steps
+            Steps from then until `now`.
+        now
+            Step for which trust is asked.
+        """
         raise NotImplementedError
 
     def open_step(
@@ -129,17 +141,17 @@ class Stepwise:
         detection_index: Int[ndarray, "d"],
         score: Float[ndarray, "d"],
     ) -> None:
-        """Begin a step; see `TrustModel`."""
+        """Begin a step; see `TrustModel.open_step`."""
         self.log.open(step, pseudonyms, observer_row, detection_index, score)
         self._fold()
 
     def add_evaluations(self, received: ReceivedEvaluations) -> None:
-        """Add received evaluations; see `TrustModel`."""
+        """Add received evaluations; see `TrustModel.add_evaluations`."""
         self.log.add(self._n_added, received)
         self._n_added += 1
 
     def scores(self, now_step: int | None = None) -> TrustScores:
-        """Trust of every subject with evidence; see `TrustModel`."""
+        """Trust of every subject with evidence; see `TrustModel.scores`."""
         now = self.log.steps.now if now_step is None else now_step
         self.log.advance(now)
         self._fold()
@@ -175,7 +187,10 @@ class Stepwise:
 
 
 def share_logs(models: Sequence[object]) -> None:
-    """Let models share one log if they accept evaluations for the same time. All must get the same evaluations."""
+    """Let models share one log if they accept evaluations for the same time.
+
+    All of them must get the same evaluations. Models of other kinds keep what they have.
+    """
     logs: dict[int, EvaluationLog] = {}
     for model in models:
         if isinstance(model, Stepwise):

@@ -47,11 +47,11 @@ class SubjectiveLogic(Stepwise):
     trustworthy_above = 0.5
 
     def start(self) -> Float[ndarray, "p 2"]:
-        """b / u and d / u of each pair."""
+        """b / u and d / u of each pair; no pairs yet."""
         return np.zeros((0, 2))
 
     def advance(self, state: ndarray, n_steps: int, step: int, rows: StepRows, n_pairs: int) -> ndarray:
-        """(b / u, d / u) after a step."""
+        """b / u and d / u of each pair after a step."""
         p = self.params
         new = with_rows(state * self.decay(p.decay_per_s, n_steps), n_pairs)
         source = opinions.of_evidence(new)
@@ -67,7 +67,7 @@ class SubjectiveLogic(Stepwise):
         return new
 
     def read(self, state: ndarray, n_steps: int, now: int) -> Reading:
-        """Projected probability of the opinion."""
+        """Projected probability of the opinion on each subject, and its uncertainty u."""
         evidence = state * self.decay(self.params.decay_per_s, n_steps)
         opinion = opinions.of_evidence(evidence)
         horizon_s = self.horizon_s(self.params.decay_per_s)
