@@ -107,7 +107,10 @@ def draw(
 
 
 def shown(study: Study, topic: str) -> list[str]:
-    """The metrics that a topic shows unless others are asked for, of those that the study has measured."""
+    """The metrics that a topic shows unless others are asked for, of those that the study has measured.
+
+    A metric with several groups gets one of them. Encounters keep all: their groups are keys of the figure.
+    """
     pairs = set(zip(study.summary.metric, study.summary.group, strict=True))
     found = []
     for name in SHOWN.get(topic, ()):
@@ -115,7 +118,8 @@ def shown(study: Study, topic: str) -> list[str]:
             metric, _, group = one.partition(":")
             groups = sorted(of for at, of in pairs if at == metric and (not group or of == group))
             if groups:
-                found.append(one if group or len(groups) == 1 else f"{one}:{groups[0]}")
+                takes_all = group or len(groups) == 1 or metric.startswith("encounters.")
+                found.append(one if takes_all else f"{one}:{groups[0]}")
                 break
     return list(dict.fromkeys(found))
 
@@ -166,12 +170,16 @@ def _heat_maps(frame: pd.DataFrame, asked: Sequence[str], x: str, y: str) -> Fig
         if len(cells) < len(of_metric):
             raise ValueError(f"{name} has several groups. Choose one as {name}:GROUP.")
         grid = cells.reindex(pd.MultiIndex.from_product([rows, columns]))
-        mean, low, high = (grid[k].to_numpy(float).reshape(len(rows), -1) for k in ("mean", "low", "high"))
+        mean, low, high, n_seeds = (
+            grid[k].to_numpy(float).reshape(len(rows), -1) for k in ("mean", "low", "high", "n")
+        )
         first = of_metric.iloc[0]
         top = 1.0 if first.unit == "1" else float(np.nanmax(mean)) or 1.0
         image = axes.imshow(mean, cmap="cividis", vmin=0, vmax=top, aspect="auto")
         for i, j in np.argwhere(~np.isnan(mean)):
-            text = f"{mean[i, j]:.2f}" + ("" if np.isnan(low[i, j]) else f"\n{low[i, j]:.2f} to {high[i, j]:.2f}")
+            middle, *ends = (f"{v:.2f}" if top == 1.0 else f"{v:.3g}" for v in (mean[i, j], low[i, j], high[i, j]))
+            # The interval of two seeds reaches 13 standard errors to each side: it says nothing and fills the map.
+            text = f"{middle}\n{' to '.join(ends)}" if n_seeds[i, j] > 2 and low[i, j] == low[i, j] else middle
             ink = "black" if mean[i, j] > 0.55 * top else "white"
             axes.text(j, i, text, ha="center", va="center", fontsize=5.5, color=ink)
         axes.set_xticks(range(len(columns)), [_said(v) for v in columns], rotation=40, ha="right")
@@ -181,9 +189,10 @@ def _heat_maps(frame: pd.DataFrame, asked: Sequence[str], x: str, y: str) -> Fig
         few, many = int(of_metric.n.min()), int(of_metric.n.max())
         n = f"{many} seeds" if few == many else f"{few} to {many} seeds"
         told = "" if many < 2 else f": mean and 95 % interval, {n}"
+        told += "; blank: no value" if np.isnan(mean).any() else ""
         title = _wrapped(f"{first.label}{group}{told}", int(9 * size[0]))
         style.panel(axes, title, label_of(x), label_of(y))
-        figure.colorbar(image, ax=axes, fraction=0.03, pad=0.02)
+        figure.colorbar(image, ax=axes, fraction=0.03, pad=0.02, label="" if first.unit == "1" else f"[{first.unit}]")
     return figure
 
 

@@ -130,19 +130,43 @@ def test_malicious_is_red_and_every_role_has_one_colour(run):
 
 
 def test_heat_map_of_attacks_and_models(tmp_path):
-    """Two seeds at 0.4 and 0.6: an error of 0.1 and 12.7 for one degree of freedom; expit(+-12.7 x 0.1 / 0.25)."""
+    """Seeds at 0.4, 0.5 and 0.6: error 0.0577, and 4.303 for two degrees of freedom; expit(+-4.303 x 0.0577 / 0.25).
+
+    The last cell has two seeds, 0.4 and 0.5, and no interval.
+    """
     keys = [("ghosts", "beta"), ("ghosts", "mate"), ("replay", "beta"), ("replay", "mate")]
     points = pd.DataFrame(
         [{"point": f"{i}-{r}", "run": "all", "variant": "base", "replicate": r, "attack": a, "model": m}
-         for i, (a, m) in enumerate(keys) for r in (0, 1)]
+         for i, (a, m) in enumerate(keys) for r in (0, 1, 2) if (i, r) != (3, 2)]
     )  # fmt: skip
     (tmp_path / "jobs" / "all").mkdir(parents=True)
     pd.DataFrame({
         "point": points.point, "metric": "misbehaviour.auc", "group": "malicious",
-        "value": 0.4 + 0.2 * points.replicate, "unit": "1", "label": "AUC",
+        "value": 0.4 + 0.1 * points.replicate, "unit": "1", "label": "AUC",
     }).to_parquet(tmp_path / "jobs" / "all" / "measures.parquet")  # fmt: skip
     study = Study(tmp_path, {"name": "s", "question": "", "keys": ["attack", "model"], "baseline": {}}, points)
     axes = study_figure.draw(study, "misbehaviour", ["misbehaviour.auc:malicious"]).axes[0]
-    assert [text.get_text() for text in axes.texts] == ["0.50\n0.01 to 0.99"] * 4
+    assert [text.get_text() for text in axes.texts] == [*["0.50\n0.27 to 0.73"] * 3, "0.45"]
     assert [label.get_text() for label in axes.get_yticklabels()] == ["beta", "mate"]
-    assert "2 seeds" in axes.get_title(loc="left")
+    assert "2 to 3 seeds" in axes.get_title(loc="left")
+
+
+def test_encounters_of_a_study_over_radius_and_kind_of_pairs(tmp_path):
+    """The groups of encounter metrics are keys: two radii on the axis, two kinds of pairs as lines."""
+    groups = [f"{pairs}, {radius} m" for pairs in ("equipped", "los") for radius in (50, 100)]
+    points = pd.DataFrame(
+        [{"point": f"{scale}", "run": f"{scale}", "variant": "base", "replicate": 0, "traffic.scale": scale}
+         for scale in (0.5, 1.0)]
+    )  # fmt: skip
+    for scale in (0.5, 1.0):
+        (tmp_path / "jobs" / str(scale)).mkdir(parents=True)
+        pd.DataFrame({
+            "point": str(scale), "metric": "encounters.duration.km_median_s", "group": groups,
+            "value": [8.0, 16.0, 7.0, 12.0], "unit": "s", "label": "duration",
+        }).to_parquet(tmp_path / "jobs" / str(scale) / "measures.parquet")  # fmt: skip
+    study = Study(tmp_path, {"name": "s", "question": "", "keys": ["traffic.scale"], "baseline": {}}, points)
+    panels = study_figure.draw(study, "encounters", over="radius_m", by="pairs").axes
+    assert len(panels) == 2
+    for axes in panels:
+        drawn = [line.get_ydata().tolist() for line in axes.get_lines()]
+        assert [8.0, 16.0] in drawn and [7.0, 12.0] in drawn
