@@ -74,15 +74,15 @@ class AttackEffect(IntEnum):
 class LookupState(IntEnum):
     """What a trust value rests on when it is looked up.
 
-    Judged: at least one evaluation within the window, by a vehicle other than the subject that could see (visibility
-    above 0). Unjudged: a value without such an evaluation. Stale: such evaluations, but all are older than the window.
-    Default: no value.
+    Evaluated: at least one evaluation within the window, by a vehicle other than the subject that could see (visibility
+    above 0). Unevaluated: a value without such an evaluation. Stale: such evaluations, but all are older than the
+    window.
     """
 
-    JUDGED = 0
-    UNJUDGED = 1
+    EVALUATED = 0
+    UNEVALUATED = 1
     STALE = 2
-    DEFAULT = 3
+    NO_VALUE = 3
 
 
 class MessageType(IntEnum):

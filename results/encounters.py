@@ -275,7 +275,8 @@ class EncounterTracker:
         at = self._slots(holder, other)
         begins = at >= 0
         begins[begins] = self._live["start"][at[begins]] == self._step
-        self.note_trust(holder[begins], other[begins], np.isin(state[begins], (LookupState.JUDGED, LookupState.STALE)))
+        rests_on_evaluation = np.isin(state[begins], (LookupState.EVALUATED, LookupState.STALE))
+        self.note_trust(holder[begins], other[begins], rests_on_evaluation)
         way = holder < other
         for ab, name in ((True, "ab"), (False, "ba")):
             rows = begins & (way == ab)

@@ -29,7 +29,7 @@ GLOSSARY: Mapping[str, str] = {
     "trust server": "A central server that collects evaluations, computes trust in all subjects, and broadcasts it.",
     "trust host": "Where trust is computed: at the trust server (central), in every vehicle (local), or nowhere.",
     "trust variant": "Another trust model, or other parameters, applied to the same evidence in the same run. The variant `base` acts in the simulation; the others are computed beside it.",
-    "evaluated": "A trust value is evaluated if it rests on at least one evaluation by a vehicle other than the subject that could see (visibility above 0). Tables call such a value `judged`, or `stale` if all its evaluations are older than the window. A value without such an evaluation is `unjudged`. If there is no value, the state is `default`.",
+    "evaluated": "A trust value is evaluated if it rests on at least one evaluation by a vehicle other than the subject that could see (visibility above 0). Tables call such a value `evaluated`, or `stale` if all its evaluations are older than the window. A value without such an evaluation is `unevaluated`. If there is no value, the state is `no_value`.",
     "watched": "Metrics watch an attacker's pseudonym from the first attack of its vehicle on, and an honest pseudonym from the first attack of any vehicle on, while it is in use. Earlier trust tells nothing about the detection of attackers.",
     "lookup": "A vehicle looks up its trust in the sender of a received message before it fuses.",
     "fused object": "An object that a vehicle believes in: its own detections merged with the detections of others that it accepts.",

@@ -1,7 +1,9 @@
 """Part files read back: columns, rows, pieces."""
 
-from collections.abc import Iterator, Sequence
+import logging
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -34,6 +36,8 @@ def plain(column: pa.Array, labels: Sequence[str]) -> np.ndarray:
     """
     if not pa.types.is_dictionary(column.type):
         return column.to_numpy(zero_copy_only=False)
+    if "evaluated" in labels:
+        column = _present(column)
     code = np.array([*map(list(labels).index, column.dictionary.to_pylist()), -1], np.int16)
     return code[column.indices.fill_null(-1).to_numpy(zero_copy_only=False)]
 
@@ -51,10 +55,36 @@ def write_apart(file: Path, rows: pa.Table, variants: Sequence[str]) -> None:
             out.write_batch(ordered.slice(begin, end - begin))
 
 
+EARLIER_LABELS: Mapping[str, str] = {"judged": "evaluated", "unjudged": "unevaluated", "default": "no_value"}
+"""Present labels of columns named `state`, by the labels that runs of earlier versions have."""
+
+
 def read(path: Path, names: Sequence[str], where: pc.Expression | None) -> pa.Table:
     """Columns and rows of a part. ValueError or `Damaged`, in one line, if it cannot be read."""
     with _readable(path, names):
-        return pq.read_table(path, columns=list(names), filters=where, partitioning=None)
+        rows = pq.read_table(path, columns=list(names), filters=where, partitioning=None)
+    for number, field in enumerate(rows.schema):
+        if field.name.startswith("state") and pa.types.is_dictionary(field.type):
+            chunks = [_present(chunk) for chunk in rows.column(number).chunks]
+            rows = rows.set_column(number, field, pa.chunked_array(chunks, field.type))
+    return rows
+
+
+def _present(column: pa.DictionaryArray) -> pa.DictionaryArray:
+    """A column of states with the present labels. It says once that a run has earlier ones."""
+    labels = column.dictionary.to_pylist()
+    if not EARLIER_LABELS.keys() & set(labels):
+        return column
+    _say_earlier_labels()
+    return pa.DictionaryArray.from_arrays(
+        column.indices, pa.array([EARLIER_LABELS.get(label, label) for label in labels], column.dictionary.type)
+    )
+
+
+@cache
+def _say_earlier_labels() -> None:
+    now = ", ".join(f"{old} is now {new}" for old, new in EARLIER_LABELS.items())
+    logging.getLogger(__name__).warning("The run has states under the names of an earlier version: %s.", now)
 
 
 def read_pieces(path: Path, names: Sequence[str], n_rows: int) -> Iterator[pa.RecordBatch]:

@@ -63,7 +63,7 @@ class TrustParams(TruPerceptParams):
     receives. `own`: its own evaluations only."""
     default_trust: Annotated[float, Interval(ge=0, le=1)] = 0.5
     """Trust of a vehicle about which nothing is known."""
-    unjudged: Literal["default", "value"] = "default"
+    unevaluated: Literal["default", "value"] = "default"
     """Trust of a vehicle without any evaluation by another vehicle that could see its detections. `default`:
     `default_trust`. `value`: the model's value, which for TruPercept is 0 (the paper's rule)."""
     ego_trust: Annotated[float, Gt(0), Le(1e6)] = 1.0

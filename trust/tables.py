@@ -328,7 +328,7 @@ class TrustScores:
     """Trust at one step: a row per (holder, subject) with evidence, sorted.
 
     All steps are steps of detections. The columns `*_evaluation_step` concern only those evaluations behind the value
-    that have visibility above 0 and come from others than the subject. They are valid only where `is_judged`.
+    that have visibility above 0 and come from others than the subject. They are valid only where `is_evaluated`.
     """
 
     step: int
@@ -342,7 +342,7 @@ class TrustScores:
     oldest_step: Int[ndarray, "n"]
     newest_evaluation_step: Int[ndarray, "n"]
     oldest_evaluation_step: Int[ndarray, "n"]
-    is_judged: Bool[ndarray, "n"]  # n_evaluations > 0
+    is_evaluated: Bool[ndarray, "n"]  # n_evaluations > 0
     n_evaluators: Int[ndarray, "n"] | None = None  # different evaluators of these; None where the model counts none
 
     @staticmethod
@@ -402,7 +402,7 @@ class TrustScores:
             oldest_step=oldest,
             newest_evaluation_step=newest,
             oldest_evaluation_step=oldest,
-            is_judged=counts > 0,
+            is_evaluated=counts > 0,
             n_evaluators=None if n_evaluators is None else n_evaluators[order],
         )
 

@@ -2,8 +2,9 @@
 
 import copy
 import difflib
+import logging
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -35,7 +36,7 @@ from sensors.statistical_detector import DetectorParams
 from sumo_nets import catalogue, sumocfg
 from trust.params import TrustParams, differing_evidence_key
 
-PAPER_RULE: dict[str, Any] = {"name": "paper", "fused": True, "unseen": "zero", "unjudged": "value"}
+PAPER_RULE: dict[str, Any] = {"name": "paper", "fused": True, "unseen": "zero", "unevaluated": "value"}
 """Trust variant that a run without a config file computes in addition: a detection that no other vehicle could see
 counts as 0, as in Hurl et al., TruPercept, 2020."""
 
@@ -247,6 +248,7 @@ def with_defaults(data: dict[str, Any]) -> dict[str, Any]:
 def resolve_data(data: dict[str, Any], where: str, folder: Path | None) -> Config:
     """Build a config from plain data. Relative paths are relative to `folder`. The function modifies `data`."""
     variants = data.pop("trust_variant", [])
+    _rename([data.get("trust"), *(variants if isinstance(variants, list) else [])], where)
     own: dict[str, dict[str, Any]] = {}
     types = {f.name: f.type for f in fields(Config)}
     for section in SECTIONS:
@@ -300,6 +302,14 @@ def of_run_without_code(recorded: Mapping[str, Any], folder: Path) -> Config:
     if "trust" not in data or any(_names_code(variant, "model") for variant in data.get("trust_variant") or ()):
         data["trust_variant"] = []
     return of_run(data, folder)
+
+
+def _rename(sections: Iterable[Any], where: str) -> None:
+    """Read the earlier name of a key of [trust] as its present name, and say so."""
+    for section in sections:
+        if isinstance(section, dict) and "unjudged" in section and "unevaluated" not in section:
+            section["unevaluated"] = section.pop("unjudged")
+            logging.getLogger(__name__).warning("trust.unjudged in %s is now called trust.unevaluated.", where)
 
 
 def _names_code(section: Any, key: str) -> bool:

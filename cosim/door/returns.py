@@ -202,15 +202,15 @@ def trust_scores(call: Call, returned: Any) -> TrustScores:
         "holder": ("iu", 0, LARGEST_NAME), "subject": ("iu", 0, LARGEST_NAME), "trust": ("f", 0, 1),
         "uncertainty": ("f",), "weight": ("f", 0, large), "n_evaluations": ("iu", 0, 2**62), "newest_step": ("iu",),
         "oldest_step": ("iu",), "newest_evaluation_step": ("iu",), "oldest_evaluation_step": ("iu",),
-        "is_judged": ("b",), **({} if s.n_evaluators is None else {"n_evaluators": ("iu", 0, 2**62)}),
+        "is_evaluated": ("b",), **({} if s.n_evaluators is None else {"n_evaluators": ("iu", 0, 2**62)}),
     })  # fmt: skip
-    if not np.isnan(s.uncertainty[s.is_judged]).all():
-        unsure = np.where(s.is_judged, s.uncertainty, 0.0)
+    if not np.isnan(s.uncertainty[s.is_evaluated]).all():
+        unsure = np.where(s.is_evaluated, s.uncertainty, 0.0)
         _none("uncertainty", unsure, ~((unsure >= 0) & (unsure <= 1)), "0 to 1, or NaN in all rows,", subject)
-    _none("is_judged", s.is_judged, s.is_judged != (s.n_evaluations > 0), "n_evaluations > 0", subject)
+    _none("is_evaluated", s.is_evaluated, s.is_evaluated != (s.n_evaluations > 0), "n_evaluations > 0", subject)
     if s.n_evaluators is not None:
         _none("n_evaluators", s.n_evaluators, s.n_evaluators > s.n_evaluations, "0 to n_evaluations", subject)
-    for what, counts in (("step", np.ones(len(subject), bool)), ("evaluation_step", s.is_judged)):
+    for what, counts in (("step", np.ones(len(subject), bool)), ("evaluation_step", s.is_evaluated)):
         newest, oldest = getattr(s, f"newest_{what}"), getattr(s, f"oldest_{what}")
         _none(f"newest_{what}", newest, counts & (newest > now), f"a step up to {now}, that of the call,", subject)
         _none(f"oldest_{what}", oldest, counts & (oldest > newest), f"not later than newest_{what}", subject)

@@ -299,15 +299,15 @@ def _published(recorder: TakesRows, at: int, dt_s: float, of_variant: Sequence[t
         return np.concatenate([getattr(scores, name) for _, scores in of_variant])
 
     n = [len(scores.subject) for _, scores in of_variant]
-    uncertainty, is_judged = joined("uncertainty"), joined("is_judged")
+    uncertainty, is_evaluated = joined("uncertainty"), joined("is_evaluated")
     evaluators = [scores.n_evaluations if (m := scores.n_evaluators) is None else m for _, scores in of_variant]
     recorder.append("trust", at, {
         "variant": np.repeat([v for v, _ in of_variant], n), "subject": joined("subject"), "trust": joined("trust"),
         "uncertainty": uncertainty, "uncertainty__valid": ~np.isnan(uncertainty),
-        "weight": joined("weight"), "state": np.where(is_judged, LookupState.JUDGED, LookupState.UNJUDGED),
+        "weight": joined("weight"), "state": np.where(is_evaluated, LookupState.EVALUATED, LookupState.UNEVALUATED),
         **_evaluations_behind(
             joined("n_evaluations"), np.concatenate(evaluators), (at - joined("newest_evaluation_step")) * dt_s,
-            (at - joined("oldest_evaluation_step")) * dt_s, is_judged,
+            (at - joined("oldest_evaluation_step")) * dt_s, is_evaluated,
             np.repeat([scores.n_evaluators is not None for _, scores in of_variant], n),
         ),
     })  # fmt: skip

@@ -39,8 +39,8 @@ FUSION_KEYS = frozenset({
 """Keys of [trust] about the use of trust. Variants that differ only in these keys share one host."""
 
 
-_JUDGED, _UNJUDGED, _STALE, _NO_VALUE = (
-    int(s) for s in (LookupState.JUDGED, LookupState.UNJUDGED, LookupState.STALE, LookupState.DEFAULT)
+_EVALUATED, _UNEVALUATED, _STALE, _NO_VALUE = (
+    int(s) for s in (LookupState.EVALUATED, LookupState.UNEVALUATED, LookupState.STALE, LookupState.NO_VALUE)
 )
 _DEFAULT, _SERVER, _OWN = (int(s) for s in (TrustSource.DEFAULT, TrustSource.SERVER, TrustSource.OWN))
 """Plain integers, because NumPy is ten times slower with members of enums."""
@@ -76,7 +76,7 @@ class Lookups:
     @property
     def is_known(self) -> Bool[ndarray, "n"]:
         """Whether each value is based on at least one evaluation, however old."""
-        return (self.state == _JUDGED) | (self.state == _STALE)
+        return (self.state == _EVALUATED) | (self.state == _STALE)
 
     @property
     def is_default(self) -> Bool[ndarray, "n"]:
@@ -414,14 +414,14 @@ class TrustHosts:
         window_s = window_of(params) if _has_window(self.models[h].model) else np.inf
         rows = np.flatnonzero(at >= 0)
         at = at[rows]
-        judged = scores.is_judged[at]
-        valued = judged if params.unjudged == "default" else np.ones(len(at), bool)
+        evaluated = scores.is_evaluated[at]
+        valued = evaluated if params.unevaluated == "default" else np.ones(len(at), bool)
         found.trust[rows[valued]] = scores.trust[at[valued]]
         found.source[rows[valued]] = _SERVER if params.host == "central" else _OWN
         newest_age_s = time_s - scores.newest_evaluation_step[at] * self.dt_s
         found.age_s[rows], found.newest_evaluation_age_s[rows] = age_s, newest_age_s
         found.oldest_evaluation_age_s[rows] = time_s - scores.oldest_evaluation_step[at] * self.dt_s
-        found.state[rows] = np.where(judged, np.where(newest_age_s < window_s, _JUDGED, _STALE), _UNJUDGED)
+        found.state[rows] = np.where(evaluated, np.where(newest_age_s < window_s, _EVALUATED, _STALE), _UNEVALUATED)
         found.n_evaluations[rows] = scores.n_evaluations[at]
         if scores.n_evaluators is None:
             return not len(rows)

@@ -17,8 +17,7 @@ from results.metrics.lookups import AGES, FRESH_S, NO_LOOKUPS, role_codes
 from results.run import Run
 
 STATES = ("evaluated", "unevaluated", "stale", "no value")
-"""States of a value that is looked up, in the order of `LookupState`. Tables call them judged, unjudged, stale and
-default."""
+"""States of a value that is looked up, in the order of `LookupState`. Tables call the last one `no_value`."""
 KNOWN = ("evaluated", "stale")
 """States in which a value rests on an evaluation."""
 
@@ -35,14 +34,14 @@ def evidence(run: Run) -> pd.DataFrame:
     """
     columns = ["n_evaluations", "n_evaluators", "newest_evaluation_age_s", "oldest_evaluation_age_s"]
     known = trust.server_values(run)
-    code, judged = role_codes(run, known.subject.to_numpy()), (known.state == "judged").to_numpy()
+    code, evaluated = role_codes(run, known.subject.to_numpy()), (known.state == "evaluated").to_numpy()
     values = {name: known[name].to_numpy(np.float64, na_value=np.nan) for name in columns}
     rows = []
     for role in np.unique(code):
         mine = code == role
-        some = mine & judged
+        some = mine & evaluated
         medians = {name: np.median(value[some]) if some.any() else np.nan for name, value in values.items()}
-        without = float(1 - judged[mine].mean())
+        without = float(1 - evaluated[mine].mean())
         rows.append({"role": run.role_labels[role], "n": int(mine.sum()), "unevaluated_share": without} | medians)
     found = pd.DataFrame(rows, columns=["role", "n", "unevaluated_share", *columns])
     return found.rename(columns={columns[2]: "newest_s", columns[3]: "oldest_s"})

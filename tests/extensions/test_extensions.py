@@ -90,10 +90,10 @@ share_p = 0.5
 start_s = 5
 """)  # fmt: skip
     roles = run.vehicles.set_index("vehicle").role
-    judged = run.evaluations[run.evaluations.evaluator != run.evaluations.observer]
-    lies = judged[(judged.evaluator.map(roles) == "malicious") & (judged.step >= 5)]
+    evaluated = run.evaluations[run.evaluations.evaluator != run.evaluations.observer]
+    lies = evaluated[(evaluated.evaluator.map(roles) == "malicious") & (evaluated.step >= 5)]
     assert len(lies) > 1000 and (lies.evaluation == -1).all() and (lies.visibility == 1).all()
-    assert (judged[judged.evaluator.map(roles) == "honest"].evaluation > 0).any()
+    assert (evaluated[evaluated.evaluator.map(roles) == "honest"].evaluation > 0).any()
 
 
 def test_detector(beside):

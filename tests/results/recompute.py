@@ -47,7 +47,7 @@ def local(run, window_s):
         found = wanted.merge(behind, "left", left_on=["holder", "observer"], right_index=True)
         rows.append(found.assign(step=step, used_s=step * dt_s + used_s))
     out = pd.concat(rows)
-    return _lookups(out, dt_s, window_s, np.where(out.n.isna(), "default", "judged"))
+    return _lookups(out, dt_s, window_s, np.where(out.n.isna(), "no_value", "evaluated"))
 
 
 def central(run, window_s, period_s):
@@ -69,14 +69,14 @@ def central(run, window_s, period_s):
     out = pd.concat(rows)
     came_later = out.holder.map(run.vehicles.set_index("vehicle").first_step) > out.computed
     out.loc[came_later, ["n", "evaluators", "newest", "oldest"]] = np.nan
-    return _lookups(out, dt_s, window_s, np.where(out.n.isna(), "default", "judged")).assign(
+    return _lookups(out, dt_s, window_s, np.where(out.n.isna(), "no_value", "evaluated")).assign(
         value_s=(out.used_s - out.computed * dt_s).to_numpy()
     )
 
 
 def _lookups(out, dt_s, window_s, state):
     newest_s, oldest_s = out.used_s - out.newest * dt_s, out.used_s - out.oldest * dt_s
-    state = np.where((state == "judged") & (newest_s >= window_s - 1e-9), "stale", state)
+    state = np.where((state == "evaluated") & (newest_s >= window_s - 1e-9), "stale", state)
     return pd.DataFrame({
         "step": out.step.to_numpy(), "receiver": out.holder.to_numpy(), "subject": out.observer.to_numpy(),
         "state": state, "newest_s": newest_s.to_numpy(), "oldest_s": oldest_s.to_numpy(),

@@ -200,8 +200,8 @@ def test_trusted_after():
 
     def talk(tracker, step, opened, pairs):
         if len(opened):
-            judged = np.array([0])
-            tracker.first_contact(np.array([1]), np.array([0]), np.array([0.5]), np.array([0]), judged, np.array([9.0]))
+            state = np.array([0])
+            tracker.first_contact(np.array([1]), np.array([0]), np.array([0.5]), np.array([0]), state, np.array([9.0]))
         if step >= 3:
             tracker.note_trust(np.array([0, 1]), np.array([1, 0]), np.ones((2, 1), bool))
 

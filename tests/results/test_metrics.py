@@ -48,8 +48,8 @@ def test_freshness_on_a_timeline(tiny):
     """
     ages = [None] * 6 + [1, 2, 3, 4, 5] * 2 + [6, 7, 8, 9, 10, 1, 2]
     lookups = [
-        {"step": i, "receiver": 1, "subject": 2, "source": "default", "state": "default"} if age is None else
-        {"step": i, "receiver": 1, "subject": 2, "source": "server", "state": "judged" if age < 5 else "stale",
+        {"step": i, "receiver": 1, "subject": 2, "source": "default", "state": "no_value"} if age is None else
+        {"step": i, "receiver": 1, "subject": 2, "source": "server", "state": "evaluated" if age < 5 else "stale",
          "age_s": age, "newest_evaluation_age_s": age + 1, "oldest_evaluation_age_s": age + 3, "n_evaluations": 2,
          "n_evaluators": 1}
         for i, age in enumerate(ages)
@@ -70,12 +70,12 @@ def test_freshness_on_a_timeline(tiny):
     assert over_time.stale.tolist() == pytest.approx([0, 0.6, 1 / 3])
 
 
-def test_a_value_without_judgement_is_no_knowledge(tiny):
-    """Two lookups of unjudged values, one judged: the unjudged have no age of an evaluation and count in no mean."""
+def test_a_value_without_evaluation_is_no_knowledge(tiny):
+    """Two lookups of unevaluated values, one evaluated: unevaluated ones have no age and count in no mean."""
     lookups = [
-        {"step": s, "receiver": 0, "subject": 1, "source": "server", "state": "unjudged", "age_s": 1} for s in (1, 2)
+        {"step": s, "receiver": 0, "subject": 1, "source": "server", "state": "unevaluated", "age_s": 1} for s in (1, 2)
     ]
-    lookups += [{"step": 3, "receiver": 0, "subject": 1, "source": "server", "state": "judged", "age_s": 2,
+    lookups += [{"step": 3, "receiver": 0, "subject": 1, "source": "server", "state": "evaluated", "age_s": 2,
                  "newest_evaluation_age_s": 3, "oldest_evaluation_age_s": 3, "n_evaluations": 4}]  # fmt: skip
     run = tiny(5, vehicles=fleet("honest", "malicious"), trust_lookups=lookups)
     shares = freshness.states(run).query("role == 'malicious'").set_index("state").share
@@ -95,7 +95,7 @@ def test_encounters_without_trust(tiny):
 def test_evidence(tiny):
     newest, oldest = "newest_evaluation_age_s", "oldest_evaluation_age_s"
     rows = [
-        {"step": 0, "subject": 0, "n_evaluations": 0, "state": "unjudged"},
+        {"step": 0, "subject": 0, "n_evaluations": 0, "state": "unevaluated"},
         {"step": 1, "subject": 0, "n_evaluations": 4, newest: 1, oldest: 9},
         {"step": 2, "subject": 0, "n_evaluations": 6, newest: 3, oldest: 11},
     ]
@@ -122,7 +122,7 @@ def test_trust_without_a_server(tiny):
     ]
     lookups += [{"step": 2, "receiver": 2, "subject": 1, "trust": 0.1, "source": "default"}]
     lookups += [{"step": 4, "receiver": 0, "subject": 1, "trust": 0.1, "source": "own", "n_evaluations": 1}]
-    lookups += [{"step": 4, "receiver": 1, "subject": 1, "trust": 0.9, "source": "own", "state": "unjudged"}]
+    lookups += [{"step": 4, "receiver": 1, "subject": 1, "trust": 0.9, "source": "own", "state": "unevaluated"}]
     frame = trust.values(tiny(20, vehicles=fleet("honest", "honest", "malicious"), trust_lookups=lookups))
     assert frame[["time_s", "vehicle"]].to_numpy().tolist() == [[2, 1], [2, 2], [4, 1]]
     assert frame.trust.tolist() == pytest.approx([0.8, 0.3, 0.1])

@@ -8,7 +8,7 @@ from trust.tables import SERVER, ReceivedEvaluations, messages_from_rows
 
 COLUMNS = (
     "trust", "weight", "n_evaluations", "newest_step", "oldest_step",
-    "newest_evaluation_step", "oldest_evaluation_step", "is_judged",
+    "newest_evaluation_step", "oldest_evaluation_step", "is_evaluated",
 )  # fmt: skip
 
 

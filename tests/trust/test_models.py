@@ -121,8 +121,8 @@ def test_the_steps_of_evaluations_are_those_of_others_who_could_see(name):
     for step, evaluated in enumerate(scores):
         open_step(model, step, {1: [1.0], 2: [], 3: []})
         add(model, step, evaluated)
-        is_judged = model.scores().is_judged
-        assert is_judged.all() if step else not is_judged.any()
+        is_evaluated = model.scores().is_evaluated
+        assert is_evaluated.all() if step else not is_evaluated.any()
     last = model.scores()
     assert (last.newest_evaluation_step[0], last.oldest_evaluation_step[0], last.n_evaluations[0]) == (2, 1, 3)
 

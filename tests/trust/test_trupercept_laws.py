@@ -56,7 +56,7 @@ def assert_evaluators(scores, after, by_name, records, weighting):
             if any(weighting == "one" or by_name[step, subject, k] > 0 for k in of_step):
                 made += [(step, who) for said in of_step.values() for who, (_, phi) in said.items()
                          if who != subject and phi > 0]  # fmt: skip
-        assert scores.n_evaluations[row] == len(made) and scores.is_judged[row] == bool(made)
+        assert scores.n_evaluations[row] == len(made) and scores.is_evaluated[row] == bool(made)
         assert scores.n_evaluators[row] == len({who for _, who in made})
         if made:
             assert scores.newest_evaluation_step[row] == max(made)[0]
@@ -84,8 +84,8 @@ def test_evaluators_of_shared_windows(world, f):
             if phi > 0 and who != subject:
                 ever.setdefault(subject, set()).add(who)
     last = shared[2].scores()
-    for subject, n, judged in zip(last.subject.tolist(), last.n_evaluators, last.is_judged, strict=True):
-        if judged:
+    for subject, n, evaluated in zip(last.subject.tolist(), last.n_evaluators, last.is_evaluated, strict=True):
+        if evaluated:
             assert n == len(ever[subject])
 
 
@@ -170,7 +170,7 @@ def test_two_half_steps_equal_one(world, f):
         add(half, 2 * step, [row for row in evaluated if row[0] % 2])
         open_step(half, 2 * step + 1, {v: [] for v in frame})
         add(half, 2 * step, [row for row in evaluated if not row[0] % 2])
-        assert_same(one.scores(), half.scores(), ("subject", "trust", "weight", "n_evaluations", "is_judged"))
+        assert_same(one.scores(), half.scores(), ("subject", "trust", "weight", "n_evaluations", "is_evaluated"))
 
 
 @given(world=histories, seed=st.integers(0, 2**32 - 1))

@@ -21,7 +21,7 @@ NOT_HERE = (
     "safety.collisions", "safety.wave",
 )  # fmt: skip
 """Beginnings of the metrics that are not recomputed."""
-STATE = {"judged": "evaluated", "unjudged": "unevaluated", "stale": "stale", "default": "no value"}
+STATE = {"evaluated": "evaluated", "unevaluated": "unevaluated", "stale": "stale", "no_value": "no value"}
 THRESHOLD, FALSE_POSITIVES, FRESH_S = 0.25, 0.05, 10.0
 
 
@@ -381,9 +381,9 @@ def ratio(a, b):
 def freshness(of):
     who, computed = subjects(of), of.table("trust")
     for role, some in computed.groupby(computed.subject.map(who.role)) if len(computed) else ():
-        judged = some.state == "judged"
-        yield "server_unevaluated.share", role, (~judged).mean()
-        yield "server_newest_evaluation.median_s", role, some.newest_evaluation_age_s[judged].astype(float).median()
+        evaluated = some.state == "evaluated"
+        yield "server_unevaluated.share", role, (~evaluated).mean()
+        yield "server_newest_evaluation.median_s", role, some.newest_evaluation_age_s[evaluated].astype(float).median()
     equipped = vehicles(of).index[vehicles(of).equipped]
     met = of.table("encounters")
     if of.variant != "base":

@@ -92,8 +92,8 @@ class Mate(Stepwise):
         ])  # fmt: skip
         objects = PRIOR + 0.5 * source
         v, c = mean(objects), confidence(objects)
-        judged = np.bincount(rows.object[matched | missed], minlength=rows.n_objects) > 0
-        self._measured(new, of[judged], v[judged], c[judged])
+        evaluated = np.bincount(rows.object[matched | missed], minlength=rows.n_objects) > 0
+        self._measured(new, of[evaluated], v[evaluated], c[evaluated])
         for agrees, value in ((matched, v), (missed, 1 - v)):
             at = rows.object[agrees]
             self._measured(new, by[agrees], value[at], c[at])

@@ -168,7 +168,7 @@ class TruPercept:
             oldest_step=span[:, 1],
             newest_evaluation_step=span[:, 2],
             oldest_evaluation_step=span[:, 3],
-            is_judged=n_evaluations > 0,
+            is_evaluated=n_evaluations > 0,
             n_evaluators=n_evaluators[row],
         )
 

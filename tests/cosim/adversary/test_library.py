@@ -299,8 +299,8 @@ def test_sybil(honest):
     heard = tables["receptions"].merge(names, left_on="sender", right_on="pseudonym")
     assert (heard.groupby(["at", "message_type", "vehicle", "receiver"]).identity.nunique()[
         lambda n: n.index.get_level_values("vehicle").isin(WHO)] == 6).all()  # fmt: skip
-    judged = tables["evaluations"]
-    assert judged.evaluator.isin(ghosts.observer).any() and judged.observer.isin(ghosts.observer).any()
+    evaluated = tables["evaluations"]
+    assert evaluated.evaluator.isin(ghosts.observer).any() and evaluated.observer.isin(ghosts.observer).any()
     trusted = tables["trust"]
     assert trusted.subject.isin(ghosts.observer).any()
 

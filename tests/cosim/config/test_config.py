@@ -144,3 +144,14 @@ def test_encounters_that_are_equal_in_32_bits_are_refused(first, second):
     with pytest.raises(ValueError, match=r"encounters\.1 is the same definition as encounters\.0"):
         load(None, [f"encounters.0.{first}", f"encounters.1.{second}"])
     assert len(load(None, ["encounters.0.radius_m=100", "encounters.1.radius_m=100.00001"]).encounters) == 2
+
+
+def test_the_earlier_name_of_a_key_is_read_with_a_note(tmp_path, caplog):
+    path = tmp_path / "old.toml"
+    path.write_text('[trust]\nunjudged = "value"\n[[trust_variant]]\nname = "other"\nunjudged = "default"\n')
+    config = load(path)
+    assert (config.trust.unevaluated, config.trust_variant[0].trust.unevaluated) == ("value", "default")
+    assert f"trust.unjudged in {path.name} is now called trust.unevaluated" in caplog.text
+    path.write_text('[trust]\nunjudged = "value"\nunevaluated = "value"\n')
+    with pytest.raises(ValueError, match="unjudged: unknown key"):
+        load(path)

@@ -1,4 +1,4 @@
-"""Meshes from files: judged as prisms are, by the columnar caster, and refused in one line."""
+"""Meshes from files: evaluated as prisms are, by the columnar caster, and refused in one line."""
 
 import importlib.util
 import logging
