@@ -2,6 +2,8 @@
 
 import json
 
+import pytest
+
 from results.archive import open_run
 from results.recorder import fingerprint
 from tests.drive import drive
@@ -31,6 +33,7 @@ def test_nonsense_in_detections_changes_nothing(tmp_path):
     assert n_dropped % 6 == 0 and 0.15 * n_messages < n_dropped / 6 < 0.45 * n_messages
 
 
+@pytest.mark.verify
 def test_nonsense_in_evaluations_changes_no_trust(tmp_path):
     base = drive(tmp_path / "base", *DISK)
     hostile = drive(tmp_path / "hostile", *DISK, "trust.model=tests.parts:HostileMessages")

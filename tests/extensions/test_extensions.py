@@ -14,6 +14,7 @@ HERE = Path(__file__).parent
 BASE = """
 [traffic]
 duration_s = 20
+warmup_s = 300
 [record]
 level = "full"
 """
@@ -55,7 +56,7 @@ def test_a_class_that_fails_in_a_run(tmp_path):
         "import sys\nclass Bad:\n    def changes(self, ages):\n        if (ages.n_messages >= 3).any():\n"
         "            sys.exit(0)\n        return ages.age_s < 0\n"
     )
-    sets = ("pseudonyms.policy=bad.py:Bad", "traffic.duration_s=6", "record.block_steps=2")
+    sets = ("pseudonyms.policy=bad.py:Bad", "traffic.duration_s=6", "traffic.warmup_s=120", "record.block_steps=2")
     words = [word for one in sets for word in ("--set", one)]
     done = cosim("run", *words, "--out", "run", cwd=tmp_path)
     told = f"error: {tmp_path}/bad.py:5: pseudonym policy Bad: changes() raised SystemExit: 0, which ends the program."

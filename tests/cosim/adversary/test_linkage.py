@@ -48,6 +48,7 @@ def test_linkage_at_the_server_equals_no_policy_but_for_names(policy, constant):
         pd.testing.assert_frame_equal(found[name], constant[name], check_exact=True, check_dtype=False)
 
 
+@pytest.mark.verify
 def test_sybil_identities_are_one_vehicle_to_a_linking_server():
     attack = {"ids": LIARS, "attack": "bad_mouthing", "n_identities": 4}
     linked = play([attack], pseudonyms={"linkage": "server"})

@@ -29,6 +29,7 @@ def test_without_a_believed_object_every_table_is_that_of_the_open_loop(drive):
     assert closed == open_loop
 
 
+@pytest.mark.verify
 def test_threads_change_nothing_of_a_closed_loop(drive):
     keys = ("driver.model=cautious", "trust.method=any")
     one, two = drive("one", *keys, "compute.threads=1"), drive("two", *keys, "compute.threads=2")

@@ -26,6 +26,7 @@ def folder(tmp_path_factory):
     return drive(tmp_path_factory.mktemp("view") / "run", "traffic.duration_s=8", "record.level=full")
 
 
+@pytest.mark.verify
 def test_the_viewers_own_tools_accept_it(folder, tmp_path):
     run = open_run(folder)
     vehicle = int(run.detections.merge(run.subjects, left_on="observer", right_index=True).vehicle.mode()[0])
@@ -109,6 +110,7 @@ def test_a_full_disk_is_one_line(folder, tmp_path):
         subprocess.run(["umount", str(small)], check=True)
 
 
+@pytest.mark.verify
 def test_movie(folder, tmp_path):
     run = open_run(folder)
     vehicle = int(run.vehicles[run.vehicles.equipped & (run.vehicles.first_step == 0)].vehicle.iloc[0])

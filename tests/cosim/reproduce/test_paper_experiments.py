@@ -251,6 +251,7 @@ def test_final_trust_of_a_run_by_hand(drive):
         assert found["paper.final_trust.mean", role] == pytest.approx(np.mean([last.get(names[v], 0.5) for v in mine]))
 
 
+@pytest.mark.verify
 def test_label_rules(drive):
     found = label_rules.label_rules([drive], max_frames=12)
     for label, some in found.groupby("class"):

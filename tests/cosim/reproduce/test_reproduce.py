@@ -204,7 +204,8 @@ def test_a_frame_repeats_to_the_bit():
     assert np.array_equal(first.evaluated.n_points, second.evaluated.n_points)
 
 
-@pytest.mark.parametrize("play", [scenario_1, pytest.param(scenario_2, marks=pytest.mark.verify)])
+@pytest.mark.verify
+@pytest.mark.parametrize("play", [scenario_1, scenario_2])
 def test_a_report_is_the_same_every_time(tmp_path, play):
     first = play(tmp_path)
     drawn = [path.read_bytes() for path in first.pictures]

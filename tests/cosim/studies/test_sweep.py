@@ -17,7 +17,7 @@ STUDY = """
 [study]
 name = "short"
 replicates = 2
-baseline = { "trust.freshness_s" = 20 }
+baseline = { "trust.freshness_s" = 20, "trust.host" = "local" }
 [base]
 traffic.duration_s = 14
 traffic.warmup_s = 60
@@ -26,9 +26,10 @@ attacks = [
   { attack = "ghost_insertion", role = "malicious", start_s = 5, share_p = 0.3 },
   { attack = "unreliable", role = "unreliable", start_s = 5 },
 ]
-[grid]
+[[zip]]
 trust.freshness_s = [6, 20]
 trust.host = ["central", "local"]
+[grid]
 fleet.penetration_p = [0.2, 0.3]
 [limits]
 retries = 0
@@ -61,12 +62,12 @@ def swept(tmp_path_factory):
 
 def test_merged_and_replayed_points_equal_plain_runs(swept, tmp_path):
     study = open_study(swept / "out")
-    assert (study.points.state == "finished").all() and len(study.points) == 16
+    assert (study.points.state == "finished").all() and len(study.points) == 8
     assert study.points["run"].nunique() == 4 and len(Cache(swept / "cache").names("traffic")) == 2
     assert not list(swept.rglob("*.partial"))
     points = study.points.query("replicate == 1 and `fleet.penetration_p` == 0.2")
-    assert len(points) == 4
-    for row in points.iloc[[0, 3]].to_dict("records"):  # the acting variant, and one with another window and host
+    assert len(points) == 2
+    for row in points.to_dict("records"):  # the acting variant, and one with another window and host
         plain = drive_city(
             tmp_path / row["point"], *(text for text in SHORT if "share" not in text), "attacks.0.share_p=0.3",
             f"trust.freshness_s={row['trust.freshness_s']}", f"trust.host={row['trust.host']}",
@@ -78,17 +79,17 @@ def test_merged_and_replayed_points_equal_plain_runs(swept, tmp_path):
 def test_finished_points_are_skipped(swept):
     again = cosim(swept, "sweep", "study.toml", "--out", "out", "--dry-run", "--json")
     plan = json.loads(again.stdout)
-    assert (plan["points"], plan["finished"], plan["runs"]) == (16, 16, 0)
-    more = STUDY.replace("[6, 20]", "[6, 20, 40]")
+    assert (plan["points"], plan["finished"], plan["runs"]) == (8, 8, 0)
+    more = STUDY.replace("[6, 20]", "[6, 20, 40]").replace('["central", "local"]', '["central", "local", "local"]')
     (swept / "more.toml").write_text(more)
     plan = json.loads(cosim(swept, "sweep", "more.toml", "--out", "out", "--dry-run", "--json").stdout)
-    assert (plan["points"], plan["finished"], plan["runs"]) == (24, 16, 4)
+    assert (plan["points"], plan["finished"], plan["runs"]) == (12, 8, 4)
 
 
 def test_answers(swept):
     study = open_study(swept / "out")
     summary = study.summary.query("metric == 'freshness.newest_evaluation_age.mean_s' and group == 'all'")
-    assert len(summary) == 8 and (summary.n == 2).all() and (summary.low <= summary["mean"]).all()
+    assert len(summary) == 4 and (summary.n == 2).all() and (summary.low <= summary["mean"]).all()
     one = summary.iloc[0]
     keys = {key: one[key] for key in study.keys}
     mine = study.measures.query("metric == 'freshness.newest_evaluation_age.mean_s' and group == 'all'")
@@ -104,7 +105,7 @@ def test_answers(swept):
     assert {"summary.csv", "summary.parquet", "differences.csv", "measures.parquet"} <= {
         path.name for path in (swept / "out").iterdir()
     }
-    assert cosim(swept, "plot", "freshness", "out", "--where", "trust.host=central").returncode == 0
+    assert cosim(swept, "plot", "freshness", "out", "--where", "fleet.penetration_p=0.2").returncode == 0
     assert cosim(swept, "report", "out").returncode == 0
     wrong = cosim(swept, "plot", "freshness", "out", "--over", "lidar.range_m")
     assert wrong.returncode == 2 and "is not swept" in wrong.stderr
@@ -112,9 +113,11 @@ def test_answers(swept):
 
 def test_a_run_that_fails_does_not_stop_the_others(swept, tmp_path):
     (tmp_path / "crash.py").write_text(CRASH)
-    text = STUDY.replace("replicates = 2", "replicates = 1").replace('baseline = { "trust.freshness_s" = 20 }', "")
+    text = STUDY.replace("replicates = 2", "replicates = 1").replace(
+        'baseline = { "trust.freshness_s" = 20, "trust.host" = "local" }', ""
+    )
     grid = '[grid]\nattacks.0.attack = ["ghost_insertion", "crash.py:Crash"]\n'
-    text = text[: text.index("[grid]")] + grid + text[text.index("[limits]") :]
+    text = text[: text.index("[[zip]]")] + grid + text[text.index("[limits]") :]
     (tmp_path / "study.toml").write_text(text)
     (tmp_path / "cache").symlink_to(swept / "cache")
     done = cosim(tmp_path, "sweep", "study.toml", "--out", "out", "--json")
