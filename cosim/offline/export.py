@@ -115,12 +115,12 @@ def _exported(
     }  # fmt: skip
     if choice.is_own:
         about["sha256"] = choice.source.sha256
-    folder = Folder.open(out, about)
-    return _write(fmt, chosen, folder, Sweeper(run, config, _city(fmt, config), chosen.steps), progress)
-
-
-def _write(fmt: Exporter, chosen: Selection, folder: Folder, sweeper: Sweeper, progress: Progress) -> dict[str, Any]:
     plan = fmt.plan(chosen)
+    folder = Folder.open(out, about)
+    return _write(plan, chosen, folder, Sweeper(run, config, _city(fmt, config), chosen.steps), progress)
+
+
+def _write(plan: Plan, chosen: Selection, folder: Folder, sweeper: Sweeper, progress: Progress) -> dict[str, Any]:
     n_bytes = _estimate(plan, chosen, sweeper)
     left = [unit for unit in plan.units if unit.name not in folder.done]
     folder.check_room(n_bytes * len(left) / max(1, len(plan.units)))

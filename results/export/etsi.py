@@ -7,9 +7,9 @@ release 1 (v1.3.1), `CPM-...` are those of TS 103 324 v2.1.1, and `CAM-PDU-Descr
 What is written here are names and ranges, and the values "unavailable" that the modules define. The CAMs are valid in
 release 2 (TS 103 900), too.
 
-`ConstraintWrappedCpmContainers` puts a constraint that PER does not see on an extensible list. asn1c takes the result as
-not extensible (X.680: the last constraint decides), and so do we. A codec that ignores that constraint would expect one
-more bit.
+`ConstraintWrappedCpmContainers` puts a constraint that PER does not see on an extensible list. asn1c takes the result
+as not extensible, because the last constraint has no extension marker, and so do we. A codec that ignores the last
+constraint would expect one more bit.
 """
 
 from collections.abc import Collection

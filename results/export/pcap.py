@@ -196,7 +196,8 @@ class Packets:
             )  # fmt: skip
             for name in BOX:
                 senders[name] = senders[name].where(senders.is_cam, at[name])
-            senders["class"] = senders["class"].astype(object).where(senders.is_cam, "car")
+            kind = np.where(at.vehicle_class.isin(["truck", "bus"]), "truck", "car")
+            senders["class"] = senders["class"].astype(object).where(senders.is_cam, kind)
         return senders
 
     def _assembled(
