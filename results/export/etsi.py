@@ -429,7 +429,7 @@ class Head:
     """Number of segments and number of this one, from 1."""
 
 
-def _place(latitude: int, longitude: int) -> dict[str, Any]:
+def _place(latitude: Any, longitude: Any) -> dict[str, Any]:
     """A position whose accuracy and altitude are unavailable."""
     ellipse = {"semiMajorConfidence": 4095, "semiMinorConfidence": 4095, "semiMajorOrientation": 3601}
     altitude = {"altitudeValue": 800001, "altitudeConfidence": 15}
@@ -510,7 +510,7 @@ def cams(
         "cam": {
             "generationDeltaTime": np.asarray(time_ms) % 65536,
             "camParameters": {
-                "basicContainer": {"stationType": types[label], "referencePosition": _place(latitude, longitude)},  # type: ignore[arg-type]
+                "basicContainer": {"stationType": types[label], "referencePosition": _place(latitude, longitude)},
                 "highFrequencyContainer": ("basicVehicleContainerHighFrequency", motion),
             },
         },

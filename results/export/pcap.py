@@ -18,7 +18,7 @@ Stations have the numbers of their pseudonyms, and objects those of `detection_i
 """
 
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import Annotated
@@ -145,14 +145,7 @@ class Packets:
         got = self.selection.run.table("receptions", columns, where)
         got["time_s"] = got.step * self.selection.run.dt_s + got.generation_offset_s + got.latency_s
         for receiver, mine in got.sort_values(["receiver", "time_s", "sender"]).groupby("receiver"):
-            yield File(f"veh_{receiver}.pcap", partial(self._capture, mine))
-
-    def _capture(self, got: pd.DataFrame) -> bytes:
-        rows = zip(got.time_s.tolist(), got.step.tolist(), got.sender.tolist(), strict=True)
-        return pcap_header() + b"".join(
-            record(START_S + time_s, frame) for time_s, step, sender in rows
-            for frame in self._all.get((step, sender), ())
-        )  # fmt: skip
+            yield File(f"veh_{receiver}.pcap", partial(_capture, mine, self._all))
 
     @cached_property
     def _all(self) -> dict[tuple[int, int], list[bytes]]:
@@ -235,12 +228,16 @@ class Packets:
         return found
 
 
-MOST_OBJECTS = int(
-    np.flatnonzero(
-        etsi.cpm_bytes(np.outer(np.arange(255), np.arange(4) == np.argmax(etsi.object_bits())), is_segment=True) + 4
-        <= LONGEST_BYTES
-    )[-1]
-)
+def _capture(got: pd.DataFrame, frames: Mapping[tuple[int, int], list[bytes]]) -> bytes:
+    rows = zip(got.time_s.tolist(), got.step.tolist(), got.sender.tolist(), strict=True)
+    return pcap_header() + b"".join(
+        record(START_S + time_s, frame) for time_s, step, sender in rows for frame in frames.get((step, sender), ())
+    )
+
+
+_LONGEST = np.arange(4) == np.argmax(etsi.object_bits())
+_LENGTHS = etsi.cpm_bytes(np.outer(np.arange(256), _LONGEST), is_segment=True)
+MOST_OBJECTS = int(np.searchsorted(4 + _LENGTHS, LONGEST_BYTES, side="right")) - 1
 """Objects of the longest class that fit into one segment."""
 
 
