@@ -125,6 +125,28 @@ def junctions(net_path: Path | str) -> tuple[list[Junction], tuple[float, float,
     return found, (bounds[0], bounds[1], bounds[2], bounds[3])
 
 
+def projection(net_path: Path | str) -> tuple[str, tuple[float, float]]:
+    """The projection of a network as a text of PROJ, and what was added to projected coordinates: east, north [m].
+
+    Raises
+    ------
+    ValueError
+        In one line: the network has no projection.
+    """
+    found: list[tuple[str, tuple[float, float]]] = []
+
+    def start(name: str, attributes: Attributes) -> None:
+        if name == "location":
+            x, y = (float(value) for value in attributes.get("netOffset", "0,0").split(","))
+            found.append((attributes.get("projParameter", "!"), (x, y)))
+            raise Enough
+
+    stream(net_path, start)
+    if not found or found[0][0] in ("!", "-", ""):
+        raise ValueError(f"{net_path} has no projection.")
+    return found[0]
+
+
 def _admits(lane: Attributes, classes: frozenset[str]) -> bool:
     if "allow" in lane:
         return "all" in (allowed := lane["allow"].split()) or not classes.isdisjoint(allowed)

@@ -18,7 +18,8 @@ def export(
     form: Annotated[
         str,
         typer.Argument(
-            metavar="FORMAT", help="kitti, trupercept, opv2v, veremi, veremi-nextgen, or your own, mine.py:Name."
+            metavar="FORMAT",
+            help="kitti, trupercept, opv2v, veremi, veremi-nextgen, pcap, or your own, mine.py:Name.",
         ),
     ],
     folder: Annotated[Path, typer.Argument(metavar="RUN", help="Run folder.")],

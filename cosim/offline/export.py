@@ -22,6 +22,7 @@ from cosim.door.load import Choice
 from cosim.mobility.scenario import find
 from cosim.offline.replay_lidar import city_of, config_of, sweep, worlds
 from cosim.world import World
+from results.export.earth import Projection
 from results.export.folder import Folder
 from results.export.formats import Exporter
 from results.export.moments import Cloud, Plan, Selection
@@ -102,7 +103,9 @@ def _exported(
     vehicles, steps, sets = wanted
     run.require(*fmt.TABLES)
     config = config_of(run)
-    chosen = Selection(run, _vehicles(run, vehicles), _steps(run, config, steps), _road_edge_m(config))
+    chosen = Selection(
+        run, _vehicles(run, vehicles), _steps(run, config, steps), _road_edge_m(config), partial(_projection, config)
+    )  # fmt: skip
     if chosen.presence.empty:
         raise ValueError("none of these vehicles is on the road in any of these steps. Choose others.")
     about = {
@@ -112,12 +115,12 @@ def _exported(
     }  # fmt: skip
     if choice.is_own:
         about["sha256"] = choice.source.sha256
-    folder = Folder.open(out, about)
-    return _write(fmt, chosen, folder, Sweeper(run, config, _city(fmt, config), chosen.steps), progress)
-
-
-def _write(fmt: Exporter, chosen: Selection, folder: Folder, sweeper: Sweeper, progress: Progress) -> dict[str, Any]:
     plan = fmt.plan(chosen)
+    folder = Folder.open(out, about)
+    return _write(plan, chosen, folder, Sweeper(run, config, _city(fmt, config), chosen.steps), progress)
+
+
+def _write(plan: Plan, chosen: Selection, folder: Folder, sweeper: Sweeper, progress: Progress) -> dict[str, Any]:
     n_bytes = _estimate(plan, chosen, sweeper)
     left = [unit for unit in plan.units if unit.name not in folder.done]
     folder.check_room(n_bytes * len(left) / max(1, len(plan.units)))
@@ -239,3 +242,12 @@ def _road_edge_m(config: Config) -> Callable[[Float[ndarray, "n 2"]], Float[ndar
         return np.where(shapely.contains(whole, points), away, -away)
 
     return distance_m
+
+
+def _projection(config: Config) -> Projection:
+    """Where on Earth the run's world frame is."""
+    scenario = find(config.traffic.scenario, config.traffic.trace)
+    if scenario.net is None:
+        raise ValueError("the run's traffic has no network: it is not known where on Earth it is.")
+    text, offset_m = network.projection(scenario.net)
+    return Projection.of(text, scenario.origin_m[0] - offset_m[0], scenario.origin_m[1] - offset_m[1])

@@ -6,6 +6,7 @@ from typing import Protocol
 from results.export.kitti import Kitti
 from results.export.moments import Plan, Selection
 from results.export.opv2v import Opv2v
+from results.export.pcap import Pcap
 from results.export.trupercept import TruPerceptData
 from results.export.veremi import Veremi
 from results.export.veremi_nextgen import VeremiNextGen
@@ -32,5 +33,6 @@ class Exporter(Protocol):
 
 EXPORTERS: Mapping[str, Callable[[], Exporter]] = {
     "kitti": Kitti, "trupercept": TruPerceptData, "opv2v": Opv2v, "veremi": Veremi, "veremi-nextgen": VeremiNextGen,
+    "pcap": Pcap,
 }  # fmt: skip
 """Exporters by name."""

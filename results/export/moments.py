@@ -11,6 +11,7 @@ import pyarrow.compute as pc
 from jaxtyping import Float, Float32, Int
 from numpy import ndarray
 
+from results.export.earth import Projection
 from results.export.frames import sensor_pose
 from results.run import Run
 
@@ -93,6 +94,10 @@ class Moment:
         return at
 
 
+def _no_projection() -> Projection:
+    raise ValueError("the run does not say where on Earth it is.")
+
+
 @dataclass(frozen=True)
 class Selection:
     """Vehicles with a LiDAR, in the order asked for, and steps in which they sense, in ascending order."""
@@ -102,6 +107,8 @@ class Selection:
     steps: Int[ndarray, "s"]
     road_edge_m: Callable[[Float[ndarray, "n 2"]], Float[ndarray, "n"]]
     """Distance of points to the edge of the road, positive on it."""
+    projection: Callable[[], Projection] = _no_projection
+    """Where on Earth the world frame is; ValueError in one line where that is not known."""
 
     @cached_property
     def presence(self) -> pd.DataFrame:

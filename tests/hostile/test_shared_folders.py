@@ -35,7 +35,7 @@ CALLS = {
     "check": ["check {run}/config.toml", "check {part}/config.toml --json"],
     "export": [
         "export veremi {run} --out {out}/veremi", "export kitti {run} --out {out}/kitti --vehicles 0 --steps 1-2",
-        "export veremi-nextgen {run} --out {out}/nextgen",
+        "export veremi-nextgen {run} --out {out}/nextgen", "export pcap {run} --out {out}/packets",
     ],
     "measure": ["measure {run}", "measure {part} --json", "measure {run} --csv {out}/x.csv", "measure {study}"],
     "nets build": ["nets build --out {run}"],

@@ -71,12 +71,28 @@ def test_interrupted_and_taken_up_again(folder, vehicles, tmp_path):
         ("kitti", {"vehicles": "5-3"}, "numbers and spans"),
         ("kitti", {"steps": "900-901"}, "no vehicle senses then"),
         ("veremi", {}, 'holds no table receptions: it is kept at record.level = "full"'),
+        ("pcap", {"sets": ["received=true"]}, 'holds no table receptions: it is kept at record.level = "full"'),
+        ("pcap", {"sets": ["latitude=60"]}, "both of the origin's degrees"),
+        ("pcap", {"sets": ["latitude=99", "longitude=20"]}, "latitude"),
     ],
 )
 def test_mistakes(folder, tmp_path, form, more, says):
     with pytest.raises(ValueError, match=says):
         export(open_run(folder), form, tmp_path / "out", **more)
     assert not (tmp_path / "out").exists()
+
+
+def test_packets_are_in_helsinki(folder, vehicles, tmp_path):
+    run = open_run(folder)
+    export(run, "pcap", tmp_path / "out", ",".join(map(str, vehicles)), "2-5")
+    frames = readers.pcap(tmp_path / "out/sent.pcap")
+    sent = run.detections[run.detections.observer.map(run.subjects.vehicle).isin(vehicles) & run.detections.transmitted]
+    sent = sent[sent.step.between(2, 5)]
+    cpms = [readers.cpm(f["message"]) for f in frames if f["port"] == 2009]
+    assert sum(len(m["objects"]) for m in cpms) == (sent.detection_index > 0).sum() > 0
+    assert len(frames) - len(cpms) == (sent.detection_index == 0).sum() == 12
+    for frame in frames:  # the network's bounds in degrees, of its own header
+        assert 60.164 < frame["lat"] / 1e7 < 60.180 and 24.935 < frame["lon"] / 1e7 < 24.954
 
 
 def test_a_mistake_is_one_line(folder, tmp_path):

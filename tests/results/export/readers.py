@@ -130,3 +130,122 @@ def trupercept_to_world(label: dict, position: Path) -> np.ndarray:
 def json_lines(path: Path) -> list[dict]:
     """One object per line."""
     return [json.loads(line) for line in path.read_text().splitlines()]
+
+
+class Bits:
+    """Numbers one after another in bytes."""
+
+    def __init__(self, content: bytes) -> None:
+        self._text = "".join(f"{byte:08b}" for byte in content)
+        self._at = 0
+
+    def take(self, bits: int, low: int = 0) -> int:
+        self._at += bits
+        assert self._at <= len(self._text)
+        return int(self._text[self._at - bits : self._at] or "0", 2) + low
+
+    def rest(self) -> str:
+        return self._text[self._at :]
+
+
+def pcap(path: Path) -> list[dict]:
+    """Ethernet frames with GeoNetworking and BTP-B, as EN 302 636-4-1 and -5-1 lay them out."""
+    content, at, found = path.read_bytes(), 24, []
+    assert content[:4] == bytes.fromhex("d4c3b2a1") and content[20] == 1
+    while at < len(content):
+        second, micro, n, length = (int.from_bytes(content[at + i : at + i + 4], "little") for i in (0, 4, 8, 12))
+        frame = content[at + 16 : at + 16 + n]
+        assert n == length == len(frame) and frame[12:14] == bytes.fromhex("8947")
+        geo = Bits(frame[14:])
+        assert [geo.take(b) for b in (4, 4, 8, 6, 2, 8)] == [1, 1, 0, 1, 1, 1]
+        assert [geo.take(b) for b in (4, 4, 4, 4)] == [2, 0, 5, 0]
+        traffic_class, flags, payload, hops, _ = (geo.take(b) for b in (8, 8, 16, 8, 8))
+        manual, kind, _ = geo.take(1), geo.take(5), geo.take(10)
+        mac, stamp = geo.take(48), geo.take(32)
+        lat, lon = (v - 2**32 if v >= 2**31 else v for v in (geo.take(32), geo.take(32)))
+        _, speed, heading, medium = geo.take(1), geo.take(15), geo.take(16), geo.take(32)
+        port, info = geo.take(16), geo.take(16)
+        assert (flags, hops, manual, medium, info) == (0x80, 1, 1, 0, 0) and payload == n - 54
+        assert mac == int.from_bytes(frame[6:12])
+        found.append({
+            "time_s": second + micro / 1e6, "type": kind, "station": mac & 0xFFFFFFFF, "stamp_ms": stamp, "lat": lat,
+            "lon": lon, "speed": speed - 2**15 if speed >= 2**14 else speed, "heading": heading, "port": port,
+            "traffic_class": traffic_class, "message": frame[58:],
+        })  # fmt: skip
+        at += 16 + n
+    return found
+
+
+def _place(bits: Bits) -> dict:
+    lat, lon = bits.take(31, -900000000), bits.take(32, -1800000000)
+    assert [bits.take(b) for b in (12, 12, 12, 20, 4)] == [4095, 4095, 3601, 900001, 15]
+    return {"lat": lat, "lon": lon}
+
+
+def cam(message: bytes) -> dict:
+    """A CAM without optional containers, by the widths of EN 302 637-2."""
+    bits = Bits(message)
+    assert [bits.take(8), bits.take(8)] == [2, 2]
+    out = {"station": bits.take(32), "delta_ms": bits.take(16)}
+    assert bits.take(3) == 0 and bits.take(1) == 0
+    out |= {"type": bits.take(8), **_place(bits)}
+    assert bits.take(2) == 0 and bits.take(7) == 0
+    out |= {"heading": bits.take(12), "heading_sure": bits.take(7, 1), "speed": bits.take(14)}
+    out |= {"speed_sure": bits.take(7, 1), "direction": bits.take(2)}
+    out |= {"length": bits.take(10, 1), "trailer": bits.take(3)}
+    out |= {"width": bits.take(6, 1), "acceleration": bits.take(9, -160), "acceleration_sure": bits.take(7)}
+    out |= {"curvature": bits.take(11, -1023), "curvature_sure": bits.take(3), "mode": bits.take(3)}
+    out |= {"yaw_rate": bits.take(16, -32766), "yaw_rate_sure": bits.take(4)}
+    assert set(bits.rest()) <= {"0"} and len(bits.rest()) < 8
+    return out
+
+
+def cpm(message: bytes) -> dict:
+    """A CPM with vehicle, sensor and object containers, by the widths of TS 103 324."""
+    bits = Bits(message)
+    assert [bits.take(8), bits.take(8)] == [2, 14]
+    out = {"station": bits.take(32)}
+    assert bits.take(1) == 0 and bits.take(1) == 0
+    is_segment = bits.take(1)
+    assert bits.take(1) == 0
+    out |= {"time_ms": bits.take(42), **_place(bits)}
+    out["segment"] = (bits.take(3, 1), bits.take(3, 1)) if is_segment else None
+    assert bits.take(3, 1) == 3 and bits.take(4, 1) == 1 and bits.take(8) == 3 and bits.take(4) == 0
+    out |= {"heading": bits.take(12), "heading_sure": bits.take(7, 1)}
+    assert bits.take(1) == 0 and bits.take(4, 1) == 3
+    n = bits.take(8)
+    assert n == 6 and [bits.take(b) for b in (8, 3, 8, 5, 4, 2)] == [0, 0b010, 1, 2, 1, 0]
+    out["range"] = bits.take(12)
+    assert bits.take(1) == 1 and bits.take(5) == 0 and bits.take(4, 1) == 5
+    length = bits.take(15) if bits.take(1) else bits.take(7)
+    assert len(bits.rest()) // 8 == length
+    assert bits.take(1) == 0
+    out["n_objects"] = bits.take(8)
+    assert bits.take(1) == 0
+    out["objects"] = [_object(bits) for _ in range(bits.take(8))]
+    assert set(bits.rest()) <= {"0"} and len(bits.rest()) < 16
+    return out
+
+
+def _object(bits: Bits) -> dict:
+    assert bits.take(1) == 0 and bits.take(14) == 0b10010011100110
+    out = {"number": bits.take(16), "delta_ms": bits.take(12, -2048)}
+    assert bits.take(1) == 1
+    for axis in "xyz":
+        out[axis] = bits.take(18, -131072)
+        assert bits.take(12, 1) == 4096
+    assert bits.take(2) == 0
+    out["angle"] = bits.take(12)
+    assert bits.take(7, 1) == 127
+    for side in ("height", "width", "length"):
+        out[side] = bits.take(8, 1)
+        assert bits.take(5, 1) == 32
+    assert [bits.take(b) for b in (1, 7, 8, 3, 1)] == [0, 0, 1, 0, 0]
+    if bits.take(2) == 0:
+        out["class"] = {5: "car", 8: "truck"}[bits.take(4)]
+    else:
+        assert bits.take(1) == 0
+        out["class"], value = ("cyclist", bits.take(4)) if bits.take(2) else ("pedestrian", bits.take(3))
+        assert value == 1
+    out["sure"] = bits.take(7, 1)
+    return out
