@@ -3,12 +3,14 @@
 import gc
 import os
 import shlex
+import signal
 import sys
 import traceback
 from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from types import FrameType
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
@@ -403,7 +405,7 @@ def main(command: Callable[..., int | None] = app) -> None:
     kernels = None
     try:
         kernels = _place_for_kernels()
-        status = command(standalone_mode=False)
+        status = _carry_out(command)
         sys.stdout.flush()
     except typer.TyperException as error:
         status = _say(error.format_message().replace("Value error, ", ""), 2)  # pydantic's words before those of Typer
@@ -431,6 +433,31 @@ def main(command: Callable[..., int | None] = app) -> None:
     if kernels is not None:
         kernels.remove()
     sys.exit(status)
+
+
+def _carry_out(command: Callable[..., int | None]) -> int | None:
+    """Run a command. An interrupt that compiled code has turned into another exception is raised as an interrupt.
+
+    Matplotlib's compiled code does so: it takes an interrupt while it reads an array for a wrong type of argument.
+    """
+    if signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
+        return command(standalone_mode=False)
+    noted = False
+
+    def note(_signum: int, _frame: FrameType | None) -> None:
+        nonlocal noted
+        noted = True
+        raise KeyboardInterrupt
+
+    signal.signal(signal.SIGINT, note)
+    try:
+        return command(standalone_mode=False)
+    except Exception as error:
+        if noted:
+            raise KeyboardInterrupt from error
+        raise
+    finally:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def _place_for_kernels() -> Scratch | None:
