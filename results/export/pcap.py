@@ -68,9 +68,9 @@ class Params:
     received: bool = False
     """Whether one file per receiver is written instead of one file of all that was sent."""
     latitude: Annotated[float, Ge(-85), Le(85)] | None = None
-    """Of the world's origin [degrees]; the network's own projection without."""
+    """Latitude of the world's origin [degrees]. If it is not set, the projection of the network is used."""
     longitude: Annotated[float, Ge(-180), Le(180)] | None = None
-    """Of the world's origin [degrees]."""
+    """Longitude of the world's origin [degrees]. Set it together with `latitude`."""
 
 
 class Pcap:
@@ -109,7 +109,9 @@ class Pcap:
         if at[0] is not None and at[1] is not None:
             return Projection(at[0], at[1])
         if at != (None, None):
-            raise ValueError("pcap needs both of the origin's degrees: --set latitude=60.17 --set longitude=24.94")
+            raise ValueError(
+                "pcap needs the latitude and the longitude of the origin: --set latitude=60.17 --set longitude=24.94"
+            )
         try:
             return selection.projection()
         except ValueError as error:

@@ -72,7 +72,7 @@ def test_interrupted_and_taken_up_again(folder, vehicles, tmp_path):
         ("kitti", {"steps": "900-901"}, "no vehicle senses then"),
         ("veremi", {}, 'holds no table receptions: it is kept at record.level = "full"'),
         ("pcap", {"sets": ["received=true"]}, 'holds no table receptions: it is kept at record.level = "full"'),
-        ("pcap", {"sets": ["latitude=60"]}, "both of the origin's degrees"),
+        ("pcap", {"sets": ["latitude=60"]}, "the latitude and the longitude of the origin"),
         ("pcap", {"sets": ["latitude=99", "longitude=20"]}, "latitude"),
     ],
 )

@@ -133,7 +133,7 @@ def test_long_messages_are_segments(tmp_path, kind, number):
 def test_where_on_earth(run, tmp_path):
     with pytest.raises(ValueError, match=r"does not say where on Earth.*--set latitude=60\.17"):
         pcap.Pcap().plan(truck.selection(run))
-    with pytest.raises(ValueError, match="both of the origin's degrees"):
+    with pytest.raises(ValueError, match="the latitude and the longitude of the origin"):
         pcap.Pcap(pcap.Params(latitude=60.0)).plan(truck.selection(run))
     truck.written(pcap.Pcap(pcap.Params(latitude=60.0, longitude=25.0)).plan(truck.selection(run)), tmp_path / "set")
     written(run, tmp_path / "net")
