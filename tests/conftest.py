@@ -18,6 +18,9 @@ def pytest_configure(config):
 _KERNELS = ("tests/trust/", "tests/cosim/radio/", "tests/sensors/")
 
 
+@pytest.hookimpl(
+    trylast=True
+)  # after the slow tests have been taken out, so that half of the list is half of the tests
 def pytest_collection_modifyitems(config, items):
     """Order the tests for two workers, each of which begins with half of the list.
 

@@ -77,6 +77,7 @@ def test_no_truth_leaks(base, tmp_path):
     assert_only_truth_differs(open_run(base), open_run(mixed))
 
 
+@pytest.mark.verify
 def test_origin_is_truth(tmp_path):
     """With what attackers sensed and what they fabricated mixed up, only truth columns change."""
     ghosts = (FULL, "attacks.0.attack=tests.parts:Ghosts", "attacks.0.ghosts=car_and_pedestrian")

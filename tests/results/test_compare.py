@@ -55,6 +55,7 @@ def test_table_is_sorted_and_says_what_is_missing(study):
     assert frame.steps.tolist() == [20, 20] and frame.stale.isna().all()
 
 
+@pytest.mark.verify
 def test_picture_over_the_number(run, tmp_path):
     """Two repetitions at one value, one run at another: points for all, lines through means."""
     shorter = [write(tmp_path / name, seed=seed, reach_m=120.0) for name, seed in (("a", 1), ("b", 2))]

@@ -140,6 +140,7 @@ def test_stale(honest):
     assert len(reports) == 4 * len(LIARS) and reports.lied.all()
 
 
+@pytest.mark.verify
 def test_speed(honest):
     tables = play([BY | {"attack": "speed"}], n_steps=40)
     own = lies_of(tables)
@@ -316,6 +317,7 @@ def test_denial_of_service():
     assert not heard.duplicated(["at", "message_type", "sender", "receiver"]).any()
 
 
+@pytest.mark.verify
 @pytest.mark.parametrize("model", ["unit_disk", "csma"])
 def test_delay(model):
     sections = {"radio": {"model": model, "unit_disk": {"loss_p": 0.0}}}

@@ -36,6 +36,7 @@ def constant():
     return with_vehicles(play([GHOST], n_steps=8))
 
 
+@pytest.mark.verify
 @pytest.mark.parametrize("policy", POLICIES)
 def test_linkage_at_the_server_equals_no_policy_but_for_names(policy, constant):
     """Bit for bit, in every table, though pseudonyms change several times."""
@@ -85,6 +86,7 @@ def trust_used(tables):
     return used.trust.mean(), (used.source == 2).mean()
 
 
+@pytest.mark.verify
 def test_whitewashing_beats_a_server_without_linkage_and_not_one_with_it():
     attack = GHOST | {"renewal": "whitewashing", "renew_below": 0.45}
     plain = trust_used(play([GHOST], n_steps=12))

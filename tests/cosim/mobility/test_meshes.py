@@ -183,6 +183,7 @@ def test_mistakes_with_vehicles_are_one_line(car, tmp_path):
         sweep(bodies, "columnar")
 
 
+@pytest.mark.verify
 def test_a_mesh_that_was_changed_is_noticed(tmp_path, caplog):
     """By a resumed run, a run of the same config, a replay and a study; another name for the same content is none."""
     body = tmp_path / "body.ply"

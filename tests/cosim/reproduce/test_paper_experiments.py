@@ -74,6 +74,7 @@ def by_hand(values):
     return mean, mean - half, mean + half
 
 
+@pytest.mark.verify
 def test_tables_are_means_intervals_and_paired_changes(tmp_path):
     keys = ["traffic.scenario", "trust.self_reports", "trust.method"]
     at = [dict(zip(keys, (city, own, method), strict=True))
@@ -105,6 +106,7 @@ def test_tables_are_means_intervals_and_paired_changes(tmp_path):
         assert (row["mean"], row["low"], row["high"]) == pytest.approx(by_hand(one - before))
 
 
+@pytest.mark.verify
 def test_the_page_of_an_experiment(tmp_path):
     """Figures of the rows, the commit of the runs, and a table for 11 and for 40 recall points."""
     keys = ["traffic.scenario", "trust.self_reports", "trust.method"]
@@ -121,6 +123,7 @@ def test_the_page_of_an_experiment(tmp_path):
     assert "TruPercept 3 minus TruPercept 2 | pedestrian" in text
 
 
+@pytest.mark.verify
 def test_trust_levels_are_against_the_same_vehicles_when_they_are_honest(tmp_path):
     keys = ["attacks.0.start_s", "attacks.0.attack", "attacks.0.role", "traffic.scenario", "trust.method"]
     settings = ((1e8, "ghost_insertion", "malicious"), (0.0, "unreliable", "unreliable"),

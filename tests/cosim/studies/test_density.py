@@ -9,6 +9,7 @@ from cosim.studies.plan import Plan, PlannedRun
 from tests.hostile.scenes import write_town, write_trace
 
 
+@pytest.mark.verify
 def test_cities_are_told_apart():
     """By the demand and the size of each: Koenigs Wusterhausen has 5,062 departures per hour, on 4,032 m instead of
     1,961 m: 200 x 5062 / 2820 x 4032 / 1961 = 738."""

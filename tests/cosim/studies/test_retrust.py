@@ -59,6 +59,7 @@ def test_as_if_they_had_been_in_the_run(run, variants, tmp_path):
     assert set(again.fused.variant) == set(again.attack_outcomes.variant) == {"base", "own"}
 
 
+@pytest.mark.verify
 def test_a_repetition_that_differs_is_said_and_kept(run, variants, tmp_path):
     """As if another version of cosim had written the run: here with another seed, under the first one's name."""
     other = drive(tmp_path / "other", "record.block_steps=10", "trust_variant=[]", "seed=5")

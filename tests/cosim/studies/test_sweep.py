@@ -139,6 +139,7 @@ def test_a_cache_that_was_changed_is_not_used(swept, tmp_path):
     assert cache.find("traffic", name) is None and not entry.exists()
 
 
+@pytest.mark.verify
 def test_scheduler_that_is_not_there(swept):
     done = cosim(swept, "sweep", "study.toml", "--out", "elsewhere", "--scheduler", "tcp://127.0.0.1:9")
     assert done.returncode == 2 and done.stderr.count("\n") == 1 and "no scheduler answers" in done.stderr
