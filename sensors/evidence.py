@@ -225,7 +225,7 @@ def observability(
     n_returns, n_unoccluded = range_image.unoccluded_returns(
         sweeps.hit, sweeps.poses.origin_m, sweeps.poses.yaw_rad, sweeps.beams, float(sweeps.max_range_m),
         boxes.xyz_m, boxes.circumradius_m, boxes.lwh_m[:, 2], ptr, row, sweeps.observers,
-        prisms(shape, boxes) if bodies is None else bodies,
+        prisms(shape, boxes, sweeps.speed_mps) if bodies is None else bodies,
     )  # fmt: skip
     n_unoccluded = np.maximum(n_unoccluded, n_returns)  # bodies from meshes may reach beyond their prisms
     keep = n_unoccluded > 0

@@ -91,6 +91,9 @@ class LidarParams:
     """Standard deviation of one range [m]: HDL-64E S2 data sheet, < 2 cm."""
     dropout_p: Annotated[float, Ge(0), Lt(1)] = 0.0
     """Probability that a return is lost."""
+    rotation_hz: Annotated[float, Gt(0), Le(1000)] | None = None
+    """Turns per second. During a sweep the sensor turns counter-clockwise and looks straight ahead at the time of the
+    sweep; other actors move meanwhile. none: the whole sweep happens at one instant."""
     engine: Literal["columnar", "embree", "open3d"] = "columnar"
     """Ray caster; all give the same sweep up to rays that graze an edge. `open3d` must be installed:
     pip install 'cosim-perception[open3d]'."""
@@ -109,6 +112,8 @@ class Beams(NamedTuple):
     cos_el: ndarray
     sin_el: ndarray
     fov_rad: float
+    s_per_rad: float
+    """Time in which the sensor turns by one radian; 0 if a sweep takes no time."""
     cells_per_slope: float
     first_row: ndarray
     most_in_cell: int
@@ -121,8 +126,8 @@ def beams(params: LidarParams) -> Beams:
     Raises
     ------
     ValueError
-        If the beams are not in ascending order, if a sweep has too many rays, or if the field of view is not in
-        (0, 360] degrees.
+        If the beams are not in ascending order, if a sweep has too many rays, if the field of view is not in (0, 360]
+        degrees, or if the ray caster cannot cast a sweep that takes time.
     """
     profile = PROFILES[params.profile]
     elevation = np.array(profile.elevation_deg if params.elevation_deg is None else params.elevation_deg, dtype=float)
@@ -143,10 +148,18 @@ def beams(params: LidarParams) -> Beams:
             f"lidar.fov_deg = {fov} degrees in {n} columns is no sweep: set lidar.fov_deg in (0, 360] and "
             "lidar.n_azimuths to 1 or more."
         )
+    if params.rotation_hz is not None and params.engine != "columnar":
+        raise ValueError(
+            f'lidar.rotation_hz = {params.rotation_hz:g} needs lidar.engine = "columnar": "{params.engine}" casts a '
+            "whole sweep at one instant. Change lidar.engine, or leave lidar.rotation_hz out."
+        )
     el = np.radians(elevation)
     az = np.radians(fov) * ((np.arange(n) + 0.5) / n - 0.5)
     tan, turn = np.tan(el), float(np.radians(fov))
-    return Beams(az, np.cos(az), np.sin(az), el, tan, np.cos(el), np.sin(el), turn, *cells_of_slopes(tan)[1:])
+    s_per_rad = 0.0 if params.rotation_hz is None else 1.0 / (2.0 * np.pi * params.rotation_hz)
+    return Beams(
+        az, np.cos(az), np.sin(az), el, tan, np.cos(el), np.sin(el), turn, s_per_rad, *cells_of_slopes(tan)[1:]
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -298,6 +311,29 @@ class Sweeps(RangeImages):
     """`Hit` code of the object that each ray met. Ground truth: no vehicle may use it."""
     unrounded_m: Float32[ndarray, "m a e"]
     """Range before it is rounded to steps [m], inf without a return; empty unless `scan` got `unrounded`."""
+    speed_mps: Float[ndarray, "n"]
+    """Ground truth: speed of each actor along its heading."""
+
+    def moved_m(self, o: Int[ndarray, "k"], boxes: Boxes, a: Int[ndarray, "k"]) -> Float[ndarray, "k 3"]:
+        """How far actors had moved when the sensor looked at them, from their position at the time of the sweep.
+
+        Parameters
+        ----------
+        o, a
+            Observer and row of the actor, for each pair.
+        boxes
+            Boxes of all actors at the time of the sweep, world frame.
+
+        Returns
+        -------
+        Displacement in the world frame [m]; 0 if the sweep takes no time.
+        """
+        if self.beams.s_per_rad == 0.0:
+            return np.zeros((len(a), 3))
+        away_m, yaw = boxes.xyz_m[a] - self.poses.origin_m[o], boxes.yaw_rad[a]
+        azimuth = np.angle(np.exp(1j * (np.arctan2(away_m[:, 1], away_m[:, 0]) - self.poses.yaw_rad[o])))
+        along_m = self.speed_mps[a] * self.beams.s_per_rad * azimuth
+        return along_m[:, None] * np.column_stack([np.cos(yaw), np.sin(yaw), np.zeros(len(a))])
 
 
 class SweepMemory(NamedTuple):
@@ -332,8 +368,9 @@ def scan(
     keys: UInt64[ndarray, "m"],
     out: Sweeps | SweepMemory = NO_MEMORY,
     unrounded: bool = False,
+    speed_mps: Float[ndarray, "n"] | None = None,
 ) -> Sweeps:
-    """One sweep of every observer, all at one instant.
+    """One sweep of every observer.
 
     Parameters
     ----------
@@ -352,6 +389,8 @@ def scan(
         are large enough, which saves allocation and page faults.
     unrounded
         Keep the ranges before rounding too, to compare ray casters.
+    speed_mps
+        Speed of every actor along its heading, for `rotation_hz`. By default no actor moves.
 
     Returns
     -------
@@ -360,13 +399,23 @@ def scan(
     Raises
     ------
     ValueError
-        If there is not one key per observer, or if an observer is not a row of `boxes`.
+        If there is not one key per observer, or if an observer is not a row of `boxes`; or as `beams`.
 
     Notes
     -----
-    Level sensors, no motion during the sweep, one return per ray, flat ground at the height of the observer's
+    With `rotation_hz`, column c is cast at the time `azimuth_rad[c] * s_per_rad` from that of the sweep, as the
+    HDL-64E of KITTI turns [1]_. Every actor is where constant speed along its heading has brought it. The cloud is
+    compensated for the observer's own motion: all its points refer to the sensor's pose at the time of the sweep, so
+    that what stands still is seen where it stands. What the sensor could see is also computed from that pose, not from
+    the place that it had reached at each column.
+    Level sensors, one return per ray, flat ground at the height of the observer's
     wheels. Range noise is normal (4,096 equiprobable levels) and acts along the ray. Reported ranges are rounded to
     steps, as in `sensors.range_steps`.
+
+    References
+    ----------
+    .. [1] Geiger et al., "Vision meets Robotics: The KITTI Dataset", IJRR 32(11), 2013: the scanner turns
+       counter-clockwise at 10 Hz, and a scan has the time at which it faces forward.
     """
     observers = np.asarray(observers, dtype=np.int64)
     if len(keys) != len(observers):
@@ -388,9 +437,10 @@ def scan(
         step_m=step_of(params),
         hit=hit,
         unrounded_m=np.empty(size if unrounded else (0, *size[1:]), np.float32),
+        speed_mps=np.zeros(len(boxes)) if speed_mps is None else np.asarray(speed_mps, np.float64),
     )
     near = neighbours(poses.origin_m, boxes, params.max_range_m) if memory.near is None else memory.near
-    bodies = prisms(shape, boxes) if memory.bodies is None else memory.bodies
+    bodies = prisms(shape, boxes, sweeps.speed_mps) if memory.bodies is None else memory.bodies
     noise = RangeNoise.of(keys, params.range_sigma_m, params.dropout_p)
     ENGINES[params.engine](sweeps, boxes, bodies, scene, noise, near)
     return sweeps

@@ -46,12 +46,15 @@ def _of_actor(hits, pose, beams, columns, slopes, limit, a, xyz, radius, height,
     taken, frame, window = room
     n_returned = n_rays = 0
     dx, dy = xyz[a, 0] - x, xyz[a, 1] - y
+    per_rad = bodies.speed_mps[a] * beams.s_per_rad  # how far the actor moves while the sensor turns by one radian
+    farthest = 0.5 * beams.fov_rad * abs(per_rad)
+    radius += farthest
     a0, a1, b0, b1 = actor_columns(dx, dy, radius, cos, sin, columns)
     if a1 <= a0 and b1 <= b0:
         return 0, 0, n_columns
     within_limit = np.hypot(np.hypot(dx, dy) + radius, abs(xyz[a, 2] - z) + 0.5 * height) < limit
     n, code = (
-        _seen_from(frame, window, bodies, bodies.ptr[a], bodies.ptr[a + 1], x, y, z, cos, sin, columns),
+        _seen_from(frame, window, bodies, a, farthest, x, y, z, cos, sin, columns),
         Hit.ACTOR + a,
     )
     for turn in range(2):
@@ -63,7 +66,7 @@ def _of_actor(hits, pose, beams, columns, slopes, limit, a, xyz, radius, height,
                 if not (window[k, 0] <= c < window[k, 1] or window[k, 2] <= c < window[k, 3]):
                     continue
                 p, q, u, v, half_l, half_w = (
-                    frame[k, 0],
+                    frame[k, 0] - per_rad * beams.azimuth_rad[c],
                     frame[k, 1],
                     frame[k, 2],
                     frame[k, 3],
@@ -94,13 +97,18 @@ def _of_actor(hits, pose, beams, columns, slopes, limit, a, xyz, radius, height,
 
 
 @kernel
-def _seen_from(frame, window, bodies, first, end, x, y, z, cos, sin, columns):
-    """Number of an actor's prisms; of each, the sensor in its frame, its size, and the columns that may cross it."""
+def _seen_from(frame, window, bodies, a, farthest, x, y, z, cos, sin, columns):
+    """Number of an actor's prisms; of each, the sensor in its frame, its size, and the columns that may cross it.
+
+    During the sweep, the actor moves by at most `farthest` along its heading.
+    """
+    first, end = bodies.ptr[a], bodies.ptr[a + 1]
     for k in range(first, end):
         p, q, u, v = in_prism_frame(bodies, k, x, y, cos, sin)
         half_l, half_w, i = bodies.half_l_m[k], bodies.half_w_m[k], k - first
         frame[i, 0], frame[i, 1], frame[i, 2], frame[i, 3], frame[i, 4], frame[i, 5] = p, q, u, v, half_l, half_w
         frame[i, 6], frame[i, 7] = bodies.bottom_m[k] - z, bodies.top_m[k] - z
-        a0, a1, b0, b1 = rectangle_columns(-p * u - q * v, p * v - q * u, u, -v, half_l, half_w, columns)
+        reach = half_l + farthest
+        a0, a1, b0, b1 = rectangle_columns(-p * u - q * v, p * v - q * u, u, -v, reach, half_w, columns)
         window[i, 0], window[i, 1], window[i, 2], window[i, 3] = a0, a1, b0, b1
     return end - first

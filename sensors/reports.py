@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8, UInt64
@@ -120,6 +120,10 @@ class Reports:
             self.observer[rows], self.label[rows], self.boxes.take(rows), self.score[rows], self.actor[rows],
             self.is_false_positive[rows],
         )  # fmt: skip
+
+    def moved(self, by_m: Float[ndarray, "r 3"]) -> Reports:
+        """The reports with each box displaced by this vector, world frame [m]."""
+        return replace(self, boxes=replace(self.boxes, xyz_m=self.boxes.xyz_m + by_m))
 
     @staticmethod
     def concat(parts: list[Reports]) -> Reports:

@@ -103,9 +103,11 @@ class Prisms(NamedTuple):
     top_m: ndarray
     shape: ndarray
     """uint8 [n]: `Shape` of each actor."""
+    speed_mps: ndarray
+    """float64 [n]: speed of each actor along its heading, by which it moves while a sensor turns."""
 
 
-def prisms(shape: UInt8[ndarray, "n"], boxes: Boxes) -> Prisms:
+def prisms(shape: UInt8[ndarray, "n"], boxes: Boxes, speed_mps: Float[ndarray, "n"] | None = None) -> Prisms:
     """The solid body of each actor inside its box.
 
     Parameters
@@ -114,6 +116,8 @@ def prisms(shape: UInt8[ndarray, "n"], boxes: Boxes) -> Prisms:
         `Shape` of each actor.
     boxes
         Box of each actor, world frame.
+    speed_mps
+        Speed of each actor along its heading. By default no actor moves.
 
     Raises
     ------
@@ -157,6 +161,7 @@ def prisms(shape: UInt8[ndarray, "n"], boxes: Boxes) -> Prisms:
         bottom_m=z + (bottom - 0.5) * h,
         top_m=z + (top - 0.5) * h,
         shape=np.asarray(shape, np.uint8),
+        speed_mps=np.zeros(len(boxes)) if speed_mps is None else np.asarray(speed_mps, np.float64),
     )
 
 

@@ -171,6 +171,7 @@ class StatisticalDetector:
         detected = _detected(seen.take(np.flatnonzero(seen.n_returns > 0)), label, draws, self.model)
         z = pair_normals(detected, draws, self.model)
         found = reports_of_actors(detected, boxes, label, sweeps.poses.origin_m, z, self.model)
+        found = found.moved(sweeps.moved_m(found.observer, boxes, found.actor))
         every = Reports.concat([found, false_positives(sweeps, seen, draws, self.model)])
         return every.take(np.flatnonzero(every.score >= self.model.min_score))
 
@@ -210,7 +211,8 @@ class IdealDetector:
         """See `sensors.detector.Detector`."""
         rows = np.flatnonzero(seen.n_returns > 0)
         actor = seen.actor[rows]
-        return Reports.of_actors(seen, rows, label[actor], boxes.take(actor), np.ones(len(rows)))
+        found = Reports.of_actors(seen, rows, label[actor], boxes.take(actor), np.ones(len(rows)))
+        return found.moved(sweeps.moved_m(found.observer, boxes, actor))
 
     def recall(
         self, n_points: Int[ndarray, "n"], label: UInt8[ndarray, "n"], range_m: Float[ndarray, "n"]

@@ -86,7 +86,8 @@ def worlds(run: Run, config: Config, steps: Int[ndarray, "s"] | None = None) -> 
 def sweep(config: Config, city: Scene, world: World, rows: Int[ndarray, "e"]) -> Sweeps:
     """Sweeps of the vehicles in these rows of the world, in new memory."""
     return lidar.scan(
-        world.boxes, world.shape, rows, city, config.lidar, sweep_keys(config.seed, world, rows)
+        world.boxes, world.shape, rows, city, config.lidar, sweep_keys(config.seed, world, rows),
+        speed_mps=world.speed_mps,
     )  # fmt: skip
 
 

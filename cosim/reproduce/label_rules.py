@@ -121,7 +121,13 @@ def _counts(config: Config, city: Scene, world: World) -> pd.DataFrame:
 def _returns(config: Config, city: Scene, world: World, rows: ndarray) -> pd.Series:
     """Number of returns by actor numbers of the observer and of the actor."""
     sweeps = lidar.scan(
-        world.boxes, world.shape, rows, city, config.lidar, replay_lidar.sweep_keys(config.seed, world, rows)
+        world.boxes,
+        world.shape,
+        rows,
+        city,
+        config.lidar,
+        replay_lidar.sweep_keys(config.seed, world, rows),
+        speed_mps=world.speed_mps,
     )
     seen = evidence.observability(sweeps, world.boxes, world.shape)
     some = seen.n_returns > 0

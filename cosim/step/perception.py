@@ -119,7 +119,7 @@ class Perception:
         with watch("sweep"):
             origin_m = lidar.mount(world.boxes, observers, self.lidar).origin_m
             near = neighbours(origin_m, world.boxes, self.lidar.max_range_m)
-            bodies = prisms(world.shape, world.boxes)
+            bodies = prisms(world.shape, world.boxes, world.speed_mps)
         n_threads = min(numba.get_num_threads(), len(observers) // FEW + 1) if threads_may_meet() else 1
         n_groups = max(1, -(-len(observers) // (GROUP * n_threads))) * n_threads
         begins = np.linspace(0, len(observers), n_groups + 1).astype(int)
@@ -172,7 +172,9 @@ class Perception:
     def sweep(self, world: World, observers: Int[ndarray, "e"], memory: SweepMemory = NO_MEMORY) -> lidar.Sweeps:
         """Sweeps of the vehicles in these rows of the world, with what each ray hit, in new memory if none is given."""
         keys = sweep_keys(self.seed, world, observers)
-        return lidar.scan(world.boxes, world.shape, observers, self.city, self.lidar, keys, memory)
+        return lidar.scan(
+            world.boxes, world.shape, observers, self.city, self.lidar, keys, memory, speed_mps=world.speed_mps
+        )
 
     def observed(
         self, world: World, observers: Int[ndarray, "e"], sweeps: lidar.RangeImages, parts: Sequence[Seen]

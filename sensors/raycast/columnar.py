@@ -202,9 +202,12 @@ def _level(ranges, hits, height, inside, beams, limit, toggled):
 
 @kernel
 def _actor(ranges, hits, a, at_x, at_y, radius, pose, view, nearest, bodies):
-    """Paint one actor's prisms over the city; the actor is at (at_x, at_y)."""
+    """Paint one actor's prisms over the city; the actor is at (at_x, at_y) when the sensor looks straight ahead."""
     (x, y, z, cos, sin), (beams, columns, slopes, limit) = pose, view
     dx, dy = at_x - x, at_y - y
+    per_rad = bodies.speed_mps[a] * beams.s_per_rad  # how far the actor moves while the sensor turns by one radian
+    farthest = 0.5 * beams.fov_rad * abs(per_rad)
+    radius += farthest
     a0, a1, b0, b1 = actor_columns(dx, dy, radius, cos, sin, columns)
     if a1 <= a0 and b1 <= b0:
         return
@@ -213,13 +216,15 @@ def _actor(ranges, hits, a, at_x, at_y, radius, pose, view, nearest, bodies):
         p, q, u, v = in_prism_frame(bodies, k, x, y, cos, sin)
         bottom, top = bodies.bottom_m[k] - z, bodies.top_m[k] - z
         half_l, half_w = bodies.half_l_m[k], bodies.half_w_m[k]
-        a0, a1, b0, b1 = rectangle_columns(-p * u - q * v, p * v - q * u, u, -v, half_l, half_w, columns)
+        reach = half_l + farthest
+        a0, a1, b0, b1 = rectangle_columns(-p * u - q * v, p * v - q * u, u, -v, reach, half_w, columns)
         for turn in range(2):
             for c in range(a0 if turn == 0 else b0, a1 if turn == 0 else b1):
                 if clear * nearest[c] >= 1.0:
                     continue
                 ca, sa = beams.cos_az[c], beams.sin_az[c]
-                enter, leave = rectangle(p, q, u * ca - v * sa, v * ca + u * sa, half_l, half_w)
+                behind = p - per_rad * beams.azimuth_rad[c]
+                enter, leave = rectangle(behind, q, u * ca - v * sa, v * ca + u * sa, half_l, half_w)
                 if leave <= max(enter, 0.0) or enter * nearest[c] >= 1.0:
                     continue
                 first, s0, s1, last, t, low, high = profile(enter, leave, bottom, top, slopes)

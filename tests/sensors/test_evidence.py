@@ -237,4 +237,4 @@ def test_an_occluder_never_adds_returns(seed):
 
 
 def test_beams_are_plain_arrays():
-    assert all(isinstance(part, (np.ndarray, float, int)) for part in beams(LidarParams())) and len(Beams._fields) == 11
+    assert all(isinstance(part, (np.ndarray, float, int)) for part in beams(LidarParams())) and len(Beams._fields) == 12
