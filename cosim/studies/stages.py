@@ -110,12 +110,18 @@ class Cache:
 
     def _entries(self) -> Iterator[Entry]:
         for path in self.path.glob("*/*/stage.json"):
-            size = sum(f.stat().st_size for f in path.parent.rglob("*") if f.is_file())
+            if path.parent.name.endswith(PARTIAL):  # another process is about to rename it
+                continue
+            try:
+                used_s = path.stat().st_mtime
+                size = sum(f.stat().st_size for f in path.parent.rglob("*") if f.is_file())
+            except FileNotFoundError:  # another process has removed it meanwhile
+                continue
             try:
                 seconds = float(json.loads(path.read_text()).get("seconds", 0))
             except (OSError, ValueError, AttributeError, TypeError, RecursionError):  # `find` will not take it either
                 seconds = 0.0
-            yield Entry(path.parent.parent.name, path.parent.name, size, path.stat().st_mtime, seconds)
+            yield Entry(path.parent.parent.name, path.parent.name, size, used_s, seconds)
 
     def shrink(self, limit_gb: float, spared: set[str]) -> list[Entry]:
         """Delete the least recently used entries until the rest fits; return the deleted ones."""

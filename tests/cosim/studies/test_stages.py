@@ -65,3 +65,11 @@ def test_an_entry_that_is_damaged_is_listed_and_deleted(tmp_path, text):
     (tmp_path / "traffic" / "odd" / "stage.json").write_text(text)
     assert [e.seconds for e in Cache(tmp_path).entries()] == [0.0]
     assert len(Cache(tmp_path).shrink(0.0, set())) == 1 and not Cache(tmp_path).entries()
+
+
+def test_an_entry_that_is_being_made_is_none(tmp_path):
+    unfinished = tmp_path / "traffic" / "name.partial"
+    unfinished.mkdir(parents=True)
+    (unfinished / "stage.json").write_text("{}")
+    assert not Cache(tmp_path).entries()
+    assert not Cache(tmp_path).shrink(0.0, set()) and unfinished.is_dir()
