@@ -254,7 +254,7 @@ def mount(boxes: Boxes, observers: Int[ndarray, "m"], params: LidarParams) -> Po
 
 @dataclass(frozen=True, slots=True)
 class RangeImages:
-    """One organised cloud (range image) per observer, all of one instant; M observers."""
+    """One organised cloud (range image) per observer, in the frame of the sensor at the time of the sweep."""
 
     poses: Poses
     observers: Int[ndarray, "m"]
@@ -390,7 +390,7 @@ def scan(
     unrounded
         Keep the ranges before rounding too, to compare ray casters.
     speed_mps
-        Speed of every actor along its heading, for `rotation_hz`. By default no actor moves.
+        Speed of every actor along its heading; `rotation_hz` needs it. The bodies in `out` have speeds of their own.
 
     Returns
     -------
@@ -399,7 +399,8 @@ def scan(
     Raises
     ------
     ValueError
-        If there is not one key per observer, or if an observer is not a row of `boxes`; or as `beams`.
+        If there is not one key per observer, if an observer is not a row of `boxes`, or if `rotation_hz` is set and
+        there are no speeds; or as `beams` and `prisms`.
 
     Notes
     -----
@@ -414,8 +415,8 @@ def scan(
 
     References
     ----------
-    .. [1] Geiger et al., "Vision meets Robotics: The KITTI Dataset", IJRR 32(11), 2013: the scanner turns
-       counter-clockwise at 10 Hz, and a scan has the time at which it faces forward.
+    .. [1] Geiger et al., "Vision meets Robotics: The KITTI Dataset", IJRR 32(11), 2013: a scan takes 0.1 s and has
+       the time at which the scanner faces forward. The readme of the raw data says that it turns counter-clockwise.
     """
     observers = np.asarray(observers, dtype=np.int64)
     if len(keys) != len(observers):
@@ -426,6 +427,12 @@ def scan(
     ground_m = height_of_road_m(boxes, observers)
     size = (len(observers), len(grid.azimuth_rad), len(grid.elevation_rad))
     memory = out if isinstance(out, SweepMemory) else SweepMemory(out.range_steps, out.hit)
+    if grid.s_per_rad and speed_mps is None and memory.bodies is None:
+        raise ValueError(
+            f"lidar.rotation_hz = {params.rotation_hz:g}: a sweep that takes time needs the speed of every actor. Give "
+            "speed_mps."
+        )
+    bodies = prisms(shape, boxes, speed_mps) if memory.bodies is None else memory.bodies
     range_steps, hit = buffer(size, np.uint16, memory.range_steps), buffer(size, hit_type(len(boxes)), memory.hit)
     sweeps = Sweeps(
         poses=poses,
@@ -437,10 +444,9 @@ def scan(
         step_m=step_of(params),
         hit=hit,
         unrounded_m=np.empty(size if unrounded else (0, *size[1:]), np.float32),
-        speed_mps=np.zeros(len(boxes)) if speed_mps is None else np.asarray(speed_mps, np.float64),
+        speed_mps=bodies.speed_mps,
     )
     near = neighbours(poses.origin_m, boxes, params.max_range_m) if memory.near is None else memory.near
-    bodies = prisms(shape, boxes, sweeps.speed_mps) if memory.bodies is None else memory.bodies
     noise = RangeNoise.of(keys, params.range_sigma_m, params.dropout_p)
     ENGINES[params.engine](sweeps, boxes, bodies, scene, noise, near)
     return sweeps

@@ -122,7 +122,7 @@ def prisms(shape: UInt8[ndarray, "n"], boxes: Boxes, speed_mps: Float[ndarray, "
     Raises
     ------
     ValueError
-        If a shape code is no `Shape`, or there is not one shape per box.
+        If a shape code is no `Shape`, or there is not one shape, or not one speed, per box.
 
     Notes
     -----
@@ -132,6 +132,8 @@ def prisms(shape: UInt8[ndarray, "n"], boxes: Boxes, speed_mps: Float[ndarray, "
         raise ValueError(
             f"{len(shape)} shapes were given for {len(boxes)} boxes. Give one shape and one box per actor."
         )
+    if speed_mps is not None and len(speed_mps) != len(boxes):
+        raise ValueError(f"{len(speed_mps)} speeds were given for {len(boxes)} boxes. Give one speed per actor.")
     if len(shape) and int(np.max(shape)) >= len(Shape):
         row = int(np.argmax(shape))
         known = ", ".join(f"{s.value} {s.name}" for s in Shape)

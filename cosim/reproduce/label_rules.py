@@ -23,7 +23,7 @@ from results.archive import open_run
 from results.metrics.kitti import Objects, average_precision
 from results.metrics.kitti_frames import actors_ahead, boxes_ahead, pairs_ahead, posed
 from results.run import Run
-from sensors import evidence, lidar
+from sensors import evidence
 from sensors.scene import Scene
 
 CLASSES = ("car", "pedestrian")
@@ -120,15 +120,7 @@ def _counts(config: Config, city: Scene, world: World) -> pd.DataFrame:
 
 def _returns(config: Config, city: Scene, world: World, rows: ndarray) -> pd.Series:
     """Number of returns by actor numbers of the observer and of the actor."""
-    sweeps = lidar.scan(
-        world.boxes,
-        world.shape,
-        rows,
-        city,
-        config.lidar,
-        replay_lidar.sweep_keys(config.seed, world, rows),
-        speed_mps=world.speed_mps,
-    )
+    sweeps = replay_lidar.sweep(config, city, world, rows)
     seen = evidence.observability(sweeps, world.boxes, world.shape)
     some = seen.n_returns > 0
     index = pd.MultiIndex.from_arrays([world.actor[rows[seen.observer[some]]], world.actor[seen.actor[some]]])

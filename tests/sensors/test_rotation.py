@@ -109,7 +109,7 @@ def test_a_vehicle_that_passes_at_20_m_s_by_hand():
         x = end
         for _ in range(50):
             x = end + 20.0 * np.arctan2(9.0, x) / (2.0 * np.pi * 10.0)
-        assert abs(found - x) < 0.06  # columns are 3 cm apart there, and a body has rounded ends
+        assert abs(found - x) < 0.06  # columns are 3 cm apart there, and a body ends a few centimetres inside its box
     # The sensor turns towards the rear while the car drives forward: it is seen shorter, and half a metre ahead.
     assert 0.45 < np.mean(ends[1]) - np.mean(ends[0]) < 0.55
     assert (ends[1][1] - ends[1][0]) < (ends[0][1] - ends[0][0])
@@ -121,7 +121,7 @@ def test_without_motion_or_time_it_is_a_sweep_of_one_instant():
     scene = blocks(np.random.default_rng(4))
     one = sweep(boxes, shape, np.arange(25), scene)
     for other in (
-        sweep(boxes, shape, np.arange(25), scene, rotation_hz=10.0),
+        sweep(boxes, shape, np.arange(25), scene, np.zeros(25), rotation_hz=10.0),
         sweep(boxes, shape, np.arange(25), scene, np.full(25, 30.0)),
     ):
         assert np.array_equal(one.hit, other.hit) and np.array_equal(one.range_steps, other.range_steps)
@@ -142,6 +142,14 @@ def test_what_could_be_seen_moves_with_what_is_seen():
     assert (np.asarray(alone) <= found.n_unoccluded).all()
     assert hidden_by_road.mean() < 0.05
     assert (found.n_returns <= found.n_unoccluded).all()
+
+
+def test_a_sweep_that_takes_time_needs_speeds():
+    boxes, shape = random_boxes(np.random.default_rng(3), 5)
+    with pytest.raises(ValueError, match="needs the speed of every actor"):
+        sweep(boxes, shape, [0], Scene.empty(), rotation_hz=10.0)
+    with pytest.raises(ValueError, match="4 speeds were given for 5 boxes"):
+        sweep(boxes, shape, [0], Scene.empty(), np.zeros(4), rotation_hz=10.0)
 
 
 def test_other_ray_casters_refuse():

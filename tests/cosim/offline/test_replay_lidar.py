@@ -19,7 +19,11 @@ def folder(tmp_path_factory):
     return drive(tmp_path_factory.mktemp("replay_lidar") / "run", "traffic.duration_s=6", "traffic.warmup_s=120")
 
 
-def test_the_same_returns(folder):
+@pytest.mark.parametrize("rotates", [False, True])
+def test_the_same_returns(folder, tmp_path, rotates):
+    if rotates:  # the speeds in the tables are those by which actors moved during a sweep
+        asked = ("lidar.profile=vlp32c", "lidar.rotation_hz=10", "traffic.duration_s=3", "traffic.warmup_s=120")
+        folder = drive(tmp_path / "run", *asked)
     run = open_run(folder)
     config = replay_lidar.config_of(run)
     city = replay_lidar.city_of(config)
