@@ -38,6 +38,7 @@ class Detector(Protocol):
         ----------
         sweeps
             Range images `range_m[observer, azimuth, elevation]`, the object that each ray met (`hit`), poses and beams.
+            A detector that works with true boxes adds `moved_m` to their centres, for sweeps that take time.
             If there are many observers, several threads call this method at the same time, each with a part of them.
         seen
             One row for each (observer, actor) with a ray that could meet the actor: returns, unoccluded returns, range.

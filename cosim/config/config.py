@@ -199,7 +199,8 @@ def _chosen(section: str, holder: Any, own: dict[str, Any]) -> tuple[Choice, Any
         return choice, None
     if isinstance(holder, choice.params):
         return choice, holder
-    shared = {f.name: getattr(holder, f.name) for f in fields(choice.params) if hasattr(holder, f.name)}
+    shared = {f.name: getattr(holder, f.name, None) for f in fields(choice.params)}
+    shared = {name: value for name, value in shared.items() if value is not None}  # own defaults for unset keys
     return choice, _params(choice, shared | own, section, "the config")
 
 

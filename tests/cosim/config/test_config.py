@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from cosim.config.config import Config, load
+from cosim.config.config import Config, chosen, load
 from cosim.execution.manifest import toml_text
 
 
@@ -155,3 +155,17 @@ def test_the_earlier_name_of_a_key_is_read_with_a_note(tmp_path, caplog):
     path.write_text('[trust]\nunjudged = "value"\nunevaluated = "value"\n')
     with pytest.raises(ValueError, match="unjudged: unknown key"):
         load(path)
+
+
+def test_an_own_default_counts_where_a_key_of_the_same_name_is_not_set(tmp_path):
+    """`detector.half_returns` has no value unless it is given; `pseudonyms.own_gap_s` has one."""
+    head = "from dataclasses import dataclass\n\n@dataclass(frozen=True)\nclass Params:\n    {}\n\n"
+    body = "class Mine:\n    Params = Params\n\n    def __init__(self, params):\n        pass\n\n    def {}: pass\n"
+    detect = "detect(self, sweeps, seen, boxes, label, draws)"
+    (tmp_path / "mine.py").write_text(head.format("half_returns: float = 15.0") + body.format(detect))
+    (tmp_path / "mine.toml").write_text('[detector]\nmodel = "mine.py:Mine"\n')
+    assert chosen(load(tmp_path / "mine.toml"), "detector")[1].half_returns == 15.0
+    changes = "changes(self, ages)"
+    (tmp_path / "policy.py").write_text(head.format("own_gap_s: float = 7.0") + body.format(changes))
+    (tmp_path / "mine.toml").write_text('[pseudonyms]\npolicy = "policy.py:Mine"\n')
+    assert chosen(load(tmp_path / "mine.toml"), "pseudonyms")[1].own_gap_s == 1.5
