@@ -238,6 +238,7 @@ def attacked_detections(call: Call, returned: Any) -> Detections:
         "identity": ("iu", 0, MOST_IDENTITIES), "detection_index": ("iu",), "label": ("iu", 0, 255), "score": ("f",),
         "n_points": ("iu",), "transmitted": ("b",), "speed_mps": ("f",), "acceleration_mps2": ("f",),
     })  # fmt: skip
+    _column("velocity_mps", returned.velocity_mps, (n, 2), "f", what="east and north of each detection")
     if len(context.n_identities):
         late = returned.identity > context.n_identities[returned.observer]
         _none("identity", returned.identity, late, "at most the number that identities() says of the vehicle")

@@ -35,8 +35,8 @@ class Detections:
     `observer` is a row of the step's world. Index 0 is the self report; then follow detections by the detector, then
     fabricated ones. A detection with `transmitted` false is not sent. `identity` is 0 for detections under the
     vehicle's own pseudonym; a Sybil attacker has further identities. Only self reports have speed and acceleration;
-    otherwise they are NaN. `target` is the row of the vehicle that an attack aims at with the detection. If there is
-    none, it is the observer.
+    otherwise they are NaN. Only tracked objects have a velocity; otherwise it is NaN. `target` is the row of the
+    vehicle that an attack aims at with the detection. If there is none, it is the observer.
     """
 
     observer: Int[ndarray, "d"]
@@ -52,6 +52,8 @@ class Detections:
     speed_mps: Float[ndarray, "d"] = field(default=None)  # type: ignore[arg-type]  # left out: absent
     acceleration_mps2: Float[ndarray, "d"] = field(default=None)  # type: ignore[arg-type]  # left out: absent
     """Acceleration along the heading."""
+    velocity_mps: Float[ndarray, "d 2"] = field(default=None)  # type: ignore[arg-type]  # left out: absent
+    """Velocity east and north of an object that the observer tracks."""
 
     def __post_init__(self) -> None:
         n = len(self.observer)
@@ -62,6 +64,8 @@ class Detections:
         for name in ("speed_mps", "acceleration_mps2"):
             if getattr(self, name) is None:
                 object.__setattr__(self, name, np.full(n, np.nan))
+        if self.velocity_mps is None:
+            object.__setattr__(self, "velocity_mps", np.full((n, 2), np.nan))
 
     def __len__(self) -> int:
         return len(self.observer)
@@ -153,13 +157,14 @@ def faults(listed: Detections, xyz_m: Float[ndarray, "w 3"]) -> Int[ndarray, "d"
                 np.isfinite(boxes.xyz_m).all(axis=1) & np.isfinite(boxes.lwh_m).all(axis=1)
                 & np.isfinite(boxes.yaw_rad) & np.isfinite(listed.score)
                 & ~np.isinf(listed.speed_mps) & ~np.isinf(listed.acceleration_mps2)
+                & ~np.isinf(listed.velocity_mps).any(axis=1)
             ),
             DetectionFault.TOO_FAR: ~((away_m <= FARTHEST_M) & (np.abs(boxes.yaw_rad) <= 2 * np.pi)),
             DetectionFault.BAD_SIZE: ~((boxes.lwh_m > 0) & (boxes.lwh_m <= LARGEST_M)).all(axis=1),
             DetectionFault.BAD_SCORE: ~((listed.score >= 0) & (listed.score <= 1)),
             DetectionFault.UNKNOWN_CLASS: np.asarray(listed.label).astype(np.int64) >= len(ObjectClass),
             DetectionFault.BAD_MOTION: (np.abs(listed.speed_mps) > FASTEST)
-            | (np.abs(listed.acceleration_mps2) > FASTEST),
+            | (np.abs(listed.acceleration_mps2) > FASTEST) | (np.abs(listed.velocity_mps) > FASTEST).any(axis=1),
             DetectionFault.BAD_NUMBER: (number < 0) | (number > LARGEST_NUMBER)
             | (listed.n_points < 0) | (listed.n_points > MOST_RETURNS),
         }  # fmt: skip

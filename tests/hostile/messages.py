@@ -65,6 +65,7 @@ class Nonsense:
             "origin": np.full(n, FABRICATED, np.uint8), "transmitted": odd(bad.transmitted, [False]).astype(bool),
             "identity": bad.identity, "speed_mps": odd(bad.speed_mps, ODD),
             "acceleration_mps2": odd(bad.acceleration_mps2, ODD), "observer": bad.observer,
+            "velocity_mps": odd(bad.velocity_mps, ODD),
         }  # fmt: skip
         if kind == "rows":
             name = rng.choice(["observer", "target", "identity", "origin", "sort", "lose"])
