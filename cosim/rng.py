@@ -50,6 +50,7 @@ class Stream(IntEnum):
     VICTIM = 24
     POSITIONING = 25
     OWN = 26
+    SENSING = 27
 
 
 @compiled

@@ -116,6 +116,8 @@ class PartEncoder:
             raise ValueError(f"Table {table} has two rows with {named}.")
         arrays = []
         for name, column in stored.items():
+            if name not in columns:
+                continue
             mask = ~columns[name + VALID] if column.null else None
             if column.categories:
                 codes = pa.array(columns[name], pa.int8(), mask=mask)
@@ -127,7 +129,7 @@ class PartEncoder:
         steps = [columns[name] for name in _STEPS if name in columns]
         self._first_step = min(self._first_step, *(int(s.min()) for s in steps))
         self._last_step = max(self._last_step, *(int(s.max()) for s in steps))
-        group = pa.Table.from_arrays(arrays, schema=schema(table))
+        group = pa.Table.from_arrays(arrays, schema=schema(table, there=columns))
         if self._writer is None:
             self._file, self._writer = self._opened(group.schema)
         self._writer.write_table(group, row_group_size=len(group))

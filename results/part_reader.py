@@ -1,6 +1,7 @@
 """Part files read back: columns, rows, pieces."""
 
 import logging
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import cache
@@ -12,7 +13,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from results.durable import Damaged
-from results.tables import schema
+from results.tables import TABLES, schema
 
 
 def plain(column: pa.Array, labels: Sequence[str]) -> np.ndarray:
@@ -61,6 +62,11 @@ EARLIER_LABELS: Mapping[str, str] = {"judged": "evaluated", "unjudged": "unevalu
 
 def read(path: Path, names: Sequence[str], where: pc.Expression | None) -> pa.Table:
     """Columns and rows of a part. ValueError or `Damaged`, in one line, if it cannot be read."""
+    if absent := _absent(path, names, where):
+        rows = read(path, _there(path, names, absent), None)
+        for name in absent:
+            rows = rows.append_column(schema(path.parent.name).field(name), _value_of_absent(path, name, rows))
+        return (rows if where is None else rows.filter(where)).select(list(names))
     with _readable(path, names):
         rows = pq.read_table(path, columns=list(names), filters=where, partitioning=None)
     for number, field in enumerate(rows.schema):
@@ -89,9 +95,39 @@ def _say_earlier_labels() -> None:
 
 def read_pieces(path: Path, names: Sequence[str], n_rows: int) -> Iterator[pa.RecordBatch]:
     """Columns of a part, at most `n_rows` rows at once. Errors are those of `read`."""
-    with _readable(path, names), pq.ParquetFile(path) as file:
-        for rows in file.iter_batches(n_rows, columns=list(names)):
+    absent = _absent(path, names, None)
+    there = _there(path, names, absent)
+    with _readable(path, there), pq.ParquetFile(path) as file:
+        for rows in file.iter_batches(n_rows, columns=there):
+            for name in absent:
+                rows = rows.append_column(schema(path.parent.name).field(name), _value_of_absent(path, name, rows))
             yield rows.select(list(names))
+
+
+def _absent(path: Path, names: Sequence[str], where: pc.Expression | None) -> list[str]:
+    """Columns that the run lacks, among those that are wanted or that the choice of rows asks for."""
+    known = TABLES[path.parent.name].stored
+    asked = set(re.findall(r"\w+", str(where)))
+    wanted = [name for name, column in known.items() if column.absent and (name in names or name in asked)]
+    return [name for name in wanted if name not in _columns(path)] if wanted else []
+
+
+def _there(path: Path, names: Sequence[str], absent: Sequence[str]) -> list[str]:
+    """Columns to read for the wanted ones: those that are there, and those from which the others follow."""
+    known = TABLES[path.parent.name].columns
+    needed = ["step"] if any(known[name].absent == "step" for name in absent) else []
+    asked = [*needed, *(name for name in names if name not in absent)]
+    return list(dict.fromkeys(asked)) or [next(iter(known))]
+
+
+def _value_of_absent(path: Path, name: str, rows: pa.Table | pa.RecordBatch) -> pa.Array:
+    """What rows have in a column that the run lacks."""
+    column = TABLES[path.parent.name].columns[name]
+    if column.absent == "step":
+        return rows.column("step")
+    if column.absent == "null":
+        return pa.nulls(rows.num_rows, column.arrow_type)
+    return pa.array(np.zeros(rows.num_rows), column.arrow_type)
 
 
 @contextmanager

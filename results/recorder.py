@@ -254,13 +254,16 @@ def fingerprint(folder: Path) -> dict[str, str]:
 
 def _table_hash(table: str, folder: Path) -> str:
     """Rows are hashed one by one and summed, so that neither order nor block counts."""
-    total, n = np.zeros(1, np.uint64), 0
+    total, n, there = np.zeros(1, np.uint64), 0, schema(table).names
     nullable = {pa.int32(): pd.Int32Dtype(), pa.int16(): pd.Int16Dtype(), pa.bool_(): pd.BooleanDtype()}
     for part in sorted(folder.glob("part-*.parquet")):
-        for batch in pq.ParquetFile(part).iter_batches(1 << 20):
+        file = pq.ParquetFile(part)
+        there = file.schema_arrow.names
+        for batch in file.iter_batches(1 << 20):
             rows = batch.to_pandas(types_mapper=nullable.get)
             floats = rows.select_dtypes("floating").columns
             rows[floats] = rows[floats] + 0.0  # makes one zero of two
             total += hash_pandas_object(rows, index=False).to_numpy().sum(dtype=np.uint64)
             n += len(rows)
-    return hashlib.sha256(f"{schema(table).to_string()} {n} {total[0]:x}".encode()).hexdigest()[:32]
+    columns = schema(table, there=there).to_string()
+    return hashlib.sha256(f"{columns} {n} {total[0]:x}".encode()).hexdigest()[:32]

@@ -1,7 +1,7 @@
 # ruff: noqa: E501 (a table is wide)
 """Every table and every column of a run. The Parquet schemas and the documentation are derived from this file."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 from typing import Literal
 
@@ -84,6 +84,8 @@ _LOST = {
     "n_lost_late": _count("Received after the time-out of the round and therefore dropped."),
 }
 
+_DETECTION_STEP = Column("int32", absent="step", meaning="Step of the detection; before `step` if it was in an earlier message. The column exists if not all vehicles sense at the same time.")
+
 TABLES: Mapping[str, Table] = {
     "vehicles": Table(
         "summary",
@@ -100,6 +102,8 @@ TABLES: Mapping[str, Table] = {
             "attack": Column("int16", null=True, meaning="Section of `attacks` in the config, counted from 0, that the vehicle belongs to; null if honest or not equipped."),
             "first_step": Column("int32", meaning="First step on the road."),
             "last_step": Column("int32", meaning="Last step on the road."),
+            "sensing_interval_steps": Column("int32", null=True, absent="null", meaning="Steps from one sweep of the vehicle to the next; null if not equipped. The column exists if not all vehicles sense at the same time."),
+            "sensing_phase_steps": Column("int32", null=True, absent="null", meaning="First step in which the vehicle would sense; later ones follow after every interval. Null if not equipped."),
             "attack_start_step": Column("int32", null=True, meaning="First step in which the vehicle lied in a detection or an evaluation, or attacked the channel or the server; null if it never did."),
         },
     ),
@@ -340,12 +344,13 @@ TABLES: Mapping[str, Table] = {
     ),
     "evaluations": Table(
         "standard",
-        "Evaluations that vehicles make of each other's detections, in the step of the detection.",
+        "Evaluations that vehicles make of each other's detections, each once.",
         {
-            "step": _key("Step of the detection and of the evaluation."),
+            "step": _key("Step of the evaluation."),
             "evaluator": _key("Pseudonym of the vehicle that evaluates."),
             "observer": _key("Pseudonym of the vehicle that made the detection.", layout="plain"),
             "detection_index": _key("Number of the detection in its list.", "int16"),
+            "detection_step": _DETECTION_STEP,
             "evaluation": Column("float32", unit="1", bits=12, meaning="Score of the evaluator's matching detection; negative if the evaluator denies the detection."),
             "visibility": Column("float32", unit="1", bits=12, meaning="How well the evaluator could have seen the object, in [0, 1]: the weight of the evaluation."),
             "n_points": _count("Returns of the evaluator's own sweep inside the box."),
@@ -358,10 +363,11 @@ TABLES: Mapping[str, Table] = {
         "full",
         "Evaluations from which trust is computed: as they were transmitted, and as the evaluator keeps them for itself, both without rounding.",
         {
-            "step": _key("Step of the detection and of the evaluation."),
+            "step": _key("Step of the evaluation."),
             "evaluator": _key("Pseudonym of the vehicle that evaluates."),
             "observer": _key("Pseudonym of the vehicle that made the detection."),
             "detection_index": _key("Number of the detection in its list.", "int16"),
+            "detection_step": _DETECTION_STEP,
             "evaluation": Column("float64", layout="plain", unit="1", meaning="As in `evaluations`, as transmitted."),
             "visibility": Column("float64", unit="1", meaning="As in `evaluations`, as transmitted."),
             "own_evaluation": Column("float64", layout="plain", unit="1", meaning="The evaluation as the evaluator keeps it, not changed by an attack."),
@@ -430,6 +436,7 @@ TABLES: Mapping[str, Table] = {
             "effect": Column("category", key=True, categories=labels(AttackEffect), truth=True, meaning="Fabricated (inserted) or withheld (removed)."),
             "observer": _key("Pseudonym of the attacker: with detection_index it names the detection."),
             "detection_index": _key("Number of the detection in the attacker's list.", "int16"),
+            "detection_step": _DETECTION_STEP,
             "receiver": _key("Vehicle that received the message (actor number), never the attacker itself."),
             "intended": Column("bool", truth=True, meaning="The receiver is a target of the attack."),
             "in_path": Column("bool", truth=True, meaning="The box is in the receiver's path: the straight strip of its width, 50 m ahead of its centre."),
@@ -450,10 +457,12 @@ TABLES: Mapping[str, Table] = {
             "score": _SCORE,
             "n_sources": Column("int16", meaning="Number of vehicles with a detection of the object, the observer included."),
             "ego_detected": Column("bool", meaning="The observer itself detected the object."),
-            "source": Column("int32", meaning="Pseudonym of the vehicle whose detection of this step gave the box."),
+            "source": Column("int32", meaning="Pseudonym of the vehicle whose detection gave the box."),
             "source_index": Column("int16", meaning="Number of that detection in its list."),
+            "source_step": replace(_DETECTION_STEP, meaning="Step of that detection; before `step` if it was in an earlier message."),
             "pose": Column("int32", null=True, meaning="Pseudonym of the vehicle whose detection gave position and heading, if it is not the source."),
             "pose_index": Column("int16", null=True, meaning="Number of that detection in its list."),
+            "pose_step": replace(_DETECTION_STEP, meaning="Step of the detection that gave position and heading."),
             "fabricated": Column("bool", truth=True, meaning="The box was fabricated by an attack."),
             "truth_actor": replace(_TRUTH_ACTOR, via="source"),
             "truth_iou": replace(_TRUTH_IOU, via="source", meaning="3D intersection over union of the source's box with that actor's true box."),
@@ -484,7 +493,7 @@ def kept(level: Level) -> tuple[str, ...]:
     return tuple(name for name, table in TABLES.items() if LEVELS.index(table.level) <= LEVELS.index(level))
 
 
-def schema(name: str, whole: bool = False) -> pa.Schema:
+def schema(name: str, whole: bool = False, there: Collection[str] | None = None) -> pa.Schema:
     """Arrow schema of a table, with unit and meaning as field metadata.
 
     Parameters
@@ -493,6 +502,8 @@ def schema(name: str, whole: bool = False) -> pa.Schema:
         Name of the table.
     whole
         False gives the columns that are stored on disk, True gives all columns.
+    there
+        Columns that a run has. Those that not every run has are left out if they are not among these.
     """
     table = TABLES[name]
     fields = [
@@ -503,6 +514,7 @@ def schema(name: str, whole: bool = False) -> pa.Schema:
             metadata={"unit": column.unit, "meaning": column.meaning, "key": str(column.key).lower()},
         )
         for label, column in (table.columns if whole else table.stored).items()
+        if there is None or not column.absent or label in there
     ]
     return pa.schema(fields, {"table": name, "schema_version": str(SCHEMA_VERSION), "meaning": table.meaning})
 

@@ -17,7 +17,7 @@ Read = Callable[[Path, Sequence[str], pc.Expression | None], pa.Table]
 """Reads columns and rows of one part file."""
 
 _NAME = ("step", "observer", "detection_index")
-_LINKS = ("step", "source", "source_index", "pose", "pose_index")
+_LINKS = ("step", "source", "source_index", "source_step", "pose", "pose_index", "pose_step")
 
 
 def names(table: Table, columns: Sequence[str], where: pc.Expression | None) -> list[str]:
@@ -35,23 +35,33 @@ def read(read: Read, path: Path, columns: Sequence[str], where: pc.Expression | 
     late = where if names(table, (), where) else None
     stored = [name for name in table.stored if name in columns or late is not None or name in _LINKS]
     rows = read(path, stored, None if late is not None else where)
-    beside = path.parent.parent / "detections" / path.name
-    named = read(beside, [*_NAME, *virtual], None)
+    named = _detections(read, path, [*_NAME, *virtual], rows)
     at = _named(rows, named, path)
     for name in virtual:
         rows = rows.append_column(named.schema.field(name), named.column(name).take(at[table.columns[name].via]))
     return (rows if late is None else rows.filter(late)).select(list(columns))
 
 
+def _detections(read: Read, path: Path, columns: Sequence[str], rows: pa.Table) -> pa.Table:
+    """The detections of the block, and those of blocks before it as far as the rows name earlier detections."""
+    beside = path.parent.parent / "detections" / path.name
+    found = [read(beside, columns, None)]
+    steps = [rows.column(name).to_numpy() for name in ("source_step", "pose_step")]
+    first, number = int(min(step.min(initial=2**31 - 1) for step in steps)), int(beside.stem.rpartition("-")[2])
+    while number and len(found[0]) and first < pc.min(found[0].column("step")).as_py():
+        number -= 1
+        found.insert(0, read(beside.with_name(f"part-{number:05d}.parquet"), columns, pc.field("step") >= first))
+    return pa.concat_tables(found)
+
+
 def _named(rows: pa.Table, named: pa.Table, path: Path) -> dict[str, ndarray]:
     """Rows of `named` that the rows name, as the source of the box and of its pose."""
     held = _key(*(named.column(name).to_numpy() for name in _NAME))
-    step = rows.column("step").to_numpy()
-    source = _find(held, _key(step, rows.column("source").to_numpy(), rows.column("source_index").to_numpy()), path)
+    source = _find(held, _key(*(rows.column(n).to_numpy() for n in ("source_step", "source", "source_index"))), path)
     pose = source.copy()
     moved = rows.column("pose").is_valid().to_numpy()
-    other, index = (rows.column(name).filter(pa.array(moved)).to_numpy() for name in ("pose", "pose_index"))
-    pose[moved] = _find(held, _key(step[moved], other, index), path)
+    there = (rows.column(name).filter(pa.array(moved)).to_numpy() for name in ("pose_step", "pose", "pose_index"))
+    pose[moved] = _find(held, _key(*there), path)
     return {"source": source, "pose": pose}
 
 

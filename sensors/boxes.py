@@ -133,6 +133,38 @@ def overlapping_pairs(
     return i[overlap].astype(np.int32), j[overlap].astype(np.int32), iou[overlap]
 
 
+def pairs_between(
+    a: Boxes, a_label: UInt8[ndarray, "n"], b: Boxes, b_label: UInt8[ndarray, "m"]
+) -> tuple[Int[ndarray, "k"], Int[ndarray, "k"], Float[ndarray, "k"]]:
+    """All overlapping pairs of a box of `a` and a box of `b` of the same label, with their IoU.
+
+    Parameters
+    ----------
+    a, b
+        Boxes in one frame.
+    a_label, b_label
+        Class of each box.
+
+    Returns
+    -------
+    Rows of `a` and of `b` (int32) and their IoU (> 0), sorted by the two rows.
+    """
+    found = [np.zeros((0, 2), np.int64)]
+    for kind in np.intersect1d(a_label, b_label):
+        one, other = np.flatnonzero(a_label == kind), np.flatnonzero(b_label == kind)
+        reach_m = float(a.circumradius_m[one].max() + b.circumradius_m[other].max()) + _SLACK_M
+        near = cKDTree(a.xyz_m[one, :2]).sparse_distance_matrix(
+            cKDTree(b.xyz_m[other, :2]), reach_m, output_type="ndarray"
+        )
+        found.append(np.column_stack([one[near["i"]], other[near["j"]]]))
+    i, j = np.concatenate(found).T
+    order = np.lexsort((j, i))
+    i, j = i[order], j[order]
+    iou = iou_3d(a.take(i), b.take(j))
+    overlap = np.flatnonzero(iou > 0.0)
+    return i[overlap].astype(np.int32), j[overlap].astype(np.int32), iou[overlap]
+
+
 _SLACK_M = 1e-6
 _CHUNK = 4096
 """Pairs of which one thread computes the overlap at once."""

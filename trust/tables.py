@@ -1,6 +1,6 @@
 """Tables that the functions of this package exchange: detections, object lists, groups, evaluations, trust scores."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -128,15 +128,64 @@ class SenderTrust:
 
 @dataclass(frozen=True, slots=True)
 class EvaluationMessages:
-    """Evaluations of the detections of one step, a message per evaluator; pseudonyms instead of rows."""
+    """Evaluations made in one step, a message per evaluator; pseudonyms instead of rows.
 
-    step: int  # of the detections
+    Trust models get evaluations of the detections of one step at a time (`of_one_step`).
+    """
+
+    step: int  # in which they were made; of the detections, unless `detection_step` is given
     evaluator: Int[ndarray, "v"]  # pseudonym
     ptr: Int[ndarray, "v+1"]  # message i is rows ptr[i]:ptr[i + 1]
     observer: Int[ndarray, "n"]  # pseudonym of the detection's sender
     detection_index: Int[ndarray, "n"]
     evaluation: Float[ndarray, "n"]  # e in [-1, 1], if the evaluator complies
     visibility: Float[ndarray, "n"]  # Phi in [0, 1], if the evaluator complies
+    detection_step: Int[ndarray, "n"] | None = None
+    """Step of each detection; None if all are of `step`."""
+
+    def rows(self, keep: Bool[ndarray, "n"]) -> "EvaluationMessages":
+        """The same messages with only these of their evaluations."""
+        at = np.flatnonzero(keep)
+        step = None if self.detection_step is None else self.detection_step[at]
+        return EvaluationMessages(
+            self.step, self.evaluator, np.searchsorted(at, self.ptr), self.observer[at], self.detection_index[at],
+            self.evaluation[at], self.visibility[at], step,
+        )  # fmt: skip
+
+    def taken(self, message: Int[ndarray, "k"]) -> "EvaluationMessages":
+        """These messages, in this order."""
+        n = np.diff(self.ptr)[message]
+        at = ranges(self.ptr[:-1][message], n)
+        step = None if self.detection_step is None else self.detection_step[at]
+        return EvaluationMessages(
+            self.step, self.evaluator[message], np.concatenate([[0], np.cumsum(n)]), self.observer[at],
+            self.detection_index[at], self.evaluation[at], self.visibility[at], step,
+        )  # fmt: skip
+
+    def and_also(self, earlier: "EvaluationMessages") -> "EvaluationMessages":
+        """These messages, then those of an earlier step."""
+        steps = [
+            np.full(one.observer.size, one.step) if one.detection_step is None else one.detection_step
+            for one in (self, earlier)
+        ]
+        columns = {
+            name: np.concatenate([getattr(self, name), getattr(earlier, name)])
+            for name in ("evaluator", "observer", "detection_index", "evaluation", "visibility")
+        }
+        ptr = np.concatenate([self.ptr, self.ptr[-1] + earlier.ptr[1:]])
+        return EvaluationMessages(step=self.step, ptr=ptr, detection_step=np.concatenate(steps), **columns)
+
+    def of_one_step(self) -> "list[EvaluationMessages]":
+        """The same messages once for each step of which they evaluate detections, oldest first.
+
+        Each has only the evaluations of that step's detections, and that step as its `step`.
+        """
+        if self.detection_step is None:
+            return [self]
+        return [
+            replace(self.rows(self.detection_step == step), step=step, detection_step=None)
+            for step in np.unique(self.detection_step).tolist()
+        ]
 
 
 def as_messages(
@@ -145,6 +194,7 @@ def as_messages(
     lists: ObjectLists,
     detections: Detections,
     evaluations: Evaluations,
+    detection_step: Int[ndarray, "m"] | None = None,
 ) -> EvaluationMessages:
     """The step's evaluations as messages, one per list. They are valid beyond the step.
 
@@ -154,6 +204,8 @@ def as_messages(
         Pseudonym of the sender of each message row.
     lists, detections, evaluations
         As `evaluation.evaluate` takes and returns them.
+    detection_step
+        Step of each evaluated detection. None if all are of this step.
     """
     return EvaluationMessages(
         step,
@@ -163,6 +215,7 @@ def as_messages(
         detections.detection_index[lists.member],
         evaluations.evaluation,
         evaluations.visibility,
+        detection_step,
     )
 
 

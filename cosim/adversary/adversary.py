@@ -51,9 +51,16 @@ class Active:
     attacks: tuple[tuple[Attack, AttackContext], ...]
     xyz_m: Float[ndarray, "n 3"]
     """Positions of all actors, world frame."""
+    sends: Bool[ndarray, "n"] | None = None
+    """Actors that send messages in this step, by row of the world; None if all equipped vehicles do."""
 
     def _with(self, hook: str) -> list[tuple[Any, AttackContext]]:
-        return [(attack, context) for attack, context in self.attacks if hasattr(attack, hook)]
+        """Attacks with a method that concerns messages, and contexts in which only those who send attack."""
+        found = [(attack, context) for attack, context in self.attacks if hasattr(attack, hook)]
+        if self.sends is None:
+            return found
+        now = [(attack, replace(context, attacker=context.attacker & self.sends)) for attack, context in found]
+        return [(attack, context) for attack, context in now if context.attacker.any()]
 
     def detections(self, listed: Detections) -> tuple[Detections, Int[ndarray, "f"]]:
         """Apply the attacks to the detection lists of all vehicles.
@@ -100,8 +107,9 @@ class Active:
     def sending(self, n: int) -> Sending:
         """How each of the `n` actors sends its messages, by row of the world."""
         found = Sending.plain(n)
-        for attack, context in self._with("sending"):
-            found = found.and_also(attack.sending(context))
+        for attack, context in self.attacks:  # a jammer jams whether it sends or not
+            if hasattr(attack, "sending"):
+                found = found.and_also(attack.sending(context))
         return found
 
     def malicious(self, n: int) -> Bool[ndarray, "n"]:
@@ -183,8 +191,9 @@ class Adversary:
         return found
 
     def active(
-        self, state: AttackState, world: World, time_s: float, trust: Float[ndarray, "n"] | None = None
-    ) -> Active:
+        self, state: AttackState, world: World, time_s: float, trust: Float[ndarray, "n"] | None = None,
+        sends: Bool[ndarray, "n"] | None = None,
+    ) -> Active:  # fmt: skip
         """The attacks that at least one vehicle carries out in this step. The function updates `state`.
 
         Parameters
@@ -193,6 +202,8 @@ class Adversary:
             Time since recording began.
         trust
             Trust in each actor, as the actor last received it. None if no attack reads it.
+        sends
+            Actors that send messages in this step, by row of the world. None if all equipped vehicles do.
         """
         found = []
         state.with_room(int(world.actor.max(initial=-1)) + 1)
@@ -206,12 +217,12 @@ class Adversary:
                 now &= self._on(state, world, number, trust)
             actor = world.actor
             n_active = state.n_active[number, actor]
-            state.n_active[number, actor] = np.where(now, n_active + 1, 0)
+            state.n_active[number, actor] = np.where(now, n_active + (1 if sends is None else sends), 0)
             if now.any():
                 found.append((attack, AttackContext(
                     world, now, time_s, self.seed, number, p, member, ring, n_active, state.memory[number], self.walls
                 )))  # fmt: skip
-        return Active(tuple(found), world.boxes.xyz_m)
+        return Active(tuple(found), world.boxes.xyz_m, sends)
 
     def _members(self, world: World, number: int) -> Bool[ndarray, "n"]:
         return world.equipped & (world.attack == self.owner[number] + 1)

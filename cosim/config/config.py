@@ -7,7 +7,7 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from annotated_types import Ge, Le
 
@@ -23,6 +23,7 @@ from cosim.mobility.meshes import MeshParams, VehicleMeshParams, check_vehicle_m
 from cosim.mobility.objects import ObjectParams
 from cosim.mobility.params import TrafficParams, resolved_input
 from cosim.mobility.position_errors import GnssParams
+from cosim.mobility.schedule import Schedule, SensingGroup
 from cosim.radio.params import RadioParams
 from cosim.radio.rsu import RsuParams
 from cosim.v2x.linkage import check_server
@@ -84,8 +85,14 @@ class Config:
     seed: Annotated[int, Ge(0), Le(2**63 - 1)] = 4
     """Seed of all random numbers except SUMO's."""
     sensing_interval_s: Annotated[float, Ge(0.1), Le(3600)] = 1.0
-    """Time between two LiDAR sweeps of a vehicle, and between two rounds of messages [s]. It must be a multiple of
+    """Time between two LiDAR sweeps of a vehicle, and between two of its messages [s]. It must be a multiple of
     traffic.step_s."""
+    sensing_phase: Literal["common", "random"] = "common"
+    """When vehicles sense within their intervals. `common`: all at the same time. `random`: each at a time of its own,
+    drawn from its name, which is one of the traffic steps in an interval. Messages are then up to one interval old when
+    they are used. `random` needs a traffic.step_s below the interval."""
+    sensing_groups: tuple[SensingGroup, ...] = ()
+    """Vehicles that sense at other intervals than sensing_interval_s."""
     sensing: bool = True
     """Whether vehicles sense, exchange messages and compute trust. If false, only traffic and encounters are simulated,
     which is faster."""
@@ -119,16 +126,11 @@ class Config:
                 f"traffic.duration_s = {self.traffic.duration_s:g} s is shorter than one step of "
                 f"{self.traffic.step_s:g} s. Set it to traffic.step_s or more."
             )
-        steps = self.sensing_interval_s / self.traffic.step_s
-        if abs(steps - round(steps)) > 1e-9 or steps < 1:
+        schedule = self.schedule  # checks the intervals
+        if self.radio.timeout_s is not None and 2 * self.radio.timeout_s > schedule.exchange_interval_s:
             raise ValueError(
-                f"sensing_interval_s = {self.sensing_interval_s:g} s is not a multiple of traffic.step_s = "
-                f"{self.traffic.step_s:g} s, and every sweep takes place at a traffic step. Change one of them."
-            )
-        if self.radio.timeout_s is not None and 2 * self.radio.timeout_s > self.sensing_interval_s:
-            raise ValueError(
-                f"radio.timeout_s = {self.radio.timeout_s:g} s: two rounds of messages do not fit between two sweeps, "
-                f"sensing_interval_s = {self.sensing_interval_s:g} s apart. Set it to half of that, or less."
+                f"radio.timeout_s = {self.radio.timeout_s:g} s: two rounds of messages do not fit between two times of "
+                f"sensing, {schedule.exchange_interval_s:g} s apart. Set it to half of that, or less."
             )
         if self.server.uplink == "rsu" and not (self.rsu.at or self.rsu.n_at_junctions):
             raise ValueError(
@@ -155,7 +157,15 @@ class Config:
         )
 
     @property
+    def schedule(self) -> Schedule:
+        """When each equipped vehicle senses."""
+        return Schedule.of(
+            self.sensing_interval_s, self.sensing_phase, self.sensing_groups, self.traffic.step_s, self.seed
+        )
+
+    @property
     def sense_every_steps(self) -> int:
+        """Steps between two sweeps of the vehicles that belong to no group."""
         return round(self.sensing_interval_s / self.traffic.step_s)
 
     @property
@@ -165,7 +175,7 @@ class Config:
     @property
     def timeout_s(self) -> float:
         """Length of one round of messages [s]."""
-        return self.radio.round_s(self.sensing_interval_s)
+        return self.radio.round_s(self.schedule.exchange_interval_s)
 
     def to_dict(self) -> dict[str, Any]:
         """The resolved config as plain data, with the keys that a config file has."""

@@ -106,7 +106,7 @@ class Believed:
         return Believed(
             world.actor[beliefs.ego[rows]].astype(np.int64), beliefs.label[rows], xy, xy, boxes.lwh_m[rows, :2],
             boxes.yaw_rad[rows], np.zeros((n, 2)), np.zeros(n, bool), np.full(n, beliefs.known_s),
-            np.full(n, world.step * dt_s), np.full(n, world.step), beliefs.source[rows].astype(np.int64),
+            np.full(n, world.step * dt_s), beliefs.source_step[rows], beliefs.source[rows].astype(np.int64),
             beliefs.source_index[rows].astype(np.int64),
         )  # fmt: skip
 

@@ -27,9 +27,11 @@ class Beliefs:
     ego_detected: Bool[ndarray, "f"]
     """Whether the vehicle's own detector reports the object."""
     source: Int[ndarray, "f"]
-    """Pseudonym of the vehicle whose detection of this step gave the box."""
+    """Pseudonym of the vehicle whose detection gave the box."""
     source_index: Int[ndarray, "f"]
     """Index of that detection in the vehicle's list."""
+    source_step: Int[ndarray, "f"]
+    """Step of that detection."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,6 +11,7 @@ from numpy import ndarray
 
 from cosim.adversary.params import roles_of
 from cosim.mobility.actors import ActorRegistry
+from cosim.mobility.schedule import Schedule
 from cosim.radio.message_round import Outcome
 from cosim.ragged import ptr_of, stable_order
 from cosim.step.parts import Parts
@@ -163,7 +164,7 @@ def _detections(recorder: TakesRows, world: World, sensed: Sensed) -> None:
     faults = np.flatnonzero(n_dropped)
     recorder.append("dropped_detections", world.step, {"cause": faults, "n": n_dropped[faults]})
     recorder.append("observability", world.step, {
-        "observer": sensed.vehicles.actor[seen.observer], "actor": world.actor[seen.actor],
+        "observer": sensed.sensing.actor[seen.observer], "actor": world.actor[seen.actor],
         "n_points": seen.n_returns, "n_unoccluded": seen.n_unoccluded,
     })  # fmt: skip
 
@@ -206,15 +207,18 @@ def _receptions(recorder: TakesRows, at: int, sensed: Sensed) -> None:
 
 
 def _evaluations(recorder: TakesRows, at: int, sensed: Sensed) -> None:
-    evaluated, detections, pseudonym = sensed.evaluated, sensed.listed.detections, sensed.senders.pseudonym
-    lists, reported = evaluated.lists, evaluated.reported
-    recorder.append("evaluations", at, {
-        "evaluator": pseudonym[lists.owner[lists.of_member()]],
-        "observer": pseudonym[detections.message[lists.member]],
-        "detection_index": detections.detection_index[lists.member], "evaluation": reported.evaluation,
+    evaluated, known = sensed.evaluated, sensed.known
+    lists, reported, detections = evaluated.lists, evaluated.reported, sensed.known.detections
+    by, member = lists.of_member(), lists.member
+    rows: Rows = {
+        "evaluator": known.pseudonym[lists.owner[by]], "observer": known.pseudonym[detections.message[member]],
+        "detection_index": detections.detection_index[member], "evaluation": reported.evaluation,
         "visibility": reported.visibility, "n_points": evaluated.n_points, "plausible": evaluated.plausible,
         "plausible__valid": ~evaluated.matched, "matched": evaluated.matched, "lied": evaluated.lied,
-    })  # fmt: skip
+        **_steps(sensed, "detection_step", member),
+    }  # fmt: skip
+    is_new = known.is_new(sensed.senders.source[lists.owner[by]], member)
+    recorder.append("evaluations", at, rows if is_new is None else {name: c[is_new] for name, c in rows.items()})
     if "transmitted_evaluations" in recorder.tables:
         _transmitted(recorder, at, sensed)
 
@@ -225,6 +229,7 @@ def _transmitted(recorder: TakesRows, at: int, sensed: Sensed) -> None:
         "evaluator": np.repeat(sent.evaluator, np.diff(sent.ptr)), "observer": sent.observer,
         "detection_index": sent.detection_index, "evaluation": sent.evaluation, "visibility": sent.visibility,
         "own_evaluation": own.evaluation, "own_visibility": own.visibility,
+        **({} if sent.detection_step is None else {"detection_step": sent.detection_step}),
     })  # fmt: skip
     detections, chosen = sensed.listed.detections, sensed.listed.objects.transmitted
     recorder.append("transmitted_scores", at, {
@@ -234,27 +239,30 @@ def _transmitted(recorder: TakesRows, at: int, sensed: Sensed) -> None:
 
 
 def _evidence(recorder: TakesRows, world: World, sensed: Sensed) -> None:
-    listed, lists, reported = sensed.listed, sensed.evaluated.lists, sensed.evaluated.reported
+    known, lists, reported = sensed.known, sensed.evaluated.lists, sensed.evaluated.reported
+    evaluator = lists.owner[lists.of_member()]
+    is_new = known.is_new(sensed.senders.source[evaluator], lists.member)
+    rows = slice(None) if is_new is None else np.flatnonzero(is_new)
     evaluations = evidence_audit.AuditedEvaluations(
-        evaluator=lists.owner[lists.of_member()],
-        detection=lists.member,
-        evaluation=reported.evaluation,
-        visibility=reported.visibility,
+        evaluator=evaluator[rows],
+        detection=lists.member[rows],
+        evaluation=reported.evaluation[rows],
+        visibility=reported.visibility[rows],
     )
     detections = evidence_audit.AuditedDetections(
-        message=listed.detections.message,
-        actor=listed.truth.actor_row,
-        is_real=listed.truth.is_real,
-        is_fabricated=listed.objects.origin == FABRICATED,
+        message=known.detections.message,
+        actor=known.truth.actor_row,
+        is_real=known.truth.is_real,
+        is_fabricated=known.objects.origin == FABRICATED,
     )
-    attacks = world.attack[sensed.vehicles.row[sensed.senders.vehicle]] > 0
+    attacks = world.attack[sensed.vehicles.row[known.vehicle]] > 0
     n_copies = sum(broadcast.round.frames.n_duplicate for broadcast in sensed.rounds)
     recorder.append("evidence", world.step, evidence_audit.audit(evaluations, detections, attacks, n_copies))
 
 
 def _trust(recorder: TakesRows, at: int, sensed: Sensed, dt_s: float) -> None:
     used = sensed.looked_up.messages
-    receiver, subject = sensed.vehicles.actor[used.receiver], sensed.senders.pseudonym[used.message]
+    receiver, subject = sensed.sensing.actor[used.receiver], sensed.known.pseudonym[used.message]
     trust(recorder, at, dt_s, sensed.published, sensed.servers, receiver, subject, sensed.looked_up.lookups)
 
 
@@ -381,7 +389,8 @@ def _evaluations_behind(
 
 
 def _fused(recorder: TakesRows, at: int, sensed: Sensed) -> None:
-    listed, pseudonym = sensed.listed.objects, sensed.senders.pseudonym[sensed.listed.detections.message]
+    known = sensed.known
+    listed, pseudonym = known.objects, known.pseudonym[known.detections.message]
     for variant, fused in enumerate(sensed.fused):
         if fused is None:
             continue
@@ -391,14 +400,21 @@ def _fused(recorder: TakesRows, at: int, sensed: Sensed) -> None:
             "n_evaluators": np.array([fused.n_evaluators.sum()]),
         })  # fmt: skip
         recorder.append("fused", at, {
-            "variant": np.full(len(ego), variant), "observer": sensed.vehicles.actor[ego],
-            "fused_index": np.arange(len(ego)) - ptr_of(ego, len(sensed.vehicles))[ego],
+            "variant": np.full(len(ego), variant), "observer": sensed.sensing.actor[ego],
+            "fused_index": np.arange(len(ego)) - ptr_of(ego, len(sensed.sensing))[ego],
             "score": fused.score, "n_sources": fused.n_sources, "ego_detected": fused.ego_detected,
             "source": pseudonym[fused.seed], "source_index": listed.detection_index[fused.seed],
             "pose": pseudonym[fused.pose], "pose__valid": moved,
             "pose_index": listed.detection_index[fused.pose], "pose_index__valid": moved,
             "fabricated": listed.origin[fused.seed] == FABRICATED,
+            **_steps(sensed, "source_step", fused.seed), **_steps(sensed, "pose_step", fused.pose),
         })  # fmt: skip
+
+
+def _steps(sensed: Sensed, name: str, detection: Int[ndarray, "k"]) -> Rows:
+    """The column `name` with the step of each detection, a row of `Known`; none if all vehicles sense together."""
+    known = sensed.known
+    return {} if known.is_lock_step else {name: known.step[known.detections.message[detection]]}
 
 
 def open_rows(state: State, parts: Parts, registry: ActorRegistry, end_step: int) -> dict[str, list[Columns]]:
@@ -420,12 +436,12 @@ def open_rows(state: State, parts: Parts, registry: ActorRegistry, end_step: int
         "encounters": [base for base, _ in split],
         "encounter_trust": [others for _, others in split if others],
         "pseudonyms": [_pseudonym_rows(parts.pseudonyms.in_use(state.pseudonyms))],
-        "vehicles": [vehicle_rows(registry, roles_of(parts.config.attacks), state.attack_start)],
+        "vehicles": [vehicle_rows(registry, roles_of(parts.config.attacks), state.attack_start, parts.schedule)],
     }
 
 
 def vehicle_rows(
-    registry: ActorRegistry, role_of_attack: UInt8[ndarray, "a"], attack_start: AttackStartTracker
+    registry: ActorRegistry, role_of_attack: UInt8[ndarray, "a"], attack_start: AttackStartTracker, schedule: Schedule
 ) -> Columns:
     """Columns of the table `vehicles` for all actors.
 
@@ -437,14 +453,23 @@ def vehicle_rows(
         Role by number of the attack; number 0 is that of vehicles without an attack.
     attack_start
         When each vehicle first attacked.
+    schedule
+        When each vehicle senses.
     """
     lwh = registry.lwh_m
     attack_start_step, attacked = attack_start.first_steps(len(registry))
+    sensing: Rows = {}
+    if not schedule.is_lock_step:
+        interval, phase = schedule.of_vehicles(registry.name_key)
+        sensing = {
+            "sensing_interval_steps": interval, "sensing_interval_steps__valid": registry.equipped,
+            "sensing_phase_steps": phase, "sensing_phase_steps__valid": registry.equipped,
+        }  # fmt: skip
     return {
         "vehicle": np.arange(len(registry), dtype=np.int32), "sumo_id": np.array(registry.names, object),
         "vehicle_class": registry.shape, "length_m": lwh[:, 0], "width_m": lwh[:, 1], "height_m": lwh[:, 2],
         "equipped": registry.equipped, "role": role_of_attack[registry.attack], "role__valid": registry.equipped,
         "attack": registry.attack.astype(np.int16) - 1, "attack__valid": registry.equipped & (registry.attack > 0),
         "first_step": registry.first_step, "last_step": registry.last_step,
-        "attack_start_step": attack_start_step, "attack_start_step__valid": attacked,
+        "attack_start_step": attack_start_step, "attack_start_step__valid": attacked, **sensing,
     }  # fmt: skip

@@ -187,7 +187,9 @@ def record_traffic(config: Config, path: Path, advance: Advance) -> Path:
             recorder.reach(number)
             manifest.steps = number + 1
             advance("traffic", number + 1, config.n_steps, f"steps, {len(world)} actors")
-        recorder.close({"vehicles": [recording.vehicle_rows(registry, np.zeros(1, np.uint8), AttackStartTracker())]})
+        recorder.close({"vehicles": [
+            recording.vehicle_rows(registry, np.zeros(1, np.uint8), AttackStartTracker(), config.schedule)
+        ]})  # fmt: skip
         manifest.timings_s, manifest.summary = watch.seconds, traffic.report()
     finally:
         traffic.close()

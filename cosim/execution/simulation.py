@@ -265,6 +265,8 @@ class SimulatedStep:
         made: dict[str, Any] = {}
         for name, column in TABLES[table].stored.items():
             values, valid = columns.get(name), columns.get(f"{name}__valid")
+            if column.absent and values is None:
+                continue
             if values is None:
                 values, valid = (np.full(n, self.step), None) if name == "step" else (np.zeros(n), np.zeros(n, bool))
             if column.type == "category" and values.dtype.kind in "iu":

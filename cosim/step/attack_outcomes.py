@@ -13,7 +13,8 @@ from numpy import ndarray
 from cosim.ragged import expand, stable_order
 from cosim.step.exchange import Exchange
 from cosim.step.ground_truth import GroundTruth
-from cosim.step.stages import Broadcast, Listed, Matched
+from cosim.step.known import Known
+from cosim.step.stages import Matched
 from cosim.v2x.messages import FABRICATED, Detections
 from cosim.world import World
 from results.codes import AttackEffect
@@ -33,7 +34,7 @@ class Inserted:
 
     detection: Int[ndarray, "k"]
     receiver: Int[ndarray, "k"]
-    """Row of `Vehicles`, and of the object list."""
+    """Row of the vehicles that sense, and of the object list."""
     seed: Int[ndarray, "k"]
     """The detection whose box represents the group."""
 
@@ -44,13 +45,12 @@ class Removed:
 
     detection: Int[ndarray, "k"]
     receiver: Int[ndarray, "k"]
-    """Row of `Vehicles`."""
+    """Row of the vehicles that sense."""
 
 
 def attack_outcomes(
-    exchange: Exchange, believed: World, listed: Listed, cpms: Broadcast, matched: Matched,
-    fused: Sequence[Fused | None],
-) -> list[Rows]:  # fmt: skip
+    exchange: Exchange, believed: World, messages: Known, matched: Matched, fused: Sequence[Fused | None]
+) -> list[Rows]:
     """Rows of the table `attack_outcomes`.
 
     Parameters
@@ -59,8 +59,10 @@ def attack_outcomes(
         Vehicles, senders and attacks of the step.
     believed
         The world with vehicles at their estimated positions.
-    listed, cpms, matched
-        Results of the stages.
+    messages
+        The detections that vehicles know.
+    matched
+        Result of the matching.
     fused
         Fused objects per trust variant; None for a variant that does not fuse.
 
@@ -68,18 +70,20 @@ def attack_outcomes(
     -------
     Columns of the table, one item per trust variant that fuses; empty if no attack reached a vehicle.
     """
-    vehicles, objects, truth, n = exchange.vehicles, listed.objects, listed.truth, len(believed)
-    inserted, removed = _inserted(exchange, listed, matched), _removed(exchange, listed, cpms)
+    vehicles, objects, truth, n = exchange.sensing, messages.objects, messages.truth, len(believed)
+    inserted, removed = _inserted(exchange, messages, matched), _removed(exchange, messages)
     detection = np.concatenate([inserted.detection, removed.detection])
     receiver = np.concatenate([inserted.receiver, removed.receiver])
     if not len(detection):
         return []
     is_removal = np.arange(len(detection)) >= len(inserted.detection)
-    own, message = np.flatnonzero(truth.is_sensed), listed.detections.message
-    detected = np.unique(exchange.senders.vehicle[message[own]] * n + truth.actor_row[own])
+    message, senders = messages.detections.message, exchange.senders
+    own = np.flatnonzero(truth.is_sensed[: messages.ptr[len(senders)]])
+    detected = np.unique(senders.source[message[own]] * n + truth.actor_row[own])
     common = {
         "effect": np.where(is_removal, AttackEffect.REMOVED, AttackEffect.INSERTED),
-        "observer": exchange.senders.pseudonym[message[detection]],
+        "observer": messages.pseudonym[message[detection]],
+        **({} if messages.is_lock_step else {"detection_step": messages.step[message[detection]]}),
         "detection_index": objects.detection_index[detection],
         "receiver": vehicles.actor[receiver],
         "intended": objects.target[detection] == vehicles.row[receiver],
@@ -118,27 +122,27 @@ def _scores_of_removed(
     return _best(key, fused.score[real], removed.receiver * n + truth.actor_row[removed.detection])
 
 
-def _inserted(exchange: Exchange, listed: Listed, matched: Matched) -> Inserted:
-    known, message = matched.known, listed.detections.message
-    at = np.flatnonzero((listed.objects.origin == FABRICATED)[known.member])
+def _inserted(exchange: Exchange, messages: Known, matched: Matched) -> Inserted:
+    known, message = matched.known, messages.detections.message
+    at = np.flatnonzero((messages.objects.origin == FABRICATED)[known.member])
     of_list = known.of(at)
-    foreign = exchange.senders.vehicle[message[known.member[at]]] != of_list
+    foreign = messages.vehicle[message[known.member[at]]] != exchange.vehicles.senses[of_list]
     at, of_list = at[foreign], of_list[foreign]
     return Inserted(known.member[at], of_list, known.member[matched.groups.seed[at]])
 
 
-def _removed(exchange: Exchange, listed: Listed, cpms: Broadcast) -> Removed:
-    received = cpms.links.vehicles
-    row = np.flatnonzero(listed.withheld & listed.truth.is_real)
-    message = listed.detections.message[row]  # ascending
-    concerned = np.zeros(len(listed.ptr), bool)
+def _removed(exchange: Exchange, messages: Known) -> Removed:
+    received = messages.received
+    row = np.flatnonzero(messages.withheld & messages.truth.is_real)
+    message = messages.detections.message[row]  # ascending
+    concerned = np.zeros(len(messages.ptr), bool)
     concerned[message] = True
     found = np.flatnonzero(concerned[received.message])
     found = found[stable_order(received.message[found])]
     first, last = (np.searchsorted(received.message[found], message, side) for side in ("left", "right"))
     at, which = expand(first, last)
     receiver, detection = received.receiver[found[at]], row[which]
-    is_other = exchange.vehicles.row[receiver] != listed.truth.actor_row[detection]  # not of itself
+    is_other = exchange.sensing.row[receiver] != messages.truth.actor_row[detection]  # not of itself
     return Removed(detection[is_other], receiver[is_other])
 
 

@@ -91,7 +91,8 @@ def _cycle(
     observed = stages.perceive(world, vehicles, precomputed, parts)
     position_errors, positioned = stages.position(world, vehicles, observed, s.position_errors, c)
     with watch("attack"):
-        attacks = parts.adversary.active(s.attacks, world, now.begin_s, own_trust)
+        sends = stages.senders_among(world, vehicles)
+        attacks = parts.adversary.active(s.attacks, world, now.begin_s, own_trust, sends)
         pseudonyms, senders = stages.senders_of(world, vehicles, attacks, pseudonyms, parts)
         stations = stations_of(world, vehicles.row, parts.rsus, c.radio.antenna_above_roof_m)
         exchange = Exchange.of(world, now, vehicles, senders, stations, attacks)
@@ -100,12 +101,13 @@ def _cycle(
         medium = s.medium if precomputed.with_links is None else precomputed.with_links(s.medium)
         medium, cpms = stages.broadcast_detections(exchange, listed, s.piggybacked, medium, parts)
     with watch("match"):
-        matched = stages.match_objects(exchange, listed, cpms, positioned, c)
+        inbox, known = s.inbox.known(exchange, listed, cpms, parts.schedule)
+        matched = stages.match_objects(exchange, known, positioned, c)
     with watch("evaluate"):
-        answers = stages.ask_sweeps(exchange, listed, matched, positioned.observed, parts)
+        answers = stages.ask_sweeps(exchange, known, matched, positioned.observed, parts)
         if precomputed.sweeps_are_read is not None:
             precomputed.sweeps_are_read()
-        evaluated = stages.evaluate_objects(exchange, listed, matched, answers, c)
+        evaluated = stages.evaluate_objects(exchange, known, matched, answers, c)
     with watch("radio"):
         trust, on_rsus = parts.trust.pending_rsu_broadcast(trust, now.evaluated_s)
         medium, reports = stages.broadcast_evaluations(exchange, evaluated, on_rsus, medium, parts)
@@ -113,29 +115,34 @@ def _cycle(
         trust, informed = trust_stages.receive_from_rsus(trust, exchange, on_rsus, reports, published.informed, parts)
         piggybacked, carrier = trust_stages.carrier_of(exchange, evaluated, s.piggybacked, (cpms, reports), parts)
         trust, up = trust_stages.update_trust(trust, exchange, listed, evaluated, carrier, pseudonyms, parts)
+        used = inbox.reports_used(exchange, carrier.receptions.vehicles)
         trust, known_senders, looked_up = trust_stages.look_up(
-            trust, s.known_senders, exchange, listed, (cpms, carrier), pseudonyms, parts
+            trust, s.known_senders, exchange, listed, known, used, cpms, pseudonyms, parts
         )
     with watch("fuse"):
-        fused = trust_stages.fuse_objects(trust, listed, matched, answers, evaluated, looked_up, parts)
+        evaluations = inbox.evaluations_used(exchange, evaluated, len(listed.objects))
+        fused = trust_stages.fuse_objects(trust, known, matched, answers, evaluations, looked_up, parts)
+        received = cpms.accepted.vehicles, carrier.receptions.vehicles
+        inbox = inbox.next(exchange, listed, matched, answers, evaluated, received, parts.schedule)
     beliefs, reaction_truth = None, s.reaction_truth
     if c.driver.model != "none":
         with watch("driver"):
-            beliefs = stages.beliefs_of(fused[0], exchange, listed, positioned.error_m)
+            beliefs = stages.beliefs_of(fused[0], exchange, known, positioned.error_m)
             reaction_truth = reaction_truth.next(exchange, listed, c.traffic.step_s)
     with watch("track"):
         attack_start = tracking.track_attacks(s.attack_start, exchange, listed, evaluated)
         inter_reception, reach = tracking.track_receptions(s.inter_reception, exchange, (cpms, reports))
-        encounters = tracking.count_in_encounters(s.encounters, exchange, (cpms, reports), looked_up, listed, matched)
-        outcomes = attack_outcomes(exchange, positioned.world, listed, cpms, matched, fused)
+        encounters = tracking.count_in_encounters(s.encounters, exchange, (cpms, reports), looked_up, known, matched)
+        outcomes = attack_outcomes(exchange, positioned.world, known, matched, fused)
     s = replace(
         s, trust=trust, pseudonyms=pseudonyms, position_errors=position_errors, included=included, medium=medium,
+        inbox=inbox,
         piggybacked=piggybacked, known_senders=known_senders, reaction_truth=reaction_truth,
         attack_start=attack_start, inter_reception=inter_reception, encounters=encounters,
         n_dropped=s.n_dropped + listed.n_dropped,
     )  # fmt: skip
     return s, Sensed(
-        vehicles=vehicles, senders=senders, positioned=positioned, listed=listed, rounds=(cpms, reports), reach=reach,
-        evaluated=evaluated, looked_up=looked_up, fused=fused, published=published.scores,
-        servers=parts.trust.traffic(up, informed), attack_outcomes=outcomes,
+        vehicles=vehicles, sensing=exchange.sensing, senders=senders, positioned=positioned, listed=listed, known=known,
+        rounds=(cpms, reports), reach=reach, evaluated=evaluated, looked_up=looked_up, fused=fused,
+        published=published.scores, servers=parts.trust.traffic(up, informed), attack_outcomes=outcomes,
     ), beliefs  # fmt: skip

@@ -53,23 +53,35 @@ class Vehicles:
     actor: Int[ndarray, "e"]
     name_key: UInt64[ndarray, "e"]
     pseudonym: Int[ndarray, "e"]
-    """Pseudonym of each vehicle's own identity."""
+    """Pseudonym of each vehicle's own identity; -1 before the vehicle first senses."""
+    senses: Int[ndarray, "s"]
+    """Rows of those that sense in this step, ascending."""
 
     def __len__(self) -> int:
         return len(self.row)
 
+    def sensing(self) -> "Vehicles":
+        """The vehicles that sense in this step; the same object if all do."""
+        if len(self.senses) == len(self):
+            return self
+        at = self.senses
+        return Vehicles(self.row[at], self.actor[at], self.name_key[at], self.pseudonym[at], np.arange(len(at)))
+
 
 @dataclass(frozen=True, slots=True)
 class Senders:
-    """Messages of one kind in a step, one per vehicle and identity, sorted by vehicle with the own identity first."""
+    """Messages of one kind in a step, one per vehicle that senses and identity, sorted by vehicle with the own identity
+    first."""
 
     vehicle: Int[ndarray, "m"]
     """Row of `Vehicles`, and of the sending station."""
+    source: Int[ndarray, "m"]
+    """Row of the vehicles that sense: of their sweeps and their lists."""
     identity: Int[ndarray, "m"]
     """0 for the vehicle's own identity."""
     pseudonym: Int[ndarray, "m"]
-    own: Int[ndarray, "e"]
-    """Message row of each vehicle's own identity."""
+    own: Int[ndarray, "s"]
+    """Message row of the own identity of each vehicle that senses."""
     key: UInt64[ndarray, "m"]
     """Random key of each message; for the own identity, the vehicle's key."""
     is_valid: Bool[ndarray, "m"]
@@ -78,20 +90,17 @@ class Senders:
     def __len__(self) -> int:
         return len(self.vehicle)
 
-    @property
-    def n_vehicles(self) -> int:
-        """Number of vehicles that send; each has one own identity."""
-        return len(self.own)
-
     @staticmethod
-    def of(vehicles: Vehicles, n_extra: Int[ndarray, "e"]) -> "Senders":
-        """Messages for each vehicle's own identity and for `n_extra` further identities.
+    def of(vehicles: Vehicles, n_extra: Int[ndarray, "s"]) -> "Senders":
+        """Messages of the vehicles that sense: of each own identity, and of `n_extra` further identities of each.
 
         The further identities have no pseudonyms yet; they carry that of the vehicle.
         """
-        vehicle = np.repeat(np.arange(len(vehicles)), 1 + n_extra)
-        own = np.searchsorted(vehicle, np.arange(len(vehicles)))
-        identity = np.arange(len(vehicle)) - own[vehicle]
+        n = len(vehicles.senses)
+        source = np.repeat(np.arange(n), 1 + n_extra)
+        own = np.searchsorted(source, np.arange(n))
+        identity = np.arange(len(source)) - own[source]
+        vehicle = source if n == len(vehicles) else vehicles.senses[source]
         key = vehicles.name_key[vehicle]
         more = np.flatnonzero(identity)
         if len(more):
@@ -99,6 +108,7 @@ class Senders:
         pseudonym = vehicles.pseudonym[vehicle]
         return Senders(
             vehicle=vehicle,
+            source=source,
             identity=identity,
             pseudonym=pseudonym,
             own=own,
@@ -114,7 +124,7 @@ class Senders:
         listed
             Detections of these vehicles, under identities that have a message.
         observers
-            Row of the world of each row of `Vehicles`, ascending.
+            Row of the world of each vehicle that senses, ascending.
         """
         return self.own[np.searchsorted(observers, listed.observer)] + listed.identity
 
@@ -126,6 +136,9 @@ class Exchange:
     world: World
     now: Times
     vehicles: Vehicles
+    """All equipped vehicles on the road. They receive."""
+    sensing: Vehicles
+    """Those that sense, send, evaluate and fuse in this step."""
     senders: Senders
     stations: Stations
     """Antennas of the vehicles, then of the roadside units."""
@@ -142,7 +155,7 @@ class Exchange:
         sending = sending_of(attacks.sending(len(world)), vehicles)
         if sending is not None and sending.abuses_channel().any():
             stations = replace(stations, abuse=abuse_of(sending, len(stations) - len(vehicles)))
-        return Exchange(world, now, vehicles, senders, stations, attacks, sending)
+        return Exchange(world, now, vehicles, vehicles.sensing(), senders, stations, attacks, sending)
 
     @property
     def sender(self) -> Int[ndarray, "m"]:
@@ -182,7 +195,7 @@ class OnAir:
 
     @staticmethod
     def of(
-        senders: Senders, length_bytes: Int[ndarray, "m"], n_rsus: int, rsu_bytes: int = 0,
+        senders: Senders, length_bytes: Int[ndarray, "m"], n_vehicles: int, n_rsus: int, rsu_bytes: int = 0,
         sending: Sending | None = None,
     ) -> "OnAir":  # fmt: skip
         """Frames of vehicles and roadside units.
@@ -191,6 +204,8 @@ class OnAir:
         ----------
         senders
             Messages of the vehicles.
+        n_vehicles
+            Number of vehicles with a station.
         length_bytes
             Length of each message; 0 if it is not sent.
         n_rsus, rsu_bytes
@@ -198,7 +213,7 @@ class OnAir:
         sending
             How vehicles send, by row of `Vehicles`. None if all send honestly.
         """
-        n, stations = len(senders), senders.n_vehicles + np.arange(n_rsus)
+        n, stations = len(senders), n_vehicles + np.arange(n_rsus)
         length = np.concatenate([length_bytes, np.full(n_rsus, rsu_bytes)])
         station, message = np.concatenate([senders.vehicle, stations]), np.arange(n + n_rsus)
         if sending is None:
@@ -232,7 +247,7 @@ def lists_of_identities(lists: ObjectLists, senders: Senders) -> tuple[ObjectLis
     Parameters
     ----------
     lists
-        What each vehicle evaluates.
+        What each vehicle that senses evaluates.
     senders
         The messages.
 
@@ -241,9 +256,9 @@ def lists_of_identities(lists: ObjectLists, senders: Senders) -> tuple[ObjectLis
     One list per message, and the positions of its members in `lists`, which are None if no vehicle has a second
     identity.
     """
-    if len(senders) == senders.n_vehicles:
+    if len(senders) == len(senders.own):
         return lists, None
-    at, of = expand(lists.ptr[senders.vehicle], lists.ptr[senders.vehicle + 1])
+    at, of = expand(lists.ptr[senders.source], lists.ptr[senders.source + 1])
     ptr = np.searchsorted(of, np.arange(len(senders) + 1))
     return ObjectLists(ptr, lists.member[at], np.arange(len(senders))), at
 

@@ -6,8 +6,8 @@ from numpy import ndarray
 
 from cosim.adversary.adversary import Active
 from cosim.adversary.attack import EvaluationRows
-from cosim.radio.message_round import Receptions
 from cosim.ragged import offsets, ptr_of, ranges
+from cosim.step.known import Known, Uses
 from cosim.step.perception import BoxQuestions
 from cosim.v2x.messages import SELF, Detections
 from sensors.boxes import Boxes
@@ -36,8 +36,8 @@ def for_trust(
 
 
 def received_lists(
-    received: Receptions, ptr: Int[ndarray, "m+1"], transmitted: Bool[ndarray, "d"], vehicle: Int[ndarray, "m"],
-    own: Int[ndarray, "e"],
+    received: Uses, ptr: Int[ndarray, "m+1"], transmitted: Bool[ndarray, "d"], source: Int[ndarray, "k"],
+    own: Int[ndarray, "s"],
 ) -> ObjectLists:  # fmt: skip
     """The detections that each vehicle knows: its own ones, then the received ones, by (message, detection index).
 
@@ -46,21 +46,21 @@ def received_lists(
     Parameters
     ----------
     received
-        Receptions of detection messages.
+        Detection messages of others that the vehicles use.
     ptr
         Row at which the detections of each message begin.
     transmitted
         Whether each detection is transmitted.
-    vehicle
-        Sender of each message.
+    source
+        Vehicle that sends each of the K messages of this step, which are the first ones.
     own
         Each vehicle's message under its own identity.
     """
-    receives, further = np.arange(len(own)), np.setdiff1d(np.arange(len(vehicle)), own)
-    of = np.concatenate([receives, vehicle[further], received.receiver])
+    receives, further = np.arange(len(own)), np.setdiff1d(np.arange(len(source)), own)
+    of = np.concatenate([receives, source[further], received.receiver])
     message = np.concatenate([own, further, received.message])
     is_own = np.arange(len(of)) < len(own)
-    order = np.argsort(of * (len(vehicle) + 1) + np.where(is_own, 0, message + 1), kind="stable")
+    order = np.argsort(of * len(ptr) + np.where(is_own, 0, message + 1), kind="stable")
     of, message, is_own = of[order], message[order], is_own[order]
     # The detections of a message: all of them for its sender, those that are transmitted for others.
     sent = np.flatnonzero(transmitted)
@@ -139,22 +139,22 @@ def as_reported(
 
 
 def messages_of(
-    step: int, pseudonyms: Int[ndarray, "m"], lists: ObjectLists, detections: tables.Detections,
-    evaluations: Evaluations, transmitted: Bool[ndarray, "d"],
-) -> EvaluationMessages:  # fmt: skip
-    """Evaluation messages, one per list, with the evaluations of all transmitted detections.
+    step: int, messages: Known, lists: ObjectLists, evaluations: Evaluations, keep: Bool[ndarray, "k"]
+) -> EvaluationMessages:
+    """Evaluation messages, one per list.
 
     Parameters
     ----------
-    pseudonyms
-        Pseudonym of each row of `Senders`.
+    messages
+        Messages with the detections that are evaluated.
     lists
-        What is evaluated; owners are rows of `Senders`.
+        What is evaluated; owners are rows of `messages`.
     evaluations
         One per member of `lists`.
-    transmitted
-        Whether each detection is transmitted.
+    keep
+        Members whose evaluations are in the messages.
     """
-    keep = transmitted[lists.member]
-    kept = Evaluations(evaluations.evaluation[keep], evaluations.visibility[keep])
-    return tables.as_messages(step, pseudonyms, subset(lists, keep), detections, kept)
+    kept, sent = Evaluations(evaluations.evaluation[keep], evaluations.visibility[keep]), subset(lists, keep)
+    return tables.as_messages(
+        step, messages.pseudonym, sent, messages.detections, kept, messages.detection_step(sent.member)
+    )

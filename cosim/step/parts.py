@@ -5,6 +5,8 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
+import numpy as np
+from jaxtyping import Int
 from numpy import ndarray
 
 from cosim.adversary.adversary import Adversary
@@ -14,6 +16,7 @@ from cosim.door.guard import Guarded, construct, make
 from cosim.door.kinds import SECTIONS
 from cosim.door.load import Choice, Source
 from cosim.driver.driver import Driver
+from cosim.mobility.schedule import Schedule
 from cosim.radio.medium import Medium
 from cosim.radio.rsu import NO_RSUS, RsuAntennas
 from cosim.step.perception import Perceives, Perception
@@ -34,6 +37,7 @@ class Parts:
     """The components of a step. The config chooses detector, attacks, medium, trust model, policy and driver."""
 
     config: Config
+    schedule: Schedule
     city: Scene
     near_pairs: Callable[[World], NearPairs]
     """Finds the pairs of actors that can have encounters."""
@@ -67,6 +71,7 @@ class Parts:
         linkage = Linkage(c.pseudonyms, pseudonyms)
         return Parts(
             config=c,
+            schedule=c.schedule,
             city=city,
             near_pairs=PairSearch.of(c.encounters, walls, c.lidar.mount_above_roof_m),
             rsus=rsus,
@@ -83,15 +88,25 @@ class Parts:
             pseudonyms=pseudonyms,
             linkage=linkage,
             revocation=Revocation(c.pseudonyms, linkage),
-            trust=TrustHosts.of(variants(c), c.server, c.seed, c.sensing_interval_s, dt_s),
+            trust=TrustHosts.of(variants(c), c.server, c.seed, c.schedule.exchange_interval_s, dt_s),
             driver=_make(c, "driver"),
             recall=recall_of(c),
             watch=Stopwatch() if watch is None else watch,
         )
 
     def senses(self, step: int) -> bool:
-        """Whether vehicles sense and exchange messages in this step."""
-        return self.config.sensing and step % self.config.sense_every_steps == 0
+        """Whether vehicles can sense and exchange messages in this step."""
+        return self.config.sensing and step % self.schedule.exchange_every_steps == 0
+
+    def sensing(self, world: World) -> Int[ndarray, "s"]:
+        """Rows of the world of the equipped vehicles that sense in this step."""
+        rows = np.flatnonzero(world.equipped)
+        if self.schedule.is_lock_step:
+            return rows if self.senses(world.step) else rows[:0]
+        if not self.senses(world.step):
+            return rows[:0]
+        interval, phase = self.schedule.of_vehicles(world.name_key[rows])
+        return rows[world.step % interval == phase]
 
 
 def perception_of(experiment: Config, city: Scene) -> Perception:
@@ -128,7 +143,7 @@ def check_choices(experiment: Config) -> None:
         _make(experiment, "attacks", number)
     _make_medium(experiment, None)
     c = experiment
-    TrustHosts.of(variants(c), c.server, c.seed, c.sensing_interval_s, c.traffic.step_s).start()
+    TrustHosts.of(variants(c), c.server, c.seed, c.schedule.exchange_interval_s, c.traffic.step_s).start()
 
 
 def variants(experiment: Config) -> list[Variant]:

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 from cosim.driver.driver import SpeedCommands
 from cosim.step.exchange import Senders, Vehicles
+from cosim.step.known import Known
 from cosim.step.reactions import Reactions
 from cosim.step.stages import Evaluated, Listed, Positioned
 from cosim.step.tracking import Reach, Rounds
@@ -21,10 +22,15 @@ class Sensed:
     """Results of a step in which vehicles sense and exchange messages."""
 
     vehicles: Vehicles
+    """All equipped vehicles on the road."""
+    sensing: Vehicles
+    """Those that sense in this step. Their rows are the observers and the egos of the other results."""
     senders: Senders
     """The messages of each round, sorted by vehicle and identity."""
     positioned: Positioned
     listed: Listed
+    known: Known
+    """The detections of this step and those of earlier messages that vehicles use."""
     rounds: Rounds
     """The rounds of detection messages and of evaluation messages."""
     reach: tuple[Reach, Reach]

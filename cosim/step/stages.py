@@ -18,6 +18,7 @@ from cosim.radio.message_round import LinkReceptions, MessageRound, RoundKind
 from cosim.step import object_lists
 from cosim.step.exchange import Exchange, OnAir, Senders, Times, Vehicles, lists_of_identities
 from cosim.step.ground_truth import GroundTruth, ground_truth_of, lies_in_detections, lies_in_evaluations
+from cosim.step.known import Known, Pairs
 from cosim.step.object_lists import messages_of, questions_of, received_lists, subset
 from cosim.step.parts import Parts
 from cosim.step.perception import Observed
@@ -36,7 +37,7 @@ from cosim.v2x.messages import (
 from cosim.v2x.pseudonyms import PseudonymState, PseudonymUse
 from cosim.v2x.trust_server import TrustBroadcast
 from cosim.world import World
-from sensors.boxes import overlapping_pairs
+from sensors.boxes import overlapping_pairs, pairs_between
 from sensors.evidence import in_evaluation_area
 from trust import tables
 from trust.evaluation import evaluate
@@ -54,7 +55,7 @@ def identify(
 ) -> tuple[PseudonymState, Vehicles, PseudonymUse]:
     """Issue pseudonyms to the equipped vehicles on the road.
 
-    Pseudonyms change only in steps with messages.
+    A vehicle gets a pseudonym, and changes it, only in steps in which it senses.
 
     Parameters
     ----------
@@ -73,22 +74,21 @@ def identify(
     -------
     The new state of the pseudonyms, the vehicles with their pseudonyms, and the pseudonyms that have ended.
     """
-    row = np.flatnonzero(world.equipped)
-    actor, names = world.actor[row], world.name_key[row]
-    if not parts.senses(world.step):
-        return pseudonyms, Vehicles(row, actor, names, pseudonyms.of(actor)), PseudonymUse.none()
-    wants = None
-    if parts.adversary.renews:
-        age_s = (world.step - pseudonyms.begun(world.actor, world.step)) * parts.config.traffic.step_s
-        wants = parts.adversary.renewals(world, now.begin_s, own_trust, age_s)[row]
-    pseudonyms, pseudonym, ended = parts.pseudonyms.issue(pseudonyms, world, row, wants)
-    return pseudonyms, Vehicles(row, actor, names, pseudonym), ended
+    row, sensing = np.flatnonzero(world.equipped), parts.sensing(world)
+    actor, names, ended = world.actor[row], world.name_key[row], PseudonymUse.none()
+    if len(sensing):
+        wants = None
+        if parts.adversary.renews:
+            age_s = (world.step - pseudonyms.begun(world.actor, world.step)) * parts.config.traffic.step_s
+            wants = parts.adversary.renewals(world, now.begin_s, own_trust, age_s)[sensing]
+        pseudonyms, _, ended = parts.pseudonyms.issue(pseudonyms, world, sensing, wants)
+    return pseudonyms, Vehicles(row, actor, names, pseudonyms.of(actor), np.searchsorted(row, sensing)), ended
 
 
 def perceive(world: World, vehicles: Vehicles, precomputed: Precomputed, parts: Parts) -> Observed:
-    """What equipped vehicles perceive."""
+    """What the vehicles perceive that sense in this step."""
     if precomputed.observed is None:
-        return parts.perception(world, vehicles.row, parts.watch)
+        return parts.perception(world, vehicles.row[vehicles.senses], parts.watch)
     with parts.watch("wait for sensing"):
         return precomputed.observed()
 
@@ -112,15 +112,24 @@ def position(
     if c.gnss.std_m <= 0:
         return errors, Positioned(observed, world, None)
     errors, error_m = errors.next(world.step, vehicles.actor, vehicles.name_key, c.gnss, c.traffic.step_s, c.seed)
-    observed = as_believed(observed, vehicles.row, error_m)
+    observed = as_believed(observed, vehicles.row[vehicles.senses], error_m[vehicles.senses])
     return errors, Positioned(observed, believed_world(world, vehicles.row, error_m), error_m)
+
+
+def senders_among(world: World, vehicles: Vehicles) -> Bool[ndarray, "n"] | None:
+    """Actors that send messages in this step, by row of the world; None if all equipped vehicles do."""
+    if len(vehicles.senses) == len(vehicles):
+        return None
+    sends = np.zeros(len(world), bool)
+    sends[vehicles.row[vehicles.senses]] = True
+    return sends
 
 
 def senders_of(
     world: World, vehicles: Vehicles, attacks: Active, pseudonyms: PseudonymState, parts: Parts
 ) -> tuple[PseudonymState, Senders]:
-    """The messages of one round, one per vehicle and identity, with their pseudonyms."""
-    senders = Senders.of(vehicles, attacks.identities(len(world))[vehicles.row])
+    """The messages of one round, one per vehicle that senses and identity, with their pseudonyms."""
+    senders = Senders.of(vehicles, attacks.identities(len(world))[vehicles.row[vehicles.senses]])
     more = np.flatnonzero(senders.identity)
     if len(more):
         pseudonym = senders.pseudonym.copy()
@@ -170,7 +179,7 @@ def list_objects(
     -------
     The new memory of the generation rules, and the lists.
     """
-    world, vehicles, senders, attacks = exchange.world, exchange.vehicles, exchange.senders, exchange.attacks
+    world, sensing, senders, attacks = exchange.world, exchange.sensing, exchange.senders, exchange.attacks
     perceived = with_motion(observed.detections, world.speed_mps, acceleration_mps2)
     objects, n_dropped = attacks.detections(perceived)
     withheld = (objects.origin == SENSED) & ~objects.transmitted
@@ -179,12 +188,12 @@ def list_objects(
         sender = world.actor[objects.observer].astype(np.int64) << 16 | objects.identity
         chosen, included = select_objects(included, objects, sender, exchange.now.begin_s)
         objects = replace(objects, transmitted=chosen)
-    message = senders.message_of(objects, vehicles.row)
+    message = senders.message_of(objects, sensing.row)
     detections, ptr = object_lists.for_trust(objects, message, len(senders))
     return included, Listed(
         objects=objects,
         truth=ground_truth_of(
-            objects, world, observed.observability, vehicles.row, observed.is_real, observed.actor_row, lied
+            objects, world, observed.observability, sensing.row, observed.is_real, observed.actor_row, lied
         ),
         detections=detections,
         ptr=ptr,
@@ -199,7 +208,18 @@ class SentEvaluations:
 
     messages: EvaluationMessages
     sender: Int[ndarray, "v"]
-    """Actor number and identity of each message's sender, as in `Exchange.sender`."""
+    """Actor number and identity of each message's sender, as in `Exchange.sender`; ascending."""
+
+    def take(self, rows: Int[ndarray, "k"]) -> "SentEvaluations":
+        """These messages."""
+        return SentEvaluations(self.messages.taken(rows), self.sender[rows])
+
+    def and_also(self, earlier: "SentEvaluations") -> "SentEvaluations":
+        """These messages and those of other senders, which were made earlier."""
+        sender = np.concatenate([self.sender, earlier.sender])
+        both = self.messages.and_also(earlier.messages)
+        order = np.argsort(sender, kind="stable")
+        return SentEvaluations(both.taken(order), sender[order])
 
 
 @dataclass(frozen=True, slots=True)
@@ -218,7 +238,9 @@ def broadcast_detections(
 ) -> tuple[object, Broadcast]:
     """Broadcast detection messages, with piggybacked evaluations of the step before; return the medium's new state."""
     lengths = _cpm_lengths(exchange, listed, piggybacked, parts.config)
-    on_air = OnAir.of(exchange.senders, lengths, len(parts.rsus), sending=exchange.sending)
+    on_air = OnAir.of(
+        exchange.senders, lengths, len(exchange.vehicles), len(parts.rsus), sending=exchange.sending
+    )
     return _broadcast(exchange, RoundKind.CPM, on_air, exchange.now.begin_s, medium, parts)
 
 
@@ -232,7 +254,7 @@ def broadcast_evaluations(
     alone = parts.config.radio.evaluations == "alone"
     lengths = evaluation_bytes(np.diff(evaluated.sent.ptr)) * alone
     rsu_bytes = 0 if rsu_broadcast is None else trust_broadcast_bytes(len(rsu_broadcast.scores.subject))
-    on_air = OnAir.of(exchange.senders, lengths, len(parts.rsus), rsu_bytes)
+    on_air = OnAir.of(exchange.senders, lengths, len(exchange.vehicles), len(parts.rsus), rsu_bytes)
     return _broadcast(exchange, RoundKind.EVALUATION, on_air, exchange.now.evaluated_s, medium, parts)
 
 
@@ -283,21 +305,36 @@ class Matched:
     """Only the members inside: what each vehicle evaluates."""
     lists_groups: Groups
     """Groups of `lists`."""
+    pairs: Pairs
+    """Overlapping detections; rows of `Known`."""
 
 
-def match_objects(exchange: Exchange, listed: Listed, cpms: Broadcast, positioned: Positioned, c: Config) -> Matched:
+def match_objects(exchange: Exchange, messages: Known, positioned: Positioned, c: Config) -> Matched:
     """Group the detections that each vehicle knows by overlap, so that each group is one object."""
-    objects, senders = listed.objects, exchange.senders
-    with threads_for(_ROWS_PER_BOX * len(objects.boxes)):
-        pairs = overlapping_pairs(objects.boxes, objects.label, listed.detections.message)
-    known = received_lists(cpms.accepted.vehicles, listed.ptr, objects.transmitted, senders.vehicle, senders.own)
+    objects, senders = messages.objects, exchange.senders
+    pairs = _pairs(messages, int(messages.ptr[len(senders)]))
+    known = received_lists(messages.received, messages.ptr, objects.transmitted, senders.source, senders.own)
     inside = in_evaluation_area(
         positioned.observed.sweeps, known.of_member(), objects.boxes, c.area, known.member, objects.label,
-        positioned.world.boxes.take(exchange.vehicles.row),
+        positioned.world.boxes.take(exchange.sensing.row),
     )  # fmt: skip
     lists = subset(known, inside)
-    groups, lists_groups = (match(x, listed.detections, pairs, c.trust) for x in (known, lists))
-    return Matched(known=known, groups=groups, inside=inside, lists=lists, lists_groups=lists_groups)
+    groups, lists_groups = (match(x, messages.detections, pairs, c.trust) for x in (known, lists))
+    return Matched(known=known, groups=groups, inside=inside, lists=lists, lists_groups=lists_groups, pairs=pairs)
+
+
+def _pairs(messages: Known, n_now: int) -> Pairs:
+    """Overlapping detections; `n_now` of them are of this step. Pairs of earlier ones are known."""
+    boxes, label, message = messages.objects.boxes, messages.objects.label, messages.detections.message
+    now, earlier = slice(0, n_now), slice(n_now, None)
+    with threads_for(_ROWS_PER_BOX * n_now):
+        pairs = overlapping_pairs(boxes.take(now), label[now], message[now])
+        if n_now == len(boxes):
+            return pairs
+        i, j, iou = pairs_between(boxes.take(now), label[now], boxes.take(earlier), label[earlier])
+    columns = zip(pairs, (i, n_now + j, iou), messages.earlier_pairs, strict=True)
+    one, other, overlap = (np.concatenate(column) for column in columns)
+    return one, other, overlap
 
 
 @dataclass(frozen=True, slots=True)
@@ -316,37 +353,42 @@ class SweepAnswers:
     """Recall of the evaluator's detector for each member of `lists`; None unless denials are weighted by it."""
 
 
-def ask_sweeps(exchange: Exchange, listed: Listed, matched: Matched, observed: Observed, parts: Parts) -> SweepAnswers:
+def ask_sweeps(
+    exchange: Exchange, messages: Known, matched: Matched, observed: Observed, parts: Parts
+) -> SweepAnswers:
     """Ask every vehicle's own sweep about the boxes in its list. Sweeps are not read again in this step."""
-    known, groups, boxes, c = matched.known, matched.lists_groups, listed.objects.boxes, parts.config
+    known, groups, boxes, c = matched.known, matched.lists_groups, messages.objects.boxes, parts.config
     foreign = np.zeros(len(known.member), bool)  # members whose plausibility is tested
     foreign[matched.groups.seeds()] = True
     foreign &= ~matched.groups.ego_detected
     foreign[np.flatnonzero(matched.inside)[~groups.ego_detected]] = True
-    asked, counted, tested = questions_of(known, matched.inside, foreign, boxes, listed.detections, c.area)
+    asked, counted, tested = questions_of(known, matched.inside, foreign, boxes, messages.detections, c.area)
     n_points, plausible = np.zeros(len(known.member), np.int32), np.ones(len(known.member), bool)
     n_points[counted], plausible[tested] = parts.perception.answers(observed.sweeps, asked)
     origin_m, seeds = observed.sweeps.poses.origin_m, matched.groups.seeds()
     away_m = _distance_m(boxes.xyz_m, known.member[seeds], origin_m, known.of(seeds))
-    observer = exchange.senders.vehicle[listed.detections.message]
+    n_now = len(boxes) - len(messages.earlier_m)
+    observer = exchange.senders.source[messages.detections.message[:n_now]]
     return SweepAnswers(
         n_points=n_points,
         plausible=plausible,
         of_seeds=SensorEvidence(n_points[seeds], plausible[seeds], away_m < c.area.range_m),
-        from_own_m=_distance_m(boxes.xyz_m, np.arange(len(boxes)), origin_m, observer),
-        recall=_recall(listed, matched, n_points[matched.inside], origin_m, parts),
+        from_own_m=np.concatenate(
+            [_distance_m(boxes.xyz_m, np.arange(n_now), origin_m, observer), messages.earlier_m]
+        ),
+        recall=_recall(messages, matched, n_points[matched.inside], origin_m, parts),
     )
 
 
 def _recall(
-    listed: Listed, matched: Matched, n_points: Int[ndarray, "v"], origin_m: Float[ndarray, "e 3"], parts: Parts
+    messages: Known, matched: Matched, n_points: Int[ndarray, "v"], origin_m: Float[ndarray, "e 3"], parts: Parts
 ) -> Float[ndarray, "v"] | None:
     """Recall of each vehicle's detector for each object that it evaluates; None unless denials are weighted by it."""
     if parts.recall is None:
         return None
-    lists, boxes = matched.lists, listed.objects.boxes
+    lists, boxes = matched.lists, messages.objects.boxes
     range_m = _distance_m(boxes.xyz_m, lists.member, origin_m, lists.of_member())
-    return parts.recall(n_points, listed.detections.label[lists.member], range_m)
+    return parts.recall(n_points, messages.detections.label[lists.member], range_m)
 
 
 @dataclass(frozen=True, slots=True)
@@ -379,26 +421,31 @@ class Evaluated:
 
 
 def evaluate_objects(
-    exchange: Exchange, listed: Listed, matched: Matched, answers: SweepAnswers, config: Config
+    exchange: Exchange, messages: Known, matched: Matched, answers: SweepAnswers, config: Config
 ) -> Evaluated:
-    """Evaluate the detections in each vehicle's list, and make the evaluation messages."""
+    """Evaluate the detections in each vehicle's list, and make the evaluation messages.
+
+    A message contains the evaluations of the detections that are new since the vehicle last sensed.
+    """
     groups, lists, senders = matched.lists_groups, matched.lists, exchange.senders
     n_points, plausible = answers.n_points[matched.inside], answers.plausible[matched.inside]
     ego_detected = groups.ego_detected
-    own = evaluate(lists, groups, listed.detections, n_points, plausible, config.trust, answers.recall)
-    reported = object_lists.as_reported(exchange.attacks, own, lists, listed.objects, exchange.vehicles.row)
+    own = evaluate(lists, groups, messages.detections, n_points, plausible, config.trust, answers.recall)
+    reported = object_lists.as_reported(exchange.attacks, own, lists, messages.objects, exchange.sensing.row)
     lied = lies_in_evaluations(own, reported)
+    sendable = messages.objects.transmitted[lists.member]
+    is_new = messages.is_new(lists.of_member(), lists.member)
+    sendable = sendable if is_new is None else sendable & is_new
 
-    def carried(by: ObjectLists, values: Evaluations) -> EvaluationMessages:
-        return messages_of(
-            exchange.now.step, senders.pseudonym, by, listed.detections, values, listed.objects.transmitted
-        )
+    def carried(by: ObjectLists, values: Evaluations, sendable: Bool[ndarray, "v"]) -> EvaluationMessages:
+        return messages_of(exchange.now.step, messages, by, values, sendable)
 
-    own_messages = carried(lists, own)
+    own_messages = carried(lists, own, sendable)
     lists, at = lists_of_identities(lists, senders)
     if at is not None:
         n_points, plausible, ego_detected, lied = n_points[at], plausible[at], ego_detected[at], lied[at]
         own, reported = (Evaluations(e.evaluation[at], e.visibility[at]) for e in (own, reported))
+        sendable = sendable[at]
     return Evaluated(
         lists=lists,
         n_points=n_points,
@@ -408,13 +455,13 @@ def evaluate_objects(
         reported=reported,
         lied=lied,
         own_messages=own_messages,
-        sent=carried(lists, reported),
-        kept_messages=own_messages if at is None else carried(lists, own),
+        sent=carried(lists, reported, sendable),
+        kept_messages=own_messages if at is None else carried(lists, own, sendable),
     )
 
 
 def beliefs_of(
-    fused: Fused | None, exchange: Exchange, listed: Listed, position_error_m: Float[ndarray, "e 2"] | None
+    fused: Fused | None, exchange: Exchange, messages: Known, position_error_m: Float[ndarray, "e 2"] | None
 ) -> Beliefs:
     """Fused objects for the drivers, moved from the estimated to the true positions of the vehicles.
 
@@ -422,26 +469,29 @@ def beliefs_of(
     ----------
     fused
         Fused objects of the acting variant.
-    exchange, listed
-        Vehicles, senders and detections of the step.
+    exchange, messages
+        Vehicles of the step, and the detections that they know.
     position_error_m
         As `Positioned.error_m`.
     """
     assert fused is not None, "the acting variant is always fused"
-    boxes, pose = listed.objects.boxes.take(fused.seed), listed.objects.boxes.take(fused.pose)
+    objects, message = messages.objects, messages.detections.message[fused.seed]
+    boxes, pose = objects.boxes.take(fused.seed), objects.boxes.take(fused.pose)
     boxes = replace(boxes, xyz_m=pose.xyz_m, yaw_rad=pose.yaw_rad)
     if position_error_m is not None:
-        apart_m = np.column_stack([position_error_m[fused.ego], np.zeros(len(fused.ego))])
+        error_m = position_error_m[exchange.vehicles.senses[fused.ego]]
+        apart_m = np.column_stack([error_m, np.zeros(len(fused.ego))])
         boxes = replace(boxes, xyz_m=boxes.xyz_m - apart_m)
     return Beliefs(
         known_s=exchange.now.fused_s,
-        ego=exchange.vehicles.row[fused.ego],
-        label=listed.objects.label[fused.seed],
+        ego=exchange.sensing.row[fused.ego],
+        label=objects.label[fused.seed],
         boxes=boxes,
         score=fused.score,
         ego_detected=fused.ego_detected,
-        source=exchange.senders.pseudonym[listed.detections.message[fused.seed]],
-        source_index=listed.objects.detection_index[fused.seed],
+        source=messages.pseudonym[message],
+        source_step=messages.step[message],
+        source_index=objects.detection_index[fused.seed],
     )
 
 

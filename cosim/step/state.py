@@ -10,6 +10,7 @@ from numpy import ndarray
 
 from cosim.adversary.adversary import AttackState
 from cosim.mobility.position_errors import PositionErrors
+from cosim.step.inbox import Inbox
 from cosim.step.parts import Parts
 from cosim.step.reactions import ReactionTruth
 from cosim.step.stages import SentEvaluations
@@ -44,6 +45,8 @@ class State:
     pseudonyms: PseudonymState = field(default_factory=PseudonymState)
     included: InclusionMemory = field(default_factory=InclusionMemory)
     piggybacked: SentEvaluations | None = None
+    inbox: Inbox = field(default_factory=Inbox)
+    """Earlier messages that vehicles still use; empty if all vehicles sense in the same steps."""
     inter_reception: ReceptionTrackers = field(
         default_factory=lambda: (InterReceptionTracker(), InterReceptionTracker())
     )

@@ -9,6 +9,7 @@ from numpy import ndarray
 from cosim.radio.message_round import MessageRound
 from cosim.ragged import distinct, stable_order
 from cosim.step.exchange import Exchange
+from cosim.step.known import Known
 from cosim.step.stages import Broadcast, Evaluated, Listed, Matched
 from cosim.step.trackers.attack_start import AttackStartTracker
 from cosim.step.trackers.encounters import Encounters
@@ -56,7 +57,8 @@ def _track_round(
     known[known] = pair[at[known]] == arrived[known]
     got = np.zeros(len(pair), bool)
     got[at[known]] = True
-    tracker, rows = tracker.next(exchange.now.step, actor[sender], actor[in_range], got)
+    silent = None if exchange.sensing is exchange.vehicles else np.setdiff1d(actor, exchange.sensing.actor)
+    tracker, rows = tracker.next(exchange.now.step, actor[sender], actor[in_range], got, silent)
     return tracker, Reach(sender, in_range, rows)
 
 
@@ -81,21 +83,23 @@ def pairs_in_range(found: MessageRound, n: int) -> tuple[Int[ndarray, "p"], Int[
 
 
 def count_in_encounters(
-    encounters: Encounters, exchange: Exchange, rounds: Rounds, looked_up: LookedUp, listed: Listed,
+    encounters: Encounters, exchange: Exchange, rounds: Rounds, looked_up: LookedUp, messages: Known,
     matched: Matched,
 ) -> Encounters:  # fmt: skip
     """Add a step's messages, look-ups and evaluations to the open encounters."""
-    actor, vehicle = exchange.vehicles.actor, exchange.senders.vehicle
-    used = looked_up.messages
+    actor, vehicle = exchange.vehicles.actor, messages.vehicle
+    used, lists, row = looked_up.messages, matched.lists, exchange.vehicles.senses
     is_known = np.stack([found.is_known for found in looked_up.lookups], axis=1)
-    by, observer = matched.lists.of_member(), vehicle[listed.detections.message[matched.lists.member]]
+    by, observer = row[lists.of_member()], vehicle[messages.detections.message[lists.member]]
+    if (is_new := messages.is_new(lists.of_member(), lists.member)) is not None:
+        by, observer = by[is_new], observer[is_new]
     pairs, n = distinct((by * len(actor) + observer)[by != observer])
     evaluator, observer = np.divmod(pairs, max(len(actor), 1))
     for tracker in encounters:
         for broadcast in rounds:
             found = broadcast.links.vehicles
             tracker.count_messages(actor[vehicle[found.message]], actor[found.receiver])
-        tracker.note_trust(actor[used.receiver], actor[vehicle[used.message]], is_known)
+        tracker.note_trust(actor[row[used.receiver]], actor[vehicle[used.message]], is_known)
         tracker.count_evaluations(actor[evaluator], actor[observer], n)
     return encounters
 

@@ -12,6 +12,7 @@ from numpy import ndarray
 from cosim.radio.message_round import LinkReceptions, Receptions
 from cosim.ragged import ptr_of
 from cosim.step.exchange import Exchange, Times, Vehicles, distinct
+from cosim.step.known import Known, Uses
 from cosim.step.parts import Parts
 from cosim.step.stages import Broadcast, Evaluated, Listed, Matched, SentEvaluations, SweepAnswers
 from cosim.step.trackers.encounters import Encounters, NearPairs, update_encounters
@@ -23,7 +24,7 @@ from cosim.world import World
 from results.codes import TrustSource
 from results.encounters import Rows
 from trust.fusion import Fused, fuse, votes_of
-from trust.tables import FusionInput, SenderTrust, TrustScores
+from trust.tables import Evaluations, FusionInput, ObjectLists, SenderTrust, TrustScores
 
 
 def own_trust_of(
@@ -141,7 +142,11 @@ def carrier_of(
     sent = SentEvaluations(evaluated.sent, exchange.sender)
     if parts.config.radio.evaluations == "alone":
         return None, Carrier(sent, reports.accepted, exchange.now.evaluated_s)
-    return sent, Carrier(waiting, cpms.accepted, exchange.now.begin_s)
+    carrier = Carrier(waiting, cpms.accepted, exchange.now.begin_s)
+    if waiting is None or parts.schedule.is_lock_step:
+        return sent, carrier
+    is_there = np.isin(waiting.sender >> 16, exchange.vehicles.actor)
+    return sent.and_also(waiting.take(np.flatnonzero(is_there & ~np.isin(waiting.sender, sent.sender)))), carrier
 
 
 def update_trust(
@@ -156,7 +161,7 @@ def update_trust(
     """
     hosts, linkage, senders = parts.trust, parts.linkage, exchange.senders
     trust = _open_step(trust, exchange, listed, pseudonyms, parts)
-    own, vehicle = linkage.messages(pseudonyms, evaluated.own_messages), exchange.vehicles.actor
+    own, vehicle = linkage.messages(pseudonyms, evaluated.own_messages), exchange.sensing.actor
     trust = hosts.add_local(trust, own, vehicle, np.arange(len(vehicle)), of_others=False)
     up = LinkStats()
     if carrier.evaluations is not None:
@@ -174,9 +179,15 @@ def update_trust(
 def _open_step(
     trust: TrustState, exchange: Exchange, listed: Listed, pseudonyms: PseudonymState, parts: Parts
 ) -> TrustState:
-    """Give the hosts the transmitted detections, by subject of trust."""
+    """Give the hosts the transmitted detections, by subject of trust.
+
+    Vehicles that only listen in this step can evaluate its detections later, so the hosts get their pseudonyms too.
+    """
     transmitted, detections, linkage = listed.objects.transmitted, listed.detections, parts.linkage
-    pseudonym = exchange.senders.pseudonym
+    pseudonym, vehicles = exchange.senders.pseudonym, exchange.vehicles
+    if exchange.sensing is not vehicles:
+        listens = np.setdiff1d(vehicles.pseudonym, pseudonym)
+        pseudonym = np.concatenate([pseudonym, listens[listens >= 0]])
     message, index = detections.message[transmitted], detections.detection_index[transmitted]
     subject = linkage.subjects(pseudonyms, pseudonym)
     _, index = linkage.keys(pseudonyms, pseudonym[message], index)
@@ -205,32 +216,44 @@ def _deliver(
 class LookedUp:
     """Trust in the senders of the evaluations that each vehicle uses in fusion."""
 
-    messages: Receptions
-    """Receptions of the messages whose senders' trust is looked up."""
+    messages: Uses
+    """The messages whose senders' trust is looked up."""
     lookups: list[Lookups]
     """Answers per trust variant, aligned with `messages`."""
 
 
 def look_up(
-    trust: TrustState, known_senders: KnownSenders, exchange: Exchange, listed: Listed,
-    rounds: tuple[Broadcast, Carrier], pseudonyms: PseudonymState, parts: Parts,
+    trust: TrustState, known_senders: KnownSenders, exchange: Exchange, listed: Listed, messages: Known, used: Uses,
+    cpms: Broadcast, pseudonyms: PseudonymState, parts: Parts,
 ) -> tuple[TrustState, KnownSenders, LookedUp]:  # fmt: skip
-    """Every vehicle looks up its trust in the senders of the evaluations that it received.
+    """Every vehicle that senses looks up its trust in the senders of the evaluations that it uses.
 
-    `rounds` are the round of detection messages and the one that carried evaluations.
+    Parameters
+    ----------
+    trust, known_senders, pseudonyms
+        Parts of the state.
+    exchange, listed
+        Vehicles of the step and their detections.
+    messages
+        Messages of the step and earlier ones.
+    used
+        Those that carried the evaluations, and the vehicles that use them.
+    cpms
+        The round of detection messages.
+    parts
+        Components of the run.
     """
-    cpms, carrier = rounds
-    used, now, senders, vehicles = carrier.receptions.vehicles, exchange.now, exchange.senders, exchange.vehicles
-    trust = parts.trust.receive(trust, vehicles.actor, now.fused_s)
-    subject = parts.linkage.subjects(pseudonyms, senders.pseudonym)[used.message]
-    found = parts.trust.lookup(trust, vehicles.actor[used.receiver], subject, now.fused_s)
+    now = exchange.now
+    trust = parts.trust.receive(trust, exchange.vehicles.actor, now.fused_s)
+    subject = parts.linkage.subjects(pseudonyms, messages.pseudonym)[used.message]
+    found = parts.trust.lookup(trust, exchange.sensing.actor[used.receiver], subject, now.fused_s)
     if parts.config.pseudonyms.linkage == "own":
         received = _received_senders(exchange, listed, cpms.accepted.vehicles)
         known_senders = update_senders(
             known_senders, received, now.begin_s,
             lambda pseudonym: parts.pseudonyms.owners(pseudonyms, pseudonym)[0], parts.config.pseudonyms,
         )  # fmt: skip
-        known_senders, found = _of_old_pseudonyms(trust, known_senders, exchange, used, found, parts)
+        known_senders, found = _of_old_pseudonyms(trust, known_senders, exchange, messages, used, found, parts)
     return trust, known_senders, LookedUp(used, parts.trust.per_variant(found))
 
 
@@ -252,13 +275,14 @@ def _received_senders(exchange: Exchange, listed: Listed, received: Receptions) 
 
 
 def _of_old_pseudonyms(
-    trust: TrustState, known: KnownSenders, exchange: Exchange, used: Receptions, found: list[Lookups], parts: Parts
-) -> tuple[KnownSenders, list[Lookups]]:
+    trust: TrustState, known: KnownSenders, exchange: Exchange, messages: Known, used: Uses, found: list[Lookups],
+    parts: Parts,
+) -> tuple[KnownSenders, list[Lookups]]:  # fmt: skip
     """Look-ups of receivers that link pseudonyms themselves.
 
     If a receiver has no trust value for the new pseudonym, it uses that of the old one.
     """
-    holder, asked = exchange.vehicles.actor[used.receiver], exchange.senders.pseudonym[used.message]
+    holder, asked = exchange.sensing.actor[used.receiver], messages.pseudonym[used.message]
     old = np.full(len(asked), -1)
     if len(known.receiver):
         at = np.minimum(known.rows_of(holder, asked), len(known.receiver) - 1)
@@ -277,16 +301,17 @@ def _of_old_pseudonyms(
 
 
 def fuse_objects(
-    trust: TrustState, listed: Listed, matched: Matched, answers: SweepAnswers, evaluated: Evaluated,
-    looked_up: LookedUp, parts: Parts,
+    trust: TrustState, messages: Known, matched: Matched, answers: SweepAnswers,
+    evaluations: tuple[ObjectLists, Evaluations, Evaluations], looked_up: LookedUp, parts: Parts,
 ) -> list[Fused | None]:  # fmt: skip
-    """Fused objects of every vehicle, per trust variant; None if they are not requested."""
-    used = looked_up.messages
+    """Fused objects of every vehicle that senses, per trust variant; None if they are not requested.
+
+    `evaluations` are those that the vehicles can use, as `Inbox.evaluations_used` returns them.
+    """
+    used, (lists, own, reported) = looked_up.messages, evaluations
     ptr = ptr_of(used.receiver, len(matched.known.owner))
     in_time = np.full(len(used.message), parts.config.radio.evaluations == "alone")
-    given = FusionInput(
-        matched.known, matched.groups, listed.detections, evaluated.lists, evaluated.own, evaluated.reported
-    )
+    given = FusionInput(matched.known, matched.groups, messages.detections, lists, own, reported)
     fused: list[Fused | None] = []
     votes = None
     hosts = parts.trust

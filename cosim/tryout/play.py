@@ -127,6 +127,7 @@ def _beliefs(world: World, known_s: float, dt_s: float) -> Beliefs:
         ego_detected=np.concatenate([sees, np.zeros(n, bool)])[order],
         source=np.concatenate([world.actor[other], world.actor[alone]])[order].astype(np.int64),
         source_index=np.concatenate([np.ones(len(other), np.int64), np.full(n, 2)])[order],
+        source_step=np.full(len(by), world.step),
     )
 
 

@@ -226,8 +226,7 @@ class TrustHosts:
         for messages in arrived:
             n = len(messages.evaluator)
             received = ReceivedEvaluations(messages, np.full(n, SERVER), np.arange(n), self.eta)
-            for h in self._hosts("central"):
-                self._model(state, h).add_evaluations(received)
+            self._add(state, self._hosts("central"), received)
         if self.server.is_out(time_s):
             return state, published, counts
         delay_s: Float[ndarray, "e"] | None = None
@@ -323,9 +322,10 @@ class TrustHosts:
         The state with the new evidence.
         """
         received = ReceivedEvaluations(messages, vehicle, message, self.eta)
-        for h in self._hosts("local"):
-            if not of_others or self.params[h].local_evidence == "received":
-                self._model(state, h).add_evaluations(received)
+        hosts = [
+            h for h in self._hosts("local") if not of_others or self.params[h].local_evidence == "received"
+        ]
+        self._add(state, hosts, received)
         return state
 
     def report_by_cellular(
@@ -442,6 +442,12 @@ class TrustHosts:
             None if state.hosts[h].model is None else getattr(self._model(state, h), "score_objects", None)
             for h in self.host_of
         ]
+
+    def _add(self, state: TrustState, hosts: Sequence[int], received: ReceivedEvaluations) -> None:
+        """Add evaluations to the evidence of hosts. A model gets those of the detections of one step at a time."""
+        for messages in received.messages.of_one_step() if hosts else ():
+            for h in hosts:
+                self._model(state, h).add_evaluations(replace(received, messages=messages))
 
     def _model(self, state: TrustState, h: int, latest_step: int | None = None) -> TrustModel:
         """The model of a host, guarded if it is a user's own. `latest_step` is the step of a call without that

@@ -10,7 +10,6 @@ from jaxtyping import Bool, Float, Int, UInt64
 from numpy import ndarray
 
 from cosim import rng
-from cosim.ragged import offsets
 from cosim.v2x import cellular
 from cosim.v2x.cellular import CellularParams, transfer_delay_s, within_capacity
 from cosim.v2x.messages import report_bytes, trust_broadcast_bytes
@@ -167,15 +166,7 @@ class Uplink:
 
 def chosen_messages(messages: EvaluationMessages, chosen: Bool[ndarray, "v"]) -> EvaluationMessages:
     """The messages of the chosen evaluators."""
-    if chosen.all():
-        return messages
-    n = np.diff(messages.ptr)
-    rows = np.flatnonzero(np.repeat(chosen, n))
-    ptr = offsets(n[chosen])
-    return EvaluationMessages(
-        messages.step, messages.evaluator[chosen], ptr, messages.observer[rows], messages.detection_index[rows],
-        messages.evaluation[rows], messages.visibility[rows],
-    )  # fmt: skip
+    return messages if chosen.all() else messages.taken(np.flatnonzero(chosen))
 
 
 @dataclass(frozen=True, slots=True)

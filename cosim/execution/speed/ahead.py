@@ -105,7 +105,7 @@ class Ahead:
         observed = found.result()
         if expected is world:
             return observed
-        return self._parts.perception(world, np.flatnonzero(world.equipped), self._parts.watch)
+        return self._parts.perception(world, self._parts.sensing(world), self._parts.watch)
 
     def _stations(self, world: World) -> Stations:
         above_roof_m = self._parts.config.radio.antenna_above_roof_m
@@ -113,7 +113,7 @@ class Ahead:
 
     def _sense(self, world: World, n_threads: int) -> Observed:
         numba.set_num_threads(n_threads)  # a setting of each thread
-        return self._parts.perception(world, np.flatnonzero(world.equipped), self.watch)
+        return self._parts.perception(world, self._parts.sensing(world), self.watch)
 
     def _near_pairs(self, world: World) -> NearPairs:
         numba.set_num_threads(1)  # the other core is the present step's

@@ -86,7 +86,7 @@ def detector():
 def driver():
     """Arguments of the hook of a driver."""
     here, n = world(), np.arange(3)
-    beliefs = Beliefs(5.4, n, here.label[:3], here.boxes.take(n), np.full(3, 0.5), np.zeros(3, bool), n, n)
+    beliefs = Beliefs(5.4, n, here.label[:3], here.boxes.take(n), np.full(3, 0.5), np.zeros(3, bool), n, n, n)
     return {"commands": (None, here, beliefs, 0.5)}
 
 

@@ -35,7 +35,7 @@ def belief(ego, x_m, label=PEDESTRIAN, yaw=0.0, lwh=(0.8, 0.6, 1.75), y_m=0.0, s
     return Beliefs(
         known_s, np.array([ego]), np.array([label], np.uint8),
         Boxes(np.array([[x_m, y_m, lwh[2] / 2]]), np.array([lwh]), np.array([yaw])), np.array([score]),
-        np.array([own]), np.array([7]), np.array([3]),
+        np.array([own]), np.array([7]), np.array([3]), np.array([0]),
     )  # fmt: skip
 
 
@@ -117,7 +117,7 @@ def test_share_is_decided_by_name():
     one = belief(0, 20.0)
     boxes = one.boxes.take(np.zeros(n, int))
     many = Beliefs(0.0, np.arange(n), np.full(n, PEDESTRIAN, np.uint8), boxes, np.ones(n), np.zeros(n, bool),
-                   np.full(n, 7), np.full(n, 3))  # fmt: skip
+                   np.full(n, 7), np.full(n, 3), np.zeros(n, int))  # fmt: skip
     few, more = (Cautious(replace(NOW, share_p=p)).commands(None, worlds, many, 0.5)[1].actor for p in (0.3, 0.6))
     assert 520 < len(few) < 680 and np.isin(few, more).all()
 

@@ -1,0 +1,278 @@
+"""Keeps messages of earlier steps for vehicles that sense later than the senders.
+
+A vehicle that senses uses the newest detection message of each sender that is younger than the longest sensing
+interval, and the evaluation messages of the same time. If all vehicles sense in the same steps, the inbox is empty.
+"""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from numpy import ndarray
+
+from cosim.mobility.schedule import Schedule
+from cosim.radio.message_round import Receptions
+from cosim.ragged import offsets, ranges
+from cosim.step.exchange import Exchange
+from cosim.step.ground_truth import GroundTruth
+from cosim.step.known import Known, Pairs, Uses
+from cosim.step.object_lists import for_trust
+from cosim.step.stages import Broadcast, Evaluated, Listed, Matched, SweepAnswers
+from cosim.v2x.messages import Detections
+from sensors.boxes import Boxes
+from trust.tables import Evaluations, ObjectLists
+
+
+def _rows() -> Int[ndarray, "0"]:
+    return np.zeros(0, np.int64)
+
+
+def _no_detections() -> Detections:
+    nothing, none = np.zeros((0, 3)), _rows()
+    boxes = Boxes(nothing, nothing, np.zeros(0))
+    return Detections.perceived(none, none, np.zeros(0, np.uint8), boxes, np.zeros(0), none, np.zeros(0, np.uint8))
+
+
+def _no_truth() -> GroundTruth:
+    no, none = np.zeros(0, bool), np.zeros(0)
+    return GroundTruth(no, _rows(), none, none, no, no)
+
+
+@dataclass(frozen=True, slots=True)
+class Inbox:
+    """M earlier messages with D detections, by step and sender, and who received them.
+
+    Vehicles and actors are actor numbers here, because rows of the world change from step to step.
+    """
+
+    step: Int[ndarray, "m"] = field(default_factory=_rows)
+    sender: Int[ndarray, "m"] = field(default_factory=_rows)
+    """Actor number and identity in one number, as `Exchange.sender`."""
+    pseudonym: Int[ndarray, "m"] = field(default_factory=_rows)
+    ptr: Int[ndarray, "m+1"] = field(default_factory=lambda: np.zeros(1, np.int64))
+    objects: Detections = field(default_factory=_no_detections)
+    truth: GroundTruth = field(default_factory=_no_truth)
+    withheld: Bool[ndarray, "d"] = field(default_factory=lambda: np.zeros(0, bool))
+    from_own_m: Float[ndarray, "d"] = field(default_factory=lambda: np.zeros(0))
+    """Distance of each detection from the sensor of its sender."""
+    pairs: Pairs = field(default_factory=lambda: (_rows(), _rows(), np.zeros(0)))
+    evaluated: ObjectLists = field(default_factory=lambda: ObjectLists(np.zeros(1, np.int64), _rows(), _rows()))
+    """Detections that the sender of each message evaluated, as rows of `objects`."""
+    evaluations: Evaluations = field(default_factory=lambda: Evaluations(np.zeros(0), np.zeros(0)))
+    """These evaluations as they were sent."""
+    cpms: Uses = field(default_factory=lambda: Uses(_rows(), _rows()))
+    """Receptions of the detection messages: actor number of the receiver, and row of the message."""
+    reports: Uses = field(default_factory=lambda: Uses(_rows(), _rows()))
+    """Receptions of the evaluation messages."""
+
+    def known(self, exchange: Exchange, listed: Listed, cpms: Broadcast, schedule: Schedule) -> tuple["Inbox", Known]:
+        """The messages of this step, and those of the inbox that can still be used.
+
+        Returns
+        -------
+        The inbox without messages that are too old or whose sender has left, and the messages.
+        """
+        vehicles, senders, now = exchange.vehicles, exchange.senders, exchange.now.step
+        inbox = self
+        if len(self.step):
+            inbox = self._without(
+                (now - self.step >= schedule.longest_steps) | ~np.isin(self.sender >> 16, vehicles.actor)
+            )
+        received = cpms.accepted.vehicles
+        uses = _of_sensing(exchange, inbox.cpms, received)
+        interval, _ = schedule.of_vehicles(exchange.sensing.name_key)
+        known = Known(
+            objects=listed.objects, truth=listed.truth, detections=listed.detections, ptr=listed.ptr,
+            withheld=listed.withheld, vehicle=senders.vehicle, pseudonym=senders.pseudonym, received=uses,
+            step=np.full(len(senders), now), since=now - interval + 1, earlier_m=inbox.from_own_m,
+            earlier_pairs=inbox.pairs, is_lock_step=schedule.is_lock_step,
+        )  # fmt: skip
+        if not len(inbox.step):
+            return inbox, known
+        return inbox, inbox._added(exchange, known)
+
+    def _added(self, exchange: Exchange, now: Known) -> Known:
+        """This step's messages with those of the inbox behind them."""
+        world, n, d = exchange.world, len(exchange.senders), len(now.objects)
+        row, _ = _rows_of(self.objects.observer, world.actor)
+        target, there = _rows_of(self.objects.target, world.actor)
+        actor_row, exists = _rows_of(self.truth.actor_row, world.actor)
+        objects = replace(self.objects, observer=row, target=np.where(there, target, row))
+        truth = replace(self.truth, actor_row=actor_row, is_real=self.truth.is_real & exists)
+        message = n + np.repeat(np.arange(len(self.step)), np.diff(self.ptr))
+        ours, _ = for_trust(objects, message, n + len(self.step))
+        columns = (np.concatenate([getattr(now.detections, name), getattr(ours, name)])
+                   for name in ("message", "detection_index", "label", "score", "is_self"))  # fmt: skip
+        pseudonym, step = np.concatenate([now.pseudonym, self.pseudonym]), np.concatenate([now.step, self.step])
+        i, j, iou = self.pairs
+        return replace(
+            now,
+            objects=Detections.joined([now.objects, objects]),
+            truth=GroundTruth(*(np.concatenate([getattr(now.truth, name), getattr(truth, name)])
+                                for name in GroundTruth.__dataclass_fields__)),
+            detections=type(ours)(*columns),
+            ptr=np.concatenate([now.ptr, d + self.ptr[1:]]),
+            withheld=np.concatenate([now.withheld, self.withheld]),
+            vehicle=np.concatenate([now.vehicle, _rows_of(self.sender >> 16, exchange.vehicles.actor)[0]]),
+            pseudonym=pseudonym,
+            received=_newest(now.received, pseudonym, step),
+            step=step,
+            earlier_pairs=(d + i, d + j, iou),
+        )  # fmt: skip
+
+    def evaluations_used(
+        self, exchange: Exchange, evaluated: Evaluated, n_now: int
+    ) -> tuple[ObjectLists, Evaluations, Evaluations]:
+        """Evaluations of this step, then those of the inbox: what was evaluated, own values, and values as sent.
+
+        Parameters
+        ----------
+        exchange
+            Senders of the step.
+        evaluated
+            Evaluations of this step.
+        n_now
+            Number of detections of this step; those of the inbox follow in `Known`.
+
+        Returns
+        -------
+        One list per message of `Known`. The own values of earlier messages are those that were sent; no vehicle uses
+        them.
+        """
+        lists, own, sent = evaluated.lists, evaluated.own, evaluated.reported
+        if not len(self.step):
+            return lists, own, sent
+        joined = ObjectLists(
+            np.concatenate([lists.ptr, lists.ptr[-1] + self.evaluated.ptr[1:]]),
+            np.concatenate([lists.member, n_now + self.evaluated.member]),
+            np.arange(len(exchange.senders) + len(self.step)),
+        )
+        both = [
+            Evaluations(
+                np.concatenate([one.evaluation, self.evaluations.evaluation]),
+                np.concatenate([one.visibility, self.evaluations.visibility]),
+            )
+            for one in (own, sent)
+        ]
+        return joined, both[0], both[0] if own is sent else both[1]
+
+    def reports_used(self, exchange: Exchange, received: Receptions) -> Uses:
+        """The evaluation messages that the vehicles that sense use: `received` in this step, and earlier."""
+        return _of_sensing(exchange, self.reports, received)
+
+    def next(
+        self, exchange: Exchange, listed: Listed, matched: Matched, answers: SweepAnswers, evaluated: Evaluated,
+        receptions: tuple[Receptions, Receptions], schedule: Schedule,
+    ) -> "Inbox":  # fmt: skip
+        """Add the messages of this step. `receptions` are those of detection messages and of evaluation messages."""
+        if schedule.is_lock_step:
+            return self
+        world, senders, n, d = exchange.world, exchange.senders, len(self.step), len(self.objects)
+        n_now = len(listed.objects)
+        objects = replace(
+            listed.objects, observer=world.actor[listed.objects.observer], target=world.actor[listed.objects.target]
+        )
+        truth = replace(listed.truth, actor_row=world.actor[listed.truth.actor_row])
+
+        def moved(row: Int[ndarray, "k"]) -> Int[ndarray, "k"]:
+            """Rows of `Known` as rows of the new inbox, which has this step's messages last."""
+            return np.where(row < n_now, d + row, row - n_now)
+
+        i, j, iou = matched.pairs
+        old = self.evaluated
+        cpms, reports = (
+            Uses(
+                np.concatenate([held.receiver, exchange.vehicles.actor[now.receiver]]),
+                np.concatenate([held.message, n + now.message]),
+            )
+            for held, now in zip((self.cpms, self.reports), receptions, strict=True)
+        )
+        sent = evaluated.reported
+        return Inbox(
+            step=np.concatenate([self.step, np.full(len(senders), world.step)]),
+            sender=np.concatenate([self.sender, exchange.sender]),
+            pseudonym=np.concatenate([self.pseudonym, senders.pseudonym]),
+            ptr=np.concatenate([self.ptr, d + listed.ptr[1:]]),
+            objects=Detections.joined([self.objects, objects]),
+            truth=GroundTruth(*(np.concatenate([getattr(self.truth, name), getattr(truth, name)])
+                                for name in GroundTruth.__dataclass_fields__)),
+            withheld=np.concatenate([self.withheld, listed.withheld]),
+            from_own_m=np.concatenate([self.from_own_m, answers.from_own_m[:n_now]]),
+            pairs=(moved(i), moved(j), iou),
+            evaluated=ObjectLists(
+                np.concatenate([old.ptr, old.ptr[-1] + evaluated.lists.ptr[1:]]),
+                np.concatenate([old.member, moved(evaluated.lists.member)]),
+                np.arange(n + len(senders)),
+            ),
+            evaluations=Evaluations(
+                np.concatenate([self.evaluations.evaluation, sent.evaluation]),
+                np.concatenate([self.evaluations.visibility, sent.visibility]),
+            ),
+            cpms=cpms,
+            reports=reports,
+        )  # fmt: skip
+
+    def _without(self, dropped: Bool[ndarray, "m"]) -> "Inbox":
+        """The inbox without some messages, their detections, and what refers to these."""
+        if not dropped.any():
+            return self
+        kept = np.flatnonzero(~dropped)
+        row = np.cumsum(~dropped) - 1
+        size = np.diff(self.ptr)
+        detections = ranges(self.ptr[kept], size[kept])
+        new_row = np.full(len(self.objects), -1)
+        new_row[detections] = np.arange(len(detections))
+        i, j, iou = self.pairs
+        there = np.flatnonzero((new_row[i] >= 0) & (new_row[j] >= 0))
+        of = self.evaluated
+        rows = ranges(of.ptr[kept], np.diff(of.ptr)[kept])
+        by = np.repeat(np.arange(len(kept)), np.diff(of.ptr)[kept])
+        still = new_row[of.member[rows]] >= 0
+        rows, by = rows[still], by[still]
+        cpms, reports = (
+            Uses(held.receiver[at], row[held.message[at]])
+            for held in (self.cpms, self.reports)
+            for at in (np.flatnonzero(~dropped[held.message]),)
+        )
+        return Inbox(
+            step=self.step[kept], sender=self.sender[kept], pseudonym=self.pseudonym[kept],
+            ptr=offsets(size[kept]), objects=self.objects.take(detections),
+            truth=GroundTruth(*(getattr(self.truth, name)[detections] for name in GroundTruth.__dataclass_fields__)),
+            withheld=self.withheld[detections], from_own_m=self.from_own_m[detections],
+            pairs=(new_row[i[there]], new_row[j[there]], iou[there]),
+            evaluated=ObjectLists(
+                np.searchsorted(by, np.arange(len(kept) + 1)), new_row[of.member[rows]], np.arange(len(kept))
+            ),
+            evaluations=Evaluations(self.evaluations.evaluation[rows], self.evaluations.visibility[rows]),
+            cpms=cpms, reports=reports,
+        )  # fmt: skip
+
+
+def _rows_of(number: Int[ndarray, "k"], numbers: Int[ndarray, "n"]) -> tuple[Int[ndarray, "k"], Bool[ndarray, "k"]]:
+    """Row of each number among ascending ones, and whether it is there. Where it is not, the row means nothing."""
+    row = np.minimum(np.searchsorted(numbers, number), max(len(numbers) - 1, 0))
+    return row, numbers[row] == number if len(numbers) else np.zeros(len(number), bool)
+
+
+def _of_sensing(exchange: Exchange, held: Uses, received: Receptions) -> Uses:
+    """Receptions of this step and held ones, by those vehicles that sense in this step."""
+    vehicles, sensing, n = exchange.vehicles, exchange.sensing, len(exchange.senders)
+    if sensing is vehicles and not len(held.receiver):
+        return Uses(received.receiver, received.message)
+    row = np.full(len(vehicles), -1)
+    row[vehicles.senses] = np.arange(len(sensing))
+    old, there = _rows_of(held.receiver, sensing.actor)
+    receiver = np.concatenate([row[received.receiver], np.where(there, old, -1)])
+    message = np.concatenate([received.message, n + held.message])
+    mine = np.flatnonzero(receiver >= 0)
+    mine = mine[np.lexsort((message[mine], receiver[mine]))]
+    return Uses(receiver[mine], message[mine])
+
+
+def _newest(uses: Uses, pseudonym: Int[ndarray, "m"], step: Int[ndarray, "m"]) -> Uses:
+    """The newest message of each pseudonym at each receiver."""
+    order = np.lexsort((-step[uses.message], pseudonym[uses.message], uses.receiver))
+    receiver, by = uses.receiver[order], pseudonym[uses.message[order]]
+    first = np.append(True, (receiver[1:] != receiver[:-1]) | (by[1:] != by[:-1]))[: len(order)]
+    rows = np.sort(order[first])
+    return Uses(uses.receiver[rows], uses.message[rows])

@@ -1,0 +1,75 @@
+"""The messages that vehicles use in a step: those of the step, then earlier ones."""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from jaxtyping import Bool, Float, Int
+from numpy import ndarray
+
+from cosim.step.ground_truth import GroundTruth
+from cosim.v2x.messages import Detections
+from trust import tables
+
+Pairs = tuple[Int[ndarray, "q"], Int[ndarray, "q"], Float[ndarray, "q"]]
+"""Two rows of detections that overlap, and their IoU; each pair once."""
+
+
+class Uses(NamedTuple):
+    """Messages that vehicles use, sorted by vehicle, then message."""
+
+    receiver: Int[ndarray, "r"]
+    """Row of the vehicles that sense."""
+    message: Int[ndarray, "r"]
+    """Row of `Known`."""
+
+
+@dataclass(frozen=True, slots=True)
+class Known:
+    """M messages with detections: those of this step in the order of `Senders`, then earlier ones by step and sender.
+
+    If all vehicles sense in the same steps, there are no earlier ones.
+    """
+
+    objects: Detections
+    """`observer` and `target` are rows of this step's world."""
+    truth: GroundTruth
+    detections: tables.Detections
+    """The same detections in the form that `trust` uses, with the message as a row of these messages."""
+    ptr: Int[ndarray, "m+1"]
+    """Row at which the detections of each message begin."""
+    withheld: Bool[ndarray, "d"]
+    """As in `Listed`."""
+    vehicle: Int[ndarray, "m"]
+    """Sender of each message: row of `Vehicles`."""
+    pseudonym: Int[ndarray, "m"]
+    """Pseudonym that each message carries."""
+    received: Uses
+    """Detection messages of other vehicles that the vehicles that sense use."""
+    step: Int[ndarray, "m"]
+    """Step of each message."""
+    since: Int[ndarray, "s"]
+    """First step after each vehicle that senses last sensed. Later messages are new to it."""
+    earlier_m: Float[ndarray, "h"]
+    """Distance of each detection of the earlier messages from the sensor of its sender when it was made."""
+    earlier_pairs: Pairs
+    """Overlapping detections among the earlier messages; rows of `objects`."""
+    is_lock_step: bool
+    """Whether all vehicles of the run sense in the same steps, so that there are no earlier messages."""
+
+    def is_new(self, receiver: Int[ndarray, "k"], detection: Int[ndarray, "k"]) -> Bool[ndarray, "k"] | None:
+        """Whether the receiver did not know each detection when it last sensed; None if all vehicles sense together.
+
+        Parameters
+        ----------
+        receiver
+            Rows of the vehicles that sense.
+        detection
+            Rows of `objects`.
+        """
+        if self.is_lock_step:
+            return None
+        return self.step[self.detections.message[detection]] >= self.since[receiver]
+
+    def detection_step(self, detection: Int[ndarray, "k"]) -> Int[ndarray, "k"] | None:
+        """Step of each detection, a row of `objects`; None if all vehicles sense together."""
+        return None if self.is_lock_step else self.step[self.detections.message[detection]]
