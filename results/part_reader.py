@@ -63,10 +63,13 @@ EARLIER_LABELS: Mapping[str, str] = {"judged": "evaluated", "unjudged": "unevalu
 def read(path: Path, names: Sequence[str], where: pc.Expression | None) -> pa.Table:
     """Columns and rows of a part. ValueError or `Damaged`, in one line, if it cannot be read."""
     if absent := _absent(path, names, where):
-        rows = read(path, _there(path, names, absent), None)
+        asked = set(re.findall(r"\w+", str(where)))
+        late = where if asked & set(absent) else None  # a choice by what the file lacks
+        more = [] if late is None else [n for n in TABLES[path.parent.name].stored if n in asked and n not in names]
+        rows = read(path, _there(path, [*names, *more], absent), None if late is not None else where)
         for name in absent:
             rows = rows.append_column(schema(path.parent.name).field(name), _value_of_absent(path, name, rows))
-        return (rows if where is None else rows.filter(where)).select(list(names))
+        return (rows if late is None else rows.filter(late)).select(list(names))
     with _readable(path, names):
         rows = pq.read_table(path, columns=list(names), filters=where, partitioning=None)
     for number, field in enumerate(rows.schema):

@@ -14,9 +14,11 @@ from cosim.mobility.actors import ActorRegistry
 from cosim.mobility.schedule import Schedule
 from cosim.radio.message_round import Outcome
 from cosim.ragged import ptr_of, stable_order
+from cosim.step.known import Known
 from cosim.step.parts import Parts
 from cosim.step.reactions import Reactions
 from cosim.step.result import Sensed, StepResult
+from cosim.step.stages import Listed
 from cosim.step.state import State
 from cosim.step.trackers import evidence_audit
 from cosim.step.trackers.attack_start import AttackStartTracker
@@ -140,21 +142,9 @@ def _box_columns(boxes: Boxes) -> Rows:
 
 
 def _detections(recorder: TakesRows, world: World, sensed: Sensed) -> None:
-    listed, truth, seen = sensed.listed.objects, sensed.listed.truth, sensed.positioned.observed.observability
-    recorder.append("detections", world.step, {
-        "observer": sensed.senders.pseudonym[sensed.listed.detections.message],
-        "detection_index": listed.detection_index,
-        "class": listed.label, **_box_columns(listed.boxes), "score": listed.score, "n_points": listed.n_points,
-        "speed_mps": listed.speed_mps, "speed_mps__valid": ~np.isnan(listed.speed_mps),
-        "acceleration_mps2": listed.acceleration_mps2,
-        "acceleration_mps2__valid": ~np.isnan(listed.acceleration_mps2),
-        "origin": listed.origin, "transmitted": listed.transmitted, "lied": truth.lied,
-        "withheld": sensed.listed.withheld, "target": world.actor[listed.target],
-        "target__valid": listed.target != listed.observer,
-        "truth_actor": world.actor[truth.actor_row], "truth_actor__valid": truth.is_real,
-        "truth_iou": truth.iou, "truth_iou__valid": truth.is_real,
-        "truth_occlusion": truth.occlusion, "truth_occlusion__valid": truth.is_sensed,
-    })  # fmt: skip
+    seen = sensed.positioned.observed.observability
+    pseudonym = sensed.senders.pseudonym[sensed.listed.detections.message]
+    recorder.append("detections", world.step, detection_columns(world, sensed.listed, pseudonym))
     if sensed.positioned.error_m is not None:
         x, y = sensed.positioned.error_m.T
         recorder.append("position_errors", world.step, {
@@ -167,6 +157,24 @@ def _detections(recorder: TakesRows, world: World, sensed: Sensed) -> None:
         "observer": sensed.sensing.actor[seen.observer], "actor": world.actor[seen.actor],
         "n_points": seen.n_returns, "n_unoccluded": seen.n_unoccluded,
     })  # fmt: skip
+
+
+def detection_columns(world: World, listed: Listed | Known, pseudonym: Int[ndarray, "d"]) -> Rows:
+    """Columns of the table `detections`; `pseudonym` is that of the observer of each detection."""
+    objects, truth = listed.objects, listed.truth
+    return {
+        "observer": pseudonym, "detection_index": objects.detection_index,
+        "class": objects.label, **_box_columns(objects.boxes), "score": objects.score, "n_points": objects.n_points,
+        "speed_mps": objects.speed_mps, "speed_mps__valid": ~np.isnan(objects.speed_mps),
+        "acceleration_mps2": objects.acceleration_mps2,
+        "acceleration_mps2__valid": ~np.isnan(objects.acceleration_mps2),
+        "origin": objects.origin, "transmitted": objects.transmitted, "lied": truth.lied,
+        "withheld": listed.withheld, "target": world.actor[objects.target],
+        "target__valid": objects.target != objects.observer,
+        "truth_actor": world.actor[truth.actor_row], "truth_actor__valid": truth.is_real,
+        "truth_iou": truth.iou, "truth_iou__valid": truth.is_real,
+        "truth_occlusion": truth.occlusion, "truth_occlusion__valid": truth.is_sensed,
+    }  # fmt: skip
 
 
 def _channel(recorder: TakesRows, at: int, sensed: Sensed) -> None:

@@ -194,7 +194,7 @@ class SimulatedStep:
         if self._simulation.n_steps != self._number:
             raise RuntimeError(f"the clouds of step {self.step} are gone: ask for them before the next step begins")
         sensed = self.result.sensed
-        row = np.flatnonzero(sensed.vehicles.actor == vehicle) if sensed is not None else np.zeros(0, np.int64)
+        row = np.flatnonzero(sensed.sensing.actor == vehicle) if sensed is not None else np.zeros(0, np.int64)
         if sensed is None or not len(row):
             raise ValueError(f"vehicle {vehicle} has no sweep in step {self.step}: name one of result.vehicles in a "
                              "step in which vehicles sense.")  # fmt: skip
@@ -246,14 +246,20 @@ class SimulatedStep:
     @property
     def fused(self) -> pd.DataFrame:
         """Fused objects of each vehicle with their boxes: table `fused`."""
-        frame, detections = self.table("fused"), self.detections.set_index(["observer", "detection_index"])
-        moved = frame.pose.notna()
+        frame = self.table("fused")
+        if (sensed := self.result.sensed) is None:
+            return frame.reindex(columns=list(TABLES["fused"].columns))
+        known, by, moved = sensed.known, sensed.known.detections.message, frame.pose.notna()
+        columns = recording.detection_columns(self.result.world, known, known.pseudonym[by])
+        detections = self._frame("detections", columns)
+        detections = detections.assign(step=known.step[by]).set_index(["step", "observer", "detection_index"])
         named = {
-            "source": pd.MultiIndex.from_frame(frame[["source", "source_index"]]),
-            "pose": pd.MultiIndex.from_arrays(
-                [frame.pose.where(moved, frame.source), frame.pose_index.where(moved, frame.source_index)]
-            ),
-        }
+            "source": pd.MultiIndex.from_frame(frame[["source_step", "source", "source_index"]]),
+            "pose": pd.MultiIndex.from_arrays([
+                frame.pose_step, frame.pose.where(moved, frame.source),
+                frame.pose_index.where(moved, frame.source_index),
+            ]),
+        }  # fmt: skip
         for name, column in TABLES["fused"].columns.items():
             if column.via:
                 frame[name] = detections[name].reindex(named[column.via]).array
@@ -265,10 +271,10 @@ class SimulatedStep:
         made: dict[str, Any] = {}
         for name, column in TABLES[table].stored.items():
             values, valid = columns.get(name), columns.get(f"{name}__valid")
-            if column.absent and values is None:
-                continue
-            if values is None:
-                values, valid = (np.full(n, self.step), None) if name == "step" else (np.zeros(n), np.zeros(n, bool))
+            if values is None and (name == "step" or column.absent == "step"):
+                values = np.full(n, self.step)
+            elif values is None:
+                values, valid = np.zeros(n), np.full(n, column.absent == "zero")
             if column.type == "category" and values.dtype.kind in "iu":
                 codes = (values if valid is None else np.where(valid, values, -1)).astype(np.int64)
                 made[name] = pd.Categorical.from_codes(codes, pd.Index(column.labels(self._labels)))

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import numpy as np
 from annotated_types import Ge, Gt, Le
-from jaxtyping import Int, UInt64
+from jaxtyping import Bool, Int, UInt64
 from numpy import ndarray
 
 
@@ -36,9 +36,7 @@ class Schedule:
     seed: int
 
     @staticmethod
-    def of(
-        interval_s: float, phase: str, groups: Sequence[SensingGroup], step_s: float, seed: int
-    ) -> "Schedule":
+    def of(interval_s: float, phase: str, groups: Sequence[SensingGroup], step_s: float, seed: int) -> "Schedule":
         """The schedule of a config.
 
         Raises
@@ -89,6 +87,11 @@ class Schedule:
     def is_lock_step(self) -> bool:
         """Whether all vehicles sense at the same steps, so that no message is older than the sweep that judges it."""
         return len(set(self.interval_steps)) == 1 and not self.is_random
+
+    def senses(self, step: int, name_key: UInt64[ndarray, "n"]) -> Bool[ndarray, "n"]:
+        """Whether each vehicle, by the hash of its name, senses in a step while it is on the road."""
+        interval, phase = self.of_vehicles(name_key)
+        return step % interval == phase
 
     def of_vehicles(self, name_key: UInt64[ndarray, "n"]) -> tuple[Int[ndarray, "n"], Int[ndarray, "n"]]:
         """Interval and phase of each vehicle.

@@ -27,6 +27,7 @@ from results.export.folder import Folder
 from results.export.formats import Exporter
 from results.export.moments import Cloud, Plan, Selection
 from results.run import Run
+from results.sensing import sensing_steps
 from sensors.scene import Scene
 from sumo_nets import network
 
@@ -180,7 +181,7 @@ def _vehicles(run: Run, text: str | None) -> tuple[int, ...]:
 
 def _steps(run: Run, config: Config, text: str | None) -> Int[ndarray, "s"]:
     """Steps in which vehicles sense, from a text such as `0-59`. None: all such steps."""
-    every = np.arange(0, int(run.manifest["steps"]), config.sense_every_steps)
+    every = sensing_steps(run)
     if text is None:
         return every
     keep = np.zeros(len(every), bool)

@@ -107,8 +107,8 @@ def replay_scan(run: Run, vehicle: int, step: int) -> ReplayedScan:
     """The sweep of a vehicle. A ValueError is raised if the vehicle did not sense in that step."""
     config = config_of(run)
     n_steps = int(run.manifest["steps"])
-    if not 0 <= step < n_steps or step % config.sense_every_steps:
-        every = config.sense_every_steps
+    every = config.schedule.exchange_every_steps
+    if not 0 <= step < n_steps or step % every:
         raise ValueError(
             f"--step {step}: no vehicle sensed then. {run.path} has the steps 0 to {n_steps - 1}"
             + (f", and senses in every {every}th." if every > 1 else ".")
@@ -122,6 +122,12 @@ def replay_scan(run: Run, vehicle: int, step: int) -> ReplayedScan:
         some = ", ".join(map(str, equipped[:8]))
         raise ValueError(f"--vehicle {vehicle} has no sensor on the road in step {step}. These have: {some}, ...")
     row = np.flatnonzero(world.actor == vehicle)
+    if not config.schedule.senses(step, world.name_key[row]).all():
+        interval, phase = config.schedule.of_vehicles(world.name_key[row])
+        raise ValueError(
+            f"--step {step}: vehicle {vehicle} does not sense then. It senses in step {phase[0]} and every "
+            f"{interval[0]} steps after it."
+        )
     sweeps = sweep(config, city_of(config), world, row)
     rows = np.flatnonzero(np.linalg.norm(world.boxes.xyz_m - sweeps.poses.origin_m, axis=1) < config.lidar.max_range_m)
     rows = rows[rows != row]
@@ -168,20 +174,23 @@ def portrait(run: Run, vehicles: list[int], step: int, out: Path | None) -> Path
     out = out or run.path / f"scene-{step}.png"
     config = config_of(run)
     world = next(worlds(run, config, np.array([step])), None)
-    if world is None or step % config.sense_every_steps:
+    if world is None or step % config.schedule.exchange_every_steps:
         raise ValueError(f"--step {step}: no vehicle senses then in {run.path}.")
     equipped = np.flatnonzero(world.equipped)
+    senses = equipped[config.schedule.senses(step, world.name_key[equipped])]
     for vehicle in vehicles:
         if vehicle not in world.actor[equipped]:
             raise ValueError(f"--vehicle {vehicle} has no sensor on the road in step {step}.")
-    if not len(equipped):
+        if vehicle not in world.actor[senses]:
+            raise ValueError(f"--vehicle {vehicle} does not sense in step {step}.")
+    if not len(senses):
         raise ValueError(f"--step {step}: no vehicle with a LiDAR is on the road then.")
     xy_m = world.boxes.xyz_m[:, :2]
     chosen = np.searchsorted(world.actor, np.asarray(vehicles, int))
     if not vehicles:
-        away = np.linalg.norm(xy_m[equipped, None] - xy_m[equipped], axis=2)
+        away = np.linalg.norm(xy_m[senses, None] - xy_m[senses], axis=2)
         middle = int(np.argmax((away < 80.0).sum(axis=1)))
-        chosen = equipped[np.argsort(away[middle], kind="stable")[:3]]
+        chosen = senses[np.argsort(away[middle], kind="stable")[:3]]
     city = city_of(config)
     sweeps = sweep(config, city, world, chosen)
     clouds = [sweeps.poses.to_world(o, sweeps.xyz(o)) for o in range(len(chosen))]

@@ -33,6 +33,7 @@ from results.durable import PARTIAL
 from results.export.moments import BOX
 from results.figures import style
 from results.run import Run
+from results.sensing import senses
 from sensors.boxes import Boxes
 from sensors.raycast.mesh import city_triangles
 from sensors.scene import Scene
@@ -292,7 +293,7 @@ def _block(  # type: ignore[no-untyped-def]
             recording.log("map/encounters", rerun.LineStrips2D(lines, colors=[120, 60, 160], radii=0.3))
             high = np.stack([boxes.xyz_m[e] for e in ends], axis=1)
             recording.log("city/encounters", rerun.LineStrips3D(high, colors=[120, 60, 160], radii=0.08))
-        if step % config.sense_every_steps:
+        if step % config.schedule.exchange_every_steps:
             continue
         for name in shown if vehicles else ("fabricated",):
             rows = by_step[name].get(step)
@@ -307,7 +308,8 @@ def _block(  # type: ignore[no-untyped-def]
                 recording.log(f"map/{name}", rerun.Points2D(xyz[:, :2] * [1.0, -1.0], colors=COLOURS[name], radii=4.0))
         if now is None or sweeper is None:
             continue
-        there = [v for v in vehicles if v in set(number.tolist())]
+        there = now[now.actor.isin(list(vehicles))].actor.to_numpy(np.int64)
+        there = there[senses(run, np.full(len(there), step), there)].tolist()
         for vehicle, cloud in zip(there, sweeper(step, there), strict=True):
             row = now[now.actor == vehicle].iloc[0]
             points = cloud()

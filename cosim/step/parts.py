@@ -101,12 +101,9 @@ class Parts:
     def sensing(self, world: World) -> Int[ndarray, "s"]:
         """Rows of the world of the equipped vehicles that sense in this step."""
         rows = np.flatnonzero(world.equipped)
-        if self.schedule.is_lock_step:
-            return rows if self.senses(world.step) else rows[:0]
         if not self.senses(world.step):
             return rows[:0]
-        interval, phase = self.schedule.of_vehicles(world.name_key[rows])
-        return rows[world.step % interval == phase]
+        return rows[self.schedule.senses(world.step, world.name_key[rows])]
 
 
 def perception_of(experiment: Config, city: Scene) -> Perception:

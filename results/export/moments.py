@@ -14,6 +14,7 @@ from numpy import ndarray
 from results.export.earth import Projection
 from results.export.frames import sensor_pose
 from results.run import Run
+from results.sensing import senses
 
 BOX = ["x_m", "y_m", "z_m", "length_m", "width_m", "height_m", "yaw_rad"]
 UNIT_STEPS = 20
@@ -112,10 +113,11 @@ class Selection:
 
     @cached_property
     def presence(self) -> pd.DataFrame:
-        """(step, vehicle) of every chosen vehicle on the road, sorted; the frames of an export."""
+        """(step, vehicle) of every chosen vehicle that senses, sorted; the frames of an export."""
         where = pc.field("actor").isin(list(self.vehicles)) & pc.field("step").isin(self.steps.tolist())
         found = self.run.table("actors", ["step", "actor"], where).rename(columns={"actor": "vehicle"})
         found = found.astype({"step": np.int64, "vehicle": np.int64})
+        found = found[senses(self.run, found.step.to_numpy(), found.vehicle.to_numpy())]
         return found.sort_values(["step", "vehicle"], ignore_index=True)
 
     @property

@@ -13,6 +13,7 @@ import pandas as pd
 
 from results.metrics.intervals import of_units, plain_columns, ratio
 from results.run import Run
+from results.sensing import interval_steps
 
 THRESHOLDS = (0.1, 0.3, 0.5, 0.7)
 """Scores from which an object counts as believed, where none are given."""
@@ -83,7 +84,7 @@ def per_lie(run: Run, thresholds: Sequence[float] = THRESHOLDS) -> pd.DataFrame:
     frame = _honest(outcomes(run), "inserted")
     rows = []
     for role, pairs in frame.groupby("role", observed=True):
-        lies = pairs.groupby(["step", "observer", "detection_index"], sort=False).agg(
+        lies = pairs.groupby(["detection_step", "observer", "detection_index"], sort=False).agg(
             best=("score", "max"), attacker=("attacker", "first"), n=("receiver", "size")
         )
         for threshold in thresholds:
@@ -105,14 +106,14 @@ def believed_duration(run: Run, threshold: float = 0.5) -> pd.DataFrame:
     """
     frame = _honest(outcomes(run), "inserted")
     frame = frame[frame.score >= threshold]
-    every = round(run.config.get("sensing_interval_s", run.dt_s) / run.dt_s)
     rows = []
     for (role, among), believed in _by_among(frame, ["role"]):
         steps = believed[["attacker", "receiver", "step"]].drop_duplicates()
         steps = steps.sort_values(["attacker", "receiver", "step"])
         pair = steps.attacker.to_numpy() * (1 << 32) + steps.receiver.to_numpy()
-        begins = np.r_[True, (np.diff(pair) != 0) | (np.diff(steps.step.to_numpy()) > every)]
-        duration_s = np.bincount(np.cumsum(begins) - 1) * every * run.dt_s
+        every = interval_steps(run, steps.receiver.to_numpy(np.int64))
+        begins = np.r_[True, (np.diff(pair) != 0) | (np.diff(steps.step.to_numpy()) > every[1:])]
+        duration_s = np.bincount(np.cumsum(begins) - 1, every) * run.dt_s
         mean = of_units(duration_s, steps.attacker.to_numpy()[begins])
         rows.append({
             "role": role, "among": among, "n": len(duration_s), **plain_columns(mean, "mean_s"),
@@ -151,11 +152,11 @@ def damage(run: Run, threshold: float = 0.5) -> pd.DataFrame:
     role (of the attacker), among, n (believed pairs), total_s, per_attacker_s, low, high (clustered by attacker),
     n_units (attackers with a lie that an honest vehicle received).
     """
-    every_s = run.config.get("sensing_interval_s", run.dt_s)
     rows = []
     for (role, among), pairs in _by_among(_honest(outcomes(run), "inserted"), ["role"]):
         believed = (pairs.score >= threshold).to_numpy()
-        of_attacker = np.bincount(pd.factorize(pairs.attacker, sort=True)[0], believed) * every_s
+        held_s = believed * interval_steps(run, pairs.receiver.to_numpy(np.int64)) * run.dt_s
+        of_attacker = np.bincount(pd.factorize(pairs.attacker, sort=True)[0], held_s)
         mean = ratio(of_attacker, np.ones(len(of_attacker)))
         rows.append({
             "role": role, "among": among, "n": int(believed.sum()), "total_s": float(of_attacker.sum()),

@@ -93,19 +93,20 @@ def _blocks(run: Run, stride: int) -> Iterator[pd.DataFrame]:
     confirmed, missed."""
     who = run.subjects
     seen = (pc.field("visibility") > 0) & ~pc.field("lied")
-    wanted = ["step", "evaluator", "observer", "detection_index", "evaluation", "visibility"]
+    wanted = ["step", "evaluator", "observer", "detection_index", "detection_step", "evaluation", "visibility"]
     for part in run.parts("evaluations", wanted, seen):
         part = part[(part.step % stride == 0) & (part.evaluator.map(who.role) == HONEST)]
         if part.empty:
             continue
-        during = (pc.field("step") >= int(part.step.min())) & (pc.field("step") <= int(part.step.max()))
+        during = (pc.field("step") >= int(part.detection_step.min())) & (pc.field("step") <= int(part.step.max()))
         made = run.table(
             "detections",
             ["step", "observer", "detection_index", "class", "x_m", "y_m", "origin", "transmitted", "lied",
              "truth_actor"], during,
         )  # fmt: skip
         poses = run.table("actors", ["step", "actor", "x_m", "y_m"], during)
-        part = part.merge(made, on=["step", "observer", "detection_index"])
+        named = made.rename(columns={"step": "detection_step"})
+        part = part.merge(named, on=["detection_step", "observer", "detection_index"])
         part["vehicle"] = part.evaluator.map(who.vehicle)
         part["own"] = part.vehicle == part.observer.map(who.vehicle)
         part = part[part.transmitted & (~part.lied | (part.origin == "fabricated"))]

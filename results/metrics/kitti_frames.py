@@ -11,6 +11,7 @@ from results.codes import BASE_VARIANT
 from results.metrics.kitti import Objects
 from results.metrics.overlap import corners
 from results.run import Run
+from results.sensing import interval_steps, senses, sensing_steps
 
 Lists = Literal["local", "fused"]
 """Detections of a vehicle's own sensor, or its fused objects."""
@@ -27,21 +28,22 @@ FOCAL_PX = 960.0
 """Of the camera that KITTI's heights in pixels are meant for: 90 degrees on 1,920 pixels."""
 
 Poses = pd.DataFrame
-"""Observers, the equipped vehicles of some steps: step, observer, its pose and size, frame (0, 1, ...)."""
+"""Observers, the vehicles that sense in some steps: step, observer, its pose and size, frame (0, 1, ...)."""
 
 
 def sampled_steps(run: Run, max_frames: int) -> np.ndarray:
-    """Steps at equal distances over the run, with about `max_frames` frames (equipped vehicles on the road) in all.
+    """Steps at equal distances over the run, with about `max_frames` frames (sweeps of equipped vehicles) in all.
 
     Returns
     -------
     Steps, ascending.
     """
-    spans = run.table("vehicles", ["equipped", "first_step", "last_step"])
-    spans = spans[spans.equipped]
-    n_frames = int((spans.last_step - spans.first_step + 1).sum())
+    spans = run.table("vehicles", ["vehicle", "equipped", "first_step", "last_step"])
+    spans, steps = spans[spans.equipped], sensing_steps(run)
+    every = interval_steps(run, spans.vehicle.to_numpy(np.int64))
+    n_frames = int(((spans.last_step - spans.first_step + 1).to_numpy() / every).sum())
     stride = max(1, -(-n_frames // max_frames))
-    return np.arange(stride // 2, int(run.manifest["steps"]), stride)
+    return steps[stride // 2 :: stride]
 
 
 def with_boxes(run: Run, lists: tuple[Lists, ...]) -> tuple[Lists, ...]:
@@ -57,14 +59,14 @@ def at_steps(steps: np.ndarray) -> pc.Expression:
 
 
 def posed(run: Run, steps: np.ndarray, observers: np.ndarray | None = None) -> tuple[Poses, pd.DataFrame]:
-    """Observers and actors in some steps.
+    """Observers and actors in some steps. An observer is a vehicle that senses in the step.
 
     Parameters
     ----------
     steps
         Steps in any order.
     observers
-        Actor numbers; the observers are the equipped ones among them. Left out, they are all equipped vehicles.
+        Actor numbers; the observers are the equipped ones among them. Left out, they are all that sense.
 
     Returns
     -------
@@ -79,6 +81,7 @@ def posed(run: Run, steps: np.ndarray, observers: np.ndarray | None = None) -> t
     )
     actors = actors.sort_values(["step", "actor"], ignore_index=True)
     chosen = actors.equipped if observers is None else actors.equipped & actors.actor.isin(observers)
+    chosen &= senses(run, actors.step.to_numpy(np.int64), actors.actor.to_numpy(np.int64))
     poses = actors[chosen].rename(columns={"actor": "observer"}).reset_index(drop=True)
     return poses.assign(frame=np.arange(len(poses))), actors
 
