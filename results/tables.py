@@ -225,6 +225,20 @@ TABLES: Mapping[str, Table] = {
             "error_y_m": Column("float32", unit="m", truth=True, bits=10, meaning="Position error, north: estimated minus true position."),
         },
     ),
+    "tracks": Table(
+        "standard",
+        "What vehicles know about the motion of the objects in their detection lists, if the config has [tracking]: one row per detection of the detector, and per fabricated one with a velocity.",
+        {
+            "step": _STEP,
+            "observer": _key("Pseudonym of the vehicle that made the detection, as in `detections`."),
+            "detection_index": _key("Number in the observer's list, as in `detections`.", "int16"),
+            "object_id": Column("int32", null=True, meaning="Number of the object among those that the vehicle has tracked, from 0. It stays the same as long as the vehicle tracks the object, also when the vehicle changes its pseudonym; null if an attack fabricated the detection."),
+            "age_s": Column("float32", unit="s", null=True, bits=10, meaning="Time since the vehicle first detected the object; null as for `object_id`."),
+            "velocity_x_mps": Column("float32", unit="m/s", null=True, bits=7, meaning="Velocity of the object, east, as it is sent; null until it has been detected tracking.confirm_hits times."),
+            "velocity_y_mps": Column("float32", unit="m/s", null=True, bits=7, meaning="Velocity of the object, north; null as for `velocity_x_mps`."),
+            "existence_p": Column("float32", unit="1", null=True, bits=12, meaning="Probability that the object exists, as the vehicle's tracking estimates it; null as for `object_id`."),
+        },
+    ),
     "receptions": Table(
         "full",
         "Messages that were received.",

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
+from itertools import pairwise
 from typing import Annotated, Literal
 
 import numpy as np
@@ -461,7 +462,7 @@ def _blocks(observer: Int[ndarray, "p"]) -> list[slice]:
     """Slices of whole observers with some `_BLOCK_PAIRS` pairs each."""
     first = np.flatnonzero(np.diff(observer, prepend=-1 - observer[:1]))
     edges = np.append(first[np.flatnonzero(np.diff(first // _BLOCK_PAIRS, prepend=-1))], len(observer))
-    return [slice(a, b) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+    return [slice(a, b) for a, b in pairwise(edges)]
 
 
 def _largest_sum(t: Int[ndarray, "p"], d: Int[ndarray, "p"], gain: Float[ndarray, "p"]) -> Bool[ndarray, "p"]:

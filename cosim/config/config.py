@@ -33,6 +33,7 @@ from results.encounters import EncounterParams, check_definitions
 from sensors.evidence import AreaParams
 from sensors.lidar import LidarParams
 from sensors.statistical_detector import DetectorParams
+from sensors.tracking import TrackingParams
 from sumo_nets import catalogue, sumocfg
 from trust.params import TrustParams, differing_evidence_key
 
@@ -98,6 +99,7 @@ class Config:
     vehicle_meshes: tuple[VehicleMeshParams, ...] = ()
     area: AreaParams = field(default_factory=AreaParams)
     detector: DetectorParams = field(default_factory=DetectorParams)
+    tracking: TrackingParams = field(default_factory=TrackingParams)
     attacks: tuple[AttackParams, ...] = ()
     radio: RadioParams = field(default_factory=RadioParams)
     rsu: RsuParams = field(default_factory=RsuParams)
@@ -129,6 +131,12 @@ class Config:
             raise ValueError(
                 f"radio.timeout_s = {self.radio.timeout_s:g} s: two rounds of messages do not fit between two sweeps, "
                 f"sensing_interval_s = {self.sensing_interval_s:g} s apart. Set it to half of that, or less."
+            )
+        if self.tracking.model != "none" and self.tracking.keep_s < self.sensing_interval_s:
+            raise ValueError(
+                f"tracking.keep_s = {self.tracking.keep_s:g} s is shorter than sensing_interval_s = "
+                f"{self.sensing_interval_s:g} s: every track would end before its object can be detected again. Set "
+                "tracking.keep_s to two intervals or more."
             )
         if self.server.uplink == "rsu" and not (self.rsu.at or self.rsu.n_at_junctions):
             raise ValueError(

@@ -20,7 +20,7 @@ from cosim.step.state import State
 from cosim.step.trackers import evidence_audit
 from cosim.step.trackers.attack_start import AttackStartTracker
 from cosim.step.trackers.channel_counts import latency_histogram, pdr_by_distance, vehicle_channel
-from cosim.v2x.messages import FABRICATED
+from cosim.v2x.messages import FABRICATED, SENSED
 from cosim.v2x.pseudonyms import PseudonymUse
 from cosim.v2x.trust_hosts import Lookups, ServerTraffic
 from cosim.world import World
@@ -77,6 +77,7 @@ def step(recorder: TakesRows, result: StepResult, dt_s: float) -> None:
     if sensed is None:
         return
     _detections(recorder, result.world, sensed)
+    _tracks(recorder, at, sensed)
     _channel(recorder, at, sensed)
     _receptions(recorder, at, sensed)
     _evaluations(recorder, at, sensed)
@@ -165,6 +166,30 @@ def _detections(recorder: TakesRows, world: World, sensed: Sensed) -> None:
     recorder.append("observability", world.step, {
         "observer": sensed.vehicles.actor[seen.observer], "actor": world.actor[seen.actor],
         "n_points": seen.n_returns, "n_unoccluded": seen.n_unoccluded,
+    })  # fmt: skip
+
+
+def _tracks(recorder: TakesRows, at: int, sensed: Sensed) -> None:
+    states, listed = sensed.positioned.objects, sensed.listed.objects
+    if states is None:
+        return
+    moves = ~np.isnan(listed.velocity_mps).any(axis=1)
+    tracked = listed.origin == SENSED
+    rows = np.flatnonzero(tracked | moves)
+    of_state, is_tracked = (np.cumsum(tracked) - 1).clip(0)[rows], tracked[rows]
+
+    def from_state(values: ndarray) -> ndarray:
+        return values[of_state] if len(values) else np.zeros(len(rows), values.dtype)
+
+    x, y = listed.velocity_mps[rows].T
+    recorder.append("tracks", at, {
+        "observer": sensed.senders.pseudonym[sensed.listed.detections.message[rows]],
+        "detection_index": listed.detection_index[rows],
+        "object_id": from_state(states.object_id), "object_id__valid": is_tracked,
+        "age_s": from_state(states.age_s), "age_s__valid": is_tracked,
+        "velocity_x_mps": x, "velocity_x_mps__valid": moves[rows],
+        "velocity_y_mps": y, "velocity_y_mps__valid": moves[rows],
+        "existence_p": from_state(states.existence_p), "existence_p__valid": is_tracked,
     })  # fmt: skip
 
 

@@ -90,6 +90,8 @@ def _cycle(
         trust, pseudonyms, published = trust_stages.publish(s.trust, s.pseudonyms, vehicles, now, parts)
     observed = stages.perceive(world, vehicles, precomputed, parts)
     position_errors, positioned = stages.position(world, vehicles, observed, s.position_errors, c)
+    with watch("track objects"):
+        tracks, positioned = stages.track_objects(world, vehicles.row, positioned, s.tracks, now, c)
     with watch("attack"):
         attacks = parts.adversary.active(s.attacks, world, now.begin_s, own_trust)
         pseudonyms, senders = stages.senders_of(world, vehicles, attacks, pseudonyms, parts)
@@ -129,8 +131,8 @@ def _cycle(
         encounters = tracking.count_in_encounters(s.encounters, exchange, (cpms, reports), looked_up, listed, matched)
         outcomes = attack_outcomes(exchange, positioned.world, listed, cpms, matched, fused)
     s = replace(
-        s, trust=trust, pseudonyms=pseudonyms, position_errors=position_errors, included=included, medium=medium,
-        piggybacked=piggybacked, known_senders=known_senders, reaction_truth=reaction_truth,
+        s, trust=trust, pseudonyms=pseudonyms, position_errors=position_errors, tracks=tracks, included=included,
+        medium=medium, piggybacked=piggybacked, known_senders=known_senders, reaction_truth=reaction_truth,
         attack_start=attack_start, inter_reception=inter_reception, encounters=encounters,
         n_dropped=s.n_dropped + listed.n_dropped,
     )  # fmt: skip

@@ -38,6 +38,7 @@ from cosim.v2x.trust_server import TrustBroadcast
 from cosim.world import World
 from sensors.boxes import overlapping_pairs
 from sensors.evidence import in_evaluation_area
+from sensors.tracking import Found, ObjectStates, Observers, TrackMemory, track
 from trust import tables
 from trust.evaluation import evaluate
 from trust.fusion import Fused, SensorEvidence
@@ -102,6 +103,8 @@ class Positioned:
     """The world with every vehicle at its estimated position; the true world without `[gnss]`."""
     error_m: Float[ndarray, "e 2"] | None
     """Position error of each vehicle, estimated minus true, east and north; None without `[gnss]`."""
+    objects: ObjectStates | None = None
+    """What tracking says about the detector's reports, in the order of the detections; None without tracking."""
 
 
 def position(
@@ -114,6 +117,54 @@ def position(
     errors, error_m = errors.next(world.step, vehicles.actor, vehicles.name_key, c.gnss, c.traffic.step_s, c.seed)
     observed = as_believed(observed, vehicles.row, error_m)
     return errors, Positioned(observed, believed_world(world, vehicles.row, error_m), error_m)
+
+
+def track_objects(
+    world: World, rows: Int[ndarray, "e"], positioned: Positioned, memory: TrackMemory, now: Times, c: Config
+) -> tuple[TrackMemory, Positioned]:
+    """Give the objects that the detector reports velocities, numbers, ages and probabilities of existence.
+
+    Parameters
+    ----------
+    world
+        All actors at their true positions.
+    rows
+        Rows of the world of the vehicles that sense in this step, ascending. The tracks of others stay as they are.
+    positioned
+        What these vehicles perceive.
+    memory
+        The tracks of all vehicles.
+    now
+        Times of the step.
+    c
+        The config.
+
+    Returns
+    -------
+    The tracks after the step, and what vehicles perceive with the velocities of objects. Boxes and scores stay those of
+    the detector.
+    """
+    if c.tracking.model == "none":
+        return memory, positioned
+    detections = positioned.observed.detections
+    sensed = np.flatnonzero(detections.origin == SENSED)
+    boxes = detections.boxes.take(sensed)
+    memory, objects = track(
+        memory,
+        Observers(world.actor[rows].astype(np.int64), np.full(len(rows), now.begin_s), world.speed_mps[rows]),
+        Found(
+            observer=world.actor[detections.observer[sensed]].astype(np.int64),
+            label=detections.label[sensed],
+            xy_m=boxes.xyz_m[:, :2],
+            yaw_rad=boxes.yaw_rad,
+            score=detections.score[sensed],
+        ),
+        c.tracking,
+    )
+    velocity_mps = detections.velocity_mps.copy()
+    velocity_mps[sensed] = objects.velocity_mps
+    observed = replace(positioned.observed, detections=replace(detections, velocity_mps=velocity_mps))
+    return memory, replace(positioned, observed=observed, objects=objects)
 
 
 def senders_of(
