@@ -251,13 +251,15 @@ def track(
     joined = Tracks.joined([again, new, tracks.take(is_missed), waiting])
     of_detection = np.empty(len(found), np.int64)
     of_detection[d], of_detection[fresh] = np.arange(len(d)), len(d) + np.arange(len(fresh))
-    here = joined.take(of_detection)
+    velocity_mps = joined.velocity_mps[of_detection]
+    velocity_mps[joined.n_hits[of_detection] < params.confirm_hits] = np.nan
+    age_s = (joined.time_s - joined.first_s)[of_detection]
     tracks = joined.take(np.lexsort((joined.object_id, joined.observer)))
     return TrackMemory(tracks, known, n_objects), ObjectStates(
-        object_id=here.object_id,
-        age_s=here.time_s - here.first_s,
-        velocity_mps=np.where((here.n_hits >= params.confirm_hits)[:, None], here.velocity_mps, np.nan),
-        existence_p=expit(here.existence),
+        object_id=joined.object_id[of_detection],
+        age_s=age_s,
+        velocity_mps=velocity_mps,
+        existence_p=expit(joined.existence[of_detection]),
     )
 
 
@@ -439,7 +441,13 @@ def assigned(
     .. [1] R. Altendorfer, S. Wirkert, Why the association log-likelihood distance should be used for
        measurement-to-track association, IEEE Intelligent Vehicles Symposium, 2016.
     """
+    gate = -2 * np.log1p(-params.gate_p)
     t, d = _same_observer(tracks.observer, found.observer)
+    x, y = (np.ascontiguousarray(found.xy_m[:, k])[d] - np.ascontiguousarray(tracks.xy_m[:, k])[t] for k in (0, 1))
+    # No detection farther away than the longer half axis of the gate is inside: most pairs need no more than this.
+    most = tracks.covariance[:, :, 0].max(axis=1, initial=0.0) + max(params.position_sigma_m) ** 2
+    rows = np.flatnonzero(x * x + y * y < (gate * most * (1 + 1e-9))[t])
+    t, d = t[rows], d[rows]
     rows = np.flatnonzero(_CLASS_GROUP[tracks.label[t]] == _CLASS_GROUP[found.label[d]])
     t, d = t[rows], d[rows]
     r = (np.asarray(params.position_sigma_m)[found.label[d]] ** 2)[:, None]
@@ -447,7 +455,7 @@ def assigned(
     innovation_m = _along_and_across(found.xy_m[d] - tracks.xy_m[t], tracks.axis[t])
     squared = (innovation_m * innovation_m / s).sum(axis=1)
     gain = -squared - np.log(s[:, 0] * s[:, 1]) - 2 * np.log(2 * np.pi * params.other_per_m2)
-    rows = np.flatnonzero((squared < -2 * np.log1p(-params.gate_p)) & (gain > 0))
+    rows = np.flatnonzero((squared < gate) & (gain > 0))
     t, d, gain = t[rows], d[rows], gain[rows]
     n_of_track, n_of_detection = np.bincount(t), np.bincount(d)
     contested = (n_of_track[t] > 1) | (n_of_detection[d] > 1)
