@@ -17,7 +17,7 @@ Read = Callable[[Path, Sequence[str], pc.Expression | None], pa.Table]
 """Reads columns and rows of one part file."""
 
 _NAME = ("step", "observer", "detection_index")
-_LINKS = ("step", "source", "source_index", "source_step", "pose", "pose_index", "pose_step")
+_LINKS = ("step", "source", "source_index", "source_step", "pose", "pose_index", "pose_step", "moved_x_m", "moved_y_m")
 
 
 def names(table: Table, columns: Sequence[str], where: pc.Expression | None) -> list[str]:
@@ -38,7 +38,10 @@ def read(read: Read, path: Path, columns: Sequence[str], where: pc.Expression | 
     named = _detections(read, path, [*_NAME, *virtual], rows)
     at = _named(rows, named, path)
     for name in virtual:
-        rows = rows.append_column(named.schema.field(name), named.column(name).take(at[table.columns[name].via]))
+        values = named.column(name).take(at[table.columns[name].via])
+        if f"moved_{name}" in rows.column_names:
+            values = pc.add(values, rows.column(f"moved_{name}"))
+        rows = rows.append_column(named.schema.field(name), values)
     return (rows if late is None else rows.filter(late)).select(list(columns))
 
 

@@ -72,6 +72,37 @@ class Boxes:
         return made
 
 
+def extrapolated(boxes: Boxes, velocity_mps: Float[ndarray, "n 2"], dt_s: float | Float[ndarray, "n"]) -> Boxes:
+    """The boxes moved by velocity times time, without a turn.
+
+    Parameters
+    ----------
+    boxes
+        Boxes in one frame.
+    velocity_mps
+        Velocity along x and y in the same frame. A row with a NaN is absent, and its box does not move.
+    dt_s
+        Time to move by, for all boxes or one per box. Negative values move boxes back.
+
+    Returns
+    -------
+    Boxes in the same rows, with the same sizes, headings and heights.
+
+    Raises
+    ------
+    ValueError
+        If there is not one velocity per box, or a box would move to a place that is not finite.
+    """
+    velocity_mps = np.asarray(velocity_mps, np.float64)
+    if velocity_mps.shape != (len(boxes), 2):
+        raise ValueError(f"velocity_mps has shape {velocity_mps.shape}; ({len(boxes)}, 2) was expected: one per box.")
+    absent = np.isnan(velocity_mps).any(axis=1)
+    moved_m = np.where(absent[:, None], 0.0, velocity_mps) * np.broadcast_to(dt_s, len(boxes))[:, None]
+    xyz_m = boxes.xyz_m.copy()
+    xyz_m[:, :2] += moved_m
+    return Boxes(xyz_m, boxes.lwh_m, boxes.yaw_rad)
+
+
 def iou_3d(a: Boxes, b: Boxes) -> Float[ndarray, "n"]:
     """Intersection over union of each box of `a` with the box of `b` in the same row.
 

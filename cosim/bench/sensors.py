@@ -22,6 +22,7 @@ from sensors.raycast import embree, mesh, open3d
 from sensors.reports import DetectorDraws
 from sensors.scene import LABEL_OF_SHAPE, ObjectClass, Scene, Shape, prisms
 from sensors.statistical_detector import DetectorParams, resolved
+from sensors.tracking import Found, Observers, TrackingParams, TrackMemory, track
 
 _SIZE_M = np.array(
     [
@@ -91,6 +92,41 @@ def _rays_alone(boxes, shape, observers, scene, tracer_of) -> Callable[[], objec
     return lambda: [trace(start, ray) for start, ray in zip(starts, rays, strict=True)]
 
 
+def street_of_tracks(n_vehicles: int, n_seen: int = 15) -> tuple[TrackMemory, Observers, Found]:
+    """Vehicles that have sensed five times at 1 Hz, and what they see next; always the same.
+
+    Each sees cars in rows, 3 m from lane to lane and 8 m from car to car, and pedestrians between them. It misses one
+    object in five.
+
+    Parameters
+    ----------
+    n_vehicles
+        Number of vehicles that sense.
+    n_seen
+        Number of objects around each.
+
+    Returns
+    -------
+    Their tracks, the vehicles at the next second, and their detections.
+    """
+    rng, params = np.random.default_rng(0), TrackingParams(model="constant_velocity")
+    owner, k = np.divmod(np.arange(n_vehicles * n_seen), n_seen)
+    label = np.where(k % 5 == 4, ObjectClass.PEDESTRIAN, ObjectClass.CAR).astype(np.uint8)
+    speed_mps = np.where(label == ObjectClass.CAR, np.array([8.0, 0.0, -8.0])[k % 3], 1.3)
+    xy_m = np.column_stack([8.0 * (k // 3), 3.0 * (k % 3) + 1.5 * (k % 5 == 4)]) + rng.normal(0, 0.5, (len(k), 2))
+    yaw_rad = np.where(speed_mps < 0, np.pi, 0.0)
+    memory = TrackMemory()
+    for second in range(6):
+        seen = np.flatnonzero(rng.random(len(k)) < 0.8)
+        at_m = xy_m[seen] + np.column_stack([second * speed_mps[seen], np.zeros(len(seen))])
+        noisy_m = at_m + rng.normal(0, 0.1, at_m.shape)
+        found = Found(owner[seen], label[seen], noisy_m, yaw_rad[seen], rng.uniform(0.2, 1.0, len(seen)))
+        observers = Observers(np.arange(n_vehicles), np.full(n_vehicles, float(second)), np.full(n_vehicles, 8.0))
+        if second < 5:
+            memory, _ = track(memory, observers, found, params)
+    return memory, observers, found
+
+
 def _measure(scene, boxes, shape, observers, runs) -> list[tuple[str, float, str]]:
     keys = np.arange(len(observers), dtype=np.uint64)
     clean = LidarParams(range_sigma_m=0.0)
@@ -121,6 +157,8 @@ def _measure(scene, boxes, shape, observers, runs) -> list[tuple[str, float, str
     seen, model = observability(sweeps, boxes, shape), resolved(DetectorParams())
     fresh, actors = keys + np.uint64(10_000), np.arange(len(boxes), dtype=np.uint64)
     draws = DetectorDraws(0.0, actors, fresh, keys, np.uint64(1), fresh, keys)
+    n_tracking = 10 * len(observers)
+    tracks = (*street_of_tracks(n_tracking), TrackingParams(model="constant_velocity"))
 
     return [
         ("columnar, one core", rays / columnar / 1e6, "M rays/s"),
@@ -145,5 +183,6 @@ def _measure(scene, boxes, shape, observers, runs) -> list[tuple[str, float, str
             least_s(lambda: los_between_actors(walls, boxes, shape, observers[o], row), runs) / len(o) * 1e6,
             "us per pair",
         ),
+        ("tracks", least_s(lambda: track(*tracks), runs) / n_tracking * 1e6, "us per vehicle and sweep"),
         ("overlapping pairs", n_pairs / least_s(lambda: overlapping_pairs(crowd, label, o), runs) / 1e6, "M pairs/s"),
     ]

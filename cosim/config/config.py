@@ -34,6 +34,7 @@ from results.encounters import EncounterParams, check_definitions
 from sensors.evidence import AreaParams
 from sensors.lidar import LidarParams
 from sensors.statistical_detector import DetectorParams
+from sensors.tracking import TrackingParams
 from sumo_nets import catalogue, sumocfg
 from trust.params import TrustParams, differing_evidence_key
 
@@ -91,6 +92,10 @@ class Config:
     """When vehicles sense within their intervals. `common`: all at the same time. `random`: each at a time of its own,
     drawn from its name, which is one of the traffic steps in an interval. Messages are then up to one interval old when
     they are used. `random` needs a traffic.step_s below the interval."""
+    extrapolate: bool = False
+    """Whether a vehicle moves the objects of earlier messages by their velocities to the time of its own sweep, before
+    it matches and evaluates them. Self reports have a speed; other objects have a velocity with [tracking]. Without it,
+    a box is taken to be where its message says."""
     sensing_groups: tuple[SensingGroup, ...] = ()
     """Vehicles that sense at other intervals than sensing_interval_s."""
     sensing: bool = True
@@ -105,6 +110,7 @@ class Config:
     vehicle_meshes: tuple[VehicleMeshParams, ...] = ()
     area: AreaParams = field(default_factory=AreaParams)
     detector: DetectorParams = field(default_factory=DetectorParams)
+    tracking: TrackingParams = field(default_factory=TrackingParams)
     attacks: tuple[AttackParams, ...] = ()
     radio: RadioParams = field(default_factory=RadioParams)
     rsu: RsuParams = field(default_factory=RsuParams)
@@ -131,6 +137,12 @@ class Config:
             raise ValueError(
                 f"radio.timeout_s = {self.radio.timeout_s:g} s: two rounds of messages do not fit between two times of "
                 f"sensing, {schedule.exchange_interval_s:g} s apart. Set it to half of that, or less."
+            )
+        if self.tracking.model != "none" and self.tracking.keep_s < self.sensing_interval_s:
+            raise ValueError(
+                f"tracking.keep_s = {self.tracking.keep_s:g} s is shorter than sensing_interval_s = "
+                f"{self.sensing_interval_s:g} s: every track would end before its object can be detected again. Set "
+                "tracking.keep_s to two intervals or more."
             )
         if self.server.uplink == "rsu" and not (self.rsu.at or self.rsu.n_at_junctions):
             raise ValueError(

@@ -23,7 +23,7 @@ from cosim.step.state import State
 from cosim.step.trackers import evidence_audit
 from cosim.step.trackers.attack_start import AttackStartTracker
 from cosim.step.trackers.channel_counts import latency_histogram, pdr_by_distance, vehicle_channel
-from cosim.v2x.messages import FABRICATED
+from cosim.v2x.messages import FABRICATED, SENSED
 from cosim.v2x.pseudonyms import PseudonymUse
 from cosim.v2x.trust_hosts import Lookups, ServerTraffic
 from cosim.world import World
@@ -80,6 +80,7 @@ def step(recorder: TakesRows, result: StepResult, dt_s: float) -> None:
     if sensed is None:
         return
     _detections(recorder, result.world, sensed)
+    _tracks(recorder, at, sensed)
     _channel(recorder, at, sensed)
     _receptions(recorder, at, sensed)
     _evaluations(recorder, at, sensed)
@@ -175,6 +176,30 @@ def detection_columns(world: World, listed: Listed | Known, pseudonym: Int[ndarr
         "truth_iou": truth.iou, "truth_iou__valid": truth.is_real,
         "truth_occlusion": truth.occlusion, "truth_occlusion__valid": truth.is_sensed,
     }  # fmt: skip
+
+
+def _tracks(recorder: TakesRows, at: int, sensed: Sensed) -> None:
+    states, listed = sensed.positioned.objects, sensed.listed.objects
+    if states is None:
+        return
+    moves = ~np.isnan(listed.velocity_mps).any(axis=1)
+    tracked = listed.origin == SENSED
+    rows = np.flatnonzero(tracked | moves)
+    of_state, is_tracked = (np.cumsum(tracked) - 1).clip(0)[rows], tracked[rows]
+
+    def from_state(values: ndarray) -> ndarray:
+        return values[of_state] if len(values) else np.zeros(len(rows), values.dtype)
+
+    x, y = listed.velocity_mps[rows].T
+    recorder.append("tracks", at, {
+        "observer": sensed.senders.pseudonym[sensed.listed.detections.message[rows]],
+        "detection_index": listed.detection_index[rows],
+        "object_id": from_state(states.object_id), "object_id__valid": is_tracked,
+        "age_s": from_state(states.age_s), "age_s__valid": is_tracked,
+        "velocity_x_mps": x, "velocity_x_mps__valid": moves[rows],
+        "velocity_y_mps": y, "velocity_y_mps__valid": moves[rows],
+        "existence_p": from_state(states.existence_p), "existence_p__valid": is_tracked,
+    })  # fmt: skip
 
 
 def _channel(recorder: TakesRows, at: int, sensed: Sensed) -> None:
@@ -416,7 +441,17 @@ def _fused(recorder: TakesRows, at: int, sensed: Sensed) -> None:
             "pose_index": listed.detection_index[fused.pose], "pose_index__valid": moved,
             "fabricated": listed.origin[fused.seed] == FABRICATED,
             **_steps(sensed, "source_step", fused.seed), **_steps(sensed, "pose_step", fused.pose),
+            **_moved(sensed, fused.pose),
         })  # fmt: skip
+
+
+def _moved(sensed: Sensed, detection: Int[ndarray, "k"]) -> Rows:
+    """How far each detection has been moved since it was sent; no columns if nothing is extrapolated."""
+    moved_m = sensed.known.moved_m
+    if moved_m is None:
+        return {}
+    x, y = moved_m[detection].T
+    return {"moved_x_m": x, "moved_y_m": y}
 
 
 def _steps(sensed: Sensed, name: str, detection: Int[ndarray, "k"]) -> Rows:

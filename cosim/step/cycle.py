@@ -90,6 +90,8 @@ def _cycle(
         trust, pseudonyms, published = trust_stages.publish(s.trust, s.pseudonyms, vehicles, now, parts)
     observed = stages.perceive(world, vehicles, precomputed, parts)
     position_errors, positioned = stages.position(world, vehicles, observed, s.position_errors, c)
+    with watch("track objects"):
+        tracks, positioned = stages.track_objects(world, vehicles, positioned, s.tracks, now, c)
     with watch("attack"):
         sends = stages.senders_among(world, vehicles)
         attacks = parts.adversary.active(s.attacks, world, now.begin_s, own_trust, sends)
@@ -101,7 +103,7 @@ def _cycle(
         medium = s.medium if precomputed.with_links is None else precomputed.with_links(s.medium)
         medium, cpms = stages.broadcast_detections(exchange, listed, s.piggybacked, medium, parts)
     with watch("match"):
-        inbox, known = s.inbox.known(exchange, listed, cpms, parts.schedule)
+        inbox, known = s.inbox.known(exchange, listed, cpms, parts)
         matched = stages.match_objects(exchange, known, positioned, c)
     with watch("evaluate"):
         answers = stages.ask_sweeps(exchange, known, matched, positioned.observed, parts)
@@ -135,11 +137,10 @@ def _cycle(
         encounters = tracking.count_in_encounters(s.encounters, exchange, (cpms, reports), looked_up, known, matched)
         outcomes = attack_outcomes(exchange, positioned.world, known, matched, fused)
     s = replace(
-        s, trust=trust, pseudonyms=pseudonyms, position_errors=position_errors, included=included, medium=medium,
-        inbox=inbox,
-        piggybacked=piggybacked, known_senders=known_senders, reaction_truth=reaction_truth,
-        attack_start=attack_start, inter_reception=inter_reception, encounters=encounters,
-        n_dropped=s.n_dropped + listed.n_dropped,
+        s, trust=trust, pseudonyms=pseudonyms, position_errors=position_errors, tracks=tracks, included=included,
+        medium=medium, inbox=inbox, piggybacked=piggybacked, known_senders=known_senders,
+        reaction_truth=reaction_truth, attack_start=attack_start, inter_reception=inter_reception,
+        encounters=encounters, n_dropped=s.n_dropped + listed.n_dropped,
     )  # fmt: skip
     return s, Sensed(
         vehicles=vehicles, sensing=exchange.sensing, senders=senders, positioned=positioned, listed=listed, known=known,

@@ -17,9 +17,10 @@ from cosim.step.exchange import Exchange
 from cosim.step.ground_truth import GroundTruth
 from cosim.step.known import Known, Pairs, Uses
 from cosim.step.object_lists import for_trust
+from cosim.step.parts import Parts
 from cosim.step.stages import Broadcast, Evaluated, Listed, Matched, SweepAnswers
-from cosim.v2x.messages import Detections
-from sensors.boxes import Boxes
+from cosim.v2x.messages import Detections, velocities
+from sensors.boxes import Boxes, extrapolated
 from trust.tables import Evaluations, ObjectLists
 
 
@@ -65,14 +66,14 @@ class Inbox:
     reports: Uses = field(default_factory=lambda: Uses(_rows(), _rows()))
     """Receptions of the evaluation messages."""
 
-    def known(self, exchange: Exchange, listed: Listed, cpms: Broadcast, schedule: Schedule) -> tuple["Inbox", Known]:
+    def known(self, exchange: Exchange, listed: Listed, cpms: Broadcast, parts: Parts) -> tuple["Inbox", Known]:
         """The messages of this step, and those of the inbox that can still be used.
 
         Returns
         -------
         The inbox without messages that are too old or whose sender has left, and the messages.
         """
-        vehicles, senders, now = exchange.vehicles, exchange.senders, exchange.now.step
+        vehicles, senders, now, schedule = exchange.vehicles, exchange.senders, exchange.now.step, parts.schedule
         inbox = self
         if len(self.step):
             inbox = self._without(
@@ -81,23 +82,33 @@ class Inbox:
         received = cpms.accepted.vehicles
         uses = _of_sensing(exchange, inbox.cpms, received)
         interval, _ = schedule.of_vehicles(exchange.sensing.name_key)
+        stays = schedule.is_lock_step or not parts.config.extrapolate
         known = Known(
             objects=listed.objects, truth=listed.truth, detections=listed.detections, ptr=listed.ptr,
             withheld=listed.withheld, vehicle=senders.vehicle, pseudonym=senders.pseudonym, received=uses,
             step=np.full(len(senders), now), since=now - interval + 1, earlier_m=inbox.from_own_m,
             earlier_pairs=inbox.pairs, is_lock_step=schedule.is_lock_step,
+            moved_m=None if stays else np.zeros((len(listed.objects), 2)),
         )  # fmt: skip
         if not len(inbox.step):
             return inbox, known
-        return inbox, inbox._added(exchange, known)
+        age_s = (now - inbox.step) * schedule.step_s if parts.config.extrapolate else None
+        return inbox, inbox._added(exchange, known, age_s)
 
-    def _added(self, exchange: Exchange, now: Known) -> Known:
-        """This step's messages with those of the inbox behind them."""
+    def _added(self, exchange: Exchange, now: Known, age_s: Float[ndarray, "m"] | None) -> Known:
+        """This step's messages with those of the inbox behind them.
+
+        If the ages of the messages are given, their objects are moved by their velocities to the time of the step.
+        """
         world, n, d = exchange.world, len(exchange.senders), len(now.objects)
         row, _ = _rows_of(self.objects.observer, world.actor)
         target, there = _rows_of(self.objects.target, world.actor)
         actor_row, exists = _rows_of(self.truth.actor_row, world.actor)
-        objects = replace(self.objects, observer=row, target=np.where(there, target, row))
+        boxes, moved_m = self.objects.boxes, None
+        if age_s is not None:
+            boxes = extrapolated(boxes, velocities(self.objects), np.repeat(age_s, np.diff(self.ptr)))
+            moved_m = np.concatenate([np.zeros((d, 2)), boxes.xyz_m[:, :2] - self.objects.boxes.xyz_m[:, :2]])
+        objects = replace(self.objects, observer=row, target=np.where(there, target, row), boxes=boxes)
         truth = replace(self.truth, actor_row=actor_row, is_real=self.truth.is_real & exists)
         message = n + np.repeat(np.arange(len(self.step)), np.diff(self.ptr))
         ours, _ = for_trust(objects, message, n + len(self.step))
@@ -117,7 +128,7 @@ class Inbox:
             pseudonym=pseudonym,
             received=_newest(now.received, pseudonym, step),
             step=step,
-            earlier_pairs=(d + i, d + j, iou),
+            earlier_pairs=(d + i, d + j, iou), moved_m=moved_m,
         )  # fmt: skip
 
     def evaluations_used(

@@ -31,7 +31,8 @@ class Known:
     """
 
     objects: Detections
-    """`observer` and `target` are rows of this step's world."""
+    """`observer` and `target` are rows of this step's world. Boxes are where the messages say. With `extrapolate`, they
+    are where their velocities have brought them by this step."""
     truth: GroundTruth
     detections: tables.Detections
     """The same detections in the form that `trust` uses, with the message as a row of these messages."""
@@ -53,6 +54,9 @@ class Known:
     """Distance of each detection of the earlier messages from the sensor of its sender when it was made."""
     earlier_pairs: Pairs
     """Overlapping detections among the earlier messages; rows of `objects`."""
+    moved_m: Float[ndarray, "d 2"] | None
+    """How far the boxes have been moved by their velocities since they were sent, east and north. None if they are
+    where the messages say."""
     is_lock_step: bool
     """Whether all vehicles of the run sense in the same steps, so that there are no earlier messages."""
 

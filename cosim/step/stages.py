@@ -39,6 +39,7 @@ from cosim.v2x.trust_server import TrustBroadcast
 from cosim.world import World
 from sensors.boxes import overlapping_pairs, pairs_between
 from sensors.evidence import in_evaluation_area
+from sensors.tracking import Found, ObjectStates, Observers, TrackMemory, track
 from trust import tables
 from trust.evaluation import evaluate
 from trust.fusion import Fused, SensorEvidence
@@ -102,6 +103,8 @@ class Positioned:
     """The world with every vehicle at its estimated position; the true world without `[gnss]`."""
     error_m: Float[ndarray, "e 2"] | None
     """Position error of each vehicle, estimated minus true, east and north; None without `[gnss]`."""
+    objects: ObjectStates | None = None
+    """What tracking says about the detector's reports, in the order of the detections; None without tracking."""
 
 
 def position(
@@ -123,6 +126,54 @@ def senders_among(world: World, vehicles: Vehicles) -> Bool[ndarray, "n"] | None
     sends = np.zeros(len(world), bool)
     sends[vehicles.row[vehicles.senses]] = True
     return sends
+
+
+def track_objects(
+    world: World, vehicles: Vehicles, positioned: Positioned, memory: TrackMemory, now: Times, c: Config
+) -> tuple[TrackMemory, Positioned]:
+    """Give the objects that the detector reports velocities, numbers, ages and probabilities of existence.
+
+    Parameters
+    ----------
+    world
+        All actors at their true positions.
+    vehicles
+        Equipped vehicles. The tracks of those that do not sense in this step stay as they are.
+    positioned
+        What those perceive that sense.
+    memory
+        The tracks of all vehicles.
+    now
+        Times of the step.
+    c
+        The config.
+
+    Returns
+    -------
+    The tracks after the step, and what vehicles perceive with the velocities of objects. Boxes and scores stay those of
+    the detector.
+    """
+    if c.tracking.model == "none":
+        return memory, positioned
+    detections, rows = positioned.observed.detections, vehicles.row[vehicles.senses]
+    sensed = np.flatnonzero(detections.origin == SENSED)
+    boxes = detections.boxes.take(sensed)
+    memory, objects = track(
+        memory,
+        Observers(world.actor[rows].astype(np.int64), np.full(len(rows), now.begin_s), world.speed_mps[rows]),
+        Found(
+            observer=world.actor[detections.observer[sensed]].astype(np.int64),
+            label=detections.label[sensed],
+            xy_m=boxes.xyz_m[:, :2],
+            yaw_rad=boxes.yaw_rad,
+            score=detections.score[sensed],
+        ),
+        c.tracking,
+    )
+    velocity_mps = detections.velocity_mps.copy()
+    velocity_mps[sensed] = objects.velocity_mps
+    observed = replace(positioned.observed, detections=replace(detections, velocity_mps=velocity_mps))
+    return memory, replace(positioned, observed=observed, objects=objects)
 
 
 def senders_of(
@@ -238,9 +289,7 @@ def broadcast_detections(
 ) -> tuple[object, Broadcast]:
     """Broadcast detection messages, with piggybacked evaluations of the step before; return the medium's new state."""
     lengths = _cpm_lengths(exchange, listed, piggybacked, parts.config)
-    on_air = OnAir.of(
-        exchange.senders, lengths, len(exchange.vehicles), len(parts.rsus), sending=exchange.sending
-    )
+    on_air = OnAir.of(exchange.senders, lengths, len(exchange.vehicles), len(parts.rsus), sending=exchange.sending)
     return _broadcast(exchange, RoundKind.CPM, on_air, exchange.now.begin_s, medium, parts)
 
 
@@ -353,9 +402,7 @@ class SweepAnswers:
     """Recall of the evaluator's detector for each member of `lists`; None unless denials are weighted by it."""
 
 
-def ask_sweeps(
-    exchange: Exchange, messages: Known, matched: Matched, observed: Observed, parts: Parts
-) -> SweepAnswers:
+def ask_sweeps(exchange: Exchange, messages: Known, matched: Matched, observed: Observed, parts: Parts) -> SweepAnswers:
     """Ask every vehicle's own sweep about the boxes in its list. Sweeps are not read again in this step."""
     known, groups, boxes, c = matched.known, matched.lists_groups, messages.objects.boxes, parts.config
     foreign = np.zeros(len(known.member), bool)  # members whose plausibility is tested
@@ -373,9 +420,7 @@ def ask_sweeps(
         n_points=n_points,
         plausible=plausible,
         of_seeds=SensorEvidence(n_points[seeds], plausible[seeds], away_m < c.area.range_m),
-        from_own_m=np.concatenate(
-            [_distance_m(boxes.xyz_m, np.arange(n_now), origin_m, observer), messages.earlier_m]
-        ),
+        from_own_m=np.concatenate([_distance_m(boxes.xyz_m, np.arange(n_now), origin_m, observer), messages.earlier_m]),
         recall=_recall(messages, matched, n_points[matched.inside], origin_m, parts),
     )
 

@@ -25,6 +25,7 @@ from cosim.v2x.relinking import KnownSenders
 from cosim.v2x.trust_hosts import TrustState
 from results.codes import DetectionFault
 from results.encounters import EncounterTracker
+from sensors.tracking import TrackMemory
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,6 +57,8 @@ class State:
     """Used only with pseudonyms.linkage = "own"."""
     last_speeds: LastSpeeds = field(default_factory=LastSpeeds)
     position_errors: PositionErrors = field(default_factory=PositionErrors)
+    tracks: TrackMemory = field(default_factory=TrackMemory)
+    """Observers are known by their actor numbers."""
     n_dropped: Int[ndarray, "f"] = field(default_factory=lambda: np.zeros(len(DetectionFault), np.int64))
     """Detections dropped so far because they cannot be sent, by `DetectionFault`."""
     is_consumed: bool = False

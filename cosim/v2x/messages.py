@@ -102,6 +102,15 @@ class Detections:
         return joined.take(np.lexsort((joined.detection_index, joined.identity, joined.observer)))
 
 
+def velocities(listed: Detections) -> Float[ndarray, "d 2"]:
+    """Velocity east and north that each detection claims; NaN where it claims none.
+
+    A self report claims a speed along its heading, a tracked object a velocity.
+    """
+    along = np.column_stack([np.cos(listed.boxes.yaw_rad), np.sin(listed.boxes.yaw_rad)])
+    return np.where(np.isnan(listed.velocity_mps), listed.speed_mps[:, None] * along, listed.velocity_mps)
+
+
 def cpm_bytes(n_objects: Int[ndarray, "n"]) -> Int[ndarray, "n"]:
     """Length of a detection message, sent as a collective perception message [B].
 

@@ -14,9 +14,9 @@ from tests.results.synthetic import write
 
 EMPTY = (
     "encounter_trust", "reactions", "dropped_detections", "evidence", "fused_evidence", "transmitted_evaluations",
-    "transmitted_scores", "attack_outcomes", "lookup_totals", "position_errors",
+    "transmitted_scores", "attack_outcomes", "lookup_totals", "position_errors", "tracks",
 )  # fmt: skip
-"""Tables without rows in a run with one trust variant and no driver."""
+"""Tables without rows in a run with one trust variant, no driver and no tracking."""
 
 
 @pytest.fixture

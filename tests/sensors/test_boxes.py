@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from shapely import affinity
 
-from sensors.boxes import Boxes, iou_3d, overlapping_pairs
+from sensors.boxes import Boxes, extrapolated, iou_3d, overlapping_pairs
 from tests.sensors.town import cases, from_camera, random_boxes
 
 
@@ -107,3 +107,24 @@ def test_bad_boxes_are_refused(lwh, yaw, says):
         Boxes(np.zeros((1, 3)), np.array([lwh]), np.array([yaw]))
     with pytest.raises(ValueError, match="shape"):
         Boxes(np.zeros((2, 3)), np.ones((1, 3)), np.zeros(2))
+
+
+def test_extrapolation_by_hand():
+    # 0.5 s at 10 m/s east and 2 m/s south is 5 m east and 1 m south; an absent velocity, or half of one, moves nothing
+    boxes = Boxes(np.tile([1.0, 2.0, 3.0], (3, 1)), np.ones((3, 3)), np.array([0.0, 1.0, 2.0]))
+    velocity = np.array([[10.0, -2.0], [np.nan, np.nan], [4.0, np.nan]])
+    moved = extrapolated(boxes, velocity, 0.5)
+    assert (moved.xyz_m == [[6.0, 1.0, 3.0], [1.0, 2.0, 3.0], [1.0, 2.0, 3.0]]).all()
+    assert (moved.yaw_rad == boxes.yaw_rad).all() and (moved.lwh_m == boxes.lwh_m).all()
+    assert (boxes.xyz_m == [1.0, 2.0, 3.0]).all(), "the given boxes stay"
+    own = extrapolated(boxes, np.tile([1.0, 0.0], (3, 1)), np.array([0.0, 1.0, -2.0]))
+    assert own.xyz_m[:, 0].tolist() == [1.0, 2.0, -1.0]
+
+
+def test_extrapolation_used_wrongly():
+    boxes = Boxes(np.zeros((2, 3)), np.ones((2, 3)), np.zeros(2))
+    with pytest.raises(ValueError, match="one per box"):
+        extrapolated(boxes, np.zeros((3, 2)), 1.0)
+    with pytest.raises(ValueError, match="finite"):
+        extrapolated(boxes, np.zeros((2, 2)), np.array([1.0, np.nan]))
+    assert len(extrapolated(boxes.take(np.zeros(0, int)), np.zeros((0, 2)), 1.0)) == 0

@@ -21,6 +21,7 @@ KINDS = {
     "trust in vehicles": ("trust.host=local",),
     "csma with forwarding": ("radio.model=csma", "radio.relay.max_hops=2", "radio.evaluations=piggybacked"),
     "beta": ("trust.model=beta", "pseudonyms.policy=disposable", "radio.cpm_rules=etsi", "attacks.0.start_s=2"),
+    "tracks": ("tracking.model=constant_velocity",),
 }
 
 

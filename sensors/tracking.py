@@ -1,0 +1,527 @@
+"""Tracks of the objects that each vehicle detects: constant-velocity Kalman filters of all vehicles at once.
+
+A track belongs to one observer. It is predicted over the time that has passed since its observer last sensed, so
+observers may sense at different moments and rates. Tracks of observers that do not sense are left as they are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields, replace
+from itertools import pairwise
+from typing import Annotated, Literal
+
+import numpy as np
+from annotated_types import Ge, Gt, Le, Lt
+from jaxtyping import Bool, Float, Int, UInt8
+from numpy import ndarray
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import min_weight_full_bipartite_matching
+from scipy.special import expit, logit
+
+_Positive = Annotated[float, Gt(0), Le(1000)]
+Positive = tuple[_Positive, _Positive, _Positive, _Positive]
+"""One value per class: car, pedestrian, cyclist, truck."""
+_NotNegative = Annotated[float, Ge(0), Le(1000)]
+NotNegative = tuple[_NotNegative, _NotNegative, _NotNegative, _NotNegative]
+_Share = Annotated[float, Gt(0), Lt(1)]
+_LogOdds = Annotated[float, Ge(-100), Le(100)]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class TrackingParams:
+    """How every equipped vehicle tracks the objects that it detects.
+
+    Tuples hold one value per class: car, pedestrian, cyclist, truck. The page on tracking says how the values were
+    chosen.
+    """
+
+    model: Literal["none", "constant_velocity"] = "none"
+    """`none`: detected objects have no velocity. `constant_velocity`: one Kalman filter per object."""
+    acceleration_noise: Positive = (1.5, 0.2, 0.7, 1.5)
+    """Spectral density of the random acceleration along each axis [m2/s3]: by this much the variance of the velocity
+    grows per second."""
+    position_sigma_m: Positive = (0.15, 0.06, 0.1, 0.3)
+    """Standard deviation of the position of a detection along each axis [m]."""
+    along_mean_mps: NotNegative = (6.0, 0.6, 3.0, 6.0)
+    """Expected speed of a new track along the heading of its detection [m/s]."""
+    along_sigma_mps: Positive = (4.5, 1.0, 3.0, 4.5)
+    """Standard deviation of that speed [m/s]."""
+    across_sigma_mps: Positive = (0.7, 1.0, 0.7, 0.7)
+    """Standard deviation of the velocity across the heading [m/s]; its mean is 0."""
+    own_speed_mean: NotNegative = (0.7, 0.0, 0.0, 0.7)
+    """Share of the observer's own speed that the expected speed is at least: on a motorway, others are fast too."""
+    own_speed_sigma: NotNegative = (0.4, 0.0, 0.0, 0.4)
+    """Share of the observer's own speed that the standard deviation of the speed is at least."""
+    gate_p: _Share = 0.99
+    """Probability that the next detection of a tracked object is inside the track's gate."""
+    other_per_m2: Annotated[float, Gt(0), Le(1)] = 0.005
+    """Density of the detections near a track that are not of its object, in one sweep [1/m2]. A detection may continue
+    a track only if the track predicts it with a higher density."""
+    confirm_hits: Annotated[int, Ge(1), Le(1000)] = 3
+    """Number of detections from which on the object has a velocity."""
+    keep_s: Annotated[float, Gt(0), Le(1000)] = 2.5
+    """A track ends if its object is not detected for longer than this [s]. It must be at least as long as the interval
+    between two sweeps."""
+    existence_new: _LogOdds = 1.95
+    """Log-odds that the object of a new track exists if the score is 0.5."""
+    existence_again: _LogOdds = 1.38
+    """Log-odds gained if it is detected again with a score of 0.5, long after the last time."""
+    existence_score: _NotNegative = 1.9
+    """Log-odds gained per log-odds of the score, in both cases."""
+    existence_scores: tuple[_Share, _Share] = (0.18, 0.88)
+    """Scores below and above these count as these."""
+    existence_memory_s: Annotated[float, Ge(0), Le(1000)] = 1.5
+    """Time over which a detector repeats its mistakes [s]. A detection t seconds after the last one counts by
+    1 - exp(-t / existence_memory_s)."""
+
+    def __post_init__(self) -> None:
+        low, high = self.existence_scores
+        if not low < high:
+            raise ValueError(
+                f"tracking.existence_scores = {self.existence_scores}: the first must be smaller than the second."
+            )
+
+
+_CLASS_GROUP = np.array([0, 1, 1, 0], np.uint8)
+"""A detector confuses cars with trucks and pedestrians with cyclists. Tracks go on with detections of their group."""
+_BLOCK_PAIRS = 2048
+"""Pairs of tracks and detections that are assigned at once; the solver's time grows faster than their number."""
+
+
+@dataclass(frozen=True, slots=True)
+class Tracks:
+    """N tracks, sorted by (observer, object_id), in the frame of the detections."""
+
+    observer: Int[ndarray, "n"]
+    """Any number that identifies the observer, the same in every call."""
+    object_id: Int[ndarray, "n"]
+    """Number of the object among those of its observer, from 0; never used twice."""
+    label: UInt8[ndarray, "n"]
+    """`ObjectClass` of the last detection."""
+    n_hits: Int[ndarray, "n"]
+    """Number of detections."""
+    time_s: Float[ndarray, "n"]
+    """Time of the estimates: when the observer last sensed."""
+    first_s: Float[ndarray, "n"]
+    """Time of the first detection."""
+    last_s: Float[ndarray, "n"]
+    """Time of the last detection."""
+    xy_m: Float[ndarray, "n 2"]
+    velocity_mps: Float[ndarray, "n 2"]
+    axis: Float[ndarray, "n 2"]
+    """Unit vector along the heading of the first detection. Errors along and across it are independent."""
+    covariance: Float[ndarray, "n 2 3"]
+    """Along and across `axis`: variance of the position, covariance of position and velocity, variance of the
+    velocity."""
+    existence: Float[ndarray, "n"]
+    """Log-odds that the object exists, at the last detection."""
+
+    def __len__(self) -> int:
+        return len(self.observer)
+
+    def take(self, rows: Int[ndarray, "m"] | Bool[ndarray, "n"]) -> Tracks:
+        """The tracks of these rows, in this order."""
+        return Tracks(**{f.name: getattr(self, f.name)[rows] for f in fields(self)})
+
+    @staticmethod
+    def none() -> Tracks:
+        """No tracks."""
+        number, real, pair = np.zeros(0, np.int64), np.zeros(0), np.zeros((0, 2))
+        return Tracks(
+            observer=number, object_id=number, label=np.zeros(0, np.uint8), n_hits=number, time_s=real, first_s=real,
+            last_s=real, xy_m=pair, velocity_mps=pair, axis=pair, covariance=np.zeros((0, 2, 3)), existence=real,
+        )  # fmt: skip
+
+    @staticmethod
+    def joined(parts: Sequence[Tracks]) -> Tracks:
+        """All tracks of all parts, part after part."""
+        return Tracks(**{f.name: np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Tracks)})
+
+
+@dataclass(frozen=True, slots=True)
+class TrackMemory:
+    """What the tracking of all observers passes on from one moment to the next."""
+
+    tracks: Tracks = field(default_factory=Tracks.none)
+    known: Int[ndarray, "k"] = field(default_factory=lambda: np.zeros(0, np.int64))
+    """Observers that have ever had a track, sorted."""
+    n_objects: Int[ndarray, "k"] = field(default_factory=lambda: np.zeros(0, np.int64))
+    """Number of objects that each of them has numbered."""
+
+
+@dataclass(frozen=True, slots=True)
+class Observers:
+    """E observers that sense now, sorted by number, each once."""
+
+    number: Int[ndarray, "e"]
+    time_s: Float[ndarray, "e"]
+    """When each of them senses."""
+    speed_mps: Float[ndarray, "e"]
+    """How fast each of them drives."""
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """D detections of the observers that sense now, sorted by observer."""
+
+    observer: Int[ndarray, "d"]
+    label: UInt8[ndarray, "d"]
+    """`ObjectClass`."""
+    xy_m: Float[ndarray, "d 2"]
+    yaw_rad: Float[ndarray, "d"]
+    score: Float[ndarray, "d"]
+
+    def __len__(self) -> int:
+        return len(self.observer)
+
+    def take(self, rows: Int[ndarray, "m"]) -> Found:
+        """The detections of these rows, in this order."""
+        return Found(**{f.name: getattr(self, f.name)[rows] for f in fields(self)})
+
+
+@dataclass(frozen=True, slots=True)
+class ObjectStates:
+    """What tracking says about each detection, in the order of the detections."""
+
+    object_id: Int[ndarray, "d"]
+    """Number of the object among those of its observer."""
+    age_s: Float[ndarray, "d"]
+    """Time since the first detection of the object."""
+    velocity_mps: Float[ndarray, "d 2"]
+    """Velocity along x and y; NaN until the object has been detected `confirm_hits` times."""
+    existence_p: Float[ndarray, "d"]
+    """Probability that there is an object."""
+
+
+def track(
+    memory: TrackMemory, observers: Observers, found: Found, params: TrackingParams
+) -> tuple[TrackMemory, ObjectStates]:
+    """Continue the tracks of all observers that sense now with what they detect.
+
+    Parameters
+    ----------
+    memory
+        Result of the call before; `TrackMemory()` at the beginning.
+    observers
+        Those that sense now, also those that detect nothing.
+    found
+        Their detections. Every detection continues a track or begins one.
+    params
+        The parameters.
+
+    Returns
+    -------
+    The new memory, and the state of the object of each detection.
+
+    Raises
+    ------
+    ValueError
+        If an observer senses before the time of its tracks, or a detection belongs to an observer that does not sense.
+
+    Notes
+    -----
+    Constant-velocity Kalman filter with continuous white-noise acceleration [1]_ (6.2.2), per axis. With the steps of
+    `predicted` and `updated` the errors along and across one axis stay independent, so a track has two times three
+    covariances instead of sixteen. Assignment: `assigned`. Existence: `existence_gain`.
+    Deviations: the filter is the textbook's. The expected speed of a new track is ours.
+
+    .. [1] Y. Bar-Shalom, X. R. Li, T. Kirubarajan, Estimation with Applications to Tracking and Navigation, 2001.
+    """
+    row = _rows_of(observers.number, found.observer)
+    if (row < 0).any():
+        raise ValueError(f"a detection belongs to observer {found.observer[np.argmin(row)]}, which does not sense now.")
+    old = memory.tracks
+    at = _rows_of(observers.number, old.observer)
+    due = at >= 0
+    now_s = np.full(len(old), observers.time_s.max(initial=-np.inf))
+    now_s[due] = observers.time_s[at[due]]
+    if (now_s[due] < old.time_s[due]).any():
+        raise ValueError("an observer senses before the time of its own tracks: time goes forward.")
+    kept = now_s - old.last_s <= params.keep_s  # those of observers that have left end here too
+    waiting, rows = old.take(kept & ~due), np.flatnonzero(kept & due)
+    tracks = predicted(old.take(rows), now_s[rows], params)
+    t, d = assigned(tracks, found, params)
+    again = updated(tracks.take(t), found.take(d), params)
+    is_missed, is_new = np.ones(len(tracks), bool), np.ones(len(found), bool)
+    is_missed[t], is_new[d] = False, False
+    fresh = np.flatnonzero(is_new)
+    known, n_objects, object_id = _numbered(memory, found.observer[fresh])
+    new = begun(found.take(fresh), object_id, observers, row[fresh], params)
+    joined = Tracks.joined([again, new, tracks.take(is_missed), waiting])
+    of_detection = np.empty(len(found), np.int64)
+    of_detection[d], of_detection[fresh] = np.arange(len(d)), len(d) + np.arange(len(fresh))
+    velocity_mps = joined.velocity_mps[of_detection]
+    velocity_mps[joined.n_hits[of_detection] < params.confirm_hits] = np.nan
+    age_s = (joined.time_s - joined.first_s)[of_detection]
+    tracks = joined.take(np.lexsort((joined.object_id, joined.observer)))
+    return TrackMemory(tracks, known, n_objects), ObjectStates(
+        object_id=joined.object_id[of_detection],
+        age_s=age_s,
+        velocity_mps=velocity_mps,
+        existence_p=expit(joined.existence[of_detection]),
+    )
+
+
+def predicted(tracks: Tracks, time_s: Float[ndarray, "n"], params: TrackingParams) -> Tracks:
+    """The tracks at another time, without detections.
+
+    Parameters
+    ----------
+    tracks
+        The tracks.
+    time_s
+        The time of each.
+    params
+        The parameters.
+
+    Returns
+    -------
+    The tracks with new times, positions and covariances.
+
+    Notes
+    -----
+    With t the elapsed time and q the spectral density: x += v t, P_xx += 2 t P_xv + t² P_vv + q t³ / 3,
+    P_xv += t P_vv + q t² / 2, P_vv += q t. Two predictions by half the time equal one.
+    """
+    t = (time_s - tracks.time_s)[:, None]
+    q = np.asarray(params.acceleration_noise)[tracks.label][:, None]
+    xx, xv, vv = np.moveaxis(tracks.covariance, 2, 0)
+    covariance = np.stack([xx + t * (2 * xv + t * (vv + q * t / 3)), xv + t * (vv + q * t / 2), vv + q * t], axis=2)
+    return replace(tracks, time_s=time_s, xy_m=tracks.xy_m + t * tracks.velocity_mps, covariance=covariance)
+
+
+def updated(tracks: Tracks, found: Found, params: TrackingParams) -> Tracks:
+    """The tracks after one detection each, at the time of the tracks.
+
+    Parameters
+    ----------
+    tracks
+        The tracks.
+    found
+        The detection of each.
+    params
+        The parameters.
+
+    Returns
+    -------
+    The tracks with new states, covariances, classes and existence.
+
+    Notes
+    -----
+    With r the variance of a detection, y the innovation and s = P_xx + r, along and across the axis: x += P_xx y / s,
+    v += P_xv y / s, P_xx = r P_xx / s, P_xv = r P_xv / s, P_vv -= P_xv² / s.
+    """
+    r = (np.asarray(params.position_sigma_m)[found.label] ** 2)[:, None]
+    xx, xv, vv = np.moveaxis(tracks.covariance, 2, 0)
+    gain_x, gain_v = xx / (xx + r), xv / (xx + r)
+    innovation_m = _along_and_across(found.xy_m - tracks.xy_m, tracks.axis)
+    return replace(
+        tracks,
+        label=found.label,
+        n_hits=tracks.n_hits + 1,
+        last_s=tracks.time_s,
+        xy_m=tracks.xy_m + _east_and_north(gain_x * innovation_m, tracks.axis),
+        velocity_mps=tracks.velocity_mps + _east_and_north(gain_v * innovation_m, tracks.axis),
+        covariance=np.stack([gain_x * r, gain_v * r, vv - gain_v * xv], axis=2),
+        existence=tracks.existence + existence_gain(found.score, tracks.time_s - tracks.last_s, params),
+    )
+
+
+def begun(
+    found: Found, object_id: Int[ndarray, "d"], observers: Observers, row: Int[ndarray, "d"], params: TrackingParams
+) -> Tracks:
+    """New tracks, one per detection.
+
+    Parameters
+    ----------
+    found
+        The detections.
+    object_id
+        The number of each new object.
+    observers, row
+        Those that sense, and the row of each detection's observer.
+    params
+        The parameters.
+
+    Returns
+    -------
+    Tracks with the positions of the detections and the expected velocities.
+    """
+    own_mps, label, time_s = observers.speed_mps[row], found.label, observers.time_s[row]
+    mean_mps = np.maximum(np.asarray(params.along_mean_mps)[label], np.asarray(params.own_speed_mean)[label] * own_mps)
+    sigma_mps = np.column_stack([
+        np.maximum(np.asarray(params.along_sigma_mps)[label], np.asarray(params.own_speed_sigma)[label] * own_mps),
+        np.asarray(params.across_sigma_mps)[label],
+    ])  # fmt: skip
+    axis = np.column_stack([np.cos(found.yaw_rad), np.sin(found.yaw_rad)])
+    covariance = np.zeros((len(found), 2, 3))
+    covariance[:, :, 0] = (np.asarray(params.position_sigma_m)[label] ** 2)[:, None]
+    covariance[:, :, 2] = sigma_mps**2
+    return Tracks(
+        observer=found.observer,
+        object_id=object_id,
+        label=label,
+        n_hits=np.ones(len(found), np.int64),
+        time_s=time_s,
+        first_s=time_s,
+        last_s=time_s,
+        xy_m=found.xy_m,
+        velocity_mps=mean_mps[:, None] * axis,
+        axis=axis,
+        covariance=covariance,
+        existence=params.existence_new + _of_score(found.score, params),
+    )
+
+
+def existence_gain(
+    score: Float[ndarray, "n"], since_s: Float[ndarray, "n"], params: TrackingParams
+) -> Float[ndarray, "n"]:
+    """Log-odds of existence that a track gains by a further detection.
+
+    Parameters
+    ----------
+    score
+        Score of the detection.
+    since_s
+        Time since the detection before.
+    params
+        The parameters.
+
+    Returns
+    -------
+    One value per detection; negative for low scores.
+
+    Notes
+    -----
+    Bayes' rule in log-odds, as in integrated probabilistic data association [1]_ with one detection per track: the
+    posterior odds are the prior odds times the likelihood ratio of the detection and its score.
+    Deviations: the likelihood ratio is a logistic function of the score, fitted to recorded detections, in place of one
+    from detection probability and clutter density. It counts by 1 - exp(-t / existence_memory_s), because misses and
+    false positives of a real detector persist. A miss changes nothing: in the fit its coefficient was 0.06.
+
+    .. [1] D. Musicki, R. Evans, S. Stankovic, Integrated probabilistic data association, IEEE TAC 39(6), 1994.
+    """
+    memory_s = params.existence_memory_s
+    weight = -np.expm1(-since_s / memory_s) if memory_s > 0 else np.ones(len(since_s))
+    return weight * (params.existence_again + _of_score(score, params))
+
+
+def _of_score(score: Float[ndarray, "n"], params: TrackingParams) -> Float[ndarray, "n"]:
+    """Log-odds of existence by the score alone; 0 at 0.5."""
+    return params.existence_score * logit(np.clip(score, *params.existence_scores))
+
+
+def assigned(
+    tracks: Tracks, found: Found, params: TrackingParams
+) -> tuple[Int[ndarray, "m"], Int[ndarray, "m"]]:  # fmt: skip
+    """The detections that continue tracks of the same observer: global nearest neighbour, all observers at once.
+
+    Parameters
+    ----------
+    tracks
+        The tracks at the time of the detections, sorted by observer.
+    found
+        The detections.
+    params
+        The parameters.
+
+    Returns
+    -------
+    Rows of `tracks`, ascending, and the row of `found` of each. Each row occurs at most once.
+
+    Notes
+    -----
+    A pair is possible if both are in one group of classes, the squared Mahalanobis distance d² of the innovation is in
+    the gate, and the predicted density exceeds that of other detections: exp(-d² / 2) / (2 pi sqrt(det S)) >
+    `other_per_m2`. Among the possible pairs, the assignment has the largest product of the ratios of the two densities,
+    which is the largest sum of -d² - log det S - constant. The term log det S keeps uncertain tracks from taking the
+    detections of certain ones [1]_.   Deviations: none.
+
+    .. [1] R. Altendorfer, S. Wirkert, Why the association log-likelihood distance should be used for
+       measurement-to-track association, IEEE Intelligent Vehicles Symposium, 2016.
+    """
+    gate = -2 * np.log1p(-params.gate_p)
+    t, d = _same_observer(tracks.observer, found.observer)
+    x, y = (np.ascontiguousarray(found.xy_m[:, k])[d] - np.ascontiguousarray(tracks.xy_m[:, k])[t] for k in (0, 1))
+    # No detection farther away than the longer half axis of the gate is inside: most pairs need no more than this.
+    most = tracks.covariance[:, :, 0].max(axis=1, initial=0.0) + max(params.position_sigma_m) ** 2
+    rows = np.flatnonzero(x * x + y * y < (gate * most * (1 + 1e-9))[t])
+    t, d = t[rows], d[rows]
+    rows = np.flatnonzero(_CLASS_GROUP[tracks.label[t]] == _CLASS_GROUP[found.label[d]])
+    t, d = t[rows], d[rows]
+    r = (np.asarray(params.position_sigma_m)[found.label[d]] ** 2)[:, None]
+    s = tracks.covariance[t, :, 0] + r
+    innovation_m = _along_and_across(found.xy_m[d] - tracks.xy_m[t], tracks.axis[t])
+    squared = (innovation_m * innovation_m / s).sum(axis=1)
+    gain = -squared - np.log(s[:, 0] * s[:, 1]) - 2 * np.log(2 * np.pi * params.other_per_m2)
+    rows = np.flatnonzero((squared < gate) & (gain > 0))
+    t, d, gain = t[rows], d[rows], gain[rows]
+    n_of_track, n_of_detection = np.bincount(t), np.bincount(d)
+    contested = (n_of_track[t] > 1) | (n_of_detection[d] > 1)
+    chosen = ~contested
+    pairs = np.flatnonzero(contested)
+    for block in _blocks(tracks.observer[t[pairs]]):
+        chosen[pairs[block]] = _largest_sum(t[pairs[block]], d[pairs[block]], gain[pairs[block]])
+    return t[chosen], d[chosen]
+
+
+def _blocks(observer: Int[ndarray, "p"]) -> list[slice]:
+    """Slices of whole observers with some `_BLOCK_PAIRS` pairs each."""
+    first = np.flatnonzero(np.diff(observer, prepend=-1 - observer[:1]))
+    edges = np.append(first[np.flatnonzero(np.diff(first // _BLOCK_PAIRS, prepend=-1))], len(observer))
+    return [slice(a, b) for a, b in pairwise(edges)]
+
+
+def _largest_sum(t: Int[ndarray, "p"], d: Int[ndarray, "p"], gain: Float[ndarray, "p"]) -> Bool[ndarray, "p"]:
+    """Whether each pair is in the assignment with the largest sum of gains, which are positive. Pairs are sorted by t.
+
+    Every row of the matrix also has a column of its own that means: no detection.
+    """
+    rows, i = np.unique(t, return_inverse=True)
+    columns, j = np.unique(d, return_inverse=True)
+    most, n, m = 1.0 + gain.max(), len(rows), len(columns)
+    cost = np.concatenate([most - gain, np.full(n, most)])
+    of = (np.concatenate([i, np.arange(n)]), np.concatenate([j, m + np.arange(n)]))
+    _, column = min_weight_full_bipartite_matching(csr_array((cost, of), shape=(n, m + n)))
+    return column[i] == j
+
+
+def _same_observer(a: Int[ndarray, "n"], b: Int[ndarray, "m"]) -> tuple[Int[ndarray, "p"], Int[ndarray, "p"]]:
+    """All pairs of rows of the two columns with the same observer, sorted; `b` is sorted."""
+    first = np.searchsorted(b, a)
+    n = np.searchsorted(b, a, "right") - first
+    i = np.repeat(np.arange(len(a)), n)
+    return i, np.arange(len(i)) + np.repeat(first - (np.cumsum(n) - n), n)
+
+
+def _rows_of(keys: Int[ndarray, "k"], wanted: Int[ndarray, "n"]) -> Int[ndarray, "n"]:
+    """Row of each wanted key among the sorted keys; -1 if it is not there."""
+    row = np.searchsorted(keys, wanted)
+    row[row == len(keys)] = -1
+    row[keys[row] != wanted if len(keys) else slice(None)] = -1
+    return row
+
+
+def _numbered(
+    memory: TrackMemory, observer: Int[ndarray, "d"]
+) -> tuple[Int[ndarray, "k"], Int[ndarray, "k"], Int[ndarray, "d"]]:
+    """The observers with numbered objects, how many each has, and the numbers of the new objects."""
+    of, first, n = np.unique(observer, return_index=True, return_counts=True)
+    known = np.union1d(memory.known, of)
+    n_objects = np.zeros(len(known), np.int64)
+    n_objects[np.searchsorted(known, memory.known)] = memory.n_objects
+    at = np.searchsorted(known, of)
+    object_id = np.repeat(n_objects[at] - first, n) + np.arange(len(observer))
+    n_objects[at] += n
+    return known, n_objects, object_id
+
+
+def _along_and_across(east_north: Float[ndarray, "n 2"], axis: Float[ndarray, "n 2"]) -> Float[ndarray, "n 2"]:
+    x, y, cos, sin = east_north[:, 0], east_north[:, 1], axis[:, 0], axis[:, 1]
+    return np.column_stack([cos * x + sin * y, cos * y - sin * x])
+
+
+def _east_and_north(along_across: Float[ndarray, "n 2"], axis: Float[ndarray, "n 2"]) -> Float[ndarray, "n 2"]:
+    u, v, cos, sin = along_across[:, 0], along_across[:, 1], axis[:, 0], axis[:, 1]
+    return np.column_stack([cos * u - sin * v, sin * u + cos * v])

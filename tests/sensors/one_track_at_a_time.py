@@ -1,0 +1,157 @@
+"""Slow literal twins of `sensors.tracking`: one observer and one track at a time, with whole matrices."""
+
+from datetime import datetime, timedelta
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+GROUPS = ({0, 3}, {1, 2})
+H = np.array([[1.0, 0, 0, 0], [0, 0, 1.0, 0]])
+
+
+def first_state(xy_m, yaw_rad, label, own_mps, p):
+    """State (x, vx, y, vy) and covariance of a new track."""
+    mean = max(p.along_mean_mps[label], p.own_speed_mean[label] * own_mps)
+    along = max(p.along_sigma_mps[label], p.own_speed_sigma[label] * own_mps)
+    turn = np.array([[np.cos(yaw_rad), -np.sin(yaw_rad)], [np.sin(yaw_rad), np.cos(yaw_rad)]])
+    v = turn @ [mean, 0.0]
+    spread = turn @ np.diag([along**2, p.across_sigma_mps[label] ** 2]) @ turn.T
+    cov = np.zeros((4, 4))
+    cov[np.ix_([1, 3], [1, 3])] = spread
+    cov[0, 0] = cov[2, 2] = p.position_sigma_m[label] ** 2
+    return np.array([xy_m[0], v[0], xy_m[1], v[1]]), cov
+
+
+def motion(dt, q):
+    """Transition matrix and process noise."""
+    f1, q1 = np.array([[1, dt], [0, 1]]), q * np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]])
+    both, zero = np.eye(2), np.zeros((2, 2))
+    return np.kron(both, f1), np.block([[q1, zero], [zero, q1]])
+
+
+class Twin:
+    """All observers; `sense` is one call of `track` for one of them."""
+
+    def __init__(self, params):
+        self.p, self.tracks, self.count = params, {}, {}
+
+    def sense(self, observer, time_s, own_mps, found):
+        """`found` is a list of (label, xy, yaw, score). Returns (object_id, age, velocity, existence) of each."""
+        p = self.p
+        tracks = [t for t in self.tracks.get(observer, []) if time_s - t["last"] <= p.keep_s]
+        for t in tracks:
+            f, q = motion(time_s - t["time"], p.acceleration_noise[t["label"]])
+            t["x"], t["P"], t["time"] = f @ t["x"], f @ t["P"] @ f.T + q, time_s
+        none = -2 * np.log(2 * np.pi * p.other_per_m2)
+        cost = np.full((len(tracks), len(found) + len(tracks)), 1e9)
+        for i, t in enumerate(tracks):
+            cost[i, len(found) + i] = none
+            for j, (label, xy, _, _) in enumerate(found):
+                s = H @ t["P"] @ H.T + p.position_sigma_m[label] ** 2 * np.eye(2)
+                y = xy - H @ t["x"]
+                d2 = y @ np.linalg.inv(s) @ y
+                if any({label, t["label"]} <= g for g in GROUPS) and d2 < -2 * np.log(1 - p.gate_p):
+                    cost[i, j] = d2 + np.log(np.linalg.det(s))
+        of = {j: tracks[i] for i, j in zip(*linear_sum_assignment(cost), strict=True) if j < len(found)}
+        out = []
+        for j, (label, xy, yaw, score) in enumerate(found):
+            kept = min(max(score, p.existence_scores[0]), p.existence_scores[1])
+            odds = p.existence_score * np.log(kept / (1 - kept))
+            if j in of:
+                t = of[j]
+                r = p.position_sigma_m[label] ** 2 * np.eye(2)
+                gain = t["P"] @ H.T @ np.linalg.inv(H @ t["P"] @ H.T + r)
+                t["x"], t["P"] = t["x"] + gain @ (xy - H @ t["x"]), (np.eye(4) - gain @ H) @ t["P"]
+                weight = 1 - np.exp(-(time_s - t["last"]) / p.existence_memory_s)
+                t["odds"] += weight * (p.existence_again + odds)
+                t["hits"], t["last"], t["label"] = t["hits"] + 1, time_s, label
+            else:
+                x, cov = first_state(xy, yaw, label, own_mps, p)
+                number = self.count.get(observer, 0)
+                self.count[observer] = number + 1
+                t = {"x": x, "P": cov, "time": time_s, "first": time_s, "last": time_s, "label": label, "hits": 1,
+                     "odds": p.existence_new + odds, "id": number}  # fmt: skip
+                tracks.append(t)
+            v = t["x"][[1, 3]] if t["hits"] >= p.confirm_hits else np.full(2, np.nan)
+            out.append((t["id"], time_s - t["first"], v, 1 / (1 + np.exp(-t["odds"]))))
+        self.tracks[observer] = tracks
+        return out
+
+
+class StoneSoup:
+    """One observer's tracks by the library Stone Soup: its predictor, updater, hypothesiser and 2D assignment.
+
+    The library's track initiators and deleters differ from ours by design, so tracks begin and end by our rules.
+    """
+
+    def __init__(self, params):
+        from stonesoup.dataassociator.neighbour import GNNWith2DAssignment
+        from stonesoup.hypothesiser.distance import DistanceHypothesiser
+        from stonesoup.measures import Measure, SquaredMahalanobis
+        from stonesoup.models.measurement.linear import LinearGaussian
+        from stonesoup.models.transition.linear import CombinedLinearGaussianTransitionModel, ConstantVelocity
+        from stonesoup.predictor.kalman import KalmanPredictor
+        from stonesoup.updater.kalman import KalmanUpdater
+
+        squared = SquaredMahalanobis(state_covar_inv_cache_size=None)
+
+        class LogLikelihood(Measure):
+            def __call__(self, prediction, detection):
+                d2 = squared(prediction, detection)
+                inside = d2 < -2 * np.log(1 - params.gate_p)
+                return d2 + np.log(np.linalg.det(prediction.covar)) if inside else np.inf
+
+        self.p, self.tracks, self.count = params, [], 0
+        self.updater = KalmanUpdater(None)
+        self.models = [LinearGaussian(4, (0, 2), s**2 * np.eye(2)) for s in params.position_sigma_m]
+        self.by_class = []
+        for q in params.acceleration_noise:
+            moves = CombinedLinearGaussianTransitionModel([ConstantVelocity(q), ConstantVelocity(q)])
+            self.by_class.append(DistanceHypothesiser(
+                KalmanPredictor(moves), self.updater, LogLikelihood(),
+                missed_distance=-2 * np.log(2 * np.pi * params.other_per_m2),
+            ))  # fmt: skip
+        self.associator = GNNWith2DAssignment(self)
+
+    def hypothesise(self, track, detections, timestamp, **kwargs):
+        """By the motion of the track's class."""
+        return self.by_class[track.metadata["label"]].hypothesise(track, detections, timestamp, **kwargs)
+
+    def sense(self, time_s, own_mps, found):
+        """`found` is a list of (label, xy, yaw, score). Returns (object_id, position, velocity, hits) of each."""
+        from stonesoup.types.detection import Detection
+        from stonesoup.types.state import GaussianState
+        from stonesoup.types.track import Track
+        from stonesoup.types.update import Update
+
+        p, now = self.p, datetime(2026, 1, 1) + timedelta(seconds=time_s)
+        self.tracks = [t for t in self.tracks if time_s - t.metadata["last"] <= p.keep_s]
+        seen = [
+            Detection(xy, timestamp=now, measurement_model=self.models[label], metadata={"label": label})
+            for label, xy, _, _ in found
+        ]
+        of = {}
+        for group in GROUPS:
+            mine = [d for d in seen if d.metadata["label"] in group]
+            theirs = {t for t in self.tracks if t.metadata["label"] in group}
+            for t, hypothesis in self.associator.associate(theirs, mine, now).items():
+                if hypothesis:
+                    t.append(self.updater.update(hypothesis))
+                    of[id(hypothesis.measurement)] = t
+                else:
+                    t.append(hypothesis.prediction)
+        out = []
+        for (label, xy, yaw, _), d in zip(found, seen, strict=True):
+            t = of.get(id(d))
+            if t is None:
+                x, cov = first_state(xy, yaw, label, own_mps, p)
+                t = Track([GaussianState(x[:, None], cov, timestamp=now)])
+                t.metadata.update({"id": self.count, "hits": 0})
+                self.count += 1
+                self.tracks.append(t)
+            else:
+                assert isinstance(t[-1], Update)
+            t.metadata.update({"label": label, "last": time_s, "hits": t.metadata["hits"] + 1})
+            x = np.asarray(t.state_vector, float).ravel()
+            out.append((t.metadata["id"], x[[0, 2]], x[[1, 3]], t.metadata["hits"]))
+        return out

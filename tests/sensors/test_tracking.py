@@ -1,0 +1,261 @@
+"""Tracks: by hand, by laws, against a slow twin, and against Stone Soup."""
+
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sensors import tracking
+from sensors.tracking import Found, Observers, TrackingParams, TrackMemory, Tracks, predicted, track, updated
+from tests.sensors.one_track_at_a_time import StoneSoup, Twin
+
+P = TrackingParams(model="constant_velocity")
+seeds = st.integers(0, 2**32 - 1)
+
+
+def one_track(**changed):
+    """A car's track that moves east, at time 0, with errors along and across the axis that differ."""
+    made = Tracks(
+        observer=np.array([7]), object_id=np.array([0]), label=np.zeros(1, np.uint8), n_hits=np.array([1]),
+        time_s=np.zeros(1), first_s=np.zeros(1), last_s=np.zeros(1), xy_m=np.array([[1.0, 2.0]]),
+        velocity_mps=np.array([[3.0, 0.0]]), axis=np.array([[1.0, 0.0]]),
+        covariance=np.array([[[1.0, 0.5, 2.0], [0.91, 0.5, 1.0]]]), existence=np.zeros(1),
+    )  # fmt: skip
+    return replace(made, **changed)
+
+
+def found(observer, label, xy_m, yaw_rad, score=0.5):
+    n = len(observer)
+    return Found(
+        np.asarray(observer, np.int64), np.broadcast_to(np.asarray(label, np.uint8), n), np.asarray(xy_m, float),
+        np.broadcast_to(np.asarray(yaw_rad, float), n), np.broadcast_to(np.asarray(score, float), n),
+    )  # fmt: skip
+
+
+def sensing(numbers, time_s, speed_mps=0.0):
+    n = len(numbers)
+    return Observers(np.asarray(numbers, np.int64), np.full(n, float(time_s)), np.full(n, float(speed_mps)))
+
+
+def test_prediction_by_hand():
+    # t = 2, q = 0.3, along the axis: P_xx = 1 + 2 * 2 * 0.5 + 4 * 2 + 0.3 * 8 / 3 = 11.8,
+    # P_xv = 0.5 + 2 * 2 + 0.3 * 4 / 2 = 5.1, P_vv = 2 + 0.3 * 2 = 2.6; x = 1 + 2 * 3 = 7
+    p = TrackingParams(acceleration_noise=(0.3, 1.0, 1.0, 1.0))
+    later = predicted(one_track(), np.array([2.0]), p)
+    assert later.xy_m[0] == pytest.approx([7.0, 2.0]) and later.time_s[0] == 2.0
+    assert later.covariance[0, 0] == pytest.approx([11.8, 5.1, 2.6])
+    # across it: 0.91 + 2 + 4 + 0.8 = 7.71, 0.5 + 2 + 0.6 = 3.1, 1 + 0.6 = 1.6
+    assert later.covariance[0, 1] == pytest.approx([7.71, 3.1, 1.6])
+
+
+def test_update_by_hand():
+    # Heading north, so "along" is y and "across" is -x. r = 0.3² = 0.09.
+    # Across: P_xx = 0.91, s = 1, gains 0.91 and 0.5. A detection 2 m west of the track is 2 m to its left:
+    # x = 1 - 0.91 * 2 = -0.82, vx = 3 - 0.5 * 2 = 2; P = 0.91 * 0.09, 0.5 * 0.09, 1 - 0.25.
+    # Along: P_xx = 1, s = 1.09, gains 1 / 1.09 and 0.5 / 1.09. It is 1.09 m north: y = 2 + 1, vy = 0 + 0.5.
+    p = TrackingParams(position_sigma_m=(0.3, 1.0, 1.0, 1.0), existence_memory_s=0.0)
+    before = one_track(axis=np.array([[0.0, 1.0]]))
+    after = updated(before, found([7], 0, [[-1.0, 3.09]], 0.0), p)
+    assert after.xy_m[0] == pytest.approx([-0.82, 3.0]) and after.velocity_mps[0] == pytest.approx([2.0, 0.5])
+    assert after.covariance[0, 1] == pytest.approx([0.0819, 0.045, 0.75])
+    assert after.covariance[0, 0] == pytest.approx([0.09 / 1.09, 0.045 / 1.09, 2 - 0.25 / 1.09])
+    assert after.n_hits[0] == 2 and after.existence[0] == pytest.approx(p.existence_again)  # a score of 0.5 adds 0
+
+
+def test_existence_by_hand():
+    # Log-odds of 1.95 for a new track of score 0.5; a second detection ln 2 memories later counts by half of
+    # 1.38 + 1.9 logit(0.75) = 1.38 + 1.9 ln 3; a score of 0.99 counts as 0.88.
+    p = replace(P, existence_memory_s=1.0 / np.log(2))
+    memory, first = track(TrackMemory(), sensing([1], 0), found([1], 1, [[0.0, 0.0]], 0.0), p)
+    assert first.existence_p[0] == pytest.approx(1 / (1 + np.exp(-1.95)))
+    _, again = track(memory, sensing([1], 1), found([1], 1, [[0.5, 0.0]], 0.0, 0.75), p)
+    assert again.existence_p[0] == pytest.approx(1 / (1 + np.exp(-(1.95 + (1.38 + 1.9 * np.log(3)) / 2))))
+    assert tracking.existence_gain(np.array([0.99]), np.array([np.inf]), p) == pytest.approx(
+        1.38 + 1.9 * np.log(0.88 / 0.12)
+    )
+
+
+@pytest.mark.parametrize(("label", "at_s"), [(0, 0.5), (1, 0.3), (3, 2.0)])
+def test_two_half_predictions_equal_one(label, at_s):
+    before = one_track(label=np.array([label], np.uint8))
+    once = predicted(before, np.array([2.0]), P)
+    twice = predicted(predicted(before, np.array([at_s]), P), np.array([2.0]), P)
+    for f in fields(Tracks):
+        assert np.asarray(getattr(twice, f.name), float) == pytest.approx(getattr(once, f.name), rel=1e-12), f.name
+
+
+def scene(seed, n_observers=6, n_objects=12, n_moments=9, together=False):
+    """Moments of a crowded random scene: (observers, detections). Some observers do not sense in some moments."""
+    rng = np.random.default_rng(seed)
+    label = rng.choice([0, 0, 1, 2, 3], n_objects).astype(np.uint8)
+    yaw = rng.uniform(-np.pi, np.pi, n_objects)
+    speed = rng.choice([0.0, 1.0, 5.0, 12.0], n_objects)
+    xy = rng.uniform(-20, 20, (n_objects, 2))
+    moments, time_s = [], 0.0
+    for _ in range(n_moments):
+        time_s += 0.3 if together else rng.choice([0.1, 0.5, 1.0])
+        at = xy + time_s * speed[:, None] * np.column_stack([np.cos(yaw), np.sin(yaw)])
+        who = np.flatnonzero(rng.random(n_observers) < (1.0 if together else 0.7)) * 3 + 5
+        rows = [(o, np.flatnonzero(rng.random(n_objects) < 0.8)) for o in who]
+        o = np.concatenate([[k] * len(r) for k, r in rows] or [[]]).astype(np.int64)
+        r = np.concatenate([r for _, r in rows] or [[]]).astype(np.int64)
+        seen = label[r].copy()
+        seen[rng.random(len(r)) < 0.05] = 3  # confused
+        moments.append((
+            Observers(who, np.full(len(who), time_s), rng.uniform(0, 30, len(who))),
+            Found(o, seen, at[r] + rng.normal(0, 0.2, (len(r), 2)), yaw[r] + rng.normal(0, 0.1, len(r)),
+                  rng.uniform(0, 1, len(r))),
+        ))  # fmt: skip
+    return moments
+
+
+def played(moments, p=P):
+    """The memory at the end, and the states of every moment."""
+    memory, states = TrackMemory(), []
+    for observers, seen in moments:
+        memory, state = track(memory, observers, seen, p)
+        states.append(state)
+    return memory, states
+
+
+def agree(one, other, tolerance=1e-9):
+    for f in fields(one):
+        a, b = np.asarray(getattr(one, f.name), float), np.asarray(getattr(other, f.name), float)
+        assert a == pytest.approx(b, abs=tolerance, nan_ok=True), f.name
+
+
+@settings(max_examples=25, deadline=None)
+@given(seed=seeds)
+def test_like_the_slow_twin(seed):
+    moments, twin = scene(seed), Twin(P)
+    _, states = played(moments)
+    for (observers, seen), state in zip(moments, states, strict=True):
+        for o, t, v in zip(observers.number, observers.time_s, observers.speed_mps, strict=True):
+            rows = np.flatnonzero(seen.observer == o)
+            said = twin.sense(o, t, v, [(int(seen.label[k]), seen.xy_m[k], seen.yaw_rad[k], seen.score[k])
+                                        for k in rows])  # fmt: skip
+            for k, (number, age_s, velocity, existence) in zip(rows, said, strict=True):
+                assert state.object_id[k] == number and state.age_s[k] == pytest.approx(age_s)
+                assert state.velocity_mps[k] == pytest.approx(velocity, abs=1e-9, nan_ok=True)
+                assert state.existence_p[k] == pytest.approx(existence, abs=1e-12)
+
+
+def test_like_stone_soup():
+    """Three observers in a crowd: the same numbers, and states within 1e-9."""
+    moments = scene(3, n_observers=3, n_objects=9, n_moments=7)
+    library, memory, n_moved = {}, TrackMemory(), 0
+    for observers, seen in moments:
+        memory, state = track(memory, observers, seen, P)
+        own = memory.tracks
+        for o, t, v in zip(observers.number, observers.time_s, observers.speed_mps, strict=True):
+            rows = np.flatnonzero(seen.observer == o)
+            said = library.setdefault(o, StoneSoup(P)).sense(t, v, [
+                (int(seen.label[k]), seen.xy_m[k], seen.yaw_rad[k], seen.score[k]) for k in rows
+            ])  # fmt: skip
+            for k, (number, xy, velocity, _) in zip(rows, said, strict=True):
+                row = np.flatnonzero((own.observer == o) & (own.object_id == number))
+                assert state.object_id[k] == number
+                assert own.xy_m[row[0]] == pytest.approx(xy, abs=1e-9)
+                assert own.velocity_mps[row[0]] == pytest.approx(velocity, abs=1e-9)
+                n_moved += not np.isnan(state.velocity_mps[k]).any()
+    assert n_moved > 30
+
+
+@settings(max_examples=15, deadline=None)
+@given(seed=seeds, turn=st.floats(-3, 3), east=st.floats(-1e4, 1e4))
+def test_rigid_motion_of_the_world(seed, turn, east):
+    moments = scene(seed)
+    matrix = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])  # of row vectors
+    moved = [(o, replace(s, xy_m=s.xy_m @ matrix + [east, -77.0], yaw_rad=s.yaw_rad + turn)) for o, s in moments]
+    for a, b in zip(played(moments)[1], played(moved)[1], strict=True):
+        agree(replace(a, velocity_mps=a.velocity_mps @ matrix), b, 1e-6)
+
+
+@settings(max_examples=15, deadline=None)
+@given(seed=seeds)
+def test_renaming_of_observers_and_order_of_detections(seed):
+    rng = np.random.default_rng(seed)
+    moments = scene(seed, together=True)
+    new_name = rng.permutation(40)
+    renamed = []
+    orders = []
+    for observers, seen in moments:
+        o = np.argsort(new_name[observers.number])
+        shuffled = rng.permutation(len(seen))
+        order = shuffled[np.argsort(new_name[seen.observer[shuffled]], kind="stable")]
+        orders.append(order)
+        renamed.append((
+            Observers(new_name[observers.number][o], observers.time_s[o], observers.speed_mps[o]),
+            replace(seen.take(order), observer=new_name[seen.observer[order]]),
+        ))  # fmt: skip
+    for a, b, order in zip(played(moments)[1], played(renamed)[1], orders, strict=True):
+        for name in ("age_s", "velocity_mps", "existence_p"):  # numbers follow the order of the list
+            assert getattr(a, name)[order] == pytest.approx(getattr(b, name), abs=1e-9, nan_ok=True)
+
+
+@settings(max_examples=15, deadline=None)
+@given(seed=seeds)
+def test_others_change_nothing(seed):
+    """An observer's tracks are the same if it is alone; those of one that does not sense are the same objects."""
+    moments, one = scene(seed), 8
+    whole = played(moments)[1]
+    alone = [
+        (Observers(o.number[k], o.time_s[k], o.speed_mps[k]), s.take(np.flatnonzero(s.observer == one)))
+        for o, s in moments if (k := o.number == one).any()
+    ]  # fmt: skip
+    theirs = [w for w, (o, _) in zip(whole, moments, strict=True) if (o.number == one).any()]
+    rows = [np.flatnonzero(s.observer == one) for o, s in moments if (o.number == one).any()]
+    for a, b, k in zip(theirs, played(alone)[1], rows, strict=True):
+        agree(replace(a, **{f.name: getattr(a, f.name)[k] for f in fields(a)}), b)
+
+
+def test_one_that_does_not_sense_keeps_its_tracks():
+    memory, _ = track(TrackMemory(), sensing([1, 2], 0), found([1, 2], 0, [[0, 0], [9, 9]], 0.0), P)
+    later, _ = track(memory, sensing([2], 1), found([2], 0, [[15, 9]], 0.0), P)
+    kept, was = later.tracks.take(later.tracks.observer == 1), memory.tracks.take(memory.tracks.observer == 1)
+    agree(kept, was, 0.0)
+    _, state = track(later, sensing([1], 1.5), found([1], 0, [[9.0, 0.0]], 0.0), P)  # predicted over 1.5 s, not 0.5
+    assert state.object_id[0] == 0 and state.age_s[0] == 1.5
+    gone, _ = track(later, sensing([2], 3), found([], 0, np.zeros((0, 2)), 0.0), P)  # it left: its tracks end too
+    assert gone.tracks.observer.tolist() == [2]
+
+
+def test_a_parked_and_a_turning_car_and_a_pedestrian():
+    """A parked car is still, a pedestrian slow; on a circle of 20 m at 6 m/s the velocity lags, by less at 10 Hz."""
+    rng, lag = np.random.default_rng(0), {}
+    for rate_hz in (1, 2, 10):
+        memory, errors = TrackMemory(), []
+        for k in range(20 * rate_hz):
+            t = k / rate_hz
+            heading = 0.3 * t
+            xy = [[50.0, 50.0], [20 * np.sin(heading), -20 * np.cos(heading)], [1.3 * t, 80.0]]
+            true = np.array([[0.0, 0.0], [6 * np.cos(heading), 6 * np.sin(heading)], [1.3, 0.0]])
+            noisy = xy + rng.normal(0, 0.08, (3, 2)) * [[1], [1], [0.4]]
+            seen = found([1, 1, 1], [0, 0, 1], noisy, [1.0, heading, 0.0], 0.9)
+            memory, state = track(memory, sensing([1], t), seen, P)
+            errors.append(np.linalg.norm(state.velocity_mps - true, axis=1))
+        still, lag[rate_hz], walking = np.sqrt(np.mean(np.square(errors[5 * rate_hz :]), axis=0))
+        assert state.object_id.tolist() == [0, 1, 2] and still < 0.5 and walking < 0.3
+    assert lag[10] < lag[2] < lag[1] < 1.5
+
+
+def test_used_wrongly():
+    memory, _ = track(TrackMemory(), sensing([4], 5), found([4], 0, [[0.0, 0.0]], 0.0), P)
+    with pytest.raises(ValueError, match="time goes forward"):
+        track(memory, sensing([4], 4), found([], 0, np.zeros((0, 2)), 0.0), P)
+    with pytest.raises(ValueError, match="does not sense"):
+        track(memory, sensing([4], 6), found([5], 0, [[0.0, 0.0]], 0.0), P)
+    with pytest.raises(ValueError, match="existence_scores"):
+        TrackingParams(existence_scores=(0.9, 0.1))
+    empty, state = track(TrackMemory(), sensing([], 0), found([], 0, np.zeros((0, 2)), 0.0), P)
+    assert not len(empty.tracks) and not len(state.object_id)
+
+
+def test_many_blocks_are_assigned_as_one(monkeypatch):
+    moments = scene(11, n_observers=12, n_objects=25, n_moments=4)
+    whole = played(moments)[1]
+    monkeypatch.setattr(tracking, "_BLOCK_PAIRS", 7)
+    for a, b in zip(whole, played(moments)[1], strict=True):
+        agree(a, b, 0.0)
