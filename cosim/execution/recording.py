@@ -296,7 +296,11 @@ def _evidence(recorder: TakesRows, world: World, sensed: Sensed) -> None:
 def _trust(recorder: TakesRows, at: int, sensed: Sensed, dt_s: float) -> None:
     used = sensed.looked_up.messages
     receiver, subject = sensed.sensing.actor[used.receiver], sensed.known.pseudonym[used.message]
-    trust(recorder, at, dt_s, sensed.published, sensed.servers, receiver, subject, sensed.looked_up.lookups)
+    lookups = sensed.looked_up.lookups
+    if not sensed.known.is_lock_step:  # several messages of one sender may be in use; its trust is looked up once
+        _, once = np.unique(receiver.astype(np.int64) << 32 | subject, return_index=True)
+        receiver, subject, lookups = receiver[once], subject[once], [found.take(once) for found in lookups]
+    trust(recorder, at, dt_s, sensed.published, sensed.servers, receiver, subject, lookups)
 
 
 def trust(
