@@ -432,9 +432,9 @@ def _own_step_s(scenario: str) -> float | None:
     found = [path] if path.name.endswith(".sumocfg") else sorted(path.glob("*.sumocfg"))
     if len(found) != 1 or not found[0].is_file() or scenario in catalogue.names():
         return None
-    if (own_s := sumocfg.step_s(found[0])) < 0.1:
+    if (own_s := sumocfg.step_s(found[0])) < 0.02:
         raise ValueError(
-            f"{found[0]}: its step-length of {own_s:g} s is shorter than 0.1 s, the shortest step that is supported. "
-            "Set traffic.step_s to 0.1 or more to simulate it with a longer step."
+            f"{found[0]}: its step-length of {own_s:g} s is shorter than 0.02 s, the shortest step that is supported. "
+            "Set traffic.step_s to 0.02 or more to simulate it with a longer step."
         )
     return own_s

@@ -30,7 +30,7 @@ class TrafficParams:
     used."""
     duration_s: Annotated[float, Gt(0), Le(1e8)] = 300.0
     """Recorded duration after the warm-up [s]. The run is shorter if the traffic ends earlier."""
-    step_s: Annotated[float, Ge(0.1), Le(60)] = 1.0
+    step_s: Annotated[float, Ge(0.02), Le(60)] = 1.0
     """Length of one traffic step [s]. If it is not set, the step length of the .sumocfg is used; for a trace, 1 s."""
 
 
