@@ -217,17 +217,20 @@ def track(
     Raises
     ------
     ValueError
-        If an observer senses before the time of its tracks, or a detection belongs to an observer that does not sense.
+        If an observer senses before the time of its tracks, a detection belongs to an observer that does not sense, or
+        rows are not sorted.
 
     Notes
     -----
-    Constant-velocity Kalman filter with continuous white-noise acceleration [1]_ (6.2.2), per axis. With the steps of
-    `predicted` and `updated` the errors along and across one axis stay independent, so a track has two times three
-    covariances instead of sixteen. Assignment: `assigned`. Existence: `existence_gain`.
-    Deviations: the filter is the textbook's. The expected speed of a new track is ours.
+    Kalman filter with nearly constant velocity (continuous white-noise acceleration), a textbook's [1]_ and that of
+    Stone Soup, with which tests compare it. Noise is the same along both axes of the plane, so the errors along and
+    across the first heading stay independent, and a track has two times three covariances instead of sixteen.
+    Assignment: `assigned`. Existence: `existence_gain`.   Deviations: the expected speed of a new track is ours.
 
     .. [1] Y. Bar-Shalom, X. R. Li, T. Kirubarajan, Estimation with Applications to Tracking and Navigation, 2001.
     """
+    if (np.diff(observers.number) <= 0).any() or (np.diff(found.observer) < 0).any():
+        raise ValueError("observers are sorted by number, each once, and detections by observer; these are not.")
     row = _rows_of(observers.number, found.observer)
     if (row < 0).any():
         raise ValueError(f"a detection belongs to observer {found.observer[np.argmin(row)]}, which does not sense now.")
@@ -394,13 +397,14 @@ def existence_gain(
 
     Notes
     -----
-    Bayes' rule in log-odds, as in integrated probabilistic data association [1]_ with one detection per track: the
-    posterior odds are the prior odds times the likelihood ratio of the detection and its score.
-    Deviations: the likelihood ratio is a logistic function of the score, fitted to recorded detections, in place of one
-    from detection probability and clutter density. It counts by 1 - exp(-t / existence_memory_s), because misses and
-    false positives of a real detector persist. A miss changes nothing: in the fit its coefficient was 0.06.
+    Bayes' rule in log-odds: the posterior odds are the prior odds times the likelihood ratio of the detection and its
+    score. The idea of a probability of existence per track is that of integrated probabilistic data association [1]_,
+    of which we read the abstract only. Deviations: the likelihood ratio is a logistic function of the score, fitted to
+    recorded detections. It counts by 1 - exp(-t / existence_memory_s), because misses and false positives of a real
+    detector persist. A miss changes nothing: in the fit its coefficient was 0.06.
 
-    .. [1] D. Musicki, R. Evans, S. Stankovic, Integrated probabilistic data association, IEEE TAC 39(6), 1994.
+    .. [1] D. Musicki, R. Evans, S. Stankovic, Integrated probabilistic data association, IEEE Transactions on Automatic
+       Control 39(6), 1994.
     """
     memory_s = params.existence_memory_s
     weight = -np.expm1(-since_s / memory_s) if memory_s > 0 else np.ones(len(since_s))
@@ -412,9 +416,7 @@ def _of_score(score: Float[ndarray, "n"], params: TrackingParams) -> Float[ndarr
     return params.existence_score * logit(np.clip(score, *params.existence_scores))
 
 
-def assigned(
-    tracks: Tracks, found: Found, params: TrackingParams
-) -> tuple[Int[ndarray, "m"], Int[ndarray, "m"]]:  # fmt: skip
+def assigned(tracks: Tracks, found: Found, params: TrackingParams) -> tuple[Int[ndarray, "m"], Int[ndarray, "m"]]:
     """The detections that continue tracks of the same observer: global nearest neighbour, all observers at once.
 
     Parameters
@@ -436,10 +438,11 @@ def assigned(
     the gate, and the predicted density exceeds that of other detections: exp(-d² / 2) / (2 pi sqrt(det S)) >
     `other_per_m2`. Among the possible pairs, the assignment has the largest product of the ratios of the two densities,
     which is the largest sum of -d² - log det S - constant. The term log det S keeps uncertain tracks from taking the
-    detections of certain ones [1]_.   Deviations: none.
+    detections of certain ones [1]_.   Deviations: the detection probability is taken as 1/2, so that it cancels; the
+    gate is ours.
 
-    .. [1] R. Altendorfer, S. Wirkert, Why the association log-likelihood distance should be used for
-       measurement-to-track association, IEEE Intelligent Vehicles Symposium, 2016.
+    .. [1] R. Altendorfer, S. Wirkert, A complete derivation of the association log-likelihood distance for
+       multi-object tracking, arXiv 1508.04124, 2015.
     """
     gate = -2 * np.log1p(-params.gate_p)
     t, d = _same_observer(tracks.observer, found.observer)

@@ -247,6 +247,9 @@ def test_used_wrongly():
         track(memory, sensing([4], 4), found([], 0, np.zeros((0, 2)), 0.0), P)
     with pytest.raises(ValueError, match="does not sense"):
         track(memory, sensing([4], 6), found([5], 0, [[0.0, 0.0]], 0.0), P)
+    for observers, seen in ((sensing([5, 4], 6), []), (sensing([4, 5], 6), [5, 4])):
+        with pytest.raises(ValueError, match="sorted"):
+            track(memory, observers, found(seen, 0, np.zeros((len(seen), 2)), 0.0), P)
     with pytest.raises(ValueError, match="existence_scores"):
         TrackingParams(existence_scores=(0.9, 0.1))
     empty, state = track(TrackMemory(), sensing([], 0), found([], 0, np.zeros((0, 2)), 0.0), P)

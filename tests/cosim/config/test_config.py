@@ -48,8 +48,8 @@ def test_a_scenario_keeps_its_own_step(tmp_path, said, set_, step_s):
 
 def test_a_step_too_short_is_named_where_it_stands(tmp_path):
     config = tmp_path / "city.sumocfg"
-    config.write_text('<configuration><step-length value="0.05"/></configuration>')
-    with pytest.raises(ValueError, match=r"city.sumocfg: its step-length of 0.05 s .* Set traffic.step_s"):
+    config.write_text('<configuration><step-length value="0.01"/></configuration>')
+    with pytest.raises(ValueError, match=r"city.sumocfg: its step-length of 0.01 s .* Set traffic.step_s"):
         load(None, [f"traffic.scenario={config}"])
     assert load(None, [f"traffic.scenario={config}", "traffic.step_s=0.1"]).traffic.step_s == 0.1
 
