@@ -95,10 +95,11 @@ def _cycle(
         pseudonyms, senders = stages.senders_of(world, vehicles, attacks, pseudonyms, parts)
         stations = stations_of(world, vehicles.row, parts.rsus, c.radio.antenna_above_roof_m)
         exchange = Exchange.of(world, now, vehicles, senders, stations, attacks)
-        included, listed = stages.list_objects(exchange, positioned.observed, acceleration_mps2, s.included, c)
+        cpm, listed = stages.list_objects(exchange, positioned, acceleration_mps2, s.cpm, s.medium, parts)
     with watch("radio"):
         medium = s.medium if precomputed.with_links is None else precomputed.with_links(s.medium)
         medium, cpms = stages.broadcast_detections(exchange, listed, s.piggybacked, medium, parts)
+        cpm = stages.hear(cpm, exchange, positioned, listed, cpms, c)
     with watch("match"):
         matched = stages.match_objects(exchange, listed, cpms, positioned, c)
     with watch("evaluate"):
@@ -129,7 +130,7 @@ def _cycle(
         encounters = tracking.count_in_encounters(s.encounters, exchange, (cpms, reports), looked_up, listed, matched)
         outcomes = attack_outcomes(exchange, positioned.world, listed, cpms, matched, fused)
     s = replace(
-        s, trust=trust, pseudonyms=pseudonyms, position_errors=position_errors, included=included, medium=medium,
+        s, trust=trust, pseudonyms=pseudonyms, position_errors=position_errors, cpm=cpm, medium=medium,
         piggybacked=piggybacked, known_senders=known_senders, reaction_truth=reaction_truth,
         attack_start=attack_start, inter_reception=inter_reception, encounters=encounters,
         n_dropped=s.n_dropped + listed.n_dropped,

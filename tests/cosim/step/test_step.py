@@ -20,7 +20,7 @@ KINDS = {
     "server over cellular": (),
     "trust in vehicles": ("trust.host=local",),
     "csma with forwarding": ("radio.model=csma", "radio.relay.max_hops=2", "radio.evaluations=piggybacked"),
-    "beta": ("trust.model=beta", "pseudonyms.policy=disposable", "radio.cpm_rules=etsi", "attacks.0.start_s=2"),
+    "beta": ("trust.model=beta", "pseudonyms.policy=disposable", "cpm.rules=etsi", "attacks.0.start_s=2"),
 }
 
 
