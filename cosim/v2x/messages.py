@@ -133,7 +133,7 @@ def encoded_cpm_bytes(
     -----
     The length is that of the encoded CPM (`results.export.etsi.cpm_bytes`), with headers of the network and a
     signature. The self report counts as an object, with a velocity where its speed is known. In a standardised system
-    it would be a message of its own (CAM).
+    it would be a message of its own (CAM). Only the first segment describes the sensors.
     """
     n, n_classes = len(has_sensors), len(ObjectClass)
     moves = np.isfinite(objects.velocity_mps).all(axis=1) | np.isfinite(objects.speed_mps)
@@ -141,8 +141,8 @@ def encoded_cpm_bytes(
     count = np.bincount(of, minlength=2 * n * n_classes).reshape(n, n_classes, 2)
     outside = NETWORK_BYTES + SIGNATURE_BYTES
     length = etsi.cpm_bytes(count[:, :, 0], n_moving=count[:, :, 1], has_sensors=has_sensors)
-    empty = etsi.cpm_bytes(np.zeros((n, n_classes), np.int64), is_segment=True, has_sensors=has_sensors)
-    return outside + length, outside + empty
+    empty = etsi.cpm_bytes(np.zeros((1, n_classes), np.int64), is_segment=True, has_sensors=False)
+    return outside + length, np.repeat(outside + empty, n)
 
 
 def evaluation_bytes(n_evaluations: Int[ndarray, "n"]) -> Int[ndarray, "n"]:

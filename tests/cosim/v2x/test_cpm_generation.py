@@ -199,7 +199,7 @@ def test_lengths_are_those_of_the_encoder():
         head = etsi.Head(m, m, m, m, 0, 60.0, None, bool(has_sensors[m]))
         assert length[m] == 140 + len(etsi.cpm(head, int(count[m]), part))
         if count[m] == 0:
-            segment = replace(head, segment=(2, 1))
+            segment = replace(head, segment=(2, 2), has_sensors=False)
             assert envelope[m] == 140 + len(etsi.cpm(segment, 0, part))
     own = replace(objects.take(np.zeros(1, int)), speed_mps=np.array([3.0]), velocity_mps=np.full((1, 2), np.nan))
     assert (

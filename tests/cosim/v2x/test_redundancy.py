@@ -107,13 +107,13 @@ def test_order_of_receptions_does_not_matter(seed):
     g = np.random.default_rng(seed)
     n, m = 300, 40
     reports = Reports(
-        np.zeros(m), g.permutation(m), g.uniform(0, 60, (m, 2)), np.sort(g.integers(0, m, n)), g.integers(0, 4, n),
-        g.uniform(0, 60, (n, 2)), g.uniform(-9, 9, (n, 2)), g.random(n) < 0.2,
+        np.zeros(m), g.permutation(m), g.uniform(0, 20, (m, 2)), np.sort(g.integers(0, m, n)), g.integers(0, 4, n),
+        g.uniform(0, 20, (n, 2)), g.uniform(-9, 9, (n, 2)), g.random(n) < 0.2,
     )  # fmt: skip
     receiver, message = (column.ravel() for column in np.meshgrid(np.arange(6), np.arange(m)))
     at_s, order = g.uniform(0, 0.1, len(receiver)), g.permutation(len(receiver))
-    mine = Candidates(g.integers(0, 6, 200), g.uniform(0, 60, (200, 2)), g.integers(0, 4, 200),
-                      g.uniform(0, 60, (200, 2)), g.uniform(0, 9, 200))  # fmt: skip
+    mine = Candidates(g.integers(0, 6, 200), g.uniform(0, 20, (200, 2)), g.integers(0, 4, 200),
+                      g.uniform(0, 20, (200, 2)), g.uniform(0, 9, 200))  # fmt: skip
     for name in ("frequency", "dynamics", "distance", "self_announcement"):
         one = Heard.start().next(reports, receiver, message, at_s, 1.0)
         other = Heard.start().next(reports, receiver[order], message[order], at_s[order], 1.0)
