@@ -316,6 +316,8 @@ def _evidence(run: Run) -> Iterator[Row]:
         "trust": "trust.multiplicity", "fused": "fused.multiplicity", "echoes": "echoes.share",
         "copies": "copies_per_evaluation",
     })  # fmt: skip
+    if "fused" in run.tables:
+        yield Row("fused.evaluators.mean", "", evidence.evaluators_per_object(run))
     if "evaluations" not in run.tables or "actors" not in run.tables or not run.n_rows("evaluations"):
         return
     found = evaluations.rates(run)

@@ -327,6 +327,9 @@ def evidence(of):
     yield "copies_per_evaluation", "", ratio(total.n_copies, total.n_evaluations)
     if len(fused):
         yield "fused.multiplicity", "", ratio(fused.n_evaluations.sum(), fused.n_evaluators.sum())
+    objects = of.table("fused") if (of.path / "fused").is_dir() else ()
+    if len(objects):
+        yield "fused.evaluators.mean", "", ratio(fused.n_evaluators.sum(), len(objects))
     made, boxes = of.table("evaluations"), of.table("detections")
     if not len(made) or not len(boxes):
         return
