@@ -190,7 +190,7 @@ def list_objects(
         sender=exchange.sender,
         actor=vehicles.actor[senders.vehicle],
         xy_m=positioned.world.boxes.xyz_m[vehicles.row[senders.vehicle], :2],
-        gap_s=gap_s(parts.medium, medium, exchange.stations)[senders.vehicle],
+        gap_s=_gaps_s(parts, medium, exchange)[senders.vehicle],
     )
     cpm, content = generate(cpm, objects, message, generators, exchange.now.begin_s, parts.config.cpm)
     objects = replace(objects, transmitted=content.included)
@@ -206,6 +206,13 @@ def list_objects(
         n_dropped=n_dropped,
         content=content,
     )
+
+
+def _gaps_s(parts: Parts, medium: object, exchange: Exchange) -> Float[ndarray, "s"]:
+    """Least time between two messages of each station by congestion control; 0 where no rule asks for it."""
+    if parts.config.cpm.rules == "all":
+        return np.zeros(len(exchange.stations))
+    return gap_s(parts.medium, medium, exchange.stations)
 
 
 @dataclass(frozen=True, slots=True)
