@@ -24,7 +24,7 @@ from cosim.step.parts import Parts
 from cosim.step.perception import Observed
 from cosim.step.positioning import as_believed, believed_world
 from cosim.step.precomputed import Precomputed
-from cosim.v2x.cpm_generation import CpmContent, CpmState, Generators, generate
+from cosim.v2x.cpm_generation import CpmContent, CpmState, Generators, generate, velocities
 from cosim.v2x.messages import (
     SELF,
     SENSED,
@@ -315,8 +315,7 @@ def hear(
         return cpm
     vehicles, senders, objects, begin_s = exchange.vehicles, exchange.senders, listed.objects, exchange.now.begin_s
     rows = np.flatnonzero(objects.transmitted)
-    sent, is_self = objects.take(rows), objects.origin[rows] == SELF
-    along = sent.speed_mps[:, None] * np.column_stack([np.cos(sent.boxes.yaw_rad), np.sin(sent.boxes.yaw_rad)])
+    sent = objects.take(rows)
     reports = Reports(
         time_s=np.full(len(senders), begin_s),
         sender=exchange.sender,
@@ -324,8 +323,8 @@ def hear(
         message=listed.detections.message[rows],
         label=sent.label.astype(np.int64),
         xy_m=sent.boxes.xyz_m[:, :2],
-        velocity_mps=np.where(is_self[:, None], along, sent.velocity_mps),
-        is_self=is_self,
+        velocity_mps=velocities(sent),
+        is_self=sent.origin == SELF,
     )
     got = cpms.accepted.vehicles
     heard = cpm.heard.next(

@@ -63,11 +63,13 @@ class InclusionMemory:
     """The objects that each sender last included, with pose, speed and time."""
 
     of: Int[ndarray, "n"] = field(default_factory=lambda: np.zeros(0, np.int64))
-    """Sender (as in `Generators.sender`) and class in one number, ascending."""
+    """Sender (as in `Generators.sender`), class, and whether it is the sender itself, in one number, ascending."""
     xy_m: Float[ndarray, "n 2"] = field(default_factory=lambda: np.zeros((0, 2)))
     yaw_rad: Float[ndarray, "n"] = field(default_factory=lambda: np.zeros(0))
     time_s: Float[ndarray, "n"] = field(default_factory=lambda: np.zeros(0))
     speed_mps: Float[ndarray, "n"] = field(default_factory=lambda: np.zeros(0))
+    """NaN where it was unknown."""
+    velocity_mps: Float[ndarray, "n 2"] = field(default_factory=lambda: np.zeros((0, 2)))
     """NaN where it was unknown."""
 
 
@@ -215,7 +217,7 @@ def _select(
 
 @dataclass(frozen=True, slots=True)
 class Remembered:
-    """Candidates beside the objects of the same sender and class that were last included near them."""
+    """Candidates beside the same objects as they were last included."""
 
     memory: InclusionMemory
     time_s: float
@@ -224,20 +226,27 @@ class Remembered:
     xy_m: Float[ndarray, "r 2"]
     yaw_rad: Float[ndarray, "r"]
     speed_mps: Float[ndarray, "r"]
+    velocity_mps: Float[ndarray, "r 2"]
     near: Int[ndarray, "r"]
-    """Row of the memory; -1 if no object is near."""
+    """Row of the same object in the memory; -1 if it is new."""
 
     @staticmethod
     def beside(memory: InclusionMemory, seen: Detections, sender: Int[ndarray, "r"], time_s: float) -> "Remembered":
-        """Associate candidates with the memory."""
-        of = sender.astype(np.int64) * len(LABELS) + seen.label
-        xy_m = seen.boxes.xyz_m[:, :2]
-        return Remembered(memory, time_s, of, xy_m, seen.boxes.yaw_rad, speeds(seen), _nearest(memory, of, xy_m))
+        """Associate candidates with the memory.
+
+        A remembered object is expected where its velocity has brought it, if that is known. The same object is the
+        nearest one of the same class within 4 m of that place.
+        """
+        is_self = seen.origin == SELF
+        of = (sender.astype(np.int64) * len(LABELS) + seen.label) * 2 + is_self
+        xy_m, yaw, velocity = seen.boxes.xyz_m[:, :2], seen.boxes.yaw_rad, velocities(seen)
+        near = _nearest(memory, of, xy_m, time_s)
+        return Remembered(memory, time_s, of, xy_m, yaw, speeds(seen), velocity, near)
 
     def changes(self) -> tuple[ndarray, ndarray, ndarray, ndarray]:
         """Distance [m], change of speed [m/s], angle [rad] and time [s] since then.
 
-        All are infinite where no object is near. A change of speed is NaN where one of the speeds is unknown.
+        All are infinite for a new object. A change of speed is NaN where one of the speeds is unknown.
         """
         moved_m, faster_mps, turned_rad, elapsed_s = np.full((4, len(self.of)), np.inf)
         known = np.flatnonzero(self.near >= 0)
@@ -259,6 +268,7 @@ class Remembered:
             np.concatenate([memory.yaw_rad[old], self.yaw_rad[included]]),
             np.concatenate([memory.time_s[old], np.full(int(included.sum()), now)]),
             np.concatenate([memory.speed_mps[old], self.speed_mps[included]]),
+            np.concatenate([memory.velocity_mps[old], self.velocity_mps[included]]),
         )
         order = np.lexsort((parts[3], parts[1][:, 1], parts[1][:, 0], parts[0]))
         return InclusionMemory(*(part[order] for part in parts))
@@ -267,6 +277,13 @@ class Remembered:
 def speeds(seen: Detections) -> Float[ndarray, "d"]:
     """Speed of each object: of self reports as stated, of others by their velocity; NaN where it is unknown [m/s]."""
     return np.where(np.isnan(seen.speed_mps), np.hypot(*seen.velocity_mps.T), np.abs(seen.speed_mps))
+
+
+def velocities(seen: Detections) -> Float[ndarray, "d 2"]:
+    """Velocity of each object: of self reports along their headings; NaN where it is unknown [m/s]."""
+    heading = np.column_stack([np.cos(seen.boxes.yaw_rad), np.sin(seen.boxes.yaw_rad)])
+    is_stated = ~np.isnan(seen.speed_mps)
+    return np.where(is_stated[:, None], seen.speed_mps[:, None] * heading, seen.velocity_mps)
 
 
 def due(now: Remembered, label: UInt8[ndarray, "r"], sender: Int[ndarray, "r"]) -> Bool[ndarray, "r"]:
@@ -281,21 +298,20 @@ def due(now: Remembered, label: UInt8[ndarray, "r"], sender: Int[ndarray, "r"]) 
 
     Notes
     -----
-    An object within 4 m of the place at which one of its class was last included counts as the same object. An object
-    farther away is new or has moved by more than 4 m, which has the same effect [1]_. Vehicles (type B) are included if
-    they are new, if they have moved by more than 4 m, changed their speed by more than 0.5 m/s or turned by more than 4
-    degrees, or after 1 s. People (type A) are included if they are new. If one of them was last included 0.5 s ago or
-    longer, all are included. Self reports follow the rules of vehicles [2]_.
-    Deviations: the angle is that of the box, not of the velocity. There is no rule on speed where it is unknown, and no
-    threshold of quality.
+    Vehicles (type B) are included if they are new, if they have moved by more than 4 m, changed their speed by more
+    than 0.5 m/s or turned by more than 4 degrees, or after 1 s [1]_. People (type A) are included if they are new. If
+    one of them was last included 0.5 s ago or longer, all are included. Self reports follow the same rules [2]_.
+    Deviations: objects are associated by place, not by track. The angle is that of the box, not of the velocity. There
+    is no rule on speed where it is unknown, and no threshold of quality.
     """
-    _, faster_mps, turned_rad, elapsed_s = now.changes()
+    moved_m, faster_mps, turned_rad, elapsed_s = now.changes()
     is_new, person = now.near < 0, _VULNERABLE[label]
     with_speed = faster_mps > FASTER_MPS  # false where a speed is unknown
     late = elapsed_s >= np.where(person, VULNERABLE_INTERVAL_S, INTERVAL_S) - _SLACK_S
     senders, at = np.unique(sender, return_inverse=True)
     of_all = np.bincount(at[person & late & ~is_new], minlength=len(senders)) > 0
-    return np.where(person, is_new | of_all[at], is_new | with_speed | (turned_rad > TURNED_RAD) | late)
+    changed = (moved_m > MOVED_M) | with_speed | (turned_rad > TURNED_RAD)
+    return np.where(person, is_new | of_all[at], is_new | changed | late)
 
 
 def utility(now: Remembered, score: Float[ndarray, "r"]) -> Float[ndarray, "r"]:
@@ -344,14 +360,17 @@ def beyond_limit(
     return over
 
 
-def _nearest(memory: InclusionMemory, of: Int[ndarray, "r"], xy_m: Float[ndarray, "r 2"]) -> Int[ndarray, "r"]:
-    """Row of the nearest object of the same sender and class within `MOVED_M`; -1 if there is none."""
+def _nearest(
+    memory: InclusionMemory, of: Int[ndarray, "r"], xy_m: Float[ndarray, "r 2"], time_s: float
+) -> Int[ndarray, "r"]:
+    """Row of the nearest object of the same `of` within `MOVED_M` of its expected place; -1 if there is none."""
     if not len(memory.of) or not len(of):
         return np.full(len(of), -1)
     kinds = np.unique(memory.of)
     floor = np.searchsorted(kinds, of)
     there = np.isin(of, kinds)
-    tree = cKDTree(np.column_stack([memory.xy_m, _FAR_M * np.searchsorted(kinds, memory.of)]))
+    expected_m = memory.xy_m + np.nan_to_num(memory.velocity_mps) * (time_s - memory.time_s)[:, None]
+    tree = cKDTree(np.column_stack([expected_m, _FAR_M * np.searchsorted(kinds, memory.of)]))
     _, near = tree.query(np.column_stack([xy_m, _FAR_M * floor]), distance_upper_bound=MOVED_M + 1e-9)
     return np.where(there & (near < len(memory.of)), near, -1)
 

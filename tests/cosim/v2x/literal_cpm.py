@@ -22,7 +22,7 @@ class Vehicle:
         elif params.rules == "etsi":
             self.event_s = time_s
         candidates = [i for i, f in enumerate(fate) if f == "included"]
-        before = {i: self.last(objects[i]) for i in candidates}
+        before = {i: self.last(objects[i], time_s) for i in candidates}
         if params.rules == "etsi":
             all_people = any(
                 objects[i]["label"] in PEOPLE and before[i] and time_s - before[i]["time_s"] >= 0.5 - 1e-9
@@ -52,9 +52,14 @@ class Vehicle:
         """Drop what was included a second ago or longer."""
         self.included = [o for o in self.included if time_s - o["time_s"] < 1 - 1e-9]
 
-    def last(self, one):
-        """The object of this class that was last included nearest to this one, within 4 m; None if there is none."""
-        near = [(math.dist(o["xy"], one["xy"]), n) for n, o in enumerate(self.included) if o["label"] == one["label"]]
+    def last(self, one, time_s):
+        """The object of this class that is expected nearest to this one, within 4 m; None if there is none."""
+        near = []
+        for n, o in enumerate(self.included):
+            if (o["label"], o["is_self"]) == (one["label"], one["is_self"]):
+                v = [0.0 if math.isnan(part) else part for part in o["velocity"]]
+                expected = [p + (time_s - o["time_s"]) * q for p, q in zip(o["xy"], v, strict=True)]
+                near.append((math.dist(expected, one["xy"]), n))
         distance, n = min(near, default=(math.inf, 0))
         return self.included[n] if distance <= 4 else None
 

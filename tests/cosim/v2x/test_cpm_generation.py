@@ -128,6 +128,19 @@ def test_a_change_of_speed_by_more_than_half_a_metre_per_second():
     assert [first for first, _ in story(*own)] == [True, False, True], "of the vehicle itself, as stated"
 
 
+@pytest.mark.parametrize("known", [True, False])
+def test_a_follower_is_not_taken_for_its_leader(known):
+    """A column of two cars, 5 m apart, at 10 m/s: after 0.5 s the second is where the first was, and has moved 5 m."""
+
+    def at(x):
+        seen = list_of((0, CAR, -90, 0), (0, CAR, x, 0), (0, CAR, x + 5, 0))
+        return replace(seen, velocity_mps=np.array([[np.nan] * 2] + [[10.0, 0.0] if known else [np.nan] * 2] * 2))
+
+    sent = story((0.0, at(0)), (0.3, at(3)), (0.5, at(5)))
+    assert sent[1] == [False] * 3
+    assert sent[2] == [False, known, True], "without velocities, the second counts as the first that stands still"
+
+
 def test_what_does_not_fit_stays_not_included():
     """Five new objects, two in a message: the rest follow, those of the best score first."""
     seen = list_of(*[(0, CAR, 30 * i, 0) for i in range(6)])

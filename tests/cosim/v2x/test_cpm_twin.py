@@ -72,14 +72,7 @@ class Story:
         """The same decisions by the twins."""
         wanted, sensors = [], []
         for m, v in enumerate(present):
-            objects = [
-                {"label": int(listed.label[i]), "xy": listed.boxes.xyz_m[i, :2].tolist(),
-                 "yaw": float(listed.boxes.yaw_rad[i]), "score": float(listed.score[i]),
-                 "speed": float(listed.speed_mps[i] if listed.origin[i] == SELF else np.hypot(*listed.velocity_mps[i])),
-                 "number": int(listed.detection_index[i]), "is_self": bool(listed.origin[i] == SELF),
-                 "transmitted": bool(listed.transmitted[i])}
-                for i in np.flatnonzero(message == m)
-            ]  # fmt: skip
+            objects = [self.literal(listed, i) for i in np.flatnonzero(message == m)]
 
             def is_redundant(one, v=v):
                 return literal_cpm.is_redundant(self.received[v], self.xy[v].tolist(), one, self.time_s, self.params)
@@ -90,6 +83,19 @@ class Story:
         for absent in set(range(self.n)) - set(present.tolist()):
             self.twins[absent].forget(self.time_s)
         return wanted, sensors
+
+    @staticmethod
+    def literal(listed, i):
+        """One detection as a dict: of the vehicle itself with the speed that it states, of others with a velocity."""
+        is_self = bool(listed.origin[i] == SELF)
+        v, yaw = float(listed.speed_mps[i]), float(listed.boxes.yaw_rad[i])
+        velocity = [v * np.cos(yaw), v * np.sin(yaw)] if is_self else listed.velocity_mps[i].tolist()
+        return {
+            "label": int(listed.label[i]), "xy": listed.boxes.xyz_m[i, :2].tolist(), "yaw": yaw,
+            "score": float(listed.score[i]), "speed": v if is_self else float(np.hypot(*velocity)),
+            "velocity": velocity, "number": int(listed.detection_index[i]), "is_self": is_self,
+            "transmitted": bool(listed.transmitted[i]),
+        }  # fmt: skip
 
     def exchange(self, listed, message, present, included):
         """Random receptions of what was sent, noted on both sides."""
