@@ -111,7 +111,7 @@ class LatestTimes:
 
 @dataclass(frozen=True, slots=True)
 class CpmState:
-    """Everything about detection messages that lasts from step to step. Without effect it stays empty."""
+    """Everything about detection messages that lasts from step to step. It stays empty where no choice needs it."""
 
     included: InclusionMemory = field(default_factory=InclusionMemory)
     generated: LatestTimes = field(default_factory=LatestTimes)
@@ -178,7 +178,7 @@ def generate(
         generated = generated.noted(generators.sender[may], time_s)
         inclusion[listed.transmitted & ~may[message]] = Inclusion.WAITING
     if params.selects:
-        included = _select(state, listed, inclusion, message, generators, time_s, params)
+        inclusion, included = _select(state, listed, inclusion, message, generators, time_s, params)
     if params.length == "uper":
         is_sent = np.ones(len(has_sensors), bool)
         if params.rules == "etsi":
@@ -191,9 +191,9 @@ def generate(
 def _select(
     state: CpmState, listed: Detections, inclusion: UInt8[ndarray, "d"], message: Int[ndarray, "d"],
     generators: Generators, time_s: float, params: CpmParams,
-) -> InclusionMemory:  # fmt: skip
-    """Change the inclusion of candidates that are not included; return the memory after the step."""
-    rows = np.flatnonzero(inclusion == Inclusion.INCLUDED)
+) -> tuple[UInt8[ndarray, "d"], InclusionMemory]:  # fmt: skip
+    """What becomes of the detections that are included so far, and the memory after the step."""
+    inclusion, rows = inclusion.copy(), np.flatnonzero(inclusion == Inclusion.INCLUDED)
     seen = listed.take(rows)
     sender = generators.sender[message[rows]]
     now = Remembered.beside(state.included, seen, sender, time_s)
@@ -212,7 +212,7 @@ def _select(
     number = listed.detection_index[rows[others]]
     over = beyond_limit(message[rows[others]], utility(now, seen.score)[others], number, params.max_objects)
     inclusion[rows[others[over]]] = Inclusion.OVER_LIMIT
-    return now.memory_after(inclusion[rows] == Inclusion.INCLUDED)
+    return inclusion, now.memory_after(inclusion[rows] == Inclusion.INCLUDED)
 
 
 @dataclass(frozen=True, slots=True)
