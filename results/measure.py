@@ -316,6 +316,8 @@ def _evidence(run: Run) -> Iterator[Row]:
         "trust": "trust.multiplicity", "fused": "fused.multiplicity", "echoes": "echoes.share",
         "copies": "copies_per_evaluation",
     })  # fmt: skip
+    if "fused" in run.tables:
+        yield Row("fused.evaluators.mean", "", evidence.evaluators_per_object(run))
     if "evaluations" not in run.tables or "actors" not in run.tables or not run.n_rows("evaluations"):
         return
     found = evaluations.rates(run)
@@ -382,6 +384,12 @@ def _radio(run: Run) -> Iterator[Row]:
     yield Row("pir.after_loss.share", "", lost.n_received.sum() / pir.n_received.sum())
     if lost.n_received.sum():
         yield Row("lost_in_a_row.mean", "", float(np.average(lost.n_lost, weights=lost.n_received)))
+    if "cpm_content" in run.tables and run.n_rows("cpm_content"):
+        cpm = radio.cpm(run)
+        yield from _rows(cpm, "", {"rate_hz": "cpm_rate.mean_hz", "objects": "cpm_objects.mean"})
+        yield from _rows(cpm, "", {"length_bytes": "cpm_length.mean_bytes"})
+        for name in radio.LEFT_OUT:
+            yield from _rows(cpm, name.removeprefix("n_").replace("_", " "), {name: "cpm_left_out.share"})
     if "server" in run.tables and len(run.variant_table("server", ["step"])):
         links = radio.to_server(run)
         for name in ("reached", "lost", "over_capacity", "outage"):

@@ -210,6 +210,23 @@ TABLES: Mapping[str, Table] = {
             "truth_occlusion": Column("float32", unit="1", null=True, truth=True, bits=8, meaning="Share of that actor hidden from the observer."),
         },
     ),
+    "cpm_content": Table(
+        "standard",
+        "What detection messages (collective perception messages) contain, and why they leave out other objects. One row per pseudonym that may send a message. Self reports are not counted as objects.",
+        {
+            "step": _STEP,
+            "sender": _key("Pseudonym that the message carries."),
+            "length_bytes": Column("int32", unit="B", meaning="Length of the message with all headers; 0 if it was not sent."),
+            "n_objects": _count("Objects that the vehicle would report: those in its list that no attack or fault withholds."),
+            "n_included": _count("Number of these objects in the message."),
+            "n_waiting": _count("Number of them left out because the vehicle did not generate a message yet (`cpm.interval_s`, `radio.dcc`)."),
+            "n_not_due": _count("Number of them left out because the generation rules do not ask for them yet (`cpm.rules`)."),
+            "n_redundant": _count("Number of them left out because others reported them (`cpm.redundancy`)."),
+            "n_over_limit": _count("Number of them left out because other objects came first (`cpm.max_objects`)."),
+            "self_report": Column("bool", meaning="The message contains the self report."),
+            "sensors": Column("bool", meaning="The message describes the sensors. With `cpm.length = \"linear\"` every message does."),
+        },
+    ),
     "dropped_detections": Table(
         "summary",
         "Detections that attacks made up or changed, that do not fit into a message and are therefore dropped before sending; counted by cause.",

@@ -26,6 +26,7 @@ from cosim.mobility.position_errors import GnssParams
 from cosim.mobility.schedule import Schedule, SensingGroup
 from cosim.radio.params import RadioParams
 from cosim.radio.rsu import RsuParams
+from cosim.v2x.cpm_params import CpmParams
 from cosim.v2x.linkage import check_server
 from cosim.v2x.pseudonyms import PseudonymParams
 from cosim.v2x.trust_server import ServerParams
@@ -112,6 +113,7 @@ class Config:
     detector: DetectorParams = field(default_factory=DetectorParams)
     tracking: TrackingParams = field(default_factory=TrackingParams)
     attacks: tuple[AttackParams, ...] = ()
+    cpm: CpmParams = field(default_factory=CpmParams)
     radio: RadioParams = field(default_factory=RadioParams)
     rsu: RsuParams = field(default_factory=RsuParams)
     server: ServerParams = field(default_factory=ServerParams)
@@ -271,7 +273,7 @@ def with_defaults(data: dict[str, Any]) -> dict[str, Any]:
 def resolve_data(data: dict[str, Any], where: str, folder: Path | None) -> Config:
     """Build a config from plain data. Relative paths are relative to `folder`. The function modifies `data`."""
     variants = data.pop("trust_variant", [])
-    _rename([data.get("trust"), *(variants if isinstance(variants, list) else [])], where)
+    _rename(data, [data.get("trust"), *(variants if isinstance(variants, list) else [])], where)
     own: dict[str, dict[str, Any]] = {}
     types = {f.name: f.type for f in fields(Config)}
     for section in SECTIONS:
@@ -327,12 +329,27 @@ def of_run_without_code(recorded: Mapping[str, Any], folder: Path) -> Config:
     return of_run(data, folder)
 
 
-def _rename(sections: Iterable[Any], where: str) -> None:
-    """Read the earlier name of a key of [trust] as its present name, and say so."""
-    for section in sections:
+def _rename(data: dict[str, Any], of_trust: Iterable[Any], where: str) -> None:
+    """Read the earlier names of keys as their present names, and say so.
+
+    Parameters
+    ----------
+    data
+        The whole config.
+    of_trust
+        The section [trust] and those of the trust variants.
+    where
+        The file, for the note.
+    """
+    note = logging.getLogger(__name__).warning
+    for section in of_trust:
         if isinstance(section, dict) and "unjudged" in section and "unevaluated" not in section:
             section["unevaluated"] = section.pop("unjudged")
-            logging.getLogger(__name__).warning("trust.unjudged in %s is now called trust.unevaluated.", where)
+            note("trust.unjudged in %s is now called trust.unevaluated.", where)
+    radio, cpm = data.get("radio"), data.get("cpm", {})
+    if isinstance(radio, dict) and "cpm_rules" in radio and isinstance(cpm, dict) and "rules" not in cpm:
+        data["cpm"] = cpm | {"rules": radio.pop("cpm_rules")}
+        note("radio.cpm_rules in %s is now called cpm.rules.", where)
 
 
 def _names_code(section: Any, key: str) -> bool:

@@ -23,7 +23,8 @@ from cosim.step.state import State
 from cosim.step.trackers import evidence_audit
 from cosim.step.trackers.attack_start import AttackStartTracker
 from cosim.step.trackers.channel_counts import latency_histogram, pdr_by_distance, vehicle_channel
-from cosim.v2x.messages import FABRICATED, SENSED
+from cosim.v2x.cpm_generation import Inclusion
+from cosim.v2x.messages import FABRICATED, SELF, SENSED
 from cosim.v2x.pseudonyms import PseudonymUse
 from cosim.v2x.trust_hosts import Lookups, ServerTraffic
 from cosim.world import World
@@ -57,6 +58,15 @@ OUTCOMES = {
 }
 """The outcome that each column of the tables `radio` and `pdr_by_distance` counts."""
 
+INCLUSIONS = {
+    "n_included": Inclusion.INCLUDED,
+    "n_waiting": Inclusion.WAITING,
+    "n_not_due": Inclusion.NOT_DUE,
+    "n_redundant": Inclusion.REDUNDANT,
+    "n_over_limit": Inclusion.OVER_LIMIT,
+}
+"""The inclusion that each column of the table `cpm_content` counts."""
+
 
 def step(recorder: TakesRows, result: StepResult, dt_s: float) -> None:
     """Append all rows of a step to the tables of a run.
@@ -81,6 +91,7 @@ def step(recorder: TakesRows, result: StepResult, dt_s: float) -> None:
         return
     _detections(recorder, result.world, sensed)
     _tracks(recorder, at, sensed)
+    _cpm_content(recorder, at, sensed)
     _channel(recorder, at, sensed)
     _receptions(recorder, at, sensed)
     _evaluations(recorder, at, sensed)
@@ -199,6 +210,21 @@ def _tracks(recorder: TakesRows, at: int, sensed: Sensed) -> None:
         "velocity_x_mps": x, "velocity_x_mps__valid": moves[rows],
         "velocity_y_mps": y, "velocity_y_mps__valid": moves[rows],
         "existence_p": from_state(states.existence_p), "existence_p__valid": is_tracked,
+    })  # fmt: skip
+
+
+def _cpm_content(recorder: TakesRows, at: int, sensed: Sensed) -> None:
+    listed, content, n = sensed.listed, sensed.listed.content, len(sensed.senders)
+    message, is_self, length = listed.detections.message, listed.objects.origin == SELF, sensed.rounds[0].length_bytes
+    counts = np.bincount(
+        (message * len(Inclusion) + content.inclusion)[~is_self], minlength=n * len(Inclusion)
+    ).reshape(n, len(Inclusion))  # fmt: skip
+    recorder.append("cpm_content", at, {
+        "sender": sensed.senders.pseudonym, "length_bytes": length,
+        "n_objects": counts.sum(axis=1) - counts[:, Inclusion.WITHHELD],
+        **{column: counts[:, inclusion] for column, inclusion in INCLUSIONS.items()},
+        "self_report": np.bincount(message[is_self & content.included], minlength=n) > 0,
+        "sensors": content.has_sensors & (length > 0),
     })  # fmt: skip
 
 

@@ -21,7 +21,7 @@ from cosim.radio.message_round import FrameOutcomes, MessageRound, Messages, Rou
 from cosim.radio.params import RadioParams
 from cosim.radio.phy import MAC_OVERHEAD_BYTES, airtime_ns
 from cosim.radio.receptions import NeighbourList, ReceptionAttempts, Transmissions, complete_messages, slant_m
-from cosim.radio.segmentation import segments
+from cosim.radio.segmentation import ENVELOPE_BYTES, segments
 from sensors.line_of_sight import LosOfPlaces
 
 
@@ -80,6 +80,11 @@ class CsmaMedium:
         sent = Transmissions.of(frames, plan.units, windows, plan.first_tag)
         happened = _happened(plan, sent, cache.neighbours, stations, messages, busy)
         return replace(after, n_frames=state.n_frames + len(frames), cache=cache), happened
+
+    def gap_s(self, state: ChannelContext, stations: Stations) -> Float[ndarray, "n"]:
+        """Least time between two frames of each station that congestion control allows now [s]."""
+        gap_s = 1e-9 * dcc.gap_ns(state.dcc, stations.key, self.params.dcc)
+        return gap_s if stations.abuse is None else np.where(stations.abuse.ignores_dcc, 0.0, gap_s)
 
     @property
     def _rules(self) -> ChannelRules:
@@ -286,7 +291,8 @@ def _units(
 ) -> tuple[ndarray, Int[ndarray, "m"]]:
     """Segments of all messages, by message, and their number for each message."""
     sent = np.flatnonzero(messages.length_bytes > 0)
-    count, payload_bytes = segments(messages.length_bytes[sent])
+    envelope = ENVELOPE_BYTES if messages.envelope_bytes is None else messages.envelope_bytes[sent]
+    count, payload_bytes = segments(messages.length_bytes[sent], envelope)
     n_segments = np.zeros(len(messages), np.int64)
     n_segments[sent] = count
     units = np.zeros(int(count.sum()), UNIT)

@@ -3,6 +3,10 @@
 from collections.abc import Callable
 from typing import Any, Protocol
 
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
 from cosim.radio.csma import CsmaMedium
 from cosim.radio.message_round import MessageRound, Messages, RoundKind, Stations
 from cosim.radio.params import RadioParams
@@ -43,6 +47,11 @@ class Medium(Protocol):
         -------
         The state after the round, and its receptions and frame outcomes.
         """
+
+
+def gap_s(medium: Medium, state: Any, stations: Stations) -> Float[ndarray, "n"]:
+    """Least time between two frames of each station that congestion control allows now; 0 without it [s]."""
+    return medium.gap_s(state, stations) if isinstance(medium, CsmaMedium) else np.zeros(len(stations))
 
 
 MEDIA: dict[str, Callable[[RadioParams, float, int, LosOfPlaces | None], Medium]] = {

@@ -88,6 +88,8 @@ class Messages:
     """0 where nothing is sent."""
     delay_s: Float[ndarray, "m"] | None = None
     """Added to the time of generation [s]. A message that is too late for the round is not sent or not received."""
+    envelope_bytes: Int[ndarray, "m"] | None = None
+    """What every segment of a long message repeats. None: `segmentation.ENVELOPE_BYTES`."""
 
     def __post_init__(self) -> None:
         assert (np.diff(self.station) >= 0).all() and (self.length_bytes >= 0).all()

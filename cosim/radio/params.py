@@ -76,8 +76,6 @@ class RadioParams:
     interval."""
     antenna_above_roof_m: Annotated[float, Ge(0), Le(100)] = 0.1
     """Height of the antenna above the roof [m]."""
-    cpm_rules: Literal["all", "etsi"] = "all"
-    """Objects in a detection message. `all`: all detections. `etsi`: those that the rules of ETSI TS 103 324 select."""
     evaluations: Literal["alone", "piggybacked"] = "alone"
     """`alone`: evaluations are sent at once in their own messages. `piggybacked`: they are sent with the detection
     message of the next step."""

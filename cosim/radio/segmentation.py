@@ -10,11 +10,21 @@ ENVELOPE_BYTES = 44 + 96 + 37 + 9
 """GeoNetworking and BTP, signature and digest, header, sensor: repeated in each segment of a long message [B]."""
 
 
-def segments(length_bytes: Int[ndarray, "n"]) -> tuple[Int[ndarray, "n"], Int[ndarray, "n"]]:
+def segments(
+    length_bytes: Int[ndarray, "n"], envelope_bytes: Int[ndarray, "n"] | int = ENVELOPE_BYTES
+) -> tuple[Int[ndarray, "n"], Int[ndarray, "n"]]:
     """Number of frames of each message, and the length of each frame [B]. Every segment is signed on its own.
 
     A message of at most `FRAME_BYTES` is one frame. All frames of a longer one have the same length, rounded up.
+
+    Parameters
+    ----------
+    length_bytes
+        Length of each message.
+    envelope_bytes
+        What each segment of a message repeats, less than `FRAME_BYTES`.
     """
-    n = np.where(length_bytes <= FRAME_BYTES, 1, -(-(length_bytes - ENVELOPE_BYTES) // (FRAME_BYTES - ENVELOPE_BYTES)))
-    each = ENVELOPE_BYTES - (ENVELOPE_BYTES - length_bytes) // n
+    content, room = length_bytes - envelope_bytes, FRAME_BYTES - envelope_bytes
+    n = np.where(length_bytes <= FRAME_BYTES, 1, -(-content // room))
+    each = envelope_bytes - (-content) // n
     return n, np.where(n == 1, length_bytes, each)

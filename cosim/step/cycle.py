@@ -98,10 +98,11 @@ def _cycle(
         pseudonyms, senders = stages.senders_of(world, vehicles, attacks, pseudonyms, parts)
         stations = stations_of(world, vehicles.row, parts.rsus, c.radio.antenna_above_roof_m)
         exchange = Exchange.of(world, now, vehicles, senders, stations, attacks)
-        included, listed = stages.list_objects(exchange, positioned.observed, acceleration_mps2, s.included, c)
+        cpm, listed = stages.list_objects(exchange, positioned, acceleration_mps2, s.cpm, s.medium, parts)
     with watch("radio"):
         medium = s.medium if precomputed.with_links is None else precomputed.with_links(s.medium)
         medium, cpms = stages.broadcast_detections(exchange, listed, s.piggybacked, medium, parts)
+        cpm = stages.hear(cpm, exchange, positioned, listed, cpms, c)
     with watch("match"):
         inbox, known = s.inbox.known(exchange, listed, cpms, parts)
         matched = stages.match_objects(exchange, known, positioned, c)
@@ -137,7 +138,7 @@ def _cycle(
         encounters = tracking.count_in_encounters(s.encounters, exchange, (cpms, reports), looked_up, known, matched)
         outcomes = attack_outcomes(exchange, positioned.world, known, matched, fused)
     s = replace(
-        s, trust=trust, pseudonyms=pseudonyms, position_errors=position_errors, tracks=tracks, included=included,
+        s, trust=trust, pseudonyms=pseudonyms, position_errors=position_errors, tracks=tracks, cpm=cpm,
         medium=medium, inbox=inbox, piggybacked=piggybacked, known_senders=known_senders,
         reaction_truth=reaction_truth, attack_start=attack_start, inter_reception=inter_reception,
         encounters=encounters, n_dropped=s.n_dropped + listed.n_dropped,

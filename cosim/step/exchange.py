@@ -20,6 +20,7 @@ from cosim.radio.message_round import (
     by_link,
 )
 from cosim.radio.rsu import RsuAntennas
+from cosim.radio.segmentation import ENVELOPE_BYTES
 from cosim.ragged import expand
 from cosim.v2x.messages import Detections
 from cosim.world import World
@@ -196,7 +197,7 @@ class OnAir:
     @staticmethod
     def of(
         senders: Senders, length_bytes: Int[ndarray, "m"], n_vehicles: int, n_rsus: int, rsu_bytes: int = 0,
-        sending: Sending | None = None,
+        sending: Sending | None = None, envelope_bytes: Int[ndarray, "m"] | None = None,
     ) -> "OnAir":  # fmt: skip
         """Frames of vehicles and roadside units.
 
@@ -212,19 +213,26 @@ class OnAir:
             Number of roadside units, and the length of the one message of each.
         sending
             How vehicles send, by row of `Vehicles`. None if all send honestly.
+        envelope_bytes
+            What each segment of the vehicles' messages repeats, as in `Messages`.
         """
         n, stations = len(senders), n_vehicles + np.arange(n_rsus)
         length = np.concatenate([length_bytes, np.full(n_rsus, rsu_bytes)])
         station, message = np.concatenate([senders.vehicle, stations]), np.arange(n + n_rsus)
+        envelope = None
+        if envelope_bytes is not None:
+            envelope = np.concatenate([envelope_bytes, np.full(n_rsus, ENVELOPE_BYTES)])
         if sending is None:
-            return OnAir(Messages(station, length), message)
+            return OnAir(Messages(station, length, envelope_bytes=envelope), message)
         delay_s = np.concatenate([sending.delay_s[senders.vehicle], np.zeros(n_rsus)])
         times = np.concatenate([1 + sending.n_copies[senders.vehicle], np.ones(n_rsus, np.int64)])
         row = np.repeat(message, times)
         number = np.arange(len(row)) - np.searchsorted(row, row)
         order = np.lexsort((row, number, station[row]))  # copies come after all original messages of the station
         row = row[order]
-        return OnAir(Messages(station[row], length[row], delay_s[row]), row)
+        return OnAir(
+            Messages(station[row], length[row], delay_s[row], envelope if envelope is None else envelope[row]), row
+        )
 
     def links(self, found: MessageRound, n_vehicles: int) -> LinkReceptions:
         """Receptions by kind of link, with messages as rows of `Senders`. The first copy to arrive counts."""

@@ -14,6 +14,7 @@ from cosim.adversary.adversary import Active
 from cosim.config.config import Config
 from cosim.driver.driver import Beliefs
 from cosim.mobility.position_errors import PositionErrors
+from cosim.radio.medium import gap_s
 from cosim.radio.message_round import LinkReceptions, MessageRound, RoundKind
 from cosim.step import object_lists
 from cosim.step.exchange import Exchange, OnAir, Senders, Times, Vehicles, lists_of_identities
@@ -24,17 +25,21 @@ from cosim.step.parts import Parts
 from cosim.step.perception import Observed
 from cosim.step.positioning import as_believed, believed_world
 from cosim.step.precomputed import Precomputed
-from cosim.v2x.cpm_generation import InclusionMemory, select_objects
+from cosim.v2x.cpm_generation import CpmContent, CpmState, Generators, generate
 from cosim.v2x.messages import (
+    SELF,
     SENSED,
     Detections,
     cpm_bytes,
+    encoded_cpm_bytes,
     evaluation_bytes,
     piggyback_bytes,
     trust_broadcast_bytes,
+    velocities,
     with_motion,
 )
 from cosim.v2x.pseudonyms import PseudonymState, PseudonymUse
+from cosim.v2x.redundancy import Reports
 from cosim.v2x.trust_server import TrustBroadcast
 from cosim.world import World
 from sensors.boxes import overlapping_pairs, pairs_between
@@ -206,42 +211,52 @@ class Listed:
     """Whether an attack withholds a detection that the detector made."""
     n_dropped: Int[ndarray, "f"]
     """Number of detections that cannot be sent, by `DetectionFault`."""
+    content: CpmContent
+    """What each message contains."""
 
 
 def list_objects(
-    exchange: Exchange, observed: Observed, acceleration_mps2: Float[ndarray, "n"], included: InclusionMemory, c: Config
-) -> tuple[InclusionMemory, Listed]:
-    """Detections as each vehicle lists them, after attacks and generation rules.
+    exchange: Exchange, positioned: Positioned, acceleration_mps2: Float[ndarray, "n"], cpm: CpmState,
+    medium: object, parts: Parts,
+) -> tuple[CpmState, Listed]:  # fmt: skip
+    """Detections as each vehicle lists them, after attacks, generation rules and redundancy mitigation.
 
     Parameters
     ----------
     exchange
         Vehicles, senders and attacks of the step.
-    observed
+    positioned
         What vehicles perceive, at their estimated positions.
     acceleration_mps2
         Acceleration of every actor.
-    included
-        Memory of the generation rules.
-    c
-        The config.
+    cpm
+        State of the detection messages.
+    medium
+        State of the medium. It is read only: its congestion control limits the rate of messages.
+    parts
+        Components of the run.
 
     Returns
     -------
-    The new memory of the generation rules, and the lists.
+    The new state of the detection messages, and the lists.
     """
     world, sensing, senders, attacks = exchange.world, exchange.sensing, exchange.senders, exchange.attacks
+    observed, vehicles = positioned.observed, exchange.vehicles
     perceived = with_motion(observed.detections, world.speed_mps, acceleration_mps2)
     objects, n_dropped = attacks.detections(perceived)
     withheld = (objects.origin == SENSED) & ~objects.transmitted
     lied = lies_in_detections(perceived, objects, attacks.malicious(len(world)))
-    if c.radio.cpm_rules == "etsi":
-        sender = world.actor[objects.observer].astype(np.int64) << 16 | objects.identity
-        chosen, included = select_objects(included, objects, sender, exchange.now.begin_s)
-        objects = replace(objects, transmitted=chosen)
     message = senders.message_of(objects, sensing.row)
+    generators = Generators(
+        sender=exchange.sender,
+        actor=vehicles.actor[senders.vehicle],
+        xy_m=positioned.world.boxes.xyz_m[vehicles.row[senders.vehicle], :2],
+        gap_s=_gaps_s(parts, medium, exchange)[senders.vehicle],
+    )
+    cpm, content = generate(cpm, objects, message, generators, exchange.now.begin_s, parts.config.cpm)
+    objects = replace(objects, transmitted=content.included)
     detections, ptr = object_lists.for_trust(objects, message, len(senders))
-    return included, Listed(
+    return cpm, Listed(
         objects=objects,
         truth=ground_truth_of(
             objects, world, observed.observability, sensing.row, observed.is_real, observed.actor_row, lied
@@ -250,7 +265,15 @@ def list_objects(
         ptr=ptr,
         withheld=withheld,
         n_dropped=n_dropped,
+        content=content,
     )
+
+
+def _gaps_s(parts: Parts, medium: object, exchange: Exchange) -> Float[ndarray, "s"]:
+    """Least time between two messages of each station by congestion control; 0 where no rule asks for it."""
+    if parts.config.cpm.rules == "all":
+        return np.zeros(len(exchange.stations))
+    return gap_s(parts.medium, medium, exchange.stations)
 
 
 @dataclass(frozen=True, slots=True)
@@ -282,15 +305,20 @@ class Broadcast:
     """Receptions by kind of link."""
     accepted: LinkReceptions
     """Receptions without those from revoked senders."""
+    length_bytes: Int[ndarray, "m"]
+    """Length of each vehicle's message; 0 if it is not sent."""
 
 
 def broadcast_detections(
     exchange: Exchange, listed: Listed, piggybacked: SentEvaluations | None, medium: object, parts: Parts
 ) -> tuple[object, Broadcast]:
     """Broadcast detection messages, with piggybacked evaluations of the step before; return the medium's new state."""
-    lengths = _cpm_lengths(exchange, listed, piggybacked, parts.config)
-    on_air = OnAir.of(exchange.senders, lengths, len(exchange.vehicles), len(parts.rsus), sending=exchange.sending)
-    return _broadcast(exchange, RoundKind.CPM, on_air, exchange.now.begin_s, medium, parts)
+    lengths, envelopes = _cpm_lengths(exchange, listed, piggybacked, parts.config)
+    on_air = OnAir.of(
+        exchange.senders, lengths, len(exchange.vehicles), len(parts.rsus), sending=exchange.sending,
+        envelope_bytes=envelopes,
+    )  # fmt: skip
+    return _broadcast(exchange, RoundKind.CPM, on_air, exchange.now.begin_s, lengths, medium, parts)
 
 
 def broadcast_evaluations(
@@ -304,15 +332,16 @@ def broadcast_evaluations(
     lengths = evaluation_bytes(np.diff(evaluated.sent.ptr)) * alone
     rsu_bytes = 0 if rsu_broadcast is None else trust_broadcast_bytes(len(rsu_broadcast.scores.subject))
     on_air = OnAir.of(exchange.senders, lengths, len(exchange.vehicles), len(parts.rsus), rsu_bytes)
-    return _broadcast(exchange, RoundKind.EVALUATION, on_air, exchange.now.evaluated_s, medium, parts)
+    return _broadcast(exchange, RoundKind.EVALUATION, on_air, exchange.now.evaluated_s, lengths, medium, parts)
 
 
 def _broadcast(
-    exchange: Exchange, kind: RoundKind, on_air: OnAir, begin_s: float, medium: object, parts: Parts
-) -> tuple[object, Broadcast]:
+    exchange: Exchange, kind: RoundKind, on_air: OnAir, begin_s: float, length_bytes: Int[ndarray, "m"],
+    medium: object, parts: Parts,
+) -> tuple[object, Broadcast]:  # fmt: skip
     medium, found = parts.medium.broadcast(medium, kind, exchange.now.step, begin_s, exchange.stations, on_air.messages)
     links = on_air.links(found, len(exchange.vehicles))
-    return medium, Broadcast(found, links, _accepted(links, exchange.senders))
+    return medium, Broadcast(found, links, _accepted(links, exchange.senders), length_bytes)
 
 
 def _accepted(links: LinkReceptions, senders: Senders) -> LinkReceptions:
@@ -328,16 +357,55 @@ def _accepted(links: LinkReceptions, senders: Senders) -> LinkReceptions:
 
 def _cpm_lengths(
     exchange: Exchange, listed: Listed, piggybacked: SentEvaluations | None, c: Config
-) -> Int[ndarray, "m"]:
-    """Length of each detection message with the evaluations that it carries [B]; 0 if nothing is sent."""
-    n_messages = len(exchange.senders)
-    n_objects = np.bincount(listed.detections.message[listed.objects.transmitted], minlength=n_messages)
+) -> tuple[Int[ndarray, "m"], Int[ndarray, "m"] | None]:
+    """Length of each detection message with the evaluations that it carries, and of its envelope [B].
+
+    The length is 0 if nothing is sent. The envelope is None where it is that of all messages.
+    """
+    n_messages, chosen = len(exchange.senders), listed.objects.transmitted
+    n_objects = np.bincount(listed.detections.message[chosen], minlength=n_messages)
     n_carried = np.zeros(n_messages, np.int64)
     if piggybacked is not None:
         _, there, row = np.intersect1d(piggybacked.sender, exchange.sender, assume_unique=True, return_indices=True)
         n_carried[row] = np.diff(piggybacked.messages.ptr)[there]
-    length = cpm_bytes(n_objects) + np.where(n_carried > 0, piggyback_bytes(n_carried), 0)
-    return length if c.radio.cpm_rules == "all" else np.where((n_objects > 0) | (n_carried > 0), length, 0)
+    envelope = None
+    if c.cpm.length == "linear":
+        length = cpm_bytes(n_objects)
+    else:
+        rows = np.flatnonzero(chosen)
+        length, envelope = encoded_cpm_bytes(
+            listed.objects.take(rows), listed.detections.message[rows], listed.content.has_sensors
+        )
+    length = length + np.where(n_carried > 0, piggyback_bytes(n_carried), 0)
+    if c.cpm.rules != "all":
+        length = np.where((n_objects > 0) | (n_carried > 0), length, 0)
+    return length, envelope
+
+
+def hear(
+    cpm: CpmState, exchange: Exchange, positioned: Positioned, listed: Listed, cpms: Broadcast, c: Config
+) -> CpmState:
+    """Note the objects that vehicles received, if they leave out objects that others report."""
+    if c.cpm.redundancy == "none":
+        return cpm
+    vehicles, senders, objects, begin_s = exchange.vehicles, exchange.senders, listed.objects, exchange.now.begin_s
+    rows = np.flatnonzero(objects.transmitted)
+    sent = objects.take(rows)
+    reports = Reports(
+        time_s=np.full(len(senders), begin_s),
+        sender=exchange.sender,
+        sender_xy_m=positioned.world.boxes.xyz_m[vehicles.row[senders.vehicle], :2],
+        message=listed.detections.message[rows],
+        label=sent.label.astype(np.int64),
+        xy_m=sent.boxes.xyz_m[:, :2],
+        velocity_mps=velocities(sent),
+        is_self=sent.origin == SELF,
+    )
+    got = cpms.accepted.vehicles
+    heard = cpm.heard.next(
+        reports, vehicles.actor[got.receiver], got.message, begin_s + got.received_s, c.cpm.redundancy_window_s
+    )
+    return replace(cpm, heard=heard)
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,7 +19,7 @@ from cosim.step.trackers.encounters import Encounters
 from cosim.step.trackers.inter_reception import InterReceptionTracker
 from cosim.step.trackers.motion import LastSpeeds
 from cosim.step.tracking import ReceptionTrackers
-from cosim.v2x.cpm_generation import InclusionMemory
+from cosim.v2x.cpm_generation import CpmState
 from cosim.v2x.pseudonyms import PseudonymState
 from cosim.v2x.relinking import KnownSenders
 from cosim.v2x.trust_hosts import TrustState
@@ -44,7 +44,7 @@ class State:
     reaction_truth: ReactionTruth = field(default_factory=ReactionTruth)
     """Used only for the table of reactions."""
     pseudonyms: PseudonymState = field(default_factory=PseudonymState)
-    included: InclusionMemory = field(default_factory=InclusionMemory)
+    cpm: CpmState = field(default_factory=CpmState)
     piggybacked: SentEvaluations | None = None
     inbox: Inbox = field(default_factory=Inbox)
     """Earlier messages that vehicles still use; empty if all vehicles sense in the same steps."""

@@ -8,8 +8,10 @@ from jaxtyping import Bool, Float, Int, UInt8
 from numpy import ndarray
 
 from cosim.radio.segmentation import ENVELOPE_BYTES
+from cosim.v2x.cpm_params import MOST_OBJECTS
 from cosim.world import World
 from results.codes import DetectionFault, ObjectClass, Origin
+from results.export import etsi
 from sensors.boxes import Boxes
 
 SENSED, SELF, FABRICATED = Origin
@@ -24,8 +26,6 @@ FASTEST = 1_000.0
 """Largest speed [m/s] and acceleration [m/s2] that a detection may claim."""
 LARGEST_NUMBER = 2**15 - 1
 MOST_RETURNS = 2**31 - 1
-MOST_OBJECTS = 255
-"""Largest number of objects in one message: ETSI TS 103 324, `PerceivedObjects`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,13 +111,47 @@ def velocities(listed: Detections) -> Float[ndarray, "d 2"]:
     return np.where(np.isnan(listed.velocity_mps), listed.speed_mps[:, None] * along, listed.velocity_mps)
 
 
+NETWORK_BYTES, SIGNATURE_BYTES = 44, 96
+"""Of GeoNetworking and BTP, and of signature and digest."""
+
+
 def cpm_bytes(n_objects: Int[ndarray, "n"]) -> Int[ndarray, "n"]:
-    """Length of a detection message, sent as a collective perception message [B].
+    """Length of a detection message, sent as a collective perception message, with `cpm.length = "linear"` [B].
 
     It is the sum of GeoNetworking and BTP 44, signature and digest 96, header 37, one sensor 9, and 29 per object, as
     in Artery's model of ETSI TS 103 324.
     """
     return ENVELOPE_BYTES + 29 * n_objects
+
+
+def encoded_cpm_bytes(
+    objects: Detections, message: Int[ndarray, "d"], has_sensors: Bool[ndarray, "m"]
+) -> tuple[Int[ndarray, "m"], Int[ndarray, "m"]]:
+    """Lengths of detection messages with `cpm.length = "uper"`, and of what each of their segments repeats [B].
+
+    Parameters
+    ----------
+    objects
+        The objects in the messages, of known classes.
+    message
+        Row of the message of each object.
+    has_sensors
+        Whether each message describes the sensors.
+
+    Notes
+    -----
+    The length is that of the encoded CPM (`results.export.etsi.cpm_bytes`), with headers of the network and a
+    signature. The self report counts as an object, with a velocity where its speed is known. In a standardised system
+    it would be a message of its own (CAM). Only the first segment describes the sensors.
+    """
+    n, n_classes = len(has_sensors), len(ObjectClass)
+    moves = np.isfinite(objects.velocity_mps).all(axis=1) | np.isfinite(objects.speed_mps)
+    of = (message * n_classes + objects.label) * 2 + moves
+    count = np.bincount(of, minlength=2 * n * n_classes).reshape(n, n_classes, 2)
+    outside = NETWORK_BYTES + SIGNATURE_BYTES
+    length = etsi.cpm_bytes(count[:, :, 0], n_moving=count[:, :, 1], has_sensors=has_sensors)
+    empty = etsi.cpm_bytes(np.zeros((1, n_classes), np.int64), is_segment=True, has_sensors=False)
+    return outside + length, np.repeat(outside + empty, n)
 
 
 def evaluation_bytes(n_evaluations: Int[ndarray, "n"]) -> Int[ndarray, "n"]:

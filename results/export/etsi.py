@@ -14,7 +14,7 @@ constraint would expect one more bit.
 
 from collections.abc import Collection
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -255,7 +255,7 @@ FILLED = (
     "objectId", "zCoordinate", "angles", "objectDimensionZ", "objectDimensionY", "objectDimensionX", "sensorIdList",
     "classification",
 )  # fmt: skip
-"""Optional members of an object that `Objects` fills."""
+"""Optional members of an object that `Objects` fills; it fills the velocity, too, where that is known."""
 
 PROTOCOL, CAM_ID, CPM_ID, LIDAR_ID, LIDAR = 2, 2, 14, 1, 2
 """Version of the messages, their identifiers, and identifier and type of the sensor."""
@@ -292,18 +292,23 @@ def object_bits(members: Collection[str] = FILLED) -> Int[ndarray, "4"]:
 
 
 def cpm_bytes(
-    n_objects: Int[ndarray, "m 4"], members: Collection[str] = FILLED, is_segment: bool = False
-) -> Int[ndarray, "m"]:
-    """Length of CPMs with a vehicle container and one LiDAR, without headers of the network and security [B].
+    n_objects: Int[ndarray, "m 4"], members: Collection[str] = FILLED, is_segment: bool = False, *,
+    n_moving: Int[ndarray, "m 4"] | int = 0, has_sensors: Bool[ndarray, "m"] | bool = True,
+) -> Int[ndarray, "m"]:  # fmt: skip
+    """Length of CPMs with a vehicle container, without headers of the network and security [B].
 
     Parameters
     ----------
     n_objects
-        Number of objects in each message, by `ObjectClass`; at most 255 in a message.
+        Number of objects without velocity in each message, by `ObjectClass`; at most 255 objects in a message.
     members
         As in `object_bits`; all objects have the same.
     is_segment
         Whether the messages state that they are segments.
+    n_moving
+        Number of further objects, which have the same members and a velocity.
+    has_sensors
+        Whether each message describes a LiDAR.
 
     Raises
     ------
@@ -311,13 +316,31 @@ def cpm_bytes(
         In one line: more than 255 objects in a message, or no such member.
     """
     n_objects = np.asarray(n_objects, np.int64)
-    if (n_objects < 0).any() or (n_objects.sum(axis=1) > 255).any():
+    n_moving = np.broadcast_to(np.asarray(n_moving, np.int64), n_objects.shape)
+    if (n_objects < 0).any() or (n_moving < 0).any() or ((n_objects + n_moving).sum(axis=1) > 255).any():
         raise ValueError("n_objects: a message has 0 to 255 objects. Split what is longer into segments.")
+    still, moving = _object_bits(frozenset(members)), _object_bits(frozenset(members) | {"velocity"})
+    n_empty, without, with_sensors = _frame_bits(is_segment)
+    content = -(-(n_empty + n_objects @ still + n_moving @ moving) // 8)
+    return -(-(np.where(has_sensors, with_sensors, without) + 8 * (1 + (content > 127) + content)) // 8)
+
+
+@cache
+def _object_bits(members: frozenset[str]) -> Int[ndarray, "4"]:
+    return object_bits(members)
+
+
+@cache
+def _frame_bits(is_segment: bool) -> tuple[int, int, int]:
+    """Bits of the container of objects without objects, and of a CPM without that container and its length.
+
+    The latter are without and with the container of sensors.
+    """
     empty = least(_OBJECTS) | {"perceivedObjects": []}
-    content = -(-(n_bits(_OBJECTS, empty) + n_objects @ object_bits(members)) // 8)
-    head = Head(0, 0, 0, 0, 0, 0.0, (8, 1) if is_segment else None)
-    whole = n_bits(CPM, _cpm(head, empty)) - 8 * (1 + len(encode(_OBJECTS, empty)))
-    return -(-(whole + 8 * (1 + (content > 127) + content)) // 8)
+    less = 8 * (1 + len(encode(_OBJECTS, empty)))
+    segment = (8, 1) if is_segment else None
+    whole = [n_bits(CPM, _cpm(Head(0, 0, 0, 0, 0, 0.0, segment, has), empty)) - less for has in (False, True)]
+    return n_bits(_OBJECTS, empty), whole[0], whole[1]
 
 
 def its_ms(unix_s: float) -> int:
@@ -352,6 +375,7 @@ class Objects:
     def of(
         number: Int[ndarray, "n"], label: Int[ndarray, "n"], xyz_m: Float[ndarray, "n 3"],
         lwh_m: Float[ndarray, "n 3"], angle_rad: Float[ndarray, "n"], score: Float[ndarray, "n"],
+        velocity_mps: Float[ndarray, "n 2"] | None = None,
     ) -> "Objects":  # fmt: skip
         """Encode objects.
 
@@ -369,6 +393,8 @@ class Objects:
             Of the length, counter-clockwise from east.
         score
             Confidence in the class, 0 to 1.
+        velocity_mps
+            To the east and north. It is absent where it is NaN, or None. Above 163.81 m/s: "out of range".
 
         Raises
         ------
@@ -380,14 +406,23 @@ class Objects:
         angle = up(np.degrees(np.mod(angle_rad, 2 * np.pi)), 0.1, 0, 3600) % 3600
         sure = np.clip(np.round(100 * score), 1, 100).astype(np.int64)
         columns = (np.asarray(number, np.int64), x, y, z, angle, length, width, height, sure)
-        widths = object_bits()
-        bits = np.zeros((len(label), widths.max()), np.uint8)
+        moves = np.zeros(len(label), np.int64)
+        velocity = np.zeros((len(label), 2), np.int64)
+        if velocity_mps is not None:
+            moves = np.isfinite(velocity_mps).all(axis=1).astype(np.int64)
+            velocity = up(velocity_mps.ravel(), 0.01, -16383, 16382, 16383).reshape(-1, 2)
+        widths = np.stack([object_bits(), object_bits((*FILLED, "velocity"))])
+        longest = widths.max()
+        bits = np.zeros((len(label), longest), np.uint8)
         for kind in ObjectClass:
-            mine = np.flatnonzero(label == kind)
-            if len(mine):
-                value = _object(kind, *(column[mine] for column in columns))
-                bits[mine, : widths[kind]] = rows(OBJECT, value, len(mine))
-        return Objects(bits, np.arange(widths.max()) < widths[label][:, None])
+            for has_velocity in (0, 1):
+                mine = np.flatnonzero((label == kind) & (moves == has_velocity))
+                if len(mine):
+                    value = _object(kind, *(column[mine] for column in columns))
+                    if has_velocity:
+                        value |= _velocity(*velocity[mine].T)
+                    bits[mine, : widths[has_velocity, kind]] = rows(OBJECT, value, len(mine))
+        return Objects(bits, np.arange(longest) < widths[moves, label][:, None])
 
     def between(self, begin: int, end: int) -> Encoded:
         """These objects, one after another."""
@@ -410,6 +445,12 @@ def _object(kind: ObjectClass, number: Any, x: Any, y: Any, z: Any, angle: Any, 
     }  # fmt: skip
 
 
+def _velocity(east: Any, north: Any) -> dict[str, Any]:
+    """A velocity whose accuracy is unavailable."""
+    axes = {"xVelocity": {"value": east, "confidence": 127}, "yVelocity": {"value": north, "confidence": 127}}
+    return {"velocity": ("cartesianVelocity", axes)}
+
+
 @dataclass(frozen=True, slots=True)
 class Head:
     """What a CPM says of its sender."""
@@ -427,6 +468,8 @@ class Head:
     """Of the LiDAR."""
     segment: tuple[int, int] | None = None
     """Number of segments and number of this one, from 1."""
+    has_sensors: bool = True
+    """Whether the message describes the LiDAR."""
 
 
 def _place(latitude: Any, longitude: Any) -> dict[str, Any]:
@@ -449,11 +492,12 @@ def _cpm(head: Head, objects: dict[str, Any]) -> dict[str, Any]:
         "sensorId": LIDAR_ID, "sensorType": LIDAR, "perceptionRegionShape": region, "shadowingApplies": 1
     }  # fmt: skip
     vehicle = {"orientationAngle": {"value": head.heading, "confidence": 127}}
+    sensors = [(SENSORS, [sensor])] if head.has_sensors else []
     return {
         "header": {"protocolVersion": PROTOCOL, "messageId": CPM_ID, "stationId": head.station},
         "payload": {
             "managementContainer": management,
-            "cpmContainers": [(VEHICLE, vehicle), (SENSORS, [sensor]), (OBJECTS, objects)],
+            "cpmContainers": [(VEHICLE, vehicle), *sensors, (OBJECTS, objects)],
         },
     }
 

@@ -13,21 +13,24 @@ Objects lie east, north and up of it. The map's north is turned to true north. W
 "unavailable" or absent; `cosim/v2x/README.md` lists all fields.
 
 Second 0 of the run is 2025-01-01 00:00 UTC; time stamps in messages count atomic time since 2004 in milliseconds.
-Stations have the numbers of their pseudonyms, and objects those of `detection_index`. A CPM that would be longer than
-1,398 bytes, with BTP, is split into segments.
+Stations have the numbers of their pseudonyms, and objects those of `detection_index`. Where a run has tracks, a tracked
+object has the number of its track below 32,768 and its velocity, and any other object has 32,768 more than its
+`detection_index`. A CPM that would be longer than 1,398 bytes, with BTP, is split into segments. A CPM describes the
+LiDAR where the message did so in the simulation, in its first segment.
 """
 
 import struct
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property, partial
+from itertools import pairwise
 from typing import Annotated
 
 import numpy as np
 import pandas as pd
 import pyarrow.compute as pc
 from annotated_types import Ge, Le
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from results.codes import ObjectClass
@@ -35,6 +38,7 @@ from results.export import etsi, kitti
 from results.export.earth import OnEarth, Projection
 from results.export.frames import compass_deg
 from results.export.moments import BOX, Clouds, File, Plan, Selection, Unit
+from results.tables import TABLES
 
 START_S = 1_735_689_600
 """Second 0 of a run, in seconds since 1970 (UTC): 2025-01-01 00:00."""
@@ -56,6 +60,12 @@ PACKET_BYTES = 500
 
 RECEIVERS = 40
 """Receivers of one unit of work."""
+
+TRACKED = ("velocity_east_mps", "velocity_north_mps", "object_id")
+"""Columns of `detections` of tracked objects, if the run has them."""
+
+TRACKS = 2**15
+"""Numbers of tracked objects are below this."""
 
 BLOCK_STEPS = 20
 """Steps whose detections are in memory together."""
@@ -162,8 +172,10 @@ class Packets:
         """Frames of the messages of these pseudonyms (None: all) in these steps, by step and pseudonym."""
         where = pc.field("step").isin(steps.tolist())
         mine = where if observers is None else where & pc.field("observer").isin(observers)
-        columns = ["step", "observer", "detection_index", "class", *BOX, "score", "transmitted"]
-        listed = self.selection.run.table("detections", [*columns, "speed_mps", "acceleration_mps2"], mine)
+        tracked = [name for name in TRACKED if name in TABLES["detections"].columns]
+        columns = ["step", "observer", "detection_index", "class", *BOX, "score", "transmitted", "speed_mps",
+                   "acceleration_mps2", *tracked]  # fmt: skip
+        listed = self.selection.run.table("detections", columns, mine)
         listed = listed[listed.transmitted].sort_values(["step", "observer", "detection_index"], ignore_index=True)
         if listed.empty:
             return {}
@@ -173,6 +185,7 @@ class Packets:
         ).sender.to_numpy()  # fmt: skip
         is_object = (listed.detection_index != 0).to_numpy()
         perceived, sender = listed[is_object], of_sender[is_object]
+        senders["has_sensors"] = self._describe_sensors(senders, where)
         return self._assembled(senders, perceived, np.searchsorted(sender, np.arange(len(senders) + 1)), sender)
 
     def _senders(self, listed: pd.DataFrame, where: pc.Expression) -> pd.DataFrame:
@@ -195,6 +208,15 @@ class Packets:
             senders["class"] = senders["class"].astype(object).where(senders.is_cam, kind)
         return senders
 
+    def _describe_sensors(self, senders: pd.DataFrame, where: pc.Expression) -> Bool[ndarray, "m"]:
+        """Whether each message describes the sensors; all do in runs that do not say."""
+        if "cpm_content" not in self.selection.run.tables:
+            return np.ones(len(senders), bool)
+        stated = self.selection.run.table("cpm_content", ["step", "sender", "sensors"], where)
+        stated = stated.astype({"step": np.int64, "sender": np.int64}).rename(columns={"sender": "observer"})
+        found = senders[["step", "observer"]].astype(np.int64).merge(stated, on=["step", "observer"], how="left")
+        return found.sensors.ne(False).to_numpy(bool, na_value=True)
+
     def _assembled(
         self, senders: pd.DataFrame, perceived: pd.DataFrame, ptr: Int[ndarray, "m"], sender: Int[ndarray, "d"]
     ) -> dict[tuple[int, int], list[bytes]]:
@@ -211,20 +233,23 @@ class Packets:
         label = _labels(senders["class"])
         speed, change = senders.speed_mps.to_numpy(float), senders.acceleration_mps2.to_numpy(float)
         cams = etsi.cams(station, time_ms, label, lat, lon, compass, speed, change, box[:, 3:6])
-        objects = _objects(perceived, front[sender], place, sender)
+        objects = objects_of(perceived, front[sender], place, sender)
+        bits = objects.is_used.sum(axis=1)
         range_m = float(self.selection.run.config["lidar"].get("max_range_m", 0.0))
         heads = geonetworking(station, label, time_ms, lat, lon, compass, speed)
-        columns = (senders.step, station, time_ms, lat, lon, compass, senders.is_cam)
+        columns = (senders.step, station, time_ms, lat, lon, compass, senders.is_cam, senders.has_sensors)
         rows = zip(*(np.asarray(column).tolist() for column in columns), strict=True)
         found = {}
-        for i, (step, number, time, latitude, longitude, angle, is_cam) in enumerate(rows):
+        for i, (step, number, time, latitude, longitude, angle, is_cam, has_sensors) in enumerate(rows):
             begin, end = int(ptr[i]), int(ptr[i + 1])
             frames = [frame(heads[i], number, "cam", cams[i].tobytes())] if is_cam else []
-            cuts = list(range(begin, end, MOST_OBJECTS)) or [begin]
-            for k, cut in enumerate(cuts, 1):
-                segment = (len(cuts), k) if len(cuts) > 1 else None
-                head = etsi.Head(number, time, latitude, longitude, angle, range_m, segment)
-                part = objects.between(cut, min(cut + MOST_OBJECTS, end))
+            cuts = [begin, *(begin + np.array(cuts_of(bits[begin:end]), int)).tolist(), end]
+            for k, (first, last) in enumerate(pairwise(cuts)):
+                segment = (len(cuts) - 1, k + 1) if len(cuts) > 2 else None
+                head = etsi.Head(
+                    number, time, latitude, longitude, angle, range_m, segment, has_sensors and k == 0
+                )  # fmt: skip
+                part = objects.between(first, last)
                 frames.append(frame(heads[i], number, "cpm", etsi.cpm(head, end - begin, part)))
             found[step, number] = frames
         return found
@@ -237,28 +262,58 @@ def _capture(got: pd.DataFrame, frames: Mapping[tuple[int, int], list[bytes]]) -
     )
 
 
-_LONGEST = np.arange(4) == np.argmax(etsi.object_bits())
-_LENGTHS = etsi.cpm_bytes(np.outer(np.arange(256), _LONGEST), is_segment=True)
-MOST_OBJECTS = int(np.searchsorted(4 + _LENGTHS, LONGEST_BYTES, side="right")) - 1
-"""Objects of the longest class that fit into one segment."""
+_ROOM_BITS = 8 * (LONGEST_BYTES - 4 - int(etsi.cpm_bytes(np.zeros((1, 4), int), is_segment=True)[0]) - 1)
+"""Bits of objects that fit into one segment, whose length may then take a second byte."""
+
+
+def cuts_of(bits: Int[ndarray, "n"]) -> list[int]:
+    """Where segments of a message begin, without the first one, if each takes as many objects as fit.
+
+    `bits` are the lengths of the objects in the message.
+    """
+    cuts, before = [], 0
+    ends = np.cumsum(bits)
+    while len(ends) and ends[-1] - before > _ROOM_BITS:
+        cuts.append(int(np.searchsorted(ends, before + _ROOM_BITS, side="right")))
+        before = int(ends[cuts[-1] - 1])
+    return cuts
 
 
 def _labels(classes: pd.Series) -> Int[ndarray, "n"]:
     return classes.astype(object).map({kind.name.lower(): int(kind) for kind in ObjectClass}).to_numpy(np.int64)
 
 
-def _objects(
+def objects_of(
     perceived: pd.DataFrame, front_m: Float[ndarray, "d 3"], place: OnEarth, sender: Int[ndarray, "d"]
 ) -> etsi.Objects:
-    """Objects seen from the front of their senders, turned to true north."""
+    """Objects seen from the front of their senders, turned to true north, with the velocities that are known.
+
+    Parameters
+    ----------
+    perceived
+        Rows of the table `detections`.
+    front_m
+        Front of the sender of each object, on the ground.
+    place
+        Directions and scale of the map at the senders.
+    sender
+        Row of `place` of each object.
+    """
     box = perceived[BOX].to_numpy(float)
     away = box[:, :3] - front_m
     turn, scale = place.turn_rad[sender], place.scale[sender]
     cos, sin = np.cos(turn) / scale, np.sin(turn) / scale
     away[:, 0], away[:, 1] = cos * away[:, 0] + sin * away[:, 1], cos * away[:, 1] - sin * away[:, 0]
+    number, velocity = perceived.detection_index.to_numpy(np.int64), None
+    if set(TRACKED) <= set(perceived.columns):
+        track = perceived.object_id
+        number = np.where(track.isna(), TRACKS + number, track.fillna(0).astype(np.int64) % TRACKS)
+        east, north = perceived[["velocity_east_mps", "velocity_north_mps"]].to_numpy(float, na_value=np.nan).T
+        cos, sin = np.cos(turn), np.sin(turn)
+        velocity = np.column_stack([cos * east + sin * north, cos * north - sin * east])
     return etsi.Objects.of(
-        perceived.detection_index.to_numpy(np.int64), _labels(perceived["class"]), away, box[:, 3:6],
-        box[:, 6] - turn, perceived.score.to_numpy(float),
+        number, _labels(perceived["class"]), away, box[:, 3:6], box[:, 6] - turn, perceived.score.to_numpy(float),
+        velocity,
     )  # fmt: skip
 
 

@@ -14,6 +14,12 @@ def multiplicity(run: Run) -> pd.DataFrame:
     return pd.DataFrame([_ratios(_counts(run).sum())])
 
 
+def evaluators_per_object(run: Run) -> float:
+    """Mean number of evaluators behind a fused object, of the run's variant; NaN where no objects were fused."""
+    n_objects = sum(len(part) for part in run.variant_parts("fused", ["step"]))
+    return float(run.variant_table("fused_evidence").n_evaluators.sum() / n_objects) if n_objects else np.nan
+
+
 def over_time(run: Run, every_s: float = 10.0) -> pd.DataFrame:
     """The same in windows of time: time_s (of their start) and the columns of `multiplicity`."""
     counts = _counts(run)

@@ -108,6 +108,32 @@ def inter_reception(run: Run, message_type: MessageType = "cpm") -> pd.DataFrame
     }).reset_index(drop=True)  # fmt: skip
 
 
+LEFT_OUT = ("n_waiting", "n_not_due", "n_redundant", "n_over_limit")
+
+
+def cpm(run: Run) -> pd.DataFrame:
+    """One row: n_sent (detection messages), rate_hz, objects and length_bytes per message, shares of objects left out.
+
+    The rate is that of one equipped vehicle while it is on the road, under all its pseudonyms together. The shares are
+    of all objects that vehicles would report, in columns named as in the table `cpm_content`.
+    """
+    columns = ["length_bytes", "n_objects", "n_included", *LEFT_OUT]
+    total, of_sent, n_sent = np.zeros(len(columns)), np.zeros(len(columns)), 0
+    for part in run.parts("cpm_content", columns):
+        rows = part[columns].to_numpy(np.float64)
+        sent = rows[rows[:, 0] > 0]
+        total, of_sent, n_sent = total + rows.sum(axis=0), of_sent + sent.sum(axis=0), n_sent + len(sent)
+    if not n_sent:
+        raise ValueError(f"{run.path} holds no detection messages: no vehicle sent one. Raise fleet.penetration_p.")
+    vehicles = run.vehicles[run.vehicles.equipped]
+    n_steps = (vehicles.last_step - vehicles.first_step + 1).sum()
+    return pd.DataFrame([{
+        "n_sent": n_sent, "rate_hz": n_sent / (n_steps * run.dt_s), "objects": of_sent[2] / n_sent,
+        "length_bytes": of_sent[0] / n_sent,
+        **{name: total[3 + i] / total[1] if total[1] else np.nan for i, name in enumerate(LEFT_OUT)},
+    }])  # fmt: skip
+
+
 def by_place(run: Run, cell_m: float = 50.0) -> pd.DataFrame:
     """The channel by place of the receiver: x_m, y_m (middle of the cell), n, cbr, pdr."""
     sums: list[pd.DataFrame] = []

@@ -327,6 +327,9 @@ def evidence(of):
     yield "copies_per_evaluation", "", ratio(total.n_copies, total.n_evaluations)
     if len(fused):
         yield "fused.multiplicity", "", ratio(fused.n_evaluations.sum(), fused.n_evaluators.sum())
+    objects = of.table("fused") if (of.path / "fused").is_dir() else ()
+    if len(objects):
+        yield "fused.evaluators.mean", "", ratio(fused.n_evaluators.sum(), len(objects))
     made, boxes = of.table("evaluations"), of.table("detections")
     if not len(made) or not len(boxes):
         return
@@ -469,6 +472,16 @@ def radio(of):
     yield "pir.mean_s", "", ratio((gaps.pir_steps * n).sum() * of.dt_s, n.sum())
     yield "pir.after_loss.share", "", ratio(n[n_lost > 0].sum(), n.sum())
     yield "lost_in_a_row.mean", "", ratio((n_lost * n).sum(), n[n_lost > 0].sum())
+    sent, who = of.table("cpm_content"), vehicles(of)
+    if len(sent):
+        on_air = sent[sent.length_bytes > 0].astype(float)
+        road_s = (who.last_step - who.first_step + 1)[who.equipped].sum() * of.dt_s
+        yield "cpm_rate.mean_hz", "", len(on_air) / road_s
+        yield "cpm_objects.mean", "", on_air.n_included.mean()
+        yield "cpm_length.mean_bytes", "", on_air.length_bytes.mean()
+        for reason in ("waiting", "not_due", "redundant", "over_limit"):
+            share = ratio(sent[f"n_{reason}"].sum(), sent.n_objects.sum())
+            yield "cpm_left_out.share", reason.replace("_", " "), share
     server = of.table("server")
     if len(server) and server.n_reports.sum():
         total = server.sum(numeric_only=True)

@@ -1,4 +1,4 @@
-"""All metrics of five runs of three cities, central and local trust, against a script that shares no code."""
+"""All metrics of six runs of three cities, central and local trust, against a script that shares no code."""
 
 import pytest
 
@@ -12,6 +12,9 @@ RUNS = {
     "koenigs-wusterhausen, local, pseudonyms": (
         "traffic.scenario=koenigs-wusterhausen", "trust.host=local", "traffic.step_s=0.5", "pseudonyms.policy=c2c",
         "driver.model=cautious",
+    ),
+    "helsinki, messages as standardised": (
+        "traffic.step_s=0.5", "cpm.rules=etsi", "cpm.length=uper", "cpm.redundancy=dynamics", "cpm.max_objects=3",
     ),
     "adlershof": ("traffic.scenario=adlershof", "seed=3"),
 }  # fmt: skip

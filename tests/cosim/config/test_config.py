@@ -169,3 +169,28 @@ def test_an_own_default_counts_where_a_key_of_the_same_name_is_not_set(tmp_path)
     (tmp_path / "policy.py").write_text(head.format("own_gap_s: float = 7.0") + body.format(changes))
     (tmp_path / "mine.toml").write_text('[pseudonyms]\npolicy = "policy.py:Mine"\n')
     assert chosen(load(tmp_path / "mine.toml"), "pseudonyms")[1].own_gap_s == 1.5
+
+
+def test_the_rules_of_messages_have_moved_to_a_section_of_their_own(tmp_path, caplog):
+    path = tmp_path / "old.toml"
+    path.write_text('[radio]\nrange_m = 150\ncpm_rules = "etsi"\n[cpm]\nlength = "uper"\n')
+    config = load(path)
+    assert (config.cpm.rules, config.cpm.length, config.radio.range_m) == ("etsi", "uper", 150)
+    assert f"radio.cpm_rules in {path.name} is now called cpm.rules" in caplog.text
+    assert load(None, ["radio.cpm_rules=etsi"]).cpm.rules == "etsi"
+    path.write_text('[radio]\ncpm_rules = "etsi"\n[cpm]\nrules = "all"\n')
+    with pytest.raises(ValueError, match=r"radio\.cpm_rules: unknown key"):
+        load(path)
+
+
+@pytest.mark.parametrize(
+    ("override", "words"),
+    [
+        ("cpm.redundancy=entropy", "cpm.redundancy"), ("cpm.max_objects=0", "cpm.max_objects"),
+        ("cpm.interval_s=0.05", "cpm.interval_s"), ("cpm.length=ber", "cpm.length"), ("cpm=3", "cpm"),
+    ],
+)  # fmt: skip
+def test_mistakes_in_the_section_of_messages_are_one_line(override, words):
+    with pytest.raises(ValueError, match=words) as caught:
+        load(None, [override])
+    assert "\n" not in str(caught.value)

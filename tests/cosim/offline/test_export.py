@@ -12,7 +12,8 @@ from tests.results.export import readers
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    return drive(tmp_path_factory.mktemp("export") / "run", "traffic.duration_s=6", "traffic.warmup_s=120")
+    run = tmp_path_factory.mktemp("export") / "run"
+    return drive(run, "traffic.duration_s=6", "traffic.warmup_s=120", "cpm.length=uper")
 
 
 @pytest.fixture(scope="module")
@@ -89,8 +90,18 @@ def test_packets_are_in_helsinki(folder, vehicles, tmp_path):
     sent = run.detections[run.detections.observer.map(run.subjects.vehicle).isin(vehicles) & run.detections.transmitted]
     sent = sent[sent.step.between(2, 5)]
     cpms = [readers.cpm(f["message"]) for f in frames if f["port"] == 2009]
+    encoded = [f["message"] for f in frames if f["port"] == 2009]
+    n_bytes = {(m["station"], m["time_ms"]): len(e) for m, e in zip(cpms, encoded, strict=True)}
     assert sum(len(m["objects"]) for m in cpms) == (sent.detection_index > 0).sum() > 0
     assert len(frames) - len(cpms) == (sent.detection_index == 0).sum() == 12
+    content = run.cpm_content.set_index(["step", "sender"])
+    for (
+        message
+    ) in cpms:  # with 44 bytes of the network and 96 of the signature; the self report is an object of 273 bits
+        row = content.loc[((message["time_ms"] - 662_774_405_000) // 1000, message["station"])]
+        assert row.sensors and message["range"] and row.n_included == len(message["objects"])
+        own = row.length_bytes - 140 - n_bytes[message["station"], message["time_ms"]]
+        assert row.self_report and 34 <= own <= 36
     for frame in frames:  # the network's bounds in degrees, of its own header
         assert 60.164 < frame["lat"] / 1e7 < 60.180 and 24.935 < frame["lon"] / 1e7 < 24.954
 

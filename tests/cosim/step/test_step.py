@@ -20,7 +20,16 @@ KINDS = {
     "server over cellular": (),
     "trust in vehicles": ("trust.host=local",),
     "csma with forwarding": ("radio.model=csma", "radio.relay.max_hops=2", "radio.evaluations=piggybacked"),
-    "beta": ("trust.model=beta", "pseudonyms.policy=disposable", "radio.cpm_rules=etsi", "attacks.0.start_s=2"),
+    "messages as standardised": (
+        "radio.model=csma",
+        "cpm.rules=etsi",
+        "cpm.length=uper",
+        "cpm.redundancy=dynamics",
+        "cpm.max_objects=2",
+        "sensing_interval_s=0.5",
+        "traffic.step_s=0.5",
+    ),
+    "beta": ("trust.model=beta", "pseudonyms.policy=disposable", "cpm.rules=etsi", "attacks.0.start_s=2"),
     "tracks": ("tracking.model=constant_velocity",),
 }
 

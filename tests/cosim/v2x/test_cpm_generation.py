@@ -1,10 +1,15 @@
-"""Generation rules: what is included again, and what is not."""
+"""Generation rules: when a message is generated, what it includes again, what it does not, and how long it is."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from cosim.v2x.cpm_generation import InclusionMemory, select_objects
-from cosim.v2x.messages import SELF, SENSED, Detections
+from cosim.v2x.cpm_generation import CpmState, Generators, Inclusion, beyond_limit, generate
+from cosim.v2x.cpm_params import CpmParams
+from cosim.v2x.messages import SELF, SENSED, Detections, encoded_cpm_bytes
+from results.codes import ObjectClass
+from results.export import etsi
 from sensors.boxes import Boxes
 
 CAR, PEDESTRIAN = 0, 1
@@ -22,12 +27,22 @@ def list_of(*rows):
     )  # fmt: skip
 
 
-def story(*frames):
-    """Who is included in each (time, detections)."""
-    memory, out = InclusionMemory(), []
+ETSI = CpmParams(rules="etsi")
+
+
+def generated(state, seen, time_s, params=ETSI, gap_s=0.0):
+    """One step, in which every observer may send one message; the observers are numbered without gaps."""
+    n = int(seen.observer.max(initial=-1)) + 1
+    at = Generators(np.arange(n) << 16, np.arange(n), np.zeros((n, 2)), np.full(n, gap_s))
+    return generate(state, seen, seen.observer, at, time_s, params)
+
+
+def story(*frames, params=ETSI, gap_s=0.0):
+    """What is included in each (time, detections)."""
+    state, out = CpmState(), []
     for time_s, seen in frames:
-        chosen, memory = select_objects(memory, seen, seen.observer, time_s)
-        out.append(chosen.tolist())
+        state, content = generated(state, seen, time_s, params, gap_s)
+        out.append(content.included.tolist())
     return out
 
 
@@ -56,7 +71,7 @@ def test_people_go_together_after_half_a_second():
     assert first == [True] * 3 and again == [False] * 3
     assert new == [False, True, True, True]  # half a second is over
     assert wait == [False] * 4 and over == [True] * 4
-    assert story((0, crowd), (0.1, more))[1] == [False, True, True, True]  # one is new, so all
+    assert story((0, crowd), (0.1, more))[1] == [False, False, False, True]  # a new one goes alone
 
 
 def test_every_vehicle_has_a_memory_of_its_own():
@@ -75,22 +90,133 @@ def test_at_one_hertz_all_is_sent(interval_s):
 def test_what_an_attack_hides_is_not_included():
     seen = list_of((0, CAR, 0, 0), (0, CAR, 30, 0))
     seen.transmitted[1] = False
-    chosen, memory = select_objects(InclusionMemory(), seen, seen.observer, 0.0)
-    assert chosen.tolist() == [True, False] and len(memory.of) == 1
-    nothing = seen.take(np.zeros(0, int))
-    chosen, memory = select_objects(memory, nothing, nothing.observer, 5.0)
-    assert len(chosen) == 0 and len(memory.of) == 0  # and what is too old is forgotten
+    state, content = generated(CpmState(), seen, 0.0)
+    assert content.inclusion.tolist() == [Inclusion.INCLUDED, Inclusion.WITHHELD] and len(state.included.of) == 1
+    state, content = generated(state, seen.take(np.zeros(0, int)), 5.0)
+    assert len(content.inclusion) == 0 and len(state.included.of) == 0  # and what is too old is forgotten
+    assert len(state.generated.sender) == 0
 
 
 def test_order_does_not_matter():
     g = np.random.default_rng(3)
     rows = sorted((int(g.integers(0, 9)), int(g.integers(0, 4)), float(g.uniform(0, 90)), 0.0) for _ in range(60))
     seen = list_of(*rows)
-    ids = np.arange(9)
-    _, memory = select_objects(InclusionMemory(), seen, ids[seen.observer], 0.0)
+    state, _ = generated(CpmState(), seen, 0.0)
     moved = list_of(*((o, label, x + g.uniform(0, 6), yaw) for o, label, x, yaw in rows))
-    chosen, _ = select_objects(memory, moved, ids[moved.observer], 0.3)
+    some = replace(ETSI, max_objects=3)
+    _, content = generated(state, moved, 0.3, some)
     order = g.permutation(60)
-    again, _ = select_objects(memory, moved.take(order), ids[moved.observer[order]], 0.3)
-    assert 0 < chosen.sum() < 60
-    assert again.tolist() == chosen[order].tolist()
+    _, again = generated(state, moved.take(order), 0.3, some)
+    assert 0 < content.included.sum() < 60
+    assert again.inclusion.tolist() == content.inclusion[order].tolist()
+
+
+def with_speed(x, speed, own=0.0):
+    """A vehicle with this speed of its own sees a car at `x` whose speed is known unless it is NaN."""
+    seen = list_of((0, CAR, 0, 0), (0, CAR, x, 0))
+    return replace(seen, speed_mps=np.array([own, np.nan]), velocity_mps=np.array([[np.nan] * 2, [0.0, speed]]))
+
+
+def test_a_change_of_speed_by_more_than_half_a_metre_per_second():
+    def second(*speeds):
+        return [seen for _, seen in story(*((i / 10, with_speed(30, v)) for i, v in enumerate(speeds)))]
+
+    assert second(5.0, 5.5, 5.625) == [True, False, True]
+    assert second(5.0, 4.4, 4.5) == [True, True, False]
+    assert second(np.nan, 9.0, 20.0) == [True, False, False], "no rule where one of the speeds is unknown"
+    own = [(i / 10, with_speed(30, 5.0, v)) for i, v in enumerate((3.0, 3.5, 3.75))]
+    assert [first for first, _ in story(*own)] == [True, False, True], "of the vehicle itself, as stated"
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_a_follower_is_not_taken_for_its_leader(known):
+    """A column of two cars, 5 m apart, at 10 m/s: after 0.5 s the second is where the first was, and has moved 5 m."""
+
+    def at(x):
+        seen = list_of((0, CAR, -90, 0), (0, CAR, x, 0), (0, CAR, x + 5, 0))
+        return replace(seen, velocity_mps=np.array([[np.nan] * 2] + [[10.0, 0.0] if known else [np.nan] * 2] * 2))
+
+    sent = story((0.0, at(0)), (0.3, at(3)), (0.5, at(5)))
+    assert sent[1] == [False] * 3
+    assert sent[2] == [False, known, True], "without velocities, the second counts as the first that stands still"
+
+
+def test_what_does_not_fit_stays_not_included():
+    """Five new objects, two in a message: the rest follow, those of the best score first."""
+    seen = list_of(*[(0, CAR, 30 * i, 0) for i in range(6)])
+    seen = replace(seen, score=np.array([1.0, 0.2, 0.4, 0.6, 0.8, 1.0]))
+    sent = story(*((i / 10, seen) for i in range(4)), params=replace(ETSI, max_objects=2))
+    assert [np.flatnonzero(row).tolist() for row in sent] == [[0, 4, 5], [2, 3], [1], []]
+
+
+def test_the_largest_changes_come_first():
+    """Of three known objects, the first moved 3.9 m (0.49 of 8 m), the second turned 6 degrees (0.75 of 8)."""
+
+    def at(x, yaw):
+        seen = list_of((0, CAR, 0, 0), (0, CAR, 30 + x, 0), (0, CAR, 60, yaw), (0, CAR, 90, 0))
+        return replace(seen, score=np.zeros(4))
+
+    late = (1.0, at(3.9, 6))
+    sent = story((0.0, at(0, 0)), late, params=replace(ETSI, max_objects=1))
+    assert sent[0] == [True, True, False, False], "equal utility: by number"
+    sent = story((0.0, at(0, 0)), late, params=replace(ETSI, max_objects=3))
+    assert sent[1] == [True] * 4
+    first = story((0.0, at(0, 0)), (0.1, at(0, 0)), (0.2, at(3.9, 6)), params=replace(ETSI, max_objects=2))
+    assert first[1] == [False, False, False, True] and first[2] == [False, False, True, False]
+    message, utility = np.array([0, 0, 0, 1, 1]), np.array([1.0, 3.0, 3.0, 0.0, 9.0])
+    over = beyond_limit(message, utility, np.array([1, 2, 3, 1, 2]), 1)
+    assert over.tolist() == [True, False, True, True, False]
+
+
+@pytest.mark.parametrize(("gap_s", "interval_s", "every"), [(0, 0.1, 1), (0.25, 0.1, 3), (0.1, 0.5, 5), (60, 0.1, 10)])
+def test_messages_keep_the_interval_and_congestion_control(gap_s, interval_s, every):
+    """An object that moves 5 m per tenth of a second, always to be included when a message is generated."""
+    frames = [(t / 10, list_of((0, CAR, 0, 0), (0, CAR, 5 * t, 0))) for t in range(21)]
+    sent = story(*frames, params=replace(ETSI, interval_s=interval_s), gap_s=gap_s)
+    assert [car for _, car in sent] == [t % every == 0 for t in range(21)]
+    state = CpmState()
+    for time_s, seen in frames[:2]:
+        state, content = generated(state, seen, time_s, replace(ETSI, interval_s=interval_s), gap_s)
+    expected = Inclusion.INCLUDED if every == 1 else Inclusion.WAITING
+    assert content.inclusion[1] == expected
+
+
+def test_sensors_are_described_once_a_second():
+    parked = list_of((0, CAR, 0, 0), (0, CAR, 30, 0))
+    for rules, times in (("all", {0, 10, 20}), ("etsi", {0, 10, 20})):
+        state, found = CpmState(), set()
+        for t in range(25):
+            state, content = generated(state, parked, t / 10, CpmParams(rules=rules, length="uper"))
+            found |= {t} if content.has_sensors[0] else set()
+        assert found == times
+
+
+def test_lengths_are_those_of_the_encoder():
+    """2,000 random messages: encoded object by object, with 44 bytes of the network and 96 of the signature."""
+    g = np.random.default_rng(7)
+    n = 2000
+    count = g.integers(0, 12, n)
+    message, d = np.repeat(np.arange(n), count), int(count.sum())
+    moves, label = g.random(d) < 0.5, g.integers(0, 4, d)
+    velocity = np.where(moves[:, None], g.uniform(-30, 30, (d, 2)), np.nan)
+    objects = replace(
+        list_of(*[(int(m), int(c), 0, 0) for m, c in zip(message, label, strict=True)]), velocity_mps=velocity
+    )
+    has_sensors = g.random(n) < 0.5
+    length, envelope = encoded_cpm_bytes(objects, message, has_sensors)
+    xyz, lwh = g.uniform(-100, 100, (d, 3)), g.uniform(0.3, 12, (d, 3))
+    encoded = etsi.Objects.of(np.arange(d) % 65536, label, xyz, lwh, g.uniform(-3, 3, d), g.random(d), velocity)
+    begin = np.cumsum(count) - count
+    for m in range(n):
+        part = encoded.between(begin[m], begin[m] + count[m])
+        head = etsi.Head(m, m, m, m, 0, 60.0, None, bool(has_sensors[m]))
+        assert length[m] == 140 + len(etsi.cpm(head, int(count[m]), part))
+        if count[m] == 0:
+            segment = replace(head, segment=(2, 2), has_sensors=False)
+            assert envelope[m] == 140 + len(etsi.cpm(segment, 0, part))
+    own = replace(objects.take(np.zeros(1, int)), speed_mps=np.array([3.0]), velocity_mps=np.full((1, 2), np.nan))
+    assert (
+        encoded_cpm_bytes(own, np.zeros(1, int), np.ones(1, bool))[0][0]
+        == 140 + etsi.cpm_bytes(np.zeros((1, 4), int), n_moving=np.eye(4, dtype=int)[[own.label[0]]])[0]
+    )
+    assert len(ObjectClass) == 4

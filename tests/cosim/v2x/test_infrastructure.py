@@ -131,7 +131,7 @@ def test_causality_in_the_cycle():
 
 
 def test_without_new_objects_no_message_is_sent():
-    every = ("sensing_interval_s=0.5", "traffic.step_s=0.5", "radio.cpm_rules=etsi")
+    every = ("sensing_interval_s=0.5", "traffic.step_s=0.5", "cpm.rules=etsi")
     steps, _ = play(5, *every)
     # The scene stands still: vehicles are sent once a second, the pedestrian every half second by its observers.
     assert [int(t.listed.objects.transmitted.sum()) for t in steps] == [10, 2, 10, 2, 10]

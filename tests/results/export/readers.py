@@ -210,13 +210,19 @@ def cpm(message: bytes) -> dict:
     assert bits.take(1) == 0
     out |= {"time_ms": bits.take(42), **_place(bits)}
     out["segment"] = (bits.take(3, 1), bits.take(3, 1)) if is_segment else None
-    assert bits.take(3, 1) == 3 and bits.take(4, 1) == 1 and bits.take(8) == 3 and bits.take(4) == 0
+    n_containers = bits.take(3, 1)
+    assert bits.take(4, 1) == 1 and bits.take(8) == 3 and bits.take(4) == 0
     out |= {"heading": bits.take(12), "heading_sure": bits.take(7, 1)}
-    assert bits.take(1) == 0 and bits.take(4, 1) == 3
-    n = bits.take(8)
-    assert n == 6 and [bits.take(b) for b in (8, 3, 8, 5, 4, 2)] == [0, 0b010, 1, 2, 1, 0]
-    out["range"] = bits.take(12)
-    assert bits.take(1) == 1 and bits.take(5) == 0 and bits.take(4, 1) == 5
+    assert bits.take(1) == 0
+    out["range"] = None
+    if n_containers == 3:
+        assert bits.take(4, 1) == 3 and bits.take(8) == 6
+        assert [bits.take(b) for b in (8, 3, 8, 5, 4, 2)] == [0, 0b010, 1, 2, 1, 0]
+        out["range"] = bits.take(12)
+        assert bits.take(1) == 1 and bits.take(5) == 0
+    else:
+        assert n_containers == 2
+    assert bits.take(4, 1) == 5
     length = bits.take(15) if bits.take(1) else bits.take(7)
     assert len(bits.rest()) // 8 == length
     assert bits.take(1) == 0
@@ -228,12 +234,20 @@ def cpm(message: bytes) -> dict:
 
 
 def _object(bits: Bits) -> dict:
-    assert bits.take(1) == 0 and bits.take(14) == 0b10010011100110
+    assert bits.take(1) == 0
+    there = bits.take(14)
+    assert there & ~(1 << 12) == 0b10010011100110 & ~(1 << 12)
     out = {"number": bits.take(16), "delta_ms": bits.take(12, -2048)}
     assert bits.take(1) == 1
     for axis in "xyz":
         out[axis] = bits.take(18, -131072)
         assert bits.take(12, 1) == 4096
+    out["velocity"] = None
+    if there >> 12 & 1:
+        assert bits.take(2) == 0b10
+        axes = [(bits.take(15, -16383), bits.take(7, 1)) for _ in "xy"]
+        assert [sure for _, sure in axes] == [127, 127]
+        out["velocity"] = tuple(value for value, _ in axes)
     assert bits.take(2) == 0
     out["angle"] = bits.take(12)
     assert bits.take(7, 1) == 127

@@ -3,12 +3,14 @@
 import shutil
 import subprocess
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from results.codes import ObjectClass
-from results.export import pcap
+from results.export import etsi, pcap
 from results.export.earth import Projection
 from tests.results import tiny
 from tests.results.export import readers, truck
@@ -128,6 +130,65 @@ def test_long_messages_are_segments(tmp_path, kind, number):
     seen = [o for m in messages for o in m["objects"]]
     assert [o["number"] for o in seen] == list(range(1, 256)) and {m["n_objects"] for m in messages} == {255}
     assert seen[9]["class"] == "cyclist" and seen[9]["x"] == pytest.approx(800, abs=1) and seen[9]["z"] == 100
+
+
+def test_sensors_are_described_where_the_message_does_and_in_its_first_segment(tmp_path):
+    run = many(tmp_path, 255)
+    of = replace(truck.selection(run, (0,)), projection=lambda: NORTH)
+    truck.written(pcap.Pcap().plan(of), tmp_path / "out")
+    messages = [readers.cpm(f["message"]) for f in readers.pcap(tmp_path / "out" / "sent.pcap")]
+    assert [m["range"] for m in messages] == [0] + [None] * (len(messages) - 1)
+    (tmp_path / "second").mkdir()
+    seen = [{"step": s, "observer": 0, "detection_index": 1, "class": "car", "score": 0.5, "origin": "sensed",
+             "transmitted": True, **truck.box((9, 0, 1), (4, 2, 1.8), 0.0)} for s in range(4)]  # fmt: skip
+    actors = [{"step": s, "actor": 0, "z_m": 0.75, "speed_mps": 1} for s in range(4)]
+    content = [{"step": s, "sender": 0, "length_bytes": 200, "sensors": s in (0, 2)} for s in range(3)]
+    run = tiny.make(tmp_path / "second", 4, truck.CONFIG, vehicles=[car()], actors=actors, detections=seen,
+                    cpm_content=content)  # fmt: skip
+    of = replace(truck.selection(run, (0,)), projection=lambda: NORTH)
+    truck.written(pcap.Pcap().plan(of), tmp_path / "out")
+    messages = [readers.cpm(f["message"]) for f in readers.pcap(tmp_path / "out" / "sent.pcap")]
+    assert [m["range"] for m in messages] == [0, None, 0, 0], "the last is not in the table"
+
+
+def test_velocities_and_numbers_of_tracks():
+    """North is turned by 90 degrees: 3 m/s to the map's east are 3 m/s to the south. The second object has no track."""
+    rows = [truck.box((9, 0, 1), (4, 2, 1.8), 0.0)] * 3
+    perceived = pd.DataFrame(rows).assign(**{
+        "detection_index": [1, 2, 3], "class": "car", "score": 0.5,
+        "velocity_east_mps": [3.0, np.nan, -1.25], "velocity_north_mps": [0.5, np.nan, 400.0],
+        "object_id": pd.array([7, None, 2**15 + 9], "Int32"),
+    })  # fmt: skip
+    place = replace(NORTH.of_world(np.zeros((1, 2))), turn_rad=np.array([np.pi / 2]))
+    objects = pcap.objects_of(perceived, np.zeros((3, 3)), place, np.zeros(3, int))
+    seen = readers.cpm(etsi.cpm(etsi.Head(1, 2, 3, 4, 5, 6.0), 3, objects.between(0, 3)))["objects"]
+    assert [o["velocity"] for o in seen] == [(50, -300), None, (16382, 125)], "400 m/s: out of range"
+    assert [o["number"] for o in seen] == [7, 2**15 + 2, 9]
+    still = perceived.drop(columns=list(pcap.TRACKED))
+    objects = pcap.objects_of(still, np.zeros((3, 3)), place, np.zeros(3, int))
+    seen = readers.cpm(etsi.cpm(etsi.Head(1, 2, 3, 4, 5, 6.0), 3, objects.between(0, 3)))["objects"]
+    assert [(o["velocity"], o["number"]) for o in seen] == [(None, 1), (None, 2), (None, 3)]
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_segments_hold_as_many_objects_as_fit(seed):
+    """Also of moving objects, which are longer: every segment fits, and one object more would not."""
+    rng = np.random.default_rng(seed)
+    n = 255
+    label, moves = rng.integers(0, 4, n), rng.random(n) < rng.random()
+    velocity = np.where(moves[:, None], rng.uniform(-30, 30, (n, 2)), np.nan)
+    columns = np.arange(n), label, rng.uniform(-9, 9, (n, 3)), np.ones((n, 3)), rng.uniform(-3, 3, n), rng.random(n)
+    objects = etsi.Objects.of(*columns, velocity)
+    cuts = [0, *pcap.cuts_of(objects.is_used.sum(axis=1)), n]
+    assert len(cuts) - 1 <= 8
+
+    def length(first, last):
+        return 4 + len(etsi.cpm(etsi.Head(1, 2, 3, 4, 5, 6.0, (8, 1)), n, objects.between(first, last)))
+
+    for first, last in pairwise(cuts):
+        assert length(first, last) <= 1398
+        assert last == n or length(first, last + 1) > 1398 - 2
+    assert pcap.cuts_of(np.zeros(0, int)) == []
 
 
 def test_where_on_earth(run, tmp_path):

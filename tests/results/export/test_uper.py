@@ -137,6 +137,26 @@ def test_length_is_that_of_the_bytes(segment):
         etsi.object_bits(["speed"])
 
 
+def test_lengths_of_a_thousand_messages_with_and_without_velocity_and_sensors():
+    rng, n = np.random.default_rng(11), 1000
+    count = rng.integers(0, 60, n)
+    begin, d = np.cumsum(count) - count, int(count.sum())
+    columns, moves = objects(rng, d), rng.random(d) < 0.5
+    velocity = np.where(moves[:, None], rng.uniform(-200, 200, (d, 2)), np.nan)
+    many = etsi.Objects.of(*columns, velocity)
+    of = np.repeat(np.arange(n), count) * 4 + columns[1]
+    still, moving = (np.bincount(of[which], minlength=4 * n).reshape(n, 4) for which in (~moves, moves))
+    sensors = rng.random(n) < 0.5
+    for segment in (None, (8, 8)):
+        lengths = etsi.cpm_bytes(still, is_segment=segment is not None, n_moving=moving, has_sensors=sensors)
+        heads = [head(segment=segment, has_sensors=bool(has)) for has in sensors]
+        assert lengths.tolist() == [
+            len(etsi.cpm(heads[m], 255, many.between(begin[m], begin[m] + count[m]))) for m in range(n)
+        ]
+    with pytest.raises(ValueError, match="0 to 255 objects"):
+        etsi.cpm_bytes(np.array([[200, 0, 0, 0]]), n_moving=np.array([[56, 0, 0, 0]]))
+
+
 @pytest.mark.parametrize(
     ("members", "published"),
     [
