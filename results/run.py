@@ -18,10 +18,11 @@ import pyarrow.parquet as pq
 
 from results import durable, inventory, part_reader, virtual_columns
 from results.codes import BASE_VARIANT
+from results.columns import LEVELS
 from results.durable import Damaged
 from results.inventory import Inventory, Part
 from results.manifest import status_of
-from results.tables import TABLES, schema
+from results.tables import TABLES, kept, schema
 
 T = TypeVar("T")
 
@@ -301,10 +302,12 @@ class Run:
             if name not in TABLES:
                 raise ValueError(f"There is no table {name!r}. The tables are {', '.join(TABLES)}.")
             if name not in self.tables:
-                raise ValueError(
-                    f"{self.path} holds no table {name}: it is kept at record.level = "
-                    f'"{TABLES[name].level}" and above. Set record.level and run again.'
-                )
+                why = f'it is kept at record.level = "{TABLES[name].level}" and above. Set record.level and run again.'
+                record = self.manifest["config"].get("record")
+                level = record.get("level") if isinstance(record, dict) else None
+                if level in LEVELS and name in kept(level) and name not in self.manifest.get("dropped", ()):
+                    why = "an earlier cosim wrote the run, which did not have this table. Run again."
+                raise ValueError(f"{self.path} holds no table {name}: {why}")
 
     def _wanted(self, name: str, columns: Sequence[str] | None) -> pa.Schema:
         self.require(name)

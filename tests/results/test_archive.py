@@ -9,6 +9,7 @@ import pytest
 from results.archive import open_run
 from results.manifest import read_manifest, write_manifest
 from results.measure import measure
+from results.run import Run
 from results.tables import TABLES
 from tests.results.synthetic import write
 
@@ -112,3 +113,15 @@ def test_measure_says_what_it_cannot(broken):
     assert "observability/part-00000.parquet is missing" in numbers.group["detection.not_measured"]
     assert "encounters/part-00000.parquet is missing" in numbers.group["encounters.not_measured"]
     assert "radio.not_measured" not in numbers.index
+
+
+def test_a_table_that_an_earlier_cosim_did_not_have(broken):
+    """Its folder and its line in the manifest are not there, and all else is read."""
+    manifest = read_manifest(broken)
+    manifest["config"]["record"] = {"level": "standard"}
+    manifest["inventory"]["tables"].pop("tracks", None)
+    shutil.rmtree(broken / "tracks", ignore_errors=True)
+    before = Run(broken, manifest)
+    with pytest.raises(ValueError, match="holds no table tracks: an earlier cosim wrote the run"):
+        before.table("tracks")
+    assert "tracks" not in before.tables and len(before.detections)

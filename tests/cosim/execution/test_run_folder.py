@@ -61,7 +61,8 @@ def test_twelve_into_one_folder_are_one_run_and_refusals(tmp_path):
 
 
 SHORT = [
-    word for key in ("traffic.duration_s=12", "traffic.warmup_s=60", "record.block_steps=4") for word in ("--set", key)
+    word for key in ("traffic.duration_s=12", "traffic.warmup_s=60", "record.block_steps=4",
+                     "tracking.model=constant_velocity") for word in ("--set", key)
 ]  # fmt: skip
 
 
