@@ -140,10 +140,11 @@ class Config:
                 f"radio.timeout_s = {self.radio.timeout_s:g} s: two rounds of messages do not fit between two times of "
                 f"sensing, {schedule.exchange_interval_s:g} s apart. Set it to half of that, or less."
             )
-        if self.tracking.model != "none" and self.tracking.keep_s < self.sensing_interval_s:
+        longest_s = schedule.longest_steps * self.traffic.step_s
+        if self.tracking.model != "none" and self.tracking.keep_s < longest_s - 1e-9:
             raise ValueError(
-                f"tracking.keep_s = {self.tracking.keep_s:g} s is shorter than sensing_interval_s = "
-                f"{self.sensing_interval_s:g} s: every track would end before its object can be detected again. Set "
+                f"tracking.keep_s = {self.tracking.keep_s:g} s is shorter than the longest sensing interval, "
+                f"{longest_s:g} s: every track would end before its object can be detected again. Set "
                 "tracking.keep_s to two intervals or more."
             )
         if self.server.uplink == "rsu" and not (self.rsu.at or self.rsu.n_at_junctions):

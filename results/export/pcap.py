@@ -38,7 +38,6 @@ from results.export import etsi, kitti
 from results.export.earth import OnEarth, Projection
 from results.export.frames import compass_deg
 from results.export.moments import BOX, Clouds, File, Plan, Selection, Unit
-from results.tables import TABLES
 
 START_S = 1_735_689_600
 """Second 0 of a run, in seconds since 1970 (UTC): 2025-01-01 00:00."""
@@ -61,8 +60,10 @@ PACKET_BYTES = 500
 RECEIVERS = 40
 """Receivers of one unit of work."""
 
-TRACKED = ("velocity_east_mps", "velocity_north_mps", "object_id")
-"""Columns of `detections` of tracked objects, if the run has them."""
+KEY = ("step", "observer", "detection_index")
+
+TRACKED = ("velocity_x_mps", "velocity_y_mps", "object_id")
+"""Columns of the table `tracks`; a run without tracking has no rows there."""
 
 TRACKS = 2**15
 """Numbers of tracked objects are below this."""
@@ -172,13 +173,14 @@ class Packets:
         """Frames of the messages of these pseudonyms (None: all) in these steps, by step and pseudonym."""
         where = pc.field("step").isin(steps.tolist())
         mine = where if observers is None else where & pc.field("observer").isin(observers)
-        tracked = [name for name in TRACKED if name in TABLES["detections"].columns]
-        columns = ["step", "observer", "detection_index", "class", *BOX, "score", "transmitted", "speed_mps",
-                   "acceleration_mps2", *tracked]  # fmt: skip
-        listed = self.selection.run.table("detections", columns, mine)
-        listed = listed[listed.transmitted].sort_values(["step", "observer", "detection_index"], ignore_index=True)
+        columns, key = [*BOX, "class", "score", "transmitted", "speed_mps", "acceleration_mps2"], list(KEY)
+        listed = self.selection.run.table("detections", [*key, *columns], mine)
+        listed = listed[listed.transmitted].sort_values(key, ignore_index=True)
         if listed.empty:
             return {}
+        if "tracks" in self.selection.run.tables:
+            tracks = self.selection.run.table("tracks", [*key, *TRACKED], mine)
+            listed = listed.merge(tracks, on=key, how="left") if len(tracks) else listed
         senders = self._senders(listed, where)
         of_sender = listed[["step", "observer"]].merge(
             senders[["step", "observer"]].assign(sender=range(len(senders))), how="left"
@@ -308,7 +310,7 @@ def objects_of(
     if set(TRACKED) <= set(perceived.columns):
         track = perceived.object_id
         number = np.where(track.isna(), TRACKS + number, track.fillna(0).astype(np.int64) % TRACKS)
-        east, north = perceived[["velocity_east_mps", "velocity_north_mps"]].to_numpy(float, na_value=np.nan).T
+        east, north = perceived[["velocity_x_mps", "velocity_y_mps"]].to_numpy(float, na_value=np.nan).T
         cos, sin = np.cos(turn), np.sin(turn)
         velocity = np.column_stack([cos * east + sin * north, cos * north - sin * east])
     return etsi.Objects.of(

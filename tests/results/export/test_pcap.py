@@ -156,7 +156,7 @@ def test_velocities_and_numbers_of_tracks():
     rows = [truck.box((9, 0, 1), (4, 2, 1.8), 0.0)] * 3
     perceived = pd.DataFrame(rows).assign(**{
         "detection_index": [1, 2, 3], "class": "car", "score": 0.5,
-        "velocity_east_mps": [3.0, np.nan, -1.25], "velocity_north_mps": [0.5, np.nan, 400.0],
+        "velocity_x_mps": [3.0, np.nan, -1.25], "velocity_y_mps": [0.5, np.nan, 400.0],
         "object_id": pd.array([7, None, 2**15 + 9], "Int32"),
     })  # fmt: skip
     place = replace(NORTH.of_world(np.zeros((1, 2))), turn_rad=np.array([np.pi / 2]))
