@@ -80,7 +80,7 @@ def test_tables_of_a_run(runs):
     ("keys", "told"),
     [
         (("tracking.model=kalman",), "'none' or 'constant_velocity'"),
-        ((ON, "sensing_interval_s=5"), "tracking.keep_s = 2.5 s is shorter than sensing_interval_s = 5 s"),
+        ((ON, "sensing_interval_s=5"), "tracking.keep_s = 2.5 s is shorter than the longest sensing interval, 5 s"),
         (("tracking.gate_p=1",), "tracking.gate_p"),
         (("tracking.position_sigma_m=[1, 1]",), "tracking.position_sigma_m"),
     ],
