@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from cosim import __version__
-from cosim.cli import extend, interchange, studies
+from cosim.cli import contacts, extend, interchange, studies
 from cosim.cli import reproduce as reproductions
 from cosim.cli.console import (
     AsJson,
@@ -49,6 +49,7 @@ app.add_typer(nets, name="nets")
 studies.add_to(app)
 reproductions.add_to(app)
 interchange.add_to(app)
+contacts.add_to(app)
 extend.add_to(app)
 
 ConfigPath = Annotated[Path | None, typer.Argument(help="Config file (TOML). Without one, the default city is used.")]
