@@ -61,6 +61,7 @@ Picture = Literal[
     "trust",
     "misbehaviour",
     "encounters",
+    "durations",
     "freshness",
     "radio",
     "detection",
@@ -301,9 +302,9 @@ def plot(
         float | None,
         typer.Option(min=0, max=1, help="freshness with --over: a ghost with this score or more is believed."),
     ] = None,
-    radius_m: Annotated[float | None, typer.Option(help="map, contacts: radius of the encounters, in metres.")] = None,
+    radius_m: Annotated[float | None, typer.Option(help="map, contacts, durations: radius of the encounters, in metres.")] = None,
     pairs: Annotated[
-        str | None, typer.Option(help="map, contacts: pairs of the encounters, as encounters.pairs.")
+        str | None, typer.Option(help="map, contacts, durations: pairs of the encounters, as encounters.pairs.")
     ] = None,
 ) -> None:
     """Draw a figure of one run, of several runs, or of a study over a swept key."""
