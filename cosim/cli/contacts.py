@@ -17,10 +17,13 @@ if TYPE_CHECKING:
 
 Pairs = Literal["all", "equipped", "los", "all_los"]
 
+judges = typer.Typer(no_args_is_help=True, help="Put figures of runs beside what others have published.")
+
 
 def add_to(app: typer.Typer) -> None:
-    """Add the command `contacts`."""
+    """Add the commands `contacts` and `judge`."""
     app.command()(contacts)
+    app.add_typer(judges, name="judge")
 
 
 def contacts(
@@ -201,3 +204,81 @@ def _encounters(values: dict[Any, float]) -> list[str]:
             said = f"; median duration by Kaplan-Meier {plain(median_s)} s" if median_s is not None else ""
             lines.append(f"{plain(n)} ({definition}){said}; the start of {unseen:.0%} was not seen")
     return lines or ["none: no two came within the radius of each other"]
+
+
+@judges.command("contacts")
+def judge_contacts(
+    runs: Annotated[list[Path], typer.Argument(help="Folders that `cosim run` or `cosim contacts` wrote.")],
+    departure: Annotated[
+        Literal["ends", "censors"], typer.Option(help="Whether a vehicle that leaves ends its encounters.")
+    ] = "ends",
+    as_json: AsJson = False,
+) -> None:
+    """Print published facts about contacts, each with its source and the figure of each run, and rank families."""
+    from results.archive import open_run
+    from results.durations.facts import judge, sentences
+
+    answers: dict[str, Any] = {}
+    for folder in runs:
+        run = open_run(folder)
+        run.require("encounters", "vehicles")
+        if not run.n_rows("encounters"):
+            raise ValueError(
+                f"{folder} holds no encounters: no two came within the radius of each other. Raise the radius."
+            )
+        answers[str(folder)] = judge(run, departure), sentences(run, departure)
+    if as_json:
+        print_json({
+            name: {"facts": rows_of(facts), "families": rows_of(ranks)} for name, (facts, ranks) in answers.items()
+        })  # fmt: skip
+        return
+    first = next(iter(answers.values()))[0]
+    for i, fact in enumerate(first.itertuples()):
+        screen.print(Text.assemble((f"{fact.fact}: ", "bold"), str(fact.published)), soft_wrap=True)
+        screen.print(f"  {fact.conditions}. {fact.source} ({fact.read} read)", soft_wrap=True)
+        for name, (facts, _) in answers.items():
+            row = facts.iloc[i]
+            said = f"{row.ours}: " if row.ours else ""
+            screen.print(
+                Text.assemble(f"  {name}: {said}", (row.verdict, "bold"), f"; {row.why}."), soft_wrap=True
+            )  # fmt: skip
+    screen.print()
+    for name, (_, ranks) in answers.items():
+        screen.print(Text(f"{name}: families by AIC", "bold"), soft_wrap=True)
+        for row in ranks.itertuples():
+            screen.print(f"  {row.ranking}" if row.ranking else f"  {row.what}", soft_wrap=True)
+            screen.print(f"    {row.sentence}", soft_wrap=True)
+
+
+@judges.command("streets")
+def judge_streets_of(
+    runs: Annotated[list[Path], typer.Argument(help="Folders of runs with the table `actors`, one per city.")],
+    radius_m: Annotated[
+        float | None, typer.Option("--radius-m", help="Radius of the encounters. The default is the smallest one.")
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Say which property of the streets makes encounters long: hazard ratios of a proportional hazards model."""
+    from cosim.offline.streets import judge_streets
+
+    cities, streets, both = judge_streets(runs, radius_m)
+    if as_json:
+        tables = {"cities": cities, "streets": streets, "streets_and_headings": both}
+        print_json({name: rows_of(table) for name, table in tables.items()})
+        return
+    _print_frame("cities: means at the places where encounters begin", cities)
+    _print_frame("hazard of the end, per standard deviation within a city; below 1 makes encounters longer", streets)
+    _print_frame("the same, beside the directions of the two vehicles", both)
+
+
+def _print_frame(title: str, frame: Any) -> None:
+    """Print a table of figures."""
+    from rich.box import SIMPLE
+    from rich.table import Column, Table
+
+    first, *others = frame.columns
+    table = Table(first, *(Column(name, justify="right") for name in others), title=title, box=SIMPLE)
+    table.title_justify = "left"
+    for row in frame.itertuples(index=False):
+        table.add_row(str(row[0]), *(plain(float(value)) for value in row[1:]))
+    screen.print(table)

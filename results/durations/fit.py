@@ -8,6 +8,7 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 from scipy import optimize, stats
 
+from results.durations.dyads import sum_of_products
 from results.durations.families import FAMILIES, Family, Free
 from results.durations.samples import Durations
 from results.metrics.intervals import LEVEL
@@ -180,12 +181,5 @@ def _covariance(family: Family, rows: _Distinct, sample: Durations, free: Free) 
     if np.linalg.eigvalsh(-hessian).min() <= max(1e-3, noise):
         return unknown
     inverse = np.linalg.inv(-hessian)
-    of_row = scores[rows.row]
-    units, at_unit = np.unique(np.r_[sample.a, sample.b], return_inverse=True)
-    one, other = at_unit[: len(sample)], at_unit[len(sample) :]
-    _, pair = np.unique(np.minimum(one, other) * len(units) + np.maximum(one, other), return_inverse=True)
-    of_unit = np.column_stack([np.bincount(at_unit, np.tile(column, 2)) for column in of_row.T])
-    of_pair = np.column_stack([np.bincount(pair, column) for column in of_row.T])
-    values, vectors = np.linalg.eigh(of_unit.T @ of_unit - of_pair.T @ of_pair)
-    meat = vectors @ np.diag(np.maximum(values, 0.0)) @ vectors.T
+    meat = sum_of_products(scores[rows.row], sample.a, sample.b)
     return inverse @ meat @ inverse

@@ -13,6 +13,8 @@ from results.durations.families import FAMILIES
 from results.durations.fit import Fit, fit
 from results.durations.samples import Durations
 
+FEWEST_AT_RISK = 20
+"""A Kaplan-Meier curve is drawn and compared as long as so many are left."""
 _SEEN = 1e-9
 """Seconds by which the edges of intervals may differ by rounding."""
 
@@ -84,7 +86,7 @@ def kolmogorov_smirnov(sample: Durations, found: Fit, n_draws: int = 0, seed: in
     Notes
     -----
     Both are conditional on being longer than the first entry. They are compared at the edges of the steps, where all
-    that the data say is known, up to the last observed end. With censoring and fitted parameters the tables of the
+    that the data say is known, as long as `FEWEST_AT_RISK` are left: the last steps of a curve are noise. With censoring and fitted parameters the tables of the
     Kolmogorov-Smirnov test do not hold; the bootstrap repeats what was done. Draws are independent, so in a run, where
     encounters share vehicles, the p-value is too small.
     """
@@ -101,6 +103,7 @@ def kolmogorov_smirnov(sample: Durations, found: Fit, n_draws: int = 0, seed: in
 
 def _distance(sample: Durations, found: Fit) -> float:
     curve = product_limit(sample)
+    curve = curve[curve.n_at_risk >= min(FEWEST_AT_RISK, len(sample))]
     fitted = found.survival(curve.duration_s.to_numpy(), float(sample.entry_s.min()))
     return float(np.abs(curve.survival.to_numpy() - fitted).max())
 

@@ -11,15 +11,11 @@ from matplotlib.lines import Line2D
 
 from results.durations.families import FAMILIES
 from results.durations.fit import fits
-from results.durations.goodness import product_limit, tail_curve
+from results.durations.goodness import FEWEST_AT_RISK, product_limit, tail_curve
 from results.durations.samples import LABELS, Durations, What, definitions, of_run
 from results.figures import style
 from results.metrics.encounters import named
 from results.run import Run
-
-_FEWEST_AT_RISK = 20
-"""Kaplan-Meier curves end where fewer are left."""
-
 
 @style.styled
 def draw(runs: Sequence[Run], radius_m: float | None = None, pairs: str | None = None) -> Figure:
@@ -85,7 +81,7 @@ def _curves(panels: Sequence[Axes], sample: Durations, number: int, is_alone: bo
     if not sample.ended.any():
         return []
     curve = product_limit(sample)
-    curve = curve[curve.n_at_risk >= _FEWEST_AT_RISK]
+    curve = curve[curve.n_at_risk >= FEWEST_AT_RISK]
     curve = curve[(curve.survival > 0) & (curve.duration_s > 0)]
     try:
         found = fits(sample)
