@@ -1,10 +1,12 @@
-"""Form of the streets around places of a network: junctions, traffic lights, lengths between junctions, speed limits."""
+"""Form of the streets around places of a network: junctions, lights, lengths between junctions, speed limits."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from math import hypot
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -51,98 +53,117 @@ class Morphology:
     """Lanes of the nearest street, in its direction."""
 
 
+class _Edge(NamedTuple):
+    """An edge of the network for motor vehicles, in one direction."""
+
+    begin: str
+    """Name of the node where it begins."""
+    end: str
+    length_m: float
+    speed_mps: float
+    n_lanes: int
+    line_m: list[tuple[float, float]]
+
+
+class _Node(NamedTuple):
+    xy_m: tuple[float, float]
+    has_lights: bool
+
+
 def read(net_path: Path | str) -> Streets:
-    """The junctions where streets for motor vehicles branch or cross, and these streets.
+    """The junctions of a network where roads for motor vehicles branch or cross, and the streets between them.
 
-    Junctions are those at which vehicles from one street can go on into more than one other, or that more than one
-    street leads into; where a road only bends or changes its lanes, there is none. Streets that meet at such a place
-    are joined.
+    A node with two neighbours is no junction: there a road only bends, or changes its lanes. Edges that follow each
+    other across such nodes are one street.
+
+    Raises
+    ------
+    ValueError
+        In one line: the file is damaged, or has no street for motor vehicles.
     """
-    kinds: dict[str, tuple[float, float, bool]] = {}
-    edges: list[tuple[str, str, float, float, int, list[tuple[float, float]]]] = []
-    state: dict[str, object] = {}
-
-    def start(name: str, attributes: Attributes) -> None:
-        if name == "edge":
-            state.clear()
-            if attributes.get("function", "normal") == "normal":
-                state.update(begin=attributes["from"], end=attributes["to"], lanes=[])
-        elif name == "lane" and state and admits_motors(attributes):
-            shape = [tuple(map(float, p.split(",")[:2])) for p in attributes["shape"].split()]
-            lanes = state["lanes"]
-            assert isinstance(lanes, list)
-            lanes.append((float(attributes["length"]), float(attributes["speed"]), shape))
-        elif name == "junction" and attributes.get("type") != "internal":
-            lights = attributes.get("type") in _LIGHTS
-            kinds[attributes["id"]] = (float(attributes["x"]), float(attributes["y"]), lights)
-
-    def end(name: str) -> None:
-        if name == "edge" and state.get("lanes"):
-            lanes = state["lanes"]
-            assert isinstance(lanes, list)
-            length, speed, shape = lanes[0]
-            edges.append((str(state["begin"]), str(state["end"]), length, speed, len(lanes), shape))
-            state.clear()
-
-    stream(net_path, start, end)
+    edges, nodes = _elements(net_path)
     if not edges:
         raise ValueError(f"{net_path}: no street for motor vehicles.")
     neighbours: dict[str, set[str]] = {}
-    for begin, finish, *_ in edges:
-        neighbours.setdefault(begin, set()).add(finish)
-        neighbours.setdefault(finish, set()).add(begin)
-    crossing = {name for name, others in neighbours.items() if len(others) > 2}
-    street = _joined(edges, crossing)
+    for edge in edges:
+        neighbours.setdefault(edge.begin, set()).add(edge.end)
+        neighbours.setdefault(edge.end, set()).add(edge.begin)
+    junctions = {name for name, others in neighbours.items() if len(others) > 2}
+    street = _joined(edges, junctions)
     n = max(street) + 1
-    length = np.bincount(street, [edge[2] for edge in edges], n)
-    speed = np.bincount(street, [edge[3] * edge[2] for edge in edges], n) / length
+    length_m = np.bincount(street, [edge.length_m for edge in edges], n)
     n_lanes = np.zeros(n, np.int64)
-    np.maximum.at(n_lanes, street, [edge[4] for edge in edges])
-    points, of = [], []
-    for number, edge in zip(street, edges, strict=True):
-        on = _along(edge[5])
-        points += on
-        of += [number] * len(on)
-    known = [name for name in sorted(crossing) if name in kinds]
+    np.maximum.at(n_lanes, street, [edge.n_lanes for edge in edges])
+    lines = [_along(edge.line_m) for edge in edges]
+    known = [nodes[name] for name in sorted(junctions) if name in nodes]
     return Streets(
-        np.array([kinds[name][:2] for name in known], float).reshape(-1, 2),
-        np.array([kinds[name][2] for name in known], bool), length, speed, n_lanes, np.array(points), np.array(of),
-    )  # fmt: skip
+        junction_m=np.array([node.xy_m for node in known], float).reshape(-1, 2),
+        has_lights=np.array([node.has_lights for node in known], bool),
+        length_m=length_m,
+        speed_mps=np.bincount(street, [edge.speed_mps * edge.length_m for edge in edges], n) / length_m,
+        n_lanes=n_lanes,
+        point_m=np.concatenate([np.array(line) for line in lines]),
+        point_street=np.repeat(street, [len(line) for line in lines]),
+    )
 
 
-def _joined(edges: list, crossing: set[str]) -> list[int]:
-    """Number of the street of each edge: edges that follow each other without a crossing are one street."""
+def _elements(net_path: Path | str) -> tuple[list[_Edge], dict[str, _Node]]:
+    """Edges for motor vehicles, and all nodes by name."""
+    nodes: dict[str, _Node] = {}
+    edges: list[_Edge] = []
+    ends: tuple[str, str] | None = None
+    lanes: list[Attributes] = []
+
+    def start(name: str, attributes: Attributes) -> None:
+        nonlocal ends
+        if name == "edge":
+            is_street = attributes.get("function", "normal") == "normal"
+            ends = (attributes["from"], attributes["to"]) if is_street else None
+            lanes.clear()
+        elif name == "lane" and ends is not None and admits_motors(attributes):
+            lanes.append(attributes)
+        elif name == "junction" and attributes.get("type") != "internal":
+            xy_m = (float(attributes["x"]), float(attributes["y"]))
+            nodes[attributes["id"]] = _Node(xy_m, attributes.get("type") in _LIGHTS)
+
+    def end(name: str) -> None:
+        if name == "edge" and ends is not None and lanes:
+            first = lanes[0]
+            points = [point.split(",") for point in first["shape"].split()]
+            line_m = [(float(point[0]), float(point[1])) for point in points]
+            edges.append(_Edge(*ends, float(first["length"]), float(first["speed"]), len(lanes), line_m))
+
+    stream(net_path, start, end)
+    return edges, nodes
+
+
+def _joined(edges: list[_Edge], junctions: set[str]) -> list[int]:
+    """Number of the street of each edge."""
     onward: dict[str, list[int]] = {}
     for number, edge in enumerate(edges):
-        onward.setdefault(edge[0], []).append(number)
+        onward.setdefault(edge.begin, []).append(number)
+    follower = [-1] * len(edges)
+    for number, edge in enumerate(edges):
+        further = [other for other in onward.get(edge.end, ()) if edges[other].end != edge.begin]
+        if edge.end not in junctions and len(further) == 1:
+            follower[number] = further[0]
     street = [-1] * len(edges)
-    entered = {edge[1]: [] for edge in edges}
-    for number, edge in enumerate(edges):
-        entered[edge[1]].append(number)
-    next_of = [-1] * len(edges)
-    for number, edge in enumerate(edges):
-        if edge[1] not in crossing:
-            further = [other for other in onward.get(edge[1], ()) if edges[other][1] != edge[0]]
-            if len(further) == 1:
-                next_of[number] = further[0]
-    follows = {other for other in next_of if other >= 0}
     count = 0
-    order = [number for number in range(len(edges)) if number not in follows] + list(range(len(edges)))
-    for number in order:
-        if street[number] >= 0:
-            continue
+    followers = set(follower)
+    heads = [number for number in range(len(edges)) if number not in followers]
+    for number in [*heads, *range(len(edges))]:  # the second part is of streets that run in a ring
         at = number
         while at >= 0 and street[at] < 0:
             street[at] = count
-            at = next_of[at]
-        count += 1
+            at = follower[at]
+        count = max(street) + 1
     return street
 
 
-def _along(shape: list[tuple[float, float]]) -> list[tuple[float, float]]:
+def _along(line_m: list[tuple[float, float]]) -> list[tuple[float, float]]:
     """Points on a line, at most 20 m apart, its ends included."""
-    found = [shape[0]]
-    for (x0, y0), (x1, y1) in zip(shape[:-1], shape[1:], strict=True):
+    found = [line_m[0]]
+    for (x0, y0), (x1, y1) in pairwise(line_m):
         n = max(1, int(np.ceil(hypot(x1 - x0, y1 - y0) / _SPACING_M)))
         found += [(x0 + (x1 - x0) * k / n, y0 + (y1 - y0) * k / n) for k in range(1, n + 1)]
     return found

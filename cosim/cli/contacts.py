@@ -157,7 +157,7 @@ def _print_counted(folder: Path, as_json: bool) -> None:
     if as_json:
         print_json({"run": str(folder), "summary": run.manifest["summary"], "measures": rows_of(measures)})
         return
-    values = {(row.metric, row.group): row.value for row in measures.itertuples()}
+    values = {(row["metric"], row["group"]): float(row["value"]) for row in measures.to_dict("records")}
     given = shlex.quote(str(folder))
     lines = {
         "trace": _trace(run, values),
@@ -173,7 +173,7 @@ def _print_counted(folder: Path, as_json: bool) -> None:
         notes.print(f"note: rows left out or sorted: {said}.", soft_wrap=True)
 
 
-def _trace(run: "OpenRun", values: dict[Any, float]) -> list[str]:
+def _trace(run: "OpenRun", values: dict[tuple[str, str], float]) -> list[str]:
     """Sentences on the trace and its interpolation."""
     about = run.manifest["summary"]
     lines = [
@@ -195,7 +195,7 @@ def _trace(run: "OpenRun", values: dict[Any, float]) -> list[str]:
     return lines
 
 
-def _encounters(values: dict[Any, float]) -> list[str]:
+def _encounters(values: dict[tuple[str, str], float]) -> list[str]:
     lines = []
     for (metric, definition), n in values.items():
         if metric == "encounters.n":

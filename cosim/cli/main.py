@@ -302,7 +302,9 @@ def plot(
         float | None,
         typer.Option(min=0, max=1, help="freshness with --over: a ghost with this score or more is believed."),
     ] = None,
-    radius_m: Annotated[float | None, typer.Option(help="map, contacts, durations: radius of the encounters, in metres.")] = None,
+    radius_m: Annotated[
+        float | None, typer.Option(help="map, contacts, durations: radius of the encounters, in metres.")
+    ] = None,
     pairs: Annotated[
         str | None, typer.Option(help="map, contacts, durations: pairs of the encounters, as encounters.pairs.")
     ] = None,

@@ -53,6 +53,7 @@ LAYOUTS: dict[str, Columns] = {
 
 _POINT = r"POINT\s*\(\s*(?P<lat>[-+0-9.eE]+)\s+(?P<lon>[-+0-9.eE]+)\s*\)"
 _CRAWDAD = re.compile(r"^[^;]+;[^;]+;\s*" + _POINT.replace("?P<lat>", "").replace("?P<lon>", "") + r"\s*$")
+_DATE = r"^\d{4}-\d\d-\d\d[ T]\d\d:\d\d"
 _META = re.compile(r"^(\d+)_tracks\.csv(\.gz)?$")
 _SEPARATORS = ";,\t|"
 _MOST_DEGREES = (90.0, 180.0)
@@ -143,12 +144,13 @@ def read(
         repaired["missing"] += int((~good).sum())
         texts = actors[good]
         values, code = np.unique(texts.astype(str), return_inverse=True)
-        first = pd.Series(kind[good]).groupby(code).first() if kind is not None else {}
+        first = np.zeros(len(values), np.int64)
+        first[code[::-1]] = np.arange(len(code))[::-1]
         of = np.empty(len(values), np.int64)
         for row, name in enumerate(values.tolist()):
             if name not in names:
                 names[name] = len(names)
-                kinds.append(str(first[row]) if kind is not None else "")
+                kinds.append(str(kind[good][first[row]]) if kind is not None else "")
             of[row] = names[name]
         parts.append((of[code], time_s[good], xy[good]))
     actor, time_s, xy = (np.concatenate([part[i] for part in parts]) for i in range(3))
@@ -255,13 +257,16 @@ def _crawdad(path: Path) -> tuple[Columns, ndarray, None, Float[ndarray, "n"], F
 
 def _instants(path: Path, name: str, column: pa.ChunkedArray) -> Float[ndarray, "n"]:
     """Seconds since 1970 of dates with times. A time without a zone is taken as UTC."""
+    if _is_text(column.type) and not pc.all(pc.match_substring_regex(column, _DATE)).as_py():
+        bad = next(text for text in column.to_pylist() if text is not None and not re.match(_DATE, text))
+        raise TrafficError(
+            f"{path}: column {name} holds {bad[:40]!r}, which is neither a number of seconds nor a date with a time, "
+            "such as 2014-02-01 00:00:00. Correct it, or name another column."
+        )
     try:
         parsed = pd.to_datetime(column.to_pandas(), utc=True, format="ISO8601", errors="raise")
     except (ValueError, TypeError) as error:
-        raise TrafficError(
-            f"{path}: column {name} is neither a number of seconds nor a date with a time: "
-            f"{' '.join(str(error).split())[:120]}."
-        ) from None
+        raise TrafficError(f"{path}: column {name}: {' '.join(str(error).split())[:120]}.") from None
     microseconds = parsed.dt.tz_localize(None).dt.as_unit("us").to_numpy()
     return np.where(np.isnat(microseconds), np.nan, microseconds.astype(np.int64) / 1e6)
 
@@ -327,9 +332,9 @@ def _without_copies(
     if other.any() and not repair:
         row = int(np.flatnonzero(other)[0])
         raise TrafficError(
-            f"{where}: {names[actor[row]]!r} has two positions at the time {time_s[row]:.10g} s, and {int(other.sum())} "
-            "such rows. Are these recordings of their own? Then count each in its own command; or keep the first of "
-            "such rows with --repair."
+            f"{where}: {names[actor[row]]!r} has two positions at the time {time_s[row]:.10g} s, and there are "
+            f"{int(other.sum())} such rows. Are these recordings of their own? Then count each in its own command; or "
+            "keep the first of such rows with --repair."
         )
     repaired["repeated"] += int(again.sum())
     return ~again
@@ -364,8 +369,8 @@ def _check_metres(where: str, actor: ndarray, time_s: ndarray, xy_m: Float[ndarr
     if is_small and moved.any() and (gone_m[moved] / took_s[moved]).max() < _CRAWL_MPS:
         fastest = (gone_m[moved] / took_s[moved]).max()
         raise TrafficError(
-            f"{where}: nothing is faster than {fastest:.2g} m/s, so x and y look like degrees. Name them with --lat and "
-            "--lon instead."
+            f"{where}: nothing is faster than {fastest:.2g} m/s, so x and y look like degrees. Name them with --lat "
+            "and --lon instead."
         )
 
 

@@ -231,8 +231,8 @@ def _worlds(replayed: Any, traffic: TrafficParams, params: ContactParams, is_tra
             shares += _travelled(before, world, traffic.step_s)
             if len(shares) >= _PROBED and float(np.median(shares)) < 0.05:
                 raise TrafficError(
-                    f"{traffic.trace}: vehicles move {float(np.median(shares)):.2%} of what their speeds say, so x and y "
-                    "look like degrees. Record the trace without --fcd-output.geo."
+                    f"{traffic.trace}: vehicles move {float(np.median(shares)):.2%} of what their speeds say, so x and "
+                    "y look like degrees. Record the trace without --fcd-output.geo."
                 )
         before = world
         n += 1

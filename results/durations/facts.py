@@ -121,13 +121,13 @@ def _link_is_pareto(contacts: Contacts) -> Figure:
     if early < _LEAST_EARLY:
         why = (
             f"{early:.1%} of links end within a quarter of the median, and a density that falls from the beginning, as "
-            f"that of the generalised Pareto, has at least {_LEAST_EARLY:.1%} there: crossing the radius takes its time. "
-            "Positions at long intervals would hide that; the abstract does not say how far apart its positions are"
+            f"that of the generalised Pareto, has at least {_LEAST_EARLY:.1%} there: crossing the radius takes its "
+            "time. Positions at long intervals would hide that; the abstract does not say how far apart its are"
         )
     else:
         why = (
-            "the difference lies in the tail: cars that stand or drive together form a second kind of links. The abstract "
-            "does not say which families were compared"
+            "the difference lies in the tail: cars that stand or drive together form a second kind of links. The "
+            "abstract does not say which families were compared"
         )
     return Figure(ours, "differs", why)
 
@@ -157,8 +157,8 @@ def _split_s(sample: Durations) -> float:
 def _horizon(contacts: Contacts, sample: Durations) -> str:
     seen = float(sample.high_s[sample.ended].max()) if sample.ended.any() else 0.0
     return (
-        f"An actor is on the road for {contacts.mean_time_on_road_s:.0f} s on average, {1 - sample.ended.mean():.0%} of "
-        f"pairs are not seen to meet again, and the longest time observed is {seen:.0f} s"
+        f"An actor is on the road for {contacts.mean_time_on_road_s:.0f} s on average, {1 - sample.ended.mean():.0%} "
+        f"of pairs are not seen to meet again, and the longest time observed is {seen:.0f} s"
     )
 
 
@@ -175,16 +175,16 @@ def _tail_is_exponential(contacts: Contacts) -> Figure:
     except ValueError as error:
         return _too_few(error)
     ours = (
-        f"{label(definition)}: beyond the median of {split_s:.0f} s, generalised Pareto shape {shape:.2f} ({low:.2f} to "
-        f"{high:.2f}); 0 is exponential, here with a mean of {exponential:.0f} s"
+        f"{label(definition)}: beyond the median of {split_s:.0f} s, generalised Pareto shape {shape:.2f} ({low:.2f} "
+        f"to {high:.2f}); 0 is exponential, here with a mean of {exponential:.0f} s"
     )
     if low <= 0 <= high:
         return Figure(ours, "agrees", f"the interval contains 0. {_horizon(contacts, sample)}")
     heavier = "heavier" if shape > 0 else "lighter"
     why = (
         f"the tail is {heavier} than exponential over what is observed. {_horizon(contacts, sample)}. Vehicles here "
-        "leave after one trip, and who meets again within it mostly has the same route or queue. The taxis of the source "
-        "stay in the city, and meet again from other places"
+        "leave after one trip, and who meets again within it mostly has the same route or queue. The taxis of the "
+        "source stay in the city, and meet again from other places"
     )
     return Figure(ours, "differs", why)
 
@@ -239,7 +239,9 @@ def _power_law_to_half_a_day(contacts: Contacts) -> Figure:
         agrees = gain > 0 and low > 0
         return Figure(ours, "agrees" if agrees else "differs", "observed beyond half a day")
     head = "falls like a power law, as in the source" if gain > 0 and low > 0 else "does not fall like a power law"
-    why = f"only the first {seen_s:.0f} s are seen, and there it {head}. What comes after half a day cannot be seen here"
+    why = (
+        f"only the first {seen_s:.0f} s are seen, and there it {head}. What comes after half a day cannot be seen here"
+    )
     return Figure(ours, "not comparable", why)
 
 
@@ -259,8 +261,8 @@ def _buses_power_law(contacts: Contacts) -> Figure:
     shape, low, high = pareto.parameters()["shape"]
     gain = exponential.aic - pareto.aic
     ours = (
-        f"{label(definition)}, two buses: generalised Pareto beats exponential by {gain:,.0f} in AIC, shape {shape:.2f} "
-        f"({low:.2f} to {high:.2f}; above 0 is a power law)"
+        f"{label(definition)}, two buses: generalised Pareto beats exponential by {gain:,.0f} in AIC, shape "
+        f"{shape:.2f} ({low:.2f} to {high:.2f}; above 0 is a power law)"
     )
     agrees = gain > 0 and low > 0
     return Figure(ours, "agrees" if agrees else "differs", _horizon(contacts, of_buses))
@@ -326,7 +328,7 @@ FACTS: tuple[Fact, ...] = (
     ),
     Fact(
         "connection duration, freeway",
-        "most connections last 15 to 30 s, the median is 23 s; mean distance 133 m when they begin, 500 m when they end",
+        "most connections last 15 to 30 s, median 23 s; mean distance 133 m when they begin, 500 m when they end",
         "10 cars with WiFi in loops on 5 miles of a freeway; most connections between opposite directions",
         "Seada, Insights from a freeway car-to-car real-world experiment, ACM WiNTECH 2008",
         "abstract",

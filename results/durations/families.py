@@ -80,7 +80,9 @@ def _hyper_exponential() -> Family:
     def log_sf(x: Float[ndarray, "n"], free: Free) -> Float[ndarray, "n"]:
         short_s, ratio = np.exp(free[1]), 1 + np.exp(free[2])
         with np.errstate(invalid="ignore"):
-            parts = np.stack([-x / short_s + special.log_expit(free[0]), -x / (short_s * ratio) + special.log_expit(-free[0])])
+            parts = np.stack(
+                [-x / short_s + special.log_expit(free[0]), -x / (short_s * ratio) + special.log_expit(-free[0])]
+            )
         return np.where(np.isinf(x), -np.inf, special.logsumexp(parts, axis=0))
 
     def draw(free: Free, p: Float[ndarray, "n"]) -> Float[ndarray, "n"]:

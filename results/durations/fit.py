@@ -172,7 +172,9 @@ def _covariance(family: Family, rows: _Distinct, sample: Durations, free: Free) 
     hessian = np.empty((k, k))
     for i in range(k):
         for j in range(i + 1):
-            second = at(steps[i] + steps[j]) - at(steps[i] - steps[j]) - at(steps[j] - steps[i]) + at(-steps[i] - steps[j])
+            second = (
+                at(steps[i] + steps[j]) - at(steps[i] - steps[j]) - at(steps[j] - steps[i]) + at(-steps[i] - steps[j])
+            )
             hessian[i, j] = hessian[j, i] = float(rows.n @ second) / (4 * _STEP**2)
     # Where a parameter says nothing (two equal means), its curvature is the rounding of a sum of logarithms.
     noise = 1e-15 * abs(float(rows.n @ at(np.zeros(k)))) / _STEP**2

@@ -86,9 +86,9 @@ def kolmogorov_smirnov(sample: Durations, found: Fit, n_draws: int = 0, seed: in
     Notes
     -----
     Both are conditional on being longer than the first entry. They are compared at the edges of the steps, where all
-    that the data say is known, as long as `FEWEST_AT_RISK` are left: the last steps of a curve are noise. With censoring and fitted parameters the tables of the
-    Kolmogorov-Smirnov test do not hold; the bootstrap repeats what was done. Draws are independent, so in a run, where
-    encounters share vehicles, the p-value is too small.
+    that the data say is known, as long as `FEWEST_AT_RISK` are left: the last steps of a curve are noise. With
+    censoring and fitted parameters the tables of the Kolmogorov-Smirnov test do not hold; the bootstrap repeats what
+    was done. Draws are independent, so in a run, where encounters share vehicles, the p-value is too small.
     """
     value = _distance(sample, found)
     if not n_draws:

@@ -17,6 +17,7 @@ from results.figures import style
 from results.metrics.encounters import named
 from results.run import Run
 
+
 @style.styled
 def draw(runs: Sequence[Run], radius_m: float | None = None, pairs: str | None = None) -> Figure:
     """Kaplan-Meier curves of durations and inter-contact times, log-log and semi-logarithmic.
@@ -46,8 +47,8 @@ def draw(runs: Sequence[Run], radius_m: float | None = None, pairs: str | None =
     figure.suptitle(" / ".join(dict.fromkeys(titles)), fontsize=9)
     names = list(FAMILIES)
     entries = [
-        Line2D([], [], color=style.ink(names.index(n) + 1), linestyle=style.dash(names.index(n)), label=FAMILIES[n].label)
-        for n in names if n in shown
+        Line2D([], [], color=style.ink(i + 1), linestyle=style.dash(i), label=FAMILIES[name].label)
+        for i, name in enumerate(names) if name in shown
     ]  # fmt: skip
     if len(runs) == 1:
         entries.insert(0, Line2D([], [], color=style.INKS[0], marker="o", linestyle="", label="Kaplan-Meier, 95 %"))

@@ -27,8 +27,8 @@ def fits(run: Run, what: What = "duration", departure: Departure = "ends", ks_dr
     Returns
     -------
     The columns of `DEFINITION`; family; n, n_ended; aic, bic and delta_aic (to the best family); ks, the
-    Kolmogorov-Smirnov distance to the Kaplan-Meier curve, and ks_p; parameters, as a dictionary of name and (value, low,
-    high). A definition with too few ends has no rows.
+    Kolmogorov-Smirnov distance to the Kaplan-Meier curve, and ks_p; parameters, as a dictionary of names and (value,
+    low, high). A definition with too few ends has no rows.
     """
     rows = []
     for _, definition in definitions(run).iterrows():
