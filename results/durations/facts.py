@@ -60,7 +60,18 @@ class Contacts:
         return found.iloc[0]
 
     def sample(self, what: What, definition: pd.Series) -> Durations:
-        return of_run(self.run, what, definition, self.departure)
+        """Durations by a definition, read once."""
+        name = f"{what} {tuple(definition[c] for c in DEFINITION)} {self.departure}"
+        return self.run.once_for_all(name, lambda: of_run(self.run, what, definition, self.departure))
+
+    def fits(self, what: What, definition: pd.Series) -> list[Fit]:
+        """All families, the best first, fitted once."""
+        name = f"fits to {what} {tuple(definition[c] for c in DEFINITION)} {self.departure}"
+        return self.run.once_for_all(name, lambda: fits(self.sample(what, definition)))
+
+    def fit(self, what: What, definition: pd.Series, family: str) -> Fit:
+        """One of them."""
+        return next(one for one in self.fits(what, definition) if one.name == family)
 
     @property
     def mean_time_on_road_s(self) -> float:
@@ -102,7 +113,7 @@ def _link_is_pareto(contacts: Contacts) -> Figure:
         return _missing("pairs without regard to line of sight")
     sample = contacts.sample("duration", definition)
     try:
-        found = fits(sample)
+        found = contacts.fits("duration", definition)
     except ValueError as error:
         return _too_few(error)
     rank = [one.name for one in found].index("generalised_pareto")
@@ -116,8 +127,7 @@ def _link_is_pareto(contacts: Contacts) -> Figure:
     if rank == 0:
         return Figure(ours, "agrees", "the family of the source has the lowest AIC")
     curve = product_limit(sample)
-    median_s = float(curve.duration_s[curve.survival <= 0.5].min())
-    early = 1 - float(curve.survival[curve.duration_s <= median_s / 4].iloc[-1])
+    early = 1 - _left(curve, _median_s(curve) / 4)
     if early < _LEAST_EARLY:
         why = (
             f"{early:.1%} of links end within a quarter of the median, and a density that falls from the beginning, as "
@@ -130,6 +140,17 @@ def _link_is_pareto(contacts: Contacts) -> Figure:
             "abstract does not say which families were compared"
         )
     return Figure(ours, "differs", why)
+
+
+def _median_s(curve: pd.DataFrame) -> float:
+    """First duration at which half or less is left; NaN if the curve stays above."""
+    return float(curve.duration_s[curve.survival <= 0.5].min())
+
+
+def _left(curve: pd.DataFrame, x_s: float) -> float:
+    """Share that lasts longer than `x_s`; NaN for NaN."""
+    at = int(np.searchsorted(curve.duration_s.to_numpy(), x_s, "right"))
+    return float("nan") if np.isnan(x_s) else 1.0 if at == 0 else float(curve.survival.to_numpy()[at - 1])
 
 
 def _beyond(sample: Durations, from_s: float) -> Durations:
@@ -225,7 +246,7 @@ def _power_law_to_half_a_day(contacts: Contacts) -> Figure:
         return _missing("pairs without regard to line of sight")
     sample = contacts.sample("inter_contact", definition)
     try:
-        exponential, pareto = (fit(sample, name) for name in _DECAYS)
+        exponential, pareto = (contacts.fit("inter_contact", definition, name) for name in _DECAYS)
     except ValueError as error:
         return _too_few(error)
     seen_s = float(sample.high_s[sample.ended].max())
@@ -273,17 +294,12 @@ def _freeway_median(contacts: Contacts) -> Figure:
     if definition is None:
         return _missing("pairs without regard to line of sight")
     curve = product_limit(contacts.sample("duration", definition))
-    survival = curve.survival.to_numpy()
-    at = np.flatnonzero(survival <= 0.5)
-    if not len(at):
+    median_s = _median_s(curve)
+    if np.isnan(median_s):
         return Figure("", "not comparable", "more than half of the links outlast what was observed")
-    median_s = float(curve.duration_s.to_numpy()[at[0]])
-
-    def left(x_s: float) -> float:
-        return float(survival[curve.duration_s.to_numpy() <= x_s][-1])
-
     speed = contacts.mean_speed_mps()
-    ours = f"{label(definition)}: median {median_s:.0f} s, {left(15.0) - left(30.0):.0%} between 15 and 30 s"
+    between = _left(curve, 15.0) - _left(curve, 30.0)
+    ours = f"{label(definition)}: median {median_s:.0f} s, {between:.0%} between 15 and 30 s"
     ours += "" if np.isnan(speed) else f"; mean speed {speed:.1f} m/s"
     if not speed >= 15.0:
         drive = "unknown speed" if np.isnan(speed) else f"{speed:.1f} m/s on average"
@@ -301,9 +317,8 @@ def _los_power_law(contacts: Contacts) -> Figure:
     definition = contacts.definition(has_los=True)
     if definition is None:
         return _missing('pairs with line of sight (pairs = "los" or "all_los")')
-    sample = contacts.sample("duration", definition)
     try:
-        exponential, pareto = (fit(sample, name) for name in _DECAYS)
+        exponential, pareto = (contacts.fit("duration", definition, name) for name in _DECAYS)
     except ValueError as error:
         return _too_few(error)
     shape, low, high = pareto.parameters()["shape"]
@@ -411,14 +426,16 @@ def sentences(run: Run, departure: Departure = "ends") -> pd.DataFrame:
     The columns of `DEFINITION`, what, n, n_ended, ranking, ks (distance of the best), sentence.
     """
     rows = []
+    contacts = Contacts(run, departure)
+    names: dict[What, str] = {"duration": "durations", "inter_contact": "times between encounters"}
     for _, definition in definitions(run).iterrows():
-        for what, name in (("duration", "durations"), ("inter_contact", "times between encounters")):
-            sample = of_run(run, what, definition, departure)  # type: ignore[arg-type]
+        for what, name in names.items():
+            sample = contacts.sample(what, definition)
             row = {column: definition[column] for column in DEFINITION} | {
                 "what": what, "n": len(sample), "n_ended": int(sample.ended.sum()),
             }  # fmt: skip
             try:
-                found = fits(sample)
+                found = contacts.fits(what, definition)
             except ValueError as error:
                 rows.append(row | {"ranking": "", "ks": float("nan"), "sentence": str(error)})
                 continue

@@ -34,7 +34,7 @@ class Family:
 def _exponential() -> Family:
     return Family(
         "exponential", ("mean_s",),
-        lambda x, free: stats.expon.logsf(x, scale=np.exp(free[0])),
+        lambda x, free: -x / np.exp(free[0]),
         np.exp,
         lambda median_s, mean_s: [np.log([mean_s])],
         lambda free, p: stats.expon.isf(p, scale=np.exp(free[0])),
@@ -44,7 +44,7 @@ def _exponential() -> Family:
 def _weibull() -> Family:
     return Family(
         "Weibull", ("shape", "scale_s"),
-        lambda x, free: stats.weibull_min.logsf(x, np.exp(free[0]), scale=np.exp(free[1])),
+        lambda x, free: -((x / np.exp(free[1])) ** np.exp(free[0])),
         np.exp,
         lambda median_s, mean_s: [np.array([0.0, np.log(mean_s)]), np.array([-0.5, np.log(median_s)])],
         lambda free, p: stats.weibull_min.isf(p, np.exp(free[0]), scale=np.exp(free[1])),
@@ -63,7 +63,11 @@ def _log_normal() -> Family:
 
 def _generalised_pareto() -> Family:
     def log_sf(x: Float[ndarray, "n"], free: Free) -> Float[ndarray, "n"]:
-        return stats.genpareto.logsf(x, free[0], scale=np.exp(free[1]))
+        ratio = x / np.exp(free[1])
+        if abs(free[0]) < 1e-9:
+            return -ratio
+        with np.errstate(divide="ignore"):
+            return -np.log1p(np.maximum(free[0] * ratio, -1.0)) / free[0]
 
     return Family(
         "generalised Pareto", ("shape", "scale_s"),

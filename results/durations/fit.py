@@ -78,12 +78,17 @@ class _Distinct:
     n: Float[ndarray, "m"]
     row: Int[ndarray, "n"]
     """Which of them each row of the sample is."""
+    edges_s: Float[ndarray, "e"]
+    """The different ends and entries."""
+    at: Int[ndarray, "3 m"]
+    """Where among them the lower end, the upper end and the entry of each row are."""
 
     @staticmethod
     def of(sample: Durations) -> "_Distinct":
         rows = np.column_stack([sample.low_s, sample.high_s, sample.entry_s])
         rows, row, n = np.unique(rows, axis=0, return_inverse=True, return_counts=True)
-        return _Distinct(rows[:, 0], rows[:, 1], rows[:, 2], n.astype(float), row.ravel())
+        edges_s, at = np.unique(rows.T, return_inverse=True)
+        return _Distinct(*rows.T, n.astype(float), row.ravel(), edges_s, at.reshape(3, len(rows)))
 
 
 def fit(sample: Durations, name: str) -> Fit:
@@ -154,8 +159,8 @@ def _climb(minus, start: Free) -> Free:
 
 def _log_likelihoods(family: Family, rows: _Distinct, free: Free) -> Float[ndarray, "m"]:
     with np.errstate(all="ignore"):
-        low, high = family.log_sf(rows.low_s, free), family.log_sf(rows.high_s, free)
-        entry = family.log_sf(rows.entry_s, free)
+        values = family.log_sf(rows.edges_s, free)
+        low, high, entry = values[rows.at]
         return low + np.log1p(-np.exp(high - low)) - entry
 
 

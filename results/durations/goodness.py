@@ -36,7 +36,7 @@ def product_limit(sample: Durations, level: float = 0.95) -> pd.DataFrame:
     Notes
     -----
     A duration is at risk from its entry on, so those that enter later are not counted before (left truncation). One
-    that is cut off without an end leaves after the ends of the same step.
+    that is cut off after n steps is not at risk of ending after n steps, because the next step was not observed.
     """
     first = float(sample.entry_s.min()) if len(sample) else 0.0
     ended = sample.ended

@@ -1,6 +1,5 @@
 """Distributions of durations of encounters and of the times between them, fitted under censoring."""
 
-import numpy as np
 import pandas as pd
 
 from results.durations.fit import fits as fits_of
@@ -55,9 +54,3 @@ def survival(run: Run, what: What = "duration", departure: Departure = "ends") -
         curve = product_limit(of_run(run, what, definition, departure))
         parts.append(curve.assign(**{column: definition[column] for column in DEFINITION}))
     return pd.concat(parts, ignore_index=True) if parts else pd.DataFrame()
-
-
-def median_of(curve: pd.DataFrame) -> float:
-    """First duration at which half or less is left [s]; NaN if the curve stays above."""
-    at = np.flatnonzero(curve.survival.to_numpy() <= 0.5)
-    return float(curve.duration_s.to_numpy()[at[0]]) if len(at) else float("nan")
