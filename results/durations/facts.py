@@ -16,6 +16,8 @@ from results.run import Run
 Verdict = Literal["agrees", "differs", "not comparable"]
 
 _LOS = ("los", "all_los")
+_OPEN = 0.005
+"""If the numbers of links with and without regard to line of sight differ by less than this share, nothing obstructs."""
 _LEAST_EARLY = 0.125
 """Least share of durations within a quarter of the median, if the density falls: the distribution is then concave."""
 _DECAYS = ("exponential", "generalised_pareto")
@@ -72,6 +74,14 @@ class Contacts:
     def fit(self, what: What, definition: pd.Series, family: str) -> Fit:
         """One of them."""
         return next(one for one in self.fits(what, definition) if one.name == family)
+
+    def is_open(self, definition: pd.Series) -> bool:
+        """Whether links with line of sight are as many as those without this condition, so that nothing obstructs."""
+        rows = self.run.table("encounters", [*DEFINITION])
+        alike = rows[(rows.radius_m == definition["radius_m"]) & (rows.hysteresis_s == definition["hysteresis_s"])]
+        n = alike.pairs.value_counts()
+        plain = {"los": "equipped", "all_los": "all"}[str(definition["pairs"])]
+        return bool(n.get(plain, 0)) and abs(n[definition["pairs"]] / n[plain] - 1) < _OPEN
 
     @property
     def mean_time_on_road_s(self) -> float:
@@ -199,6 +209,10 @@ def _tail_is_exponential(contacts: Contacts) -> Figure:
         f"{label(definition)}: beyond the median of {split_s:.0f} s, generalised Pareto shape {shape:.2f} ({low:.2f} "
         f"to {high:.2f}); 0 is exponential, here with a mean of {exponential:.0f} s"
     )
+    if np.isnan(low):
+        return Figure(
+            ours, "not comparable", f"too little is observed to bound the shape. {_horizon(contacts, sample)}"
+        )
     if low <= 0 <= high:
         return Figure(ours, "agrees", f"the interval contains 0. {_horizon(contacts, sample)}")
     heavier = "heavier" if shape > 0 else "lighter"
@@ -207,6 +221,7 @@ def _tail_is_exponential(contacts: Contacts) -> Figure:
         "leave after one trip, and who meets again within it mostly has the same route or queue. The taxis of the "
         "source stay in the city, and meet again from other places"
     )
+    why += _never_again(shape)
     return Figure(ours, "differs", why)
 
 
@@ -235,6 +250,11 @@ def _exponential_then_log_normal(contacts: Contacts) -> Figure:
         f"trip. {_horizon(contacts, sample)}"
     )
     return Figure(ours, "differs", why)
+
+
+def _never_again(shape: float) -> str:
+    """What a shape without a mean says; empty for one with a mean."""
+    return ". A shape above 1 has no mean: it stands for pairs that never meet again" if shape > 1 else ""
 
 
 _HALF_DAY_S = 12 * 3600.0
@@ -317,6 +337,8 @@ def _los_power_law(contacts: Contacts) -> Figure:
     definition = contacts.definition(has_los=True)
     if definition is None:
         return _missing('pairs with line of sight (pairs = "los" or "all_los")')
+    if contacts.is_open(definition):
+        return Figure("", "not comparable", "nothing obstructs here: the city of the run has no buildings, or few")
     try:
         exponential, pareto = (contacts.fit("duration", definition, name) for name in _DECAYS)
     except ValueError as error:

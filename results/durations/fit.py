@@ -56,7 +56,7 @@ class Fit:
     def parameters(self, level: float = LEVEL) -> dict[str, tuple[float, float, float]]:
         """Value, lower and upper end of the interval of each parameter, by name."""
         half = stats.t.ppf((1 + level) / 2, max(1, self.n_units - 1)) * np.sqrt(np.diag(self.covariance))
-        ends = [self.family.natural(self.free + sign * half) for sign in (0, -1, 1)]
+        ends = [self.family.natural(self.free), *(self.family.natural(self.free + sign * half) for sign in (-1, 1))]
         return {
             name: (float(ends[0][i]), float(ends[1][i]), float(ends[2][i]))
             for i, name in enumerate(self.family.parameters)

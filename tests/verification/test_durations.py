@@ -22,7 +22,9 @@ FREE = {
     "generalised_pareto": np.array([0.3, np.log(15.0)]),
     "hyper_exponential": np.array([0.5, np.log(5.0), np.log(9.0)]),
 }
-GAP = FAMILIES["exponential"], np.log([30.0])
+GAP = FAMILIES["weibull"], np.log([3.0, 30.0])
+"""Gaps of 27 s on average, of which 4 in 100,000 are shorter than a step: a shorter one is bridged unseen, and joins
+two contacts to one encounter."""
 BEFORE_S = 400.0
 """The processes run this long before they are watched, so that the watch begins anywhere in a contact or a gap."""
 
