@@ -17,7 +17,7 @@ Verdict = Literal["agrees", "differs", "not comparable"]
 
 _LOS = ("los", "all_los")
 _OPEN = 0.005
-"""If the numbers of links with and without regard to line of sight differ by less than this share, nothing obstructs."""
+"""If the numbers of links with and without regard to sight differ by less than this share, nothing obstructs."""
 _LEAST_EARLY = 0.125
 """Least share of durations within a quarter of the median, if the density falls: the distribution is then concave."""
 _DECAYS = ("exponential", "generalised_pareto")
@@ -281,7 +281,8 @@ def _power_law_to_half_a_day(contacts: Contacts) -> Figure:
         return Figure(ours, "agrees" if agrees else "differs", "observed beyond half a day")
     head = "falls like a power law, as in the source" if gain > 0 and low > 0 else "does not fall like a power law"
     why = (
-        f"only the first {seen_s:.0f} s are seen, and there it {head}. What comes after half a day cannot be seen here"
+        f"only the first {seen_s:.0f} s are seen, and there it {head}. What comes after half a day is not seen"
+        f"{_never_again(shape)}"
     )
     return Figure(ours, "not comparable", why)
 
