@@ -340,18 +340,21 @@ def _los_power_law(contacts: Contacts) -> Figure:
         return _missing('pairs with line of sight (pairs = "los" or "all_los")')
     if contacts.is_open(definition):
         return Figure("", "not comparable", "nothing obstructs here: the city of the run has no buildings, or few")
+    sample = contacts.sample("duration", definition)
+    split_s = _split_s(sample)
     try:
-        exponential, pareto = (contacts.fit("duration", definition, name) for name in _DECAYS)
+        tail = _beyond(sample, split_s)
+        exponential, pareto = (fit(tail, name) for name in _DECAYS)
     except ValueError as error:
         return _too_few(error)
     shape, low, high = pareto.parameters()["shape"]
     gain = exponential.aic - pareto.aic
     ours = (
-        f"{label(definition)}: generalised Pareto beats exponential by {gain:,.0f} in AIC, shape {shape:.2f} "
-        f"({low:.2f} to {high:.2f}; above 0 is a power law)"
+        f"{label(definition)}: beyond the median of {split_s:.0f} s, generalised Pareto beats exponential by "
+        f"{gain:,.0f} in AIC, shape {shape:.2f} ({low:.2f} to {high:.2f}; above 0 is a power law)"
     )
     if gain > 0 and low > 0:
-        return Figure(ours, "agrees", "the tail is that of a power law")
+        return Figure(ours, "agrees", "the tail beyond the median is that of a power law")
     return Figure(ours, "differs", "links end where the radius ends, which cuts the longest")
 
 
