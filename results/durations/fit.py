@@ -88,7 +88,7 @@ class _Distinct:
         rows = np.column_stack([sample.low_s, sample.high_s, sample.entry_s])
         rows, row, n = np.unique(rows, axis=0, return_inverse=True, return_counts=True)
         edges_s, at = np.unique(rows.T, return_inverse=True)
-        return _Distinct(*rows.T, n.astype(float), row.ravel(), edges_s, at.reshape(3, len(rows)))
+        return _Distinct(rows[:, 0], rows[:, 1], rows[:, 2], n.astype(float), row.ravel(), edges_s, at.reshape(3, -1))
 
 
 def fit(sample: Durations, name: str) -> Fit:
