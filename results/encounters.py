@@ -15,6 +15,9 @@ from results.codes import EncounterPairs, LookupState, LosBlockers, TrustSource
 Rows = dict[str, ndarray]
 """Columns of the table `encounters`, ready for the recorder."""
 
+Appearance = Literal["ends", "censors"]
+"""What an actor's first and last step mean: it enters and leaves the road, or its observation begins and ends."""
+
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class EncounterParams:
@@ -101,12 +104,21 @@ class EncounterTracker:
     The end of a pair's last encounter is remembered while both are on the road.
 
     With `n_variants` trust variants, columns of trust are arrays (encounter, variant): `by_variant` takes them apart.
+
+    If `appearance` is "censors", an actor appears and vanishes because its observation begins and ends, as in a trace
+    with gaps: it may have been on the road before, and the pair may go on. Encounters that begin or end with that
+    are censored.
     """
 
-    def __init__(self, params: EncounterParams, dt_s: float, n_variants: int = 1) -> None:
+    _censors = False
+
+    def __init__(
+        self, params: EncounterParams, dt_s: float, n_variants: int = 1, appearance: Appearance = "ends"
+    ) -> None:
         self.params = params
         self.dt_s = dt_s
         self.n_variants = n_variants
+        self._censors = appearance == "censors"
         # A break of m steps ends the encounter once m * dt_s >= hysteresis_s (but for rounding).
         self._patience = max(1, int(np.ceil(params.hysteresis_s / dt_s - 1e-9)))
         self._step: int | None = None
@@ -187,7 +199,7 @@ class EncounterTracker:
         end = live["end"][self._slot]
         over = np.flatnonzero(gone | (step + 1 - end >= self._patience))
         departed = gone[over] & (end[over] == step)
-        rows = self._rows(over, departed, np.zeros(len(over), bool))
+        rows = self._rows(over, departed, gone[over] & self._censors)
         self._remember(over)
         keep = np.ones(len(self._pair), bool)
         keep[over] = False
@@ -311,6 +323,7 @@ class EncounterTracker:
         opened["censored_left"][:] = first
         if not first:
             opened["entered"][:] = np.isin(pair >> 32, came) | np.isin(pair & 0xFFFFFFFF, came)
+            opened["censored_left"][:] = opened["entered"] & self._censors
         return opened
 
     def _columns(self, n: int) -> Rows:

@@ -16,6 +16,7 @@ from results.metrics import (
     attack,
     contact_graph,
     detection,
+    durations,
     encounters,
     evaluations,
     evidence,
@@ -38,6 +39,7 @@ if TYPE_CHECKING:
 
 TOPICS: Mapping[str, ModuleType] = {
     "encounters": encounters,
+    "durations": durations,
     "trust": trust,
     "misbehaviour": misbehaviour,
     "security": security,

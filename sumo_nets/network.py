@@ -147,6 +147,11 @@ def projection(net_path: Path | str) -> tuple[str, tuple[float, float]]:
     return found[0]
 
 
+def admits_motors(lane: Attributes) -> bool:
+    """Whether a lane lets any motor vehicle in."""
+    return _admits(lane, MOTORS)
+
+
 def _admits(lane: Attributes, classes: frozenset[str]) -> bool:
     if "allow" in lane:
         return "all" in (allowed := lane["allow"].split()) or not classes.isdisjoint(allowed)

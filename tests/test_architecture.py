@@ -16,6 +16,7 @@ FOREIGN = {
     "trust": {"annotated_types", "jaxtyping", "numpy", "numba", "scipy"},
     "results": {
         "annotated_types", "jaxtyping", "numpy", "numba", "scipy", "pyarrow", "pandas", "networkx", "matplotlib",
+        "statsmodels",
     },
     "sumo_nets": {"annotated_types", "jaxtyping", "numpy", "scipy", "shapely", "osmium", "sumo", "sumolib"},
     "cosim": {
@@ -33,6 +34,7 @@ ONE_FILE = {
     "open3d": {"sensors/raycast/open3d.py"},
     "pydantic": {"cosim/config/data.py"},
     "rerun": {"cosim/offline/view.py"},
+    "statsmodels": {"results/durations/hazards.py"},
     "trimesh": {"cosim/mobility/meshes.py"},
     "osmium": {"sumo_nets/osm.py"},
     "distributed": {"cosim/studies/engine.py"},

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from cosim import __version__
-from cosim.cli import extend, interchange, studies
+from cosim.cli import contacts, extend, interchange, studies
 from cosim.cli import reproduce as reproductions
 from cosim.cli.console import (
     AsJson,
@@ -49,6 +49,7 @@ app.add_typer(nets, name="nets")
 studies.add_to(app)
 reproductions.add_to(app)
 interchange.add_to(app)
+contacts.add_to(app)
 extend.add_to(app)
 
 ConfigPath = Annotated[Path | None, typer.Argument(help="Config file (TOML). Without one, the default city is used.")]
@@ -60,6 +61,7 @@ Picture = Literal[
     "trust",
     "misbehaviour",
     "encounters",
+    "durations",
     "freshness",
     "radio",
     "detection",
@@ -300,9 +302,11 @@ def plot(
         float | None,
         typer.Option(min=0, max=1, help="freshness with --over: a ghost with this score or more is believed."),
     ] = None,
-    radius_m: Annotated[float | None, typer.Option(help="map, contacts: radius of the encounters, in metres.")] = None,
+    radius_m: Annotated[
+        float | None, typer.Option(help="map, contacts, durations: radius of the encounters, in metres.")
+    ] = None,
     pairs: Annotated[
-        str | None, typer.Option(help="map, contacts: pairs of the encounters, as encounters.pairs.")
+        str | None, typer.Option(help="map, contacts, durations: pairs of the encounters, as encounters.pairs.")
     ] = None,
 ) -> None:
     """Draw a figure of one run, of several runs, or of a study over a swept key."""

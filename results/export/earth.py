@@ -114,6 +114,24 @@ class Projection:
             np.arctan(np.tan(away) * np.sin(lat)), self.scale * np.cosh(east),
         )  # fmt: skip
 
+    def to_world(self, latitude_deg: Float[ndarray, "n"], longitude_deg: Float[ndarray, "n"]) -> Float[ndarray, "n 2"]:
+        """World coordinates, east and north [m], of places on Earth: the inverse of `of_world`.
+
+        Parameters
+        ----------
+        latitude_deg, longitude_deg
+            At most 3,000 km from the central meridian.
+        """
+        lat, away = np.radians(latitude_deg), np.radians(np.asarray(longitude_deg, float) - self.longitude_deg)
+        t = np.sinh(np.arctanh(np.sin(lat)) - E * np.arctanh(E * np.sin(lat)))
+        xi, eta = np.arctan2(t, np.cos(away)), np.arcsinh(np.sin(away) / np.hypot(t, np.cos(away)))
+        j, alpha = 2 * np.arange(1, 5)[:, None], np.array(ALPHA)[:, None]
+        north = xi + (alpha * np.sin(j * xi) * np.cosh(j * eta)).sum(axis=0)
+        east = eta + (alpha * np.cos(j * xi) * np.sinh(j * eta)).sum(axis=0)
+        stretch = self.scale * RADIUS_M
+        origin = _rectified(math.radians(self.latitude_deg))
+        return np.column_stack([stretch * east - self.east_m, stretch * (north - origin) - self.north_m])
+
 
 def _rectified(lat_rad: float) -> float:
     """Length of the meridian from the equator, as an angle."""

@@ -59,3 +59,22 @@ def test_sumo_projects_to_the_same_place():
 def test_other_maps_are_refused(text):
     with pytest.raises(ValueError, match="no transverse Mercator map of WGS84"):
         Projection.of(text, 0, 0)
+
+
+@pytest.mark.parametrize(
+    "projection", [Projection.of(UTM, 0.0, 6_671_000.0), Projection(41.9, 12.5), Projection(-33.9, 151.2)]
+)
+def test_there_and_back(projection):
+    places = np.array([[0.0, 0.0], [300.0, -20.0], [-90_000.0, 40_000.0]])
+    earth = projection.of_world(places)
+    np.testing.assert_allclose(projection.to_world(earth.latitude_deg, earth.longitude_deg), places, atol=1e-5)
+
+
+def test_metres_are_those_of_the_ellipsoid():
+    """A degree at 41.9 degrees north by the radii of curvature: 111.07 km of latitude, 82.99 km of longitude."""
+    e2, lat = 0.00669437999014, np.radians(41.9)
+    root = np.sqrt(1 - e2 * np.sin(lat) ** 2)
+    north_m, east_m = 6378137 * (1 - e2) / root**3, 6378137 * np.cos(lat) / root
+    xy = Projection(41.9, 12.5).to_world(np.array([41.9005, 41.9]), np.array([12.5, 12.5005]))
+    expected = np.radians(0.0005) * np.array([[0, north_m], [east_m, 0]])
+    np.testing.assert_allclose(xy, expected, atol=1e-3)

@@ -1,0 +1,119 @@
+"""Families of distributions of durations, by their survival functions."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+from scipy import special, stats
+
+Free = Float[ndarray, "k"]
+"""Parameters without bounds, in which the likelihood is maximised and intervals are symmetric."""
+
+
+@dataclass(frozen=True, slots=True)
+class Family:
+    """A family of distributions on the positive numbers.
+
+    `log_sf(x, free)` is the logarithm of the survival function, -inf where nothing lasts so long.
+    """
+
+    label: str
+    parameters: tuple[str, ...]
+    """Names, with units as suffix; in the order of the free parameters, one to one and increasing in each."""
+    log_sf: Callable[[Float[ndarray, "n"], Free], Float[ndarray, "n"]]
+    natural: Callable[[Free], Float[ndarray, "k"]]
+    """Parameters in their own units from the free ones, each from the one in its place."""
+    starts: Callable[[float, float], list[Free]]
+    """Where to begin, from the median and the mean of durations."""
+    draw: Callable[[Free, Float[ndarray, "n"]], Float[ndarray, "n"]]
+    """Durations at these survival probabilities (inverse of the survival function)."""
+
+
+def _exponential() -> Family:
+    return Family(
+        "exponential", ("mean_s",),
+        lambda x, free: -x / np.exp(free[0]),
+        np.exp,
+        lambda median_s, mean_s: [np.log([mean_s])],
+        lambda free, p: stats.expon.isf(p, scale=np.exp(free[0])),
+    )  # fmt: skip
+
+
+def _weibull() -> Family:
+    return Family(
+        "Weibull", ("shape", "scale_s"),
+        lambda x, free: -((x / np.exp(free[1])) ** np.exp(free[0])),
+        np.exp,
+        lambda median_s, mean_s: [np.array([0.0, np.log(mean_s)]), np.array([-0.5, np.log(median_s)])],
+        lambda free, p: stats.weibull_min.isf(p, np.exp(free[0]), scale=np.exp(free[1])),
+    )  # fmt: skip
+
+
+def _log_normal() -> Family:
+    return Family(
+        "log-normal", ("median_s", "sigma"),
+        lambda x, free: special.log_ndtr((free[0] - np.log(np.maximum(x, 1e-300))) / np.exp(free[1])),
+        np.exp,
+        lambda median_s, mean_s: [np.array([np.log(median_s), 0.0])],
+        lambda free, p: stats.lognorm.isf(p, np.exp(free[1]), scale=np.exp(free[0])),
+    )  # fmt: skip
+
+
+def _generalised_pareto() -> Family:
+    def log_sf(x: Float[ndarray, "n"], free: Free) -> Float[ndarray, "n"]:
+        ratio = x / np.exp(free[1])
+        if abs(free[0]) < 1e-9:
+            return -ratio
+        with np.errstate(divide="ignore"):
+            return -np.log1p(np.maximum(free[0] * ratio, -1.0)) / free[0]
+
+    return Family(
+        "generalised Pareto", ("shape", "scale_s"),
+        log_sf,
+        lambda free: np.array([free[0], np.exp(free[1])]),
+        lambda median_s, mean_s: [np.array([0.1, np.log(mean_s)]), np.array([0.6, np.log(median_s)])],
+        lambda free, p: stats.genpareto.isf(p, free[0], scale=np.exp(free[1])),
+    )  # fmt: skip
+
+
+def _hyper_exponential() -> Family:
+    """A share of short ones and a rest of long ones, both exponential; the second mean is the larger one."""
+
+    def log_sf(x: Float[ndarray, "n"], free: Free) -> Float[ndarray, "n"]:
+        short_s, ratio = np.exp(free[1]), 1 + np.exp(free[2])
+        with np.errstate(invalid="ignore"):
+            parts = np.stack(
+                [-x / short_s + special.log_expit(free[0]), -x / (short_s * ratio) + special.log_expit(-free[0])]
+            )
+        return np.where(np.isinf(x), -np.inf, special.logsumexp(parts, axis=0))
+
+    def draw(free: Free, p: Float[ndarray, "n"]) -> Float[ndarray, "n"]:
+        low, high = np.zeros(len(p)), np.full(len(p), np.exp(free[1]) * (1 + np.exp(free[2])) * 800.0)
+        for _ in range(80):
+            middle = (low + high) / 2
+            above = np.exp(log_sf(middle, free)) > p
+            low, high = np.where(above, middle, low), np.where(above, high, middle)
+        return (low + high) / 2
+
+    return Family(
+        "hyper-exponential", ("short_share", "short_mean_s", "ratio_of_means"),
+        log_sf,
+        lambda free: np.array([special.expit(free[0]), np.exp(free[1]), 1 + np.exp(free[2])]),
+        lambda median_s, mean_s: [
+            np.array([0.0, np.log(median_s / 2), np.log(4.0)]), np.array([1.0, np.log(mean_s / 2), np.log(5.0)]),
+            np.array([-1.0, np.log(median_s / 4), np.log(8.0)]),
+        ],
+        draw,
+    )  # fmt: skip
+
+
+FAMILIES: Mapping[str, Family] = {
+    "exponential": _exponential(),
+    "weibull": _weibull(),
+    "log_normal": _log_normal(),
+    "generalised_pareto": _generalised_pareto(),
+    "hyper_exponential": _hyper_exponential(),
+}
+"""The families that are fitted, by name."""

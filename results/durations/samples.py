@@ -1,0 +1,128 @@
+"""Durations of a run as they were observed: in intervals of a step, cut off at both ends of the observation."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import pandas as pd
+from jaxtyping import Bool, Float, Int
+from numpy import ndarray
+
+from results.metrics.encounters import DEFINITION, Departure
+from results.run import Run
+
+What = Literal["duration", "inter_contact"]
+"""Durations of encounters (of links, if the hysteresis is 0), or times between two encounters of a pair."""
+
+LABELS: dict[What, str] = {"duration": "duration", "inter_contact": "inter-contact time"}
+
+_COLUMNS = (
+    *DEFINITION, "a", "b", "start_step", "end_step", "censored_left", "censored_right", "departed", "gap_s",
+)  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Durations:
+    """N durations that are known to lie in intervals, out of those that are long enough to be observed."""
+
+    low_s: Float[ndarray, "n"]
+    """It lasted at least this long."""
+    high_s: Float[ndarray, "n"]
+    """It lasted at most this long; infinite if its end was not observed."""
+    entry_s: Float[ndarray, "n"]
+    """A shorter one would not be in the sample (left truncation)."""
+    a: Int[ndarray, "n"]
+    b: Int[ndarray, "n"]
+    """The two actors, on which others in the sample may depend."""
+
+    def __post_init__(self) -> None:
+        assert (self.low_s < self.high_s).all() and (self.entry_s <= self.low_s).all() and (self.entry_s >= 0).all()
+
+    def __len__(self) -> int:
+        return len(self.low_s)
+
+    @property
+    def ended(self) -> Bool[ndarray, "n"]:
+        """Whether the end was observed."""
+        return np.isfinite(self.high_s)
+
+    @staticmethod
+    def independent(low_s: ndarray, high_s: ndarray, entry_s: ndarray | float = 0.0) -> "Durations":
+        """Durations that share no actors."""
+        n = len(low_s)
+        entry = np.broadcast_to(np.asarray(entry_s, float), n).copy()
+        return Durations(np.asarray(low_s, float), np.asarray(high_s, float), entry, np.arange(n), np.arange(n) + n)
+
+
+def definitions(run: Run) -> pd.DataFrame:
+    """The definitions of encounters of a run, one row each: the columns of `DEFINITION`."""
+    found = run.table("encounters", [*DEFINITION])
+    return found.drop_duplicates().sort_values(["radius_m", "hysteresis_s"]).reset_index(drop=True)
+
+
+def of_run(run: Run, what: What, definition: pd.Series, departure: Departure = "ends") -> Durations:
+    """Durations of encounters by one definition, or the times between them.
+
+    Parameters
+    ----------
+    run
+        An opened run.
+    what
+        Which durations.
+    definition
+        Values of the columns of `DEFINITION`, as a row of `definitions`.
+    departure
+        Whether an actor that leaves ends its encounters, or censors them. Between encounters a departure always
+        censors: nobody knows when the two would have met again.
+
+    Notes
+    -----
+    A pair in contact in n steps of length d was so for between (n - 1) d and (n + 1) d. If steps fall anywhere in the
+    contact with equal probability, and G is the integral of the survival function, n steps have the probability
+    (2 G(n d) - G(n d - d) - G(n d + d)) / d. It equals S(n d - d/2) - S(n d + d/2) but for terms of the order
+    d^3 S''', so a duration of n steps lies in the interval of one step around n d, and contacts shorter than d/2
+    are not seen. Times between encounters are shorter than the hysteresis only if they were bridged, so they begin
+    there.
+
+    Encounters whose start was not observed are left out: of what lasted before, nothing is known.
+    """
+    frame = run.table("encounters", _COLUMNS)
+    for column in DEFINITION:
+        frame = frame[frame[column] == definition[column]]
+    if what == "duration":
+        return _durations(frame[~frame.censored_left], run.dt_s, departure)
+    return _inter_contacts(frame, run, float(definition["hysteresis_s"]))
+
+
+def _durations(frame: pd.DataFrame, dt_s: float, departure: Departure) -> Durations:
+    ended = ~frame.censored_right.to_numpy(bool)
+    if departure == "censors":
+        ended &= ~frame.departed.to_numpy(bool)
+    n = (frame.end_step - frame.start_step).to_numpy(float)
+    return _in_steps(n, ended, dt_s, 1, frame.a.to_numpy(), frame.b.to_numpy())
+
+
+def _inter_contacts(frame: pd.DataFrame, run: Run, hysteresis_s: float) -> Durations:
+    """Times between the encounters of pairs, the last one cut off where one of the two leaves or recording ends."""
+    dt_s = run.dt_s
+    fewest = max(1, int(np.ceil(hysteresis_s / dt_s - 1e-9)))
+    again = frame[frame.gap_s.notna()]
+    seen = np.round(again.gap_s.to_numpy(float) / dt_s)
+    last = frame.sort_values("start_step").groupby(["a", "b"], as_index=False).last()
+    last = last[~last.censored_right]
+    last_step = run.table("vehicles", ["vehicle", "last_step"]).set_index("vehicle").last_step
+    until = np.minimum(last_step.reindex(last.a).to_numpy(), last_step.reindex(last.b).to_numpy()) + 1
+    open_steps = (until - last.end_step.to_numpy()).astype(float)
+    known = open_steps >= fewest
+    n = np.r_[seen, open_steps[known]]
+    ended = np.r_[np.ones(len(seen), bool), np.zeros(int(known.sum()), bool)]
+    a, b = (np.r_[again[c].to_numpy(), last[c].to_numpy()[known]] for c in ("a", "b"))
+    return _in_steps(n, ended, dt_s, fewest, a, b)
+
+
+def _in_steps(
+    n: Float[ndarray, "n"], ended: Bool[ndarray, "n"], dt_s: float, fewest: int, a: ndarray, b: ndarray
+) -> Durations:  # fmt: skip
+    """Durations of n steps, of which fewer than `fewest` are not seen."""
+    entry = np.full(len(n), (fewest - 0.5) * dt_s)
+    return Durations((n - 0.5) * dt_s, np.where(ended, (n + 0.5) * dt_s, np.inf), entry, a, b)

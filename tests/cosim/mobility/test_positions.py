@@ -1,0 +1,130 @@
+"""Tables of positions: every layout by its columns, and every bad table told in one line."""
+
+import gzip
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from cosim.mobility.positions import Columns, layout_of, read
+from cosim.mobility.source import TrafficError
+
+TAXIS = """\
+156;2014-02-01 00:00:00.739166+01;POINT(41.88367183 12.48777756)
+187;2014-02-01 00:00:01+01;POINT(41.92854333 12.46903667)
+156;2014-02-01 00:00:08.739166+01;POINT(41.88457183 12.48777756)
+"""
+HIGHD = "frame,id,x,y,width,height,xVelocity\n1,7,100,20,4,2,30\n2,7,101.2,20,4,2,30\n"
+IND = "recordingId,trackId,frame,xCenter,yCenter\n0,3,0,5.0,6.0\n0,3,25,7.0,6.0\n"
+OPENDD = "TIMESTAMP,OBJID,UTM_X,UTM_Y,CLASS\n10.0,1,600000.0,5700000.0,Bus\n10.5,1,600005.0,5700000.0,Bus\n"
+INTERACTION = "track_id,frame_id,timestamp_ms,agent_type,x,y\n1,1,100,car,1000,900\n1,2,200,car,1001,900\n"
+
+
+def given(tmp_path, name, text, **options):
+    (tmp_path / name).write_text(text)
+    return read([tmp_path / name], **options)
+
+
+def test_taxis_of_crawdad(tmp_path):
+    fixes = given(tmp_path, "taxi.txt", TAXIS)
+    assert fixes.names == ["156", "187"]
+    np.testing.assert_allclose(fixes.time_s, [0, 8, 0.260834], atol=1e-6)
+    # 0.0009 degrees of latitude are 0.0009 * 111.07 km = 99.96 m at 41.9 degrees; east does not change.
+    step = fixes.xy_m[1] - fixes.xy_m[0]
+    np.testing.assert_allclose(step, [0, 99.96], atol=0.05)
+    assert fixes.begin == "1391209200.739166"  # 2014-01-31 23:00:00.739166 UTC
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "layout", "time_s", "xy_m"),
+    [("t.csv", HIGHD, "highd", [0, 0.04], [[102, 21], [103.2, 21]]),  # the corner, and half of 4 m x 2 m
+     ("03_tracks.csv", IND, "ind", [0, 1.0], [[5, 6], [7, 6]]),
+     ("d.csv", OPENDD, "opendd", [0, 0.5], [[600000, 5700000], [600005, 5700000]]),
+     ("i.csv", INTERACTION, "interaction", [0, 0.1], [[1000, 900], [1001, 900]])],
+)  # fmt: skip
+def test_trajectories_of_drones(tmp_path, name, text, layout, time_s, xy_m):
+    (tmp_path / "03_recordingMeta.csv").write_text("recordingId,frameRate\n3,25\n")
+    fixes = given(tmp_path, name, text, frame_hz=25.0 if layout == "highd" else None)
+    assert layout_of(tmp_path / name) == layout
+    np.testing.assert_allclose(fixes.time_s, time_s, atol=1e-9)
+    np.testing.assert_allclose(fixes.xy_m, xy_m)
+    assert fixes.kinds == [{"opendd": "Bus", "interaction": "car"}.get(layout, "")]
+
+
+def test_one_table_in_every_form(tmp_path):
+    rows = {"id": ["a", "b", "a"], "time": [0.0, 0.0, 1.0], "x": [1.0, 50.0, 3.0], "y": [2.0, 0.0, 2.0]}
+    pq.write_table(pa.table(rows), tmp_path / "t.parquet")
+    text = "id,time,x,y\na,0,1,2\nb,0,50,0\na,1,3,2\n"
+    (tmp_path / "t.csv.gz").write_bytes(gzip.compress(text.encode()))
+    (tmp_path / "one.csv").write_text("id;time;x;y\na;0;1;2\n")
+    (tmp_path / "two.csv").write_text("id;time;x;y\nb;0;50;0\na;1;3;2\n")
+    dated = text.replace(",0,", ",2026-01-01 00:00:00,").replace("a,1,", "a,2026-01-01T00:00:01Z,")
+    (tmp_path / "dates.csv").write_text(dated.replace("b,2026-01-01 00:00:00,50,0", "b,2026-01-01 00:00:00,50,0"))
+    named = Columns("id", "time", "x", "y")
+    found = [read([tmp_path / "t.parquet"]), read([tmp_path / "t.csv.gz"]), read([tmp_path / "t.csv.gz"], named),
+             read([tmp_path / "one.csv", tmp_path / "two.csv"])]  # fmt: skip
+    for fixes in found:
+        assert fixes.names == ["a", "b"]
+        np.testing.assert_array_equal(fixes.actor, [0, 0, 1])
+        np.testing.assert_array_equal(fixes.time_s, [0, 1, 0])
+        np.testing.assert_array_equal(fixes.xy_m, [[1, 2], [3, 2], [50, 0]])
+
+
+HEAD = "id,time,x,y\n"
+BAD = {
+    "empty": ("", "no layout that is known by its columns (empty)"),
+    "no rows": (HEAD, "no position in it"),
+    "other columns": ("who,when,east,north\na,0,1,2\n", "no layout that is known by its columns (columns who, when"),
+    "missing": (HEAD + "a,0,1,2\na,1,,2\n", "row 2 ('a') has a value missing or not finite, and 1 of 2 rows do"),
+    "nan": (HEAD + "a,0,1,2\na,1,nan,2\n", "row 2 ('a') has a value missing"),
+    "infinite": (HEAD + "a,0,1,2\na,1,inf,2\n", "row 2 ('a') has a value missing"),
+    "no name": (HEAD + ",0,1,2\n", "row 1"),
+    "unordered": (HEAD + "a,1,1,2\na,0,3,2\n", "the rows of 'a' are not in the order of time"),
+    "twice": (HEAD + "a,0,1,2\na,0,3,2\n", "'a' has two positions at the time 0 s"),
+    "words": (HEAD + "a,0,here,2\n", "column x holds something that is not a number"),
+    "time in words": (HEAD + "a,now,1,2\n", "holds 'now', which is neither a number of seconds nor a date"),
+    "degrees as metres": (HEAD + "a,0,12.4877,41.8836\na,10,12.4879,41.8838\n", "so x and y look like degrees"),
+    "no place": (HEAD + "a,0,1e12,2\n", "no place on Earth"),
+    "column twice": ("id,time,x,x,y\na,0,1,1,2\n", "column x twice"),
+    "ragged": (HEAD + "a,0,1,2\na,1,2\n", "cannot be read as a table"),
+    "taxi without a place": ("1;2014-02-01 00:00:00+01;POINT(41.8 12.4)\n1;2014-02-01 00:00:09+01;POINT()\n",
+                             "line 2 has no POINT"),
+    "frames of unknown length": (HIGHD, "Set --frame-hz"),
+    "latitude of metres": ("id,time,lat,lon\na,0,600000,5700000\n", "Are they metres?"),
+    "other way round": ("id,time,lat,lon\na,0,139.7,35.6\n", "the other way round?"),
+    "round the world": ("id,time,lat,lon\na,0,41,12\nb,0,-41,100\n", "from their median"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("what", BAD)
+def test_a_bad_table_is_told_in_one_line(tmp_path, what):
+    text, said = BAD[what]
+    with pytest.raises(TrafficError) as caught:
+        given(tmp_path, "t.csv", text)
+    assert said in str(caught.value) and "t.csv" in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_what_is_no_table_is_told_in_one_line(tmp_path):
+    (tmp_path / "t.parquet").write_bytes(b"PAR1 but no more")
+    (tmp_path / "t.csv.gz").write_bytes(gzip.compress(TAXIS.encode())[:-9])
+    for path in (tmp_path / "t.parquet", tmp_path / "t.csv.gz", tmp_path):
+        with pytest.raises(ValueError) as caught:
+            read([path])
+        assert "\n" not in str(caught.value)
+
+
+def test_repair_says_what_it_did(tmp_path):
+    text = HEAD + "a,2,30,0\na,0,10,0\na,1,20,0\na,1,99,0\nb,,1,1\nb,0,5,5\nb,0,5,5\n"
+    fixes = given(tmp_path, "t.csv", text, repair=True)
+    assert fixes.repaired == {"missing": 1, "repeated": 2, "unordered": 1}
+    np.testing.assert_array_equal(fixes.xy_m[:, 0], [10, 20, 30, 5])
+
+
+def test_exact_copies_are_no_error(tmp_path):
+    fixes = given(tmp_path, "t.csv", HEAD + "a,0,1,2\na,0,1,2\na,1,3,2\n")
+    assert len(fixes.time_s) == 2 and fixes.repaired == {"repeated": 1}
+
+
+def test_vehicles_that_all_stand_are_in_metres(tmp_path):
+    assert len(given(tmp_path, "t.csv", HEAD + "a,0,1,2\na,1,1,2\nb,0,9,9\n").time_s) == 3
