@@ -16,6 +16,7 @@ FOREIGN = {
     "trust": {"annotated_types", "jaxtyping", "numpy", "numba", "scipy"},
     "results": {
         "annotated_types", "jaxtyping", "numpy", "numba", "scipy", "pyarrow", "pandas", "networkx", "matplotlib",
+        "betterosi", "mcap", "xarray",
     },
     "sumo_nets": {"annotated_types", "jaxtyping", "numpy", "scipy", "shapely", "osmium", "sumo", "sumolib"},
     "cosim": {
@@ -34,6 +35,8 @@ ONE_FILE = {
     "pydantic": {"cosim/config/data.py"},
     "rerun": {"cosim/offline/view.py"},
     "trimesh": {"cosim/mobility/meshes.py"},
+    "betterosi": {"results/export/osi.py"},
+    "mcap": {"results/export/ros2.py"},
     "osmium": {"sumo_nets/osm.py"},
     "distributed": {"cosim/studies/engine.py"},
     "psutil": {"cosim/studies/engine.py"},

@@ -6,8 +6,8 @@ Notes
 trust in every pseudonym at the true position of its vehicle. The columns are those of the tables; `time_s` is the time
 in the run, and `geometry` is a point (well-known binary). Where the network has a projection, points are longitude and
 latitude on WGS84 (the default of GeoParquet, OGC:CRS84); otherwise they are x and y of the world frame [m], and the
-coordinate reference system is null. Heights stay in `z_m`. Units and meanings are in the metadata of the fields. All actors,
-detections and fused objects of the chosen steps are written, whatever vehicles are chosen.   Deviations: none.
+coordinate reference system is null. Heights stay in `z_m`. Units and meanings are in the metadata of the fields. All
+actors, detections and fused objects of the chosen steps are written, whatever vehicles are chosen.   Deviations: none.
 """
 
 import io

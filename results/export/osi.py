@@ -6,9 +6,9 @@ Notes
 a moving object; topic `ground_truth_map` has the network as `osi3.MapAsamOpenDrive`, if the traffic has one. Positions
 are the centres of boxes in the coordinates of the network [m], which are those of the map; its projection is stated.
 Headings are counter-clockwise from east. Speeds point along the heading. Accelerations are the difference of an actor's
-velocity from the one in its step before, and 0 in its first. If one vehicle is chosen, it is the host vehicle. All actors
-are written, whatever vehicles are chosen.   Deviations: roles of vehicles are civil, colours and lights are absent, and
-roads are flat: roll and pitch are 0.
+velocity from the one in its step before, and 0 in its first. If one vehicle is chosen, it is the host vehicle. All
+actors are written, whatever vehicles are chosen.   Deviations: roles of vehicles are civil, colours and lights are
+absent, and roads are flat: roll and pitch are 0.
 """
 
 import tempfile

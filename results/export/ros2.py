@@ -301,8 +301,8 @@ class Bag:
         names = dict(zip(RATED.names or (), [*BOX[:3], "trust", "newest_evaluation_age_s", "subject"], strict=True))
         for name, column in names.items():
             made[name] = rows[column].to_numpy(RATED[name], na_value=np.nan) if name != "subject" else rows[column]
-        cuts = np.unique(rows.step.to_numpy(), return_index=True)
-        return dict(zip(cuts[0].tolist(), np.split(made, cuts[1][1:]), strict=True))
+        steps, first = np.unique(rows.step.to_numpy(), return_index=True)
+        return dict(zip(steps.tolist(), np.split(made, first)[1:], strict=True))
 
     @cached_property
     def topics(self) -> dict[str, tuple[str, int]]:
