@@ -5,17 +5,21 @@ from collections.abc import Callable, Mapping
 from matplotlib.figure import Figure
 
 from results.figures import (
+    ages,
     attacks,
     contacts,
     delays,
+    delivery,
     detection,
     encounters,
+    exclusion,
     freshness,
     map,
     misbehaviour,
     radio,
     safety,
     security,
+    stale,
     trust,
 )
 
@@ -32,4 +36,8 @@ FIGURES: Mapping[str, Callable[..., Figure]] = {
     "map": map.draw,
     "contacts": contacts.draw,
     "safety": safety.draw,
+    "delivery": delivery.draw,
+    "ages": ages.draw,
+    "exclusion": exclusion.draw,
+    "stale": stale.draw,
 }
