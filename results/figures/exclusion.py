@@ -23,7 +23,8 @@ def draw(runs: Sequence[Run]) -> Figure:
     runs = style.arranged(runs, most=6)
     figure, (axes,) = style.sheet(width=5.4, height=4.2)
     curves = [exclusion.curve(run) for run in runs]
-    recall, precision = (np.concatenate([c[name].to_numpy() for c in curves]) for name in ("recall", "precision"))
+    points = [curve.dropna() for curve in curves]
+    recall, precision = (np.concatenate([c[name].to_numpy() for c in points]) for name in ("recall", "precision"))
     front = exclusion.is_on_front(recall, precision)
     order = np.argsort(recall[front])
     axes.plot(np.r_[0, recall[front][order]], np.r_[precision[front][order][:1], precision[front][order]],

@@ -17,8 +17,8 @@ def curve(run: Run) -> pd.DataFrame:
     -------
     threshold; precision: share of attackers among the excluded; recall: share of attackers that are excluded; of values
     of watched subjects (`misbehaviour.scored`), pooled over subjects and time. A subject is excluded while its value
-    rests on an evaluation and is below the threshold. Attackers are all that are not honest. Thresholds that exclude
-    nobody are left out, because their precision is not defined.
+    rests on an evaluation and is below the threshold. Attackers are all that are not honest. The precision of the lowest
+    threshold, which excludes nobody, is NaN.
 
     Raises
     ------
@@ -36,20 +36,15 @@ def curve(run: Run) -> pd.DataFrame:
     n_attackers = np.searchsorted(np.sort(found.trust[rated & attacks]), threshold)
     n_honest = np.searchsorted(np.sort(found.trust[rated & ~attacks]), threshold)
     n = n_attackers + n_honest
-    frame = pd.DataFrame({
-        "threshold": threshold, "precision": n_attackers / np.maximum(n, 1), "recall": n_attackers / attacks.sum()
-    })  # fmt: skip
-    return frame[n > 0].reset_index(drop=True)
+    precision = np.where(n > 0, n_attackers / np.maximum(n, 1), np.nan)
+    return pd.DataFrame({"threshold": threshold, "precision": precision, "recall": n_attackers / attacks.sum()})
 
 
 def at(found: pd.DataFrame, threshold: float) -> tuple[float, float] | None:
-    """Recall and precision at a threshold; None if it excludes nobody."""
-    row = int(np.searchsorted(found.threshold.to_numpy(), threshold, side="right")) - 1
-    exact = row >= 0 and found.threshold[row] == threshold
-    row = row if exact else row + 1
-    if row >= len(found) or (not exact and row == 0):
-        return None
-    return float(found.recall[row]), float(found.precision[row])
+    """Recall and precision at a threshold, from a result of `curve`; None if it excludes nobody."""
+    row = int(np.searchsorted(found.threshold.to_numpy(), threshold))
+    precision = float(found.precision.iloc[row])
+    return None if np.isnan(precision) else (float(found.recall.iloc[row]), precision)
 
 
 def is_on_front(recall: Float[ndarray, "n"], precision: Float[ndarray, "n"]) -> Bool[ndarray, "n"]:

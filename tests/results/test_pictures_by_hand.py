@@ -15,7 +15,7 @@ def test_delivery_by_age(tiny):
     """A contact from step 2 to 6 of 0 and 1; 0 is heard in the first two steps of it, 1 in none."""
     meeting = {"a": 0, "b": 1, "start_step": 2, "end_step": 6, "duration_s": 4, "radius_m": 50, "pairs": "equipped"}
     early = {"a": 0, "b": 1, "start_step": 0, "end_step": 1, "radius_m": 50, "pairs": "equipped", "censored_left": True}
-    heard = [{"step": s, "message_type": "cpm", "sender": 0, "receiver": 1} for s in (0, 2, 2, 3)]
+    heard = [{"step": s, "message_type": "cpm", "sender": 0, "receiver": 1} for s in (0, 2, 3)]
     run = tiny(9, vehicles=fleet("honest", "honest"), encounters=[meeting, early], receptions=heard)
     found = contact_delivery.by_age(run, every_s=2.0)
     # two bins of two steps in two directions each
