@@ -33,7 +33,7 @@ ONE_FILE = {
     "llvmlite": {"sensors/lanes.py"},
     "open3d": {"sensors/raycast/open3d.py"},
     "pydantic": {"cosim/config/data.py"},
-    "rerun": {"cosim/offline/view.py"},
+    "rerun": {"cosim/offline/view.py", "cosim/offline/live.py"},
     "trimesh": {"cosim/mobility/meshes.py"},
     "betterosi": {"results/export/osi.py"},
     "mcap": {"results/export/ros2.py"},

@@ -113,6 +113,13 @@ def run(
     out: Annotated[
         Path | None, typer.Option(help="Run folder to write. The default is the next runs/<city>-N.")
     ] = None,
+    watch: Annotated[
+        bool, typer.Option("--watch", help="Show the city, trust and ages in the Rerun viewer while the run computes.")
+    ] = False,
+    watch_file: Annotated[
+        str | None,
+        typer.Option(help="Write the same into a file meanwhile: .rrd for Rerun, or .mcap for Foxglove and ROS 2."),
+    ] = None,
     trust_code: TrustCode = False,
     as_json: AsJson = False,
 ) -> None:
@@ -124,8 +131,17 @@ def run(
     experiment = load(config, overrides, trust_code)
     for remark in changed_since(config, experiment):
         notes.print(remark, soft_wrap=True)
-    with progress() as advance:
-        folder = running.run(experiment, out, advance)
+    if watch and watch_file is not None:
+        raise ValueError("--watch shows the run in the viewer, and --watch-file writes a file. Choose one.")
+    target = "viewer" if watch else watch_file
+    if target is None:
+        with progress() as advance:
+            folder = running.run(experiment, out, advance)
+    else:
+        from cosim.offline.live import Live
+
+        with progress() as advance, Live(experiment, target) as live:
+            folder = running.run(experiment, out, advance, on_step=live)
     _conclude(folder, as_json)
 
 

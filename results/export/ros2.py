@@ -26,7 +26,7 @@ import struct
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache, cached_property, partial
-from typing import cast
+from typing import IO, cast
 
 import numpy as np
 import pandas as pd
@@ -215,6 +215,39 @@ def detections(nanos: int, rows: pd.DataFrame) -> bytes:
     return cdr.done()
 
 
+class Writing:
+    """An MCAP file with messages of ROS 2 that is being written.
+
+    Raises
+    ------
+    ValueError
+        In one line: the package `mcap` is not installed.
+    """
+
+    def __init__(self, file: IO[bytes]) -> None:
+        with needed("mcap", "writes MCAP files", "formats"):
+            from mcap.writer import CompressionType, Writer
+        self._writer = Writer(file, compression=CompressionType.LZ4)
+        self._writer.start(profile="ros2", library="cosim")
+        self._schemas: dict[str, int] = {}
+        self._channels: dict[str, int] = {}
+
+    def register(self, topic: str, kind: str) -> None:
+        """Announce a topic and the type of its messages."""
+        if kind not in self._schemas:
+            self._schemas[kind] = self._writer.register_schema(kind, "ros2msg", definition(kind).encode())
+        about = {"offered_qos_profiles": _qos(topic)}
+        self._channels[topic] = self._writer.register_channel(topic, "cdr", self._schemas[kind], about)
+
+    def add(self, nanos: int, topic: str, message: bytes) -> None:
+        """Add a message at a time in nanoseconds since 1970."""
+        self._writer.add_message(self._channels[topic], nanos, message, nanos)
+
+    def finish(self) -> None:
+        """Write the summary at the end of the file."""
+        self._writer.finish()
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Ros2Params:
     """What a bag has of the chosen vehicles."""
@@ -320,21 +353,13 @@ class Bag:
 
     def content(self, k: int, steps: Int[ndarray, "b"], clouds: Clouds) -> bytes:
         """A file of the bag."""
-        from mcap.writer import CompressionType, Writer
-
         made = io.BytesIO()
-        writer = Writer(made, compression=CompressionType.LZ4)
-        writer.start(profile="ros2", library="cosim")
-        schemas: dict[str, int] = {}
-        channels = {}
+        writing = Writing(made)
         for topic, (kind, _) in self.topics.items():
-            if kind not in schemas:
-                schemas[kind] = writer.register_schema(kind, "ros2msg", definition(kind).encode())
-            about = {"offered_qos_profiles": _qos(topic)}
-            channels[topic] = writer.register_channel(topic, "cdr", schemas[kind], about)
+            writing.register(topic, kind)
         for nanos, topic, message in self._messages(k, steps, clouds):
-            writer.add_message(channels[topic], nanos, message, nanos)
-        writer.finish()
+            writing.add(nanos, topic, message)
+        writing.finish()
         return made.getvalue()
 
     def _messages(self, k: int, steps: Int[ndarray, "b"], clouds: Clouds) -> Iterator[tuple[int, str, bytes]]:

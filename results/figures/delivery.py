@@ -1,6 +1,7 @@
 """How long contacts last, and how many messages arrive meanwhile."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -28,7 +29,7 @@ def draw(runs: Sequence[Run], radius_m: float | None = None) -> Figure:
     for i, run in enumerate(runs):
         met = contact_delivery.contacts(run, radius_m)
         curve = kaplan_meier(met.duration_s.to_numpy(np.float64), met.end_seen.to_numpy(bool))
-        look = {"color": style.inks(runs)[i], "marker": style.marker(i)}
+        look: dict[str, Any] = {"color": style.inks(runs)[i], "marker": style.marker(i)}
         axes.plot(curve.duration_s, curve.survival, drawstyle="steps-post", markevery=0.12, **look)
         longest_s = max(longest_s, float(curve.duration_s[curve.survival.shift(fill_value=1.0) >= 0.02].max()))
         if "receptions" not in run.tables:

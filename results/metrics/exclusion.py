@@ -17,8 +17,8 @@ def curve(run: Run) -> pd.DataFrame:
     -------
     threshold; precision: share of attackers among the excluded; recall: share of attackers that are excluded; of values
     of watched subjects (`misbehaviour.scored`), pooled over subjects and time. A subject is excluded while its value
-    rests on an evaluation and is below the threshold. Attackers are all that are not honest. The precision of the lowest
-    threshold, which excludes nobody, is NaN.
+    rests on an evaluation and is below the threshold. Attackers are all that are not honest. The precision of the
+    lowest threshold, which excludes nobody, is NaN.
 
     Raises
     ------

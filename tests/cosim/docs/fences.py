@@ -38,8 +38,8 @@ def commands(text: str) -> list[str]:
 def is_printed(shown: str, printed: str) -> bool:
     """Whether a page's block `output` is what its command before printed.
 
-    Spaces at the ends of lines and the width of gaps do not count. `...` stands for anything inside a line, and alone on
-    its line for any lines: times and versions differ from machine to machine.
+    Spaces at the ends of lines and the width of gaps do not count. `...` stands for anything inside a line, and alone
+    on its line for any lines: times and versions differ from machine to machine.
     """
     pattern = ""
     for line in shown.strip("\n").splitlines():
