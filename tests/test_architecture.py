@@ -16,7 +16,7 @@ FOREIGN = {
     "trust": {"annotated_types", "jaxtyping", "numpy", "numba", "scipy"},
     "results": {
         "annotated_types", "jaxtyping", "numpy", "numba", "scipy", "pyarrow", "pandas", "networkx", "matplotlib",
-        "betterosi", "mcap", "xarray",
+        "betterosi", "bokeh", "mcap", "xarray",
     },
     "sumo_nets": {"annotated_types", "jaxtyping", "numpy", "scipy", "shapely", "osmium", "sumo", "sumolib"},
     "cosim": {
@@ -35,6 +35,7 @@ ONE_FILE = {
     "pydantic": {"cosim/config/data.py"},
     "rerun": {"cosim/offline/view.py", "cosim/offline/live.py"},
     "trimesh": {"cosim/mobility/meshes.py"},
+    "bokeh": {"results/interactive.py"},
     "betterosi": {"results/export/osi.py"},
     "mcap": {"results/export/ros2.py"},
     "osmium": {"sumo_nets/osm.py"},

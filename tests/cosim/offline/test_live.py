@@ -36,6 +36,7 @@ def test_rerun(plain, tmp_path):
     assert not list(tmp_path.glob("*.partial"))
 
 
+@pytest.mark.verify
 @pytest.mark.filterwarnings("ignore")
 def test_mcap(plain, tmp_path):
     """Its boxes and colours are the run's; trust is the mean of what receivers look up."""
