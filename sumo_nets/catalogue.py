@@ -15,6 +15,9 @@ if TYPE_CHECKING:
 
 _HERE = Path(__file__).parent
 
+EXAMPLE_OSM = _HERE / "common" / "town.osm"
+"""A small town in the format of OpenStreetMap. It is made up."""
+
 
 @dataclass(frozen=True, slots=True)
 class Net:

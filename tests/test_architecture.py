@@ -16,7 +16,7 @@ FOREIGN = {
     "trust": {"annotated_types", "jaxtyping", "numpy", "numba", "scipy"},
     "results": {
         "annotated_types", "jaxtyping", "numpy", "numba", "scipy", "pyarrow", "pandas", "networkx", "matplotlib",
-        "statsmodels",
+        "betterosi", "bokeh", "mcap", "statsmodels", "xarray",
     },
     "sumo_nets": {"annotated_types", "jaxtyping", "numpy", "scipy", "shapely", "osmium", "sumo", "sumolib"},
     "cosim": {
@@ -33,9 +33,12 @@ ONE_FILE = {
     "llvmlite": {"sensors/lanes.py"},
     "open3d": {"sensors/raycast/open3d.py"},
     "pydantic": {"cosim/config/data.py"},
-    "rerun": {"cosim/offline/view.py"},
+    "rerun": {"cosim/offline/view.py", "cosim/offline/live.py"},
     "statsmodels": {"results/durations/hazards.py"},
     "trimesh": {"cosim/mobility/meshes.py"},
+    "bokeh": {"results/interactive.py"},
+    "betterosi": {"results/export/osi.py"},
+    "mcap": {"results/export/ros2.py"},
     "osmium": {"sumo_nets/osm.py"},
     "distributed": {"cosim/studies/engine.py"},
     "psutil": {"cosim/studies/engine.py"},

@@ -9,8 +9,8 @@ from cosim.cli.console import AsJson, print_done, progress
 
 
 def add_to(app: typer.Typer) -> None:
-    """Add the commands `export` and `view`."""
-    for command in (export, view):
+    """Add the commands `export`, `view` and `describe`."""
+    for command in (export, view, describe):
         app.command()(command)
 
 
@@ -19,7 +19,8 @@ def export(
         str,
         typer.Argument(
             metavar="FORMAT",
-            help="kitti, trupercept, opv2v, veremi, veremi-nextgen, pcap, or your own, mine.py:Name.",
+            help="kitti, trupercept, opv2v, veremi, veremi-nextgen, pcap, mcap, omega-prime, nuscenes, geoparquet, "
+            "fcd, or your own, mine.py:Name.",
         ),
     ],
     folder: Annotated[Path, typer.Argument(metavar="RUN", help="Run folder.")],
@@ -76,3 +77,23 @@ def view(
             lambda what, n, total: advance(what, n, total, ""),
         )  # fmt: skip
     print_done(done, f"wrote {out}, {done['bytes'] / 1e6:,.1f} MB; open it with: rerun {out}", as_json)
+
+
+def describe(
+    folder: Annotated[Path, typer.Argument(help="Folder of a run or a study.")],
+    out: Annotated[Path | None, typer.Option(help="Folder to write. The default is the run or study itself.")] = None,
+    authors: Annotated[list[str] | None, typer.Option("--author", help="Name of an author. Repeatable.")] = None,
+    licence: Annotated[
+        str | None, typer.Option(help="Address of the data's licence, e.g. https://spdx.org/licenses/CC-BY-4.0.")
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Write a Croissant card and an RO-Crate, by which data are found and archived."""
+    from cosim.cli.studies import is_study
+    from results.archive import open_run
+    from results.cards import write
+    from results.study import open_study
+
+    source = open_study(folder) if is_study([folder]) else open_run(folder)
+    card, crate = write(source, out or folder, authors or (), licence)
+    print_done({"croissant": str(card), "ro_crate": str(crate)}, f"wrote {card} and {crate}", as_json)

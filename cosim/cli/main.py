@@ -71,6 +71,10 @@ Picture = Literal[
     "security",
     "attacks",
     "delays",
+    "delivery",
+    "ages",
+    "exclusion",
+    "stale",
     "scene",
     "sweep",
     "movie",
@@ -111,6 +115,13 @@ def run(
     out: Annotated[
         Path | None, typer.Option(help="Run folder to write. The default is the next runs/<city>-N.")
     ] = None,
+    watch: Annotated[
+        bool, typer.Option("--watch", help="Show the city, trust and ages in the Rerun viewer while the run computes.")
+    ] = False,
+    watch_file: Annotated[
+        str | None,
+        typer.Option(help="Write the same into a file meanwhile: .rrd for Rerun, or .mcap for Foxglove and ROS 2."),
+    ] = None,
     trust_code: TrustCode = False,
     as_json: AsJson = False,
 ) -> None:
@@ -122,8 +133,17 @@ def run(
     experiment = load(config, overrides, trust_code)
     for remark in changed_since(config, experiment):
         notes.print(remark, soft_wrap=True)
-    with progress() as advance:
-        folder = running.run(experiment, out, advance)
+    if watch and watch_file is not None:
+        raise ValueError("--watch shows the run in the viewer, and --watch-file writes a file. Choose one.")
+    target = "viewer" if watch else watch_file
+    if target is None:
+        with progress() as advance:
+            folder = running.run(experiment, out, advance)
+    else:
+        from cosim.offline.live import Live
+
+        with progress() as advance, Live(experiment, target) as live:
+            folder = running.run(experiment, out, advance, on_step=live)
     _conclude(folder, as_json)
 
 
@@ -308,54 +328,60 @@ def plot(
     pairs: Annotated[
         str | None, typer.Option(help="map, contacts, durations: pairs of the encounters, as encounters.pairs.")
     ] = None,
+    look: Annotated[
+        Literal["screen", "paper"],
+        typer.Option("--style", help="`paper` is for a column of a two-column page: 8.8 cm wide, panels stacked."),
+    ] = "screen",
 ) -> None:
     """Draw a figure of one run, of several runs, or of a study over a swept key."""
-    if studies.is_study(runs):
-        studies.plot(what, runs[0], out, over, by, metrics or [], where or [])
-        return
-    if by or metrics or where:
-        raise ValueError("--by, --metric and --where go with a study, and this is a run. Leave them out.")
-    from inspect import signature
-
-    from cosim.cli.side_by_side import of_variants
     from results.figures import style
-    from results.figures.catalogue import FIGURES
 
-    chosen: list[Run] = []
-    if what == "sweep":
-        from cosim.offline.replay_lidar import write
+    with style.chosen(look):
+        if studies.is_study(runs):
+            studies.plot(what, runs[0], out, over, by, metrics or [], where or [])
+            return
+        if by or metrics or where:
+            raise ValueError("--by, --metric and --where go with a study, and this is a run. Leave them out.")
+        from inspect import signature
 
-        if len(runs) != 1 or step is None or not vehicles or len(vehicles) != 1:
-            raise ValueError("cosim plot sweep shows one sweep: cosim plot sweep RUN --vehicle V --step S")
-        path = write(_opened(runs[0]), vehicles[0], step, out)
-    elif what == "scene":
-        from cosim.offline.replay_lidar import portrait
+        from cosim.cli.side_by_side import of_variants
+        from results.figures.catalogue import FIGURES
 
-        if len(runs) != 1 or step is None:
-            raise ValueError("cosim plot scene shows one moment: cosim plot scene RUN --step S [--vehicle V]")
-        path = portrait(_opened(runs[0]), vehicles or [], step, out)
-    elif what == "movie":
-        from cosim.offline.replay_lidar import film
+        chosen: list[Run] = []
+        if what == "sweep":
+            from cosim.offline.replay_lidar import write
 
-        if len(runs) != 1 or len(vehicles or ()) > 1:
-            raise ValueError("cosim plot movie films one run: cosim plot movie RUN [--vehicle V]")
-        path = film(_opened(runs[0]), vehicles[0] if vehicles else None, out)
-    else:
-        if step is not None:
-            raise ValueError(f"--step goes with `cosim plot sweep` or scene, not with {what}. Leave it out.")
-        options = {"vehicles": vehicles, "over": over, "threshold": threshold, "radius_m": radius_m, "pairs": pairs}
-        given = {name: value for name, value in options.items() if value}
-        for name in given:
-            takers = [figure for figure, draw in FIGURES.items() if name in signature(draw).parameters]
-            if what not in takers:
-                flag = "vehicle" if name == "vehicles" else name.replace("_", "-")
-                raise ValueError(
-                    f"--{flag} goes with `cosim plot {' or '.join(takers)}`, not with {what}. Leave it out."
-                )
-        chosen = [one for folder in runs for one in of_variants(_opened(folder), variant)]
-        path = style.save(FIGURES[what](chosen, **given), out or runs[0] / f"{what}.png")
-    screen.print(f"wrote {path}", highlight=False, soft_wrap=True)
-    _say_damage(chosen)
+            if len(runs) != 1 or step is None or not vehicles or len(vehicles) != 1:
+                raise ValueError("cosim plot sweep shows one sweep: cosim plot sweep RUN --vehicle V --step S")
+            path = write(_opened(runs[0]), vehicles[0], step, out)
+        elif what == "scene":
+            from cosim.offline.replay_lidar import portrait
+
+            if len(runs) != 1 or step is None:
+                raise ValueError("cosim plot scene shows one moment: cosim plot scene RUN --step S [--vehicle V]")
+            path = portrait(_opened(runs[0]), vehicles or [], step, out)
+        elif what == "movie":
+            from cosim.offline.replay_lidar import film
+
+            if len(runs) != 1 or len(vehicles or ()) > 1:
+                raise ValueError("cosim plot movie films one run: cosim plot movie RUN [--vehicle V]")
+            path = film(_opened(runs[0]), vehicles[0] if vehicles else None, out)
+        else:
+            if step is not None:
+                raise ValueError(f"--step goes with `cosim plot sweep` or scene, not with {what}. Leave it out.")
+            options = {"vehicles": vehicles, "over": over, "threshold": threshold, "radius_m": radius_m, "pairs": pairs}
+            given = {name: value for name, value in options.items() if value}
+            for name in given:
+                takers = [figure for figure, draw in FIGURES.items() if name in signature(draw).parameters]
+                if what not in takers:
+                    flag = "vehicle" if name == "vehicles" else name.replace("_", "-")
+                    raise ValueError(
+                        f"--{flag} goes with `cosim plot {' or '.join(takers)}`, not with {what}. Leave it out."
+                    )
+            chosen = [one for folder in runs for one in of_variants(_opened(folder), variant)]
+            path = style.save(FIGURES[what](chosen, **given), out or runs[0] / f"{what}.png")
+        screen.print(f"wrote {path}", highlight=False, soft_wrap=True)
+        _say_damage(chosen)
 
 
 @app.command()

@@ -11,7 +11,7 @@ from rich.box import SIMPLE
 from rich.table import Column, Table
 from rich.text import Text
 
-from cosim.cli.console import AsJson, notes, print_json, screen
+from cosim.cli.console import AsJson, notes, print_done, print_json, screen
 
 if TYPE_CHECKING:
     from numpy import ndarray
@@ -25,6 +25,24 @@ nets = typer.Typer(no_args_is_help=True, help="List, show and build cities.")
 
 PICTURE = "city.png"
 """Name of the map in the folder of a built city."""
+
+
+@nets.command()
+def example(
+    out: Annotated[Path, typer.Argument(help="File to write (.osm).")] = Path("town.osm"), as_json: AsJson = False
+) -> None:
+    """Write a small map in OpenStreetMap's format, to try `nets build` without a download. The town is made up."""
+    from sumo_nets.catalogue import EXAMPLE_OSM
+
+    if out.suffix != ".osm":
+        raise ValueError(f"{out}: a map in this format ends in .osm.")
+    if out.exists():
+        raise ValueError(f"{out} exists. Give the name of a new file.")
+    try:
+        out.write_bytes(EXAMPLE_OSM.read_bytes())
+    except OSError as error:
+        raise ValueError(f"{out} cannot be written: {error.strerror or error}.") from None
+    print_done({"out": str(out)}, f"wrote {out}", as_json)
 
 
 @nets.command("list")

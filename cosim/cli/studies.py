@@ -207,15 +207,21 @@ def _print_plan(task, as_json: bool) -> None:
     }
     lines = [
         f"{facts['study']}: {facts['points']} points, {facts['finished']} finished, {facts['runs']} runs to make",
-        f"{merged} points are trust variants of runs that differ in trust alone: saves {round(cost.merged_saves_s)} s",
+        f"{merged} points are trust variants of runs that differ in trust alone: {saving(cost.merged_saves_s)}",
         f"{facts['runs_that_replay_traffic']} runs replay {len(made.traffic)} recorded traffics: "
-        f"saves {round(cost.traffic_saves_s)} s",
+        f"{saving(cost.traffic_saves_s)}",
         f"about {facts['seconds']} s on one core instead of {facts['seconds_separately']} s"
         f" ({cost.separate_s / max(cost.planned_s, 1e-9):.1f} times less), {facts['MB']} MB "
         f"({facts['estimate']})",
         *(f"not shared: {remark}" for remark in made.remarks),
     ]
     print_done(facts, "\n".join(lines), as_json)
+
+
+def saving(seconds: float) -> str:
+    """What sharing saves, or costs where recording takes longer than what it spares."""
+    whole = round(seconds)
+    return f"saves {whole} s" if whole >= 0 else f"costs {-whole} s"
 
 
 def _print_states(name: str, out: Path, states, failed, as_json: bool) -> None:

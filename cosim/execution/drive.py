@@ -26,6 +26,7 @@ from cosim.step.cycle import step
 from cosim.step.parts import Parts, chosen
 from cosim.step.perception import Perception
 from cosim.step.precomputed import NOTHING_PRECOMPUTED
+from cosim.step.result import StepResult
 from cosim.step.state import State
 from cosim.step.stopwatch import Stopwatch
 from cosim.world import World
@@ -37,6 +38,9 @@ _log = logging.getLogger(__name__)
 
 Advance = Callable[[str, int, int, str], None]
 """Callback for progress. Its arguments are the phase, the work done, the total and a note."""
+
+OnStep = Callable[[StepResult], None]
+"""Sees the result of every recorded step, and must not change it."""
 
 Commands = tuple[Int[ndarray, "c"], Float[ndarray, "c"]]
 """Actors and their commanded speeds [m/s]."""
@@ -70,6 +74,7 @@ class Drive:
     """In a resumed run: the rows of the table `actors` of the last recorded step."""
     commands: dict[int, Commands] = field(default_factory=dict)
     """In a resumed run: the drivers' commands in the recorded steps, by step."""
+    on_step: OnStep | None = None
     n_on_road: int = 0
     n_senders: int = 0
     """Equipped vehicles, summed over the steps with messages."""
@@ -132,6 +137,9 @@ class Drive:
                     self._of_block[number] = commands
                 if recorder.is_block_end(number) and number + 1 < config.n_steps:
                     self._commit(state)
+            if self.on_step is not None:
+                with self.parts.watch("show"):
+                    self.on_step(result)
             del result, precomputed  # up to 100 MB for many vehicles, which would exist beside those of the next step
             self.traffic.command(*commands)
             self.advance("run", number + 1, config.n_steps, f"steps, {len(world)} actors")

@@ -18,7 +18,7 @@ from cosim.door.blame import ExtensionError
 from cosim.execution import checkpoint, recording
 from cosim.execution import folder as run_folder
 from cosim.execution.check import check, roadside_units
-from cosim.execution.drive import STATE_VERSION, Advance, Commands, Drive, own_modules, warm_up
+from cosim.execution.drive import STATE_VERSION, Advance, Commands, Drive, OnStep, own_modules, warm_up
 from cosim.execution.folder import RunFolder
 from cosim.execution.inputs import provenance
 from cosim.execution.manifest import Manifest, versions
@@ -42,7 +42,9 @@ from results.tables import SCHEMA_VERSION
 from results.verify import links
 
 
-def run(config: Config, out: Path | None, advance: Advance, traffic_from: Path | None = None) -> Path:
+def run(
+    config: Config, out: Path | None, advance: Advance, traffic_from: Path | None = None, on_step: OnStep | None = None
+) -> Path:  # fmt: skip
     """Run an experiment into a folder.
 
     Nothing is written before the config has been checked and SUMO has accepted the scenario.
@@ -58,6 +60,8 @@ def run(config: Config, out: Path | None, advance: Advance, traffic_from: Path |
     traffic_from
         Folder that `record_traffic` wrote for the same `[traffic]`. It is replayed instead of running SUMO. The tables
         are the same.
+    on_step
+        Called with the result of every recorded step, for example to show it.
 
     Returns
     -------
@@ -82,6 +86,7 @@ def run(config: Config, out: Path | None, advance: Advance, traffic_from: Path |
                 recorder = _recorder(folder.path, parts, 0)
                 warmup_s = 0.0 if traffic_from is not None else warmup_of(config, scenario)
                 drive = Drive(parts, scenario, folder, warmup_s, traffic, registry, recorder, manifest, advance, stop)
+                drive.on_step = on_step
             except BaseException as error:
                 with suppress(OSError):
                     folder.remove()

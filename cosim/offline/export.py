@@ -25,11 +25,12 @@ from cosim.world import World
 from results.export.earth import Projection
 from results.export.folder import Folder
 from results.export.formats import Exporter
-from results.export.moments import Cloud, Plan, Selection
+from results.export.moments import Cloud, Place, Plan, Selection
 from results.run import Run
 from results.sensing import sensing_steps
+from sensors.raycast.mesh import city_triangles
 from sensors.scene import Scene
-from sumo_nets import network
+from sumo_nets import network, sumotools
 
 Progress = Callable[[str, int, int], None]
 """Callback for progress. Its arguments are the phase, the work done and the total."""
@@ -105,7 +106,8 @@ def _exported(
     run.require(*fmt.TABLES)
     config = config_of(run)
     chosen = Selection(
-        run, _vehicles(run, vehicles), _steps(run, config, steps), _road_edge_m(config), partial(_projection, config)
+        run, _vehicles(run, vehicles), _steps(run, config, steps), _road_edge_m(config), partial(_projection, config),
+        _place(config), vehicles is not None,
     )  # fmt: skip
     if chosen.presence.empty:
         raise ValueError("none of these vehicles is on the road in any of these steps. Choose others.")
@@ -243,6 +245,23 @@ def _road_edge_m(config: Config) -> Callable[[Float[ndarray, "n 2"]], Float[ndar
         return np.where(shapely.contains(whole, points), away, -away)
 
     return distance_m
+
+
+def _place(config: Config) -> Place:
+    """The surroundings of the run's traffic."""
+    scenario = find(config.traffic.scenario, config.traffic.trace)
+
+    def map_projection() -> tuple[str, tuple[float, float]] | None:
+        try:
+            text, (east_m, north_m) = network.projection(scenario.net or "")
+        except (ValueError, OSError):
+            return None
+        return text, (-east_m, -north_m)
+
+    def open_drive() -> bytes | None:
+        return None if scenario.net is None else sumotools.open_drive(scenario.net)
+
+    return Place(scenario.origin_m, map_projection, open_drive, lambda: city_triangles(city_of(config)))
 
 
 def _projection(config: Config) -> Projection:

@@ -31,6 +31,7 @@ from cosim.offline.export import Sweeper
 from cosim.offline.replay_lidar import city_of, config_of
 from results.durable import PARTIAL
 from results.export.moments import BOX
+from results.extras import needed
 from results.figures import style
 from results.run import Run
 from results.sensing import senses
@@ -119,7 +120,7 @@ def _write(  # type: ignore[no-untyped-def]
 ) -> None:  # fmt: skip
     """Write the whole recording. An OSError is raised if the disk is nearly full, because the SDK might then hang."""
     _require_space(out)
-    _static(recording, config, city)
+    surroundings(recording, config, city)
     sweeper = Sweeper(run, config, city, steps)
     encounters = run.table("encounters", ["a", "b", "start_step", "end_step", "pairs"])
     encounters = encounters[encounters.pairs != "all"]
@@ -164,15 +165,9 @@ def first_look(run: Run, steps: Int[ndarray, "s"], vehicles: Sequence[int]) -> F
 
 def _open(out: Path, look_m: Float[ndarray, "3"]):  # type: ignore[no-untyped-def]
     """The recording, with a blueprint that shows map, city and trust."""
-    os.environ.setdefault("RUST_LOG", "off")  # of the SDK, which has nothing to say that is not said here
-    try:
-        import rerun
-        from rerun import blueprint as b
-    except ImportError:
-        raise ValueError(
-            "Rerun's SDK writes recordings, and it is not installed. "
-            "Install it: make extra NAME=view in a checkout, else pip install 'cosim-perception[view]'."
-        ) from None
+    sdk()
+    import rerun
+
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         _partial(out).write_bytes(b"")
@@ -180,21 +175,37 @@ def _open(out: Path, look_m: Float[ndarray, "3"]):  # type: ignore[no-untyped-de
         raise ValueError(f"--out {out} cannot be written: {error.strerror or error}.") from None
     recording = rerun.RecordingStream("cosim")
     recording.save(_partial(out))
+    send_layout(recording, look_m)
+    return recording
+
+
+def sdk() -> None:
+    """Import Rerun's SDK. Raises ValueError, with one line, if it is not installed."""
+    os.environ.setdefault("RUST_LOG", "off")  # of the SDK, which has nothing to say that is not said here
+    with needed("rerun-sdk", "writes recordings", "view"):
+        import rerun  # noqa: F401
+
+
+def send_layout(recording, look_m: Float[ndarray, "3"], ages: bool = False) -> None:  # type: ignore[no-untyped-def]
+    """Arrange the views: map, city, trust over time, and ages if asked for. The first view is around `look_m`."""
+    from rerun import blueprint as b
+
     x, y = look_m[0], -look_m[1]
     bounds = b.VisualBounds2D(x_range=[x - MAP_M, x + MAP_M], y_range=[y - MAP_M, y + MAP_M])
     eye = b.EyeControls3D(position=look_m + EYE_M, look_target=look_m, eye_up=[0, 0, 1])
+    series = [b.TimeSeriesView(origin="trust", name="Trust")]
+    series += [b.TimeSeriesView(origin="ages", name="Age of evaluations [s]")] if ages else []
     views = b.Horizontal(
         b.Spatial2DView(origin="map", name="Map (north is up)", visual_bounds=bounds, background=BACKGROUND),
         b.Vertical(
             b.Spatial3DView(origin="city", name="City", eye_controls=eye, background=BACKGROUND),
-            b.TimeSeriesView(origin="trust", name="Trust"), row_shares=[2, 1],
+            *series, row_shares=[2, *[1] * len(series)],
         ),
     )  # fmt: skip
     recording.send_blueprint(b.Blueprint(views, collapse_panels=True))
-    return recording
 
 
-def _static(recording, config: Config, city: Scene) -> None:  # type: ignore[no-untyped-def]
+def surroundings(recording, config: Config, city: Scene) -> None:  # type: ignore[no-untyped-def]
     """Buildings and streets."""
     import rerun
 
@@ -280,9 +291,9 @@ def _block(  # type: ignore[no-untyped-def]
             value = np.array([known.get(n, np.nan) for n in number.tolist()])
             boxes = Boxes(now[BOX[:3]].to_numpy(float), now[BOX[3:6]].to_numpy(float), now.yaw_rad.to_numpy(float))
             roles, rated = role_colours(run, number), colours(value)
-            recording.log("city/actors", _boxes(boxes, roles, solid=True))
+            recording.log("city/actors", drawn_boxes(boxes, roles, solid=True))
             edges = Boxes(boxes.xyz_m, boxes.lwh_m * EDGE_SHARE, boxes.yaw_rad)
-            recording.log("city/edges", _boxes(edges, rated))
+            recording.log("city/edges", drawn_boxes(edges, rated))
             flat = boxes.xyz_m[:, :2] * [1.0, -1.0]
             recording.log("map/rings", rerun.Points2D(flat, colors=rated, radii=3.0, draw_order=30.0))
             recording.log("map/actors", rerun.Points2D(flat, colors=roles, radii=2.0, draw_order=31.0))
@@ -303,7 +314,7 @@ def _block(  # type: ignore[no-untyped-def]
                 recording.log(f"map/{name}", rerun.Clear(recursive=False))
                 continue
             boxes = Boxes(xyz, rows[BOX[3:6]].to_numpy(float), rows.yaw_rad.to_numpy(float))
-            recording.log(f"city/{name}", _boxes(boxes, np.array(COLOURS[name], np.uint8)))
+            recording.log(f"city/{name}", drawn_boxes(boxes, np.array(COLOURS[name], np.uint8)))
             if name == "fabricated":
                 recording.log(f"map/{name}", rerun.Points2D(xyz[:, :2] * [1.0, -1.0], colors=COLOURS[name], radii=4.0))
         if now is None or sweeper is None:
@@ -339,7 +350,7 @@ def _received(run: Run, where: pc.Expression, vehicles: Sequence[int]) -> pd.Dat
     return sent[sent.transmitted].merge(got, left_on=["step", "observer"], right_on=["step", "sender"])
 
 
-def _boxes(boxes: Boxes, colour: UInt8[ndarray, "..."], solid: bool = False):  # type: ignore[no-untyped-def]
+def drawn_boxes(boxes: Boxes, colour: UInt8[ndarray, "..."], solid: bool = False):  # type: ignore[no-untyped-def]
     import rerun
 
     half = 0.5 * boxes.yaw_rad

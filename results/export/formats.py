@@ -3,10 +3,15 @@
 from collections.abc import Callable, Mapping
 from typing import Protocol
 
+from results.export.fcd import Fcd
+from results.export.geoparquet import GeoParquet
 from results.export.kitti import Kitti
 from results.export.moments import Plan, Selection
+from results.export.nuscenes import NuScenes
 from results.export.opv2v import Opv2v
+from results.export.osi import Osi
 from results.export.pcap import Pcap
+from results.export.ros2 import Ros2Bag
 from results.export.trupercept import TruPerceptData
 from results.export.veremi import Veremi
 from results.export.veremi_nextgen import VeremiNextGen
@@ -33,6 +38,6 @@ class Exporter(Protocol):
 
 EXPORTERS: Mapping[str, Callable[[], Exporter]] = {
     "kitti": Kitti, "trupercept": TruPerceptData, "opv2v": Opv2v, "veremi": Veremi, "veremi-nextgen": VeremiNextGen,
-    "pcap": Pcap,
+    "pcap": Pcap, "mcap": Ros2Bag, "omega-prime": Osi, "nuscenes": NuScenes, "geoparquet": GeoParquet, "fcd": Fcd,
 }  # fmt: skip
 """Exporters by name."""

@@ -107,9 +107,9 @@ def _block(selection: Selection, steps: Int[ndarray, "b"], clouds: Clouds) -> It
             yield File(f"object/results/{name}.txt", partial(_results, moment, vehicle, pose))
 
 
-def image() -> bytes:
-    """A black image of the camera's size, as PNG with 8 bits for each of red, green and blue."""
-    width, height = IMAGE_PX
+def image(size_px: tuple[int, int] = IMAGE_PX) -> bytes:
+    """A black image, of the camera's size by default, as PNG with 8 bits for each of red, green and blue."""
+    width, height = size_px
     rows = bytes(height * (1 + 3 * width))  # each row begins with the number of its filter, 0
     head = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
     chunks = ((b"IHDR", head), (b"IDAT", zlib.compress(rows)), (b"IEND", b""))

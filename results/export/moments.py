@@ -1,7 +1,7 @@
 """What an export is made from: the chosen vehicles and steps of a run, and its tables step by step."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import cast
 
@@ -99,6 +99,20 @@ def _no_projection() -> Projection:
     raise ValueError("the run does not say where on Earth it is.")
 
 
+@dataclass(frozen=True, slots=True)
+class Place:
+    """What surrounds the traffic."""
+
+    origin_m: tuple[float, float] = (0.0, 0.0)
+    """The world's origin in the coordinates of the network [m]."""
+    map_projection: Callable[[], tuple[str, tuple[float, float]] | None] = lambda: None
+    """The map that the network lies on as a text of PROJ, and the network's origin on it: east, north [m]."""
+    open_drive: Callable[[], bytes | None] = lambda: None
+    """The network as OpenDRIVE, in its own coordinates; None if the traffic has no network."""
+    buildings: Callable[[], Float[ndarray, "t 3 3"]] = lambda: np.zeros((0, 3, 3))
+    """Triangles of all buildings, world frame [m]."""
+
+
 @dataclass(frozen=True)
 class Selection:
     """Vehicles with a LiDAR, in the order asked for, and steps in which they sense, in ascending order."""
@@ -110,6 +124,9 @@ class Selection:
     """Distance of points to the edge of the road, positive on it."""
     projection: Callable[[], Projection] = _no_projection
     """Where on Earth the world frame is; ValueError in one line where that is not known."""
+    place: Place = field(default_factory=Place)
+    named: bool = False
+    """Whether the vehicles were named one by one, and are not simply all."""
 
     @cached_property
     def presence(self) -> pd.DataFrame:
@@ -149,6 +166,10 @@ class Selection:
         used = np.unique(self.presence.step)
         return [used[i : i + UNIT_STEPS] for i in range(0, len(used), UNIT_STEPS)]
 
+    def spans(self) -> list[Int[ndarray, "b"]]:
+        """All chosen steps, whether or not a chosen vehicle is on the road, at most `UNIT_STEPS` in each array."""
+        return [self.steps[i : i + UNIT_STEPS] for i in range(0, len(self.steps), UNIT_STEPS)]
+
     @cached_property
     def bodies(self) -> pd.DataFrame:
         """Class and size of every actor, by number."""
@@ -164,20 +185,24 @@ class Selection:
             Steps in any order. The moments come in ascending order; a step without actors has none.
         """
         where = pc.field("step").isin(steps.tolist())
-        actors = self.run.table("actors", where=where).sort_values(["step", "actor"])
-        actors = actors.join(self.bodies, on="actor")
         detections = self._detections(where)
         visible = self.run.table("observability", where=where & pc.field("observer").isin(list(self.vehicles)))
         lists = {int(cast(int, step)): part for step, part in detections.groupby("step")}
         seen = _visible(visible)
+        for moment in self.traffic(steps):
+            here = lists.get(moment.step, detections[:0])
+            by_vehicle = {int(cast(int, v)): part for v, part in here.groupby("vehicle")}
+            yield replace(moment, detections=by_vehicle, visible=seen.get(moment.step, {}))
+
+    def traffic(self, steps: Int[ndarray, "b"]) -> Iterator[Moment]:
+        """Like `moments`, but the actors alone: nothing is detected or visible."""
+        where = pc.field("step").isin(steps.tolist())
+        actors = self.run.table("actors", where=where).sort_values(["step", "actor"])
+        actors = actors.join(self.bodies, on="actor")
         for key, rows in actors.groupby("step"):
-            step = int(cast(int, key))
-            here = lists.get(step, detections[:0])
             yield Moment(
-                step, rows.actor.to_numpy(np.int64), rows.vehicle_class.astype(object).to_numpy(),
-                rows[BOX].to_numpy(np.float64), rows.speed_mps.to_numpy(np.float64),
-                {int(cast(int, v)): part for v, part in here.groupby("vehicle")},
-                seen.get(step, {}),
+                int(cast(int, key)), rows.actor.to_numpy(np.int64), rows.vehicle_class.astype(object).to_numpy(),
+                rows[BOX].to_numpy(np.float64), rows.speed_mps.to_numpy(np.float64), {}, {},
             )  # fmt: skip
 
     def _detections(self, where: pc.Expression) -> pd.DataFrame:

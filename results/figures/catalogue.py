@@ -5,18 +5,22 @@ from collections.abc import Callable, Mapping
 from matplotlib.figure import Figure
 
 from results.figures import (
+    ages,
     attacks,
     contacts,
     delays,
+    delivery,
     detection,
     durations,
     encounters,
+    exclusion,
     freshness,
     map,
     misbehaviour,
     radio,
     safety,
     security,
+    stale,
     trust,
 )
 
@@ -34,4 +38,8 @@ FIGURES: Mapping[str, Callable[..., Figure]] = {
     "map": map.draw,
     "contacts": contacts.draw,
     "safety": safety.draw,
+    "delivery": delivery.draw,
+    "ages": ages.draw,
+    "exclusion": exclusion.draw,
+    "stale": stale.draw,
 }

@@ -2,10 +2,13 @@
 
 import base64
 import io
-from collections.abc import Callable, Iterable, Mapping, Sequence
+import textwrap
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
 from functools import wraps
 from pathlib import Path
-from typing import Any, BinaryIO, ParamSpec
+from typing import Any, BinaryIO, Literal, ParamSpec
 
 import matplotlib as mpl
 import numpy as np
@@ -63,6 +66,52 @@ _STYLE: dict[Any, Any] = {
 }
 
 
+PAPER_WIDTH = 3.45
+"""Width of a column of a two-column page [inches]."""
+_TALLEST, _LOWEST = 3.1, 2.4
+"""Limits of the height of a panel in such a column [inches]."""
+
+_LETTERS = 46
+"""Letters of a title that fit into its width."""
+
+_PAPER: dict[Any, Any] = _STYLE | {
+    "font.size": 7.5,
+    "axes.titlesize": 7.5,
+    "axes.labelsize": 7.5,
+    "axes.linewidth": 0.6,
+    "grid.linewidth": 0.5,
+    "lines.linewidth": 1.1,
+    "lines.markersize": 3.2,
+    "legend.fontsize": 7,
+    "legend.handlelength": 2.4,
+    "legend.columnspacing": 1.2,
+    "xtick.labelsize": 7,
+    "ytick.labelsize": 7,
+}
+"""For one column of a paper: panels stand below one another."""
+
+_for_paper: ContextVar[bool] = ContextVar("for_paper", default=False)
+
+
+@contextmanager
+def chosen(name: Literal["screen", "paper"]) -> Iterator[None]:
+    """Draw and save pictures in this style inside: `screen`, or `paper` for a column of a two-column page."""
+    before = _for_paper.set(name == "paper")
+    try:
+        yield
+    finally:
+        _for_paper.reset(before)
+
+
+def is_for_paper() -> bool:
+    """Whether pictures are for a column of a paper: what belongs in a caption is left out."""
+    return _for_paper.get()
+
+
+def _rc() -> dict[Any, Any]:
+    return _PAPER if _for_paper.get() else _STYLE
+
+
 P = ParamSpec("P")
 
 
@@ -71,7 +120,7 @@ def styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
 
     @wraps(draw)
     def drawn(*args: P.args, **kwargs: P.kwargs) -> Figure:
-        with mpl.rc_context(_STYLE):
+        with mpl.rc_context(_rc()):
             figure = draw(*args, **kwargs)
             figure.canvas.draw()  # settles the layout while the style holds
         return figure
@@ -80,16 +129,27 @@ def styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
 
 
 def sheet(columns: int = 1, width: float = 7.2, height: float = 3.6, rows: int = 1) -> tuple[Figure, list[Axes]]:
-    """An empty figure (inches) and its panels, row by row."""
+    """An empty figure (inches) and its panels, row by row. For a paper, the panels stand below one another."""
+    if _for_paper.get():
+        aspect = (width / columns) / (height / rows)
+        columns, rows = 1, rows * columns
+        width, height = PAPER_WIDTH, rows * min(max(PAPER_WIDTH / aspect, _LOWEST), _TALLEST)
     figure = Figure(figsize=(width, height), layout="constrained", dpi=150)
     FigureCanvasAgg(figure)
     return figure, list(np.ravel(figure.subplots(rows, columns)))
 
 
 def panel(axes: Axes, title: str, x: str, y: str) -> None:
-    axes.set_title(title)
-    axes.set_xlabel(x)
+    axes.set_title(fitted(title))
+    axes.set_xlabel(fitted(x))
     axes.set_ylabel(y)
+
+
+def fitted(text: str) -> str:
+    """Text in lines that are no longer than a column of a paper is wide; unchanged on a screen."""
+    if not _for_paper.get():
+        return text
+    return "\n".join(part for line in text.split("\n") for part in textwrap.wrap(line, _LETTERS))
 
 
 def share_axis(axes: Axes, top: float = 1.0) -> None:
@@ -288,7 +348,7 @@ def save(figure: Figure, path: str | Path) -> Path:
 def write(figure: Figure, target: str | Path | BinaryIO, kind: str) -> None:
     """Write a picture as `png`, `svg` or `pdf`; the same picture gives the same bytes."""
     metadata = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}.get(kind, {})
-    with mpl.rc_context(_STYLE):
+    with mpl.rc_context(_rc()):
         figure.savefig(target, format=kind, metadata=metadata)
 
 

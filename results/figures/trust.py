@@ -56,7 +56,7 @@ def draw(runs: Sequence[Run], vehicles: Sequence[int] = ()) -> Figure:
         top = max(top, tops)
     style.share_axis(axes, min(1.0, 1.15 * float(top)))
     axes.set_xlim(left=0)
-    if len(runs) == 1 and (before := _before(runs[0])):
+    if len(runs) == 1 and not style.is_for_paper() and (before := _before(runs[0])):
         axes.set_xlabel(f"{style.TIME}\n{before}", fontsize=7.5, linespacing=1.5)
     style.legend(figure, style.role_entries(shown, roles), style.run_entries(runs))
     return figure

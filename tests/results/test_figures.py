@@ -7,6 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from matplotlib.colors import to_rgb
+from matplotlib.text import Text
 
 from results.archive import open_run
 from results.figures import study as study_figure
@@ -32,7 +33,27 @@ def test_every_picture(run, other, name, tmp_path):
 @pytest.mark.parametrize("name", FIGURES)
 def test_nothing_is_cut_off(run, other, name):
     """All text lies inside the page, and no two labels of an axis overlap."""
-    figure = FIGURES[name]([run, other])
+    check_nothing_is_cut_off(FIGURES[name]([run, other]))
+
+
+@pytest.mark.verify
+@pytest.mark.parametrize("name", FIGURES)
+def test_nothing_is_cut_off_in_a_column(run, name):
+    """One column of a two-column page is 8.8 cm wide."""
+    with style.chosen("paper"):
+        figure = FIGURES[name]([run])
+    assert figure.get_size_inches()[0] == style.PAPER_WIDTH
+    renderer, page = figure.canvas.get_renderer(), figure.bbox
+    texts = [text for text in figure.findobj(Text) if text.get_visible() and text.get_text().strip()]
+    ticks = {tick for axes in figure.axes for axis in (axes.xaxis, axes.yaxis) for tick in axis.get_ticklabels()}
+    for text in set(texts) - ticks:  # ticks outside of the limits are not drawn
+        box = text.get_window_extent(renderer)
+        assert page.x0 - 1 <= box.x0 and box.x1 <= page.x1 + 1, text.get_text()
+        assert page.y0 - 1 <= box.y0 and box.y1 <= page.y1 + 1, text.get_text()
+    assert min(text.get_fontsize() for axes in figure.axes for text in axes.get_xticklabels()) >= 6
+
+
+def check_nothing_is_cut_off(figure):
     renderer = figure.canvas.get_renderer()
     page = figure.bbox
     for axes in figure.axes:

@@ -19,6 +19,16 @@ def built(tmp_path_factory):
     return folder, json.loads(done.stdout)
 
 
+def test_the_map_that_ships(tmp_path):
+    """It is the town of the tests; an existing file is not replaced."""
+    done = cosim("nets", "example", "town.osm", cwd=tmp_path)
+    assert done.returncode == 0 and (tmp_path / "town.osm").read_text(encoding="utf-8") == grid_town()
+    for name in ("town.osm", "town.pbf", "no/folder.osm"):
+        done = cosim("nets", "example", name, cwd=tmp_path)
+        assert done.returncode == 2 and len(done.stderr.strip().splitlines()) == 1, name
+    assert [path.name for path in tmp_path.iterdir()] == ["town.osm"]
+
+
 def test_build_reports_and_draws(built):
     folder, said = built
     assert said["assessment"] == "it flows" and said["teleports"] == 0 and said["buildings"] == 4

@@ -33,3 +33,19 @@ def commands(text: str) -> list[str]:
                 if line and not line.startswith("#"):
                     found.append(line)
     return found
+
+
+def is_printed(shown: str, printed: str) -> bool:
+    """Whether a page's block `output` is what its command before printed.
+
+    Spaces at the ends of lines and the width of gaps do not count. `...` stands for anything inside a line, and alone
+    on its line for any lines: times and versions differ from machine to machine.
+    """
+    pattern = ""
+    for line in shown.strip("\n").splitlines():
+        if line.strip() == "...":
+            pattern += r"(?:.*\n)*?"
+        else:
+            parts = (re.sub(r"(?:\\ |\s)+", r"[ \\t]+", re.escape(part.strip())) for part in line.split("..."))
+            pattern += r"[ \t]*" + r"[^\n]*".join(parts) + r"[ \t]*\n"
+    return re.fullmatch(pattern, printed.strip("\n") + "\n") is not None

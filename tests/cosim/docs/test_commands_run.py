@@ -9,7 +9,6 @@ import pytest
 
 from tests.cosim.docs import fences
 from tests.cosim.docs.fences import PAGES, ROOT
-from tests.sumo_nets.test_build_from_osm import grid_town
 
 RUNNABLE = {
     path.relative_to(ROOT).as_posix(): path
@@ -23,6 +22,7 @@ INSTEAD = {
     "make run": f"cosim run {SHORT} --set traffic.warmup_s=120 --set record.level=full",
     "make test": "true",  # this is it
     "source .venv/bin/activate": "true",
+    "python3 -m venv": "true",
 }
 """What stands for a command that sets up an environment, or takes minutes."""
 
@@ -31,14 +31,13 @@ QUICK = ("cosim nets list", "cosim --version", "cosim measure --explain", "cosim
 
 @pytest.fixture
 def folder(tmp_path):
-    """An empty folder with `cosim` and `python` on the path, and an extract of a town."""
+    """An empty folder with `cosim` and `python` on the path."""
     (tmp_path / "bin").mkdir()
     for name, module in (("cosim", "-m cosim "), ("python", "")):
         shim = tmp_path / "bin" / name
         shim.write_text(f'#!/bin/sh\nexec {sys.executable} {module}"$@"\n')
         shim.chmod(0o755)
     (tmp_path / "work").mkdir()
-    (tmp_path / "work" / "town.osm").write_text(grid_town())
     return tmp_path
 
 
@@ -65,10 +64,12 @@ def test_a_page(folder, page):
         if block.title:
             (folder / "work" / block.title).write_text(block.text)
         elif block.language == "sh":
-            run(folder, "\n".join(_instead(line) for line in block.text.replace("\\\n", " ").splitlines()))
+            said = run(folder, "\n".join(_instead(line) for line in block.text.replace("\\\n", " ").splitlines()))
         elif block.language == "python" and "open_run" in block.text:
             (folder / "script.py").write_text(block.text)
-            run(folder, f"python {folder / 'script.py'}")
+            said = run(folder, f"python {folder / 'script.py'}")
+        elif block.language == "output":
+            assert fences.is_printed(block.text, said), f"{page} shows\n{block.text}\nbut this is printed:\n{said}"
 
 
 def _instead(line: str) -> str:
@@ -80,6 +81,21 @@ def test_the_notebook(folder):
     run(folder, f"cosim run {SHORT} --set traffic.warmup_s=120 --out runs/mine")
     said = run(folder, f"python {PAGES / 'howto/python.py'}")
     assert "mean speed" in said and (folder / "work/trust.svg").exists()
+
+
+@pytest.mark.verify
+@pytest.mark.filterwarnings("ignore")
+def test_the_notebook_of_the_tutorial(folder, monkeypatch):
+    """From nothing to a figure, a step with its clouds, a model of one's own: every cell runs in an empty folder."""
+    nbformat, nbclient = pytest.importorskip("nbformat"), pytest.importorskip("nbclient")
+    pytest.importorskip("ipykernel")
+    monkeypatch.setenv("PYTHONPATH", str(ROOT))
+    book = nbformat.read(PAGES / "tutorial/start.ipynb", 4)
+    assert not any(cell.get("outputs") for cell in book.cells), "it is kept without outputs"
+    nbformat.validate(book)
+    nbclient.NotebookClient(book, timeout=1200, resources={"metadata": {"path": str(folder / "work")}}).execute()
+    printed = "".join(out.get("text", "") for cell in book.cells for out in cell.get("outputs", []))
+    assert "fused objects" in printed and "mean trust" in printed and (folder / "work/trust.svg").exists()
 
 
 @pytest.mark.parametrize("command", QUICK)

@@ -116,6 +116,23 @@ def _accepted(words):
         assert words[0] in ("--version", "--help")
 
 
+def test_output_is_compared_with_what_is_printed():
+    said = "role\nhonest   45\n15.0 s: median\ntime 17.2 s of computing\n"
+    assert fences.is_printed("role\nhonest 45\n15.0 s: median\ntime ... s of computing\n", said)
+    assert fences.is_printed("role\n...\ntime 17.2 ...\n", said)
+    assert not fences.is_printed("role\nhonest 46\n...\n", said)
+    assert not fences.is_printed("role\nhonest 45\n", said), "lines are missing"
+    assert not fences.is_printed("role.\n...\n", said), "a dot is a dot"
+
+
+@pytest.mark.parametrize("source", SOURCES)
+def test_shown_output_follows_a_command(source):
+    before = ""
+    for block in fences.blocks(SOURCES[source].read_text(encoding="utf-8")):
+        assert block.language != "output" or before in ("sh", "python"), source
+        before = block.language
+
+
 @pytest.mark.parametrize("source", SOURCES)
 def test_configs_are_toml(source):
     for block in fences.blocks(SOURCES[source].read_text(encoding="utf-8")):

@@ -66,7 +66,7 @@ def test_interrupted_and_taken_up_again(folder, vehicles, tmp_path):
 @pytest.mark.parametrize(
     ("form", "more", "says"),
     [
-        ("nuscenes", {}, "no such choice. There are kitti"),
+        ("waymo", {}, "no such choice. There are kitti"),
         ("kitti", {"vehicles": "99999"}, "there was never such a vehicle"),
         ("kitti", {"vehicles": "../3"}, "numbers and spans"),
         ("kitti", {"vehicles": "5-3"}, "numbers and spans"),
@@ -106,13 +106,42 @@ def test_packets_are_in_helsinki(folder, vehicles, tmp_path):
         assert 60.164 < frame["lat"] / 1e7 < 60.180 and 24.935 < frame["lon"] / 1e7 < 24.954
 
 
+@pytest.mark.verify
+@pytest.mark.filterwarnings("ignore")
+def test_omega_prime_of_helsinki(folder, tmp_path):
+    """Its validator passes, its map parses, and objects keep their places on the map after both projections."""
+    omega_prime = pytest.importorskip("omega_prime")
+    run = open_run(folder)
+    export(run, "omega-prime", tmp_path / "out")
+    found = omega_prime.Recording.from_file(str(tmp_path / "out/omega-prime.mcap"), validate=True)
+    assert type(found.map).__name__ == "MapOdr" and len(found.map.lanes) > 1000
+    rows = found.df.sort(["total_nanos", "idx"])
+    assert np.abs(rows["x"].to_numpy() - run.actors.x_m.to_numpy()).max() < 1e-3
+    assert np.abs(rows["y"].to_numpy() - run.actors.y_m.to_numpy()).max() < 1e-3
+
+
+@pytest.mark.verify
+@pytest.mark.parametrize("form", ["mcap", "geoparquet", "fcd", "nuscenes", "omega-prime"])
+def test_the_same_bytes_again(folder, vehicles, tmp_path, form):
+    run, named = open_run(folder), ",".join(map(str, vehicles[:1]))
+    for where in ("a", "b"):
+        if form in ("mcap", "omega-prime"):
+            pytest.importorskip("betterosi")
+        assert export(run, form, tmp_path / where, named, "1-2")["files"]
+    first, second = (
+        {p.relative_to(tmp_path / w): p.read_bytes() for p in sorted((tmp_path / w).rglob("*")) if p.is_file()}
+        for w in ("a", "b")
+    )
+    assert first == second
+
+
 def test_a_mistake_is_one_line(folder, tmp_path):
     done = cosim("export", "kitti", str(folder), "--out", str(tmp_path), "--vehicles", "x")
     assert done.returncode == 2 and len(done.stderr.strip().splitlines()) == 1 and done.stdout == ""
 
 
 @pytest.mark.parametrize(
-    "words", [("nuscenes",), ("kitti", "--vehicles", "99999"), ("kitti", "--vehicles", "../<b>x</b>"), ("veremi",)]
+    "words", [("waymo",), ("kitti", "--vehicles", "99999"), ("kitti", "--vehicles", "../<b>x</b>"), ("veremi",)]
 )
 def test_mistakes_on_the_command_line(folder, tmp_path, words):
     """One line, exit status 2, nothing written."""

@@ -65,10 +65,11 @@ def make(folder):
          "latency_s": 0.5, "distance_m": 20.0}
         for s, a in equipped for b in (0, 1, 3) if a != b and (s, b) in there
     ]  # fmt: skip
+    trust = [{"step": 2, "variant": "base", "subject": a, "trust": 0.25 * a, "state": "evaluated"} for a in (0, 1)]
     folder.mkdir(parents=True)
     return tiny.make(
         folder, 4, CONFIG, vehicles=vehicles, actors=actors, observability=observability, detections=detections,
-        receptions=receptions,
+        receptions=receptions, trust=trust,
     )  # fmt: skip
 
 

@@ -1,0 +1,54 @@
+"""Tails of the ages of trust, on logarithmic axes."""
+
+from collections.abc import Sequence
+
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from results.figures import style
+from results.metrics import freshness
+from results.run import Run
+from results.tables import axis_label
+
+
+@style.styled
+def draw(runs: Sequence[Run]) -> Figure:
+    """Complementary distribution of ages at lookup: the share of values that are older than an age.
+
+    On logarithmic axes a straight line is a power law, and a line that bends down falls faster than any.
+    """
+    runs = style.arranged(runs, most=6)
+    figure, (axes,) = style.sheet()
+    kinds, shown = list(freshness.AGES), set()
+    lowest, span = 1.0, [float("inf"), 0.0]
+    for i, run in enumerate(runs):
+        for k, what in enumerate(kinds):
+            try:
+                curve = freshness.distribution(run, what)
+            except ValueError:
+                continue  # nothing but defaults
+            older = 1 - curve.share.to_numpy()
+            there = (older > 1e-12) & (curve.age_s.to_numpy() > 0)
+            if not there.any():
+                continue
+            color = style.ink(k) if len(runs) == 1 else style.inks(runs)[i]
+            axes.plot(curve.age_s[there], older[there], drawstyle="steps-post", color=color, linestyle=style.dash(k),
+                      marker=style.marker(k), markevery=0.15)  # fmt: skip
+            shown.add(k)
+            lowest = min(lowest, float(older[there].min()))
+            span = [min(span[0], float(curve.age_s[there].min())), max(span[1], float(curve.age_s[there].max()))]
+    style.panel(axes, "Ages of trust when it is looked up", axis_label("trust_lookups", "age_s", "Age"),
+                "Share that is older")  # fmt: skip
+    if not shown:
+        raise ValueError(f"{runs[0].path} has no trust value that rests on an evaluation: there is no age to draw.")
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    axes.set_xlim(span[0] * 0.9, span[1] * 1.2)
+    axes.set_ylim(max(lowest * 0.7, 1e-6), 1.3)
+    entries = [
+        Line2D([], [], color=style.ink(k) if len(runs) == 1 else "black", linestyle=style.dash(k),
+               marker=style.marker(k), label="the value itself" if kinds[k] == "value" else kinds[k])
+        for k in sorted(shown)
+    ]  # fmt: skip
+    style.legend(figure, entries, style.colour_entries(runs))
+    return figure
