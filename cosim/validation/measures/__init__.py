@@ -32,8 +32,7 @@ MEASURES: Mapping[str, Callable[..., Measured]] = {
     "position_error_of_boxes": detection.position_error_of_boxes,
     "recall_when_near": detection.recall_when_near,
     "late_gain": cooperation.late_gain,
-    "change_between_runs": cooperation.change_between_runs,
-    "gain_left": cooperation.gain_left,
+    "change_of_late": cooperation.change_of_late,
 }
 
 

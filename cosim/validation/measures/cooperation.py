@@ -1,59 +1,162 @@
-"""What cooperation adds to average precision, and what delays and errors take from it."""
+"""What cooperation adds to average precision, and what delays and errors take from it, by the rules of data sets.
+
+The detections of a run go through late fusion as OpenCOOD does it: boxes of the ego and of its partners in one frame, then
+non-maximum suppression. So one run answers with and without partners, with and without delay and errors, on the same
+sweeps.
+"""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
+import pandas as pd
+import pyarrow.compute as pc
 from jaxtyping import Float
 from numpy import ndarray
 
 from cosim.validation.facts import Measured
-from cosim.validation.measures.frames import Frames
-from results.metrics.kitti_frames import Lists
+from results.metrics.kitti import Objects, average_precision
+from results.metrics.kitti_frames import (
+    BOX,
+    Poses,
+    ahead_of,
+    at_steps,
+    near,
+    observed_by_vehicle,
+    posed,
+    sampled_steps,
+)
+from results.metrics.late_fusion import kept
 from results.run import Run
 
-_FRAMES = 2500
+_FRAMES = 1500
+_TALL_PX = 1e3
 
 
-def late_gain(
-    runs: Sequence[Run], *, overlaps: Sequence[float], range_m: float, partners_m: float, label: str = "car"
-) -> Measured:
-    """Average precision of fused objects minus that of the ego's own detections, over 40 recall points [points]."""
-    found = [
-        _precision(run, "fused", overlaps, range_m, partners_m, label)
-        - _precision(run, "local", overlaps, range_m, partners_m, label)
-        for run in runs
-    ]
-    return Measured.of_replicates(found)
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Setting:
+    """How a data set is evaluated, and how its messages are disturbed."""
+
+    overlaps: tuple[float, ...]
+    range_m: float
+    partners_m: float
+    """Largest distance of a partner from the ego."""
+    partners: int
+    """Largest number of partners, the nearest ones; egos without any are left out."""
+    delay_steps: int = 0
+    """Age of what partners send."""
+    position_m: float = 0.0
+    """Standard deviation of the error of a partner's position, for east and for north."""
+    heading_deg: float = 0.0
+    """Standard deviation of the error of its heading."""
+    label: str = "car"
 
 
-def change_between_runs(
-    runs: Sequence[Run], *, overlaps: Sequence[float], range_m: float, partners_m: float, label: str = "car"
-) -> Measured:
-    """Average precision of fused objects in the second half of the runs minus that in the first half [points].
+def late_gain(runs: Sequence[Run], **options: object) -> Measured:
+    """Average precision with partners minus that of the ego alone, over 40 recall points [points].
 
-    Run i of one half belongs to run i of the other one: they share seeds.
+    Options are those of `Setting`. Objects count that the ego or one of its partners has a return of.
     """
-    values = [_precision(run, "fused", overlaps, range_m, partners_m, label) for run in runs]
-    half = len(values) // 2
-    return Measured.of_replicates([after - before for before, after in zip(values[:half], values[half:], strict=True)])
+    setting = _setting(options)
+    return Measured.of_replicates([_precision(run, setting, True) - _precision(run, setting, False) for run in runs])
 
 
-def gain_left(
-    runs: Sequence[Run], *, overlaps: Sequence[float], range_m: float, partners_m: float, label: str = "car"
-) -> Measured:
-    """As `late_gain`, but of the second half of the runs against the ego's own detections in the first half [points]."""
-    half = len(runs) // 2
-    found = [
-        _precision(disturbed, "fused", overlaps, range_m, partners_m, label)
-        - _precision(exact, "local", overlaps, range_m, partners_m, label)
-        for exact, disturbed in zip(runs[:half], runs[half:], strict=True)
-    ]
-    return Measured.of_replicates(found)
+def change_of_late(runs: Sequence[Run], **options: object) -> Measured:
+    """Average precision with disturbed partners minus that with undisturbed ones [points]; options as `late_gain`."""
+    setting = _setting(options)
+    exact = _setting(dict(options) | {"delay_steps": 0, "position_m": 0.0, "heading_deg": 0.0})
+    return Measured.of_replicates([_precision(run, setting, True) - _precision(run, exact, True) for run in runs])
 
 
-def _precision(
-    run: Run, which: Lists, overlaps: Sequence[float], range_m: float, partners_m: float, label: str
-) -> Float[ndarray, "o"]:
-    """Average precision of the objects that the ego or another equipped vehicle near it has a return of [%]."""
-    frames = Frames.of(run, which, range_m, partners_m, _FRAMES)
-    return np.array([frames.precision(frames.n_points_of_any > 0, label, one) for one in overlaps])
+def _setting(options: object) -> Setting:
+    given = dict(options)  # type: ignore[call-overload]
+    return Setting(**given | {"overlaps": tuple(given["overlaps"])})
+
+
+def _precision(run: Run, setting: Setting, cooperating: bool) -> Float[ndarray, "o"]:
+    """Average precision by overlap [%]."""
+    steps = sampled_steps(run, _FRAMES)
+    steps = steps[steps >= setting.delay_steps]
+    poses, actors = posed(run, steps)
+    frame, partner = _partners(poses, actors, setting)
+    poses = poses[poses.frame.isin(frame)].reset_index(drop=True)
+    renumbered = pd.Series(np.arange(len(poses)), poses.frame.to_numpy())
+    poses = poses.assign(frame=np.arange(len(poses)))
+    beside = pd.DataFrame({"frame": renumbered.loc[frame].to_numpy(), "observer": partner})
+    truth = _truth(run, steps, poses, actors, beside, setting)
+    found = _found(run, steps, poses, beside if cooperating else beside.iloc[:0], setting)
+    return np.array(
+        [average_precision(truth, found, setting.label, min_overlap=one)["hard"].ap40 for one in setting.overlaps]
+    )
+
+
+def _partners(poses: Poses, actors: pd.DataFrame, setting: Setting) -> tuple[ndarray, ndarray]:
+    """Frames and actor numbers of the partners in them."""
+    equipped = actors[actors.equipped].reset_index(drop=True)
+    i, j = near(poses, equipped, setting.partners_m)
+    other = poses.observer.to_numpy()[i] != equipped.actor.to_numpy()[j]
+    i, j = i[other], j[other]
+    away = np.hypot(*(poses[["x_m", "y_m"]].to_numpy()[i] - equipped[["x_m", "y_m"]].to_numpy()[j]).T)
+    order = np.lexsort([away, i])
+    i, j = i[order], j[order]
+    place = np.arange(len(i)) - np.searchsorted(i, i)
+    few = place < setting.partners
+    return poses.frame.to_numpy()[i[few]], equipped.actor.to_numpy()[j[few]]
+
+
+def _truth(
+    run: Run, steps: ndarray, poses: Poses, actors: pd.DataFrame, beside: pd.DataFrame, setting: Setting
+) -> Objects:
+    """Actors around each ego; those that nobody has a return of count neither as there nor as wrong."""
+    i, j = near(poses, actors, setting.range_m)
+    other = poses.observer.to_numpy()[i] != actors.actor.to_numpy()[j]
+    i, j = i[other], j[other]
+    box, _, _ = ahead_of(poses, i, actors[[*BOX]].to_numpy(np.float64)[j], setting.range_m)
+    seen = run.table("observability", ["step", "observer", "actor", "n_points"], at_steps(steps))
+    watching = pd.concat([poses[["frame", "step", "observer"]], beside.merge(poses[["frame", "step"]], on="frame")])
+    best = watching.merge(seen[seen.n_points > 0], on=["step", "observer"]).groupby(["frame", "actor"]).n_points.max()
+    points = best.reindex(pd.MultiIndex.from_arrays([i, actors.actor.to_numpy()[j]])).fillna(0).to_numpy()
+    none = np.zeros(len(i))
+    return Objects(
+        i, actors.label.to_numpy(object)[j], box, none + _TALL_PX, np.where(points > 0, 0, 3), none, none + 1
+    )
+
+
+def _found(run: Run, steps: ndarray, poses: Poses, beside: pd.DataFrame, setting: Setting) -> Objects:
+    """Boxes of the egos, and those of partners as they were and with their errors, after suppression."""
+    old = np.unique(np.concatenate([steps, steps - setting.delay_steps]))
+    where = at_steps(old) & (pc.field("origin") == "sensed")
+    boxes = observed_by_vehicle(run, "local", ["step", "observer", "class", *BOX, "score"], where)
+    own = poses[["frame", "step", "observer"]].merge(boxes, on=["step", "observer"])
+    theirs = beside.merge(poses[["frame", "step"]], on="frame")
+    theirs["step"] -= setting.delay_steps
+    theirs = _disturbed(theirs.assign(sender=np.arange(len(theirs))).merge(boxes, on=["step", "observer"]), run, setting)
+    every = pd.concat([own, theirs], ignore_index=True)
+    frame = every.frame.to_numpy(np.int64)
+    world = every[[*BOX]].to_numpy(np.float64)
+    box, _, _ = ahead_of(poses, frame, world, setting.range_m)
+    rows = np.flatnonzero(np.hypot(box[:, 0], box[:, 1]) <= setting.range_m)
+    label = every["class"].astype(object).to_numpy()
+    rows = rows[label[rows] == setting.label]
+    score = every.score.to_numpy(np.float64)
+    rows = rows[kept(frame[rows], box[rows], score[rows])]
+    rows = rows[np.argsort(frame[rows], kind="stable")]
+    none = np.zeros(len(rows))
+    return Objects(frame[rows], label[rows], box[rows], none + _TALL_PX, none.astype(int), none, score[rows])
+
+
+def _disturbed(boxes: pd.DataFrame, run: Run, setting: Setting) -> pd.DataFrame:
+    """Boxes of partners moved and turned with the errors of their senders' poses."""
+    if not (setting.position_m or setting.heading_deg) or boxes.empty:
+        return boxes
+    n = int(boxes.sender.max()) + 1
+    error = np.random.default_rng(7).normal(size=(n, 3))[boxes.sender.to_numpy()]
+    poses = run.table("actors", ["step", "actor", "x_m", "y_m"], at_steps(np.unique(boxes.step)))
+    at = poses.set_index(["step", "actor"]).reindex(pd.MultiIndex.from_frame(boxes[["step", "observer"]]))
+    turn = np.radians(setting.heading_deg) * error[:, 2]
+    east, north = boxes.x_m.to_numpy() - at.x_m.to_numpy(), boxes.y_m.to_numpy() - at.y_m.to_numpy()
+    return boxes.assign(
+        x_m=at.x_m.to_numpy() + np.cos(turn) * east - np.sin(turn) * north + setting.position_m * error[:, 0],
+        y_m=at.y_m.to_numpy() + np.sin(turn) * east + np.cos(turn) * north + setting.position_m * error[:, 1],
+        yaw_rad=boxes.yaw_rad + turn,
+    )

@@ -14,7 +14,6 @@ from results.metrics.kitti_frames import (
     actors_ahead,
     at_steps,
     boxes_ahead,
-    near,
     pairs_ahead,
     posed,
     sampled_steps,
@@ -36,19 +35,15 @@ class Frames:
     """Observers by frame."""
     n_points: Int[ndarray, "t"]
     """Returns of the observer's own sweep from each actor."""
-    n_points_of_any: Int[ndarray, "t"]
-    """Returns from each actor in the sweep of the observer or of another equipped vehicle near it, whichever has most."""
 
     @staticmethod
-    def of(run: Run, which: Lists = "local", range_m: float = 140.0, partners_m: float = 0.0, most: int = 4000) -> "Frames":
+    def of(run: Run, which: Lists = "local", range_m: float = 140.0, most: int = 4000) -> "Frames":
         """About `most` frames, evenly spread over a run.
 
         Parameters
         ----------
         which
             The boxes: detections of the vehicle's own sensor, or its fused objects.
-        partners_m
-            Distance within which other equipped vehicles count for `n_points_of_any`.
         """
         steps = sampled_steps(run, most)
         truth, poses = actors_ahead(run, steps, range_m)
@@ -58,17 +53,7 @@ class Frames:
         seen = run.table("observability", ["step", "observer", "actor", "n_points"], at_steps(steps))
         points = seen.set_index(["step", "observer", "actor"]).n_points
         own = points.reindex(pd.MultiIndex.from_arrays([step, observer, actor])).fillna(0).to_numpy(np.int64)
-        of_any = own.copy()
-        if partners_m > 0:
-            equipped = actors[actors.equipped].reset_index(drop=True)
-            a, b = near(poses, equipped, partners_m)
-            beside = pd.DataFrame({
-                "frame": poses.frame.to_numpy()[a], "step": poses.step.to_numpy()[a],
-                "observer": equipped.actor.to_numpy()[b],
-            })  # fmt: skip
-            best = beside.merge(seen, on=["step", "observer"]).groupby(["frame", "actor"]).n_points.max()
-            of_any = best.reindex(pd.MultiIndex.from_arrays([i, actor])).fillna(0).to_numpy(np.int64)
-        return Frames(truth, boxes_ahead(run, which, steps, poses, range_m), poses, own, np.maximum(own, of_any))
+        return Frames(truth, boxes_ahead(run, which, steps, poses, range_m), poses, own)
 
     @property
     def range_m(self) -> Float[ndarray, "t"]:
