@@ -15,7 +15,7 @@ FOREIGN = {
     "sensors": {"annotated_types", "jaxtyping", "numpy", "scipy", "numba", "llvmlite", "shapely", "embreex", "open3d"},
     "trust": {"annotated_types", "jaxtyping", "numpy", "numba", "scipy"},
     "results": {
-        "annotated_types", "jaxtyping", "numpy", "numba", "scipy", "pyarrow", "pandas", "networkx", "matplotlib",
+        "annotated_types", "jaxtyping", "numpy", "numba", "scipy", "pyarrow", "pandas", "networkx", "matplotlib", "yaml",
     },
     "sumo_nets": {"annotated_types", "jaxtyping", "numpy", "scipy", "shapely", "osmium", "sumo", "sumolib"},
     "cosim": {
@@ -38,6 +38,7 @@ ONE_FILE = {
     "distributed": {"cosim/studies/engine.py"},
     "psutil": {"cosim/studies/engine.py"},
     "latex2mathml": {"cosim/docs/equations.py"},
+    "yaml": {"results/datasets/opv2v.py"},
 }
 """Libraries that one file alone may know."""
 

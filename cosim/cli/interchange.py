@@ -1,16 +1,16 @@
-"""Commands that write a run for other programs: data sets in their formats, and a recording for a viewer."""
+"""Commands that write a run for other programs, and the command that evaluates data sets of others."""
 
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from cosim.cli.console import AsJson, print_done, progress
+from cosim.cli.console import AsJson, print_done, print_json, progress, screen
 
 
 def add_to(app: typer.Typer) -> None:
-    """Add the commands `export` and `view`."""
-    for command in (export, view):
+    """Add the commands `export`, `view` and `evaluate`."""
+    for command in (export, view, evaluate):
         app.command()(command)
 
 
@@ -76,3 +76,49 @@ def view(
             lambda what, n, total: advance(what, n, total, ""),
         )  # fmt: skip
     print_done(done, f"wrote {out}, {done['bytes'] / 1e6:,.1f} MB; open it with: rerun {out}", as_json)
+
+
+def evaluate(
+    folder: Annotated[Path, typer.Argument(help="Folder of a data set: OPV2V, V2V4Real, DAIR-V2X or KITTI.")],
+    layout: Annotated[
+        str | None, typer.Option(help="opv2v (also V2V4Real), dair-v2x or kitti. The default is found out.")
+    ] = None,
+    detections: Annotated[
+        Path | None, typer.Option(help="Folder of the detections. By default they lie with the annotations.")
+    ] = None,
+    range_m: Annotated[
+        float, typer.Option(min=1, help="Objects count up to this distance from the ego, in metres.")
+    ] = 100.0,
+    partners_m: Annotated[
+        float, typer.Option(min=0, help="Agents up to this distance from the ego cooperate, in metres.")
+    ] = 70.0,
+    overlaps: Annotated[
+        list[float] | None,
+        typer.Option(
+            "--overlap", min=0.01, max=1, help="A box is right from this overlap on. Repeatable; 0.5 and 0.7."
+        ),
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Average precision of a recorded data set: the ego alone, late fusion, and our matching and fusion."""
+    from cosim.offline import evaluate as evaluating
+
+    about, table = evaluating.evaluate(folder, layout, detections, range_m, partners_m, overlaps or (0.5, 0.7))
+    rows = table.astype(object).where(table.notna(), None).to_dict("records")
+    if as_json:
+        print_json(about | {"rows": rows})
+        return
+    from rich.box import SIMPLE
+    from rich.table import Table
+
+    counts = ", ".join(f"{about[name]:,} {name}" for name in ("frames", "agents", "objects", "boxes"))
+    screen.print(f"{about['layout']}: {counts}", soft_wrap=True)
+    if not rows:
+        screen.print("There are no detections to evaluate. Name their folder with --detections.", soft_wrap=True)
+        return
+    shown = Table(*table.columns, box=SIMPLE)
+    for row in rows:
+        shown.add_row(
+            *("-" if v is None else f"{v:.1f}" if k.startswith(("ap", "recall")) else str(v) for k, v in row.items())
+        )
+    screen.print(shown)

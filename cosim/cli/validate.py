@@ -18,7 +18,8 @@ def add_to(app: typer.Typer) -> None:
 
 def validate(
     only: Annotated[
-        list[str] | None, typer.Argument(metavar="[FACT|GROUP]...", help="Facts or groups of facts. The default is all.")
+        list[str] | None,
+        typer.Argument(metavar="[FACT|GROUP]...", help="Facts or groups of facts. The default is all."),
     ] = None,
     out: Annotated[Path, typer.Option(help="Folder to write: a page and a picture per group.")] = Path("validation"),
     full: Annotated[bool, typer.Option("--full", help="More and longer runs: hours instead of minutes.")] = False,

@@ -130,7 +130,9 @@ def _found(run: Run, steps: ndarray, poses: Poses, beside: pd.DataFrame, setting
     own = poses[["frame", "step", "observer"]].merge(boxes, on=["step", "observer"])
     theirs = beside.merge(poses[["frame", "step"]], on="frame")
     theirs["step"] -= setting.delay_steps
-    theirs = _disturbed(theirs.assign(sender=np.arange(len(theirs))).merge(boxes, on=["step", "observer"]), run, setting)
+    theirs = _disturbed(
+        theirs.assign(sender=np.arange(len(theirs))).merge(boxes, on=["step", "observer"]), run, setting
+    )
     every = pd.concat([own, theirs], ignore_index=True)
     frame = every.frame.to_numpy(np.int64)
     world = every[[*BOX]].to_numpy(np.float64)

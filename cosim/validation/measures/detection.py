@@ -24,9 +24,7 @@ def precision_by_level(
     found = []
     for run in runs:
         frames = Frames.of(run)
-        answer = average_precision(
-            frames.truth, frames.found, label, min_overlap=(LOOSE if loose else STRICT)[label]
-        )
+        answer = average_precision(frames.truth, frames.found, label, min_overlap=(LOOSE if loose else STRICT)[label])
         found.append([answer[level].ap11 if points == 11 else answer[level].ap40 for level in levels])
     return Measured.of_replicates(found)
 
