@@ -73,7 +73,8 @@ def evaluate(
     Returns
     -------
     What was read: layout, and numbers of frames, agents, objects and boxes; and average precision in percent, for KITTI by
-    class and level, for the others by class, method and overlap. The table is empty if there are no detections.
+    class and level, for the others by class, method and overlap (`ap` from above, `ap_3d` of volumes). The table is
+        empty if there are no detections.
 
     Raises
     ------
@@ -127,11 +128,11 @@ def _cooperative(data: Recorded, range_m: float, partners_m: float, overlaps: Se
         for method, boxes in methods.items():
             theirs = _take(boxes, (boxes.label == label) & _within(data, boxes, range_m))
             for overlap in overlaps:
-                ap, recall = precision_and_recall(
-                    (mine.frame, mine.box), (theirs.frame, theirs.box, theirs.score), overlap
-                )
-                rows.append((label, method, overlap, 100 * ap, 100 * recall, len(mine), len(theirs)))
-    return pd.DataFrame(rows, columns=["class", "method", "overlap", "ap", "recall", "n_truth", "n_boxes"])
+                pair = (mine.frame, mine.box), (theirs.frame, theirs.box, theirs.score)
+                ap, recall = precision_and_recall(*pair, overlap, "bev")
+                ap_3d, _ = precision_and_recall(*pair, overlap, "3d")
+                rows.append((label, method, overlap, 100 * ap, 100 * ap_3d, 100 * recall, len(mine), len(theirs)))
+    return pd.DataFrame(rows, columns=["class", "method", "overlap", "ap", "ap_3d", "recall", "n_truth", "n_boxes"])
 
 
 def _partners(data: Recorded, partners_m: float) -> list[Bool[ndarray, "k"]]:

@@ -1,7 +1,7 @@
 """Average precision as cooperative data sets count it: all boxes ranked together, area under the whole curve.
 
-A box is right if it overlaps an object that no box of higher score has taken, in 3D, by at least a share. This is the rule
-of OpenCOOD with `global_sort_detections`, and of Pascal VOC since 2010.
+A box is right if it overlaps an object that no box of higher score has taken by at least a share. This is the rule of
+OpenCOOD with `global_sort_detections`, with the overlap from above, and of Pascal VOC since 2010.
 """
 
 import numpy as np
@@ -9,7 +9,8 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 from scipy.spatial import cKDTree
 
-from results.metrics.overlap import iou_3d
+from results.metrics.kitti import Overlap
+from results.metrics.overlap import iou_3d, iou_bev
 
 Truth = tuple[Int[ndarray, "t"], Float[ndarray, "t 7"]]
 """Frame and box of each object."""
@@ -17,24 +18,28 @@ Found = tuple[Int[ndarray, "n"], Float[ndarray, "n 7"], Float[ndarray, "n"]]
 """Frame, box and score of each detection."""
 
 
-def precision_and_recall(truth: Truth, found: Found, overlap: float) -> tuple[float, float]:
+def precision_and_recall(
+    truth: Truth, found: Found, overlap: float, kind: Overlap = "bev"
+) -> tuple[float, float]:
     """Average precision, and recall over all boxes, in [0, 1]; NaN if there are no objects.
 
     Parameters
     ----------
     overlap
         A box is right from this intersection over union on.
+    kind
+        Overlap of footprints, as OpenCOOD takes it, or of volumes.
 
     Notes
     -----
     Boxes are taken by descending score, those of the same score in their order. Each takes the free object that it
-    overlaps most.   Deviations: OpenCOOD takes the overlap from above; here it is that of the volumes.
+    overlaps most.   Deviations: none.
     """
     frame, box = truth
     of, boxes, score = found
     if not len(frame):
         return float("nan"), float("nan")
-    i, j, share = _overlapping(frame, box, of, boxes)
+    i, j, share = _overlapping(frame, box, of, boxes, kind)
     near = share >= overlap
     i, j, share = i[near], j[near], share[near]
     rank = np.empty(len(score), np.int64)
@@ -54,7 +59,7 @@ def precision_and_recall(truth: Truth, found: Found, overlap: float) -> tuple[fl
 
 
 def _overlapping(
-    frame: ndarray, box: Float[ndarray, "t 7"], of: ndarray, boxes: Float[ndarray, "n 7"]
+    frame: ndarray, box: Float[ndarray, "t 7"], of: ndarray, boxes: Float[ndarray, "n 7"], kind: Overlap
 ) -> tuple[ndarray, ndarray, Float[ndarray, "p"]]:
     """Pairs of an object and a detection of the same frame that may overlap, and by how much."""
     if not len(of):
@@ -68,4 +73,4 @@ def _overlapping(
     ]
     pairs = trees[0].sparse_distance_matrix(trees[1], reach, output_type="ndarray")
     i, j = pairs["i"], pairs["j"]
-    return i, j, iou_3d(box[i], boxes[j])
+    return i, j, (iou_3d if kind == "3d" else iou_bev)(box[i], boxes[j])

@@ -15,7 +15,6 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from cosim.validation.facts import Measured
-from results.metrics.kitti import Objects, average_precision
 from results.metrics.kitti_frames import (
     BOX,
     Poses,
@@ -27,10 +26,10 @@ from results.metrics.kitti_frames import (
     sampled_steps,
 )
 from results.metrics.late_fusion import kept
+from results.metrics.matched import Found, Truth, precision_and_recall
 from results.run import Run
 
 _FRAMES = 1500
-_TALL_PX = 1e3
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -50,10 +49,12 @@ class Setting:
     heading_deg: float = 0.0
     """Standard deviation of the error of its heading."""
     label: str = "car"
+    slower_mps: float = np.inf
+    """Only objects slower than this count; the boxes of others are no false positives."""
 
 
 def late_gain(runs: Sequence[Run], **options: object) -> Measured:
-    """Average precision with partners minus that of the ego alone, over 40 recall points [points].
+    """Average precision with partners minus that of the ego alone, as OpenCOOD counts it [points].
 
     Options are those of `Setting`. Objects count that the ego or one of its partners has a return of.
     """
@@ -85,9 +86,7 @@ def _precision(run: Run, setting: Setting, cooperating: bool) -> Float[ndarray, 
     beside = pd.DataFrame({"frame": renumbered.loc[frame].to_numpy(), "observer": partner})
     truth = _truth(run, steps, poses, actors, beside, setting)
     found = _found(run, steps, poses, beside if cooperating else beside.iloc[:0], setting)
-    return np.array(
-        [average_precision(truth, found, setting.label, min_overlap=one)["hard"].ap40 for one in setting.overlaps]
-    )
+    return np.array([100 * precision_and_recall(truth, found, one)[0] for one in setting.overlaps])
 
 
 def _partners(poses: Poses, actors: pd.DataFrame, setting: Setting) -> tuple[ndarray, ndarray]:
@@ -106,45 +105,52 @@ def _partners(poses: Poses, actors: pd.DataFrame, setting: Setting) -> tuple[nda
 
 def _truth(
     run: Run, steps: ndarray, poses: Poses, actors: pd.DataFrame, beside: pd.DataFrame, setting: Setting
-) -> Objects:
-    """Actors around each ego; those that nobody has a return of count neither as there nor as wrong."""
+) -> Truth:
+    """Actors of the class around each ego that somebody has a return of."""
     i, j = near(poses, actors, setting.range_m)
-    other = poses.observer.to_numpy()[i] != actors.actor.to_numpy()[j]
-    i, j = i[other], j[other]
-    box, _, _ = ahead_of(poses, i, actors[[*BOX]].to_numpy(np.float64)[j], setting.range_m)
+    keep = (poses.observer.to_numpy()[i] != actors.actor.to_numpy()[j]) & (actors.label.to_numpy()[j] == setting.label)
+    i, j = i[keep], j[keep]
     seen = run.table("observability", ["step", "observer", "actor", "n_points"], at_steps(steps))
     watching = pd.concat([poses[["frame", "step", "observer"]], beside.merge(poses[["frame", "step"]], on="frame")])
-    best = watching.merge(seen[seen.n_points > 0], on=["step", "observer"]).groupby(["frame", "actor"]).n_points.max()
-    points = best.reindex(pd.MultiIndex.from_arrays([i, actors.actor.to_numpy()[j]])).fillna(0).to_numpy()
-    none = np.zeros(len(i))
-    return Objects(
-        i, actors.label.to_numpy(object)[j], box, none + _TALL_PX, np.where(points > 0, 0, 3), none, none + 1
-    )
+    pairs = watching.merge(seen[seen.n_points > 0], on=["step", "observer"])[["frame", "actor"]]
+    known = pd.MultiIndex.from_arrays([i, actors.actor.to_numpy()[j]]).isin(pd.MultiIndex.from_frame(pairs))
+    i, j = i[known], j[known]
+    if np.isfinite(setting.slower_mps):
+        now = actors[["step", "actor"]].iloc[j]
+        slow = _speed(run, now.step.to_numpy(), now.actor.to_numpy()) < setting.slower_mps
+        i, j = i[slow], j[slow]
+    box, _, _ = ahead_of(poses, i, actors[[*BOX]].to_numpy(np.float64)[j], setting.range_m)
+    return i, box
 
 
-def _found(run: Run, steps: ndarray, poses: Poses, beside: pd.DataFrame, setting: Setting) -> Objects:
+def _found(run: Run, steps: ndarray, poses: Poses, beside: pd.DataFrame, setting: Setting) -> Found:
     """Boxes of the egos, and those of partners as they were and with their errors, after suppression."""
     old = np.unique(np.concatenate([steps, steps - setting.delay_steps]))
     where = at_steps(old) & (pc.field("origin") == "sensed")
-    boxes = observed_by_vehicle(run, "local", ["step", "observer", "class", *BOX, "score"], where)
+    columns = ["step", "observer", "class", *BOX, "score", "truth_actor"]
+    boxes = observed_by_vehicle(run, "local", columns, where)
+    boxes = boxes[boxes["class"] == setting.label]
+    if np.isfinite(setting.slower_mps):
+        of = boxes.truth_actor.astype("Int64").fillna(-1).to_numpy(np.int64)
+        boxes = boxes[~(_speed(run, boxes.step.to_numpy(), of) >= setting.slower_mps)]
     own = poses[["frame", "step", "observer"]].merge(boxes, on=["step", "observer"])
     theirs = beside.merge(poses[["frame", "step"]], on="frame")
-    theirs["step"] -= setting.delay_steps
-    theirs = _disturbed(
-        theirs.assign(sender=np.arange(len(theirs))).merge(boxes, on=["step", "observer"]), run, setting
-    )
+    theirs = theirs.assign(step=theirs.step - setting.delay_steps, sender=np.arange(len(theirs)))
+    theirs = _disturbed(theirs.merge(boxes, on=["step", "observer"]), run, setting)
     every = pd.concat([own, theirs], ignore_index=True)
     frame = every.frame.to_numpy(np.int64)
-    world = every[[*BOX]].to_numpy(np.float64)
-    box, _, _ = ahead_of(poses, frame, world, setting.range_m)
+    box, _, _ = ahead_of(poses, frame, every[[*BOX]].to_numpy(np.float64), setting.range_m)
     rows = np.flatnonzero(np.hypot(box[:, 0], box[:, 1]) <= setting.range_m)
-    label = every["class"].astype(object).to_numpy()
-    rows = rows[label[rows] == setting.label]
     score = every.score.to_numpy(np.float64)
     rows = rows[kept(frame[rows], box[rows], score[rows])]
-    rows = rows[np.argsort(frame[rows], kind="stable")]
-    none = np.zeros(len(rows))
-    return Objects(frame[rows], label[rows], box[rows], none + _TALL_PX, none.astype(int), none, score[rows])
+    return frame[rows], box[rows], score[rows]
+
+
+def _speed(run: Run, step: ndarray, actor: ndarray) -> Float[ndarray, "n"]:
+    """Speed of actors in steps [m/s]; NaN where there is no such actor."""
+    speed = run.table("actors", ["step", "actor", "speed_mps"], at_steps(np.unique(step)))
+    speed = speed.set_index(["step", "actor"]).speed_mps
+    return speed.reindex(pd.MultiIndex.from_arrays([step, actor])).to_numpy(np.float64)
 
 
 def _disturbed(boxes: pd.DataFrame, run: Run, setting: Setting) -> pd.DataFrame:
