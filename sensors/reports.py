@@ -12,7 +12,6 @@ from sensors.boxes import Boxes
 from sensors.evidence import Observability
 from sensors.hash_rng import mix_rows, normals, uniforms
 
-
 _OBJECT = np.uint64(1 << 40)
 """Extends the key of sites to one of objects; sites use small numbers."""
 

@@ -47,9 +47,9 @@ class DetectorParams:
     """
 
     model: str = "avod"
-    """`avod`, `pointpillars`, `pv_rcnn`: fitted to the detectors of that name; `avod` to one row of a synthetic data set,
-    `pv_rcnn` to figures on KITTI at two overlaps. `ideal`: every actor with a return is detected, exactly and with score
-    1, and nothing else. Your own class: path.py:Name."""
+    """`avod`, `pointpillars`, `pv_rcnn`: fitted to the detectors of that name, `avod` to one row of a synthetic data
+    set, `pv_rcnn` to figures on KITTI at two overlaps. `ideal`: every actor with a return is detected, exactly and with
+    score 1, and nothing else. Your own class: path.py:Name."""
     found_max_p: Shares | None = None
     """Probability to detect an unoccluded object with very many returns."""
     half_returns: Positive | None = None

@@ -15,7 +15,8 @@ FOREIGN = {
     "sensors": {"annotated_types", "jaxtyping", "numpy", "scipy", "numba", "llvmlite", "shapely", "embreex", "open3d"},
     "trust": {"annotated_types", "jaxtyping", "numpy", "numba", "scipy"},
     "results": {
-        "annotated_types", "jaxtyping", "numpy", "numba", "scipy", "pyarrow", "pandas", "networkx", "matplotlib", "yaml",
+        "annotated_types", "jaxtyping", "numpy", "numba", "scipy", "pyarrow", "pandas", "networkx", "matplotlib",
+        "yaml",
     },
     "sumo_nets": {"annotated_types", "jaxtyping", "numpy", "scipy", "shapely", "osmium", "sumo", "sumolib"},
     "cosim": {

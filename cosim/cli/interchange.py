@@ -1,7 +1,7 @@
 """Commands that write a run for other programs, and the command that evaluates data sets of others."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -81,7 +81,8 @@ def view(
 def evaluate(
     folder: Annotated[Path, typer.Argument(help="Folder of a data set: OPV2V, V2V4Real, DAIR-V2X or KITTI.")],
     layout: Annotated[
-        str | None, typer.Option(help="opv2v (also V2V4Real), dair-v2x or kitti. The default is found out.")
+        Literal["opv2v", "dair-v2x", "kitti"] | None,
+        typer.Option(help="Layout of the folder; opv2v also for V2V4Real. The default is found out."),
     ] = None,
     detections: Annotated[
         Path | None, typer.Option(help="Folder of the detections. By default they lie with the annotations.")
@@ -118,7 +119,10 @@ def evaluate(
         return
     shown = Table(*table.columns, box=SIMPLE)
     for row in rows:
-        shown.add_row(
-            *("-" if v is None else f"{v:.1f}" if k.startswith(("ap", "recall")) else str(v) for k, v in row.items())
-        )
+        shown.add_row(*(_cell(str(name), value) for name, value in row.items()))
     screen.print(shown)
+
+
+def _cell(name: str, value: object) -> str:
+    """Percentages with one digit."""
+    return "-" if value is None else f"{value:.1f}" if name.startswith(("ap", "recall")) else str(value)

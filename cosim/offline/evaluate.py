@@ -72,9 +72,9 @@ def evaluate(
 
     Returns
     -------
-    What was read: layout, and numbers of frames, agents, objects and boxes; and average precision in percent, for KITTI by
-    class and level, for the others by class, method and overlap (`ap` from above, `ap_3d` of volumes). The table is
-        empty if there are no detections.
+    What was read: layout, and numbers of frames, agents, objects and boxes. And average precision in percent: for KITTI
+    by class and level; for the others by class, method and overlap, `ap` from above and `ap_3d` of volumes. The table
+    is empty if there are no detections.
 
     Raises
     ------
@@ -118,8 +118,10 @@ def _cooperative(data: Recorded, range_m: float, partners_m: float, overlaps: Se
     agents = data.found.agent
     helps = np.array([near[f][a] for f, a in zip(data.found.frame.tolist(), agents.tolist(), strict=True)], bool)
     methods: dict[str, Boxes] = {
-        "ego": _take(data.found, agents == 0), "late": _late(_take(data.found, helps)),
-        "averaging": _fused(_take(data.found, helps), "averaging"), "additive": _fused(_take(data.found, helps), "additive"),
+        "ego": _take(data.found, agents == 0),
+        "late": _late(_take(data.found, helps)),
+        "averaging": _fused(_take(data.found, helps), "averaging"),
+        "additive": _fused(_take(data.found, helps), "additive"),
     }  # fmt: skip
     truth = _take(data.truth, _within(data, data.truth, range_m))
     rows = []

@@ -179,7 +179,7 @@ def load(path: Path = FILE) -> tuple[dict[str, Fact], dict[str, RunPlan]]:
     for row in data["fact"]:
         if unknown := set(row) - known:
             raise ValueError(f"fact {row.get('id')}: unknown keys {sorted(unknown)}.")
-        values = {
+        values: dict[str, Any] = {
             key: _listed(value) if key in ("value", "uncertainty", "at", "runs") else value
             for key, value in row.items()
         }

@@ -61,8 +61,8 @@ def summary(judged: Sequence[Judged]) -> str:
     words = [f"{count} {verdict}" for verdict, count in n.items() if count]
     sources = len({one.fact.source.split(",")[0] for one in judged})
     return (
-        f"{len(judged)} facts of {sources} sources: {', '.join(words)}. Of those that agree, {fitted} are values to which "
-        "a model was fitted."
+        f"{len(judged)} facts of {sources} sources: {', '.join(words)}. Of those that agree, {fitted} are "
+        "values to which a model was fitted."
     )
 
 
@@ -118,9 +118,10 @@ def _index(judged: Sequence[Judged], runs: Runs) -> list[str]:
     form = "full" if runs.is_full else "quick"
     lines = [
         "# Validation", "",
-        f"`cosim validate{' --full' if runs.is_full else ''}` wrote these pages with cosim {__version__}. {summary(judged)}",
-        "", f"Runs behind the facts are of the {form} form. `agrees`: every value of ours lies in the band of the published "
-        "one. `differs`: an interval of ours, 95 % over replicates, misses its band. `undecided`: neither.", "",
+        f"`cosim validate{' --full' if runs.is_full else ''}` wrote these pages with cosim {__version__}. "
+        f"{summary(judged)}", "",
+        f"Runs behind the facts are of the {form} form. `agrees`: every value of ours lies in the band of the "
+        "published one. `differs`: an interval of ours, 95 % over replicates, misses its band. `undecided`: neither.", "",
         "| fact | quantity | published | ours | verdict | stated |", "|---|---|---|---|---|---|",
     ]  # fmt: skip
     for one in judged:

@@ -3,12 +3,13 @@
 Notes
 -----
 `cooperative/data_info.json` lists pairs of a vehicle's and a roadside unit's cloud with their label, whose
-`world_8_points` are corners in the world. `lidar_to_novatel` and `novatel_to_world` lead from the vehicle's LiDAR to the
-world, `virtuallidar_to_world` from the roadside unit's. The vehicle is the ego.
+`world_8_points` are corners in the world. `lidar_to_novatel` and `novatel_to_world` lead from the vehicle's LiDAR to
+the world, `virtuallidar_to_world` from the roadside unit's. The vehicle is the ego.
 
-Detections: `veh/lidar/ID.json` and `inf/lidar/ID.json` in the folder of detections, with `boxes_3d` [n, 8, 3] in the frame of
-the LiDAR, `labels_3d` and `scores_3d`. OpenDAIRV2X writes these fields as pickles; pickles of strangers run code, so they are
-not read: write them as JSON.   Deviations: `labels_3d` may be names; numbers are those of OpenDAIRV2X (2 is a car).
+Detections: `veh/lidar/ID.json` and `inf/lidar/ID.json` in the folder of detections, with `boxes_3d` [n, 8, 3] in the
+frame of the LiDAR, `labels_3d` and `scores_3d`. OpenDAIRV2X writes these fields as pickles. Pickles of strangers run
+code, so they are not read: write them as JSON.   Deviations: `labels_3d` may be names; numbers are those of OpenDAIRV2X
+(2 is a car).
 """
 
 from pathlib import Path

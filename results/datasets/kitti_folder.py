@@ -2,8 +2,9 @@
 
 Notes
 -----
-`training/label_2/%06d.txt` with 15 columns, in `object` or not. Results of 16 columns in `results`, beside `training`, or in
-the folder of detections. Boxes are in the camera's frame: x right, y down, z forward; here x forward, y left, z up.
+`training/label_2/%06d.txt` with 15 columns, in `object` or not. Results of 16 columns in `results`, beside `training`,
+or in the folder of detections. Boxes are in the camera's frame: x right, y down, z forward; here x forward, y left, z
+up.
 """
 
 from pathlib import Path

@@ -2,14 +2,14 @@
 
 Notes
 -----
-`SCENARIO/AGENT/%06d.yaml`, in a folder `train`, `validate` or `test` or not. `lidar_pose` is x, y, z, roll, yaw and pitch in
-degrees, and then the objects of `vehicles` are in the world; or it is a matrix, as in V2V4Real, and then they are in the
-frame of the agent's LiDAR. `location` and `center` add up to the middle of the box, `extent` is half of its size, `angle` is
-roll, yaw and pitch. The same object has one number (`ass_id`, else its key) for all agents. The ego is the agent whose name
-comes first as text.
+`SCENARIO/AGENT/%06d.yaml`, in a folder `train`, `validate` or `test` or not. `lidar_pose` is x, y, z, roll, yaw and
+pitch in degrees, and then the objects of `vehicles` are in the world; or it is a matrix, as in V2V4Real, and then they
+are in the frame of the agent's LiDAR. `location` and `center` add up to the middle of the box, `extent` is half of its
+size, `angle` is roll, yaw and pitch. The same object has one number (`ass_id`, else its key) for all agents. The ego is
+the agent whose name comes first as text.
 
 Detections: `%06d_pred.npy` with corners [n, 8, 3] in the frame of the agent's LiDAR, as OpenCOOD saves predictions, and
-`%06d_score.npy` [n] beside them.   Deviations: pitch and roll of objects are left out; all objects are of the class car.
+`%06d_score.npy` [n] beside them.   Deviations: pitch and roll of objects are left out; all are of the class car.
 """
 
 import math
@@ -63,7 +63,8 @@ def read(folder: Path, detections: Path | None = None) -> Recorded:
     for number, ((scenario, stamp), files) in enumerate(
         sorted(found.items(), key=lambda item: (item[0][0], item[0][1]))
     ):
-        names, here, objects = tuple(sorted(files)), [], {}
+        names, here = tuple(sorted(files)), []
+        objects: dict[str, ndarray] = {}
         for k, name in enumerate(names):
             about = _yaml(files[name])
             world_from_agent, is_local = _pose(about, files[name])
@@ -91,7 +92,7 @@ def _yaml(path: Path) -> dict[str, Any]:
     """A YAML file of plain data."""
     text = read_text(path)
     try:
-        found = yaml.load(text, Loader=_Plain)  # noqa: S506 (a safe loader that refuses aliases)
+        found = yaml.load(text, Loader=_Plain)
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         where = f" in line {mark.line + 1}" if mark is not None else ""

@@ -173,8 +173,8 @@ def box_of_corners(corner: Float[ndarray, "n 8 3"], path: Path) -> Float[ndarray
     Parameters
     ----------
     corner
-        The lower four and the upper four, each with the two front ones first and round the box, as OpenCOOD and DAIR-V2X
-        have them. In any other order the heading is that of the longer side, which no overlap depends on.
+        The lower four and the upper four, each with the two front ones first and round the box, as OpenCOOD and
+        DAIR-V2X have them. In any other order the heading is that of the longer side, which no overlap depends on.
     path
         File that they are of, for error messages.
 

@@ -1,6 +1,6 @@
 """Late fusion as cooperative data sets are evaluated: all boxes in one frame, then non-maximum suppression.
 
-Of boxes that overlap, the one with the highest score is kept. This is the method `late` of OpenCOOD, V2V4Real and DAIR-V2X.
+Of boxes that overlap, the one with the highest score is kept. This is the method `late` of OpenCOOD and V2V4Real.
 """
 
 import numpy as np

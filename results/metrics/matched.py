@@ -18,9 +18,7 @@ Found = tuple[Int[ndarray, "n"], Float[ndarray, "n 7"], Float[ndarray, "n"]]
 """Frame, box and score of each detection."""
 
 
-def precision_and_recall(
-    truth: Truth, found: Found, overlap: float, kind: Overlap = "bev"
-) -> tuple[float, float]:
+def precision_and_recall(truth: Truth, found: Found, overlap: float, kind: Overlap = "bev") -> tuple[float, float]:
     """Average precision, and recall over all boxes, in [0, 1]; NaN if there are no objects.
 
     Parameters

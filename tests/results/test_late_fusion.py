@@ -59,4 +59,5 @@ def test_volumes_and_footprints_differ():
     truth = np.array([0]), np.array([car(0)])
     higher = np.array([[0, 0, 1.5, 4.0, 2.0, 1.5, 0.0]])  # half of the height in common: IoU 1 / 3
     found = np.array([0]), higher, np.array([1.0])
-    assert precision_and_recall(truth, found, 0.5, "bev")[0] == 1 and precision_and_recall(truth, found, 0.5, "3d")[0] == 0
+    assert precision_and_recall(truth, found, 0.5, "bev")[0] == 1
+    assert precision_and_recall(truth, found, 0.5, "3d")[0] == 0

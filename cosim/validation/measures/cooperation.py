@@ -1,8 +1,8 @@
 """What cooperation adds to average precision, and what delays and errors take from it, by the rules of data sets.
 
-The detections of a run go through late fusion as OpenCOOD does it: boxes of the ego and of its partners in one frame, then
-non-maximum suppression. So one run answers with and without partners, with and without delay and errors, on the same
-sweeps.
+The detections of a run go through late fusion as OpenCOOD does it: boxes of the ego and of its partners in one frame,
+then non-maximum suppression. So one run answers with and without partners, with and without delay and errors, on the
+same sweeps.
 """
 
 from collections.abc import Sequence
@@ -148,8 +148,8 @@ def _found(run: Run, steps: ndarray, poses: Poses, beside: pd.DataFrame, setting
 
 def _speed(run: Run, step: ndarray, actor: ndarray) -> Float[ndarray, "n"]:
     """Speed of actors in steps [m/s]; NaN where there is no such actor."""
-    speed = run.table("actors", ["step", "actor", "speed_mps"], at_steps(np.unique(step)))
-    speed = speed.set_index(["step", "actor"]).speed_mps
+    table = run.table("actors", ["step", "actor", "speed_mps"], at_steps(np.unique(step)))
+    speed = table.set_index(["step", "actor"]).speed_mps
     return speed.reindex(pd.MultiIndex.from_arrays([step, actor])).to_numpy(np.float64)
 
 

@@ -1,6 +1,7 @@
 """Detections of single vehicles against ground truth: precision, recall, errors, by level, range and overlap."""
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Float
@@ -43,8 +44,7 @@ def precision_by_range(
     for run in runs:
         frames = Frames.of(run)
         counts = frames.n_points >= min_points
-        ranges = zip(edges_m[:-1], edges_m[1:], strict=True)
-        found.append([frames.precision(counts, label, overlap, edges) for edges in ranges])
+        found.append([frames.precision(counts, label, overlap, edges) for edges in pairwise(edges_m)])
     return Measured.of_replicates(found)
 
 

@@ -88,12 +88,11 @@ def _received(
     power = (10 ** ((power_dbm - loss_db) / 10)).astype(np.float32)
     n, packets, ones = len(power), np.arange(n_packets), np.ones(n_packets, np.int64)
     ptr = np.concatenate([[0], np.full(n + 1, n)])
-    links = Links(
-        np.arange(1, n + 2, dtype=np.uint64), ptr, np.arange(1, n + 1), power, fading_class(away_m, "nakagami")
-    )
+    names, fading = np.arange(1, n + 2, dtype=np.uint64), fading_class(away_m, "nakagami")
+    links = Links(names, ptr, np.arange(1, n + 1), power, fading)
     sent = Packets(
-        0 * ones, packets.astype(np.uint64), packets * _PERIOD_NS, payload_bytes * ones, np.full(n_packets, 2, np.uint8),
-        10 * _PERIOD_NS * ones, packets,
+        0 * ones, packets.astype(np.uint64), packets * _PERIOD_NS, payload_bytes * ones,
+        np.full(n_packets, 2, np.uint8), 10 * _PERIOD_NS * ones, packets,
     )  # fmt: skip
     rules = ChannelRules(np.uint64(1), receiver, _DCF)
     _, out = run_window(ChannelState.start(), links, sent, n_packets * _PERIOD_NS, rules)

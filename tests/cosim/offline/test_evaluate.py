@@ -22,7 +22,7 @@ def car(x: float, y: float) -> list[float]:
 
 
 def scene(folder, near=True):
-    """Cars A, B, C. The ego finds A well and B badly, its partner B well and C; both report a ghost, the ego a weak one."""
+    """Cars A, B, C. The ego finds A well, B badly and a weak ghost; its partner finds B well and C."""
     cars = {11: car(10, 0), 12: car(30, 5), 13: car(60, -5)}
     opv2v_file(folder / "s/0/000000.yaml", [0, 0, 1.7, 0, 0, 0], {k: vehicle(b) for k, b in cars.items()})
     away = 40 if near else 90
@@ -48,7 +48,7 @@ def test_by_hand(tmp_path):
     assert by_method(table, 0.7)["ego"] == pytest.approx(100 / 3)
     # late: the partner's B, 0.8, suppresses the ego's, 0.4; A, B, C are right before the ghost
     assert by_method(table, 0.7)["late"] == pytest.approx(100)
-    # averaging keeps the ego's box of B, with (0.4 + 0.8) / 2: at 0.7 A and C are right, B is wrong between them and the ghost
+    # averaging keeps the ego's box of B, with (0.4 + 0.8) / 2: at 0.7 A and C are right, B is wrong after them
     assert by_method(table, 0.5)["averaging"] == pytest.approx(100)
     assert by_method(table, 0.7)["averaging"] == pytest.approx(100 * 2 / 3)
     assert table[(table.method == "late") & (table.overlap == 0.5)].n_boxes.tolist() == [4]

@@ -75,8 +75,9 @@ def test_interval_of_replicates():
 
 
 @pytest.mark.parametrize(
-    "wrong", [{"value": (1.0, 2.0)}, {"verdict": "differs"}, {"compare": "near"}, {"uncertainty_why": ""}, {"verdict": "?"}]
-)  # fmt: skip
+    "wrong",
+    [{"value": (1.0, 2.0)}, {"verdict": "differs"}, {"compare": "near"}, {"uncertainty_why": ""}, {"verdict": "?"}],
+)
 def test_incomplete_facts_are_refused(wrong):
     with pytest.raises(ValueError, match="fact x"):
         fact(**wrong)
@@ -129,6 +130,3 @@ def test_command_line(tmp_path):
     }  # fmt: skip
     ended = cosim("validate", "nothing", "--out", out)
     assert ended.returncode == 2 and ended.stderr.count("\n") == 1
-    (tmp_path / "f").write_text("")
-    assert cosim("validate", "radio.blockage", "--out", str(tmp_path / "f")).returncode == 2
-    assert "Mangel" in cosim("validate", "--list").stdout

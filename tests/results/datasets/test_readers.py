@@ -22,8 +22,10 @@ def opv2v_file(path, pose, vehicles):
 
 def vehicle(box, **more):
     x, y, z, length, width, height, yaw = box
-    return {"angle": [0, math.degrees(yaw), 0], "center": [0, 0, height / 2], "extent": [length / 2, width / 2, height / 2],
-            "location": [x, y, z - height / 2], "speed": 1.0} | more  # fmt: skip
+    return {
+        "angle": [0, math.degrees(yaw), 0], "center": [0, 0, height / 2],
+        "extent": [length / 2, width / 2, height / 2], "location": [x, y, z - height / 2], "speed": 1.0,
+    } | more  # fmt: skip
 
 
 def test_opv2v_world_frame(tmp_path):
@@ -40,14 +42,16 @@ def test_opv2v_world_frame(tmp_path):
     assert data.pose[0][0] == pytest.approx([100, 50, 1.9, math.pi / 6])
     assert data.found.agent.tolist() == [1] and data.found.score.tolist() == [0.7]
     # 12 m ahead and 3 m to the right of an agent that looks 30 degrees to the left
-    assert data.found.box[0, :2] == pytest.approx([100 + 12 * math.cos(math.pi / 6) + 1.5, 50 + 6 - 3 * math.cos(math.pi / 6)])
+    cos = math.cos(math.pi / 6)
+    assert data.found.box[0, :2] == pytest.approx([100 + 12 * cos + 1.5, 50 + 6 - 3 * cos])
     assert data.found.box[0, 6] == pytest.approx(0.4 + math.pi / 6)
 
 
 def test_v2v4real_objects_are_in_the_frame_of_the_lidar(tmp_path):
     for agent in ("0", "1"):
         opv2v_file(tmp_path / f"t/{agent}/000000.yaml", WORLD.tolist(), {
-            "3": vehicle(CAR, ass_id=9, obj_type="Truck"), "4": vehicle(CAR, ass_id=-1), "5": vehicle(CAR, obj_type="Pedestrian"),
+            "3": vehicle(CAR, ass_id=9, obj_type="Truck"), "4": vehicle(CAR, ass_id=-1),
+            "5": vehicle(CAR, obj_type="Pedestrian"),
         })  # fmt: skip
     data = opv2v.read(tmp_path)
     assert len(data.truth) == 1 + 2  # number 9 once; what has no common number, once per agent
@@ -90,14 +94,16 @@ def test_dair(tmp_path):
     assert data.frames == ("000003",) and data.truth.label.tolist() == ["car", "pedestrian"]
     assert data.truth.box == pytest.approx(np.array([CAR, CAR]))
     assert data.found.label.tolist() == ["car", "car"] and data.found.agent.tolist() == [0, 1]
-    assert data.found.box[0] == pytest.approx(moved(np.array([CAR]), WORLD)[0]) and data.found.box[1] == pytest.approx(CAR)
+    assert data.found.box[0] == pytest.approx(moved(np.array([CAR]), WORLD)[0])
+    assert data.found.box[1] == pytest.approx(CAR)
 
 
 def test_kitti(tmp_path):
-    """A car 20 m ahead and 3 m to the left that points away: -90 degrees in KITTI's count; its underside is 1.7 m down."""
+    """A car 20 m ahead and 3 m to the left points away: -90 degrees in KITTI's count; its underside is 1.7 m down."""
     (tmp_path / "training/label_2").mkdir(parents=True)
     line = "Car 0.10 1 -1.4 600 300 700 360 1.5 1.8 4.4 -3.0 1.7 20.0 -1.5708"
-    (tmp_path / "training/label_2/000000.txt").write_text(f"{line}\nDontCare -1 -1 -10 0 0 5 5 -1 -1 -1 -1000 -1000 -1000 -10\n")
+    region = "DontCare -1 -1 -10 0 0 5 5 -1 -1 -1 -1000 -1000 -1000 -10"
+    (tmp_path / "training/label_2/000000.txt").write_text(f"{line}\n{region}\n")
     (tmp_path / "results").mkdir()
     (tmp_path / "results/000000.txt").write_text(f"{line.replace('0.10 1', '-1 -1')} 0.9\n")
     truth, found = kitti_folder.read(tmp_path)
@@ -141,7 +147,11 @@ def one_line(read, *words):
         ("lidar_pose: [[1, 0], [0, 1]]", "4 rows"),
         ("lidar_pose: [0, 0, 0, 0, 0, 0]\nvehicles: [1]", "objects by number"),
         ("lidar_pose: [0, 0, 0, 0, 0, 0]\nvehicles: {1: 2}", "vehicles.1 should hold"),
-        ("lidar_pose: [0, 0, 0, 0, 0, 0]\nvehicles: {1: {angle: [0, 0, 0], center: [0, 0, 0], extent: [0, 1, 1], location: [0, 0, 0]}}", "above 0"),
+        (
+            "lidar_pose: [0, 0, 0, 0, 0, 0]\nvehicles:\n"
+            "  1: {angle: [0, 0, 0], center: [0, 0, 0], extent: [0, 1, 1], location: [0, 0, 0]}",
+            "above 0",
+        ),
         ("a: " + "[" * 5000, "no plain YAML"),
     ],
 )  # fmt: skip
@@ -176,8 +186,9 @@ def test_bad_dair(tmp_path):
         assert "relative path inside" in one_line(dair.read, tmp_path)
     index.write_text(json.dumps(pair))
     label = tmp_path / "cooperative/label_world/000003.json"
-    for text, said in (("{", "no JSON"), ("[7]", "should hold"), ('[{"type": "Car", "world_8_points": [[1]]}]', "8 rows"),
-                       ("[" * 100_000, "nested too deeply")):  # fmt: skip
+    few = '[{"type": "Car", "world_8_points": [[1]]}]'
+    bad = (("{", "no JSON"), ("[7]", "should hold"), (few, "8 rows"), ("[" * 100_000, "nested too deeply"))
+    for text, said in bad:
         label.write_text(text)
         assert said in one_line(dair.read, tmp_path)
 
