@@ -120,8 +120,9 @@ def _index(judged: Sequence[Judged], runs: Runs) -> list[str]:
         "# Validation", "",
         f"`cosim validate{' --full' if runs.is_full else ''}` wrote these pages with cosim {__version__}. "
         f"{summary(judged)}", "",
-        f"Runs behind the facts are of the {form} form. `agrees`: every value of ours lies in the band of the "
-        "published one. `differs`: an interval of ours, 95 % over replicates, misses its band. `undecided`: neither.", "",
+        f"Runs behind the facts are of the {form} form. `agrees`: every value of ours lies in the band of "
+        "the published one. `differs`: an interval of ours, 95 % over replicates, misses its band. "
+        "`undecided`: neither.", "",
         "| fact | quantity | published | ours | verdict | stated |", "|---|---|---|---|---|---|",
     ]  # fmt: skip
     for one in judged:
