@@ -149,8 +149,8 @@ def array_of(path: Path, shape: tuple[int | None, ...]) -> Float[ndarray, "..."]
     shape
         Length of each axis; None where any length up to `MOST_BOXES` will do.
     """
-    if path.is_file() and path.stat().st_size > LARGEST_BYTES:
-        raise ValueError(f"{path} has more than {LARGEST_BYTES:,} bytes.")
+    if not read_bytes(path).startswith(b"\x93NUMPY"):  # an archive of arrays would be opened as one
+        raise ValueError(f"{path} is no array of numbers in NumPy's format.")
     try:
         found = np.load(path, allow_pickle=False, mmap_mode="r")
     except (OSError, ValueError, EOFError, SyntaxError, TypeError, MemoryError):

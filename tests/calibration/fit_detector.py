@@ -237,15 +237,22 @@ def as_written(values: ndarray) -> list[float]:
     return [float(f"{value:.4g}") for value in values]
 
 
-def calibrate(name: str, fitted_on: Sequence[Run], held_out: Sequence[Run], max_frames: int = 1500) -> Path:
-    """Fit, evaluate on runs that the fit has not seen, and write the profile and its picture."""
+def calibrate(
+    name: str, fitted_on: Sequence[Run], held_out: Sequence[Run], max_frames: int = 1500, is_fitted: bool = False
+) -> Path:
+    """Fit, evaluate on runs that the fit has not seen, and write the profile and its picture.
+
+    With `is_fitted` the fitted values of the profile are kept, for a profile whose other values have changed.
+    """
     path = PROFILES / f"{name}.toml"
     profile = tomllib.loads(path.read_text(encoding="utf-8"))
     guess = {k: v for k, v in profile["first_guess"].items() if k != "source"}
     model = as_model(guess)
     samples = [sample(run, name, model, max_frames) for run in fitted_on]
     loose = profile.get("published_loose", {})
-    for label, target in profile["published"].items():
+    if is_fitted:
+        model = as_model(guess | profile["fitted"])
+    for label, target in () if is_fitted else profile["published"].items():
         model = fit(samples, label, target, model, loose.get(label, ()))
     fitted = {name: as_written(getattr(model, name)) for name in FITTED}
     model = as_model(guess | fitted)
@@ -313,9 +320,10 @@ def main() -> None:
     asked.add_argument("profile", choices=sorted(p.stem for p in PROFILES.glob("*.toml")))
     asked.add_argument("--fit", nargs="+", required=True, type=Path, help="run folders to fit on")
     asked.add_argument("--hold-out", nargs="+", required=True, type=Path, help="run folders to evaluate on")
+    asked.add_argument("--keep", action="store_true", help="keep the fitted values and evaluate them again")
     words = asked.parse_args()
     fitted_on, held_out = ([open_run(path) for path in paths] for paths in (words.fit, words.hold_out))
-    print(calibrate(words.profile, fitted_on, held_out))
+    print(calibrate(words.profile, fitted_on, held_out, is_fitted=words.keep))
 
 
 if __name__ == "__main__":

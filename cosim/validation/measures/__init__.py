@@ -31,6 +31,7 @@ MEASURES: Mapping[str, Callable[..., Measured]] = {
     "boxes_per_frame": detection.boxes_per_frame,
     "position_error_of_boxes": detection.position_error_of_boxes,
     "recall_when_near": detection.recall_when_near,
+    "share_with_returns": detection.share_with_returns,
     "late_gain": cooperation.late_gain,
     "change_of_late": cooperation.change_of_late,
 }

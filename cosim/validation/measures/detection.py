@@ -74,6 +74,17 @@ def recall_when_near(
     return Measured.of_replicates(found)
 
 
+def share_with_returns(runs: Sequence[Run], *, labels: Sequence[str], min_points: int, range_m: float) -> Measured:
+    """Share of the objects of each class with a return within range that have at least some number of returns."""
+    found = []
+    for run in runs:
+        frames = Frames.of(run)
+        seen = (frames.n_points > 0) & (frames.range_m <= range_m)
+        enough = frames.n_points >= min_points
+        found.append([float(enough[seen & (frames.truth.label == label)].mean()) for label in labels])
+    return Measured.of_replicates(found)
+
+
 def boxes_per_frame(runs: Sequence[Run], *, min_score: float, range_m: float) -> Measured:
     """Mean number of boxes that a vehicle reports ahead of it per sweep."""
     found = []

@@ -172,8 +172,14 @@ def test_bad_arrays(tmp_path):
     assert "shape (n, 8, 3)" in one_line(opv2v.read, tmp_path)
     np.save(pred, np.full((1, 8, 3), np.nan))
     assert "not finite" in one_line(opv2v.read, tmp_path)
+    np.savez(tmp_path / "x.npz", np.zeros(3))
+    pred.write_bytes((tmp_path / "x.npz").read_bytes())
+    assert "no array of numbers" in one_line(opv2v.read, tmp_path)
     np.save(pred, corners_of(np.array([CAR])))
-    assert "no array of numbers" in one_line(opv2v.read, tmp_path)  # no scores
+    pred.write_bytes(pred.read_bytes()[:-8])  # shorter than its head says
+    assert "no array of numbers" in one_line(opv2v.read, tmp_path)
+    np.save(pred, corners_of(np.array([CAR])))
+    assert "000000_score.npy is not a file" in one_line(opv2v.read, tmp_path)
     np.save(score, np.zeros(3))
     assert "shape (1)" in one_line(opv2v.read, tmp_path)
 
