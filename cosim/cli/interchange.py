@@ -117,6 +117,11 @@ def evaluate(
     if not rows:
         screen.print("There are no detections to evaluate. Name their folder with --detections.", soft_wrap=True)
         return
+    if about.get("frames_without_clouds"):
+        screen.print(f"{about['frames_without_clouds']:,} frames without trust: clouds are missing or compressed.")
+    for one in about.get("trust", ()):
+        if one["trust"] is not None:
+            screen.print(f"trust in {one['agent']}: {one['trust']:.3f} by {one['n_evaluations']:,} evaluations")
     shown = Table(*table.columns, box=SIMPLE)
     for row in rows:
         shown.add_row(*(_cell(str(name), value) for name, value in row.items()))

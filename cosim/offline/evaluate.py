@@ -9,6 +9,7 @@ import pandas as pd
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
+from cosim.offline.recorded_trust import Trusted, trusted
 from results.datasets import dair, kitti_folder, opv2v
 from results.datasets.recorded import Boxes, Recorded
 from results.metrics.kitti import LEVELS, LOOSE, STRICT, Objects, average_precision
@@ -89,11 +90,17 @@ def evaluate(
     if found == "kitti":
         return _kitti(*kitti_folder.read(folder, detections))
     data = (opv2v if found == "opv2v" else dair).read(folder, detections)
-    about = {
+    about: dict[str, Any] = {
         "layout": found, "frames": len(data.frames), "agents": sum(map(len, data.agents)), "objects": len(data.truth),
         "boxes": len(data.found),
     }  # fmt: skip
-    return about, _cooperative(data, range_m, partners_m, overlaps) if len(data.found) else pd.DataFrame()
+    if not len(data.found):
+        return about, pd.DataFrame()
+    helps = _helping(data, partners_m)
+    table, judged = _cooperative(data, helps, range_m, overlaps)
+    about["frames_without_clouds"] = judged.n_unread
+    about["trust"] = judged.agents.astype(object).where(judged.agents.notna(), None).to_dict("records")
+    return about, table
 
 
 def _kitti(truth: Objects, found: Objects) -> tuple[dict[str, Any], pd.DataFrame]:
@@ -112,17 +119,20 @@ def _kitti(truth: Objects, found: Objects) -> tuple[dict[str, Any], pd.DataFrame
     return about, pd.DataFrame(rows, columns=list(_KITTI_COLUMNS))
 
 
-def _cooperative(data: Recorded, range_m: float, partners_m: float, overlaps: Sequence[float]) -> pd.DataFrame:
-    """Average precision of the ego alone, of late fusion and of our fusion, by class and overlap."""
-    near = _partners(data, partners_m)
-    agents = data.found.agent
-    helps = np.array([near[f][a] for f, a in zip(data.found.frame.tolist(), agents.tolist(), strict=True)], bool)
+def _cooperative(
+    data: Recorded, helps: Bool[ndarray, "n"], range_m: float, overlaps: Sequence[float]
+) -> tuple[pd.DataFrame, Trusted]:
+    """Average precision of the ego alone, of late fusion and of our fusion, by class and overlap; and trust."""
+    received = _take(data.found, helps)
+    judged = trusted(data, received)
     methods: dict[str, Boxes] = {
-        "ego": _take(data.found, agents == 0),
-        "late": _late(_take(data.found, helps)),
-        "averaging": _fused(_take(data.found, helps), "averaging"),
-        "additive": _fused(_take(data.found, helps), "additive"),
-    }  # fmt: skip
+        "ego": _take(data.found, data.found.agent == 0),
+        "late": _late(received),
+        "averaging": _fused(received, "averaging"),
+        "additive": _fused(received, "additive"),
+    }
+    if not judged.n_unread:  # in all frames, as the others
+        methods["trupercept_1"] = judged.fused
     truth = _take(data.truth, _within(data, data.truth, range_m))
     rows = []
     for label in dict.fromkeys(truth.label.tolist()):
@@ -134,12 +144,16 @@ def _cooperative(data: Recorded, range_m: float, partners_m: float, overlaps: Se
                 ap, recall = precision_and_recall(*pair, overlap, "bev")
                 ap_3d, _ = precision_and_recall(*pair, overlap, "3d")
                 rows.append((label, method, overlap, 100 * ap, 100 * ap_3d, 100 * recall, len(mine), len(theirs)))
-    return pd.DataFrame(rows, columns=["class", "method", "overlap", "ap", "ap_3d", "recall", "n_truth", "n_boxes"])
+    table = pd.DataFrame(rows, columns=["class", "method", "overlap", "ap", "ap_3d", "recall", "n_truth", "n_boxes"])
+    return table, judged
 
 
-def _partners(data: Recorded, partners_m: float) -> list[Bool[ndarray, "k"]]:
-    """Per frame, whether each agent is the ego or near it."""
-    return [np.hypot(*(pose[:, :2] - pose[0, :2]).T) <= partners_m for pose in data.pose]
+def _helping(data: Recorded, partners_m: float) -> Bool[ndarray, "n"]:
+    """Whether each box is of the ego or of an agent near it."""
+    near = [np.hypot(*(pose[:, :2] - pose[0, :2]).T) <= partners_m for pose in data.pose]
+    return np.array(
+        [near[f][a] for f, a in zip(data.found.frame.tolist(), data.found.agent.tolist(), strict=True)], bool
+    )
 
 
 def _within(data: Recorded, boxes: Boxes, range_m: float) -> Bool[ndarray, "n"]:

@@ -58,7 +58,7 @@ def read(folder: Path, detections: Path | None = None) -> Recorded:
     if not isinstance(index, list) or len(index) > MOST_FRAMES:
         raise ValueError(f"{root / INDEX} should be a list of at most {MOST_FRAMES:,} pairs.")
     beside = detections or root / "detections"
-    frames, agents, poses, truth, found = [], [], [], [], []
+    frames, agents, poses, turns, clouds, truth, found = [], [], [], [], [], [], []
     for number, pair in enumerate(index):
         car, unit, label = (_path(pair, key, root) for key in (
             "vehicle_pointcloud_path", "infrastructure_pointcloud_path", "cooperative_label_path",
@@ -72,11 +72,16 @@ def read(folder: Path, detections: Path | None = None) -> Recorded:
         frames.append(label.stem)
         agents.append(("vehicle", "roadside unit"))
         poses.append(np.array([pose_of(one) for one in world_from]))
+        turns.append(np.array(world_from))
+        clouds.append((root / car, root / unit))
         truth += [(number, -1, name, box, 1.0) for name, box in _labels(root / label)]
         for k, path in enumerate((beside / f"veh/lidar/{car.stem}.json", beside / f"inf/lidar/{unit.stem}.json")):
             if path.exists():
                 found += [(number, k, name, box, score) for name, box, score in _boxes(path, world_from[k])]
-    return Recorded("dair-v2x", tuple(frames), tuple(agents), tuple(poses), Boxes.of(truth), Boxes.of(found))
+    return Recorded(
+        "dair-v2x", tuple(frames), tuple(agents), tuple(poses), Boxes.of(truth), Boxes.of(found), tuple(turns),
+        tuple(clouds),
+    )  # fmt: skip
 
 
 def _path(pair: Any, key: str, root: Path) -> Path:

@@ -59,16 +59,17 @@ def read(folder: Path, detections: Path | None = None) -> Recorded:
         Folder with the same tree that holds the detections; left out, they lie beside the annotations.
     """
     found = stamps(folder)
-    frames, agents, poses, truth, boxes = [], [], [], [], []
+    frames, agents, poses, turns, clouds, truth, boxes = [], [], [], [], [], [], []
     for number, ((scenario, stamp), files) in enumerate(
         sorted(found.items(), key=lambda item: (item[0][0], item[0][1]))
     ):
-        names, here = tuple(sorted(files)), []
+        names, here, turn = tuple(sorted(files)), [], []
         objects: dict[str, ndarray] = {}
         for k, name in enumerate(names):
             about = _yaml(files[name])
             world_from_agent, is_local = _pose(about, files[name])
             here.append(pose_of(world_from_agent))
+            turn.append(world_from_agent)
             for key, box in _objects(about, files[name]):
                 objects.setdefault(key, moved(box[None], world_from_agent)[0] if is_local else box)
             place = files[name].relative_to(folder)
@@ -85,7 +86,18 @@ def read(folder: Path, detections: Path | None = None) -> Recorded:
         frames.append(f"{scenario.name}/{stamp}")
         agents.append(names)
         poses.append(np.array(here))
-    return Recorded("opv2v", tuple(frames), tuple(agents), tuple(poses), Boxes.of(truth), Boxes.of(boxes))
+        turns.append(np.array(turn))
+        clouds.append(tuple(files[name].with_suffix(".pcd") for name in names))
+    return Recorded(
+        "opv2v",
+        tuple(frames),
+        tuple(agents),
+        tuple(poses),
+        Boxes.of(truth),
+        Boxes.of(boxes),
+        tuple(turns),
+        tuple(clouds),
+    )
 
 
 def _yaml(path: Path) -> dict[str, Any]:

@@ -66,8 +66,10 @@ class Recorded:
     """Per frame, x, y, z and yaw of each agent's LiDAR, world frame."""
     truth: Boxes
     found: Boxes
-    problems: tuple[str, ...] = ()
-    """Files that were left out, with the reason."""
+    world_from: tuple[Float[ndarray, "k 4 4"], ...]
+    """Per frame, transformation from each agent's LiDAR to the world."""
+    clouds: tuple[tuple[Path, ...], ...]
+    """Per frame, where each agent's point cloud would be."""
 
 
 def read_bytes(path: Path) -> bytes:

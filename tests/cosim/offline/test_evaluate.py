@@ -42,7 +42,10 @@ def by_method(table: pd.DataFrame, overlap: float) -> dict[str, float]:
 
 def test_by_hand(tmp_path):
     about, table = evaluate(scene(tmp_path))
-    assert about == {"layout": "opv2v", "frames": 1, "agents": 2, "objects": 3, "boxes": 5}
+    about.pop("trust")
+    assert about == {
+        "layout": "opv2v", "frames": 1, "agents": 2, "objects": 3, "boxes": 5, "frames_without_clouds": 1,
+    }  # fmt: skip
     # B of the ego is 1.2 m off: IoU 3.2 / 5.6 = 0.571. Alone at 0.5: A and B right, the ghost last: 2 of 3 objects
     assert by_method(table, 0.5)["ego"] == pytest.approx(100 * 2 / 3)
     assert by_method(table, 0.7)["ego"] == pytest.approx(100 / 3)
@@ -52,6 +55,41 @@ def test_by_hand(tmp_path):
     assert by_method(table, 0.5)["averaging"] == pytest.approx(100)
     assert by_method(table, 0.7)["averaging"] == pytest.approx(100 * 2 / 3)
     assert table[(table.method == "late") & (table.overlap == 0.5)].n_boxes.tolist() == [4]
+
+
+def cloud(path, boxes):
+    """A .pcd with 200 points in each of some boxes, in the frame of the LiDAR, which is 1.7 m high."""
+    rng = np.random.default_rng(1)
+    points = np.concatenate([np.array(b[:3]) - [0, 0, 1.7] + rng.uniform(-0.5, 0.5, (200, 3)) for b in boxes])
+    head = f"VERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH {len(points)}\nHEIGHT 1\n"
+    body = "\n".join(" ".join(f"{v:.4f}" for v in row) for row in points)
+    path.write_text(f"{head}POINTS {len(points)}\nDATA ascii\n{body}\n")
+
+
+def test_trust_by_hand(tmp_path):
+    """Both find A; the partner also reports a wall, of which the ego has points, and C, of which it has none."""
+    for agent, x in (("0", 0), ("1", 40)):
+        opv2v_file(tmp_path / f"s/{agent}/000000.yaml", [x, 0, 1.7, 0, 0, 0], {11: vehicle(car(10, 0))})
+    wall, far = car(20, 8), car(60, 0)
+    for agent, boxes, score in (
+        ("0", [car(10, 0)], [0.9]),
+        ("1", [car(-30, 0), car(-20, 8), car(20, 0)], [0.8, 0.4, 0.7]),
+    ):
+        local = np.array(boxes)
+        local[:, 2] -= 1.7
+        np.save(tmp_path / f"s/{agent}/000000_pred.npy", corners_of(local))
+        np.save(tmp_path / f"s/{agent}/000000_score.npy", np.array(score))
+    cloud(tmp_path / "s/0/000000.pcd", [car(10, 0), wall])
+    cloud(tmp_path / "s/1/000000.pcd", [car(-30, 0), car(20, 0)])
+    assert far[0] - 40 == 20
+    about, table = evaluate(tmp_path)
+    # Of the partner: A with s = 0.8 has T = 0.9, the wall with s = 0.4 has T = eta = 0, C has no evaluation and is
+    # left out: (0.8 x 0.9 + 0.4 x 0) / 1.2. Of the ego: A with T = 0.8.
+    assert about["frames_without_clouds"] == 0
+    assert [(row["agent"], row["n_evaluations"]) for row in about["trust"]] == [("0", 1), ("1", 2)]
+    assert [row["trust"] for row in about["trust"]] == pytest.approx([0.8, 0.6])
+    assert set(table.method) == {"ego", "late", "averaging", "additive", "trupercept_1"}
+    assert by_method(table, 0.5)["trupercept_1"] == 100
 
 
 def test_partners_beyond_the_range_of_communication_do_not_help(tmp_path):

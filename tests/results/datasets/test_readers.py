@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from results.datasets import dair, kitti_folder, opv2v
+from results.datasets.clouds import points_in, points_of
 from results.datasets.recorded import box_of_corners, corners_of, moved, read_json, read_text
 
 CAR = [12.0, -3.0, 0.8, 4.4, 1.8, 1.6, 0.4]
@@ -217,3 +218,24 @@ def test_large_and_strange_files(tmp_path):
     assert "not a file" in one_line(read_text, tmp_path)
     (tmp_path / "x").write_bytes(b"\xff\xfe")
     assert "no text" in one_line(read_text, tmp_path / "x")
+
+
+def test_clouds(tmp_path):
+    path, points = tmp_path / "x.pcd", np.array([[1, 2, 3, 9], [4, 5, 6, 9], [np.nan, 0, 0, 0]], "<f4")
+    head = "FIELDS x y z rgb\nSIZE 4 4 4 4\nTYPE F F F F\nCOUNT 1 1 1 1\nWIDTH 3\nHEIGHT 1\nPOINTS 3\n"
+    path.write_bytes(head.encode() + b"DATA binary\n" + points.tobytes())
+    assert points_of(path).tolist() == [[1, 2, 3], [4, 5, 6]]
+    path.write_text(head.replace("3\nH", "1\nH").replace("POINTS 3", "POINTS 1") + "DATA ascii\n1 2 3 0\n")
+    assert points_of(path).tolist() == [[1, 2, 3]]
+    for bad in (b"DATA binary_compressed\n\0\0", b"DATA binary\n\0", b"DATA ascii\n1 2", b"", b"DATA binary\n"):
+        path.write_bytes(head.encode() + bad)
+        assert "no point cloud" in one_line(points_of, path)
+    path.write_bytes(head.replace("POINTS 3", "POINTS 99999999999999").encode() + b"DATA binary\n" + points.tobytes())
+    assert "no point cloud" in one_line(points_of, path)
+
+
+def test_points_in_a_turned_box():
+    # 4 m long towards the upper left: (-1, 1) lies inside, (1, 1) 1.41 m to its side
+    box = np.array([[0, 0, 0, 4, 2, 2, 3 * math.pi / 4]])
+    assert points_in(np.array([[-1, 1, 0.5], [1, 1, 0.5], [-1, 1, 1.5], [0, 0, 0.0]]), box).tolist() == [2]
+    assert points_in(np.zeros((0, 3)), box).tolist() == [0]
