@@ -111,7 +111,9 @@ def test_what_is_no_data_set(tmp_path):
             layout_of(folder)
     ended = cosim("evaluate", str(tmp_path))
     assert ended.returncode == 2 and ended.stderr.count("\n") == 1
-    ended = cosim("evaluate", str(scene(tmp_path)), "--json", "--overlap", "0.5")
+    ended = cosim("evaluate", str(scene(tmp_path)))
+    assert ended.returncode == 0 and "averaging" in ended.stdout and "66.7" in ended.stdout
+    ended = cosim("evaluate", str(tmp_path), "--json", "--overlap", "0.5")
     assert ended.returncode == 0 and {row["method"] for row in json.loads(ended.stdout)["rows"]} == {
         "ego", "late", "averaging", "additive",
     }  # fmt: skip
