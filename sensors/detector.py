@@ -75,6 +75,7 @@ class KnowsRecall(Protocol):
 DETECTORS: dict[str, Callable[[Any], Detector]] = {
     "avod": StatisticalDetector,
     "pointpillars": StatisticalDetector,
+    "pv_rcnn": StatisticalDetector,
     "ideal": IdealDetector,
 }
 """Detectors by `detector.model` of the config."""

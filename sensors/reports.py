@@ -12,6 +12,9 @@ from sensors.boxes import Boxes
 from sensors.evidence import Observability
 from sensors.hash_rng import mix_rows, normals, uniforms
 
+_OBJECT = np.uint64(1 << 40)
+"""Extends the key of sites to one of objects; sites use small numbers."""
+
 
 @dataclass(frozen=True, slots=True)
 class DetectorDraws:
@@ -42,6 +45,10 @@ class DetectorDraws:
     def pair(self, seen: Observability) -> UInt64[ndarray, "s"]:
         """A key for each row of `seen`: one per (observer, actor), the same in every step."""
         return mix_rows(self.observer[seen.observer], self.actor[seen.actor])
+
+    def object(self, seen: Observability) -> UInt64[ndarray, "s"]:
+        """A key for each row of `seen`: one per actor, the same for all observers and in every step."""
+        return mix_rows(mix_rows(np.array([self.site]), np.array([_OBJECT])), self.actor[seen.actor])
 
     def uniforms(self, seen: Observability, n: int = 1) -> Float[ndarray, "s n"]:
         """Uniform draws for each (observer, actor), new in every step.

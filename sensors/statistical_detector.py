@@ -47,8 +47,9 @@ class DetectorParams:
     """
 
     model: str = "avod"
-    """`avod`, `pointpillars`: fitted to the detectors of that name. `ideal`: every actor with a return is detected,
-    exactly and with score 1, and nothing else. Your own class: path.py:Name."""
+    """`avod`, `pointpillars`, `pv_rcnn`: fitted to the detectors of that name, `avod` to one row of a synthetic data
+    set, `pv_rcnn` to figures on KITTI at two overlaps. `ideal`: every actor with a return is detected, exactly and with
+    score 1, and nothing else. Your own class: path.py:Name."""
     found_max_p: Shares | None = None
     """Probability to detect an unoccluded object with very many returns."""
     half_returns: Positive | None = None
@@ -117,6 +118,9 @@ class DetectorParams:
     """Time over which the draws of one (observer, actor) change [s]; see `sensors.hash_rng.persistent_normals`."""
     memory_share: Share | None = None
     """Share of the variance of those draws that persists; the rest is new in every sweep."""
+    object_share: Share | None = None
+    """Share of the persistent variance that belongs to the object, and that all observers have in common: what is dark
+    or unusual is missed by all. 0: observers err independently of each other."""
 
     def __post_init__(self) -> None:
         _check_shares(self)
@@ -242,10 +246,13 @@ def pair_normals(
     -----
     An event of probability p happens if |z| is below the p quantile of |z|, and a gross error if it is above the 1 - p
     quantile. Draws that change slowly thus change events slowly. If all draws are zero, every object is detected
-    without error.
+    without error. Of one object, the draws of two observers have the correlation `memory_share` x `object_share`.
     """
     fresh = normals(draws.pair_step(seen), n)
     lasting = persistent_normals(draws.pair(seen), n, draws.time_s, model.memory_s)
+    if model.object_share > 0.0:  # sqrt(1) times a number and nothing is that number, but takes time
+        common = persistent_normals(draws.object(seen), n, draws.time_s, model.memory_s)
+        lasting = np.sqrt(1.0 - model.object_share) * lasting + np.sqrt(model.object_share) * common
     return np.sqrt(1.0 - model.memory_share) * fresh + np.sqrt(model.memory_share) * lasting
 
 

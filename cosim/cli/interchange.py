@@ -1,16 +1,16 @@
-"""Commands that write a run for other programs: data sets in their formats, and a recording for a viewer."""
+"""Commands that write a run for other programs, and the command that evaluates data sets of others."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
-from cosim.cli.console import AsJson, print_done, progress
+from cosim.cli.console import AsJson, print_done, print_json, progress, screen
 
 
 def add_to(app: typer.Typer) -> None:
-    """Add the commands `export`, `view` and `describe`."""
-    for command in (export, view, describe):
+    """Add the commands `export`, `view`, `describe` and `evaluate`."""
+    for command in (export, view, describe, evaluate):
         app.command()(command)
 
 
@@ -97,3 +97,58 @@ def describe(
     source = open_study(folder) if is_study([folder]) else open_run(folder)
     card, crate = write(source, out or folder, authors or (), licence)
     print_done({"croissant": str(card), "ro_crate": str(crate)}, f"wrote {card} and {crate}", as_json)
+
+
+def evaluate(
+    folder: Annotated[Path, typer.Argument(help="Folder of a data set: OPV2V, V2V4Real, DAIR-V2X or KITTI.")],
+    layout: Annotated[
+        Literal["opv2v", "dair-v2x", "kitti"] | None,
+        typer.Option(help="Layout of the folder; opv2v also for V2V4Real. The default is found out."),
+    ] = None,
+    detections: Annotated[
+        Path | None, typer.Option(help="Folder of the detections. By default they lie with the annotations.")
+    ] = None,
+    range_m: Annotated[
+        float, typer.Option(min=1, help="Objects count up to this distance from the ego, in metres.")
+    ] = 100.0,
+    partners_m: Annotated[
+        float, typer.Option(min=0, help="Agents up to this distance from the ego cooperate, in metres.")
+    ] = 70.0,
+    overlaps: Annotated[
+        list[float] | None,
+        typer.Option(
+            "--overlap", min=0.01, max=1, help="A box is right from this overlap on. Repeatable; 0.5 and 0.7."
+        ),
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Average precision of a recorded data set: the ego alone, late fusion, and our matching and fusion."""
+    from cosim.offline import evaluate as evaluating
+
+    about, table = evaluating.evaluate(folder, layout, detections, range_m, partners_m, overlaps or (0.5, 0.7))
+    rows = table.astype(object).where(table.notna(), None).to_dict("records")
+    if as_json:
+        print_json(about | {"rows": rows})
+        return
+    from rich.box import SIMPLE
+    from rich.table import Table
+
+    counts = ", ".join(f"{about[name]:,} {name}" for name in ("frames", "agents", "objects", "boxes"))
+    screen.print(f"{about['layout']}: {counts}", soft_wrap=True)
+    if not rows:
+        screen.print("There are no detections to evaluate. Name their folder with --detections.", soft_wrap=True)
+        return
+    if about.get("frames_without_clouds"):
+        screen.print(f"{about['frames_without_clouds']:,} frames without trust: clouds are missing or compressed.")
+    for one in about.get("trust", ()):
+        if one["trust"] is not None:
+            screen.print(f"trust in {one['agent']}: {one['trust']:.3f} by {one['n_evaluations']:,} evaluations")
+    shown = Table(*table.columns, box=SIMPLE)
+    for row in rows:
+        shown.add_row(*(_cell(str(name), value) for name, value in row.items()))
+    screen.print(shown)
+
+
+def _cell(name: str, value: object) -> str:
+    """Percentages with one digit."""
+    return "-" if value is None else f"{value:.1f}" if name.startswith(("ap", "recall")) else str(value)

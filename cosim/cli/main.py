@@ -18,6 +18,7 @@ import typer
 from cosim import __version__
 from cosim.cli import contacts, extend, interchange, studies
 from cosim.cli import reproduce as reproductions
+from cosim.cli import validate as validation
 from cosim.cli.console import (
     AsJson,
     TrustCode,
@@ -48,6 +49,7 @@ app = typer.Typer(
 app.add_typer(nets, name="nets")
 studies.add_to(app)
 reproductions.add_to(app)
+validation.add_to(app)
 interchange.add_to(app)
 contacts.add_to(app)
 extend.add_to(app)

@@ -9,10 +9,13 @@ has most others within 70 m. Sensors are level, so the right-handed world of the
 yaw counter-clockwise in degrees. `vehicles` holds cars, vans, trucks and buses with at least one return; `location` is
 the middle of their underside, `center` leads from there to the middle of the box, `extent` is half of the size.
 `predicted_ego_pos` is what the vehicle reports of itself, if it does. Time stamps are numbers of sweeps, whatever their
-interval; readers assume 10 Hz.   Deviations: intensity, the red channel, is 0; no cameras; no planned trajectory.
+interval; readers assume 10 Hz. On request, `%06d_pred.npy` holds the corners of the detected vehicles that the vehicle
+transmitted [n, 8, 3], in the frame of its LiDAR, as OpenCOOD saves predictions, and `%06d_score.npy` their scores.
+Deviations: intensity, the red channel, is 0; no cameras; no planned trajectory.
 """
 
-from collections.abc import Iterator
+import io
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
 
@@ -21,7 +24,9 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 from scipy.spatial import cKDTree
 
+from results.datasets.recorded import corners_of
 from results.export import kitti
+from results.export.frames import in_sensor
 from results.export.moments import BOX, NOTHING, Cloud, Clouds, File, Moment, Plan, Selection, Unit
 
 TABLES = kitti.TABLES
@@ -54,10 +59,22 @@ class Scenario:
         return f"step_{self.steps[0]:06d}_vehicle_{self.vehicles[0]}"
 
 
+@dataclass(frozen=True, kw_only=True)
+class Params:
+    """What is written beside clouds and annotations."""
+
+    detections: bool = False
+    """Whether the vehicles' own detections are written, for `cosim evaluate`."""
+
+
 class Opv2v:
     """OPV2V."""
 
+    Params = Params
     TABLES = TABLES
+
+    def __init__(self, params: Params | None = None) -> None:
+        self._params = params or Params()
 
     def plan(self, selection: Selection) -> Plan:
         """A unit for each scenario."""
@@ -66,7 +83,7 @@ class Opv2v:
             raise ValueError(
                 "no two of these vehicles are on the road together, and a scenario needs two. Choose others."
             )
-        units = [Unit(s.name, partial(_scenario, selection, s)) for s in found]
+        units = [Unit(s.name, partial(_scenario, selection, s, self._params.detections)) for s in found]
         units.append(Unit("names", lambda clouds: iter([File("vehicles.csv", partial(kitti.names_csv, selection))])))
         n = sum(len(s.vehicles) * len(s.steps) for s in found)
         return Plan(tuple(units), n, 16, n * TEXT_BYTES)
@@ -121,12 +138,16 @@ def _groups(selection: Selection, vehicles: Int[ndarray, "v"], steps: Int[ndarra
         groups.append(tuple(sorted(vehicles[rows].tolist())))
 
 
-def _scenario(selection: Selection, scenario: Scenario, clouds: Clouds) -> Iterator[File]:
+def _scenario(selection: Selection, scenario: Scenario, detections: bool, clouds: Clouds) -> Iterator[File]:
     for at, moment in enumerate(selection.moments(scenario.steps)):
         for vehicle, cloud in zip(scenario.vehicles, clouds(moment.step, scenario.vehicles), strict=True):
             path = f"train/{scenario.name}/{vehicle}/{at:06d}"
             yield File(f"{path}.pcd", partial(pcd, cloud))
-            yield File(f"{path}.yaml", partial(_yaml, moment, vehicle, selection.pose(moment, vehicle)))
+            pose = selection.pose(moment, vehicle)
+            yield File(f"{path}.yaml", partial(_yaml, moment, vehicle, pose))
+            if detections:
+                yield File(f"{path}_pred.npy", partial(_npy, partial(_corners, moment, vehicle, pose)))
+                yield File(f"{path}_score.npy", partial(_npy, partial(_scores, moment, vehicle)))
 
 
 def pcd(cloud: Cloud) -> bytes:
@@ -136,6 +157,30 @@ def pcd(cloud: Cloud) -> bytes:
     head = ["VERSION 0.7", "FIELDS x y z rgb", "SIZE 4 4 4 4", "TYPE F F F F", "COUNT 1 1 1 1", f"WIDTH {n}",
             "HEIGHT 1", "VIEWPOINT 0 0 0 1 0 0 0", f"POINTS {n}", "DATA binary", ""]  # fmt: skip
     return "\n".join(head).encode() + np.column_stack([points, np.zeros(n, np.float32)]).astype("<f4").tobytes()
+
+
+def _detected(moment: Moment, vehicle: int):  # type: ignore[no-untyped-def]
+    """Detections of vehicles that a vehicle transmitted, without its self report."""
+    sent = moment.detections.get(vehicle)
+    return None if sent is None else sent[(sent.origin != "self") & sent["class"].isin(("car", "truck"))]
+
+
+def _corners(moment: Moment, vehicle: int, pose: Float[ndarray, "4"]) -> Float[ndarray, "n 8 3"]:
+    sent = _detected(moment, vehicle)
+    box = np.zeros((0, 7)) if sent is None else sent[BOX].to_numpy(np.float64)
+    return corners_of(in_sensor(box, pose))
+
+
+def _scores(moment: Moment, vehicle: int) -> Float[ndarray, "n"]:
+    sent = _detected(moment, vehicle)
+    return np.zeros(0) if sent is None else sent.score.to_numpy(np.float64)
+
+
+def _npy(make: Callable[[], ndarray]) -> bytes:
+    """An array in NumPy's format."""
+    content = io.BytesIO()
+    np.save(content, make(), allow_pickle=False)
+    return content.getvalue()
 
 
 def _yaml(moment: Moment, vehicle: int, pose: Float[ndarray, "4"]) -> bytes:

@@ -1,0 +1,1 @@
+"""Comparison of what cosim computes with published and measured values: `cosim validate`."""

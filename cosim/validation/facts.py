@@ -1,0 +1,214 @@
+"""Facts: published or measured values with their sources, and the judgement of what cosim computes beside them."""
+
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+import numpy as np
+from jaxtyping import Bool, Float
+from numpy import ndarray
+from scipy import stats
+
+from results.metrics.intervals import LEVEL
+
+Compare = Literal["within", "at_least", "at_most"]
+Stated = Literal["agrees", "differs"]
+Verdict = Literal["agrees", "differs", "undecided", "not computed"]
+FILE = Path(__file__).with_name("facts.toml")
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Fact:
+    """One published or measured quantity, with one or more values."""
+
+    id: str
+    group: str
+    """Page on which it stands."""
+    quantity: str
+    unit: str = ""
+    at: tuple[str, ...] = ("",)
+    """What each value is of: a distance, a class, an overlap."""
+    value: tuple[float, ...]
+    uncertainty: tuple[float, ...] = (0.0,)
+    """Half width of the band around each value, or one for all; not used by `at_least` and `at_most`."""
+    uncertainty_why: str = ""
+    compare: Compare = "within"
+    """`within`: ours lies in the band. `at_least`, `at_most`: ours is not below, or not above, the value."""
+    source: str
+    conditions: str
+    """Under which the value was measured."""
+    how: str
+    """How ours is computed, and what differs in its conditions."""
+    measure: str
+    """Name of the way of measuring, in `measures.MEASURES`."""
+    options: Mapping[str, Any] = field(default_factory=dict)
+    """Arguments of the measure."""
+    runs: tuple[str, ...] = ()
+    """Names of the runs behind it, in the order in which the measure gets them."""
+    judges: Literal["yes", "fitted"] = "yes"
+    """`fitted`: a model was fitted to these very values, so agreement says only that the fit is good."""
+    verdict: Stated
+    """What the state of the code is said to be."""
+    reason: str = ""
+    """Why it differs."""
+
+    def __post_init__(self) -> None:
+        n = len(self.value)
+        if len(self.at) != n or len(self.uncertainty) not in (1, n):
+            raise ValueError(f"fact {self.id}: {len(self.at)} places, {n} values and {len(self.uncertainty)} "
+                             "uncertainties do not belong together.")  # fmt: skip
+        if self.compare not in get_args(Compare) or self.verdict not in get_args(Stated):
+            raise ValueError(f"fact {self.id}: compare = {self.compare!r} or verdict = {self.verdict!r} is unknown.")
+        if self.verdict == "differs" and not self.reason:
+            raise ValueError(f"fact {self.id} differs and states no reason.")
+        if self.compare == "within" and not self.uncertainty_why:
+            raise ValueError(f"fact {self.id} does not say where its uncertainty comes from.")
+
+    @property
+    def low(self) -> Float[ndarray, "k"]:
+        """Lower edge of the band around each value."""
+        value = np.array(self.value)
+        return np.full(len(value), -np.inf) if self.compare == "at_most" else value - self._half
+
+    @property
+    def high(self) -> Float[ndarray, "k"]:
+        """Upper edge of the band around each value."""
+        value = np.array(self.value)
+        return np.full(len(value), np.inf) if self.compare == "at_least" else value + self._half
+
+    @property
+    def _half(self) -> Float[ndarray, "k"]:
+        half = np.broadcast_to(np.array(self.uncertainty), len(self.value))
+        return half if self.compare == "within" else np.zeros(len(self.value))
+
+
+@dataclass(frozen=True, slots=True)
+class RunPlan:
+    """Runs that some facts need: overrides of the default config, and how many of what length."""
+
+    name: str
+    what: str
+    sets: tuple[str, ...]
+    quick: tuple[int, float]
+    """Number of replicates, and duration of each [s]."""
+    full: tuple[int, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """What cosim computes for the values of a fact, with an interval of 95 %."""
+
+    value: Float[ndarray, "k"]
+    low: Float[ndarray, "k"]
+    high: Float[ndarray, "k"]
+    n: int
+    """Replicates; 1 where nothing is random."""
+
+    @staticmethod
+    def exact(value: Sequence[float] | ndarray) -> "Measured":
+        """A value that no chance is in."""
+        value = np.asarray(value, float)
+        return Measured(value, value, value, 1)
+
+    @staticmethod
+    def of_replicates(values: Sequence[Sequence[float] | ndarray]) -> "Measured":
+        """Mean of independent replicates, with the interval of Student's t.
+
+        Parameters
+        ----------
+        values
+            One row of values per replicate.
+        """
+        rows = np.asarray(values, float)
+        n, mean = len(rows), rows.mean(axis=0)
+        if n < 2:
+            return Measured(mean, np.full(mean.shape, -np.inf), np.full(mean.shape, np.inf), n)
+        half = stats.t.ppf(0.5 + LEVEL / 2, n - 1) * rows.std(axis=0, ddof=1) / np.sqrt(n)
+        return Measured(mean, mean - half, mean + half, n)
+
+
+@dataclass(frozen=True, slots=True)
+class Judged:
+    """A fact beside what cosim computes."""
+
+    fact: Fact
+    ours: Measured | None
+    problem: str = ""
+    """Why nothing was computed."""
+
+    @property
+    def inside(self) -> Bool[ndarray, "k"]:
+        """Whether each of our values lies in the band of the fact."""
+        assert self.ours is not None
+        return (self.ours.value >= self.fact.low) & (self.ours.value <= self.fact.high)
+
+    @property
+    def verdict(self) -> Verdict:
+        """`agrees` if all values lie in their bands, `differs` if the interval of one misses its band."""
+        if self.ours is None or not np.isfinite(self.ours.value).all():
+            return "not computed"
+        if self.inside.all():
+            return "agrees"
+        apart = (self.ours.high < self.fact.low) | (self.ours.low > self.fact.high)
+        return "differs" if apart.any() else "undecided"
+
+    @property
+    def is_lost(self) -> bool:
+        """Whether an agreement that the fact states is no longer there, or could not be looked for."""
+        return self.fact.verdict == "agrees" and self.verdict in ("differs", "not computed")
+
+
+def load(path: Path = FILE) -> tuple[dict[str, Fact], dict[str, RunPlan]]:
+    """The facts and the runs behind them, by name.
+
+    Raises
+    ------
+    ValueError
+        If the file has a mistake: a key that does not exist or is missing, a name that occurs twice, runs that are not
+        there.
+    """
+    data = tomllib.loads(path.read_text(encoding="utf-8"))
+    known = {f.name for f in fields(Fact)}
+    plans = {
+        name: RunPlan(name, plan["what"], tuple(plan["set"]), tuple(plan["quick"]), tuple(plan["full"]))
+        for name, plan in data.get("runs", {}).items()
+    }
+    facts: dict[str, Fact] = {}
+    for row in data["fact"]:
+        if unknown := set(row) - known:
+            raise ValueError(f"fact {row.get('id')}: unknown keys {sorted(unknown)}.")
+        values: dict[str, Any] = {
+            key: _listed(value) if key in ("value", "uncertainty", "at", "runs") else value
+            for key, value in row.items()
+        }
+        fact = Fact(**values)
+        if fact.id in facts:
+            raise ValueError(f"fact {fact.id} is there twice.")
+        if absent := [name for name in fact.runs if name not in plans]:
+            raise ValueError(f"fact {fact.id}: there are no runs called {absent[0]}.")
+        facts[fact.id] = fact
+    return facts, plans
+
+
+def chosen(facts: Mapping[str, Fact], asked: Sequence[str]) -> list[Fact]:
+    """The facts of these names or groups; all without any.
+
+    Raises
+    ------
+    ValueError
+        In one line, if a name is neither a fact nor a group.
+    """
+    groups = {fact.group for fact in facts.values()}
+    for name in asked:
+        if name not in facts and name not in groups:
+            raise ValueError(
+                f"{name} is neither a fact nor a group of facts. Groups: {', '.join(sorted(groups))}. "
+                "`cosim validate --list` lists the facts."
+            )
+    return [fact for fact in facts.values() if not asked or fact.id in asked or fact.group in asked]
+
+
+def _listed(value: Any) -> tuple[Any, ...]:
+    return tuple(value) if isinstance(value, list) else (value,)

@@ -1,0 +1,170 @@
+"""What cooperation adds to average precision, and what delays and errors take from it, by the rules of data sets.
+
+The detections of a run go through late fusion as OpenCOOD does it: boxes of the ego and of its partners in one frame,
+then non-maximum suppression. So one run answers with and without partners, with and without delay and errors, on the
+same sweeps.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+import pyarrow.compute as pc
+from jaxtyping import Float
+from numpy import ndarray
+
+from cosim.validation.facts import Measured
+from results.metrics.kitti_frames import (
+    BOX,
+    Poses,
+    ahead_of,
+    at_steps,
+    near,
+    observed_by_vehicle,
+    posed,
+    sampled_steps,
+)
+from results.metrics.late_fusion import kept
+from results.metrics.matched import Found, Truth, precision_and_recall
+from results.run import Run
+
+_FRAMES = 1500
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Setting:
+    """How a data set is evaluated, and how its messages are disturbed."""
+
+    overlaps: tuple[float, ...]
+    range_m: float
+    partners_m: float
+    """Largest distance of a partner from the ego."""
+    partners: int
+    """Largest number of partners, the nearest ones; egos without any are left out."""
+    delay_steps: int = 0
+    """Age of what partners send."""
+    position_m: float = 0.0
+    """Standard deviation of the error of a partner's position, for east and for north."""
+    heading_deg: float = 0.0
+    """Standard deviation of the error of its heading."""
+    label: str = "car"
+    slower_mps: float = np.inf
+    """Only objects slower than this count; the boxes of others are no false positives."""
+
+
+def late_gain(runs: Sequence[Run], **options: object) -> Measured:
+    """Average precision with partners minus that of the ego alone, as OpenCOOD counts it [points].
+
+    Options are those of `Setting`. Objects count that the ego or one of its partners has a return of.
+    """
+    setting = _setting(options)
+    return Measured.of_replicates([_precision(run, setting, True) - _precision(run, setting, False) for run in runs])
+
+
+def change_of_late(runs: Sequence[Run], **options: object) -> Measured:
+    """Average precision with disturbed partners minus that with undisturbed ones [points]; options as `late_gain`."""
+    setting = _setting(options)
+    exact = _setting(dict(options) | {"delay_steps": 0, "position_m": 0.0, "heading_deg": 0.0})
+    return Measured.of_replicates([_precision(run, setting, True) - _precision(run, exact, True) for run in runs])
+
+
+def _setting(options: object) -> Setting:
+    given = dict(options)  # type: ignore[call-overload]
+    return Setting(**given | {"overlaps": tuple(given["overlaps"])})
+
+
+def _precision(run: Run, setting: Setting, cooperating: bool) -> Float[ndarray, "o"]:
+    """Average precision by overlap [%]."""
+    steps = sampled_steps(run, _FRAMES)
+    steps = steps[steps >= setting.delay_steps]
+    poses, actors = posed(run, steps)
+    frame, partner = _partners(poses, actors, setting)
+    poses = poses[poses.frame.isin(frame)].reset_index(drop=True)
+    renumbered = pd.Series(np.arange(len(poses)), poses.frame.to_numpy())
+    poses = poses.assign(frame=np.arange(len(poses)))
+    beside = pd.DataFrame({"frame": renumbered.loc[frame].to_numpy(), "observer": partner})
+    truth = _truth(run, steps, poses, actors, beside, setting)
+    found = _found(run, steps, poses, beside if cooperating else beside.iloc[:0], setting)
+    return np.array([100 * precision_and_recall(truth, found, one)[0] for one in setting.overlaps])
+
+
+def _partners(poses: Poses, actors: pd.DataFrame, setting: Setting) -> tuple[ndarray, ndarray]:
+    """Frames and actor numbers of the partners in them."""
+    equipped = actors[actors.equipped].reset_index(drop=True)
+    i, j = near(poses, equipped, setting.partners_m)
+    other = poses.observer.to_numpy()[i] != equipped.actor.to_numpy()[j]
+    i, j = i[other], j[other]
+    away = np.hypot(*(poses[["x_m", "y_m"]].to_numpy()[i] - equipped[["x_m", "y_m"]].to_numpy()[j]).T)
+    order = np.lexsort([away, i])
+    i, j = i[order], j[order]
+    place = np.arange(len(i)) - np.searchsorted(i, i)
+    few = place < setting.partners
+    return poses.frame.to_numpy()[i[few]], equipped.actor.to_numpy()[j[few]]
+
+
+def _truth(
+    run: Run, steps: ndarray, poses: Poses, actors: pd.DataFrame, beside: pd.DataFrame, setting: Setting
+) -> Truth:
+    """Actors of the class around each ego that somebody has a return of."""
+    i, j = near(poses, actors, setting.range_m)
+    keep = (poses.observer.to_numpy()[i] != actors.actor.to_numpy()[j]) & (actors.label.to_numpy()[j] == setting.label)
+    i, j = i[keep], j[keep]
+    seen = run.table("observability", ["step", "observer", "actor", "n_points"], at_steps(steps))
+    watching = pd.concat([poses[["frame", "step", "observer"]], beside.merge(poses[["frame", "step"]], on="frame")])
+    pairs = watching.merge(seen[seen.n_points > 0], on=["step", "observer"])[["frame", "actor"]]
+    known = pd.MultiIndex.from_arrays([i, actors.actor.to_numpy()[j]]).isin(pd.MultiIndex.from_frame(pairs))
+    i, j = i[known], j[known]
+    if np.isfinite(setting.slower_mps):
+        now = actors[["step", "actor"]].iloc[j]
+        slow = _speed(run, now.step.to_numpy(), now.actor.to_numpy()) < setting.slower_mps
+        i, j = i[slow], j[slow]
+    box, _, _ = ahead_of(poses, i, actors[[*BOX]].to_numpy(np.float64)[j], setting.range_m)
+    return i, box
+
+
+def _found(run: Run, steps: ndarray, poses: Poses, beside: pd.DataFrame, setting: Setting) -> Found:
+    """Boxes of the egos, and those of partners as they were and with their errors, after suppression."""
+    old = np.unique(np.concatenate([steps, steps - setting.delay_steps]))
+    where = at_steps(old) & (pc.field("origin") == "sensed")
+    columns = ["step", "observer", "class", *BOX, "score", "truth_actor"]
+    boxes = observed_by_vehicle(run, "local", columns, where)
+    boxes = boxes[boxes["class"] == setting.label]
+    if np.isfinite(setting.slower_mps):
+        of = boxes.truth_actor.astype("Int64").fillna(-1).to_numpy(np.int64)
+        boxes = boxes[~(_speed(run, boxes.step.to_numpy(), of) >= setting.slower_mps)]
+    own = poses[["frame", "step", "observer"]].merge(boxes, on=["step", "observer"])
+    theirs = beside.merge(poses[["frame", "step"]], on="frame")
+    theirs = theirs.assign(step=theirs.step - setting.delay_steps, sender=np.arange(len(theirs)))
+    theirs = _disturbed(theirs.merge(boxes, on=["step", "observer"]), run, setting)
+    every = pd.concat([own, theirs], ignore_index=True)
+    frame = every.frame.to_numpy(np.int64)
+    box, _, _ = ahead_of(poses, frame, every[[*BOX]].to_numpy(np.float64), setting.range_m)
+    rows = np.flatnonzero(np.hypot(box[:, 0], box[:, 1]) <= setting.range_m)
+    score = every.score.to_numpy(np.float64)
+    rows = rows[kept(frame[rows], box[rows], score[rows])]
+    return frame[rows], box[rows], score[rows]
+
+
+def _speed(run: Run, step: ndarray, actor: ndarray) -> Float[ndarray, "n"]:
+    """Speed of actors in steps [m/s]; NaN where there is no such actor."""
+    table = run.table("actors", ["step", "actor", "speed_mps"], at_steps(np.unique(step)))
+    speed = table.set_index(["step", "actor"]).speed_mps
+    return speed.reindex(pd.MultiIndex.from_arrays([step, actor])).to_numpy(np.float64)
+
+
+def _disturbed(boxes: pd.DataFrame, run: Run, setting: Setting) -> pd.DataFrame:
+    """Boxes of partners moved and turned with the errors of their senders' poses."""
+    if not (setting.position_m or setting.heading_deg) or boxes.empty:
+        return boxes
+    n = int(boxes.sender.max()) + 1
+    error = np.random.default_rng(7).normal(size=(n, 3))[boxes.sender.to_numpy()]
+    poses = run.table("actors", ["step", "actor", "x_m", "y_m"], at_steps(np.unique(boxes.step)))
+    at = poses.set_index(["step", "actor"]).reindex(pd.MultiIndex.from_frame(boxes[["step", "observer"]]))
+    turn = np.radians(setting.heading_deg) * error[:, 2]
+    east, north = boxes.x_m.to_numpy() - at.x_m.to_numpy(), boxes.y_m.to_numpy() - at.y_m.to_numpy()
+    return boxes.assign(
+        x_m=at.x_m.to_numpy() + np.cos(turn) * east - np.sin(turn) * north + setting.position_m * error[:, 0],
+        y_m=at.y_m.to_numpy() + np.sin(turn) * east + np.cos(turn) * north + setting.position_m * error[:, 1],
+        yaw_rad=boxes.yaw_rad + turn,
+    )

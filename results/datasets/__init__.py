@@ -1,0 +1,1 @@
+"""Readers of recorded data sets: annotations and detections in their published layouts."""

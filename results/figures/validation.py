@@ -1,0 +1,73 @@
+"""Published values with their bands, and ours with intervals: one panel per fact."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from numpy import ndarray
+
+from results.figures import style
+
+_COLUMNS = 3
+_OUR_INK = {"agrees": style.INKS[0], "undecided": style.INKS[3]}
+"""Colour of our values by verdict; that of all other verdicts is `_OFF`."""
+_OFF = style.INKS[1]
+
+
+@dataclass(frozen=True, slots=True)
+class Panel:
+    """One fact: values by place, an open edge of a band being infinite, and what is not computed NaN."""
+
+    title: str
+    unit: str
+    at: Sequence[str]
+    published: Sequence[float]
+    band_low: Sequence[float] | ndarray
+    band_high: Sequence[float] | ndarray
+    ours: Sequence[float] | ndarray
+    low: Sequence[float] | ndarray
+    high: Sequence[float] | ndarray
+    verdict: str
+
+
+@style.styled
+def draw(panels: Sequence[Panel]) -> Figure:
+    """A figure with one panel per fact, three in a row."""
+    n_rows = -(-len(panels) // _COLUMNS)
+    figure, axes = style.sheet(_COLUMNS, width=10.5, height=2.6 * n_rows + 0.5, rows=n_rows)
+    for one, ax in zip(panels, axes, strict=False):
+        _draw(ax, one)
+    for ax in axes[len(panels) :]:
+        ax.set_axis_off()
+    style.legend(figure, [
+        Patch(facecolor=style.PALE, alpha=0.6, label="published, with its band"),
+        *(Line2D([], [], color=_OUR_INK.get(verdict, _OFF), marker="o", linestyle="", label=f"ours: {verdict}")
+          for verdict in ("agrees", "undecided", "differs")),
+    ])  # fmt: skip
+    return figure
+
+
+def _draw(ax: Axes, one: Panel) -> None:
+    place = np.arange(len(one.at))
+    published, ours = np.array(one.published, float), np.array(one.ours, float)
+    ends = np.concatenate([published, *(np.array(v, float) for v in (one.band_low, one.band_high, one.ours))])
+    ends = ends[np.isfinite(ends)]
+    room = 0.15 * max(np.ptp(ends), 0.1 * np.abs(ends).max(), 1e-9)
+    bottom, top = ends.min() - room, ends.max() + room
+    low, high = np.maximum(one.band_low, bottom), np.minimum(one.band_high, top)
+    ax.bar(place, high - low, 0.7, low, color=style.PALE, alpha=0.6, linewidth=0)
+    ax.hlines(published, place - 0.35, place + 0.35, color="#444444", linewidth=1.2)
+    there = np.isfinite(ours)
+    whiskers = np.array([
+        np.where(np.isfinite(one.low), ours - one.low, 0.0), np.where(np.isfinite(one.high), one.high - ours, 0.0),
+    ])  # fmt: skip
+    colour = _OUR_INK.get(one.verdict, _OFF)
+    ax.errorbar(place[there], ours[there], whiskers[:, there], fmt="o", color=colour, capsize=3, linewidth=1.2)
+    style.panel(ax, one.title, "", one.unit)
+    ax.set_xticks(place, [at.replace(", ", ",\n") for at in one.at], fontsize=7.5)
+    ax.set_xlim(-0.6, len(place) - 0.4)
+    ax.set_ylim(bottom, top)
