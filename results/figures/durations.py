@@ -40,9 +40,10 @@ def draw(runs: Sequence[Run], radius_m: float | None = None, pairs: str | None =
             axes = panels[2 * row + column]
             title = f"{LABELS[what].capitalize()}s" + (", log-log" if scale == "log" else ", semi-log")
             style.panel(axes, title, f"{LABELS[what].capitalize()} [s]", "Share that lasts longer")
-            axes.set_xscale(scale)
-            axes.set_yscale("log")
-            if not axes.lines:
+            if axes.lines:
+                axes.set_xscale(scale)
+                axes.set_yscale("log")
+            else:
                 axes.text(0.5, 0.5, "too few", transform=axes.transAxes, ha="center", color="#666666")
     figure.suptitle(" / ".join(dict.fromkeys(titles)), fontsize=9)
     names = list(FAMILIES)
@@ -82,8 +83,9 @@ def _curves(panels: Sequence[Axes], sample: Durations, number: int, is_alone: bo
     if not sample.ended.any():
         return []
     curve = product_limit(sample)
-    curve = curve[curve.n_at_risk >= FEWEST_AT_RISK]
-    curve = curve[(curve.survival > 0) & (curve.duration_s > 0)]
+    curve = curve[(curve.n_at_risk >= FEWEST_AT_RISK) & (curve.survival > 0) & (curve.duration_s > 0)]
+    if len(curve) < 2:
+        return []
     try:
         found = fits(sample)
     except ValueError:

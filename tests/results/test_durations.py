@@ -218,7 +218,9 @@ def test_facts_beside_a_run(run, tiny):
     assert set(facts.judge(few).verdict) == {"not comparable"}
 
 
-def test_a_picture_of_tails(run):
+def test_a_picture_of_tails(run, tiny):
+    few = tiny(60, vehicles=fleet("honest", "honest"), encounters=[encounter(0, 1, 3, 9)])
+    assert [text.get_text() for axes in figure.draw([few]).axes for text in axes.texts] == ["too few"] * 4
     drawn = figure.draw([run], radius_m=100.0)
     labels = {text.get_text() for text in drawn.legends[0].get_texts()}
     assert len(drawn.axes) == 4 and "Kaplan-Meier, 95 %" in labels and len(labels) == 6
