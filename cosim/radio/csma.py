@@ -12,26 +12,17 @@ from numpy import ndarray
 
 from cosim import rng
 from cosim.radio import channel, dcc
-from cosim.radio.channel import Access, ChannelRules, Jamming, Links, Packets, WindowResult
+from cosim.radio.channel import Access, ChannelRules, Links, Packets, WindowResult
 from cosim.radio.channel_state import ChannelState
 from cosim.radio.dcc import DccState
 from cosim.radio.forwarding import UNIT, Forwarding, ForwardingRules, own_frames
-from cosim.radio.link_budget import from_db, links_between, los_pairs
+from cosim.radio.link_cache import LinkCache, jammed
 from cosim.radio.message_round import FrameOutcomes, MessageRound, Messages, RoundKind, Stations
 from cosim.radio.params import RadioParams
 from cosim.radio.phy import MAC_OVERHEAD_BYTES, airtime_ns
-from cosim.radio.receptions import NeighbourList, ReceptionAttempts, Transmissions, complete_messages, slant_m
+from cosim.radio.receptions import NeighbourList, ReceptionAttempts, Transmissions, complete_messages
 from cosim.radio.segmentation import segments
 from sensors.line_of_sight import LosOfPlaces
-
-
-@dataclass(frozen=True, slots=True)
-class LinkCache:
-    """Links and neighbours of the stations of the last round; both rounds of a step have the same positions."""
-
-    stations: Stations
-    links: Links
-    neighbours: NeighbourList
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +60,7 @@ class CsmaMedium:
         cache = state.cache
         if cache is None or not cache.stations.equals(stations):
             cache = self.links(stations)
-        links = self._jammed(cache.links, stations)
+        links = jammed(cache.links, stations, self.params)
         plan = self._plan(len(RoundKind) * step + kind, begin_s, stations, messages, state.n_frames)
         forwarding = self._forwarding(plan, stations)
         before = state
@@ -167,44 +158,7 @@ class CsmaMedium:
 
     def links(self, stations: Stations) -> LinkCache:
         """Links and neighbours of these stations."""
-        p, xyz_m = self.params, stations.xyz_m
-        knows_walls = self.los is not None and p.propagation.knows_walls
-        found = los_pairs(xyz_m, p.propagation, self.los, slant_m(xyz_m, p.range_m))
-        near = NeighbourList.of(xyz_m, p.range_m, found, knows_walls)
-        shadowing = rng.key(self.seed, rng.Stream.SHADOWING)
-        links, _, _ = links_between(
-            xyz_m, stations.key, p.propagation, shadowing, self.los, found=found,
-            above_street_m=stations.above_street_m,
-        )  # fmt: skip
-        kept = replace(
-            stations, abuse=None, key=stations.key.copy(), xyz_m=xyz_m.copy()
-        )  # the caller may go on to move its own
-        return LinkCache(kept, links, near)
-
-    def _jammed(self, links: Links, stations: Stations) -> Links:
-        """The links with the noise of jammers among the stations.
-
-        Notes
-        -----
-        A jammer's noise arrives with the mean power of a frame that is sent with the jammer's power. It reaches only
-        receivers with a link above the cut-off, and it does not fade. Carrier sense and the channel busy ratio do not
-        notice it. A reactive jammer detects frames that arrive with `detectable_dbm` or more on average. It reacts in
-        time for the payload but not for the preamble. If several jammers react, each frame that one of them detects
-        suffers the noise of all of them.
-        """
-        abuse = stations.abuse
-        if abuse is None or not (np.isfinite(abuse.jam_dbm).any() or np.isfinite(abuse.react_dbm).any()):
-            return links
-        sender = np.repeat(np.arange(len(stations)), np.diff(links.ptr))
-        noise = [
-            np.bincount(links.receiver, links.power_mw * from_db(dbm - self.params.propagation.tx_power_dbm)[sender],
-                        len(stations))
-            for dbm in (abuse.jam_dbm, abuse.react_dbm)
-        ]  # fmt: skip
-        detects = np.isfinite(abuse.react_dbm)[links.receiver]
-        detects &= links.power_mw >= from_db(self.params.receiver.detectable_dbm)
-        detected = np.bincount(sender, detects, len(stations)) > 0
-        return replace(links, jamming=Jamming(noise[0], noise[1], detected))
+        return LinkCache.of(stations, self.params, self.seed, self.los)
 
     def _idle(self, state: ChannelContext, links: Links, until_ns: int) -> ChannelContext:
         """The state after the time between two rounds, in which nothing is generated."""

@@ -18,7 +18,8 @@ from types import TracebackType
 import numba
 import numpy as np
 
-from cosim.radio.csma import ChannelContext, CsmaMedium, LinkCache
+from cosim.radio.csma import ChannelContext, CsmaMedium
+from cosim.radio.link_cache import LinkCache
 from cosim.radio.message_round import Stations
 from cosim.step.exchange import stations_of
 from cosim.step.parts import Parts
