@@ -7,8 +7,8 @@ References
 .. [3] 3GPP TS 38.101-1 V17.0, clause 6.4F.2.3; TS 36.101 V15.0, clause 6.5.2G.3: in-band emission.
 .. [4] S. Lagen, K. Wanuga, H. Elkotby, S. Goyal, N. Patriciello, L. Giupponi, "New radio physical layer abstraction for
    system-level simulations of 5G networks", ICC 2020; its tables are those of 5G-LENA (`nr-eesm-t1`).
-.. [5] C. Mehlführer, M. Wrulich, J. C. Ikuno, D. Bosanska, M. Rupp, "Simulating the long term evolution physical layer",
-   EUSIPCO 2009: block error ratio of each CQI in AWGN.
+.. [5] C. Mehlführer, M. Wrulich, J. C. Ikuno, D. Bosanska, M. Rupp, "Simulating the long term evolution physical
+   layer", EUSIPCO 2009: block error ratio of each CQI in AWGN.
 .. [6] 3GPP TR 36.885 V14.0, annex A.2.1.1: in-band emission of LTE-V2X.
 """
 
@@ -158,8 +158,8 @@ class Carrier:
                 )
                 image = (self.n_rbs - 1 - rb >= begin) & (self.n_rbs - 1 - rb < end)
                 middle = (rb == self.n_rbs // 2) | ((self.n_rbs % 2 == 0) & (rb == self.n_rbs // 2 - 1))
-                leaked = 10 ** (general_db / 10) + image * 10 ** (-(25 + y_db) / 10) + middle * 10 ** (
-                    -(25 + z_db) / 10
+                leaked = (
+                    10 ** (general_db / 10) + image * 10 ** (-(25 + y_db) / 10) + middle * 10 ** (-(25 + z_db) / 10)
                 )
                 power = np.where(away <= 0, 1.0, leaked) / length
                 out[width, first] = power.reshape(s_n, self.rbs).mean(axis=1)

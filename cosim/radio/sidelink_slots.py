@@ -248,8 +248,17 @@ def _announced(block_mw, memory, i, period, above_mw, first, n_slots, n_places, 
             while slot <= entry.last:
                 if slot >= first:
                     _mark_periodic(
-                        block_mw, slot, entry.sub, entry.width, np.float64(entry.rsrp_mw), period, first, n_slots,
-                        n_places, stride, width,
+                        block_mw,
+                        slot,
+                        entry.sub,
+                        entry.width,
+                        np.float64(entry.rsrp_mw),
+                        period,
+                        first,
+                        n_slots,
+                        n_places,
+                        stride,
+                        width,
                     )
                 if entry.period <= 0:
                     break
@@ -268,8 +277,10 @@ def _count_up_to(block_mw, n, limit_mw):
 
 @kernel
 def _mean_power(power_mw, s, i, air, memory, rules, first, n_slots, n_places, stride, width):
-    """Mean power of a resource block of each candidate, over its earlier slots that the station has sensed."""
-    n_times = rules.power_slots // rules.power_step
+    """Power of a resource block of each candidate, summed over its earlier slots, in steps of 1/256 of the noise.
+
+    Whole numbers have the same sum in every order.
+    """
     for k in range(n_slots * n_places):
         power_mw[k] = 0.0
     for edge in range(air.ptr[i], air.ptr[i + 1]):
@@ -289,7 +300,7 @@ def _mean_power(power_mw, s, i, air, memory, rules, first, n_slots, n_places, st
                                 total += air.leak[other.widths[k], other.subs[k], c]
                             power = mean_mw * total / width
                             if power >= rules.noise_mw:  # weaker ones are not told from noise
-                                power_mw[y * n_places + x] += power / n_times
+                                power_mw[y * n_places + x] += np.floor(power / rules.noise_mw * 256.0)
                         y += rules.power_step
             q = memory.next_own[q]
 
@@ -545,7 +556,6 @@ def _check(u, s, begin, air, memory, log, room, rules):
     if not _is_taken(u, memory, log):
         return
     me = log.unit[u]
-    process = memory.process[me.process]
     wanted = me.n_sent
     _unschedule(u, begin, log)
     if _choose(u, s, air, memory, log, room, rules):
@@ -696,14 +706,14 @@ def next_period(station, rules):
 
 
 @kernel
-def run_slots(begin, end, arrival, air, memory, log, room, rules):
-    """Carry out the slots from `begin` to `end`.
+def run_slots(begin, first, end, arrival, air, memory, log, room, rules):
+    """Carry out the slots from `first` to `end`.
 
-    `arrival` are the units in the order in which they are generated. In a slot, units are generated and choose their
-    resources first, from what was sensed before it.
+    The lists of `log` begin with the slot `begin`. `arrival` are the units that are generated before `end`, in this
+    order. In a slot, units are generated and choose their resources first, from what was sensed before it.
     """
     new = 0
-    for s in range(begin, end):
+    for s in range(first, end):
         if s % rules.busy_slots == 0:
             next_period(memory.station, rules)
         while new < len(arrival) and log.unit[arrival[new]].generated <= s:
