@@ -107,7 +107,8 @@ class SidelinkMedium:
         return 1_000_000 // self.carrier.slots_per_ms
 
     @cached_property
-    def _rules(self) -> Rules:
+    def rules(self) -> Rules:
+        """The parameters of the slots."""
         p, carrier = self.params.sidelink, self.carrier
         per_ms = carrier.slots_per_ms
         noise_mw = 1.380649e-23 * 290.0 * 180e3 * per_ms * 1e3 * float(from_db(self.params.receiver.noise_figure_db))
@@ -183,7 +184,7 @@ class SidelinkMedium:
         self, state: SidelinkState, plan: "_RoundPlan", links: Links, stations: Stations, begin_ns: int, end_ns: int
     ) -> tuple[SidelinkState, Log, Int[ndarray, "n"]]:
         """Carry out the slots of a round; returns the next state, the log and the busy subchannels of each station."""
-        rules, begin, end = self._rules, begin_ns // self._slot_ns, end_ns // self._slot_ns
+        rules, begin, end = self.rules, begin_ns // self._slot_ns, end_ns // self._slot_ns
         station, ptr, entry = _stations_of(state, stations)
         process = _processes_of(state.process, plan, stations)
         silent = min(begin // rules.busy_slots - (state.until - 1) // rules.busy_slots, slots.N_USED + 1)
@@ -191,18 +192,17 @@ class SidelinkMedium:
             silent -= 1
         for _ in range(silent if state.until > 0 else 0):
             slots.next_period(station, rules)
-        memory = _memory_of(process, station, ptr, entry, plan.unit, links, rules)
-        log = _log_of(plan.unit, links, end - begin)
-        air = self._air(links, stations)
-        widest = int((rules.last + 1) * rules.n_subchannels)
-        room = Room(np.zeros(widest), np.zeros(widest), np.zeros(widest, np.int64), np.zeros(widest, np.uint64))
+        memory = memory_of(process, station, ptr, entry, plan.unit, links, rules)
+        log = log_of(plan.unit, links, end - begin)
+        air = self.air(links, stations)
+        room = room_of(rules)
         arrival = np.lexsort((plan.unit["key"], plan.unit["generated"]))
         slots.run_slots(begin, begin, end, arrival, air, memory, log, room, rules)
         ptr, entry = _kept(memory.head, memory.entry, end)
         after = SidelinkState(process, station, ptr, entry, end)
         return after, log, air.busy_round
 
-    def _air(self, links: Links, stations: Stations) -> Air:
+    def air(self, links: Links, stations: Stations) -> Air:
         """Links of a round, and room for the sums of a slot."""
         n, jam = len(stations), links.jamming
         zero = np.zeros(n)
@@ -325,7 +325,7 @@ def _processes_of(process: ndarray, plan: _RoundPlan, stations: Stations) -> nda
     return process
 
 
-def _memory_of(
+def memory_of(
     process: ndarray, station: ndarray, ptr: ndarray, entry: ndarray, unit: ndarray, links: Links, rules: Rules
 ) -> Memory:
     """Linked lists of each station's processes and entries, with room for the entries of the round."""
@@ -356,7 +356,7 @@ def _lists(of: Int[ndarray, "p"], n: int) -> tuple[ndarray, ndarray]:
     return first, after
 
 
-def _log_of(unit: ndarray, links: Links, n_slots: int) -> Log:
+def log_of(unit: ndarray, links: Links, n_slots: int) -> Log:
     """Room for the outcomes of these units at their receivers."""
     degree = np.diff(links.ptr)[unit["station"]]
     begins = offsets(degree)
@@ -370,6 +370,12 @@ def _log_of(unit: ndarray, links: Links, n_slots: int) -> Log:
         head_check=np.full(n_slots, NONE, np.int64),
         next_check=np.full(len(unit), NONE, np.int64),
     )
+
+
+def room_of(rules: Rules) -> Room:
+    """Room for one choice of resources."""
+    n = (rules.last + 1) * rules.n_subchannels
+    return Room(np.zeros(n), np.zeros(n), np.zeros(n, np.int64), np.zeros(n, np.uint64))
 
 
 @compiled
