@@ -33,6 +33,9 @@ from sensors.line_of_sight import LosOfPlaces
 _PROCESSING_SLOTS = {1: 3, 2: 5, 4: 9}
 """T_proc,1 by slots per millisecond: table 8.1.4-2 of TS 38.214. Re-evaluation comes this long before transmission."""
 
+TAIL = 6.0
+"""Standard deviations beyond which a block is decoded or lost without a draw."""
+
 
 @dataclass(frozen=True, slots=True)
 class SidelinkState:
@@ -176,6 +179,8 @@ class SidelinkMedium:
         unit["n_sent"] = self.params.sidelink.n_transmissions
         unit["sinr_db"] = self.carrier.sinr_db[unit["width"] - 1]
         unit["spread_db"] = self.carrier.spread_db[unit["width"] - 1]
+        unit["clear_sinr"] = from_db(unit["sinr_db"] + TAIL * unit["spread_db"])
+        unit["dead_sinr"] = from_db(unit["sinr_db"] - TAIL * unit["spread_db"])
         unit["slot"] = NEVER
         process = rng.keys(rng.key(self.seed, rng.Stream.CHANNEL, 1 + kind), keys[message], segment)
         return _RoundPlan(unit, message, generated_ns, n_segments, np.repeat(payload_bytes, count), process)
@@ -198,7 +203,7 @@ class SidelinkMedium:
         room = room_of(rules)
         arrival = np.lexsort((plan.unit["key"], plan.unit["generated"]))
         slots.run_slots(begin, begin, end, arrival, air, memory, log, room, rules)
-        ptr, entry = _kept(memory.head, memory.entry, end)
+        ptr, entry = _kept(memory, end)
         after = SidelinkState(process, station, ptr, entry, end)
         return after, log, air.busy_round
 
@@ -311,17 +316,21 @@ def _stations_of(state: SidelinkState, stations: Stations) -> tuple[ndarray, nda
 
 def _processes_of(process: ndarray, plan: _RoundPlan, stations: Stations) -> ndarray:
     """Processes of the stations that are there, sorted by key, with those of the units; names them in the units."""
-    process = process[np.isin(process["station"], stations.key)]
-    new = np.flatnonzero(~np.isin(plan.process, process["key"]))
+    present = np.sort(stations.key)
+    at = np.minimum(np.searchsorted(present, process["station"]), len(present) - 1)
+    process = process[present[at] == process["station"]]
+    at = np.searchsorted(process["key"], plan.process)
+    known = at < len(process)
+    known[known] = process["key"][at[known]] == plan.process[known]
+    new = np.flatnonzero(~known)
     if len(new):
         more = np.zeros(len(new), slots.PROCESS)
         more["key"], more["station"] = plan.process[new], stations.key[plan.unit["station"][new]]
         more["next_slot"], more["generated"] = NEVER, NONE
         process = np.concatenate([process, more])
         process = process[np.argsort(process["key"])]
-    else:
-        process = process.copy()
-    plan.unit["process"] = np.searchsorted(process["key"], plan.process)
+        at = np.searchsorted(process["key"], plan.process)
+    plan.unit["process"] = at
     return process
 
 
@@ -339,6 +348,7 @@ def memory_of(
     head = np.full(len(station), NONE, np.int64)
     holds = np.flatnonzero(np.diff(ptr))
     head[holds] = ptr[holds]
+    table["station"][: len(entry)] = np.repeat(np.arange(len(station)), np.diff(ptr))
     table["next"][: len(entry)] = np.arange(1, len(entry) + 1)
     table["next"][ptr[holds + 1] - 1] = NONE
     return Memory(process, own, next_own, station, head, table, np.array([len(entry)]))
@@ -378,24 +388,12 @@ def room_of(rules: Rules) -> Room:
     return Room(np.zeros(n), np.zeros(n), np.zeros(n, np.int64), np.zeros(n, np.uint64))
 
 
-@compiled
-def _kept(head, entry, now):
-    """The entries of each station that still reserve something, station by station."""
-    ptr = np.zeros(len(head) + 1, np.int64)
-    for j in range(len(head)):
-        e, count = head[j], 0
-        while e != NONE:
-            count += entry[e].last >= now
-            e = np.int64(entry[e].next)
-        ptr[j + 1] = ptr[j] + count
-    kept = np.empty(ptr[-1], entry.dtype)
-    for j in range(len(head)):
-        e, k = head[j], ptr[j]
-        while e != NONE:
-            if entry[e].last >= now:
-                kept[k] = entry[e]
-                k += 1
-            e = np.int64(entry[e].next)
+def _kept(memory: Memory, now: int) -> tuple[Int[ndarray, "n+1"], ndarray]:
+    """The entries that still reserve something, by station, and where those of each station begin."""
+    ptr, n = np.empty(len(memory.head) + 1, np.int64), memory.at[0]
+    slots.count_kept(memory.entry, n, now, ptr)
+    kept = np.empty(ptr[-1], slots.ENTRY)
+    slots.copy_kept(memory.entry, n, now, ptr[:-1].copy(), kept)
     return ptr, kept
 
 

@@ -22,7 +22,7 @@ from numpy import ndarray
 
 from cosim.radio.dtypes import COLLISION, EXPIRED, FADING, HALF_DUPLEX, NEVER, NONE, RECEIVED
 from sensors.hash_rng import mix, unit
-from sensors.kernel import inlined, kernel
+from sensors.kernel import kernel
 
 MAX_SENT = 3
 """Largest number of transmissions of a message."""
@@ -50,14 +50,17 @@ STATION = np.dtype([
 ])  # fmt: skip
 """A station: busy subchannels of the present period, busy ratio of the period before, subchannels it has used."""
 
-ENTRY = np.dtype([("slot", "i8"), ("last", "i8"), ("period", "i4"), ("sub", "i2"), ("width", "i2"), ("rsrp_mw", "f4"),
-                  ("next", "i4")])  # fmt: skip
+ENTRY = np.dtype([
+    ("slot", "i8"), ("last", "i8"), ("period", "i4"), ("sub", "i2"), ("width", "i2"), ("rsrp_mw", "f4"),
+    ("station", "i4"), ("next", "i4"),
+])  # fmt: skip
 """A reservation that a station has decoded: the reserved slot, and its repetitions up to `last`."""
 
 UNIT = np.dtype([
     ("key", "u8"), ("generated", "i8"), ("deadline", "i8"), ("process", "i4"), ("station", "i4"), ("width", "i2"),
     ("n_sent", "i2"), ("outcome", "u1"), ("announces", "u1"), ("threshold_mw", "f8"), ("sinr_db", "f8"),
-    ("spread_db", "f8"), ("slot", "i8", MAX_SENT), ("sub", "i2", MAX_SENT), ("rows", "i8"),
+    ("spread_db", "f8"), ("clear_sinr", "f8"), ("dead_sinr", "f8"), ("slot", "i8", MAX_SENT), ("sub", "i2", MAX_SENT),
+    ("rows", "i8"),
 ])  # fmt: skip
 """A transport block of the round: what is sent, by which process, and where."""
 
@@ -148,14 +151,15 @@ class Room(NamedTuple):
     rank: ndarray
 
 
-@inlined
-def _normal_cdf_above(x, u):
-    """Whether u < Phi(x), for a uniform u in [0, 1); the far tails need no error function."""
-    if x >= 6.0:
+@kernel
+def _succeeds(sinr, me, h):
+    """Whether a block with this SINR is decoded: a normal distribution in dB, whose far tails need no draw."""
+    if sinr >= me.clear_sinr:
         return True
-    if x <= -6.0:
+    if sinr <= me.dead_sinr:
         return False
-    return u < 0.5 * erfc(-x * 0.7071067811865476)
+    x = (10.0 * np.log10(sinr) - me.sinr_db) / me.spread_db
+    return unit(h) < 0.5 * erfc(-x * 0.7071067811865476)
 
 
 @kernel
@@ -587,7 +591,7 @@ def _remember(receiver, slot, last, period, sub, width, rsrp_mw, memory):
     e = memory.at[0]
     entry = memory.entry[e]
     entry.slot, entry.last, entry.period, entry.sub, entry.width = slot, last, period, sub, width
-    entry.rsrp_mw, entry.next = rsrp_mw, memory.head[receiver]
+    entry.rsrp_mw, entry.station, entry.next = rsrp_mw, receiver, memory.head[receiver]
     memory.head[receiver] = e
     memory.at[0] = e + 1
 
@@ -662,19 +666,16 @@ def _receive(u, a, s, air, memory, log, rules):
         if a == 0:
             log.sinr[at] = 0.0
         log.sinr[at] += sinr
-        decodes = sinr >= rules.control_sinr
-        if decodes:
-            u_draw = unit(mix(mix(prefix, air.key[j]), _PAYLOAD))
-            x = (10.0 * np.log10(log.sinr[at]) - me.sinr_db) / me.spread_db
-            if _normal_cdf_above(x, u_draw):
-                log.reception[row] = RECEIVED
-            else:
-                alone = (10.0 * np.log10(power / noise) - me.sinr_db) / me.spread_db
-                log.reception[row] = COLLISION if _normal_cdf_above(alone, u_draw) else FADING
-            if power * scale > rules.rsrp_mw and (me.announces or rules.with_repeats):
-                _announce(j, s, u, a, np.float32(power * scale), memory, log, rules)
+        if sinr < rules.control_sinr:
+            log.reception[row] = COLLISION if power >= rules.control_sinr * noise else FADING
+            continue
+        h = mix(mix(prefix, air.key[j]), _PAYLOAD)
+        if _succeeds(log.sinr[at], me, h):
+            log.reception[row] = RECEIVED
         else:
-            log.reception[row] = COLLISION if power / noise >= rules.control_sinr else FADING
+            log.reception[row] = COLLISION if _succeeds(power / noise, me, h) else FADING
+        if power * scale > rules.rsrp_mw and (me.announces or rules.with_repeats):
+            _announce(j, s, u, a, np.float32(power * scale), memory, log, rules)
 
 
 @kernel
@@ -690,6 +691,26 @@ def _count_busy(s, n_touched, air, memory, rules):
                 n += 1
         memory.station[j].busy += n
         air.busy_round[j] += n
+
+
+@kernel
+def count_kept(entry, n, now, ptr):
+    """Write where each station's entries begin, of the first n that still reserve something at the slot `now`."""
+    ptr[:] = 0
+    for e in range(n):
+        if entry[e].last >= now:
+            ptr[entry[e].station + 1] += 1
+    for j in range(len(ptr) - 1):
+        ptr[j + 1] += ptr[j]
+
+
+@kernel
+def copy_kept(entry, n, now, at, kept):
+    """Copy these entries, station by station; `at` is where the next one of each station goes."""
+    for e in range(n):
+        if entry[e].last >= now:
+            kept[at[entry[e].station]] = entry[e]
+            at[entry[e].station] += 1
 
 
 @kernel

@@ -5,7 +5,7 @@ threshold of the SINR in place of block error curves. Each allocation of a messa
 allocations do not overlap in part.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -127,7 +127,7 @@ def loss_db(distance_m: ndarray) -> ndarray:
     return np.maximum(np.where(d <= 4 * 0.25 * 5.9e9 / 3e8, near, far), 0.0)
 
 
-def simulate(s: Setting, seed: int, raw_m: tuple[float, ...] = (100.0, 300.0)) -> tuple[ndarray, ndarray, list[ndarray]]:
+def simulate(s: Setting, seed: int, raw_m: tuple[float, ...]) -> tuple[ndarray, ndarray, list[ndarray]]:
     """One run of 15 s.
 
     Returns
@@ -166,7 +166,7 @@ def simulate(s: Setting, seed: int, raw_m: tuple[float, ...] = (100.0, 300.0)) -
         unit = np.concatenate([unit, more[at < n_slots - 101]])
     unit = unit[np.lexsort((unit["generated"], unit["station"]))]
     unit["deadline"], unit["n_sent"], unit["slot"] = n_slots - 1, s.n_sent, NEVER
-    unit["sinr_db"], unit["spread_db"] = gamma_db, 1e-3
+    unit["sinr_db"], unit["spread_db"], unit["clear_sinr"], unit["dead_sinr"] = gamma_db, 1e-3, *2 * [from_db(gamma_db)]
     process = np.zeros(n, slots.PROCESS)
     process["key"], process["station"] = rng.keys(np.uint64(7), stations.key), stations.key
     process["next_slot"], process["generated"] = NEVER, NONE
