@@ -85,7 +85,7 @@ def budget(s: Setting) -> tuple[Carrier, float, float, float]:
     gamma_db = 10 * np.log10(2 ** (12 * 14 * per_symbol / 180 / 0.4) - 1)
     n = carrier_rbs // rbs
     w = (0.0, 0.0, 0.0, 0.0) if s.is_nr else (3.0, 6.0, 3.0, 3.0)
-    vector = (0.175 if s.mcs <= (9 if s.is_nr else 10) else 0.125)
+    vector = 0.175 if s.mcs <= (9 if s.is_nr else 10) else 0.125
     carrier = Carrier(15, carrier_rbs, rbs, np.ones(n, np.int64), np.full(n, gamma_db), np.full(n, 1e-3), w, vector)
     per_mhz_dbm = 23 + 3 - 10 * np.log10(0.18 * n_rbs) + 10 * np.log10(share) + 3
     far_db = 7.56 - 34.6 * np.log10(0.5) + 2.7 * np.log10(5.9)
