@@ -58,7 +58,7 @@ class CsmaMedium:
         if len(stations) == 0:
             return state, MessageRound.silent()
         cache = state.cache
-        if cache is None or not cache.stations.equals(stations):
+        if cache is None or not cache.serves(stations):
             cache = self.links(stations)
         links = jammed(cache.links, stations, self.params)
         plan = self._plan(len(RoundKind) * step + kind, begin_s, stations, messages, state.n_frames)

@@ -30,12 +30,19 @@ class LinkCache:
         near = NeighbourList.of(xyz_m, params.range_m, found, knows_walls)
         links, _, _ = links_between(
             xyz_m, stations.key, propagation, rng.key(seed, rng.Stream.SHADOWING), los, found=found,
-            above_street_m=stations.above_street_m,
+            above_street_m=stations.above_street_m, bodies=stations.bodies,
         )  # fmt: skip
+        bodies = stations.bodies if propagation.blockage == "bodies" else None
         kept = replace(
-            stations, abuse=None, key=stations.key.copy(), xyz_m=xyz_m.copy()
-        )  # the caller may go on to move its own
+            stations, abuse=None, key=stations.key.copy(), xyz_m=xyz_m.copy(),
+            bodies=None if bodies is None else bodies.copy(),
+        )  # fmt: skip  # the caller may go on to move its own
         return LinkCache(kept, links, near)
+
+    def serves(self, stations: Stations) -> bool:
+        """Whether these are the links of these stations."""
+        bodies = self.stations.bodies
+        return self.stations.equals(stations) and (bodies is None or bodies.equals(stations.bodies))
 
 
 def jammed(links: Links, stations: Stations, params: RadioParams) -> Links:

@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float, Int, UInt8, UInt64
 from numpy import ndarray
 
 from cosim import rng
+from cosim.radio.bodies import Bodies
 from cosim.ragged import order_by_two
 
 
@@ -69,6 +70,8 @@ class Stations:
     """Heights of the antennas above the street under them [m]. None: the streets are at height 0."""
     abuse: ChannelAbuse | None = None
     """None where all stations keep the rules of the channel."""
+    bodies: Bodies | None = None
+    """Road users that may block links, of all traffic; None where they are not known."""
 
     def __len__(self) -> int:
         return len(self.key)

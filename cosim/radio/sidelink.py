@@ -87,7 +87,7 @@ class SidelinkMedium:
         if len(stations) == 0:
             return state, MessageRound.silent()
         cache = state.cache
-        if cache is None or not cache.stations.equals(stations):
+        if cache is None or not cache.serves(stations):
             cache = self.links(stations)
         links = jammed(cache.links, stations, self.params)
         begin_ns, end_ns = round(begin_s * 1e9), round((begin_s + self.round_s) * 1e9)
