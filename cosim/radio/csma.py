@@ -131,6 +131,8 @@ class CsmaMedium:
         now, control, rules, params = state.channel, state.dcc, self._rules, self.params.dcc
         units, own_ns, end_ns, period_ns = plan.units, plan.generated_ns, plan.end_ns, round(params.period_s * 1e9)
         waits = own_ns + units["airtime_ns"] <= end_ns
+        airtime_ns = np.zeros(len(stations), np.int64)
+        np.maximum.at(airtime_ns, units["source"], units["airtime_ns"])
         windows: list[WindowResult] = []
         busy = np.zeros(len(stations))
         measured, strong = 0, np.zeros(len(stations))  # since the last update of congestion control
@@ -142,7 +144,7 @@ class CsmaMedium:
             stop_ns = min(max(start_ns, stop_ns) + period_ns, end_ns)
             due = np.flatnonzero(waits & (own_ns < stop_ns))
             waits[due] = False
-            gap_ns = dcc.gap_ns(control, stations.key, params)
+            gap_ns = dcc.gap_ns(control, stations.key, params, airtime_ns)
             if stations.abuse is not None:
                 gap_ns = np.where(stations.abuse.ignores_dcc, 0, gap_ns)
             now, out = channel.run_window(now, links, plan.packets(due), stop_ns, rules, gap_ns, forwarding)
