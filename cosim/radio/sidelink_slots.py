@@ -204,12 +204,19 @@ def _mark_periodic(block_mw, slot, sub, width, value_mw, period, first, n_slots,
 
 
 @kernel
+def _n_known(process):
+    """Number of transmissions of a process that are remembered."""
+    n = np.int64(process.n_past)
+    return n if n < N_HISTORY else N_HISTORY
+
+
+@kernel
 def _own_slots(block_mw, memory, i, period, rules, first, n_slots, n_places, stride, width):
     """Exclude the slots that others may have reserved while the station sent and could not hear them."""
     q = memory.own[i]
     while q != NONE:
         other = memory.process[q]
-        for k in range(min(np.int64(other.n_past), N_HISTORY)):
+        for k in range(_n_known(other)):
             if period > 0:
                 slot = other.slots[k] + period
                 while first <= slot < first + n_slots:
@@ -292,7 +299,7 @@ def _mean_power(power_mw, s, i, air, memory, rules, first, n_slots, n_places, st
         q = memory.own[air.receiver[edge]]
         while q != NONE:
             other = memory.process[q]
-            for k in range(min(np.int64(other.n_past), N_HISTORY)):
+            for k in range(_n_known(other)):
                 back = s - other.slots[k]
                 if 0 < back <= rules.power_slots:
                     y = other.slots[k] - first
