@@ -373,7 +373,7 @@ def _choose(u, s, air, memory, log, room, rules):
     """Choose the resources of a unit in its selection window [1]_ [2]_. Returns False if the window is empty."""
     me, block_mw = log.unit[u], room.block_mw
     process, i = memory.process[me.process], me.station
-    first, last = s + rules.first, min(s + rules.last, me.deadline)
+    first, last = s + rules.first, min(me.generated + rules.last, me.deadline)
     n_slots, width = last - first + 1, np.int64(me.width)
     if n_slots < 1:
         return False
@@ -469,7 +469,7 @@ def _uses_reservation(u, s, process, log, rules):
     if process.n_missed >= rules.reselect_after:
         return False
     last = process.next_slot + process.gap[process.n_sent - 1]
-    if last > min(s + rules.last, me.deadline) or process.width < me.width:
+    if last > min(me.generated + rules.last, me.deadline) or process.width < me.width:
         return False
     me.width, me.n_sent = process.width, min(process.n_sent, me.n_sent)
     for a in range(me.n_sent):

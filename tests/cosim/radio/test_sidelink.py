@@ -22,11 +22,22 @@ SIDELINKS = ("nr_mode2", "lte_mode4")
 HIGHWAY = PropagationParams(model="highway")
 
 
-def alone(n, n_messages, *, seed, power_mw=0.0, window=100, n_subchannels=5, counters=None, **given):
-    """Stations that all generate in slot 0 and then every 100 slots, each with the same mean power at all others."""
+def alone(n, n_messages, **given):
+    """Stations that all generate in slot 0 and then every 100 slots, each with the same mean power at all others.
+
+    Returns the resource of each message [station, message], the units and their log.
+    """
+    run, unit, log, _, n_subchannels = parts_of(n, n_messages, **given)
+    run(0, 100 * n_messages + 101)
+    resource = (unit["slot"][:, 0] % 100 * n_subchannels + unit["sub"][:, 0]).reshape(n, n_messages)
+    return resource, unit, log
+
+
+def parts_of(n, n_messages, *, seed, power_mw=0.0, window=100, n_subchannels=5, counters=None, lead=0, **given):
+    """What `alone` runs: a function that carries out slots, and what it writes."""
     params = RadioParams(model="nr_mode2", sidelink=SidelinkParams(reservation_s=0.1, limits_occupancy=False, **given))
     medium = MEDIA["nr_mode2"](params, 0.4, seed, None)
-    rules = medium.rules._replace(last=window, n_subchannels=n_subchannels, lead=0)
+    rules = medium.rules._replace(last=window, n_subchannels=n_subchannels, lead=lead)
     key = rng.keys(np.uint64(seed), np.arange(n))
     receiver = np.array([[j for j in range(n) if j != i] for i in range(n)], np.int64).ravel()
     power = np.full(len(receiver), power_mw)
@@ -48,9 +59,12 @@ def alone(n, n_messages, *, seed, power_mw=0.0, window=100, n_subchannels=5, cou
     memory = memory_of(process, station, np.zeros(n + 1, np.int64), np.zeros(0, slots.ENTRY), unit, links, rules)
     log, air = log_of(unit, links, n_slots), medium.air(links, stations)
     arrival = np.lexsort((unit["key"], unit["generated"]))
-    slots.run_slots(0, 0, n_slots, arrival, air, memory, log, room_of(rules), rules)
-    resource = (unit["slot"][:, 0] % 100 * n_subchannels + unit["sub"][:, 0]).reshape(n, n_messages)
-    return resource, unit, log
+
+    def run(first, end):
+        due = (unit["generated"][arrival] >= first) & (unit["generated"][arrival] < end)
+        slots.run_slots(0, first, end, arrival[due], air, memory, log, room_of(rules), rules)
+
+    return run, unit, log, memory, n_subchannels
 
 
 def within_three_errors(sample, expected):
@@ -121,6 +135,25 @@ def test_bursts_of_collisions():
     beyond = 1 - np.cumsum(run_length_p(keep_p, 600))
     for bound in (5, 8, 12):
         within_three_errors(np.array(longest) > bound, beyond[bound] ** 2)
+
+
+@pytest.mark.parametrize("lead", [0, 3])
+def test_re_evaluation_leaves_a_resource_that_another_station_announced(lead):
+    """A station chooses a slot at generation. Before it sends, it hears that another one has reserved this slot."""
+    moved = 0
+    for seed in range(20):
+        run, unit, _, memory, _ = parts_of(2, 1, seed=seed, lead=lead)
+        run(0, 1)
+        chosen, sub = unit["slot"][0, 0], unit["sub"][0, 0]
+        memory.entry[0] = (chosen, chosen, 0, sub, 1, 1.0, 0, NONE)
+        memory.head[0] = 0
+        memory.at[0] = 1
+        run(1, 201)
+        moved += unit["slot"][0, 0] != chosen or unit["sub"][0, 0] != sub
+        if chosen <= 3:  # too late for a check
+            assert unit["slot"][0, 0] == chosen
+        assert unit["slot"][0, 0] <= 100
+    assert moved == 0 if lead == 0 else moved >= 17
 
 
 def test_stations_that_hear_each_other_do_not_collide():
