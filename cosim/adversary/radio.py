@@ -61,7 +61,7 @@ class Jamming(WithParams[JammingParams]):
     blockage and shadowing, without fading. A reactive jammer disturbs frames that reach it with a mean power of
     `radio.receiver.detectable_dbm` or more. It disturbs their payload only, because it is too late for the preamble.
     Deviations: carrier sense and the channel busy ratio ignore the noise, so that stations near a constant jammer still
-    send. The jammer itself still sends and receives. The attack needs `radio.model = "csma"`.
+    send. The jammer itself still sends and receives. The attack has no effect with `radio.model = "unit_disk"`.
     """
 
     Params = JammingParams

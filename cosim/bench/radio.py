@@ -1,6 +1,8 @@
 """Measures the speed of the radio on this machine."""
 
+from dataclasses import replace
 from time import thread_time
+from typing import Any
 
 import numpy as np
 from numpy import ndarray
@@ -10,6 +12,7 @@ from cosim.radio.channel import AccessParams, ChannelRules, Packets, run_window
 from cosim.radio.channel_state import ChannelState
 from cosim.radio.csma import CsmaMedium, without_cache
 from cosim.radio.link_budget import links_between
+from cosim.radio.medium import MEDIA
 from cosim.radio.message_round import FrameOutcomes, Messages, RoundKind, Stations
 from cosim.radio.params import RadioParams, RelayParams
 from cosim.radio.phy import ReceiverParams
@@ -107,6 +110,23 @@ def _rounds(
     return _best(times[0]), _best(times[1]), happened.frames
 
 
+def _times_real_time(xyz: ndarray, los: LosOfPlaces, params: PropagationParams, model: str, interval_s: float) -> float:
+    """Simulated time over the processor time of all rounds, links included, when every station sends both messages."""
+    n, round_s = len(xyz), 0.4 * interval_s
+    stations = Stations(rng.keys(np.uint64(1), np.arange(n)), xyz, n)
+    messages = Messages.one_each(np.full(n, 300))
+    medium = MEDIA[model](RadioParams(model=model, propagation=params), round_s, 1, los)
+    state: Any = medium.start()
+    times = []
+    for step in range(_ROUNDS):
+        state = replace(state, cache=None)
+        begin = thread_time()
+        for kind in RoundKind:
+            state, _ = medium.broadcast(state, kind, step, interval_s * step + kind * round_s, stations, messages)
+        times.append(thread_time() - begin)
+    return interval_s / float(np.median(times[3:]))  # stations reserve from their second message on
+
+
 def bench() -> list[tuple[str, float, str]]:
     """Measure the radio: processor time of one thread, the best of several rounds. Rows of (what, figure, unit)."""
     rows: list[tuple[str, float, str]] = []
@@ -122,6 +142,10 @@ def bench() -> list[tuple[str, float, str]]:
         rows.append((f"whole round, first of a step, {who}", 1e3 * first, "ms"))
         rows.append((f"whole round, second of a step, {who}", 1e3 * second, "ms"))
         rows.append((f"two rounds to two network steps, {n:,} senders", (first + second) / (2 * step), "times"))
+        for model in ("csma", "nr_mode2", "lte_mode4"):
+            for interval_s in (1.0, 0.1):
+                speed = _times_real_time(xyz, los, short, model, interval_s)
+                rows.append((f"{model}, {who}, {1 / interval_s:.0f} Hz", speed, "times real time"))
     for n in (60, 300):
         xyz, los = _city(n, 30, default)
         seconds, _, frames = _rounds(xyz, los, default, RelayParams(max_hops=3))

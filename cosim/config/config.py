@@ -165,7 +165,7 @@ class Config:
         if jammers and self.radio.model == "unit_disk":
             raise ValueError(
                 f'attacks.{jammers[0]}.attack = "jamming" has no effect with radio.model = "unit_disk", which does not '
-                'model interference. Set radio.model = "csma".'
+                'model interference. Set radio.model = "csma", "nr_mode2" or "lte_mode4".'
             )
         check_server(
             self.pseudonyms, self.attacks, [t.host for t in (self.trust, *(v.trust for v in self.trust_variant))]

@@ -12,26 +12,17 @@ from numpy import ndarray
 
 from cosim import rng
 from cosim.radio import channel, dcc
-from cosim.radio.channel import Access, ChannelRules, Jamming, Links, Packets, WindowResult
+from cosim.radio.channel import Access, ChannelRules, Links, Packets, WindowResult
 from cosim.radio.channel_state import ChannelState
 from cosim.radio.dcc import DccState
 from cosim.radio.forwarding import UNIT, Forwarding, ForwardingRules, own_frames
-from cosim.radio.link_budget import from_db, links_between, los_pairs
+from cosim.radio.link_cache import LinkCache, jammed
 from cosim.radio.message_round import FrameOutcomes, MessageRound, Messages, RoundKind, Stations
 from cosim.radio.params import RadioParams
 from cosim.radio.phy import MAC_OVERHEAD_BYTES, airtime_ns
-from cosim.radio.receptions import NeighbourList, ReceptionAttempts, Transmissions, complete_messages, slant_m
-from cosim.radio.segmentation import ENVELOPE_BYTES, segments
+from cosim.radio.receptions import NeighbourList, ReceptionAttempts, Transmissions, complete_messages
+from cosim.radio.segmentation import FRAME_BYTES
 from sensors.line_of_sight import LosOfPlaces
-
-
-@dataclass(frozen=True, slots=True)
-class LinkCache:
-    """Links and neighbours of the stations of the last round; both rounds of a step have the same positions."""
-
-    stations: Stations
-    links: Links
-    neighbours: NeighbourList
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,9 +58,9 @@ class CsmaMedium:
         if len(stations) == 0:
             return state, MessageRound.silent()
         cache = state.cache
-        if cache is None or not cache.stations.equals(stations):
+        if cache is None or not cache.serves(stations):
             cache = self.links(stations)
-        links = self._jammed(cache.links, stations)
+        links = jammed(cache.links, stations, self.params)
         plan = self._plan(len(RoundKind) * step + kind, begin_s, stations, messages, state.n_frames)
         forwarding = self._forwarding(plan, stations)
         before = state
@@ -145,6 +136,8 @@ class CsmaMedium:
         now, control, rules, params = state.channel, state.dcc, self._rules, self.params.dcc
         units, own_ns, end_ns, period_ns = plan.units, plan.generated_ns, plan.end_ns, round(params.period_s * 1e9)
         waits = own_ns + units["airtime_ns"] <= end_ns
+        airtime_ns = np.zeros(len(stations), np.int64)
+        np.maximum.at(airtime_ns, units["source"], units["airtime_ns"])
         windows: list[WindowResult] = []
         busy = np.zeros(len(stations))
         measured, strong = 0, np.zeros(len(stations))  # since the last update of congestion control
@@ -156,7 +149,7 @@ class CsmaMedium:
             stop_ns = min(max(start_ns, stop_ns) + period_ns, end_ns)
             due = np.flatnonzero(waits & (own_ns < stop_ns))
             waits[due] = False
-            gap_ns = dcc.gap_ns(control, stations.key, params)
+            gap_ns = dcc.gap_ns(control, stations.key, params, airtime_ns)
             if stations.abuse is not None:
                 gap_ns = np.where(stations.abuse.ignores_dcc, 0, gap_ns)
             now, out = channel.run_window(now, links, plan.packets(due), stop_ns, rules, gap_ns, forwarding)
@@ -172,44 +165,7 @@ class CsmaMedium:
 
     def links(self, stations: Stations) -> LinkCache:
         """Links and neighbours of these stations."""
-        p, xyz_m = self.params, stations.xyz_m
-        knows_walls = self.los is not None and p.propagation.knows_walls
-        found = los_pairs(xyz_m, p.propagation, self.los, slant_m(xyz_m, p.range_m))
-        near = NeighbourList.of(xyz_m, p.range_m, found, knows_walls)
-        shadowing = rng.key(self.seed, rng.Stream.SHADOWING)
-        links, _, _ = links_between(
-            xyz_m, stations.key, p.propagation, shadowing, self.los, found=found,
-            above_street_m=stations.above_street_m,
-        )  # fmt: skip
-        kept = replace(
-            stations, abuse=None, key=stations.key.copy(), xyz_m=xyz_m.copy()
-        )  # the caller may go on to move its own
-        return LinkCache(kept, links, near)
-
-    def _jammed(self, links: Links, stations: Stations) -> Links:
-        """The links with the noise of jammers among the stations.
-
-        Notes
-        -----
-        A jammer's noise arrives with the mean power of a frame that is sent with the jammer's power. It reaches only
-        receivers with a link above the cut-off, and it does not fade. Carrier sense and the channel busy ratio do not
-        notice it. A reactive jammer detects frames that arrive with `detectable_dbm` or more on average. It reacts in
-        time for the payload but not for the preamble. If several jammers react, each frame that one of them detects
-        suffers the noise of all of them.
-        """
-        abuse = stations.abuse
-        if abuse is None or not (np.isfinite(abuse.jam_dbm).any() or np.isfinite(abuse.react_dbm).any()):
-            return links
-        sender = np.repeat(np.arange(len(stations)), np.diff(links.ptr))
-        noise = [
-            np.bincount(links.receiver, links.power_mw * from_db(dbm - self.params.propagation.tx_power_dbm)[sender],
-                        len(stations))
-            for dbm in (abuse.jam_dbm, abuse.react_dbm)
-        ]  # fmt: skip
-        detects = np.isfinite(abuse.react_dbm)[links.receiver]
-        detects &= links.power_mw >= from_db(self.params.receiver.detectable_dbm)
-        detected = np.bincount(sender, detects, len(stations)) > 0
-        return replace(links, jamming=Jamming(noise[0], noise[1], detected))
+        return LinkCache.of(stations, self.params, self.seed, self.los)
 
     def _idle(self, state: ChannelContext, links: Links, until_ns: int) -> ChannelContext:
         """The state after the time between two rounds, in which nothing is generated."""
@@ -291,8 +247,7 @@ def _units(
 ) -> tuple[ndarray, Int[ndarray, "m"]]:
     """Segments of all messages, by message, and their number for each message."""
     sent = np.flatnonzero(messages.length_bytes > 0)
-    envelope = ENVELOPE_BYTES if messages.envelope_bytes is None else messages.envelope_bytes[sent]
-    count, payload_bytes = segments(messages.length_bytes[sent], envelope)
+    count, payload_bytes = messages.segments(sent, FRAME_BYTES)
     n_segments = np.zeros(len(messages), np.int64)
     n_segments[sent] = count
     units = np.zeros(int(count.sum()), UNIT)

@@ -1,12 +1,15 @@
-"""Reactive decentralised congestion control: least time between two frames of a station.
+"""Decentralised congestion control, reactive or adaptive (LIMERIC): least time between two frames of a station.
 
 References
 ----------
-.. [1] ETSI TS 102 687 V1.2.1, "Decentralized congestion control mechanisms for ITS operating in the 5 GHz range".
+.. [1] ETSI TS 102 687 V1.2.1, "Decentralized congestion control mechanisms for ITS operating in the 5 GHz range":
+   clauses 5.3 (reactive) and 5.4 (adaptive).
+.. [2] G. Bansal, J. B. Kenney, C. E. Rohrs, "LIMERIC: a linear adaptive message rate algorithm for DSRC congestion
+   control", IEEE TVT 62(9), 2013.
 """
 
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 from annotated_types import Ge, Gt, Le
@@ -18,10 +21,13 @@ STATES = ("relaxed", "active 1", "active 2", "active 3", "restrictive")
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class DccParams:
-    """Reactive congestion control on the channel busy ratio."""
+    """Congestion control on the channel busy ratio."""
 
     enabled: bool = True
     """Whether congestion control is active."""
+    algorithm: Literal["reactive", "adaptive"] = "reactive"
+    """`reactive`: five states, each with a least time between frames. `adaptive`: LIMERIC, each station adapts its
+    share of the time on air until the busy ratio is at `target_cbr`."""
     cbr_bounds: tuple[float, float, float, float] = (0.30, 0.40, 0.50, 0.65)
     """Busy ratios from which the states active 1, 2, 3 and restrictive begin."""
     t_off_s: tuple[float, float, float, float, float] = (0.05, 0.1, 0.2, 0.25, 1.0)
@@ -31,12 +37,25 @@ class DccParams:
     period_s: Annotated[float, Ge(0.001), Le(60)] = 0.1
     """Time over which the busy ratio is measured; the state moves one step in each [s]."""
 
+    target_cbr: Annotated[float, Gt(0), Le(1)] = 0.68
+    """With `adaptive`: busy ratio that all stations together approach."""
+
     def __post_init__(self) -> None:
         bounds, gaps = self.cbr_bounds, self.t_off_s
         if len(bounds) != 4 or list(bounds) != sorted(set(bounds)) or not 0 < bounds[0] <= bounds[-1] <= 1:
             raise ValueError(f"radio.dcc.cbr_bounds = {bounds} must be four increasing busy ratios in (0, 1].")
         if len(gaps) != 5 or list(gaps) != sorted(gaps) or gaps[0] < 0 or gaps[-1] > 60:
             raise ValueError(f"radio.dcc.t_off_s = {gaps} must be five times [s] from 0 to 60 that do not decrease.")
+
+
+ALPHA, BETA = 0.016, 0.0012
+"""Weights of the own share and of the distance to the target: table 3 of [1]_."""
+SHARE_MIN, SHARE_MAX = 0.0006, 0.03
+"""Least and largest share of the time that a station may be on air: table 3 of [1]_."""
+STEP_MIN, STEP_MAX = -0.00025, 0.0005
+"""Least and largest change towards the target: table 3 of [1]_."""
+GAP_MIN_S, GAP_MAX_S = 0.025, 1.0
+"""Bounds of the time between two frames with `adaptive` [s]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,12 +66,19 @@ class DccState:
     cbr: Float[ndarray, "n"]
     """Busy ratio, smoothed."""
     level: Int[ndarray, "n"]
-    """Row of `STATES`."""
+    """With `reactive`: row of `STATES`."""
+    share: Float[ndarray, "n"]
+    """With `adaptive`: share of the time that the station may be on air."""
+    before: Float[ndarray, "n"]
+    """With `adaptive`: busy ratio of the period before."""
+    n_periods: int = 0
+    """Periods so far; the share changes every second one."""
 
     @staticmethod
     def start() -> "DccState":
         """No stations yet."""
-        return DccState(np.zeros(0, np.uint64), np.zeros(0), np.zeros(0, np.int8))
+        none = np.zeros(0)
+        return DccState(np.zeros(0, np.uint64), none, np.zeros(0, np.int8), none, none)
 
     def of(self, key: UInt64[ndarray, "n"]) -> "DccState":
         """The state of these stations (each once), in this order. New ones start relaxed, on an idle channel."""
@@ -60,8 +86,11 @@ class DccState:
             return self
         _, was, now = np.intersect1d(self.key, key, assume_unique=True, return_indices=True)
         cbr, level = np.zeros(len(key)), np.zeros(len(key), np.int8)
-        cbr[now], level[now] = self.cbr[was], self.level[was]
-        return DccState(key, cbr, level)
+        share, before = np.full(len(key), SHARE_MAX), np.zeros(len(key))
+        cbr[now], level[now], share[now], before[now] = (
+            self.cbr[was], self.level[was], self.share[was], self.before[was],
+        )  # fmt: skip
+        return DccState(key, cbr, level, share, before, self.n_periods)
 
 
 def update(state: DccState, key: UInt64[ndarray, "n"], busy: Float[ndarray, "n"], params: DccParams) -> DccState:
@@ -81,21 +110,45 @@ def update(state: DccState, key: UInt64[ndarray, "n"], busy: Float[ndarray, "n"]
 
     Notes
     -----
-    The state moves one step towards the state of the smoothed busy ratio.   Deviations from [1]_: one step per period,
-    both upwards and downwards; no control of power, rate or sensitivity.
+    Reactive: the state moves one step towards the state of the smoothed busy ratio.   Deviations from [1]_: one step
+    per period, both upwards and downwards; no control of power, rate or sensitivity.
+
+    Adaptive, every second period: with C = C/2 + (c1 + c2)/4 of the last two busy ratios, the share d becomes
+    (1 - alpha) d + beta (target - C), the last term within its bounds, and then the share within its own.
+    Deviations from [1]_: a station begins with the largest share.
     """
     if not ((busy >= 0) & (busy <= 1 + 1e-9)).all():
         raise ValueError("busy ratios must lie in 0 ... 1.")
-    now = state.of(key)
-    cbr = (1 - params.smoothing) * now.cbr + params.smoothing * busy
-    wanted = np.searchsorted(params.cbr_bounds, cbr, side="right")
-    level = (now.level + np.sign(wanted - now.level)).astype(np.int8)
-    return DccState(key, cbr, level)
+    now, n = state.of(key), state.n_periods + 1
+    if params.algorithm == "reactive":
+        cbr = (1 - params.smoothing) * now.cbr + params.smoothing * busy
+        wanted = np.searchsorted(params.cbr_bounds, cbr, side="right")
+        level = (now.level + np.sign(wanted - now.level)).astype(np.int8)
+        return DccState(key, cbr, level, now.share, busy, n)
+    if n % 2:
+        return DccState(key, now.cbr, now.level, now.share, busy, n)
+    cbr = 0.5 * now.cbr + 0.25 * (now.before + busy)
+    step = np.clip(BETA * (params.target_cbr - cbr), STEP_MIN, STEP_MAX)
+    share = np.clip((1 - ALPHA) * now.share + step, SHARE_MIN, SHARE_MAX)
+    return DccState(key, cbr, now.level, share, busy, n)
 
 
-def gap_ns(state: DccState, key: UInt64[ndarray, "n"], params: DccParams) -> Int[ndarray, "n"]:
-    """Least time between two frames of each of these stations (each once) [ns]; 0 if control is off."""
+def gap_ns(
+    state: DccState, key: UInt64[ndarray, "n"], params: DccParams, airtime_ns: Int[ndarray, "n"] | None = None
+) -> Int[ndarray, "n"]:
+    """Least time between two frames of each of these stations (each once) [ns]; 0 if control is off.
+
+    Parameters
+    ----------
+    airtime_ns
+        With `adaptive`: time on air of the frames of each station. The gap is that over the station's share, within
+        `GAP_MIN_S` and `GAP_MAX_S`.
+    """
     if not params.enabled:
         return np.zeros(len(key), np.int64)
+    now = state.of(key)
+    if params.algorithm == "adaptive":
+        assert airtime_ns is not None
+        return np.rint(np.clip(airtime_ns / now.share, GAP_MIN_S * 1e9, GAP_MAX_S * 1e9)).astype(np.int64)
     gaps = np.rint(np.array(params.t_off_s) * 1e9).astype(np.int64)
-    return gaps[state.of(key).level]
+    return gaps[now.level]

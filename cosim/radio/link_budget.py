@@ -16,6 +16,7 @@ from jaxtyping import Bool, Float, Int, UInt64
 from numpy import ndarray
 
 from cosim import rng
+from cosim.radio.bodies import Bodies, tallest_blocker_m
 from cosim.radio.channel import Links
 from cosim.radio.propagation import (
     PropagationParams,
@@ -221,6 +222,7 @@ def pairs(
     los: LosOfPlaces | None = None,
     found: PairLos | None = None,
     above_street_m: Float[ndarray, "n"] | None = None,
+    bodies: Bodies | None = None,
 ) -> Pairs:
     """Losses between stations at these antenna positions.
 
@@ -236,6 +238,13 @@ def pairs(
         Result of `los_pairs`, if it is known already.
     above_street_m
         Heights of the antennas above the street under them [m]. None: the streets are at height 0.
+    bodies
+        Road users of all traffic, for blockage by bodies.
+
+    Raises
+    ------
+    ValueError
+        If blockage by bodies is asked for and the bodies are not known.
     """
     if found is None:
         found = los_pairs(xyz_m, params, los)
@@ -260,7 +269,20 @@ def pairs(
 
     nlosv = np.zeros(len(a), bool)
     far = params.decorrelation_nlos_m
-    if params.blockage != "none" and params.model in ("urban", "highway"):
+    if params.blockage == "bodies" and params.model in ("urban", "highway"):
+        if bodies is None:
+            raise ValueError(
+                'radio.propagation.blockage = "bodies" needs the bodies of the traffic, which these stations lack. '
+                "Set stations.bodies, or use probabilistic."
+            )
+        open_ = np.flatnonzero(~nlos)
+        blocker_m = tallest_blocker_m(xyz_m, a[open_], b[open_], bodies)
+        rows, blocker_m = open_[blocker_m > 0], blocker_m[blocker_m > 0]
+        nlosv[rows] = True
+        loss[rows] += blockage_db(
+            field(rows, far, _BLOCKAGE), np.maximum(d[rows], 1.0), h_a[rows], h_b[rows], blocker_m
+        )
+    elif params.blockage != "none" and params.model in ("urban", "highway"):
         open_ = np.flatnonzero(~nlos)
         nlosv[open_] = blocked_by_vehicle(d[open_], field(open_, far, _BLOCKED), params)
         rows = np.flatnonzero(nlosv)
@@ -283,6 +305,7 @@ def links_between(
     tx_power_dbm: Float[ndarray, "n"] | None = None,
     found: PairLos | None = None,
     above_street_m: Float[ndarray, "n"] | None = None,
+    bodies: Bodies | None = None,
 ) -> tuple[Links, Pairs, Int[ndarray, "links"]]:
     """Links between stations at these antenna positions, and the pair of each link.
 
@@ -290,7 +313,7 @@ def links_between(
     ----------
     xyz_m, key
         Antenna positions [m] and keys of the N stations.
-    params, rng_key, los, found, above_street_m
+    params, rng_key, los, found, above_street_m, bodies
         As for `pairs`.
     tx_power_dbm
         Power of each station [dBm]. None: that of `params`.
@@ -299,7 +322,7 @@ def links_between(
     -------
     Links sorted by sender, the losses of all pairs in range, and the row of each link's pair.
     """
-    losses = pairs(xyz_m, params, rng_key, los, found, above_street_m)
+    losses = pairs(xyz_m, params, rng_key, los, found, above_street_m, bodies)
     n = len(xyz_m)
     power_dbm = np.full(n, params.tx_power_dbm) if tx_power_dbm is None else np.asarray(tx_power_dbm, float)
     sender = np.column_stack([losses.a, losses.b]).ravel()

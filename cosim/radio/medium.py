@@ -10,6 +10,7 @@ from numpy import ndarray
 from cosim.radio.csma import CsmaMedium
 from cosim.radio.message_round import MessageRound, Messages, RoundKind, Stations
 from cosim.radio.params import RadioParams
+from cosim.radio.sidelink import lte_mode4, nr_mode2
 from cosim.radio.unit_disk import UnitDiskMedium
 from sensors.line_of_sight import LosOfPlaces
 
@@ -56,6 +57,8 @@ def gap_s(medium: Medium, state: Any, stations: Stations) -> Float[ndarray, "n"]
 
 MEDIA: dict[str, Callable[[RadioParams, float, int, LosOfPlaces | None], Medium]] = {
     "csma": CsmaMedium,
+    "nr_mode2": nr_mode2,
+    "lte_mode4": lte_mode4,
     "unit_disk": UnitDiskMedium,
 }
 """Media by the value of `radio.model`."""

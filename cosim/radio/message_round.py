@@ -9,6 +9,8 @@ from jaxtyping import Bool, Float, Int, UInt8, UInt64
 from numpy import ndarray
 
 from cosim import rng
+from cosim.radio.bodies import Bodies
+from cosim.radio.segmentation import ENVELOPE_BYTES, segments
 from cosim.ragged import order_by_two
 
 
@@ -69,6 +71,8 @@ class Stations:
     """Heights of the antennas above the street under them [m]. None: the streets are at height 0."""
     abuse: ChannelAbuse | None = None
     """None where all stations keep the rules of the channel."""
+    bodies: Bodies | None = None
+    """Road users that may block links, of all traffic; None where they are not known."""
 
     def __len__(self) -> int:
         return len(self.key)
@@ -96,6 +100,11 @@ class Messages:
 
     def __len__(self) -> int:
         return len(self.station)
+
+    def segments(self, sent: Int[ndarray, "k"], frame_bytes: int) -> tuple[Int[ndarray, "k"], Int[ndarray, "k"]]:
+        """Number of frames of these messages, and the length of each frame [B], as `segmentation.segments`."""
+        envelope = ENVELOPE_BYTES if self.envelope_bytes is None else self.envelope_bytes[sent]
+        return segments(self.length_bytes[sent], envelope, frame_bytes)
 
     @staticmethod
     def one_each(length_bytes: Int[ndarray, "n"]) -> "Messages":

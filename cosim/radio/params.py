@@ -6,11 +6,13 @@ from typing import Annotated, Literal
 import numpy as np
 from annotated_types import Ge, Gt, Le
 
+from cosim.radio import sidelink_params
 from cosim.radio.channel import AccessParams
 from cosim.radio.dcc import DccParams
 from cosim.radio.phy import ReceiverParams, airtime_ns
 from cosim.radio.propagation import PropagationParams
 from cosim.radio.segmentation import FRAME_BYTES
+from cosim.radio.sidelink_params import LteParams, NrParams, SidelinkParams
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -66,8 +68,9 @@ class RadioParams:
     """V2X broadcast between vehicles and roadside units."""
 
     model: str = "csma"
-    """Radio medium. `csma`: each packet is simulated, with propagation in the city. `unit_disk`: every station in range
-    receives, except for a constant loss probability. Or a class of your own as path.py:Name."""
+    """Radio medium. `csma`: IEEE 802.11p, each packet is simulated, with propagation in the city. `nr_mode2`: sidelink
+    of NR-V2X. `lte_mode4`: sidelink of LTE-V2X. `unit_disk`: every station in range receives, except for a constant
+    loss probability. Or a class of your own as path.py:Name."""
     range_m: Annotated[float, Gt(0), Le(100_000)] = 300.0
     """Communication range: largest horizontal distance of one hop [m]. Frames from farther away are not received. With
     `csma` they still interfere."""
@@ -85,6 +88,9 @@ class RadioParams:
     receiver: ReceiverParams = field(default_factory=ReceiverParams)
     access: AccessParams = field(default_factory=AccessParams)
     dcc: DccParams = field(default_factory=DccParams)
+    sidelink: SidelinkParams = field(default_factory=SidelinkParams)
+    nr: NrParams = field(default_factory=NrParams)
+    lte: LteParams = field(default_factory=LteParams)
 
     def __post_init__(self) -> None:
         if self.range_m < 5:
@@ -103,6 +109,8 @@ class RadioParams:
                 f"radio.timeout_s = {self.timeout_s:g} s leaves no time for more than a few frames of "
                 f"{air_s * 1e3:.3g} ms. Set it to at least {10 * air_s:.3g}."
             )
+
+        sidelink_params.check(self.model, self.sidelink, self.nr, self.lte, self.relay.max_hops)
 
     def round_s(self, sensing_interval_s: float) -> float:
         """Duration of one round of messages [s]."""

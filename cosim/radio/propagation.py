@@ -82,8 +82,9 @@ class PropagationParams:
     """Movement of one end that reduces the correlation of shadowing to 1/e, line of sight [m]; 25 on highways."""
     decorrelation_nlos_m: Annotated[float, Ge(0.1), Le(10_000)] = 13.0
     """Movement of one end that reduces the correlation of shadowing to 1/e, otherwise [m]; 25 on highways."""
-    blockage: Literal["none", "probabilistic"] = "probabilistic"
-    """Blockage by vehicles of links with line of sight by buildings (urban and highway models)."""
+    blockage: Literal["none", "probabilistic", "bodies"] = "probabilistic"
+    """Blockage by vehicles of links with line of sight by buildings (urban and highway models). `probabilistic`: drawn
+    from the positions of the two ends. `bodies`: by the boxes of all road users between them, equipped or not."""
     traffic: Literal["low", "medium", "high"] = "medium"
     """Density of traffic, for probabilistic blockage."""
     fading: Literal["none", "nakagami", "rayleigh", "cheng"] = "nakagami"
@@ -224,7 +225,10 @@ HEIGHT_STEP_M = 0.001
 
 
 def blockage_mean_db(
-    d: Float[ndarray, "m"], h_a_m: Float[ndarray, "m"], h_b_m: Float[ndarray, "m"], blocker_m: float = BLOCKER_M
+    d: Float[ndarray, "m"],
+    h_a_m: Float[ndarray, "m"],
+    h_b_m: Float[ndarray, "m"],
+    blocker_m: float | Float[ndarray, "m"] = BLOCKER_M,
 ) -> tuple[Float[ndarray, "m"], Float[ndarray, "m"]]:
     """Mean and standard deviation of the loss behind a vehicle (NLOSv), by antenna heights [1]_.
 
@@ -258,7 +262,7 @@ def blockage_db(
     d: Float[ndarray, "m"],
     h_a_m: Float[ndarray, "m"],
     h_b_m: Float[ndarray, "m"],
-    blocker_m: float = BLOCKER_M,
+    blocker_m: float | Float[ndarray, "m"] = BLOCKER_M,
 ) -> Float[ndarray, "m"]:
     """Loss behind a vehicle (NLOSv), log-normal with the moments of `blockage_mean_db` [1]_.
 
@@ -495,6 +499,6 @@ def blocked_by_vehicle(
     params
         Propagation. Vehicles block links only in the urban and highway models.
     """
-    if params.blockage == "none" or params.model not in ("urban", "highway"):
+    if params.blockage != "probabilistic" or params.model not in ("urban", "highway"):
         return np.zeros(len(d), bool)
     return ndtr(normal) < vehicle_blockage_p(np.maximum(d, 1.0), params.model, params.traffic)

@@ -11,20 +11,23 @@ ENVELOPE_BYTES = 44 + 96 + 37 + 9
 
 
 def segments(
-    length_bytes: Int[ndarray, "n"], envelope_bytes: Int[ndarray, "n"] | int = ENVELOPE_BYTES
-) -> tuple[Int[ndarray, "n"], Int[ndarray, "n"]]:
+    length_bytes: Int[ndarray, "n"], envelope_bytes: Int[ndarray, "n"] | int = ENVELOPE_BYTES,
+    frame_bytes: int = FRAME_BYTES,
+) -> tuple[Int[ndarray, "n"], Int[ndarray, "n"]]:  # fmt: skip
     """Number of frames of each message, and the length of each frame [B]. Every segment is signed on its own.
 
-    A message of at most `FRAME_BYTES` is one frame. All frames of a longer one have the same length, rounded up.
+    A message of at most `frame_bytes` is one frame. All frames of a longer one have the same length, rounded up.
 
     Parameters
     ----------
     length_bytes
         Length of each message.
     envelope_bytes
-        What each segment of a message repeats, less than `FRAME_BYTES`.
+        What each segment of a message repeats, less than `frame_bytes`.
+    frame_bytes
+        Largest length of a frame.
     """
-    content, room = length_bytes - envelope_bytes, FRAME_BYTES - envelope_bytes
-    n = np.where(length_bytes <= FRAME_BYTES, 1, -(-content // room))
+    content, room = length_bytes - envelope_bytes, frame_bytes - envelope_bytes
+    n = np.where(length_bytes <= frame_bytes, 1, -(-content // room))
     each = envelope_bytes - (-content) // n
     return n, np.where(n == 1, length_bytes, each)

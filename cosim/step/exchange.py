@@ -10,6 +10,7 @@ from cosim import rng
 from cosim.adversary.adversary import Active
 from cosim.adversary.attack import Sending
 from cosim.config.config import Config
+from cosim.radio.bodies import Bodies
 from cosim.radio.message_round import (
     ChannelAbuse,
     LinkReceptions,
@@ -173,7 +174,9 @@ def stations_of(world: World, row: Int[ndarray, "v"], rsus: RsuAntennas, above_r
     xyz_m = np.concatenate([world.boxes.xyz_m[row], rsus.xyz_m])
     xyz_m[: len(row), 2] += world.boxes.lwh_m[row, 2] / 2 + above_roof_m
     above_street_m = np.concatenate([world.boxes.lwh_m[row, 2] + above_roof_m, rsus.above_street_m])
-    return Stations(key, xyz_m, len(row), above_street_m)
+    own = np.concatenate([row, np.full(len(rsus.key), -1)])
+    bodies = Bodies(world.boxes.xyz_m, world.boxes.lwh_m, world.boxes.yaw_rad, own)
+    return Stations(key, xyz_m, len(row), above_street_m, bodies=bodies)
 
 
 def abuse_of(sending: Sending, n_rsus: int) -> ChannelAbuse:

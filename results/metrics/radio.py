@@ -186,13 +186,21 @@ def conditions(run: Run) -> pd.DataFrame:
         rows += [("loss_per_hop", "", loss_p)]
         rows += [(name, "not modelled", np.nan) for name in ("receiver_threshold", "nlos", "fading", "dcc")]
     elif radio["model"] == "csma":
-        rows += _of_csma(radio["propagation"], radio["receiver"], radio["dcc"])
+        receiver, dcc = radio["receiver"], radio["dcc"]
+        threshold = (f"SINR at least {receiver['sinr_min_db']:g} dB", receiver["p_min_dbm"])
+        rows += _of_channel(
+            radio["propagation"], threshold, dcc.get("algorithm", "reactive") if dcc["enabled"] else "off"
+        )
+    elif radio["model"] in ("nr_mode2", "lte_mode4"):
+        sidelink = radio["sidelink"]
+        threshold = (f"SINR of the control part at least {sidelink['control_sinr_db']:g} dB", np.nan)
+        rows += _of_channel(
+            radio["propagation"], threshold, "limits of occupancy" if sidelink["limits_occupancy"] else "off"
+        )
     return pd.DataFrame(rows, columns=["condition", "is", "value"])
 
 
-def _of_csma(
-    propagation: dict[str, Any], receiver: dict[str, Any], dcc: dict[str, Any]
-) -> list[tuple[str, str, float]]:
+def _of_channel(propagation: dict[str, Any], threshold: tuple[str, float], dcc: str) -> list[tuple[str, str, float]]:
     tr_37885 = propagation["model"] in ("urban", "highway")
     nlos = {
         "3gpp": "TR 37.885 NLOS" if tr_37885 else "none",
@@ -205,8 +213,8 @@ def _of_csma(
     path_loss = propagation["model"].replace("_", " ")
     return [
         ("path_loss", f"TR 37.885 {path_loss}" if tr_37885 else path_loss, np.nan),
-        ("receiver_threshold", f"SINR at least {receiver['sinr_min_db']:g} dB", receiver["p_min_dbm"]),
+        ("receiver_threshold", *threshold),
         ("nlos", nlos, np.nan),
         ("fading", fading, np.nan),
-        ("dcc", "reactive" if dcc["enabled"] else "off", np.nan),
+        ("dcc", dcc, np.nan),
     ]

@@ -18,8 +18,10 @@ from types import TracebackType
 import numba
 import numpy as np
 
-from cosim.radio.csma import ChannelContext, CsmaMedium, LinkCache
+from cosim.radio.csma import ChannelContext, CsmaMedium
+from cosim.radio.link_cache import LinkCache
 from cosim.radio.message_round import Stations
+from cosim.radio.sidelink import SidelinkMedium, SidelinkState
 from cosim.step.exchange import stations_of
 from cosim.step.parts import Parts
 from cosim.step.perception import Observed
@@ -73,7 +75,7 @@ class Ahead:
             return
         if numba.get_num_threads() > 1:  # for few vehicles this is mostly Python code, which delays the present step
             medium, links = self._parts.medium, None
-            if isinstance(medium, CsmaMedium):
+            if isinstance(medium, CsmaMedium | SidelinkMedium):
                 links = self._thread.submit(self._links, medium, self._stations(world))
             near_pairs = self._thread.submit(self._near_pairs, world)
             self._begun = [*self._begun[-1:], _Begun(world, near_pairs, links)]
@@ -120,7 +122,7 @@ class Ahead:
         with self.watch("pairs"):
             return self._parts.near_pairs(world)
 
-    def _links(self, medium: CsmaMedium, stations: Stations) -> LinkCache:
+    def _links(self, medium: CsmaMedium | SidelinkMedium, stations: Stations) -> LinkCache:
         numba.set_num_threads(1)  # the other core is the present step's
         with self.watch("links"):
             return medium.links(stations)
@@ -132,6 +134,6 @@ class Ahead:
         self._thread.shutdown(cancel_futures=True)
 
 
-def _with_links(links: Future[LinkCache], state: ChannelContext) -> ChannelContext:
+def _with_links(links: Future[LinkCache], state: ChannelContext | SidelinkState) -> ChannelContext | SidelinkState:
     """The medium's state with links that were computed ahead."""
     return replace(state, cache=links.result())

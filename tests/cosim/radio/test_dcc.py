@@ -51,3 +51,30 @@ def test_faults_are_named():
         DccParams(t_off_s=(0.1, 0.05, 0.2, 0.3, 1.0))
     with pytest.raises(ValueError, match="busy ratios"):
         update(DccState.start(), KEY, np.array([0.1, 1.2, 0.3]), DccParams())
+
+
+ADAPTIVE = DccParams(algorithm="adaptive")
+
+
+def test_adaptive_control_by_hand():
+    """From a share of 0.03 on a channel that is busy for 0.8 of the time.
+
+    Period 2: C = 0.25 (0.8 + 0.8) = 0.4, 0.984 x 0.03 + 0.0012 x 0.28 = 0.029856.
+    Period 4: C = 0.2 + 0.4 = 0.6, 0.984 x 0.029856 + 0.0012 x 0.08 = 0.029474304.
+    """
+    assert after([0.8] * 3, 1, ADAPTIVE).share.tolist() == [0.03] * 3
+    assert after([0.8] * 3, 2, ADAPTIVE).share == pytest.approx([0.029856] * 3, rel=1e-12)
+    assert after([0.8] * 3, 5, ADAPTIVE).share == pytest.approx([0.029474304] * 3, rel=1e-12)
+    # 0.5 ms on air at a share of 0.03: 16.7 ms, raised to 25 ms; 2 ms: 66.7 ms.
+    gaps = gap_ns(after([0.0] * 3, 1, ADAPTIVE), KEY, ADAPTIVE, np.array([500_000, 2_000_000, 0]))
+    assert gaps.tolist() == [25_000_000, 66_666_667, 25_000_000]
+
+
+def test_adaptive_control_converges_to_the_fixed_point_of_limeric():
+    """N stations that hear each other and use their whole share: d* = beta target / (alpha + N beta) [2]."""
+    n = 60
+    key, control = np.arange(n).astype(np.uint64), DccState.start()
+    for _ in range(2000):
+        busy = np.full(n, min(control.of(key).share.sum(), 1.0))
+        control = update(control, key, busy, ADAPTIVE)
+    assert control.share == pytest.approx(np.full(n, 0.0012 * 0.68 / (0.016 + n * 0.0012)), rel=1e-6)

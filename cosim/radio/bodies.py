@@ -1,0 +1,149 @@
+"""Blockage of links by the bodies of vehicles that are there.
+
+A grid of cells holds the vehicles of traffic. The cells along the line between two antennas name the vehicles that may
+cross it.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+from numpy import ndarray
+
+from cosim.ragged import counting_order, ptr_of
+from sensors.kernel import kernel
+
+CELL_M = 10.0
+_BELOW_M = 3.0
+"""A body whose top is farther below the line than this is on a street below [m]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Bodies:
+    """B upright boxes of road users, world frame, whether equipped or not."""
+
+    xyz_m: Float[ndarray, "b 3"]
+    """Centres."""
+    lwh_m: Float[ndarray, "b 3"]
+    """Length along the heading, width, height."""
+    yaw_rad: Float[ndarray, "b"]
+    own: Int[ndarray, "n"]
+    """Row of each station's own body; -1 if it has none."""
+
+    def equals(self, other: "Bodies | None") -> bool:
+        """Whether these are the same bodies at the same places."""
+        return other is not None and all(
+            np.array_equal(getattr(self, name), getattr(other, name)) for name in ("xyz_m", "lwh_m", "yaw_rad", "own")
+        )
+
+    def copy(self) -> "Bodies":
+        """The same bodies in arrays of their own."""
+        return Bodies(self.xyz_m.copy(), self.lwh_m.copy(), self.yaw_rad.copy(), self.own.copy())
+
+
+def tallest_blocker_m(
+    xyz_m: Float[ndarray, "n 3"], a: Int[ndarray, "m"], b: Int[ndarray, "m"], bodies: Bodies
+) -> Float[ndarray, "m"]:
+    """Height of the tallest body whose footprint the line between two antennas crosses, above its street [m].
+
+    Parameters
+    ----------
+    xyz_m
+        Antennas of the N stations.
+    a, b
+        Rows of the two ends of each link.
+    bodies
+        Road users. The bodies of the two ends do not block.
+
+    Returns
+    -------
+    Height per link; 0 where no body is in the way.
+
+    Notes
+    -----
+    A body blocks by its footprint, whatever the height of the line above it: TR 37.885 compares heights of antennas and
+    blocker. A body that is wholly above the line, or more than 3 m below it, is on another street.
+    """
+    out = np.zeros(len(a))
+    if not len(a) or not len(bodies.xyz_m):
+        return out
+    low = np.minimum(xyz_m[:, :2].min(0), bodies.xyz_m[:, :2].min(0)) - CELL_M
+    span = np.maximum(xyz_m[:, :2].max(0), bodies.xyz_m[:, :2].max(0)) - low
+    side_m = max(CELL_M, float(span.max()) / 4000)
+    shape = (span / side_m).astype(np.int64) + 2
+    radius_m = np.hypot(bodies.lwh_m[:, 0], bodies.lwh_m[:, 1]) / 2
+    first = ((bodies.xyz_m[:, :2] - low - radius_m[:, None]) / side_m).astype(np.int64).clip(0, shape - 1)
+    last = ((bodies.xyz_m[:, :2] - low + radius_m[:, None]) / side_m).astype(np.int64).clip(0, shape - 1)
+    count = last - first + 1
+    n_cells = count.prod(axis=1)
+    body = np.repeat(np.arange(len(n_cells)), n_cells)
+    k = np.arange(len(body)) - np.repeat(np.cumsum(n_cells) - n_cells, n_cells)
+    cell = (first[body, 0] + k // count[body, 1]) * shape[1] + first[body, 1] + k % count[body, 1]
+    order = counting_order(cell, int(shape.prod()))
+    ptr = ptr_of(cell[order], int(shape.prod()))
+    cosine, sine = np.cos(bodies.yaw_rad), np.sin(bodies.yaw_rad)
+    _tallest(
+        np.ascontiguousarray(xyz_m, np.float64), a, b, bodies.own, bodies.xyz_m, bodies.lwh_m, cosine, sine, ptr,
+        body[order], low, side_m, shape, out,
+    )  # fmt: skip
+    return out
+
+
+@kernel
+def _tallest(xyz, a, b, own, centre, lwh, cosine, sine, ptr, body, low, side_m, shape, out):
+    """Walk the cells of each line, and test the bodies there."""
+    for m in range(len(a)):
+        i, j = a[m], b[m]
+        x0, y0 = (xyz[i, 0] - low[0]) / side_m, (xyz[i, 1] - low[1]) / side_m
+        dx, dy = (xyz[j, 0] - low[0]) / side_m - x0, (xyz[j, 1] - low[1]) / side_m - y0
+        cx, cy = np.int64(x0), np.int64(y0)
+        step_x, step_y = 1 if dx > 0 else -1, 1 if dy > 0 else -1
+        per_x, per_y = 1.0 / max(abs(dx), 1e-12), 1.0 / max(abs(dy), 1e-12)
+        next_x = ((cx + 1 - x0) if dx > 0 else (x0 - cx)) * per_x
+        next_y = ((cy + 1 - y0) if dy > 0 else (y0 - cy)) * per_y
+        tallest = 0.0
+        while True:
+            c = cx * shape[1] + cy
+            for k in range(ptr[c], ptr[c + 1]):
+                e = body[k]
+                if lwh[e, 2] > tallest and e != own[i] and e != own[j]:
+                    if _crosses(xyz, i, j, centre, lwh, cosine, sine, e):
+                        tallest = lwh[e, 2]
+            if next_x < next_y:
+                if next_x > 1.0:
+                    break
+                cx += step_x
+                next_x += per_x
+            else:
+                if next_y > 1.0:
+                    break
+                cy += step_y
+                next_y += per_y
+            if cx < 0 or cy < 0 or cx >= shape[0] or cy >= shape[1]:
+                break
+        out[m] = tallest
+
+
+@kernel
+def _crosses(xyz, i, j, centre, lwh, cosine, sine, e):
+    """Whether the line between two antennas crosses the footprint of a body on the same street."""
+    ax, ay = xyz[i, 0] - centre[e, 0], xyz[i, 1] - centre[e, 1]
+    bx, by = xyz[j, 0] - centre[e, 0], xyz[j, 1] - centre[e, 1]
+    u0, v0 = cosine[e] * ax + sine[e] * ay, cosine[e] * ay - sine[e] * ax
+    u1, v1 = cosine[e] * bx + sine[e] * by, cosine[e] * by - sine[e] * bx
+    near, far = 0.0, 1.0
+    for axis in range(2):
+        p, d = (u0, u1 - u0) if axis == 0 else (v0, v1 - v0)
+        half = lwh[e, axis] / 2
+        if abs(d) < 1e-12:
+            if abs(p) > half:
+                return False
+        else:
+            t0, t1 = (-half - p) / d, (half - p) / d
+            near, far = max(near, min(t0, t1)), min(far, max(t0, t1))
+    if near > far:
+        return False
+    t = (near + far) / 2
+    z = xyz[i, 2] + t * (xyz[j, 2] - xyz[i, 2])
+    bottom, top = centre[e, 2] - lwh[e, 2] / 2, centre[e, 2] + lwh[e, 2] / 2
+    return bottom <= z <= top + _BELOW_M

@@ -1,0 +1,71 @@
+"""Links and neighbours of the stations of a round, and the noise of jammers among them."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from cosim import rng
+from cosim.radio.channel import Jamming, Links
+from cosim.radio.link_budget import from_db, links_between, los_pairs
+from cosim.radio.message_round import Stations
+from cosim.radio.params import RadioParams
+from cosim.radio.receptions import NeighbourList, slant_m
+from sensors.line_of_sight import LosOfPlaces
+
+
+@dataclass(frozen=True, slots=True)
+class LinkCache:
+    """Links and neighbours of the stations of the last round; both rounds of a step have the same positions."""
+
+    stations: Stations
+    links: Links
+    neighbours: NeighbourList
+
+    @staticmethod
+    def of(stations: Stations, params: RadioParams, seed: int, los: LosOfPlaces | None) -> "LinkCache":
+        """Compute the links and neighbours of these stations."""
+        xyz_m, propagation = stations.xyz_m, params.propagation
+        knows_walls = los is not None and propagation.knows_walls
+        found = los_pairs(xyz_m, propagation, los, slant_m(xyz_m, params.range_m))
+        near = NeighbourList.of(xyz_m, params.range_m, found, knows_walls)
+        links, _, _ = links_between(
+            xyz_m, stations.key, propagation, rng.key(seed, rng.Stream.SHADOWING), los, found=found,
+            above_street_m=stations.above_street_m, bodies=stations.bodies,
+        )  # fmt: skip
+        bodies = stations.bodies if propagation.blockage == "bodies" else None
+        kept = replace(
+            stations, abuse=None, key=stations.key.copy(), xyz_m=xyz_m.copy(),
+            bodies=None if bodies is None else bodies.copy(),
+        )  # fmt: skip  # the caller may go on to move its own
+        return LinkCache(kept, links, near)
+
+    def serves(self, stations: Stations) -> bool:
+        """Whether these are the links of these stations."""
+        bodies = self.stations.bodies
+        return self.stations.equals(stations) and (bodies is None or bodies.equals(stations.bodies))
+
+
+def jammed(links: Links, stations: Stations, params: RadioParams) -> Links:
+    """The links with the noise of jammers among the stations.
+
+    Notes
+    -----
+    A jammer's noise arrives with the mean power of a frame that is sent with the jammer's power. It reaches only
+    receivers with a link above the cut-off, and it does not fade. Carrier sense and the channel busy ratio do not
+    notice it. A reactive jammer detects frames that arrive with `detectable_dbm` or more on average. It reacts in
+    time for the payload but not for the preamble. If several jammers react, each frame that one of them detects
+    suffers the noise of all of them.
+    """
+    abuse = stations.abuse
+    if abuse is None or not (np.isfinite(abuse.jam_dbm).any() or np.isfinite(abuse.react_dbm).any()):
+        return links
+    sender = np.repeat(np.arange(len(stations)), np.diff(links.ptr))
+    noise = [
+        np.bincount(links.receiver, links.power_mw * from_db(dbm - params.propagation.tx_power_dbm)[sender],
+                    len(stations))
+        for dbm in (abuse.jam_dbm, abuse.react_dbm)
+    ]  # fmt: skip
+    detects = np.isfinite(abuse.react_dbm)[links.receiver]
+    detects &= links.power_mw >= from_db(params.receiver.detectable_dbm)
+    detected = np.bincount(sender, detects, len(stations)) > 0
+    return replace(links, jamming=Jamming(noise[0], noise[1], detected))

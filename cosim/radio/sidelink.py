@@ -1,0 +1,444 @@
+"""The media `nr_mode2` and `lte_mode4`: rounds of messages over the sidelink, without a base station.
+
+Each station selects its own resources by sensing, and reserves them for its next messages (semi-persistent
+scheduling). A message longer than the largest transport block is segmented. A message is received when all its segments
+are received. `sidelink_slots` carries out the slots.
+"""
+
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Int, UInt64
+from numpy import ndarray
+
+from cosim import rng
+from cosim.radio import sidelink_slots as slots
+from cosim.radio.channel import Links
+from cosim.radio.dtypes import NEVER, NONE, RECEIVED
+from cosim.radio.link_budget import from_db
+from cosim.radio.link_cache import LinkCache, jammed
+from cosim.radio.message_round import FrameOutcomes, MessageRound, Messages, RoundKind, Stations
+from cosim.radio.params import RadioParams
+from cosim.radio.propagation import fading_quantiles
+from cosim.radio.receptions import ReceptionAttempts, Transmissions, complete_messages
+from cosim.radio.segmentation import FRAME_BYTES
+from cosim.radio.sidelink_params import allowed_ms
+from cosim.radio.sidelink_phy import MAC_OVERHEAD_BYTES, Carrier
+from cosim.radio.sidelink_slots import MAX_SENT, Air, Log, Memory, Room, Rules
+from cosim.ragged import offsets, ranges
+from sensors.kernel import compiled
+from sensors.line_of_sight import LosOfPlaces
+
+_PROCESSING_SLOTS = {1: 3, 2: 5, 4: 9}
+"""T_proc,1 by slots per millisecond: table 8.1.4-2 of TS 38.214. Re-evaluation comes this long before transmission."""
+
+TAIL = 6.0
+"""Standard deviations beyond which a block is decoded or lost without a draw."""
+
+
+@dataclass(frozen=True, slots=True)
+class SidelinkState:
+    """All that lasts from one round to the next. Callers only pass it on."""
+
+    process: ndarray = field(default_factory=lambda: np.zeros(0, slots.PROCESS))
+    """Processes of the stations, sorted by key."""
+    station: ndarray = field(default_factory=lambda: np.zeros(0, slots.STATION))
+    ptr: ndarray = field(default_factory=lambda: np.zeros(1, np.int64))
+    """Where each station's entries begin."""
+    entry: ndarray = field(default_factory=lambda: np.zeros(0, slots.ENTRY))
+    """Reservations that stations have decoded."""
+    until: int = 0
+    """First slot that has not been carried out."""
+    cache: LinkCache | None = None
+
+
+@dataclass(frozen=True)
+class SidelinkMedium:
+    """Sensing-based semi-persistent scheduling on a pool of resources, slot by slot.
+
+    A message is generated at a time of its station and kind in the first half of the round, the same in every round, so
+    that messages are periodic.
+    """
+
+    params: RadioParams
+    round_s: float
+    """Duration of one round [s]."""
+    seed: int
+    los: LosOfPlaces | None
+    """Lines of sight in the city; None without buildings."""
+    is_nr: bool
+
+    def __post_init__(self) -> None:
+        if self.round_s / 2 < 0.004:
+            raise ValueError(
+                f"a round of {self.round_s:g} s is too short for the sidelink: a message may be generated in its first "
+                "half and then needs at least 4 ms. Set sensing_interval_s or radio.timeout_s higher."
+            )
+
+    def start(self) -> SidelinkState:
+        """No stations yet."""
+        return SidelinkState()
+
+    def broadcast(
+        self, state: SidelinkState, kind: RoundKind, step: int, begin_s: float, stations: Stations, messages: Messages
+    ) -> tuple[SidelinkState, MessageRound]:
+        """One round of messages."""
+        if len(stations) == 0:
+            return state, MessageRound.silent()
+        cache = state.cache
+        if cache is None or not cache.serves(stations):
+            cache = self.links(stations)
+        links = jammed(cache.links, stations, self.params)
+        begin_ns, end_ns = round(begin_s * 1e9), round((begin_s + self.round_s) * 1e9)
+        plan = self._plan(kind, len(RoundKind) * step + kind, begin_ns, end_ns, stations, messages)
+        after, log, busy = self._run(state, plan, links, stations, begin_ns, end_ns)
+        happened = self._happened(plan, log, links, cache, stations, messages, begin_ns, busy)
+        return replace(after, cache=cache), happened
+
+    def links(self, stations: Stations) -> LinkCache:
+        """Links and neighbours of these stations."""
+        return LinkCache.of(stations, self.params, self.seed, self.los)
+
+    @cached_property
+    def carrier(self) -> Carrier:
+        """The carrier and its pool."""
+        return self.params.nr.carrier() if self.is_nr else self.params.lte.carrier()
+
+    @property
+    def _slot_ns(self) -> int:
+        return 1_000_000 // self.carrier.slots_per_ms
+
+    @cached_property
+    def rules(self) -> Rules:
+        """The parameters of the slots."""
+        p, carrier = self.params.sidelink, self.carrier
+        per_ms = carrier.slots_per_ms
+        noise_mw = 1.380649e-23 * 290.0 * 180e3 * per_ms * 1e3 * float(from_db(self.params.receiver.noise_figure_db))
+        window = round(p.window_s * 1000 * per_ms)
+        forced = 0 if p.reservation_s is None else round(p.reservation_s * 1000 * per_ms)
+        step = 100 if forced == 0 else min(forced, 100)
+        return Rules(
+            rng_key=rng.key(self.seed, rng.Stream.CHANNEL),
+            n_subchannels=carrier.n_subchannels,
+            rbs=carrier.rbs,
+            noise_mw=noise_mw,
+            control_sinr=float(from_db(p.control_sinr_db)),
+            rsrp_mw=float(from_db(p.rsrp_threshold_dbm)),
+            share=p.share,
+            first=1,
+            last=window,
+            lead=_PROCESSING_SLOTS[per_ms] if self.is_nr and self.params.nr.re_evaluation else 0,
+            max_gap=31 if self.is_nr else 15,
+            aligned=p.aligned,
+            ranked=not self.is_nr,
+            power_step=step,
+            power_slots=1000,
+            forced_period=forced,
+            keep_p=p.keep_p,
+            counter_low=p.counter[0],
+            counter_high=p.counter[1],
+            short_period=100 * per_ms,
+            long_slots=100 * per_ms,
+            reselect_after=p.reselect_after,
+            busy_mw=float(from_db(p.cbr_threshold_dbm)),
+            busy_slots=100 * per_ms,
+            limited=p.limits_occupancy,
+            with_repeats=self.is_nr and p.n_transmissions > 1,
+        )
+
+    @cached_property
+    def _allowed(self) -> ndarray:
+        """Whether each period [slots] may be reserved."""
+        allowed = np.zeros(1000 * self.carrier.slots_per_ms + 1, np.bool_)
+        allowed[np.array(sorted(allowed_ms(self.is_nr))) * self.carrier.slots_per_ms] = True
+        return allowed
+
+    def _plan(
+        self, kind: RoundKind, number: int, begin_ns: int, end_ns: int, stations: Stations, messages: Messages
+    ) -> "_RoundPlan":
+        """Segments of all messages, their processes, and when they are generated."""
+        sent = np.flatnonzero(messages.length_bytes > 0)
+        count, payload_bytes = messages.segments(sent, min(FRAME_BYTES, self.carrier.largest_bytes))
+        n_segments = np.zeros(len(messages), np.int64)
+        n_segments[sent] = count
+        message = np.repeat(sent, count)
+        keys = messages.keys(stations)
+        segment = np.arange(len(message)) - np.repeat(np.cumsum(count) - count, count)
+        phase = rng.uniforms(rng.key(self.seed, rng.Stream.GENERATION, kind), keys)[:, 0]
+        offset_ns = np.floor(phase * (end_ns - begin_ns) / 2).astype(np.int64)
+        if messages.delay_s is not None:
+            offset_ns += np.rint(1e9 * messages.delay_s).astype(np.int64)
+        generated_ns = begin_ns + offset_ns[message]
+        unit = np.zeros(len(message), slots.UNIT)
+        unit["key"] = rng.keys(np.uint64(number), keys[message], segment)
+        unit["generated"] = generated_ns // self._slot_ns
+        unit["deadline"] = end_ns // self._slot_ns - 1
+        unit["station"] = messages.station[message]
+        unit["width"] = self.carrier.width(np.repeat(payload_bytes, count))
+        unit["n_sent"] = self.params.sidelink.n_transmissions
+        unit["sinr_db"] = self.carrier.sinr_db[unit["width"] - 1]
+        unit["spread_db"] = self.carrier.spread_db[unit["width"] - 1]
+        unit["clear_sinr"] = from_db(unit["sinr_db"] + TAIL * unit["spread_db"])
+        unit["dead_sinr"] = from_db(unit["sinr_db"] - TAIL * unit["spread_db"])
+        unit["slot"] = NEVER
+        process = rng.keys(rng.key(self.seed, rng.Stream.CHANNEL, 1 + kind), keys[message], segment)
+        return _RoundPlan(unit, message, generated_ns, n_segments, np.repeat(payload_bytes, count), process)
+
+    def _run(
+        self, state: SidelinkState, plan: "_RoundPlan", links: Links, stations: Stations, begin_ns: int, end_ns: int
+    ) -> tuple[SidelinkState, Log, Int[ndarray, "n"]]:
+        """Carry out the slots of a round; returns the next state, the log and the busy subchannels of each station."""
+        rules, begin, end = self.rules, begin_ns // self._slot_ns, end_ns // self._slot_ns
+        station, ptr, entry = _stations_of(state, stations)
+        process = _processes_of(state.process, plan, stations)
+        silent = min(begin // rules.busy_slots - (state.until - 1) // rules.busy_slots, slots.N_USED + 1)
+        if begin % rules.busy_slots == 0:
+            silent -= 1
+        for _ in range(silent if state.until > 0 else 0):
+            slots.next_period(station, rules)
+        memory = memory_of(process, station, ptr, entry, plan.unit, links, rules)
+        log = log_of(plan.unit, links, end - begin)
+        air = self.air(links, stations)
+        room = room_of(rules)
+        arrival = np.lexsort((plan.unit["key"], plan.unit["generated"]))
+        slots.run_slots(begin, begin, end, arrival, air, memory, log, room, rules)
+        ptr, entry = _kept(memory, end)
+        after = SidelinkState(process, station, ptr, entry, end)
+        return after, log, air.busy_round
+
+    def air(self, links: Links, stations: Stations) -> Air:
+        """Links of a round, and room for the sums of a slot."""
+        n, jam = len(stations), links.jamming
+        zero = np.zeros(n)
+        return Air(
+            ptr=links.ptr,
+            receiver=links.receiver,
+            mean_mw=links.power_mw,
+            fading=links.fading,
+            key=links.key,
+            quantiles=fading_quantiles(),
+            leak=self._leak,
+            allowed=self._allowed,
+            jam_mw=zero if jam is None else jam.constant_mw / self.carrier.n_rbs,
+            react_mw=zero if jam is None else jam.reactive_mw / self.carrier.n_rbs,
+            is_jammed=np.zeros(n, bool) if jam is None else jam.detected,
+            density_mw=np.zeros((n, self.carrier.n_subchannels)),
+            arrival_mw=np.zeros(len(links.receiver), np.float32),
+            stamp=np.full(n, NONE, np.int64),
+            sends=np.full(n, NONE, np.int64),
+            touched=np.zeros(n, np.int64),
+            busy_round=np.zeros(n, np.int64),
+        )
+
+    @cached_property
+    def _leak(self) -> ndarray:
+        return self.carrier.leak()
+
+    def _happened(
+        self, plan: "_RoundPlan", log: Log, links: Links, cache: LinkCache, stations: Stations, messages: Messages,
+        begin_ns: int, busy: Int[ndarray, "n"],
+    ) -> MessageRound:  # fmt: skip
+        """Receptions of a round, and the outcome of each segment at every station in range."""
+        unit, slot_ns = log.unit, self._slot_ns
+        attempts_of = _transmissions(plan, log, links, messages, slot_ns)
+        attempts = ReceptionAttempts.of(attempts_of, cache.neighbours)
+        receptions, n_duplicate = complete_messages(
+            attempts_of, attempts, plan.generated_ns, plan.n_segments, begin_ns, messages, stations.xyz_m[:, :2]
+        )
+        n_sent = unit["n_sent"].astype(np.int64)
+        if self.params.sidelink.n_transmissions > 1:
+            _merge(log.reception, unit, np.diff(links.ptr))
+            first = Transmissions(*(
+                column if column is attempts_of.receiver or column is attempts_of.reception else column[: len(unit)]
+                for column in attempts_of
+            ))  # fmt: skip
+            first = first._replace(reception=_receptions_of(unit, links, log.reception, np.arange(len(unit)), 0))
+            first = first._replace(receiver=attempts_of.receiver[: len(first.reception)])
+            attempts = ReceptionAttempts.of(first, cache.neighbours)
+        outcomes = FrameOutcomes(
+            message=attempts.message,
+            receiver=attempts.receiver,
+            hop=attempts.hop,
+            distance_m=attempts.distance_m,
+            los_state=attempts.los_state,
+            outcome=attempts.outcome,
+            n_transmissions=np.bincount(plan.message, n_sent, len(messages)).astype(np.int64),
+            n_relayed=0,
+            n_duplicate=n_duplicate,
+            sent_bytes=float(np.sum((plan.payload_bytes + MAC_OVERHEAD_BYTES) * n_sent)),
+            cbr=busy / (len(log.head_sent) * self.carrier.n_subchannels),
+        )
+        return MessageRound(messages.station, receptions, outcomes)
+
+
+def nr_mode2(params: RadioParams, round_s: float, seed: int, los: LosOfPlaces | None) -> SidelinkMedium:
+    """Sidelink of NR-V2X, mode 2."""
+    return SidelinkMedium(params, round_s, seed, los, is_nr=True)
+
+
+def lte_mode4(params: RadioParams, round_s: float, seed: int, los: LosOfPlaces | None) -> SidelinkMedium:
+    """Sidelink of LTE-V2X, mode 4."""
+    return SidelinkMedium(params, round_s, seed, los, is_nr=False)
+
+
+@dataclass(frozen=True, slots=True)
+class _RoundPlan:
+    """What stations send in one round: U segments (units) of M messages."""
+
+    unit: ndarray
+    message: Int[ndarray, "u"]
+    generated_ns: Int[ndarray, "u"]
+    n_segments: Int[ndarray, "m"]
+    payload_bytes: Int[ndarray, "u"]
+    process: UInt64[ndarray, "u"]
+    """Key of the process that sends each unit."""
+
+
+def _stations_of(state: SidelinkState, stations: Stations) -> tuple[ndarray, ndarray, ndarray]:
+    """Records of these stations, in this order, and their entries; new stations have sensed nothing."""
+    old = state.station["key"]
+    station = np.zeros(len(stations), slots.STATION)
+    if np.array_equal(old, stations.key):
+        station[:] = state.station
+        ptr, entry = state.ptr, state.entry
+    else:
+        _, was, now = np.intersect1d(old, stations.key, assume_unique=True, return_indices=True)
+        station[now] = state.station[was]
+        count = np.zeros(len(stations), np.int64)
+        begin = np.zeros(len(stations), np.int64)
+        count[now], begin[now] = np.diff(state.ptr)[was], state.ptr[was]
+        ptr, entry = offsets(count), state.entry[ranges(begin, count)]
+    station["key"] = stations.key
+    station["ignores"] = 0 if stations.abuse is None else stations.abuse.ignores_dcc
+    return station, ptr, entry
+
+
+def _processes_of(process: ndarray, plan: _RoundPlan, stations: Stations) -> ndarray:
+    """Processes of the stations that are there, sorted by key, with those of the units; names them in the units."""
+    present = np.sort(stations.key)
+    at = np.minimum(np.searchsorted(present, process["station"]), len(present) - 1)
+    process = process[present[at] == process["station"]]
+    at = np.searchsorted(process["key"], plan.process)
+    known = at < len(process)
+    known[known] = process["key"][at[known]] == plan.process[known]
+    new = np.flatnonzero(~known)
+    if len(new):
+        more = np.zeros(len(new), slots.PROCESS)
+        more["key"], more["station"] = plan.process[new], stations.key[plan.unit["station"][new]]
+        more["next_slot"], more["generated"] = NEVER, NONE
+        process = np.concatenate([process, more])
+        process = process[np.argsort(process["key"])]
+        at = np.searchsorted(process["key"], plan.process)
+    plan.unit["process"] = at
+    return process
+
+
+def memory_of(
+    process: ndarray, station: ndarray, ptr: ndarray, entry: ndarray, unit: ndarray, links: Links, rules: Rules
+) -> Memory:
+    """Linked lists of each station's processes and entries, with room for the entries of the round."""
+    order = np.argsort(station["key"])
+    of = order[np.searchsorted(station["key"][order], process["station"])]
+    own, next_own = _lists(of, len(station))
+    per_link = np.array([0, 1, 4, 9])[unit["n_sent"]] if rules.with_repeats else unit["n_sent"].astype(np.int64)
+    n_new = int((np.diff(links.ptr)[unit["station"]] * per_link).sum())
+    table = np.empty(len(entry) + n_new, slots.ENTRY)
+    table[: len(entry)] = entry
+    head = np.full(len(station), NONE, np.int64)
+    holds = np.flatnonzero(np.diff(ptr))
+    head[holds] = ptr[holds]
+    table["station"][: len(entry)] = np.repeat(np.arange(len(station)), np.diff(ptr))
+    table["next"][: len(entry)] = np.arange(1, len(entry) + 1)
+    table["next"][ptr[holds + 1] - 1] = NONE
+    return Memory(process, own, next_own, station, head, table, np.array([len(entry)]))
+
+
+def _lists(of: Int[ndarray, "p"], n: int) -> tuple[ndarray, ndarray]:
+    """The rows of each owner as linked lists: the first row of each owner, and the row after each row."""
+    first, after = np.full(n, NONE, np.int64), np.full(len(of), NONE, np.int64)
+    order = np.argsort(of, kind="stable")
+    same = of[order][1:] == of[order][:-1]
+    after[order[:-1][same]] = order[1:][same]
+    begins = np.ones(len(of), bool)
+    begins[1:] = ~same
+    first[of[order][begins]] = order[begins]
+    return first, after
+
+
+def log_of(unit: ndarray, links: Links, n_slots: int) -> Log:
+    """Room for the outcomes of these units at their receivers."""
+    degree = np.diff(links.ptr)[unit["station"]]
+    begins = offsets(degree)
+    unit["rows"] = MAX_SENT * begins[:-1]
+    return Log(
+        unit=unit,
+        reception=np.zeros(MAX_SENT * begins[-1], np.uint8),
+        sinr=np.zeros(begins[-1]),
+        head_sent=np.full(n_slots, NONE, np.int64),
+        next_sent=np.full(MAX_SENT * len(unit), NONE, np.int64),
+        head_check=np.full(n_slots, NONE, np.int64),
+        next_check=np.full(len(unit), NONE, np.int64),
+    )
+
+
+def room_of(rules: Rules) -> Room:
+    """Room for one choice of resources."""
+    n = (rules.last + 1) * rules.n_subchannels
+    return Room(np.zeros(n), np.zeros(n), np.zeros(n, np.int64), np.zeros(n, np.uint64))
+
+
+def _kept(memory: Memory, now: int) -> tuple[Int[ndarray, "n+1"], ndarray]:
+    """The entries that still reserve something, by station, and where those of each station begin."""
+    ptr, n = np.empty(len(memory.head) + 1, np.int64), memory.at[0]
+    slots.count_kept(memory.entry, n, now, ptr)
+    kept = np.empty(ptr[-1], slots.ENTRY)
+    slots.copy_kept(memory.entry, n, now, ptr[:-1].copy(), kept)
+    return ptr, kept
+
+
+def _receptions_of(
+    unit: ndarray, links: Links, reception: ndarray, rows: Int[ndarray, "f"], attempt: Int[ndarray, "f"] | int
+) -> ndarray:
+    """Outcomes of these transmissions at their receivers, one transmission after the other."""
+    degree = np.diff(links.ptr)[unit["station"][rows]]
+    return reception[ranges(unit["rows"][rows] + attempt * degree, degree)]
+
+
+def _transmissions(plan: _RoundPlan, log: Log, links: Links, messages: Messages, slot_ns: int) -> Transmissions:
+    """All transmissions: the first of each unit, then further ones."""
+    unit = log.unit
+    first = np.arange(len(unit))
+    more = [np.flatnonzero(unit["n_sent"] > a) for a in range(1, MAX_SENT)]
+    rows = np.concatenate([first, *more])
+    attempt = np.concatenate([np.zeros(len(unit), np.int64)] + [np.full(len(r), a + 1) for a, r in enumerate(more)])
+    station = unit["station"][rows].astype(np.int64)
+    degree = np.diff(links.ptr)[station]
+    on_air = unit["n_sent"][rows] > attempt
+    start_ns = np.where(on_air, unit["slot"][rows, attempt], 0) * slot_ns
+    return Transmissions(
+        unit=rows,
+        message=plan.message[rows],
+        source=messages.station[plan.message[rows]],
+        transmitter=station,
+        hop=np.ones(len(rows), np.int64),
+        on_air=on_air,
+        start_ns=start_ns,
+        end_ns=start_ns + slot_ns,
+        begin=offsets(degree)[:-1],
+        n_receptions=degree,
+        receiver=links.receiver[ranges(links.ptr[station], degree)],
+        reception=_receptions_of(unit, links, log.reception, rows, attempt),
+    )
+
+
+@compiled
+def _merge(reception, unit, degree):
+    """Replace the outcome of the first transmission by that of all: received once, or lost as the last one is."""
+    for u in range(len(unit)):
+        me = unit[u]
+        n = degree[me.station]
+        for k in range(n):
+            for a in range(1, me.n_sent):
+                if reception[me.rows + k] != RECEIVED:
+                    reception[me.rows + k] = reception[me.rows + a * n + k]
